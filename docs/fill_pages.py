@@ -17,10 +17,14 @@ from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import Any
 
+import draw_results
+from draw_results import most_frequent
+
 from manip_learn.atomic_write import write_atomically
 from manip_learn.errors import ManipLearnError, OutputError
 from manip_learn.experiments import EXPERIMENTS
 from manip_learn.experiments.bounds import UNKNOWABLE
+from manip_learn.experiments.charts import save_figure
 from manip_learn.experiments.experiment_result import markdown_table, mean_and_sd, number, percent, said_rows
 from manip_learn.experiments.paper_setup import PAPER_ABSTRACT, PAPER_RMSE
 from manip_learn.experiments.ways import SAID
@@ -63,6 +67,11 @@ def write_page(results: Path, page: Path) -> list[Path]:
         picture = results / f"{part}.png"
         if part in wanted and picture.is_file():
             written.append(write_atomically(page.parent / PICTURES / picture.name, picture.read_bytes()))
+    # in place of the dots of all trials, and beside them
+    if "bounds" in wanted:
+        written += save_figure(draw_results.bounds(found["bounds"]), page.parent / PICTURES, "bounds", ("png",))
+    if "beyond" in wanted:
+        written += save_figure(draw_results.curves(), page.parent / PICTURES, "curves", ("png",))
     return written
 
 
@@ -245,7 +254,7 @@ EFFICIENT = ("auto", "joint-told", "joint-affine")
 def identifiability(bounds: dict[str, Any]) -> str:
     """The least angle that any unbiased learner can have, over the number of trajectories."""
     cells = [one for _, _, one in _cells(bounds)]
-    noise = _common([one["noise"] for one in cells])
+    noise = most_frequent([one["noise"] for one in cells])
     rows = list(dict.fromkeys(rows for _, rows, _ in _cells(bounds)))
     counts = sorted({one["trajectories"] for one in cells if one["noise"] == noise})
     lines = []
@@ -300,10 +309,6 @@ def _cells(bounds: dict[str, Any]) -> Iterator[tuple[str, str, dict[str, Any]]]:
     for key, block in bounds["ours"].items():
         for rows, one in block.items():
             yield key, rows, one
-
-
-def _common(noises: list[float]) -> float:
-    return max(set(noises), key=noises.count)
 
 
 def main(arguments: list[str] | None = None) -> None:

@@ -12,19 +12,15 @@ from MuJoCo's rigid-body dynamics.
 # (the compiled parts of MuJoCo have no complete stubs)
 from __future__ import annotations
 
-import argparse
-from pathlib import Path
-
 import mujoco
 import numpy as np
-from make_recordings.csv_file import write_csv
 from make_recordings.grip import grip_posture
 from make_recordings.guided_arm import GRIP_FRAME, STIFF_SOLIMP, STIFF_SOLREF, guided_arm, set_damping
 from make_recordings.operator import out_and_in, slow_noise
-from make_recordings.recorder import Recording, record, stays_inside
+from make_recordings.recorder import Recording, as_recorded, record, usable, write_demonstrations
 from scipy.spatial.transform import Rotation
 
-from manip_learn.robot import Robot, load_robot
+from manip_learn.robot import Robot
 
 SEED = 20241
 DEMONSTRATIONS = 8
@@ -71,18 +67,15 @@ def door_model(handle: np.ndarray, axes: Rotation) -> mujoco.MjModel:
 def record_one(number: int, robot: Robot) -> Recording:
     """Demonstration `number`, counted from 1; it depends on the seed and its number only.
 
-    An attempt in which the arm comes close to a limit, the door shuts or the handle is out of reach is repeated.
-
     Raises:
         RuntimeError: None of 200 attempts was usable.
     """
-    for attempt in range(200):
-        rng = np.random.default_rng([SEED, number, attempt])
+
+    def attempt(rng: np.random.Generator) -> tuple[Recording | None, float]:
         handle, axes = door_frame(number, rng)
-        recording = _try(handle, axes, robot, rng)
-        if recording and stays_inside(recording, robot) and recording.way.min() > -0.05:
-            return recording
-    raise RuntimeError(f"demonstration {number}: 200 tries and none was good; make the disturbance smaller")
+        return _try(handle, axes, robot, rng), 0.05
+
+    return usable(attempt, number, robot, SEED, 200)
 
 
 def _try(handle: np.ndarray, axes: Rotation, robot: Robot, rng: np.random.Generator) -> Recording | None:
@@ -109,15 +102,7 @@ def _try(handle: np.ndarray, axes: Rotation, robot: Robot, rng: np.random.Genera
 
 def main(arguments: list[str] | None = None) -> None:
     """Write all demonstrations, or one."""
-    parser = argparse.ArgumentParser(description="Record the door demonstrations with MuJoCo.")
-    parser.add_argument("folder", type=Path, help="folder for demo_01.csv ...")
-    parser.add_argument("--only", type=int, help="number of the one demonstration to record")
-    options = parser.parse_args(arguments)
-    robot = load_robot("sawyer")
-    for number in [options.only] if options.only else range(1, DEMONSTRATIONS + 1):
-        recording = record_one(number, robot)
-        columns = dict(zip(recording.joint_names, recording.q.T, strict=True))
-        write_csv(options.folder / f"demo_{number:02d}.csv", recording.time, columns)
+    write_demonstrations("door", DEMONSTRATIONS, lambda n, robot: as_recorded(record_one(n, robot)), arguments)
 
 
 if __name__ == "__main__":

@@ -6,8 +6,15 @@ Avoidance".
 
 from __future__ import annotations
 
-import importlib
+import os
+import signal
 import sys
+
+if os.path.basename(sys.argv[0]).partition(".")[0] == "manip-learn" or sys.orig_argv[1:3] == ["-m", "manip_learn"]:
+    # the program, not a user of the library: while it is loading, Ctrl-C ends it without a traceback
+    signal.signal(signal.SIGINT, lambda *_: os._exit(130))
+
+import importlib
 from typing import TYPE_CHECKING, Any
 
 from manip_learn.moved import MovedModules
@@ -75,151 +82,59 @@ __version__ = "0.1.0"
 
 sys.meta_path.append(MovedModules())
 
-# loaded at first use, so that `import manip_learn` and `manip-learn --help` are quick
-_HOMES = {
-    "JointLimitAvoidance": "control.policies",
-    "PenalisedManipulabilityAscent": "control.policies",
-    "SelfCollisionAvoidance": "control.policies",
-    "WeightedPolicies": "control.policies",
-    "SelfCollision": "robot.collision",
-    "penalised_manipulability": "constraint.manipulability",
-    "penalised_manipulability_gradient": "constraint.manipulability",
-    "log_penalised_manipulability_gradient": "constraint.manipulability",
-    "RecordingSource": "recordings",
-    "likely_tips": "robot.tips",
-    "inspect_robot": "robot.robot_summary",
-    "manipulability_batch": "constraint.manipulability_batch",
-    "CompiledController": "control.compiled_controller",
-    "CentreOfMass": "constraint.features",
-    "Command": "control.command",
-    "Controller": "control.command",
-    "Constraint": "constraint.constraint",
-    "ConstraintLearner": "learning",
-    "CustomFeatures": "constraint.features",
-    "Demonstrations": "recordings.demonstrations",
-    "FeatureMap": "constraint.features",
-    "FrameJacobian": "constraint.features",
-    "FreeDirection": "control.tasks",
-    "GraspCone": "control.planning.approach",
-    "Hold": "control.tasks",
-    "JointAttractor": "control.policies",
-    "LiveViewer": "playback",
-    "ManipLearnError": "errors",
-    "Mechanism": "constraint.mechanism",
-    "MechanismFit": "learning.mechanisms.find_mechanism",
-    "MechanismRows": "constraint.features",
-    "Driver": "control.driver",
-    "RunRecord": "control.driver",
-    "following_error_limit": "control.following",
-    "run": "control.driver",
-    "warm_up": "control.driver",
-    "find_mechanism": "learning.mechanisms.find_mechanism",
-    "Limits": "control.limits",
-    "ManipulabilityAscent": "control.policies",
-    "NoPlanError": "errors",
-    "NullSpacePolicy": "control.policies",
-    "Plan": "control.planning.plan",
-    "PointAttractor": "control.tasks",
-    "RelativeFrameJacobian": "constraint.features",
-    "ResolvedRateController": "control.controller",
-    "Robot": "robot",
-    "Rollout": "control.rollout",
-    "ServoLoop": "control.servo_loop",
-    "Status": "control.command",
-    "Stacked": "constraint.features",
-    "Task": "control.tasks",
-    "Track": "control.tasks",
-    "Trajectory": "recordings.trajectory",
-    "ZeroPolicy": "control.policies",
-    "audit_episodes": "learning.audit",
-    "derive_velocities": "recordings.velocities",
-    "iter_demonstrations": "recordings",
-    "load_demonstrations": "recordings",
-    "load_robot": "robot",
-    "log_manipulability_gradient": "constraint.manipulability",
-    "manipulability": "constraint.manipulability",
-    "manipulability_gradient": "constraint.manipulability",
-    "motion": "control.tasks",
-    "optimise_path": "control.optimise_path",
-    "plan": "control.planning.plan",
-    "replay": "playback",
-    "resample": "recordings.preprocessing",
-    "simulate": "control.simulation",
-    "subsample": "recordings.preprocessing",
-    "trim_standstill": "recordings.preprocessing",
+# loaded at first use, so that `import manip_learn` and `manip-learn --help` are quick: module -> names
+_NAMES = {
+    "robot": "Robot load_robot",
+    "robot.robot_summary": "inspect_robot",
+    "robot.tips": "likely_tips",
+    "robot.collision": "SelfCollision",
+    "recordings": "RecordingSource iter_demonstrations load_demonstrations",
+    "recordings.demonstrations": "Demonstrations",
+    "recordings.trajectory": "Trajectory",
+    "recordings.velocities": "derive_velocities",
+    "recordings.preprocessing": "resample subsample trim_standstill",
+    "constraint.constraint": "Constraint",
+    "constraint.mechanism": "Mechanism",
+    "constraint.features": "CentreOfMass CustomFeatures FeatureMap "
+    "FrameJacobian MechanismRows RelativeFrameJacobian Stacked",
+    "constraint.manipulability": "log_manipulability_gradient log_penalised_manipulability_gradient manipulability "
+    "manipulability_gradient penalised_manipulability penalised_manipulability_gradient",
+    "constraint.manipulability_batch": "manipulability_batch",
+    "learning": "ConstraintLearner",
+    "learning.audit": "audit_episodes",
+    "learning.mechanisms.find_mechanism": "MechanismFit find_mechanism",
+    "control.command": "Command Controller Status",
+    "control.controller": "ResolvedRateController",
+    "control.compiled_controller": "CompiledController",
+    "control.limits": "Limits",
+    "control.following": "following_error_limit",
+    "control.policies": "JointAttractor JointLimitAvoidance ManipulabilityAscent NullSpacePolicy "
+    "PenalisedManipulabilityAscent SelfCollisionAvoidance WeightedPolicies ZeroPolicy",
+    "control.tasks": "FreeDirection Hold PointAttractor Task Track motion",
+    "control.planning.approach": "GraspCone",
+    "control.planning.plan": "Plan plan",
+    "control.optimise_path": "optimise_path",
+    "control.servo_loop": "ServoLoop",
+    "control.driver": "Driver RunRecord run warm_up",
+    "control.simulation": "simulate",
+    "control.rollout": "Rollout",
+    "playback": "LiveViewer replay",
+    "errors": "ManipLearnError NoPlanError",
 }
-__all__ = [
-    "CentreOfMass",
-    "Command",
-    "CompiledController",
-    "Constraint",
-    "ConstraintLearner",
-    "Controller",
-    "CustomFeatures",
-    "Demonstrations",
-    "Driver",
-    "FeatureMap",
-    "FrameJacobian",
-    "FreeDirection",
-    "GraspCone",
-    "Hold",
-    "JointAttractor",
-    "JointLimitAvoidance",
-    "Limits",
-    "LiveViewer",
-    "ManipLearnError",
-    "ManipulabilityAscent",
-    "Mechanism",
-    "MechanismFit",
-    "MechanismRows",
-    "NoPlanError",
-    "NullSpacePolicy",
-    "PenalisedManipulabilityAscent",
-    "Plan",
-    "PointAttractor",
-    "RecordingSource",
-    "RelativeFrameJacobian",
-    "ResolvedRateController",
-    "Robot",
-    "Rollout",
-    "RunRecord",
-    "SelfCollision",
-    "SelfCollisionAvoidance",
-    "ServoLoop",
-    "Stacked",
-    "Status",
-    "Task",
-    "Track",
-    "Trajectory",
-    "WeightedPolicies",
-    "ZeroPolicy",
-    "audit_episodes",
-    "derive_velocities",
-    "find_mechanism",
-    "following_error_limit",
-    "inspect_robot",
-    "iter_demonstrations",
-    "likely_tips",
-    "load_demonstrations",
-    "load_robot",
-    "log_manipulability_gradient",
-    "log_penalised_manipulability_gradient",
-    "manipulability",
-    "manipulability_batch",
-    "manipulability_gradient",
-    "motion",
-    "optimise_path",
-    "penalised_manipulability",
-    "penalised_manipulability_gradient",
-    "plan",
-    "replay",
-    "resample",
-    "run",
-    "simulate",
-    "subsample",
-    "trim_standstill",
-    "warm_up",
-]
+_HOMES = {name: module for module, names in _NAMES.items() for name in names.split()}
+__all__ = ["CentreOfMass", "Command", "CompiledController", "Constraint", "ConstraintLearner", "Controller"]
+__all__ += ["CustomFeatures", "Demonstrations", "Driver", "FeatureMap", "FrameJacobian", "FreeDirection", "GraspCone"]
+__all__ += ["Hold", "JointAttractor", "JointLimitAvoidance", "Limits", "LiveViewer", "ManipLearnError"]
+__all__ += ["ManipulabilityAscent", "Mechanism", "MechanismFit", "MechanismRows", "NoPlanError", "NullSpacePolicy"]
+__all__ += ["PenalisedManipulabilityAscent", "Plan", "PointAttractor", "RecordingSource", "RelativeFrameJacobian"]
+__all__ += ["ResolvedRateController", "Robot", "Rollout", "RunRecord", "SelfCollision", "SelfCollisionAvoidance"]
+__all__ += ["ServoLoop", "Stacked", "Status", "Task", "Track", "Trajectory", "WeightedPolicies", "ZeroPolicy"]
+__all__ += ["audit_episodes", "derive_velocities", "find_mechanism", "following_error_limit", "inspect_robot"]
+__all__ += ["iter_demonstrations", "likely_tips", "load_demonstrations", "load_robot", "log_manipulability_gradient"]
+__all__ += ["log_penalised_manipulability_gradient", "manipulability", "manipulability_batch"]
+__all__ += ["manipulability_gradient", "motion", "optimise_path", "penalised_manipulability"]
+__all__ += ["penalised_manipulability_gradient", "plan", "replay", "resample", "run", "simulate", "subsample"]
+__all__ += ["trim_standstill", "warm_up"]
 
 
 def __getattr__(name: str) -> Any:

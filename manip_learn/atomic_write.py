@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import errno
 import os
 import secrets
 import stat
@@ -34,10 +35,9 @@ def write_atomically(path: str | os.PathLike[str], content: bytes | str) -> Path
         os.replace(temporary, target)
         _flush_folder(target.parent)
     except OSError as error:
-        reason = error.strerror or str(error)
-        raise OutputError(
-            f"cannot write {target}: {reason}; choose a file in a folder that you may write to"
-        ) from error
+        full = error.errno in (errno.ENOSPC, errno.EDQUOT, errno.EFBIG)
+        remedy = "make room, or choose another disk" if full else "choose a file in a folder that you may write to"
+        raise OutputError(f"cannot write {target}: {error.strerror or error}; {remedy}") from error
     finally:
         with contextlib.suppress(OSError):
             temporary.unlink(missing_ok=True)

@@ -19,25 +19,6 @@ Inverse = Literal["exact", "truncated", "damped"]
 EPS = float(np.finfo(np.float64).eps)
 
 
-def pseudo_inverse(
-    A: Float[np.ndarray, "s n"], inverse: Inverse = "exact", *, threshold: float = 0.05, damping: float = 0.05
-) -> Float[np.ndarray, "n s"]:
-    """Pseudo-inverse A^+ of a constraint matrix.
-
-    Args:
-        A: Constraint matrix.
-        inverse: `"exact"` inverts every singular value above the smallest normal number, however small;
-            `"truncated"` drops those below Matlab's tolerance max(size(A)) * eps(norm(A)), as the paper does;
-            `"damped"` replaces 1/sigma by sigma / (sigma^2 + lambda^2), with lambda = 0 above `threshold`.
-        threshold: Singular value below which damping sets in (damped only), same unit as A.
-        damping: lambda at sigma = 0 (damped only), same unit as A.
-    """
-    if 0 in A.shape:
-        return np.zeros(A.shape[::-1])
-    U, sigma, Vt = np.linalg.svd(A, full_matrices=False)
-    return (Vt.T * inverse_singular_values(sigma, A.shape, inverse, threshold, damping)) @ U.T
-
-
 def inverse_singular_values(
     sigma: Float[np.ndarray, " k"],
     shape: tuple[int, ...],
@@ -45,7 +26,17 @@ def inverse_singular_values(
     threshold: float = 0.05,
     damping: float = 0.05,
 ) -> Float[np.ndarray, " k"]:
-    """1/sigma in the chosen sense; see `pseudo_inverse`."""
+    """1/sigma in the chosen sense, so that A^+ = V diag(1/sigma) U^T.
+
+    Args:
+        sigma: Singular values of A, in falling order.
+        shape: Of A.
+        inverse: `"exact"` inverts every singular value above the smallest normal number, however small;
+            `"truncated"` drops those below Matlab's tolerance max(size(A)) * eps(norm(A)), as the paper does;
+            `"damped"` replaces 1/sigma by sigma / (sigma^2 + lambda^2), with lambda = 0 above `threshold`.
+        threshold: Singular value below which damping sets in (damped only), same unit as A.
+        damping: lambda at sigma = 0 (damped only), same unit as A.
+    """
     if inverse == "damped":  # plain numbers: for as few as a constraint has, NumPy's calls take longer
         return np.array([damped_inverse(value, threshold, damping) for value in sigma.tolist()])
     out = np.zeros_like(sigma)
@@ -67,6 +58,17 @@ def damped_inverse(value: float, threshold: float, damping: float) -> float:
     return value / denominator if denominator > 0.0 else 0.0
 
 
+def finite(values: object, *shape: int) -> np.ndarray | None:
+    """The values as a float64 array of that shape; None if they are no numbers, not finite, or of another shape."""
+    try:
+        array = np.array(values)
+    except (TypeError, ValueError):
+        return None
+    if array.shape != shape or array.dtype.kind not in "iuf" or not np.all(np.isfinite(array)):
+        return None
+    return array.astype(np.float64)
+
+
 def matlab_tolerance(sigma: Float[np.ndarray, " k"], shape: tuple[int, ...]) -> float:
     """Matlab's pinv tolerance max(size(A)) * eps(norm(A))."""
     return float(max(shape) * np.spacing(np.max(sigma, initial=0.0)))
@@ -85,14 +87,7 @@ def rank_of(sigma: Float[np.ndarray, " k"], shape: tuple[int, ...]) -> int:
 def null_basis(A: Float[np.ndarray, "s n"]) -> Float[np.ndarray, "n k"]:
     """Orthonormal basis Z of the null space of A (numerical rank by Matlab's tolerance)."""
     _, sigma, Vt = np.linalg.svd(A, full_matrices=True)
-    rank = int(np.count_nonzero(sigma > matlab_tolerance(sigma, A.shape)))
-    return Vt[rank:].T
-
-
-def null_projector(A: Float[np.ndarray, "s n"]) -> Float[np.ndarray, "n n"]:
-    """Exact orthogonal projector N = I - A^+ A = Z Z^T onto the null space of A."""
-    Z = null_basis(A)
-    return Z @ Z.T
+    return Vt[rank_of(sigma, A.shape) :].T
 
 
 def orthonormal_rows(M: Float[np.ndarray, "s p"]) -> Float[np.ndarray, "s p"]:
@@ -107,7 +102,7 @@ def orthonormal_rows(M: Float[np.ndarray, "s p"]) -> Float[np.ndarray, "s p"]:
 def row_basis(M: Float[np.ndarray, "s p"]) -> Float[np.ndarray, "r p"]:
     """Orthonormal rows that span the row space of M (numerical rank by Matlab's tolerance)."""
     _, sigma, Vt = np.linalg.svd(M, full_matrices=False)
-    return Vt[: np.count_nonzero(sigma > matlab_tolerance(sigma, M.shape))]
+    return Vt[: rank_of(sigma, M.shape)]
 
 
 def complement_rows(M: Float[np.ndarray, "s p"]) -> Float[np.ndarray, "k p"]:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from typing import Any
 
 import numpy as np
@@ -10,9 +10,12 @@ from conftest import tip_of
 
 import manip_learn as ml
 from manip_learn.control.command import Command
+from manip_learn.control.servo_loop import STANDING
 from manip_learn.robot.robot import Robot
 
 DT = 0.001
+ROUNDING = 1.0 + 1e-9  # of the change that the acceleration limits allow in a period
+SAME = object()  # where the arm is, and the time of its clock
 RobotOf = Callable[[str], Robot]
 
 
@@ -54,48 +57,47 @@ class Constantly:
         return command_of(self.buffer)
 
 
-def run(loop: ml.ServoLoop, q: np.ndarray, periods: int, t: float = 0.0) -> Iterator[tuple[np.ndarray, Command]]:
-    """A perfect servo: (posture, command) of each period; the posture is the one that the command begins at."""
-    for k in range(periods):
-        command = loop.update(q, t + k * DT)
-        yield q, command
-        q = loop.robot.integrate(q, DT * command.velocity)
+class Arm:
+    """A perfect servo on a loop, every command of which must keep the limits of velocity, acceleration and position."""
+
+    def __init__(self, loop: ml.ServoLoop, q: np.ndarray):
+        self.loop, self.q, self.t, self.newest, self.last = loop, q, 0.0, 0.0, np.zeros(loop.robot.nv)
+
+    def call(self, measured: Any = SAME, t: Any = SAME) -> Command:
+        """One period: what was measured, where that is not where the arm is, and its time, where that is another."""
+        loop, robot = self.loop, self.loop.robot
+        command = loop.update(self.q if measured is SAME else measured, self.t if t is SAME else t)
+        self.newest = self.t if t is SAME else self.newest
+        u = command.velocity
+        assert np.all(np.abs(u - self.last) <= loop.acceleration_limit * DT * ROUNDING), (self.t, u, self.last)
+        assert np.all(np.abs(u) <= loop.limits.velocity * ROUNDING)
+        self.q, self.last, self.t = robot.integrate(self.q, DT * u), u, self.t + DT
+        x = robot.positions(self.q)
+        kept = (x <= robot.position_upper + 1e-9) & (x >= robot.position_lower - 1e-9)
+        assert np.all(kept | (command.outside > 0.0) | (command.status in STANDING))
+        return command
+
+    def calls(self, periods: int, measured: Any = SAME, t: Any = SAME) -> list[Command]:
+        """As many of them."""
+        return [self.call(measured, t) for _ in range(periods)]
 
 
 def bad_postures(robot: Robot) -> list[Any]:
     """What is no posture of a robot."""
     n = robot.nv
     return [
-        *(
-            None,
-            "text",
-            b"bytes",
-            3.0,
-            True,
-            [],
-            {},
-            object(),
-            np.zeros(n + 5),
-            np.zeros((1, n)),
-            [[0.0] * n],
-            [1j] * n,
-        ),
-        *([np.nan] * n, np.full(n, np.inf), np.full(n, -np.inf), ["1"] * n, [None] * n, [10**400] * n, [True] * n),
-        *(
-            np.array([0.0] * n, dtype=object),
-            np.full(n, "0"),
-            np.zeros(n, dtype="M8[s]"),
-            [[1.0], [2.0, 3.0]],
-            Refuses(),
-        ),
-        *(np.append(np.zeros(n - 1), np.nan), np.zeros(n, dtype=complex), np.zeros(0), np.array(1.0), range, lambda: 0),
-    ]
+        None, "text", b"bytes", 3.0, True, [], {}, object(), range, lambda: 0, Refuses(), [[1.0], [2.0, 3.0]],
+        [[0.0] * n], [1j] * n, [np.nan] * n, ["1"] * n, [None] * n, [10**400] * n, [True] * n,
+        np.zeros(n + 5), np.zeros((1, n)), np.full(n, np.inf), np.full(n, -np.inf), np.array([0.0] * n, dtype=object),
+        np.full(n, "0"), np.zeros(n, dtype="M8[s]"), np.append(np.zeros(n - 1), np.nan), np.zeros(n, dtype=complex),
+        np.zeros(0), np.array(1.0),
+    ]  # fmt: skip
 
 
 BAD_TIMES = (
-    *(None, "0.1", np.nan, np.inf, -np.inf, True, 10**400, [0.1], np.array([0.1]), 1j, np.complex128(1.0), object()),
-    *(-1.0, -(10**9), np.timedelta64(1, "s"), np.float32("nan"), b"1", {}),
-)
+    None, "0.1", np.nan, np.inf, -np.inf, True, 10**400, [0.1], np.array([0.1]), 1j, np.complex128(1.0), object(),
+    -1.0, -(10**9), np.timedelta64(1, "s"), np.float32("nan"), b"1", {},
+)  # fmt: skip
 
 
 class Refuses:

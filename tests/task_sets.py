@@ -8,6 +8,7 @@ from functools import cache
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
 
 import manip_learn as ml
@@ -45,6 +46,12 @@ def moving(
     built = features.robot
     named = [ml.Trajectory(t.time, t.q, None, built.joint_names, t.name) for t in made]
     return features, [derive_velocities(t, built) for t in named], truth
+
+
+def true_rows(truth: Truth, mechanism: int = 0) -> np.ndarray:
+    """Rows of the position that a mechanism holds, in the world's axes."""
+    rows = np.array(truth["mechanisms"][mechanism]["rows"])[:, :3]
+    return rows[np.linalg.norm(rows, axis=1) > 0.5]
 
 
 def learnt(robot: str, tip: str, demos: list[ml.Trajectory], axes: str = "xyz") -> ml.ConstraintLearner:

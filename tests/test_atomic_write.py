@@ -2,13 +2,20 @@
 
 from __future__ import annotations
 
+import importlib.util
 import os
 import stat
+import subprocess
+import sys
+from pathlib import Path
 
 import pytest
 
+import manip_learn as ml
 from manip_learn.atomic_write import write_atomically
 from manip_learn.errors import OutputError
+
+DATA = Path(__file__).resolve().parents[1] / "examples" / "data"
 
 
 def test_writes_and_replaces(tmp_path):
@@ -29,7 +36,7 @@ def test_leaves_nothing_behind(tmp_path, monkeypatch):
         raise OSError(28, "No space left on device")
 
     monkeypatch.setattr(os, "replace", refuse)
-    with pytest.raises(OutputError, match="No space left"):
+    with pytest.raises(OutputError, match="No space left on device; make room, or choose another disk"):
         write_atomically(path, "new")
     assert [p.name for p in tmp_path.iterdir()] == ["page.html"]
     assert path.read_text() == "old"
@@ -109,3 +116,50 @@ def test_the_disk_has_the_bytes_before_the_name(tmp_path, monkeypatch):
     write_atomically(path, b"x" * 1000)
     assert steps == ["1000 bytes", "in place", "folder"]
     assert path.read_bytes() == b"x" * 1000
+
+
+NO_ROOM = """
+import resource, sys
+from manip_learn.cli import main
+resource.setrlimit(resource.RLIMIT_FSIZE, (16, 16))  # [bytes] of a file
+for line in sys.stdin:
+    print("exit code", main(line.split()), file=sys.stderr, flush=True)
+"""
+
+
+def test_every_file_that_has_no_room_gets_a_sentence(tmp_path):
+    """Whatever a command writes: exit code 2, one sentence that names the file, and nothing of it stays."""
+    arm = ml.load_robot("planar3")
+    constraint = ml.Constraint([[0.0, 1.0]], ml.FrameJacobian(arm, "tip", "x y"))
+    constraint.save(tmp_path / "line.json")
+    rollout = ml.simulate(arm, ml.ResolvedRateController(constraint), [0.1, 0.5, 0.5], 0.5, 0.05)
+    rollout.save(tmp_path / "run.npz")
+    rollout.save(tmp_path / "run.csv")
+    written = {
+        "c.json": f"learn planar3 {DATA}/planar3_reach --frame tip --axes planar --out c.json",
+        "l.html": f"learn planar3 {DATA}/planar3_reach --frame tip --axes planar --html l.html",
+        **{
+            f"r{e}": f"control planar3 line.json --duration 0.1 --out r{e}" for e in (".npz", ".csv", ".mcap", ".jsonl")
+        },
+        "p.html": "replay planar3 run.npz --html p.html",
+        "a.csv": "audit planar3 line.json run.csv --csv a.csv",
+        **{f"x{e}": f"export planar3 run.npz --out x{e}" for e in (".mcap", ".csv", ".yaml", ".rrd")},
+        "set/": "export planar3 run.npz --to lerobot --out set",
+        "demo/": "demo --robot planar3 --out demo --no-browser",
+        "table": "reproduce table --trials 1 --out table",
+    }
+    for extra, files in {"rerun": ["x.rrd"], "pyarrow": ["set/"]}.items():
+        if importlib.util.find_spec(extra) is None:
+            for file in files:
+                del written[file]
+    done = subprocess.run(
+        [sys.executable, "-c", NO_ROOM],
+        input="\n".join(written.values()), cwd=tmp_path, capture_output=True, text=True, timeout=300,
+    )  # fmt: skip
+    said = [line for line in done.stderr.splitlines() if line.startswith(("manip-learn: ", "exit code"))]
+    assert len(said) == 2 * len(written), done.stderr
+    for (file, command), sentence, code in zip(written.items(), said[::2], said[1::2], strict=True):
+        assert code == "exit code 2" and sentence.startswith("manip-learn: cannot write"), (command, sentence)
+        assert str(tmp_path / file.rstrip("/")) in sentence and "File too large; make room" in sentence, sentence
+    left = [p for p in tmp_path.rglob("*") if p.is_file() and p.name not in ("line.json", "run.npz", "run.csv")]
+    assert left == []

@@ -7,6 +7,7 @@ from collections.abc import Callable
 import numpy as np
 import pinocchio as pin
 import pytest
+from cases import case
 from conftest import TIPS, URDFS, tip_of
 
 from manip_learn.constraint.features import CentreOfMass, FrameJacobian, Stacked
@@ -30,55 +31,56 @@ def positions(robot: Robot, rng: np.random.Generator, n: int) -> np.ndarray:
     return np.stack([robot.positions(robot.random_configuration(rng)) for _ in range(n)])
 
 
-@pytest.mark.parametrize("reference", REFERENCES)
 @pytest.mark.parametrize("name", ROBOTS)
-def test_batch_equals_pinocchio_one_by_one(
-    name: str, reference: str, robot_of: RobotOf, rng: np.random.Generator
-) -> None:
+def test_batch_equals_pinocchio_one_by_one(name: str, robot_of: RobotOf, rng: np.random.Generator) -> None:
     """Jacobians, derivatives and poses of a batch are Pinocchio's to 1e-12, for every robot, axes and reference."""
-    robot = robot_of(name)
-    q = positions(robot, rng, 5)
-    for axes in AXES:
-        features = FrameJacobian(robot, tip_of(name), axes, reference)
-        single = [features.value_and_derivative(x) for x in q]
-        np.testing.assert_allclose(features.batch(q), [s[0] for s in single], rtol=0, atol=TOLERANCE)
-        Phi, dPhi = features.batch_with_derivative(q)
-        np.testing.assert_allclose(Phi, [s[0] for s in single], rtol=0, atol=TOLERANCE)
-        np.testing.assert_allclose(dPhi, [s[1] for s in single], rtol=0, atol=TOLERANCE)
-    frame = robot.frame(tip_of(name))
-    np.testing.assert_allclose(
-        batch_kinematics(robot, frame).pose(q), [robot.pose(x, frame) for x in q], rtol=0, atol=TOLERANCE
-    )
+    for reference in REFERENCES:
+        with case(reference):
+            robot = robot_of(name)
+            q = positions(robot, rng, 5)
+            for axes in AXES:
+                features = FrameJacobian(robot, tip_of(name), axes, reference)
+                single = [features.value_and_derivative(x) for x in q]
+                np.testing.assert_allclose(features.batch(q), [s[0] for s in single], rtol=0, atol=TOLERANCE)
+                Phi, dPhi = features.batch_with_derivative(q)
+                np.testing.assert_allclose(Phi, [s[0] for s in single], rtol=0, atol=TOLERANCE)
+                np.testing.assert_allclose(dPhi, [s[1] for s in single], rtol=0, atol=TOLERANCE)
+            frame = robot.frame(tip_of(name))
+            np.testing.assert_allclose(
+                batch_kinematics(robot, frame).pose(q), [robot.pose(x, frame) for x in q], rtol=0, atol=TOLERANCE
+            )
 
 
-@pytest.mark.parametrize("name", ROBOTS)
-def test_arms_do_not_need_the_loop(name: str, robot_of: RobotOf) -> None:
+def test_arms_do_not_need_the_loop(robot_of: RobotOf) -> None:
     """Chains of revolute, continuous and prismatic joints run in bulk; floating and planar bases are Pinocchio's."""
-    robot = robot_of(name)
-    kinds = {block.kind for block in robot.blocks}
-    assert fast(robot, tip_of(name)) == kinds.isdisjoint({"floating", "planar", "other"})
+    for name in ROBOTS:
+        with case(name):
+            robot = robot_of(name)
+            kinds = {block.kind for block in robot.blocks}
+            assert fast(robot, tip_of(name)) == kinds.isdisjoint({"floating", "planar", "other"})
 
 
-@pytest.mark.parametrize("reference", REFERENCES)
 @pytest.mark.parametrize("name", ["gantry", "wrist", "tree", "sawyer", "panda", "mimic", "humanoid"])
-def test_compiled_kernels_give_the_same_numbers(
-    name: str, reference: str, robot_of: RobotOf, rng: np.random.Generator
-) -> None:
+def test_compiled_kernels_give_the_same_numbers(name: str, robot_of: RobotOf, rng: np.random.Generator) -> None:
     """numba or NumPy: the same Jacobians and derivatives to 1e-12, also for angles of many turns."""
-    pytest.importorskip("numba", reason="the extra 'fast' is not installed")
-    robot = robot_of(name)
-    q = positions(robot, rng, 300)
-    if fast(robot, tip_of(name)):
-        turning = [block.v.start for block in robot.blocks if block.kind != "prismatic"]
-        q[200:, turning] *= 1e3
-        q[299, turning] = 2e5
-    for axes in ("pose", "ry z"):
-        features = FrameJacobian(robot, tip_of(name), axes, reference)
-        plain, derivative = features.batch_with_derivative(q, compiled=False)
-        scale = 1.0 + float(np.max(np.abs(derivative)))
-        np.testing.assert_allclose(features.batch(q, compiled=True), plain, rtol=0, atol=TOLERANCE * scale)
-        for got, expected in zip(features.batch_with_derivative(q, compiled=True), (plain, derivative), strict=True):
-            np.testing.assert_allclose(got, expected, rtol=0, atol=TOLERANCE * scale)
+    for reference in REFERENCES:
+        with case(reference):
+            pytest.importorskip("numba", reason="the extra 'fast' is not installed")
+            robot = robot_of(name)
+            q = positions(robot, rng, 300)
+            if fast(robot, tip_of(name)):
+                turning = [block.v.start for block in robot.blocks if block.kind != "prismatic"]
+                q[200:, turning] *= 1e3
+                q[299, turning] = 2e5
+            for axes in ("pose", "ry z"):
+                features = FrameJacobian(robot, tip_of(name), axes, reference)
+                plain, derivative = features.batch_with_derivative(q, compiled=False)
+                scale = 1.0 + float(np.max(np.abs(derivative)))
+                np.testing.assert_allclose(features.batch(q, compiled=True), plain, rtol=0, atol=TOLERANCE * scale)
+                for got, expected in zip(
+                    features.batch_with_derivative(q, compiled=True), (plain, derivative), strict=True
+                ):
+                    np.testing.assert_allclose(got, expected, rtol=0, atol=TOLERANCE * scale)
 
 
 def test_compiled_kernels_are_taken_by_number_alone(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -139,18 +141,19 @@ def test_mimic_joints_move_with_their_leaders(rng: np.random.Generator) -> None:
         np.testing.assert_allclose(features.batch(q), Phi, rtol=0, atol=TOLERANCE)
 
 
-@pytest.mark.parametrize("n", [0, 1, CHUNK - 1, CHUNK, CHUNK + 1, 2 * CHUNK + 3])
-def test_chunks_leave_no_seam(n: int, robot_of: RobotOf, rng: np.random.Generator) -> None:
+def test_chunks_leave_no_seam(robot_of: RobotOf, rng: np.random.Generator) -> None:
     """Any number of postures, including zero: each row is the result of its own posture."""
-    robot = robot_of("sawyer")
-    q = rng.uniform(-2.0, 2.0, (n, robot.nv))
-    features = FrameJacobian(robot, "right_hand", "x rz")
-    Phi, dPhi = features.batch_with_derivative(q)
-    assert features.batch(q).shape == (n, 2, 7) and Phi.shape == (n, 2, 7) and dPhi.shape == (n, 2, 7, 7)
-    assert batch_kinematics(robot, features.frame).pose(q).shape == (n, 4, 4)
-    for i in {0, n // 2, n - 1} if n else ():
-        np.testing.assert_allclose(features.batch(q)[i], features(q[i]), rtol=0, atol=TOLERANCE)
-        np.testing.assert_allclose(dPhi[i], features.derivative(q[i]), rtol=0, atol=TOLERANCE)
+    for n in [0, 1, CHUNK - 1, CHUNK, CHUNK + 1, 2 * CHUNK + 3]:
+        with case(n):
+            robot = robot_of("sawyer")
+            q = rng.uniform(-2.0, 2.0, (n, robot.nv))
+            features = FrameJacobian(robot, "right_hand", "x rz")
+            Phi, dPhi = features.batch_with_derivative(q)
+            assert features.batch(q).shape == (n, 2, 7) and Phi.shape == (n, 2, 7) and dPhi.shape == (n, 2, 7, 7)
+            assert batch_kinematics(robot, features.frame).pose(q).shape == (n, 4, 4)
+            for i in {0, n // 2, n - 1} if n else ():
+                np.testing.assert_allclose(features.batch(q)[i], features(q[i]), rtol=0, atol=TOLERANCE)
+                np.testing.assert_allclose(dPhi[i], features.derivative(q[i]), rtol=0, atol=TOLERANCE)
 
 
 def test_configurations_and_joint_positions_are_both_taken(robot_of: RobotOf, rng: np.random.Generator) -> None:
@@ -190,18 +193,22 @@ def test_nearly_parallel_axes_lose_nothing() -> None:
         np.testing.assert_allclose(features.batch(q)[0], features(q[0]), rtol=0, atol=1e-14)
 
 
-@pytest.mark.parametrize("value", [np.nan, np.inf, -np.inf])
-def test_not_finite_names_row_and_joint(value: float, robot_of: RobotOf) -> None:
+def test_not_finite_names_row_and_joint(robot_of: RobotOf) -> None:
     """NaN or infinity is refused with the first bad row and the joint's name, before any work."""
-    robot = robot_of("sawyer")
-    q = np.zeros((2000, 7))
-    q[1234, 5] = value
-    q[1500, 0] = np.nan
-    for call in (FrameJacobian(robot, "right_hand").batch, FrameJacobian(robot, "right_hand").batch_with_derivative):
-        with pytest.raises(ConfigurationError, match=rf"row 1234, joint '{robot.joint_names[5]}'"):
-            call(q)
-    with pytest.raises(ConfigurationError, match="row 1234"):
-        batch_kinematics(robot, robot.frame("right_hand")).pose(q)
+    for value in [np.nan, np.inf, -np.inf]:
+        with case(value):
+            robot = robot_of("sawyer")
+            q = np.zeros((2000, 7))
+            q[1234, 5] = value
+            q[1500, 0] = np.nan
+            for call in (
+                FrameJacobian(robot, "right_hand").batch,
+                FrameJacobian(robot, "right_hand").batch_with_derivative,
+            ):
+                with pytest.raises(ConfigurationError, match=rf"row 1234, joint '{robot.joint_names[5]}'"):
+                    call(q)
+            with pytest.raises(ConfigurationError, match="row 1234"):
+                batch_kinematics(robot, robot.frame("right_hand")).pose(q)
 
 
 def test_wrong_tables_are_refused(robot_of: RobotOf) -> None:
@@ -230,18 +237,17 @@ def test_other_feature_maps(robot_of: RobotOf, rng: np.random.Generator) -> None
         assert features.batch(q[:0]).shape == (0, features.n_rows, robot.nv)
 
 
-@pytest.mark.parametrize("reference", REFERENCES)
 @pytest.mark.parametrize("name", ["gantry", "sawyer", "humanoid", "mimic", "tree"])
-def test_vjp_equals_the_weighted_derivative(
-    name: str, reference: str, robot_of: RobotOf, rng: np.random.Generator
-) -> None:
+def test_vjp_equals_the_weighted_derivative(name: str, robot_of: RobotOf, rng: np.random.Generator) -> None:
     """sum_ij C_ij dJ_ij / dq_k without forming dJ/dq is the same number."""
-    robot = robot_of(name)
-    q = positions(robot, rng, 6)
-    kinematics = batch_kinematics(robot, robot.frame(tip_of(name)))
-    rows = (1, 5, 0)
-    C = rng.normal(size=(3, robot.nv, 6))
-    _, H = kinematics.jacobian_and_derivative(q, reference, rows)
-    got = kinematics.vjp(q, lambda J, part: C[..., part] * (1.0 + J**2), reference, rows)
-    weights = C * (1.0 + kinematics.jacobian(q, reference, rows).transpose(1, 2, 0) ** 2)
-    np.testing.assert_allclose(got, np.einsum("ijn,nijk->nk", weights, H), rtol=0, atol=1e-11)
+    for reference in REFERENCES:
+        with case(reference):
+            robot = robot_of(name)
+            q = positions(robot, rng, 6)
+            kinematics = batch_kinematics(robot, robot.frame(tip_of(name)))
+            rows = (1, 5, 0)
+            C = rng.normal(size=(3, robot.nv, 6))
+            _, H = kinematics.jacobian_and_derivative(q, reference, rows)
+            got = kinematics.vjp(q, lambda J, part, C=C: C[..., part] * (1.0 + J**2), reference, rows)
+            weights = C * (1.0 + kinematics.jacobian(q, reference, rows).transpose(1, 2, 0) ** 2)
+            np.testing.assert_allclose(got, np.einsum("ijn,nijk->nk", weights, H), rtol=0, atol=1e-11)

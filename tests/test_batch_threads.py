@@ -2,28 +2,28 @@
 
 from __future__ import annotations
 
+import itertools
 import threading
 
-import numpy as np
 import pytest
 
+from manip_learn.errors import ConfigurationError
 from manip_learn.robot.batch.postures import LEAST, cores, in_threads
 
 
-@pytest.mark.parametrize("n", [0, 1, LEAST, 3 * LEAST + 7])
-@pytest.mark.parametrize("workers", [1, 2, 5, None])
-def test_every_posture_is_done_once(n: int, workers: int | None) -> None:
+def test_every_posture_is_done_once() -> None:
     """The slices cover everything and do not overlap; few postures stay in the caller's thread."""
-    done, threads = np.zeros(n, dtype=int), set()
-
-    def work(part: slice) -> None:
-        done[part] += 1
-        threads.add(threading.get_ident())
-
-    in_threads(n, workers, work)
-    assert np.all(done == 1)
-    if n <= LEAST:
-        assert threads == {threading.get_ident()}
+    for n, workers in itertools.product((0, 1, LEAST, 3 * LEAST + 7), (1, 2, 5, None)):
+        done: list[tuple[int, int]] = []
+        in_threads(n, workers, lambda part: done.append((part.start, part.stop)))  # noqa: B023
+        ends = sorted(done)
+        assert ends[0][0] == 0 and ends[-1][1] == n and all(a[1] == b[0] for a, b in itertools.pairwise(ends))
+        assert len(done) == min(workers or cores(), max(1, n // LEAST))
+    threads = set()
+    in_threads(LEAST, 5, lambda part: threads.add(threading.get_ident()))
+    assert threads == {threading.get_ident()}
+    with pytest.raises(ConfigurationError, match="workers"):
+        in_threads(1, 0, print)
 
 
 def test_errors_reach_the_caller() -> None:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import subprocess
 import sys
+import unicodedata
 from pathlib import Path
 
 import numpy as np
@@ -13,6 +14,7 @@ from test_playback import data_in
 
 from manip_learn.cli import main
 from manip_learn.commands.command_line import joined_vectors
+from manip_learn.commands.output import SENTENCES
 
 DATA = Path(__file__).resolve().parents[1] / "examples" / "data"
 DRAWER = sorted(map(str, (DATA / "sawyer_drawer").glob("*.csv")))[:6]
@@ -198,28 +200,18 @@ BAD = {
 }
 
 
-@pytest.mark.parametrize("arguments", BAD.values(), ids=BAD.keys())
-def test_bad_input_gives_one_sentence(run, learnt, arguments):
+def test_bad_input_gives_one_sentence(run, learnt):
     """Exit code 2, one line on standard error, nothing on standard output, no traceback, no file left behind."""
     Path("text.urdf").write_text("this is no robot\n", encoding="utf-8")
-    constraint, rollout = learnt
-    code, out, err = run(*(a.format(constraint=constraint, rollout=rollout) for a in arguments))
-    assert code == 2, err
-    assert out == ""
-    assert err.count("\n") == 1
-    assert err.startswith("manip-learn: ")
-    assert "Traceback" not in err
-    assert "internal error" not in err
-    assert {p.name for p in Path().iterdir()} <= {"text.urdf"}
-
-
-@pytest.mark.parametrize("bad", ["--constraints 4", "--constraints 0", "--estimator best", "--reference tool"])
-def test_errors_name_the_option(run, bad):
-    """The sentence names what was typed, not an argument in Python."""
-    option, value = bad.split()
-    code, _, err = run("learn", "sawyer", DRAWER[0], *FRAME, option, value)
-    assert code == 2
-    assert f"{option} must be" in err and value in err and "n_constraints" not in err
+    for what, arguments in BAD.items():
+        code, out, err = run(*(a.format(constraint=learnt[0], rollout=learnt[1]) for a in arguments))
+        assert (code, out, err.count("\n")) == (2, "", 1), (what, err)
+        assert err.startswith("manip-learn: ") and "Traceback" not in err and "internal error" not in err, what
+        assert {p.name for p in Path().iterdir()} <= {"text.urdf"}, what
+    for bad in ("--constraints 4", "--constraints 0", "--estimator best", "--reference tool"):
+        option, value = bad.split()
+        _, _, err = run("learn", "sawyer", DRAWER[0], *FRAME, option, value)
+        assert f"{option} must be" in err and value in err and "n_constraints" not in err
 
 
 CSV = "time,joint1,joint2,joint3\n"
@@ -236,26 +228,19 @@ BAD_RECORDINGS = {
 }
 
 
-@pytest.mark.parametrize(("content", "word"), BAD_RECORDINGS.values(), ids=BAD_RECORDINGS.keys())
-def test_bad_recording_is_named(run, content, word):
+def test_bad_recording_is_named(run):
     """The sentence names the file, and the joint, value or fault."""
-    Path("demo.csv").write_text(content and content.rstrip("\n") + "\n", encoding="utf-8")
-    code, out, err = run("learn", "planar3", "demo.csv", "--frame", "tip", "--axes", "planar")
-    assert (code, out) == (2, ""), err
-    assert err.count("\n") == 1
-    assert "demo.csv" in err
-    assert word in err
+    for what, (content, word) in BAD_RECORDINGS.items():
+        Path("demo.csv").write_text(content and content.rstrip("\n") + "\n", encoding="utf-8")
+        code, out, err = run("learn", "planar3", "demo.csv", "--frame", "tip", "--axes", "planar")
+        assert (code, out, err.count("\n")) == (2, "", 1), (what, err)
+        assert "demo.csv" in err and word in err, what
 
 
 def test_vectors_may_be_written_with_spaces():
     """Numbers behind a vector option belong to it, negative ones too, up to the next option or word."""
-    assert joined_vectors(["--start", "0.1", "-0.2", "--target", "-1,2", "--json"]) == [
-        "--start",
-        "0.1,-0.2",
-        "--target",
-        "-1,2",
-        "--json",
-    ]
+    joined = joined_vectors(["--start", "0.1", "-0.2", "--target", "-1,2", "--json"])
+    assert joined == ["--start", "0.1,-0.2", "--target", "-1,2", "--json"]
     assert joined_vectors(["control", "--start", "1", "2"]) == ["control", "--start", "1,2"]
 
 
@@ -331,43 +316,123 @@ def test_robots_and_version(run):
     assert (code, err) == (0, "") and out.startswith("manip-learn ")
 
 
-@pytest.mark.parametrize("words", ["robots", "inspect sawyer", "inspect sawyer --json", "learn --help", "learn --json"])
-def test_a_reader_that_leaves_is_no_error(words):
+def test_a_reader_that_leaves_is_no_error():
     """`| head -1`: nothing on standard error but what the command has to say, and no failure of its own."""
-    command = [sys.executable, "-u", "-m", "manip_learn", *words.split()]
-    done = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
-    assert done.stdout is not None and done.stderr is not None
-    done.stdout.readline()
-    done.stdout.close()
-    said = done.stderr.read()
-    done.stderr.close()
-    usage = "learn --json" in words
-    assert done.wait(60) == (2 if usage else 0)
-    assert ("Traceback" not in said and "Broken" not in said) and (usage or said == "")
+    for words in ("robots", "inspect sawyer", "inspect sawyer --json", "learn --help", "learn --json"):
+        command = [sys.executable, "-u", "-m", "manip_learn", *words.split()]
+        with subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True) as done:
+            assert done.stdout is not None and done.stderr is not None
+            done.stdout.readline()
+            done.stdout.close()
+            said, usage = done.stderr.read(), words == "learn --json"
+            assert done.wait(60) == (2 if usage else 0), words
+        assert "Traceback" not in said and "Broken" not in said and (usage or said == ""), words
 
 
-@pytest.mark.parametrize(
-    "words",
-    [
-        "learn nobody x.csv --out gone/c.json",
-        "control nobody c.json --out gone/r.npz",
-        "demo --robot nobody --out gone/x",
-    ],
-)
-def test_a_missing_folder_is_said_before_the_work(run, words):
+def test_a_missing_folder_is_said_before_the_work(run):
     """Nothing else is looked at before the folder that is not there; it is named, and how to make it."""
-    code, out, err = run(*words.split())
-    assert (code, out) == (2, "") and "make the folder first, mkdir -p '" in err and "nobody" not in err
+    for words in (
+        "learn nobody x.csv --out gone/c",
+        "control nobody c.json --out gone/r",
+        "demo --robot nobody --out gone/x",
+    ):
+        code, out, err = run(*words.split())
+        assert (code, out) == (2, "") and "make the folder first, mkdir -p '" in err and "nobody" not in err, words
 
 
-@pytest.mark.parametrize("columns", ["60", "80"])
-def test_help_has_headings(run, monkeypatch, columns):
+def test_help_has_headings(run, monkeypatch):
     """What learning, reading, the robot and the output have to offer, each under its heading, within the terminal."""
-    monkeypatch.setenv("COLUMNS", columns)
-    code, out, _ = run("learn", "--help")
-    assert code == 0
-    headings = [line for line in out.splitlines() if line.endswith(":") and line[0] != " "]
-    assert headings == ["Arguments:", "Learning:", "Reading recordings:", "Robot:", "Output:"]
-    place = {flag: out.index(f"  {flag} ") for flag in ("--axes", "--units", "--lock", "--json")}
-    assert sorted(place, key=place.__getitem__) == ["--axes", "--units", "--lock", "--json"]
-    assert max(map(len, out.splitlines())) <= int(columns)
+    for columns in (60, 80):
+        monkeypatch.setenv("COLUMNS", str(columns))
+        code, out, _ = run("learn", "--help")
+        headings = [line for line in out.splitlines() if line.endswith(":") and line[0] != " "]
+        assert headings == ["Arguments:", "Learning:", "Reading recordings:", "Robot:", "Output:"] and code == 0
+        places = [out.index(f"  {flag} ") for flag in ("--axes", "--units", "--lock", "--json")]
+        assert places == sorted(places) and max(map(len, out.splitlines())) <= columns
+
+
+EVIL = "\x1b[31m\x9b2J\u202e"
+
+
+def test_no_name_controls_the_terminal(run, tmp_path):
+    """Names of files, headers, robots, joints and frames with escapes, C1 controls and marks of direction come out as
+    text: in sentences, tables and notes, for people and in JSON, whatever the command has to say.
+    """
+    planar3 = (DATA.parents[1] / "robots" / "planar3.urdf").read_text(encoding="utf-8")
+    Path(f"arm{EVIL}.urdf").write_text(planar3, encoding="utf-8")
+    Path("evil.urdf").write_text(planar3.replace('"link2"', '"link2\x9b31m\u202e"'), encoding="utf-8")
+    shown = Path(f"shown{EVIL}")
+    shown.mkdir()
+    for k, file in enumerate(sorted((DATA / "planar3_reach").glob("*.csv"))[:6]):
+        lines = file.read_text(encoding="utf-8").splitlines()
+        lines = [f"{lines[0]},force{EVIL}", *(f"{line},0" for line in lines[1:])]
+        (shown / f"{k}{EVIL}\n.csv").write_text("\n".join(lines) + "\n", encoding="utf-8")
+    Path(f"odd{EVIL}.csv").write_text(f"time,joint1,joint2{EVIL},joint3\n0,0,0,0\n", encoding="utf-8")
+    shown = (shown, "--ignore-column", f"force{EVIL}")
+    arm, tip, held = f"arm{EVIL}.urdf", ("--frame", "tip"), f"held{EVIL}.json"
+    how = ("--axes", "planar", "--reference", "world")
+    commands = [
+        (0, "inspect", arm),
+        (2, "inspect", "evil.urdf"),
+        (2, "inspect", f"{EVIL}.urdf"),
+        (0, "learn", arm, *shown, *tip, *how, "--out", held, "--html", f"l{EVIL}.html"),
+        (2, "learn", arm, f"odd{EVIL}.csv", *tip),
+        (2, "learn", arm, f"gone{EVIL}.csv", *tip),
+        (2, "learn", arm, *shown, "--frame", f"link2{EVIL}"),
+        (2, "learn", arm, *shown, *tip, "--lock", f"joint2{EVIL}"),
+        (2, "learn", arm, *shown, *tip, "--rename", f"a{EVIL}=b{EVIL}"),
+        (2, f"lern{EVIL}", arm),
+        (2, "inspect", arm, f"--x{EVIL}"),
+        (0, "control", arm, held, "--target", "0,0.5,0", "--duration", "1", "--out", f"run{EVIL}.csv"),
+        (2, "control", arm, f"odd{EVIL}.csv"),
+        (2, "control", arm, held, "--policy", EVIL),
+        (0, "replay", arm, f"run{EVIL}.csv", "--html", f"p{EVIL}.html"),
+        (0, "replay", arm, *shown, "--constraint", held, "--html", f"p{EVIL}.html"),
+        (2, "replay", "sawyer", f"run{EVIL}.csv"),
+        (0, "audit", arm, held, *shown, "--csv", f"a{EVIL}.csv"),
+        (2, "audit", arm, held, f"odd{EVIL}.csv"),
+        (0, "export", arm, *shown, "--to", "csv", "--out", f"exported{EVIL}"),
+        (2, "export", arm, *shown, "--to", EVIL, "--out", "x"),
+    ]
+    for expected, *words in commands:
+        for more in ((), ("--json",)):
+            code, out, err = run(*words, *more)
+            assert code == expected, (words, err)
+            for text in (out, err, *(sentences(json.loads(out)) if more else ())):
+                controls = [c for c in text if c != "\n" and unicodedata.category(c) in ("Cc", "Cf")]
+                assert not controls, (words, text)
+            assert len(err.splitlines()) == (expected == 2), (words, err)
+
+
+def sentences(content, key=""):
+    """What JSON has to say to people."""
+    if isinstance(content, dict):
+        return [text for k, value in content.items() for text in sentences(value, k)]
+    if isinstance(content, list):
+        return [text for value in content for text in sentences(value, key)]
+    return [content] if isinstance(content, str) and key in SENTENCES else []
+
+
+INTERRUPTED_AT = """
+import os, re, signal, sys
+left, sys.argv = int(sys.argv[1]), ["manip-learn", *sys.argv[2:]]
+
+def interrupt(event, arguments):
+    global left
+    left -= event == "import" and any(name.startswith("manip_learn") for name in sys.modules)
+    if left == 0:
+        left = -1
+        os.kill(os.getpid(), signal.SIGINT)
+
+sys.addaudithook(interrupt)
+from manip_learn.cli import main
+sys.exit(main())
+"""
+
+
+def test_ctrl_c_leaves_no_traceback_from_the_first_moment_on():
+    """At whichever import the program is when it is interrupted: exit code 130, and at most one word."""
+    for moment in (8, 20, 45, 80, 120, 170, 230, 300, 400, 520):
+        command = [sys.executable, "-c", INTERRUPTED_AT, str(moment), "inspect", "planar3"]
+        done = subprocess.run(command, capture_output=True, text=True, timeout=60)
+        assert done.returncode == 130 and done.stderr.strip() in ("", "interrupted"), (moment, done.stderr)

@@ -1,4 +1,4 @@
-"""Limits compiled behind a law in Python: the commands of the other solvers, for any features, task and policy."""
+"""Limits compiled, behind a law in Python and in whole steps: the commands of the other solvers, for any law."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from compiled_cases import RobotOf, agree, both_ways, kernels, needs_numba  # noqa: F401
+from compiled_cases import RobotOf, agree, both_ways, compared, kernels, needs_numba, tight  # noqa: F401
 from conftest import tip_of
 from random_arms import random_case, random_posture
 
@@ -25,30 +25,27 @@ from manip_learn.control.servo_loop import ServoLoop
 from manip_learn.control.tasks import FreeDirection, PointAttractor, Track
 from manip_learn.errors import ConstraintError, MissingExtraError
 
-
-@pytest.fixture
-def without_numba(numba: bool, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Where the kernels are plain Python they are not looked for."""
-    if not numba:
-        monkeypatch.setattr(controller_module, "find_spec", lambda name: "plain Python instead")
+READY = np.array([0.3, -0.6, 0.2, 0.9, 0.1, 0.5, 0.0])
 
 
 @both_ways
-@pytest.mark.usefixtures("kernels", "without_numba")
+@pytest.mark.usefixtures("kernels")
 def test_random_laws_are_bounded_alike(numba: bool, tmp_path: Path) -> None:
-    """Random trees, rows, tasks, policies, postures and periods: every part of the command, and its words."""
-    told = set()
+    """Random trees, rows, tasks, policies, postures and periods, without limits of frames and with."""
+    told, walled, bound = set(), set(), 0
     for seed in range(200 if numba else 60):
-        law, _, q, previous, dt = random_case(seed, tmp_path)
+        free, _, q, previous, dt = random_case(seed, tmp_path)
         arguments = (0.0, dt, previous, float(seed % 3) / 2.0)
-        expected, beside = law(q, *arguments), law(q * (1.0 + 4e-16), *arguments)
-        agree(law.with_solver("compiled")(q, *arguments), expected, beside, at_limits=1e-9)
-        told.add(str(expected.status))
-    assert len(told) >= 7
+        told.add(compared(free, free.with_solver("compiled"), q, *arguments))
+        if seed < (150 if numba else 40):
+            law = free.with_limits(tight(free.robot, ("tip",), q, np.random.default_rng(seed)))
+            walled.add(compared(law, law.with_solver("compiled"), q, *arguments))
+            bound += bool(np.any(np.abs(free(q, *arguments).velocity - law(q, *arguments).velocity) > 1e-6))
+    assert len(told) >= 7 and len(walled) >= 6 and bound > (75 if numba else 20)
 
 
 @both_ways
-@pytest.mark.usefixtures("kernels", "without_numba")
+@pytest.mark.usefixtures("kernels")
 def test_a_singularity_is_approached_no_faster(numba: bool, robot_of: RobotOf) -> None:
     """A target out of reach stretches the arm: each step of the way has the original's bound on the approach."""
     robot = robot_of("planar3")
@@ -102,9 +99,7 @@ def test_any_controller_is_bounded_alike(robot_of: RobotOf, rng: np.random.Gener
             q = random_posture(rng, robot)
             previous = rng.uniform(-0.5, 0.5, robot.nv) if i % 2 else None
             law.task.reset()
-            expected, beside = law(q, 0.0, 0.01, previous), law(q * (1.0 + 4e-16), 0.0, 0.01, previous)
-            agree(compiled(q, 0.0, 0.01, previous), expected, beside, at_limits=1e-9)
-            bound += expected.status not in ("ok", "singular", "damped")
+            bound += compared(law, compiled, q, 0.0, 0.01, previous) not in ("ok", "singular", "damped")
     assert bound > 30
 
 
@@ -138,3 +133,39 @@ def test_without_numba_it_is_refused(robot_of: RobotOf, monkeypatch: pytest.Monk
     monkeypatch.setattr(controller_module, "find_spec", lambda name: None)
     with pytest.raises(MissingExtraError, match="fast"):
         ml.ResolvedRateController(constraint, solver="compiled")
+
+
+@needs_numba
+def test_a_drawer_is_opened_within_walls(robot_of: RobotOf) -> None:
+    """A free direction in a loop, whose velocity is given, and a wall on its way: as with the law in Python."""
+    robot, tip = robot_of("sawyer"), tip_of("sawyer")
+    wall = [1.0, 0.0, 0.0, robot.position(READY, tip)[0] + 0.05]
+    positions = []
+    for compiled in (None, False):
+        constraint = ml.Constraint(np.eye(3)[1:], ml.FrameJacobian(robot, tip, "xyz"))
+        task = ml.FreeDirection(constraint, 0.15, 0.1)
+        law = ml.ResolvedRateController(constraint, task, limits=ml.Limits(robot, tip_walls=[wall], frames=tip))
+        loop = ml.ServoLoop(law, 0.0023, compiled=compiled)
+        q, path = READY, []
+        for k in range(700):
+            loop.update(q, 0.0023 * k)
+            q = loop.position
+            assert q is not None
+            path.append(q)
+        positions.append(np.array(path))
+        assert isinstance(loop.controller, ml.CompiledController) == (compiled is None)
+    np.testing.assert_allclose(positions[0], positions[1], rtol=0, atol=1e-9)
+    assert robot.position(positions[0][-1], tip)[0] == pytest.approx(wall[3], abs=2e-3)
+
+
+@needs_numba
+def test_a_hand_far_from_every_joint_limit_is_slowed_down(robot_of: RobotOf) -> None:
+    """Behind a law in Python the short way past the limits does not pass those of frames by."""
+    robot, tip = robot_of("sawyer"), tip_of("sawyer")
+    constraint = ml.Constraint(np.eye(3)[:2], ml.CentreOfMass(robot))
+    goal = constraint.features.coordinates(READY) + [0.02, 0.05, 0.0]
+    limits = ml.Limits(robot, tip_speed=0.02, frames=tip)
+    law = ml.ResolvedRateController(constraint, ml.PointAttractor(goal), limits=limits)
+    expected, got = law(READY), law.with_solver("compiled")(READY)
+    agree(got, expected, at_limits=1e-9)
+    assert 0.0199 < np.linalg.norm(robot.jacobian(READY, tip)[:3] @ got.velocity) <= 0.02

@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+from itertools import product
+
 import numpy as np
 import pytest
-from compiled_cases import RobotOf, agree, both_ways, kernels, needs_numba  # noqa: F401
+from compiled_cases import RobotOf, both_ways, compared, kernels, needs_numba, state_of  # noqa: F401
 from conftest import tip_of
 from random_arms import random_posture
 from test_batch_rollout import same
@@ -62,32 +64,19 @@ def follower_of(robot: ml.Robot, name: str, kind: str, speed: float = 0.5) -> ml
 
 
 @both_ways
-@pytest.mark.parametrize("kind", ["place", "pose", "rate"])
 @pytest.mark.usefixtures("kernels")
-def test_moving_targets_are_followed_alike(
-    kind: str, numba: bool, robot_of: RobotOf, rng: np.random.Generator, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_moving_targets_are_followed_alike(numba: bool, robot_of: RobotOf, rng: np.random.Generator) -> None:
     """A place, a pose or a rate: every part of the command near and far, with b of the period asked for."""
-    robot, told = robot_of("sawyer"), set()
-    law = follower_of(robot, "sawyer", kind)
-    compiled = ml.CompiledController(follower_of(robot, "sawyer", kind))
-    for _ in range(12):
-        q = random_posture(rng, robot)
-        previous = rng.uniform(-0.5, 0.5, robot.nv) if rng.random() < 0.5 else None
-        arguments = (
-            float(rng.uniform(0.0, 3.0)),
-            float(rng.choice([0.001, 0.02])),
-            previous,
-            float(rng.random() < 0.5),
-        )
-        expected, beside = law(q, *arguments), law(q * (1.0 + 4e-16), *arguments)
-        with monkeypatch.context() as patch:
-            patch.setattr(ml.ResolvedRateController, "__call__", lambda *a: pytest.fail("handed back"))
-            got = compiled(q, *arguments)
-        agree(got, expected, beside, at_limits=1e-9)
-        assert compiled.task_error(q, arguments[0]) == law.task_error(q, arguments[0])
-        told.add(str(expected.status))
-    assert len(told) >= 2
+    robot = robot_of("sawyer")
+    for kind in ("place", "pose", "rate"):
+        law, told = follower_of(robot, "sawyer", kind), set()
+        compiled = ml.CompiledController(follower_of(robot, "sawyer", kind))
+        for _ in range(12):
+            q = random_posture(rng, robot)
+            t, state = float(rng.uniform(0.0, 3.0)), state_of(rng, robot)[1:]
+            told.add(compared(law, compiled, q, t, *state))
+            assert compiled.task_error(q, t) == law.task_error(q, t)
+        assert len(told) >= 2, kind
 
 
 @needs_numba
@@ -114,33 +103,22 @@ def test_a_moving_target_leads_a_loop(robot_of: RobotOf) -> None:
 
 
 @both_ways
-@pytest.mark.parametrize("kind", list(HELD))
-@pytest.mark.parametrize("name", ["sawyer", "panda", "kinova"])
 @pytest.mark.usefixtures("kernels")
-def test_commands_are_the_same(
-    name: str, kind: str, numba: bool, robot_of: RobotOf, rng: np.random.Generator, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_commands_are_the_same(numba: bool, robot_of: RobotOf, rng: np.random.Generator) -> None:
     """On the way, late, at limits, outside, with a velocity before: every part of the command, from the kernel."""
-    robot, told = robot_of(name), set()
-    law, other = law_of(robot, kind, name), law_of(robot, kind, name)
-    compiled = ml.CompiledController(other)
-    for case in range(6):
-        start = random_posture(rng, robot) if case else robot.positions(robot.random_configuration(rng))
-        law.task.reset()
-        other.task.reset()
-        law(start, 0.0, DT)
-        compiled(start, 0.0, DT)
-        for t in (0.2, 0.4, 2.0):
-            q = start + rng.normal(size=robot.nv) * rng.choice([1e-3, 0.1])
-            previous = rng.uniform(-0.5, 0.5, robot.nv) if rng.random() < 0.5 else None
-            arguments = (t, float(rng.choice([0.001, 0.02])), previous, float(rng.choice([0.0, 1.0])))
-            expected, beside = law(q, *arguments), law(q * (1.0 + 4e-16), *arguments)
-            with monkeypatch.context() as patch:
-                patch.setattr(ml.ResolvedRateController, "__call__", lambda *a: pytest.fail("handed back"))
-                got = compiled(q, *arguments)
-            agree(got, expected, beside, at_limits=1e-9)
-            told.add(str(expected.status))
-    assert len(told) >= 2
+    for name, kind in product(("sawyer", "panda", "kinova"), HELD):
+        robot, told = robot_of(name), set()
+        law, other = law_of(robot, kind, name), law_of(robot, kind, name)
+        compiled = ml.CompiledController(other)
+        for case in range(6):
+            start = random_posture(rng, robot) if case else robot.positions(robot.random_configuration(rng))
+            for controller, begun in ((law, law), (other, compiled)):
+                controller.task.reset()
+                begun(start, 0.0, DT)
+            for t in (0.2, 0.4, 2.0):
+                q = start + rng.normal(size=robot.nv) * rng.choice([1e-3, 0.1])
+                told.add(compared(law, compiled, q, t, *state_of(rng, robot)[1:]))
+        assert len(told) >= 2, (name, kind)
 
 
 @needs_numba

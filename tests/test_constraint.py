@@ -7,11 +7,13 @@ import json
 import numpy as np
 import pytest
 from generated_motions import arm_features, guided_motions, oblique
+from test_gradients import case
 
 from manip_learn.constraint.constraint import Constraint
-from manip_learn.constraint.features import CentreOfMass, CustomFeatures, FrameJacobian, Stacked
+from manip_learn.constraint.features import CentreOfMass, CustomFeatures, FrameJacobian, MechanismRows, Stacked
 from manip_learn.errors import ConstraintError, ConstraintMismatchError, FeatureError
 from manip_learn.recordings.trajectory import Trajectory
+from manip_learn.robot.loading import load_robot
 
 
 @pytest.fixture
@@ -43,15 +45,12 @@ def test_value_and_derivative(features, rng):
     assert (constraint.n_constraints, constraint.nv) == (2, 7)
 
 
-@pytest.mark.parametrize(
-    "selection",
-    [np.zeros((2, 6)), np.ones((2, 6)), np.eye(5), [[np.nan] * 6], [], [[1, 2], [3]], "x", np.ones((2, 2, 6))],
-    ids=["zero", "dependent", "wrong width", "NaN", "empty", "ragged", "text", "cube"],
-)
-def test_unusable_selections(features, selection):
-    """Refused with a reason."""
-    with pytest.raises(ConstraintError, match="selection|rows"):
-        Constraint(selection, features)
+def test_unusable_selections(features):
+    """Zero, dependent, too narrow, NaN, empty, ragged, text and a cube: refused with a reason."""
+    bad = (np.zeros((2, 6)), np.ones((2, 6)), np.eye(5), [[np.nan] * 6], [], [[1, 2], [3]], "x", np.ones((2, 2, 6)))
+    for selection in bad:
+        with case(selection), pytest.raises(ConstraintError, match="selection|rows"):
+            Constraint(selection, features)
 
 
 def test_residual(rng):
@@ -66,19 +65,17 @@ def test_residual(rng):
         truth.residual([Trajectory(t.time, t.q, None, t.joint_names) for t in demos])
 
 
-@pytest.mark.parametrize("angle", [0.01, 0.3, 1.2])
-def test_residual_is_a_share_of_speed(angle, rng):
+def test_residual_is_a_share_of_speed(rng):
     """A motion at a given angle to what the constraint allows has the sine of that angle, not its square."""
     demos, truth = guided_motions(arm_features(), oblique(2, 3, rng), rng, 2, 10)
-    tilted = []
-    for t in demos:
-        u = []
-        for q, allowed in zip(t.q, t.u, strict=True):
-            across = np.array([0.3, -0.8]) @ truth(q)
-            across *= np.linalg.norm(allowed) / np.linalg.norm(across)
-            u.append(np.cos(angle) * allowed + np.sin(angle) * across)
-        tilted.append(Trajectory(t.time, t.q, u, t.joint_names))
-    assert truth.residual(tilted) == pytest.approx(np.sin(angle), rel=1e-9)
+    for angle in (0.01, 0.3, 1.2):
+        tilted = []
+        for t in demos:
+            across = np.array([np.array([0.3, -0.8]) @ truth(q) for q in t.q])
+            across *= np.linalg.norm(t.u, axis=1, keepdims=True) / np.linalg.norm(across, axis=1, keepdims=True)
+            u = np.cos(angle) * t.u + np.sin(angle) * across
+            tilted.append(Trajectory(t.time, t.q, u, t.joint_names))
+        assert truth.residual(tilted) == pytest.approx(np.sin(angle), rel=1e-9)
 
 
 def test_files_come_back(robot_of, rng, tmp_path):
@@ -126,11 +123,79 @@ def test_every_damaged_file_is_refused(robot_of, features, tmp_path):
             Constraint.load(nowhere, robot_of("sawyer"))
 
 
-def test_python_functions_cannot_be_saved(tmp_path):
+def test_contradicting_files_are_refused(robot_of, features, tmp_path):
+    """Rows that are not orthonormal, one too few, true or text for a number, other names or units than those of the
+    features, postures that are none: one sentence each, which names the file.
+    """
+    rows = np.linalg.qr(np.random.default_rng(0).normal(size=(6, 3)))[0].T.tolist()
+    kept = {"postures": [[0.0] * 7]}
+    path = Constraint(rows, features, kept).save(tmp_path / "c.json")
+    good = json.loads(path.read_text())
+    described, true = good["features"], [[True, 0, 0, 0, 0, 0], *rows[1:]]
+    scaled = [[2.0 * x for x in rows[0]], *rows[1:]]
+    for change, words in (
+        ({"selection": scaled}, "not orthonormal"),
+        ({"selection": [[rows[0][0] + 1e-6, *rows[0][1:]], *rows[1:]]}, "not orthonormal"),
+        ({"selection": [rows[0], [0.0] * 6, rows[2]]}, "not orthonormal"),
+        ({"selection": rows[:2]}, "has 2 rows of Lambda and states 3"),
+        ({"n_constraints": 2}, "has 3 rows of Lambda and states 2"),
+        ({"selection": [rows[0][:5], *rows[1:]]}, "equal length"),
+        ({"selection": true}, "in the place of a number"),
+        ({"selection": [["1", "0", "0", "0", "0", "0"]]}, "in the place of a number"),
+        ({"features": described | {"units": [True] * 6}}, "the units of .* the file says"),
+        ({"features": described | {"units": ["m/s"] * 6}}, "the units of .* the file says"),
+        ({"row_names": ["x", "y", "z", "rx", "rz", "ry"]}, "row names are .* those of its features"),
+        ({"row_units": ["rad/s"] * 6}, "row units are .* those of its features"),
+        ({"features": described | {"axes": ["x", "y", "z", "rx", "rz", "ry"]}}, "row names are"),
+        ({"provenance": {"postures": [[0.0] * 6]}}, "postures in which it was shown"),
+        ({"provenance": {"postures": [[0.0] * 6 + [True]]}}, "postures|number"),
+        ({"provenance": {"postures": "x"}}, "postures|damaged"),
+    ):
+        path.write_text(json.dumps(good | change))
+        with case(change), pytest.raises(ConstraintMismatchError, match=words) as refused:
+            Constraint.load(path, robot_of("sawyer"))
+        assert str(refused.value).startswith(str(path))
+    digits = [[round(x, 11) for x in row] for row in rows]  # written with fewer digits
+    path.write_text(json.dumps(good | {"selection": digits}))
+    np.testing.assert_allclose(Constraint.load(path, robot_of("sawyer")).selection, rows, atol=1e-10)
+    door = MechanismRows(robot_of("sawyer"), "right_hand", "radial axial")
+    content = json.loads(Constraint([[1.0, 0.0]], door).save(path).read_text())
+    for change in ({"axis": [True, 0, 0]}, {"rows": ["radial"]}, {"radius": True}, {"point": ["0", "0", "0"]}):
+        path.write_text(json.dumps(content | {"features": content["features"] | change}))
+        with case(change), pytest.raises(ConstraintMismatchError, match="c.json"):
+            Constraint.load(path, robot_of("sawyer"))
+
+
+def test_joints_locked_elsewhere_are_said(tmp_path):
+    """A lock that was there when the constraint was made is a note; another one is refused, or said on demand."""
+    made, other, free = (load_robot("sawyer", locked=x) for x in ({"right_j3": 1.2}, {"right_j3": 0.0}, ()))
+    path = Constraint([[0.0, 1.0, 0.0]], FrameJacobian(made, "right_hand")).save(tmp_path / "c.json")
+    assert Constraint.load(path, made).notes == ("as when the constraint was made: right_j3 = 1.2 locked",)
+    with pytest.raises(ConstraintMismatchError, match=r"made with right_j3 = 1.2 locked, .* has right_j3 = 0 locked"):
+        Constraint.load(path, other)
+    assert Constraint.load(path, other, same_urdf=False).notes == (
+        "the constraint was made with right_j3 = 1.2 locked, the robot has right_j3 = 0 locked",
+    )
+    with pytest.raises(ConstraintMismatchError, match="same locked joints"):
+        Constraint.load(path, free)
+    path = Constraint([[0.0, 1.0, 0.0]], FrameJacobian(free, "right_hand")).save(tmp_path / "free.json")
+    assert Constraint.load(path, free).notes == ()
+    content = json.loads(path.read_text())
+    for wrong in (["right_j3"], {"right_j3": True}, "right_j3"):
+        content["robot"]["locked"] = wrong
+        path.write_text(json.dumps(content))
+        with case(wrong), pytest.raises(ConstraintMismatchError, match="does not say where joints were locked"):
+            Constraint.load(path, free)
+
+
+def test_python_functions_cannot_be_saved(robot_of, tmp_path):
     """A constraint on the user's own functions says so, and leaves no file."""
     constraint = Constraint([[1.0]], CustomFeatures(lambda q: np.ones((1, 2)), ("a",), 2))
     with pytest.raises(FeatureError, match="cannot be saved"):
         constraint.save(tmp_path / "c.json")
+    features = CentreOfMass(robot_of("wrist"), "z")
+    with pytest.raises(ValueError, match="float values"):  # NaN is no JSON
+        Constraint([[1.0]], features, {"gap": np.nan}).save(tmp_path / "c.json")
     assert list(tmp_path.iterdir()) == []
 
 

@@ -2,14 +2,18 @@
 
 from __future__ import annotations
 
+import pickle
+from itertools import product
+
 import numpy as np
 import pytest
+from test_gradients import case
 
 import manip_learn as ml
 from manip_learn.constraint.features import FrameJacobian, MechanismRows, RelativeFrameJacobian
-from manip_learn.constraint.features.mechanism_rows import Place, PlaceForm, PlaceRows, mechanism_weights
+from manip_learn.constraint.features.mechanism_rows import AT_A_DISTANCE, Place, PlaceForm, PlaceRows, mechanism_weights
 from manip_learn.constraint.features.weighed_velocity import ON_AXIS, PlaceWeights
-from manip_learn.constraint.mechanism import MECHANISM_KINDS
+from manip_learn.constraint.mechanism import KINDS, MECHANISM_KINDS
 
 TIP = "right_gripper_tip"
 AXIS = np.array([0.6, 0.64, 0.48])
@@ -21,64 +25,73 @@ def padded(rows: np.ndarray) -> np.ndarray:
     return np.hstack([rows, np.zeros((len(rows), 3))])
 
 
-@pytest.mark.parametrize(
-    ("axes", "selection", "kind", "axis", "orientation"),
-    [
-        ("xyz", ACROSS, "line", AXIS, "free"),
-        ("xyz", AXIS[None], "plane", AXIS, "free"),
-        ("xyz", np.eye(3), None, None, ""),
-        ("x y", [[1.0, 0.0]], None, None, ""),
-        ("pose", padded(ACROSS), "line", AXIS, "free"),
-        ("pose", np.vstack([padded(ACROSS), TURNS]), "line", AXIS, "fixed"),
-        ("pose", np.vstack([padded(AXIS[None]), TURNS[:2]]), "plane", AXIS, "about-axis"),
-        ("pose", np.hstack([np.zeros((2, 3)), ACROSS]), "held-orientation", AXIS, "about-axis"),
-        ("pose", TURNS, "held-orientation", None, "fixed"),
-        ("rotation", ACROSS, "held-orientation", AXIS, "about-axis"),
-        ("pose", [[0.7, 0.0, 0.0, 0.7, 0.0, 0.0]], None, None, ""),
-    ],
-)
-def test_constant_rows_of_the_base(robot_of, axes, selection, kind, axis, orientation) -> None:
+CONSTANT_ROWS = [
+    ("xyz", ACROSS, "line", AXIS, "free"),
+    ("xyz", AXIS[None], "plane", AXIS, "free"),
+    ("xyz", np.eye(3), None, None, ""),
+    ("x y", [[1.0, 0.0]], None, None, ""),
+    ("pose", padded(ACROSS), "line", AXIS, "free"),
+    ("pose", np.vstack([padded(ACROSS), TURNS]), "line", AXIS, "fixed"),
+    ("pose", np.vstack([padded(AXIS[None]), TURNS[:2]]), "plane", AXIS, "about-axis"),
+    ("pose", np.hstack([np.zeros((2, 3)), ACROSS]), "held-orientation", AXIS, "about-axis"),
+    ("pose", TURNS, "held-orientation", None, "fixed"),
+    ("rotation", ACROSS, "held-orientation", AXIS, "about-axis"),
+    ("pose", [[0.7, 0.0, 0.0, 0.7, 0.0, 0.0]], None, None, ""),
+]
+
+
+def test_constant_rows_of_the_base(robot_of) -> None:
     """Lines, planes and held orientations, in whatever basis the rows come; a row that mixes m and rad is none."""
-    features = FrameJacobian(robot_of("sawyer"), TIP, axes)
-    turned = np.linalg.qr(np.random.default_rng(0).normal(size=(len(selection),) * 2))[0] @ np.asarray(selection)
-    mechanism = ml.Constraint(turned, features).mechanism
-    if kind is None:
-        assert mechanism is None
-        return
-    assert mechanism is not None and (mechanism.type, mechanism.orientation) == (kind, orientation)
-    if axis is None:
-        assert mechanism.axis is None
-    else:
-        assert abs(mechanism.axis @ axis) == pytest.approx(1.0, abs=1e-12)
+    for axes, selection, kind, axis, orientation in CONSTANT_ROWS:
+        with case(axes, selection):
+            features = FrameJacobian(robot_of("sawyer"), TIP, axes)
+            mixed = np.linalg.qr(np.random.default_rng(0).normal(size=(len(selection),) * 2))[0]
+            mechanism = ml.Constraint(mixed @ np.asarray(selection), features).mechanism
+            if kind is None:
+                assert mechanism is None
+                continue
+            assert mechanism is not None and (mechanism.type, mechanism.orientation) == (kind, orientation)
+            assert (mechanism.point, mechanism.radius, mechanism.pitch) == (None, None, None)
+            if axis is None:
+                assert mechanism.axis is None
+            else:
+                np.testing.assert_allclose(mechanism.axis, axis, rtol=0, atol=1e-12)
 
 
-@pytest.mark.parametrize(("pitch", "kind"), [(0.0, "hinge"), (0.0032, "screw"), (-0.01, "screw")])
-def test_one_free_twist_of_the_hand(robot_of, pitch, kind) -> None:
+def test_one_free_twist_of_the_hand(robot_of) -> None:
     """A hand that is fixed to a hinge or a screw: the twist that is left has their pitch and their distance."""
-    v = np.cross([0.2, -0.1, 0.05], AXIS) + pitch * AXIS  # of the hand's origin, for a turn of 1 rad/s
-    rows = np.linalg.svd(np.concatenate([v, AXIS])[None])[2][1:]
-    mechanism = ml.Constraint(rows, FrameJacobian(robot_of("sawyer"), TIP, "pose", "local")).mechanism
-    assert mechanism is not None and mechanism.type == kind and mechanism.grip == "firm"
-    far = np.linalg.norm(np.cross(AXIS, np.cross([0.2, -0.1, 0.05], AXIS)))
-    assert mechanism.radius == pytest.approx(far, abs=1e-12) and "fixed to the hand" in mechanism.sentence
-    assert mechanism.pitch == (None if kind == "hinge" else pytest.approx(pitch, abs=1e-12))
-    # the same twist, known to a tenth of a degree only: the smallest of the pitches is not told from none
-    learnt = {"uncertainty_deg": 0.1}
-    doubted = ml.Constraint(rows, FrameJacobian(robot_of("sawyer"), TIP, "pose", "local"), learnt).mechanism
-    assert doubted is not None and doubted.type == ("screw" if abs(pitch) > 0.006 else "hinge")
+    features = FrameJacobian(robot_of("sawyer"), TIP, "pose", "local")
+    for pitch, kind in ((0.0, "hinge"), (0.0032, "screw"), (-0.01, "screw")):
+        with case(pitch):
+            v = np.cross([0.2, -0.1, 0.05], AXIS) + pitch * AXIS  # of the hand's origin, for a turn of 1 rad/s
+            rows = np.linalg.svd(np.concatenate([v, AXIS])[None])[2][1:]
+            mechanism = ml.Constraint(rows, features).mechanism
+            assert mechanism is not None and mechanism.type == kind and mechanism.grip == "firm"
+            far = np.linalg.norm(np.cross(AXIS, np.cross([0.2, -0.1, 0.05], AXIS)))
+            assert mechanism.radius == pytest.approx(far, abs=1e-12) and "fixed to the hand" in mechanism.sentence
+            assert mechanism.pitch == (None if kind == "hinge" else pytest.approx(pitch, abs=1e-12))
+            # the same twist, known to a tenth of a degree only: the smallest of the pitches is not told from none
+            doubted = ml.Constraint(rows, features, {"uncertainty_deg": 0.1}).mechanism
+            assert doubted is not None and doubted.type == ("screw" if abs(pitch) > 0.006 else "hinge")
 
 
-@pytest.mark.parametrize("kind", MECHANISM_KINDS, ids=lambda kind: kind.name)
-def test_rows_about_a_place(robot_of, kind) -> None:
-    """Every mechanism that the learner knows is read back from its rows, with its axis, its place and its pitch."""
-    features = MechanismRows(robot_of("sawyer"), TIP, kind.rows, axis=AXIS, point=[0.5, 0.1, 0.3], pitch=0.01)
-    mechanism = ml.Constraint(np.eye(kind.n_rows), features).mechanism
-    assert mechanism is not None and (mechanism.name, mechanism.type) == (kind.name, kind.type)
-    if kind.type != "ball":
-        np.testing.assert_allclose(mechanism.axis, AXIS, atol=1e-12)
-    if kind.type != "held-orientation":
-        np.testing.assert_allclose(mechanism.point, [0.5, 0.1, 0.3], atol=1e-12)
-    assert mechanism.pitch == (0.01 if kind.type == "screw" else None)
+def test_rows_about_a_place(robot_of) -> None:
+    """Every mechanism that the learner knows is read back from its rows, with its axis, place, radius and pitch."""
+    point = [0.5, 0.1, 0.3]
+    for kind, radius in product(MECHANISM_KINDS, (None, 0.25)):
+        with case(kind.name, radius):
+            robot = robot_of("sawyer")
+            features = MechanismRows(robot, TIP, kind.rows, axis=AXIS, point=point, pitch=0.01, radius=radius)
+            mechanism = ml.Constraint(np.eye(kind.n_rows), features).mechanism
+            assert mechanism is not None and (mechanism.name, mechanism.type) == (kind.name, kind.type)
+            assert (mechanism.axis is None) == (kind.type == "ball") and mechanism.radius == radius
+            if mechanism.axis is not None:
+                np.testing.assert_allclose(mechanism.axis, AXIS, atol=1e-12)
+            assert (mechanism.point is None) == (kind.type == "held-orientation")
+            if mechanism.point is not None:
+                np.testing.assert_allclose(mechanism.point, point, atol=1e-12)
+            assert mechanism.pitch == (0.01 if kind.type == "screw" else None)
+            assert ml.Mechanism.from_dict(mechanism.to_dict()) == mechanism == pickle.loads(pickle.dumps(mechanism))
 
 
 def test_what_the_learner_fitted_belongs_to_its_rows(robot_of, tmp_path) -> None:
@@ -115,18 +128,18 @@ FORM_OF: dict[str, PlaceForm] = {
 }
 
 
-def one_form(robot, kind, radius: float, middle) -> tuple[PlaceRows, np.ndarray]:
+def one_form(robot, kind, place: Place, radius: float, middle) -> tuple[PlaceRows, np.ndarray]:
     """A mechanism as a constant Lambda over `PlaceRows`, by what the weights of its rows are where its centre is level
     with the hand.
     """
     form: PlaceForm = "surface" if kind.name in ("cylinder", "screw") else FORM_OF[kind.orientation]
     features = PlaceRows(robot, TIP, form, middle)
-    W = mechanism_weights(kind.rows, PLACE, radius)
+    W = mechanism_weights(kind.rows, place, radius)
     if kind.constant:  # the hand's own origin is held
-        constant = W.at(PLACE.point[None])[0][0]
+        constant = W.at(place.point[None])[0][0]
         W = PlaceWeights(constant, np.zeros((*constant.shape, 3)))
     if kind.type == "hinge" and kind.orientation != "carried":  # beside the axial row |p - c|^2 says what rho^2 does
-        ball = mechanism_weights(("spherical",), PLACE, radius)
+        ball = mechanism_weights(("spherical",), place, radius)
         W = PlaceWeights(
             np.concatenate([ball.constant, W.constant[1:]]), np.concatenate([ball.by_place, W.by_place[1:]])
         )
@@ -137,77 +150,104 @@ def one_form(robot, kind, radius: float, middle) -> tuple[PlaceRows, np.ndarray]
     return features, selection
 
 
-@pytest.mark.parametrize("kind", MECHANISM_KINDS, ids=lambda kind: kind.name)
-def test_every_mechanism_is_a_constant_lambda(robot_of, rng, tmp_path, kind) -> None:
-    """Over rows that are known in advance; its type, axis, point and pitch are read from it, from a file too.
+def test_every_mechanism_is_a_constant_lambda(robot_of, rng, tmp_path) -> None:
+    """Over rows that are known in advance; its type, axis, point, radius and pitch are read from it, from a file too.
 
     What the hand may do beside the mechanism is held by the same rows wherever the middle of the features is, and a
     way along it is a task as for rows that are named after it.
     """
     robot = robot_of("sawyer")
-    q = robot.random_configuration(rng)
-    p = robot.position(q, robot.frame(TIP))
-    level = p - PLACE.point - AXIS * (AXIS @ (p - PLACE.point))
-    radius = float(np.linalg.norm(p - PLACE.point if kind.type == "ball" else level))
-    features, selection = one_form(robot, kind, radius, p + 0.1 * rng.normal(size=3))
-    turned = np.linalg.qr(rng.normal(size=(kind.n_rows, kind.n_rows)))[0] @ selection
-    constraint = ml.Constraint(turned, features, {"postures": [q.tolist()]})
-    read = constraint.mechanism
-    assert read is not None and (read.type, read.orientation, read.grip) == (
-        kind.type,
-        kind.orientation,
-        "firm" if kind.orientation == "carried" else "loose",
-    )
-    if "axis" in kind.unknowns:
-        assert abs(read.axis @ AXIS) == pytest.approx(1.0, abs=1e-9)
-    if "point" in kind.unknowns:
-        np.testing.assert_allclose(read.point, PLACE.point, atol=1e-9)
-    elif "point-across" in kind.unknowns:
-        np.testing.assert_allclose(np.cross(read.point - PLACE.point, AXIS), 0.0, atol=1e-9)
-    if kind.type == "screw":
-        assert read.pitch == pytest.approx(PLACE.pitch, rel=1e-9)
-    if read.radius is not None:
-        assert read.radius == pytest.approx(radius, abs=1e-9)
-    back = ml.Constraint.load(constraint.save(tmp_path / "c.json"), robot)
-    np.testing.assert_array_equal(back(q), constraint(q))
-    assert back.mechanism == read
-    named = constraint.about_its_mechanism()
-    sigma = np.linalg.svd(np.concatenate([constraint(q), named(q)]), compute_uv=False)
-    assert np.count_nonzero(sigma > 1e-7) == np.linalg.matrix_rank(constraint(q), 1e-7)  # the same rows there
+    for kind, pitch in product(MECHANISM_KINDS, (0.4, -0.2)):
+        with case(kind.name, pitch):
+            q, place = robot.random_configuration(rng), Place(AXIS, PLACE.point, pitch)
+            p = robot.position(q, robot.frame(TIP))
+            level = p - place.point - AXIS * (AXIS @ (p - place.point))
+            radius = float(np.linalg.norm(p - place.point if kind.type == "ball" else level))
+            features, selection = one_form(robot, kind, place, radius, p + 0.1 * rng.normal(size=3))
+            turned = np.linalg.qr(rng.normal(size=(kind.n_rows, kind.n_rows)))[0] @ selection
+            constraint = ml.Constraint(turned, features, {"postures": [q.tolist()]})
+            read, grip = constraint.mechanism, "firm" if kind.orientation == "carried" else "loose"
+            assert read is not None
+            assert (read.type, read.orientation, read.grip) == (kind.type, kind.orientation, grip)
+            if "axis" in kind.unknowns:
+                assert abs(read.axis @ AXIS) == pytest.approx(1.0, abs=1e-9)
+            if "point" in kind.unknowns:
+                np.testing.assert_allclose(read.point, place.point, atol=1e-9)
+            elif "point-across" in kind.unknowns:
+                np.testing.assert_allclose(np.cross(read.point - place.point, AXIS), 0.0, atol=1e-9)
+            assert read.pitch == (pytest.approx(pitch, rel=1e-8) if kind.type == "screw" else None)
+            assert read.radius == (pytest.approx(radius, abs=1e-9) if set(kind.rows) & set(AT_A_DISTANCE) else None)
+            back = ml.Constraint.load(constraint.save(tmp_path / "c.json"), robot)
+            np.testing.assert_array_equal(back(q), constraint(q))
+            assert back.mechanism == read
+            named = constraint.about_its_mechanism()
+            sigma = np.linalg.svd(np.concatenate([constraint(q), named(q)]), compute_uv=False)
+            assert np.count_nonzero(sigma > 1e-7) == np.linalg.matrix_rank(constraint(q), 1e-7)  # the same rows there
 
 
-@pytest.mark.parametrize("rows", ["radial axial", "spherical", "radial", "radial helical", "tangential"])
-def test_mu_keeps_its_meaning_at_the_radius(robot_of, rng, rows) -> None:
+def test_what_is_told_apart_and_how_far(robot_of) -> None:
+    """A centre up to 5 m away makes a ball, beyond it a plane; a leak of a fifth from places to turns is one still; a
+    pitch counts from 0.016 mm a radian on; a fit counts whose axis is within a degree. Without postures neither the
+    radius nor a helix is known.
+    """
+    robot = robot_of("sawyer")
+    for far, kind in ((4.5, "ball"), (5.5, "plane")):
+        m = ml.Constraint([[-far, 0.0, 0.0, 1.0]], PlaceRows(robot, TIP, "point", (0.5, 0.1, 0.3))).mechanism
+        assert m is not None and (m.type, m.radius) == (kind, None)
+        np.testing.assert_allclose(m.point, [0.5 + far if kind == "ball" else 0.5, 0.1, 0.3], rtol=0, atol=1e-9)
+    hinge = ml.Constraint(
+        [[0, 0, 1.0, 0], [-0.4, 0, 0, 1.0]], PlaceRows(robot, TIP, "point", (0.5, 0.1, 0.3))
+    ).mechanism
+    assert hinge is not None and (hinge.type, hinge.radius, hinge.pitch) == ("hinge", None, None)
+    np.testing.assert_allclose(np.cross(hinge.point - [0.9, 0.1, 0.3], [0, 0, 1.0]), 0.0, atol=1e-12)
+    helix, selection = one_form(robot, KINDS["screw"], PLACE, 0.3, np.array([0.5, 0.1, 0.6]))
+    assert ml.Constraint(selection, helix).mechanism is None
+    for leak, kind in ((0.18, "line"), (0.3, None)):
+        rows = np.hstack([np.cos(np.arcsin(leak)) * ACROSS, leak * np.eye(3)[:2]])
+        m = ml.Constraint(rows, FrameJacobian(robot, TIP, "pose")).mechanism
+        assert (None if m is None else m.type) == kind
+    for pitch, kind in ((1.5e-5, "hinge"), (1.7e-5, "screw"), (-1.7e-5, "screw")):
+        rows = np.linalg.svd(np.concatenate([pitch * AXIS, AXIS])[None])[2][1:]
+        m = ml.Constraint(rows, FrameJacobian(robot, TIP, "pose", "local")).mechanism
+        assert m is not None and m.type == kind and m.radius == pytest.approx(0.0, abs=1e-12)
+    for degrees, known in ((0.9, True), (1.4, False)):
+        beside = np.cos(np.radians(degrees)) * AXIS + np.sin(np.radians(degrees)) * ACROSS[0]
+        fitted = ml.Mechanism("line", 2.0 * beside, [0.1, 0.2, 0.3], name="line").to_dict()
+        m = ml.Constraint(ACROSS, FrameJacobian(robot, TIP), {"mechanism": fitted}).mechanism
+        assert m is not None and (m.point is not None) is known
+        assert ml.Constraint(np.eye(3), FrameJacobian(robot, TIP), {"mechanism": fitted}).mechanism is None
+
+
+def test_mu_keeps_its_meaning_at_the_radius(robot_of, rng) -> None:
     """A door of known radius has the mu, and the rows, that the door at any distance has, where the hand is on it.
 
     Elsewhere the rows of a known radius are longer or shorter by distance / radius, and that is all: what they hold and
     leave free is the same but for the helix, which is one of that radius.
     """
-    robot = robot_of("sawyer")
-    q = robot.random_configuration(rng)
-    p = robot.position(q, robot.frame(TIP))
-    d = p - PLACE.point
-    rho = float(np.linalg.norm(d if rows == "spherical" else d - AXIS * (AXIS @ d)))
-    options = {"axis": AXIS, "point": PLACE.point, "pitch": PLACE.pitch}
-    free = MechanismRows(robot, TIP, rows, **options)
-    for share in (1.0, 0.8, 1.5):
-        fixed = MechanismRows(robot, TIP, rows, **options, radius=share * rho)
-        constraints = [ml.Constraint(np.eye(free.n_rows), f) for f in (free, fixed)]
-        at, other = (ml.manipulability(c, q) for c in constraints)
-        # a row of unit length fades within 1e-5 m of the axis, at any distance by a little
-        s, h, e = rho**2, PLACE.pitch, ON_AXIS**2
-        fades = {"axial": 1.0, "helical": np.sqrt(s * (s + h * h) / ((s + e) * (s + h * h + e)))}
-        faded = np.array([fades.get(name, np.sqrt(s / (s + e))) for name in free.row_names])
-        if share == 1.0:
-            assert other * np.prod(faded) == pytest.approx(at, rel=1e-12)
-            np.testing.assert_allclose(fixed(q) * faded[:, None], free(q), atol=1e-13)
-        elif "helical" not in rows:
-            assert other * np.prod(faded) == pytest.approx(at / share, rel=1e-12)
-            assert np.linalg.matrix_rank(np.concatenate([fixed(q), free(q)]), 1e-7) == free.n_rows
-        numbers = fixed.coordinates(q) if rows not in ("radial helical", "tangential") else None
-        if numbers is not None:  # distances are distances, whatever the radius
-            np.testing.assert_array_equal(numbers, free.coordinates(q))
-            np.testing.assert_array_equal(fixed.coordinates_jacobian(q), free(q))
+    robot, options = robot_of("sawyer"), {"axis": AXIS, "point": PLACE.point, "pitch": PLACE.pitch}
+    for rows, share in product(
+        ("radial axial", "spherical", "radial", "radial helical", "tangential"), (1.0, 0.8, 1.5)
+    ):
+        with case(rows, share):
+            q = robot.random_configuration(rng)
+            d = robot.position(q, robot.frame(TIP)) - PLACE.point
+            rho = float(np.linalg.norm(d if rows == "spherical" else d - AXIS * (AXIS @ d)))
+            free = MechanismRows(robot, TIP, rows, **options)
+            fixed = MechanismRows(robot, TIP, rows, **options, radius=share * rho)
+            at, other = (ml.manipulability(ml.Constraint(np.eye(free.n_rows), f), q) for f in (free, fixed))
+            # a row of unit length fades within 1e-5 m of the axis, at any distance by a little
+            s, h, e = rho**2, PLACE.pitch, ON_AXIS**2
+            fades = {"axial": 1.0, "helical": np.sqrt(s * (s + h * h) / ((s + e) * (s + h * h + e)))}
+            faded = np.array([fades.get(name, np.sqrt(s / (s + e))) for name in free.row_names])
+            if share == 1.0:
+                assert other * np.prod(faded) == pytest.approx(at, rel=1e-12)
+                np.testing.assert_allclose(fixed(q) * faded[:, None], free(q), atol=1e-13)
+            elif "helical" not in rows:
+                assert other * np.prod(faded) == pytest.approx(at / share, rel=1e-12)
+                assert np.linalg.matrix_rank(np.concatenate([fixed(q), free(q)]), 1e-7) == free.n_rows
+            if rows not in ("radial helical", "tangential"):  # distances are distances, whatever the radius
+                np.testing.assert_array_equal(fixed.coordinates(q), free.coordinates(q))
+                np.testing.assert_array_equal(fixed.coordinates_jacobian(q), free(q))
 
 
 @pytest.mark.parametrize("keep", [False, True])

@@ -173,10 +173,21 @@ def test_command_line(client, features, tmp_path, capsys):
     assert "give one of the two" in capsys.readouterr().err
 
 
-def test_without_a_scheduler(monkeypatch):
-    """Nobody at the address: says so, and what to do."""
+@pytest.mark.parametrize(
+    ("address", "advice"),
+    [
+        ("tcp://127.0.0.1:9", "at 'tcp://127.0.0.1:9' .*: start one with `dask scheduler`, or use 'local'$"),
+        ("tls://127.0.0.1:9", "tls needs certificates in dask's settings"),
+        ("ucx://127.0.0.1:9", "ucx needs packages and settings of its own; use tcp://HOST:PORT"),
+        ("ws://127.0.0.1:9", "ws needs packages"),
+        ("nowhere", "missing port number.*start one with `dask scheduler`"),
+        ("", "at ''.*start one with `dask scheduler`"),
+    ],
+)
+def test_without_a_scheduler(monkeypatch, address: str, advice: str):
+    """Nobody at the address, or a way there that is not set up: one sentence that says so, and what to do."""
     monkeypatch.setattr(dask_executor, "PATIENCE", "1s")
-    with pytest.raises(ManipLearnError, match="start one with `dask scheduler`"), dask_client("tcp://127.0.0.1:9"):
+    with pytest.raises(ManipLearnError, match=advice), dask_client(address):
         pass
 
 

@@ -15,7 +15,7 @@ MOST = 100
 # step on the way to a converged answer, a property of a distribution, the size of a thing). What decides is no choice
 BESIDE = {
     "answer": {"time": "MOST_PATHS START_SHARE"},
-    "audit": {"time": "CHUNK", "rounding": "NOTABLE MAD_EFFICIENCY MAD_SMALL MAD_TO_SIGMA"},
+    "audit": {"time": "CHUNK CRITERIA", "rounding": "NOTABLE MAD_EFFICIENCY MAD_SMALL MAD_TO_SIGMA"},
     "effort_witness": {"time": "MOST_SAMPLES DRAWS", "rounding": "SHORTEST RANK"},
     "descent": {"rounding": "FIRST_DAMPING MOST_DAMPED CUTOFF"},
     "estimators.joint_estimator": {
@@ -26,7 +26,7 @@ BESIDE = {
         "time": "N_FOLDS SCAN_COLUMNS ROUNDS MOST_TRIALS COMPARE RANDOM_STARTS SUBSPACES PROGRESS",
         "rounding": "ROUNDING EXACT VANISHING",
     },
-    "estimators.null_space": {"time": "MAX_ITERATIONS MAX_FOLDS", "rounding": "SAME_COST"},
+    "estimators.null_space": {"time": "MAX_ITERATIONS MAX_FOLDS", "rounding": "SAME_COST SHORTEST GAIN"},
     "estimators.policy_equations": {
         "time": "REFINEMENTS CHUNK TYLER_STEPS",
         "rounding": "FLAT FLOOR PRIOR DIFFERENCES MEDIAN",

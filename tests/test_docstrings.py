@@ -11,20 +11,11 @@ from library_source import Source, library, listed
 
 from manip_learn import errors
 
-SOURCES = library()
 Documented = ast.FunctionDef | ast.AsyncFunctionDef | ast.ClassDef
-BUILTIN_ERRORS = {
-    *(
-        "ValueError",
-        "TypeError",
-        "KeyError",
-        "AttributeError",
-        "ImportError",
-        "OSError",
-        "RuntimeError",
-        "TimeoutError",
-    ),
-}
+BUILTIN_ERRORS = set(
+    "ValueError TypeError KeyError AttributeError ImportError ModuleNotFoundError OSError RuntimeError "
+    "TimeoutError".split()
+)
 
 
 def public(source: Source) -> Iterator[tuple[str, Documented]]:
@@ -53,7 +44,7 @@ def summary(text: str) -> str:
 
 def everything_public() -> Iterator[tuple[str, Source, Documented]]:
     """Every public thing of the library: where it is, its file and its syntax tree."""
-    for source in SOURCES:
+    for source in library():
         yield from ((f"{source.relative}: {name}", source, node) for name, node in public(source))
 
 
@@ -66,7 +57,7 @@ def section_entries(node: Documented, title: str) -> list[str] | None:
 def test_modules_begin_with_a_sentence():
     """The first thing in a file is a sentence about its one job."""
     faults = []
-    for source in SOURCES:
+    for source in library():
         text = ast.get_docstring(source.tree)
         if not text or summary(text)[-1] not in ".:)":
             faults.append(f"{source.relative}: {text and summary(text)!r} is not a sentence")

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import sys
 from pathlib import Path
 
@@ -10,7 +11,7 @@ import pytest
 
 import manip_learn as ml
 from manip_learn.learning import effort_witness as module
-from manip_learn.learning.effort_witness import effort_witness
+from manip_learn.learning.effort_witness import EffortWitness, effort_witness
 from manip_learn.recordings.demonstrations import Demonstrations
 from manip_learn.recordings.trajectory import Trajectory
 from manip_learn.recordings.velocities import derive_velocities
@@ -59,6 +60,18 @@ def test_learn_tells_the_share_of_the_contacts_effort(with_inertias: bool, monke
     assert witness.stands_out is not None and witness.stands_out > 10.0
     assert report.to_dict()["effort"]["share"] == witness.share
     assert "of the contact's effort is along the held rows" in witness.sentence()
+
+
+def test_the_sentence_says_each_share():
+    """In per cent, of the contact, of rows at random and of free motion; and that chance alone confirms nothing."""
+    witness = EffortWitness(0.914, 0.33, 0.62, 0.21, 9.0, 100)
+    said = (
+        "91 % of the contact's effort is along the held rows; rows drawn at random have 33 % (95 % of them below 62 %)"
+    )
+    assert witness.sentence() == f"{said}, 21 % of what is left in free motion"
+    assert dataclasses.replace(witness, free=None).sentence() == said
+    weak = dataclasses.replace(witness, share=0.62, free=None).sentence()
+    assert weak.endswith("; that is no more than chance, so the efforts do not confirm the rows")
 
 
 def test_wrong_rows_are_not_confirmed():

@@ -4,11 +4,13 @@ from __future__ import annotations
 
 import ast
 import inspect
+import logging
 import pickle
 import re
+import unicodedata
 from pathlib import Path
 
-import pytest
+from hypothesis import given, strategies
 from library_source import library, listed
 
 from manip_learn import errors
@@ -24,6 +26,7 @@ from manip_learn.errors import (
 )
 
 ALL = [c for _, c in inspect.getmembers(errors, inspect.isclass) if c.__module__ == errors.__name__]
+SPECIAL = (UnknownNameError, MissingExtraError, NumberOfConstraintsError)
 EXAMPLES = [
     RobotError("no", code="not-xml", path=Path("a.urdf"), line=3),
     UnknownNameError("frame", "panda_hnd", ["panda_hand", "panda_link1"], "robot 'panda'"),
@@ -31,54 +34,33 @@ EXAMPLES = [
     NotIdentifiableError("no", code="weak-gap"),
     MissingExtraError("reading ROS bags", "ros"),
     NumberOfConstraintsError(7, 3, "FrameJacobian(...)"),
-    *(c("a sentence") for c in ALL if c not in (UnknownNameError, MissingExtraError, NumberOfConstraintsError)),
+    *(c("a sentence") for c in ALL if c not in SPECIAL),
 ]
 
 
-@pytest.mark.parametrize("error_class", ALL, ids=lambda c: c.__name__)
-def test_one_base(error_class):
-    """Every error is a ManipLearnError, so that one except clause is enough, and its name says that it is one."""
-    assert issubclass(error_class, ManipLearnError)
-    assert error_class.__name__.endswith("Error")
+def test_one_base_and_one_way_to_travel():
+    """One except clause is enough; names end in Error; pickling (workers, dask) keeps type, sentence and facts."""
+    assert {type(error) for error in EXAMPLES} == set(ALL)
+    for error in EXAMPLES:
+        copy = pickle.loads(pickle.dumps(error))
+        assert isinstance(error, ManipLearnError) and type(error).__name__.endswith("Error")
+        assert (type(copy), str(copy), vars(copy)) == (type(error), str(error), vars(error))
+        assert getattr(copy, "name", None) == getattr(error, "name", None)
 
 
-@pytest.mark.parametrize("error", EXAMPLES, ids=lambda e: type(e).__name__)
-def test_errors_travel(error):
-    """Pickling (workers, dask) keeps type, sentence and facts."""
-    copy = pickle.loads(pickle.dumps(error))
-    assert type(copy) is type(error)
-    assert str(copy) == str(error)
-    assert vars(copy) == vars(error)
-
-
-def test_unknown_name_offers_near_ones():
-    """The near matches stand in the sentence and in the attribute; the place is named."""
+def test_unknown_names_help():
+    """Near names are offered, else at most twelve are listed; nothing at all is said; an extra says how to get it."""
     error = UnknownNameError("frame", "panda_hnd", ["panda_hand", "panda_link1", "other"], "robot 'panda'")
     assert error.near[0] == "panda_hand"
     assert str(error).startswith("unknown frame 'panda_hnd' in robot 'panda': did you mean 'panda_hand'")
-
-
-def test_unknown_name_without_near_ones_lists_what_there_is():
-    """Nothing near: at most twelve names are listed and the others counted; nothing at all is said to be nothing."""
     error = UnknownNameError("joint", "zzz", [f"joint{i}" for i in range(20)])
-    assert "and 8 more" in str(error)
-    assert error.near == ()
+    assert error.near == () and str(error).endswith(" and 8 more") and str(error).count("'joint") == 12
     assert "there are no joints" in str(UnknownNameError("joint", "a", []))
-
-
-def test_closest_names():
-    """Similar names come first, then those that contain the word; upper case does not matter there."""
     known = ["right_hand", "right_gripper_tip", "left_hand"]
     assert closest_names("right_hnd", known)[0] == "right_hand"
-    assert "right_gripper_tip" in closest_names("TIP", known)
-    assert closest_names("", known) == []
-
-
-def test_missing_extra_says_how_to_get_it():
-    """The command that installs the extra stands in the sentence."""
+    assert "right_gripper_tip" in closest_names("TIP", known) and closest_names("", known) == []
     error = MissingExtraError("reading ROS bags", "ros")
-    assert error.extra == "ros"
-    assert "pip install 'manip_learn[ros]'" in str(error)
+    assert error.extra == "ros" and "pip install 'manip_learn[ros]'" in str(error)
 
 
 def said(node: ast.expr) -> str:
@@ -111,20 +93,32 @@ def test_messages_are_short_and_inflected():
     assert not faults, listed(faults)
 
 
-@pytest.mark.parametrize(
-    ("words", "expected"),
-    [
-        (errors.counted(1, "trajectory"), "1 trajectory"),
-        (errors.counted(1200, "trajectory"), "1,200 trajectories"),
-        (errors.counted(0, "stretch"), "0 stretches"),
-        (errors.counted(2, "day"), "2 days"),
-        (errors.named("joint", ["a"]), "joint a"),
-        (errors.named("joint", iter("abc")), "joints a, b and c"),
-        (errors.error_in_words(8.4e-4, "degrees"), "0.0008 degrees"),
-        (errors.error_in_words(7.43, "mm"), "7.4 mm"),
-        (errors.error_in_words(3e-6, "degrees"), "better than 0.0001 degrees"),
-    ],
-)
-def test_numbers_come_with_their_noun(words, expected):
+def test_numbers_come_with_their_noun():
     """One thing is one, several are several, and an error has as many digits as one says aloud."""
-    assert words == expected
+    assert [errors.counted(n, "trajectory") for n in (1, 1200)] == ["1 trajectory", "1,200 trajectories"]
+    assert [errors.counted(n, noun) for n, noun in ((0, "stretch"), (2, "day"))] == ["0 stretches", "2 days"]
+    assert [errors.named("joint", names) for names in (["a"], iter("abc"))] == ["joint a", "joints a, b and c"]
+    said = [errors.error_in_words(value, unit) for value, unit in ((8.4e-4, "degrees"), (7.43, "mm"), (3e-6, "m"))]
+    assert said == ["0.0008 degrees", "7.4 mm", "better than 0.0001 m"]
+    assert [errors.error_in_words(value, "mm") for value in (0.0949, 0.095, 0.0001)] == [
+        "0.09 mm",
+        "0.095 mm",
+        "0.0001 mm",
+    ]
+
+
+@given(strategies.text())
+def test_no_character_of_a_name_controls_the_terminal(name):
+    """Control characters and marks of direction are written as escapes, in a sentence and in a log; text stays."""
+    for said in (errors.printable(name), str(ManipLearnError(name)).translate({10: None, 9: None})):
+        assert not any(unicodedata.category(c) in ("Cc", "Cf", "Cs", "Zl", "Zp") for c in said)
+    if all(c.isalnum() or c == " " for c in name):
+        assert errors.printable(name) == name
+
+
+def test_logs_and_facts(caplog):
+    """A record of the library's logger is printable; what is cut out of a sentence stays readable, and facts exact."""
+    logging.getLogger("manip_learn").warning("frame %s\nis new", "a\x1b[31m\u202e\x9bé")
+    assert caplog.messages == ["frame a\\x1b[31m\\u202e\\x9bé\nis new"]
+    error = UnknownNameError("frame", "\x1b", ["a"])
+    assert "\\x1b" in str(error) and error.facts()["name"] == "\x1b"

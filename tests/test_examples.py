@@ -13,7 +13,6 @@ import pytest
 
 ROOT = Path(__file__).resolve().parents[1]
 EXAMPLES = sorted((ROOT / "examples").glob("[0-9][0-9]_*.py"))
-by_example = pytest.mark.parametrize("path", EXAMPLES, ids=lambda p: p.stem)
 MAX_LINES = 100
 
 
@@ -22,7 +21,7 @@ def files() -> set[Path]:
     return {path for path in (ROOT / "examples").rglob("*") if "__pycache__" not in path.parts}
 
 
-@by_example
+@pytest.mark.parametrize("path", EXAMPLES, ids=lambda p: p.stem)
 @pytest.mark.timeout(300)
 def test_example_runs(path, tmp_path):
     """Each example runs to its end from any folder, without a window, a warning or a file outside that folder."""
@@ -40,22 +39,16 @@ def test_example_runs(path, tmp_path):
     assert files() == before
 
 
-@by_example
-def test_example_reads_well(path):
-    """An example is at most 100 lines, begins with a PEP 723 header and a docstring, and its work is in main()."""
-    text = path.read_text(encoding="utf-8")
-    tree = ast.parse(text)
-    assert text.count("\n") <= MAX_LINES
-    assert "# /// script" in text
-    assert "manip-learn" in text.partition("# ///\n")[0], "the header names the library as a dependency"
-    assert ast.get_docstring(tree)
-    assert "main" in [n.name for n in tree.body if isinstance(n, ast.FunctionDef)]
-    assert 'if __name__ == "__main__":' in text
-
-
-def test_examples_are_numbered_without_gaps():
-    """The examples read as a course: 01, 02, 03, ..."""
+def test_examples_read_well():
+    """A course, 01, 02, 03, ...: each at most 100 lines, with a PEP 723 header and a docstring, its work in main()."""
     assert [int(p.name[:2]) for p in EXAMPLES] == list(range(1, len(EXAMPLES) + 1))
+    for path in EXAMPLES:
+        text = path.read_text(encoding="utf-8")
+        tree = ast.parse(text)
+        assert text.count("\n") <= MAX_LINES and ast.get_docstring(tree), path.name
+        assert "# /// script" in text and "manip-learn" in text.partition("# ///\n")[0], f"{path.name}: dependencies"
+        assert "main" in [n.name for n in tree.body if isinstance(n, ast.FunctionDef)], path.name
+        assert 'if __name__ == "__main__":' in text, path.name
 
 
 def code_lines(text: str) -> list[str]:
@@ -69,18 +62,11 @@ def is_part_of(lines: list[str], of: list[str]) -> bool:
     return all(line in rest for line in lines)
 
 
-def snippets() -> list[str]:
-    """Python blocks of the README."""
-    readme = ROOT / "README.md"
-    text = readme.read_text(encoding="utf-8") if readme.exists() else ""
-    return re.findall(r"^```python\n(.*?)^```", text, re.MULTILINE | re.DOTALL)
-
-
-@pytest.mark.parametrize("snippet", snippets(), ids=lambda s: code_lines(s)[0][:40])
-def test_readme_shows_an_example(snippet):
+def test_readme_shows_examples():
     """Every Python block of the README is, line for line and in order, part of one example that the tests run."""
-    lines = code_lines(snippet)
-    if not EXAMPLES:
-        pytest.skip("there are no examples yet")
-    found = [p.name for p in EXAMPLES if is_part_of(lines, code_lines(p.read_text(encoding="utf-8")))]
-    assert found, "no example has these lines in this order"
+    readme = (ROOT / "README.md").read_text(encoding="utf-8")
+    found = [code_lines(text) for text in re.findall(r"^```python\n(.*?)^```", readme, re.MULTILINE | re.DOTALL)]
+    shipped = [code_lines(p.read_text(encoding="utf-8")) for p in EXAMPLES]
+    assert found
+    for lines in found:
+        assert any(is_part_of(lines, example) for example in shipped), f"no example has these lines: {lines}"

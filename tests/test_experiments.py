@@ -2,22 +2,26 @@
 
 from __future__ import annotations
 
+import csv
 import dataclasses
 import json
 from dataclasses import dataclass
 
-import numpy as np
 import pytest
+from numpy.random import Generator
 from threadpoolctl import threadpool_limits
 
 from manip_learn.errors import ExperimentError, OutputError, UnknownNameError
-from manip_learn.experiments import EXPERIMENTS, reproduce, rmse, table
-from manip_learn.experiments.experiment_result import markdown_table, mean_and_sd, number, summary
-from manip_learn.experiments.paper_setup import Setup
+from manip_learn.experiments import EXPERIMENTS, beyond, bounds, reproduce, sawyer, table
+from manip_learn.experiments.experiment_result import markdown_table, mean_and_sd, number, share, summary
+from manip_learn.experiments.paper_setup import PAPER_NMIE, SELECTIONS, Setup
 from manip_learn.experiments.reproduce import PARTS as EXPERIMENT_PARTS
 from manip_learn.experiments.reproduce import write_result
+from manip_learn.experiments.singular_starts import NEAR_SINGULAR, SINGULAR
 from manip_learn.experiments.table import LearningCase, learning_trial
 from manip_learn.experiments.trial_runner import MARKER, PART, PARTS, PartStore, TrialRunner
+
+ANSWER = {"rows": 2, "train": 0.1, "scale_free": 0.2, "angle_deg": 0.3, "seconds": 0.5}
 
 
 @dataclass(frozen=True)
@@ -27,12 +31,12 @@ class Dice:
     sides: int
 
 
-def throw(case: Dice, rng: np.random.Generator) -> dict[str, int]:
+def throw(case: Dice, rng: Generator) -> dict[str, int]:
     """A trial."""
     return {"value": int(rng.integers(case.sides))}
 
 
-def throw_until_ten(case: Dice, rng: np.random.Generator) -> dict[str, int]:
+def throw_until_ten(case: Dice, rng: Generator) -> dict[str, int]:
     """A trial that is interrupted once in its life."""
     if case.sides == 666:
         raise KeyboardInterrupt
@@ -67,17 +71,11 @@ def test_threads_of_linear_algebra_do_not_change_numbers():
     assert {**outcomes[0], "seconds": 0} == {**outcomes[1], "seconds": 0}
 
 
-def test_threads_give_the_same_numbers():
-    """The threading backend agrees with the processes."""
+@pytest.mark.parametrize("backend", ["threading", pytest.param("dask", marks=pytest.mark.slow)])
+def test_other_backends_give_the_same_numbers(backend):
+    """Threads, and an embedded dask cluster on this machine, agree with one process."""
     one = TrialRunner(workers=1).map("dice", throw, [Dice(6), Dice(20)], 13, seed=0)
-    assert TrialRunner(workers=2, backend="threading").map("dice", throw, [Dice(6), Dice(20)], 13, seed=0) == one
-
-
-@pytest.mark.slow
-def test_dask_gives_the_same_numbers():
-    """An embedded dask cluster on this machine agrees with one process."""
-    one = TrialRunner(workers=1).map("dice", throw, [Dice(6), Dice(20)], 13, seed=0)
-    assert TrialRunner(workers=2, backend="dask").map("dice", throw, [Dice(6), Dice(20)], 13, seed=0) == one
+    assert TrialRunner(workers=2, backend=backend).map("dice", throw, [Dice(6), Dice(20)], 13, seed=0) == one
 
 
 def test_progress_counts_to_the_total():
@@ -130,32 +128,24 @@ def test_folder_with_other_files_is_refused(tmp_path):
         PartStore(tmp_path / "other")
 
 
-@pytest.mark.parametrize(
-    ("options", "said"),
-    [
+def test_what_is_asked_for_is_checked_before_anything_is_written(tmp_path):
+    """Trials, seed and workers out of range are refused; an unknown name is answered with those that exist."""
+    for options, said in (
         ({"trials": 0}, "from 1"),
         ({"trials": -3}, "from 1"),
         ({"trials": 2.5}, "whole number"),
         ({"trials": True}, "whole number"),
-        ({"trials": 10**9}, "100000"),
+        ({"trials": 100_001}, "to 100000"),
         ({"seed": -1}, "seed"),
         ({"seed": "a"}, "seed"),
         ({"workers": 0}, "workers"),
-    ],
-)
-def test_settings_out_of_range(tmp_path, options, said):
-    """Zero and negative trials and the like are refused before anything is written."""
-    with pytest.raises(ExperimentError, match=said):
-        reproduce("rmse", out=tmp_path / "out", **({"trials": 1} | options))
-    assert not (tmp_path / "out").exists()
-
-
-def test_unknown_names(tmp_path):
-    """An unknown experiment or backend is answered with those that exist."""
+    ):
+        with pytest.raises(ExperimentError, match=said):
+            reproduce("rmse", out=tmp_path / "out", **({"trials": 1} | options))
     with pytest.raises(UnknownNameError, match="singular-start"):
         reproduce("singularstart", out=tmp_path / "out")
     with pytest.raises(UnknownNameError, match="backend"):
-        reproduce("rmse", backend="multiprocessing")  # type: ignore[arg-type]
+        reproduce("rmse", backend="multiprocessing", out=tmp_path / "out")  # type: ignore[arg-type]
     assert not (tmp_path / "out").exists()
 
 
@@ -167,63 +157,58 @@ def test_names_of_experiments():
 
 
 def test_files_of_an_experiment(tmp_path):
-    """JSON, CSV, Markdown and both kinds of figures are written, and the JSON is what the call returned."""
-    out = tmp_path / "out"
-    answer = reproduce("rmse", trials=1, seed=5, out=out, workers=1)
-    for kind in ("json", "csv", "md", "png", "svg"):
-        assert (out / f"rmse.{kind}").stat().st_size > 100
+    """Numbers and figures are written, the same bytes every time; the JSON is what the call returned."""
+    out, seen = tmp_path / "out", []
+    answer = reproduce("rmse", trials=1, seed=5, out=out, workers=1, on_result=lambda *found: seen.append(found))
     content = json.loads((out / "rmse.json").read_text())
-    assert content["result"] == answer["rmse"] == reproduce("rmse", trials=1, seed=5, workers=1)["rmse"]
-    assert content["settings"] == {"trials": 1, "seed": 5}
+    assert content["result"] == answer["rmse"] and content["settings"] == {"trials": 1, "seed": 5}
+    ((part, result),) = seen
+    assert (part, result.to_dict()) == ("rmse", answer["rmse"])
+    write_result("rmse", result, tmp_path / "again", content["settings"])
+    for kind in ("json", "csv", "md", "png", "svg"):
+        assert len((out / f"rmse.{kind}").read_bytes()) > 100
+        assert (out / f"rmse.{kind}").read_bytes() == (tmp_path / "again" / f"rmse.{kind}").read_bytes()
+    header, *lines = list(csv.reader((out / "rmse.csv").read_text().splitlines()))
+    assert header[:3] == ["case", "trial", "joint-affine.two_policies"] and [line[0] for line in lines] == [*SELECTIONS]
+    assert json.loads(lines[0][2]) == result.outcomes["x y"][0]["joint-affine"]["two_policies"]
 
 
 def test_table_has_the_shape_that_checks_read():
-    """Constraint -> paper and ours -> estimator -> mean, sd, median, worst, seconds_per_fit."""
-    result = table.TABLE.run(1, np.random.default_rng(0)).to_dict()
-    assert list(result) == ["x y", "x rz", "y rz"]
-    for block in result.values():
-        assert set(block["paper"]) == {"mean", "sd"}
-        assert {"joint-affine", "joint-rbf", "separate", "separate-row-by-row", "true-w"} <= set(block["ours"])
-        for numbers in block["ours"].values():
-            assert {"mean", "sd", "median", "worst", "seconds_per_fit"} <= set(numbers)
-    json.dumps(result, allow_nan=False)
+    """Constraint -> paper and ours -> way to learn -> mean, sd, median, worst, seconds_per_fit and shares."""
+    trials = [{name: ANSWER | {"test": float(i)} for name in table.COMPARED} for i in (1, 2, 6)]
+    trials[1]["auto"] = {"refused": "too-few"}
+    result = table.TableResult(dict.fromkeys(SELECTIONS, trials))
+    assert list(result.to_dict()) == ["x y", "x rz", "y rz"]
+    for rows, block in result.to_dict().items():
+        assert block["paper"] == PAPER_NMIE[rows] and set(block["ours"]) == set(table.COMPARED)
+        assert block["ours"]["separate"] == {
+            "mean": 3.0, "sd": pytest.approx(7.0**0.5), "median": 2.0, "worst": 6.0, "n": 3, "seconds_per_fit": 0.5,
+            "train": summary([0.1] * 3), "scale_free": summary([0.2] * 3), "angle_deg": summary([0.3] * 3),
+            "rows_right": 1.0, "warned": 0.0, "refused": 0.0,
+        }  # fmt: skip
+        assert block["ours"]["auto"]["mean"] == 3.5 and block["ours"]["auto"]["refused"] == pytest.approx(1.0 / 3.0)
+        assert block["ours"]["auto"]["rows_right"] == pytest.approx(2.0 / 3.0)
+    json.dumps(result.to_dict(), allow_nan=False)
+    assert "| joint, affine policy | 3 +- 2.6 | 2 | 6 | 0.1 +- " in result.markdown()
+    assert result.rows()[1] | {"auto.refused": "too-few", "auto.test": "", "separate.test": 2.0} == result.rows()[1]
+    varied = table.VariantsResult({"1 trajectory | x y": trials})
+    assert varied.to_dict()["1 trajectory"]["x y"] == {"paper": None, "ours": result.to_dict()["x y"]["ours"]}
 
 
-def test_figures_are_the_same_bytes_every_time(tmp_path):
-    """Drawing twice writes the same files: no dates, no random ids."""
-    result = rmse.RMSE.run(1, np.random.default_rng(0))
-    for name in ("a", "b"):
-        write_result("rmse", result, tmp_path / name, {})
-    for kind in ("png", "svg", "csv", "json"):
-        assert (tmp_path / "a" / f"rmse.{kind}").read_bytes() == (tmp_path / "b" / f"rmse.{kind}").read_bytes()
-
-
-def test_summary():
-    """Mean, sample s.d., median and worst; None where there is no number."""
-    assert summary([1.0, 2.0, 6.0]) == {"mean": 3.0, "sd": pytest.approx(7.0**0.5), "median": 2.0, "worst": 6.0, "n": 3}
-    assert summary([4.0])["sd"] == 0.0
-    assert summary([])["median"] is None
-    assert mean_and_sd(summary([])) == "- +- -"
-
-
-def test_numbers_for_tables():
-    """Short, and never misleading."""
-    assert [number(v) for v in (None, 0.0, 1.23e-7, 0.314, 12.4, 12345.0)] == [
-        "-",
-        "0",
-        "1.2e-07",
-        "0.31",
-        "12",
-        "1.2e+04",
-    ]
+def test_statistics_and_numbers_for_tables():
+    """Mean, sample s.d., median and worst, None where there is no number; short words, and never misleading ones."""
+    assert summary([1.0, None, 2.0, 6.0]) == {"mean": 3.0, "sd": 7.0**0.5, "median": 2.0, "worst": 6.0, "n": 3}
+    assert summary([4.0])["sd"] == 0.0 and summary([])["median"] is None and mean_and_sd(summary([])) == "- +- -"
+    assert share([True, False]) == 0.5 and share([]) is None
+    words = {None: "-", 0.0: "0", 1.23e-7: "1.2e-07", 0.314: "0.31", 12.4: "12", 12345.0: "1.2e+04", 0.01: "0.01"}
+    assert [number(value) for value in words] == list(words.values())
     assert markdown_table(["a", "b"], [[1, 2]]) == "| a | b |\n|---|---|\n| 1 | 2 |"
 
 
 def test_settings_are_plain():
     """Settings of every part become JSON, since they are part of what a kept part is found by."""
-    from manip_learn.experiments import beyond, bounds, recorded, sawyer
-    from manip_learn.experiments.singular_starts import NEAR_SINGULAR, SINGULAR
-
-    parts = (*beyond.CASES, *bounds.CASES, *recorded.CASES, *sawyer.CASES, *table.cases().values())
-    for case in (*parts, SINGULAR, NEAR_SINGULAR):
+    cases = (beyond.CASES, bounds.CASES, beyond.FOLDERS, sawyer.CASES, table.VARIED)
+    for case in (*(c for found in cases for c in (found.values() if isinstance(found, dict) else found)),):
         json.dumps(dataclasses.asdict(case))
+    for start in (SINGULAR, NEAR_SINGULAR):
+        json.dumps(dataclasses.asdict(start))

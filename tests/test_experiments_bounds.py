@@ -8,11 +8,10 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose
 
-from manip_learn.experiments import bounds, recorded
+from manip_learn.experiments import beyond, bounds
 from manip_learn.experiments.bounds import (
     NoiseFreeMotion,
     affine_regressors,
-    bounds_markdown,
     cell,
     draw_selections,
     implied_nmie,
@@ -96,13 +95,13 @@ def test_bound_falls_with_data_and_rises_with_noise(rng):
     covariance = np.diag(noise_deviations(clean, 0.01) ** 2)
     whole = least_covariance(motion, covariance)
     assert_allclose(least_covariance(motion, 4.0 * covariance), 4.0 * whole, rtol=1e-6)
-    kept = NoiseFreeMotion(
-        motion.features, motion.selection, *(getattr(motion, n)[:150] for n in ("q", "u", "pi", "beta"))
+    half, one = (
+        NoiseFreeMotion(
+            motion.features, motion.selection, *(x[:n] for x in (motion.q, motion.u, motion.pi, motion.beta))
+        )
+        for n in (150, 10)
     )
-    assert np.min(np.linalg.eigvalsh(least_covariance(kept, covariance) - whole)) > 0.0
-    one = NoiseFreeMotion(
-        motion.features, motion.selection, *(getattr(motion, n)[:10] for n in ("q", "u", "pi", "beta"))
-    )
+    assert np.min(np.linalg.eigvalsh(least_covariance(half, covariance) - whole)) > 0.0
     assert np.trace(least_covariance(one, covariance)) > 1e3 * np.trace(whole)
 
 
@@ -164,35 +163,57 @@ def test_paired_comparison():
 
 def test_a_noisy_trial_has_bound_and_learners():
     """Every learner answers or says why not, on the same recordings, and the cell says how far it is from the bound."""
-    case = next(c for c in bounds.CASES if c.setup.trajectories == 20 and c.setup.rows == "y rz")
-    trials = [bounds.bounds_trial(case, np.random.default_rng(i)) for i in range(2)]
+    name = "noise 1 %, 20 trajectories | y rz"
+    trials = [bounds.bounds_trial(bounds.CASES[name], np.random.default_rng(i)) for i in range(2)]
     for t in trials:
         assert set(t) == {"bound", "joint-told", *bounds.LEARNERS}
         assert t["auto"]["rows"] == 2 and t["auto"]["b2"] > 0.0 and len(t["bound"]["nmie"]) == bounds.DRAWS
-    one = cell(case.setup.noise, case.setup.trajectories, trials)
+    result = bounds.BoundsResult({name: trials})
+    one = result.to_dict()["ours"]["noise 1 %, 20 trajectories"]["y rz"]
+    assert one == cell(bounds.CASES[name].setup, trials) and (one["noise"], one["trajectories"]) == (0.01, 20)
+    assert one["bound"]["nmie"] == np.median([t["bound"]["nmie"] for t in trials])
     assert one["auto"]["ratio"] == one["auto"]["nmie"]["median"] / one["bound"]["nmie"]
+    b2 = [t["auto"]["b2"] / t["bound"]["trace"] for t in trials]
+    assert one["auto"]["efficiency"] == pytest.approx(np.sqrt(np.mean(b2)))
     assert (one["why"] == "") == (one["auto"]["ratio"] <= 2.0)
-    assert "refused" not in bounds_markdown({"noise 1 %, 20 trajectories": {"y rz": one}}).split("|")[8]
+    assert "refused" not in result.markdown().split("|")[8]
     json.dumps(one, allow_nan=False)
+
+
+def test_a_cell_says_why_it_is_not_within_twice_the_bound():
+    """In this order: not determined, all refused, chance, unequal noise that was not told, errors that are large."""
+
+    def why(ours: list[float | None], told: float = 5.0, angle: float = 3.0) -> str:
+        answers = [{"test": value, "angle_deg": 1.0} if value is not None else {"refused": "x"} for value in ours]
+        others = dict.fromkeys(("joint-told", "joint-affine", *bounds.OTHERS), {"test": told, "angle_deg": 1.0})
+        bound = {"nmie": [1.0], "angle_deg": angle, "trace": 1.0}
+        return cell(Setup(), [{"auto": a, "bound": bound, **others} for a in answers])["why"]
+
+    assert why([1.0, 2.0, 2.0]) == ""
+    assert why([2.0, 9.0, None], angle=15.1) == "not determined: the bound itself is beyond 15 degrees; 33 % refused"
+    assert why([None, None]) == "all refused"
+    assert why([1.0, 2.1, 2.1, 2.1, 2.1, 2.1]).startswith("chance")
+    assert why([2.1] * 6, told=1.9) == "the noise differs between joints and is taken as equal: told so, 1.9 times"
+    assert why([2.1] * 6).startswith("no estimator here is at the bound")
 
 
 def test_noises_and_sizes_are_those_announced():
     """0.1 to 10 % of noise, 1 to 200 trajectories, all three constraints."""
-    setups = [case.setup for case in bounds.CASES]
+    setups = [case.setup for case in bounds.CASES.values()]
     assert {s.noise for s in setups} == {0.001, 0.005, 0.01, 0.02, 0.05, 0.1}
     assert {s.trajectories for s in setups if s.noise == 0.01} == {1, 2, 5, 10, 20, 50, 100, 200}
     assert len(setups) == len(set(setups)) == 39
 
 
-@pytest.mark.parametrize("case", recorded.CASES, ids=lambda c: c.folder)
+@pytest.mark.parametrize("case", beyond.FOLDERS, ids=lambda c: c.folder)
 def test_uncut_recordings_and_mechanisms(case):
     """Without one recording, every mechanism is found with its axis within 0.1 degrees, and the odd ones are named."""
-    outcome = recorded.recorded_trial(case, np.random.default_rng(1))
+    outcome = beyond.recorded_trial(case, np.random.default_rng(1))
     assert outcome["types_right"] and outcome["odd_right"]
     assert outcome["axis_deg"] < 0.1 and outcome["overlap"] > 0.8
 
 
 def test_overlap_of_spans():
     """Time in both over time in either."""
-    assert recorded.overlap({"a": [(0.0, 2.0)]}, {"a": [(1.0, 3.0)]}) == pytest.approx(1.0 / 3.0)
-    assert recorded.overlap({"a": [(0.0, 1.0), (2.0, 3.0)]}, {"a": [(0.0, 1.0), (2.0, 3.0)]}) == 1.0
+    assert beyond.overlap({"a": [(0.0, 2.0)]}, {"a": [(1.0, 3.0)]}) == pytest.approx(1.0 / 3.0)
+    assert beyond.overlap({"a": [(0.0, 1.0), (2.0, 3.0)]}, {"a": [(0.0, 1.0), (2.0, 3.0)]}) == 1.0

@@ -16,11 +16,8 @@ from manip_learn.errors import OutputError
 from manip_learn.experiments import beyond, bounds, rmse, sawyer, singular_starts, table
 from manip_learn.experiments.beyond import (
     curve_features,
-    gradients,
-    hessians,
     inertia,
     jacobians,
-    monomials,
     quadruped,
     speed_torques,
     standing_demonstrations,
@@ -42,7 +39,7 @@ from manip_learn.experiments.paper_setup import (
 )
 from manip_learn.experiments.sawyer import HARD, KIND, sawyer_arm, turned_recordings
 from manip_learn.experiments.table import LearningCase, learning_trial
-from manip_learn.experiments.ways import ESTIMATORS, SAID, ScaledRows
+from manip_learn.experiments.ways import ESTIMATORS, SAID, scaled_rows
 
 DOCS = Path(__file__).resolve().parents[1] / "docs"
 sys.path.insert(0, str(DOCS))
@@ -146,11 +143,12 @@ def test_noise_is_relative(rng):
 
 def test_scaled_rows(rng):
     """Rows in other units are the rows times a factor, in every way to ask for them."""
-    scaled, q = ScaledRows(planar_features(), [100.0, 100.0, 1.0]), rng.uniform(-1.0, 1.0, size=3)
-    factor = np.array([100.0, 100.0, 1.0])
+    factor, q = np.array([100.0, 100.0, 1.0]), rng.uniform(-1.0, 1.0, size=3)
+    scaled = scaled_rows(planar_features(), factor.tolist())
     assert_allclose(scaled(q), factor[:, None] * planar_features()(q))
     assert_allclose(scaled.batch(q[None])[0], scaled(q))
     assert_allclose(differences(scaled, q), scaled.derivative(q), atol=1e-6)
+    assert scaled.row_units == ("m/s / 100", "m/s / 100", "rad/s / 1")
 
 
 def test_every_way_to_learn_learns(rng):
@@ -168,7 +166,7 @@ def test_refusals_are_counted(rng):
     """What cannot be learnt is recorded as refused, and the tables say so."""
     outcome = learning_trial(LearningCase(Setup("x y", trajectories=1), ("joint-affine", "separate")), rng)
     assert set(outcome["joint-affine"]) == {"refused"}
-    result = table.VariantsResult({("1 trajectory", "x y"): [outcome]})
+    result = table.VariantsResult({"1 trajectory | x y": [outcome]})
     assert result.to_dict()["1 trajectory"]["x y"]["ours"]["separate"]["refused"] == 1.0
 
 
@@ -181,13 +179,13 @@ def test_table_names_are_all_explained():
 @pytest.fixture(scope="module")
 def singular():
     """One result of the first comparison."""
-    return singular_starts.run_singular(1, np.random.default_rng(0))
+    return singular_starts.FROM_SINGULAR.run(1, np.random.default_rng(0))
 
 
 @pytest.fixture(scope="module")
 def near_singular():
     """One result of the second comparison."""
-    return singular_starts.run_near_singular(1, np.random.default_rng(0))
+    return singular_starts.FROM_NEAR_SINGULAR.run(1, np.random.default_rng(0))
 
 
 def test_singular_start_is_the_papers_picture(singular):
@@ -291,7 +289,7 @@ def in_long_runs(cases, slow):
 
 @pytest.mark.parametrize(
     "case",
-    in_long_runs(sawyer.CASES, lambda c: c.direction == "y" and c.said.endswith("physics, all samples")),
+    in_long_runs(sawyer.CASES.values(), lambda c: c.direction == "y" and c.said.endswith("physics, all samples")),
     ids=lambda c: f"{c.said}-{c.reading}-{c.direction}",
 )
 def test_drawer_is_learnt(case):
@@ -309,7 +307,7 @@ def test_drawer_is_learnt(case):
 
 def test_held_out_recordings_are_not_learnt_from(rng):
     """A recording is drawn for learning or held out, never both, and all are one of these."""
-    case = next(c for c in sawyer.CASES if c.said == "kind physics, 10 points each")
+    case = sawyer.CASES["kind physics, 10 points each | constrained row | x"]
     features = sawyer.FrameJacobian(sawyer_arm(), "right_gripper_tip", "x y")
     learnt, held = sawyer.drawn(case, Constraint(sawyer.true_selection(case), features), rng)
     names = {t.name for t in learnt}
@@ -318,11 +316,11 @@ def test_held_out_recordings_are_not_learnt_from(rng):
 
 
 def test_curve_features_are_consistent(rng):
-    """Gradients and second derivatives of the monomials agree with differences."""
-    q = rng.standard_normal(2)
-    assert_allclose(differences(monomials, q), gradients(q), atol=1e-8)
-    assert_allclose(differences(gradients, q), hessians(q), atol=1e-8)
-    assert_allclose(curve_features()(q), gradients(q))
+    """Monomials of degree 1 and 2, their gradients, and second derivatives that agree with differences."""
+    (x, y), features = (q := rng.standard_normal(2)), curve_features()
+    assert_allclose(features.coordinates(q), [x, y, x * x, x * y, y * y])
+    assert_allclose(features(q), [[1.0, 0.0], [0.0, 1.0], [2.0 * x, 0.0], [y, x], [0.0, 2.0 * y]])
+    assert_allclose(differences(features, q), features.derivative(q), atol=1e-8)
 
 
 def test_quadruped_stands(rng):
@@ -348,7 +346,7 @@ def test_torque_arm_dynamics(rng):
 
 @pytest.mark.parametrize(
     "case",
-    in_long_runs(beyond.CASES, lambda c: (c.task, c.noise) in {(STANDS[0], 0.01), (STANDS[1], 0.0)}),
+    in_long_runs(beyond.CASES.values(), lambda c: (c.task, c.noise) in {(STANDS[0], 0.01), (STANDS[1], 0.0)}),
     ids=lambda c: f"{c.task}-{c.noise}",
 )
 def test_beyond_is_learnt(case):

@@ -3,56 +3,53 @@
 from __future__ import annotations
 
 import json
+from itertools import product
 
 import numpy as np
 import pytest
 from conftest import tip_of
 from scipy.spatial.transform import Rotation
+from test_gradients import case
 
 from manip_learn.constraint.features import CentreOfMass, CustomFeatures, FrameJacobian, Stacked
 from manip_learn.constraint.features.frame_jacobian import AXES, parse_axes
 from manip_learn.errors import FeatureError, TargetError, UnknownNameError
 
 
-@pytest.mark.parametrize(
-    ("axes", "names"),
-    [
-        ("xyz", ("x", "y", "z")),
-        ("pose", AXES),
-        ("planar", ("x", "y", "rz")),
-        ("rotation", ("rx", "ry", "rz")),
-        ("x", ("x",)),
-        (" x  rz ", ("x", "rz")),
-        ("ry,z", ("ry", "z")),
-        (["rz", "x"], ("rz", "x")),
-        (("x",), ("x",)),
-    ],
-)
-def test_axes(axes, names):
-    """Named sets, words in any order, commas and sequences all mean the rows that they say."""
-    assert parse_axes(axes) == names
+def test_axes():
+    """Named sets, words in any order, commas and sequences all mean the rows that they say; others are refused, and the
+    valid ones are listed.
+    """
+    known = {
+        "xyz": ("x", "y", "z"),
+        "pose": AXES,
+        "planar": ("x", "y", "rz"),
+        "rotation": ("rx", "ry", "rz"),
+        "x": ("x",),
+        " x  rz ": ("x", "rz"),
+        "ry,z": ("ry", "z"),
+        ("rz", "x"): ("rz", "x"),
+    }
+    assert {axes: parse_axes(axes) for axes in known} == known
+    assert parse_axes(["x"]) == ("x",)
+    for axes in ("", "  ", "xy", "x w", "x x", "XYZ", [], ["x", ""], "0 1"):
+        with case(repr(axes)), pytest.raises(FeatureError, match="x y z rx ry rz"):
+            parse_axes(axes)
 
 
-@pytest.mark.parametrize("axes", ["", "  ", "xy", "x w", "x x", "XYZ", [], ["x", ""], "0 1"])
-def test_wrong_axes(axes):
-    """Unknown, repeated and missing axes are refused, and the valid ones are listed."""
-    with pytest.raises(FeatureError, match="x y z rx ry rz"):
-        parse_axes(axes)
-
-
-@pytest.mark.parametrize("reference", ["world", "local"])
-@pytest.mark.parametrize("axes", ["xyz", "planar", "rz x", "z"])
-def test_rows_are_those_of_the_full_jacobian(robot_of, rng, axes, reference):
+def test_rows_are_those_of_the_full_jacobian(robot_of, rng):
     """Each row is the row of that name of the six-row Jacobian, in the order asked for."""
     robot = robot_of("panda")
-    full = FrameJacobian(robot, "panda_hand_tcp", "pose", reference)
-    some = FrameJacobian(robot, "panda_hand_tcp", axes, reference)
-    rows = [AXES.index(n) for n in some.row_names]
     q = robot.random_configuration(rng)
-    assert some(q).shape == (len(rows), robot.nv)
-    np.testing.assert_array_equal(some(q), full(q)[rows])
-    np.testing.assert_array_equal(some.derivative(q), full.derivative(q)[rows])
-    assert some.row_units == tuple(full.row_units[r] for r in rows)
+    for axes, reference in product(("xyz", "planar", "rz x", "z"), ("world", "local")):
+        with case(axes, reference):
+            full = FrameJacobian(robot, "panda_hand_tcp", "pose", reference)
+            some = FrameJacobian(robot, "panda_hand_tcp", axes, reference)
+            rows = [AXES.index(n) for n in some.row_names]
+            assert some(q).shape == (len(rows), robot.nv)
+            np.testing.assert_array_equal(some(q), full(q)[rows])
+            np.testing.assert_array_equal(some.derivative(q), full.derivative(q)[rows])
+            assert some.row_units == tuple("rad/s" if n.startswith("r") else "m/s" for n in some.row_names)
 
 
 def test_returned_arrays_belong_to_the_caller(robot_of, rng):
@@ -69,24 +66,6 @@ def test_returned_arrays_belong_to_the_caller(robot_of, rng):
     np.testing.assert_allclose(alone, kept, rtol=0, atol=1e-15)
 
 
-@pytest.mark.parametrize("name", ["one", "planar3", "gantry", "wrist", "panda", "mimic"])
-def test_batch(robot_of, rng, name):
-    """Many postures at once give what they give one by one, for every kind of feature map."""
-    robot = robot_of(name)
-    maps = [
-        FrameJacobian(robot, tip_of(name), axes, reference)
-        for axes in ("xyz", "rz x")
-        for reference in ("world", "local")
-    ]
-    maps += [CentreOfMass(robot), Stacked(maps[:2])]
-    q = np.array([robot.random_configuration(rng) for _ in range(7)])
-    positions = np.array([robot.positions(row) for row in q])
-    for features in maps:
-        one_by_one = np.stack([features(row) for row in q])
-        np.testing.assert_allclose(features.batch(q), one_by_one, rtol=0, atol=1e-13)
-        np.testing.assert_allclose(features.batch(positions), one_by_one, rtol=0, atol=1e-13)
-
-
 def test_unknown_frame_and_reference(robot_of):
     """A misspelt frame lists near ones; a misspelt reference lists both."""
     robot = robot_of("panda")
@@ -96,19 +75,19 @@ def test_unknown_frame_and_reference(robot_of):
         FrameJacobian(robot, "panda_hand_tcp", reference="base")  # type: ignore[arg-type]
 
 
-@pytest.mark.parametrize("reference", ["world", "local"])
-@pytest.mark.parametrize("axes", ["xyz", "pose", "rotation"])
-def test_error_to_a_pose(robot_of, rng, axes, reference):
+def test_error_to_a_pose(robot_of, rng):
     """The displacement vanishes at the target, and following it (r' = error) leads there from half a radian away."""
     robot = robot_of("ur5")
-    features = FrameJacobian(robot, tip_of("ur5"), axes, reference)
     goal = robot.configuration([0.3, -1.0, 1.2, -0.4, 1.0, 0.2])
-    pose = robot.pose(goal, features.frame)
-    np.testing.assert_allclose(features.error_to(pose, goal), 0.0, rtol=0, atol=1e-12)
-    q = robot.integrate(goal, 0.2 * rng.normal(size=robot.nv))
-    for _ in range(30):
-        q = robot.integrate(q, 0.5 * np.linalg.pinv(features(q)) @ features.error_to(pose, q))
-    assert np.linalg.norm(features.error_to(pose, q)) < 1e-6
+    for axes, reference in product(("xyz", "pose", "rotation"), ("world", "local")):
+        with case(axes, reference):
+            features = FrameJacobian(robot, tip_of("ur5"), axes, reference)
+            pose = robot.pose(goal, features.frame)
+            np.testing.assert_allclose(features.error_to(pose, goal), 0.0, rtol=0, atol=1e-12)
+            q = robot.integrate(goal, 0.2 * rng.normal(size=robot.nv))
+            for _ in range(30):
+                q = robot.integrate(q, 0.5 * np.linalg.pinv(features(q)) @ features.error_to(pose, q))
+            assert np.linalg.norm(features.error_to(pose, q)) < 1e-6
 
 
 def test_error_to_numbers_agrees_with_error_to_a_pose(robot_of, rng):
@@ -132,20 +111,15 @@ def test_error_to_turns_the_short_way(robot_of):
     np.testing.assert_allclose(features.error_to(target, q), [0, 0, 6.0 - 2.0 * np.pi], rtol=0, atol=1e-12)
 
 
-@pytest.mark.parametrize(
-    "target", [[1.0], [1.0, 2.0, 3.0, 4.0], [1.0, np.nan, 2.0], 1.0, [[1.0, 2.0, 3.0]], np.zeros((6, 6))]
-)
-def test_wrong_targets(robot_of, target):
-    """A target of another size, or one that is not finite, is refused; the rows are listed."""
+def test_wrong_targets(robot_of):
+    """A target of another size, or one that is not finite, is refused, and the rows are listed; in the frame's own axes
+    some of x y z do not determine a displacement: refused with the ways out.
+    """
     robot = robot_of("panda")
-    for features in (FrameJacobian(robot, "panda_hand_tcp"), CentreOfMass(robot)):
-        with pytest.raises(TargetError, match="x, y, z"):
+    bad = ([1.0], [1.0, 2.0, 3.0, 4.0], [1.0, np.nan, 2.0], 1.0, [[1.0, 2.0, 3.0]], np.zeros((6, 6)))
+    for features, target in product((FrameJacobian(robot, "panda_hand_tcp"), CentreOfMass(robot)), bad):
+        with case(features, target), pytest.raises(TargetError, match="x, y, z"):
             features.error_to(target, np.zeros(7))
-
-
-def test_local_target_needs_whole_triples(robot_of):
-    """In the frame's own axes some of x y z do not determine a displacement: refused with the ways out."""
-    robot = robot_of("panda")
     with pytest.raises(TargetError, match="4 x 4 pose"):
         FrameJacobian(robot, "panda_hand_tcp", "x z", "local").error_to([0.1, 0.2], np.zeros(7))
 
@@ -200,23 +174,15 @@ def test_custom_features_without_a_robot():
         features.describe()
 
 
-@pytest.mark.parametrize(
-    ("function", "words"),
-    [
-        (lambda q: np.zeros((2, 2)), "must have shape"),
-        (lambda q: np.zeros(2), "must have shape"),
-        (lambda q: [[np.nan, 0.0]], "not finite"),
-    ],
-)
-def test_custom_features_are_checked(function, words):
-    """A function with the wrong shape, or with NaN, is caught where it enters."""
-    features = CustomFeatures(function, ("f",), nv=2)
-    with pytest.raises(FeatureError, match=words):
-        features([0.0, 0.0])
-
-
-def test_custom_features_need_a_size():
-    """Without a robot or nv=, and without row names, there is nothing to check against: refused."""
+def test_custom_features_are_checked():
+    """A function with the wrong shape, or with NaN, is caught where it enters; so are maps without a size or names."""
+    for wrong, words in (
+        (np.zeros((2, 2)), "must have shape"),
+        (np.zeros(2), "must have shape"),
+        ([[np.nan, 0]], "not fin"),
+    ):
+        with pytest.raises(FeatureError, match=words):
+            CustomFeatures(lambda q, value=wrong: value, ("f",), nv=2)([0.0, 0.0])
     with pytest.raises(FeatureError, match="nv="):
         CustomFeatures(lambda q: q, ("f",))
     with pytest.raises(FeatureError, match="row name"):
@@ -227,11 +193,8 @@ def test_descriptions(robot_of):
     """What is written to a constraint file says frame, axes, units and reference, and is JSON."""
     robot = robot_of("panda")
     features = FrameJacobian(robot, "panda_hand_tcp", "x rz", "local")
-    described = features.describe()
-    assert described["frame"] == "panda_hand_tcp"
-    assert described["axes"] == ["x", "rz"]
-    assert described["units"] == ["m/s", "rad/s"]
-    assert described["reference"] == "local"
+    saved = {"frame": "panda_hand_tcp", "axes": ["x", "rz"], "units": ["m/s", "rad/s"], "reference": "local"}
+    assert features.describe() == {"kind": "frame-jacobian", **saved}
     stacked = Stacked([features, CentreOfMass(robot)]).describe()
     assert json.loads(json.dumps(stacked)) == stacked
     assert "panda_hand_tcp" in repr(features)

@@ -7,14 +7,13 @@ import re
 from collections.abc import Iterator
 from functools import cache
 
-import pytest
 from library_source import Source, library
 from test_floors import own_imports
 from typer.main import get_command
 
-from manip_learn.cli import COMMANDS as DECLARED
-from manip_learn.cli import app
 from manip_learn.commands.command_line import flags_of
+from manip_learn.commands.program import COMMANDS as DECLARED
+from manip_learn.commands.program import app
 from manip_learn.errors import FLAG
 
 PROGRAM = get_command(app)
@@ -63,7 +62,14 @@ def reached(command: str) -> set[str]:
 
 
 # the program itself, and what writes a command line of `learn` for a page; a test of the page runs that line
-WRITERS = ("cli.py", "commands/options.py", "commands/command_line.py", "playback/replay_page.py")
+WRITERS = (
+    "cli.py",
+    "commands/program.py",
+    "commands/options.py",
+    "commands/command_line.py",
+    "commands/replay.py",
+    "playback/replay_page.py",
+)
 
 
 @cache
@@ -84,19 +90,18 @@ def test_flags_are_found():
     assert {"--rename", "--lock", "--time-unit", "--frame", "--xacro"} <= {flag for _, _, flag, _, _ in named_flags()}
 
 
-# the demo's robot, frame and recordings come with the package, so it cannot say what `learn` says about them
-@pytest.mark.parametrize("command", [c for c in COMMANDS if c != "demo"])
-def test_every_flag_that_a_command_may_name_exists(command: str):
+def test_every_flag_that_a_command_may_name_exists():
     """What stands in a text as it is: a flag of every command that can get there; what is advised: of some command."""
-    own = flags_of(PROGRAM, [command])
     every = set().union(*(flags_of(PROGRAM, [c]) for c in COMMANDS), {"--version"})
-    files = reached(command)
-    wrong = [
-        f"{file}:{line}: {flag}"
-        for file, line, flag, advised, name in named_flags()
-        if (flag not in every) or (name in files and not advised and flag not in own)
-    ]
-    assert not wrong, "\n".join(wrong)
+    # the demo's robot, frame and recordings come with the package, so it cannot say what `learn` says about them
+    for command in (c for c in COMMANDS if c != "demo"):
+        own, files = flags_of(PROGRAM, [command]), reached(command)
+        wrong = [
+            f"{command} reaches {file}:{line}: {flag}"
+            for file, line, flag, advised, name in named_flags()
+            if (flag not in every) or (name in files and not advised and flag not in own)
+        ]
+        assert not wrong, "\n".join(wrong)
 
 
 def test_every_command_that_is_named_exists():

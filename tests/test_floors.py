@@ -56,14 +56,11 @@ IMPORTED_AS = {"pin": "pinocchio"}
 # user's own, or a driver, raises
 LAST_LINES_OF_DEFENCE = ("cli.py", "control/servo_loop.py", "control/driver.py")
 MAX_LINES, MAX_FUNCTION_LINES = 700, 50
-LONG_FILES: dict[str, int] = {}
-
-SOURCES = library()
 
 
 def own_imports(source: Source) -> Iterator[tuple[str, int]]:
     """Files of the library that a file imports, by their name in `library()`."""
-    names = {s.name for s in SOURCES}
+    names = {s.name for s in library()}
     for target, line in source.imports():
         if target.split(".")[0] != "manip_learn":
             continue
@@ -74,19 +71,14 @@ def own_imports(source: Source) -> Iterator[tuple[str, int]]:
 
 
 def test_every_file_has_a_floor():
-    """A new module is given its floor in the table above before it is used."""
-    assert [s.relative for s in SOURCES if s.name and s.top not in FLOORS] == []
-
-
-def test_no_floor_is_empty():
-    """The table names only rooms and modules that exist."""
-    assert FLOORS.keys() - {s.top for s in SOURCES} == set()
+    """A new module is given its floor in the table above before it is used, and no floor is empty."""
+    assert {s.top for s in library() if s.name} == FLOORS.keys()
 
 
 def test_imports_only_go_down():
     """No file imports from a higher floor; 4 and 4' do not import each other; nothing imports the package's front."""
     faults = []
-    for source in SOURCES:
+    for source in library():
         if source.name == "":  # the front door re-exports, lazily
             continue
         here = FLOORS[source.top]
@@ -105,15 +97,15 @@ def test_imports_only_go_down():
 
 def test_eight_rooms():
     """At the top there are eight rooms and at most four modules beside __init__, __main__ and cli."""
-    rooms = {s.top for s in SOURCES if "/" in s.relative}
+    rooms = {s.top for s in library() if "/" in s.relative}
     assert len(rooms) == 8
-    assert len({s.top for s in SOURCES if s.name} - rooms - {"__main__", "cli"}) <= 4
+    assert len({s.top for s in library() if s.name} - rooms - {"__main__", "cli"}) <= 4
 
 
 def test_at_most_nine_import_levels():
     """The longest chain of rooms and loose modules, each importing the next, has at most nine links."""
-    below: dict[str, set[str]] = {s.top: set() for s in SOURCES if s.name}
-    for source in SOURCES:
+    below: dict[str, set[str]] = {s.top: set() for s in library() if s.name}
+    for source in library():
         if source.name:
             below[source.top] |= {target.split(".")[0] for target, _line in own_imports(source)} - {source.top}
     level: dict[str, int] = {}
@@ -124,7 +116,7 @@ def test_at_most_nine_import_levels():
 
 def test_no_import_cycles():
     """Files can be put in an order in which each imports only from those before it, imports for types included."""
-    graph = {s.name: {target for target, _ in own_imports(s)} for s in SOURCES if s.name}
+    graph = {s.name: {target for target, _ in own_imports(s)} for s in library() if s.name}
     order = list(TopologicalSorter(graph).static_order())
     assert len(order) >= len(graph)
 
@@ -132,7 +124,7 @@ def test_no_import_cycles():
 def test_third_parties_stay_in_their_rooms():
     """Pinocchio in robot/ and playback/ only, file formats in recordings/, the command line's tools in commands/."""
     faults = []
-    for source in SOURCES:
+    for source in library():
         for target, line in source.imports():
             allowed = ROOMS.get(target.split(".")[0])
             if allowed is not None and source.top not in allowed:
@@ -144,7 +136,7 @@ def test_every_dependency_is_imported():
     """What pyproject.toml asks of each user is imported somewhere in the library."""
     project = tomllib.loads((PACKAGE.parent / "pyproject.toml").read_text(encoding="utf-8"))["project"]
     names = {re.split(r"[<>=!~; ]", line)[0] for line in project["dependencies"]}
-    imported = {target.split(".")[0] for s in SOURCES for target, _line in s.imports()} | {
+    imported = {target.split(".")[0] for s in library() for target, _line in s.imports()} | {
         "meshcat"
     }  # its viewer's script
     assert {IMPORTED_AS.get(name, name) for name in names} - imported == set()
@@ -153,20 +145,20 @@ def test_every_dependency_is_imported():
 def test_names_say_what_is_inside():
     """No utils, misc, common or helpers: a function with no home is asking for a noun."""
     vague = {"utils", "util", "misc", "common", "helpers", "tools", "core", "base"}
-    assert [s.relative for s in SOURCES if vague & set(s.name.split("."))] == []
+    assert [s.relative for s in library() if vague & set(s.name.split("."))] == []
 
 
 def test_files_are_small():
     """One chapter per file, within 700 lines."""
-    sizes = {s.relative: s.text.count("\n") for s in SOURCES}
-    faults = [f"{name} has {n} lines: split it" for name, n in sizes.items() if n > LONG_FILES.get(name, MAX_LINES)]
+    sizes = {s.relative: s.text.count("\n") for s in library()}
+    faults = [f"{name} has {n} lines: split it" for name, n in sizes.items() if n > MAX_LINES]
     assert not faults, listed(faults)
 
 
 def test_functions_are_small():
     """Functions stay within 50 lines, not counting their signatures (options are a table) and docstrings."""
     faults = []
-    for source in SOURCES:
+    for source in library():
         for node in ast.walk(source.tree):
             if isinstance(node, ast.FunctionDef | ast.AsyncFunctionDef):
                 body = node.body[1:] if ast.get_docstring(node) is not None else node.body
@@ -179,7 +171,7 @@ def test_functions_are_small():
 def test_no_blanket_handlers_and_no_asserts():
     """Handlers name what they handle; bad input raises an error of ours, never an assertion that -O removes."""
     faults = []
-    for source in SOURCES:
+    for source in library():
         for node in ast.walk(source.tree):
             where = f"{source.relative}:{getattr(node, 'lineno', '')}"
             if isinstance(node, ast.Assert):
@@ -190,9 +182,3 @@ def test_no_blanket_handlers_and_no_asserts():
             if isinstance(node, ast.Call) and ast.unparse(node.func) in ("hasattr", "eval", "exec", "np.random.seed"):
                 faults.append(f"{where}: {ast.unparse(node.func)} is not used in this project")
     assert not faults, listed(faults)
-
-
-def test_the_tables_are_up_to_date():
-    """No file keeps a place on the list of long ones that it no longer needs."""
-    sizes = {s.relative: s.text.count("\n") for s in SOURCES}
-    assert all(sizes.get(name, 0) > MAX_LINES for name in LONG_FILES)

@@ -8,11 +8,12 @@ from pathlib import Path
 import numpy as np
 import pinocchio as pin
 import pytest
+from cases import case
 from conftest import tip_of
 
 from manip_learn.robot import load_robot
 from manip_learn.robot.frame_kinematics import REFERENCES, FrameKinematics, vjps
-from manip_learn.robot.robot import Reference, Robot
+from manip_learn.robot.robot import Robot
 
 RobotOf = Callable[[str], Robot]
 ROBOTS = ["planar3", "sawyer", "panda", "kinova", "gantry", "wrist", "tree", "mimic", "one"]
@@ -22,43 +23,45 @@ def frames_of(robot: Robot, name: str) -> list[str]:
     return [tip_of(name), robot.frame_names[0], robot.frame_names[len(robot.frame_names) // 2]]
 
 
-@pytest.mark.parametrize("reference", ["world", "local"])
 @pytest.mark.parametrize("name", ROBOTS)
-def test_the_joints_that_carry_a_frame_are_enough(
-    name: str, reference: Reference, robot_of: RobotOf, rng: np.random.Generator
-) -> None:
+def test_the_joints_that_carry_a_frame_are_enough(name: str, robot_of: RobotOf, rng: np.random.Generator) -> None:
     """Pose and Jacobian are those of Pinocchio's model of the whole robot, at configurations and joint positions."""
-    robot = robot_of(name)
-    model = robot.pinocchio_model
-    data = model.createData()
-    for frame in frames_of(robot, name):
-        index = robot.frame(frame).index
-        for _ in range(5):
-            q = robot.random_configuration(rng)
-            for posture in (q, robot.positions(q)):
-                full = robot.pinocchio_configuration(posture)
-                J = pin.computeFrameJacobian(model, data, full, index, REFERENCES[reference]).reshape(6, model.nv)
-                if robot.coupling is not None:
-                    J = J @ robot.coupling.lift
-                pin.forwardKinematics(model, data, full)
-                pose = pin.updateFramePlacement(model, data, index).homogeneous
-                np.testing.assert_allclose(robot.jacobian(posture, frame, reference), J, rtol=0, atol=1e-13)
-                np.testing.assert_allclose(robot.pose(posture, frame), pose, rtol=0, atol=1e-13)
-                np.testing.assert_array_equal(robot.position(posture, frame), robot.pose(posture, frame)[:3, 3])
+    for reference in ["world", "local"]:
+        with case(reference):
+            robot = robot_of(name)
+            model = robot.pinocchio_model
+            data = model.createData()
+            for frame in frames_of(robot, name):
+                index = robot.frame(frame).index
+                for _ in range(5):
+                    q = robot.random_configuration(rng)
+                    for posture in (q, robot.positions(q)):
+                        full = robot.pinocchio_configuration(posture)
+                        J = pin.computeFrameJacobian(model, data, full, index, REFERENCES[reference]).reshape(
+                            6, model.nv
+                        )
+                        if robot.coupling is not None:
+                            J = J @ robot.coupling.lift
+                        pin.forwardKinematics(model, data, full)
+                        pose = pin.updateFramePlacement(model, data, index).homogeneous
+                        np.testing.assert_allclose(robot.jacobian(posture, frame, reference), J, rtol=0, atol=1e-13)
+                        np.testing.assert_allclose(robot.pose(posture, frame), pose, rtol=0, atol=1e-13)
+                        np.testing.assert_array_equal(robot.position(posture, frame), robot.pose(posture, frame)[:3, 3])
 
 
-@pytest.mark.parametrize("name", ROBOTS)
-def test_products_of_many_matrices_are_those_of_each(name: str, robot_of: RobotOf, rng: np.random.Generator) -> None:
+def test_products_of_many_matrices_are_those_of_each(robot_of: RobotOf, rng: np.random.Generator) -> None:
     """Weights side by side give, row by row, what each of them gives by itself, for a product of any origin."""
-    robot = robot_of(name)
-    selection = np.linalg.qr(rng.normal(size=(6, 2)))[0].T
-    for frame in frames_of(robot, name):
-        _, product = robot.weighted_jacobian_vjp(robot.random_configuration(rng), frame, "world", selection)
-        weights = rng.normal(size=(4, 2, robot.nv))
-        each = [product(matrix) for matrix in weights]
-        for known in (product, lambda matrix, product=product: product(matrix)):
-            together = vjps(known, np.hstack(weights), len(weights))
-            np.testing.assert_allclose(together, each, rtol=0, atol=1e-13)
+    for name in ROBOTS:
+        with case(name):
+            robot = robot_of(name)
+            selection = np.linalg.qr(rng.normal(size=(6, 2)))[0].T
+            for frame in frames_of(robot, name):
+                _, product = robot.weighted_jacobian_vjp(robot.random_configuration(rng), frame, "world", selection)
+                weights = rng.normal(size=(4, 2, robot.nv))
+                each = [product(matrix) for matrix in weights]
+                for known in (product, lambda matrix, product=product: product(matrix)):
+                    together = vjps(known, np.hstack(weights), len(weights))
+                    np.testing.assert_allclose(together, each, rtol=0, atol=1e-13)
 
 
 @pytest.mark.parametrize("name", ROBOTS)

@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from functools import cache
 from pathlib import Path
 
 import numpy as np
 import pytest
+from test_gradients import RobotOf, case
+from test_motion import learnt
 
 from manip_learn.constraint.constraint import Constraint
 from manip_learn.constraint.features import (
@@ -25,25 +25,13 @@ from manip_learn.control.simulation import simulate
 from manip_learn.control.tasks import FreeDirection, Hold
 from manip_learn.control.tasks.driven_motion import MotionProfile
 from manip_learn.errors import ConstraintError, FeatureError, TargetError
-from manip_learn.learning.learner import ConstraintLearner
-from manip_learn.recordings.demonstrations import Demonstrations
-from manip_learn.recordings.load_demonstrations import load_demonstrations
-from manip_learn.robot.loading import load_robot
 from manip_learn.robot.robot import Robot
 from manip_learn.robot.rotations import rotation_matrix, rotation_vector
 
-RobotOf = Callable[[str], Robot]
 DATA = Path(__file__).resolve().parents[1] / "examples" / "data"
 TIP = "panda_hand_tcp"
 READY = np.array([0.0, -0.3, 0.0, -2.0, 0.0, 1.8, 0.7])
 AXIS = np.array([0.1, -0.2, 0.95]) / np.linalg.norm([0.1, -0.2, 0.95])
-
-
-@cache
-def drawer() -> tuple[Constraint, Demonstrations]:
-    robot = load_robot("panda", locked=("panda_finger_joint1", "panda_finger_joint2"))
-    demonstrations = load_demonstrations(DATA / "panda_drawer_whole", robot)
-    return ConstraintLearner(FrameJacobian(robot, TIP)).fit(demonstrations).constraint_, demonstrations
 
 
 def run(task: FreeDirection, q: np.ndarray, limits: bool = True, climb: bool = True) -> Rollout:
@@ -57,42 +45,38 @@ def tips(rollout: Rollout, robot: Robot, frame: str = TIP) -> np.ndarray:
     return np.array([robot.position(q, robot.frame(frame)) for q in rollout.q])
 
 
-@pytest.mark.parametrize("distance", [0.18, -0.1])
-def test_the_learnt_drawer(distance: float) -> None:
+def test_the_learnt_drawer() -> None:
     """What was learnt from the shipped recordings opens by 180 mm at 0.1 m/s, closes again, and stays within 0.1 mm of
     the rail, while the policy climbs the manipulability of what was learnt.
     """
-    constraint, demonstrations = drawer()
-    task = FreeDirection(constraint, distance, 0.1)
+    constraint, demonstrations = learnt("drawer")
     trajectory = demonstrations[0]
-    rollout = run(task, trajectory.q[len(trajectory.q) // 2])
-    moved = tips(rollout, constraint.robot) - tips(rollout, constraint.robot)[0]
-    f = task.constraint.selection[-1]
-    along, off = moved @ f, np.linalg.norm(moved - np.outer(moved @ f, f), axis=1)
-    assert np.max(np.abs(constraint.selection @ f)) < 1e-12
-    assert along[-1] == pytest.approx(distance, abs=1e-4)
-    assert np.max(off) < 1e-4
-    assert task.progress(rollout.q[-1]) == pytest.approx(distance, abs=1e-4)
-    speed = np.diff(along) / np.diff(rollout.time)
-    assert 0.099 < np.max(np.abs(speed)) < 0.1001
-    assert np.max(np.abs(np.diff(speed))) < 1.6 * 0.1 / 0.5 * 0.01  # no jump of the speed, at the start either
-    assert rollout.task_error[-1] < 1e-4
-    assert constraint.n_constraints == 2
+    for distance in (0.18, -0.1):
+        task = FreeDirection(constraint, distance, 0.1)
+        rollout = run(task, trajectory.q[len(trajectory.q) // 2])
+        moved = tips(rollout, constraint.robot) - tips(rollout, constraint.robot)[0]
+        f = task.constraint.selection[-1]
+        along, off = moved @ f, np.linalg.norm(moved - np.outer(moved @ f, f), axis=1)
+        assert np.max(np.abs(constraint.selection @ f)) < 1e-12
+        assert along[-1] == pytest.approx(distance, abs=1e-4)
+        assert np.max(off) < 1e-4
+        assert task.progress(rollout.q[-1]) == pytest.approx(distance, abs=1e-4)
+        speed = np.diff(along) / np.diff(rollout.time)
+        assert 0.099 < np.max(np.abs(speed)) < 0.1001
+        assert np.max(np.abs(np.diff(speed))) < 1.6 * 0.1 / 0.5 * 0.01  # no jump of the speed, at the start either
+        assert rollout.task_error[-1] < 1e-4
+        assert constraint.n_constraints == 2
 
 
-@pytest.mark.parametrize("view", ["world", "local", "relative"])
-@pytest.mark.parametrize("distance", [0.12, -0.12])
+@pytest.mark.parametrize(("view", "distance"), [("world", 0.12), ("local", -0.12), ("relative", 0.12)])
 def test_a_held_pose_along_an_oblique_line(robot_of: RobotOf, view: str, distance: float) -> None:
     """With five of six directions held, along the base, the hand or another link, the hand moves by the distance, does
     not turn, and leaves the line by less than 0.1 mm.
     """
     robot = robot_of("panda")
     f = np.concatenate([[0.6, 0.64, 0.48], np.zeros(3)])
-    features = (
-        RelativeFrameJacobian(robot, TIP, "panda_link1")
-        if view == "relative"
-        else FrameJacobian(robot, TIP, "pose", view)
-    )
+    features = RelativeFrameJacobian(robot, TIP, "panda_link1")
+    features = features if view == "relative" else FrameJacobian(robot, TIP, "pose", view)
     constraint = Constraint(np.linalg.svd(f[None])[2][1:], features)
     task = FreeDirection(constraint, distance, 0.08)
     rollout = run(task, READY, climb=False)
@@ -102,28 +86,21 @@ def test_a_held_pose_along_an_oblique_line(robot_of: RobotOf, view: str, distanc
     np.testing.assert_allclose(end[:3, :3], start[:3, :3], rtol=0, atol=1e-4)
     assert task.unit == "m"
     assert task.progress(rollout.q[-1]) == pytest.approx(distance, abs=1e-4)
-
-
-@pytest.mark.parametrize("view", ["world", "local"])
-def test_turning_about_a_held_point(robot_of: RobotOf, view: str) -> None:
-    """Where only one rotation is free, the distance is an angle: the tip stays, the hand turns by it."""
-    features = FrameJacobian(robot_of("panda"), TIP, "pose", view)
     task = FreeDirection(Constraint(np.eye(6)[:5], features), -0.8, 0.5)
-    rollout = run(task, READY, climb=False)
-    start, end = features.pose(READY), features.pose(rollout.q[-1])
-    Q = end[:3, :3] @ start[:3, :3].T if view == "world" else start[:3, :3].T @ end[:3, :3]
+    end = features.pose(run(task, READY, climb=False).q[-1])
+    Q = start[:3, :3].T @ end[:3, :3] if view == "local" else end[:3, :3] @ start[:3, :3].T
     assert task.unit == "rad"
     np.testing.assert_allclose(rotation_vector(Q), [0.0, 0.0, -0.8], rtol=0, atol=1e-4)
     np.testing.assert_allclose(end[:3, 3], start[:3, 3], rtol=0, atol=1e-4)
 
 
-@pytest.mark.parametrize("distance", [np.deg2rad(60.0), -np.deg2rad(60.0)])
 @pytest.mark.parametrize(
-    "rows", ["radial axial", "turn-1 turn-2 slide-1 slide-2 slide", "radial axial turn-1 turn-2 turn"]
+    ("rows", "degrees"),
+    [("radial axial", 60), ("turn-1 turn-2 slide-1 slide-2 slide", -60), ("radial axial turn-1 turn-2 turn", 60)],
 )
-def test_hinge(robot_of: RobotOf, rows: str, distance: float) -> None:
+def test_hinge(robot_of: RobotOf, rows: str, degrees: float) -> None:
     """A door turns by 60 degrees: radius and height are kept within 0.1 mm, however the hand is held."""
-    robot = robot_of("panda")
+    robot, distance = robot_of("panda"), np.deg2rad(degrees)
     start = robot.pose(READY, robot.frame(TIP))
     point = start[:3, 3] + [0.1, 0.25, -0.3]
     features = MechanismRows(robot, TIP, rows, axis=AXIS, point=point)
@@ -248,6 +225,36 @@ def test_profile() -> None:
         assert np.max(np.abs(np.diff(rates))) / (times[1] - times[0]) < 1.5 * profile.peak / ramp * 1.001
 
 
+def test_what_is_asked_of_a_hand_that_stands_still(robot_of: RobotOf) -> None:
+    """b is the rate of the profile, and gain times the lag, within the speed, from the pause on; then at rest.
+
+    Distance, duration, table and copies by another distance or in another time say the same.
+    """
+    robot = robot_of("panda")
+    constraint = Constraint(np.eye(3)[1:], FrameJacobian(robot, TIP))
+    for sign in (1.0, -1.0):
+        task = FreeDirection(constraint, 0.04 * sign, 0.1, gain=2.0, ramp=0.2, pause=0.3)
+        profile = MotionProfile(0.04 * sign, 0.1, 0.2)
+        assert (task.wanted, task.duration) == (0.04 * sign, pytest.approx(0.3 + profile.duration))
+        assert task.duration_from(READY) == pytest.approx(task.duration) and profile.duration == pytest.approx(0.6)
+        for late in (0.0, 0.2, 0.3, 0.35, 0.4, 0.6, 0.85, 1.5):
+            distance, rate = profile.at(late - 0.3)
+            wanted = sign * min(abs(rate + 2.0 * distance), 0.1)
+            b = task.velocity(task.constraint, READY, 5.0 + late)
+            np.testing.assert_allclose(b @ task.constraint.selection, [wanted, 0.0, 0.0], rtol=0, atol=1e-12)
+            assert task.error(task.constraint, READY, 5.0 + late) == pytest.approx(0.04)
+        assert task.way_begins == pytest.approx(5.3)
+        time, along, goals = task.table(READY, 0.1, 4, 20)
+        np.testing.assert_allclose(time, np.linspace(0.0, 0.6, 7), atol=1e-12)
+        np.testing.assert_allclose(along, [profile.at(t)[0] for t in time], atol=1e-15)
+        here = robot.position(READY, TIP)
+        np.testing.assert_allclose(goals, here + np.outer(along, [1.0, 0.0, 0.0]), atol=1e-12)
+        assert len(task.table(READY, 0.01, 4, 20)[0]) == 20 and len(task.table(READY, 9.0, 4, 20)[0]) == 4
+        slow, back = task.slowed(2.0), task.with_distance(-task.wanted)
+        assert slow.duration == pytest.approx(0.3 + 0.04 / 0.05 + 0.2) and back.wanted == -task.wanted
+        assert slow.way_begins is None and back.duration == task.duration
+
+
 def test_start_reset_and_a_second_run(robot_of: RobotOf) -> None:
     """The start is the first call's, or the one that was given; a run that begins again at its first time, and reset,
     start anew.
@@ -306,28 +313,28 @@ def test_the_error_of_a_setpoint_decays_exactly(robot_of: RobotOf, rng: np.rando
     np.testing.assert_allclose((b[1] - b[0]) / (2 * h), -held @ u, rtol=0, atol=1e-6)
 
 
-@pytest.mark.parametrize(
-    ("arguments", "words"),
-    [
-        ({"distance": 0.0}, "distance must be a finite number other than 0"),
-        ({"distance": np.nan}, "distance"),
-        ({"distance": "far"}, "distance must be a number"),
-        ({"speed": 0.0}, "speed must be a positive number"),
-        ({"speed": -0.1}, "speed must be a positive number"),
-        ({"speed": np.inf}, "speed"),
-        ({"gain": 0.0}, "gain"),
-        ({"ramp": -1.0}, "ramp"),
-        ({"direction": (0.0, 1.0, 0.0)}, r"holds the direction .* free is \+1 x"),
-        ({"direction": (1.0, 0.0)}, "3 finite numbers"),
-        ({"direction": (0.0, 0.0, 0.0)}, "not all zero"),
-        ({"direction": "ahead"}, "direction must be numbers"),
-    ],
-)
-def test_wrong_arguments(robot_of: RobotOf, arguments: dict, words: str) -> None:
+WRONG = [
+    ({"distance": 0.0}, "distance must be a finite number other than 0"),
+    ({"distance": np.nan}, "distance"),
+    ({"distance": "far"}, "distance must be a number"),
+    ({"speed": 0.0}, "speed must be a positive number"),
+    ({"speed": -0.1}, "speed must be a positive number"),
+    ({"speed": np.inf}, "speed"),
+    ({"gain": 0.0}, "gain"),
+    ({"ramp": -1.0}, "ramp"),
+    ({"direction": (0.0, 1.0, 0.0)}, r"holds the direction .* free is \+1 x"),
+    ({"direction": (1.0, 0.0)}, "3 finite numbers"),
+    ({"direction": (0.0, 0.0, 0.0)}, "not all zero"),
+    ({"direction": "ahead"}, "3 finite numbers .* got 'ahead'"),
+]
+
+
+def test_wrong_arguments(robot_of: RobotOf) -> None:
     """Each is refused with a sentence that names it."""
     constraint = Constraint(np.eye(3)[1:], FrameJacobian(robot_of("panda"), TIP))
-    with pytest.raises(TargetError, match=words):
-        FreeDirection(constraint, **({"distance": 0.1, "speed": 0.1} | arguments))
+    for arguments, words in WRONG:
+        with case(arguments), pytest.raises(TargetError, match=words):
+            FreeDirection(constraint, **({"distance": 0.1, "speed": 0.1} | arguments))
 
 
 def test_what_cannot_be_driven(robot_of: RobotOf) -> None:

@@ -42,37 +42,21 @@ def stages(kind, *ways):
     return 0.01 * np.arange(len(path)), path
 
 
-@pytest.mark.parametrize("sense", [-1.0, 1.0])
-@pytest.mark.parametrize(("kind", "way"), [("line", 0.3), ("hinge", 0.9), ("screw", 7.5)])
-def test_it_moves_with_the_hand_and_only_with_it(kind, way, sense):
+WAYS = [(kind, way, sense) for kind, way in (("line", 0.3), ("hinge", 0.9), ("screw", 7.5)) for sense in (-1.0, 1.0)]
+
+
+def test_it_moves_with_the_hand_and_only_with_it():
     """Untouched while the hand comes, its handle in the hand along the way, and left where the hand leaves it."""
-    times, path = stages(kind, sense * way)
-    piece = furniture_of(MECHANISMS[kind], times, path)
-    assert piece is not None and piece.unit == ("m" if kind == "line" else "rad")
-    opening, handle = piece.opening, np.zeros((1, 3))
-    # a hand that comes is on the mechanism from 5 mm on, which is its last step or two
-    np.testing.assert_allclose(opening[: N - 2], 0.0, atol=1e-12)
-    np.testing.assert_allclose(opening[2 * N + 2 :], way, rtol=0.02)
-    for i in range(N, 2 * N, 7):
-        np.testing.assert_allclose(piece.moved(handle, opening[i])[0], path[i], atol=2e-3)
-
-
-def test_the_opening_at_the_end_is_the_way_of_the_tip(robot_of):
-    """A rollout along the free direction opens its drawer by as much as the tip's path says, to 0.1 mm."""
-    robot = robot_of("sawyer")
-    features = ml.FrameJacobian(robot, "right_gripper_tip")
-    kept = {"n_constraints": 2, "mechanism": MECHANISMS["line"]}
-    constraint = ml.Constraint([[0, 1, 0], [0, 0, 1]], features, kept)
-    controller = ml.ResolvedRateController(constraint, task=ml.FreeDirection(constraint, -0.12, 0.2))
-    rollout = ml.simulate(robot, controller, [0.3, -0.9, 0.2, 1.6, 0.1, 0.7, 0.4], duration=1.3, dt=0.01)
-    tree, tip = kinematic_tree(robot), robot.frame("right_gripper_tip")
-    motion = recorded_motion(robot, tree, tip, "a", rollout, mechanism=MECHANISMS["line"])
-    way = np.linalg.norm(robot.pose(rollout.q[-1], tip)[:3, 3] - robot.pose(rollout.q[0], tip)[:3, 3])
-    (track,) = [t for t in motion.measures if t.kind == "opening"]
-    assert track.curves[0].values[-1] == pytest.approx(way, abs=1e-4) == pytest.approx(0.12, abs=2e-3)
-    assert (
-        recorded_motion(robot, tree, tip, "a", rollout.trajectory("a"), mechanism=MECHANISMS["line"]).furniture is None
-    )
+    for kind, way, sense in WAYS:
+        times, path = stages(kind, sense * way)
+        piece = furniture_of(MECHANISMS[kind], times, path)
+        assert piece is not None and piece.unit == ("m" if kind == "line" else "rad"), kind
+        opening, handle = piece.opening, np.zeros((1, 3))
+        # a hand that comes is on the mechanism from 5 mm on, which is its last step or two
+        np.testing.assert_allclose(opening[: N - 2], 0.0, atol=1e-12, err_msg=kind)
+        np.testing.assert_allclose(opening[2 * N + 2 :], way, rtol=0.02, err_msg=kind)
+        for i in range(N, 2 * N, 7):
+            np.testing.assert_allclose(piece.moved(handle, opening[i])[0], path[i], atol=2e-3, err_msg=kind)
 
 
 def test_the_chest_stands_away_from_the_base():
@@ -95,14 +79,16 @@ def test_opened_and_shut_again():
     assert piece.opening.min() == 0.0
 
 
-@pytest.mark.parametrize(
-    ("mechanism", "way"),
-    [(None, 0.3), ({"type": "plane", "axis": [0, 0, 1], "point": [0, 0, 0]}, 0.3), ({"type": "line"}, 0.3),
-     ({"type": "hinge", "axis": [0, 0, 1]}, 0.3), (MECHANISMS["line"], 0.01)],
-)  # fmt: skip
-def test_nothing_is_made_up(mechanism, way):
-    """Without a mechanism that opens, without its place, or where the hand hardly moves along it, there is none."""
-    assert furniture_of(mechanism, *stages("line", way)) is None
+def test_nothing_is_made_up():
+    """Without a mechanism that opens, without its place or its way, or where the hand hardly moves, there is none."""
+    for mechanism, way in (
+        *((None, 0.3), ({"type": "plane", "axis": [0, 0, 1], "point": [0, 0, 0]}, 0.3), ({"type": "line"}, 0.3)),
+        *(({"type": "hinge", "axis": [0, 0, 1]}, 0.3), (MECHANISMS["line"], 0.015)),
+    ):
+        assert furniture_of(mechanism, *stages("line", way)) is None, mechanism
+    for ways in ([], [(0.0, 0.01 * N)], [(90.0, 95.0)]):
+        assert furniture_of(MECHANISMS["line"], *there_and_back("line", -0.3), ways) is None, ways
+    assert furniture_of(MECHANISMS["line"], *stages("line", 0.025)) is not None
 
 
 def there_and_back(kind, way):
@@ -114,18 +100,15 @@ def there_and_back(kind, way):
     return 0.01 * np.arange(len(path)), path
 
 
-@pytest.mark.parametrize("sense", [-1.0, 1.0])
-@pytest.mark.parametrize(("kind", "way"), [("line", 0.3), ("hinge", 0.9), ("screw", 7.5)])
-def test_it_is_shut_until_the_way_begins(kind, way, sense):
+def test_it_is_shut_until_the_way_begins():
     """A hand that begins at the handle, leaves it and comes back moves it from the beginning of its way on only."""
-    times, path = there_and_back(kind, sense * way)
-    begins = times[3 * N]
-    piece = furniture_of(MECHANISMS[kind], times, path, [(begins, times[-1])])
-    assert piece is not None
-    assert not np.any(piece.opening[: 3 * N + 1])
-    assert piece.opening[-1] == pytest.approx(way, rel=1e-9)
-    for i in range(3 * N, 4 * N, 7):
-        np.testing.assert_allclose(piece.moved(np.zeros((1, 3)), piece.opening[i])[0], path[i], atol=1e-9)
+    for kind, way, sense in WAYS:
+        times, path = there_and_back(kind, sense * way)
+        piece = furniture_of(MECHANISMS[kind], times, path, [(times[3 * N], times[-1])])
+        assert piece is not None and not np.any(piece.opening[: 3 * N + 1]), kind
+        assert piece.opening[-1] == pytest.approx(way, rel=1e-9)
+        for i in range(3 * N, 4 * N, 7):
+            np.testing.assert_allclose(piece.moved(np.zeros((1, 3)), piece.opening[i])[0], path[i], atol=1e-9)
 
 
 def test_shut_is_where_the_way_begins_though_the_hand_was_beyond():
@@ -156,31 +139,29 @@ def test_a_second_way_shuts_it_again():
     np.testing.assert_allclose(piece.opening, np.concatenate(expected), atol=1e-12)
 
 
-@pytest.mark.parametrize("ways", [[], [(0.0, 0.01 * N)], [(90.0, 95.0)]])
-def test_without_its_way_there_is_none(ways):
-    """A motion that ends before its way, or whose way hardly moves, opens nothing."""
-    assert furniture_of(MECHANISMS["line"], *there_and_back("line", -0.3), ways) is None
-
-
-@pytest.mark.parametrize(
-    ("names", "opens_at"),
-    [(("approach", "hold", "way"), 0.6), (("out", "on", "further"), 0.0), (("approach", "approach", "hold"), None)],
-)
-def test_the_phases_of_a_rollout_say_when_it_moves(robot_of, names, opens_at):
+def test_the_phases_of_a_rollout_say_when_it_moves(robot_of):
     """Phases of a plan tell its way, those with other names tell nothing, and a plan without its way opens nothing."""
     robot = robot_of("sawyer")
     kept = {"n_constraints": 2, "mechanism": MECHANISMS["line"]}
     constraint = ml.Constraint([[0, 1, 0], [0, 0, 1]], ml.FrameJacobian(robot, "right_gripper_tip"), kept)
     controller = ml.ResolvedRateController(constraint, task=ml.FreeDirection(constraint, -0.12, 0.2))
-    rollout = ml.simulate(robot, controller, [0.3, -0.9, 0.2, 1.6, 0.1, 0.7, 0.4], duration=1.2, dt=0.01)
-    spans = list(zip(names, (0.0, 0.4, 0.6), (0.4, 0.6, 1.2), strict=True))
-    later = replace(rollout, time=rollout.time + 7.0, phases=tuple((n, 7.0 + a, 7.0 + b) for n, a, b in spans))
+    rollout = ml.simulate(robot, controller, [0.3, -0.9, 0.2, 1.6, 0.1, 0.7, 0.4], duration=1.3, dt=0.01)
     tree, tip = kinematic_tree(robot), robot.frame("right_gripper_tip")
-    motion = recorded_motion(robot, tree, tip, "a", later, mechanism=MECHANISMS["line"])
-    assert [(b.name, pytest.approx(b.start), pytest.approx(b.end)) for b in motion.phases] == spans
-    if opens_at is None:
-        assert motion.furniture is None
-        return
-    assert motion.furniture is not None
-    moving = motion.furniture.times[motion.furniture.opening > 0.0]
-    assert opens_at < moving[0] < opens_at + 0.05
+    plain = recorded_motion(robot, tree, tip, "a", rollout, mechanism=MECHANISMS["line"])
+    way = np.linalg.norm(robot.position(rollout.q[-1], tip) - robot.position(rollout.q[0], tip))
+    (track,) = [t for t in plain.measures if t.kind == "opening"]
+    assert track.curves[0].values[-1] == pytest.approx(way, abs=1e-4) == pytest.approx(0.12, abs=2e-3)
+    recording = rollout.trajectory("a")
+    assert recorded_motion(robot, tree, tip, "a", recording, mechanism=MECHANISMS["line"]).furniture is None
+    for names, opens_at in (
+        *((("approach", "hold", "way"), 0.6), (("out", "on", "further"), 0.0)),
+        (("approach", "approach", "hold"), None),
+    ):
+        spans = list(zip(names, (0.0, 0.4, 0.6), (0.4, 0.6, 1.3), strict=True))
+        later = replace(rollout, time=rollout.time + 7.0, phases=tuple((n, 7.0 + a, 7.0 + b) for n, a, b in spans))
+        motion = recorded_motion(robot, tree, tip, "a", later, mechanism=MECHANISMS["line"])
+        assert [(b.name, pytest.approx(b.start), pytest.approx(b.end)) for b in motion.phases] == spans
+        assert (motion.furniture is None) is (opens_at is None), names
+        if motion.furniture is not None and opens_at is not None:
+            moving = motion.furniture.times[motion.furniture.opening > 0.0]
+            assert opens_at < moving[0] < opens_at + 0.05, names

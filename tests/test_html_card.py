@@ -8,6 +8,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from cases import case
 
 import manip_learn as ml
 from manip_learn.robot import html_card
@@ -69,21 +70,19 @@ def test_a_prompt_shows_few_lines(objects: dict[str, object]):
         assert len(repr(thing)) < 700, name
 
 
-@pytest.mark.parametrize(
-    ("name", "words"),
-    [
+def test_a_notebook_shows_the_facts(objects: dict[str, object]):
+    """Each card is whole HTML and says what a reader looks for."""
+    for name, words in [
         ("robot", ["Robot sawyer", "right_j0", "rad/s", "locked: right_j6 at 0.5"]),
         ("demonstrations", ["6 recordings", "without velocities", "demo_01.csv", "100"]),
         ("report", ["The tip can move along", "10 is clear", "degrees", "Gap for each number of rows", "demo_06.csv"]),
         ("constraint", ["2 of 3 rows", "row of Λ", "FrameJacobian"]),
         ("rollout", ["51 samples over 0.5 s", "right_gripper_tip", "manipulability μ over time", "error at the end"]),
-    ],
-)
-def test_a_notebook_shows_the_facts(objects: dict[str, object], name: str, words: list[str]):
-    """Each card is whole HTML and says what a reader looks for."""
-    text = text_of(objects[name]._repr_html_())  # type: ignore[attr-defined]
-    for word in words:
-        assert word in text
+    ]:
+        with case(name, words):
+            text = text_of(objects[name]._repr_html_())  # type: ignore[attr-defined]
+            for word in words:
+                assert word in text
 
 
 def test_selection_is_shown_as_it_is(objects: dict[str, object]):

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import json
 
 import numpy as np
@@ -11,15 +12,26 @@ from generated_motions import arm_features, guided_motions, oblique, paper_motio
 from manip_learn.constraint.features import CustomFeatures, FrameJacobian, MechanismRows
 from manip_learn.constraint.mechanism import Mechanism
 from manip_learn.constraint.selection_in_words import describe, free_directions
+from manip_learn.errors import NotIdentifiableError, RecordingError
 from manip_learn.learning import ConstraintLearner
-from manip_learn.learning.estimators import variable_projection
-from manip_learn.learning.estimators.estimate import gaps_of_levels, gaps_of_residuals
-from manip_learn.learning.estimators.model_search import conditional_pca
+from manip_learn.learning.answer import _doubts_of
+from manip_learn.learning.estimators.estimate import Estimate, GapTable, gaps_of_levels, gaps_of_residuals
+from manip_learn.learning.estimators.model_search import JudgedModel, choose_model, conditional_pca
 from manip_learn.learning.estimators.null_space import fit_null_space, levels
 from manip_learn.learning.estimators.policy_model import PolynomialModel, RadialModel
-from manip_learn.learning.estimators.variable_projection import fit_joint, held_out_costs, scores
-from manip_learn.learning.samples import Samples
+from manip_learn.learning.estimators.variable_projection import fit_joint, scores
+from manip_learn.learning.report import Phase, RecordingOverview
+from manip_learn.learning.samples import (
+    DataSummary,
+    Samples,
+    TrajectoryBlocks,
+    check_fastest,
+    check_postures,
+    check_samples,
+    energy_shares,
+)
 from manip_learn.linalg import orthonormal_rows, row_space_angle
+from manip_learn.recordings.demonstrations import Demonstrations
 from manip_learn.robot import load_robot
 
 
@@ -37,6 +49,76 @@ def test_features_are_whitened(reaching):
     whitened = truth.selection @ np.linalg.pinv(samples.whitening)
     assert row_space_angle(samples.selection(whitened), truth.selection) < 1e-9
     assert max(np.max(np.abs(b.x)) for b in samples.blocks()) <= 1.0 + 1e-12
+
+
+def moving(u: np.ndarray, q: np.ndarray | None = None, n_trajectories: int = 5) -> Samples:
+    """Samples with these velocities, of rows that are the joints themselves."""
+    q = np.cumsum(u, axis=0) if q is None else q
+    features = CustomFeatures(lambda _: np.eye(u.shape[1]), tuple("abcdefgh"[: u.shape[1]]), u.shape[1])
+    trajectory = np.sort(np.arange(len(u)) % n_trajectories)
+    return Samples.of(features, DataSummary.of_samples(q, u, trajectory, 0))
+
+
+def test_what_is_too_little_or_too_odd_to_learn_from(rng):
+    """Thresholds, each from both sides: an outlier is 1e4 times the usual, a joint hardly moves below a millionth of
+    the energy, fewer than 1.6 joints at a time are friction's way, five trajectories are not few.
+    """
+    names, u = tuple("abcd"), rng.standard_normal((40, 4))
+    assert check_samples(moving(u), names, None) == []
+    fast, far = u / np.linalg.norm(u, axis=1)[:, None], rng.standard_normal((40, 4))
+    far[11] = [1e9, *np.median(far, axis=0)[1:]]
+    middle = np.median(far, axis=0)
+    usual = np.quantile(np.linalg.norm(far - middle, axis=1), 0.9)
+    for factor in (0.98e4, 1.02e4):
+        fast[7], far[11] = [0.0, 0.0, -factor, 0.0], middle + [factor * usual, 0.0, 0.0, 0.0]
+        given, samples = DataSummary.of_samples(u, fast, np.repeat(np.arange(4), 10), 0), moving(u, far, 4)
+        if factor < 1e4:
+            check_fastest(given, names)
+            check_postures(samples)
+            continue
+        with pytest.raises(
+            RecordingError, match=r"sample 7 \(trajectory 0\) moves at -1.02e\+04 in joint 'c', 1.0e\+04"
+        ):
+            check_fastest(given, names)
+        with pytest.raises(RecordingError, match=r"sample 11 \(trajectory 1\) is 1\.0e\+04 times"):
+            check_postures(samples)
+    for share, named in ((0.9e-6, True), (1.1e-6, False)):
+        slow = rng.standard_normal((4000, 4))
+        slow[:, 2] *= np.sqrt(share * np.sum(slow[:, [0, 1, 3]] ** 2) / np.sum(slow[:, 2] ** 2))
+        said = check_samples(moving(slow), names, None)
+        assert bool([w for w in said if w.startswith("joint c hardly moved")]) == named
+    for second, warned in ((0.5, True), (0.65, False)):  # (1 + x^2)^2 / (1 + x^4): 1.47 and 1.72
+        two = np.tile([1.0, second, 0.0, 0.0], (40, 1)) * rng.uniform(0.5, 1.0, (40, 1))
+        assert any("joints move at a time" in w for w in check_samples(moving(two), names, None)) == warned
+    for n, said in ((1, ["only one trajectory"]), (4, ["only 4 trajectories"]), (5, [])):
+        assert [w.partition(":")[0] for w in check_samples(moving(u, n_trajectories=n), names, None)] == said
+    for different, rows, asked in ((5, 4, None), (4, 2, None), (7, 4, 2)):
+        few = np.tile(rng.standard_normal((different, rows)), (9, 1))
+        samples = moving(few, few, 1)
+        if (different, rows) != (7, 4):
+            with pytest.raises(
+                NotIdentifiableError, match=f"{different} different moving samples.*{different + 1} can"
+            ):
+                check_samples(samples, names[:rows], asked)
+        else:
+            check_samples(samples, names, asked)
+    with pytest.raises(NotIdentifiableError, match="single joint"):
+        check_postures(moving(u[:, :1]))
+
+
+def test_samples_are_chosen_and_grouped_evenly(rng):
+    """Every k-th sample with the least k that leaves no more than asked; trajectories in blocks of neighbours."""
+    samples = moving(rng.standard_normal((10, 3)), n_trajectories=3)
+    np.testing.assert_array_equal(samples.thinned(4).u, samples.u[[0, 3, 6, 9]])
+    assert samples.thinned(10) is samples and len(samples.thinned(9)) == 5
+    assert samples.energy == pytest.approx(np.mean(np.sum(samples.u**2, axis=1)))
+    chosen = samples.subset(samples.trajectory == 2)
+    assert chosen.n_trajectories == 1 and np.array_equal(chosen.u, samples.u[samples.trajectory == 2])
+    trajectory = np.array([0, 0, 1, 2, 2, 3, 4])
+    assert TrajectoryBlocks(5, 2).runs(trajectory) == [(0, slice(0, 5)), (1, slice(5, 7))]
+    assert TrajectoryBlocks(5, 5).runs(trajectory)[1] == (1, slice(2, 3)) and TrajectoryBlocks(5, 9).n_blocks == 5
+    np.testing.assert_allclose(energy_shares(np.array([1.0, 3.0])), [0.25, 0.75])
+    np.testing.assert_allclose(energy_shares(np.zeros(2)), 0.0)
 
 
 def test_null_space_fit_from_random_starts():
@@ -93,43 +175,9 @@ def test_conditional_pca_is_a_good_start(reaching):
     assert sizes[1] > 2.0 * sizes[2]
 
 
-@pytest.mark.parametrize("by_rows", [False, True])
-@pytest.mark.parametrize("by_sample", [False, True])
-def test_cross_validation_judges_what_was_not_fitted(reaching, by_sample, by_rows, monkeypatch):
-    """Each fold's share of |Z^T (u - pi)|^2, with pi fitted to the other folds alone, written out; by normal equations
-    and by QR.
-    """
-    if by_rows:
-        monkeypatch.setattr(variable_projection, "held_out_by_fold", lambda *_: None)
-    samples, _ = reaching
-    Lambda, model, n_folds = np.linalg.qr(np.random.default_rng(6).normal(size=(3, 2)))[0].T, PolynomialModel(1, 3), 5
-    rows, targets, folds = [], [], []
-    for block in samples.blocks():
-        for i, (Phi, u, beta) in enumerate(zip(block.Phi, block.u, model(block.x), strict=True)):
-            Z = np.linalg.svd(Lambda @ Phi)[2][2:].T
-            rows.append(np.kron(beta, Z.T))
-            targets.append(Z.T @ u)
-            folds.append((i if by_sample else block.trajectory[i]) % n_folds)
-    rows, targets, folds = np.array(rows), np.array(targets), np.array(folds)
-    expected = []
-    for fold in range(n_folds):
-        out = folds == fold
-        theta = np.linalg.lstsq(rows[~out].reshape(-1, rows.shape[2]), targets[~out].reshape(-1), rcond=1e-12)[0]
-        expected.append(np.sum((targets[out] - rows[out] @ theta) ** 2) / len(samples))
-    costs = held_out_costs(samples, Lambda, model, n_folds, by_sample=by_sample)
-    np.testing.assert_allclose(costs, expected, rtol=1e-6)
-    assert np.all(np.isinf(held_out_costs(samples, Lambda, model, 1)))
-
-
-def test_names_of_polynomials():
-    """A degree without a word of its own is named by its number."""
-    assert [PolynomialModel(degree, 1).name for degree in (0, 1, 5, 6, 7)] == [
-        *("constant", "affine", "quintic", "degree 6", "degree 7"),
-    ]
-
-
 def test_polynomials(rng):
-    """All monomials up to the degree, once each."""
+    """All monomials up to the degree, once each; a degree without a word of its own is named by its number."""
+    assert [PolynomialModel(degree, 1).name for degree in (0, 5, 6)] == ["constant", "quintic", "degree 6"]
     x = rng.standard_normal((20, 3))
     for degree, n in ((0, 1), (1, 4), (2, 10), (3, 20)):
         beta = PolynomialModel(degree, 3)(x)
@@ -155,8 +203,78 @@ def test_gaps():
     # levels below rounding say nothing, whatever their ratio
     assert gaps_of_levels(np.array([0.0, 2e-8, 1.0]), 6).best == 2
     residuals = gaps_of_residuals({0: 1.0, 1: 0.1, 2: 0.01, 3: 0.0099}, 0.0, 10_000)
-    assert residuals.best == 2
+    assert residuals.best == 2 and residuals.gaps == pytest.approx((10.0, 10.0, 1.0101), rel=1e-4)
     assert residuals.gap(7) == 0.0
+    # what helps: 1.3 times, more with few samples, and the fourth root of the largest gap
+    assert residuals.weak_from == 1.3 and gaps_of_residuals({0: 2.0, 1: 1.0}, 0.0, 50).weak_from > 1.48
+    assert gaps_of_residuals({0: 1e4, 1: 9.0, 2: 1.0}, 0.0, 10_000).best == 2
+    assert gaps_of_residuals({0: 1e5, 1: 9.0, 2: 1.0}, 0.0, 10_000).best == 1
+    assert gaps_of_residuals({0: 1.0, 1: 0.1, 2: 1e-9}, 0.05, 10_000).gaps == pytest.approx((10.0, 2.0))
+    for gap, verdict in ((10.0, "clear"), (9.99, "weak"), (3.0, "weak"), (2.99, "none")):
+        assert GapTable((2,), (gap,), 3.0, 2).verdict(2) == verdict
+
+
+def estimate_of(gap: float, unexplained: float, name: str = "null-space", **changes) -> Estimate:
+    """Two of three rows, with a gap and a share of the energy that is left."""
+    table, nothing = GapTable((1, 2), (2.0, gap), 3.0, 2), np.zeros((1, 2))
+    return Estimate(name, np.eye(3)[:2], table, unexplained, 0.0, nothing, np.zeros((1, 2, 2)), **changes)
+
+
+def test_an_estimate_is_doubted_by_its_numbers():
+    """Held beyond doubt: gap 10, 1e-4 of the energy; soft from 1 %; refused below 3; a policy predicts 70 %."""
+    for gap, left, held in ((10.0, 0.9e-4, True), (9.9, 0.9e-4, False), (10.0, 1.1e-4, False)):
+        assert estimate_of(gap, left).is_held == held
+    assert not estimate_of(20.0, 0.0, "joint").is_held
+    assert _doubts_of(estimate_of(10.0, 0.009), 7, None) == []
+    (weak,) = _doubts_of(estimate_of(9.9, 0.009), 7, None)
+    assert weak.startswith("weak gap: 9.9 for 2 rows, 10 is clear")
+    (soft,) = _doubts_of(estimate_of(10.0, 0.011), 7, None)
+    assert soft.startswith("1.1 % of the motion's energy breaks the constraint") and soft.endswith(
+        "(then use estimator='joint')"
+    )
+    with pytest.raises(NotIdentifiableError, match="largest gap is 2.9, for 2 rows, and 3 is the least") as refusal:
+        _doubts_of(estimate_of(2.9, 0.0), 7, None)
+    assert refusal.value.code == "weak-gap" and refusal.value.gaps == {1: 2.0, 2: 2.9}
+    assert len(_doubts_of(estimate_of(2.9, 0.0), 7, 2)) == 1  # asked for: a warning
+    with pytest.raises(NotIdentifiableError, match="2 constraints leave no null space for 2 joints"):
+        _doubts_of(estimate_of(10.0, 0.0), 2, None)
+    other = dataclasses.replace(estimate_of(10.0, 0.0), whitened_selection=np.eye(3)[:1])
+    assert "1 row learnt as asked, but the gap supports 2: 10 against 2" in _doubts_of(other, 7, 1)
+    assert (
+        _doubts_of(
+            estimate_of(
+                10.0,
+                0.5,
+                "joint",
+            ),
+            7,
+            None,
+        )
+        == []
+    )
+    poor = dataclasses.replace(estimate_of(10.0, 0.5, "joint"), held_out=0.31)
+    assert _doubts_of(poor, 7, None)[0].startswith("the policy model predicts only 69 % of left-out")
+    assert _doubts_of(dataclasses.replace(poor, held_out=0.29), 7, None) == []
+
+
+def test_a_richer_policy_is_taken_where_it_predicts_as_well_and_is_cheap():
+    """The richest that costs no more than 1.1 times the best on left-out trajectories, and no more than chance; at most
+    three times its regressors, or as many as the residuals allow.
+    """
+    base = np.array([1.0, 2.0, 1.5, 1.2, 1.8])
+
+    def judged(degree: int, costs: np.ndarray) -> JudgedModel:
+        return JudgedModel(PolynomialModel(degree, 3), costs, 1.0)
+
+    def chosen(*richer: JudgedModel, most: float = 100.0) -> str:
+        return choose_model([judged(1, base), *richer], most).model.name
+
+    noise = 0.2 * np.array([1.0, -1.0, 1.0, -1.0, 0.5])
+    assert chosen(judged(2, base + noise)) == "quadratic"
+    assert chosen(judged(2, 1.11 * base)) == "affine" and chosen(judged(2, 1.05 * base)) == "affine"
+    assert chosen(judged(2, base + noise), judged(3, base + noise)) == "quadratic"  # 20 regressors, three times 4 is 12
+    assert chosen(judged(2, base + noise), most=9.0) == "affine"
+    assert chosen(judged(2, 0.5 * base), judged(3, 0.5 * base + 0.1 * noise)) == "cubic"
 
 
 def test_free_directions_are_free():
@@ -242,6 +360,24 @@ def test_report_in_json_and_in_words():
     assert isinstance(plain["warnings"], list) and set(plain["gap_table"]) == {"1", "2", "3"}
     assert str(report).splitlines()[0] == report.sentence
     assert "warning: only one trajectory" in str(report)
+
+
+def test_no_name_of_a_file_or_a_row_moves_the_cursor():
+    """Control characters of names are written out in every sentence, in repr and in HTML; data keep the names."""
+    rng, bad = np.random.default_rng(6), "\x1b[31mred\x07\u202e"
+    demos, truth = guided_motions(arm_features(), np.eye(3)[:2], rng, 6, 60, noise=0.01)
+    features = CustomFeatures(truth.features, ("x" + bad, "y", "z"), 7)
+    slips = [dataclasses.replace(t, name=f"{t.name}{bad}") for t in demos]
+    slips[0] = dataclasses.replace(slips[0], u=slips[0].u + 0.02 * np.cos(slips[0].time)[:, None])
+    copied = dataclasses.replace(slips[2], name="copy" + bad)
+    report = ConstraintLearner(features).fit(Demonstrations([*slips, copied], ["read" + bad])).report_
+    assert any(f"copy{bad}" in p.trajectory or bad in p.trajectory for p in report.phases)
+    reasons = [why for _, why in report.odd_trajectories]
+    said = [str(report), repr(report), report._repr_html_(), *report.notes, *reasons]
+    assert any(r"\x1b[31m" in w for w in report.warnings) and r"read\x1b" in report.notes[0]
+    assert not [c for text in said for c in text if c in bad and not c.isprintable()]
+    overview = RecordingOverview((Phase("a" + bad, 0.0, 1.0, 0), Phase("b" + bad, 0.0, 1.0, None, "why" + bad)))
+    assert len(overview.sentences()) == 2 and all(text.isprintable() for text in overview.sentences())
 
 
 def test_rows_in_other_units_give_the_same_answer():

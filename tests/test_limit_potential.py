@@ -6,43 +6,39 @@ import numpy as np
 import pytest
 from test_gradients import central_difference
 
-from manip_learn.robot.limit_potential import limit_gradient, limit_potential, limit_weights
+from manip_learn.robot.limit_potential import limit_potential, limit_weights
 
 LIMITED = ["one", "planar3", "gantry", "panda", "ur5", "sawyer"]
 
 
-@pytest.mark.parametrize("name", [*LIMITED, "wrist", "tree", "mimic", "rover"])
-def test_gradient(robot_of, rng, name: str):
-    """dh/dq is right to 1e-6, within 1 % of the range from the limits too, and 0 for joints without limits."""
-    robot = robot_of(name)
-    for share in (0.0, 0.7, 0.99):
-        q = near_limits(robot, rng, share)
-        expected = central_difference(lambda x: limit_potential(robot, x), robot, q)
-        np.testing.assert_allclose(limit_gradient(robot, q), expected, rtol=1e-5, atol=1e-6)
-    free = ~np.isfinite(robot.position_upper)
-    np.testing.assert_array_equal(limit_gradient(robot, q)[free], 0.0)
-    np.testing.assert_array_equal(limit_weights(robot, q)[0][free], 1.0)
+def slope_of(robot, q: np.ndarray) -> np.ndarray:
+    """dh/dq_j = 4 x_j / ((u_j - l_j) (1 - x_j^2)^2)."""
+    width = robot.position_upper - robot.position_lower
+    x = (2.0 * q - robot.position_upper - robot.position_lower) / width
+    return 4.0 * x / (width * (1.0 - x**2) ** 2)
 
 
 @pytest.mark.parametrize("name", LIMITED)
-def test_weights(robot_of, rng, name: str):
-    """w = (1 + h'^2)^(-1/4), at most 2^(1/4) of (1 + |h'|)^(-1/2) and never less; its derivative is exact."""
+def test_potential_and_weights(robot_of, rng, name: str):
+    """dh/dq is right to 1e-6; w = (1 + h'^2)^(-1/4), at most 2^(1/4) of (1 + |h'|)^(-1/2) and never less, and exact dw.
+
+    At a limit and outside the weights are 0, of finite slope; they fall towards both limits.
+    """
     robot = robot_of(name)
     for share in (0.0, 0.5, 0.9, 0.999):
         q = near_limits(robot, rng, share)
         w, slope = limit_weights(robot, q)
-        steep = limit_gradient(robot, q)
+        steep = slope_of(robot, q)
+        if share < 0.99:
+            expected = central_difference(lambda x: limit_potential(robot, x), robot, q)
+            np.testing.assert_allclose(steep, expected, rtol=1e-5, atol=1e-6)
         np.testing.assert_allclose(w, (1.0 + steep**2) ** -0.25, rtol=1e-9)
         published = 1.0 / np.sqrt(1.0 + np.abs(steep))
         assert np.all(w >= published * (1.0 - 1e-12)) and np.all(w <= 2.0**0.25 * published)
         expected = central_difference(lambda x: limit_weights(robot, x)[0], robot, q)
         np.testing.assert_allclose(np.diag(slope), expected, rtol=1e-5, atol=1e-7)
-
-
-@pytest.mark.parametrize("name", LIMITED)
-def test_at_and_outside_the_limits(robot_of, name: str):
-    """Weights are 0 at the limits and outside, of finite slope; they fall towards the upper limit and the lower one."""
-    robot = robot_of(name)
+    middle = 0.5 * (robot.position_upper + robot.position_lower)
+    assert limit_potential(robot, middle) == pytest.approx(robot.nv, abs=1e-12)
     for q, sign in ((robot.position_upper, -1.0), (robot.position_lower, 1.0)):
         w, slope = limit_weights(robot, np.nextafter(q, -sign * np.inf))
         assert np.all(w < 1e-6)
@@ -53,6 +49,17 @@ def test_at_and_outside_the_limits(robot_of, name: str):
         w, slope = limit_weights(robot, q - sign * 0.1)
         np.testing.assert_array_equal(np.stack([w, slope]), 0.0)
         assert limit_potential(robot, q - sign * 0.1) == np.inf
+
+
+def test_joints_without_limits_count_for_nothing(robot_of, rng):
+    """Their weight is 1 with slope 0, and h does not depend on them."""
+    for name in ("wrist", "rover"):
+        robot = robot_of(name)
+        q = robot.positions(robot.random_configuration(rng))
+        free = ~np.isfinite(robot.position_upper)
+        weights, slopes = limit_weights(robot, q)
+        assert np.any(free) and np.all(weights[free] == 1.0) and np.all(slopes[free] == 0.0)
+        assert limit_potential(robot, np.where(free, 0.3, q)) == limit_potential(robot, q)
 
 
 def near_limits(robot, rng: np.random.Generator, share: float) -> np.ndarray:

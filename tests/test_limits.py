@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from itertools import product
 
 import numpy as np
 import pytest
@@ -15,27 +16,25 @@ from manip_learn.robot.robot import Robot
 RobotOf = Callable[[str], Robot]
 
 
-@pytest.mark.parametrize("dt", [1e-4, 1e-3, 0.01, 0.05])
-@pytest.mark.parametrize("name", ["sawyer", "gantry", "kinova"])
-def test_greedy_motion_keeps_every_limit(name: str, dt: float, robot_of: RobotOf, rng: np.random.Generator) -> None:
+def test_greedy_motion_keeps_every_limit(robot_of: RobotOf, rng: np.random.Generator) -> None:
     """A joint that always takes an extreme of its bounds meets no limit of position, velocity or acceleration."""
-    robot = robot_of(name)
-    limits = Limits(robot)
-    low = np.where(np.isfinite(robot.position_lower), robot.position_lower, -3.0)
-    high = np.where(np.isfinite(robot.position_upper), robot.position_upper, 3.0)
-    q, u = rng.uniform(low, high), np.zeros(robot.nv)
-    sense = rng.choice([-1.0, 1.0], robot.nv)
-    for step in range(600):
-        if step % 100 == 99:
-            sense = rng.choice([-1.0, 1.0], robot.nv)
-        bounds = limits.bounds(q, dt, u)
-        lowest, highest = np.array(bounds.low), np.array(bounds.high)
-        assert np.all(lowest <= highest)
-        following = np.where(sense > 0.0, highest, lowest)
-        assert np.all(np.abs(following - u) <= limits.acceleration * dt * (1.0 + 1e-12))
-        assert np.all(np.abs(following) <= limits.velocity * (1.0 + 1e-12))
-        q, u = q + dt * following, following
-        assert np.all(q <= robot.position_upper + 1e-12) and np.all(q >= robot.position_lower - 1e-12)
+    for name, dt in product(("sawyer", "gantry", "kinova"), (1e-4, 1e-3, 0.01, 0.05)):
+        robot = robot_of(name)
+        limits = Limits(robot)
+        low = np.where(np.isfinite(robot.position_lower), robot.position_lower, -3.0)
+        high = np.where(np.isfinite(robot.position_upper), robot.position_upper, 3.0)
+        q, u = rng.uniform(low, high), np.zeros(robot.nv)
+        for step in range(600):
+            if step % 100 == 0:
+                sense = rng.choice([-1.0, 1.0], robot.nv)
+            bounds = limits.bounds(q, dt, u)
+            lowest, highest = np.array(bounds.low), np.array(bounds.high)
+            assert np.all(lowest <= highest)
+            following = np.where(sense > 0.0, highest, lowest)
+            assert np.all(np.abs(following - u) <= limits.acceleration * dt * (1.0 + 1e-12))
+            assert np.all(np.abs(following) <= limits.velocity * (1.0 + 1e-12))
+            q, u = q + dt * following, following
+            assert np.all(q <= robot.position_upper + 1e-12) and np.all(q >= robot.position_lower - 1e-12)
 
 
 def test_a_joint_reaches_its_limit_and_rests(robot_of: RobotOf) -> None:
@@ -78,21 +77,22 @@ def test_defaults_and_settings(robot_of: RobotOf) -> None:
     assert np.all(np.isinf(free.upper)) and free.bounds(robot.position_upper + 1.0, 0.01, None).outside == 0.0
 
 
-@pytest.mark.parametrize(
-    ("settings", "words"),
-    [
+def test_wrong_limits_are_refused(robot_of: RobotOf) -> None:
+    """The joint and the value seen are named, and the width of a range that a margin uses up."""
+    robot = robot_of("sawyer")
+    widths = robot.position_upper - robot.position_lower
+    narrow = robot.joint_names[int(widths.argmin())]
+    for settings, words in (
         ({"velocity": 0.0}, "velocity limit of joint 'right_j0' must be positive, got 0"),
         ({"acceleration": [1.0, 1.0]}, "7 numbers"),
         ({"acceleration": [1, 1, -1, 1, 1, 1, 1]}, "'right_j2' must be positive, got -1"),
         ({"jerk": np.nan}, "must be positive, got nan"),
         ({"margin": 4.0}, "no room to joint 'right_j0'"),
+        ({"margin": 0.501 * float(widths.min())}, f"'{narrow}', whose range is {widths.min():g} wide"),
         ({"margin": -0.1}, "margin"),
-    ],
-)
-def test_wrong_limits_are_refused(settings: dict, words: str, robot_of: RobotOf) -> None:
-    """The joint and the value seen are named."""
-    with pytest.raises(ConfigurationError, match=words):
-        ml.Limits(robot_of("sawyer"), **settings)
+    ):
+        with pytest.raises(ConfigurationError, match=words):
+            ml.Limits(robot, **settings)
 
 
 def test_a_singularity_is_left_where_there_is_more_room(robot_of: RobotOf) -> None:
@@ -167,12 +167,3 @@ def test_the_limit_that_binds_is_that_of_the_joint_that_is_held_back_most() -> N
     assert bounds.binding(np.array([0.0, -2.0, -3.0]), np.array([0.0, -2.5, -3.1])) == (1, 1)
     assert bounds.binding(np.array([0.1, -2.0, -3.0]), np.array([0.5, -2.1, -3.6])) == (2, 2)
     assert bounds.binding(np.array([0.1, -2.0, 0.0]), np.array([0.05, -1.9, 7.0])) == (-1, -1)
-
-
-def test_a_margin_that_leaves_no_room_is_refused_with_the_range(robot_of: RobotOf) -> None:
-    """The sentence names the joint and the width of its range."""
-    robot = robot_of("sawyer")
-    widths = robot.position_upper - robot.position_lower
-    with pytest.raises(ConfigurationError, match=f"whose range is {widths.min():g} wide") as caught:
-        Limits(robot, margin=0.501 * float(widths.min()))
-    assert robot.joint_names[int(widths.argmin())] in str(caught.value)

@@ -1,4 +1,4 @@
-"""Inverses, null spaces and angles between row spaces."""
+"""Inverses, null spaces and angles between row spaces; laws for every input are in test_axioms.py."""
 
 from __future__ import annotations
 
@@ -8,22 +8,26 @@ import sys
 
 import numpy as np
 import pytest
+from test_axioms import pseudo_inverse
+from test_gradients import case
 
 from manip_learn.linalg import (
     EPS,
+    along_axes,
     batch_row_spaces,
     complement_rows,
+    finite,
     inverse_singular_values,
     inverse_triangles,
     matlab_tolerance,
-    null_basis,
-    null_projector,
-    orthonormal_rows,
     principal_angles,
-    pseudo_inverse,
+    rank_of,
     row_bases,
     row_basis,
     row_space_angle,
+    row_space_angles,
+    turned,
+    whitener,
 )
 
 
@@ -34,27 +38,33 @@ def with_singular_values(rng: np.random.Generator, sigma: list[float], n: int) -
     return (U * sigma) @ V.T
 
 
-@pytest.mark.parametrize("shape", [(1, 3), (2, 7), (3, 3), (6, 7), (4, 2)])
-def test_exact_inverse_is_the_moore_penrose_one(rng, shape):
-    """Away from singularities the exact inverse is NumPy's."""
-    A = rng.normal(size=shape)
-    np.testing.assert_allclose(pseudo_inverse(A), np.linalg.pinv(A), rtol=0, atol=1e-13)
-
-
 def test_exact_inverse_inverts_however_small(rng):
     """The exact inverse keeps a singular value of 1e-200; truncation at Matlab's tolerance drops it."""
     A = np.array([[1.0, 0.0, 0.0], [0.0, 1e-200, 0.0]])
     assert pseudo_inverse(A, "exact")[1, 1] == pytest.approx(1e200)
     assert pseudo_inverse(A, "truncated")[1, 1] == 0.0
     assert pseudo_inverse(A, "truncated")[0, 0] == 1.0
+    sigma = np.array([1000.0, 4e-13, 3e-13])  # max(size) eps(norm) = 3.4e-13
+    np.testing.assert_array_equal(inverse_singular_values(sigma, (3, 3), "truncated"), [1e-3, 1.0 / 4e-13, 0.0])
+    for values in (
+        [[1, 2, 3]],
+        [1, 2],
+        [1, np.nan, 2],
+        "xyz",
+        ["1", "2", "3"],
+        [True, False, True],
+        [[1], [2, 3]],
+        None,
+    ):
+        assert finite(values, 3) is None
+    np.testing.assert_array_equal(finite((1, 2.5, 3), 3), [1.0, 2.5, 3.0])
 
 
 def test_zero_matrix_has_a_zero_inverse():
     """Nothing is divided by zero: the inverse of 0 is 0 in every sense, also without rows or columns."""
     for inverse in ("exact", "truncated", "damped"):
         np.testing.assert_array_equal(pseudo_inverse(np.zeros((2, 4)), inverse), np.zeros((4, 2)))
-    assert pseudo_inverse(np.zeros((0, 4))).shape == (4, 0)
-    assert pseudo_inverse(np.zeros((3, 0))).shape == (0, 3)
+    assert inverse_singular_values(np.zeros(0), (0, 4)).shape == (0,)
 
 
 def test_matlab_tolerance():
@@ -62,6 +72,8 @@ def test_matlab_tolerance():
     assert matlab_tolerance(np.array([1.0, 0.1]), (2, 3)) == 3 * EPS
     assert matlab_tolerance(np.array([3.0, 0.1]), (2, 3)) == 3 * 2 * EPS
     assert matlab_tolerance(np.array([]), (0, 3)) >= 0.0
+    assert [rank_of(np.array([1.0, x]), (2, 3)) for x in (3 * EPS, 3.1 * EPS, 0.0)] == [1, 2, 1]
+    assert rank_of(np.array([]), (0, 3)) == rank_of(np.zeros(2), (2, 3)) == 0
 
 
 def test_damped_inverse(rng):
@@ -85,28 +97,6 @@ def test_unknown_inverse_is_refused():
         pseudo_inverse(np.eye(2), "damp")  # type: ignore[arg-type]
 
 
-@pytest.mark.parametrize(
-    ("sigma", "dimension"), [([1.0, 0.5], 5), ([1.0, 1e-14], 5), ([1.0, 1e-17], 6), ([0.0, 0.0], 7), ([3.0] * 7, 0)]
-)
-def test_null_basis(rng, sigma, dimension):
-    """The null basis is orthonormal, is mapped to zero, and has the dimension that Matlab's rank leaves."""
-    A = with_singular_values(rng, sigma, 7)
-    Z = null_basis(A)
-    assert Z.shape == (7, dimension)
-    np.testing.assert_allclose(Z.T @ Z, np.eye(dimension), rtol=0, atol=1e-14)
-    assert np.max(np.abs(A @ Z), initial=0.0) < 1e-14
-    np.testing.assert_array_equal(null_projector(A), Z @ Z.T)
-
-
-def test_orthonormal_rows(rng):
-    """Rows become orthonormal, span the same space, and orthonormal ones stay as they are."""
-    M = rng.normal(size=(2, 5))
-    Q = orthonormal_rows(M)
-    np.testing.assert_allclose(Q @ Q.T, np.eye(2), rtol=0, atol=1e-14)
-    assert row_space_angle(M, Q) < 1e-14
-    np.testing.assert_allclose(orthonormal_rows(Q), Q, rtol=0, atol=1e-14)
-
-
 def test_complement_and_basis(rng):
     """A row basis and the complement of the row space are orthonormal together, also for dependent rows."""
     M = rng.normal(size=(2, 5))
@@ -116,15 +106,15 @@ def test_complement_and_basis(rng):
         np.testing.assert_allclose(both @ both.T, np.eye(5), rtol=0, atol=1e-13)
 
 
-@pytest.mark.parametrize("exponent", range(0, -17, -1))
-def test_principal_angles_of_every_size(exponent):
+def test_principal_angles_of_every_size():
     """An angle of 1e-16 is measured as well as one of 1 radian: no digits are lost to the arc cosine."""
-    angle = 10.0**exponent
-    M1 = np.array([[1.0, 0.0, 0.0, 0.0], [0.0, 0.0, 0.0, 2.0]])
-    M2 = np.array([[np.cos(angle), np.sin(angle), 0.0, 0.0], [3.0, 0.0, 0.0, 5.0]])
-    M2[1] = 3.0 * M2[0] + [0.0, 0.0, 0.0, 5.0]  # same space, other rows
-    assert principal_angles(M1, M2)[0] == pytest.approx(angle, rel=1e-9, abs=1e-15)
-    assert row_space_angle(M2, M1) == pytest.approx(angle, rel=1e-9, abs=1e-15)
+    for angle in 10.0 ** -np.arange(17):
+        M1 = np.array([[1.0, 0.0, 0.0, 0.0], [0.0, 0.0, 0.0, 2.0]])
+        M2 = np.array([[np.cos(angle), np.sin(angle), 0.0, 0.0]])
+        M2 = np.vstack([M2, 3.0 * M2 + [0.0, 0.0, 0.0, 5.0]])  # same space, other rows
+        assert principal_angles(M1, M2)[0] == pytest.approx(angle, rel=1e-9, abs=1e-15)
+        assert row_space_angle(M2, M1) == pytest.approx(angle, rel=1e-9, abs=1e-15)
+        assert row_space_angles(M2[None], row_basis(M1))[0] == pytest.approx(angle, rel=1e-9, abs=1e-15)
 
 
 def test_principal_angles_of_other_dimensions(rng):
@@ -147,33 +137,56 @@ def test_angles_see_no_rows_that_add_nothing():
     assert row_space_angle(np.zeros((2, 3)), np.zeros((1, 3))) == 0.0
 
 
-@pytest.mark.parametrize("shape", [(1, 3), (2, 3), (3, 3), (2, 7), (6, 7)])
-def test_batch_row_spaces(rng, shape):
-    """In a stack, each Q is orthogonal, A^T = Q[:, :s] R, and Q[:, s:] is a null basis, as matrix by matrix."""
-    s, nv = shape
-    A = rng.normal(size=(40, s, nv))
-    A[3, 0] = 0.0  # singular
-    A[5] = 0.0
-    Q, R = batch_row_spaces(A)
-    np.testing.assert_allclose(Q.transpose(0, 2, 1) @ Q, np.broadcast_to(np.eye(nv), (40, nv, nv)), rtol=0, atol=1e-13)
-    np.testing.assert_allclose(Q[:, :, :s] @ R, A.transpose(0, 2, 1), rtol=0, atol=1e-13)
-    np.testing.assert_allclose(A @ Q[:, :, s:], 0.0, rtol=0, atol=1e-13)
+def test_whitener(rng):
+    """W S W^T = I over what S determines, whatever the units of the unknowns; what is rounding is left out."""
+    B = rng.normal(size=(5, 5)) * [1e-6, 1.0, 1e5, 1.0, 1.0]
+    W = whitener(B.T @ B)
+    np.testing.assert_allclose(W @ B.T @ B @ W.T, np.eye(5), rtol=0, atol=1e-9)
+    flat = B.copy()
+    flat[:, 4] = flat[:, 3] * (1.0 + 1e-8)  # nearly the same unknown twice: 1e-16 of the largest eigenvalue
+    assert whitener(flat.T @ flat).shape == (4, 5) and whitener(np.zeros((3, 3))).shape == (0, 3)
+    np.testing.assert_allclose(whitener(np.diag([4.0, 0.0])), [[0.5, 0.0]])
+    assert whitener(np.array([[1.0, 0.9], [0.9, 1.0]]), least=0.1).shape == (1, 2)  # 0.1 over 1.9
 
 
-@pytest.mark.parametrize("s", [0, 1, 2, 6])
-def test_row_bases_are_those_of_the_full_reflections(rng, s):
-    """The thin factors are the first columns of the full ones, for singular and zero matrices too."""
-    A = rng.standard_normal((30, s, 7))
-    A[4, -1:], A[7] = A[4, :1], 0.0
-    Q, R = batch_row_spaces(A)
-    thin_Q, thin_R = row_bases(A.transpose(2, 1, 0))
-    thin_Q, thin_R = thin_Q.transpose(2, 0, 1), thin_R.transpose(2, 0, 1)
-    others = np.arange(30) != 4  # of dependent rows rounding decides what is added
-    np.testing.assert_allclose(thin_Q[others], Q[others, :, :s], rtol=0, atol=1e-13)
-    np.testing.assert_allclose(thin_R[others], R[others], rtol=0, atol=1e-13)
-    np.testing.assert_allclose(thin_Q @ thin_R, A.transpose(0, 2, 1), rtol=0, atol=1e-13)
-    unit = np.broadcast_to(np.eye(s), (30, s, s))
-    np.testing.assert_allclose(thin_Q.transpose(0, 2, 1) @ thin_Q, unit, rtol=0, atol=1e-13)
+def test_turned_rows(rng):
+    """A step B on the Grassmann manifold, as a matrix or row after row: orthonormal rows of the space rows + B perp."""
+    rows, B = np.linalg.qr(rng.normal(size=(5, 2)))[0].T, 0.3 * rng.normal(size=(2, 3))
+    wanted = rows + B @ complement_rows(rows)
+    for step in (B, B.reshape(-1)):
+        got = turned(rows, step)
+        np.testing.assert_allclose(got @ got.T, np.eye(2), rtol=0, atol=1e-14)
+        assert row_space_angle(got, wanted) < 1e-13
+
+
+def test_rows_along_axes(rng):
+    """The same space in rows along single axes where they can be, in the axes' order, the largest entry positive."""
+    wanted = np.array([[0.6, -0.8, 0.0, 0.0], [0.0, 0.0, 1.0, 0.0], [0.0, 0.0, 0.0, 1.0]]) * [[-1], [1], [1]]
+    for _ in range(5):
+        mixed = np.linalg.qr(rng.normal(size=(3, 3)))[0] @ wanted
+        np.testing.assert_allclose(along_axes(mixed), wanted, rtol=0, atol=1e-12)
+
+
+def test_batch_row_spaces(rng):
+    """In a stack, each Q is orthogonal, A^T = Q[:, :s] R, and Q[:, s:] is a null basis, as matrix by matrix; the thin
+    factors are the first columns of the full ones, for singular and zero matrices too.
+    """
+    for s, nv in ((0, 7), (1, 3), (2, 3), (3, 3), (2, 7), (6, 7)):
+        with case(s, nv):
+            A = rng.normal(size=(30, s, nv))
+            A[3, :1], A[4, -1:], A[7] = 0.0, A[4, :1], 0.0
+            Q, R = batch_row_spaces(A)
+            unit = np.broadcast_to(np.eye(nv), (30, nv, nv))
+            np.testing.assert_allclose(Q.transpose(0, 2, 1) @ Q, unit, rtol=0, atol=1e-13)
+            np.testing.assert_allclose(Q[:, :, :s] @ R, A.transpose(0, 2, 1), rtol=0, atol=1e-13)
+            np.testing.assert_allclose(A @ Q[:, :, s:], 0.0, rtol=0, atol=1e-13)
+            np.testing.assert_array_equal(R, np.triu(R))
+            thin_Q, thin_R = (x.transpose(2, 0, 1) for x in row_bases(A.transpose(2, 1, 0)))
+            others = np.arange(30) != 4  # of dependent rows rounding decides what is added
+            np.testing.assert_allclose(thin_Q[others], Q[others, :, :s], rtol=0, atol=1e-13)
+            np.testing.assert_allclose(thin_R[others], R[others], rtol=0, atol=1e-13)
+            np.testing.assert_allclose(thin_Q @ thin_R, A.transpose(0, 2, 1), rtol=0, atol=1e-13)
+            np.testing.assert_allclose(thin_Q.transpose(0, 2, 1) @ thin_Q, unit[:, :s, :s], rtol=0, atol=1e-13)
 
 
 def test_samples_that_lose_rank_have_no_say(rng):

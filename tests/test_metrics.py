@@ -45,17 +45,10 @@ def test_a_learnt_constraint_without_manipulability_has_the_error_of_zero():
     assert scale_free_nmie(mu, np.zeros(3)) == pytest.approx(np.mean(mu**2) / np.var(mu))
 
 
-def test_policy_rmse_is_a_mean_over_time_of_squared_lengths():
-    """Squares are summed over the joints and averaged over the postures of each trajectory, neither the other way."""
-    pi = np.arange(24.0).reshape(2, 4, 3)
-    expected = [np.sqrt(sum(float(row @ row) for row in trajectory) / 4) for trajectory in pi]
-    assert_allclose(policy_rmse(pi, np.zeros_like(pi)), expected)
-    longer = np.concatenate([pi, pi], axis=1)
-    assert_allclose(policy_rmse(longer, np.zeros_like(longer)), expected)
-
-
 def test_policy_rmse():
-    """Root of the mean squared distance of two policies' velocities, one value per trajectory."""
+    """Root of the mean squared distance of two policies: summed over the joints, averaged over the time."""
     pi = np.array([[[1.0, 0.0], [0.0, 1.0]], [[3.0, 0.0], [0.0, 4.0]]])
     assert_allclose(policy_rmse(pi, np.zeros_like(pi)), [1.0, np.sqrt(12.5)])
     assert_allclose(policy_rmse(pi[1:], pi[:1]), [np.sqrt((2.0**2 + 3.0**2) / 2)])
+    longer = np.concatenate([pi, pi], axis=1)
+    assert_allclose(policy_rmse(longer, np.zeros_like(longer)), [1.0, np.sqrt(12.5)])

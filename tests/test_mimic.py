@@ -8,6 +8,7 @@ from pathlib import Path
 import numpy as np
 import pinocchio as pin
 import pytest
+from cases import case
 from conftest import URDFS
 
 from manip_learn.constraint.constraint import Constraint
@@ -72,18 +73,19 @@ def free_pose(positions: dict[str, float], **options) -> np.ndarray:
 CHAIN = {"c": ("b", -2.0, 0.1), "b": ("a", 0.5, -0.3)}
 
 
-@pytest.mark.parametrize("order", ["".join(p) for p in itertools.permutations("abcd")][::3])
-def test_mimic_of_mimic_in_any_order(order, rng):
+def test_mimic_of_mimic_in_any_order(rng):
     """c follows b follows a: one map from (a, d) to all four, wherever in the file the leaders come."""
-    robot = load(CHAIN, order=order)
-    assert robot.joint_names == ("a", "d")
-    b, c = sorted(robot.mimics, key=lambda m: m.joint)
-    assert b == Mimic("b", "a", 0.5, -0.3)
-    assert (c.joint, c.leader, c.multiplier) == ("c", "a", -1.0) and c.offset == pytest.approx(0.7)
-    a, d = rng.uniform(-1, 1, 2)
-    b = 0.5 * a - 0.3
-    expected = free_pose({"a": a, "b": b, "c": -2 * b + 0.1, "d": d})
-    np.testing.assert_allclose(robot.pose([a, d], robot.frame("l4")), expected, atol=1e-14)
+    for order in ["".join(p) for p in itertools.permutations("abcd")][::3]:
+        with case(order):
+            robot = load(CHAIN, order=order)
+            assert robot.joint_names == ("a", "d")
+            b, c = sorted(robot.mimics, key=lambda m: m.joint)
+            assert b == Mimic("b", "a", 0.5, -0.3)
+            assert (c.joint, c.leader, c.multiplier) == ("c", "a", -1.0) and c.offset == pytest.approx(0.7)
+            a, d = rng.uniform(-1, 1, 2)
+            b = 0.5 * a - 0.3
+            expected = free_pose({"a": a, "b": b, "c": -2 * b + 0.1, "d": d})
+            np.testing.assert_allclose(robot.pose([a, d], robot.frame("l4")), expected, atol=1e-14)
 
 
 def test_a_leader_below_its_follower(rng):
@@ -114,15 +116,16 @@ def test_a_locked_leader_holds_its_followers():
     np.testing.assert_allclose(robot.pose([0.2], robot.frame("l4")), expected, atol=1e-14)
 
 
-@pytest.mark.parametrize("leader", ["revolute", "continuous"])
-@pytest.mark.parametrize("follower", ["revolute", "continuous", "prismatic"])
-def test_continuous_leaders_and_followers(leader, follower, rng):
+def test_continuous_leaders_and_followers(rng):
     """Angles in, cos and sin inside: a continuous joint can lead and follow."""
-    types = {"a": leader, "b": follower}
-    robot = load({"b": ("a", 2.0, 0.3)}, types=types)
-    a, c, d = rng.uniform(-1, 1, 3)
-    expected = free_pose({"a": a, "b": 2 * a + 0.3, "c": c, "d": d}, types=types)
-    np.testing.assert_allclose(robot.pose([a, c, d], robot.frame("l4")), expected, atol=1e-14)
+    for leader in ["revolute", "continuous"]:
+        for follower in ["revolute", "continuous", "prismatic"]:
+            with case(leader, follower):
+                types = {"a": leader, "b": follower}
+                robot = load({"b": ("a", 2.0, 0.3)}, types=types)
+                a, c, d = rng.uniform(-1, 1, 3)
+                expected = free_pose({"a": a, "b": 2 * a + 0.3, "c": c, "d": d}, types=types)
+                np.testing.assert_allclose(robot.pose([a, c, d], robot.frame("l4")), expected, atol=1e-14)
 
 
 def test_full_turns_reach_the_follower():
@@ -134,23 +137,24 @@ def test_full_turns_reach_the_follower():
     np.testing.assert_allclose(robot.pose([a, 0, 0], robot.frame("l4")), expected, atol=1e-14)
 
 
-@pytest.mark.parametrize("reference", ["world", "local"])
-@pytest.mark.parametrize(
-    "mimics", [CHAIN, {"a": ("d", 0.7, 0.2)}, {"d": ("a", -1.0, 0.0)}], ids=["chain", "up", "down"]
-)
-def test_jacobian_and_derivative_are_those_of_the_coupled_robot(mimics, reference, rng):
+def test_jacobian_and_derivative_are_those_of_the_coupled_robot(rng):
     """J and dJ/dq against central differences along the independent joints."""
-    robot = load(mimics)
-    frame, h = robot.frame("l4"), 1e-5
-    q = rng.uniform(-1, 1, robot.nv)
-    J, H = robot.jacobian_and_derivative(q, frame, reference)
-    assert J.shape == (6, robot.nv) and H.shape == (6, robot.nv, robot.nv)
-    for k, step in enumerate(h * np.eye(robot.nv)):
-        numeric = (robot.jacobian(q + step, frame, reference) - robot.jacobian(q - step, frame, reference)) / (2 * h)
-        np.testing.assert_allclose(H[:, :, k], numeric, atol=1e-8)
-        if reference == "world":
-            moved = (robot.pose(q + step, frame)[:3, 3] - robot.pose(q - step, frame)[:3, 3]) / (2 * h)
-            np.testing.assert_allclose(J[:3, k], moved, atol=1e-8)
+    for reference in ["world", "local"]:
+        for mimics in [CHAIN, {"a": ("d", 0.7, 0.2)}, {"d": ("a", -1.0, 0.0)}]:
+            with case(reference, mimics):
+                robot = load(mimics)
+                frame, h = robot.frame("l4"), 1e-5
+                q = rng.uniform(-1, 1, robot.nv)
+                J, H = robot.jacobian_and_derivative(q, frame, reference)
+                assert J.shape == (6, robot.nv) and H.shape == (6, robot.nv, robot.nv)
+                for k, step in enumerate(h * np.eye(robot.nv)):
+                    numeric = (
+                        robot.jacobian(q + step, frame, reference) - robot.jacobian(q - step, frame, reference)
+                    ) / (2 * h)
+                    np.testing.assert_allclose(H[:, :, k], numeric, atol=1e-8)
+                    if reference == "world":
+                        moved = (robot.pose(q + step, frame)[:3, 3] - robot.pose(q - step, frame)[:3, 3]) / (2 * h)
+                        np.testing.assert_allclose(J[:3, k], moved, atol=1e-8)
 
 
 def test_limits_of_followers_bind_the_leader():
@@ -176,36 +180,35 @@ def test_limits_within_rounding_say_nothing():
     assert robot.warnings == () and robot.position_upper[0] == 3.0
 
 
-@pytest.mark.parametrize(
-    ("mimics", "code"),
-    [
+def test_what_cannot_be_resolved_is_refused():
+    """Circles, also those entered from outside, and leaders that do not exist."""
+    for mimics, code in [
         ({"a": ("a", 1, 0)}, "mimic-cycle"),
         ({"a": ("b", 1, 0), "b": ("c", 1, 0), "c": ("a", 1, 0)}, "mimic-cycle"),
         ({"d": ("a", 1, 0), "a": ("b", 1, 0), "b": ("a", 1, 0)}, "mimic-cycle"),
         ({"a": ("z", 1, 0)}, "mimic-unknown"),
         ({"a": ("b", 1e5, 0), "b": ("c", 1e5, 0)}, "mimic-multiplier"),
-    ],
-)
-def test_what_cannot_be_resolved_is_refused(mimics, code):
-    """Circles, also those entered from outside, and leaders that do not exist."""
-    with pytest.raises(RobotError) as caught:
-        load(mimics)
-    assert caught.value.code == code
+    ]:
+        with case(mimics, code):
+            with pytest.raises(RobotError) as caught:
+                load(mimics)
+            assert caught.value.code == code
 
 
-@pytest.mark.parametrize("name", ["panda", "baxter", "pr2", "talos_full", "tiago_pro"])
-def test_no_real_robot_ignores_its_mimics(name, rng):
+def test_no_real_robot_ignores_its_mimics(rng):
     """Degrees of freedom are those of the file without its mimic joints, and every follower follows."""
-    robot = load_robot(name)
-    text = example_robots()[name].read_text(encoding="utf-8")
-    reference = pin.buildModelFromXML(text)
-    followers = {m.joint for m in robot.mimics}
-    assert followers and robot.nv == reference.nv - len(followers)
-    full = robot.pinocchio_configuration(robot.random_configuration(rng))
-    model = robot.pinocchio_model
-    for m in robot.mimics:
-        x, leader = (full[model.joints[model.getJointId(n)].idx_q] for n in (m.joint, m.leader))
-        assert x == pytest.approx(m.multiplier * leader + m.offset, abs=1e-15)
+    for name in ["panda", "baxter", "pr2", "talos_full", "tiago_pro"]:
+        with case(name):
+            robot = load_robot(name)
+            text = example_robots()[name].read_text(encoding="utf-8")
+            reference = pin.buildModelFromXML(text)
+            followers = {m.joint for m in robot.mimics}
+            assert followers and robot.nv == reference.nv - len(followers)
+            full = robot.pinocchio_configuration(robot.random_configuration(rng))
+            model = robot.pinocchio_model
+            for m in robot.mimics:
+                x, leader = (full[model.joints[model.getJointId(n)].idx_q] for n in (m.joint, m.leader))
+                assert x == pytest.approx(m.multiplier * leader + m.offset, abs=1e-15)
 
 
 def test_followers_beside_the_chain_change_nothing(rng):

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from cases import case
 from urdf_corpus_case import ARM
 
 from manip_learn.errors import RobotError
@@ -60,26 +61,27 @@ CASES = {
 }
 
 
-@pytest.mark.parametrize("name", CASES)
-def test_every_body_is_where_mujoco_puts_it(name, tmp_path, rng):
+def test_every_body_is_where_mujoco_puts_it(tmp_path, rng):
     """Positions and orientations of all bodies agree to 1e-12 at random joint values."""
-    mujoco = pytest.importorskip("mujoco")
-    path = tmp_path / "robot.xml"
-    path.write_text(CASES[name], encoding="utf-8")
-    robot = load_robot(path)
-    model = mujoco.MjModel.from_xml_string(CASES[name])
-    data = mujoco.MjData(model)
-    for _ in range(5):
-        q = robot.random_configuration(rng)
-        for block in robot.blocks:
-            values = q[block.q]
-            # a quaternion is x y z w here and w x y z there
-            data.joint(block.name).qpos = values[[0, 1, 2, 6, 3, 4, 5]] if block.kind == "floating" else values
-        mujoco.mj_kinematics(model, data)
-        for link in (n for n in ("a", "b") if n in robot.frame_names):
-            pose = robot.pose(q, robot.frame(link))
-            np.testing.assert_allclose(pose[:3, 3], data.body(link).xpos, atol=1e-12)
-            np.testing.assert_allclose(pose[:3, :3].ravel(), data.body(link).xmat, atol=1e-12)
+    for name in CASES:
+        with case(name):
+            mujoco = pytest.importorskip("mujoco")
+            path = tmp_path / "robot.xml"
+            path.write_text(CASES[name], encoding="utf-8")
+            robot = load_robot(path)
+            model = mujoco.MjModel.from_xml_string(CASES[name])
+            data = mujoco.MjData(model)
+            for _ in range(5):
+                q = robot.random_configuration(rng)
+                for block in robot.blocks:
+                    values = q[block.q]
+                    # a quaternion is x y z w here and w x y z there
+                    data.joint(block.name).qpos = values[[0, 1, 2, 6, 3, 4, 5]] if block.kind == "floating" else values
+                mujoco.mj_kinematics(model, data)
+                for link in (n for n in ("a", "b") if n in robot.frame_names):
+                    pose = robot.pose(q, robot.frame(link))
+                    np.testing.assert_allclose(pose[:3, 3], data.body(link).xpos, atol=1e-12)
+                    np.testing.assert_allclose(pose[:3, :3].ravel(), data.body(link).xmat, atol=1e-12)
 
 
 def load(tmp_path, text: str, **options):
@@ -145,14 +147,15 @@ REFUSED = {
 }
 
 
-@pytest.mark.parametrize("code", REFUSED)
-def test_what_cannot_be_kept_is_refused(code, tmp_path):
+def test_what_cannot_be_kept_is_refused(tmp_path):
     """Files that Pinocchio's own reader takes in silence or garbles are refused with a code and a line."""
-    with pytest.raises(RobotError) as caught:
-        load(tmp_path, REFUSED[code])
-    assert caught.value.code == code
-    assert caught.value.line is not None
-    assert str(tmp_path) in str(caught.value)
+    for code in REFUSED:
+        with case(code):
+            with pytest.raises(RobotError) as caught:
+                load(tmp_path, REFUSED[code])
+            assert caught.value.code == code
+            assert caught.value.line is not None
+            assert str(tmp_path) in str(caught.value)
 
 
 def test_locking_and_fingerprint(tmp_path):

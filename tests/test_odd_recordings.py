@@ -87,7 +87,7 @@ def test_two_doors_in_equal_parts_are_two_hinges(whole: bool):
         assert away_from_axis(report, truth if mine == halves[0] else other) < 1e-3
 
 
-@pytest.mark.parametrize("whole", [False, True])
+@pytest.mark.parametrize("whole", [pytest.param(False, marks=pytest.mark.slow), True])
 def test_two_drawers_in_equal_parts_are_two_lines(whole: bool):
     """Four recordings of one drawer and four of another: two constraints, each right to 0.3 degrees."""
     truth, other, learner = learnt_half_and_half("drawer", "ur5", 602, whole)

@@ -10,6 +10,7 @@ import subprocess
 import sys
 import webbrowser
 from dataclasses import replace
+from html import unescape
 from xml.sax.saxutils import escape
 
 import numpy as np
@@ -67,27 +68,21 @@ def unpacked(text, dtype="<f8"):
     return np.frombuffer(base64.b64decode(text), dtype)
 
 
-def test_ten_minutes_of_a_panda_are_small_and_true(robot_of, tmp_path):
-    """At 100 Hz, meshes included, less than 5 MB; what is drawn between key frames is within 2 mrad of each sample."""
-    robot = robot_of("panda")
-    rollout = waving(robot, 600.0)
-    path = replay(robot, {"a": rollout}, tmp_path / "a.html").html
+def test_pages_are_small_and_true(robot_of, tmp_path):
+    """Ten minutes of a panda at 100 Hz, meshes included, below 5 MB, and within 2 mrad of each sample between key
+    frames; three short rollouts of a Sawyer in one file of 3 MB, viewer included, and nothing else.
+    """
+    rollout = waving(robot_of("panda"), 600.0)
+    path = replay(robot_of("panda"), {"a": rollout}, tmp_path / "a.html").html
     assert path.stat().st_size < 5_000_000
     drawn = data_in(path)["rollouts"][0]
     times, tracks = unpacked(drawn["keyTimes"]), unpacked(drawn["tracks"])
-    tracks = tracks.reshape(len(times), -1)[:, :7]
-    for j, column in enumerate(tracks.T):
+    for j, column in enumerate(tracks.reshape(len(times), -1)[:, :7].T):
         assert np.abs(np.interp(rollout.time, times, column) - rollout.q[:, j]).max() < 2e-3
-
-
-def test_sawyer_replay_is_small_and_whole(robot_of, tmp_path):
-    """Three rollouts of ten seconds fit into 3 MB, viewer included, in one file and nothing else."""
-    robot = robot_of("sawyer")
-    path = tmp_path / "new" / "replay.html"
+    robot, path = robot_of("sawyer"), tmp_path / "new" / "replay.html"
     result = replay(robot, {name: waving(robot, 10.0) for name in ("learnt", "zero", "attractor")}, path)
-    assert result.html == path.resolve()
+    assert (result.html, result.notes) == (path.resolve(), ())
     assert result.bytes == path.stat().st_size < 3_000_000
-    assert result.notes == ()
     assert [p.name for p in path.parent.iterdir()] == ["replay.html"]
     assert [r["name"] for r in data_in(path)["rollouts"]] == ["learnt", "zero", "attractor"]
 
@@ -132,6 +127,18 @@ def test_names_are_escaped(tmp_path):
     data = data_in(tmp_path / "a.html")
     assert data["rollouts"][0]["name"] == EVIL
     assert data["rollouts"][0]["status"] == [[0.0, EVIL]]
+
+
+def test_pages_and_the_wheel_bring_the_licences_of_others(robot_of, tmp_path):
+    """Who wrote the viewer, three.js and all that is bundled with them, and under which licence, word for word."""
+    page = replay(robot_of("planar3"), waving(robot_of("planar3"), 0.1), tmp_path / "a.html").html.read_text()
+    embedded = re.search(r'<script type="text/plain" id="licences">(.*?)</script>', page, re.DOTALL)[1]
+    shipped = PLANAR3.parents[1] / "LICENSES" / "third-party-pages.txt"
+    assert unescape(embedded) == shipped.read_text(encoding="utf-8")
+    for name in ("meshcat", "three 0.132.2", "dat.gui", "msgpack-lite", "Copyright © 2010-2021 three.js authors"):
+        assert name in unescape(embedded)
+    assert unescape(embedded).count("Permission is hereby granted, free of charge") >= 7
+    assert '"LICENSES/*.txt"' in (PLANAR3.parents[1] / "pyproject.toml").read_text()
 
 
 def test_json_in_html_is_inert():
@@ -220,17 +227,10 @@ def test_colours_differ():
     assert len(set(rollout_colours([str(i) for i in range(20)], {}))) == len(COLOURS)
 
 
-@pytest.mark.parametrize(
-    ("robot_name", "tip"),
-    [("planar3", "tip"), ("panda", "panda_hand_tcp"), ("ur5", "ee_link"), ("one", "tip"), ("tree", "tip")],
-)
-def test_tip_is_found(robot_of, robot_name, tip):
-    """The tip of an arm is its last link, not a finger."""
-    assert default_tip(robot_of(robot_name)) == tip
-
-
-def test_replay_draws_the_tip_that_is_learnt():
-    """On every robot with one likely tip, replay and live view draw the frame that `learn` takes; else the first."""
+def test_replay_draws_the_tip_that_is_learnt(robot_of):
+    """On every robot with one likely tip, replay and live view draw the frame that `learn` takes, no finger."""
+    tips = {"planar3": "tip", "panda": "panda_hand_tcp", "ur5": "ee_link", "one": "tip", "tree": "tip"}
+    assert {name: default_tip(robot_of(name)) for name in tips} == tips
     alone = 0
     for name in robot_names():
         try:

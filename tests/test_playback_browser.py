@@ -1,4 +1,4 @@
-"""The replay page in headless Chromium: poses, controls, escaping, no network."""
+"""The replay page in headless Chromium: what is shown is what the library computes; controls, escaping, no network."""
 
 from __future__ import annotations
 
@@ -10,35 +10,49 @@ import numpy as np
 import pinocchio as pin
 import pytest
 from test_playback import EVIL, evil_robot, waving
+from test_replay_tracks import START, drawer, rollout  # noqa: F401
 
-from manip_learn.playback import LiveViewer, replay
+from manip_learn.constraint.constraint import Constraint
+from manip_learn.constraint.features import FrameJacobian
+from manip_learn.control.controller import ResolvedRateController
+from manip_learn.control.simulation import simulate
+from manip_learn.control.tasks import FreeDirection
+from manip_learn.playback import LiveViewer, RecordingChoice, replay
 from manip_learn.playback.recorded_motion import key_frames
+from manip_learn.recordings.trajectory import Trajectory
 
 pytestmark = pytest.mark.browser
-
+# ruff: noqa: F811  fixtures of another file are arguments here
 POSES = 1e-9  # 1e-6 is required; the page computes in double precision
+BETWEEN = [0.0, 0.1, 0.105, 0.4637, 0.73, 0.999, 1.0]  # at key frames, at other samples, between samples
+PHASES = [("a", 0.5, 1.0, None), ("a", 1.0, 3.0, 0), ("a", 3.0, 3.5, 1), ("b", 0.0, 2.0, 1)]
 
 
 @pytest.fixture
 def opened(chromium):
-    """Open a page of ours; whatever goes wrong in it, or wants the network, fails the test in the end."""
-    context = chromium.new_context(viewport={"width": 1000, "height": 700})
+    """Open a page of ours, on a phone if asked; what goes wrong in it, or wants the network, fails the test at last."""
     trouble: list[str] = []
+    contexts = []
 
-    def open_page(address, width=1000, height=700):
-        page = context.new_page()
-        page.set_viewport_size({"width": width, "height": height})
-        page.on("pageerror", lambda error: trouble.append(str(error)))
-        page.on("console", lambda m: trouble.append(m.text) if m.type == "error" else None)
-        page.on(
-            "request", lambda r: trouble.append(r.url) if not r.url.startswith((address, "data:", "blob:")) else None
+    def open_page(address, width=1000, height=700, phone=False, before="", **more):
+        context = chromium.new_context(
+            viewport={"width": width, "height": height}, has_touch=phone, is_mobile=phone, **more
         )
+        contexts.append(context)
+        page = context.new_page()
+        ours = (address, "data:", "blob:")
+        page.on("pageerror", lambda error: trouble.append(str(error)))
+        page.on("console", lambda m: trouble.append(m.text) if m.type == "error" and not before else None)
+        page.on("request", lambda r: trouble.append(r.url) if not r.url.startswith(ours) else None)
+        if before:
+            page.add_init_script(before)
         page.goto(address)
         wait_until(page, "window.manipLearnReady === true")
         return page
 
     yield open_page
-    context.close()
+    for context in contexts:
+        context.close()
     assert trouble == []
 
 
@@ -56,59 +70,82 @@ def link_pose(page, rollout, link):
     return np.array(rows).reshape(4, 4)
 
 
+def seek(page, t):
+    """Move the replay to a time; the time that it is then at."""
+    page.evaluate("t => manipLearn.seek(t)", float(t))
+    return page.evaluate("manipLearn.time")
+
+
 def links_of(robot):
     """Names of all links."""
     frames = robot.pinocchio_model.frames
     return [n for n in robot.frame_names if frames[robot.frame(n).index].type == pin.FrameType.BODY]
 
 
-@pytest.mark.parametrize("robot_name", ["planar3", "sawyer", "wrist", "humanoid", "rover", "mimic", "panda"])
-def test_links_are_where_kinematics_puts_them(robot_of, tmp_path, opened, robot_name):
-    """At key frames every link of every rollout is drawn within 1e-9 of forward kinematics (1e-6 is required)."""
-    robot = robot_of(robot_name)
+def picture(page):
+    """The scene alone, as PNG."""
+    page.evaluate("() => new Promise(done => requestAnimationFrame(() => requestAnimationFrame(done)))")
+    return page.locator("#scene canvas").screenshot(style="#legend, #notes, .sheet { visibility: hidden }")
+
+
+@pytest.fixture(scope="module")
+def address(robot_of, tmp_path_factory):
+    """Address of a page, written once for all tests that show the same thing under the same name."""
+    folder, written = tmp_path_factory.mktemp("pages"), {}
+
+    def of(name, robot_name, make, **more):
+        if name not in written:
+            robot = robot_of(robot_name)
+            written[name] = replay(robot, make(robot), folder / f"{name}.html", **more).html.as_uri()
+        return written[name]
+
+    return of
+
+
+@pytest.mark.parametrize(
+    "name",
+    ["planar3", "mimic", "panda", *(pytest.param(n, marks=pytest.mark.slow) for n in ("sawyer", "wrist", "rover"))],
+)
+def test_links_are_where_kinematics_puts_them(robot_of, tmp_path, opened, name):
+    """At key frames, and between them, every link of every rollout is within 1e-9 of forward kinematics."""
+    robot = robot_of(name)
     rollouts = {"one": waving(robot), "two": waving(robot, phase=1.0)}
     page = opened(replay(robot, rollouts, tmp_path / "a.html").html.as_uri())
     assert page.evaluate("manipLearn.drawing"), "the page has no 3D graphics"
     keys = key_frames(rollouts["one"].time)
-    for i in keys[:: keys.size // 5]:
-        page.evaluate("t => manipLearn.seek(t)", float(rollouts["one"].time[i]))
-        for name, rollout in rollouts.items():
-            for link in links_of(robot):
-                error = np.abs(link_pose(page, name, link) - robot.pose(rollout.q[i], robot.frame(link))).max()
-                assert error <= POSES, f"{name}, {link}, t = {rollout.time[i]}: {error:.1e}"
+    spans = [(i, j, share) for i, j, share in zip(keys[:-1:40], keys[1::40], (0.0, 0.3, 0.9, 0.0, 0.5), strict=False)]
+    for i, j, share in [*spans, (keys[-1], keys[-1], 0.0)]:
+        time = rollouts["one"].time
+        seek(page, time[i] + share * (time[j] - time[i]))
+        for which, motion in rollouts.items():
+            ends = [robot.positions(motion.q[k]) for k in (i, j)]
+            q = robot.configuration(ends[0] + share * (ends[1] - ends[0]))
+            for link in links_of(robot)[:: 1 if share == 0.0 else 3]:
+                error = np.abs(link_pose(page, which, link) - robot.pose(q, robot.frame(link))).max()
+                assert error <= POSES, f"{which}, {link}, sample {i} + {share}: {error:.1e}"
 
 
-def test_huge_angles_are_right(robot_of, tmp_path, opened):
-    """A joint that was thrown a thousand million turns away is still drawn as kinematics says."""
+def test_far_angles_and_short_rollouts(robot_of, opened, tmp_path):
+    """A joint thrown a thousand million turns away is drawn as kinematics says; a rollout stays where it ended."""
     robot = robot_of("planar3")
-    rollout = waving(robot)
-    q = np.array(rollout.q)
-    q[100:] += [6.1e9, 0.0, -2.7e8]
-    far = replace(rollout, q=q)
-    page = opened(replay(robot, {"far": far}, tmp_path / "a.html").html.as_uri())
-    page.evaluate("manipLearn.seek(manipLearn.duration)")
-    error = np.abs(link_pose(page, "far", "tip") - robot.pose(q[-1], robot.frame("tip"))).max()
-    assert error <= 1e-6
-
-
-def test_shorter_rollouts_hold_their_last_pose(robot_of, tmp_path, opened):
-    """After its end a rollout stays where it ended, and the legend says so."""
-    robot = robot_of("sawyer")
     rollouts = {"long": waving(robot, 3.0), "short": waving(robot, 1.0, phase=0.5)}
+    q = np.array(rollouts["long"].q)
+    q[100:] += [6.1e9, 0.0, -2.7e8]
+    rollouts["long"] = replace(rollouts["long"], q=q)
     page = opened(replay(robot, rollouts, tmp_path / "a.html").html.as_uri())
     assert page.evaluate("manipLearn.duration") == pytest.approx(3.0)
-    page.evaluate("manipLearn.seek(2.5)")
-    expected = robot.pose(rollouts["short"].q[-1], robot.frame("right_hand"))
-    np.testing.assert_allclose(link_pose(page, "short", "right_hand"), expected, atol=POSES)
+    seek(page, 9.0)
+    np.testing.assert_allclose(link_pose(page, "long", "tip"), robot.pose(q[-1], robot.frame("tip")), atol=1e-6)
+    last = robot.pose(rollouts["short"].q[-1], robot.frame("tip"))
+    np.testing.assert_allclose(link_pose(page, "short", "tip"), last, atol=POSES)
     states = page.locator("#legend .state").all_inner_texts()
     assert "ended at 1.00 s" in states[1] and "ended" not in states[0]
 
 
-def test_play_pause_and_keys(robot_of, tmp_path, opened):
-    """Playing takes time on and pausing holds it; space, arrows, home and end, speed and the scrub bar work."""
-    robot = robot_of("planar3")
-    rollout = waving(robot, 20.0)
-    page = opened(replay(robot, {"a": rollout}, tmp_path / "a.html").html.as_uri())
+def test_time_obeys_keys_speed_and_curve(robot_of, address, opened):
+    """Playing takes time on and pausing holds it; keys, speed, the scrub bar and a drag on the curve move it."""
+    motion = waving(robot_of("planar3"), 20.0)
+    page = opened(address("long", "planar3", lambda robot: {"a": waving(robot, 20.0)}))
     now = lambda: page.evaluate("manipLearn.time")  # noqa: E731
     page.evaluate("manipLearn.play()")
     wait_until(page, "manipLearn.time > 0.1")
@@ -116,165 +153,133 @@ def test_play_pause_and_keys(robot_of, tmp_path, opened):
     held = now()
     page.wait_for_timeout(150)
     assert now() == held > 0.0
-    keys = rollout.time[key_frames(rollout.time)]
-    page.keyboard.press("Home")
-    for i in (1, 2, 3):
-        page.keyboard.press("ArrowRight")
-        assert now() == keys[i]
-    page.keyboard.press("ArrowLeft")
-    assert now() == keys[2]
-    page.keyboard.press("Shift+ArrowRight")
-    assert now() == pytest.approx(keys[2] + 1.0)
-    page.keyboard.press("End")
-    assert now() == pytest.approx(20.0)
-    page.keyboard.press("ArrowLeft")
-    assert now() == keys[-2]
-    page.keyboard.press("Space")
-    assert page.evaluate("manipLearn.playing")
-    page.keyboard.press("Space")
-    assert not page.evaluate("manipLearn.playing")
+    keys = motion.time[key_frames(motion.time)]
+    for key, expected in (
+        *(("Home", 0.0), ("ArrowRight", keys[1]), ("ArrowRight", keys[2]), ("ArrowRight", keys[3])),
+        *(("ArrowLeft", keys[2]), ("Shift+ArrowRight", keys[2] + 1.0), ("End", 20.0), ("ArrowLeft", keys[-2])),
+    ):
+        page.keyboard.press(key)
+        assert now() == pytest.approx(expected, abs=1e-9), key
+    for playing in (True, False):
+        page.keyboard.press("Space")
+        assert page.evaluate("manipLearn.playing") is playing
     page.keyboard.press("ArrowUp")
     assert page.locator("#speed").input_value() == "2"
     assert page.locator("#speed option").all_inner_texts() == ["0.1×", "0.25×", "0.5×", "1×", "2×", "4×"]
     page.locator("#scrub").fill("7.5")
     assert now() == pytest.approx(7.5, abs=0.05)
-
-
-def test_speed_changes_the_pace(robot_of, tmp_path, opened):
-    """At 4x the replay covers far more time than at 0.1x in the same span."""
-    robot = robot_of("planar3")
-    page = opened(replay(robot, {"a": waving(robot, 60.0)}, tmp_path / "a.html").html.as_uri())
     covered = {}
     for speed in ("0.1", "4"):
-        page.evaluate("manipLearn.seek(0)")
+        seek(page, 0.0)
         page.locator("#speed").select_option(speed)
         page.evaluate("manipLearn.play()")
         wait_until(page, "manipLearn.time > 0")
-        page.wait_for_timeout(700)
-        covered[speed] = page.evaluate("manipLearn.time")
+        page.wait_for_timeout(500)
+        covered[speed] = now()
         page.evaluate("manipLearn.pause()")
     assert covered["4"] > 8.0 * covered["0.1"] > 0.0
-
-
-def test_curve_scrubs(robot_of, tmp_path, opened):
-    """A click or a drag on the curve moves the replay there; the cursor and the readouts follow."""
-    robot = robot_of("planar3")
-    rollout = waving(robot, 4.0)
-    page = opened(replay(robot, {"a": rollout}, tmp_path / "a.html").html.as_uri())
     box = page.locator("#chart").bounding_box()
     left, right, y = box["x"] + 58, box["x"] + box["width"] - 14, box["y"] + 40
     page.mouse.move(left + 0.25 * (right - left), y)
     page.mouse.down()
-    assert page.evaluate("manipLearn.time") == pytest.approx(1.0, abs=0.02)
+    assert now() == pytest.approx(5.0, abs=0.1)
     page.mouse.move(left + 0.75 * (right - left), y)
     page.mouse.up()
-    t = page.evaluate("manipLearn.time")
-    assert t == pytest.approx(3.0, abs=0.02)
-    expected = float(np.interp(t, rollout.time, rollout.manipulability))
+    assert (t := now()) == pytest.approx(15.0, abs=0.1)
+    expected = float(np.interp(t, motion.time, motion.manipulability))
     assert float(page.locator("#legend .mu").inner_text().split()[0]) == pytest.approx(expected, rel=1e-2)
     assert page.locator("#clock").inner_text() == f"{t:.2f} s"
     cursor = page.locator("#chart line[stroke-width='1.5']").get_attribute("x1")
     assert float(cursor) + box["x"] == pytest.approx(left + 0.75 * (right - left), abs=3.0)
 
 
-def test_legend_hides_and_picks(robot_of, tmp_path, opened):
+def test_legend_hides_and_picks(address, opened):
     """The legend's switches change the picture and the curves, and bring them back; a click on a name makes solid."""
-    robot = robot_of("planar3")
-    rollouts = {"a": waving(robot), "b": waving(robot, phase=2.0)}
-    page = opened(replay(robot, rollouts, tmp_path / "a.html").html.as_uri())
-
-    def picture():
-        page.evaluate("() => new Promise(done => requestAnimationFrame(() => requestAnimationFrame(done)))")
-        return page.locator("#scene canvas").screenshot(style="#legend, #notes { visibility: hidden }")
-
-    page.evaluate("manipLearn.seek(1.3)")
-    both = picture()
-    assert page.locator("#chart polyline").count() == 2
-    page.locator("#legend .eye").nth(1).click()
-    assert picture() != both
-    assert page.locator("#chart polyline").count() == 1
-    page.locator("#legend .eye").nth(1).click()
-    assert picture() == both
-    page.locator("#legend .pick").nth(1).click()
-    assert picture() != both
-    page.locator("#legend .pick").nth(0).click()
-    assert picture() == both
-    page.evaluate("manipLearn.seek(0.2)")
-    assert picture() != both
+    page = opened(address("two", "planar3", lambda robot: {"a": waving(robot), "b": waving(robot, phase=2.0)}))
+    seek(page, 1.3)
+    both = picture(page)
+    eye, picks = page.locator("#legend .eye").nth(1), page.locator("#legend .pick")
+    for click, is_same, curves in ((eye, False, 1), (eye, True, 2), (picks.nth(1), False, 2), (picks.nth(0), True, 2)):
+        click.click()
+        assert (picture(page) == both) is is_same and page.locator("#chart polyline").count() == curves
+    seek(page, 0.2)
+    assert picture(page) != both
 
 
 def test_hostile_names_do_nothing(tmp_path, opened):
-    """Markup in names shows as text; no script of it runs; links with such names are found."""
+    """Markup in names shows as text, of phases and mechanisms too; no script of it runs; such links are found."""
     robot = evil_robot(tmp_path)
-    rollout = waving(robot)
-    evil = replace(rollout, status=(EVIL,) * len(rollout))
+    motion = waving(robot)
+    evil = replace(motion, status=(EVIL,) * len(motion))
     page = opened(replay(robot, {EVIL: evil}, tmp_path / "a.html", title=EVIL).html.as_uri())
-    assert page.evaluate("window.hacked") is None
     for place in ("#robot-name", "#subtitle", "#legend .name"):
         assert page.locator(place).inner_text() == EVIL
     assert EVIL in page.locator("#status-key").inner_text()
-    assert page.locator("img").count() == 0
-    expected = robot.pose(rollout.q[0], robot.frame(EVIL))
-    np.testing.assert_allclose(link_pose(page, EVIL, EVIL), expected, atol=POSES)
+    np.testing.assert_allclose(link_pose(page, EVIL, EVIL), robot.pose(motion.q[0], robot.frame(EVIL)), atol=POSES)
+    hinge = {"type": "hinge", "axis": [0, 0, 1], "point": [0.5, 0.5, 0.1], "radius": 0.6, "sentence": f"a hinge {EVIL}"}
+    recording, phases = {EVIL: motion.trajectory(EVIL)}, [(EVIL, 0.0, 2.0, 0)]
+    phased = opened(replay(robot, recording, tmp_path / "b.html", phases=phases, mechanism=hinge).html.as_uri())
+    assert phased.locator("#phase").inner_text() == f"{EVIL}: constraint 1: hinge"
+    titles = phased.locator("#chart .bands title").all_text_contents()
+    assert titles == [EVIL, f"{EVIL}: constraint 1: hinge, 0.00 s to 2.00 s"]
+    assert phased.locator("#mechanism").inner_text() == f"Mechanism: a hinge {EVIL}"
+    for each in (page, phased):
+        assert each.evaluate("window.hacked") is None and each.locator("img").count() == 0
 
 
-@pytest.mark.parametrize(("width", "height"), [(800, 600), (1280, 800), (1920, 1080)])
-def test_page_fits_the_window(robot_of, tmp_path, opened, width, height):
-    """From 800 pixels on, nothing sticks out of the window and every control is inside."""
+def test_everything_fits_the_window(robot_of, address, tmp_path, opened):
+    """From 800 pixels on every control is inside, in a crowd too, whose members beyond twelve are drawn once picked."""
     robot = robot_of("planar3")
-    rollouts = {f"a rather long name of a rollout, number {i}": waving(robot, phase=i) for i in range(4)}
-    page = opened(replay(robot, rollouts, tmp_path / "a.html", title="a title " * 20).html.as_uri(), width, height)
-    assert page.evaluate("document.documentElement.scrollWidth") <= width
-    assert page.evaluate("document.documentElement.scrollHeight") <= height
-    for selector in ("#views", "#legend", "#chart", "#play", "#scrub", "#speed", "#loop", "#log", "#keys summary"):
-        box = page.locator(selector).bounding_box()
-        assert box["x"] >= 0 and box["x"] + box["width"] <= width, selector
-        assert box["y"] >= 0 and box["y"] + box["height"] <= height, selector
-
-
-def test_crowds_and_single_samples(robot_of, tmp_path, opened):
-    """Thirty rollouts still fit the window, those beyond twelve are drawn once picked; one sample is a replay, too."""
-    robot = robot_of("planar3")
+    named = {f"a rather long name of a rollout, number {i}": waving(robot, phase=i) for i in range(4)}
+    page = opened(replay(robot, named, tmp_path / "a.html", title="a title " * 20).html.as_uri())
     crowd = {str(i): waving(robot, phase=0.2 * i) for i in range(30)}
-    result = replay(robot, crowd, tmp_path / "a.html")
+    result = replay(robot, crowd, tmp_path / "b.html")
     assert "first 12 are drawn" in result.notes[0]
-    page = opened(result.html.as_uri(), 800, 600)
-    assert page.evaluate("document.documentElement.scrollHeight") <= 600
-    assert page.locator("#chart rect").count() < 100
-    page.locator("#legend .pick").nth(25).click()
-    page.evaluate("manipLearn.seek(1)")
-    np.testing.assert_allclose(
-        link_pose(page, "25", "tip"), robot.pose(crowd["25"].q[100], robot.frame("tip")), atol=POSES
-    )
+    many = {f"recording number {i}": waving(robot, phase=0.1 * i).trajectory() for i in range(60)}
+    phases = [(name, 0.5, 1.5, i % 9) for i, name in enumerate(many)]
+    banded = opened(replay(robot, many, tmp_path / "c.html", phases=phases).html.as_uri(), 800, 600)
+    crowded = opened(result.html.as_uri(), 800, 600)
+    sizes = [(page, 800, 600), (page, 1280, 800), (page, 1920, 1080), (crowded, 800, 600), (banded, 800, 600)]
+    for each, width, height in sizes:
+        each.set_viewport_size({"width": width, "height": height})
+        each.wait_for_timeout(50)
+        whole = each.evaluate("[document.documentElement.scrollWidth, document.documentElement.scrollHeight]")
+        assert whole[0] <= width and whole[1] <= height
+        for selector in ("#views", "#legend", "#chart", "#play", "#scrub", "#speed", "#loop", "#keys summary"):
+            box = each.locator(selector).bounding_box()
+            assert box["x"] >= 0 and box["x"] + box["width"] <= width, selector
+            assert box["y"] >= 0 and box["y"] + box["height"] <= height, selector
+    assert crowded.locator("#chart rect").count() < 100
+    crowded.locator("#legend .pick").nth(25).click()
+    seek(crowded, 1.0)
+    tip = robot.frame("tip")
+    np.testing.assert_allclose(link_pose(crowded, "25", "tip"), robot.pose(crowd["25"].q[100], tip), atol=POSES)
+    banded.locator("#legend .pick").nth(59).click()
+    titles = banded.locator("#chart .bands rect title").all_text_contents()
+    assert any(title.startswith("recording number 59:") for title in titles)
+
+
+def test_one_sample_and_no_curve(robot_of, tmp_path, opened):
+    """One sample is a replay, too; a demonstration plays without a panel for curves that it does not have."""
+    robot = robot_of("planar3")
     still = waving(robot, 0.0)
     page = opened(replay(robot, {"still": still}, tmp_path / "b.html").html.as_uri())
     page.keyboard.press("Space")
     page.keyboard.press("ArrowRight")
     assert page.evaluate("manipLearn.time") == 0.0
     np.testing.assert_allclose(link_pose(page, "still", "tip"), robot.pose(still.q[0], robot.frame("tip")), atol=POSES)
+    page = opened(replay(robot, waving(robot).trajectory("demo"), tmp_path / "a.html").html.as_uri())
+    assert not page.locator("#panel").is_visible() and page.locator("#scene canvas").is_visible()
 
 
-def test_curves_can_be_absent(robot_of, tmp_path, opened):
-    """A demonstration plays without a panel for curves that it does not have."""
-    robot = robot_of("sawyer")
-    demo = waving(robot).trajectory("demo")
-    page = opened(replay(robot, demo, tmp_path / "a.html").html.as_uri())
-    assert not page.locator("#panel").is_visible()
-    assert page.locator("#scene canvas").is_visible()
+def recordings(robot):
+    """Two recordings of 4 s and 2 s."""
+    return {"a": waving(robot, 4.0).trajectory("a"), "b": waving(robot, 2.0, phase=1.0).trajectory("b")}
 
 
-PHASES = [("a", 0.5, 1.0, None), ("a", 1.0, 3.0, 0), ("a", 3.0, 3.5, 1), ("b", 0.0, 2.0, 1)]
-
-
-def phased_page(robot, folder, opened, **more):
-    """Two recordings of 4 s and 2 s with phases, opened."""
-    recordings = {"a": waving(robot, 4.0).trajectory("a"), "b": waving(robot, 2.0, phase=1.0).trajectory("b")}
-    return opened(replay(robot, recordings, folder / "a.html", phases=PHASES, **more).html.as_uri())
-
-
-def test_phases_are_bands_at_their_times(robot_of, tmp_path, opened):
-    """Each phase is a band from its start to its end on the chart's own axis, in the colour of the legend."""
-    page = phased_page(robot_of("planar3"), tmp_path, opened)
+def test_phases_are_bands_at_their_times(address, opened):
+    """Bands from start to end in the legend's colours, on the screen too; named while playing; the slider obeys."""
+    page = opened(address("phases", "planar3", recordings, phases=PHASES))
     colours = dict(zip(["constraint 1", "constraint 2", "free motion"], ["#0072b2", "#d55e00", "#8a95a0"], strict=True))
     bars = page.evaluate(
         """() => [...document.querySelectorAll("#chart .bands rect")].map(r => {
@@ -283,34 +288,35 @@ def test_phases_are_bands_at_their_times(robot_of, tmp_path, opened):
         })"""
     )
     expected = ["free motion", "constraint 1", "constraint 2", "constraint 2"]
-    assert len(bars) == len(PHASES)
     for (left, right, fill, title), (name, start, end, _), label in zip(bars, PHASES, expected, strict=True):
         assert (fill, title) == (colours[label], f"{name}: {label}, {start:.2f} s to {end:.2f} s")
         for x, t in ((left, start), (right, end)):
-            page.evaluate("t => manipLearn.seek(t)", t)
+            seek(page, t)
             cursor = page.locator("#chart line[stroke-width='1.5']").bounding_box()
             assert x == pytest.approx(cursor["x"] + cursor["width"] / 2, abs=1.5)
     key = page.locator("#status-key span").all_inner_texts()
     assert [text.strip().split("\n")[-1] for text in key] == [*colours, "not classified"]
-    assert page.locator("#panel-title").inner_text() == "Phases"
-    assert not page.locator("#log").is_visible()
-
-
-def test_band_has_its_colour_on_the_screen(robot_of, tmp_path, opened):
-    """What is seen at the middle of a band and of the slider's band is the constraint's colour, in a screenshot."""
-    page = phased_page(robot_of("planar3"), tmp_path, opened)
+    assert page.locator("#panel-title").inner_text() == "Phases" and not page.locator("#log").is_visible()
     for place in ("#chart .bands rect", "#scrub-bands rect"):
         box = page.locator(place).nth(1).bounding_box()
-        assert pixel(page, box["x"] + box["width"] * 0.6, box["y"] + box["height"] / 2) == (0x00, 0x72, 0xB2)
+        middle = {"x": int(box["x"] + box["width"] * 0.6), "y": int(box["y"] + box["height"] / 2)}
+        assert first_pixel(page.screenshot(clip={**middle, "width": 1, "height": 1})) == (0x00, 0x72, 0xB2)
+    for t, first, second in (
+        *((0.2, "not classified", "constraint 2"), (0.7, "free motion", "constraint 2")),
+        *((1.0, "constraint 1", "constraint 2"), (3.2, "constraint 2", "ended at 2.00 s")),
+    ):
+        seek(page, t)
+        assert page.locator("#phase").inner_text() == f"a: {first}"
+        assert page.locator("#legend .state").all_inner_texts() == [first, second]
+    band, slider = page.locator("#scrub-bands rect").nth(1).bounding_box(), page.locator("#scrub").bounding_box()
+    page.mouse.click(band["x"], slider["y"] + slider["height"] / 2)
+    assert page.evaluate("manipLearn.time") == pytest.approx(1.0, abs=0.03)
+    seek(page, 0.5)
+    page.locator("#legend .pick").nth(1).click()
+    assert page.locator("#phase").inner_text() == "b: constraint 2" and page.locator("#scrub-bands rect").count() == 1
 
 
-def pixel(page, x, y):
-    """Colour of one pixel of a screenshot, decoded by the browser."""
-    shot = page.screenshot(clip={"x": int(x), "y": int(y), "width": 1, "height": 1})
-    return tuple(decoded(shot))
-
-
-def decoded(png):
+def first_pixel(png):
     """The first pixel of a PNG of 8-bit RGB or RGBA: after its filter byte, which changes nothing in a first pixel."""
     data, at = b"", 8
     while at < len(png):
@@ -318,106 +324,312 @@ def decoded(png):
         if png[at + 4 : at + 8] == b"IDAT":
             data += png[at + 8 : at + 8 + length]
         at += 12 + length
-    return zlib.decompress(data)[1:4]
-
-
-def test_phase_is_named_while_playing(robot_of, tmp_path, opened):
-    """The phase at the cursor is named for the solid recording, and for each in the legend; none after the end."""
-    page = phased_page(robot_of("planar3"), tmp_path, opened)
-    expected = [
-        (0.2, "not classified", "constraint 2"),
-        (0.7, "free motion", "constraint 2"),
-        (1.0, "constraint 1", "constraint 2"),
-        (3.2, "constraint 2", "ended at 2.00 s"),
-    ]
-    for t, first, second in expected:
-        page.evaluate("t => manipLearn.seek(t)", t)
-        assert page.locator("#phase").inner_text() == f"a: {first}"
-        assert page.locator("#legend .state").all_inner_texts() == [first, second]
-    page.evaluate("manipLearn.seek(0.5)")
-    page.locator("#legend .pick").nth(1).click()
-    assert page.locator("#phase").inner_text() == "b: constraint 2"
-    assert page.locator("#scrub-bands rect").count() == 1
-
-
-def test_slider_bands_are_where_the_thumb_is(robot_of, tmp_path, opened):
-    """A click on the slider at the edge of a band moves the replay to the time of that edge."""
-    page = phased_page(robot_of("planar3"), tmp_path, opened)
-    band, slider = page.locator("#scrub-bands rect").nth(1).bounding_box(), page.locator("#scrub").bounding_box()
-    page.mouse.click(band["x"], slider["y"] + slider["height"] / 2)
-    assert page.evaluate("manipLearn.time") == pytest.approx(1.0, abs=0.03)
-
-
-def test_mechanism_is_drawn_and_told(robot_of, tmp_path, opened):
-    """The mechanism changes the picture, and its words are in the legend as text."""
-    hinge = {"type": "hinge", "axis": [0, 0, 1], "point": [0.5, 0.5, 0.1], "radius": 0.6, "sentence": f"a hinge {EVIL}"}
-    robot = robot_of("planar3")
-
-    def picture(page):
-        page.evaluate("() => new Promise(done => requestAnimationFrame(() => requestAnimationFrame(done)))")
-        return page.locator("#scene canvas").screenshot(style="#legend, #notes { visibility: hidden }")
-
-    without = picture(phased_page(robot, tmp_path, opened))
-    page = phased_page(robot, tmp_path, opened, mechanism=hinge)
-    assert picture(page) != without
-    assert page.locator("#mechanism").inner_text() == f"Mechanism: a hinge {EVIL}"
-    assert page.locator("#phase").inner_text() == "a: not classified"
-    assert "constraint 1: hinge" in page.locator("#status-key").inner_text()
-    assert page.locator("img").count() == 0 and page.evaluate("window.hacked") is None
-
-
-def test_hostile_names_of_recordings_with_phases(robot_of, tmp_path, opened):
-    """Markup in a recording's name is text in the bands, in the phase and in the tooltips."""
-    robot = robot_of("planar3")
-    recording = waving(robot).trajectory(EVIL)
-    page = opened(replay(robot, {EVIL: recording}, tmp_path / "a.html", phases=[(EVIL, 0.0, 2.0, 0)]).html.as_uri())
-    assert page.locator("#phase").inner_text() == f"{EVIL}: constraint 1"
-    titles = page.locator("#chart .bands title").all_text_contents()
-    assert titles == [EVIL, f"{EVIL}: constraint 1, 0.00 s to 2.00 s"]
-    assert page.locator("img").count() == 0 and page.evaluate("window.hacked") is None
-
-
-def test_many_bands_fit(robot_of, tmp_path, opened):
-    """Sixty recordings with phases leave every control inside the window, and the picked one has its band."""
-    robot = robot_of("planar3")
-    crowd = {f"recording number {i}": waving(robot, phase=0.1 * i).trajectory() for i in range(60)}
-    phases = [(name, 0.5, 1.5, i % 9) for i, name in enumerate(crowd)]
-    page = opened(replay(robot, crowd, tmp_path / "a.html", phases=phases).html.as_uri(), 800, 600)
-    assert page.evaluate("document.documentElement.scrollHeight") <= 600
-    for selector in ("#chart", "#play", "#scrub", "#speed", "#phase"):
-        box = page.locator(selector).bounding_box()
-        assert box["y"] + box["height"] <= 600 and box["x"] + box["width"] <= 800, selector
-    page.locator("#legend .pick").nth(59).click()
-    titles = page.locator("#chart .bands rect title").all_text_contents()
-    assert any(title.startswith("recording number 59:") for title in titles)
+    return tuple(zlib.decompress(data)[1:4])
 
 
 def test_live_view_follows(robot_of, opened):
     """The browser shows the posture that was given last."""
     robot = robot_of("wrist")
-    tip = robot.frame("tip")
     with LiveViewer(robot, open_browser=False) as viewer:
         page = opened(viewer.url)
         for angle in (0.3, -1.1):
             q = np.full(robot.nv, angle)
             viewer.show(q, manipulability=abs(angle), time=10.0 + angle)
             wait_until(page, f"Math.abs(manipLearn.time - {10.0 + angle}) < 1e-9")
-            np.testing.assert_allclose(link_pose(page, robot.name, "tip"), robot.pose(q, tip), atol=POSES)
+            np.testing.assert_allclose(
+                link_pose(page, robot.name, "tip"), robot.pose(q, robot.frame("tip")), atol=POSES
+            )
         assert page.evaluate("manipLearn.drawing")
 
 
-def test_between_samples_everything_is_interpolated(robot_of, tmp_path, opened):
-    """Between two samples links, readout and the dot on the curve are where interpolation in time puts them."""
+def test_the_curve_is_that_of_the_rollout(robot_of, tmp_path, opened):
+    """Between samples, readout and dot are on the line between them; by decades the logarithm of the value is."""
     robot = robot_of("planar3")
-    rollout = waving(robot, 4.0, dt=0.5)
-    page = opened(replay(robot, {"a": rollout}, tmp_path / "a.html").html.as_uri())
-    for t in (0.1, 0.25, 1.45, 3.9):
-        page.evaluate("t => manipLearn.seek(t)", t)
-        q = np.array([np.interp(t, rollout.time, column) for column in rollout.q.T])
-        np.testing.assert_allclose(link_pose(page, "a", "tip"), robot.pose(q, robot.frame("tip")), atol=POSES)
-        mu = float(np.interp(t, rollout.time, rollout.manipulability))
-        assert float(page.locator("#legend .mu").inner_text().split()[0]) == pytest.approx(mu, rel=6e-3)
-        x, y = (float(page.locator("#chart circle").get_attribute(name)) for name in ("cx", "cy"))
-        points = page.locator("#chart polyline").get_attribute("points")
-        line = np.array([[float(v) for v in point.split(",")] for point in points.split()])
-        assert y == pytest.approx(np.interp(x, *line.T), abs=0.2)
+    motion = waving(robot, 4.0, dt=0.5)
+    page = opened(replay(robot, {"a": motion}, tmp_path / "a.html").html.as_uri())
+    for logarithmic in (False, True):
+        if logarithmic:
+            page.locator("#log").click()
+        line = page.locator("#chart polyline").get_attribute("points")
+        points = np.array([[float(v) for v in point.split(",")] for point in line.split()])
+        drawn = np.log10(motion.manipulability) if logarithmic else motion.manipulability
+        # one straight scale for all samples: the picture is the value, or its logarithm, and nothing else
+        slope, offset = np.polyfit(drawn, points[:, 1], 1)
+        np.testing.assert_allclose(points[:, 1], slope * drawn + offset, atol=0.2)
+        assert slope < 0.0
+        labels = page.locator("#chart text[text-anchor=end]").evaluate_all(
+            "all => all.map(e => [Number(e.textContent), Number(e.getAttribute('y')) - 4])"
+        )
+        ticks = np.array([tick for tick in labels if tick[0] > 0.0])  # those of time are in the middle, or end in s
+        at = np.log10(ticks[:, 0]) if logarithmic else ticks[:, 0]
+        assert len(ticks) >= 2
+        np.testing.assert_allclose(ticks[:, 1], slope * at + offset, atol=0.5)
+        for t in (0.1, 0.25, 1.45, 3.9):
+            seek(page, t)
+            mu = float(np.interp(t, motion.time, motion.manipulability))
+            assert float(page.locator("#legend .mu").inner_text().split()[0]) == pytest.approx(mu, rel=6e-3)
+            y = float(page.locator("#chart circle").get_attribute("cy"))
+            assert y == pytest.approx(slope * (np.log10(mu) if logarithmic else mu) + offset, abs=0.5)
+
+
+def library_values(robot, constraint, rollout, t) -> dict[str, dict[str, float]]:
+    """Track -> curve -> value at time t, straight between the samples."""
+    at = lambda values: float(np.interp(t, rollout.time, values))  # noqa: E731
+    sigma = np.array([np.linalg.svd(constraint(q), compute_uv=False) for q in rollout.q])
+    low, span, names = robot.position_lower, robot.position_upper - robot.position_lower, robot.joint_names
+    return {
+        "singular": {f"σ{k + 1}": at(sigma[:, k]) for k in range(sigma.shape[1])},
+        "velocity": {n: at(rollout.u[:, i] / robot.velocity_limit[i]) for i, n in enumerate(names)},
+        "position": {n: at((rollout.q[:, i] - low[i]) / span[i]) for i, n in enumerate(names)},
+        "task-error": {"": at(rollout.task_error)},
+        "following-error": {"": at(rollout.following_error)},
+    }
+
+
+def test_values_and_marks_are_the_librarys(robot_of, drawer, rollout, address, opened):
+    """Every curve of every track, directions held and free, and semi-axes that are the singular values."""
+    robot = robot_of("sawyer")
+    slipping = replace(rollout, following_error=np.linspace(0.0, 0.02, len(rollout)) ** 2)
+    page = opened(address("slipping", "sawyer", lambda _: {"a": slipping}))
+    for t in BETWEEN:
+        shown, expected = page.evaluate("t => manipLearn.trackValues(t)", t), library_values(robot, drawer, slipping, t)
+        assert shown.keys() == expected.keys()
+        for kind, curves in expected.items():
+            assert shown[kind]["a"] == pytest.approx(curves, rel=1e-5, abs=1e-6), f"{kind} at {t} s"
+        seek(page, t)
+        marks = page.evaluate("t => manipLearn.marks('a', t)", t)
+        i = int(np.searchsorted(rollout.time, t + 1e-9) - 1)
+        j = min(i + 1, len(rollout) - 1)
+        share = 0.0 if i == j else (t - rollout.time[i]) / (rollout.time[j] - rollout.time[i])
+        A = [drawer(rollout.q[k]) for k in (i, j)]
+        M = drawer.selection.T @ ((1.0 - share) * A[0] @ A[0].T + share * A[1] @ A[1].T) @ drawer.selection
+        lengths = [axis["length"] for axis in marks["ellipsoid"]]
+        np.testing.assert_allclose(lengths, np.sqrt(np.maximum(np.linalg.eigvalsh(M)[::-1], 0.0)), atol=2e-4)
+        if share < 1e-9:
+            np.testing.assert_allclose(lengths[:2], np.linalg.svd(A[0], compute_uv=False), atol=1e-5)
+        held, (free,) = np.array(marks["held"]), np.array(marks["free"])
+        np.testing.assert_allclose(held @ held.T, np.eye(2), atol=1e-6)
+        np.testing.assert_allclose(held.T @ held, drawer.selection.T @ drawer.selection, atol=1e-6)
+        np.testing.assert_allclose(drawer.selection @ free, 0.0, atol=1e-6)
+    local = Constraint(drawer.selection, FrameJacobian(robot, "right_gripper_tip", "xyz", "local"))
+    page = opened(address("local", "sawyer", lambda _: {"a": rollout}, constraint=local))
+    for i in (0, 60, 100):  # rows along the hand's axes are drawn in them, where kinematics puts these
+        seek(page, rollout.time[i])
+        pose = np.array(page.evaluate("manipLearn.marks('a', manipLearn.time).pose")).reshape(4, 4)
+        np.testing.assert_allclose(pose, robot.pose(rollout.q[i], local.features.frame), atol=1e-6)
+
+
+def test_tracks_marks_and_cards_are_switched(drawer, rollout, address, opened):
+    """Each box of a track adds it with its values, all cursors agree; each box of the scene changes the picture; one
+    card is open, within the window at a phone's width too; escape closes it, and the keys go on working.
+    """
+    kept = Constraint(drawer.selection, drawer.features, {"sentence": "moves freely along x", "gap": 12.0})
+    page = opened(address("kept", "sawyer", lambda _: {"a": rollout}, constraint=kept))
+    assert page.locator("#tracks .track").count() == 0
+    page.locator("#track-choice summary").click()
+    for kind in ("singular", "velocity"):
+        page.locator(f"[data-track={kind}]").check()
+    page.locator("#track-choice summary").click()
+    titles = page.locator("#tracks figcaption b").all_inner_texts()
+    assert titles == ["Singular values of A", "Joint velocities over their limits"]
+    box = page.locator("#tracks .curves").first.bounding_box()
+    left, right = box["x"] + 58, box["x"] + box["width"] - 14
+    page.mouse.click(left + 0.6 * (right - left), box["y"] + 30)
+    assert page.evaluate("manipLearn.time") == pytest.approx(0.6, abs=0.01)
+    cursors = page.locator("#tracks .cursor, #chart line[stroke-width='1.5']").evaluate_all(
+        "lines => lines.map((line) => Number(line.getAttribute('x1')))"
+    )
+    assert len(cursors) == 3 and max(cursors) - min(cursors) < 1e-6
+    sigma = page.evaluate("manipLearn.trackValues(manipLearn.time).singular.a")["σ1"]
+    assert float(page.locator("#tracks .value span").first.inner_text()) == pytest.approx(sigma, rel=1e-2)
+    page.locator("#track-choice summary").click()
+    page.locator("[data-track=first]").uncheck()
+    assert not page.locator("#chart").is_visible() and page.locator("#tracks .track").count() == 2
+    page.locator("[data-track=first]").check()
+    page.keyboard.press("Escape")
+    assert not page.locator("#track-choice section").is_visible()
+    page.locator("#shown summary").click()
+    names = page.locator("[data-shown]").evaluate_all("boxes => boxes.map((box) => [box.dataset.shown, box.checked])")
+    assert names == [["constraint", True], ["target", True], ["ellipsoid", True], ["paths", True], ["labels", True]]
+    for name, _ in names[:-1]:
+        before = picture(page)
+        page.locator(f"[data-shown={name}]").click()
+        assert picture(page) != before, name
+    assert "drawn for 1 m/s" in page.locator("#shown .key").inner_text()
+    page.locator("#evidence summary").click()
+    wait_until(page, "!document.querySelector('#shown').open", 5.0)
+    told = page.locator("#evidence section").inner_text()
+    assert "moves freely along x" in told and "12" in told and "10 and above is clear" in told
+    page.keyboard.press("Escape")
+    for width in (320, 1000):
+        page.set_viewport_size({"width": width, "height": 700})
+        for name in ("track-choice", "shown", "evidence"):
+            page.locator(f"#{name} summary").click()
+            box = page.locator(f"#{name} section").bounding_box()
+            assert box["x"] >= 0.0 and box["x"] + box["width"] <= width, name
+            page.locator(f"#{name} summary").click()
+        assert page.locator("#tracks").bounding_box()["width"] <= width
+    page.locator("#shown summary").click()
+    page.keyboard.press("Escape")
+    page.keyboard.press("Home")
+    assert page.evaluate("manipLearn.time") == 0.0
+    page.keyboard.press("ArrowRight")
+    assert page.evaluate("manipLearn.time") > 0.0
+    eye = page.evaluate("manipLearn.eye")
+    page.keyboard.press("2")
+    assert np.linalg.norm(np.subtract(page.evaluate("manipLearn.eye"), eye)) > 0.1
+    page.keyboard.press("l")
+    assert page.locator("#log").get_attribute("aria-pressed") == "true"
+
+
+def test_recordings_are_left_out_and_coloured_by_their_fit(robot_of, drawer, rollout, tmp_path, opened):
+    """A box hides a recording and changes the command line, in Python without one; odd ones are marked and left out
+    by one button; bands change to the fit and back.
+    """
+    robot = robot_of("sawyer")
+    wrong = rollout.u + 0.5 * np.linalg.pinv(drawer(rollout.q[0]))[:, 0]
+    demos = {"a": rollout.u, "b": rollout.u, "c": wrong}  # the last one breaks the constraint
+    named = {n: Trajectory(rollout.time, rollout.q, u, robot.joint_names, n) for n, u in demos.items()}
+    report = {"sentence": "moves freely along x", "gap": 12.0, "odd_trajectories": [["c", "moves 3 mm"]]}
+    more = {"constraint": drawer, "report": report, "phases": [(n, 0.2, 0.8, 0) for n in named]}
+    typed = RecordingChoice(("manip-learn", "learn", "a b"), {"a": 0, "b": 1, "c": 2})
+    page = opened(replay(robot, named, tmp_path / "a.html", choice=typed, **more).html.as_uri())
+    rows = page.locator("#chart .bands")
+    before, key = rows.nth(2).inner_html(), page.locator("#status-key").inner_text()
+    page.locator("#shown summary").click()
+    page.locator("[name=colours][value=fit]").check()
+    assert "100 %" in page.locator("#status-key").inner_text()
+    middle = "bands => { const bars = [...bands.querySelectorAll('rect')]; return bars[bars.length >> 1].textContent; }"
+    shares = page.evaluate("manipLearn.trackValues(0.5).fit")
+    for k, name in enumerate("abc"):
+        said = rows.nth(k).evaluate(middle).split(": ")[1].split(" %")[0]
+        assert float(said) == pytest.approx(100.0 * shares[name]["share"], abs=1.0)
+    page.locator("[name=colours][value=phase]").check()
+    assert rows.nth(2).inner_html() == before and page.locator("#status-key").inner_text() == key
+    assert page.locator("#legend .name").all_inner_texts() == ["a", "b", "c odd"]
+    page.locator("#choice summary").click()
+    command = page.locator("#choice code")
+    assert command.inner_text() == "manip-learn learn 'a b' --episodes 0:3"
+    page.locator("[data-recording=b]").uncheck()
+    assert command.inner_text() == "manip-learn learn 'a b' --episodes 0,2"
+    assert page.locator("#legend .eye").nth(1).get_attribute("aria-pressed") == "false"
+    page.get_by_role("button", name="Without the odd ones").click()
+    assert command.inner_text() == "manip-learn learn 'a b' --episodes 0:2"
+    page.get_by_role("button", name="None").click()
+    assert "at least one" in command.inner_text() and page.locator("#choice .command button").is_disabled()
+    page.get_by_role("button", name="All").click()
+    page.locator("#choice .command button").click()
+    wait_until(page, "document.querySelector('#choice .said').textContent.includes('cop')")
+    assert "moves 3 mm" in page.locator("#choice .odd").inner_text()
+    page = opened(replay(robot, named, tmp_path / "b.html", **more).html.as_uri())
+    page.locator("#choice summary").click()
+    page.locator("[data-recording=b]").uncheck()
+    in_python = 'ml.Demonstrations([d for d in demos if d.name not in {"b"}])'
+    assert page.locator("#choice code").inner_text() == in_python
+
+
+@pytest.fixture(scope="module")
+def opening(drawer):
+    """Two rollouts that pull the drawer by 15 and by 8 cm, whose constraint keeps its mechanism."""
+    line = {"type": "line", "axis": [0.91, 0.42, 0.0], "point": [0.0, 0.0, 0.9], "sentence": "a line"}
+    kept = Constraint(drawer.selection, drawer.features, {"n_constraints": 2, "mechanism": line})
+    tasks = {"far": FreeDirection(kept, -0.15, 0.4), "near": FreeDirection(kept, -0.08, 0.4)}
+    robot = drawer.features.robot
+    return {n: simulate(robot, ResolvedRateController(kept, task), START, 1.2, 0.01) for n, task in tasks.items()}
+
+
+def test_the_drawer_is_in_the_hand_and_says_how_far_it_is_open(robot_of, opening, address, opened):
+    """At any time, of whichever rollout is solid; label, legend and readout say what the curves have; every mark is in
+    the first view; a dark page has lighter curves.
+    """
+    robot = robot_of("sawyer")
+    page = opened(address("opening", "sawyer", lambda _: opening), 1280, 800)
+    for t in (0.0, 1.2):
+        seek(page, t)
+        wait_until(page, "document.querySelectorAll('#labels span:not([hidden])').length === 6")
+    for k, name in enumerate(opening):
+        page.locator("#legend .pick").nth(k).click()
+        for i in (0, 50, 120):
+            t = float(opening[name].time[i])
+            seek(page, t)
+            handle = page.evaluate("name => manipLearn.handle(name)", name)
+            tip = robot.position(opening[name].q[i], robot.frame("right_gripper_tip"))
+            np.testing.assert_allclose(handle, tip, atol=1e-3)
+            value = page.evaluate("([t, name]) => manipLearn.trackValues(t).opening[name]['']", [t, name])
+            wait_until(page, f"document.getElementById('labels').textContent.includes('drawer {value:.3f} m open')")
+            assert f"{value:.3f} m open" in page.locator("#legend .state").nth(k).inner_text()
+        assert value == pytest.approx({"far": 0.15, "near": 0.08}[name], abs=2e-3)
+    words = {"free to move", "held", "target", "line that was learnt", "speed within reach (μ)"}
+    assert words <= set(page.locator("#labels span:visible").all_inner_texts())
+    page.locator("#legend .pick").nth(0).click()
+    texts, box = page.locator("#chart .readout text"), page.locator("#chart").bounding_box()
+    seek(page, 0.5)
+    for i, said in ((50, "0.50 s"), (120, "1.20 s")):
+        values = [float(f"{r.manipulability[i]:.3g}") for r in opening.values()]
+        assert texts.first.text_content() == said and page.evaluate("manipLearn.time") == 0.5
+        assert [float(text) for text in texts.all_text_contents()[1:]] == values
+        page.mouse.move(box["x"] + box["width"] - 14, box["y"] + 40)  # over the curves, those under the mouse
+    seen = []
+    for scheme, same in (("light", "==="), ("dark", "!=="), ("light", "===")):
+        page.emulate_media(color_scheme=scheme)
+        wait_until(page, f"document.querySelector('#chart polyline').getAttribute('stroke') {same} '#0072b2'")
+        curve = page.locator("#chart polyline").first.get_attribute("stroke")
+        legend = page.locator("#legend .rollout").first
+        assert curve == legend.evaluate("e => e.style.getPropertyValue('--colour')")
+        seen.append(bytes.fromhex(curve[1:]))
+    assert seen[0] == seen[2] and all(a < b for a, b in zip(seen[0], seen[1], strict=True))
+    page.locator("#shown summary").click()
+    for name in ("furniture", "labels"):
+        page.locator(f"[data-shown={name}]").uncheck()
+    wait_until(page, "document.querySelectorAll('#labels span:not([hidden])').length === 0")
+    page.locator("#track-choice summary").click()
+    for box in page.locator("[data-track]").all():
+        box.check()
+    assert page.locator("#scene").bounding_box()["height"] >= 400.0  # half the window, with all tracks open
+    assert page.locator("#tracks .track").count() > 3 and page.locator("#transport").bounding_box()["y"] < 760.0
+
+
+def test_a_plan_beside_other_rollouts(robot_of, opening, tmp_path, opened):
+    """Its band has the words, its drawer is shut until the way begins, and the others are drawn as without it."""
+    robot, way, time = robot_of("sawyer"), opening["far"], np.arange(101) * 0.01
+    aside = np.outer(np.sin(np.pi * time) ** 2, [0.3, 0.4, 0.0, -0.3, 0.0, 0.2, 0.0])
+    curves = {"manipulability": 0.0 * time + 0.05, "task_error": 0.0 * time, "status": ("ok",) * 101}
+    approach = replace(way, time=time, q=START + aside, u=0.0 * aside, phases=(("approach", 0.0, 1.0),), **curves)
+    plan = approach.followed_by(replace(way, phases=(("hold", 0.0, 0.1), ("way", 0.1, 1.2))))
+    page = opened(replay(robot, {"plan": plan, **opening}, tmp_path / "a.html").html.as_uri(), 1280, 800)
+    assert page.locator("#chart .bands text:not(.mark)").all_text_contents() == ["planplan"]  # with its title
+    assert page.locator("#chart .bands .mark").all_text_contents() == ["approach", "hold", "way"]
+    for t, phase, shut in ((0.0, "approach", True), (0.5, "approach", True), (1.05, "hold", True), (2.2, "way", False)):
+        seek(page, t)
+        assert page.locator("#phase").inner_text() == f"plan: {phase}"
+        assert page.locator("#chart .readout text").all_text_contents()[1].endswith(f" {phase}")
+        states = page.locator("#legend .state").all_inner_texts()
+        assert [phase in state for state in states] == [True, False, False]
+        assert ("0.000 m open" in states[0]) == shut
+        assert ("held" in page.locator("#labels span:visible").all_inner_texts()) == (phase != "approach")
+    begins = robot.position(plan.q[110], robot.frame("right_gripper_tip"))
+    seek(page, 0.5)
+    np.testing.assert_allclose(page.evaluate("manipLearn.handle('plan')"), begins, atol=1e-3)
+    np.testing.assert_allclose(page.evaluate("manipLearn.trackValues(2.2).opening.plan['']"), 0.15, atol=4e-3)
+    colours = page.locator("#legend .rollout").evaluate_all("all => all.map(e => e.style.getPropertyValue('--colour'))")
+    assert len(set(colours)) == 3
+
+
+def test_marks_are_those_of_the_phase(robot_of, drawer, rollout, tmp_path, opened):
+    """In the phase of a constraint its own marks are at the tip; each phase is named by its mechanism."""
+    axes = {"line": [0.91, 0.42, 0], "plane": [0, 0, 1]}
+    line, plane = ({"type": t, "axis": a, "point": [0.5, 0.2, 0.4], "sentence": f"a {t}"} for t, a in axes.items())
+    constraints = (
+        Constraint(drawer.selection, drawer.features, {"mechanism": line}),
+        Constraint([[0, 0, 1]], drawer.features, {"mechanism": plane}),
+    )
+    more = {"constraint": constraints, "phases": [("a", 0.1, 0.4, 0), ("a", 0.5, 0.9, 1)], "mechanism": line}
+    result = replay(robot_of("sawyer"), {"a": rollout.trajectory("a")}, tmp_path / "a.html", **more)
+    page = opened(result.html.as_uri())
+    for t, free, held in ((0.2, 1, 2), (0.7, 2, 1)):
+        seek(page, t)
+        marks = page.evaluate("manipLearn.marks('a', manipLearn.time)")
+        assert (len(marks["free"]), len(marks["held"])) == (free, held)
+    assert page.locator("#mechanism").inner_text().split("\n") == ["1: a line", "2: a plane"]
+    key = page.locator("#status-key").inner_text()
+    assert "constraint 1: line" in key and "constraint 2: plane" in key

@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 from conftest import tip_of
 from test_playback import waving
-from test_playback_browser import PHASES, links_of, wait_until
+from test_playback_browser import PHASES, opened, wait_until  # noqa: F401
 
 from manip_learn.constraint.constraint import Constraint
 from manip_learn.constraint.features import FrameJacobian
@@ -20,6 +20,7 @@ from manip_learn.playback.palette import COLOURS
 from manip_learn.playback.phase_bands import FREE_COLOUR
 
 pytestmark = pytest.mark.browser
+# ruff: noqa: F811  the fixture of another file is an argument here
 
 PHONES = (320, 390, 430)  # widths [px]
 DESKTOP = (1280, 800)
@@ -45,28 +46,7 @@ FOCUS = """() => {
 }"""
 
 
-@pytest.fixture
-def opened(chromium):
-    """Open an address on a phone (touch, narrow) or on a desktop; faults of the page fail the test in the end."""
-    trouble: list[str] = []
-    contexts = []
-
-    def open_page(address, phone=False, before="", **more):
-        size = {"width": PHONES[1], "height": 844} if phone else dict(zip(("width", "height"), DESKTOP, strict=True))
-        context = chromium.new_context(viewport=size, has_touch=phone, is_mobile=phone, **more)
-        contexts.append(context)
-        page = context.new_page()
-        page.on("pageerror", lambda error: trouble.append(str(error)))
-        if before:
-            page.add_init_script(before)
-        page.goto(address)
-        wait_until(page, "window.manipLearnReady === true")
-        return page
-
-    yield open_page
-    for context in contexts:
-        context.close()
-    assert trouble == []
+PHONE = {"phone": True, "width": PHONES[1], "height": 844}
 
 
 @contextmanager
@@ -102,11 +82,21 @@ def boxes(page, selector):
     )
 
 
-@pytest.mark.parametrize("kind", PAGES)
+SOME_PAGES = ("phases", *(pytest.param(kind, marks=pytest.mark.slow) for kind in PAGES if kind != "phases"))
+
+
+@pytest.mark.parametrize("kind", SOME_PAGES)
 def test_phones_show_everything_without_sideways_scrolling(robot_of, tmp_path, opened, kind):
-    """At 320, 390 and 430 pixels nothing is wider than the screen, and every control is large enough for a finger."""
+    """At 320, 390 and 430 pixels nothing is wider than the screen, and every control is large enough for a finger;
+    robot and curve are there before anything is scrolled, names and notes below.
+    """
     with address_of(kind, robot_of("planar3"), tmp_path) as address:
-        page = opened(address, phone=True)
+        page = opened(address, **PHONE)
+        if kind != "live":
+            (_, top, *_), (_, floor, *_) = (page.locator(s).bounding_box().values() for s in ("#scene", "#transport"))
+            chart, legend = (page.locator(s).bounding_box() for s in ("#chart", "#legend"))
+            assert 0.0 < top < chart["y"] < chart["y"] + chart["height"] <= floor + 2.0
+            assert legend["y"] >= chart["y"] + chart["height"]
         page.evaluate(ALL_TRACKS)
         for width, list_open in itertools.product(PHONES, range(page.locator("details").count())):
             page.set_viewport_size({"width": width, "height": 800})
@@ -121,17 +111,6 @@ def test_phones_show_everything_without_sideways_scrolling(robot_of, tmp_path, o
                 page, "#legend *, #chart, #tracks, .sheet, #notes, #keys dl, #transport, canvas"
             ):
                 assert left >= -0.5 and right <= width + 0.5, (width, name)
-
-
-@pytest.mark.parametrize("kind", ["replay", "phases", "plan"])
-def test_phones_show_the_curve_at_first(robot_of, tmp_path, opened, kind):
-    """On a phone, robot and curve are both there before anything is scrolled; names and notes come below."""
-    with address_of(kind, robot_of("planar3"), tmp_path) as address:
-        page = opened(address, phone=True)
-        (_, top, *_), (_, floor, *_) = (page.locator(s).bounding_box().values() for s in ("#scene", "#transport"))
-        chart, legend = (page.locator(s).bounding_box() for s in ("#chart", "#legend"))
-        assert 0.0 < top < chart["y"] < chart["y"] + chart["height"] <= floor + 2.0
-        assert legend["y"] >= chart["y"] + chart["height"]
 
 
 def drag(page, *ways):
@@ -151,10 +130,11 @@ def drag(page, *ways):
     page.wait_for_timeout(100)
 
 
+@pytest.mark.slow
 def test_fingers_turn_zoom_seek_and_scroll(robot_of, tmp_path, opened):
     """One finger turns the robot, two zoom; across the curve they move in time; up and down they scroll the page."""
     robot = robot_of("planar3")
-    page = opened(replay(robot, {"a": waving(robot, 4.0)}, tmp_path / "a.html").html.as_uri(), phone=True)
+    page = opened(replay(robot, {"a": waving(robot, 4.0)}, tmp_path / "a.html").html.as_uri(), **PHONE)
     page.set_viewport_size({"width": 390, "height": 600})
     eye = lambda: np.array(page.evaluate("manipLearn.eye"))  # noqa: E731
     page.locator("[data-view=iso]").tap()
@@ -187,7 +167,7 @@ def test_fingers_turn_zoom_seek_and_scroll(robot_of, tmp_path, opened):
 
 
 @pytest.mark.parametrize("schemes", [("light", "dark"), pytest.param(("dark", "light"), marks=pytest.mark.slow)])
-@pytest.mark.parametrize("kind", PAGES)
+@pytest.mark.parametrize("kind", SOME_PAGES)
 def test_nothing_keeps_readers_out(robot_of, tmp_path, opened, kind, schemes):
     """Axe finds no violation that is serious or worse, at desktop and phone width, light and dark, all lists open.
 
@@ -247,10 +227,10 @@ def test_dark_and_light_are_readable(robot_of, tmp_path, opened):
                 assert contrast(numbers(colour), ground) >= 3.0, (scheme, colour)
 
 
-@pytest.mark.parametrize("kind", ["replay", "live"])
-def test_every_control_is_reached_by_tab(robot_of, tmp_path, opened, kind):
+@pytest.mark.slow
+def test_every_control_is_reached_by_tab(robot_of, tmp_path, opened):
     """Tab goes through every control that can be seen, each shows that it has the focus, and each has a name."""
-    with address_of(kind, robot_of("planar3"), tmp_path) as address:
+    with address_of("replay", robot_of("planar3"), tmp_path) as address:
         page = opened(address)
         wait_until(page, "getComputedStyle(document.getElementById('panel')).display !== 'none'")
         expected = len(boxes(page, "button, select, summary, input, [tabindex]"))
@@ -290,6 +270,7 @@ def test_keys_are_listed_and_leave_the_focus_alone(robot_of, tmp_path, opened):
         assert "number 0: lowest manipulability" in least and "at 1.57 s" in least
 
 
+@pytest.mark.slow
 def test_little_motion_is_respected(robot_of, tmp_path, opened):
     """Nothing moves by itself; who asked for reduced motion gets no repetition either, until it is switched on."""
     robot = robot_of("planar3")
@@ -315,6 +296,7 @@ def test_no_3d_graphics_says_what_to_do(robot_of, tmp_path, opened):
     assert page.locator("#clock").inner_text() == "1.00 s" and page.locator("#chart polyline").count() == 1
 
 
+@pytest.mark.slow
 def test_paper_shows_the_moment(robot_of, tmp_path, opened):
     """On paper the robot is a picture on white, without controls, and a sentence says how to play it."""
     robot = robot_of("planar3")
@@ -355,6 +337,7 @@ SHARES = """async png => {
 }"""
 
 
+@pytest.mark.slow
 def test_white_robots_keep_their_shades(robot_of, tmp_path, opened):
     """Of a white robot's pixels in the dark less than 1 % are at full white (28 % were), and they differ in level."""
     robot = robot_of("xarm7")
@@ -365,19 +348,3 @@ def test_white_robots_keep_their_shades(robot_of, tmp_path, opened):
         shot = page.locator("#scene canvas").screenshot(style="#legend, #notes { visibility: hidden }")
         shares = page.evaluate(SHARES, base64.b64encode(shot).decode())
         assert shares["bright"] > 0.02 and shares["clipped"] < 0.01 and shares["spread"] > 20.0, (view, shares)
-
-
-@pytest.mark.parametrize("robot_name", ["panda", "wrist", "mimic"])
-def test_links_between_key_frames(robot_of, tmp_path, opened, robot_name):
-    """Between two key frames every link is where kinematics puts the joints that are interpolated between the two."""
-    robot = robot_of(robot_name)
-    rollout = waving(robot, 2.0, dt=0.05)  # every sample is a key frame
-    page = opened(replay(robot, {"a": rollout}, tmp_path / "a.html").html.as_uri())
-    positions = np.array([robot.positions(q) for q in rollout.q])
-    for t in (0.013, 0.777, 1.9876):
-        page.evaluate("t => manipLearn.seek(t)", t)
-        q = np.array([np.interp(t, rollout.time, column) for column in positions.T])
-        for link in links_of(robot)[1::3]:
-            rows = page.evaluate("link => manipLearn.linkPose('a', link)", link)
-            expected = robot.pose(q, robot.frame(link))
-            np.testing.assert_allclose(np.array(rows).reshape(4, 4), expected, rtol=0, atol=1e-9)

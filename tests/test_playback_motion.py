@@ -39,36 +39,27 @@ def posed(tree, values):
     return poses
 
 
-@pytest.mark.parametrize("robot_name", ROBOTS)
-def test_tracks_are_forward_kinematics(robot_of, rng, robot_name):
+def test_tracks_are_forward_kinematics(robot_of, rng):
     """The numbers of a key frame give every joint's pose back, whatever kinds of joints and mimics there are."""
-    robot = robot_of(robot_name)
-    tree = kinematic_tree(robot)
-    model = robot.pinocchio_model
-    data = model.createData()
-    postures = np.array([robot.random_configuration(rng) for _ in range(20)])
-    tracks = joint_tracks(robot, tree, postures)
-    for q, values in zip(postures, tracks, strict=True):
-        pin.forwardKinematics(model, data, robot.pinocchio_configuration(q))
-        for i, pose in enumerate(posed(tree, values)):
-            np.testing.assert_allclose(pose, data.oMi[i].homogeneous, atol=1e-12)
+    for name in ROBOTS:
+        robot = robot_of(name)
+        tree, model = kinematic_tree(robot), robot.pinocchio_model
+        data = model.createData()
+        postures = np.array([robot.random_configuration(rng) for _ in range(20)])
+        for q, values in zip(postures, joint_tracks(robot, tree, postures), strict=True):
+            pin.forwardKinematics(model, data, robot.pinocchio_configuration(q))
+            for pose, placed in zip(posed(tree, values), data.oMi, strict=True):
+                np.testing.assert_allclose(pose, placed.homogeneous, atol=1e-12, err_msg=name)
 
 
-def test_most_joints_move_by_one_number(robot_of):
-    """Turning and sliding joints are stored as one number, so that links stay attached between key frames."""
-    assert [j.motion for j in kinematic_tree(robot_of("gantry"))[1:]] == ["prismatic"] * 2 + ["revolute"] * 2 + [
-        "prismatic"
-    ]
-    assert [j.motion for j in kinematic_tree(robot_of("wrist"))[1:]] == ["revolute"] * 4
-    assert kinematic_tree(robot_of("humanoid"))[1].motion == "free"
-
-
-def test_continuous_joints_take_the_short_way(robot_of):
-    """A continuous joint that passes half a turn goes on, it does not spin back."""
+def test_joints_move_by_one_number_the_short_way(robot_of):
+    """Turning and sliding joints are one number, so that links stay attached; one that passes half a turn goes on."""
+    motions = {name: [j.motion for j in kinematic_tree(robot_of(name))[1:]] for name in ("gantry", "wrist", "humanoid")}
+    assert motions["gantry"] == ["prismatic"] * 2 + ["revolute"] * 2 + ["prismatic"]
+    assert motions["wrist"] == ["revolute"] * 4 and motions["humanoid"][0] == "free"
     robot = robot_of("wrist")
-    angles = np.linspace(2.0, 5.0, 31)
     positions = np.zeros((31, robot.nv))
-    positions[:, 0] = angles
+    positions[:, 0] = np.linspace(2.0, 5.0, 31)
     tracks = joint_tracks(robot, kinematic_tree(robot), np.array([robot.configuration(p) for p in positions]))
     np.testing.assert_allclose(np.diff(tracks[:, 0]), 0.1, atol=1e-12)
 
@@ -104,36 +95,33 @@ def test_thinned_curves_keep_every_dip(robot_of):
     assert motion.duration == pytest.approx(500.0)
 
 
-def test_path_is_the_tips(robot_of):
-    """The path goes through the tip at its times."""
+def test_path_and_status_are_the_rollouts(robot_of):
+    """The path goes through the tip at its times; the strip says when each status begins."""
     robot = robot_of("sawyer")
-    tip = robot.frame("right_hand")
-    rollout = waving(robot)
+    tip, rollout = robot.frame("right_hand"), waving(robot)
     motion = recorded_motion(robot, kinematic_tree(robot), tip, "a", rollout)
-    for t, point in list(zip(motion.path_times, motion.path, strict=True))[::20]:
-        q = rollout.q[np.argmin(np.abs(rollout.time - t))]
-        np.testing.assert_allclose(point, robot.pose(q, tip)[:3, 3], atol=1e-12)
-
-
-def test_status_changes_are_kept(robot_of):
-    """The strip says when each status begins."""
-    robot = robot_of("one")
-    time = np.arange(6.0)
-    words = ("ok", "ok", "damped", "ok", "ok", "singular")
+    at = np.searchsorted(rollout.time, motion.path_times - 1e-9)
+    np.testing.assert_allclose(motion.path, [robot.position(rollout.q[i], tip) for i in at], atol=1e-12)
+    robot, time, words = robot_of("one"), np.arange(6.0), ("ok", "ok", "damped", "ok", "ok", "singular")
     rollout = Rollout(time, np.zeros((6, 1)), np.zeros((6, 1)), time, words, robot.joint_names, time)
     motion = recorded_motion(robot, kinematic_tree(robot), robot.frame("tip"), "a", rollout)
     assert motion.status == ((0.0, "ok"), (2.0, "damped"), (3.0, "ok"), (5.0, "singular"))
 
 
-@pytest.mark.parametrize(("robot_name", "view"), [("planar3", "top"), ("sawyer", "iso"), ("gantry", "iso")])
-def test_planar_arms_are_seen_from_above(robot_of, robot_name, view):
-    """A robot that moves in the plane of the floor is looked at from above."""
-    robot = robot_of(robot_name)
-    tree = kinematic_tree(robot)
-    motion = recorded_motion(
-        robot, tree, robot.frame("tip" if robot_name != "sawyer" else "right_hand"), "a", waving(robot)
-    )
-    data = scene_data(robot, tree, Appearance(()), "", [motion], [("blue", "#000000")], [])
-    assert data["view"] == view
-    low, high = np.array(data["bounds"])
-    assert np.all(motion.path >= low - 1e-9) and np.all(motion.path <= high + 1e-9)
+def test_planar_arms_are_seen_from_above(robot_of):
+    """A robot that moves in the plane of the floor is looked at from above; all that is drawn is in the picture."""
+    for name, view in (("planar3", "top"), ("sawyer", "iso"), ("gantry", "iso")):
+        robot = robot_of(name)
+        tree, tip = kinematic_tree(robot), robot.frame("right_hand" if name == "sawyer" else "tip")
+        motion = recorded_motion(robot, tree, tip, "a", waving(robot))
+        data = scene_data(robot, tree, Appearance(()), "", [motion], [("blue", "#000000")], [])
+        low, high = np.array(data["bounds"])
+        assert data["view"] == view
+        assert np.all(motion.path >= low - 1e-9) and np.all(motion.path <= high + 1e-9)
+        # the camera is beside the middle of the path, 62 degrees on
+        x, y, _ = motion.path.mean(axis=0)
+        assert data["azimuth"] == pytest.approx(np.arctan2(y, x) - np.radians(62.0))
+        outline = np.array(data["outline"])
+        np.testing.assert_allclose(
+            [outline.min(axis=0), outline.max(axis=0)], [low, high], atol=0.02 * np.ptp([low, high])
+        )

@@ -56,37 +56,25 @@ ROLLOUT = f"""const rollout = {{
 }};"""
 
 
-def test_joints_move_evenly_between_key_frames(run):
-    """Between two key frames every joint is where straight interpolation in time puts it; at them, exactly there."""
+def test_between_samples_everything_is_interpolated(run):
+    """Joints and manipulability lie on the line between their samples; a status holds until the next one begins."""
     asked = [0.0, 0.1, 0.25, 0.5, 0.8, 1.7, 2.0, 2.2, 2.25, 9.0]
     drawn = run(*(f"Array.from(Show.prototype.valuesAt(rollout, {t}))" for t in asked), given=ROLLOUT)
     expected = [[np.interp(t, TIMES, np.array(TRACKS)[:, k]) for k in range(2)] for t in asked]
     np.testing.assert_allclose(drawn, expected, rtol=0, atol=1e-12)
-
-
-def test_manipulability_is_interpolated_between_its_samples(run):
-    """The readout between two samples of the curve lies on the line that is drawn between them."""
     asked = [-1.0, 0.0, 0.1, 0.5, 1.4, 2.0, 2.125, 2.25, 5.0]
     shown = run(*(f"curveValue(rollout, {t})" for t in asked), given=ROLLOUT)
     np.testing.assert_allclose(shown, np.interp(asked, TIMES, CURVE), rtol=0, atol=1e-12)
-
-
-def test_a_sample_is_found_by_its_time(run):
-    """The last sample that is not after t; the first one for times before it."""
     asked = [-1.0, 0.0, 0.49, 0.5, 1.99, 2.0, 2.3]
     expected = np.maximum(np.searchsorted(TIMES, asked, side="right") - 1, 0).tolist()
     assert run(*(f"indexAt({TIMES}, {t})" for t in asked)) == expected
-
-
-def test_a_status_holds_until_the_next_begins(run):
-    """A status begins at its own time and lasts until the next one; without statuses there is none."""
     asked = [0.0, 0.49, 0.5, 1.99, 2.0, 7.0]
     words = run(*(f"statusAt(rollout, {t})" for t in asked), "statusAt({ status: [] }, 1)", given=ROLLOUT)
     assert words == ["ok", "ok", "damped", "damped", "singular", "singular", None]
 
 
-def test_ticks_are_round_numbers_within_the_range(run):
-    """Ticks are whole multiples of 1, 2, 2.5 or 5 times a power of ten, evenly apart, inside, as many as asked for."""
+def test_ticks_and_numbers_are_round(run):
+    """Ticks are 1, 2, 2.5 or 5 times a power of ten, evenly apart and inside; numbers have three or four digits."""
     for low, high, count in (
         (0.0, 1.0, 5),
         (0.0, 10.0, 4),
@@ -103,10 +91,6 @@ def test_ticks_are_round_numbers_within_the_range(run):
         assert ticks[0] >= low - 1e-12 and ticks[-1] <= high + 1e-9 * (high - low)
         assert ticks[0] - low < steps[0] and high - ticks[-1] < steps[0]
     assert run("niceTicks(2, 2, 5)", "niceTicks(3, 1, 5)") == [[2], [3]]
-
-
-def test_numbers_are_short_and_right(run):
-    """Axis and readout say a number with three or four digits; tiny and huge ones with a power of ten."""
     assert run("short(0)", "short(0.25)", "short(-1234)", "short(0.001)", "short(0.0004)", "short(100000)") == [
         *("0", "0.25", "-1234", "0.001", "4.0e-4", "1.0e5"),
     ]
@@ -155,8 +139,8 @@ def test_key_frame_steps(run):
     assert back == [0.0, 0.0, 0.0, 0.5, 2.0, 0.0, 3.0]
 
 
-def test_time_runs_at_the_chosen_speed(run):
-    """A frame moves time on by the seconds that passed times the speed, at most a quarter of a second; not in pause."""
+def test_times_and_speeds_of_the_player(run):
+    """Time runs at the chosen speed, starts over from the end, and never leaves 0 to the duration."""
     given = """const after = (time, now, more = {}) => {
         const player = Object.assign(Object.create(Player.prototype), {
             show: { time, duration: 4 }, playing: true, speed: 2, loop: true, last: 1000,
@@ -177,10 +161,6 @@ def test_time_runs_at_the_chosen_speed(run):
     expected = [(1.2, True), (1.5, True), (0.1, True), (4, False), (1, True), (1, False), (4, False)]
     for (time, playing), (wanted, goes_on) in zip(moved, expected, strict=True):
         assert time == pytest.approx(wanted, abs=1e-9) and playing is goes_on
-
-
-def test_playing_again_from_the_end_starts_over(run):
-    """Play at the end begins at 0; elsewhere it goes on from there."""
     given = """const started = (time) => {
         const player = Object.assign(Object.create(Player.prototype), {
             show: { time, duration: 4 }, moveTo(t) { this.show.time = t; }, setPlaying() {} });
@@ -188,10 +168,6 @@ def test_playing_again_from_the_end_starts_over(run):
         return player.show.time;
     };"""
     assert run("started(4)", "started(3.99)", given=given) == [0, 3.99]
-
-
-def test_times_beyond_the_replay_are_its_ends(run):
-    """Time never leaves 0 to the duration; robots and tip paths are drawn at that time."""
     given = """const shown = (t) => {
         const drawn = [], instance = { setValues: (v) => drawn.push(v), tipPosition: () => "tip" };
         const show = Object.assign(Object.create(Show.prototype), { duration: 4, valuesAt: (r, at) => at,
@@ -226,7 +202,7 @@ OWN = """const DARK = { matches: false }, onScreen = (hex) => hex;
 
 
 def test_a_rollouts_own_phases(run):
-    """They are read at any moment, beyond them there is nothing, and the hand holds from the end of the approach on."""
+    """Read at any moment, beyond them there is nothing; they have the rollout's colour, fainter before its way."""
     labels = run(*(f"(phaseAt(plan, {t}) || {{}}).label || null" for t in (0, 1.9, 2, 3, 4, 4.1)), given=OWN)
     assert labels == ["approach", "approach", "hold", "way", "way", None]
     assert run("phaseAt({ ...plan, bands: [] }, 1)", "hasGaps({ ...plan, bands: [plan.bands[0]] })", given=OWN) == [
@@ -239,10 +215,6 @@ def test_a_rollouts_own_phases(run):
     assert run("inWords([{ ...plan, curve: [] }])", given=OWN) == [
         "plan: approach until 2.00 s, hold until 3.00 s, way until 4.00 s",
     ]
-
-
-def test_own_phases_have_their_rollouts_colour(run):
-    """The fainter the less there is of it, with ink that can be read; the path keeps the rollout's own."""
     assert run("kinds.map((k) => k.colour)", "kinds.map((k) => k.ink)", given=OWN) == [
         *(["#ccccff", "#9999ff", "#0000ff"], ["#17212b", "#17212b", "#ffffff"]),
     ]
@@ -250,22 +222,14 @@ def test_own_phases_have_their_rollouts_colour(run):
     assert run(*(f"Boolean(hasPhaseColours({r}))" for r in rollouts), given=OWN) == [False, False, True]
 
 
-def test_the_word_on_a_band_is_as_long_as_it_has_room(run):
-    """A word, its first letter, or nothing; the number of a constraint or nothing."""
+def test_bands_have_words_gaps_and_room(run):
+    """A band has its word as far as there is room, gaps are told, and in a crowd the solid recording keeps its row."""
     given = "const word = { mark: 'approach', outline: '#000000' }, number = { mark: '12' };"
     asked = [f"markOn({kind}, {width})" for kind in ("word", "number") for width in (200, 70, 69, 16, 11, 10)]
     assert run(*asked, given=given) == ["approach", "approach", "a", "a", "a", "", "12", "12", "12", "12", "", ""]
-
-
-def test_gaps_between_phases_are_told(run):
-    """Moments without a phase are in the colour key if they are more than a hundredth of the recording."""
     given = "const r = (end) => ({ duration: 4, bands: [{ start: 0, end: 2 }, { start: 2, end }] });"
     asked = ("hasGaps(r(4))", "hasGaps(r(3.97))", "hasGaps(r(3.9))", "hasGaps({ duration: 4, bands: [] })")
     assert run(*asked, given=given) == [False, False, True, False]
-
-
-def test_a_crowd_of_bands_keeps_the_solid_one(run):
-    """As many rows as fit, hidden ones and those without phases left out, the solid recording always among them."""
     given = """const crowd = [0, 1, 2, 3, 4, 5].map((i) =>
             ({ i, visible: i !== 1, solid: i === 5, bands: i === 2 ? [] : [0] }));
         const rows = (room) => bandRows(crowd, room).map((r) => r.i);"""
@@ -275,16 +239,16 @@ def test_a_crowd_of_bands_keeps_the_solid_one(run):
     ]
 
 
-def test_a_track_is_read_between_its_samples_and_not_beyond(run):
-    """At a sample its value, between two the line; no number in a gap, before the first and after the last sample."""
+def test_tracks_and_tables_are_read_between_their_rows(run, rng):
+    """On the line between two samples, no number in a gap or beyond the ends; eigenvectors are those of NumPy."""
     given = "const curve = { times: [0, 1, 2, 3, 4], values: [1, 3, NaN, 5, 4] };"
     shown = run(*(f"valueAt(curve, {t})" for t in (-0.1, 0, 0.25, 1, 1.5, 3, 3.5, 4, 4.1)), given=given)
     assert shown == [None, 1, 1.5, 3, None, 5, 4.5, 4, None]  # NaN is null in JSON
     assert run("valueAt({ times: [], values: [] }, 0)") == [None]
-
-
-def test_eigenvectors_are_those_of_numpy(run, rng):
-    """Eigenvalues in falling order and unit eigenvectors, of full rank, of projectors and of zero."""
+    given = "const table = Float32Array.from([0, 1, 2, 3, 4, 7]);"
+    rows = run(*(f"Array.from(rowAt([0, 1, 3], table, 2, {t}))" for t in (-1, 0, 0.5, 2, 3, 9)), given=given)
+    assert rows == [[0, 1], [0, 1], [1, 2], [3, 5], [4, 7], [4, 7]]
+    assert run("Array.from(rowAt([0, 1], Float32Array.from([5, 6]), 2, 0.7))") == [[5, 6]]
     A = rng.standard_normal((3, 3))
     d = np.array([0.6, 0.0, 0.8])
     for matrix in (A @ A.T, np.outer(d, d), np.eye(3) - np.outer(d, d), np.zeros((3, 3)), np.diag([1.0, 1e-9, 1.0])):
@@ -296,14 +260,6 @@ def test_eigenvectors_are_those_of_numpy(run, rng):
         np.testing.assert_allclose(V.T @ np.diag(values) @ V, matrix, atol=1e-12)
 
 
-def test_tables_are_read_between_their_rows(run):
-    """A table of one row holds always; otherwise a row is on the line between its neighbours in time."""
-    given = "const table = Float32Array.from([0, 1, 2, 3, 4, 7]);"
-    rows = run(*(f"Array.from(rowAt([0, 1, 3], table, 2, {t}))" for t in (-1, 0, 0.5, 2, 3, 9)), given=given)
-    assert rows == [[0, 1], [0, 1], [1, 2], [3, 5], [4, 7], [4, 7]]
-    assert run("Array.from(rowAt([0, 1], Float32Array.from([5, 6]), 2, 0.7))") == [[5, 6]]
-
-
 def test_numbers_become_ranges_as_episodes_are_counted(run):
     """Neighbours become half-open ranges, others stand alone; the order does not matter."""
     cases = {"[0, 1, 2, 5]": "0:3,5", "[7, 3, 4]": "3:5,7", "[9]": "9", "[]": "", "[0, 2, 4]": "0,2,4"}
@@ -313,18 +269,14 @@ def test_numbers_become_ranges_as_episodes_are_counted(run):
         assert run(f"asRanges({sorted(known)})") == [text]
 
 
-def test_the_colours_of_the_fit_follow_their_scale(run):
-    """At the steps of the scale its colours, between them mixtures, and grey where nothing is known."""
+def test_colours_of_the_fit(run):
+    """Colours follow their scale, grey where nothing is known; each span of a row shows its largest share."""
     steps = run("FIT_SCALE")[0]
     assert run(*(f"fitColour({share})" for share, _ in steps)) == [colour for _, colour in steps]
     assert run("fitColour(NaN)", "fitColour(7)", "fitColour(-1)") == [run("AT_REST")[0], steps[-1][1], steps[0][1]]
     (low, a), (high, b) = steps[1:3]
     (mixed,) = run(f"fitColour({(low + high) / 2})")
     assert mixed not in (a, b)
-
-
-def test_no_misfit_is_lost_in_a_row_of_colours(run):
-    """Each span shows its largest share; one without samples that of the line, one at rest nothing."""
     given = "const fit = { times: [0, 0.1, 0.2, 0.9, 1.0, 3.0, 4.0], values: [0, 0.5, 0, 0.1, NaN, NaN, 0.2] };"
     (worst,) = run("fitBins(fit, 4, 4)", given=given)
     assert worst == [0.5, None, None, 0.2]

@@ -66,39 +66,25 @@ def test_rotation_to_a_direction(rng):
         np.testing.assert_allclose(R[:, 2], direction, atol=1e-12)
 
 
-@pytest.mark.parametrize("robot_name", ["one", "gantry", "wrist", "tree", "humanoid", "rover"])
-def test_robots_without_shapes_get_a_figure(robot_of, robot_name):
+def test_robots_without_shapes_get_a_figure(robot_of):
     """A robot without visuals has a body at every joint, and something that reaches to its tip."""
-    robot = robot_of(robot_name)
-    tree = kinematic_tree(robot)
-    looks = appearance(robot, tree)
-    assert {s.joint for s in looks.shapes} == set(range(len(tree)))
-    assert any(s.kind == "cone" for s in looks.shapes)
-    assert all(np.isfinite(s.pose).all() and min(s.size) > 0.0 for s in looks.shapes)
-    assert not looks.meshes
+    for name in ("one", "gantry", "wrist", "tree", "humanoid", "rover"):
+        tree = kinematic_tree(robot_of(name))
+        looks = appearance(robot_of(name), tree)
+        assert {s.joint for s in looks.shapes} == set(range(len(tree))), name
+        assert any(s.kind == "cone" for s in looks.shapes) and not looks.meshes, name
+        assert all(np.isfinite(s.pose).all() and min(s.size) > 0.0 for s in looks.shapes), name
 
 
-def test_own_shapes_are_used(robot_of):
-    """The Sawyer-like arm and the planar arm are drawn as their URDF says, without notes."""
+def test_own_shapes_are_used_and_rods_stay_inside(robot_of):
+    """Arms are drawn as their URDF says, without notes; rods between their shapes are slimmer than these."""
     for name in ("sawyer", "planar3"):
-        robot = robot_of(name)
-        looks = appearance(robot, kinematic_tree(robot))
-        assert looks.notes == ()
-        own = [s for s in looks.shapes if s.kind != "cone"]
-        assert {s.kind for s in own} <= {"box", "sphere", "cylinder"}
-        assert len(own) >= 7
-
-
-def test_rods_stay_inside(robot_of):
-    """The rods that connect the shapes are slimmer than the shapes of their joint."""
-    robot = robot_of("planar3")
-    looks = appearance(robot, kinematic_tree(robot))
-    rods = [s for s in looks.shapes if s.kind == "cone"]
+        looks = appearance(robot_of(name), kinematic_tree(robot_of(name)))
+        own, rods = ([s for s in looks.shapes if (s.kind == "cone") is rod] for rod in (False, True))
+        assert looks.notes == () and {s.kind for s in own} <= {"box", "sphere", "cylinder"} and len(own) >= 7, name
+        for rod in rods:
+            assert max(rod.size[:2]) < min([s.half_extent().min() for s in own if s.joint == rod.joint], default=np.inf)
     assert len(rods) == 3
-    for rod in rods:
-        assert max(rod.size[:2]) < min(
-            s.half_extent().min() for s in looks.shapes if s.joint == rod.joint and s is not rod
-        )
 
 
 def test_meshes_are_packed(robot_of):

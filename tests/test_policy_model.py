@@ -139,8 +139,13 @@ def test_curvature_is_the_sum_of_products(rng):
     N = M @ M.transpose(0, 2, 1)
     H = curvature(beta, N)
     np.testing.assert_allclose(H, sum(np.kron(np.outer(b, b), n) for b, n in zip(beta, N, strict=True)), rtol=1e-10)
-    right = rng.standard_normal((12, 2))
-    np.testing.assert_allclose(H @ Solver(H)(right), right, atol=1e-8)
+    right, solver = rng.standard_normal((12, 2)), Solver(H)
+    np.testing.assert_allclose(H @ solver(right), right, atol=1e-8)
+    np.testing.assert_allclose(solver.inverse(), np.linalg.inv(H), rtol=1e-6, atol=1e-12)
+    np.testing.assert_allclose(solver.inverse_diagonal(), np.diag(np.linalg.inv(H)), rtol=1e-6)
+    assert solver.log_determinant == pytest.approx(np.linalg.slogdet(H)[1], rel=1e-9)
+    scaled = H / np.sqrt(np.outer(np.diag(H), np.diag(H)))
+    assert solver.least_pivot == pytest.approx(np.min(np.diag(np.linalg.cholesky(scaled))) ** 2, rel=1e-6)
     demos, truth = paper_motions([0, 1], rng, 6)
     samples = Samples.collect(truth.features, demos)
     values = OrthonormalRegressors.of(samples, PolynomialModel(2, 3)).values
@@ -201,9 +206,7 @@ def test_the_evidence_counts_rows_where_residuals_do_not():
     motion, demos = one_row("sinusoidal", 0.0, (100, 10), 20100)
     samples = Samples.collect(motion.features, demos)
     found = explain(samples, [PolynomialModel(degree, 3) for degree in (1, 2)], np.random.default_rng(0))
-    residual = {
-        one.n_rows: one.judged.fit.cost / (3 - one.n_rows) for one in found if one.judged.fit.model.name == "affine"
-    }
+    residual = {one.n_rows: one.fit.cost / (3 - one.n_rows) for one in found if one.fit.model.name == "affine"}
     nats = {s: max(one.nats for one in found if one.n_rows == s) for s in range(3)}
     assert residual[2] < 0.1 * residual[1]
     assert nats[1] > nats[2] + 1000.0 and nats[1] > nats[0] + 1000.0

@@ -12,8 +12,9 @@ from recording_corpus import CASES, HEADER, TABLE, csv, write_corpus
 from test_cli import DRAWER, FRAME
 from typer.main import get_command
 
-from manip_learn.cli import app, main
+from manip_learn.cli import main
 from manip_learn.commands.command_line import flags_of
+from manip_learn.commands.program import app
 from manip_learn.constraint.constraint import Constraint
 from manip_learn.constraint.features.frame_jacobian import FrameJacobian
 from manip_learn.control.controller import ResolvedRateController

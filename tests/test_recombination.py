@@ -8,7 +8,7 @@ from generated_motions import arm_features, guided_motions, oblique, planar_feat
 
 from manip_learn.constraint.features import CustomFeatures, FeatureMap, FrameJacobian
 from manip_learn.errors import RecordingError
-from manip_learn.learning.recombination import RowEvidence, recombination_test
+from manip_learn.learning.recombination import RowEvidence, _arrangements, _moments, phase_paths, recombination_test
 from manip_learn.recordings.trajectory import Trajectory
 from manip_learn.robot.robot import Robot
 
@@ -88,6 +88,102 @@ def test_held_rows_are_counted_and_clear(s):
         found = evidence(features, trajectories)
         assert (found.n_rows, found.verdict) == (s, "clear"), found
         assert found.states == ("held",) * s + ("free",) * (3 - s)
+
+
+def of_numbers(strengths, spread, p_values=None, levels=(0.01, 0.1, 1.0), n=199, **options) -> RowEvidence:
+    """Evidence of five trajectories, with numbers of one's own."""
+    p = p_values or (0.005,) * len(strengths)
+    return RowEvidence(strengths, strengths, p, levels, np.eye(3), 5, n, spread, **options)
+
+
+def test_the_verdict_is_that_of_its_numbers():
+    """A row counts by what its strength exceeds with 99 % confidence, the choice among hypotheses paid for: clear from
+    4, weak from 1.8; no row does with more chance than 1 %, none behind one that is hardly stronger than chance, and
+    one that is so itself does not count last.
+    """
+    found = of_numbers((10.0, 6.0, 0.9), (0.1, 0.15, 0.1))
+    exceeded = np.array([10.0, 6.0, 0.9]) * np.exp(-2.32635 * np.array([0.1, 0.15, 0.1]))
+    np.testing.assert_allclose(found.lower, exceeded, rtol=1e-5)
+    assert (found.n_rows, found.verdict, found.states) == (2, "clear", ("held", "held", "free"))
+    assert [row.p_value for row in found.rows] == [0.005] * 3
+    # one hypothesis of a hundred: 3.719 standard deviations of the normal distribution instead of 2.326
+    paid = of_numbers((10.0, 6.0, 0.9), (0.1, 0.15, 0.1), choices=100.0)
+    assert paid.lower[1] == pytest.approx(6.0 * np.exp(-3.7190 * 0.15), rel=1e-4)
+    assert (paid.n_rows, paid.verdict) == (2, "weak")
+    assert of_numbers((10.0, 2.0, 0.9), (0.1, 0.1, 0.1)).n_rows == 1  # 1.58 with confidence
+    assert of_numbers((1.4, 3.0, 0.9), (0.0, 0.0, 0.0)).n_rows == 2  # the first has the least of what noise there is
+    assert of_numbers((1.2, 9.0, 0.9), (0.0, 0.0, 0.0)).n_rows == 0
+    assert of_numbers((9.0, 9.0, 0.9), (0.0, 0.0, 0.0), (0.005, 0.011, 0.5)).n_rows == 1
+    assert of_numbers((3.0, 2.5, 0.9), (0.0, 0.0, 0.0)).verdict == "weak"
+    assert of_numbers((9.0, 8.0, 0.9), (0.0, 0.0, 0.0), believed=8.5).n_rows == 1
+    softly = of_numbers((9.0, 1.2, 2.0), (0.0, 0.0, 0.0), levels=(0.01, 0.1, 1.0))
+    assert softly.states == ("held", "untried", "unclear")
+    assert of_numbers((9.0, 1.0, 0.9), (0.0,) * 3, levels=(0.01, 0.2, 1.0)).states == ("held", "free", "free")
+
+
+def test_more_recombinations_are_drawn_where_they_could_decide():
+    """Near the strength that counts, by the error of its median and of its spread; near the chance that does."""
+    assert of_numbers((10.0, 1.8 * np.exp(0.2326), 0.9), (0.1, 0.1, 0.1)).is_close
+    assert not of_numbers((10.0, 3.0, 0.9), (0.1, 0.1, 0.1)).is_close
+    error = 2.5758 * np.sqrt((0.5 * np.pi + 0.5 * 2.3263**2) / 199)  # of log(lower) over the spread
+    for off, close in ((0.98, True), (1.02, False)):
+        for sign in (1.0, -1.0):
+            strength = 1.8 * np.exp(0.1 * (2.3263 + sign * off * error))
+            assert of_numbers((10.0, strength, 0.9), (0.1, 0.1, 0.1)).is_close == close
+    assert of_numbers((10.0, 9.0, 0.9), (0.0,) * 3, (0.005, 0.015, 0.5)).is_close
+    assert not of_numbers((10.0, 9.0, 0.9), (0.0,) * 3, (0.005, 0.2, 0.5)).is_close
+
+
+def test_chance_counts_the_recorded_motion_itself():
+    """No recombination is as low as the recorded motion: p is one in all of them and it, never zero."""
+    found = evidence(*held_motions(2, 4))
+    assert found.p_values[:2] == (1.0 / (found.n_recombinations + 1.0),) * 2
+    assert all(least <= strength for least, strength in zip(found.least, found.strengths, strict=True))
+    # as many as tell a chance of 1 % twice over; more where they could decide
+    assert found.n_recombinations == 199
+    features, trajectories = held_motions(2, 4)
+    close = recombination_test(features, trajectories, np.random.default_rng(0), believed=found.lower[1])
+    assert close.n_recombinations >= 4 * 199
+
+
+def test_paths_are_walked_by_their_share_of_the_way(rng):
+    """The joints of another trajectory move between the same phases, ahead by a shift; what leaves at the end comes in
+    at the start. Bins weigh as fast as they are passed, and a path run from its end keeps its displacements.
+    """
+    features, trajectories = held_motions(2, 4)
+    path = phase_paths(trajectories)[0]
+    steps = rng.standard_normal((4 * path.n_bins, 7))
+    g = len(steps)
+    way = np.concatenate([np.zeros((1, 7)), np.cumsum(np.tile(steps, (3, 1)), axis=0)])
+    for shift in (0.0, 0.3, 1.3):
+        at = (path.edges + shift) * g
+        expected = np.diff([[np.interp(x, np.arange(len(way)), way[:, j]) for j in range(7)] for x in at], axis=0)
+        np.testing.assert_allclose(path.displacements(steps, shift), expected, atol=1e-9)
+    assert path.edges[0] == 0.0 and path.edges[-1] == 1.0 and np.all(np.diff(path.edges) > 0.0)
+    assert np.array_equal(path.bins, np.sort(path.bins)) and path.bins[0] == 0 and path.bins[-1] == path.n_bins - 1
+    back = path.reverse()
+    np.testing.assert_allclose(back.bin_steps(), path.bin_steps()[::-1], atol=1e-15)
+    np.testing.assert_allclose(back.reverse().edges, path.edges)
+    np.testing.assert_array_equal(back.reverse().bins, path.bins)
+    time, u = np.linspace(0.0, 4.0, 401), np.ones((401, 2))
+    u[:200] *= 3.0  # three quarters of the way in half of the time
+    made = [Trajectory(time, np.cumsum(u, axis=0), u) for _ in range(3)]
+    (walked, *_) = phase_paths(made)
+    assert walked.n_bins == 16 and np.abs(walked.steps.sum(axis=0)) == pytest.approx([np.sqrt(2.5)] * 2, rel=0.01)
+    weight = np.sort(walked.weight)  # of four slow bins and twelve fast ones
+    np.testing.assert_allclose(weight / weight[0], [1.0] * 4 + [3.0] * 12, rtol=0.03)
+    assert np.mean(weight) == pytest.approx((8.0 / np.sqrt(2.5)) ** 2, rel=0.02)  # the squared length of the way
+
+
+def test_each_joint_moves_as_in_its_own_donor(rng):
+    """r = sum over the joints of what each adds as it moves in its donor; mean of r r^T over the bins."""
+    parts, donors = rng.standard_normal((3, 5, 4, 6, 2)), rng.integers(0, 6, (7, 4, 3))
+    for m, d in np.ndindex(7, 3):
+        r = np.sum([parts[d, :, v, donors[m, v, d]] for v in range(4)], axis=0)
+        np.testing.assert_allclose(_moments(parts, donors)[m, d], r.T @ r / 5.0)
+    orders = _arrangements(rng, 50, 4, 3, 3)
+    assert np.array_equal(np.sort(orders, axis=2), np.broadcast_to(np.arange(3), (50, 4, 3)))
+    assert len(np.unique(orders.reshape(50, -1), axis=0)) > 45  # each joint by itself
 
 
 def test_the_rows_found_are_those_that_are_held():

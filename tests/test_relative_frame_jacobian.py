@@ -1,62 +1,13 @@
-"""Rows of one frame as seen from another that moves too."""
+"""Rows of one frame as seen from another that moves too; their derivatives are in test_gradients.py."""
 
 from __future__ import annotations
 
 import numpy as np
 import pytest
-from conftest import TIPS, URDFS, tip_of
-from test_gradients import RobotOf, central_difference, check_derivative, postures
+from test_gradients import RobotOf, central_difference
 
 import manip_learn as ml
 from manip_learn.errors import FeatureError, TargetError, UnknownNameError
-
-ROBOTS = [*URDFS, *TIPS]
-
-
-def other_frame(name: str, robot: ml.Robot) -> str:
-    """A frame that moves otherwise than the tip: on another branch where there is one, else halfway up the arm."""
-    if name == "tree":
-        return "arm_b"
-    return robot.frame_names[len(robot.frame_names) // 2]
-
-
-@pytest.mark.parametrize("axes", ["pose", "x", "y rz"])
-@pytest.mark.parametrize("name", ROBOTS)
-def test_derivative(robot_of: RobotOf, rng: np.random.Generator, name: str, axes: str):
-    """dPhi/dq is exact, at random and at singular postures."""
-    robot = robot_of(name)
-    features = ml.RelativeFrameJacobian(robot, tip_of(name), other_frame(name, robot), axes)
-    for q in postures(robot, rng):
-        check_derivative(features, robot, q)
-
-
-@pytest.mark.parametrize("name", ROBOTS)
-def test_rows_are_the_rate_of_the_relative_pose(robot_of: RobotOf, rng: np.random.Generator, name: str):
-    """Linear rows are the rate of the position in the other frame, rotation rows that of the orientation there."""
-    robot = robot_of(name)
-    A, B = robot.frame(tip_of(name)), robot.frame(other_frame(name, robot))
-    features = ml.RelativeFrameJacobian(robot, A.name, B.name)
-    for q in postures(robot, rng):
-
-        def relative(x: np.ndarray) -> np.ndarray:
-            return np.linalg.inv(robot.pose(x, B)) @ robot.pose(x, A)
-
-        rate, R = central_difference(relative, robot, q), relative(q)[:3, :3]
-        spin = np.einsum("ijk,lj->ilk", rate[:3, :3], R)
-        expected = np.concatenate([rate[:3, 3], [spin[2, 1], spin[0, 2], spin[1, 0]]])
-        np.testing.assert_allclose(features(q), expected, rtol=0, atol=1e-8)
-
-
-@pytest.mark.parametrize("name", ROBOTS)
-def test_bulk_is_the_same(robot_of: RobotOf, rng: np.random.Generator, name: str):
-    """Many configurations at once give the numbers of each alone."""
-    robot = robot_of(name)
-    features = ml.RelativeFrameJacobian(robot, tip_of(name), other_frame(name, robot), "x ry rz")
-    q = np.stack([robot.random_configuration(rng) for _ in range(5)])
-    Phi, dPhi = features.batch_with_derivative(q)
-    np.testing.assert_allclose(features.batch(q), [features(x) for x in q], rtol=0, atol=1e-11)
-    np.testing.assert_allclose(Phi, [features(x) for x in q], rtol=0, atol=1e-11)
-    np.testing.assert_allclose(dPhi, [features.derivative(x) for x in q], rtol=0, atol=1e-11)
 
 
 def test_a_constraint_is_saved_controlled_and_climbs(robot_of: RobotOf, rng: np.random.Generator, tmp_path):

@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import dataclasses
 import itertools
 from collections.abc import Callable
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -14,9 +16,9 @@ from task_sets import arm, generated
 import manip_learn as ml
 from manip_learn.errors import NotIdentifiableError
 from manip_learn.learning.explanation.evidence import Stretch
-from manip_learn.learning.explanation.findings import Findings
+from manip_learn.learning.explanation.findings import IN_ONE_ONLY, Findings
 from manip_learn.learning.repeats import IndependentRecordings
-from manip_learn.learning.report import advise
+from manip_learn.learning.report import advise, advise_in_general
 from manip_learn.learning.samples import doubt_velocities
 from manip_learn.recordings.demonstrations import Demonstrations
 from manip_learn.recordings.velocities import with_velocities as derived
@@ -103,6 +105,35 @@ def test_pieces_of_one_recording_are_the_uncut_recording(clock: bool, shared: bo
         assert t.time[0] <= phase.start < phase.end <= t.time[-1]
 
 
+@pytest.mark.parametrize("clock", [False, True])
+@pytest.mark.parametrize("shared", [False, True])
+def test_pieces_are_put_together_as_they_were_recorded(clock: bool, shared: bool, drawers):
+    """Times, postures, recorded velocities and efforts are those of the uncut recording, every sample once; each piece
+    knows where on its own clock it lies.
+    """
+    t, q = drawers[1][2]
+    u, effort = np.gradient(q, t, axis=0), np.cos(q)
+    spans = [slice(a[0], a[-1] + 1 + (shared and k < 3)) for k, a in enumerate(np.array_split(np.arange(len(t)), 4))]
+    cut = [
+        ml.Trajectory(t[s] - (0.0 if clock else t[s.start]), q[s], u[s], name=f"p{k}", effort=effort[s])
+        for k, s in enumerate(spans)
+    ]
+    found = IndependentRecordings.of(Demonstrations([named(drawers[1])[0], *cut]))
+    assert len(found.demonstrations) == 2 and [number for number, _ in found.origins[1]] == [1, 2, 3, 4]
+    whole = found.demonstrations[1]
+    np.testing.assert_allclose(whole.time, t, atol=1e-9)
+    for kept, given in ((whole.q, q), (whole.u, u), (whole.effort, effort)):
+        np.testing.assert_array_equal(kept, given)
+    places = found.places(Stretch(1, float(t[10]), float(t[-10])))
+    assert [p.trajectory for p in places] == [1, 2, 3, 4]
+    for place, piece, s in zip(places, cut, spans, strict=True):
+        at = np.clip([t[s.start], t[s.stop - 1]], t[10], t[-10]) - t[s.start] + piece.time[0]
+        np.testing.assert_allclose([place.start, place.end], at, atol=1e-6)
+    without = [dataclasses.replace(p, effort=None) if k == 2 else p for k, p in enumerate(cut)]
+    again = IndependentRecordings.of(Demonstrations([named(drawers[1])[0], *without]))
+    assert again.demonstrations[1].effort is None and len(again.demonstrations[1]) == len(t)
+
+
 def test_one_recording_in_eight_is_no_more_than_one(drawers):
     """A single recording cut in eight has no uncertainty, as before it was cut."""
     features, motions = drawers
@@ -187,6 +218,48 @@ def test_a_factor_that_all_joints_share_turns_nothing(smooth_drawers):
     """A clock that runs wrong leaves A u = 0 as it is."""
     given = [ml.Trajectory(1.2 * t.time, t.q, t.u) for t in with_velocities(smooth_drawers, lambda _t, _w, u: u)]
     assert not doubt_velocities(given, smooth_drawers[0].robot.joint_names)
+
+
+def advised(n: int, phases: str = "auto", findings: Findings | None = None, **refusal) -> NotIdentifiableError:
+    """What is advised for n slow recordings in which the second joint stays where it is."""
+    t = np.arange(50) * 0.02
+    u = np.column_stack([0.015 * np.sin(t + 0.1), 0.0 * t, 0.01 * np.cos(t)])
+    names = ("base", "elbow", "wrist")
+    made = [ml.Trajectory(t, np.cumsum(u, axis=0) + 0.1 * i, u, names, f"demo_{i}") for i in range(n)]
+    recordings = IndependentRecordings.of(Demonstrations(made))
+    features = ml.CustomFeatures(lambda q: np.eye(3), ("x", "y", "z"), 3)
+    said = NotIdentifiableError("no row is held", **{"code": "weak-gap", **refusal})
+    given = (recordings.demonstrations, [features], findings or Findings(()))
+    return advise(said, *given, recordings=recordings, phases=phases)
+
+
+def test_advice_names_each_likely_cause():
+    """Too few recordings, phases, joints that stay, slow motion: each has its advice, the likeliest two are said;
+    other refusals pass as they are.
+    """
+    few = "record at least 3, better 5, that differ in way and posture, not 2 recordings"
+    lock = "move joint elbow too, or lock what shall hardly move (load_robot(..., locked=['elbow']))"
+    slow = "move faster, noise hides a motion in which no joint exceeds 0.013 rad/s"
+    free = "cut the recordings to the contact (trajectory[start:until]), for no stretch of them obeys a constraint that"
+    cut = "cut the recordings to the contact, since no single constraint fits them as a whole, or allow phases='auto'"
+    said = advised(2)
+    assert said.advice[0] == few and said.advice[1].startswith(free) and said.advice[2:] == (lock, slow)
+    assert str(said) == f"{few}; or {said.advice[1]}. No row is held"
+    assert advised(3, "off").advice == (cut, lock, slow)
+    single = advised(1).advice[1]
+    assert single.startswith("cut the recording to the contact with trajectory[start:until], since no single")
+    held = Findings((SimpleNamespace(stretches=(Stretch(1, 0.1, 0.5),)),), explained=True)  # type: ignore[arg-type]
+    said = advised(3, findings=held)
+    assert said.advice[0] == "cut the recordings more closely to what seems held, each stretch in a file of its own"
+    assert said.advice[-1] == "what seems held: demo_1 0.1 to 0.5 s" and str(said).endswith(said.advice[-1])
+    alone = advised(3, findings=Findings((), unlearnt=((Stretch(2, 0.2, 0.4), IN_ONE_ONLY),)))
+    assert alone.advice[0].startswith("record again, at least twice, 1 contact that one recording alone shows: in")
+    whole = Findings((), refused=tuple(Stretch(i, 0.0, 0.98) for i in range(3)))
+    assert advised(3, findings=whole).advice[:1] == (lock,)  # nothing to cut: the stretches are the recordings
+    assert advised(3, code="no-motion").advice == () and str(advised(3, code="no-motion")) == "no row is held"
+    assert advised(3, advice=("vary the way",), code="no-evidence").advice[0] == "vary the way"
+    general = advise_in_general(NotIdentifiableError("no row is held", code="weak-gap"))
+    assert str(general).startswith("record more varied motions, try other axes or the other reference")
 
 
 def test_advice_to_cut_names_each_file_and_its_times(drawers):

@@ -9,6 +9,7 @@ import threading
 import numpy as np
 import pinocchio as pin
 import pytest
+from cases import case
 from conftest import TIPS, URDFS, tip_of
 
 from manip_learn.errors import ConfigurationError, UnknownNameError
@@ -20,78 +21,73 @@ WITH_MIMICS = ("mimic",)  # their public derivative is that of the independent j
 
 
 @pytest.mark.parametrize("name", ROBOTS)
-def test_sizes_fit_together(robot_of, name):
-    """One name and one limit a degree of freedom; limits are read-only and not inverted; the neutral posture obeys."""
+def test_names_limits_postures_and_copies_fit_together(robot_of, rng, name):
+    """One name and one limit a degree of freedom; postures obey the limits; every frame and joint can be asked for.
+
+    A pickled robot has the names, limits, fingerprint and kinematics of the original.
+    """
     robot = robot_of(name)
-    assert len(robot.joint_names) == len(set(robot.joint_names)) == robot.nv
+    assert len(robot.joint_names) == len(set(robot.joint_names)) == len(robot.joint_units) == robot.nv <= robot.nq
     for limit in (robot.position_lower, robot.position_upper, robot.velocity_limit):
-        assert limit.shape == (robot.nv,)
-        assert not limit.flags.writeable
-    assert np.all(robot.position_lower < robot.position_upper)
-    assert np.all(robot.velocity_limit > 0)
-    neutral = robot.positions(robot.neutral())
-    assert np.all(neutral >= robot.position_lower)
-    assert np.all(neutral <= robot.position_upper)
-    assert robot.nq >= robot.nv
+        assert limit.shape == (robot.nv,) and not limit.flags.writeable
+    assert np.all(robot.position_lower < robot.position_upper) and np.all(robot.velocity_limit > 0)
     assert robot.name in repr(robot)
-
-
-@pytest.mark.parametrize("name", ROBOTS)
-def test_random_postures_obey_the_limits(robot_of, rng, name):
-    """Random postures lie within the limits and are valid configurations."""
-    robot = robot_of(name)
-    for _ in range(20):
-        q = robot.random_configuration(rng)
+    for q in (robot.neutral(), *(robot.random_configuration(rng) for _ in range(20))):
         positions = robot.positions(q)
-        assert np.all(positions >= robot.position_lower - 1e-12)
-        assert np.all(positions <= robot.position_upper + 1e-12)
+        assert np.all(positions >= robot.position_lower - 1e-12) and np.all(positions <= robot.position_upper + 1e-12)
         assert pin.isNormalized(robot.pinocchio_model, robot.pinocchio_configuration(q), 1e-12)
-
-
-@pytest.mark.parametrize("name", ROBOTS)
-def test_every_frame_and_joint_can_be_asked_for(robot_of, name):
-    """Each listed name is found, carries finite kinematics, and a joint's index is its place in joint_names."""
-    robot = robot_of(name)
-    q = robot.neutral()
+    copy = pickle.loads(pickle.dumps(robot))
+    assert (copy.fingerprint, copy.joint_names) == (robot.fingerprint, robot.joint_names)
+    np.testing.assert_array_equal(copy.position_upper, robot.position_upper)
     for frame_name in robot.frame_names:
         frame = robot.frame(frame_name)
-        assert frame.name == frame_name
-        assert np.all(np.isfinite(robot.pose(q, frame)))
+        assert frame.name == frame_name and np.all(np.isfinite(robot.pose(q, frame)))
         assert robot.jacobian(q, frame).shape == (6, robot.nv)
-    for i, joint in enumerate(robot.joint_names):
-        assert robot.joint_index(joint) == i
+        np.testing.assert_array_equal(copy.jacobian(q, copy.frame(frame_name)), robot.jacobian(q, frame))
+    assert [robot.joint_index(joint) for joint in robot.joint_names] == list(range(robot.nv))
 
 
-@pytest.mark.parametrize("wrong", ["", "tipp", "universe", "TIP", None, 3, "tip\x00", "a" * 10000])
-def test_unknown_names_never_reach_pinocchio(robot_of, wrong):
+def test_unknown_names_never_reach_pinocchio(robot_of):
     """Any other name, or none, is an error of this library (Pinocchio would read out of bounds)."""
-    robot = robot_of("gantry")
-    with pytest.raises(UnknownNameError):
-        robot.frame(wrong)
-    with pytest.raises(UnknownNameError):
-        robot.joint_index(wrong)
+    for wrong in ["", "tipp", "universe", "TIP", None, 3, "tip\x00", "a" * 10000]:
+        with case(wrong):
+            robot = robot_of("gantry")
+            with pytest.raises(UnknownNameError):
+                robot.frame(wrong)
+            with pytest.raises(UnknownNameError):
+                robot.joint_index(wrong)
 
 
-@pytest.mark.parametrize("name", ["one", "planar3", "wrist", "humanoid", "mimic"])
-def test_wrong_postures_are_refused(robot_of, name):
+def test_wrong_postures_are_refused(robot_of):
     """Wrong sizes, NaN, infinity, text and None are rejected wherever a posture or a velocity is an argument."""
-    robot = robot_of(name)
-    frame = robot.frame(tip_of(name))
-    n = robot.nv
-    bad = [np.zeros(n + 7), [], np.full(n, np.nan), np.full(robot.nq, np.inf), ["x"] * n, None, np.zeros((n, 2)), {}]
-    for q in bad:
-        for ask in (robot.configuration, robot.positions):
-            with pytest.raises(ConfigurationError):
-                ask(q)
-        for ask in (robot.pose, robot.jacobian, robot.jacobian_and_derivative):
-            with pytest.raises(ConfigurationError):
-                ask(q, frame)
-        with pytest.raises(ConfigurationError):
-            robot.velocity(q)
-        with pytest.raises(ConfigurationError):
-            robot.integrate(np.zeros(n), q)
-        with pytest.raises(ConfigurationError):
-            robot.difference(np.zeros(n), q)
+    for name in ["one", "planar3", "wrist", "humanoid", "mimic"]:
+        with case(name):
+            robot = robot_of(name)
+            frame = robot.frame(tip_of(name))
+            n = robot.nv
+            bad = [
+                np.zeros(n + 7),
+                [],
+                np.full(n, np.nan),
+                np.full(robot.nq, np.inf),
+                ["x"] * n,
+                None,
+                np.zeros((n, 2)),
+                {},
+            ]
+            for q in bad:
+                for ask in (robot.configuration, robot.positions):
+                    with pytest.raises(ConfigurationError):
+                        ask(q)
+                for ask in (robot.pose, robot.jacobian, robot.jacobian_and_derivative):
+                    with pytest.raises(ConfigurationError):
+                        ask(q, frame)
+                with pytest.raises(ConfigurationError):
+                    robot.velocity(q)
+                with pytest.raises(ConfigurationError):
+                    robot.integrate(np.zeros(n), q)
+                with pytest.raises(ConfigurationError):
+                    robot.difference(np.zeros(n), q)
 
 
 def test_refusals_name_the_joint(robot_of):
@@ -118,18 +114,19 @@ def test_configurations_without_direction_are_refused(robot_of):
     np.testing.assert_allclose(wrist.configuration(longer), q, rtol=0, atol=1e-15)
 
 
-@pytest.mark.parametrize("name", ["planar3", "wrist", "panda"])
-def test_any_memory_layout(robot_of, rng, name):
+def test_any_memory_layout(robot_of, rng):
     """Lists, float32, big-endian, strided and read-only vectors give the same kinematics."""
-    robot = robot_of(name)
-    frame = robot.frame(tip_of(name))
-    q = robot.random_configuration(rng).astype(np.float32).astype(np.float64)
-    expected = robot.jacobian(q, frame)
-    strided = np.stack([q, q], axis=1)[:, 0]
-    frozen = q.copy()
-    frozen.setflags(write=False)
-    for same in (q.tolist(), tuple(q), q.astype(">f8"), q.astype(np.float32), strided, frozen):
-        np.testing.assert_array_equal(robot.jacobian(same, frame), expected)
+    for name in ["planar3", "wrist", "panda"]:
+        with case(name):
+            robot = robot_of(name)
+            frame = robot.frame(tip_of(name))
+            q = robot.random_configuration(rng).astype(np.float32).astype(np.float64)
+            expected = robot.jacobian(q, frame)
+            strided = np.stack([q, q], axis=1)[:, 0]
+            frozen = q.copy()
+            frozen.setflags(write=False)
+            for same in (q.tolist(), tuple(q), q.astype(">f8"), q.astype(np.float32), strided, frozen):
+                np.testing.assert_array_equal(robot.jacobian(same, frame), expected)
 
 
 def test_inputs_are_left_alone_and_results_belong_to_the_caller(robot_of, rng):
@@ -185,31 +182,21 @@ def test_many_threads(robot_of, rng):
     assert wrong == []
 
 
-@pytest.mark.parametrize("name", ROBOTS)
-def test_travels_between_processes(robot_of, rng, name):
-    """A pickled robot is the same robot: names, limits, fingerprint, kinematics."""
-    robot = robot_of(name)
-    copy = pickle.loads(pickle.dumps(robot))
-    q = robot.random_configuration(rng)
-    assert copy.fingerprint == robot.fingerprint
-    assert copy.joint_names == robot.joint_names
-    np.testing.assert_array_equal(copy.position_upper, robot.position_upper)
-    frame = copy.frame(tip_of(name))
-    np.testing.assert_array_equal(copy.jacobian(q, frame), robot.jacobian(q, robot.frame(tip_of(name))))
-
-
-@pytest.mark.parametrize("reference", ["world", "local"])
-@pytest.mark.parametrize("name", [name for name in ROBOTS if name not in WITH_MIMICS])
-def test_closed_form_hessian(robot_of, rng, name, reference):
+def test_closed_form_hessian(robot_of, rng):
     """The stand-in for Pinocchio's Hessian, should its memory order change, gives the same derivatives."""
-    robot = robot_of(name)
-    model = robot.pinocchio_model
-    assert pinocchio_order_is_known(model)
-    frame = robot.frame(tip_of(name))
-    for _ in range(3):
-        q = robot.random_configuration(rng)
-        J, H = robot.jacobian_and_derivative(q, frame, reference)
-        np.testing.assert_allclose(closed_form(J, columns_to_joints(model), reference), H, rtol=0, atol=1e-13)
+    for reference in ["world", "local"]:
+        for name in [name for name in ROBOTS if name not in WITH_MIMICS]:
+            with case(reference, name):
+                robot = robot_of(name)
+                model = robot.pinocchio_model
+                assert pinocchio_order_is_known(model)
+                frame = robot.frame(tip_of(name))
+                for _ in range(3):
+                    q = robot.random_configuration(rng)
+                    J, H = robot.jacobian_and_derivative(q, frame, reference)
+                    np.testing.assert_allclose(
+                        closed_form(J, columns_to_joints(model), reference), H, rtol=0, atol=1e-13
+                    )
 
 
 def test_mimic_joint_is_no_degree_of_freedom(robot_of):

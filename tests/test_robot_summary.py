@@ -7,6 +7,7 @@ import sys
 
 import numpy as np
 import pytest
+from cases import case
 from urdf_corpus_case import ARM
 
 from manip_learn.robot.loading import captured_c_stderr, load_robot
@@ -14,9 +15,9 @@ from manip_learn.robot.robot_summary import inspect_robot
 from manip_learn.robot.tips import likely_tips
 
 
-@pytest.mark.parametrize(
-    ("name", "tips"),
-    [
+def test_likely_tips():
+    """One tip is an answer, two are a question; a robot that does not move has none."""
+    for name, tips in [
         ("planar3", ("tip",)),
         ("panda", ("panda_hand_tcp",)),
         ("xarm7", ("link_eef",)),
@@ -26,11 +27,9 @@ from manip_learn.robot.tips import likely_tips
         ("tiago_dual", ("hand_left_grasping_frame", "hand_right_grasping_frame")),
         ("solo12", ("FL_FOOT", "FR_FOOT", "HL_FOOT", "HR_FOOT")),
         ("hector", ()),
-    ],
-)
-def test_likely_tips(name, tips):
-    """One tip is an answer, two are a question; a robot that does not move has none."""
-    assert likely_tips(load_robot(name)) == tips
+    ]:
+        with case(name, tips):
+            assert likely_tips(load_robot(name)) == tips
 
 
 def test_tips_are_frames_that_move():

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from itertools import product
+
 import numpy as np
 import pytest
 from conftest import tip_of
@@ -12,7 +14,7 @@ from manip_learn.control.controller import ResolvedRateController
 from manip_learn.control.policies import JointAttractor, ManipulabilityAscent
 from manip_learn.control.rollout import Rollout
 from manip_learn.control.simulation import simulate
-from manip_learn.control.tasks import PointAttractor
+from manip_learn.control.tasks import PointAttractor, Track
 from manip_learn.errors import ConfigurationError, RecordingError
 from manip_learn.learning import ConstraintLearner
 
@@ -23,33 +25,35 @@ def reaching(robot, frame: str, axes: str, target: list[float], **settings) -> R
     return ResolvedRateController(constraint, PointAttractor(target), ManipulabilityAscent(constraint), **settings)
 
 
-@pytest.mark.parametrize(("method", "order"), [("euler", 1), ("rk4", 4)])
-@pytest.mark.parametrize(("name", "target"), [("planar3", [0.5, 1.2]), ("wrist", [0.4, 0.5])])
-def test_order_of_convergence(robot_of, name: str, target: list[float], method: str, order: int):
-    """Halving the step divides the error by 2^order, with continuous joints too."""
-    robot = robot_of(name)
-    controller = reaching(robot, tip_of(name), "x y", target, limits=False, inverse="exact")
-    q0 = np.linspace(0.2, 1.1, robot.nv)
-    ends = [simulate(robot, controller, q0, 0.8, dt, method).q[-1] for dt in (0.05, 0.025, 0.0125, 0.003125)]
-    errors = [np.linalg.norm(robot.difference(ends[-1], end)) for end in ends[:3]]
-    assert np.log2(errors[0] / errors[1]) > order - 0.4
-    assert np.log2(errors[1] / errors[2]) > order - 0.4
+def test_order_of_convergence(robot_of):
+    """Halving the step divides the error by 2^order, with continuous joints and with a target that moves, too."""
+    q0 = {name: np.linspace(0.2, 1.1, robot_of(name).nv) for name in ("planar3", "wrist")}
+    moving = Track(lambda t: [0.5 + 0.3 * np.sin(3.0 * t), 1.2 - 0.4 * t * t], gain=2.0)
+    cases = ("planar3", PointAttractor([0.5, 1.2])), ("wrist", PointAttractor([0.4, 0.5])), ("planar3", moving)
+    for (name, task), (method, order) in product(cases, (("euler", 1), ("rk4", 4))):
+        robot = robot_of(name)
+        rows = Constraint(np.eye(2), FrameJacobian(robot, tip_of(name), "x y"))
+        controller = ResolvedRateController(rows, task, ManipulabilityAscent(rows), "exact", limits=False)
+        steps = (0.05, 0.025, 0.0125, 0.003125)
+        ends = [simulate(robot, controller, q0[name], 0.8, dt, method).q[-1] for dt in steps]
+        errors = [np.linalg.norm(robot.difference(ends[-1], end)) for end in ends[:3]]
+        assert np.log2(errors[0] / errors[1]) > order - 0.4, (name, task, method)
+        assert np.log2(errors[1] / errors[2]) > order - 0.4, (name, task, method)
 
 
-@pytest.mark.parametrize("name", ["humanoid", "rover", "wrist", "kinova", "tree"])
-@pytest.mark.parametrize("method", ["euler", "rk4"])
-def test_every_kind_of_robot(robot_of, rng, name: str, method: str):
+def test_every_kind_of_robot(robot_of, rng):
     """Floating and planar bases and continuous joints: configurations stay valid, the task's error goes down."""
-    robot = robot_of(name)
-    features = FrameJacobian(robot, tip_of(name))
-    constraint = Constraint(np.eye(3)[:2], features)
-    q0 = robot.random_configuration(rng)
-    target = features.coordinates(q0) + 0.05
-    rollout = simulate(robot, ResolvedRateController(constraint, PointAttractor(target)), q0, 1.0, 0.05, method)
-    assert rollout.q.shape == (21, robot.nq)
-    for q in rollout.q:
-        np.testing.assert_allclose(robot.configuration(q), q, rtol=0, atol=1e-12)
-    assert rollout.task_error[-1] < 0.5 * rollout.task_error[0]
+    for name, method in product(("humanoid", "rover", "wrist", "kinova", "tree"), ("euler", "rk4")):
+        robot = robot_of(name)
+        features = FrameJacobian(robot, tip_of(name))
+        q0 = robot.random_configuration(rng)
+        task = PointAttractor(features.coordinates(q0) + 0.05)
+        controller = ResolvedRateController(Constraint(np.eye(3)[:2], features), task)
+        rollout = simulate(robot, controller, q0, 1.0, 0.05, method)
+        assert rollout.q.shape == (21, robot.nq)
+        for q in rollout.q:
+            np.testing.assert_allclose(robot.configuration(q), q, rtol=0, atol=1e-12)
+        assert rollout.task_error[-1] < 0.5 * rollout.task_error[0], (name, method)
 
 
 def test_one_step_of_euler_is_the_command(robot_of, rng):
@@ -66,16 +70,16 @@ def test_one_step_of_euler_is_the_command(robot_of, rng):
     assert len(rollout) == 6 == len(rollout.status)
 
 
-@pytest.mark.parametrize(("duration", "dt", "steps"), [(0.3, 0.1, 3), (0.7, 0.1, 7), (1.0, 0.3, 3), (1.1, 0.3, 4)])
-def test_number_of_samples(robot_of, duration: float, dt: float, steps: int):
+def test_number_of_samples(robot_of):
     """The nearest number of whole steps, whatever the rounding of the quotient, and the start; time counts in steps."""
     robot = robot_of("planar3")
     controller = ResolvedRateController(Constraint(np.eye(2), FrameJacobian(robot, "tip", "x y")))
-    one = simulate(robot, controller, [0.3, 0.8, -0.5], duration, dt)
-    (same,) = simulate(robot, controller, [[0.3, 0.8, -0.5]], duration, dt)
-    for rollout in (one, same):
-        assert len(rollout) == steps + 1 == len(rollout.status)
-        np.testing.assert_allclose(rollout.time, dt * np.arange(steps + 1), rtol=0, atol=1e-12)
+    for duration, dt, steps in ((0.3, 0.1, 3), (0.7, 0.1, 7), (1.0, 0.3, 3), (1.1, 0.3, 4)):
+        one = simulate(robot, controller, [0.3, 0.8, -0.5], duration, dt)
+        (same,) = simulate(robot, controller, [[0.3, 0.8, -0.5]], duration, dt)
+        for rollout in (one, same):
+            assert len(rollout) == steps + 1 == len(rollout.status)
+            np.testing.assert_allclose(rollout.time, dt * np.arange(steps + 1), rtol=0, atol=1e-12)
 
 
 def test_escape_from_the_papers_singular_start(robot_of):

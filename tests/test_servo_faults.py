@@ -7,93 +7,101 @@ import tracemalloc
 
 import numpy as np
 import pytest
-from servo_cases import BAD_TIMES, DT, Constantly, RobotOf, bad_postures, command_of, law_of, run, start_of
+from servo_cases import (
+    BAD_TIMES,
+    DT,
+    ROUNDING,
+    SAME,
+    Arm,
+    Constantly,
+    RobotOf,
+    bad_postures,
+    command_of,
+    law_of,
+    start_of,
+)  # fmt: skip
 
 import manip_learn as ml
 from manip_learn.errors import ConfigurationError, ConstraintError, ManipLearnError
 
-ROUNDING = 1.0 + 1e-9
+FOLLOWING_ERROR = ml.Status.FOLLOWING_ERROR
+
+
+def tripped(robot: ml.Robot, **settings: object) -> tuple[Arm, ml.Command]:
+    """An arm that is blocked where it starts, and the command of the period in which the loop finds out."""
+    arm = Arm(ml.ServoLoop(law_of(robot, "sawyer", 3.0), **settings), start_of(robot))
+    for _ in range(2000):
+        command = arm.call(start_of(robot))
+        if command.status is FOLLOWING_ERROR:
+            break
+    return arm, command
 
 
 def test_a_following_error_trips_until_reset(robot_of: RobotOf) -> None:
     """A blocked arm: the loop brakes, goes back to where the arm was measured, and stands there until `reset`."""
     robot = robot_of("sawyer")
-    loop, q = ml.ServoLoop(law_of(robot, "sawyer", 3.0)), start_of(robot)
-    for k in range(2000):
-        command = loop.update(q, k * DT)
-        if command.status is ml.Status.FOLLOWING_ERROR:
-            break
-    assert loop.position is not None
+    (arm, command), q = tripped(robot), start_of(robot)
+    loop = arm.loop
     # 15 N on servos of 2,000 N m/rad: less than 13 N m in any joint
     assert 5e-4 < command.following_error < 0.0065
     assert loop.stopped_by is not None and loop.stopped_by.startswith("row ") and " mm off" in loop.stopped_by
-    before = command.velocity
-    for i in range(2000):
-        command = loop.update(q, 5.0 + i * DT)
-        assert command.status is ml.Status.FOLLOWING_ERROR
-        assert np.all(np.abs(command.velocity - before) <= loop.acceleration_limit * DT * ROUNDING)
-        before = command.velocity
-    assert np.all(command.velocity == 0.0)
+    assert {c.status for c in arm.calls(2000, q)} == {FOLLOWING_ERROR}
+    assert np.all(arm.last == 0.0) and loop.position is not None
     # no load is left but what friction would go on holding, 0.5 N m
     assert np.max(np.abs(loop.position - q)) <= 2.5e-4
-    at = loop.position
-    commands = [loop.update(at, 8.0 + i * DT) for i in range(300)]  # the block is gone: that is no reason to move
-    assert {c.status for c in commands} == {ml.Status.FOLLOWING_ERROR}
+    commands = arm.calls(300, loop.position)  # the block is gone: that is no reason to move
+    assert {c.status for c in commands} == {FOLLOWING_ERROR}
     assert not np.any([c.velocity for c in commands])
     loop.reset()
-    assert np.linalg.norm([c.velocity for _, c in run(loop, q, 800)][-1]) > 0.01
+    assert np.linalg.norm(Arm(loop, q).calls(800)[-1].velocity) > 0.01
 
 
 def test_reset_after_a_trip_ramps_back(robot_of: RobotOf) -> None:
     """`position` goes back to where the arm is within velocity and acceleration limits, also if `reset` comes twice."""
     robot = robot_of("sawyer")
-    loop, q = ml.ServoLoop(law_of(robot, "sawyer", 3.0)), start_of(robot)
-    for k in range(2000):
-        if loop.update(q, k * DT).status is ml.Status.FOLLOWING_ERROR:
-            break
-    for i in range(300):
-        loop.update(q, 2.0 + i * DT)
-    places = [loop.position]
+    (arm, _), q = tripped(robot), start_of(robot)
+    arm.calls(300, q)
+    loop, places = arm.loop, [arm.loop.position]
     far = np.max(np.abs(robot.difference(places[0], q)))
     loop.reset()
     for i in range(600):
         if i == 20:
             loop.reset()
-        command = loop.update(q, 3.0 + i * DT)
+        command = arm.call(q)
         places.append(loop.position)
-        if command.status is not ml.Status.FOLLOWING_ERROR:
+        if command.status is not FOLLOWING_ERROR:
             break
         assert np.all(command.velocity == 0.0)
     speeds = np.diff(np.array([places[0], *places]), axis=0)[:-1] / DT
     assert far > 1e-4 and i < 590  # what letting go has left
     assert np.all(np.abs(speeds) <= robot.velocity_limit * ROUNDING)
-    changes = np.diff(speeds, axis=0)
-    assert np.all(np.abs(changes) <= loop.acceleration_limit * DT * (1.0 + 1e-6))
+    assert np.all(np.abs(np.diff(speeds, axis=0)) <= loop.acceleration_limit * DT * (1.0 + 1e-6))
     np.testing.assert_allclose(places[-2], q, rtol=0, atol=1e-5)
 
 
 def test_a_wrong_measurement_leads_the_arm_nowhere(robot_of: RobotOf) -> None:
     """An encoder that jumps by a radian for good: the arm stops, and goes towards it by no more than the limits."""
     robot = robot_of("sawyer")
-    loop, q = ml.ServoLoop(law_of(robot, "sawyer")), start_of(robot)
-    *_, (q, _) = run(loop, q, 200)
-    at = loop.position
-    for k in range(3000):
-        command = loop.update(q + 1.0, 0.3 + k * DT)
-    assert command.status is ml.Status.FOLLOWING_ERROR and np.all(command.velocity == 0.0)
-    assert at is not None and loop.position is not None
-    assert np.max(np.abs(loop.position - at)) < 0.02
+    arm = Arm(ml.ServoLoop(law_of(robot, "sawyer")), start_of(robot))
+    arm.calls(200)
+    at = arm.loop.position
+    command = arm.calls(3000, arm.q + 1.0)[-1]
+    assert command.status is FOLLOWING_ERROR and np.all(command.velocity == 0.0)
+    assert at is not None and arm.loop.position is not None
+    assert np.max(np.abs(arm.loop.position - at)) < 0.02
 
 
-@pytest.mark.parametrize("far", [1e200, 1e7, 30.0])
-def test_a_posture_that_no_arm_can_have_is_none(far: float, robot_of: RobotOf) -> None:
-    """Finite numbers turns beyond all limits start no motion."""
+def test_a_posture_that_no_arm_can_have_is_none(robot_of: RobotOf) -> None:
+    """Finite numbers turns beyond all limits start no motion; a turn too much, as encoders count, is a posture."""
     robot = robot_of("sawyer")
-    loop = ml.ServoLoop(law_of(robot, "sawyer"))
-    for k in range(20):
-        command = loop.update(np.full(robot.nv, far), k * DT)
-        assert command.status is ml.Status.INVALID_INPUT and not command.velocity.any()
-    assert loop.stopped_by is not None and "no posture" in loop.stopped_by
+    farthest = np.maximum(-robot.position_lower, robot.position_upper) + 2.0 * np.pi
+    for far in (1e200, 1e7, 30.0, 1.001 * farthest):
+        loop = ml.ServoLoop(law_of(robot, "sawyer"))
+        for k in range(20):
+            command = loop.update(np.full(robot.nv, far), k * DT)
+            assert command.status is ml.Status.INVALID_INPUT and not command.velocity.any()
+        assert loop.stopped_by is not None and "no posture" in loop.stopped_by
+    assert ml.ServoLoop(law_of(robot, "sawyer")).update(0.999 * farthest, 0.0).status is ml.Status.OUTSIDE_LIMITS
 
 
 def test_a_limit_of_ones_own_counts_joint_by_joint(robot_of: RobotOf) -> None:
@@ -143,27 +151,26 @@ def test_waiting_for_a_state_is_no_following_error(robot_of: RobotOf) -> None:
 def test_stop_and_start(robot_of: RobotOf) -> None:
     """`stop` brakes within the acceleration limit and holds; `start` goes on from rest."""
     robot = robot_of("sawyer")
-    loop = ml.ServoLoop(law_of(robot, "sawyer"))
-    *_, (q, last) = run(loop, start_of(robot), 300)
-    loop.stop()
-    stopping = list(run(loop, q, 400, 0.3))
-    assert {c.status for _, c in stopping} == {ml.Status.STOPPED}
-    speeds = np.array([last.velocity, *(c.velocity for _, c in stopping)])
-    assert np.all(np.abs(np.diff(speeds, axis=0)) <= loop.acceleration_limit * DT * ROUNDING)
-    assert np.all(speeds[-1] == 0.0)
-    loop.start()
-    going = [c.velocity for _, c in run(loop, stopping[-1][0], 200, 0.7)]
-    assert np.linalg.norm(going[0]) <= np.linalg.norm(loop.acceleration_limit * DT) and np.linalg.norm(going[-1]) > 0.05
+    arm = Arm(ml.ServoLoop(law_of(robot, "sawyer")), start_of(robot))
+    speeds = [np.linalg.norm(command.velocity) for command in arm.calls(300)]
+    arm.loop.stop()
+    stopping = arm.calls(400)
+    assert {c.status for c in stopping} == {ml.Status.STOPPED}
+    braking = np.array([np.linalg.norm(command.velocity) for command in stopping])
+    assert np.all(np.diff([speeds[-1], *braking]) <= 0.0) and braking[0] < speeds[-1] and braking[-1] == 0.0
+    arm.loop.start()
+    arm.calls(200)
+    assert np.linalg.norm(arm.last) > 0.05
 
 
 def test_loops_share_nothing(robot_of: RobotOf) -> None:
     """Two loops round one controller: interleaved they do what each does alone."""
     robot = robot_of("sawyer")
     law, q = law_of(robot, "sawyer"), start_of(robot)
-    alone = [c.velocity for _, c in run(ml.ServoLoop(law), q, 200)]
-    first, second = ml.ServoLoop(law), ml.ServoLoop(law, acceleration_limit=1.0, jerk_limit=100.0)
-    pairs = zip(run(first, q, 200), run(second, q + 0.1, 200), strict=True)
-    np.testing.assert_array_equal([c.velocity for (_, c), _ in pairs], alone)
+    alone = [command.velocity for command in Arm(ml.ServoLoop(law), q).calls(200)]
+    first, second = Arm(ml.ServoLoop(law), q), Arm(ml.ServoLoop(law, acceleration_limit=1.0, jerk_limit=100.0), q + 0.1)
+    together = [(first.call().velocity, second.call())[0] for _ in range(200)]
+    np.testing.assert_array_equal(together, alone)
     assert law.limits is not None and law.limits.jerk is None and law.limits.acceleration[0] != 1.0
 
 
@@ -194,15 +201,9 @@ def test_commands_belong_to_the_caller(own: bool, robot_of: RobotOf) -> None:
 def test_a_controller_of_the_users_own_is_kept_within_the_limits(robot_of: RobotOf) -> None:
     """Full speed at once, in one array that is used again: acceleration, velocity and position limits hold."""
     robot = robot_of("sawyer")
-    loop, before = ml.ServoLoop(Constantly(robot, 1e300 * robot.velocity_limit)), np.zeros(7)
-    words = set()
-    for q, command in run(loop, start_of(robot), 3000):
-        assert np.all(np.abs(command.velocity - before) <= loop.acceleration_limit * DT * ROUNDING)
-        assert np.all(q <= robot.position_upper + 1e-9)
-        before = command.velocity
-        words.add(command.status)
-    assert ml.Status.OK not in words
-    np.testing.assert_allclose(q, robot.position_upper, rtol=0, atol=1e-2)
+    arm = Arm(ml.ServoLoop(Constantly(robot, 1e300 * robot.velocity_limit)), start_of(robot))
+    assert ml.Status.OK not in {command.status for command in arm.calls(3000)}
+    np.testing.assert_allclose(arm.q, robot.position_upper, rtol=0, atol=1e-2)
 
 
 def test_velocities_of_any_kind_are_numbers(robot_of: RobotOf) -> None:
@@ -210,7 +211,7 @@ def test_velocities_of_any_kind_are_numbers(robot_of: RobotOf) -> None:
     robot = robot_of("sawyer")
     for velocity in ([0] * 7, np.full(7, 0.001, np.float32), (0.001,) * 7):
         loop = ml.ServoLoop(lambda q, t, dt, v=velocity: command_of(v), robot=robot)
-        for _, command in run(loop, start_of(robot), 20):
+        for command in Arm(loop, start_of(robot)).calls(20):
             assert command.velocity.dtype == np.float64 and command.status is ml.Status.OK
             np.testing.assert_allclose(command.velocity, velocity, rtol=1e-6)
 
@@ -222,9 +223,8 @@ def test_the_compiled_controller_gives_the_same_commands(robot_of: RobotOf) -> N
     law, q = law_of(robot, "sawyer"), start_of(robot)
     loops = ml.ServoLoop(law, compiled=False), ml.ServoLoop(law), ml.ServoLoop(ml.CompiledController(law))
     assert [type(loop.controller) for loop in loops] == [type(law), ml.CompiledController, ml.CompiledController]
-    by_law, *others = (run(loop, q, 400) for loop in loops)
-    for (_, expected), *commands in zip(by_law, *others, strict=True):
-        for _, command in commands:
+    for expected, *commands in zip(*(Arm(loop, q).calls(400) for loop in loops), strict=True):
+        for command in commands:
             np.testing.assert_allclose(command.velocity, expected.velocity, rtol=0, atol=1e-9)
             assert command.status is expected.status
 
@@ -272,23 +272,21 @@ def test_twice_as_often_as_agreed(robot_of: RobotOf) -> None:
 def test_after_bad_input_the_arm_does_not_make_up_for_it(robot_of: RobotOf) -> None:
     """After periods of bad input, the next command is one period's acceleration away, not all of theirs."""
     robot = robot_of("sawyer")
-    loop, before = ml.ServoLoop(law_of(robot, "sawyer", 2.0)), np.zeros(7)
-    q = start_of(robot)
-    for k in range(400):
-        command = loop.update(None if k % 100 > 50 else q, k * DT)
-        assert np.all(np.abs(command.velocity - before) <= loop.acceleration_limit * DT * ROUNDING)
-        q, before = robot.integrate(q, DT * command.velocity), command.velocity
+    arm = Arm(ml.ServoLoop(law_of(robot, "sawyer", 2.0)), start_of(robot))
+    for _ in range(4):
+        arm.calls(51)
+        arm.calls(49, None)
 
 
 def test_without_acceleration_limits_a_stop_is_a_stop(robot_of: RobotOf) -> None:
     """Infinite acceleration: bad input stops the arm at once, and a following error still trips."""
     robot = robot_of("sawyer")
-    loop = ml.ServoLoop(law_of(robot, "sawyer", 2.0), acceleration_limit=np.inf)
-    *_, (q, last) = run(loop, start_of(robot), 50)
-    assert np.any(last.velocity != 0.0)
-    assert np.all(loop.update(None, 0.0).velocity == 0.0)
-    commands = [loop.update(q, 0.05 + k * DT) for k in range(1500)]
-    assert commands[-1].status is ml.Status.FOLLOWING_ERROR and np.all(commands[-1].velocity == 0.0)
+    arm = Arm(ml.ServoLoop(law_of(robot, "sawyer", 2.0), acceleration_limit=np.inf), start_of(robot))
+    arm.calls(50)
+    assert np.any(arm.last != 0.0)
+    assert np.all(arm.call(None).velocity == 0.0)
+    last = arm.calls(1500, arm.q)[-1]
+    assert last.status is FOLLOWING_ERROR and np.all(last.velocity == 0.0)
 
 
 LONG = (pytest.mark.slow, pytest.mark.timeout(3000))
@@ -344,19 +342,21 @@ def test_a_loop_can_be_simulated_again(robot_of: RobotOf) -> None:
     np.testing.assert_allclose(first.task_error, plain.task_error, rtol=0, atol=1e-9)
 
 
-@pytest.mark.parametrize(
-    "settings",
-    [
-        *({"dt": 0.0}, {"dt": np.nan}, {"dt": "fast"}, {"stale_after": -1.0}, {"latency": -0.1}, {"dt": True}),
-        *({"acceleration_limit": 0.0}, {"acceleration_limit": [1.0]}, {"jerk_limit": -1.0}, {"jerk_limit": 1e-9}),
-        *({"following_error_limit": [0.1, 0.1]}, {"following_error_limit": np.nan}, {"following_error_limit": 0.0}),
-        {"acceleration_limit": np.inf, "jerk_limit": 10.0},
-    ],
-)
-def test_wrong_settings_are_refused(settings: dict, robot_of: RobotOf) -> None:
-    """Before the arm moves, with an error of the library's own."""
-    with pytest.raises(ConfigurationError):
-        ml.ServoLoop(law_of(robot_of("sawyer"), "sawyer"), **settings)
+def test_wrong_settings_are_refused(robot_of: RobotOf) -> None:
+    """Before the arm moves, with an error of the library's own that names the setting."""
+    law = law_of(robot_of("sawyer"), "sawyer")
+    wrong: dict[str, list] = {
+        "dt": [0.0, np.nan, "fast", True], "stale_after": [-1.0, 0.0], "latency": [-0.1], "stiffness": [0.0, [1.0]],
+        "acceleration_limit": [0.0, [1.0]], "jerk_limit": [-1.0, 1e-9], "correction_time": [0.0, np.inf, "fast"],
+        "following_error_limit": [[0.1, 0.1], np.nan, 0.0],
+    }  # fmt: skip
+    for name, values in wrong.items():
+        for value in values:
+            with pytest.raises(ConfigurationError, match=name.split("_")[0]):
+                ml.ServoLoop(law, **{name: value})
+    with pytest.raises(ConfigurationError, match="jerk"):
+        ml.ServoLoop(law, acceleration_limit=np.inf, jerk_limit=10.0)
+    ml.ServoLoop(law, latency=0.0)
 
 
 def test_step_raises_what_update_hides(robot_of: RobotOf) -> None:
@@ -377,34 +377,22 @@ def test_a_trip_brakes_past_the_average(robot_of: RobotOf) -> None:
     """
     robot = robot_of("sawyer")
     loop = ml.ServoLoop(law_of(robot, "sawyer", 2.0), acceleration_limit=3.0, jerk_limit=30.0)
-    q = start_of(robot)
-    for k in range(400):
-        before = loop.update(q, k * DT).velocity
-        q = robot.integrate(q, DT * before)
-    assert np.max(np.abs(before)) > 0.1
-    periods = int(np.ceil(np.max(np.abs(before)) / (3.0 * DT))) + 1
-    for k in range(400, 400 + periods):
-        command = loop.update(q + 0.5, k * DT)
-        assert command.status == "following-error"
-        assert np.all(np.abs(command.velocity - before) <= 3.0 * DT * ROUNDING)
-        before = command.velocity
-    assert np.max(np.abs(command.velocity)) < 0.1
-    for k in range(400 + periods, 2400):
-        command = loop.update(q + 0.5, k * DT)
-    np.testing.assert_array_equal(command.velocity, np.zeros(7))
+    arm = Arm(loop, start_of(robot))
+    arm.calls(400)
+    fastest, wrong = np.max(np.abs(arm.last)), arm.q + 0.5
+    braking = arm.calls(int(np.ceil(fastest / (3.0 * DT))) + 1, wrong)
+    assert fastest > 0.1 and np.max(np.abs(arm.last)) < 0.1
+    assert {command.status for command in braking} == {FOLLOWING_ERROR}
+    np.testing.assert_array_equal(arm.calls(2000, wrong)[-1].velocity, np.zeros(7))
 
 
 def test_a_clock_that_was_set_back(robot_of: RobotOf) -> None:
     """One stamp from the future stops the arm for a moment only; states in order are believed again."""
     robot = robot_of("sawyer")
-    loop, q = ml.ServoLoop(law_of(robot, "sawyer")), start_of(robot)
-    words = []
-    for k in range(60):
-        command = loop.update(q, 1e6 if k == 20 else k * DT)
-        q = robot.integrate(q, DT * command.velocity)
-        words.append(str(command.status))
+    arm = Arm(ml.ServoLoop(law_of(robot, "sawyer")), start_of(robot))
+    words = [str(arm.call(t=1e6 if k == 20 else SAME).status) for k in range(60)]
     assert words[20] == "stale" and words[21] == "invalid-input"
-    assert set(words[30:]).isdisjoint({"stale", "invalid-input"})
+    assert set(words[22:]).isdisjoint({"stale", "invalid-input"})
 
 
 def test_reset_begins_the_task_again(robot_of: RobotOf) -> None:

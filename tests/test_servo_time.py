@@ -6,7 +6,7 @@ import logging
 
 import numpy as np
 import pytest
-from servo_cases import DT, Constantly, RobotOf, law_of, run, start_of
+from servo_cases import DT, Arm, Constantly, RobotOf, law_of, start_of
 
 import manip_learn as ml
 from manip_learn.errors import ConfigurationError, TargetError
@@ -99,8 +99,8 @@ def test_after_a_gap_nothing_steps(servo: str, gap: float, robot_of: RobotOf) ->
     """After 20 to 90 ms without a call, velocity and posture go on from where the arm is by a dt's worth each call."""
     robot = robot_of("sawyer")
     loop = ml.ServoLoop(law_of(robot, "sawyer", 2.0), compiled=False)
-    *_, (q, last) = run(loop, start_of(robot), 150)
-    q, before = loop.position, last.velocity
+    before = Arm(loop, start_of(robot)).calls(150)[-1].velocity
+    q = loop.position
     assert np.max(np.abs(before)) > 0.3
     if servo == "velocity":
         q = robot.integrate(q, gap * before)
@@ -121,13 +121,14 @@ def test_braking_keeps_position_limits(robot_of: RobotOf) -> None:
     loop, q = ml.ServoLoop(Constantly(robot, wish), acceleration_limit=limits), np.zeros(7)
     q[6] = robot.position_lower[6]
     q[0] = robot.position_upper[0] - 0.6
-    *_, (q, last) = run(loop, q, 460)
-    assert last.velocity[0] > 0.1 and last.velocity[6] > 0.2
+    arm = Arm(loop, q)
+    arm.calls(460)
+    assert arm.last[0] > 0.1 and arm.last[6] > 0.2
     loop.stop()
-    for k in range(4000):
-        q = robot.integrate(q, DT * loop.update(q, 0.46 + k * DT).velocity)
-        assert outside(robot, q) <= 1e-9
-    assert np.all(loop.update(q, 4.46).velocity == 0.0)
+    for _ in range(4000):
+        arm.call()
+        assert outside(robot, arm.q) <= 1e-9
+    assert np.all(arm.last == 0.0)
 
 
 @pytest.mark.parametrize("compiled", [False, None])
@@ -159,7 +160,7 @@ def test_writes_that_cannot_be_obeyed_are_refused(robot_of: RobotOf) -> None:
     robot = robot_of("sawyer")
     law = law_of(robot, "sawyer")
     loop = ml.ServoLoop(law)
-    *_, (q, last) = run(loop, start_of(robot), 100)
+    last = Arm(loop, start_of(robot)).calls(100)[-1]
     for name in ("target", "gain", "max_speed", "driven"):
         with pytest.raises(TargetError, match="set_target"):
             setattr(law.task, name, 1.0)

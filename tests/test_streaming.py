@@ -273,13 +273,15 @@ def test_a_recording_that_repeats_another_counts_once(features, held, monkeypatc
 
 
 class Yielded:
-    """An object that yields trajectories anew each time."""
+    """An object that yields trajectories anew each time, several times over if asked for."""
 
-    def __init__(self, trajectories):
-        self.trajectories = trajectories
+    def __init__(self, trajectories, times: int = 1):
+        self.trajectories, self.times = trajectories, times
 
     def __iter__(self):
-        return iter(self.trajectories)
+        for i in range(self.times):
+            for t in self.trajectories:
+                yield Trajectory(t.time, t.q + 1e-3 * i, t.u, t.joint_names, t.name)
 
 
 def test_memory_does_not_grow(features, held, monkeypatch):
@@ -287,19 +289,10 @@ def test_memory_does_not_grow(features, held, monkeypatch):
     monkeypatch.setattr("manip_learn.learning.streaming.sample_stream.KEPT_BYTES", 100_000)
     from_few(monkeypatch, 2000)
 
-    class Repeated:
-        def __init__(self, times: int):
-            self.times = times
-
-        def __iter__(self):
-            for i in range(self.times):
-                for t in held:
-                    yield Trajectory(t.time, t.q + 1e-3 * i, t.u, t.joint_names)
-
     def peak(times: int) -> int:
         gc.collect()
         tracemalloc.start()
-        ConstraintLearner(features, **HELD).fit(Repeated(times))
+        ConstraintLearner(features, **HELD).fit(Yielded(held, times))
         _, most = tracemalloc.get_traced_memory()
         tracemalloc.stop()
         return most
@@ -360,10 +353,9 @@ def test_partial_fit_spills_to_a_file(features, held):
     back = [t for i in range(kept.n_parts) for t in kept.part(i)]
     assert len(back) == len(held)
     for a, b in zip(back, held, strict=True):
-        np.testing.assert_array_equal(a.q, b.q)
-        np.testing.assert_array_equal(a.u, b.u)
-        np.testing.assert_array_equal(a.time, b.time)
-        assert a.name == b.name
+        for one, other in ((a.q, b.q), (a.u, b.u), (a.time, b.time)):
+            np.testing.assert_array_equal(one, other)
+        assert (a.name, a.joint_names) == (b.name, b.joint_names)
 
 
 def test_partial_fit_keeps_what_is_usable(features, held):
@@ -373,12 +365,8 @@ def test_partial_fit_keeps_what_is_usable(features, held):
         learning.partial_fit([held[0].part(slice(0, 4))])
     bad = Trajectory(held[1].time, held[1].q, held[1].u, tuple(f"x{n}" for n in held[1].joint_names))
 
-    class Mixed:
-        def __iter__(self):
-            return iter([held[1], held[2], bad])
-
     with pytest.raises(RecordingError, match="sorts by name"):
-        learning.partial_fit(Mixed())
+        learning.partial_fit(Yielded([held[1], held[2], bad]))
     with pytest.raises(RecordingError):
         learning.partial_fit(lambda: None)  # type: ignore[arg-type]
     # of the first four samples nothing can be told, so that they are kept and not learnt from

@@ -85,8 +85,7 @@ def line(t: float) -> np.ndarray:
     return 0.1 * np.array([0.0, 1.0 - np.cos(5.0 * t), 0.0])
 
 
-@pytest.mark.parametrize("way", [circle, line])
-@pytest.mark.parametrize("axes", ["xyz", "pose"])
+@pytest.mark.parametrize(("axes", "way"), [("xyz", circle), ("pose", line)])
 def test_a_moving_target_is_followed(robot_of, axes, way):
     """At 1 kHz the tip is within 0.2 mm of a target that moves at 0.5 m/s, with the orientation turning or free."""
     robot, frame, q = robot_of("panda"), "panda_hand_tcp", np.array([0.0, -0.5, 0.0, -2.0, 0.0, 1.6, 0.8])

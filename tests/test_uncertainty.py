@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import json
 
 import numpy as np
@@ -18,9 +19,11 @@ from manip_learn.learning.uncertainty import (
     PARTS,
     POLICY,
     JointOffsets,
+    angle_within_deg,
     bootstrap_angle_deg,
     in_words,
     influences,
+    total_deg,
     uncertainty_of,
 )
 from manip_learn.recordings.demonstrations import Demonstrations
@@ -44,6 +47,42 @@ def inside(offset: float, sets: int) -> float:
         learner = ConstraintLearner(truth.features, 2, "null-space", phases="off", mechanism="off").fit(demos)
         found += angle_deg(learner.constraint_, truth) <= learner.report_.uncertainty_deg
     return found / sets
+
+
+def test_what_the_residual_says_of_the_offsets():
+    """A pattern far above its noise is the offset itself, turned back by the directions and the response; one that is
+    within it is most likely none; a combination that shows nowhere is as large as the others are found to be.
+    """
+    rng, V = np.random.default_rng(0), np.array([[0.6, 0.8], [0.8, -0.6]])
+    delta = np.array([0.01, 0.002])
+    seen = JointOffsets(np.array([[2.0, 0.0], [0.0, -1.0]]), V, np.array([1e6, 4e6]), 0.0 * delta, 0.01)
+    seen = dataclasses.replace(seen, pattern=seen.curvatures * (V.T @ delta))
+    drawn = seen.errors(4000, rng)
+    np.testing.assert_allclose(drawn.mean(axis=0), [2.0 * 0.01, -0.002], rtol=0.02)
+    spread = 0.01 * (V / seen.curvatures) @ V.T * np.outer([2.0, -1.0], [2.0, -1.0])  # for a wide prior
+    np.testing.assert_allclose(np.cov(drawn.T), spread, rtol=0.1, atol=1e-9)
+    quiet = dataclasses.replace(seen, pattern=0.1 * np.sqrt(seen.curvatures))
+    assert np.mean(np.all(quiet.errors(4000, rng) == 0.0, axis=1)) > 0.9
+    hidden = JointOffsets(np.eye(2), np.eye(2), np.array([1e6, 0.0]), np.array([1e4, 0.0]), 1.0)
+    assert 0.3 < np.std(hidden.errors(4000, rng)[:, 1]) / 0.01 < 3.0
+
+
+def test_parts_add_up_and_a_wide_angle_of_the_joint_estimator_is_no_answer():
+    """Root of the sum of squares of the parts there are; 30 degrees are the most."""
+    assert total_deg({NOISE: 3.0, JOINT_ZEROS: 4.0, POLICY: None}) == 5.0
+    assert total_deg(dict.fromkeys(PARTS)) is None
+    B = np.array([[0.01, 0.0], [0.0, 0.02], [0.03, 0.0], [0.0, -0.04]])  # of one row of three
+    angle = angle_within_deg(ThreeRows(), np.eye(3)[:1], B, 0.5)
+    assert angle == pytest.approx(np.degrees(np.median(np.arctan([0.01, 0.02, 0.03, 0.04]))), rel=1e-6)
+
+
+class ThreeRows:
+    """Samples in whitened coordinates that are those of the features."""
+
+    whitening = np.eye(3)
+
+    def selection(self, whitened):
+        return whitened
 
 
 def test_joint_offsets_are_part_of_the_stated_angle():
@@ -200,37 +239,10 @@ def test_the_true_angle_lies_inside_about_two_times_in_three(make, settings, set
     assert np.quantile(ratios, 0.95) < 3.0
 
 
-def test_it_falls_with_the_number_of_demonstrations():
-    """Four times the demonstrations halve the uncertainty."""
-    few, many = (
-        np.median(
-            [
-                ConstraintLearner(arm_features(), 2, "null-space")
-                .fit(guided_motions(arm_features(), np.eye(3)[:2], np.random.default_rng(s), n, 12, 0.05, 0.02)[0])
-                .report_.uncertainty_deg
-                for s in range(4)
-            ]
-        )
-        for n in (8, 32)
-    )
-    assert 1.4 < few / many < 2.8
-
-
-def test_no_uncertainty_where_there_is_none_to_tell():
-    """One trajectory has no spread between trajectories: None, not zero."""
-    demos, truth = guided_motions(arm_features(), np.eye(3)[:2], np.random.default_rng(1), 1, 60, noise=0.01)
-    report = ConstraintLearner(truth.features, estimator="null-space").fit(demos).report_
-    assert report.uncertainty_deg is None
-    assert "+-" not in report.sentence
-
-
-class TwoRows:
-    """The least that `bootstrap_angle_deg` asks of samples: coordinates that are those of the features."""
+class TwoRows(ThreeRows):
+    """The least that `bootstrap_angle_deg` asks of samples."""
 
     whitening = np.eye(2)
-
-    def selection(self, whitened):
-        return whitened
 
 
 def stated(gradients, quantile: float) -> float:

@@ -10,8 +10,8 @@ from mechanism_motions import about, ball, demonstrate
 from scipy.spatial.transform import Rotation
 
 import manip_learn as ml
-from manip_learn.constraint.mechanism import MECHANISM_KINDS
-from manip_learn.learning.mechanisms.place_fit import fit_place
+from manip_learn.constraint.mechanism import MECHANISM_KINDS, MechanismKind
+from manip_learn.learning.mechanisms.place_fit import fit_place, tangents
 from manip_learn.learning.mechanisms.quantities import QUANTITIES, Place, TipPaths
 
 AXIS = np.array([0.2, -0.3, 0.93]) / np.linalg.norm([0.2, -0.3, 0.93])
@@ -24,6 +24,8 @@ KINDS = {
     "screw, firm": (about(AXIS, POINT, 0.8, pitch=0.04), ()),
 }
 SETS, NOISE = 60, 1e-3
+# the angle by which a hand has turned depends on the axis, and so does the base across it: the slopes leave both out
+LOOSE = ("screw-in-hand", "across-line")
 
 
 def fitted(robot, kind, postures, shared, *, equal=False):
@@ -56,23 +58,26 @@ def errors_of(kind, fit, radius):
 @pytest.mark.parametrize("kind", KINDS)
 def test_what_is_stated_holds_in_two_cases_of_three(robot_of, kind, smoothed):
     """Over 60 draws of the encoders' noise, white or shared by neighbours, each parameter is within what is stated in
-    at least 52 % of them (70 % less three standard errors), and its median error is no less than a third of that.
+    52 to 88 % of them (70 % and three standard errors), and its median error is no less than a third of that; the
+    variance of the noise is told to 5 %.
     """
     robot, (path, shared) = robot_of("panda"), KINDS[kind]
     exact = [t.q for t in demonstrate(robot, TIP, MIDDLE, path, np.random.default_rng(3), noise=0.0)]
     radius = float(np.linalg.norm(np.cross(AXIS, robot.position(exact[0][0], robot.frame(TIP)) - POINT)))
     if kind == "ball":
         radius = float(np.linalg.norm(robot.position(exact[0][0], robot.frame(TIP)) - POINT))
-    rng, inside = np.random.default_rng(11), {}
+    rng, inside, variances = np.random.default_rng(11), {}, []
     for _ in range(SETS):
         noise = [rng.normal(0.0, NOISE, q.shape) for q in exact]
         if smoothed:
             noise = [np.apply_along_axis(np.convolve, 0, e, np.full(5, 0.2), "same") for e in noise]
         fit = fitted(robot, kind, [q + e for q, e in zip(exact, noise, strict=True)], shared)
+        variances.append(fit.variance)
         for name, (error, stated) in errors_of(kind, fit, radius).items():
             inside.setdefault(name, []).append(error / stated)
+    assert smoothed or np.mean(variances) == pytest.approx(NOISE**2, rel=0.05)
     for name, ratios in inside.items():
-        assert np.mean(np.array(ratios) <= 1.0) >= 0.52, name
+        assert 0.52 <= np.mean(np.array(ratios) <= 1.0) <= 0.88, name
         assert np.median(ratios) > 1.0 / 3.0, name
 
 
@@ -93,12 +98,18 @@ def test_weights_make_the_place_better(robot_of):
 
 @pytest.mark.parametrize("name", QUANTITIES)
 def test_slopes_of_the_held_quantities(robot_of, name):
-    """They are the derivatives along small motions of the frame in base axes."""
+    """They are the derivatives by the place, and along small motions of the frame in base axes."""
     rng, h = np.random.default_rng(7), 1e-6
     R = Rotation.from_rotvec(0.4 * rng.standard_normal((6, 3))).as_matrix()
     paths = TipPaths(POINT + 0.3 * rng.standard_normal((6, 3)), R, np.zeros((6, 6, 7)), np.zeros(1, dtype=int))
     place, quantity = Place(AXIS, POINT, 0.04), QUANTITIES[name]
-    slopes = quantity.by_twist(paths, place, quantity.evaluate(paths, place)[1])
+    J = quantity.evaluate(paths, place)[1]
+    everything = MechanismKind("", "other", "free", (), ("axis", "point", "pitch"), ())
+    for T in tangents(everything, place).T:
+        ends = [quantity.evaluate(paths, place.moved(sign * h * T))[0] for sign in (1.0, -1.0)]
+        off = J @ T - (ends[0] - ends[1]) / (2.0 * h)  # up to a constant of the trajectory, which the fit takes off
+        np.testing.assert_allclose(off - off.mean(axis=0), 0.0, atol=0.1 if name in LOOSE else 1e-6)
+    slopes = quantity.by_twist(paths, place, J)
     for k in (1, 4):  # the last sample that moves by itself, the others as they are
         for i in range(6):
             v, w = (h * np.eye(6)[i][:3], h * np.eye(6)[i][3:])

@@ -22,8 +22,6 @@ CONTROLLER = {"policy", "rest", "gain", "task_gain", "inverse", "duration", "dt"
 WRITTEN = {"out", "html", "csv"}
 OUTPUT = {*WRITTEN, "open_browser", "browser", "explain", "as_json", "help"}
 _WORDS: ContextVar[tuple[str, ...]] = ContextVar("typed words", default=())
-# of `replay`, with the number of values; `learn` has no use for them
-_ONLY_REPLAY = {"--html": 1, "--tip": 1, "--constraint": 1, "--open": 0, "--json": 0}
 
 
 def parsed_by(options: type, run: Callable[[Any], None]) -> Callable[..., None]:
@@ -139,18 +137,3 @@ def typed(arguments: Sequence[str]) -> Iterator[None]:
 def typed_command() -> tuple[str, ...]:
     """Words of the command line; empty if the library was called from Python."""
     return _WORDS.get()
-
-
-def learning_command(frame: str, axes: Sequence[str], reference: str) -> tuple[str, ...]:
-    """The command line that learns with such features from what `replay` was given; empty if called from Python."""
-    words, kept, skip = typed_command(), [], 0
-    if not words:
-        return ()
-    for word in words:
-        if skip:
-            skip -= 1
-        elif word.partition("=")[0] in _ONLY_REPLAY:
-            skip = 0 if "=" in word else _ONLY_REPLAY[word]
-        else:
-            kept.append("learn" if word == "replay" and len(kept) == 1 else word)
-    return (*kept, "--frame", frame, "--axes", " ".join(axes), "--reference", reference)

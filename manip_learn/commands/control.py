@@ -86,6 +86,13 @@ class Controlled:
     plan: Plan | None = None
     hint: str = ""
 
+    @staticmethod
+    def of(constraint: Constraint, rollout: Rollout, tolerance: float, way: WayDone | None, **more: Any) -> Controlled:
+        """A rollout of a constraint, with the words for what the hand moves on and what it did there."""
+        known = constraint.mechanism
+        place, verb = "" if known is None else PLACES.get(known.type, ""), verb_of(constraint, rollout, way)
+        return Controlled(rollout, tolerance=tolerance, place=place, way=way, verb=verb, **{"out": None, **more})
+
     @property
     def final_error(self) -> float:
         """Distance to the target at the end, along the rows that are driven [m or rad]."""
@@ -156,7 +163,9 @@ def control(options: ControlOptions, progress: Progress | None = None) -> Contro
         ManipLearnError: Anything else that is wrong with the robot, the constraint file, the numbers or the output.
     """
     start, target = vector("--start", options.start), vector("--target", options.target)
-    direction, rest = _direction(options.direction), vector("--rest", options.rest)
+    named = (options.direction or "").strip()  # a row of the mechanism, by its name
+    direction = named if named.isidentifier() else vector("--direction", options.direction)
+    rest = vector("--rest", options.rest)
     robot = robot_of_constraint(options.robot, options.constraint, options.loading)
     constraint = Constraint.load(options.constraint, robot)
     moves = options.along is not None or options.turn is not None
@@ -179,23 +188,17 @@ def control(options: ControlOptions, progress: Progress | None = None) -> Contro
         if isinstance(task, FreeDirection):
             rollout, way = simulate_way(robot, law, q0, options.dt, options.duration, progress=progress)
         else:
-            length = options.duration
-            if length is None:
-                length = _long_enough(law.task_error(q0), options.tolerance, options.task_gain)
+            enough = _long_enough(law.task_error(q0), options.tolerance, options.task_gain)
+            length = enough if options.duration is None else options.duration
             rollout = simulate(robot, law, q0, length, options.dt, progress=progress)
     aim = aim_of(constraint, task, rollout) if isinstance(task, PointAttractor) else None
-    verb, hint = verb_of(constraint, rollout, way), _hint(task, direction)
-    done = Controlled(rollout, None, options.tolerance, place_of(constraint), aim, way, whence, verb, found, hint)
+    against = direction is None and isinstance(task, FreeDirection) and task.goes_as_shown is False
+    hint = "the recordings went the other way: --direction shown counts that way as positive" if against else ""
+    done = Controlled.of(constraint, rollout, options.tolerance, way, aim=aim, start=whence, plan=found, hint=hint)
     if options.check and not done.reached:
         because = "" if way is None else f": stopped by {way.stopped_by}"
         raise TargetError(f"{done.sentence}{because}; ask for less, or start elsewhere (--start)", code="not-reached")
     return replace(done, out=rollout.save(options.out) if options.out is not None else None)
-
-
-def _direction(text: str | None) -> list[float] | str | None:
-    """The numbers of a direction, or the name of the row of a mechanism."""
-    named = text is not None and text.strip().isidentifier()
-    return text.strip() if text is not None and named else vector("--direction", text)
 
 
 def _task(
@@ -259,19 +262,6 @@ def _long_enough(error: float, tolerance: float, gain: float) -> float:
     """How long an attraction takes to leave half a tolerance of a distance, five seconds at least [s]."""
     far = 2.0 * error / tolerance if tolerance > 0.0 else 1.0  # it leaves e^(-gain t) of the way
     return max(5.0, math.log(max(far, 1.0)) / gain if gain > 0.0 else 5.0)
-
-
-def _hint(task: Task, direction: list[float] | str | None) -> str:
-    """What to try, where a way went against that of the recordings and nobody said so."""
-    if direction is None and isinstance(task, FreeDirection) and task.goes_as_shown is False:
-        return "the recordings went the other way: --direction shown counts that way as positive"
-    return ""
-
-
-def place_of(constraint: Constraint) -> str:
-    """What the held rows keep the hand on, e.g. `"line"`; empty if that has no name."""
-    known = constraint.mechanism
-    return "" if known is None else PLACES.get(known.type, "")
 
 
 def verb_of(constraint: Constraint, rollout: Rollout, way: WayDone | None) -> str:

@@ -9,7 +9,7 @@ from typing import Any, final
 
 import numpy as np
 
-from manip_learn.commands.control import Controlled, follow, null_policy, place_of, verb_of
+from manip_learn.commands.control import Controlled, follow, null_policy
 from manip_learn.commands.learn import Learnt, learn
 from manip_learn.commands.options import DemoOptions, LearnOptions, PlanOptions
 from manip_learn.constraint.constraint import Constraint
@@ -17,12 +17,12 @@ from manip_learn.control.controller import ResolvedRateController
 from manip_learn.control.planning.plan import Plan
 from manip_learn.control.rollout import Rollout
 from manip_learn.control.simulation import simulate
-from manip_learn.control.tasks import FreeDirection, PointAttractor, Task, motion
+from manip_learn.control.tasks import PointAttractor, Task, motion
 from manip_learn.control.way import WayDone, simulate_way
 from manip_learn.errors import UnknownNameError
 from manip_learn.playback import ReplayResult, replay
 from manip_learn.recordings.trajectory_source import Progress
-from manip_learn.robot import Robot, load_robot
+from manip_learn.robot import load_robot
 
 DT, TOLERANCE = 0.01, 0.01
 PAUSE = 0.5  # [s] at the handle, as a gripper takes to close
@@ -59,8 +59,10 @@ class Scene:
     target: tuple[float, ...] = ()
     duration: float = 8.0
 
-    def way(self, constraint: Constraint) -> FreeDirection:
-        """Its way along what was learnt."""
+    def task(self, constraint: Constraint) -> Task:
+        """Its way along what was learnt, or its target."""
+        if self.along is None:
+            return PointAttractor(self.target)
         return motion(constraint, self.along, direction=self.towards, keep_orientation=True, pause=PAUSE)
 
 
@@ -130,25 +132,30 @@ def demo(options: DemoOptions, progress: Progress | None = None) -> Demo:
     said("learning from the recordings", 0.0)
     shipped, file = str(shipped_recordings() / scene.recordings), out / "constraint.json"
     learnt = learn(LearnOptions(options.robot, [shipped], frame=scene.frame, axes=scene.axes, out=file))
-    robot = load_robot(options.robot)
-    rollouts = {}
-    for i, (name, controller) in enumerate(controllers(robot, learnt.constraint, scene).items()):
-        said(f"moving with the {name} policy", 0.5 + 0.1 * i)
-        way = None
-        if scene.along is None:
-            rollout = simulate(robot, controller, scene.start, scene.duration, DT)
-        else:
-            rollout, way = simulate_way(robot, controller, scene.start, DT)
-        rollouts[name] = _written(name, out, learnt.constraint, rollout, way, None)
+    robot, constraint, done = load_robot(options.robot), learnt.constraint, dict[str, Controlled]()
+
+    def keep(name: str, rollout: Rollout, way: WayDone | None = None, found: Plan | None = None) -> None:
+        saved = rollout.save(out / f"{name}.npz")
+        done[name] = Controlled.of(constraint, rollout, TOLERANCE, way, out=saved, plan=found)
+
     if scene.along is not None:
-        said("planning in which posture to take hold", 0.8)
-        start = np.array(scene.start)
-        found, rollout, way = follow(PlanOptions(plan=True), learnt.constraint, scene.way(learnt.constraint), start, DT)
-        rollouts = {"plan": _written("plan", out, learnt.constraint, rollout, way, found), **rollouts}
+        said("planning in which posture to take hold", 0.5)
+        start, planned = np.array(scene.start), PlanOptions(plan=True)
+        found, rollout, way = follow(planned, constraint, scene.task(constraint), start, DT)
+        keep("plan", rollout, way, found)
+    for i, name in enumerate(("manipulability", "attractor", "zero")):  # the recommended one first
+        said(f"moving with the {name} policy", 0.6 + 0.1 * i)
+        task = scene.task(constraint)
+        policy = null_policy(name, task, constraint, robot, None, scene.rest)
+        controller = ResolvedRateController(constraint, task, policy, dt=DT)
+        if scene.along is None:
+            keep(name, simulate(robot, controller, scene.start, scene.duration, DT))
+        else:
+            keep(name, *simulate_way(robot, controller, scene.start, DT))
     said("writing the replay", 0.9)
     page = replay(
         robot,
-        {name: r.rollout for name, r in rollouts.items()},
+        {name: controlled.rollout for name, controlled in done.items()},
         out / "replay.html",
         tip=scene.frame,
         title=scene.title,
@@ -156,22 +163,4 @@ def demo(options: DemoOptions, progress: Progress | None = None) -> Demo:
         open_browser=options.browser and not options.as_json,
     )
     said("done", 1.0)
-    return Demo(learnt, rollouts, page, scene.story)
-
-
-def _written(
-    name: str, out: Path, constraint: Constraint, rollout: Rollout, way: WayDone | None, found: Plan | None
-) -> Controlled:
-    """A rollout of the demo, in its file."""
-    place, verb = place_of(constraint), verb_of(constraint, rollout, way)
-    return Controlled(rollout, rollout.save(out / f"{name}.npz"), TOLERANCE, place, way=way, verb=verb, plan=found)
-
-
-def controllers(robot: Robot, constraint: Constraint, scene: Scene) -> dict[str, ResolvedRateController]:
-    """The three policies that are compared, the recommended one first."""
-    out = {}
-    for name in ("manipulability", "attractor", "zero"):
-        task: Task = PointAttractor(scene.target) if scene.along is None else scene.way(constraint)
-        policy = null_policy(name, task, constraint, robot, None, scene.rest)
-        out[name] = ResolvedRateController(constraint, task, policy, dt=DT)
-    return out
+    return Demo(learnt, done, page, scene.story)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, final
@@ -17,7 +17,6 @@ from manip_learn.recordings.saved_motion import SavedMotion, motion_of_trajector
 from manip_learn.recordings.trajectory_source import Progress
 from manip_learn.recordings.writers.mcap_writer import mcap_bytes
 from manip_learn.recordings.writers.write_motion import csv_bytes, joint_trajectory_bytes
-from manip_learn.robot.robot import Robot
 
 LEROBOT, RERUN = "lerobot", "rrd"
 # name on the command line -> endings, and the writer of one motion
@@ -49,13 +48,7 @@ class Exported:
 
     def to_dict(self) -> dict[str, Any]:
         """The JSON answer."""
-        return {
-            "format": self.format,
-            "files": [str(f) for f in self.files],
-            "trajectories": self.trajectories,
-            "samples": self.samples,
-            "notes": list(self.notes),
-        }
+        return vars(self) | {"files": [str(f) for f in self.files], "notes": list(self.notes)}
 
 
 def export(options: ExportOptions, progress: Progress | None = None) -> Exported:
@@ -68,36 +61,32 @@ def export(options: ExportOptions, progress: Progress | None = None) -> Exported
     out, keywords = options.out, options.reading.keywords()
     kind = _format(out, options.to)
     robot = load_for_files(options.robot, options.files, options.loading)
-    if kind == RERUN:
-        return _to_rerun(robot, options.files, out, keywords)
+    if kind == RERUN:  # all of them in one file, rollouts with their curves
+        from manip_learn.commands.replay import named_motions
+        from manip_learn.playback.rerun_recording import write_rerun
+
+        read = named_motions(options.files, robot, keywords)
+        samples = sum(len(motion.time) for motion in read.motions.values())
+        return Exported(RERUN, (write_rerun(robot, read.motions, out),), len(read.motions), samples, tuple(read.notes))
     demonstrations = load_demonstrations(options.files, robot, **keywords)
     motions = [motion_of_trajectory(t, robot) for t in demonstrations]
     if kind == LEROBOT:
         from manip_learn.recordings.writers.lerobot_writer import write_lerobot
 
         files = (write_lerobot(out, motions),)
-    elif out.suffix.lower() in FORMATS[kind][0]:
-        if len(motions) > 1:
+    else:
+        endings, content_of = FORMATS[kind]
+        is_file = out.suffix.lower() in endings
+        if is_file and len(motions) > 1:
             raise OutputError(
                 f"cannot write {counted(len(motions), 'trajectory')} to one file, {out}: name a folder, and --to {kind}"
             )
-        files = (write_atomically(out, FORMATS[kind][1](motions[0])),)
-    else:
-        contents = {_file_name(m.name, i, len(motions)): FORMATS[kind][1](m) for i, m in enumerate(motions)}
-        ending = FORMATS[kind][0][0]
-        files = tuple(write_atomically(out / (name + ending), content) for name, content in contents.items())
+        names = [
+            out if is_file else out / (_file_name(m.name, i, len(motions)) + endings[0]) for i, m in enumerate(motions)
+        ]
+        written = [content_of(m) for m in motions]  # nothing is written unless all can be
+        files = tuple(map(write_atomically, names, written))
     return Exported(kind, files, len(motions), sum(len(m.time) for m in motions), demonstrations.notes)
-
-
-def _to_rerun(robot: Robot, files: list[str], out: Path, keywords: Mapping[str, Any]) -> Exported:
-    """All of them in one file, rollouts with their curves."""
-    from manip_learn.commands.replay import named_motions
-    from manip_learn.playback.rerun_recording import write_rerun
-
-    read = named_motions(files, robot, keywords)
-    path = write_rerun(robot, read.motions, out)
-    samples = sum(len(motion.time) for motion in read.motions.values())
-    return Exported(RERUN, (path,), len(read.motions), samples, tuple(read.notes))
 
 
 def _format(out: Path, to: str | None) -> str:

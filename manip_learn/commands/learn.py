@@ -88,7 +88,8 @@ def learn(options: LearnOptions, progress: Progress | None = None) -> Learnt:
     """
     if options.reference not in REFERENCES:
         raise FeatureError(f"--reference must be world, local or auto, not {options.reference!r}")
-    _refuse_beside_dask(options)
+    if options.dask is not None:
+        _refuse_beside_dask(options)
     if progress is not None:
         progress("reading", 0.0)
     robot, demos, frame, notes = load_to_learn(options)
@@ -150,7 +151,7 @@ def load_to_learn(options: LearnOptions) -> tuple[Robot, Demonstrations | Record
     Raises:
         ManipLearnError: Any of the errors of loading robots and recordings.
     """
-    loading = options.loading
+    loading, keywords = options.loading, options.reading.keywords()
     robot = load_for_files(options.robot, options.recordings, loading)
     held: dict[str, float | None] = {**dict.fromkeys(loading.lock or ()), **robot.locked}
     chosen = choose_frame(robot, options.frame)
@@ -158,7 +159,11 @@ def load_to_learn(options: LearnOptions) -> tuple[Robot, Demonstrations | Record
     notes: list[str] = []
     while True:
         try:
-            return robot, _read(options, robot), chosen, notes
+            if options.dask is None:
+                return robot, load_demonstrations(options.recordings, robot, **keywords), chosen, notes
+            source = RecordingSource(options.recordings, robot, **keywords)
+            next(source.part(0))
+            return robot, source, chosen, notes
         except RecordingError as error:
             joint = error.column
             if (
@@ -174,27 +179,12 @@ def load_to_learn(options: LearnOptions) -> tuple[Robot, Demonstrations | Record
             )
 
 
-def _read(options: LearnOptions, robot: Robot) -> Demonstrations | RecordingSource:
-    keywords = options.reading.keywords()
-    if options.dask is None:
-        return load_demonstrations(options.recordings, robot, **keywords)
-    source = RecordingSource(options.recordings, robot, **keywords)
-    next(source.part(0))
-    return source
-
-
 def _refuse_beside_dask(options: LearnOptions) -> None:
-    if options.dask is None:
-        return
-    for option, value in (("--points", options.points), ("--html", options.html)):
+    in_memory = {"--points": options.points, "--html": options.html, "--from": options.start, "--until": options.until}
+    for option, value in in_memory.items():
         if value is not None:
-            raise RecordingError(
-                f"{option} works on recordings in memory, not with --dask: give one of the two", code="option"
-            )
-    if not (options.start is None and options.until is None):
-        raise RecordingError(
-            "--from and --until cut recordings in memory, not with --dask: cut the files first", code="option"
-        )
+            instead = "cut the files first" if option in ("--from", "--until") else "give one of the two"
+            raise RecordingError(f"{option} works on recordings in memory, not with --dask: {instead}", code="option")
 
 
 def _replay_of_recordings(

@@ -142,19 +142,10 @@ class RobotOptions:
     ] = None
 
     def __post_init__(self) -> None:
-        """Refuse what cannot be understood.
+        """Refuse an argument of the xacro file that is not NAME=VALUE."""
+        self._xacro_values()
 
-        Raises:
-            ManipLearnError: An argument of the xacro file that is not NAME=VALUE.
-        """
-        self.xacro_values()
-
-    def xacro_values(self) -> dict[str, str]:
-        """Arguments of the xacro file.
-
-        Raises:
-            ManipLearnError: One that is not NAME=VALUE.
-        """
+    def _xacro_values(self) -> dict[str, str]:
         return dict(pair("--xacro-arg", "NAME=VALUE", text, may_be_empty=True) for text in self.xacro_arg or ())
 
     def load(
@@ -174,7 +165,7 @@ class RobotOptions:
             name,
             tuple(self.package_dir or ()),
             tuple(self.lock or ()) if locked is None else locked,
-            xacro=self.xacro_values() or self.xacro,
+            xacro=self._xacro_values() or self.xacro,
             objects=tuple(self.objects or ()) if objects is None else objects,
         )
 
@@ -209,11 +200,7 @@ class ReadingOptions:
     task: Annotated[str | None, Option(help="Read only the LeRobot episodes that show this task.")] = None
 
     def __post_init__(self) -> None:
-        """Refuse what cannot be understood; the reader checks all other values.
-
-        Raises:
-            ManipLearnError: A renaming that is not FILE_NAME=ROBOT_NAME.
-        """
+        """Refuse a renaming that is not FILE_NAME=ROBOT_NAME; the reader checks all other values."""
         self.keywords()
 
     def keywords(self) -> dict[str, Any]:
@@ -251,11 +238,7 @@ class PlanOptions:
     beyond_shown: Annotated[bool, Option("--beyond-shown", help="Farther than was shown.")] = False
 
     def __post_init__(self) -> None:
-        """Refuse options of a plan without one.
-
-        Raises:
-            TargetError: They are given without `--plan`.
-        """
+        """Refuse options of a plan without `--plan`."""
         given = (self.seed, self.grasp_angle, self.grasp_turns, self.base_within, self.beyond_shown)
         if not self.plan and given != (0, None, None, 0.0, False):
             raise TargetError("--seed, --grasp-angle, --grasp-turns, --base-within and --beyond-shown go with --plan")

@@ -10,19 +10,27 @@ from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 from typing import TYPE_CHECKING, Any
 
+from manip_learn.errors import printable
+
 if TYPE_CHECKING:
     from rich.console import Console
 
 
-def finite(value: object) -> object:
-    """A value for JSON, which has no NaN: null in its place."""
+# keys of sentences, for people; what other keys hold is for programs, which need names and paths as they are
+SENTENCES = {"message", "sentence", "notes", "warnings", "advice", "evidence", "reason", "reasons", "refused"} | {
+    *("stopped_by", "why", "helps", "hint", "story"),
+}
+
+
+def for_json(value: object, sentence: bool = False) -> object:
+    """A value for JSON: null in place of NaN, which JSON does not have, and sentences that can be printed."""
     if isinstance(value, dict):
-        return {str(k): finite(v) for k, v in value.items()}
+        return {str(k): for_json(v, k in SENTENCES) for k, v in value.items()}
     if isinstance(value, list | tuple):
-        return [finite(v) for v in value]
+        return [for_json(v, sentence) for v in value]
     if isinstance(value, float) and not math.isfinite(value):
         return None
-    return value
+    return printable(value, layout=True) if sentence and isinstance(value, str) else value
 
 
 def console(stderr: bool = False) -> Console:
@@ -64,7 +72,7 @@ def waiting(quiet: bool, what: str) -> Iterator[None]:
 def answer(as_json: bool, content: dict[str, Any], printer: str = "", value: Any = None, **options: Any) -> None:
     """Print the answer of a command: one JSON document, or what the printer in `tables` makes of the value."""
     if as_json:
-        print(json.dumps(finite(content), indent=2, allow_nan=False))
+        print(json.dumps(for_json(content), indent=2, allow_nan=False))
         return
     from manip_learn.commands import tables
 
@@ -96,10 +104,9 @@ def refuse(
     Returns:
         The exit code.
     """
-    printable = sentence.encode("utf-8", "backslashreplace").decode()  # names in a damaged file may be no text
-    message = " ".join(printable.split())
+    message = printable(" ".join(sentence.split()))
     if as_json:
-        content = finite({"error": {"code": code, "message": message, **(facts or {})}})
+        content = for_json({"error": {"code": code, "message": message, **(facts or {})}})
         try:
             print(json.dumps(content, indent=2), flush=True)
         except OSError:  # a pipe that nobody reads any more, or a full disk, which the sentence below tells

@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from itertools import chain, count
 from pathlib import Path
 from typing import Any, final
 
-from manip_learn.commands.command_line import learning_command
+from manip_learn.commands.command_line import typed_command
 from manip_learn.commands.loading import load_for_files, robot_of_constraint
 from manip_learn.commands.options import ReplayOptions
 from manip_learn.constraint.constraint import Constraint
@@ -17,6 +18,7 @@ from manip_learn.errors import ConstraintMismatchError, RecordingError
 from manip_learn.playback import RecordingChoice, ReplayResult
 from manip_learn.playback import replay as write_replay
 from manip_learn.playback.phase_bands import phases_from_json
+from manip_learn.playback.replay_page import without_flags
 from manip_learn.recordings import load_demonstrations
 from manip_learn.recordings.load_demonstrations import numbers_read
 from manip_learn.recordings.readers.read_request import flag_of
@@ -24,6 +26,9 @@ from manip_learn.recordings.readers.saved_reader import file_header
 from manip_learn.recordings.trajectory import Trajectory
 from manip_learn.recordings.trajectory_source import Progress
 from manip_learn.robot.robot import Robot
+
+# flags with the number of their values; `learn` has no use for them
+ONLY_REPLAY = {"--html": 1, "--tip": 1, "--constraint": 1, "--open": 0, "--json": 0}
 
 
 def replay(options: ReplayOptions, progress: Progress | None = None) -> ReplayResult:
@@ -83,6 +88,13 @@ def _choice(
     return RecordingChoice.of(command, tuple(read.motions), numbers_read(read.recordings, robot, **keywords))
 
 
+def learning_command(frame: str, axes: Sequence[str], reference: str) -> tuple[str, ...]:
+    """The command line that learns with such features from what `replay` was given; empty if called from Python."""
+    words = ["learn" if i == 1 and word == "replay" else word for i, word in enumerate(typed_command())]
+    more = ("--frame", frame, "--axes", " ".join(axes), "--reference", reference) if words else ()
+    return (*without_flags(words, ONLY_REPLAY), *more)
+
+
 @final
 @dataclass(frozen=True)
 class NamedMotions:
@@ -119,21 +131,19 @@ def named_motions(files: list[str], robot: Robot, keywords: Mapping[str, Any]) -
         raise RecordingError(f"rollouts are read as they were written, so {asked} has no use: leave it out")
     named: dict[str, Rollout | Trajectory] = {}
     notes: list[str] = []
+
+    def keep(name: str, motion: Rollout | Trajectory) -> None:
+        numbered = (f"{name} ({n})" for n in count(2))
+        named[next(one for one in chain((name,), numbered) if one not in named)] = motion
+
     for file in rollouts:
         rollout, said = Rollout.load_with_notes(file, robot)
-        named[_unique(Path(file).stem, named)] = rollout
+        keep(Path(file).stem, rollout)
         notes += [f"{Path(file).name}: {note}" for note in said]
     # together, since an option may be meant for one of them
     for trajectory in load_demonstrations(recordings, robot, **keywords) if recordings else ():
-        named[_unique(trajectory.name, named)] = trajectory
+        keep(trajectory.name, trajectory)
     return NamedMotions(named, rollouts, recordings, notes)
-
-
-def _unique(name: str, taken: dict[str, Rollout | Trajectory]) -> str:
-    candidate, n = name, 2
-    while candidate in taken:
-        candidate, n = f"{name} ({n})", n + 1
-    return candidate
 
 
 def _is_rollout(path: Path) -> bool:

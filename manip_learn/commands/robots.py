@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import dataclasses
-import math
 from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import Any, final
@@ -50,11 +49,10 @@ class KnownRobots:
 
     def to_dict(self) -> dict[str, Any]:
         """The JSON answer."""
-        listed = [
-            {"name": r.name, "origin": r.origin, "joints": list(r.joints), "refused": r.refused or None}
-            for r in self.robots
-        ]
-        return {"robots": listed, "extra_installed": self.extra}
+        return {
+            "robots": [vars(r) | {"refused": r.refused or None} for r in self.robots],
+            "extra_installed": self.extra,
+        }
 
 
 def known_robots(options: RobotsOptions, progress: Progress | None = None) -> KnownRobots:
@@ -83,16 +81,10 @@ class Inspected:
     summary: RobotSummary
 
     def to_dict(self) -> dict[str, Any]:
-        """The JSON answer; limits that do not exist are null."""
+        """The JSON answer; limits that do not exist are infinite, which JSON says as null."""
         content = dataclasses.asdict(self.summary)
-        for joint in content["joints"]:
-            for key in ("lower", "upper", "velocity"):
-                if not math.isfinite(joint[key]):
-                    joint[key] = None
         content["source"] = None if self.summary.source is None else str(self.summary.source)
         content["meshes_found"] = {k: str(v) for k, v in self.summary.meshes_found.items()}
-        for key in ("joints", "frames", "warnings", "tips", "mimics"):
-            content[key] = list(content[key])
         return content
 
 

@@ -3,16 +3,17 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
-from typing import TYPE_CHECKING
+from collections.abc import Container, Iterable, Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
 
 from rich.box import SIMPLE_HEAD
 from rich.console import Console
 from rich.markdown import Markdown
-from rich.markup import escape
 from rich.table import Table
+from rich.text import Text
 
-from manip_learn.errors import counted, listed
+from manip_learn.errors import counted, listed, printable
 
 if TYPE_CHECKING:
     from manip_learn.commands.audit import Audited
@@ -23,7 +24,6 @@ if TYPE_CHECKING:
     from manip_learn.commands.reproduce import Reproduction
     from manip_learn.commands.robots import Inspected, KnownRobots
     from manip_learn.commands.warm_up import Warmed
-    from manip_learn.control.planning.plan import Plan
     from manip_learn.learning.audit import EpisodeAudit
     from manip_learn.playback import ReplayResult
 
@@ -112,20 +112,52 @@ WORDS: dict[str, tuple[str, str]] = {
 }
 
 
+def text(words: object, style: str = "") -> Text:
+    """Words for the terminal: nothing in them is markup, and none of their characters controls the terminal."""
+    return Text(printable(words), style)
+
+
+def say(console: Console, *sentences: str, style: str = "", whole: bool = False) -> None:
+    """Print sentences, each on its own line; whole ones, that end in the name of a file, are not wrapped."""
+    for sentence in sentences:
+        console.print(text(sentence, style), highlight=False, soft_wrap=whole)
+
+
+def say_file(console: Console, what: str, file: Path | None, size: int | None = None) -> None:
+    """Print where something was written, if it was, and how large it is [bytes]."""
+    if file is not None:
+        say(console, f"{what}: {file}" + ("" if size is None else f" ({size / 1e6:.1f} MB)"), whole=True)
+
+
+def table_of(
+    header: Sequence[str], rows: Iterable[Sequence[str | Text]], left: Container[int] = (0,), **style: Any
+) -> Table:
+    """A table; columns that are not named are aligned to the right, and nothing in it is markup.
+
+    Args:
+        header: Names of the columns.
+        rows: Cells.
+        left: Columns that are aligned to the left.
+        style: As rich's `Table` takes it.
+    """
+    table = Table(**style)
+    for i, name in enumerate(header):
+        table.add_column(name, justify="left" if i in left else "right", no_wrap=True)
+    for row in rows:
+        table.add_row(*(cell if isinstance(cell, Text) else text(cell) for cell in row))
+    return table
+
+
 def print_words(console: Console, terms: Sequence[str], explain: bool) -> None:
     """Explain terms: one line each in short, or a paragraph each."""
-    if explain:
-        for term in terms:
-            console.print(f"[bold]{escape(term)}[/bold]: {escape('. '.join(_sentences(term)))}", highlight=False)
-        return
     for term in terms:
-        console.print(f"[dim]{escape(f'{term}: {WORDS[term][0]}')}[/dim]", highlight=False)
-    console.print("[dim]--explain says more[/dim]", highlight=False)
-
-
-def _sentences(term: str) -> tuple[str, str]:
-    short, long = WORDS[term]
-    return short[0].upper() + short[1:], long
+        short, long = WORDS[term]
+        if explain:
+            console.print(Text.assemble((term, "bold"), f": {short[0].upper()}{short[1:]}. {long}"), highlight=False)
+        else:
+            say(console, f"{term}: {short}", style="dim")
+    if not explain:
+        say(console, "--explain says more", style="dim")
 
 
 UNDER_WAY = 0.1  # the nearly singular start is not due to the policy: evaluated from here on [s]
@@ -139,31 +171,23 @@ SHOWN_ORDER = ("score", "sigma", "broken", "mm", "deg", "margin", "speed", "jerk
 def rollout_table(rollouts: dict[str, Controlled], width: int) -> Table:
     """Policies side by side: a line each, or on a narrow terminal, or of one alone, a column each."""
     measures = [_measures(controlled) for controlled in rollouts.values()]
-    header = ("policy", *measures[0])
-    rows = [(escape(name), *values.values()) for name, values in zip(rollouts, measures, strict=True)]
-    if width < WIDE or len(rows) == 1:
-        header, *rows = zip(header, *rows, strict=True)
+    lines = [("policy", *measures[0]), *((n, *m.values()) for n, m in zip(rollouts, measures, strict=True))]
+    if width < WIDE or len(measures) == 1:
+        lines = list(zip(*lines, strict=True))
     if len(measures) == 1:  # no policy is compared
-        header, *rows = rows
-    table = Table(header_style="bold" if len(measures) > 1 else "", box=SIMPLE_HEAD, padding=(0, 1))
-    table.show_header = len(measures) > 1
-    for i, name in enumerate(header):
-        table.add_column(str(name), justify="left" if i == 0 else "right", no_wrap=True)
-    for row in rows if len(measures) > 1 else [header, *rows]:
-        table.add_row(*row)
-    return table
+        return table_of(("", ""), lines[1:], box=SIMPLE_HEAD, padding=(0, 1), show_header=False)
+    return table_of(list(map(str, lines[0])), lines[1:], header_style="bold", box=SIMPLE_HEAD, padding=(0, 1))
 
 
-def _measures(controlled: Controlled) -> dict[str, str]:
+def _measures(controlled: Controlled) -> dict[str, str | Text]:
     """Name -> value of what is told of a rollout."""
     r, way = controlled.rollout, controlled.way
     if way is not None:
-        off = f"{1e3 * way.deviation:.1f} mm"
         unit, size, digits = ("m", 1.0, 3) if way.unit == "m" else ("deg", math.degrees(1.0), 1)
         return {
             controlled.verb: f"{abs(size * way.done):.{digits}f} {unit}",
             "time": "-" if way.seconds is None else f"{way.seconds:.1f} s",
-            "off": f"[red]{off}[/red]" if way.strays else off,
+            "off": Text(f"{1e3 * way.deviation:.1f} mm", "red" if way.strays else ""),
             "fastest": f"{100 * way.fastest[1]:.0f} %",
             "least mu": f"{way.least_manipulability:.3f}",
         }
@@ -180,7 +204,7 @@ def _measures(controlled: Controlled) -> dict[str, str]:
 def audit_table(episodes: Sequence[EpisodeAudit], width: int) -> tuple[Table, tuple[str, ...]]:
     """Episodes with as many measures as fit, and the names of those that do not."""
     cells = {name: [_measure(name, e) for e in episodes] for name in SHOWN_ORDER}
-    room = width - max([len("episode"), *(len(e.episode) for e in episodes)])
+    room = width - max([len("episode"), *(len(printable(e.episode)) for e in episodes)])
     fitting: list[str] = []
     for name in MEASURES:
         room -= GAP + max(len(name), *(len(c) for c in cells[name]), 0)
@@ -188,13 +212,10 @@ def audit_table(episodes: Sequence[EpisodeAudit], width: int) -> tuple[Table, tu
             break
         fitting.append(name)
     shown = [name for name in SHOWN_ORDER if name in fitting]
-    table = Table(header_style="bold", box=SIMPLE_HEAD, padding=(0, 1, 0, 0), show_edge=False)
-    table.add_column("episode", no_wrap=True)
-    for name in shown:
-        table.add_column(name, justify="right", no_wrap=True)
-    for i, e in enumerate(episodes):
-        table.add_row(escape(e.episode), *(cells[name][i] for name in shown), style="red" if e.leave_out else None)
-    return table, tuple(name for name in SHOWN_ORDER if name not in fitting)
+    lines = zip([e.episode for e in episodes], *(cells[name] for name in shown), strict=True)
+    rows = [[text(cell, "red" if e.leave_out else "") for cell in row] for e, row in zip(episodes, lines, strict=True)]
+    style = {"header_style": "bold", "box": SIMPLE_HEAD, "padding": (0, 1, 0, 0), "show_edge": False}
+    return table_of(["episode", *shown], rows, **style), tuple(name for name in SHOWN_ORDER if name not in fitting)
 
 
 def _measure(name: str, e: EpisodeAudit) -> str:
@@ -225,28 +246,20 @@ def print_learnt(console: Console, learnt: Learnt, explain: bool = False) -> Non
     from manip_learn.learning.report import RecordingOverview
 
     report = learnt.report
-    console.print(f"[bold]{escape(report.sentence)}[/bold]", highlight=False)
-    table = Table(show_header=False, box=None, padding=(0, 2, 0, 0))
-    terms = []
-    for called, said, term in _learnt_facts(learnt):
-        if said:
-            table.add_row(called, escape(said))
-            terms += [term] if term else []
-    console.print(table)
-    print_words(console, terms, explain)
-    for number, other in enumerate(learnt.reports[1:], start=2):
-        console.print(f"constraint {number}: {escape(other.sentence)}", highlight=False)
-    for sentence in RecordingOverview(report.phases).sentences():
-        console.print(escape(sentence), highlight=False)
-    for note in (*learnt.notes, *report.notes):
-        console.print(f"[dim]note: {escape(note)}[/dim]", highlight=False)
-    for warning in report.warnings:
-        console.print(f"[yellow]warning: {escape(warning)}[/yellow]", highlight=False)
-    if learnt.out is not None:
-        console.print(f"written: {escape(str(learnt.out))}", highlight=False, soft_wrap=True)
+    say(console, report.sentence, style="bold")
+    facts = [(called, said, term) for called, said, term in _learnt_facts(learnt) if said]
+    grid = Table(show_header=False, box=None, padding=(0, 2, 0, 0))
+    for called, said, _ in facts:
+        grid.add_row(called, text(said))
+    console.print(grid)
+    print_words(console, [term for *_, term in facts if term], explain)
+    say(console, *(f"constraint {n}: {other.sentence}" for n, other in enumerate(learnt.reports[1:], start=2)))
+    say(console, *RecordingOverview(report.phases).sentences())
+    say(console, *(f"note: {note}" for note in (*learnt.notes, *report.notes)), style="dim")
+    say(console, *(f"warning: {warning}" for warning in report.warnings), style="yellow")
+    say_file(console, "written", learnt.out)
     if learnt.page is not None:
-        page = learnt.page
-        console.print(f"replay: {escape(str(page.html))} ({page.bytes / 1e6:.1f} MB)", highlight=False, soft_wrap=True)
+        say_file(console, "replay", learnt.page.html, learnt.page.bytes)
 
 
 def _learnt_facts(learnt: Learnt) -> list[tuple[str, str | None, str]]:
@@ -255,29 +268,23 @@ def _learnt_facts(learnt: Learnt) -> list[tuple[str, str | None, str]]:
 
     report = learnt.report
     rank = f"{CLEAR_GAP:g} is clear" if report.gap >= CLEAR_GAP else f"weak: {CLEAR_GAP:g} is clear"
+    gap = f"{report.gap:,.0f}" if report.gap >= 10 else f"{report.gap:.2g}"
     held = [row for row in report.row_evidence if row.state == "held"]
     strengths = listed(f"{row.strength:.3g}" for row in held) if held else "none"
     p_value = f", p = {max(row.p_value for row in held):.2g}" if held else ""
-    amount = f"{report.n_constraints} of {len(report.row_names)}"
     left_out = report.held_out_residual
+    share = f"{100 * left_out:.2g} %" if left_out >= 1e-5 else "less than 0.001 %"
+    rows = "held rows" if report.kind == "motion-constrained" else "steered rows"
     source = f"{counted(report.n_samples, 'sample')} of {counted(report.n_trajectories, 'recording')}"
     return [
         ("estimator", f"{report.estimator} ({report.kind})", ""),
         ("reference", report.reference, ""),
         ("policy model", report.policy_model, ""),
-        (
-            "held rows" if report.kind == "motion-constrained" else "steered rows",
-            learnt.constraint.rows_in_words(),
-            "row",
-        ),
-        ("number of rows", f"{amount}, gap {_readable(report.gap)} ({rank})", "gap"),
-        ("left out", f"{_share(left_out)} of the motion unexplained" if math.isfinite(left_out) else "", "left out"),
+        (rows, learnt.constraint.rows_in_words(), "row"),
+        ("number of rows", f"{report.n_constraints} of {len(report.row_names)}, gap {gap} ({rank})", "gap"),
+        ("left out", f"{share} of the motion unexplained" if math.isfinite(left_out) else "", "left out"),
         ("uncertainty", report.known_to(), "uncertainty"),
-        (
-            "evidence",
-            f"strength {strengths}{p_value} (recombination test)" if report.row_evidence else "",
-            "strength",
-        ),
+        ("evidence", f"strength {strengths}{p_value} (recombination test)" if report.row_evidence else "", "strength"),
         ("effort", None if report.effort is None else report.effort.sentence(), ""),
         ("mechanism", report.mechanism_in_words(), ""),
         ("learnt from", f"{source} in {report.seconds:.2g} s", ""),
@@ -287,19 +294,16 @@ def _learnt_facts(learnt: Learnt) -> list[tuple[str, str | None, str]]:
 def print_demo(console: Console, demo: Demo, explain: bool = False) -> None:
     """What was learnt, the comparison, and where the replay is."""
     print_learnt(console, demo.learnt, explain)
-    console.print()
-    console.print(escape(demo.story), highlight=False)
+    say(console, "", demo.story)
     console.print(rollout_table(demo.rollouts, console.width))
     ways = [r for r in demo.rollouts.values() if r.way is not None]
     print_words(console, WAY_TERMS if ways else ROLLOUT_TERMS, explain)
     for name, controlled in demo.rollouts.items():
         if controlled.plan is not None:
-            console.print(f"{escape(name)}: {escape(controlled.plan.sentence)}", highlight=False)
+            say(console, f"{name}: {controlled.plan.sentence}")
         if controlled.way is not None and controlled.way.stopped_by is not None:
-            console.print(f"[yellow]{escape(name)}: stopped by {controlled.way.stopped_by}[/yellow]", highlight=False)
-    console.print(
-        f"replay: {escape(str(demo.page.html))} ({demo.page.bytes / 1e6:.1f} MB)", highlight=False, soft_wrap=True
-    )
+            say(console, f"{name}: stopped by {controlled.way.stopped_by}", style="yellow")
+    say_file(console, "replay", demo.page.html, demo.page.bytes)
 
 
 def print_robots(console: Console, listed: KnownRobots) -> None:
@@ -307,87 +311,58 @@ def print_robots(console: Console, listed: KnownRobots) -> None:
     for robot in listed.robots:
         joints = f"{counted(len(robot.joints), 'joint')}" if not robot.refused else "refused: see `manip-learn inspect`"
         origin = "" if robot.origin == "package" else "  (extra robots)"
-        console.print(f"{escape(robot.name):24} {joints}{origin}", highlight=False)
+        say(console, f"{robot.name:24} {joints}{origin}")
     if not listed.extra:
-        console.print("more with: pip install 'manip_learn[robots]'", highlight=False, markup=False)
+        say(console, "more with: pip install 'manip_learn[robots]'")
 
 
 def print_warm_up(console: Console, warmed: Warmed) -> None:
     """What is compiled now."""
-    words = (
-        f"control steps are compiled ({warmed.seconds:.1f} s)"
-        if warmed.compiled
-        else ("nothing to compile: control steps run in Python, install the extra 'fast' to compile them")
-    )
-    console.print(words, highlight=False, markup=False)
+    nothing = "nothing to compile: control steps run in Python, install the extra 'fast' to compile them"
+    say(console, f"control steps are compiled ({warmed.seconds:.1f} s)" if warmed.compiled else nothing)
 
 
 def print_robot(console: Console, inspected: Inspected) -> None:
     """Joints, frames and warnings."""
     summary = inspected.summary
-    console.print(f"[bold]{escape(summary.name)}[/bold]: nq {summary.nq}, nv {summary.nv}", highlight=False)
+    console.print(Text.assemble(text(summary.name, "bold"), f": nq {summary.nq}, nv {summary.nv}"), highlight=False)
     if summary.source is not None:
-        console.print(f"[dim]{escape(str(summary.source))}[/dim]", highlight=False, soft_wrap=True)
-    table = Table(header_style="bold")
-    for name in ("joint", "kind", "lower", "upper", "velocity", "unit"):
-        table.add_column(name, justify="right" if name in ("lower", "upper", "velocity") else "left")
-    for joint in summary.joints:
-        table.add_row(
-            escape(joint.name), joint.kind, _limit(joint.lower), _limit(joint.upper), _limit(joint.velocity), joint.unit
-        )
-    console.print(table)
-    for mimic in summary.mimics:
-        console.print(
-            f"mimic: {escape(mimic.joint)} = {mimic.multiplier:g} {escape(mimic.leader)} + {mimic.offset:g}",
-            highlight=False,
-        )
-    for name, position in summary.locked.items():
-        console.print(f"locked: {escape(name)} at {position:g}", highlight=False)
-    console.print(f"likely tips: {escape(', '.join(summary.tips) or 'none')}", highlight=False)
-    console.print(f"frames: {escape(', '.join(summary.frames))}", highlight=False)
-    _print_warnings(console, summary.warnings)
+        say(console, str(summary.source), style="dim", whole=True)
+    rows = [(j.name, j.kind, _limit(j.lower), _limit(j.upper), _limit(j.velocity), j.unit) for j in summary.joints]
+    header = ("joint", "kind", "lower", "upper", "velocity", "unit")
+    console.print(table_of(header, rows, left=(0, 1, 5), header_style="bold"))
+    say(console, *(f"mimic: {m.joint} = {m.multiplier:g} {m.leader} + {m.offset:g}" for m in summary.mimics))
+    say(console, *(f"locked: {name} at {position:g}" for name, position in summary.locked.items()))
+    say(console, f"likely tips: {', '.join(summary.tips) or 'none'}", f"frames: {', '.join(summary.frames)}")
+    say(console, *(f"warning: {warning}" for warning in summary.warnings), style="yellow")
 
 
 def print_cross_check(console: Console, inspected: Inspected) -> None:
     """What another reader of the URDF makes of it, after `print_robot`."""
-    summary = inspected.summary
-    if summary.cross_check is not None and summary.cross_check.agrees:
-        worst = summary.cross_check.largest_difference
-        console.print(f"forward kinematics: agrees with yourdfpy to {worst:.1e}", highlight=False)
+    check = inspected.summary.cross_check
+    if check is not None and check.agrees:
+        say(console, f"forward kinematics: agrees with yourdfpy to {check.largest_difference:.1e}")
     else:
-        _print_warnings(console, summary.warnings[-1:])
-
-
-def _print_warnings(console: Console, warnings: Sequence[str]) -> None:
-    for warning in warnings:
-        console.print(f"[yellow]warning: {escape(warning)}[/yellow]", highlight=False)
+        say(console, *(f"warning: {warning}" for warning in inspected.summary.warnings[-1:]), style="yellow")
 
 
 def print_controlled(console: Console, controlled: Controlled, explain: bool = False) -> None:
     """One rollout: what was done in a sentence, the numbers, and what stood in the way."""
-    way, r = controlled.way, controlled.rollout
-    console.print(f"[bold]{escape(controlled.sentence)}[/bold]", highlight=False)
+    say(console, controlled.sentence, style="bold")
     if controlled.start:
-        console.print(f"start: {escape(controlled.start)} (another: --start)", highlight=False)
+        say(console, f"start: {controlled.start} (another: --start)")
     console.print(rollout_table({"rollout": controlled}, console.width))
-    print_words(console, ROLLOUT_TERMS if way is None else WAY_TERMS, explain)
-    if controlled.plan is not None:
-        print_plan(console, controlled.plan)
-    console.print(f"steps: {', '.join(f'{status} {n}' for status, n in r.status_counts.items())}", highlight=False)
-    for sentence in _obstacles(controlled):
-        console.print(f"[yellow]{escape(sentence)}[/yellow]", highlight=False)
-    if controlled.out is not None:
-        console.print(f"written: {escape(str(controlled.out))}", highlight=False, soft_wrap=True)
-
-
-def print_plan(console: Console, plan: Plan) -> None:
-    """What was planned, and why other postures were worse."""
-    console.print(f"plan: {escape(plan.sentence)}", highlight=False)
-    for other in plan.others[:MOST_OTHERS]:
-        console.print(f"  instead, margin {other.margin:.0%}: {escape(other.why)}", highlight=False)
-    console.print(f"  of {counted(plan.candidates, 'posture')} that take hold", highlight=False)
-    for note in plan.notes:
-        console.print(f"[yellow]{escape(note)}[/yellow]", highlight=False)
+    print_words(console, ROLLOUT_TERMS if controlled.way is None else WAY_TERMS, explain)
+    plan = controlled.plan
+    if plan is not None:
+        say(console, f"plan: {plan.sentence}")
+        say(console, *(f"  instead, margin {other.margin:.0%}: {other.why}" for other in plan.others[:MOST_OTHERS]))
+        say(console, f"  of {counted(plan.candidates, 'posture')} that take hold")
+        say(console, *plan.notes, style="yellow")
+    counts = controlled.rollout.status_counts
+    say(console, f"steps: {', '.join(f'{status} {n}' for status, n in counts.items())}")
+    say(console, *_obstacles(controlled), style="yellow")
+    say_file(console, "written", controlled.out)
 
 
 def _obstacles(controlled: Controlled) -> list[str]:
@@ -428,31 +403,24 @@ def print_audit(console: Console, audited: Audited, explain: bool = False) -> No
     table, hidden = audit_table(report.episodes[:MOST_ROWS], console.width)
     console.print(table)
     if hidden:
-        console.print(f"not shown for want of width: {', '.join(hidden)} (--csv FILE has all)", highlight=False)
+        say(console, f"not shown for want of width: {', '.join(hidden)} (--csv FILE has all)")
     if len(report.episodes) > MOST_ROWS:
-        console.print(f"and {len(report.episodes) - MOST_ROWS} better episodes (--csv FILE lists all)", highlight=False)
+        say(console, f"and {len(report.episodes) - MOST_ROWS} better episodes (--csv FILE lists all)")
     print_words(console, [t for t in AUDIT_TERMS if t.split(",")[0] not in hidden], explain)
-    left = report.leave_out
     threshold = f"robust z above {report.threshold:.1f}" if math.isfinite(report.threshold) else "too few to tell"
-    console.print(
-        f"[bold]leave out {len(left)} of {counted(len(report.episodes), 'episode')}[/bold] ({threshold})",
-        highlight=False,
-    )
-    for e in left:
-        console.print(
-            f"[red]{escape(e.episode)}[/red]: {escape('; '.join(e.reasons))}", highlight=False, soft_wrap=True
-        )
-    for note in report.notes:
-        console.print(f"[dim]note: {escape(note)}[/dim]", highlight=False)
-    if audited.out is not None:
-        console.print(f"written: {escape(str(audited.out))}", highlight=False, soft_wrap=True)
+    left_out = f"leave out {len(report.leave_out)} of {counted(len(report.episodes), 'episode')}"
+    console.print(Text.assemble((left_out, "bold"), f" ({threshold})"), highlight=False)
+    for e in report.leave_out:
+        reasons = Text.assemble(text(e.episode, "red"), text(f": {'; '.join(e.reasons)}"))
+        console.print(reasons, highlight=False, soft_wrap=True)
+    say(console, *(f"note: {note}" for note in report.notes), style="dim")
+    say_file(console, "written", audited.out)
 
 
 def print_replayed(console: Console, page: ReplayResult) -> None:
     """What was noticed, the file and its size."""
-    for note in page.notes:
-        console.print(f"note: {escape(note)}", highlight=False)
-    console.print(f"replay: {escape(str(page.html))} ({page.bytes / 1e6:.1f} MB)", highlight=False, soft_wrap=True)
+    say(console, *(f"note: {note}" for note in page.notes))
+    say_file(console, "replay", page.html, page.bytes)
 
 
 def print_reproduction(console: Console, reproduction: Reproduction) -> None:
@@ -460,30 +428,16 @@ def print_reproduction(console: Console, reproduction: Reproduction) -> None:
     for part, page in reproduction.pages.items():
         console.rule(part)
         console.print(Markdown(page))
-    if reproduction.out is not None:
-        console.print(f"written: {escape(str(reproduction.out))}", highlight=False, soft_wrap=True)
-
-
-def _readable(value: float) -> str:
-    """A ratio as a person reads it: 3,940, 12 or 2.7."""
-    return f"{value:,.0f}" if value >= 10 else f"{value:.2g}"
-
-
-def _share(value: float) -> str:
-    """A share in percent: 0.16 %, less than 0.001 %."""
-    return f"{100 * value:.2g} %" if value >= 1e-5 else "less than 0.001 %"
-
-
-def _limit(value: float) -> str:
-    return f"{value:.4g}" if math.isfinite(value) else "none"
+    say_file(console, "written", reproduction.out)
 
 
 def print_exported(console: Console, exported: Exported) -> None:
     """What was written, and what was noticed."""
-    for note in exported.notes:
-        console.print(f"note: {escape(note)}", highlight=False, soft_wrap=True)
+    say(console, *(f"note: {note}" for note in exported.notes), whole=True)
     for file in exported.files:
-        console.print(f"{exported.format}: {escape(str(file))}", highlight=False, soft_wrap=True)
-    console.print(
-        f"{counted(exported.trajectories, 'trajectory')}, {counted(exported.samples, 'sample')}", highlight=False
-    )
+        say_file(console, exported.format, file)
+    say(console, f"{counted(exported.trajectories, 'trajectory')}, {counted(exported.samples, 'sample')}")
+
+
+def _limit(value: float) -> str:
+    return f"{value:.4g}" if math.isfinite(value) else "none"

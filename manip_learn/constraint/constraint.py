@@ -19,7 +19,7 @@ from manip_learn.constraint.features.other_features import described_features
 from manip_learn.constraint.features.relative_frame_jacobian import RelativeFrameJacobian
 from manip_learn.constraint.mechanism import TURNING, Mechanism, named_rows, read_mechanism
 from manip_learn.errors import DAMAGE, ConstraintError, ConstraintMismatchError, ManipLearnError, spoken
-from manip_learn.linalg import along_axes, orthonormal_rows
+from manip_learn.linalg import along_axes, finite, orthonormal_rows
 from manip_learn.robot import html_card
 from manip_learn.robot.robot import Robot
 
@@ -58,6 +58,10 @@ class Constraint:
         features: Phi.
         provenance: How it was learnt; saved with it.
 
+    Attributes:
+        selection: Lambda, its rows orthonormal.
+        notes: What loading it from a file had to say, in sentences: joints that were locked, or are locked elsewhere.
+
     Raises:
         ConstraintError: Wrong size, not finite, no row left, or dependent rows.
 
@@ -75,6 +79,7 @@ class Constraint:
         self.selection.setflags(write=False)
         self._padded = features.padded(self.selection)
         self.provenance: dict[str, Any] = dict(provenance or {})
+        self.notes: tuple[str, ...] = ()
 
     @property
     def n_constraints(self) -> int:
@@ -207,6 +212,7 @@ class Constraint:
             "features": self.features.describe(),
             "row_names": list(self.features.row_names),
             "row_units": list(self.features.row_units),
+            "n_constraints": self.n_constraints,
             "selection": self.selection.tolist(),
             "provenance": self.provenance,
         }
@@ -227,11 +233,13 @@ class Constraint:
         Args:
             path: JSON file written by `save`.
             robot: The robot, loaded with the same locked joints.
-            same_urdf: Insist on the very same URDF. False accepts another version of the file with the same joints,
-                e.g. after a change of its visuals; whether its kinematics are the same is then yours to know.
+            same_urdf: Insist on the very same URDF, with joints locked at the same positions. False accepts another
+                version of the file with the same joints, e.g. after a change of its visuals; whether its kinematics
+                are the same is then yours to know, and `notes` of the constraint say which joints are locked elsewhere.
 
         Raises:
-            ConstraintMismatchError: Another robot, another schema, or no constraint file at all.
+            ConstraintMismatchError: Another robot, another schema, no constraint file at all, or rows that contradict
+                what the file says of them: their number, names, units, or that they are orthonormal.
         """
         return Constraint.from_dict(_read(Path(path)), robot, source=str(path), same_urdf=same_urdf)
 
@@ -248,11 +256,14 @@ class Constraint:
         _check_robot(source, content, robot, same_urdf)
         try:
             features = described_features(content["features"], robot)
-            return Constraint(content["selection"], features, content.get("provenance"))
+            constraint = Constraint(content["selection"], features, content.get("provenance"))
+            _check_rows(content, constraint)
         except DAMAGE as error:
             raise ConstraintMismatchError(f"{source}: the file is damaged ({error!r}); save it again") from error
         except ManipLearnError as error:
             raise ConstraintMismatchError(f"{source}: {error}") from error
+        constraint.notes = _locked_notes(content["robot"], robot)
+        return constraint
 
     def __repr__(self) -> str:
         return f"Constraint({self.rows_in_words()} of {self.features!r})"
@@ -335,6 +346,16 @@ def _check_robot(path: str, content: Mapping[str, Any], robot: Robot, same_urdf:
             f"{robot.name!r} has {', '.join(robot.joint_names)}: load that robot, with the same locked joints "
             "and objects"
         )
+    locked = saved.get("locked", {})
+    if not isinstance(locked, dict) or not all(type(x) in (int, float) for x in locked.values()):
+        raise ConstraintMismatchError(
+            f"{path} does not say where joints were locked: the file is damaged; save it again"
+        )
+    if same_urdf and saved.get("locked", robot.locked) != robot.locked:
+        raise ConstraintMismatchError(
+            f"{path} was made with {_in_words(saved['locked'])}, {robot.name!r} has {_in_words(robot.locked)}: "
+            "load the robot with joints locked at the same positions"
+        )
     if same_urdf and saved.get("fingerprint") != robot.fingerprint:
         raise ConstraintMismatchError(
             f"{path} was made for another version of robot {saved.get('name')!r} (hash "
@@ -344,3 +365,49 @@ def _check_robot(path: str, content: Mapping[str, Any], robot: Robot, same_urdf:
                 "learn it again, or name the description that it was learnt with",
             )
         )
+
+
+def _in_words(locked: Mapping[str, float]) -> str:
+    return ", ".join(f"{name} = {value:.4g}" for name, value in locked.items()) + " locked" if locked else "none locked"
+
+
+def _locked_notes(saved: Mapping[str, Any], robot: Robot) -> tuple[str, ...]:
+    """That joints are locked, where they were when the constraint was made or elsewhere."""
+    then = saved.get("locked", robot.locked)
+    if then != robot.locked:
+        return (f"the constraint was made with {_in_words(then)}, the robot has {_in_words(robot.locked)}",)
+    return (f"as when the constraint was made: {_in_words(then)}",) if then else ()
+
+
+NOT_EXACT = 1e-9  # of an entry of Lambda: rows written with ten digits are taken
+
+
+def _check_rows(content: Mapping[str, Any], constraint: Constraint) -> None:
+    """Refuse rows that contradict what the file says of them.
+
+    Raises:
+        ConstraintError: They do.
+    """
+    rows, features, kept = content["selection"], constraint.features, constraint.selection
+    for key, own in (("row_names", features.row_names), ("row_units", features.row_units)):
+        if content[key] != list(own):
+            what = key.replace("_", " ")
+            raise ConstraintError(f"its {what} are {content[key]}, those of its features {list(own)}: it is damaged")
+    postures = constraint.provenance.get("postures", [])
+    if _holds_truth([content["features"], postures]) or not all(type(x) in (int, float) for row in rows for x in row):
+        raise ConstraintError("something stands in the place of a number (true, false or text): it is damaged")
+    if len(rows) != content.get("n_constraints", len(rows)):
+        raise ConstraintError(f"it has {len(rows)} rows of Lambda and states {content['n_constraints']}: it is damaged")
+    if kept.shape != np.shape(rows) or np.max(np.abs(kept - rows)) > NOT_EXACT:
+        raise ConstraintError("the rows of Lambda are not orthonormal, as those of every saved constraint are")
+    robot = constraint.robot
+    if postures and robot is not None:
+        widths = {len(row) for row in postures}
+        if not widths <= {robot.nq, robot.nv} or finite(postures, len(postures), *widths) is None:
+            raise ConstraintError(f"the postures in which it was shown are not rows of {robot.nv} finite numbers")
+
+
+def _holds_truth(value: Any) -> bool:
+    """Whether true or false stands anywhere in it."""
+    inside = value.values() if isinstance(value, dict) else value if isinstance(value, list) else ()
+    return isinstance(value, bool) or any(map(_holds_truth, inside))

@@ -109,7 +109,9 @@ def gradient_from(
     mu = others[0] * values[0]
     floor = SINGULAR_RATIO * values[0] * others[-1]
     if values[-1] <= SINGULAR_RATIO * values[0]:
-        return mu, _cone_ascent(U[:, -1], Vt[s - 1 :], others[-1], vjp), floor
+        # a cone, mu(q + step) = |M step| prod_{j < s} sigma_j
+        rate, direction = _steepest(U[:, -1:].T, Vt[s - 1 :], vjp)
+        return mu, others[-1] * rate * direction, floor
     # W = sum_i others_i u_i v_i^T, so that the gradient is one vector-Jacobian product
     return mu, vjp((U * others).dot(Vt[:s])), floor
 
@@ -135,28 +137,22 @@ def escape_direction(decomposition: tuple[np.ndarray, np.ndarray, np.ndarray], v
     """
     U, sigma, Vt = decomposition
     rank = int(np.count_nonzero(sigma > SINGULAR_RATIO * sigma[0]))
-    M = np.stack([vjp(np.outer(u, v)) for u in U[:, rank:].T for v in Vt[rank:]])
-    _, rate, Wt = np.linalg.svd(M, full_matrices=False)
-    return _one_sign(Wt[0]) if rate[0] > 0.0 else np.zeros(M.shape[1])
+    rate, direction = _steepest(U[:, rank:].T, Vt[rank:], vjp)
+    return direction if rate > 0.0 else np.zeros_like(direction)
 
 
-def _cone_ascent(
-    u_min: Float[np.ndarray, " s"], V_null: Float[np.ndarray, "k nv"], scale: float, vjp: Vjp
-) -> Float[np.ndarray, " nv"]:
-    """Steepest ascent of mu at a singularity, where it is a cone: mu(q + step) = |M step| to first order.
+def _steepest(
+    lost: Float[np.ndarray, "r s"], null: Float[np.ndarray, "k nv"], vjp: Vjp
+) -> tuple[float, Float[np.ndarray, " nv"]]:
+    """Rate and direction of the steepest ascent of |M step|, M_rk = u_i^T (dA / dq_k) v_j for r = (i, j).
 
-        M_rk = scale * u_min^T (dA / dq_k) v_r,  scale = prod_{j < s} sigma_j,  v_r spanning the null space of A
-
-    The answer is the leading right singular vector of M times its singular value (docs/method.md, the gradient of mu).
+    They are the leading singular value and the right singular vector of M (docs/method.md, the gradient of mu); of two
+    opposite directions the one whose largest entry is positive.
     """
-    M = scale * np.stack([vjp(np.outer(u_min, v)) for v in V_null])
+    M = np.stack([vjp(np.outer(u, v)) for u in lost for v in null])
     _, rate, Wt = np.linalg.svd(M, full_matrices=False)
-    return rate[0] * _one_sign(Wt[0])
-
-
-def _one_sign(direction: Float[np.ndarray, " nv"]) -> Float[np.ndarray, " nv"]:
-    """Of two opposite directions the one whose largest entry is positive."""
-    return -direction if direction[np.argmax(np.abs(direction))] < 0.0 else direction
+    direction = Wt[0]
+    return float(rate[0]), -direction if direction[np.argmax(np.abs(direction))] < 0.0 else direction
 
 
 def penalised_manipulability(constraint: Constraint, q: ArrayLike) -> float:

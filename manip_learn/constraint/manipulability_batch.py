@@ -75,8 +75,9 @@ def manipulability_batch(
     in_threads(n, workers, fill or (lambda part: _in_bulk(constraint, postures, part, out, ill)))
     bad = np.flatnonzero(ill)
     if bad.size:
-        A, dA = _constraint_matrices(constraint, postures[bad])
-        out.mu[bad], out.gradient[bad], out.floor[bad] = _through_svd(A, dA)
+        Phi, dPhi = features.batch_with_derivative(postures[bad])
+        dA = np.einsum("sp,npjk->nsjk", constraint.selection, dPhi, optimize=True)
+        out.mu[bad], out.gradient[bad], out.floor[bad] = _through_svd(constraint.selection @ Phi, dA)
     return out
 
 
@@ -142,11 +143,6 @@ def row_inverses(
             Q[i] -= L[j, i] * Q[j]
         Q[i] /= safe[i]
     return Q, mu, ill
-
-
-def _constraint_matrices(constraint: Constraint, q: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    Phi, dPhi = constraint.features.batch_with_derivative(q)
-    return constraint.selection @ Phi, np.einsum("sp,npjk->nsjk", constraint.selection, dPhi, optimize=True)
 
 
 def _through_svd(A: np.ndarray, dA: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:

@@ -99,14 +99,14 @@ _TABLE: tuple[tuple[str, MechanismType, Orientation, str, str, str], ...] = (
 MECHANISM_KINDS: tuple[MechanismKind, ...] = tuple(
     MechanismKind(*row[:3], *(tuple(words.split()) for words in row[3:])) for row in _TABLE
 )
-
+KINDS = {kind.name: kind for kind in MECHANISM_KINDS}
 
 # rows of translation and of rotation stand apart where each is of one kind to this share: a row of a learnt Lambda
 # leaks by its uncertainty, 1e-2 at 0.6 degrees, and a row that mixes the two for good does so by 0.3 and more
 MIXED = 0.2
 # [m] an axis or a centre farther away is read as this far: the fit to positions decides how far it is
 FARTHEST_START = 5.0
-_ORIENTATIONS: dict[int, Orientation] = {0: "free", 2: "about-axis", 3: "fixed"}
+Z = np.array([0.0, 0.0, 1.0])  # the axis of what has none
 
 Read = tuple[MechanismKind, Place]
 
@@ -165,10 +165,6 @@ def rows_of(
     return FrameJacobian(robot, frame, axes), np.concatenate([rows[:, part] for part in used], axis=1)
 
 
-def _kind(kind: str, orientation: Orientation) -> MechanismKind | None:
-    return next((k for k in MECHANISM_KINDS if (k.type, k.orientation) == (kind, orientation)), None)
-
-
 def of_point_rows(
     selection: Float[np.ndarray, "s k"],
     immovable: Float[np.ndarray, "m k"],
@@ -189,22 +185,20 @@ def of_point_rows(
     normals, distances = rows[:, :3], rows[:, 3]
     far = float(np.linalg.norm(distances)) * FARTHEST_START < 1.0
     if held == 0:
-        kind, place = "held-orientation", Place(np.array([0.0, 0.0, 1.0]) if axis is None else axis, middle)
+        name, place = "", Place(Z if axis is None else axis, middle)
     elif held == 1:
         centre = middle - normals[0] * distances[0] / max(distances[0] ** 2, FARTHEST_START**-2)
-        normal = normals[0] / np.linalg.norm(normals[0])
-        kind, place = ("plane", Place(normal, middle)) if far else ("ball", Place(normal, centre))
+        name, place = "plane" if far else "ball", Place(_unit(normals[0]), middle if far else centre)
     elif far:
-        kind, place = "line", Place(np.cross(*normals) / np.linalg.norm(np.cross(*normals)), middle)
+        name, place = "line", Place(_unit(np.cross(*normals)), middle)
     else:
         along = distances[1] * normals[0] - distances[0] * normals[1]
-        centre = middle - distances @ normals / float(distances @ distances)
-        kind, place = "hinge", Place(along / np.linalg.norm(along), centre)
-    found = _kind(kind, _ORIENTATIONS[turns])
+        name, place = "hinge", Place(_unit(along), middle - distances @ normals / float(distances @ distances))
+    found = KINDS.get({0: name, 2: f"{name}, turning", 3: f"{name}, not turning"}[turns])
+    if held == 0:
+        found = {2: KINDS["direction"], 3: KINDS["orientation"]}.get(turns)
     turned = aligned and axis is not None and held and abs(float(axis @ place.axis)) < 1.0 - MIXED
-    if found is None or turned:
-        return None
-    return found, place
+    return None if found is None or turned else (found, place)
 
 
 def _rank(block: Float[np.ndarray, "s k"]) -> int | None:
@@ -217,41 +211,33 @@ def _rank(block: Float[np.ndarray, "s k"]) -> int | None:
 
 def of_twists(free: Float[np.ndarray, "k 6"], middle: Float[np.ndarray, " 3"]) -> Read | None:
     """From the twists (v, w) about m that are left free; every displacement is a screw (G. Chasles)."""
-    v, w = free[:, :3], free[:, 3:]
-    U, turning, axes = np.linalg.svd(w)
-    turns = int(np.count_nonzero(turning > MIXED))
-    U = U.T
-    spun, slid = U[:turns] @ free, U[turns:] @ free
-    slides = slid[:, :3]
-    if len(free) == 1 and turns == 0:
-        return _named("line", "fixed", Place(_unit(v[0]), middle))
-    if turns == 0 and len(free) == 2:
-        return _named("plane", "fixed", Place(_unit(np.cross(*slides)), middle))
-    if turns == 0:
-        return _named("held-orientation", "fixed", Place(np.array([0.0, 0.0, 1.0]), middle)) if len(free) == 3 else None
-    axis = axes[0]
-    if turns == 1:
-        across = spun[0, :3] / (spun[0, 3:] @ axis)
-        foot = middle + np.cross(axis, across)
-        if len(free) == 1:
-            return _named("screw", "carried", Place(axis, foot, float(across @ axis)))
-        along = np.linalg.norm(np.cross(slides, axis), axis=1)
-        if len(free) == 2 and along[0] < MIXED * np.linalg.norm(slides[0]):
-            return next(k for k in MECHANISM_KINDS if k.name == "sleeve, firm"), Place(axis, foot)
-        if len(free) == 3 and np.max(np.abs(slides @ axis)) < MIXED:
-            return _named("plane", "about-axis", Place(axis, middle))
-        return _named("held-orientation", "about-axis", Place(axis, middle)) if len(free) == 4 else None
-    if turns == 3 and len(free) == 3:
-        # v_i = w_i x (m - c) for all three
-        M = np.concatenate([skew(x) for x in spun[:, 3:]])
-        away = np.linalg.lstsq(M, spun[:, :3].reshape(-1), rcond=None)[0]
-        return _named("ball", "carried", Place(np.array([0.0, 0.0, 1.0]), middle - away))
+    U, turning, axes = np.linalg.svd(free[:, 3:])
+    turns, axis = int(np.count_nonzero(turning > MIXED)), axes[0]
+    spun, slides = U.T[:turns] @ free, (U.T[turns:] @ free)[:, :3]
+    match turns, len(free):
+        case 0, 1:
+            return KINDS["line, not turning"], Place(_unit(free[0, :3]), middle)
+        case 0, 2:
+            return KINDS["plane, not turning"], Place(_unit(np.cross(*slides)), middle)
+        case 0, 3:
+            return KINDS["orientation"], Place(Z, middle)
+        case 1, (1 | 2):
+            across = spun[0, :3] / (spun[0, 3:] @ axis)
+            foot = middle + np.cross(axis, across)
+            if len(slides) == 0:
+                return KINDS["screw, firm"], Place(axis, foot, float(across @ axis))
+            if np.linalg.norm(np.cross(slides[0], axis)) < MIXED * np.linalg.norm(slides[0]):
+                return KINDS["sleeve, firm"], Place(axis, foot)
+        case 1, 3 if np.max(np.abs(slides @ axis)) < MIXED:
+            return KINDS["plane, turning"], Place(axis, middle)
+        case 1, 4:
+            return KINDS["direction"], Place(axis, middle)
+        case 3, 3:  # v_i = w_i x (m - c) for all three
+            away = np.linalg.lstsq(np.concatenate([skew(x) for x in spun[:, 3:]]), spun[:, :3].reshape(-1), rcond=None)[
+                0
+            ]
+            return KINDS["ball, firm"], Place(Z, middle - away)
     return None
-
-
-def _named(kind: str, orientation: Orientation, place: Place) -> Read | None:
-    found = _kind(kind, orientation)
-    return None if found is None else (found, place)
 
 
 def _of_surface(
@@ -265,21 +251,20 @@ def _of_surface(
     C, foot = np.tensordot(side, B, axes=1), side @ n
     values, vectors = np.linalg.eigh(0.5 * (C + C.T))
     order = np.argsort(np.abs(values))
-    if abs(values[order[0]]) > MIXED * abs(values[order[1]]) or abs(values[order[1]] - values[order[2]]) > MIXED * abs(
-        values[order[2]]
-    ):
+    along, one, other = values[order]
+    if abs(along) > MIXED * abs(one) or abs(one - other) > MIXED * abs(other):
         return None
-    axis, size = vectors[:, order[0]], float(values[order[1:]].mean())
+    axis, size = vectors[:, order[0]], 0.5 * float(one + other)
     point = middle - (foot - (foot @ axis) * axis) / size
     if len(selection) == 1:
-        return _named("other", "free", Place(axis, point))
+        return KINDS["cylinder"], Place(axis, point)
     if len(selection) != 2 or sizes[0] < MIXED:
         return None
     # the other row is that of rho^2 a - h a x (p - c)
     T = np.tensordot(U[:, 0], B, axes=1)
     turn = 0.5 * np.array([T[2, 1] - T[1, 2], T[0, 2] - T[2, 0], T[1, 0] - T[0, 1]])
     square = float(np.mean(np.sum(np.cross(p - point, axis) ** 2, axis=1)))
-    return _named("screw", "free", Place(axis, point, square * float(turn @ axis) / float(U[:, 0] @ n @ axis)))
+    return KINDS["screw"], Place(axis, point, square * float(turn @ axis) / float(U[:, 0] @ n @ axis))
 
 
 def _unit(x: Float[np.ndarray, " 3"]) -> Float[np.ndarray, " 3"]:
@@ -365,9 +350,7 @@ class Mechanism:
         return hash((self.type, self.name))
 
     def __reduce__(self):
-        # a read-only view of a dictionary cannot be pickled
-        values = (self.type, self.axis, self.point, self.radius, self.pitch, self.grip, self.orientation)
-        return Mechanism, (*values, dict(self.uncertainty), self.arc, self.name)
+        return Mechanism.from_dict, (self.to_dict(),)  # a read-only view of a dictionary cannot be pickled
 
     @property
     def sentence(self) -> str:
@@ -397,28 +380,20 @@ class Mechanism:
 
     def to_dict(self) -> dict[str, Any]:
         """Type, axis, point, radius, pitch and uncertainty, and how the hand is held, ready for JSON."""
-        return {
-            "type": self.type,
-            "axis": None if self.axis is None else self.axis.tolist(),
-            "point": None if self.point is None else self.point.tolist(),
-            "radius": self.radius,
-            "pitch": self.pitch,
-            "grip": self.grip,
-            "orientation": self.orientation,
-            "arc": self.arc,
-            "uncertainty": dict(self.uncertainty),
-            "name": self.name,
-            "sentence": self.sentence,
-        }
+        values = {name: getattr(self, name) for name in _FIELDS}
+        plain = {name: x.tolist() if isinstance(x, np.ndarray) else x for name, x in values.items()}
+        return plain | {"uncertainty": dict(self.uncertainty), "sentence": self.sentence}
 
     @staticmethod
     def from_dict(described: Mapping[str, Any]) -> Mechanism:
         """What `to_dict` wrote."""
-        kept = ("type", "axis", "point", "radius", "pitch", "grip", "orientation", "uncertainty", "arc", "name")
-        return Mechanism(**{name: described[name] for name in kept if name in described})
+        return Mechanism(**{name: described[name] for name in _FIELDS if name in described})
 
     def __str__(self) -> str:
         return self.sentence
+
+
+_FIELDS = tuple(field.name for field in dataclasses.fields(Mechanism))
 
 
 def in_words(vector: np.ndarray | None) -> str:
@@ -502,12 +477,12 @@ def named_rows(
     mechanism: Mechanism | None, features: FeatureMap, selection: Float[np.ndarray, "s p"]
 ) -> tuple[FeatureMap, Float[np.ndarray, "s r"]]:
     """Phi and Lambda of rows that are named after the mechanism, in the place of those of `PlaceRows`."""
-    kind = next((k for k in MECHANISM_KINDS if mechanism is not None and k.name == mechanism.name), None)
+    kind = None if mechanism is None else KINDS.get(mechanism.name)
     if mechanism is None or kind is None or not isinstance(features, PlaceRows):
         return features, selection
-    axis = np.array([0.0, 0.0, 1.0]) if mechanism.axis is None else mechanism.axis
+    axis = Z if mechanism.axis is None else mechanism.axis
     point = features.middle if mechanism.point is None else mechanism.point
-    place = Place(axis / np.linalg.norm(axis), point, mechanism.pitch or 0.0)
+    place = Place(_unit(axis), point, mechanism.pitch or 0.0)
     return rows_of(kind, place, mechanism.radius, features.robot, features.frame.name)
 
 
@@ -545,4 +520,4 @@ def _hinge_or_screw(read: Read, hand: Float[np.ndarray, " 3"], spread: float) ->
     radius = float(np.linalg.norm(place.point - hand))
     if kind.name != "screw, firm" or abs(place.pitch) >= max(LEAST_PITCH, 3.0 * spread * math.hypot(1.0, radius)):
         return read
-    return next(k for k in MECHANISM_KINDS if k.name == "hinge, firm"), place
+    return KINDS["hinge, firm"], place

@@ -78,7 +78,16 @@ def describe(
     """What can move and what is blocked; what it looks like; how sure it is: up to three sentences."""
     names = [n for n, u in zip(features.row_names, used, strict=True) if u]
     held = "blocked" if kind == "motion-constrained" else "steered on purpose"
-    sentences = [f"{_subject(features)} {_freedom(free[:, used], names, features, held, mechanism)}."]
+    match features:
+        case RelativeFrameJacobian():
+            subject = f"Seen from {features.relative_to.name!r}, the tip"
+        case FrameJacobian(reference="local"):
+            subject = "In its own axes, the tip"
+        case FrameJacobian() | WeighedVelocity():
+            subject = "The tip"
+        case _:
+            subject = "The centre of mass" if isinstance(features, CentreOfMass) else "The motion"
+    sentences = [f"{subject} {_freedom(free[:, used], names, features, held, mechanism)}."]
     told = said_by_rows(mechanism, features.row_names, getattr(features, "reference", None), free)
     if mechanism is not None:
         words = LOOKS[mechanism.type]
@@ -129,16 +138,6 @@ def known_to(uncertainty_deg: float | None, mechanism: Mechanism | None = None, 
     sure = [(w, error_in_words(value, unit)) for w, value, unit in known if unit != "degrees" or value <= NOT_AN_ANGLE]
     said = [f"{what} {'to' if k else 'known to'} {amount}" for k, (what, amount) in enumerate(sure)]
     return listed([*said, *lost]) if known else ""
-
-
-def _subject(features: FeatureMap) -> str:
-    if isinstance(features, RelativeFrameJacobian):
-        return f"Seen from {features.relative_to.name!r}, the tip"
-    if isinstance(features, FrameJacobian):
-        return "The tip" if features.reference == "world" else "In its own axes, the tip"
-    if isinstance(features, WeighedVelocity):
-        return "The tip"
-    return "The centre of mass" if isinstance(features, CentreOfMass) else "The motion"
 
 
 def _freedom(

@@ -300,7 +300,8 @@ class CompiledController:
                 u[row], mu[row], code[row] = command.velocity, command.manipulability, STATUSES.index(command.status)
                 error[row] = self.controller.task_error(q[row], row * dt)
                 if bounded:
-                    before[:], state[nv] = command.velocity, next_slide(float(state[nv]), command, dt)
+                    stalls = command.status is Status.STALLED
+                    before[:], state[nv] = command.velocity, next_slide(state[nv], stalls, command.progress, dt)
                 if row + 1 < T:
                     q[row + 1] = next_posture(None, self.controller, q[row], row * dt, dt, method, command.velocity)
                 row += 1

@@ -192,7 +192,7 @@ RETURN_SPEED = 0.25
 
 @final
 class Approach(NamedTuple):
-    """How fast one joint may approach a position limit, see `limits.Limits`.
+    """How fast one joint may approach a position limit, see `Limits`.
 
     Attributes:
         free: Distance from which every speed is allowed.
@@ -212,15 +212,9 @@ class Approach(NamedTuple):
     half: float
     fastest: float
 
-    def speed(self, distance: float) -> float:
-        """brake(d); negative outside, where the joint returns."""
-        if distance <= self.linear:
-            return max(self.rate * distance, -self.fastest)
-        return math.sqrt(self.half * self.half + self.twice * (distance - self.offset)) - self.half
-
 
 def approach_of(velocity: float, acceleration: float, dt: float) -> Approach:
-    """The constants of a joint: value and slope of brake(d) are continuous at d1."""
+    """The constants of a joint: value and slope of brake(d) are continuous at d1. Compiled, too, as it stands."""
     acceleration = BRAKING_SHARE * acceleration
     rate = min(APPROACH_RATE, 0.5 / dt)
     v = min(velocity, 1e6)
@@ -233,6 +227,14 @@ def approach_of(velocity: float, acceleration: float, dt: float) -> Approach:
     offset = linear - joined * (joined + acceleration * dt) / twice
     free = v / rate if v <= joined else offset + v * (v + acceleration * dt) / twice
     return Approach(free, rate, linear, offset, twice, half, fastest)
+
+
+def approach_speed(approach: Approach, distance: float) -> float:
+    """brake(d); negative outside, where the joint returns. Compiled, too, as it stands."""
+    if distance <= approach.linear:
+        return max(approach.rate * distance, -approach.fastest)
+    half = approach.half
+    return math.sqrt(half * half + approach.twice * (distance - approach.offset)) - half
 
 
 # [1/s] default acceleration limit over velocity limit: a joint reaches its full speed in 0.2 s
@@ -449,9 +451,9 @@ class Limits:
             if bottom <= y <= top:  # far from its limits
                 continue
             below, above, approach = y - lower[j], upper[j] - y, approaches.joints[j]
-            if above < approach.free and (fastest := approach.speed(above)) < high[j]:
+            if above < approach.free and (fastest := approach_speed(approach, above)) < high[j]:
                 high[j], high_cause[j] = fastest, POSITION
-            if below < approach.free and (fastest := approach.speed(below)) < speeds[j]:
+            if below < approach.free and (fastest := approach_speed(approach, below)) < speeds[j]:
                 low[j], low_cause[j] = -fastest, POSITION
             if below < 0.0 or above < 0.0:
                 outside = max(outside, -below, -above)

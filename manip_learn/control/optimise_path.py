@@ -8,7 +8,7 @@ from importlib.util import find_spec
 from typing import Any, NamedTuple, final
 
 import numpy as np
-from jaxtyping import Float, Int
+from jaxtyping import Bool, Float
 from numpy.typing import ArrayLike
 from scipy.interpolate import CubicSpline
 
@@ -22,6 +22,7 @@ from manip_learn.control.simulation import simulate
 from manip_learn.control.tasks import FreeDirection, Task
 from manip_learn.control.way import farthest_off, places_of
 from manip_learn.errors import ConfigurationError, FeatureError, MissingExtraError
+from manip_learn.linalg import finite
 from manip_learn.robot.batch.postures import unwound
 from manip_learn.robot.robot import Robot
 
@@ -45,31 +46,6 @@ class JointBounds(NamedTuple):
     upper: Float[np.ndarray, " nv"]
     velocity: Float[np.ndarray, " nv"]
     acceleration: Float[np.ndarray, " nv"]
-
-
-@final
-class Triplets(NamedTuple):
-    """Places of the entries of a sparse matrix that may differ from zero."""
-
-    rows: Int[np.ndarray, " z"]
-    columns: Int[np.ndarray, " z"]
-
-
-@final
-class Derivatives(NamedTuple):
-    """Constraint matrix and task velocity at the midpoints, with their derivatives.
-
-    Attributes:
-        A: A(q), shape (K, s, nv).
-        dA: dA/dq, shape (K, s, nv, nv).
-        b: b(q, t), shape (K, s).
-        db: db/dq, shape (K, s, nv).
-    """
-
-    A: Float[np.ndarray, "K s nv"]
-    dA: Float[np.ndarray, "K s nv nv"]
-    b: Float[np.ndarray, "K s"]
-    db: Float[np.ndarray, "K s nv"]
 
 
 @final
@@ -111,12 +87,13 @@ class PathProblem:
         self.size = knots * (self.n + 1)
         # rows that bound nothing would cost the solver as much as those that do
         self._accelerates = bool(np.all(np.isfinite(bounds.acceleration)))
-        self._known: tuple[bytes, Derivatives] | None = None
+        self._known: tuple[bytes, tuple[np.ndarray, ...]] = (b"", ())
+        # changes of velocity from knot to knot, in a row of postures without the fixed first one
+        steps = np.eye(knots) - np.eye(knots, k=-1)
+        changes = steps[1:] - steps[:-1]
+        self._moves = np.kron(steps, np.eye(self.n))
+        self._changes = np.kron(changes, np.eye(self.n))
         self._smoothing = SMOOTHNESS / (knots * h * h)
-        self.jacobian_places = self._jacobian_places()
-        self.hessian_places = self._hessian_places()
-
-    # ---- the variables --------------------------------------------------------------------------------------------
 
     def packed(self, q: Float[np.ndarray, "K nv"]) -> Float[np.ndarray, " size"]:
         """The variables from postures, with the task at its full speed."""
@@ -139,8 +116,6 @@ class PathProblem:
         high = np.concatenate([np.zeros(K * self.s), speed, change if self._accelerates else change[:0]])
         return -high, high
 
-    # ---- objective ------------------------------------------------------------------------------------------------
-
     def objective(self, x: Float[np.ndarray, " size"]) -> float:
         """What is minimised."""
         q, scale = self.postures(x), x[self.knots * self.n :]
@@ -152,20 +127,15 @@ class PathProblem:
     def gradient(self, x: Float[np.ndarray, " size"]) -> Float[np.ndarray, " size"]:
         """Gradient of `objective`."""
         q = self.postures(x)
-        out = -self._log_gradient(q[1:]) / self.knots
-        change = self._smoothing * np.diff(q, 2, axis=0)
-        out[1:] += change
-        out[:-1] -= 2.0 * change
-        out[:-2] += change[1:]
-        return np.concatenate([out.reshape(-1), np.full(self.knots, -SLOWNESS / self.knots)])
+        out = -self._log_gradient(q[1:]).reshape(-1) / self.knots
+        out += self._smoothing * self._changes.T @ np.diff(q, 2, axis=0).reshape(-1)
+        return np.concatenate([out, np.full(self.knots, -SLOWNESS / self.knots)])
 
     def _log_gradient(self, q: Float[np.ndarray, "m nv"]) -> Float[np.ndarray, "m nv"]:
         """Gradient of log sqrt(mu^2 + floor^2) = mu grad mu / (mu^2 + floor^2), 0 at a singularity."""
         batch = manipulability_batch(self.constraint, q)
         mu = batch.mu
         return (mu / (mu**2 + self.floor**2))[:, None] * batch.gradient
-
-    # ---- constraints ----------------------------------------------------------------------------------------------
 
     def constraints(self, x: Float[np.ndarray, " size"]) -> Float[np.ndarray, " rows"]:
         """The task between the knots, displacements from knot to knot, and their changes."""
@@ -179,50 +149,70 @@ class PathProblem:
             parts.append(np.diff(step, axis=0).reshape(-1))
         return np.concatenate(parts)
 
-    def jacobian(self, x: Float[np.ndarray, " size"]) -> Float[np.ndarray, " z"]:
-        """Entries of the Jacobian of `constraints` at `jacobian_places`."""
+    def jacobian(self, x: Float[np.ndarray, " size"]) -> Float[np.ndarray, "rows size"]:
+        """Jacobian of `constraints`."""
         q, scale, h = self.postures(x), x[self.knots * self.n :], self.h
         A, dA, b, db = self._derivatives(x)
         bend = 0.5 * (np.einsum("kijl,kj->kil", dA, np.diff(q, axis=0)) - h * scale[:, None, None] * db)
-        K, n = self.knots, self.n
-        parts = [(A + bend), (bend - A)[1:], -h * b, np.ones(K * n), -np.ones((K - 1) * n)]
-        if self._accelerates:
-            parts += [np.full((K - 1) * n, 1.0), np.full((K - 1) * n, -2.0), np.full((K - 2) * n, 1.0)]
-        return np.concatenate([p.reshape(-1) for p in parts])
+        return self._jacobian_of(A + bend, bend - A, -h * b)
+
+    def _jacobian_of(self, right: np.ndarray, left: np.ndarray, speed: np.ndarray) -> Float[np.ndarray, "rows size"]:
+        """From the blocks along the knot after each step, the one before it, and the speed of the task."""
+        K, n, k = self.knots, self.n, np.arange(self.knots)
+        task = np.zeros((K, self.s, K + 1, n))  # the first posture is no variable
+        task[k, :, k + 1], task[k, :, k] = right, left
+        speeds = np.zeros((K, self.s, K))
+        speeds[k, :, k] = speed
+        rows = [task[:, :, 1:].reshape(K * self.s, K * n), self._moves, *([self._changes] if self._accelerates else [])]
+        out = np.zeros((sum(map(len, rows)), self.size))
+        out[:, : K * n] = np.concatenate(rows)
+        out[: K * self.s, K * n :] = speeds.reshape(K * self.s, K)
+        return out
 
     def hessian(
         self, x: Float[np.ndarray, " size"], weight: float, multipliers: Float[np.ndarray, " rows"]
-    ) -> Float[np.ndarray, " z"]:
-        """Entries of weight * d2 objective + sum multipliers * d2 constraints at `hessian_places`, upper triangle.
+    ) -> Float[np.ndarray, "size size"]:
+        """weight * d2 objective + sum multipliers * d2 constraints, the upper triangle.
 
         The objective's by differences of its exact gradient; of the constraints the terms in dA/dq, without those in
         the second derivatives of A and b, which the step of time makes small.
         """
-        q, K, n = self.postures(x), self.knots, self.n
+        q, K = self.postures(x), self.knots
         _, dA, _, db = self._derivatives(x)
         lam = multipliers[: K * self.s].reshape(K, self.s)
         M = np.einsum("ki,kijl->kjl", lam, dA)
-        transposed = M.transpose(0, 2, 1)
-        blocks = -weight / K * self._log_hessian(q[1:]) + 0.5 * (M + transposed)
-        blocks[:-1] -= 0.5 * (M + transposed)[1:]
-        neighbours = (-0.5 * (M - transposed))[1:]  # (left, right): the transpose of (right, left)
+        own = 0.5 * (M + M.transpose(0, 2, 1))
+        blocks = -weight / K * self._log_hessian(q[1:]) + own
+        blocks[:-1] -= own[1:]
         cross = -0.5 * self.h * np.einsum("ki,kil->kl", lam, db)
-        smooth = weight * self._smoothing
-        own = np.concatenate([[5.0], np.full(max(K - 3, 0), 6.0), [5.0, 1.0]])[-K:] if K > 2 else np.array([4.0, 1.0])
-        blocks += smooth * own[:, None, None] * np.eye(n)
-        first = np.concatenate([np.full(max(K - 2, 0), -4.0), [-2.0]])
-        neighbours += smooth * first[:, None, None] * np.eye(n)
-        upper = np.triu_indices(n)
-        second = np.full((K - 2) * n, smooth)
-        parts = (blocks[:, upper[0], upper[1]], neighbours, second, cross, cross[1:])
-        return np.concatenate([p.reshape(-1) for p in parts])
+        return self._hessian_of(blocks, 0.5 * (M.transpose(0, 2, 1) - M)[1:], cross, weight * self._smoothing)
 
-    # ---- internals ------------------------------------------------------------------------------------------------
+    def _hessian_of(
+        self, blocks: np.ndarray, neighbours: np.ndarray, cross: np.ndarray, smooth: float
+    ) -> Float[np.ndarray, "size size"]:
+        """From the blocks of each knot, of each and the next, and of a step's two knots with the speed of the task."""
+        K, n, k = self.knots, self.n, np.arange(self.knots)
+        postures, speeds = np.zeros((K, n, K, n)), np.zeros((K + 1, n, K))
+        postures[k, :, k] = blocks
+        postures[k[:-1], :, k[1:]] = neighbours
+        speeds[k, :, k] = cross
+        speeds[k + 1, :, k] = cross
+        out = np.zeros((self.size, self.size))
+        out[: K * n, : K * n] = postures.reshape(K * n, K * n) + smooth * self._changes.T @ self._changes
+        out[: K * n, K * n :] = speeds[1:].reshape(K * n, K)
+        return np.triu(out)
 
-    def _derivatives(self, x: np.ndarray) -> Derivatives:
-        """A, dA/dq, b and db/dq at the midpoints; the solver asks for both matrices at the same place."""
+    def patterns(self) -> tuple[Bool[np.ndarray, "rows size"], Bool[np.ndarray, "size size"]]:
+        """Which entries of the Jacobian and of the Hessian can be other than zero."""
+        K, n = self.knots, self.n
+        block = np.ones((K, self.s, n))
+        hessian = self._hessian_of(np.ones((K, n, n)), np.ones((K - 1, n, n)), np.ones((K, n)), 1e-3)
+        return self._jacobian_of(block, block, block[:, :, 0]) != 0.0, hessian != 0.0
+
+    def _derivatives(self, x: np.ndarray) -> tuple[np.ndarray, ...]:
+        """A (K, s, nv), dA/dq, b (K, s) and db/dq at the midpoints; the solver asks for both matrices at one place."""
         key = x.tobytes()
-        if self._known is not None and self._known[0] == key:
+        if self._known[0] == key:
             return self._known[1]
         q, Lambda = self.postures(x), self.constraint.selection
         middle = 0.5 * (q[1:] + q[:-1])
@@ -234,7 +224,7 @@ class PathProblem:
             moved[:, j] += STEP
             db[:, :, j] = (self._velocities(moved) - b) / STEP
         dA = np.einsum("sp,kpjl->ksjl", Lambda, dPhi, optimize=True)
-        self._known = key, Derivatives(Lambda @ Phi, dA, b, db)
+        self._known = key, (Lambda @ Phi, dA, b, db)
         return self._known[1]
 
     def _velocities(self, q: np.ndarray) -> np.ndarray:
@@ -247,31 +237,6 @@ class PathProblem:
         gradients = self._log_gradient(np.vstack([q, moved]))
         H = (gradients[K:].reshape(K, n, n) - gradients[:K, None]) / STEP
         return 0.5 * (H + H.transpose(0, 2, 1))
-
-    def _jacobian_places(self) -> Triplets:
-        K, n, s = self.knots, self.n, self.s
-        k, i, j = (a.reshape(-1) for a in np.indices((K, s, n)))
-        right, left = (k * s + i, k * n + j), ((k * s + i)[s * n :], (k * n + j)[s * n :] - n)
-        speed = (np.arange(K * s), K * n + np.repeat(np.arange(K), s))
-        z, moves, changes = np.arange(K * n), K * s, K * s + K * n
-        places = [right, left, speed, (moves + z, z), (moves + z[n:], z[:-n])]
-        if self._accelerates:
-            y = np.arange((K - 1) * n)  # change of step k: q_{k+2} - 2 q_{k+1} + q_k, where q_0 is fixed
-            places += [(changes + y, y + n), (changes + y, y), (changes + y[n:], y[:-n])]
-        return Triplets(np.concatenate([p[0] for p in places]), np.concatenate([p[1] for p in places]))
-
-    def _hessian_places(self) -> Triplets:
-        K, n = self.knots, self.n
-        a, b = np.triu_indices(n)
-        start = np.arange(K)[:, None] * n
-        blocks = ((start + a).reshape(-1), (start + b).reshape(-1))
-        k, i, j = (x.reshape(-1) for x in np.indices((K - 1, n, n)))
-        z = np.arange((K - 2) * n)
-        kk, jj = (x.reshape(-1) for x in np.indices((K, n)))
-        cross = (kk * n + jj, K * n + kk)
-        cross_left = (cross[0][n:] - n, cross[1][n:])
-        places = [blocks, (k * n + i, (k + 1) * n + j), (z, z + 2 * n), cross, cross_left]
-        return Triplets(np.concatenate([p[0] for p in places]), np.concatenate([p[1] for p in places]))
 
 
 @cache
@@ -328,12 +293,12 @@ def solve(
     dense, function = casadi.Sparsity.dense, _evaluations()
     x, g, one, none = dense(size, 1), dense(rows, 1), dense(1, 1), dense(0, 1)
 
-    def sparse(places: Triplets, shape: tuple[int, int]) -> tuple[Any, Callable[[np.ndarray], Any]]:
-        order = np.lexsort((places.rows, places.columns))  # CasADi's order, by columns
-        sparsity = casadi.Sparsity.triplet(*shape, places.rows[order].tolist(), places.columns[order].tolist())
-        return sparsity, lambda entries: casadi.DM(sparsity, entries[order])
+    def sparse(pattern: np.ndarray) -> tuple[Any, Callable[[np.ndarray], Any]]:
+        columns, places = np.nonzero(pattern.T)  # CasADi's order, by columns
+        sparsity = casadi.Sparsity.triplet(len(pattern), size, places.tolist(), columns.tolist())
+        return sparsity, lambda matrix: casadi.DM(sparsity, matrix[places, columns])
 
-    (J, jacobian), (H, hessian) = sparse(p.jacobian_places, (rows, size)), sparse(p.hessian_places, (size, size))
+    (J, jacobian), (H, hessian) = map(sparse, p.patterns())
     here, there = {"x": x, "p": none}, {"f": one, "g": g}
     weighted, upper = {**here, "lam_f": one, "lam_g": g}, {"triu_hess_gamma_x_x": H}
     options = {
@@ -466,18 +431,15 @@ def optimise_path(
     _check(constraint, knots, duration, dt)
     rows = task.rows(constraint)
     controller_of = law or (lambda policy: ResolvedRateController(constraint, task, policy, dt=dt))
-    posture = _posture(constraint, q0)
-    start = _positions(constraint, posture)
-    rng = rng or np.random.default_rng(0)
-    random = _random_postures(constraint, start, rng)
+    posture, start, random, bounds = _system(constraint, q0, acceleration_limit, rng or np.random.default_rng(0))
     floor = FLOOR_RATIO * max(float(np.median(manipulability_batch(rows, random).mu)), np.finfo(np.float64).tiny)
 
     def run(policy: NullSpacePolicy) -> _Candidate:
         rollout = simulate(constraint.robot, controller_of(policy), posture, duration, dt)
-        return _Candidate(rollout, _score(rows, rollout, floor))
+        mu = manipulability_batch(rows, rollout.q).mu
+        return _Candidate(rollout, float(np.mean(0.5 * np.log(mu**2 + floor**2))))
 
     greedy = run(ManipulabilityAscent(rows, gain))
-    bounds = _bounds(constraint, start.shape[0], acceleration_limit)
     problem = PathProblem(rows, task, start, duration / knots, knots, bounds, floor)
     pull = 4.0 / duration
     tried = [run(JointAttractor(goal, pull, constraint.robot)) for goal in random[:guesses]]
@@ -489,7 +451,7 @@ def optimise_path(
 
 @final
 class _Candidate(NamedTuple):
-    """A rollout and its mean of bounded log mu."""
+    """A rollout and its mean over time of log sqrt(mu^2 + floor^2)."""
 
     rollout: Rollout
     score: float
@@ -510,12 +472,6 @@ def _optimised(problem: PathProblem, starts: list[_Candidate]) -> list[PathPolic
     return policies
 
 
-def _score(constraint: Constraint, rollout: Rollout, floor: float) -> float:
-    """Mean over time of log sqrt(mu^2 + floor^2)."""
-    mu = manipulability_batch(constraint, rollout.q).mu
-    return float(np.mean(0.5 * np.log(mu**2 + floor**2)))
-
-
 def _serves(candidate: _Candidate, greedy: _Candidate, task: Task) -> bool:
     """Whether a candidate comes as close to its goal as the greedy law does: on average and in the end, and, on a
     way, no farther from what holds the hand.
@@ -533,35 +489,24 @@ def _strays(task: Task, rollout: Rollout) -> float:
     return farthest_off(task, rollout, places_of(task, rollout)) if isinstance(task, FreeDirection) else 0.0
 
 
-def _posture(constraint: Constraint, q0: ArrayLike) -> Float[np.ndarray, " n"]:
-    if constraint.robot is not None:
-        return constraint.robot.checked_posture(q0)
-    vector = np.array(q0, dtype=np.float64)
-    if vector.shape != (constraint.nv,) or not np.all(np.isfinite(vector)):
-        raise ConfigurationError(f"the start must be {constraint.nv} finite numbers, got {vector.tolist()}")
-    return vector
-
-
-def _positions(constraint: Constraint, q: Float[np.ndarray, " n"]) -> Float[np.ndarray, " nv"]:
-    return q if constraint.robot is None else constraint.robot.positions(q)
-
-
-def _random_postures(constraint: Constraint, start: np.ndarray, rng: np.random.Generator) -> Float[np.ndarray, "m nv"]:
-    robot = constraint.robot
-    if robot is None:
-        return start + rng.uniform(-np.pi, np.pi, (SAMPLES, start.shape[0]))
-    return np.array([robot.positions(robot.random_configuration(rng)) for _ in range(SAMPLES)])
-
-
-def _bounds(constraint: Constraint, n: int, acceleration: ArrayLike | None) -> JointBounds:
-    infinite = np.full(n, np.inf)
-    a = infinite if acceleration is None else np.broadcast_to(np.asarray(acceleration, dtype=np.float64), (n,))
+def _system(
+    constraint: Constraint, q0: ArrayLike, acceleration: ArrayLike | None, rng: np.random.Generator
+) -> tuple[Float[np.ndarray, " n"], Float[np.ndarray, " nv"], Float[np.ndarray, "m nv"], JointBounds]:
+    """The start, its joint positions, random ones, and bounds: of a robot, or of a system whose state is a vector."""
+    robot, nv = constraint.robot, constraint.nv
+    infinite = np.full(nv, np.inf)
+    a = infinite if acceleration is None else np.broadcast_to(np.asarray(acceleration, dtype=np.float64), (nv,))
     if not np.all(a > 0.0):
         raise ConfigurationError(f"acceleration limits must be positive, got {a.tolist()}")
-    robot = constraint.robot
-    if robot is None:
-        return JointBounds(-infinite, infinite, infinite, a)
-    return JointBounds(robot.position_lower, robot.position_upper, SPARE_SPEED * robot.velocity_limit, a)
+    if robot is not None:
+        start = robot.checked_posture(q0)
+        random = np.array([robot.positions(robot.random_configuration(rng)) for _ in range(SAMPLES)])
+        bounds = JointBounds(robot.position_lower, robot.position_upper, SPARE_SPEED * robot.velocity_limit, a)
+        return start, robot.positions(start), random, bounds
+    if (start := finite(q0, nv)) is None:
+        raise ConfigurationError(f"the start must be {nv} finite numbers, got {q0!r}")
+    random = start + rng.uniform(-np.pi, np.pi, (SAMPLES, nv))
+    return start, start, random, JointBounds(-infinite, infinite, infinite, a)
 
 
 def _check(constraint: Constraint, knots: int, duration: float, dt: float) -> None:

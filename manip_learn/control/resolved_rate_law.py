@@ -17,14 +17,14 @@ from manip_learn.constraint.features.feature_map import Vjp
 from manip_learn.constraint.manipulability import SINGULAR_RATIO, manipulability_of
 from manip_learn.constraint.small_matrices import row_inverse, svd
 from manip_learn.control.bounded_velocity import BoundedVelocity, Desired
-from manip_learn.control.command import Command, Status
-from manip_learn.control.limits import ACCELERATION, POSITION, VELOCITY, Bounds, Limits
+from manip_learn.control.command import STATUSES, Command, Status
+from manip_learn.control.compiled import step_table as table
+from manip_learn.control.limits import ACCELERATION, Bounds, Limits
 from manip_learn.control.policies import ManipulabilityAscent, NullSpacePolicy, SampledPolicy, WeightedPolicies
 from manip_learn.control.singularity import (
-    APPROACH_RATE,
-    BRAKING_SHARE,
     Decomposition,
     escape_velocity,
+    is_fast,
     pressed_damping,
     seed_speed,
     smallest_gradient,
@@ -47,11 +47,6 @@ GOING_ON = 0.5
 AT_GOAL = 1e-6
 # a task is slowed down where less than this share of its velocity is commanded
 SCALED_BELOW = 0.999
-SLOWED = {
-    POSITION: Status.POSITION_LIMITED,
-    VELOCITY: Status.VELOCITY_LIMITED,
-    ACCELERATION: Status.ACCELERATION_LIMITED,
-}
 
 
 @final
@@ -104,16 +99,51 @@ def _unit(size: int) -> Float[np.ndarray, "n n"]:
 
 def plain_command(law: Law, velocity: Float[np.ndarray, " nv"], damped: bool, outside: float = 0.0) -> Command:
     """The command where no limit changes the law."""
-    progress, status, lost = 1.0, Status.OK, _direction_lost(law)
-    if damped or lost:
-        progress, status = _progress(law, velocity), Status.DAMPED
-        if progress < STALLED_BELOW:
-            status = Status.STALLED
-    if lost:
-        status = Status.SINGULAR
-    if outside > 0.0:
-        status = Status.OUTSIDE_LIMITS
+    lost = _direction_lost(law)
+    progress = _progress(law, velocity) if damped or lost else 1.0
+    status = STATUSES[plain_status(lost, damped, progress, outside)]
     return law.command(velocity, status, law.desired, progress=progress, outside=outside)
+
+
+def plain_status(lost: bool, damped: bool, progress: float, outside: float) -> int:
+    """Place among `STATUSES` of a command that no limit changes. Compiled, too, as it stands."""
+    if outside > 0.0:
+        return table.OUTSIDE_LIMITS
+    if lost:
+        return table.SINGULAR
+    if not damped:
+        return table.OK
+    return table.STALLED if progress < STALLED_BELOW else table.DAMPED_STATUS
+
+
+def bounded_status(
+    lost: bool, damped: bool, progress: float, outside: float, task_scale: float, joint: int, cause: int, fits: bool
+) -> int:
+    """Place among `STATUSES` of a command that limits change, by the limit that is most in its way.
+
+    Compiled, too, as it stands.
+
+    Args:
+        lost: Whether A loses a direction of the task.
+        damped: Whether the task part is damped.
+        progress: Velocity along b over the velocity asked for.
+        outside: Largest distance of a joint beyond its position limits [rad or m].
+        task_scale: Factor on the task.
+        joint: Number of the joint whose limit changes the command most, -1 if none does.
+        cause: Which limit of that joint it is, POSITION, VELOCITY or ACCELERATION.
+        fits: Whether the task part alone is within the bounds.
+    """
+    if outside > 0.0:
+        return table.OUTSIDE_LIMITS
+    if lost:
+        return table.SINGULAR
+    if progress < STALLED_BELOW and cause != ACCELERATION:
+        return table.STALLED
+    if task_scale < SCALED_BELOW:
+        return table.POSITION_LIMITED + cause if joint >= 0 else table.DAMPED_STATUS  # in the order of the limits
+    if damped:
+        return table.DAMPED_STATUS
+    return table.NULL_SCALED if fits else table.REROUTED
 
 
 def bounded_command(
@@ -131,28 +161,21 @@ def bounded_command(
     null_scale = min(1.0, max(0.0, float(null.dot(null_part)) / square)) if square > 0.0 else 1.0
     progress = _progress(law, velocity)
     joint, cause = bounds.binding(velocity, wish)
-    if bounds.outside > 0.0:
-        status = Status.OUTSIDE_LIMITS
-    elif _direction_lost(law):
-        status = Status.SINGULAR
-    elif progress < STALLED_BELOW and cause != ACCELERATION:
-        status = Status.STALLED
-    elif task_scale < SCALED_BELOW:
-        status = Status.DAMPED if joint < 0 else SLOWED[cause]
-    elif damped:
-        status = Status.DAMPED
-    else:
-        status = Status.NULL_SCALED if bounds.admit(task) else Status.REROUTED
+    outcome = progress, bounds.outside, task_scale, joint, cause, bounds.admit(task)
+    status = STATUSES[bounded_status(_direction_lost(law), damped, *outcome)]
     numbers = {"task_scale": min(task_scale, 1.0), "null_scale": null_scale, "progress": progress}
     parts = Desired(task_part, null_part, escape)
     return law.command(velocity, status, parts, **numbers, outside=bounds.outside, limiting_joint=joint)
 
 
-def next_slide(slide: float, command: Command, dt: float) -> float:
-    """`slide` after a command that was held for dt: it grows while the task stalls, and falls when it goes on."""
-    if command.status is Status.STALLED:
+def next_slide(slide: float, stalls: bool, progress: float, dt: float) -> float:
+    """`slide` after a command that was held for dt [s]: it grows while the task stalls, and falls when it goes on.
+
+    Compiled, too, as it stands.
+    """
+    if stalls:
         return min(1.0, slide + dt / SLIDING_AFTER)
-    return max(0.0, slide - dt / KEEPING_AFTER) if command.progress > GOING_ON else slide
+    return max(0.0, slide - dt / KEEPING_AFTER) if progress > GOING_ON else slide
 
 
 def _direction_lost(law: Law) -> bool:
@@ -344,12 +367,8 @@ class ResolvedRateLaw:
         A, smallest, limits = law.A, law.smallest, self.limits
         if not (self._brakes and law.barred) or limits is None or law.singular or A.shape[0] > A.shape[1]:
             return None
-        # |grad sigma| is about as large as A itself: no closer look where that is slow enough
         flat = A.reshape(-1)
-        size = float(flat.dot(flat))
-        least_deceleration = BRAKING_SHARE * limits.weakest * math.sqrt(size)
-        rate = min(APPROACH_RATE, 0.5 / dt) * smallest
-        if float(u.dot(u)) * size < min(2.0 * least_deceleration * smallest, rate * rate):
+        if not is_fast(float(u.dot(u)), float(flat.dot(flat)), limits.weakest, smallest, dt):
             return None
         if law.slope is not None:
             return law.slope

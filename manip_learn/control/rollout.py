@@ -15,7 +15,7 @@ from jaxtyping import Float
 from manip_learn.constraint.constraint import Constraint
 from manip_learn.constraint.manipulability import manipulability
 from manip_learn.control.command import Status
-from manip_learn.errors import FeatureError, RecordingError, spoken
+from manip_learn.errors import FeatureError, RecordingError, printable, spoken
 from manip_learn.recordings.readers.saved_reader import read_saved
 from manip_learn.recordings.saved_motion import FileHeader, SavedMotion, check_robot
 from manip_learn.recordings.trajectory import Trajectory
@@ -188,7 +188,7 @@ class Rollout:
         """
         rollout, notes = Rollout.load_with_notes(path, robot)
         for note in notes:
-            warnings.warn(f"{Path(path).name}: {note}", UserWarning, stacklevel=2)
+            warnings.warn(printable(f"{Path(path).name}: {note}"), UserWarning, stacklevel=2)
         return rollout
 
     @staticmethod

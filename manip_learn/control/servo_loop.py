@@ -416,7 +416,7 @@ class ServoLoop:
             return self._braked(Status.INVALID_INPUT)
 
     def step(self, q: ArrayLike, t: float) -> Command:
-        """The same as `update`, but errors of the controller, its task and its policy are raised.
+        """The command of the next period, as `update` gives it; errors of controller, task and policy are raised.
 
         Raises:
             ManipLearnError: What the controller raises.
@@ -557,7 +557,7 @@ class ServoLoop:
         """The controller's command, within the limits."""
         if self._keeps_limits:
             command = self.controller(q, time, held, self._velocity, self._slide)  # type: ignore[call-arg]
-            self._slide = next_slide(self._slide, command, held)
+            self._slide = next_slide(self._slide, command.status is Status.STALLED, command.progress, held)
             if self._period.longest == self._period.usual or (bounds := self._bounds(q, held)).admit(command.velocity):
                 return command
             slower = np.clip(command.velocity, bounds.low, bounds.high)
@@ -612,17 +612,9 @@ class ServoLoop:
         if last is not None:
             mu, b, smallest = last.manipulability, last.task_velocity, last.smallest_singular_value
         command = Command(
-            velocity=u,
-            status=status,
-            manipulability=mu,
-            task_velocity=b,
-            task_part=u,
-            null_part=zero,
-            task_scale=0.0,
-            null_scale=0.0,
-            smallest_singular_value=smallest,
-            progress=0.0,
-        )
+            velocity=u, status=status, manipulability=mu, task_velocity=b, task_part=u, null_part=zero,
+            task_scale=0.0, null_scale=0.0, smallest_singular_value=smallest, progress=0.0,
+        )  # fmt: skip
         return self._sent_on(command, held)
 
     def _sent_on(self, command: Command, held: float | None = None) -> Command:

@@ -105,20 +105,25 @@ def simulate(
     if method not in ("euler", "rk4"):
         raise ConfigurationError(f"method must be 'euler' or 'rk4', not {method!r}")
     steps = round(duration / dt)
-    report = progress or _silent
-    if np.ndim(q0) == 2 and robot is not None:
+    report, table = progress or (lambda title, fraction: None), np.ndim(q0) == 2
+    if table and robot is not None:
         q0 = checked_postures(robot, np.asarray(q0))  # names the row before any work is done
-    commands = (len(np.asarray(q0)) if np.ndim(q0) == 2 else 1) * (steps + 1) * (4 if method == "rk4" else 1)
-    if compiled is True or (compiled is None and commands >= COMPILED_FROM and _law_of(controller, robot)):
+    commands = (len(np.asarray(q0)) if table else 1) * (steps + 1) * (4 if method == "rk4" else 1)
+    own = isinstance(controller, ResolvedRateController) and controller.robot is robot
+    if compiled is True or (compiled is None and commands >= COMPILED_FROM and own):
         announce = None if progress is None else lambda sentence: report(sentence, 0.0)
         controller = compiled_if_possible(controller, compiled, announce)
-    if np.ndim(q0) == 2:
-        return _simulate_table(robot, controller, np.asarray(q0), steps, dt, method, report)
+    if table:
+        rollouts = []
+        for i, start in enumerate(np.asarray(q0)):
+            rollouts.append(simulate(robot, controller, start, steps * dt, dt, method, compiled=False))
+            report("simulating", (i + 1) / len(np.asarray(q0)))
+        return tuple(rollouts)
+    q = np.array(q0, dtype=np.float64) if robot is None else np.array(robot.checked_posture(q0))
     if isinstance(controller, CompiledController) and controller.robot is robot and _rolls_out(controller, method):
-        rollout = _compiled_rollout(controller, np.asarray(controller.robot.checked_posture(q0)), steps, dt, method)
+        rollout = _compiled_rollout(controller, q, steps, dt, method)
         report("simulating", 1.0)
         return rollout
-    q = np.array(q0, dtype=np.float64) if robot is None else np.array(robot.checked_posture(q0))
     return _integrated(robot, controller, q, steps, dt, method, report)
 
 
@@ -157,15 +162,15 @@ def _integrated(
         report("simulating", (i + 1) / (steps + 1))
     u = np.array([c.velocity for c in commands])
     return Rollout(
-        np.arange(steps + 1) * dt,
-        postures,
-        u,
-        np.array([c.manipulability for c in commands]),
-        tuple(c.status for c in commands),
-        robot.joint_names if robot is not None else tuple(f"q{i}" for i in range(u.shape[1])),
-        errors,
+        time=np.arange(steps + 1) * dt,
+        q=postures,
+        u=u,
+        manipulability=np.array([c.manipulability for c in commands]),
+        status=tuple(c.status for c in commands),
+        joint_names=robot.joint_names if robot is not None else tuple(f"q{i}" for i in range(u.shape[1])),
+        task_error=errors,
         robot=None if robot is None else RobotIdentity.of(robot),
-        following_error=_following(commands) if isinstance(controller, ServoLoop) else None,
+        following_error=np.array([c.following_error for c in commands]) if isinstance(controller, ServoLoop) else None,
         **guided(controller),
     )
 
@@ -183,27 +188,6 @@ def _loop_of(
     if method == "euler" and law is not None and law.limits is not None:
         return ServoLoop(controller, dt, stale_after=max(0.1, 10.0 * dt), compiled=False).step
     return lambda q, t: controller(q, t, dt)
-
-
-def _simulate_table(
-    robot: Robot | None,
-    controller: Controller,
-    starts: np.ndarray,
-    steps: int,
-    dt: float,
-    method: Method,
-    report: Progress,
-) -> tuple[Rollout, ...]:
-    rollouts = []
-    for i, start in enumerate(starts):
-        rollouts.append(simulate(robot, controller, start, steps * dt, dt, method, compiled=False))
-        report("simulating", (i + 1) / len(starts))
-    return tuple(rollouts)
-
-
-def _law_of(controller: Controller, robot: Robot | None) -> bool:
-    """Whether this is a controller of this library for this robot."""
-    return isinstance(controller, ResolvedRateController) and controller.robot is robot
 
 
 def _rolls_out(controller: CompiledController, method: Method) -> bool:
@@ -230,11 +214,3 @@ def guided(controller: Controller | ServoLoop) -> dict[str, Any]:
     if task is None or constraint is None:
         return {}
     return {"frame": frame_of(law) or "", "target": task.goal(), "constraint": written_constraint(constraint)}
-
-
-def _following(commands: Sequence[Command]) -> Float[np.ndarray, " T"]:
-    return np.array([c.following_error for c in commands])
-
-
-def _silent(_title: str, _fraction: float) -> None:
-    pass

@@ -79,7 +79,7 @@ def smallest_gradient_of(
 
 
 def seed_speed(smallest: float, width: float) -> float:
-    """Speed that starts the motion out of a singularity [rad/s], see `escape_velocity`."""
+    """Speed that starts the motion out of a singularity [rad/s], see `escape_velocity`. Compiled, too, as it stands."""
     return SEED_SPEED * max(0.0, 1.0 - smallest / (SEED_SHARE * width))
 
 
@@ -190,9 +190,28 @@ def approach_rate(
     parts = slope.tolist()
     largest = max(map(truediv, map(abs, parts), acceleration.tolist()))
     length = math.hypot(*parts)
-    deceleration = BRAKING_SHARE * length * length / largest if largest > 0.0 else math.inf
-    rate = min(APPROACH_RATE, 0.5 / dt)
-    return min(rate * distance, math.sqrt(2.0 * deceleration * max(distance, 0.0)))
+    return braking_rate(distance, BRAKING_SHARE * length * length / largest if largest > 0.0 else math.inf, dt)
+
+
+def braking_rate(distance: float, deceleration: float, dt: float) -> float:
+    """Rate of a distance from which it can be stopped at 0 with a deceleration. Compiled, too, as it stands."""
+    return min(min(APPROACH_RATE, 0.5 / dt) * distance, math.sqrt(2.0 * deceleration * max(distance, 0.0)))
+
+
+def is_fast(square: float, size: float, weakest: float, smallest: float, dt: float) -> bool:
+    """Whether a velocity may approach a singularity too fast, so that a closer look is due.
+
+    |grad sigma| is about as large as A itself. Compiled, too, as it stands.
+
+    Args:
+        square: |u|^2.
+        size: |A|^2.
+        weakest: Smallest acceleration limit of a joint [rad/s2 or m/s2].
+        smallest: Smallest singular value of A.
+        dt: Time for which the velocity is held [s].
+    """
+    rate = min(APPROACH_RATE, 0.5 / dt) * smallest
+    return square * size >= min(2.0 * BRAKING_SHARE * weakest * math.sqrt(size) * smallest, rate * rate)
 
 
 def approach_bound(

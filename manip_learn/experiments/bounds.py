@@ -21,8 +21,6 @@ raises the bound by a few per cent.
 from __future__ import annotations
 
 import dataclasses
-import time
-from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, final
 
@@ -30,10 +28,9 @@ import numpy as np
 from jaxtyping import Float
 
 from manip_learn.constraint.features.feature_map import FeatureMap
-from manip_learn.errors import NotIdentifiableError
-from manip_learn.experiments import charts
+from manip_learn.experiments.charts import Panel, strips
 from manip_learn.experiments.experiment_result import (
-    ExperimentResult,
+    TrialsResult,
     compare_pairs,
     markdown_table,
     median_interval,
@@ -41,6 +38,7 @@ from manip_learn.experiments.experiment_result import (
     percent,
     said_pair,
     said_rows,
+    share,
     summary,
 )
 from manip_learn.experiments.paper_setup import (
@@ -53,9 +51,9 @@ from manip_learn.experiments.paper_setup import (
     planar_features,
     with_noise,
 )
-from manip_learn.experiments.table import judge
-from manip_learn.experiments.trial_runner import of_trials, two_fifths
-from manip_learn.experiments.ways import ESTIMATORS, SAID, fit_told_noise
+from manip_learn.experiments.table import answers, dots, judge
+from manip_learn.experiments.trial_runner import of_trials
+from manip_learn.experiments.ways import SAID, fit_told_noise
 from manip_learn.linalg import complement_rows, orthonormal_rows
 from manip_learn.recordings.demonstrations import Demonstrations
 
@@ -184,7 +182,7 @@ OURS, TOLD = "auto", "joint-told"
 OTHERS = ("separate-row-by-row", "closed-form")
 
 
-def cell(noise: float, trajectories: int, trials: list[dict[str, Any]]) -> dict[str, Any]:
+def cell(setup: Setup, trials: list[dict[str, Any]]) -> dict[str, Any]:
     """One combination of noise, number of trajectories and rows.
 
     Returns:
@@ -195,8 +193,8 @@ def cell(noise: float, trajectories: int, trials: list[dict[str, Any]]) -> dict[
     """
     nmie = float(np.median([v for t in trials for v in t["bound"]["nmie"]]))
     out: dict[str, Any] = {
-        "noise": noise,
-        "trajectories": trajectories,
+        "noise": setup.noise,
+        "trajectories": setup.trajectories,
         "bound": {"nmie": nmie, "angle_deg": float(np.median([t["bound"]["angle_deg"] for t in trials]))},
     }
     for name in (OURS, TOLD, "joint-affine", *OTHERS):
@@ -204,24 +202,23 @@ def cell(noise: float, trajectories: int, trials: list[dict[str, Any]]) -> dict[
     ours = [t[OURS].get("test") for t in trials]
     out["pairs"] = {name: compare_pairs(ours, [t[name].get("test") for t in trials]) for name in (TOLD, *OTHERS)}
     stated = [t[OURS]["angle_deg"] <= t[OURS]["stated_deg"] for t in trials if t[OURS].get("stated_deg") is not None]
-    out["inside"] = float(np.mean(stated)) if stated else None
+    out["inside"] = share(stated)
     out["stated"] = len(stated)
     out["why"] = _reason(out)
     return out
 
 
 def _learner(name: str, bound: float, trials: list[dict[str, Any]]) -> dict[str, Any]:
-    answered = [t for t in trials if "test" in t[name]]
-    values = [t[name]["test"] for t in answered]
-    low, high = median_interval(values)
-    shares = [t[name]["b2"] / t["bound"]["trace"] for t in answered if t[name].get("b2") is not None]
+    said = [t[name] for t in trials]
+    nmie = summary(one.get("test") for one in said)
+    shares = [one["b2"] / t["bound"]["trace"] for one, t in zip(said, trials, strict=True) if one.get("b2") is not None]
     return {
-        "nmie": summary(values),
-        "interval": [low, high],
-        "ratio": float(np.median(values)) / bound if values else None,
-        "refused": 1.0 - len(answered) / len(trials),
-        "warned": sum(bool(t[name].get("warned")) for t in trials) / len(trials),
-        "angle_deg": summary(t[name]["angle_deg"] for t in answered),
+        "nmie": nmie,
+        "interval": list(median_interval([one["test"] for one in said if "test" in one])),
+        "ratio": nmie["median"] / bound if nmie["n"] else None,
+        "refused": share("refused" in one for one in said),
+        "warned": share(bool(one.get("warned")) for one in said),
+        "angle_deg": summary(one.get("angle_deg") for one in said),
         "efficiency": float(np.sqrt(np.mean(shares))) if shares else None,
     }
 
@@ -247,95 +244,8 @@ def _refusals(learner: dict[str, Any]) -> str:
     return f"; {percent(learner['refused'])} refused" if learner["refused"] else ""
 
 
-def bounds_markdown(ours: dict[str, Any]) -> str:
-    """Two tables: learners beside the bound, and paired comparisons."""
-    near, pairs = [], []
-    for key, block in ours.items():
-        for rows, one in block.items():
-            begin = [key.removeprefix("noise "), said_rows(rows)]
-            bound = one["bound"]
-            near.append([*begin, number(bound["angle_deg"]), number(bound["nmie"]), _beside(one[OURS])])
-            near[-1] += [_beside(one[TOLD]), *(number(one[name]["nmie"]["median"]) for name in OTHERS)]
-            near[-1].append(one["why"] or "within twice")
-            pairs.append([*begin, *(_pair(one["pairs"][name]) for name in OTHERS)])
-    header = ["noise, trajectories", "rows", "bound: angle [deg]", "bound: NMIE"]
-    header += [f"{SAID[OURS]}: NMIE (times the bound)", f"{SAID[TOLD]}: NMIE (times the bound)"]
-    header += [*(f"{SAID[name]}: NMIE" for name in OTHERS), f"{SAID[OURS]} against the bound"]
-    against = ["noise, trajectories", "rows", *(f"{SAID[name]} / {SAID[OURS]}" for name in OTHERS)]
-    return "\n\n".join(
-        [
-            "Medians over the trials; the bound is that of the same recordings.",
-            markdown_table(header, near),
-            f"The other learners against *{SAID[OURS]}*, seed by seed: median ratio of the NMIE [95 % interval], seeds "
-            f"at which *{SAID[OURS]}* is better, p of Wilcoxon's signed-rank test. A ratio below 1 is a loss of ours.",
-            markdown_table(against, pairs),
-        ]
-    )
-
-
-def _beside(learner: dict[str, Any]) -> str:
-    if learner["ratio"] is None:
-        return "refused"
-    return f"{number(learner['nmie']['median'])} ({number(learner['ratio'])})"
-
-
-def _pair(pair: dict[str, Any]) -> str:
-    if not pair["n"]:
-        return "refused"
-    return said_pair(pair) + ("" if pair["p"] is None else f", p {number(pair['p'])}")
-
-
-def bounds_figure(ours: dict[str, Any]) -> Figure:
-    """NMIE over the noise (above) and over the number of trajectories (below), one column a constraint."""
-    cells = [one | {"rows": rows} for block in ours.values() for rows, one in block.items()]
-    selections = list(dict.fromkeys(one["rows"] for one in cells))
-    figure, axes = charts.new_figure(11.0, 6.8, 2, len(selections), sharey="col")
-    most = max(one["trajectories"] for one in cells if _count(cells, "trajectories", one) > 1)
-    for i, rows in enumerate(selections):
-        own = [one for one in cells if one["rows"] == rows]
-        _lines(axes[0, i], [c for c in own if c["trajectories"] == most], "noise", 100.0)
-        _lines(axes[1, i], [c for c in own if c["noise"] == _common(own)], "trajectories", 1.0)
-        axes[0, i].set_title(f"constrained rows {rows.replace('rz', 'theta').replace(' ', ', ')}")
-        axes[0, i].set_xlabel(f"noise on the action [%], {most} trajectories")
-        axes[1, i].set_xlabel(f"number of trajectories of 10 samples, noise {100 * _common(own):g} %")
-    for ax in axes[:, 0]:
-        ax.set_ylabel("median NMIE on the test set (no unit)")
-    axes[0, 0].legend(fontsize=6.5)
-    return figure
-
-
-def _common(cells: Sequence[dict[str, Any]]) -> float:
-    noises = [one["noise"] for one in cells]
-    return max(set(noises), key=noises.count)
-
-
-def _count(cells: Sequence[dict[str, Any]], key: str, one: dict[str, Any]) -> int:
-    return len({other["noise"] for other in cells if other[key] == one[key]})
-
-
-def _lines(ax: Any, cells: list[dict[str, Any]], key: str, factor: float) -> None:
-    cells = sorted(cells, key=lambda one: one[key])
-    looks = {
-        OURS: ("blue", "o-"),
-        TOLD: ("green", "s-"),
-        "separate-row-by-row": ("vermilion", "^--"),
-        "closed-form": ("purple", "v:"),
-    }
-    x = [factor * one[key] for one in cells]
-    for name, (colour, style) in looks.items():
-        points = [(a, one[name]["nmie"]["median"]) for a, one in zip(x, cells, strict=True)]
-        shown = [(a, y) for a, y in points if y is not None]
-        if shown:
-            ax.plot(*zip(*shown, strict=True), style, color=charts.colour(name=colour), markersize=4, label=SAID[name])
-    ax.plot(x, [one["bound"]["nmie"] for one in cells], color=charts.INK, linewidth=2.2, label="Cramer-Rao bound")
-    ax.set_xscale("log")
-    ax.set_yscale("log")
-    ax.set_xticks(x, [f"{v:g}" for v in x])
-    ax.minorticks_off()
-
-
-NOISES = (0.001, 0.005, 0.01, 0.02, 0.05, 0.10)
-TRAJECTORIES = (1, 2, 5, 10, 20, 50, 100, 200)
+NOISES = (0.001, 0.005, 0.01, 0.02, 0.05, 0.10)  # shares of each joint's root mean square action
+TRAJECTORIES = (1, 2, 5, 10, 20, 50, 100, 200)  # demonstrations of 10 samples
 NOISE, SIZE = 0.01, 100  # of the line over trajectories, of the line over noise
 LEARNERS = ("auto", "joint-affine", "separate-row-by-row", "closed-form")
 DRAWS = 50  # answers at the bound for each trial
@@ -344,7 +254,7 @@ DRAWS = 50  # answers at the bound for each trial
 @final
 @dataclass(frozen=True)
 class NoisyCase:
-    """What is demonstrated.
+    """A kind of noisy demonstrations.
 
     Attributes:
         setup: Rows, noise and number of trajectories.
@@ -353,19 +263,20 @@ class NoisyCase:
     setup: Setup
 
 
-CASES = tuple(
-    NoisyCase(Setup(rows, trajectories=n, noise=noise))
+BETWEEN = " | "  # noise and number of trajectories, and the rows, in the name of a case
+CASES = {
+    f"noise {100.0 * noise:g} %, {n} trajectories{BETWEEN}{rows}": NoisyCase(Setup(rows, trajectories=n, noise=noise))
     for noise, n in (*((noise, SIZE) for noise in NOISES), *((NOISE, n) for n in TRAJECTORIES if n != SIZE))
     for rows in SELECTIONS
-)
+}
 
 
 def bounds_trial(case: NoisyCase, rng: np.random.Generator) -> dict[str, Any]:
     """Learn from one noisy set in all ways.
 
     Returns:
-        Learner -> what `table.judge` says, `b2`, the squared error |B|^2 in the coordinates of the bound, and
-        `seconds`; or `refused`. `bound`: `trace`, `angle_deg`, and `nmie` of answers drawn at the bound.
+        Learner -> what `table.answers` says, and `b2`, the squared error |B|^2 in the coordinates of the bound.
+        `bound`: `trace`, `angle_deg`, and `nmie` of answers drawn at the bound.
     """
     setup, features = case.setup, planar_features()
     Lambda = setup.selection(rng)
@@ -374,22 +285,14 @@ def bounds_trial(case: NoisyCase, rng: np.random.Generator) -> dict[str, Any]:
     noisy = with_noise(clean, setup.noise, rng)
     test = demonstrate(dataclasses.replace(setup, noise=0.0, trajectories=SIZE), Lambda, rng)
     seen = [np.concatenate([t.q for t in demos]) for demos in (clean, test)]
-    out: dict[str, Any] = {"bound": _bound(clean, Lambda, deviations, seen[1], rng)}
-    answers: dict[str, np.ndarray] = {}
-    for name in LEARNERS:
-        own, started = np.random.default_rng(rng.integers(2**63)), time.perf_counter()
-        try:
-            answers[name], remarks = ESTIMATORS[name](features, noisy, Lambda, own)
-        except NotIdentifiableError as error:
-            out[name] = {"refused": error.code}
-            continue
-        out[name] = judge(features, Lambda, answers[name], seen) | remarks | {"seconds": time.perf_counter() - started}
-    out["joint-told"] = {"refused": "no start"}
-    if "joint-affine" in answers:
-        answers["joint-told"] = fit_told_noise(features, noisy, answers["joint-affine"], deviations)
-        out["joint-told"] = judge(features, Lambda, answers["joint-told"], seen)
-    for name, learnt in answers.items():
-        out[name]["b2"] = _squared_error(Lambda, learnt)
+    bound = _bound(clean, Lambda, deviations, seen[1], rng)
+    out, learnt = answers(LEARNERS, features, noisy, Lambda, seen, rng)
+    out |= {"bound": bound, TOLD: {"refused": "no start"}}
+    if "joint-affine" in learnt:
+        learnt[TOLD] = fit_told_noise(features, noisy, learnt["joint-affine"], deviations)
+        out[TOLD] = judge(features, Lambda, learnt[TOLD], seen)
+    for name, rows in learnt.items():
+        out[name]["b2"] = _squared_error(Lambda, rows)
     return out
 
 
@@ -405,8 +308,7 @@ def _bound(
     pi = null_policy("attractor", q, REST)
     motion = NoiseFreeMotion(planar_features(), Lambda, q, u, pi, affine_regressors(q))
     covariance = least_covariance(motion, np.diag(deviations**2))
-    answers = draw_selections(Lambda, covariance, DRAWS, rng)
-    nmie = implied_nmie(planar_features(), Lambda, answers, test)
+    nmie = implied_nmie(planar_features(), Lambda, draw_selections(Lambda, covariance, DRAWS, rng), test)
     return {"trace": float(np.trace(covariance)), "angle_deg": angle_of(covariance), "nmie": nmie.tolist()}
 
 
@@ -422,54 +324,65 @@ def _squared_error(Lambda: Float[np.ndarray, "s p"], learnt: Float[np.ndarray, "
 
 
 @final
-@dataclass(frozen=True, eq=False)
-class BoundsResult(ExperimentResult):
-    """Outcome of every trial.
-
-    Attributes:
-        outcomes: Case -> one dictionary per trial, see `bounds_trial`.
-    """
-
-    outcomes: dict[NoisyCase, list[dict[str, Any]]]
+class BoundsResult(TrialsResult):
+    """Outcome of every trial, see `bounds_trial`."""
 
     def to_dict(self) -> dict[str, Any]:
         """Noise and trajectories -> rows -> what `cell` says; the paper has no noise."""
         ours: dict[str, Any] = {}
         for case, trials in self.outcomes.items():
-            setup = case.setup
-            key = f"noise {100.0 * setup.noise:g} %, {setup.trajectories} trajectories"
-            ours.setdefault(key, {})[setup.rows] = cell(setup.noise, setup.trajectories, trials)
+            key, rows = case.split(BETWEEN)
+            ours.setdefault(key, {})[rows] = cell(CASES[case].setup, trials)
         return {"paper": None, "ours": ours}
 
-    def rows(self) -> list[dict[str, Any]]:
-        """One line per trial and learner."""
-        return [
-            {
-                "noise": case.setup.noise,
-                "trajectories": case.setup.trajectories,
-                "rows": case.setup.rows,
-                "trial": i,
-                "learner": name,
-                "nmie_test": t[name].get("test"),
-                "angle_deg": t[name].get("angle_deg"),
-                "rows_found": t[name].get("rows"),
-                "refused": t[name].get("refused", ""),
-                "bound_angle_deg": t["bound"]["angle_deg"],
-                "bound_nmie_median": float(np.median(t["bound"]["nmie"])),
-            }
-            for case, trials in self.outcomes.items()
-            for i, t in enumerate(trials)
-            for name in t
-            if name != "bound"
-        ]
-
     def markdown(self) -> str:
-        """Bound and learners, then the paired comparisons."""
-        return bounds_markdown(self.to_dict()["ours"])
+        """Learners beside the bound, then the paired comparisons."""
+        near, pairs = [], []
+        for key, block in self.to_dict()["ours"].items():
+            for rows, one in block.items():
+                begin, bound = [key.removeprefix("noise "), said_rows(rows)], one["bound"]
+                near.append([*begin, number(bound["angle_deg"]), number(bound["nmie"])])
+                near[-1] += [_beside(one[OURS]), _beside(one[TOLD])]
+                near[-1] += [*(number(one[name]["nmie"]["median"]) for name in OTHERS), one["why"] or "within twice"]
+                pairs.append([*begin, *(_pair(one["pairs"][name]) for name in OTHERS)])
+        header = ["noise, trajectories", "rows", "bound: angle [deg]", "bound: NMIE"]
+        header += [f"{SAID[name]}: NMIE (times the bound)" for name in (OURS, TOLD)]
+        header += [*(f"{SAID[name]}: NMIE" for name in OTHERS), f"{SAID[OURS]} against the bound"]
+        against = ["noise, trajectories", "rows", *(f"{SAID[name]} / {SAID[OURS]}" for name in OTHERS)]
+        words = (
+            f"The other learners against *{SAID[OURS]}*, seed by seed: median ratio of the NMIE [95 % interval], seeds "
+            f"at which *{SAID[OURS]}* is better, p of Wilcoxon's signed-rank test. A ratio below 1 is a loss of ours."
+        )
+        first = "Medians over the trials; the bound is that of the same recordings."
+        return "\n\n".join([first, markdown_table(header, near), words, markdown_table(against, pairs)])
 
     def figures(self) -> dict[str, Figure]:
-        """Medians over noise and over the number of trajectories, with the bound."""
-        return {"bounds": bounds_figure(self.to_dict()["ours"])}
+        """Every answer of *as shipped* as a dot; the bound beside it is drawn for the documentation."""
+        panels = [
+            Panel(
+                {
+                    case.split(BETWEEN)[0].removeprefix("noise "): dots(trials, OURS)
+                    for case, trials in self.outcomes.items()
+                    if case.endswith(BETWEEN + rows)
+                },
+                f"NMIE on the test set (no unit),\n{SAID[OURS]}",
+                f"constrained rows {said_rows(rows)}",
+            )
+            for rows in SELECTIONS
+        ]
+        return {"bounds": strips([panels], "noise and trajectories; a dot is a trial, a bar the median")}
 
 
-BOUNDS = of_trials("bounds", bounds_trial, {case: case for case in CASES}, BoundsResult, two_fifths)
+def _beside(learner: dict[str, Any]) -> str:
+    if learner["ratio"] is None:
+        return "refused"
+    return f"{number(learner['nmie']['median'])} ({number(learner['ratio'])})"
+
+
+def _pair(pair: dict[str, Any]) -> str:
+    if not pair["n"]:
+        return "refused"
+    return said_pair(pair) + ("" if pair["p"] is None else f", p {number(pair['p'])}")
+
+
+BOUNDS = of_trials("bounds", bounds_trial, CASES, BoundsResult, 0.4)

@@ -1,14 +1,14 @@
-"""Drawing in one style; matplotlib is loaded when the first figure is made."""
+"""Charts of results in one style; matplotlib is loaded when the first figure is made."""
 
 from __future__ import annotations
 
 import io
 from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, final
 
 import numpy as np
-from jaxtyping import Float
 
 from manip_learn.atomic_write import write_atomically
 from manip_learn.errors import MissingExtraError
@@ -44,14 +44,18 @@ def new_figure(width: float, height: float, rows: int = 1, columns: int = 1, **o
         from matplotlib.figure import Figure
     except ImportError as error:
         raise MissingExtraError("drawing figures", "experiments") from error
-    with matplotlib.rc_context(STYLE):  # type: ignore[arg-type]
+    with matplotlib.rc_context(STYLE):
         figure = Figure(figsize=(width, height))
         axes = figure.subplots(rows, columns, squeeze=False, **options)  # type: ignore[arg-type]
     return figure, axes
 
 
-def save_figure(figure: Figure, folder: Path, name: str, dpi: int = 110) -> list[Path]:
-    """Write PNG and SVG, whole or not at all.
+# 110 dots per inch: pictures of the pages stay below 200 kB; no dates or versions, so that the bytes are the same
+KINDS: dict[str, Any] = {"png": {"dpi": 110, "metadata": {"Software": None}}, "svg": {"metadata": {"Date": None}}}
+
+
+def save_figure(figure: Figure, folder: Path, name: str, kinds: Sequence[str] = tuple(KINDS)) -> list[Path]:
+    """Write PNG and SVG, whole or not at all; the same figure gives the same bytes.
 
     Raises:
         OutputError: They cannot be written.
@@ -59,17 +63,50 @@ def save_figure(figure: Figure, folder: Path, name: str, dpi: int = 110) -> list
     import matplotlib
 
     paths = []
-    for kind, options in (("png", {"dpi": dpi, "metadata": {"Software": None}}), ("svg", {"metadata": {"Date": None}})):
+    for kind in kinds:
         stream = io.BytesIO()
-        with matplotlib.rc_context(STYLE):  # type: ignore[arg-type]
-            figure.savefig(stream, format=kind, **options)  # type: ignore[arg-type]
+        with matplotlib.rc_context(STYLE):
+            figure.savefig(stream, format=kind, **KINDS[kind])
         paths.append(write_atomically(folder / f"{name}.{kind}", stream.getvalue()))
     return paths
 
 
-def colour(name: str) -> str:
-    """Hexadecimal value of a colour of the palette."""
-    return COLOURS[name]
+@final
+@dataclass(frozen=True)
+class Panel:
+    """One part of a chart.
+
+    Attributes:
+        values: Words below a column -> its values.
+        says: Words of the vertical axis, with its unit.
+        title: Above the panel.
+        paper: The paper's mean, drawn as a line across.
+    """
+
+    values: Mapping[str, Sequence[float]]
+    says: str
+    title: str = ""
+    paper: float | None = None
+
+
+def strips(panels: Sequence[Sequence[Panel]], across: str, width: float = 11.0, height: float = 4.8) -> Figure:
+    """Every value as a dot, with the median of each column as a bar; the panels of a line share their axis.
+
+    Args:
+        panels: Lines of panels; a line is as long as the others.
+        across: Words of the horizontal axis: the meaning of a column and of a dot.
+        width: Of the figure [inch].
+        height: Of the figure [inch].
+    """
+    same = all(len({tuple(panel.values) for panel in column}) == 1 for column in zip(*panels, strict=True))
+    figure, axes = new_figure(width, height, len(panels), len(panels[0]), sharex="col" if same else False, sharey="row")
+    for i, line in enumerate(panels):
+        for ax, panel in zip(axes[i], line, strict=True):
+            strip(ax, panel.values, panel.paper)
+            ax.set_title(panel.title)
+        axes[i, 0].set_ylabel(line[0].says)
+    figure.supxlabel(across, fontsize=9)
+    return figure
 
 
 def strip(axes: Axes, values: Mapping[str, Sequence[float]], paper: float | None = None) -> None:
@@ -84,11 +121,11 @@ def strip(axes: Axes, values: Mapping[str, Sequence[float]], paper: float | None
         # spread sideways in a fixed pattern: overlapping dots stay countable
         x = i + 0.28 * (((np.arange(dots.size) * 0.618034) % 1.0) - 0.5) * 2.0
         some = dots > 0.0
-        axes.plot(x[some], dots[some], ".", color=colour("blue"), alpha=0.45, markersize=4.5, markeredgewidth=0)
+        axes.plot(x[some], dots[some], ".", color=COLOURS["blue"], alpha=0.45, markersize=4.5, markeredgewidth=0)
         edge = axes.get_xaxis_transform()
-        axes.plot(x[~some], np.zeros(int(np.sum(~some))), "v", color=colour("blue"), markersize=4, transform=edge)
+        axes.plot(x[~some], np.zeros(int(np.sum(~some))), "v", color=COLOURS["blue"], markersize=4, transform=edge)
         if np.median(dots) > 0.0:
-            axes.plot([i - 0.36, i + 0.36], [np.median(dots)] * 2, color=colour("vermilion"), linewidth=2)
+            axes.plot([i - 0.36, i + 0.36], [np.median(dots)] * 2, color=COLOURS["vermilion"], linewidth=2)
     if paper is not None:
         axes.axhline(paper, color=INK, linestyle="--", linewidth=1)
         place = axes.get_yaxis_transform()
@@ -99,20 +136,12 @@ def strip(axes: Axes, values: Mapping[str, Sequence[float]], paper: float | None
     axes.grid(False, axis="x")
 
 
-def draw_arm(axes: Axes, joints: Float[np.ndarray, "k 2"], shade: str) -> None:
-    """One posture of a planar arm in a colour."""
-    axes.plot(
-        joints[:, 0], joints[:, 1], "-o", color=shade, linewidth=1.3, markersize=2.5, solid_capstyle="round", alpha=0.9
-    )
-
-
 def shades(n: int) -> list[str]:
     """Colours for n moments, the early ones pale yellow, the late ones dark violet."""
     import matplotlib
     from matplotlib.colors import to_hex
 
-    scale = matplotlib.colormaps["viridis_r"]
-    return [to_hex(scale(0.04 + 0.96 * i / max(n - 1, 1))) for i in range(n)]
+    return [to_hex(colour) for colour in matplotlib.colormaps["viridis_r"](np.linspace(0.04, 1.0, n))]
 
 
 def time_key(figure: Figure, axes: Sequence[Axes], times: Sequence[float]) -> None:

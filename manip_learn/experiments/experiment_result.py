@@ -5,8 +5,10 @@ Two learners on the same recordings are compared in pairs: which is better, by h
 
 from __future__ import annotations
 
+import json
 from abc import ABC, abstractmethod
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -43,8 +45,37 @@ class ExperimentResult(ABC):
         return {}
 
 
-def summary(values: Iterable[float]) -> dict[str, Any]:
-    """Statistics of some numbers.
+@dataclass(frozen=True, eq=False)
+class TrialsResult(ExperimentResult):
+    """Outcome of every trial of some cases.
+
+    Attributes:
+        outcomes: Name of a case -> one dictionary of plain values per trial.
+    """
+
+    outcomes: dict[str, list[dict[str, Any]]]
+
+    def rows(self) -> list[dict[str, Any]]:
+        """One line per trial: its case, and every number under its key; nested keys are joined by dots."""
+        lines = [
+            {"case": case, "trial": i} | dict(_flat(trial))
+            for case, trials in self.outcomes.items()
+            for i, trial in enumerate(trials)
+        ]
+        names = dict.fromkeys(name for line in lines for name in line)
+        return [{name: line.get(name, "") for name in names} for line in lines]
+
+
+def _flat(values: Mapping[str, Any], prefix: str = "") -> Iterator[tuple[str, Any]]:
+    for key, value in values.items():
+        if isinstance(value, dict):
+            yield from _flat(value, f"{prefix}{key}.")
+        else:
+            yield prefix + key, json.dumps(value) if isinstance(value, list) else value
+
+
+def summary(values: Iterable[float | None]) -> dict[str, Any]:
+    """Statistics of some numbers; None stands for an answer that was refused, and is left out.
 
     Returns:
         `mean`, `sd` (of the sample; 0 for a single number), `median`, `worst` (largest) and `n`; None without numbers.
@@ -59,6 +90,12 @@ def summary(values: Iterable[float]) -> dict[str, Any]:
         "worst": float(np.max(array)),
         "n": int(array.size),
     }
+
+
+def share(flags: Iterable[bool]) -> float | None:
+    """Share of the flags that are true; None without any."""
+    found = list(flags)
+    return sum(found) / len(found) if found else None
 
 
 def number(value: float | None, digits: int = 2) -> str:

@@ -65,6 +65,6 @@ def policy_rmse(pi: Float[np.ndarray, "m T nv"], learnt: Float[np.ndarray, "m T 
         learnt: pi~, of the learnt policy: at the same postures, or at those of the trajectory that it makes.
 
     Returns:
-        One value per trajectory, in the unit of what is compared.
+        One value per trajectory, in the unit of the two policies.
     """
     return np.sqrt(np.mean(np.sum((learnt - pi) ** 2, axis=-1), axis=-1))

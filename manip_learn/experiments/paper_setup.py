@@ -7,6 +7,7 @@ follows the same recipe.
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cache
 from typing import Literal, final
@@ -42,7 +43,7 @@ PAPER_ABSTRACT = (1e-5, 1e-2)
 PAPER_RMSE: dict[str, float] = {"mean": 2.069e-4, "sd": 1.001e-4}
 # a real Sawyer that opens a drawer; its data were not published
 PAPER_SAWYER_MIE = 0.002
-PAPER_SAWYER_RMSE: dict[str, float] = {"mean": 0.220, "sd": 0.094}
+PAPER_SAWYER_RMSE: dict[str, float] = {"mean": 0.220, "sd": 0.094}  # of the policy
 
 PolicyName = Literal["attractor", "sinusoidal", "zero", "own"]
 
@@ -50,7 +51,7 @@ PolicyName = Literal["attractor", "sinusoidal", "zero", "own"]
 @final
 @dataclass(frozen=True)
 class Setup:
-    """What is demonstrated.
+    """A kind of demonstrations.
 
     Attributes:
         rows: Constrained rows, words of `"x y rz"`; `"oblique"` draws two random directions each time.
@@ -110,25 +111,62 @@ def draw_targets(n: int, rng: np.random.Generator, length: float = 1.0) -> Float
     return out[:n] * [length, length, 1.0]
 
 
+def constrained_motion(
+    A: Float[np.ndarray, "n s nv"], b: Float[np.ndarray, "n s"], pi: Float[np.ndarray, "n nv"], damping: float = 0.0
+) -> Float[np.ndarray, "n nv"]:
+    """u = A^+ b + N pi, equation (2), at many postures at once.
+
+    Args:
+        A: A(q) of each posture.
+        b: Velocity of the task.
+        pi: Null-space policy [rad/s].
+        damping: d of the damped inverse A^T (A A^T + d^2 I)^-1, in the unit of A; 0 for the pseudo-inverse.
+    """
+    rest = b - np.einsum("nsv,nv->ns", A, pi)
+    if not damping:
+        return pi + np.einsum("nvs,ns->nv", np.linalg.pinv(A), rest)
+    gram = A @ A.transpose(0, 2, 1) + damping**2 * np.eye(A.shape[1])
+    return pi + np.einsum("nsv,ns->nv", A, np.linalg.solve(gram, rest[:, :, None])[:, :, 0])
+
+
+def euler_steps(
+    law: Callable[[np.ndarray], np.ndarray], q: Float[np.ndarray, "g nv"], points: int, step: float = STEP
+) -> tuple[Float[np.ndarray, "g T nv"], Float[np.ndarray, "g T nv"]]:
+    """Postures [rad] and velocities [rad/s] of explicit Euler steps from many starts at once.
+
+    Args:
+        law: Postures -> velocities.
+        q: Starts [rad].
+        points: Number of samples T, the start included.
+        step: Time of a step [s].
+    """
+    postures, actions = [], []
+    for _ in range(points):
+        postures.append(q)
+        actions.append(law(q))
+        q = q + step * actions[-1]
+    return np.stack(postures, axis=1), np.stack(actions, axis=1)
+
+
+def recorded(
+    step: float, q: Float[np.ndarray, "g T nq"], u: Float[np.ndarray, "g T nv"], names: tuple[str, ...], word: str
+) -> Demonstrations:
+    """Demonstrations with a sample every `step` [s]; their names are the word and a number."""
+    time = step * np.arange(q.shape[1])
+    return Demonstrations(Trajectory(time, *one, names, f"{word} {i}") for i, one in enumerate(zip(q, u, strict=True)))
+
+
 def demonstrate(setup: Setup, Lambda: Float[np.ndarray, "s 3"], rng: np.random.Generator) -> Demonstrations:
     """Reaching demonstrations with u = A^+ b + N pi, all trajectories stepped at once."""
     n = setup.trajectories
-    q, targets = draw_starts(n, rng), draw_targets(n, rng, setup.length)
+    start, targets = draw_starts(n, rng), draw_targets(n, rng, setup.length)
     rest = REST if setup.policy != "own" else REST + rng.uniform(-0.5, 0.5, size=(n, 3))
-    postures, actions = [], []
-    for _ in range(setup.points):
-        A = Lambda @ jacobian(q, setup.length)
-        inverse = np.linalg.pinv(A)
+
+    def law(q: np.ndarray) -> np.ndarray:
         b = np.einsum("sp,np->ns", Lambda, targets - tip(q, setup.length))
-        pi = null_policy(setup.policy, q, rest)
-        # N pi + A^+ b
-        u = pi + np.einsum("nvs,ns->nv", inverse, b - np.einsum("nsv,nv->ns", A, pi))
-        postures.append(q)
-        actions.append(u)
-        q = q + STEP * u
-    time, names = STEP * np.arange(setup.points), planar_arm().joint_names
-    stacked = zip(np.array(postures).transpose(1, 0, 2), np.array(actions).transpose(1, 0, 2), strict=True)
-    clean = Demonstrations(Trajectory(time, x, u, names, f"trajectory {i}") for i, (x, u) in enumerate(stacked))
+        return constrained_motion(Lambda @ jacobian(q, setup.length), b, null_policy(setup.policy, q, rest))
+
+    clean = recorded(STEP, *euler_steps(law, start, setup.points), planar_arm().joint_names, "trajectory")
     return with_noise(clean, setup.noise, rng)
 
 
@@ -168,7 +206,7 @@ def noise_deviations(demonstrations: Demonstrations, share: float) -> Float[np.n
 
 
 def with_noise(demonstrations: Demonstrations, share: float, rng: np.random.Generator) -> Demonstrations:
-    """The same with Gaussian noise on the action, relative to the root mean square of each joint's action."""
+    """Demonstrations with Gaussian noise on the action, relative to the root mean square of each joint's action."""
     if share == 0.0:
         return demonstrations
     u = np.array([t.u for t in demonstrations])

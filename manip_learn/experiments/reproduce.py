@@ -15,7 +15,7 @@ import numpy as np
 
 from manip_learn.atomic_write import write_atomically
 from manip_learn.errors import ExperimentError, UnknownNameError
-from manip_learn.experiments import beyond, bounds, recorded, rmse, sawyer, singular_starts, table
+from manip_learn.experiments import beyond, bounds, rmse, sawyer, singular_starts, table
 from manip_learn.experiments.charts import save_figure
 from manip_learn.experiments.experiment_result import ExperimentResult
 from manip_learn.experiments.trial_runner import BACKENDS, Backend, Experiment, PartStore, TrialRunner
@@ -23,7 +23,7 @@ from manip_learn.linalg import one_thread
 from manip_learn.playback.replay_page import replay
 from manip_learn.recordings.trajectory_source import Progress
 
-MAX_TRIALS = 100_000
+MAX_TRIALS = 100_000  # more would run for months: a slip of the keyboard
 PARTS: dict[str, Experiment[Any]] = {
     "table": table.TABLE,
     "variants": table.VARIED_TABLE,
@@ -32,7 +32,7 @@ PARTS: dict[str, Experiment[Any]] = {
     "singular-start": singular_starts.FROM_SINGULAR,
     "near-singular-start": singular_starts.FROM_NEAR_SINGULAR,
     "sawyer": sawyer.SAWYER,
-    "recorded": recorded.RECORDED,
+    "recorded": beyond.RECORDED,
     "beyond": beyond.BEYOND,
 }
 # name that a user gives -> parts

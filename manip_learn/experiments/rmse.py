@@ -14,9 +14,9 @@ from jaxtyping import Float
 
 from manip_learn.constraint.constraint import Constraint
 from manip_learn.constraint.manipulability_batch import manipulability_batch
-from manip_learn.experiments import charts
+from manip_learn.experiments.charts import Panel, strips
 from manip_learn.experiments.experiment_result import (
-    ExperimentResult,
+    TrialsResult,
     markdown_table,
     mean_and_sd,
     number,
@@ -27,11 +27,12 @@ from manip_learn.experiments.metrics import policy_rmse
 from manip_learn.experiments.paper_setup import (
     PAPER_RMSE,
     SELECTIONS,
-    STEP,
     Setup,
+    constrained_motion,
     demonstrate,
     draw_starts,
     draw_targets,
+    euler_steps,
     planar_features,
     tip,
 )
@@ -43,7 +44,7 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 ESTIMATORS = ("joint-affine", "joint-rbf", "separate")
-# what is compared -> words for tables; all with the root mean square over 100 points of the length of the difference
+# comparison -> words for tables; all with the root mean square over 100 points of the length of the difference
 KINDS = {
     "two_policies": "policies of two trajectories [rad/s]",
     "two_postures": "postures of two trajectories [rad]",
@@ -56,7 +57,7 @@ ROLLOUTS, POINTS = 20, 100
 @final
 @dataclass(frozen=True)
 class RmseCase:
-    """What is learnt: the constrained rows of the paper's demonstrations."""
+    """The constrained rows of the paper's demonstrations, which are to be learnt."""
 
     rows: str
 
@@ -78,11 +79,10 @@ def rmse_trial(case: RmseCase, rng: np.random.Generator) -> dict[str, Any]:
         selection, _ = WAYS[name](planar_features(), demos, Lambda, np.random.default_rng(rng.integers(2**63)))
         learnt = Constraint(selection, planar_features())
         own_q, own_pi = climbing_rollouts(true, starts, targets, learnt)
-        along = manipulability_batch(learnt, q.reshape(-1, 3)).gradient.reshape(q.shape)
         out[name] = {
             "two_policies": policy_rmse(pi, own_pi).tolist(),
             "two_postures": policy_rmse(q, own_q).tolist(),
-            "one_trajectory": policy_rmse(pi, along).tolist(),
+            "one_trajectory": policy_rmse(pi, climb_along(learnt, q)).tolist(),
         }
     out["size"] = float(np.sqrt(np.mean(np.sum(pi**2, axis=-1))))
     return out
@@ -96,7 +96,7 @@ def climbing_rollouts(
 ) -> tuple[Float[np.ndarray, "m T 3"], Float[np.ndarray, "m T 3"]]:
     """Postures and pi_mu under u = A^+ b + N pi_mu, equations (2) and (13), from m starts at once, by Euler steps.
 
-    Computed as u = pi_mu + A^+ (b - A pi_mu), with b = Lambda (r* - r(q)).
+    b = Lambda (r* - r(q)).
 
     Args:
         constraint: Of the task.
@@ -104,27 +104,24 @@ def climbing_rollouts(
         targets: r*.
         climbed: Whose mu is climbed; that of the task by default.
     """
-    Lambda, postures, policies = constraint.selection, [], []
-    for _ in range(POINTS):
-        pi = manipulability_batch(climbed or constraint, q).gradient
-        postures.append(q)
-        policies.append(pi)
-        A = Lambda @ constraint.features.batch(q)
-        b = (targets - tip(q)) @ Lambda.T - np.einsum("nsv,nv->ns", A, pi)
-        q = q + STEP * (pi + np.einsum("nvs,ns->nv", np.linalg.pinv(A), b))
-    return np.array(postures).transpose(1, 0, 2), np.array(policies).transpose(1, 0, 2)
+
+    def law(q: np.ndarray) -> np.ndarray:
+        b = (targets - tip(q)) @ constraint.selection.T
+        A = constraint.selection @ constraint.features.batch(q)
+        return constrained_motion(A, b, manipulability_batch(climbed or constraint, q).gradient)
+
+    postures, _ = euler_steps(law, q, POINTS)
+    return postures, climb_along(climbed or constraint, postures)
+
+
+def climb_along(constraint: Constraint, q: Float[np.ndarray, "m T nq"]) -> Float[np.ndarray, "m T nv"]:
+    """pi_mu = grad mu, equation (13), along trajectories."""
+    return manipulability_batch(constraint, q.reshape(-1, q.shape[2])).gradient.reshape(q.shape)
 
 
 @final
-@dataclass(frozen=True, eq=False)
-class RmseResult(ExperimentResult):
-    """RMSE of every rollout.
-
-    Attributes:
-        outcomes: Constraint -> one dictionary per trial, see `rmse_trial`.
-    """
-
-    outcomes: dict[str, list[dict[str, Any]]]
+class RmseResult(TrialsResult):
+    """RMSE of every rollout of every trial, see `rmse_trial`."""
 
     def values(self, rows: str, estimator: str, kind: str) -> list[float]:
         """RMSE of every rollout of every trial."""
@@ -139,16 +136,6 @@ class RmseResult(ExperimentResult):
         }
         return {"paper": dict(PAPER_RMSE) | {"rows": PRINTED_FOR}, "ours": ours}
 
-    def rows(self) -> list[dict[str, Any]]:
-        """One line per rollout and estimator."""
-        return [
-            {"rows": rows, "trial": i, "rollout": j, "estimator": name} | {kind: t[name][kind][j] for kind in KINDS}
-            for rows, trials in self.outcomes.items()
-            for i, t in enumerate(trials)
-            for name in ESTIMATORS
-            for j in range(ROLLOUTS)
-        ]
-
     def markdown(self) -> str:
         """The paper's number beside ours, for the constraint that it was measured with."""
         lines = []
@@ -157,26 +144,27 @@ class RmseResult(ExperimentResult):
                 said = f"{PAPER_RMSE['mean']:.3e} +- {PAPER_RMSE['sd']:.3e}"
                 lines.append([said_rows(rows), "**paper, as printed**", said, "", "", ""])
             for name in ESTIMATORS:
-                cells = [mean_and_sd(block[name][kind]) for kind in KINDS]
+                first, *others = (mean_and_sd(block[name][kind]) for kind in KINDS)
                 worst = number(block[name]["two_policies"]["worst"])
-                lines.append([said_rows(rows), SAID[name], cells[0], worst, *cells[1:]])
-        kinds = list(KINDS.values())
-        return markdown_table(["rows", "way to learn", kinds[0], "... worst", *kinds[1:]], lines)
+                lines.append([said_rows(rows), SAID[name], first, worst, *others])
+        first, *others = KINDS.values()
+        return markdown_table(["rows", "way to learn", first, "... worst", *others], lines)
 
     def figures(self) -> dict[str, Figure]:
         """Every rollout as a dot, the way of the paper above."""
-        shown = ("two_policies", "one_trajectory")
-        figure, axes = charts.new_figure(9.0, 6.4, len(shown), len(self.outcomes), sharey=True, sharex=True)
-        for line, kind in zip(axes, shown, strict=True):
-            for ax, rows in zip(line, self.outcomes, strict=True):
-                paper = PAPER_RMSE["mean"] if rows == PRINTED_FOR and kind == "two_policies" else None
-                charts.strip(ax, {SAID[n]: self.values(rows, n, kind) for n in ESTIMATORS}, paper)
-            words = KINDS[kind].replace(" [", "\n[")
-            line[0].set_ylabel(f"RMSE, {words}")
-        for ax, rows in zip(axes[0], self.outcomes, strict=True):
-            ax.set_title(f"constrained rows {said_rows(rows)}")
-        figure.supxlabel("way to learn; a dot is a rollout, a bar the median", fontsize=9)
-        return {"rmse": figure}
+        panels = [
+            [
+                Panel(
+                    {SAID[name]: self.values(rows, name, kind) for name in ESTIMATORS},
+                    f"RMSE, {KINDS[kind]}".replace(" [", "\n["),
+                    f"constrained rows {said_rows(rows)}" if kind == "two_policies" else "",
+                    PAPER_RMSE["mean"] if (rows, kind) == (PRINTED_FOR, "two_policies") else None,
+                )
+                for rows in self.outcomes
+            ]
+            for kind in ("two_policies", "one_trajectory")
+        ]
+        return {"rmse": strips(panels, "way to learn; a dot is a rollout, a bar the median", 9.0, 6.4)}
 
 
 RMSE = of_trials("rmse", rmse_trial, {rows: RmseCase(rows) for rows in SELECTIONS}, RmseResult)

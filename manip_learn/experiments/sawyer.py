@@ -10,6 +10,7 @@ recordings with replacement (a bootstrap resample), and those that were not draw
 from __future__ import annotations
 
 import importlib.resources
+from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
@@ -17,14 +18,16 @@ from typing import TYPE_CHECKING, Any, Literal, final
 
 import numpy as np
 from jaxtyping import Float
+from numpy.random import Generator
 
 from manip_learn.constraint.constraint import Constraint
+from manip_learn.constraint.features.feature_map import FeatureMap
 from manip_learn.constraint.features.frame_jacobian import FrameJacobian
 from manip_learn.constraint.manipulability_batch import manipulability_batch
 from manip_learn.errors import NotIdentifiableError, RecordingError
-from manip_learn.experiments import charts
+from manip_learn.experiments.charts import Panel, strips
 from manip_learn.experiments.experiment_result import (
-    ExperimentResult,
+    TrialsResult,
     compare_pairs,
     markdown_table,
     mean_and_sd,
@@ -32,12 +35,20 @@ from manip_learn.experiments.experiment_result import (
     number,
     percent,
     said_pair,
+    share,
     summary,
 )
 from manip_learn.experiments.metrics import mie, nmie, policy_rmse
-from manip_learn.experiments.paper_setup import PAPER_SAWYER_MIE, PAPER_SAWYER_RMSE
-from manip_learn.experiments.trial_runner import of_trials, two_fifths
-from manip_learn.experiments.ways import SAID, closed_form_held, fit_places, fit_row_by_row
+from manip_learn.experiments.paper_setup import (
+    PAPER_SAWYER_MIE,
+    PAPER_SAWYER_RMSE,
+    constrained_motion,
+    euler_steps,
+    recorded,
+)
+from manip_learn.experiments.rmse import climb_along
+from manip_learn.experiments.trial_runner import of_trials
+from manip_learn.experiments.ways import SAID, closed_form_held, fit_places, fit_row_by_row, task_rates
 from manip_learn.learning.learner import ConstraintLearner
 from manip_learn.learning.samples import Samples
 from manip_learn.linalg import row_space_angle
@@ -107,119 +118,11 @@ def recordings_folder(name: str) -> Path:
     )
 
 
-Key = tuple[str, str, str]  # source and number of samples, reading, direction
-ERRORS = ("mie", "nmie", "mie_held", "nmie_held", "angle_deg")
-
-
-@final
-@dataclass(frozen=True, eq=False)
-class SawyerResult(ExperimentResult):
-    """Outcome of every trial.
-
-    Attributes:
-        outcomes: Case in words -> one dictionary per trial, see `sawyer.sawyer_trial`.
-    """
-
-    outcomes: dict[Key, list[dict[str, Any]]]
-
-    def values(self, case: Key, what: str) -> list[Any]:
-        """One value per trial that was not refused."""
-        return [t[what] for t in self.outcomes[case] if what in t]
-
-    def to_dict(self) -> dict[str, Any]:
-        """Paper and ours; source, reading and direction make the key."""
-        ours = {}
-        for case, trials in self.outcomes.items():
-            inside = [t["angle_deg"] <= t["stated_deg"] for t in trials if t.get("stated_deg") is not None]
-            ours[" | ".join(case)] = {what: summary(self.values(case, what)) for what in ERRORS} | {
-                "rmse": summary(v for t in trials for v in t.get("rmse", ())),
-                "rows_right": sum(t.get("rows") == t["rows_true"] for t in trials) / len(trials),
-                "inside": float(np.mean(inside)) if inside else None,
-                "others": {name: self._other(case, name) for name in trials[0]["others"]},
-            }
-        paper = {
-            "mie": PAPER_SAWYER_MIE,
-            "rmse": dict(PAPER_SAWYER_RMSE),
-            "note": "a real Sawyer, data unpublished: the paper's numbers hold the friction, compliance and noise of "
-            "an arm that we do not have",
-        }
-        return {"paper": paper, "ours": ours}
-
-    def _other(self, case: Key, name: str) -> dict[str, Any]:
-        trials = self.outcomes[case]
-        angles = [t["others"][name]["angle_deg"] for t in trials]
-        return {
-            "angle_deg": summary(angles),
-            "nmie_held": summary(t["others"][name]["nmie_held"] for t in trials),
-            "pair": compare_pairs([t.get("angle_deg") for t in trials], angles),
-        }
-
-    def rows(self) -> list[dict[str, Any]]:
-        """One line per trial."""
-        return [
-            {
-                "source": case[0],
-                "reading": case[1],
-                "direction": case[2],
-                "trial": i,
-                **{k: t.get(k, "") for k in ("refused", "estimator", "rows", "gap", *ERRORS)},
-                "rmse_mean": float(np.mean(t["rmse"])) if "rmse" in t else "",
-            }
-            for case, trials in self.outcomes.items()
-            for i, t in enumerate(trials)
-        ]
-
-    def markdown(self) -> str:
-        """All readings beside the paper's numbers, then the published learners on the same recordings."""
-        mie_of_paper, rmse_of_paper = number(PAPER_SAWYER_MIE), mean_and_sd(PAPER_SAWYER_RMSE)
-        lines = [["**paper, a real arm**", "", "", mie_of_paper, "", "", "", rmse_of_paper, ""]]
-        pairs = []
-        for key, block in self.to_dict()["ours"].items():
-            case = key.split(" | ")
-            lines.append([*case, *(number(block[w]["median"]) for w in ("mie", "mie_held", "nmie_held"))])
-            lines[-1].append(median_and_worst(block["angle_deg"]))
-            lines[-1] += [mean_and_sd(block["rmse"]), percent(block["rows_right"])]
-            if block["others"]:
-                said = [_other_cell(block["others"].get(n)) for n in ("held", "row-by-row", "line")]
-                pairs.append([*case, number(block["angle_deg"]["median"]), *said])
-        header = ["demonstrations", "reading", "Lambda", "MIE, training", "MIE, held out", "NMIE, held out"]
-        header += ["angle [deg], median (worst)", "RMSE, mean +- s.d.", "rows found"]
-        against = ["recordings", "reading", "Lambda", SAID["auto"], SAID["held"], SAID["row-by-row"], SAID["line"]]
-        return "\n\n".join(
-            [
-                markdown_table(header, lines),
-                "Published learners for b = 0 on the same recordings, told the number of rows: median angle [deg]; the "
-                f"median of its ratio to that of *{SAID['auto']}* [95 % interval], resamples at which "
-                f"*{SAID['auto']}* is better. A ratio below 1 is a loss of ours.",
-                markdown_table(against, pairs),
-            ]
-        )
-
-    def figures(self) -> dict[str, Figure]:
-        """MIE on held-out recordings and RMSE of every trial."""
-        figure, axes = charts.new_figure(12.0, 5.6, 1, 2)
-        labels = {f"{source}: {reading.split()[0]} {d}": (source, reading, d) for source, reading, d in self.outcomes}
-        charts.strip(axes[0, 0], {k: self.values(c, "mie_held") for k, c in labels.items()}, PAPER_SAWYER_MIE)
-        axes[0, 0].set_ylabel("MIE on held-out recordings\n[m$^2$ for one row, m$^4$ for two]")
-        means = {k: [float(np.mean(v)) for v in self.values(c, "rmse")] for k, c in labels.items()}
-        charts.strip(axes[0, 1], means, PAPER_SAWYER_RMSE["mean"])
-        axes[0, 1].set_ylabel("RMSE of the policy, mean of 20 rollouts\n[m/rad for one row, m$^2$/rad for two]")
-        for ax in axes[0]:
-            ax.tick_params(axis="x", labelsize=6.5)
-        figure.supxlabel("recordings: reading of Lambda; a dot is a trial, a bar the median", fontsize=9)
-        return {"sawyer": figure}
-
-
-def _other_cell(other: dict[str, Any] | None) -> str:
-    if other is None:
-        return "not run"
-    return f"{number(other['angle_deg']['median'])}; {said_pair(other['pair'])}"
-
-
+# the paper's numbers: the pose that the null-space policy leads to [rad], and the starts
 DEFAULT_POSE = np.deg2rad([-100.0, 30.0, -100.0, 40.0, -60.0, -70.0, 250.0])
-START_LOW, START_HIGH = np.deg2rad([0.0, 90.0] * 3 + [0.0]), np.deg2rad([10.0, 100.0] * 3 + [10.0])
-STEP, DEMONSTRATIONS, POINTS = 0.01, 50, 10
-ROLLOUTS, ROLLOUT_POINTS = 20, 100
+START_LOW, START_HIGH = np.deg2rad([0.0, 90.0] * 3 + [0.0]), np.deg2rad([10.0, 100.0] * 3 + [10.0])  # [rad]
+STEP, DEMONSTRATIONS, POINTS = 0.01, 50, 10  # [s]
+ROLLOUTS, ROLLOUT_POINTS = 20, 100  # that the RMSE is taken over, samples of each
 DAMPING = 0.05  # of the rollouts' inverse [m]; targets may be out of reach
 
 Source = Literal["model", "kind physics", "hard physics"]
@@ -257,15 +160,18 @@ SOURCES: tuple[tuple[Source, int | None], ...] = (
     ("hard physics", None),
 )
 READINGS: tuple[Reading, ...] = ("constrained row", "free direction")
-CASES = tuple(
-    SawyerCase(source, points, reading, direction)
+PUBLISHED = ("held", "row-by-row", "line")  # learners for b = 0, told the number of rows
+BETWEEN = " | "  # the words of a case
+CASES = {
+    BETWEEN.join((case.said, case.reading, case.direction)): case
     for source, points in SOURCES
     for reading in READINGS
     for direction in ("x", "y")
-)
+    for case in [SawyerCase(source, points, reading, direction)]
+}
 
 
-def sawyer_trial(case: SawyerCase, rng: np.random.Generator) -> dict[str, Any]:
+def sawyer_trial(case: SawyerCase, rng: Generator) -> dict[str, Any]:
     """Learn from 50 demonstrations, test on others.
 
     Returns:
@@ -304,8 +210,8 @@ def sawyer_trial(case: SawyerCase, rng: np.random.Generator) -> dict[str, Any]:
     }
 
 
-def drawn(case: SawyerCase, true: Constraint, rng: np.random.Generator) -> tuple[Demonstrations, Demonstrations]:
-    """What is learnt from, and what it is tested on: none of the latter is among the former."""
+def drawn(case: SawyerCase, true: Constraint, rng: Generator) -> tuple[Demonstrations, Demonstrations]:
+    """Demonstrations to learn from, and others to test on: none is in both."""
     if case.source == "model":
         return simulated(true, rng), simulated(true, rng)
     opens_along_x = (case.direction == "x") == (case.reading == "free direction")
@@ -316,13 +222,13 @@ def drawn(case: SawyerCase, true: Constraint, rng: np.random.Generator) -> tuple
 
 
 def _others(
-    case: SawyerCase, features: FrameJacobian, demos: Demonstrations, true: Constraint, test: np.ndarray
+    case: SawyerCase, features: FeatureMap, demos: Demonstrations, true: Constraint, test: np.ndarray
 ) -> dict[str, dict[str, float]]:
     s = true.n_constraints
-    rates = np.concatenate([np.einsum("npv,nv->np", features.batch(t.q), t.u) for t in demos if t.u is not None])
-    frame, axes = sawyer_arm().frame(FRAME), ["xyz".index(a) for a in features.row_names]
-    places = [batch_kinematics(sawyer_arm(), frame).pose(t.q)[:, axes, 3] for t in demos]
-    answers = {"held": closed_form_held(rates, s), "line": fit_places(places, s)}
+    answers = {
+        "held": closed_form_held(np.concatenate(task_rates(features, demos)), s),
+        "line": fit_places([places(features, t.q) for t in demos], s),
+    }
     if case.points is not None:  # nine searches over all samples would take minutes
         samples = Samples.collect(features, demos)
         answers["row-by-row"] = samples.selection(fit_row_by_row(samples, s))
@@ -349,46 +255,119 @@ def _axes(case: SawyerCase) -> str:
     return "x y" if flat else "x y z"
 
 
-def simulated(true: Constraint, rng: np.random.Generator) -> Demonstrations:
+def places(features: FeatureMap, q: Float[np.ndarray, "n 7"]) -> Float[np.ndarray, "n p"]:
+    """r, the coordinates of the grip whose rates are the rows of Phi [m]."""
+    axes = ["xyz".index(axis) for axis in features.row_names]
+    return batch_kinematics(sawyer_arm(), sawyer_arm().frame(FRAME)).pose(q)[:, axes, 3]
+
+
+def steps(
+    true: Constraint, policy: Callable[[np.ndarray], np.ndarray], n: int, points: int, damping: float, rng: Generator
+) -> tuple[Float[np.ndarray, "n T 7"], Float[np.ndarray, "n T 7"]]:
+    """Postures and velocities of n motions from random starts to random targets, b = Lambda (r* - r), at 100 Hz."""
+    start = rng.uniform(START_LOW, START_HIGH, size=(n, 7))
+    targets = rng.uniform(-1.0, 1.0, size=(n, true.features.n_rows))
+
+    def law(q: np.ndarray) -> np.ndarray:
+        b = (targets - places(true.features, q)) @ true.selection.T
+        return constrained_motion(true.selection @ true.features.batch(q), b, policy(q), damping)
+
+    return euler_steps(law, start, points, STEP)
+
+
+def simulated(true: Constraint, rng: Generator) -> Demonstrations:
     """50 demonstrations of 10 points at 100 Hz: b = r* - r on the constrained rows, pi = default pose - q."""
-    arm, features, Lambda = sawyer_arm(), true.features, true.selection
-    frame = arm.frame(FRAME)
-    q = rng.uniform(START_LOW, START_HIGH, size=(DEMONSTRATIONS, 7))
-    targets = rng.uniform(-1.0, 1.0, size=(DEMONSTRATIONS, features.n_rows))
-    postures, actions = [], []
-    for _ in range(POINTS):
-        A, r = Lambda @ features.batch(q), batch_kinematics(arm, frame).pose(q)[:, :3, 3]
-        b, pi = (targets - r) @ Lambda.T, DEFAULT_POSE - q
-        u = pi + np.einsum("nvs,ns->nv", np.linalg.pinv(A), b - np.einsum("nsv,nv->ns", A, pi))
-        postures.append(q)
-        actions.append(u)
-        q = q + STEP * u
-    time, names = STEP * np.arange(POINTS), arm.joint_names
-    stacked = zip(np.array(postures).transpose(1, 0, 2), np.array(actions).transpose(1, 0, 2), strict=True)
-    return Demonstrations(Trajectory(time, q, u, names, f"demonstration {i}") for i, (q, u) in enumerate(stacked))
+    q, u = steps(true, lambda q: DEFAULT_POSE - q, DEMONSTRATIONS, POINTS, 0.0, rng)
+    return recorded(STEP, q, u, sawyer_arm().joint_names, "demonstration")
 
 
-def _rmse(true: Constraint, learnt: Constraint, rng: np.random.Generator) -> list[float]:
-    """RMSE of pi_mu = grad mu, equation (13), against pi_mu~ on 20 rollouts of 100 points, stepped together.
-
-    The rollouts follow u = A^T (A A^T + d^2 I)^-1 (b - A pi_mu) + pi_mu, equation (2) with a damped inverse, d = 0.05.
-    """
-    arm, features, Lambda = sawyer_arm(), true.features, true.selection
-    frame, axes = arm.frame(FRAME), ["xyz".index(a) for a in features.row_names]
-    q = rng.uniform(START_LOW, START_HIGH, size=(ROLLOUTS, 7))
-    targets = rng.uniform(-1.0, 1.0, size=(ROLLOUTS, features.n_rows))
-    climbing, learnt_climbing = [], []
-    for _ in range(ROLLOUT_POINTS):
-        pi = manipulability_batch(true, q).gradient
-        climbing.append(pi)
-        learnt_climbing.append(manipulability_batch(learnt, q).gradient)
-        A, r = Lambda @ features.batch(q), batch_kinematics(arm, frame).pose(q)[:, axes, 3]
-        gram = A @ A.transpose(0, 2, 1) + DAMPING**2 * np.eye(len(Lambda))
-        b = (targets - r) @ Lambda.T - np.einsum("nsv,nv->ns", A, pi)
-        q = q + STEP * (pi + np.einsum("nsv,ns->nv", A, np.linalg.solve(gram, b[:, :, None])[:, :, 0]))
-    return policy_rmse(np.stack(climbing, axis=1), np.stack(learnt_climbing, axis=1)).tolist()
+def _rmse(true: Constraint, learnt: Constraint, rng: Generator) -> list[float]:
+    """RMSE of pi_mu = grad mu, equation (13), against pi_mu~ on 20 rollouts of 100 points under pi_mu."""
+    q, _ = steps(true, lambda q: manipulability_batch(true, q).gradient, ROLLOUTS, ROLLOUT_POINTS, DAMPING, rng)
+    return policy_rmse(climb_along(true, q), climb_along(learnt, q)).tolist()
 
 
-SAWYER = of_trials(
-    "sawyer", sawyer_trial, {(c.said, c.reading, c.direction): c for c in CASES}, SawyerResult, two_fifths
-)
+ERRORS = ("mie", "nmie", "mie_held", "nmie_held", "angle_deg")
+
+
+@final
+class SawyerResult(TrialsResult):
+    """Outcome of every trial, see `sawyer_trial`; a case is its source, its reading and its direction."""
+
+    def to_dict(self) -> dict[str, Any]:
+        """Paper and ours."""
+        ours = {}
+        for case, trials in self.outcomes.items():
+            ours[case] = {what: summary(t.get(what) for t in trials) for what in ERRORS} | {
+                "rmse": summary(v for t in trials for v in t.get("rmse", ())),
+                "rows_right": share(t.get("rows") == t["rows_true"] for t in trials),
+                "inside": share(t["angle_deg"] <= t["stated_deg"] for t in trials if t.get("stated_deg") is not None),
+                "others": {name: self._other(trials, name) for name in trials[0]["others"]},
+            }
+        paper = {
+            "mie": PAPER_SAWYER_MIE,
+            "rmse": dict(PAPER_SAWYER_RMSE),
+            "note": "a real Sawyer, data unpublished: the paper's numbers hold the friction, compliance and noise of "
+            "an arm that we do not have",
+        }
+        return {"paper": paper, "ours": ours}
+
+    def _other(self, trials: list[dict[str, Any]], name: str) -> dict[str, Any]:
+        answers = [t["others"][name] for t in trials]
+        angles = [a["angle_deg"] for a in answers]
+        return {
+            "angle_deg": summary(angles),
+            "nmie_held": summary(a["nmie_held"] for a in answers),
+            "pair": compare_pairs([t.get("angle_deg") for t in trials], angles),
+        }
+
+    def markdown(self) -> str:
+        """All readings beside the paper's numbers, then the published learners on the same recordings."""
+        mie_of_paper, rmse_of_paper = number(PAPER_SAWYER_MIE), mean_and_sd(PAPER_SAWYER_RMSE)
+        lines = [["**paper, a real arm**", "", "", mie_of_paper, "", "", "", rmse_of_paper, ""]]
+        pairs = []
+        for key, block in self.to_dict()["ours"].items():
+            case = key.split(BETWEEN)
+            lines.append([*case, *(number(block[w]["median"]) for w in ("mie", "mie_held", "nmie_held"))])
+            lines[-1].append(median_and_worst(block["angle_deg"]))
+            lines[-1] += [mean_and_sd(block["rmse"]), percent(block["rows_right"])]
+            if others := block["others"]:
+                said = [
+                    f"{number(others[n]['angle_deg']['median'])}; {said_pair(others[n]['pair'])}"
+                    if n in others
+                    else "not run"
+                    for n in PUBLISHED
+                ]
+                pairs.append([*case, number(block["angle_deg"]["median"]), *said])
+        header = ["demonstrations", "reading", "Lambda", "MIE, training", "MIE, held out", "NMIE, held out"]
+        header += ["angle [deg], median (worst)", "RMSE, mean +- s.d.", "rows found"]
+        against = ["recordings", "reading", "Lambda", SAID["auto"], *(SAID[name] for name in PUBLISHED)]
+        words = (
+            "Published learners for b = 0 on the same recordings, told the number of rows: median angle [deg]; the "
+            f"median of its ratio to that of *{SAID['auto']}* [95 % interval], resamples at which *{SAID['auto']}* is "
+            "better. A ratio below 1 is a loss of ours."
+        )
+        return "\n\n".join([markdown_table(header, lines), words, markdown_table(against, pairs)])
+
+    def figures(self) -> dict[str, Figure]:
+        """MIE on held-out recordings and RMSE of every trial."""
+        errors, means = {}, {}
+        for case, trials in self.outcomes.items():
+            source, reading, direction = case.split(BETWEEN)
+            label = f"{source}: {reading.split()[0]} {direction}"
+            errors[label] = [t["mie_held"] for t in trials if "mie_held" in t]
+            means[label] = [float(np.mean(t["rmse"])) for t in trials if "rmse" in t]
+        panels = [
+            [Panel(errors, "MIE on held-out recordings\n[m$^2$ for one row, m$^4$ for two]", paper=PAPER_SAWYER_MIE)],
+            [
+                Panel(
+                    means,
+                    "RMSE of the policy, mean of 20 rollouts\n[m/rad for one row, m$^2$/rad for two]",
+                    paper=PAPER_SAWYER_RMSE["mean"],
+                )
+            ],
+        ]
+        return {"sawyer": strips(panels, "recordings: reading of Lambda; a dot is a trial, a bar the median", 9.0, 9.0)}
+
+
+SAWYER = of_trials("sawyer", sawyer_trial, CASES, SawyerResult, 0.4)

@@ -23,72 +23,22 @@ from manip_learn.experiments.paper_setup import Setup, demonstrate, planar_arm, 
 from manip_learn.experiments.trial_runner import Experiment, TrialRunner
 from manip_learn.experiments.ways import ESTIMATORS, SAID
 from manip_learn.linalg import matlab_tolerance
+from manip_learn.playback.palette import COLOURS
 from manip_learn.robot.robot import Robot
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-SHOWN = (0, 1, 2, 3, 6, 12, 25, 37, 50, 100, 250)  # the samples of 251 that are drawn as postures, dt 0.02 s
-REACH = 3.15  # of the axes [m]; the arm is 3 m long
 STEP = 0.02  # [s]
-
-
-def draw_starts(columns: Mapping[str, Rollout], fine: Sequence[Rollout], target: tuple[float, float]) -> Figure:
-    """One column a law: the arm at the moments `SHOWN`, and the manipulability of every sample.
-
-    Args:
-        columns: Title -> rollout at 0.02 s.
-        fine: The same laws at 0.01 s, of the first columns.
-        target: r* [m].
-    """
-    n = len(columns)
-    highest = max(float(np.max(r.manipulability)) for r in (*columns.values(), *fine))
-    figure, axes = charts.new_figure(12.0, 6.6, 2, n, sharey="row", height_ratios=[1.5, 1.0])
-    for i, (title, rollout) in enumerate(columns.items()):
-        _draw_postures(axes[0, i], rollout, target)
-        axes[0, i].set_title(title, fontsize=9)
-        _draw_manipulability(axes[1, i], rollout, fine[i] if i < len(fine) else None)
-        axes[1, i].set_ylim(0.0, 1.3 * highest)  # room for the key
-    axes[0, 0].set_ylabel("y of the links [m]")
-    axes[1, 0].set_ylabel("manipulability of x, y [m$^2$]")
-    charts.time_key(figure, axes[0], [STEP * i for i in SHOWN])
-    axes[0, 0].legend(loc="lower left", fontsize=7)
-    return figure
-
-
-def _draw_postures(ax: Any, rollout: Rollout, target: tuple[float, float]) -> None:
-    shown = [i for i in SHOWN if i < len(rollout)]
-    for shade, i in zip(charts.shades(len(SHOWN)), shown, strict=False):
-        angles = np.cumsum(rollout.q[i])
-        joints = np.concatenate([[[0.0, 0.0]], np.cumsum(np.column_stack([np.cos(angles), np.sin(angles)]), axis=0)])
-        charts.draw_arm(ax, joints, shade)
-    ax.plot(*target, "x", color=charts.INK, markersize=7, markeredgewidth=1.6, linestyle="none", label="target r*")
-    ax.set_aspect("equal")
-    ax.set_xlim(-REACH, REACH)
-    ax.set_ylim(-REACH, REACH)
-    ax.set_xlabel("x of the links [m]")
-
-
-def _draw_manipulability(ax: Any, rollout: Rollout, fine: Rollout | None) -> None:
-    ax.plot(rollout.time, rollout.manipulability, color=charts.colour("blue"), label="step 0.02 s (50 Hz)")
-    if fine is not None:
-        ax.plot(fine.time, fine.manipulability, ":", color=charts.INK, label="step 0.01 s (100 Hz)")
-    ax.legend(loc="upper right", fontsize=7)
-    ax.set_xlabel("time [s]")
-    steps = ax.secondary_xaxis("top", functions=(lambda t: t / STEP, lambda k: k * STEP))
-    steps.set_xlabel("step of 0.02 s", fontsize=8)
-    steps.tick_params(labelsize=7)
-
-
 DURATION = 5.0  # [s]
-STEPS = (0.02, 0.01)  # the paper's 50 Hz, and half of it [s]
+STEPS = (STEP, 0.01)  # the paper's 50 Hz, and half of it [s]
 REACHED = 0.05  # [m]
 PERTURBATION = 0.01  # of the start, standard deviation [rad]
 POLICIES = ("zero", "attractor", "manipulability")
 LEARNT = "joint-affine"  # how Lambda is learnt, from 100 of the paper's demonstrations
 WILD = 1e6  # postures beyond have no digits left below 1e-10 of a turn: chaotic [rad]
 ROUNDING_STARTS = 20  # starts that differ by rounding
-SETTLED = 100.0  # largest joint speed after the first second of what is no leap any more [rad/s]
+SETTLED = 100.0  # joint speed after the first second above which the arm still leaps [rad/s]
 
 
 @final
@@ -134,9 +84,9 @@ class Claim:
     """A statement, and whether it holds here.
 
     Attributes:
-        text: What is claimed or expected.
+        text: The claim, or our question.
         source: `"paper"`, or `"check"` for a question of ours.
-        seen: What was measured.
+        seen: The measurement, in words.
         holds: Whether it was reproduced as printed.
         verdict: What to say in place of yes or no.
     """
@@ -183,14 +133,11 @@ class StartResult(ExperimentResult):
             for policy, rollout in rollouts.items()
         }
         ours |= {f"{policy}, our controller": _meant(_numbers(rollout)) for policy, rollout in self.product.items()}
-        perturbed = {law: _rates(runs) for law, runs in self.perturbed.items()}
-        claims = [vars(c) for c in self.claims]
-        stated = [c for c in claims if c["source"] == "paper"]
         return {
-            "paper": {"claims": [c["text"] for c in stated]},
+            "paper": {"claims": [c.text for c in self.claims if c.source == "paper"]},
             "ours": ours,
-            "claims": claims,
-            "perturbed": perturbed,
+            "claims": [vars(c) for c in self.claims],
+            "perturbed": {law: _rates(runs) for law, runs in self.perturbed.items()},
             "rounding": {policy: _settled(runs) for policy, runs in self.rounding.items()},
         }
 
@@ -198,94 +145,88 @@ class StartResult(ExperimentResult):
         """One line per sample of every rollout."""
         named = {f"paper dt {dt:g} {p}": r for dt, rs in self.paper_law.items() for p, r in rs.items()}
         named |= {f"ours {p}": r for p, r in self.product.items()}
+        names = ("time", "q1", "q2", "q3", "manipulability", "task_error")
         return [
-            {
-                "law": law,
-                "time": float(r.time[i]),
-                **{f"q{j + 1}": float(r.q[i, j]) for j in range(3)},
-                "manipulability": float(r.manipulability[i]),
-                "task_error": float(r.task_error[i]),
-            }
+            {"law": law, **dict(zip(names, line, strict=True))}
             for law, r in named.items()
-            for i in range(len(r))
+            for line in np.column_stack([r.time, r.q, r.manipulability, r.task_error]).tolist()
         ]
 
     def markdown(self) -> str:
         """Claims, the rollouts' key numbers, and the perturbed starts."""
+        content = self.to_dict()
         claims = [["paper" if c.source == "paper" else "our question", c.text, c.seen, c.answer] for c in self.claims]
         lines = []
-        for law, n in self.to_dict()["ours"].items():
+        for law, n in content["ours"].items():
             said = ["chaotic" if n["chaotic"] else number(n[key]) for key in ("final_error", "min_manipulability")]
             lines.append([law, *said, number(n["max_velocity"])])
-        runs = []
-        for law, rates in self.to_dict()["perturbed"].items():
-            runs.append([law, percent(rates["reached"]), number(rates["max_velocity"]), number(rates["largest_step"])])
-            runs[-1].append(number(rates["min_manipulability"]))
+        keys = ("max_velocity", "largest_step", "min_manipulability")
+        runs = [
+            [law, percent(r["reached"]), *(number(r[key]) for key in keys)] for law, r in content["perturbed"].items()
+        ]
+        speed = "largest joint speed [rad/s]"
+        within = ["law", f"within {REACHED:g} m", speed, "largest step [rad]", "smallest mu after 0.1 s"]
         return "\n\n".join(
             [
                 markdown_table(["whose", "claim", "measured here", "holds as printed"], claims),
                 f"Lambda of the manipulability policy: learnt by *{SAID[LEARNT]}* from 100 demonstrations; the task "
                 "part uses the true one.",
-                markdown_table(
-                    ["law", "final error [m]", "smallest mu after step 3", "largest joint speed [rad/s]"], lines
-                ),
+                markdown_table(["law", "final error [m]", "smallest mu after step 3", speed], lines),
                 f"From {len(next(iter(self.perturbed.values())))} starts perturbed by {PERTURBATION:g} rad:",
-                markdown_table(
-                    [
-                        "law",
-                        f"within {REACHED:g} m",
-                        "largest joint speed [rad/s]",
-                        "largest step [rad]",
-                        "smallest mu after 0.1 s",
-                    ],
-                    runs,
-                ),
+                markdown_table(within, runs),
             ]
         )
 
     def figures(self) -> dict[str, Figure]:
         """The arm over time above, the manipulability over time below; the last column is our controller."""
         leap = "\n(chaotic after the first step)" if self.rounding else ""
-        columns = {f"paper's law, {p} policy{leap}": self.paper_law[0.02][p] for p in POLICIES}
-        fine = [self.paper_law[0.01][p] for p in POLICIES]
-        columns |= {"our controller, manipulability": self.product["manipulability"]}
-        return {self.setting.name: draw_starts(columns, fine, self.setting.target)}
+        columns = {f"paper's law, {p} policy{leap}": [self.paper_law[dt][p] for dt in STEPS] for p in POLICIES}
+        columns |= {"our controller, manipulability": [self.product["manipulability"]]}
+        return {self.setting.name: draw_columns(columns, self.setting.target)}
 
     def replays(self) -> dict[str, tuple[Robot, Mapping[str, Rollout]]]:
         """Our controller with each policy; the paper's law too where the postures are drawable."""
         rollouts = {f"ours: {p}": r for p, r in self.product.items()}
-        for policy, rollout in self.paper_law[0.02].items():
+        for policy, rollout in self.paper_law[STEP].items():
             if float(np.max(np.abs(rollout.q))) < 1e3:
                 rollouts[f"paper's law: {policy}"] = rollout
         return {self.setting.name: (planar_arm(), rollouts)}
 
 
-def compare(
-    setting: BadStart, trials: int, rng: np.random.Generator, runner: TrialRunner | None
-) -> tuple[Any, Any, Any, Any]:
-    """Rollouts of the paper's law, of ours, outcomes from perturbed starts, and from starts that differ by rounding.
+Claims = Callable[[dict[float, dict[str, Rollout]], dict[str, list[dict[str, float]]]], list[Claim]]
+
+
+def compare(setting: BadStart, judged: Claims) -> Experiment[StartResult]:
+    """The comparison from one start: three policies at 50 and 100 Hz, our controller, and perturbed starts.
 
     Args:
         setting: The start.
-        trials: Number of perturbed starts.
-        rng: For the demonstrations that Lambda is learnt from, and the seeds.
-        runner: Where the perturbed starts run.
+        judged: (rollouts of the paper's law, numbers from starts that differ by rounding) -> claims.
     """
-    arm, learnt = planar_arm(), _learnt(rng)
-    paper_law = {
-        dt: {p: simulate(arm, setting.law(p, learnt), setting.start, DURATION, dt) for p in POLICIES} for dt in STEPS
-    }
-    product = {p: simulate(arm, setting.law(p, learnt, product=True), setting.start, DURATION, 0.02) for p in POLICIES}
-    runner = runner or TrialRunner(workers=1)
-    runs = runner.map(setting.name, perturbed_trial, [setting], trials, int(rng.integers(2**53)))[0]
-    rounding: dict[str, list[dict[str, float]]] = {}
-    if any(_numbers(rollout)["chaotic"] for rollout in paper_law[0.02].values()):
-        last_digit = np.finfo(np.float64).eps * rng.standard_normal((ROUNDING_STARTS, 3))
-        starts = np.array(setting.start) * (1.0 + last_digit)
-        rounding = {
-            p: [_numbers(simulate(arm, setting.law(p, learnt), q, DURATION, 0.02)) for q in starts] for p in POLICIES
-        }
-    return paper_law, product, {law: [run[law] for run in runs] for law in runs[0]}, rounding
+
+    def run(trials: int, rng: np.random.Generator, runner: TrialRunner | None = None) -> StartResult:
+        runner = runner or TrialRunner(workers=1)
+        learnt = _learnt(rng)
+        paper_law = {dt: {p: _rollout(setting.law(p, learnt), setting.start, dt) for p in POLICIES} for dt in STEPS}
+        product = {p: _rollout(setting.law(p, learnt, product=True), setting.start) for p in POLICIES}
+        seed = int(rng.integers(2**53))
+        runs = runner.map(setting.name, perturbed_trial, [setting], size(trials), seed)[0]
+        rounding: dict[str, list[dict[str, float]]] = {}
+        if any(_numbers(rollout)["chaotic"] for rollout in paper_law[STEP].values()):
+            last_digit = np.finfo(np.float64).eps * rng.standard_normal((ROUNDING_STARTS, 3))
+            starts = np.array(setting.start) * (1.0 + last_digit)
+            rounding = {p: [_numbers(_rollout(setting.law(p, learnt), q)) for q in starts] for p in POLICIES}
+        perturbed = {law: [run[law] for run in runs] for law in runs[0]}
+        return StartResult(setting, paper_law, product, perturbed, tuple(judged(paper_law, rounding)), rounding)
+
+    def size(trials: int) -> int:
+        return max(1, round(0.8 * trials))  # 40 perturbed starts at the paper's 50 trials
+
+    return Experiment(run, size)
+
+
+def _rollout(law: ResolvedRateController, start: Sequence[float] | np.ndarray, dt: float = STEP) -> Rollout:
+    return simulate(planar_arm(), law, start, DURATION, dt)
 
 
 def perturbed_trial(setting: BadStart, rng: np.random.Generator) -> dict[str, Any]:
@@ -293,9 +234,7 @@ def perturbed_trial(setting: BadStart, rng: np.random.Generator) -> dict[str, An
     learnt = _learnt(rng)
     q = np.array(setting.start) + PERTURBATION * rng.standard_normal(3)
     return {
-        f"{whose}: {policy}": _numbers(
-            simulate(planar_arm(), setting.law(policy, learnt, product=product), q, DURATION, 0.02), after=5
-        )
+        f"{whose}: {policy}": _numbers(_rollout(setting.law(policy, learnt, product=product), q), after=5)
         for whose, product in (("paper's law", False), ("ours", True))
         for policy in POLICIES
     }
@@ -368,35 +307,16 @@ THRESHOLD = 1.332e-15  # of the truncation, as printed
 AROUND = (60, 80)  # "around 70 steps"
 
 
-def size(trials: int) -> int:
-    """Number of perturbed starts, which are the trials that are reported as progress: 40 at the paper's 50 trials."""
-    return max(1, round(0.8 * trials))
+def singular_claims(paper_law: dict[float, dict[str, Rollout]], _rounding: object) -> list[Claim]:
+    """Of the first comparison, and whether an arm could follow."""
+    return [_threshold_claim(), *_figure_1_claims(paper_law), *_speed_checks(paper_law)]
 
 
-def run_singular(trials: int, rng: np.random.Generator, runner: TrialRunner | None = None) -> StartResult:
-    """Three policies at 50 and 100 Hz, our controller, and perturbed starts; from a singular posture.
-
-    Args:
-        trials: Four fifths as many perturbed starts.
-        rng: For demonstrations and perturbations.
-        runner: Where the perturbed starts run.
-    """
-    paper_law, product, perturbed, rounding = compare(SINGULAR, size(trials), rng, runner)
-    claims = (_threshold_claim(), *_singular_claims(paper_law), *_speed_checks(paper_law))
-    return StartResult(SINGULAR, paper_law, product, perturbed, claims, rounding)
-
-
-def run_near_singular(trials: int, rng: np.random.Generator, runner: TrialRunner | None = None) -> StartResult:
-    """The same from a posture 1e-10 degrees away from a singular one.
-
-    Args:
-        trials: Four fifths as many perturbed starts.
-        rng: For demonstrations and perturbations.
-        runner: Where the perturbed starts run.
-    """
-    paper_law, product, perturbed, rounding = compare(NEAR_SINGULAR, size(trials), rng, runner)
-    claims = (_leap_claim(paper_law[0.02]["zero"]), *_figure_claims(rounding), *_leap_checks(paper_law[0.02]))
-    return StartResult(NEAR_SINGULAR, paper_law, product, perturbed, claims, rounding)
+def near_singular_claims(
+    paper_law: dict[float, dict[str, Rollout]], rounding: dict[str, list[dict[str, float]]]
+) -> list[Claim]:
+    """Of the second comparison, and what the leap depends on."""
+    return [_leap_claim(paper_law[STEP]["zero"]), *_figure_2_claims(rounding), *_leap_checks(paper_law[STEP])]
 
 
 def _threshold_claim() -> Claim:
@@ -411,15 +331,15 @@ def _threshold_claim() -> Claim:
     )
 
 
-def _singular_claims(paper_law: dict[float, dict[str, Rollout]]) -> list[Claim]:
+def _figure_1_claims(paper_law: dict[float, dict[str, Rollout]]) -> list[Claim]:
     """At the paper's 50 Hz, with what 100 Hz gives beside it."""
 
     def said(tell: Callable[[dict[str, Rollout]], str]) -> str:
         return "; ".join(f"{tell(rollouts)} at {1.0 / dt:.0f} Hz" for dt, rollouts in paper_law.items())
 
-    zero, attractor, climb = (paper_law[0.02][p] for p in ("zero", "attractor", "manipulability"))
+    zero, attractor, climb = (paper_law[STEP][p] for p in ("zero", "attractor", "manipulability"))
     dips = {dt: _dip(rollouts["attractor"]) for dt, rollouts in paper_law.items()}
-    step, mu = dips[0.02]
+    step, mu = dips[STEP]
     in_time = {dt: AROUND[0] <= dip[0] <= AROUND[1] for dt, dip in dips.items()}
     steps = ", ".join(f"{dip[0]} at {1.0 / dt:.0f} Hz" for dt, dip in dips.items())
     least = float(np.min(climb.manipulability[3:]))
@@ -446,8 +366,8 @@ def _singular_claims(paper_law: dict[float, dict[str, Rollout]]) -> list[Claim]:
             "... after around 70 steps",
             "paper",
             f"lowest at step {steps}",
-            in_time[0.02],
-            "" if in_time[0.02] else "**no** at the paper's 50 Hz, yes at 100 Hz" if in_time[0.01] else "**no**",
+            in_time[STEP],
+            "" if in_time[STEP] else "**no** at the paper's 50 Hz, yes at 100 Hz" if in_time[0.01] else "**no**",
         ),
         Claim(
             "The manipulability policy arrives and stays away from singularities",
@@ -486,7 +406,7 @@ def _leap_claim(zero: Rollout) -> Claim:
     )
 
 
-def _figure_claims(rounding: dict[str, list[dict[str, float]]]) -> list[Claim]:
+def _figure_2_claims(rounding: dict[str, list[dict[str, float]]]) -> list[Claim]:
     """What Figure 2 shows, judged over starts that differ by rounding: a single one is chance after such a leap."""
     n = len(rounding["zero"])
     found = {p: sum(r["final_error"] < REACHED and r["late_speed"] < SETTLED for r in rounding[p]) for p in rounding}
@@ -527,4 +447,39 @@ def _leap_checks(rollouts: dict[str, Rollout]) -> list[Claim]:
     ]
 
 
-FROM_SINGULAR, FROM_NEAR_SINGULAR = Experiment(run_singular, size), Experiment(run_near_singular, size)
+FROM_SINGULAR, FROM_NEAR_SINGULAR = compare(SINGULAR, singular_claims), compare(NEAR_SINGULAR, near_singular_claims)
+
+SHOWN = (0, 1, 2, 3, 6, 12, 25, 37, 50, 100, 250)  # the samples of 251 that are drawn as postures, dt 0.02 s
+REACH = 3.15  # of the axes [m]; the arm is 3 m long
+
+
+def draw_columns(columns: Mapping[str, Sequence[Rollout]], target: tuple[float, float]) -> Figure:
+    """One column a law: the arm at the moments `SHOWN`, and the manipulability of every sample.
+
+    Args:
+        columns: Title -> rollout at 0.02 s, and at 0.01 s for the paper's law.
+        target: r* [m].
+    """
+    figure, axes = charts.new_figure(12.0, 6.6, 2, len(columns), sharey="row", height_ratios=[1.5, 1.0])
+    shades = charts.shades(len(SHOWN))
+    for (above, below), (title, rollouts) in zip(axes.T, columns.items(), strict=True):
+        angles = np.cumsum(rollouts[0].q[[i for i in SHOWN if i < len(rollouts[0])]], axis=1)
+        joints = np.cumsum(np.stack([np.cos(angles), np.sin(angles)], axis=-1), axis=1)
+        for shade, arm in zip(shades, np.pad(joints, [(0, 0), (1, 0), (0, 0)]), strict=False):
+            above.plot(*arm.T, "-o", color=shade, linewidth=1.3, markersize=2.5, solid_capstyle="round", alpha=0.9)
+        above.plot(
+            *target, "x", color=charts.INK, markersize=7, markeredgewidth=1.6, linestyle="none", label="target r*"
+        )
+        above.set(title=title, xlabel="x of the links [m]", aspect="equal", xlim=(-REACH, REACH), ylim=(-REACH, REACH))
+        for rollout, look, said in zip(rollouts, ("-", ":"), ("0.02 s (50 Hz)", "0.01 s (100 Hz)"), strict=False):
+            colour = COLOURS["blue"] if look == "-" else charts.INK
+            below.plot(rollout.time, rollout.manipulability, look, color=colour, label=f"step {said}")
+        below.legend(loc="upper right", fontsize=7)
+        below.set_xlabel("time [s]")
+    highest = max(float(np.max(r.manipulability)) for rollouts in columns.values() for r in rollouts)
+    axes[1, 0].set_ylim(0.0, 1.3 * highest)  # room for the key
+    axes[0, 0].set_ylabel("y of the links [m]")
+    axes[1, 0].set_ylabel("manipulability of x, y [m$^2$]")
+    axes[0, 0].legend(loc="lower left", fontsize=7)
+    charts.time_key(figure, axes[0], [STEP * i for i in SHOWN])
+    return figure

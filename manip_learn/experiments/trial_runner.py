@@ -1,14 +1,14 @@
-"""Independent trials, spread over the cores, each with a seed of its own."""
+"""Independent trials, spread over the cores, each with a seed of its own; finished parts are kept."""
 
 from __future__ import annotations
 
 import contextlib
-import dataclasses
 import hashlib
 import json
 import os
 import zlib
 from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import asdict, dataclass
 from functools import cache
 from pathlib import Path
 from typing import Any, Generic, Literal, TypeVar, final
@@ -29,12 +29,62 @@ Result = TypeVar("Result", bound=ExperimentResult)
 MARKER = "reproduction.json"
 FORMAT = "manip_learn.reproduction"
 PARTS = "parts"
-PART = 5  # trials that are run and kept together
+PART = 5  # trials that are run and kept together: an interruption loses a minute at most
+
+
+@final
+@dataclass(frozen=True)
+class Part:
+    """Some consecutive trials of one case.
+
+    Attributes:
+        experiment: Name, a part of the seeds.
+        trial: A function at the top of a module.
+        settings: Frozen dataclass, the case.
+        first: Number of the first trial.
+        count: Number of trials.
+        seed: Root of all seeds.
+    """
+
+    experiment: str
+    trial: Trial
+    settings: Any
+    first: int
+    count: int
+    seed: int
+
+    def run(self) -> list[dict[str, Any]]:
+        """Outcome of each trial; it depends on the seed, the case and the trial's number alone."""
+        label = zlib.crc32(f"{self.experiment} {sorted(asdict(self.settings).items())}".encode())
+        with one_thread():
+            return [
+                self.trial(self.settings, np.random.default_rng([self.seed, label, self.first + i]))
+                for i in range(self.count)
+            ]
+
+    @property
+    def file(self) -> str:
+        """Name of the file that keeps it: another one wherever anything differs that the outcome depends on."""
+        trial = f"{self.trial.__module__}.{self.trial.__qualname__}"
+        words = (self.experiment, trial, asdict(self.settings), self.first, self.count, self.seed, library_digest())
+        digest = hashlib.sha256(json.dumps(words, sort_keys=True).encode()).hexdigest()
+        return f"{self.experiment.replace('/', '-')}-{digest[:40]}.json"
+
+
+@cache
+def library_digest() -> str:
+    """SHA-256 of the library's source: parts made by other code are not used."""
+    digest = hashlib.sha256()
+    package = Path(__file__).resolve().parents[1]
+    for path in sorted(package.rglob("*.py")):
+        digest.update(path.relative_to(package).as_posix().encode())
+        digest.update(path.read_bytes())
+    return digest.hexdigest()
 
 
 @final
 class PartStore:
-    """Finished parts as JSON files, found again by everything that they depend on.
+    """Finished parts as JSON files.
 
     Args:
         folder: Output folder; it is made, or must be empty, or one of ours.
@@ -52,7 +102,8 @@ class PartStore:
             others = [] if not self.folder.exists() else sorted(p.name for p in self.folder.iterdir())
         except OSError as error:
             raise OutputError(f"cannot read {self.folder}: {error.strerror}; choose another folder") from error
-        if others and not _is_ours(marker):
+        content = _read(marker)
+        if others and not (isinstance(content, dict) and content.get("format") == FORMAT):
             shown = ", ".join(others[:3]) + (" ..." if len(others) > 3 else "")
             raise OutputError(
                 f"{self.folder} holds other files ({shown}): give a new or empty folder, or that of an earlier run"
@@ -60,37 +111,25 @@ class PartStore:
         if not others:
             write_atomically(marker, json.dumps({"format": FORMAT}) + "\n")
 
-    def load(self, key: dict[str, Any]) -> list[dict[str, Any]] | None:
-        """What was kept under a key; None if nothing was, or if the file is damaged."""
-        path = self._path(key)
-        try:
-            content = json.loads(path.read_text(encoding="utf-8"))
-        except (OSError, ValueError):
-            return None
-        return content.get("value") if isinstance(content, dict) and content.get("key") == _plain(key) else None
+    def load(self, part: Part) -> list[dict[str, Any]] | None:
+        """The outcomes that were kept; None if none were, or if the file is damaged."""
+        kept = _read(self.folder / PARTS / part.file)
+        return kept if isinstance(kept, list) and len(kept) == part.count else None
 
-    def keep(self, key: dict[str, Any], value: list[dict[str, Any]]) -> None:
-        """Write a finished part, whole or not at all.
+    def keep(self, part: Part, outcomes: list[dict[str, Any]]) -> None:
+        """Write the outcomes of a part, whole or not at all.
 
         Raises:
-            OutputError: It cannot be written.
+            OutputError: They cannot be written.
         """
-        write_atomically(self._path(key), json.dumps({"key": _plain(key), "value": value}) + "\n")
-
-    def _path(self, key: dict[str, Any]) -> Path:
-        name = str(key.get("experiment", "part")).replace("/", "-")
-        return self.folder / PARTS / f"{name}-{_digest(key)[:20]}.json"
+        write_atomically(self.folder / PARTS / part.file, json.dumps(outcomes) + "\n")
 
 
-@cache
-def library_digest() -> str:
-    """SHA-256 of the library's source: parts made by other code are not used."""
-    digest = hashlib.sha256()
-    package = Path(__file__).resolve().parents[1]
-    for path in sorted(package.rglob("*.py")):
-        digest.update(path.relative_to(package).as_posix().encode())
-        digest.update(path.read_bytes())
-    return digest.hexdigest()
+def _read(path: Path) -> Any:
+    try:
+        return json.loads(path.read_text(encoding="utf-8"))
+    except (OSError, ValueError):
+        return None
 
 
 @final
@@ -136,50 +175,32 @@ class TrialRunner:
             MissingExtraError: joblib or dask is not installed.
             OutputError: A part cannot be written.
         """
-        keys = [
-            (i, first, self._key(experiment, trial, one, first, min(PART, trials - first), seed))
-            for i, one in enumerate(settings)
+        parts = [
+            Part(experiment, trial, one, first, min(PART, trials - first), seed)
+            for one in settings
             for first in range(0, trials, PART)
         ]
-        results: dict[tuple[int, int], list[dict[str, Any]]] = {}
-        missing = []
-        for i, first, key in keys:
-            kept = None if self.store is None else self.store.load(key)
-            if kept is None:
-                missing.append((i, first, key))
-            else:
-                results[i, first] = kept
-                self.advance(experiment, key["count"])
-        work = [(trial, settings[i], key) for i, _, key in missing]
+        outcomes = [None if self.store is None else self.store.load(part) for part in parts]
+        for part, kept in zip(parts, outcomes, strict=True):
+            if kept is not None:
+                self._advance(part)
         with one_thread():  # here too: threads of this process share the setting
-            for number, part in self._run(work):
-                i, first, key = missing[number]
-                results[i, first] = part
+            for number, found in self._run([(n, parts[n]) for n, kept in enumerate(outcomes) if kept is None]):
+                outcomes[number] = found
                 if self.store is not None:
-                    self.store.keep(key, part)
-                self.advance(experiment, len(part))
-        return [[r for first in range(0, trials, PART) for r in results[i, first]] for i in range(len(settings))]
+                    self.store.keep(parts[number], found)
+                self._advance(parts[number])
+        flat = [outcome for part in outcomes for outcome in part or ()]
+        return [flat[i * trials : (i + 1) * trials] for i in range(len(settings))]
 
-    def advance(self, experiment: str, trials: int) -> None:
-        """Report trials of an experiment as done."""
-        self.done += trials
+    def _advance(self, part: Part) -> None:
+        self.done += part.count
         if self.progress is not None:
-            self.progress(experiment, self.done / max(self.total, self.done))
+            self.progress(part.experiment, self.done / max(self.total, self.done))
 
-    def _key(self, experiment: str, trial: Trial, one: Any, first: int, count: int, seed: int) -> dict[str, Any]:
-        return {
-            "experiment": experiment,
-            "trial": f"{trial.__module__}.{trial.__qualname__}",
-            "settings": dataclasses.asdict(one),
-            "first": first,
-            "count": count,
-            "seed": seed,
-            "library": library_digest() if self.store is not None else "",
-        }
-
-    def _run(self, work: list[tuple[Trial, Any, dict[str, Any]]]) -> Iterator[tuple[int, list[dict[str, Any]]]]:
+    def _run(self, work: list[tuple[int, Part]]) -> Iterator[tuple[int, list[dict[str, Any]]]]:
         if self.workers == 1 or len(work) <= 1:
-            yield from (_numbered(n, *w) for n, w in enumerate(work))
+            yield from (_numbered(*one) for one in work)
             return
         try:
             import joblib
@@ -187,11 +208,30 @@ class TrialRunner:
             raise MissingExtraError("spreading trials over the cores", "experiments") from error
         with _cluster(self.backend, self.workers), joblib.parallel_config(backend=self.backend, n_jobs=self.workers):
             parallel = joblib.Parallel(return_as="generator_unordered", pre_dispatch="2*n_jobs", batch_size=1)
-            yield from parallel(joblib.delayed(_numbered)(n, *w) for n, w in enumerate(work))
+            yield from parallel(joblib.delayed(_numbered)(*one) for one in work)
+
+
+def _numbered(number: int, part: Part) -> tuple[int, list[dict[str, Any]]]:
+    return number, part.run()
+
+
+@contextlib.contextmanager
+def _cluster(backend: Backend, workers: int) -> Iterator[None]:
+    if backend != "dask":
+        yield
+        return
+    try:
+        from distributed import Client, LocalCluster
+    except ImportError as error:
+        raise MissingExtraError("the dask backend", "dask") from error
+    # by default the dashboard listens on all interfaces
+    own: Any = {"host": "127.0.0.1", "dashboard_address": "127.0.0.1:0"}
+    with LocalCluster(n_workers=workers, threads_per_worker=1, **own) as cluster, Client(cluster):
+        yield
 
 
 @final
-@dataclasses.dataclass(frozen=True)
+@dataclass(frozen=True)
 class Experiment(Generic[Result]):
     """A part of the reproduction.
 
@@ -207,22 +247,23 @@ class Experiment(Generic[Result]):
 def of_trials(
     name: str,
     trial: Trial,
-    cases: Mapping[Any, Any],
-    result: Callable[[dict[Any, list[dict[str, Any]]]], Result],
-    share: Callable[[int], int] = lambda trials: trials,
+    cases: Mapping[str, Any],
+    result: Callable[[dict[str, list[dict[str, Any]]]], Result],
+    share: float = 1.0,
 ) -> Experiment[Result]:
     """An experiment that runs each of its cases in independent trials.
 
     Args:
         name: Part of the seeds.
         trial: A function at the top of a module.
-        cases: What the result calls a case -> frozen dataclass.
-        result: Made from what a case is called -> outcome of each of its trials.
-        share: Trials that the user asks for -> trials of each case, at least one.
+        cases: Name of a case -> frozen dataclass.
+        result: Made from the outcomes: name of a case -> one dictionary per trial.
+        share: Trials of each case over those that the user asks for; of the paper's 50 trials, 20 are enough for
+            paired tests, and 5 where an answer varies little. At least one trial is run.
     """
 
     def count(trials: int) -> int:
-        return max(1, share(trials))
+        return max(1, round(share * trials))
 
     def run(trials: int, rng: np.random.Generator, runner: TrialRunner | None = None) -> Result:
         runner = runner or TrialRunner(workers=1)
@@ -230,55 +271,3 @@ def of_trials(
         return result(dict(zip(cases, outcomes, strict=True)))
 
     return Experiment(run, lambda trials: count(trials) * len(cases))
-
-
-def two_fifths(trials: int) -> int:
-    """Of the paper's 50 trials 20, which are enough for paired tests."""
-    return round(0.4 * trials)
-
-
-def a_tenth(trials: int) -> int:
-    """Of the paper's 50 trials 5."""
-    return trials // 10
-
-
-def _numbered(number: int, trial: Trial, one: Any, key: dict[str, Any]) -> tuple[int, list[dict[str, Any]]]:
-    label = zlib.crc32(f"{key['experiment']} {sorted(key['settings'].items())}".encode())
-    numbers = range(key["first"], key["first"] + key["count"])
-    with one_thread():
-        return number, [trial(one, np.random.default_rng([key["seed"], label, i])) for i in numbers]
-
-
-@contextlib.contextmanager
-def _cluster(backend: Backend, workers: int) -> Iterator[None]:
-    if backend != "dask":
-        yield
-        return
-    try:
-        from distributed import Client, LocalCluster
-    except ImportError as error:
-        raise MissingExtraError("the dask backend", "dask") from error
-    # by default the dashboard listens on all interfaces
-    with (
-        LocalCluster(
-            n_workers=workers, threads_per_worker=1, host="127.0.0.1", dashboard_address="127.0.0.1:0"
-        ) as cluster,
-        Client(cluster),
-    ):
-        yield
-
-
-def _digest(key: dict[str, Any]) -> str:
-    return hashlib.sha256(json.dumps(_plain(key), sort_keys=True).encode()).hexdigest()
-
-
-def _plain(key: dict[str, Any]) -> Any:
-    return json.loads(json.dumps(key, sort_keys=True))
-
-
-def _is_ours(marker: Path) -> bool:
-    try:
-        content = json.loads(marker.read_text(encoding="utf-8"))
-    except (OSError, ValueError):
-        return False
-    return isinstance(content, dict) and content.get("format") == FORMAT

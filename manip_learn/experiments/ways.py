@@ -21,15 +21,15 @@ These are told the number of rows.
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Callable
-from typing import Any, final
+from collections.abc import Callable, Sequence
+from typing import Any
 
 import numpy as np
 from jaxtyping import Float
-from numpy.typing import ArrayLike
 from scipy.optimize import least_squares
 
 from manip_learn.constraint.features.feature_map import FeatureMap
+from manip_learn.constraint.features.other_features import CustomFeatures
 from manip_learn.experiments.paper_setup import null_parts, tip
 from manip_learn.learning.estimators.joint_estimator import estimate_joint
 from manip_learn.learning.estimators.null_space import fit_null_space, levels
@@ -43,40 +43,20 @@ from manip_learn.linalg import batch_row_spaces, complement_rows, orthonormal_ro
 from manip_learn.recordings.demonstrations import Demonstrations
 
 
-@final
-class ScaledRows(FeatureMap):
-    """diag(scales) Phi(q): centimetres instead of metres beside radians, for instance.
-
-    Args:
-        features: Phi.
-        scales: One factor per row.
-    """
-
-    def __init__(self, features: FeatureMap, scales: ArrayLike):
-        self.features = features
-        self.scales: Float[np.ndarray, " p"] = np.array(scales, dtype=np.float64)
-        self.nv = features.nv
-        self.row_names = features.row_names
-        self.row_units = tuple(f"{u} / {c:g}" for u, c in zip(features.row_units, self.scales, strict=True))
-
-    def __call__(self, q: ArrayLike) -> Float[np.ndarray, "p nv"]:
-        """Phi(q), scaled."""
-        return self.scales[:, None] * self.features(q)
-
-    def derivative(self, q: ArrayLike) -> Float[np.ndarray, "p nv nv"]:
-        """dPhi/dq, scaled."""
-        return self.scales[:, None, None] * self.features.derivative(q)
-
-    def batch(self, q: ArrayLike) -> Float[np.ndarray, "n p nv"]:
-        """Phi at many postures, scaled."""
-        return self.scales[:, None] * self.features.batch(q)
-
-    def __repr__(self) -> str:
-        return f"ScaledRows({self.features!r}, {self.scales.tolist()})"
+def scaled_rows(features: FeatureMap, scales: Sequence[float]) -> CustomFeatures:
+    """diag(scales) Phi(q): rows in other units, centimetres instead of metres beside radians for instance."""
+    factors = np.array(scales, dtype=np.float64)
+    return CustomFeatures(
+        lambda q: factors[:, None] * features(q),
+        features.row_names,
+        features.nv,
+        derivative=lambda q: factors[:, None, None] * features.derivative(q),
+        row_units=[f"{unit} / {scale:g}" for unit, scale in zip(features.row_units, scales, strict=True)],
+    )
 
 
-STARTS_AN_ANGLE = 3
-TOLERANCE = 1e-15
+STARTS_AN_ANGLE = 3  # the search has local minima; more starts found no lower ones on the paper's reaches
+TOLERANCE = 1e-15  # of the search, relative: it stops at rounding
 
 
 def fit_row_by_row(samples: Samples, n_rows: int) -> Float[np.ndarray, "s r"]:
@@ -122,7 +102,7 @@ def _best_row(Phi: np.ndarray, w: np.ndarray, frame: np.ndarray) -> Float[np.nda
 
 
 def _beside(Phi: np.ndarray, Lambda: np.ndarray) -> Float[np.ndarray, "n r v"]:
-    """Phi N: what is left of each row of Phi in the null space of the rows so far."""
+    """Phi N: each row of Phi without its part along the rows so far."""
     s = len(Lambda)
     if s == 0:
         return Phi
@@ -160,7 +140,7 @@ def closed_form(
 
 
 def closed_form_held(task_velocity: Float[np.ndarray, "n p"], n_rows: int) -> Float[np.ndarray, "s p"]:
-    """Lambda from Lambda Phi u = 0: the same with b = 0, the smallest left singular vectors of Phi u."""
+    """Lambda from Lambda Phi u = 0 (b = 0): the left singular vectors of Phi u with the smallest singular values."""
     return np.linalg.svd(task_velocity, full_matrices=False)[2][-n_rows:]
 
 
@@ -178,27 +158,26 @@ def fit_places(places: list[np.ndarray], n_rows: int) -> Float[np.ndarray, "s p"
 Learnt = tuple[np.ndarray, dict[str, Any]]
 # (features, demonstrations, true Lambda, rng) -> learnt Lambda and remarks
 Way = Callable[[FeatureMap, Demonstrations, np.ndarray, np.random.Generator], Learnt]
+# (samples, true Lambda, rng) -> learnt Lambda in whitened coordinates
+WhitenedWay = Callable[[Samples, np.ndarray, np.random.Generator], np.ndarray]
 Matrix = Float[np.ndarray, "s p"]
 FITS = 3  # one after the other: each stops when its steps are small
 
 
-def _joint(model: str) -> Way:
+def _of_samples(way: WhitenedWay) -> Way:
     def learn(features: FeatureMap, demos: Demonstrations, true: Matrix, rng: np.random.Generator) -> Learnt:
         samples = Samples.collect(features, demos)
-        return samples.selection(estimate_joint(samples, len(true), rng, model).whitened_selection), {}
+        return samples.selection(way(samples, true, rng)), {}
 
     return learn
 
 
-def _separate(features: FeatureMap, demos: Demonstrations, true: Matrix, rng: np.random.Generator) -> Learnt:
-    samples = Samples.collect(features, demos)
-    return samples.selection(estimate_separate(samples, len(true), rng).whitened_selection), {}
+def _joint(model: str) -> Way:
+    return _of_samples(lambda samples, true, rng: estimate_joint(samples, len(true), rng, model).whitened_selection)
 
 
-def _separate_row_by_row(features: FeatureMap, demos: Demonstrations, true: Matrix, rng: np.random.Generator) -> Learnt:
-    samples = Samples.collect(features, demos)
-    _, null_motion = separate_null_motion(samples, rng)
-    return samples.selection(orthonormal_rows(fit_row_by_row(null_motion, len(true)))), {}
+def _separate_row_by_row(samples: Samples, true: Matrix, rng: np.random.Generator) -> Float[np.ndarray, "s r"]:
+    return orthonormal_rows(fit_row_by_row(separate_null_motion(samples, rng)[1], len(true)))
 
 
 def _true_null_part(features: FeatureMap, demos: Demonstrations, true: Matrix, rng: np.random.Generator) -> Learnt:
@@ -214,9 +193,12 @@ def _auto(features: FeatureMap, demos: Demonstrations, true: Matrix, rng: np.ran
 
 
 def _closed_form(features: FeatureMap, demos: Demonstrations, true: Matrix, rng: np.random.Generator) -> Learnt:
-    length = float(features.scales[0]) if isinstance(features, ScaledRows) else 1.0
-    rates = np.array([np.einsum("npv,nv->np", features.batch(t.q), t.u) for t in demos if t.u is not None])
-    return closed_form(rates, np.array([tip(t.q, length) for t in demos]), len(true)), {}
+    return closed_form(np.array(task_rates(features, demos)), np.array([tip(t.q) for t in demos]), len(true)), {}
+
+
+def task_rates(features: FeatureMap, demos: Demonstrations) -> list[Float[np.ndarray, "T p"]]:
+    """Phi u of each recording with velocities."""
+    return [np.einsum("npv,nv->np", features.batch(t.q), t.u) for t in demos if t.u is not None]
 
 
 def fit_told_noise(
@@ -245,8 +227,8 @@ ESTIMATORS: dict[str, Way] = {
     "joint-cubic": _joint("cubic"),
     "joint-rbf": _joint("rbf"),
     "joint-own": _joint("affine-offset"),
-    "separate": _separate,
-    "separate-row-by-row": _separate_row_by_row,
+    "separate": _of_samples(lambda samples, true, rng: estimate_separate(samples, len(true), rng).whitened_selection),
+    "separate-row-by-row": _of_samples(_separate_row_by_row),
     "closed-form": _closed_form,
     "true-w": _true_null_part,
     "auto": _auto,

@@ -10,20 +10,12 @@ from dataclasses import dataclass
 from typing import Literal, final
 
 import numpy as np
-from jaxtyping import Bool
 
 from manip_learn.constraint.features.feature_map import FeatureMap
 from manip_learn.constraint.features.frame_jacobian import FrameJacobian
 from manip_learn.constraint.features.mechanism_rows import MechanismRows, PlaceRows
 from manip_learn.errors import NotIdentifiableError, advice, counted, number_if_known
-from manip_learn.learning.deciding import (
-    BELIEVED_STRENGTH,
-    CLEAR_GAP,
-    EQUALLY_GOOD,
-    EXPLAINED,
-    RESIDUAL_RATIO,
-    SOFT_ENERGY,
-)
+from manip_learn.learning import deciding
 from manip_learn.learning.estimators.estimate import Estimate
 from manip_learn.learning.estimators.null_space import estimate_null_space, null_space_gap
 from manip_learn.learning.explanation.findings import Findings, Part
@@ -59,7 +51,7 @@ class LearnerSettings:
     policy_model: str
     seed: int
     mechanism: bool = True
-    strength: float = BELIEVED_STRENGTH
+    strength: float = deciding.BELIEVED_STRENGTH
 
 
 @final
@@ -97,7 +89,9 @@ def learn_best(
         except NotIdentifiableError as error:
             refusals.append(error)
             continue
-        if best is None or (candidate is not None and candidate.estimate.gap > EQUALLY_GOOD * best.estimate.gap):
+        if best is None or (
+            candidate is not None and candidate.estimate.gap > deciding.EQUALLY_GOOD * best.estimate.gap
+        ):
             best = candidate
     if best is None:
         raise refusals[0]
@@ -131,7 +125,7 @@ def learn_candidate(
     warnings = check_samples(samples, joint_names, settings.n_constraints)
     rival_is_held = rival is not None and rival.estimate.is_held
     if rival is not None and (rival_is_held and settings.estimator == "auto" or settings.estimator == "null-space"):
-        if null_space_gap(samples, settings.n_constraints) <= EQUALLY_GOOD * rival.estimate.gap:
+        if null_space_gap(samples, settings.n_constraints) <= deciding.EQUALLY_GOOD * rival.estimate.gap:
             return None
     rng = np.random.default_rng(settings.seed)
     # what all samples refine afterwards need not be as good as these can make it
@@ -160,11 +154,11 @@ def _estimate(
     if settings.estimator == "null-space" or held.is_held or rival_is_held or samples.n_trajectories < 2:
         return held
     try:
-        joint = _joint(samples, start, settings, rng, EXPLAINED)
+        joint = _joint(samples, start, settings, rng, deciding.EXPLAINED)
     except NotIdentifiableError:
         return held  # no policy model predicts this motion: the evidence is how little some directions are used
     # both explain the motion: it is held if the held directions show no more than the noise
-    is_noise = held.unexplained * samples.energy / held.n_rows <= RESIDUAL_RATIO**2 * joint.noise
+    is_noise = held.unexplained * samples.energy / held.n_rows <= deciding.RESIDUAL_RATIO**2 * joint.noise
     return held if is_noise else joint
 
 
@@ -213,21 +207,21 @@ def _doubts_of(estimate: Estimate, nv: int, n_constraints: int | None) -> list[s
         raise NotIdentifiableError(f"{s} constraints leave no null space for {nv} joints", code="no-freedom")
     if verdict != "clear":
         warnings.append(
-            f"weak gap: {gap:.2g} for {counted(s, 'row')}, {CLEAR_GAP:g} is clear; the constraint may be soft, or the "
-            "recordings noisy"
+            f"weak gap: {gap:.2g} for {counted(s, 'row')}, {deciding.CLEAR_GAP:g} is clear; the constraint may be "
+            "soft, or the recordings noisy"
         )
     if n_constraints is not None and table.best != s and table.verdict(table.best) != "none":
         warnings.append(
             f"{counted(s, 'row')} learnt as asked, but the gap supports {table.best}: "
             f"{table.gap(table.best):.3g} against {gap:.3g}"
         )
-    if estimate.name == "null-space" and estimate.unexplained > SOFT_ENERGY:
+    if estimate.name == "null-space" and estimate.unexplained > deciding.SOFT_ENERGY:
         warnings.append(
             f"{100 * estimate.unexplained:.2g} % of the motion's energy breaks the constraint: it is soft, or the "
             "demonstrator moves the constrained directions on purpose"
             + advice(" (then use {})", "estimator='joint'", "--estimator joint")
         )
-    if estimate.name == "joint" and estimate.held_out > EXPLAINED:
+    if estimate.name == "joint" and estimate.held_out > deciding.EXPLAINED:
         warnings.append(
             f"the policy model predicts only {100 * (1 - estimate.held_out):.0f} % of left-out trajectories: the "
             "null-space motion is not a function of the posture"
@@ -433,8 +427,10 @@ def mechanism_rows(
     if units == {"m/s"}:
         names = POSITION_ROWS.get(found.mechanism.type, ())
     if names:
-        movable = _movable(features.with_rows(names, features.radius), demonstrations)
-        names = tuple(n for n, moves in zip(names, movable, strict=True) if moves)
+        # whether the arm can move the frame along each row, somewhere on the recordings
+        few = np.concatenate([t.q[:: max(1, len(t) // 10)] for t in demonstrations])
+        size = np.linalg.norm(features.with_rows(names, features.radius).batch(few), axis=2).max(axis=0)
+        names = tuple(n for n, moves in zip(names, size > BLIND, strict=True) if moves)
     return features.with_rows(names, features.radius) if names else None
 
 
@@ -446,9 +442,3 @@ def _turning(features: FeatureMap, found: MechanismFit) -> MechanismRows | None:
     if not isinstance(features, FrameJacobian):
         return None
     return MechanismRows(features.robot, features.frame.name, ("turn-1", "turn-2"), axis=mechanism.axis)
-
-
-def _movable(features: MechanismRows, demonstrations: Demonstrations) -> Bool[np.ndarray, " p"]:
-    """Whether the arm can move the frame along each row, somewhere on the recordings."""
-    few = np.concatenate([t.q[:: max(1, len(t) // 10)] for t in demonstrations])
-    return np.max(np.linalg.norm(features.batch(few), axis=2), axis=0) > BLIND

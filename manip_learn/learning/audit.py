@@ -6,11 +6,11 @@ import csv
 import dataclasses
 import io
 import math
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
 from statistics import NormalDist
-from typing import Any, final
+from typing import Any, Literal, final
 
 import numpy as np
 from jaxtyping import Float
@@ -19,15 +19,7 @@ from scipy.special import stdtrit
 from manip_learn.atomic_write import write_atomically
 from manip_learn.constraint.constraint import Constraint
 from manip_learn.errors import RecordingError, counted
-from manip_learn.learning.deciding import (
-    FALSE_ALARMS,
-    FEWEST_EPISODES,
-    LOG_SPREAD,
-    NEGLIGIBLE,
-    REST_SPEED,
-    SHARE_SPREAD,
-    SMALLEST_THRESHOLD,
-)
+from manip_learn.learning import deciding
 from manip_learn.learning.samples import check_joints
 from manip_learn.linalg import one_thread
 from manip_learn.recordings.local_fit import jerk
@@ -121,8 +113,7 @@ def measure(
     sigma, mu, broken, held = _along(constraint, moving.q, u)
     total = float(np.sum(u * u))
     x, columns = _joint_positions(trajectory, robot)
-    margin, limit_joint, beyond = _position_limits(robot, x, columns)
-    peak, fastest, too_fast = _velocity_limits(robot, u, columns)
+    (excess, limit_joint, beyond), (peak, fastest, too_fast) = _limits(robot, x, u[:, columns], columns)
     rms, jerk_peak = jerk(trajectory.time, x)
     units = np.array(constraint.features.row_units)
     return EpisodeAudit(
@@ -137,7 +128,7 @@ def measure(
         residual=float(np.sqrt(np.sum(broken) / total)) if total > 0.0 else float("nan"),
         displacement_mm=1000.0 * _extent(moving.time, held[:, units == "m/s"]),
         displacement_deg=float(np.degrees(_extent(moving.time, held[:, units == "rad/s"]))),
-        limit_margin=margin,
+        limit_margin=-excess,
         limit_joint=limit_joint,
         beyond_limits=beyond,
         peak_speed=peak,
@@ -193,30 +184,26 @@ def _joint_positions(trajectory: Trajectory, robot: Robot | None) -> tuple[np.nd
     return x, columns
 
 
-def _position_limits(robot: Robot | None, x: np.ndarray, columns: np.ndarray) -> tuple[float, str, float]:
-    """Smallest margin as a share of the range, its joint, and the share of samples beyond a limit."""
+def _limits(
+    robot: Robot | None, x: Float[np.ndarray, "T k"], u: Float[np.ndarray, "t k"], columns: np.ndarray
+) -> tuple[tuple[float, str, float], tuple[float, str, float]]:
+    """Of positions, as a share of the range beyond a limit (negative within), and of speeds, as a share of the limit:
+    the largest, its joint, and the share of samples beyond a limit.
+    """
     if robot is None:
-        return float("nan"), "", 0.0
-    lower, upper = robot.position_lower[columns], robot.position_upper[columns]
-    ranges = upper - lower
-    if not np.any(np.isfinite(ranges)):
-        return float("nan"), "", 0.0
-    room = np.minimum(x - lower, upper - x)
+        return (float("nan"), "", 0.0), (float("nan"), "", 0.0)
+    lower, upper, fastest = (a[columns] for a in (robot.position_lower, robot.position_upper, robot.velocity_limit))
+    beyond, names = np.maximum(lower - x, x - upper), [robot.joint_names[i] for i in columns]
     with np.errstate(invalid="ignore"):
-        shares = np.where(np.isfinite(ranges), room.min(axis=0) / ranges, np.inf)
-    closest = int(np.argmin(shares))
-    beyond = float(np.mean(np.any(room < -NOTABLE, axis=1)))
-    return float(shares[closest]), robot.joint_names[columns[closest]], beyond
-
-
-def _velocity_limits(robot: Robot | None, u: np.ndarray, columns: np.ndarray) -> tuple[float, str, float]:
-    """Largest speed as a share of its limit, its joint, and the share of samples beyond a limit."""
-    if robot is None or not np.any(np.isfinite(robot.velocity_limit[columns])):
-        return float("nan"), "", 0.0
-    shares = np.abs(u[:, columns]) / robot.velocity_limit[columns]
-    fastest = int(np.argmax(shares.max(axis=0)))
-    too_fast = float(np.mean(np.any(shares > 1.0 + NOTABLE, axis=1)))
-    return float(shares[:, fastest].max()), robot.joint_names[columns[fastest]], too_fast
+        shares = np.where(np.isfinite(upper - lower), beyond / (upper - lower), -np.inf)
+    speeds = np.where(np.isfinite(fastest), np.abs(u) / fastest, -np.inf)
+    out = []
+    for values, too_far in ((shares, beyond > NOTABLE), (speeds, speeds > 1.0 + NOTABLE)):
+        of_joint = np.max(values, axis=0)
+        worst = int(np.argmax(of_joint)) if np.any(np.isfinite(of_joint)) else None
+        said = (float("nan"), "") if worst is None else (float(of_joint[worst]), names[worst])
+        out.append((*said, 0.0 if worst is None else float(np.mean(np.any(too_far, axis=1)))))
+    return out[0], out[1]
 
 
 def _rest_share(time: Float[np.ndarray, " T"], u: Float[np.ndarray, "T n"]) -> float:
@@ -224,92 +211,74 @@ def _rest_share(time: Float[np.ndarray, " T"], u: Float[np.ndarray, "T n"]) -> f
     if len(time) < 2:
         return float("nan")
     weights = np.gradient(time)
-    return float(np.sum(weights[np.max(np.abs(u), axis=1, initial=0.0) < REST_SPEED]) / np.sum(weights))
+    return float(np.sum(weights[np.max(np.abs(u), axis=1, initial=0.0) < deciding.REST_SPEED]) / np.sum(weights))
 
 
 @final
 @dataclass(frozen=True)
 class Criterion:
-    """One way in which an episode can be worse than the others.
+    """One way in which an episode can be worse than the others; its z-score is one-sided.
 
     Attributes:
-        name: Key in the JSON document.
-        badness: Measure -> a number that grows as the episode gets worse; its z-score is one-sided.
-        least_spread: Smallest standard deviation that is believed.
-        sentence: Measure -> what is wrong, in words.
-        two_sided: Whether too little is as bad as too much.
+        name: Key in the JSON document; measures named in `NEGLIGIBLE` are compared by their logarithms.
+        measure: Attribute of `EpisodeAudit`.
+        words: What is wrong, with the measure and the joint to be filled in.
+        factor: Of the measure in words.
+        is_bad: `"high"` or `"low"`; `"both"` where too little is as bad as too much.
+        joint: Attribute with the joint's name.
         needs_rest: Whether it says something only of rows that the world holds still (b = 0).
     """
 
     name: str
-    badness: Callable[[EpisodeAudit], float]
-    least_spread: float
-    sentence: Callable[[EpisodeAudit], str]
-    two_sided: bool = False
+    measure: str
+    words: str
+    factor: float = 1.0
+    is_bad: Literal["high", "low", "both"] = "high"
+    joint: str = ""
     needs_rest: bool = False
 
+    @property
+    def least_spread(self) -> float:
+        """Smallest standard deviation that is believed."""
+        return deciding.LOG_SPREAD if self.name in deciding.NEGLIGIBLE else deciding.SHARE_SPREAD
 
-def _log(value: float, least: float) -> float:
-    """Logarithm; below `least` differences do not matter."""
-    return math.log(max(value, least)) if not math.isnan(value) else math.nan
+    def badness(self, episode: EpisodeAudit) -> float:
+        """A number that grows as the episode gets worse; differences below what is negligible do not matter."""
+        value = getattr(episode, self.measure)
+        if self.name in deciding.NEGLIGIBLE:
+            value = math.log(max(value, deciding.NEGLIGIBLE[self.name])) if not math.isnan(value) else math.nan
+        return -value if self.is_bad == "low" else value
+
+    def sentence(self, episode: EpisodeAudit) -> str:
+        """What is wrong with an episode, in words."""
+        joint = getattr(episode, self.joint) if self.joint else ""
+        return self.words.format(self.factor * getattr(episode, self.measure), joint=joint)
 
 
 CRITERIA = (
     Criterion(
         "singularity",
-        lambda e: -_log(e.sigma_min, NEGLIGIBLE["singular value"]),
-        LOG_SPREAD,
-        lambda e: f"comes close to the task's singularity (smallest singular value {e.sigma_min:.3g})",
+        "sigma_min",
+        "comes close to the task's singularity (smallest singular value {:.3g})",
+        is_bad="low",
     ),
-    Criterion(
-        "violation",
-        lambda e: _log(e.residual, NEGLIGIBLE["violation"]),
-        LOG_SPREAD,
-        lambda e: f"violates the constraint with {100 * e.residual:.2g} % of its motion",
-        needs_rest=True,
-    ),
-    Criterion(
-        "displacement",
-        lambda e: _log(e.displacement_mm, NEGLIGIBLE["displacement"]),
-        LOG_SPREAD,
-        lambda e: f"moves {e.displacement_mm:.3g} mm along directions that are held",
-        needs_rest=True,
-    ),
-    Criterion(
-        "rotation",
-        lambda e: _log(e.displacement_deg, NEGLIGIBLE["rotation"]),
-        LOG_SPREAD,
-        lambda e: f"turns {e.displacement_deg:.3g} degrees about axes that are held",
-        needs_rest=True,
-    ),
+    Criterion("violation", "residual", "violates the constraint with {:.2g} % of its motion", 100.0, needs_rest=True),
+    Criterion("displacement", "displacement_mm", "moves {:.3g} mm along directions that are held", needs_rest=True),
+    Criterion("rotation", "displacement_deg", "turns {:.3g} degrees about axes that are held", needs_rest=True),
     Criterion(
         "limits",
-        lambda e: -e.limit_margin,
-        SHARE_SPREAD,
-        lambda e: f"joint {e.limit_joint!r} gets within {100 * e.limit_margin:.2g} % of its range to a limit",
+        "limit_margin",
+        "joint {joint!r} gets within {:.2g} % of its range to a limit",
+        100.0,
+        "low",
+        "limit_joint",
     ),
     Criterion(
-        "speed",
-        lambda e: _log(e.peak_speed, NEGLIGIBLE["speed"]),
-        LOG_SPREAD,
-        lambda e: f"joint {e.peak_speed_joint!r} reaches {100 * e.peak_speed:.3g} % of its velocity limit",
+        "speed", "peak_speed", "joint {joint!r} reaches {:.3g} % of its velocity limit", 100.0, joint="peak_speed_joint"
     ),
-    Criterion(
-        "jerk",
-        lambda e: _log(e.jerk_rms, NEGLIGIBLE["jerk"]),
-        LOG_SPREAD,
-        lambda e: f"is jerky ({e.jerk_rms:.3g} rad/s3 rms)",
-    ),
-    Criterion(
-        "rest", lambda e: e.rest_share, SHARE_SPREAD, lambda e: f"is at rest {100 * e.rest_share:.2g} % of the time"
-    ),
-    Criterion(
-        "duration",
-        lambda e: _log(e.duration, NEGLIGIBLE["duration"]),
-        LOG_SPREAD,
-        lambda e: f"lasts {e.duration:.3g} s",
-        two_sided=True,
-    ),
+    Criterion("jerk", "jerk_rms", "is jerky ({:.3g} rad/s3 rms)"),
+    Criterion("rest", "rest_share", "is at rest {:.2g} % of the time", 100.0),
+    Criterion("duration", "duration", "lasts {:.3g} s", is_bad="both"),
 )
 RULE = (
     "z = (value - median) / max(1.4826 MAD, least spread) per criterion, the worse the larger (logarithms of "
@@ -403,10 +372,9 @@ def audit_episodes(
     imposed = constraint.provenance.get("kind") == "self-imposed"
     if imposed:
         notes.append("the constrained rows were moved on purpose: motion along them is no violation and does not count")
-    if len(rows) < FEWEST_EPISODES:
-        notes.append(
-            f"too few to say which are odd: {counted(len(rows), 'episode')}, at least {FEWEST_EPISODES} are needed"
-        )
+    if len(rows) < deciding.FEWEST_EPISODES:
+        few, needed = counted(len(rows), "episode"), deciding.FEWEST_EPISODES
+        notes.append(f"too few to say which are odd: {few}, at least {needed} are needed")
     return _judged(rows, imposed, tuple(dict.fromkeys(notes)))
 
 
@@ -448,7 +416,7 @@ def _judged(rows: list[EpisodeAudit], imposed: bool, notes: tuple[str, ...]) -> 
     defined = np.any(np.isfinite(values), axis=0)
     criteria = [c for c, there in zip(criteria, defined, strict=True) if there]
     z = robust_z(values[:, defined], np.array([c.least_spread for c in criteria]))
-    z = np.where([c.two_sided for c in criteria], np.abs(z), z)
+    z = np.where([c.is_bad == "both" for c in criteria], np.abs(z), z)
     threshold = outlier_threshold(*z.shape)
     judged = []
     for row, scores in zip(rows, z, strict=True):
@@ -475,6 +443,9 @@ def outlier_threshold(n: int, k: int) -> float:
 
     For normal values; the chance is shared evenly among all n k scores (Bonferroni).
     """
-    if n < FEWEST_EPISODES:
+    if n < deciding.FEWEST_EPISODES:
         return math.inf
-    return max(SMALLEST_THRESHOLD, -float(stdtrit(MAD_EFFICIENCY * n + MAD_SMALL, FALSE_ALARMS / (n * max(k, 1)))))
+    return max(
+        deciding.SMALLEST_THRESHOLD,
+        -float(stdtrit(MAD_EFFICIENCY * n + MAD_SMALL, deciding.FALSE_ALARMS / (n * max(k, 1)))),
+    )

@@ -1,23 +1,20 @@
 """The numbers that decide what is learnt, and what an audit says: one place for the whole room.
 
 A number stands here if another value of it can change an answer: what is accepted or refused, told apart, chosen,
-warned of or stated. Each has its unit, the reason for its value with where that comes from, and what half and twice
-its value change on a panel of recordings (`python benchmarks/half_and_double.py`, the table is in docs/constants.md);
-no remark: nothing changes on the panel. "Set by hand" says that there is no derivation and no study of it. "Share" and
-"ratio" have no unit. What bounds time and memory, and what is rounding, stands beside the code that it serves.
+warned of or stated. Each has its unit and the reason for its value with where that comes from; what half and twice its
+value change on a panel of recordings stands in docs/constants.md (`python benchmarks/half_and_double.py`). "Set by
+hand" says that there is no derivation and no study of it. "Share" and "ratio" have no unit. What bounds time and
+memory, and what is rounding, stands beside the code that it serves.
 """
 
 # --- motion and noise ---
 
 # [s] samples closer together than this tell the same story, and a change of what is held takes as long, over which
 # velocities are smoothed: a person's motion does not change faster. Set by hand
-# half: table, whole: warnings 2, not 1 and drawer with a slip, whole: warnings 2, not 3; twice: door, 5 degrees of
-# turn: refused
 CHANGE_SECONDS = 0.1
 # [s] the largest step of time that counts in full: a gap in a recording is no evidence. Set by hand
 LONGEST_STEP_SECONDS = 0.2
 # directions, or samples, that a smooth motion fills of a window: a cubic has four parameters
-# half: tables 2 degrees apart: constraints 1, not 2, warnings 0, not 3, angle x 56; twice: nothing
 CUBIC = 4
 # [standard deviations of the noise] beyond which it is motion: the range of a random walk exceeds 4 in one of 10,000
 # trajectories, and so does a sample in one of 15,000
@@ -27,7 +24,6 @@ OUTLIER_FACTOR = 1e4
 # share of the motion's energy below which something counts as still: a thousandth of the velocity. Set by hand
 STILL_ENERGY = 1e-6
 # [joints] fewer than this that move at a time, in the mean, is how a hand-guided arm with stiction moves. Set by hand
-# half: nothing; twice: 5 of 17 sets, table, whole: warnings 2, not 1
 FEW_JOINTS_AT_ONCE = 1.6
 # [joints] a joint that moves alone goes where it must: only joints that move at the same time show what coordinates
 # them. Joints that are moved one after the other give 1.00, contacts of twelve mechanisms with four arms 1.4 to 4
@@ -36,7 +32,6 @@ JOINTS_AT_ONCE = 1.1
 # [rad/s or m/s] of the fastest joint, below which it is at rest: encoder noise of 1e-4 rad at 100 Hz looks like 0.014
 REST_SPEED = 0.02
 # trajectories, below which nothing is clear: of two that differ one cannot say which is the odd one
-# half: drawer with a slip, whole: refused; twice: 13 of 17 sets, drawer, whole: warnings 2, not 1
 FEWEST_TRAJECTORIES = 3
 
 # --- evidence and states ---
@@ -45,7 +40,6 @@ FEWEST_TRAJECTORIES = 3
 FAR_OFF_SHARE = 0.02
 # [nats] that a change between two states costs: a person changes every few seconds, a chance of exp(-16) for one of
 # the ten samples of a second is that of a change in some months
-# half: table, whole: warnings 2, not 1 and drawer with a slip, whole: warnings 2, not 3; twice: nothing
 SWITCH_NATS = 16.0
 # the scales among which a hypothesis takes the one with the most evidence, about half a decade apart: the standard
 # deviation of what breaks it over the noise's
@@ -54,7 +48,6 @@ HELD_STEADY = (1.0, 3.0, 9.0)
 HELD_SHARES = (0.003, 0.01, 0.03, 0.1, 0.2)
 # [nats] least gain of a hypothesis, without its best supporter and after the price of its parameters. Set by hand, on
 # sets with seeds below 20000
-# half: table, whole: warnings 2, not 1; twice: door, 5 degrees of turn: refused
 LEAST_GAIN_NATS = 40.0
 # samples that determine rows, for each direction of the features. Set by hand
 SAMPLES_PER_DIRECTION = 3
@@ -65,8 +58,6 @@ SHORTEST_STRETCH_SECONDS = 0.3
 FAR_FROM_HELD = 2.5
 # ratio to the usual length of a stretch, below which one is chance: another motion that passes along the free
 # directions. Set by hand
-# half: nothing; twice: drawer, noise 3e-3 rad: odd demo_2, not none, warnings 2, not 1, angle x 1.9 and door, 5
-# degrees of turn: odd demo_3, not none, warnings 3, not 1
 SHORT_STRETCH_RATIO = 0.25
 # largest share of the free velocity along the rows of a firm contact. Set by hand
 FIRM_SHARE = 0.05
@@ -79,8 +70,6 @@ NEARLY_SAME_DEG = 5.0
 # --- proposals ---
 
 # [s] lengths of the windows that propose rows; from the shortest the noise of the velocities is told, too. Set by hand
-# half: nothing; twice: drawer with a slip, whole: angle x 0.59 and tables 2 degrees apart: constraints 1, not 2,
-# warnings 0, not 3, angle x 56
 SHORT_WINDOWS_SECONDS = (0.6, 1.2)
 # [s] lengths of windows that are taken in pairs, for one on a curved surface fits many rows. Set by hand
 LONG_WINDOWS_SECONDS = (1.2, 2.0)
@@ -119,8 +108,6 @@ LONGEST_SLIP_SECONDS = 1.5
 # by hand
 SLIP_FACTOR, LEAST_SLIP = 5.0, 2e-3
 # share of the recordings that must show a constraint before one that does not is called odd: more than half
-# half: tables 2 degrees apart: odd demo_0, demo_1, demo_2, demo_3, demo_4, demo_5, not none, warnings 4, not 3;
-# twice: drawer, 1 of 6 odd: odd none, not demo_5, warnings 1, not 2
 SHOWN_BY_SHARE = 0.6
 
 # --- repeats ---
@@ -131,7 +118,6 @@ REPEATED_RAD = 2e-4
 # twice its root mean square once in 5,000 samples, that of two joints once in 50
 LIES_ON_PATH = 2.0
 # least share of a recording's way that lies on another's: copies are trimmed by a few samples at their ends
-# half: nothing; twice: drawer, copied: warnings 1, not 3
 REPEATED_SHARE = 0.9
 # largest distance that may be allowed, over the extent of the path; where noise or long chords exceed it nothing can be
 # told. Of 28 kinds of generated sets, whole and cut (6 recordings, 4 arms, no noise, seeds 30000 to 30003), the nearest
@@ -156,17 +142,14 @@ PATH_STEP = 0.25
 
 # how far a joint's recorded velocity may be off its positions, as a factor: at one joint 1.05 turns a drawer's rows by
 # 0.7 degrees (median; 3.2 at worst), 1.2 by 2.6 (12); 8 sets of 4 arms, seeds 20000 to 20007
-# half: 3 of 17 sets, drawer, velocities off: other warnings; twice: drawer, velocities off: warnings 1, not 2
 VELOCITY_SLOPE = 1.05
 # correlation c of displacements with integrated velocities above which a joint is judged: in the 20 windows of a
 # recording noise moves a slope by sqrt(1 / c^2 - 1) / sqrt(20), 5 % at 0.98
-# half: nothing; twice: drawer, velocities off: warnings 1, not 2
 VELOCITY_CORRELATION = 0.98
 
 # --- number of rows ---
 
 # ratios of singular values, noise directions against free ones, that are clear, and weak. Set by hand
-# WEAK_GAP half: free: refused for another reason; twice: nothing
 CLEAR_GAP, WEAK_GAP = 10.0, 3.0
 # root mean square of residuals over that of the noise, from which it is more than noise: the ratio of the energies,
 # 1.69, is three standard deviations sqrt(2 / n) of a variance that is estimated from n = 38 samples. The joint
@@ -179,7 +162,6 @@ BEYOND_DOUBT_GAP = 30.0
 HELD_ENERGY, SOFT_ENERGY = 1e-4, 1e-2
 # ratio up to which two answers are equally good, so that the first feature map and the simpler model are taken. Set
 # by hand
-# half: free: refused for another reason; twice: nothing
 EQUALLY_GOOD = 1.1
 # share of the root mean square of u that is noise enough: what is resolved below it, in recordings without noise, is
 # how well a model approximates the policy, and with more rows every model comes closer. Set by hand
@@ -205,15 +187,13 @@ PREDICTED = 1e-3
 # share of left-out motion that no model explains from which a weak gap may be the policy's. Set by hand
 POORLY_EXPLAINED = 0.03
 # ratio of the held-out cost by which a richer model must lower it to be worth its parameters. Set by hand
-# half: nothing; twice: reaching: model harmonic1, not affine, angle x 2.1
 WORTH = 0.8
+
 # --- chance and size of models, noise ---
 
 # standard errors of a difference, an autocorrelation or a curvature that are more than chance: 95 %
-# half: nothing; twice: drawer, noise 3e-3 rad: warnings 2, not 1
 STANDARD_ERRORS = 2.0
 # the same beyond doubt: of a radius or a pitch, and of the chi-square that tells unequal noise; one in 3 million
-# half: nothing; twice: door, 5 degrees of turn: a line, with a warning
 BEYOND_CHANCE = 5.0
 # how many times the regressors of the best a richer model may have. Set by hand
 ONE_DEGREE = 3.0
@@ -222,7 +202,6 @@ CHEAP = 25.0
 # residual variance over that of a smaller model that is not chance with `RESIDUALS_PER_PARAMETER`. Set by hand
 CLOSER = 0.9
 # residuals, or samples, for each parameter or centre of a model: a rule of thumb of regression
-# half: reaching, separate: angle x 2.3; twice: the same with another model
 RESIDUALS_PER_PARAMETER = 10
 # degree up to which every policy is thought possible. Set by hand
 MOST_LIKELY_DEGREE = 3
@@ -238,10 +217,8 @@ RADIAL_CENTRES, FEWEST_CENTRES, MOST_CENTRES = 32, 4, 96
 # --- mechanisms ---
 
 # [m] beyond this an axis or a centre is not told from a line or a plane. Set by hand
-# half: nothing; twice: 2 of 17 sets: one warning more
 FARTHEST_M = 3.0
 # [m] by which a path must leave a simpler mechanism: rails wobble. Set by hand
-# half: nothing; twice: door, 5 degrees of turn: a line, with a warning
 LEAST_BEND_M = 5e-5
 # one standard deviation above which a fit of a place is no answer: relative to the radius, and [deg]. Set by hand
 POOR_RADIUS, POOR_AXIS_DEG = 0.2, 5.0
@@ -260,7 +237,6 @@ VARIANCE_FLOOR = 0.05
 
 # share of the cases in which the truth lies within a stated angle, and within what is stated of a mechanism's place:
 # one standard deviation of a normal error, 0.683, in two roundings; one of them would change stated numbers by 0.7 %
-# STATED_SHARE half: angles of 10 of 17 sets x 0.37 to 0.58; twice: none, a share above 1
 STATED_SHARE, STATED_SHARE_OF_PLACES = 0.68, 0.683
 # [deg] 68 % within this angle is no answer: of all directions in space 13 % are as close to any
 MOST_UNCERTAIN_DEG = 30.0
@@ -280,14 +256,13 @@ FALSE_ALARMS = 0.05
 # z-score: Iglewicz and Hoaglin, How to Detect and Handle Outliers (1993)
 SMALLEST_THRESHOLD = 3.5
 # episodes, below which no spread can be told. Set by hand
-# half: nothing; twice: drawer, 1 of 6 odd: the audit leaves none out
 FEWEST_EPISODES = 5
 # spread below which differences do not matter: 10 %, and 5 points of a share. Set by hand
 LOG_SPREAD, SHARE_SPREAD = 0.1, 0.05
-# values below which differences do not matter: a share of the motion, [mm], [deg], a share of the velocity limit,
-# [rad/s^3], [s]; and the smallest singular value that is told from zero. Set by hand
+# values below which differences do not matter: the smallest singular value that is told from zero; a share of the
+# motion, [mm], [deg], a share of the velocity limit, [rad/s^3], [s]. Set by hand
 NEGLIGIBLE = {
-    "singular value": 1e-6,
+    "singularity": 1e-6,
     "violation": 0.01,
     "displacement": 1.0,
     "rotation": 0.2,

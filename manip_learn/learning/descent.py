@@ -19,7 +19,7 @@ class State(Protocol):
 
     @property
     def cost(self) -> float:
-        """What is made small."""
+        """The quantity that the descent lowers."""
         ...
 
     def equations(self) -> tuple[Float[np.ndarray, "m m"], Float[np.ndarray, " m"]]:
@@ -40,7 +40,7 @@ def descend(
     stop: Callable[[Point], bool] = lambda point: False,
     gain: float = 0.0,
     rise: float = 0.0,
-) -> tuple[Point, int]:
+) -> Point:
     """Each step solves the Gauss-Newton equations; steps without gain are shortened.
 
     Args:
@@ -54,16 +54,17 @@ def descend(
         rise: Relative rise of the cost that is rounding.
 
     Returns:
-        The best point, and the number of steps tried.
+        The best point.
     """
-    damping, iterations = 0.0, 0
-    while iterations < max_iterations and damping <= MOST_DAMPED and not stop(here):
+    damping = 0.0
+    for _ in range(max_iterations):
+        if damping > MOST_DAMPED or stop(here):
+            break
         H, gradient = here.equations()
         W = whitener(H + damping * np.diag(np.diag(H)), CUTOFF)
         step = -W.T @ (W @ gradient)
         if settled(here, step, H):
             break
-        iterations += 1
         trial, length = moved(here, step), float(np.linalg.norm(step))
         if trial.cost <= here.cost * (1.0 + rise):
             is_last = trial.cost >= here.cost * (1.0 - gain) or length < tolerance
@@ -74,4 +75,4 @@ def descend(
             break  # rounding is all that is left
         else:
             damping = max(FIRST_DAMPING, damping * 10.0)
-    return here, iterations
+    return here

@@ -5,7 +5,7 @@ rows. With tau the efforts recorded and tau_free what the same motion needs with
 
     share = sum |P W tau_ext|^2 / sum |W tau_ext|^2,    P the projector on the span of W A^T,
 
-W one over what is left of each joint's effort in free motion. A dense Lambda of as many rows, drawn at random, has the
+W one over the residual of each joint's effort in free motion. A dense Lambda of as many rows, drawn at random, has the
 share of chance. Gravity, inertia and friction have to be taken off: by inverse dynamics where the robot has inertias,
 plus an offset and friction (viscous and dry) of each joint fitted to free stretches; without inertias these are fitted
 there too, in the regressor of the dynamics. What is fitted is judged on stretches that were left out.
@@ -22,7 +22,7 @@ from jaxtyping import Float
 
 from manip_learn.constraint.features.feature_map import FeatureMap
 from manip_learn.constraint.features.frame_jacobian import FrameJacobian
-from manip_learn.learning.deciding import EFFORT_STANDS_OUT, FALSE_ALARMS
+from manip_learn.learning import deciding
 from manip_learn.linalg import batch_row_spaces, orthonormal_rows
 from manip_learn.recordings.local_fit import best_window, local_fit
 from manip_learn.recordings.preprocessing import evenly
@@ -48,7 +48,7 @@ class EffortWitness:
         share: Of the contact's effort, 1 for an ideal contact with the right rows.
         chance: The same for as many rows drawn at random, in the mean.
         high: What 95 % of these stay below.
-        free: The same held rows with what is left of the efforts in free motion; None without free stretches.
+        free: The share that the same rows have of the residual in free motion; None without free stretches.
         stands_out: Mean square of the effort in contact over that; None without free stretches.
         n_samples: In contact.
     """
@@ -75,7 +75,6 @@ def effort_witness(
     selection: Float[np.ndarray, "s p"],
     contact: Sequence[Trajectory],
     free: Sequence[Trajectory] = (),
-    seed: int = 0,
 ) -> EffortWitness | None:
     """The share of the contact's effort in the span of the held rows, and what chance makes of it.
 
@@ -84,11 +83,10 @@ def effort_witness(
         selection: Lambda.
         contact: Stretches in which the rows are held, with velocities.
         free: Stretches of free motion.
-        seed: Of the rows drawn at random.
 
     Returns:
         None where nothing can be told: no efforts; all rows held; neither inertias nor free motion; or a contact that
-        pushes less than what is left of the efforts in free motion.
+        pushes less than the residual of the efforts in free motion.
     """
     robot, around = getattr(features, "robot", None), _around(features, len(selection))
     held, moves = _motions(contact), _motions(free)
@@ -98,9 +96,9 @@ def effort_witness(
     W = np.ones(robot.nv) if left is None else 1.0 / np.sqrt(np.mean(left**2, axis=0) + np.finfo(np.float64).tiny)
     energy = float(np.mean(np.sum((tau * W) ** 2, axis=1)))
     stands_out = None if left is None else energy / robot.nv
-    if energy == 0.0 or (stands_out is not None and stands_out < EFFORT_STANDS_OUT):
+    if energy == 0.0 or (stands_out is not None and stands_out < deciding.EFFORT_STANDS_OUT):
         return None
-    share, rng = _share(features.batch(q) * W, selection, tau * W), np.random.default_rng(seed)
+    share, rng = _share(features.batch(q) * W, selection, tau * W), np.random.default_rng(0)
     Phi, s, p = around.batch(q) * W, len(selection), around.n_rows
     # rows of unlike units (m beside rad) are drawn as strong as the features are
     size = 1.0 / np.sqrt(np.mean(np.sum(Phi**2, axis=2), axis=0) + np.finfo(np.float64).tiny)
@@ -108,7 +106,7 @@ def effort_witness(
     own = None
     if left is not None:
         own = _share(features.batch(np.concatenate([m.q for m in moves])) * W, selection, left * W)
-    high = float(np.quantile(drawn, 1.0 - FALSE_ALARMS))
+    high = float(np.quantile(drawn, 1.0 - deciding.FALSE_ALARMS))
     return EffortWitness(share, float(np.mean(drawn)), high, own, stands_out, len(tau))
 
 
@@ -153,7 +151,7 @@ def _motions(trajectories: Sequence[Trajectory]) -> list[_Motion]:
 
 
 def _external(robot: Robot, held: list[_Motion], moves: list[_Motion]) -> tuple[np.ndarray, np.ndarray, Any]:
-    """Effort of the contact (N, nv), its postures, and what is left of the efforts of free motion, left out each."""
+    """Effort of the contact (N, nv), its postures, and the residual of free motion, each stretch left out once."""
     q = np.concatenate([m.q for m in held])
     if not moves:
         return np.concatenate([m.effort - inverse_dynamics(robot, m.q, m.u, m.du) for m in held]), q, None
@@ -169,7 +167,7 @@ def _external(robot: Robot, held: list[_Motion], moves: list[_Motion]) -> tuple[
 
 
 def _equations(robot: Robot, m: _Motion) -> tuple[Float[np.ndarray, "T nv k"], Float[np.ndarray, "T nv"]]:
-    """What is linear in the unknowns, and what they have to make up."""
+    """Matrix and right side of the linear equations of the unknowns."""
     friction = np.concatenate(
         [np.eye(robot.nv) * x[:, None, :] for x in (np.ones_like(m.u), m.u, np.sign(m.u))], axis=2
     )

@@ -15,17 +15,7 @@ from jaxtyping import Float, Int
 
 from manip_learn.constraint.features.feature_map import FeatureMap
 from manip_learn.errors import RecordingError, counted, listed
-from manip_learn.learning.deciding import (
-    BELIEVED_STRENGTH,
-    BIN_SECONDS,
-    CLEAR_STRENGTH,
-    FEWEST_BINS,
-    FEWEST_TRAJECTORIES,
-    LEANING_STRENGTH,
-    PHASE_JOINT_SHARE,
-    ROW_CHANCE,
-    USED_SHARE,
-)
+from manip_learn.learning import deciding
 from manip_learn.learning.samples import whitening
 from manip_learn.recordings.trajectory import Trajectory
 
@@ -77,12 +67,12 @@ class RowEvidence:
     n_recombinations: int
     spread: tuple[float, ...] = ()
     choices: float = 1.0
-    believed: float = BELIEVED_STRENGTH
+    believed: float = deciding.BELIEVED_STRENGTH
 
     @property
     def _z(self) -> float:
         """Standard deviations that the chance allowed leaves out, the choice paid for."""
-        return -NormalDist().inv_cdf(max(ROW_CHANCE / self.choices, sys.float_info.min))
+        return -NormalDist().inv_cdf(max(deciding.ROW_CHANCE / self.choices, sys.float_info.min))
 
     @property
     def lower(self) -> tuple[float, ...]:
@@ -94,7 +84,7 @@ class RowEvidence:
         """Number of rows that the evidence supports, counted without a gap; the last ones may be weak."""
         supported = 0
         for i, (strength, lower, p) in enumerate(zip(self.strengths, self.lower, self.p_values, strict=True)):
-            if p > ROW_CHANCE or strength < LEANING_STRENGTH:
+            if p > deciding.ROW_CHANCE or strength < deciding.LEANING_STRENGTH:
                 break
             supported = i + 1 if lower >= self.believed else supported
         return supported
@@ -107,9 +97,9 @@ class RowEvidence:
         n, z = self.n_recombinations, self._z
         error = SURE * math.sqrt((0.5 * math.pi + 0.5 * z**2) / max(n, 1))
         for strength, lower, sd, p in zip(self.strengths, self.lower, self.spread, self.p_values, strict=True):
-            if abs(p - ROW_CHANCE) < SURE * math.sqrt(ROW_CHANCE / n) and p * (n + 1) > 1.5:
+            if abs(p - deciding.ROW_CHANCE) < SURE * math.sqrt(deciding.ROW_CHANCE / n) and p * (n + 1) > 1.5:
                 return True
-            if p > ROW_CHANCE or strength < LEANING_STRENGTH:
+            if p > deciding.ROW_CHANCE or strength < deciding.LEANING_STRENGTH:
                 return False
             if abs(math.log(max(lower, sys.float_info.min) / self.believed)) < error * sd:
                 return True
@@ -118,7 +108,7 @@ class RowEvidence:
     @property
     def enough(self) -> bool:
         """Whether there are trajectories enough to exchange joints between."""
-        return self.n_trajectories >= FEWEST_TRAJECTORIES
+        return self.n_trajectories >= deciding.FEWEST_TRAJECTORIES
 
     @property
     def verdict(self) -> Verdict:
@@ -130,7 +120,7 @@ class RowEvidence:
     @property
     def clear(self) -> bool:
         """Whether the weakest row that is supported is so beyond doubt, however few the trajectories are."""
-        return bool(self.n_rows) and self.lower[self.n_rows - 1] >= max(CLEAR_STRENGTH, self.believed)
+        return bool(self.n_rows) and self.lower[self.n_rows - 1] >= max(deciding.CLEAR_STRENGTH, self.believed)
 
     @property
     def states(self) -> tuple[RowState, ...]:
@@ -144,10 +134,10 @@ class RowEvidence:
         for i, level in enumerate(self.levels):
             if i < self.n_rows:
                 states.append("held")
-            elif self.strengths[i] >= self.believed and self.p_values[i] <= ROW_CHANCE:
+            elif self.strengths[i] >= self.believed and self.p_values[i] <= deciding.ROW_CHANCE:
                 states.append("unclear")
             else:
-                states.append("free" if level >= USED_SHARE * most and level > 0.0 else "untried")
+                states.append("free" if level >= deciding.USED_SHARE * most and level > 0.0 else "untried")
         return tuple(states)
 
     @property
@@ -253,10 +243,10 @@ def phase_paths(trajectories: Sequence[Trajectory]) -> list[PhasePath]:
     if not moving:
         return []
     size = np.sqrt(np.mean([np.mean(np.square(t.u), axis=0) for t in moving], axis=0))  # type: ignore[arg-type]
-    scale = np.maximum(size, PHASE_JOINT_SHARE * np.max(size))
+    scale = np.maximum(size, deciding.PHASE_JOINT_SHARE * np.max(size))
     seconds = float(np.median([t.duration for t in moving]))
     most = int(min(MOST_BINS, max(np.median([len(t) for t in moving]) // 2, 1)))
-    n_bins = int(np.clip(round(seconds / BIN_SECONDS), min(FEWEST_BINS, most), most))
+    n_bins = int(np.clip(round(seconds / deciding.BIN_SECONDS), min(deciding.FEWEST_BINS, most), most))
     return _turned([_path(t, scale, n_bins) for t in moving], scale)
 
 
@@ -296,7 +286,7 @@ def _turned(paths: list[PhasePath], scale: Float[np.ndarray, " nv"]) -> list[Pha
 
 
 # exchanges of joints: twice the least for a p-value of ROW_CHANCE, and the most, where fewer leave the verdict open
-RECOMBINATIONS = 2 * round(1.0 / ROW_CHANCE) - 1
+RECOMBINATIONS = 2 * round(1.0 / deciding.ROW_CHANCE) - 1
 MOST_RECOMBINATIONS = 16 * RECOMBINATIONS
 # arrangements whose motion is held in memory together: 0.5 MB of a seven-joint arm's pose, six recordings, 20 bins
 MOMENTS_AT_ONCE = 64
@@ -313,7 +303,7 @@ def recombination_test(
     trajectories: Sequence[Trajectory],
     rng: np.random.Generator,
     choices: float = 1.0,
-    believed: float = BELIEVED_STRENGTH,
+    believed: float = deciding.BELIEVED_STRENGTH,
 ) -> RowEvidence:
     """Evidence that the world holds rows of Phi, A(q) u = Lambda Phi(q) u = 0, row by row.
 
@@ -355,7 +345,7 @@ def recombination_test(
     if not len(W):
         return nothing
     donors = [(a, 0.0) for a in range(len(paths))]
-    if len(paths) < FEWEST_TRAJECTORIES:
+    if len(paths) < deciding.FEWEST_TRAJECTORIES:
         donors += [(a, k / SHIFTS) for k in range(1, SHIFTS) for a in range(len(paths))]
     parts = np.stack([_parts(path, W @ P, paths, donors) for path, P in zip(paths, Phi, strict=True)])
     energy = np.mean([np.mean(p.weight[:, None] * p.bin_steps() ** 2) for p in paths])

@@ -1,6 +1,4 @@
-"""What is said in the end: where each constraint holds, with the evidence for it; or why none was found, and what to
-try next.
-"""
+"""The report: where each constraint holds, with the evidence for it; or why none was found, and what to try next."""
 
 from __future__ import annotations
 
@@ -18,9 +16,9 @@ from manip_learn.constraint.features.frame_jacobian import FrameJacobian
 from manip_learn.constraint.features.mechanism_rows import MechanismRows
 from manip_learn.constraint.mechanism import Mechanism
 from manip_learn.constraint.selection_in_words import describe, free_directions, known_to, said_by_rows
-from manip_learn.errors import NotIdentifiableError, advice, counted, listed, named, number_if_known
+from manip_learn.errors import NotIdentifiableError, advice, counted, listed, named, number_if_known, printable
+from manip_learn.learning import deciding
 from manip_learn.learning.answer import Answer
-from manip_learn.learning.deciding import CLEAR_GAP, FEWEST_TRAJECTORIES, REST_SPEED, STILL_ENERGY
 from manip_learn.learning.effort_witness import EffortWitness, effort_witness
 from manip_learn.learning.explanation.evidence import Stretch
 from manip_learn.learning.explanation.findings import IN_ONE_ONLY, Findings, held_throughout
@@ -99,7 +97,9 @@ class RecordingOverview:
                 f"left out of the first constraint: {listed}"
             )
         return RecordingOverview(
-            tuple(phases), tuple(OddTrajectory(names[i], why) for i, why in sorted(odd.items())), tuple(warnings)
+            tuple(phases),
+            tuple(OddTrajectory(names[i], printable(why)) for i, why in sorted(odd.items())),
+            tuple(warnings),
         )
 
     def sentences(self) -> tuple[str, ...]:
@@ -119,7 +119,7 @@ class RecordingOverview:
         if free:
             out.append(f"free motion in {counted(free, 'stretch')}")
         out += [f"not learnt from {p.start:.2f} s to {p.end:.2f} s in {p.trajectory}: {p.reason}" for p in unlearnt]
-        return tuple(out)
+        return tuple(map(printable, out))
 
 
 def lone_contacts(findings: Findings, recordings: IndependentRecordings) -> tuple[str, ...]:
@@ -188,8 +188,8 @@ class LearningReport:
         mechanism: What holds the hand, if that was found out.
         uncertainty: The parts of `uncertainty_deg` [deg]: `"noise"`, the scatter over trajectories (bootstrap);
             `"joint zeros"`, what the residual says of constant errors of the joints' zeros (null-space estimator);
-            `"policy"`, what is not known of the policy (joint estimator, where its parameters are integrated out). None
-            where a part does not apply.
+            `"policy"`, the part of the policy that the data leave open (joint estimator, where its parameters are
+            integrated out). None where a part does not apply.
         effort: What recorded efforts say of the held rows, a witness that the motion knows nothing of; None where none
             were recorded, or nothing can be told from them (see `effort_witness`).
     """
@@ -234,9 +234,7 @@ class LearningReport:
         return _plain(content)
 
     def __str__(self) -> str:
-        lines = [self.sentence]
-        lines += [f"warning: {w}" for w in self.warnings]
-        return "\n".join(lines)
+        return "\n".join([self.sentence, *(f"warning: {w}" for w in self.warnings)])
 
     def __repr__(self) -> str:
         warned = f", {counted(len(self.warnings), 'warning')}" if self.warnings else ""
@@ -255,7 +253,7 @@ class LearningReport:
             html_card.folded(f"Phases ({len(self.phases)})", html_card.table(_PHASE_COLUMNS, self._phase_rows())),
             html_card.folded(
                 f"Recordings that do not agree ({len(self.odd_trajectories)})",
-                html_card.table(("recording", "why"), self.odd_trajectories),
+                html_card.table(("recording", "why"), [tuple(map(printable, odd)) for odd in self.odd_trajectories]),
             ),
             html_card.folded("Notes", "".join(map(html_card.sentence, self.notes))),
         )
@@ -265,10 +263,10 @@ class LearningReport:
         residual = self.held_out_residual
         unexplained = f"{100 * residual:.2g} % of the motion on recordings that were left out"
         return [
-            ("rows", f"{self.n_constraints} of {len(self.row_names)} ({' '.join(self.row_names)})"),
+            ("rows", f"{self.n_constraints} of {len(self.row_names)} ({printable(' '.join(self.row_names))})"),
             ("reference frame", self.reference),
             ("estimator", f"{self.estimator} ({self.kind})"),
-            ("gap", f"{self.gap:.3g} (a ratio; {CLEAR_GAP:g} is clear)"),
+            ("gap", f"{self.gap:.3g} (a ratio; {deciding.CLEAR_GAP:g} is clear)"),
             ("unexplained", unexplained if math.isfinite(residual) else None),
             ("uncertainty", self.known_to() or None),
             ("effort", None if self.effort is None else self.effort.sentence()),
@@ -281,7 +279,7 @@ class LearningReport:
         ]
 
     def known_to(self) -> str:
-        """The uncertainty in words, as in the sentence: what is known how well; empty if nothing is known of it."""
+        """The uncertainty in words, as in the sentence: which quantity is known how well; empty if none is."""
         said = known_to(self.uncertainty_deg, self.mechanism, self._is_told)
         return f"{said} (68 %, {in_words(self.uncertainty, self.reference)})" if said else ""
 
@@ -296,8 +294,8 @@ class LearningReport:
 
     def _phase_rows(self) -> list[tuple[object, ...]]:
         return [
-            (p.trajectory, f"{p.start:.2f}", f"{p.end:.2f}", "free" if p.constraint is None else p.constraint + 1)
-            for p in self.phases
+            (printable(name), f"{start:.2f}", f"{end:.2f}", "free" if held is None else held + 1)
+            for name, start, end, held, _ in self.phases
         ]
 
 
@@ -336,7 +334,7 @@ def build_report(
     kind = "motion-constrained" if estimate.name == "null-space" else "self-imposed"
     free = free_directions(selection, used)
     report = LearningReport(
-        sentence=describe(kind, free, features, used, uncertainty_deg, mechanism),
+        sentence=printable(describe(kind, free, features, used, uncertainty_deg, mechanism)),
         estimator=estimate.name,
         kind=kind,
         n_constraints=selection.shape[0],
@@ -356,7 +354,9 @@ def build_report(
         n_trajectories=data.n_trajectories,
         seconds=seconds,
         notes=_few_notes(data.notes),
-        warnings=(*warnings, *answer.warnings, *(found.warnings if found else ()), *overview.warnings),
+        warnings=tuple(
+            map(printable, (*warnings, *answer.warnings, *(found.warnings if found else ()), *overview.warnings))
+        ),
         row_evidence=() if evidence is None else evidence.rows,
         evidence="" if evidence is None else evidence.sentence(),
         phases=overview.phases,
@@ -388,7 +388,7 @@ def _effort(answer: Answer, overview: RecordingOverview, selection: np.ndarray) 
 
 def _few_notes(notes: tuple[str, ...]) -> tuple[str, ...]:
     """Each sentence once; of thousands of files, not thousands of sentences."""
-    unique = tuple(dict.fromkeys(notes))
+    unique = tuple(dict.fromkeys(map(printable, notes)))
     if len(unique) <= MOST_NOTES:
         return unique
     return (*unique[:MOST_NOTES], f"and {len(unique) - MOST_NOTES} more notes of this kind")
@@ -449,9 +449,9 @@ def _advised(refusal: NotIdentifiableError, causes: Sequence[str], facts: Sequen
 
 def _too_few(recordings: IndependentRecordings) -> list[str]:
     n = len(recordings.demonstrations)
-    if n >= FEWEST_TRAJECTORIES:
+    if n >= deciding.FEWEST_TRAJECTORIES:
         return []
-    wanted = f"record at least {FEWEST_TRAJECTORIES}, better 5, that differ in way and posture"
+    wanted = f"record at least {deciding.FEWEST_TRAJECTORIES}, better 5, that differ in way and posture"
     return [f"{wanted}, not {counted(n, 'recording')}"]
 
 
@@ -521,7 +521,9 @@ def _still_joints(demonstrations: Demonstrations) -> list[str]:
     if total <= 0.0:
         return []
     still = [
-        n for n, e in zip(demonstrations.joint_names, np.atleast_1d(energy), strict=True) if e < STILL_ENERGY * total
+        n
+        for n, e in zip(demonstrations.joint_names, np.atleast_1d(energy), strict=True)
+        if e < deciding.STILL_ENERGY * total
     ]
     if not still:
         return []
@@ -532,5 +534,7 @@ def _still_joints(demonstrations: Demonstrations) -> list[str]:
 def _too_slow(demonstrations: Demonstrations) -> list[str]:
     speed = max((float(np.max(np.abs(t.u))) for t in demonstrations if t.u is not None), default=0.0)
     return (
-        [f"move faster, noise hides a motion in which no joint exceeds {speed:.2g} rad/s"] if speed < REST_SPEED else []
+        [f"move faster, noise hides a motion in which no joint exceeds {speed:.2g} rad/s"]
+        if speed < deciding.REST_SPEED
+        else []
     )

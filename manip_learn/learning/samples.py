@@ -1,5 +1,5 @@
-"""What is learnt from: the samples of the demonstrations, their whitened features, and whether the arm moved enough in
-them, and as fast as they say.
+"""The samples of the demonstrations, their whitened features, and checks of them: whether the arm moved enough, and at
+the recorded velocities.
 """
 
 from __future__ import annotations
@@ -13,13 +13,7 @@ from jaxtyping import Float, Int
 
 from manip_learn.constraint.features.feature_map import FeatureMap
 from manip_learn.errors import NotIdentifiableError, RecordingError, advice, counted, listed, named
-from manip_learn.learning.deciding import (
-    FEW_JOINTS_AT_ONCE,
-    OUTLIER_FACTOR,
-    STILL_ENERGY,
-    VELOCITY_CORRELATION,
-    VELOCITY_SLOPE,
-)
+from manip_learn.learning import deciding
 from manip_learn.linalg import whitener
 from manip_learn.recordings.demonstrations import Demonstrations
 from manip_learn.recordings.trajectory import Trajectory
@@ -307,17 +301,17 @@ class Samples:
             raw = self._kept[i] if i < len(self._kept) else self.features.batch(self.q[part])
             if i == len(self._kept) and size <= KEEP_LIMIT:
                 self._kept.append(raw)
-            Phi = self._whitened[i] if i < len(self._whitened) else self._whiten(raw)
-            if i == len(self._whitened) and size <= KEEP_WHITENED_LIMIT:
-                self._whitened.append(Phi)
+            if i < len(self._whitened):
+                Phi = self._whitened[i]
+            else:
+                columns = rows_beside(self.whitening, raw)
+                if self.mixing is not None:
+                    columns = np.einsum("rvn,vw->rwn", columns, self.mixing, optimize=True)
+                Phi = columns.transpose(2, 0, 1)
+                if size <= KEEP_WHITENED_LIMIT:
+                    self._whitened.append(Phi)
             x = (self.q[part] - self.centre) / self.spread
             yield Block(Phi, self.u[part], x, self.trajectory[part])
-
-    def _whiten(self, raw: Float[np.ndarray, "n p nv"]) -> Float[np.ndarray, "n r nv"]:
-        columns = rows_beside(self.whitening, raw)
-        if self.mixing is not None:
-            columns = np.einsum("rvn,vw->rwn", columns, self.mixing, optimize=True)
-        return columns.transpose(2, 0, 1)
 
     def subset(self, keep: np.ndarray) -> Samples:
         """The samples where the mask is true, in the same whitened coordinates."""
@@ -372,7 +366,7 @@ def check_fastest(data: DataSummary, joint_names: Sequence[str]) -> None:
     if not np.any(speed > 0.0):
         return
     ratio = float(np.linalg.norm(fastest)) / float(np.median(speed[speed > 0.0]))
-    if ratio > OUTLIER_FACTOR:
+    if ratio > deciding.OUTLIER_FACTOR:
         joint = int(np.argmax(np.abs(fastest)))
         raise RecordingError(
             f"sample {sample} (trajectory {trajectory}) moves at {fastest[joint]:.3g} in joint {joint_names[joint]!r}, "
@@ -412,7 +406,7 @@ def _warn(samples: Samples, joint_names: Sequence[str]) -> list[str]:
     warnings = []
     squares = samples.u**2
     shares = energy_shares(squares.mean(axis=0))
-    still = [name for name, part in zip(joint_names, shares, strict=True) if part < STILL_ENERGY]
+    still = [name for name, part in zip(joint_names, shares, strict=True) if part < deciding.STILL_ENERGY]
     if still and len(still) < samples.nv:
         warnings.append(
             f"{named('joint', still)} hardly moved: what the arm did not try cannot be told from what it could not do"
@@ -421,7 +415,7 @@ def _warn(samples: Samples, joint_names: Sequence[str]) -> list[str]:
     moving = norm > 1e-4 * np.mean(norm)
     # participation number: 1 if a single joint moves, nv if all move equally
     together = float(np.mean(norm[moving] ** 2 / np.sum(squares[moving] ** 2, axis=1)))
-    if samples.nv > 3 and together < FEW_JOINTS_AT_ONCE:
+    if samples.nv > 3 and together < deciding.FEW_JOINTS_AT_ONCE:
         warnings.append(
             f"only {together:.1f} joints move at a time on average: friction of a hand-guided arm looks like a "
             "constraint; move all joints together"
@@ -452,7 +446,7 @@ def check_postures(samples: Samples) -> None:
         )
     # standing still at the median posture for long is no reason to call all motion far out
     usual = float(np.quantile(distance, 0.9)) or float(np.mean(np.delete(distance, farthest)))
-    if 0.0 < usual * OUTLIER_FACTOR < distance[farthest]:
+    if 0.0 < usual * deciding.OUTLIER_FACTOR < distance[farthest]:
         raise RecordingError(
             f"the posture of sample {farthest} (trajectory {samples.trajectory[farthest]}) is "
             f"{distance[farthest] / usual:.1e} times farther out than nearly all others: remove the outlier",
@@ -482,14 +476,14 @@ def doubt_velocities(trajectories: Sequence[Trajectory], joint_names: Sequence[s
         return []
     correlation, slope = np.array([np.diag(m.correlation) for m in matches]), np.array([m.slope for m in matches])
     moved = np.array([m.moved for m in matches])
-    follows = moved & (correlation > VELOCITY_CORRELATION)
+    follows = moved & (correlation > deciding.VELOCITY_CORRELATION)
     shares: dict[int, float] = {}
     off: list[int] = []
     for j in np.flatnonzero(2 * follows.sum(axis=0) > moved.sum(axis=0)).tolist():
         r, c = slope[follows[:, j], j], correlation[follows[:, j], j]
         shares[j] = 1.0 / float(np.median(r))
-        off += [j] if max(np.median(r * c), np.median(c / r)) > VELOCITY_SLOPE else []
-    if not off or (len(shares) > 1 and max(shares.values()) < VELOCITY_SLOPE * min(shares.values())):
+        off += [j] if max(np.median(r * c), np.median(c / r)) > deciding.VELOCITY_SLOPE else []
+    if not off or (len(shares) > 1 and max(shares.values()) < deciding.VELOCITY_SLOPE * min(shares.values())):
         return []
     factors = listed(f"{shares[j]:.3g}" for j in off)
     return [

@@ -31,10 +31,11 @@ import numpy as np
 from jaxtyping import Float, Int
 
 from manip_learn.errors import NotIdentifiableError, error_in_words, listed
-from manip_learn.learning.deciding import MOST_UNCERTAIN_DEG, NONE_TO_SOME, OFFSET_RANGE_RAD, STATED_SHARE
+from manip_learn.learning import deciding
 from manip_learn.learning.estimators.estimate import Estimate, PolicyPrior
+from manip_learn.learning.estimators.null_space import split
 from manip_learn.learning.samples import Samples, rows_beside, runs
-from manip_learn.linalg import complement_rows, inverse_triangles_beside, row_bases, row_space_angles, whitener
+from manip_learn.linalg import complement_rows, row_space_angles, whitener
 
 NOISE, JOINT_ZEROS, POLICY = PARTS = ("noise", "joint zeros", "policy")
 Uncertainty = dict[str, float | None]
@@ -94,10 +95,10 @@ def check_uncertainty(estimate: Estimate, uncertainty_deg: float | None) -> None
     Raises:
         NotIdentifiableError: It is known to more than `MOST_UNCERTAIN_DEG` only.
     """
-    if estimate.name == "joint" and uncertainty_deg is not None and uncertainty_deg > MOST_UNCERTAIN_DEG:
+    if estimate.name == "joint" and uncertainty_deg is not None and uncertainty_deg > deciding.MOST_UNCERTAIN_DEG:
         raise NotIdentifiableError(
             f"record more trajectories, from other starts to other targets: these tell the rows to "
-            f"{uncertainty_deg:.0f} degrees only, and beyond {MOST_UNCERTAIN_DEG:g} that is no answer",
+            f"{uncertainty_deg:.0f} degrees only, and beyond {deciding.MOST_UNCERTAIN_DEG:g} that is no answer",
             code="uncertain",
         )
 
@@ -123,7 +124,7 @@ def bootstrap_angle_deg(
     hessians: Float[np.ndarray, "g d d"],
     rng: np.random.Generator,
     repetitions: int = 200,
-    quantile: float = STATED_SHARE,
+    quantile: float = deciding.STATED_SHARE,
     prior: PolicyPrior | None = None,
 ) -> float | None:
     """Angle [deg] within which a share of the repetitions keeps the row space of Lambda.
@@ -165,7 +166,7 @@ def angle_within_deg(
     samples: Samples,
     whitened_selection: Float[np.ndarray, "s r"],
     steps: Float[np.ndarray, "k m"],
-    quantile: float = STATED_SHARE,
+    quantile: float = deciding.STATED_SHARE,
 ) -> float:
     """Angle [deg] within which a share of the errors B of Lambda + B Lambda_perp leaves its row space."""
     s, r = whitened_selection.shape
@@ -285,13 +286,13 @@ class JointOffsets:
 
     def errors(self, n: int, rng: np.random.Generator) -> Float[np.ndarray, "n m"]:
         """Draws of the error of B that the offsets make, given the data."""
-        taus = np.concatenate([[0.0], np.geomspace(*OFFSET_RANGE_RAD, TAU_STEPS)])
+        taus = np.concatenate([[0.0], np.geomspace(*deciding.OFFSET_RANGE_RAD, TAU_STEPS)])
         tau2 = taus[:, None] ** 2
         lam, sigma2 = self.curvatures, max(self.variance, LEAST_VARIANCE)
         seen = lam > 0.0
         spread = lam[seen] * sigma2 + lam[seen] ** 2 * tau2
         log_weight = -0.5 * np.sum(np.log(spread) + self.pattern[seen] ** 2 / spread, axis=1)
-        log_weight[1:] -= np.log(NONE_TO_SOME * TAU_STEPS)
+        log_weight[1:] -= np.log(deciding.NONE_TO_SOME * TAU_STEPS)
         weight = np.exp(log_weight - log_weight.max())
         drawn = tau2[rng.choice(len(taus), n, p=weight / weight.sum())]
         shrink = drawn / (sigma2 + lam * drawn)  # posterior variance over sigma^2
@@ -320,12 +321,9 @@ def _linearised(samples: Samples, Lambda: np.ndarray) -> tuple[np.ndarray, np.nd
     n, s = len(samples), len(Lambda)
     both, u = np.concatenate([Lambda, complement_rows(Lambda)]), np.ascontiguousarray(samples.u.T)
     rows = np.concatenate([rows_beside(both, block.Phi) for block in samples.blocks()], axis=2)
-    Q, R = row_bases(rows[:s].transpose(1, 0, 2))
-    along = np.einsum("vsn,vn->sn", Q, u)
-    null = u - np.einsum("vsn,sn->vn", Q, along)
+    along, null, back = split(rows[:s], u)
     _, dPhi = samples.features.batch_with_derivative(samples.q)
     dA_null = np.einsum("sp,npvk,vn->nsk", Lambda @ samples.whitening, dPhi, null, optimize=True)
-    back = inverse_triangles_beside(R)  # R^{-1}
     J = np.einsum("sin,kn->nisk", back, np.einsum("kvn,vn->kn", rows[s:], null))
     K = np.einsum("sin,nsk->nik", back, dA_null, optimize=True)
     return along.T.reshape(-1), J.reshape(n * s, -1), K.reshape(n * s, -1)

@@ -234,12 +234,12 @@ def stick_figure(
     for i, joint in enumerate(tree):
         if only is not None and i not in only:
             continue
-        shapes.append(_pedestal(float(radius[0])) if i == 0 else _hub(i, joint, float(radius[i])))
+        shapes.append(_hub(i, joint, float(radius[i])))
         for child in (c for c in range(1, len(tree)) if tree[c].parent == i):
             shapes += _tube(i, tree[child].placement[:3, 3], float(radius[i]), float(radius[child]))
         for point in ends.get(i, np.zeros((0, 3))):
             shapes += _tube(i, point, float(radius[i]), 0.7 * float(radius[i]))
-            shapes.append(Shape(i, "sphere", (0.95 * float(radius[i]),), _at(point), DARK))
+            shapes.append(Shape(i, "sphere", (0.95 * float(radius[i]),), pin.SE3(np.eye(3), point).homogeneous, DARK))
     return tuple(shapes)
 
 
@@ -265,35 +265,13 @@ def rods(
 
 def _radii(tree: tuple[TreeJoint, ...], ends: dict[int, Float[np.ndarray, "E 3"]]) -> Float[np.ndarray, " J"]:
     """Radius of the tube that starts at each joint [m]: in proportion to the robot, slimmer towards the tip."""
-    depth = _depths(tree)
-    reach = np.array([_distance(tree, i) for i in range(len(tree))])
+    depth, reach = np.zeros(len(tree)), np.zeros(len(tree))  # joints, and length of the path, from the base
+    for i, joint in enumerate(tree[1:], 1):
+        depth[i] = depth[joint.parent] + 1
+        reach[i] = reach[joint.parent] + float(np.linalg.norm(joint.placement[:3, 3]))
     tips = [reach[i] + float(np.linalg.norm(p, axis=1).max()) for i, p in ends.items() if len(p)]
     scale = max([float(reach.max()), *tips, 1e-3])
     return TUBE_RADIUS * scale * (1.0 - (1.0 - TAPER) * depth / max(int(depth.max()), 1))
-
-
-def _depths(tree: tuple[TreeJoint, ...]) -> np.ndarray:
-    depth = np.zeros(len(tree))
-    for i in range(1, len(tree)):
-        depth[i] = depth[tree[i].parent] + 1
-    return depth
-
-
-def _distance(tree: tuple[TreeJoint, ...], i: int) -> float:
-    """Length of the path from the base to a joint [m]."""
-    length = 0.0
-    while i > 0:
-        length += float(np.linalg.norm(tree[i].placement[:3, 3]))
-        i = tree[i].parent
-    return length
-
-
-def _at(point: np.ndarray, rotation: np.ndarray | None = None) -> np.ndarray:
-    pose = np.eye(4)
-    pose[:3, 3] = point
-    if rotation is not None:
-        pose[:3, :3] = rotation
-    return pose
 
 
 def z_to(direction: Float[np.ndarray, " 3"]) -> Float[np.ndarray, "3 3"]:
@@ -304,24 +282,23 @@ def z_to(direction: Float[np.ndarray, " 3"]) -> Float[np.ndarray, "3 3"]:
     return np.column_stack([x, np.cross(direction, x), direction])
 
 
-def _pedestal(radius: float) -> Shape:
-    return Shape(0, "disc", (2.1 * radius, 0.9 * radius), np.eye(4), DARK)
-
-
 def _hub(i: int, joint: TreeJoint, radius: float) -> Shape:
+    """What is drawn where a joint is: a pedestal for the world."""
+    if i == 0:
+        return Shape(0, "disc", (2.1 * radius, 0.9 * radius), np.eye(4), DARK)
+    if joint.motion not in ("revolute", "prismatic"):
+        return Shape(i, "sphere", (1.3 * radius,), np.eye(4), DARK, accent=True)
+    pose = pin.SE3(z_to(joint.axis), np.zeros(3)).homogeneous
     if joint.motion == "revolute":
-        return Shape(i, "disc", (1.3 * radius, 2.5 * radius), _at(np.zeros(3), z_to(joint.axis)), DARK, accent=True)
-    if joint.motion == "prismatic":
-        size = (2.1 * radius, 2.1 * radius, 2.6 * radius)
-        return Shape(i, "box", size, _at(np.zeros(3), z_to(joint.axis)), DARK, accent=True)
-    return Shape(i, "sphere", (1.3 * radius,), np.eye(4), DARK, accent=True)
+        return Shape(i, "disc", (1.3 * radius, 2.5 * radius), pose, DARK, accent=True)
+    return Shape(i, "box", (2.1 * radius, 2.1 * radius, 2.6 * radius), pose, DARK, accent=True)
 
 
 def _tube(i: int, end: np.ndarray, bottom: float, top: float, colour: Colour = PLAIN) -> list[Shape]:
     length = float(np.linalg.norm(end))
     if length < 0.2 * bottom:
         return []
-    pose = _at(end / 2.0, z_to(end / length))
+    pose = pin.SE3(z_to(end / length), end / 2.0).homogeneous
     return [Shape(i, "cone", (0.8 * bottom, 0.8 * top, length), pose, colour)]
 
 
@@ -380,25 +357,21 @@ def _plain_shapes(v: Visual) -> list[Shape]:
     if not isinstance(v.shape, Cylinder | Capsule):
         return []
     radius, length = v.shape.radius, v.shape.length
+    ends = (-0.5 * length, 0.5 * length) if isinstance(v.shape, Capsule) else ()
+    places = (v.placement @ pin.SE3(np.eye(3), np.array([0.0, 0.0, z])).homogeneous for z in ends)
     shapes = [Shape(v.joint, "cylinder", (radius, length), v.placement, v.colour)]
-    if isinstance(v.shape, Capsule):
-        for end in (-0.5 * length, 0.5 * length):
-            shift = np.eye(4)
-            shift[2, 3] = end
-            shapes.append(Shape(v.joint, "sphere", (radius,), v.placement @ shift, v.colour))
-    return shapes
+    return [*shapes, *(Shape(v.joint, "sphere", (radius,), place, v.colour) for place in places)]
 
 
 def _fault_notes(faults: Iterable[Visual]) -> list[str]:
     """One sentence per reason, with the links that it concerns."""
-    faults, links = list(faults), dict[str, list[str]]()
-    said = said_once(v.stand_in for v in faults)
+    faults = list(faults)
+    said, links = said_once(v.stand_in for v in faults), dict[str, dict[str, None]]()
     for v in faults:
-        names = links.setdefault(said[v.stand_in], [])
-        if v.link not in names:
-            names.append(v.link)
+        links.setdefault(said[v.stand_in], {})[v.link] = None
     notes = []
-    for reason, names in links.items():
+    for reason, named in links.items():
+        names = list(named)
         shown = ", ".join(names[:4]) + (f" and {len(names) - 4} more" if len(names) > 4 else "")
         notes.append(f"Plain shapes stand in for {shown}: {reason}.")
     return notes

@@ -84,23 +84,17 @@ def _parts(
 ) -> list[Float[np.ndarray, "3 3"]]:
     """Projectors onto held and free directions, moving, then turning."""
     basis = row_basis(rows) if np.any(rows) else np.zeros((0, 6))
-    held = [_pure(basis, moving, tolerance) for moving in (True, False)]
-    free = []
-    for part, seen, own in zip((slice(0, 3), slice(3, 6)), observed, held, strict=True):
-        allowed = null_basis(basis)[part] if len(basis) else np.eye(6)[part]
-        free.append(_seen(_projector(allowed), seen - own if np.any(seen) else seen))
-    return [held[0], free[0], held[1], free[1]]
-
-
-def _pure(basis: Float[np.ndarray, "s 6"], moving: bool, tolerance: float) -> Float[np.ndarray, "3 3"]:
-    """Onto the directions of those rows that only move, or only turn."""
-    own, other = (basis[:, :3], basis[:, 3:]) if moving else (basis[:, 3:], basis[:, :3])
-    if not len(basis):
-        return np.zeros((3, 3))
-    U, sigma, _ = np.linalg.svd(other)
-    coupled = np.zeros(len(U), dtype=bool)  # more rows than columns have further, zero singular values
-    coupled[: len(sigma)] = sigma >= tolerance
-    return _projector((U[:, ~coupled].T @ own).T)
+    allowed = null_basis(basis) if len(basis) else np.eye(6)
+    parts = []
+    for part, other, seen in zip((slice(0, 3), slice(3, 6)), (slice(3, 6), slice(0, 3)), observed, strict=True):
+        # held are the directions of those rows that only move, or only turn
+        U, sigma, _ = np.linalg.svd(basis[:, other])
+        coupled = np.zeros(len(U), dtype=bool)  # more rows than columns have further, zero singular values
+        coupled[: len(sigma)] = sigma >= tolerance
+        held = _projector((U[:, ~coupled].T @ basis[:, part]).T)
+        free = _projector(allowed[part])
+        parts += [held, _projector(free @ (seen - held if np.any(seen) else seen))]
+    return parts
 
 
 def _projector(columns: Float[np.ndarray, "3 k"]) -> Float[np.ndarray, "3 3"]:
@@ -109,11 +103,6 @@ def _projector(columns: Float[np.ndarray, "3 k"]) -> Float[np.ndarray, "3 3"]:
     U, sigma, _ = np.linalg.svd(columns, full_matrices=False)
     U = U[:, sigma > max(COUPLED * sigma[0], 1e-9)]
     return U @ U.T
-
-
-def _seen(allowed: Float[np.ndarray, "3 3"], seen: Float[np.ndarray, "3 3"]) -> Float[np.ndarray, "3 3"]:
-    """Those of the directions that the features look at."""
-    return _projector(allowed @ seen)
 
 
 MOST_PLACES, LEAST_PLACES = 12_000, 60  # of all ellipsoids of a page, and of one motion

@@ -2,132 +2,142 @@
 
 It reads from stdin one line of JSON (`{"page": number of bytes, "token": text}`), the page, and then a line of JSON for
 each pose. It serves the page and a stream of the newest pose on 127.0.0.1, and ends when stdin closes or its parent is
-gone.
+gone. One thread serves all connections, so that none of them can hold up another, however slowly it asks or reads.
 """
 
 from __future__ import annotations
 
+import asyncio
 import json
 import os
 import sys
 import threading
 import time
-from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
-from typing import Any
 
 HOST = "127.0.0.1"
-SOCKET_SECONDS = 5.0  # a browser that reads nothing for this long is dropped
+REQUEST_SECONDS = 3.0  # in which a request must be complete: a browser on the same machine needs milliseconds
+READER_SECONDS = 5.0  # a browser that does not take an event, or the page, for this long is dropped
 HEARTBEAT_SECONDS = 2.0
 PARENT_CHECK_SECONDS = 1.0
-MAX_CONNECTIONS = 24
+MAX_UNASKED = 150  # connections without a complete request; one more, and the oldest is closed
+MAX_STREAMS = 50  # browsers at a time; all in all fewer files than the 256 that macOS lets a process open
+MAX_REQUEST = 16_384  # [bytes] of a request with its headers: browsers send below 2,000
+REASONS = {
+    200: "OK",
+    400: "Bad Request",
+    403: "Forbidden",
+    404: "Not Found",
+    501: "Not Implemented",
+    503: "Service Unavailable",
+}
+HEADERS = (
+    "Cache-Control: no-store",
+    "Connection: close",
+    "X-Content-Type-Options: nosniff",
+    "X-Frame-Options: DENY",
+    "Referrer-Policy: no-referrer",
+    "Cross-Origin-Resource-Policy: same-origin",
+)
 
 
-class Newest:
-    """The newest pose; slow readers skip the ones in between."""
+class LiveServer:
+    """Serves one page and one stream of poses to browsers on this machine; slow readers skip poses."""
 
-    def __init__(self) -> None:
-        self._changed = threading.Condition()
-        self._number = 0
-        self._line = b""
+    def __init__(self, page: bytes, token: str):
+        self._page, self._token = page, token
+        self._own: dict[str, set[str]] = {}  # what a header must say, if it is there
+        self._number, self._line, self._changed = 0, b"", asyncio.Event()
+        self._unasked: dict[asyncio.StreamWriter, None] = {}  # oldest first
+        self._streams = 0
+
+    async def start(self) -> int:
+        """Listen; the port."""
+        server = await asyncio.start_server(self._serve, HOST, 0, limit=MAX_REQUEST, backlog=MAX_UNASKED)
+        port = server.sockets[0].getsockname()[1]
+        hosts = {f"{HOST}:{port}", f"localhost:{port}"}
+        # a web site whose name was made to point at this machine sends its own name, another page its own origin
+        self._own = {"host": hosts, "origin": {f"http://{host}" for host in hosts}}
+        return port
 
     def put(self, line: bytes) -> None:
         """Replace the pose."""
-        with self._changed:
-            self._number += 1
-            self._line = line
-            self._changed.notify_all()
+        self._number, self._line = self._number + 1, line
+        self._changed.set()
+        self._changed = asyncio.Event()
 
-    def wait(self, seen: int, seconds: float) -> tuple[int, bytes]:
-        """The newest pose and its number, once it is not number `seen`, or after so many seconds."""
-        with self._changed:
-            self._changed.wait_for(lambda: self._number != seen, seconds)
-            return self._number, self._line
-
-
-class LiveServer(ThreadingHTTPServer):
-    """Serves one page and one stream to browsers on this machine."""
-
-    daemon_threads = True
-    allow_reuse_address = False
-
-    def __init__(self, page: bytes, token: str):
-        super().__init__((HOST, 0), Handler)
-        self.page, self.token, self.newest = page, token, Newest()
-        port = self.server_address[1]
-        self.hosts = {f"{HOST}:{port}", f"localhost:{port}"}
-        self._room = threading.BoundedSemaphore(MAX_CONNECTIONS)
-
-    def process_request(self, request: Any, client_address: Any) -> None:
-        """Refuse more connections than there is room for."""
-        if self._room.acquire(blocking=False):
-            super().process_request(request, client_address)
-        else:
-            self.shutdown_request(request)
-
-    def process_request_thread(self, request: Any, client_address: Any) -> None:
-        """Make room again when a connection ends."""
+    async def _serve(self, reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
+        """One connection: its request, its answer, its end."""
+        writer.transport.set_write_buffer_limits(0)  # drained is what has been taken
+        self._unasked[writer] = None
+        if len(self._unasked) > MAX_UNASKED:
+            oldest = next(iter(self._unasked))
+            del self._unasked[oldest]
+            oldest.transport.abort()
         try:
-            super().process_request_thread(request, client_address)
+            async with asyncio.timeout(REQUEST_SECONDS):
+                request = await reader.readuntil(b"\r\n\r\n")
+            self._unasked.pop(writer, None)
+            await self._answer(request.decode("latin-1").split("\r\n"), writer)
+            writer.close()
+            async with asyncio.timeout(READER_SECONDS):
+                await writer.wait_closed()
+        except (TimeoutError, OSError, asyncio.IncompleteReadError, asyncio.LimitOverrunError):
+            pass  # browsers that leave, and whoever is too slow or asks for too much, are no error
         finally:
-            self._room.release()
+            self._unasked.pop(writer, None)
+            writer.transport.abort()
 
-    def handle_error(self, request: Any, client_address: Any) -> None:
-        """Disconnecting browsers are not an error."""
-
-
-class Handler(BaseHTTPRequestHandler):
-    """Answers GET for two paths, if they are asked for under this machine's own name."""
-
-    server: LiveServer
-    timeout = SOCKET_SECONDS
-    server_version = "manip_learn"
-    sys_version = ""
-
-    def do_GET(self) -> None:  # noqa: N802 (the name is the base class's)
-        """The page, or the stream of poses."""
-        # a web site whose name was made to point at this machine sends its own name here
-        if self.headers.get("Host", "") not in self.server.hosts:
-            self._refuse(403, "this address is served under 127.0.0.1 only")
-        elif self.path == f"/{self.server.token}/":
-            self._begin("text/html; charset=utf-8", len(self.server.page))
-            self.wfile.write(self.server.page)
-        elif self.path == f"/{self.server.token}/events":
-            self._begin("text/event-stream", None)
-            self._stream()
+    async def _answer(self, request: list[str], writer: asyncio.StreamWriter) -> None:
+        """The page or the stream, if they are asked for under this machine's own name."""
+        method, _, rest = request[0].partition(" ")
+        path, _, version = rest.partition(" ")
+        headers = [(name.strip().lower(), value.strip()) for name, _, value in (h.partition(":") for h in request[1:])]
+        if not version.startswith("HTTP/1."):
+            await self._send(writer, 400, b"not a request\n")
+        elif method != "GET":
+            await self._send(writer, 501, b"only GET is served\n")
+        elif "host" not in dict(headers) or any(v not in self._own.get(name, {v}) for name, v in headers):
+            await self._send(writer, 403, b"this address is served under 127.0.0.1 only\n")
+        elif path == f"/{self._token}/":
+            await self._send(writer, 200, self._page, "text/html; charset=utf-8")
+        elif path != f"/{self._token}/events":
+            await self._send(writer, 404, b"not found\n")
+        elif self._streams >= MAX_STREAMS:
+            await self._send(writer, 503, b"too many browsers look at this page\n")
         else:
-            self._refuse(404, "not found")
+            self._streams += 1
+            try:
+                await self._stream(writer)
+            finally:
+                self._streams -= 1
 
-    def _begin(self, kind: str, size: int | None, code: int = 200) -> None:
-        self.send_response(code)
-        self.send_header("Content-Type", kind)
-        if size is not None:
-            self.send_header("Content-Length", str(size))
-        for name, value in (
-            ("Cache-Control", "no-store"),
-            ("Connection", "close"),
-            ("X-Content-Type-Options", "nosniff"),
-            ("X-Frame-Options", "DENY"),
-            ("Referrer-Policy", "no-referrer"),
-            ("Cross-Origin-Resource-Policy", "same-origin"),
-        ):
-            self.send_header(name, value)
-        self.end_headers()
-
-    def _refuse(self, code: int, reason: str) -> None:
-        body = (reason + "\n").encode()
-        self._begin("text/plain; charset=utf-8", len(body), code)
-        self.wfile.write(body)
-
-    def _stream(self) -> None:
+    async def _stream(self, writer: asyncio.StreamWriter) -> None:
+        """Events until the browser leaves, with a sign of life where nothing moves."""
+        await self._send(writer, 200, None, "text/event-stream")
         seen = 0
         while True:
-            number, line = self.server.newest.wait(seen, HEARTBEAT_SECONDS)
-            self.wfile.write(b": still here\n\n" if number == seen else b"data: " + line + b"\n\n")
-            self.wfile.flush()
-            seen = number
+            if seen == self._number:
+                try:
+                    async with asyncio.timeout(HEARTBEAT_SECONDS):
+                        await self._changed.wait()
+                except TimeoutError:
+                    await self._write(writer, b": still here\n\n")
+                    continue
+            seen = self._number
+            await self._write(writer, b"data: " + self._line + b"\n\n")
 
-    def log_message(self, format: str, *args: object) -> None:
-        """No log: the terminal belongs to the calling program."""
+    async def _send(
+        self, writer: asyncio.StreamWriter, code: int, body: bytes | None, kind: str = "text/plain; charset=utf-8"
+    ) -> None:
+        """A whole answer, or its head alone if there is no body."""
+        size = () if body is None else (f"Content-Length: {len(body)}",)
+        lines = (f"HTTP/1.1 {code} {REASONS[code]}", f"Content-Type: {kind}", *size, *HEADERS, "", "")
+        await self._write(writer, "\r\n".join(lines).encode() + (body or b""))
+
+    async def _write(self, writer: asyncio.StreamWriter, data: bytes) -> None:
+        writer.write(data)
+        async with asyncio.timeout(READER_SECONDS):
+            await writer.drain()
 
 
 def end_with_parent(parent: int) -> None:
@@ -137,19 +147,22 @@ def end_with_parent(parent: int) -> None:
     os._exit(0)
 
 
-def main() -> None:
+async def main() -> None:
     """Serve until stdin closes."""
     threading.Thread(target=end_with_parent, args=(os.getppid(),), daemon=True).start()
     header = json.loads(sys.stdin.buffer.readline())
-    page = sys.stdin.buffer.read(header["page"])
-    server = LiveServer(page, header["token"])
-    threading.Thread(target=server.serve_forever, daemon=True).start()
-    sys.stdout.write(json.dumps({"port": server.server_address[1]}) + "\n")
+    server = LiveServer(sys.stdin.buffer.read(header["page"]), header["token"])
+    sys.stdout.write(json.dumps({"port": await server.start()}) + "\n")
     sys.stdout.flush()
-    for line in sys.stdin.buffer:
-        server.newest.put(line.strip())
-    os._exit(0)  # without waiting for browsers
+    loop = asyncio.get_running_loop()
+
+    def feed() -> None:
+        for line in sys.stdin.buffer:
+            loop.call_soon_threadsafe(server.put, line.strip())
+        os._exit(0)  # without waiting for browsers
+
+    await asyncio.to_thread(feed)
 
 
 if __name__ == "__main__":
-    main()
+    asyncio.run(main())

@@ -4,9 +4,11 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from itertools import product
 from typing import Any, Literal, Protocol, final
 
 import numpy as np
+import pinocchio as pin
 from jaxtyping import Float
 
 from manip_learn.control.way import leads_away
@@ -21,6 +23,7 @@ LEAST_MARGIN = 0.06  # [m]
 MAX_TURNS = 12.0  # of a screw that is drawn
 MAX_NUMBER = 1e9  # [m] what is farther away cannot be drawn
 MAX_TEXT = 400
+CORNERS = np.array(list(product((-0.5, 0.5), repeat=3)))  # of a cube with sides of 1
 
 
 class DescribedMechanism(Protocol):
@@ -46,7 +49,7 @@ class MechanismDrawing:
     type: str
     sentence: str
     lines: tuple[Float[np.ndarray, "_n 3"], ...]
-    patches: tuple[Float[np.ndarray, "4 3"], ...]
+    patches: tuple[Float[np.ndarray, "4 3"], ...] = ()
 
 
 @final
@@ -57,27 +60,41 @@ class Geometry:
     Attributes:
         axis: shape (3,), unit vector in the base frame.
         point: shape (3,), on the axis, or the centre [m].
-        radius: Of the hand about the axis or the centre [m].
-        pitch: Travel along the axis per radian [m/rad].
+        radius: Of the hand about the axis or the centre [m]; 0 if there is none.
+        pitch: Travel along the axis per radian [m/rad]; 0 if there is none.
     """
 
     axis: Float[np.ndarray, " 3"] | None
     point: Float[np.ndarray, " 3"] | None
-    radius: float | None
-    pitch: float | None
+    radius: float
+    pitch: float
+
+    @staticmethod
+    def of(described: Mapping[str, Any]) -> Geometry:
+        """The numbers of a mechanism's dictionary.
+
+        Raises:
+            RecordingError: Numbers of a wrong size or not finite.
+        """
+        axis, point = (_numbers(described, name, 3) for name in ("axis", "point"))
+        radius, pitch = (float(_numbers(described, name, 0) or 0.0) for name in ("radius", "pitch"))
+        length = 0.0 if axis is None else float(np.linalg.norm(axis))
+        return Geometry(axis / length if axis is not None and length > 0.0 else None, point, radius, pitch)
 
 
-def geometry_of(described: Mapping[str, Any]) -> Geometry:
-    """The numbers of a mechanism's dictionary.
-
-    Raises:
-        RecordingError: Numbers of a wrong size or not finite.
-    """
-    axis = _vector(described, "axis")
-    if axis is not None:
-        length = float(np.linalg.norm(axis))
-        axis = axis / length if length > 0.0 else None
-    return Geometry(axis, _vector(described, "point"), _number(described, "radius"), _number(described, "pitch"))
+def _numbers(described: Mapping[str, Any], name: str, n: int) -> np.ndarray | None:
+    """A vector of n numbers, or the single number if n is 0; None where the mechanism has none."""
+    given = described.get(name)
+    if given is None:
+        return None
+    what = f"the mechanism's {name} must be {'three finite numbers' if n else 'a finite number'} below {MAX_NUMBER:g}"
+    try:
+        numbers = np.array(given, dtype=np.float64)
+    except (TypeError, ValueError, OverflowError) as error:
+        raise RecordingError(f"{what}: {error}", code="mechanism") from error
+    if numbers.shape != (n,) * bool(n) or not np.all(np.abs(numbers) < MAX_NUMBER):
+        raise RecordingError(f"{what}, got {given!r:.80}", code="mechanism")
+    return numbers
 
 
 def mechanism_drawing(
@@ -97,17 +114,17 @@ def mechanism_drawing(
     described = mechanism if isinstance(mechanism, Mapping) else mechanism.to_dict()
     kind = str(described.get("type") or "mechanism")[:MAX_TEXT]
     sentence = str(described.get("sentence") or kind)[:MAX_TEXT]
-    geometry = geometry_of(described)
-    lines: list[np.ndarray] = []
-    patches: list[np.ndarray] = []
-    if kind == "ball":
-        lines = _ball(geometry)
-    elif geometry.axis is not None and geometry.point is not None and kind == "plane":
-        patches = [_patch(geometry.axis, geometry.point, held)]
-        lines = [np.vstack([patches[0], patches[0][:1]])]
-    elif geometry.axis is not None and geometry.point is not None:
-        lines = _along_axis(kind, geometry.axis, geometry.point, geometry, held)
-    return MechanismDrawing(kind, sentence, tuple(lines), tuple(patches))
+    geometry = Geometry.of(described)
+    axis, point = geometry.axis, geometry.point
+    if kind == "ball" and point is not None and geometry.radius:
+        circles = (_circle(point, axis, geometry.radius) for axis in np.eye(3))
+        return MechanismDrawing(kind, sentence, tuple(circles))
+    if kind == "ball" or axis is None or point is None:
+        return MechanismDrawing(kind, sentence, ())
+    if kind == "plane":
+        patch = _patch(axis, point, held)
+        return MechanismDrawing(kind, sentence, (np.vstack([patch, patch[:1]]),), (patch,))
+    return MechanismDrawing(kind, sentence, tuple(_along_axis(kind, axis, point, geometry, held)))
 
 
 def _along_axis(
@@ -115,9 +132,8 @@ def _along_axis(
 ) -> list[np.ndarray]:
     """The axis, and around it the circle of a hinge, the helix of a screw, the two rims of a cylinder."""
     along = (held - point) @ axis
-    low, high = float(along.min()), float(along.max())
-    radius = geometry.radius
-    reach = _margin(high - low) + (0.3 * radius if radius else 0.0)
+    low, high, radius = float(along.min()), float(along.max()), geometry.radius
+    reach = _margin(high - low) + 0.3 * radius
     lines = [np.array([point + (low - reach) * axis, point + (high + reach) * axis])]
     if kind == "line" or not radius:
         return lines
@@ -125,13 +141,6 @@ def _along_axis(
         return [*lines, _helix(axis, point, radius, geometry.pitch, low, high, held)]
     heights = (low, high) if kind == "other" else (0.5 * (low + high),)
     return [*lines, *(_circle(point + h * axis, axis, radius) for h in heights)]
-
-
-def _ball(geometry: Geometry) -> list[np.ndarray]:
-    """Three great circles around the centre."""
-    if geometry.point is None or not geometry.radius:
-        return []
-    return [_circle(geometry.point, axis, geometry.radius) for axis in np.eye(3)]
 
 
 def _circle(centre: np.ndarray, axis: np.ndarray, radius: float) -> Float[np.ndarray, "n 3"]:
@@ -176,35 +185,6 @@ def _across(axis: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
 
 def _margin(extent: float) -> float:
     return max(MARGIN * extent, LEAST_MARGIN)
-
-
-def _vector(described: Mapping[str, Any], name: str) -> Float[np.ndarray, " 3"] | None:
-    if described.get(name) is None:
-        return None
-    try:
-        vector = np.array(described[name], dtype=np.float64)
-    except (TypeError, ValueError, OverflowError) as error:
-        raise RecordingError(f"the mechanism's {name} must be three numbers: {error}", code="mechanism") from error
-    if vector.shape != (3,) or not np.all(np.abs(vector) < MAX_NUMBER):
-        raise RecordingError(
-            f"the mechanism's {name} must be three finite numbers below {MAX_NUMBER:g}, got {described[name]!r:.80}",
-            code="mechanism",
-        )
-    return vector
-
-
-def _number(described: Mapping[str, Any], name: str) -> float | None:
-    if described.get(name) is None:
-        return None
-    try:
-        number = float(described[name])
-    except (TypeError, ValueError, OverflowError) as error:
-        raise RecordingError(f"the mechanism's {name} must be a number: {error}", code="mechanism") from error
-    if not abs(number) < MAX_NUMBER:
-        raise RecordingError(
-            f"the mechanism's {name} must be finite and below {MAX_NUMBER:g}, got {number}", code="mechanism"
-        )
-    return number
 
 
 ON_IT = 0.005  # [m] off its line or circle up to which a hand still moves it: the play of a handle in closed fingers
@@ -304,8 +284,8 @@ def furniture_of(
     """
     if not mechanism or mechanism.get("type") not in KINDS or len(path) < 2:
         return None
-    geometry, kind = geometry_of(mechanism), KINDS[mechanism["type"]]
-    axis, point, pitch = geometry.axis, geometry.point, geometry.pitch or 0.0
+    geometry, kind = Geometry.of(mechanism), KINDS[mechanism["type"]]
+    axis, point, pitch = geometry.axis, geometry.point, geometry.pitch
     if axis is None or (kind != "drawer" and point is None):
         return None
     along, across, lever = _coordinates(axis, point if kind != "drawer" else None, pitch, path)
@@ -411,7 +391,7 @@ def _facing(out: Float[np.ndarray, " 3"], handle: Float[np.ndarray, " 3"]) -> Fl
     up = np.array([0.0, 0.0, 1.0]) if abs(out[2]) < UPRIGHT else np.array([1.0, 0.0, 0.0])
     up = up - (up @ out) * out
     up /= np.linalg.norm(up)
-    return _pose(np.cross(out, up), out, up, handle)
+    return pin.SE3(np.column_stack([np.cross(out, up), out, up]), handle).homogeneous
 
 
 def _about(
@@ -424,19 +404,12 @@ def _about(
     right, out = arm / radius, np.cross(axis, arm / radius)
     sine = min(standoff / radius, 0.5)
     cosine = float(np.sqrt(1.0 - sine**2))
-    pose = _pose(cosine * right - sine * out, sine * right + cosine * out, axis, handle)
-    return pose, np.array([-cosine * radius, -sine * radius, 0.0])
-
-
-def _pose(x: np.ndarray, y: np.ndarray, z: np.ndarray, origin: np.ndarray) -> Float[np.ndarray, "4 4"]:
-    pose = np.eye(4)
-    pose[:3] = np.column_stack([x, y, z, origin])
-    return pose
+    turned = np.column_stack([cosine * right - sine * out, sine * right + cosine * out, axis])
+    return pin.SE3(turned, handle).homogeneous, np.array([-cosine * radius, -sine * radius, 0.0])
 
 
 def _corners(boxes: tuple[Box, ...]) -> Float[np.ndarray, "n 3"]:
-    signs = np.array([[x, y, z] for x in (-0.5, 0.5) for y in (-0.5, 0.5) for z in (-0.5, 0.5)])
-    return np.concatenate([np.array(box[:3]) + signs * np.array(box[3:6]) for box in boxes])
+    return np.concatenate([np.array(box[:3]) + CORNERS * np.array(box[3:6]) for box in boxes])
 
 
 def _drawer(travel: float, pose: Float[np.ndarray, "4 4"]) -> tuple[tuple[Box, ...], tuple[Box, ...]]:

@@ -64,7 +64,7 @@ def page(data: dict[str, Any], *, robot: str, subtitle: str, mode: Literal["repl
         "robot": html.escape(robot),
         "subtitle": html.escape(subtitle),
         "data": json_in_html(data),
-        "licences": html.escape(_licences()),
+        "licences": html.escape(third_party_notices()),
         "viewer": viewer,
         "program": program,
     }
@@ -120,7 +120,18 @@ def viewer_script() -> str:
 
 
 @cache
-def _licences() -> str:
+def third_party_notices() -> str:
+    """Licences of the viewer and of what is bundled with it (three.js, dat.gui, ...): they go with each copy of it.
+
+    Every page has them in its source, and the wheel in its folder of licences.
+    """
     folder = _meshcat_folder()
-    files = [folder / "LICENSE", folder / "dist" / "main.min.js.LICENSE.txt"]
-    return "\n\n".join(f.read_text(encoding="utf-8") for f in files if f.is_file())
+    notices = [f"meshcat's viewer\n\n{(folder / 'LICENSE').read_text(encoding='utf-8').strip()}"]
+    for part in json.loads((folder / "dist" / "main.min.js.THIRD_PARTY_LICENSES.json").read_text(encoding="utf-8")):
+        text = part["licenseText"] or f"{part['license']} licence, as above; its package has no text of its own"
+        lines = [line.rstrip() for line in text.strip("\n").splitlines()]
+        notices.append(
+            "\n".join([f"{part['name']} {part['version']} by {part['author']}, {part['repository']}", "", *lines])
+        )
+    rule = f"\n\n{72 * '-'}\n\n"
+    return f"Parts of the replay page that others wrote, and their licences{rule}{rule.join(notices)}\n"

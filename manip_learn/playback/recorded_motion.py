@@ -5,7 +5,7 @@ A track has few enough numbers for a page, every minimum and maximum among them.
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any, final
 
@@ -82,17 +82,24 @@ def tracks_of(
         guidance: Its constraint.
         phases: Its phases, times counted from the first sample.
     """
+    fastest, low, high = robot.velocity_limit, robot.position_lower, robot.position_upper
+    limited = np.isfinite(fastest) & (fastest > 0.0)
+    bounded = np.isfinite(low) & np.isfinite(high) & (high > low)
+    shares = samples.u / np.where(limited, fastest, 1.0)
+    # 0 at the lower limit of a joint, 1 at the upper one
+    places = (positions_of(robot, samples.q) - low) / np.where(bounded, high - low, 1.0)
     tracks = [
         _singular_values(samples, guidance.constraint),
         _fit(samples, guidance, phases) if isinstance(recording, Trajectory) else None,
-        _shares_of_limits(robot, samples),
-        _places_in_ranges(robot, samples),
+        _of_limits(robot, "velocity", samples.velocity_time, shares, limited),
+        _of_limits(robot, "position", samples.time, places, bounded),
     ]
     if isinstance(recording, Rollout):
         features = None if guidance.constraint is None else guidance.constraint.features
         units = "" if features is None else " or ".join(sorted({u.removesuffix("/s") for u in features.row_units}))
         tracks.append(_error("task-error", samples, recording.task_error, units))
-        tracks.append(_error("following-error", samples, recording.following_error, _joint_unit(robot)))
+        joint_unit = " or ".join(sorted(set(robot.joint_units), reverse=True))
+        tracks.append(_error("following-error", samples, recording.following_error, joint_unit))
     return tuple(t for t in tracks if t is not None and t.curves)
 
 
@@ -113,10 +120,7 @@ def _fit(samples: MotionSamples, guidance: Guidance, phases: Sequence[PhaseBand]
     shares = np.full(samples.velocity_time.size, np.nan)
     speed = np.linalg.norm(samples.u, axis=1)
     moving = speed > AT_REST * np.sqrt(np.mean(speed**2))
-    chosen = guidance.at(samples.velocity_time, phases)
-    for k in np.unique(chosen[chosen >= 0]):
-        rows = (chosen == k) & moving
-        broken = broken_motion(guidance.constraints[k], samples.velocity_q[rows], samples.u[rows])
+    for rows, broken in _broken(samples, guidance, np.where(moving, guidance.at(samples.velocity_time, phases), -1)):
         shares[rows] = np.linalg.norm(broken, axis=1) / speed[rows]
     return Track("fit", (Curve("share", samples.velocity_time, shares),))
 
@@ -128,17 +132,22 @@ def broken_share(samples: MotionSamples, guidance: Guidance, phases: Sequence[Ph
     """
     if not guidance.holds or not samples.u.size:
         return None
-    chosen = guidance.at(samples.velocity_time, phases)
+    time, chosen = samples.velocity_time, guidance.at(samples.velocity_time, phases)
     if phases:
-        held = [b for b in phases if b.constraint is not None]
-        inside = [(samples.velocity_time >= b.start) & (samples.velocity_time <= b.end) for b in held]
-        chosen = np.where(np.any(inside, axis=0) if inside else False, chosen, -1)
-    broken = total = 0.0
+        held = [(time >= b.start) & (time <= b.end) for b in phases if b.constraint is not None]
+        chosen = np.where(np.any(held, axis=0) if held else False, chosen, -1)
+    each = list(_broken(samples, guidance, chosen))
+    total = float(sum(np.sum(samples.u[rows] ** 2) for rows, _ in each))
+    return float(np.sqrt(sum(np.sum(broken**2) for _, broken in each) / total)) if total > 0.0 else None
+
+
+def _broken(
+    samples: MotionSamples, guidance: Guidance, chosen: Int[np.ndarray, " U"]
+) -> Iterator[tuple[np.ndarray, np.ndarray]]:
+    """Of each constraint the samples that it is chosen for, and the part of their velocities that breaks it."""
     for k in np.unique(chosen[chosen >= 0]):
         rows = chosen == k
-        broken += float(np.sum(broken_motion(guidance.constraints[k], samples.velocity_q[rows], samples.u[rows]) ** 2))
-        total += float(np.sum(samples.u[rows] ** 2))
-    return float(np.sqrt(broken / total)) if total > 0.0 else None
+        yield rows, broken_motion(guidance.constraints[k], samples.velocity_q[rows], samples.u[rows])
 
 
 def broken_motion(
@@ -151,45 +160,19 @@ def broken_motion(
     return np.einsum("tkj,tk->tj", V, np.einsum("tkj,tj->tk", V, u))
 
 
-def _shares_of_limits(robot: Robot, samples: MotionSamples) -> Track | None:
-    """Joint velocities over their limits, -1 to 1 within them."""
-    limit = robot.velocity_limit
-    limited = np.isfinite(limit) & (limit > 0.0)
-    if not samples.u.size:
-        return None
-    curves = [
-        Curve(n, samples.velocity_time, samples.u[:, i] / limit[i])
-        for i, n in enumerate(robot.joint_names)
-        if limited[i]
-    ]
-    without = [n for n, known in zip(robot.joint_names, limited, strict=True) if not known]
-    return Track("velocity", tuple(curves), "limit", tuple(without))
-
-
-def _places_in_ranges(robot: Robot, samples: MotionSamples) -> Track:
-    """Joint positions between their limits, 0 at the lower and 1 at the upper one."""
-    low, high = robot.position_lower, robot.position_upper
-    limited = np.isfinite(low) & np.isfinite(high) & (high > low)
-    positions = positions_of(robot, samples.q)
-    curves = [
-        Curve(n, samples.time, (positions[:, i] - low[i]) / (high[i] - low[i]))
-        for i, n in enumerate(robot.joint_names)
-        if limited[i]
-    ]
-    without = [n for n, known in zip(robot.joint_names, limited, strict=True) if not known]
-    return Track("position", tuple(curves), "limit", tuple(without))
+def _of_limits(
+    robot: Robot, kind: str, times: Float[np.ndarray, " T"], values: Float[np.ndarray, "T nv"], known: np.ndarray
+) -> Track:
+    """Of each joint whose limits are known a curve of its share of them."""
+    joints = list(zip(robot.joint_names, known, values.T, strict=True)) if len(values) else []
+    curves = tuple(Curve(name, times, column) for name, is_known, column in joints if is_known)
+    return Track(kind, curves, "limit", tuple(name for name, is_known, _ in joints if not is_known))
 
 
 def _error(kind: str, samples: MotionSamples, values: Float[np.ndarray, " T"] | None, unit: str) -> Track | None:
     if values is None or values.shape != samples.time.shape or not np.any(np.isfinite(values)):
         return None
     return Track(kind, (Curve("", samples.time, np.where(np.isfinite(values), values, np.nan)),), unit)
-
-
-def _joint_unit(robot: Robot) -> str:
-    """Of joint positions: rad, m, or either."""
-    units = {"m" if block.kind == "prismatic" else "rad" for block in robot.blocks}
-    return " or ".join(sorted(units, reverse=True))
 
 
 def points_per_curve(tracks: Sequence[Sequence[Track]]) -> int:
@@ -217,7 +200,7 @@ def track_data(tracks: Sequence[Track], most: int) -> dict[str, Any]:
         {
             "kind": t.kind,
             "unit": t.unit,
-            "without": list(t.without),
+            "without": t.without,
             "curves": [_curve_data(c, most, clocks) for c in t.curves],
         }
         for t in tracks

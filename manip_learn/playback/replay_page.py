@@ -64,12 +64,11 @@ def evidence_of(report: DescribedReport | Mapping[str, Any]) -> dict[str, Any]:
         report: `learner.report_`, or the dictionary of it that a constraint file keeps as its provenance.
     """
     content = report if isinstance(report, Mapping) else report.to_dict()
-    facts = [fact for fact in (_gap(content), _held_out(content), _uncertainty(content), _samples(content)) if fact]
     imposed = content.get("kind") == "self-imposed"
     return {
         "headline": _text(content.get("sentence")),
         "kind": "the demonstrator moves the constrained directions (b is not 0)" if imposed else "",
-        "facts": facts,
+        "facts": _facts(content),
         "words": _text(content.get("evidence")),
         "rows": _rows(content.get("row_evidence")),
         "warnings": _texts(content.get("warnings")),
@@ -78,74 +77,45 @@ def evidence_of(report: DescribedReport | Mapping[str, Any]) -> dict[str, Any]:
     }
 
 
-def _gap(content: Mapping[str, Any]) -> list[str] | None:
-    gap, n = _number(content.get("gap")), content.get("n_constraints")
-    if gap is None:
-        return None
-    joint = content.get("estimator") == "joint"
-    scale = "1.5 and above is clear" if joint else "10 and above is clear, below 3 says little"
-    rows = counted(n, "row") if isinstance(n, int) else "this number of rows"
-    return ["Gap", f"{gap:,.3g}" if gap < 1000 else f"{gap:,.0f}", f"how clearly the data ask for {rows}: {scale}"]
-
-
-def _held_out(content: Mapping[str, Any]) -> list[str] | None:
-    residual = _number(content.get("held_out_residual"))
-    if residual is None:
-        return None
-    return [
-        "Residual",
-        f"{100.0 * residual:.2g} %",
-        "share of the motion left unexplained in recordings not learnt from",
-    ]
-
-
-def _uncertainty(content: Mapping[str, Any]) -> list[str] | None:
-    angle = _number(content.get("uncertainty_deg"))
-    if angle is None:
-        return None
-    return ["Direction", error_in_words(angle, "degrees"), "68 % of repetitions with other recordings stay within it"]
-
-
-def _samples(content: Mapping[str, Any]) -> list[str] | None:
-    n, recordings = content.get("n_samples"), content.get("n_trajectories")
-    if not isinstance(n, int) or not isinstance(recordings, int):
-        return None
-    estimator = _text(content.get("estimator"))
-    said = f"estimator: {estimator}" if estimator else ""
-    return [
-        "Learnt from",
-        counted(n, "sample"),
-        f"of {counted(recordings, 'recording')}" + f"; {said}" * bool(said),
-    ]
+def _facts(content: Mapping[str, Any]) -> list[list[str]]:
+    """Name, number and meaning of what the report knows."""
+    gap, residual, angle = (_number(content.get(k)) for k in ("gap", "held_out_residual", "uncertainty_deg"))
+    n, samples, recordings = (content.get(k) for k in ("n_constraints", "n_samples", "n_trajectories"))
+    estimator, facts = _text(content.get("estimator")), []
+    if gap is not None:
+        scale = "1.5 and above is clear" if estimator == "joint" else "10 and above is clear, below 3 says little"
+        rows = counted(n, "row") if isinstance(n, int) else "this number of rows"
+        value = f"{gap:,.3g}" if gap < 1000 else f"{gap:,.0f}"
+        facts.append(["Gap", value, f"how clearly the data ask for {rows}: {scale}"])
+    if residual is not None:
+        said = "share of the motion left unexplained in recordings not learnt from"
+        facts.append(["Residual", f"{100.0 * residual:.2g} %", said])
+    if angle is not None:
+        said = "68 % of repetitions with other recordings stay within it"
+        facts.append(["Direction", error_in_words(angle, "degrees"), said])
+    if isinstance(samples, int) and isinstance(recordings, int):
+        said = f"of {counted(recordings, 'recording')}" + f"; estimator: {estimator}" * bool(estimator)
+        facts.append(["Learnt from", counted(samples, "sample"), said])
+    return facts
 
 
 def _rows(value: object) -> list[list[str]]:
     """Strength, chance and verdict of each row, most firmly held first."""
     rows = []
     for k, entry in enumerate(_list(value)):
-        if not isinstance(entry, Mapping):
-            continue
-        strength, chance = _number(entry.get("strength")), _number(entry.get("p_value"))
-        state = str(entry.get("state"))
-        rows.append(
-            [
-                f"row {k + 1}",
-                STATES.get(state, state[:40]),
-                "" if strength is None else f"{strength:,.3g} times" if strength < 1e6 else "over a million times",
-                "" if chance is None else f"p = {chance:.2g}",
-            ]
-        )
+        if isinstance(entry, Mapping):
+            strength, chance = _number(entry.get("strength")), _number(entry.get("p_value"))
+            state = str(entry.get("state"))
+            grown = "" if strength is None else f"{strength:,.3g} times" if strength < 1e6 else "over a million times"
+            said = "" if chance is None else f"p = {chance:.2g}"
+            rows.append([f"row {k + 1}", STATES.get(state, state[:40]), grown, said])
     return rows
 
 
 def _odd(value: object) -> list[list[str]]:
-    odd = []
-    for entry in _list(value):
-        if isinstance(entry, Mapping):
-            odd.append([_text(entry.get("trajectory")), _text(entry.get("reason"))])
-        elif isinstance(entry, Sequence) and not isinstance(entry, str) and len(entry) == 2:
-            odd.append([_text(entry[0]), _text(entry[1])])
-    return odd
+    """Name and reason, of pairs or of objects."""
+    pairs = [(e.get("trajectory"), e.get("reason")) if isinstance(e, Mapping) else e for e in _list(value)]
+    return [_texts(pair) for pair in pairs if isinstance(pair, list | tuple) and len(pair) == 2]
 
 
 def _list(value: object) -> list[Any]:
@@ -161,9 +131,8 @@ def _text(value: object) -> str:
 
 
 def _number(value: object) -> float | None:
-    if isinstance(value, bool) or not isinstance(value, int | float) or not math.isfinite(value):
-        return None
-    return float(value)
+    is_number = isinstance(value, int | float) and not isinstance(value, bool) and math.isfinite(value)
+    return float(value) if is_number else None  # type: ignore[arg-type]
 
 
 FLAG = "--episodes"
@@ -205,22 +174,23 @@ class RecordingChoice:
         numbers = [self.episodes.get(name) for name in names]
         complete = bool(self.command) and all(n is not None for n in numbers)
         return {
-            "command": shlex.join(_without_flag(self.command)) if complete else "",
+            "command": shlex.join(without_flags(self.command, {FLAG: 1})) if complete else "",
             "flag": FLAG,
             "episodes": numbers if complete else [],
             "odd": {name: reason for name, reason in odd if name in names},
         }
 
 
-def _without_flag(command: Sequence[str]) -> list[str]:
-    """The words without an earlier choice, which the numbers take into account."""
-    kept, skip = [], False
-    for word in command:
+def without_flags(words: Sequence[str], flags: Mapping[str, int]) -> list[str]:
+    """The words of a command line without some flags, of which each has so many values: `--flag=value` is one word."""
+    kept, skip = [], 0
+    for word in words:
+        name, equals, _ = word.partition("=")
         if skip:
-            skip = False
-        elif word == FLAG:
-            skip = True
-        elif not word.startswith(FLAG + "="):
+            skip -= 1
+        elif name in flags:
+            skip = 0 if equals else flags[name]
+        else:
             kept.append(word)
     return kept
 
@@ -320,18 +290,30 @@ def replay(
     named = named_recordings(rollouts)
     guided = {name: guidance_of(robot, name, r, constraint, target) for name, r in named.items()}
     learnt = _learnt(report, guided)
-    phases = phases or _own_phases(learnt, named)
-    mechanism = mechanism if mechanism is not None else _own_mechanism(learnt)
+    if not phases:
+        own = phases_from_json(learnt.get("phases") or ())
+        phases = tuple(p for p in own if isinstance(named.get(p[0]), Trajectory))
+    if mechanism is None:
+        mechanism = learnt.get("mechanism")
+        if not isinstance(mechanism, Mapping | None):  # as in a damaged file
+            raise RecordingError(
+                f"the mechanism must be a dictionary, got {mechanism!r:.60}: learn it again", code="mechanism"
+            )
     tip_name = shown_tip(robot, tip, named, guided)
     bands = phase_bands(phases, list(named))
     chosen_colours = rollout_colours(list(named), colours or {}, neutral=bool(phases))
     tree, frame = kinematic_tree(robot), robot.frame(tip_name)
-    first = mechanism if mechanism is None or isinstance(mechanism, Mapping) else mechanism.to_dict()
+    first = mechanism if isinstance(mechanism, Mapping | None) else mechanism.to_dict()
     motions = [recorded_motion(robot, tree, frame, n, r, bands[n], guided[n], first) for n, r in named.items()]
     drawings = _drawings(first, motions)
     kinds = phase_kinds(phases, _names(drawings, motions[0].guidance)) if phases else ()
     looks = appearance(robot, tree)
-    all_notes = (*notes, *looks.notes) + (() if phases else _crowd_note(len(motions)))
+    all_notes = (*notes, *looks.notes)
+    if len(motions) > MAX_GHOSTS and not phases:
+        all_notes += (
+            f"Of {len(motions)} rollouts the first {MAX_GHOSTS} are drawn as robots, the others as tip path and curve; "
+            "click a name to draw that one.",
+        )
     data = scene_data(robot, tree, looks, tip_name, motions, chosen_colours, all_notes, kinds, drawings)
     evidence = evidence_of(learnt) if learnt else None
     data["evidence"] = evidence
@@ -352,29 +334,21 @@ def _drawings(
     """What is drawn of each constraint's mechanism; without phases of constraints, the first one's alone."""
     n = len(motions[0].guidance.constraints) if any(b.name is None for m in motions for b in m.phases) else 1
     described = [first, *(motions[0].guidance.mechanism(k) for k in range(1, n))]
-    return tuple(None if d is None else _drawing(d, k, motions) for k, d in enumerate(described))
-
-
-def _drawing(described: Mapping[str, Any], k: int, motions: Sequence[RecordedMotion]) -> MechanismDrawing:
-    """A line that a rollout moves along is drawn where its hand is: that recordings held it elsewhere says nothing."""
+    drawn = [None if d is None else mechanism_drawing(d, _held(k, motions)) for k, d in enumerate(described)]
     opened = motions[0].furniture
-    if k == 0 and opened is not None and described.get("type") == "line":
+    if first is not None and opened is not None and first.get("type") == "line":
+        # a line that a rollout moves along is drawn where its hand is: that recordings held it elsewhere says nothing
         ways = [m.furniture.moved(np.zeros((1, 3)), float(m.furniture.opening.max())) for m in motions if m.furniture]
         handle = opened.pose[:3, 3]
-        return mechanism_drawing({**described, "point": handle}, np.concatenate([handle[None], *ways]))
-    return mechanism_drawing(described, _held(k, motions))
+        drawn[0] = mechanism_drawing({**first, "point": handle}, np.concatenate([handle[None], *ways]))
+    return tuple(drawn)
 
 
 def _held(k: int, motions: Sequence[RecordedMotion]) -> Float[np.ndarray, "n 3"]:
     """The tip where constraint k holds, in the base frame [m]; everywhere if that is nowhere."""
-    held = [
-        motion.path[(motion.path_times >= band.start) & (motion.path_times <= band.end)]
-        for motion in motions
-        for band in motion.phases
-        if band.constraint == k
-    ]
-    points = np.concatenate(held) if held else np.zeros((0, 3))
-    return points if len(points) else np.concatenate([motion.path for motion in motions])
+    bands = [(m, band) for m in motions for band in m.phases if band.constraint == k]
+    held = [m.path[(m.path_times >= band.start) & (m.path_times <= band.end)] for m, band in bands]
+    return np.concatenate(held if any(map(len, held)) else [m.path for m in motions])
 
 
 def _names(drawings: Sequence[MechanismDrawing | None], guidance: Guidance) -> tuple[str, ...]:
@@ -390,24 +364,6 @@ def _learnt(report: DescribedReport | Mapping[str, Any] | None, guided: Mapping[
         return report if isinstance(report, Mapping) else report.to_dict()
     kept = (g.constraint.provenance for g in guided.values() if g.constraint is not None)
     return next((provenance for provenance in kept if provenance), {})
-
-
-def _own_mechanism(learnt: Mapping[str, Any]) -> Mapping[str, Any] | None:
-    """The report's mechanism.
-
-    Raises:
-        RecordingError: It is none, as in a damaged file.
-    """
-    kept = learnt.get("mechanism")
-    if kept is None or isinstance(kept, Mapping):
-        return kept
-    raise RecordingError(f"the mechanism must be a dictionary, got {kept!r:.60}: learn it again", code="mechanism")
-
-
-def _own_phases(learnt: Mapping[str, Any], named: Mapping[str, Recording]) -> tuple[Phase, ...]:
-    """The report's phases of the recordings that are shown."""
-    phases = phases_from_json(learnt.get("phases") or ())
-    return tuple(p for p in phases if isinstance(named.get(p[0]), Trajectory))
 
 
 def shown_tip(robot: Robot, tip: str | None, named: Mapping[str, Recording], guided: Mapping[str, Guidance]) -> str:
@@ -441,15 +397,6 @@ def named_recordings(rollouts: Mapping[str, Recording] | Recording) -> dict[str,
                 code="type",
             )
     return dict(rollouts)
-
-
-def _crowd_note(n: int) -> tuple[str, ...]:
-    if n <= MAX_GHOSTS:
-        return ()
-    return (
-        f"Of {n} rollouts the first {MAX_GHOSTS} are drawn as robots, the others as tip path and curve; "
-        "click a name to draw that one.",
-    )
 
 
 def _temporary_file(robot_name: str) -> Path:

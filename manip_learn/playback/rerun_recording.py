@@ -5,15 +5,27 @@ from __future__ import annotations
 import os
 from collections.abc import Mapping
 from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+import pinocchio as pin
 
 from manip_learn.atomic_write import write_atomically
-from manip_learn.errors import OutputError
-from manip_learn.playback.appearance import appearance
-from manip_learn.playback.guided_motion import guidance_of, motion_samples
+from manip_learn.errors import MissingExtraError, OutputError
+from manip_learn.playback.appearance import Shape, TriangleMesh, appearance
+from manip_learn.playback.constraint_marks import target_place
+from manip_learn.playback.guided_motion import Guidance, MotionSamples, guidance_of, motion_samples
 from manip_learn.playback.kinematic_tree import kinematic_tree
 from manip_learn.playback.palette import rollout_colours
 from manip_learn.playback.replay_page import Recording, named_recordings, shown_tip
 from manip_learn.robot.robot import Robot
+
+if TYPE_CHECKING:
+    import rerun as rr
+
+CURVES = ("manipulability", "task_error", "following_error")
+VIEWS = ("manipulability", "position", "velocity")
+TIP_RADIUS, PATH_RADIUS, AXES = 0.008, 0.002, 0.1  # [m]
 
 
 def write_rerun(
@@ -45,17 +57,146 @@ def write_rerun(
         UnknownNameError: No such tip frame.
         OutputError: Another ending, or the file cannot be written.
     """
-    from manip_learn.playback.rerun_stream import RerunStream
-
+    try:
+        import rerun as rr
+        import rerun.blueprint as rrb
+    except ImportError as error:
+        raise MissingExtraError("writing Rerun recordings (.rrd)", "rerun") from error
     if Path(path).suffix.lower() != ".rrd":
         raise OutputError(f"cannot write {os.fspath(path)!r} for Rerun: its ending must be .rrd")
     named = named_recordings(rollouts)
     guided = {name: guidance_of(robot, name, recording, None, None) for name, recording in named.items()}
     frame = robot.frame(shown_tip(robot, tip, named, guided))
     samples = {name: motion_samples(robot, name, recording) for name, recording in named.items()}
-    colours = rollout_colours(list(named), {})
-    stream = RerunStream(robot, appearance(robot, kinematic_tree(robot)), list(named))
-    for (name, recording), (_, colour) in zip(named.items(), colours, strict=True):
-        stream.add(name, recording, samples[name], frame, colour)
-        stream.add_target(name, guided[name], samples[name].q[0])
-    return write_atomically(path, stream.finished())
+    views = [rrb.TimeSeriesView(name=v, contents=[f"{rr.new_entity_path([n, v])}/**" for n in named]) for v in VIEWS]
+    layout = rrb.Horizontal(rrb.Spatial3DView(origin="world", name="robot"), rrb.Vertical(*views))
+    # without properties: they hold the time of writing, and files of the same rollouts should be alike
+    with rr.RecordingStream(f"manip_learn: {robot.name}", send_properties=False) as stream:
+        # in memory: a stream that cannot write to a disk that is full says nothing
+        content = rr.memory_recording(recording=stream)
+        stream.send_blueprint(rrb.Blueprint(layout), make_active=False)
+        stream.send_recording_name(robot.name or "robot")
+        _still(stream, ["world"], rr.ViewCoordinates.RIGHT_HAND_Z_UP)
+        for (name, recording), (_, colour) in zip(named.items(), rollout_colours(list(named), {}), strict=True):
+            rgb = [int(colour[i : i + 2], 16) for i in (1, 3, 5)]
+            _add_robot(stream, robot, name, samples[name], rgb, tinted=len(named) > 1)
+            places = np.array([robot.position(q, frame) for q in samples[name].q])
+            tip_path = ["world", name, "tip"]
+            _still(stream, tip_path, rr.Points3D.from_fields(colors=[rgb], radii=[TIP_RADIUS]))
+            _moving(stream, tip_path, _clock(samples[name]), rr.Points3D.columns(positions=places))
+            _still(stream, [*tip_path, "path"], rr.LineStrips3D([places], colors=[rgb], radii=[PATH_RADIUS]))
+            _add_curves(stream, robot, name, recording, samples[name])
+            _add_target(stream, robot, name, guided[name], samples[name].q[0])
+        return write_atomically(path, content.drain_as_bytes())
+
+
+def _clock(samples: MotionSamples) -> np.ndarray:
+    """Times on the recording's own clock [s]."""
+    return samples.time + samples.first_time
+
+
+def _still(stream: rr.RecordingStream, path: list[str], *parts: Any) -> None:
+    """What does not move; names in a path may hold any sign."""
+    import rerun as rr
+
+    stream.log(rr.new_entity_path(path), *parts, static=True, strict=True)
+
+
+def _moving(stream: rr.RecordingStream, path: list[str], time: np.ndarray, columns: Any) -> None:
+    import rerun as rr
+
+    index = rr.TimeColumn("time", duration=time)
+    stream.send_columns(rr.new_entity_path(path), indexes=[index], columns=columns, strict=True)
+
+
+def _add_robot(
+    stream: rr.RecordingStream, robot: Robot, name: str, samples: MotionSamples, rgb: list[int], tinted: bool
+) -> None:
+    """Poses of the joints in the base over time, and what each joint carries; all of it in one colour if tinted."""
+    import rerun as rr
+
+    model, looks = robot.pinocchio_model, appearance(robot, kinematic_tree(robot))
+    data = model.createData()
+    poses = np.empty((len(samples.time), model.njoints, 7))
+    for k, q in enumerate(samples.q):
+        pin.forwardKinematics(model, data, robot.pinocchio_configuration(q))
+        poses[k] = [pin.SE3ToXYZQUAT(pose) for pose in data.oMi]
+    paths = [["world", name, "robot", str(joint)] for joint in model.names]
+    for i in range(1, model.njoints):
+        columns = rr.Transform3D.columns(translation=poses[:, i, :3], quaternion=poses[:, i, 3:])
+        _moving(stream, paths[i], _clock(samples), columns)
+    for k, shape in enumerate(looks.shapes):
+        own = [round(255 * c) for c in shape.colour]
+        colour = [*rgb, own[3]] if shape.accent or (tinted and shape.joint) else own
+        placement = pin.SE3ToXYZQUAT(pin.SE3(shape.pose))
+        pose = rr.Transform3D(translation=placement[:3], quaternion=placement[3:])
+        mesh = None if shape.mesh is None else looks.meshes[shape.mesh]
+        _still(stream, [*paths[shape.joint], f"shape_{k}"], pose, _body(shape, mesh, colour))
+
+
+def _add_curves(
+    stream: rr.RecordingStream, robot: Robot, name: str, recording: Recording, samples: MotionSamples
+) -> None:
+    """Joints, and what only rollouts have; numbers that are not known (NaN) are left out."""
+    import rerun as rr
+
+    positions = np.array([robot.positions(q) for q in samples.q])
+    places = zip(robot.joint_names, positions.T, strict=True)
+    curves: dict[tuple[str, ...], tuple[np.ndarray, np.ndarray]]
+    curves = {("position", joint): (_clock(samples), x) for joint, x in places}
+    speeds = zip(robot.joint_names, samples.u.T, strict=True)
+    curves |= {("velocity", joint): (samples.velocity_time + samples.first_time, x) for joint, x in speeds}
+    for kind in CURVES:
+        values = getattr(recording, kind, None)
+        if values is not None:
+            curves[(kind,)] = _clock(samples), values
+    for path, (time, values) in curves.items():
+        known = np.isfinite(values)
+        if known.any():
+            _moving(stream, [name, *path], time[known], rr.Scalars.columns(scalars=values[known]))
+    words = [str(word) for word in getattr(recording, "status", ())]
+    changes = [k for k in range(len(words)) if k == 0 or words[k] != words[k - 1]]
+    if changes:
+        columns = rr.TextLog.columns(text=[words[k] for k in changes])
+        _moving(stream, [name, "status"], _clock(samples)[changes], columns)
+
+
+def _add_target(stream: rr.RecordingStream, robot: Robot, name: str, guidance: Guidance, q: np.ndarray) -> None:
+    """Where the task was to arrive, in the base, if that is a place; q is the first posture."""
+    import rerun as rr
+
+    target, path = guidance.target, ["world", name, "target"]
+    if target is not None and target.shape == (4, 4):
+        pose = rr.Transform3D(translation=target[:3, 3], mat3x3=target[:3, :3])
+        _still(stream, path, pose, rr.TransformAxes3D(AXES))
+    elif guidance.constraint is not None:
+        place = target_place(robot, guidance.constraint, target, q)
+        if place is not None and place["carrier"] is None:
+            _still(stream, path, rr.Points3D([place["point"]], radii=[TIP_RADIUS]))
+
+
+def _body(shape: Shape, mesh: TriangleMesh | None, colour: list[int]) -> Any:
+    import rerun as rr
+
+    solid: dict[str, Any] = {"colors": [colour], "fill_mode": "solid"}
+    if mesh is not None:
+        normals = _normals(mesh)
+        return rr.Mesh3D(
+            vertex_positions=mesh.vertices,
+            triangle_indices=mesh.triangles,
+            vertex_normals=normals,
+            albedo_factor=colour,
+        )
+    if shape.kind in ("box", "sphere"):
+        kind = rr.Boxes3D if shape.kind == "box" else rr.Ellipsoids3D
+        return kind(half_sizes=[shape.half_extent()], **solid)
+    # Rerun has no cones: a cylinder as thick as the middle of one
+    return rr.Cylinders3D(lengths=[shape.size[-1]], radii=[float(np.mean(shape.size[:-1]))], **solid)
+
+
+def _normals(mesh: TriangleMesh) -> np.ndarray:
+    """Unit normals (V, 3) at the vertices, each triangle by its area; without them Rerun shades nothing."""
+    corners, sums = mesh.vertices[mesh.triangles], np.zeros_like(mesh.vertices)
+    areas = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    np.add.at(sums, mesh.triangles, areas[:, None])
+    return sums / np.maximum(np.linalg.norm(sums, axis=1, keepdims=True), 1e-300)

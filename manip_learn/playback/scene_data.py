@@ -12,7 +12,7 @@ from jaxtyping import Float
 from manip_learn.playback.appearance import Appearance, TriangleMesh
 from manip_learn.playback.constraint_marks import constraint_marks, ellipsoid_scale, places_per_motion
 from manip_learn.playback.kinematic_tree import TreeJoint
-from manip_learn.playback.mechanism_drawing import MechanismDrawing
+from manip_learn.playback.mechanism_drawing import CORNERS, MechanismDrawing
 from manip_learn.playback.page_writer import packed
 from manip_learn.playback.phase_bands import PhaseKind, own_kinds
 from manip_learn.playback.recorded_motion import RecordedMotion, points_per_curve, track_data
@@ -58,8 +58,18 @@ def scene_data(
         ],
         "ellipsoidScale": ellipsoid_scale([one for some in marks for one in some], ELLIPSOID * size),
         "notes": list(notes),
-        "phaseKinds": [_kind(k) for k in kinds],
-        "mechanisms": [_mechanism(k, m) for k, m in enumerate(mechanisms) if m is not None],
+        "phaseKinds": [vars(k) for k in kinds],
+        "mechanisms": [
+            {
+                "constraint": k,
+                "type": m.type,
+                "sentence": m.sentence,
+                "lines": [packed(line, "<f4") for line in m.lines],
+                "patches": [packed(patch, "<f4") for patch in m.patches],
+            }
+            for k, m in enumerate(mechanisms)
+            if m is not None
+        ],
     }
 
 
@@ -68,16 +78,6 @@ def _marked(cloud: Float[np.ndarray, "C 3"], motions: Sequence[RecordedMotion]) 
     reach = MARKS * float(np.linalg.norm(np.ptp(cloud, axis=0)))
     paths = [m.path[:: max(1, len(m.path) // MAX_POSTURES_FOR_BOUNDS)] for m in motions if m.guidance.constraints]
     return [path + reach * side for path in paths for side in (*np.eye(3), *-np.eye(3))]
-
-
-def _mechanism(k: int, mechanism: MechanismDrawing) -> dict[str, Any]:
-    return {
-        "constraint": k,
-        "type": mechanism.type,
-        "sentence": mechanism.sentence,
-        "lines": [packed(line, "<f4") for line in mechanism.lines],
-        "patches": [packed(patch, "<f4") for patch in mechanism.patches],
-    }
 
 
 def _rows(pose: Float[np.ndarray, "4 4"]) -> list[float]:
@@ -89,33 +89,13 @@ def _robot(robot: Robot, tree: tuple[TreeJoint, ...], looks: Appearance, tip: st
     links = [(name, robot.frame(name)) for name in robot.frame_names]
     return {
         "tip": tip,
-        "joints": [
-            {
-                "name": j.name,
-                "parent": j.parent,
-                "placement": _rows(j.placement),
-                "motion": j.motion,
-                "axis": j.axis.tolist(),
-            }
-            for j in tree
-        ],
+        "joints": [vars(j) | {"placement": _rows(j.placement), "axis": j.axis.tolist()} for j in tree],
         "links": [
             {"name": name, "joint": f.parent_joint, "placement": _rows(frames[f.index].placement.homogeneous)}
             for name, f in links
             if frames[f.index].type == pin.FrameType.BODY or name == tip
         ],
-        "shapes": [
-            {
-                "joint": s.joint,
-                "kind": s.kind,
-                "size": list(s.size),
-                "pose": _rows(s.pose),
-                "colour": list(s.colour),
-                "accent": s.accent,
-                "mesh": s.mesh,
-            }
-            for s in looks.shapes
-        ],
+        "shapes": [vars(s) | {"pose": _rows(s.pose)} for s in looks.shapes],
         "meshes": [_mesh(m) for m in looks.meshes],
     }
 
@@ -132,10 +112,6 @@ def _mesh(mesh: TriangleMesh) -> dict[str, Any]:
         "triangles": packed(mesh.triangles, "<u4" if wide else "<u2"),
         "wide": wide,
     }
-
-
-def _kind(kind: PhaseKind) -> dict[str, Any]:
-    return {"label": kind.label, "mark": kind.mark, "colour": kind.colour, "ink": kind.ink}
 
 
 def _rollout(motion: RecordedMotion, colour: tuple[str, str]) -> dict[str, Any]:
@@ -163,7 +139,7 @@ def _rollout(motion: RecordedMotion, colour: tuple[str, str]) -> dict[str, Any]:
             for b in motion.phases
         ],
     }
-    return described | ({"phaseKinds": [_kind(k) | {"strength": k.strength} for k in own]} if own else {})
+    return described | ({"phaseKinds": [vars(k) for k in own]} if own else {})
 
 
 def _drawn_points(robot: Robot, looks: Appearance, motions: Sequence[RecordedMotion]) -> Float[np.ndarray, "C 3"]:
@@ -205,15 +181,12 @@ def _azimuth(motions: Sequence[RecordedMotion]) -> float:
 def _corners(looks: Appearance, joint: int) -> Float[np.ndarray, "C 3"]:
     """Corners of the boxes around a joint's shapes, and the joint's origin, in the joint's frame [m]."""
     points = [np.zeros((1, 3))]
-    signs = np.array([[x, y, z] for x in (-1, 1) for y in (-1, 1) for z in (-1, 1)], dtype=np.float64)
     for shape in (s for s in looks.shapes if s.joint == joint):
-        if shape.mesh is None:
-            middle, half = np.zeros(3), shape.half_extent()
-        else:
-            vertices = looks.meshes[shape.mesh].vertices
-            middle = (vertices.min(axis=0) + vertices.max(axis=0)) / 2.0
-            half = vertices.max(axis=0) - middle
-        points.append((middle + signs * half) @ shape.pose[:3, :3].T + shape.pose[:3, 3])
+        half = shape.half_extent()
+        ends = np.array([-half, half]) if shape.mesh is None else looks.meshes[shape.mesh].vertices
+        low, high = ends.min(axis=0), ends.max(axis=0)
+        box = (low + high) / 2.0 + CORNERS * (high - low)
+        points.append(box @ shape.pose[:3, :3].T + shape.pose[:3, 3])
     return np.concatenate(points)
 
 

@@ -6,6 +6,7 @@ Shapes are convex; a mesh counts as its convex hull.
 from __future__ import annotations
 
 import threading
+from collections.abc import Mapping
 from dataclasses import dataclass
 from itertools import combinations
 from pathlib import Path
@@ -20,15 +21,15 @@ from numpy.typing import ArrayLike
 from manip_learn.errors import RobotError
 from manip_learn.robot.description.urdf import as_matrix
 from manip_learn.robot.robot import Robot
-from manip_learn.robot.visuals.meshes import Mesh, find_mesh, mesh_roots, read_meshes
+from manip_learn.robot.visuals.meshes import find_mesh, mesh_roots, read_meshes
 from manip_learn.robot.visuals.visual_shapes import (
     Box,
     Capsule,
     Cylinder,
     MeshElement,
-    Shape,
     Sphere,
     Tag,
+    Triangles,
     VisualElement,
     visual_elements,
 )
@@ -80,40 +81,37 @@ def collision_shapes(robot: Robot, tag: Tag = "collision") -> tuple[CollisionSha
             code="no-collision-shapes",
             path=robot.source,
         )
-    meshes = _meshes(robot, elements)
-    return tuple(_shape(robot, element, meshes) for element in elements)
-
-
-def _meshes(robot: Robot, elements: list[VisualElement]) -> dict[str, Mesh]:
-    """Address in the URDF -> vertices and faces."""
-    addresses = dict.fromkeys(e.geometry.uri for e in elements if isinstance(e.geometry, MeshElement))
-    if not addresses:
-        return {}
-    roots = mesh_roots(robot.source or Path(), robot.package_dirs)
-    files = {uri: find_mesh(uri, roots) for uri in addresses}
+    uris = dict.fromkeys(e.geometry.uri for e in elements if isinstance(e.geometry, MeshElement))
+    roots = mesh_roots(path, robot.package_dirs)
+    files = {uri: find_mesh(uri, roots) for uri in uris}
     parsed = read_meshes(list(files.values()))
-    meshes = {}
-    for uri, file in files.items():
-        mesh = parsed[file]
+    for mesh in parsed.values():
         if isinstance(mesh, RobotError):
             raise mesh
-        meshes[uri] = mesh
-    return meshes
+    return tuple(_shape(robot, element, {uri: parsed[file] for uri, file in files.items()}) for element in elements)
 
 
-def _shape(robot: Robot, element: VisualElement, meshes: dict[str, Mesh]) -> CollisionShape:
+def _shape(robot: Robot, element: VisualElement, meshes: Mapping[str, Any]) -> CollisionShape:
     frame = robot.pinocchio_model.frames[robot.frame(element.link).index]
     placement = np.asarray(frame.placement.homogeneous @ as_matrix(element.pose))
-    if element.geometry is None:
-        raise RobotError(element.fault, code="collision-shape", path=robot.source, line=element.line)
-    if isinstance(element.geometry, MeshElement):
-        vertices = meshes[element.geometry.uri][0] * np.array(element.geometry.scale)
-        points, faces = _hull(vertices, element, robot)
-        geometry, middle = _convex(points, faces), 0.5 * (points.min(axis=0) + points.max(axis=0))
-        radius = float(np.linalg.norm(points - middle, axis=1).max())
-    else:
-        geometry, radius = _primitive(element.geometry)
-        middle = np.zeros(3)
+    middle = np.zeros(3)
+    match element.geometry:
+        case None:
+            raise RobotError(element.fault, code="collision-shape", path=robot.source, line=element.line)
+        case MeshElement(uri, scale):
+            points, faces = _hull(meshes[uri][0] * np.array(scale), element, robot)
+            geometry, middle = _convex(points, faces), 0.5 * (points.min(axis=0) + points.max(axis=0))
+            radius = float(np.linalg.norm(points - middle, axis=1).max())
+        case Box(size):
+            geometry, radius = coal.Box(*size), 0.5 * float(np.linalg.norm(size))
+        case Sphere(radius):
+            geometry = coal.Sphere(radius)
+        case Cylinder(thick, length):
+            geometry, radius = coal.Cylinder(thick, length), float(np.hypot(thick, 0.5 * length))
+        case Capsule(thick, length):
+            geometry, radius = coal.Capsule(thick, length), thick + 0.5 * length
+        case Triangles(vertices, faces):
+            geometry, radius = _convex(vertices, faces), float(np.linalg.norm(vertices, axis=1).max())
     centre = placement[:3, :3] @ middle + placement[:3, 3]
     return CollisionShape(element.link, int(frame.parentJoint), placement, geometry, centre, radius)
 
@@ -149,25 +147,6 @@ def _convex(points: Float[np.ndarray, "k 3"], faces: Int[np.ndarray, "m 3"]) -> 
     for i, j, k in faces.tolist():
         triangles.append(coal.Triangle(i, j, k))
     return coal.Convex(vertices, triangles)
-
-
-def _primitive(shape: Shape) -> tuple[Any, float]:
-    """The shape and the radius of the ball around it."""
-    if isinstance(shape, Box):
-        return coal.Box(*shape.size), 0.5 * float(np.linalg.norm(shape.size))
-    if isinstance(shape, Sphere):
-        return coal.Sphere(shape.radius), shape.radius
-    if isinstance(shape, Cylinder):
-        return coal.Cylinder(shape.radius, shape.length), float(np.hypot(shape.radius, 0.5 * shape.length))
-    if isinstance(shape, Capsule):
-        return coal.Capsule(shape.radius, shape.length), shape.radius + 0.5 * shape.length
-    return _convex(shape.vertices, shape.faces), float(np.linalg.norm(shape.vertices, axis=1).max())
-
-
-def geometry_object(shape: CollisionShape, number: int) -> pin.GeometryObject:
-    """The shape as Pinocchio keeps it."""
-    placement = pin.SE3(shape.placement[:3, :3], shape.placement[:3, 3])
-    return pin.GeometryObject(f"{shape.link}_{number}", shape.joint, placement, shape.geometry)
 
 
 # postures that are looked at for links that can touch: every 0.2 rad of two joints that turn once
@@ -230,7 +209,8 @@ class SelfCollision:
         self._model = robot.pinocchio_model
         self._geometry = pin.GeometryModel()
         for number, shape in enumerate(self._shapes):
-            self._geometry.addGeometryObject(geometry_object(shape, number))
+            name, placement = f"{shape.link}_{number}", pin.SE3(shape.placement)
+            self._geometry.addGeometryObject(pin.GeometryObject(name, shape.joint, placement, shape.geometry))
         self._pair_up(self._pairs_joined_by(range(2, self._model.njoints)))
         touching = {p.links for p in self.closer_than(robot.neutral() if free is None else free, 0.0)}
         kept = [(a, b) for a, b in self._pairs if self._links(a, b) not in touching]

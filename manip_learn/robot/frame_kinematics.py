@@ -328,16 +328,21 @@ class FrameKinematics:
         J = pin.getFrameJacobian(self.model, last.data, self._index, REFERENCES[reference])
         return self._public(J if J.ndim == 2 else J.reshape(6, 1))
 
+    def _derived(self, q: Any, reference: str) -> tuple[Float[np.ndarray, "6 n"], Float[np.ndarray, "n m"]]:
+        """J of the model's joints, and dJ/dq as it lies in Pinocchio's memory: entry [k, 6 i + j] is dJ_ji / dq_k."""
+        if self._fast_hessian:
+            model, data, ref = self.model, self._differentiated(q).data, REFERENCES[reference]
+            J = pin.getFrameJacobian(model, data, self._index, ref)
+            by_joint = pin.getFrameKinematicHessian(model, data, self._index, ref)
+            return J if J.ndim == 2 else J.reshape(6, 1), by_joint.reshape(self._hessian_shape)  # nv == 1
+        J = self._model_jacobian(q, reference)  # a robot without joints, too, for which Pinocchio's getters crash
+        H = closed_form(J, self._columns_to_joints, reference)
+        return J, H.transpose(2, 1, 0).reshape(self._hessian_shape)
+
     def jacobian_and_derivative(self, q: Any, reference: str) -> tuple[np.ndarray, np.ndarray]:
         """J (6, nv) and dJ/dq (6, nv, nv)."""
-        model, index, ref = self.model, self._index, REFERENCES[reference]
-        if self._fast_hessian:
-            last, n = self._differentiated(q), self.model.nv
-            J = pin.getFrameJacobian(model, last.data, index, ref).reshape(6, n)
-            H = reordered(pin.getFrameKinematicHessian(model, last.data, index, ref), n)
-        else:  # a robot without joints, too, for which Pinocchio's getters crash
-            J = self._model_jacobian(q, reference)
-            H = closed_form(J, self._columns_to_joints, reference)
+        J, by_joint = self._derived(q, reference)
+        H = reordered(by_joint, self.model.nv)
         if self._lift is not None:
             return J @ self._lift, self._lift.T @ (H @ self._lift)
         if self._columns is None:
@@ -351,17 +356,8 @@ class FrameKinematics:
         self, q: Any, reference: str, selection: Float[np.ndarray, "s 6"]
     ) -> tuple[np.ndarray, Callable[[np.ndarray], np.ndarray]]:
         """A = Lambda J and its vector-Jacobian product, see `Robot.weighted_jacobian_vjp`."""
-        if not self._fast_hessian:
-            J, H = self.jacobian_and_derivative(q, reference)
-            flat = H.reshape(6 * self.nv, self.nv)
-            return selection.dot(J), lambda weights: selection.T.dot(weights).reshape(-1).dot(flat)
-        model, index, ref = self.model, self._index, REFERENCES[reference]
-        data = self._differentiated(q).data
-        J = pin.getFrameJacobian(model, data, index, ref)
-        # Pinocchio's buffer as it lies in memory is [k, j, i] (see `reordered`)
-        by_joint = pin.getFrameKinematicHessian(model, data, index, ref).reshape(self._hessian_shape)
-        A = selection.dot(J) if J.ndim == 2 else selection.dot(J.reshape(6, 1))  # nv == 1
-        vjp = WeightedVjp(by_joint, selection, self._columns, self._lift, self.nv)
+        J, by_joint = self._derived(q, reference)
+        A, vjp = selection.dot(J), WeightedVjp(by_joint, selection, self._columns, self._lift, self.nv)
         return A if self._plain else self._public(A), vjp
 
     # ---- internals --------------------------------------------------------------------------------------------------

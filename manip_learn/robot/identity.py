@@ -44,14 +44,8 @@ class RobotIdentity:
 
     def to_dict(self) -> dict[str, Any]:
         """For JSON."""
-        return {
-            "name": self.name,
-            "fingerprint": self.fingerprint,
-            "nq": self.nq,
-            "joint_names": list(self.joint_names),
-            "locked": dict(self.locked),
-            "objects": list(self.objects),
-        }
+        words = {key: list(value) if isinstance(value, tuple) else value for key, value in vars(self).items()}
+        return words | {"locked": dict(self.locked)}
 
     @staticmethod
     def from_dict(content: object) -> RobotIdentity:

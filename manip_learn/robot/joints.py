@@ -91,6 +91,13 @@ class JointBlock:
         suffixes = COORDINATE_SUFFIXES.get(self.kind, tuple(f".{i}" for i in range(width)))
         return tuple(self.name + s for s in suffixes)
 
+    @property
+    def units(self) -> tuple[str, ...]:
+        """Unit of each tangent coordinate, `"rad"` or `"m"`."""
+        if self.kind in COORDINATE_SUFFIXES:
+            return tuple("rad" if "r" in suffix else "m" for suffix in COORDINATE_SUFFIXES[self.kind])
+        return ("m" if self.kind == "prismatic" else "rad",) * (self.v.stop - self.v.start)
+
 
 def joint_kind(short_name: str) -> JointKind:
     """Kind of a Pinocchio joint from its `shortname()`."""
@@ -108,97 +115,82 @@ def joint_kind(short_name: str) -> JointKind:
 
 
 @final
-@dataclass(frozen=True, eq=False)
-class JointLimits:
+class JointLimits(NamedTuple):
     """One entry per degree of freedom.
 
     Attributes:
         lower: shape (nv,) [rad or m], -inf where there is no limit.
         upper: shape (nv,) [rad or m], inf where there is no limit.
         velocity: shape (nv,) [rad/s or m/s], inf where there is no limit.
-        warnings: Where followers narrow the limits of their leaders, or contradict them.
     """
 
     lower: Float[np.ndarray, " nv"]
     upper: Float[np.ndarray, " nv"]
     velocity: Float[np.ndarray, " nv"]
-    warnings: tuple[str, ...]
-
-    def __post_init__(self) -> None:
-        for array in (self.lower, self.upper, self.velocity):
-            array.setflags(write=False)
 
 
-def joint_limits(model: pin.Model, blocks: Sequence[JointBlock], mimics: Sequence[Mimic]) -> JointLimits:
-    """Limits of a model in which mimic joints are joints of their own, bound to their leaders."""
-    nv = sum(b.v.stop - b.v.start for b in blocks)
-    lower, upper, velocity = np.full(nv, -np.inf), np.full(nv, np.inf), np.full(nv, np.inf)
-    for b in blocks:
-        if b.kind in ("revolute", "prismatic"):
-            lower[b.v], upper[b.v] = model.lowerPositionLimit[b.pin_q], model.upperPositionLimit[b.pin_q]
-        limit = np.asarray(model.velocityLimit[b.pin_v])
-        velocity[b.v] = np.where(limit > 0, limit, np.inf)
-    leaders = {b.name: b for b in blocks}
-    warnings: list[str] = []
-    for m in mimics:
-        warnings += _bind(m, leaders[m.leader], model, lower, upper, velocity)
-    return JointLimits(lower, upper, velocity, tuple(warnings))
-
-
-def _bind(
-    m: Mimic, leader: JointBlock, model: pin.Model, lower: np.ndarray, upper: np.ndarray, velocity: np.ndarray
-) -> list[str]:
-    """A follower's limits bind its leader, seen through the multiplier."""
-    joint, k = model.joints[model.getJointId(m.joint)], leader.v.start
-    limit = float(model.velocityLimit[joint.idx_v])
-    if m.multiplier == 0.0:
-        return []
-    if limit > 0:
-        velocity[k] = min(velocity[k], limit / abs(m.multiplier))
-    if joint.nq != 1:
-        return []
-    ends = (model.lowerPositionLimit[joint.idx_q], model.upperPositionLimit[joint.idx_q])
-    if leader.kind == "continuous":
-        if all(math.isinf(end) for end in ends):
-            return []
-        return [f"joint {m.leader!r} turns without end, so the limits of its follower {m.joint!r} are not enforced"]
-    low, high = sorted((float(end) - m.offset) / m.multiplier for end in ends)
-    # limits in files are rounded: a follower's may be slightly tighter than its leader's
-    room = 1e-6 + 1e-4 * (high - low) if math.isfinite(high - low) else 0.0
-    if low <= lower[k] + room and high >= upper[k] - room:
-        return []
-    narrow = max(low, lower[k]), min(high, upper[k])
-    if narrow[0] >= narrow[1]:
-        return [
-            f"joint {m.joint!r} would need {m.leader!r} in {low:.4g} ... {high:.4g}, outside that joint's limits "
-            f"{lower[k]:.4g} ... {upper[k]:.4g}; the limits of {m.joint!r} are ignored"
-        ]
-    lower[k], upper[k] = narrow
-    return [f"joint {m.leader!r} is limited to {narrow[0]:.4g} ... {narrow[1]:.4g} by its follower {m.joint!r}"]
-
-
-def build_coupling(
+def joint_limits(
     model: pin.Model, blocks: Sequence[JointBlock], mimics: Sequence[Mimic]
-) -> tuple[Coupling | None, list[tuple[int, slice]]]:
-    """The affine map from the independent joints to all joints of a model; None without mimic joints.
+) -> tuple[JointLimits, tuple[str, ...]]:
+    """Limits of a model in which mimic joints are joints of their own, bound to their leaders.
 
     Returns:
-        The map, and for each mimic joint its row in Pinocchio's tangent vector and its slice of the configuration.
+        The limits, read-only, and warnings: where followers narrow the limits of their leaders, or contradict them.
     """
-    if not mimics:
-        return None, []
+    nv = sum(b.v.stop - b.v.start for b in blocks)
+    limits = JointLimits(np.full(nv, -np.inf), np.full(nv, np.inf), np.full(nv, np.inf))
+    for b in blocks:
+        if b.kind in ("revolute", "prismatic"):
+            limits.lower[b.v] = model.lowerPositionLimit[b.pin_q]
+            limits.upper[b.v] = model.upperPositionLimit[b.pin_q]
+        velocity = np.asarray(model.velocityLimit[b.pin_v])
+        limits.velocity[b.v] = np.where(velocity > 0, velocity, np.inf)
+    leaders = {b.name: b for b in blocks}
+    warnings = [sentence for m in mimics for sentence in _bind(m, leaders[m.leader], model, limits)]
+    for array in limits:
+        array.setflags(write=False)
+    return limits, tuple(warnings)
+
+
+def _bind(m: Mimic, leader: JointBlock, model: pin.Model, limits: JointLimits) -> list[str]:
+    """A follower's limits bind its leader, seen through the multiplier."""
+    joint, k = model.joints[model.getJointId(m.joint)], leader.v.start
+    if m.multiplier == 0.0:
+        return []
+    velocity = float(model.velocityLimit[joint.idx_v])
+    if velocity > 0:
+        limits.velocity[k] = min(limits.velocity[k], velocity / abs(m.multiplier))
+    if joint.nq != 1:
+        return []
+    ends = float(model.lowerPositionLimit[joint.idx_q]), float(model.upperPositionLimit[joint.idx_q])
+    if leader.kind == "continuous":
+        sentence = f"joint {m.leader!r} turns without end, so the limits of its follower {m.joint!r} are not enforced"
+        return [] if all(map(math.isinf, ends)) else [sentence]
+    low, high = sorted((end - m.offset) / m.multiplier for end in ends)
+    # limits in files are rounded: a follower's may be slightly tighter than its leader's
+    room = 1e-6 + 1e-4 * (high - low) if math.isfinite(high - low) else 0.0
+    lower, upper = float(limits.lower[k]), float(limits.upper[k])
+    if low <= lower + room and high >= upper - room:
+        return []
+    if max(low, lower) >= min(high, upper):
+        return [
+            f"joint {m.joint!r} would need {m.leader!r} in {low:.4g} ... {high:.4g}, outside that joint's limits "
+            f"{lower:.4g} ... {upper:.4g}; the limits of {m.joint!r} are ignored"
+        ]
+    limits.lower[k], limits.upper[k] = low, high = max(low, lower), min(high, upper)
+    return [f"joint {m.leader!r} is limited to {low:.4g} ... {high:.4g} by its follower {m.joint!r}"]
+
+
+def full_coupling(model: pin.Model, blocks: Sequence[JointBlock], mimics: Sequence[Mimic]) -> Coupling:
+    """The affine map from the independent joints to all joints of a model, without mimic joints a permutation."""
     lift, offset = np.zeros((model.nv, sum(b.v.stop - b.v.start for b in blocks))), np.zeros(model.nv)
     for b in blocks:
         lift[b.pin_v, b.v] = np.eye(b.v.stop - b.v.start)
-    column = {b.name: b.v.start for b in blocks if b.v.stop - b.v.start == 1}
-    followers: list[tuple[int, slice]] = []
+    leaders = {b.name: b.v.start for b in blocks}
     for m in mimics:
-        joint = model.joints[model.getJointId(m.joint)]
-        row = joint.idx_v
-        followers.append((row, slice(joint.idx_q, joint.idx_q + joint.nq)))
-        lift[row, column[m.leader]] = m.multiplier
-        offset[row] = m.offset
-    return Coupling(lift, offset), followers
+        row = model.joints[model.getJointId(m.joint)].idx_v
+        lift[row, leaders[m.leader]], offset[row] = m.multiplier, m.offset
+    return Coupling(lift, offset)
 
 
 ALIGNED_AXES = ("X", "Y", "Z")
@@ -252,15 +244,11 @@ def carrying_joints(
     placement = model.frames[frame.index].placement
     index = alone.addFrame(pin.Frame(frame.name, parent, 0, placement, pin.FrameType.OP_FRAME))
     rows = np.array([model.joints[j].idx_v for j in chain])
-    nv = sum(block.v.stop - block.v.start for block in blocks)
-    if coupling is None:
-        lift, offset = np.zeros((model.nv, nv)), np.zeros(model.nv)
-        for block in blocks:
-            lift[block.pin_v, block.v] = np.eye(block.v.stop - block.v.start)
-        columns = np.argmax(lift[rows], axis=1)
-    else:
-        lift, offset, columns = coupling.lift, coupling.offset, coupling.columns_of(rows)
-    return CarryingJoints(alone, index, _as_slice(columns), np.array(lift[rows]), np.array(offset[rows]))
+    coupling = coupling or full_coupling(model, blocks, ())
+    columns = coupling.columns_of(rows)
+    if columns is not None and np.array_equal(columns, np.arange(columns[0], columns[0] + len(columns))):
+        columns = slice(int(columns[0]), int(columns[0]) + len(columns))  # makes views where numbers copy
+    return CarryingJoints(alone, index, columns, np.array(coupling.lift[rows]), np.array(coupling.offset[rows]))
 
 
 def _joint_along(motion: np.ndarray) -> pin.JointModel | None:
@@ -273,10 +261,3 @@ def _joint_along(motion: np.ndarray) -> pin.JointModel | None:
         if np.array_equal(axis, unit):
             return getattr(pin, f"JointModel{kind}{letter}")()
     return pin.JointModelPrismaticUnaligned(axis) if kind == "P" else pin.JointModelRevoluteUnaligned(axis)
-
-
-def _as_slice(columns: np.ndarray | None) -> slice | np.ndarray | None:
-    """A slice makes views where an array of numbers copies."""
-    if columns is None or not np.array_equal(columns, np.arange(columns[0], columns[0] + len(columns))):
-        return columns
-    return slice(int(columns[0]), int(columns[0]) + len(columns))

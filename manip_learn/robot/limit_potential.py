@@ -30,17 +30,6 @@ def limit_potential(robot: Robot, q: ArrayLike) -> float:
         return float(np.sum(1.0 / room[has_range(robot)]))
 
 
-def limit_gradient(robot: Robot, q: ArrayLike) -> Float[np.ndarray, " nv"]:
-    """dh/dq_j = 4 x_j / ((u_j - l_j) (1 - x_j^2)^2) [1/rad or 1/m]; infinite at and outside a limit, 0 without one.
-
-    Raises:
-        ConfigurationError: q has the wrong size or is not finite.
-    """
-    x = range_coordinates(robot, q)
-    with np.errstate(divide="ignore"):
-        return 4.0 * x / (ranges(robot) * room_of(x) ** 2)
-
-
 def limit_weights(robot: Robot, q: ArrayLike) -> tuple[Float[np.ndarray, " nv"], Float[np.ndarray, " nv"]]:
     """w_j = (1 + (dh/dq_j)^2)^(-1/4) and dw_j/dq_j: 1 in the middle of a joint's range, 0 at its limits, finite.
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import hashlib
+import io
 import math
 import os
 import re
@@ -21,7 +22,7 @@ import pinocchio as pin
 from manip_learn.errors import RobotError, UnknownNameError
 from manip_learn.robot.description.catalogue import find_robot
 from manip_learn.robot.description.mjcf import validate_mjcf
-from manip_learn.robot.description.text import expanded_xacro, read_description
+from manip_learn.robot.description.text import read_description
 from manip_learn.robot.description.urdf import (
     LARGE,
     MAX_NAME,
@@ -30,11 +31,13 @@ from manip_learn.robot.description.urdf import (
     UrdfFile,
     UrdfJoint,
     UrdfLink,
+    X,
     as_matrix,
     as_pose,
     kinematic_urdf,
 )
 from manip_learn.robot.description.validation import Mimics, validate_urdf
+from manip_learn.robot.description.xacro_expansion import expanded_xacro
 from manip_learn.robot.joints import COORDINATE_SUFFIXES, Mimic
 from manip_learn.robot.robot import Robot
 
@@ -45,6 +48,7 @@ BASES = {"floating": pin.JointModelFreeFlyer, "planar": pin.JointModelPlanar}
 # numbers of a description, between quotes or spaces
 DECIMAL = re.compile(r'(?<=["\s])-?\d+(\.\d+)?(e[+-]?\d+)?(?=["\s])')
 _one_at_a_time = threading.Lock()
+MOST_SAID = 1_000_000  # [bytes] of what C++ libraries print
 
 
 def load_robot(
@@ -96,7 +100,7 @@ def load_robot(
     names = object_names(objects)
     if isinstance(xacro, Mapping) and path.suffix != ".xacro":
         raise RobotError(
-            f"{path}: this is no .xacro file, so it has no arguments: leave {', '.join(xacro)} out",
+            f"{path}: this is no .xacro file, so it has no arguments: leave {', '.join(map(str, xacro))} out",
             code="xacro-arg",
             path=path,
         )
@@ -137,9 +141,17 @@ def robot_from_text(
         sentence = f"{path}: a joint is called 'root_joint', the name of the moving base; rename it"
         raise RobotError(sentence, code="name-reserved", path=path)
     still = locked_positions(urdf, validated.mimics, locked)
-    model, said = _built(kinematic_urdf(with_fixed(urdf, still)), root_joint, path)
+    text, lines = kinematic_urdf(with_fixed(urdf, still)), []
+    try:
+        with captured_c_stderr() as lines:
+            model = pin.buildModelFromXML(text) if root_joint is None else pin.buildModelFromXML(text, root_joint)
+    except (ValueError, RuntimeError) as error:
+        said = " ".join([*lines, str(error)])
+        raise RobotError(f"{path}: Pinocchio refuses the robot: {said[:500]}", code="pinocchio", path=path) from error
     _check_counts(model, urdf, still, root_joint, path)
-    _set_unlimited(model)
+    for limit, beyond in (("lowerPositionLimit", -LARGE), ("upperPositionLimit", LARGE), ("velocityLimit", LARGE)):
+        values = np.array(getattr(model, limit))
+        setattr(model, limit, np.where(np.abs(values) >= LARGE, math.copysign(math.inf, beyond), values))
     return Robot(
         model,
         name=urdf.name,
@@ -150,7 +162,7 @@ def robot_from_text(
         mimics=[m for m in validated.mimics.followers if m.joint not in still],
         locked=still,
         objects=objects,
-        warnings=[*validated.warnings, *said],
+        warnings=[*validated.warnings, *(f"Pinocchio: {line}" for line in lines)],
     )
 
 
@@ -160,11 +172,7 @@ def _path(name: str | os.PathLike[str]) -> Path:
     path = _expanded(name)
     if not isinstance(name, str) or path.suffix in SUFFIXES or os.sep in name:
         return path
-    try:
-        is_file = path.is_file()
-    except ValueError:
-        is_file = False
-    return path if is_file else find_robot(name)
+    return path if "\0" not in name and path.is_file() else find_robot(name)
 
 
 def _expanded(name: str | os.PathLike[str]) -> Path:
@@ -183,18 +191,6 @@ def _is_mjcf(content: bytes) -> bool:
     return rest.startswith(b"<mujoco")
 
 
-def _built(text: str, root_joint: pin.JointModel | None, path: Path) -> tuple[pin.Model, list[str]]:
-    """The model, and what Pinocchio said about it."""
-    lines: list[str] = []
-    try:
-        with captured_c_stderr() as lines:
-            model = pin.buildModelFromXML(text) if root_joint is None else pin.buildModelFromXML(text, root_joint)
-    except (ValueError, RuntimeError) as error:
-        said = " ".join([*lines, str(error)])
-        raise RobotError(f"{path}: Pinocchio refuses the robot: {said[:500]}", code="pinocchio", path=path) from error
-    return model, [f"Pinocchio: {line}" for line in lines]
-
-
 def _check_counts(
     model: pin.Model, urdf: UrdfFile, still: Collection[str], root_joint: pin.JointModel | None, path: Path
 ) -> None:
@@ -210,13 +206,6 @@ def _check_counts(
         if seen != wanted:
             sentence = f"{path}: the file has {wanted} {what}, the loaded model {seen}; please report this file"
             raise RobotError(sentence, code="counts", path=path)
-
-
-def _set_unlimited(model: pin.Model) -> None:
-    lower, upper = np.array(model.lowerPositionLimit), np.array(model.upperPositionLimit)
-    velocity = np.array(model.velocityLimit)
-    lower[lower <= -LARGE], upper[upper >= LARGE], velocity[velocity >= LARGE] = -np.inf, np.inf, np.inf
-    model.lowerPositionLimit, model.upperPositionLimit, model.velocityLimit = lower, upper, velocity
 
 
 def _fingerprint(
@@ -240,26 +229,24 @@ def captured_c_stderr() -> Iterator[list[str]]:
     The descriptor belongs to the whole process: what other threads print meanwhile is collected too.
     """
     lines: list[str] = []
-    with _one_at_a_time:
-        if sys.stderr is not None:
-            sys.stderr.flush()
+    with _one_at_a_time, tempfile.TemporaryFile() as sink:
         try:
             saved = os.dup(2)
         except OSError:  # no stderr, as in a service: nothing visible is lost
             yield lines
             return
-        with tempfile.TemporaryFile() as sink:
-            os.dup2(sink.fileno(), 2)
-            try:
-                yield lines
-            finally:
-                if sys.stderr is not None:
-                    sys.stderr.flush()
-                os.dup2(saved, 2)
-                os.close(saved)
-                sink.seek(0)
-                text = sink.read(1_000_000).decode("utf-8", "replace")
-                lines += [line.strip() for line in text.splitlines() if line.strip()]
+        stream = sys.stderr or io.StringIO()
+        stream.flush()
+        os.dup2(sink.fileno(), 2)
+        try:
+            yield lines
+        finally:
+            stream.flush()
+            os.dup2(saved, 2)
+            os.close(saved)
+            sink.seek(0)
+            text = sink.read(MOST_SAID).decode("utf-8", "replace")
+            lines += [line.strip() for line in text.splitlines() if line.strip()]
 
 
 def names_of(locked: Locked) -> tuple[str, ...]:
@@ -281,19 +268,17 @@ def locked_positions(urdf: UrdfFile, mimics: Mimics, locked: Locked) -> dict[str
     """
     asked = {name: (locked.get(name) if isinstance(locked, Mapping) else None) for name in names_of(locked)}
     by_name = {j.name: j for j in urdf.joints}
-    leader_of = {m.joint: m for m in mimics.followers}
+    leader_of = {m.joint: m.leader for m in mimics.followers}
     still = dict(mimics.resting)
     for name, value in asked.items():
         if name not in by_name:
             raise UnknownNameError("joint", name, by_name, f"robot {urdf.name!r}")
-        if by_name[name].nv == 0 or name in leader_of or name in still:
-            continue
-        still[name] = _position(by_name[name], value)
-    for name in asked:
-        if name in leader_of and leader_of[name].leader not in still:
-            leader = leader_of[name].leader
-            sentence = f"joint {name!r} cannot be locked alone: it follows {leader!r}; lock that joint"
-            raise RobotError(sentence, code="locked-follower")
+        if by_name[name].nv > 0 and name not in leader_of and name not in still:
+            still[name] = _position(by_name[name], value)
+    alone = next((name for name in asked if name in leader_of and leader_of[name] not in still), None)
+    if alone is not None:
+        sentence = f"joint {alone!r} cannot be locked alone: it follows {leader_of[alone]!r}; lock that joint"
+        raise RobotError(sentence, code="locked-follower")
     for m in mimics.followers:
         if m.leader in still:
             still[m.joint] = m.multiplier * still[m.leader] + m.offset
@@ -301,49 +286,44 @@ def locked_positions(urdf: UrdfFile, mimics: Mimics, locked: Locked) -> dict[str
 
 
 def _position(joint: UrdfJoint, value: float | None) -> float:
-    limit = joint.limit
-    lower, upper = -math.inf, math.inf
+    limit, lower, upper = joint.limit, -math.inf, math.inf
     if limit is not None and limit.lower is not None and limit.upper is not None and joint.type != "continuous":
         # limits that contradict each other say nothing
         lower, upper = (limit.lower, limit.upper) if limit.lower <= limit.upper else (lower, upper)
     if value is None:
         return min(max(0.0, lower), upper)
-    if joint.nv != 1 and value != 0.0:
-        raise _not_lockable(
-            f"joint {joint.name!r} is {joint.type} and can be locked only where it is: give no position"
-        )
     try:
         position = float(value)
     except (TypeError, ValueError) as error:
-        raise _not_lockable(f"joint {joint.name!r}: locked at {value!r}, a number is expected") from error
-    if not lower <= position <= upper:
-        where = f"outside its limits {lower:g} ... {upper:g}"
-        raise _not_lockable(f"joint {joint.name!r}: locked at {position:g}, {where}")
+        sentence = f"joint {joint.name!r}: locked at {value!r}, a number is expected"
+        raise RobotError(sentence, code="locked-position") from error
+    sentence = None
+    if joint.nv != 1 and position != 0.0:
+        sentence = f"joint {joint.name!r} is {joint.type} and can be locked only where it is: give no position"
+    elif not lower <= position <= upper:
+        sentence = f"joint {joint.name!r}: locked at {position:g}, outside its limits {lower:g} ... {upper:g}"
+    if sentence is not None:
+        raise RobotError(sentence, code="locked-position")
     return position
 
 
-def _not_lockable(sentence: str) -> RobotError:
-    return RobotError(sentence, code="locked-position")
-
-
 def with_fixed(urdf: UrdfFile, still: Mapping[str, float]) -> UrdfFile:
-    """The same robot with those joints fixed where they stand.
+    """That robot with some joints fixed where they stand.
 
     Pinocchio's own reduction of a model leaves frames with parents that lead in a circle.
     """
-    return replace(urdf, joints=tuple(_fixed(j, still[j.name]) if j.name in still else j for j in urdf.joints))
 
-
-def _fixed(joint: UrdfJoint, position: float) -> UrdfJoint:
-    pose = joint.pose
-    if position != 0.0 and joint.nv == 1:
-        motion, axis = np.eye(4), np.array(joint.axis)
+    def fixed(joint: UrdfJoint, position: float) -> UrdfJoint:
+        pose, motion, axis = joint.pose, np.eye(4), np.array(joint.axis)
         if joint.type == "prismatic":
             motion[:3, 3] = position * axis
         else:
             motion[:3, :3] = pin.exp3(position * axis)
-        pose = as_pose(as_matrix(joint.pose) @ motion)
-    return replace(joint, type="fixed", pose=pose, limit=None, mimic=None)
+        if position != 0.0:
+            pose = as_pose(as_matrix(joint.pose) @ motion)
+        return replace(joint, type="fixed", pose=pose, limit=None, mimic=None)
+
+    return replace(urdf, joints=tuple(fixed(j, still[j.name]) if j.name in still else j for j in urdf.joints))
 
 
 def object_names(objects: Sequence[str] | str) -> tuple[str, ...]:
@@ -370,16 +350,13 @@ def with_objects(urdf: UrdfFile, objects: Sequence[str]) -> UrdfFile:
     """
     taken = {link.name for link in urdf.links} | {joint.name for joint in urdf.joints}
     for name in objects:
-        clash = next(
-            (n for n in (name, *(name + suffix for suffix in COORDINATE_SUFFIXES["floating"])) if n in taken), None
-        )
+        made = (name, *(name + suffix for suffix in COORDINATE_SUFFIXES["floating"]))
+        clash = next((n for n in made if n in taken), None)
         if clash is not None:
-            raise RobotError(
-                f"object {name!r}: robot {urdf.name!r} has a link or joint {clash!r}; give the object another name",
-                code="object-name",
+            sentence = (
+                f"object {name!r}: robot {urdf.name!r} has a link or joint {clash!r}; give the object another name"
             )
+            raise RobotError(sentence, code="object-name")
     links = tuple(UrdfLink(name, 0, None) for name in objects)
-    joints = tuple(
-        UrdfJoint(name, 0, "floating", urdf.root, name, Pose(), (1.0, 0.0, 0.0), None, None) for name in objects
-    )
+    joints = tuple(UrdfJoint(name, 0, "floating", urdf.root, name, Pose(), X, None, None) for name in objects)
     return replace(urdf, links=(*urdf.links, *links), joints=(*urdf.joints, *joints))

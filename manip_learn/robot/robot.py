@@ -18,7 +18,7 @@ from manip_learn.errors import ConfigurationError, UnknownNameError
 from manip_learn.robot import html_card
 from manip_learn.robot.frame import Frame, FrameLike
 from manip_learn.robot.frame_kinematics import FrameKinematics, centre_of_mass_derivative, columns_to_joints, is_plain
-from manip_learn.robot.joints import Coupling, JointBlock, Mimic, build_coupling, joint_kind, joint_limits
+from manip_learn.robot.joints import Coupling, JointBlock, Mimic, full_coupling, joint_kind, joint_limits
 
 Reference = Literal["world", "local"]
 MOST_NAMES = 14  # of joints that a `repr` shows
@@ -88,9 +88,9 @@ class Robot:
         self.locked: dict[str, float] = dict(locked or {})
         self.objects: tuple[str, ...] = tuple(objects)
         self._build_blocks()
-        limits = joint_limits(model, self.blocks, self.mimics)
-        self.position_lower, self.position_upper, self.velocity_limit = limits.lower, limits.upper, limits.velocity
-        self.warnings = (*warnings, *limits.warnings)
+        limits, said = joint_limits(model, self.blocks, self.mimics)
+        self.position_lower, self.position_upper, self.velocity_limit = limits
+        self.warnings = (*warnings, *said)
         self._build_frames()
         self._columns_to_joints = columns_to_joints(model)
         self._frame_kinematics: dict[int, FrameKinematics] = {}
@@ -123,7 +123,9 @@ class Robot:
         self.nq, self.nv, self._shape = nq, nv, (nv,)
         self.joint_names: tuple[str, ...] = tuple(n for b in blocks for n in b.coordinate_names)
         self._places = np.concatenate([[], *(np.arange(b.pin_q.start, b.pin_q.stop) for b in blocks)]).astype(np.int64)
-        self._coupling, self._followers = build_coupling(model, blocks, self.mimics)
+        self._coupling = full_coupling(model, blocks, self.mimics) if self.mimics else None
+        joints = [model.joints[model.getJointId(m.joint)] for m in self.mimics]
+        self._followers = [(joint.idx_v, slice(joint.idx_q, joint.idx_q + joint.nq)) for joint in joints]
         # a plain robot's configuration IS Pinocchio's: the hot path skips all conversions
         self._plain = nq == nv == model.nq and self._coupling is None
         self._positions_add_up = all(b.kind not in ("floating", "planar", "other") for b in blocks)
@@ -157,7 +159,7 @@ class Robot:
     @property
     def joint_units(self) -> tuple[str, ...]:
         """Unit of each joint position, `"rad"` or `"m"`; one per velocity."""
-        return tuple("m" if b.kind == "prismatic" else "rad" for b in self.blocks for _ in b.coordinate_names)
+        return tuple(unit for block in self.blocks for unit in block.units)
 
     def joint_index(self, name: str) -> int:
         """Tangent coordinate of the joint of that name.
@@ -191,7 +193,7 @@ class Robot:
         Raises:
             ConfigurationError: Wrong size, NaN, infinity, or a (cos, sin) or quaternion of length zero.
         """
-        q = self._finite_vector(q)
+        q = self.checked_posture(q)
         if self.nq == self.nv:
             return q
         if q.shape[0] == self.nv:
@@ -204,9 +206,6 @@ class Robot:
         Raises:
             ConfigurationError: Wrong size, NaN or infinity.
         """
-        return self._finite_vector(q)
-
-    def _finite_vector(self, q: ArrayLike) -> np.ndarray:
         if type(q) is np.ndarray and q.shape == self._shape and is_plain(q) and math.isfinite(sum(q.tolist())):
             return q  # the case of every control step
         vector = _float_vector(q, "a configuration")
@@ -259,7 +258,7 @@ class Robot:
         Raises:
             ConfigurationError: Wrong size or not finite.
         """
-        vector = self._finite_vector(q)
+        vector = self.checked_posture(q)
         if vector.shape[0] == self.nv:
             return vector
         vector = self._normalised(vector)
@@ -305,7 +304,7 @@ class Robot:
         Raises:
             ConfigurationError: Wrong size or not finite.
         """
-        vector = self._finite_vector(q)
+        vector = self.checked_posture(q)
         step = self.velocity(v)
         if vector.shape[0] == self.nv and self._positions_add_up:
             return vector + step
@@ -356,10 +355,10 @@ class Robot:
     def pinocchio_configuration(self, q: ArrayLike) -> Float[np.ndarray, " n"]:
         """Configuration of the underlying Pinocchio model, mimic joints included."""
         if self._plain:
-            return self._finite_vector(q)
+            return self.checked_posture(q)
         if self._coupling is None:
             return self.configuration(q)
-        vector = self._finite_vector(q)
+        vector = self.checked_posture(q)
         # of joint positions the full turns count: a follower at half speed is elsewhere after one
         return self._expanded(self.configuration(vector), vector if vector.shape[0] == self.nv else None)
 
@@ -495,12 +494,12 @@ class Robot:
         return f"Robot({self.name!r}, nq={self.nq}, nv={self.nv}, joints={shown}{more})"
 
     def _repr_html_(self) -> str:
-        units = [("m" if kind == "prismatic" else "rad") for kind in self._kinds()]
-        numbers = zip(self.position_lower, self.position_upper, self.velocity_limit, strict=True)
+        kinds = [block.kind for block in self.blocks for _ in block.units]
+        limits = (self.position_lower, self.position_upper, self.velocity_limit)
         rows = [
             (name, kind, f"{low:.4g} to {high:.4g} {unit}", f"{fastest:.4g} {unit}/s")
-            for name, kind, unit, (low, high, fastest) in zip(
-                self.joint_names, self._kinds(), units, numbers, strict=True
+            for name, kind, unit, low, high, fastest in zip(
+                self.joint_names, kinds, self.joint_units, *limits, strict=True
             )
         ]
         held = "".join(f"{name} at {value:.4g}; " for name, value in self.locked.items())
@@ -511,10 +510,6 @@ class Robot:
             html_card.table(("joint", "kind", "position", "velocity"), rows),
             html_card.folded(f"Frames ({len(self.frame_names)})", html_card.sentence(", ".join(self.frame_names))),
         )
-
-    def _kinds(self) -> list[str]:
-        """Kind of each degree of freedom."""
-        return [str(block.kind) for block in self.blocks for _ in block.coordinate_names]
 
     def __getstate__(self) -> dict[str, Any]:
         state = {**self.__dict__, "_frame_kinematics": {}}

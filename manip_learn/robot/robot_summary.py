@@ -17,7 +17,6 @@ from manip_learn.robot.robot import Robot
 from manip_learn.robot.tips import likely_tips
 from manip_learn.robot.visuals.visual_shapes import resolve_meshes
 
-UNITS: dict[JointKind, str] = {"prismatic": "m"}
 # largest difference of an entry of two poses [m, and no unit]; rounding along 100 joints stays below
 AGREEMENT = 1e-9
 
@@ -147,21 +146,9 @@ def summarise(robot: Robot) -> RobotSummary:
 
 
 def _joints(robot: Robot) -> tuple[JointSummary, ...]:
-    summaries: list[JointSummary] = []
-    for block in robot.blocks:
-        for k, name in zip(range(block.v.start, block.v.stop), block.coordinate_names, strict=True):
-            is_length = name.endswith((".x", ".y", ".z")) and block.kind in ("floating", "planar")
-            summaries.append(
-                JointSummary(
-                    name=name,
-                    kind=block.kind,
-                    unit="m" if is_length else UNITS.get(block.kind, "rad"),
-                    lower=float(robot.position_lower[k]),
-                    upper=float(robot.position_upper[k]),
-                    velocity=float(robot.velocity_limit[k]),
-                )
-            )
-    return tuple(summaries)
+    kinds = [block.kind for block in robot.blocks for _ in block.units]
+    limits = (robot.position_lower.tolist(), robot.position_upper.tolist(), robot.velocity_limit.tolist())
+    return tuple(map(JointSummary, robot.joint_names, kinds, robot.joint_units, *limits))
 
 
 def cross_check(robot: Robot, rng: np.random.Generator, n: int = 10) -> CrossCheck:

@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 
 from estimator_checks.motions import ONE_ROW, ROUNDING_DEG, planar_motion
-from estimator_checks.subject import Learner, Subject
+from estimator_checks.subject import Subject
 from manip_learn.constraint.constraint import Constraint
 from manip_learn.constraint.features.frame_jacobian import FrameJacobian
 from manip_learn.constraint.features.other_features import CustomFeatures
@@ -18,26 +18,19 @@ from manip_learn.recordings.demonstrations import Demonstrations
 
 
 def clean_motion_is_learnt(subject: Subject) -> None:
-    """Two oblique rows are found without being told, and without a warning."""
-    motion = subject.motion()
-    outcome = subject.outcome(motion.features, lambda: motion.demonstrations)
-    if outcome.verdict != "accepted" or outcome.learner is None:
-        subject.broken(f"{outcome.verdict} a clean motion: {outcome.message}")
-    subject.must_agree(outcome.learner, motion.selection)
+    """Two oblique rows are found without being told, and without a warning; `fit` returns the learner itself."""
+    motion, learner = subject.clean
+    subject.must_agree(learner, motion.selection)
+    if learner.report_.warnings:
+        subject.broken(f"warned of a clean motion: {'; '.join(learner.report_.warnings)}")
+    if learner.fit(motion.demonstrations) is not learner:
+        subject.broken("fit must return the learner itself")
 
 
 def one_row_is_learnt(subject: Subject) -> None:
     """One oblique row is found without being told, or at least not missed in silence."""
     motion = subject.motion(selection=ONE_ROW, n_trajectories=60)
     subject.must_not_be_silent(motion.features, lambda: motion.demonstrations, unless=motion.selection)
-
-
-def fit_returns_the_learner(subject: Subject) -> None:
-    """`fit` returns the learner itself, so that calls can be chained."""
-    motion = subject.motion()
-    learner = subject.make(motion.features, None)
-    if learner.fit(motion.demonstrations) is not learner:
-        subject.broken("fit must return the learner itself")
 
 
 def nothing_learnt_before_fit(subject: Subject) -> None:
@@ -48,16 +41,18 @@ def nothing_learnt_before_fit(subject: Subject) -> None:
 
 
 def rows_are_orthonormal(subject: Subject) -> None:
-    """Lambda Lambda^T = I."""
-    selection = _fitted(subject).constraint_.selection
+    """Lambda Lambda^T = I, over the very features that were given."""
+    motion, learner = subject.clean
+    selection = learner.constraint_.selection
     if not np.allclose(selection @ selection.T, np.eye(len(selection)), rtol=0.0, atol=1e-12):
         subject.broken("the rows of the selection matrix are not orthonormal")
+    if learner.constraint_.features is not motion.features:
+        subject.broken("the constraint has other features than the learner")
 
 
 def report_is_complete(subject: Subject) -> None:
     """The report names rows and numbers that are true of the answer, and every number in it is finite or absent."""
-    motion = subject.motion()
-    learner = subject.fitted(motion.features, motion.demonstrations)
+    motion, learner = subject.clean
     report, selection = learner.report_, learner.constraint_.selection
     if report.n_constraints != len(selection) or report.n_samples != motion.demonstrations.n_samples:
         subject.broken("n_constraints or n_samples of the report do not belong to the answer")
@@ -72,7 +67,7 @@ def report_is_complete(subject: Subject) -> None:
 
 def report_through_json(subject: Subject) -> None:
     """The report goes through JSON without NaN and comes back the same."""
-    plain = _fitted(subject).report_.to_dict()
+    plain = subject.clean[1].report_.to_dict()
     try:
         text = json.dumps(plain, allow_nan=False)
     except (TypeError, ValueError) as error:
@@ -83,8 +78,8 @@ def report_through_json(subject: Subject) -> None:
 
 def constraint_through_json(subject: Subject) -> None:
     """The constraint comes back from its file, to the last bit."""
-    motion = subject.motion()
-    constraint = subject.fitted(motion.features, motion.demonstrations).constraint_
+    motion, learner = subject.clean
+    constraint = learner.constraint_
     with tempfile.TemporaryDirectory() as folder:
         path = constraint.save(Path(folder) / "constraint.json")
         loaded = Constraint.load(path, motion.features.robot)  # type: ignore[attr-defined]
@@ -94,8 +89,7 @@ def constraint_through_json(subject: Subject) -> None:
 
 def learner_can_be_copied(subject: Subject) -> None:
     """A copy of a fitted learner (the way pickle makes it too) answers the same, and can be fitted again."""
-    motion = subject.motion()
-    learner = subject.fitted(motion.features, motion.demonstrations)
+    motion, learner = subject.clean
     copied = copy.deepcopy(learner)
     q = motion.demonstrations[0].q[3]
     if not np.array_equal(copied.constraint_(q), learner.constraint_(q)) or copied.report_ != learner.report_:
@@ -110,14 +104,6 @@ def notes_are_kept(subject: Subject) -> None:
     noted = Demonstrations(motion.demonstrations, ["the first second was cut off"])
     if "the first second was cut off" not in subject.fitted(motion.features, noted).report_.notes:
         subject.broken("the notes of the demonstrations are lost")
-
-
-def features_outlive_the_fit(subject: Subject) -> None:
-    """The constraint that is learnt works with the very features it was learnt with."""
-    motion = subject.motion()
-    learner = subject.fitted(motion.features, motion.demonstrations)
-    if learner.constraint_.features is not motion.features:
-        subject.broken("the constraint has other features than the learner")
 
 
 def planar_arm_in_six_rows(subject: Subject) -> None:
@@ -149,8 +135,3 @@ def trajectories_of_all_lengths(subject: Subject) -> None:
     motion = subject.motion()
     cut = [t.part(slice(0, 1 + (5 * i) % len(t))) for i, t in enumerate(motion.demonstrations)]
     subject.must_agree(subject.fitted(motion.features, [*cut, *motion.demonstrations[:15]]), motion.selection)
-
-
-def _fitted(subject: Subject) -> Learner:
-    motion = subject.motion()
-    return subject.fitted(motion.features, motion.demonstrations)

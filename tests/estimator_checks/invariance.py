@@ -24,9 +24,8 @@ def refit_forgets(subject: Subject) -> None:
 
 def same_answer_twice(subject: Subject) -> None:
     """The same demonstrations give the same answer and the same evidence, bit for bit."""
-    motion = subject.motion()
-    first, second = (subject.fitted(motion.features, motion.demonstrations) for _ in range(2))
-    _must_equal(subject, first, second)
+    motion, first = subject.clean
+    _must_equal(subject, first, subject.fitted(motion.features, motion.demonstrations))
 
 
 def input_is_unchanged(subject: Subject) -> None:
@@ -47,8 +46,7 @@ def input_is_unchanged(subject: Subject) -> None:
 
 def other_kinds_of_arrays(subject: Subject) -> None:
     """Lists, Fortran order, strides, read-only and big-endian arrays of the same numbers give the same answer."""
-    motion = subject.motion()
-    expected = subject.fitted(motion.features, motion.demonstrations)
+    motion, expected = subject.clean
     read_only = [np.array(t.q) for t in motion.demonstrations]
     for array in read_only:
         array.setflags(write=False)
@@ -90,9 +88,8 @@ def integers(subject: Subject) -> None:
 
 def time_offset(subject: Subject) -> None:
     """When the recordings were made does not matter."""
-    motion = subject.motion()
+    motion, expected = subject.clean
     later = mapped(motion.demonstrations, time=lambda t: t.time + 1.7e9)
-    expected = subject.fitted(motion.features, motion.demonstrations)
     _must_equal(subject, expected, subject.fitted(motion.features, later), same_clock=False)
 
 
@@ -105,9 +102,8 @@ def order_of_trajectories(subject: Subject) -> None:
 
 def trajectories_twice(subject: Subject) -> None:
     """Every demonstration given twice tells nothing new."""
-    motion = subject.motion()
+    motion, once = subject.clean
     again = [changed(t, name=f"{t.name} again") for t in motion.demonstrations]
-    once = subject.fitted(motion.features, motion.demonstrations)
     twice = subject.fitted(motion.features, [*motion.demonstrations, *again])
     subject.must_agree(twice, once.constraint_.selection, max(ROUNDING_DEG, 2.0 * subject.accuracy_deg))
 
@@ -140,8 +136,7 @@ def order_of_the_rows(subject: Subject) -> None:
 
 def demonstrations_from_a_generator(subject: Subject) -> None:
     """Any iterable of trajectories will do."""
-    motion = subject.motion()
-    expected = subject.fitted(motion.features, motion.demonstrations)
+    motion, expected = subject.clean
     _must_equal(subject, subject.fitted(motion.features, (t for t in motion.demonstrations)), expected)
 
 

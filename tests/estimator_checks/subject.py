@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Any, Literal, NoReturn, Protocol, final
 
 import numpy as np
@@ -74,14 +75,16 @@ class Subject:
         """A clean motion of its own kind, see `planar_motion`."""
         return planar_motion(self.kind, **settings)
 
+    @cached_property
+    def clean(self) -> tuple[Motion, Learner]:
+        """The default motion with a learner fitted to it, for checks that change neither."""
+        motion = self.motion()
+        return motion, self.fitted(motion.features, motion.demonstrations)
+
     def fitted(
         self, features: FeatureMap, demonstrations: Iterable[Trajectory], n_constraints: int | None = None
     ) -> Learner:
-        """A learner fitted to demonstrations that it must answer.
-
-        Raises:
-            EstimatorCheckError: It does not.
-        """
+        """A learner fitted to demonstrations that it must answer."""
         outcome = self.outcome(features, lambda: demonstrations, n_constraints)
         if outcome.learner is None:
             self.broken(f"refused good demonstrations: {outcome.message}")
@@ -90,11 +93,7 @@ class Subject:
     def outcome(
         self, features: FeatureMap, demonstrations: Callable[[], Any], n_constraints: int | None = None
     ) -> Outcome:
-        """What comes of a fit; the demonstrations are made inside, as making them may be refused already.
-
-        Raises:
-            EstimatorCheckError: Something other than an error of this library came up.
-        """
+        """What comes of a fit; the demonstrations are made inside, as making them may be refused already."""
         try:
             learner = self.make(features, n_constraints)
             learner.fit(demonstrations())
@@ -108,11 +107,7 @@ class Subject:
     def must_refuse(
         self, features: FeatureMap, demonstrations: Callable[[], Any], n_constraints: int | None = None
     ) -> None:
-        """Only a refusal will do.
-
-        Raises:
-            EstimatorCheckError: It answered.
-        """
+        """Only a refusal with a reason will do."""
         outcome = self.outcome(features, demonstrations, n_constraints)
         if outcome.verdict != "refused":
             self.broken(f"must refuse, but {outcome.verdict} it {outcome.message}".rstrip())
@@ -126,11 +121,7 @@ class Subject:
         n_constraints: int | None = None,
         unless: np.ndarray | None = None,
     ) -> None:
-        """A refusal or a warning; or the right answer, where there is one.
-
-        Raises:
-            EstimatorCheckError: A wrong answer without a warning.
-        """
+        """A refusal or a warning; or the right answer, where there is one."""
         outcome = self.outcome(features, demonstrations, n_constraints)
         if outcome.verdict != "accepted" or outcome.learner is None:
             return
@@ -139,11 +130,7 @@ class Subject:
             self.broken(f"accepted it in silence and answered {np.round(found, 4).tolist()}")
 
     def must_agree(self, learner: Learner, selection: np.ndarray, accuracy_deg: float | None = None) -> None:
-        """The row space learnt is the one expected.
-
-        Raises:
-            EstimatorCheckError: It is not.
-        """
+        """The row space learnt is the one expected."""
         allowed = self.accuracy_deg if accuracy_deg is None else accuracy_deg
         angle = self.angle_deg(learner.constraint_.selection, selection)
         if not angle <= allowed:
@@ -155,9 +142,5 @@ class Subject:
         return float(np.degrees(row_space_angle(found, expected)))
 
     def broken(self, what: str, cause: BaseException | None = None) -> NoReturn:
-        """The check has failed.
-
-        Raises:
-            EstimatorCheckError: Always.
-        """
+        """The check has failed."""
         raise EstimatorCheckError(what) from cause

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
 from functools import cached_property
 from typing import Any
 
@@ -141,6 +141,35 @@ class FeatureMap(ABC):
             FeatureError: It cannot be written down (functions in Python).
         """
         raise FeatureError(f"{self!r} is made of Python functions and cannot be saved")
+
+
+def parsed_rows(
+    rows: str | Sequence[str], known: Collection[str], what: str, sets: Mapping[str, tuple[str, ...]] | None = None
+) -> tuple[str, ...]:
+    """Names of rows from a string with spaces or commas, a sequence, or the name of a set of them, in that order.
+
+    Args:
+        rows: What was given.
+        known: The names that there are.
+        what: What errors call one, e.g. `"axis"`.
+        sets: Names of sets of rows.
+
+    Raises:
+        FeatureError: An unknown or repeated name, or none.
+    """
+    sets = sets or {}
+    words = rows.replace(",", " ").split() if isinstance(rows, str) else tuple(rows)
+    names = sets.get(rows.strip(), tuple(words)) if isinstance(rows, str) else tuple(words)
+    unknown = [n for n in names if n not in known]
+    if unknown or not names or len(set(names)) != len(names):
+        reason = (
+            f"unknown {what} {unknown[0]!r}" if unknown else f"no {what}" if not names else f"one {what} is named twice"
+        )
+        either = "".join(f"{name!r}, " for name in sets)
+        raise FeatureError(
+            f"{rows!r}: {reason}; use {either}{'or ' if sets else ''}any of {' '.join(known)}, each at most once"
+        )
+    return names
 
 
 def row_in_words(row: Float[np.ndarray, " p"], names: Sequence[str]) -> str:

@@ -23,7 +23,7 @@ import numpy as np
 from jaxtyping import Float
 from numpy.typing import ArrayLike
 
-from manip_learn.constraint.features.feature_map import FeatureMap, Vjp, Weigh
+from manip_learn.constraint.features.feature_map import FeatureMap, Vjp, Weigh, parsed_rows
 from manip_learn.errors import FeatureError, TargetError
 from manip_learn.robot.batch.batch_kinematics import batch_kinematics
 from manip_learn.robot.robot import Reference, Robot
@@ -122,18 +122,7 @@ def parse_axes(axes: str | Sequence[str]) -> tuple[str, ...]:
     Raises:
         FeatureError: Unknown or repeated axis, or none.
     """
-    if isinstance(axes, str):
-        names = NAMED_AXES.get(axes.strip()) or tuple(axes.replace(",", " ").split())
-    else:
-        names = tuple(axes)
-    unknown = [n for n in names if n not in AXES]
-    if unknown or not names or len(set(names)) != len(names):
-        reason = f"unknown axis {unknown[0]!r}" if unknown else "no axis" if not names else "an axis is named twice"
-        raise FeatureError(
-            f"axes {axes!r}: {reason}; use {', '.join(map(repr, NAMED_AXES))} or any of {' '.join(AXES)}, "
-            "each at most once, e.g. 'x y rz'"
-        )
-    return names
+    return parsed_rows(axes, AXES, "axis", NAMED_AXES)
 
 
 class PoseRows(FeatureMap):

@@ -17,9 +17,11 @@ import numpy as np
 from jaxtyping import Float
 from numpy.typing import ArrayLike
 
+from manip_learn.constraint.features.feature_map import parsed_rows
 from manip_learn.constraint.features.frame_jacobian import AXES
 from manip_learn.constraint.features.weighed_velocity import PlaceWeights, WeighedVelocity
 from manip_learn.errors import FeatureError
+from manip_learn.linalg import finite
 from manip_learn.robot.robot import Robot
 from manip_learn.robot.rotations import skew
 
@@ -162,7 +164,7 @@ class MechanismRows(WeighedVelocity):
         radius: float | None = None,
     ):
         super().__init__(robot, frame)
-        self.row_names = _parsed(rows)
+        self.row_names = parsed_rows(rows, FIELDS, "row")
         self.row_units = tuple(FIELDS[n] for n in self.row_names)
         direction, place = _vector(axis, "axis"), _vector(point, "point")
         if not np.linalg.norm(direction) > 0.0:
@@ -239,22 +241,10 @@ class MechanismRows(WeighedVelocity):
         return f"MechanismRows({self.robot.name!r}, frame={self.frame.name!r}, {' '.join(self.row_names)!r}, {place})"
 
 
-def _parsed(rows: str | Sequence[str]) -> tuple[str, ...]:
-    names = tuple(rows.replace(",", " ").split()) if isinstance(rows, str) else tuple(rows)
-    unknown = [n for n in names if n not in FIELDS]
-    if unknown or not names or len(set(names)) != len(names):
-        reason = f"unknown row {unknown[0]!r}" if unknown else "no row" if not names else "a row is named twice"
-        raise FeatureError(f"rows {rows!r}: {reason}; use any of {' '.join(FIELDS)}, each at most once")
-    return names
-
-
 def _vector(values: ArrayLike, what: str) -> np.ndarray:
-    try:
-        vector = np.array(values, dtype=np.float64)
-    except (TypeError, ValueError) as error:
-        raise FeatureError(f"the {what} must be three numbers: {error}") from error
-    if vector.shape != (3,) or not np.all(np.isfinite(vector)):
-        raise FeatureError(f"the {what} must be three finite numbers, got {vector.tolist()}")
+    vector = finite(values, 3)
+    if vector is None:
+        raise FeatureError(f"the {what} must be three finite numbers, got {values!r}")
     vector.setflags(write=False)
     return vector
 
@@ -293,9 +283,7 @@ class PlaceRows(WeighedVelocity):
     def __init__(self, robot: Robot, frame: str, form: PlaceForm, middle: ArrayLike = (0.0, 0.0, 0.0)):
         if form not in get_args(PlaceForm):
             raise FeatureError(f"form must be one of {', '.join(map(repr, get_args(PlaceForm)))}, not {form!r}")
-        m = np.array(middle, dtype=np.float64)
-        if m.shape != (3,) or not np.all(np.isfinite(m)):
-            raise FeatureError(f"the middle must be three finite numbers [m], got {m.tolist()}")
+        m = _vector(middle, "middle")
         super().__init__(robot, frame)
         self.form, self.middle = form, m
         unit, none = np.eye(3), np.zeros((3, 3))

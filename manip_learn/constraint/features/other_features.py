@@ -255,8 +255,19 @@ def described_features(described: dict[str, Any], robot: Robot) -> FeatureMap:
 
     Raises:
         ConstraintMismatchError: A kind of features that this version does not know.
-        FeatureError: Settings that this robot does not have, or out of range.
+        FeatureError: Settings that this robot does not have, out of range, or that contradict each other.
     """
+    features = _described(described, robot)
+    own = features.describe()
+    for key in ("rows", "units"):
+        if key in described and described[key] != own[key]:
+            raise FeatureError(
+                f"the {key} of {features!r} are {own[key]}, the file says {described[key]}: it is damaged"
+            )
+    return features
+
+
+def _described(described: dict[str, Any], robot: Robot) -> FeatureMap:
     kind = described["kind"]
     if kind == "frame-jacobian":
         return FrameJacobian(robot, described["frame"], described["axes"], described["reference"])

@@ -59,13 +59,11 @@ class RelativeFrameJacobian(PoseRows):
 
     def value_and_derivative(self, q: ArrayLike) -> tuple[Float[np.ndarray, "p nv"], Float[np.ndarray, "p nv nv"]]:
         """Phi(q) and dPhi/dq from one Hessian per frame."""
-        A, B = self.robot.pose(q, self.frame), self.robot.pose(q, self.relative_to)
         J_A, H_A = self.robot.jacobian_and_derivative(q, self.frame)
         J_B, H_B = self.robot.jacobian_and_derivative(q, self.relative_to)
-        R, d = B[None, :3, :3], (A[:3, 3] - B[:3, 3])[None]
-        Phi = _relative(R, d, J_A[None], J_B[None])[0]
-        dPhi = _relative_derivative(R, d, J_A[None], J_B[None], H_A[None], H_B[None])[0]
-        return Phi[self._rows], dPhi[self._rows]
+        A, B = self.robot.pose(q, self.frame), self.robot.pose(q, self.relative_to)
+        Phi, dPhi = _seen(A[None], B[None], J_A[None], J_B[None], H_A[None], H_B[None])
+        return Phi[0, self._rows], dPhi[0, self._rows]
 
     def batch(self, q: ArrayLike) -> Float[np.ndarray, "n p nv"]:
         """Phi at n configurations (nq) or joint positions (nv), the rows of q.
@@ -74,17 +72,13 @@ class RelativeFrameJacobian(PoseRows):
             ConfigurationError: Wrong size or not finite; names the first bad row and joint.
         """
         A, B = (batch_kinematics(self.robot, f) for f in (self.frame, self.relative_to))
-        pose_A, pose_B = A.pose(q), B.pose(q)
-        d = pose_A[:, :3, 3] - pose_B[:, :3, 3]
-        return _relative(pose_B[:, :3, :3], d, A.jacobian(q), B.jacobian(q))[:, self._rows]
+        return _seen(A.pose(q), B.pose(q), A.jacobian(q), B.jacobian(q))[0][:, self._rows]
 
     def batch_with_derivative(self, q: ArrayLike) -> tuple[Float[np.ndarray, "n p nv"], Float[np.ndarray, "n p nv nv"]]:
         """Phi and dPhi/dq at n configurations; errors as for `batch`."""
         A, B = (batch_kinematics(self.robot, f) for f in (self.frame, self.relative_to))
-        pose_A, pose_B = A.pose(q), B.pose(q)
-        R, d = pose_B[:, :3, :3], pose_A[:, :3, 3] - pose_B[:, :3, 3]
         (J_A, H_A), (J_B, H_B) = A.jacobian_and_derivative(q), B.jacobian_and_derivative(q)
-        Phi, dPhi = _relative(R, d, J_A, J_B), _relative_derivative(R, d, J_A, J_B, H_A, H_B)
+        Phi, dPhi = _seen(A.pose(q), B.pose(q), J_A, J_B, H_A, H_B)
         return Phi[:, self._rows], dPhi[:, self._rows]
 
     def describe(self) -> dict[str, Any]:
@@ -104,10 +98,9 @@ class RelativeFrameJacobian(PoseRows):
 
     def twist_rows(self, q: ArrayLike, own_axes: bool) -> Float[np.ndarray, "6 nv"]:
         """All six rows, along the axes of the other frame."""
-        A, B = self.robot.pose(q, self.frame), self.robot.pose(q, self.relative_to)
-        J_A, J_B = self.robot.jacobian(q, self.frame), self.robot.jacobian(q, self.relative_to)
-        d = A[:3, 3] - B[:3, 3]
-        return _relative(B[None, :3, :3], d[None], J_A[None], J_B[None])[0]
+        frames = self.frame, self.relative_to
+        poses, jacobians = ([f(q, frame)[None] for frame in frames] for f in (self.robot.pose, self.robot.jacobian))
+        return _seen(*poses, *jacobians)[0][0]
 
     def pose(self, q: ArrayLike) -> Float[np.ndarray, "4 4"]:
         """Pose of the frame in the other one."""
@@ -124,43 +117,33 @@ class RelativeFrameJacobian(PoseRows):
         )
 
 
-def _relative(
-    R: Float[np.ndarray, "n 3 3"],
-    d: Float[np.ndarray, "n 3"],
+def _seen(
+    A: Float[np.ndarray, "n 4 4"],
+    B: Float[np.ndarray, "n 4 4"],
     J_A: Float[np.ndarray, "n 6 nv"],
     J_B: Float[np.ndarray, "n 6 nv"],
-) -> Float[np.ndarray, "n 6 nv"]:
-    """All six rows, from Jacobians in the base axes."""
-    return _turned(R, _difference(d, J_A, J_B))
+    H_A: Float[np.ndarray, "n 6 nv nv"] | None = None,
+    H_B: Float[np.ndarray, "n 6 nv nv"] | None = None,
+) -> tuple[Float[np.ndarray, "n 6 nv"], Any]:
+    """All six rows from poses and Jacobians in the base axes, R^T V; with Hessians also d/dq_k of it.
 
-
-def _difference(d: np.ndarray, J_A: np.ndarray, J_B: np.ndarray) -> Float[np.ndarray, "n 6 nv"]:
-    """The relative twist in the base axes: the origin of A seen by an observer who turns with B."""
+    That is R^T (dV/dq_k - w_k x V), where w_k is the angular velocity of B per unit velocity of joint k.
+    """
+    R, d = B[:, :3, :3], A[:, :3, 3] - B[:, :3, 3]
     V = J_A - J_B
-    V[:, :3] += np.cross(d[:, :, None], J_B[:, 3:], axis=1)
-    return V
-
-
-def _turned(R: np.ndarray, V: np.ndarray) -> np.ndarray:
-    """Linear and rotation rows along the axes of B."""
-    return np.concatenate([np.einsum("nji,nj...->ni...", R, part) for part in (V[:, :3], V[:, 3:])], axis=1)
-
-
-def _relative_derivative(
-    R: Float[np.ndarray, "n 3 3"],
-    d: Float[np.ndarray, "n 3"],
-    J_A: Float[np.ndarray, "n 6 nv"],
-    J_B: Float[np.ndarray, "n 6 nv"],
-    H_A: Float[np.ndarray, "n 6 nv nv"],
-    H_B: Float[np.ndarray, "n 6 nv nv"],
-) -> Float[np.ndarray, "n 6 nv nv"]:
-    """d/dq_k of R^T V: R^T (dV/dq_k - w_k x V), where w_k is the angular velocity of B per unit velocity of joint k."""
-    V = _difference(d, J_A, J_B)
+    slope = V[:, :3].copy()  # of d
+    V[:, :3] += np.cross(d[:, :, None], J_B[:, 3:], axis=1)  # the origin of A seen by an observer who turns with B
+    if H_A is None or H_B is None:
+        return _turned(R, V), None
     dV = H_A - H_B
-    slope = J_A[:, :3] - J_B[:, :3]  # of d
     dV[:, :3] += np.cross(slope[:, :, None, :], J_B[:, 3:, :, None], axis=1)
     dV[:, :3] += np.cross(d[:, :, None, None], H_B[:, 3:], axis=1)
     w = J_B[:, 3:, None, :]
     for part in (slice(0, 3), slice(3, 6)):
         dV[:, part] -= np.cross(w, V[:, part, :, None], axis=1)
-    return _turned(R, dV)
+    return _turned(R, V), _turned(R, dV)
+
+
+def _turned(R: Float[np.ndarray, "n 3 3"], V: np.ndarray) -> np.ndarray:
+    """Linear and rotation rows along the axes of B."""
+    return np.concatenate([np.einsum("nji,nj...->ni...", R, part) for part in (V[:, :3], V[:, 3:])], axis=1)

@@ -27,8 +27,6 @@ from manip_learn.robot.batch.kernel_cache import compiled_inside
 SWEEPS = 30  # of Jacobi rotations; six are usual
 # cosine between two rows from which on they count as orthogonal: the rounding of their product
 ORTHOGONAL = 2e-15
-SQUARINGS = 40  # of a Gram matrix; eight are usual
-RANK_ONE = 4e-16  # share of the square of a Gram matrix that is not of rank one any more
 
 EIGEN_SWEEPS = 8  # of Jacobi rotations of a square matrix: converged to the last bit for six rows
 NEGLIGIBLE = 1e-32  # square of a cosine between two rows that no longer changes the eigenvalues
@@ -93,8 +91,7 @@ def vjp(constants, weights, work, gradient):
     """sum_ij weights_ij dA_ij / dq_k into `gradient`, weights (s, nv) and gradient (nv,) in public columns."""
     s, joints = weights.shape[0], int(constants[0, table.N_JOINTS])
     form, at, base = form_of(constants), mix_at(s, joints), joints_at(s)
-    for k in range(gradient.shape[0]):
-        gradient[k] = 0.0
+    gradient[:] = 0.0
     for j in range(joints):
         column, place = places(constants, j)
         joint_weights(s, form, weights, column, work, base + place, at)
@@ -114,11 +111,10 @@ def places(constants, j):
 @compiled_inside
 def public_rows(constants, work, A):
     """A (s, nv) in public columns, from those of the chain in the work space."""
-    for i in range(A.shape[0]):
-        for j in range(A.shape[1]):
-            A[i, j] = 0.0
-        for j in range(int(constants[0, table.N_JOINTS])):
-            column, place = places(constants, j)
+    A[:] = 0.0
+    for j in range(int(constants[0, table.N_JOINTS])):
+        column, place = places(constants, j)
+        for i in range(A.shape[0]):
             A[i, column] = work[table.MATRICES + i, place]
 
 
@@ -195,11 +191,10 @@ def decompose(A, rows, Ut, sigma, Vt):
         sigma: shape (rows,).
         Vt: shape (rows or more, columns).
     """
+    Vt[:rows] = A
+    Ut[:] = 0.0
     for i in range(rows):
-        for k in range(A.shape[1]):
-            Vt[i, k] = A[i, k]
-        for k in range(Ut.shape[1]):
-            Ut[i, k] = 1.0 if i == k else 0.0
+        Ut[i, i] = 1.0
     for _ in range(SWEEPS):
         turned = False
         for i in range(rows - 1):
@@ -209,50 +204,31 @@ def decompose(A, rows, Ut, sigma, Vt):
             break
     for i in range(rows):
         sigma[i] = norm(Vt[i])
-    _sort(rows, Ut, sigma, Vt)
+    order = np.argsort(-sigma, kind="mergesort")
+    sigma[:], Ut[:], Vt[:rows] = sigma[order], Ut[order], Vt[order]
     for i in range(rows):
-        factor = 1.0 / sigma[i] if sigma[i] > 0.0 else 0.0
-        for k in range(A.shape[1]):
-            Vt[i, k] *= factor
+        Vt[i] *= 1.0 / sigma[i] if sigma[i] > 0.0 else 0.0
 
 
 @compiled_inside
 def _orthogonalise(Vt, Ut, i, j):
     """Turn two rows until they are orthogonal; False if they are."""
-    a = b = c = 0.0
-    for k in range(Vt.shape[1]):
-        x, y = Vt[i, k], Vt[j, k]
-        a += x * x
-        b += y * y
-        c += x * y
+    a, b, c = dot(Vt[i], Vt[i]), dot(Vt[j], Vt[j]), dot(Vt[i], Vt[j])
     if abs(c) <= ORTHOGONAL * math.sqrt(a) * math.sqrt(b):
         return False
     zeta = 0.5 * (b - a) / c
     t = math.copysign(1.0, zeta) / (abs(zeta) + math.hypot(1.0, zeta))
     cosine = 1.0 / math.sqrt(1.0 + t * t)
     sine = cosine * t
-    for k in range(Vt.shape[1]):
-        x, y = Vt[i, k], Vt[j, k]
-        Vt[i, k], Vt[j, k] = cosine * x - sine * y, sine * x + cosine * y
-    for k in range(Ut.shape[1]):
-        x, y = Ut[i, k], Ut[j, k]
-        Ut[i, k], Ut[j, k] = cosine * x - sine * y, sine * x + cosine * y
+    _turn(Vt[i], Vt[j], cosine, sine)
+    _turn(Ut[i], Ut[j], cosine, sine)
     return True
 
 
 @compiled_inside
-def _sort(rows, Ut, sigma, Vt):
-    for i in range(rows - 1):
-        best = i
-        for j in range(i + 1, rows):
-            if sigma[j] > sigma[best]:
-                best = j
-        if best != i:
-            sigma[i], sigma[best] = sigma[best], sigma[i]
-            for k in range(Vt.shape[1]):
-                Vt[i, k], Vt[best, k] = Vt[best, k], Vt[i, k]
-            for k in range(rows):
-                Ut[i, k], Ut[best, k] = Ut[best, k], Ut[i, k]
+def _turn(x, y, cosine, sine):
+    for k in range(x.shape[0]):
+        x[k], y[k] = cosine * x[k] - sine * y[k], sine * x[k] + cosine * y[k]
 
 
 @compiled_inside
@@ -298,58 +274,12 @@ def row_space(A, Vt, scratch):
 
 @compiled_inside
 def leading(M, direction):
-    """Largest singular value of M (rows, columns); its right singular vector goes into `direction`, one sign of it.
-
-    Of two opposite vectors the one whose largest entry is positive. M^T M is squared until it is of rank one, so that
-    its columns are multiples of the vector.
-    """
-    n = M.shape[1]
-    G, H = np.empty((n, n)), np.empty((n, n))
-    _gram(M, G)
-    for _ in range(SQUARINGS):
-        trace, best = 0.0, 0
-        for i in range(n):
-            trace += G[i, i]
-            best = i if G[i, i] > G[best, best] else best
-        if not trace > 0.0:
-            direction[:] = 0.0
-            return 0.0
-        square, factor = 0.0, 1.0 / trace
-        for i in range(n):
-            for j in range(n):
-                G[i, j] *= factor
-                square += G[i, j] * G[i, j]
-        if square > 1.0 - RANK_ONE:
-            break
-        _gram(G, H)
-        G, H = H, G
-    return _image(M, G[best], direction)
-
-
-@compiled_inside
-def _gram(M, G):
-    """G = M^T M."""
-    n = M.shape[1]
-    G[:] = 0.0
-    for r in range(M.shape[0]):
-        for i in range(n):
-            for j in range(n):
-                G[i, j] += M[r, i] * M[r, j]
-
-
-@compiled_inside
-def _image(M, vector, direction):
-    """|M x| for x = vector / |vector|, which goes into `direction` with its largest entry positive."""
-    square, largest = 0.0, 0
-    for k in range(M.shape[1]):
-        largest = k if abs(vector[k]) > abs(vector[largest]) else largest
-    factor = math.copysign(1.0 / norm(vector), vector[largest])
-    for k in range(M.shape[1]):
-        direction[k] = factor * vector[k]
-    for r in range(M.shape[0]):
-        along = dot(M[r], direction)
-        square += along * along
-    return math.sqrt(square)
+    """Largest singular value of M (rows, columns); its right singular vector, largest entry positive: `direction`."""
+    rows = M.shape[0]
+    Ut, sigma, Vt = np.empty((rows, rows)), np.empty(rows), np.empty(M.shape)
+    decompose(M, rows, Ut, sigma, Vt)
+    direction[:] = math.copysign(1.0, Vt[0, np.argmax(np.abs(Vt[0]))]) * Vt[0]
+    return sigma[0]
 
 
 @compiled_inside

@@ -29,7 +29,7 @@ from manip_learn.control.compiled.constrained_rows import (
     sizes_of,
     turn_joints,
 )
-from manip_learn.control.compiled.limits import admitted, breaks, has_tips, most_rows, tips_at
+from manip_learn.control.compiled.limits import admitted, braking_rate, breaks, has_tips, most_rows, tips_at
 from manip_learn.control.compiled.near_singularity import (
     barrier,
     is_fast,
@@ -40,7 +40,7 @@ from manip_learn.control.compiled.near_singularity import (
     smallest_weights,
 )
 from manip_learn.control.compiled.within_limits import next_slide, space_of, within_limits
-from manip_learn.control.singularity import APPROACH_RATE, BRAKING_SHARE
+from manip_learn.control.singularity import BRAKING_SHARE
 from manip_learn.robot.batch.compiled_kinematics import END_ORIGIN, GRADIENT, LOCAL, SLIDE, columns_of, six
 from manip_learn.robot.batch.kernel_cache import compiled, compiled_inside
 from manip_learn.robot.rotations import SMALL_ANGLE
@@ -138,8 +138,7 @@ def _approaches(constants, A, X, weakest, dt, parts, work):
         slope = work[base + place, GRADIENT]
         square += slope * slope
         approach -= slope * parts[table.VELOCITY, column]
-    deceleration = BRAKING_SHARE * math.sqrt(square) * weakest
-    return approach > min(min(APPROACH_RATE, 0.5 / dt) * smallest, math.sqrt(2.0 * deceleration * smallest))
+    return approach > braking_rate(smallest, BRAKING_SHARE * math.sqrt(square) * weakest, dt)
 
 
 @compiled_inside
@@ -372,7 +371,7 @@ def rollout(constants, first, dt, rk4, motion, numbers, state):
                     if bounded:
                         state[j] = u[i, j]
                 if bounded:
-                    state[nv] = next_slide(state[nv], done, work[table.FACTS, table.PROGRESS], dt)
+                    state[nv] = next_slide(state[nv], done == table.STALLED, work[table.FACTS, table.PROGRESS], dt)
             weight = 2.0 if stage == 1 or stage == 2 else 1.0
             for j in range(nv):
                 slope[j] += weight * parts[table.VELOCITY, j]

@@ -7,13 +7,10 @@ import math
 import numpy as np
 
 from manip_learn.constraint.compiled_rows import dot
+from manip_learn.control import limits, singularity
 from manip_learn.control.compiled import step_table as table
 from manip_learn.control.compiled.constrained_rows import dofs_of, norm, turn_joints
-from manip_learn.control.limits import ACCELERATION as BY_ACCELERATION
-from manip_learn.control.limits import AT_BOUND, MOST_ROWS, RESERVE, RETURN_SPEED, ROOM_TO_LEAVE
-from manip_learn.control.limits import OUTSIDE as LEAST_OUTSIDE
-from manip_learn.control.limits import POSITION as BY_POSITION
-from manip_learn.control.limits import VELOCITY as BY_VELOCITY
+from manip_learn.control.limits import AT_BOUND, MOST_ROWS, RESERVE, ROOM_TO_LEAVE
 from manip_learn.control.singularity import APPROACH_RATE, BRAKING_SHARE
 from manip_learn.robot.batch.compiled_kinematics import JOINTS, SLIDE, SOURCE, TARGET, columns_of
 from manip_learn.robot.batch.kernel_cache import compiled_inside
@@ -23,24 +20,15 @@ from manip_learn.robot.batch.kernel_cache import compiled_inside
 LINEAR = 3
 
 
-@compiled_inside
-def allowed_speed(distance, velocity, acceleration, dt):
-    """Fastest approach to a position limit with a deceleration, as `Approach`; negative outside it."""
-    rate = min(APPROACH_RATE, 0.5 / dt)
-    half = 0.5 * acceleration * dt
-    joined = acceleration / rate - half
-    linear = joined / rate
-    if distance <= linear:
-        return min(max(rate * distance, -RETURN_SPEED * min(velocity, 1e6)), velocity)
-    offset = linear - joined * (joined + acceleration * dt) / (2.0 * acceleration)
-    return min(math.sqrt(half * half + 2.0 * acceleration * (distance - offset)) - half, velocity)
+approach_of, approach_speed = compiled_inside(limits.approach_of), compiled_inside(limits.approach_speed)
+braking_rate = compiled_inside(singularity.braking_rate)
 
 
 @compiled_inside
 def admitted(constants, q, dt, u, previous):
     """Whether `Limits.bounds` admit the velocity u; `previous` is NaN where no acceleration is bounded.
 
-    `allowed_speed` with the squares of both sides, which needs neither its root nor its divisions.
+    `approach_speed` with the squares of both sides, which needs neither its root nor its divisions.
     """
     rate, dofs = min(APPROACH_RATE, 0.5 / dt), dofs_of(constants)
     period = 1.0 / rate
@@ -73,26 +61,27 @@ def bounds_of(constants, q, dt, previous, space):
         k = dofs + j
         v, a = constants[k, table.LIMIT], constants[k, table.ACCELERATION]
         above, below = constants[k, table.UPPER] - q[j], q[j] - constants[k, table.LOWER]
-        bottom, top, bottom_cause, top_cause = -v, v, BY_VELOCITY, BY_VELOCITY
-        fastest = allowed_speed(above, v, BRAKING_SHARE * a, dt)
+        bottom, top, bottom_cause, top_cause = -v, v, limits.VELOCITY, limits.VELOCITY
+        approach = approach_of(v, a, dt)
+        fastest = approach_speed(approach, above)
         if fastest < v:
-            top, top_cause = fastest, BY_POSITION
-        fastest = allowed_speed(below, v, BRAKING_SHARE * a, dt)
+            top, top_cause = fastest, limits.POSITION
+        fastest = approach_speed(approach, below)
         if fastest < v:
-            bottom, bottom_cause = -fastest, BY_POSITION
+            bottom, bottom_cause = -fastest, limits.POSITION
         outside = max(outside, -below, -above)
         if not math.isnan(previous[j]):
             slowest, fastest = previous[j] - a * dt, previous[j] + a * dt
             if slowest > bottom:
-                bottom, bottom_cause = slowest, BY_ACCELERATION
+                bottom, bottom_cause = slowest, limits.ACCELERATION
             if fastest < top:
-                top, top_cause = fastest, BY_ACCELERATION
+                top, top_cause = fastest, limits.ACCELERATION
             if bottom > top:  # too fast, or too far, for what the acceleration limit allows: it has precedence
                 bottom = slowest if top < slowest else fastest
                 top = bottom
         space[table.LOW, j], space[table.HIGH, j] = bottom, top
         space[table.LOW_CAUSE, j], space[table.HIGH_CAUSE, j] = bottom_cause, top_cause
-    return outside if outside > LEAST_OUTSIDE else 0.0
+    return outside if outside > limits.OUTSIDE else 0.0
 
 
 @compiled_inside
@@ -121,34 +110,26 @@ def binding(parts, space):
 @compiled_inside
 def turn_to_freer_sense(constants, q, direction):
     """Turn a direction round where position limits leave its opposite more room, as `Limits.freer_sense`."""
-    nv, dofs, fastest = q.shape[0], dofs_of(constants), 0.0
-    for j in range(nv):
-        fastest = max(fastest, abs(direction[j]))
-    if fastest == 0.0:
-        return
+    dofs, fastest = dofs_of(constants), np.abs(direction).max()
     ahead = behind = math.inf
-    for j in range(nv):
+    for j in range(q.shape[0]):
         speed = abs(direction[j])
         if speed > 1e-3 * fastest:
             up, down = constants[dofs + j, table.UPPER] - q[j], q[j] - constants[dofs + j, table.LOWER]
             if direction[j] < 0.0:
                 up, down = down, up
             ahead, behind = min(ahead, up / speed), min(behind, down / speed)
-    if ahead < min(behind, ROOM_TO_LEAVE / fastest):
-        for j in range(nv):
-            direction[j] = -direction[j]
+    if fastest > 0.0 and ahead < min(behind, ROOM_TO_LEAVE / fastest):
+        direction *= -1.0
 
 
 @compiled_inside
 def approach_rate(constants, distance, slope, length, dt):
     """`singularity.approach_rate`, `length` the norm of the slope."""
-    rate, usable, dofs = min(APPROACH_RATE, 0.5 / dt), math.inf, dofs_of(constants)
-    if length == 0.0:
-        return rate * distance
+    usable, dofs = math.inf, dofs_of(constants)
     for j in range(slope.shape[0]):
         usable = min(usable, constants[dofs + j, table.ACCELERATION] / max(abs(slope[j]), 1e-12 * length))
-    deceleration = BRAKING_SHARE * length * length * usable
-    return min(rate * distance, math.sqrt(2.0 * deceleration * max(distance, 0.0)))
+    return braking_rate(distance, BRAKING_SHARE * length * length * usable if length > 0.0 else math.inf, dt)
 
 
 @compiled_inside
@@ -181,11 +162,10 @@ def tips_at(constants, q, dt, previous):
         joints, first = int(constants[chain + 1, table.LENGTH]), f * size
         turn_joints(constants, chain, joints, q, tips, base)
         p0, p1, p2 = columns_of(constants, chain, joints, tips, base, SLIDE, 1, tips, base)
-        for i in range(LINEAR):
-            for j in range(nv):
-                tips[first + i, j] = 0.0
-            for j in range(joints):
-                k = chain + JOINTS + j
+        tips[first : first + LINEAR] = 0.0
+        for j in range(joints):
+            k = chain + JOINTS + j
+            for i in range(LINEAR):
                 tips[first + i, int(constants[k, SOURCE])] = tips[base + int(constants[k, TARGET]), i]
         for w in range(walls):
             n, row = constants[at + 1 + w], first + LINEAR + w
@@ -244,8 +224,7 @@ def with_broken(constants, tips, u, space, rows):
         for w in range(walls):
             row = first + LINEAR + w
             if tips[row, nv + 1] == 0.0 and dot(u, tips[row]) < tips[row, nv]:
-                for j in range(nv + 1):
-                    space[table.SLOPE + rows, j] = tips[row, j]
+                space[table.SLOPE + rows, : nv + 1] = tips[row, : nv + 1]
                 tips[row, nv + 1] = 1.0
                 rows += 1
         v0, v1, v2, speed = _velocity(tips, first, u)

@@ -11,6 +11,7 @@ import numpy as np
 
 from manip_learn.constraint.compiled_rows import add, dot
 from manip_learn.constraint.manipulability import SINGULAR_RATIO
+from manip_learn.control import singularity
 from manip_learn.control.compiled import step_table as table
 from manip_learn.control.compiled.constrained_rows import (
     chain_rows,
@@ -29,19 +30,18 @@ from manip_learn.control.compiled.constrained_rows import (
 )
 from manip_learn.control.compiled.limits import approach_rate, turn_to_freer_sense
 from manip_learn.control.singularity import (
-    APPROACH_RATE,
-    BRAKING_SHARE,
     CROSSING_SPEED,
     ESCAPE_SPEED,
     FULLY_PRESSING,
     GROWTH,
     NOTHING,
-    SEED_SHARE,
     SEED_SPEED,
     STABLE_SLOPE,
 )
 from manip_learn.robot.batch.compiled_kinematics import GRADIENT
 from manip_learn.robot.batch.kernel_cache import compiled_inside
+
+is_fast, seed_speed = compiled_inside(singularity.is_fast), compiled_inside(singularity.seed_speed)
 
 
 @compiled_inside
@@ -78,8 +78,7 @@ def policy_velocity(constants, q, dt, volume, X, work):
     if policy == table.REST or policy == table.NO_POLICY:
         rest_velocity(constants, q, work[table.PI])
         return
-    for j in range(q.shape[0]):
-        work[table.PI, j] = 0.0
+    work[table.PI] = 0.0
     chain_vjp(constants, X, work)
     scale = constants[0, table.POLICY_GAIN] * volume
     if policy == table.LOG_ASCENT:
@@ -103,8 +102,7 @@ def ascent_near_singularity(constants, rows, dt, work, climb):
     logarithmic = int(constants[0, table.POLICY]) == table.LOG_ASCENT
     if logarithmic and constants[0, table.LONGEST] < math.inf and smallest <= edge:
         steepest_ascent(constants, Ut, sigma, Vt, weights, work, pi)
-        for j in range(nv):
-            pi[j] *= min(constants[0, table.LONGEST], SEED_SPEED)
+        pi *= min(constants[0, table.LONGEST], SEED_SPEED)
         return True
     if smallest <= edge and (logarithmic or (s > 1 and sigma[s - 2] <= edge)):
         return False
@@ -119,15 +117,12 @@ def ascent_near_singularity(constants, rows, dt, work, climb):
     if smallest <= edge:  # steepest ascent of the cone, `manipulability._cone_ascent`
         M = np.empty((nv - s + 1, nv))
         lost_rates(constants, Ut, Vt, weights, s - 1, work, M)
-        rate = factors[s - 1] * leading(M, climb)
-        for j in range(nv):
-            climb[j] *= rate
+        climb *= factors[s - 1] * leading(M, climb)
     else:
         outer_sum(Ut, factors, Vt, weights)
         vjp(constants, weights, work, climb)
     scale = bounded_gain(constants, norm(climb), dt) if logarithmic else constants[0, table.POLICY_GAIN]
-    for j in range(nv):
-        pi[j] = scale * climb[j]
+    pi[:] = scale * climb
     return True
 
 
@@ -164,10 +159,7 @@ def steepest_ascent(constants, Ut, sigma, Vt, weights, work, direction):
             add(direction, along[c], Vt[rank + c])
     else:
         leading(M, direction)
-    largest = np.argmax(np.abs(direction))
-    if direction[largest] < 0.0:
-        for j in range(nv):
-            direction[j] = -direction[j]
+    direction *= math.copysign(1.0, direction[np.argmax(np.abs(direction))])
 
 
 @compiled_inside
@@ -176,7 +168,7 @@ def lost_rates(constants, Ut, Vt, weights, first, work, M):
     (s, nv), row = weights.shape, 0
     for i in range(first, s):
         for k in range(first, nv):
-            outer_product(Ut[i], Vt[k], weights)
+            weights[:] = np.outer(Ut[i], Vt[k])
             vjp(constants, weights, work, M[row])
             row += 1
 
@@ -212,7 +204,7 @@ def singular_parts(step, rows, slope):
         pressed = 0.0
     escapes = not posed and constants[1, table.ESCAPES] != 0.0
     if pressed > 0.0 or (not singular and escapes and sigma[s - 1] < width):
-        outer_product(Ut[s - 1], Vt[s - 1], weights)
+        weights[:] = np.outer(Ut[s - 1], Vt[s - 1])
         vjp(constants, weights, step.work, slope)
     if pressed > 0.0:
         damping = pressed_damping(constants[1, table.DAMPING], pressed, slope, norm(slope), parts[table.TASK_PART])
@@ -221,36 +213,29 @@ def singular_parts(step, rows, slope):
     if escapes:  # `singularity.with_seed`
         speed, seed = norm(parts[table.NULL_PART]), seed_speed(sigma[s - 1], width)
         if NOTHING * norm(pi) < speed < seed:
-            for j in range(nv):
-                parts[table.NULL_PART, j] *= seed / speed
-    for j in range(nv):
-        parts[table.VELOCITY, j] = parts[table.TASK_PART, j] + parts[table.NULL_PART, j]
+            parts[table.NULL_PART] *= seed / speed
+    parts[table.VELOCITY] = parts[table.TASK_PART] + parts[table.NULL_PART]
     if escapes:
         facts[table.HAS_ESCAPE] = 1.0
         if singular:  # the policy has taken the steepest ascent already
             _leave(constants, step.q, sigma, pi, parts)
         else:
             escape_velocity(sigma, Vt, step.dt, width, climb, norm(slope), parts[table.ESCAPE_PART])
-        for j in range(nv):
-            parts[table.VELOCITY, j] = (
-                parts[table.TASK_PART, j] + parts[table.NULL_PART, j] + parts[table.ESCAPE_PART, j]
-            )
+        parts[table.VELOCITY] += parts[table.ESCAPE_PART]
     return math.isfinite(np.sum(parts[table.VELOCITY]))
 
 
 @compiled_inside
 def _leave(constants, q, sigma, pi, parts):
     """Write the velocity out of a singularity, along pi; N pi turns with it where a joint limit is in the way."""
-    nv, escape = q.shape[0], parts[table.ESCAPE_PART]
+    escape = parts[table.ESCAPE_PART]
     seed = seed_speed(sigma[sigma.shape[0] - 1], constants[1, table.ESCAPE_WIDTH])
-    for j in range(nv):
-        escape[j] = seed / min(constants[0, table.LONGEST], SEED_SPEED) * pi[j]
+    escape[:] = seed / min(constants[0, table.LONGEST], SEED_SPEED) * pi
     if constants[0, table.LIMITS] != 0.0:
         # mu rises in both directions out of a singularity: a limit in one of them is no reason to stay
         turn_to_freer_sense(constants, q, escape)
     if dot(escape, pi) < 0.0:
-        for j in range(nv):
-            parts[table.NULL_PART, j] = -parts[table.NULL_PART, j]
+        parts[table.NULL_PART] *= -1.0
 
 
 @compiled_inside
@@ -284,8 +269,7 @@ def _policy(constants, q, dt, rows, work, climb):
 @compiled_inside
 def _null_part(Vt, rank, pi, null):
     """N pi, pi less its parts along the rows of A."""
-    for j in range(Vt.shape[1]):
-        null[j] = pi[j]
+    null[:] = pi
     for i in range(rank):
         add(null, -dot(Vt[i], null), Vt[i])
 
@@ -295,8 +279,7 @@ def task_part(constants, sigma, along, damping, Vt, task):
     """A^+ b = V diag(g) U^T b, where g is 1 / sigma in the controller's sense (`linalg.inverse_singular_values`)."""
     inverse, threshold = int(constants[0, table.INVERSE]), constants[0, table.THRESHOLD]
     least = math.ldexp(1.0, -1022) if inverse == table.EXACT else truncation(sigma, Vt.shape[1])
-    for j in range(Vt.shape[1]):
-        task[j] = 0.0
+    task[:] = 0.0
     for i in range(sigma.shape[0]):
         x, gain = sigma[i], 0.0
         if inverse == table.DAMPED:
@@ -307,14 +290,6 @@ def task_part(constants, sigma, along, damping, Vt, task):
         elif x > least:
             gain = 1.0 / x
         add(task, gain * along[i], Vt[i])
-
-
-@compiled_inside
-def outer_product(u, v, weights):
-    """weights = u v^T; for u_min and v_min those of the gradient of the smallest singular value."""
-    for i in range(u.shape[0]):
-        for j in range(v.shape[0]):
-            weights[i, j] = u[i] * v[j]
 
 
 @compiled_inside
@@ -339,18 +314,15 @@ def smallest_weights(A, smallest, weights):
 def stable_damping(constants, rows, along, dt, row, work):
     """`singularity.stable_damping`; `row` (nv,) is scratch."""
     Ut, sigma, weights = rows.Ut, rows.sigma, rows.weights
-    (s, nv), threshold, pressing, square = weights.shape, constants[0, table.THRESHOLD], False, 0.0
+    (s, nv), square, lost = weights.shape, 0.0, np.zeros(Ut.shape[0])
     for i in range(s):
-        pressing = pressing or (sigma[i] < threshold and along[i] != 0.0)
-    if not pressing:
+        if sigma[i] < constants[0, table.THRESHOLD]:
+            add(lost, along[i], Ut[i])
+    if not lost.any():
         return 0.0
     for j in range(nv):
-        for r in range(s):
-            for k in range(nv):
-                weights[r, k] = 0.0
-            for i in range(s):
-                if sigma[i] < threshold:
-                    weights[r, j] += along[i] * Ut[i, r]
+        weights[:] = 0.0
+        weights[:, j] = lost
         vjp(constants, weights, work, row)
         square += dot(row, row)
     return math.sqrt(dt * math.sqrt(square) / (2.0 * STABLE_SLOPE))
@@ -375,28 +347,11 @@ def approach_bound(constants, smallest, slope, dt):
 
 
 @compiled_inside
-def seed_speed(smallest, width):
-    """Speed that starts the motion out of a singularity."""
-    return SEED_SPEED * max(0.0, 1.0 - smallest / (SEED_SHARE * width))
-
-
-@compiled_inside
 def escape_velocity(sigma, Vt, dt, width, climb, steepness, escape):
-    """`singularity.escape_velocity` beside a singularity, into `escape`.
-
-    Args:
-        sigma: Singular values.
-        Vt: Right singular vectors.
-        dt: Time for which the velocity is held [s].
-        width: Singular value at which it ends.
-        climb: grad log mu.
-        steepness: Norm of the gradient of the smallest singular value, where that is below `width`.
-        escape: Written.
-    """
-    s, nv = sigma.shape[0], Vt.shape[1]
-    smallest, share, others = sigma[s - 1], 0.0, 0.0
-    for j in range(nv):
-        escape[j] = 0.0
+    """`singularity.escape_velocity` beside a singularity: climb is grad log mu, steepness |grad sigma_min|."""
+    s, share, others = sigma.shape[0], 0.0, 0.0
+    smallest = sigma[s - 1]
+    escape[:] = 0.0
     if smallest >= width:
         return
     for i in range(s):
@@ -411,8 +366,7 @@ def escape_velocity(sigma, Vt, dt, width, climb, steepness, escape):
     ratio = smallest / width
     length = math.hypot(norm(escape), dt * speed * others / STABLE_SLOPE * ratio * ratio)
     if length > 0.0:
-        for j in range(nv):
-            escape[j] *= speed / length
+        escape *= speed / length
 
 
 @compiled_inside
@@ -435,14 +389,6 @@ def may_approach(constants, A, sigma, smallest, dt, u):
 
 
 @compiled_inside
-def is_fast(square, size, weakest, smallest, dt):
-    """Whether |u|^2 is so large beside |A|^2 that a singularity may be approached too fast, as `ResolvedRateLaw`."""
-    # |grad sigma| is about as large as A itself
-    rate = min(APPROACH_RATE, 0.5 / dt) * smallest
-    return square * size >= min(2.0 * BRAKING_SHARE * weakest * math.sqrt(size) * smallest, rate * rate)
-
-
-@compiled_inside
 def barrier(constants, rows, dt, space, work):
     """`ResolvedRateLaw.approach`: whether the approach is to be bounded; gradient and bound go into the space.
 
@@ -456,7 +402,7 @@ def barrier(constants, rows, dt, space, work):
         else:
             if rows.sigma[0] < 0.0:
                 decompose(rows.A, s, rows.Ut, rows.sigma, rows.Vt)
-            outer_product(rows.Ut[s - 1], rows.Vt[s - 1], rows.weights)
+            rows.weights[:] = np.outer(rows.Ut[s - 1], rows.Vt[s - 1])
         vjp(constants, rows.weights, work, gradient)
     return bounded_approach(constants, smallest, dt, space)
 

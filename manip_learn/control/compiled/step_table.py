@@ -40,16 +40,10 @@ LOW, HIGH, TASK_AIM, WISH, START, FOUND, SLID, ANSWER, LOW_CAUSE, HIGH_CAUSE, SL
 # what `free_step` may return instead of a status: a limit binds, or A or the rows of a pose's error are ill-conditioned
 LIMITED, ILL_CONDITIONED, ILL_POSED = -2, -3, -4
 REFUSED = -1  # Python decides: what is not finite, and lost directions that "exact" inverts
-OK = STATUSES.index(Status.OK)
-DAMPED_STATUS = STATUSES.index(Status.DAMPED)
-STALLED = STATUSES.index(Status.STALLED)
-SINGULAR = STATUSES.index(Status.SINGULAR)
-OUTSIDE_LIMITS = STATUSES.index(Status.OUTSIDE_LIMITS)
-POSITION_LIMITED = STATUSES.index(Status.POSITION_LIMITED)
-VELOCITY_LIMITED = STATUSES.index(Status.VELOCITY_LIMITED)
-ACCELERATION_LIMITED = STATUSES.index(Status.ACCELERATION_LIMITED)
-REROUTED = STATUSES.index(Status.REROUTED)
-NULL_SCALED = STATUSES.index(Status.NULL_SCALED)
+(
+    OUTSIDE_LIMITS, SINGULAR, STALLED, POSITION_LIMITED, VELOCITY_LIMITED, ACCELERATION_LIMITED,
+    DAMPED_STATUS, REROUTED, NULL_SCALED, OK,
+) = range(STATUSES.index(Status.OUTSIDE_LIMITS), len(STATUSES))  # fmt: skip
 
 
 @final

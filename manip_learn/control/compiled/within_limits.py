@@ -10,12 +10,11 @@ import math
 import numpy as np
 
 from manip_learn.constraint.compiled_rows import add, dot
+from manip_learn.control import resolved_rate_law
 from manip_learn.control.bounded_velocity import (
-    DEPENDENT,
     DEVIATION_WEIGHT,
     LARGEST_RATIO,
     NEGLIGIBLE,
-    REORTHOGONAL,
     ROUNDING,
     TASK_WEIGHT,
     TOLERANCE,
@@ -32,21 +31,19 @@ from manip_learn.control.compiled.constrained_rows import (
 )
 from manip_learn.control.compiled.limits import binding, bounds_of, breaks, most_rows, tips_at, with_broken, within
 from manip_learn.control.compiled.near_singularity import bounded_approach, is_singular
-from manip_learn.control.limits import ACCELERATION as BY_ACCELERATION
 from manip_learn.control.limits import MOST_ROWS
-from manip_learn.control.limits import POSITION as BY_POSITION
-from manip_learn.control.resolved_rate_law import (
-    AT_GOAL,
-    GOING_ON,
-    KEEPING_AFTER,
-    SCALED_BELOW,
-    SLIDING_AFTER,
-    STALLED_BELOW,
-)
+from manip_learn.control.resolved_rate_law import AT_GOAL
 from manip_learn.robot.batch.kernel_cache import compiled, compiled_inside
 
+# a row whose part outside the active rows has less than this share of its square depends on them
+DEPENDENT = 1e-18
+REORTHOGONAL = 1e-2  # ... and with less than this share, it is projected twice
 # rows of the scratch of `project`, each as long as x, before those of the triangle and of the basis
 DIRECTION, ALONG, FALL, MULTIPLIERS, BOUNDS, SIGNS, ACTIVE, SCRATCH = range(8)
+
+plain_status = compiled_inside(resolved_rate_law.plain_status)
+bounded_status = compiled_inside(resolved_rate_law.bounded_status)
+next_slide = compiled_inside(resolved_rate_law.next_slide)
 
 
 @compiled_inside
@@ -90,14 +87,18 @@ def bounded_step(step, rows, space, barriers, damping):
             for j in range(nv):
                 found[j] += step.slide * (space[table.SLID, j] - found[j])
         if kept >= 0.0 and within(found, space, nv, ROUNDING):
-            for j in range(nv):
-                found[j] = min(max(found[j], space[table.LOW, j]), space[table.HIGH, j])
+            _clip(found, space, nv)
             return kept / too_fast, attempt == 0
-    for j in range(nv):  # a box always holds a point; this is for a solver that gave up
-        found[j] = min(
-            max(parts[table.TASK_PART, j] + parts[table.NULL_PART, j], space[table.LOW, j]), space[table.HIGH, j]
-        )
+    # a box always holds a point; this is for a solver that gave up
+    found[:nv] = parts[table.TASK_PART] + parts[table.NULL_PART]
+    _clip(found, space, nv)
     return -1.0, False
+
+
+@compiled_inside
+def _clip(u, space, nv):
+    for j in range(nv):
+        u[j] = min(max(u[j], space[table.LOW, j]), space[table.HIGH, j])
 
 
 @compiled_inside
@@ -135,19 +136,16 @@ def _along(Vt, scale, parts, facts, space, barriers):
             start[c] += Vt[rank + c, j] * parts[table.NULL_PART, j]
     if moves:
         start[k] = weight * scale
-        for j in range(nv):
-            C[j, k] = v[j] / weight
+        C[:nv, k] = v / weight
         k += 1
     if leaves:
         start[k] = speed
-        for j in range(nv):
-            C[j, k] = escape[j] / speed
+        C[:nv, k] = escape / speed
         k += 1
     m = nv + barriers
     _barrier_rows(C, nv, k, space, barriers)
     if moves:
-        for c in range(k):
-            C[m, c] = 0.0
+        C[m] = 0.0
         C[m, at] = 1.0 / weight
         space[table.LOW, m], space[table.HIGH, m] = 0.0, 1.0
         m += 1
@@ -190,15 +188,12 @@ def _beside(rows, space, barriers):
         largest = sigma[0]
     _product(A, space[table.TASK_AIM], s, nv, b)
     length = norm(b)
-    for j in range(nv):
-        along[j] = 0.0
-        for i in range(s):
-            along[j] += b[i] * A[i, j]
+    across[:] = A
+    along[:] = 0.0
     for i in range(s):
-        for j in range(nv):
-            across[i, j] = A[i, j]
-            if length >= NEGLIGIBLE:
-                across[i, j] -= b[i] / length * along[j] / length
+        add(along, b[i], A[i])
+    if length >= NEGLIGIBLE:
+        across -= np.outer(b / length, along) / length
     decompose(across, s, Ut, sigma, Vt)
     if not _nearest(sigma, Vt, largest / DEVIATION_WEIGHT, space, barriers, found):
         return -1.0
@@ -255,8 +250,7 @@ def project(x, C, bounds, m, k, y, work):
     """
     multipliers, active = work[MULTIPLIERS], work[ACTIVE]
     n = k - k  # none; no literal 0, for which numba would compile everything below a second time
-    for c in range(k):
-        y[c] = x[c]
+    y[:k] = x[:k]
     for _ in range(8 * m):
         worst, excess, sign = _most_exceeded(y, C, bounds, m, k, active, n)
         if worst < 0:
@@ -315,8 +309,7 @@ def _across(C, row, sign, square, work, n, k):
     """
     for c in range(k):
         work[DIRECTION, c] = sign * C[row, c]
-    for a in range(n):
-        work[ALONG, a] = 0.0
+    work[ALONG, :n] = 0.0
     slope, direction = 0.0, work[DIRECTION, :k]
     for _ in range(2):
         for a in range(n):
@@ -360,8 +353,7 @@ def _leave(C, work, active, leaving, n, k):
 @compiled_inside
 def _on_faces(x, y, work, n, k):
     """The nearest point to x on all active bounds, without the rounding of the steps that led to y."""
-    for c in range(k):
-        y[c] = x[c]
+    y[:k] = x[:k]
     for a in range(n):
         reached = work[BOUNDS, a]
         for i in range(a):
@@ -404,8 +396,7 @@ def bounded_law(constants, q, dt, previous, slide, law, work):
         row_space(A, Vt, Ut)
     barred = not math.isnan(slope[0])
     if barred:
-        for j in range(nv):
-            space[table.SLOPE, j] = slope[j]
+        space[table.SLOPE, :nv] = slope
         barred = bounded_approach(constants, facts[table.SMALLEST], dt, space)
     return within_limits(step, rows, barred, tips_at(constants, q, dt, previous), space)
 
@@ -449,9 +440,11 @@ def within_limits(step, rows, barred, tips, space):
             break
     fits = within(parts[table.TASK_PART], space, nv, 0.0)
     joint, cause = binding(parts, space)
-    facts[table.OUTSIDE], facts[table.LIMITING_JOINT], facts[table.TASK_SCALE] = outside, joint, max(scale, 0.0)
     split_parts(space[table.FOUND], rows.Vt, scale >= 0.0, parts, facts)
-    status = bounded_outcome(A, singular, damped, cause, fits, parts, facts)
+    progress, scale = progress_of(A, parts), max(scale, 0.0)
+    facts[table.TASK_SCALE], facts[table.PROGRESS] = min(scale, 1.0), progress
+    facts[table.OUTSIDE], facts[table.LIMITING_JOINT] = outside, joint
+    status = bounded_status(singular, damped, progress, outside, scale, joint, int(cause), fits)
     if not broken or damped or status != table.DAMPED_STATUS:
         return status
     return table.POSITION_LIMITED if near else table.VELOCITY_LIMITED
@@ -476,41 +469,11 @@ def progress_of(A, parts):
 
 @compiled_inside
 def plain_outcome(A, singular, damped, outside, parts, facts):
-    """Status and numbers of a command that no limit changes, `outcome.plain_command`."""
-    progress, status = 1.0, table.OK
-    if damped or singular:
-        progress = progress_of(A, parts)
-        status = table.STALLED if progress < STALLED_BELOW else table.DAMPED_STATUS
-    if singular:
-        status = table.SINGULAR
+    """Status and numbers of a command that no limit changes, `plain_command`."""
+    progress = progress_of(A, parts) if damped or singular else 1.0
     facts[table.TASK_SCALE] = facts[table.NULL_SCALE] = 1.0
     facts[table.PROGRESS], facts[table.OUTSIDE], facts[table.LIMITING_JOINT] = progress, outside, -1.0
-    return table.OUTSIDE_LIMITS if outside > 0.0 else status
-
-
-@compiled_inside
-def bounded_outcome(A, singular, damped, cause, task_fits, parts, facts):
-    """Status of a command that limits change, `outcome.bounded_command`, by the limit that is most in its way.
-
-    The task's scale, how far a joint is outside and the limiting joint are among the facts already.
-    """
-    scale, progress = facts[table.TASK_SCALE], progress_of(A, parts)
-    facts[table.TASK_SCALE], facts[table.PROGRESS] = min(scale, 1.0), progress
-    if facts[table.OUTSIDE] > 0.0:
-        return table.OUTSIDE_LIMITS
-    if singular:
-        return table.SINGULAR
-    if progress < STALLED_BELOW and cause != BY_ACCELERATION:
-        return table.STALLED
-    if scale < SCALED_BELOW:
-        if facts[table.LIMITING_JOINT] < 0.0:
-            return table.DAMPED_STATUS
-        if cause == BY_POSITION:
-            return table.POSITION_LIMITED
-        return table.ACCELERATION_LIMITED if cause == BY_ACCELERATION else table.VELOCITY_LIMITED
-    if damped:
-        return table.DAMPED_STATUS
-    return table.NULL_SCALED if task_fits else table.REROUTED
+    return plain_status(singular, damped, progress, outside)
 
 
 @compiled_inside
@@ -533,11 +496,3 @@ def split_parts(found, Vt, solved, parts, facts):
     for j in range(nv):
         escape[j] *= factor
         task[j] -= escape[j]
-
-
-@compiled_inside
-def next_slide(slide, status, progress, dt):
-    """`slide` after a command that was held for dt, `outcome.next_slide`."""
-    if status == table.STALLED:
-        return min(1.0, slide + dt / SLIDING_AFTER)
-    return max(0.0, slide - dt / KEEPING_AFTER) if progress > GOING_ON else slide

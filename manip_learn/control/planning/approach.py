@@ -19,6 +19,7 @@ from scipy.spatial.transform import Rotation
 
 from manip_learn.control.limits import Limits
 from manip_learn.errors import RobotError, TargetError
+from manip_learn.linalg import finite
 from manip_learn.robot.collision import SelfCollision
 from manip_learn.robot.robot import Robot
 from manip_learn.robot.rotations import rotation_matrix
@@ -57,8 +58,8 @@ class GraspCone:
             given = getattr(self, name)
             if given is None:
                 continue
-            vector = np.array(given, dtype=np.float64)
-            if vector.shape != (3,) or not np.all(np.isfinite(vector)) or not np.linalg.norm(vector) > 0.0:
+            vector = finite(given, 3)
+            if vector is None or not vector.any():
                 raise TargetError(f"the {name} of a grasp must be three finite numbers not all zero, got {given!r}")
             object.__setattr__(self, name, vector / np.linalg.norm(vector))
         if not 0.0 <= self.angle <= np.pi:

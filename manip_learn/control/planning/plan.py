@@ -245,7 +245,13 @@ class _Problem:
         self.rng = np.random.default_rng(seed)
         self.touched = False  # whether links touch on a way that was found
         self.unreached = False  # whether a posture of hold could not be reached from the start
-        _check_joints(robot, self.limits)
+        check_joints_add_up(robot, "a way is planned")
+        endless = np.flatnonzero(~np.isfinite(self.limits.velocity))
+        if len(endless):
+            raise ConfigurationError(
+                f"joint {robot.joint_names[endless[0]]!r} has no velocity limit, in units of which margins are counted"
+                ": state it in the robot's description, or pass limits=Limits(robot, velocity=...)"
+            )
         self.positions = robot.positions(self.start)
         shapes = self_collision(robot) if collision is True else collision or None
         self.notes = ("the robot has no shapes: self-collision was not looked at",) if shapes is None else ()
@@ -328,7 +334,10 @@ class _Problem:
         """The postures of the best way from one choice, relaxed; None where links touch on it."""
         path = ladder.postures(ladder.path(march, len(self.stations) - 1, margin - TIE))
         better = relaxed(self.stations, path, ladder.grasp[march])
-        return next((way for way in (better, path) if self._is_in_cone(way) and self._is_clear(way)), None)
+        for way in filter(self._is_in_cone, (better, path)):
+            if all(map(self.clear, way)) and all(map(self.clear.of_line, way[:-1], way[1:])):
+                return way
+        return None
 
     def _is_in_cone(self, way: Postures) -> bool:
         if self.grasp is None:
@@ -336,9 +345,6 @@ class _Problem:
         stations = self.stations
         toward = stations.turns[: len(way)] @ self.grasp.toward(stations.grasp)
         return bool(np.all(self.grasp.holds(stations.hand.pose(way)[:, :3, :3], toward)))
-
-    def _is_clear(self, way: Postures) -> bool:
-        return all(self.clear(q) for q in way) and all(map(self.clear.of_line, way[:-1], way[1:]))
 
     def _reached(self, path: Postures) -> tuple[Postures, ResolvedRateController, Rollout] | None:
         """A path, the law that leads to it and its rollout; by whole turns of joints where the limits leave several.
@@ -452,7 +458,9 @@ class _Problem:
         path = ladder.postures(ladder.path(march, last, margins[march] - TIE))
         largest, stopped_by = self._largest(path)
         if last < could:
-            stopped_by = f"links that would touch ({self._touching(ladder, last)})"
+            ahead = ladder.q[np.isfinite(ladder.q[:, last + 1, 0]), last + 1]
+            links = next(filter(None, map(self.clear.near, ahead)), ("on the way",))
+            stopped_by = f"links that would touch ({' and '.join(links)})"
         return NoPlanError(
             f"no plan for {way_in_words(self.motion.wanted, self.motion.unit)}: "
             f"{way_in_words(largest, self.motion.unit)} at most, stopped by {stopped_by}{more}",
@@ -496,13 +504,6 @@ class _Problem:
         words = ", ".join(f"{c:.2f}" for c in np.array(d) / np.linalg.norm(d))
         return f"a singularity: the hand can hardly {what} ({words}) there (singular value {sigma[-1]:.2g})"
 
-    def _touching(self, ladder: Ladder, last: int) -> str:
-        """Two links that touch at the station after the last one."""
-        for q in ladder.q[np.isfinite(ladder.q[:, last + 1, 0]), last + 1]:
-            if (links := self.clear.near(q)) is not None:
-                return " and ".join(links)
-        return "on the way"
-
     def _missed(self, candidates: int) -> str:
         """How near the hand comes to where it should take hold, in words."""
         low, high = self.stations.span
@@ -531,14 +532,3 @@ class _Problem:
                     out.append(f"the base moved by ({shift[0]:.2f}, {shift[1]:.2f}) m could do it")
                     return tuple(out)
         return tuple(out)
-
-
-def _check_joints(robot: Robot, limits: Limits) -> None:
-    """Refuse robots whose margins are not defined."""
-    check_joints_add_up(robot, "a way is planned")
-    endless = np.flatnonzero(~np.isfinite(limits.velocity))
-    if len(endless):
-        raise ConfigurationError(
-            f"joint {robot.joint_names[endless[0]]!r} has no velocity limit, in units of which margins are counted: "
-            "state it in the robot's description, or pass limits=Limits(robot, velocity=...)"
-        )

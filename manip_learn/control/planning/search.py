@@ -168,7 +168,10 @@ def ladder_of(
     """
     q, station, family = _seeds(stations, start, number, rng, len(grasps))
     q, there = stations.onto(q, station, grasps[family], SEED_STEPS)
-    q, station, family = _distinct(q[there], station[there], family[there])
+    q, station, family = q[there], station[there], family[there]
+    # without those that inverse kinematics found twice, to a thousandth of a radian or a metre
+    first = np.sort(np.unique(np.column_stack([np.round(q, 3), station, family]), axis=0, return_index=True)[1])
+    q, station, family = q[first], station[first], family[first]
     P, L, nv = len(q), len(stations), q.shape[1]
     table, kind = np.full((P, L, nv), np.nan), np.arange(P) % 3
     for k in np.unique(station):
@@ -208,16 +211,6 @@ def _along_self_motion(stations: Stations, start: np.ndarray, number: int, rng: 
     step = SELF_MOTION * direction / size if size > 1e-9 else np.zeros_like(start)
     half = number // 2
     return start + np.concatenate([np.arange(1, half + 1), -np.arange(number - half)])[:, None] * step
-
-
-def _distinct(
-    q: Postures, station: np.ndarray, family: np.ndarray
-) -> tuple[Float[np.ndarray, "m nv"], Int[np.ndarray, " m"], Int[np.ndarray, " m"]]:
-    """Without those that inverse kinematics found twice, to a thousandth of a radian or a metre."""
-    keys = np.column_stack([np.round(q, 3), station, family])
-    _, first = np.unique(keys, axis=0, return_index=True)
-    first.sort()
-    return q[first], station[first], family[first]
 
 
 def _march(

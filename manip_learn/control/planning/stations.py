@@ -119,7 +119,12 @@ class Stations:
         """
         features = motion.constraint.features
         hand = Hand.of(features)
-        time, distance, goals = _poses_of(motion, start, hand)
+        time, distance, ends = motion.table(start, PERIOD, FEWEST, MOST)
+        goals = np.array(ends)
+        if goals.ndim == 2:  # a motion of the hand's place: what it does not say is as at the start
+            here, places = hand.pose(limits.robot.positions(start)[None]), goals
+            goals = np.repeat(here, len(places), axis=0)
+            goals[:, [AXES.index(name) for name in features.row_names], 3] = places
         turns = goals[:, :3, :3] @ goals[0, :3, :3].T
         rows = motion.constraint.selection @ _weights(features, goals)
         needs = _needs(time, goals[:, :3, 3], turns, rows)
@@ -267,20 +272,6 @@ def _weights(features: FeatureMap, goals: Float[np.ndarray, "L 4 4"]) -> Float[n
     own = np.zeros((len(goals), 6, 6))
     own[:, :3, :3] = own[:, 3:, 3:] = goals[:, :3, :3].transpose(0, 2, 1)
     return chosen @ own
-
-
-def _poses_of(
-    motion: FreeDirection, start: ArrayLike, hand: Hand
-) -> tuple[Float[np.ndarray, " L"], Float[np.ndarray, " L"], Float[np.ndarray, "L 4 4"]]:
-    """Times, distances and poses of the hand; what a motion of its place does not say is as at the start."""
-    time, distance, goals = motion.table(start, PERIOD, FEWEST, MOST)
-    features = motion.constraint.features
-    if goals[0].ndim == 2:
-        return time, distance, np.array(goals)
-    here = hand.pose(features.robot.positions(start)[None])  # type: ignore[attr-defined]  # features of a frame
-    poses = np.repeat(here, len(goals), axis=0)
-    poses[:, [AXES.index(name) for name in features.row_names], 3] = np.array(goals)
-    return time, distance, poses
 
 
 LEAST_LOG = -50.0  # of mu at a singularity: e^-50 is far below what rounding leaves of it

@@ -17,10 +17,11 @@ from manip_learn.constraint.features.frame_jacobian import AXES, FrameJacobian, 
 from manip_learn.constraint.features.mechanism_rows import MechanismRows, Place
 from manip_learn.constraint.features.relative_frame_jacobian import RelativeFrameJacobian
 from manip_learn.errors import ConstraintError, TargetError, advice
-from manip_learn.linalg import complement_rows
+from manip_learn.linalg import complement_rows, finite
 from manip_learn.robot.rotations import left_jacobian, left_jacobian_inverse, rotation_matrix, rotation_vector, skew
 
 Unit = Literal["m", "rad"]
+Origin = Float[np.ndarray, "..."]  # a pose (4, 4), or coordinates of the features (p,)
 
 
 def way_in_words(way: float, unit: Unit) -> str:
@@ -36,9 +37,10 @@ class Setpoint(NamedTuple):
     rate: float
     speed: float
 
-    def approached(self, lag: float, gain: float) -> float:
-        """The rate that makes up for a lag, within the speed [m/s or rad/s]."""
-        return min(max(self.rate + gain * lag, -self.speed), self.speed)
+
+# an error along p rows [m or rad], its rate per unit rate of the distance at a frame that stands still, what makes
+# velocities of the features of the rates of coordinates, and E of `Task.error_jacobian`, None where that is A(q)
+MovingError = tuple[np.ndarray, np.ndarray, np.ndarray | float, np.ndarray | None]
 
 
 class DrivenMotion(ABC):
@@ -47,37 +49,59 @@ class DrivenMotion(ABC):
     Attributes of every child:
         constraint: The constrained rows and the driven one.
         unit: `"m"` or `"rad"`, of distances along the motion.
-        along_rows: Whether `error_jacobian` is known to be None at every posture.
+        along_rows: Whether E of `rates_and_jacobian` is known to be None at every posture.
+        driven: shape (p,), what a unit of distance adds to the features' coordinates.
+        held: shape (k, p), the constrained rows.
     """
 
     constraint: Constraint
     unit: Unit
     along_rows: bool
+    driven: Float[np.ndarray, " p"]
+    held: Float[np.ndarray, "k p"]
 
     @abstractmethod
-    def origin(self, q: ArrayLike) -> Float[np.ndarray, "..."]:
-        """What has to be known of the start posture."""
+    def origin(self, q: ArrayLike) -> Origin:
+        """What has to be known of the start posture: the pose of the frame, or the features' coordinates."""
 
     @abstractmethod
-    def progress(self, origin: Float[np.ndarray, "..."], q: ArrayLike, near: float) -> float:
-        """How far posture q is from the start [m or rad]; of angles a turn apart the one next to `near`."""
-
-    @abstractmethod
-    def rates_and_jacobian(
-        self, origin: Float[np.ndarray, "..."], q: ArrayLike, setpoint: Setpoint, gain: float
-    ) -> tuple[Float[np.ndarray, " p"], Float[np.ndarray, "s nv"] | None]:
-        """Velocities wanted of the features of `constraint`; E of `Task.error_jacobian`, None where that is A(q)."""
-
-    @abstractmethod
-    def deviation(self, origin: Float[np.ndarray, "..."], q: ArrayLike, distance: float) -> Float[np.ndarray, " k"]:
-        """How far the constrained coordinates are from where they are held [m or rad], at that distance."""
-
-    @abstractmethod
-    def goal(self, origin: Float[np.ndarray, "..."], distance: float) -> Float[np.ndarray, "..."]:
+    def goal(self, origin: Origin, distance: float) -> Origin:
         """Where the frame is after a distance: a pose (4, 4), or numbers for the features' rows (p,)."""
 
+    @abstractmethod
+    def error(self, origin: Origin, q: ArrayLike, distance: float) -> Float[np.ndarray, " p"]:
+        """How far the coordinates of posture q are from where they should be after a distance [m or rad]."""
 
-def between(start: Float[np.ndarray, "..."], end: Float[np.ndarray, "..."], share: float) -> Float[np.ndarray, "..."]:
+    @abstractmethod
+    def moving_error(self, origin: Origin, q: ArrayLike, distance: float) -> MovingError:
+        """The error, its rate while the goal moves, the scale of its rates, and E (see `MovingError`)."""
+
+    def progress(self, origin: Origin, q: ArrayLike, near: float) -> float:
+        """How far posture q is from the start [m or rad]; of angles a turn apart the one next to `near`."""
+        return near - self._lag(self.error(origin, q, near))
+
+    def deviation(self, origin: Origin, q: ArrayLike, distance: float) -> Float[np.ndarray, " k"]:
+        """How far the constrained coordinates are from where they are held [m or rad], at that distance."""
+        return self.held @ self.error(origin, q, distance)
+
+    def rates_and_jacobian(
+        self, origin: Origin, q: ArrayLike, setpoint: Setpoint, gain: float
+    ) -> tuple[Float[np.ndarray, " p"], Float[np.ndarray, "s nv"] | None]:
+        """Velocities wanted of the features of `constraint`; E of `Task.error_jacobian`, None where that is A(q).
+
+        The rate of the error that the moving goal causes, and gain times the error, along the motion within the speed.
+        """
+        error, along, scale, E = self.moving_error(origin, q, setpoint.distance)
+        wanted = setpoint.rate + gain * self._lag(error)
+        excess = wanted - min(max(wanted, -setpoint.speed), setpoint.speed)
+        rates = along * setpoint.rate + gain * error
+        return scale * (rates - excess * self.driven if excess else rates), E
+
+    def _lag(self, error: Float[np.ndarray, " p"]) -> float:
+        return float(self.driven.dot(error)) / float(self.driven.dot(self.driven))
+
+
+def between(start: Origin, end: Origin, share: float) -> Origin:
     """An origin on the straight way from one to another: of poses the place moves and the orientation stays."""
     out = start.copy()
     if start.ndim == 1:
@@ -86,7 +110,7 @@ def between(start: Float[np.ndarray, "..."], end: Float[np.ndarray, "..."], shar
     return out
 
 
-def apart(one: Float[np.ndarray, "..."], other: Float[np.ndarray, "..."]) -> float:
+def apart(one: Origin, other: Origin) -> float:
     """Distance of two origins, poses or coordinates [m]."""
     if one.ndim == 2:
         one, other = one[:3, 3], other[:3, 3]
@@ -168,7 +192,7 @@ class ShownPlaces:
         along = [self.motion.progress(self.motion.origin(self.postures[0]), p, 0.0) for p in self.postures]
         return float(max(along) - min(along))
 
-    def nearest(self, here: Float[np.ndarray, "..."], distance: float) -> Float[np.ndarray, "..."]:
+    def nearest(self, here: Origin, distance: float) -> Origin:
         """The origin from which the way begins: that of the hand where it is on the mechanism, else the nearest one.
 
         Args:
@@ -231,9 +255,8 @@ class MotionProfile:
 
 FREE = 0.1  # share of a direction that must be free for it to be meant
 NEGLIGIBLE = 1e-6
-PURE = (
-    0.995  # share of a direction that is translation, or rotation: a learnt one leaks by its uncertainty, 0.1 at most
-)
+# share of a direction that is translation, or rotation: a learnt one leaks by its uncertainty, 0.1 at most
+PURE = 0.995
 
 
 @final
@@ -261,65 +284,32 @@ class StraightMotion(DrivenMotion):
         angular = np.array([unit == "rad/s" for unit in features.row_units])
         f = _direction(constraint, direction, unit, angular)
         driven = np.vstack([constraint.selection, f])
-        if straight:
-            driven = np.vstack([constraint.selection, _translations_beside(driven, angular), f])
+        if straight:  # the translations beside f, beyond what is held
+            linear = np.eye(len(angular))[~angular]
+            _, sigma, Vt = np.linalg.svd(linear - linear @ np.linalg.pinv(driven) @ driven)
+            driven = np.vstack([constraint.selection, Vt[: int(np.count_nonzero(sigma > 0.5))], f])
         self.constraint = Constraint(driven, features, constraint.provenance)
         linear_size, angular_size = (float(np.linalg.norm(f[part])) for part in (~angular, angular))
         self.unit = "rad" if angular_size > linear_size else "m"
-        self._f = f / max(linear_size, angular_size)  # a distance counts along the larger part
-        self._square = float(self._f.dot(self._f))
-        self._held = constraint.selection
+        self.driven = f / max(linear_size, angular_size)  # a distance counts along the larger part
+        self.held = constraint.selection
         self._twist = np.zeros(6)
         self.along_rows = isinstance(features, FrameJacobian) and features.only_linear
         self._features: FrameJacobian | RelativeFrameJacobian | None = None
         if isinstance(features, FrameJacobian | RelativeFrameJacobian) and not features.only_linear:
             self._features = features
             self._rows = [AXES.index(name) for name in features.row_names]
-            self._twist[self._rows] = self._f
+            self._twist[self._rows] = self.driven
             self._own_axes = isinstance(features, FrameJacobian) and features.reference == "local"
 
-    def origin(self, q: ArrayLike) -> Float[np.ndarray, "..."]:
+    def origin(self, q: ArrayLike) -> Origin:
         """Pose of the frame, or the coordinates."""
         return self.constraint.features.coordinates(q) if self._features is None else self._features.pose(q)
 
-    def progress(self, origin: Float[np.ndarray, "..."], q: ArrayLike, near: float) -> float:
-        """How far posture q is from the start, along f."""
-        return near - self._lag(self._error(origin, q, near))
-
-    def rates_and_jacobian(
-        self, origin: Float[np.ndarray, "..."], q: ArrayLike, setpoint: Setpoint, gain: float
-    ) -> tuple[Float[np.ndarray, " p"], Float[np.ndarray, "s nv"] | None]:
-        """The rate of the error that the moving goal causes, and gain times the error, along f within the speed; E."""
-        if self._features is None:
-            error, along = self._error(origin, q, setpoint.distance), self._f
-            E = self.constraint.features.coordinates_jacobian(q)
-        else:  # from one look at the pose
-            goal = self._goal(origin, setpoint.distance)
-            error, E = self._features.error_and_jacobian(goal, q)
-            along = self._moved(goal, self._features.pose(q))
-        lag = self._lag(error)
-        excess = setpoint.rate + gain * lag - setpoint.approached(lag, gain)
-        rates = along * setpoint.rate + gain * error
-        return rates - excess * self._f if excess else rates, None if E is None else self.constraint.selection.dot(E)
-
-    def deviation(self, origin: Float[np.ndarray, "..."], q: ArrayLike, distance: float) -> Float[np.ndarray, " k"]:
-        """Error along the constrained rows."""
-        return self._held @ self._error(origin, q, distance)
-
-    def goal(self, origin: Float[np.ndarray, "..."], distance: float) -> Float[np.ndarray, "..."]:
+    def goal(self, origin: Origin, distance: float) -> Origin:
         """The pose, or the coordinates, after a distance along f."""
-        return origin + distance * self._f if self._features is None else self._goal(origin, distance)
-
-    def _lag(self, error: np.ndarray) -> float:
-        return float(self._f.dot(error)) / self._square
-
-    def _error(self, origin: np.ndarray, q: ArrayLike, distance: float) -> np.ndarray:
         if self._features is None:
-            return origin + distance * self._f - self.constraint.features.coordinates(q)
-        goal = self._goal(origin, distance)
-        return pose_error(self._features.pose(q), goal, self._own_axes)[self._rows]
-
-    def _goal(self, origin: np.ndarray, distance: float) -> np.ndarray:
+            return origin + distance * self.driven
         v, turn = self._twist[:3] * distance, self._twist[3:] * distance
         goal, turned = np.eye(4), rotation_matrix(turn)
         if self._own_axes:
@@ -329,22 +319,26 @@ class StraightMotion(DrivenMotion):
             goal[:3, :3], goal[:3, 3] = turned @ origin[:3, :3], origin[:3, 3] + v
         return goal
 
-    def _moved(self, goal: np.ndarray, pose: np.ndarray) -> np.ndarray:
-        """Rate of the error per unit rate of the distance, at a frame that stands still."""
-        out = np.empty(6)
-        turn = pose_error(pose, goal, self._own_axes)[3:]
-        v, w = self._twist[:3], self._twist[3:]
-        out[:3] = pose[:3, :3].T @ goal[:3, :3] @ v if self._own_axes else v
-        out[3:] = left_jacobian_inverse(-turn if self._own_axes else turn) @ w
-        return out[self._rows]
+    def error(self, origin: Origin, q: ArrayLike, distance: float) -> Float[np.ndarray, " p"]:
+        """From the posture to the goal after a distance."""
+        goal = self.goal(origin, distance)
+        if self._features is None:
+            return goal - self.constraint.features.coordinates(q)
+        return pose_error(self._features.pose(q), goal, self._own_axes)[self._rows]
 
-
-def _translations_beside(driven: Float[np.ndarray, "k p"], angular: np.ndarray) -> Float[np.ndarray, "m p"]:
-    """The translations that a straight way along the last row leaves out, beside what is held."""
-    linear = np.eye(len(angular))[~angular]
-    rest = linear - linear @ np.linalg.pinv(driven) @ driven
-    _, sigma, Vt = np.linalg.svd(rest)
-    return Vt[: int(np.count_nonzero(sigma > 0.5))]
+    def moving_error(self, origin: Origin, q: ArrayLike, distance: float) -> MovingError:
+        """As for `DrivenMotion`, from one look at the pose."""
+        if self._features is None:
+            E = self.constraint.features.coordinates_jacobian(q)
+            error, along = self.error(origin, q, distance), self.driven
+        else:
+            goal, pose, along = self.goal(origin, distance), self._features.pose(q), np.empty(6)
+            error, E = self._features.error_and_jacobian(goal, q)
+            turn, (v, w) = pose_error(pose, goal, self._own_axes)[3:], (self._twist[:3], self._twist[3:])
+            along[:3] = pose[:3, :3].T @ goal[:3, :3] @ v if self._own_axes else v
+            along[3:] = left_jacobian_inverse(-turn if self._own_axes else turn) @ w
+            along = along[self._rows]
+        return error, along, 1.0, None if E is None else self.constraint.selection.dot(E)
 
 
 def _direction(
@@ -369,15 +363,11 @@ def _direction(
                 + advice(" with {}", "direction=", "--direction " + ",".join(f"{c:.3g}" for c in basis[0]))
             )
         return basis[0]
-    try:
-        given = np.array(direction, dtype=np.float64)
-    except (TypeError, ValueError) as error:
-        raise TargetError(f"the direction must be numbers along the rows of the features: {direction!r}") from error
-    if given.shape == (3,) and p > 3 and set(AXES[:3]) <= set(features.row_names):
-        wanted = np.zeros(p)
-        wanted[[features.row_names.index(name) for name in AXES[:3]]] = given
-        given = wanted
-    if given.shape != (p,) or not np.all(np.isfinite(given)) or not np.linalg.norm(given) > 0.0:
+    given, place = finite(direction, p), finite(direction, 3)
+    if place is not None and p > 3 and set(AXES[:3]) <= set(features.row_names):
+        given = np.zeros(p)
+        given[[features.row_names.index(name) for name in AXES[:3]]] = place
+    if given is None or not given.any():
         raise TargetError(
             f"the direction must be {p} finite numbers ({', '.join(features.row_names)}) that are not all zero, "
             f"got {direction!r}"
@@ -478,41 +468,20 @@ class MechanismMotion(DrivenMotion):
         )
         self.constraint = Constraint(np.eye(self._rows.n_rows), self._rows, constraint.provenance)
         self.unit = "rad" if driven in ("turn", "tangential") else "m"
-        self._held, self._kept, self._driven = held, (*held, *beside), driven
+        self._driven = driven
+        self.driven, self.held = np.eye(self._rows.n_rows)[-1], np.eye(len(held), self._rows.n_rows)
         self._turns = any(name.startswith(("turn", "slide", "screw")) for name in (*held, driven))
 
-    def origin(self, q: ArrayLike) -> Float[np.ndarray, "..."]:
+    def origin(self, q: ArrayLike) -> Origin:
         """Pose of the frame."""
         return self._rows.robot.pose(q, self._rows.frame)
 
-    def progress(self, origin: Float[np.ndarray, "..."], q: ArrayLike, near: float) -> float:
-        """Angle [rad] or way [m] since the start."""
-        return self._coordinates(origin, q, near)[self._driven]
-
-    def rates_and_jacobian(
-        self, origin: Float[np.ndarray, "..."], q: ArrayLike, setpoint: Setpoint, gain: float
-    ) -> tuple[Float[np.ndarray, " p"], Float[np.ndarray, "s nv"] | None]:
-        """Held coordinates back to their start values, the driven one towards the setpoint."""
-        now = self._coordinates(origin, q, setpoint.distance)
-        rate = setpoint.approached(setpoint.distance - now[self._driven], gain)
-        if self._driven == "tangential":
-            rate *= now["distance from the axis"]
-        rates = [-gain * now[name] for name in self._kept]
-        if "tangential" in self._kept:  # of an angle: its row is a speed
-            rates[self._kept.index("tangential")] *= now["distance from the axis"]
-        return np.array([*rates, rate]), None
-
-    def deviation(self, origin: Float[np.ndarray, "..."], q: ArrayLike, distance: float) -> Float[np.ndarray, " k"]:
-        """The held coordinates, less what they were at the start."""
-        now = self._coordinates(origin, q, distance)
-        return np.array([now[name] for name in self._held])
-
-    def goal(self, origin: Float[np.ndarray, "..."], distance: float) -> Float[np.ndarray, "..."]:
+    def goal(self, origin: Origin, distance: float) -> Origin:
         """Pose of the frame after a distance of the driven row, as on a hand that turns with the mechanism."""
         g, goal = self._rows.geometry, np.eye(4)
         turn = rotation_matrix((distance if self.unit == "rad" else 0.0) * g.axis)
         shift = {"slide": distance, "axial": distance}.get(self._driven, 0.0) * g.axis
-        if "screw" in self._held or "helical" in self._held:
+        if {"screw", "helical"} & set(self._rows.row_names):
             shift = g.pitch * distance * g.axis
         if self._driven == "radial":
             out = origin[:3, 3] - g.point
@@ -521,6 +490,16 @@ class MechanismMotion(DrivenMotion):
         goal[:3, :3] = turn @ origin[:3, :3]
         goal[:3, 3] = g.point + turn @ (origin[:3, 3] - g.point) + shift
         return goal
+
+    def error(self, origin: Origin, q: ArrayLike, distance: float) -> Float[np.ndarray, " p"]:
+        """What each row's coordinate is away from its value at the start, the driven one from the distance."""
+        return self.moving_error(origin, q, distance)[0]
+
+    def moving_error(self, origin: Origin, q: ArrayLike, distance: float) -> MovingError:
+        """As for `DrivenMotion`; `tangential` is a speed, its coordinate an angle."""
+        now, names = self._coordinates(origin, q, distance), self._rows.row_names
+        scale = np.array([now["distance from the axis"] if name == "tangential" else 1.0 for name in names])
+        return distance * self.driven - np.array([now[name] for name in names]), self.driven, scale, None
 
     def _coordinates(self, origin: np.ndarray, q: ArrayLike, near: float) -> dict[str, float]:
         """The coordinate of each row, less its value at the start; angles next to `near`."""
@@ -617,11 +596,9 @@ def _axis_of_turn(direction: ArrayLike | str | None) -> Float[np.ndarray, " 3"]:
             "a ball leaves turns about every axis free: give the axis in the base frame"
             + advice(", e.g. {}", "direction=(0, 0, 1)", "--direction 0,0,1")
         )
-    refusal = f"the direction of a ball is the axis of the turn, three finite numbers not all zero; got {direction!r}"
-    try:
-        axis = np.array(direction, dtype=np.float64)
-    except (TypeError, ValueError) as error:
-        raise TargetError(refusal) from error
-    if axis.shape != (3,) or not np.all(np.isfinite(axis)) or not np.linalg.norm(axis) > 0.0:
-        raise TargetError(refusal)
+    axis = finite(direction, 3)
+    if axis is None or not axis.any():
+        raise TargetError(
+            f"the direction of a ball is the axis of the turn, three finite numbers not all zero; got {direction!r}"
+        )
     return axis

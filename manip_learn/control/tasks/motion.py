@@ -19,6 +19,7 @@ from manip_learn.control.tasks.driven_motion import (
     DrivenMotion,
     MechanismMotion,
     MotionProfile,
+    Origin,
     Setpoint,
     ShownPlaces,
     StraightMotion,
@@ -30,6 +31,7 @@ from manip_learn.control.tasks.driven_motion import (
 )
 from manip_learn.control.tasks.point_attractor import Task
 from manip_learn.errors import ConstraintError, TargetError, advice
+from manip_learn.linalg import finite
 
 APPROACH_SPEED = 0.25  # [m/s] of a hand on its way to the mechanism: the reduced speed of ISO 10218-1 beside people
 SETTLING = 0.5  # [s] at most until the hand is there after its way to the mechanism: e^-5 of a lag, at gain 10 /s
@@ -74,6 +76,13 @@ class FreeDirection(Task):
             the null-space policy meanwhile brings the arm into a better posture.
         take_hold: Go to the mechanism first. Only constraints that were learnt with a loose grip know where it is.
 
+    Attributes:
+        learnt: The constraint.
+        constraint: The constrained rows and the driven one.
+        unit: Unit of the distance, `"m"` or `"rad"`.
+        along_rows: Whether the rate of the error is known to be that of the rows, E = A(q) (see `Task`).
+        way_begins: Time at which the hand was at the mechanism and the way began [s]; None as long as it is not there.
+
     Raises:
         ConstraintError: The constraint leaves nothing free, or several directions without `direction`; lists them.
         FeatureError: Features that have no coordinates.
@@ -117,6 +126,8 @@ class FreeDirection(Task):
         held = constraint.with_orientation() if keep_orientation else constraint.about_its_mechanism()
         motion_of = MechanismMotion if isinstance(held.features, MechanismRows) else StraightMotion
         self._motion: DrivenMotion = motion_of(held, direction, unit, straight)
+        self.constraint, self.along_rows = self._motion.constraint, self._motion.along_rows
+        self.unit: Unit = self._motion.unit
         self._n_held = constraint.n_constraints
         self.pause = _number("pause", pause, positive=True) if pause else 0.0
         self._profile = MotionProfile(numbers["distance"], numbers["speed"], numbers["ramp"])
@@ -124,21 +135,6 @@ class FreeDirection(Task):
         self._shown = ShownPlaces.of(constraint, self._motion) if take_hold else None
         self._given = None if start is None else self._motion.origin(start)
         self.reset()
-
-    @property
-    def constraint(self) -> Constraint:
-        """The constrained rows and the driven one."""
-        return self._motion.constraint
-
-    @property
-    def unit(self) -> Unit:
-        """Unit of the distance, `"m"` or `"rad"`."""
-        return self._motion.unit
-
-    @property
-    def along_rows(self) -> bool:
-        """Whether the rate of the error is known to be that of the rows: no E in the place of A(q) (see `Task`)."""
-        return self._motion.along_rows
 
     @property
     def wanted(self) -> float:
@@ -150,16 +146,11 @@ class FreeDirection(Task):
         """How long the motion takes where no limit slows it down, with the way to the mechanism if known [s]."""
         return self.pause + self._profile.duration + (0.0 if self._approach is None else self._approach.duration)
 
-    @property
-    def way_begins(self) -> float | None:
-        """Time at which the hand was at the mechanism and the way began [s]; None as long as it is not there."""
-        return self._way_begun
-
     def reset(self) -> None:
         """Forget the start: the next call is the first one again."""
         self._start = self._origin = self._given
         self._begun: float | None = None
-        self._way_begun: float | None = None
+        self.way_begins: float | None = None
         self._approach: MotionProfile | None = None
         self._latest = -math.inf
 
@@ -229,9 +220,9 @@ class FreeDirection(Task):
 
     def progress(self, q: ArrayLike) -> float:
         """How far the way has come at posture q [m or rad]; 0 before it began, unless `start` was given."""
-        if self._origin is None or (self._way_begun is None and self._begun is not None):
+        if self._origin is None or (self.way_begins is None and self._begun is not None):
             return 0.0
-        near = 0.0 if self._way_begun is None else self._profile.at(self._latest - self._way_begun)[0]
+        near = 0.0 if self.way_begins is None else self._profile.at(self._latest - self.way_begins)[0]
         return self.progress_near(q, near)
 
     def progress_near(self, q: ArrayLike, near: float) -> float:
@@ -270,7 +261,7 @@ class FreeDirection(Task):
         rates, E = self._motion.rates_and_jacobian(origin, q, setpoint, self.gain)
         return self.constraint.selection.dot(rates), E
 
-    def goal(self) -> Float[np.ndarray, "..."] | None:
+    def goal(self) -> Origin | None:
         """Where the motion ends; None before the first call, unless `start` was given."""
         return None if self._origin is None else self._motion.goal(self._origin, self._profile.distance)
 
@@ -288,15 +279,15 @@ class FreeDirection(Task):
         if begun is None or origin is None:
             begun, origin = self._begin(q, t)
         self._latest = t
-        if self._way_begun is None and self._start is not None and self._approach is not None:
+        if self.way_begins is None and self._start is not None and self._approach is not None:
             gone, _ = self._approach.at(t - begun)
             late = t - begun - self._approach.duration  # [s]
             near = TAKEN if late < SETTLING else NOISY
             if late < 0.0 or apart(self._motion.origin(q), origin) > near:
                 share = min(gone / self._approach.distance, 1.0)
                 return between(self._start, origin, share), Setpoint(0.0, 0.0, math.inf)
-            self._way_begun = t + self.pause
-        after = t - (begun if self._way_begun is None else self._way_begun)
+            self.way_begins = t + self.pause
+        after = t - (begun if self.way_begins is None else self.way_begins)
         return origin, Setpoint(*self._profile.at(after), self._profile.speed)
 
     def _origins(self, q: ArrayLike) -> tuple[np.ndarray, np.ndarray]:
@@ -311,7 +302,7 @@ class FreeDirection(Task):
         if far > TAKEN:
             self._approach = MotionProfile(far, APPROACH_SPEED, self._profile.ramp)
         else:
-            self._way_begun = t + self.pause
+            self.way_begins = t + self.pause
         self._begun, self._start, self._origin = t, start, origin
         return t, origin
 
@@ -444,11 +435,7 @@ def motion_to(
             "what was learnt turns about no one axis, towards a point: say how far to go"
             + advice(" with {}", "motion(constraint, along=... | turn=...)", "--along or --turn")
         )
-    try:
-        place = np.array(point, dtype=np.float64)
-    except (TypeError, ValueError) as error:
-        raise TargetError(f"the point must be three numbers, got {point!r}") from error
-    if place.shape != (3,) or not np.all(np.isfinite(place)):
+    if (place := finite(point, 3)) is None:
         raise TargetError(f"the point must be three finite numbers (x, y, z) [m], got {point!r}")
     g, here = rows.geometry, rows.robot.position(q, rows.frame)
     angle = place_about(here - g.point, place - g.point, g, 0.0)["tangential"]

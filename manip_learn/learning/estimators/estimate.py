@@ -9,7 +9,7 @@ from typing import Any, Literal, Protocol, TypeVar, final
 import numpy as np
 from jaxtyping import Float
 
-from manip_learn.learning.deciding import CLEAR_GAP, HELD_ENERGY, RESIDUAL_RATIO, WEAK_GAP
+from manip_learn.learning import deciding
 from manip_learn.learning.descent import State, descend
 from manip_learn.learning.estimators.policy_model import PolicyModel
 from manip_learn.linalg import turned
@@ -41,7 +41,7 @@ class GapTable:
     def verdict(self, count: int) -> Verdict:
         """How sure a number of rows is."""
         gap = self.gap(count)
-        return "clear" if gap >= CLEAR_GAP else "weak" if gap >= self.weak_from else "none"
+        return "clear" if gap >= deciding.CLEAR_GAP else "weak" if gap >= self.weak_from else "none"
 
 
 def gaps_of_levels(levels: Float[np.ndarray, " r"], nv: int) -> GapTable:
@@ -56,7 +56,7 @@ def gaps_of_levels(levels: Float[np.ndarray, " r"], nv: int) -> GapTable:
     padded = np.maximum(np.append(levels, 1.0), floor)
     counts = [s for s in range(1, r + 1) if s < nv]
     gaps = tuple(float(padded[s] / padded[s - 1]) for s in counts)
-    return GapTable(tuple(counts), gaps, WEAK_GAP, counts[int(np.argmax(gaps))])
+    return GapTable(tuple(counts), gaps, deciding.WEAK_GAP, counts[int(np.argmax(gaps))])
 
 
 def gaps_of_residuals(residuals: dict[int, float], floor: float, n_samples: int) -> GapTable:
@@ -69,7 +69,7 @@ def gaps_of_residuals(residuals: dict[int, float], floor: float, n_samples: int)
     """
     counts = [s for s in sorted(residuals) if s > 0]
     gaps = tuple(max(residuals[s - 1], floor) / max(residuals[s], floor) for s in counts)
-    weak_from = max(RESIDUAL_RATIO, float(np.sqrt(1.0 + 6.0 * np.sqrt(2.0 / n_samples))))
+    weak_from = max(deciding.RESIDUAL_RATIO, float(np.sqrt(1.0 + 6.0 * np.sqrt(2.0 / n_samples))))
     needed = max(weak_from, max(gaps) ** 0.25)
     helping = [s for s, gap in zip(counts, gaps, strict=True) if gap >= needed]
     return GapTable(tuple(counts), gaps, weak_from, helping[-1] if helping else counts[int(np.argmax(gaps))])
@@ -85,16 +85,23 @@ class JointFit:
         theta: Parameters of the policy model, shape (k, nv).
         cost: Mean of |Z^T (u - pi)|^2.
         energy: Mean of |Z^T u|^2.
-        iterations: Gauss-Newton steps.
         model: The policy model.
+        held_out: Mean of |Z^T (u - pi)|^2 on left-out trajectories, once it is cross-validated.
+        unexplained: That as a share of the energy that there is to explain.
     """
 
     whitened_selection: Float[np.ndarray, "s r"]
     theta: Float[np.ndarray, "k nv"]
     cost: float
     energy: float
-    iterations: int
     model: PolicyModel
+    held_out: float = float("nan")
+    unexplained: float = float("nan")
+
+    @property
+    def n_rows(self) -> int:
+        """Number of rows s."""
+        return len(self.whitened_selection)
 
     def leaves_only(self, share: float) -> bool:
         """Whether no more than a share of the motion in the null space is left."""
@@ -176,7 +183,7 @@ class Estimate:
     @property
     def is_held(self) -> bool:
         """Whether the motion obeys A u = 0 beyond doubt."""
-        return self.name == "null-space" and self.gap >= CLEAR_GAP and self.unexplained < HELD_ENERGY
+        return self.name == "null-space" and self.gap >= deciding.CLEAR_GAP and self.unexplained < deciding.HELD_ENERGY
 
 
 class Rows(State, Protocol):
@@ -198,7 +205,7 @@ def descend_rows(
     tolerance: float,
     gain: float,
     **further: Any,
-) -> tuple[Point, int]:
+) -> Point:
     """`descend` on the Grassmann manifold, from rows that have a choice.
 
     Args:

@@ -10,22 +10,12 @@ from jaxtyping import Float
 from scipy.spatial import cKDTree
 
 from manip_learn.errors import NotIdentifiableError
-from manip_learn.learning.deciding import (
-    ABOVE_NOISE,
-    BEYOND_DOUBT_GAP,
-    EXPLAINED,
-    POORLY_EXPLAINED,
-    PREDICTED,
-    RADIAL_CENTRES,
-    SAME_PATH,
-    UNEQUAL_NOISE,
-)
+from manip_learn.learning import deciding
 from manip_learn.learning.estimators.estimate import Estimate, GapTable, JointFit, gaps_of_residuals
 from manip_learn.learning.estimators.model_search import (
     COMPARE,
     N_FOLDS,
     ROUNDING,
-    CrossValidatedFit,
     RowCount,
     best_of_starts,
     conditional_pca,
@@ -99,7 +89,7 @@ def estimate_joint(
     models = _list_models(few, rng, policy_model)
     counted = _count(few, models, n_constraints, rng)
     weighted = samples
-    L = _unequal_noise(samples, few, counted.fits[n_constraints or counted.table.best].fit)
+    L = _unequal_noise(samples, few, counted.fits[n_constraints or counted.table.best])
     if L is not None:
         weighted, few = whitened(samples, L), whitened(few, L)
         counted = _count(few, models, n_constraints, rng)
@@ -120,23 +110,32 @@ def estimate_joint(
         raise NotIdentifiableError("no policy model predicts this motion", code="unexplained")
     samples = samples if isotropic else weighted
     samples, fit, scored = _fit_all(samples, chosen, rng, is_start=isotropic, is_free=policy_model == "auto")
-    noise_seen = chosen.held_out / (samples.nv - s)
     warnings = () if n_constraints is not None else counted.warnings
-    estimate = _estimate(samples, fit, scored, counted.table, chosen.unexplained)
-    return dataclasses.replace(estimate, policy_residuals=residuals, noise=noise_seen, warnings=warnings, joint=fit)
+    estimate = _estimate(samples, fit, scored, counted.table, residuals, chosen.held_out, chosen.unexplained)
+    return dataclasses.replace(estimate, warnings=warnings, joint=fit)
 
 
-def _estimate(samples: Samples, fit: JointFit, scored: ScoredFit, table: GapTable, held_out: float) -> Estimate:
-    """The answer of a fit; `held_out` is the share of the energy that it leaves of left-out trajectories."""
+def _estimate(
+    samples: Samples,
+    fit: JointFit,
+    scored: ScoredFit,
+    table: GapTable,
+    residuals: dict[str, float],
+    held_out: float,
+    share: float,
+) -> Estimate:
+    """The answer of a fit; of left-out trajectories it leaves `held_out`, a share of the energy."""
     return Estimate(
         "joint",
         scored.whitened_selection,
         table,
         fit.cost / null_energy(samples, fit),
-        held_out,
+        share,
         scored.gradients,
         scored.hessians,
         fit.model.name,
+        residuals,
+        held_out / (samples.nv - fit.n_rows),
         prior=scored.prior,
     )
 
@@ -165,7 +164,7 @@ def _repeat_one_motion(samples: Samples) -> bool:
     """Whether all trajectories lie on the path of the longest one, whatever their time, direction and rate."""
     paths = [samples.q[part] for _, part in runs(samples.trajectory)]
     extents = [float(np.sum(np.var(path, axis=0))) ** 0.5 for path in paths]
-    most = SAME_PATH * max(extents)
+    most = deciding.SAME_PATH * max(extents)
     tree = cKDTree(_densely(paths[int(np.argmax(extents))], most))
     return all(float(np.mean(tree.query(path)[0] ** 2)) <= most**2 for path in paths)
 
@@ -204,20 +203,20 @@ def _unequal_noise(samples: Samples, few: Samples, fit: JointFit) -> Float[np.nd
     believed where weights by it leave as much noise as is seen.
     """
     S = shape_in_time(samples)
-    if S is None or np.linalg.cond(S) < UNEQUAL_NOISE or fit.leaves_only(NOISY):
+    if S is None or np.linalg.cond(S) < deciding.UNEQUAL_NOISE or fit.leaves_only(NOISY):
         return None
     L = np.linalg.cholesky(S)
     weighted = whitened(few, L)
     again = fit_joint(weighted, fit.whitened_selection, fit.model, **COMPARE)
     left = again.cost / (samples.nv - len(again.whitened_selection)) / noise_in_time(whitened(samples, L))
-    return L if 1.0 / ABOVE_NOISE < left < ABOVE_NOISE else None
+    return L if 1.0 / deciding.ABOVE_NOISE < left < deciding.ABOVE_NOISE else None
 
 
 def _offsets_if_clear(
     samples: Samples,
     n_constraints: int | None,
-    first: CrossValidatedFit,
-    chosen: CrossValidatedFit,
+    first: JointFit,
+    chosen: JointFit,
     rng: np.random.Generator,
 ) -> Estimate | None:
     """The estimate with a rest posture for each trajectory, where a shared policy explains the motion poorly.
@@ -231,20 +230,22 @@ def _offsets_if_clear(
         chosen: The fit with the selected policy model.
         rng: For the starts.
     """
-    if first.fit.leaves_only(EXACT):
+    if first.leaves_only(EXACT):
         return None
-    is_poor = chosen.unexplained > POORLY_EXPLAINED
+    is_poor = chosen.unexplained > deciding.POORLY_EXPLAINED
     # rich models come close to separate rest postures, which alone are exact then
-    is_close = first.unexplained > POORLY_EXPLAINED and not chosen.fit.leaves_only(EXACT)
+    is_close = first.unexplained > deciding.POORLY_EXPLAINED and not chosen.leaves_only(EXACT)
     few = _few_trajectories(samples)
     if not (is_poor or is_close) or len(few) < _fewest_for_offsets(few):
         return None
-    shared, Lambda = PolynomialModel(1, samples.q.shape[1]), chosen.fit.whitened_selection
+    shared, Lambda = PolynomialModel(1, samples.q.shape[1]), chosen.whitened_selection
     without, offsets = (_held_out_samples(few, Lambda, model) for model in (shared, _offset_model(few)))
-    if offsets > EXPLAINED * without:
+    if offsets > deciding.EXPLAINED * without:
         return None
     own = estimate_with_offsets(samples, n_constraints, rng)
-    is_clear = own.table.gap(len(own.whitened_selection)) >= BEYOND_DOUBT_GAP and own.held_out < PREDICTED
+    is_clear = (
+        own.table.gap(len(own.whitened_selection)) >= deciding.BEYOND_DOUBT_GAP and own.held_out < deciding.PREDICTED
+    )
     return own if is_clear and (is_poor or own.unexplained < EXACT) else None
 
 
@@ -273,9 +274,8 @@ def estimate_with_offsets(samples: Samples, n_constraints: int | None, rng: np.r
     s = n_constraints or table.best
     fit = fit_joint(samples, fits[s].whitened_selection, _offset_model(samples))
     share = held_out[s] / fits[s].energy
-    estimate = _estimate(samples, fit, ScoredFit(fit.whitened_selection, *scores(samples, fit)), table, share)
-    noise = held_out[s] / (samples.nv - s)
-    return dataclasses.replace(estimate, policy_residuals={fit.model.name: share}, noise=noise)
+    scored = ScoredFit(fit.whitened_selection, *scores(samples, fit))
+    return _estimate(samples, fit, scored, table, {fit.model.name: share}, held_out[s], share)
 
 
 def _few_trajectories(samples: Samples) -> Samples:
@@ -314,7 +314,7 @@ def _search_from_starts(samples: Samples, s: int, rng: np.random.Generator) -> J
 
 
 def _fit_all(
-    samples: Samples, chosen: CrossValidatedFit, rng: np.random.Generator, *, is_start: bool, is_free: bool
+    samples: Samples, chosen: JointFit, rng: np.random.Generator, *, is_start: bool, is_free: bool
 ) -> tuple[Samples, JointFit, ScoredFit]:
     """The selected model fitted to all samples, these weighted where needed; and Lambda without a fixed model.
 
@@ -325,11 +325,11 @@ def _fit_all(
         is_start: The fit goes on elsewhere, with equal weights and with this model.
         is_free: The model was not asked for.
     """
-    fit = _fit_from_random_starts(samples, chosen.fit, rng)
+    fit = _fit_from_random_starts(samples, chosen, rng)
     # the residual is noise, and has its covariance, only where the policy model explains the motion
-    if not is_start and chosen.unexplained <= POORLY_EXPLAINED:
+    if not is_start and chosen.unexplained <= deciding.POORLY_EXPLAINED:
         samples, fit = _fit_whitened(samples, fit)
-        # normal equations resolve what is left of the motion
+        # normal equations resolve the residual
         if is_free and 0 < len(fit.whitened_selection) < samples.n_rows and not fit.leaves_only(NOISY):
             return samples, fit, fit_marginal(samples, fit, MAX_COLUMNS)
     return samples, fit, ScoredFit(fit.whitened_selection, *scores(samples, fit))
@@ -339,7 +339,7 @@ def _list_models(samples: Samples, rng: np.random.Generator, name: str) -> list[
     """Models in the order of their size; quadratic stands in for the others in the search for the number of rows."""
     m = samples.q.shape[1]
     if name == "rbf":
-        return [_make_radial(samples, rng)]
+        return [RadialModel(samples.x, deciding.RADIAL_CENTRES, rng)]
     if name != "auto":
         if name not in PolynomialModel.NAMES:
             raise NotIdentifiableError(
@@ -349,13 +349,13 @@ def _list_models(samples: Samples, rng: np.random.Generator, name: str) -> list[
             )
         return [PolynomialModel(PolynomialModel.NAMES.index(name), m)]
     models: list[PolicyModel] = [PolynomialModel(degree, m) for degree in range(1, 6)]
-    models += [HarmonicModel(samples.spread, 1), HarmonicModel(samples.spread, 2), _make_radial(samples, rng)]
+    models += [
+        HarmonicModel(samples.spread, 1),
+        HarmonicModel(samples.spread, 2),
+        RadialModel(samples.x, deciding.RADIAL_CENTRES, rng),
+    ]
     models.sort(key=lambda model: model.n_terms)
     return [models[0]] + [model for model in models[1:] if model.n_terms * samples.nv <= MAX_COLUMNS]
-
-
-def _make_radial(samples: Samples, rng: np.random.Generator) -> RadialModel:
-    return RadialModel(samples.x, RADIAL_CENTRES, rng)
 
 
 def _fit_whitened(samples: Samples, fit: JointFit) -> tuple[Samples, JointFit]:

@@ -30,21 +30,7 @@ from scipy.fft import dct
 from scipy.linalg import eigh
 
 from manip_learn.errors import counted
-from manip_learn.learning.deciding import (
-    ABOVE_NOISE,
-    CHEAP,
-    CLOSER,
-    EQUALLY_GOOD,
-    NOT_THE_POLICYS,
-    ONE_DEGREE,
-    POORLY_EXPLAINED,
-    PREDICTED,
-    PREDICTS_NOISE,
-    RESIDUALS_PER_PARAMETER,
-    RESOLVED_SHARE,
-    STANDARD_ERRORS,
-    WORTH,
-)
+from manip_learn.learning import deciding
 from manip_learn.learning.estimators.estimate import GapTable, JointFit, gaps_of_residuals
 from manip_learn.learning.estimators.policy_equations import (
     OrthonormalRegressors,
@@ -143,28 +129,11 @@ def best_of_starts(
     return best
 
 
-@final
-@dataclass(frozen=True, eq=False)
-class CrossValidatedFit:
-    """A fit, cross-validated over trajectories.
-
-    Attributes:
-        fit: To all of them.
-        held_out: Mean of |Z^T (u - pi)|^2 on left-out trajectories.
-        unexplained: The same, as a share of the energy that there is to explain; without any null-space motion,
-            rounding is not held against the model.
-    """
-
-    fit: JointFit
-    held_out: float
-    unexplained: float
-
-
-def cross_validated(samples: Samples, fit: JointFit) -> CrossValidatedFit:
+def cross_validated(samples: Samples, fit: JointFit) -> JointFit:
     """A fit with its cost on trajectories that the policy was not fitted to."""
     folds = min(N_FOLDS, samples.n_trajectories)
     held_out = float(held_out_costs(samples, fit.whitened_selection, fit.model, folds).sum())
-    return CrossValidatedFit(fit, held_out, held_out / null_energy(samples, fit))
+    return dataclasses.replace(fit, held_out=held_out, unexplained=held_out / null_energy(samples, fit))
 
 
 @final
@@ -211,17 +180,17 @@ def choose_model(judged: Sequence[JudgedModel], most_parameters: float) -> Judge
 
 def _largest_size(model: PolicyModel, most_parameters: float) -> float:
     """Regressors that a model richer than a given one may have."""
-    return max(min(ONE_DEGREE * model.n_terms, most_parameters), model.n_terms)
+    return max(min(deciding.ONE_DEGREE * model.n_terms, most_parameters), model.n_terms)
 
 
 def _is_worse(costs: np.ndarray, best: np.ndarray) -> bool:
     difference = costs - best
-    if costs.sum() > EQUALLY_GOOD * best.sum():
+    if costs.sum() > deciding.EQUALLY_GOOD * best.sum():
         return True
-    return bool(difference.mean() > STANDARD_ERRORS * difference.std(ddof=1) / np.sqrt(len(difference)))
+    return bool(difference.mean() > deciding.STANDARD_ERRORS * difference.std(ddof=1) / np.sqrt(len(difference)))
 
 
-def _is_better(trial: CrossValidatedFit, best: CrossValidatedFit, factor: float) -> bool:
+def _is_better(trial: JointFit, best: JointFit, factor: float) -> bool:
     """Whether a fit costs less by a factor on left-out trajectories, and leaves less of the motion that there is.
 
     A Lambda that takes up all motion leaves little, explained or not.
@@ -241,17 +210,17 @@ def null_energy(samples: Samples, fit: JointFit) -> float:
 
 
 def search_model(
-    samples: Samples, s: int, models: list[PolicyModel], first: CrossValidatedFit
-) -> tuple[CrossValidatedFit, dict[str, float]]:
+    samples: Samples, s: int, models: list[PolicyModel], first: JointFit
+) -> tuple[JointFit, dict[str, float]]:
     """The model that predicts best or one degree more; held-out share of every model that was tried.
 
     All models are judged at the Lambda of the best so far, and again at that of the one chosen.
     """
-    best, residuals = first, {first.fit.model.name: first.unexplained}
+    best, residuals = first, {first.model.name: first.unexplained}
     usable = [model for model in models if has_enough(samples, s, model)]
     if s == 0 or len(usable) < 2:
         return best, residuals
-    if best.unexplained > POORLY_EXPLAINED:
+    if best.unexplained > deciding.POORLY_EXPLAINED:
         # a poor model has led Lambda astray: each model from its own closed-form start
         for model in (model for model in usable if model.n_terms * samples.nv <= len(samples)):
             trial = _tried(samples, model, conditional_pca(samples, model)[1][:s])
@@ -259,61 +228,59 @@ def search_model(
     residuals_per_joint = len(samples) * (samples.nv - s) / samples.nv
     judged: list[JudgedModel] = []
     for _ in range(ROUNDS):
-        if best.held_out <= EXACT * best.fit.energy:
+        if best.held_out <= EXACT * best.energy:
             return _climb_exact_models(samples, usable, best, residuals)
-        projections = Projections.of(samples, best.fit.whitened_selection)
+        projections = Projections.of(samples, best.whitened_selection)
         judged = [_judged(samples, projections, model) for model in usable]
-        energy = len(samples) * null_energy(samples, best.fit)
+        energy = len(samples) * null_energy(samples, best)
         residuals |= {one.model.name: one.held_out / energy for one in judged}
         predicts_best = min(judged, key=lambda one: one.held_out)
-        settled = predicts_best.model.name == best.fit.model.name
+        settled = predicts_best.model.name == best.model.name
         # a model that is too rich bends Lambda while that is far off: first the model that predicts best
-        chosen = choose_model(judged, residuals_per_joint / CHEAP) if settled else predicts_best
-        if chosen.model.name != best.fit.model.name:
-            trial = _tried(samples, chosen.model, best.fit.whitened_selection)
-            if not _is_better(trial, best, EQUALLY_GOOD if settled else 1.0):
+        chosen = choose_model(judged, residuals_per_joint / deciding.CHEAP) if settled else predicts_best
+        if chosen.model.name != best.model.name:
+            trial = _tried(samples, chosen.model, best.whitened_selection)
+            if not _is_better(trial, best, deciding.EQUALLY_GOOD if settled else 1.0):
                 break
             best = trial
         if settled:
             break
-    return _try_closer_models(samples, judged, best, residuals_per_joint / RESIDUALS_PER_PARAMETER), residuals
+    return _try_closer_models(samples, judged, best, residuals_per_joint / deciding.RESIDUALS_PER_PARAMETER), residuals
 
 
-def _tried(samples: Samples, model: PolicyModel, start: np.ndarray) -> CrossValidatedFit:
+def _tried(samples: Samples, model: PolicyModel, start: np.ndarray) -> JointFit:
     """A fit in a few steps from a start, cross-validated."""
     return cross_validated(samples, fit_joint(samples, start, model, **COMPARE))
 
 
-def _try_closer_models(
-    samples: Samples, judged: list[JudgedModel], best: CrossValidatedFit, most_parameters: float
-) -> CrossValidatedFit:
+def _try_closer_models(samples: Samples, judged: list[JudgedModel], best: JointFit, most_parameters: float) -> JointFit:
     """A model that leaves a smaller variance, if it predicts better, or nearly everything, at its own Lambda.
 
     At the Lambda of a model that is too small, a richer one may extrapolate so badly to single trajectories that
     cross-validation rejects it; the variance of its residual shows nevertheless that it describes the motion.
     """
-    if best.unexplained > POORLY_EXPLAINED:
+    if best.unexplained > deciding.POORLY_EXPLAINED:
         return best
-    own = next(one for one in judged if one.model.name == best.fit.model.name)
-    most = _largest_size(best.fit.model, most_parameters)
-    closer = [one for one in judged if one.variance < CLOSER * own.variance and one.model.n_terms <= most]
+    own = next(one for one in judged if one.model.name == best.model.name)
+    most = _largest_size(best.model, most_parameters)
+    closer = [one for one in judged if one.variance < deciding.CLOSER * own.variance and one.model.n_terms <= most]
     for one in sorted(closer, key=lambda one: one.variance)[:MOST_TRIALS]:
-        trial = _tried(samples, one.model, best.fit.whitened_selection)
-        if _is_better(trial, best, WORTH) or trial.unexplained < PREDICTED:
+        trial = _tried(samples, one.model, best.whitened_selection)
+        if _is_better(trial, best, deciding.WORTH) or trial.unexplained < deciding.PREDICTED:
             return trial
     return best
 
 
 def _climb_exact_models(
-    samples: Samples, usable: list[PolicyModel], best: CrossValidatedFit, residuals: dict[str, float]
-) -> tuple[CrossValidatedFit, dict[str, float]]:
+    samples: Samples, usable: list[PolicyModel], best: JointFit, residuals: dict[str, float]
+) -> tuple[JointFit, dict[str, float]]:
     """`search_model` where next to nothing is left and normal equations would compare rounding: QR fits, one by one."""
     for model in (model for model in usable if model.n_terms * samples.nv <= SCAN_COLUMNS):
-        if model.name == best.fit.model.name or best.held_out <= ROUNDING * best.fit.energy:
+        if model.name == best.model.name or best.held_out <= ROUNDING * best.energy:
             continue
-        candidate = _tried(samples, model, best.fit.whitened_selection)
+        candidate = _tried(samples, model, best.whitened_selection)
         residuals[model.name] = candidate.unexplained
-        best = candidate if _is_better(candidate, best, WORTH) else best
+        best = candidate if _is_better(candidate, best, deciding.WORTH) else best
     return best, residuals
 
 
@@ -331,13 +298,13 @@ class Explanation:
     """A Lambda with a policy.
 
     Attributes:
-        judged: Both, and the cost on left-out trajectories.
+        fit: Both, cross-validated.
         nats: Evidence l, see the module.
         task_nats: What the task's motion has of it, before the price of its parameters.
         predicts: Whether the policy predicts trajectories that it was not fitted to, as far as noise lets it.
     """
 
-    judged: CrossValidatedFit
+    fit: JointFit
     nats: float
     task_nats: float
     predicts: bool
@@ -345,7 +312,7 @@ class Explanation:
     @property
     def n_rows(self) -> int:
         """Number of rows s."""
-        return len(self.judged.fit.whitened_selection)
+        return self.fit.n_rows
 
 
 @final
@@ -360,7 +327,7 @@ class RowCount:
     """
 
     table: GapTable
-    fits: dict[int, CrossValidatedFit]
+    fits: dict[int, JointFit]
     warnings: tuple[str, ...]
 
 
@@ -380,14 +347,18 @@ def count_rows(samples: Samples, models: Sequence[PolicyModel], rng: np.random.G
         return None
     chosen = {s: _best_of([one for one in found if one.n_rows == s]) for s in {one.n_rows for one in found}}
     best = _best_of(found)
-    residuals = {s: float(np.sqrt(_variance(samples, one.judged.fit))) for s, one in chosen.items()}
+    residuals = {s: float(np.sqrt(_variance(samples, one.fit))) for s, one in chosen.items()}
     present = {s: r for s, r in residuals.items() if s == 0 or s - 1 in residuals}
     table = gaps_of_residuals(present, 1e-15 * float(np.sqrt(samples.energy)), len(samples))
     rivals = [one for one in found if one.nats > best.nats and one.n_rows != best.n_rows]
-    warnings = _doubt(best, rivals) if rivals else ()
-    return RowCount(
-        dataclasses.replace(table, best=best.n_rows), {s: one.judged for s, one in chosen.items()}, warnings
-    )
+    warnings = [
+        f"{counted(best.n_rows, 'row')} and a policy model {best.fit.model.name} predict left-out trajectories, "
+        f"but {counted(other.n_rows, 'row')} and {other.fit.model.name} fit all of them better: record more "
+        "trajectories, or give n_constraints if you know it"
+        for other in ([_most(rivals)] if rivals else [])
+    ]
+    fits = {s: one.fit for s, one in chosen.items()}
+    return RowCount(dataclasses.replace(table, best=best.n_rows), fits, tuple(warnings))
 
 
 def explain(samples: Samples, models: Sequence[PolicyModel], rng: np.random.Generator) -> list[Explanation]:
@@ -406,26 +377,23 @@ def explain(samples: Samples, models: Sequence[PolicyModel], rng: np.random.Gene
                 continue
             if same:
                 best = _best_of(found)
-                is_answered = _left(samples, best.judged.fit) <= ABOVE_NOISE * noise
+                is_answered = _left(samples, best.fit) <= deciding.ABOVE_NOISE * noise
                 if is_answered and (s < commanded or _is_hopeless(same, best)):
                     continue
                 most = _most(same)  # were noise all that the richer model leaves:
-                left = min(noise, _left(samples, most.judged.fit))
+                left = min(noise, _left(samples, most.fit))
                 if best.predicts and most.task_nats + _null_nats(samples, s, model, left) <= best.nats:
                     continue
-            warm = [_most(same).judged.fit.whitened_selection] if same else []
+            warm = [_most(same).fit.whitened_selection] if same else []
             found.append(_explained(samples, _fit_from_starts(samples, s, model, warm, noise, rng)))
     return found + _within(samples, _best_of(found), rng) if found else found
 
 
 def _within(samples: Samples, best: Explanation, rng: np.random.Generator) -> list[Explanation]:
     """One row less, from starts among the rows of the best: they hold the true ones where these are fewer."""
-    Lambda, model = best.judged.fit.whitened_selection, best.judged.fit.model
-    s = len(Lambda)
-    if s < 2:
-        return []
-    starts = ((rng.standard_normal((s, s)) @ Lambda)[1:] for _ in range(SUBSPACES))
-    return [_explained(samples, best_of_starts(samples, model, starts, **COMPARE))]
+    s, Lambda = best.n_rows, best.fit.whitened_selection
+    starts = ((rng.standard_normal((s, s)) @ Lambda)[1:] for _ in range(SUBSPACES if s > 1 else 0))
+    return [_explained(samples, best_of_starts(samples, best.fit.model, starts, **COMPARE))] if s > 1 else []
 
 
 def _most(found: Sequence[Explanation]) -> Explanation:
@@ -433,9 +401,9 @@ def _most(found: Sequence[Explanation]) -> Explanation:
 
 
 def _best_of(found: Sequence[Explanation]) -> Explanation:
-    """The one with the most evidence among those that predict; the one that errs least on what was left out if none."""
+    """The one with the most evidence among those that predict; if none does, the least held-out cost."""
     predicting = [one for one in found if one.predicts]
-    return _most(predicting) if predicting else min(found, key=lambda one: one.judged.held_out)
+    return _most(predicting) if predicting else min(found, key=lambda one: one.fit.held_out)
 
 
 def _is_hopeless(same: Sequence[Explanation], best: Explanation) -> bool:
@@ -445,22 +413,13 @@ def _is_hopeless(same: Sequence[Explanation], best: Explanation) -> bool:
     return same[-1].nats - _most(same[:-1]).nats < PROGRESS * (best.nats - same[-1].nats)
 
 
-def _doubt(best: Explanation, rivals: Sequence[Explanation]) -> tuple[str, ...]:
-    other = _most(rivals)
-    return (
-        f"{counted(best.n_rows, 'row')} and a policy model {best.judged.fit.model.name} predict left-out trajectories, "
-        f"but {counted(other.n_rows, 'row')} and {other.judged.fit.model.name} fit all of them better: record more "
-        "trajectories, or give n_constraints if you know it",
-    )
-
-
 def _explained(samples: Samples, fit: JointFit) -> Explanation:
     task, n_octaves = _task_nats(samples, fit.whitened_selection)
-    judged = cross_validated(samples, fit)
-    predicts = judged.held_out <= PREDICTS_NOISE * max(fit.energy, _resolved(samples))
+    fit = cross_validated(samples, fit)
+    predicts = fit.held_out <= deciding.PREDICTS_NOISE * max(fit.energy, _resolved(samples))
     price = 0.5 * n_octaves * np.log(len(samples))
-    nats = task + _null_nats(samples, len(fit.whitened_selection), fit.model, _left(samples, fit)) - price
-    return Explanation(judged, float(nats), task, predicts)
+    nats = task + _null_nats(samples, fit.n_rows, fit.model, _left(samples, fit)) - price
+    return Explanation(fit, float(nats), task, predicts)
 
 
 def _null_nats(samples: Samples, s: int, model: PolicyModel, left: float) -> float:
@@ -481,7 +440,12 @@ def _task_nats(samples: Samples, Lambda: Float[np.ndarray, "s r"]) -> tuple[floa
     """Log-likelihood of the task's own motion c, octave by octave, and the number of octaves."""
     if not len(Lambda):
         return 0.0, 0
-    c = np.concatenate([_along_rows(rows_beside(Lambda, block.Phi), block.u) for block in samples.blocks()])
+    along = []
+    for block in samples.blocks():
+        Q, R = row_bases(rows_beside(Lambda, block.Phi).transpose(1, 0, 2))
+        # the signs make the basis of the row space turn as smoothly as A does
+        along.append(np.einsum("vsn,nv,ssn->ns", Q, block.u, np.sign(R), optimize=True))
+    c = np.concatenate(along)
     squares, counts = np.zeros(64), np.zeros(64)
     for own in (c[part] for _, part in runs(samples.trajectory)):
         octave = np.frexp(np.arange(len(own)))[1]  # 0, then 1, 2-3, 4-7, ...
@@ -491,25 +455,19 @@ def _task_nats(samples: Samples, Lambda: Float[np.ndarray, "s r"]) -> tuple[floa
     return _gaussian_nats(counts[used], squares[used] / counts[used], _resolved(samples)), int(np.count_nonzero(used))
 
 
-def _along_rows(A: Float[np.ndarray, "s nv n"], u: Float[np.ndarray, "n nv"]) -> Float[np.ndarray, "n s"]:
-    """u in an orthonormal basis of the row space of A that turns as smoothly as A does."""
-    Q, R = row_bases(A.transpose(1, 0, 2))
-    return np.einsum("vsn,nv,ssn->ns", Q, u, np.sign(R), optimize=True)
-
-
 def _resolved(samples: Samples) -> float:
     """Variance [(rad/s)^2] that is noise enough."""
-    return RESOLVED_SHARE**2 * samples.energy / samples.nv
+    return deciding.RESOLVED_SHARE**2 * samples.energy / samples.nv
 
 
 def _left(samples: Samples, fit: JointFit) -> float:
     """Mean square of the residual in each direction of the null space [(rad/s)^2]."""
-    return fit.cost / (samples.nv - len(fit.whitened_selection))
+    return fit.cost / (samples.nv - fit.n_rows)
 
 
 def _variance(samples: Samples, fit: JointFit) -> float:
     """Residual variance per degree of freedom: the policy's parameters take theirs from the samples [(rad/s)^2]."""
-    n, z = len(samples), samples.nv - len(fit.whitened_selection)
+    n, z = len(samples), samples.nv - fit.n_rows
     return n * fit.cost / max(n * z - fit.model.n_terms * samples.nv, 1)
 
 
@@ -523,7 +481,7 @@ def _count_commanded(samples: Samples, models: Sequence[PolicyModel]) -> int:
         return 0
     constant = PolynomialModel(0, samples.q.shape[1])
     left, everything = (conditional_pca(samples, model)[0] for model in (rich[-1], constant))
-    return int(np.count_nonzero(left > NOT_THE_POLICYS * everything))
+    return int(np.count_nonzero(left > deciding.NOT_THE_POLICYS * everything))
 
 
 def _fit_from_starts(
@@ -540,6 +498,6 @@ def _fit_from_starts(
         samples,
         model,
         itertools.chain([conditional_pca(samples, model)[1][:s]], warm, random),
-        lambda best: s in (0, samples.n_rows) or _left(samples, best) <= ABOVE_NOISE * noise,
+        lambda best: s in (0, samples.n_rows) or _left(samples, best) <= deciding.ABOVE_NOISE * noise,
         **COMPARE,
     )

@@ -2,22 +2,21 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import NamedTuple, final
 
 import numpy as np
 from jaxtyping import Float
 
 from manip_learn.learning.estimators.estimate import Estimate, descend_rows, gaps_of_levels
-from manip_learn.learning.samples import Block, Samples, rows_beside
+from manip_learn.learning.samples import Samples, rows_beside
 from manip_learn.linalg import complement_rows, inverse_triangles_beside, orthonormal_rows, row_bases
 
 MAX_ITERATIONS = 50
 MAX_FOLDS = 10
 SAME_COST = 1e-13  # a relative rise of the cost below this is rounding: the step counts as no gain
-# a velocity to be explained, block by block: u itself, or the null-space part that a separation found
-Velocity = Callable[[Block], np.ndarray]
+# length of the last step [rad on the Grassmann manifold], and the relative gain that is none: both are rounding
+SHORTEST, GAIN = 1e-14, 1e-12
 
 
 @final
@@ -29,7 +28,6 @@ class NullSpaceFit:
         whitened_selection: Lambda in whitened coordinates, orthonormal rows, shape (s, p').
         cost: Mean of w^T A^+ A w, equation (10).
         energy: Mean of |w|^2; cost / energy is the share of the motion that breaks the constraint.
-        iterations: Gauss-Newton steps.
         scores: shape (groups, s, p'-s), gradient of each trajectory: sum (A^{+T} w)(Lambda_perp Phi N w)^T.
         curvatures: shape (groups, m, m), Gauss-Newton Hessian of each trajectory, m = s (p'-s).
     """
@@ -37,7 +35,6 @@ class NullSpaceFit:
     whitened_selection: Float[np.ndarray, "s r"]
     cost: float
     energy: float
-    iterations: int
     scores: Float[np.ndarray, "g s k"]
     curvatures: Float[np.ndarray, "g m m"]
 
@@ -69,15 +66,21 @@ class Terms(NamedTuple):
     def of(rows: Float[np.ndarray, "r nv n"], s: int, w: Float[np.ndarray, "nv n"]) -> Terms:
         """From Lambda Phi, s rows, above Lambda_perp Phi, with the samples side by side in the last axis."""
         m, n = s * (len(rows) - s), w.shape[1]
-        Q, R = row_bases(rows[:s].transpose(1, 0, 2))
-        along = np.einsum("vsn,vn->sn", Q, w)
-        null = w - np.einsum("vsn,sn->vn", Q, along)
-        R_inverse = inverse_triangles_beside(R)
+        along, null, R_inverse = split(rows[:s], w)
         a = np.einsum("ijn,jn->in", R_inverse, along)  # A^{+T} w
         g = np.einsum("kvn,vn->kn", rows[s:], null)
         inverse_gram = np.einsum("iln,jln->ijn", R_inverse, R_inverse)  # (A A^T)^-1
         H = inverse_gram[:, None, :, None] * (g[:, None] * g)[None, :, None]
         return Terms(float(np.sum(along**2)), float(np.sum(w**2)), a[:, None] * g, H.reshape(m, m, n))
+
+
+def split(
+    A: Float[np.ndarray, "s nv n"], w: Float[np.ndarray, "nv n"]
+) -> tuple[Float[np.ndarray, "s n"], Float[np.ndarray, "nv n"], Float[np.ndarray, "s s n"]]:
+    """Q^T w, N w and R^-1 of A^T = Q R, the samples side by side in the last axis."""
+    Q, R = row_bases(A.transpose(1, 0, 2))
+    along = np.einsum("vsn,vn->sn", Q, w)
+    return along, w - np.einsum("vsn,sn->vn", Q, along), inverse_triangles_beside(R)
 
 
 def levels(
@@ -109,33 +112,22 @@ def trajectory_moments(samples: Samples) -> Float[np.ndarray, "g r r"]:
 
 
 def fit_null_space(
-    samples: Samples,
-    start: Float[np.ndarray, "s r"],
-    velocity: Velocity | None = None,
-    tolerance: float = 1e-14,
-    max_iterations: int = MAX_ITERATIONS,
+    samples: Samples, start: Float[np.ndarray, "s r"], max_iterations: int = MAX_ITERATIONS
 ) -> NullSpaceFit:
     """Gauss-Newton on the Grassmann manifold for equation (10), E = sum w^T A^+ A w, from a start.
 
     With dLambda = B Lambda_perp the gradient is 2 sum (A^{+T} w)(Lambda_perp Phi N w)^T; its steps: `descend`.
 
     Args:
-        samples: What was recorded.
+        samples: What was recorded, w in place of u: the motion itself, or the null-space part that a separation found.
         start: Lambda in whitened coordinates.
-        velocity: The null-space part w of a block; the recorded u by default.
-        tolerance: Step length at which to stop.
         max_iterations: Largest number of steps; 0 judges the start as it is.
     """
-    here, iterations = descend_rows(
-        _fit_at(samples, orthonormal_rows(start), velocity),
-        lambda Lambda: _fit_at(samples, Lambda, velocity),
-        *(max_iterations, tolerance, 1e-12),
-        rise=SAME_COST,
-    )
-    return replace(here, iterations=iterations)
+    here = _fit_at(samples, orthonormal_rows(start))
+    return descend_rows(here, lambda Lambda: _fit_at(samples, Lambda), max_iterations, SHORTEST, GAIN, rise=SAME_COST)
 
 
-def _fit_at(samples: Samples, Lambda: np.ndarray, velocity: Velocity | None) -> NullSpaceFit:
+def _fit_at(samples: Samples, Lambda: np.ndarray) -> NullSpaceFit:
     """Lambda as it is, with what a Gauss-Newton step needs."""
     s, k = len(Lambda), samples.n_rows - len(Lambda)
     both = np.concatenate([Lambda, complement_rows(Lambda)])
@@ -143,13 +135,12 @@ def _fit_at(samples: Samples, Lambda: np.ndarray, velocity: Velocity | None) -> 
     curvatures = np.zeros((samples.n_trajectories, s * k, s * k))
     cost = energy = 0.0
     for block in samples.blocks():
-        w = np.ascontiguousarray((block.u if velocity is None else velocity(block)).T)
-        terms = Terms.of(rows_beside(both, block.Phi), s, w)
+        terms = Terms.of(rows_beside(both, block.Phi), s, np.ascontiguousarray(block.u.T))
         cost, energy = cost + terms.cost, energy + terms.energy
         block.add_to(scores, terms.scores)
         block.add_to(curvatures, terms.curvatures)
     n = len(samples)
-    return NullSpaceFit(Lambda, cost / n, energy / n, 0, scores, curvatures)
+    return NullSpaceFit(Lambda, cost / n, energy / n, scores, curvatures)
 
 
 def estimate_null_space(samples: Samples, n_constraints: int | None = None) -> Estimate:

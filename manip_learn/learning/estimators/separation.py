@@ -20,13 +20,13 @@ from jaxtyping import Float
 from scipy.linalg import LinAlgError, cho_factor, cho_solve
 
 from manip_learn.errors import NotIdentifiableError, advice
-from manip_learn.learning.deciding import FEWEST_CENTRES, MOST_CENTRES, RESIDUALS_PER_PARAMETER, STILL_ENERGY
+from manip_learn.learning import deciding
 from manip_learn.learning.estimators.estimate import Estimate
 from manip_learn.learning.estimators.null_space import estimate_null_space
 from manip_learn.learning.estimators.policy_model import PolicyModel, RadialModel
 from manip_learn.learning.samples import Samples
 
-MAX_ITERATIONS = 200
+MAX_ITERATIONS = 200  # of each of the stages
 # directions of the regressors' space below this share of the strongest take no part; from coarse to fine, for the
 # descent from the regression alone ends in a poor minimum now and then
 STAGES = (1e-6, 1e-8, 1e-10)
@@ -46,52 +46,45 @@ class Separation:
         weights: shape (k, nv), w~ = beta(x) weights.
         model: beta.
         cost: Mean of (w^ . u - |w~|)^2 [(rad/s)^2].
-        iterations: Levenberg-Marquardt steps.
     """
 
     weights: Float[np.ndarray, "k nv"]
     model: PolicyModel
     cost: float
-    iterations: int
 
     def __call__(self, x: Float[np.ndarray, "n m"]) -> Float[np.ndarray, "n nv"]:
         """w~ at shifted and scaled postures."""
         return self.model(x) @ self.weights
 
 
-def separate(
-    x: Float[np.ndarray, "n m"], u: Float[np.ndarray, "n nv"], model: PolicyModel, max_iterations: int = MAX_ITERATIONS
-) -> Separation:
+def separate(x: Float[np.ndarray, "n m"], u: Float[np.ndarray, "n nv"], model: PolicyModel) -> Separation:
     """Levenberg-Marquardt from the regression of u on the posture; random starts end in poor minima now and then.
 
     Args:
         x: Postures, shifted and scaled.
         u: Actions.
         model: beta(x).
-        max_iterations: Largest number of steps in each of three stages, from coarse to fine.
     """
     # orthonormal combinations of the regressors: the normal equations of wide radial functions are hopeless as they are
     basis, sigma, Vt = np.linalg.svd(model(x), full_matrices=False)
-    weights, cost, iterations = np.zeros((0, u.shape[1])), np.inf, 0
+    weights, cost = np.zeros((0, u.shape[1])), np.inf
     for share, no_gain in zip(STAGES, NO_GAIN, strict=True):
         k = int(np.count_nonzero(sigma > share * sigma[0]))
         if len(weights):
             start = np.concatenate([weights, np.zeros((k - len(weights), u.shape[1]))])
         else:
             start = basis[:, :k].T @ u  # the regression
-        weights, cost, steps = _descend(basis[:, :k], start, u, max_iterations, no_gain)
-        iterations += steps
+        weights, cost = _descend(basis[:, :k], start, u, no_gain)
     k = len(weights)
-    return Separation((Vt[:k].T / sigma[:k]) @ weights, model, cost / len(u), iterations)
+    return Separation((Vt[:k].T / sigma[:k]) @ weights, model, cost / len(u))
 
 
-def _descend(
-    basis: np.ndarray, weights: np.ndarray, u: np.ndarray, max_iterations: int, no_gain: float
-) -> tuple[np.ndarray, float, int]:
+def _descend(basis: np.ndarray, weights: np.ndarray, u: np.ndarray, no_gain: float) -> tuple[np.ndarray, float]:
     residual, J = residual_and_jacobian(basis, weights, u)
-    cost, damping, stalled, iterations = float(residual @ residual), 1e-3, 0, 0
-    while iterations < max_iterations and stalled < STALLED and cost > 0.0:
-        iterations += 1
+    cost, damping, stalled = float(residual @ residual), 1e-3, 0
+    for _ in range(MAX_ITERATIONS):
+        if stalled == STALLED or cost == 0.0:
+            break
         H, g = J.T @ J, J.T @ residual
         scale = np.maximum(np.diag(H), 1e-12 * np.max(np.diag(H)))
         try:
@@ -109,7 +102,7 @@ def _descend(
         else:
             damping *= 5.0
             stalled = stalled + 1 if damping > 1e8 else stalled
-    return weights, cost, iterations
+    return weights, cost
 
 
 def residual_and_jacobian(
@@ -157,17 +150,17 @@ def separate_null_motion(samples: Samples, rng: np.random.Generator) -> tuple[Se
         NotIdentifiableError: Too few samples for even the smallest model, or no null-space motion to be found.
     """
     x = samples.x
-    n_centres = min(MOST_CENTRES, len(samples) // RESIDUALS_PER_PARAMETER)
-    if n_centres < FEWEST_CENTRES:
+    n_centres = min(deciding.MOST_CENTRES, len(samples) // deciding.RESIDUALS_PER_PARAMETER)
+    if n_centres < deciding.FEWEST_CENTRES:
         raise NotIdentifiableError(
             f"{len(samples)} samples are too few to separate task and null-space part: at least "
-            f"{FEWEST_CENTRES * RESIDUALS_PER_PARAMETER} are needed, and many more are better",
+            f"{deciding.FEWEST_CENTRES * deciding.RESIDUALS_PER_PARAMETER} are needed, and many more are better",
             code="too-few-samples",
         )
     every = -(-len(samples) // SEPARATION_LIMIT)
     separation = separate(x[::every], samples.u[::every], RadialModel(x, n_centres, rng))
     w = separation(x)
-    if float(np.mean(w**2)) * samples.nv < STILL_ENERGY * samples.energy:
+    if float(np.mean(w**2)) * samples.nv < deciding.STILL_ENERGY * samples.energy:
         raise NotIdentifiableError(
             "the separation finds no null-space motion: what is left of the motion after the task is nothing to learn "
             "from" + advice("; use {}", "estimator='joint'", "--estimator joint"),

@@ -5,7 +5,7 @@
 Neither a separation of u into task and null part nor knowledge of b is needed: Z^T removes the task part whatever it
 was. pi(q) = Theta^T beta(q) is linear in its parameters, so Theta is eliminated (Golub and Pereyra, 1973, with
 Kaufman's Jacobian, 1975), in two ways. Normal equations cost a tenth of a QR of all rows, and square the condition
-number: they are used where what is left of the motion is noise, far above their rounding, and where their Cholesky
+number: they are used where the residual is noise, far above their rounding, and where their Cholesky
 factor shows that they are well conditioned.
 
 Or the policy's parameters are integrated out instead of fitted (`fit_marginal`): Lambda by marginal likelihood, with
@@ -57,7 +57,7 @@ MAX_ITERATIONS = 30
 RANK_TOLERANCE = 1e-13
 # directions of the policy that the data determine well enough to matter for the uncertainty
 BASIS_TOLERANCE = 1e-10
-# share of the energy below which what is left is no noise
+# share of the energy below which the residual is no noise
 NEARLY_EXACT = 1e-6
 # square of the least pivot, the diagonal scaled to 1, below which normal equations are ill-conditioned
 LEAST_PIVOT = 1e-8
@@ -92,12 +92,12 @@ def fit_joint(
             return fast
         # normal equations lose half the digits: QR answers where there are digits, and goes on where it is expensive
         start = fast.whitened_selection if many else start
-    here, iterations = descend_rows(
+    here = descend_rows(
         _ByRows.at(samples, orthonormal_rows(start), model),
         lambda Lambda: _ByRows.at(samples, Lambda, model),
         *(max_iterations, tolerance, gain),
     )
-    return JointFit(here.whitened_selection, here.theta, here.cost, here.energy, iterations, model)
+    return JointFit(here.whitened_selection, here.theta, here.cost, here.energy, model)
 
 
 def fit_projected(
@@ -113,7 +113,7 @@ def fit_projected(
     regressors = OrthonormalRegressors.of(samples, model)
     if least_pivot > 0.0 and regressors.values.shape[1] < model.n_terms:
         return None
-    here, iterations = descend_rows(
+    here = descend_rows(
         _ByEquations.at(samples, orthonormal_rows(start), regressors),
         lambda Lambda: _ByEquations.at(samples, Lambda, regressors),
         *(max_iterations, tolerance, gain),
@@ -123,8 +123,7 @@ def fit_projected(
     )
     if here.solver.least_pivot < least_pivot:
         return None
-    theta = regressors.mixing @ here.theta
-    return JointFit(here.whitened_selection, theta, here.cost, here.energy, iterations, model)
+    return JointFit(here.whitened_selection, regressors.mixing @ here.theta, here.cost, here.energy, model)
 
 
 @final
@@ -436,7 +435,7 @@ def fit_marginal(samples: Samples, fit: JointFit, most_columns: int) -> ScoredFi
     n_grades = int(regressors.grades.max()) + 1
     noise = max(fit.cost / max(samples.nv - len(fit.whitened_selection), 1), LEAST * scale)
     here.settle(Variances(noise, np.full(n_grades, START * scale)), FIRST_UPDATES)
-    here, _ = descend(
+    here = descend(
         here, _Posterior.moved, MARGINAL_ITERATIONS, settled=lambda _, step, H: float(step @ H @ step) < SETTLED
     )
     gradients, hessians = here.scores()

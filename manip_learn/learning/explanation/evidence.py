@@ -13,15 +13,7 @@ from typing import final
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
-from manip_learn.learning.deciding import (
-    CHANGE_SECONDS,
-    FAR_FROM_HELD,
-    FAR_OFF_SHARE,
-    HELD_SHARES,
-    HELD_STEADY,
-    SHORTEST_STRETCH_SECONDS,
-    SWITCH_NATS,
-)
+from manip_learn.learning import deciding
 from manip_learn.learning.explanation.row_motion import RowMotion
 from manip_learn.recordings.demonstrations import Demonstrations
 from manip_learn.recordings.trajectory import Trajectory
@@ -63,16 +55,16 @@ def evidence(
     held = np.minimum(floor + share * free, free)
     offset, slope = 0.5 * s * np.log(free / held), 0.5 * (1.0 / held - 1.0 / free)
     exponent = np.minimum(offset[:, None] - energy[:, :, None] * slope[:, None], 50.0)
-    ratio = np.log(FAR_OFF_SHARE + (1.0 - FAR_OFF_SHARE) * np.exp(exponent))
-    return ratio * (motion.weight[:, None, None] / CHANGE_SECONDS)
+    ratio = np.log(deciding.FAR_OFF_SHARE + (1.0 - deciding.FAR_OFF_SHARE) * np.exp(exponent))
+    return ratio * (motion.weight[:, None, None] / deciding.CHANGE_SECONDS)
 
 
 # the scales among which a hypothesis takes the one with the most evidence, about half a decade apart
-SCALES = tuple(HeldScale(steady, share) for steady in HELD_STEADY for share in HELD_SHARES)
+SCALES = tuple(HeldScale(steady, share) for steady in deciding.HELD_STEADY for share in deciding.HELD_SHARES)
 
 
 def gains_of(
-    values: Float[np.ndarray, "n h"], first: Int[np.ndarray, " m"], switch: float = SWITCH_NATS
+    values: Float[np.ndarray, "n h"], first: Int[np.ndarray, " m"], switch: float = deciding.SWITCH_NATS
 ) -> Float[np.ndarray, "g h"]:
     """Evidence of each trajectory for each hypothesis: of the best sequence of held and free stretches, or, as in a cut
     recording, of a single state throughout.
@@ -85,86 +77,57 @@ def gains_of(
     whole = np.maximum(np.add.reduceat(values, first[:-1], axis=0), 0.0)
     if np.isinf(switch):
         return whole
-    return np.maximum(whole, np.maximum(*_two_states(_padded(values, first), 0.5 * switch)))
+    half, free = 0.5 * switch, np.zeros(whole.shape)
+    held = np.full_like(free, -half)
+    for step in _padded(values, first):
+        held, free = np.maximum(held, free - half) + step, np.maximum(free, held - half)
+    return np.maximum(whole, np.maximum(free, held - half))
 
 
 def held_by(
-    values: Float[np.ndarray, "n h"], first: Int[np.ndarray, " m"], switch: float = SWITCH_NATS
+    values: Float[np.ndarray, "n h"], first: Int[np.ndarray, " m"], switch: float = deciding.SWITCH_NATS
 ) -> Bool[np.ndarray, "n h"]:
     """Which samples each hypothesis holds in, taken on its own: the sequences of `gains_of`."""
-    lengths = np.diff(first)
-    whole = np.add.reduceat(values, first[:-1], axis=0)
-    throughout = np.repeat(whole > 0.0, lengths, axis=0)
-    if np.isinf(switch):
-        return throughout
-    padded = _padded(values, first)
-    entered, left = np.zeros(padded.shape, dtype=bool), np.zeros(padded.shape, dtype=bool)
-    free, held = _two_states(padded, 0.5 * switch, (entered, left))
-    state, best = held > free, np.maximum(free, held)
-    out = np.zeros(padded.shape, dtype=bool)
-    for t in range(len(padded) - 1, -1, -1):
-        out[t] = state
-        state = np.where(state, ~entered[t], left[t])
-    parts = np.concatenate([out[: b - a, i] for i, (a, b) in enumerate(pairwise(first))])
-    return np.where(np.repeat(whole > best, lengths, axis=0), throughout, parts)
-
-
-def _two_states(
-    steps: Float[np.ndarray, "T g h"],
-    half: float,
-    changes: tuple[Bool[np.ndarray, "T g h"], Bool[np.ndarray, "T g h"]] | None = None,
-) -> tuple[Float[np.ndarray, "g h"], Float[np.ndarray, "g h"]]:
-    """Evidence of the best sequences that end in free motion, and in a contact, each change for half its price.
-
-    Args:
-        steps: Evidence of each sample.
-        half: Of what a stretch costs [nats].
-        changes: Where to note which samples are best entered from free motion, and from a contact; None: nowhere.
-    """
-    free = np.zeros(steps.shape[1:])
-    held = np.full_like(free, -half)
-    for t, step in enumerate(steps):
-        from_free, from_held = free - half, held - half
-        if changes is not None:
-            np.greater(from_free, held, out=changes[0][t])
-            np.greater(from_held, free, out=changes[1][t])
-        held, free = np.maximum(held, from_free) + step, np.maximum(free, from_held)
-    return free, held - half
+    return _sequences(values[None], first, switch) > 0
 
 
 def states_of(
-    values: Float[np.ndarray, "n k"], first: Int[np.ndarray, " m"], switch: float = SWITCH_NATS
+    values: Float[np.ndarray, "n k"], first: Int[np.ndarray, " m"], switch: float = deciding.SWITCH_NATS
 ) -> Int[np.ndarray, " n"]:
-    """Most likely state of each sample: 0 free motion, k the k-th hypothesis (Viterbi's algorithm); or, as in a cut
-    recording, a single state throughout.
+    """Most likely state of each sample: 0 free motion, k the k-th hypothesis; or, as in a cut recording, a single state
+    throughout.
     """
-    n, k = values.shape
-    if k == 0:
-        return np.zeros(n, dtype=np.int64)
-    whole = np.add.reduceat(np.concatenate([np.zeros((n, 1)), values], axis=1), first[:-1], axis=0)
-    alone = np.repeat(np.argmax(whole, axis=1), np.diff(first))
-    if np.isinf(switch):
+    return _sequences(values.T[:, :, None], first, switch)[:, 0]
+
+
+def _sequences(
+    values: Float[np.ndarray, "k n h"], first: Int[np.ndarray, " m"], switch: float
+) -> Int[np.ndarray, "n h"]:
+    """Viterbi's algorithm for h problems at once, each of free motion (0) and k states with these evidences."""
+    values = np.concatenate([np.zeros((1, *values.shape[1:])), values])
+    whole = np.add.reduceat(values, first[:-1], axis=1)
+    alone = np.repeat(np.argmax(whole, axis=0), np.diff(first), axis=0)
+    if np.isinf(switch) or len(values) == 1:
         return alone
-    padded = _padded(np.concatenate([np.zeros((n, 1)), values], axis=1), first)
     # into or out of a constraint costs half a change: from one to the next a whole one
-    border = 0.5 * switch * (np.arange(k + 1) > 0)
+    border = 0.5 * switch * (np.arange(len(values)) > 0)
     cost = border[:, None] + border
     np.fill_diagonal(cost, 0.0)
-    back = np.zeros(padded.shape, dtype=np.int64)
-    value = np.broadcast_to(-border, padded.shape[1:])
+    padded = np.stack([_padded(one, first) for one in values], axis=1)
+    back = np.zeros(padded.shape, dtype=np.int8)
+    value = np.broadcast_to(-border[:, None, None], padded.shape[1:])
     for t, step in enumerate(padded):
-        arrivals = value[:, :, None] - cost
-        back[t] = arrivals.argmax(axis=1)
-        value = arrivals.max(axis=1) + step
-    state = np.argmax(value - border, axis=1)
-    best = np.max(value - border, axis=1)
-    out = np.zeros(padded.shape[:2], dtype=np.int64)
-    rows = np.arange(padded.shape[1])
+        arrivals = value[:, None] - cost[:, :, None, None]
+        back[t] = arrivals.argmax(axis=0)
+        value = arrivals.max(axis=0) + step
+    value = value - border[:, None, None]
+    state, out = np.argmax(value, axis=0)[None], np.zeros((len(padded), *padded.shape[2:]), dtype=np.int64)
     for t in range(len(padded) - 1, -1, -1):
-        out[t] = state
-        state = back[t, rows, state]
-    states = np.concatenate([out[: b - a, i] for i, (a, b) in enumerate(pairwise(first))])
-    return np.where(np.repeat(whole.max(axis=1) > best, np.diff(first)), alone, states)
+        out[t] = state[0]
+        state = np.take_along_axis(back[t], state, axis=0)
+    parts = np.concatenate([out[: b - a, i] for i, (a, b) in enumerate(pairwise(first))])
+    pays = np.repeat(np.max(whole, axis=0) > np.max(value, axis=0), np.diff(first), axis=0)
+    return np.where(pays, alone, parts)
 
 
 def _padded(values: Float[np.ndarray, "n h"], first: Int[np.ndarray, " m"]) -> Float[np.ndarray, "T g h"]:
@@ -218,7 +181,7 @@ def stretches_of(motion: RowMotion, states: Int[np.ndarray, " n"], state: int) -
             continue
         number = int(motion.trajectory[a])
         start, end = float(motion.time[a + inside[0]]), float(motion.time[a + inside[-1]])
-        long = end - start >= SHORTEST_STRETCH_SECONDS
+        long = end - start >= deciding.SHORTEST_STRETCH_SECONDS
         if state:
             start = float(motion.ends[number, 0]) if a == motion.first[number] else start
             end = float(motion.ends[number, 1]) if b == motion.first[number + 1] else end
@@ -234,16 +197,21 @@ def sharpened(motion: RowMotion, rows: Float[np.ndarray, "s r"], stretches: Sequ
     """
     out = []
     for s in stretches:
-        inside = (motion.trajectory == s.trajectory) & (motion.time >= s.start) & (motion.time <= s.end)
+        inside = covered(motion, [s])
         time = motion.time[inside]
-        inner = (time >= s.start + SHORTEST_STRETCH_SECONDS) & (time <= s.end - SHORTEST_STRETCH_SECONDS)
-        if s.duration < 4.0 * SHORTEST_STRETCH_SECONDS or np.count_nonzero(inner) < 10:
+        inner = (time >= s.start + deciding.SHORTEST_STRETCH_SECONDS) & (
+            time <= s.end - deciding.SHORTEST_STRETCH_SECONDS
+        )
+        if s.duration < 4.0 * deciding.SHORTEST_STRETCH_SECONDS or np.count_nonzero(inner) < 10:
             out.append(s)
             continue
         way = np.cumsum(motion.rates[inside] * motion.weight[inside, None], axis=0) @ rows.T
         away = np.linalg.norm(way - np.median(way[inner], axis=0), axis=1)
-        left = time[(away > FAR_FROM_HELD * np.quantile(away[inner], 0.9)) & ~inner]
-        before, after = left[left < s.start + SHORTEST_STRETCH_SECONDS], left[left > s.end - SHORTEST_STRETCH_SECONDS]
+        left = time[(away > deciding.FAR_FROM_HELD * np.quantile(away[inner], 0.9)) & ~inner]
+        before, after = (
+            left[left < s.start + deciding.SHORTEST_STRETCH_SECONDS],
+            left[left > s.end - deciding.SHORTEST_STRETCH_SECONDS],
+        )
         first, last = motion.ends[s.trajectory]
         start = float(time[time > before[-1]][0]) if len(before) and s.start > first else s.start
         end = float(time[time < after[0]][-1]) if len(after) and s.end < last else s.end
@@ -256,8 +224,8 @@ def cut(trajectory: Trajectory, stretch: Stretch) -> slice | None:
     three are left, which are no motion.
     """
     time = trajectory.time
-    start = stretch.start if stretch.start <= time[0] else stretch.start + CHANGE_SECONDS
-    end = stretch.end if stretch.end >= time[-1] else stretch.end - CHANGE_SECONDS
+    start = stretch.start if stretch.start <= time[0] else stretch.start + deciding.CHANGE_SECONDS
+    end = stretch.end if stretch.end >= time[-1] else stretch.end - deciding.CHANGE_SECONDS
     inside = np.flatnonzero((time >= start) & (time <= end))
     return slice(int(inside[0]), int(inside[-1]) + 1) if len(inside) > 2 else None
 
@@ -315,15 +283,13 @@ class BeforeSmoothing:
             stretches: Which trajectory each part is of.
             parts: With velocities.
         """
-        return [self._of(s.trajectory, part) for s, part in zip(stretches, parts, strict=True)]
-
-    def _of(self, number: int, part: Trajectory) -> Trajectory:
-        derived, recorded = self.derived[number], self.recorded[number]
-        if derived is recorded:
-            return part
-        start = None if part.time[0] == derived.time[0] else float(part.time[0])
-        end = None if part.time[-1] == derived.time[-1] else float(part.time[-1])
-        return recorded[start:end]
+        out = []
+        for number, part in zip((s.trajectory for s in stretches), parts, strict=True):
+            derived, recorded = self.derived[number], self.recorded[number]
+            start = None if part.time[0] == derived.time[0] else float(part.time[0])
+            end = None if part.time[-1] == derived.time[-1] else float(part.time[-1])
+            out.append(part if derived is recorded else recorded[start:end])
+        return out
 
 
 def ways_to_choose(motion: RowMotion, stretches: Sequence[Stretch]) -> float:

@@ -14,15 +14,7 @@ from typing import NamedTuple, TypeVar, final
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
-from manip_learn.learning.deciding import (
-    CHANGE_SECONDS,
-    LEAST_GAIN_NATS,
-    LONG_WINDOWS_SECONDS,
-    PROPOSAL_GAP,
-    SAMPLES_PER_DIRECTION,
-    SHORT_WINDOWS_SECONDS,
-    SWITCH_NATS,
-)
+from manip_learn.learning import deciding
 from manip_learn.learning.explanation.evidence import SCALES, HeldScale, evidence, gains_of, held_by, states_of
 from manip_learn.learning.explanation.row_motion import RowMotion, View, broken_energy
 from manip_learn.linalg import row_space_angle
@@ -76,7 +68,7 @@ def proposed(
     """Rows for each number of rows s = 1 .. largest, orthonormal.
 
     Each window or recording solves M x = lambda S x with M = sum r r^T and S = sum Phi Phi^T, whose s least
-    eigenvectors are the s rows that its motion uses least. Windows are of what is not explained yet (state 0);
+    eigenvectors are the s rows that its motion uses least. Windows are of motion not explained yet (state 0);
     recordings and pairs of them are of each state by itself, so that rows may be added to an explanation, or it may be
     divided.
 
@@ -96,7 +88,7 @@ def proposed(
         sizes, directions = _least_used(moments)
         for s, kept in out.items():
             gap = sizes[:, s] / sizes[:, s - 1]
-            chosen = np.flatnonzero(gap > PROPOSAL_GAP)
+            chosen = np.flatnonzero(gap > deciding.PROPOSAL_GAP)
             chosen = chosen[np.argsort(-gap[chosen])][:most]
             kept.append(np.linalg.qr(directions[chosen, :s].transpose(0, 2, 1))[0].transpose(0, 2, 1))
     joined = {s: np.concatenate(kept) for s, kept in out.items() if kept}
@@ -119,7 +111,10 @@ def distinct(rows: Float[np.ndarray, "h s r"], most: int | None = None) -> list[
 def _windows(motion: RowMotion, chosen: Bool[np.ndarray, " n"]) -> list[Moments]:
     """Windows of these samples, and windows of two recordings together."""
     motion = dataclasses.replace(motion, weight=motion.weight * chosen)
-    parts, long = [_window_moments(motion, SHORT_WINDOWS_SECONDS)], _window_moments(motion, LONG_WINDOWS_SECONDS)
+    parts, long = (
+        [_window_moments(motion, deciding.SHORT_WINDOWS_SECONDS)],
+        _window_moments(motion, deciding.LONG_WINDOWS_SECONDS),
+    )
     if len(long.M) > 1:
         sizes, _ = _least_used(long)
         long = long.chosen(np.argsort(-np.max(sizes[:, 1:] / sizes[:, :-1], axis=1))[:MOST_PAIRED])
@@ -219,7 +214,7 @@ class Hypothesis:
         view: Number of the view.
         rows: Whitened, orthonormal, shape (s, r).
         scale: How large velocities along them are.
-        gains: Evidence of each recording beyond what is explained otherwise [nats], shape (g,).
+        gains: Evidence of each recording beyond the other explanations [nats], shape (g,).
     """
 
     view: int
@@ -240,7 +235,7 @@ class Hypothesis:
     def price(self, seconds: float) -> float:
         """Of the s (r - s) parameters of Lambda, learnt from this much motion (G. Schwarz, 1978) [nats]."""
         s, r = self.rows.shape
-        return 0.5 * s * (r - s) * float(np.log(max(seconds / CHANGE_SECONDS, 2.0)))
+        return 0.5 * s * (r - s) * float(np.log(max(seconds / deciding.CHANGE_SECONDS, 2.0)))
 
     def worth(self, seconds: float) -> float:
         """Support less the price [nats]."""
@@ -271,10 +266,12 @@ class Explanation:
         refused: Hypotheses that gained enough and were not believed, in the order of their test.
     """
 
-    def __init__(self, views: Sequence[View], hypotheses: Sequence[Hypothesis] = (), switch: float = SWITCH_NATS):
+    def __init__(
+        self, views: Sequence[View], hypotheses: Sequence[Hypothesis] = (), switch: float = deciding.SWITCH_NATS
+    ):
         self.views, self.hypotheses, self.switch = views, tuple(hypotheses), switch
         self.thin = views[0].thin
-        self.values = self._values(fine=False)
+        self.values = _evidence_of([v.thin for v in views], self.hypotheses)[:, :, 0]
         self.states = states_of(self.values, self.thin.first, switch)
         gains = np.zeros((self.thin.n_trajectories, len(hypotheses)))
         for k in range(len(hypotheses)):
@@ -283,17 +280,10 @@ class Explanation:
         self.gains = gains
         self.refused: tuple[Hypothesis, ...] = ()
 
-    def _values(self, *, fine: bool) -> Float[np.ndarray, "n k"]:
-        motions = [v.motion if fine else v.thin for v in self.views]
-        values = np.zeros((len(motions[0]), len(self.hypotheses)))
-        for k, h in enumerate(self.hypotheses):
-            energy = broken_energy(motions[h.view], h.rows[None])
-            values[:, k] = evidence(motions[h.view], energy, h.n_rows, [h.scale])[:, 0, 0]
-        return values
-
     def fine_states(self) -> Int[np.ndarray, " n"]:
         """State of each sample of the views' full motion."""
-        return states_of(self._values(fine=True), self.views[0].motion.first, self.switch)
+        values = _evidence_of([v.motion for v in self.views], self.hypotheses)[:, :, 0]
+        return states_of(values, self.views[0].motion.first, self.switch)
 
     def others(self, k: int) -> Float[np.ndarray, " n"]:
         """Evidence of each sample for the best explanation beside the k-th hypothesis; 0 is free motion."""
@@ -342,7 +332,7 @@ class Explanation:
     def without_idle(self) -> Explanation:
         """Without hypotheses whose samples the others explain as well."""
         now = self
-        while len(now.hypotheses) > 1 and np.min(now.supports) < LEAST_GAIN_NATS:
+        while len(now.hypotheses) > 1 and np.min(now.supports) < deciding.LEAST_GAIN_NATS:
             idle = int(np.argmin(now.supports))
             now = Explanation(now.views, [h for k, h in enumerate(now.hypotheses) if k != idle], now.switch)
         return now
@@ -372,10 +362,10 @@ class Explanation:
         return _again(self.views, [start], held[:, None], baseline, self.switch)[0]
 
 
-def explain(views: Sequence[View], believed: Test, switch: float = SWITCH_NATS) -> Explanation:
+def explain(views: Sequence[View], believed: Test, switch: float = deciding.SWITCH_NATS) -> Explanation:
     """Add one hypothesis after the other, as long as one gains enough and is believed.
 
-    Proposals come from windows of what is not explained, and from recordings and pairs of them in each state; so a
+    Proposals come from windows of unexplained motion, and from recordings and pairs of them in each state; so a
     new hypothesis may explain more, hold more rows than an old one or divide it. Then all compete for every sample, and
     what the others explain as well is dropped.
 
@@ -387,13 +377,13 @@ def explain(views: Sequence[View], believed: Test, switch: float = SWITCH_NATS) 
     now, refused = Explanation(views, (), switch), list[Hypothesis]()
     seconds = float(views[0].thin.weight.sum())
     while len(now.hypotheses) < MOST_CONSTRAINTS:
-        gaining = [h for h in candidates(now) if h.worth(seconds) > LEAST_GAIN_NATS]
+        gaining = [h for h in candidates(now) if h.worth(seconds) > deciding.LEAST_GAIN_NATS]
         accepted, tested = None, 0
         for h in sorted(gaining, key=lambda h: -h.worth(seconds)):
             if tested == MOST_TESTED or any(_similar(h, r) for r in refused):
                 continue
             trial, tested = now.with_one_more(h), tested + 1
-            if trial.supports[-1] > LEAST_GAIN_NATS and not trial.has_twins:
+            if trial.supports[-1] > deciding.LEAST_GAIN_NATS and not trial.has_twins:
                 held = trial.states == len(trial.hypotheses)
                 if believed(views[h.view], trial.hypotheses[-1], held):
                     accepted = trial.without_idle()
@@ -414,10 +404,10 @@ def explain(views: Sequence[View], believed: Test, switch: float = SWITCH_NATS) 
 
 
 def candidates(now: Explanation, *, alone: bool = False) -> list[Hypothesis]:
-    """The proposals that gain most beyond what is explained, of each view and number of rows, fitted.
+    """The proposals that gain most beyond the explanation so far, of each view and number of rows, fitted.
 
     Args:
-        now: What explains the recordings so far.
+        now: The explanation of the recordings so far.
         alone: Those that gain most in each recording by itself, instead of those that several support.
     """
     baseline, starts, kinds = now.explained, list[Hypothesis](), []
@@ -453,16 +443,30 @@ def _fitted(
         if not going:
             break
         now = [best[i] for i in going]
-        values = np.empty((len(baseline), len(now)))
-        for (view, s, scale), numbers in _grouped((h.view, h.n_rows, h.scale) for h in now):
-            energy = broken_energy(views[view].thin, np.stack([now[i].rows for i in numbers]))
-            values[:, numbers] = evidence(views[view].thin, energy, s, [scale])[:, :, 0]
+        values = _evidence_of([v.thin for v in views], now)[:, :, 0]
         held = held_by(values - baseline[:, None], views[0].thin.first, switch)
         again = zip(going, _again(views, now, held, baseline, switch), strict=True)
         better = {i: h for i, h in again if h.gains.sum() > best[i].gains.sum()}
         best = [better.get(i, h) for i, h in enumerate(best)]
         going = list(better)
     return best
+
+
+def _evidence_of(
+    motions: Sequence[RowMotion], hypotheses: Sequence[Hypothesis], scales: Sequence[HeldScale] | None = None
+) -> Float[np.ndarray, "n h k"]:
+    """Evidence of each sample for each hypothesis under some scales, by default under its own.
+
+    Args:
+        motions: The same samples in each view.
+        hypotheses: What may hold.
+        scales: Those to compare.
+    """
+    values = np.empty((len(motions[0]), len(hypotheses), len(scales or SCALES[:1])))
+    for (view, s, own), numbers in _grouped((h.view, h.n_rows, () if scales else (h.scale,)) for h in hypotheses):
+        energy = broken_energy(motions[view], np.stack([hypotheses[i].rows for i in numbers]))
+        values[:, numbers] = evidence(motions[view], energy, s, scales or own)
+    return values
 
 
 def _grouped(keys: Iterable[Key]) -> list[tuple[Key, list[int]]]:
@@ -487,7 +491,9 @@ def _again(
     for (view, s), numbers in _grouped((h.view, h.n_rows) for h in hypotheses):
         thin = views[view].thin
         enough = np.count_nonzero(held[:, numbers] & thin.moving[:, None], axis=0)
-        numbers = [i for i, n in zip(numbers, enough, strict=True) if n >= SAMPLES_PER_DIRECTION * thin.rates.shape[1]]
+        numbers = [
+            i for i, n in zip(numbers, enough, strict=True) if n >= deciding.SAMPLES_PER_DIRECTION * thin.rates.shape[1]
+        ]
         scales = [hypotheses[i].scale for i in numbers]
         variance = np.outer(thin.noise, [x.steady**2 for x in scales])
         variance += np.outer(thin.free, [x.share**2 for x in scales])
@@ -503,11 +509,7 @@ def _scaled(
     """Each with the scale that gains most."""
     if not hypotheses:
         return []
-    values = np.empty((len(baseline), len(hypotheses), len(SCALES)))
-    for (view, s), numbers in _grouped((h.view, h.n_rows) for h in hypotheses):
-        energy = broken_energy(views[view].thin, np.stack([hypotheses[i].rows for i in numbers]))
-        values[:, numbers] = evidence(views[view].thin, energy, s, SCALES)
-    values -= baseline[:, None, None]
+    values = _evidence_of([v.thin for v in views], hypotheses, SCALES) - baseline[:, None, None]
     gains = gains_of(values.reshape(len(baseline), -1), views[0].thin.first, switch)
     gains = gains.reshape(len(gains), len(hypotheses), len(SCALES))
     most = np.argmax(gains.sum(axis=0), axis=1)

@@ -18,25 +18,7 @@ from jaxtyping import Bool, Float
 from manip_learn.constraint.features.feature_map import FeatureMap, sum_in_words
 from manip_learn.constraint.features.frame_jacobian import FrameJacobian
 from manip_learn.errors import counted, listed
-from manip_learn.learning.deciding import (
-    BELIEVED_STRENGTH,
-    FAR_FROM_HELD,
-    FEWEST_TRAJECTORIES,
-    FIRM_ALONE_SHARE,
-    FIRM_SHARE,
-    JOINTS_AT_ONCE,
-    LEAST_GAIN_NATS,
-    LEAST_SLIP,
-    LONGEST_SLIP_SECONDS,
-    NEARLY_SAME_DEG,
-    ODD_SHARE,
-    ODD_SPREAD,
-    OVER_NOISE,
-    SHORT_STRETCH_RATIO,
-    SHOWN_BY_SHARE,
-    SLIP_FACTOR,
-    SWITCH_NATS,
-)
+from manip_learn.learning import deciding
 from manip_learn.learning.explanation.evidence import (
     BeforeSmoothing,
     Stretch,
@@ -73,13 +55,15 @@ def agreeing(motion: RowMotion, rows: Float[np.ndarray, "s r"], stretches: Seque
     drift = lengths / np.maximum(ways, 1e-12)
     agrees = np.ones(len(stretches), dtype=bool)
     for _ in range(3):
-        # in length and as a share: a short stretch drifts as far as a long one
+        # in length and as a share: a short stretch drifts no less than a long one
         ratios = np.minimum(lengths / np.median(lengths[agrees]), drift / np.median(drift[agrees]))
         excess = np.log(np.maximum(ratios, 1e-12))
         # below the usual only: above it the odd ones spread as well
         spread = max(0.0, -float(np.quantile(excess[agrees], 0.16)))
-        agrees = (excess <= max(np.log(FAR_FROM_HELD), ODD_SPREAD * spread)) | (drift <= ODD_SHARE)
-        agrees |= lengths <= OVER_NOISE * noise
+        agrees = (excess <= max(np.log(deciding.FAR_FROM_HELD), deciding.ODD_SPREAD * spread)) | (
+            drift <= deciding.ODD_SHARE
+        )
+        agrees |= lengths <= deciding.OVER_NOISE * noise
         if not np.any(agrees):
             return np.ones(len(stretches), dtype=bool)
     return agrees
@@ -116,16 +100,11 @@ def drifting(
     out = {}
     odd = pieces_of(trajectories, [s for s, good in zip(stretches, agrees, strict=True) if not good])
     for s, piece in zip(*odd, strict=True):
-        why = reason(features, piece, members, selection)
-        out[s.trajectory] = f"{why}, fastest at {_fastest(features, piece, selection):.2f} s"
+        time, way = piece.time, way_along(features, piece, selection)
+        later = np.minimum(np.searchsorted(time, time + 0.1), len(time) - 1)  # a tenth of a second
+        fastest = time[np.argmax(np.linalg.norm(way[later] - way, axis=1))]
+        out[s.trajectory] = f"{reason(features, piece, members, selection)}, fastest at {fastest:.2f} s"
     return out
-
-
-def _fastest(features: FeatureMap, trajectory: Trajectory, selection: Float[np.ndarray, "s p"]) -> float:
-    """When it goes farthest along the rows within a tenth of a second [s]."""
-    time, way = trajectory.time, way_along(features, trajectory, selection)
-    later = np.minimum(np.searchsorted(time, time + 0.1), len(time) - 1)
-    return float(time[np.argmax(np.linalg.norm(way[later] - way, axis=1))])
 
 
 def missing(
@@ -137,7 +116,7 @@ def missing(
 ) -> dict[int, str]:
     """The trajectories in which a constraint is not seen although nearly all others show it, and why."""
     shown = {s.trajectory for s in stretches}
-    if len(shown) < max(2.0, SHOWN_BY_SHARE * len(trajectories)):
+    if len(shown) < max(2.0, deciding.SHOWN_BY_SHARE * len(trajectories)):
         return {}
     usual = pieces_of(trajectories, stretches)[1]
     out = {}
@@ -178,13 +157,13 @@ def slipping(
     for i, parts in spans.items():
         for a, b in pairwise(parts if len(parts) > usual else ()):
             gap = Stretch(i, a.end, b.start)
-            if gap.duration > LONGEST_SLIP_SECONDS or any(gap.shared(s) > 0.0 for s in others):
+            if gap.duration > deciding.LONGEST_SLIP_SECONDS or any(gap.shared(s) > 0.0 for s in others):
                 continue
             between = trajectories[i][a.end : b.start]
             whole = [trajectories[s.trajectory][s.start : s.end] for s in stretches]
             if (
-                _drift(motion, rows, gap)[0] > SLIP_FACTOR * held
-                and _extent(way_along(features, between, selection)) > LEAST_SLIP
+                _drift(motion, rows, gap)[0] > deciding.SLIP_FACTOR * held
+                and _extent(way_along(features, between, selection)) > deciding.LEAST_SLIP
             ):
                 why = reason(features, between, whole, selection)
                 out[i] = f"its contact is interrupted from {a.end:.2f} s to {b.start:.2f} s, as by a slip: {why}"
@@ -205,10 +184,11 @@ def reason(
     turns = np.array([unit.startswith("rad") for unit in features.row_units])
     rotation = float(np.sum(row[turns] ** 2)) > 0.5
     others = f"the other {len(members)} hold" if len(members) > 1 else "the other one holds"
+    words = sum_in_words(row * np.sign(row[np.argmax(np.abs(row))]), features.row_names, "+.2f", 0.05)
     how = "turns {:.2g} deg about" if rotation else "moves {:.3g} mm along"
     factor = np.degrees(1.0) if rotation else 1e3
     return (
-        f"{t.name} {how.format(factor * moved)} a direction ({_words(features, row)}) that {others} still "
+        f"{t.name} {how.format(factor * moved)} a direction ({words}) that {others} still "
         f"(median {factor * usual:.2g} {'deg' if rotation else 'mm'})"
     )
 
@@ -218,11 +198,6 @@ def way_along(features: FeatureMap, t: Trajectory, selection: Float[np.ndarray, 
     rates = np.matmul(features.batch(t.q), np.asarray(t.u)[:, :, None])[:, :, 0] @ selection.T
     steps = 0.5 * (rates[1:] + rates[:-1]) * np.diff(t.time)[:, None]
     return np.concatenate([np.zeros((1, len(selection))), np.cumsum(steps, axis=0)])
-
-
-def _words(features: FeatureMap, row: Float[np.ndarray, " p"]) -> str:
-    row = row if row[np.argmax(np.abs(row))] > 0.0 else -row
-    return sum_in_words(row, features.row_names, "+.2f", 0.05)
 
 
 IN_ONE_ONLY = "appears in one recording only"
@@ -309,7 +284,7 @@ def find(
     *,
     phases: bool = True,
     mechanisms: bool = True,
-    strength: float = BELIEVED_STRENGTH,
+    strength: float = deciding.BELIEVED_STRENGTH,
 ) -> Findings:
     """Explain the recordings by a few constraints and free motion.
 
@@ -330,7 +305,7 @@ def find(
     if not views:
         return unexplained(demonstrations, feature_maps)  # a single row: nothing to compare it with
     believed = _Recombination(trajectories, kinds_tried(views), int(rng.integers(2**32)), strength)
-    explanation = explain(views, believed, SWITCH_NATS if phases else np.inf)
+    explanation = explain(views, believed, deciding.SWITCH_NATS if phases else np.inf)
     elsewhere = _elsewhere(usable, trajectories, explanation)
     if elsewhere:  # what disagrees in this reference is no other task
         return dataclasses.replace(unexplained(demonstrations, feature_maps), warnings=elsewhere, elsewhere=True)
@@ -350,7 +325,10 @@ def _elsewhere(
     """A warning if rows in the other reference, which was not asked for, explain all recordings better."""
     tried = {f.reference for f in feature_maps if isinstance(f, FrameJacobian)}
     states = explanation.states
-    firm = (h.scale.share <= FIRM_SHARE and np.all(states == k) for k, h in enumerate(explanation.hypotheses, start=1))
+    firm = (
+        h.scale.share <= deciding.FIRM_SHARE and np.all(states == k)
+        for k, h in enumerate(explanation.hypotheses, start=1)
+    )
     if len(tried) != 1 or any(firm):
         return ()
     other: Reference = "local" if "world" in tried else "world"
@@ -358,7 +336,7 @@ def _elsewhere(
         FrameJacobian(f.robot, f.frame.name, f.row_names, other) for f in feature_maps if isinstance(f, FrameJacobian)
     ]
     there = _throughout(maps, trajectories)
-    if there is None or there.explained.sum() < explanation.explained.sum() + LEAST_GAIN_NATS:
+    if there is None or there.explained.sum() < explanation.explained.sum() + deciding.LEAST_GAIN_NATS:
         return ()
     return (
         f"in the {tried.pop()} reference no constraint fits all recordings, in the {other} one does: the rows are held "
@@ -424,10 +402,10 @@ class _Recombination:
         """By pieces of these stretches; beyond doubt if they are of few recordings, for two can be alike by chance."""
         noise = [view.motion.noise[view.motion.first[s.trajectory]] for s in stretches]
         at_once = [joints_at_once(np.asarray(p.u), float(np.mean(noise))) for p in pieces]
-        shown = pieces if pieces and np.median(at_once) >= JOINTS_AT_ONCE else []
+        shown = pieces if pieces and np.median(at_once) >= deciding.JOINTS_AT_ONCE else []
         choices = self.tried * ways_to_choose(view.thin, stretches)
         evidence = recombination_test(view.features, shown, np.random.default_rng(self.seed), choices, self.strength)
-        sure = recordings >= FEWEST_TRAJECTORIES or evidence.clear
+        sure = recordings >= deciding.FEWEST_TRAJECTORIES or evidence.clear
         return bool(shown) and evidence.n_rows >= h.n_rows and sure
 
 
@@ -441,23 +419,23 @@ def _lone_contacts(explanation: Explanation, believed: _Recombination) -> list[S
     """
     if np.all(explanation.states > 0):
         return []
-    found = [h for h in candidates(explanation, alone=True) if h.scale.share <= FIRM_ALONE_SHARE]
+    found = [h for h in candidates(explanation, alone=True) if h.scale.share <= deciding.FIRM_ALONE_SHARE]
     out, motion = list[Stretch](), explanation.views[0].motion
     for i in range(explanation.thin.n_trajectories if found else 0):
         h = max(found, key=lambda h: h.gains[i])
-        if h.gains[i] <= LEAST_GAIN_NATS:
+        if h.gains[i] <= deciding.LEAST_GAIN_NATS:
             continue
         alone = Explanation(explanation.views, (*explanation.hypotheses, h), explanation.switch)
         states = alone.fine_states() * (motion.trajectory == i)
         stretches = stretches_of(motion, states, len(alone.hypotheses))
-        worthy = [s for s in stretches if _worth(alone, s) > LEAST_GAIN_NATS]
+        worthy = [s for s in stretches if _worth(alone, s) > deciding.LEAST_GAIN_NATS]
         out += [s for s in worthy if believed.of_one(explanation.views[h.view], h, s)]
     return out
 
 
 def _parts_of(start: float, end: float) -> Float[np.ndarray, " k"]:
     """Edges of the parts of a stretch that stand for recordings: one more than the fewest can be spared [s]."""
-    return np.linspace(start, end, FEWEST_TRAJECTORIES + 2)
+    return np.linspace(start, end, deciding.FEWEST_TRAJECTORIES + 2)
 
 
 def _worth(alone: Explanation, stretch: Stretch) -> float:
@@ -487,7 +465,9 @@ def _findings(
         h = explanation.hypotheses[k]
         spans = sharpened(view.motion, h.rows, stretches_of(view.motion, states, k + 1))
         usual = np.median([s.duration for s in spans]) if spans else 0.0
-        found.append(tuple(pieces_of(trajectories, [s for s in spans if s.duration >= SHORT_STRETCH_RATIO * usual])[0]))
+        found.append(
+            tuple(pieces_of(trajectories, [s for s in spans if s.duration >= deciding.SHORT_STRETCH_RATIO * usual])[0])
+        )
     for number, (k, view, stretches) in enumerate(zip(order, views, found, strict=True), start=1):
         rows = explanation.hypotheses[k].rows
         if not stretches:
@@ -531,5 +511,5 @@ def _doubts(explanation: Explanation, order: Sequence[int]) -> list[str]:
         f"constraints {i + 1} and {j + 1} differ by {angle:.1f} deg only: two contacts that nearly coincide, or one "
         "that is not quite constant; they are kept apart, not averaged"
         for (i, j), angle in angles.items()
-        if angle < NEARLY_SAME_DEG
+        if angle < deciding.NEARLY_SAME_DEG
     ]

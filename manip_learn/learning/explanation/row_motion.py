@@ -14,7 +14,7 @@ from manip_learn.constraint.features.feature_map import FeatureMap
 from manip_learn.constraint.features.frame_jacobian import AXES, FrameJacobian
 from manip_learn.constraint.features.mechanism_rows import PlaceForm, PlaceRows
 from manip_learn.errors import NotIdentifiableError, RecordingError
-from manip_learn.learning.deciding import CUBIC, LONGEST_STEP_SECONDS, OVER_NOISE, SHORT_WINDOWS_SECONDS
+from manip_learn.learning import deciding
 from manip_learn.learning.samples import whitening
 from manip_learn.linalg import null_basis
 from manip_learn.recordings.preprocessing import subsample
@@ -117,7 +117,7 @@ class RowMotion:
     @property
     def moving(self) -> Bool[np.ndarray, " n"]:
         """Where the rows move clearly more than the noise: elsewhere nothing can be known."""
-        return self.free > OVER_NOISE**2 * self.noise
+        return self.free > deciding.OVER_NOISE**2 * self.noise
 
     def thinned(self) -> RowMotion:
         """Evenly chosen samples, about SCAN_RATE a second, each standing for the time of those left out."""
@@ -175,7 +175,7 @@ def joints_at_once(u: Float[np.ndarray, "n nv"], noise: float) -> float:
         u: Velocities.
         noise: Variance of the noise of each of them.
     """
-    squares = u[np.sum(u**2, axis=1) > OVER_NOISE**2 * noise * u.shape[1]] ** 2
+    squares = u[np.sum(u**2, axis=1) > deciding.OVER_NOISE**2 * noise * u.shape[1]] ** 2
     if not len(squares):
         return 0.0
     return float(np.median(np.sum(squares, axis=1) ** 2 / np.sum(squares**2, axis=1)))
@@ -184,29 +184,29 @@ def joints_at_once(u: Float[np.ndarray, "n nv"], noise: float) -> float:
 def _weights(time: Float[np.ndarray, " T"]) -> Float[np.ndarray, " T"]:
     if len(time) < 2:
         return np.full(len(time), 0.01)
-    steps = np.minimum(np.diff(time), LONGEST_STEP_SECONDS)
+    steps = np.minimum(np.diff(time), deciding.LONGEST_STEP_SECONDS)
     return 0.5 * (np.append(steps, steps[-1]) + np.insert(steps, 0, steps[0]))
 
 
 def velocity_noise(trajectory: Trajectory) -> float:
-    """Variance of a joint velocity's noise: what is left in short windows beside a smooth motion.
+    """Variance of a joint velocity's noise: the rest that a smooth motion leaves in short windows.
 
-    A motion as smooth as a cubic fills four directions of a window, of its samples as of the joints: what is left in
+    A motion as smooth as a cubic fills four directions of a window, of its samples as of the joints: the rest in
     the others is noise. Where there are no more joints than that, the samples alone tell.
     """
     u, time = np.asarray(trajectory.u), trajectory.time
     nv, T = u.shape[1], len(u)
-    length = min(T, max(2 * nv, int(np.searchsorted(time, time[0] + SHORT_WINDOWS_SECONDS[0]))))
+    length = min(T, max(2 * nv, int(np.searchsorted(time, time[0] + deciding.SHORT_WINDOWS_SECONDS[0]))))
     starts = np.arange(0, T - length + 1, max(1, length // 2))
     windows = np.stack([u[a : a + length] for a in starts])
     left = []
-    if nv > CUBIC:
+    if nv > deciding.CUBIC:
         values = np.linalg.eigvalsh(np.einsum("wti,wtj->wij", windows, windows) / length)
-        left.append(np.mean(values[:, : nv - CUBIC], axis=1))
-    if length > CUBIC:
-        cubic = np.linalg.qr(np.vander(np.linspace(-1.0, 1.0, length), CUBIC))[0]
+        left.append(np.mean(values[:, : nv - deciding.CUBIC], axis=1))
+    if length > deciding.CUBIC:
+        cubic = np.linalg.qr(np.vander(np.linspace(-1.0, 1.0, length), deciding.CUBIC))[0]
         rest = windows - cubic @ (cubic.T @ windows)
-        left.append(np.sum(rest**2, axis=(1, 2)) / ((length - CUBIC) * nv))
+        left.append(np.sum(rest**2, axis=(1, 2)) / ((length - deciding.CUBIC) * nv))
     least = min((float(np.median(x)) for x in left), default=0.0)
     return max(least, 1e-10 * float(np.mean(u**2)), 1e-24)
 

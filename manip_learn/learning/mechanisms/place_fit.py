@@ -32,7 +32,7 @@ import numpy as np
 from jaxtyping import Float
 
 from manip_learn.constraint.mechanism import MechanismKind
-from manip_learn.learning.deciding import SCATTER_ERRORS, STANDARD_ERRORS, STATED_SHARE_OF_PLACES, VARIANCE_FLOOR
+from manip_learn.learning import deciding
 from manip_learn.learning.descent import descend
 from manip_learn.learning.mechanisms.quantities import QUANTITIES, Place, TipPaths
 from manip_learn.learning.uncertainty import JointOffsets, influences
@@ -65,7 +65,7 @@ class Weights:
 
     @staticmethod
     def of(paths: TipPaths, kind: MechanismKind, place: Place) -> Weights:
-        """From the slopes of what is held; in no direction does a sample vary by nothing."""
+        """From the slopes of the held quantities; in no direction does a sample vary by nothing."""
         held = [QUANTITIES[name] for name in kind.holds]
         D = [one.by_twist(paths, place, one.evaluate(paths, place)[1]) for one in held]
         noise = np.concatenate(D, axis=1) @ paths.J
@@ -73,7 +73,7 @@ class Weights:
         floor, column = np.zeros(S.shape[1]), 0
         for one in held:
             own = slice(column, column + one.width)
-            floor[own] = VARIANCE_FLOOR * float(np.mean(np.einsum("nii->n", S[:, own, own]))) / one.rank
+            floor[own] = deciding.VARIANCE_FLOOR * float(np.mean(np.einsum("nii->n", S[:, own, own]))) / one.rank
             column = own.stop
         # what no joint moves is exact, at any weight: the third coordinate of a planar arm
         values, vectors = np.linalg.eigh(S + np.diag(np.where(floor > UNDETERMINED * floor.max(), floor, 1.0)))
@@ -213,7 +213,7 @@ class PlaceFit:
             part, k = self.paths.part(middle), int(np.count_nonzero(~tied[:j]))
             root = self.weights.root[part][:, :, ~tied]
             own[part] = root @ np.linalg.inv(np.sum(root.transpose(0, 2, 1) @ root, axis=0))[:, k]
-        spread = float(np.quantile(np.abs(each - each[middle]), STATED_SHARE_OF_PLACES))
+        spread = float(np.quantile(np.abs(each - each[middle]), deciding.STATED_SHARE_OF_PLACES))
         return Radius(float(each[middle]), spread, self.leaning[middle, j], own)
 
     @cached_property
@@ -276,7 +276,7 @@ class PlaceFit:
         if self.radius is None:
             return PlaceErrors(numbers, None)
         # where each trajectory has its own radius, what they differ by belongs to its error
-        own = float(np.quantile(np.abs(drawn[:, -1]), STATED_SHARE_OF_PLACES))
+        own = float(np.quantile(np.abs(drawn[:, -1]), deciding.STATED_SHARE_OF_PLACES))
         return PlaceErrors(numbers, float(np.hypot(own, self.radius.spread)))
 
 
@@ -313,7 +313,7 @@ class PlaceErrors:
 
     def within(self, chosen: slice) -> float:
         """What the error of some of the seven numbers stays below in 68 % of cases."""
-        return float(np.quantile(np.linalg.norm(self.numbers[:, chosen], axis=1), STATED_SHARE_OF_PLACES))
+        return float(np.quantile(np.linalg.norm(self.numbers[:, chosen], axis=1), deciding.STATED_SHARE_OF_PLACES))
 
 
 def fit_place(
@@ -332,7 +332,7 @@ def fit_place(
     for _ in range(ROUNDS if weights is None else 1):
         if "point" not in kind.unknowns:
             place = Place(place.axis, place.point + ((middle - place.point) @ place.axis) * place.axis, place.pitch)
-        here, _ = descend(
+        here = descend(
             PlaceFit.at(paths, kind, place, shared, weights),
             PlaceFit.moved,
             ITERATIONS if kind.unknowns else 0,
@@ -374,7 +374,7 @@ def _without_constants(
 
 
 def _correlation(here: PlaceFit) -> list[float]:
-    """rho_1, rho_2, ... as far as they exceed chance."""
+    """rho_1, rho_2, ... up to the first that chance explains."""
     shares: list[float] = []
     for k in range(1, LONGEST + 1):
         pairs = [(here.residuals[p][k:], here.residuals[p][:-k]) for p in here.clusters]
@@ -382,7 +382,7 @@ def _correlation(here: PlaceFit) -> list[float]:
         if n < 2 * k or here.cost <= 0.0:
             break
         share = sum(float(np.sum(a * b)) for a, b in pairs) / n * len(here.residuals) / here.cost
-        if share < STANDARD_ERRORS / np.sqrt(n):
+        if share < deciding.STANDARD_ERRORS / np.sqrt(n):
             break
         shares.append(share)
     return shares
@@ -396,7 +396,7 @@ def _scatter(here: PlaceFit, C: Float[np.ndarray, "m m"]) -> tuple[float, float]
         return 1.0, np.inf
     moves = influences(*here.scores)[:, : here.m] * np.sqrt((n - 1.0) / n)
     ratio = float(np.trace(scaled_inverse(C) @ moves.T @ moves)) / here.m
-    factor = ratio / (1.0 + SCATTER_ERRORS * np.sqrt(2.0 / freedom))
+    factor = ratio / (1.0 + deciding.SCATTER_ERRORS * np.sqrt(2.0 / freedom))
     return (factor, freedom) if factor > 1.0 else (1.0, np.inf)
 
 

@@ -49,10 +49,14 @@ def dask_client(address: str, n_workers: int | None = None) -> Iterator[Client]:
     if address != "local":
         try:
             client = Client(address, timeout=PATIENCE)
-        except (OSError, ValueError) as error:
-            raise ManipLearnError(
-                f"there is no dask scheduler at {address!r} ({error}): start one with `dask scheduler`, or use 'local'"
-            ) from error
+        except (OSError, ValueError, TypeError, AssertionError, ImportError, RuntimeError) as error:
+            scheme = address.partition("://")[0] if "://" in address else "tcp"
+            start = "start one with `dask scheduler`, or use 'local'"
+            needs = {
+                "tcp": start,
+                "tls": f"tls needs certificates in dask's settings (distributed.comm.tls); or {start}",
+            }.get(scheme, f"{scheme} needs packages and settings of its own; use tcp://HOST:PORT, or 'local'")
+            raise ManipLearnError(f"there is no dask scheduler at {address!r} ({error}): {needs}") from error
         with client:
             yield client
         return

@@ -106,10 +106,10 @@ class SummaryAccumulator(Accumulator):
 
 
 class Evidence(NamedTuple):
-    """What a pass at a point of the descent has gathered.
+    """The sums that a pass at a point of the descent has gathered.
 
     Attributes:
-        cost, energy: Sums of the squares of what is left, and of what there was.
+        cost, energy: Sums of the squares of the residuals, and of the motion.
         parts: Block of trajectories -> gradient and Gauss-Newton Hessian for (Theta, B), B alone without a policy.
     """
 
@@ -138,7 +138,7 @@ class Policy:
 
     @staticmethod
     def of(fit: JointFit, samples: Samples) -> Policy:
-        """As it was fitted to some samples."""
+        """The policy of a fit to some samples."""
         regressors = OrthonormalRegressors.of(samples, fit.model)
         return Policy(fit.model, samples.centre, samples.spread, regressors.mixing, regressors.back @ fit.theta)
 
@@ -207,7 +207,7 @@ def learn_from_all(
     client: Any = None,
     progress: Progress | None = None,
 ) -> tuple[Candidate, DataSummary]:
-    """What is learnt from an even choice of the samples, refined on all of them; and their summary.
+    """The candidate learnt from an even choice of the samples, refined on all of them; and their summary.
 
     Args:
         stream: The samples.

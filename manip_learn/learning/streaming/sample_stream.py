@@ -12,7 +12,7 @@ from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 from itertools import groupby, islice
-from typing import Any, TypeVar, final
+from typing import Any, NamedTuple, TypeVar, final
 
 import numpy as np
 from jaxtyping import Float, Int
@@ -189,14 +189,11 @@ def representative(stream: SampleStream, most: int) -> tuple[Demonstrations, tup
     return Demonstrations(taken, tuple(dict.fromkeys(kept))), tuple(places), complete
 
 
-@final
-@dataclass(frozen=True)
-class FilePlace:
-    """Where a trajectory lies in the file: time, q, u, one after the other."""
+class FilePlace(NamedTuple):
+    """Where time, q and u of a trajectory begin in the file."""
 
     offset: int
-    n: int
-    m: int
+    n_samples: int
     joint_names: tuple[str, ...]
     name: str
 
@@ -218,11 +215,11 @@ class TrajectoryBuffer(TrajectorySource):
 
     @property
     def _starts(self) -> list[int]:
-        return part_starts([place.n for place in self._held])
+        return part_starts([place.n_samples for place in self._held])
 
     @property
     def n_parts(self) -> int:
-        """As for a list."""
+        """Number of parts, as a list of the same trajectories has them."""
         return len(self._starts) - 1
 
     def add(self, source: TrajectorySource, features: list[FeatureMap], velocities: VelocityMethod) -> None:
@@ -236,10 +233,9 @@ class TrajectoryBuffer(TrajectorySource):
         try:
             for part in range(source.n_parts):
                 for t in stream.trajectories(part, notes):
-                    place = FilePlace(self._file.seek(0, 2), len(t), t.q.shape[1], t.joint_names, t.name)
+                    self._held.append(FilePlace(self._file.seek(0, 2), len(t), t.joint_names, t.name))
                     for array in (t.time, t.q, t.u):
-                        self._file.write(np.ascontiguousarray(array, dtype=np.float64).tobytes())
-                    self._held.append(place)
+                        np.save(self._file, np.asarray(array), allow_pickle=False)
             self._notes += refuse_unmatched(notes, source.n_parts)
         except RecordingError:
             del self._held[count:]
@@ -253,10 +249,8 @@ class TrajectoryBuffer(TrajectorySource):
         starts = self._starts
         for place in self._held[starts[index] : starts[index + 1]]:
             self._file.seek(place.offset)
-            columns = 1 + place.m + len(place.joint_names)
-            values = np.frombuffer(self._file.read(8 * place.n * columns), dtype=np.float64)
-            time, q, u = np.split(values, [place.n, place.n * (1 + place.m)])
-            yield Trajectory(time, q.reshape(place.n, place.m), u.reshape(place.n, -1), place.joint_names, place.name)
+            time, q, u = (np.load(self._file) for _ in range(3))
+            yield Trajectory(time, q, u, place.joint_names, place.name)
 
 
 # of postures and velocities that are kept from one pass to the next: a million samples of a 7-joint arm

@@ -18,7 +18,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import final
+from typing import NamedTuple, final
 
 import numpy as np
 import pinocchio as pin
@@ -107,13 +107,7 @@ def chain_to(carried: CarryingJoints) -> Chain | None:
         placements.append((turn.T @ M.rotation @ z_to_axis, turn.T @ M.translation))
         prismatic.append(slides)
         turn = z_to_axis
-    M = model.frames[carried.index].placement
-    placements.append((turn.T @ M.rotation, turn.T @ M.translation))
-    return _assembled(np.array(prismatic, dtype=bool), placements)
-
-
-def _assembled(prismatic: np.ndarray, placements: list[tuple[np.ndarray, np.ndarray]]) -> Chain:
-    n = len(prismatic)
+    n, tool = len(prismatic), model.frames[carried.index].placement
     offset, tilt_cos, tilt_sin, shift = np.zeros(n), np.ones(n), np.zeros(n), np.zeros((n, 3))
     for i in range(1, n):
         R, t = placements[i]
@@ -122,15 +116,15 @@ def _assembled(prismatic: np.ndarray, placements: list[tuple[np.ndarray, np.ndar
         shift[i] = _snapped(_turn_z(a).T @ t)
         offset[i] += c
     return Chain(
-        prismatic=prismatic,
+        prismatic=np.array(prismatic, dtype=bool),
         offset=offset,
         start_rotation=_snapped(placements[0][0]),
         start_position=placements[0][1],
         tilt_cos=tilt_cos,
         tilt_sin=tilt_sin,
         shift=shift,
-        tool_rotation=_snapped(placements[n][0]),
-        tool_position=_snapped(placements[n][1]),
+        tool_rotation=_snapped(turn.T @ tool.rotation),
+        tool_position=_snapped(turn.T @ tool.translation),
     )
 
 
@@ -215,8 +209,7 @@ class ChainColumns:
 
 
 @final
-@dataclass(frozen=True)
-class SweepBuffers:
+class SweepBuffers(NamedTuple):
     """Memory of one chunk, used again for the next; belongs to one call, so that threads never share it.
 
     Attributes:
@@ -234,18 +227,15 @@ class SweepBuffers:
     @staticmethod
     def of(joints: int, n: int) -> SweepBuffers:
         """Memory for a chain of that many joints and chunks of n postures."""
-        return SweepBuffers(
-            np.empty((3, joints, n)), np.empty((3, joints, n)), np.empty((6, 3, n)), np.empty((2, 3, n))
-        )
+        return SweepBuffers(*map(np.empty, ((3, joints, n), (3, joints, n), (6, 3, n), (2, 3, n))))
 
     def first(self, n: int) -> SweepBuffers:
         """The part for a last, smaller chunk."""
-        return SweepBuffers(self.axis[..., :n], self.origin[..., :n], self.scratch[..., :n], self.work[..., :n])
+        return SweepBuffers(*(array[..., :n] for array in self))
 
 
 @final
-@dataclass(frozen=True)
-class Tip:
+class Tip(NamedTuple):
     """Pose of the last joint's frame after its motion; columns of the rotation and the origin, each (3, n)."""
 
     x: Float[np.ndarray, "3 n"]
@@ -401,34 +391,27 @@ def write_derivative(
     """Rows of dJ/dq into public columns: entry [r, i, k] = d J_ri / d q_k (see `frame_kinematics.closed_form`)."""
     joints, n = motion.w.shape[1:]
     block = np.empty((1, joints, joints, n))
-    write = _write_world if motion.reference == "world" else _write_local
     for position, row in enumerate(rows):
-        write(motion, row, block[0])
+        _write_row(motion, row, block[0])
         columns.scatter_pairs(block, out[position : position + 1])
 
 
-def _write_world(motion: ChainMotion, row: int, out: np.ndarray) -> None:
-    w, joints, r = motion.w, motion.w.shape[1], row % 3
-    lower_column = motion.v if row < 3 else w
+def _write_row(motion: ChainMotion, row: int, out: Float[np.ndarray, "j j n"]) -> None:
+    w, r, is_linear, is_world = motion.w, row % 3, row < 3, motion.reference == "world"
+    column = motion.v if is_linear else w
     work = np.empty(out.shape[1:])
-    for k in range(joints):
-        # w_k x v_i for every joint i from k on
-        cross_row(w[:, k, None], lower_column[:, k:], r, out[k:, k], work[k:])
-        # the joint above turns the velocity that the lower one gives, whichever of the two the derivative is along
-        out[k, k:] = out[k:, k] if row < 3 else 0.0
-
-
-def _write_local(motion: ChainMotion, row: int, out: np.ndarray) -> None:
-    w, joints, r = motion.w, motion.w.shape[1], row % 3
-    v = motion.v if row < 3 else w
-    work = np.empty(out.shape[1:])
-    i, j = AFTER[r]
-    for k in range(joints):
-        block = out[k, k + 1 :]
-        cross_row(w[:, k, None], v[:, k + 1 :], r, block, work[k + 1 :])
-        if row < 3:
-            block += np.multiply(v[i, k], w[j, k + 1 :], out=work[k + 1 :])
-            block -= np.multiply(v[j, k], w[i, k + 1 :], out=work[k + 1 :])
+    for k in range(w.shape[1]):
+        first = k if is_world else k + 1
+        into, scratch = (out[first:, k] if is_world else out[k, first:]), work[first:]
+        # w_k x v_i of every joint i below k: the joint above turns the velocity that the lower one gives,
+        cross_row(w[:, k, None], column[:, first:], r, into, scratch)
+        if is_world:  # whichever of the two the derivative is along
+            out[k, k:] = into if is_linear else 0.0
+            continue
+        if is_linear:
+            i, j = AFTER[r]
+            into += np.multiply(column[i, k], w[j, first:], out=scratch)
+            into -= np.multiply(column[j, k], w[i, first:], out=scratch)
         out[k:, k] = 0.0
 
 

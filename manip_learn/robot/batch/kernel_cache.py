@@ -77,23 +77,11 @@ def _cache_folder() -> Path:
 _FOLDER = None if numba is None else _cache_folder()
 
 
-def compiled(function: Callable[..., Any]) -> Callable[..., Any]:
+def compiled(function: Callable[..., Any], **options: Any) -> Callable[..., Any]:
     """The function, compiled at its first call or read from the cache; runs without the interpreter's lock.
 
     Without numba it is the function itself.
     """
-    return _compiled(function)
-
-
-def compiled_inside(function: Callable[..., Any]) -> Callable[..., Any]:
-    """The same for a function that only compiled ones call: there is nothing of it to call from Python.
-
-    Without numba it is the function itself.
-    """
-    return _compiled(function, no_cpython_wrapper=True, no_cfunc_wrapper=True)
-
-
-def _compiled(function: Callable[..., Any], **options: Any) -> Callable[..., Any]:
     if numba is None:
         return function
     with _lock:
@@ -103,6 +91,11 @@ def _compiled(function: Callable[..., Any], **options: Any) -> Callable[..., Any
             return numba.njit(cache=True, nogil=True, error_model="numpy", **options)(function)
         finally:
             _SETTINGS.CACHE_DIR = before
+
+
+def compiled_inside(function: Callable[..., Any]) -> Callable[..., Any]:
+    """As `compiled`, for a function that only compiled ones call: there is nothing of it to call from Python."""
+    return compiled(function, no_cpython_wrapper=True, no_cfunc_wrapper=True)
 
 
 def announce_compilation(function: Callable[..., Any], report: Callable[[str], object] | None = None) -> None:

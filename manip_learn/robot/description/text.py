@@ -1,6 +1,6 @@
-"""Text of a robot description: bytes read without trusting the path, xacro expanded on request, XML without surprises.
+"""Text of a robot description: bytes read without trusting the path, XML without surprises.
 
-XML has no entities and no doctypes here; its nodes know their line, and refusals name it.
+XML has no entities and no doctypes here; its nodes know their line and whose they are, and refusals name both.
 """
 
 from __future__ import annotations
@@ -10,16 +10,14 @@ import math
 import os
 import re
 import stat
-import threading
 import xml.parsers.expat
-from collections.abc import Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any, final
-from xml.parsers.expat import ExpatError
+from typing import final, overload
+from xml.parsers.expat import ExpatError, errors
 
-from manip_learn.errors import MissingExtraError, RobotError, advice, closest_names
+from manip_learn.errors import RobotError, advice, closest_names
 
 SHOWN = 4
 MAX_WARNINGS = 100
@@ -49,10 +47,10 @@ class Diagnostics:
         """True when further warnings are only counted."""
         return len(self._warnings) >= MAX_WARNINGS
 
-    def refusal(self, code: str, line: int | None, where: str, seen: str, expected: str, fix: str) -> RobotError:
-        """The error to raise: `<file>:<line>: <where>: <seen>; <expected>; <fix>`."""
+    def refusal(self, code: str, line: int | None, sentence: str) -> RobotError:
+        """The error to raise; the sentence says whose fault it is: the value seen; the value expected; the remedy."""
         place = f"{self.path}:{line}" if line is not None else f"{self.path}"
-        return RobotError(f"{place}: {where}: {seen}; {expected}; {fix}", code=code, path=self.path, line=line)
+        return RobotError(f"{place}: {sentence}", code=code, path=self.path, line=line)
 
     def warn(self, line: int | None, sentence: str) -> None:
         """Keep a sentence for `Robot.warnings`."""
@@ -73,6 +71,12 @@ def shortened(text: str, length: int = 80) -> str:
     return text if len(text) <= length else f"{text[: length - 3]}..."
 
 
+def meant(name: str, known: Iterable[str], otherwise: str) -> str:
+    """The remedy for a misspelt name: `did you mean 'elbow'?`, or the other advice if no known name is near."""
+    near = closest_names(name, known)
+    return f"did you mean {quoted(near)}?" if near else otherwise
+
+
 MAX_BYTES = 10_000_000
 
 
@@ -83,18 +87,17 @@ def read_regular_file(path: Path, most: int) -> bytes:
         OSError: As from `open`; `ENXIO` if it is no regular file, `EFBIG` if it is larger.
         ValueError: The path holds a zero byte.
     """
-    # O_NONBLOCK: opening a pipe would wait for its writer
-    descriptor = os.open(path, os.O_RDONLY | getattr(os, "O_NONBLOCK", 0) | getattr(os, "O_BINARY", 0))
-    try:
-        status = os.fstat(descriptor)
+
+    def without_waiting(name: str, flags: int) -> int:  # opening a pipe would wait for its writer
+        return os.open(name, flags | getattr(os, "O_NONBLOCK", 0))
+
+    with open(path, "rb", opener=without_waiting) as file:
+        status = os.fstat(file.fileno())
         if not stat.S_ISREG(status.st_mode):
             raise OSError(errno.ENXIO, "not a regular file")
         if status.st_size > most:
             raise OSError(errno.EFBIG, f"{status.st_size} bytes")
-        with os.fdopen(descriptor, "rb", closefd=False) as file:
-            content = file.read(most + 1)
-    finally:
-        os.close(descriptor)
+        content = file.read(most + 1)
     if len(content) > most:
         raise OSError(errno.EFBIG, f"more than {most} bytes")
     return content
@@ -108,32 +111,25 @@ def read_description(path: Path) -> bytes:
     """
     try:
         return read_regular_file(path, MAX_BYTES)
-    except (FileNotFoundError, NotADirectoryError) as error:
-        raise RobotError(f"{path}: there is no such file; check the path", code="missing", path=path) from error
-    except OSError as error:
-        raise _not_read(error, path) from error
-    except ValueError as error:
-        raise RobotError(f"{str(path)!r}: not a usable path ({error})", code="unreadable", path=path) from error
+    except (OSError, ValueError) as error:
+        code, sentence = _not_read(error, path)
+        raise RobotError(sentence, code=code, path=path) from error
 
 
-def _not_read(error: OSError, path: Path) -> RobotError:
-    if error.errno in (errno.ENXIO, errno.EISDIR):
-        return RobotError(f"{path}: not a regular file; {_hint(path)}", code="not-a-file", path=path)
+def _not_read(error: OSError | ValueError, path: Path) -> tuple[str, str]:
+    if isinstance(error, ValueError):
+        return "unreadable", f"{str(path)!r}: not a usable path ({error})"
+    if isinstance(error, FileNotFoundError | NotADirectoryError):
+        return "missing", f"{path}: there is no such file; check the path"
     if error.errno == errno.EFBIG:
-        return RobotError(
-            f"{path}: the file has {error.strerror}, at most {MAX_BYTES} are read; is it a robot description?",
-            code="file-too-large",
-            path=path,
+        return "file-too-large", (
+            f"{path}: the file has {error.strerror}, at most {MAX_BYTES} are read; is it a robot description?"
         )
-    sentence = f"{path}: cannot be read ({error.strerror}); check the path and its permissions"
-    return RobotError(sentence, code="unreadable", path=path)
-
-
-def _hint(path: Path) -> str:
-    if not path.is_dir():
-        return "name a URDF file"
-    inside = sorted(p.name for p in path.glob("*.urdf"))[:4]
-    return f"it is a folder; name a file in it, e.g. {', '.join(inside)}" if inside else "it is a folder; name a file"
+    if error.errno not in (errno.ENXIO, errno.EISDIR):
+        return "unreadable", f"{path}: cannot be read ({error.strerror}); check the path and its permissions"
+    inside = ", ".join(sorted(p.name for p in path.glob("*.urdf"))[:SHOWN]) if path.is_dir() else ""
+    hint = f"it is a folder; name a file in it, e.g. {inside}" if inside else "name a URDF file"
+    return "not-a-file", f"{path}: not a regular file; {hint}"
 
 
 MAX_ELEMENTS = 200_000
@@ -142,16 +138,28 @@ MAX_ATTRIBUTE = 100_000  # [characters]
 # no two ways to read the same digits: else a long number with a typing error takes minutes
 NUMBER = re.compile(r"[+-]?(\d+(\.\d*)?|\.\d+)([eE][+-]?\d+)?", re.ASCII)
 LARGEST = 1e100  # squares and products of what is larger overflow
+NAMED = ("link", "joint", "body", "site")  # elements that messages speak of by name
 
 
 @final
 @dataclass(frozen=True)
 class XmlNode:
-    """One element: tag, attributes, children and the line on which it starts. Text between tags is not kept."""
+    """One element. Text between tags is not kept.
+
+    Attributes:
+        tag: Its tag.
+        attributes: Its attributes, as text.
+        line: Line on which it starts.
+        where: The link, joint, body or site that it is or belongs to, as messages name it.
+        log: Of its file.
+        children: The elements inside.
+    """
 
     tag: str
     attributes: dict[str, str]
     line: int
+    where: str
+    log: Diagnostics
     children: list[XmlNode] = field(default_factory=list)
 
     def all(self, tag: str) -> list[XmlNode]:
@@ -162,267 +170,137 @@ class XmlNode:
         """First child with that tag, or None."""
         return next((c for c in self.children if c.tag == tag), None)
 
+    def refusal(self, code: str, sentence: str) -> RobotError:
+        """The error to raise; the sentence says the value seen; the value expected; the remedy."""
+        return self.log.refusal(code, self.line, f"{self.where}: {sentence}")
+
+    def warn(self, sentence: str) -> None:
+        """Keep a sentence about it for `Robot.warnings`."""
+        self.log.warn(self.line, f"{self.where}: {sentence}")
+
+    @overload
+    def number(self, attribute: str) -> float | None: ...
+    @overload
+    def number(self, attribute: str, default: float) -> float: ...
+    def number(self, attribute: str, default: float | None = None) -> float | None:
+        """The number in an attribute, or the default if there is no such attribute.
+
+        Raises:
+            RobotError: Codes `number`, `not-finite`, `xacro-expression`.
+        """
+        text = self.attributes.get(attribute)
+        return default if text is None else self._parsed(text.strip(), attribute)
+
+    def vector(self, attribute: str, size: int) -> tuple[float, ...] | None:
+        """`size` numbers in an attribute; None if there is no such attribute.
+
+        Raises:
+            RobotError: Codes `number`, `not-finite`, `vector-size`, `xacro-expression`.
+        """
+        text = self.attributes.get(attribute)
+        if text is None:
+            return None
+        words = text.split()
+        if "${" not in text and len(words) != size:
+            fix = "separate the numbers by spaces, not by commas" if "," in text else "write one number for each"
+            seen = f'{self.tag} {attribute}="{shortened(text)}" has {len(words)} numbers'
+            raise self.refusal("vector-size", f"{seen}; {size} are expected; {fix}")
+        return tuple(self._parsed(word, attribute) for word in words)
+
+    def _parsed(self, text: str, attribute: str) -> float:
+        seen = f'{self.tag} {attribute}="{shortened(text)}"'
+        if NUMBER.fullmatch(text):
+            value = float(text)
+            if math.isfinite(value) and abs(value) <= LARGEST:
+                return value
+            raise self.refusal("not-finite", f"{seen}; at most {LARGEST:g} is expected; write the true value")
+        if "${" in text:
+            fix = "name the file *.xacro" + advice(" and load it with {}", "xacro=True", "--xacro")
+            raise self.refusal("xacro-expression", f"{seen}; a number is expected; this is xacro, not URDF: {fix}")
+        if text.lower().lstrip("+-") in ("nan", "inf", "infinity", "1.#inf", "1.#qnan"):
+            fix = (
+                'for a joint without limits write type="continuous"' if self.tag == "limit" else "write the true value"
+            )
+            raise self.refusal("not-finite", f"{seen}; a finite number is expected; {fix}")
+        is_comma = re.fullmatch(r"[+-]?\d+,\d+", text)
+        fix = "write a decimal point, not a comma" if is_comma else "write digits such as 0.5"
+        raise self.refusal("number", f"{seen}; a number is expected; {fix}")
+
 
 def parse_xml(content: bytes, path: Path) -> XmlNode:
-    """The root element of an XML document.
+    """The root element of an XML document; its `log` is that of the file.
 
     Args:
         content: The document.
         path: Where it came from, for the messages.
 
     Raises:
-        RobotError: Codes `empty`, `not-xml`, `doctype`, `encoding`, `xml-too-deep`, `xml-too-large`.
+        RobotError: Codes `empty`, `not-xml`, `entity`, `doctype`, `encoding`, `xml-too-deep`, `xml-too-large`.
     """
+    log = Diagnostics(path)
     if not content.strip():
-        raise RobotError(f"{path}: the file is empty; a robot description is expected", code="empty", path=path)
-    builder = _Builder(path)
+        raise log.refusal("empty", None, "the file is empty; a robot description is expected")
+    builder = _Builder(log)
     try:
         builder.parser.Parse(content, True)
-    except xml.parsers.expat.ExpatError as error:
-        raise _not_xml(error, content, path) from error
+    except ExpatError as error:
+        raise _not_xml(error, content, log) from error
     except (LookupError, ValueError) as error:  # an encoding that Python does not know, or cannot use
-        line = builder.parser.CurrentLineNumber
-        raise RobotError(
-            f"{path}:{line}: its XML declaration names an encoding that cannot be read ({error}); save it as UTF-8",
-            code="encoding",
-            path=path,
-            line=line,
-        ) from error
+        sentence = f"its XML declaration names an encoding that cannot be read ({error}); save it as UTF-8"
+        raise builder.refusal("encoding", sentence) from error
     return builder.root
 
 
 class _Builder:
-    def __init__(self, path: Path):
-        self.path = path
+    def __init__(self, log: Diagnostics):
+        self.log = log
         self.count = 0
         self.stack: list[XmlNode] = []
         self.parser = xml.parsers.expat.ParserCreate()
         self.parser.StartElementHandler = self._start
-        self.parser.EndElementHandler = self._end
+        self.parser.EndElementHandler = lambda tag: self.stack.pop()
         self.parser.StartDoctypeDeclHandler = self._doctype
 
     def _start(self, tag: str, attributes: dict[str, str]) -> None:
         self.count += 1
         if self.count > MAX_ELEMENTS:
-            raise self._refusal("xml-too-large", f"more than {MAX_ELEMENTS} XML elements; split the file")
+            raise self.refusal("xml-too-large", f"more than {MAX_ELEMENTS} XML elements; split the file")
         if len(self.stack) >= MAX_NESTING:
-            raise self._refusal(
-                "xml-too-deep", f"XML elements are nested deeper than {MAX_NESTING} levels; URDF needs 6"
-            )
-        for key, value in attributes.items():
-            if len(value) > MAX_ATTRIBUTE:
-                raise self._refusal(
-                    "xml-too-large",
-                    f"attribute {key!r} of <{tag}> has {len(value)} characters, at most {MAX_ATTRIBUTE} are read",
-                )
-        node = XmlNode(tag, attributes, self.parser.CurrentLineNumber)
+            sentence = f"XML elements are nested deeper than {MAX_NESTING} levels; URDF needs 6"
+            raise self.refusal("xml-too-deep", sentence)
+        long = next((key for key, value in attributes.items() if len(value) > MAX_ATTRIBUTE), None)
+        if long is not None:
+            seen = f"attribute {shortened(long)!r} of <{shortened(tag)}> has {len(attributes[long])} characters"
+            raise self.refusal("xml-too-large", f"{seen}, at most {MAX_ATTRIBUTE} are read")
+        where, name = self.stack[-1].where if self.stack else "the robot", attributes.get("name")
+        if tag in NAMED and name:
+            where = f"{tag} {shortened(name)!r}"
+        node = XmlNode(tag, attributes, self.parser.CurrentLineNumber, where, self.log)
         if self.stack:
             self.stack[-1].children.append(node)
         else:
             self.root = node
         self.stack.append(node)
 
-    def _end(self, tag: str) -> None:
-        self.stack.pop()
-
     def _doctype(self, *_: object) -> None:
-        raise self._refusal(
-            "doctype", "a <!DOCTYPE> is not read, since it can define entities; delete it and write the values out"
-        )
+        sentence = "a <!DOCTYPE> is not read, since it can define entities; delete it and write the values out"
+        raise self.refusal("doctype", sentence)
 
-    def _refusal(self, code: str, sentence: str) -> RobotError:
-        line = self.parser.CurrentLineNumber
-        return RobotError(f"{self.path}:{line}: {sentence}", code=code, path=self.path, line=line)
+    def refusal(self, code: str, sentence: str) -> RobotError:
+        """The error to raise about the line that is being read."""
+        return self.log.refusal(code, self.parser.CurrentLineNumber, sentence)
 
 
-def _not_xml(error: xml.parsers.expat.ExpatError, content: bytes, path: Path) -> RobotError:
-    errors, line = xml.parsers.expat.errors, int(error.lineno)
-    reason = xml.parsers.expat.ErrorString(error.code) or "unreadable"
-    code = "not-xml"
-    if error.code in (
-        errors.codes[errors.XML_ERROR_UNKNOWN_ENCODING],
-        errors.codes[errors.XML_ERROR_INCORRECT_ENCODING],
-    ):
+def _not_xml(error: ExpatError, content: bytes, log: Diagnostics) -> RobotError:
+    reason, code = xml.parsers.expat.ErrorString(error.code) or "unreadable", "not-xml"
+    if reason in (errors.XML_ERROR_UNKNOWN_ENCODING, errors.XML_ERROR_INCORRECT_ENCODING):
         code, fix = "encoding", "save the file as UTF-8"
-    elif error.code == errors.codes[errors.XML_ERROR_UNDEFINED_ENTITY]:
+    elif reason == errors.XML_ERROR_UNDEFINED_ENTITY:
         code, fix = "entity", "entities other than &lt; &gt; &amp; &quot; &apos; are not read; write the value out"
     elif not content.lstrip(b"\xef\xbb\xbf \t\r\n").startswith((b"<", b"\xff\xfe", b"\xfe\xff")):
         fix = "a URDF file begins with '<'; is this the right file?"
-    elif error.code == errors.codes[errors.XML_ERROR_NO_ELEMENTS]:
+    elif reason == errors.XML_ERROR_NO_ELEMENTS:
         fix = "the file ends before the description does; is it cut off?"
     else:
         fix = "repair the XML at this line"
-    sentence = f"{path}:{line}: not readable as XML ({reason}, column {error.offset + 1}); {fix}"
-    return RobotError(sentence, code=code, path=path, line=line)
-
-
-def number(node: XmlNode, attribute: str, where: str, log: Diagnostics) -> float | None:
-    """The number in an attribute; None if there is no such attribute.
-
-    Raises:
-        RobotError: Codes `number`, `not-finite`, `xacro-expression`.
-    """
-    text = node.attributes.get(attribute)
-    return None if text is None else _parsed(text.strip(), node, attribute, where, log)
-
-
-def vector(node: XmlNode, attribute: str, size: int, where: str, log: Diagnostics) -> tuple[float, ...] | None:
-    """`size` numbers in an attribute; None if there is no such attribute.
-
-    Raises:
-        RobotError: Codes `number`, `not-finite`, `vector-size`, `xacro-expression`.
-    """
-    text = node.attributes.get(attribute)
-    if text is None:
-        return None
-    words = text.split()
-    if "${" not in text and len(words) != size:
-        fix = "separate the numbers by spaces, not by commas" if "," in text else "write one number for each"
-        raise log.refusal(
-            "vector-size",
-            node.line,
-            where,
-            f'{node.tag} {attribute}="{shortened(text)}" has {len(words)} numbers',
-            f"{size} are expected",
-            fix,
-        )
-    return tuple(_parsed(word, node, attribute, where, log) for word in words)
-
-
-def _parsed(text: str, node: XmlNode, attribute: str, where: str, log: Diagnostics) -> float:
-    seen = f'{node.tag} {attribute}="{shortened(text)}"'
-    if NUMBER.fullmatch(text):
-        value = float(text)
-        if math.isfinite(value) and abs(value) <= LARGEST:
-            return value
-        raise log.refusal(
-            "not-finite", node.line, where, seen, f"at most {LARGEST:g} is expected", "write the true value"
-        )
-    if "${" in text:
-        raise log.refusal(
-            "xacro-expression",
-            node.line,
-            where,
-            seen,
-            "a number is expected",
-            "this is xacro, not URDF: name the file *.xacro" + advice(" and load it with {}", "xacro=True", "--xacro"),
-        )
-    if text.lower().lstrip("+-") in ("nan", "inf", "infinity", "1.#inf", "1.#qnan"):
-        fix = 'for a joint without limits write type="continuous"' if node.tag == "limit" else "write the true value"
-        raise log.refusal("not-finite", node.line, where, seen, "a finite number is expected", fix)
-    fix = "write a decimal point, not a comma" if re.fullmatch(r"[+-]?\d+,\d+", text) else "write digits such as 0.5"
-    raise log.refusal("number", node.line, where, seen, "a number is expected", fix)
-
-
-DECLARED = re.compile(rb"<xacro:arg\b[^>]*\bname\s*=\s*[\"']([^\"']+)[\"']")
-_EXPANDING = threading.Lock()
-
-
-def expanded_xacro(path: Path, asked: bool | Mapping[str, str], package_dirs: Sequence[Path] = ()) -> bytes:
-    """Text of the URDF that a xacro file stands for.
-
-    Args:
-        path: The .xacro file.
-        asked: Whether the caller opted in: True, or the values of its arguments (`<xacro:arg>`) by name.
-        package_dirs: Folders that contain the packages of `$(find ...)`; the folders above the file are searched too.
-
-    Raises:
-        RobotError: Codes `xacro` (not opted in), `xacro-arg` (no such argument), `xacro-failed`, and those of reading a
-            file.
-        MissingExtraError: xacrodoc is not installed.
-    """
-    content = read_description(path)
-    if asked is False:
-        raise RobotError(
-            f"{path}: a xacro file is not expanded unless you ask, since it runs expressions and includes other files; "
-            + (
-                advice("if you trust it: {}", "load_robot(..., xacro=True)", "--xacro")
-                or "if you trust it: xacro robot.xacro > robot.urdf"
-            ),
-            code="xacro",
-            path=path,
-        )
-    values = _checked_values(asked, path)
-    _refuse_doctype(content, path)
-    try:
-        from xacro import XacroException
-        from xacrodoc import XacroDoc
-        from xacrodoc.packages import PackageNotFoundError
-    except ImportError as error:
-        raise MissingExtraError(f"the xacro file {path}", "xacro") from error
-    try:
-        with _includes_from(path.parent, package_dirs) as included:
-            text = XacroDoc.from_file(str(path), subargs=values).to_urdf_string().encode()
-    except (XacroException, PackageNotFoundError, ExpatError, OSError, ValueError, LookupError, RuntimeError) as error:
-        said = " ".join(str(error).split())[:300]
-        folders = advice(
-            ", or name the folder that contains the package with {}", "package_dirs=[...]", "--package-dir FOLDER"
-        )
-        where = f"correct it{folders or ', or set ROS_PACKAGE_PATH'} for $(find ...)"
-        raise RobotError(
-            f"{path}: xacro could not be expanded ({said}); {where}", code="xacro-failed", path=path
-        ) from error
-    _refuse_undeclared(values, [content, *included], path)
-    return text
-
-
-def _checked_values(asked: object, path: Path) -> dict[str, str]:
-    if asked is True:
-        return {}
-    if not isinstance(asked, Mapping) or not all(isinstance(name, str) for name in asked):
-        raise RobotError(
-            f"{path}: xacro is {asked!r:.80}; True, or a mapping {{argument: value}}, is needed", code="xacro-arg"
-        )
-    return {name: str(value) for name, value in asked.items()}
-
-
-def _refuse_undeclared(values: Mapping[str, str], contents: Sequence[bytes], path: Path) -> None:
-    """Refuse values for arguments that no file declares: xacro itself would ignore them."""
-    declared = {name.decode(errors="replace") for content in contents for name in DECLARED.findall(content)}
-    unknown = sorted(set(values) - declared)
-    if unknown:
-        shown = ", ".join(map(repr, closest_names(unknown[0], declared) or sorted(declared))) or "none"
-        raise RobotError(
-            f"{path}: the xacro file has no argument {unknown[0]!r}; it has {shown}", code="xacro-arg", path=path
-        )
-
-
-def _refuse_doctype(content: bytes, path: Path) -> None:
-    if b"<!DOCTYPE" in content or b"<!ENTITY" in content:
-        raise RobotError(f"{path}: a <!DOCTYPE> is not read; delete it", code="doctype", path=path)
-
-
-@contextmanager
-def _includes_from(folder: Path, package_dirs: Sequence[Path]) -> Iterator[list[bytes]]:
-    """Within it, xacro looks for relative includes in a folder, and refuses one with a DOCTYPE like the top file.
-
-    xacro keeps the file at hand, and xacrodoc the packages, in global variables, so that one thread at a time expands.
-
-    Yields:
-        The content of each file that is included, in time.
-    """
-    import xacro
-    from xacrodoc import packages
-
-    parse, root = xacro.parse, xacro.root_dir
-    included: list[bytes] = []
-
-    def checked(inp: Any, filename: str | None = None) -> Any:
-        if inp is None and filename is not None:
-            place = Path(xacro.root_dir) / filename
-            if place.is_file():  # otherwise xacro says what is missing
-                content = read_description(place)
-                _refuse_doctype(content, place)
-                included.append(content)
-        return parse(inp, filename)
-
-    with _EXPANDING:
-        xacro.parse, xacro.root_dir = checked, str(folder)
-        xacro.init_stacks(None)  # an expansion that failed leaves its files behind
-        packages.reset()
-        packages.update_package_cache({p.name: p for d in package_dirs for p in d.iterdir() if p.is_dir()})
-        try:
-            yield included
-        finally:
-            xacro.parse, xacro.root_dir = parse, root
-            packages.reset()
+    return log.refusal(code, error.lineno, f"not readable as XML ({reason}, column {error.offset + 1}); {fix}")

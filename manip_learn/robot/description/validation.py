@@ -3,20 +3,19 @@
 from __future__ import annotations
 
 import math
-from collections import Counter
 from collections.abc import Collection, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import final
 
-from manip_learn.errors import RobotError, advice, closest_names
-from manip_learn.robot.description.text import Diagnostics, XmlNode, parse_xml, quoted, shortened
+from manip_learn.errors import advice, closest_names
+from manip_learn.robot.description.text import Diagnostics, XmlNode, meant, parse_xml, quoted, shortened
 from manip_learn.robot.description.urdf import (
+    MAX_NAME,
     UNLIMITED,
     UrdfFile,
     UrdfJoint,
     UrdfLink,
-    UrdfMimic,
     read_joint,
     read_link,
 )
@@ -57,83 +56,66 @@ def resolve_mimics(joints: tuple[UrdfJoint, ...], alone: frozenset[str], log: Di
     if without_effect:
         log.warn(None, f"<mimic> of the fixed joints {quoted(without_effect)} has no effect")
     for j in joints:
-        if j.mimic is None or j.type == "fixed" or _is_alone(j, alone, by_name):
+        if j.mimic is None or _leads(j, alone, by_name):
             continue
         leader, multiplier, offset = _end_of_chain(j, alone, by_name, log)
+        line, follows = j.mimic.line, f"joint {j.name!r} follows the {leader.type} joint {leader.name!r}"
         if leader.type == "fixed":
             resting[j.name] = offset
-            log.warn(j.mimic.line, f"joint {j.name!r} follows the fixed joint {leader.name!r}; it rests at {offset:g}")
+            log.warn(line, f"{follows}; it rests at {offset:g}")
             continue
-        _warn_about_turns(j, leader, multiplier, log)
         followers.append(Mimic(j.name, leader.name, multiplier, offset))
+        if multiplier == 0.0:
+            log.warn(line, f"{follows} by the factor 0: it never moves")
+        elif leader.type == "continuous" and multiplier != round(multiplier):
+            jumps = "it jumps where the leader passes half a turn, unless postures are given as joint positions"
+            log.warn(line, f"{follows} by the factor {multiplier:g}: {jumps}")
     return Mimics(tuple(followers), resting)
 
 
-def _is_alone(joint: UrdfJoint, alone: frozenset[str], by_name: dict[str, UrdfJoint]) -> bool:
+def _leads(joint: UrdfJoint, alone: frozenset[str], by_name: dict[str, UrdfJoint]) -> bool:
+    """Whether a joint follows no other one, so that a chain of mimics ends at it."""
     # a locked follower whose leader exists still belongs to its chain: locking it alone would break the coupling
-    return joint.name in alone and joint.mimic is not None and joint.mimic.leader not in by_name
+    is_alone = joint.name in alone and joint.mimic is not None and joint.mimic.leader not in by_name
+    return joint.mimic is None or joint.type == "fixed" or is_alone
 
 
 def _end_of_chain(
     start: UrdfJoint, alone: frozenset[str], by_name: dict[str, UrdfJoint], log: Diagnostics
 ) -> tuple[UrdfJoint, float, float]:
+    """The joint at the end of a chain of mimics, and the follower's multiplier and offset with respect to it."""
     multiplier, offset = 1.0, 0.0
-    joint, seen = start, [start.name]
-    while joint.mimic is not None and joint.type != "fixed" and not _is_alone(joint, alone, by_name):
+    joint, seen, line = start, [start.name], start.line
+    while not _leads(joint, alone, by_name) and (mimic := joint.mimic) is not None:
         _check_type(joint, log)
-        mimic = joint.mimic
+        line = mimic.line
         offset += multiplier * mimic.offset
         multiplier *= mimic.multiplier
         if mimic.leader not in by_name:
-            raise _unknown_leader(joint, mimic, by_name, log)
+            fix = meant(mimic.leader, by_name, "correct the name, or lock the joint")
+            sentence = f"joint {joint.name!r}: it follows the joint {mimic.leader!r}, which does not exist; {fix}"
+            raise log.refusal("mimic-unknown", line, sentence)
         joint = by_name[mimic.leader]
         if joint.name in seen:
-            where, fix = f"joint {start.name!r}", "let one of them move by itself"
             path = " -> ".join(repr(n) for n in [*seen, joint.name][:6])
-            raise log.refusal(
-                "mimic-cycle",
-                mimic.line,
-                where,
-                f"joints follow each other in a loop: {path}",
-                "a leader is expected",
-                fix,
+            sentence = (
+                f"joint {start.name!r}: joints follow each other in a loop: {path}; let one of them move by itself"
             )
+            raise log.refusal("mimic-cycle", line, sentence)
         seen.append(joint.name)
     _check_type(joint, log)
     if not (abs(multiplier) <= LARGEST_MULTIPLIER and math.isfinite(offset)):
-        line = None if start.mimic is None else start.mimic.line
-        seen_text = f"it follows {joint.name!r} by the factor {multiplier:g}"
-        fix = "correct the multiplier"
-        raise log.refusal(
-            "mimic-multiplier", line, f"joint {start.name!r}", seen_text, f"at most {LARGEST_MULTIPLIER:g} works", fix
-        )
+        seen_text = f"joint {start.name!r}: it follows {joint.name!r} by the factor {multiplier:g}"
+        fix = f"at most {LARGEST_MULTIPLIER:g} works; correct the multiplier"
+        raise log.refusal("mimic-multiplier", start.mimic.line if start.mimic else line, f"{seen_text}; {fix}")
     return joint, multiplier, offset
 
 
 def _check_type(joint: UrdfJoint, log: Diagnostics) -> None:
-    if joint.type in ("floating", "planar"):
+    if joint.nv > 1:
         seen = f"it is {joint.type}, with {joint.nv} degrees of freedom, and takes part in a <mimic>"
-        fix = "delete the <mimic>"
-        raise log.refusal("mimic-type", joint.line, f"joint {joint.name!r}", seen, "one degree is expected", fix)
-
-
-def _unknown_leader(joint: UrdfJoint, mimic: UrdfMimic, by_name: dict[str, UrdfJoint], log: Diagnostics) -> RobotError:
-    near = closest_names(mimic.leader, by_name)
-    fix = f"did you mean {quoted(near)}?" if near else "correct the name, or lock the joint"
-    seen = f"it follows the joint {mimic.leader!r}, which does not exist"
-    where, expected = f"joint {joint.name!r}", "a joint of this file is expected"
-    return log.refusal("mimic-unknown", mimic.line, where, seen, expected, fix)
-
-
-def _warn_about_turns(joint: UrdfJoint, leader: UrdfJoint, multiplier: float, log: Diagnostics) -> None:
-    line = None if joint.mimic is None else joint.mimic.line
-    if multiplier == 0.0:
-        log.warn(line, f"joint {joint.name!r} follows {leader.name!r} by the factor 0: it never moves")
-    elif leader.type == "continuous" and multiplier != round(multiplier):
-        log.warn(
-            line,
-            f"joint {joint.name!r} follows the continuous joint {leader.name!r} by the factor {multiplier:g}: "
-            "it jumps where the leader passes half a turn, unless postures are given as joint positions",
+        raise log.refusal(
+            "mimic-type", joint.line, f"joint {joint.name!r}: {seen}; one is expected; delete the <mimic>"
         )
 
 
@@ -141,6 +123,7 @@ KNOWN_CHILDREN = {"link", "joint", "material", "transmission", "gazebo", "sensor
 MAX_LINKS = 1_000
 MAX_DEPTH = 500
 MAX_NV = 150
+MAX_IGNORED = 20  # unknown elements that are named in warnings
 LARGEST_ANGLE = 4.0 * math.pi  # [rad]
 
 
@@ -171,12 +154,11 @@ def validate_urdf(content: bytes, path: Path, locked: Collection[str] = ()) -> V
     Raises:
         RobotError: With a `code`, the file, the line, the joint or link, the value seen and the fix.
     """
-    log = Diagnostics(path)
     root = parse_xml(content, path)
-    check_root(root, log)
-    links = tuple(read_link(node, log) for node in _counted(root, "link", log))
-    joints = tuple(read_joint(node, log) for node in _counted(root, "joint", log))
-    return validate_parts(_robot_name(root, log), links, joints, locked, log)
+    check_root(root)
+    links = tuple(read_link(node) for node in _counted(root, "link"))
+    joints = tuple(read_joint(node) for node in _counted(root, "joint"))
+    return validate_parts(_robot_name(root), links, joints, locked, root.log)
 
 
 def validate_parts(
@@ -198,7 +180,7 @@ def validate_parts(
     return ValidatedRobot(urdf, mimics, log.warnings)
 
 
-def check_root(root: XmlNode, log: Diagnostics) -> None:
+def check_root(root: XmlNode) -> None:
     """Refuse what is not plain URDF 1.0; warn about elements that are not read.
 
     Raises:
@@ -207,42 +189,44 @@ def check_root(root: XmlNode, log: Diagnostics) -> None:
     if root.tag != "robot":
         kinds = {"sdf": "an SDF file", "mujoco": "an MJCF file", "COLLADA": "a mesh", "launch": "a ROS launch file"}
         seen = f"the root element is <{shortened(root.tag)}>" + (f", {kinds[root.tag]}" if root.tag in kinds else "")
-        raise log.refusal("not-urdf", root.line, "the file", seen, "<robot> is expected", "convert it to URDF")
+        raise root.log.refusal("not-urdf", root.line, f"{seen}; <robot> is expected; convert it to URDF")
     version = root.attributes.get("version", "1.0").strip()
     if version not in ("1", "1.0"):
-        seen = f"it says version {shortened(version)!r}"
-        raise log.refusal("urdf-version", root.line, "the robot", seen, "1.0 is read", "convert it to URDF 1.0")
+        raise root.refusal(
+            "urdf-version", f"it says version {shortened(version)!r}; 1.0 is read; convert it to URDF 1.0"
+        )
     ignored: dict[str, int] = {}
     for node in root.children:
         if node.tag.startswith("xacro:") or node.tag in ("macro", "include"):
-            seen = f"<{shortened(node.tag)}> is xacro, not URDF"
             fix = "expand it" + advice(", or name the file *.xacro and load it with {}", "xacro=True", "--xacro")
-            raise log.refusal("xacro", node.line, "the robot", seen, "plain URDF is expected", fix)
+            sentence = f"<{shortened(node.tag)}> is xacro, not URDF; plain URDF is expected; {fix}"
+            raise node.refusal("xacro", sentence)
         if node.tag not in KNOWN_CHILDREN:
             ignored.setdefault(node.tag, node.line)
-    for tag, line in list(ignored.items())[:20]:
+    for tag, line in list(ignored.items())[:MAX_IGNORED]:
         near = closest_names(shortened(tag).lower(), ("link", "joint"), n=1)
         hint = f"; did you mean <{near[0]}>?" if near else ""
-        log.warn(line, f"<{shortened(tag)}> is ignored{hint}")
+        root.log.warn(line, f"<{shortened(tag)}> is ignored{hint}")
 
 
-def _counted(root: XmlNode, tag: str, log: Diagnostics) -> list[XmlNode]:
+def _counted(root: XmlNode, tag: str) -> list[XmlNode]:
     nodes = root.all(tag)
     if len(nodes) > MAX_LINKS:
-        seen = f"it has {len(nodes)} <{tag}> elements"
-        fix = "leave out what the arm does not need"
-        raise log.refusal(
-            f"too-many-{tag}s", nodes[MAX_LINKS].line, "the robot", seen, f"at most {MAX_LINKS} work", fix
-        )
+        raise nodes[MAX_LINKS].log.refusal(f"too-many-{tag}s", nodes[MAX_LINKS].line, too_many(len(nodes), tag))
     return nodes
 
 
-def _robot_name(root: XmlNode, log: Diagnostics) -> str:
+def too_many(n: int, tag: str) -> str:
+    """The refusal of a robot with too many links or joints, in words."""
+    return f"the robot has {n} <{tag}> elements; at most {MAX_LINKS} work; leave out what the arm does not need"
+
+
+def _robot_name(root: XmlNode) -> str:
     name = root.attributes.get("name", "").strip()
-    if not name or not name.isprintable() or len(name) > 200:
+    if not name or not name.isprintable() or len(name) > MAX_NAME:
         reason = "has no name" if not name else f"has the unusable name {shortened(name)!r}"
-        name = "".join(c for c in log.path.stem if c.isprintable()) or "robot"
-        log.warn(root.line, f"the robot {reason}; it is called {quoted([name])} after its file")
+        name = "".join(c for c in root.log.path.stem if c.isprintable()) or "robot"
+        root.log.warn(root.line, f"the robot {reason}; it is called {quoted([name])} after its file")
     return name
 
 
@@ -253,77 +237,56 @@ def root_of_tree(links: Sequence[UrdfLink], joints: Sequence[UrdfJoint], log: Di
         RobotError: Codes `no-links`, `duplicate-link`, `duplicate-joint`, `unknown-link`, `self-loop`, `two-parents`,
             `no-root`, `many-roots`, `detached`, `too-many-links`, `too-deep`, `too-many-dof`.
     """
-    _check_counts(links, joints, log)
-    _check_names(links, joints, log)
-    _check_ends(links, joints, log)
-    children = {j.child for j in joints}
-    roots = [link for link in links if link.name not in children]
-    if not roots:
-        raise log.refusal(
-            "no-root",
-            joints[0].line,
-            "the joints",
-            "every link is the child of a joint, so they form a loop",
-            "one link without a parent is expected",
-            f"remove the joint that closes the loop, e.g. {joints[-1].name!r}",
-        )
-    if len(roots) > 1:
-        raise log.refusal(
-            "many-roots",
-            roots[1].line,
-            "the links",
-            f"{quoted([r.name for r in roots])} have no parent",
-            "one such link is expected",
-            f"join {roots[1].name!r} to the rest by a joint, or delete it",
-        )
-    _check_reach(roots[0], links, joints, log)
-    return roots[0].name
-
-
-def _check_counts(links: Sequence[UrdfLink], joints: Sequence[UrdfJoint], log: Diagnostics) -> None:
     if not links:
-        fix = "is it a xacro file, or cut off?"
-        raise log.refusal("no-links", 1, "the robot", "it has no <link>", "at least one is expected", fix)
+        sentence = "the robot has no <link>; at least one is expected; is it a xacro file, or cut off?"
+        raise log.refusal("no-links", 1, sentence)
     if len(links) > MAX_LINKS:
-        seen = f"it has {len(links)} links"
-        fix = "leave out what the arm does not need"
-        raise log.refusal("too-many-links", links[MAX_LINKS].line, "the robot", seen, f"at most {MAX_LINKS} work", fix)
+        raise log.refusal("too-many-links", links[MAX_LINKS].line, too_many(len(links), "link"))
     nv = sum(j.nv for j in joints)
     if nv > MAX_NV:
-        seen = f"it has {nv} degrees of freedom"
-        fix = 'make unused joints type="fixed"'
-        raise log.refusal("too-many-dof", None, "the robot", seen, f"at most {MAX_NV} work", fix)
-
-
-def _check_names(links: Sequence[UrdfLink], joints: Sequence[UrdfJoint], log: Diagnostics) -> None:
+        sentence = f'the robot has {nv} degrees of freedom; at most {MAX_NV} work; make unused joints type="fixed"'
+        raise log.refusal("too-many-dof", None, sentence)
     for kind, elements in (("link", links), ("joint", joints)):
         first: dict[str, int] = {}
         for e in elements:
             if e.name in first:
-                seen = f"the name is already used on line {first[e.name]}"
-                fix = "rename one of the two"
-                raise log.refusal(f"duplicate-{kind}", e.line, f"{kind} {e.name!r}", seen, "names must be unique", fix)
+                sentence = (
+                    f"the name is already used on line {first[e.name]}; names must be unique; rename one of the two"
+                )
+                raise log.refusal(f"duplicate-{kind}", e.line, f"{kind} {e.name!r}: {sentence}")
             first[e.name] = e.line
+    _check_ends(links, joints, log)
+    children = {j.child for j in joints}
+    roots = [link for link in links if link.name not in children]
+    if not roots:
+        fix = f"remove the joint that closes the loop, e.g. {joints[-1].name!r}"
+        sentence = f"every link is the child of a joint, so they form a loop; one without a parent is expected; {fix}"
+        raise log.refusal("no-root", joints[0].line, sentence)
+    if len(roots) > 1:
+        fix = f"join {roots[1].name!r} to the rest by a joint, or delete it"
+        sentence = f"the links {quoted([r.name for r in roots])} have no parent; one such link is expected; {fix}"
+        raise log.refusal("many-roots", roots[1].line, sentence)
+    _check_reach(roots[0], links, joints, log)
+    return roots[0].name
 
 
 def _check_ends(links: Sequence[UrdfLink], joints: Sequence[UrdfJoint], log: Diagnostics) -> None:
     names = {link.name for link in links}
     parent_joint: dict[str, str] = {}
     for j in joints:
-        where = f"joint {j.name!r}"
         for role, link in (("parent", j.parent), ("child", j.child)):
             if link not in names:
-                near = closest_names(link, names)
-                fix = f"did you mean {quoted(near)}?" if near else "add the link or correct the name"
-                seen = f"its {role} link {link!r} does not exist"
-                raise log.refusal("unknown-link", j.line, where, seen, "a link of this file is expected", fix)
+                fix = meant(link, names, "add the link or correct the name")
+                sentence = f"joint {j.name!r}: its {role} link {link!r} does not exist; {fix}"
+                raise log.refusal("unknown-link", j.line, sentence)
         if j.parent == j.child:
-            seen = f"its parent and its child are both {j.child!r}"
-            raise log.refusal("self-loop", j.line, where, seen, "two links are expected", "correct one of them")
+            seen = f"joint {j.name!r}: its parent and its child are both {j.child!r}"
+            raise log.refusal("self-loop", j.line, f"{seen}; two links are expected; correct one of them")
         if j.child in parent_joint:
             seen = f"its child {j.child!r} is already the child of joint {parent_joint[j.child]!r}"
             fix = "closed chains are not supported: remove one of the two joints"
-            raise log.refusal("two-parents", j.line, where, seen, "one parent per link is expected", fix)
+            sentence = f"joint {j.name!r}: {seen}; one parent per link is expected; {fix}"
+            raise log.refusal("two-parents", j.line, sentence)
         parent_joint[j.child] = j.name
 
 
@@ -331,20 +294,19 @@ def _check_reach(root: UrdfLink, links: Sequence[UrdfLink], joints: Sequence[Urd
     below: dict[str, list[str]] = {}
     for j in joints:
         below.setdefault(j.parent, []).append(j.child)
-    depth, level, reached = 0, [root.name], Counter([root.name])
+    depth, level, reached = 0, [root.name], {root.name}
     while level:
         level = [child for name in level for child in below.get(name, ())]
         reached.update(level)
         depth += bool(level)
-        if depth > MAX_DEPTH:
-            seen = "it is more than 500 joints deep"
-            fix = "merge links that are fixed to each other"
-            raise log.refusal("too-deep", None, "the tree of links", seen, f"at most {MAX_DEPTH} work", fix)
+    if depth > MAX_DEPTH:
+        sentence = f"the tree of links is more than {MAX_DEPTH} joints deep; merge links that are fixed to each other"
+        raise log.refusal("too-deep", None, sentence)
     lost = [link for link in links if link.name not in reached]
     if lost:
-        seen = f"{quoted([link.name for link in lost])} form a loop that is not connected to the root"
         fix = "remove the joint that closes the loop and connect it to the rest"
-        raise log.refusal("detached", lost[0].line, "the links", seen, "one tree is expected", fix)
+        sentence = f"{quoted([link.name for link in lost])} form a loop that is not connected to the root; {fix}"
+        raise log.refusal("detached", lost[0].line, sentence)
 
 
 def check_limits(joint: UrdfJoint, log: Diagnostics) -> None:
@@ -365,43 +327,31 @@ def _check_range(joint: UrdfJoint, log: Diagnostics) -> None:
     limit = joint.limit
     if limit is None or limit.lower is None or limit.upper is None:
         # a default of 0, which the specification has, would be a limit that nobody stated
-        neither = limit is None or (limit.lower is None and limit.upper is None)
-        missing = "limits" if neither or limit is None else "lower limit" if limit.lower is None else "upper limit"
+        missing = "limits"
+        if limit is not None and (limit.lower, limit.upper) != (None, None):
+            missing = "lower limit" if limit.lower is None else "upper limit"
         line = joint.line if limit is None else limit.line
         log.warn(line, f"{where}: it has no {missing}, which a {joint.type} joint should; none is taken")
         return
+    stated = f"{where}: its limits are {limit.lower:g} ... {limit.upper:g} {unit}"
     if limit.lower >= limit.upper:
-        seen = f"its limits are {limit.lower:g} ... {limit.upper:g} {unit}"
         fix = f'swap or correct them{otherwise}, or type="fixed", or lock the joint'
-        raise log.refusal("limit-order", limit.line, where, seen, "lower below upper is expected", fix)
+        raise log.refusal("limit-order", limit.line, f"{stated}; lower below upper is expected; {fix}")
     largest = max(abs(limit.lower), abs(limit.upper))
-    if largest == math.inf:  # said by the format, not by a number
-        return
-    if largest > UNLIMITED:
+    if UNLIMITED < largest < math.inf:  # infinity is said by the format, not by a number
         log.warn(limit.line, f"{where}: its limit of {largest:.3g} {unit} is taken for no limit")
-    elif joint.type == "revolute" and largest > LARGEST_ANGLE:
-        raise log.refusal(
-            "limit-degrees",
-            limit.line,
-            where,
-            f"its limits are {limit.lower:g} ... {limit.upper:g} rad, more than two turns: they look like degrees",
-            "radians are expected",
-            f"write {math.radians(limit.lower):.4f} ... {math.radians(limit.upper):.4f}{otherwise} for many turns",
-        )
+    elif joint.type == "revolute" and LARGEST_ANGLE < largest < math.inf:
+        fix = f"write {math.radians(limit.lower):.4f} ... {math.radians(limit.upper):.4f}{otherwise} for many turns"
+        seen = f"{stated}, more than two turns: they look like degrees"
+        raise log.refusal("limit-degrees", limit.line, f"{seen}; radians are expected; {fix}")
 
 
 def _check_velocity(joint: UrdfJoint, log: Diagnostics) -> None:
     where, limit = f"joint {joint.name!r}", joint.limit
     if limit is None or limit.velocity is None:
         if joint.type != "continuous" or limit is not None:
-            log.warn(
-                joint.line if limit is None else limit.line, f"{where}: no velocity limit; it is taken as unlimited"
-            )
-        return
-    if limit.velocity <= 0.0:
-        unit = "m/s" if joint.type == "prismatic" else "rad/s"
-        log.warn(
-            limit.line,
-            f"{where}: its velocity limit of {limit.velocity:g} {unit} is taken for none stated, so its velocity is "
-            "not limited",
-        )
+            line = joint.line if limit is None else limit.line
+            log.warn(line, f"{where}: no velocity limit; it is taken as unlimited")
+    elif limit.velocity <= 0.0:
+        stated = f"{limit.velocity:g} {'m/s' if joint.type == 'prismatic' else 'rad/s'}"
+        log.warn(limit.line, f"{where}: its velocity limit of {stated} is taken for none stated: it is not limited")

@@ -10,10 +10,8 @@ import errno
 import json
 import os
 import re
-import selectors
+import shutil
 import struct
-import subprocess
-import sys
 import tempfile
 import time
 import zipfile
@@ -30,6 +28,7 @@ from jaxtyping import Float, Int
 from manip_learn.errors import RobotError, advice, counted
 from manip_learn.robot.description.catalogue import example_package_dir
 from manip_learn.robot.description.text import read_regular_file
+from manip_learn.robot.limited_child import LimitedChild
 
 LEVELS_UP = 6
 PACKAGE_FILE = "package.xml"
@@ -97,61 +96,43 @@ def find_mesh(uri: str, roots: MeshRoots) -> Path:
         RobotError: Codes `mesh-scheme`, `mesh-missing`, `mesh-outside`.
     """
     try:
-        return _found(uri, roots)
+        return _first_inside(uri, *_place(uri, roots))
     except (OSError, ValueError, RuntimeError) as error:  # names too long, NUL bytes, circular links
         raise RobotError(f"mesh {uri[:200]!r} cannot be looked up ({error})", code="mesh-missing") from error
 
 
-def _found(uri: str, roots: MeshRoots) -> Path:
+def _place(uri: str, roots: MeshRoots) -> tuple[str, Sequence[Path]]:
+    """The name of a mesh, and the folders that it can be in."""
     scheme, separator, rest = uri.partition("://")
     if not separator:
-        return _first_inside(uri, uri.replace("\\", "/"), roots.beside, roots.beside)
-    if scheme in ("package", "model"):
-        package, _, inside = unquote(rest).partition("/")
-        if package in ("", ".", "..") or not inside:
-            raise RobotError(f"mesh {uri[:200]!r} names no package and file", code="mesh-missing")
-        folders = _package_folders(package, roots)
-        return _first_inside(uri, inside, folders, folders)
+        return uri.replace("\\", "/"), roots.beside
     if scheme == "file":
-        return _first_inside(uri, unquote(rest), roots.beside, roots.beside)
-    raise RobotError(
-        f"mesh {uri[:200]!r}: addresses of the kind {scheme[:20]!r} are not read; use package:// or a path",
-        code="mesh-scheme",
-    )
-
-
-def _package_folders(package: str, roots: MeshRoots) -> tuple[Path, ...]:
+        return unquote(rest), roots.beside
+    if scheme not in ("package", "model"):
+        sentence = f"addresses of the kind {scheme[:20]!r} are not read; use package:// or a path"
+        raise RobotError(f"mesh {uri[:200]!r}: {sentence}", code="mesh-scheme")
+    package, _, inside = unquote(rest).partition("/")
+    if package in ("", ".", "..") or not inside:
+        raise RobotError(f"mesh {uri[:200]!r} names no package and file", code="mesh-missing")
     folders = [roots.own[package]] if package in roots.own else []
     folders += [d / package for d in roots.above]
-    urdf_folder = roots.beside[0]
-    for d in roots.walked:
-        candidate = d / package
-        if urdf_folder.is_relative_to(candidate) or (candidate / PACKAGE_FILE).is_file():
+    for candidate in (d / package for d in roots.walked):
+        if roots.beside[0].is_relative_to(candidate) or (candidate / PACKAGE_FILE).is_file():
             folders.append(candidate)
-    return tuple(folders)
+    return inside, folders
 
 
-def _first_inside(uri: str, name: str, folders: tuple[Path, ...], allowed: tuple[Path, ...]) -> Path:
-    outside = None
-    for folder in folders:
-        candidate = folder / name
-        if not candidate.exists():
-            continue
-        real = candidate.resolve()
-        if any(real.is_relative_to(a.resolve()) for a in allowed):
+def _first_inside(uri: str, name: str, folders: Sequence[Path]) -> Path:
+    found = [(folder / name).resolve() for folder in folders if (folder / name).exists()]
+    for real in found:
+        if any(real.is_relative_to(folder.resolve()) for folder in folders):
             return real
-        outside = real
-    if outside is not None:
-        raise RobotError(
-            f"mesh {uri[:200]!r} leads to {outside}, outside the robot's folders"
-            + advice("; if that is meant, name its folder with {}", "package_dirs=[...]", "--package-dir FOLDER"),
-            code="mesh-outside",
-        )
-    raise RobotError(
-        f"mesh {uri[:200]!r} was not found"
-        + advice("; name the folder that contains its package with {}", "package_dirs=[...]", "--package-dir FOLDER"),
-        code="mesh-missing",
-    )
+    if found:
+        sentence = f"leads to {found[-1]}, outside the robot's folders"
+        fix = advice("; if that is meant, name its folder with {}", "package_dirs=[...]", "--package-dir FOLDER")
+        raise RobotError(f"mesh {uri[:200]!r} {sentence}{fix}", code="mesh-outside")
+    fix = advice("; name the folder that contains its package with {}", "package_dirs=[...]", "--package-dir FOLDER")
+    raise RobotError(f"mesh {uri[:200]!r} was not found{fix}", code="mesh-missing")
 
 
 Colour = tuple[float, float, float, float]
@@ -196,13 +177,11 @@ def _read(path: Path) -> bytes:
 
 
 def _check_stl(content: bytes, path: Path) -> None:
-    if len(content) >= 84:
-        triangles = struct.unpack_from("<I", content, 80)[0]
-        if len(content) == 84 + 50 * triangles and triangles > 0:
-            return
-    if content[:HEAD].lstrip().startswith(b"solid") and b"facet" in content[:HEAD] and b"\0" not in content[:HEAD]:
-        return
-    raise _refusal(path, "mesh-content", "its size does not fit the number of triangles it states")
+    size = 84 + 50 * struct.unpack_from("<I", content, 80)[0] if len(content) >= 84 else 0
+    head = content[:HEAD]
+    is_text = head.lstrip().startswith(b"solid") and b"facet" in head and b"\0" not in head
+    if not is_text and (len(content) != size or size == 84):
+        raise _refusal(path, "mesh-content", "its size does not fit the number of triangles it states")
 
 
 def _check_obj(content: bytes, path: Path) -> None:
@@ -218,11 +197,9 @@ def _check_dae(content: bytes, path: Path) -> None:
         raise _refusal(path, "mesh-content", "it is no COLLADA document")
     if b"<!DOCTYPE" in content or b"<!ENTITY" in content:
         raise _refusal(path, "mesh-content", "it has a <!DOCTYPE>")
-    names = re.findall(rb"<init_from>([^<]*)<", content)
-    for attributes in re.findall(rb"<instance_(?:geometry|node|controller)\b([^<>]*)", content):
-        found = re.search(rb"\burl\s?=\s?[\"']([^\"'#]*)", attributes[:2000])
-        names += [found.group(1)] if found and found.group(1) else []
-    _check_names(names, path)
+    parts = re.findall(rb"<instance_(?:geometry|node|controller)\b([^<>]*)", content)
+    urls = [_value(attributes, b"url").partition(b"#")[0] for attributes in parts]
+    _check_names([*re.findall(rb"<init_from>([^<]*)<", content), *filter(None, urls)], path)
 
 
 def _check_ply(content: bytes, path: Path) -> None:
@@ -246,12 +223,12 @@ def _check_gltf(content: bytes, path: Path) -> None:
         raise _refusal(path, "mesh-content", f"it is no JSON ({str(error)[:80]})") from error
     if not isinstance(document, dict) or "asset" not in document:
         raise _refusal(path, "mesh-content", "it is no glTF document")
-    for group in ("buffers", "images"):
-        for uri in _addresses(document, group):
-            _check_name(uri, path)
-            if group == "buffers" and ("/" in uri or not uri.lower().endswith(".bin")):
-                reason = f"it reads the file {uri[:80]!r}; only a .bin file beside it is read"
-                raise _refusal(path, "mesh-side-file", reason)
+    buffers = _addresses(document, "buffers")
+    _check_names([uri.encode("utf-8", "replace") for uri in (*buffers, *_addresses(document, "images"))], path)
+    read = next((uri for uri in buffers if "/" in uri or not uri.lower().endswith(".bin")), None)
+    if read is not None:
+        reason = f"it reads the file {read[:80]!r}; only a .bin file beside it is read"
+        raise _refusal(path, "mesh-side-file", reason)
 
 
 def _addresses(document: dict[str, object], group: str) -> list[str]:
@@ -276,26 +253,22 @@ def buffer_files(content: bytes, path: Path) -> dict[str, bytes]:
 
 
 def _check_names(names: list[bytes], path: Path) -> None:
+    """Files that a mesh names must lie in its package; they are not read, but another program might."""
     different = {name.strip() for name in names}
     if len(different) > MAX_SIDE_FILES:
         raise _refusal(path, "mesh-side-file", f"it names {counted(len(different), 'other file')}")
-    for name in sorted(different):
-        _check_name(name.decode("utf-8", "replace"), path)
-
-
-def _check_name(name: str, path: Path) -> None:
-    """A file that a mesh names must lie in its package; it is not read, but another program might."""
-    if WINDOWS_PATH.match(name) and os.name != "nt":
-        return  # where the texture was on its author's machine: leads nowhere
-    name = name.removeprefix("file://").replace("\\", "/")
     folder = path.parent.resolve()
     package = next((p.parent for p in (folder, *folder.parents) if p.name.lower() == "meshes"), folder.parent)
-    try:
-        is_inside = (folder / name).resolve().is_relative_to(package)
-    except (OSError, ValueError, RuntimeError):
-        is_inside = False
-    if "://" in name or "\0" in name or not is_inside:
-        raise _refusal(path, "mesh-side-file", f"it names the file {name[:80]!r}, outside its own folder")
+    for name in sorted(raw.decode("utf-8", "replace") for raw in different):
+        if WINDOWS_PATH.match(name) and os.name != "nt":
+            continue  # where the texture was on its author's machine: leads nowhere
+        inside = name.removeprefix("file://").replace("\\", "/")
+        try:
+            is_inside = "://" not in inside and (folder / inside).resolve().is_relative_to(package)
+        except (OSError, ValueError, RuntimeError):  # names too long, NUL bytes, circular links
+            is_inside = False
+        if not is_inside:
+            raise _refusal(path, "mesh-side-file", f"it names the file {name[:80]!r}, outside its own folder")
 
 
 def _refusal(path: Path, code: str, reason: str) -> RobotError:
@@ -354,9 +327,9 @@ def _rgba(text: bytes) -> Colour | None:
 
 
 CHILD = Path(__file__).with_name("mesh_child.py")
-START_SECONDS = 30.0  # for the parser to be loaded, from a cold disk on a busy machine
+MEMORY = 512_000_000  # [bytes] of the parsing process; the libraries alone take 150 MB
 SECONDS = 5.0  # for one mesh
-ALL_SECONDS = 60.0  # for all meshes of one robot
+ALL_SECONDS = 60  # for all meshes of one robot
 MAX_FACES = 2_000_000
 
 Mesh = tuple[Float[np.ndarray, "n 3"], Int[np.ndarray, "m 3"]]
@@ -371,8 +344,8 @@ def read_meshes(paths: Sequence[Path], seconds: float = SECONDS) -> dict[Path, M
     """
     out: dict[Path, Mesh | RobotError] = {}
     end = time.monotonic() + ALL_SECONDS
+    child: LimitedChild | None = None
     with tempfile.TemporaryDirectory(prefix="manip_learn_") as folder:
-        child: _Child | None = None
         for i, path in enumerate(dict.fromkeys(paths)):
             # the parser sees a copy that is alone in its folder, so that it finds no side files
             alone = Path(folder) / str(i)
@@ -383,92 +356,35 @@ def read_meshes(paths: Sequence[Path], seconds: float = SECONDS) -> dict[Path, M
                 copy.write_bytes(content)
                 for name, side in buffer_files(content, path).items():
                     (alone / name).write_bytes(side)
-                child = child or _Child(Path(folder))
-                child.wait_until_ready(path)
-                child.parse(copy, alone / "out.npz", path, min(seconds, end - time.monotonic()))
-                out[path] = _loaded(alone / "out.npz", path)
+                child = child or LimitedChild(CHILD, memory=MEMORY, seconds=ALL_SECONDS, folder=Path(folder))
+                out[path] = _parsed(child, copy, path, min(seconds, end - time.monotonic()))
             except RobotError as error:
                 out[path] = error
                 if child is not None and child.is_lost:
                     child.close()
                     child = None
             finally:
-                for file in alone.iterdir():
-                    file.unlink()
+                shutil.rmtree(alone)
         if child is not None:
             child.close()
     return out
 
 
-class _Child:
-    """One parsing process; serves many meshes until one of them kills it."""
-
-    def __init__(self, folder: Path):
-        environment = {k: v for k, v in os.environ.items() if k in ("PATH", "SYSTEMROOT", "LD_LIBRARY_PATH", "TMPDIR")}
-        self.is_lost = self._is_ready = False
-        self._process = subprocess.Popen(
-            [sys.executable, "-I", str(CHILD)],
-            stdin=subprocess.PIPE,
-            stdout=subprocess.PIPE,
-            stderr=subprocess.DEVNULL,
-            cwd=folder,
-            env={**environment, "OPENBLAS_NUM_THREADS": "1", "OMP_NUM_THREADS": "1"},
-        )
-        if self._process.stdin is None or self._process.stdout is None:
-            raise RobotError("the process that parses meshes has no pipes", code="mesh-parser")
-        self._stdin, self._stdout = self._process.stdin, self._process.stdout
-
-    def wait_until_ready(self, original: Path) -> None:
-        """Wait for the parser to be loaded; what that takes does not count as the time of a mesh.
-
-        Raises:
-            RobotError: Codes `mesh-parser`, `mesh-time`.
-        """
-        if not self._is_ready:
-            self._answer(original, START_SECONDS, "starting the parser")
-            self._is_ready = True
-
-    def parse(self, copy: Path, output: Path, original: Path, seconds: float) -> None:
-        """Have one mesh parsed.
-
-        Raises:
-            RobotError: Codes `mesh-parser`, `mesh-time`.
-        """
-        try:
-            self._stdin.write(json.dumps({"input": str(copy), "output": str(output)}).encode() + b"\n")
-            self._stdin.flush()
-        except OSError as error:
-            self.is_lost = True
-            raise _failed(original, "mesh-parser", "the parsing process is gone") from error
-        self._answer(original, seconds, "parsing")
-
-    def _answer(self, original: Path, seconds: float, activity: str) -> None:
-        with selectors.DefaultSelector() as selector:
-            selector.register(self._stdout, selectors.EVENT_READ)
-            if seconds <= 0.0 or not selector.select(seconds):
-                self.is_lost = True
-                raise _failed(original, "mesh-time", f"{activity} took more than {max(seconds, 0.0):.3g} s")
-        line = self._stdout.readline()
-        if not line.endswith(b"\n"):
-            self.is_lost = True
-            raise _failed(original, "mesh-parser", "the parser crashed or ran out of memory")
-        answer = json.loads(line)
-        if not answer.get("ok"):
-            self.is_lost = True  # its memory is not reused
-            raise _failed(original, "mesh-parser", str(answer.get("reason", "it cannot be parsed")))
-
-    def close(self) -> None:
-        """End the process."""
-        self._process.kill()
-        self._process.communicate()
-
-
-def _loaded(file: Path, original: Path) -> Mesh:
+def _parsed(child: LimitedChild, copy: Path, path: Path, seconds: float) -> Mesh:
+    output = copy.with_name("out.npz")
     try:
-        with np.load(file, allow_pickle=False) as data:
+        answer = child.ask({"input": str(copy), "output": str(output)}, seconds)
+    except TimeoutError as error:
+        raise _refusal(path, "mesh-time", f"parsing: {error}") from error
+    except ChildProcessError as error:
+        raise _refusal(path, "mesh-parser", f"parsing: {error}") from error
+    if "fault" in answer:
+        raise _refusal(path, "mesh-parser", str(answer["fault"]))
+    try:
+        with np.load(output, allow_pickle=False) as data:
             vertices, faces = data["vertices"], data["faces"]
     except (OSError, ValueError, KeyError, zipfile.BadZipFile) as error:
-        raise _failed(original, "mesh-parser", "its triangles could not be read back") from error
+        raise _refusal(path, "mesh-parser", "its triangles could not be read back") from error
     is_usable = (
         vertices.ndim == faces.ndim == 2
         and vertices.shape[1:] == faces.shape[1:] == (3,)
@@ -478,9 +394,5 @@ def _loaded(file: Path, original: Path) -> Mesh:
         and bool(np.isfinite(vertices).all())
     )
     if not is_usable:
-        raise _failed(original, "mesh-content", "it has no triangles, too many, or vertices that are not finite")
+        raise _refusal(path, "mesh-content", "it has no triangles, too many, or vertices that are not finite")
     return vertices.astype(np.float64), faces.astype(np.int64)
-
-
-def _failed(path: Path, code: str, reason: str) -> RobotError:
-    return RobotError(f"mesh {path}: {reason}", code=code, path=path)

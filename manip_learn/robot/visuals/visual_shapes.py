@@ -17,7 +17,7 @@ import pinocchio as pin
 from jaxtyping import Float, Int
 
 from manip_learn.errors import RobotError
-from manip_learn.robot.description.text import Diagnostics, XmlNode, number, parse_xml, shortened, vector
+from manip_learn.robot.description.text import XmlNode, parse_xml, shortened
 from manip_learn.robot.description.urdf import ZERO, Pose, as_matrix
 from manip_learn.robot.robot import Robot
 from manip_learn.robot.visuals.meshes import Colour, Mesh, find_mesh, mesh_colour, mesh_roots, read_meshes
@@ -146,78 +146,73 @@ def visual_elements(content: bytes, path: Path, tag: Tag = "visual") -> list[Vis
         RobotError: The text is not XML.
     """
     root = parse_xml(content, path)
-    log = Diagnostics(path)
-    colours = {m.attributes.get("name", ""): c for m in root.all("material") if (c := _colour(m, log)) is not None}
+    colours = {m.attributes.get("name", ""): c for m in root.all("material") if (c := _colour(m)) is not None}
     found: list[VisualElement] = []
     for link in root.all("link"):
-        for visual in link.all(tag)[: MAX_VISUALS - len(found)]:
-            found.append(_element(link.attributes.get("name", ""), visual, colours, log))
+        name = link.attributes.get("name", "")
+        found += [_element(name, visual, colours) for visual in link.all(tag)[: MAX_VISUALS - len(found)]]
     return found
 
 
-def _element(link: str, node: XmlNode, colours: dict[str, Colour], log: Diagnostics) -> VisualElement:
+def _element(link: str, node: XmlNode, colours: dict[str, Colour]) -> VisualElement:
     pose, geometry, fault = Pose(), None, ""
-    where = f"link {link!r}"
     try:
-        pose = _pose(node, where, log)
-        geometry = _geometry(node, where, log)
+        pose = _pose(node)
+        geometry = _geometry(node)
     except RobotError as error:
         fault = str(error)
-    material = node.first("material")
-    colour = None
+    material, colour = node.first("material"), None
     if material is not None:
-        colour = _colour(material, log) or colours.get(material.attributes.get("name", ""))
+        colour = _colour(material) or colours.get(material.attributes.get("name", ""))
     return VisualElement(link, node.line, pose, geometry, colour, fault)
 
 
-def _pose(node: XmlNode, where: str, log: Diagnostics) -> Pose:
+def _pose(node: XmlNode) -> Pose:
     origin = node.first("origin")
     if origin is None:
         return Pose()
-    x, y, z = vector(origin, "xyz", 3, where, log) or ZERO
-    roll, pitch, yaw = vector(origin, "rpy", 3, where, log) or ZERO
+    x, y, z = origin.vector("xyz", 3) or ZERO
+    roll, pitch, yaw = origin.vector("rpy", 3) or ZERO
     if max(abs(x), abs(y), abs(z)) > LARGEST:
-        raise _unusable(origin, where, f"its {node.tag} is {max(abs(x), abs(y), abs(z)):g} m away", log)
+        raise _unusable(origin, f"its {node.tag} is {max(abs(x), abs(y), abs(z)):g} m away")
     return Pose((x, y, z), (roll, pitch, yaw))
 
 
-def _geometry(node: XmlNode, where: str, log: Diagnostics) -> Shape | MeshElement:
+def _geometry(node: XmlNode) -> Shape | MeshElement:
     geometry = node.first("geometry")
     if geometry is None or not geometry.children:
-        raise _unusable(node, where, f"its <{node.tag}> has no geometry", log)
+        raise _unusable(node, f"its <{node.tag}> has no geometry")
     shape = geometry.children[0]
-    if shape.tag == "mesh":
-        uri = shape.attributes.get("filename", "")
-        scale = vector(shape, "scale", 3, where, log) or (1.0, 1.0, 1.0)
-        if not uri:
-            raise _unusable(shape, where, "its <mesh> has no filename", log)
-        if not all(1e-9 <= abs(s) <= LARGEST for s in scale):
-            raise _unusable(shape, where, f"its mesh scale is {scale}", log)
-        return MeshElement(uri, (scale[0], scale[1], scale[2]))
-    if shape.tag == "box":
-        x, y, z = (_size(s, shape, where, log) for s in vector(shape, "size", 3, where, log) or (None,) * 3)
-        return Box((x, y, z))
-    if shape.tag in ("sphere", "cylinder", "capsule"):
-        radius = _size(number(shape, "radius", where, log), shape, where, log)
-        if shape.tag == "sphere":
-            return Sphere(radius)
-        length = _size(number(shape, "length", where, log), shape, where, log)
-        return Cylinder(radius, length) if shape.tag == "cylinder" else Capsule(radius, length)
-    raise _unusable(shape, where, f"the shape <{shortened(shape.tag)}> is not known", log)
+    match shape.tag:
+        case "mesh":
+            uri = shape.attributes.get("filename", "")
+            x, y, z = shape.vector("scale", 3) or (1.0, 1.0, 1.0)
+            if not uri:
+                raise _unusable(shape, "its <mesh> has no filename")
+            if not all(1e-9 <= abs(s) <= LARGEST for s in (x, y, z)):
+                raise _unusable(shape, f"its mesh scale is {(x, y, z)}")
+            return MeshElement(uri, (x, y, z))
+        case "box":
+            x, y, z = (_size(s, shape) for s in shape.vector("size", 3) or (None,) * 3)
+            return Box((x, y, z))
+        case "sphere":
+            return Sphere(_size(shape.number("radius"), shape))
+        case "cylinder" | "capsule" as kind:
+            made = Cylinder if kind == "cylinder" else Capsule
+            return made(_size(shape.number("radius"), shape), _size(shape.number("length"), shape))
+    raise _unusable(shape, f"the shape <{shortened(shape.tag)}> is not known")
 
 
-def _size(value: float | None, node: XmlNode, where: str, log: Diagnostics) -> float:
+def _size(value: float | None, node: XmlNode) -> float:
     if value is None or not 0.0 < value <= LARGEST:
-        raise _unusable(node, where, f"a size of its {node.tag} is {value}", log)
+        raise _unusable(node, f"a size of its {node.tag} is {value}")
     return value
 
 
-def _colour(material: XmlNode, log: Diagnostics) -> Colour | None:
+def _colour(material: XmlNode) -> Colour | None:
     node = material.first("color")
-    if node is None:
-        return None
     try:
-        rgba = vector(node, "rgba", 4, "material", log)
+        rgba = None if node is None else node.vector("rgba", 4)
     except RobotError:
         return None
     if rgba is None:
@@ -226,8 +221,8 @@ def _colour(material: XmlNode, log: Diagnostics) -> Colour | None:
     return (r, g, b, a)
 
 
-def _unusable(node: XmlNode, where: str, seen: str, log: Diagnostics) -> RobotError:
-    return log.refusal("visual", node.line, where, seen, "a usable shape is expected", "a plain shape is drawn")
+def _unusable(node: XmlNode, seen: str) -> RobotError:
+    return node.refusal("visual", f"{seen}; a usable shape is expected; a plain shape is drawn")
 
 
 STAND_IN: Colour = (0.55, 0.60, 0.68, 1.0)

@@ -1,0 +1,91 @@
+"""The program `manip-learn`: its commands, and how each is run and its answer printed."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from importlib import import_module
+from typing import Annotated, Any, final
+
+import typer
+
+from manip_learn.commands import options
+from manip_learn.commands.command_line import PROGRAM, GroupedCommand, parsed_by
+from manip_learn.commands.output import answer, progress, waiting
+
+
+@final
+@dataclass(frozen=True)
+class Command:
+    """One command.
+
+    Attributes:
+        name: As it is typed.
+        options: Dataclass of its arguments and options; its docstring is the help.
+        work: File in `commands` and function that does the work: options and progress -> an answer with `to_dict`, or
+            an iterator of answers, each of which says more than the one before.
+        printers: Functions in `commands.tables` that print the answers.
+        waiting: What is shown meanwhile, where no progress is known.
+    """
+
+    name: str
+    options: type
+    work: str
+    printers: tuple[str, ...]
+    waiting: str = ""
+
+    def __call__(self, given: Any) -> None:
+        """Do the work, and print the answers; under --json the last one alone."""
+        file, function = self.work.split(".")
+        work = getattr(import_module(f"manip_learn.commands.{file}"), function)
+        with waiting(given.as_json, self.waiting) if self.waiting else progress(given.as_json) as report:
+            answers = work(given, report)
+        explain = {"explain": given.explain} if "explain" in vars(given) else {}
+        each = answers if isinstance(answers, Iterator) else [answers]
+        for last, printer in zip(each, self.printers, strict=True):
+            if not given.as_json:  # at once: what follows may take long
+                answer(False, {}, printer, last, **explain)
+        if given.as_json:
+            answer(True, last.to_dict())
+
+
+COMMANDS = (
+    Command("robots", options.RobotsOptions, "robots.known_robots", ("print_robots",)),
+    Command("demo", options.DemoOptions, "demo.demo", ("print_demo",)),
+    Command("inspect", options.InspectOptions, "robots.inspect", ("print_robot", "print_cross_check")),
+    Command("learn", options.LearnOptions, "learn.learn", ("print_learnt",)),
+    Command("audit", options.AuditOptions, "audit.audit", ("print_audit",)),
+    Command("control", options.ControlOptions, "control.control", ("print_controlled",)),
+    Command("replay", options.ReplayOptions, "replay.replay", ("print_replayed",), "writing the replay"),
+    Command("export", options.ExportOptions, "export.export", ("print_exported",), "writing"),
+    Command("reproduce", options.ReproduceOptions, "reproduce.reproduce", ("print_reproduction",)),
+    Command("warm-up", options.WarmUpOptions, "warm_up.warm_up", ("print_warm_up",)),
+)
+app = typer.Typer(
+    name=PROGRAM,
+    help="Learn which directions a demonstrated task constrains, and keep the arm away from its singularities.",
+    epilog="Start with: manip-learn demo",
+    add_completion=True,
+    pretty_exceptions_enable=False,
+    rich_markup_mode=None,
+)
+for each_command in COMMANDS:
+    app.command(each_command.name, cls=GroupedCommand)(parsed_by(each_command.options, each_command))
+
+
+def print_version(asked: bool) -> None:
+    """Print the version and leave, if it was asked for."""
+    if asked:
+        from importlib.metadata import version
+
+        typer.echo(f"{PROGRAM} {version(PROGRAM)}")
+        raise typer.Exit
+
+
+@app.callback()
+def front(
+    version: Annotated[
+        bool, typer.Option("--version", help="Show the version and exit.", callback=print_version, is_eager=True)
+    ] = False,
+) -> None:
+    """Learn which directions a demonstrated task constrains, and keep the arm away from its singularities."""

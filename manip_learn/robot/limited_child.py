@@ -1,0 +1,138 @@
+"""Code of others (parsers of meshes, expressions of macro files) in a process of limited memory and time.
+
+This file is both ends: the parent makes a `LimitedChild`, whose process runs this file as a script. The script limits
+itself, loads a file of Python, the task, and answers each job with what the task's function makes of it. Jobs and
+answers are JSON objects, one a line.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import importlib.util
+import json
+import os
+import selectors
+import subprocess
+import sys
+from pathlib import Path
+from typing import Any, final
+
+START_SECONDS = 30.0  # for the task's libraries to be loaded, from a cold disk on a busy machine
+LARGEST_FILE = 500_000_000  # [bytes] that the process can write
+# what a task may raise about a job, which the answer then says in place of a result
+FAULTS = (ArithmeticError, AttributeError, LookupError, NameError, OSError, RuntimeError, SyntaxError)
+
+
+@final
+class LimitedChild:
+    """One process; serves many jobs until one of them ends it.
+
+    Args:
+        task: File of Python with `prepared()`, which loads what it needs and returns the function from a job to its
+            answer, both of them dicts.
+        memory: Largest address space [bytes].
+        seconds: Processor time of all jobs together [s].
+        folder: Where the process runs.
+
+    Attributes:
+        is_lost: True if the process has ended or is of no more use: make a new one for the next job.
+    """
+
+    def __init__(self, task: Path, *, memory: int, seconds: int, folder: Path):
+        search_path = json.dumps([p or os.getcwd() for p in sys.path])
+        self.is_lost, self._is_new = False, True
+        self._process = subprocess.Popen(
+            [sys.executable, "-I", __file__, str(task), str(memory), str(seconds), search_path],
+            stdin=subprocess.PIPE,
+            stdout=subprocess.PIPE,
+            stderr=subprocess.DEVNULL,
+            cwd=folder,
+            env={**os.environ, "OPENBLAS_NUM_THREADS": "1", "OMP_NUM_THREADS": "1"},
+        )
+        if self._process.stdin is None or self._process.stdout is None:
+            raise ChildProcessError("the process has no pipes")
+        self._stdin, self._stdout = self._process.stdin, self._process.stdout
+
+    def ask(self, job: dict[str, Any], seconds: float) -> dict[str, Any]:
+        """The answer to a job; `{"fault": reason}` where the task refuses it, after which the process is lost, too.
+
+        Args:
+            job: What JSON can hold.
+            seconds: Longest time on the clock [s]; the start of the process does not count.
+
+        Raises:
+            TimeoutError: It took longer.
+            ChildProcessError: The process crashed or ran out of memory.
+        """
+        try:
+            if self._is_new:
+                self._answer(START_SECONDS)
+                self._is_new = False
+            self._stdin.write(json.dumps(job).encode() + b"\n")
+            self._stdin.flush()
+            answer = self._answer(seconds)
+        except OSError as error:
+            self.is_lost = True
+            if isinstance(error, TimeoutError | ChildProcessError):
+                raise
+            raise ChildProcessError("the process is gone") from error
+        self.is_lost = "fault" in answer  # its memory is not used again
+        return answer
+
+    def _answer(self, seconds: float) -> dict[str, Any]:
+        with selectors.DefaultSelector() as selector:
+            selector.register(self._stdout, selectors.EVENT_READ)
+            if seconds <= 0.0 or not selector.select(seconds):
+                raise TimeoutError(f"it took more than {max(seconds, 0.0):.3g} s")
+        line = self._stdout.readline()
+        if not line.endswith(b"\n"):
+            raise ChildProcessError("it crashed or ran out of memory")
+        return json.loads(line)
+
+    def close(self) -> None:
+        """End the process."""
+        self._process.kill()
+        self._process.communicate()
+
+
+def limit_self(memory: int, seconds: int) -> None:
+    """Limit this process's address space [bytes], processor time [s] and files; nothing where there are no limits."""
+    try:
+        import resource
+    except ImportError:
+        return
+    for kind, value in (
+        (resource.RLIMIT_AS, memory),
+        (resource.RLIMIT_CPU, seconds),
+        (resource.RLIMIT_CORE, 0),
+        (resource.RLIMIT_FSIZE, LARGEST_FILE),
+    ):
+        _, hard = resource.getrlimit(kind)
+        with contextlib.suppress(ValueError, OSError):
+            resource.setrlimit(kind, (value if hard == resource.RLIM_INFINITY else min(value, hard), hard))
+
+
+def serve(task: str, memory: str, seconds: str, search_path: str) -> None:
+    """Answer jobs until stdin closes."""
+    limit_self(int(memory), int(seconds))
+    sys.path[:] = json.loads(search_path)
+    # what libraries print must not get between the answers
+    answers = os.fdopen(os.dup(sys.stdout.fileno()), "w")
+    os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+    spec = importlib.util.spec_from_file_location("task", task)
+    if spec is None or spec.loader is None:
+        raise ImportError(task)
+    module = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(module)
+    answer_to = module.prepared()
+    print(json.dumps({}), file=answers, flush=True)
+    for line in sys.stdin:
+        try:
+            answer = answer_to(json.loads(line))
+        except (*FAULTS, MemoryError, TypeError, ValueError) as error:
+            answer = {"fault": f"{type(error).__name__}: {error}"[:300]}
+        print(json.dumps(answer), file=answers, flush=True)
+
+
+if __name__ == "__main__":
+    serve(*sys.argv[1:])

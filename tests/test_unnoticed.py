@@ -1,0 +1,142 @@
+"""What no recording can show, and what does show it: each row of docs/unnoticed.md on the shipped recordings."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+from xml.etree import ElementTree
+
+import numpy as np
+import pytest
+from numpy.testing import assert_allclose
+
+import manip_learn as ml
+from manip_learn.errors import RecordingError
+from manip_learn.learning.effort_witness import effort_witness
+from manip_learn.linalg import row_space_angle
+from manip_learn.recordings.velocities import with_velocities
+from manip_learn.robot.dynamics import inverse_dynamics
+
+ROOT = Path(__file__).resolve().parents[1]
+DATA = ROOT / "examples" / "data"
+TIP = "right_gripper_tip"
+FACTOR = 1.3
+
+
+def recordings(folder: str, count: int) -> list[Path]:
+    """The first shipped files of a folder."""
+    return sorted((DATA / folder).glob("*.csv"))[:count]
+
+
+@pytest.fixture(scope="module")
+def arm() -> ml.Robot:
+    """The right one."""
+    return ml.load_robot("sawyer")
+
+
+@pytest.fixture(scope="module")
+def drawer(arm: ml.Robot) -> ml.ConstraintLearner:
+    """What six recordings of a drawer teach with the right arm."""
+    return learnt(arm, ml.load_demonstrations(recordings("sawyer_drawer", 6), arm))
+
+
+def learnt(robot: ml.Robot, demos: ml.Demonstrations) -> ml.ConstraintLearner:
+    """The drawer's rows."""
+    return ml.ConstraintLearner(ml.FrameJacobian(robot, TIP)).fit(demos)
+
+
+def described(tmp_path: Path, joint: str = "") -> ml.Robot:
+    """The arm with all origins of its joints 1.3 times as far away, or those of one joint."""
+    tree = ElementTree.parse(ROOT / "robots" / "sawyer.urdf")
+    for element in tree.iter("joint"):
+        origin = element.find("origin")
+        if origin is not None and joint in ("", element.get("name")):
+            place = map(float, origin.get("xyz", "0 0 0").split())
+            origin.set("xyz", " ".join(f"{FACTOR * x:.12g}" for x in place))
+    path = tmp_path / f"long{joint}.urdf"
+    tree.write(path)
+    return ml.load_robot(path)
+
+
+def test_longer_links_show_in_files_and_not_in_motions(arm, drawer, tmp_path):
+    """Rows and gap are those of the right arm, places are 1.3 times as far; files of the other arm are refused."""
+    long = described(tmp_path)
+    q = np.linspace(0.1, 0.7, 7)
+    assert_allclose(long.pose(q, long.frame(TIP))[:3, 3], FACTOR * arm.pose(q, arm.frame(TIP))[:3, 3], rtol=1e-9)
+    other = learnt(long, ml.load_demonstrations(recordings("sawyer_drawer", 6), long))
+    assert row_space_angle(other.constraint_.selection, drawer.constraint_.selection) < 1e-9
+    assert other.report_.gap == pytest.approx(drawer.report_.gap, rel=1e-6)
+    assert not other.report_.warnings and other.report_.mechanism.type == "line"
+    assert_allclose(other.report_.mechanism.point, FACTOR * drawer.report_.mechanism.point, rtol=1e-6)
+    drawer.constraint_.save(tmp_path / "drawer.json")
+    with pytest.raises(ml.ManipLearnError, match="another version of robot"):
+        ml.Constraint.load(tmp_path / "drawer.json", long)
+
+
+def test_lengths_and_zeros_that_contradict_each_other_lower_the_gap(arm, drawer, tmp_path):
+    """One longer link, or the elbow's zero, bends what is held; the first joint's zero only turns it."""
+    one = described(tmp_path, "right_j4")
+    bent = learnt(one, ml.load_demonstrations(recordings("sawyer_drawer", 6), one)).report_
+    assert bent.gap < 0.1 * drawer.report_.gap and any("hinge" in warning for warning in bent.warnings)
+    demos = ml.load_demonstrations(recordings("sawyer_drawer", 6), arm)
+
+    def offset(joint: int, angle: float) -> ml.ConstraintLearner:
+        moved = (ml.Trajectory(t.time, t.q + angle * np.eye(7)[joint], None, t.joint_names, t.name) for t in demos)
+        return learnt(arm, ml.Demonstrations(moved))
+
+    assert offset(3, 0.2).report_.gap < 0.1 * drawer.report_.gap
+    turned, c, s = offset(0, 0.5), np.cos(0.5), np.sin(0.5)
+    assert turned.report_.gap == pytest.approx(drawer.report_.gap, rel=1e-6)
+    turn = np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]])
+    assert row_space_angle(turned.constraint_.selection, drawer.constraint_.selection @ turn.T) < 1e-9
+
+
+def rewritten(folder: Path, change: Callable[[list[str], np.ndarray], None]) -> list[Path]:
+    """The hard drawer's files with other numbers."""
+    for path in recordings("sawyer_drawer_hard", 8):
+        names, *lines = [line.split(",") for line in path.read_text(encoding="utf-8").splitlines()]
+        numbers = np.array(lines, dtype=np.float64)
+        change(names, numbers)
+        rows = (",".join(f"{x:.9g}" for x in row) for row in numbers)
+        (folder / path.name).write_text("\n".join([",".join(names), *rows]) + "\n", encoding="utf-8")
+    return sorted(folder.glob("*.csv"))
+
+
+def test_a_factor_on_velocities_or_time_shows_where_two_of_them_contradict(arm, tmp_path):
+    """Positions, velocities and limits say what they can; velocities 1.9 times as large give the rows they gave."""
+
+    def changed(velocities: float, time: float) -> ml.Demonstrations:
+        def change(names: list[str], numbers: np.ndarray) -> None:
+            numbers[:, 0] *= time
+            numbers[:, [name.endswith("_velocity") for name in names]] *= velocities
+
+        return ml.load_demonstrations(rewritten(tmp_path, change), arm)
+
+    rows = [learnt(arm, changed(factor, 1.0)).constraint_.selection for factor in (1.0, 1.9)]
+    assert row_space_angle(*rows) < 1e-6
+    for velocities, time in ((2.2, 1.0), (1.0, 10.0), (0.4, 1.0)):
+        with pytest.raises(RecordingError, match="different scales"):
+            changed(velocities, time)
+    assert changed(0.1, 10.0).notes == ()
+    assert all("check the unit of time" in note for note in changed(10.0, 0.1).notes)
+
+
+def test_slow_time_without_velocities_changes_nothing(arm, drawer):
+    """A held row is held at any speed: rows and gap to rounding."""
+    demos = ml.load_demonstrations(recordings("sawyer_drawer", 6), arm)
+    slow = ml.Demonstrations(ml.Trajectory(10.0 * t.time, t.q, None, t.joint_names, t.name) for t in demos)
+    assert learnt(arm, slow).report_.gap == pytest.approx(drawer.report_.gap, rel=1e-6)
+
+
+def test_efforts_show_longer_links(arm, drawer, tmp_path):
+    """Gravity acts on longer levers: what is left beside it is no longer along the held rows."""
+    held, long = drawer.constraint_, described(tmp_path)
+    demos = with_velocities(ml.load_demonstrations(recordings("sawyer_drawer", 6), arm), arm)
+    contact = []
+    for t in demos:
+        tau = inverse_dynamics(arm, t.q, t.u, np.gradient(t.u, t.time, axis=0))
+        push = np.array([8.0 * np.sin(3.0 * t.time), 6.0 * np.cos(2.0 * t.time)])
+        tau += np.einsum("tsv,st->tv", held.selection @ held.features.batch(t.q), push)
+        contact.append(ml.Trajectory(t.time, t.q, t.u, t.joint_names, t.name, effort=tau))
+    shares = [effort_witness(ml.FrameJacobian(robot, TIP), held.selection, contact).share for robot in (arm, long)]
+    assert shares[0] > 0.99 and shares[1] < 0.9, shares
