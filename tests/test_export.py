@@ -29,7 +29,7 @@ def folder(tmp_path_factory) -> Path:
     arm(folder / "longer.urdf", length=1.1)
     (folder / "demos").mkdir()
     for k in range(2):
-        t = np.arange(40) * 0.01 + 1e-9 * np.arange(40) % 3
+        t = 5.0 + 2.5 * k + np.arange(40) * 0.01 + 1e-9 * (np.arange(40) % 3)
         q = np.column_stack([np.sin(t + k), np.cos(t), 0.3 * t])
         u = np.column_stack([np.cos(t + k), -np.sin(t), 0.3 + 0.0 * t])
         rows = [",".join(map(repr, row)) for row in np.column_stack([t, q, u]).tolist()]
@@ -51,23 +51,22 @@ def test_recordings_come_back(folder: Path, robot: Robot, tmp_path_factory: pyte
             tmp_path = tmp_path_factory.mktemp("case")
             pytest.importorskip({"mcap": "rosbags", "lerobot": "pyarrow"}.get(to, "numpy"))
             out = tmp_path / "out"
-            assert (
-                main(
-                    ["export", str(folder / "arm.urdf"), str(folder / "demos"), "--out", str(out), "--to", to, "--json"]
-                )
-                == 0
-            )
+            words = ["export", str(folder / "arm.urdf"), str(folder / "demos"), "--out", str(out), "--to", to, "--json"]
+            assert main(words) == 0
             answer = json.loads(capsys.readouterr().out)
             assert (answer["format"], answer["trajectories"], answer["samples"]) == (to, 2, 80)
-            assert len(answer["files"]) == (1 if to == "lerobot" else 2)
+            suffix = {"trajectory": "yaml"}.get(to, to)
+            names = ["out"] if to == "lerobot" else [f"0_demo_0.{suffix}", f"1_demo_1.{suffix}"]
+            assert [Path(file).name for file in answer["files"]] == names
             before, after = load_demonstrations(folder / "demos", robot), load_demonstrations(out, robot)
             assert len(after) == 2
             for a, b in zip(before, after, strict=True):
                 assert a.q.tobytes() == b.q.tobytes()
                 assert a.u is not None and b.u is not None and a.u.tobytes() == b.u.tobytes()
+                start = 0.0 if to == "csv" else a.time[0]  # the others count from the first sample
                 if to in ("csv", "lerobot"):
-                    assert a.time.tobytes() == b.time.tobytes()
-                np.testing.assert_array_equal(np.rint(1e9 * a.time), np.rint(1e9 * b.time))
+                    assert (a.time - start).tobytes() == b.time.tobytes()
+                np.testing.assert_array_equal(np.rint(1e9 * (a.time - start)), np.rint(1e9 * b.time))
             with pytest.raises(RecordingError, match="'arm'") as caught:
                 load_demonstrations(out, load_robot(folder / "longer.urdf"))
             assert caught.value.code == "other-robot"

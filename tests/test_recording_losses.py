@@ -2,22 +2,33 @@
 
 from __future__ import annotations
 
+import json
 import os
 import sqlite3
 import struct
 import subprocess
 import sys
 from collections.abc import Callable
+from dataclasses import replace
+from functools import partial
 from pathlib import Path
 
 import numpy as np
 import pytest
+import recording_corpus
+import test_saved_files
 from case import case
 from recording_corpus import JOINTS, TIME, Q, U
 from test_recording_fuzz import OPTIONS, bag_file, damaged
 
+from manip_learn.control.rollout import Rollout
 from manip_learn.errors import RecordingError
-from manip_learn.recordings import load_demonstrations
+from manip_learn.recordings import RecordingSource, load_demonstrations
+from manip_learn.recordings.readers import csv_reader
+from manip_learn.recordings.readers.mcap_records import mcap_contents, mcap_header, messages_of, records
+from manip_learn.recordings.saved_motion import motion_of_trajectory
+from manip_learn.recordings.trajectory import Trajectory
+from manip_learn.recordings.writers.mcap_writer import CHUNK, STATISTICS, mcap_bytes
 from manip_learn.robot import Robot, load_robot
 
 MUTANTS = 5000 if os.environ.get("HYPOTHESIS_PROFILE") == "fuzz" else 60
@@ -241,3 +252,178 @@ def test_the_attributes_of_robomimic_are_believed(planar3: Robot, tmp_path_facto
             with pytest.raises(RecordingError, match=f"{attribute!r}.*999") as caught:
                 load_demonstrations(path, planar3, joint_names=JOINTS, rate=50.0)
             assert caught.value.code == "lost-samples"
+
+
+def test_the_totals_of_a_lerobot_data_set_are_believed(planar3: Robot, tmp_path: Path) -> None:
+    """A data set with a file missing is refused with both numbers, in memory and in a stream; what is there can be
+    selected, and a single file is read for itself.
+    """
+    pytest.importorskip("pyarrow", reason="the extra 'lerobot' is not installed")
+    import test_lerobot_reader as lerobot
+
+    for version, gone in (("v2.1", "episode_000002"), ("v3.0", "file-001")):
+        with case(version):
+            root = (lerobot.version_2 if version == "v2.1" else lerobot.version_3)(tmp_path / version)
+            info = root / "meta" / "info.json"
+            totals = {"total_frames": 320 if version == "v2.1" else 240, "total_episodes": 4}
+            info.write_text(json.dumps(json.loads(info.read_text()) | totals))
+            load = partial(load_demonstrations, robot=planar3, units="radians")
+            frames = sum(len(t) for t in load(root))
+            assert frames == totals["total_frames"] == sum(map(len, streamed(root, planar3)))
+            (lost,) = root.glob(f"data/**/{gone}.parquet")
+            lost.unlink()
+            for read in (load, partial(streamed, robot=planar3)):
+                with pytest.raises(RecordingError, match="meta/info.json states total_") as caught:
+                    read(root)
+                assert caught.value.code == "lost-samples" and "episodes='0:50,60'" in str(caught.value)
+            assert len(load(root, episodes=[0, 1])) == 2
+            assert load(next(root.glob("data/**/*.parquet"))).n_samples > 0
+            info.write_text(json.dumps(json.loads(info.read_text()) | {"total_frames": True, "total_episodes": None}))
+            assert load(root).n_samples == totals["total_frames"] - 80
+
+
+def streamed(root: Path, robot: Robot) -> list[Trajectory]:
+    source = RecordingSource(root, robot, units="radians")
+    return [t for i in range(source.n_parts) for t in source.part(i)]
+
+
+def test_an_unsound_database_is_refused(planar3: Robot, tmp_path: Path) -> None:
+    """All messages are there, but SQLite finds a page that belongs to nothing: its verdict counts."""
+    pytest.importorskip("rosbags", reason="the extra 'ros' is not installed")
+    _, file = ros2_bag(tmp_path, "sqlite")
+    with sqlite3.connect(file) as database:
+        database.execute("CREATE TABLE spare (x)")
+    with sqlite3.connect(file) as database:
+        database.execute("PRAGMA writable_schema = ON")
+        database.execute("DELETE FROM sqlite_master WHERE name = 'spare'")
+    error = refusal(file, planar3)
+    assert error.code == "damaged" and "SQLite finds" in str(error)
+
+
+def test_a_record_behind_the_index_of_a_ros1_bag_must_be_whole(planar3: Robot, tmp_path: Path) -> None:
+    """The library reads as far as the index goes; a record that ends after the file was cut all the same."""
+    pytest.importorskip("rosbags", reason="the extra 'ros' is not installed")
+    import test_rosbag_reader as bags
+
+    bag = bags.write_bag(tmp_path / "bag", "ros1", bags.all_in_one())
+    whole = bag.read_bytes()
+    head = struct.pack("<II", 8, 4) + b"op=c"
+    bag.write_bytes(whole + head + struct.pack("<I", 4) + b"1234")
+    assert load_demonstrations(bag, planar3).n_samples == 200
+    bag.write_bytes(whole + head + struct.pack("<I", 4) + b"123")
+    assert f"the record at byte {len(whole)} ends after the file" in str(refusal(bag, planar3))
+
+
+def test_every_fault_of_an_mcap_file_has_its_sentence(planar3: Robot, tmp_path: Path) -> None:
+    """What is cut, added, renamed or miscounted in a file of the library's own, which has checksums and statistics."""
+    motion = motion_of_trajectory(Trajectory(TIME, Q, U, JOINTS, "demo"), planar3)
+    good, path = mcap_bytes(motion), tmp_path / "demo.mcap"
+    path.write_bytes(good)
+    found = mcap_contents(path)
+    assert (found.by_topic(), found.stated, found.chunks, found.unchecked) == ({"/joint_states": 60}, {1: 60}, 1, 0)
+    assert json.loads(str(mcap_header(path)))["samples"] == 60
+    assert len(list(messages_of(path, "/joint_states"))) == 60 and not list(messages_of(path, "/rollout"))
+    (chunk,) = (content for _, content in records(path, (CHUNK,)))
+    at = good.index(chunk)  # of the chunk's content
+    statistics = next(content for _, content in records(path, (STATISTICS,)))
+    stated = good.index(statistics)
+
+    def changed(place: int, form: str, value: int) -> bytes:
+        content = bytearray(good)
+        struct.pack_into(form, content, place, value)
+        return bytes(content)
+
+    inner = at + 40  # of the chunk's first record, the type of the messages
+    (length,) = struct.unpack_from("<Q", good, inner + 1)
+    channel = inner + 9 + length
+    faults = {
+        "it ends without a footer": good[: at - 9] + b"xxxxxxxx",
+        "ends after the file": good[: at + 100],
+        "3 bytes after its footer": good + b"xyz",
+        "a chunk has 9 bytes only": changed(at - 8, "<Q", 9)[: at + 9] + good[at + len(chunk) :],
+        "claims to unpack to 50,000,001": changed(at + 16, "<Q", 50_000_001),
+        f"a chunk says {len(chunk) - 41} bytes, it has {len(chunk) - 40}": changed(at + 32, "<Q", len(chunk) - 41),
+        f"a chunk says {len(chunk) - 39} bytes, it unpacks to {len(chunk) - 40}": changed(
+            at + 16, "<Q", len(chunk) - 39
+        ),
+        "the checksum of a chunk is wrong": changed(at + len(chunk) - 1, "<B", 77),
+        "a chunk has a record of kind 9": without_checksum(changed(inner, "<B", 9), at),
+        "messages belong to channel 1, which is missing": renumbered(good, at, channel),
+        "its statistics state 61 messages, by channel 60": changed(stated, "<Q", 61),
+        "1 chunks are there, its statistics state 2": changed(stated + 8 + 2 + 4 + 4 + 4, "<I", 2),
+        "60 messages of /joint_states are there, its statistics state 59": changed(stated, "<Q", 59).replace(
+            struct.pack("<HQ", 1, 60), struct.pack("<HQ", 1, 59)
+        ),
+    }
+    for words, content in faults.items():
+        with case(words):
+            path.write_bytes(content)
+            with pytest.raises(RecordingError) as caught:
+                mcap_contents(path)
+            assert words in str(caught.value) and caught.value.code in ("damaged", "bomb")
+
+
+def without_checksum(content: bytes, at: int) -> bytes:
+    return content[: at + 24] + bytes(4) + content[at + 28 :]
+
+
+def renumbered(content: bytes, at: int, channel: int) -> bytes:
+    """The channel of the messages in the chunk, and in the summary, is called 7."""
+    record = content[channel + 9 : channel + 13]
+    return without_checksum(content, at).replace(record, struct.pack("<HH", 7, 1))
+
+
+def test_a_saved_rollout_that_lost_a_sample_is_refused(tmp_path: Path) -> None:
+    """In every format: it states how many there were."""
+    robot = load_robot(test_saved_files.arm(tmp_path / "arm.urdf"))
+    rollout = test_saved_files.rollout_of(robot)
+    n = len(rollout.time)
+    shorter = replace(rollout, **{x: getattr(rollout, x)[:-1] for x in (*test_saved_files.ARRAYS, "status")})
+    for ending in test_saved_files.FORMATS:
+        with case(ending):
+            path = rollout.save(tmp_path / f"run.{ending}")
+            if ending == "npz":
+                with np.load(path) as archive:
+                    arrays = {k: a[:-1] if a.shape[:1] == (n,) else a for k, a in archive.items()}
+                np.savez(path, **arrays)
+            elif ending == "mcap":
+                content = shorter.save(path).read_bytes()
+                path.write_bytes(content.replace(b'"samples": %d' % (n - 1), b'"samples": %d' % n))
+            else:
+                path.write_text("".join(path.read_text(encoding="utf-8").splitlines(keepends=True)[:-1]))
+            with pytest.raises(RecordingError, match=f"written with {n} samples and holds {n - 1}") as caught:
+                Rollout.load(path)
+            assert caught.value.code == "damaged"
+            assert len(Rollout.load(rollout.save(path)).time) == n
+
+
+def test_a_table_that_changes_while_it_is_read_is_refused(planar3: Robot, tmp_path: Path, monkeypatch) -> None:
+    """A recorder or a copy that still writes, or one that begins anew: the end may be missing, so nothing is read."""
+    path, whole = tmp_path / "demo.csv", recording_corpus.GOOD
+    read = csv_reader._table
+    for after in (whole + "1.2,0,0,0\n", whole[: len(whole) // 2], whole.replace("0.5", "0.4")):
+        with case(after):
+            path.write_text(whole)
+            os.utime(path, (1.0, 1.0))
+            monkeypatch.setattr(csv_reader, "_table", lambda *a, text=after: (read(*a), path.write_text(text))[0])
+            with pytest.raises(RecordingError, match="the file changed while it was read") as caught:
+                load_demonstrations(path, planar3)
+            assert caught.value.code == "changed"
+
+
+def test_no_control_character_of_a_file_is_printed(planar3: Robot, tmp_path: Path) -> None:
+    """Neither of its name nor of its header: in notes, errors and names of trajectories they are written out."""
+    path = tmp_path / "demo\x1b[31m.csv"
+    header = "time,joint1,joint2,joint3,force\x1b[32m\n"
+    (tmp_path / "\x9b2J.txt").write_text("no table")
+    rows = np.column_stack([TIME, Q, TIME]).tolist()
+    path.write_text(header + "".join(",".join(map(repr, row)) + "\n" for row in rows))
+    with pytest.raises(RecordingError) as caught:
+        load_demonstrations(path, planar3)
+    assert str(caught.value).isprintable()
+    for given in (path, tmp_path):
+        demos = load_demonstrations(given, planar3, columns="{joint}")
+        said: list[str] = []
+        (streamed_one,) = RecordingSource(given, planar3, columns="{joint}").part(0, said)
+        assert demos.notes and all(note.isprintable() for note in (*demos.notes, *said))
+        assert demos[0].name == streamed_one.name == "demo\\x1b[31m.csv"

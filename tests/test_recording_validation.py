@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from pathlib import Path
 from typing import Any
 
@@ -280,3 +281,33 @@ def test_locked_and_mimic_joints_are_known_names(robot_of, tmp_path: Path) -> No
         demos = load_demonstrations(tmp_path / "demo.npz", panda)
         note = next(n for n in demos.notes if "panda_finger_joint1" in n)
         assert ("moves by 0.04" in note) == said
+
+
+def test_velocities_of_another_scale_are_said(planar3: Robot, rng: np.random.Generator, tmp_path: Path) -> None:
+    """Within a factor of two the motion may be right and the velocities filtered: read, with the factor and the joints;
+    beyond, and with time ten times as slow, refused.
+    """
+    time, q, u = guided(planar3, rng)
+    assert load(planar3, tmp_path, time, q, u * 1.15).notes == ()
+    for factor, said in ((1.9, "1.9 times"), (0.6, "0.6 times"), (1.35, "1.3 times|1.4 times")):
+        (note,) = load(planar3, tmp_path, time, q, u * factor).notes
+        assert (
+            re.search(f"recorded velocities are ({said}) the rate at which", note)
+            and "joints joint1, joint2 and" in note
+        )
+    (note,) = load(planar3, tmp_path, time, q, u * [1.0, 1.7, 1.0]).notes
+    assert "1.7 times" in note and "(joint joint2)" in note
+    for arguments in ((time, q, u * 2.2), (10.0 * time, q, u)):
+        assert refused(planar3, tmp_path, *arguments).code == "velocity-scale"
+
+
+def test_a_stamp_that_repeats_must_repeat_the_sample(planar3: Robot, rng: np.random.Generator, tmp_path: Path) -> None:
+    """Positions and recorded velocities alike: it is left out; another position or another velocity: refused."""
+    time, q, u = (np.insert(x, 21, x[20], axis=0) for x in guided(planar3, rng))
+    demos = load(planar3, tmp_path, time, q, u)
+    assert demos.notes == ("demo.npz: 1 repeated samples left out (first: sample 21)",)
+    np.testing.assert_array_equal(demos[0].u, np.delete(u, 21, axis=0))
+    np.testing.assert_array_equal(demos[0].time, np.delete(time, 21))
+    for spoilt in ((q + (np.arange(401) == 21)[:, None] * 1e-3, u), (q, u + (np.arange(401) == 21)[:, None] * 1e-3)):
+        error = refused(planar3, tmp_path, time, *spoilt)
+        assert error.code == "duplicate-time" and "sample 20 and sample 21; 1 such pairs" in str(error)

@@ -7,7 +7,7 @@ from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from typing import final, overload
 
-from manip_learn.errors import RecordingError, counted
+from manip_learn.errors import RecordingError, counted, printable
 from manip_learn.recordings.data_frame import PandasFrame, frame_of
 from manip_learn.recordings.trajectory import Trajectory
 from manip_learn.robot import html_card
@@ -44,7 +44,7 @@ class Demonstrations(Sequence[Trajectory]):
                 f"demonstrations must be Trajectory objects, got {type(trajectories).__name__}", code="type"
             )
         object.__setattr__(self, "trajectories", tuple(trajectories))
-        object.__setattr__(self, "notes", tuple(notes))
+        object.__setattr__(self, "notes", tuple(map(printable, notes)))
         if not self.trajectories:
             raise RecordingError("no demonstrations: give at least one trajectory", code="empty")
         for t in self.trajectories:

@@ -7,7 +7,7 @@ from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import replace
 from typing import Literal, TypedDict, Unpack
 
-from manip_learn.errors import RecordingError, advice, closest_names
+from manip_learn.errors import RecordingError, advice, closest_names, printable
 from manip_learn.recordings.data_frame import DataFrame, frames_as_files
 from manip_learn.recordings.demonstrations import Demonstrations
 from manip_learn.recordings.readers.csv_reader import SURPLUS_SUFFIXES
@@ -149,7 +149,7 @@ def open_recordings(
     request = _request(robot, options)
     files, said = recording_files(paths)
     files, request, note = select_episodes(files, request)
-    return files, request, [*said, *([note] if note else [])]
+    return files, request, [printable(sentence) for sentence in (*said, note) if sentence]
 
 
 def read_recordings(
@@ -195,7 +195,7 @@ def _sentences(by_text: dict[str, list[str]]) -> list[str]:
     sentences = []
     for text, names in by_text.items():
         others = f" and {len(names) - 1} more" if len(names) > 1 else ""
-        sentences.append(f"{names[0]}{others}: {text}")
+        sentences.append(printable(f"{names[0]}{others}: {text}"))
     return sentences
 
 

@@ -178,13 +178,7 @@ def checked_motion(path: Path, motion: SavedMotion) -> SavedMotion:
         RecordingError: Says which array does not fit, its shape, and the shape that is needed.
     """
     header, rows, nv = motion.header, motion.time.shape[0], len(motion.header.joint_names)
-    if header.samples is not None and header.samples != rows:
-        raise refusal(
-            path,
-            "damaged",
-            f"the file was written with {counted(header.samples, 'sample')} and holds {rows}: it was cut or changed "
-            "afterwards; write it again",
-        )
+    refuse_lost_samples(path, header, rows)
     if not nv:
         raise refusal(path, "no-joint-names", "the file names no joint")
     if len(set(header.joint_names)) != nv:
@@ -209,6 +203,21 @@ def checked_motion(path: Path, motion: SavedMotion) -> SavedMotion:
     if header.kind == "rollout" and len(motion.status) != rows:
         raise refusal(path, "shape", f"there are {len(motion.status)} status words for {rows} times")
     return motion
+
+
+def refuse_lost_samples(path: Path, header: FileHeader, found: int) -> None:
+    """Refuse a file that holds another number of samples than it was written with.
+
+    Raises:
+        RecordingError: Code `damaged`, with both numbers.
+    """
+    if header.samples not in (None, found):
+        raise refusal(
+            path,
+            "damaged",
+            f"the file was written with {counted(header.samples, 'sample')} and holds {found}: it was cut or changed "
+            "afterwards; write it again",
+        )
 
 
 def check_robot(path: Path, header: FileHeader, robot: Robot | None) -> tuple[str, ...]:

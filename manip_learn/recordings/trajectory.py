@@ -8,7 +8,7 @@ from typing import Any, final
 import numpy as np
 from jaxtyping import Float
 
-from manip_learn.errors import RecordingError, counted
+from manip_learn.errors import RecordingError, counted, printable
 
 
 @final
@@ -48,6 +48,7 @@ class Trajectory:
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "joint_names", tuple(self.joint_names))
+        object.__setattr__(self, "name", printable(self.name))  # of a file, whose maker may have written anything
         for what in ("time", "q", "u", "effort"):
             given = getattr(self, what)
             if what in ("time", "q") or given is not None:

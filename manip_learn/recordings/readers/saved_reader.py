@@ -28,6 +28,7 @@ from manip_learn.recordings.saved_motion import (
     check_robot,
     checked_motion,
     joint_positions,
+    refuse_lost_samples,
 )
 from manip_learn.recordings.writers.mcap_writer import ROLLOUT_TOPIC, rollout_sample_values
 from manip_learn.recordings.writers.write_motion import MARK, column_groups, column_line
@@ -90,6 +91,7 @@ def read(path: Path, request: ReadRequest) -> Iterator[Recording]:
     notes = () if header is None else check_robot(path, header, request.robot)
     if header is not None and header.kind == "recording" and _first_bytes(path) == MCAP:
         for recording in parsed_recordings(BAG_PARSER, path, request):
+            refuse_lost_samples(path, header, len(recording.time))
             yield replace(recording, trusted=True)
         return
     motion = read_saved(path)

@@ -10,7 +10,7 @@ from typing import final
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
-from manip_learn.errors import RecordingError, advice, counted
+from manip_learn.errors import RecordingError, advice, counted, named
 from manip_learn.recordings.readers.read_request import SECONDS, ReadRequest
 from manip_learn.recordings.readers.recording import GAP_FACTOR, Recording
 from manip_learn.recordings.validation.joint_matching import angular_coordinates, object_coordinates
@@ -363,6 +363,7 @@ def _check_velocities(motion: Motion) -> list[str]:
     if motion.u is None or len(motion.time) < FEWEST or motion.recording.trusted:
         return []
     names, notes = motion.robot.joint_names, []
+    scales: dict[str, float] = {}
     match = compare_velocities(motion.time, motion.q, motion.u)
     for i, name in enumerate(names):
         if not match.moved[i]:
@@ -370,6 +371,8 @@ def _check_velocities(motion: Motion) -> list[str]:
         own = float(match.correlation[i, i])
         if abs(own) >= SURE:
             _refuse_slope(motion.recording, name, bool(motion.angular[i]), float(match.slope[i]))
+            if not _near(float(match.slope[i]), 1.0):
+                scales[name] = 1.0 / float(match.slope[i])
             continue
         j = _follower(match, i)
         if j is not None:
@@ -381,6 +384,12 @@ def _check_velocities(motion: Motion) -> list[str]:
             )
         if abs(own) < UNSURE:
             notes.append(f"the recorded velocity of {name!r} does not follow its position (correlation {own:.2f})")
+    if scales:
+        farthest = max(scales.values(), key=lambda scale: abs(math.log(scale)))
+        notes.append(
+            f"recorded velocities are {farthest:.2g} times the rate at which the positions change "
+            f"({named('joint', scales)}): check their units, or the clock; they are used as they are"
+        )
     return notes
 
 
