@@ -46,16 +46,15 @@ def test_round_trip_is_exact(planar3: Robot, tmp_path: Path) -> None:
     np.testing.assert_array_equal(demos[0].u, FULL[:, 4:])
 
 
-def test_delimiters_and_decimal_marks(planar3: Robot, tmp_path_factory: pytest.TempPathFactory) -> None:
+def test_delimiters_and_decimal_marks(planar3: Robot) -> None:
     """The same table in six dialects is the same recording."""
     for delimiter, mark in [(",", "."), (";", "."), (";", ","), ("\t", "."), ("\t", ","), ("  ", ",")]:
-        with case(delimiter, mark):
-            tmp_path = tmp_path_factory.mktemp("case")
+        with case(delimiter, mark) as tmp_path:
             path = written(tmp_path / "demo", csv(TABLE, delimiter=delimiter, mark=mark))
             np.testing.assert_allclose(load_demonstrations(path, planar3)[0].q, TABLE[:, 1:], rtol=1e-8)
 
 
-def test_the_refused_line_is_named(planar3: Robot, tmp_path_factory: pytest.TempPathFactory) -> None:
+def test_the_refused_line_is_named(planar3: Robot) -> None:
     """File, line as an editor counts it (comments and blank lines too), column and the value seen."""
     for line, code, column, said in [
         ("0.14,x1,1.9,0.07", "not-a-number", "joint1", "'x1'"),
@@ -66,8 +65,7 @@ def test_the_refused_line_is_named(planar3: Robot, tmp_path_factory: pytest.Temp
         ("0.14,0.1,1.9", "ragged", None, "3 fields, the header has 4"),
         ("0.14,900,1.9,0.07", "outside-limits", "joint1", "900"),
     ]:
-        with case(line, code, column, said):
-            tmp_path = tmp_path_factory.mktemp("case")
+        with case(line, code, column, said) as tmp_path:
             lines = csv(TABLE).split("\n")
             lines[8] = line
             path = written(tmp_path / "demo.csv", "\n".join(["# one", "", *lines[:5], "# two", *lines[5:]]))
@@ -96,15 +94,12 @@ def test_ignored_columns_may_hold_anything(planar3: Robot, tmp_path: Path) -> No
     assert refusal(path, planar3, ignore_columns=("phase",)).code == "ragged"
 
 
-def test_a_table_that_was_cut_off_loses_its_last_line_only(
-    planar3: Robot, tmp_path_factory: pytest.TempPathFactory
-) -> None:
+def test_a_table_that_was_cut_off_loses_its_last_line_only(planar3: Robot) -> None:
     """Wherever a table is cut within its last two rows, every number that is read is one that was written, and a
     row that is lost is said, with the option that reads it; a whole table without a final line end can be kept.
     """
     for encoding in ["utf-8", "utf-16"]:
-        with case(encoding):
-            tmp_path = tmp_path_factory.mktemp("case")
+        with case(encoding) as tmp_path:
             content = csv(TABLE)
             start = content.rindex("\n", 0, content.rindex("\n", 0, -1))
             path = tmp_path / "demo.csv"
@@ -220,13 +215,10 @@ def test_a_header_in_a_comment_is_the_last_one_before_the_numbers(planar3: Robot
     assert demos.notes == ("a.csv: the header was read from the comment in line 2",)
 
 
-def test_a_comment_that_is_no_header_is_not_taken_for_one(
-    planar3: Robot, tmp_path_factory: pytest.TempPathFactory
-) -> None:
+def test_a_comment_that_is_no_header_is_not_taken_for_one(planar3: Robot) -> None:
     """A remark, numbers, or names for another number of columns above the first row: refused, a header is needed."""
     for comment in ["recorded by hand", "1, 2, 3, 4", "time, joint1, joint2"]:
-        with case(comment):
-            tmp_path = tmp_path_factory.mktemp("case")
+        with case(comment) as tmp_path:
             rows = csv(TABLE).partition("\n")[2]
             error = refusal(written(tmp_path / "a.csv", f"# {comment}\n{rows}"), planar3)
             assert error.code == "no-header" and ":2:" in str(error)

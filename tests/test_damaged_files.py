@@ -143,13 +143,10 @@ def test_damaged_constraints(robot: Robot, rollout: Rollout, tmp_path: Path, rng
     assert 2 in codes
 
 
-def test_wrong_arrays_are_refused_by_name(
-    robot: Robot, rollout: Rollout, tmp_path_factory: pytest.TempPathFactory
-) -> None:
+def test_wrong_arrays_are_refused_by_name(robot: Robot, rollout: Rollout) -> None:
     """Complex or text postures, another width, an unknown status, other joint names: the message says which."""
     for kind in ["complex", "text", "width", "status", "names"]:
-        with case(kind):
-            tmp_path = tmp_path_factory.mktemp("case")
+        with case(kind) as tmp_path:
             path = rollout.save(tmp_path / "run.npz")
             with np.load(path) as archive:
                 arrays = dict(archive)

@@ -58,12 +58,11 @@ def test_cuts_keep_them():
     np.testing.assert_allclose(halfway.effort, 0.5 * (EFFORT[1:] + EFFORT[:-1]))
 
 
-def test_own_formats_keep_them_exactly(tmp_path_factory: pytest.TempPathFactory):
+def test_own_formats_keep_them_exactly():
     """Written and read again, bit for bit, beside velocities and without."""
     for ending in [".npz", ".csv", ".jsonl", ".mcap", ""]:
         for with_velocities in [True, False]:
-            with case(ending, with_velocities):
-                tmp_path = tmp_path_factory.mktemp("case")
+            with case(ending, with_velocities) as tmp_path:
                 pytest.importorskip({".mcap": "rosbags", "": "pyarrow"}.get(ending, "numpy"))
                 u = np.column_stack([np.cos(TIME), -np.sin(TIME), 0.3 + 0.0 * TIME]) if with_velocities else None
                 motion, path = motion_of_trajectory(trajectory(u), ROBOT), tmp_path / f"out{ending}"
@@ -86,11 +85,10 @@ def test_a_trajectory_for_a_controller_has_none(tmp_path: Path):
     assert "effort" not in (tmp_path / "out.yaml").read_text(encoding="utf-8")
 
 
-def test_tables_say_it_in_several_ways(tmp_path_factory: pytest.TempPathFactory):
+def test_tables_say_it_in_several_ways():
     """By name, in whatever order the columns stand."""
     for pattern in ["{}_effort", "effort_{}", "effort.{}", "tau_{}", "{}_torque", "tau/{}"]:
-        with case(pattern):
-            tmp_path = tmp_path_factory.mktemp("case")
+        with case(pattern) as tmp_path:
             names = [*NAMES, *(pattern.format(j) for j in NAMES[::-1])]
             write_table(tmp_path / "demo.csv", names, np.hstack([Q, EFFORT[:, ::-1]]))
             (t,) = load_demonstrations(tmp_path / "demo.csv", ROBOT)

@@ -116,11 +116,10 @@ def test_files_are_selected_by_natural_order(planar3: Robot, folder: Path) -> No
     assert [t.name for t in load_demonstrations(folder, planar3, episodes=range(1, 3))] == ["demo_2.csv", "demo_3.csv"]
 
 
-def test_lerobot_episodes_by_number(planar3: Robot, tmp_path_factory: pytest.TempPathFactory) -> None:
+def test_lerobot_episodes_by_number(planar3: Robot) -> None:
     """The number is the episode's own, in both versions of the format, in memory and streamed."""
     for version in MADE:
-        with case(version):
-            tmp_path = tmp_path_factory.mktemp("case")
+        with case(version) as tmp_path:
             root = MADE[version](tmp_path / "set")
             demos = load_demonstrations(root, planar3, units="radians", episodes="1:3")
             assert numbers(demos) == [1, 2]
@@ -130,11 +129,10 @@ def test_lerobot_episodes_by_number(planar3: Robot, tmp_path_factory: pytest.Tem
             assert numbers(Demonstrations(t for i in range(source.n_parts) for t in source.part(i))) == [0, 3]
 
 
-def test_lerobot_episodes_by_task(planar3: Robot, tmp_path_factory: pytest.TempPathFactory) -> None:
+def test_lerobot_episodes_by_task(planar3: Robot) -> None:
     """All episodes that show the task, alone or with others; together with numbers, those that satisfy both."""
     for version in MADE:
-        with case(version):
-            tmp_path = tmp_path_factory.mktemp("case")
+        with case(version) as tmp_path:
             root = MADE[version](tmp_path / "set")
             demos = load_demonstrations(root, planar3, units="radians", task="open the  Drawer")
             assert numbers(demos) == [0, 1, 2]
@@ -144,11 +142,10 @@ def test_lerobot_episodes_by_task(planar3: Robot, tmp_path_factory: pytest.TempP
                 load_demonstrations(root, planar3, units="radians", task="Close it", episodes="0:2")
 
 
-def test_a_task_that_does_not_exist_names_near_ones(planar3: Robot, tmp_path_factory: pytest.TempPathFactory) -> None:
+def test_a_task_that_does_not_exist_names_near_ones(planar3: Robot) -> None:
     """A misspelt task is answered with the tasks that it may mean."""
     for version in MADE:
-        with case(version):
-            tmp_path = tmp_path_factory.mktemp("case")
+        with case(version) as tmp_path:
             root = MADE[version](tmp_path / "set")
             with pytest.raises(UnknownNameError, match="did you mean 'Open the drawer'") as caught:
                 load_demonstrations(root, planar3, units="radians", task="Open the drawr")
@@ -178,11 +175,10 @@ def test_tasks_need_a_data_set_that_names_them(planar3: Robot, folder: Path, tmp
     assert numbers(load_demonstrations(root, planar3, units="radians", episodes="1")) == [1]
 
 
-def test_damaged_lists_of_episodes_are_refused(planar3: Robot, tmp_path_factory: pytest.TempPathFactory) -> None:
+def test_damaged_lists_of_episodes_are_refused(planar3: Robot) -> None:
     """What is not JSON lines, or describes no episode, is an error that names the file."""
     for content in ["{", "[1]\n", '{"episode_index": "a", "tasks": []}\n', "\xff"]:
-        with case(content):
-            tmp_path = tmp_path_factory.mktemp("case")
+        with case(content) as tmp_path:
             root = version_2(tmp_path / "set")
             (root / "meta" / "episodes.jsonl").write_bytes(content.encode("latin-1"))
             with pytest.raises(RecordingError, match="meta") as caught:

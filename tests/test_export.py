@@ -42,13 +42,12 @@ def robot(folder: Path) -> Robot:
     return load_robot(folder / "arm.urdf")
 
 
-def test_recordings_come_back(folder: Path, robot: Robot, tmp_path_factory: pytest.TempPathFactory, capsys) -> None:
+def test_recordings_come_back(folder: Path, robot: Robot, capsys) -> None:
     """Positions and velocities bit for bit in each format; times too, or to the nanosecond where the format has those.
     Another robot is refused.
     """
     for to in ["mcap", "csv", "lerobot", "trajectory"]:
-        with case(to):
-            tmp_path = tmp_path_factory.mktemp("case")
+        with case(to) as tmp_path:
             pytest.importorskip({"mcap": "rosbags", "lerobot": "pyarrow"}.get(to, "numpy"))
             out = tmp_path / "out"
             words = ["export", str(folder / "arm.urdf"), str(folder / "demos"), "--out", str(out), "--to", to, "--json"]
@@ -121,7 +120,7 @@ def test_lerobot_metadata(folder: Path, tmp_path: Path) -> None:
     assert pq.read_table(out / "meta/tasks.parquet").num_rows == info["total_tasks"] == 1
 
 
-def test_wrong_outputs_are_refused(folder: Path, tmp_path_factory: pytest.TempPathFactory, monkeypatch, capsys):
+def test_wrong_outputs_are_refused(folder: Path, monkeypatch, capsys):
     """Unknown formats, contradictions, and several trajectories for one file: one sentence, exit code 2, no file."""
     for arguments, words in [
         (["--out", "a.xyz"], "ending says the format"),
@@ -129,8 +128,7 @@ def test_wrong_outputs_are_refused(folder: Path, tmp_path_factory: pytest.TempPa
         (["--out", "a", "--to", "hdf5"], "--to must be one of"),
         (["--out", "a.csv"], "name a folder"),
     ]:
-        with case(arguments, words):
-            tmp_path = tmp_path_factory.mktemp("case")
+        with case(arguments, words) as tmp_path:
             monkeypatch.chdir(tmp_path)
             assert main(["export", str(folder / "arm.urdf"), str(folder / "demos"), *arguments]) == 2
             assert words in capsys.readouterr().err

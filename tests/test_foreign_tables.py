@@ -120,11 +120,10 @@ def keywords(flags: list[str]) -> dict[str, object]:
     return {"columns": flags[1::2]} if flags else {}
 
 
-def test_the_table_is_read(planar3: Robot, tmp_path_factory: pytest.TempPathFactory) -> None:
+def test_the_table_is_read(planar3: Robot) -> None:
     """Positions, velocities and stamps come back in the robot's order and in s; the note says what was read."""
     for name in FORMATS:
-        with case(name):
-            tmp_path = tmp_path_factory.mktemp("case")
+        with case(name) as tmp_path:
             write, flags, said = FORMATS[name]
             assert sum(f.startswith("--") for f in flags) <= 2
             path = tmp_path / "demo.csv"
@@ -139,11 +138,10 @@ def test_the_table_is_read(planar3: Robot, tmp_path_factory: pytest.TempPathFact
             assert any(said in note for note in demos.notes), demos.notes
 
 
-def test_the_error_prints_the_flags_to_type(tmp_path_factory: pytest.TempPathFactory, capsys) -> None:
+def test_the_error_prints_the_flags_to_type(capsys) -> None:
     """Without flags the command refuses, and what it advises, typed as it stands, reads the table."""
     for name in [n for n in FORMATS if FORMATS[n][1]]:
-        with case(name):
-            tmp_path = tmp_path_factory.mktemp("case")
+        with case(name) as tmp_path:
             path = tmp_path / "demo.csv"
             path.write_text(FORMATS[name][0]())
             words = ["export", "planar3", str(path), "--out", str(tmp_path / "out.csv")]

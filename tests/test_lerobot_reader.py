@@ -82,11 +82,10 @@ def planar3() -> Robot:
     return load_robot("planar3")
 
 
-def test_version_2_round_trip(planar3: Robot, tmp_path_factory: pytest.TempPathFactory) -> None:
+def test_version_2_round_trip(planar3: Robot) -> None:
     """One trajectory per file, in natural order, float32 as stored."""
     for kind in ["fixed", "list", "large"]:
-        with case(kind):
-            tmp_path = tmp_path_factory.mktemp("case")
+        with case(kind) as tmp_path:
             demos = load_demonstrations(version_2(tmp_path / "set", kind=kind), planar3, units="radians")
             assert [t.name for t in demos] == [f"set episode {i}" for i in (0, 1, 2, 10)]
             for t, i in zip(demos, (0, 1, 2, 10), strict=True):
@@ -130,15 +129,14 @@ def test_a_single_file_finds_its_data_set(planar3: Robot, tmp_path: Path) -> Non
     np.testing.assert_array_equal(demos[0].q, motion(1).astype(np.float32)[:, ::-1])
 
 
-def test_units_are_never_guessed(planar3: Robot, tmp_path_factory: pytest.TempPathFactory) -> None:
+def test_units_are_never_guessed(planar3: Robot) -> None:
     """Not stated: refused, with what the values look like. Stated: converted, with a note unless they are radians."""
     for scale, units, guess in [
         (1.0, "radians", "'radians'"),
         (57.29578, "degrees", "'degrees'"),
         (30.0, "normalised", "'normalised'"),
     ]:
-        with case(scale, units, guess):
-            tmp_path = tmp_path_factory.mktemp("case")
+        with case(scale, units, guess) as tmp_path:
             root = version_2(tmp_path / "set", scale=scale)
             with pytest.raises(RecordingError, match=guess) as caught:
                 load_demonstrations(root, planar3)
@@ -149,11 +147,10 @@ def test_units_are_never_guessed(planar3: Robot, tmp_path_factory: pytest.TempPa
             assert bool(demos.notes) == (units != "radians")
 
 
-def test_grippers_are_in_percent(robot_of, tmp_path_factory: pytest.TempPathFactory) -> None:
+def test_grippers_are_in_percent(robot_of) -> None:
     """LeRobot keeps the gripper in 0 .. 100 whatever the unit of the arm; '.pos' is taken off the names; both said."""
     for units in ["degrees", "normalised"]:
-        with case(units):
-            tmp_path = tmp_path_factory.mktemp("case")
+        with case(units) as tmp_path:
             robot = load_robot("so101")
             n = 40
             names = [f"{j}.pos" for j in robot.joint_names]
@@ -222,7 +219,7 @@ def test_missing_values_and_ragged_samples_are_refused(planar3: Robot, tmp_path:
         assert caught.value.code == code
 
 
-def test_metadata_that_does_not_fit_is_refused(planar3: Robot, tmp_path_factory: pytest.TempPathFactory) -> None:
+def test_metadata_that_does_not_fit_is_refused(planar3: Robot) -> None:
     """Another version, no state, names that do not fit: refused by name."""
     for description, code in [
         ({"codebase_version": "v1.6"}, "version"),
@@ -233,8 +230,7 @@ def test_metadata_that_does_not_fit_is_refused(planar3: Robot, tmp_path_factory:
         (info(None), "no-joint-names"),
         (info(["a", "b", "c"]), "missing-joint"),
     ]:
-        with case(description, code):
-            tmp_path = tmp_path_factory.mktemp("case")
+        with case(description, code) as tmp_path:
             root = dataset(tmp_path / "set", description, {"data/a.parquet": table({0: motion(0)})})
             with pytest.raises(RecordingError) as caught:
                 load_demonstrations(root, planar3, units="radians")
@@ -309,11 +305,10 @@ KEY = "observation.state.joint_position"
 NAMED = {"joint_names": JOINTS, "units": "radians", "feature": KEY}
 
 
-def test_joints_under_another_key_are_read(planar3: Robot, tmp_path_factory: pytest.TempPathFactory) -> None:
+def test_joints_under_another_key_are_read(planar3: Robot) -> None:
     """`feature` names the key, its velocities come along, and episodes are selected as ever."""
     for version in ["v2.1", "v3.0"]:
-        with case(version):
-            tmp_path = tmp_path_factory.mktemp("case")
+        with case(version) as tmp_path:
             demos = load_demonstrations(droid(tmp_path / "set", version), planar3, **NAMED, episodes="1:3")
             assert [t.name for t in demos] == ["set episode 1", "set episode 2"]
             for t, i in zip(demos, (1, 2), strict=True):
@@ -329,7 +324,7 @@ def test_the_usual_state_is_read_with_a_note_on_the_other_key(planar3: Robot, tm
     assert f"feature='{KEY}' reads it" in " ".join(demos.notes)
 
 
-def test_a_wrong_key_is_an_error_with_near_matches(planar3: Robot, tmp_path_factory: pytest.TempPathFactory) -> None:
+def test_a_wrong_key_is_an_error_with_near_matches(planar3: Robot) -> None:
     """Left out where there is no usual state, misspelt, or no vector of numbers: what to pass is said."""
     for feature, said in [
         (None, f"there is no feature 'observation.state', joint positions seem to be in '{KEY}'.*feature='{KEY}'"),
@@ -337,8 +332,7 @@ def test_a_wrong_key_is_an_error_with_near_matches(planar3: Robot, tmp_path_fact
         ("observation.images.wrist", "holds video, joint positions are a vector of numbers"),
         ("language_instruction", "holds string"),
     ]:
-        with case(feature, said):
-            tmp_path = tmp_path_factory.mktemp("case")
+        with case(feature, said) as tmp_path:
             path = droid(tmp_path / "set", "v3.0", with_state=False)
             with pytest.raises(RecordingError, match=said) as caught:
                 load_demonstrations(path, planar3, **{**NAMED, "feature": feature})

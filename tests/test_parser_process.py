@@ -78,11 +78,10 @@ def refusal(parser: str, folder: Path, content: str) -> RecordingError:
     return caught.value
 
 
-def test_recordings_come_through_bit_for_bit(parser: str, tmp_path_factory: pytest.TempPathFactory) -> None:
+def test_recordings_come_through_bit_for_bit(parser: str) -> None:
     """Names, notes and numbers, of nothing and of much."""
     for n in [0, 1, 50_000]:
-        with case(n):
-            tmp_path = tmp_path_factory.mktemp("case")
+        with case(n) as tmp_path:
             path = file(tmp_path, str(n))
             recordings = list(parsed_recordings(parser, path, REQUEST))
             assert [r.name for r in recordings] == ["part 0", "part 1", "part 2"]
@@ -121,11 +120,10 @@ def test_refusals_keep_their_place(parser: str, tmp_path: Path) -> None:
     assert caught.value.extra == "ros"
 
 
-def test_a_crash_is_one_sentence(parser: str, tmp_path_factory: pytest.TempPathFactory) -> None:
+def test_a_crash_is_one_sentence(parser: str) -> None:
     """And the next file is read by another process."""
     for content, code in [("abort", "parser-crashed"), ("bug", "parser-crashed")]:
-        with case(content, code):
-            tmp_path = tmp_path_factory.mktemp("case")
+        with case(content, code) as tmp_path:
             assert refusal(parser, tmp_path, content).code == code
             assert len(list(parsed_recordings(parser, file(tmp_path, "2"), REQUEST))) == 3
 

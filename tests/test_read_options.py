@@ -88,15 +88,14 @@ def test_recordings_read_in_parts_are_judged_together() -> None:
                 audit_episodes(Constraint([[1.0, 0, 0]], features), in_parts(RecordingSource(DRAWER, sawyer, **option)))
 
 
-def test_another_robot_is_suspected(tmp_path_factory: pytest.TempPathFactory) -> None:
+def test_another_robot_is_suspected() -> None:
     """Columns that are no joints of the robot: first the robot is doubted, and the shipped one named that they fit."""
     for robot, header, said in [
         ("sawyer", HEADER, "it was recorded with 'planar3', not 'sawyer': name that robot"),
         ("sawyer", "time,left_a,left_b,left_c", "was it recorded with another robot than 'sawyer'?"),
         ("planar3", "time,q1,q2,q3", "another robot than 'planar3'? Then name that one; if it is this one, columns="),
     ]:
-        with case(robot, header, said):
-            tmp_path = tmp_path_factory.mktemp("case")
+        with case(robot, header, said) as tmp_path:
             (tmp_path / "demo.csv").write_text(csv(TABLE, header))
             with pytest.raises(RecordingError) as caught:
                 load_demonstrations(tmp_path, load_robot(robot))
@@ -168,13 +167,10 @@ COMMANDS = {
 }
 
 
-def test_errors_name_only_flags_of_the_command(
-    planar3: Robot, tmp_path_factory: pytest.TempPathFactory, capsys
-) -> None:
+def test_errors_name_only_flags_of_the_command(planar3: Robot, capsys) -> None:
     """Every flag in the text of an error exists for the command that printed it, and Python's words are not used."""
     for command in COMMANDS:
-        with case(command):
-            tmp_path = tmp_path_factory.mktemp("case")
+        with case(command) as tmp_path:
             corpus = tmp_path / "corpus"
             write_corpus(corpus)
             constraint = tmp_path / "line.json"
@@ -208,12 +204,11 @@ FAULTS = {
 }
 
 
-def test_what_an_error_advises_works(tmp_path_factory: pytest.TempPathFactory, capsys) -> None:
+def test_what_an_error_advises_works(capsys) -> None:
     """The flags in the text of an error, typed as they stand there, make the command succeed."""
     for fault in FAULTS:
         for command in ["replay", "export"]:
-            with case(fault, command):
-                tmp_path = tmp_path_factory.mktemp("case")
+            with case(fault, command) as tmp_path:
                 path = tmp_path / "demo.csv"
                 path.write_text(FAULTS[fault])
                 words = [w.format(path, out=tmp_path / "page.html", constraint="") for w in COMMANDS[command]]

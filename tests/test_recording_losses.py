@@ -104,11 +104,10 @@ def refusal(path: Path, robot: Robot) -> RecordingError:
     return caught.value
 
 
-def test_the_metadata_of_a_bag_is_believed(planar3: Robot, tmp_path_factory: pytest.TempPathFactory) -> None:
+def test_the_metadata_of_a_bag_is_believed(planar3: Robot) -> None:
     """A folder with fewer messages than its metadata.yaml states is refused, with both numbers and the way out."""
     for kind in ["sqlite", "mcap"]:
-        with case(kind):
-            tmp_path = tmp_path_factory.mktemp("case")
+        with case(kind) as tmp_path:
             pytest.importorskip("rosbags", reason="the extra 'ros' is not installed")
             bag, _ = ros2_bag(tmp_path, kind)
             metadata = bag / "metadata.yaml"
@@ -130,11 +129,10 @@ def test_rows_that_are_gone_are_missed(planar3: Robot, tmp_path: Path) -> None:
     assert "belong to no topic" in str(refusal(file, planar3))
 
 
-def test_a_killed_recorder_is_noticed(planar3: Robot, tmp_path_factory: pytest.TempPathFactory) -> None:
+def test_a_killed_recorder_is_noticed(planar3: Robot) -> None:
     """A log beside the database holds messages that are not in it: refused with the command; empty, it is fine."""
     for end in ["-wal", "-journal"]:
-        with case(end):
-            tmp_path = tmp_path_factory.mktemp("case")
+        with case(end) as tmp_path:
             pytest.importorskip("rosbags", reason="the extra 'ros' is not installed")
             bag, file = ros2_bag(tmp_path, "sqlite")
             side = file.with_name(file.name + end)
@@ -188,11 +186,10 @@ def test_the_statistics_of_an_mcap_file_are_believed(planar3: Robot, tmp_path: P
         assert "200 messages" in str(error) and "state 225" in str(error)
 
 
-def test_a_bag_of_many_chunks_and_topics_is_whole(planar3: Robot, tmp_path_factory: pytest.TempPathFactory) -> None:
+def test_a_bag_of_many_chunks_and_topics_is_whole(planar3: Robot) -> None:
     """Long messages fill several chunks, and another topic lies in between: nothing is missed, nothing suspected."""
     for kind in ["mcap", "sqlite", "ros1"]:
-        with case(kind):
-            tmp_path = tmp_path_factory.mktemp("case")
+        with case(kind) as tmp_path:
             pytest.importorskip("rosbags", reason="the extra 'ros' is not installed")
             import test_rosbag_reader as bags
 
@@ -238,11 +235,10 @@ def is_chunk(content: bytearray, at: int) -> bool:
     return compression == 0 and size == packed and length == size + 40
 
 
-def test_the_attributes_of_robomimic_are_believed(planar3: Robot, tmp_path_factory: pytest.TempPathFactory) -> None:
+def test_the_attributes_of_robomimic_are_believed(planar3: Robot) -> None:
     """A file with fewer samples or demonstrations than its attributes state is refused."""
     for where, attribute in [("data", "total"), ("data/demo_1", "num_samples"), ("data", "num_demos")]:
-        with case(where, attribute):
-            tmp_path = tmp_path_factory.mktemp("case")
+        with case(where, attribute) as tmp_path:
             h5py = pytest.importorskip("h5py", reason="the extra 'robomimic' is not installed")
             path = tmp_path / "demo.hdf5"
             hdf5_file(path)

@@ -58,13 +58,10 @@ def test_guided_motions_pass_without_a_word(sawyer: Robot, rng: np.random.Genera
         assert load(sawyer, tmp_path, time, q).notes == ()
 
 
-def test_degrees_are_always_caught(
-    robot_of, rng: np.random.Generator, tmp_path_factory: pytest.TempPathFactory
-) -> None:
+def test_degrees_are_always_caught(robot_of, rng: np.random.Generator) -> None:
     """By the limits, without velocities, 20 of 20; with the way out, which gives the radians back."""
     for name in ["panda", "ur5", "sawyer"]:
-        with case(name):
-            tmp_path = tmp_path_factory.mktemp("case")
+        with case(name) as tmp_path:
             robot = robot_of(name)
             for _ in range(20):
                 time, q, u = guided(robot, rng)
@@ -75,7 +72,7 @@ def test_degrees_are_always_caught(
             assert demos.notes == ("demo.npz: degrees converted to radians, as asked",)
 
 
-def test_faults_are_named_by_the_slope(sawyer: Robot, rng, tmp_path_factory: pytest.TempPathFactory) -> None:
+def test_faults_are_named_by_the_slope(sawyer: Robot, rng) -> None:
     """slope(dq/dt against the recorded velocity) tells degrees, milliseconds and signs apart; the number is said."""
     for scale_t, scale_q, scale_u, code, slope in [
         (1.0, 57.29578, 1.0, "degrees", 57.3),
@@ -86,8 +83,7 @@ def test_faults_are_named_by_the_slope(sawyer: Robot, rng, tmp_path_factory: pyt
         (1.0, 1.0, 0.1, "velocity-scale", 10.0),
         (1.0, 1.0, -1.0, "sign", -1.0),
     ]:
-        with case(scale_t, scale_q, scale_u, code, slope):
-            tmp_path = tmp_path_factory.mktemp("case")
+        with case(scale_t, scale_q, scale_u, code, slope) as tmp_path:
             time, q, u = guided(sawyer, rng)
             small = 0.02 * q if scale_q > 1 else q  # inside the limits even in degrees: the limits cannot tell
             error = refused(sawyer, tmp_path, scale_t * time, scale_q * small, scale_u * (u * small.std() / q.std()))

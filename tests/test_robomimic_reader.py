@@ -76,11 +76,10 @@ def test_the_order_of_the_given_names_counts(planar3: Robot, tmp_path: Path) -> 
     np.testing.assert_array_equal(demos[0].q, Q[:, ::-1])
 
 
-def test_the_rate_must_be_known(planar3: Robot, tmp_path_factory: pytest.TempPathFactory) -> None:
+def test_the_rate_must_be_known(planar3: Robot) -> None:
     """Without a usable control_freq the rate must be given."""
     for env_args in [None, "{}", "not json", json.dumps({"env_kwargs": {"control_freq": 0}}), "[" * 5000]:
-        with case(env_args):
-            tmp_path = tmp_path_factory.mktemp("case")
+        with case(env_args) as tmp_path:
             path = write(tmp_path / "a.hdf5", env_args=env_args)
             assert refusal(path, planar3).code == "no-time"
             demos = load_demonstrations(path, planar3, joint_names=JOINTS, rate=RATE)
@@ -121,11 +120,10 @@ def virtual(file: Any, folder: Path) -> None:
     file["data/demo_0/obs"].create_virtual_dataset("robot0_joint_pos", layout)
 
 
-def test_nothing_outside_is_opened(planar3: Robot, tmp_path_factory: pytest.TempPathFactory) -> None:
+def test_nothing_outside_is_opened(planar3: Robot) -> None:
     """Links, external storage and virtual data sets are refused, though they would deliver good numbers."""
     for make in [outside_link, outside_group, soft_link, outside_storage, virtual]:
-        with case(make):
-            tmp_path = tmp_path_factory.mktemp("case")
+        with case(make) as tmp_path:
             path = write(tmp_path / "a.hdf5")
             with h5py.File(path, "a") as file:
                 del file["data/demo_0/obs/robot0_joint_pos"]
@@ -140,7 +138,7 @@ def replaced(value: Any, **options: Any) -> Callable[[Any], None]:
     return change
 
 
-def test_data_that_do_not_fit_are_refused(planar3: Robot, tmp_path_factory: pytest.TempPathFactory) -> None:
+def test_data_that_do_not_fit_are_refused(planar3: Robot) -> None:
     """Missing, ragged, not numbers, absurd sizes: refused before the numbers are read, where that is possible."""
     for change, code in [
         (lambda obs: None, "not-robomimic"),
@@ -156,8 +154,7 @@ def test_data_that_do_not_fit_are_refused(planar3: Robot, tmp_path_factory: pyte
         (replaced(np.degrees(Q)), "degrees"),
         (replaced(np.stack([Q, Q])), "shape"),
     ]:
-        with case(change, code):
-            tmp_path = tmp_path_factory.mktemp("case")
+        with case(change, code) as tmp_path:
             path = write(tmp_path / "a.hdf5")
             with h5py.File(path, "a") as file:
                 obs = file["data/demo_0/obs"]

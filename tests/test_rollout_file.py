@@ -43,11 +43,10 @@ def test_unwritable(tmp_path):
         ROLLOUT.save(tmp_path / "file" / "r.npz")
 
 
-def test_other_files_are_refused(tmp_path_factory: pytest.TempPathFactory):
+def test_other_files_are_refused():
     """No file, a folder, or a file of another kind is a RecordingError that names it."""
     for kind in ["missing", "folder", "empty", "text", "npy", "other npz", "pickle"]:
-        with case(kind):
-            tmp_path = tmp_path_factory.mktemp("case")
+        with case(kind) as tmp_path:
             path = tmp_path / "r.npz"
             if kind == "folder":
                 path.mkdir()

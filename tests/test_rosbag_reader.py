@@ -93,11 +93,10 @@ def planar3() -> Robot:
     return load_robot("planar3")
 
 
-def test_round_trip(planar3: Robot, tmp_path_factory: pytest.TempPathFactory) -> None:
+def test_round_trip(planar3: Robot) -> None:
     """Positions and velocities come back bit for bit, matched by name; time is the header's, from 0."""
     for kind in KINDS:
-        with case(kind):
-            tmp_path = tmp_path_factory.mktemp("case")
+        with case(kind) as tmp_path:
             demos = load_demonstrations(
                 write_bag(tmp_path / "bag", kind, all_in_one(("joint3", "joint1", "joint2"))), planar3
             )
@@ -107,11 +106,10 @@ def test_round_trip(planar3: Robot, tmp_path_factory: pytest.TempPathFactory) ->
             np.testing.assert_allclose(demos[0].time, T, rtol=0, atol=1e-12)
 
 
-def test_efforts_come_back(planar3: Robot, tmp_path_factory: pytest.TempPathFactory) -> None:
+def test_efforts_come_back(planar3: Robot) -> None:
     """Matched by name, also where the joints come in messages of their own; none where some messages have none."""
     for kind in KINDS:
-        with case(kind):
-            tmp_path = tmp_path_factory.mktemp("case")
+        with case(kind) as tmp_path:
             order, names = [2, 0, 1], ("joint3", "joint1", "joint2")
             whole = [
                 ("/joint_states", START + int(s), (START + int(s), names, q[order], (), 7.0 * q[order]))
@@ -130,11 +128,10 @@ def test_efforts_come_back(planar3: Robot, tmp_path_factory: pytest.TempPathFact
             assert load_demonstrations(write_bag(tmp_path / "some", kind, some), planar3)[0].effort is None
 
 
-def test_a_bag_is_recognised_by_content(planar3: Robot, tmp_path_factory: pytest.TempPathFactory) -> None:
+def test_a_bag_is_recognised_by_content(planar3: Robot) -> None:
     """A single bag file with a misleading name, and unusual characters in its path, is read."""
     for kind in KINDS:
-        with case(kind):
-            tmp_path = tmp_path_factory.mktemp("case")
+        with case(kind) as tmp_path:
             bag = write_bag(tmp_path / "bag", kind, all_in_one())
             file = bag if bag.is_file() else next(p for p in bag.iterdir() if p.suffix in (".db3", ".mcap"))
             odd = tmp_path / "a b?#%20&x.csv"
@@ -142,24 +139,22 @@ def test_a_bag_is_recognised_by_content(planar3: Robot, tmp_path_factory: pytest
             np.testing.assert_array_equal(load_demonstrations(odd, planar3)[0].q, Q)
 
 
-def test_compressed_ros1_bags(planar3: Robot, tmp_path_factory: pytest.TempPathFactory) -> None:
+def test_compressed_ros1_bags(planar3: Robot) -> None:
     """Both compressions of ROS 1 are read."""
     for compression in [Writer1.CompressionFormat.BZ2, Writer1.CompressionFormat.LZ4]:
-        with case(compression):
-            tmp_path = tmp_path_factory.mktemp("case")
+        with case(compression) as tmp_path:
             bag = write_bag(tmp_path / "bag", "ros1", all_in_one(), compression=compression)
             np.testing.assert_array_equal(load_demonstrations(bag, planar3)[0].q, Q)
 
 
-def test_compressed_ros2_bags(planar3: Robot, tmp_path_factory: pytest.TempPathFactory) -> None:
+def test_compressed_ros2_bags(planar3: Robot) -> None:
     """Compressed messages, files and MCAP blocks are read."""
     for kind, mode in [
         ("sqlite", CompressionMode.MESSAGE),
         ("sqlite", CompressionMode.FILE),
         ("mcap", CompressionMode.STORAGE),
     ]:
-        with case(kind, mode):
-            tmp_path = tmp_path_factory.mktemp("case")
+        with case(kind, mode) as tmp_path:
             bag = write_bag(tmp_path / "bag", kind, all_in_one(), mode=mode)
             np.testing.assert_array_equal(load_demonstrations(bag, planar3)[0].q, Q)
 
@@ -170,11 +165,10 @@ def test_empty_velocities_are_none(planar3: Robot, tmp_path: Path) -> None:
     assert demos[0].u is None and demos.notes == ()
 
 
-def test_several_publishers_are_merged_by_name(planar3: Robot, tmp_path_factory: pytest.TempPathFactory) -> None:
+def test_several_publishers_are_merged_by_name(planar3: Robot) -> None:
     """Joints from two topics, one at half the rate and half a step late, are put on common stamps, and it is said."""
     for kind in KINDS:
-        with case(kind):
-            tmp_path = tmp_path_factory.mktemp("case")
+        with case(kind) as tmp_path:
             arm = [
                 ("/arm", START + int(s), (START + int(s), ("joint2", "joint1"), q[[1, 0]]))
                 for s, q in zip(STEPS, Q, strict=True)
@@ -225,11 +219,10 @@ def robot_and_gui(difference: float) -> tuple[list, list[str]]:
     return [m for m, _ in both], [caller for _, caller in both]
 
 
-def test_a_forgotten_gui_is_noticed(planar3: Robot, tmp_path_factory: pytest.TempPathFactory) -> None:
+def test_a_forgotten_gui_is_noticed(planar3: Robot) -> None:
     """Two publishers that take turns on one topic are refused by the samples alone, with the joint and the cause."""
     for kind in KINDS:
-        with case(kind):
-            tmp_path = tmp_path_factory.mktemp("case")
+        with case(kind) as tmp_path:
             messages, _ = robot_and_gui(0.4)
             with pytest.raises(RecordingError, match="Two programs published on one topic") as caught:
                 load_demonstrations(write_bag(tmp_path / "bag", kind, messages), planar3)
@@ -248,11 +241,10 @@ def test_two_callers_of_one_topic_are_refused(planar3: Robot, tmp_path: Path) ->
     np.testing.assert_array_equal(demos[0].q, Q)
 
 
-def test_a_joint_named_twice_in_a_message_is_refused(planar3: Robot, tmp_path_factory: pytest.TempPathFactory) -> None:
+def test_a_joint_named_twice_in_a_message_is_refused(planar3: Robot) -> None:
     """Also in a single message of many; a name that the robot does not have does not matter."""
     for kind in KINDS:
-        with case(kind):
-            tmp_path = tmp_path_factory.mktemp("case")
+        with case(kind) as tmp_path:
             messages = all_in_one(u=None)
             topic, received, (stamp, _, q, _) = messages[70]
             messages[70] = (topic, received, (stamp, ("joint1", "joint2", "joint3", "joint2"), (*q, 0.5)))
@@ -415,11 +407,10 @@ def test_a_bomb_in_a_ros1_bag_is_refused(planar3: Robot, tmp_path: Path) -> None
     assert caught.value.code == "bomb"
 
 
-def test_a_bomb_in_an_mcap_is_refused(planar3: Robot, tmp_path_factory: pytest.TempPathFactory) -> None:
+def test_a_bomb_in_an_mcap_is_refused(planar3: Robot) -> None:
     """Blocks that claim a terabyte, or less than what is in them, are refused before they are unpacked."""
     for claim in [10**12, 10]:
-        with case(claim):
-            tmp_path = tmp_path_factory.mktemp("case")
+        with case(claim) as tmp_path:
             bag = write_bag(tmp_path / "bag", "mcap", all_in_one(), mode=CompressionMode.STORAGE)
             file = next(bag.glob("*.mcap"))
             content = bytearray(file.read_bytes())

@@ -68,11 +68,10 @@ def arms(tmp_path_factory) -> Path:
     return folder
 
 
-def test_a_rollout_comes_back_bit_for_bit(arms: Path, tmp_path_factory: pytest.TempPathFactory) -> None:
+def test_a_rollout_comes_back_bit_for_bit(arms: Path) -> None:
     """Every array, NaN and infinity, word, name, frame and the robot, in each format; as a demonstration too."""
     for suffix in FORMATS:
-        with case(suffix):
-            tmp_path = tmp_path_factory.mktemp("case")
+        with case(suffix) as tmp_path:
             if suffix == "mcap":
                 pytest.importorskip("rosbags", reason="the extra 'ros' is not installed")
             robot = load_robot(arms / "arm.urdf", locked={"j2": 1.2})
@@ -89,11 +88,10 @@ def test_a_rollout_comes_back_bit_for_bit(arms: Path, tmp_path_factory: pytest.T
             assert load_demonstrations(path, robot).notes == ()
 
 
-def test_configurations_come_back_bit_for_bit(robot_of, rng, tmp_path_factory: pytest.TempPathFactory) -> None:
+def test_configurations_come_back_bit_for_bit(robot_of, rng) -> None:
     """Postures with more columns than velocities (continuous joints as cosine and sine) are kept as they are."""
     for suffix in FORMATS:
-        with case(suffix):
-            tmp_path = tmp_path_factory.mktemp("case")
+        with case(suffix) as tmp_path:
             robot = robot_of("wrist")
             q = np.array([robot.random_configuration(rng) for _ in range(5)])
             time, u = 0.1 * np.arange(5), rng.standard_normal((5, robot.nv))
@@ -194,11 +192,10 @@ def test_another_ending_is_refused(arms: Path, tmp_path: Path) -> None:
         rollout_of(load_robot(arms / "arm.urdf")).save(tmp_path / "run.xyz")
 
 
-def test_the_content_says_the_format(arms: Path, tmp_path_factory: pytest.TempPathFactory) -> None:
+def test_the_content_says_the_format(arms: Path) -> None:
     """A file under a misleading name is read for what it is, and its robot is still compared."""
     for suffix in FORMATS:
-        with case(suffix):
-            tmp_path = tmp_path_factory.mktemp("case")
+        with case(suffix) as tmp_path:
             robot = load_robot(arms / "arm.urdf")
             path = rollout_of(robot).save(tmp_path / f"run.{suffix}")
             odd = shutil.copy(path, tmp_path / "a b.txt")
@@ -207,11 +204,10 @@ def test_the_content_says_the_format(arms: Path, tmp_path_factory: pytest.TempPa
                 load_demonstrations(odd, load_robot(arms / "longer.urdf"))
 
 
-def test_a_rollout_keeps_what_guided_it(robot_of, tmp_path_factory: pytest.TempPathFactory) -> None:
+def test_a_rollout_keeps_what_guided_it(robot_of) -> None:
     """Target, constraint and following error come back from every format; the constraint can be built again."""
     for suffix in FORMATS:
-        with case(suffix):
-            tmp_path = tmp_path_factory.mktemp("case")
+        with case(suffix) as tmp_path:
             robot = robot_of("sawyer")
             features = FrameJacobian(robot, "right_hand", "xyz")
             constraint = Constraint(
