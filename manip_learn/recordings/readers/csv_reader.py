@@ -431,7 +431,7 @@ def _numbered_lines(path: Path, dialect: CsvDialect) -> Iterator[tuple[int, str]
 def _checked_lines(path: Path, dialect: CsvDialect) -> Iterator[str]:
     """Data lines for NumPy's parser, each with the right number of fields and decimal points."""
     delimiter, width = dialect.delimiter, len(dialect.columns)
-    marks: set[str] = set()  # decimal marks up to here
+    comma = point = False  # decimal marks up to here
     for number, line in _numbered_lines(path, dialect):
         fields = len(line.split()) if delimiter is None else line.count(delimiter) + 1
         if fields != width:
@@ -443,8 +443,8 @@ def _checked_lines(path: Path, dialect: CsvDialect) -> Iterator[str]:
                 line=number,
             )
         if delimiter != ",":
-            marks.update(mark for mark in ",." if mark in line)
-            if len(marks) > 1:
+            comma, point = comma or "," in line, point or "." in line
+            if comma and point:
                 raise refusal(
                     path,
                     "decimal-mark",
@@ -452,7 +452,7 @@ def _checked_lines(path: Path, dialect: CsvDialect) -> Iterator[str]:
                     f"mark: {line.strip()[:60]!r}; write all numbers with one mark and no thousands separator",
                     line=number,
                 )
-            line = line.replace(",", ".") if "," in marks else line
+            line = line.replace(",", ".") if comma else line
         yield line
 
 
