@@ -307,3 +307,81 @@ def test_a_stamp_that_repeats_must_repeat_the_sample(planar3: Robot, rng: np.ran
     for spoilt in ((q + (np.arange(401) == 21)[:, None] * 1e-3, u), (q, u + (np.arange(401) == 21)[:, None] * 1e-3)):
         error = refused(planar3, tmp_path, time, *spoilt)
         assert error.code == "duplicate-time" and "sample 20 and sample 21; 1 such pairs" in str(error)
+
+
+def said(folder: Path, robot: Robot, *arrays: Any, **options: Any) -> str:
+    """What is noted, or the code of the refusal."""
+    try:
+        return " ".join(load(robot, folder, *arrays, **options).notes)
+    except RecordingError as error:
+        return error.code
+
+
+def test_each_bound_lies_where_it_is_meant(robot_of, tmp_path: Path) -> None:
+    """Just inside nothing is said; just outside the note or the refusal comes."""
+    robot, wrist = robot_of("gantry"), robot_of("wrist")  # limits of 2 rad, m; m/s and rad/s; two joints without limits
+    time, one = 0.02 * np.arange(200), np.ones(200)
+    q = 0.3 * np.sin(time[:, None] + np.arange(5))
+    u = 0.3 * np.cos(time[:, None] + np.arange(5))
+
+    def raised(joint: int, top: float) -> np.ndarray:
+        return q + (top - q[:, joint].max()) * (np.arange(5) == joint)
+
+    def late(gap: float, at: int = 100) -> np.ndarray:
+        return time + (gap - 1.0) * 0.02 * (np.arange(200) >= at)
+
+    def turning(speed: float, joint: int = 0) -> np.ndarray:
+        return np.column_stack([speed * time * (i == joint) + 0.1 * np.sin(time + i) * (i != joint) for i in range(4)])
+
+    def fast(speed: float) -> np.ndarray:
+        return np.outer(speed * 0.1 * time - 1.2, np.eye(5)[2])
+
+    def jumping(size: float) -> np.ndarray:
+        return q + size * (np.arange(200) >= 100)[:, None] * (np.arange(5) == 2) - 0.5 * (np.arange(5) == 2)
+
+    def creeping(step: float, speed: float) -> tuple[np.ndarray, np.ndarray]:
+        there_and_back = np.abs(np.arange(200.0) - 100.0)
+        return step * np.arange(200.0), np.outer(step * speed * there_and_back - 1.0, np.eye(5)[2])
+
+    swing, swung = np.outer(0.01 * np.sin(2.0 * time), np.eye(5)[2]), np.outer(0.02 * np.cos(2.0 * time), np.eye(5)[2])
+    bounds: dict[str, tuple[Any, Any, str]] = {
+        "angle beyond its limit, 0.1 rad": (
+            (robot, time, raised(2, 2.099)),
+            (robot, time, raised(2, 2.101)),
+            "outside-limits",
+        ),
+        "length beyond its limit, 0.05 m": (
+            (robot, time, raised(0, 2.049)),
+            (robot, time, raised(0, 2.051)),
+            "outside-limits",
+        ),
+        "gap of ten steps": ((robot, late(9.9), q, u), (robot, late(10.1), q, u), "split at 1 gap"),
+        "step of 0.02 of the usual one": (
+            (robot, late(0.021), q, u),
+            (robot, late(0.019), q, u),
+            "under 2% of the usual",
+        ),
+        "three times the velocity limit": (
+            (robot, 0.1 * time, fast(5.9)),
+            (robot, 0.1 * time, fast(6.1)),
+            "its limit is 2",
+        ),
+        "jump of a quarter turn": ((robot, time, jumping(1.5)), (robot, time, jumping(1.65)), "jump"),
+        "a joint that moves by 0.02 is judged": (
+            (robot, time, 0.99 * swing, -swung),
+            (robot, time, 1.01 * swing, -swung),
+            "sign",
+        ),
+        "milliseconds begin at 1e11": ((robot, 0.99e11 + time, q), (robot, 1.01e11 + time, q), "time-unit"),
+        "steps of a second": ((robot, *creeping(0.98, 0.01)), (robot, *creeping(1.02, 0.01)), "time-unit"),
+        "0.02 rad/s": ((robot, *creeping(1.5, 0.021)), (robot, *creeping(1.5, 0.019)), "time-unit"),
+        "a number of 1e50": (
+            (wrist, time, turning(0.1), np.outer(one, [0, 0, 0, 0.9e50])),
+            (wrist, time, turning(0.1), np.outer(one, [0, 0, 0, 1.1e50])),
+            "not-finite",
+        ),
+    }
+    for name, (inside, outside, expected) in bounds.items():
+        with case(name):
+            assert expected not in said(tmp_path, *inside)
+            assert expected in said(tmp_path, *outside)
