@@ -10,8 +10,16 @@ from generated_motions import angle_deg, arm_features, guided_motions, oblique
 from manip_learn.errors import RecordingError
 from manip_learn.learning import ConstraintLearner
 from manip_learn.recordings import local_fit as local_fit_module
+from manip_learn.recordings import velocities as velocities_module
 from manip_learn.recordings.demonstrations import Demonstrations
-from manip_learn.recordings.local_fit import HALF_WIDTHS, best_window, half_widths_of, local_fit
+from manip_learn.recordings.local_fit import (
+    HALF_WIDTHS,
+    best_window,
+    half_widths_of,
+    jerk,
+    local_fit,
+    noise_variance,
+)
 from manip_learn.recordings.trajectory import Trajectory
 from manip_learn.recordings.velocities import derive_together, derive_velocities, with_velocities
 from manip_learn.robot import load_robot
@@ -257,3 +265,56 @@ def test_together_as_one_by_one() -> None:
                 np.testing.assert_allclose(got.q, one.q, rtol=0, atol=1e-13)
                 assert got.u is not None and one.u is not None
                 np.testing.assert_allclose(got.u, one.u, rtol=0, atol=1e-11)
+
+
+def moved(dt: float, noise: float, n: int = 1200) -> tuple[np.ndarray, np.ndarray]:
+    """Three joints that swing, and white noise."""
+    time = dt * np.arange(n)
+    q = np.stack([np.sin(w * time + p) for w, p in ((1.0, 0.0), (2.3, 1.0), (3.1, 2.0))], axis=1)
+    return time, q + noise * np.random.default_rng(5).standard_normal(q.shape)
+
+
+def test_windows_noise_and_jerk_of_known_motions() -> None:
+    """The windows that are chosen, the noise that is found, and the jerk: true are sqrt((1 + 2.3^6 + 3.1^6) / 2) = 22.8
+    rms and at most 32 rad/s^3. Numbers of noise are those of the samples, within 4 % of its variance.
+    """
+    for dt, noise, window, rms, peak in (
+        (0.002, 1e-7, (30, 5), 23.205177843311407, 36.89315496018989),
+        (0.002, 1e-5, (125, 5), 23.127103515271294, 36.31397097417037),
+        (0.002, 1e-3, (150, 5), 23.42809656849463, 44.35626587290434),
+        (0.002, 1e-2, (150, 3), 52.44904955344167, 243.51918056342222),
+        (0.01, 1e-7, (15, 5), 22.89893515988076, 32.195139669454065),
+        (0.01, 1e-6, (20, 5), 22.89961222071799, 32.65015846760345),
+        (0.01, 1e-3, (30, 5), 22.73898243615183, 36.431384837926274),
+        (0.05, 1e-5, (7, 5), 22.471713609277145, 31.791218807638533),
+        (0.05, 1e-3, (10, 5), 22.261687416037095, 33.63054076695662),
+        (0.05, 1e-2, (15, 5), 21.259938033889707, 35.92724973641997),
+    ):
+        with case(dt, noise):
+            time, q = moved(dt, noise)
+            assert best_window(time, q) == window
+            np.testing.assert_allclose(jerk(time, q), (rms, peak), rtol=1e-5)
+            if dt < 0.01 or noise >= 1e-3:
+                np.testing.assert_allclose(noise_variance(time, q) / noise**2, [0.925, 0.935, 1.028], rtol=0.04)
+    time, q = moved(0.01, 1e-3, 6)
+    assert np.all(np.isnan(jerk(time, q))) and np.all(np.isfinite(jerk(*moved(0.01, 1e-3, 7))))
+
+
+def test_short_trajectories_are_differenced() -> None:
+    """Fewer than 8 samples, or fewer than 24 clean ones, whose noise is under 1e-3 of a step, have no windows."""
+    for n, noise, is_differenced in ((7, 1e-2, True), (8, 1e-2, False), (23, 0.0, True), (24, 0.0, False)):
+        with case(n, noise):
+            time, q = moved(0.01, noise, n)
+            derived = derive_velocities(Trajectory(time, q), load_robot("planar3"))
+            assert (len(derived) == n - 1) == is_differenced
+            if is_differenced:
+                np.testing.assert_allclose(derived.time, time[:-1] + 0.005)
+            else:
+                places = np.searchsorted(time, derived.time)
+                np.testing.assert_array_equal(time[places], derived.time)
+                assert places[0] == n - 1 - places[-1] > 0
+    time, noisy = 0.01 * np.arange(400), np.random.default_rng(2).standard_normal((400, 3))
+    line = np.outer(time, [1.0, -2.0, 0.5])
+    least = np.sqrt(np.sum(noise_variance(time, noisy)) / np.sum(np.mean(np.diff(line, axis=0) ** 2, axis=0)))
+    for share, is_clean in ((0.98e-3, True), (1.02e-3, False)):
+        assert velocities_module._is_clean(time, line + share / least * noisy) is is_clean
