@@ -7,10 +7,12 @@ attributes, so that a program need not parse the sentence.
 from __future__ import annotations
 
 import difflib
+import logging
 import lzma
 import re
 import struct
 import tokenize
+import unicodedata
 import zipfile
 import zlib
 from collections.abc import Iterable, Iterator, Mapping
@@ -24,6 +26,8 @@ DAMAGE: tuple[type[Exception], ...] = (
     *(ArithmeticError, AttributeError, EOFError, LookupError, MemoryError, OSError, RuntimeError, SyntaxError),
     *(TypeError, ValueError, struct.error, tokenize.TokenError, zipfile.BadZipFile, zlib.error, lzma.LZMAError),
 )
+# line ends and tabs of a sentence may stay, where it is printed line by line
+_LAYOUT = frozenset("\n\t")
 FLAG = re.compile(r"(?<![\w-])--[a-z][a-z-]*")
 # flags of the command that runs; None where the library is called from Python
 _FLAGS: ContextVar[frozenset[str] | None] = ContextVar("flags of the command", default=None)
@@ -53,6 +57,34 @@ def advice(sentence: str, python: str, flag: str) -> str:
     if flags is None:
         return sentence.replace("{}", python)
     return sentence.replace("{}", flag) if flags.issuperset(FLAG.findall(flag)) else ""
+
+
+def printable(text: object, layout: bool = False) -> str:
+    r"""A text in which no character can move the cursor, colour the terminal or turn the direction of reading.
+
+    Names of files, columns, frames and joints are whatever their maker wrote. Control characters (C0, C1, escape),
+    marks of direction and halves of characters are written as Python writes them, e.g. `\x1b`.
+
+    Args:
+        text: Anything that has a text.
+        layout: Line ends and tabs stay as they are.
+    """
+    said = str(text)
+    if said.isprintable():
+        return said
+    return "".join(c if _is_safe(c) or (layout and c in _LAYOUT) else ascii(c)[1:-1] for c in said)
+
+
+def _is_safe(character: str) -> bool:
+    return character.isprintable() or unicodedata.category(character) == "Zs"  # a space that is none of ASCII
+
+
+def _printable_record(record: logging.LogRecord) -> bool:
+    record.msg, record.args = printable(record.getMessage(), layout=True), None
+    return True
+
+
+logging.getLogger("manip_learn").addFilter(_printable_record)  # where all records of the library are made
 
 
 def counted(n: SupportsInt, noun: str) -> str:
@@ -117,14 +149,23 @@ class ManipLearnError(Exception):
     code: str = "input"
 
     def __init__(self, message: str, *, code: str | None = None):
-        super().__init__(message)
+        super().__init__(printable(message, layout=True))
         if code is not None:
             self.code = code
+
+    def __reduce__(self):
+        return _rebuilt, (type(self), self.args, vars(self))  # the children take other arguments
 
     def facts(self) -> dict[str, object]:
         """What the sentence says, for programs: values of its attributes that JSON can hold, without the code."""
         kept = {key: value for key, value in vars(self).items() if key != "code" and value is not None}
         return {key: str(value) if isinstance(value, Path) else value for key, value in kept.items()}
+
+
+def _rebuilt(kind: type[ManipLearnError], args: tuple[Any, ...], facts: dict[str, Any]) -> ManipLearnError:
+    error = kind.__new__(kind, *args)
+    vars(error).update(facts)
+    return error
 
 
 class RobotError(ManipLearnError):
@@ -169,16 +210,6 @@ class UnknownNameError(ManipLearnError):
             hint = f"there are no {kind}s"
         super().__init__(f"unknown {kind} {self.name!r}{place}: {hint}{more}")
 
-    def __reduce__(self):
-        return (_rebuild_unknown_name, (self.args[0], self.kind, self.name, self.near))
-
-
-def _rebuild_unknown_name(message: str, kind: str, name: str, near: tuple[str, ...]) -> UnknownNameError:
-    error = UnknownNameError(kind, name, near)
-    error.args = (message,)
-    error.near = near
-    return error
-
 
 def closest_names(name: str, known: Iterable[str], n: int = 4) -> list[str]:
     """Names of `known` that look like `name`: by similarity, then by containing it."""
@@ -219,9 +250,6 @@ class NumberOfConstraintsError(FeatureError):
         self.features = features
         asked = advice("{}", "n_constraints", "--constraints") or "the number of constraints"
         super().__init__(f"{asked} must be between 1 and {most} for {features}, got {given}")
-
-    def __reduce__(self):
-        return NumberOfConstraintsError, (self.given, self.most, self.features)
 
 
 class ConstraintError(ManipLearnError):
@@ -364,12 +392,3 @@ class MissingExtraError(ManipLearnError):
     def __init__(self, what: str, extra: str):
         self.extra = extra
         super().__init__(f"{what} needs the optional extra {extra!r}: pip install 'manip_learn[{extra}]'")
-
-    def __reduce__(self):
-        return (_rebuild_missing_extra, (self.args[0], self.extra))
-
-
-def _rebuild_missing_extra(message: str, extra: str) -> MissingExtraError:
-    error = MissingExtraError("", extra)
-    error.args = (message,)
-    return error

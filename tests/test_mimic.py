@@ -19,7 +19,9 @@ from manip_learn.control.controller import ResolvedRateController
 from manip_learn.control.policies import ManipulabilityAscent
 from manip_learn.errors import RobotError
 from manip_learn.robot.batch.batch_kinematics import batch_kinematics
+from manip_learn.robot.collision import SelfCollision
 from manip_learn.robot.description.catalogue import example_robots
+from manip_learn.robot.dynamics import has_inertias, inverse_dynamics, torque_regressor
 from manip_learn.robot.joints import Mimic
 from manip_learn.robot.loading import load_robot, robot_from_text
 from manip_learn.robot.robot import Robot
@@ -259,6 +261,69 @@ def test_the_vector_jacobian_product_sees_followers(reference, rng):
 
     slopes = [(along(q + e) - along(q - e)) / (2 * h) for e in h * np.eye(robot.nv)]
     np.testing.assert_allclose(product(weights), slopes, atol=1e-8)
+
+
+def test_every_derivative_is_exact_with_followers(tmp_path, rng):
+    """Centre of mass, distance of links, batch Jacobians, effort: along the independent joints, factors and offsets in.
+
+    Each against central differences or the free robot; a follower below, above and beside its leader.
+    """
+    masses = (
+        '<inertial><origin xyz="0.1 0.2 0"/><mass value="2"/><inertia ixx="1" ixy="0" ixz="0" iyy="2" iyz="0" izz="3"/>'
+    )
+    ball = '</inertial><collision><origin xyz="0 0.1 0"/><geometry><sphere radius="0.02"/></geometry></collision>'
+    for mimics in (CHAIN, {"a": ("d", 0.7, 0.2)}, {"d": ("a", -1.5, 0.1)}):
+        free, bound = (urdf(m).replace(b'"/>', b'">' + (masses + ball + "</link>").encode(), 5) for m in ({}, mimics))
+        path = tmp_path / "chain.urdf"
+        path.write_bytes(bound)
+        robot, whole = load_robot(path), robot_from_text(free, Path("free.urdf"))
+        q, h = 0.5 * robot.random_configuration(rng), 1e-5
+
+        def slopes(of, q=q, h=h):
+            return np.stack([(of(q + step) - of(q - step)) / (2 * h) for step in h * np.eye(len(q))], axis=-1)
+
+        J, H = robot.centre_of_mass_jacobian_and_derivative(q)
+        with case(mimics):
+            np.testing.assert_allclose(J, slopes(robot.centre_of_mass), atol=1e-9)
+            np.testing.assert_allclose(
+                H, slopes(lambda x, r=robot: r.centre_of_mass_jacobian_and_derivative(x)[0]), atol=1e-9
+            )
+            near = SelfCollision(robot)
+            found = {p.links: p for p in near.closer_than(q, 10.0)}
+            for links, seen in found.items():
+                by_steps = slopes(lambda x, n=near, k=links: {p.links: p for p in n.closer_than(x, 10.0)}[k].distance)
+                np.testing.assert_allclose(seen.gradient, by_steps, atol=1e-7, err_msg=str(links))
+            assert set(found) == {("l0", "l3"), ("l0", "l4"), ("l1", "l4")}
+            lift, full = robot.coupling.lift, robot.pinocchio_configuration(q)
+            acceleration, weights = rng.normal(size=robot.nv), rng.normal(size=(6, robot.nv, 1))
+            np.testing.assert_allclose(
+                robot.inertial_effort(q, acceleration),
+                lift.T @ whole.inertial_effort(full, lift @ acceleration),
+                atol=1e-12,
+            )
+            u = rng.normal(size=(1, robot.nv))
+            effort = inverse_dynamics(robot, q[None], u, acceleration[None])[0]
+            free_effort = inverse_dynamics(whole, full[None], u @ lift.T, (lift @ acceleration)[None])[0]
+            np.testing.assert_allclose(effort, lift.T @ free_effort, atol=1e-12)
+            theta = np.concatenate(
+                [inertia.toDynamicParameters() for inertia in list(whole.pinocchio_model.inertias)[1:]]
+            )
+            Y = torque_regressor(robot, q[None], u, acceleration[None])[0]
+            np.testing.assert_allclose(Y @ theta, effort, atol=1e-11)
+            batch = batch_kinematics(robot, robot.frame("l4"))
+            for reference in ("world", "local"):
+                _, derivative = robot.jacobian_and_derivative(q, "l4", reference)
+                product = batch.vjp(q[None], lambda J, part, w=weights: w, reference)[0]
+                np.testing.assert_allclose(product, np.einsum("ij,ijk->k", weights[..., 0], derivative), atol=1e-11)
+                np.testing.assert_allclose(
+                    batch.jacobian_and_derivative(q[None], reference)[1][0], derivative, atol=1e-12
+                )
+        assert has_inertias(robot) and robot.mass == pytest.approx(10.0)
+        assert all(robot.moves(leader, "l4") for leader in robot.joint_names)
+    robot = load({"b": ("d", 1.0, 0.0)})
+    assert (
+        robot.moves("d", "l2") and not robot.moves("c", "l2") and robot.moves("a", "l1") and not robot.moves("d", "l1")
+    )
 
 
 def test_configurations_of_robots_with_followers_are_integrated(rng, tmp_path):

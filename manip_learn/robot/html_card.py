@@ -7,15 +7,22 @@ that shows something, because every room above has objects to show.
 from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
-from html import escape
+from html import escape as escape_markup
 
 import numpy as np
+
+from manip_learn.errors import printable
 
 MOST_ROWS = 12
 WIDTH, HEIGHT = 320, 56  # of a curve [px]
 # points of a curve: two per pixel, the least and the largest of what falls on it
 MOST_POINTS = 2 * WIDTH
 _CELL = "text-align:left;padding:1px 12px 1px 0;border:0;background:none"
+
+
+def escape(text: str) -> str:
+    """A text as HTML, in which no character is markup or moves what is around it."""
+    return escape_markup(printable(text, layout=True))
 
 
 def card(title: str, *parts: str) -> str:

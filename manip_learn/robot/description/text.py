@@ -17,7 +17,7 @@ from pathlib import Path
 from typing import final, overload
 from xml.parsers.expat import ExpatError, errors
 
-from manip_learn.errors import RobotError, advice, closest_names
+from manip_learn.errors import RobotError, advice, closest_names, counted
 
 SHOWN = 4
 MAX_WARNINGS = 100
@@ -203,7 +203,7 @@ class XmlNode:
         words = text.split()
         if "${" not in text and len(words) != size:
             fix = "separate the numbers by spaces, not by commas" if "," in text else "write one number for each"
-            seen = f'{self.tag} {attribute}="{shortened(text)}" has {len(words)} numbers'
+            seen = f'{self.tag} {attribute}="{shortened(text)}" has {counted(len(words), "number")}'
             raise self.refusal("vector-size", f"{seen}; {size} are expected; {fix}")
         return tuple(self._parsed(word, attribute) for word in words)
 

@@ -158,7 +158,7 @@ def validate_urdf(content: bytes, path: Path, locked: Collection[str] = ()) -> V
     check_root(root)
     links = tuple(read_link(node) for node in _counted(root, "link"))
     joints = tuple(read_joint(node) for node in _counted(root, "joint"))
-    return validate_parts(_robot_name(root), links, joints, locked, root.log)
+    return validate_parts(robot_name(root), links, joints, locked, root.log)
 
 
 def validate_parts(
@@ -221,8 +221,9 @@ def too_many(n: int, tag: str) -> str:
     return f"the robot has {n} <{tag}> elements; at most {MAX_LINKS} work; leave out what the arm does not need"
 
 
-def _robot_name(root: XmlNode) -> str:
-    name = root.attributes.get("name", "").strip()
+def robot_name(root: XmlNode, attribute: str = "name") -> str:
+    """The name of a robot, or that of its file, with a warning, where it has none that can be printed."""
+    name = root.attributes.get(attribute, "").strip()
     if not name or not name.isprintable() or len(name) > MAX_NAME:
         reason = "has no name" if not name else f"has the unusable name {shortened(name)!r}"
         name = "".join(c for c in root.log.path.stem if c.isprintable()) or "robot"
