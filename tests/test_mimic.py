@@ -318,7 +318,7 @@ def test_every_derivative_is_exact_with_followers(tmp_path, rng):
                 np.testing.assert_allclose(
                     batch.jacobian_and_derivative(q[None], reference)[1][0], derivative, atol=1e-12
                 )
-        assert has_inertias(robot) and robot.mass == pytest.approx(10.0)
+        assert has_inertias(robot) and robot.mass == pytest.approx(8.0)
         assert all(robot.moves(leader, "l4") for leader in robot.joint_names)
     robot = load({"b": ("d", 1.0, 0.0)})
     assert (

@@ -456,11 +456,11 @@ class Robot:
 
     @property
     def mass(self) -> float:
-        """Total mass of the moving and fixed links [kg]."""
+        """Mass of the links that joints move [kg]; what is fixed to the base does not count."""
         return float(pin.computeTotalMass(self._model))
 
     def centre_of_mass(self, q: ArrayLike) -> Float[np.ndarray, " 3"]:
-        """Centre of mass in the base frame [m]."""
+        """Centre of mass in the base frame [m], of the links that joints move."""
         return pin.centerOfMass(self._model, self._data, self.pinocchio_configuration(q)).copy()
 
     def centre_of_mass_jacobian_and_derivative(
