@@ -1,4 +1,4 @@
-"""What a notebook shows of an object: a title, facts, tables and a small curve. One look for all of the library.
+"""Cards that notebooks show of objects: a title, facts, tables and a small curve. One look for all of the library.
 
 Colours are those of the page around it, so that light and dark notebooks can both be read. It stands in the lowest room
 that shows something, because every room above has objects to show.
@@ -13,7 +13,7 @@ import numpy as np
 
 from manip_learn.errors import printable
 
-MOST_ROWS = 12
+MOST_ROWS = 12  # of a table
 WIDTH, HEIGHT = 320, 56  # of a curve [px]
 # points of a curve: two per pixel, the least and the largest of what falls on it
 MOST_POINTS = 2 * WIDTH
@@ -37,7 +37,7 @@ def sentence(text: str) -> str:
 
 
 def warnings(texts: Iterable[str]) -> str:
-    """What should make the reader careful, one item per sentence."""
+    """A list of warnings, one item per sentence."""
     items = "".join(f"<li>{escape(text)}</li>" for text in texts)
     return f'<ul style="margin:2px 0;padding-left:1.2em"><b>Warnings</b>{items}</ul>' if items else ""
 

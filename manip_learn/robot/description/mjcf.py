@@ -1,7 +1,7 @@
 """MJCF files -> the links and joints that a URDF would have.
 
-Pinocchio's own reader, and MuJoCo's, take in silence or abort on what is refused here with its line, and MuJoCo's needs
-the meshes; so files are read here.
+Pinocchio's own reader garbles some files in silence, and MuJoCo's needs the meshes; here a file is read without them,
+and refused with the line of its fault.
 """
 
 from __future__ import annotations
@@ -68,7 +68,7 @@ def read_defaults(root: XmlNode) -> dict[str, Attributes]:
 @final
 @dataclass(frozen=True)
 class MjcfUnits:
-    """What the `<compiler>` says.
+    """Settings of the `<compiler>`.
 
     Attributes:
         angle: Factor from the file's angles to rad.

@@ -21,13 +21,13 @@ from manip_learn.robot.description.urdf import (
 )
 from manip_learn.robot.joints import Mimic
 
-LARGEST_MULTIPLIER = 1e6
+LARGEST_MULTIPLIER = 1e6  # above it, rounding of the leader is a motion of the follower
 
 
 @final
 @dataclass(frozen=True)
 class Mimics:
-    """Where the mimic joints of a robot lead.
+    """Mimic joints, each followed to its independent leader.
 
     Attributes:
         followers: Each with an independent, moving leader, however long the chain was.
@@ -120,11 +120,11 @@ def _check_type(joint: UrdfJoint, log: Diagnostics) -> None:
 
 
 KNOWN_CHILDREN = {"link", "joint", "material", "transmission", "gazebo", "sensor", "ros2_control", "group"}
-MAX_LINKS = 1_000
-MAX_DEPTH = 500
-MAX_NV = 150
+MAX_LINKS = 1_000  # loading takes seconds for them
+MAX_DEPTH = 500  # Pinocchio recurses, and crashes at some thousands
+MAX_NV = 150  # Pinocchio's memory grows with the cube: 0.22 GB for these
 MAX_IGNORED = 20  # unknown elements that are named in warnings
-LARGEST_ANGLE = 4.0 * math.pi  # [rad]
+LARGEST_LIMIT = 4.0 * math.pi  # [rad] no arm turns more than twice each way
 
 
 @final
@@ -341,7 +341,7 @@ def _check_range(joint: UrdfJoint, log: Diagnostics) -> None:
     largest = max(abs(limit.lower), abs(limit.upper))
     if UNLIMITED < largest < math.inf:  # infinity is said by the format, not by a number
         log.warn(limit.line, f"{where}: its limit of {largest:.3g} {unit} is taken for no limit")
-    elif joint.type == "revolute" and LARGEST_ANGLE < largest < math.inf:
+    elif joint.type == "revolute" and LARGEST_LIMIT < largest < math.inf:
         fix = f"write {math.radians(limit.lower):.4f} ... {math.radians(limit.upper):.4f}{otherwise} for many turns"
         seen = f"{stated}, more than two turns: they look like degrees"
         raise log.refusal("limit-degrees", limit.line, f"{seen}; radians are expected; {fix}")
