@@ -12,6 +12,7 @@ from cases import case
 
 import manip_learn as ml
 from manip_learn.robot import html_card
+from manip_learn.robot.robot import Robot
 
 DRAWER = Path(__file__).resolve().parents[1] / "examples" / "data" / "sawyer_drawer"
 
@@ -94,8 +95,20 @@ def test_selection_is_shown_as_it_is(objects: dict[str, object]):
     np.testing.assert_allclose(shown, constraint.selection, atol=5e-5)
 
 
-def test_names_cannot_become_markup():
+def test_names_cannot_become_markup_or_move_the_cursor():
     """A recording or joint may be called anything."""
+    for character in ("\x1b", "\x07", "\x85", "\u202e", "\ud800"):
+        hostile = f"a{character}[31mb"
+        robot = Robot(ml.load_robot("planar3").pinocchio_model, name=hostile, warnings=[hostile], locked={hostile: 1.0})
+        assert robot.warnings == (f"a{ascii(character)[1:-1]}[31mb",)
+        for said in (
+            repr(robot),
+            robot._repr_html_(),
+            *robot.warnings,
+            html_card.curve(np.arange(2), np.arange(2), hostile),
+        ):
+            assert character not in said and "[31mb" in said or said == repr(robot)
+        assert character not in robot.locked_in_words and robot.locked_in_words.endswith("[31mb at 1")
     card = html_card.card("<b>x", html_card.facts([("<script>", "a & b")]), html_card.warnings(["<i>"]))
     assert "<script>" not in card
     assert text_of(card).count("<") == 3

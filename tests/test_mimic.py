@@ -19,7 +19,9 @@ from manip_learn.control.controller import ResolvedRateController
 from manip_learn.control.policies import ManipulabilityAscent
 from manip_learn.errors import RobotError
 from manip_learn.robot.batch.batch_kinematics import batch_kinematics
+from manip_learn.robot.collision import SelfCollision
 from manip_learn.robot.description.catalogue import example_robots
+from manip_learn.robot.dynamics import has_inertias, inverse_dynamics, torque_regressor
 from manip_learn.robot.joints import Mimic
 from manip_learn.robot.loading import load_robot, robot_from_text
 from manip_learn.robot.robot import Robot
@@ -137,26 +139,6 @@ def test_full_turns_reach_the_follower():
     np.testing.assert_allclose(robot.pose([a, 0, 0], robot.frame("l4")), expected, atol=1e-14)
 
 
-def test_jacobian_and_derivative_are_those_of_the_coupled_robot(rng):
-    """J and dJ/dq against central differences along the independent joints."""
-    for reference in ["world", "local"]:
-        for mimics in [CHAIN, {"a": ("d", 0.7, 0.2)}, {"d": ("a", -1.0, 0.0)}]:
-            with case(reference, mimics):
-                robot = load(mimics)
-                frame, h = robot.frame("l4"), 1e-5
-                q = rng.uniform(-1, 1, robot.nv)
-                J, H = robot.jacobian_and_derivative(q, frame, reference)
-                assert J.shape == (6, robot.nv) and H.shape == (6, robot.nv, robot.nv)
-                for k, step in enumerate(h * np.eye(robot.nv)):
-                    numeric = (
-                        robot.jacobian(q + step, frame, reference) - robot.jacobian(q - step, frame, reference)
-                    ) / (2 * h)
-                    np.testing.assert_allclose(H[:, :, k], numeric, atol=1e-8)
-                    if reference == "world":
-                        moved = (robot.pose(q + step, frame)[:3, 3] - robot.pose(q - step, frame)[:3, 3]) / (2 * h)
-                        np.testing.assert_allclose(J[:3, k], moved, atol=1e-8)
-
-
 def test_limits_of_followers_bind_the_leader():
     """Position limits through the factor and offset, also a negative factor; velocity limits through its size."""
     limits = {"b": '<limit lower="-0.4" upper="1" velocity="0.5" effort="1"/>'}
@@ -164,6 +146,8 @@ def test_limits_of_followers_bind_the_leader():
     assert robot.position_lower[0] == pytest.approx(-0.4) and robot.position_upper[0] == pytest.approx(0.3)
     assert robot.velocity_limit[0] == pytest.approx(0.25)
     assert any("limited to -0.4 ... 0.3 by its follower 'b'" in w for w in robot.warnings)
+    still = load({"b": ("a", -2.0, 0.2)}, limits={"b": '<limit lower="-4" upper="4" velocity="0" effort="1"/>'})
+    assert still.velocity_limit[0] == 2.0  # a velocity limit of 0 is none
 
 
 def test_contradicting_limits_are_said_and_dropped():
@@ -245,20 +229,76 @@ def test_a_follower_in_the_chain_without_its_leader_is_no_free_joint(rng):
     assert np.any(robot.jacobian(q, frame)[:, robot.joint_index("d")])
 
 
-@pytest.mark.parametrize("reference", ["world", "local"])
-def test_the_vector_jacobian_product_sees_followers(reference, rng):
-    """Product of weights with dA/dq, followers in the chain, against central differences."""
-    robot = load({"b": ("a", 0.5, 0.1), "d": ("c", -1.5, 0.0)})
-    frame, selection = robot.frame("l4"), np.linalg.qr(rng.normal(size=(6, 2)))[0].T
-    q, weights, h = robot.random_configuration(rng), rng.normal(size=(2, robot.nv)), 1e-6
-    A, product = robot.weighted_jacobian_vjp(q, frame, reference, selection)
-    np.testing.assert_allclose(A, selection @ robot.jacobian(q, frame, reference), atol=1e-12)
+def test_every_derivative_is_exact_with_followers(tmp_path, rng):
+    """Jacobians one by one and in a batch, centre of mass, distance of links, effort: along the independent joints.
 
-    def along(q: np.ndarray) -> float:
-        return float(np.sum(weights * (selection @ robot.jacobian(q, frame, reference))))
+    Each against central differences or the free robot; a follower below, above and beside its leader.
+    """
+    masses = (
+        '<inertial><origin xyz="0.1 0.2 0"/><mass value="2"/><inertia ixx="1" ixy="0" ixz="0" iyy="2" iyz="0" izz="3"/>'
+    )
+    ball = '</inertial><collision><origin xyz="0 0.1 0"/><geometry><sphere radius="0.02"/></geometry></collision>'
+    for mimics in (CHAIN, {"a": ("d", 0.7, 0.2)}, {"d": ("a", -1.5, 0.1)}):
+        free, bound = (urdf(m).replace(b'"/>', b'">' + (masses + ball + "</link>").encode(), 5) for m in ({}, mimics))
+        path = tmp_path / "chain.urdf"
+        path.write_bytes(bound)
+        robot, whole = load_robot(path), robot_from_text(free, Path("free.urdf"))
+        q, h = 0.5 * robot.random_configuration(rng), 1e-5
 
-    slopes = [(along(q + e) - along(q - e)) / (2 * h) for e in h * np.eye(robot.nv)]
-    np.testing.assert_allclose(product(weights), slopes, atol=1e-8)
+        def slopes(of, q=q, h=h):
+            return np.stack([(of(q + step) - of(q - step)) / (2 * h) for step in h * np.eye(len(q))], axis=-1)
+
+        J, H = robot.centre_of_mass_jacobian_and_derivative(q)
+        with case(mimics):
+            np.testing.assert_allclose(J, slopes(robot.centre_of_mass), atol=1e-9)
+            np.testing.assert_allclose(
+                H, slopes(lambda x, r=robot: r.centre_of_mass_jacobian_and_derivative(x)[0]), atol=1e-9
+            )
+            near = SelfCollision(robot)
+            found = {p.links: p for p in near.closer_than(q, 10.0)}
+            for links, seen in found.items():
+                by_steps = slopes(lambda x, n=near, k=links: {p.links: p for p in n.closer_than(x, 10.0)}[k].distance)
+                np.testing.assert_allclose(seen.gradient, by_steps, atol=1e-7, err_msg=str(links))
+            assert set(found) == {("l0", "l3"), ("l0", "l4"), ("l1", "l4")}
+            lift, full = robot.coupling.lift, robot.pinocchio_configuration(q)
+            acceleration, weights = rng.normal(size=robot.nv), rng.normal(size=(6, robot.nv, 1))
+            np.testing.assert_allclose(
+                robot.inertial_effort(q, acceleration),
+                lift.T @ whole.inertial_effort(full, lift @ acceleration),
+                atol=1e-12,
+            )
+            u = rng.normal(size=(1, robot.nv))
+            effort = inverse_dynamics(robot, q[None], u, acceleration[None])[0]
+            free_effort = inverse_dynamics(whole, full[None], u @ lift.T, (lift @ acceleration)[None])[0]
+            np.testing.assert_allclose(effort, lift.T @ free_effort, atol=1e-12)
+            theta = np.concatenate(
+                [inertia.toDynamicParameters() for inertia in list(whole.pinocchio_model.inertias)[1:]]
+            )
+            Y = torque_regressor(robot, q[None], u, acceleration[None])[0]
+            np.testing.assert_allclose(Y @ theta, effort, atol=1e-11)
+            batch, selection = batch_kinematics(robot, robot.frame("l4")), np.linalg.qr(rng.normal(size=(6, 2)))[0].T
+            np.testing.assert_allclose(
+                robot.jacobian(q, "l4")[:3], slopes(lambda x, r=robot: r.position(x, "l4")), atol=1e-9
+            )
+            for reference in ("world", "local"):
+                J, derivative = robot.jacobian_and_derivative(q, "l4", reference)
+                by_steps = slopes(lambda x, r=robot, ref=reference: r.jacobian(x, "l4", ref))
+                np.testing.assert_allclose(derivative, by_steps, atol=1e-9)
+                A, product_of = robot.weighted_jacobian_vjp(q, "l4", reference, selection)
+                np.testing.assert_allclose(A, selection @ J, atol=1e-12)
+                expected = np.einsum("ij,ijk->k", selection.T @ weights[:2, :, 0], derivative)
+                np.testing.assert_allclose(product_of(weights[:2, :, 0]), expected, atol=1e-12)
+                product = batch.vjp(q[None], lambda J, part, w=weights: w, reference)[0]
+                np.testing.assert_allclose(product, np.einsum("ij,ijk->k", weights[..., 0], derivative), atol=1e-11)
+                np.testing.assert_allclose(
+                    batch.jacobian_and_derivative(q[None], reference)[1][0], derivative, atol=1e-12
+                )
+        assert has_inertias(robot) and robot.mass == pytest.approx(8.0)
+        assert all(robot.moves(leader, "l4") for leader in robot.joint_names)
+    robot = load({"b": ("d", 1.0, 0.0)})
+    assert (
+        robot.moves("d", "l2") and not robot.moves("c", "l2") and robot.moves("a", "l1") and not robot.moves("d", "l1")
+    )
 
 
 def test_configurations_of_robots_with_followers_are_integrated(rng, tmp_path):

@@ -8,7 +8,6 @@ from pathlib import Path
 import numpy as np
 import pinocchio as pin
 import pytest
-from cases import case
 
 URDF = Path(__file__).resolve().parents[1] / "robots" / "sawyer.urdf"
 
@@ -47,42 +46,30 @@ def position(model: pin.Model, frame: str, q: np.ndarray) -> np.ndarray:
     return data.oMf[model.getFrameId(frame, pin.FrameType.BODY)].translation.copy()
 
 
-def test_there_are_seven_joints_in_the_right_order(model: pin.Model) -> None:
-    """The head is locked and nothing else moves: nv = 7, root link `base`."""
-    assert model.nq == model.nv == 7
-    assert list(model.names)[1:] == list(LIMITS)
-    assert model.frames[1].name == "base"
+def test_joints_and_frames_are_those_of_the_source(model: pin.Model) -> None:
+    """The head is locked, seven joints move; the wrist at zero is at (0.991, 0.1603, 0.317) m.
 
-
-def test_the_wrist_is_where_the_source_puts_it_at_zero(model: pin.Model) -> None:
-    """Forward kinematics of the last joint at q = 0 is (0.991, 0.1603, 0.317) m."""
-    for frame in ["right_l6", "right_j6"]:
-        with case(frame):
-            data = model.createData()
-            pin.framesForwardKinematics(model, data, np.zeros(7))
-            np.testing.assert_allclose(
-                data.oMf[model.getFrameId(frame)].translation, (0.991, 0.1603, 0.317), atol=1e-10
-            )
-
-
-def test_the_named_frames_exist_and_the_hand_frames_are_in_line(model: pin.Model) -> None:
-    """right_hand is 24.5 mm beyond right_l6, right_gripper_tip 100 mm beyond right_hand, on one straight line."""
+    right_hand is 24.5 mm beyond right_l6, right_gripper_tip 100 mm beyond right_hand, on one straight line.
+    """
+    assert model.nq == model.nv == 7 and list(model.names)[1:] == list(LIMITS) and model.frames[1].name == "base"
+    np.testing.assert_allclose(position(model, "right_l6", np.zeros(7)), (0.991, 0.1603, 0.317), atol=1e-10)
     q = np.linspace(-1.0, 1.5, 7)
     flange, hand, tip = (position(model, name, q) for name in ("right_l6", "right_hand", "right_gripper_tip"))
     np.testing.assert_allclose(np.linalg.norm(hand - flange), 0.0245, atol=1e-12)
     np.testing.assert_allclose(tip - hand, (hand - flange) * 0.1 / 0.0245, atol=1e-12)
-    for name in ("right_arm_base_link", "right_hand_camera", "right_wrist", "head", *INERTIAS):
+    for name in ("right_hand_camera", "right_wrist", "head", *INERTIAS):
         assert model.existFrame(name), name
     np.testing.assert_allclose(position(model, "right_arm_base_link", q), np.zeros(3), atol=0.0)
 
 
 def test_limits_are_those_of_the_source(model: pin.Model) -> None:
-    """Positions, velocities and efforts equal the table joint by joint."""
+    """Positions, velocities and efforts equal the table; the paper's default pose violates none."""
     table = np.array(list(LIMITS.values())).T
     seen = (model.lowerPositionLimit, model.upperPositionLimit, model.velocityLimit, model.effortLimit)
     np.testing.assert_array_equal(np.array(seen), table)
     np.testing.assert_array_equal(model.damping, np.full(7, 5.0))
     np.testing.assert_array_equal(model.friction, np.full(7, 5.0))
+    assert np.all(model.lowerPositionLimit < DEFAULT_POSE) and np.all(model.upperPositionLimit > DEFAULT_POSE)
 
 
 def test_masses_are_those_of_the_source_and_physical() -> None:
@@ -100,13 +87,8 @@ def test_masses_are_those_of_the_source_and_physical() -> None:
         assert moments[0] > 0.0 and moments[0] + moments[1] > moments[2]
 
 
-def test_the_default_pose_of_the_paper_is_inside_the_limits(model: pin.Model) -> None:
-    """(-100, 30, -100, 40, -60, -70, 250) degrees violates no limit."""
-    assert np.all(model.lowerPositionLimit < DEFAULT_POSE) and np.all(model.upperPositionLimit > DEFAULT_POSE)
-
-
 def test_there_are_primitive_visuals_and_no_meshes() -> None:
-    """Every arm link can be drawn without any other file, in a named colour that exists."""
+    """Every arm link can be drawn without any other file, in a colour that exists; it names its source."""
     root = ElementTree.parse(URDF).getroot()
     assert not list(root.iter("mesh"))
     colours = {m.get("name") for m in root.findall("material")}
@@ -115,9 +97,5 @@ def test_there_are_primitive_visuals_and_no_meshes() -> None:
         if link.get("name") in INERTIAS:
             assert visuals, link.get("name")
         assert all(v.find("material").get("name") in colours for v in visuals)
-
-
-def test_the_source_and_its_licence_are_named_in_the_file() -> None:
-    """The file itself states where its numbers come from."""
     text = URDF.read_text()
     assert "RethinkRobotics/sawyer_robot at 2fe61d91" in text and "Apache License, Version 2.0" in text

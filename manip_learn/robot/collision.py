@@ -34,8 +34,6 @@ from manip_learn.robot.visuals.visual_shapes import (
     visual_elements,
 )
 
-TRIANGLE = 3
-
 
 @final
 @dataclass(frozen=True, eq=False)
@@ -134,7 +132,7 @@ def _hull(
     number[hull.vertices] = np.arange(len(hull.vertices))
     faces = number[hull.simplices]
     # SciPy leaves the sense of rotation open: outward is away from a point within
-    a, b, c = (hull.points[hull.simplices[:, i]] for i in range(TRIANGLE))
+    a, b, c = (hull.points[hull.simplices[:, i]] for i in range(3))
     inward = np.einsum("ij,ij->i", np.cross(b - a, c - a), hull.equations[:, :3]) < 0.0
     faces[inward] = faces[inward][:, ::-1]
     return hull.points[hull.vertices], faces

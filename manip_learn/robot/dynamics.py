@@ -1,4 +1,4 @@
-"""What the motors must exert to move a robot freely: inverse dynamics, and its regressor for inertias not known."""
+"""Efforts that move a robot freely: inverse dynamics, and its regressor for inertias not known."""
 
 from __future__ import annotations
 

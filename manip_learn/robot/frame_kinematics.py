@@ -176,7 +176,7 @@ DOUBLE = np.dtype(np.float64)  # of this machine's byte order
 
 
 class Postures(Protocol):
-    """What `FrameKinematics` needs of a `Robot`."""
+    """The part of a `Robot` that `FrameKinematics` needs."""
 
     blocks: tuple[JointBlock, ...]
     nv: int
@@ -211,7 +211,7 @@ def is_plain(q: np.ndarray) -> bool:
 
 @final
 class _Pass:
-    """What one thread keeps of the posture that it asked for last; no number depends on what was asked before."""
+    """The last pass of one thread; no number depends on what was asked before."""
 
     def __init__(self, model: pin.Model, index: int):
         self.data = model.createData()
@@ -260,7 +260,7 @@ class FrameKinematics:
     # ---- one posture ------------------------------------------------------------------------------------------------
 
     def _configuration(self, q: np.ndarray) -> Float[np.ndarray, " n"]:
-        """What the model takes, from a checked posture."""
+        """Configuration of the model from a checked posture."""
         chain = self._chain
         if chain is None:
             return self._robot.pinocchio_configuration(q)
@@ -316,7 +316,7 @@ class FrameKinematics:
         return J if J.ndim == 2 else J.reshape(6, 1)  # nv == 1
 
     def jacobian_beside_vjp(self, q: Any, reference: str) -> Float[np.ndarray, "6 nv"]:
-        """The same where `weighted_vjp` has just been called at this posture, and nearly free there.
+        """The Jacobian, nearly free where `weighted_vjp` has just been called at this posture.
 
         (Its last digits are those of `weighted_vjp`, whatever was called before.)
         """

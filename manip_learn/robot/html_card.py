@@ -1,4 +1,4 @@
-"""What a notebook shows of an object: a title, facts, tables and a small curve. One look for all of the library.
+"""Cards that notebooks show of objects: a title, facts, tables and a small curve. One look for all of the library.
 
 Colours are those of the page around it, so that light and dark notebooks can both be read. It stands in the lowest room
 that shows something, because every room above has objects to show.
@@ -7,15 +7,22 @@ that shows something, because every room above has objects to show.
 from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
-from html import escape
+from html import escape as escape_markup
 
 import numpy as np
 
-MOST_ROWS = 12
+from manip_learn.errors import printable
+
+MOST_ROWS = 12  # of a table
 WIDTH, HEIGHT = 320, 56  # of a curve [px]
 # points of a curve: two per pixel, the least and the largest of what falls on it
 MOST_POINTS = 2 * WIDTH
 _CELL = "text-align:left;padding:1px 12px 1px 0;border:0;background:none"
+
+
+def escape(text: str) -> str:
+    """A text as HTML, in which no character is markup or moves what is around it."""
+    return escape_markup(printable(text, layout=True))
 
 
 def card(title: str, *parts: str) -> str:
@@ -30,7 +37,7 @@ def sentence(text: str) -> str:
 
 
 def warnings(texts: Iterable[str]) -> str:
-    """What should make the reader careful, one item per sentence."""
+    """A list of warnings, one item per sentence."""
     items = "".join(f"<li>{escape(text)}</li>" for text in texts)
     return f'<ul style="margin:2px 0;padding-left:1.2em"><b>Warnings</b>{items}</ul>' if items else ""
 

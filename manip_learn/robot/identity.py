@@ -11,7 +11,7 @@ from typing import Any, final
 from manip_learn.errors import RecordingError, advice, spoken
 from manip_learn.robot.robot import Robot
 
-SHOWN = 8
+MOST_LISTED = 8  # names that a sentence lists: those of an arm
 
 
 @final
@@ -49,7 +49,7 @@ class RobotIdentity:
 
     @staticmethod
     def from_dict(content: object) -> RobotIdentity:
-        """What `to_dict` gave.
+        """The identity that `to_dict` was called on.
 
         Raises:
             ValueError: Something else.
@@ -71,15 +71,17 @@ class RobotIdentity:
         )
 
     def differences(self, robot: Robot) -> tuple[str, ...]:
-        """What distinguishes it from a loaded robot, one sentence part each; empty if it is the same."""
+        """Its differences from a loaded robot, one part of a sentence each; empty if there are none."""
         other, found = RobotIdentity.of(robot), []
         if self.joint_names != other.joint_names:
             found.append(f"its joints are {_listed(self.joint_names)}, not {_listed(other.joint_names)}")
         if dict(self.locked) != dict(other.locked):
             mine, theirs = self.locked, other.locked
             changed = [j for j in dict.fromkeys([*mine, *theirs]) if mine.get(j) != theirs.get(j)]
-            parts = [f"{j!r} is {_held(mine.get(j))}, not {_held(theirs.get(j))}" for j in changed[:SHOWN]]
-            found.append("; ".join(parts) + (f" and {len(changed) - SHOWN} more" if len(changed) > SHOWN else ""))
+            parts = [f"{j!r} is {_held(mine.get(j))}, not {_held(theirs.get(j))}" for j in changed[:MOST_LISTED]]
+            found.append(
+                "; ".join(parts) + (f" and {len(changed) - MOST_LISTED} more" if len(changed) > MOST_LISTED else "")
+            )
         if self.objects != other.objects:
             found.append(f"its objects are {_listed(self.objects)}, not {_listed(other.objects)}")
         if not found and self.fingerprint != other.fingerprint:
@@ -142,5 +144,7 @@ def _held(position: float | None) -> str:
 
 
 def _listed(names: tuple[str, ...]) -> str:
-    shown = ", ".join(names[:SHOWN]) + (f" and {len(names) - SHOWN} more" if len(names) > SHOWN else "")
+    shown = ", ".join(names[:MOST_LISTED]) + (
+        f" and {len(names) - MOST_LISTED} more" if len(names) > MOST_LISTED else ""
+    )
     return shown or "none"

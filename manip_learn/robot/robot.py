@@ -14,7 +14,7 @@ import pinocchio as pin
 from jaxtyping import Float
 from numpy.typing import ArrayLike
 
-from manip_learn.errors import ConfigurationError, UnknownNameError
+from manip_learn.errors import ConfigurationError, UnknownNameError, printable
 from manip_learn.robot import html_card
 from manip_learn.robot.frame import Frame, FrameLike
 from manip_learn.robot.frame_kinematics import FrameKinematics, centre_of_mass_derivative, columns_to_joints, is_plain
@@ -90,7 +90,7 @@ class Robot:
         self._build_blocks()
         limits, said = joint_limits(model, self.blocks, self.mimics)
         self.position_lower, self.position_upper, self.velocity_limit = limits
-        self.warnings = (*warnings, *said)
+        self.warnings = tuple(map(printable, (*warnings, *said)))
         self._build_frames()
         self._columns_to_joints = columns_to_joints(model)
         self._frame_kinematics: dict[int, FrameKinematics] = {}
@@ -184,6 +184,11 @@ class Robot:
         model = self._model
         chain = {model.names[j] for j in model.supports[self.frame(frame).parent_joint]}
         return bool((leaders | followers) & chain)
+
+    @property
+    def locked_in_words(self) -> str:
+        """Joints that are held still, and where [rad or m]: `"right_j3 at 1.2; right_j6 at 0"`; empty without any."""
+        return "; ".join(f"{printable(name)} at {value:.4g}" for name, value in self.locked.items())
 
     # ---- configurations -------------------------------------------------------------------------------------------
 
@@ -451,11 +456,11 @@ class Robot:
 
     @property
     def mass(self) -> float:
-        """Total mass of the moving and fixed links [kg]."""
+        """Mass of the links that joints move [kg]; what is fixed to the base does not count."""
         return float(pin.computeTotalMass(self._model))
 
     def centre_of_mass(self, q: ArrayLike) -> Float[np.ndarray, " 3"]:
-        """Centre of mass in the base frame [m]."""
+        """Centre of mass in the base frame [m], of the links that joints move."""
         return pin.centerOfMass(self._model, self._data, self.pinocchio_configuration(q)).copy()
 
     def centre_of_mass_jacobian_and_derivative(
@@ -489,7 +494,7 @@ class Robot:
     # ---- internals -------------------------------------------------------------------------------------------------
 
     def __repr__(self) -> str:
-        shown = ", ".join(self.joint_names[:MOST_NAMES])
+        shown = printable(", ".join(self.joint_names[:MOST_NAMES]))
         more = f" and {self.nv - MOST_NAMES} more" if self.nv > MOST_NAMES else ""
         return f"Robot({self.name!r}, nq={self.nq}, nv={self.nv}, joints={shown}{more})"
 
@@ -502,10 +507,9 @@ class Robot:
                 self.joint_names, kinds, self.joint_units, *limits, strict=True
             )
         ]
-        held = "".join(f"{name} at {value:.4g}; " for name, value in self.locked.items())
         return html_card.card(
             f"Robot {self.name}",
-            html_card.sentence(f"{self.nv} joints move" + (f"; locked: {held.removesuffix('; ')}" if held else "")),
+            html_card.sentence(f"{self.nv} joints move" + (f"; locked: {self.locked_in_words}" if self.locked else "")),
             html_card.warnings(self.warnings),
             html_card.table(("joint", "kind", "position", "velocity"), rows),
             html_card.folded(f"Frames ({len(self.frame_names)})", html_card.sentence(", ".join(self.frame_names))),

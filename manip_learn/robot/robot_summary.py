@@ -71,7 +71,7 @@ class CrossCheck:
 @final
 @dataclass(frozen=True)
 class RobotSummary:
-    """What `inspect` prints.
+    """Facts about a robot that `inspect` prints.
 
     Attributes:
         name: Name of the robot.

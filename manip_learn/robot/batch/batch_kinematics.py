@@ -32,8 +32,10 @@ from manip_learn.robot.robot import Reference, Robot
 
 COMPILED_FROM = 50_000  # postures: fewer are done in NumPy before numba is even imported
 CHUNK = 1024  # postures: the columns of a 7-joint chain then stay in a second-level cache of 1 MB
-DERIVATIVE_CHUNK = 256
-AGREEMENT = 1e-12  # largest difference from Pinocchio, relative to the reach, that the check at first use lets pass
+DERIVATIVE_CHUNK = 256  # dJ/dq has as many numbers for each column as the chain has joints
+CHAIN_AGREEMENT = (
+    1e-12  # largest difference from Pinocchio, relative to the reach, that the check at first use lets pass
+)
 ALL_ROWS = (0, 1, 2, 3, 4, 5)
 
 
@@ -294,7 +296,7 @@ class BatchKinematics:
         rng, robot = np.random.default_rng(0), self._robot
         q = np.stack([robot.positions(robot.random_configuration(rng)) for _ in range(3)])
         poses = np.stack([robot.pose(x, self._frame) for x in q])
-        allowed = AGREEMENT * (1.0 + float(np.max(np.abs(poses))))
+        allowed = CHAIN_AGREEMENT * (1.0 + float(np.max(np.abs(poses))))
         differences = [self.pose(q) - poses]
         for reference in ("world", "local"):
             ours, theirs = self.jacobian_and_derivative(q, reference), self._looped(q, reference, ALL_ROWS)

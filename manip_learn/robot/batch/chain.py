@@ -64,7 +64,7 @@ class Chain:
         return len(self.prismatic)
 
     def reversed(self) -> Chain:
-        """The same joints seen from the frame: frame_from_base, for Jacobians along the frame's own axes.
+        """The chain seen from the frame: frame_from_base, for Jacobians along the frame's own axes.
 
         Joint angles and offsets change their signs: joint i of the new chain is joint n-1-i moved by minus its value.
         """
@@ -282,7 +282,7 @@ def sweep(chain: Chain, position: Float[np.ndarray, "j n"], buffers: SweepBuffer
 def tip_position(
     tip: Tip, offset: Float[np.ndarray, " 3"], work: Float[np.ndarray, "2 3 n"]
 ) -> Float[np.ndarray, "3 n"]:
-    """Where a point fixed to the last joint's frame is [m]."""
+    """Place of a point fixed to the last joint's frame [m]."""
     out = work[0]
     _shift(tip.origin, tip.x, tip.y, tip.z, offset, out, work[1])
     return out

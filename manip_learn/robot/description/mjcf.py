@@ -1,7 +1,7 @@
 """MJCF files -> the links and joints that a URDF would have.
 
-Pinocchio's own reader, and MuJoCo's, take in silence or abort on what is refused here with its line, and MuJoCo's needs
-the meshes; so files are read here.
+Pinocchio's own reader garbles some files in silence, and MuJoCo's needs the meshes; here a file is read without them,
+and refused with the line of its fault.
 """
 
 from __future__ import annotations
@@ -36,7 +36,7 @@ from manip_learn.robot.description.urdf import (
     spaced,
     unit_axis,
 )
-from manip_learn.robot.description.validation import ValidatedRobot, validate_parts
+from manip_learn.robot.description.validation import ValidatedRobot, robot_name, validate_parts
 
 WORLD, MAIN = "world", "main"
 DEFAULTED = ("joint", "geom", "site", "mesh")
@@ -68,7 +68,7 @@ def read_defaults(root: XmlNode) -> dict[str, Attributes]:
 @final
 @dataclass(frozen=True)
 class MjcfUnits:
-    """What the `<compiler>` says.
+    """Settings of the `<compiler>`.
 
     Attributes:
         angle: Factor from the file's angles to rad.
@@ -375,6 +375,5 @@ def validate_mjcf(content: bytes, path: Path, locked: Collection[str] = ()) -> t
     if not reader.has_mass:
         sentence = "no body states its mass; masses of shapes are not computed, so there is no centre of mass"
         root.log.warn(None, sentence)
-    name = root.attributes.get("model", "").strip() or path.stem
-    validated = validate_parts(name, tuple(reader.links), joints, locked, root.log)
+    validated = validate_parts(robot_name(root, "model"), tuple(reader.links), joints, locked, root.log)
     return validated, kinematic_urdf(validated.urdf, reader.visuals, with_mimics=True).encode()

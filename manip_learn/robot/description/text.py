@@ -17,10 +17,10 @@ from pathlib import Path
 from typing import final, overload
 from xml.parsers.expat import ExpatError, errors
 
-from manip_learn.errors import RobotError, advice, closest_names
+from manip_learn.errors import RobotError, advice, closest_names, counted
 
-SHOWN = 4
-MAX_WARNINGS = 100
+SHOWN = 4  # names that a sentence lists
+MAX_WARNINGS = 100  # nobody reads more
 
 
 @final
@@ -77,7 +77,7 @@ def meant(name: str, known: Iterable[str], otherwise: str) -> str:
     return f"did you mean {quoted(near)}?" if near else otherwise
 
 
-MAX_BYTES = 10_000_000
+MAX_BYTES = 10_000_000  # of a description; the largest of example-robot-data has 0.2
 
 
 def read_regular_file(path: Path, most: int) -> bytes:
@@ -132,9 +132,9 @@ def _not_read(error: OSError | ValueError, path: Path) -> tuple[str, str]:
     return "not-a-file", f"{path}: not a regular file; {hint}"
 
 
-MAX_ELEMENTS = 200_000
-MAX_NESTING = 60
-MAX_ATTRIBUTE = 100_000  # [characters]
+MAX_ELEMENTS = 200_000  # of one file, so that memory and time stay small
+MAX_NESTING = 60  # URDF needs 6, nested bodies of MJCF one a joint
+MAX_ATTRIBUTE = 100_000  # [characters] no robot needs more than a few hundred
 # no two ways to read the same digits: else a long number with a typing error takes minutes
 NUMBER = re.compile(r"[+-]?(\d+(\.\d*)?|\.\d+)([eE][+-]?\d+)?", re.ASCII)
 LARGEST = 1e100  # squares and products of what is larger overflow
@@ -203,7 +203,7 @@ class XmlNode:
         words = text.split()
         if "${" not in text and len(words) != size:
             fix = "separate the numbers by spaces, not by commas" if "," in text else "write one number for each"
-            seen = f'{self.tag} {attribute}="{shortened(text)}" has {len(words)} numbers'
+            seen = f'{self.tag} {attribute}="{shortened(text)}" has {counted(len(words), "number")}'
             raise self.refusal("vector-size", f"{seen}; {size} are expected; {fix}")
         return tuple(self._parsed(word, attribute) for word in words)
 

@@ -1,4 +1,4 @@
-"""What a URDF says about kinematics: plain data with line numbers, read with every number checked, and written."""
+"""Kinematics of a URDF as plain data with line numbers: read with every number checked, and written."""
 
 from __future__ import annotations
 
@@ -148,11 +148,11 @@ KNOWN_ATTRIBUTES = {
 JOINT_CHILDREN = {"origin", "parent", "child", "axis", "limit", "dynamics", "mimic", "safety_controller", "calibration"}
 LINK_CHILDREN = {"inertial", "visual", "collision", "contact", "self_collision_checking", "sensor", "verbose"}
 INERTIAL_CHILDREN = {"origin", "mass", "inertia"}
-MAX_NAME = 200  # [characters]
+MAX_NAME = 200  # [characters] longer ones make no readable sentence
 RESERVED = ("universe",)
-FARTHEST = 1e6  # [m]
-FULL_TURN = 2.0 * math.pi + 1e-3  # [rad]
-AXIS_NORMS = (1e-3, 1e3)
+FARTHEST = 1e6  # [m] beyond it poses keep less than 1e-9 m
+FULL_TURN = 2.0 * math.pi + 1e-3  # [rad] files round
+AXIS_NORMS = (1e-3, 1e3)  # of lengths outside the direction may be noise
 INERTIA = ("ixx", "ixy", "ixz", "iyy", "iyz", "izz")
 
 

@@ -21,13 +21,13 @@ from manip_learn.robot.description.urdf import (
 )
 from manip_learn.robot.joints import Mimic
 
-LARGEST_MULTIPLIER = 1e6
+LARGEST_MULTIPLIER = 1e6  # above it, rounding of the leader is a motion of the follower
 
 
 @final
 @dataclass(frozen=True)
 class Mimics:
-    """Where the mimic joints of a robot lead.
+    """Mimic joints, each followed to its independent leader.
 
     Attributes:
         followers: Each with an independent, moving leader, however long the chain was.
@@ -120,11 +120,11 @@ def _check_type(joint: UrdfJoint, log: Diagnostics) -> None:
 
 
 KNOWN_CHILDREN = {"link", "joint", "material", "transmission", "gazebo", "sensor", "ros2_control", "group"}
-MAX_LINKS = 1_000
-MAX_DEPTH = 500
-MAX_NV = 150
+MAX_LINKS = 1_000  # loading takes seconds for them
+MAX_DEPTH = 500  # Pinocchio recurses, and crashes at some thousands
+MAX_NV = 150  # Pinocchio's memory grows with the cube: 0.22 GB for these
 MAX_IGNORED = 20  # unknown elements that are named in warnings
-LARGEST_ANGLE = 4.0 * math.pi  # [rad]
+LARGEST_LIMIT = 4.0 * math.pi  # [rad] no arm turns more than twice each way
 
 
 @final
@@ -158,7 +158,7 @@ def validate_urdf(content: bytes, path: Path, locked: Collection[str] = ()) -> V
     check_root(root)
     links = tuple(read_link(node) for node in _counted(root, "link"))
     joints = tuple(read_joint(node) for node in _counted(root, "joint"))
-    return validate_parts(_robot_name(root), links, joints, locked, root.log)
+    return validate_parts(robot_name(root), links, joints, locked, root.log)
 
 
 def validate_parts(
@@ -221,8 +221,9 @@ def too_many(n: int, tag: str) -> str:
     return f"the robot has {n} <{tag}> elements; at most {MAX_LINKS} work; leave out what the arm does not need"
 
 
-def _robot_name(root: XmlNode) -> str:
-    name = root.attributes.get("name", "").strip()
+def robot_name(root: XmlNode, attribute: str = "name") -> str:
+    """The name of a robot, or that of its file, with a warning, where it has none that can be printed."""
+    name = root.attributes.get(attribute, "").strip()
     if not name or not name.isprintable() or len(name) > MAX_NAME:
         reason = "has no name" if not name else f"has the unusable name {shortened(name)!r}"
         name = "".join(c for c in root.log.path.stem if c.isprintable()) or "robot"
@@ -340,7 +341,7 @@ def _check_range(joint: UrdfJoint, log: Diagnostics) -> None:
     largest = max(abs(limit.lower), abs(limit.upper))
     if UNLIMITED < largest < math.inf:  # infinity is said by the format, not by a number
         log.warn(limit.line, f"{where}: its limit of {largest:.3g} {unit} is taken for no limit")
-    elif joint.type == "revolute" and LARGEST_ANGLE < largest < math.inf:
+    elif joint.type == "revolute" and LARGEST_LIMIT < largest < math.inf:
         fix = f"write {math.radians(limit.lower):.4f} ... {math.radians(limit.upper):.4f}{otherwise} for many turns"
         seen = f"{stated}, more than two turns: they look like degrees"
         raise log.refusal("limit-degrees", limit.line, f"{seen}; radians are expected; {fix}")

@@ -30,7 +30,7 @@ from manip_learn.robot.description.catalogue import example_package_dir
 from manip_learn.robot.description.text import read_regular_file
 from manip_learn.robot.limited_child import LimitedChild
 
-LEVELS_UP = 6
+LEVELS_UP = 6  # folders above the URDF that may hold its package
 PACKAGE_FILE = "package.xml"
 # A URDF often lives in <package>/urdf next to <package>/meshes, with or without a package.xml.
 URDF_FOLDERS = ("urdf", "urdfs", "robots", "robot", "xacro", "description")
@@ -39,7 +39,7 @@ URDF_FOLDERS = ("urdf", "urdfs", "robots", "robot", "xacro", "description")
 @final
 @dataclass(frozen=True)
 class MeshRoots:
-    """Where meshes of one robot may be looked up, in this order.
+    """Folders in which the meshes of one robot may be looked up, in this order.
 
     Attributes:
         beside: Folders for relative addresses, that of the URDF first.
@@ -136,10 +136,10 @@ def _first_inside(uri: str, name: str, folders: Sequence[Path]) -> Path:
 
 
 Colour = tuple[float, float, float, float]
-MAX_MESH_BYTES = 50_000_000
-HEAD = 4_096
-MAX_SIDE_FILES = 500
-MAX_BUFFERS = 10
+MAX_MESH_BYTES = 50_000_000  # of a file: a million triangles of STL
+HEAD = 4_096  # [bytes] in which a file says of which kind it is
+MAX_SIDE_FILES = 500  # each is looked up on the disk
+MAX_BUFFERS = 10  # of a glTF, each up to MAX_MESH_BYTES
 WINDOWS_PATH = re.compile(r"(file:/*)?[A-Za-z]:[\\/]")
 # each pattern stops at the next "<", so that the time is linear in the size of the file, whatever is in it
 PIECE = re.compile(rb"<(?:triangles|polylist|polygons)\b([^<>]*)>")
@@ -330,7 +330,7 @@ CHILD = Path(__file__).with_name("mesh_child.py")
 MEMORY = 512_000_000  # [bytes] of the parsing process; the libraries alone take 150 MB
 SECONDS = 5.0  # for one mesh
 ALL_SECONDS = 60  # for all meshes of one robot
-MAX_FACES = 2_000_000
+MAX_FACES = 2_000_000  # of a mesh: 0.1 GB as triangles
 
 Mesh = tuple[Float[np.ndarray, "n 3"], Int[np.ndarray, "m 3"]]
 

@@ -1,4 +1,4 @@
-"""What a robot looks like: the `<visual>` or `<collision>` elements of its URDF as shapes on links.
+"""Shapes of a robot's links: the `<visual>` or `<collision>` elements of its URDF.
 
 Meshes become checked triangles, with plain shapes where there is nothing better. What is wrong here costs a shape,
 never the robot.
@@ -23,8 +23,8 @@ from manip_learn.robot.robot import Robot
 from manip_learn.robot.visuals.meshes import Colour, Mesh, find_mesh, mesh_colour, mesh_roots, read_meshes
 
 Tag = Literal["visual", "collision"]
-LARGEST = 1e4  # [m]
-MAX_VISUALS = 2_000
+LARGEST_SIZE = 1e4  # [m] of a shape and its distance: more is a wrong unit
+MAX_VISUALS = 2_000  # of a robot, so that its page can be drawn
 
 
 @final
@@ -173,7 +173,7 @@ def _pose(node: XmlNode) -> Pose:
         return Pose()
     x, y, z = origin.vector("xyz", 3) or ZERO
     roll, pitch, yaw = origin.vector("rpy", 3) or ZERO
-    if max(abs(x), abs(y), abs(z)) > LARGEST:
+    if max(abs(x), abs(y), abs(z)) > LARGEST_SIZE:
         raise _unusable(origin, f"its {node.tag} is {max(abs(x), abs(y), abs(z)):g} m away")
     return Pose((x, y, z), (roll, pitch, yaw))
 
@@ -189,7 +189,7 @@ def _geometry(node: XmlNode) -> Shape | MeshElement:
             x, y, z = shape.vector("scale", 3) or (1.0, 1.0, 1.0)
             if not uri:
                 raise _unusable(shape, "its <mesh> has no filename")
-            if not all(1e-9 <= abs(s) <= LARGEST for s in (x, y, z)):
+            if not all(1e-9 <= abs(s) <= LARGEST_SIZE for s in (x, y, z)):
                 raise _unusable(shape, f"its mesh scale is {(x, y, z)}")
             return MeshElement(uri, (x, y, z))
         case "box":
@@ -204,7 +204,7 @@ def _geometry(node: XmlNode) -> Shape | MeshElement:
 
 
 def _size(value: float | None, node: XmlNode) -> float:
-    if value is None or not 0.0 < value <= LARGEST:
+    if value is None or not 0.0 < value <= LARGEST_SIZE:
         raise _unusable(node, f"a size of its {node.tag} is {value}")
     return value
 
@@ -227,7 +227,7 @@ def _unusable(node: XmlNode, seen: str) -> RobotError:
 
 STAND_IN: Colour = (0.55, 0.60, 0.68, 1.0)
 GREY: Colour = (0.7, 0.7, 0.72, 1.0)
-THIN = 0.02  # [m]
+THIN = 0.02  # [m] radius of rods and balls
 MESH_REASON = re.compile(r"mesh (?P<name>'[^']*'|\"[^\"]*\")(?P<why>.*)")
 
 
