@@ -10,9 +10,10 @@ from conftest import tip_of
 
 from manip_learn.constraint.constraint import Constraint
 from manip_learn.constraint.features import CustomFeatures, FrameJacobian
+from manip_learn.control.command import STATUSES
 from manip_learn.control.controller import ResolvedRateController
 from manip_learn.control.policies import JointAttractor, ManipulabilityAscent
-from manip_learn.control.resolved_rate_law import Law
+from manip_learn.control.resolved_rate_law import Law, bounded_status, next_slide, plain_status
 from manip_learn.control.simulation import simulate
 from manip_learn.control.tasks import PointAttractor, Track
 from manip_learn.errors import ConfigurationError, ConstraintError, TargetError
@@ -202,6 +203,12 @@ def test_damping_only_below_the_threshold(robot_of):
         assert followed == (sigma >= controller.threshold)
         assert command.smallest_singular_value == pytest.approx(sigma, rel=1e-9, abs=1e-15)
         words[elbow] = command.status
+        # g = sigma / (sigma^2 + lambda^2), lambda = damping (1 - (sigma / threshold)^2)
+        U, values, Vt = np.linalg.svd(constraint(q))
+        factor = 0.05 * np.clip(1.0 - (values / 0.05) ** 2, 0.0, None)
+        gains = values / np.maximum(values**2 + factor**2, 1e-300)
+        expected = Vt[:2].T @ (gains * (U.T @ command.task_velocity))
+        np.testing.assert_allclose(command.task_part, expected, rtol=1e-9, atol=1e-15)
     assert words == {1.0: "ok", 0.3: "ok", 0.05: "damped", 0.01: "damped", 1e-4: "stalled", 0.0: "singular"}
 
 
@@ -225,6 +232,35 @@ def test_the_words_are_right(robot_of):
     blocked[j] = (robot.position_upper if task[j] > 0 else robot.position_lower)[j]
     moved = constraint.features.coordinates(blocked) + 0.1
     assert ResolvedRateController(constraint, PointAttractor(moved))(blocked).status in ("rerouted", "position-limited")
+
+
+def test_each_word_has_its_threshold():
+    """The gravest word first: outside, lost, stalled below 1 %, slowed down below 99.9 % by its limit, damped."""
+    word = lambda place: str(STATUSES[place])  # noqa: E731
+    for lost, damped, progress, outside, said in (
+        (False, False, 0.0, 0.0, "ok"), (False, True, 0.0101, 0.0, "damped"), (False, True, 0.0099, 0.0, "stalled"),
+        (True, True, 0.0, 0.0, "singular"), (True, True, 0.0, 1e-6, "outside-limits"),
+    ):  # fmt: skip
+        assert word(plain_status(lost, damped, progress, outside)) == said
+    free = {"lost": False, "damped": False, "progress": 0.5, "outside": 0.0}
+    free |= {"task_scale": 0.9991, "joint": 3, "cause": 1, "fits": True}
+    for changes, said in (
+        ({}, "null-scaled"), ({"fits": False}, "rerouted"), ({"damped": True}, "damped"),
+        ({"task_scale": 0.9989}, "velocity-limited"), ({"task_scale": 0.5, "cause": 0}, "position-limited"),
+        ({"task_scale": 0.5, "cause": 2}, "acceleration-limited"), ({"task_scale": 0.5, "joint": -1}, "damped"),
+        ({"progress": 0.0099, "task_scale": 0.5}, "stalled"), ({"progress": 0.0101}, "null-scaled"),
+        ({"progress": 0.0, "cause": 2, "task_scale": 0.0}, "acceleration-limited"),
+        ({"joint": 0, "task_scale": 0.1}, "velocity-limited"),
+        ({"lost": True, "progress": 0.0}, "singular"), ({"outside": 1e-6, "lost": True}, "outside-limits"),
+    ):  # fmt: skip
+        assert word(bounded_status(**free | changes)) == said, changes
+
+
+def test_an_arm_slides_after_half_a_second_and_turns_back_in_one():
+    """`slide` while the task stalls, while it goes on at more than half of its velocity, and in between."""
+    assert next_slide(0.2, True, 0.0, 0.1) == pytest.approx(0.4) and next_slide(0.9, True, 0.0, 0.1) == 1.0
+    assert next_slide(0.5, False, 0.51, 0.1) == pytest.approx(0.4) and next_slide(0.05, False, 1.0, 0.1) == 0.0
+    assert next_slide(0.5, False, 0.49, 0.1) == 0.5
 
 
 def test_bad_input_is_refused(robot_of):

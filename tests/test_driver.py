@@ -14,6 +14,7 @@ import numpy as np
 import pytest
 
 import manip_learn as ml
+from manip_learn.control import driver
 from manip_learn.errors import ConfigurationError
 
 DT, BEFORE = 0.005, 40  # [s], cycles before something goes wrong
@@ -227,3 +228,73 @@ def test_a_loop_runs_again(planar3: ml.Robot) -> None:
     assert record.ordered
     np.testing.assert_allclose(record.rollout.q[0], at, atol=1e-12)
     assert np.abs(record.rollout.u).max() > 0.1
+
+
+def test_a_period_that_cannot_be_held_ends_the_run(planar3: ml.Robot) -> None:
+    """Reading takes three periods, each time: the run ends within a second or two, and the loop may run again."""
+
+    class Slow(Arm):
+        simulated, period = False, 0.02
+
+        def read(self) -> Any:
+            time.sleep(0.06)
+            return super().read()
+
+    loop = loop_of(planar3, 0.02)
+    record = ml.run(loop, Slow(), 20.0)
+    assert not record.ordered and "the period of 20 ms cannot be held" in record.ended
+    assert record.overruns > 0.9 * (record.cycles - 2) and 0.3 < record.rollout.time[-1] < 15.0
+    assert loop.update(START, 100.0).status is not ml.Status.STOPPED
+
+
+def test_long_runs_keep_every_second_cycle(planar3: ml.Robot, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Half of the samples go whenever there are too many: those left are evenly spaced, from the first one on."""
+    monkeypatch.setattr(driver, "SAMPLES", 50)
+    record = ml.run(loop_of(planar3), Arm(), 1.0)
+    stride = np.diff(record.rollout.time)
+    assert record.cycles > 200 and 25 <= len(record.rollout) <= 50
+    np.testing.assert_allclose(stride, 8 * DT, rtol=1e-9)
+    assert record.rollout.time[0] == 0.0
+
+
+def test_a_stop_that_takes_too_long_ends_all_the_same(planar3: ml.Robot, monkeypatch: pytest.MonkeyPatch) -> None:
+    """10 s after the reason to stop, a run ends with the arm still in motion; until then it brakes."""
+    monkeypatch.setattr(driver, "LONGEST_STOP", 0.1)
+    gentle = ml.ServoLoop(loop_of(planar3).controller, DT, acceleration_limit=0.01, compiled=False)
+    record = ml.run(gentle, Arm("raises"), 2.0)
+    assert "no cable" in record.ended and abs(record.cycles - BEFORE - 1 - round(0.1 / DT)) <= 1
+    assert record.rollout.u[-1].any()
+
+
+def test_a_driver_that_is_not_ready_yet_is_waited_for(planar3: ml.Robot) -> None:
+    """Nothing for less than `stale_after` at the start is no reason to end; for longer it is, with the loop's words."""
+
+    class Mute(Arm):
+        def read(self) -> Any:
+            return None, None, None
+
+    class Waking(Arm):
+        calls = 0
+
+        def read(self) -> Any:
+            self.calls += 1
+            return (None, None, None) if self.calls <= 15 else super().read()
+
+    assert ml.run(loop_of(planar3), Waking(), 0.3).ordered
+    record = ml.run(loop_of(planar3), Mute(), 2.0)
+    assert not record.ordered and record.ended == "no posture: None" and record.cycles == round(0.1 / DT)
+    assert len(record.rollout) == 0 and "late" in repr(record)
+
+
+def test_wrong_names_and_a_driver_of_other_sizes(planar3: ml.Robot) -> None:
+    """A name twice is refused; a mapping without a joint, or one number too many, ends the run with a sentence."""
+    with pytest.raises(ConfigurationError, match="one name occurs twice"):
+        ml.run(loop_of(planar3), Arm(joint_names=(*planar3.joint_names, "a", "a")), 0.1)
+
+    class Partial(Arm):
+        def read(self) -> Any:
+            return {planar3.joint_names[0]: 0.1}, None, None
+
+    assert f"no position of joint {planar3.joint_names[1]}" in ml.run(loop_of(planar3), Partial(), 1.0).ended
+    more = Arm(joint_names=(*planar3.joint_names, "gripper"))
+    assert "4 joints are named, positions have shape (3,)" in ml.run(loop_of(planar3), more, 1.0).ended

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 import manip_learn as ml
-from manip_learn.control.limits import ACCELERATION_RATE, Bounds, Limits
+from manip_learn.control.limits import Bounds, Limits
 from manip_learn.errors import ConfigurationError
 from manip_learn.robot.robot import Robot
 
@@ -35,6 +35,59 @@ def test_greedy_motion_keeps_every_limit(robot_of: RobotOf, rng: np.random.Gener
             assert np.all(np.abs(following) <= limits.velocity * (1.0 + 1e-12))
             q, u = q + dt * following, following
             assert np.all(q <= robot.position_upper + 1e-12) and np.all(q >= robot.position_lower - 1e-12)
+
+
+def braking(d: float, v: float, a: float, dt: float) -> float:
+    """brake(d) of `Limits`' docstring: half of the deceleration, 20 per second, a quarter of the speed outside."""
+    a, kappa = 0.5 * a, min(20.0, 0.5 / dt)
+    d1 = (a / kappa - 0.5 * a * dt) / kappa
+    d0 = d1 - ((a / kappa) ** 2 - (0.5 * a * dt) ** 2) / (2.0 * a)
+    if d <= d1:
+        return max(kappa * d, -0.25 * v)
+    return min(v, np.sqrt(2.0 * a * (d - d0) + (0.5 * a * dt) ** 2) - 0.5 * a * dt)
+
+
+def test_bounds_are_those_of_the_docstring(robot_of: RobotOf, rng: np.random.Generator) -> None:
+    """Velocity, braking distance and change of velocity, on both sides, and which of them each bound comes from."""
+    robot = robot_of("sawyer")
+    speed, acceleration = rng.uniform(0.5, 2.0, 7), rng.uniform(1.0, 8.0, 7)
+    limits = Limits(robot, velocity=speed, acceleration=acceleration, margin=0.01)
+    low, high = robot.position_lower + 0.01, robot.position_upper - 0.01
+    for dt, distance, previous in product((0.001, 0.02, 0.1), (-0.3, -1e-3, 0.0, 1e-3, 0.03, 0.2, 9.0), (None, 0.3)):
+        q = np.maximum(high - distance, 0.5 * (low + high))
+        u = None if previous is None else previous * speed
+        for mirrored in (False, True):
+            x, before = (low + high - q, u if u is None else -u) if mirrored else (q, u)
+            bounds = limits.bounds(x, dt, before)
+            far, near = (bounds.high, bounds.low) if mirrored else (bounds.low, bounds.high)
+            causes = bounds.low_cause if mirrored else bounds.high_cause
+            for j in range(7):
+                v, a = float(speed[j]), float(acceleration[j])
+                top, bottom, cause = braking(high[j] - q[j], v, a, dt), -braking(q[j] - low[j], v, a, dt), 1
+                cause = 0 if top < v else 1
+                if u is not None:
+                    cause = 2 if u[j] + a * dt < top else cause
+                    top, bottom = min(top, u[j] + a * dt), max(bottom, u[j] - a * dt)
+                    if bottom > top:  # the acceleration limit has precedence
+                        top = bottom = u[j] - a * dt if top < u[j] - a * dt else u[j] + a * dt
+                sign = -1.0 if mirrored else 1.0
+                assert sign * near[j] == pytest.approx(top, rel=1e-12, abs=1e-14)
+                assert sign * far[j] == pytest.approx(bottom, rel=1e-12, abs=1e-14)
+                assert causes[j] == cause
+            assert bounds.outside == pytest.approx(max(0.0, -distance), abs=1e-12)
+
+
+def test_velocities_are_led_towards_a_wish(robot_of: RobotOf) -> None:
+    """Slowed down as a whole, straight from the velocity before, and joint by joint at position limits."""
+    robot = robot_of("sawyer")
+    limits, q, dt = Limits(robot, velocity=1.0, acceleration=2.0), np.zeros(7), 0.01
+    q[1] = 0.0
+    bounds = limits.bounds(q, dt, np.zeros(7))
+    wish, before = np.linspace(-2.0, 1.0, 7), np.full(7, 0.01)
+    change = wish / 2.0 - before
+    expected = before + change * (2.0 * dt / np.abs(change).max())
+    np.testing.assert_allclose(limits.towards(wish, before, bounds, dt), np.clip(expected, bounds.low, bounds.high))
+    np.testing.assert_allclose(limits.towards(wish * 1e-3, np.zeros(7), bounds, dt), wish * 1e-3)
 
 
 def test_a_joint_reaches_its_limit_and_rests(robot_of: RobotOf) -> None:
@@ -68,7 +121,13 @@ def test_a_joint_outside_returns(robot_of: RobotOf) -> None:
 def test_defaults_and_settings(robot_of: RobotOf) -> None:
     """The default acceleration is documented; every limit can be given, as one number or one per joint."""
     robot = robot_of("sawyer")
-    np.testing.assert_array_equal(Limits(robot).acceleration, ACCELERATION_RATE * robot.velocity_limit)
+    np.testing.assert_array_equal(Limits(robot).acceleration, 5.0 * robot.velocity_limit)
+    assert Limits(robot).weakest == 5.0 * robot.velocity_limit.min()
+    unbounded = Limits(robot, velocity=np.where(np.arange(7) == 2, np.inf, 1.0)).acceleration
+    np.testing.assert_array_equal(unbounded, np.where(np.arange(7) == 2, 10.0, 5.0))
+    other = Limits(robot, jerk=100.0).with_rates(2.0, None)
+    np.testing.assert_array_equal([other.acceleration, other.jerk], [np.full(7, 2.0), np.full(7, 100.0)])
+    assert other.weakest == 2.0 and other.bounds(np.zeros(7), 0.01, np.zeros(7)).high[0] == pytest.approx(0.02)
     own = Limits(robot, velocity=0.5, acceleration=np.arange(1.0, 8.0), jerk=100.0, margin=0.05)
     np.testing.assert_array_equal(own.velocity, np.full(7, 0.5))
     np.testing.assert_array_equal(own.upper, robot.position_upper - 0.05)

@@ -8,8 +8,10 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from scipy.optimize import lsq_linear
 
-from manip_learn.control.bounded_velocity import project_by_active_set, projection_by
+from manip_learn.control.bounded_velocity import Desired, bounded_velocity, project_by_active_set, projection_by
+from manip_learn.control.limits import Bounds
 from manip_learn.errors import ConstraintError
 
 KINDS = ["random", "duplicated", "zero", "equal", "nearly dependent", "badly scaled", "both"]
@@ -84,3 +86,50 @@ def test_the_unit_of_the_rows_does_not_matter() -> None:
         scaled = project_by_active_set(x, factor * C, factor * low, factor * high)
         assert y is not None and scaled is not None
         np.testing.assert_allclose(scaled, y, rtol=0, atol=1e-7 * (1.0 + np.linalg.norm(x)))
+
+
+def bounded(A: np.ndarray, v: np.ndarray, w: np.ndarray, box: np.ndarray, slide: float, damping: float) -> np.ndarray:
+    """The answer of `bounded_velocity` as (velocity, scale)."""
+    low, high = box
+    bounds = Bounds(low.tolist(), high.tolist(), [1] * len(low), [1] * len(low), 0.0)
+    null = np.linalg.svd(A)[2][len(A) :].T
+    for basis in (null, null @ null.T):  # a basis, or the projector, which serve both
+        found = bounded_velocity(
+            A, Desired(v, w, None), basis, bounds, np.full(len(v), 1e3), None, projection_by("qp"), slide, damping
+        )
+        np.testing.assert_allclose(found.null_part, null @ (null.T @ found.velocity), rtol=0, atol=1e-12)
+    return np.append(found.velocity, found.task_scale)
+
+
+def test_the_programs_are_those_of_the_docstring(rng: np.random.Generator) -> None:
+    """One row, whose direction is always kept, and two rows that cannot be kept: SciPy's minimum of what is stated.
+
+    min |N u - w|^2 + (100 max(|v|, |w|))^2 (1 - s)^2 in the box; min (100 / sigma_1)^2 |P A (u - u*)|^2 + |u - u*|^2.
+    """
+    for _ in range(20):
+        A = rng.normal(size=(1, 5))
+        N = np.eye(5) - np.linalg.pinv(A) @ A
+        v, w = np.linalg.pinv(A)[:, 0] * rng.uniform(0.1, 2.0), N @ rng.normal(size=5) * rng.choice([0.01, 3.0])
+        box = np.array([-rng.uniform(0.05, 0.5, 5), rng.uniform(0.05, 0.5, 5)])
+        weight = 100.0 * max(np.linalg.norm(v), np.linalg.norm(w))
+        rows = np.vstack([N, weight * v / (v @ v)])
+        best = lsq_linear(rows, np.append(w, weight), box, method="bvls").x
+        scale = float(v @ best / (v @ v))
+        if 0.0 < scale < 1.0:
+            np.testing.assert_allclose(bounded(A, v, w, box, 0.0, 0.05), np.append(best, scale), rtol=0, atol=1e-8)
+    for _ in range(20):
+        A = rng.normal(size=(2, 4))
+        b, w = rng.normal(size=2), np.zeros(4)
+        v = np.linalg.pinv(A) @ b
+        middle = -np.sign(v) * rng.uniform(0.3, 1.0, 4)  # every joint moves the other way: no s is possible
+        box = np.array([middle - 0.1, middle + 0.1])
+        P, largest = np.eye(2) - np.outer(b, b) / (b @ b), np.linalg.svd(A)[1][0]
+        u = [np.empty(0)] * 2
+        for i, rows in enumerate((100.0 / largest * P @ A, A / 0.05)):
+            whole = np.vstack([rows, np.eye(4)])
+            u[i] = lsq_linear(whole, whole @ v, box, method="bvls").x
+        for slide in (0.0, 0.3, 1.0):
+            expected = u[0] + slide * (u[1] - u[0])
+            found = bounded(A, v, w, box, slide, 0.05)
+            np.testing.assert_allclose(found[:4], expected, rtol=0, atol=1e-8)
+            assert found[4] == pytest.approx(max(0.0, float(b @ A @ u[0]) / float(b @ b)), abs=1e-8)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from itertools import product
 
 import numpy as np
@@ -13,8 +14,9 @@ from manip_learn.constraint.features import FrameJacobian
 from manip_learn.control.controller import ResolvedRateController
 from manip_learn.control.policies import JointAttractor, ManipulabilityAscent
 from manip_learn.control.rollout import Rollout
+from manip_learn.control.servo_loop import ServoLoop
 from manip_learn.control.simulation import simulate
-from manip_learn.control.tasks import PointAttractor, Track
+from manip_learn.control.tasks import PointAttractor
 from manip_learn.errors import ConfigurationError, RecordingError
 from manip_learn.learning import ConstraintLearner
 
@@ -25,11 +27,22 @@ def reaching(robot, frame: str, axes: str, target: list[float], **settings) -> R
     return ResolvedRateController(constraint, PointAttractor(target), ManipulabilityAscent(constraint), **settings)
 
 
+class Swaying(PointAttractor):
+    """A velocity that depends on the time."""
+
+    def velocity(self, constraint, q, t):
+        """Round and round."""
+        return np.array([0.5 * np.sin(3.0 * t), 0.4 * np.cos(2.0 * t)])
+
+
 def test_order_of_convergence(robot_of):
     """Halving the step divides the error by 2^order, with continuous joints and with a target that moves, too."""
     q0 = {name: np.linspace(0.2, 1.1, robot_of(name).nv) for name in ("planar3", "wrist")}
-    moving = Track(lambda t: [0.5 + 0.3 * np.sin(3.0 * t), 1.2 - 0.4 * t * t], gain=2.0)
-    cases = ("planar3", PointAttractor([0.5, 1.2])), ("wrist", PointAttractor([0.4, 0.5])), ("planar3", moving)
+    cases = (
+        ("planar3", PointAttractor([0.5, 1.2])),
+        ("wrist", PointAttractor([0.4, 0.5])),
+        ("planar3", Swaying(np.zeros(2))),
+    )
     for (name, task), (method, order) in product(cases, (("euler", 1), ("rk4", 4))):
         robot = robot_of(name)
         rows = Constraint(np.eye(2), FrameJacobian(robot, tip_of(name), "x y"))
@@ -150,25 +163,64 @@ def test_evidence_of_a_rollout(robot_of, rng):
 
 
 def test_files(robot_of, rng, tmp_path):
-    """A rollout comes back from its file to the last bit; what is not a rollout is rejected with a reason."""
+    """A rollout comes back from its file to the last bit, in every format; what is none is rejected with a reason."""
     robot = robot_of("wrist")
     controller = reaching(robot, "tip", "xyz", [0.4, 0.2, 0.4])
-    rollout = simulate(robot, controller, robot.random_configuration(rng), 0.1, 0.01)
-    loaded = Rollout.load(rollout.save(tmp_path / "rollout.npz"))
-    for name in ("time", "q", "u", "manipulability", "task_error"):
-        np.testing.assert_array_equal(getattr(loaded, name), getattr(rollout, name))
-    assert (loaded.status, loaded.joint_names) == (rollout.status, rollout.joint_names)
+    loop = ServoLoop(controller, 0.01, compiled=False)
+    rollout = simulate(robot, loop, robot.random_configuration(rng), 0.1, 0.01)
+    rollout = replace(rollout, time=rollout.time + 3.25, phases=(("way", 3.25, 3.3), ("rest", 3.3, 3.35)))
+    for ending in (".npz", ".csv", ".jsonl"):
+        path = rollout.save(tmp_path / f"my rollout.1{ending}")
+        assert path == tmp_path / f"my rollout.1{ending}" and path.is_file()
+        loaded, notes = Rollout.load_with_notes(path, robot)
+        assert notes == () and len(loaded) == 11
+        for name in ("time", "q", "u", "manipulability", "task_error", "following_error", "target"):
+            np.testing.assert_array_equal(getattr(loaded, name), getattr(rollout, name), err_msg=f"{ending} {name}")
+        for name in ("status", "joint_names", "frame", "phases", "constraint"):
+            assert getattr(loaded, name) == getattr(rollout, name), (ending, name)
+        assert loaded.robot is not None and loaded.robot.name == robot.name
+    assert rollout.target is not None and rollout.target.tolist() == [0.4, 0.2, 0.4] and rollout.frame == "tip"
+    again = Constraint.from_dict(rollout.constraint, robot)
+    np.testing.assert_array_equal(again.selection, controller.constraint.selection)
+    lines = (tmp_path / "my rollout.1.csv").read_text().splitlines(keepends=True)
+    (tmp_path / "cut.csv").write_text("".join(lines[:-1]))
+    with pytest.raises(RecordingError, match="samples"):
+        Rollout.load(tmp_path / "cut.csv")
+    with pytest.raises(RecordingError):
+        Rollout.load(tmp_path / "my rollout.1.npz", robot_of("sawyer"))
+    (tmp_path / "word.csv").write_text("".join(lines).replace(str(rollout.status[-1]), "fine"))
+    with pytest.raises(RecordingError, match="sample .*'fine'"):
+        Rollout.load(tmp_path / "word.csv")
     np.savez(tmp_path / "other.npz", a=np.zeros(3))
     (tmp_path / "text.npz").write_text("hello")
     (tmp_path / "empty.npz").write_bytes(b"")
-    for name, words in (
-        ("other", "no rollout"),
-        ("text", "no rollout"),
-        ("empty", "no rollout"),
-        ("none", "not exist"),
-    ):
-        with pytest.raises(RecordingError, match=words):
+    words = {"other": "no rollout", "text": "no rollout", "empty": "no rollout", "none": "not exist"}
+    for name, said in words.items():
+        with pytest.raises(RecordingError, match=said):
             Rollout.load(tmp_path / f"{name}.npz")
+
+
+def test_parts_of_rollouts(robot_of):
+    """`until` cuts every curve at a time; `followed_by` joins two that meet, their times and their phases."""
+    robot = robot_of("planar3")
+    controller = reaching(robot, "tip", "x y", [1.0, 1.0])
+    first = simulate(robot, controller, [0.3, 0.8, 0.4], 0.5, 0.1)
+    second = simulate(robot, controller, first.q[-1], 0.3, 0.1)
+    cut = first.until(0.3)
+    assert len(cut) == len(cut.q) == len(cut.u) == len(cut.status) == len(cut.task_error) == 4
+    assert cut.time[-1] == pytest.approx(0.3) and len(first.until(0.2999)) == 3 and len(first.until(9.0)) == 6
+    one = replace(first, phases=(("a", 0.0, 0.5),)).followed_by(replace(second, phases=(("b", 0.1, 0.3),)))
+    np.testing.assert_allclose(one.time, 0.1 * np.arange(9))
+    np.testing.assert_array_equal(one.q, np.vstack([first.q[:-1], second.q]))
+    np.testing.assert_array_equal(one.u, np.vstack([first.u[:-1], second.u]))
+    assert one.status == (*first.status[:-1], *second.status) and one.following_error is None
+    assert one.phases == (("a", 0.0, 0.5), ("b", pytest.approx(0.6), pytest.approx(0.8)))
+    motion = first.trajectory("again")
+    assert motion.name == "again" and motion.joint_names == robot.joint_names
+    np.testing.assert_array_equal(motion.u, first.u)
+    words = repr(one)
+    assert "9 samples over 0.8 s, 3 joints" in words and f"{one.task_error[-1]:.3g} (in m or rad)" in words
+    assert f"{one.manipulability.min():.4g} to {one.manipulability.max():.4g}" in words and "robot planar3" in words
 
 
 def test_bad_arguments(robot_of):
@@ -201,6 +253,23 @@ def test_a_controller_of_your_own(robot_of):
         assert got.status == expected.status and np.all(np.isnan(got.task_error))
     table = simulate(robot, Mine(), np.stack([q0, q0]), 0.05, 0.01)
     assert len(table) == 2 and all(np.isnan(r.task_error).all() for r in table)
+
+
+def test_what_a_simulated_loop_tells(robot_of):
+    """Following errors of a loop's commands, 0 for a perfect servo; none of a plain controller; what guided both."""
+    robot = robot_of("planar3")
+    controller = reaching(robot, "tip", "x y", [1.0, 1.2])
+    plain = simulate(robot, controller, [0.3, 0.8, 0.4], 0.2, 0.01)
+    loop = simulate(robot, ServoLoop(controller, 0.01, compiled=False), [0.3, 0.8, 0.4], 0.2, 0.01)
+    assert plain.following_error is None and loop.following_error is not None
+    np.testing.assert_allclose(loop.following_error, 0.0, rtol=0, atol=1e-12)
+    np.testing.assert_allclose(loop.q, plain.q, rtol=0, atol=1e-12)
+    for rollout in (plain, loop):
+        assert rollout.frame == "tip" and rollout.robot is not None and rollout.robot.name == "planar3"
+        np.testing.assert_array_equal(rollout.target, [1.0, 1.2])
+        np.testing.assert_array_equal(rollout.constraint["selection"], controller.constraint.selection)
+    with pytest.raises(ConfigurationError, match="euler"):
+        simulate(robot, ServoLoop(controller, 0.01, compiled=False), [0.3, 0.8, 0.4], 0.2, 0.01, "rk4")
 
 
 def test_progress_is_reported_with_a_title(robot_of):

@@ -22,7 +22,9 @@ from servo_cases import (
 )  # fmt: skip
 
 import manip_learn as ml
+from manip_learn.control.following import STIFFNESS, FollowingError, _postures, following_error_limit
 from manip_learn.errors import ConfigurationError, ConstraintError, ManipLearnError
+from manip_learn.robot.tips import default_tip
 
 FOLLOWING_ERROR = ml.Status.FOLLOWING_ERROR
 
@@ -118,6 +120,87 @@ def test_a_limit_of_ones_own_counts_joint_by_joint(robot_of: RobotOf) -> None:
         assert loop.stopped_by is not None and robot.joint_names[j] in loop.stopped_by
 
 
+def test_distances_mean_forces(robot_of: RobotOf) -> None:
+    """A push of 14 N at the hand is no reason to stop, 16 N is; down to 2 kg of weight are no push at all.
+
+    The force that is told is the one that explains how far the servos gave way, less what friction and encoders leave.
+    """
+    robot = robot_of("sawyer")
+    q, tip = start_of(robot), default_tip(robot)
+    J = robot.jacobian(q, tip)[:3]
+    for force, trips in (
+        ([14.0, 0.0, 0.0], False), ([16.5, 0.0, 0.0], True), ([0.0, -16.5, 0.0], True), ([0.0, 0.0, 16.5], True),
+        ([0.0, 0.0, -19.6], False), ([0.0, 0.0, -19.6 - 17.0], True), ([14.0, 0.0, -19.6], False),
+    ):  # fmt: skip
+        following = FollowingError(robot, None, 0.0, DT, STIFFNESS, tip)
+        away = J.T @ np.array(force) / STIFFNESS
+        following.compare(q, q + away)
+        assert following.tripped == trips, force
+        pushed = np.array(force) + [0.0, 0.0, min(19.62, max(0.0, -force[2]))]
+        assert following.force == pytest.approx(np.linalg.norm(pushed), abs=0.6), force
+        assert following.largest == pytest.approx(np.abs(away).max())
+        np.testing.assert_allclose(following.distance, away, atol=1e-12)
+
+
+def test_what_lags_is_no_error(robot_of: RobotOf) -> None:
+    """A measurement may belong to any posture commanded within the latency; a friction's worth more lets go."""
+    robot = robot_of("sawyer")
+    following, q = FollowingError(robot, 0.02, 0.01, DT), start_of(robot)
+    speed, places = np.linspace(0.5, 1.1, 7), [q]
+    for _ in range(40):
+        following.moved(places[-1], DT, speed)
+        places.append(places[-1] + DT * speed)
+    for lag, excess in ((0, 0.0), (5, 0.0), (10, 0.0), (15, 0.005), (20, 0.010)):
+        following.compare(places[-1], places[-1 - lag])
+        np.testing.assert_allclose(-following.excess, excess * speed, rtol=0, atol=1.01 * DT * speed.max())
+    assert not following.tripped
+    way = following.relief()  # 20 ms at most, of the limits and of what was commanded within the latency
+    most = 0.02 + np.minimum(0.01, 0.02) * speed + DT * speed
+    assert np.all(np.abs(way) <= most * 1.1) and np.all(way < 0.0)
+    np.testing.assert_allclose(way, -0.02 * speed * (1.0 + 2.5e-4 / (0.02 * speed + 2.5e-4)), rtol=1e-9)
+    following.compare(places[-1], places[-1] - 0.031)
+    assert following.tripped
+    following.forget()
+    assert not following.tripped and following.largest == 0.0
+
+
+def test_limits_of_the_following_error(robot_of: RobotOf) -> None:
+    """force / stiffness times the least lever, over directions a degree apart; bad numbers are refused."""
+    robot, q = robot_of("planar3"), np.array([0.3, 0.8, 0.4])
+    J = robot.jacobian(q, "tip")[:2]
+    angles = np.linspace(0.0, np.pi, 20_000)
+    lever = np.abs(np.column_stack([np.cos(angles), np.sin(angles)]) @ J).max(axis=1).min()
+    got = following_error_limit(robot, 20.0, [1000.0, 2000.0, 4000.0], q=q)
+    np.testing.assert_allclose(got, 20.0 * lever / np.array([1000.0, 2000.0, 4000.0]), rtol=0.04)
+    row = ml.Constraint([[0.6, 0.8]], ml.FrameJacobian(robot, "tip", "x y"))
+    np.testing.assert_allclose(following_error_limit(robot, q=q, constraint=row), 15.0 * np.abs(row(q)).max() / 2000.0)
+    some = [following_error_limit(robot, q=x)[0] for x in _postures(robot)]
+    np.testing.assert_allclose(following_error_limit(robot), np.median(some), rtol=1e-12)
+    for wrong in (
+        {"force": 0.0},
+        {"force": np.inf},
+        {"stiffness": -1.0},
+        {"stiffness": [1.0, 1.0]},
+        {"q": [np.nan] * 3},
+    ):
+        with pytest.raises(ConfigurationError):
+            following_error_limit(robot, **wrong)
+
+
+def test_a_blocked_arm_is_let_go_at_five_per_second(robot_of: RobotOf) -> None:
+    """The commanded posture comes nearer to the measured one by a share of 5 dt a period, and arrives."""
+    robot = robot_of("sawyer")
+    arm, _ = tripped(robot)
+    left = []
+    for _ in range(1200):
+        arm.call(start_of(robot))
+        left.append(robot.difference(arm.loop.position, arm.loop._relief))
+    left = np.linalg.norm(left, axis=1)
+    ratios = left[61:400] / left[60:399]
+    np.testing.assert_allclose(ratios[left[60:399] > 5e-4], 1.0 - 5.0 * DT, rtol=1e-6)
+    assert left[-1] < 1e-8
+
+
 def test_a_correction_makes_up_for_a_payload(robot_of: RobotOf) -> None:
     """Servos that give way by 3 mrad for good: with a correction the arm comes to where it was sent."""
     robot = robot_of("sawyer")
@@ -134,6 +217,8 @@ def test_a_correction_makes_up_for_a_payload(robot_of: RobotOf) -> None:
         assert loop.update(measured, k * DT).status is ml.Status.STOPPED
     np.testing.assert_allclose(first, q + sag, atol=1e-9)
     np.testing.assert_allclose(measured, q, atol=0.05 * np.abs(sag).max())
+    # it comes at the rate that was asked for, and its steps are those of a first-order filter
+    np.testing.assert_allclose(loop.position, q - sag * (1.0 - (1.0 - DT / 0.5) ** 4000), atol=1e-5)
 
 
 def test_waiting_for_a_state_is_no_following_error(robot_of: RobotOf) -> None:

@@ -335,7 +335,7 @@ class _Joints:
                 raise ConfigurationError(f"no position of joint {', '.join(missing)}")
             return np.array([q[name] for name in self._names], dtype=np.float64)
         if self._places is None or self._theirs is None:
-            return np.array(q)  # the driver may go on writing into it
+            return None if q is None else np.array(q)  # the driver may go on writing into it
         if self._given() != self._theirs:
             raise ConfigurationError("the order of its joints has changed")
         x = np.array(q, dtype=np.float64)
