@@ -75,6 +75,28 @@ def test_track_with_feed_forward_does_not_lag(constraint, rng):
     assert repr(task) == "Track(gain=4)"
 
 
+def test_a_target_that_moves_counts_over_the_step(constraint, rng):
+    """b for a time dt has the rate in its middle, or the way of the target in dt; without dt what was given alone."""
+    q = rng.uniform(-1, 1, 7)
+    here, Lambda = constraint.features.coordinates(q), constraint.selection
+    pull = Lambda @ (0.01 * np.ones(3))
+
+    def target(t: float) -> np.ndarray:
+        return here + 0.01 + np.array([t * t, 0.0, t**3])
+
+    known = Track(target, lambda t: np.array([2.0 * t, 0.0, 3.0 * t * t]), gain=3.0)
+    for task, wanted in (
+        (known, [0.3, 0.0, 3.0 * 0.15**2]),  # in the middle of 0.1 ... 0.2
+        (Track(target, gain=3.0), [(0.04 - 0.01) / 0.1, 0.0, (0.008 - 0.001) / 0.1]),
+    ):
+        b, E = task.velocity_and_jacobian(constraint, q, 0.1, 0.1)
+        ahead = pull + Lambda @ [0.01, 0.0, 0.001]
+        np.testing.assert_allclose(b, 3.0 * ahead + Lambda @ wanted, rtol=0, atol=1e-12)
+        assert E is None
+    np.testing.assert_allclose(Track(target, gain=3.0).velocity(constraint, q, 0.0), 3.0 * pull, atol=1e-12)
+    np.testing.assert_allclose(known.velocity(constraint, q, 0.0), 3.0 * pull, atol=1e-12)
+
+
 def circle(t: float) -> np.ndarray:
     """0.1 m of radius, 0.5 m/s."""
     return 0.1 * np.array([np.sin(5.0 * t), np.cos(5.0 * t) - 1.0, 0.0])
