@@ -103,7 +103,7 @@ def test_rows_are_what_they_are_called(robot_of, rng):
 
 
 def test_rows_of_a_place_in_numbers(robot_of, rng):
-    """v, the rate of half the squared distance, w; the velocity of the hand's point at m; the products (p - m)_i v_j."""
+    """v, the rate of half the squared distance, w; the velocity of the hand's point at m; products (p - m)_i v_j."""
     robot, m = robot_of("panda"), np.array([0.3, -0.2, 0.6])
     q = robot.random_configuration(rng)
     J, d = robot.jacobian(q, robot.frame("panda_hand_tcp")), robot.position(q, "panda_hand_tcp") - m

@@ -98,6 +98,8 @@ def test_the_bound_of_the_ascent(robot_of, rng):
     assert climbing(ascent, others, rows) is ascent
     assert summed.climbs(others) and not summed.climbs(rows)
     assert not WeightedPolicies([ascent, zero], [0.0, 1.0]).climbs(rows)
+    crowded = Constraint(np.eye(4), CustomFeatures(lambda q: np.arange(8.0).reshape(4, 2) + q[0], "abcd", 2))
+    np.testing.assert_array_equal(ManipulabilityAscent(crowded)([0.3, 0.1]), np.zeros(2))  # more rows than joints
     for wrong in (0.0, -1.0, np.nan):
         with pytest.raises(ConstraintError, match="max_speed"):
             ManipulabilityAscent(rows, max_speed=wrong)
