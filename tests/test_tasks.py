@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from manip_learn.constraint.constraint import Constraint
-from manip_learn.constraint.features import CustomFeatures, FrameJacobian
+from manip_learn.constraint.features import CustomFeatures, FrameJacobian, MechanismRows
 from manip_learn.control.controller import ResolvedRateController
 from manip_learn.control.policies import ManipulabilityAscent
 from manip_learn.control.servo_loop import ServoLoop
@@ -145,3 +145,23 @@ def test_bad_targets(constraint, rng):
     features = CustomFeatures(lambda q: np.ones((1, 2)), ("a",), 2)
     with pytest.raises(FeatureError, match="no task coordinates"):
         PointAttractor([1.0]).velocity(Constraint([[1.0]], features), np.zeros(2), 0.0)
+
+
+def test_all_rows_are_driven_on_demand(constraint, robot_of):
+    """Every row of the features where the target has a number for each, or is a pose, the same object at each call; not
+    for rows of a mechanism, nor for numbers along the rows of Lambda. A task does not change.
+    """
+    for target in (np.zeros(3), np.eye(4)):
+        task = PointAttractor(target, driven="all")
+        rows = task.rows(constraint)
+        np.testing.assert_array_equal(rows.selection, np.eye(3))
+        assert rows.features is constraint.features and task.rows(constraint) is rows
+        assert PointAttractor(target).rows(constraint) is constraint
+    door = Constraint(np.eye(2), MechanismRows(robot_of("sawyer"), "right_hand", "radial axial"))
+    for target, of in ((np.zeros(2), constraint), (np.zeros(2), door)):
+        with pytest.raises(TargetError, match="driven='held'"):
+            PointAttractor(target, driven="all").rows(of)
+    with pytest.raises(TargetError, match="'held' or 'all'"):
+        PointAttractor(np.zeros(3), driven="free")  # type: ignore[arg-type]
+    with pytest.raises(TargetError, match="the gain of a task cannot be changed"):
+        PointAttractor(np.zeros(3)).gain = 2.0
