@@ -257,7 +257,9 @@ def along_axes(rows: Float[np.ndarray, "k p"]) -> Float[np.ndarray, "k p"]:
         axis = int(np.argmax(share))
         direction = remaining[:, axis] / np.linalg.norm(remaining[:, axis])
         row = direction @ remaining
-        out.append(row if row[np.argmax(np.abs(row))] > 0 else -row)
+        # the first of the largest entries, of which rounding does not decide
+        first = int(np.argmax(np.abs(row) > np.max(np.abs(row)) - 1e-6))
+        out.append(row if row[first] > 0 else -row)
         remaining = null_basis(direction[None, :]).T @ remaining if remaining.shape[0] > 1 else remaining[:0]
     # in the order of the axes that they point along most
     return np.array(sorted(out, key=lambda row: int(np.argmax(np.abs(row)))))

@@ -11,11 +11,13 @@ import pytest
 from test_axioms import pseudo_inverse
 from test_gradients import case
 
+from manip_learn.constraint.small_matrices import row_inverse, svd
 from manip_learn.linalg import (
     EPS,
     along_axes,
     batch_row_spaces,
     complement_rows,
+    damped_inverse,
     finite,
     inverse_singular_values,
     inverse_triangles,
@@ -89,6 +91,30 @@ def test_damped_inverse(rng):
     assert np.max(gain) <= 1 / (2 * 0.05) * 2
     slope = np.diff(gain) / np.diff(sigma)
     assert np.max(np.abs(np.diff(slope))) < 0.2  # the slope has no jump
+
+
+def test_damped_inverse_in_numbers():
+    """sigma / (sigma^2 + lambda^2), lambda = damping (1 - (sigma / threshold)^2) below the threshold and 0 above it."""
+    for sigma, wanted in ((0.0, 0.0), (0.05, 0.05 / (0.05**2 + 0.03**2)), (0.1, 10.0), (0.2, 5.0)):
+        assert damped_inverse(sigma, 0.1, 0.04) == pytest.approx(wanted, rel=1e-12)
+
+
+def test_row_inverse_of_one_matrix(rng):
+    """A^{+T}, the volume and the smallest singular value; None where the condition number is too large for that."""
+    for s in (1, 2, 3, 6):
+        for ratio, known in ((1.0, True), (0.042, True), (0.038, s == 1)):
+            sigma = [3.0, *(3.0 * np.linspace(0.5, ratio, s - 1) if s > 2 else [3.0 * ratio])][:s]
+            A = with_singular_values(rng, sigma, 7)
+            found = row_inverse(A)
+            assert (found is not None) is known, (s, ratio)
+            if found is not None:
+                X, volume, smallest = found
+                np.testing.assert_allclose(X, np.linalg.pinv(A).T, rtol=0, atol=1e-11)
+                assert (volume, smallest) == (pytest.approx(np.prod(sigma)), pytest.approx(np.min(sigma)))
+            U, values, Vt = svd(A)
+            assert (U.shape, Vt.shape) == ((s, s), (7, 7))
+            np.testing.assert_allclose((U * values) @ Vt[:s], A, rtol=0, atol=1e-13)
+    assert row_inverse(np.ones((3, 2))) is None and row_inverse(np.zeros((1, 3))) is None
 
 
 def test_unknown_inverse_is_refused():

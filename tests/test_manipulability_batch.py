@@ -19,6 +19,7 @@ from manip_learn.constraint.manipulability import (
 )
 from manip_learn.constraint.manipulability_batch import manipulability_batch
 from manip_learn.errors import ConfigurationError
+from manip_learn.linalg import EPS
 
 COMPILED = ("planar3", "sawyer", "panda", "kinova", "gantry", "tree", "mimic", "one")
 
@@ -105,6 +106,10 @@ def test_exact_singularities(robot_of: RobotOf) -> None:
     batch = manipulability_batch(constraint, q)
     for i, x in enumerate(q):
         np.testing.assert_allclose(batch.gradient[i], manipulability_gradient(constraint, x), rtol=0, atol=1e-10)
+        expected = log_manipulability_gradient(constraint, x)
+        np.testing.assert_allclose(batch.log_gradient[i], expected, rtol=0, atol=1e-6 * np.max(np.abs(expected)))
+    sigma = np.linalg.svd(constraint(q[1]), compute_uv=False)
+    np.testing.assert_allclose(batch.floor, [0.0, 64.0 * EPS * sigma[0] ** 2, 0.0, batch.floor[3]], rtol=1e-9)
     assert batch.mu[1] < 1e-15 and np.linalg.norm(batch.gradient[1]) > 0.1
     assert np.all(np.isfinite(batch.log_gradient))
 

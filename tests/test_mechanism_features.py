@@ -14,6 +14,7 @@ from test_gradients import case, central_difference
 
 from manip_learn.constraint.constraint import Constraint
 from manip_learn.constraint.features import FrameJacobian, MechanismRows
+from manip_learn.constraint.features.mechanism_rows import FIELDS, PlaceRows
 from manip_learn.constraint.manipulability import manipulability, manipulability_gradient
 from manip_learn.constraint.manipulability_batch import manipulability_batch
 from manip_learn.control.compiled_controller import CompiledController
@@ -64,6 +65,66 @@ def test_manipulability_gradient(robot_of, rng, name):
                     np.testing.assert_allclose(
                         gradient, expected, rtol=0, atol=1e-6 * max(np.linalg.norm(expected), mu)
                     )
+
+
+def test_rows_are_what_they_are_called(robot_of, rng):
+    """Each row is the velocity that its name says, in numbers; with a radius those of that distance."""
+    robot, h = robot_of("panda"), PITCH
+    q = robot.random_configuration(rng)
+    J, p = robot.jacobian(q, robot.frame("panda_hand_tcp")), robot.position(q, robot.frame("panda_hand_tcp"))
+    a = np.array(AXIS) / np.linalg.norm(AXIS)
+    for radius in (None, 0.3):
+        features = rows_of(robot, "panda", tuple(FIELDS), radius=radius)
+        first, second = features.geometry.across
+        np.testing.assert_allclose(np.linalg.det([first, second, a]), 1.0, rtol=1e-12)  # a right-handed base
+        d = p - POINT
+        x = d - (a @ d) * a
+        rho, far = (np.linalg.norm(x), np.linalg.norm(d)) if radius is None else (radius, radius)
+        size = rho * np.hypot(rho, h)
+        at_c = J[:3] + np.cross(J[3:].T, POINT - p).T  # of the hand's point that is at c
+        wanted = {
+            "radial": x / rho @ J[:3],
+            "tangential": np.cross(a, x) / rho @ J[:3],
+            "axial": a @ J[:3],
+            "helical": (rho**2 * a - h * np.cross(a, x)) / size @ J[:3],
+            "spherical": d / far @ J[:3],
+            "turn-1": first @ J[3:],
+            "turn-2": second @ J[3:],
+            "turn": a @ J[3:],
+            "slide-1": first @ at_c,
+            "slide-2": second @ at_c,
+            "slide": a @ at_c,
+            "screw": a @ at_c - h * a @ J[3:],
+        }
+        units = ["rad/s" if name.startswith("turn") else "m/s" for name in features.row_names]
+        assert set(wanted) == set(features.row_names) and list(features.row_units) == units
+        for name, row in zip(features.row_names, features(q), strict=True):
+            np.testing.assert_allclose(row, wanted[name], rtol=0, atol=1e-8, err_msg=f"{name}, radius {radius}")
+
+
+def test_rows_of_a_place_in_numbers(robot_of, rng):
+    """v, the rate of half the squared distance, w; the velocity of the hand's point at m; products (p - m)_i v_j."""
+    robot, m = robot_of("panda"), np.array([0.3, -0.2, 0.6])
+    q = robot.random_configuration(rng)
+    J, d = robot.jacobian(q, robot.frame("panda_hand_tcp")), robot.position(q, "panda_hand_tcp") - m
+    v, w, place, turn = J[:3], J[3:], ("m/s",) * 3, ("rad/s",) * 3
+    forms = {
+        "point": ([*v, d @ v], "x y z distance", (*place, "m^2/s")),
+        "point and rotation": ([*v, d @ v, *w], "x y z distance rx ry rz", (*place, "m^2/s", *turn)),
+        "twist": ([*(v + np.cross(d, w.T).T), *w], "x y z rx ry rz", (*place, *turn)),
+        "surface": ([*v, *np.kron(d[:, None], v)], "x y z xx xy xz yx yy yz zx zy zz", (*place, *("m^2/s",) * 9)),
+    }
+    for form, (rows, names, units) in forms.items():
+        features = PlaceRows(robot, "panda_hand_tcp", form, m)
+        np.testing.assert_allclose(features(q), rows, rtol=0, atol=1e-12, err_msg=form)
+        assert (features.row_names, features.row_units) == (tuple(names.split()), units)
+    for wrong, words in (
+        (("line", m), "form must be"),
+        (("point", m[:2]), "middle"),
+        (("point", m * np.nan), "middle"),
+    ):
+        with pytest.raises(FeatureError, match=words):
+            PlaceRows(robot, "panda_hand_tcp", *wrong)
 
 
 def test_finite_on_the_axis(robot_of, rng):
@@ -157,6 +218,7 @@ def test_wrong_arguments_say_what_is_wrong(robot_of):
         ({"rows": "axial", "pitch": np.inf}, "pitch"),
         ({"rows": "radial", "radius": 0.0}, "radius"),
         ({"rows": "radial", "radius": np.nan}, "radius"),
+        ({"rows": "radial", "radius": np.inf}, "radius"),
     ]
     for options, message in wrong:
         with pytest.raises(FeatureError, match=message):

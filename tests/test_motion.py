@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from functools import cache
 from pathlib import Path
 
@@ -11,7 +12,7 @@ import pytest
 import manip_learn as ml
 from manip_learn.constraint.features import FrameJacobian, MechanismRows
 from manip_learn.control.tasks.motion import motion_to
-from manip_learn.control.way import DONE, WayDone, simulate_way
+from manip_learn.control.way import DONE, WayDone, joint_at_limit, leads_away, simulate_way
 from manip_learn.errors import ConfigurationError, ConstraintError, TargetError
 
 DATA = Path(__file__).resolve().parents[1] / "examples" / "data"
@@ -179,6 +180,30 @@ def test_a_way_that_is_too_long_says_what_stops_it() -> None:
     assert not way.is_done and way.to_dict()["stopped_by"] == way.stopped_by
     with pytest.raises(ConfigurationError, match="must be a way"):
         simulate_way(drawer.robot, ml.ResolvedRateController(drawer), READY)
+
+
+def test_what_became_of_a_way_in_numbers_and_words(robot_of) -> None:
+    """Degrees in JSON; 2 mm astray; within 2 mrad of a limit a joint stands at it; a push leads away from the base."""
+    way = WayDone(np.pi, 0.5 * np.pi, "rad", 0.5, None, 2.1e-3, 0.4, ("a", 0.9), "the time")
+    told = {"wanted": 180.0, "done": 90.0, "unit": "deg", "deviation": 2.1e-3, "begins": 0.5, "seconds": None}
+    told |= {
+        "least_manipulability": 0.4,
+        "fastest_joint": {"name": "a", "share_of_limit": 0.9},
+        "stopped_by": "the time",
+    }
+    assert way.to_dict() == told and way.strays and not way.is_done
+    metres = replace(way, wanted=0.3, done=0.3, unit="m", deviation=1.9e-3, stopped_by=None)
+    assert (metres.to_dict()["wanted"], metres.to_dict()["unit"]) == (0.3, "m") and metres.is_done and not metres.strays
+    robot = robot_of("sawyer")
+    for k, (side, limits) in enumerate((("lower", robot.position_lower), ("upper", robot.position_upper))):
+        q, inward = np.zeros(7), 1.0 - 2.0 * k
+        q[2] = limits[2] + inward * 1.9e-3
+        assert joint_at_limit(robot, q) == f"joint 'right_j2' at its {side} limit of {limits[2]:.4g} rad"
+        q[2] = limits[2] + inward * 2.1e-3
+        assert joint_at_limit(robot, q) is None
+    handle = np.array([0.6, 0.0, 0.9])
+    ways = {(1.0, 0.0, 0.0): True, (-1.0, 0.0, 0.0): False, (0.51, 0.86, 0.0): True, (0.49, 0.87, 0.0): False}
+    assert {way: leads_away(handle, np.array(way)) for way in ways} == ways
 
 
 def test_a_line_does_not_turn_and_a_hinge_does_not_slide() -> None:

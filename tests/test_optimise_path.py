@@ -52,6 +52,32 @@ def test_derivatives_of_the_problem(robot_of, name, acceleration):
     assert not np.any(columns.T[~problem.patterns()[0]])
 
 
+def test_objective_and_constraints_in_numbers(robot_of):
+    """Mean of log mu bounded by the floor, the standstill of the task, the changes of velocity.
+
+    A (q_k - q_k-1) less the way that the task asks for in a step, the steps and their changes, within their bounds.
+    """
+    robot, rng = robot_of("sawyer"), np.random.default_rng(4)
+    constraint, task, start = reaching(robot, "right_hand", 2, 1)
+    bounds = JointBounds(robot.position_lower, robot.position_upper, robot.velocity_limit, np.full(7, 5.0))
+    problem = PathProblem(constraint, task, start, 0.1, 4, bounds, 0.2)
+    q, sigma = start + np.cumsum(0.02 * rng.normal(size=(4, 7)), axis=0), np.array([1.0, 0.5, 0.7, 0.0])
+    x, all_q = np.concatenate([q.reshape(-1), sigma]), np.vstack([start, q])
+    mu, change = np.array([ml.manipulability(constraint, p) for p in q]), np.diff(all_q, 2, axis=0)
+    wanted = np.mean(-0.5 * np.log(mu**2 + 0.04)) + np.mean(1.0 - sigma) + 0.5e-3 / (4 * 0.01) * np.sum(change**2)
+    assert problem.objective(x) == pytest.approx(wanted, rel=1e-12)
+    middle, step = 0.5 * (all_q[1:] + all_q[:-1]), np.diff(all_q, axis=0)
+    b = [task.velocity(constraint, m, 0.0) for m in middle]
+    rows = [constraint(m) @ u - 0.1 * s * r for m, u, s, r in zip(middle, step, sigma, b, strict=True)]
+    parts = (np.ravel(rows), step.ravel(), change.ravel())
+    np.testing.assert_allclose(problem.constraints(x), np.concatenate(parts), rtol=0, atol=1e-12)
+    most = np.concatenate([np.zeros(8), np.tile(0.1 * robot.velocity_limit, 4), np.full(21, 0.01 * 5.0)])
+    np.testing.assert_allclose(problem.constraint_bounds(), [-most, most])
+    low, high = problem.variable_bounds()
+    np.testing.assert_array_equal(low, [*np.tile(np.minimum(robot.position_lower, start), 4), *np.zeros(4)])
+    np.testing.assert_array_equal(high, [*np.tile(np.maximum(robot.position_upper, start), 4), *np.ones(4)])
+
+
 def test_hessian_of_the_objective(robot_of):
     """The Hessian without multipliers is that of the objective, smoothness included."""
     robot, rng = robot_of("sawyer"), np.random.default_rng(0)

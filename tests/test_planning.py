@@ -12,11 +12,12 @@ from test_gradients import case
 
 import manip_learn as ml
 from manip_learn.commands.demo import SCENES
-from manip_learn.control.law_sequence import JointMotion, every_joint
+from manip_learn.control.law_sequence import JointMotion, LawSequence, every_joint
 from manip_learn.control.limits import Limits
 from manip_learn.control.planning.approach import Clearance, clear_path, self_collision
 from manip_learn.control.planning.search import Ladder, _soft_margin, ladder_of, relaxed
 from manip_learn.control.planning.stations import Stations, margins_of, node_margins, rooms
+from manip_learn.robot.rotations import rotation_matrix
 
 PANDA_TIP = "panda_hand_tcp"
 READY = np.array([0.0, -0.5, 0.0, -2.0, 0.0, 1.7, 0.8])
@@ -234,6 +235,13 @@ def test_orientations_of_a_cone_are_inside_it(rng: np.random.Generator) -> None:
         cone = ml.GraspCone(axis=(0.0, 1.0, 0.0), angle=angle, turns=turns, direction=(1.0, 1.0, 0.0))
         found = cone.orientations(shown, rng)
         assert np.all(cone.holds(found, np.repeat(cone.toward(shown)[None], len(found), axis=0)))
+        assert len(found) == (49 if angle else {1: 1, 2: 2, None: 24}[turns])
+        np.testing.assert_allclose(found[0] @ [0.0, 1.0, 0.0], np.array([1.0, 1.0, 0.0]) / np.sqrt(2.0), atol=1e-12)
+        if angle:  # as wide as the cone, and evenly so over its cap
+            cosines = found[1:, :, 1] @ (np.array([1.0, 1.0, 0.0]) / np.sqrt(2.0))
+            assert np.cos(0.4) <= cosines.min() < 1.0 - 0.8 * (1.0 - np.cos(0.4))
+            off = rotation_matrix(np.array([0.0, 0.0, 1.0]) * 0.41) @ found[:1]
+            assert not cone.holds(off, cone.toward(shown)[None])[0]
         assert np.allclose(found @ found.transpose(0, 2, 1), np.eye(3)) and np.allclose(np.linalg.det(found), 1.0)
     assert np.allclose(ml.GraspCone().orientations(shown, rng)[0], shown)
     opposite = ml.GraspCone(direction=-shown[:, 2]).orientations(shown, rng)[0]
@@ -480,6 +488,33 @@ def test_joints_move_from_posture_to_posture_within_their_speeds(panda: ml.Robot
         JointMotion(panda, [READY * np.nan], 1.0)
     with pytest.raises(ml.ManipLearnError, match="positive"):
         JointMotion(panda, path, 0.0)
+
+
+def test_the_second_law_takes_over_where_the_joints_have_arrived(panda: ml.Robot) -> None:
+    """At the end of the approach if they are there to a milliradian, else a second later; a new run begins anew."""
+    goal = READY + 0.1
+    approach = JointMotion(panda, [READY, goal], 0.5, gain=4.0)
+    assert approach.duration == pytest.approx(1.0)  # half a second from rest to 0.2 rad/s: too short a way for 0.5
+    middle, rate = approach.at(0.5)
+    np.testing.assert_allclose([middle - READY, rate], [np.full(7, 0.05), np.full(7, 0.2)], atol=1e-12)
+    rail = line(panda, PANDA_TIP)
+    laws = (
+        ml.ResolvedRateController(every_joint(panda), approach, limits=False),
+        ml.ResolvedRateController(rail, ml.motion(rail, along=0.1), limits=False),
+    )
+    both = LawSequence(*laws)
+    for where, takes_over in ((goal, 1.0), (goal + 3e-4, 1.0), (goal + 4e-4, 2.0), (READY, 2.0)):
+        for t in (3.0, 3.35, 3.0 + takes_over - 0.01):
+            command = both(where, t)
+            assert both.way_begins is None and both.current is both.approach
+            assert command.manipulability == pytest.approx(ml.manipulability(both.way.constraint, where))
+            assert both.task_error(where, t) == pytest.approx(np.linalg.norm(where - goal))
+            wanted, speed = approach.at(t - 3.0)
+            np.testing.assert_allclose(command.velocity, speed + 4.0 * (wanted - where), rtol=0, atol=1e-9)
+        both(where, 3.0 + takes_over + 1e-9)
+        assert both.way_begins == pytest.approx(3.0 + takes_over) and both.current is both.way
+        assert len(both(where, 3.0 + takes_over + 0.1).task_velocity) == 3
+    assert both.way.task.way_begins == pytest.approx(0.0, abs=1e-6)  # on the clock of its own beginning
 
 
 def test_a_way_counts_as_the_recordings_went() -> None:

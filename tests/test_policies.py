@@ -19,8 +19,10 @@ from manip_learn.control.policies import (
     PenalisedManipulabilityAscent,
     WeightedPolicies,
     ZeroPolicy,
+    climbing,
 )
-from manip_learn.errors import ConfigurationError, TargetError
+from manip_learn.control.singularity import GROWTH, SEED_SPEED
+from manip_learn.errors import ConfigurationError, ConstraintError, TargetError
 from manip_learn.robot.limit_potential import limit_gradient
 
 
@@ -72,6 +74,35 @@ def test_ascent_climbs_out_of_singularities(robot_of):
             assert np.all(np.isfinite(direction)) and np.linalg.norm(direction) > 0.0
             step = 1e-3 * direction / np.linalg.norm(direction)
             assert manipulability(constraint, robot.integrate(q, step)) > manipulability(constraint, q)
+
+
+def test_the_bound_of_the_ascent(robot_of, rng):
+    """Along the gradient g of log mu: gain |g| at most, and max_speed / sqrt(1 + (dt max_speed |g| / GROWTH)^2).
+
+    Another constraint is climbed with the same settings, in sums too.
+    """
+    robot = robot_of("sawyer")
+    rows, others = (Constraint(rng.standard_normal((2, 3)), FrameJacobian(robot, "right_hand")) for _ in range(2))
+    for gain, speed, dt, size in product((0.5, 3.0), (1.0, 10.0, None), (0.001, 0.05), (0.2, 2.0, 50.0)):
+        slope = size * np.array([0.6, 0.0, -0.8, 0.0, 0.0, 0.0, 0.0])
+        longest = np.inf if speed is None else speed / np.sqrt(1.0 + (dt * speed * size / GROWTH) ** 2)
+        got = ManipulabilityAscent(rows, gain, max_speed=speed).bounded(slope, 0.1, dt)
+        np.testing.assert_allclose(got, slope / size * min(gain * size, longest), rtol=1e-12)
+    for speed, seed in ((None, SEED_SPEED), (10.0, SEED_SPEED), (0.5 * SEED_SPEED, 0.5 * SEED_SPEED)):
+        assert ManipulabilityAscent(rows, max_speed=speed).seed == seed
+    ascent, zero = ManipulabilityAscent(rows, 0.7, max_speed=2.0), ZeroPolicy(7)
+    summed = climbing(WeightedPolicies([ascent, zero], [0.5, 2.0]), rows, others)
+    assert isinstance(summed, WeightedPolicies) and summed.weights == (0.5, 2.0) and summed.policies[1] is zero
+    climbs = summed.policies[0]
+    assert climbs.constraint is others and (climbs.gain, climbs.logarithmic, climbs.max_speed) == (0.7, True, 2.0)
+    assert climbing(ascent, others, rows) is ascent
+    assert summed.climbs(others) and not summed.climbs(rows)
+    assert not WeightedPolicies([ascent, zero], [0.0, 1.0]).climbs(rows)
+    crowded = Constraint(np.eye(4), CustomFeatures(lambda q: np.arange(8.0).reshape(4, 2) + q[0], "abcd", 2))
+    np.testing.assert_array_equal(ManipulabilityAscent(crowded)([0.3, 0.1]), np.zeros(2))  # more rows than joints
+    for wrong in (0.0, -1.0, np.nan):
+        with pytest.raises(ConstraintError, match="max_speed"):
+            ManipulabilityAscent(rows, max_speed=wrong)
 
 
 def test_ascent_where_several_directions_are_lost():

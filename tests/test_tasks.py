@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from manip_learn.constraint.constraint import Constraint
-from manip_learn.constraint.features import CustomFeatures, FrameJacobian
+from manip_learn.constraint.features import CustomFeatures, FrameJacobian, MechanismRows
 from manip_learn.control.controller import ResolvedRateController
 from manip_learn.control.policies import ManipulabilityAscent
 from manip_learn.control.servo_loop import ServoLoop
@@ -75,6 +75,28 @@ def test_track_with_feed_forward_does_not_lag(constraint, rng):
     assert repr(task) == "Track(gain=4)"
 
 
+def test_a_target_that_moves_counts_over_the_step(constraint, rng):
+    """b for a time dt has the rate in its middle, or the way of the target in dt; without dt what was given alone."""
+    q = rng.uniform(-1, 1, 7)
+    here, Lambda = constraint.features.coordinates(q), constraint.selection
+    pull = Lambda @ (0.01 * np.ones(3))
+
+    def target(t: float) -> np.ndarray:
+        return here + 0.01 + np.array([t * t, 0.0, t**3])
+
+    known = Track(target, lambda t: np.array([2.0 * t, 0.0, 3.0 * t * t]), gain=3.0)
+    for task, wanted in (
+        (known, [0.3, 0.0, 3.0 * 0.15**2]),  # in the middle of 0.1 ... 0.2
+        (Track(target, gain=3.0), [(0.04 - 0.01) / 0.1, 0.0, (0.008 - 0.001) / 0.1]),
+    ):
+        b, E = task.velocity_and_jacobian(constraint, q, 0.1, 0.1)
+        ahead = pull + Lambda @ [0.01, 0.0, 0.001]
+        np.testing.assert_allclose(b, 3.0 * ahead + Lambda @ wanted, rtol=0, atol=1e-12)
+        assert E is None
+    np.testing.assert_allclose(Track(target, gain=3.0).velocity(constraint, q, 0.0), 3.0 * pull, atol=1e-12)
+    np.testing.assert_allclose(known.velocity(constraint, q, 0.0), 3.0 * pull, atol=1e-12)
+
+
 def circle(t: float) -> np.ndarray:
     """0.1 m of radius, 0.5 m/s."""
     return 0.1 * np.array([np.sin(5.0 * t), np.cos(5.0 * t) - 1.0, 0.0])
@@ -123,3 +145,23 @@ def test_bad_targets(constraint, rng):
     features = CustomFeatures(lambda q: np.ones((1, 2)), ("a",), 2)
     with pytest.raises(FeatureError, match="no task coordinates"):
         PointAttractor([1.0]).velocity(Constraint([[1.0]], features), np.zeros(2), 0.0)
+
+
+def test_all_rows_are_driven_on_demand(constraint, robot_of):
+    """Every row of the features where the target has a number for each, or is a pose, the same object at each call; not
+    for rows of a mechanism, nor for numbers along the rows of Lambda. A task does not change.
+    """
+    for target in (np.zeros(3), np.eye(4)):
+        task = PointAttractor(target, driven="all")
+        rows = task.rows(constraint)
+        np.testing.assert_array_equal(rows.selection, np.eye(3))
+        assert rows.features is constraint.features and task.rows(constraint) is rows
+        assert PointAttractor(target).rows(constraint) is constraint
+    door = Constraint(np.eye(2), MechanismRows(robot_of("sawyer"), "right_hand", "radial axial"))
+    for target, of in ((np.zeros(2), constraint), (np.zeros(2), door)):
+        with pytest.raises(TargetError, match="driven='held'"):
+            PointAttractor(target, driven="all").rows(of)
+    with pytest.raises(TargetError, match="'held' or 'all'"):
+        PointAttractor(np.zeros(3), driven="free")  # type: ignore[arg-type]
+    with pytest.raises(TargetError, match="the gain of a task cannot be changed"):
+        PointAttractor(np.zeros(3)).gain = 2.0

@@ -8,7 +8,7 @@ affine in p; rows of a hand that may be at any distance are made unit length.
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Any, Literal, final, get_args
@@ -219,19 +219,6 @@ class MechanismRows(WeighedVelocity):
             "pitch": self.geometry.pitch,
             **({} if self.radius is None else {"radius": self.radius}),
         }
-
-    @staticmethod
-    def from_description(robot: Robot, described: Mapping[str, Any]) -> MechanismRows:
-        """The feature map that `describe` wrote down."""
-        return MechanismRows(
-            robot,
-            described["frame"],
-            described["rows"],
-            axis=described["axis"],
-            point=described["point"],
-            pitch=described["pitch"],
-            radius=described.get("radius"),
-        )
 
     def __repr__(self) -> str:
         a, c = (", ".join(f"{x:.4g}" for x in v) for v in (self.geometry.axis, self.geometry.point))

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from typing import Any, final
 
 import numpy as np
@@ -218,11 +218,7 @@ class Stacked(FeatureMap):
         goal = np.asarray(target, dtype=np.float64)
         if goal.shape != (self.n_rows,):
             return super().error_to(goal, q)
-        out, row = [], 0
-        for part in self.parts:
-            out.append(part.error_to(goal[row : row + part.n_rows], q))
-            row += part.n_rows
-        return np.concatenate(out)
+        return np.concatenate([part.error_to(own, q) for part, own in self._by_part(goal)])
 
     def coordinates_jacobian(self, q: ArrayLike) -> Float[np.ndarray, "p nv"] | None:
         """Rates of the coordinates, part by part."""
@@ -233,9 +229,12 @@ class Stacked(FeatureMap):
         goal = np.asarray(target, dtype=np.float64)
         if goal.shape != (self.n_rows,):
             return None  # no part knows what is meant: `error_to` says so
+        return self._stack([part.error_jacobian(own, q) for part, own in self._by_part(goal)], q)
+
+    def _by_part(self, goal: np.ndarray) -> Iterable[tuple[FeatureMap, np.ndarray]]:
+        """Each part with its own numbers of the goal."""
         ends = np.cumsum([part.n_rows for part in self.parts])
-        parts = zip(self.parts, np.split(goal, ends[:-1]), strict=True)
-        return self._stack([part.error_jacobian(own, q) for part, own in parts], q)
+        return zip(self.parts, np.split(goal, ends[:-1]), strict=True)
 
     def _stack(self, blocks: list[Float[np.ndarray, "k nv"] | None], q: ArrayLike) -> np.ndarray | None:
         if all(block is None for block in blocks):
@@ -276,7 +275,8 @@ def _described(described: dict[str, Any], robot: Robot) -> FeatureMap:
     if kind == "centre-of-mass":
         return CentreOfMass(robot, " ".join(described["axes"]))
     if kind == "mechanism-rows":
-        return MechanismRows.from_description(robot, described)
+        place = {name: described[name] for name in ("axis", "point", "pitch")}
+        return MechanismRows(robot, described["frame"], described["rows"], **place, radius=described.get("radius"))
     if kind == "place-rows":
         return PlaceRows(robot, described["frame"], described["form"], described["middle"])
     if kind == "stacked":

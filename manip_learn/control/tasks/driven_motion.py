@@ -17,7 +17,7 @@ from manip_learn.constraint.features.frame_jacobian import AXES, FrameJacobian, 
 from manip_learn.constraint.features.mechanism_rows import MechanismRows, Place
 from manip_learn.constraint.features.relative_frame_jacobian import RelativeFrameJacobian
 from manip_learn.errors import ConstraintError, TargetError, advice
-from manip_learn.linalg import complement_rows, finite
+from manip_learn.linalg import along_axes, complement_rows, finite
 from manip_learn.robot.rotations import left_jacobian, left_jacobian_inverse, rotation_matrix, rotation_vector, skew
 
 Unit = Literal["m", "rad"]
@@ -254,7 +254,6 @@ class MotionProfile:
 
 
 FREE = 0.1  # share of a direction that must be free for it to be meant
-NEGLIGIBLE = 1e-6
 # share of a direction that is translation, or rotation: a learnt one leaks by its uncertainty, 0.1 at most
 PURE = 0.995
 
@@ -344,22 +343,20 @@ class StraightMotion(DrivenMotion):
 def _direction(
     constraint: Constraint, direction: ArrayLike | None, unit: Unit | None, angular: np.ndarray
 ) -> Float[np.ndarray, " p"]:
-    features, Lambda = constraint.features, constraint.selection
-    p, free = features.n_rows, features.n_rows - constraint.n_constraints
-    projector = np.eye(p) - Lambda.T @ Lambda
-    if free < 1:
+    features, p, free = constraint.features, constraint.features.n_rows, complement_rows(constraint.selection)
+    if not len(free):
         raise ConstraintError(f"the constraint leaves none of {' '.join(features.row_names)} free to move along")
     if unit is not None and direction is None:
-        projector, free = _of_one_unit(Lambda, angular if unit == "rad" else ~angular)
-        if free < 1:
+        free = _of_one_unit(free, angular if unit == "rad" else ~angular)
+        if not len(free):
             what = "turn about" if unit == "rad" else "move along"
             raise ConstraintError(f"the constraint leaves nothing of {' '.join(features.row_names)} free to {what}")
     if direction is None:
-        basis = free_directions(projector, free)
-        if free > 1:
+        basis = along_axes(free)
+        if len(free) > 1:
             words = "; ".join(in_words(row, features.row_names) for row in basis)
             raise ConstraintError(
-                f"the constraint leaves {free} directions free ({words}): say along which one to move"
+                f"the constraint leaves {len(free)} directions free ({words}): say along which one to move"
                 + advice(" with {}", "direction=", "--direction " + ",".join(f"{c:.3g}" for c in basis[0]))
             )
         return basis[0]
@@ -372,40 +369,22 @@ def _direction(
             f"the direction must be {p} finite numbers ({', '.join(features.row_names)}) that are not all zero, "
             f"got {direction!r}"
         )
-    moved = projector @ given
+    moved = free.T @ (free @ given)
     if np.linalg.norm(moved) < FREE * np.linalg.norm(given):
-        words = "; ".join(in_words(row, features.row_names) for row in free_directions(projector, free))
+        words = "; ".join(in_words(row, features.row_names) for row in along_axes(free))
         raise TargetError(f"the constraint holds the direction {given.tolist()}; free is {words}")
     return moved / np.linalg.norm(moved)
 
 
-def _of_one_unit(Lambda: Float[np.ndarray, "s p"], wanted: np.ndarray) -> tuple[Float[np.ndarray, "p p"], int]:
-    """The projector onto the free directions that only translate, or only rotate, and how many there are.
+def _of_one_unit(free: Float[np.ndarray, "k p"], wanted: np.ndarray) -> Float[np.ndarray, "m p"]:
+    """Of the free directions those that only translate, or only rotate.
 
     A learnt Lambda leaks a little from one to the other: a direction counts from `PURE` of it on. A single free twist
     that does both, of a hinge or a screw in the hand's axes, counts as what it mostly is.
     """
-    free = complement_rows(Lambda).T  # (p, k)
-    _, sigma, Vt = np.linalg.svd(free[wanted], full_matrices=True)
-    pure = free @ Vt[: int(np.count_nonzero(sigma > PURE))].T
-    if pure.shape[1] == 0 and free.shape[1] == 1 and np.sum(free[wanted] ** 2) > 0.5:
-        pure = free
-    return pure @ pure.T, pure.shape[1]
-
-
-def free_directions(projector: Float[np.ndarray, "p p"], number: int) -> Float[np.ndarray, "k p"]:
-    """An orthonormal base of what a projector leaves, each along an axis as far as that goes (pivoted Gram-Schmidt).
-
-    The largest entry of each is positive, so that the sense of a direction does not depend on rounding.
-    """
-    rest, out = projector.copy(), []
-    for _ in range(number):
-        row = rest[int(np.argmax(np.diag(rest)))].copy()
-        row /= np.linalg.norm(row)
-        row *= np.sign(row[int(np.argmax(np.abs(row) > np.max(np.abs(row)) - NEGLIGIBLE))])
-        out.append(row)
-        rest -= np.outer(row, row)
-    return np.array(out)
+    U, sigma, _ = np.linalg.svd(free[:, wanted])
+    pure = U.T[: int(np.count_nonzero(sigma > PURE))] @ free
+    return free if not len(pure) and len(free) == 1 and np.sum(free[:, wanted] ** 2) > 0.5 else pure
 
 
 def in_words(row: Float[np.ndarray, " p"], names: tuple[str, ...]) -> str:
