@@ -33,9 +33,18 @@ from manip_learn.learning.explanation.evidence import (
     uncovered,
     ways_to_choose,
 )
-from manip_learn.learning.explanation.explain import SAME, Hypothesis, distinct, fitted_rows, proposed, supports_of
+from manip_learn.learning.explanation.explain import (
+    SAME,
+    Explanation,
+    Hypothesis,
+    distinct,
+    explain,
+    fitted_rows,
+    proposed,
+    supports_of,
+)
 from manip_learn.learning.explanation.findings import IN_ONE_ONLY, Findings, agreeing, find
-from manip_learn.learning.explanation.row_motion import RowMotion, broken_energy, joints_at_once, views_of
+from manip_learn.learning.explanation.row_motion import RowMotion, View, broken_energy, joints_at_once, views_of
 from manip_learn.linalg import complement_rows, row_space_angle
 from manip_learn.recordings.demonstrations import Demonstrations
 from manip_learn.recordings.trajectory import Trajectory
@@ -286,6 +295,8 @@ def test_stretches_are_as_long_as_what_moves_in_them():
     np.testing.assert_allclose(free, [(0.0, 0.39), (0.61, 0.99), (2.01, 4.0)], atol=0.011)
     beside = [(s.trajectory, s.start, s.end) for s in uncovered(motion, held)]
     np.testing.assert_allclose(beside, [(0, 0.0, 0.99), (0, 2.01, 4.0)], atol=0.011)
+    (after,) = uncovered(motion, [Stretch(0, 0.0, 1.05), held[1]])
+    assert (after.start, after.end) == pytest.approx((1.21, 4.0))
     assert np.count_nonzero(covered(motion, held)) == 80 + 401
     assert held[0].shared(Stretch(0, 1.0, 1.5)) == pytest.approx(0.29)
     assert held[0].shared(Stretch(0, 2.5, 3.0)) == held[0].shared(Stretch(1, 1.0, 1.5)) == 0.0
@@ -398,6 +409,46 @@ def test_whoever_looks_for_what_is_still_pays_for_the_choice():
     two_in_one = [Stretch(0, 0.5, 1.5), Stretch(0, 2.0, 3.0)]
     assert ways_to_choose(motion, two_in_one) == pytest.approx(3.0 * 4.0 * 4.0 / 2.0, rel=0.03)
     assert ways_to_choose(motion, [Stretch(i, 0.0, 4.0) for i in range(3)]) == pytest.approx(1.0)
+
+
+def test_a_hypothesis_needs_support_a_test_and_a_difference():
+    """Forty nats beside the best supporter, after its price; the test of chance; and rows that differ from others' by
+    more than they give way themselves.
+    """
+    asked: list[float] = []
+
+    def explained(seconds: float, believed: bool = True) -> Explanation:
+        motion = flat_motion(still, still, still, seconds=seconds)
+        view = View(ml.CustomFeatures(lambda q: np.eye(2), ("x", "y"), 2), motion, motion.thinned(), 1)
+
+        def test(_: View, h: Hypothesis, held: np.ndarray) -> bool:
+            asked.append(h.support)
+            assert np.all(held)
+            return believed
+
+        asked.clear()
+        return explain([view], test)
+
+    found = explained(4.0)
+    (h,), thin = found.hypotheses, found.thin
+    np.testing.assert_allclose(np.abs(h.rows), [[0.0, 1.0]], atol=1e-3)
+    assert (h.n_rows, h.scale.share) == (1, 0.003) and np.all(found.states == 1) and not found.refused
+    np.testing.assert_allclose(found.supports, found.gains.sum(axis=0) - found.gains.max(axis=0))
+    assert found.explained.sum() == pytest.approx(found.gains.sum())
+    refused = explained(4.0, believed=False)
+    assert refused.hypotheses == () and len(refused.refused) >= 1 and np.all(refused.states == 0)
+    assert explained(0.3).hypotheses == () and not asked
+    assert len(explained(0.5).hypotheses) == 1 and 40.0 < asked[0] < 80.0
+    for degrees, twins in ((1.0, True), (1.3, False)):  # 0.02 rad are 1.15 degrees
+        turned = np.array([[np.sin(np.radians(degrees)), np.cos(np.radians(degrees))]])
+        pair = [Hypothesis(0, rows, HeldScale(1.0, 0.01), np.zeros(3)) for rows in (np.eye(2)[1:], turned)]
+        both = Explanation(found.views, pair)
+        assert both.has_twins == twins and both.angle(0, 1) == pytest.approx(np.radians(degrees))
+    assert both.angle(0, 1) < Explanation([*found.views] * 2, [pair[0], dataclasses.replace(pair[1], view=1)]).angle(
+        0, 1
+    )
+    assert len(both.without_idle().hypotheses) == 1 and len(thin) < len(found.views[0].motion)
+    assert thin.weight.sum() == pytest.approx(found.views[0].motion.weight.sum(), rel=0.03)
 
 
 def test_a_contact_has_to_pass_every_gate(monkeypatch):
