@@ -81,6 +81,46 @@ def test_what_is_stated_holds_in_two_cases_of_three(robot_of, kind, smoothed):
         assert np.median(ratios) > 1.0 / 3.0, name
 
 
+def test_what_a_fit_says_of_its_residuals(robot_of):
+    """A door with known noise: the radius is that of the middle trajectory, with what the others differ by; held rows
+    scatter on left-out trajectories as the noise moves the hand; neighbours that share their noise are told; what bends
+    the path stands off by its own error; and draws have the covariance that is stated.
+    """
+    robot, (path, shared) = robot_of("panda"), KINDS["hinge"]
+    exact = [t.q for t in demonstrate(robot, TIP, MIDDLE, path, np.random.default_rng(3), noise=0.0)]
+    radii = [np.linalg.norm(np.cross(AXIS, robot.position(q[0], robot.frame(TIP)) - POINT)) for q in exact]
+    rng = np.random.default_rng(14)
+    white = [rng.normal(0.0, NOISE, q.shape) for q in exact]
+    smooth = [np.apply_along_axis(np.convolve, 0, e, np.full(5, 0.2), "same") for e in white]
+    fits = {name: fitted(robot, "hinge", [q + e for q, e in zip(exact, noise, strict=True)], ())
+            for name, noise in (("white", white), ("smooth", smooth))}  # fmt: skip
+    fit = fits["white"]
+    assert fit.radius.value == pytest.approx(np.median(radii), abs=3e-3)
+    each = fit.constants[:, 0]
+    assert fit.radius.spread == pytest.approx(np.quantile(np.abs(each - np.median(each)), 0.683))
+    assert fit.m == 4 and fit.slopes.shape[2] == 4 and len(fit.clusters) == 5
+    tied = fitted(robot, "hinge", [q + e for q, e in zip(exact, white, strict=True)], shared)
+    assert tied.slopes.shape[2] == 5 and tied.m == 4 and np.ptp(tied.constants[:, 0]) == 0.0
+    # a row's scatter: the noise of all joints through the row, over all samples
+    S = fit.weights.noise @ fit.weights.noise.transpose(0, 2, 1)
+    moved = fit.weights.back @ S @ fit.weights.back
+    for name, column in (("radius", 0), ("height", 1)):
+        expected = NOISE * np.sqrt(np.mean(moved[:, column, column]))
+        assert fit.held_out[name] == pytest.approx([expected], rel=0.15), name
+    np.testing.assert_allclose(fit.weights.root @ fit.weights.back, np.tile(np.eye(2), (len(S), 1, 1)), atol=1e-9)
+    assert fit.noise[2] < 1.2
+    # a mean of five neighbours: correlations 0.8, 0.6, 0.4, 0.2
+    assert fits["smooth"].noise[2] == pytest.approx(1.0 + 2.0 * (0.8 + 0.6 + 0.4 + 0.2), rel=0.2)
+    size, sigma = fit.size
+    assert size == fit.radius.value and 2e-4 < sigma < 5e-3
+    covariance = fit.noise[0]
+    drawn = [fit.errors(np.random.default_rng(seed)) for seed in range(3)]
+    point = np.concatenate([one.numbers for one in drawn])[:, 3:6]
+    T = tangents(fit.kind, fit.place)[3:6]
+    # and what the joints' zeros may be, beside the noise
+    assert 0.8 < np.trace(np.cov(point.T)) / np.trace(T @ covariance[:4, :4] @ T.T) < 3.0
+
+
 def test_weights_make_the_place_better(robot_of):
     """Where the arm is, an error of the joints moves the hand more along some directions than others: with the weights
     the error of a door's place is smaller than with equal ones, over the same draws.
