@@ -33,9 +33,29 @@ from manip_learn.learning.explanation.evidence import (
     uncovered,
     ways_to_choose,
 )
-from manip_learn.learning.explanation.explain import SAME, Hypothesis, distinct, fitted_rows, proposed, supports_of
+from manip_learn.learning.explanation.explain import (
+    SAME,
+    Explanation,
+    Hypothesis,
+    _least_used,
+    _recordings,
+    _window_moments,
+    distinct,
+    explain,
+    fitted_rows,
+    proposed,
+    supports_of,
+)
 from manip_learn.learning.explanation.findings import IN_ONE_ONLY, Findings, agreeing, find
-from manip_learn.learning.explanation.row_motion import RowMotion, broken_energy, joints_at_once, views_of
+from manip_learn.learning.explanation.row_motion import (
+    RowMotion,
+    View,
+    broken_energy,
+    joints_at_once,
+    mechanism_features,
+    velocity_noise,
+    views_of,
+)
 from manip_learn.linalg import complement_rows, row_space_angle
 from manip_learn.recordings.demonstrations import Demonstrations
 from manip_learn.recordings.trajectory import Trajectory
@@ -286,6 +306,8 @@ def test_stretches_are_as_long_as_what_moves_in_them():
     np.testing.assert_allclose(free, [(0.0, 0.39), (0.61, 0.99), (2.01, 4.0)], atol=0.011)
     beside = [(s.trajectory, s.start, s.end) for s in uncovered(motion, held)]
     np.testing.assert_allclose(beside, [(0, 0.0, 0.99), (0, 2.01, 4.0)], atol=0.011)
+    (after,) = uncovered(motion, [Stretch(0, 0.0, 1.05), held[1]])
+    assert (after.start, after.end) == pytest.approx((1.21, 4.0))
     assert np.count_nonzero(covered(motion, held)) == 80 + 401
     assert held[0].shared(Stretch(0, 1.0, 1.5)) == pytest.approx(0.29)
     assert held[0].shared(Stretch(0, 2.5, 3.0)) == held[0].shared(Stretch(1, 1.0, 1.5)) == 0.0
@@ -398,6 +420,131 @@ def test_whoever_looks_for_what_is_still_pays_for_the_choice():
     two_in_one = [Stretch(0, 0.5, 1.5), Stretch(0, 2.0, 3.0)]
     assert ways_to_choose(motion, two_in_one) == pytest.approx(3.0 * 4.0 * 4.0 / 2.0, rel=0.03)
     assert ways_to_choose(motion, [Stretch(i, 0.0, 4.0) for i in range(3)]) == pytest.approx(1.0)
+
+
+def test_a_hypothesis_needs_support_a_test_and_a_difference():
+    """Forty nats beside the best supporter, after its price; the test of chance; and rows that differ from others' by
+    more than they give way themselves.
+    """
+    asked: list[float] = []
+
+    def explained(seconds: float, believed: bool = True) -> Explanation:
+        motion = flat_motion(still, still, still, seconds=seconds)
+        view = View(ml.CustomFeatures(lambda q: np.eye(2), ("x", "y"), 2), motion, motion.thinned(), 1)
+
+        def test(_: View, h: Hypothesis, held: np.ndarray) -> bool:
+            asked.append(h.support)
+            assert np.all(held)
+            return believed
+
+        asked.clear()
+        return explain([view], test)
+
+    found = explained(4.0)
+    (h,), thin = found.hypotheses, found.thin
+    np.testing.assert_allclose(np.abs(h.rows), [[0.0, 1.0]], atol=1e-3)
+    assert (h.n_rows, h.scale.share) == (1, 0.003) and np.all(found.states == 1) and not found.refused
+    np.testing.assert_allclose(found.supports, found.gains.sum(axis=0) - found.gains.max(axis=0))
+    assert found.explained.sum() == pytest.approx(found.gains.sum())
+    refused = explained(4.0, believed=False)
+    assert refused.hypotheses == () and len(refused.refused) >= 1 and np.all(refused.states == 0)
+    assert explained(0.3).hypotheses == () and not asked
+    assert len(explained(0.5).hypotheses) == 1 and 40.0 < asked[0] < 80.0
+    for degrees, twins in ((1.0, True), (1.3, False)):  # 0.02 rad are 1.15 degrees
+        turned = np.array([[np.sin(np.radians(degrees)), np.cos(np.radians(degrees))]])
+        pair = [Hypothesis(0, rows, HeldScale(1.0, 0.01), np.zeros(3)) for rows in (np.eye(2)[1:], turned)]
+        both = Explanation(found.views, pair)
+        assert both.has_twins == twins and both.angle(0, 1) == pytest.approx(np.radians(degrees))
+    assert both.angle(0, 1) < Explanation([*found.views] * 2, [pair[0], dataclasses.replace(pair[1], view=1)]).angle(
+        0, 1
+    )
+    assert len(both.without_idle().hypotheses) == 1 and len(thin) < len(found.views[0].motion)
+    assert thin.weight.sum() == pytest.approx(found.views[0].motion.weight.sum(), rel=0.03)
+
+
+def test_samples_stand_for_their_time(rng):
+    """Each for half a step on either side, a gap of more than 0.2 s for no more than that; of evenly chosen ones, 25 a
+    second, for those between them. White noise is told from a smooth motion.
+    """
+    features, time = ml.CustomFeatures(lambda q: np.eye(2), ("x", "y"), 2), np.array([0.0, 0.1, 0.3, 0.9])
+    uneven = RowMotion.collect(features, [Trajectory(time, np.zeros((4, 2)), np.ones((4, 2)))] * 2)
+    np.testing.assert_allclose(uneven.weight, [0.1, 0.15, 0.2, 0.2] * 2)
+    assert uneven.first.tolist() == [0, 4, 8] and uneven.n_trajectories == 2
+    motion = flat_motion(still, still)
+    thin = motion.thinned()
+    assert thin.first.tolist() == [0, 100, 200] and np.allclose(thin.weight, 0.04)
+    np.testing.assert_allclose(thin.time[[0, 1, 100, -1]], [0.02, 0.06, 0.02, 3.98])
+    (view,) = views_of([features], [Trajectory(motion.time[:401], motion.rates[:401], motion.rates[:401])])
+    assert view.largest == 1 and view.immovable.shape == (0, 2)
+    time = np.arange(0.0, 8.0, 0.01)
+    for nv, least in ((2, 0.85), (7, 0.4)):
+        smooth = np.sin(time[:, None] * rng.uniform(0.5, 2.0, nv))
+        noisy = Trajectory(time, smooth, smooth + 0.03 * rng.standard_normal(smooth.shape))
+        assert least < velocity_noise(noisy) / 0.03**2 < 1.15, nv
+        still_one = Trajectory(time, smooth, 0.0 * smooth + 2.0)
+        assert velocity_noise(still_one) == pytest.approx(4e-10)
+
+
+def test_windows_are_sums_over_what_moves_in_them():
+    """Every half length one, of r r^T and Phi Phi^T by the time, if more than half of it moves."""
+    motion = flat_motion(*[lambda time: 0.0 * time] * 2, pause=(2.0, 3.5))
+    found = _window_moments(motion, (0.6,))
+    # 12 begin in a recording; those from 1.8 to 3.0 s hardly move
+    assert np.bincount(found.trajectory).tolist() == [7, 7]
+    np.testing.assert_allclose(found.M[0, 0, 0], 0.6, rtol=0.03)
+    np.testing.assert_allclose(found.S[0], 0.6 * np.eye(2), atol=0.02)
+    np.testing.assert_allclose(found.noise, motion.noise[0])
+    sizes, rows = _least_used(found)
+    np.testing.assert_allclose(np.abs(rows[:, 0]), [[0.0, 1.0 / np.sqrt(0.6)]] * 14, atol=0.03)
+    assert np.all(sizes[:, 0] < 2e-3) and sizes[0, 1] == pytest.approx(1.0, rel=0.03)
+    whole = _recordings(motion, motion.time < 1.0)
+    assert [len(part.M) for part in whole] == [2, 1, 1] and whole[1].M[0, 0, 0] == pytest.approx(2.0, rel=0.03)
+    np.testing.assert_allclose(whole[2].M, whole[0].M.sum(axis=0)[None])
+
+
+def test_mechanisms_are_looked_for_where_the_frame_is_whole(robot_of):
+    """Rows about a place where all of a frame's translation is asked for, with its rotation where that is, too."""
+    made = [Trajectory(np.arange(3.0), np.tile(np.linspace(0.1, 0.7, 7), (3, 1)), np.ones((3, 7)))]
+    for axes, forms in (("xyz", ["point"]), ("pose", ["point and rotation", "twist"]), ("x y", []), ("rotation", [])):
+        maps = [FrameJacobian(robot_of("panda"), "panda_hand_tcp", axes)]
+        found = mechanism_features(maps, made)
+        assert [f.form for f in found] == forms, axes
+    assert mechanism_features([ml.CustomFeatures(lambda q: np.eye(3), ("x", "y", "z"), 3)], made) == []
+
+
+def test_a_stretch_that_is_short_beside_the_others_is_chance():
+    """Less than a quarter of the usual length: another motion that passes along the free directions. It is free motion,
+    as is all that is not held; the part with the most support comes first.
+    """
+    motion = flat_motion(*[still] * 4, seconds=6.0)
+    features = ml.CustomFeatures(lambda q: np.eye(2), ("x", "y"), 2)
+    time, rates = motion.time[:601], np.split(motion.rates, 4)
+    made = Demonstrations([Trajectory(time, np.zeros((601, 2)), u, name=f"d{i}") for i, u in enumerate(rates)])
+    view = View(features, motion, motion.thinned(), 1)
+    rows = (np.eye(2)[1:], np.array([[0.6, 0.8]]))
+    pair = [Hypothesis(0, row, HeldScale(1.0, 0.003), np.zeros(4)) for row in rows]
+    for until, kept in ((5.0, False), (5.5, True)):
+        states = 2 * ((motion.time > 0.495) & (motion.time < 3.505)).astype(int)
+        states[(motion.trajectory == 3) & (motion.time > 4.495) & (motion.time < until + 0.005)] = 2
+        states[(motion.trajectory != 3) & (motion.time > 4.495) & (motion.time < 5.405)] = 1
+        told = SimpleNamespace(views=[view], hypotheses=pair[::-1], supports=np.array([90.0, 100.0]))
+        told.fine_states, told.angle = lambda s=states: s, lambda i, j: np.radians(5.1)
+        result = findings._findings(made, [features], told, [])
+        first, second = result.parts
+        assert [(s.trajectory, round(s.start, 2), round(s.end, 2)) for s in first.stretches] == [
+            *((i, 0.5, 3.5) for i in range(4)),
+            *([(3, 4.5, until)] if kept else []),
+        ]
+        assert {s.trajectory for s in second.stretches} == {0, 1, 2} and len(first.demonstrations) == 4 + kept
+        np.testing.assert_allclose(np.abs(first.found), np.abs(rows[0]), atol=1e-9)
+        assert first.choices == pytest.approx(ways_to_choose(motion, first.stretches))
+        beside = [x for s in result.free if s.trajectory == 3 for x in (s.start, s.end)]
+        np.testing.assert_allclose(beside, [0.0, 0.49, 3.51, *([4.49, 5.51] if kept else []), 6.0], atol=0.011)
+        assert result.warnings == () and [i for i, _ in result.odd] == [3]  # which shows the second one nowhere
+    told.angle = lambda i, j: np.radians(4.9)
+    assert (
+        findings._findings(made, [features], told, []).warnings[0].startswith("constraints 1 and 2 differ by 4.9 deg")
+    )
 
 
 def test_a_contact_has_to_pass_every_gate(monkeypatch):

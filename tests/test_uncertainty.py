@@ -269,6 +269,7 @@ def test_few_trajectories_with_all_the_influence_widen_the_angle():
     two = np.zeros(10)
     two[3], two[7] = 10.0, -10.0
     assert stated(two, 0.95) > 1.6 * plain(two, 0.95)
+    assert stated(np.array([1.0, -1.0]), 0.68) > 0.0  # two are enough to scatter
 
 
 @pytest.mark.parametrize("rank", [3, 80])
