@@ -351,6 +351,25 @@ def test_help_has_headings(run, monkeypatch):
         assert places == sorted(places) and max(map(len, out.splitlines())) <= columns
 
 
+def test_exported_files_are_named_after_their_recordings(run):
+    """Numbered as they are read, with as many digits as the last one has; signs that a shell minds become a line."""
+    header, *lines = (DATA / "planar3_reach" / "demo_01.csv").read_text(encoding="utf-8").splitlines()
+    names = [f"my demo ({k}) of {'x' * 90}.csv" for k in range(10, 21)] + ["last.1.csv"]
+    for name in names:
+        Path(name).write_text("\n".join([header, *lines]) + "\n", encoding="utf-8")
+    code, out, err = run("export", "planar3", *names, "--to", "csv", "--out", "many", "--json")
+    answer = json.loads(out)
+    expected = [f"{k:02d}_{f'my_demo_{k + 10}_of_' + 'x' * 90:.80}.csv" for k in range(11)] + ["11_last.1.csv"]
+    assert (code, err, [Path(f).name for f in answer["files"]]) == (0, "", expected)
+    assert sorted(p.name for p in Path("many").iterdir()) == sorted(expected)
+    assert (answer["format"], answer["trajectories"]) == ("csv", 12) and answer["samples"] == 12 * len(lines)
+    for out_name, shown in (("one", "one/last.1.csv"), ("one.CSV", "one.CSV")):
+        code, out, _ = run(
+            "export", "planar3", "last.1.csv", "--out", out_name, *(["--to", "csv"] * (shown != out_name))
+        )
+        assert code == 0 and Path(shown).is_file() and f"1 trajectory, {len(lines)} samples" in out
+
+
 EVIL = "\x1b[31m\x9b2J\u202e"
 
 

@@ -159,13 +159,13 @@ def test_the_fit_is_that_of_each_phase(robot_of, drawer, rollout, tmp_path):
 def test_recordings_without_velocities_show_derived_ones(robot_of, rollout, tmp_path):
     """They are those that the learner derives, at their own times; too few samples have none."""
     robot = robot_of("sawyer")
-    bare = Trajectory(rollout.time, rollout.q, None, robot.joint_names, "demo")
+    bare = Trajectory(rollout.time + 3.0, rollout.q, None, robot.joint_names, "demo")  # on a clock of its own
     derived = derive_velocities(bare, robot)
     page = data_in(replay(robot, bare, tmp_path / "a.html").html)["rollouts"][0]
     times, values = curves_of(page, "velocity")[robot.joint_names[1]]
-    np.testing.assert_allclose(times, derived.time)
+    np.testing.assert_allclose(times, derived.time - 3.0)
     np.testing.assert_allclose(values, derived.u[:, 1] / robot.velocity_limit[1], rtol=1e-6, atol=1e-7)
-    page = data_in(replay(robot, bare[0.0:0.02], tmp_path / "b.html").html)["rollouts"][0]
+    page = data_in(replay(robot, bare[3.0:3.025], tmp_path / "b.html").html)["rollouts"][0]
     assert [t["kind"] for t in page["measures"]["tracks"]] == ["position"]
 
 
@@ -213,11 +213,19 @@ def test_directions_held_and_free(robot_of):
     np.testing.assert_allclose(drawer.free, np.diag([1.0, 0.0, 0.0]), atol=1e-12)
     table = held_directions(Constraint([[0, 0, 1]], FrameJacobian(robot, "right_hand", "xyz", "local")), here)
     assert table is not None and table.axes == robot.frame("right_hand") and ranks(table) == [1, 2, 0, 0]
-    pose = held_directions(Constraint(np.eye(6)[[2, 3, 4]], FrameJacobian(robot, "right_hand", "pose")), here)
+    pose_features = FrameJacobian(robot, "right_hand", "pose")
+    pose = held_directions(Constraint(np.eye(6)[[2, 3, 4]], pose_features), here)
     assert ranks(pose) == [1, 2, 2, 1]
     np.testing.assert_allclose(pose.free_turns, np.diag([0.0, 0.0, 1.0]), atol=1e-12)
-    coupled = held_directions(Constraint([[1, 0, 0, 0, 1, 0]], FrameJacobian(robot, "right_hand", "pose")), here)
+    coupled = held_directions(Constraint([[1, 0, 0, 0, 1, 0]], pose_features), here)
     assert ranks(coupled) == [0, 3, 0, 3]  # moving along x alone breaks it only without the turn that goes with it
+    for turn, expected in ((0.09, [1, 2, 0, 3]), (0.11, [0, 3, 0, 3])):  # a learnt row leaks by its uncertainty
+        row = np.array([[1.0, 0, 0, 0, turn, 0]]) / np.hypot(1.0, turn)
+        assert ranks(held_directions(Constraint(row, pose_features), here)) == expected, turn
+    about_x = MechanismRows(robot, "right_hand", "turn", axis=[1.0, 0.0, 0.0], point=[0.0, 0.0, 0.0])
+    turning = held_directions(Constraint([[1.0]], about_x), here)
+    assert ranks(turning) == [0, 3, 1, 2]
+    np.testing.assert_allclose(turning.held_turns, [np.diag([1.0, 0.0, 0.0])], atol=1e-12)
     planar = robot_of("planar3")
     flat = held_directions(Constraint(np.eye(3)[:1], FrameJacobian(planar, "tip", "planar")), np.zeros((1, 3)))
     assert ranks(flat) == [1, 1, 0, 1]
