@@ -14,7 +14,7 @@ from test_cli import DRAWER, FRAME
 
 from manip_learn.cli import main
 from manip_learn.commands.control import Aim, Controlled
-from manip_learn.commands.learn import learn
+from manip_learn.commands.learn import Learnt, learn
 from manip_learn.commands.options import LearnOptions
 from manip_learn.commands.tables import (
     AUDIT_TERMS,
@@ -77,9 +77,14 @@ def test_an_audit_is_readable() -> None:
     assert all(term in WORDS for term in AUDIT_TERMS)
 
 
-def test_learning_explains_its_words() -> None:
+@pytest.fixture(scope="module")
+def learnt() -> Learnt:
+    """The drawer."""
+    return learn(LearnOptions("sawyer", list(DRAWER), frame=FRAME[1]))
+
+
+def test_learning_explains_its_words(learnt: Learnt) -> None:
     """A number has its scale beside it, and each word its line; --explain says more."""
-    learnt = learn(LearnOptions("sawyer", list(DRAWER), frame=FRAME[1]))
     text = " ".join(printed(60, print_learnt, learnt).split())
     assert f"gap {learnt.report.gap:,.0f} (10 is clear)" in text
     for term in ("row", "gap", "left out", "uncertainty", "strength"):
@@ -88,9 +93,8 @@ def test_learning_explains_its_words() -> None:
     assert WORDS["gap"][1] in at_length and WORDS["gap"][1] not in text
 
 
-def test_an_axis_that_nothing_determines_has_no_angle() -> None:
+def test_an_axis_that_nothing_determines_has_no_angle(learnt: Learnt) -> None:
     """An uncertainty beyond any angle is said in words: +- 1,600 degrees means nothing to a reader."""
-    learnt = learn(LearnOptions("sawyer", list(DRAWER), frame=FRAME[1]))
     found = learnt.report.mechanism
     assert found is not None and "direction known to 0.00" in printed(100, print_learnt, learnt)
     lost = dataclasses.replace(found, uncertainty={**found.uncertainty, "axis": 1600.0})

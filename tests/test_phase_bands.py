@@ -61,6 +61,7 @@ def test_colours_tell_constraints_apart():
     labels = [k.label for k in kinds[:3]]
     assert labels == ["constraint 1: hinge", "constraint 2", "constraint 3: plane"]
     assert kinds[-1].label == "free motion"
+    assert phase_kinds([FREE, (*FIRST, "too short")])[-1].label == "free motion, or not learnt"
     assert all(a.colour != b.colour for a, b in combinations(kinds, 2))
     for kind in kinds:
         lighter, darker = sorted((luminance(kind.colour), luminance(kind.ink)), reverse=True)
