@@ -15,6 +15,7 @@ from test_playback import data_in
 from manip_learn.cli import main
 from manip_learn.commands.command_line import joined_vectors
 from manip_learn.commands.output import SENTENCES
+from manip_learn.control.rollout import Rollout
 
 DATA = Path(__file__).resolve().parents[1] / "examples" / "data"
 DRAWER = sorted(map(str, (DATA / "sawyer_drawer").glob("*.csv")))[:6]
@@ -79,6 +80,11 @@ def test_control_answers(run, learnt):
     assert 0.0 < answer["min_manipulability"] <= answer["mean_manipulability"]
     assert answer["max_velocity"] > 0.0
     assert sum(answer["status_counts"].values()) == 501
+    # a weak task has the time to come within half the tolerance: e^(-gain t) of the way is left
+    slow = ("--target", "0.6,0.27,0.35", "--task-gain", "0.5", "--out", "slow.npz", "--json")
+    code, out, err = run("control", "sawyer", constraint, *start, *slow)
+    error = Rollout.load("slow.npz").task_error[0]
+    assert json.loads(out)["duration"] == pytest.approx(np.log(2.0 * error / 0.01) / 0.5, abs=0.01)
 
 
 def test_replay_writes_one_file(run, learnt):

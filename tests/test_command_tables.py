@@ -86,7 +86,18 @@ def learnt() -> Learnt:
 def test_learning_explains_its_words(learnt: Learnt) -> None:
     """A number has its scale beside it, and each word its line; --explain says more."""
     text = " ".join(printed(60, print_learnt, learnt).split())
-    assert f"gap {learnt.report.gap:,.0f} (10 is clear)" in text
+    report, held = learnt.report, [row for row in learnt.report.row_evidence if row.state == "held"]
+    strengths = " and ".join(f"{row.strength:.3g}" for row in held)
+    for fact in (
+        f"number of rows 2 of 3, gap {report.gap:,.0f} (10 is clear)",
+        f"left out {100 * report.held_out_residual:.2g} % of the motion unexplained",
+        f"strength {strengths}, p = {max(row.p_value for row in held):.2g} (recombination test)",
+        f"learnt from {report.n_samples:,} samples of 6 recordings in {report.seconds:.2g} s",
+    ):
+        assert fact in text
+    weak = dataclasses.replace(report, gap=9.94, held_out_residual=9e-6)
+    weakly = " ".join(printed(60, print_learnt, dataclasses.replace(learnt, reports=(weak,))).split())
+    assert "gap 9.9 (weak: 10 is clear)" in weakly and "left out less than 0.001 % of the motion" in weakly
     for term in ("row", "gap", "left out", "uncertainty", "strength"):
         assert f"{term}: {WORDS[term][0].split(';')[0]}" in text
     at_length = " ".join(printed(60, print_learnt, learnt, explain=True).split())
