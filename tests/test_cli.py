@@ -15,6 +15,7 @@ from test_playback import data_in
 from manip_learn.cli import main
 from manip_learn.commands.command_line import joined_vectors
 from manip_learn.commands.output import SENTENCES
+from manip_learn.control.rollout import Rollout
 
 DATA = Path(__file__).resolve().parents[1] / "examples" / "data"
 DRAWER = sorted(map(str, (DATA / "sawyer_drawer").glob("*.csv")))[:6]
@@ -79,6 +80,11 @@ def test_control_answers(run, learnt):
     assert 0.0 < answer["min_manipulability"] <= answer["mean_manipulability"]
     assert answer["max_velocity"] > 0.0
     assert sum(answer["status_counts"].values()) == 501
+    # a weak task has the time to come within half the tolerance: e^(-gain t) of the way is left
+    slow = ("--target", "0.6,0.27,0.35", "--task-gain", "0.5", "--out", "slow.npz", "--json")
+    code, out, err = run("control", "sawyer", constraint, *start, *slow)
+    error = Rollout.load("slow.npz").task_error[0]
+    assert json.loads(out)["duration"] == pytest.approx(np.log(2.0 * error / 0.01) / 0.5, abs=0.01)
 
 
 def test_replay_writes_one_file(run, learnt):
@@ -349,6 +355,25 @@ def test_help_has_headings(run, monkeypatch):
         assert headings == ["Arguments:", "Learning:", "Reading recordings:", "Robot:", "Output:"] and code == 0
         places = [out.index(f"  {flag} ") for flag in ("--axes", "--units", "--lock", "--json")]
         assert places == sorted(places) and max(map(len, out.splitlines())) <= columns
+
+
+def test_exported_files_are_named_after_their_recordings(run):
+    """Numbered as they are read, with as many digits as the last one has; signs that a shell minds become a line."""
+    header, *lines = (DATA / "planar3_reach" / "demo_01.csv").read_text(encoding="utf-8").splitlines()
+    names = [f"my demo ({k}) of {'x' * 90}.csv" for k in range(10, 21)] + ["last.1.csv"]
+    for name in names:
+        Path(name).write_text("\n".join([header, *lines]) + "\n", encoding="utf-8")
+    code, out, err = run("export", "planar3", *names, "--to", "csv", "--out", "many", "--json")
+    answer = json.loads(out)
+    expected = [f"{k:02d}_{f'my_demo_{k + 10}_of_' + 'x' * 90:.80}.csv" for k in range(11)] + ["11_last.1.csv"]
+    assert (code, err, [Path(f).name for f in answer["files"]]) == (0, "", expected)
+    assert sorted(p.name for p in Path("many").iterdir()) == sorted(expected)
+    assert (answer["format"], answer["trajectories"]) == ("csv", 12) and answer["samples"] == 12 * len(lines)
+    for out_name, shown in (("one", "one/last.1.csv"), ("one.CSV", "one.CSV")):
+        code, out, _ = run(
+            "export", "planar3", "last.1.csv", "--out", out_name, *(["--to", "csv"] * (shown != out_name))
+        )
+        assert code == 0 and Path(shown).is_file() and f"1 trajectory, {len(lines)} samples" in out
 
 
 EVIL = "\x1b[31m\x9b2J\u202e"

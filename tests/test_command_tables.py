@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import dataclasses
 import io
+import math
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -11,8 +13,8 @@ from rich.console import Console
 from test_cli import DRAWER, FRAME
 
 from manip_learn.cli import main
-from manip_learn.commands.control import Controlled
-from manip_learn.commands.learn import learn
+from manip_learn.commands.control import Aim, Controlled
+from manip_learn.commands.learn import Learnt, learn
 from manip_learn.commands.options import LearnOptions
 from manip_learn.commands.tables import (
     AUDIT_TERMS,
@@ -22,12 +24,15 @@ from manip_learn.commands.tables import (
     audit_table,
     print_controlled,
     print_learnt,
+    print_replayed,
 )
 from manip_learn.constraint.constraint import Constraint
 from manip_learn.constraint.features.frame_jacobian import FrameJacobian
+from manip_learn.control.command import Status
 from manip_learn.control.controller import ResolvedRateController
 from manip_learn.control.simulation import simulate
-from manip_learn.learning.audit import audit_episodes
+from manip_learn.control.way import WayDone
+from manip_learn.learning.audit import EpisodeAudit, audit_episodes
 from manip_learn.recordings.recording_source import RecordingSource
 from manip_learn.robot import load_robot
 
@@ -72,20 +77,35 @@ def test_an_audit_is_readable() -> None:
     assert all(term in WORDS for term in AUDIT_TERMS)
 
 
-def test_learning_explains_its_words() -> None:
+@pytest.fixture(scope="module")
+def learnt() -> Learnt:
+    """The drawer."""
+    return learn(LearnOptions("sawyer", list(DRAWER), frame=FRAME[1]))
+
+
+def test_learning_explains_its_words(learnt: Learnt) -> None:
     """A number has its scale beside it, and each word its line; --explain says more."""
-    learnt = learn(LearnOptions("sawyer", list(DRAWER), frame=FRAME[1]))
     text = " ".join(printed(60, print_learnt, learnt).split())
-    assert f"gap {learnt.report.gap:,.0f} (10 is clear)" in text
+    report, held = learnt.report, [row for row in learnt.report.row_evidence if row.state == "held"]
+    strengths = " and ".join(f"{row.strength:.3g}" for row in held)
+    for fact in (
+        f"number of rows 2 of 3, gap {report.gap:,.0f} (10 is clear)",
+        f"left out {100 * report.held_out_residual:.2g} % of the motion unexplained",
+        f"strength {strengths}, p = {max(row.p_value for row in held):.2g} (recombination test)",
+        f"learnt from {report.n_samples:,} samples of 6 recordings in {report.seconds:.2g} s",
+    ):
+        assert fact in text
+    weak = dataclasses.replace(report, gap=9.94, held_out_residual=9e-6)
+    weakly = " ".join(printed(60, print_learnt, dataclasses.replace(learnt, reports=(weak,))).split())
+    assert "gap 9.9 (weak: 10 is clear)" in weakly and "left out less than 0.001 % of the motion" in weakly
     for term in ("row", "gap", "left out", "uncertainty", "strength"):
         assert f"{term}: {WORDS[term][0].split(';')[0]}" in text
     at_length = " ".join(printed(60, print_learnt, learnt, explain=True).split())
     assert WORDS["gap"][1] in at_length and WORDS["gap"][1] not in text
 
 
-def test_an_axis_that_nothing_determines_has_no_angle() -> None:
+def test_an_axis_that_nothing_determines_has_no_angle(learnt: Learnt) -> None:
     """An uncertainty beyond any angle is said in words: +- 1,600 degrees means nothing to a reader."""
-    learnt = learn(LearnOptions("sawyer", list(DRAWER), frame=FRAME[1]))
     found = learnt.report.mechanism
     assert found is not None and "direction known to 0.00" in printed(100, print_learnt, learnt)
     lost = dataclasses.replace(found, uncertainty={**found.uncertainty, "axis": 1600.0})
@@ -102,3 +122,54 @@ def test_explain_is_a_flag(tmp_path, capsys, monkeypatch) -> None:
     words = ["control", "planar3", "line.json", "--start", "0.1,0.5,0.5", "--duration", "0.1"]
     assert main([*words, "--explain"]) == 0
     assert WORDS["unhindered"][1] in " ".join(capsys.readouterr().out.split())
+
+
+def test_units_are_printed_with_their_numbers(controlled: Controlled) -> None:
+    """Lengths in m and mm, angles in degrees, times in s, shares in percent; red where the hand strays."""
+    way = WayDone(0.3, 0.2, "m", 0.5, 12.34, 0.0015, 0.1234, ("joint2", 0.421), "a limit")
+    told = dataclasses.replace(controlled, way=way, verb="opened")
+    assert told.sentence == "opened 0.200 of 0.300 m" and not told.reached
+    text = printed(80, print_controlled, told)
+    for cells in ("opened 0.200 m", "time 12.3 s", "off 1.5 mm", "fastest 42 %", "least mu 0.123"):
+        assert cells in " ".join(text.split())
+    assert "stopped by a limit" in text and "strayed 1.5" not in text
+    turned = dataclasses.replace(way, wanted=-math.pi, done=-math.pi / 2, unit="rad", seconds=None, deviation=0.0035)
+    told = dataclasses.replace(controlled, way=turned, verb="turned")
+    assert told.sentence == "turned 90.0 of 180.0 degrees"
+    text = " ".join(printed(80, print_controlled, told).split())
+    assert "turned 90.0 deg" in text and "time - " in text and "the hand strayed 3.5 mm from what holds it" in text
+    r = controlled.rollout
+    text = " ".join(printed(80, print_controlled, controlled).split())
+    expected = (
+        f"error {r.task_error[-1]:.4f} min mu {r.manipulability[2:].min():.4f} mean mu {r.manipulability.mean():.3f}"
+    )
+    share = 100.0 * r.status.count("ok") / len(r)
+    assert f"{expected} peak {abs(r.u).max():.2f}/s unhindered {share:.0f} %" in text
+    values = {name: 0.5 for name in (f.name for f in dataclasses.fields(EpisodeAudit))}
+    episode = EpisodeAudit(**values | {"episode": "a", "reasons": ("odd",), "limit_margin": float("nan")})
+    table, _ = audit_table([episode], 100)
+    out = printed(100, lambda console, t: console.print(t), table).split()
+    cells = "0.5 0.500 50.0 % 0.5 0.5 - 50 % 0.5 50 % 0.5"
+    assert " ".join(out[-len(cells.split()) :]) == cells
+    report = SimpleNamespace(html="a.html", bytes=1_234_567, notes=("n",))
+    assert printed(80, print_replayed, report).split("\n")[:2] == ["note: n", "replay: a.html (1.2 MB)"]
+
+
+def test_what_keeps_a_rollout_from_its_goal_is_said(controlled: Controlled) -> None:
+    """Still moving or stalled short of the target, off what is held, or beside a target that is not driven."""
+    text = " ".join(printed(80, print_controlled, dataclasses.replace(controlled, tolerance=-1.0)).split())
+    assert "left after 0.2 s, still moving: try a longer --duration" in text
+    status = (Status.OK,) * 2 + (Status.STALLED,) * (len(controlled.rollout) - 2)
+    stalled = dataclasses.replace(
+        controlled, rollout=dataclasses.replace(controlled.rollout, status=status), tolerance=-1.0
+    )
+    assert stalled.stalled and "limits or a singularity block the rest" in printed(200, print_controlled, stalled)
+    aim = Aim(distance=0.25, error=0.3, off=0.125, ignored=("x", "rz"), crossed=0.02)
+    aimed = dataclasses.replace(controlled, aim=aim, place="line")
+    assert aimed.sentence == "0.125 off the line, 0.25 m from the point" and not aimed.reached
+    text = printed(200, print_controlled, aimed)
+    assert "the hand moved 0.02 along what the recordings show to be blocked" in text
+    assert "--rows held leaves x, rz of the target free" in text
+    beside = dataclasses.replace(aimed, aim=dataclasses.replace(aim, off=0.01, distance=None))
+    assert beside.sentence == "on the line, 0.3 from the target"
+    assert dataclasses.replace(aimed, aim=dataclasses.replace(aim, error=0.01)).reached

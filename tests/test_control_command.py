@@ -37,6 +37,15 @@ def run(capsys, monkeypatch, tmp_path):
 
 
 @pytest.fixture(scope="module")
+def shown(tmp_path_factory):
+    """Constraint file of the demo's drawer."""
+    scene, robot = SCENES["sawyer"], ml.load_robot("sawyer")
+    demos = ml.load_demonstrations(shipped_recordings() / scene.recordings, robot)
+    learner = ml.ConstraintLearner(FrameJacobian(robot, scene.frame)).fit(demos)
+    return learner.constraint_.save(tmp_path_factory.mktemp("shown") / "drawer.json")
+
+
+@pytest.fixture(scope="module")
 def file(tmp_path_factory):
     """Name of what was learnt -> robot, and its constraint file."""
     folder = tmp_path_factory.mktemp("learnt")
@@ -147,7 +156,6 @@ def test_a_door_goes_to_a_point(run, file):
     constraint, _ = learnt("door")
     rollout_end = np.array(constraint.provenance["postures"][20])
     point = constraint.robot.position(rollout_end, constraint.features.frame)
-    _code, out, err = run("control", *file("door"), "--target", ",".join(map(str, point)), "--json")
     start = constraint.provenance["postures"][0]
     _code, out, err = run(
         "control", *file("door"), "--start", ",".join(map(str, start)), "--target", ",".join(map(str, point)), "--json"
@@ -156,16 +164,12 @@ def test_a_door_goes_to_a_point(run, file):
     assert err == "" and answer["stopped_by"] is None and answer["unit"] == "deg"
 
 
-def test_a_hand_that_strays_is_told(run, tmp_path):
+def test_a_hand_that_strays_is_told(run, shown):
     """Where a joint stops at its limit the hand is pulled off the line by millimetres; a plan takes hold elsewhere."""
-    scene = SCENES["sawyer"]
     start = "0.0689,-1.6728,2.8072,-1.9042,2.4714,-0.0381,4.6725"
-    robot = ml.load_robot("sawyer")
-    demos = ml.load_demonstrations(shipped_recordings() / scene.recordings, robot)
-    ml.ConstraintLearner(FrameJacobian(robot, scene.frame)).fit(demos).constraint_.save(tmp_path / "drawer.json")
     way = ("--along", "0.3", "--direction=-1,-0.5,0", "--keep-orientation", "--start", start)
     for how, strays in (("--policy=zero", True), ("--plan", False)):
-        code, out, _err = run("control", "sawyer", "drawer.json", *way, how)
+        code, out, _err = run("control", "sawyer", shown, *way, how)
         assert code == 0 and out.startswith("opened 0.300 of 0.300 m")
         assert (" mm from what holds it" in out) is strays
 
@@ -189,17 +193,13 @@ def test_the_demo_opens_the_drawer(run):
     assert "opened" in out and "reached" not in out
 
 
-def test_a_plan_on_the_command_line(run, tmp_path):
+def test_a_plan_on_the_command_line(run, shown):
     """Its answer says what limits it; what does not go with a plan, or cannot be planned, is a sentence and code 2."""
-    scene = SCENES["sawyer"]
-    robot = ml.load_robot("sawyer")
-    demos = ml.load_demonstrations(shipped_recordings() / scene.recordings, robot)
-    ml.ConstraintLearner(FrameJacobian(robot, scene.frame)).fit(demos).constraint_.save(tmp_path / "drawer.json")
-    way = ("control", "sawyer", "drawer.json", "--along", "0.2", "--direction", "shown")
+    way = ("control", "sawyer", shown, "--along", "0.2", "--direction", "shown")
     code, out, _err = run(*way, "--plan", "--out", "run.npz", "--json")
     answer = json.loads(out)
     assert code == 0 and answer["sentence"] == "opened 0.200 of 0.200 m" and 0.0 < answer["plan"]["margin"] < 1.0
-    rollout = ml.Rollout.load(tmp_path / "run.npz", robot)
+    rollout = ml.Rollout.load("run.npz", ml.load_robot("sawyer"))
     assert [name for name, _, _ in rollout.phases] == ["approach", "way"]
     code, out, _err = run(*way, "--plan")
     assert code == 0 and "plan: take hold" in out and "instead, margin" in out
@@ -211,11 +211,11 @@ def test_a_plan_on_the_command_line(run, tmp_path):
     ):
         code, _out, err = run(*way, *more)
         assert code == 2 and words in err and "Traceback" not in err
-    code, _out, err = run("control", "sawyer", "drawer.json", "--along", "0.9", "--plan")
+    code, _out, err = run("control", "sawyer", shown, "--along", "0.9", "--plan")
     assert code == 2 and "longer than what was shown" in err
-    code, out, err = run("control", "sawyer", "drawer.json", "--along", "0.9", "--plan", "--beyond-shown", "--json")
+    code, out, err = run("control", "sawyer", shown, "--along", "0.9", "--plan", "--beyond-shown", "--json")
     error = json.loads(out)["error"]
     assert code == 2 and error["code"] == "no-plan" and 0.0 < error["largest"] < 0.9 and len(error["posture"]) == 7
     assert error["stopped_by"] in error["message"]
-    code, out, _err = run("control", "sawyer", "drawer.json", "--along", "0.1")
+    code, out, _err = run("control", "sawyer", shown, "--along", "0.1")
     assert code == 0 and "--direction shown" in out  # pushed in: the recordings opened it

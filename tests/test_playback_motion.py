@@ -116,7 +116,7 @@ def test_planar_arms_are_seen_from_above(robot_of):
         motion = recorded_motion(robot, tree, tip, "a", waving(robot))
         data = scene_data(robot, tree, Appearance(()), "", [motion], [("blue", "#000000")], [])
         low, high = np.array(data["bounds"])
-        assert data["view"] == view
+        assert data["view"] == view and data["floor"] == min(low[2], 0.0)
         assert np.all(motion.path >= low - 1e-9) and np.all(motion.path <= high + 1e-9)
         # the camera is beside the middle of the path, 62 degrees on
         x, y, _ = motion.path.mean(axis=0)

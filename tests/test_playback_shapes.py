@@ -76,6 +76,18 @@ def test_robots_without_shapes_get_a_figure(robot_of):
         assert all(np.isfinite(s.pose).all() and min(s.size) > 0.0 for s in looks.shapes), name
 
 
+def test_figures_look_as_they_did(robot_of):
+    """Sums over all shapes, each times its number: of the sizes [m], the poses and the colours."""
+    for name, expected in (
+        ("gantry", [25.261924, 321.321848, 241.64]),
+        ("tree", [26.638506, 496.573465, 350.64]),
+        ("planar3", [47.7072, 233.0, 134.04]),
+    ):
+        shapes = appearance(robot_of(name), kinematic_tree(robot_of(name))).shapes
+        sums = [k * np.array([sum(s.size), s.pose.sum(), sum(s.colour)]) for k, s in enumerate(shapes, 1)]
+        np.testing.assert_allclose(np.sum(sums, axis=0), expected, atol=1e-5, err_msg=name)
+
+
 def test_own_shapes_are_used_and_rods_stay_inside(robot_of):
     """Arms are drawn as their URDF says, without notes; rods between their shapes are slimmer than these."""
     for name in ("sawyer", "planar3"):

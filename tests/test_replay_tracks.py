@@ -28,7 +28,7 @@ from manip_learn.learning import ConstraintLearner
 from manip_learn.playback import RecordingChoice, replay
 from manip_learn.playback.constraint_marks import SIX, ellipsoid_scale, held_directions
 from manip_learn.playback.page_writer import packed
-from manip_learn.playback.recorded_motion import extremes
+from manip_learn.playback.recorded_motion import Curve, Track, extremes, points_per_curve
 from manip_learn.playback.replay_page import evidence_of
 from manip_learn.recordings import load_demonstrations
 from manip_learn.recordings.demonstrations import Demonstrations
@@ -151,6 +151,12 @@ def test_the_fit_is_that_of_each_phase(robot_of, drawer, rollout, tmp_path):
             u = rollout.u[i]
             expected = np.linalg.norm(np.linalg.pinv(own(rollout.q[i])) @ own(rollout.q[i]) @ u) / np.linalg.norm(u)
             assert share == pytest.approx(expected, rel=1e-5)
+    # of the whole motion: over the phases of known constraints alone, ends included
+    broken = total = 0.0
+    for q, u, t in zip(demo.q, demo.u, demo.time, strict=True):
+        for own in [drawer] * int(t <= 0.3) + [other] * int(0.4 <= t <= 0.6):
+            broken, total = broken + np.sum((np.linalg.pinv(own(q)) @ own(q) @ u) ** 2), total + u @ u
+    assert page["fitShare"] == pytest.approx(np.sqrt(broken / total), rel=1e-6)
     imposed = Constraint(drawer.selection, drawer.features, {"kind": "self-imposed"})
     page = data_in(replay(robot, {"demo": demo}, tmp_path / "b.html", constraint=imposed).html)["rollouts"][0]
     assert "fit" not in [t["kind"] for t in page["measures"]["tracks"]] and page["fitShare"] is None
@@ -159,13 +165,13 @@ def test_the_fit_is_that_of_each_phase(robot_of, drawer, rollout, tmp_path):
 def test_recordings_without_velocities_show_derived_ones(robot_of, rollout, tmp_path):
     """They are those that the learner derives, at their own times; too few samples have none."""
     robot = robot_of("sawyer")
-    bare = Trajectory(rollout.time, rollout.q, None, robot.joint_names, "demo")
+    bare = Trajectory(rollout.time + 3.0, rollout.q, None, robot.joint_names, "demo")  # on a clock of its own
     derived = derive_velocities(bare, robot)
     page = data_in(replay(robot, bare, tmp_path / "a.html").html)["rollouts"][0]
     times, values = curves_of(page, "velocity")[robot.joint_names[1]]
-    np.testing.assert_allclose(times, derived.time)
+    np.testing.assert_allclose(times, derived.time - 3.0)
     np.testing.assert_allclose(values, derived.u[:, 1] / robot.velocity_limit[1], rtol=1e-6, atol=1e-7)
-    page = data_in(replay(robot, bare[0.0:0.02], tmp_path / "b.html").html)["rollouts"][0]
+    page = data_in(replay(robot, bare[3.0:3.025], tmp_path / "b.html").html)["rollouts"][0]
     assert [t["kind"] for t in page["measures"]["tracks"]] == ["position"]
 
 
@@ -179,6 +185,8 @@ def test_thinned_curves_keep_every_extreme(rng):
     assert {7_777, 41_234} <= set(kept.tolist())
     assert np.isnan(values[kept]).any()
     np.testing.assert_array_equal(extremes(values[:500], 500), np.arange(500))
+    two = Track("velocity", (Curve("a", values, values), Curve("b", values, values)), "limit")
+    assert [points_per_curve([[two]] * n) for n in (1, 40, 2000)] == [2000, 1250, 60]  # 100,000 in all
 
 
 @pytest.mark.slow
@@ -213,11 +221,19 @@ def test_directions_held_and_free(robot_of):
     np.testing.assert_allclose(drawer.free, np.diag([1.0, 0.0, 0.0]), atol=1e-12)
     table = held_directions(Constraint([[0, 0, 1]], FrameJacobian(robot, "right_hand", "xyz", "local")), here)
     assert table is not None and table.axes == robot.frame("right_hand") and ranks(table) == [1, 2, 0, 0]
-    pose = held_directions(Constraint(np.eye(6)[[2, 3, 4]], FrameJacobian(robot, "right_hand", "pose")), here)
+    pose_features = FrameJacobian(robot, "right_hand", "pose")
+    pose = held_directions(Constraint(np.eye(6)[[2, 3, 4]], pose_features), here)
     assert ranks(pose) == [1, 2, 2, 1]
     np.testing.assert_allclose(pose.free_turns, np.diag([0.0, 0.0, 1.0]), atol=1e-12)
-    coupled = held_directions(Constraint([[1, 0, 0, 0, 1, 0]], FrameJacobian(robot, "right_hand", "pose")), here)
+    coupled = held_directions(Constraint([[1, 0, 0, 0, 1, 0]], pose_features), here)
     assert ranks(coupled) == [0, 3, 0, 3]  # moving along x alone breaks it only without the turn that goes with it
+    for turn, expected in ((0.09, [1, 2, 0, 3]), (0.11, [0, 3, 0, 3])):  # a learnt row leaks by its uncertainty
+        row = np.array([[1.0, 0, 0, 0, turn, 0]]) / np.hypot(1.0, turn)
+        assert ranks(held_directions(Constraint(row, pose_features), here)) == expected, turn
+    about_x = MechanismRows(robot, "right_hand", "turn", axis=[1.0, 0.0, 0.0], point=[0.0, 0.0, 0.0])
+    turning = held_directions(Constraint([[1.0]], about_x), here)
+    assert ranks(turning) == [0, 3, 1, 2]
+    np.testing.assert_allclose(turning.held_turns, [np.diag([1.0, 0.0, 0.0])], atol=1e-12)
     planar = robot_of("planar3")
     flat = held_directions(Constraint(np.eye(3)[:1], FrameJacobian(planar, "tip", "planar")), np.zeros((1, 3)))
     assert ranks(flat) == [1, 1, 0, 1]
@@ -362,6 +378,13 @@ def test_evidence_in_words():
     assert "b is not 0" in evidence_of({"kind": "self-imposed"})["kind"]
     odd = {"gap": float("nan"), "rows": 3, "row_evidence": "x", "warnings": None, "odd_trajectories": [3]}
     assert evidence_of(odd)["facts"] == [] and evidence_of({})["headline"] == ""
+    long = evidence_of({"notes": ["x" * 3000] * 100, "odd_trajectories": [{"trajectory": "a", "reason": "b"}, ("c",)]})
+    assert [len(note) for note in long["notes"]] == [2000] * 60 and long["odd"] == [["a", "b"]]
+    facts = evidence_of({"gap": 999.6, "estimator": "joint", "n_samples": 1, "n_trajectories": 2})["facts"]
+    assert facts == [
+        ["Gap", "1e+03", "how clearly the data ask for this number of rows: 1.5 and above is clear"],
+        ["Learnt from", "1 sample", "of 2 recordings; estimator: joint"],
+    ]
 
 
 def test_a_learnt_constraint_keeps_its_evidence(robot_of, tmp_path):

@@ -38,3 +38,8 @@ def rollout_colours(names: Sequence[str], chosen: Mapping[str, str], neutral: bo
     others = [n for n in names if n not in chosen]
     picked = dict(chosen) | {n: free[i % len(free)] for i, n in enumerate(others)}
     return [(picked[n], COLOURS[picked[n]]) for n in names]
+
+
+def rgb_of(colour: str) -> list[int]:
+    """Red, green and blue of a hexadecimal colour, each 0 to 255."""
+    return [int(colour[i : i + 2], 16) for i in (1, 3, 5)]

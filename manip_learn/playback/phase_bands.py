@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 from typing import Any, final
 
 from manip_learn.errors import RecordingError
-from manip_learn.playback.palette import COLOURS
+from manip_learn.playback.palette import COLOURS, rgb_of
 
 # trajectory, start [s], end [s], number of the constraint counted from 0, None for free motion; why nothing was learnt
 Phase = tuple[str, float, float, int | None] | tuple[str, float, float, int | None, str]
@@ -174,7 +174,7 @@ def _checked(i: int, phase: Any) -> tuple[str, PhaseBand]:
 
 def _ink(colour: str) -> str:
     """Black or white, whichever has more contrast (relative luminance as in WCAG 2.2)."""
-    channels = [int(colour[i : i + 2], 16) / 255.0 for i in (1, 3, 5)]
+    channels = [c / 255.0 for c in rgb_of(colour)]
     linear = [c / 12.92 if c <= 0.04045 else ((c + 0.055) / 1.055) ** 2.4 for c in channels]
     luminance = 0.2126 * linear[0] + 0.7152 * linear[1] + 0.0722 * linear[2]
     return "#000000" if (luminance + 0.05) ** 2 > 1.05 * 0.05 else "#ffffff"

@@ -5,7 +5,7 @@ A track has few enough numbers for a page, every minimum and maximum among them.
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any, final
 
@@ -339,7 +339,7 @@ def recorded_motion(
         path=path,
         curve_times=curve_times,
         curve=curve,
-        status=_status_changes(name, time, getattr(recording, "status", ())),
+        status=status_changes(name, time, getattr(recording, "status", ())),
         duration=float(time[-1]),
         first_time=first_time,
         phases=bands,
@@ -386,8 +386,13 @@ def _curve(name: str, time: np.ndarray, values: object) -> tuple[np.ndarray, np.
     return time[chosen], curve[chosen]
 
 
-def _status_changes(name: str, time: np.ndarray, words: object) -> tuple[tuple[float, str], ...]:
-    status = [str(w) for w in words] if words is not None else []  # type: ignore[attr-defined]
+def status_changes(name: str, time: Float[np.ndarray, " T"], words: Iterable[object]) -> tuple[tuple[float, str], ...]:
+    """Time and word of each status that differs from the one before it.
+
+    Raises:
+        RecordingError: There are not as many words as times.
+    """
+    status = [str(word) for word in words]
     if not status:
         return ()
     if len(status) != time.size:

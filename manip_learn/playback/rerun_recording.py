@@ -16,7 +16,8 @@ from manip_learn.playback.appearance import Shape, TriangleMesh, appearance
 from manip_learn.playback.constraint_marks import target_place
 from manip_learn.playback.guided_motion import Guidance, MotionSamples, guidance_of, motion_samples
 from manip_learn.playback.kinematic_tree import kinematic_tree
-from manip_learn.playback.palette import rollout_colours
+from manip_learn.playback.palette import rgb_of, rollout_colours
+from manip_learn.playback.recorded_motion import status_changes
 from manip_learn.playback.replay_page import Recording, named_recordings, shown_tip
 from manip_learn.robot.robot import Robot
 
@@ -78,7 +79,7 @@ def write_rerun(
         stream.send_recording_name(robot.name or "robot")
         _still(stream, ["world"], rr.ViewCoordinates.RIGHT_HAND_Z_UP)
         for (name, recording), (_, colour) in zip(named.items(), rollout_colours(list(named), {}), strict=True):
-            rgb = [int(colour[i : i + 2], 16) for i in (1, 3, 5)]
+            rgb = rgb_of(colour)
             _add_robot(stream, robot, name, samples[name], rgb, tinted=len(named) > 1)
             places = np.array([robot.position(q, frame) for q in samples[name].q])
             tip_path = ["world", name, "tip"]
@@ -154,11 +155,10 @@ def _add_curves(
         known = np.isfinite(values)
         if known.any():
             _moving(stream, [name, *path], time[known], rr.Scalars.columns(scalars=values[known]))
-    words = [str(word) for word in getattr(recording, "status", ())]
-    changes = [k for k in range(len(words)) if k == 0 or words[k] != words[k - 1]]
+    changes = status_changes(name, _clock(samples), getattr(recording, "status", ()))
     if changes:
-        columns = rr.TextLog.columns(text=[words[k] for k in changes])
-        _moving(stream, [name, "status"], _clock(samples)[changes], columns)
+        columns = rr.TextLog.columns(text=[word for _, word in changes])
+        _moving(stream, [name, "status"], np.array([time for time, _ in changes]), columns)
 
 
 def _add_target(stream: rr.RecordingStream, robot: Robot, name: str, guidance: Guidance, q: np.ndarray) -> None:
