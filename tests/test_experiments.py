@@ -203,6 +203,7 @@ def test_statistics_and_numbers_for_tables():
     assert mean_and_sd(summary([])) == "- +- -"
     assert share([True, False]) == 0.5 and share([]) is None
     words = {None: "-", 0.0: "0", 1.23e-7: "1.2e-07", 0.314: "0.31", 12.4: "12", 12345.0: "1.2e+04", 0.01: "0.01"}
+    words |= {1.0: "1", -0.5: "-0.5", 9.96: "10", 1000.0: "1.0e+03", 999.0: "999", 0.00999: "1.0e-02"}
     assert [number(value) for value in words] == list(words.values())
     assert markdown_table(["a", "b"], [[1, 2]]) == "| a | b |\n|---|---|\n| 1 | 2 |"
 
