@@ -198,9 +198,12 @@ def test_table_has_the_shape_that_checks_read():
 def test_statistics_and_numbers_for_tables():
     """Mean, sample s.d., median and worst, None where there is no number; short words, and never misleading ones."""
     assert summary([1.0, None, 2.0, 6.0]) == {"mean": 3.0, "sd": 7.0**0.5, "median": 2.0, "worst": 6.0, "n": 3}
-    assert summary([4.0])["sd"] == 0.0 and summary([])["median"] is None and mean_and_sd(summary([])) == "- +- -"
+    assert summary([1.0, 3.0]) == {"mean": 2.0, "sd": 2.0**0.5, "median": 2.0, "worst": 3.0, "n": 2}
+    assert summary([4.0])["sd"] == 0.0 and summary([]) == dict.fromkeys(("mean", "sd", "median", "worst")) | {"n": 0}
+    assert mean_and_sd(summary([])) == "- +- -"
     assert share([True, False]) == 0.5 and share([]) is None
     words = {None: "-", 0.0: "0", 1.23e-7: "1.2e-07", 0.314: "0.31", 12.4: "12", 12345.0: "1.2e+04", 0.01: "0.01"}
+    words |= {1.0: "1", -0.5: "-0.5", 9.96: "10", 1000.0: "1.0e+03", 999.0: "999", 0.00999: "1.0e-02"}
     assert [number(value) for value in words] == list(words.values())
     assert markdown_table(["a", "b"], [[1, 2]]) == "| a | b |\n|---|---|\n| 1 | 2 |"
 

@@ -80,9 +80,11 @@ def faults_of(text: str) -> list[Fault]:
     promises = _promises(tree)
     found = []
     for node, faulty in _changes(tree):
-        words = f"{_short(node)}  ->  {_short(faulty)}"
-        promise = next((words for first, last, words in promises if first <= node.lineno <= last), "")
-        found.append(Fault(node.lineno, words, promise, partial(_unparsed, tree, node, faulty)))
+        line, words = node.lineno, f"{_short(node)}  ->  {_short(faulty)}"
+        if isinstance(node, ast.FunctionDef):  # its own line runs at import
+            line, words = node.body[ast.get_docstring(node) is not None].lineno, f"{node.name}  ->  returns at once"
+        promise = next((words for first, last, words in promises if first <= line <= last), "")
+        found.append(Fault(line, words, promise, partial(_unparsed, tree, node, faulty)))
     return sorted(found, key=lambda fault: fault.line)
 
 
@@ -148,6 +150,13 @@ def _code(node: ast.AST) -> Iterator[ast.AST]:
 def _faulty(node: ast.AST) -> Iterator[ast.expr | ast.stmt]:
     """Faults that a node can have."""
     match node:
+        case ast.FunctionDef(name=name, body=body) if name != "__init__" and _is_procedure(node):
+            words = body[: ast.get_docstring(node) is not None]
+            work = body[len(words) :]
+            if work and not (
+                len(work) == 1 and isinstance(work[0], ast.Expr | ast.Pass | ast.Raise)
+            ):  # a call is dropped
+                yield ast.FunctionDef(**vars(node) | {"body": [*words, ast.Return(None)]})
         case ast.Expr(value=ast.Call()):
             yield ast.Pass()
         case ast.Compare(left, ops, comparators):
@@ -170,9 +179,17 @@ def _faulty(node: ast.AST) -> Iterator[ast.expr | ast.stmt]:
         case ast.Constant(bool() as value):
             yield ast.Constant(not value)
         case ast.Constant(int() as value):
-            yield ast.Constant(value + 1)
+            yield from (ast.Constant(n) for n in ((2 * value, value // 2) if abs(value) > 2 else (value + 1,)))
         case ast.Constant(float() as value):
             yield from (ast.Constant(factor * value) for factor in (2.0, 0.5)) if value else [ast.Constant(1.0)]
+
+
+def _is_procedure(function: ast.FunctionDef) -> bool:
+    """Whether a function is called for what it does: it has neither a value nor a yield."""
+    return not any(
+        isinstance(node, ast.Yield | ast.YieldFrom) or (isinstance(node, ast.Return) and node.value is not None)
+        for node in ast.walk(function)
+    )
 
 
 def _faulty_calls(func: ast.expr, args: list[ast.expr], keywords: list[ast.keyword]) -> Iterator[ast.expr]:

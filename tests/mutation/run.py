@@ -4,10 +4,13 @@
     python tests/mutation/run.py --since main           lines changed since a revision
     python tests/mutation/run.py manip_learn/linalg.py  whole files
     python tests/mutation/run.py --everything --hours 8 the library, a random fault after the other
+    python tests/mutation/run.py --quick --since main   two minutes of the changed lines, for every change
 
 The test files that use a file run once without any fault, and say which of their tests reach which line. A sample of
 faults follows; each is tried with the quickest tests that reach its line. The run fails if fewer than LEAST of the
-faults are noticed; those that are not are listed with what the function around them promises.
+faults are noticed; those that are not are listed with what the function around them promises. A quick run takes a few
+faults of each changed file and the nearest two test files; a fault that these do not reach does not count, and since so
+few are no proof it fails below LEAST_OF_FEW.
 """
 
 from __future__ import annotations
@@ -24,12 +27,17 @@ from pathlib import Path
 
 import numpy as np
 from faults import Fault, faults_of
-from uses import tests_near, users_of_the_library
+from uses import rings_around, users_of_the_library
 from workshop import ROOT, Workshop
 
 # of the faults: about one in eight changes nothing that a caller could see (another bound of a loop that ends before
 # it, a constant of a tie, < for <= where equality cannot be)
 LEAST = 0.8
+LEAST_OF_FEW, FEW = 0.5, 5  # of a quick run, where so many were tried: eight of ten may be five of ten by chance
+QUICK = {"hours": 2.0 / 60.0, "count": 3, "timeout": 20.0, "followed": 10.0, "nearest": 2}
+# seconds of a test file whose lines are followed, and test files of a ring: more repeat what these reach
+THOROUGH = {"followed": 60.0, "nearest": 10}
+UNREACHED = "no test comes here"
 TESTS = 12  # quickest tests of a line that are tried: those that remain repeat what these check
 
 
@@ -40,11 +48,13 @@ def main() -> int:
     noticed, tried = Counter[str](), Counter[str]()
     end = time.monotonic() + 3600.0 * options.hours
     with tempfile.TemporaryDirectory() as folder:
-        workshop = Workshop(Path(folder) / "project", options.timeout)
+        workshop = Workshop(Path(folder) / "project", options.timeout, options.followed)
         for file, fault in _sample(_lines_of(options), options):
             if time.monotonic() > end:
                 break
-            outcome = _try(workshop, file, fault, importers)
+            outcome = _try(workshop, file, fault, importers, options)
+            if options.quick and outcome == UNREACHED:
+                continue
             room = "/".join(file.split("/")[1:-1][:1]) or "top"
             tried[room] += 1
             if outcome in ("noticed", "too slow"):
@@ -55,7 +65,8 @@ def main() -> int:
         print(f"{room}: {noticed[room]} of {tried[room]} faults noticed")
     total, known = sum(tried.values()), sum(noticed.values())
     print(f"{known} of {total} faults noticed, {100.0 * known / max(total, 1):.0f} %")
-    return 0 if known >= LEAST * total else 1
+    least = LEAST if not options.quick else LEAST_OF_FEW if total >= FEW else 0.0
+    return 0 if known >= least * total else 1
 
 
 def _options() -> argparse.Namespace:
@@ -65,10 +76,14 @@ def _options() -> argparse.Namespace:
     )
     parser.add_argument("--since", metavar="REVISION", help="default: the last tag, or the commit before this one")
     parser.add_argument("--everything", action="store_true", help="all files, in the order of chance")
+    parser.add_argument("--quick", action="store_true", help="about two minutes, whatever has changed")
     parser.add_argument("--hours", type=float, default=np.inf, help="no new fault after that")
     parser.add_argument("--count", type=int, default=10, help="faults of each file")
     parser.add_argument("--seed", type=int, default=0, help="of the sample")
     parser.add_argument("--timeout", type=float, default=300.0, help="seconds after which a fault counts as noticed")
+    parser.set_defaults(**THOROUGH)
+    if "--quick" in sys.argv:
+        parser.set_defaults(**QUICK)
     options = parser.parse_args()
     unknown = [file for file in options.files if not (ROOT / file).is_file() or not file.startswith("manip_learn/")]
     if unknown:
@@ -108,16 +123,20 @@ def _sample(lines: Mapping[str, set[int] | None], options: argparse.Namespace) -
         faults = [f for f in faults_of((ROOT / file).read_text(encoding="utf-8")) if wanted is None or f.line in wanted]
         count = len(faults) if options.everything else min(options.count, len(faults))
         chosen += [(file, faults[i]) for i in sorted(rng.permutation(len(faults))[:count])]
-    yield from [chosen[i] for i in rng.permutation(len(chosen))] if options.everything else chosen
+    yield from [chosen[i] for i in rng.permutation(len(chosen))] if options.everything or options.quick else chosen
 
 
-def _try(workshop: Workshop, file: str, fault: Fault, importers: Mapping[str, Sequence[str]]) -> str:
+def _try(
+    workshop: Workshop, file: str, fault: Fault, importers: Mapping[str, Sequence[str]], options: argparse.Namespace
+) -> str:
     """What becomes of a fault; where no near test comes to its line, the next ring of test files is asked."""
-    for test_files in tests_near(file, importers):
+    for test_files in rings_around(file, importers, options.nearest):
         reached = workshop.tests_of(file, test_files).get(fault.line, [])
         if reached:
             return workshop.try_fault(file, fault.text(), reached[:TESTS])
-    return "no test comes here"
+        if options.quick:
+            break
+    return UNREACHED
 
 
 if __name__ == "__main__":

@@ -20,7 +20,6 @@ import coverage
 ROOT = Path(__file__).resolve().parents[2]
 FOLDERS = ("manip_learn", "tests", "robots", "examples", "benchmarks", "docs")
 FILES = ("pyproject.toml", "README.md", "CHANGELOG.md")
-FOLLOWED = 60.0  # seconds of a test file whose lines are followed, which are slower: the rest repeat what the first do
 Outcome = Literal["noticed", "survived", "too slow", "broken"]
 
 
@@ -34,10 +33,11 @@ class Workshop:
     Args:
         folder: Where to copy to.
         timeout: Time after which a fault counts as noticed, because it hangs [s].
+        followed: Time of a test file whose lines are followed, which is slower: the rest repeats what the first do [s].
     """
 
-    def __init__(self, folder: Path, timeout: float):
-        self.folder, self.timeout = folder, timeout
+    def __init__(self, folder: Path, timeout: float, followed: float):
+        self.folder, self.timeout, self.followed = folder, timeout, followed
         self._reached: dict[str, dict[str, dict[int, list[str]]]] = {}
         self.seconds: dict[str, float] = {}
         for name in FOLDERS:
@@ -98,7 +98,7 @@ class Workshop:
         answer.unlink(missing_ok=True)
         child = os.fork()
         if child == 0:
-            _pytest_in_child(self.folder, tests, answer, followed)
+            _pytest_in_child(self.folder, tests, answer, self.followed if followed else 0.0)
         end = time.monotonic() + time_limit
         while os.waitpid(child, os.WNOHANG) == (0, 0):
             if time.monotonic() > end:
@@ -131,7 +131,7 @@ def _libraries(folder: Path) -> list[str]:
     return [name for name, file in files.items() if file and not file.startswith(str(folder)) and name != "__main__"]
 
 
-def _pytest_in_child(folder: Path, tests: Sequence[str], answer: Path, followed: bool) -> None:
+def _pytest_in_child(folder: Path, tests: Sequence[str], answer: Path, followed: float) -> None:
     os.setsid()
     os.chdir(folder)
     output = os.open(folder / "output.txt", os.O_WRONLY | os.O_CREAT | os.O_TRUNC)
@@ -141,7 +141,7 @@ def _pytest_in_child(folder: Path, tests: Sequence[str], answer: Path, followed:
     try:
         import pytest
 
-        notes = _Notes(None)
+        notes = _Notes(followed)
         options = ["-q", "-p", "no:xdist", "-p", "no:cacheprovider", "--benchmark-disable", "--tb=line", "-W"]
         options += ["ignore::pytest.PytestAssertRewriteWarning"]  # libraries are there before pytest is
         if followed:
@@ -166,9 +166,9 @@ def _pytest_in_child(folder: Path, tests: Sequence[str], answer: Path, followed:
 class _Notes:
     """A plugin of pytest: how long each test took, and its name for the lines that it reaches."""
 
-    def __init__(self, lines: coverage.Coverage | None) -> None:
-        self.lines, self.seconds = lines, dict[str, float]()
-        self.start = time.monotonic()
+    def __init__(self, followed: float) -> None:
+        self.lines: coverage.Coverage | None = None
+        self.seconds, self.end = dict[str, float](), time.monotonic() + followed
 
     def pytest_runtest_logstart(self, nodeid: str) -> None:
         if self.lines is not None:
@@ -181,5 +181,5 @@ class _Notes:
             self.seconds[report.nodeid] = self.seconds.get(report.nodeid, 0.0) + report.duration
 
     def pytest_runtest_protocol(self, item) -> None:
-        if self.lines is not None and time.monotonic() - self.start > FOLLOWED:
+        if self.lines is not None and time.monotonic() > self.end:
             item.session.shouldstop = "long enough"
