@@ -23,7 +23,6 @@ from manip_learn.control.policies import (
 )
 from manip_learn.control.singularity import GROWTH, SEED_SPEED
 from manip_learn.errors import ConfigurationError, ConstraintError, TargetError
-from manip_learn.robot.limit_potential import limit_gradient
 
 
 def test_zero_policy():
@@ -143,7 +142,8 @@ def test_joint_limit_avoidance(robot_of, rng):
             for _ in range(20):
                 q = robot.positions(robot.random_configuration(rng))
                 pi = policy(q)
-                p = 0.2 * (0.5 * width) ** 2 * limit_gradient(robot, q)[limited]
+                x = (2.0 * q[limited] - robot.position_upper[limited] - robot.position_lower[limited]) / width
+                p = 0.2 * width * x / (1.0 - x**2) ** 2  # of h: 4 x / (width (1 - x^2)^2)
                 np.testing.assert_allclose(pi[limited], -p / np.sqrt(1.0 + (p / longest) ** 2), rtol=1e-7, atol=1e-12)
                 np.testing.assert_array_equal(pi[~limited], 0.0)
             for beyond in (0.0, 1e-12, 0.5):
