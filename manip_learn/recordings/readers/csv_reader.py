@@ -341,13 +341,12 @@ def read(path: Path, request: ReadRequest) -> Iterator[Recording]:
     if dialect.named_by_caller:
         request.uses.use("joint_names")
     columns = columns_of(path, dialect, request)
-    names = columns.names
-    used = [i for i, name in enumerate(names) if name is not None]
+    used = [i for i, name in enumerate(columns.names) if name is not None]
     cut = _is_cut_off(path, dialect) and request.last_line == "drop"
     dialect = replace(dialect, without_cut_line=cut)
     table = _table(path, dialect, used, request)
     _refuse_changed(path, before)
-    kept = [str(names[i]) for i in used]
+    kept = [str(columns.names[i]) for i in used]
     notes = [f"the header was read from the comment in line {dialect.header_line}"] if dialect.commented_header else []
     notes += columns.notes
     if cut and len(table) < 2:
