@@ -178,9 +178,16 @@ def test_guesses_about_positions_outside(sawyer: Robot, rng, tmp_path: Path) -> 
 def test_one_bad_sample_is_not_taken_for_degrees(sawyer: Robot, rng, tmp_path: Path) -> None:
     """A spike of 50 rad is named as what it is, with its sample."""
     time, q, _ = guided(sawyer, rng)
-    q[100, 3] = 50.0
-    error = refused(sawyer, tmp_path, time, q)
-    assert error.code == "outside-limits" and "sample 100" in str(error)
+    for value in (50.0, -50.0):
+        spoilt = q.copy()
+        spoilt[100, 3] = value
+        error = refused(sawyer, tmp_path, time, spoilt)
+        assert error.code == "outside-limits" and error.column == "right_j3"
+        for said in ("sample 100", f"{value:g} is outside the limits", "at 1 of 400 samples"):
+            assert said in str(error)
+        assert "Or another robot?" not in str(error)
+    spoilt = np.tile(sawyer.position_lower - 0.3, (400, 1))
+    assert "at 400 of 400 samples" in str(refused(sawyer, tmp_path, time, spoilt))
 
 
 def test_one_column_in_degrees_is_not_the_whole_file(sawyer: Robot, rng, tmp_path: Path) -> None:
