@@ -7,6 +7,7 @@ import struct
 import zlib
 from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -108,6 +109,8 @@ def test_a_trajectory_is_yaml_for_ros(robot: Robot) -> None:
 def test_lerobot_metadata(folder: Path, tmp_path: Path) -> None:
     """The files of a v3.0 data set, and numbers in them that agree with the samples."""
     pq = pytest.importorskip("pyarrow.parquet", reason="the extra 'lerobot' is not installed")
+    from manip_learn.recordings.writers.lerobot_writer import _rate
+
     out = tmp_path / "set"
     assert main(["export", str(folder / "arm.urdf"), str(folder / "demos"), "--out", str(out)]) == 0
     info = json.loads((out / "meta" / "info.json").read_text())
@@ -121,7 +124,22 @@ def test_lerobot_metadata(folder: Path, tmp_path: Path) -> None:
     ]
     stats = json.loads((out / "meta" / "stats.json").read_text())
     states = np.array(table.column("observation.state").to_pylist())
-    np.testing.assert_allclose(stats["observation.state"]["mean"], states.mean(0), rtol=1e-12)
+    parts = {"mean": states.mean(0), "std": states.std(0), "min": states.min(0), "max": states.max(0), "count": [80]}
+    assert set(stats) == set(table.column_names) and set(stats["observation.state"]) == set(parts)
+    for name, part in parts.items():
+        np.testing.assert_allclose(stats["observation.state"][name], part, rtol=1e-12)
+    columns = {name: table.column(name).to_numpy() for name in ("index", "frame_index", "episode_index", "task_index")}
+    np.testing.assert_array_equal(columns["index"], np.arange(80))
+    np.testing.assert_array_equal(columns["frame_index"], np.tile(np.arange(40), 2))
+    np.testing.assert_array_equal(columns["episode_index"], np.repeat([0, 1], 40))
+    np.testing.assert_array_equal(columns["task_index"], np.zeros(80))
+    assert info["features"]["observation.velocity"] == {"dtype": "float64", "shape": [3], "names": ["j1", "j2", "j3"]}
+    assert info["splits"] == {"train": "0:2"} and info["robot_type"] == "arm"
+    demos = load_demonstrations(folder / "demos", load_robot(folder / "arm.urdf"))
+    for rate, said in ((30.0, 30), (30.02, 30), (30.05, 30.05), (0.7, 0.7), (1.0, 1), (0.9999, 0.9999)):
+        slower = [SimpleNamespace(time=np.cumsum(np.full(40, 1.0 / rate))) for _ in demos]
+        slower[0].time[20:] += 5.0  # a pause does not count
+        assert _rate(slower) == pytest.approx(said, rel=1e-9) and isinstance(_rate(slower), type(said))
     assert pq.read_table(out / "meta/tasks.parquet").num_rows == info["total_tasks"] == 1
 
 

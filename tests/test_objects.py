@@ -211,8 +211,10 @@ def test_poses_that_cannot_be_read(robot: Robot, tmp_path: Path) -> None:
     cases = {
         "missing-object": (joints, arm),
         "partial-quaternion": (spelt[:-1], np.hstack([arm, pose[:, :-1]])),
-        "quaternion": (spelt, np.hstack([arm, pose * [1, 1, 1, 1, 1, 1, 0.5]])),
+        "quaternion": (spelt, np.hstack([arm, pose * [1, 1, 1, 1, 1, 1, 0.94]])),
     }
+    near = np.hstack([arm, pose * [1, 1, 1, 1, 1, 1, 0.96]])
+    assert len(ml.load_demonstrations(write(tmp_path / "near.csv", spelt, near, time), robot)) == 1
     for code, (names, columns) in cases.items():
         with pytest.raises(RecordingError, match="box") as caught:
             ml.load_demonstrations(write(tmp_path / f"{code}.csv", names, columns, time), robot)

@@ -178,9 +178,16 @@ def test_guesses_about_positions_outside(sawyer: Robot, rng, tmp_path: Path) -> 
 def test_one_bad_sample_is_not_taken_for_degrees(sawyer: Robot, rng, tmp_path: Path) -> None:
     """A spike of 50 rad is named as what it is, with its sample."""
     time, q, _ = guided(sawyer, rng)
-    q[100, 3] = 50.0
-    error = refused(sawyer, tmp_path, time, q)
-    assert error.code == "outside-limits" and "sample 100" in str(error)
+    for value in (50.0, -50.0):
+        spoilt = q.copy()
+        spoilt[100, 3] = value
+        error = refused(sawyer, tmp_path, time, spoilt)
+        assert error.code == "outside-limits" and error.column == "right_j3"
+        for said in ("sample 100", f"{value:g} is outside the limits", "at 1 of 400 samples"):
+            assert said in str(error)
+        assert "Or another robot?" not in str(error)
+    spoilt = np.tile(sawyer.position_lower - 0.3, (400, 1))
+    assert "at 400 of 400 samples" in str(refused(sawyer, tmp_path, time, spoilt))
 
 
 def test_one_column_in_degrees_is_not_the_whole_file(sawyer: Robot, rng, tmp_path: Path) -> None:
@@ -314,7 +321,7 @@ def said(folder: Path, robot: Robot, *arrays: Any, **options: Any) -> str:
     try:
         return " ".join(load(robot, folder, *arrays, **options).notes)
     except RecordingError as error:
-        return error.code
+        return f"{error.code} {error}"
 
 
 def test_each_bound_lies_where_it_is_meant(robot_of, tmp_path: Path) -> None:
@@ -372,6 +379,12 @@ def test_each_bound_lies_where_it_is_meant(robot_of, tmp_path: Path) -> None:
             (robot, time, 1.01 * swing, -swung),
             "sign",
         ),
+        "microseconds begin at 1e14": (
+            (robot, 0.99e14 + time, q),
+            (robot, 1.01e14 + 0.02e6 * np.arange(200), q),
+            "'us'",
+        ),
+        "nanoseconds begin at 1e17": ((robot, 0.99e17 + 1e9 * time, q), (robot, 1.01e17 + 1e9 * time, q), "'ns'"),
         "milliseconds begin at 1e11": ((robot, 0.99e11 + time, q), (robot, 1.01e11 + time, q), "time-unit"),
         "steps of a second": ((robot, *creeping(0.98, 0.01)), (robot, *creeping(1.02, 0.01)), "time-unit"),
         "0.02 rad/s": ((robot, *creeping(1.5, 0.021)), (robot, *creeping(1.5, 0.019)), "time-unit"),
@@ -381,6 +394,13 @@ def test_each_bound_lies_where_it_is_meant(robot_of, tmp_path: Path) -> None:
             "not-finite",
         ),
     }
+    normal = np.array([[50.0, 0.0, -50.0, 1.0, 2.0]]) * np.cos(time)[:, None]
+    for top, is_refused in ((109.0, False), (111.0, True)):
+        values = normal * [top / 50.0, 1, 1, 1, 1]
+        assert ("normalised ones are" in said(tmp_path, robot, time, values, units="normalised")) == is_refused
+    assert "full turn" not in said(tmp_path, robot, time, raised(2, 2.2)) and "sign" not in said(
+        tmp_path, robot, time, q
+    )
     for name, (inside, outside, expected) in bounds.items():
         with case(name):
             assert expected not in said(tmp_path, *inside)

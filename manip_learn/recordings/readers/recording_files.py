@@ -65,11 +65,12 @@ MAGIC: tuple[tuple[bytes, FileFormat], ...] = (
     (b"\x89HDF\r\n\x1a\n", ROBOMIMIC),
 )
 # content that people do hand in by mistake -> what to do
-REFUSED_MAGIC: tuple[tuple[bytes, str, str], ...] = (
-    (b"\x80\x02", "pickle", "a Python pickle, which can run any code when it is opened: save the arrays with np.savez"),
-    (b"\x80\x03", "pickle", "a Python pickle, which can run any code when it is opened: save the arrays with np.savez"),
-    (b"\x80\x04", "pickle", "a Python pickle, which can run any code when it is opened: save the arrays with np.savez"),
-    (b"\x80\x05", "pickle", "a Python pickle, which can run any code when it is opened: save the arrays with np.savez"),
+REFUSED_MAGIC: tuple[tuple[bytes | tuple[bytes, ...], str, str], ...] = (
+    (
+        (b"\x80\x02", b"\x80\x03", b"\x80\x04", b"\x80\x05"),
+        "pickle",
+        "a Python pickle, which can run any code when it is opened: save the arrays with np.savez",
+    ),
     (b"\x93NUMPY", "bare-array", "a bare NumPy array without names: save time, q, u and joint_names with np.savez"),
     (b"\x1f\x8b", "compressed", "compressed with gzip: unpack it first"),
     (b"BZh", "compressed", "compressed with bzip2: unpack it first"),
@@ -86,8 +87,7 @@ REFUSED_MAGIC: tuple[tuple[bytes, str, str], ...] = (
     (b"version https://git-lfs", "git-lfs", "a Git LFS pointer, not the recording itself: run `git lfs pull`"),
     (b"%PDF", "not-a-recording", "a PDF document"),
     (b"\x7fELF", "not-a-recording", "a program"),
-    (b"\x89PNG", "not-a-recording", "an image"),
-    (b"\xff\xd8\xff", "not-a-recording", "an image"),
+    ((b"\x89PNG", b"\xff\xd8\xff"), "not-a-recording", "an image"),
 )
 
 
