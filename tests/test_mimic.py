@@ -148,6 +148,8 @@ def test_limits_of_followers_bind_the_leader():
     assert any("limited to -0.4 ... 0.3 by its follower 'b'" in w for w in robot.warnings)
     still = load({"b": ("a", -2.0, 0.2)}, limits={"b": '<limit lower="-4" upper="4" velocity="0" effort="1"/>'})
     assert still.velocity_limit[0] == 2.0  # a velocity limit of 0 is none
+    one_sided = load({"b": ("a", 1.0, 0.0)}, limits={"b": '<limit upper="2.5" velocity="2" effort="1"/>'})
+    assert (one_sided.position_lower[0], one_sided.position_upper[0]) == (-3.0, 2.5)
 
 
 def test_contradicting_limits_are_said_and_dropped():

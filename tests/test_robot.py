@@ -11,8 +11,10 @@ import pinocchio as pin
 import pytest
 from cases import case
 from conftest import TIPS, URDFS, tip_of
+from urdf_corpus_case import edited
 
 from manip_learn.errors import ConfigurationError, UnknownNameError
+from manip_learn.robot.dynamics import inverse_dynamics
 from manip_learn.robot.frame_kinematics import closed_form, columns_to_joints, pinocchio_order_is_known
 from manip_learn.robot.loading import load_robot
 
@@ -229,3 +231,80 @@ def test_neutral_is_zero_where_zero_is_allowed(tmp_path):
     path = tmp_path / "gantry.urdf"
     path.write_text(text, encoding="utf-8")
     np.testing.assert_allclose(load_robot(path).neutral(), [0.0, 0.0, 0.75, -2.5, 0.0])
+
+
+def test_joints_limited_on_one_side(tmp_path, rng):
+    """They stand at their limit if zero is outside, and are drawn within a turn of it."""
+    text = URDFS["gantry"]
+    for limits in ('lower="0.5"', 'upper="-0.5"', 'lower="-1"'):
+        text = text.replace('lower="-2" upper="2"', limits, 1)
+    path = tmp_path / "gantry.urdf"
+    path.write_text(text, encoding="utf-8")
+    robot, turn = load_robot(path), 2.0 * np.pi
+    np.testing.assert_array_equal(robot.neutral(), [0.5, -0.5, 0.0, 0.0, 0.0])
+    drawn = np.array([robot.random_configuration(rng) for _ in range(500)])
+    low, high = [0.5, -0.5 - turn, -1.0, -2.0, -2.0], [0.5 + turn, -0.5, -1.0 + turn, 2.0, 2.0]
+    np.testing.assert_allclose(drawn.min(axis=0), low, atol=0.1)
+    np.testing.assert_allclose(drawn.max(axis=0), high, atol=0.1)
+    assert np.all(drawn >= low) and np.all(drawn <= high)
+
+
+@pytest.mark.parametrize("name", ["gantry", "wrist", "mimic", "tree"])
+def test_efforts_hold_the_weight_and_accelerate(robot_of, rng, name):
+    """At rest efforts are the slope of the potential energy; the rest is M a, M symmetric, and keeps energy."""
+    robot = robot_of(name)
+    q, zero, h = robot.positions(robot.random_configuration(rng)), np.zeros((1, robot.nv)), 1e-6
+    weight = inverse_dynamics(robot, q[None], zero, zero)[0]
+    heights = [[robot.centre_of_mass(q + s * step)[2] for s in (1, -1)] for step in h * np.eye(robot.nv)]
+    expected = [robot.mass * 9.81 * (up - down) / (2 * h) for up, down in heights]
+    np.testing.assert_allclose(weight, expected, atol=1e-6)
+    M = np.array([robot.inertial_effort(q, a) for a in np.eye(robot.nv)])
+    np.testing.assert_allclose(M, M.T, atol=1e-12)
+    assert np.linalg.eigvalsh(M)[0] > 0.0
+    np.testing.assert_allclose(
+        inverse_dynamics(robot, q[None], zero, zero + 1.0)[0] - weight, M.sum(axis=0), atol=1e-11
+    )
+    # the power of velocity-dependent efforts is half the rate of M: energy is kept
+    u, e = rng.normal(size=(1, robot.nv)), 1e-6
+    moved = [[robot.inertial_effort(q + s * e * u[0], a) @ u[0] for a in np.eye(robot.nv)] for s in (1, -1)]
+    rate = (np.array(moved[0]) - np.array(moved[1])) @ u[0] / (2 * e)
+    coriolis = inverse_dynamics(robot, q[None], u, zero)[0] - weight
+    assert coriolis @ u[0] == pytest.approx(0.5 * rate, abs=1e-6)
+
+
+def test_frames_and_joints_of_one_name(tmp_path):
+    """Of a link and a joint that share a name, the link is meant; a step and a difference are inverse to each other."""
+    path = tmp_path / "arm.urdf"
+    path.write_bytes(edited(("elbow", "tip")))
+    robot = load_robot(path)
+    assert robot.pinocchio_model.frames[robot.frame("tip").index].type == pin.FrameType.BODY
+    assert robot.frame(robot.frame("tip")) is robot.frame("tip") and robot.joint_index("tip") == 1
+    assert robot.joint_units == ("rad", "rad")
+    rover, humanoid = load_robot(path, base="planar"), load_robot(path, base="floating", objects="box")
+    assert rover.joint_units == ("m", "m", "rad", "rad", "rad")
+    assert humanoid.joint_units == (
+        "m",
+        "m",
+        "m",
+        "rad",
+        "rad",
+        "rad",
+        *("m", "m", "m", "rad", "rad", "rad"),
+        "rad",
+        "rad",
+    )
+    assert [n for n in humanoid.joint_names if "box" in n] == [f"box.{c}" for c in ("x", "y", "z", "rx", "ry", "rz")]
+
+
+def test_a_step_leads_where_the_difference_says(robot_of, rng):
+    """Configurations and joint positions, continuous joints and moving bases: each in its own kind of vector."""
+    for name in ("wrist", "humanoid", "rover", "mimic", "planar3"):
+        robot = robot_of(name)
+        q, step = robot.random_configuration(rng), rng.uniform(-0.4, 0.4, robot.nv)
+        there = robot.integrate(q, step)
+        assert there.shape == (robot.nq,)
+        np.testing.assert_allclose(robot.difference(q, there), step, atol=1e-12, err_msg=name)
+        positions = robot.positions(q)
+        by_positions = robot.integrate(positions, step)
+        assert by_positions.shape == (robot.nv,)
+        np.testing.assert_allclose(robot.configuration(by_positions), there, atol=1e-12, err_msg=name)

@@ -5,12 +5,15 @@ from __future__ import annotations
 import re
 from pathlib import Path
 
+import numpy as np
 import pytest
 from urdf_corpus import corpus
 from urdf_corpus_case import ARM, Case, edited
 
 from manip_learn.errors import ManipLearnError, RobotError
 from manip_learn.robot import loading
+from manip_learn.robot.description import text
+from manip_learn.robot.description.text import parse_xml
 from manip_learn.robot.description.validation import validate_urdf
 from manip_learn.robot.loading import robot_from_text
 
@@ -43,6 +46,39 @@ def sentences() -> list[str]:
                 assert "\n" not in sentence and len(sentence) < 600, case.name
                 first.setdefault(sentence, f"{case.category}, {case.name}: {sentence}")
     return list(first.values())
+
+
+def test_bounds_of_a_document(monkeypatch):
+    """The last element, level, character, angle and length of an axis that are read, and the first that are not."""
+    assert text.MAX_ELEMENTS == 200_000
+    monkeypatch.setattr(text, "MAX_ELEMENTS", 500)
+    for most, code, document in (
+        (500, "xml-too-large", lambda n: f"<robot>{'<a/>' * (n - 1)}</robot>"),
+        (60, "xml-too-deep", lambda n: "<a>" * n + "</a>" * n),
+        (100_000, "xml-too-large", lambda n: f'<robot name="{"r" * n}"/>'),
+    ):
+        parse_xml(document(most).encode(), PATH)
+        with pytest.raises(RobotError) as caught:
+            parse_xml(document(most + 1).encode(), PATH)
+        assert caught.value.code == code
+    angle, limits, axis = 4.0 * np.pi, 'lower="-2" upper="2.5"', 'xyz="0 0 1"'
+    for old, new, code in (
+        (limits, f'lower="-{angle}" upper="{angle}"', None),
+        (limits, f'lower="-{angle}" upper="12.567"', "limit-degrees"),
+        (limits, 'lower="-999" upper="1000.1"', None),
+        *((axis, f'xyz="0 0 {length}"', None) for length in (0.0011, 999.0)),
+        *((axis, f'xyz="0 0 {length}"', "axis-norm") for length in (0.0009, 1001.0)),
+        ('xyz="0 0 0.3"', 'xyz="0 0 -1e6"', None),
+        ('xyz="0 0 0.3"', 'xyz="0 0 -1000001"', "far-away"),
+    ):
+        seen = None
+        try:
+            assert validate_urdf(edited((old, new)), PATH).urdf.root == "base"
+        except RobotError as error:
+            seen = error.code
+        assert seen == code, new
+    massless = edited(('ixx="0.1"', 'ixx="0"'), ('iyy="0.1"', 'iyy="0"'), ('izz="0.1"', 'izz="0"'))
+    assert validate_urdf(massless, PATH).warnings == ()
 
 
 def test_errors_carry_their_place():
