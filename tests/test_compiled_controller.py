@@ -137,7 +137,9 @@ def test_mechanisms_are_computed_by_the_kernel(numba: bool, robot_of: RobotOf, t
                 compiled = CompiledController(law)
                 for k in range(4):
                     q = random_posture(rng, robot) if k else np.zeros(robot.nv)  # stretched, folded: singular
-                    told.add(compared(law, compiled, q, *state_of(rng, robot), at_limits=1e-10))
+                    previous = robot.velocity_limit.clip(0.0, 5.0) * rng.uniform(-1.0, 1.0, robot.nv) if k > 1 else None
+                    dt = float(10.0 ** rng.uniform(-3.0, -1.0))
+                    told.add(compared(law, compiled, q, 0.0, dt, previous, at_limits=1e-10))
         assert len(told) >= 3, name
 
 

@@ -66,6 +66,7 @@ def test_reset_after_a_trip_ramps_back(robot_of: RobotOf) -> None:
     loop, places = arm.loop, [arm.loop.position]
     far = np.max(np.abs(robot.difference(places[0], q)))
     loop.reset()
+    arm = Arm(loop, q)
     for i in range(600):
         if i == 20:
             loop.reset()
@@ -188,17 +189,17 @@ def test_limits_of_the_following_error(robot_of: RobotOf) -> None:
 
 
 def test_a_blocked_arm_is_let_go_at_five_per_second(robot_of: RobotOf) -> None:
-    """The commanded posture comes nearer to the measured one by a share of 5 dt a period, and arrives."""
+    """The way left falls by a share of 5 dt a period, in the end by 1 mrad/s, and the arm arrives."""
     robot = robot_of("sawyer")
-    arm, _ = tripped(robot)
-    left = []
+    (arm, _), left = tripped(robot), []
     for _ in range(1200):
         arm.call(start_of(robot))
-        left.append(robot.difference(arm.loop.position, arm.loop._relief))
-    left = np.linalg.norm(left, axis=1)
-    ratios = left[61:400] / left[60:399]
-    np.testing.assert_allclose(ratios[left[60:399] > 5e-4], 1.0 - 5.0 * DT, rtol=1e-6)
-    assert left[-1] < 1e-8
+        left.append(np.abs(robot.difference(arm.loop.position, arm.loop._relief)).max())
+    left = np.array(left[60:])
+    fast, slow = left[:-1] > 3e-4, (left[:-1] < 1.9e-4) & (left[1:] > 2e-6)
+    np.testing.assert_allclose(left[1:][fast], left[:-1][fast] * (1.0 - 5.0 * DT), rtol=1e-6)
+    np.testing.assert_allclose(left[1:][slow], left[:-1][slow] - 1e-3 * DT, rtol=1e-6)
+    assert fast.any() and slow.any() and left[-1] < 1e-8
 
 
 def test_a_correction_makes_up_for_a_payload(robot_of: RobotOf) -> None:

@@ -128,11 +128,12 @@ def test_a_direction_of_no_length_is_no_posture(robot_of: RobotOf) -> None:
 def test_outside_its_limits_the_arm_stands_too(robot_of: RobotOf) -> None:
     """Bad input while a joint returns from outside its limits: it stands, it does not go on returning."""
     robot = robot_of("sawyer")
-    arm = Arm(ml.ServoLoop(law_of(robot, "sawyer")), start_of(robot))
-    arm.q[1] = robot.position_upper[1] + 0.3
-    last = arm.calls(100)[-1]
-    assert last.status is ml.Status.OUTSIDE_LIMITS and last.velocity[1] < -0.01
-    assert np.all(arm.calls(400, None)[-1].velocity == 0.0)
+    for sense, edge in ((1.0, robot.position_upper[1]), (-1.0, robot.position_lower[1])):
+        arm = Arm(ml.ServoLoop(law_of(robot, "sawyer")), start_of(robot))
+        arm.q[1] = edge + sense * 0.3
+        last = arm.calls(100)[-1]
+        assert last.status is ml.Status.OUTSIDE_LIMITS and sense * last.velocity[1] < -0.01
+        assert np.all(arm.calls(400, None)[-1].velocity == 0.0)
 
 
 @pytest.mark.parametrize("part", ["task", "policy", "controller"])
