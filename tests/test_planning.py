@@ -535,6 +535,8 @@ def test_a_way_counts_as_the_recordings_went() -> None:
         forward = ml.motion(shown(postures, of), along=0.2, direction="shown")
         back = ml.motion(shown(postures, of), along=0.2, direction="back")
         assert forward.goes_as_shown is True and back.goes_as_shown is False and forward.wanted == -back.wanted
+        along = (places - places[0]) @ forward.constraint.selection[-1]
+        assert abs(forward.wanted) == 0.2 and forward.longest_shown == pytest.approx(np.ptp(along))
         end = ml.simulate(robot, ml.ResolvedRateController(forward.learnt, forward), HARD, 2.0).q[-1]
         assert (robot.position(end, features.frame) - places[0]) @ way > 0.0
     with pytest.raises(ml.ManipLearnError, match="do not say"):
