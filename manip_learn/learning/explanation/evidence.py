@@ -77,57 +77,86 @@ def gains_of(
     whole = np.maximum(np.add.reduceat(values, first[:-1], axis=0), 0.0)
     if np.isinf(switch):
         return whole
-    half, free = 0.5 * switch, np.zeros(whole.shape)
-    held = np.full_like(free, -half)
-    for step in _padded(values, first):
-        held, free = np.maximum(held, free - half) + step, np.maximum(free, held - half)
-    return np.maximum(whole, np.maximum(free, held - half))
+    return np.maximum(whole, np.maximum(*_two_states(_padded(values, first), 0.5 * switch)))
 
 
 def held_by(
     values: Float[np.ndarray, "n h"], first: Int[np.ndarray, " m"], switch: float = deciding.SWITCH_NATS
 ) -> Bool[np.ndarray, "n h"]:
     """Which samples each hypothesis holds in, taken on its own: the sequences of `gains_of`."""
-    return _sequences(values[None], first, switch) > 0
+    lengths = np.diff(first)
+    whole = np.add.reduceat(values, first[:-1], axis=0)
+    throughout = np.repeat(whole > 0.0, lengths, axis=0)
+    if np.isinf(switch):
+        return throughout
+    padded = _padded(values, first)
+    entered, left = np.zeros(padded.shape, dtype=bool), np.zeros(padded.shape, dtype=bool)
+    free, held = _two_states(padded, 0.5 * switch, (entered, left))
+    state, best = held > free, np.maximum(free, held)
+    out = np.zeros(padded.shape, dtype=bool)
+    for t in range(len(padded) - 1, -1, -1):
+        out[t] = state
+        state = np.where(state, ~entered[t], left[t])
+    parts = np.concatenate([out[: b - a, i] for i, (a, b) in enumerate(pairwise(first))])
+    return np.where(np.repeat(whole > best, lengths, axis=0), throughout, parts)
+
+
+def _two_states(
+    steps: Float[np.ndarray, "T g h"],
+    half: float,
+    changes: tuple[Bool[np.ndarray, "T g h"], Bool[np.ndarray, "T g h"]] | None = None,
+) -> tuple[Float[np.ndarray, "g h"], Float[np.ndarray, "g h"]]:
+    """Evidence of the best sequences that end in free motion, and in a contact, each change for half its price.
+
+    Args:
+        steps: Evidence of each sample.
+        half: Of what a stretch costs [nats].
+        changes: Where to note which samples are best entered from free motion, and from a contact; None: nowhere.
+    """
+    free = np.zeros(steps.shape[1:])
+    held = np.full_like(free, -half)
+    for t, step in enumerate(steps):
+        from_free, from_held = free - half, held - half
+        if changes is not None:
+            np.greater(from_free, held, out=changes[0][t])
+            np.greater(from_held, free, out=changes[1][t])
+        held, free = np.maximum(held, from_free) + step, np.maximum(free, from_held)
+    return free, held - half
 
 
 def states_of(
     values: Float[np.ndarray, "n k"], first: Int[np.ndarray, " m"], switch: float = deciding.SWITCH_NATS
 ) -> Int[np.ndarray, " n"]:
-    """Most likely state of each sample: 0 free motion, k the k-th hypothesis; or, as in a cut recording, a single state
-    throughout.
+    """Most likely state of each sample: 0 free motion, k the k-th hypothesis (Viterbi's algorithm); or, as in a cut
+    recording, a single state throughout.
     """
-    return _sequences(values.T[:, :, None], first, switch)[:, 0]
-
-
-def _sequences(
-    values: Float[np.ndarray, "k n h"], first: Int[np.ndarray, " m"], switch: float
-) -> Int[np.ndarray, "n h"]:
-    """Viterbi's algorithm for h problems at once, each of free motion (0) and k states with these evidences."""
-    values = np.concatenate([np.zeros((1, *values.shape[1:])), values])
-    whole = np.add.reduceat(values, first[:-1], axis=1)
-    alone = np.repeat(np.argmax(whole, axis=0), np.diff(first), axis=0)
-    if np.isinf(switch) or len(values) == 1:
+    n, k = values.shape
+    if k == 0:
+        return np.zeros(n, dtype=np.int64)
+    whole = np.add.reduceat(np.concatenate([np.zeros((n, 1)), values], axis=1), first[:-1], axis=0)
+    alone = np.repeat(np.argmax(whole, axis=1), np.diff(first))
+    if np.isinf(switch):
         return alone
+    padded = _padded(np.concatenate([np.zeros((n, 1)), values], axis=1), first)
     # into or out of a constraint costs half a change: from one to the next a whole one
-    border = 0.5 * switch * (np.arange(len(values)) > 0)
+    border = 0.5 * switch * (np.arange(k + 1) > 0)
     cost = border[:, None] + border
     np.fill_diagonal(cost, 0.0)
-    padded = np.stack([_padded(one, first) for one in values], axis=1)
-    back = np.zeros(padded.shape, dtype=np.int8)
-    value = np.broadcast_to(-border[:, None, None], padded.shape[1:])
+    back = np.zeros(padded.shape, dtype=np.int64)
+    value = np.broadcast_to(-border, padded.shape[1:])
     for t, step in enumerate(padded):
-        arrivals = value[:, None] - cost[:, :, None, None]
-        back[t] = arrivals.argmax(axis=0)
-        value = arrivals.max(axis=0) + step
-    value = value - border[:, None, None]
-    state, out = np.argmax(value, axis=0)[None], np.zeros((len(padded), *padded.shape[2:]), dtype=np.int64)
+        arrivals = value[:, :, None] - cost
+        back[t] = arrivals.argmax(axis=1)
+        value = arrivals.max(axis=1) + step
+    state = np.argmax(value - border, axis=1)
+    best = np.max(value - border, axis=1)
+    out = np.zeros(padded.shape[:2], dtype=np.int64)
+    rows = np.arange(padded.shape[1])
     for t in range(len(padded) - 1, -1, -1):
-        out[t] = state[0]
-        state = np.take_along_axis(back[t], state, axis=0)
-    parts = np.concatenate([out[: b - a, i] for i, (a, b) in enumerate(pairwise(first))])
-    pays = np.repeat(np.max(whole, axis=0) > np.max(value, axis=0), np.diff(first), axis=0)
-    return np.where(pays, alone, parts)
+        out[t] = state
+        state = back[t, rows, state]
+    states = np.concatenate([out[: b - a, i] for i, (a, b) in enumerate(pairwise(first))])
+    return np.where(np.repeat(whole.max(axis=1) > best, np.diff(first)), alone, states)
 
 
 def _padded(values: Float[np.ndarray, "n h"], first: Int[np.ndarray, " m"]) -> Float[np.ndarray, "T g h"]:
