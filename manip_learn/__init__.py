@@ -10,7 +10,10 @@ import os
 import signal
 import sys
 
-if os.path.basename(sys.argv[0]).partition(".")[0] == "manip-learn" or sys.orig_argv[1:3] == ["-m", "manip_learn"]:
+if os.path.basename("".join(sys.argv[:1])).partition(".")[0] == "manip-learn" or sys.orig_argv[1:3] == [
+    "-m",
+    "manip_learn",
+]:
     # the program, not a user of the library: while it is loading, Ctrl-C ends it without a traceback
     signal.signal(signal.SIGINT, lambda *_: os._exit(130))
 

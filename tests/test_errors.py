@@ -8,6 +8,7 @@ import logging
 import pickle
 import re
 import unicodedata
+from contextlib import nullcontext
 from pathlib import Path
 
 from hypothesis import given, strategies
@@ -122,3 +123,24 @@ def test_logs_and_facts(caplog):
     assert caplog.messages == ["frame a\\x1b[31m\\u202e\\x9bé\nis new"]
     error = UnknownNameError("frame", "\x1b", ["a"])
     assert "\\x1b" in str(error) and error.facts()["name"] == "\x1b"
+
+
+def test_advice_is_what_the_caller_can_write():
+    """An argument in Python, a flag of the command at hand with its value, or nothing where it has no such flag."""
+    for flags, expected, instead in (
+        (None, ", or give the number of rows if you know it (n_constraints=2)", "python"),
+        ({"--constraints", "--lock"}, ", or give the number of rows if you know it (--constraints 2)", "command"),
+        ({"--lock"}, ", or give the number of rows if you know it", "command"),
+    ):
+        with nullcontext() if flags is None else errors.advice_for_command(flags):
+            assert errors.number_if_known(2) == expected and errors.spoken("python", "command") == instead
+            assert errors.command_flags() == flags
+            asked = (
+                "n_constraints"
+                if flags is None
+                else "--constraints"
+                if len(flags) == 2
+                else "the number of constraints"
+            )
+            assert str(NumberOfConstraintsError(7, 3, "x")) == f"{asked} must be between 1 and 3 for x, got 7"
+        assert errors.command_flags() is None

@@ -54,6 +54,8 @@ def test_tracks_are_forward_kinematics(robot_of, rng):
 
 def test_joints_move_by_one_number_the_short_way(robot_of):
     """Turning and sliding joints are one number, so that links stay attached; one that passes half a turn goes on."""
+    for joint in (j for name in ROBOTS for j in kinematic_tree(robot_of(name))):
+        assert joint.axis.shape == (3,) and np.linalg.norm(joint.axis) == pytest.approx(float(joint.width == 1))
     motions = {name: [j.motion for j in kinematic_tree(robot_of(name))[1:]] for name in ("gantry", "wrist", "humanoid")}
     assert motions["gantry"] == ["prismatic"] * 2 + ["revolute"] * 2 + ["prismatic"]
     assert motions["wrist"] == ["revolute"] * 4 and motions["humanoid"][0] == "free"

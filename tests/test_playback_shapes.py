@@ -7,7 +7,7 @@ import pytest
 from conftest import URDFS
 from test_playback import unpacked, waving
 
-from manip_learn.playback.appearance import TriangleMesh, appearance, decimated, z_to
+from manip_learn.playback.appearance import Shape, TriangleMesh, appearance, decimated, z_to
 from manip_learn.playback.kinematic_tree import kinematic_tree
 from manip_learn.playback.recorded_motion import recorded_motion
 from manip_learn.playback.scene_data import scene_data
@@ -77,7 +77,10 @@ def test_robots_without_shapes_get_a_figure(robot_of):
 
 
 def test_figures_look_as_they_did(robot_of):
-    """Sums over all shapes, each times its number: of the sizes [m], the poses and the colours."""
+    """Sums over all shapes, each times its number: of the sizes [m], the poses and the colours; boxes around them."""
+    sizes = {"box": (1.0, 2.0, 3.0), "sphere": (0.3,), "cone": (0.1, 0.3, 2.0), "disc": (0.2, 0.5), "mesh": ()}
+    halves = [Shape(0, kind, size, np.eye(4)).half_extent().tolist() for kind, size in sizes.items()]
+    assert halves == [[0.5, 1.0, 1.5], [0.3] * 3, [0.3, 0.3, 1.0], [0.2, 0.2, 0.25], [0.0] * 3]
     for name, expected in (
         ("gantry", [25.261924, 321.321848, 241.64]),
         ("tree", [26.638506, 496.573465, 350.64]),
