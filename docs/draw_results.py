@@ -71,7 +71,7 @@ def _lines(ax: Any, cells: list[dict[str, Any]], key: str, factor: float) -> Non
 
 def curves(noise: float = 0.01) -> Figure:
     """The recorded points of each curve, the curve itself and what is learnt of it, through the first point."""
-    figure, axes = charts.new_figure(9.0, 4.6, 1, len(CURVES), sharey=True)
+    figure, axes = charts.new_figure(9.0, 5.0, 1, len(CURVES), sharey=True)
     x, y = np.meshgrid(np.linspace(LOW, HIGH, 300), np.linspace(LOW, HIGH, 300))
     grid = np.array([x, y, x * x, x * y, y * y]).reshape(5, -1)
     for ax, task in zip(axes[0], CURVES, strict=True):

@@ -470,12 +470,16 @@ def draw_columns(columns: Mapping[str, Sequence[Rollout]], target: tuple[float, 
         above.plot(
             *target, "x", color=charts.INK, markersize=7, markeredgewidth=1.6, linestyle="none", label="target r*"
         )
-        above.set(title=title, xlabel="x of the links [m]", aspect="equal", xlim=(-REACH, REACH), ylim=(-REACH, REACH))
+        above.set_title(title, fontsize=9)
+        above.set(xlabel="x of the links [m]", aspect="equal", xlim=(-REACH, REACH), ylim=(-REACH, REACH))
         for rollout, look, said in zip(rollouts, ("-", ":"), ("0.02 s (50 Hz)", "0.01 s (100 Hz)"), strict=False):
             colour = COLOURS["blue"] if look == "-" else charts.INK
             below.plot(rollout.time, rollout.manipulability, look, color=colour, label=f"step {said}")
         below.legend(loc="upper right", fontsize=7)
         below.set_xlabel("time [s]")
+        steps = below.secondary_xaxis("top", functions=(lambda t: t / STEP, lambda k: k * STEP))
+        steps.set_xlabel("step of 0.02 s", fontsize=8)
+        steps.tick_params(labelsize=7)
     highest = max(float(np.max(r.manipulability)) for rollouts in columns.values() for r in rollouts)
     axes[1, 0].set_ylim(0.0, 1.3 * highest)  # room for the key
     axes[0, 0].set_ylabel("y of the links [m]")

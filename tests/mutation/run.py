@@ -23,6 +23,7 @@ import tempfile
 import time
 from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
+from itertools import islice
 from pathlib import Path
 
 import numpy as np
@@ -34,9 +35,10 @@ from workshop import ROOT, Workshop
 # it, a constant of a tie, < for <= where equality cannot be)
 LEAST = 0.8
 LEAST_OF_FEW, FEW = 0.5, 5  # of a quick run, where so many were tried: eight of ten may be five of ten by chance
-QUICK = {"hours": 2.0 / 60.0, "count": 3, "timeout": 20.0, "followed": 10.0, "nearest": 2}
-# seconds of a test file whose lines are followed, and test files of a ring: more repeat what these reach
-THOROUGH = {"followed": 60.0, "nearest": 10}
+# seconds of a test file whose lines are followed, and test files of a ring: more repeat what these reach; rings of test
+# files that are asked for a line, all of them only where each test file is followed anyhow
+QUICK = {"hours": 2.0 / 60.0, "count": 3, "timeout": 20.0, "followed": 10.0, "nearest": 2, "rings": 1}
+THOROUGH = {"followed": 60.0, "nearest": 10, "rings": 2}
 UNREACHED = "no test comes here"
 TESTS = 12  # quickest tests of a line that are tried: those that remain repeat what these check
 
@@ -84,6 +86,8 @@ def _options() -> argparse.Namespace:
     parser.set_defaults(**THOROUGH)
     if "--quick" in sys.argv:
         parser.set_defaults(**QUICK)
+    if "--everything" in sys.argv:
+        parser.set_defaults(rings=None)
     options = parser.parse_args()
     unknown = [file for file in options.files if not (ROOT / file).is_file() or not file.startswith("manip_learn/")]
     if unknown:
@@ -100,6 +104,7 @@ def _lines_of(options: argparse.Namespace) -> dict[str, set[int] | None]:
     since = options.since or _git("describe", "--tags", "--abbrev=0") or "HEAD~1"
     if not _git("rev-parse", "--verify", "--quiet", since):
         raise SystemExit(f"--since {since}: git knows no such revision here; give files instead")
+    since = _git("merge-base", since, "HEAD") or since  # what others have changed there meanwhile is not ours
     changed: dict[str, set[int] | None] = {}
     lines = set[int]()
     for line in _git("diff", "--unified=0", "--diff-filter=AMR", since, "--", "manip_learn/*.py").splitlines():
@@ -130,12 +135,10 @@ def _try(
     workshop: Workshop, file: str, fault: Fault, importers: Mapping[str, Sequence[str]], options: argparse.Namespace
 ) -> str:
     """What becomes of a fault; where no near test comes to its line, the next ring of test files is asked."""
-    for test_files in rings_around(file, importers, options.nearest):
+    for test_files in islice(rings_around(file, importers, options.nearest), options.rings):
         reached = workshop.tests_of(file, test_files).get(fault.line, [])
         if reached:
             return workshop.try_fault(file, fault.text(), reached[:TESTS])
-        if options.quick:
-            break
     return UNREACHED
 
 

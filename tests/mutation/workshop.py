@@ -33,7 +33,8 @@ class Workshop:
     Args:
         folder: Where to copy to.
         timeout: Time after which a fault counts as noticed, because it hangs [s].
-        followed: Time of a test file whose lines are followed, which is slower: the rest repeats what the first do [s].
+        followed: Processor time of a test file whose lines are followed, which is slower: the rest repeats what the
+            first do [s].
     """
 
     def __init__(self, folder: Path, timeout: float, followed: float):
@@ -168,7 +169,7 @@ class _Notes:
 
     def __init__(self, followed: float) -> None:
         self.lines: coverage.Coverage | None = None
-        self.seconds, self.end = dict[str, float](), time.monotonic() + followed
+        self.seconds, self.end = dict[str, float](), time.process_time() + followed
 
     def pytest_runtest_logstart(self, nodeid: str) -> None:
         if self.lines is not None:
@@ -181,5 +182,5 @@ class _Notes:
             self.seconds[report.nodeid] = self.seconds.get(report.nodeid, 0.0) + report.duration
 
     def pytest_runtest_protocol(self, item) -> None:
-        if self.lines is not None and time.monotonic() > self.end:
+        if self.lines is not None and time.process_time() > self.end:
             item.session.shouldstop = "long enough"
