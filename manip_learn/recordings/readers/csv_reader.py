@@ -341,20 +341,12 @@ def read(path: Path, request: ReadRequest) -> Iterator[Recording]:
     if dialect.named_by_caller:
         request.uses.use("joint_names")
     columns = columns_of(path, dialect, request)
-    names = columns.names
-    used = [i for i, name in enumerate(names) if name is not None]
+    used = [i for i, name in enumerate(columns.names) if name is not None]
     cut = _is_cut_off(path, dialect) and request.last_line == "drop"
     dialect = replace(dialect, without_cut_line=cut)
     table = _table(path, dialect, used, request)
-    after = path.stat()
-    if (after.st_size, after.st_mtime_ns) != (before.st_size, before.st_mtime_ns):
-        raise refusal(
-            path,
-            "changed",
-            f"the file changed while it was read ({before.st_size:,} bytes, then {after.st_size:,}), so its end may be "
-            "missing: read it when the recorder or the copy has ended",
-        )
-    kept = [str(names[i]) for i in used]
+    _refuse_changed(path, before)
+    kept = [str(columns.names[i]) for i in used]
     notes = [f"the header was read from the comment in line {dialect.header_line}"] if dialect.commented_header else []
     notes += columns.notes
     if cut and len(table) < 2:
@@ -394,6 +386,18 @@ def read(path: Path, request: ReadRequest) -> Iterator[Recording]:
         line_of=partial(_line_of, path, dialect),
         notes=tuple(notes),
     )
+
+
+def _refuse_changed(path: Path, before: os.stat_result) -> None:
+    """Refuse a table that a recorder or a copy still writes."""
+    after = path.stat()
+    if (after.st_size, after.st_mtime_ns) != (before.st_size, before.st_mtime_ns):
+        raise refusal(
+            path,
+            "changed",
+            f"the file changed while it was read ({before.st_size:,} bytes, then {after.st_size:,}), so its end may be "
+            "missing: read it when the recorder or the copy has ended",
+        )
 
 
 def _base_name(name: str, suffixes: tuple[str, ...], own_names: tuple[str, ...]) -> str | None:
