@@ -109,6 +109,7 @@ def test_parts():
         np.testing.assert_array_equal(part.u, np.ones((3, 2)))
         assert part.name == "demo"
     assert t.part(slice(0, 2), "start").name == "start"
+    np.testing.assert_array_equal(t[t.time[1] : t.time[4]].time, t.time[1:5])  # both ends included
     assert len(t) == 6
     assert t.duration == pytest.approx(0.5)
     with pytest.raises(RecordingError, match="no samples"):

@@ -199,6 +199,12 @@ def test_poses_are_read_as_rotation_vectors_or_quaternions(robot: Robot, tmp_pat
         assert np.max((ours.inv() * rotations).magnitude()) < 1e-9
         np.testing.assert_allclose(demos[0].q[:, others], x[:, others], atol=1e-12)
     assert any("quaternions" in note for note in b.notes)
+    arm = [i for i in range(robot.nv) if i not in columns]
+    lower, upper = robot.position_lower[arm], robot.position_upper[arm]
+    scaled = wrapped.copy()
+    scaled[:, arm] = 200.0 * (x[:, arm] - lower) / (upper - lower) - 100.0
+    d = ml.load_demonstrations(write(tmp_path / "d.csv", names, scaled, time), robot, units="normalised")
+    np.testing.assert_allclose(d[0].q[:, others], x[:, others], atol=1e-12)  # a pose is in metres and radians
 
 
 def test_poses_that_cannot_be_read(robot: Robot, tmp_path: Path) -> None:

@@ -167,6 +167,7 @@ COMMANDS = {
 }
 
 
+@pytest.mark.timeout(400)  # many commands
 def test_errors_name_only_flags_of_the_command(planar3: Robot, capsys) -> None:
     """Every flag in the text of an error exists for the command that printed it, and Python's words are not used."""
     for command in COMMANDS:

@@ -389,7 +389,7 @@ def read(path: Path, request: ReadRequest) -> Iterator[Recording]:
 
 
 def _refuse_changed(path: Path, before: os.stat_result) -> None:
-    """A file that is still written, or cut, while it is read."""
+    """Refuse a table that a recorder or a copy still writes."""
     after = path.stat()
     if (after.st_size, after.st_mtime_ns) != (before.st_size, before.st_mtime_ns):
         raise refusal(

@@ -1,8 +1,8 @@
 """The child process that parses foreign formats; run as a script, never imported.
 
-Standard input brings the search path of modules, then jobs (pickled by the parent, which trusts nothing that comes
-back). For a job it limits its own memory and processor time, and answers with frames of JSON, some followed by frames
-with the bytes of arrays; the last one says how it ended.
+Standard input is a connection that brings the search path of modules, then jobs. For a job the process limits its own
+memory and processor time, and answers with frames of JSON, some followed by frames with the bytes of arrays; the last
+one says how it ended.
 """
 
 from __future__ import annotations
@@ -12,7 +12,6 @@ import importlib
 import itertools
 import json
 import os
-import pickle
 import signal
 import sys
 import types
@@ -28,14 +27,15 @@ def main() -> None:
     # what a library prints must not get between the answers
     answers = Connection(os.dup(sys.stdout.fileno()), readable=False)
     os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
-    sys.path[:] = pickle.load(sys.stdin.buffer)
+    jobs = Connection(os.dup(sys.stdin.fileno()), writable=False)
+    sys.path[:] = jobs.recv()
     # the package without its __init__, which would load robots, too
     package = types.ModuleType("manip_learn.recordings")
     package.__path__ = [os.path.dirname(os.path.dirname(os.path.abspath(__file__)))]
     sys.modules[package.__name__] = package
     with contextlib.suppress(EOFError):
         while True:
-            job = pickle.load(sys.stdin.buffer)
+            job = jobs.recv()
             limit_self(job["bytes"], job["seconds"])
             serve(job, answers)
 

@@ -1,7 +1,8 @@
 """Foreign formats, parsed in a child process that may crash, hang or run out of memory.
 
 The child is a script of its own, not one of `multiprocessing`, which would run the caller's main module once more and
-load the robots with it. Its answers come as the frames of a `multiprocessing` connection.
+load the robots with it. Jobs go there and answers come back over `multiprocessing` connections; of what comes back
+nothing is unpickled.
 """
 
 from __future__ import annotations
@@ -10,7 +11,6 @@ import atexit
 import contextlib
 import json
 import os
-import pickle
 import signal
 import subprocess
 import sys
@@ -97,16 +97,18 @@ class _Child:
         self._is_new = True
         self._errors = tempfile.TemporaryFile()
         self._pipe, answers = Pipe(duplex=False)
+        jobs, self._jobs = Pipe(duplex=False)
         threads = dict.fromkeys(("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS"), "1")
         self._process = subprocess.Popen(
             [sys.executable, "-P", str(CHILD)],
-            stdin=subprocess.PIPE,
+            stdin=jobs.fileno(),
             stdout=answers.fileno(),
             stderr=self._errors,
             # Arrow's own allocators reserve far more addresses than they use
             env={**os.environ, **threads, "ARROW_DEFAULT_MEMORY_POOL": "system"},
         )
-        answers.close()  # the child's end: where it is closed, the child has ended
+        for end in (answers, jobs):  # those of the child: where they are closed, the child has ended
+            end.close()
         self._timed_out = False
 
     @property
@@ -122,9 +124,10 @@ class _Child:
             MissingExtraError: The parser's library is not installed.
         """
         self.is_free = False
-        first = [[p or os.getcwd() for p in sys.path]] if self._is_new else []
         try:
-            self._write(*first, job)
+            if self._is_new:
+                self._jobs.send([p or os.getcwd() for p in sys.path])
+            self._jobs.send(job)
         except OSError as error:
             raise self._lost(path, job) from error
         patience = SILENCE * job["seconds"] + (START_SECONDS if self._is_new else 0.0)
@@ -146,13 +149,6 @@ class _Child:
                 words["message"], code=words["code"], path=given, line=words["line"], column=words["column"]
             )
         yield answer
-
-    def _write(self, *given: Any) -> None:
-        if self._process.stdin is None:
-            raise BrokenPipeError
-        for each in given:
-            pickle.dump(each, self._process.stdin)
-        self._process.stdin.flush()
 
     def _answer(self, path: Path, job: dict[str, Any], patience: float) -> Answer:
         deadline = time.monotonic() + patience
@@ -204,9 +200,7 @@ class _Child:
         if self.owner == os.getpid():
             self._process.kill()
             self._process.wait()
-        if self._process.stdin is not None:
-            with contextlib.suppress(BrokenPipeError):
-                self._process.stdin.close()
+        self._jobs.close()
         self._pipe.close()
         self._errors.close()
 
