@@ -62,7 +62,7 @@ class LimitedChild:
 
         Raises:
             TimeoutError: It took longer.
-            ChildProcessError: The process crashed or ran out of memory.
+            OSError: The process crashed or ran out of memory (a `ChildProcessError`).
         """
         try:
             if self._is_new:
