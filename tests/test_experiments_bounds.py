@@ -159,6 +159,7 @@ def test_paired_comparison():
     assert pair["ratio"] == pytest.approx(np.sqrt(30.0))
     assert pair["p"] is not None and pair["p"] < 0.05 and pair["low"] < pair["ratio"] < pair["high"]
     assert compare_pairs([None], [1.0])["ratio"] is None
+    assert compare_pairs([1.0] * 5, [2.0] * 5)["p"] is None and compare_pairs([1.0] * 6, [2.0] * 6)["p"] == 2.0**-5
 
 
 def test_a_noisy_trial_has_bound_and_learners():
