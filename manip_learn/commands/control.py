@@ -73,6 +73,7 @@ class Controlled:
         verb: What the way did to the thing, e.g. `"opened"`.
         plan: The plan that was followed; None without one.
         hint: What to try, where the way was probably meant otherwise.
+        notes: What loading the constraint had to say, e.g. that joints are locked elsewhere than when it was learnt.
     """
 
     rollout: Rollout
@@ -85,13 +86,15 @@ class Controlled:
     verb: str = "moved"
     plan: Plan | None = None
     hint: str = ""
+    notes: tuple[str, ...] = ()
 
     @staticmethod
     def of(constraint: Constraint, rollout: Rollout, tolerance: float, way: WayDone | None, **more: Any) -> Controlled:
         """A rollout of a constraint, with the words for what the hand moves on and what it did there."""
         known = constraint.mechanism
         place, verb = "" if known is None else PLACES.get(known.type, ""), verb_of(constraint, rollout, way)
-        return Controlled(rollout, tolerance=tolerance, place=place, way=way, verb=verb, **{"out": None, **more})
+        words: dict[str, Any] = {"out": None, "place": place, "verb": verb, "notes": constraint.notes, **more}
+        return Controlled(rollout, tolerance=tolerance, way=way, **words)
 
     @property
     def final_error(self) -> float:
@@ -147,6 +150,7 @@ class Controlled:
             "mean_manipulability": float(r.manipulability.mean()),
             "max_velocity": float(np.abs(r.u).max()),
             "status_counts": r.status_counts,
+            "notes": list(self.notes),
             "duration": float(r.time[-1]),
             "final_posture": r.q[-1].tolist(),
             "out": None if self.out is None else str(self.out),

@@ -349,6 +349,7 @@ def print_cross_check(console: Console, inspected: Inspected) -> None:
 def print_controlled(console: Console, controlled: Controlled, explain: bool = False) -> None:
     """One rollout: what was done in a sentence, the numbers, and what stood in the way."""
     say(console, controlled.sentence, style="bold")
+    say(console, *(f"note: {note}" for note in controlled.notes), style="dim")
     if controlled.start:
         say(console, f"start: {controlled.start} (another: --start)")
     console.print(rollout_table({"rollout": controlled}, console.width))
