@@ -363,7 +363,7 @@ def test_report_in_json_and_in_words():
 
 
 def test_no_name_of_a_file_or_a_row_moves_the_cursor():
-    """Control characters of names are written out in every sentence, in repr and in HTML; data keep the names."""
+    """Control characters of names are written out in every sentence, in repr and in HTML."""
     rng, bad = np.random.default_rng(6), "\x1b[31mred\x07\u202e"
     demos, truth = guided_motions(arm_features(), np.eye(3)[:2], rng, 6, 60, noise=0.01)
     features = CustomFeatures(truth.features, ("x" + bad, "y", "z"), 7)
@@ -371,7 +371,6 @@ def test_no_name_of_a_file_or_a_row_moves_the_cursor():
     slips[0] = dataclasses.replace(slips[0], u=slips[0].u + 0.02 * np.cos(slips[0].time)[:, None])
     copied = dataclasses.replace(slips[2], name="copy" + bad)
     report = ConstraintLearner(features).fit(Demonstrations([*slips, copied], ["read" + bad])).report_
-    assert any(f"copy{bad}" in p.trajectory or bad in p.trajectory for p in report.phases)
     reasons = [why for _, why in report.odd_trajectories]
     said = [str(report), repr(report), report._repr_html_(), *report.notes, *reasons]
     assert any(r"\x1b[31m" in w for w in report.warnings) and r"read\x1b" in report.notes[0]

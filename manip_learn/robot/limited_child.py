@@ -17,7 +17,7 @@ import sys
 from pathlib import Path
 from typing import Any, final
 
-START_SECONDS = 30.0  # for the task's libraries to be loaded, from a cold disk on a busy machine
+START_SECONDS = 30  # for the task's libraries to be loaded, from a cold disk on a busy machine
 LARGEST_FILE = 500_000_000  # [bytes] that the process can write
 # what a task may raise about a job, which the answer then says in place of a result
 FAULTS = (ArithmeticError, AttributeError, LookupError, NameError, OSError, RuntimeError, SyntaxError)
@@ -31,7 +31,7 @@ class LimitedChild:
         task: File of Python with `prepared()`, which loads what it needs and returns the function from a job to its
             answer, both of them dicts.
         memory: Largest address space [bytes].
-        seconds: Processor time of all jobs together [s].
+        seconds: Processor time of all jobs together, beside that of the start [s].
         folder: Where the process runs.
 
     Attributes:
@@ -42,7 +42,7 @@ class LimitedChild:
         search_path = json.dumps([p or os.getcwd() for p in sys.path])
         self.is_lost, self._is_new = False, True
         self._process = subprocess.Popen(
-            [sys.executable, "-I", __file__, str(task), str(memory), str(seconds), search_path],
+            [sys.executable, "-I", __file__, str(task), str(memory), str(seconds + START_SECONDS), search_path],
             stdin=subprocess.PIPE,
             stdout=subprocess.PIPE,
             stderr=subprocess.DEVNULL,

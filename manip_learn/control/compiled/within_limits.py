@@ -12,9 +12,11 @@ import numpy as np
 from manip_learn.constraint.compiled_rows import add, dot
 from manip_learn.control import resolved_rate_law
 from manip_learn.control.bounded_velocity import (
+    DEPENDENT,
     DEVIATION_WEIGHT,
     LARGEST_RATIO,
     NEGLIGIBLE,
+    REORTHOGONAL,
     ROUNDING,
     TASK_WEIGHT,
     TOLERANCE,
@@ -35,9 +37,6 @@ from manip_learn.control.limits import MOST_ROWS
 from manip_learn.control.resolved_rate_law import AT_GOAL
 from manip_learn.robot.batch.kernel_cache import compiled, compiled_inside
 
-# a row whose part outside the active rows has less than this share of its square depends on them
-DEPENDENT = 1e-18
-REORTHOGONAL = 1e-2  # ... and with less than this share, it is projected twice
 # rows of the scratch of `project`, each as long as x, before those of the triangle and of the basis
 DIRECTION, ALONG, FALL, MULTIPLIERS, BOUNDS, SIGNS, ACTIVE, SCRATCH = range(8)
 

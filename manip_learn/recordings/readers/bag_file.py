@@ -117,7 +117,7 @@ class BagFile:
             asked = {t: n for t, n in self._stated.items() if t in topics}
             _refuse_other_counts(self.path, total, asked, "metadata.yaml")
 
-    def deserialised(self, raw: bytes) -> Any:
+    def deserialised(self, raw: bytes) -> object:
         """A message as the library reads it."""
         types = _typestore(is_ros1=self.is_ros1)
         return (types.deserialize_ros1 if self.is_ros1 else types.deserialize_cdr)(raw, JOINT_STATE)

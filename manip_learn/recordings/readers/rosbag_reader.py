@@ -248,7 +248,8 @@ def _new_layout(bag: BagFile, topic: str, raw: bytes, n_known: int) -> JointStat
 
 def _checked_layout(bag: BagFile, raw: bytes) -> JointStateLayout:
     """Where the numbers are in a message; compared with the library's own reading of it."""
-    layout, message = layout_of(raw, is_ros1=bag.is_ros1), bag.deserialised(raw)
+    layout = layout_of(raw, is_ros1=bag.is_ros1)
+    message: Any = bag.deserialised(raw)
     row = np.frombuffer(raw, dtype=np.uint8)[None]
     if tuple(message.name) != layout.names:
         raise ValueError(f"the joint names are read as {tuple(message.name)} and as {layout.names}")
