@@ -81,6 +81,7 @@ def test_the_words_say_how_far(run, file):
     assert code == 0 and out.startswith(
         "pushed in 0.150 of 0.150 m start: the first posture in which the task was shown"
     )
+    assert "note: as when the constraint was made: panda_finger_joint1 = 0, panda_finger_joint2 = 0 locked" in out
     _code, out, _err = run("control", *file("drawer"), "--along", "-0.1")
     assert out.startswith("opened 0.100 of 0.100 m")
     _code, out, _err = run("control", *file("door"), "--turn", "-30")

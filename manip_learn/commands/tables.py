@@ -349,7 +349,6 @@ def print_cross_check(console: Console, inspected: Inspected) -> None:
 def print_controlled(console: Console, controlled: Controlled, explain: bool = False) -> None:
     """One rollout: what was done in a sentence, the numbers, and what stood in the way."""
     say(console, controlled.sentence, style="bold")
-    say(console, *(f"note: {note}" for note in controlled.notes), style="dim")
     if controlled.start:
         say(console, f"start: {controlled.start} (another: --start)")
     console.print(rollout_table({"rollout": controlled}, console.width))
@@ -363,6 +362,7 @@ def print_controlled(console: Console, controlled: Controlled, explain: bool = F
     counts = controlled.rollout.status_counts
     say(console, f"steps: {', '.join(f'{status} {n}' for status, n in counts.items())}")
     say(console, *_obstacles(controlled), style="yellow")
+    say(console, *(f"note: {note}" for note in controlled.notes), style="dim")
     say_file(console, "written", controlled.out)
 
 
