@@ -30,7 +30,10 @@ from manip_learn.robot.loading import load_robot  # noqa: E402
 from manip_learn.robot.robot import Robot  # noqa: E402
 
 # of the files whose tests run compiled controllers
-COMPILES = "compiled servo rollout loops kernel_cache examples free_direction golden physics control_properties".split()
+COMPILES = (
+    "compiled servo rollout loops kernel_cache examples free_direction golden physics control_properties "
+    "mechanism_features saved_files warm_up driver"
+).split()
 BROWSER_FLAGS = ["--no-sandbox", "--disable-gpu", "--disable-quic", "--no-first-run", "--disable-background-networking"]
 BROWSERS = ("chromium", "chromium-browser", "google-chrome", "google-chrome-stable")
 ROBOTS = Path(__file__).resolve().parents[1] / "robots"
