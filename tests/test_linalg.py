@@ -48,6 +48,11 @@ def test_exact_inverse_inverts_however_small(rng):
     assert pseudo_inverse(A, "truncated")[0, 0] == 1.0
     sigma = np.array([1000.0, 4e-13, 3e-13])  # max(size) eps(norm) = 3.4e-13
     np.testing.assert_array_equal(inverse_singular_values(sigma, (3, 3), "truncated"), [1e-3, 1.0 / 4e-13, 0.0])
+    at = matlab_tolerance(sigma, (3, 3))  # what is exactly at the tolerance is dropped, one rounding above it is kept
+    np.testing.assert_array_equal(
+        inverse_singular_values(np.array([1000.0, np.nextafter(at, 1.0), at]), (3, 3), "truncated"),
+        [1e-3, 1.0 / np.nextafter(at, 1.0), 0.0],
+    )
     for values in (
         [[1, 2, 3]],
         [1, 2],
