@@ -7,7 +7,7 @@ from collections.abc import Callable
 import numpy as np
 import pinocchio as pin
 import pytest
-from cases import case
+from case import case
 from conftest import TIPS, URDFS, tip_of
 
 from manip_learn.constraint.features import CentreOfMass, FrameJacobian, Stacked

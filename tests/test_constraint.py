@@ -6,8 +6,8 @@ import json
 
 import numpy as np
 import pytest
+from case import case
 from generated_motions import arm_features, guided_motions, oblique
-from test_gradients import case
 
 from manip_learn.constraint.constraint import Constraint
 from manip_learn.constraint.features import CentreOfMass, CustomFeatures, FrameJacobian, MechanismRows, Stacked

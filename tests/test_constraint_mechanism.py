@@ -7,7 +7,7 @@ from itertools import product
 
 import numpy as np
 import pytest
-from test_gradients import case
+from case import case
 
 import manip_learn as ml
 from manip_learn.constraint.features import FrameJacobian, MechanismRows, RelativeFrameJacobian

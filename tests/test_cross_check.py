@@ -6,7 +6,7 @@ import logging
 
 import numpy as np
 import pytest
-from cases import case
+from case import case
 from urdf_corpus_case import ARM
 from urdf_corpus_joints import mimic_chain
 

@@ -7,9 +7,9 @@ from itertools import product
 
 import numpy as np
 import pytest
+from case import case
 from conftest import tip_of
 from scipy.spatial.transform import Rotation
-from test_gradients import case
 
 from manip_learn.constraint.features import CentreOfMass, CustomFeatures, FrameJacobian, Stacked
 from manip_learn.constraint.features.frame_jacobian import AXES, parse_axes

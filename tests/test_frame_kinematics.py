@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 import pinocchio as pin
 import pytest
-from cases import case
+from case import case
 from conftest import tip_of
 
 from manip_learn.robot import load_robot

@@ -6,7 +6,8 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from test_gradients import RobotOf, case
+from case import case
+from test_gradients import RobotOf
 from test_motion import learnt
 
 from manip_learn.constraint.constraint import Constraint

@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager
 from itertools import product
 
 import numpy as np
 import pytest
+from case import case
 from conftest import LOCKED, TIPS, URDFS, tip_of
 
 from manip_learn.constraint.constraint import Constraint
@@ -35,16 +35,6 @@ AXES = ["xyz", "pose", "planar", "x", "x rz", "ry z"]
 REFERENCES = ["world", "local"]
 ABOUT = {"axis": (0.3, -0.5, 0.8), "point": (0.4, 0.2, 0.3), "pitch": 0.07}
 RobotOf = Callable[[str], Robot]
-
-
-@contextmanager
-def case(*words: object) -> Iterator[None]:
-    """What fails inside says in which case it did."""
-    try:
-        yield
-    except BaseException as error:
-        error.add_note(f"case: {' '.join(map(str, words))}")
-        raise
 
 
 def central_difference(f: Callable[[np.ndarray], np.ndarray | float], robot: Robot, q: np.ndarray) -> np.ndarray:

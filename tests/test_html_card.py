@@ -8,7 +8,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from cases import case
+from case import case
 
 import manip_learn as ml
 from manip_learn.robot import html_card

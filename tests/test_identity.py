@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 
 import pytest
-from cases import case
+from case import case
 from urdf_corpus_case import edited
 
 from manip_learn.errors import RecordingError, advice_for_command

@@ -8,8 +8,8 @@ import sys
 
 import numpy as np
 import pytest
+from case import case
 from test_axioms import pseudo_inverse
-from test_gradients import case
 
 from manip_learn.constraint.small_matrices import row_inverse, svd
 from manip_learn.linalg import (

@@ -13,7 +13,7 @@ from pathlib import Path
 import numpy as np
 import pinocchio as pin
 import pytest
-from cases import case
+from case import case
 from urdf_corpus_case import ARM, edited
 
 from manip_learn.errors import MissingExtraError, RobotError, UnknownNameError

@@ -7,8 +7,9 @@ from itertools import product
 
 import numpy as np
 import pytest
+from case import case
 from conftest import TIPS, URDFS, tip_of
-from test_gradients import RobotOf, case
+from test_gradients import RobotOf
 
 from manip_learn.constraint.constraint import Constraint
 from manip_learn.constraint.features import CentreOfMass, FeatureMap, FrameJacobian, Stacked

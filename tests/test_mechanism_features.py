@@ -10,7 +10,8 @@ from itertools import product
 
 import numpy as np
 import pytest
-from test_gradients import case, central_difference
+from case import case
+from test_gradients import central_difference
 
 from manip_learn.constraint.constraint import Constraint
 from manip_learn.constraint.features import FrameJacobian, MechanismRows

@@ -9,7 +9,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from cases import case
+from case import case
 from urdf_corpus_meshes import OBJ, dae, glb, gltf, stl
 
 from manip_learn.errors import RobotError

@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 import pinocchio as pin
 import pytest
-from cases import case
+from case import case
 from conftest import URDFS
 
 from manip_learn.constraint.constraint import Constraint

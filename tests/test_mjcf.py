@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from cases import case
+from case import case
 from urdf_corpus_case import ARM
 
 from manip_learn.errors import RobotError

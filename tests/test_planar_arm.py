@@ -9,7 +9,7 @@ from pathlib import Path
 
 import numpy as np
 import pinocchio as pin
-from cases import case
+from case import case
 
 ROBOTS = Path(__file__).resolve().parents[1] / "robots"
 SCRIPT = ROBOTS / "make_planar3.py"

@@ -7,8 +7,8 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from case import case
 from conftest import chain_urdf
-from test_gradients import case
 
 import manip_learn as ml
 from manip_learn.commands.demo import SCENES

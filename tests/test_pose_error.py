@@ -6,7 +6,7 @@ from collections.abc import Callable
 
 import numpy as np
 import pytest
-from test_gradients import case
+from case import case
 
 from manip_learn.constraint.constraint import Constraint
 from manip_learn.constraint.features import CentreOfMass, FeatureMap, FrameJacobian, RelativeFrameJacobian, Stacked

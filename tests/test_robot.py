@@ -9,7 +9,7 @@ import threading
 import numpy as np
 import pinocchio as pin
 import pytest
-from cases import case
+from case import case
 from conftest import TIPS, URDFS, tip_of
 from urdf_corpus_case import edited
 

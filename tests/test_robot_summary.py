@@ -7,7 +7,7 @@ import sys
 
 import numpy as np
 import pytest
-from cases import case
+from case import case
 from urdf_corpus_case import ARM
 
 from manip_learn.robot.loading import captured_c_stderr, load_robot

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import numpy as np
-from cases import case
+from case import case
 from scipy.spatial.transform import Rotation
 
 from manip_learn.robot.rotations import (
