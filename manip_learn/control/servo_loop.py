@@ -446,6 +446,7 @@ class ServoLoop:
             self._reference, self._velocity = self._output, self._sent
             return self._unloading(self._output, measured, period)
         if held is None or self._waited > self.stale_after:
+            self.stopped_by = f"no new state for more than {1e3 * self.stale_after:g} ms"
             return self._braked(Status.STALE, period)
         if self._correction_rate and self._waited == 0.0:
             slow = min(1.0, self._correction_rate * held) * self._following.distance
