@@ -162,8 +162,10 @@ def test_by_default_wiping_does_not_stop_the_arm(example):
     along = np.linalg.svd(normal[None])[2][1:]
     constraint = ml.Constraint(np.vstack([normal, along]), ml.FrameJacobian(robot, FRAME, axes="xyz"))
 
+    middle = handle()
+
     def place(t: float) -> np.ndarray:
-        return handle() + 0.1 * (np.sin(t) * along[0] + (np.cos(t) - 1.0) * along[1])
+        return middle + 0.1 * (np.sin(t) * along[0] + (np.cos(t) - 1.0) * along[1])
 
     def rate(t: float) -> np.ndarray:
         return 0.1 * (np.cos(t) * along[0] - np.sin(t) * along[1])
@@ -171,7 +173,7 @@ def test_by_default_wiping_does_not_stop_the_arm(example):
     controller = ml.ResolvedRateController(
         constraint, ml.Track(place, rate, gain=3.0), ml.ManipulabilityAscent(constraint)
     )
-    table = Plane(handle(), np.empty((0, 3)), np.array([0.3, 0.3]), np.array([0.0, 0.0, 1.0]))
+    table = Plane(middle, np.empty((0, 3)), np.array([0.3, 0.3]), np.array([0.0, 0.0, 1.0]))
     record, _ = driven(example, controller, table, 6.5)
     assert record.ordered, record.ended
 
