@@ -51,11 +51,9 @@ def _unraisable(lost: Any) -> None:
 
 
 def _run(arguments: list[str], as_program: bool = False) -> int:
-    from typer.main import get_command
-
     from manip_learn.commands.command_line import PROGRAM, flags_of, joined_vectors, typed
     from manip_learn.commands.output import refuse
-    from manip_learn.commands.program import app
+    from manip_learn.commands.program import program
     from manip_learn.errors import advice_for_command
 
     arguments = joined_vectors(arguments)
@@ -63,14 +61,13 @@ def _run(arguments: list[str], as_program: bool = False) -> int:
         return refuse(
             "no command given: try `manip-learn demo`, or `manip-learn --help` for all commands", False, "usage"
         )
-    command = get_command(app)
 
     def work() -> Any:
         if as_program:
             signal.signal(signal.SIGINT, _interrupt)
-        return command.main(arguments, prog_name=PROGRAM, standalone_mode=False)
+        return program.main(arguments, prog_name=PROGRAM, standalone_mode=False)
 
-    with advice_for_command(flags_of(command, arguments)), typed(arguments):
+    with advice_for_command(flags_of(program, arguments)), typed(arguments):
         return _exit_code(work, "--json" in arguments)
 
 

@@ -9,15 +9,13 @@ from functools import cache
 
 from library_source import Source, library
 from test_floors import own_imports
-from typer.main import get_command
 
 from manip_learn.commands.command_line import flags_of
 from manip_learn.commands.program import COMMANDS as DECLARED
-from manip_learn.commands.program import app
+from manip_learn.commands.program import program
 from manip_learn.errors import FLAG
 
-PROGRAM = get_command(app)
-COMMANDS = sorted(PROGRAM.commands)
+COMMANDS = sorted(program.commands)
 FILES = {command.name: command.work.partition(".")[0] for command in DECLARED}
 SOURCES = {source.name: source for source in library()}
 # flags of other programs: of `ros2 topic pub`, and of the program that writes the planar arms
@@ -92,10 +90,10 @@ def test_flags_are_found():
 
 def test_every_flag_that_a_command_may_name_exists():
     """What stands in a text as it is: a flag of every command that can get there; what is advised: of some command."""
-    every = set().union(*(flags_of(PROGRAM, [c]) for c in COMMANDS), {"--version"})
+    every = set().union(*(flags_of(program, [c]) for c in COMMANDS), {"--version"})
     # the demo's robot, frame and recordings come with the package, so it cannot say what `learn` says about them
     for command in (c for c in COMMANDS if c != "demo"):
-        own, files = flags_of(PROGRAM, [command]), reached(command)
+        own, files = flags_of(program, [command]), reached(command)
         wrong = [
             f"{command} reaches {file}:{line}: {flag}"
             for file, line, flag, advised, name in named_flags()
@@ -111,12 +109,12 @@ def test_every_command_that_is_named_exists():
     assert named and named <= {*COMMANDS}
     lines = [found for text in spelt for found in COMMAND_LINE.findall(text)]
     assert {flag for _, rest in lines for flag in FLAG.findall(rest)}
-    assert all(set(FLAG.findall(rest)) <= flags_of(PROGRAM, [command]) for command, rest in lines)
+    assert all(set(FLAG.findall(rest)) <= flags_of(program, [command]) for command, rest in lines)
 
 
 def test_commands_share_their_options():
     """One set of reading options and one of the robot's, for all commands that read recordings or load robots."""
-    sets = {c: flags_of(PROGRAM, [c]) for c in COMMANDS}
+    sets = {c: flags_of(program, [c]) for c in COMMANDS}
     robot = {"--lock", "--package-dir", "--object", "--xacro", "--xacro-arg"}
     reading = {flag for flag in sets["export"] if flag.startswith("--")} - robot - {"--out", "--to"}
     assert {"--rename", "--columns", "--degrees", "--episodes", "--last-line"} <= reading

@@ -10,11 +10,10 @@ import pytest
 from case import case
 from recording_corpus import CASES, HEADER, TABLE, csv, write_corpus
 from test_cli import DRAWER, FRAME
-from typer.main import get_command
 
 from manip_learn.cli import main
 from manip_learn.commands.command_line import flags_of
-from manip_learn.commands.program import app
+from manip_learn.commands.program import program
 from manip_learn.constraint.constraint import Constraint
 from manip_learn.constraint.features.frame_jacobian import FrameJacobian
 from manip_learn.control.controller import ResolvedRateController
@@ -176,7 +175,7 @@ def test_errors_name_only_flags_of_the_command(planar3: Robot, capsys) -> None:
             write_corpus(corpus)
             constraint = tmp_path / "line.json"
             Constraint([[0.0, 1.0]], FrameJacobian(planar3, "tip", "x y", "world")).save(constraint)
-            flags = flags_of(get_command(app), [command])
+            flags = flags_of(program, [command])
             named = set()
             for path in (corpus / case.name for case in CASES if case.verdict not in ("accept", "note")):
                 if not path.is_file():
