@@ -76,7 +76,7 @@ def test_an_arm_held_along_oblique_rows(s: int, noise: float, allowed_deg: float
 def test_noise_on_the_papers_setup(noise: float, allowed_deg: float):
     """Self-imposed rows under noise: the number is found, and the row space is right in proportion to the noise."""
     angles = []
-    for seed in range(3):
+    for seed in range(1 if noise == 0.0 else 3):
         demos, truth = paper_motions([0, 1], np.random.default_rng(60 + seed), noise=noise)
         learner = ConstraintLearner(truth.features).fit(demos)
         assert learner.report_.n_constraints == 2

@@ -104,7 +104,7 @@ def address(robot_of, tmp_path_factory):
 
 @pytest.mark.parametrize(
     "name",
-    ["planar3", "mimic", "panda", *(pytest.param(n, marks=pytest.mark.slow) for n in ("sawyer", "wrist", "rover"))],
+    ["planar3", "mimic", *(pytest.param(n, marks=pytest.mark.slow) for n in ("panda", "sawyer", "wrist", "rover"))],
 )
 def test_links_are_where_kinematics_puts_them(robot_of, tmp_path, opened, name):
     """At key frames, and between them, every link of every rollout is within 1e-9 of forward kinematics."""

@@ -47,8 +47,8 @@ from efficiency import measure, motion_of, noisy  # noqa: E402
 @pytest.mark.parametrize(
     ("arm", "policy", "noise", "size", "sets"),
     [
-        ("planar3", "quadratic", 0.01, (100, 10), 5),
-        ("planar3", "fast-sinusoidal", 0.001, (100, 10), 5),
+        pytest.param("planar3", "quadratic", 0.01, (100, 10), 5, marks=pytest.mark.slow),
+        pytest.param("planar3", "fast-sinusoidal", 0.001, (100, 10), 5, marks=pytest.mark.slow),
         ("sawyer", "sinusoidal", 0.01, (50, 10), 2),
     ],
 )
@@ -57,7 +57,7 @@ def test_close_to_the_cramer_rao_bound(arm, policy, noise, size, sets):
     assert measure(arm, policy, noise, size, sets, seed=21).median < 1.75
 
 
-@pytest.mark.parametrize("seed", [1, 3, 4, 6])
+@pytest.mark.parametrize("seed", [1, 4])
 def test_reaches_without_a_policy(seed):
     """Exact reaches whose null space is at rest leave rounding of either sign; the rows are learnt from them too."""
     rng = np.random.default_rng([77, seed])

@@ -107,6 +107,7 @@ def test_errors_of_a_prior_have_its_covariance(rng):
     np.testing.assert_allclose(np.cov(errors.T), expected, atol=0.02 * np.abs(expected).max())
 
 
+@pytest.mark.slow
 def test_at_the_bound_and_inside_two_times_in_three():
     """A curved policy hidden by noise: at most 1.3 times the bound, but for the chance of 24 sets; its own seed."""
     line = measure("planar3", "quadratic", 0.01, (50, 20), 24, seed=4711)
