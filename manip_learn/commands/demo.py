@@ -24,7 +24,7 @@ from manip_learn.playback import ReplayResult, replay
 from manip_learn.recordings.trajectory_source import Progress
 from manip_learn.robot import load_robot
 
-DT, TOLERANCE = 0.01, 0.01
+DT, TOLERANCE = 0.01, 0.01  # [s], as the shipped recordings; [m or rad] of a target that counts as reached
 PAUSE = 0.5  # [s] at the handle, as a gripper takes to close
 
 

@@ -93,7 +93,7 @@ def refused_by_system(error: OSError) -> str:
     return f"the system refuses: {error.strerror or error} ({error.filename})"
 
 
-BAD_INPUT = 2
+BAD_INPUT = 2  # exit code
 
 
 def refuse(

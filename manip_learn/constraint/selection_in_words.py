@@ -18,7 +18,7 @@ from manip_learn.constraint.mechanism import Mechanism, in_words
 from manip_learn.errors import error_in_words, listed
 from manip_learn.linalg import along_axes, null_basis
 
-AXES, ROTATIONS = TWIST[:3], TWIST[3:]
+AXES, ROTATIONS = TWIST[:3], TWIST[3:]  # linear and angular rows
 # verb -> preposition, rows, all of them in words, and all but one direction
 VERBS = {
     "move": ("along", AXES, "in every direction", "across it"),

@@ -168,7 +168,7 @@ TASK_WEIGHT = 100.0
 LARGEST_RATIO = 1e3
 # weight of the task's velocity against joint velocities, where its direction cannot be kept
 DEVIATION_WEIGHT = 1e2
-NEGLIGIBLE = 1e-12
+NEGLIGIBLE = 1e-12  # [rad/s or m/s] below which a velocity has no direction: rounding of ones of about 1
 # [rad/s or m/s] by how much rounding may exceed a bound
 ROUNDING = 1e-9
 

@@ -380,7 +380,7 @@ TASK_SLACK, TASK_FLOOR = 1.01, 1e-6  # a path may leave this much more of the ta
 TASK_STRAY = 1e-3  # [m or rad] and on a way at no time by more: half of what a hand may be off what holds it
 TOLERANCE = 1e-3  # of the conditions of optimality, in units of log mu
 MOST_ITERATIONS = 60
-SAMPLES = 200
+SAMPLES = 200  # random postures: their median of mu is known within a tenth
 
 
 def optimise_path(

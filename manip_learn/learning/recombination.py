@@ -173,7 +173,7 @@ class RowEvidence:
 MOST_BINS = 24  # of the phase
 # points of a trajectory at which Phi is evaluated, at most
 MOST_POINTS = 240
-NODES_PER_BIN = 4
+NODES_PER_BIN = 4  # of a path, between which it is straight
 
 
 @final
@@ -287,7 +287,7 @@ def _turned(paths: list[PhasePath], scale: Float[np.ndarray, " nv"]) -> list[Pha
 
 # exchanges of joints: twice the least for a p-value of ROW_CHANCE, and the most, where fewer leave the verdict open
 RECOMBINATIONS = 2 * round(1.0 / deciding.ROW_CHANCE) - 1
-MOST_RECOMBINATIONS = 16 * RECOMBINATIONS
+MOST_RECOMBINATIONS = 16 * RECOMBINATIONS  # where the share of better ones stays close to what decides
 # arrangements whose motion is held in memory together: 0.5 MB of a seven-joint arm's pose, six recordings, 20 bins
 MOMENTS_AT_ONCE = 64
 # more trajectories than this add nothing to the evidence but time

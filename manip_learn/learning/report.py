@@ -137,7 +137,7 @@ def lone_contacts(findings: Findings, recordings: IndependentRecordings) -> tupl
     )
 
 
-MOST_NOTES = 20
+MOST_NOTES = 20  # lines, one screen
 # what a constraint file keeps of where its task was shown, evenly over all samples: the place and the reach of a drawer
 # to a centimetre or two, in 10 kB
 KEPT_POSTURES = 144

@@ -24,7 +24,7 @@ from manip_learn.robot.robot import Robot
 # up to this many samples are learnt from directly; of more, this many are chosen, and all of them refine the answer.
 # Phi of these samples, with 6 rows and 7 joints, takes 5.5 MB: four blocks
 IN_MEMORY_SAMPLES = 16_384
-BLOCK = 4096
+BLOCK = 4096  # samples: a block of features of a 7-joint arm fits a second-level cache
 # Phi of more samples than this is computed anew at each pass instead of kept [numbers]
 KEEP_LIMIT = 3e7
 KEEP_WHITENED_LIMIT = 3e6  # numbers of whitened Phi that are kept from one pass to the next

@@ -34,9 +34,9 @@ from manip_learn.robot.robot import Robot
 from manip_learn.robot.tips import default_tip
 
 SERVER = Path(__file__).with_name("live_server.py")
-FRAMES_PER_SECOND = 60.0
-STOP_SECONDS = 2.0
-POSTURES_FOR_CAMERA = 119
+FRAMES_PER_SECOND = 60.0  # as most screens
+STOP_SECONDS = 2.0  # for a thread or process to end by itself
+POSTURES_FOR_CAMERA = 119  # at random, beside the one at rest
 
 
 @final

@@ -17,7 +17,7 @@ from manip_learn.linalg import null_basis
 from manip_learn.recordings.preprocessing import evenly
 from manip_learn.robot.rotations import rotation_matrix
 
-CIRCLE_POINTS = 96
+CIRCLE_POINTS = 96  # 3.75 degrees apart: looks round when it fills a screen
 MARGIN = 0.25  # how far lines and patches reach beyond the motion, relative to its extent
 LEAST_MARGIN = 0.06  # [m]
 MAX_TURNS = 12.0  # of a screw that is drawn

@@ -237,10 +237,10 @@ def extremes(values: Float[np.ndarray, " T"], most: int) -> Int[np.ndarray, " K"
     return np.array(sorted(keep))
 
 
-KEY_FRAMES_PER_SECOND = 60.0
+KEY_FRAMES_PER_SECOND = 60.0  # as most screens
 MAX_KEY_FRAMES = 18_000  # 30 a second in ten minutes
 MAX_CURVE_POINTS = 2000
-MAX_PATH_POINTS = 1500
+MAX_PATH_POINTS = 1500  # of a drawn path, about one a pixel
 UNGUIDED = Guidance()
 
 

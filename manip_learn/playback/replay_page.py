@@ -37,8 +37,8 @@ from manip_learn.robot.frame import Frame
 from manip_learn.robot.robot import Robot
 from manip_learn.robot.tips import default_tip
 
-MAX_TEXT = 2000
-MOST_ROWS = 60
+MAX_TEXT = 2000  # characters of a text in a card
+MOST_ROWS = 60  # of a table in a card
 STATES = {
     "held": "held",
     "unclear": "unclear",

@@ -18,8 +18,8 @@ from manip_learn.playback.phase_bands import PhaseKind, own_kinds
 from manip_learn.playback.recorded_motion import RecordedMotion, points_per_curve, track_data
 from manip_learn.robot.robot import Robot
 
-MAX_POSTURES_FOR_BOUNDS = 120
-OUTLINE_DIRECTIONS = 240
+MAX_POSTURES_FOR_BOUNDS = 120  # of all motions, around which the camera stands
+OUTLINE_DIRECTIONS = 240  # over the sphere, 13 degrees apart
 ELLIPSOID = 0.08  # longest semi-axis relative to the scene
 ASIDE = np.deg2rad(62.0)  # the camera from what it looks at
 MARKS = 0.085  # half length of an arrow relative to the scene, as in page/constraint_marks.js

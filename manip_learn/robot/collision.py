@@ -153,7 +153,7 @@ SAMPLES = 1000
 SLACK = 0.01
 # [m] of Coal's iterations; with its own of 1e-6, gradients between cylinders and boxes are 0.1 off
 TOLERANCE = 1e-12
-MAX_ITERATIONS = 1000
+MAX_ITERATIONS = 1000  # of the distance of two shapes, which ends by itself before
 
 
 @final

@@ -21,7 +21,7 @@ WIDTH = 12  # columns of the table for compiled code
 FREE = 6  # column of a row of Lambda, behind its six weights, where its shares of the rows of unit length begin
 SLOPES, FREE_ROWS = 2, 2  # rows of the table for the slopes of a row, and for a row of unit length
 
-EVERY_ROW = np.eye(6)
+EVERY_ROW = np.eye(6)  # the twist itself
 
 
 @final

@@ -42,17 +42,18 @@ from manip_learn.learning.samples import Samples, runs
 
 # share of the motion that is rounding
 EXACT = 1e-16
-RANDOM_STARTS = 2
+RANDOM_STARTS = 2  # beside those that are computed
 # models are compared on at most this many samples, and fitted with at most this many columns unless asked for
 COMPARE_LIMIT = 1_500
-MAX_COLUMNS = 260
+MAX_COLUMNS = 260  # of normal equations, which take its square in memory and its cube in time
 MOST_POSTURES = 2_000  # between the samples of a path, against noise that makes it long
 # share of the energy above which a residual is noise that hides a part of the policy
 NOISY = 1e-10
 # a rest posture for each trajectory makes the cost bumpy: the search begins from many starts on a few trajectories and
 # samples, until IDLE_ROUNDS rounds of starts have found nothing better, and goes on with the best of each round
 FEW, FEW_SAMPLES = 16, 600
-STARTS, IDLE_ROUNDS, REFINED = 20, 2, 8
+STARTS, IDLE_ROUNDS, REFINED = 20, 2, 8  # starts of a round, rounds, and starts of a round that are refined
+# the first look at a start: stops where a step gains less than a thousandth
 LOOK: dict[str, Any] = {"max_iterations": 5, "gain": 1e-3}
 
 

@@ -45,10 +45,10 @@ from manip_learn.learning.estimators.variable_projection import fit_joint, held_
 from manip_learn.learning.samples import Samples, rows_beside, runs
 from manip_learn.linalg import row_bases
 
-N_FOLDS = 5
+N_FOLDS = 5  # parts that are left out in turn
 # share of the energy that is rounding: of a fit by QR; and below which normal equations cannot compare models
 ROUNDING, EXACT = 1e-24, 1e-10
-VANISHING = 1e-16
+VANISHING = 1e-16  # of the energy, which is rounding where nothing moves in the null space
 # models of at most this many columns are tried one by one where next to nothing is left
 SCAN_COLUMNS = 120
 # changes of the model

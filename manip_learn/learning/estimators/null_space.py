@@ -12,8 +12,8 @@ from manip_learn.learning.estimators.estimate import Estimate, descend_rows, gap
 from manip_learn.learning.samples import Samples, rows_beside
 from manip_learn.linalg import complement_rows, inverse_triangles_beside, orthonormal_rows, row_bases
 
-MAX_ITERATIONS = 50
-MAX_FOLDS = 10
+MAX_ITERATIONS = 50  # of Gauss-Newton, which ends by itself before
+MAX_FOLDS = 10  # parts that are left out in turn
 SAME_COST = 1e-13  # a relative rise of the cost below this is rounding: the step counts as no gain
 # length of the last step [rad on the Grassmann manifold], and the relative gain that is none: both are rounding
 SHORTEST, GAIN = 1e-14, 1e-12

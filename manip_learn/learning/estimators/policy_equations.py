@@ -34,7 +34,7 @@ from manip_learn.linalg import complement_rows, inverse_triangles_beside, row_ba
 FLAT = 1e-10
 # share of the mean curvature added, so that directions without data stay where they are
 FLOOR = 1e-13
-REFINEMENTS = 2
+REFINEMENTS = 2  # passes: the first leaves the rounding of normal equations, the second that of the products
 CHUNK = 1024  # samples whose products of regressors are held at a time
 
 

@@ -53,8 +53,8 @@ from manip_learn.learning.estimators.policy_model import PolicyModel, Polynomial
 from manip_learn.learning.samples import Samples, TrajectoryBlocks
 from manip_learn.linalg import batch_row_spaces, complement_rows, inverse_triangles, orthonormal_rows, turned
 
-MAX_ITERATIONS = 30
-RANK_TOLERANCE = 1e-13
+MAX_ITERATIONS = 30  # of Gauss-Newton, which ends by itself before
+RANK_TOLERANCE = 1e-13  # of the largest diagonal element of R: rounding of some hundred columns
 # directions of the policy that the data determine well enough to matter for the uncertainty
 BASIS_TOLERANCE = 1e-10
 # share of the energy below which the residual is no noise
@@ -321,7 +321,7 @@ def _solve(K: np.ndarray, y: np.ndarray) -> np.ndarray:
     return out
 
 
-MARGINAL_ITERATIONS = 40
+MARGINAL_ITERATIONS = 40  # of Newton; one that has not settled by then is taken as it is
 # squared length of the last step in standard errors
 SETTLED = 1e-6
 # updates of the variances before the first step, and after each

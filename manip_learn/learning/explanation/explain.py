@@ -192,7 +192,7 @@ def fitted_rows(motion: RowMotion, weights: Float[np.ndarray, "n h"], s: int) ->
     return np.linalg.qr(directions[:, :s].transpose(0, 2, 1))[0].transpose(0, 2, 1)
 
 
-MOST_CONSTRAINTS = 6
+MOST_CONSTRAINTS = 6  # of one set of recordings: more would be one for each few stretches
 # hypotheses that are tested in a row without one that passes
 MOST_TESTED = 6
 # scales with which proposals are compared: rows of a window are off by degrees, those of a recording hardly

@@ -33,7 +33,7 @@ from manip_learn.recordings.trajectory_source import Progress
 # multiples of the golden ratio (Fibonacci hashing): the smallest of any number of them are spread evenly over the
 # samples, and no rhythm of the recording is met, which every k-th sample might
 GOLDEN = np.uint64(11_400_714_819_323_198_485)
-MAX_PASSES = 20
+MAX_PASSES = 20  # through the data; a Gauss-Newton step takes one
 # length of a step [rad on the Grassmann manifold] that no longer counts, and from which rounding is all that is left
 SETTLED, ROUNDING = 1e-12, 1e-13
 WITHIN_ROUNDING = 1e-9  # shorter steps are not judged by the cost

@@ -39,9 +39,9 @@ try:
 except ImportError as error:
     raise MissingExtraError("reading ROS bags", "ros") from error
 
-BLOCK = 1 << 20
+BLOCK = 1 << 20  # bytes
 
-LARGEST_METADATA = 10_000_000
+LARGEST_METADATA = 10_000_000  # bytes; it lists topics, not messages
 # what the library was seen to raise on damaged bags, next to its own errors
 DAMAGE = (
     *(rosbag1.ReaderError, rosbag2.ReaderError, SerdeError, YAMLError, apsw.Error, sqlite3.Error, zstd.ZstdError),

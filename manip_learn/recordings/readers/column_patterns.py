@@ -13,7 +13,7 @@ from manip_learn.robot import Robot, load_robot
 from manip_learn.robot.description.catalogue import SHIPPED
 
 JOINT, INDEX = "{joint}", "{index}"
-SHOWN = 8
+SHOWN = 8  # names in a sentence
 POSITION = {"position", "positions", "pos", "q", "angle", "angles", "theta", "rad"}
 VELOCITY = {"velocity", "velocities", "vel", "qd", "dq", "qdot", "qvel", "speed"}
 COMMAND = {"desired", "command", "commanded", "cmd", "target", "goal", "setpoint", "reference", "ref", "des", "action"}

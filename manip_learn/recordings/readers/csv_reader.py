@@ -31,7 +31,7 @@ from manip_learn.recordings.readers.read_request import SECONDS, ReadRequest, un
 from manip_learn.recordings.readers.recording import Recording, reason, refusal
 from manip_learn.recordings.writers.write_motion import EFFORT_SUFFIX, VELOCITY_SUFFIX
 
-LONGEST_LINE = 1_000_000
+LONGEST_LINE = 1_000_000  # characters: a sample of 50,000 columns
 COMMENT_MARKS = ("#", "%")
 STAMPED = "%time,"  # `rostopic echo -p` begins its header like a comment
 NUMBER = re.compile(r"[+-]?(\d+([.,]\d*)?|[.,]\d+)([eE][+-]?\d+)?|[+-]?(nan|inf(inity)?)", re.IGNORECASE)
@@ -162,7 +162,7 @@ def _split_comment(comment: str) -> list[str]:
 
 # what belongs to a message or a data frame, not to the motion
 BOOKKEEPING = re.compile(r"(.*[./])?(header[./](seq|frame_id)|seq|frame_id)|unnamed: 0", re.IGNORECASE)
-SHOWN = 6
+SHOWN = 6  # names in a sentence
 
 
 @final

@@ -31,7 +31,7 @@ try:
 except ImportError as error:
     raise MissingExtraError("reading LeRobot data", "lerobot") from error
 
-BATCH = 65_536
+BATCH = 65_536  # rows in memory: some 10 MB
 FEWEST_BYTES = 16  # of a sample: a stamp and a few joints
 STAMPS = ("timestamp", "frame_index", "episode_index")
 GRIPPER = "gripper"  # always 0 .. 100 in LeRobot, whatever the unit of the other motors

@@ -253,7 +253,7 @@ def unmoved_joint_names(robot: Robot) -> tuple[str, ...]:
 Units = Literal["radians", "degrees", "normalised"]
 TimeUnit = Literal["s", "ms", "us", "ns"]
 
-SECONDS: dict[str, float] = {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9}
+SECONDS: dict[str, float] = {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9}  # of one unit
 
 
 @final

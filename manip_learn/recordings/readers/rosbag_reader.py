@@ -21,9 +21,9 @@ from manip_learn.recordings.readers.bag_file import JOINT_STATE, BagFile, open_b
 from manip_learn.recordings.readers.read_request import ReadRequest
 from manip_learn.recordings.readers.recording import GAP_FACTOR, Recording, refusal
 
-BATCH = 16_384
-MOST_LAYOUTS = 200
-MOST_JOINTS = 10_000
+BATCH = 16_384  # messages in memory: some 10 MB
+MOST_LAYOUTS = 200  # orders of joints in one topic; drivers that alternate have two or three
+MOST_JOINTS = 10_000  # of one message, before its names are read
 STAMP_AT = 4  # offset of the seconds in a message; the nanoseconds follow
 
 

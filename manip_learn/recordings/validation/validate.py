@@ -24,7 +24,7 @@ from manip_learn.recordings.validation.motion_checks import (
 from manip_learn.recordings.velocities import continuous_rotation_vectors
 from manip_learn.robot import Robot
 
-SHOWN = 5
+SHOWN = 5  # places in a sentence
 # [rad]: a guided arm stays within a turn of its zeros and travels less than half a turn; in degrees that were nothing
 RADIANS, TRAVEL = 2.0 * np.pi, np.pi
 NO_MEASUREMENT = 1e50  # finite, but its square would overflow

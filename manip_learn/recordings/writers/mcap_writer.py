@@ -20,11 +20,12 @@ if TYPE_CHECKING:  # the process that parses bags is without robots, which take 
     from manip_learn.recordings.saved_motion import SavedMotion
 
 MAGIC = b"\x89MCAP0\r\n"
+# codes of records, as the specification of MCAP numbers them
 HEADER, FOOTER, SCHEMA, CHANNEL, MESSAGE, CHUNK, MESSAGE_INDEX, CHUNK_INDEX = 1, 2, 3, 4, 5, 6, 7, 8
-STATISTICS, METADATA, METADATA_INDEX, DATA_END = 0x0B, 0x0C, 0x0D, 0x0F
+STATISTICS, METADATA, METADATA_INDEX, DATA_END = 0x0B, 0x0C, 0x0D, 0x0F  # codes of records
 METADATA_NAME, HEADER_KEY = "manip_learn", "header"
 JOINT_TOPIC, ROLLOUT_TOPIC = "/joint_states", "/rollout"
-CHUNK_BYTES = 1_000_000
+CHUNK_BYTES = 1_000_000  # after which a chunk is closed; the specification asks for none
 SECOND = 1_000_000_000  # [ns]; a stamp of zero means "not set" in ROS: motions that start at zero start at one second
 LAST_STAMP = 2**31 * SECOND  # [ns] seconds are int32 in ROS
 

@@ -36,7 +36,7 @@ DERIVATIVE_CHUNK = 256  # dJ/dq has as many numbers for each column as the chain
 CHAIN_AGREEMENT = (
     1e-12  # largest difference from Pinocchio, relative to the reach, that the check at first use lets pass
 )
-ALL_ROWS = (0, 1, 2, 3, 4, 5)
+ALL_ROWS = (0, 1, 2, 3, 4, 5)  # of a twist
 
 
 def kernels(compiled: bool | None, n: int) -> ModuleType | None:

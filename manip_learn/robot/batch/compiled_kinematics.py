@@ -27,9 +27,9 @@ END_ORIGIN, END_WIDTH = 9, 12  # of the work space's row behind the joints': rot
 LARGEST_ANGLE = 1e5  # [rad] beyond it the three-part reduction below loses digits
 # pi/2 in three parts of 33 bits, so that n * part is exact for the n that LARGEST_ANGLE allows
 _TWO_OVER_PI = 0.6366197723675814
-_PART_1 = 1.5707963267341256
-_PART_2 = 6.077100506303966e-11
-_PART_3 = 2.0222662487959506e-21
+_PART_1 = 1.5707963267341256  # 33 bits
+_PART_2 = 6.077100506303966e-11  # the next 33
+_PART_3 = 2.0222662487959506e-21  # and the rest
 LANES = 128  # postures per block: slides, sines and cosines of its joints stay in the first-level cache
 
 

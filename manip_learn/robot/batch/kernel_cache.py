@@ -26,7 +26,7 @@ _SETTINGS: Any = None if numba is None else numba.config  # pyright: ignore[repo
 FIRST_COMPILE = "compiling the controller, once per machine and version of the library: about a minute"
 _LOGGER = logging.getLogger("manip_learn")
 
-PACKAGE = Path(__file__).resolve().parents[2]
+PACKAGE = Path(__file__).resolve().parents[2]  # two folders up: manip_learn
 KERNEL_FILES = (
     "robot/batch/compiled_kinematics.py",
     "constraint/compiled_rows.py",

@@ -40,7 +40,7 @@ from manip_learn.robot.description.validation import ValidatedRobot, robot_name,
 
 WORLD, MAIN = "world", "main"
 DEFAULTED = ("joint", "geom", "site", "mesh")
-ORIENTATIONS = {"quat": 4, "axisangle": 4, "euler": 3, "xyaxes": 6, "zaxis": 3}
+ORIENTATIONS = {"quat": 4, "axisangle": 4, "euler": 3, "xyaxes": 6, "zaxis": 3}  # how many numbers each has
 COLLISION_GROUPS = ("3", "4", "5")
 TYPES = {"hinge": "revolute", "slide": "prismatic"}
 UNREADABLE = ("include", "attach", "replicate", "composite", "flexcomp", "frame")

@@ -18,6 +18,7 @@ from manip_learn.robot.description.text import XmlNode, quoted, shortened
 Vector = tuple[float, float, float]
 ZERO: Vector = (0.0, 0.0, 0.0)
 X: Vector = (1.0, 0.0, 0.0)
+# of each type of joint
 DEGREES_OF_FREEDOM = {"fixed": 0, "revolute": 1, "continuous": 1, "prismatic": 1, "planar": 3, "floating": 6}
 Matrix = Float[np.ndarray, "4 4"]
 

@@ -225,8 +225,8 @@ def _unusable(node: XmlNode, seen: str) -> RobotError:
     return node.refusal("visual", f"{seen}; a usable shape is expected; a plain shape is drawn")
 
 
-STAND_IN: Colour = (0.55, 0.60, 0.68, 1.0)
-GREY: Colour = (0.7, 0.7, 0.72, 1.0)
+STAND_IN: Colour = (0.55, 0.60, 0.68, 1.0)  # red, green, blue and opacity: links without a shape of their own
+GREY: Colour = (0.7, 0.7, 0.72, 1.0)  # red, green, blue and opacity: shapes without a colour
 THIN = 0.02  # [m] radius of rods and balls
 MESH_REASON = re.compile(r"mesh (?P<name>'[^']*'|\"[^\"]*\")(?P<why>.*)")
 
