@@ -290,7 +290,8 @@ class LearningReport:
 
     @property
     def _is_told(self) -> bool:
-        return said_by_rows(self.mechanism, self.row_names, self.reference, np.array(self.free_directions))
+        free = np.reshape(self.free_directions, (-1, len(self.row_names)))
+        return said_by_rows(self.mechanism, self.row_names, self.reference, free)
 
     def _phase_rows(self) -> list[tuple[object, ...]]:
         return [
