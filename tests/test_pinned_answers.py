@@ -27,9 +27,8 @@ import numpy as np
 import pytest
 
 HERE = Path(__file__).resolve().parent
-sys.path[:0] = [str(HERE), str(HERE / "golden")]
+sys.path.insert(0, str(HERE))
 
-from comparison import projector  # noqa: E402
 from conftest import TIPS, named_robot  # noqa: E402
 from recording_corpus import CASES, FULL, HEADER, VELOCITIES, csv  # noqa: E402
 from task_sets import DATA, generated, learnt  # noqa: E402
@@ -58,7 +57,8 @@ def flat(value: Any, name: str = "") -> Iterator[tuple[str, Any]]:
     if NO_RESULT.search(last) or value is None:
         return
     if last in SPACES:
-        yield name, numbers(projector(value))
+        rows = np.array(value, dtype=np.float64)
+        yield name, numbers(rows.T @ rows)
     elif isinstance(value, dict):
         for key, inner in value.items():
             yield from flat(inner, f"{name}.{key}" if name else str(key))
@@ -164,7 +164,7 @@ def some_rows(name: str, folder: Path) -> dict[str, Any]:
         reference: ml.FrameJacobian(robot, tip, "pose", reference) for reference in ("world", "local")
     }
     kinds["centre of mass"] = ml.CentreOfMass(robot)
-    about = {"axis": (0.6, 0.0, 0.8), "point": (0.3, 0.1, 0.2)}
+    about: dict[str, Any] = {"axis": (0.6, 0.0, 0.8), "point": (0.3, 0.1, 0.2)}
     kinds["mechanism"] = ml.MechanismRows(robot, tip, ("radial", "axial"), **about)
     kinds["stacked"] = ml.Stacked([ml.FrameJacobian(robot, tip, "xyz", r) for r in ("world", "local")])
     said: dict[str, Any] = {}
