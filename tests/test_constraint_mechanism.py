@@ -277,3 +277,14 @@ def test_a_door_in_place_rows_is_driven(robot_of, keep) -> None:
     beside, beyond = (rollout.q[np.argmin(np.abs(angle - last - far / lever))] for far in (0.015, 0.026))
     assert task.hold(beside) == 0.0 and task.hold(beyond) > 0.02
     assert ml.FreeDirection(ml.Constraint(door.selection, rows, shown), 0.05, 0.2).hold(beyond) == 0.0
+
+
+def test_rows_between_those_of_a_mechanism_are_none() -> None:
+    """Radial and axial rows hold a hinge; a direction between two rows holds no mechanism that has a name."""
+    robot = ml.load_robot("sawyer")
+    rows = ml.MechanismRows(robot, "right_hand", ("radial", "axial"), axis=(0, 0, 1), point=(0.5, 0.1, 0.3))
+    known = ml.Constraint(np.eye(2), rows).mechanism
+    assert known is not None and known.type == "hinge"
+    for share in (0.2, 0.45, 0.8):
+        between = ml.Constraint([[np.sqrt(share), np.sqrt(1.0 - share)]], rows)
+        assert between.mechanism is None, share

@@ -48,6 +48,7 @@ from manip_learn.learning.explanation.explain import (
 )
 from manip_learn.learning.explanation.findings import IN_ONE_ONLY, Findings, agreeing, find
 from manip_learn.learning.explanation.row_motion import (
+    SCAN_RATE,
     RowMotion,
     View,
     broken_energy,
@@ -655,6 +656,52 @@ def test_the_best_sequence_ignores_what_is_shorter_than_a_change_is_worth():
     assert gains_of(brief, np.array([0, 5]), switch=10.0)[0, 0] == 5.0
     assert np.all(states_of(brief, np.array([0, 5]), switch=10.0) == 1)
     assert np.all(states_of(values, first, switch=np.inf) == 0)
+
+
+def test_no_sequence_of_states_is_better(rng: np.random.Generator) -> None:
+    """Against all sequences of seven samples: the gains are those of the best one, and the states give them. Into or
+    out of a contact costs half a change, also at the ends; a single state throughout costs nothing.
+    """
+    n, switch = 7, 1.6
+    first = np.array([0, n])
+
+    def worth(sequence: tuple[int, ...], values: np.ndarray) -> float:
+        gain = sum(values[i, state - 1] for i, state in enumerate(sequence) if state)
+        if len(set(sequence)) == 1:
+            return float(gain)
+        borders = sum((a > 0) + (b > 0) for a, b in itertools.pairwise((0, *sequence, 0)) if a != b)
+        return float(gain - 0.5 * switch * borders)
+
+    for k, seed in itertools.product((1, 2), range(12)):
+        values = np.random.default_rng(seed).normal(0.0, 1.0, (n, k))
+        best = max(worth(each, values) for each in itertools.product(range(k + 1), repeat=n))
+        assert worth(tuple(states_of(values, first, switch).tolist()), values) == pytest.approx(best)
+        for i in range(k):
+            alone = values[:, [i]]
+            top = max(worth(each, alone) for each in itertools.product((0, 1), repeat=n))
+            assert gains_of(alone, first, switch)[0, 0] == pytest.approx(top)
+            assert worth(tuple(held_by(alone, first, switch)[:, 0].astype(int).tolist()), alone) == pytest.approx(top)
+    two = np.concatenate([rng.normal(size=(5, 1)), rng.normal(size=(7, 1))])  # of two lengths: each as if alone
+    apart = [held_by(part, np.array([0, len(part)]), switch) for part in (two[:5], two[5:])]
+    np.testing.assert_array_equal(held_by(two, np.array([0, 5, 12]), switch), np.concatenate(apart))
+
+
+def test_thinned_motion_stands_for_all_of_it() -> None:
+    """About SCAN_RATE samples a second, one at least of each recording, from its middle; their weights are the time."""
+    features, demos, _ = recordings("drawer", "panda", 2013, 3)
+    motion = RowMotion.collect(features, [*demos, dataclasses.replace(demos[0], **_brief(demos[0]))])
+    thin = motion.thinned()
+    step = round(len(motion) / motion.weight.sum() / SCAN_RATE)
+    assert step > 2 and thin.n_trajectories == 4
+    for a, b, c, d in zip(motion.first, motion.first[1:], thin.first, thin.first[1:], strict=False):
+        expected = motion.time[a:b][min(step, b - a) // 2 :: step]
+        np.testing.assert_array_equal(thin.time[c:d], expected)
+    assert thin.weight.sum() == pytest.approx(motion.weight.sum(), rel=0.05)
+
+
+def _brief(t: Trajectory) -> dict[str, Any]:
+    assert t.u is not None
+    return {"time": t.time[:4], "q": t.q[:4], "u": t.u[:4], "name": "brief"}
 
 
 def test_joints_that_move_at_once():

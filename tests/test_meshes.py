@@ -13,6 +13,7 @@ from case import case
 from urdf_corpus_meshes import OBJ, dae, glb, gltf, stl
 
 from manip_learn.errors import RobotError
+from manip_learn.robot.limited_child import START_SECONDS, LimitedChild
 from manip_learn.robot.visuals import meshes
 from manip_learn.robot.visuals.meshes import checked_mesh, find_mesh, mesh_roots, read_meshes
 
@@ -201,6 +202,28 @@ def test_the_limits_are_real():
         "except MemoryError: sys.exit(7)\n"
     )
     assert subprocess.run([sys.executable, "-c", script], check=False).returncode == 7
+
+
+def test_a_child_has_the_time_and_the_memory_that_it_was_given(tmp_path):
+    """Its processor time is that of its jobs and its start together; a job that takes longer than asked ends it."""
+    task = write(
+        tmp_path / "task.py",
+        b"import resource, time\n"
+        b"def prepared():\n"
+        b"    def answer(job):\n"
+        b"        time.sleep(job['sleep'])\n"
+        b"        limits = {'cpu': resource.RLIMIT_CPU, 'as': resource.RLIMIT_AS}\n"
+        b"        return {name: resource.getrlimit(kind)[0] for name, kind in limits.items()}\n"
+        b"    return answer\n",
+    )
+    child = LimitedChild(task, memory=700_000_000, seconds=11, folder=tmp_path)
+    try:
+        assert child.ask({"sleep": 0.0}, 20.0) == {"cpu": 11 + START_SECONDS, "as": 700_000_000} and not child.is_lost
+        with pytest.raises(TimeoutError, match="more than 0.2 s"):
+            child.ask({"sleep": 30.0}, 0.2)
+        assert child.is_lost
+    finally:
+        child.close()
 
 
 def test_side_files_cannot_be_reached(tmp_path, monkeypatch):

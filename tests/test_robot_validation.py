@@ -69,7 +69,7 @@ def test_bounds_of_a_document(monkeypatch):
         *((axis, f'xyz="0 0 {length}"', None) for length in (0.0011, 999.0)),
         *((axis, f'xyz="0 0 {length}"', "axis-norm") for length in (0.0009, 1001.0)),
         ('xyz="0 0 0.3"', 'xyz="0 0 -1e6"', None),
-        ('xyz="0 0 0.3"', 'xyz="0 0 -1000001"', "far-away"),
+        *(('xyz="0 0 0.3"', f'xyz="{x}"', "far-away") for x in ("0 0 -1000001", "0 -1000001 0", "-1000001 0 0")),
     ):
         seen = None
         try:

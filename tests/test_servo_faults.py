@@ -481,6 +481,23 @@ def test_a_clock_that_was_set_back(robot_of: RobotOf) -> None:
     assert set(words[22:]).isdisjoint({"stale", "invalid-input"})
 
 
+def test_between_two_states_in_order_there_may_be_none(robot_of: RobotOf) -> None:
+    """A clock that went back is believed after two good states that follow each other, not across a lost one."""
+    robot = robot_of("sawyer")
+    loop, q = ml.ServoLoop(law_of(robot, "sawyer"), DT), start_of(robot)
+    for k in range(30):
+        loop.update(q, 100.0 + k * DT)
+    words = [
+        str(loop.update(x, t).status) for x, t in ((q, 1.0), (None, 1.0 + DT), (q, 1.0 + 2 * DT), (q, 1.0 + 3 * DT))
+    ]
+    assert words[:3] == ["invalid-input"] * 3 and words[3] != "invalid-input"
+    far = loop.stale_after
+    for k in range(30):
+        loop.update(q, 200.0 + k * DT)
+    words = [str(loop.update(q, t).status) for t in (1.0, 1.0 + 1.01 * far, 1.0 + 1.99 * far)]
+    assert words[:2] == ["invalid-input"] * 2 and words[2] != "invalid-input"
+
+
 def test_reset_begins_the_task_again(robot_of: RobotOf) -> None:
     """After `reset` a motion along a free direction starts where the arm is then, not where it was."""
     robot = robot_of("sawyer")
