@@ -157,6 +157,7 @@ def prepared():
     def answer(job):
         content = open(job["input"], "rb").read()
         if b"hang" in content: time.sleep(60)
+        while b"busy" in content: pass
         if b"crash" in content: os.abort()
         return {"fault": f"parsed {sorted(os.listdir(os.path.dirname(job['input'])))}"}
     return answer
@@ -164,7 +165,7 @@ def prepared():
 
 
 @pytest.mark.timeout(50)  # the hanging parser sleeps for 60 s
-@pytest.mark.parametrize(("word", "code"), [("hang", "mesh-time"), ("crash", "mesh-parser")])
+@pytest.mark.parametrize(("word", "code"), [("hang", "mesh-time"), ("busy", "mesh-time"), ("crash", "mesh-parser")])
 def test_a_mesh_that_kills_its_parser_harms_no_other(tmp_path, monkeypatch, word, code):
     """A hang or a crash is that mesh's fault only: the next one gets a new parser."""
     script = tmp_path / "child.py"
@@ -212,18 +213,24 @@ def test_a_child_has_the_time_and_the_memory_that_it_was_given(tmp_path):
         b"def prepared():\n"
         b"    def answer(job):\n"
         b"        time.sleep(job['sleep'])\n"
+        b"        while time.process_time() < job.get('busy', 0.0): pass\n"
         b"        limits = {'cpu': resource.RLIMIT_CPU, 'as': resource.RLIMIT_AS}\n"
         b"        return {name: resource.getrlimit(kind)[0] for name, kind in limits.items()}\n"
         b"    return answer\n",
     )
     child = LimitedChild(task, memory=700_000_000, seconds=11, folder=tmp_path)
     try:
-        assert child.ask({"sleep": 0.0}, 20.0) == {"cpu": 11 + START_SECONDS, "as": 700_000_000} and not child.is_lost
+        assert child.ask({"sleep": 0.0}, 99.0) == {"cpu": 11 + START_SECONDS, "as": 700_000_000} and not child.is_lost
+        assert child.ask({"sleep": 0.5}, 0.1)["cpu"] <= 2  # a job that waits is not one that computes
         with pytest.raises(TimeoutError, match="more than 0.2 s"):
             child.ask({"sleep": 30.0}, 0.2)
         assert child.is_lost
     finally:
         child.close()
+    busy = LimitedChild(task, memory=700_000_000, seconds=11, folder=tmp_path)
+    with pytest.raises(TimeoutError, match="more than 1 s"):
+        busy.ask({"sleep": 0.0, "busy": 60.0}, 1.0)
+    busy.close()
 
 
 def test_side_files_cannot_be_reached(tmp_path, monkeypatch):

@@ -227,11 +227,30 @@ def test_hostile_names_do_nothing(tmp_path, opened):
         assert each.evaluate("window.hacked") is None and each.locator("img").count() == 0
 
 
-def test_everything_fits_the_window(robot_of, address, tmp_path, opened):
-    """From 800 pixels on every control is inside, in a crowd too, whose members beyond twelve are drawn once picked."""
+def fits(page, width: int, height: int) -> None:
+    """Nothing is outside a window of this size."""
+    page.set_viewport_size({"width": width, "height": height})
+    page.wait_for_timeout(50)
+    whole = page.evaluate("[document.documentElement.scrollWidth, document.documentElement.scrollHeight]")
+    assert whole[0] <= width and whole[1] <= height
+    for selector in ("#views", "#legend", "#chart", "#play", "#scrub", "#speed", "#loop", "#keys summary"):
+        box = page.locator(selector).bounding_box()
+        assert box["x"] >= 0 and box["x"] + box["width"] <= width, selector
+        assert box["y"] >= 0 and box["y"] + box["height"] <= height, selector
+
+
+def test_everything_fits_the_window(robot_of, tmp_path, opened):
+    """From 800 pixels on every control is inside."""
+    named = {f"a rather long name of a rollout, number {i}": waving(robot_of("planar3"), phase=i) for i in range(4)}
+    page = opened(replay(robot_of("planar3"), named, tmp_path / "a.html", title="a title " * 20).html.as_uri())
+    for width, height in ((800, 600), (1280, 800), (1920, 1080)):
+        fits(page, width, height)
+
+
+@pytest.mark.slow
+def test_a_crowd_fits_the_window(robot_of, tmp_path, opened):
+    """Its members beyond twelve are drawn once picked, and the phases of sixty recordings have names."""
     robot = robot_of("planar3")
-    named = {f"a rather long name of a rollout, number {i}": waving(robot, phase=i) for i in range(4)}
-    page = opened(replay(robot, named, tmp_path / "a.html", title="a title " * 20).html.as_uri())
     crowd = {str(i): waving(robot, phase=0.2 * i) for i in range(30)}
     result = replay(robot, crowd, tmp_path / "b.html")
     assert "first 12 are drawn" in result.notes[0]
@@ -239,16 +258,8 @@ def test_everything_fits_the_window(robot_of, address, tmp_path, opened):
     phases = [(name, 0.5, 1.5, i % 9) for i, name in enumerate(many)]
     banded = opened(replay(robot, many, tmp_path / "c.html", phases=phases).html.as_uri(), 800, 600)
     crowded = opened(result.html.as_uri(), 800, 600)
-    sizes = [(page, 800, 600), (page, 1280, 800), (page, 1920, 1080), (crowded, 800, 600), (banded, 800, 600)]
-    for each, width, height in sizes:
-        each.set_viewport_size({"width": width, "height": height})
-        each.wait_for_timeout(50)
-        whole = each.evaluate("[document.documentElement.scrollWidth, document.documentElement.scrollHeight]")
-        assert whole[0] <= width and whole[1] <= height
-        for selector in ("#views", "#legend", "#chart", "#play", "#scrub", "#speed", "#loop", "#keys summary"):
-            box = each.locator(selector).bounding_box()
-            assert box["x"] >= 0 and box["x"] + box["width"] <= width, selector
-            assert box["y"] >= 0 and box["y"] + box["height"] <= height, selector
+    fits(crowded, 800, 600)
+    fits(banded, 800, 600)
     assert crowded.locator("#chart rect").count() < 100
     crowded.locator("#legend .pick").nth(25).click()
     seek(crowded, 1.0)

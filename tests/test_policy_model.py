@@ -252,7 +252,7 @@ def test_a_motion_that_is_replayed_is_one_motion(rate: float, rng):
     assert refusal.value.code == "repeated-motion"
 
 
-@pytest.mark.parametrize("rows", ["x y", "y rz"])
+@pytest.mark.parametrize("rows", [pytest.param("x y", marks=pytest.mark.slow), "y rz"])
 def test_unequal_noise_does_not_bend_the_rows(rows: str):
     """Noise of 10 % of each joint's own motion: telling the noise hardly moves the answer; from equal weights it does.
 

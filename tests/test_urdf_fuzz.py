@@ -1,6 +1,6 @@
 """Mutated robot descriptions: each is refused with a code or loads and computes; none harms the process.
 
-By default for 20 s in all, or MANIP_LEARN_FUZZ_SECONDS; with `make fuzz` all 100,000 mutants.
+By default for 8 s in all, or MANIP_LEARN_FUZZ_SECONDS; with `make fuzz` all 100,000 mutants.
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ from urdf_mutants import mutant
 HERE = Path(__file__).parent
 IS_LONG = os.environ.get("HYPOTHESIS_PROFILE") == "fuzz"
 MUTANTS = 50_000
-SECONDS = 1500.0 if IS_LONG else float(os.environ.get("MANIP_LEARN_FUZZ_SECONDS", "20")) / 2.0
+SECONDS = 1500.0 if IS_LONG else float(os.environ.get("MANIP_LEARN_FUZZ_SECONDS", "8")) / 2.0
 
 
 @pytest.mark.fuzz

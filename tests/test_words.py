@@ -14,10 +14,10 @@ from library_source import Source, library, listed
 PHRASES = {
     "so many times as much: say the number": (
         r"\bso many times\b|\btimes as (?:much|many|far|long|often|large|fast|slow|strong|wide|high|small)\b",
-        9,
+        3,
     ),
-    "what is ...: say the noun": (r"\b[Ww]hat (?:is|are|was|were)\b(?! to be done)", 212),
-    "The same ... at a docstring's beginning: it is read without its neighbour": (r"\A(?:The s|S)ame\b", 37),
+    "what is ...: say the noun": (r"\b[Ww]hat (?:is|are|was|were)\b(?! to be done)", 199),
+    "The same ... at a docstring's beginning: it is read without its neighbour": (r"\A(?:The s|S)ame\b", 0),
 }
 
 

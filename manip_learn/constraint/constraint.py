@@ -108,7 +108,7 @@ class Constraint:
         return read_mechanism(self.selection, self.features, self.provenance)
 
     def about_its_mechanism(self) -> Constraint:
-        """The same rows, named after the mechanism: `MechanismRows`, or a frame's, in the place of `PlaceRows`.
+        """These rows, named after the mechanism: `MechanismRows`, or a frame's, in the place of `PlaceRows`.
 
         The constraint itself where its features are others, or hold no mechanism that has a name.
         """
@@ -118,7 +118,7 @@ class Constraint:
         return Constraint(selection, features, self.provenance)
 
     def with_orientation(self) -> Constraint:
-        """The same rows, and below them those that hold the orientation of the frame too, as far as these do not.
+        """These rows, and below them those that hold the orientation of the frame too, as far as these do not.
 
         Raises:
             ConstraintError: Features without a frame that could turn.

@@ -96,7 +96,7 @@ def gradient_of(
 def gradient_from(
     shape: tuple[int, ...], decomposition: tuple[np.ndarray, np.ndarray, np.ndarray], vjp: Vjp
 ) -> tuple[float, Float[np.ndarray, " nv"], float]:
-    """The same from the shape of A, its singular value decomposition, and weights -> sum_ij weights_ij dA_ij / dq_k.
+    """`gradient_of` from the shape of A, its decomposition, and weights -> sum_ij weights_ij dA_ij / dq_k.
 
     d mu / d q_k = sum_i (prod_{j != i} sigma_j) u_i^T (dA / dq_k) v_i.
     """

@@ -108,7 +108,7 @@ def _compiled(
 def _in_bulk(
     constraint: Constraint, postures: np.ndarray, some: slice, out: ManipulabilityBatch, ill: np.ndarray
 ) -> None:
-    """The same in NumPy."""
+    """Manipulability and gradient of some postures in NumPy, written into `out` and `ill`."""
     selection, mu_here, ill_here = constraint.selection, out.mu[some], ill[some]
 
     def weigh(Phi: np.ndarray, part: slice) -> np.ndarray:

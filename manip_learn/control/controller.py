@@ -300,7 +300,7 @@ class ResolvedRateController:
         return self.task.error(self.constraint, np.asarray(q, dtype=np.float64), t)
 
     def with_task(self, task: Task, constraint: Constraint) -> ResolvedRateController:
-        """The same controller with another task along the rows of another constraint.
+        """This controller with another task along the rows of another constraint.
 
         A null-space ascent of the constraint, or of the rows driven, becomes one of the new.
         """
@@ -315,7 +315,7 @@ class ResolvedRateController:
         )
 
     def with_limits(self, limits: Limits) -> ResolvedRateController:
-        """The same controller with other limits."""
+        """This controller with other limits."""
         other = copy.copy(self)
         other.limits = other._limits_of(limits)
         other._law = self._law.with_limits(limits)
@@ -323,7 +323,7 @@ class ResolvedRateController:
         return other
 
     def with_solver(self, solver: Solver, report: Callable[[str], object] | None = None) -> ResolvedRateController:
-        """The same controller with another solver.
+        """This controller with another solver.
 
         Args:
             solver: As for the class.

@@ -183,7 +183,7 @@ class LawSequence:
         return self.current.task_error(q, t - (self.way_begins or 0.0))
 
     def with_limits(self, limits: Limits) -> LawSequence:
-        """The same laws with other limits."""
+        """These laws with other limits."""
         return LawSequence(self.approach.with_limits(limits), self.way.with_limits(limits))
 
     def __repr__(self) -> str:
@@ -280,7 +280,7 @@ def exchanged(
 
 
 def aimed_at(task: Task | None, target: ArrayLike) -> PointAttractor:
-    """The same attractor with another target.
+    """This attractor with another target.
 
     Raises:
         ConfigurationError: The task is no attractor.

@@ -476,7 +476,7 @@ class Limits:
         return np.clip(previous + change / longest, bounds.low, bounds.high)
 
     def with_rates(self, acceleration: ArrayLike | None, jerk: ArrayLike | None) -> Limits:
-        """The same limits with other accelerations and jerks; None keeps what there is.
+        """These limits with other accelerations and jerks; None keeps those there are.
 
         Raises:
             ConfigurationError: A limit that is not positive or has the wrong size.
@@ -509,7 +509,7 @@ class Limits:
 def bound_changes(
     bounds: Bounds, previous: Float[np.ndarray, " nv"], acceleration: Float[np.ndarray, " nv"], dt: float
 ) -> Bounds:
-    """The same bounds, narrowed to what acceleration limits allow in dt [s] after a velocity."""
+    """Bounds narrowed in place to what acceleration limits allow in dt [s] after a velocity."""
     _bound_changes(bounds, previous.tolist(), acceleration.tolist(), dt)
     return bounds
 

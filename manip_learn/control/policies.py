@@ -295,7 +295,7 @@ class ManipulabilityAscent(SampledPolicy):
         return self.from_rows(*self.constraint.value_and_vjp(q), dt)
 
     def from_rows(self, A: Float[np.ndarray, "s nv"], vjp: Vjp, dt: float) -> Float[np.ndarray, " nv"]:
-        """The same for rows A at a posture and their derivative."""
+        """Ascent velocity from the rows A at a posture and their derivative."""
         inverse = row_inverse(A)
         if inverse is not None:
             return self.from_inverse(*inverse, vjp, dt)
@@ -304,7 +304,7 @@ class ManipulabilityAscent(SampledPolicy):
     def from_inverse(
         self, X: Float[np.ndarray, "s nv"], mu: float, smallest: float, vjp: Vjp, dt: float
     ) -> Float[np.ndarray, " nv"]:
-        """The same away from singularities, where d log mu = A^{+T} : dA, from X = A^{+T} that the controller has."""
+        """Ascent velocity away from singularities: d log mu = A^{+T} : dA, from X = A^{+T} that the controller has."""
         if not self.logarithmic:
             return vjp(X) * (self.gain * mu)
         return self.bounded(vjp(X), smallest, dt)
@@ -312,7 +312,7 @@ class ManipulabilityAscent(SampledPolicy):
     def from_decomposition(
         self, shape: tuple[int, ...], decomposition: tuple[np.ndarray, np.ndarray, np.ndarray], vjp: Vjp, dt: float
     ) -> Float[np.ndarray, " nv"]:
-        """The same near a singularity too, see `gradient_from`."""
+        """Ascent velocity near a singularity too, see `gradient_from`."""
         sigma = decomposition[1]
         smallest = float(sigma[-1])
         if self.logarithmic and shape[0] > shape[1]:
@@ -452,7 +452,7 @@ class WeightedPolicies(SampledPolicy):
 
 
 def climbing(policy: NullSpacePolicy, before: Constraint, after: Constraint) -> NullSpacePolicy:
-    """The same policy, its ascents of one constraint climbing the manipulability of another."""
+    """This policy, its ascents of one constraint climbing the manipulability of another."""
     if isinstance(policy, ManipulabilityAscent) and policy.constraint is before:
         speed = policy.max_speed
         return ManipulabilityAscent(after, policy.gain, logarithmic=policy.logarithmic, max_speed=speed)

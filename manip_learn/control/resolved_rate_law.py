@@ -231,7 +231,7 @@ class ResolvedRateLaw:
         self._brakes = inverse == "damped" and limits is not None
 
     def with_limits(self, limits: Limits) -> ResolvedRateLaw:
-        """The same law for a command within other limits."""
+        """This law for a command within other limits."""
         settings = (self.inverse, self.threshold, self.damping)
         return ResolvedRateLaw(self.constraint, self.task, self.null_policy, *settings, limits)
 

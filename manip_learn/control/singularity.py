@@ -64,7 +64,7 @@ def smallest_gradient(decomposition: Decomposition, vjp: Vjp) -> Float[np.ndarra
 def smallest_gradient_of(
     A: Float[np.ndarray, "s nv"], X: Float[np.ndarray, "s nv"] | None, mu: float, smallest: float, vjp: Vjp
 ) -> Float[np.ndarray, " nv"]:
-    """The same away from singularities, from A, A^{+T} and mu: weights u_min v_min^T, v_min = A^T u_min / sigma_min."""
+    """d sigma_min / dq away from singularities, from A and X = A^{+T}: weights u v^T, v = A^T u / sigma_min."""
     s = A.shape[0]
     if s == 1:
         return vjp(A) / smallest

@@ -243,7 +243,7 @@ MOST_UNCERTAIN_DEG = 30.0
 # [rad] offsets of the joints' zeros to be thought of: from an encoder's rounding to what the eye sees
 OFFSET_RANGE_RAD = (1e-6, 3e-2)
 # odds beforehand of no offsets: strong evidence for them is wanted (Kass and Raftery, 1995). At even odds 11 of 180
-# sets of drawers with 1e-3 rad of noise alone were stated more than three times as wide (100 Hz, seeds from 30000)
+# sets of drawers with 1e-3 rad of noise alone got stated angles three times too wide (100 Hz, seeds from 30000)
 NONE_TO_SOME = 20.0
 # mean square of the effort in contact over that left in free motion below which less than half of it is contact
 EFFORT_STANDS_OUT = 2.0

@@ -322,7 +322,7 @@ def recombination_test(
     Args:
         features: Phi.
         trajectories: With velocities, each one stretch of motion: whole recordings or parts of them.
-        rng: Of the recombinations: four times as many as before, as long as their number could decide.
+        rng: Of the recombinations: quadrupled as long as their number could decide.
         choices: Hypotheses of which this one was chosen: kinds of rows, and parts of the recordings.
         believed: Strength from which on a row counts.
 

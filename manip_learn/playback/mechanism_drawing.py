@@ -357,7 +357,7 @@ def _stretch(along: Float[np.ndarray, " T"], across: Float[np.ndarray, "T k"]) -
 def _way(
     along: Float[np.ndarray, " T"], across: Float[np.ndarray, "T k"], spans: Sequence[slice]
 ) -> tuple[int, int, int, float] | None:
-    """The same of a motion that is known to hold the mechanism in some spans, and to begin where it is shut."""
+    """As `_stretch`, of a motion that is known to hold the mechanism in some spans, and to begin where it is shut."""
     if not spans or len(along[spans[0]]) < 2:
         return None
     first, along, across = spans[0].start, along[spans[0]], across[spans[0]]

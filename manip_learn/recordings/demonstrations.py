@@ -65,7 +65,7 @@ class Demonstrations(Sequence[Trajectory]):
         return self.trajectories[0].joint_names
 
     def with_joint_names(self, joint_names: tuple[str, ...]) -> Demonstrations:
-        """The same trajectories with their columns named; see `Trajectory.joint_names`.
+        """These trajectories with their columns named; see `Trajectory.joint_names`.
 
         Raises:
             RecordingError: Another number of columns.

@@ -151,7 +151,7 @@ class Trajectory:
         return self.part(slice(int(inside[0]), int(inside[-1]) + 1))
 
     def with_joint_names(self, joint_names: tuple[str, ...]) -> Trajectory:
-        """The same motion with its columns named, e.g. by the robot it is used with.
+        """This motion with its columns named, e.g. by the robot it is used with.
 
         Raises:
             RecordingError: Another number of columns.

@@ -38,7 +38,7 @@ def derive_velocities(
     half_width: int | None = None,
     degree: int | None = None,
 ) -> Trajectory:
-    """The same motion with velocities, at the configurations where they are best determined.
+    """A motion with velocities, at the configurations where they are best determined.
 
     Forward differences are not offered: on smooth motion at 50 Hz they put the learnt manipulability off by its own
     size, because they belong to a posture half a step later.
@@ -311,7 +311,7 @@ def _right_jacobian(v: Float[np.ndarray, "N 3"], dv: Float[np.ndarray, "N 3"]) -
 
 
 def continuous_rotation_vectors(vectors: Float[np.ndarray, "T 3"]) -> Float[np.ndarray, "T 3"]:
-    """The same rotations, each by the rotation vector nearest to the one before: full turns are added."""
+    """Rotations, each by the rotation vector nearest to the one before: full turns are added."""
     out = np.array(vectors)
     for i in range(1, len(out)):
         before, angle = out[i - 1], float(np.linalg.norm(out[i]))

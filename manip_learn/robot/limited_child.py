@@ -10,14 +10,18 @@ from __future__ import annotations
 import contextlib
 import importlib.util
 import json
+import math
 import os
 import selectors
+import signal
 import subprocess
 import sys
+import time
 from pathlib import Path
 from typing import Any, final
 
 START_SECONDS = 30  # for the task's libraries to be loaded, from a cold disk on a busy machine
+SLACK = 10.0  # seconds on the clock for one of processor time, on slow disks and busy machines
 LARGEST_FILE = 500_000_000  # [bytes] that the process can write
 # what a task may raise about a job, which the answer then says in place of a result
 FAULTS = (ArithmeticError, AttributeError, LookupError, NameError, OSError, RuntimeError, SyntaxError)
@@ -58,7 +62,7 @@ class LimitedChild:
 
         Args:
             job: What JSON can hold.
-            seconds: Longest time on the clock [s]; the start of the process does not count.
+            seconds: Longest processor time, and SLACK of it on the clock [s]; the start of the process does not count.
 
         Raises:
             TimeoutError: It took longer.
@@ -66,11 +70,11 @@ class LimitedChild:
         """
         try:
             if self._is_new:
-                self._answer(START_SECONDS)
+                self._answer(START_SECONDS, START_SECONDS)
                 self._is_new = False
-            self._stdin.write(json.dumps(job).encode() + b"\n")
+            self._stdin.write(json.dumps([seconds, job]).encode() + b"\n")
             self._stdin.flush()
-            answer = self._answer(seconds)
+            answer = self._answer(seconds, SLACK * seconds)
         except OSError as error:
             self.is_lost = True
             if isinstance(error, TimeoutError | ChildProcessError):
@@ -79,13 +83,16 @@ class LimitedChild:
         self.is_lost = "fault" in answer  # its memory is not used again
         return answer
 
-    def _answer(self, seconds: float) -> dict[str, Any]:
+    def _answer(self, seconds: float, on_the_clock: float) -> dict[str, Any]:
+        late = TimeoutError(f"it took more than {max(seconds, 0.0):.3g} s")
         with selectors.DefaultSelector() as selector:
             selector.register(self._stdout, selectors.EVENT_READ)
-            if seconds <= 0.0 or not selector.select(seconds):
-                raise TimeoutError(f"it took more than {max(seconds, 0.0):.3g} s")
+            if on_the_clock <= 0.0 or not selector.select(on_the_clock):
+                raise late
         line = self._stdout.readline()
         if not line.endswith(b"\n"):
+            if os.name == "posix" and self._process.wait() == -signal.SIGXCPU:
+                raise late
             raise ChildProcessError("it crashed or ran out of memory")
         return json.loads(line)
 
@@ -112,6 +119,17 @@ def limit_self(memory: int, seconds: int) -> None:
             resource.setrlimit(kind, (value if hard == resource.RLIM_INFINITY else min(value, hard), hard))
 
 
+def limit_job(seconds: float, most: int) -> None:
+    """Limit the processor time of this process to what it has used and this [s], never beyond the most of all jobs."""
+    try:
+        import resource
+    except ImportError:
+        return
+    with contextlib.suppress(ValueError, OSError):
+        _, hard = resource.getrlimit(resource.RLIMIT_CPU)
+        resource.setrlimit(resource.RLIMIT_CPU, (min(math.ceil(time.process_time() + seconds), most), hard))
+
+
 def serve(task: str, memory: str, seconds: str, search_path: str) -> None:
     """Answer jobs until stdin closes."""
     limit_self(int(memory), int(seconds))
@@ -128,7 +146,9 @@ def serve(task: str, memory: str, seconds: str, search_path: str) -> None:
     print(json.dumps({}), file=answers, flush=True)
     for line in sys.stdin:
         try:
-            answer = answer_to(json.loads(line))
+            for_this, job = json.loads(line)
+            limit_job(for_this, int(seconds))
+            answer = answer_to(job)
         except (*FAULTS, MemoryError, TypeError, ValueError) as error:
             answer = {"fault": f"{type(error).__name__}: {error}"[:300]}
         print(json.dumps(answer), file=answers, flush=True)

@@ -3,7 +3,7 @@
 Rates of rotation vectors too: the left Jacobian of SO(3) and its inverse (J. Sola et al., "A micro Lie theory for state
 estimation in robotics", equations (145) and (146)). The right Jacobian of a vector is the left one of its negative.
 
-(SciPy's Rotation takes ten times as long for one; Pinocchio's logarithm loses digits close to half a turn.)
+(SciPy's Rotation takes 10 times that for one; Pinocchio's logarithm loses digits close to half a turn.)
 """
 
 from __future__ import annotations

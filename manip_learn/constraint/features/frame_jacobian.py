@@ -66,7 +66,7 @@ def goal_rotation(R: Float[np.ndarray, "3 3"]) -> Float[np.ndarray, "3 3"]:
 def pose_error(
     pose: Float[np.ndarray, "4 4"], goal: Float[np.ndarray, "4 4"], own_axes: bool
 ) -> Float[np.ndarray, " 6"]:
-    """e, along the axes of the base or of the frame."""
+    """Twist from a pose to a goal [m, rad], along the axes of the base or of the frame."""
     return placement_error(pose[:3, 3], pose[:3, :3], goal[:3, 3], goal[:3, :3], own_axes)
 
 
@@ -77,7 +77,7 @@ def placement_error(
     goal_rotation: Float[np.ndarray, "3 3"],
     own_axes: bool,
 ) -> Float[np.ndarray, " 6"]:
-    """The same from positions and rotations."""
+    """The twist of `pose_error`, from positions and rotations."""
     out = np.empty(6)
     turn = rotation_vector(goal_rotation.dot(rotation.T))
     if own_axes:

@@ -58,7 +58,7 @@ class Ladder:
     log_mu: Float[np.ndarray, "P L"]
 
     def where(self, clear: Callable[[Float[np.ndarray, " nv"]], bool]) -> Ladder:
-        """The same with those nodes only whose postures are clear."""
+        """This ladder with those nodes only whose postures are clear."""
         allowed = self.allowed.copy()
         for p, k in np.argwhere(allowed).tolist():
             allowed[p, k] = clear(self.q[p, k])

@@ -147,11 +147,11 @@ class Stations:
         return np.where(np.isfinite(low), low, -np.pi), np.where(np.isfinite(high), high, np.pi)
 
     def free_to_turn(self) -> Stations:
-        """The same places for a hand that may turn."""
+        """These places for a hand that may turn."""
         return self._with_rows(np.eye(6)[:3])
 
     def posed(self) -> Stations:
-        """The same places for a hand that turns with the way only."""
+        """These places for a hand that turns with the way only."""
         return self._with_rows(np.eye(6))
 
     def _with_rows(self, rows: Float[np.ndarray, "s 6"]) -> Stations:
@@ -160,7 +160,7 @@ class Stations:
         return replace(self, rows=table, needs=needs)
 
     def seen_from(self, shift: Float[np.ndarray, " 3"]) -> Stations:
-        """The same way, seen from a base that was moved by so much [m]."""
+        """This way, seen from a base that was moved by a shift [m]."""
         return replace(self, places=self.places - shift)
 
     def matrices(self, q: Postures, station: Int[np.ndarray, " n"]) -> Float[np.ndarray, "n s nv"]:

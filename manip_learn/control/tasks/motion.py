@@ -200,11 +200,11 @@ class FreeDirection(Task):
         return None if sense == 0.0 else sense * self.wanted > 0.0
 
     def with_distance(self, distance: float) -> FreeDirection:
-        """The same motion by another distance [m or rad], from a start of its own."""
+        """This motion by another distance [m or rad], from a start of its own."""
         return self._with_profile(replace(self._profile, distance=_number("distance", distance, positive=False)))
 
     def slowed(self, times: float) -> FreeDirection:
-        """The same motion in so many times its time, from a start of its own."""
+        """This motion slowed down by a factor, from a start of its own."""
         return self._with_profile(replace(self._profile, speed=self._profile.peak / times))
 
     def _with_profile(self, profile: MotionProfile) -> FreeDirection:
@@ -226,7 +226,7 @@ class FreeDirection(Task):
         return self.progress_near(q, near)
 
     def progress_near(self, q: ArrayLike, near: float) -> float:
-        """The same of a posture on the way; of angles a turn apart the one next to `near` [rad]."""
+        """Progress of a posture on the way [m or rad]; of angles a turn apart the one next to `near`."""
         return 0.0 if self._origin is None else self._motion.progress(self._origin, q, near)
 
     def deviation(self, q: ArrayLike, progress: float = 0.0) -> float:
@@ -398,7 +398,7 @@ def motion(
 
 
 def _as_shown(task: FreeDirection, back: bool) -> FreeDirection:
-    """The same way in the sense of the recordings, or against it."""
+    """A way in the sense of the recordings, or against it."""
     sense = shown_sense(task.learnt, task._motion)
     if sense == 0.0:
         raise ConstraintError(

@@ -1,7 +1,7 @@
 """Normal equations of a policy model with many regressors, for a fixed Lambda.
 
 With N_n = I - A_n^+ A_n and pi = Theta^T beta, |Z^T (u - pi)|^2 = |N (u - pi)|^2, and the Hessian for Theta is sum beta
-beta^T (x) N: one matrix product over the samples, where a QR of the rows costs ten times as much. The condition number
+beta^T (x) N: one matrix product over the samples, where a QR of the rows costs 10 times that. The condition number
 is squared thereby: the regressors are made orthonormal first, and since residuals are formed sample by sample, a
 further solution for what is left takes off what rounding has left (iterative refinement).
 

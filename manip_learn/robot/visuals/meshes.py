@@ -328,7 +328,7 @@ def _rgba(text: bytes) -> Colour | None:
 
 CHILD = Path(__file__).with_name("mesh_child.py")
 MEMORY = 512_000_000  # [bytes] of the parsing process; the libraries alone take 150 MB
-SECONDS = 5.0  # for one mesh
+SECONDS = 5.0  # of processor time for one mesh
 ALL_SECONDS = 60  # for all meshes of one robot
 MAX_FACES = 2_000_000  # of a mesh: 0.1 GB as triangles
 
@@ -340,7 +340,7 @@ def read_meshes(paths: Sequence[Path], seconds: float = SECONDS) -> dict[Path, M
 
     Args:
         paths: Files inside the robot's folders.
-        seconds: Time for one mesh [s].
+        seconds: Processor time for one mesh [s].
     """
     out: dict[Path, Mesh | RobotError] = {}
     end = time.monotonic() + ALL_SECONDS
