@@ -12,7 +12,10 @@ from library_source import library, listed
 
 import manip_learn as ml
 
+ROOT = Path(__file__).resolve().parents[1]
 DOCS = Path(__file__).resolve().parents[1] / "docs"
+# names in capitals stand for any
+NAMED_FILE = re.compile(r"(?<![\w./])(?!\S*[A-Z]{4})((?:\w+/)+\w+\.py)\b")
 # names that every user meets: each shows itself in an example that runs as printed
 MAIN = (
     "load_robot Robot FrameJacobian load_demonstrations Demonstrations Trajectory ConstraintLearner Constraint "
@@ -54,6 +57,19 @@ def test_equations_are_where_the_map_says():
     table = [(file, function.strip().strip("`")) for file, function in rows]
     assert len(table) > 12
     faults = [f"{file}: {name}" for file, name in table if file not in trees or name not in defined(trees[file])]
+    assert not faults, listed(faults)
+
+
+def test_files_that_pages_name_exist():
+    """Files of the project that stand in a page for contributors, from the root or from a folder of the library."""
+    pages = [ROOT / "CONTRIBUTING.md", ROOT / "README.md", *DOCS.rglob("*.md"), ROOT / "benchmarks" / "README.md"]
+    folders = [ROOT, ROOT / "manip_learn", *(p for p in (ROOT / "manip_learn").rglob("*") if p.is_dir())]
+    faults = [
+        f"{page.relative_to(ROOT)}: {name}"
+        for page in pages
+        for name in NAMED_FILE.findall(page.read_text(encoding="utf-8"))
+        if not any((folder / name).is_file() for folder in (page.parent, *folders))
+    ]
     assert not faults, listed(faults)
 
 
