@@ -704,6 +704,24 @@ def _brief(t: Trajectory) -> dict[str, Any]:
     return {"time": t.time[:4], "q": t.q[:4], "u": t.u[:4], "name": "brief"}
 
 
+def test_how_far_a_stretch_gets() -> None:
+    """Along the rows, at all, and by white noise alone: from rates times the time of each sample, in numbers."""
+    features, demos, _ = recordings("drawer", "panda", 2013, 1)
+    motion = RowMotion.collect(features, demos)
+    n, rng = len(motion), np.random.default_rng(3)
+    weight = rng.uniform(0.5, 1.5, n) / 100.0
+    noise, speed = 0.02, 0.3
+    rates = np.column_stack([np.full(n, speed), noise * rng.normal(size=n), np.zeros(n)])
+    made = dataclasses.replace(motion, rates=rates, weight=weight)
+    whole = Stretch(0, float(motion.time[0]), float(motion.time[-1]))
+    across = np.array([[0.0, 1.0, 0.0], [0.0, 0.0, 1.0]])
+    far, total, by_noise = findings._drift(made, across, whole)
+    sideways = np.cumsum(rates[:, 1] * weight)
+    assert far == pytest.approx(np.ptp(sideways), rel=0.2)
+    assert total == pytest.approx(speed * weight.sum(), rel=0.02)
+    assert by_noise == pytest.approx(noise * np.sqrt(np.sum(weight**2)), rel=0.25)
+
+
 def test_joints_that_move_at_once():
     """One for a joint alone, as many as there are for equal ones, whatever the pace."""
     pace = np.linspace(1.0, 2.0, 50)[:, None]

@@ -10,6 +10,7 @@ from case import case
 from test_gradients import RobotOf
 from test_motion import learnt
 
+import manip_learn as ml
 from manip_learn.constraint.constraint import Constraint
 from manip_learn.constraint.features import (
     CentreOfMass,
@@ -20,6 +21,7 @@ from manip_learn.constraint.features import (
 )
 from manip_learn.control.command import Status
 from manip_learn.control.controller import ResolvedRateController
+from manip_learn.control.law_sequence import forget
 from manip_learn.control.policies import ManipulabilityAscent
 from manip_learn.control.rollout import Rollout
 from manip_learn.control.simulation import simulate
@@ -366,3 +368,18 @@ def test_what_cannot_be_driven(robot_of: RobotOf) -> None:
     task = FreeDirection(Constraint([[1.0, 0.0]], silent), 0.1, 0.1)
     with pytest.raises(FeatureError, match="no task coordinates"):
         task.velocity(task.constraint, np.zeros(2), 0.0)
+
+
+def test_a_controller_forgets_where_its_way_began(robot_of: RobotOf) -> None:
+    """After `forget` a way begins where the arm is then; a controller of the user's own has nothing to forget."""
+    robot = robot_of("sawyer")
+    constraint = ml.Constraint(np.eye(3)[1:], ml.FrameJacobian(robot, "right_hand"))
+    law = ml.ResolvedRateController(constraint, ml.FreeDirection(constraint, 0.05, 0.5))
+    q = np.array([0.3, -0.6, 0.2, 1.2, 0.1, 0.9, 0.4])
+    for k in range(60):
+        q = robot.integrate(q, 0.01 * law(q, 0.01 * k, 0.01).velocity)
+    task = law.task
+    assert isinstance(task, ml.FreeDirection) and task.progress(q) > 0.02
+    forget(law)
+    assert task.progress(q) == 0.0
+    forget(lambda q, t, dt: None)  # type: ignore[arg-type, return-value]

@@ -405,3 +405,15 @@ def test_each_bound_lies_where_it_is_meant(robot_of, tmp_path: Path) -> None:
         with case(name):
             assert expected not in said(tmp_path, *inside)
             assert expected in said(tmp_path, *outside)
+
+
+def test_places_without_a_number_are_listed(planar3: Robot, tmp_path: Path) -> None:
+    """Up to five of them, all of five; of more the first five and that there are more."""
+    for n, more in ((1, False), (5, False), (6, True)):
+        q = np.cumsum(np.full((40, 3), 0.01), axis=0)
+        q[3 : 3 + n, 1] = np.nan
+        sentence = str(refused(planar3, tmp_path, 0.01 * np.arange(40), q))
+        assert f"in {n} sample" in sentence and (", ...;" in sentence) is more
+        assert re.findall(r"sample (\d+)", sentence.partition(": sample ")[2]) == [
+            str(3 + i) for i in range(1, min(n, 5))
+        ]
