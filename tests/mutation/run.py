@@ -40,6 +40,7 @@ LEAST_OF_FEW, FEW = 0.5, 5  # of a quick run, where so many were tried: eight of
 QUICK = {"hours": 2.0 / 60.0, "count": 3, "timeout": 20.0, "followed": 10.0, "nearest": 2, "rings": 1}
 THOROUGH = {"followed": 60.0, "nearest": 10, "rings": 2}
 UNREACHED = "no test comes here"
+WHOLE = 4  # test files that are tried whole where none is seen to come to a line
 TESTS = 12  # quickest tests of a line that are tried: those that remain repeat what these check
 
 
@@ -59,7 +60,7 @@ def main() -> int:
                 continue
             room = "/".join(file.split("/")[1:-1][:1]) or "top"
             tried[room] += 1
-            if outcome in ("noticed", "too slow"):
+            if outcome in ("noticed", "too slow", "broken"):
                 noticed[room] += 1
             else:
                 print(f"{outcome.upper()} {file}:{fault.line}: {fault.words}\n    promise: {fault.promise}", flush=True)
@@ -134,12 +135,17 @@ def _sample(lines: Mapping[str, set[int] | None], options: argparse.Namespace) -
 def _try(
     workshop: Workshop, file: str, fault: Fault, importers: Mapping[str, Sequence[str]], options: argparse.Namespace
 ) -> str:
-    """What becomes of a fault; where no near test comes to its line, the next ring of test files is asked."""
-    for test_files in islice(rings_around(file, importers, options.nearest), options.rings):
+    """What becomes of a fault; where no near test comes to its line, the next ring of test files is asked.
+
+    Processes that tests start are not followed: a line that only they come to is tried with the nearest files whole.
+    """
+    rings = list(islice(rings_around(file, importers, options.nearest), options.rings))
+    for test_files in rings:
         reached = workshop.tests_of(file, test_files).get(fault.line, [])
         if reached:
             return workshop.try_fault(file, fault.text(), reached[:TESTS])
-    return UNREACHED
+    whole = [] if options.quick else [name for ring in rings for name in ring][:WHOLE]
+    return UNREACHED if not whole or (seen := workshop.try_fault(file, fault.text(), whole)) == "survived" else seen
 
 
 if __name__ == "__main__":
