@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import asyncio
 from collections.abc import Callable, Iterator
+from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager
 from functools import partial
 from typing import Any, TypeVar, final
@@ -22,7 +24,9 @@ from manip_learn.recordings.trajectory_source import Progress, TrajectorySource
 
 try:
     import dask
-    from dask.distributed import Client, Future, LocalCluster, as_completed
+    from dask.distributed import Client, Future, LocalCluster, Security, as_completed
+    from dask.utils import parse_timedelta
+    from distributed.comm import connect
     from distributed.scheduler import KilledWorker
 except ImportError as error:
     raise MissingExtraError("learning on a dask cluster", "dask") from error
@@ -48,6 +52,8 @@ def dask_client(address: str, n_workers: int | None = None) -> Iterator[Client]:
     """
     if address != "local":
         try:
+            with ThreadPoolExecutor(1) as beside:  # a notebook has a loop of its own
+                beside.submit(asyncio.run, _greet(address)).result()
             client = Client(address, timeout=PATIENCE)
         except (OSError, ValueError, TypeError, AssertionError, ImportError, RuntimeError) as error:
             scheme = address.partition("://")[0] if "://" in address else "tcp"
@@ -69,6 +75,16 @@ def dask_client(address: str, n_workers: int | None = None) -> Iterator[Client]:
         Client(cluster) as client,
     ):
         yield client
+
+
+async def _greet(address: str) -> None:
+    """Connect to a scheduler and leave again.
+
+    A client that cannot connect stays half made and closes itself when it is collected: where another one is being made
+    at that moment, dask waits for a lock that it holds.
+    """
+    comm = await connect(address, parse_timedelta(PATIENCE), **Security().get_connection_args("client"))
+    await comm.close()
 
 
 @final
