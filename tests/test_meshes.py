@@ -249,3 +249,10 @@ def test_no_meshes_no_process(monkeypatch):
     """Nothing is started for nothing."""
     monkeypatch.setattr(meshes, "LimitedChild", None)
     assert read_meshes([]) == {}
+
+
+def test_colours_of_meshes_have_three_or_four_numbers():
+    """Each from 0 to 1; the fourth is not believed; other counts and what is no number are no colour."""
+    assert meshes._rgba(b"1 0.5 -0.2") == meshes._rgba(b"2 0.5 0 0.1") == (1.0, 0.5, 0.0, 1.0)
+    for other in (b"", b"1", b"1 0", b"1 0 0 1 1", b"1 0 0 1 1 1", b"1 red 0", b"nan 0 0"):
+        assert meshes._rgba(other) is None

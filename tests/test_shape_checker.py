@@ -6,6 +6,7 @@ import os
 
 import numpy as np
 import pytest
+import shape_checker
 from jaxtyping import Float
 from shape_checker import check_shapes
 
@@ -69,8 +70,25 @@ def test_other_functions_are_left_alone():
 
 
 @pytest.mark.skipif(os.environ.get("CHECK_SHAPES", "1") == "0", reason="the checks are switched off")
-def test_the_library_is_checked():
-    """Functions and methods of the library have been decorated, and a wrong call of one fails."""
+def test_the_library_is_checked(monkeypatch):
+    """Functions and methods of the library have been decorated, and a wrong call of one fails: each of the first, and
+    one in so many of those that come after a thousand.
+    """
+    monkeypatch.setattr(shape_checker, "ONE_IN", 1)
     assert hasattr(FrameKinematics.jacobian, "__wrapped__")
     with pytest.raises(TypeError, match="null_basis: A is not"):
         linalg.null_basis(np.ones(3))
+
+
+def test_later_calls_are_looked_at_now_and_then(monkeypatch):
+    """After `ALWAYS` calls a wrong one is noticed at the latest after `ONE_IN`."""
+    monkeypatch.setattr(shape_checker, "ALWAYS", 3)
+    monkeypatch.setattr(shape_checker, "ONE_IN", 4)
+    checked = check_shapes(product.__wrapped__)
+    noticed = []
+    for k in range(1, 12):
+        try:
+            checked(np.ones((2, 3)), np.ones(3)) if k < 3 else checked(np.ones((3, 3)))
+        except TypeError:
+            noticed.append(k)
+    assert noticed == [3, 4, 8]

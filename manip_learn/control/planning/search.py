@@ -203,14 +203,14 @@ def _seeds(
 
 
 def _along_self_motion(stations: Stations, start: np.ndarray, number: int, rng: np.random.Generator) -> Postures:
-    """The start, and postures in a row along a direction that leaves the hand in place, half of them either way."""
+    """Postures in a row along a direction that leaves the hand where it is, half of them one way, half the other."""
     A = stations.matrices(start[None], np.zeros(1, dtype=int))[0]
     direction = rng.normal(size=len(start))
     direction -= np.linalg.pinv(A) @ (A @ direction)
     size = np.max(np.abs(direction))
     step = SELF_MOTION * direction / size if size > 1e-9 else np.zeros_like(start)
     half = number // 2
-    return start + np.concatenate([-np.arange(number - half), np.arange(1, half + 1)])[:, None] * step
+    return start + np.concatenate([np.arange(1, half + 1), -np.arange(number - half)])[:, None] * step
 
 
 def _march(
