@@ -26,7 +26,7 @@ try:
     import dask
     from dask.distributed import Client, Future, LocalCluster, Security, as_completed
     from dask.utils import parse_timedelta
-    from distributed.comm import connect
+    from distributed.comm.core import connect
     from distributed.scheduler import KilledWorker
 except ImportError as error:
     raise MissingExtraError("learning on a dask cluster", "dask") from error
