@@ -22,6 +22,7 @@ from dataclasses import is_dataclass
 from functools import cache
 from pathlib import Path
 from typing import Any
+from unittest import mock
 
 import numpy as np
 import pytest
@@ -339,7 +340,11 @@ COMMANDS: dict[str, tuple[str, ...]] = {
 
 def quiet(*words: str) -> tuple[int, str]:
     """The code of a command and all that it prints."""
-    with contextlib.redirect_stdout(io.StringIO()) as out, contextlib.redirect_stderr(io.StringIO()) as err:
+    with (
+        mock.patch.dict(os.environ, COLUMNS="120"),
+        contextlib.redirect_stdout(io.StringIO()) as out,
+        contextlib.redirect_stderr(io.StringIO()) as err,
+    ):
         code = main(list(words))
     return code, out.getvalue() + err.getvalue()
 
@@ -354,7 +359,6 @@ def drawer_file() -> str:
 
 def command(name: str, folder: Path) -> dict[str, Any]:
     """What a command prints for people; of `replay` also the page's data."""
-    os.environ["COLUMNS"] = "120"
     if any("drawer.json" in w for w in COMMANDS[name]) and name != "learn":
         (folder / "drawer.json").write_text(drawer_file(), encoding="utf-8")
     code, printed = quiet(*(w.replace("{out}", str(folder)) for w in COMMANDS[name]))
