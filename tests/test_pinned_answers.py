@@ -187,11 +187,17 @@ def some_rows(name: str, folder: Path) -> dict[str, Any]:
     return said
 
 
-def a_rollout(name: str, folder: Path) -> dict[str, Any]:
-    """A reach with all limits and a sum of policies; a saved one states what it holds."""
+def two_rows(name: str, folder: Path) -> tuple[ml.Robot, ml.FrameJacobian, ml.Constraint]:
+    """A robot, the position of its tip, and a constraint of two rows of it."""
     robot = named_robot(name, folder)
     features = ml.FrameJacobian(robot, TIPS[name], "x y" if name == "planar3" else "xyz")
-    constraint, rng = ml.Constraint(np.eye(2, features.n_rows), features), np.random.default_rng(3)
+    return robot, features, ml.Constraint(np.eye(2, features.n_rows), features)
+
+
+def a_rollout(name: str, folder: Path) -> dict[str, Any]:
+    """A reach with all limits and a sum of policies, by both methods."""
+    robot, features, constraint = two_rows(name, folder)
+    rng = np.random.default_rng(3)
     q0 = robot.random_configuration(rng)
     target = features.coordinates(robot.random_configuration(rng))
     climb, rest = ml.ManipulabilityAscent(constraint), ml.JointAttractor(robot.positions(q0), 0.5, robot)
@@ -209,9 +215,8 @@ def a_rollout(name: str, folder: Path) -> dict[str, Any]:
 
 def a_servo_loop(name: str, folder: Path) -> dict[str, Any]:
     """Irregular time, a lost reading, an offset that grows, a stop and a start."""
-    robot = named_robot(name, folder)
-    features = ml.FrameJacobian(robot, TIPS[name], "x y" if name == "planar3" else "xyz")
-    constraint, rng = ml.Constraint(np.eye(2, features.n_rows), features), np.random.default_rng(4)
+    robot, features, constraint = two_rows(name, folder)
+    rng = np.random.default_rng(4)
     q = robot.random_configuration(rng)
     target = features.coordinates(q) + 0.1
     law = ml.ResolvedRateController(constraint, ml.PointAttractor(target), ml.ManipulabilityAscent(constraint))

@@ -144,8 +144,11 @@ def _try(
         reached = workshop.tests_of(file, test_files).get(fault.line, [])
         if reached:
             return workshop.try_fault(file, fault.text(), reached[:TESTS])
-    whole = [] if options.quick else [name for ring in rings for name in ring][:WHOLE]
-    return UNREACHED if not whole or (seen := workshop.try_fault(file, fault.text(), whole)) == "survived" else seen
+    nearest = [name for ring in rings for name in ring][:WHOLE]
+    if options.quick or not nearest:
+        return UNREACHED
+    outcome = workshop.try_fault(file, fault.text(), nearest)
+    return UNREACHED if outcome == "survived" else outcome
 
 
 if __name__ == "__main__":
