@@ -137,7 +137,7 @@ def test_a_parser_that_hangs_or_eats_memory_is_ended(
     monkeypatch.setattr(parser_process, "SECONDS", 0.5)
     assert refusal(parser, tmp_path, "hang").code == "parser-time"
     list(parsed_recordings(parser, file(tmp_path, "2"), REQUEST))
-    monkeypatch.setattr(parser_process, "SILENCE", 0.5)
+    monkeypatch.setattr(parser_process, "SLACK", 0.5)
     assert refusal(parser, tmp_path, "sleep").code == "parser-time"
 
 

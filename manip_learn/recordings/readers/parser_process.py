@@ -26,11 +26,11 @@ import numpy as np
 from manip_learn.errors import MissingExtraError, RecordingError, command_flags
 from manip_learn.recordings.readers.read_request import ReadRequest
 from manip_learn.recordings.readers.recording import Recording, reason, refusal, size_on_disk
+from manip_learn.robot.limited_child import SLACK
 
 CHILD = Path(__file__).with_name("parser_child.py")
 MEMORY, MEMORY_PER_BYTE = 2_000_000_000, 8  # [bytes], and per byte of the file
 SECONDS, BYTES_PER_SECOND = 8.0, 1_000_000  # of processor time, and more for large files
-SILENCE = 10.0  # times as long on the clock, for slow disks and busy machines
 START_SECONDS = 60.0  # for the libraries to be loaded
 FINISH_SECONDS, MOST_SKIPPED = 0.5, 20  # of a job whose further answers nobody wants
 PARQUET = "manip_learn.recordings.readers.lerobot_reader"
@@ -130,7 +130,7 @@ class _Child:
             self._jobs.send(job)
         except OSError as error:
             raise self._lost(path, job) from error
-        patience = SILENCE * job["seconds"] + (START_SECONDS if self._is_new else 0.0)
+        patience = SLACK * job["seconds"] + (START_SECONDS if self._is_new else 0.0)
         self._is_new = False
         while (answer := self._answer(path, job, patience))[0]["kind"] in PARTS:
             try:

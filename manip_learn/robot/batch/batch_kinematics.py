@@ -33,9 +33,8 @@ from manip_learn.robot.robot import Reference, Robot
 COMPILED_FROM = 50_000  # postures: fewer are done in NumPy before numba is even imported
 CHUNK = 1024  # postures: the columns of a 7-joint chain then stay in a second-level cache of 1 MB
 DERIVATIVE_CHUNK = 256  # dJ/dq has as many numbers for each column as the chain has joints
-CHAIN_AGREEMENT = (
-    1e-12  # largest difference from Pinocchio, relative to the reach, that the check at first use lets pass
-)
+# largest difference from Pinocchio, relative to the reach, that the check at first use lets pass
+CHAIN_AGREEMENT = 1e-12
 ALL_ROWS = (0, 1, 2, 3, 4, 5)  # of a twist
 
 
