@@ -1,0 +1,1 @@
+"""Arms behind the protocol of `run`, and what records them."""
