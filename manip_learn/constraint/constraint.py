@@ -18,6 +18,7 @@ from manip_learn.constraint.features.mechanism_rows import MechanismRows, PlaceR
 from manip_learn.constraint.features.other_features import described_features
 from manip_learn.constraint.features.relative_frame_jacobian import RelativeFrameJacobian
 from manip_learn.constraint.mechanism import TURNING, Mechanism, named_rows, read_mechanism
+from manip_learn.constraint.task_frame import TaskFrame, task_frame
 from manip_learn.errors import DAMAGE, ConstraintError, ConstraintMismatchError, ManipLearnError, spoken
 from manip_learn.linalg import along_axes, finite, orthonormal_rows
 from manip_learn.robot import html_card
@@ -106,6 +107,17 @@ class Constraint:
         if self.provenance.get("kind") == "self-imposed":
             return None
         return read_mechanism(self.selection, self.features, self.provenance)
+
+    def task_frame(self, q: ArrayLike) -> TaskFrame:
+        """The frame along whose axes this constraint leaves the hand free or holds it, at a posture.
+
+        What force and impedance controllers ask for; `manip-learn export --to urscript` and others write it for them.
+
+        Raises:
+            ConstraintError: Features that are no rows of one frame's twist.
+            ConfigurationError: q has the wrong size or is not finite.
+        """
+        return task_frame(self.selection, self.features, self.mechanism, self.provenance, q)
 
     def about_its_mechanism(self) -> Constraint:
         """These rows, named after the mechanism: `MechanismRows`, or a frame's, in the place of `PlaceRows`.

@@ -1,0 +1,238 @@
+"""The frame in which a constraint's rows lie along axes: what a force or impedance controller asks for.
+
+A held row weighs the hand's twist (v, w), and the environment answers along it with a wrench: a force f and a moment m.
+The frame's origin c is where the forces have no moment but those that are held anyway (the central axis of L. Poinsot),
+its axes are directions along which all is free or all is held. Both follow from Lambda alone; where the mechanism has a
+place, the frame is on it. After M. T. Mason, "Compliance and Force Control for Computer Controlled Manipulators", 1981.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any, Literal, final
+
+import numpy as np
+from jaxtyping import Float
+from numpy.typing import ArrayLike
+
+from manip_learn.constraint.features.feature_map import FeatureMap
+from manip_learn.constraint.features.frame_jacobian import AXES, FrameJacobian
+from manip_learn.constraint.features.relative_frame_jacobian import RelativeFrameJacobian
+from manip_learn.constraint.features.weighed_velocity import WeighedVelocity
+from manip_learn.constraint.mechanism import MIXED, Mechanism, on_twist
+from manip_learn.errors import ConstraintError
+from manip_learn.linalg import row_basis
+from manip_learn.robot.rotations import skew
+
+AxisState = Literal["free", "held", "unknown"]
+Turns = Literal["no", "hand", "axis", "other frame"]
+UNKNOWN = 0.5 * math.pi  # [rad] an axis of which nothing is known may be any
+# weight of held moments beside held forces, 1: the sums of what an axis may hold, 0, 0.5, 1 and 1.5, all differ ...
+MOMENTS = 0.5
+SAME = 0.25  # ... by twice this
+# share of a wish that must lie in the space that is left: of three base axes one always does by 0.5 or more
+SEEN = 0.4
+
+
+@final
+@dataclass(frozen=True, eq=False)
+class TaskFrame:
+    """A frame along whose axes a constraint leaves the hand free, or holds it.
+
+    The axes x y z are translations of one point of the hand, `point`; rx ry rz are rotations.
+
+    Attributes:
+        pose: shape (4, 4), the frame in the robot's base: origin [m] and axes. For a line, a plane, a hinge or a screw
+            z is its axis; where the mechanism has an axis away from the hand, the origin is its point next to the hand
+            and x points to the hand; of a ball it is the centre, and z points to the hand.
+        axes: Six of `"free"`, `"held"` and `"unknown"` (the features do not show it), for x y z rx ry rz.
+        uncertainty: shape (6,), angle by which each axis may be off [rad]: what the learner states and, in quadrature,
+            what Lambda mixes it with other axes; pi / 2 for an unknown one. Zero stated for a constraint by hand.
+        rows: shape (r, 6), the held rows of the twist of `point` along the frame's axes [m/s, rad/s], orthonormal: all
+            of Lambda, also where it mixes axes (the z and rz of a screw). Fewer than s only where A has dependent rows.
+        hand: shape (4, 4), the frame of the robot that the constraint is about, in the base.
+        point: shape (3,), whose velocity x y z are, in the base [m]: the origin, but for a hand that may turn in a
+            mechanism whose axis or centre is elsewhere the point held.
+        turns: What the axes turn with when the arm moves: `"no"` for axes fixed in the base, `"hand"`, `"axis"` (x goes
+            on pointing to the hand), or `"other frame"` of two.
+        frame: Name of the robot's frame.
+        mechanism: What holds the hand, if that has a name.
+    """
+
+    pose: Float[np.ndarray, "4 4"]
+    axes: tuple[AxisState, ...]
+    uncertainty: Float[np.ndarray, " 6"]
+    rows: Float[np.ndarray, "r 6"]
+    hand: Float[np.ndarray, "4 4"]
+    point: Float[np.ndarray, " 3"]
+    turns: Turns
+    frame: str
+    mechanism: Mechanism | None = None
+
+    def along(self, state: AxisState) -> list[bool]:
+        """Of each axis whether it is in that state."""
+        return [axis == state for axis in self.axes]
+
+    @property
+    def from_hand(self) -> Float[np.ndarray, "6 6"]:
+        """X, with X (v, w) the twist of `point` along the frame's axes, (v, w) that of the hand along the base's."""
+        return _from_hand(self.pose[:3, :3], self.point - self.hand[:3, 3])
+
+    def to_dict(self) -> dict[str, Any]:
+        """All of it as plain numbers and words, ready for JSON."""
+        arrays = ("pose", "uncertainty", "rows", "hand", "point")
+        described: dict[str, Any] = {name: getattr(self, name).tolist() for name in arrays}
+        mechanism = None if self.mechanism is None else self.mechanism.to_dict()
+        named = dict(zip(AXES, self.axes, strict=True))
+        return described | {"axes": named, "turns": self.turns, "frame": self.frame, "mechanism": mechanism}
+
+    def __repr__(self) -> str:
+        states = ", ".join(f"{name} {state}" for name, state in zip(AXES, self.axes, strict=True))
+        place = ", ".join(f"{x:.3f}" for x in self.pose[:3, 3])
+        return f"TaskFrame({states}; origin ({place}), about {self.frame!r})"
+
+
+def task_frame(
+    selection: Float[np.ndarray, "s p"],
+    features: FeatureMap,
+    mechanism: Mechanism | None,
+    learnt: Mapping[str, Any],
+    q: ArrayLike,
+) -> TaskFrame:
+    """The task frame at a posture, see `TaskFrame`.
+
+    Args:
+        selection: Lambda, with orthonormal rows.
+        features: Phi.
+        mechanism: What `read_mechanism` reads from them.
+        learnt: The provenance of a learnt Lambda, empty for others.
+        q: Posture.
+
+    Raises:
+        ConstraintError: Features that are no rows of one frame's twist.
+        ConfigurationError: q has the wrong size or is not finite.
+    """
+    if not isinstance(features, FrameJacobian | RelativeFrameJacobian | WeighedVelocity):
+        raise ConstraintError(f"{features!r} are no rows of one frame's twist: a task frame needs a frame of the robot")
+    held, seen, base, turns = _on_hand(selection, features, q)
+    hand = features.robot.pose(q, features.frame)
+    p, carried = hand[:3, 3], mechanism is None or mechanism.grip == "firm"
+    forces, moments, c = _central(held)
+    point = origin = p + c
+    wishes = [base[:, 2], base[:, 0], base[:, 1]]
+    if mechanism is not None and mechanism.axis is not None and turns == "no":
+        wishes.insert(0, mechanism.axis)
+    if mechanism is not None and mechanism.point is not None and mechanism.type not in ("line", "plane"):
+        out = p - mechanism.point if mechanism.axis is None else _across(p - mechanism.point, mechanism.axis)
+        origin = origin if carried else p - out
+        wishes.insert(0 if mechanism.axis is None else 1, out)
+        turns = "axis"
+    R = _axes(forces.T @ forces + MOMENTS * moments.T @ moments, wishes)
+    pose = np.eye(4)
+    pose[:3, :3], pose[:3, 3] = R, origin
+    back = np.linalg.inv(_from_hand(R, point - p))
+    rows, shown = row_basis(held @ back), row_basis(seen @ back)
+    share, known = (np.einsum("si,si->i", x, x) for x in (rows, shown))
+    axes: tuple[AxisState, ...] = tuple(
+        "unknown" if k < 0.5 else "held" if h > 0.5 else "free" for h, k in zip(share, known, strict=True)
+    )
+    P = rows.T @ rows
+    mixed = np.arcsin(np.minimum(1.0, np.linalg.norm(np.where(share > 0.5, np.eye(6) - P, P), axis=0)))
+    off = np.hypot(_stated(mechanism, learnt.get("uncertainty_deg"), float(np.linalg.norm(p - origin))), mixed)
+    off[[axis == "unknown" for axis in axes]] = UNKNOWN
+    for array in (pose, off, rows, hand, point):
+        array.setflags(write=False)
+    return TaskFrame(pose, axes, np.minimum(off, UNKNOWN), rows, hand, point, turns, features.frame.name, mechanism)
+
+
+def _on_hand(
+    selection: Float[np.ndarray, "s p"], f: FrameJacobian | RelativeFrameJacobian | WeighedVelocity, q: ArrayLike
+) -> tuple[Float[np.ndarray, "s 6"], Float[np.ndarray, "k 6"], Float[np.ndarray, "3 3"], Turns]:
+    """Held rows of the hand's twist along the base's axes, rows that the features show, and the axes of these."""
+    if isinstance(f, WeighedVelocity):
+        W = f.weights(f.robot.position(q, f.frame)[None])[0][0]
+        # of a mechanism only the held rows are features: whoever saw one translation or rotation of it saw all
+        used = [bool(np.any(W[:, part])) for part in (slice(0, 3), slice(3, 6))]
+        return selection @ W, np.eye(6)[np.repeat(used, 3)], np.eye(3), "no"
+    R, turns = np.eye(3), "no"
+    if isinstance(f, RelativeFrameJacobian):
+        R, turns = f.robot.pose(q, f.relative_to)[:3, :3], "other frame"
+    elif f.reference == "local":
+        R, turns = f.pose(q)[:3, :3], "hand"
+    turned = np.kron(np.eye(2), R.T)
+    return on_twist(f.row_names, selection) @ turned, on_twist(f.row_names, np.eye(f.n_rows)) @ turned, R, turns
+
+
+def _central(
+    held: Float[np.ndarray, "s 6"],
+) -> tuple[Float[np.ndarray, "k 3"], Float[np.ndarray, "m 3"], Float[np.ndarray, " 3"]]:
+    """Directions of held forces and of held moments without a force, and where the forces have no other moment.
+
+    Rows are f.v + m.w about the hand; about a point at c from there the moment is m - c x f. Of all points that do as
+    well it is the one next to the hand.
+    """
+    held = row_basis(held)
+    U, sizes, _ = np.linalg.svd(held[:, :3])
+    n = int(np.count_nonzero(sizes > MIXED))
+    moments = (U[:, n:].T @ held)[:, 3:]
+    _, turning, Vt = np.linalg.svd(moments)
+    moments = Vt[: int(np.count_nonzero(turning > MIXED))]
+    rows = (U[:, :n].T @ held) / sizes[:n, None]
+    rest = np.eye(3) - moments.T @ moments
+    A = np.concatenate([np.zeros((0, 3)), *(rest @ skew(f) for f in rows[:, :3])])
+    b = np.concatenate([np.zeros(0), *(-rest @ m for m in rows[:, 3:])])
+    # the rank is that of clean rows: what a learnt row leaks is no lever
+    return rows[:, :3], moments, np.linalg.lstsq(A, b, rcond=MIXED)[0]
+
+
+def _from_hand(R: Float[np.ndarray, "3 3"], lever: Float[np.ndarray, " 3"]) -> Float[np.ndarray, "6 6"]:
+    X = np.zeros((6, 6))
+    X[:3, :3] = X[3:, 3:] = R.T
+    X[:3, 3:] = -R.T @ skew(lever)
+    return X
+
+
+def _axes(S: Float[np.ndarray, "3 3"], wishes: Sequence[Float[np.ndarray, " 3"]]) -> Float[np.ndarray, "3 3"]:
+    """Right-handed principal axes of S; where these are not determined, along the wishes.
+
+    The first wish that can be had is z and the next one x.
+    """
+    values, vectors = np.linalg.eigh(S)
+    spaces = [[vectors[:, 0]]]
+    for before, value, vector in zip(values, values[1:], vectors.T[1:], strict=False):
+        if value - before > SAME:
+            spaces.append([])
+        spaces[-1].append(vector)
+    left = [np.array(space) for space in spaces]
+    found: list[np.ndarray] = []
+    for wish in wishes:
+        size = float(np.linalg.norm(wish))
+        if len(found) == 2 or size == 0.0:
+            continue
+        within = [B.T @ (B @ wish) for B in left]
+        best = max(range(len(within)), key=lambda i: float(np.linalg.norm(within[i])))
+        length = float(np.linalg.norm(within[best]))
+        if length < SEEN * size:
+            continue
+        e = within[best] / length
+        found.append(e)
+        rest = row_basis(left[best] - np.outer(left[best] @ e, e))[: len(left[best]) - 1]
+        left[best : best + 1] = [rest] if len(rest) else []
+    z, x = found
+    return np.column_stack([x, np.cross(z, x), z])
+
+
+def _across(d: Float[np.ndarray, " 3"], axis: Float[np.ndarray, " 3"]) -> Float[np.ndarray, " 3"]:
+    return d - float(axis @ d) * axis
+
+
+def _stated(known: Mechanism | None, angle: Any, lever: float) -> Float[np.ndarray, " 6"]:
+    """What the learner states of directions [rad]: of Lambda, or of a fitted axis and its place as seen by the hand."""
+    off = np.full(6, math.radians(angle) if isinstance(angle, int | float) else 0.0)
+    if known is not None and "axis" in known.uncertainty:
+        off[:] = math.radians(known.uncertainty["axis"])
+    if known is not None and "point" in known.uncertainty and lever > 0.0:
+        off[:2] = np.hypot(off[:2], math.atan(known.uncertainty["point"] / lever))
+    return off
