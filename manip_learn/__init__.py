@@ -43,6 +43,7 @@ if TYPE_CHECKING:
     )
     from manip_learn.constraint.manipulability_batch import manipulability_batch
     from manip_learn.constraint.mechanism import Mechanism
+    from manip_learn.constraint.task_frame import TaskFrame
     from manip_learn.control.command import Command, Controller, Status
     from manip_learn.control.compiled_controller import CompiledController
     from manip_learn.control.controller import ResolvedRateController
@@ -98,6 +99,7 @@ _NAMES = {
     "recordings.preprocessing": "resample subsample trim_standstill",
     "constraint.constraint": "Constraint",
     "constraint.mechanism": "Mechanism",
+    "constraint.task_frame": "TaskFrame",
     "constraint.features": "CentreOfMass CustomFeatures FeatureMap "
     "FrameJacobian MechanismRows RelativeFrameJacobian Stacked",
     "constraint.manipulability": "log_manipulability_gradient log_penalised_manipulability_gradient manipulability "
@@ -131,7 +133,17 @@ __all__ += ["Hold", "JointAttractor", "JointLimitAvoidance", "Limits", "LiveView
 __all__ += ["ManipulabilityAscent", "Mechanism", "MechanismFit", "MechanismRows", "NoPlanError", "NullSpacePolicy"]
 __all__ += ["PenalisedManipulabilityAscent", "Plan", "PointAttractor", "RecordingSource", "RelativeFrameJacobian"]
 __all__ += ["ResolvedRateController", "Robot", "Rollout", "RunRecord", "SelfCollision", "SelfCollisionAvoidance"]
-__all__ += ["ServoLoop", "Stacked", "Status", "Task", "Track", "Trajectory", "WeightedPolicies", "ZeroPolicy"]
+__all__ += [
+    "ServoLoop",
+    "Stacked",
+    "Status",
+    "Task",
+    "TaskFrame",
+    "Track",
+    "Trajectory",
+    "WeightedPolicies",
+    "ZeroPolicy",
+]
 __all__ += ["audit_episodes", "derive_velocities", "find_mechanism", "following_error_limit", "inspect_robot"]
 __all__ += ["iter_demonstrations", "likely_tips", "load_demonstrations", "load_robot", "log_manipulability_gradient"]
 __all__ += ["log_penalised_manipulability_gradient", "manipulability", "manipulability_batch"]

@@ -116,7 +116,7 @@ def test_commands_share_their_options():
     """One set of reading options and one of the robot's, for all commands that read recordings or load robots."""
     sets = {c: flags_of(program, [c]) for c in COMMANDS}
     robot = {"--lock", "--package-dir", "--object", "--xacro", "--xacro-arg"}
-    reading = {flag for flag in sets["export"] if flag.startswith("--")} - robot - {"--out", "--to"}
+    reading = {flag for flag in sets["export"] if flag.startswith("--")} - robot - {"--out", "--to", "--at"}
     assert {"--rename", "--columns", "--degrees", "--episodes", "--last-line"} <= reading
     for command in LOADERS:
         assert robot <= sets[command], command

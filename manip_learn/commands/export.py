@@ -1,4 +1,4 @@
-"""`manip-learn export`: recordings or rollouts -> MCAP, CSV, LeRobot data, Rerun, or a JointTrajectory."""
+"""`manip-learn export`: recordings and rollouts in other formats, and a learnt task for other controllers."""
 
 from __future__ import annotations
 
@@ -8,9 +8,13 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, final
 
+from numpy.typing import ArrayLike
+
 from manip_learn.atomic_write import write_atomically
-from manip_learn.commands.loading import load_for_files
-from manip_learn.commands.options import ExportOptions
+from manip_learn.commands.loading import load_for_files, robot_of_constraint
+from manip_learn.commands.options import ExportOptions, vector
+from manip_learn.constraint.constraint import Constraint
+from manip_learn.control.interop.force_control import WRITERS as TASK_WRITERS
 from manip_learn.errors import OutputError, counted
 from manip_learn.recordings import load_demonstrations
 from manip_learn.recordings.saved_motion import SavedMotion, motion_of_trajectory
@@ -33,11 +37,11 @@ class Exported:
     """What was written.
 
     Attributes:
-        format: mcap, csv, lerobot, rrd or trajectory.
+        format: mcap, csv, lerobot, rrd, trajectory, urscript, stiffness, moveit or json.
         files: Files, or the folder of a LeRobot data set.
-        trajectories: Number of trajectories.
-        samples: Number of samples of all of them.
-        notes: What was noticed while reading.
+        trajectories: Number of trajectories; 0 for a task.
+        samples: Number of samples of all of them; 0 for a task.
+        notes: What was noticed while reading; of a task also its axes.
     """
 
     format: str
@@ -59,6 +63,8 @@ def export(options: ExportOptions, progress: Progress | None = None) -> Exported
         ManipLearnError: Anything that is wrong with the robot or the recordings.
     """
     out, keywords = options.out, options.reading.keywords()
+    if options.to is not None and options.to in TASK_WRITERS:
+        return _export_task(options, TASK_WRITERS[options.to])
     kind = _format(out, options.to)
     robot = load_for_files(options.robot, options.files, options.loading)
     if kind == RERUN:  # all of them in one file, rollouts with their curves
@@ -89,12 +95,32 @@ def export(options: ExportOptions, progress: Progress | None = None) -> Exported
     return Exported(kind, files, len(motions), sum(len(m.time) for m in motions), demonstrations.notes)
 
 
+def _export_task(options: ExportOptions, text_of: Callable[[Constraint, ArrayLike], str]) -> Exported:
+    """Write a constraint for another controller; it says in words what it holds."""
+    if len(options.files) != 1:
+        raise OutputError(f"--to {options.to} writes one constraint file, got {', '.join(options.files)}")
+    if options.out.exists() and options.out.samefile(options.files[0]):
+        raise OutputError(f"--out {options.out} is the constraint file itself: name another")
+    robot = robot_of_constraint(options.robot, options.files[0], options.loading)
+    constraint = Constraint.load(options.files[0], robot)
+    shown, at = constraint.provenance.get("postures"), vector("--at", options.at)
+    if at is not None:
+        q, where = robot.checked_posture(at), ""
+    else:
+        q = robot.checked_posture(shown[len(shown) // 2]) if shown else robot.neutral()
+        where = "in the middle of the postures shown" if shown else "at the robot's neutral posture"
+    frame = constraint.task_frame(q)
+    file = write_atomically(options.out, text_of(constraint, q))
+    notes = [*constraint.notes, f"task frame: {frame.sentence}{where and f', {where} (--at takes another)'}"]
+    return Exported(str(options.to), (file,), 0, 0, tuple(notes))
+
+
 def _format(out: Path, to: str | None) -> str:
     suffixes = {name: endings for name, (endings, _) in FORMATS.items()} | {RERUN: (".rrd",)}
     by_ending = next((name for name, endings in suffixes.items() if out.suffix.lower() in endings), None)
     kind = to or by_ending or LEROBOT
     if kind not in (*suffixes, LEROBOT):
-        raise OutputError(f"--to must be one of {', '.join([*suffixes, LEROBOT])}, not {to!r}")
+        raise OutputError(f"--to must be one of {', '.join([*suffixes, LEROBOT, *TASK_WRITERS])}, not {to!r}")
     if kind == RERUN and by_ending is None:
         raise OutputError(f"cannot write a Rerun recording to {str(out)!r}: name one file for all, --out NAME.rrd")
     if (to is None and by_ending is None and out.suffix) or (by_ending is not None and kind != by_ending):

@@ -385,16 +385,26 @@ class ReplayOptions:
 @final
 @dataclass(frozen=True)
 class ExportOptions:
-    """Write recordings or rollouts as MCAP, CSV, LeRobot data, for Rerun, or as a JointTrajectory for a controller."""
+    """Write recordings or rollouts in other formats, or a learnt task for a controller of force or stiffness."""
 
     robot: RobotName
-    files: Annotated[list[str], Argument(metavar="FILE...", help="Recordings or rollouts, or a folder of them.")]
+    files: Annotated[
+        list[str], Argument(metavar="FILE...", help="Recordings or rollouts, a folder of them, or a constraint file.")
+    ]
     out: Annotated[
         Path,
         Option(help="A file (.mcap, .csv, .rrd, .yaml: a JointTrajectory), or a folder: LeRobot, or what --to says."),
     ]
     to: Annotated[
-        str | None, Option(help="mcap, csv, lerobot, rrd or trajectory: format of the files in a folder.")
+        str | None,
+        Option(
+            help="mcap, csv, lerobot, rrd or trajectory: format of the files in a folder; urscript, stiffness, moveit "
+            "or json: a constraint for force mode, for impedance control, as path constraints, or its task frame."
+        ),
+    ] = None
+    at: Annotated[
+        str | None,
+        Option(help="Posture of the task frame [rad]; default: the middle one of those shown, else the neutral one."),
     ] = None
     loading: RobotOptions = RobotOptions()
     reading: ReadingOptions = ReadingOptions()

@@ -437,7 +437,8 @@ def print_exported(console: Console, exported: Exported) -> None:
     say(console, *(f"note: {note}" for note in exported.notes), whole=True)
     for file in exported.files:
         say_file(console, exported.format, file)
-    say(console, f"{counted(exported.trajectories, 'trajectory')}, {counted(exported.samples, 'sample')}")
+    if exported.trajectories:
+        say(console, f"{counted(exported.trajectories, 'trajectory')}, {counted(exported.samples, 'sample')}")
 
 
 def _limit(value: float) -> str:

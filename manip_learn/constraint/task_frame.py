@@ -88,10 +88,18 @@ class TaskFrame:
         named = dict(zip(AXES, self.axes, strict=True))
         return described | {"axes": named, "turns": self.turns, "frame": self.frame, "mechanism": mechanism}
 
+    @property
+    def sentence(self) -> str:
+        """The axes by their state, and the origin: `"held x y; free z; unknown rx ry rz; origin (0.5, 0.2, 0.5)"`."""
+        named = zip(AXES, self.axes, strict=True)
+        by_state: dict[AxisState, list[str]] = {"held": [], "free": [], "unknown": []}
+        for name, state in named:
+            by_state[state].append(name)
+        states = "; ".join(f"{state} {' '.join(names)}" for state, names in by_state.items() if names)
+        return f"{states}; origin ({', '.join(f'{x:.3f}' for x in self.pose[:3, 3])})"
+
     def __repr__(self) -> str:
-        states = ", ".join(f"{name} {state}" for name, state in zip(AXES, self.axes, strict=True))
-        place = ", ".join(f"{x:.3f}" for x in self.pose[:3, 3])
-        return f"TaskFrame({states}; origin ({place}), about {self.frame!r})"
+        return f"TaskFrame({self.sentence}, about {self.frame!r})"
 
 
 def task_frame(

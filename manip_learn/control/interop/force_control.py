@@ -1,0 +1,309 @@
+"""A learnt task for controllers of force and stiffness: URScript, Cartesian impedance, MoveIt.
+
+All of them want axes, and for each whether the environment holds the hand there. Where it does, a stiff controller
+fights it with a force that grows with every error of the frame, so these axes are made compliant; along the others the
+controller must do the work, and is stiff. Axes that nobody has seen are kept as they are: stiff.
+"""
+
+from __future__ import annotations
+
+import json
+import math
+import re
+import textwrap
+from collections.abc import Callable, Mapping, Sequence
+from typing import Any
+
+import numpy as np
+from jaxtyping import Float
+from numpy.typing import ArrayLike
+from scipy.linalg import sqrtm
+from scipy.spatial.transform import Rotation
+
+from manip_learn.constraint.constraint import Constraint
+from manip_learn.constraint.features.frame_jacobian import AXES, pose_coordinates
+from manip_learn.constraint.task_frame import TaskFrame
+from manip_learn.errors import ConstraintError, printable
+from manip_learn.robot.dynamics import hand_inertia
+from manip_learn.robot.robot import Robot
+from manip_learn.robot.rotations import rotation_matrix
+
+REASON = (
+    "compliant along axes that the environment holds, so that an error of the frame does not turn into force; "
+    "stiff along those that are free, which the controller moves, and along those not known"
+)
+
+# ---- URScript: force_mode(task_frame, selection_vector, wrench, type, limits), type 2: the frame as given ------------
+
+# [m/s and rad/s] of compliant axes: the reduced speed of ISO 10218-1, and a turn that moves a tip at 1 m as fast
+FASTEST = 0.25
+# [m and rad] by which the other axes may be off their way; it and the next two are the defaults of ur_msgs/SetForceMode
+DEVIATION = 0.01
+DAMPING, GAIN = 0.025, 0.5  # share of the robot's own damping, and factor on its own gain
+PROGRAM = """\
+# The robot's TCP must be {frame!r}. zero_ftsensor and the gain's scaling: e-Series and later, not CB3.
+def {name}():
+{tcp}  global at = {at}
+  global selection = {selection}
+  global push = [0, 0, 0, 0, 0, 0]  # [N, N m] along compliant axes: 0 follows, more presses
+  global limits = {limits}
+
+  # where a pose is, with the axes of another
+  def position_of(tcp, axes):
+    return p[tcp[0], tcp[1], tcp[2], axes[3], axes[4], axes[5]]
+  end
+
+  # a frame on an axis, turned about it until x points to the hand
+  def turned_to(tcp, axis):
+    out = pose_trans(pose_inv(axis), tcp)
+    return pose_trans(axis, p[0, 0, 0, 0, 0, atan2(out[1], out[0])])
+  end
+
+  thread keep_compliant():
+    while True:
+      force_mode({now}, selection, push, 2, limits)
+      sync()
+    end
+  end
+
+  zero_ftsensor()
+  force_mode_set_damping({damping})
+  force_mode_set_gain_scaling({gain})
+  global keeper = run keep_compliant()
+  # the task's own moves along what is free come here; a first one to try, slowly:
+  # now = {now}
+  # movel(pose_trans(pose_trans(now, {step}), pose_trans(pose_inv(now), get_actual_tcp_pose())), a=0.1, v=0.05)
+  kill keeper
+  end_force_mode()
+end
+"""
+# how the frame's pose follows the hand, as an expression of URScript
+_FOLLOWS = {
+    "no": "position_of(get_actual_tcp_pose(), at)",
+    "hand": "pose_trans(get_actual_tcp_pose(), at)",
+    "axis": "turned_to(get_actual_tcp_pose(), at)",
+}
+
+
+def urscript(constraint: Constraint, q: ArrayLike) -> str:
+    """A program that puts a UR arm into force mode along what the task holds, and leaves the rest to its moves.
+
+    The frame follows the hand: with the hand's own axes, or about the axis of a hinge. Poses are in the frame `base`
+    where the robot has one: in the descriptions by Universal Robots that is the base of the controller. Written after
+    the script manual, not run on a controller.
+
+    Raises:
+        ConstraintError: No task frame, or one seen from another moving frame.
+    """
+    frame, robot = constraint.task_frame(q), _robot(constraint)
+    if frame.turns == "other frame":
+        raise ConstraintError(
+            "force_mode takes a frame of the robot's base: these rows are seen from another moving frame"
+        )
+    base = np.linalg.inv(robot.pose(q, "base")) if "base" in robot.frame_names else np.eye(4)
+    held = frame.along("held")
+    at = np.linalg.inv(frame.hand) @ frame.pose if frame.turns == "hand" else base @ frame.pose
+    tcp = np.linalg.inv(robot.pose(q, "tool0")) @ frame.hand if "tool0" in robot.frame_names else None
+    name = "manip_learn_" + re.sub(r"\W+", "_", frame.frame)
+    reason = [f"# {line}" for line in textwrap.wrap(REASON, 100)]
+    return "\n".join([*_comments(frame), *reason, ""]) + PROGRAM.format(
+        name=name,
+        frame=frame.frame,
+        tcp="" if tcp is None else f"  set_tcp({_pose(tcp)})\n",
+        at=_pose(at),
+        selection=_list([float(compliant) for compliant in held]),
+        limits=_list([FASTEST if compliant else DEVIATION for compliant in held]),
+        now=_FOLLOWS[frame.turns],
+        damping=DAMPING,
+        gain=GAIN,
+        step=_list(_step(frame), "p"),
+    )
+
+
+def _step(frame: TaskFrame) -> list[float]:
+    """5 cm or 10 degrees along the first free axis: a first move to try."""
+    free = [i for i, state in enumerate(frame.axes) if state == "free"]
+    return [(0.05 if i < 3 else math.radians(10.0)) if i in free[:1] else 0.0 for i in range(6)]
+
+
+# ---- Cartesian impedance ---------------------------------------------------------------------------------------------
+
+# [N/m] and [N m/rad] of stiff axes: at 15 N, the loop's own limit of force, they give way by 15 mm; 50 N m/rad are as
+# stiff for a force 0.22 m off the axis
+STIFF = (1000.0, 50.0)
+# of compliant ones a tenth: a drawer whose axis was 5 degrees wrong cost 1.8 N at 100 N/m, 30 N at 2,000 (measured)
+COMPLIANT = (100.0, 5.0)
+# [kg] and [kg m2] where the description has no inertias: damping is then 2 sqrt(stiffness), as often used
+UNIT_INERTIA = 1.0
+
+
+def impedance(
+    constraint: Constraint,
+    q: ArrayLike,
+    *,
+    stiff: Sequence[float] = STIFF,
+    compliant: Sequence[float] = COMPLIANT,
+    damping_ratio: float = 1.0,
+) -> dict[str, Any]:
+    """Stiffness K and damping D of a Cartesian impedance controller, shape (6, 6), as plain numbers.
+
+    The wrench K dx - D (v, w) is that on the hand's origin along the axes of the robot's base, dx the displacement to
+    where it should be and its rotation vector [m, rad]. With M the inertia that the hand has at this posture,
+    D = 2 z M^1/2 (M^-1/2 K M^-1/2)^1/2 M^1/2, so that each mode is damped by the ratio z.
+
+    Args:
+        constraint: The task.
+        q: Posture.
+        stiff: Of axes that are free or not known [N/m, N m/rad].
+        compliant: Of axes that are held [N/m, N m/rad].
+        damping_ratio: z, 1 for critical damping.
+
+    Raises:
+        ConstraintError: No task frame.
+    """
+    frame, robot = constraint.task_frame(q), _robot(constraint)
+    values = np.where(frame.along("held"), np.repeat(compliant, 3), np.repeat(stiff, 3))
+    X = frame.from_hand
+    K = X.T @ np.diag(values) @ X
+    M = hand_inertia(robot, q, frame.frame)
+    if M is None:
+        M = UNIT_INERTIA * np.eye(6)
+    root = np.real(sqrtm(M))
+    back = np.linalg.inv(root)
+    D = 2.0 * damping_ratio * root @ np.real(sqrtm(back @ K @ back)) @ root
+    return {
+        "reason": REASON,
+        "base": robot.frame_names[0],
+        "frame": frame.frame,
+        "stiffness": (0.5 * (K + K.T)).tolist(),
+        "damping": (0.5 * (D + D.T)).tolist(),
+        "stiffness_along_axes": dict(zip(AXES, values.tolist(), strict=True)),
+        "task_frame": frame.to_dict(),
+    }
+
+
+# ---- MoveIt: moveit_msgs/Constraints ---------------------------------------------------------------------------------
+
+# [m] and [rad] that a planner may leave a held axis by: half a centimetre is what a gripper's fingers give way, and
+# samplers need some room; three uncertainties at the end of the task where that is more
+TOLERANCE = (0.005, math.radians(2.0))
+EXTENT = 1.0  # [m] to either side of the hand along free axes: more than a table-top arm does in one task
+BOX, ROTATION_VECTOR = 1, 1  # of shape_msgs/SolidPrimitive and moveit_msgs/OrientationConstraint
+
+
+def moveit_constraints(constraint: Constraint, q: ArrayLike) -> str:
+    """Path constraints of a plan that does the task: a `moveit_msgs/Constraints` as YAML.
+
+    The held point stays in a box, flat along held axes, or in one of several boxes along the circle or the helix about
+    an axis; no region is given for a sphere. The link turns by no more than the tolerance about held axes. MoveIt
+    measures that about the link's own axes: where the free turn lies between these, the constraint is wider than the
+    task. Written after the message definitions, not run in MoveIt.
+
+    Raises:
+        ConstraintError: No task frame, or one seen from another moving frame.
+    """
+    frame, robot = constraint.task_frame(q), _robot(constraint)
+    if frame.turns == "other frame":
+        raise ConstraintError("path constraints are in a fixed frame: these rows are seen from another moving frame")
+    held, of_link = np.array(frame.along("held")), np.linalg.inv(frame.hand)
+    about = {"header": {"frame_id": robot.frame_names[0]}, "link_name": frame.frame, "weight": 1.0}
+    content: dict[str, Any] = {"name": "manip_learn", "position_constraints": [], "orientation_constraints": []}
+    places, size = _boxes(frame)
+    if places:
+        region = {
+            "primitives": [{"type": BOX, "dimensions": size} for _ in places],
+            "primitive_poses": [_message(pose) for pose in places],
+        }
+        offset = _xyz(of_link[:3, :3] @ frame.point + of_link[:3, 3])
+        content["position_constraints"].append(about | {"target_point_offset": offset, "constraint_region": region})
+    if held[3:].any():
+        free = of_link[:3, :3] @ frame.pose[:3, :3][:, np.array(frame.along("free"))[3:]]
+        wide = np.minimum(TOLERANCE[1] + math.pi * np.linalg.norm(free, axis=1), math.pi)
+        tolerances = {f"absolute_{n}_axis_tolerance": w for n, w in zip("xyz", wide.tolist(), strict=True)}
+        kept = {"orientation": _message(frame.hand)["orientation"], "parameterization": ROTATION_VECTOR}
+        content["orientation_constraints"].append(about | kept | tolerances)
+    text = json.dumps(content, indent=1, allow_nan=False)
+    # 1e-05 alone would be a word in YAML 1.1
+    return "\n".join([*_comments(frame), re.sub(r"(?<![\d.])(\d+)e", r"\1.0e", text), ""])
+
+
+def _boxes(frame: TaskFrame) -> tuple[list[Float[np.ndarray, "4 4"]], list[float]]:
+    """Where the held point may be: poses of boxes and their size; none if no translation is held, or on a sphere."""
+    held, out = np.array(frame.along("held"))[:3], frame.point - frame.pose[:3, 3]
+    lever, known = float(np.linalg.norm(out)), frame.mechanism
+    if not held.any() or (lever > 0.0 and (known is None or known.axis is None)):
+        return [], []
+    half = np.where(held, np.maximum(TOLERANCE[0], 3.0 * EXTENT * frame.uncertainty[:3]), EXTENT)
+    if not lever:
+        return [_placed(frame.pose, frame.point)], (2.0 * half).tolist()
+    # as few boxes as have the whole circle inside: the arc of one is off its middle by half a thickness
+    n = math.ceil(math.pi / (2.0 * math.acos(max(0.0, 1.0 - half[0] / lever))))
+    half[1], pitch, places = lever * math.sin(0.5 * math.pi / n), (known and known.pitch) or 0.0, []
+    for angle in math.pi / n * np.arange(-n, n):
+        turn = np.eye(4)
+        turn[:3, :3] = rotation_matrix(np.array([0.0, 0.0, angle]))
+        turned = frame.pose @ turn
+        places.append(_placed(turned, frame.pose[:3, 3] + turned[:3, :3] @ [lever, 0.0, pitch * angle]))
+    return places, (2.0 * half).tolist()
+
+
+# ---- written down ----------------------------------------------------------------------------------------------------
+
+
+def _as_json(described: Mapping[str, Any]) -> str:
+    return json.dumps(described, indent=2, allow_nan=False) + "\n"
+
+
+# name on the command line -> the text of a file, from a constraint and a posture
+WRITERS: Mapping[str, Callable[[Constraint, ArrayLike], str]] = {
+    "urscript": urscript,
+    "stiffness": lambda constraint, q: _as_json(impedance(constraint, q)),
+    "moveit": moveit_constraints,
+    "json": lambda constraint, q: _as_json(constraint.task_frame(q).to_dict()),
+}
+
+
+def _robot(constraint: Constraint) -> Robot:
+    robot = constraint.robot
+    if robot is None:
+        raise ConstraintError(f"{constraint.features!r} belong to no robot")
+    return robot
+
+
+ROUNDING = 1e-9  # [rad]
+
+
+def _comments(frame: TaskFrame) -> list[str]:
+    """What the task is, for whoever opens the file."""
+    states = ", ".join(
+        f"{name} {state}" + (f" (to {math.degrees(off):.2g} deg)" if state != "unknown" and off > ROUNDING else "")
+        for name, state, off in zip(AXES, frame.axes, frame.uncertainty.tolist(), strict=True)
+    )
+    holds = [] if frame.mechanism is None else [f"# {printable(frame.mechanism.sentence)}"]
+    return [f"# written by manip_learn for frame {frame.frame!r}", *holds, f"# axes of the task frame: {states}"]
+
+
+def _placed(pose: Float[np.ndarray, "4 4"], point: Float[np.ndarray, " 3"]) -> Float[np.ndarray, "4 4"]:
+    """A pose with its origin elsewhere."""
+    out = pose.copy()
+    out[:3, 3] = point
+    return out
+
+
+def _list(values: Sequence[float], kind: str = "") -> str:
+    return f"{kind}[{', '.join(f'{x:.6g}' for x in values)}]"
+
+
+def _pose(pose: Float[np.ndarray, "4 4"]) -> str:
+    """A pose of URScript: position [m] and rotation vector [rad]."""
+    return "p[" + ", ".join(f"{x:.9f}" for x in pose_coordinates(pose)) + "]"
+
+
+def _xyz(values: Float[np.ndarray, " 3"]) -> dict[str, float]:
+    return dict(zip("xyz", values.tolist(), strict=True))
+
+
+def _message(pose: Float[np.ndarray, "4 4"]) -> dict[str, dict[str, float]]:
+    """A `geometry_msgs/Pose`."""
+    x, y, z, w = Rotation.from_matrix(pose[:3, :3]).as_quat().tolist()
+    return {"position": _xyz(pose[:3, 3]), "orientation": {"x": x, "y": y, "z": z, "w": w}}

@@ -1,0 +1,207 @@
+"""A learnt task for controllers of force and stiffness: what they are given is what Lambda holds, and nothing else."""
+
+from __future__ import annotations
+
+import json
+import re
+from pathlib import Path
+
+import numpy as np
+import pytest
+from case import case
+from scipy.spatial.transform import Rotation
+
+from manip_learn.cli import main
+from manip_learn.constraint.constraint import Constraint
+from manip_learn.constraint.features import FrameJacobian, MechanismRows, RelativeFrameJacobian
+from manip_learn.control.interop.force_control import (
+    COMPLIANT,
+    STIFF,
+    TOLERANCE,
+    impedance,
+    moveit_constraints,
+    urscript,
+)
+from manip_learn.errors import ConstraintError
+from manip_learn.robot import load_robot
+from manip_learn.robot.dynamics import hand_inertia, inverse_dynamics
+
+AXIS, POINT = (0.0, 0.0, 1.0), (0.5, 0.2, 0.1)
+FIRM = "turn-1 turn-2 slide-1 slide-2 slide"
+
+
+@pytest.fixture(scope="module")
+def ur5():
+    return load_robot("ur5")
+
+
+def posture(robot) -> np.ndarray:
+    return robot.random_configuration(np.random.default_rng(3))
+
+
+def hinge(robot, rows: str) -> Constraint:
+    features = MechanismRows(robot, "tool0", rows, axis=AXIS, point=POINT)
+    return Constraint(np.eye(features.n_rows), features)
+
+
+def numbers(name: str, text: str) -> np.ndarray:
+    found = re.search(rf"global {name} = p?\[([^\]]*)\]", text)
+    assert found is not None
+    return np.array([float(x) for x in found[1].split(",")])
+
+
+def test_stiffness_is_compliant_where_the_environment_holds(ur5):
+    """A displacement along a free row meets the stiff value, one along a held row the compliant one, and both matrices
+    are symmetric and positive; of a firm hinge the displacement of the hand that turns with it is free.
+    """
+    q = posture(ur5)
+    for rows in ("radial axial", FIRM):
+        with case(rows):
+            constraint, J = hinge(ur5, rows), ur5.jacobian(q, "tool0")
+            made = impedance(constraint, q)
+            K, D = np.array(made["stiffness"]), np.array(made["damping"])
+            for M in (K, D):
+                assert np.allclose(M, M.T) and np.all(np.linalg.eigvalsh(M) > 0.0)
+            p = ur5.position(q, "tool0") - POINT
+            around = np.cross(AXIS, p)
+            if rows == FIRM:
+                twist = np.concatenate([around, AXIS])
+                assert twist @ K @ twist == pytest.approx(STIFF[1])
+            else:
+                along = around / np.linalg.norm(around)
+                assert along @ K[:3, :3] @ along == pytest.approx(STIFF[0])
+                assert K[2, 2] == pytest.approx(COMPLIANT[0])
+            # D damps every mode of M x'' + D x' + K x critically: (M^-1/2 D M^-1/2 / 2)^2 = M^-1/2 K M^-1/2
+            M = hand_inertia(ur5, q, "tool0")
+            assert M is not None
+            values, V = np.linalg.eigh(M)
+            back = V / np.sqrt(values) @ V.T
+            assert np.allclose((0.5 * back @ D @ back) @ (0.5 * back @ D @ back), back @ K @ back, rtol=1e-6)
+            assert np.linalg.matrix_rank(J) == 6
+
+
+def test_hand_inertia_is_that_of_the_dynamics(ur5):
+    """A force on the hand of an arm at rest accelerates the hand by its inverse inertia."""
+    q = posture(ur5)
+    J = ur5.jacobian(q, "tool0")
+    zero = np.zeros((1, 6))
+    M = np.column_stack([inverse_dynamics(ur5, q[None], zero, e[None])[0] for e in np.eye(6)])
+    M -= inverse_dynamics(ur5, q[None], zero, zero)[0][:, None]
+    wrench = np.array([3.0, -2.0, 1.0, 0.2, 0.1, -0.3])
+    acceleration = J @ np.linalg.solve(M, J.T @ wrench)
+    inertia = hand_inertia(ur5, q, "tool0")
+    assert inertia is not None  # its least share, 1e-3 1/kg for each of 4 N, is added to the acceleration
+    assert np.allclose(np.linalg.solve(inertia, wrench), acceleration, atol=4e-3)
+
+
+def test_urscript_frame_follows_the_hand(ur5):
+    """The script's frame, computed as the controller computes it, is the task frame of wherever the hand is; poses are
+    in the controller's base; held axes are compliant with a speed, others keep to a deviation.
+    """
+    rng = np.random.default_rng(5)
+    cases = {
+        "axis": hinge(ur5, "radial axial"),
+        "no": Constraint([[0.2, 0.1, 0.9]], FrameJacobian(ur5, "tool0", "xyz")),
+        "hand": Constraint(np.eye(6)[[2, 3, 4]], FrameJacobian(ur5, "tool0", "pose", "local")),
+    }
+    for turns, constraint in cases.items():
+        with case(turns):
+            text = urscript(constraint, posture(ur5))
+            pose = numbers("at", text)
+            at = np.eye(4)
+            at[:3, 3], at[:3, :3] = pose[:3], Rotation.from_rotvec(pose[3:]).as_matrix()
+            for q in [posture(ur5), ur5.random_configuration(rng)]:
+                base = np.linalg.inv(ur5.pose(q, "base"))
+                tcp, frame = base @ ur5.pose(q, "tool0"), constraint.task_frame(q)
+                if turns == "hand":
+                    now = tcp @ at
+                elif turns == "axis":
+                    out, turn = np.linalg.inv(at) @ tcp, np.eye(4)
+                    turn[:3, :3] = Rotation.from_euler("z", np.arctan2(out[1, 3], out[0, 3])).as_matrix()
+                    now = at @ turn
+                else:
+                    now = at.copy()
+                    now[:3, 3] = tcp[:3, 3]
+                wanted = base @ frame.pose
+                assert np.allclose(now[:3, :3], wanted[:3, :3], atol=1e-7)
+                if turns != "axis":  # about an axis the origin may be anywhere on it
+                    assert np.allclose(now[:3, 3], wanted[:3, 3], atol=1e-7)
+            held = np.array(constraint.task_frame(posture(ur5)).along("held"))
+            assert np.array_equal(numbers("selection", text), held)
+            assert np.array_equal(numbers("limits", text), np.where(held, 0.25, 0.01))
+            opened = len(re.findall(r"^ *(?:def|thread|while) .*:$", text, re.M))
+            assert opened == len(re.findall(r"^ *end$", text, re.M)) == 5
+
+
+def test_moveit_regions_hold_the_way_and_little_else(ur5):
+    """Every place of the hand on the circle is in one of the boxes and places 2 cm beside it are in none; of a firm
+    hinge the point on the axis is kept, and the link turns freely about the axis only.
+    """
+    q = posture(ur5)
+    text = moveit_constraints(hinge(ur5, "radial axial"), q)
+    made = json.loads("\n".join(line for line in text.splitlines() if not line.startswith("#")))
+    region = made["position_constraints"][0]["constraint_region"]
+
+    def inside(p: np.ndarray) -> bool:
+        for shape, pose in zip(region["primitives"], region["primitive_poses"], strict=True):
+            R = Rotation.from_quat([pose["orientation"][k] for k in "xyzw"]).as_matrix()
+            local = R.T @ (p - [pose["position"][k] for k in "xyz"])
+            if np.all(np.abs(local) <= 0.5 * np.array(shape["dimensions"]) + 1e-9):
+                return True
+        return False
+
+    p, c = ur5.position(q, "tool0"), np.array(POINT)
+    radius = np.linalg.norm((p - c)[:2])
+    for angle in np.linspace(-np.pi, np.pi, 37):
+        on = c + Rotation.from_euler("z", angle).as_matrix() @ (p - c)
+        away = (on - c) * [1, 1, 0] / radius
+        assert inside(on)
+        for beside in (0.02 * away, -0.02 * away, [0, 0, 0.02]):
+            assert not inside(on + beside)
+    firm = moveit_constraints(hinge(ur5, FIRM), q)
+    made = json.loads("\n".join(line for line in firm.splitlines() if not line.startswith("#")))
+    offset = made["position_constraints"][0]["target_point_offset"]
+    point = ur5.pose(q, "tool0") @ [*(offset[k] for k in "xyz"), 1.0]
+    assert np.allclose(point[:2], c[:2], atol=1e-9)
+    axis = ur5.pose(q, "tool0")[:3, :3].T @ AXIS
+    kept = made["orientation_constraints"][0]
+    wide = np.array([kept[f"absolute_{name}_axis_tolerance"] for name in "xyz"])
+    assert np.allclose(wide, np.minimum(np.pi, TOLERANCE[1] + np.pi * np.abs(axis)))
+
+
+def test_command_writes_each_of_them(tmp_path: Path, capsys):
+    """`export --to` writes each format of a constraint file and says what the frame holds; what cannot be is one
+    sentence and exit code 2, and the constraint file is never overwritten.
+    """
+    robot = load_robot("sawyer")
+    file = tmp_path / "task.json"
+    Constraint([[0, 0, 1]], FrameJacobian(robot, "right_gripper_tip", "xyz")).save(file)
+    for to in ("urscript", "stiffness", "moveit", "json"):
+        with case(to):
+            out = tmp_path / f"out.{to}"
+            assert main(["export", "sawyer", str(file), "--to", to, "--out", str(out), "--json"]) == 0
+            answer = json.loads(capsys.readouterr().out)
+            assert answer["format"] == to and answer["files"] == [str(out)]
+            assert "held z; free x y; unknown rx ry rz" in answer["notes"][0]
+            assert out.read_text(encoding="utf-8").strip()
+    frame = json.loads((tmp_path / "out.json").read_text(encoding="utf-8"))
+    assert frame["axes"]["z"] == "held" and np.abs(frame["rows"]).tolist() == [[0.0, 0.0, 1.0, 0.0, 0.0, 0.0]]
+    refused = {
+        "itself": ["--to", "json", "--out", str(file)],
+        "posture": ["--to", "json", "--out", str(tmp_path / "x"), "--at", "0,1"],
+        "unknown": ["--to", "krl", "--out", str(tmp_path / "x")],
+    }
+    for name, words in refused.items():
+        with case(name):
+            assert main(["export", "sawyer", str(file), *words]) == 2
+            assert capsys.readouterr().err.count("\n") <= 3
+    assert Constraint.load(file, robot).n_constraints == 1
+
+
+def test_rows_of_two_moving_frames_are_refused():
+    """A frame that itself moves is no frame of a force controller or a planner: a sentence says so."""
+    robot = load_robot("panda", locked=("panda_finger_joint1", "panda_finger_joint2"))
+    constraint = Constraint([[0, 0, 1]], RelativeFrameJacobian(robot, "panda_hand_tcp", "panda_link3", "xyz"))
+    for write in (urscript, moveit_constraints):
+        with pytest.raises(ConstraintError, match="another moving frame"):
+            write(constraint, robot.neutral())
