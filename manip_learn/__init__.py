@@ -48,6 +48,7 @@ if TYPE_CHECKING:
     from manip_learn.control.compiled_controller import CompiledController
     from manip_learn.control.controller import ResolvedRateController
     from manip_learn.control.driver import Driver, RunRecord, run, warm_up
+    from manip_learn.control.follow_motion import FollowMotion
     from manip_learn.control.following import following_error_limit
     from manip_learn.control.limits import Limits
     from manip_learn.control.optimise_path import optimise_path
@@ -113,6 +114,7 @@ _NAMES = {
     "control.compiled_controller": "CompiledController",
     "control.limits": "Limits",
     "control.following": "following_error_limit",
+    "control.follow_motion": "FollowMotion",
     "control.policies": "JointAttractor JointLimitAvoidance ManipulabilityAscent NullSpacePolicy "
     "PenalisedManipulabilityAscent SelfCollisionAvoidance WeightedPolicies ZeroPolicy",
     "control.tasks": "FreeDirection Hold PointAttractor Task Track motion",
@@ -128,8 +130,16 @@ _NAMES = {
 }
 _HOMES = {name: module for module, names in _NAMES.items() for name in names.split()}
 __all__ = ["CentreOfMass", "Command", "CompiledController", "Constraint", "ConstraintLearner", "Controller"]
-__all__ += ["CustomFeatures", "Demonstrations", "Driver", "FeatureMap", "FrameJacobian", "FreeDirection", "GraspCone"]
-__all__ += ["Hold", "JointAttractor", "JointLimitAvoidance", "Limits", "LiveViewer", "ManipLearnError"]
+__all__ += [
+    "CustomFeatures",
+    "Demonstrations",
+    "Driver",
+    "FeatureMap",
+    "FollowMotion",
+    "FrameJacobian",
+    "FreeDirection",
+]
+__all__ += ["GraspCone", "Hold", "JointAttractor", "JointLimitAvoidance", "Limits", "LiveViewer", "ManipLearnError"]
 __all__ += ["ManipulabilityAscent", "Mechanism", "MechanismFit", "MechanismRows", "NoPlanError", "NullSpacePolicy"]
 __all__ += ["PenalisedManipulabilityAscent", "Plan", "PointAttractor", "RecordingSource", "RelativeFrameJacobian"]
 __all__ += ["ResolvedRateController", "Robot", "Rollout", "RunRecord", "SelfCollision", "SelfCollisionAvoidance"]

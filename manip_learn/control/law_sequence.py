@@ -18,6 +18,7 @@ from manip_learn.constraint.manipulability import manipulability
 from manip_learn.control.command import Command, Controller
 from manip_learn.control.compiled_controller import CompiledController, compiled_if_possible
 from manip_learn.control.controller import ResolvedRateController
+from manip_learn.control.follow_motion import FollowMotion
 from manip_learn.control.limits import Limits
 from manip_learn.control.tasks import PointAttractor, Task
 from manip_learn.control.tasks.driven_motion import MotionProfile
@@ -211,15 +212,20 @@ def law_of(controller: Controller) -> ResolvedRateController | None:
 
 def limits_of(controller: Controller, robot: Robot, acceleration: ArrayLike | None, jerk: ArrayLike | None) -> Limits:
     """The controller's limits, with other accelerations and jerks if they are given."""
-    law = law_of(controller)
+    law = controller if isinstance(controller, FollowMotion) else law_of(controller)
     own = None if law is None else law.limits
     if own is None:
         return Limits(robot, acceleration=acceleration, jerk=jerk)
     return own.with_rates(acceleration, jerk)
 
 
-def with_limits(controller: Controller, limits: Limits, compiled: bool | None = False) -> Controller:
-    """A controller of the loop's own, with its limits, compiled where that is asked for (`compiled_if_possible`)."""
+def with_limits(controller: Controller, limits: Limits, compiled: bool | None = False, lag: float = 0.0) -> Controller:
+    """A controller of the loop's own, with its limits, compiled where that is asked for (`compiled_if_possible`).
+
+    A motion that is known ahead also makes up for the lag of what comes out of the loop [s].
+    """
+    if isinstance(controller, FollowMotion):
+        return controller.with_limits(limits, lag)
     if isinstance(controller, CompiledController):
         return CompiledController(controller.controller.with_limits(limits))
     own = controller.with_limits(limits) if isinstance(controller, ResolvedRateController | LawSequence) else controller
@@ -234,12 +240,18 @@ def task_of(controller: Controller) -> Task | None:
 
 def keeps_limits(controller: Controller) -> bool:
     """Whether a controller's commands are within the limits that it was given."""
-    return isinstance(controller, ResolvedRateController | CompiledController | LawSequence)
+    return isinstance(controller, ResolvedRateController | CompiledController | LawSequence | FollowMotion)
+
+
+def waits(controller: Controller) -> bool:
+    """Whether a controller's clock stands while the arm does."""
+    task = task_of(controller)
+    return isinstance(controller, FollowMotion) or (task is not None and task.waits)
 
 
 def forget(controller: Controller) -> None:
     """Make a controller forget what its tasks remember of the past."""
-    if isinstance(controller, LawSequence):
+    if isinstance(controller, LawSequence | FollowMotion):
         controller.reset()
     elif (task := task_of(controller)) is not None:
         task.reset()

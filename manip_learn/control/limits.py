@@ -237,6 +237,18 @@ def approach_speed(approach: Approach, distance: float) -> float:
     return math.sqrt(half * half + approach.twice * (distance - approach.offset)) - half
 
 
+def stopping_speed(
+    distance: Float[np.ndarray, " nv"], acceleration: Float[np.ndarray, " nv"], dt: float
+) -> Float[np.ndarray, " nv"]:
+    """The speed now with which a joint covers a distance to rest in the fewest steps of dt.
+
+    At unit acceleration the steps x, x - 1, x - 2, ... > 0 [dt^2] are as long together as the way that is left.
+    """
+    left = distance / (acceleration * dt * dt)
+    n = np.floor(0.5 * (np.sqrt(1.0 + 8.0 * left) - 1.0))
+    return acceleration * dt * (left + 0.5 * n * (n + 1.0)) / (n + 1.0)
+
+
 # [1/s] default acceleration limit over velocity limit: a joint reaches its full speed in 0.2 s
 ACCELERATION_RATE = 5.0
 # [rad/s2 or m/s2] default acceleration limit of a joint that has no velocity limit

@@ -26,9 +26,10 @@ from manip_learn.control.law_sequence import (
     limits_of,
     robot_of,
     task_of,
+    waits,
     with_limits,
 )
-from manip_learn.control.limits import Bounds, Limits, bound_changes
+from manip_learn.control.limits import Bounds, Limits, bound_changes, stopping_speed
 from manip_learn.control.resolved_rate_law import next_slide
 from manip_learn.control.tasks import Task
 from manip_learn.errors import ConfigurationError
@@ -107,8 +108,8 @@ class Return(NamedTuple):
     def step(self, measured: Float[np.ndarray, " n"], dt: float) -> Return | None:
         """One period farther; None where the way ends.
 
-        All joints move along the straight way, faster by at most an acceleration for dt, and as fast as lets them stop:
-        at unit acceleration the steps x, x - 1, x - 2, ... > 0 [dt^2] are as long together as what is left.
+        All joints move along the straight way, faster by at most an acceleration for dt, and as fast as lets them stop
+        (`stopping_speed`).
         """
         limits = self.limits
         away = limits.robot.difference(self.posture, measured)
@@ -118,9 +119,7 @@ class Return(NamedTuple):
             return None
         direction = away / far
         fastest = float(np.min(limits.velocity / np.maximum(np.abs(direction), 1e-12)))
-        left = far / (dt * dt)
-        n = math.floor(0.5 * (math.sqrt(1.0 + 8.0 * left) - 1.0))
-        stopping = dt * (left + 0.5 * n * (n + 1)) / (n + 1)
+        stopping = float(stopping_speed(np.array([far]), np.ones(1), dt)[0])
         speed = min(self.speed + dt, stopping, fastest, far / dt)
         posture = limits.robot.integrate(self.posture, dt * speed * direction)
         return Return(limits, posture, speed)
@@ -286,7 +285,9 @@ class ServoLoop:
                 raise ConfigurationError(f"{name} must be a positive number of seconds, got {value!r}")
         self.robot, self.dt, self.stale_after = robot_of(controller, robot), float(dt), float(stale_after)
         self.limits = limits_of(controller, self.robot, acceleration_limit, jerk_limit)
-        self.controller = with_limits(controller, self.limits, compiled)
+        self._average = MovingAverage(self.limits, self.dt)
+        lag = 0.5 * self._average.time if self._average.averages else 0.0
+        self.controller = with_limits(controller, self.limits, compiled, lag)
         self.acceleration_limit, self.jerk_limit = self.limits.acceleration, self.limits.jerk
         self._keeps_limits = keeps_limits(self.controller)
         frame = frame_of(controller)
@@ -294,7 +295,6 @@ class ServoLoop:
         if not (correction_time is None or (is_number(correction_time) and 0.0 < correction_time < math.inf)):
             raise ConfigurationError(f"correction_time must be a positive number of seconds, got {correction_time!r}")
         self._correction_rate = 0.0 if correction_time is None else 1.0 / float(correction_time)
-        self._average = MovingAverage(self.limits, self.dt)
         farthest = np.maximum(np.abs(self.robot.position_lower), np.abs(self.robot.position_upper)) + TURN
         bounded = self.robot.nq == self.robot.nv and bool(np.all(np.isfinite(farthest)))
         self._impossible = farthest if bounded else LARGEST_POSITION
@@ -534,8 +534,7 @@ class ServoLoop:
 
     def _clock(self, time: float) -> float:
         """Time for the controller: that of the state, less that for which a task that waits for the arm has waited."""
-        task = task_of(self.controller)
-        return time - self._behind if task is not None and task.waits else time
+        return time - self._behind if waits(self.controller) else time
 
     def _bounds(self, q: np.ndarray, held: float) -> Bounds:
         """Bounds on the velocity that follows; where periods vary, a joint can stop however late the calls are.

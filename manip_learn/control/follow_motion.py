@@ -1,0 +1,283 @@
+"""Play a recorded or planned joint motion within the limits: gaps, jumps and all, delayed as little as possible."""
+
+from __future__ import annotations
+
+import math
+from typing import NamedTuple, Protocol, final
+
+import numpy as np
+from jaxtyping import Bool, Float, Int
+from numpy.typing import ArrayLike
+from scipy.interpolate import PchipInterpolator
+
+from manip_learn.control.bounded_velocity import project_by_daqp
+from manip_learn.control.command import Command, Status
+from manip_learn.control.limits import RETURN_SPEED, Barrier, Limits, stopping_speed
+from manip_learn.errors import ConfigurationError
+from manip_learn.robot.robot import Robot
+
+ARRIVED = 1e-3  # [rad or m] of all joints together: the first posture is reached, and the motion's clock starts
+
+
+class JointMotion(Protocol):
+    """A `Trajectory`, a `Rollout`, or anything else that has these."""
+
+    @property
+    def time(self) -> Float[np.ndarray, " T"]:
+        """Strictly increasing [s]."""
+        ...
+
+    @property
+    def q(self) -> Float[np.ndarray, "T n"]:
+        """Postures: joint positions or configurations [rad or m]."""
+        ...
+
+    @property
+    def joint_names(self) -> tuple[str, ...]:
+        """Joint of each column; empty for the robot's own order."""
+        ...
+
+
+@final
+class FollowMotion:
+    """A controller that follows a joint motion as closely as the limits let it; for a `ServoLoop`.
+
+    Between samples the motion is a monotone cubic (F. N. Fritsch and R. E. Carlson, 1980), which adds no overshoot. A
+    step that its joint could only make faster than its velocity limit is a jump: until the next sample the joint goes
+    on as before, and then to where the motion is in the shortest time. No other joint waits for it. Where the motion
+    itself is faster than the velocity limits or the limit of the tip's speed, its clock runs slower, so that the path
+    stays the same. First the joints go to the first posture, at a quarter of their velocity limits, and the clock
+    starts there; at the end they stay at the last one.
+
+    Args:
+        robot: The robot.
+        motion: What to follow; columns are matched by joint names where it has some.
+        limits: Limits; by default the robot's. A `ServoLoop` adds its own acceleration and jerk limits.
+        ahead: Time by which the output of a loop lags behind, which is made up for [s]; a `ServoLoop` with jerk limits
+            gives half of its average.
+
+    Attributes:
+        duration: Of the motion [s].
+        delay: How much longer than in the recording it has taken so far, the way to the first posture left out [s]; a
+            loop follows with a copy within its own limits, so ask `loop.controller.delay`.
+
+    Raises:
+        ConfigurationError: Fewer than two samples, other joints than the robot's, numbers that are not finite, or time
+            that does not increase.
+
+    Example:
+        >>> import numpy as np
+        >>> import manip_learn as ml
+        >>> robot = ml.load_robot("planar3")
+        >>> time = np.linspace(0.0, 2.0, 21)  # [s]
+        >>> shown = ml.Trajectory(time, np.outer(np.sin(time), [0.3, 0.8, 0.4]))
+        >>> loop = ml.ServoLoop(ml.FollowMotion(robot, shown), dt=0.01)
+        >>> rollout = ml.simulate(robot, loop, shown.q[0], duration=2.5, dt=0.01)
+        >>> bool(np.allclose(rollout.q[-1], shown.q[-1], atol=1e-6))
+        True
+    """
+
+    def __init__(self, robot: Robot, motion: JointMotion, limits: Limits | None = None, *, ahead: float = 0.0):
+        self.robot, self.motion, self.ahead = robot, motion, float(ahead)
+        self.limits = Limits(robot) if limits is None else limits
+        self._knots = _knots_of(robot, motion, self.limits.velocity)
+        self.duration = float(self._knots.time[-1])
+        self.reset()
+
+    def with_limits(self, limits: Limits, ahead: float = 0.0) -> FollowMotion:
+        """This motion within other limits."""
+        return FollowMotion(self.robot, self.motion, limits, ahead=ahead)
+
+    def reset(self) -> None:
+        """Forget the past: the next call begins with the first posture again."""
+        self._clock, self._since, self._rate, self.delay = -math.inf, math.nan, 1.0, 0.0
+
+    def at(self, s: float) -> Float[np.ndarray, " nv"]:
+        """Where the motion is s [s] after its first sample, joint positions [rad or m]."""
+        return self._knots.at(s, 0.0)[0]
+
+    def __call__(
+        self,
+        q: Float[np.ndarray, " n"],
+        t: float = 0.0,
+        dt: float | None = None,
+        previous: Float[np.ndarray, " nv"] | None = None,
+        slide: float = 0.0,
+    ) -> Command:
+        """The velocity for the next dt.
+
+        Args:
+            q: Posture.
+            t: Time [s].
+            dt: How long the velocity is held [s]; needed.
+            previous: Velocity of the step before [rad/s or m/s]; None bounds no acceleration.
+            slide: Not used.
+
+        Raises:
+            ConfigurationError: No dt.
+        """
+        if dt is None:
+            raise ConfigurationError("FollowMotion needs the period: run it in ServoLoop(FollowMotion(...), dt)")
+        self._advance(q, t)
+        started = self._clock >= 0.0
+        self._rate = 1.0 if started else 0.0
+        wish, rate = self._wish(q, dt)
+        if started:
+            self._rate = self._share(q, wish, rate)
+            if self._rate < 1.0:
+                wish, rate = self._wish(q, dt)
+        fastest = self.limits.velocity * (1.0 if started else RETURN_SPEED)
+        return self._within(q, np.clip(wish, -fastest, fastest), dt, previous)
+
+    def _wish(self, q: np.ndarray, dt: float) -> tuple[Float[np.ndarray, " nv"], Float[np.ndarray, " nv"]]:
+        """Velocity of the motion, with that which closes the distance to it in the shortest time, and without."""
+        goal, rate = self._knots.at(max(self._clock, 0.0), (self.ahead + dt) * self._rate)
+        rate = rate * self._rate
+        away = self.robot.difference(q, goal) - dt * rate
+        return rate + np.sign(away) * stopping_speed(np.abs(away), self.limits.acceleration, dt), rate
+
+    def _advance(self, q: np.ndarray, t: float) -> None:
+        """Move the motion's clock on to the time t."""
+        if self._clock < 0.0:
+            arrived = float(np.linalg.norm(self.robot.difference(q, self.at(0.0)))) < ARRIVED
+            self._clock = 0.0 if arrived else self._clock
+        else:
+            step = max(0.0, t - self._since)
+            self._clock += step * self._rate
+            self.delay += step * (1.0 - self._rate) if self._clock < self.duration else 0.0
+        self._since = t
+
+    def _share(self, q: np.ndarray, wish: np.ndarray, rate: np.ndarray) -> float:
+        """How fast the clock may run: the motion within the limits of the joints, all of the wish within the tip's."""
+        most = float(np.max(np.abs(rate) / self.limits.velocity, initial=0.0))
+        tip = self.limits.tip
+        if tip is not None and math.isfinite(tip.speed):
+            speeds = [np.linalg.norm(self.robot.jacobian(q, frame)[:3].dot(wish)) for frame in tip.frames]
+            most = max(most, max(map(float, speeds)) / tip.speed)
+        return 1.0 / max(1.0, most)
+
+    def _within(self, q: np.ndarray, wish: np.ndarray, dt: float, previous: np.ndarray | None) -> Command:
+        """The velocity nearest to a wish that is within all limits."""
+        limits = self.limits
+        bounds = limits.bounds(q, dt, previous)
+        low, high = np.array(bounds.low), np.array(bounds.high)
+        u = np.clip(wish, low, high)
+        if limits.tip is not None:
+            tips = limits.tip.at(q, dt, limits.acceleration, previous)
+            u = limits.tip.bounded(tips, u, None, lambda barrier: _nearest(wish, low, high, barrier)).velocity
+        j, cause = bounds.binding(u, wish)
+        status = Status.OK if j < 0 else LIMITED[cause]
+        if bounds.outside > 0.0:
+            status = Status.OUTSIDE_LIMITS
+        none = np.zeros_like(u)
+        return Command(
+            velocity=u, status=status, manipulability=0.0, task_velocity=none[:0], task_part=u, null_part=none,
+            task_scale=1.0, null_scale=0.0, smallest_singular_value=0.0, outside=bounds.outside, limiting_joint=j,
+        )  # fmt: skip
+
+    def task_error(self, q: ArrayLike, t: float = 0.0) -> float:
+        """Largest distance of a joint from where the motion is now [rad or m]."""
+        away = self.robot.difference(q, self.at(max(self._clock, 0.0)))
+        return float(np.max(np.abs(away), initial=0.0))
+
+    def __repr__(self) -> str:
+        return f"FollowMotion({len(self._knots.time)} samples, {self.duration:.4g} s, delayed by {self.delay:.3g} s)"
+
+
+# by the limit that sets a bound: POSITION, VELOCITY, ACCELERATION
+LIMITED = (Status.POSITION_LIMITED, Status.VELOCITY_LIMITED, Status.ACCELERATION_LIMITED)
+
+
+class _Nearest(NamedTuple):
+    velocity: Float[np.ndarray, " nv"]
+
+
+def _nearest(wish: np.ndarray, low: np.ndarray, high: np.ndarray, barrier: Barrier | None) -> _Nearest:
+    """The velocity nearest to a wish within bounds and rows; within the bounds alone where no velocity is in both."""
+    u = np.clip(wish, low, high)
+    if barrier is None:
+        return _Nearest(u)
+    G, least = barrier
+    C = np.vstack([np.eye(len(wish)), G])
+    found = project_by_daqp(wish, C, np.append(low, least), np.append(high, np.full(len(least), np.inf)))
+    return _Nearest(u if found is None else np.clip(found, low, high))
+
+
+@final
+class _Knots(NamedTuple):
+    """A motion as cubics, each joint in pieces between its jumps.
+
+    Attributes:
+        time: shape (T,), from 0 [s].
+        x: shape (T, nv), joint positions; those of joints without limits go on over whole turns.
+        slope: shape (T, nv), velocities there; zero at the end.
+        last: shape (T, nv), number of the last sample before the next jump of the joint.
+        jumps: shape (T, nv), whether a joint jumps from this sample to the next.
+    """
+
+    time: Float[np.ndarray, " T"]
+    x: Float[np.ndarray, "T nv"]
+    slope: Float[np.ndarray, "T nv"]
+    last: Int[np.ndarray, "T nv"]
+    jumps: Bool[np.ndarray, "T nv"]
+
+    def at(self, s: float, ahead: float) -> tuple[Float[np.ndarray, " nv"], Float[np.ndarray, " nv"]]:
+        """Where the motion that is going on at time s is a little later, and its velocity.
+
+        A jump in between is not foreseen: the joint goes on along its tangent.
+        """
+        T = len(self.time) - 1
+        now, then = (min(T, int(np.searchsorted(self.time, t, side="right")) - 1) for t in (s, s + ahead))
+        joint = np.arange(self.x.shape[1])
+        i = np.minimum(then, self.last[now])
+        begin, tangent = self.time[i], (i < then) | self.jumps[i, joint] | (i == T)
+        x0, m0 = self.x[i, joint], self.slope[i, joint]
+        k = np.minimum(i + 1, T)
+        h, x1, m1 = np.where(i == T, 1.0, self.time[k] - begin), self.x[k, joint], self.slope[k, joint]
+        w = (s + ahead - begin) / h
+        rise = x1 - x0 - h * m0
+        bend = h * (m1 - m0)
+        x = x0 + h * m0 * w + w * w * (3.0 * rise - bend + w * (bend - 2.0 * rise))
+        m = m0 + w * (2.0 * (3.0 * rise - bend) + 3.0 * w * (bend - 2.0 * rise)) / h
+        return np.where(tangent, x0 + m0 * (s + ahead - begin), x), np.where(tangent, m0, m)
+
+
+def _knots_of(robot: Robot, motion: JointMotion, fastest: Float[np.ndarray, " nv"]) -> _Knots:
+    time = np.array(motion.time, dtype=np.float64)
+    x = _positions(robot, motion)
+    if len(time) < 2 or x.shape != (len(time), robot.nv) or not np.all(np.diff(time) > 0.0):
+        raise ConfigurationError(
+            f"a motion has two or more samples at increasing times and {robot.nv} joints; got times of shape "
+            f"{time.shape} and positions of shape {x.shape}"
+        )
+    if not (np.all(np.isfinite(time)) and np.all(np.isfinite(x))):
+        raise ConfigurationError("the motion has numbers that are not finite")
+    time -= time[0]
+    jumps = np.zeros(x.shape, dtype=bool)
+    jumps[:-1] = np.abs(np.diff(x, axis=0)) > fastest * np.diff(time)[:, None]
+    slope, last = np.zeros_like(x), np.empty(x.shape, dtype=np.int64)
+    for j in range(robot.nv):
+        ends = [*np.flatnonzero(jumps[:, j]).tolist(), len(time) - 1]
+        for begin, end in zip([0, *(e + 1 for e in ends)], ends, strict=False):
+            part = slice(begin, end + 1)
+            last[part, j] = end
+            if end > begin:
+                slope[part, j] = PchipInterpolator(time[part], x[part, j]).derivative()(time[part])
+    slope[-1] = 0.0
+    return _Knots(time, x, slope, last, jumps)
+
+
+def _positions(robot: Robot, motion: JointMotion) -> Float[np.ndarray, "T nv"]:
+    """Joint positions in the robot's order, without whole turns between samples."""
+    q, names = np.array(motion.q, dtype=np.float64), tuple(motion.joint_names)
+    if names and names != tuple(robot.joint_names):
+        missing = [name for name in robot.joint_names if name not in names]
+        if missing or q.shape[1:] != (len(names),):
+            raise ConfigurationError(
+                f"the motion's joints are {', '.join(names)}: robot {robot.name!r} also has {', '.join(missing)}"
+            )
+        q = q[:, [names.index(name) for name in robot.joint_names]]
+    if not len(q):
+        return q
+    steps = [robot.difference(before, after) for before, after in zip(q, q[1:], strict=False)]
+    return np.cumsum([robot.positions(q[0]), *steps], axis=0)

@@ -1,0 +1,191 @@
+"""A recorded motion is played within the limits, with its gaps and jumps, as closely and as early as these let it."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from case import case
+
+from manip_learn.control.follow_motion import FollowMotion
+from manip_learn.control.limits import Limits, stopping_speed
+from manip_learn.control.servo_loop import ServoLoop
+from manip_learn.control.simulation import simulate
+from manip_learn.errors import ConfigurationError
+from manip_learn.recordings.trajectory import Trajectory
+from manip_learn.robot import Robot, load_robot
+
+DT = 0.01
+
+
+@pytest.fixture(scope="module")
+def panda() -> Robot:
+    return load_robot("panda", locked=("panda_finger_joint1", "panda_finger_joint2"))
+
+
+def swaying(robot: Robot, rng: np.random.Generator, duration: float, period: float = 0.01) -> Trajectory:
+    """Slow waves of all joints about the middle of their ranges, with encoder noise."""
+    time = np.arange(0.0, duration, period)
+    middle = np.clip(0.5 * (robot.position_lower + robot.position_upper), -1.0, 1.0)
+    waves = [0.15 / k * np.sin(0.44 * k * time[:, None] + rng.uniform(0.0, 6.0, robot.nv)) for k in (1, 2, 3)]
+    return Trajectory(time, middle + sum(waves) + rng.normal(0.0, 1e-4, (len(time), robot.nv)), None, robot.joint_names)
+
+
+def with_jumps(motion: Trajectory, rng: np.random.Generator, n: int, size: float) -> tuple[Trajectory, np.ndarray]:
+    """The motion, in which one joint after another jumps to and fro; and when, at least a second apart."""
+    q = motion.q.copy()
+    at = np.sort(rng.choice(np.arange(100, len(q) - 100, 100), n, replace=False))
+    sense = np.ones(q.shape[1])
+    for i in at:
+        j = rng.integers(q.shape[1])
+        q[i:, j] += size * sense[j]
+        sense[j] *= -1.0
+    return Trajectory(motion.time, q, None, motion.joint_names), motion.time[at]
+
+
+def kept(limits: Limits, u: np.ndarray, period: float) -> bool:
+    """Whether velocities keep to the limits of velocity, acceleration and jerk."""
+    changes = np.diff(u, axis=0, prepend=np.zeros((1, u.shape[1]))) / period
+    jerks = np.diff(changes, axis=0) / period
+    within = np.all(np.abs(u) <= limits.velocity + 1e-9) and np.all(np.abs(changes) <= limits.acceleration * (1 + 1e-9))
+    return bool(within and (limits.jerk is None or np.all(np.abs(jerks) <= limits.jerk * (1 + 1e-9))))
+
+
+def tip_distance(robot: Robot, tip: str, played: np.ndarray, wanted: np.ndarray) -> np.ndarray:
+    pairs = zip(played, wanted, strict=False)
+    return np.array([np.linalg.norm(robot.position(a, tip) - robot.position(b, tip)) for a, b in pairs])
+
+
+def test_fifty_jumps(panda):
+    """With 50 jumps of 0.2 rad all limits are kept, nothing is delayed, and the tip is within 5 mm of the recording but
+    for 0.3 s after each jump; with jerk limits, whose average takes 0.11 s longer, but for 0.45 s.
+    """
+    rng = np.random.default_rng(7)
+    motion, at = with_jumps(swaying(panda, rng, 80.0), rng, 50, 0.2)
+    for jerk, allowed in ((None, 0.3), (200.0, 0.45)):
+        with case(jerk):
+            loop = ServoLoop(FollowMotion(panda, motion, Limits(panda, jerk=jerk)), DT)
+            played = simulate(panda, loop, motion.q[0], 80.0, DT)
+            off = tip_distance(panda, "panda_hand_tcp", played.q, motion.q)
+            time = played.time[: len(off)]
+            calm = ~np.any((time[:, None] >= at - (jerk is not None) * 0.06) & (time[:, None] < at + allowed), axis=1)
+            assert kept(loop.limits, played.u, DT) and loop.controller.delay == 0.0
+            assert np.max(off[calm]) < 0.005 and np.max(off) > 0.05
+
+
+def test_smooth_motion_is_followed_exactly(panda):
+    """Without jumps the joints are where the recording is, to a microradian or less, from the second period on, and to
+    2e-3 rad with jerk limits: these delay nothing, since the motion is known ahead.
+    """
+    time = np.arange(0.0, 6.0, 0.02)
+    waves = 0.4 * (1.0 - np.cos(np.pi / 2.99 * time))[:, None] * np.linspace(-0.5, 1.0, 7)
+    motion = Trajectory(time, panda.neutral() + waves, None, panda.joint_names)
+    for jerk, most in ((None, 1e-6), (100.0, 2e-3)):
+        with case(jerk):
+            loop = ServoLoop(FollowMotion(panda, motion, Limits(panda, jerk=jerk)), DT)
+            played = simulate(panda, loop, motion.q[0], 6.5, DT)
+            wanted = np.array([loop.controller.at(t) for t in played.time])
+            assert np.max(np.abs(played.q - wanted)[2:]) < most
+            assert np.max(np.abs(played.q[-1] - motion.q[-1])) < 1e-6 and np.max(np.abs(played.u[-1])) < 1e-6
+
+
+def test_gaps_are_bridged_and_other_periods_played(panda):
+    """A recording at 37 Hz with a gap of 1.5 s, played at 500 Hz: samples are met where there are some."""
+    rng = np.random.default_rng(3)
+    whole = swaying(panda, rng, 8.0, 1.0 / 37.0)
+    some = (whole.time < 3.0) | (whole.time > 4.5)
+    motion = Trajectory(whole.time[some], whole.q[some], None, whole.joint_names)
+    played = simulate(panda, ServoLoop(FollowMotion(panda, motion), 0.002), motion.q[0], 8.0, 0.002)
+    nearest = np.round(motion.time / 0.002).astype(int)
+    assert np.max(np.abs(played.q[nearest[5:]] - motion.q[5:])) < 3e-3
+    assert kept(Limits(panda), played.u, 0.002)
+
+
+def test_tip_limit_slows_the_clock_and_keeps_the_path(panda):
+    """A motion at twice the tip's limit takes longer, by as much as it was too fast, and stays on its path."""
+    time = np.arange(0.0, 4.0, 0.01)
+    turn = 1.2 * (1.0 - np.cos(np.pi * time / 4.0)) / 2.0
+    q = np.tile(panda.neutral(), (len(time), 1))
+    q[:, 3] = -1.8
+    q[:, 0] = turn
+    motion = Trajectory(time, q, None, panda.joint_names)
+    radius = np.linalg.norm(panda.jacobian(q[0], "panda_hand_tcp")[:3, 0])
+    half = 0.5 * radius * 1.2 * np.pi / 8.0  # of its largest speed [m/s]
+    limits = Limits(panda, tip_speed=half, frames="panda_hand_tcp")
+    loop = ServoLoop(FollowMotion(panda, motion, limits), DT)
+    played = simulate(panda, loop, motion.q[0], 12.0, DT)
+    speeds = [
+        np.linalg.norm(panda.jacobian(x, "panda_hand_tcp")[:3] @ u) for x, u in zip(played.q, played.u, strict=True)
+    ]
+    assert max(speeds) < 1.001 * half and loop.controller.delay > 0.5
+    assert np.max(np.abs(played.q[:, 1:] - q[0, 1:])) < 1e-5  # only the first joint moved
+    assert abs(played.q[-1, 0] - turn[-1]) < 1e-6
+
+
+def test_first_posture_is_reached_before_the_clock_starts(panda):
+    """From elsewhere the joints first go to the first posture, at a quarter of their limits, and then all is played."""
+    motion = swaying(panda, np.random.default_rng(5), 3.0)
+    loop = ServoLoop(FollowMotion(panda, motion), DT)
+    played = simulate(panda, loop, motion.q[0] + 0.3, 6.0, DT)
+    first = next(i for i, x in enumerate(played.q) if np.linalg.norm(x - motion.q[0]) < 1e-3)
+    assert np.all(np.abs(played.u[:first]) <= 0.25 * panda.velocity_limit + 1e-9)
+    off = np.abs(played.q[first + 50 : first + 250] - motion.q[50:250])
+    assert np.max(off) < 0.02 and np.max(np.abs(played.q[-1] - motion.q[-1])) < 1e-6
+
+
+def test_goes_on_after_a_stop(panda):
+    """While the loop is stopped the motion waits, and goes on from where it was: no joint hurries after it."""
+    motion = swaying(panda, np.random.default_rng(6), 4.0)
+    loop = ServoLoop(FollowMotion(panda, motion), DT)
+    loop.reset(motion.q[0])
+    q, fastest = motion.q[0], 0.0
+    for k in range(800):
+        if k == 100:
+            loop.stop()
+        if k == 300:
+            loop.start()
+        u = loop.update(q, DT * k).velocity
+        q = q + DT * u
+        fastest = max(fastest, float(np.max(np.abs(u))) if k > 310 else 0.0)
+    natural = float(np.max(np.abs(np.diff(motion.q, axis=0)))) / 0.01
+    assert fastest < 1.5 * natural and np.max(np.abs(q - motion.q[-1])) < 1e-6
+
+
+def test_joints_that_turn_for_ever_and_other_orders():
+    """Postures of joints without limits may be configurations or wrapped angles, columns may come in any order."""
+    robot = load_robot("kinova")
+    time = np.arange(0.0, 3.0, 0.01)
+    turns = np.where(np.isinf(robot.position_upper), 0.3, 0.05)
+    middle = np.where(np.isinf(robot.position_upper), np.pi, 0.5 * (robot.position_lower + robot.position_upper))
+    turning = middle + np.outer(np.sin(time), turns)
+    configurations = np.array([robot.configuration(x) for x in turning])
+    wrapped = (turning + np.pi) % (2.0 * np.pi) - np.pi
+    order = list(reversed(range(robot.nv)))
+    shuffled = Trajectory(time, turning[:, order], None, tuple(robot.joint_names[i] for i in order))
+    motions = [Trajectory(time, x, None, robot.joint_names) for x in (configurations, wrapped)]
+    for motion in [*motions, shuffled]:
+        played = simulate(robot, ServoLoop(FollowMotion(robot, motion), DT), turning[0], 3.0, DT)
+        off = [robot.difference(a, b) for a, b in zip(played.q[5:300], turning[5:300], strict=True)]
+        assert np.max(np.abs(off)) < 0.02
+
+
+def test_what_is_no_motion_is_refused(panda):
+    """One sample, other joints, a call without a period: a sentence each."""
+    with pytest.raises(ConfigurationError, match="two or more samples"):
+        FollowMotion(panda, Trajectory([0.0], panda.neutral()[None], None, panda.joint_names))
+    with pytest.raises(ConfigurationError, match="also has panda_joint7"):
+        names = (*panda.joint_names[:6], "elbow")
+        FollowMotion(panda, Trajectory([0.0, 1.0], np.zeros((2, 7)), None, names))
+    motion = Trajectory([0.0, 1.0], np.zeros((2, 7)), None, panda.joint_names)
+    with pytest.raises(ConfigurationError, match="needs the period"):
+        FollowMotion(panda, motion)(panda.neutral())
+
+
+def test_stopping_speed_arrives_at_rest():
+    """From that speed, one acceleration less in each step, a joint comes to rest just where it should."""
+    rng = np.random.default_rng(0)
+    for _ in range(200):
+        distance, acceleration, dt = rng.uniform(0.0, 2.0), rng.uniform(0.1, 20.0), rng.choice([0.001, 0.01, 0.04])
+        way, u = distance, float(stopping_speed(np.array([distance]), np.array([acceleration]), dt)[0])
+        while u > 0.0:
+            way, u = way - dt * u, u - acceleration * dt
+        assert abs(way) < 1e-9
