@@ -68,6 +68,7 @@ if TYPE_CHECKING:
     from manip_learn.control.servo_loop import ServoLoop
     from manip_learn.control.simulation import simulate
     from manip_learn.control.tasks import FreeDirection, Hold, PointAttractor, Task, Track, motion
+    from manip_learn.drivers.lerobot import LeRobotDriver, LeRobotMotor
     from manip_learn.errors import ManipLearnError, NoPlanError
     from manip_learn.learning import ConstraintLearner
     from manip_learn.learning.audit import audit_episodes
@@ -125,37 +126,21 @@ _NAMES = {
     "control.driver": "Driver RunRecord run warm_up",
     "control.simulation": "simulate",
     "control.rollout": "Rollout",
+    "drivers.lerobot": "LeRobotDriver LeRobotMotor",
     "playback": "LiveViewer replay",
     "errors": "ManipLearnError NoPlanError",
 }
 _HOMES = {name: module for module, names in _NAMES.items() for name in names.split()}
 __all__ = ["CentreOfMass", "Command", "CompiledController", "Constraint", "ConstraintLearner", "Controller"]
-__all__ += [
-    "CustomFeatures",
-    "Demonstrations",
-    "Driver",
-    "FeatureMap",
-    "FollowMotion",
-    "FrameJacobian",
-    "FreeDirection",
-]
-__all__ += ["GraspCone", "Hold", "JointAttractor", "JointLimitAvoidance", "Limits", "LiveViewer", "ManipLearnError"]
-__all__ += ["ManipulabilityAscent", "Mechanism", "MechanismFit", "MechanismRows", "NoPlanError", "NullSpacePolicy"]
-__all__ += ["PenalisedManipulabilityAscent", "Plan", "PointAttractor", "RecordingSource", "RelativeFrameJacobian"]
-__all__ += ["ResolvedRateController", "Robot", "Rollout", "RunRecord", "SelfCollision", "SelfCollisionAvoidance"]
-__all__ += [
-    "ServoLoop",
-    "Stacked",
-    "Status",
-    "Task",
-    "TaskFrame",
-    "Track",
-    "Trajectory",
-    "WeightedPolicies",
-    "ZeroPolicy",
-]
-__all__ += ["audit_episodes", "derive_velocities", "find_mechanism", "following_error_limit", "inspect_robot"]
-__all__ += ["iter_demonstrations", "likely_tips", "load_demonstrations", "load_robot", "log_manipulability_gradient"]
+__all__ += ["CustomFeatures", "Demonstrations", "Driver", "FeatureMap", "FollowMotion", "FrameJacobian"]
+__all__ += ["FreeDirection", "GraspCone", "Hold", "JointAttractor", "JointLimitAvoidance", "LeRobotDriver"]
+__all__ += ["LeRobotMotor", "Limits", "LiveViewer", "ManipLearnError", "ManipulabilityAscent", "Mechanism"]
+__all__ += ["MechanismFit", "MechanismRows", "NoPlanError", "NullSpacePolicy", "PenalisedManipulabilityAscent"]
+__all__ += ["Plan", "PointAttractor", "RecordingSource", "RelativeFrameJacobian", "ResolvedRateController", "Robot"]
+__all__ += ["Rollout", "RunRecord", "SelfCollision", "SelfCollisionAvoidance", "ServoLoop", "Stacked", "Status"]
+__all__ += ["Task", "TaskFrame", "Track", "Trajectory", "WeightedPolicies", "ZeroPolicy", "audit_episodes"]
+__all__ += ["derive_velocities", "find_mechanism", "following_error_limit", "inspect_robot", "iter_demonstrations"]
+__all__ += ["likely_tips", "load_demonstrations", "load_robot", "log_manipulability_gradient"]
 __all__ += ["log_penalised_manipulability_gradient", "manipulability", "manipulability_batch"]
 __all__ += ["manipulability_gradient", "motion", "optimise_path", "penalised_manipulability"]
 __all__ += ["penalised_manipulability_gradient", "plan", "replay", "resample", "run", "simulate", "subsample"]

@@ -100,6 +100,10 @@ class Driver(Protocol):
     gripper, are sent where they were first measured); and `simulated`, True for an arm whose clock is the number of
     commands, which is then not waited for.
 
+    A driver that can let a person guide the arm also has `release()`, after which the joints turn freely, and `hold()`,
+    after which the arm stays where it is. Where an arm cannot do that, `release()` raises a `ConfigurationError` that
+    says how else to guide it.
+
     Attributes:
         period: Between two commands [s].
     """
@@ -152,6 +156,10 @@ def run(loop: ServoLoop, driver: Driver, duration: float | None = None) -> RunRe
     cannot be held. A reading that is wrong once brakes the arm and does not end the run. Python's garbage collector
     rests meanwhile.
 
+    A call of the driver that blocks is waited for: Python cannot end it. Ctrl-C does, where the call has taken longer than
+    the loop's `stale_after` or Ctrl-C is pressed again: after `read()` the arm brakes without being read, after
+    `command()` nothing more can be sent.
+
     The loop begins anew, from the commanded posture where `loop.reset(q)` has given one, otherwise from the first
     measured one.
 
@@ -184,6 +192,11 @@ def run(loop: ServoLoop, driver: Driver, duration: float | None = None) -> RunRe
 
 
 @final
+class _GivenUp(KeyboardInterrupt):
+    """Ctrl-C in a call of the driver that blocks."""
+
+
+@final
 class _Cycle:
     """The state of a run."""
 
@@ -196,6 +209,20 @@ class _Cycle:
         self.cycles = self.overruns = 0
         self.longest_delay = 0.0
         self.reason, self.ordered = "", False
+        self._pressed = False
+        self._called: float | None = None  # when the driver was called that has not returned yet
+        self._blocked: set[str] = set()  # what did not return and is called no more
+
+    def interrupt(self) -> None:
+        """Ctrl-C: brake; again, or in a call of the driver that blocks, give that call up.
+
+        Raises:
+            KeyboardInterrupt: In the call of the driver.
+        """
+        again, self._pressed = self._pressed, True
+        self.stop("Ctrl-C", True)
+        if self._called is not None and (again or time.perf_counter() - self._called > self._loop.stale_after):
+            raise _GivenUp
 
     def stop(self, reason: str, ordered: bool = False) -> None:
         """Brake, and end when the arm stands; the first reason counts."""
@@ -229,33 +256,48 @@ class _Cycle:
                 self.stop(self._frozen() + (loop.stopped_by or "the arm is blocked"))
             self.cycles += 1
             ending = min(ending, t + LONGEST_STOP) if self.reason else math.inf
-            if t >= ending or self._stands(command):
+            if t >= ending or "command()" in self._blocked or self._stands(command):
                 break
         loop.start()
 
     def _read(self) -> Any:
         """The measured posture in the robot's order; None where there is none."""
+        if "read()" in self._blocked:
+            return None
+        self._called = time.perf_counter()
         try:
             q, _, _ = self._driver.read()
             return self._joints.measured(q)
-        except KeyboardInterrupt:
-            self.stop("Ctrl-C", True)
-        except Exception as error:  # whatever a driver raises, an arm in motion must brake
-            self.stop(f"the driver's read() failed: {type(error).__name__}: {error}")
+        except (Exception, KeyboardInterrupt) as error:  # whatever a driver raises, an arm in motion must brake
+            self._failed("read()", error)
+        finally:
+            self._called = None
         return None
+
+    def _failed(self, call: str, error: BaseException) -> None:
+        """A call of the driver did not return."""
+        if not isinstance(error, KeyboardInterrupt):
+            self.stop(f"the driver's {call} failed: {type(error).__name__}: {error}")
+            return
+        self.stop("Ctrl-C", True)
+        if isinstance(error, _GivenUp) and self._called is not None:
+            taken = time.perf_counter() - self._called
+            self._blocked.add(call)
+            self.reason, self.ordered = f"{self.reason}; the driver's {call} had not returned for {taken:.2g} s", False
 
     def _send(self, command: Command) -> None:
         q = self._loop.position
         if q is None:
             return
         robot = self._loop.robot
+        self._called = time.perf_counter()
         try:
             x = q if q.shape[0] == robot.nv else robot.positions(q)
             self._driver.command(self._joints.sent(x, self._joints.rest), self._joints.sent(command.velocity, 0.0))
-        except KeyboardInterrupt:
-            self.stop("Ctrl-C", True)
-        except Exception as error:  # likewise
-            self.stop(f"the driver's command() failed: {type(error).__name__}: {error}")
+        except (Exception, KeyboardInterrupt) as error:  # likewise
+            self._failed("command()", error)
+        finally:
+            self._called = None
 
     def _stands(self, command: Command) -> bool:
         """Whether the arm stands for a reason to end; gives the reason where it is the loop's."""
@@ -383,7 +425,7 @@ def _interrupts(cycle: _Cycle) -> Iterator[None]:
     if threading.current_thread() is not threading.main_thread():
         yield
         return
-    before = signal.signal(signal.SIGINT, lambda *_: cycle.stop("Ctrl-C", True))
+    before = signal.signal(signal.SIGINT, lambda *_: cycle.interrupt())
     try:
         yield
     finally:

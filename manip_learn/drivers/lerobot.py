@@ -1,0 +1,409 @@
+"""A robot of LeRobot as the driver of `run`: its motors in degrees or -100 .. 100, our joints in rad."""
+
+from __future__ import annotations
+
+import logging
+import math
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass
+from typing import Any, Literal, Protocol, final
+
+import numpy as np
+from jaxtyping import Float
+
+from manip_learn.errors import ConfigurationError, counted, listed, named
+from manip_learn.robot.robot import Robot
+
+Units = Literal["degrees", "normalized", "radians"]
+ROUNDING = 1e-6  # [rad or m] by which a joint at its limit may be beyond it: what conversions there and back leave
+CUT = 1e-4  # in a motor's own unit: LeRobot's own bound, from which on it says that it has cut an action
+# what LeRobot's buses call the units of a motor (MotorNormMode) -> lowest and highest value, NaN where it has none
+_RANGES = {
+    "degrees": (-math.inf, math.inf),
+    "radians": (-math.inf, math.inf),
+    "range_m100_100": (-100.0, 100.0),
+    "range_0_100": (0.0, 100.0),
+}
+_RAD = {"degrees": math.pi / 180.0, "radians": 1.0}  # [rad] per unit; the others' depend on the motor's range
+_LOGGER = logging.getLogger("manip_learn")
+
+
+class LeRobotArm(Protocol):
+    """What `LeRobotDriver` asks of a LeRobot `Robot`.
+
+    Attributes:
+        observation_features: Names of what it observes.
+        action_features: Names of what it takes.
+        is_connected: Whether its motors answer.
+    """
+
+    @property
+    def observation_features(self) -> dict: ...
+
+    @property
+    def action_features(self) -> dict: ...
+
+    @property
+    def is_connected(self) -> bool: ...
+
+    def get_observation(self) -> dict[str, Any]:
+        """Positions of the motors, as `"<motor>.pos"`, and whatever else it observes."""
+        ...
+
+    def send_action(self, action: dict[str, Any]) -> dict[str, Any]:
+        """Go to positions; returns what was really sent."""
+        ...
+
+
+@final
+@dataclass(frozen=True)
+class LeRobotMotor:
+    """The joint that a motor moves: joint position = zero + sign * motor position.
+
+    Attributes:
+        joint: Its name in the robot's description.
+        sign: -1 where the motor turns against the joint.
+        zero: Joint position where the motor reads 0, or 50 if it reads 0 .. 100 [rad or m]. None is 0, or the middle of
+            the joint's limits where those are the span.
+        span: How far the joint moves while the motor reads -100 .. 100, or 0 .. 100 [rad or m]. None is the range of
+            the arm's calibration, or of the joint's limits where it has none. Degrees need no span.
+    """
+
+    joint: str
+    sign: int = 1
+    zero: float | None = None
+    span: float | None = None
+
+    def __post_init__(self) -> None:
+        """Refuse numbers that are none.
+
+        Raises:
+            ConfigurationError: The sign, the zero or the span.
+        """
+        span_is_wrong = self.span is not None and not 0.0 < self.span < math.inf
+        if self.sign not in (1, -1) or span_is_wrong or not math.isfinite(self.zero or 0.0):
+            raise ConfigurationError(
+                f"motor of joint {self.joint}: the sign must be 1 or -1, the zero a finite number and the "
+                f"span a positive one [rad], got sign={self.sign!r}, zero={self.zero!r}, span={self.span!r}"
+            )
+
+
+@final
+class LeRobotDriver:
+    """The driver of a LeRobot robot, for `run`; LeRobot itself is not imported.
+
+    Efforts are read from `"<motor>.torque"`, which CAN arms have in N m; currents and loads are none. Velocities are
+    read from `"<motor>.vel"` of motors in degrees. Action features `.vel` and `.torque` are sent 0.
+
+    Args:
+        arm: A connected LeRobot `Robot`.
+        robot: The robot whose joints it moves; locked joints need no motor.
+        period: Between two commands [s].
+        motors: Motor -> its joint, or a `LeRobotMotor`. A motor that is not named moves the joint of its name.
+        others: Motors that move no joint, as that of a gripper: held where they were first read.
+        units: Of motor positions. LeRobot knows them of most arms (`bus.motors`, `config.use_degrees`); give them for the
+            others.
+
+    Attributes:
+        period: Between two commands [s].
+        joint_names: Those of the robot.
+        cut: Number of actions of which LeRobot has sent less than it was given.
+
+    Raises:
+        ConfigurationError: The arm is not connected, a motor without a joint, a joint without a motor, or units that are
+            not known or contradict LeRobot's.
+    """
+
+    def __init__(
+        self,
+        arm: LeRobotArm,
+        robot: Robot,
+        period: float,
+        motors: Mapping[str, str | LeRobotMotor] | None = None,
+        others: Iterable[str] = (),
+        units: Units | None = None,
+    ):
+        self._arm, self._name = arm, str(getattr(arm, "name", type(arm).__name__))
+        if not 0.0 < period < math.inf:
+            raise ConfigurationError(f"the period must be a positive number of seconds, got {period!r}")
+        if not arm.is_connected:
+            raise ConfigurationError(f"{self._name} is not connected: call its connect() before")
+        self.period, self.joint_names = period, robot.joint_names
+        self._others = (others,) if isinstance(others, str) else tuple(others)
+        self._motors, self._still = self._features()
+        assigned = self._assigned(robot, dict(motors or {}))
+        self._scales = [_scale(arm, robot, *assigned[joint], units) for joint in self.joint_names]
+        self._held: dict[str, float] | None = None
+        self.cut, self._largest_cut, self._cut_motor = 0, 0.0, ""
+
+    def _features(self) -> tuple[tuple[str, ...], dict[str, float]]:
+        """Motors that take positions, and the action that goes with them: no speed and no torque."""
+        motors = tuple(key.removesuffix(".pos") for key in self._arm.action_features if key.endswith(".pos"))
+        rest = [key for key in self._arm.action_features if not key.endswith(".pos")]
+        if wrong := [key for key in rest if not key.endswith((".vel", ".torque"))]:
+            raise ConfigurationError(f"{self._name} takes {listed(wrong)}: only positions of motors (.pos) are known here")
+        if unseen := [motor for motor in motors if f"{motor}.pos" not in self._arm.observation_features]:
+            raise ConfigurationError(f"{self._name} does not observe the position of {named('motor', unseen)}")
+        return motors, dict.fromkeys(rest, 0.0)
+
+    def _assigned(
+        self, robot: Robot, given: dict[str, str | LeRobotMotor]
+    ) -> dict[str, tuple[str, LeRobotMotor]]:
+        """Joint -> its motor, by name and as described."""
+        if unknown := [motor for motor in (*given, *self._others) if motor not in self._motors]:
+            raise ConfigurationError(
+                f"{self._name} has no {named('motor', unknown)}: its motors are {listed(self._motors)}"
+            )
+        assigned: dict[str, tuple[str, LeRobotMotor]] = {}
+        for motor in self._motors:
+            if motor in self._others:
+                continue
+            described = given.get(motor, motor)
+            described = LeRobotMotor(described) if isinstance(described, str) else described
+            if described.joint not in robot.joint_names:
+                locked = " (that joint is locked)" if described.joint in robot.locked else ""
+                raise ConfigurationError(
+                    f"motor {motor} of {self._name} moves no joint of {robot.name}{locked}: give its joint, "
+                    f"motors={{{motor!r}: NAME}}, or hold it still, others=({motor!r},)"
+                )
+            if described.joint in assigned:
+                raise ConfigurationError(
+                    f"joint {described.joint} has two motors, {assigned[described.joint][0]} and "
+                    f"{motor}: name one of them in others"
+                )
+            assigned[described.joint] = motor, described
+        if missing := [joint for joint in robot.joint_names if joint not in assigned]:
+            raise ConfigurationError(
+                f"no motor of {self._name} moves {named('joint', missing)} of {robot.name}: give it in motors, or load "
+                f"the robot with locked=({', '.join(map(repr, missing))},)"
+            )
+        return assigned
+
+    def read(
+        self,
+    ) -> tuple[Float[np.ndarray, " nv"], Float[np.ndarray, " nv"] | None, Float[np.ndarray, " nv"] | None]:
+        """Joint positions [rad or m], and velocities [rad/s] and efforts [N m] of arms that measure them.
+
+        Raises:
+            ConfigurationError: A position is missing or no finite number.
+        """
+        seen = self._observed()
+        values = self._positions(seen)
+        q = np.array([scale.joint(values[scale.motor]) for scale in self._scales])
+        return q, self._beside(seen, "vel"), self._beside(seen, "torque")
+
+    def _observed(self) -> dict[str, Any]:
+        seen = self._arm.get_observation()
+        if self._held is None:
+            positions = self._positions(seen)
+            self._held = {motor: positions[motor] for motor in self._others}
+        return seen
+
+    def _positions(self, seen: Mapping[str, Any]) -> dict[str, float]:
+        """Motor -> its position, in its own unit."""
+        positions = {}
+        for motor in self._motors:
+            value = _number(seen.get(f"{motor}.pos"))
+            if not math.isfinite(value):
+                raise ConfigurationError(
+                    f"{self._name} reports {seen.get(f'{motor}.pos')!r:.40} as position of motor {motor}, which "
+                    "is no finite number: look at its cable and its power"
+                )
+            positions[motor] = value
+        return positions
+
+    def _beside(self, seen: Mapping[str, Any], kind: Literal["vel", "torque"]) -> Float[np.ndarray, " nv"] | None:
+        """Velocities or torques of the joints; None where one is missing or its unit is not known."""
+        if kind == "vel" and any(scale.unit not in _RAD for scale in self._scales):
+            return None
+        values = [_number(seen.get(f"{scale.motor}.{kind}")) for scale in self._scales]
+        factors = [scale.per_unit if kind == "vel" else math.copysign(1.0, scale.per_unit) for scale in self._scales]
+        return np.multiply(factors, values) if all(map(math.isfinite, values)) else None
+
+    def command(self, q: Float[np.ndarray, " nv"], u: Float[np.ndarray, " nv"]) -> None:
+        """Go to joint positions [rad or m]; nothing is sent where one is outside the calibration or the limits.
+
+        Raises:
+            ConfigurationError: A position is outside.
+        """
+        goals = {scale.motor: scale.motor_position(position) for scale, position in zip(self._scales, q, strict=True)}
+        if self._held is None:
+            self._observed()
+        self._send(goals | (self._held or {}))
+
+    def _send(self, goals: Mapping[str, float]) -> None:
+        """Send motor positions, and take note of what LeRobot makes of them."""
+        sent = self._arm.send_action(self._still | {f"{motor}.pos": value for motor, value in goals.items()})
+        if not isinstance(sent, Mapping):
+            return
+        off = {motor: abs(_number(sent.get(f"{motor}.pos", value)) - value) for motor, value in goals.items()}
+        motor = max(off, key=off.__getitem__)
+        if off[motor] > CUT:
+            self.cut += 1
+            if off[motor] > self._largest_cut:
+                self._largest_cut, self._cut_motor = off[motor], motor
+            if self.cut == 1:
+                _LOGGER.warning(*self.notes)
+
+    @property
+    def notes(self) -> tuple[str, ...]:
+        """What the arm was not given in full, in a sentence; empty if LeRobot has sent everything."""
+        if not self.cut:
+            return ()
+        unit = next((scale.unit for scale in self._scales if scale.motor == self._cut_motor), "of its own unit")
+        return (
+            f"{self._name} sent less than it was given in {counted(self.cut, 'action')}, motor {self._cut_motor} by up to "
+            f"{self._largest_cut:.3g} {unit}: go slower, or raise max_relative_target or joint_limits in its config",
+        )
+
+    def release(self) -> None:
+        """Switch off the torque of the joints' motors, so that a person can guide the arm: hold it, it falls.
+
+        Raises:
+            ConfigurationError: LeRobot cannot do that with this arm.
+        """
+        self._torque("disable_torque", "guide it with its teleoperator (lerobot-teleoperate) instead")
+
+    def hold(self) -> None:
+        """Hold the arm where it is: goals first, then torque, so that it does not go to where it was sent before.
+
+        Raises:
+            ConfigurationError: LeRobot cannot do that with this arm.
+        """
+        self._send(self._positions(self._observed()) | (self._held or {}))
+        self._torque("enable_torque", "switch it on with its own software")
+
+    def _torque(self, name: str, instead: str) -> None:
+        # most arms have it on their bus, some themselves, some nowhere: LeRobot's Robot does not promise it
+        bus = getattr(self._arm, "bus", None)
+        if (of_motors := getattr(bus, name, None)) is not None:
+            of_motors([scale.motor for scale in self._scales])
+        elif (of_arm := getattr(self._arm, name, None)) is not None:
+            of_arm()
+        else:
+            raise ConfigurationError(f"{self._name} has no {name}(), neither itself nor on its bus: {instead}")
+
+    def __repr__(self) -> str:
+        return f"LeRobotDriver({self._name}, {len(self._scales)} joints, {1e3 * self.period:g} ms)"
+
+
+@final
+@dataclass(frozen=True)
+class _Scale:
+    """From a motor's position to its joint's and back.
+
+    Attributes:
+        motor: Its name.
+        unit: As LeRobot calls it, a key of `_RANGES`.
+        centre: Motor position that is the joint's zero.
+        zero: That joint position [rad or m].
+        per_unit: Of the joint, negative where the motor turns against it [rad or m].
+        bounds: (lowest, highest, what says so) of motor positions.
+    """
+
+    motor: str
+    unit: str
+    centre: float
+    zero: float
+    per_unit: float
+    bounds: tuple[tuple[float, float, str], ...]
+
+    def joint(self, value: float) -> float:
+        """Joint position of a motor position."""
+        return self.zero + self.per_unit * (value - self.centre)
+
+    def motor_position(self, position: float) -> float:
+        """Motor position of a joint position.
+
+        Raises:
+            ConfigurationError: It is outside the bounds.
+        """
+        value, rounding = self.centre + (float(position) - self.zero) / self.per_unit, ROUNDING / abs(self.per_unit)
+        for low, high, what in self.bounds:
+            if not low - rounding <= value <= high + rounding:
+                raise ConfigurationError(
+                    f"motor {self.motor} is not sent to {value:.4g} {self.unit}, outside {low:.4g} .. {high:.4g}, {what}: "
+                    "start where the motion stays inside"
+                )
+            value = min(max(value, low), high)
+        return value
+
+
+def _scale(arm: Any, robot: Robot, motor: str, described: LeRobotMotor, units: Units | None) -> _Scale:
+    """The scale of a motor, from what LeRobot says of it, what the robot's description says, and what is given."""
+    unit = _unit(arm, motor, units)
+    joint = robot.joint_index(described.joint)
+    lower, upper = float(robot.position_lower[joint]), float(robot.position_upper[joint])
+    calibrated, zero = _calibrated_range(arm, motor), described.zero
+    low, high = _RANGES[unit]
+    if unit in _RAD:
+        if robot.joint_units[joint] != "rad":
+            raise ConfigurationError(
+                f"joint {described.joint} moves in m and motor {motor} in {unit}: "
+                f"name the motor in others and lock the joint"
+            )
+        size, centre = _RAD[unit], 0.0
+        if calibrated is not None:
+            low, high = -0.5 * calibrated / size, 0.5 * calibrated / size
+    else:
+        span = described.span or calibrated
+        if span is None:
+            span, zero = upper - lower, 0.5 * (lower + upper) if zero is None else zero
+        if not math.isfinite(span):
+            raise ConfigurationError(
+                f"motor {motor} reads {low:g} .. {high:g} and neither a calibration nor joint limits say how far "
+                f"that is: give LeRobotMotor({described.joint!r}, span=...) [rad]"
+            )
+        size, centre = span / (high - low), 0.5 * (low + high)
+    per_unit, zero = described.sign * size, zero or 0.0
+    ends = sorted(centre + (end - zero) / per_unit for end in (lower, upper))
+    bounds = (low, high, "its calibrated range"), (ends[0], ends[1], f"the limits of joint {described.joint}")
+    return _Scale(motor, unit, centre, zero, per_unit, bounds)
+
+
+def _unit(arm: Any, motor: str, given: Units | None) -> str:
+    """What LeRobot says of a motor's unit, or what is given, as a key of `_RANGES`."""
+    if given not in (None, "degrees", "normalized", "radians"):
+        raise ConfigurationError(f"units must be 'degrees', 'normalized' or 'radians', got {given!r}")
+    asked = "range_m100_100" if given == "normalized" else given
+    # the bus knows each motor's unit; arms without LeRobot's bus may still say it in their config
+    known = getattr(getattr(_on_bus(arm, motor), "norm_mode", None), "value", None)
+    if known not in _RANGES:
+        in_degrees = getattr(getattr(arm, "config", None), "use_degrees", None)
+        known = None if in_degrees is None else "degrees" if in_degrees else "range_m100_100"
+    if known is None and asked is None:
+        raise ConfigurationError(
+            f"LeRobot does not say in which unit motor {motor} is: give units='degrees', 'normalized' (-100 .. "
+            "100) or 'radians'; print the arm's get_observation() and move it to see which"
+        )
+    if known in ("degrees", "range_m100_100") and asked not in (None, known):
+        raise ConfigurationError(
+            f"motor {motor} is in {'degrees' if known == 'degrees' else '-100 .. 100'} by LeRobot's own config, "
+            f"units={given!r} were given: leave units out"
+        )
+    return known or asked or ""
+
+
+def _on_bus(arm: Any, motor: str) -> Any:
+    """LeRobot's description of a motor; None for arms without a bus of LeRobot's."""
+    motors = getattr(getattr(arm, "bus", None), "motors", None)
+    return motors.get(motor) if isinstance(motors, Mapping) else None
+
+
+def _calibrated_range(arm: Any, motor: str) -> float | None:
+    """How far a calibrated motor turns [rad]; None where there is no calibration, or no encoder steps in it."""
+    calibration = (getattr(arm, "calibration", None) or {}).get(motor)
+    resolutions = getattr(getattr(arm, "bus", None), "model_resolution_table", None) or {}
+    steps = resolutions.get(getattr(_on_bus(arm, motor), "model", None))
+    if calibration is None or steps is None:
+        return None
+    # one turn is the last step less the first, as LeRobot counts it
+    return 2.0 * math.pi * (calibration.range_max - calibration.range_min) / (steps - 1)
+
+
+def _number(value: Any) -> float:
+    """A scalar of whichever kind, NaN if it is none."""
+    try:
+        return float(value)
+    except (TypeError, ValueError):
+        return math.nan

@@ -1,0 +1,344 @@
+"""A LeRobot robot as a driver: motors to joints and back, what is never sent, and how runs end."""
+
+from __future__ import annotations
+
+import logging
+import os
+import signal
+import threading
+import time
+from types import SimpleNamespace
+from typing import Any
+
+import numpy as np
+import pytest
+
+import manip_learn as ml
+from manip_learn.errors import ConfigurationError
+
+START = np.array([0.3, 0.8, 0.4])
+PERIOD = 0.01  # [s]
+STEPS = 4096  # of an encoder per turn
+
+
+class Arm:
+    """A perfect arm as LeRobot shows it: motors a, b, c and a gripper, in degrees; counts what it is asked."""
+
+    name, is_connected, simulated = "fake_follower", True, False
+
+    def __init__(self, q: np.ndarray = START, motors: tuple[str, ...] = ("joint1", "joint2", "joint3", "gripper")):
+        self.motors, self.observed, self.sent = motors, 0, []
+        self.values = dict(zip(motors, [*np.degrees(q), 37.5], strict=False))
+        self.action_features = {f"{motor}.pos": float for motor in motors}
+        self.observation_features: dict[str, Any] = {**self.action_features, "front": (480, 640, 3)}
+        self.config, self.calibration = SimpleNamespace(use_degrees=True), {}
+        self.torque: list[Any] = []
+        self.bus: Any = SimpleNamespace(
+            enable_torque=lambda motors: self.torque.append(("on", motors)),
+            disable_torque=lambda motors: self.torque.append(("off", motors)),
+        )
+
+    def get_observation(self) -> dict[str, Any]:
+        """Positions, and a picture that nobody needs."""
+        self.observed += 1
+        return {f"{motor}.pos": value for motor, value in self.values.items()} | {"front": None}
+
+    def send_action(self, action: dict[str, Any]) -> dict[str, Any]:
+        """Goes there at once."""
+        self.sent.append(dict(action))
+        self.values |= {key.removesuffix(".pos"): value for key, value in action.items() if key.endswith(".pos")}
+        return action
+
+
+def in_units(arm: Arm, mode: str, low: int = 1024, high: int = 3072) -> Arm:
+    """The arm with a bus as LeRobot's: each motor's unit and its calibrated range in encoder steps."""
+    arm.bus.motors = {m: SimpleNamespace(norm_mode=SimpleNamespace(value=mode), model="m") for m in arm.motors}
+    arm.bus.motors["gripper"].norm_mode = SimpleNamespace(value="range_0_100")
+    arm.bus.model_resolution_table = {"m": STEPS}
+    arm.calibration = {m: SimpleNamespace(range_min=low, range_max=high) for m in arm.motors}
+    return arm
+
+
+def loop_of(robot: ml.Robot, dt: float = PERIOD) -> ml.ServoLoop:
+    """A motion of some seconds."""
+    constraint = ml.Constraint([[0, 1]], ml.FrameJacobian(robot, "tip", axes="x y"))
+    return ml.ServoLoop(ml.ResolvedRateController(constraint, ml.PointAttractor([1.0, 1.5])), dt, compiled=False)
+
+
+@pytest.fixture
+def planar3() -> ml.Robot:
+    """The robot of three joints."""
+    return ml.load_robot("planar3")
+
+
+def driver_of(arm: Any, robot: ml.Robot, **options: Any) -> ml.LeRobotDriver:
+    """The driver of an arm with a gripper."""
+    return ml.LeRobotDriver(arm, robot, PERIOD, others=("gripper",), **options)
+
+
+def test_a_run_in_degrees(planar3: ml.Robot) -> None:
+    """The arm moves as the loop commands, the gripper stays, each cycle reads once and sends once."""
+    arm = Arm()
+    driver = driver_of(arm, planar3)
+    record = ml.run(loop_of(planar3), driver, 0.5)
+    assert record.ordered and arm.observed == len(arm.sent) == record.cycles
+    assert {action["gripper.pos"] for action in arm.sent} == {37.5}
+    sent = np.radians([[action[f"joint{i}.pos"] for i in (1, 2, 3)] for action in arm.sent])
+    np.testing.assert_allclose(record.rollout.q[0], START, atol=1e-12)
+    np.testing.assert_allclose(record.rollout.q[1:], sent[:-1], atol=1e-12)
+    assert np.abs(sent[-1] - START).max() > 0.01 and driver.cut == 0 and driver.notes == ()
+
+
+@pytest.mark.parametrize("mode", ["degrees", "range_m100_100", "range_0_100"])
+def test_units_signs_and_zeros(mode: str, planar3: ml.Robot) -> None:
+    """Each motor's unit is the bus's; joint = zero + sign * motor; what is read is what would be sent."""
+    arm = in_units(Arm(), mode)
+    arm.values |= {"joint1": 20.0, "joint2": 30.0, "joint3": 60.0}
+    motors = {"joint2": ml.LeRobotMotor("joint2", sign=-1), "joint3": ml.LeRobotMotor("joint3", zero=0.2)}
+    driver = driver_of(arm, planar3, motors=motors)
+    half = np.pi * 2048 / (STEPS - 1)  # half of the calibrated range
+    values, centre = np.array([20.0, 30.0, 60.0]), 50.0 if mode == "range_0_100" else 0.0
+    unit = {"degrees": np.pi / 180, "range_m100_100": half / 100, "range_0_100": half / 50}[mode]
+    q = driver.read()[0]
+    np.testing.assert_allclose(q, np.array([0.0, 0.0, 0.2]) + np.array([1, -1, 1]) * unit * (values - centre))
+    driver.command(q, np.zeros(3))
+    np.testing.assert_allclose([arm.sent[-1][f"joint{i}.pos"] for i in (1, 2, 3)], values, atol=1e-12)
+
+
+def test_spans_without_calibration(planar3: ml.Robot) -> None:
+    """-100 .. 100 is the span that is given, or the joint's limits; radians are radians; a wide range needs a span."""
+    arm = Arm()
+    arm.config = None
+    arm.values |= {"joint1": 50.0, "joint2": 50.0, "joint3": 50.0}
+    given = {"joint1": ml.LeRobotMotor("joint1", span=2.0)}
+    q = driver_of(arm, planar3, units="normalized", motors=given).read()[0]
+    lower, upper = planar3.position_lower[1], planar3.position_upper[1]
+    np.testing.assert_allclose(q[:2], [0.5, lower + 0.75 * (upper - lower)])
+    np.testing.assert_array_equal(driver_of(arm, planar3, units="radians").read()[0], [50.0] * 3)
+    planar3.position_upper = np.full(3, np.inf)
+    with pytest.raises(ConfigurationError, match=r"joint1 reads -100 .. 100 and neither.*span=\.\.\."):
+        driver_of(arm, planar3, units="normalized")
+
+
+def without(arm: Arm, **changes: Any) -> Arm:
+    """An arm with other attributes."""
+    vars(arm).update(changes)
+    return arm
+
+
+def test_what_does_not_fit_is_refused_in_a_sentence(planar3: ml.Robot) -> None:
+    """Motors, joints, units and numbers that do not fit: what, where, and what to do."""
+    feature = {f"{m}.pos": float for m in Arm().motors}
+    so101 = ml.load_robot("so101", locked=("gripper",))
+    arms = {name: Arm(np.zeros(5), (*so101.joint_names, "gripper")) for name in ("so101",)}
+    for message, make in {
+        "not connected: call its connect": lambda: driver_of(without(Arm(), is_connected=False), planar3),
+        r"gripper of fake_follower moves no joint of planar3: .*others=\('gripper',\)": lambda: ml.LeRobotDriver(
+            Arm(), planar3, PERIOD
+        ),
+        r"gripper .* moves no joint of .* \(that joint is locked\)": lambda: ml.LeRobotDriver(
+            arms["so101"], so101, PERIOD
+        ),
+        "no motor of fake_follower moves joint joint3 of planar3: .*locked=": lambda: driver_of(
+            Arm(motors=("joint1", "joint2", "gripper")), planar3
+        ),
+        "has no motor elbow: its motors are joint1": lambda: driver_of(Arm(), planar3, motors={"elbow": "joint1"}),
+        "joint1 has two motors, joint1 and joint2": lambda: driver_of(Arm(), planar3, motors={"joint2": "joint1"}),
+        "does not say in which unit motor joint1 is: give units=": lambda: driver_of(without(Arm(), config=None), planar3),
+        "joint1 is in degrees by LeRobot's own config": lambda: driver_of(Arm(), planar3, units="radians"),
+        "units must be 'degrees'": lambda: driver_of(Arm(), planar3, units="deg"),
+        "takes x.speed: only positions": lambda: driver_of(
+            without(Arm(), action_features=feature | {"x.speed": float}), planar3
+        ),
+        "does not observe the position of motors": lambda: driver_of(without(Arm(), observation_features={}), planar3),
+        "period must be a positive number": lambda: ml.LeRobotDriver(Arm(), planar3, 0.0, others="gripper"),
+        "sign must be 1 or -1": lambda: ml.LeRobotMotor("joint1", sign=2),
+        "span a positive one": lambda: ml.LeRobotMotor("joint1", span=0.0),
+        "zero a finite number": lambda: ml.LeRobotMotor("joint1", zero=np.nan),
+    }.items():
+        with pytest.raises(ConfigurationError, match=message):
+            make()
+
+
+def test_locked_joints_need_no_motor() -> None:
+    """The gripper's joint is locked and its motor held: five motors move five joints."""
+    so101 = ml.load_robot("so101", locked=("gripper",))
+    arm = Arm(np.zeros(5), (*so101.joint_names, "gripper"))
+    assert driver_of(arm, so101).read()[0].shape == (5,)
+
+
+@pytest.mark.parametrize("calibrated", [False, True])
+def test_nothing_outside_the_ranges_is_sent(calibrated: bool, planar3: ml.Robot) -> None:
+    """A motion that leaves the limits, or the calibrated range, ends with a sentence; the arm stands where it was."""
+    arm = in_units(Arm(), "degrees", 2048 - 180, 2048 + 540) if calibrated else Arm()
+    arm.values |= {"joint1": 10.0, "joint2": 10.0, "joint3": 10.0}
+    driver = driver_of(arm, planar3)
+    low = np.degrees(planar3.position_upper[0]) if not calibrated else 0.5 * 720 * 360 / (STEPS - 1)
+
+    class Wild:
+        """A loop's controller that knows no limits."""
+
+        robot = planar3
+
+        def __call__(self, q: np.ndarray, t: float, *_: Any) -> ml.Command:
+            u = np.array([1.0, 0.0, 0.0])
+            return ml.Command(u, ml.Status.OK, 0.0, u[:0], u, 0 * u, 1.0, 1.0, 1.0, 0.0)
+
+    with pytest.raises(ConfigurationError, match=r"motor joint1 is not sent to .* degrees, outside"):
+        driver.command(np.array([np.radians(low + 1.0), 0.1, 0.1]), np.zeros(3))
+    driver.command(np.array([np.radians(low) + 1e-9, 0.1, 0.1]), np.zeros(3))
+    assert arm.sent.pop()["joint1.pos"] <= low + 1e-9
+    arm.values |= {"joint1": low - 20.0}
+    if calibrated:
+        record = ml.run(ml.ServoLoop(Wild(), PERIOD, compiled=False), driver, 5.0)
+        assert "ConfigurationError: motor joint1 is not sent to" in record.ended and "calibrated range" in record.ended
+        assert not record.ordered and not record.rollout.u[-1].any()
+        assert max(action["joint1.pos"] for action in arm.sent) <= low
+
+
+@pytest.mark.parametrize("value", [None, float("nan"), "off"])
+def test_readings_that_are_no_numbers(value: Any, planar3: ml.Robot) -> None:
+    """A motor that is not reported, or not as a number, brakes the arm with its name."""
+    arm = Arm()
+    loop, driver = loop_of(planar3), driver_of(arm, planar3)
+    get = arm.get_observation
+
+    def observe() -> dict[str, Any]:
+        seen = get()
+        return seen | {"joint2.pos": value} if arm.observed > 20 else seen
+
+    arm.get_observation = observe  # type: ignore[method-assign]
+    record = ml.run(loop, driver, 2.0)
+    assert "position of motor joint2, which is no finite number" in record.ended and not record.rollout.u[-1].any()
+    arm.observed = 0
+    del arm.values["gripper"]
+    with pytest.raises(ConfigurationError, match="None as position of motor gripper"):
+        driver.read()
+
+
+def test_velocities_and_torques_of_arms_that_have_them(planar3: ml.Robot) -> None:
+    """Velocities come from degrees, torques in N m with the motor's sign; currents are no torques."""
+    arm = Arm()
+    for kind in ("vel", "torque"):
+        arm.action_features |= {f"{motor}.{kind}": float for motor in arm.motors}
+    arm.observation_features = dict(arm.action_features)
+    driver = driver_of(arm, planar3, motors={"joint2": ml.LeRobotMotor("joint2", sign=-1)})
+    assert driver.read()[1:] == (None, None)
+    seen = arm.get_observation() | {f"joint{i}.current": 7.0 for i in (1, 2, 3)}
+    arm.get_observation = lambda: seen  # type: ignore[method-assign]
+    assert driver.read()[1:] == (None, None)
+    seen |= {f"joint{i}.{kind}": x for i, x in ((1, 9.0), (2, 18.0), (3, 0.0)) for kind in ("vel", "torque")}
+    _, u, effort = driver.read()
+    np.testing.assert_allclose(u, np.radians([9.0, -18.0, 0.0]))
+    np.testing.assert_array_equal(effort, [9.0, -18.0, 0.0])
+    driver.command(np.array([0.3, -0.8, 0.4]), np.zeros(3))
+    assert arm.sent[-1]["joint1.vel"] == arm.sent[-1]["gripper.torque"] == 0.0
+    assert in_units(arm, "range_m100_100").config.use_degrees
+    assert driver_of(arm, planar3).read()[1] is None  # of a unit per second that nobody knows
+
+
+def test_actions_that_lerobot_cuts_are_told(planar3: ml.Robot, caplog: pytest.LogCaptureFixture) -> None:
+    """With max_relative_target LeRobot sends less: counted, said once, with the motor and by how much."""
+    arm = Arm()
+    send = arm.send_action
+
+    def cut(action: dict[str, Any]) -> dict[str, Any]:
+        return send(action | {"joint2.pos": action["joint2.pos"] - 0.01 * len(arm.sent)})
+
+    driver = driver_of(arm, planar3)
+    arm.send_action = cut  # type: ignore[method-assign]
+    with caplog.at_level(logging.WARNING, "manip_learn"):
+        for _ in range(3):
+            driver.command(START, np.zeros(3))
+    assert driver.cut == 2 and len(caplog.records) == 1
+    assert driver.notes[0].startswith(
+        "fake_follower sent less than it was given in 2 actions, motor joint2 by up to 0.02 degrees"
+    )
+    arm.send_action = lambda action: None  # type: ignore[method-assign,assignment,return-value]
+    driver.command(START, np.zeros(3))
+    assert driver.cut == 2
+
+
+def test_release_and_hold(planar3: ml.Robot) -> None:
+    """Torque off for guiding by hand, without the gripper's; the goals are where the arm is before torque is on."""
+    arm = Arm()
+    driver = driver_of(arm, planar3)
+    driver.release()
+    arm.values |= {"joint1": 12.0}
+    driver.hold()
+    joints = ["joint1", "joint2", "joint3"]
+    assert arm.torque == [("off", joints), ("on", joints)]
+    assert arm.sent[-1]["joint1.pos"] == 12.0 and arm.sent[-1]["gripper.pos"] == 37.5
+    arm.bus, done = None, []
+    with pytest.raises(ConfigurationError, match=r"no disable_torque\(\).*lerobot-teleoperate"):
+        driver.release()
+    arm.disable_torque = lambda: done.append("off")  # type: ignore[attr-defined]
+    driver.release()
+    assert done == ["off"]
+
+
+@pytest.mark.parametrize("call", ["get_observation", "send_action"])
+@pytest.mark.parametrize(
+    ("seconds", "said"), [(0.06, "the 1 s were over"), (0.5, "the period of 20 ms cannot be held"), (1e3, "")]
+)
+def test_an_arm_that_blocks(call: str, seconds: float, said: str, planar3: ml.Robot) -> None:
+    """Briefly is nothing, longer ends the run at rest; for ever, Ctrl-C ends it with the name of the call."""
+    arm = Arm()
+    arm.name = "slow"
+    original, calls = getattr(arm, call), [0]
+    driver, loop = ml.LeRobotDriver(arm, planar3, 0.02, others="gripper"), loop_of(planar3, 0.02)
+
+    def blocking(*arguments: Any) -> Any:
+        calls[0] += 1
+        if calls[0] == 20:
+            if seconds > 1.0:
+                threading.Timer(0.3, os.kill, (os.getpid(), signal.SIGINT)).start()
+            time.sleep(seconds)
+        return original(*arguments)
+
+    setattr(arm, call, blocking)
+    record = ml.run(loop, driver, 1.0)
+    if seconds > 1.0:
+        name = {"get_observation": "read()", "send_action": "command()"}[call]
+        assert record.ended.startswith(f"Ctrl-C; the driver's {name} had not returned for 0.3") and not record.ordered
+    else:
+        assert said in record.ended
+    velocity = np.diff(np.radians([[action[f"joint{i}.pos"] for i in (1, 2, 3)] for action in arm.sent]), axis=0) / 0.02
+    assert np.abs(velocity).max() > 0.05
+    if call == "get_observation" or seconds < 1.0:  # what can still be sent brakes the arm
+        assert not record.rollout.u[-1].any()
+        np.testing.assert_allclose(velocity[-1], 0.0, atol=1e-9)
+
+
+def hold_the_period(seconds: float, robot: ml.Robot) -> tuple[Arm, ml.RunRecord, np.ndarray]:
+    """A run at 100 Hz, and when its observations were taken [s]."""
+    arm, moments = Arm(), []
+    get = arm.get_observation
+
+    def observe() -> dict[str, Any]:
+        moments.append(time.perf_counter())
+        return get()
+
+    arm.get_observation = observe  # type: ignore[method-assign]
+    record = ml.run(loop_of(robot), driver_of(arm, robot), seconds)
+    return arm, record, np.array(moments)
+
+
+def test_no_sample_is_lost(planar3: ml.Robot) -> None:
+    """At 100 Hz each cycle has one observation and one action."""
+    arm, record, moments = hold_the_period(2.0, planar3)
+    assert arm.observed == len(arm.sent) == len(moments) == record.cycles == len(record.rollout)
+
+
+@pytest.mark.slow
+@pytest.mark.timeout(900)
+def test_no_sample_is_lost_in_ten_minutes(planar3: ml.Robot) -> None:
+    """At 100 Hz for ten minutes; on an idle core the period is within 2 ms in 99 of 100 cycles."""
+    arm, record, moments = hold_the_period(600.0, planar3)
+    off = np.abs(np.diff(moments) - PERIOD)
+    p50, p99, worst = np.percentile(off, [50, 99, 100])
+    load = os.getloadavg()[0]
+    print(f"{record!r}: period off by {p50:.2g} s at the median, {p99:.2g} at 99 %, {worst:.2g} at most; load {load:.1f}")
+    assert arm.observed == len(arm.sent) == record.cycles
+    assert record.ordered, record.ended
+    assert p99 < 0.002 or load > 1.0
