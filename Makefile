@@ -10,6 +10,9 @@ VENV := .venv
 # the lowest versions that pyproject.toml allows are tested on the lowest Python that it allows
 LOWEST_PYTHON ?= python3.11
 LOWEST := .venv-lowest
+# the Python that lerobot needs, and the environment in which it is tested
+LEROBOT_PYTHON ?= python3.12
+LEROBOT := .venv-lerobot
 BIN := $(VENV)/bin
 PIP := $(BIN)/python -m pip --disable-pip-version-check
 # the tests start Python hundreds of times: without compiled files each start would read the library's source again
@@ -23,12 +26,12 @@ QUICK := $(addprefix tests/test_,$(addsuffix .py,public_api cli compiled_control
 	npz_reader robomimic_reader rosbag_reader))
 
 .DEFAULT_GOAL := help
-.PHONY: help demo test lint types check lowest package docs links bench fuzz proofs mutants vulnerabilities format clean \
-	distclean
+.PHONY: help demo test lint types check lowest package lerobot docs links bench fuzz proofs mutants vulnerabilities format \
+	clean distclean
 
 help:
 	@sed -n '1,4s/^# \{0,1\}//p' Makefile
-	@echo "Also: make lint, types, format, docs, links, lowest, package, bench, fuzz, proofs, mutants, vulnerabilities, clean, distclean"
+	@echo "Also: make lint, types, format, docs, links, lowest, package, lerobot, bench, fuzz, proofs, mutants, vulnerabilities, clean, distclean"
 
 # ---- installing -------------------------------------------------------------------------------------------------
 
@@ -60,6 +63,13 @@ $(LOWEST)/made: pyproject.toml
 	$(LOWEST_PYTHON) -m venv --clear $(LOWEST)
 	$(LOWEST)/bin/python -m pip --disable-pip-version-check install --quiet uv
 	$(LOWEST)/bin/uv pip install --quiet --python $(LOWEST)/bin/python --resolution lowest-direct --editable '.[all,test]'
+	@touch $@
+
+TELEOPERATOR := examples/lerobot_teleoperator_manip_learn
+$(LEROBOT)/made: pyproject.toml $(TELEOPERATOR)/pyproject.toml
+	$(LEROBOT_PYTHON) -m venv $(LEROBOT)
+	$(LEROBOT)/bin/python -m pip --disable-pip-version-check install --quiet 'lerobot[dataset,feetech]>=0.6' \
+		--editable '.[lerobot]' --editable $(TELEOPERATOR)
 	@touch $@
 
 # ---- doing ------------------------------------------------------------------------------------------------------
@@ -105,6 +115,10 @@ package: $(VENV)/dev
 		'nbclient>=0.10' 'ipykernel>=6.29' && \
 	env -u PYTHONPATH "$$folder/venv/bin/python" "$(CURDIR)/tests/first_hour/hour.py" "$$folder/hour"
 
+# driver and teleoperator against the real lerobot, with arms that are not there; its PyTorch makes that 6 GB
+lerobot: $(LEROBOT)/made
+	$(LEROBOT)/bin/python tests/with_lerobot/check.py
+
 docs: $(VENV)/docs
 	$(BIN)/sphinx-build -W --keep-going -b html docs docs/_build/html
 	$(BIN)/python docs/check_pages.py docs/_build/html
@@ -139,4 +153,4 @@ clean:
 	find . -path './.venv*' -prune -o -name __pycache__ -type d -exec rm -rf {} +
 
 distclean: clean
-	rm -rf $(VENV) $(LOWEST)
+	rm -rf $(VENV) $(LOWEST) $(LEROBOT)

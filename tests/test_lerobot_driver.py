@@ -111,13 +111,13 @@ def test_spans_without_calibration(planar3: ml.Robot) -> None:
     arm.config = None
     arm.values |= {"joint1": 50.0, "joint2": 50.0, "joint3": 50.0}
     given = {"joint1": ml.LeRobotMotor("joint1", span=2.0)}
-    q = driver_of(arm, planar3, units="normalized", motors=given).read()[0]
+    q = driver_of(arm, planar3, units="normalised", motors=given).read()[0]
     lower, upper = planar3.position_lower[1], planar3.position_upper[1]
     np.testing.assert_allclose(q[:2], [0.5, lower + 0.75 * (upper - lower)])
     np.testing.assert_array_equal(driver_of(arm, planar3, units="radians").read()[0], [50.0] * 3)
     planar3.position_upper = np.full(3, np.inf)
     with pytest.raises(ConfigurationError, match=r"joint1 reads -100 .. 100 and neither.*span=\.\.\."):
-        driver_of(arm, planar3, units="normalized")
+        driver_of(arm, planar3, units="normalised")
 
 
 def without(arm: Arm, **changes: Any) -> Arm:
@@ -144,7 +144,9 @@ def test_what_does_not_fit_is_refused_in_a_sentence(planar3: ml.Robot) -> None:
         ),
         "has no motor elbow: its motors are joint1": lambda: driver_of(Arm(), planar3, motors={"elbow": "joint1"}),
         "joint1 has two motors, joint1 and joint2": lambda: driver_of(Arm(), planar3, motors={"joint2": "joint1"}),
-        "does not say in which unit motor joint1 is: give units=": lambda: driver_of(without(Arm(), config=None), planar3),
+        "does not say in which unit motor joint1 is: give units=": lambda: driver_of(
+            without(Arm(), config=None), planar3
+        ),
         "joint1 is in degrees by LeRobot's own config": lambda: driver_of(Arm(), planar3, units="radians"),
         "units must be 'degrees'": lambda: driver_of(Arm(), planar3, units="deg"),
         "takes x.speed: only positions": lambda: driver_of(
@@ -338,7 +340,9 @@ def test_no_sample_is_lost_in_ten_minutes(planar3: ml.Robot) -> None:
     off = np.abs(np.diff(moments) - PERIOD)
     p50, p99, worst = np.percentile(off, [50, 99, 100])
     load = os.getloadavg()[0]
-    print(f"{record!r}: period off by {p50:.2g} s at the median, {p99:.2g} at 99 %, {worst:.2g} at most; load {load:.1f}")
+    print(
+        f"{record!r}: period off by {p50:.2g} s at the median, {p99:.2g} at 99 %, {worst:.2g} at most; load {load:.1f}"
+    )
     assert arm.observed == len(arm.sent) == record.cycles
     assert record.ordered, record.ended
     assert p99 < 0.002 or load > 1.0

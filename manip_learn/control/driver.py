@@ -156,9 +156,9 @@ def run(loop: ServoLoop, driver: Driver, duration: float | None = None) -> RunRe
     cannot be held. A reading that is wrong once brakes the arm and does not end the run. Python's garbage collector
     rests meanwhile.
 
-    A call of the driver that blocks is waited for: Python cannot end it. Ctrl-C does, where the call has taken longer than
-    the loop's `stale_after` or Ctrl-C is pressed again: after `read()` the arm brakes without being read, after
-    `command()` nothing more can be sent.
+    A call of the driver that blocks is waited for. Ctrl-C gives it up where it has taken longer than the loop's
+    `stale_after`, or when pressed again: after `read()` the arm brakes without being read, after `command()` nothing
+    more is sent.
 
     The loop begins anew, from the commanded posture where `loop.reset(q)` has given one, otherwise from the first
     measured one.

@@ -6,15 +6,15 @@ import logging
 import math
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
-from typing import Any, Literal, Protocol, final
+from typing import Any, Literal, Protocol, final, get_args
 
 import numpy as np
 from jaxtyping import Float
 
 from manip_learn.errors import ConfigurationError, counted, listed, named
+from manip_learn.recordings.readers.read_request import Units
 from manip_learn.robot.robot import Robot
 
-Units = Literal["degrees", "normalized", "radians"]
 ROUNDING = 1e-6  # [rad or m] by which a joint at its limit may be beyond it: what conversions there and back leave
 CUT = 1e-4  # in a motor's own unit: LeRobot's own bound, from which on it says that it has cut an action
 # what LeRobot's buses call the units of a motor (MotorNormMode) -> lowest and highest value, NaN where it has none
@@ -29,22 +29,22 @@ _LOGGER = logging.getLogger("manip_learn")
 
 
 class LeRobotArm(Protocol):
-    """What `LeRobotDriver` asks of a LeRobot `Robot`.
-
-    Attributes:
-        observation_features: Names of what it observes.
-        action_features: Names of what it takes.
-        is_connected: Whether its motors answer.
-    """
+    """What `LeRobotDriver` asks of a LeRobot `Robot`."""
 
     @property
-    def observation_features(self) -> dict: ...
+    def observation_features(self) -> dict:
+        """Names of what it observes."""
+        ...
 
     @property
-    def action_features(self) -> dict: ...
+    def action_features(self) -> dict:
+        """Names of what it takes."""
+        ...
 
     @property
-    def is_connected(self) -> bool: ...
+    def is_connected(self) -> bool:
+        """Whether its motors answer."""
+        ...
 
     def get_observation(self) -> dict[str, Any]:
         """Positions of the motors, as `"<motor>.pos"`, and whatever else it observes."""
@@ -101,8 +101,8 @@ class LeRobotDriver:
         period: Between two commands [s].
         motors: Motor -> its joint, or a `LeRobotMotor`. A motor that is not named moves the joint of its name.
         others: Motors that move no joint, as that of a gripper: held where they were first read.
-        units: Of motor positions. LeRobot knows them of most arms (`bus.motors`, `config.use_degrees`); give them for the
-            others.
+        units: Of motor positions. LeRobot knows them of most arms (`bus.motors`, `config.use_degrees`); give them for
+            the others.
 
     Attributes:
         period: Between two commands [s].
@@ -110,8 +110,8 @@ class LeRobotDriver:
         cut: Number of actions of which LeRobot has sent less than it was given.
 
     Raises:
-        ConfigurationError: The arm is not connected, a motor without a joint, a joint without a motor, or units that are
-            not known or contradict LeRobot's.
+        ConfigurationError: The arm is not connected, a motor without a joint, a joint without a motor, or units that
+            are not known or contradict LeRobot's.
     """
 
     def __init__(
@@ -141,14 +141,14 @@ class LeRobotDriver:
         motors = tuple(key.removesuffix(".pos") for key in self._arm.action_features if key.endswith(".pos"))
         rest = [key for key in self._arm.action_features if not key.endswith(".pos")]
         if wrong := [key for key in rest if not key.endswith((".vel", ".torque"))]:
-            raise ConfigurationError(f"{self._name} takes {listed(wrong)}: only positions of motors (.pos) are known here")
+            raise ConfigurationError(
+                f"{self._name} takes {listed(wrong)}: only positions of motors (.pos) are known here"
+            )
         if unseen := [motor for motor in motors if f"{motor}.pos" not in self._arm.observation_features]:
             raise ConfigurationError(f"{self._name} does not observe the position of {named('motor', unseen)}")
         return motors, dict.fromkeys(rest, 0.0)
 
-    def _assigned(
-        self, robot: Robot, given: dict[str, str | LeRobotMotor]
-    ) -> dict[str, tuple[str, LeRobotMotor]]:
+    def _assigned(self, robot: Robot, given: dict[str, str | LeRobotMotor]) -> dict[str, tuple[str, LeRobotMotor]]:
         """Joint -> its motor, by name and as described."""
         if unknown := [motor for motor in (*given, *self._others) if motor not in self._motors]:
             raise ConfigurationError(
@@ -206,8 +206,8 @@ class LeRobotDriver:
             value = _number(seen.get(f"{motor}.pos"))
             if not math.isfinite(value):
                 raise ConfigurationError(
-                    f"{self._name} reports {seen.get(f'{motor}.pos')!r:.40} as position of motor {motor}, which "
-                    "is no finite number: look at its cable and its power"
+                    f"{self._name} reports {seen.get(f'{motor}.pos')!r:.40} as position of motor {motor}, which is no "
+                    "finite number: look at its cable and its power"
                 )
             positions[motor] = value
         return positions
@@ -250,10 +250,10 @@ class LeRobotDriver:
         """What the arm was not given in full, in a sentence; empty if LeRobot has sent everything."""
         if not self.cut:
             return ()
-        unit = next((scale.unit for scale in self._scales if scale.motor == self._cut_motor), "of its own unit")
+        unit = next((scale.said for scale in self._scales if scale.motor == self._cut_motor), "of its own unit")
         return (
-            f"{self._name} sent less than it was given in {counted(self.cut, 'action')}, motor {self._cut_motor} by up to "
-            f"{self._largest_cut:.3g} {unit}: go slower, or raise max_relative_target or joint_limits in its config",
+            f"{self._name} sent less than it was given in {counted(self.cut, 'action')}, motor {self._cut_motor} by up "
+            f"to {self._largest_cut:.3g} {unit}: go slower, or raise max_relative_target or joint_limits in its config",
         )
 
     def release(self) -> None:
@@ -308,6 +308,11 @@ class _Scale:
     per_unit: float
     bounds: tuple[tuple[float, float, str], ...]
 
+    @property
+    def said(self) -> str:
+        """The unit in a sentence."""
+        return self.unit if self.unit in _RAD else "%"
+
     def joint(self, value: float) -> float:
         """Joint position of a motor position."""
         return self.zero + self.per_unit * (value - self.centre)
@@ -322,8 +327,8 @@ class _Scale:
         for low, high, what in self.bounds:
             if not low - rounding <= value <= high + rounding:
                 raise ConfigurationError(
-                    f"motor {self.motor} is not sent to {value:.4g} {self.unit}, outside {low:.4g} .. {high:.4g}, {what}: "
-                    "start where the motion stays inside"
+                    f"motor {self.motor} is not sent to {value:.4g} {self.said}, outside {low:.4g} .. {high:.4g}, "
+                    f"{what}: start where the motion stays inside"
                 )
             value = min(max(value, low), high)
         return value
@@ -363,9 +368,9 @@ def _scale(arm: Any, robot: Robot, motor: str, described: LeRobotMotor, units: U
 
 def _unit(arm: Any, motor: str, given: Units | None) -> str:
     """What LeRobot says of a motor's unit, or what is given, as a key of `_RANGES`."""
-    if given not in (None, "degrees", "normalized", "radians"):
-        raise ConfigurationError(f"units must be 'degrees', 'normalized' or 'radians', got {given!r}")
-    asked = "range_m100_100" if given == "normalized" else given
+    if given not in (None, *get_args(Units)):
+        raise ConfigurationError(f"units must be 'degrees', 'normalised' or 'radians', got {given!r}")
+    asked = "range_m100_100" if given == "normalised" else given
     # the bus knows each motor's unit; arms without LeRobot's bus may still say it in their config
     known = getattr(getattr(_on_bus(arm, motor), "norm_mode", None), "value", None)
     if known not in _RANGES:
@@ -373,7 +378,7 @@ def _unit(arm: Any, motor: str, given: Units | None) -> str:
         known = None if in_degrees is None else "degrees" if in_degrees else "range_m100_100"
     if known is None and asked is None:
         raise ConfigurationError(
-            f"LeRobot does not say in which unit motor {motor} is: give units='degrees', 'normalized' (-100 .. "
+            f"LeRobot does not say in which unit motor {motor} is: give units='degrees', 'normalised' (-100 .. "
             "100) or 'radians'; print the arm's get_observation() and move it to see which"
         )
     if known in ("degrees", "range_m100_100") and asked not in (None, known):
