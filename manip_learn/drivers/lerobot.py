@@ -325,7 +325,7 @@ class _Scale:
         """
         value, rounding = self.centre + (float(position) - self.zero) / self.per_unit, ROUNDING / abs(self.per_unit)
         for low, high, what in self.bounds:
-            if not low - rounding <= value <= high + rounding:
+            if not low - rounding <= value <= high + rounding or not math.isfinite(value):
                 raise ConfigurationError(
                     f"motor {self.motor} is not sent to {value:.4g} {self.said}, outside {low:.4g} .. {high:.4g}, "
                     f"{what}: start where the motion stays inside"

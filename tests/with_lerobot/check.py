@@ -178,8 +178,8 @@ def check_record(robot: ml.Robot, folder: Path) -> None:
     way = np.array([robot.position(q, "hand") for q in demo.q])
     moved, off = abs(way[-1, 1] - way[0, 1]), np.ptp(way[:, [0, 2]], axis=0).max()
     said(
-        f"lerobot-record: {len(demo.q)} frames in {time.perf_counter() - start:.1f} s, hand {1e3 * moved:.1f} mm along, "
-        f"{1e3 * off:.2g} mm off the held rows"
+        f"lerobot-record: {len(demo.q)} frames in {time.perf_counter() - start:.1f} s, hand {1e3 * moved:.1f} mm "
+        f"along, {1e3 * off:.2g} mm off the held rows"
     )
     assert abs(len(demo.q) - SECONDS * FPS) <= FPS and abs(moved - ALONG) < 2e-3 and off < 1e-3
 
