@@ -53,9 +53,16 @@ def names() -> dict[str, Any]:
         period=loop.dt, simulated=True, read=lambda: (q0, None, None), command=lambda q, u: None,
         send=sent.append, measured=lambda: (q0, 0.01 * len(sent)),
     )  # fmt: skip
+    motors = ("shoulder_pan", "shoulder_lift", "elbow_flex", "wrist_flex", "wrist_roll", "gripper")
+    features = {f"{motor}.pos": float for motor in motors}
+    follower = SimpleNamespace(
+        name="so_follower", is_connected=True, config=SimpleNamespace(use_degrees=True), action_features=features,
+        observation_features=features, get_observation=lambda: dict.fromkeys(features, 10.0),
+        send_action=lambda action: action, bus=SimpleNamespace(enable_torque=list, disable_torque=list),
+    )  # fmt: skip
     return {
         "ml": ml, "np": np, "Path": Path, "RECORDINGS": DRAWER.parent, "robot": robot, "demos": demos,
-        "recordings": demos, "features": learner.features,
+        "recordings": demos, "features": learner.features, "follower": follower,
         "learner": learner, "report": learner.report_, "constraint": constraint, "task": task, "policy": policy,
         "controller": controller, "loop": loop, "rollout": rollout, "other": rollout, "grasp": demos[0].q[0],
         "q0": q0, "q": q0, "t": 0.0, "target": target, "arm": arm, "running": Countdown(), "physics": arm,

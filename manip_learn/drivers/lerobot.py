@@ -51,7 +51,7 @@ class LeRobotArm(Protocol):
         ...
 
     def send_action(self, action: dict[str, Any]) -> dict[str, Any]:
-        """Go to positions; returns what was really sent."""
+        """Go to positions; returns those that it has really sent."""
         ...
 
 
@@ -335,7 +335,7 @@ class _Scale:
 
 
 def _scale(arm: Any, robot: Robot, motor: str, described: LeRobotMotor, units: Units | None) -> _Scale:
-    """The scale of a motor, from what LeRobot says of it, what the robot's description says, and what is given."""
+    """The scale of a motor, by LeRobot, by the robot's description and as given."""
     unit = _unit(arm, motor, units)
     joint = robot.joint_index(described.joint)
     lower, upper = float(robot.position_lower[joint]), float(robot.position_upper[joint])
@@ -367,7 +367,7 @@ def _scale(arm: Any, robot: Robot, motor: str, described: LeRobotMotor, units: U
 
 
 def _unit(arm: Any, motor: str, given: Units | None) -> str:
-    """What LeRobot says of a motor's unit, or what is given, as a key of `_RANGES`."""
+    """A motor's unit by LeRobot, or as given: a key of `_RANGES`."""
     if given not in (None, *get_args(Units)):
         raise ConfigurationError(f"units must be 'degrees', 'normalised' or 'radians', got {given!r}")
     asked = "range_m100_100" if given == "normalised" else given
