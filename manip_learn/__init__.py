@@ -69,6 +69,8 @@ if TYPE_CHECKING:
     from manip_learn.control.simulation import simulate
     from manip_learn.control.tasks import FreeDirection, Hold, PointAttractor, Task, Track, motion
     from manip_learn.drivers.lerobot import LeRobotDriver, LeRobotMotor
+    from manip_learn.drivers.mujoco import MuJoCoDriver
+    from manip_learn.drivers.record import RecordedFiles, record
     from manip_learn.errors import ManipLearnError, NoPlanError
     from manip_learn.learning import ConstraintLearner
     from manip_learn.learning.audit import audit_episodes
@@ -127,6 +129,8 @@ _NAMES = {
     "control.simulation": "simulate",
     "control.rollout": "Rollout",
     "drivers.lerobot": "LeRobotDriver LeRobotMotor",
+    "drivers.mujoco": "MuJoCoDriver",
+    "drivers.record": "RecordedFiles record",
     "playback": "LiveViewer replay",
     "errors": "ManipLearnError NoPlanError",
 }
@@ -135,16 +139,16 @@ __all__ = ["CentreOfMass", "Command", "CompiledController", "Constraint", "Const
 __all__ += ["CustomFeatures", "Demonstrations", "Driver", "FeatureMap", "FollowMotion", "FrameJacobian"]
 __all__ += ["FreeDirection", "GraspCone", "Hold", "JointAttractor", "JointLimitAvoidance", "LeRobotDriver"]
 __all__ += ["LeRobotMotor", "Limits", "LiveViewer", "ManipLearnError", "ManipulabilityAscent", "Mechanism"]
-__all__ += ["MechanismFit", "MechanismRows", "NoPlanError", "NullSpacePolicy", "PenalisedManipulabilityAscent"]
-__all__ += ["Plan", "PointAttractor", "RecordingSource", "RelativeFrameJacobian", "ResolvedRateController", "Robot"]
-__all__ += ["Rollout", "RunRecord", "SelfCollision", "SelfCollisionAvoidance", "ServoLoop", "Stacked", "Status"]
-__all__ += ["Task", "TaskFrame", "Track", "Trajectory", "WeightedPolicies", "ZeroPolicy", "audit_episodes"]
-__all__ += ["derive_velocities", "find_mechanism", "following_error_limit", "inspect_robot", "iter_demonstrations"]
-__all__ += ["likely_tips", "load_demonstrations", "load_robot", "log_manipulability_gradient"]
-__all__ += ["log_penalised_manipulability_gradient", "manipulability", "manipulability_batch"]
-__all__ += ["manipulability_gradient", "motion", "optimise_path", "penalised_manipulability"]
-__all__ += ["penalised_manipulability_gradient", "plan", "replay", "resample", "run", "simulate", "subsample"]
-__all__ += ["trim_standstill", "warm_up"]
+__all__ += ["MechanismFit", "MechanismRows", "MuJoCoDriver", "NoPlanError", "NullSpacePolicy"]
+__all__ += ["PenalisedManipulabilityAscent", "Plan", "PointAttractor", "RecordedFiles", "RecordingSource"]
+__all__ += ["RelativeFrameJacobian", "ResolvedRateController", "Robot", "Rollout", "RunRecord", "SelfCollision"]
+__all__ += ["SelfCollisionAvoidance", "ServoLoop", "Stacked", "Status", "Task", "TaskFrame", "Track", "Trajectory"]
+__all__ += ["WeightedPolicies", "ZeroPolicy", "audit_episodes", "derive_velocities", "find_mechanism"]
+__all__ += ["following_error_limit", "inspect_robot", "iter_demonstrations", "likely_tips", "load_demonstrations"]
+__all__ += ["load_robot", "log_manipulability_gradient", "log_penalised_manipulability_gradient", "manipulability"]
+__all__ += ["manipulability_batch", "manipulability_gradient", "motion", "optimise_path", "penalised_manipulability"]
+__all__ += ["penalised_manipulability_gradient", "plan", "record", "replay", "resample", "run", "simulate"]
+__all__ += ["subsample", "trim_standstill", "warm_up"]
 
 
 def __getattr__(name: str) -> Any:

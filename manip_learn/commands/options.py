@@ -413,6 +413,31 @@ class ExportOptions:
 
 @final
 @dataclass(frozen=True)
+class RecordOptions:
+    """Record motions that are shown by hand, a file each, and say what can be learnt from them."""
+
+    driver: Annotated[
+        str, Argument(metavar="DRIVER", help="FILE.py:NAME or package.module:NAME: a driver, or what makes one.")
+    ]
+    out: Annotated[Path, Option(help="Folder of the recordings.")] = Path("demos")
+    name: Annotated[str, Option(help="What they are called: NAME_01.csv and so on.")] = "demo"
+    robot: Annotated[str | None, Option(help="Robot to show and to learn for.", autocompletion=robot_completions)] = (
+        None
+    )
+    frame: Annotated[
+        str | None, Option(help="The frame that is guided, e.g. the tool's tip.", autocompletion=frame_completions)
+    ] = None
+    by: Annotated[str, Option(help="motion: from motion to rest; key: Enter begins and ends, q leaves.")] = "motion"
+    motions: Annotated[int | None, Option(help="How many to record; default: until Ctrl-C.")] = None
+    duration: Annotated[float | None, Option(help="How long to wait for them in all [s].")] = None
+    no_release: Annotated[bool, Option("--no-release", help="Leave the arm's torque on.")] = False
+    no_browser: Annotated[bool, Option("--no-browser", help="Do not open the live picture.")] = False
+    loading: RobotOptions = RobotOptions()
+    as_json: Json = False
+
+
+@final
+@dataclass(frozen=True)
 class ReproduceOptions:
     """Run the experiments of "Learning Singularity Avoidance", and compare with the printed numbers."""
 

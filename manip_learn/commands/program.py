@@ -54,6 +54,7 @@ COMMANDS = (
     Command("robots", options.RobotsOptions, "robots.known_robots", ("print_robots",)),
     Command("demo", options.DemoOptions, "demo.demo", ("print_demo",)),
     Command("inspect", options.InspectOptions, "robots.inspect", ("print_robot", "print_cross_check")),
+    Command("record", options.RecordOptions, "record.record_motions", ("print_recorded",)),
     Command("learn", options.LearnOptions, "learn.learn", ("print_learnt",)),
     Command("audit", options.AuditOptions, "audit.audit", ("print_audit",)),
     Command("control", options.ControlOptions, "control.control", ("print_controlled",)),

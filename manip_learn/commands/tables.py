@@ -21,6 +21,7 @@ if TYPE_CHECKING:
     from manip_learn.commands.demo import Demo
     from manip_learn.commands.export import Exported
     from manip_learn.commands.learn import Learnt
+    from manip_learn.commands.record import Recorded
     from manip_learn.commands.reproduce import Reproduction
     from manip_learn.commands.robots import Inspected, KnownRobots
     from manip_learn.commands.warm_up import Warmed
@@ -430,6 +431,17 @@ def print_reproduction(console: Console, reproduction: Reproduction) -> None:
         console.rule(part)
         console.print(Markdown(page))
     say_file(console, "written", reproduction.out)
+
+
+def print_recorded(console: Console, answer: Recorded) -> None:
+    """The files, whether samples were lost, and what the recordings show."""
+    for file in answer.recorded.files:
+        say_file(console, "recorded", file)
+    say(console, answer.recorded.sentence)
+    say(console, *(f"note: {note}" for note in answer.recorded.notes), style="dim")
+    if answer.sentence:
+        say(console, answer.sentence, style="bold")
+    say(console, answer.advice, whole=True)
 
 
 def print_exported(console: Console, exported: Exported) -> None:

@@ -98,7 +98,7 @@ class Driver(Protocol):
 
     It may also have `joint_names`, its own order of joints, from which and to which `run` maps (further joints, as of a
     gripper, are sent where they were first measured); and `simulated`, True for an arm whose clock is the number of
-    commands, which is then not waited for.
+    commands, which is then not waited for, with `wait()`, in which a period passes without one.
 
     A driver that can let a person guide the arm also has `release()`, after which the joints turn freely, and `hold()`,
     after which the arm stays where it is. Where an arm cannot do that, `release()` raises a `ConfigurationError` that
@@ -184,7 +184,7 @@ def run(loop: ServoLoop, driver: Driver, duration: float | None = None) -> RunRe
         )
     cycle = _Cycle(loop, driver)
     loop.reset(loop.position)
-    with _quiet_collector(), _interrupts(cycle):
+    with quiet_collector(), _interrupts(cycle):
         cycle.run(math.inf if duration is None else duration)
     if not cycle.ordered:
         _LOGGER.warning("the arm was stopped: %s", cycle.reason)
@@ -236,7 +236,7 @@ class _Cycle:
         start = due = time.perf_counter()
         lately, ending = 0.0, math.inf
         while True:
-            late = 0.0 if self._simulated else _wait_until(due)
+            late = 0.0 if self._simulated else wait_until(due)
             t = self.cycles * period if self._simulated else time.perf_counter() - start
             self.longest_delay = max(self.longest_delay, late)
             self.overruns += late > LATE * period
@@ -396,7 +396,7 @@ class _Joints:
         return out
 
 
-def _wait_until(moment: float) -> float:
+def wait_until(moment: float) -> float:
     """Sleep, then spin. Returns how late it is [s]."""
     while (left := moment - time.perf_counter()) > 0.0:
         if left > SPIN:
@@ -405,7 +405,7 @@ def _wait_until(moment: float) -> float:
 
 
 @contextmanager
-def _quiet_collector() -> Iterator[None]:
+def quiet_collector() -> Iterator[None]:
     """No garbage collection inside: one was seen to take 260 ms."""
     ran = gc.isenabled()
     gc.collect()

@@ -1,0 +1,230 @@
+"""`manip-learn record`: motions shown by hand, a file each, and what can be learnt from them."""
+
+from __future__ import annotations
+
+import importlib
+import importlib.util
+import os
+import select
+import sys
+import time
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import ExitStack, contextmanager
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Any, final, get_args
+
+from manip_learn.commands.loading import load_for_joints
+from manip_learn.commands.options import RecordOptions
+from manip_learn.constraint.features.frame_jacobian import FrameJacobian
+from manip_learn.drivers.record import LOOK, MOVES, By, Key, RecordedFiles, record
+from manip_learn.errors import ConfigurationError, ManipLearnError, OutputError, counted
+from manip_learn.learning import ConstraintLearner
+from manip_learn.recordings import load_demonstrations
+from manip_learn.recordings.trajectory_source import Progress
+from manip_learn.recordings.writers.write_motion import EFFORT_SUFFIX, VELOCITY_SUFFIX
+from manip_learn.robot import Robot
+from manip_learn.robot.tips import likely_tips
+
+SAID = 0.1  # [s] between two words on the state
+ENOUGH = 1.0  # [degrees] to which a direction is to be known: at 0.5 m that is 9 mm, more than a gripper gives way
+
+
+@final
+@dataclass(frozen=True)
+class Recorded:
+    """The files, and what can be learnt from all of that name.
+
+    Attributes:
+        recorded: The files and their numbers.
+        sentence: What the recordings show; empty without a robot or a recording.
+        advice: What to do next.
+    """
+
+    recorded: RecordedFiles
+    sentence: str
+    advice: str
+
+    def to_dict(self) -> dict[str, Any]:
+        """The JSON answer."""
+        facts = asdict(self.recorded)
+        return facts | {"files": list(map(str, self.recorded.files)), "sentence": self.sentence, "advice": self.advice}
+
+
+def record_motions(options: RecordOptions, progress: Progress) -> Recorded:
+    """Record from a driver, and learn from what there is.
+
+    Raises:
+        ConfigurationError: DRIVER is none, or `--by` is neither motion nor key.
+        OutputError: Recording had to end; the files are kept.
+        ManipLearnError: Anything else that is wrong with robot or driver.
+    """
+    if options.by not in get_args(By):
+        raise ConfigurationError(f"--by must be motion or key, not {options.by!r}")
+    if not options.name or Path(options.name).name != options.name:
+        raise OutputError(f"--name must be the beginning of a file name, got {options.name!r}")
+    driver = driver_of(options.driver)
+    robot = _robot_of(options, driver)
+    told = {"file": "", "since": 0.0, "files": 0, "said": 0.0}
+
+    def began(file: Path | None) -> None:
+        told.update(file="" if file is None else file.name, since=time.monotonic())
+        told["files"] += file is not None
+
+    with ExitStack() as opened:
+        show = opened.enter_context(_picture(options, robot)) if robot is not None else lambda _q: None
+        pressed = opened.enter_context(_keys()) if options.by == "key" else lambda: ""
+
+        def shown(q: Mapping[str, float], recorded: bool) -> None:
+            show(q)
+            now = time.monotonic()
+            if now - told["said"] > SAID:
+                told["said"] = now
+                waits = "waiting for a motion" if options.by == "motion" else "Enter begins, q ends"
+                doing = f"recording {told['file']}, {now - told['since']:.1f} s" if recorded else waits
+                progress(f"{doing}; {counted(told['files'], 'motion')}", 0.0)
+
+        done = record(
+            driver,
+            options.out,
+            options.name,
+            by=options.by,  # type: ignore[arg-type]
+            motions=options.motions,
+            duration=options.duration,
+            release=not options.no_release,
+            key=pressed,
+            shown=shown,
+            began=began,
+        )
+    if not done.ordered:
+        kept = f"; kept: {', '.join(map(str, done.files))}" if done.files else ""
+        raise OutputError(f"recording ended: {done.sentence}{kept}")
+    return Recorded(done, *_learnt(options, robot, done, progress))
+
+
+def _learnt(options: RecordOptions, robot: Robot | None, done: RecordedFiles, progress: Progress) -> tuple[str, str]:
+    """What all recordings of that name show, and what to do next."""
+    pattern = f"{options.out / options.name}_*.csv"
+    if not done.files:
+        return "", f"no joint moved by {MOVES:g} rad within {LOOK:g} s: guide the arm while this runs, or use --by key"
+    if robot is None:
+        return "", f"say --robot ROBOT to see the arm, or: manip-learn learn ROBOT {pattern}"
+    tips = [options.frame] if options.frame is not None else likely_tips(robot)
+    if len(tips) != 1:
+        return "", f"say with --frame which frame was guided: {', '.join(tips)}"
+    rows = [FrameJacobian(robot, tips[0], "xyz", reference) for reference in ("world", "local")]
+    files = sorted(str(file) for file in options.out.glob(f"{options.name}_*.csv"))
+    others = [name for name in done.joint_names if name not in robot.joint_names]
+    columns = [name + suffix for name in others for suffix in ("", VELOCITY_SUFFIX, EFFORT_SUFFIX)]
+    try:
+        demos = load_demonstrations(files, robot, ignore_columns=columns)
+        report = ConstraintLearner(rows).fit(demos, progress=progress).report_
+    except ManipLearnError as refusal:
+        return "", f"not enough yet: {refusal}"
+    if report.warnings:
+        return report.sentence, f"show it once more, from another posture: {report.warnings[0]}"
+    if report.uncertainty_deg is None or report.uncertainty_deg > ENOUGH:
+        return report.sentence, f"show it once more, from another posture, until it is known to {ENOUGH:g} degree"
+    return report.sentence, f"enough: manip-learn learn {options.robot} {pattern} --out {options.name}.json"
+
+
+def _robot_of(options: RecordOptions, driver: Any) -> Robot | None:
+    """The robot with the joints moving that the driver names, if it names some."""
+    if options.robot is None:
+        return None
+    robot, names = options.loading.load(options.robot), getattr(driver, "joint_names", None)
+    return (
+        robot
+        if names is None
+        else load_for_joints(options.robot, [name for name in robot.joint_names if name in names], options.loading)
+    )
+
+
+def driver_of(spec: str) -> Any:
+    """The driver that `FILE.py:NAME` or `package.module:NAME` names, or that calling what it names makes.
+
+    Raises:
+        ConfigurationError: There is none, or its code fails.
+    """
+    place, _, name = spec.rpartition(":")
+    if not place:
+        raise ConfigurationError(f"DRIVER must be FILE.py:NAME or package.module:NAME, got {spec!r}")
+    try:
+        module = _file_as_module(Path(place)) if place.endswith(".py") else _module(place)
+        found = getattr(module, name)
+        driver = found if _is_driver(found) else found()
+    except ManipLearnError:
+        raise
+    except Exception as error:  # whatever the user's own file raises, he gets a sentence
+        raise ConfigurationError(f"no driver {spec}: {type(error).__name__}: {error}") from error
+    if not _is_driver(driver):
+        raise ConfigurationError(f"{spec} is no driver: it needs a period [s] and read(), see `manip_learn.Driver`")
+    return driver
+
+
+def _is_driver(found: object) -> bool:
+    ready = isinstance(getattr(found, "period", None), float | int) and callable(getattr(found, "read", None))
+    return ready and not isinstance(found, type)
+
+
+def _module(name: str) -> Any:
+    sys.path.insert(0, os.getcwd())
+    try:
+        return importlib.import_module(name)
+    finally:
+        sys.path.remove(os.getcwd())
+
+
+def _file_as_module(path: Path) -> Any:
+    spec = importlib.util.spec_from_file_location(path.stem, path)
+    if spec is None or spec.loader is None or not path.is_file():
+        raise ConfigurationError(f"no driver: the file {path} does not exist")
+    module = importlib.util.module_from_spec(spec)
+    sys.modules[path.stem] = module
+    sys.path.insert(0, str(path.parent.absolute()))  # as Python does for a script: its neighbours are found
+    spec.loader.exec_module(module)
+    return module
+
+
+@contextmanager
+def _picture(options: RecordOptions, robot: Robot) -> Iterator[Callable[[Mapping[str, float]], None]]:
+    """Shows postures by joint names in a live page, where they have all joints of the robot."""
+    from manip_learn.playback import LiveViewer
+
+    names = robot.joint_names
+    with LiveViewer(robot, title=options.name, open_browser=not options.no_browser) as viewer:
+        if options.no_browser and not options.as_json:
+            print(f"live picture: {viewer.url}", file=sys.stderr, flush=True)
+
+        def show(q: Mapping[str, float]) -> None:
+            if all(name in q for name in names):
+                viewer.show([q[name] for name in names])
+
+        yield show
+
+
+@contextmanager
+def _keys() -> Iterator[Callable[[], Key]]:
+    """Enter or space and q as they are pressed; of a terminal without waiting for the end of a line."""
+    source = sys.stdin.fileno()
+    before = None
+    if os.isatty(source):
+        import termios
+        import tty
+
+        before = termios.tcgetattr(source)
+        tty.setcbreak(source)
+
+    def pressed() -> Key:
+        if not select.select([source], [], [], 0.0)[0]:
+            return ""
+        letter = os.read(source, 1)
+        if letter in (b"q", b""):  # or nobody is there to press one
+            return "end"
+        return "start or stop" if letter in (b"\n", b"\r", b" ") else ""
+
+    try:
+        yield pressed
+    finally:
+        if before is not None:
+            termios.tcsetattr(source, termios.TCSADRAIN, before)

@@ -1,0 +1,140 @@
+"""An arm in MuJoCo's physics as the driver of `run` and of `record`."""
+
+# pyright: reportAttributeAccessIssue=false
+# (the compiled parts of MuJoCo have no complete stubs)
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from typing import Any, final
+
+import numpy as np
+from jaxtyping import Float
+from numpy.typing import ArrayLike
+
+from manip_learn.control.following import STIFFNESS
+from manip_learn.errors import ConfigurationError, MissingExtraError
+
+
+@final
+class MuJoCoDriver:
+    """Joints of a MuJoCo model with position servos, as a `Driver`; its clock is that of the simulation.
+
+    Each joint has a spring to the commanded position, critically damped against the commanded velocity, and carries its
+    own weight; it is stable at any time step (J. Tan, K. Liu and G. Turk, "Stable Proportional-Derivative Controllers",
+    2011). Actuators that the model has on these joints are switched off. After `release` the joints are free but for
+    friction, and `hand` may push them; `hold` has the servos hold the arm where it is then.
+
+    Args:
+        model: A `mujoco.MjModel`; the driver keeps it and changes it.
+        joint_names: Joints of the arm, as the model calls them.
+        q: shape (n,), first positions [rad or m].
+        period: Between two commands [s]; None for one time step of the model.
+        stiffness: Of the servos [N m/rad or N/m].
+        hand: Called before each step of the physics with model and data: what else acts on the arm, e.g. a person's
+            hand that adds to `data.qfrc_applied`.
+        noise: Standard deviation of the encoders [rad or m].
+        rng: Source of that noise; needed where there is some.
+
+    Attributes:
+        model: The model.
+        data: Its state, `mujoco.MjData`.
+
+    Raises:
+        ConfigurationError: A joint that the model lacks, or that is not a hinge or a slide, or a period that is no
+            multiple of the time step.
+        MissingExtraError: MuJoCo is not installed.
+    """
+
+    simulated = True
+
+    def __init__(
+        self,
+        model: Any,
+        joint_names: Sequence[str],
+        q: ArrayLike,
+        *,
+        period: float | None = None,
+        stiffness: float = STIFFNESS,
+        hand: Callable[[Any, Any], object] | None = None,
+        noise: float = 0.0,
+        rng: np.random.Generator | None = None,
+    ):
+        try:
+            import mujoco
+        except ImportError as error:
+            raise MissingExtraError("the MuJoCo driver", "physics") from error
+        self._mujoco, self.model, self.data = mujoco, model, mujoco.MjData(model)
+        self.joint_names, self.period = tuple(joint_names), model.opt.timestep if period is None else float(period)
+        self._steps = round(self.period / model.opt.timestep)
+        if not self._steps or abs(self._steps * model.opt.timestep - self.period) > 1e-9:
+            raise ConfigurationError(
+                f"the period must be a multiple of the model's time step of {1e3 * model.opt.timestep:g} ms, "
+                f"got {1e3 * self.period:g} ms"
+            )
+        known = [model.joint(i).name for i in range(model.njnt)]
+        missing = [name for name in self.joint_names if name not in known]
+        if missing:
+            raise ConfigurationError(f"the model has no joint {', '.join(missing)}; it has {', '.join(known)}")
+        joints = [model.joint(name) for name in self.joint_names]
+        if any(model.jnt_type[joint.id] < int(mujoco.mjtJoint.mjJNT_SLIDE) for joint in joints):
+            raise ConfigurationError("each joint of the arm must be a hinge or a slide")
+        self._q, self._u = ([int(getattr(j, a)[0]) for j in joints] for a in ("qposadr", "dofadr"))
+        on_joints = (model.actuator_trntype == int(mujoco.mjtTrn.mjTRN_JOINT)) & np.isin(
+            model.actuator_trnid[:, 0], [joint.id for joint in joints]
+        )
+        model.actuator_gainprm[on_joints] = model.actuator_biasprm[on_joints] = 0.0
+        self.data.qpos[self._q] = self._goal = np.array(q, dtype=np.float64)
+        mujoco.mj_forward(model, self.data)
+        self._stiffness = float(stiffness)
+        self._damping = 2.0 * np.sqrt(self._stiffness * self._inertia().diagonal())
+        self._hand, self._noise, self._rng = hand, float(noise), rng
+        self._holds, self._effort = True, np.zeros(len(joints))
+
+    def read(self) -> tuple[Float[np.ndarray, " n"], Float[np.ndarray, " n"], Float[np.ndarray, " n"]]:
+        """Joint positions with the noise of their encoders, velocities, and what the servos exert."""
+        q = self.data.qpos[self._q]
+        if self._rng is not None:
+            q = q + self._rng.normal(0.0, self._noise, len(q))
+        return q, self.data.qvel[self._u].copy(), self._effort.copy()
+
+    def command(self, q: Float[np.ndarray, " n"], u: Float[np.ndarray, " n"]) -> None:
+        """Send the servos to positions, and let one period pass."""
+        start, self._goal = self._goal, np.array(q, dtype=np.float64)
+        rate = (self._goal - start) / self.period
+        for k in range(1, self._steps + 1):
+            self._step(start + (k / self._steps) * (self._goal - start), rate)
+
+    def wait(self) -> None:
+        """Let one period pass without a command: the servos hold, or the arm is guided."""
+        for _ in range(self._steps):
+            self._step(self._goal, np.zeros_like(self._goal))
+
+    def release(self) -> None:
+        """Let the joints move freely, so that a hand can guide the arm."""
+        self._holds = False
+
+    def hold(self) -> None:
+        """Hold the arm where it is."""
+        self._holds, self._goal = True, self.data.qpos[self._q].copy()
+
+    def _inertia(self) -> Float[np.ndarray, "n n"]:
+        full = np.zeros((self.model.nv, self.model.nv))
+        self._mujoco.mj_fullM(self.model, self.data, full)
+        return full[np.ix_(self._u, self._u)]
+
+    def _step(self, goal: np.ndarray, rate: np.ndarray) -> None:
+        data, joints = self.data, self._u
+        self._mujoco.mj_step1(self.model, data)
+        self._effort = data.qfrc_bias[joints] - data.qfrc_gravcomp[joints]
+        if self._holds:
+            u, dt = data.qvel[joints], self.model.opt.timestep
+            push = self._stiffness * (goal - data.qpos[self._q] - dt * u) + self._damping * (rate - u)
+            # the spring and the damper as they are at the end of the step
+            implicit = self._inertia() + np.diag(dt * self._damping + dt * dt * self._stiffness)
+            change = np.linalg.solve(implicit, push)
+            self._effort += push - dt * (self._damping + dt * self._stiffness) * change
+        data.qfrc_applied[:] = 0.0
+        data.qfrc_applied[joints] = self._effort
+        if self._hand is not None:
+            self._hand(self.model, data)
+        self._mujoco.mj_step2(self.model, data)
