@@ -308,9 +308,9 @@ def test_an_arm_that_blocks(call: str, seconds: float, said: str, planar3: ml.Ro
 
     def blocking(*arguments: Any) -> Any:
         calls[0] += 1
-        if calls[0] == 20:
-            if seconds > 1.0:
-                threading.Timer(0.3, os.kill, (os.getpid(), signal.SIGINT)).start()
+        if calls[0] == 20 and seconds > 1.0:
+            threading.Timer(0.3, os.kill, (os.getpid(), signal.SIGINT)).start()
+        if calls[0] == 20 or (calls[0] > 20 and seconds > 1.0):
             time.sleep(seconds)
         return original(*arguments)
 
@@ -344,6 +344,25 @@ def test_two_interrupts_get_out_of_an_arm_that_answers_nothing(planar3: ml.Robot
     for call in ("read()", "command()"):
         assert f"the driver's {call} had not returned for 0.2" in record.ended
     assert not record.ordered and record.cycles == 1
+
+
+def test_a_second_interrupt_waits_for_nothing(planar3: ml.Robot) -> None:
+    """Two in a row give up the call that is under way, however short it has been so far."""
+    arm = Arm()
+    get, driver, loop = arm.get_observation, driver_of(arm, planar3), loop_of(planar3)
+    loop.stale_after = 60.0  # [s]: the first one alone would be noted only
+
+    def blocking() -> Any:
+        if arm.observed == 20:
+            for delay in (0.02, 0.06):
+                threading.Timer(delay, os.kill, (os.getpid(), signal.SIGINT)).start()
+            threading.Event().wait(5.0)
+        return get()
+
+    arm.get_observation = blocking  # type: ignore[method-assign]
+    record = ml.run(loop, driver, 8.0)
+    assert record.ended.startswith("Ctrl-C; the driver's read() had not returned for 0.0") and arm.observed == 20
+    assert not record.rollout.u[-1].any()
 
 
 def hold_the_period(seconds: float, robot: ml.Robot) -> tuple[Arm, ml.RunRecord, np.ndarray]:
