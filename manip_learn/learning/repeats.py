@@ -339,7 +339,6 @@ def _joined(trajectories: Sequence[Trajectory], origin: Sequence[tuple[int, floa
     skipped = [0, *(_shared(a, b) for a, b in zip(pieces[:-1], pieces[1:], strict=True))]
     time = np.concatenate([p.time[k:] + added for p, k, (_, added) in zip(pieces, skipped, origin, strict=True)])
     q = np.concatenate([p.q[k:] for p, k in zip(pieces, skipped, strict=True)])
-    u = [p.u[k:] for p, k in zip(pieces, skipped, strict=True) if p.u is not None]
-    efforts = [p.effort[k:] for p, k in zip(pieces, skipped, strict=True) if p.effort is not None]
-    effort = np.concatenate(efforts) if len(efforts) == len(pieces) else None
-    return Trajectory(time, q, np.concatenate(u) if u else None, pieces[0].joint_names, pieces[0].name, effort=effort)
+    of_all = set.intersection(*(set(p.beside) for p in pieces))
+    beside = {what: np.concatenate([p.beside[what][k:] for p, k in zip(pieces, skipped, strict=True)]) for what in of_all}
+    return Trajectory(time, q, joint_names=pieces[0].joint_names, name=pieces[0].name, **beside)

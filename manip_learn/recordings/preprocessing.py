@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 from jaxtyping import Int
 
@@ -25,7 +27,7 @@ def trim_standstill(trajectory: Trajectory, share: float = 0.02) -> Trajectory:
 
 
 def resample(trajectory: Trajectory, dt: float) -> Trajectory:
-    """Linear interpolation of positions, velocities and efforts on an even grid of dt [s].
+    """Linear interpolation of positions and what was recorded beside them on an even grid of dt [s].
 
     Raises:
         RecordingError: dt is not positive or longer than the trajectory.
@@ -40,8 +42,8 @@ def resample(trajectory: Trajectory, dt: float) -> Trajectory:
     def at(columns: np.ndarray) -> np.ndarray:
         return np.column_stack([np.interp(time, trajectory.time, c) for c in columns.T])
 
-    u, effort = (None if array is None else at(array) for array in (trajectory.u, trajectory.effort))
-    return Trajectory(time, at(trajectory.q), u, trajectory.joint_names, trajectory.name, effort=effort)
+    beside = {what: at(array) for what, array in trajectory.beside.items()}
+    return replace(trajectory, time=time, q=at(trajectory.q), **beside)
 
 
 def subsample(trajectory: Trajectory, n_samples: int) -> Trajectory:

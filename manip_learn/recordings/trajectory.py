@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any, final
 
 import numpy as np
 from jaxtyping import Float
 
 from manip_learn.errors import RecordingError, counted, printable
+
+BESIDE = ("u", "effort", "wrench")  # what a trajectory may have beside its positions
 
 
 @final
@@ -25,6 +27,11 @@ class Trajectory:
         name: Where it came from, for messages.
         effort: shape (T, nv), what the motors exert, gravity and friction included [N m or N], by keyword; None if it
             was not recorded. `learn` uses it as a witness beside the motion, see `effort_witness`.
+        wrench: shape (T, 6), forces x y z [N] and torques x y z [N m] that a force-torque sensor at the hand measured, by
+            keyword; None if it was not recorded. Axes and origin are those of the sensor as the recording has them: files
+            do not say where it sits on the hand, whether the tool's weight has been taken off, or which of hand and
+            world pushes, and some robots give the axes of their base instead. Only what does not depend on these is
+            used, see `contact_witness`.
 
     Raises:
         RecordingError: Shapes that do not fit, fewer than one row, time that does not increase, NaN or infinity.
@@ -45,11 +52,12 @@ class Trajectory:
     joint_names: tuple[str, ...] = ()
     name: str = field(default="trajectory")
     effort: Float[np.ndarray, "T nv"] | None = field(default=None, kw_only=True)
+    wrench: Float[np.ndarray, "T 6"] | None = field(default=None, kw_only=True)
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "joint_names", tuple(self.joint_names))
         object.__setattr__(self, "name", printable(self.name))  # of a file, whose maker may have written anything
-        for what in ("time", "q", "u", "effort"):
+        for what in ("time", "q", *BESIDE):
             given = getattr(self, what)
             if what in ("time", "q") or given is not None:
                 object.__setattr__(self, what, self._array(what, given, 1 if what == "time" else 2))
@@ -98,15 +106,16 @@ class Trajectory:
                 f"{self.name}: q must have shape ({T}, {nv}): {T} times and {nv} joint names; got {self.q.shape}",
                 code="shape",
             )
-        for what, array in (("u", self.u), ("effort", self.effort)):
-            if array is not None and array.shape != (T, nv):
+        for what, array in self.beside.items():
+            width = 6 if what == "wrench" else nv
+            if array.shape != (T, width):
                 raise RecordingError(
-                    f"{self.name}: {what} must have shape ({T}, {nv}), got {array.shape}", code="shape"
+                    f"{self.name}: {what} must have shape ({T}, {width}), got {array.shape}", code="shape"
                 )
 
     def __reduce__(self):
         # through the constructor: a pickled array comes back writeable
-        return _rebuilt, (self.time, self.q, self.u, self.joint_names, self.name, self.effort)
+        return _rebuilt, (self.time, self.q, self.joint_names, self.name, self.beside)
 
     def __len__(self) -> int:
         return int(self.time.shape[0])
@@ -118,9 +127,14 @@ class Trajectory:
         """Number of samples, duration, joints, and whether velocities were recorded."""
         joints = len(self.joint_names) or (self.q if self.u is None else self.u).shape[1]
         velocities = "without" if self.u is None else "with"
-        efforts = "" if self.effort is None else " and efforts"
+        also = ("" if self.effort is None else " and efforts") + ("" if self.wrench is None else " and a wrench")
         amount = f"{counted(len(self), 'sample')} over {self.duration:.4g} s"
-        return f"{amount}, {counted(joints, 'joint')}, {velocities} velocities{efforts}"
+        return f"{amount}, {counted(joints, 'joint')}, {velocities} velocities{also}"
+
+    @property
+    def beside(self) -> dict[str, Any]:
+        """What was recorded beside the positions, by its name: of `u`, `effort` and `wrench` those that are there."""
+        return {name: array for name in BESIDE if (array := getattr(self, name)) is not None}
 
     @property
     def duration(self) -> float:
@@ -156,16 +170,14 @@ class Trajectory:
         Raises:
             RecordingError: Another number of columns.
         """
-        return Trajectory(self.time, self.q, self.u, joint_names, self.name, effort=self.effort)
+        return replace(self, joint_names=joint_names)
 
     def part(self, samples: slice | np.ndarray, name: str | None = None) -> Trajectory:
         """The chosen samples as a trajectory of their own."""
-        u, effort = (None if array is None else array[samples] for array in (self.u, self.effort))
-        names = self.joint_names
-        return Trajectory(self.time[samples], self.q[samples], u, names, name or self.name, effort=effort)
+        cut = {what: array[samples] for what, array in self.beside.items()}
+        return replace(self, time=self.time[samples], q=self.q[samples], name=name or self.name, **cut)
 
 
-def _rebuilt(*fields: Any) -> Trajectory:
+def _rebuilt(time: Any, q: Any, joint_names: tuple[str, ...], name: str, beside: dict[str, Any]) -> Trajectory:
     """A trajectory from a pickle."""
-    *others, effort = fields
-    return Trajectory(*others, effort=effort)
+    return Trajectory(time, q, joint_names=joint_names, name=name, **beside)

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from typing import Any, Literal, overload
+from collections.abc import Callable, Sequence
+from typing import Any, Literal
 
 import numpy as np
 from jaxtyping import Float
@@ -81,8 +81,8 @@ def derive_velocities(
         return _manifold_midpoints(trajectory, robot)
     if method == "midpoint":
         slope = np.diff(x, axis=0) / np.diff(time)[:, None]
-        names, effort = trajectory.joint_names, _between(trajectory.effort)
-        return Trajectory(_between(time), _between(x), slope, names, trajectory.name, effort=effort)
+        names, measured = trajectory.joint_names, _measured(trajectory, _between)
+        return Trajectory(_between(time), _between(x), slope, names, trajectory.name, **measured)
     if bodies:
         return _with_bodies(trajectory, robot, x, bodies, half_width, degree)
     return _smoothed([trajectory], x[None], half_width, degree)[0]
@@ -128,8 +128,8 @@ def _smoothed(
         value, slope = local_fit(time, x[chosen].transpose(1, 0, 2).reshape(T, -1), m, d)
         for i, k in zip(chosen, range(0, value.shape[1], nv), strict=True):
             t, own = trajectories[i], slice(k, k + nv)
-            effort = None if t.effort is None else t.effort[m : T - m]
-            out[i] = Trajectory(time[m : T - m], value[:, own], slope[:, own], t.joint_names, t.name, effort=effort)
+            measured = _measured(t, lambda a, m=m: a[m : T - m])
+            out[i] = Trajectory(time[m : T - m], value[:, own], slope[:, own], t.joint_names, t.name, **measured)
     return [out[i] for i in range(len(trajectories))]
 
 
@@ -162,8 +162,8 @@ def _with_bodies(
         q[:, columns], u[:, columns] = value[inner], slope[inner]
     for b in bodies:
         q[:, b.v.start + 3 : b.v.stop] = continuous_rotation_vectors(q[:, b.v.start + 3 : b.v.stop])
-    effort = None if trajectory.effort is None else trajectory.effort[widest : T - widest]
-    return Trajectory(time[widest : T - widest], q, u, trajectory.joint_names, trajectory.name, effort=effort)
+    measured = _measured(trajectory, lambda a: a[widest : T - widest])
+    return Trajectory(time[widest : T - widest], q, u, trajectory.joint_names, trajectory.name, **measured)
 
 
 def _windows(
@@ -242,23 +242,18 @@ def _manifold_midpoints(trajectory: Trajectory, robot: Robot) -> Trajectory:
     dt = np.diff(trajectory.time)
     steps = np.array([robot.difference(a, b) for a, b in zip(trajectory.q[:-1], trajectory.q[1:], strict=True)])
     middles = np.array([robot.integrate(q, 0.5 * step) for q, step in zip(trajectory.q[:-1], steps, strict=True)])
-    names, effort = trajectory.joint_names, _between(trajectory.effort)
-    return Trajectory(
-        trajectory.time[:-1] + 0.5 * dt, middles, steps / dt[:, None], names, trajectory.name, effort=effort
-    )
+    time, names, measured = trajectory.time[:-1] + 0.5 * dt, trajectory.joint_names, _measured(trajectory, _between)
+    return Trajectory(time, middles, steps / dt[:, None], names, trajectory.name, **measured)
 
 
-@overload
-def _between(values: np.ndarray) -> np.ndarray: ...
+def _measured(trajectory: Trajectory, cut: Callable[[np.ndarray], np.ndarray]) -> dict[str, np.ndarray]:
+    """Efforts and wrench, those that are there, at the samples for which velocities are derived."""
+    return {what: cut(array) for what, array in trajectory.beside.items() if what != "u"}
 
 
-@overload
-def _between(values: None) -> None: ...
-
-
-def _between(values: np.ndarray | None) -> np.ndarray | None:
+def _between(values: np.ndarray) -> np.ndarray:
     """Halfway between neighbouring samples."""
-    return None if values is None else 0.5 * (values[1:] + values[:-1])
+    return 0.5 * (values[1:] + values[:-1])
 
 
 WINDOWS_AT_A_TIME = 2048  # relative rotations in memory

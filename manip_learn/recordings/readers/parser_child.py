@@ -19,6 +19,7 @@ from multiprocessing.connection import Connection
 from typing import Any
 
 ROWS = 10_000  # in one answer
+ARRAYS = ("time", "positions", "velocities", "efforts", "wrench")
 
 
 def main() -> None:
@@ -76,7 +77,7 @@ def say_recording(answers: Connection, recording: Any) -> None:
     """A recording: what has no numbers, then the arrays."""
     import numpy as np
 
-    arrays = {name: getattr(recording, name) for name in ("time", "positions", "velocities", "efforts")}
+    arrays = {name: getattr(recording, name) for name in ARRAYS}
     given = {k: np.ascontiguousarray(a, dtype=np.float64) for k, a in arrays.items() if a is not None}
     names = ("name", "position_names", "velocity_names", "effort_names", "strict_columns", "in_seconds", "notes")
     words = {name: getattr(recording, name) for name in names}

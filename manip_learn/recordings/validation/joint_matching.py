@@ -117,6 +117,7 @@ def match_joints(recording: Recording, request: ReadRequest) -> Recording:
     notes = _surplus_notes(recording, robot)
     velocities, said = _velocities(recording, robot)
     efforts, also = _efforts(recording, robot)
+    wrench, more = _finite(recording.wrench, "the wrench is")
     q = recording.positions[:, [names.index(j) for j in robot.joint_names]]
     return replace(
         recording,
@@ -126,7 +127,8 @@ def match_joints(recording: Recording, request: ReadRequest) -> Recording:
         velocities=velocities,
         effort_names=robot.joint_names if efforts is not None else (),
         efforts=efforts,
-        notes=(*recording.notes, *notes, *said, *also),
+        wrench=wrench,
+        notes=(*recording.notes, *notes, *said, *also, *more),
     )
 
 
@@ -243,8 +245,10 @@ def _efforts(recording: Recording, robot: Robot) -> tuple[Float[np.ndarray, "T n
         return None, []
     if len(there) < robot.nv:
         return None, [f"efforts are recorded for {len(there)} of {robot.nv} joints, so they are not used"]
-    efforts = efforts[:, [names.index(j) for j in robot.joint_names]]
-    bad = int(np.count_nonzero(~np.all(np.isfinite(efforts), axis=1)))
-    if bad:
-        return None, [f"efforts are not finite in {counted(bad, 'sample')}, so they are not used"]
-    return efforts, []
+    return _finite(efforts[:, [names.index(j) for j in robot.joint_names]], "efforts are")
+
+
+def _finite(values: Float[np.ndarray, "T n"] | None, what: str) -> tuple[Float[np.ndarray, "T n"] | None, list[str]]:
+    """The values, or None and a note if any of them is missing."""
+    bad = 0 if values is None else int(np.count_nonzero(~np.all(np.isfinite(values), axis=1)))
+    return (None, [f"{what} not finite in {counted(bad, 'sample')}, so not used"]) if bad else (values, [])

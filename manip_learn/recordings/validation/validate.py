@@ -136,13 +136,14 @@ def _in_radians(
 def _kept(recording: Recording, keep: np.ndarray) -> Recording:
     """The recording seen through the kept samples, so that later messages still name the right line."""
     index = np.flatnonzero(keep)
-    efforts, line_of = recording.efforts, recording.line_of
+    efforts, wrench, line_of = recording.efforts, recording.wrench, recording.line_of
     return replace(
         recording,
         time=recording.time[keep],
         positions=recording.positions[keep],
         velocities=None,
         efforts=None if efforts is None else efforts[keep],
+        wrench=None if wrench is None else wrench[keep],
         line_of=None if line_of is None else lambda i: line_of(int(index[i])),
     )
 
@@ -182,8 +183,9 @@ def _split(
     notes: list[str],
 ) -> Demonstrations:
     parts, gaps = pieces(time)
+    measured = {"effort": recording.efforts, "wrench": recording.wrench}
+    whole = Trajectory(time, q, u, robot.joint_names, recording.name, **measured)
     if not gaps.size:
-        whole = Trajectory(time, q, u, robot.joint_names, recording.name, effort=recording.efforts)
         return Demonstrations((whole,), notes)
     long_parts = [p for p in parts if p.stop - p.start >= 2]
     shown = ", ".join(f"{time[g + 1] - time[g]:.3g} s after {recording.place(int(g))}" for g in gaps[:SHOWN])
@@ -195,6 +197,5 @@ def _split(
     if not long_parts:
         raise recording.refusal("too-short", "the samples are so far apart that no two belong together")
     n = len(long_parts)
-    whole = Trajectory(time, q, u, robot.joint_names, recording.name, effort=recording.efforts)
     trajectories = tuple(whole.part(p, f"{recording.name} part {k} of {n}") for k, p in enumerate(long_parts, 1))
     return Demonstrations(trajectories, notes)
