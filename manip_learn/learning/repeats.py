@@ -340,5 +340,7 @@ def _joined(trajectories: Sequence[Trajectory], origin: Sequence[tuple[int, floa
     time = np.concatenate([p.time[k:] + added for p, k, (_, added) in zip(pieces, skipped, origin, strict=True)])
     q = np.concatenate([p.q[k:] for p, k in zip(pieces, skipped, strict=True)])
     of_all = set.intersection(*(set(p.beside) for p in pieces))
-    beside = {what: np.concatenate([p.beside[what][k:] for p, k in zip(pieces, skipped, strict=True)]) for what in of_all}
+    beside = {
+        what: np.concatenate([p.beside[what][k:] for p, k in zip(pieces, skipped, strict=True)]) for what in of_all
+    }
     return Trajectory(time, q, joint_names=pieces[0].joint_names, name=pieces[0].name, **beside)

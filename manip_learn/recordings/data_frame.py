@@ -13,7 +13,7 @@ import numpy as np
 
 from manip_learn.errors import MissingExtraError, RecordingError
 from manip_learn.recordings.trajectory import Trajectory
-from manip_learn.recordings.writers.write_motion import EFFORT_SUFFIX, VELOCITY_SUFFIX
+from manip_learn.recordings.writers.write_motion import EFFORT_SUFFIX, VELOCITY_SUFFIX, WRENCH_NAMES
 
 TRAJECTORY, TIME = "trajectory", "time"
 
@@ -69,11 +69,13 @@ def frame_of(trajectories: Sequence[Trajectory]) -> PandasFrame:
         TRAJECTORY: np.repeat([t.name for t in trajectories], [len(t) for t in trajectories]),
         TIME: np.concatenate([t.time for t in trajectories]),
     }
-    for attribute, suffix in (("q", ""), ("u", VELOCITY_SUFFIX), ("effort", EFFORT_SUFFIX)):
+    for attribute, suffix in (("q", ""), ("u", VELOCITY_SUFFIX), ("effort", EFFORT_SUFFIX), ("wrench", "")):
+        names = WRENCH_NAMES if attribute == "wrench" else [name + suffix for name in joints]
         arrays = [getattr(t, attribute) for t in trajectories]
         if any(a is not None for a in arrays):
-            filled = [np.full_like(t.q, np.nan) if a is None else a for t, a in zip(trajectories, arrays, strict=True)]
-            table |= {name + suffix: column for name, column in zip(joints, np.concatenate(filled).T, strict=True)}
+            missing = [np.full((len(t), len(names)), np.nan) for t in trajectories]
+            filled = [m if a is None else a for m, a in zip(missing, arrays, strict=True)]
+            table |= dict(zip(names, np.concatenate(filled).T, strict=True))
     return pd.DataFrame(table)
 
 

@@ -19,7 +19,7 @@ from manip_learn.robot.identity import RobotIdentity, names_from
 
 Kind = Literal["rollout", "recording"]
 PREFIX = "manip_learn."
-CURVES = ("u", "effort", "manipulability", "task_error", "following_error")  # what a motion may have beside q
+CURVES = ("u", "effort", "wrench", "manipulability", "task_error", "following_error")  # what a motion may have beside q
 SCHEMA = 2
 UNKNOWN_ROBOT = (
     "the file does not say which robot and which locked joints it was made with (rollouts saved by earlier versions do "
@@ -149,6 +149,7 @@ class SavedMotion:
         following_error: shape (T,), of rollouts for which it is known; else None.
         name: What messages call it.
         effort: shape (T, nv), of recordings; None if it is not known [N m or N].
+        wrench: shape (T, 6), of recordings; None if it is not known [N and N m].
     """
 
     header: FileHeader
@@ -161,14 +162,14 @@ class SavedMotion:
     name: str = "motion"
     following_error: Float[np.ndarray, " T"] | None = None
     effort: Float[np.ndarray, "T nv"] | None = None
+    wrench: Float[np.ndarray, "T 6"] | None = None
 
 
 def motion_of_trajectory(trajectory: Trajectory, robot: Robot) -> SavedMotion:
     """A demonstration of a robot, ready to be written."""
     header = FileHeader("recording", trajectory.joint_names, RobotIdentity.of(robot), nq=trajectory.q.shape[1])
-    return SavedMotion(
-        header, trajectory.time, trajectory.q, trajectory.u, name=trajectory.name, effort=trajectory.effort
-    )
+    beside: dict[str, Any] = {"u": None} | trajectory.beside
+    return SavedMotion(header, trajectory.time, trajectory.q, name=trajectory.name, **beside)
 
 
 def checked_motion(path: Path, motion: SavedMotion) -> SavedMotion:
@@ -190,8 +191,8 @@ def checked_motion(path: Path, motion: SavedMotion) -> SavedMotion:
         needed |= {"following_error": (motion.following_error, (rows,))}
     if header.kind == "recording":
         needed = {"q": needed["q"]} | ({} if motion.u is None else {"u": needed["u"]})
-    if motion.effort is not None:
-        needed |= {"effort": (motion.effort, (rows, nv))}
+    measured = {"effort": (motion.effort, (rows, nv)), "wrench": (motion.wrench, (rows, 6))}
+    needed |= {name: pair for name, pair in measured.items() if pair[0] is not None}
     for name, (array, shape) in needed.items():
         if array is None or array.shape != shape:
             there = "is missing" if array is None else f"has shape {array.shape}"

@@ -23,7 +23,7 @@ from urllib.parse import quote
 from manip_learn.errors import MissingExtraError, RecordingError
 from manip_learn.recordings.readers.mcap_records import McapContents, mcap_contents
 from manip_learn.recordings.readers.recording import bomb, most_bytes, reason, refusal
-from manip_learn.recordings.writers.mcap_writer import JOINT_STATE
+from manip_learn.recordings.writers.mcap_writer import JOINT_STATE, STAMPED_WRENCH, WRENCH
 
 try:
     import apsw
@@ -40,6 +40,7 @@ except ImportError as error:
     raise MissingExtraError("reading ROS bags", "ros") from error
 
 BLOCK = 1 << 20  # bytes
+KINDS = (JOINT_STATE, WRENCH, STAMPED_WRENCH)  # of messages that are read
 
 LARGEST_METADATA = 10_000_000  # bytes; it lists topics, not messages
 # what the library was seen to raise on damaged bags, next to its own errors
@@ -77,6 +78,7 @@ class BagFile:
         is_ros1: True for ROS 1.
         topics: Topic -> message type, all of them.
         joint_topics: Topics with JointState messages.
+        wrench_topics: Topics with Wrench or WrenchStamped messages.
         notes: What was noticed when it was opened.
     """
 
@@ -91,6 +93,7 @@ class BagFile:
         connections = [c for p in parts for c in p.reader.connections]
         self.topics: dict[str, str] = {c.topic: c.msgtype for c in connections}
         self.joint_topics = tuple(dict.fromkeys(c.topic for c in connections if c.msgtype == JOINT_STATE))
+        self.wrench_topics = tuple(t for t, kind in self.topics.items() if kind in (WRENCH, STAMPED_WRENCH))
 
     def messages(self, topics: tuple[str, ...]) -> Iterator[tuple[str, str, int, bytes]]:
         """Topic, publisher, stamp of the recorder [ns] and bytes of every message, file by file in order of the stamps.
@@ -104,7 +107,7 @@ class BagFile:
         total: Counter[str] = Counter()
         for part in self._parts:
             found: Counter[str] = Counter()
-            wanted = [c for c in part.reader.connections if c.topic in topics and c.msgtype == JOINT_STATE]
+            wanted = [c for c in part.reader.connections if c.topic in topics and c.msgtype in KINDS]
             publishers = {c.id: _publisher(c, part.reader) for c in wanted}
             for connection, stamp, raw in part.reader.messages(wanted) if wanted else ():
                 found[connection.topic] += 1
@@ -117,10 +120,10 @@ class BagFile:
             asked = {t: n for t, n in self._stated.items() if t in topics}
             _refuse_other_counts(self.path, total, asked, "metadata.yaml")
 
-    def deserialised(self, raw: bytes) -> object:
+    def deserialised(self, raw: bytes, kind: str = JOINT_STATE) -> object:
         """A message as the library reads it."""
         types = _typestore(is_ros1=self.is_ros1)
-        return (types.deserialize_ros1 if self.is_ros1 else types.deserialize_cdr)(raw, JOINT_STATE)
+        return (types.deserialize_ros1 if self.is_ros1 else types.deserialize_cdr)(raw, kind)
 
 
 @functools.cache  # it takes longer to build than a small bag to read

@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-import itertools
 import re
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field
 from typing import final
 
 from manip_learn.errors import advice, closest_names
+from manip_learn.recordings.readers.column_words import COMMAND, EFFORT
 from manip_learn.robot import Robot, load_robot
 from manip_learn.robot.description.catalogue import SHIPPED
 
@@ -16,9 +16,8 @@ JOINT, INDEX = "{joint}", "{index}"
 SHOWN = 8  # names in a sentence
 POSITION = {"position", "positions", "pos", "q", "angle", "angles", "theta", "rad"}
 VELOCITY = {"velocity", "velocities", "vel", "qd", "dq", "qdot", "qvel", "speed"}
-COMMAND = {"desired", "command", "commanded", "cmd", "target", "goal", "setpoint", "reference", "ref", "des", "action"}
-EFFORT = {"effort", "efforts", "torque", "torques", "tau"}
 OTHER = {
+    *("ext", "external"),  # an estimate of what the world exerts, from which gravity and friction have been taken off
     *("current", "acceleration", "acc", "accel", "qdd", "ddq"),
     *("temperature", "temp", "voltage", "force", "error", "errors", "limit", "jerk", "name"),
 }
@@ -83,7 +82,9 @@ def by_patterns(
     if any(INDEX in p for p in patterns):
         listed = ", ".join(f"{names[i]} as {joint}" for i, joint in parts[0].items())
         note = f"columns read in the robot's order, as asked: {listed}"
-    return Found(parts[0], parts[1] if len(parts) > 1 else {}, note)
+    efforts = [c for p, c in numbered_families(names).items() if kind_of(p) == "effort" and len(c) == len(parts[0])]
+    own = dict(zip(efforts[0], parts[0].values(), strict=True)) if INDEX in patterns[0] and len(efforts) == 1 else {}
+    return Found(parts[0], parts[1] if len(parts) > 1 else {}, note, own)
 
 
 def _columns(pattern: str, names: Sequence[str | None], moving: Sequence[str], still: Iterable[str]) -> dict[int, str]:
@@ -152,15 +153,6 @@ def by_joint_names(names: Sequence[str | None], moving: Sequence[str], still: Se
     alike = (f" and {velocity[0]!r}" if speeds else "") + (f" and {effort[0]!r}" if efforts else "")
     note = f"columns are read as {chosen!r}{alike}, the only ones that name the joints"
     return Found(positions, speeds, note, efforts)
-
-
-def effort_joint(name: str, joints: Sequence[str]) -> str | None:
-    """`joint1` for `joint1_effort`, `effort_joint1`, `tau.joint1`, where that is a joint; None for all other names."""
-    for word, mark in itertools.product(EFFORT, "._/"):
-        for joint in (name.removesuffix(mark + word), name.removeprefix(word + mark)):
-            if name not in joints and joint in joints:
-                return joint
-    return None
 
 
 def _templates(names: Sequence[str | None], joints: Sequence[str]) -> dict[str, dict[str, int]]:

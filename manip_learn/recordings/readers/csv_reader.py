@@ -23,13 +23,13 @@ from manip_learn.recordings.readers.column_patterns import (
     by_joint_names,
     by_patterns,
     by_recorded_names,
-    effort_joint,
     find_time,
     numbered_advice,
 )
+from manip_learn.recordings.readers.column_words import effort_joint, wrench_columns
 from manip_learn.recordings.readers.read_request import SECONDS, ReadRequest, unmoved_joint_names
 from manip_learn.recordings.readers.recording import Recording, reason, refusal
-from manip_learn.recordings.writers.write_motion import EFFORT_SUFFIX, VELOCITY_SUFFIX
+from manip_learn.recordings.writers.write_motion import EFFORT_SUFFIX, VELOCITY_SUFFIX, WRENCH_NAMES
 
 LONGEST_LINE = 1_000_000  # characters: a sample of 50,000 columns
 COMMENT_MARKS = ("#", "%")
@@ -176,6 +176,7 @@ class Columns:
         unit: Unit of the stamps where their name says it.
         strict: Whether a name that is no joint's is a mistake.
         notes: What the caller should know.
+        wrench: Six columns, forces before torques, or none.
     """
 
     names: tuple[str | None, ...]
@@ -183,6 +184,7 @@ class Columns:
     unit: str | None
     strict: bool
     notes: tuple[str, ...]
+    wrench: tuple[int, ...] = ()
 
     def stamps(self, table: Float[np.ndarray, "T n"], used: list[int], request: ReadRequest) -> Float[np.ndarray, " T"]:
         """Stamps, in seconds where `in_seconds`; else in the unit of the file."""
@@ -216,12 +218,17 @@ def columns_of(path: Path, dialect: CsvDialect, request: ReadRequest) -> Columns
     left_out = [i for i in time.others if request.columns or names[i] not in request.robot.joint_names]
     left_out += [i for i, n in enumerate(names) if n is not None and BOOKKEEPING.fullmatch(n)]
     left_out += _row_numbers(path, dialect, names)
+    joints = {*request.robot.joint_names, *unmoved_joint_names(request.robot)}
+    wrench, said = wrench_columns([None if i in left_out or n in joints else n for i, n in enumerate(names)])
+    notes += [said] if said else []
+    for i, name in zip(wrench, WRENCH_NAMES, strict=False):
+        names[i] = name
     found = _joint_columns(path, dialect, names, request)
     if found is not None:
         kinds = (found.positions, ""), (found.velocities, VELOCITY_SUFFIX), (found.efforts, EFFORT_SUFFIX)
         meant = {i: joint + suffix for columns, suffix in kinds for i, joint in columns.items()}
         names = [meant.get(i, name) for i, name in enumerate(names)]
-        kept = {*meant, *time.columns}
+        kept = {*meant, *time.columns, *wrench}
         left_out = [i for i, n in enumerate(names) if n is not None and i not in kept]
         notes += [found.note] if found.note else []
     for i in set(left_out):
@@ -231,7 +238,7 @@ def columns_of(path: Path, dialect: CsvDialect, request: ReadRequest) -> Columns
         more = f" and {len(words) - SHOWN} more" if len(words) > SHOWN else ""
         notes.append(f"columns not used: {', '.join(words[:SHOWN])}{more}")
     _refuse_repeated(path, dialect, names, time.columns)
-    return Columns(tuple(names), time.columns, time.unit, found is None, tuple(notes))
+    return Columns(tuple(names), time.columns, time.unit, found is None, tuple(notes), wrench)
 
 
 def _joint_columns(path: Path, dialect: CsvDialect, names: list[str | None], request: ReadRequest) -> Found | None:
@@ -369,7 +376,8 @@ def read(path: Path, request: ReadRequest) -> Iterator[Recording]:
     velocity = {n: _base_name(n, (VELOCITY_SUFFIX,), own) for n in kept}
     v = [i for i, n in enumerate(kept) if velocity[n] and n not in surplus]
     e = [i for i, n in enumerate(kept) if effort[n] and n not in surplus]
-    beside = {*v, *e, *(i for i, n in enumerate(kept) if n in surplus or used[i] in columns.time)}
+    known = {*columns.time, *columns.wrench}
+    beside = {*v, *e, *(i for i, n in enumerate(kept) if n in surplus or used[i] in known)}
     p = [i for i in range(len(kept)) if i not in beside]
     yield Recording(
         path=path,
@@ -381,6 +389,7 @@ def read(path: Path, request: ReadRequest) -> Iterator[Recording]:
         velocities=table[:, v] if v else None,
         effort_names=tuple(str(effort[kept[i]]) for i in e),
         efforts=table[:, e] if e else None,
+        wrench=table[:, [used.index(i) for i in columns.wrench]] if columns.wrench else None,
         strict_columns=columns.strict,
         in_seconds=columns.in_seconds(request),
         line_of=partial(_line_of, path, dialect),

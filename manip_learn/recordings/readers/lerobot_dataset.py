@@ -4,12 +4,13 @@ from __future__ import annotations
 
 import json
 import re
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Literal, final
 
 from manip_learn.errors import UnknownNameError, advice, closest_names
+from manip_learn.recordings.readers.column_words import several_wrenches, wrench_columns, wrench_sets
 from manip_learn.recordings.readers.parser_process import parsed_rows
 from manip_learn.recordings.readers.read_request import first_names
 from manip_learn.recordings.readers.recording import natural_order, read_json, reason, refusal
@@ -100,12 +101,14 @@ def _described(info_path: Path) -> tuple[dict[str, Any], float | None, int | Non
 
 
 STATE, VELOCITY, EFFORT = "observation.state", "observation.velocity", "observation.effort"
+WRENCH = "observation.wrench"
 # names that data sets give to joint positions: joint_position (DROID), joint_pos, joint_positions, qpos
 POSITIONS = re.compile(r"(joint_?pos(ition)?s?|qpos)$", re.IGNORECASE)
 VELOCITY_WORDS = (("position", "velocity"), ("pos", "vel"))
 EFFORT_WORDS = tuple(
     (p, e) for p in ("positions", "position", "pos") for e in ("effort", "torque", "torques", "efforts")
 )
+EFFORTS = (EFFORT, "observation.efforts", "observation.torque", "observation.torques")  # beside `observation.state`
 NUMBERS = ("float", "int", "uint")  # how the types of features that hold numbers begin
 
 
@@ -190,7 +193,46 @@ def _beside(position: str, vectors: Sequence[str]) -> tuple[str, str]:
         names = [head + dot + last.replace(p, v) for p, v in words if p in last and position != STATE]
         return next((name for name in names if name in vectors), names[0] if names else usual)
 
-    return exchanged(VELOCITY_WORDS, VELOCITY), exchanged(EFFORT_WORDS, EFFORT)
+    effort = next((name for name in EFFORTS if name in vectors), EFFORT)
+    return exchanged(VELOCITY_WORDS, VELOCITY), exchanged(EFFORT_WORDS, effort)
+
+
+@final
+@dataclass(frozen=True)
+class WrenchFeature:
+    """Where a data set keeps a wrench.
+
+    Attributes:
+        names: Of one feature with six entries, or of two with forces and torques; empty if there is none.
+        order: Of the entries, so that forces x y z and torques x y z come out.
+        note: Why none is used though there are some; else empty.
+    """
+
+    names: tuple[str, ...] = ()
+    order: tuple[int, ...] = tuple(range(6))
+    note: str = ""
+
+
+def wrench_feature(features: Mapping[str, Any] | None, ignores: Callable[[str], bool]) -> WrenchFeature:
+    """The feature with the wrench of a sensor at the hand: `observation.wrench`, or the only one of another known name.
+
+    Args:
+        features: What `meta/info.json` says of each feature; None of a single file without it.
+        ignores: Whether a feature is not to be read.
+    """
+    if features is None:
+        return WrenchFeature((WRENCH,))
+    width = {name: feature["shape"][0] for name, feature in features.items() if _is_vector(feature)}
+    found = [names for names in wrench_sets(width) if not any(map(ignores, names))]
+    usual = [names for names in found if names == (WRENCH,)] or found
+    if len(usual) > 1:
+        one = usual[0][0]
+        flag = advice(" ({} leaves one out)", f"ignore_columns=[{one!r}]", f"--ignore-column {one}")
+        return WrenchFeature(note=several_wrenches(map(" and ".join, usual)) + flag)
+    if not usual:
+        return WrenchFeature()
+    entries = entry_names(features[usual[0][0]].get("names")) if len(usual[0]) == 1 else None
+    return WrenchFeature(usual[0], wrench_columns(entries or ())[0] or WrenchFeature.order)
 
 
 def entry_names(names: Any) -> tuple[str, ...] | None:

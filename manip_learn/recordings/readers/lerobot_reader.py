@@ -14,13 +14,16 @@ from typing import Any, final
 import numpy as np
 
 from manip_learn.errors import DAMAGE, MissingExtraError, advice, counted
+from manip_learn.recordings.readers.column_words import wrench_columns
 from manip_learn.recordings.readers.lerobot_dataset import (
     DATASET_HEADER,
     LeRobotDataset,
     StateFeature,
+    WrenchFeature,
     episode_number,
     open_dataset,
     state_feature,
+    wrench_feature,
 )
 from manip_learn.recordings.readers.read_request import ReadRequest
 from manip_learn.recordings.readers.recording import Recording, bomb, float_array, most_bytes, reason, refusal
@@ -34,13 +37,14 @@ except ImportError as error:
 BATCH = 65_536  # rows in memory: some 10 MB
 FEWEST_BYTES = 16  # of a sample: a stamp and a few joints
 STAMPS = ("timestamp", "frame_index", "episode_index")
+EFFORT_ENDS = (".torque", ".effort")  # of entries of the state, as motors that measure it are named beside `.pos`
 GRIPPER = "gripper"  # always 0 .. 100 in LeRobot, whatever the unit of the other motors
 
 
 @final
 @dataclass(frozen=True, eq=False)
 class Episode:
-    """Samples of one episode: `time`, `state`, and `velocity` and `effort` where they were recorded."""
+    """Samples of one episode: `time`, `state`, and `velocity`, `effort` and `wrench` where they were recorded."""
 
     index: int
     columns: dict[str, np.ndarray]
@@ -56,6 +60,9 @@ class Episode:
         return values if values is not None and values.shape == self.state.shape else None
 
 
+Features = tuple[StateFeature, WrenchFeature]
+
+
 def read(path: Path, request: ReadRequest) -> Iterator[Recording]:
     """One recording per episode; one episode in memory at a time.
 
@@ -67,17 +74,19 @@ def read(path: Path, request: ReadRequest) -> Iterator[Recording]:
     if is_ours:  # in radians; its robot has been checked
         request = replace(request, units=request.units or "radians")
     feature = state_feature(dataset.root, dataset.features, request.feature)
+    wrench = wrench_feature(dataset.features, request.ignores)
     request.uses.use("feature")
     names: tuple[str, ...] | None = None
     numbers, frames = set(), 0
-    for episode in _episodes(dataset, feature, request):
+    for episode in _episodes(dataset, (feature, wrench), request):
         numbers.add(episode.index)
         frames += len(episode.state)
         if names is None:
             names = _names(dataset, feature, request, episode.state.shape[1])
             _refuse_unknown_units(dataset, request, names, episode.state)
         recording = _recording(dataset, request, names, episode)
-        yield replace(recording, trusted=is_ours, notes=(*recording.notes, *_other_features(feature)))
+        said = [*_other_features(feature), *([wrench.note] if wrench.note else [])]
+        yield replace(recording, trusted=is_ours, notes=(*recording.notes, *said))
     if request.chosen is None:
         dataset.refuse_lost("frames", frames)
         dataset.refuse_lost("episodes", len(numbers))
@@ -91,16 +100,16 @@ def _other_features(feature: StateFeature) -> list[str]:
 
 
 def _recording(dataset: LeRobotDataset, request: ReadRequest, names: tuple[str, ...], episode: Episode) -> Recording:
-    position = [i for i, n in enumerate(names) if not n.endswith(".vel")]
-    velocity = [i for i, n in enumerate(names) if n.endswith(".vel")]
+    position, velocity, effort, wrench = _kinds(names)
     position_names = tuple(_joint_name(names[i], request) for i in position)
     positions, notes = _gripper(episode.state[:, position], position_names, request)
     if any(names[i] != n for i, n in zip(position, position_names, strict=True)):
         notes.insert(0, "'.pos' was taken off the names")
-    velocity_names, velocities, efforts = position_names, episode.like_state("velocity"), episode.like_state("effort")
-    if velocity:
-        velocity_names = tuple(_joint_name(names[i], request) for i in velocity)
-        velocities, efforts = episode.state[:, velocity], None
+    velocity_names, velocities = position_names, episode.like_state("velocity")
+    effort_names, efforts = position_names, episode.like_state("effort")
+    if len(position) < len(names):
+        velocity_names, effort_names = (tuple(_joint_name(names[i], request) for i in k) for k in (velocity, effort))
+        velocities, efforts = (episode.state[:, k] if k else None for k in (velocity, effort))
     return Recording(
         path=dataset.root,
         name=f"{dataset.root.name} episode {episode.index}",
@@ -109,19 +118,30 @@ def _recording(dataset: LeRobotDataset, request: ReadRequest, names: tuple[str, 
         positions=positions,
         velocity_names=() if velocities is None else velocity_names,
         velocities=velocities,
-        effort_names=() if efforts is None else position_names,
+        effort_names=() if efforts is None else effort_names,
         efforts=efforts,
+        wrench=episode.state[:, wrench] if wrench else episode.columns.get("wrench"),
         strict_columns=False,
         in_seconds=True,
         notes=tuple(notes),
     )
 
 
+def _kinds(names: tuple[str, ...]) -> tuple[list[int], list[int], list[int], list[int]]:
+    """Entries of the state that are positions, velocities, efforts and the six of a wrench."""
+    wrench = list(wrench_columns(names)[0])
+    velocity = [i for i, n in enumerate(names) if n.endswith(".vel")]
+    effort = [i for i, n in enumerate(names) if n.endswith(EFFORT_ENDS)]
+    beside = {*wrench, *velocity, *effort}
+    return [i for i in range(len(names)) if i not in beside], velocity, effort, wrench
+
+
 def _joint_name(name: str, request: ReadRequest) -> str:
     wanted = request.renamed(name)
     if wanted in request.robot.joint_names:
         return wanted
-    return request.renamed(wanted.removesuffix(".pos").removesuffix(".vel"))
+    end = next((end for end in (".pos", ".vel", *EFFORT_ENDS) if wanted.endswith(end)), "")
+    return request.renamed(wanted.removesuffix(end))
 
 
 def _gripper(positions: np.ndarray, names: tuple[str, ...], request: ReadRequest) -> tuple[np.ndarray, list[str]]:
@@ -164,7 +184,7 @@ def _refuse_unknown_units(
 ) -> None:
     if request.units is not None:
         return
-    arm = [i for i, n in enumerate(names) if GRIPPER not in n and not n.endswith(".vel")] or [0]
+    arm = [i for i in _kinds(names)[0] if GRIPPER not in names[i]] or [0]
     low, high = float(np.min(state[:, arm])), float(np.max(state[:, arm]))
     largest = max(abs(low), abs(high))
     guess = (
@@ -183,14 +203,14 @@ def _refuse_unknown_units(
     )
 
 
-def _episodes(dataset: LeRobotDataset, feature: StateFeature, request: ReadRequest) -> Iterator[Episode]:
+def _episodes(dataset: LeRobotDataset, features: Features, request: ReadRequest) -> Iterator[Episode]:
     """Episodes of all files, or the chosen ones; one may go on in the next file."""
     open_parts: list[Episode] = []
     for file in dataset.files:
         number = episode_number(file)
         if request.chosen is not None and number is not None and number not in request.chosen:
             continue
-        for part in _parts(file, dataset, feature, request):
+        for part in _parts(file, dataset, features, request):
             if request.chosen is not None and part.index not in request.chosen:
                 continue
             if open_parts and open_parts[0].index != part.index:
@@ -206,22 +226,24 @@ def _joined(parts: list[Episode]) -> Episode:
     return Episode(parts[0].index, {name: np.concatenate([part.columns[name] for part in parts]) for name in common})
 
 
-def _parts(file: Path, dataset: LeRobotDataset, feature: StateFeature, request: ReadRequest) -> Iterator[Episode]:
+def _parts(file: Path, dataset: LeRobotDataset, features: Features, request: ReadRequest) -> Iterator[Episode]:
     """Runs of samples with the same episode number, batch by batch; only the needed columns are read."""
+    feature, wrench = features
     with opened_parquet(file) as parquet:
         there = parquet.schema_arrow.names
         if feature.position not in there:
             raise refusal(
                 file, "no-state", f"there is no column {feature.position!r}, there is {', '.join(there[:12])}"
             )
-        columns = [c for c in (feature.position, feature.velocity, feature.effort, *STAMPS) if c in there]
+        known = (feature.position, feature.velocity, feature.effort, *wrench.names, *STAMPS)
+        columns = [c for c in dict.fromkeys(known) if c in there]
         stated, found = parquet.metadata.num_rows, 0
         # the library's column metadata would tell more, but asking for it aborts the process if the file is damaged
         if FEWEST_BYTES * stated > most_bytes(size := file.stat().st_size):
             raise bomb(file, f"{size:,} bytes claim to hold {counted(stated, 'sample')}")
         for batch in parquet.iter_batches(batch_size=BATCH, columns=columns):
             found += batch.num_rows
-            yield from _split(file, batch, dataset, feature, request)
+            yield from _split(file, batch, dataset, features, request)
         groups = sum(parquet.metadata.row_group(i).num_rows for i in range(parquet.num_row_groups))
         if not found == stated == groups:
             text = f"{counted(found, 'sample')} are there, it states {stated}, in parts {groups}: download it again"
@@ -229,10 +251,14 @@ def _parts(file: Path, dataset: LeRobotDataset, feature: StateFeature, request: 
 
 
 def _split(
-    file: Path, batch: Any, dataset: LeRobotDataset, feature: StateFeature, request: ReadRequest
+    file: Path, batch: Any, dataset: LeRobotDataset, features: Features, request: ReadRequest
 ) -> Iterator[Episode]:
+    feature, wrench = features
     named = {"state": feature.position, "velocity": feature.velocity, "effort": feature.effort}
     columns = {name: _matrix(file, batch, column) for name, column in named.items() if column in batch.schema.names}
+    if wrench.names and all(name in batch.schema.names for name in wrench.names):
+        both = np.hstack([_matrix(file, batch, name) for name in wrench.names])
+        columns |= {"wrench": both[:, wrench.order]} if both.shape[1] == len(wrench.order) else {}
     n = len(columns["state"])
     number = _vector(file, batch, "episode_index") if "episode_index" in batch.schema.names else np.zeros(n)
     columns["time"] = _time(file, batch, dataset, request)

@@ -215,7 +215,7 @@ def _parsed_header(is_first: bool, content: bytes) -> ArrayHeader:
     return ArrayHeader(tuple(shape), dtype, fortran_order)
 
 
-NUMBERS = ("time", "q", "u", "effort")
+NUMBERS = ("time", "q", "u", "effort", "wrench")
 
 
 def read(path: Path, request: ReadRequest) -> Iterator[Recording]:
@@ -240,7 +240,8 @@ def read(path: Path, request: ReadRequest) -> Iterator[Recording]:
     names = _joint_names(archive, request)
     q = joint_positions(path, arrays["q"], names, request.robot)
     u, effort = arrays.get("u"), arrays.get("effort")
-    yield Recording.of(path, path.name, arrays["time"], names, q, u, effort, notes=tuple(notes))
+    also = {"wrench": arrays.get("wrench"), "notes": tuple(notes)}
+    yield Recording.of(path, path.name, arrays["time"], names, q, u, effort, **also)
 
 
 def _check_shapes(archive: NpzArchive) -> None:
@@ -256,7 +257,7 @@ def _check_shapes(archive: NpzArchive) -> None:
     time, q = archive.shape("time"), archive.shape("q")
     if len(time) != 1 or len(q) != 2 or q[0] != time[0]:
         raise archive.refusal("shape", f"time must have shape (T,) and q (T, n); they have {time} and {q}")
-    for name in ("u", "effort"):
+    for name in ("u", "effort", "wrench"):
         shape = archive.shape(name) if name in archive else q
         if len(shape) != 2 or shape[0] != time[0]:
             raise archive.refusal(
@@ -264,6 +265,10 @@ def _check_shapes(archive: NpzArchive) -> None:
             )
     if "effort" in archive and archive.shape("effort") != archive.shape("u" if "u" in archive else "q"):
         raise archive.refusal("shape", f"effort has shape {archive.shape('effort')}: one column per joint is needed")
+    if "wrench" in archive and archive.shape("wrench")[1] != 6:
+        raise archive.refusal(
+            "shape", f"wrench has shape {archive.shape('wrench')}: three forces and torques are needed"
+        )
 
 
 def _joint_names(archive: NpzArchive, request: ReadRequest) -> tuple[str, ...]:

@@ -17,7 +17,8 @@ import numpy as np
 from jaxtyping import Bool, Float, Int, UInt8
 
 from manip_learn.errors import advice, closest_names, counted
-from manip_learn.recordings.readers.bag_file import JOINT_STATE, BagFile, open_bag
+from manip_learn.recordings.readers.bag_file import JOINT_STATE, STAMPED_WRENCH, BagFile, open_bag
+from manip_learn.recordings.readers.column_words import several_wrenches
 from manip_learn.recordings.readers.read_request import ReadRequest
 from manip_learn.recordings.readers.recording import GAP_FACTOR, Recording, refusal
 
@@ -157,16 +158,38 @@ class JointStateStream:
     efforts: Float[np.ndarray, "T n"] | None = None
 
 
-def joint_state_streams(bag: BagFile, topics: tuple[str, ...]) -> tuple[list[JointStateStream], list[str]]:
-    """All streams of some topics, and what was left out.
+@final
+@dataclass(frozen=True, eq=False)
+class WrenchStream:
+    """The messages of one topic about a wrench.
+
+    Attributes:
+        topic: Topic.
+        stamps: shape (T,), of the header, else of the recorder; increasing [ns].
+        values: shape (T, 6), forces [N] and torques [N m].
+    """
+
+    topic: str
+    stamps: Int[np.ndarray, " T"]
+    values: Float[np.ndarray, "T 6"]
+
+
+def joint_state_streams(
+    bag: BagFile, topics: tuple[str, ...]
+) -> tuple[list[JointStateStream], list[WrenchStream], list[str]]:
+    """All streams of some topics, those of wrenches apart, and what was left out.
 
     Raises:
-        RecordingError: Messages that are no JointState.
+        RecordingError: Messages that are of another type than their topic.
     """
+    wrenches: dict[str, list[tuple[np.ndarray, np.ndarray]]] = {}
     pieces: dict[tuple[str, str, tuple[str, ...]], list[JointStateStream]] = {}
     layouts: dict[tuple[str, int], list[JointStateLayout]] = {}
     without_positions: Counter[str] = Counter()
     for topic, publisher, received, raw in _batches(bag, topics):
+        if topic in bag.wrench_topics:
+            wrenches.setdefault(topic, []).append(_wrenches(bag, topic, received, raw))
+            continue
         for layout, messages, stamps in _by_layout(bag, topic, raw, received, layouts):
             positions, velocities, efforts = (
                 layout.numbers(messages, at) for at in (layout.position_at, layout.velocity_at, layout.effort_at)
@@ -187,7 +210,33 @@ def joint_state_streams(bag: BagFile, topics: tuple[str, ...]) -> tuple[list[Joi
                 f"{without} of {sum(len(p.stamps) for p in parts)} messages of {topic} have no velocities, so those "
                 "of the others are not used"
             )
-    return [_one_after_the_other(parts) for parts in pieces.values()], notes
+    streams = [_one_after_the_other(parts) for parts in pieces.values()]
+    return streams, [_in_order(topic, parts) for topic, parts in wrenches.items()], notes
+
+
+def _wrenches(bag: BagFile, topic: str, received: np.ndarray, raw: list[bytes]) -> tuple[np.ndarray, np.ndarray]:
+    """Stamps and numbers, which end each message; compared with the library's own reading of one of each length."""
+    order, kind = "<" if bag.is_ros1 or raw[0][1] else ">", bag.topics[topic]
+    values = np.frombuffer(b"".join(message[-48:] for message in raw), order + "f8").reshape(-1, 6).astype(np.float64)
+    stamps = received
+    if kind == STAMPED_WRENCH:
+        parts = b"".join(message[STAMP_AT : STAMP_AT + 8] for message in raw)
+        seconds, rest = np.frombuffer(parts, order + "u4").reshape(-1, 2).T.astype(np.int64)
+        stamps = seconds * 1_000_000_000 + rest
+    for i in {len(message): i for i, message in enumerate(raw)}.values():
+        known: Any = bag.deserialised(raw[i], kind)
+        wrench = known.wrench if kind == STAMPED_WRENCH else known
+        numbers = [getattr(vector, axis) for vector in (wrench.force, wrench.torque) for axis in "xyz"]
+        if np.array(numbers).tobytes() != values[i].tobytes():
+            raise ValueError("the numbers of a wrench are read differently by the library")
+    return np.where(stamps == 0, received, stamps), values
+
+
+def _in_order(topic: str, parts: list[tuple[np.ndarray, np.ndarray]]) -> WrenchStream:
+    """The messages by their stamps, of several with one stamp the first."""
+    stamps, values = (np.concatenate(some) for some in zip(*parts, strict=True))
+    stamps, first = np.unique(stamps, return_index=True)
+    return WrenchStream(topic, stamps, values[first])
 
 
 def _one_after_the_other(parts: list[JointStateStream]) -> JointStateStream:
@@ -448,9 +497,9 @@ def merge(groups: list[JointGroup], angles_that_wrap: frozenset[str]) -> tuple[J
     for group in groups:
         if group is base:
             continue
-        q.append(_at(base.stamps, group, _continuous(group, angles_that_wrap)))
-        u.append(None if group.u is None else _at(base.stamps, group, group.u))
-        effort.append(None if group.effort is None else _at(base.stamps, group, group.effort))
+        q.append(_at(base.stamps, group.stamps, _continuous(group, angles_that_wrap)))
+        u.append(None if group.u is None else _at(base.stamps, group.stamps, group.u))
+        effort.append(None if group.effort is None else _at(base.stamps, group.stamps, group.effort))
         names += group.names
         inside &= _covered(base.stamps, group.stamps)
         source = f"{group.topic}" if group.topic != base.topic else "other messages of the same topic"
@@ -476,11 +525,30 @@ def _continuous(group: JointGroup, angles_that_wrap: frozenset[str]) -> Float[np
     return q
 
 
-def _at(stamps: Int[np.ndarray, " T"], group: JointGroup, values: Float[np.ndarray, "S n"]) -> Float[np.ndarray, "T n"]:
+def _at(
+    stamps: Int[np.ndarray, " T"], known: Int[np.ndarray, " S"], values: Float[np.ndarray, "S n"]
+) -> Float[np.ndarray, "T n"]:
     # differences first: nanoseconds since 1970 do not fit into float64
-    start = group.stamps[0]
-    t, own = (stamps - start).astype(np.float64), (group.stamps - start).astype(np.float64)
+    t, own = (stamps - known[0]).astype(np.float64), (known - known[0]).astype(np.float64)
     return np.column_stack([np.interp(t, own, values[:, i]) for i in range(values.shape[1])])
+
+
+def wrench_at(
+    stamps: Int[np.ndarray, " T"], streams: list[WrenchStream]
+) -> tuple[Float[np.ndarray, "T 6"] | None, list[str]]:
+    """The wrench at the stamps of the joint states, interpolated linearly, and notes; None if there is none.
+
+    Nothing is learnt from it, so no joint state is left out for it: where no message is near, the nearest one counts.
+    """
+    if not streams:
+        return None, []
+    one = streams[0]
+    far = int(np.count_nonzero(~_covered(stamps, one.stamps)))
+    where = f"{far} of {counted(len(stamps), 'sample')} have no message of {one.topic} nearby"
+    if 2 * far > len(stamps):  # of most, something else would be told than what was measured
+        return None, [f"{where}, so that wrench is not used"]
+    notes = [f"the wrench is that of {one.topic}, interpolated at the stamps of the joint states"]
+    return _at(stamps, one.stamps, one.values), [*notes, *([f"{where}: the nearest ones are used"] if far else [])]
 
 
 def _covered(stamps: Int[np.ndarray, " T"], own: Int[np.ndarray, " S"]) -> Bool[np.ndarray, " T"]:
@@ -499,9 +567,13 @@ def read(path: Path, request: ReadRequest) -> Iterator[Recording]:
         RecordingError: Damaged, no joint states, topics that contradict each other, joints that no topic has.
     """
     with open_bag(path) as bag:
-        topics = _topics(bag, request)
-        streams, notes = joint_state_streams(bag, topics)
+        topics, wrench_topics = _topics(bag, request)
+        several = len(wrench_topics) > 1
+        streams, wrenches, notes = joint_state_streams(bag, topics if several else topics + wrench_topics)
         notes = [*bag.notes, *notes]
+    if several:
+        flag = advice(": say which one with {}", f"topics=[{wrench_topics[0]!r}]", f"--topic {wrench_topics[0]}")
+        notes.append(several_wrenches(wrench_topics) + flag)
     streams = [_renamed(s, request) for s in streams]
     joints = request.robot.joint_names
     try:
@@ -520,26 +592,30 @@ def read(path: Path, request: ReadRequest) -> Iterator[Recording]:
     if surplus:
         notes.append(f"also recorded, not moved by the robot as loaded, not used: {', '.join(surplus)}")
     time = (merged.stamps - merged.stamps[0]).astype(np.float64) * 1e-9
-    known = {"strict_columns": False, "in_seconds": True, "notes": tuple(notes)}
+    wrench, said = wrench_at(merged.stamps, wrenches)
+    known = {"strict_columns": False, "in_seconds": True, "notes": (*notes, *said), "wrench": wrench}
     yield Recording.of(path, path.name, time, merged.names, merged.q, merged.u, merged.effort, **known)
 
 
-def _topics(bag: BagFile, request: ReadRequest) -> tuple[str, ...]:
+def _topics(bag: BagFile, request: ReadRequest) -> tuple[tuple[str, ...], tuple[str, ...]]:
+    """Topics of joint states and of wrenches: those that were asked for; of a kind of which none was, all."""
     if not bag.joint_topics:
         there = ", ".join(f"{t} ({k})" for t, k in list(bag.topics.items())[:8]) or "no topics"
         raise refusal(
             bag.path, "no-joint-states", f"there is no {JOINT_STATE} in this bag, it has {there}: record /joint_states"
         )
     if request.topics is None:
-        return bag.joint_topics
+        return bag.joint_topics, bag.wrench_topics
+    possible = (*bag.joint_topics, *bag.wrench_topics)
     for topic in request.topics:
-        if topic not in bag.joint_topics:
-            near = closest_names(topic, bag.joint_topics) or list(bag.joint_topics)
+        if topic not in possible:
+            near = closest_names(topic, possible) or list(possible)
             raise refusal(
                 bag.path, "unknown-topic", f"there is no {JOINT_STATE} topic {topic!r}; there is {', '.join(near)}"
             )
     request.uses.use("topics")
-    return request.topics
+    joints, wrenches = (tuple(t for t in request.topics if t in of) for of in (bag.joint_topics, bag.wrench_topics))
+    return joints or bag.joint_topics, wrenches or bag.wrench_topics
 
 
 def _renamed(stream: JointStateStream, request: ReadRequest) -> JointStateStream:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import json
 import zipfile
 from collections.abc import Iterator
@@ -30,6 +31,7 @@ from manip_learn.recordings.saved_motion import (
     joint_positions,
     refuse_lost_samples,
 )
+from manip_learn.recordings.trajectory import BESIDE
 from manip_learn.recordings.writers.mcap_writer import ROLLOUT_TOPIC, rollout_sample_values
 from manip_learn.recordings.writers.write_motion import MARK, column_groups, column_line
 
@@ -98,7 +100,7 @@ def read(path: Path, request: ReadRequest) -> Iterator[Recording]:
     names = tuple(request.renamed(n) for n in motion.header.joint_names)
     q = joint_positions(path, motion.q, names, request.robot)
     own = {"in_seconds": True, "trusted": True, "notes": notes}
-    yield Recording.of(path, path.name, motion.time, names, q, motion.u, motion.effort, **own)
+    yield Recording.of(path, path.name, motion.time, names, q, motion.u, motion.effort, wrench=motion.wrench, **own)
 
 
 @contextmanager
@@ -166,7 +168,8 @@ def _read_csv(path: Path, header: FileHeader) -> SavedMotion:
     lines = _lines(path)
     next(lines)
     number, columns = next(lines, (2, ""))
-    possible = [column_groups(header, u, effort) for u in (True, False) for effort in (False, True)]
+    choices = (c for n in (1, 0, 2, 3) for c in itertools.combinations(BESIDE, n))
+    possible = [column_groups(header, beside) for beside in choices]
     groups = next((g for g in possible if column_line(g) == columns), None)
     if groups is None:
         raise refusal(
@@ -193,7 +196,7 @@ def _read_csv(path: Path, header: FileHeader) -> SavedMotion:
     table = np.array(rows, dtype=np.float64).reshape(len(rows), width - ("status" in groups))
     arrays, at = {}, 0
     for name, names in groups.items():
-        arrays[name] = table[:, at : at + len(names)] if name in ("q", "u", "effort") else table[:, at : at + 1].ravel()
+        arrays[name] = table[:, at : at + len(names)] if name in ("q", *BESIDE) else table[:, at : at + 1].ravel()
         at += len(names)
     return _motion(header, arrays, tuple(status))
 
@@ -203,7 +206,7 @@ def _read_jsonl(path: Path, header: FileHeader) -> SavedMotion:
     arrays: dict[str, list] = {"time": [], "q": []}
     status: list[str] = []
     nv = len(header.joint_names)
-    widths = {"q": header.nq or nv, "u": nv, "effort": nv}
+    widths = {"q": header.nq or nv, "u": nv, "effort": nv, "wrench": 6}
     lines = _lines(path)
     next(lines)
     for number, line in lines:

@@ -1,5 +1,5 @@
 """Motions as a LeRobot v3.0 data set: one episode each, `observation.state` and, where known,
-`observation.velocity` and `observation.effort` in float64.
+`observation.velocity`, `observation.effort` and `observation.wrench` in float64.
 
 Timestamps count from the first sample of each episode. Nothing that was not recorded is made up: there is no `action`.
 """
@@ -16,8 +16,9 @@ import numpy as np
 
 from manip_learn.atomic_write import write_atomically
 from manip_learn.errors import MissingExtraError, OutputError
-from manip_learn.recordings.readers.lerobot_dataset import DATASET_HEADER, EFFORT, STATE, VELOCITY
+from manip_learn.recordings.readers.lerobot_dataset import DATASET_HEADER, EFFORT, STATE, VELOCITY, WRENCH
 from manip_learn.recordings.saved_motion import SavedMotion
+from manip_learn.recordings.writers.write_motion import WRENCH_NAMES
 
 try:
     import pyarrow as pa
@@ -27,6 +28,7 @@ except ImportError as error:
 
 TASK = "recorded motion"
 FILE = "chunk-000/file-000.parquet"
+FEATURES = {STATE: "q", VELOCITY: "u", EFFORT: "effort", WRENCH: "wrench"}  # and the arrays of a motion that they hold
 
 
 def write_lerobot(folder: Path, motions: Sequence[SavedMotion]) -> Path:
@@ -36,15 +38,15 @@ def write_lerobot(folder: Path, motions: Sequence[SavedMotion]) -> Path:
         The folder.
 
     Raises:
-        OutputError: The folder has files, it cannot be written, or only some motions have velocities.
+        OutputError: The folder has files, it cannot be written, or only some motions have velocities, efforts or a
+            wrench.
         MissingExtraError: pyarrow is not installed.
     """
     if folder.exists() and (not folder.is_dir() or any(folder.iterdir())):
         raise OutputError(f"cannot write a LeRobot data set to {folder}: it exists; name a new or an empty folder")
-    if len({m.u is None for m in motions}) > 1:
-        raise OutputError("some trajectories have velocities and others not: export them to data sets of their own")
-    if len({m.effort is None for m in motions}) > 1:
-        raise OutputError("some trajectories have efforts and others not: export them to data sets of their own")
+    for what, name in (("velocities", "u"), ("efforts", "effort"), ("a wrench", "wrench")):
+        if len({getattr(m, name) is None for m in motions}) > 1:
+            raise OutputError(f"some trajectories have {what} and others not: export them to data sets of their own")
     table = _samples(motions)
     fps = _rate(motions)
     write_atomically(folder / "data" / FILE, _parquet(table))
@@ -59,11 +61,8 @@ def write_lerobot(folder: Path, motions: Sequence[SavedMotion]) -> Path:
 
 def _samples(motions: Sequence[SavedMotion]) -> Any:
     lengths = [len(m.time) for m in motions]
-    columns = {STATE: _vectors([m.q for m in motions])}
-    if motions[0].u is not None:
-        columns[VELOCITY] = _vectors([m.u for m in motions if m.u is not None])
-    if motions[0].effort is not None:
-        columns[EFFORT] = _vectors([m.effort for m in motions if m.effort is not None])
+    arrays = {name: [getattr(m, attribute) for m in motions] for name, attribute in FEATURES.items()}
+    columns = {name: _vectors(some) for name, some in arrays.items() if some[0] is not None}
     columns["timestamp"] = pa.array(np.concatenate([m.time - m.time[0] for m in motions]))
     columns["frame_index"] = pa.array(np.concatenate([np.arange(n) for n in lengths]))
     columns["episode_index"] = pa.array(np.repeat(np.arange(len(motions)), lengths))
@@ -116,8 +115,12 @@ def _statistics(table: Any) -> dict[str, Any]:
 
 def _info(motions: Sequence[SavedMotion], fps: float, table: Any) -> dict[str, Any]:
     header = motions[0].header
-    vector = {"dtype": "float64", "shape": [len(header.joint_names)], "names": list(header.joint_names)}
-    features: dict[str, Any] = {name: vector for name in (STATE, VELOCITY, EFFORT) if name in table.column_names}
+    entries = {name: WRENCH_NAMES if name == WRENCH else header.joint_names for name in FEATURES}
+    features: dict[str, Any] = {
+        name: {"dtype": "float64", "shape": [len(names)], "names": list(names)}
+        for name, names in entries.items()
+        if name in table.column_names
+    }
     features["timestamp"] = {"dtype": "float64", "shape": [1], "names": None}
     for name in ("frame_index", "episode_index", "index", "task_index"):
         features[name] = {"dtype": "int64", "shape": [1], "names": None}

@@ -24,22 +24,26 @@ MAGIC = b"\x89MCAP0\r\n"
 HEADER, FOOTER, SCHEMA, CHANNEL, MESSAGE, CHUNK, MESSAGE_INDEX, CHUNK_INDEX = 1, 2, 3, 4, 5, 6, 7, 8
 STATISTICS, METADATA, METADATA_INDEX, DATA_END = 0x0B, 0x0C, 0x0D, 0x0F  # codes of records
 METADATA_NAME, HEADER_KEY = "manip_learn", "header"
-JOINT_TOPIC, ROLLOUT_TOPIC = "/joint_states", "/rollout"
+JOINT_TOPIC, WRENCH_TOPIC, ROLLOUT_TOPIC = "/joint_states", "/wrench", "/rollout"
 CHUNK_BYTES = 1_000_000  # after which a chunk is closed; the specification asks for none
 SECOND = 1_000_000_000  # [ns]; a stamp of zero means "not set" in ROS: motions that start at zero start at one second
 LAST_STAMP = 2**31 * SECOND  # [ns] seconds are int32 in ROS
 
 JOINT_STATE = "sensor_msgs/msg/JointState"
+WRENCH, STAMPED_WRENCH = "geometry_msgs/msg/Wrench", "geometry_msgs/msg/WrenchStamped"
 ROLLOUT_SAMPLE = "manip_learn_msgs/msg/RolloutSample"
 FOLLOWED_SAMPLE = "manip_learn_msgs/msg/FollowedSample"  # with the following error
 _SAMPLE = "float64 time\nfloat64 manipulability\nfloat64 task_error\nfloat64[] q\nfloat64[] u\nstring status\n"
+_RULE = "=" * 80 + "\n"
+_HEADER = f"{_RULE}MSG: std_msgs/Header\nbuiltin_interfaces/Time stamp\nstring frame_id\n"
+_HEADER += f"{_RULE}MSG: builtin_interfaces/Time\nint32 sec\nuint32 nanosec\n"
 # definitions as MCAP wants them: the message, then what it refers to
 DEFINITIONS = {
     JOINT_STATE: "std_msgs/Header header\nstring[] name\nfloat64[] position\nfloat64[] velocity\nfloat64[] effort\n"
-    + "=" * 80
-    + "\nMSG: std_msgs/Header\nbuiltin_interfaces/Time stamp\nstring frame_id\n"
-    + "=" * 80
-    + "\nMSG: builtin_interfaces/Time\nint32 sec\nuint32 nanosec\n",
+    + _HEADER,
+    STAMPED_WRENCH: f"std_msgs/Header header\ngeometry_msgs/Wrench wrench\n{_HEADER}"
+    f"{_RULE}MSG: geometry_msgs/Wrench\ngeometry_msgs/Vector3 force\ngeometry_msgs/Vector3 torque\n"
+    f"{_RULE}MSG: geometry_msgs/Vector3\nfloat64 x\nfloat64 y\nfloat64 z\n",
     ROLLOUT_SAMPLE: _SAMPLE,
     FOLLOWED_SAMPLE: _SAMPLE + "float64 following_error\n",
 }
@@ -56,6 +60,8 @@ def mcap_bytes(motion: SavedMotion) -> bytes:
     if stamps.size and stamps[0] == 0:
         stamps = stamps + SECOND
     topics = [(JOINT_TOPIC, JOINT_STATE)]
+    if motion.wrench is not None:
+        topics.append((WRENCH_TOPIC, STAMPED_WRENCH))
     if motion.header.kind == "rollout":
         topics.append((ROLLOUT_TOPIC, ROLLOUT_SAMPLE if motion.following_error is None else FOLLOWED_SAMPLE))
     file = _McapFile(topics)
@@ -98,6 +104,8 @@ def _messages(motion: SavedMotion, stamps: np.ndarray) -> Iterator[list[bytes]]:
         q, u = motion.q[i], nothing if motion.u is None else motion.u[i]
         effort = nothing if motion.effort is None else motion.effort[i]
         messages = [encode(stamp, q if are_positions else nothing, u, effort)]
+        if motion.wrench is not None:
+            messages.append(stamped_wrench(stamp, motion.wrench[i]))
         if motion.manipulability is not None and motion.task_error is not None:
             numbers = float(motion.time[i]), float(motion.manipulability[i]), float(motion.task_error[i])
             following = None if motion.following_error is None else float(motion.following_error[i])
@@ -121,6 +129,13 @@ def joint_state_encoder(names: tuple[str, ...]) -> Callable[[int, np.ndarray, np
         return CDR_LITTLE_ENDIAN + bytes(message)
 
     return encode
+
+
+def stamped_wrench(stamp: int, wrench: Float[np.ndarray, " 6"]) -> bytes:
+    """A message: stamp [ns], no frame, since that of the sensor is not known, and the numbers."""
+    message = bytearray(struct.pack("<iI", *divmod(stamp, SECOND)) + _text("\x00"))
+    _align(message, 8)
+    return CDR_LITTLE_ENDIAN + bytes(message) + np.ascontiguousarray(wrench, dtype="<f8").tobytes()
 
 
 def rollout_sample(

@@ -7,7 +7,7 @@ import io
 import json
 import math
 import os
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Collection, Mapping
 from pathlib import Path
 
 import numpy as np
@@ -15,21 +15,22 @@ import numpy as np
 from manip_learn.atomic_write import write_atomically
 from manip_learn.errors import OutputError
 from manip_learn.recordings.saved_motion import CURVES, PREFIX, FileHeader, SavedMotion
+from manip_learn.recordings.trajectory import BESIDE
 from manip_learn.recordings.writers.mcap_writer import mcap_bytes, nanoseconds
 
 MARK = "# manip_learn "
 VELOCITY_SUFFIX, EFFORT_SUFFIX = "_velocity", "_effort"
+WRENCH_NAMES = ("force_x", "force_y", "force_z", "torque_x", "torque_y", "torque_z")
 
 
-def column_groups(header: FileHeader, with_velocities: bool, with_efforts: bool) -> dict[str, list[str]]:
-    """Array -> names of its columns: time, postures, velocities, efforts, and of a rollout its curves and status."""
+def column_groups(header: FileHeader, beside: Collection[str]) -> dict[str, list[str]]:
+    """Array -> names of its columns: time, postures, what is beside them, and of a rollout its curves and status."""
     joints = list(header.joint_names)
     postures = joints if header.nq in (None, len(joints)) else [f"q[{i}]" for i in range(header.nq or 0)]
     groups = {"time": ["time"], "q": postures}
-    if with_velocities:
-        groups["u"] = [name + VELOCITY_SUFFIX for name in joints]
-    if with_efforts:
-        groups["effort"] = [name + EFFORT_SUFFIX for name in joints]
+    possible = {"u": [name + VELOCITY_SUFFIX for name in joints], "effort": [name + EFFORT_SUFFIX for name in joints]}
+    possible["wrench"] = list(WRENCH_NAMES)
+    groups |= {name: columns for name, columns in possible.items() if name in beside}
     if header.kind == "rollout":
         curves = ("manipulability", "task_error", *(("following_error",) if header.follows else ()), "status")
         groups |= {name: [name] for name in curves}
@@ -45,7 +46,7 @@ def column_line(groups: Mapping[str, list[str]]) -> str:
 
 def csv_bytes(motion: SavedMotion) -> bytes:
     """The table, UTF-8."""
-    groups = column_groups(motion.header, motion.u is not None, motion.effort is not None)
+    groups = column_groups(motion.header, [name for name in BESIDE if getattr(motion, name) is not None])
     table = np.column_stack([getattr(motion, name) for name in groups if name != "status"])
     words = [[word] for word in motion.status] or [[]] * len(table)
     lines = [MARK + motion.header.to_json(len(motion.time)), column_line(groups)]
