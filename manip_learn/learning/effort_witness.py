@@ -1,4 +1,4 @@
-"""Recorded efforts, a witness that the motion knows nothing of: the share of the contact along the held rows.
+"""Recorded efforts and wrenches, witnesses that the motion knows nothing of: where there is contact, along which rows.
 
 An ideal contact does no work, so that what it adds to the joints' efforts is A(q)^T f: it lies in the span of the held
 rows. With tau the efforts recorded and tau_free what the same motion needs without contact, tau_ext = tau - tau_free,
@@ -9,13 +9,20 @@ W one over the residual of each joint's effort in free motion. A dense Lambda of
 share of chance. Gravity, inertia and friction have to be taken off: by inverse dynamics where the robot has inertias,
 plus an offset and friction (viscous and dry) of each joint fitted to free stretches; without inertias these are fitted
 there too, in the regressor of the dynamics. What is fitted is judged on stretches that were left out.
+
+Of a wrench only its size is used, since recordings do not say how the sensor sits on the hand. Its offset and the
+tool's weight, however the sensor is turned, are linear in 1 and in the direction of gravity seen from the hand: fitted
+to free stretches and taken off as well. A sample is in contact if what is left belongs to the larger of two
+populations, into which all samples, of contact and free motion together, are divided where they differ most (Otsu, IEEE
+Transactions on Systems, Man, and Cybernetics 9, 1979). Where the motion says that rows are held plays no part in that.
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from typing import Any, final
+from functools import partial
+from typing import Any, Literal, final
 
 import numpy as np
 from jaxtyping import Float
@@ -36,6 +43,11 @@ MOST_SAMPLES = 1500
 DRAWS = 200
 # samples of the shortest stretch in which accelerations can be had: a window of 5, and its ends
 SHORTEST = 12
+# what shows contact, the better witness first, and the array of a trajectory that it is in
+WITNESSES: dict[Literal["force sensor", "efforts"], Literal["wrench", "effort"]] = {
+    "force sensor": "wrench",
+    "efforts": "effort",
+}
 RANK = 1e-6  # share of the largest singular value below which a combination of parameters is not determined
 
 
@@ -70,6 +82,70 @@ class EffortWitness:
         return f"{100.0 * self.share:.0f} % of the contact's effort is along the held rows; {beside}{free}{verdict}"
 
 
+@final
+@dataclass(frozen=True)
+class ContactWitness:
+    """How well contact by force agrees with contact by motion.
+
+    Attributes:
+        by: What shows the force, `"force sensor"` or `"efforts"`.
+        held: Share of samples in contact by force where the motion says that the rows are held, 1 in full agreement.
+        free: The same where it says that the hand is free, 0 in full agreement.
+        n_held, n_free: Numbers of these samples.
+    """
+
+    by: Literal["force sensor", "efforts"]
+    held: float
+    free: float
+    n_held: int
+    n_free: int
+
+    def sentence(self) -> str:
+        """In words."""
+        shows = "efforts show" if self.by == "efforts" else "force sensor shows"
+        return (
+            f"the {shows} contact in {100.0 * self.held:.0f} % of the samples in which the rows are held and in "
+            f"{100.0 * self.free:.0f} % of those of free motion"
+        )
+
+
+def contact_witness(
+    features: FeatureMap, contact: Sequence[Trajectory], free: Sequence[Trajectory]
+) -> ContactWitness | None:
+    """How well recorded forces agree with the motion on where there is contact; by the wrench where there is one.
+
+    Args:
+        features: Phi, of a robot.
+        contact: Stretches in which the rows are held, with velocities.
+        free: Stretches of free motion.
+
+    Returns:
+        None where nothing can be told: no free motion, or neither wrench nor efforts.
+    """
+    robot = getattr(features, "robot", None)
+    for by, what in WITNESSES.items():
+        held, moves = _motions(contact, what), _motions(free, what)
+        if robot is None or not held or not moves:
+            continue
+        equations = partial(_equations, robot) if what == "effort" else partial(_sensor_equations, features)
+        pushed, left = _external(equations, held, moves)
+        scale = np.sqrt(np.mean(left**2, axis=0)) + np.finfo(np.float64).tiny
+        sizes = [np.linalg.norm(some / scale, axis=1) for some in (pushed, left)]
+        least = _parting(np.concatenate(sizes))
+        shares = [float(np.mean(size > least)) for size in sizes]
+        return ContactWitness(by, shares[0], shares[1], len(pushed), len(left))
+    return None
+
+
+def _parting(sizes: Float[np.ndarray, " n"]) -> float:
+    """Size that parts two populations so that the mean squares of the logarithms within them are least."""
+    x = np.log(np.sort(sizes) + np.finfo(np.float64).tiny)
+    n = np.arange(1, len(x))
+    below, above = np.cumsum(x)[:-1] / n, np.cumsum(x[::-1])[-2::-1] / n[::-1]
+    k = int(np.argmax(n * n[::-1] * (above - below) ** 2))
+    return float(np.exp(0.5 * (x[k] + x[k + 1])))
+
+
 def effort_witness(
     features: FeatureMap,
     selection: Float[np.ndarray, "s p"],
@@ -92,7 +168,8 @@ def effort_witness(
     held, moves = _motions(contact), _motions(free)
     if robot is None or around is None or not held or not (has_inertias(robot) or moves):
         return None
-    tau, q, left = _external(robot, held, moves)
+    q = np.concatenate([m.q for m in held])
+    tau, left = _external(partial(_equations, robot), held, moves)
     W = np.ones(robot.nv) if left is None else 1.0 / np.sqrt(np.mean(left**2, axis=0) + np.finfo(np.float64).tiny)
     energy = float(np.mean(np.sum((tau * W) ** 2, axis=1)))
     stands_out = None if left is None else energy / robot.nv
@@ -130,53 +207,65 @@ class _Motion:
     q: Float[np.ndarray, "T n"]
     u: Float[np.ndarray, "T nv"]
     du: Float[np.ndarray, "T nv"]
-    effort: Float[np.ndarray, "T nv"]
+    measured: Float[np.ndarray, "T k"]
 
 
-def _motions(trajectories: Sequence[Trajectory]) -> list[_Motion]:
-    """Of those with efforts; accelerations are slopes of polynomials fitted to the velocities."""
+def _motions(trajectories: Sequence[Trajectory], what: Literal["wrench", "effort"] = "effort") -> list[_Motion]:
+    """Of those with efforts or a wrench; accelerations are slopes of polynomials fitted to the velocities."""
     usable: list[tuple[Trajectory, np.ndarray, np.ndarray]] = [
-        (t, t.u, t.effort) for t in trajectories if t.u is not None and t.effort is not None and len(t) >= SHORTEST
+        (t, t.u, t.beside[what]) for t in trajectories if t.u is not None and what in t.beside and len(t) >= SHORTEST
     ]
-    if not any(np.any(effort) for _, _, effort in usable):  # zeros: what drivers write that measure nothing
+    if not any(np.any(measured) for _, _, measured in usable):  # zeros: what drivers write that measure nothing
         return []
     most, out = max(2, MOST_SAMPLES // len(usable)), []
-    for t, u, effort in usable:
+    for t, u, measured in usable:
         m, degree = best_window(t.time, u, longest=max(5, len(t) // 3))
         du = local_fit(t.time, u, m, degree)[1]
         inner = slice(m, len(t) - m)
         some = evenly(len(du), most)
-        out.append(_Motion(t.q[inner][some], u[inner][some], du[some], effort[inner][some]))
+        out.append(_Motion(t.q[inner][some], u[inner][some], du[some], measured[inner][some]))
     return out
 
 
-def _external(robot: Robot, held: list[_Motion], moves: list[_Motion]) -> tuple[np.ndarray, np.ndarray, Any]:
-    """Effort of the contact (N, nv), its postures, and the residual of free motion, each stretch left out once."""
-    q = np.concatenate([m.q for m in held])
+Equations = tuple[Float[np.ndarray, "T k n"], Float[np.ndarray, "T k"]]  # matrix and right side
+
+
+def _external(equations_of: Callable[[_Motion], Equations], held: list[_Motion], moves: list[_Motion]) -> Any:
+    """What the contact exerts (N, k), and the residual of free motion, each stretch left out once; else None."""
     if not moves:
-        return np.concatenate([m.effort - inverse_dynamics(robot, m.q, m.u, m.du) for m in held]), q, None
-    equations = [_equations(robot, m) for m in moves]
-    tau = np.concatenate([y - Y @ _solved(equations) for Y, y in (_equations(robot, m) for m in held)])
+        return np.concatenate([equations_of(m)[1] for m in held]), None
+    equations = [equations_of(m) for m in moves]
+    tau = np.concatenate([y - Y @ _solved(equations) for Y, y in map(equations_of, held)])
     folds = equations if len(equations) > 1 else [(Y[i::2], y[i::2]) for Y, y in equations for i in range(2)]
     left = [Y @ _solved([o for j, o in enumerate(folds) if j != i]) - y for i, (Y, y) in enumerate(folds)]
     if len(equations) == 1:  # back in the order of the samples
         both = np.empty_like(equations[0][1])
         both[0::2], both[1::2] = left
         left = [both]
-    return tau, q, -np.concatenate(left)
+    return tau, -np.concatenate(left)
 
 
-def _equations(robot: Robot, m: _Motion) -> tuple[Float[np.ndarray, "T nv k"], Float[np.ndarray, "T nv"]]:
-    """Matrix and right side of the linear equations of the unknowns."""
+def _sensor_equations(features: FeatureMap, m: _Motion) -> Equations:
+    """Linear equations of a sensor's offset and of the tool's weight and its moment."""
+    robot, frame = getattr(features, "robot", None), getattr(features, "frame", None)
+    known = [np.ones((len(m.q), 1))]
+    if robot is not None and frame is not None:
+        known.append(np.array([robot.pose(q, frame)[2, :3] for q in m.q]))  # up, seen from the hand
+    regressor = np.hstack(known)
+    return np.einsum("ij,tk->tijk", np.eye(6), regressor).reshape(len(m.q), 6, -1), m.measured
+
+
+def _equations(robot: Robot, m: _Motion) -> Equations:
+    """Linear equations of friction, and of inertias where they are not known."""
     friction = np.concatenate(
         [np.eye(robot.nv) * x[:, None, :] for x in (np.ones_like(m.u), m.u, np.sign(m.u))], axis=2
     )
     if has_inertias(robot):
-        return friction, m.effort - inverse_dynamics(robot, m.q, m.u, m.du)
-    return np.concatenate([friction, torque_regressor(robot, m.q, m.u, m.du)], axis=2), m.effort
+        return friction, m.measured - inverse_dynamics(robot, m.q, m.u, m.du)
+    return np.concatenate([friction, torque_regressor(robot, m.q, m.u, m.du)], axis=2), m.measured
 
 
-def _solved(equations: Sequence[tuple[np.ndarray, np.ndarray]]) -> Float[np.ndarray, " k"]:
+def _solved(equations: Sequence[Equations]) -> Float[np.ndarray, " k"]:
     """Least squares; what the motion does not determine is zero."""
     Y = np.concatenate([Y.reshape(-1, Y.shape[2]) for Y, _ in equations])
     size = np.linalg.norm(Y, axis=0)
