@@ -448,3 +448,27 @@ def test_pages_of_recordings_offer_the_choice_in_python_too(robot_of, rollout, t
     assert data["choice"] == {"command": "", "flag": "--episodes", "episodes": [], "odd": {"b": "moves 3 mm"}}
     mixed = {"a": demos[0], "r": rollout}
     assert data_in(replay(robot, mixed, tmp_path / "b.html").html)["choice"] is None
+
+
+def test_what_was_measured_is_drawn(robot_of, tmp_path):
+    """Efforts over the largest of each joint, zeros where one has none, and the size of force and torque with units."""
+    robot = robot_of("sawyer")
+    time = np.linspace(0.0, 2.0, 101)
+    effort = np.column_stack([np.sin(3.0 * time) * 2.0**k for k in range(robot.nv)])
+    effort[:, 2] = 0.0
+    wrench = np.column_stack([3.0 * time, 4.0 * time, 0.0 * time, 0.0 * time, 0.2 + time, 0.0 * time])
+    q = START + 0.1 * np.sin(time)[:, None]
+    demo = Trajectory(time, q, None, robot.joint_names, effort=effort, wrench=wrench)
+    bare = Trajectory(time, q, None, robot.joint_names)
+    page, without = data_in(replay(robot, {"a": demo, "b": bare}, tmp_path / "a.html").html)["rollouts"]
+    shown = curves_of(page, "effort")
+    assert list(shown) == list(robot.joint_names)
+    for name, (times, values) in shown.items():
+        largest = np.max(np.abs(effort[:, robot.joint_index(name)])) or 1.0
+        np.testing.assert_allclose(values, effort[:, robot.joint_index(name)] / largest, atol=1e-6)
+        np.testing.assert_allclose(times, time, atol=1e-12)
+    np.testing.assert_allclose(curves_of(page, "force")[""][1], 5.0 * time, atol=1e-5)
+    np.testing.assert_allclose(curves_of(page, "torque")[""][1], 0.2 + time, atol=1e-6)
+    units = {t["kind"]: t["unit"] for t in page["measures"]["tracks"]}
+    assert units["force"] == "N" and units["torque"] == "N m"
+    assert not {"effort", "force", "torque"} & {t["kind"] for t in without["measures"]["tracks"]}

@@ -49,8 +49,8 @@ WITNESSES: dict[Literal["force sensor", "efforts"], Literal["wrench", "effort"]]
     "force sensor": "wrench",
     "efforts": "effort",
 }
-# share of the variance that the means of the two halves of a normal population explain; those of two populations explain
-# more. Logarithms of sizes with 1 to 13 degrees of freedom reach 0.61 to 0.64
+# share of the variance that the means of the two halves of a normal population explain; those of two populations
+# explain more. Logarithms of sizes with 1 to 13 degrees of freedom reach 0.61 to 0.64
 ONE_POPULATION = 2.0 / np.pi
 RANK = 1e-6  # share of the largest singular value below which a combination of parameters is not determined
 

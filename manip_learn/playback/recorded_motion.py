@@ -54,9 +54,10 @@ class Track:
     """Curves that share an axis.
 
     Attributes:
-        kind: `"singular"`, `"velocity"`, `"position"`, `"task-error"`, `"following-error"`, `"fit"` or `"opening"`.
+        kind: `"singular"`, `"velocity"`, `"position"`, `"task-error"`, `"following-error"`, `"fit"`, `"opening"`,
+            `"effort"`, `"force"` or `"torque"`.
         curves: At least one.
-        unit: Of the values; `"limit"` for shares of a limit or of a range, empty where there is none.
+        unit: Of the values; `"limit"` for shares of a limit or of a range, empty for other shares.
         without: Joints that are not shown, because they have no limits.
     """
 
@@ -94,6 +95,8 @@ def tracks_of(
         _of_limits(robot, "velocity", samples.velocity_time, shares, limited),
         _of_limits(robot, "position", samples.time, places, bounded),
     ]
+    if isinstance(recording, Trajectory):
+        tracks += _measured(recording, recording.joint_names or robot.joint_names, samples.time)
     if isinstance(recording, Rollout):
         features = None if guidance.constraint is None else guidance.constraint.features
         units = "" if features is None else " or ".join(sorted({u.removesuffix("/s") for u in features.row_units}))
@@ -101,6 +104,20 @@ def tracks_of(
         joint_unit = " or ".join(sorted(set(robot.joint_units), reverse=True))
         tracks.append(_error("following-error", samples, recording.following_error, joint_unit))
     return tuple(t for t in tracks if t is not None and t.curves)
+
+
+def _measured(recording: Trajectory, joints: Sequence[str], time: Float[np.ndarray, " T"]) -> list[Track]:
+    """Efforts, each over its largest, since those at the base dwarf the others; and the size of force and torque."""
+    tracks = []
+    if recording.effort is not None:
+        largest = np.max(np.abs(recording.effort), axis=0)
+        shares = recording.effort / np.where(largest > 0.0, largest, 1.0)
+        tracks.append(Track("effort", tuple(Curve(n, time, c) for n, c in zip(joints, shares.T, strict=True))))
+    if recording.wrench is not None:
+        for kind, unit, part in (("force", "N", slice(0, 3)), ("torque", "N m", slice(3, 6))):
+            size = np.linalg.norm(recording.wrench[:, part], axis=1)
+            tracks.append(Track(kind, (Curve("", time, size),), unit))
+    return tracks
 
 
 def _singular_values(samples: MotionSamples, constraint: Constraint | None) -> Track | None:
