@@ -49,9 +49,9 @@ WITNESSES: dict[Literal["force sensor", "efforts"], Literal["wrench", "effort"]]
     "force sensor": "wrench",
     "efforts": "effort",
 }
-# share of the variance that the means of the two halves of a normal population explain; those of two populations
-# explain more. Logarithms of sizes with 1 to 13 degrees of freedom reach 0.61 to 0.64
-ONE_POPULATION = 2.0 / np.pi
+# share of the variance that the means of the halves of an evenly spread population explain; those of one with a peak
+# explain less (normal: 2 / pi, logarithms of sizes with 1 to 13 degrees of freedom 0.61 to 0.64), those of two more
+ONE_POPULATION = 0.75
 RANK = 1e-6  # share of the largest singular value below which a combination of parameters is not determined
 
 
@@ -235,7 +235,7 @@ def _motions(trajectories: Sequence[Trajectory], what: Literal["wrench", "effort
     return out
 
 
-Equations = tuple[Float[np.ndarray, "T k n"], Float[np.ndarray, "T k"]]  # matrix and right side
+Equations = tuple[Float[np.ndarray, "T m k"], Float[np.ndarray, "T m"]]  # matrix and right side
 
 
 def _external(equations_of: Callable[[_Motion], Equations], held: list[_Motion], moves: list[_Motion]) -> Any:
@@ -273,7 +273,7 @@ def _equations(robot: Robot, m: _Motion) -> Equations:
     return np.concatenate([friction, torque_regressor(robot, m.q, m.u, m.du)], axis=2), m.measured
 
 
-def _solved(equations: Sequence[Equations]) -> Float[np.ndarray, " k"]:
+def _solved(equations: Sequence[tuple[np.ndarray, np.ndarray]]) -> Float[np.ndarray, " k"]:
     """Least squares; what the motion does not determine is zero."""
     Y = np.concatenate([Y.reshape(-1, Y.shape[2]) for Y, _ in equations])
     size = np.linalg.norm(Y, axis=0)
