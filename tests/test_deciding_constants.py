@@ -16,7 +16,7 @@ MOST = 100
 BESIDE = {
     "answer": {"time": "MOST_PATHS START_SHARE"},
     "audit": {"time": "CHUNK CRITERIA", "rounding": "NOTABLE MAD_EFFICIENCY MAD_SMALL MAD_TO_SIGMA"},
-    "effort_witness": {"time": "MOST_SAMPLES DRAWS", "rounding": "SHORTEST RANK"},
+    "effort_witness": {"time": "MOST_SAMPLES DRAWS", "rounding": "SHORTEST RANK ONE_POPULATION"},
     "descent": {"rounding": "FIRST_DAMPING MOST_DAMPED CUTOFF"},
     "estimators.joint_estimator": {
         "time": "RANDOM_STARTS COMPARE_LIMIT MAX_COLUMNS MOST_POSTURES FEW FEW_SAMPLES STARTS IDLE_ROUNDS REFINED LOOK",

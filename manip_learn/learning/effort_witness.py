@@ -12,7 +12,7 @@ there too, in the regressor of the dynamics. What is fitted is judged on stretch
 
 Of a wrench only its size is used, since recordings do not say how the sensor sits on the hand. Its offset and the
 tool's weight, however the sensor is turned, are linear in 1 and in the direction of gravity seen from the hand: fitted
-to free stretches and taken off as well. A sample is in contact if what is left belongs to the larger of two
+to free stretches and taken off as well. A sample is in contact if the rest belongs to the larger of two
 populations, into which all samples, of contact and free motion together, are divided where they differ most (Otsu, IEEE
 Transactions on Systems, Man, and Cybernetics 9, 1979). Where the motion says that rows are held plays no part in that.
 If the two explain no more than two halves of one population would, there is no contact that stands out.

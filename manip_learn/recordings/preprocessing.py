@@ -27,7 +27,7 @@ def trim_standstill(trajectory: Trajectory, share: float = 0.02) -> Trajectory:
 
 
 def resample(trajectory: Trajectory, dt: float) -> Trajectory:
-    """Linear interpolation of positions and what was recorded beside them on an even grid of dt [s].
+    """Linear interpolation of positions and of the arrays beside them on an even grid of dt [s].
 
     Raises:
         RecordingError: dt is not positive or longer than the trajectory.

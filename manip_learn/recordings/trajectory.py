@@ -133,7 +133,7 @@ class Trajectory:
 
     @property
     def beside(self) -> dict[str, Any]:
-        """What was recorded beside the positions, by its name: of `u`, `effort` and `wrench` those that are there."""
+        """The arrays beside the positions, by their names: of `u`, `effort` and `wrench` those that are there."""
         return {name: array for name in BESIDE if (array := getattr(self, name)) is not None}
 
     @property

@@ -353,7 +353,6 @@ def read(path: Path, request: ReadRequest) -> Iterator[Recording]:
     dialect = replace(dialect, without_cut_line=cut)
     table = _table(path, dialect, used, request)
     _refuse_changed(path, before)
-    kept = [str(columns.names[i]) for i in used]
     notes = [f"the header was read from the comment in line {dialect.header_line}"] if dialect.commented_header else []
     notes += columns.notes
     if cut and len(table) < 2:
@@ -368,7 +367,15 @@ def read(path: Path, request: ReadRequest) -> Iterator[Recording]:
             "the last line has no line end and was left out, for its last number may be cut off"
             + advice("; if the file is whole, pass {}", "last_line='keep'", "--last-line keep")
         )
-    own = request.robot.joint_names
+    yield _recording(path, dialect, request, columns, table, notes)
+
+
+def _recording(
+    path: Path, dialect: CsvDialect, request: ReadRequest, columns: Columns, table: np.ndarray, notes: list[str]
+) -> Recording:
+    """The used columns, each as what its name says."""
+    used = [i for i, name in enumerate(columns.names) if name is not None]
+    kept, own = [str(columns.names[i]) for i in used], request.robot.joint_names
     effort = {n: effort_joint(n, (*own, *unmoved_joint_names(request.robot))) for n in kept}
     surplus = [n for n in kept if not effort[n] and _base_name(n, SURPLUS_SUFFIXES, own)]
     if surplus:
@@ -379,7 +386,7 @@ def read(path: Path, request: ReadRequest) -> Iterator[Recording]:
     known = {*columns.time, *columns.wrench}
     beside = {*v, *e, *(i for i, n in enumerate(kept) if n in surplus or used[i] in known)}
     p = [i for i in range(len(kept)) if i not in beside]
-    yield Recording(
+    return Recording(
         path=path,
         name=path.name,
         time=columns.stamps(table, used, request),

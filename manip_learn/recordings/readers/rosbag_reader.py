@@ -545,7 +545,7 @@ def wrench_at(
     one = streams[0]
     far = int(np.count_nonzero(~_covered(stamps, one.stamps)))
     where = f"{far} of {counted(len(stamps), 'sample')} have no message of {one.topic} nearby"
-    if 2 * far > len(stamps):  # of most, something else would be told than what was measured
+    if 2 * far > len(stamps):  # most numbers would not have been measured
         return None, [f"{where}, so that wrench is not used"]
     notes = [f"the wrench is that of {one.topic}, interpolated at the stamps of the joint states"]
     return _at(stamps, one.stamps, one.values), [*notes, *([f"{where}: the nearest ones are used"] if far else [])]

@@ -34,7 +34,7 @@ WRENCH, STAMPED_WRENCH = "geometry_msgs/msg/Wrench", "geometry_msgs/msg/WrenchSt
 ROLLOUT_SAMPLE = "manip_learn_msgs/msg/RolloutSample"
 FOLLOWED_SAMPLE = "manip_learn_msgs/msg/FollowedSample"  # with the following error
 _SAMPLE = "float64 time\nfloat64 manipulability\nfloat64 task_error\nfloat64[] q\nfloat64[] u\nstring status\n"
-_RULE = "=" * 80 + "\n"
+_RULE = "=" * 80 + "\n"  # between definitions, as the specification of MCAP wants it [characters]
 _HEADER = f"{_RULE}MSG: std_msgs/Header\nbuiltin_interfaces/Time stamp\nstring frame_id\n"
 _HEADER += f"{_RULE}MSG: builtin_interfaces/Time\nint32 sec\nuint32 nanosec\n"
 # definitions as MCAP wants them: the message, then what it refers to

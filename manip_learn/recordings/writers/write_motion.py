@@ -24,7 +24,7 @@ WRENCH_NAMES = ("force_x", "force_y", "force_z", "torque_x", "torque_y", "torque
 
 
 def column_groups(header: FileHeader, beside: Collection[str]) -> dict[str, list[str]]:
-    """Array -> names of its columns: time, postures, what is beside them, and of a rollout its curves and status."""
+    """Array -> names of its columns: time, postures, the arrays beside them, and of a rollout its curves and status."""
     joints = list(header.joint_names)
     postures = joints if header.nq in (None, len(joints)) else [f"q[{i}]" for i in range(header.nq or 0)]
     groups = {"time": ["time"], "q": postures}
