@@ -456,7 +456,7 @@ def test_what_was_measured_is_drawn(robot_of, tmp_path):
     time = np.linspace(0.0, 2.0, 101)
     effort = np.column_stack([np.sin(3.0 * time) * 2.0**k for k in range(robot.nv)])
     effort[:, 2] = 0.0
-    wrench = np.column_stack([3.0 * time, 4.0 * time, 0.0 * time, 0.0 * time, 0.2 + time, 0.0 * time])
+    wrench = np.column_stack([3.0 * time, 4.0 * time, 0.0 * time, 0.0 * time, 0.0 * time, 0.2 + time])
     q = START + 0.1 * np.sin(time)[:, None]
     demo = Trajectory(time, q, None, robot.joint_names, effort=effort, wrench=wrench)
     bare = Trajectory(time, q, None, robot.joint_names)

@@ -177,6 +177,16 @@ def test_archives_and_frames(tmp_path: Path):
     assert again[1].wrench is None
 
 
+def test_samples_that_are_left_out_take_theirs_along(tmp_path: Path):
+    """A row that is there twice is dropped with its wrench, and parts between gaps keep their own."""
+    time = TIME + np.where(np.arange(T) >= 40, 5.0, 0.0)
+    rows = [*range(10), 9, *range(10, T)]
+    write_table(tmp_path / "demo.csv", [*NAMES, *WRENCH_NAMES], np.hstack([Q, WRENCH])[rows], time[rows])
+    parts = load_demonstrations(tmp_path / "demo.csv", ROBOT)
+    np.testing.assert_array_equal(np.concatenate([part.wrench for part in parts]), WRENCH)
+    assert len(parts) == 2
+
+
 def test_bags_carry_it_on_a_topic_of_its_own():
     """ROS 1 and 2, with a header and without: interpolated linearly at the stamps of the joint states."""
     bags = pytest.importorskip("test_rosbag_reader", exc_type=ImportError)
@@ -320,6 +330,6 @@ def robomimic(h5py, path: Path, obs: dict[str, np.ndarray]) -> Path:
     return path
 
 
-def write_table(path: Path, names: list[str], values: np.ndarray) -> None:
-    rows = [",".join(map(repr, row)) for row in np.column_stack([TIME, values]).tolist()]
+def write_table(path: Path, names: list[str], values: np.ndarray, time: np.ndarray = TIME) -> None:
+    rows = [",".join(map(repr, row)) for row in np.column_stack([time, values]).tolist()]
     path.write_text(",".join(["time", *names]) + "\n" + "\n".join(rows) + "\n", encoding="utf-8")

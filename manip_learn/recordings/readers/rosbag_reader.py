@@ -547,7 +547,8 @@ def wrench_at(
     where = f"{far} of {counted(len(stamps), 'sample')} have no message of {one.topic} nearby"
     if 2 * far > len(stamps):  # most numbers would not have been measured
         return None, [f"{where}, so that wrench is not used"]
-    notes = [f"the wrench is that of {one.topic}, interpolated at the stamps of the joint states"]
+    between = "" if np.all(np.isin(stamps, one.stamps)) else ", interpolated at the stamps of the joint states"
+    notes = [f"the wrench is that of {one.topic}{between}"]
     return _at(stamps, one.stamps, one.values), [*notes, *([f"{where}: the nearest ones are used"] if far else [])]
 
 
