@@ -32,15 +32,8 @@ from manip_learn.recordings.validation.validate import validate
 from manip_learn.recordings.writers.write_motion import VELOCITY_SUFFIX
 from manip_learn.robot import Robot
 
-ARRAYS = (
-    "time",
-    "q",
-    "u",
-    "effort",
-    "wrench",
-    "joint_names",
-    "format",
-)  # of an NPZ archive; `time` is a column of any recording
+# of an NPZ archive; `time` is a column of any recording
+ARRAYS = ("time", "q", "u", "effort", "wrench", "joint_names", "format")
 SUFFIXES = (VELOCITY_SUFFIX, *SURPLUS_SUFFIXES, ".pos", ".vel")
 POSE_SUFFIXES = (".x", ".y", ".z", *ROTATION_VECTOR, *QUATERNION)
 
