@@ -63,11 +63,11 @@ def learnt(cases: list[Case]) -> Iterator[tuple[Case, dict[str, float]]]:
         arm, demos, truth = case.make()
         maps = [ml.FrameJacobian(arm.robot, truth["tip"], case.axes, reference) for reference in ("world", "local")]
         try:
-            report = ml.ConstraintLearner(maps).fit(demos).report_
+            found = ml.ConstraintLearner(maps).fit(demos).report_.mechanism
         except NotIdentifiableError:
             yield case, {"type right": 0.0}
             continue
-        figures = mechanism_figures(report, truth["mechanisms"][0])
+        figures = mechanism_figures(found, truth["mechanisms"][0])
         if case.kind == "door":
             bound = door_bound(arm, [t.q for t in demos], truth["mechanisms"][0])
             figures |= {

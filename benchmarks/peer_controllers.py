@@ -33,6 +33,7 @@ PEERS: dict[str, tuple[str, ...]] = {
     "jparse": ("jparse-robotics", "pin"),
     "roboticstoolbox": ("roboticstoolbox-python",),
 }
+PACKAGES = {**PEERS, "ripl_articulation": ("ripl_articulation",)}  # and of peers that estimate
 REFERENCE = "pseudo-inverse"
 GAIN, TASK_GAIN = 3.0, 2.0
 DURATION, DT = 5.0, 0.01
@@ -47,13 +48,13 @@ def interpreter(peer: str, given: dict[str, str]) -> str:
         OSError: The environment cannot be made.
         subprocess.CalledProcessError: The peer cannot be installed.
     """
-    if peer in given or not PEERS[peer]:
+    if peer in given or not PACKAGES[peer]:
         return given.get(peer, sys.executable)
     folder = ROOT / f".venv-bench-{peer}"
     python, made = folder / "bin" / "python", folder / "made"
     if not made.exists():
         venv.create(folder, with_pip=True, clear=True)
-        install = [str(python), "-m", "pip", "--disable-pip-version-check", "install", "--quiet", *PEERS[peer]]
+        install = [str(python), "-m", "pip", "--disable-pip-version-check", "install", "--quiet", *PACKAGES[peer]]
         subprocess.run(install, check=True, capture_output=True, text=True, timeout=900)
         made.touch()
     return str(python)

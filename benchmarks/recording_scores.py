@@ -142,7 +142,9 @@ def mechanisms_figures(
         if len(windows) < 2:
             continue
         number = _best_constraint(learner.report_, windows, {t.name: i for i, t in enumerate(demos)})
-        figures = {"type right": 0.0} if number is None else mechanism_figures(learner.reports_[number], mechanism)
+        figures = (
+            {"type right": 0.0} if number is None else mechanism_figures(learner.reports_[number].mechanism, mechanism)
+        )
         worst["type right"] = min(worst["type right"], figures.pop("type right"))
         for name, value in figures.items():
             better = min if name in INSIDE.values() else max
@@ -150,9 +152,8 @@ def mechanisms_figures(
     return worst
 
 
-def mechanism_figures(report: LearningReport, truth: dict[str, Any]) -> dict[str, float]:
+def mechanism_figures(found: ml.Mechanism | None, truth: dict[str, Any]) -> dict[str, float]:
     """Whether the type is right, errors of its parameters, and whether they are within what is stated."""
-    found = report.mechanism
     if found is None:
         return {"type right": 0.0}
     held = "loose" if truth["held"] == "loose" else "firm"
