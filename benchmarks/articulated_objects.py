@@ -125,9 +125,7 @@ def main() -> None:
     parser.add_argument("--out", type=Path)
     given = parser.parse_args()
     python = interpreter(PEER, {PEER: given.python} if given.python else {})
-    columns = (
-        "kind | recordings | noise [rad] | estimator | type right | axis [deg] | place [mm] | pitch [%] | time [s]"
-    )
+    names = "kind | recordings | noise [rad] | estimator | type right | axis [deg] | place [mm] | pitch [%] | time [s]"
     text = f"| {names} |\n" + "|---" * 9 + "|\n"
     print(text, end="", flush=True)
     with tempfile.TemporaryDirectory() as folder:
