@@ -130,7 +130,7 @@ def main() -> None:
     print(text, end="", flush=True)
     with tempfile.TemporaryDirectory() as folder:
         for name, cases in lines(given.sets, given.first_seed):
-            if given.kinds and name.split(" ")[0].rstrip(",") not in given.kinds:
+            if given.kinds and name.partition(" |")[0] not in given.kinds:
                 continue
             found = measured(cases, Path(folder), python)
             part = "".join(f"| {name} | {who} | {cells(f)} |\n" for who, f in found.items())

@@ -5,10 +5,13 @@ from __future__ import annotations
 import shutil
 from functools import cache
 from pathlib import Path
-from types import SimpleNamespace
+from types import ModuleType, SimpleNamespace
 from typing import Any
 
 import numpy as np
+from task_sets import arm as arm_named
+from task_sets import generated
+from vendor_fakes import FAKES, Joints
 
 import manip_learn as ml
 from manip_learn.cli import main
@@ -17,6 +20,8 @@ from manip_learn.learning import ConstraintLearner
 ROOT = Path(__file__).resolve().parents[1]
 DRAWER = ROOT / "examples" / "data" / "sawyer_drawer"
 TIP = "right_gripper_tip"
+ARMS = {"ur": "ur5", "franka": "panda", "xarm": "xarm7", "ros2_control": "ur5"}  # that a page is about
+RTDE = [f"actual_{kind}_{i}" for kind in ("q", "qd") for i in range(6)]  # columns of its recordings
 
 
 class Countdown:
@@ -80,6 +85,36 @@ def furnish(folder: Path, page: str) -> None:
         shutil.copy(path, folder / "recordings" / path.name)
     if page == "your_own_arm":
         write_other_formats(folder)
+    if page in ARMS:
+        write_recordings_of_arm(folder, page)
+
+
+@cache
+def recorded(page: str) -> list[tuple[np.ndarray, np.ndarray]]:
+    """Times and postures of a drawer that the page's arm has opened."""
+    _, demos = generated("drawer", ARMS[page], seed=11, n=4)
+    return [(demo.time, demo.q) for demo in demos]
+
+
+def vendors(page: str) -> dict[str, ModuleType]:
+    """The vendor's packages, around an arm at the beginning of the page's first recording."""
+    if page not in ARMS:
+        return {}
+    return FAKES[page](Joints(arm_named(ARMS[page]).joint_names, recorded(page)[0][1][0].copy()))
+
+
+def write_recordings_of_arm(folder: Path, page: str) -> None:
+    """As a table, with the columns of RTDE for UR, and for ROS 2 as bags."""
+    names = arm_named(ARMS[page]).joint_names
+    for number, (time, q) in enumerate(recorded(page)):
+        header, rows = ["time", *names], np.column_stack([time, q])
+        if page == "ur":
+            header, rows = ["timestamp", *RTDE], np.column_stack([rows, np.gradient(q, time, axis=0)])
+        table = folder / f"drawer_{number}.csv"
+        np.savetxt(table, rows, "%.9g", ",", header=",".join(header), comments="")
+        if page == "ros2_control":
+            bag = str(folder / f"drawer_{number}.mcap")
+            assert main(["export", ARMS[page], str(table), "--out", bag]) == 0
 
 
 def write_other_formats(folder: Path) -> None:

@@ -10,7 +10,7 @@ from pathlib import Path
 
 import pytest
 from documentation_blocks import Block, blocks, differences
-from documentation_scene import furnish, names
+from documentation_scene import furnish, names, vendors
 from library_source import listed
 
 from manip_learn.cli import main
@@ -37,6 +37,8 @@ def test_snippets_run(page, tmp_path, monkeypatch, capsys):
     monkeypatch.chdir(tmp_path)
     monkeypatch.setenv("COLUMNS", "160")
     monkeypatch.setitem(sys.modules, "numba", None)  # compiling takes half a minute, and other tests do it
+    for name, module in vendors(page.stem).items():
+        monkeypatch.setitem(sys.modules, name, module)
     found = names()
     printed = ""
     for block in blocks(page):

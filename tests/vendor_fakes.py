@@ -1,0 +1,168 @@
+"""Stand-ins for the vendors' packages that the pages of the arms import.
+
+Names, units, orders and ranges are those of the versions that each page states; a call that the real package would
+refuse fails here. They go at once where they are sent: no dynamics, no delays.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from types import ModuleType, SimpleNamespace
+from typing import Any
+
+import numpy as np
+from jaxtyping import Float
+
+class Joints:
+    """What all stand-ins of one arm share: its posture [rad], and whether a person guides it."""
+
+    def __init__(self, names: tuple[str, ...], q: Float[np.ndarray, " n"]) -> None:
+        self.names, self.q, self.u, self.guided = names, q, np.zeros(len(names)), False
+
+    def go(self, q: Any, u: Any = None) -> None:
+        """Be there, unless a person guides the arm."""
+        assert not self.guided, "the arm is released: it cannot follow"
+        assert len(q) == len(self.q) and np.all(np.isfinite(q))
+        self.q, self.u = np.array(q, dtype=float), self.u if u is None else np.array(u, dtype=float)
+
+
+def _module(name: str, **content: Any) -> dict[str, ModuleType]:
+    module = ModuleType(name)
+    module.__dict__.update(content)
+    return {name: module}
+
+
+def _ur(arm: Joints) -> dict[str, ModuleType]:
+    class Control:
+        def __init__(self, hostname: str, frequency: float) -> None:
+            assert frequency in (125.0, 500.0)
+
+        def servoJ(self, q: list, _speed: float, _acceleration: float, time: float, lookahead: float, gain: float):
+            assert isinstance(q, list) and time > 0.0 and 0.03 <= lookahead <= 0.2 and 100.0 <= gain <= 2000.0
+            arm.go(q)
+            return True
+
+        def servoStop(self) -> bool:
+            return True
+
+        def stopScript(self) -> None:
+            pass
+
+        def teachMode(self) -> bool:
+            arm.guided = True
+            return True
+
+        def endTeachMode(self) -> bool:
+            arm.guided = False
+            return True
+
+    class Receive:
+        def __init__(self, hostname: str, frequency: float) -> None:
+            self.getActualQ, self.getActualQd = lambda: arm.q.tolist(), lambda: arm.u.tolist()
+
+    return _module("rtde_control", RTDEControlInterface=Control) | _module("rtde_receive", RTDEReceiveInterface=Receive)
+
+
+def _franka(arm: Joints) -> dict[str, ModuleType]:
+    class Robot:
+        def __init__(self, host: str) -> None:
+            pass
+
+        @property
+        def state(self) -> SimpleNamespace:
+            return SimpleNamespace(q=arm.q, dq=arm.u, tau_ext_hat_filtered=np.zeros(7))
+
+        def join_motion(self) -> None:
+            raise RuntimeError("the motion has ended")
+
+    class Tracker:
+        def __init__(self, robot: Robot, *, stiffness: Any) -> None:
+            self.is_running = True
+            self.set_gains(stiffness=stiffness)
+
+        def set_target(self, q: Any, dq: Any = None) -> None:
+            arm.go(q, dq) if not arm.guided else None
+
+        def set_gains(self, *, stiffness: Any, damping: Any = None) -> None:
+            assert np.shape(stiffness) == (7,) and (damping is None or np.shape(damping) == (7,))
+            arm.guided = not np.any(stiffness)
+
+        def stop(self) -> None:
+            self.is_running = False
+
+    return _module("franky", Robot=Robot, JointImpedanceTracker=Tracker)
+
+
+def _xarm(arm: Joints) -> dict[str, ModuleType]:
+    class XArmAPI:
+        def __init__(self, ip: str) -> None:
+            self.mode, self.ready, self.enabled = 0, False, False
+
+        def motion_enable(self, enable: bool) -> int:
+            self.enabled = enable
+            return 0
+
+        def set_mode(self, mode: int) -> int:
+            self.mode, self.ready = mode, False  # set_state(0) comes after every change
+            return 0
+
+        def set_state(self, state: int) -> int:
+            self.ready, arm.guided = state == 0, self.mode == 2
+            return 0
+
+        def get_joint_states(self, is_radian: bool) -> tuple[int, list[list[float]]]:
+            assert is_radian
+            return 0, [arm.q.tolist(), arm.u.tolist(), [0.0] * len(arm.q)]
+
+        def set_servo_angle_j(self, angles: list, is_radian: bool) -> int:
+            assert isinstance(angles, list) and is_radian
+            if not (self.enabled and self.ready and self.mode == 1):
+                return 9
+            arm.go(angles)
+            return 0
+
+        def disconnect(self) -> None:
+            pass
+
+    return _module("xarm") | _module("xarm.wrapper", XArmAPI=XArmAPI)
+
+
+def _ros(arm: Joints) -> dict[str, ModuleType]:
+    order = sorted(range(len(arm.names)), key=lambda i: arm.names[i])  # as joint_state_broadcaster is often set up
+    listeners: list[Callable[[Any], None]] = []
+
+    class Node:
+        def __init__(self, name: str) -> None:
+            self.destroy_node = lambda: None
+
+        def create_subscription(self, kind: type, topic: str, listener: Callable[[Any], None], depth: int) -> None:
+            assert kind is JointState and topic == "/joint_states"
+            listeners.append(listener)
+
+        def create_publisher(self, kind: type, topic: str, depth: int) -> SimpleNamespace:
+            assert kind is Float64MultiArray and topic.endswith("/commands")
+            return SimpleNamespace(publish=lambda message: arm.go(message.data))
+
+    class JointState(SimpleNamespace):
+        pass
+
+    class Float64MultiArray(SimpleNamespace):
+        pass
+
+    def spin_once(_node: Node, timeout_sec: float) -> None:
+        message = JointState(
+            name=[arm.names[i] for i in order], position=arm.q[order].tolist(), velocity=[], effort=[]
+        )
+        for listener in listeners:
+            listener(message)
+
+    known = {"init": lambda: None, "ok": lambda: True, "create_node": Node, "spin_once": spin_once}
+    messages = {"sensor_msgs": {"JointState": JointState}, "std_msgs": {"Float64MultiArray": Float64MultiArray}}
+    out = _module("rclpy", **known)
+    for package, kinds in messages.items():
+        out |= _module(package) | _module(f"{package}.msg", **kinds)
+    return out
+
+
+# page -> the packages that it imports, by their names, around an arm
+FAKES: dict[str, Callable[[Joints], dict[str, ModuleType]]] = {"ur": _ur, "franka": _franka, "xarm": _xarm, "ros2_control": _ros}
