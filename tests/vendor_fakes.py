@@ -13,6 +13,7 @@ from typing import Any
 import numpy as np
 from jaxtyping import Float
 
+
 class Joints:
     """What all stand-ins of one arm share: its posture [rad], and whether a person guides it."""
 
@@ -150,9 +151,7 @@ def _ros(arm: Joints) -> dict[str, ModuleType]:
         pass
 
     def spin_once(_node: Node, timeout_sec: float) -> None:
-        message = JointState(
-            name=[arm.names[i] for i in order], position=arm.q[order].tolist(), velocity=[], effort=[]
-        )
+        message = JointState(name=[arm.names[i] for i in order], position=arm.q[order].tolist(), velocity=[], effort=[])
         for listener in listeners:
             listener(message)
 
@@ -165,4 +164,9 @@ def _ros(arm: Joints) -> dict[str, ModuleType]:
 
 
 # page -> the packages that it imports, by their names, around an arm
-FAKES: dict[str, Callable[[Joints], dict[str, ModuleType]]] = {"ur": _ur, "franka": _franka, "xarm": _xarm, "ros2_control": _ros}
+FAKES: dict[str, Callable[[Joints], dict[str, ModuleType]]] = {
+    "ur": _ur,
+    "franka": _franka,
+    "xarm": _xarm,
+    "ros2_control": _ros,
+}
