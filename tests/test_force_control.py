@@ -187,7 +187,7 @@ def test_command_writes_each_of_them(tmp_path: Path, capsys):
     frame = json.loads((tmp_path / "out.json").read_text(encoding="utf-8"))
     assert frame["axes"]["z"] == "held" and np.abs(frame["rows"]).tolist() == [[0.0, 0.0, 1.0, 0.0, 0.0, 0.0]]
     refused = {
-        "itself": ["--to", "json", "--out", str(file)],
+        "itself": ["--to", "stiffness", "--out", str(file)],
         "posture": ["--to", "json", "--out", str(tmp_path / "x"), "--at", "0,1"],
         "unknown": ["--to", "krl", "--out", str(tmp_path / "x")],
     }
@@ -195,7 +195,9 @@ def test_command_writes_each_of_them(tmp_path: Path, capsys):
         with case(name):
             assert main(["export", "sawyer", str(file), *words]) == 2
             assert capsys.readouterr().err.count("\n") <= 3
-    assert Constraint.load(file, robot).n_constraints == 1
+    assert main(["export", "sawyer", str(file), "--to", "json", "--out", str(file)]) == 0  # which loses nothing
+    for written in (file, tmp_path / "out.json"):
+        assert Constraint.load(written, robot).n_constraints == 1
 
 
 def test_rows_of_two_moving_frames_are_refused():

@@ -99,7 +99,7 @@ def _export_task(options: ExportOptions, text_of: Callable[[Constraint, ArrayLik
     """Write a constraint for another controller; it says in words what it holds."""
     if len(options.files) != 1:
         raise OutputError(f"--to {options.to} writes one constraint file, got {', '.join(options.files)}")
-    if options.out.exists() and options.out.samefile(options.files[0]):
+    if options.to != "json" and options.out.exists() and options.out.samefile(options.files[0]):
         raise OutputError(f"--out {options.out} is the constraint file itself: name another")
     robot = robot_of_constraint(options.robot, options.files[0], options.loading)
     constraint = Constraint.load(options.files[0], robot)

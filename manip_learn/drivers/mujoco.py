@@ -14,15 +14,18 @@ from numpy.typing import ArrayLike
 from manip_learn.control.following import STIFFNESS
 from manip_learn.errors import ConfigurationError, MissingExtraError
 
+STABLE = 3.0  # time steps in a radian of a servo's own oscillation at the least: an explicit spring needs half of that
+
 
 @final
 class MuJoCoDriver:
     """Joints of a MuJoCo model with position servos, as a `Driver`; its clock is that of the simulation.
 
     Each joint has a spring to the commanded position, critically damped against the commanded velocity, and carries its
-    own weight; it is stable at any time step (J. Tan, K. Liu and G. Turk, "Stable Proportional-Derivative Controllers",
-    2011). Actuators that the model has on these joints are switched off. After `release` the joints are free but for
-    friction, and `hand` may push them; `hold` has the servos hold the arm where it is then.
+    own weight and friction. Actuators that the model has on these joints are switched off; joints whose rotors are
+    lighter than the servo can move at this time step get as much inertia (0.07 kg m2 for 2,000 N m/rad at 2 ms, that of
+    a common drive). After `release` the joints are free but for friction, and `hand` may push them; `hold` has the
+    servos hold the arm where it is then.
 
     Args:
         model: A `mujoco.MjModel`; the driver keeps it and changes it.
@@ -84,9 +87,13 @@ class MuJoCoDriver:
         )
         model.actuator_gainprm[on_joints] = model.actuator_biasprm[on_joints] = 0.0
         self.data.qpos[self._q] = self._goal = np.array(q, dtype=np.float64)
-        mujoco.mj_forward(model, self.data)
         self._stiffness = float(stiffness)
-        self._damping = 2.0 * np.sqrt(self._stiffness * self._inertia().diagonal())
+        least = self._stiffness * (STABLE * model.opt.timestep) ** 2
+        model.dof_armature[self._u] = np.maximum(model.dof_armature[self._u], least)
+        mujoco.mj_forward(model, self.data)
+        inertia = np.zeros((model.nv, model.nv))
+        mujoco.mj_fullM(model, self.data, inertia)
+        self._damping = 2.0 * np.sqrt(self._stiffness * inertia.diagonal()[self._u])
         self._hand, self._noise, self._rng = hand, float(noise), rng
         self._holds, self._effort = True, np.zeros(len(joints))
 
@@ -117,22 +124,14 @@ class MuJoCoDriver:
         """Hold the arm where it is."""
         self._holds, self._goal = True, self.data.qpos[self._q].copy()
 
-    def _inertia(self) -> Float[np.ndarray, "n n"]:
-        full = np.zeros((self.model.nv, self.model.nv))
-        self._mujoco.mj_fullM(self.model, self.data, full)
-        return full[np.ix_(self._u, self._u)]
-
     def _step(self, goal: np.ndarray, rate: np.ndarray) -> None:
         data, joints = self.data, self._u
         self._mujoco.mj_step1(self.model, data)
         self._effort = data.qfrc_bias[joints] - data.qfrc_gravcomp[joints]
         if self._holds:
-            u, dt = data.qvel[joints], self.model.opt.timestep
-            push = self._stiffness * (goal - data.qpos[self._q] - dt * u) + self._damping * (rate - u)
-            # the spring and the damper as they are at the end of the step
-            implicit = self._inertia() + np.diag(dt * self._damping + dt * dt * self._stiffness)
-            change = np.linalg.solve(implicit, push)
-            self._effort += push - dt * (self._damping + dt * self._stiffness) * change
+            spring = self._stiffness * (goal - data.qpos[self._q]) + self._damping * (rate - data.qvel[joints])
+            friction = self.model.dof_frictionloss[joints] * np.sign(rate) - data.qfrc_passive[joints]
+            self._effort = data.qfrc_bias[joints] + friction + spring
         data.qfrc_applied[:] = 0.0
         data.qfrc_applied[joints] = self._effort
         if self._hand is not None:

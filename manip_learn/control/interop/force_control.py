@@ -259,7 +259,8 @@ WRITERS: Mapping[str, Callable[[Constraint, ArrayLike], str]] = {
     "urscript": urscript,
     "stiffness": lambda constraint, q: _as_json(impedance(constraint, q)),
     "moveit": moveit_constraints,
-    "json": lambda constraint, q: _as_json(constraint.task_frame(q).to_dict()),
+    # still a constraint file, with the task frame's keys beside its own
+    "json": lambda constraint, q: _as_json(constraint.to_dict() | constraint.task_frame(q).to_dict()),
 }
 
 
