@@ -18,6 +18,7 @@ from manip_learn.control.interop.force_control import (
     COMPLIANT,
     STIFF,
     TOLERANCE,
+    force_mode,
     impedance,
     moveit_constraints,
     urscript,
@@ -126,7 +127,11 @@ def test_urscript_frame_follows_the_hand(ur5):
                 assert np.allclose(now[:3, :3], wanted[:3, :3], atol=1e-7)
                 if turns != "axis":  # about an axis the origin may be anywhere on it
                     assert np.allclose(now[:3, 3], wanted[:3, 3], atol=1e-7)
+                given = force_mode(constraint, q)
+                assert np.allclose(given["task_frame"][:3], wanted[:3, 3])
+                assert np.allclose(Rotation.from_rotvec(given["task_frame"][3:]).as_matrix(), wanted[:3, :3])
             held = np.array(constraint.task_frame(posture(ur5)).along("held"))
+            assert np.array_equal(force_mode(constraint, posture(ur5))["selection_vector"], held)
             assert np.array_equal(numbers("selection", text), held)
             assert np.array_equal(numbers("limits", text), np.where(held, 0.25, 0.01))
             opened = len(re.findall(r"^ *(?:def|thread|while) .*:$", text, re.M))
@@ -204,6 +209,6 @@ def test_rows_of_two_moving_frames_are_refused():
     """A frame that itself moves is no frame of a force controller or a planner: a sentence says so."""
     robot = load_robot("panda", locked=("panda_finger_joint1", "panda_finger_joint2"))
     constraint = Constraint([[0, 0, 1]], RelativeFrameJacobian(robot, "panda_hand_tcp", "panda_link3", "xyz"))
-    for write in (urscript, moveit_constraints):
+    for write in (force_mode, urscript, moveit_constraints):
         with pytest.raises(ConstraintError, match="another moving frame"):
             write(constraint, robot.neutral())

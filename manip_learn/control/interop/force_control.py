@@ -11,7 +11,7 @@ import json
 import math
 import re
 import textwrap
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -85,34 +85,62 @@ _FOLLOWS = {
 }
 
 
-def urscript(constraint: Constraint, q: ArrayLike) -> str:
-    """A program that puts a UR arm into force mode along what the task holds, and leaves the rest to its moves.
+def force_mode(constraint: Constraint, q: ArrayLike) -> dict[str, Any]:
+    """The arguments of `force_mode` at a posture, for programs that call it themselves.
 
-    The frame follows the hand: with the hand's own axes, or about the axis of a hinge. Poses are in the frame `base`
-    where the robot has one: in the descriptions by Universal Robots that is the base of the controller. Written after
-    the script manual, not run on a controller.
+    Args:
+        constraint: The task.
+        q: Posture.
+
+    Returns:
+        `task_frame`: position [m] and rotation vector [rad] in the controller's base, which is the frame `base` where
+        the robot has one, as in the descriptions by Universal Robots; `selection_vector`: 1 for each held axis, along
+        which the arm is compliant; `wrench`: zero [N, N m], so that it follows; `type`: 2, the frame as it is;
+        `limits`: largest speed of compliant axes [m/s, rad/s], deviation of the others [m, rad].
 
     Raises:
         ConstraintError: No task frame, or one seen from another moving frame.
     """
-    frame, robot = constraint.task_frame(q), _robot(constraint)
+    frame = constraint.task_frame(q)
     if frame.turns == "other frame":
         raise ConstraintError(
             "force_mode takes a frame of the robot's base: these rows are seen from another moving frame"
         )
-    base = np.linalg.inv(robot.pose(q, "base")) if "base" in robot.frame_names else np.eye(4)
     held = frame.along("held")
-    at = np.linalg.inv(frame.hand) @ frame.pose if frame.turns == "hand" else base @ frame.pose
+    return {
+        "task_frame": pose_coordinates(_base(_robot(constraint), q) @ frame.pose).tolist(),
+        "selection_vector": [int(compliant) for compliant in held],
+        "wrench": [0.0] * 6,
+        "type": 2,
+        "limits": [FASTEST if compliant else DEVIATION for compliant in held],
+    }
+
+
+def _base(robot: Robot, q: ArrayLike) -> Float[np.ndarray, "4 4"]:
+    """From the base of the robot's description to that of a UR controller."""
+    return np.linalg.inv(robot.pose(q, "base")) if "base" in robot.frame_names else np.eye(4)
+
+
+def urscript(constraint: Constraint, q: ArrayLike) -> str:
+    """A program that puts a UR arm into force mode along what the task holds, and leaves the rest to its moves.
+
+    The frame follows the hand: with the hand's own axes, or about the axis of a hinge. Written after the script manual,
+    not run on a controller.
+
+    Raises:
+        ConstraintError: No task frame, or one seen from another moving frame.
+    """
+    arguments, frame, robot = force_mode(constraint, q), constraint.task_frame(q), _robot(constraint)
     tcp = np.linalg.inv(robot.pose(q, "tool0")) @ frame.hand if "tool0" in robot.frame_names else None
-    name = "manip_learn_" + re.sub(r"\W+", "_", frame.frame)
+    in_hand = pose_coordinates(np.linalg.inv(frame.hand) @ frame.pose)
     reason = [f"# {line}" for line in textwrap.wrap(REASON, 100)]
     return "\n".join([*_comments(frame), *reason, ""]) + PROGRAM.format(
-        name=name,
+        name="manip_learn_" + re.sub(r"\W+", "_", frame.frame),
         frame=frame.frame,
-        tcp="" if tcp is None else f"  set_tcp({_pose(tcp)})\n",
-        at=_pose(at),
-        selection=_list([float(compliant) for compliant in held]),
-        limits=_list([FASTEST if compliant else DEVIATION for compliant in held]),
+        tcp="" if tcp is None else f"  set_tcp({_pose(pose_coordinates(tcp))})\n",
+        at=_pose(in_hand if frame.turns == "hand" else arguments["task_frame"]),
+        selection=_list(arguments["selection_vector"]),
+        limits=_list(arguments["limits"]),
         now=_FOLLOWS[frame.turns],
         damping=DAMPING,
         gain=GAIN,
@@ -295,9 +323,9 @@ def _list(values: Sequence[float], kind: str = "") -> str:
     return f"{kind}[{', '.join(f'{x:.6g}' for x in values)}]"
 
 
-def _pose(pose: Float[np.ndarray, "4 4"]) -> str:
+def _pose(numbers: Iterable[float]) -> str:
     """A pose of URScript: position [m] and rotation vector [rad]."""
-    return "p[" + ", ".join(f"{x:.9f}" for x in pose_coordinates(pose)) + "]"
+    return "p[" + ", ".join(f"{x:.9f}" for x in numbers) + "]"
 
 
 def _xyz(values: Float[np.ndarray, " 3"]) -> dict[str, float]:
