@@ -17,6 +17,7 @@ from typing import Any, final, get_args
 from manip_learn.commands.loading import load_for_joints
 from manip_learn.commands.options import RecordOptions
 from manip_learn.constraint.features.frame_jacobian import FrameJacobian
+from manip_learn.control.driver import Driver
 from manip_learn.drivers.record import LOOK, MOVES, By, Key, RecordedFiles, record
 from manip_learn.errors import ConfigurationError, ManipLearnError, OutputError, counted
 from manip_learn.learning import ConstraintLearner
@@ -128,7 +129,7 @@ def _learnt(options: RecordOptions, robot: Robot | None, done: RecordedFiles, pr
     return report.sentence, f"enough: manip-learn learn {options.robot} {pattern} --out {options.name}.json"
 
 
-def _robot_of(options: RecordOptions, driver: Any) -> Robot | None:
+def _robot_of(options: RecordOptions, driver: Driver) -> Robot | None:
     """The robot with the joints moving that the driver names, if it names some."""
     if options.robot is None:
         return None
@@ -140,7 +141,7 @@ def _robot_of(options: RecordOptions, driver: Any) -> Robot | None:
     )
 
 
-def driver_of(spec: str) -> Any:
+def driver_of(spec: str) -> Driver:
     """The driver that `FILE.py:NAME` or `package.module:NAME` names, or that calling what it names makes.
 
     Raises:

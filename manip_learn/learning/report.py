@@ -381,9 +381,10 @@ def build_report(
 
 def _witnesses(answer: Answer, overview: RecordingOverview, selection: np.ndarray) -> dict[str, Any]:
     """Of the contact from which was learnt, beside the free stretches of the same recordings."""
-    if answer.part.source is None:
+    source = answer.part.source
+    if source is None or all(t.effort is None and t.wrench is None for t in source.derived):
         return {}
-    derived = answer.part.source.derived
+    derived = source.derived
     named = dict(zip(distinct_names(derived), derived, strict=True))
     free = [
         named[p.trajectory][p.start : p.end]
