@@ -35,13 +35,21 @@ def write_atomically(path: str | os.PathLike[str], content: bytes | str) -> Path
         os.replace(temporary, target)
         _flush_folder(target.parent)
     except OSError as error:
-        full = error.errno in (errno.ENOSPC, errno.EDQUOT, errno.EFBIG)
-        remedy = "make room, or choose another disk" if full else "choose a file in a folder that you may write to"
+        remedy = (
+            "make room, or choose another disk"
+            if has_no_room(error)
+            else "choose a file in a folder that you may write to"
+        )
         raise OutputError(f"cannot write {target}: {error.strerror or error}; {remedy}") from error
     finally:
         with contextlib.suppress(OSError):
             temporary.unlink(missing_ok=True)
     return target
+
+
+def has_no_room(error: OSError) -> bool:
+    """Whether the disk, the quota or the largest size of a file is exhausted."""
+    return error.errno in (errno.ENOSPC, errno.EDQUOT, errno.EFBIG)
 
 
 def check_folder(path: str | os.PathLike[str]) -> None:

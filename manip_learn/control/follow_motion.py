@@ -16,10 +16,11 @@ from manip_learn.control.limits import RETURN_SPEED, Barrier, Limits, stopping_s
 from manip_learn.errors import ConfigurationError
 from manip_learn.robot.robot import Robot
 
-ARRIVED = 1e-3  # [rad or m] of all joints together: the first posture is reached, and the motion's clock starts
+# [rad or m] of all joints together: a posture is reached, the hand within a millimetre of where it should be
+ARRIVED = 1e-3
 
 
-class JointMotion(Protocol):
+class TimedPostures(Protocol):
     """A `Trajectory`, a `Rollout`, or anything else that has these."""
 
     @property
@@ -77,7 +78,7 @@ class FollowMotion:
         True
     """
 
-    def __init__(self, robot: Robot, motion: JointMotion, limits: Limits | None = None, *, ahead: float = 0.0):
+    def __init__(self, robot: Robot, motion: TimedPostures, limits: Limits | None = None, *, ahead: float = 0.0):
         self.robot, self.motion, self.ahead = robot, motion, float(ahead)
         self.limits = Limits(robot) if limits is None else limits
         self._knots = _knots_of(robot, motion, self.limits.velocity)
@@ -242,7 +243,7 @@ class _Knots(NamedTuple):
         return np.where(tangent, x0 + m0 * (s + ahead - begin), x), np.where(tangent, m0, m)
 
 
-def _knots_of(robot: Robot, motion: JointMotion, fastest: Float[np.ndarray, " nv"]) -> _Knots:
+def _knots_of(robot: Robot, motion: TimedPostures, fastest: Float[np.ndarray, " nv"]) -> _Knots:
     time = np.array(motion.time, dtype=np.float64)
     x = _positions(robot, motion)
     if len(time) < 2 or x.shape != (len(time), robot.nv) or not np.all(np.diff(time) > 0.0):
@@ -267,7 +268,7 @@ def _knots_of(robot: Robot, motion: JointMotion, fastest: Float[np.ndarray, " nv
     return _Knots(time, x, slope, last, jumps)
 
 
-def _positions(robot: Robot, motion: JointMotion) -> Float[np.ndarray, "T nv"]:
+def _positions(robot: Robot, motion: TimedPostures) -> Float[np.ndarray, "T nv"]:
     """Joint positions in the robot's order, without whole turns between samples."""
     q, names = np.array(motion.q, dtype=np.float64), tuple(motion.joint_names)
     if names and names != tuple(robot.joint_names):

@@ -18,7 +18,7 @@ from manip_learn.constraint.manipulability import manipulability
 from manip_learn.control.command import Command, Controller
 from manip_learn.control.compiled_controller import CompiledController, compiled_if_possible
 from manip_learn.control.controller import ResolvedRateController
-from manip_learn.control.follow_motion import FollowMotion
+from manip_learn.control.follow_motion import ARRIVED, FollowMotion
 from manip_learn.control.limits import Limits
 from manip_learn.control.tasks import PointAttractor, Task
 from manip_learn.control.tasks.driven_motion import MotionProfile
@@ -110,7 +110,6 @@ class JointMotion(Task):
         return f"JointMotion({len(self._profiles)} legs, {self.duration:.3g} s)"
 
 
-ARRIVED = 1e-3  # [rad or m] of all joints together: the hand is within a millimetre of where it takes hold
 SETTLING = 1.0  # [s] after which the way begins anyhow, with what encoder noise leaves
 
 

@@ -2,9 +2,6 @@
 
 from __future__ import annotations
 
-import csv
-import errno
-import io
 import os
 import threading
 import time
@@ -18,9 +15,11 @@ from typing import Any, Literal, NamedTuple, final
 import numpy as np
 from jaxtyping import Float
 
+from manip_learn.atomic_write import has_no_room
 from manip_learn.control.driver import Driver, quiet_collector, wait_until
 from manip_learn.errors import ConfigurationError, OutputError, counted
-from manip_learn.recordings.writers.write_motion import EFFORT_SUFFIX, VELOCITY_SUFFIX
+from manip_learn.linalg import finite
+from manip_learn.recordings.writers.write_motion import EFFORT_SUFFIX, VELOCITY_SUFFIX, column_line
 
 LOOK = 0.5  # [s] before a motion begins that are recorded too: derivatives need samples on both sides
 # [rad or m] within `LOOK` by which an arm moves that is guided: encoders and a hand that waits stay below a tenth of it
@@ -232,8 +231,7 @@ class _Session:
         names = self._names or ()
         if isinstance(values, Mapping):
             values = [values.get(name, np.nan) for name in names]
-        array = None if values is None else np.array(values, dtype=np.float64)
-        return array if array is not None and array.shape == (len(names),) and np.all(np.isfinite(array)) else None
+        return finite(values, len(names))
 
     def _take(self, sample: _Sample, pressed: bool) -> None:
         """Begin, go on with or end a file."""
@@ -241,20 +239,23 @@ class _Session:
         before.append(sample)
         while before[-1].time - before[0].time > RESTS:
             before.popleft()
-        self._shown(dict(zip(self._names or (), sample.q.tolist(), strict=True)), self._file is not None)
-        if self._file is None:
-            if pressed if self._by == "key" else self._moved(LOOK):
-                self._begin([s for s in before if sample.time - s.time <= LOOK])
-            return
+        recorded = self._file is not None
+        if recorded:
+            self._go_on(sample, pressed)
+        elif pressed if self._by == "key" else self._moved(LOOK):
+            self._begin([s for s in before if sample.time - s.time <= LOOK])
+        self._shown(dict(zip(self._names or (), sample.q.tolist(), strict=True)), recorded)
+
+    def _go_on(self, sample: _Sample, pressed: bool) -> None:
+        """Write a sample down; the file is complete by key, after a rest, or where it has no room."""
+        before, period = self._before, self._driver.period
         gap = sample.time - before[-2].time if len(before) > 1 else 0.0
         self._gap = max(self._gap, gap)
-        if gap > LATE * self._driver.period:
-            self._lost += round(gap / self._driver.period) - 1
+        self._lost += round(gap / period) - 1 if gap > LATE * period else 0
         self._write(sample)
-        if self._file.error is not None:
-            self.end(f"{self._file.error}; the samples before are kept in {self._file.path}", False)
-        rested = sample.time - before[0].time > RESTS - LATE * self._driver.period and not self._moved(RESTS)
-        if pressed if self._by == "key" else rested:
+        rested = sample.time - before[0].time > RESTS - LATE * period and not self._moved(RESTS)
+        failed = self._file is not None and self._file.error is not None
+        if failed or (pressed if self._by == "key" else rested):
             self._finish()
 
     def _moved(self, within: float) -> bool:
@@ -266,14 +267,12 @@ class _Session:
 
     def _begin(self, first: list[_Sample]) -> None:
         names, sample = self._names or (), first[-1]
-        groups = [list(names)]
-        for values, suffix in ((sample.u, VELOCITY_SUFFIX), (sample.effort, EFFORT_SUFFIX)):
+        groups = {"time": ["time"], "q": list(names)}
+        for what, values, suffix in (("u", sample.u, VELOCITY_SUFFIX), ("effort", sample.effort, EFFORT_SUFFIX)):
             if values is not None:
-                groups.append([name + suffix for name in names])
-        header = io.StringIO()
-        csv.writer(header, lineterminator="\n").writerow(["time", *(column for group in groups for column in group)])
+                groups[what] = [name + suffix for name in names]
         try:
-            self._file = _GrowingFile(self._folder, self._name, header.getvalue())
+            self._file = _GrowingFile(self._folder, self._name, column_line(groups) + "\n")
         except OSError as error:
             self.end(f"cannot write to {self._folder}: {error.strerror or error}", False)
             return
@@ -376,8 +375,8 @@ class _GrowingFile:
                 if last:
                     return
         except OSError as error:
-            full = error.errno in (errno.ENOSPC, errno.EDQUOT, errno.EFBIG)
-            self.error = "the disk is full, make room" if full else f"cannot write: {error.strerror or error}"
+            why = f"cannot write: {error.strerror or error}"
+            self.error = "the disk is full, make room" if has_no_room(error) else why
             os.ftruncate(self._file, self._whole)
         finally:
             os.close(self._file)

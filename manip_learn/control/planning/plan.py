@@ -13,7 +13,8 @@ from numpy.typing import ArrayLike
 from manip_learn.constraint.constraint import Constraint
 from manip_learn.constraint.manipulability_batch import manipulability_batch
 from manip_learn.control.controller import ResolvedRateController
-from manip_learn.control.law_sequence import ARRIVED, JointMotion, LawSequence, every_joint
+from manip_learn.control.follow_motion import ARRIVED
+from manip_learn.control.law_sequence import JointMotion, LawSequence, every_joint
 from manip_learn.control.limits import Limits, check_inside
 from manip_learn.control.optimise_path import PathPolicy, check_joints_add_up
 from manip_learn.control.planning.approach import Clearance, GraspCone, clear_path, self_collision
