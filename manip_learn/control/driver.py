@@ -148,7 +148,9 @@ class RunRecord:
         return f"RunRecord({self.cycles:,} cycles, {late}; {self.ended})"
 
 
-def run(loop: ServoLoop, driver: Driver, duration: float | None = None) -> RunRecord:
+def run(
+    loop: ServoLoop, driver: Driver, duration: float | None = None, *, until: Callable[[], str] | None = None
+) -> RunRecord:
     """Run a servo loop on an arm: read, update, command, once per period.
 
     However it ends, the arm first brakes within its limits and then stands: after the duration, by Ctrl-C, where the
@@ -167,6 +169,7 @@ def run(loop: ServoLoop, driver: Driver, duration: float | None = None) -> RunRe
         loop: The loop; its `dt` is the driver's period.
         driver: The arm, see `Driver`.
         duration: Time after which the arm brakes [s]; None goes on until Ctrl-C.
+        until: Asked in each cycle: a reason in words, once there is one, after which the arm brakes.
 
     Returns:
         What was done and why it ended.
@@ -185,7 +188,7 @@ def run(loop: ServoLoop, driver: Driver, duration: float | None = None) -> RunRe
     cycle = _Cycle(loop, driver)
     loop.reset(loop.position)
     with quiet_collector(), _interrupts(cycle):
-        cycle.run(math.inf if duration is None else duration)
+        cycle.run(math.inf if duration is None else duration, until or (lambda: ""))
     if not cycle.ordered:
         _LOGGER.warning("the arm was stopped: %s", cycle.reason)
     return cycle.record()
@@ -230,7 +233,7 @@ class _Cycle:
             self.reason, self.ordered = reason, ordered
             self._loop.stop()
 
-    def run(self, duration: float) -> None:
+    def run(self, duration: float, until: Callable[[], str]) -> None:
         """Until the arm stands after a reason to stop."""
         period, loop = self._driver.period, self._loop
         start = due = time.perf_counter()
@@ -249,6 +252,8 @@ class _Cycle:
                 self.stop(f"the driver's period changed from {1e3 * period:g} to {1e3 * self._driver.period:g} ms")
             if t >= duration - 0.5 * period:
                 self.stop(f"the {duration:g} s were over", True)
+            if reason := until():
+                self.stop(reason, True)
             command = loop.update(self._read(), t)
             self._send(command)
             self._note(t, command)

@@ -22,10 +22,10 @@ class MuJoCoDriver:
     """Joints of a MuJoCo model with position servos, as a `Driver`; its clock is that of the simulation.
 
     Each joint has a spring to the commanded position, critically damped against the commanded velocity, and carries its
-    own weight and friction. Actuators that the model has on these joints are switched off; joints whose rotors are
-    lighter than the servo can move at this time step get as much inertia (0.07 kg m2 for 2,000 N m/rad at 2 ms, that of
-    a common drive). After `release` the joints are free but for friction, and `hand` may push them; `hold` has the
-    servos hold the arm where it is then.
+    own weight, friction and inertia. Actuators that the model has on these joints are switched off; joints whose rotors
+    are lighter than the servo can move at this time step get as much inertia (0.07 kg m2 for 2,000 N m/rad at 2 ms,
+    that of a common drive). After `release` the joints are free but for friction, and `hand` may push them; `hold` has
+    the servos hold the arm where it is then.
 
     Args:
         model: A `mujoco.MjModel`; the driver keeps it and changes it.
@@ -91,9 +91,8 @@ class MuJoCoDriver:
         least = self._stiffness * (STABLE * model.opt.timestep) ** 2
         model.dof_armature[self._u] = np.maximum(model.dof_armature[self._u], least)
         mujoco.mj_forward(model, self.data)
-        inertia = np.zeros((model.nv, model.nv))
-        mujoco.mj_fullM(model, self.data, inertia)
-        self._damping = 2.0 * np.sqrt(self._stiffness * inertia.diagonal()[self._u])
+        self._damping = 2.0 * np.sqrt(self._stiffness * self._inertia().diagonal())
+        self._rate = self._ahead = np.zeros(len(joints))  # last commanded velocities, and efforts for accelerations
         self._hand, self._noise, self._rng = hand, float(noise), rng
         self._holds, self._effort = True, np.zeros(len(joints))
 
@@ -108,11 +107,18 @@ class MuJoCoDriver:
         """Send the servos to positions, and let one period pass."""
         start, self._goal = self._goal, np.array(q, dtype=np.float64)
         rate = (self._goal - start) / self.period
+        self._ahead, self._rate = self._inertia() @ ((rate - self._rate) / self.period), rate
         for k in range(1, self._steps + 1):
             self._step(start + (k / self._steps) * (self._goal - start), rate)
 
+    @property
+    def goal(self) -> Float[np.ndarray, " n"]:
+        """Where the servos were last sent, or hold the arm."""
+        return self._goal.copy()
+
     def wait(self) -> None:
         """Let one period pass without a command: the servos hold, or the arm is guided."""
+        self._rate = self._ahead = np.zeros(len(self._u))
         for _ in range(self._steps):
             self._step(self._goal, np.zeros_like(self._goal))
 
@@ -123,6 +129,13 @@ class MuJoCoDriver:
     def hold(self) -> None:
         """Hold the arm where it is."""
         self._holds, self._goal = True, self.data.qpos[self._q].copy()
+        self._rate = self._ahead = np.zeros(len(self._u))
+
+    def _inertia(self) -> Float[np.ndarray, "n n"]:
+        """Of the arm's joints, the rotors' included [kg m2 or kg]."""
+        whole = np.zeros((self.model.nv, self.model.nv))
+        self._mujoco.mj_fullM(self.model, self.data, whole)
+        return whole[np.ix_(self._u, self._u)]
 
     def _step(self, goal: np.ndarray, rate: np.ndarray) -> None:
         data, joints = self.data, self._u
@@ -131,7 +144,7 @@ class MuJoCoDriver:
         if self._holds:
             spring = self._stiffness * (goal - data.qpos[self._q]) + self._damping * (rate - data.qvel[joints])
             friction = self.model.dof_frictionloss[joints] * np.sign(rate) - data.qfrc_passive[joints]
-            self._effort = data.qfrc_bias[joints] + friction + spring
+            self._effort = data.qfrc_bias[joints] + friction + spring + self._ahead
         data.qfrc_applied[:] = 0.0
         data.qfrc_applied[joints] = self._effort
         if self._hand is not None:

@@ -305,13 +305,13 @@ def furniture_of(
         handle = point + rotation_matrix(back * axis) @ (path[middle] - point) + pitch * back * axis
         if np.linalg.norm(np.cross(axis, handle - point)) < LEAST_TRAVEL:
             return None  # on the axis itself
-        pose, pivot = _about(sense * axis, point, handle, STANDOFF if kind == "door" else 0.0)
-        boxes = _door(pivot) if kind == "door" else _crank(-float(pivot[0]))
+        pose, pivot = about(sense * axis, point, handle, STANDOFF if kind == "door" else 0.0)
+        boxes = door_boxes(pivot) if kind == "door" else crank_boxes(-float(pivot[0]))
         return Furniture(kind, pose, times, moved, 0.0, pivot, pitch, *boxes)
     handle, out, travel = path[middle] + back * axis, sense * axis, float(moved.max())
     is_pushed = leads_away(handle, out)
-    pose = _facing(-out, handle + travel * out) if is_pushed else _facing(out, handle)
-    return Furniture(kind, pose, times, moved, travel * is_pushed, np.zeros(3), 0.0, *_drawer(travel, pose))
+    pose = facing(-out, handle + travel * out) if is_pushed else facing(out, handle)
+    return Furniture(kind, pose, times, moved, travel * is_pushed, np.zeros(3), 0.0, *drawer_boxes(travel, pose))
 
 
 def _coordinates(
@@ -386,7 +386,7 @@ def _sweep(along: Float[np.ndarray, " T"], start: int, end: int) -> tuple[float,
     return max(ways)
 
 
-def _facing(out: Float[np.ndarray, " 3"], handle: Float[np.ndarray, " 3"]) -> Float[np.ndarray, "4 4"]:
+def facing(out: Float[np.ndarray, " 3"], handle: Float[np.ndarray, " 3"]) -> Float[np.ndarray, "4 4"]:
     """Pose of a handle that is pulled along `out`, as upright as that allows."""
     up = np.array([0.0, 0.0, 1.0]) if abs(out[2]) < UPRIGHT else np.array([1.0, 0.0, 0.0])
     up = up - (up @ out) * out
@@ -394,7 +394,7 @@ def _facing(out: Float[np.ndarray, " 3"], handle: Float[np.ndarray, " 3"]) -> Fl
     return pin.SE3(np.column_stack([np.cross(out, up), out, up]), handle).homogeneous
 
 
-def _about(
+def about(
     axis: Float[np.ndarray, " 3"], point: Float[np.ndarray, " 3"], handle: Float[np.ndarray, " 3"], standoff: float
 ) -> tuple[Float[np.ndarray, "4 4"], Float[np.ndarray, " 3"]]:
     """Pose of a handle that turns about an axis and stands off the leaf, which reaches to the axis; and that axis."""
@@ -412,7 +412,7 @@ def _corners(boxes: tuple[Box, ...]) -> Float[np.ndarray, "n 3"]:
     return np.concatenate([np.array(box[:3]) + CORNERS * np.array(box[3:6]) for box in boxes])
 
 
-def _drawer(travel: float, pose: Float[np.ndarray, "4 4"]) -> tuple[tuple[Box, ...], tuple[Box, ...]]:
+def drawer_boxes(travel: float, pose: Float[np.ndarray, "4 4"]) -> tuple[tuple[Box, ...], tuple[Box, ...]]:
     """A chest, on the floor if it is upright, and its drawer, deep enough to be pulled so far."""
     width, depth = float(np.clip(1.2 * travel, 0.26, 0.5)), travel + 0.08
     height = 0.42 * width
@@ -439,7 +439,7 @@ def _drawer(travel: float, pose: Float[np.ndarray, "4 4"]) -> tuple[tuple[Box, .
     return chest, moving
 
 
-def _door(pivot: Float[np.ndarray, " 3"]) -> tuple[tuple[Box, ...], tuple[Box, ...]]:
+def door_boxes(pivot: Float[np.ndarray, " 3"]) -> tuple[tuple[Box, ...], tuple[Box, ...]]:
     """A cupboard and its door, from the axis to a little beyond the handle."""
     left, face = float(pivot[0]), float(pivot[1])
     right, half = -0.18 * left + 0.03, float(np.clip(-0.7 * left, 0.14, 0.4))
@@ -451,7 +451,7 @@ def _door(pivot: Float[np.ndarray, " 3"]) -> tuple[tuple[Box, ...], tuple[Box, .
     return (*case, hinge), (leaf, (0.0, 0.0, 0.0, 0.014, 0.014, 2.0 * bar, HANDLE), *feet)
 
 
-def _crank(radius: float) -> tuple[tuple[Box, ...], tuple[Box, ...]]:
+def crank_boxes(radius: float) -> tuple[tuple[Box, ...], tuple[Box, ...]]:
     """A crank on its spindle."""
     arm = (-0.5 * radius, 0.0, -0.03, radius + 0.02, 0.02, 0.015, FRONT)
     spindle = (-radius, 0.0, -0.08, 0.025, 0.025, 0.12, BODY)

@@ -41,6 +41,14 @@ class Place:
     point: Float[np.ndarray, " 3"]
     pitch: float = 0.0
 
+    def as_told(self) -> Place:
+        """This place, its axis in the sense in which mechanisms are told: the largest number is positive.
+
+        The pitch stays: of an axis the other way both the turn and the travel count the other way.
+        """
+        sense = 1.0 if self.axis[int(np.argmax(np.abs(self.axis)))] > 0.0 else -1.0
+        return Place(sense * self.axis, self.point, self.pitch)
+
     @cached_property
     def across(self) -> Float[np.ndarray, "2 3"]:
         """Two unit vectors that make a right-handed base with the axis."""

@@ -308,8 +308,7 @@ def _with_shared(fit: PlaceFit) -> PlaceFit:
 
 def _described(fit: PlaceFit, errors: PlaceErrors) -> Mechanism:
     """The mechanism of a fit, with the uncertainty of each parameter."""
-    kind, place, known = fit.kind, fit.place, set(fit.kind.unknowns)
-    axis = place.axis * (1.0 if place.axis[int(np.argmax(np.abs(place.axis)))] > 0.0 else -1.0)
+    kind, place, known = fit.kind, fit.place.as_told(), set(fit.kind.unknowns)
     uncertainty: dict[str, float] = {}
     if "axis" in known:
         uncertainty["axis"] = float(np.degrees(errors.within(slice(0, 3))))
@@ -321,7 +320,7 @@ def _described(fit: PlaceFit, errors: PlaceErrors) -> Mechanism:
         uncertainty["pitch"] = errors.within(slice(6, 7))
     return Mechanism(
         kind.type,
-        axis if "axis" in known else None,
+        place.axis if "axis" in known else None,
         None if kind.type == "held-orientation" else place.point,
         None if fit.radius is None else fit.radius.value,
         place.pitch if "pitch" in known else None,
@@ -389,8 +388,8 @@ def _why_none(table: Sequence[Alternative]) -> str:
 def _constraint(
     robot: Robot, frame: str, fit: PlaceFit, radius: float | None, postures: Sequence[Float[np.ndarray, "_ nv"]]
 ) -> tuple[FeatureMap, Float[np.ndarray, "s p"]]:
-    """Phi and Lambda, without the rows that the arm cannot move."""
-    features, selection = rows_of(fit.kind, fit.place, radius, robot, frame)
+    """Phi and Lambda, without the rows that the arm cannot move; a turn counts about the axis that is told."""
+    features, selection = rows_of(fit.kind, fit.place.as_told(), radius, robot, frame)
     A = np.einsum("sp,npj->nsj", selection, features.batch(np.concatenate([thinned(q, 10) for q in postures])))
     movable = np.sqrt(np.mean(np.sum(A * A, axis=2), axis=0)) > BLIND
     return features, selection[movable]

@@ -1,0 +1,154 @@
+"""The arm, its surroundings and what was learnt, as the teaching page draws them."""
+
+from __future__ import annotations
+
+from typing import Any, final
+
+import numpy as np
+from jaxtyping import Float
+
+from manip_learn.constraint.constraint import Constraint
+from manip_learn.constraint.manipulability import manipulability
+from manip_learn.drivers.teaching_arm import TeachingArm
+from manip_learn.drivers.teaching_scene import TASKS, TITLES, Handle, TeachingScene
+from manip_learn.playback.constraint_marks import held_directions
+from manip_learn.playback.kinematic_tree import joint_tracks, kinematic_tree
+from manip_learn.playback.page_writer import packed
+from manip_learn.robot.robot import Robot
+
+WEAK = 0.2  # least over largest singular value of the tip's translation, below which the weak direction is drawn
+AT_LIMIT = 0.01  # [rad or m] from a joint's limit at which the arm feels it
+SEEN = 20  # random postures that show in how many directions the tip can move
+
+
+@final
+class TeachingPicture:
+    """What the page is told of one arm, picture by picture.
+
+    Args:
+        robot: The arm.
+        tip: Its frame that is guided.
+    """
+
+    def __init__(self, robot: Robot, tip: str):
+        self._robot, self._tip, self._tree = robot, tip, kinematic_tree(robot)
+        rng = np.random.default_rng(0)
+        drawn = (robot.random_configuration(rng) for _ in range(SEEN))
+        # directions in which the tip can move at all: two for an arm in a plane
+        self._rank = int(np.linalg.matrix_rank(np.hstack([robot.jacobian(q, tip)[:3] for q in drawn]), tol=1e-9))
+
+    def pose(self, arm: TeachingArm, constraint: Constraint | None, rows: Constraint | None) -> dict[str, Any]:
+        """One picture: vectors in the base, SI units.
+
+        Args:
+            arm: The arm now.
+            constraint: What was learnt, or None.
+            rows: Rows whose manipulability counts, or None for the tip's translation.
+        """
+        robot, hand, handles = self._robot, arm.hand, range(len(arm.scene.handles))
+        q, place = arm.q, arm.place
+        U, sizes, _ = np.linalg.svd(robot.jacobian(q, self._tip)[:3], full_matrices=False)
+        last = min(self._rank, len(sizes)) - 1
+        share = float(sizes[last] / max(sizes[0], 1e-12))
+        held = {
+            "at": hand.at.tolist(),
+            "to": None if hand.pull is None else hand.pull.to.tolist(),
+            "force": float(np.linalg.norm(hand.force)),
+            "limited": bool(hand.limited),
+        }
+        gaps = np.minimum(q - robot.position_lower, robot.position_upper - q)
+        return {
+            "time": arm.time,
+            "values": joint_tracks(robot, self._tree, q[None])[0].tolist(),
+            "furniture": [arm.handle_pose(k) for k in handles],
+            "held": [arm.held == k for k in handles],
+            "near": arm.near(),
+            "hand": None if hand.pull is None else held,
+            "weak": {"direction": U[:, last].tolist(), "share": share} if share < WEAK else None,
+            "mu": float(np.prod(sizes[: last + 1])) if rows is None else float(manipulability(rows, q)),
+            "marks": None if constraint is None else self._marks(constraint, q, place),
+            "limit": [name for name, gap in zip(robot.joint_names, gaps, strict=True) if gap < AT_LIMIT],
+            "opening": [arm.opening(k) for k in handles],
+            "rate": round(arm.rate),
+        }
+
+    def _marks(self, constraint: Constraint, q: np.ndarray, place: np.ndarray) -> dict[str, Any] | None:
+        """Directions held and free at the tip now."""
+        told = held_directions(constraint, place[None])
+        if told is None:
+            return None
+        axes = np.eye(3) if told.axes is None else self._robot.pose(q, told.axes)[:3, :3]
+        parts = {"held": told.held, "free": told.free, "fixed": told.held_turns, "turns": told.free_turns}
+        return {name: (_directions(part) @ axes.T).tolist() for name, part in parts.items()}
+
+
+def _directions(projector: Float[np.ndarray, "..."]) -> Float[np.ndarray, "k 3"]:
+    """Orthonormal rows that span what a projector keeps."""
+    values, vectors = np.linalg.eigh(np.asarray(projector).reshape(-1, 3, 3)[0])
+    return vectors[:, values > 0.5].T
+
+
+def scene_content(scene: TeachingScene, number: int) -> dict[str, Any]:
+    """The furniture for the page."""
+    return {
+        "number": number,
+        "kind": scene.kind,
+        "title": TITLES[scene.kind],
+        "task": TASKS[scene.kind],
+        "handles": [
+            {
+                "name": handle.name,
+                "unit": "rad" if handle.turns else "m",
+                "at": handle.pose[:3, 3].tolist(),
+                "firm": handle.firm,
+            }
+            for handle in scene.handles
+        ],
+        "furniture": [
+            {
+                "fixed": {"pose": handle.pose.ravel().tolist(), "boxes": [list(box) for box in handle.fixed]},
+                "moving": {"boxes": [list(box) for box in handle.moving]},
+            }
+            for handle in scene.handles
+        ],
+        "notes": list(scene.notes),
+    }
+
+
+def truth_content(scene: TeachingScene, constraint: Constraint | None) -> dict[str, Any]:
+    """What the physics have, and how far off the learnt mechanism is."""
+    if not scene.handles:
+        return {"sentence": "In truth nothing holds the hand here.", "errors": [], "lines": []}
+    words = [_in_truth(handle) for handle in scene.handles]
+    known, errors = None if constraint is None else constraint.mechanism, []
+    if known is not None and known.axis is not None:
+        axis = np.asarray(known.axis)
+        handle = max(scene.handles, key=lambda one: (one.type == known.type, abs(float(one.axis @ axis))))
+        off = float(np.degrees(np.arccos(min(1.0, abs(float(axis @ handle.axis))))))
+        errors.append(["axis", f"{off:.2g} degrees off"])
+        if known.point is not None and handle.turns:
+            gap = float(np.linalg.norm(np.cross(handle.axis, np.asarray(known.point) - handle.point)))
+            errors.append(["place", f"{1e3 * gap:.2g} mm off"])
+        if known.type != handle.type:
+            errors.append(["kind", f"taken for a {known.type}, is a {handle.type}"])
+        if known.pitch is not None and handle.pitch:
+            errors.append(["pitch", f"{1e3 * (known.pitch - handle.pitch):.2g} mm/rad off"])
+    lines = [
+        packed(np.array([h.point - 0.4 * h.axis, h.point + 0.4 * h.axis]), "<f4")
+        for h in scene.handles
+        if h.type != "plane"
+    ]
+    return {"sentence": "In truth: " + "; ".join(words) + ".", "errors": errors, "lines": lines}
+
+
+def _in_truth(handle: Handle) -> str:
+    axis = "({:.3f}, {:.3f}, {:.3f})".format(*(handle.axis + 0.0))
+    place = "({:.3f}, {:.3f}, {:.3f})".format(*handle.point)
+    how = "firmly held" if handle.firm else "loosely held"
+    along = {
+        "line": f"slides along {axis}",
+        "plane": f"stays across the normal {axis}",
+        "hinge": f"turns about {axis} through {place}",
+        "screw": f"turns about {axis} through {place}, {1e3 * handle.pitch:.1f} mm per radian",
+    }[handle.type]
+    return f"the {handle.name} {along}, {how}, with {1e3 * handle.play:.1f} mm of play"

@@ -1,0 +1,631 @@
+"""What a person does on the teaching page, and what becomes of it: show, record, learn, run, take home."""
+
+from __future__ import annotations
+
+import json
+import queue
+import re
+import time
+from collections.abc import Callable, Mapping
+from pathlib import Path
+from typing import Any, Protocol, final
+
+import numpy as np
+
+from manip_learn.atomic_write import write_atomically
+from manip_learn.commands.teaching_picture import TeachingPicture, scene_content, truth_content
+from manip_learn.commands.teaching_way import Shown, ShownWay
+from manip_learn.commands.teaching_worker import TeachingWorker, ghost, task_of
+from manip_learn.constraint.constraint import Constraint
+from manip_learn.control.command import Controller
+from manip_learn.control.controller import ResolvedRateController
+from manip_learn.control.driver import run
+from manip_learn.control.follow_motion import FollowMotion
+from manip_learn.control.following import following_error_limit
+from manip_learn.control.servo_loop import ServoLoop
+from manip_learn.drivers.record import record
+from manip_learn.drivers.teaching_arm import PERIOD, TeachingArm
+from manip_learn.drivers.teaching_scene import (
+    CLOSES,
+    TASKS,
+    TITLES,
+    Kind,
+    place_scene,
+)
+from manip_learn.errors import ManipLearnError, counted
+from manip_learn.playback.palette import COLOURS
+from manip_learn.recordings import load_demonstrations
+from manip_learn.recordings.trajectory import Trajectory
+from manip_learn.robot.robot import Robot
+
+LEFT = 1.0  # [s] without a page after which the program ends: loading a page again asks for it within a tenth of that
+SAID = 0.1  # [s] between two looks at the state as a whole
+ENOUGH, FEW = 5, 3  # recordings that a person is asked for, and below which no evidence can be had
+KNOWN = 1.0  # [degrees] to which a direction is to be known: at 0.5 m that is 9 mm
+STAYS = 0.3  # [s] at the end of a way before a run counts as done
+YIELDS, GENTLY = 45.0, 2.0  # [N] at the hand on which the arm lets go, and [rad/s2] with which it moves by itself
+SLOWER = 3.0  # times, and seconds, that a run may take beyond what its way needs: a person may push against it
+NEAR = 0.01  # [rad or m] from a posture at which the arm is there
+THERE, BY_HAND = "there", "stopped by hand"  # why a motion ended
+NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9 ._-]{0,60}")
+
+
+class Shows(Protocol):
+    """Where messages go, as `LiveProcess` takes them."""
+
+    def put(self, message: Callable[[], str], slot: str) -> None:
+        """The newest message of a slot."""
+        ...
+
+    def offer(self, files: Mapping[str, Path]) -> None:
+        """Files that may be fetched by their names."""
+        ...
+
+
+@final
+class TeachingSession:
+    """One arm, one scene at a time, and the person's recordings of it.
+
+    `hear` may be called from any thread; all else happens in the thread of `run`, between two periods of the physics.
+
+    Args:
+        robot: The arm.
+        tip: Its frame that is guided.
+        keep: Folder for all that is recorded and learnt.
+        kind: First scene.
+        seed: Of places and noise.
+        shows: Where pictures and words go.
+        in_real_time: Whether the physics wait for the clock.
+
+    Raises:
+        ManipLearnError: A robot that cannot be taught, or a scene that it cannot reach.
+    """
+
+    def __init__(
+        self, robot: Robot, tip: str, keep: Path, kind: Kind, seed: int, shows: Shows, *, in_real_time: bool = True
+    ):
+        self.robot, self.tip, self.keep = robot, tip, keep
+        self._shows, self._real = shows, in_real_time
+        self._rng = np.random.default_rng(seed)
+        self._heard: queue.SimpleQueue[Mapping[str, Any]] = queue.SimpleQueue()
+        self._picture = TeachingPicture(robot, tip)
+        self._worker = TeachingWorker(robot, tip)
+        self._pages: list[str] = []
+        self._leader, self._left = "", np.inf
+        self._mode: Callable[[], None] | None = None
+        self._doing, self._sentence, self._wrong = "idle", "", False
+        self._ended, self._stop, self._seq, self._number = False, False, 0, 0
+        self._files: dict[str, tuple[Path, str]] = {}
+        self._put: dict[str, str] = {}
+        self._looked = self._began = 0.0
+        self._place(kind)
+
+    # ---- the thread of the physics --------------------------------------------------------------------------------
+
+    def hear(self, heard: Mapping[str, Any]) -> None:
+        """Take what a page or the server said; from any thread."""
+        self._heard.put(heard)
+
+    def end(self) -> None:
+        """Ask `run` to return; from any thread."""
+        self._heard.put({"end": True})
+
+    def run(self) -> None:
+        """Until the last page is closed, or `end`."""
+        try:
+            while not self._ended:
+                mode, self._mode, self._stop = self._mode, None, False
+                if mode is None:
+                    self._doing = "idle"
+                    self.arm.release()
+                    while self._mode is None and not self._ended:
+                        self.arm.wait()
+                    continue
+                try:
+                    mode()
+                except ManipLearnError as refusal:
+                    self._say(str(refusal), wrong=True)
+        finally:
+            self._worker.close()
+
+    def _period(self) -> None:
+        """Between two periods of the physics."""
+        while not self._heard.empty():
+            heard = self._heard.get()
+            if "pages" in heard:
+                self._pages_are(heard["pages"], heard.get("loading", 0))
+            elif "end" in heard:
+                self._finish()
+            else:
+                self._obey(str(heard.get("page", "")), heard.get("said"))
+        if time.monotonic() - self._left > LEFT:
+            self._finish()
+        for kind, what in self._worker.heard():
+            self._answered(kind, what)
+        if self.arm.hand.pull is not None and self._doing in ("idle", "recording") and self.arm.close_when_near():
+            self._gripped()
+        self._show_pose()
+        now = time.monotonic()
+        if now - self._looked > SAID or not self._real:
+            self._looked = now
+            self._show_state()
+
+    def _finish(self) -> None:
+        self._ended = self._stop = True
+
+    def _pages_are(self, pages: list[str], loading: int) -> None:
+        had, self._pages = bool(self._pages), pages
+        if self._leader not in pages:
+            if self._leader and self.arm.hand.pull is not None:
+                self.arm.let_go()
+            self._leader = pages[0] if pages else ""
+        if pages or loading:
+            self._left = np.inf
+        elif had or self._left < np.inf:
+            self._left = min(self._left, time.monotonic())
+
+    def _say(self, sentence: str, wrong: bool = False) -> None:
+        self._sentence, self._wrong = sentence, wrong
+
+    # ---- what a person says ---------------------------------------------------------------------------------------
+
+    def _obey(self, page: str, said: Any) -> None:
+        """Do what a page asks, if it is the one that leads."""
+        do = said.get("do") if isinstance(said, Mapping) else None
+        if do == "lead" and page in self._pages:
+            self.arm.let_go()
+            self._leader = page
+            return
+        act = self._acts().get(str(do))
+        if act is None or (page != self._leader and self._pages):
+            return
+        try:
+            act(said)
+        except ManipLearnError as refusal:
+            self._say(str(refusal), wrong=True)
+        except (KeyError, TypeError, ValueError, OSError) as error:
+            self._say(f"the page asked for {do!r} in a way that is not understood: {error}", wrong=True)
+
+    def _acts(self) -> dict[str, Callable[[Mapping[str, Any]], None]]:
+        return {
+            "pull": self._pull,
+            "release": lambda _: self.arm.let_go(),
+            "grip": self._grip,
+            "scene": lambda said: self._begin(lambda: self._place(said["kind"])),
+            "home": lambda _: self._begin(self._home),
+            "record": lambda _: self._start_or_stop(),
+            "rename": self._rename,
+            "delete": self._delete,
+            "replay": self._replay,
+            "ghosts": lambda _: self._show("ghosts", None),
+            "learn": lambda _: self._learn(),
+            "truth": lambda said: setattr(self, "_truth_shown", bool(said["show"])),
+            "run": lambda said: self._begin(lambda: self._run(said)),
+            "way": self._set_way,
+            "target": self._target,
+            "disturb": lambda said: self.arm.disturb("elbow" if said["what"] == "elbow" else "hand", self._rng),
+            "stop": lambda _: setattr(self, "_stop", True),
+            "policies": lambda _: self._ask_for_ghosts("policies"),
+            "compare": lambda _: self._ask_for_ghosts("compare"),
+            "take": self._take,
+            "drop": self._drop,
+        }
+
+    def _begin(self, mode: Callable[[], None]) -> None:
+        """Stop what is done now, and do this next."""
+        self._stop, self._mode = True, mode
+
+    def _pull(self, said: Mapping[str, Any]) -> None:
+        to = np.asarray(said["to"], dtype=np.float64)
+        turn = said.get("turn")
+        if to.shape != (3,) or not np.all(np.isfinite(to)):
+            raise ValueError("a pull needs three finite numbers")
+        self._seq = int(said.get("seq", 0))
+        link = said.get("link")
+        at = None if link is None else np.asarray(said["at"], dtype=np.float64)
+        if turn is not None and not np.all(np.isfinite(turn := np.asarray(turn, dtype=np.float64).reshape(3))):
+            raise ValueError("a turn needs three finite numbers")
+        self.arm.pull(link, at, to, turn)
+
+    def _grip(self, said: Mapping[str, Any]) -> None:
+        if said["closed"]:
+            if self.arm.grip(True):
+                self._gripped()
+            else:
+                self._say("No handle is within reach of the gripper: take the hand to one first.")
+        else:
+            self.arm.grip(False)
+            self._say("The gripper is open.")
+
+    def _gripped(self) -> None:
+        handle = self.arm.scene.handles[self.arm.held or 0]
+        self._say(f"The gripper holds the {handle.name}. G, or the button, opens it.")
+        if self._grip_time is None:
+            self._grip_time = self.arm.time
+
+    def _start_or_stop(self) -> None:
+        if self._doing == "recording":
+            self._stop = True
+        else:
+            self._begin(self._record)
+
+    def _shown_by(self, name: Any) -> Shown:
+        found = next((one for one in self._recordings if one.path.stem == name), None)
+        if found is None:
+            raise ValueError(f"there is no recording {name!r}")
+        return found
+
+    def _rename(self, said: Mapping[str, Any]) -> None:
+        one, to = self._shown_by(said["name"]), str(said["to"]).strip()
+        path = one.path.with_name(f"{to}.csv")
+        if not NAME.fullmatch(to):
+            self._say("A name has letters, digits, spaces, dots and dashes, up to 60 of them.", wrong=True)
+        elif path.exists():
+            self._say(f"There is a recording {to!r} already: choose another name.", wrong=True)
+        else:
+            one.path = one.path.rename(path)
+
+    def _delete(self, said: Mapping[str, Any]) -> None:
+        one = self._shown_by(said["name"])
+        one.path.unlink(missing_ok=True)
+        self._recordings.remove(one)
+        self._say(f"{one.path.stem} is deleted.")
+
+    def _replay(self, said: Mapping[str, Any]) -> None:
+        one = self._shown_by(said["name"])
+        made = ghost(self.robot, one.path.stem, ("blue", COLOURS["blue"]), one.time, one.q)
+        self._show_ghosts("replay", [made])
+
+    def _drop(self, said: Mapping[str, Any]) -> None:
+        """Take in a recording that was dropped on the page, if it is one of this robot."""
+        stem = re.sub(r"[^A-Za-z0-9._-]+", "_", Path(str(said["name"])).stem)[:60].lstrip(".") or "dropped"
+        path = self._free_path(stem)
+        write_atomically(path, str(said["text"]))
+        try:
+            read = load_demonstrations([str(path)], self.robot)[0]
+        except ManipLearnError as refusal:
+            path.unlink()
+            name = self.robot.name
+            self._say(f"{said['name']} is no recording of {name!r}: {refusal}", wrong=True)
+            return
+        self._recordings.append(Shown(path, read.q, read.time, None))
+        self._say(f"{path.stem} is taken in: {counted(len(read.time), 'sample')}.")
+
+    def _free_path(self, stem: str) -> Path:
+        folder = self.keep / "recordings"
+        folder.mkdir(parents=True, exist_ok=True)
+        path, number = folder / f"{stem}.csv", 2
+        while path.exists():
+            path, number = folder / f"{stem}_{number}.csv", number + 1
+        return path
+
+    # ---- scene ----------------------------------------------------------------------------------------------------
+
+    def _place(self, kind: Kind) -> None:
+        """Another scene of a kind; recordings and answers of the one before stay on the disk."""
+        scene = place_scene(kind, self.robot, self.tip, self._rng)
+        self.arm = TeachingArm(scene, self._rng, in_real_time=self._real, shown=self._period)
+        self.constraint: Constraint | None = None
+        self._rows: Constraint | None = None
+        self._recordings: list[Shown] = []
+        self._answer: dict[str, Any] | None = None
+        self._way: ShownWay | None = None
+        self._progress: dict[str, Any] | None = None
+        self._outcome: dict[str, Any] | None = None
+        self._grip_time: float | None = None
+        self._truth_shown = False
+        self._loop: ServoLoop | None = None
+        self._number += 1
+        self.folder = self.keep / f"{self._number:02d}_{kind}"
+        while self.folder.exists():
+            self._number += 1
+            self.folder = self.keep / f"{self._number:02d}_{kind}"
+        self._say(TASKS[kind])
+        self._show("scene", scene_content(scene, self._number))
+        self._show("ghosts", None)
+
+    def _home(self) -> None:
+        """The arm back to where it began, everything shut."""
+        self._doing = "moving"
+        self.arm.shut()
+        self._follow(np.array([0.0, 1.0]), np.array([self.arm.scene.start, self.arm.scene.start]))
+        self._say("Everything is as it was at first.")
+
+    # ---- show -----------------------------------------------------------------------------------------------------
+
+    def _record(self) -> None:
+        """Record until the person stops; the file grows as it goes."""
+        self._doing, self._began, self._grip_time = "recording", self.arm.time, None
+        started = [False]
+
+        def key() -> Any:
+            if self._ended:
+                return "end"
+            if not started[0] or self._stop:
+                started[0] = True
+                return "start or stop"
+            return ""
+
+        self._say("Recording: take the hand, and show the task.")
+        held = self.arm.held is not None
+        done = record(self.arm, self.folder, "shown", by="key", motions=1, key=key)
+        if not done.files or done.samples < 2:
+            self._say("Nothing was recorded.", wrong=True)
+            return
+        read = load_demonstrations([str(done.files[0])], self.robot)[0]
+        sample = None if self._grip_time is None else round((self._grip_time - self._began) / PERIOD)
+        gripped = 0 if held else None if sample is None else min(sample, len(read.time) - 1)
+        self._recordings.append(Shown(done.files[0], read.q, read.time, gripped))
+        left = ENOUGH - len(self._recordings)
+        more = "that is enough to learn from." if left <= 0 else f"{counted(left, 'more')} would be good."
+        self._say(
+            f"{done.files[0].stem} is kept, {read.time[-1] - read.time[0]:.1f} s; {more}".replace("mores", "more")
+        )
+
+    # ---- learn ----------------------------------------------------------------------------------------------------
+
+    def _learn(self) -> None:
+        if not self._recordings:
+            self._say("There is nothing to learn from: record the task first.", wrong=True)
+            return
+        self._worker.ask("learn", files=[str(one.path) for one in self._recordings], out=str(self._constraint_file))
+        self._progress = {"step": "reading", "share": 0.0}
+        self._say("Learning from " + counted(len(self._recordings), "recording") + ".")
+
+    @property
+    def _constraint_file(self) -> Path:
+        return self.folder / "constraint.json"
+
+    def _answered(self, kind: str, what: Any) -> None:
+        """What the worker says."""
+        if kind == "progress":
+            self._progress = {"step": what[0], "share": what[1]}
+            return
+        job, answer = what
+        self._progress = None
+        if kind == "failed":
+            if job == "learn":
+                self._refused(answer)
+            else:
+                self._planned = None
+                self._say(answer, wrong=True)
+        elif job == "learn":
+            self._learnt(answer)
+        elif job == "plan":
+            self._planned = answer
+        elif job == "take":
+            self._files |= {name: (Path(path), says) for name, path, says in answer}
+            self._shows.offer({name: path for name, (path, _) in self._files.items()})
+            self._say("Ready to take home: " + ", ".join(name for name, *_ in answer) + ".")
+        else:
+            self._show_ghosts(job, answer)
+            self._say("; ".join(f"{one['name']}: {one['ended']}" for one in answer) + ".")
+
+    def _refused(self, why: str) -> None:
+        n = len(self._recordings)
+        few = n < ENOUGH
+        advice = (
+            f"Show it {counted(ENOUGH - n, 'time')} more, each time a little differently."
+            if few
+            else "Nothing that you showed holds the hand firmly. Take hold of something, move it as far as it goes and "
+            "back, and begin each time from another posture."
+        )
+        nothing = not self.arm.scene.handles
+        offer = (
+            {"say": "Try a drawer", "said": {"do": "scene", "kind": "drawer"}}
+            if nothing and not few
+            else {"say": "Record another one", "said": {"do": "record"}}
+        )
+        self._answer = {
+            "sentence": "This was not understood." if few else "Nothing holds the hand, as far as can be seen.",
+            "refused": True,
+            "evidence": why,
+            **dict.fromkeys(("facts", "rows", "warnings", "odd", "phaseKinds"), []),
+            "mechanism": None,
+            "next": advice,
+            "offer": offer,
+        }
+        self.constraint = self._rows = self._way = None
+        self._say(advice, wrong=True)
+
+    def _learnt(self, content: Mapping[str, Any]) -> None:
+        self.constraint = Constraint.load(self._constraint_file, self.robot)
+        names = {one.path.name: one for one in self._recordings}
+        odd = {name: why for name, why in content["answer"]["odd"]}
+        for one in self._recordings:
+            one.phases = [phase[1:] for phase in content["phases"] if names.get(phase[0]) is one]
+            one.odd = odd.get(one.path.name, "")
+        uncertain, warned = content["uncertainty"], content["warned"]
+        sure = uncertain is not None and uncertain <= KNOWN and not warned
+        self._answer = {
+            **content["answer"],
+            "next": "It is known well enough: let the arm do it."
+            if sure
+            else f"Show it once more, from another posture, until it is known to {KNOWN:g} degree.",
+            "offer": None if sure else {"say": "Record another one", "said": {"do": "record"}},
+        }
+        self._way = ShownWay.of(self.constraint, self.tip, self._recordings, self.arm.scene.handles)
+        self._rows = None if self._way is None else task_of(self.constraint, self._way.asked()).rows(self.constraint)
+        self._say(self._answer["sentence"])
+
+    # ---- run ------------------------------------------------------------------------------------------------------
+
+    def _follow(self, times: np.ndarray, postures: np.ndarray, until: Callable[[], str] | None = None) -> str:
+        """Follow a motion of the joints; why it ended."""
+        self.arm.hold()
+        motion = FollowMotion(self.robot, Trajectory(times, postures, joint_names=self.robot.joint_names))
+        loop = self._loop_of(motion)
+        goal, rested = postures[-1], [0.0]
+
+        def over() -> str:
+            if self._stop:
+                return BY_HAND
+            near = float(np.max(np.abs(self.robot.difference(self.arm.q, goal)))) < NEAR
+            rested[0] = rested[0] + PERIOD if near else 0.0
+            return THERE if rested[0] > STAYS else "" if until is None else until()
+
+        return run(loop, self.arm, until=over).ended
+
+    def _loop_of(self, controller: Controller) -> ServoLoop:
+        """A loop that yields to a person, not to friction or to its own acceleration."""
+        trips = following_error_limit(self.robot, force=YIELDS)
+        return ServoLoop(controller, dt=PERIOD, acceleration_limit=GENTLY, following_error_limit=trips, compiled=False)
+
+    def _run(self, said: Mapping[str, Any]) -> None:
+        """To the handle as it was shown, then along the way under the learnt constraint."""
+        way = self._way
+        if way is None:
+            self._say("There is no way to do yet: learn from recordings that hold something and move it.", wrong=True)
+            return
+        way.set(float(said.get("along", said.get("turn", way.value))))
+        policy = str(said.get("policy", "manipulability"))
+        if self.arm.held is None and not self._take_hold(way, bool(said.get("plan"))):
+            return
+        if way.arrived(self.arm.q):
+            self._say("The hand is there already: move the slider.")
+            return
+        self._doing = "running"
+        self._say(f"The arm does it by itself, with the {policy} policy.")
+        outcome = self._drive(way, policy)
+        self._say(f"Moved {way.in_words(self.arm.q)}: {outcome['ended']}.", wrong=not outcome["ordered"])
+
+    def _take_hold(self, way: ShownWay, planned: bool) -> bool:
+        """Go to the handle as the last recording did, or as a plan says, and close the gripper."""
+        self._doing = "moving"
+        self._say("The hand goes to the handle, as it was shown.")
+        self.arm.shut()
+        one, last = way.recording, way.recording.held_from or 0
+        times = np.append(one.time[:last] - one.time[0], one.time[last] - one.time[0] + CLOSES)
+        ended = self._follow(times, np.vstack([one.q[:last], way.hold]))
+        if ended == THERE and planned:
+            ended = self._change_posture(way)
+        if ended != THERE:
+            self._say(f"The hand did not come to the handle: {ended}.", wrong=ended != BY_HAND)
+            return False
+        if not self.arm.grip(True):
+            self._say("There is no handle where it was shown: place the scene again, or show it again.", wrong=True)
+            return False
+        closing = self.arm.time + 2.0 * STAYS
+        while self.arm.time < closing and not self._stop:
+            self.arm.command(self.arm.q_held, np.zeros(self.robot.nv))
+        return not self._stop
+
+    def _change_posture(self, way: ShownWay) -> str:
+        """To the posture from which the whole way can be done; why that ended."""
+        self._doing, self._planned = "planning", None
+        self._worker.ask("plan", file=str(self._constraint_file), way=way.asked(), start=self.arm.q)
+        while self._worker.busy and not self._stop:
+            self.arm.command(self.arm.q_held, np.zeros(self.robot.nv))
+        if self._stop or self._planned is None:
+            return BY_HAND if self._stop else self._sentence.rstrip(".")
+        self._doing = "moving"
+        self._say(self._planned["sentence"])
+        return self._follow(self._planned["time"], self._planned["q"])
+
+    def _drive(self, way: ShownWay, policy: str) -> dict[str, Any]:
+        """Run the controller until the way is done, something trips, or the person stops it."""
+        from manip_learn.commands.control import null_policy
+
+        self.arm.hold()
+        task, rested = way.task_from(self.arm.q), [0.0]
+        chosen = null_policy(policy, task, way.constraint, self.robot, None, self.arm.scene.start)
+        law = ResolvedRateController(way.constraint, task, chosen, dt=PERIOD)
+        loop = self._loop = self._loop_of(law)
+
+        def so_far(ended: str, ordered: bool) -> dict[str, Any]:
+            numbers = {"done": way.done(self.arm.q), "wanted": way.value}
+            return {"policy": policy, **numbers, "ended": ended, "ordered": ordered}
+
+        def over() -> str:
+            if self._stop:
+                return BY_HAND
+            rested[0] = rested[0] + PERIOD if way.arrived(self.arm.q) else 0.0
+            self._outcome = so_far("", True)
+            return "all of the way is done" if rested[0] > STAYS else ""
+
+        longest = SLOWER * (1.0 + task.duration_from(self.arm.q))
+        done = run(loop, self.arm, duration=longest, until=over)
+        self._loop, self._outcome = None, so_far(done.ended, done.ordered)
+        return self._outcome
+
+    def _set_way(self, said: Mapping[str, Any]) -> None:
+        if self._way is None:
+            return
+        self._way.set(float(said["value"]))
+        if self._loop is not None and not self._way.arrived(self.arm.q):
+            self._loop.set_task(self._way.task_from(self.arm.q))
+
+    def _target(self, said: Mapping[str, Any]) -> None:
+        """The way that comes nearest to a place that was dragged."""
+        at = np.asarray(said["at"], dtype=np.float64)
+        if at.shape != (3,):
+            raise ValueError("a place needs three numbers")
+        if self._way is not None:
+            self._set_way({"value": self._way.at(at)})
+
+    def _ask_for_ghosts(self, job: str) -> None:
+        if self._way is None:
+            self._say("There is no way to do yet: learn first.", wrong=True)
+            return
+        self._worker.ask(job, file=str(self._constraint_file), way=self._way.asked(), start=self._way.hold)
+        self._progress = {"step": "simulating", "share": 0.0}
+
+    def _take(self, said: Mapping[str, Any]) -> None:
+        if not self._recordings:
+            self._say("There is nothing to take home yet: record the task first.", wrong=True)
+            return
+        learnt = self.constraint is not None and self._constraint_file.exists()
+        self._worker.ask(
+            "take",
+            what=str(said["what"]),
+            files=[str(one.path) for one in self._recordings],
+            file=str(self._constraint_file) if learnt else None,
+            way=None if self._way is None else self._way.asked(),
+            start=None if self._way is None else self._way.hold,
+            out=str(self.folder),
+        )
+        self._progress = {"step": "writing", "share": 0.0}
+
+    # ---- what is shown --------------------------------------------------------------------------------------------
+
+    def _show(self, slot: str, content: Any) -> None:
+        """Send a slot if it says something new."""
+        text = json.dumps(content, allow_nan=False)
+        if self._put.get(slot) != text:
+            self._put[slot] = text
+            self._shows.put(lambda: text, slot)
+
+    def _show_ghosts(self, kind: str, rollouts: list[dict[str, Any]]) -> None:
+        self._number_of_ghosts = getattr(self, "_number_of_ghosts", 0) + 1
+        self._show("ghosts", {"number": self._number_of_ghosts, "kind": kind, "rollouts": rollouts})
+
+    def _show_pose(self) -> None:
+        pose = self._picture.pose(self.arm, self.constraint, self._rows)
+        pose |= {"seq": self._seq, "trail": self._doing == "recording"}
+        self._shows.put(lambda: json.dumps(pose, allow_nan=False), "pose")
+
+    def _show_state(self) -> None:
+        arm, way = self.arm, self._way
+        recording = None
+        if self._doing == "recording":
+            recording = {"name": "recording", "seconds": round(arm.time - self._began, 1)}
+        doing = "learning" if self._doing == "idle" and self._worker.busy == "learn" else self._doing
+        self._show(
+            "state",
+            {
+                "leader": self._leader,
+                "doing": doing,
+                "said": self._sentence,
+                "wrong": self._wrong,
+                "scenes": [{"kind": kind, "title": title} for kind, title in TITLES.items()],
+                "recordings": [one.to_dict() for one in self._recordings],
+                "recording": recording,
+                "progress": self._progress,
+                "answer": self._answer,
+                "truth": truth_content(arm.scene, self.constraint) if self._truth_shown else None,
+                "way": None if way is None else {"unit": way.unit, "low": 0.0, "high": way.high, "value": way.value},
+                "run": self._outcome,
+                "files": [{"name": name, "says": says} for name, (_, says) in self._files.items()],
+                "keep": str(self.folder),
+            },
+        )

@@ -1,0 +1,199 @@
+"""The way that a person has shown along a handle, and how far the hand is on it."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any, Literal, final
+
+import numpy as np
+from jaxtyping import Float
+
+from manip_learn.commands.teaching_worker import task_of
+from manip_learn.constraint.constraint import Constraint
+from manip_learn.control.tasks import FreeDirection
+from manip_learn.drivers.teaching_arm import PERIOD
+from manip_learn.drivers.teaching_scene import REACHES, Handle, posture_at
+from manip_learn.linalg import null_basis
+from manip_learn.robot.robot import Robot
+
+SHORTEST = {"m": 0.02, "rad": 0.05}  # [m or rad] a way that was shown and is worth doing again
+SHARE = 0.85  # of the way shown that the slider begins with: the rest is the person's spread
+HELD_AFTER = 2.0  # [s] after the gripper began to close, in which the hand is at the handle where that is shut
+ARRIVES = {"m": 2e-3, "rad": 4e-3}  # [m or rad] of a way that is done
+
+
+@final
+@dataclass
+class Shown:
+    """One recording.
+
+    Attributes:
+        path: The file.
+        q: shape (T, nv), its postures.
+        time: shape (T,) [s].
+        gripped: Number of the sample at which the gripper closed; None if it never did.
+        phases: Start [s], end [s] and number of the constraint, -1 for free motion.
+        odd: Why it does not agree with the others.
+    """
+
+    path: Path
+    q: Float[np.ndarray, "T nv"]
+    time: Float[np.ndarray, " T"]
+    gripped: int | None
+    phases: list[list[float]] = field(default_factory=list)
+    odd: str = ""
+
+    @property
+    def held_from(self) -> int | None:
+        """Number of the sample from which it holds something, by the gripper, else by what was learnt; or None."""
+        if self.gripped is not None:
+            return self.gripped
+        start = next((start for start, _, k in self.phases if k == 0), None)
+        return None if start is None else int(np.searchsorted(self.time, start))
+
+    def to_dict(self) -> dict[str, Any]:
+        """For the page."""
+        seconds = float(self.time[-1] - self.time[0]) if len(self.time) else 0.0
+        first = float(self.time[0]) if len(self.time) else 0.0
+        return {
+            "name": self.path.stem,
+            "seconds": round(seconds, 2),
+            "samples": len(self.time),
+            "odd": self.odd,
+            "phases": [[start - first, end - first, k] for start, end, k in self.phases],
+            "kept": True,
+        }
+
+
+@final
+@dataclass
+class ShownWay:
+    """As far as the task was shown, from where the hand took hold.
+
+    Attributes:
+        constraint: What was learnt.
+        tip: The frame that is guided.
+        recording: The one that the hand takes hold as in.
+        hold: shape (nv,), posture with the hand at the shut handle.
+        unit: Of the way.
+        high: How far it was shown.
+        value: How far it is to go.
+        sense: -1 where it was shown the other way round than the mechanism's turn counts.
+        direction: shape (3,), unit vector of a way in m, in the base; None for one that turns.
+    """
+
+    constraint: Constraint
+    tip: str
+    recording: Shown
+    hold: Float[np.ndarray, " nv"]
+    unit: Literal["m", "rad"]
+    high: float
+    value: float
+    sense: float
+    direction: Float[np.ndarray, " 3"] | None
+
+    @property
+    def robot(self) -> Robot:
+        """The constraint's."""
+        robot = self.constraint.robot
+        assert robot is not None  # its features are of a frame
+        return robot
+
+    @staticmethod
+    def of(constraint: Constraint, tip: str, recordings: Sequence[Shown], handles: Sequence[Handle]) -> ShownWay | None:
+        """From the last recording that takes hold of something; None where none does, or the way is too short.
+
+        Args:
+            constraint: What was learnt from them.
+            tip: The frame that is guided.
+            recordings: With their phases.
+            handles: What a gripper can take hold of.
+        """
+        robot, one = constraint.robot, next((r for r in reversed(recordings) if r.held_from is not None), None)
+        if one is None or robot is None:
+            return None
+        first, hold = one.held_from or 0, _posture_of_hold(robot, tip, one, handles)
+        held = [k for s, e, n in one.phases if n == 0 for k in np.flatnonzero((one.time >= s) & (one.time <= e))]
+        places = np.array([robot.position(one.q[k], tip) for k in held[::5] if k >= first])
+        if len(places) < 2:
+            return None
+        known, start = constraint.mechanism, robot.position(hold, tip)
+        if known is not None and known.type in ("hinge", "screw") and known.axis is not None:
+            angles = np.unwrap([_turned(start, place, constraint) for place in places])
+            far = float(angles[np.argmax(np.abs(angles))])
+            way = ShownWay(constraint, tip, one, hold, "rad", abs(far), SHARE * abs(far), float(np.sign(far)), None)
+        else:
+            away = places - start
+            toward = away[int(np.argmax(np.linalg.norm(away, axis=1)))]
+            if known is not None and known.axis is not None and known.type in ("line", "plane"):
+                along = known.axis[None] if known.type == "line" else null_basis(known.axis[None]).T
+                toward = along.T @ (along @ toward)
+            size = float(np.linalg.norm(toward))
+            way = ShownWay(constraint, tip, one, hold, "m", size, SHARE * size, 1.0, toward / max(size, 1e-9))
+        return way if way.high > SHORTEST[way.unit] else None
+
+    def at(self, place: Float[np.ndarray, " 3"]) -> float:
+        """How far along the way a place of the hand is [m or rad]."""
+        start = self.robot.position(self.hold, self.tip)
+        if self.direction is None:
+            return self.sense * _turned(start, place, self.constraint)
+        return float((place - start) @ self.direction)
+
+    def done(self, q: Float[np.ndarray, " nv"]) -> float:
+        """How far along the way the hand is [m or rad]."""
+        return self.at(self.robot.position(q, self.tip))
+
+    def set(self, value: float) -> None:
+        """Ask for another way, as far as it was shown.
+
+        Raises:
+            ValueError: No finite number.
+        """
+        if not np.isfinite(value):
+            raise ValueError("the way must be a finite number")
+        self.value = float(np.clip(value, 0.0, self.high))
+
+    def asked(self) -> dict[str, Any]:
+        """As the worker takes it: the whole way from where the hand takes hold."""
+        direction = None if self.direction is None else self.direction.tolist()
+        return {"unit": self.unit, "value": self.sense * self.value, "direction": direction}
+
+    def arrived(self, q: Float[np.ndarray, " nv"]) -> bool:
+        """Whether the hand is where it was asked to go."""
+        return abs(self.value - self.done(q)) < ARRIVES[self.unit]
+
+    def task_from(self, q: Float[np.ndarray, " nv"]) -> FreeDirection:
+        """The rest of the way from a posture."""
+        return task_of(self.constraint, self.asked(), self.sense * (self.value - self.done(q)))
+
+    def in_words(self, q: Float[np.ndarray, " nv"]) -> str:
+        """How far it came."""
+        size, unit, digits = (100.0, "cm", 1) if self.unit == "m" else (float(np.degrees(1.0)), "degrees", 0)
+        return f"{size * self.done(q):.{digits}f} of {size * self.value:.{digits}f} {unit}"
+
+
+def _posture_of_hold(robot: Robot, tip: str, one: Shown, handles: Sequence[Handle]) -> Float[np.ndarray, " nv"]:
+    """The posture in which the person held the handle where it is shut."""
+    first = one.held_from or 0
+    q = one.q[first : first + round(HELD_AFTER / PERIOD)]
+    places = np.array([robot.position(x, tip) for x in q])
+    gaps = [np.linalg.norm(places - handle.pose[:3, 3], axis=1) for handle in handles]
+    nearest = int(np.argmin([gap.min() for gap in gaps])) if gaps else 0
+    if not gaps or gaps[nearest].min() > REACHES:
+        return q[0]
+    best = q[int(np.argmin(gaps[nearest]))]
+    pose = robot.pose(best, tip)
+    pose[:3, 3] = handles[nearest].pose[:3, 3]
+    found = [posture_at(robot, tip, best, pose, firm=firm) for firm in (True, False)]
+    return next((x for x in found if x is not None), best)
+
+
+def _turned(start: Float[np.ndarray, " 3"], here: Float[np.ndarray, " 3"], constraint: Constraint) -> float:
+    """Angle about a mechanism's axis from one place to another [rad]."""
+    known = constraint.mechanism
+    assert known is not None and known.axis is not None and known.point is not None
+    axis, point = known.axis, known.point
+    a, b = (x - point - ((x - point) @ axis) * axis for x in (start, here))
+    return float(np.arctan2(np.cross(a, b) @ axis, a @ b))

@@ -1,0 +1,297 @@
+"""What takes seconds while the arm goes on moving: learning, planning, simulating; in a process of its own."""
+
+from __future__ import annotations
+
+import multiprocessing
+import os
+import sys
+import threading
+import time
+from collections.abc import Callable, Mapping
+from multiprocessing.connection import Connection
+from typing import Any, final
+
+import numpy as np
+
+from manip_learn.drivers.teaching_scene import posture_at
+from manip_learn.errors import ManipLearnError
+from manip_learn.recordings.trajectory_source import Progress
+from manip_learn.robot.robot import Robot
+
+PARENT_CHECK_SECONDS = 0.5  # between two looks for the parent
+STOP_SECONDS = 1.0  # for the process to end by itself
+GENTLE = 10  # steps of niceness: on one core the physics go first
+MOST_KEYS = 400  # key frames of a ghost: 60 a second for seven seconds
+STEP = 0.01  # [s] of a simulation, as the arm's period
+BAD_POSTURES = 60  # of which the worst is taken: more change little, each takes a millisecond
+
+
+@final
+class TeachingWorker:
+    """A process that learns, plans and simulates for one robot, one job after the other.
+
+    Args:
+        robot: The robot.
+        tip: Its frame that is guided.
+    """
+
+    def __init__(self, robot: Robot, tip: str):
+        self._robot, self._tip = robot, tip
+        self._start()
+
+    def _start(self) -> None:
+        context = multiprocessing.get_context("spawn")
+        self._pipe, theirs = context.Pipe()
+        self._process = context.Process(
+            target=_serve, args=(theirs, self._robot, self._tip, os.getpid()), name="teaching", daemon=True
+        )
+        self._process.start()
+        theirs.close()
+        self.busy = ""
+
+    def ask(self, job: str, **what: Any) -> None:
+        """Begin a job; what came before is given up.
+
+        Args:
+            job: Name of a function of `JOBS`.
+            what: Its keywords.
+        """
+        if self.busy:
+            self.close()
+            self._start()
+        self.busy = job
+        self._pipe.send((job, what))
+
+    def heard(self) -> list[tuple[str, Any]]:
+        """What has come since: ("progress", (step, share)), ("done", (job, answer)) or ("failed", (job, sentence))."""
+        out: list[tuple[str, Any]] = []
+        try:
+            while self._pipe.poll():
+                out.append(self._pipe.recv())
+        except (EOFError, OSError):
+            out.append(("failed", (self.busy, "the process that learns has ended: is there memory for it?")))
+            self.close()
+            self._start()
+        if any(kind != "progress" for kind, _ in out):
+            self.busy = ""
+        return out
+
+    def close(self) -> None:
+        """End the process, whatever it does."""
+        self._process.terminate()
+        self._process.join(STOP_SECONDS)
+        if self._process.is_alive():
+            self._process.kill()
+            self._process.join()
+        self._pipe.close()
+
+
+def _serve(pipe: Connection, robot: Robot, tip: str, parent: int) -> None:
+    """The process: job after job until the pipe closes or the parent is gone."""
+    threading.Thread(target=_end_with, args=(parent,), daemon=True).start()
+    with open(os.devnull, "w") as nowhere:  # its warnings are part of the answers
+        sys.stdout = sys.stderr = nowhere
+        if hasattr(os, "nice"):
+            os.nice(GENTLE)
+        from manip_learn import learning  # noqa: F401  # now, and not when somebody waits
+
+        while True:
+            try:
+                job, what = pipe.recv()
+            except (EOFError, OSError, KeyboardInterrupt):
+                return
+            try:
+                pipe.send(("done", (job, JOBS[job](robot, tip, _said(pipe), **what))))
+            except ManipLearnError as error:
+                pipe.send(("failed", (job, str(error))))
+            except KeyboardInterrupt:
+                return
+            except Exception as error:  # the arm goes on: whatever failed here is a sentence there
+                pipe.send(("failed", (job, f"{type(error).__name__}: {error}")))
+
+
+def _end_with(parent: int) -> None:
+    while os.getppid() == parent:
+        time.sleep(PARENT_CHECK_SECONDS)
+    os._exit(0)
+
+
+def _said(pipe: Connection) -> Progress:
+    return lambda step, share: pipe.send(("progress", (step, float(share))))
+
+
+# ---- jobs ---------------------------------------------------------------------------------------------------------
+
+
+def learn(robot: Robot, tip: str, said: Progress, *, files: list[str], out: str) -> dict[str, Any]:
+    """Learn from recordings; the constraint goes to a file.
+
+    Returns:
+        The answer as the page shows it, and the phases of the recordings by their file names.
+    """
+    from manip_learn.constraint.features import FrameJacobian
+    from manip_learn.learning import ConstraintLearner
+    from manip_learn.playback.phase_bands import phase_kinds
+    from manip_learn.playback.replay_page import evidence_of
+    from manip_learn.recordings import load_demonstrations
+
+    demos = load_demonstrations(files, robot)
+    learner = None
+    for axes in ("xyz", "pose"):  # the point held; and where the hand turns with it, all of the hand
+        rows = [FrameJacobian(robot, tip, axes, reference) for reference in ("world", "local")]
+        learner = ConstraintLearner(rows).fit(demos, progress=said)
+        found = learner.report_.mechanism
+        if found is None or found.grip != "firm":
+            break
+    report = learner.report_
+    learner.constraint_.save(out)
+    names = [c.mechanism.type if c.mechanism is not None else "" for c in learner.constraints_]
+    evidence = evidence_of(report)
+    answer = {
+        "sentence": report.sentence,
+        "refused": False,
+        "evidence": evidence["words"],
+        "facts": evidence["facts"],
+        "rows": evidence["rows"],
+        "warnings": evidence["warnings"],
+        "odd": evidence["odd"],
+        "phaseKinds": [vars(kind) for kind in phase_kinds(report.phases, names)] if report.phases else [],
+        "mechanism": None if report.mechanism is None else _drawn(robot, tip, report.mechanism, demos, report.phases),
+        "others": [c.mechanism.sentence for c in learner.constraints_[1:] if c.mechanism is not None],
+    }
+    uncertain = report.uncertainty_deg
+    if uncertain is None and report.mechanism is not None:
+        uncertain = report.mechanism.uncertainty.get("axis")
+    phases = [[name, start, end, -1 if k is None else k] for name, start, end, k, *_ in report.phases]
+    return {"answer": answer, "phases": phases, "uncertainty": uncertain, "warned": bool(report.warnings)}
+
+
+def _drawn(robot: Robot, tip: str, mechanism: Any, demos: Any, phases: Any) -> dict[str, Any]:
+    """Lines and patches of a mechanism, as large as the motion that it held."""
+    from manip_learn.playback.mechanism_drawing import mechanism_drawing
+    from manip_learn.playback.page_writer import packed
+
+    held = [
+        robot.position(t.q[k], tip)
+        for t in demos
+        for name, start, end, number, *_ in phases
+        if name == t.name and number == 0
+        for k in np.flatnonzero((t.time >= start) & (t.time <= end))[::10]
+    ]
+    drawing = mechanism_drawing(mechanism, np.array(held or [robot.position(t.q[0], tip) for t in demos]))
+    return {
+        "type": drawing.type,
+        "sentence": drawing.sentence,
+        "lines": [packed(line, "<f4") for line in drawing.lines],
+        "patches": [packed(patch, "<f4") for patch in drawing.patches],
+    }
+
+
+def policies(robot: Robot, tip: str, said: Progress, *, file: str, way: Mapping[str, Any], start: Any) -> Any:
+    """Three null-space policies from a posture at the handle, as ghosts."""
+    names = ("manipulability", "attractor", "zero")  # the recommended one first
+    return _simulated(robot, tip, said, file, way, np.asarray(start), dict(zip(names, names, strict=True)))
+
+
+def compare(robot: Robot, tip: str, said: Progress, *, file: str, way: Mapping[str, Any], start: Any) -> Any:
+    """With and without the learnt manipulability, from the worst of many postures at the handle, as ghosts."""
+    from manip_learn.constraint.constraint import Constraint
+    from manip_learn.constraint.manipulability import manipulability
+
+    constraint, start = Constraint.load(file, robot), np.asarray(start, dtype=np.float64)
+    rows = task_of(constraint, way).rows(constraint)
+    rng, place = np.random.default_rng(0), robot.pose(start, tip)
+    drawn = (robot.positions(robot.random_configuration(rng)) for _ in range(BAD_POSTURES))
+    found = [q for d in drawn if (q := posture_at(robot, tip, d, place, firm=False)) is not None]
+    inside = [q for q in found if np.all((robot.position_lower < q) & (q < robot.position_upper))]
+    bad = min([*inside, start], key=lambda q: manipulability(rows, q))
+    named = {"with the learnt manipulability": "manipulability", "without": "zero"}
+    return _simulated(robot, tip, said, file, way, bad, named)
+
+
+def plan(robot: Robot, tip: str, said: Progress, *, file: str, way: Mapping[str, Any], start: Any) -> Any:
+    """The posture in which to take hold, and the way of the joints to it: times [s] and postures."""
+    from manip_learn.constraint.constraint import Constraint
+    from manip_learn.control.planning.plan import plan as planned
+
+    constraint = Constraint.load(file, robot)
+    found = planned(constraint, task_of(constraint, way), start, progress=said)
+    return {"time": found.approach.time, "q": found.approach.q, "sentence": found.sentence}
+
+
+def task_of(constraint: Any, way: Mapping[str, Any], amount: float | None = None) -> Any:
+    """The task of a way that the page asked for, as the person showed it where that says which way.
+
+    Args:
+        constraint: What was learnt.
+        way: `unit` ("m" or "rad"), `value`, and `direction`, or None for the one shown.
+        amount: In place of the value [m or rad].
+    """
+    from manip_learn.control.tasks import motion
+
+    far = float(way["value"] if amount is None else amount)
+    along, turn = (far, None) if way["unit"] == "m" else (None, far)
+    return motion(constraint, along, turn, direction=way["direction"])
+
+
+def _simulated(
+    robot: Robot, tip: str, said: Progress, file: str, way: Any, start: np.ndarray, named: Mapping[str, str]
+) -> list[dict[str, Any]]:
+    """Rollouts of some policies, as the page plays them."""
+    from manip_learn.commands.control import null_policy
+    from manip_learn.constraint.constraint import Constraint
+    from manip_learn.control.controller import ResolvedRateController
+    from manip_learn.control.way import simulate_way
+    from manip_learn.playback.palette import rollout_colours
+
+    constraint, ghosts = Constraint.load(file, robot), []
+    for k, ((name, policy), colours) in enumerate(zip(named.items(), rollout_colours(list(named), {}), strict=True)):
+        said(f"moving with the {policy} policy", k / len(named))
+        task = task_of(constraint, way)
+        controller = ResolvedRateController(
+            constraint, task, null_policy(policy, task, constraint, robot, None, start), dt=STEP
+        )
+        rollout, done = simulate_way(robot, controller, start, STEP)
+        says = f"{'all' if done.is_done else f'{done.done:.3g} of {done.wanted:.3g} {done.unit}'} done"
+        ended = says + (f": stopped by {done.stopped_by}" if done.stopped_by else "")
+        curve = rollout.manipulability
+        ghosts.append(ghost(robot, name, colours, rollout.time, rollout.q, curve, ended))
+    return ghosts
+
+
+def ghost(
+    robot: Robot, name: str, colours: tuple[str, str], time: Any, q: Any, curve: Any = None, ended: str = ""
+) -> dict[str, Any]:
+    """A motion as the page plays it beside the arm.
+
+    Args:
+        robot: The robot.
+        name: In the legend.
+        colours: Name and hexadecimal value.
+        time: shape (T,) [s].
+        q: shape (T, nv), postures.
+        curve: shape (T,), manipulability, or None.
+        ended: How it ended, in words.
+    """
+    from manip_learn.playback.kinematic_tree import joint_tracks, kinematic_tree
+    from manip_learn.playback.page_writer import packed
+    from manip_learn.recordings.preprocessing import evenly
+
+    kept = evenly(len(time), MOST_KEYS)
+    times = np.asarray(time)[kept] - time[0]
+    mu = np.zeros(0) if curve is None else np.asarray(curve)[kept]
+    return {
+        "name": name,
+        "colourName": colours[0],
+        "colour": colours[1],
+        "duration": float(times[-1]),
+        "keyTimes": packed(times, "<f8"),
+        "tracks": packed(joint_tracks(robot, kinematic_tree(robot), np.asarray(q)[kept]), "<f8"),
+        "curveTimes": packed(times if len(mu) else mu, "<f8"),
+        "curve": packed(mu, "<f8"),
+        "opening": None,
+        "ended": ended,
+    }
+
+
+JOBS: dict[str, Callable[..., Any]] = {"learn": learn, "policies": policies, "compare": compare, "plan": plan}

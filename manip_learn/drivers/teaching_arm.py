@@ -1,0 +1,316 @@
+"""An arm in a teaching scene that a person's hand pulls: the driver of `record` and `run`, in real time."""
+
+# pyright: reportAttributeAccessIssue=false
+# (the compiled parts of MuJoCo have no complete stubs)
+from __future__ import annotations
+
+import time
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any, Literal, final
+
+import numpy as np
+from jaxtyping import Float
+from scipy.spatial.transform import Rotation
+
+from manip_learn.drivers.mujoco import MuJoCoDriver
+from manip_learn.drivers.teaching_scene import CLOSES, REACHES, SOFT, STIFF, TIMESTEP, TeachingScene, scene_model
+
+PERIOD = 0.01  # [s] between two readings, as cobots report at 100 Hz and more
+NOISE = 1e-4  # [rad or m] of the encoders: 16 bits a turn
+SPRING, DASHPOT = 900.0, 30.0  # a hand that guides [N/m], [N s/m]: 1 cm off is 9 N
+STRONGEST = 60.0  # [N] that a person pulls with for a while, standing
+WRIST_SPRING, WRIST_DASHPOT = 15.0, 0.5  # a hand that turns [N m/rad], [N m s/rad]
+TWISTS = 6.0  # [N m] that a wrist turns with
+STEADY = 0.02  # [s] in which a hand comes to where it is meant to be: between two pictures of 60 Hz it does not jump
+LOST = 0.6  # [s] after which a pull that nobody repeats is over: pages repeat it every 0.2 s
+SLOWEST = 0.25  # [s] that the physics may be late before they let the time go: a computer that slept does not catch up
+BUMP, BUMPED = 25.0, 0.3  # [N m], [s] of somebody who bumps into the arm
+AGAIN = 2.0  # times the gripper's reach from which on it closes by itself again, after it was opened
+
+
+@final
+@dataclass
+class Pull:
+    """Where a person holds the arm and where the hand wants it.
+
+    Attributes:
+        body: Number of the MuJoCo body.
+        at: shape (3,), point of that body held, in its own frame [m].
+        to: shape (3,), where that point is to be, in the base [m].
+        turn: shape (3,), rotation vector by which the body is to be turned since the hand took it [rad], or None.
+        heard: When this was last said [s].
+    """
+
+    body: int
+    at: Float[np.ndarray, " 3"]
+    to: Float[np.ndarray, " 3"]
+    turn: Float[np.ndarray, " 3"] | None
+    heard: float
+
+
+@final
+class Hand:
+    """The force of a hand on the arm: a spring to where it is meant to be, no stronger than a person.
+
+    Attributes:
+        force: shape (3,), of the last step [N].
+        limited: Whether it would have been stronger.
+    """
+
+    def __init__(self, model: Any):
+        import mujoco
+
+        self._mujoco = mujoco
+        self._linear, self._angular = np.zeros((3, model.nv)), np.zeros((3, model.nv))
+        self.pull: Pull | None = None
+        self._goal = self._first = None
+        self.force, self.limited, self.at = np.zeros(3), False, np.zeros(3)
+        self.push: tuple[Float[np.ndarray, " nv"], float] | None = None  # on the joints [N m or N], until when [s]
+
+    def take(self, pull: Pull | None, data: Any) -> None:
+        """Pull there from now on; None lets go."""
+        if pull is None or self.pull is None or pull.body != self.pull.body:
+            self._goal = None
+        if pull is not None and self._goal is None:
+            rotation = data.xmat[pull.body].reshape(3, 3)
+            self._goal, self._first = data.xpos[pull.body] + rotation @ pull.at, rotation.copy()
+        self.pull = pull
+        if pull is None:
+            self.force, self.limited = np.zeros(3), False
+
+    def __call__(self, model: Any, data: Any) -> None:
+        """Add the hand's force to `data.qfrc_applied`."""
+        if self.push is not None and data.time < self.push[1]:
+            data.qfrc_applied += self.push[0]
+        pull = self.pull
+        if pull is None or self._goal is None or self._first is None:
+            return
+        rotation = data.xmat[pull.body].reshape(3, 3)
+        self.at = data.xpos[pull.body] + rotation @ pull.at
+        self._mujoco.mj_jac(model, data, self._linear, self._angular, self.at, pull.body)
+        self._goal = self._goal + (pull.to - self._goal) * (TIMESTEP / STEADY)
+        wanted = SPRING * (self._goal - self.at)
+        size = float(np.linalg.norm(wanted))
+        self.limited = size > STRONGEST
+        wanted *= min(1.0, STRONGEST / max(size, 1e-9))
+        self.force = wanted - DASHPOT * (self._linear @ data.qvel)
+        data.qfrc_applied += self._linear.T @ self.force
+        if pull.turn is not None:
+            aim = Rotation.from_rotvec(pull.turn).as_matrix() @ self._first
+            moment = WRIST_SPRING * Rotation.from_matrix(aim @ rotation.T).as_rotvec()
+            moment *= min(1.0, TWISTS / max(float(np.linalg.norm(moment)), 1e-9))
+            data.qfrc_applied += self._angular.T @ (moment - WRIST_DASHPOT * (self._angular @ data.qvel))
+
+
+@final
+class TeachingArm:
+    """A driver whose clock is the wall's: each period of physics is waited for, and shown.
+
+    Args:
+        scene: The scene.
+        rng: Source of the encoders' noise.
+        in_real_time: Whether periods are waited for; tests go faster.
+        shown: Called after each period.
+
+    Attributes:
+        scene: The scene.
+        hand: The person's hand.
+        period: Between two readings [s].
+        joint_names: In the robot's order.
+        held: Number of the handle that the gripper holds, or None.
+        rate: Steps of the physics per second, lately.
+    """
+
+    simulated = True
+
+    def __init__(
+        self,
+        scene: TeachingScene,
+        rng: np.random.Generator,
+        *,
+        in_real_time: bool = True,
+        shown: Callable[[], object] | None = None,
+    ):
+        import mujoco
+
+        self.scene, self.period, self.joint_names = scene, PERIOD, scene.robot.joint_names
+        self._mujoco, self._shown, self._waits = mujoco, shown or (lambda: None), in_real_time
+        model = scene_model(scene)
+        self.hand = Hand(model)
+        self._arm = MuJoCoDriver(
+            model, self.joint_names, scene.start, period=PERIOD, hand=self.hand, noise=NOISE, rng=rng
+        )
+        self.model, self.data = model, self._arm.data
+        self._tip = model.site("tip").id
+        self._grips = [model.equality(f"grip_{k}").id for k in range(len(scene.handles))]
+        self._sites = [model.site(f"handle_{k}").id for k in range(len(scene.handles))]
+        self._bodies = [model.body(f"handle_{k}").id for k in range(len(scene.handles))]
+        self._ways = [int(model.joint(f"handle_{k}_x").qposadr[0]) for k in range(len(scene.handles))]
+        self.held: int | None = None
+        self._closed, self._opened = 0.0, None
+        self._due, self.rate = time.perf_counter(), 1.0 / TIMESTEP
+        self._before = self._due
+        self.release()
+
+    # ---- as a driver ----------------------------------------------------------------------------------------------
+
+    def read(self) -> tuple[Float[np.ndarray, " n"], None, Float[np.ndarray, " n"]]:
+        """Joint positions as encoders tell them, no velocities, and what the drives exert."""
+        q, _, effort = self._arm.read()
+        return q, None, effort
+
+    def command(self, q: Float[np.ndarray, " n"], u: Float[np.ndarray, " n"]) -> None:
+        """Send the servos to positions, and let one period pass."""
+        self._arm.command(q, u)
+        self._pass()
+
+    def wait(self) -> None:
+        """Let one period pass without a command."""
+        self._arm.wait()
+        self._pass()
+
+    def release(self) -> None:
+        """Let the arm be guided."""
+        self._arm.release()
+
+    def hold(self) -> None:
+        """Hold the arm where it is."""
+        self._arm.hold()
+
+    def _pass(self) -> None:
+        """After a period of physics: the gripper, the picture, the clock."""
+        now = time.perf_counter()
+        if self.hand.pull is not None and now - self.hand.pull.heard > LOST:
+            self.hand.take(None, self.data)
+        self._work()
+        self._shown()
+        if not self._waits:
+            return
+        self._due += self.period
+        if (left := self._due - time.perf_counter()) > 0.0:
+            time.sleep(left)
+        elif -left > SLOWEST:
+            self._due = time.perf_counter()
+        now = time.perf_counter()
+        self.rate += 0.02 * (self.period / TIMESTEP / max(now - self._before, 1e-6) - self.rate)
+        self._before = now
+
+    # ---- what a hand does -----------------------------------------------------------------------------------------
+
+    @property
+    def time(self) -> float:
+        """Of the physics [s]."""
+        return float(self.data.time)
+
+    @property
+    def q(self) -> Float[np.ndarray, " nv"]:
+        """True joint positions [rad or m]."""
+        return self.data.qpos[self._arm._q].copy()
+
+    @property
+    def q_held(self) -> Float[np.ndarray, " nv"]:
+        """Where the servos hold the arm [rad or m]."""
+        return self._arm.goal
+
+    @property
+    def place(self) -> Float[np.ndarray, " 3"]:
+        """Where the tip is, in the base [m]."""
+        return self.data.site_xpos[self._tip].copy()
+
+    def handle_pose(self, number: int) -> list[float]:
+        """Place and quaternion (real part first) of a handle's body [m]."""
+        body = self._bodies[number]
+        return [*self.data.xpos[body].tolist(), *self.data.xquat[body].tolist()]
+
+    def handle_place(self, number: int) -> Float[np.ndarray, " 3"]:
+        """Where a handle is [m]."""
+        return self.data.site_xpos[self._sites[number]].copy()
+
+    def opening(self, number: int) -> float:
+        """How far a handle has been moved [m or rad]; of a plane along its first direction."""
+        return float(self.data.qpos[self._ways[number]])
+
+    def near(self) -> int | None:
+        """The handle within reach of the gripper, or None."""
+        gaps = [float(np.linalg.norm(self.handle_place(k) - self.place)) for k in range(len(self._sites))]
+        nearest = int(np.argmin(gaps)) if gaps else None
+        return nearest if nearest is not None and gaps[nearest] < REACHES else None
+
+    def pull(self, link: str | None, at: Any, to: Any, turn: Any = None) -> None:
+        """Take a link of the arm, or the tip, and pull it.
+
+        Args:
+            link: Name of the joint whose link is held; None for the tip.
+            at: shape (3,), point of the link held, in its joint's frame [m]; None for the tip.
+            to: shape (3,), where it is to be, in the base [m].
+            turn: shape (3,), rotation vector by which the hand turns it [rad], or None.
+        """
+        body = int(self.model.site_bodyid[self._tip]) if link is None else self.model.body(link).id
+        point = self.model.site_pos[self._tip] if link is None else np.asarray(at, dtype=np.float64)
+        turned = None if turn is None else np.asarray(turn, dtype=np.float64)
+        pull = Pull(body, np.array(point), np.asarray(to, dtype=np.float64), turned, time.perf_counter())
+        self.hand.take(pull, self.data)
+
+    def let_go(self) -> None:
+        """Let the arm go; the gripper stays as it is."""
+        self.hand.take(None, self.data)
+
+    def grip(self, closed: bool) -> bool:
+        """Close the gripper on the handle within reach, or open it; whether it holds one now."""
+        if closed and self.held is None and (near := self.near()) is not None:
+            self._place_handle(near)
+            self.held, self._closed = near, self.time
+            self.model.eq_solref[self._grips[near], 0] = SOFT
+            self.data.eq_active[self._grips[near]] = 1
+        elif not closed and self.held is not None:
+            self.data.eq_active[self._grips[self.held]] = 0
+            self._opened, self.held = self.held, None
+        return self.held is not None
+
+    def close_when_near(self) -> bool:
+        """Close the gripper on a handle that the hand has come to; one that it opened at only after it was away."""
+        near = self.near()
+        if self._opened is not None:
+            gap = float(np.linalg.norm(self.handle_place(self._opened) - self.place))
+            self._opened = None if gap > AGAIN * REACHES else self._opened
+        return self.held is None and near is not None and near != self._opened and self.grip(True)
+
+    def disturb(self, what: Literal["elbow", "hand"], rng: np.random.Generator) -> None:
+        """Push the joint in the middle of the arm, or pull the hand to a side, for a moment."""
+        model, data, torque = self.model, self.data, np.zeros(self.model.nv)
+        if what == "elbow":
+            joint = self._arm._u[len(self._arm._u) // 2]
+            torque[joint] = float(rng.choice([-1.0, 1.0])) * BUMP
+        else:
+            J, side = np.zeros((3, model.nv)), rng.normal(size=3)
+            self._mujoco.mj_jacSite(model, data, J, None, self._tip)
+            torque = J.T @ (STRONGEST * side / np.linalg.norm(side))
+        self.hand.push = torque, self.time + BUMPED
+
+    def shut(self) -> None:
+        """Open the gripper, and put what it moved back to where it was at first."""
+        self.grip(False)
+        for k in range(len(self._sites)):
+            body = self.model.body(f"handle_{k}")
+            first, number = int(body.jntadr[0]), int(body.jntnum[0])
+            self.data.qpos[self.model.jnt_qposadr[first : first + number]] = 0.0
+            self.data.qvel[self.model.jnt_dofadr[first : first + number]] = 0.0
+        self._opened = None
+
+    def _work(self) -> None:
+        """A grip grows firm while the gripper closes."""
+        if self.held is not None:
+            share = min(1.0, (self.time - self._closed) / CLOSES)
+            self.model.eq_solref[self._grips[self.held], 0] = SOFT * (STIFF / SOFT) ** share
+
+    def _place_handle(self, number: int) -> None:
+        """Turn a firm handle's site as the hand is turned, so that closing turns neither."""
+        mujoco, site = self._mujoco, self._sites[number]
+        if not self.scene.handles[number].firm:
+            return
+        self.model.site_sameframe[site] = 0  # else MuJoCo takes the body's frame for the site's without a look
+        back, turn = np.zeros(4), np.zeros(4)
+        mujoco.mju_negQuat(back, self.data.xquat[self._bodies[number]])
+        mujoco.mju_mat2Quat(turn, self.data.site_xmat[self._tip])
+        mujoco.mju_mulQuat(self.model.site_quat[site], back, turn)

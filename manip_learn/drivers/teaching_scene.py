@@ -1,0 +1,475 @@
+"""What an arm is taught on: a drawer, a door, a table, a screw at random places within its reach, as MuJoCo's physics.
+
+The true mechanism is joints with friction and play; nothing of the learner's models is in it.
+"""
+
+# pyright: reportAttributeAccessIssue=false
+# (the compiled parts of MuJoCo have no complete stubs)
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, field
+from typing import Any, Literal, final
+
+import numpy as np
+from jaxtyping import Float
+from scipy.spatial.transform import Rotation
+
+from manip_learn.errors import ConfigurationError, MissingExtraError, counted
+from manip_learn.playback.kinematic_tree import kinematic_tree
+from manip_learn.playback.mechanism_drawing import (
+    BODY,
+    HANDLE,
+    Box,
+    about,
+    crank_boxes,
+    door_boxes,
+    drawer_boxes,
+    facing,
+)
+from manip_learn.robot.robot import Robot
+
+Kind = Literal["drawer", "door", "loose-door", "table", "screw", "two", "free"]
+TITLES: dict[Kind, str] = {
+    "drawer": "A drawer",
+    "door": "A door, its handle held firmly",
+    "loose-door": "A door, held by a finger",
+    "table": "A table to wipe",
+    "screw": "A screw with a crank",
+    "two": "Two things: a drawer and a door",
+    "free": "Nothing at all: free space",
+}
+TASKS: dict[Kind, str] = {
+    "drawer": "Take the hand to the handle, pull the drawer open and push it shut.",
+    "door": "Take the hand to the handle, swing the door open and shut it.",
+    "loose-door": "Take the hand to the handle, swing the door open and shut it.",
+    "table": "Take the hand to the sponge and wipe the table to and fro, in both directions.",
+    "screw": "Take the hand to the crank and turn it, a quarter turn or more, and back.",
+    "two": "Open and shut the drawer, let go, then open and shut the door, all in one recording.",
+    "free": "Move the hand about as you like: there is nothing to learn here.",
+}
+
+TIMESTEP = 0.002  # [s], 500 steps a second
+STIFF, SOFT = 2.0 * TIMESTEP, 0.12  # [s] in which a grip settles: the firmest that the time step allows, and at first
+CLOSES = 0.4  # [s] in which a gripper closes
+STIFF_SOLIMP = (0.9999, 0.99999, 0.001, 0.5, 2.0)
+# damping [N m s/rad], dry friction [N m], rotor inertia [kg m2] of the drives: as guided arms of this size have them
+UPPER, FORE, WRIST = (4.0, 0.5, 0.10), (3.0, 0.3, 0.10), (1.0, 0.1, 0.02)
+SLIDING = (40.0, 4.0, 2.0)  # likewise of a sliding joint [N s/m], [N], [kg]
+LEAST_MASS, LEAST_INERTIA = 0.05, 1e-4  # [kg], [kg m2] where a description has none: lighter links need a shorter step
+REACHES = 0.03  # [m] from the handle within which the gripper can close: the opening of a common gripper
+AWAY = 0.16  # [m] from the handle to where the hand begins, so that a recording has a way to it
+ON_PATH = 1e-4  # [m or rad] to which a posture is on the mechanism's path: below what encoders tell
+WEAKEST = 0.075  # least singular value of the tip's rows [m/rad] that counts as away from a singularity
+NEWTON_STEPS, LARGEST_STEP = 12, 0.3  # to a place, and of all joints together [rad]: linearised they are near enough
+NEAR_LIMIT = 0.06  # share of its range that each joint keeps from its limits along the whole motion
+TRIES = 400  # random places for a mechanism: one in three to one in thirty are within reach
+STATIONS = 25  # of a mechanism's motion at which the arm must reach it
+
+
+@final
+@dataclass(frozen=True, eq=False)
+class Handle:
+    """Something to take hold of, and how it moves; vectors in the robot's base.
+
+    Attributes:
+        name: What it is, e.g. `"drawer"`.
+        type: What the learner calls it: `"line"`, `"plane"`, `"hinge"` or `"screw"`.
+        pose: shape (4, 4), the handle at rest [m].
+        axis: shape (3,), unit vector: of the line, of the turn, or the plane's normal.
+        point: shape (3,), on the axis or in the plane [m].
+        firm: Whether the hand turns with the handle.
+        pitch: Travel along the axis per radian [m/rad].
+        travel: How far it moves [m or rad]; in a plane to either side.
+        play: Sideways in its rails or bearings [m].
+        friction: Dry [N or N m].
+        fixed, moving: Boxes in the frame of the handle at rest, as furniture is drawn.
+    """
+
+    name: str
+    type: Literal["line", "plane", "hinge", "screw"]
+    pose: Float[np.ndarray, "4 4"]
+    axis: Float[np.ndarray, " 3"]
+    point: Float[np.ndarray, " 3"]
+    firm: bool
+    travel: float
+    play: float
+    friction: float
+    fixed: tuple[Box, ...]
+    moving: tuple[Box, ...]
+    pitch: float = 0.0
+
+    @property
+    def turns(self) -> bool:
+        """Whether it turns rather than slides."""
+        return self.type in ("hinge", "screw")
+
+    def moved(self, by: float, across: float = 0.0) -> Float[np.ndarray, "4 4"]:
+        """The handle's pose when it has moved by some way [m or rad], and in a plane by another across that [m]."""
+        pose = self.pose.copy()
+        if self.turns:
+            turn = Rotation.from_rotvec(by * self.axis).as_matrix()
+            pose[:3, 3] = self.point + turn @ (pose[:3, 3] - self.point) + self.pitch * by * self.axis
+            pose[:3, :3] = turn @ pose[:3, :3]
+        elif self.type == "plane":
+            pose[:3, 3] += by * pose[:3, 0] + across * pose[:3, 1]
+        else:
+            pose[:3, 3] += by * self.axis
+        return pose
+
+    def stations(self) -> Iterator[Float[np.ndarray, "4 4"]]:
+        """Poses all over its motion, each near the one before."""
+        if self.type == "plane":
+            for angle in np.linspace(0.0, 2.0 * np.pi, STATIONS):
+                yield self.moved(self.travel * np.sin(angle), self.travel * np.sin(2.0 * angle))
+        else:
+            for by in np.linspace(0.0, self.travel, STATIONS):
+                yield self.moved(float(by))
+
+
+@final
+@dataclass(frozen=True, eq=False)
+class TeachingScene:
+    """An arm and what stands around it.
+
+    Attributes:
+        kind: Which scene.
+        robot: The arm.
+        tip: Its frame that takes hold.
+        handles: What there is to take hold of.
+        start: shape (nv,), first posture [rad or m].
+        notes: What had to be assumed of the robot, a sentence each.
+    """
+
+    kind: Kind
+    robot: Robot
+    tip: str
+    handles: tuple[Handle, ...]
+    start: Float[np.ndarray, " nv"]
+    notes: tuple[str, ...] = field(default=())
+
+
+def place_scene(kind: Kind, robot: Robot, tip: str, rng: np.random.Generator) -> TeachingScene:
+    """A scene of a kind at a random place where the arm can do the whole task, away from limits and singularities.
+
+    Args:
+        kind: Which scene.
+        robot: The arm: joints that turn or slide, on a fixed base.
+        tip: The frame that takes hold.
+        rng: Source of places, sizes, friction and play.
+
+    Raises:
+        ConfigurationError: An unknown kind, a robot with other joints, or no place was found within reach.
+    """
+    if kind not in TITLES:
+        raise ConfigurationError(f"there is no scene {kind!r}: use one of {', '.join(TITLES)}")
+    odd = [joint.name for joint in kinematic_tree(robot)[1:] if joint.motion == "free"]
+    if odd:
+        raise ConfigurationError(
+            f"only arms on a fixed base can be taught here, of joints that turn or slide: {odd[0]!r} does neither; "
+            "lock it, or load the robot without it"
+        )
+    reach = _Reach(robot, tip, rng)
+    notes = tuple(_assumed(robot))
+    if kind == "free":
+        start = next(reach.postures(None))
+        return TeachingScene(kind, robot, tip, (), start, notes)
+    wanted: list[Kind] = ["drawer", "loose-door"] if kind == "two" else [kind]
+    for _ in range(TRIES):
+        handles: list[Handle] = []
+        start = None
+        for one in wanted:
+            found = reach.place(one, handles)
+            if found is None:
+                break
+            handles.append(found[0])
+            start = found[1] if start is None else start
+        if start is not None and len(handles) == len(wanted):
+            return TeachingScene(kind, robot, tip, tuple(handles), start, notes)
+    raise ConfigurationError(
+        f"no place was found where {robot.name!r} can do this with {tip!r}: {TITLES[kind].lower()}; try another scene, "
+        "or another frame with --frame"
+    )
+
+
+def _assumed(robot: Robot) -> Iterator[str]:
+    model = robot.pinocchio_model
+    light = [model.names[i] for i in range(1, model.njoints) if model.inertias[i].mass < LEAST_MASS]
+    if light:
+        yield (
+            f"{counted(len(light), 'link')} without mass ({', '.join(light[:3])}{', ...' * (len(light) > 3)}): "
+            f"taken as {LEAST_MASS:g} kg"
+        )
+    unlimited = [n for n, v in zip(robot.joint_names, robot.velocity_limit, strict=True) if not np.isfinite(v)]
+    if unlimited:
+        yield (
+            f"{counted(len(unlimited), 'joint')} without a velocity limit ({', '.join(unlimited[:3])}): the arm moves "
+            "by itself at most at what its task asks for"
+        )
+
+
+@final
+class _Reach:
+    """Where an arm can go."""
+
+    def __init__(self, robot: Robot, tip: str, rng: np.random.Generator):
+        self._robot, self._tip, self._rng = robot, tip, rng
+        drawn = [self._drawn() for _ in range(200)]
+        places = np.array([robot.position(q, tip) for q in drawn])
+        self._far = float(np.quantile(np.linalg.norm(places, axis=1), 0.95))
+        self._flat = bool(np.ptp(places[:, 2]) < 1e-6)
+        self._rank = 2 if self._flat else 6
+        frame = robot.pinocchio_model.frames[robot.frame(tip).index]
+        lever = frame.placement.translation
+        # the way that a hand points: from its last joint to the tip, or along z where the tip is on the joint
+        self._points = lever / np.linalg.norm(lever) if np.linalg.norm(lever) > 0.01 else np.array([0.0, 0.0, 1.0])
+        self._points = frame.placement.rotation.T @ self._points
+        low, high = robot.position_lower, robot.position_upper
+        self._margin = np.where(np.isfinite(high - low), NEAR_LIMIT * (high - low), 0.0)
+
+    def _drawn(self) -> Float[np.ndarray, " nv"]:
+        return self._robot.positions(self._robot.random_configuration(self._rng))
+
+    def postures(self, toward: Literal["ahead", "down"] | None) -> Iterator[Float[np.ndarray, " nv"]]:
+        """Random postures at a comfortable distance, above the floor, the hand pointing ahead or down."""
+        while True:
+            q = self._drawn()
+            pose = self._robot.pose(q, self._tip)
+            x, points = pose[:3, 3], pose[:3, :3] @ self._points
+            if not 0.4 * self._far < np.linalg.norm(x) < 0.85 * self._far or self._margin_of(q) < 0.0:
+                continue
+            if not self._flat and (x[2] < 0.15 * self._far or self._lowest(q) < 0.0):
+                continue
+            flat = np.linalg.norm(x[:2])
+            outward = float(points[:2] @ x[:2]) / flat if flat > 1e-6 else 0.0
+            if self._flat or toward is None or (outward > 0.6 if toward == "ahead" else points[2] < -0.7):
+                yield q
+
+    def _lowest(self, q: np.ndarray) -> float:
+        """Height of the lowest moving link but the first above the floor [m]."""
+        robot, model = self._robot, self._robot.pinocchio_model
+        names = [f.name for f in model.frames if f.parentJoint > 1 and f.name in robot.frame_names]
+        return min((float(robot.position(q, name)[2]) for name in names), default=0.0)
+
+    def _margin_of(self, q: np.ndarray) -> float:
+        robot = self._robot
+        return float(np.min(np.minimum(q - robot.position_lower, robot.position_upper - q) - self._margin))
+
+    def place(self, kind: Kind, others: Sequence[Handle]) -> tuple[Handle, Float[np.ndarray, " nv"]] | None:
+        """A handle at the tip of a random posture, and where the arm begins; None if it cannot be done."""
+        q = next(self.postures("down" if kind == "table" else "ahead"))
+        pose = self._robot.pose(q, self._tip)
+        if any(np.linalg.norm(pose[:3, 3] - other.pose[:3, 3]) < 0.35 * min(self._far, 1.0) for other in others):
+            return None
+        handle, away = self._handle(kind, pose[:3, 3], pose[:3, :3] @ self._points)
+        if not self._does(handle, q, pose):
+            return None
+        begin = pose.copy()
+        begin[:3, 3] += AWAY * away
+        start = posture_at(self._robot, self._tip, q, begin, False, self._rank)
+        return None if start is None or self._margin_of(start) < 0.0 else (handle, start)
+
+    def _handle(self, kind: Kind, at: np.ndarray, points: np.ndarray) -> tuple[Handle, Float[np.ndarray, " 3"]]:
+        """A mechanism of random size with its handle at a place, in front of a hand; and the way off it."""
+        rng, size = self._rng, min(self._far, 1.0)
+        play, up = float(rng.uniform(1e-4, 3e-4)), np.array([0.0, 0.0, 1.0])
+        level = points - (points @ up) * up
+        out = -level / np.linalg.norm(level) if np.linalg.norm(level) > 0.3 else -points
+        if kind == "drawer":
+            travel = float(rng.uniform(0.2, 0.32)) * size
+            pose = facing(out, at)
+            boxes = drawer_boxes(travel, pose)
+            made = Handle("drawer", "line", pose, out, at, False, travel, play, float(rng.uniform(1.0, 4.0)), *boxes)
+            return made, out
+        if kind in ("door", "loose-door"):
+            axis = float(rng.choice([-1.0, 1.0])) * up
+            right = np.cross(out, axis)
+            radius = float(rng.uniform(0.25, 0.4)) * size
+            pose, pivot = about(axis, at - radius * right, at, 0.03)
+            travel, friction = float(rng.uniform(0.6, 1.1)), float(rng.uniform(0.1, 0.5))
+            point = pose[:3, :3] @ pivot + at
+            firm = kind == "door"
+            made = Handle("door", "hinge", pose, axis, point, firm, travel, play, friction, *door_boxes(pivot))
+            return made, out
+        if kind == "screw":
+            axis = -points
+            side = np.cross(axis, rng.normal(size=3))
+            side /= np.linalg.norm(side)
+            radius, pitch = float(rng.uniform(0.06, 0.1)), float(rng.choice([-1.0, 1.0]) * rng.uniform(0.01, 0.025))
+            pose, _ = about(axis, at - radius * side, at, 0.0)
+            travel, friction = float(rng.uniform(1.2, 1.8)), float(rng.uniform(0.05, 0.3))
+            boxes = crank_boxes(radius)
+            point = at - radius * side
+            return Handle("screw", "screw", pose, axis, point, True, travel, play, friction, *boxes, pitch), axis
+        normal = -points if self._flat else Rotation.from_rotvec(rng.normal(0.0, 0.12, 3)).apply(up)
+        pose = np.eye(4)
+        pose[:3, :3], pose[:3, 3] = _axes_with_z(normal), at
+        travel = float(rng.uniform(0.09, 0.14)) * size
+        fixed = ((0.0, 0.0, -0.045, 4.0 * travel, 4.0 * travel, 0.03, BODY),)
+        sponge = ((0.0, 0.0, -0.015, 0.09, 0.06, 0.03, HANDLE),)
+        return Handle("sponge", "plane", pose, normal, at, False, travel, play, 2.0, fixed, sponge), normal
+
+    def _does(self, handle: Handle, q: np.ndarray, hand: np.ndarray) -> bool:
+        """Whether the arm follows the handle's whole motion from a posture, away from limits and singularities."""
+        grip = np.linalg.inv(handle.pose) @ hand
+        for pose in handle.stations():
+            found = posture_at(self._robot, self._tip, q, pose @ grip, handle.firm, self._rank)
+            if found is None or self._margin_of(found) < 0.0:
+                return False
+            q = found
+        return True
+
+
+def posture_at(
+    robot: Robot, tip: str, q: Float[np.ndarray, " nv"], wanted: Float[np.ndarray, "4 4"], firm: bool, rank: int = 6
+) -> Float[np.ndarray, " nv"] | None:
+    """The next posture with the tip at a pose, by Newton steps; None where that is singular or out of reach.
+
+    Args:
+        robot: The robot.
+        tip: Its frame.
+        q: From where.
+        wanted: Pose of the tip in the base [m].
+        firm: Whether the hand is turned as well; else its place alone counts.
+        rank: Number of directions in which the tip can move at all: three for an arm in a plane.
+    """
+    for _ in range(NEWTON_STEPS):
+        pose, J = robot.pose(q, tip), robot.jacobian(q, tip)
+        error = wanted[:3, 3] - pose[:3, 3]
+        if firm:
+            error = np.concatenate([error, Rotation.from_matrix(wanted[:3, :3] @ pose[:3, :3].T).as_rotvec()])
+        if np.linalg.norm(error) < ON_PATH:
+            sizes = np.linalg.svd(J[: len(error)], compute_uv=False)
+            return q if sizes[min(len(sizes), len(error), rank) - 1] > WEAKEST else None
+        step = np.linalg.pinv(J[: len(error)], rcond=1e-3) @ error
+        q = q + step * min(1.0, LARGEST_STEP / max(float(np.linalg.norm(step)), 1e-12))
+    return None
+
+
+def _axes_with_z(z: Float[np.ndarray, " 3"]) -> Float[np.ndarray, "3 3"]:
+    x = np.cross(np.eye(3)[int(np.argmin(np.abs(z)))], z)
+    x /= np.linalg.norm(x)
+    return np.column_stack([x, np.cross(z, x), z])
+
+
+# ---- as MuJoCo sees it --------------------------------------------------------------------------------------------
+
+
+def scene_model(scene: TeachingScene) -> Any:
+    """The scene as a `mujoco.MjModel`: the arm's joints by their names, then `handle_<i>`, which the equality
+    `grip_<i>` can hold at the site `tip`.
+
+    Raises:
+        MissingExtraError: MuJoCo is not installed.
+    """
+    try:
+        import mujoco
+    except ImportError as error:
+        raise MissingExtraError("teaching in the browser", "physics") from error
+    spec = mujoco.MjSpec()
+    spec.compiler.degree, spec.option.timestep = False, TIMESTEP
+    spec.option.integrator = mujoco.mjtIntegrator.mjINT_IMPLICITFAST
+    spec.option.tolerance = 1e-10
+    _add_arm(mujoco, spec, scene)
+    for number, handle in enumerate(scene.handles):
+        _add_handle(mujoco, spec, handle, number)
+    return spec.compile()
+
+
+def _add_arm(mujoco: Any, spec: Any, scene: TeachingScene) -> None:
+    robot, model = scene.robot, scene.robot.pinocchio_model
+    bodies = [spec.worldbody]
+    limits = dict(zip(robot.joint_names, zip(robot.position_lower, robot.position_upper, strict=True), strict=True))
+    frame = model.frames[robot.frame(scene.tip).index]
+    chain = [i for i in model.supports[frame.parentJoint] if i]
+    for i, joint in enumerate(kinematic_tree(robot)):
+        if i == 0:
+            continue
+        body = bodies[joint.parent].add_body(name=joint.name, pos=joint.placement[:3, 3])
+        body.quat = _quaternion(joint.placement[:3, :3])
+        inertia = model.inertias[i]
+        body.mass, body.ipos, body.explicitinertial = max(inertia.mass, LEAST_MASS), inertia.lever, True
+        moments, axes = np.linalg.eigh(inertia.inertia)
+        body.inertia = _possible(np.maximum(moments, LEAST_INERTIA))
+        body.iquat = _quaternion(axes * np.linalg.det(axes))
+        kind = mujoco.mjtJoint.mjJNT_HINGE if joint.motion == "revolute" else mujoco.mjtJoint.mjJNT_SLIDE
+        made = body.add_joint(name=joint.name, type=kind, axis=joint.axis)
+        left = len(chain) - chain.index(i) if i in chain else 1  # joints from here to the tip
+        drive = SLIDING if joint.motion == "prismatic" else WRIST if left <= 3 else FORE if left <= 5 else UPPER
+        _set_damping(made, drive[0])
+        made.frictionloss, made.armature = drive[1:]
+        low, high = limits.get(joint.name, (-np.inf, np.inf))
+        if np.isfinite(low) and np.isfinite(high):
+            made.limited, made.range = mujoco.mjtLimited.mjLIMITED_TRUE, [low, high]
+        bodies.append(body)
+    for mimic in robot.mimics:
+        led = spec.add_equality(name=f"{mimic.joint}_follows", type=mujoco.mjtEq.mjEQ_JOINT)
+        led.objtype, led.name1, led.name2 = mujoco.mjtObj.mjOBJ_JOINT, mimic.joint, mimic.leader
+        led.data[:5] = [mimic.offset, mimic.multiplier, 0.0, 0.0, 0.0]
+    bodies[frame.parentJoint].add_site(
+        name="tip", pos=frame.placement.translation, quat=_quaternion(frame.placement.rotation)
+    )
+
+
+def _add_handle(mujoco: Any, spec: Any, handle: Handle, number: int) -> None:
+    name, axes = f"handle_{number}", handle.pose[:3, :3]
+    body = spec.worldbody.add_body(name=name, pos=handle.pose[:3, 3], quat=_quaternion(axes))
+    body.mass, body.inertia, body.explicitinertial, body.gravcomp = 1.5, np.full(3, 0.01), True, 1.0
+    slide, hinge = mujoco.mjtJoint.mjJNT_SLIDE, mujoco.mjtJoint.mjJNT_HINGE
+    axis, point = axes.T @ handle.axis, axes.T @ (handle.point - handle.pose[:3, 3])
+
+    def joint(kind: Any, along: np.ndarray, label: str, friction: float, reach: float | None) -> None:
+        made = body.add_joint(name=f"{name}_{label}", type=kind, axis=along, pos=point)
+        _set_damping(made, 4.0 if kind == slide else 0.2)
+        made.frictionloss = friction
+        if reach is not None:
+            made.limited, made.range = mujoco.mjtLimited.mjLIMITED_TRUE, [-reach, reach]
+            made.solref_limit, made.solimp_limit = (STIFF, 1.0), STIFF_SOLIMP
+
+    across = _axes_with_z(axis)[:, :2].T
+    sides = [axis] if handle.type == "plane" else list(across)
+    for k, side in enumerate(sides):
+        joint(slide, side, f"play_{k}", 0.0, handle.play)
+    if handle.type == "plane":
+        joint(slide, np.array([1.0, 0.0, 0.0]), "x", handle.friction, None)
+        joint(slide, np.array([0.0, 1.0, 0.0]), "y", handle.friction, None)
+    elif handle.type == "line":
+        joint(slide, axis, "x", handle.friction, None)
+        _stops(mujoco, body, handle.travel)
+    else:
+        if handle.pitch:
+            joint(slide, axis, "lead", 0.0, None)
+        joint(hinge, axis, "x", handle.friction, None)
+        _stops(mujoco, body, handle.travel)
+        if handle.pitch:
+            thread = spec.add_equality(name=f"{name}_thread", type=mujoco.mjtEq.mjEQ_JOINT)
+            thread.objtype, thread.name1, thread.name2 = mujoco.mjtObj.mjOBJ_JOINT, f"{name}_lead", f"{name}_x"
+            thread.data[:5] = [0.0, handle.pitch, 0.0, 0.0, 0.0]
+            thread.solref, thread.solimp = (STIFF, 1.0), STIFF_SOLIMP
+    body.add_site(name=name)
+    grip = spec.add_equality(
+        name=f"grip_{number}", type=mujoco.mjtEq.mjEQ_WELD if handle.firm else mujoco.mjtEq.mjEQ_CONNECT
+    )
+    grip.objtype, grip.name1, grip.name2, grip.active = mujoco.mjtObj.mjOBJ_SITE, "tip", name, False
+    grip.solref, grip.solimp = (STIFF, 1.0), STIFF_SOLIMP
+
+
+def _stops(mujoco: Any, body: Any, travel: float) -> None:
+    """The last joint of a body ends where it is shut and where it is open, with a little room for the grip's give."""
+    made = body.joints[-1]
+    made.limited, made.range = mujoco.mjtLimited.mjLIMITED_TRUE, [-0.02 * travel, 1.1 * travel]
+
+
+def _quaternion(rotation: Float[np.ndarray, "3 3"]) -> Float[np.ndarray, " 4"]:
+    """As MuJoCo writes it, the real part first."""
+    return Rotation.from_matrix(rotation).as_quat()[[3, 0, 1, 2]]
+
+
+def _possible(moments: Float[np.ndarray, " 3"]) -> Float[np.ndarray, " 3"]:
+    """Principal moments of inertia that a body can have: none above the sum of the others."""
+    return np.minimum(moments, np.sum(np.sort(moments)[:2]))
+
+
+def _set_damping(joint: Any, damping: float) -> None:
+    """Linear damping [N m s/rad or N s/m]; MuJoCo 4 keeps three coefficients a joint, MuJoCo 3 one."""
+    joint.damping = damping if isinstance(joint.damping, float) else [damping] + [0.0] * (len(joint.damping) - 1)

@@ -1,0 +1,147 @@
+"""A person at the teaching page, scripted: drags the hand with an unsteady hand, presses buttons, reads the answers."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable, Generator, Iterator
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+PERIOD = 0.01  # [s] between two poses
+ASTRAY = 0.008  # [m] of the hand from where it is meant to go, standard deviation
+Said = dict[str, Any] | None
+Script = Generator[Said, None, None]
+
+
+class Person:
+    """Sees what the session shows, and says what its script says, once a period; takes the place of server and page."""
+
+    def __init__(self, seed: int):
+        self.rng = np.random.default_rng(seed)
+        self.pose: dict[str, Any] = {}
+        self.slots: dict[str, Any] = {}
+        self.files: dict[str, Path] = {}
+        self.said: list[str] = []
+        self.script: Iterator[Said] = iter(())
+        self.session: Any = None
+
+    @property
+    def state(self) -> dict[str, Any]:
+        """The newest state."""
+        return self.slots["state"]
+
+    def put(self, message: Callable[[], str], slot: str = "message") -> None:
+        """What the page would be shown."""
+        content = json.loads(message())
+        self.slots[slot] = content
+        if slot == "state" and content["said"] not in self.said[-1:]:
+            self.said.append(content["said"])
+        if slot == "pose" and self.session is not None:
+            self.pose = content
+            said = next(self.script, {"end": True})
+            if said is not None:
+                self.session.hear(said if "end" in said else {"page": "person", "said": said})
+
+    def offer(self, files: Any) -> None:
+        """Files to take home."""
+        self.files = dict(files)
+
+    # ---- scripts ----------------------------------------------------------------------------------------------------
+
+    def wait(self, seconds: float) -> Script:
+        """Do nothing for a while."""
+        for _ in range(round(seconds / PERIOD)):
+            yield None
+
+    def wait_for(self, done: Callable[[], bool], seconds: float = 60.0) -> Script:
+        """Do nothing until something is so, at most so long on the arm's clock."""
+        for _ in range(round(seconds / PERIOD)):
+            if done():
+                return
+            yield None
+        raise AssertionError(f"it did not come to pass; the page said {self.said[-3:]}")
+
+    def press(self, **said: Any) -> Script:
+        """Press a button, and wait until it was heard and shown."""
+        yield said
+        yield from self.wait(0.05)
+
+    def drag(self, path: Callable[[float], np.ndarray], seconds: float, turn: Any = None) -> Script:
+        """Drag the tip along a path over [0, 1], unsteadily."""
+        n = round(seconds / PERIOD)
+        for k in range(n):
+            to = path((k + 1) / n) + self.unsteady()
+            yield {"do": "pull", "to": to.tolist(), "turn": None if turn is None else turn((k + 1) / n).tolist(), "seq": k}
+
+    def unsteady(self) -> np.ndarray:
+        """How far the hand is from where it is meant to be [m]: slow waves, a new set for each demonstration."""
+        self._time += PERIOD
+        return np.sum(self._size * np.sin(self._speed * self._time + self._phase), axis=1)
+
+    def _other_hand(self) -> None:
+        size = self.rng.uniform(0.5, 1.5, (3, 4))
+        self._size = size * ASTRAY / np.sqrt(0.5 * np.sum(size**2, axis=1, keepdims=True))
+        self._speed = 2.0 * np.pi * self.rng.uniform(0.3, 1.2, (3, 4))
+        self._phase, self._time = self.rng.uniform(0.0, 2.0 * np.pi, (3, 4)), 0.0
+
+    def demonstrate(self) -> Script:
+        """Record one motion: to the handle, all of its way and back, away again; pauses between."""
+        session, rng = self.session, self.rng
+        arm = session.arm
+        self._other_hand()
+        yield from self.press(do="record")
+        yield from self.wait(float(rng.uniform(0.3, 0.7)))
+        home = arm.place
+        if not arm.scene.handles:
+            places = [home, *(home + rng.normal(0.0, 0.12, 3) for _ in range(4)), home]
+            for a, b in zip(places[:-1], places[1:], strict=True):
+                yield from self.drag(lambda s, a=a, b=b: a + _smooth(s) * (b - a), float(rng.uniform(0.8, 1.5)))
+        for number, handle in enumerate(arm.scene.handles):
+            yield from self._move(number, handle)
+            a = arm.place
+            back = home if number == len(arm.scene.handles) - 1 else a + 0.1 * (home - a) / np.linalg.norm(home - a)
+            yield from self.drag(lambda s, a=a, b=back: a + _smooth(s) * (b - a), float(rng.uniform(0.8, 1.3)))
+        yield {"do": "release"}
+        yield from self.wait(float(rng.uniform(0.3, 0.6)))
+        recorded = len(self.state["recordings"])
+        yield from self.press(do="record")
+        yield from self.wait_for(lambda: len(self.state["recordings"]) > recorded)
+        yield from self.wait(0.3)
+
+    def _move(self, number: int, handle: Any) -> Script:
+        """Go to a handle, move it as far as it goes and back, and let it go."""
+        arm, rng = self.session.arm, self.rng
+        a, b = arm.place, arm.handle_place(number)
+        yield from self.drag(lambda s: a + _smooth(1.15 * s) * (b - a), float(rng.uniform(1.0, 1.6)))
+        while arm.held != number:
+            yield {"do": "pull", "to": arm.handle_place(number).tolist(), "turn": None, "seq": 0}
+        yield from self.drag(lambda _: b, float(rng.uniform(0.3, 0.6)))
+        far, turn = float(rng.uniform(0.75, 1.0)) * handle.travel, None
+        if handle.type == "plane":
+            lag = float(rng.uniform(0.0, 6.0))
+
+            def wiped(s: float) -> np.ndarray:
+                size = far * _smooth(4.0 * s) * _smooth(4.0 * (1.0 - s))
+                return handle.moved(size * np.sin(12.0 * s + lag), size * np.sin(19.0 * s + 2.0 * lag))[:3, 3]
+
+            yield from self.drag(wiped, float(rng.uniform(5.0, 7.0)))
+        else:
+            there, back = (lambda s: _smooth(s) * far), (lambda s: (1.0 - _smooth(s)) * far)
+            ways = (there, 1.5, 2.5), (lambda s: far, 0.2, 0.6), (back, 1.5, 2.5)
+            for way, least, most in ways:
+                if handle.firm:
+                    turn = lambda s, way=way: way(s) * handle.axis  # noqa: E731
+                yield from self.drag(lambda s, way=way: handle.moved(way(s))[:3, 3], float(rng.uniform(least, most)), turn)
+        yield {"do": "grip", "closed": False}
+
+    def learn(self) -> Script:
+        """Press Learn, and wait for the answer."""
+        yield from self.press(do="learn")
+        yield from self.wait_for(lambda: self.state["progress"] is None and self.state["answer"] is not None, 1e5)
+
+
+def _smooth(share: float) -> float:
+    x = min(max(share, 0.0), 1.0)
+    return x * x * (3.0 - 2.0 * x)
