@@ -12,14 +12,16 @@ import socket
 import subprocess
 import sys
 import textwrap
+import threading
 import time
-from urllib.parse import urlsplit
+from urllib.parse import quote, urlsplit
 
 import numpy as np
 import pytest
 
 from manip_learn.errors import ConfigurationError, OutputError
 from manip_learn.playback import LiveViewer, live_viewer
+from manip_learn.playback.live_viewer import LiveProcess
 
 pytestmark = pytest.mark.filterwarnings("error")
 
@@ -239,3 +241,364 @@ def test_server_that_does_not_start_is_an_error(robot_of, monkeypatch, tmp_path)
         monkeypatch.setattr(live_viewer, "SERVER", script)
         with pytest.raises(OutputError, match="did not start within"):
             LiveViewer(robot_of("planar3"), open_browser=False, timeout=1.0)
+
+
+class Heard(list):
+    """Lines that a process was told, for which a test can wait."""
+
+    def __init__(self):
+        super().__init__()
+        self._news = threading.Condition()
+
+    def __call__(self, line):
+        """Hear one line."""
+        with self._news:
+            self.append(line)
+            self._news.notify()
+
+    def wait(self, number, seconds=10.0):
+        """The first lines, so many of them."""
+        with self._news:
+            assert self._news.wait_for(lambda: len(self) >= number, seconds), list(self)
+            return self[:number]
+
+
+@pytest.fixture
+def talk():
+    """A process that hears, and what it has heard."""
+    heard = Heard()
+    process = LiveProcess(lambda token: b"<html>page", 10.0, heard)
+    yield process, heard
+    process.close()
+
+
+def post(url, body=b'{"do": "stop"}', path="said?page=a-1", **headers):
+    """Status of an answer to what a page says; headers are those of a page of its own, but for what is given."""
+    address = urlsplit(url)
+    given = {"Origin": f"http://{address.netloc}", "Content-Type": "application/json", "Content-Length": len(body)}
+    given |= {name.replace("_", "-"): value for name, value in headers.items()}
+    with contextlib.closing(http.client.HTTPConnection(address.hostname, address.port, timeout=10.0)) as connection:
+        kept = {name: value for name, value in given.items() if value is not None}
+        connection.putrequest("POST", address.path + path, skip_host="Host" in kept)
+        for name, value in kept.items():
+            connection.putheader(name, value)
+        connection.endheaders(body)
+        return connection.getresponse().status
+
+
+def stream(url, page="a-1"):
+    """A stream's connection, and its events as pairs of a name and what it says."""
+    connection, response = request(url, f"{urlsplit(url).path}events?page={page}")
+
+    def events():
+        name = "message"
+        for line in response:
+            if line.startswith(b"event: "):
+                name = line[7:].strip().decode()
+            elif line.startswith(b"data: "):
+                yield name, json.loads(line[6:])
+                name = "message"
+
+    return connection, events()
+
+
+def test_slots_are_newest_only(talk):
+    """Whoever comes late gets the newest of each slot at once; of many poses the last arrives, and whatever was put
+    before it in another slot.
+    """
+    process, _ = talk
+    process.put(lambda: '{"n": -1}')
+    for n in range(50):
+        process.put(lambda: '{"n": 0}', "scene")
+        process.put(lambda n=n: json.dumps({"n": n}), "state")
+        process.put(lambda n=n: json.dumps({"n": n}), "pose")
+    early, events = stream(process.url)
+    seen = {}
+    while seen.get("pose") != 49:
+        name, said = next(events)
+        seen[name] = said["n"]
+    assert seen == {"message": -1, "scene": 0, "state": 49, "pose": 49}  # what was put before it came before it
+    late, events = stream(process.url, "b")
+    assert [next(events) for _ in range(4)] == [
+        ("message", {"n": -1}),
+        ("scene", {"n": 0}),
+        ("state", {"n": 49}),
+        ("pose", {"n": 49}),
+    ]
+    process.put(lambda: '{"n": 50}', "state")
+    assert next(events) == ("state", {"n": 50})  # the others have not changed
+    early.close()
+    late.close()
+
+
+def test_slots_have_a_pace_each(talk):
+    """A slot is written at most 60 times per second, whatever is put, and the order of what is put is kept."""
+    process, _ = talk
+    connection, events = stream(process.url)
+    begin, number = time.monotonic(), 0
+    while time.monotonic() < begin + 0.5:
+        number += 1
+        process.put(lambda n=number: str(n), "state")
+        process.put(lambda n=number: str(n), "pose")
+        time.sleep(1e-4)
+    taken, got = time.monotonic() - begin, {"state": [], "pose": []}
+    while got["pose"][-1:] != [number]:
+        name, said = next(events)
+        assert name == "state" or said <= got["state"][-1]  # a pose never comes before the state put before it
+        got[name].append(said)
+    for said in got.values():
+        assert said == sorted(set(said)) and said[-1] == number
+        assert 2 < len(said) < 60.0 * (taken + 0.1) + 2
+    connection.close()
+
+
+def test_pages_are_heard(talk):
+    """What a page says is heard with its id, in order, over one connection, long or short, and on one line."""
+    process, heard = talk
+    address = urlsplit(process.url)
+    connection = http.client.HTTPConnection(address.hostname, address.port, timeout=10.0)
+    bodies = [{"do": "pull", "seq": 1}, {"do": "drop", "text": "1,2\n" * 100_000}, {}, {"do": "rename", "to": "\u00e4"}]
+    ports = set()
+    for body in bodies:
+        own = {"Content-Type": "application/json; charset=utf-8", "Origin": f"http://localhost:{address.port}"}
+        connection.request("POST", address.path + "said?page=Aa-0", json.dumps(body, indent=1).encode(), own)
+        response = connection.getresponse()
+        assert (response.status, response.read()) == (204, b"")
+        ports.add(connection.sock.getsockname()[1])
+    assert len(ports) == 1
+    assert heard.wait(4) == [{"page": "Aa-0", "said": body} for body in bodies]
+    connection.request("GET", address.path)  # browsers use a connection for whatever comes next
+    assert connection.getresponse().read() == b"<html>page"
+    connection.close()
+
+
+def test_strangers_are_not_heard(talk):
+    """Another host or origin, none, another kind or address, no page, and no JSON object: refused, and not heard."""
+    process, heard = talk
+    port = urlsplit(process.url).port
+    for headers, status in (
+        ({"Host": "evil.example"}, 403),
+        ({"Host": f"evil.example:{port}"}, 403),
+        ({"Origin": "http://evil.example"}, 403),
+        ({"Origin": f"http://127.0.0.1:{port + 1}"}, 403),
+        ({"Origin": "null"}, 403),
+        ({"Origin": None}, 403),
+        ({"Content_Type": None}, 415),
+        ({"Content_Type": "text/plain"}, 415),
+        ({"Content_Type": "text/plain; application/json"}, 415),
+        ({"Content_Length": None}, 411),
+        ({"Content_Length": "-1"}, 411),
+        ({"Content_Length": None, "Transfer_Encoding": "chunked"}, 411),
+        ({"Content_Length": 16 * 2**20 + 1}, 413),
+        ({"Content_Length": 10**4000}, 413),
+        *(({"path": path}, 400) for path in ("said", "said?page=", "said?page=a%0ab", "said?page=" + 65 * "a")),
+        *(({"path": path}, 404) for path in ("", "events?page=a", "files/x", "said/?page=a", "../said?page=a")),
+    ):
+        assert post(process.url, **headers) == status, headers
+    for body in (b"", b"{", b"[]", b"1", b"null", b'"{}"', b"{}{}", b"\xff", b'{"to": NaN}', b'{"to": -Infinity}',
+                 b'{"to": 1e999}', b'{"to": ' + 10_000 * b"9" + b"}", b'{"a":' * 3_000, 20_000 * b"[" + 20_000 * b"]",
+                 b'{"text": "' + 40_000 * b"x", b'{"to": [' + 9_000 * b"1, " + b"1e999]}"):  # fmt: skip
+        assert post(process.url, body) == 400, body[:20]
+    assert heard == []
+    assert post(process.url) == 204
+    assert heard.wait(1) == [{"page": "a-1", "said": {"do": "stop"}}]
+
+
+def test_long_and_slow_speakers_lock_nobody_out(talk):
+    """A body too long is refused even to a browser that is still sending; bodies that drip are cut off; as many
+    connections that say something as there may be, or more, leave room for the next.
+    """
+    process, heard = talk
+    address = urlsplit(process.url)
+    assert post(process.url, 17 * 2**20 * b" ") == 413
+    head = (
+        f"POST {address.path}said?page=a HTTP/1.1\r\nHost: {address.netloc}\r\nOrigin: http://{address.netloc}\r\n"
+        "Content-Type: application/json\r\nContent-Length: {}\r\n\r\n"
+    )
+    whole = head.format(2).encode() + b"{}"
+    slow = [socket.create_connection((address.hostname, address.port), timeout=10.0) for _ in range(20)]
+    for i, connection in enumerate(slow):  # of one half a second request is never complete
+        connection.sendall(head.format(1000).encode() if i % 2 else whole + head[:10].encode())
+    gone, end = set(), time.monotonic() + 10.0
+    while len(gone) < len(slow) and time.monotonic() < end:
+        for connection in slow:
+            try:
+                connection.send(b" ")
+            except OSError:
+                gone.add(connection)
+        assert post(process.url) == 204
+        time.sleep(0.2)
+    assert len(gone) == len(slow)  # they never stopped sending
+    idle = [socket.create_connection((address.hostname, address.port), timeout=10.0) for _ in range(100)]
+    for connection in idle:
+        connection.sendall(whole)
+        assert connection.recv(1000).startswith(b"HTTP/1.1 204")
+    assert answer(process.url)[0] == 200 and post(process.url) == 204
+    idle[-1].sendall(whole)
+    assert idle[-1].recv(1000).startswith(b"HTTP/1.1 204")  # whoever spoke last has stayed
+    with contextlib.suppress(ConnectionError):
+        assert idle[0].recv(1) == b""
+    number = len(heard.wait(10 + 100))
+    assert number == 110 and not any("page" in line and line["said"] not in ({}, {"do": "stop"}) for line in heard)
+    for connection in (*slow, *idle):
+        connection.close()
+
+
+def test_viewer_does_not_hear(viewer):
+    """A viewer takes nothing from its page, and its process has no thread that listens."""
+    assert post(viewer.url) == 501
+    assert post(viewer.url, path="said") == 501
+    assert viewer._process._listener is None
+
+
+def test_pages_are_counted(talk):
+    """Pages that are fetched, opened, closed and opened again are told at once, oldest first, though nothing moves."""
+    process, heard = talk
+    open_pages = {}
+    for action, page, pages, loading in (
+        ("fetch", "", [], 1),
+        ("fetch", "", [], 2),
+        ("open", "one", ["one"], 1),
+        ("open", "two", ["one", "two"], 0),
+        ("fetch", "", ["one", "two"], 1),
+        ("close", "one", ["two"], 1),
+        ("open", "one", ["two", "one"], 1),  # it comes back without having been fetched
+        ("open", "three", ["two", "one", "three"], 0),
+        ("close", "two", ["one", "three"], 0),
+    ):
+        number = len(heard)
+        if action == "fetch":
+            assert answer(process.url)[0] == 200
+        elif action == "open":
+            open_pages[page] = stream(process.url, page)
+        else:
+            open_pages.pop(page)[0].close()
+        assert heard.wait(number + 1)[number:] == [{"pages": pages, "loading": loading}], (action, page)
+    assert request(process.url, urlsplit(process.url).path + "events")[1].status == 400
+    open_pages["one again"] = stream(process.url, "one")  # before the server has seen the first stream end
+    assert heard.wait(10)[-1] == {"pages": ["one", "three"], "loading": 0}
+    assert len(heard) == 10
+
+
+def test_two_processes_do_not_mix(talk):
+    """What is said to one is not heard by the other, whose pages, addresses and files are not the one's."""
+    process, heard = talk
+    other_heard = Heard()
+    other = LiveProcess(lambda token: b"<html>other", 10.0, other_heard)
+    mine, theirs = urlsplit(process.url), urlsplit(other.url)
+    assert answer(process.url)[1] == b"<html>page" and answer(other.url)[1] == b"<html>other"
+    assert post(process.url, Origin=f"http://{theirs.netloc}") == 403
+    assert answer(process.url, path=theirs.path)[0] == 404
+    assert post(f"http://{mine.netloc}{theirs.path}") == 404
+    assert post(process.url, b'{"to": 1}') == post(other.url, b'{"to": 2}') == 204
+    loading = {"pages": [], "loading": 1}
+    assert heard.wait(2) == [loading, {"page": "a-1", "said": {"to": 1}}]
+    assert other_heard.wait(2) == [loading, {"page": "a-1", "said": {"to": 2}}]
+    other.close()
+    assert post(process.url) == 204 and len(heard.wait(3)) == 3 and len(other_heard) == 2
+
+
+def test_files_are_those_offered(talk, tmp_path):
+    """A file that is offered can be kept under its name, and nothing else is found, by whatever detour."""
+    process, _ = talk
+    (tmp_path / "secret.csv").write_text("secret")
+    (tmp_path / "q.csv").write_bytes(bytes(range(256)) * 3000)
+    (tmp_path / "page.html").write_text("<script>")
+    name = 'a "b"\r\nX: \u00e4.html'
+    files = {"take.csv": tmp_path / "q.csv", name: tmp_path / "page.html", "gone": tmp_path / "x", "dir": tmp_path}
+    process.offer(files)
+    process.put(lambda: "{}", "state")
+    connection, events = stream(process.url)
+    assert next(events) == ("state", {})  # it is offered before the page is told, and paths are not told
+    connection.close()
+    path = urlsplit(process.url).path + "files/"
+    connection, response = request(process.url, path + "take.csv")
+    assert response.read() == bytes(range(256)) * 3000
+    assert response.headers["Content-Disposition"] == "attachment; filename*=UTF-8''take.csv"
+    assert response.headers["Content-Type"] == "text/csv; charset=utf-8"
+    assert response.headers["X-Content-Type-Options"] == "nosniff"
+    connection.close()
+    connection, response = request(process.url, path + quote(name))
+    assert response.read() == b"<script>" and response.headers["X"] is None
+    assert response.headers["Content-Disposition"] == (
+        "attachment; filename*=UTF-8''a%20%22b%22%0D%0AX%3A%20%C3%A4.html"
+    )
+    connection.close()
+    outside = ("secret.csv", "../secret.csv", "%2e%2e/secret.csv", "..%2fsecret.csv", f"{tmp_path}/secret.csv", "q.csv")
+    for odd in (*outside, "", ".", "..", "%2e%2e", "take.csv/", "take.csv%00", "gone", "dir", "take.csv/../secret.csv"):
+        assert answer(process.url, path=path + odd) == (404, b"not found\n"), odd
+    assert answer(process.url, path="/files/take.csv")[0] == 404
+    for headers in ({"host": "evil.example"}, {"origin": "http://evil.example"}):
+        assert answer(process.url, path=path + "take.csv", **headers)[0] == 403
+    process.offer({"other": tmp_path / "q.csv"})
+    process.put(lambda: "{}", "done")
+    connection, events = stream(process.url)
+    while next(events)[0] != "done":
+        pass
+    connection.close()
+    assert answer(process.url, path=path + "take.csv")[0] == 404
+
+
+def test_failures_of_the_program_are_told(caplog):
+    """Where the program fails on what it hears, or to make a message, that is logged once and the rest goes on."""
+    heard = Heard()
+
+    def failing(line):
+        heard(line)
+        if "said" in line:
+            raise KeyError("nobody knows this")
+
+    process = LiveProcess(lambda token: b"<html>page", 10.0, failing)
+    for _ in range(3):
+        assert post(process.url) == 204
+        process.put(lambda: str(1 / 0), "state")
+    assert len(heard.wait(3)) == 3
+    connection, events = stream(process.url)
+    process.put(lambda: "1", "pose")
+    assert next(events) == ("pose", 1)
+    heard.wait(4)
+    connection.close()
+    process.close()
+    assert sorted(record.exc_info[0].__name__ for record in caplog.records) == ["KeyError", "ZeroDivisionError"]
+    assert all(record.name == "manip_learn" and record.levelname == "ERROR" for record in caplog.records)
+
+
+def test_busy_program_holds_up_nobody(talk, monkeypatch):
+    """While the program does not take what it hears, pages are served and streams go on; closing ends the process."""
+    _, heard = talk
+    go_on = threading.Event()
+    process = LiveProcess(lambda token: b"<html>page", 10.0, lambda line: go_on.wait(60.0))
+    pid = process._process.pid
+    body = json.dumps({"text": 150_000 * "x"}).encode()
+    speakers = [threading.Thread(target=post, args=(process.url, body)) for _ in range(5)]
+    for speaker in speakers:
+        speaker.start()
+    connection, events = stream(process.url)
+    for n in range(30):
+        process.put(lambda n=n: str(n), "pose")
+        while next(events) != ("pose", n):
+            pass
+        assert answer(process.url) == (200, b"<html>page")
+    connection.close()
+    go_on.set()
+    for speaker in speakers:
+        speaker.join()
+    process.close()
+    process.close()
+    assert is_gone(pid) and not process.is_open
+
+
+def test_process_may_be_closed_by_what_it_hears():
+    """A program may close its process while it hears a line; nothing is heard after that."""
+    heard, processes = Heard(), []
+
+    def closing(line):
+        processes[0].close()
+        heard(line)
+
+    processes.append(LiveProcess(lambda token: b"<html>page", 10.0, closing))
+    pid = processes[0]._process.pid
+    with contextlib.suppress(OSError, http.client.HTTPException):
+        post(processes[0].url)
+    heard.wait(1)
+    assert is_gone(pid) and len(heard) == 1

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import json
+import logging
 import math
 import secrets
 import selectors
@@ -12,12 +13,13 @@ import sys
 import threading
 import time
 import time as clock
+import traceback
 import weakref
 import webbrowser
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from pathlib import Path
 from types import TracebackType
-from typing import final
+from typing import IO, Any, final
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -37,67 +39,112 @@ SERVER = Path(__file__).with_name("live_server.py")
 FRAMES_PER_SECOND = 60.0  # as most screens
 STOP_SECONDS = 2.0  # for a thread or process to end by itself
 POSTURES_FOR_CAMERA = 119  # at random, beside the one at rest
+LOGGED = 200  # [bytes] of a line at which the program failed: a recording that was dropped is megabytes
+_LOGGER = logging.getLogger("manip_learn")
 
 
 @final
 class LiveProcess:
-    """A server process and the thread that writes to it.
+    """A server process, the thread that writes to it, and the one that reads what it heard.
 
-    `put` never waits: the thread takes the newest one, at most 60 times per second, and only the thread
-    waits if the server is slow.
+    Messages have slots. The pages get the newest of each, and one that is opened later gets them all at once. `put`
+    never waits: the thread writes what is newest, each slot at most 60 times per second, and only the thread waits if
+    the server is slow. What was put earlier is never written after what was put later. Where a function of the program
+    fails that a thread calls, its first failure at that place is logged, and the thread goes on.
 
     Args:
         make_page: Token -> the page to serve.
         timeout: How long the server may take to start [s].
+        heard: Called in a thread of its own, for one line after the other, with `{"page": id, "said": {...}}` for what
+            a page has posted, and with `{"pages": [ids], "loading": number}` whenever one comes or goes: the ids of
+            the pages that are open, oldest first, and how many were fetched within the last 10 s and are not open
+            yet. It is not called once `close` has returned, unless one call takes longer than 2 s. None for pages
+            that say nothing.
 
     Raises:
         OutputError: The server does not start.
     """
 
-    def __init__(self, make_page: Callable[[str], bytes], timeout: float):
+    def __init__(
+        self,
+        make_page: Callable[[str], bytes],
+        timeout: float,
+        heard: Callable[[Mapping[str, Any]], object] | None = None,
+    ):
         token = secrets.token_urlsafe(18)
         self._page = make_page(token)
-        self._newest: Callable[[], str] | None = None
+        self._newest: dict[str, Callable[[], str]] = {}  # by slot, in the order in which they were put
+        self._due: dict[str, float] = {}  # by slot, when the next line may be written
+        self._lock = threading.RLock()  # for as long as it takes to change these; a signal may come meanwhile, and put
+        self._failed: set[tuple[object, ...]] = set()  # where functions of the program did
         self._wake = threading.Event()
         self._closed = threading.Event()
         self._process = _started_server()
-        self._thread = threading.Thread(target=self._feed, args=(token,), name="live view", daemon=True)
-        self._thread.start()
+        header = {"page": len(self._page), "token": token, "hears": heard is not None}
+        self._feeder = threading.Thread(target=self._feed, args=(header,), name="live view", daemon=True)
+        self._feeder.start()
+        self._listener: threading.Thread | None = None
         try:
             port = self._read_port(timeout)
         except OutputError:
             self.close()
             raise
         self.url = f"http://127.0.0.1:{port}/{token}/"
+        if heard is not None:
+            self._listener = threading.Thread(target=self._listen, args=(heard,), name="live view hears", daemon=True)
+            self._listener.start()
 
     @property
     def is_open(self) -> bool:
         """True while the server is there to be fed."""
         return not self._closed.is_set() and self._process.poll() is None
 
-    def put(self, message: Callable[[], str]) -> None:
-        """Hand over the newest message, as a function that makes its one line of text; it runs in the thread."""
-        self._newest = message
+    def put(self, message: Callable[[], str], slot: str = "message") -> None:
+        """Hand over the newest message of a slot.
+
+        Args:
+            message: Makes its one line of JSON; it runs in the thread. If it fails, the message is left out.
+            slot: A word: the name of the event in the page; `message` is the nameless one.
+        """
+        with self._lock:
+            self._newest.pop(slot, None)  # to the end
+            self._newest[slot] = message
         self._wake.set()
 
+    def offer(self, files: Mapping[str, Path]) -> None:
+        """Let pages take files home, under `files/NAME` beside the page; they replace those offered before.
+
+        Args:
+            files: By the name under which each is kept. A file that is missing when it is asked for is not found.
+        """
+        line = json.dumps({name: str(path.absolute()) for name, path in files.items()})
+        self.put(lambda: line, "files")
+
     def close(self) -> None:
-        """End the server and the thread; calling it twice is allowed."""
+        """End the server and the threads; calling it twice is allowed."""
         self._closed.set()
         self._wake.set()
-        if self._thread is not threading.current_thread():
-            self._thread.join(STOP_SECONDS)
-        if self._thread.is_alive():  # it is blocked in a write
+        self._join(self._feeder)
+        if self._feeder.is_alive():  # it is blocked in a write
             self._process.kill()
-            self._thread.join(STOP_SECONDS)
-        for pipe in (self._process.stdin, self._process.stdout):
-            if pipe is not None:
-                with contextlib.suppress(OSError):
-                    pipe.close()
+            self._join(self._feeder)
+        self._shut(self._process.stdin)
         try:
             self._process.wait(STOP_SECONDS)
         except subprocess.TimeoutExpired:
             self._process.kill()
             self._process.wait()
+        self._join(self._listener)
+        self._shut(self._process.stdout)
+
+    def _join(self, thread: threading.Thread | None) -> None:
+        if thread is not None and thread is not threading.current_thread():
+            thread.join(STOP_SECONDS)
+
+    def _shut(self, pipe: IO[bytes] | None) -> None:
+        if pipe is not None:
+            with contextlib.suppress(OSError):
+                pipe.close()
 
     def _read_port(self, timeout: float) -> int:
         stdout = self._process.stdout
@@ -114,23 +161,63 @@ class LiveProcess:
                 "may it listen on 127.0.0.1?"
             ) from error
 
-    def _feed(self, token: str) -> None:
+    def _listen(self, heard: Callable[[Mapping[str, Any]], object]) -> None:
+        """Hand on each line of the server until it ends."""
+        with contextlib.suppress(OSError, ValueError):  # the pipe was closed
+            for line in self._process.stdout or ():
+                if self._closed.is_set():
+                    return
+                try:
+                    heard(json.loads(line))
+                except Exception as error:
+                    self._log(error, "on what was heard from a page", line[:LOGGED].decode())
+
+    def _feed(self, header: Mapping[str, object]) -> None:
+        """Write what is put until this process or the server ends."""
         pipe = self._process.stdin
         if pipe is None:
             return
         try:
-            pipe.write(json.dumps({"page": len(self._page), "token": token}).encode() + b"\n" + self._page)
+            pipe.write(json.dumps(header).encode() + b"\n" + self._page)
             pipe.flush()
+            wait: float | None = None
             while not self._closed.is_set():
-                self._wake.wait()
+                self._wake.wait(wait)
                 self._wake.clear()
-                message, self._newest = self._newest, None
-                if message is not None and not self._closed.is_set():
-                    pipe.write(message().encode() + b"\n")
-                    pipe.flush()
-                    time.sleep(1.0 / FRAMES_PER_SECOND)
+                wait = self._write_due(pipe)
         except (OSError, ValueError):  # the server is gone, or the pipe was closed
             self._closed.set()
+
+    def _write_due(self, pipe: IO[bytes]) -> float | None:
+        """Write messages, oldest first, until one is not due; how long that must wait [s], None if none is left."""
+        while not self._closed.is_set():
+            with self._lock:
+                slot = next(iter(self._newest), None)
+                if slot is None:
+                    break
+                now, interval = time.monotonic(), 1.0 / FRAMES_PER_SECOND
+                due = self._due.get(slot, now)
+                if due > now:
+                    return due - now  # later ones wait, too: a page may rely on their order
+                # the one after a late one may come early, by half at most: else delays would add up
+                self._due[slot] = max(due + interval, now + 0.5 * interval)
+                message = self._newest.pop(slot)
+            try:
+                line = f"{slot} {message()}\n".encode()
+            except Exception as error:
+                self._log(error, "to make a message", slot)
+                continue
+            pipe.write(line)
+            pipe.flush()
+        return None
+
+    def _log(self, error: Exception, at: str, what: str) -> None:
+        """Tell a failure of the program, once for each place: 60 a second would hide the first."""
+        *_, (frame, line) = traceback.walk_tb(error.__traceback__)
+        place = (at, type(error), frame.f_code.co_filename, line)
+        if place not in self._failed:
+            self._failed.add(place)
+            _LOGGER.exception("live view: the program failed %s (told once): %s", at, what)
 
 
 def _started_server() -> subprocess.Popen[bytes]:
