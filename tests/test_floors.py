@@ -54,10 +54,10 @@ ROOMS = {
 }
 IMPORTED_AS = {"pin": "pinocchio"}
 # a sentence and exit code 1 for our own failures, never a traceback; an arm in motion brakes, whatever a task of the
-# user's own, or a driver, raises
+# user's own, or a driver, raises; a live view goes on, and logs, whatever a program's function raises in its thread
 LAST_LINES_OF_DEFENCE = (
     *("cli.py", "control/servo_loop.py", "control/driver.py"),
-    *("drivers/record.py", "commands/record.py"),
+    *("drivers/record.py", "commands/record.py", "playback/live_viewer.py"),
 )
 MAX_LINES, MAX_FUNCTION_LINES = 700, 50
 

@@ -43,6 +43,7 @@ MAX_SAID = 16 * 2**20  # [bytes] of a body: recordings are dropped on the page
 SMALL_SAID = 2**14  # [bytes] that are read in 2 ms, far below a frame of 16; more is read in another process
 PIECE = 2**18  # [bytes] of a file at a time: enough for full speed, and below a millisecond of one thread
 STREAM_QUERY = re.compile(r"page=([A-Za-z0-9-]{1,64})")
+# of the status codes of HTTP
 REASONS = {
     200: "OK",
     204: "No Content",
@@ -217,7 +218,7 @@ class LiveServer:
         return json.dumps({"pages": pages, "loading": len(self._loading)}).encode()
 
     def put(self, slot: str, line: bytes) -> None:
-        """Replace what is in a slot."""
+        """Replace the content of a slot."""
         if slot == "files":
             self._files = json.loads(line)
             return
@@ -284,7 +285,7 @@ class LiveServer:
         return False
 
     def _check(self, request: Request) -> None:
-        """Refuse what is no request, nothing that we do, or another site's."""
+        """Refuse bad requests, methods that are not served, and other sites."""
         if not request.version.startswith("HTTP/1."):
             raise Refusal(400, "not a request")
         if request.method != "GET" and not (self._hears and request.method == "POST"):

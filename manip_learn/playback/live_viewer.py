@@ -16,7 +16,7 @@ import time as clock
 import traceback
 import weakref
 import webbrowser
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from pathlib import Path
 from types import TracebackType
 from typing import IO, Any, final
@@ -48,9 +48,9 @@ class LiveProcess:
     """A server process, the thread that writes to it, and the one that reads what it heard.
 
     Messages have slots. The pages get the newest of each, and one that is opened later gets them all at once. `put`
-    never waits: the thread writes what is newest, each slot at most 60 times per second, and only the thread waits if
-    the server is slow. What was put earlier is never written after what was put later. Where a function of the program
-    fails that a thread calls, its first failure at that place is logged, and the thread goes on.
+    never waits: the thread writes the newest ones, each slot at most 60 times per second, and only the thread waits if
+    the server is slow. No message is written after one that was put later. Where a function of the program fails in a
+    thread, the first failure at that place is logged, and the thread goes on.
 
     Args:
         make_page: Token -> the page to serve.
@@ -167,13 +167,12 @@ class LiveProcess:
             for line in self._process.stdout or ():
                 if self._closed.is_set():
                     return
-                try:
-                    heard(json.loads(line))
-                except Exception as error:
-                    self._log(error, "on what was heard from a page", line[:LOGGED].decode())
+                said = json.loads(line)
+                with self._logged("what a page said", line[:LOGGED].decode()):
+                    heard(said)
 
     def _feed(self, header: Mapping[str, object]) -> None:
-        """Write what is put until this process or the server ends."""
+        """Write messages as they come, until the process is closed or the server ends."""
         pipe = self._process.stdin
         if pipe is None:
             return
@@ -202,22 +201,25 @@ class LiveProcess:
                 # the one after a late one may come early, by half at most: else delays would add up
                 self._due[slot] = max(due + interval, now + 0.5 * interval)
                 message = self._newest.pop(slot)
-            try:
-                line = f"{slot} {message()}\n".encode()
-            except Exception as error:
-                self._log(error, "to make a message", slot)
-                continue
-            pipe.write(line)
-            pipe.flush()
+            line = ""
+            with self._logged("a message", slot):
+                line = message()
+            if line:
+                pipe.write(f"{slot} {line}\n".encode())
+                pipe.flush()
         return None
 
-    def _log(self, error: Exception, at: str, what: str) -> None:
-        """Tell a failure of the program, once for each place: 60 a second would hide the first."""
-        *_, (frame, line) = traceback.walk_tb(error.__traceback__)
-        place = (at, type(error), frame.f_code.co_filename, line)
-        if place not in self._failed:
-            self._failed.add(place)
-            _LOGGER.exception("live view: the program failed %s (told once): %s", at, what)
+    @contextlib.contextmanager
+    def _logged(self, of: str, text: str) -> Iterator[None]:
+        """Log a failure of the program in this block, once for each place: 60 a second would hide the first."""
+        try:
+            yield
+        except Exception as error:  # whatever a function of the program raises in our thread: nobody would see it
+            *_, (frame, number) = traceback.walk_tb(error.__traceback__)
+            place = (of, type(error), frame.f_code.co_filename, number)
+            if place not in self._failed:
+                self._failed.add(place)
+                _LOGGER.exception("live view: the program failed on %s, which is told once: %s", of, text)
 
 
 def _started_server() -> subprocess.Popen[bytes]:
