@@ -258,9 +258,13 @@ class Heard(list):
 
     def wait(self, number, seconds=10.0):
         """The first lines, so many of them."""
+        self.until(lambda: len(self) >= number, seconds)
+        return self[:number]
+
+    def until(self, condition, seconds=10.0):
+        """Wait until a condition on the lines holds."""
         with self._news:
-            assert self._news.wait_for(lambda: len(self) >= number, seconds), list(self)
-            return self[:number]
+            assert self._news.wait_for(condition, seconds), list(self)
 
 
 @pytest.fixture
@@ -394,7 +398,7 @@ def test_strangers_are_not_heard(talk):
     ):
         assert post(process.url, **headers) == status, headers
     for body in (b"", b"{", b"[]", b"1", b"null", b'"{}"', b"{}{}", b"\xff", b'{"to": NaN}', b'{"to": -Infinity}',
-                 b'{"to": 1e999}', b'{"to": ' + 10_000 * b"9" + b"}", b'{"a":' * 3_000, 20_000 * b"[" + 20_000 * b"]",
+                 b'{"to": 1e999}', b'{"to": ' + 10_000 * b"9" + b"}", b'{"a":' * 3_000, b'{"a":' * 3_000 + b"1" + b"}" * 3_000, 20_000 * b"[" + 20_000 * b"]",
                  b'{"text": "' + 40_000 * b"x", b'{"to": [' + 9_000 * b"1, " + b"1e999]}"):  # fmt: skip
         assert post(process.url, body) == 400, body[:20]
     assert heard == []
@@ -562,26 +566,35 @@ def test_failures_of_the_program_are_told(caplog):
     assert all(record.name == "manip_learn" and record.levelname == "ERROR" for record in caplog.records)
 
 
-def test_busy_program_holds_up_nobody(talk, monkeypatch):
-    """While the program does not take what it hears, pages are served and streams go on; closing ends the process."""
-    _, heard = talk
-    go_on = threading.Event()
-    process = LiveProcess(lambda token: b"<html>page", 10.0, lambda line: go_on.wait(60.0))
+def test_busy_program_holds_up_nobody():
+    """While the program does not take what it hears, whoever says more waits, pages are served and streams go on; then
+    it hears everything, and closing ends the process.
+    """
+    go_on, heard, statuses = threading.Event(), Heard(), []
+
+    def busy(line):
+        go_on.wait(60.0)
+        heard(line)
+
+    process = LiveProcess(lambda token: b"<html>page", 10.0, busy)
     pid = process._process.pid
-    body = json.dumps({"text": 150_000 * "x"}).encode()
-    speakers = [threading.Thread(target=post, args=(process.url, body)) for _ in range(5)]
+    body = json.dumps({"text": 15_000 * "x"}).encode()
+    speakers = [threading.Thread(target=lambda: statuses.append(post(process.url, body))) for _ in range(20)]
     for speaker in speakers:
         speaker.start()
     connection, events = stream(process.url)
-    for n in range(30):
+    for n in range(10):
         process.put(lambda n=n: str(n), "pose")
         while next(events) != ("pose", n):
             pass
         assert answer(process.url) == (200, b"<html>page")
     connection.close()
+    assert 0 < len(statuses) < len(speakers)  # a pipe holds a few
     go_on.set()
     for speaker in speakers:
         speaker.join()
+    assert statuses == 20 * [204]
+    heard.until(lambda: sum("said" in line for line in heard) == 20)
     process.close()
     process.close()
     assert is_gone(pid) and not process.is_open

@@ -114,11 +114,12 @@ def object_line(body: bytes) -> bytes:
     """A JSON object on one line; ValueError if it is none, or has a number that is not finite."""
     try:
         said = json.loads(body.decode("utf-8"))
+        line = json.dumps(said, allow_nan=False).encode()
     except RecursionError as error:
         raise ValueError("nested too deeply") from error
     if not isinstance(said, dict):
         raise ValueError("no object")
-    return json.dumps(said, allow_nan=False).encode()
+    return line
 
 
 async def object_line_elsewhere(body: bytes) -> bytes:
