@@ -398,7 +398,8 @@ def test_strangers_are_not_heard(talk):
     ):
         assert post(process.url, **headers) == status, headers
     for body in (b"", b"{", b"[]", b"1", b"null", b'"{}"', b"{}{}", b"\xff", b'{"to": NaN}', b'{"to": -Infinity}',
-                 b'{"to": 1e999}', b'{"to": ' + 10_000 * b"9" + b"}", b'{"a":' * 3_000, b'{"a":' * 3_000 + b"1" + b"}" * 3_000, 20_000 * b"[" + 20_000 * b"]",
+                 b'{"to": 1e999}', b'{"to": ' + 10_000 * b"9" + b"}", b'{"a":' * 3_000,
+                 b'{"a":' * 3_000 + b"1" + b"}" * 3_000, 20_000 * b"[" + 20_000 * b"]",
                  b'{"text": "' + 40_000 * b"x", b'{"to": [' + 9_000 * b"1, " + b"1e999]}"):  # fmt: skip
         assert post(process.url, body) == 400, body[:20]
     assert heard == []
