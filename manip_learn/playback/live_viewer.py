@@ -27,7 +27,7 @@ from numpy.typing import ArrayLike
 from manip_learn.errors import ConfigurationError, OutputError
 from manip_learn.playback.appearance import appearance
 from manip_learn.playback.kinematic_tree import TreeJoint, joint_tracks, kinematic_tree
-from manip_learn.playback.page_writer import page
+from manip_learn.playback.page_writer import Mode, page
 from manip_learn.playback.palette import rollout_colours
 from manip_learn.playback.recorded_motion import RecordedMotion
 from manip_learn.playback.scene_data import scene_data
@@ -262,7 +262,7 @@ class LiveViewer:
         self._robot = robot
         self._tree = kinematic_tree(robot)
         name = title or known_as(robot.source) or robot.name or "robot"
-        self._process = LiveProcess(lambda token: _live_page(robot, self._tree, name, token), timeout)
+        self._process = LiveProcess(lambda token: live_page(robot, self._tree, name, token), timeout)
         self._start = clock.monotonic()
         self._finalizer = weakref.finalize(self, self._process.close)
         if open_browser:
@@ -315,7 +315,19 @@ class LiveViewer:
         self.close()
 
 
-def _live_page(robot: Robot, tree: tuple[TreeJoint, ...], name: str, token: str) -> bytes:
+def live_page(robot: Robot, tree: tuple[TreeJoint, ...], name: str, token: str, mode: Mode = "live") -> bytes:
+    """HTML of a page that follows a robot.
+
+    Args:
+        robot: The robot.
+        tree: Its joints.
+        name: Headline.
+        token: Of the address under which it is served.
+        mode: `"live"` only shows it, on `"teach"` it is also taught.
+
+    Raises:
+        OutputError: Meshcat's viewer is missing.
+    """
     rest, tip = robot.neutral(), default_tip(robot)
     rng = np.random.default_rng(0)
     postures = np.array([rest, *(robot.random_configuration(rng) for _ in range(POSTURES_FOR_CAMERA))])
@@ -335,4 +347,4 @@ def _live_page(robot: Robot, tree: tuple[TreeJoint, ...], name: str, token: str)
     looks = appearance(robot, tree)
     data = scene_data(robot, tree, looks, tip, [still], rollout_colours([name], {}), looks.notes)
     data["events"] = f"/{token}/events"
-    return page(data, robot=name, subtitle="", mode="live").encode("utf-8")
+    return page(data, robot=name, subtitle="", mode=mode).encode("utf-8")

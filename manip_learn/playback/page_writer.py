@@ -39,10 +39,18 @@ PROGRAM = (
     *("constraint_marks.js", "furniture.js", "labels.js", "shown.js", "evidence.js", "recording_choice.js"),
     *("keys.js", "legend.js", "player.js", "live.js", "main.js"),
 )
+TEACH_STYLE = (*STYLE, "teach.css")
+TEACH_PROGRAM = (
+    *(name for name in PROGRAM if name not in ("shown.js", "recording_choice.js", "live.js", "main.js")),
+    *("teach_link.js", "teach_pointing.js", "teach_hand.js", "teach_furniture.js", "teach_drawing.js"),
+    *("teach_recordings.js", "teach_answer.js", "teach_ghosts.js", "teach_take.js", "teach_panel.js"),
+    *("teach_tour.js", "teach.js"),
+)
+Mode = Literal["replay", "live", "teach"]
 
 
-def page(data: dict[str, Any], *, robot: str, subtitle: str, mode: Literal["replay", "live"] = "replay") -> str:
-    """HTML of a replay, or of a live view.
+def page(data: dict[str, Any], *, robot: str, subtitle: str, mode: Mode = "replay") -> str:
+    """HTML of a replay, of a live view, or of a page on which an arm is taught.
 
     Names are escaped; and even a name that slipped through could not run: scripts run only if their hash is listed.
 
@@ -50,17 +58,20 @@ def page(data: dict[str, Any], *, robot: str, subtitle: str, mode: Literal["repl
         data: What the program reads; finite numbers and text.
         robot: Headline.
         subtitle: Beside it.
-        mode: A live page may listen to the server that it came from, a replay to none.
+        mode: A live page may listen to the server that it came from, one to teach on may also speak to it, and a replay
+            to none.
 
     Raises:
         OutputError: Meshcat's viewer is missing.
     """
-    viewer, program = viewer_script(), _program()
+    teaching = mode == "teach"
+    viewer, program = viewer_script(), _program(TEACH_PROGRAM if teaching else PROGRAM)
     parts = {
-        "policy": _policy((viewer, program), live=mode == "live"),
+        "policy": _policy((viewer, program), live=mode != "replay"),
         "title": html.escape(f"{robot}: {subtitle}" if subtitle else robot),
-        "style": "".join(_resource(name) for name in STYLE),
+        "style": "".join(_resource(name) for name in (TEACH_STYLE if teaching else STYLE)),
         "mode": mode,
+        "teach": _resource("teach.html") if teaching else "",
         "robot": html.escape(robot),
         "subtitle": html.escape(subtitle),
         "data": json_in_html(data),
@@ -92,8 +103,8 @@ def _resource(name: str) -> str:
 
 
 @cache
-def _program() -> str:
-    body = "\n".join(_resource(name) for name in PROGRAM)
+def _program(names: tuple[str, ...]) -> str:
+    body = "\n".join(_resource(name) for name in names)
     return f'"use strict";\n(() => {{\n{body}\n}})();\n'
 
 

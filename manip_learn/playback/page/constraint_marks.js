@@ -128,7 +128,12 @@ class ConstraintMarks {
 
   drawDirections(t) {
     const at = (name) => directionsOf(symmetric(rowAt(this.times, this[name], 6, t), 0));
-    this.drawn = { held: at("held"), free: at("free"), heldTurns: at("heldTurns"), freeTurns: at("freeTurns") };
+    this.drawThese({ held: at("held"), free: at("free"), heldTurns: at("heldTurns"), freeTurns: at("freeTurns") });
+  }
+
+  // Unit vectors in the axes of the group.
+  drawThese(directions) {
+    this.drawn = directions;
     for (const old of this.parts.constraint.children) old.geometry.dispose();
     this.parts.constraint.clear();
     const { held, free, heldTurns, freeTurns } = this.drawn, add = (...meshes) => this.parts.constraint.add(...meshes);

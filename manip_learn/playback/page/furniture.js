@@ -14,13 +14,22 @@ function openInWords(rollout, t) {
   return `${(value * 180 / Math.PI).toFixed(1)}° open`;
 }
 
+// A box and its edges.
+function boardOf([x, y, z, across, deep, high, what], inks = FURNITURE_INKS) {
+  const geometry = new THREE.BoxGeometry(across, deep, high), mesh = new THREE.Mesh(geometry, inks[what]);
+  mesh.castShadow = mesh.receiveShadow = true;
+  const parts = [mesh, new THREE.LineSegments(new THREE.EdgesGeometry(geometry), EDGES)];
+  for (const part of parts) part.position.set(x, y, z);
+  return parts;
+}
+
 class FurniturePiece {
   constructor(rollout) {
     Object.assign(this, rollout.furniture, { rollout, curve: rollout.byKind.get("opening").curves[0], group: new THREE.Group(), carcass: new THREE.Group(), leaf: new THREE.Group(), outline: new THREE.Group() });
     this.group.matrixAutoUpdate = false;
     this.group.matrix.copy(matrixFromRows(this.pose));
-    for (const box of this.fixed) this.carcass.add(...this.board(box));
-    for (const box of this.moving) this.leaf.add(...this.board(box));
+    for (const box of this.fixed) this.carcass.add(...boardOf(box));
+    for (const box of this.moving) this.leaf.add(...boardOf(box));
     const [x, y, z, ...size] = this.moving.find((box) => box[6] === "front");
     this.ghostInk = new THREE.LineBasicMaterial({ toneMapped: false });
     this.outline.add(this.placed(new THREE.LineSegments(new THREE.EdgesGeometry(new THREE.BoxGeometry(...size.slice(0, 3))), this.ghostInk), x, y, z));
@@ -30,12 +39,6 @@ class FurniturePiece {
   }
 
   placed(object, x, y, z) { object.position.set(x, y, z); return object; }
-
-  board([x, y, z, across, deep, high, what]) {
-    const geometry = new THREE.BoxGeometry(across, deep, high), mesh = new THREE.Mesh(geometry, FURNITURE_INKS[what]);
-    mesh.castShadow = mesh.receiveShadow = true;
-    return [this.placed(mesh, x, y, z), this.placed(new THREE.LineSegments(new THREE.EdgesGeometry(geometry), EDGES), x, y, z)];
-  }
 
   setTime(t) {
     const open = valueAt(this.curve, Math.min(t, this.rollout.duration)), [x, y] = this.pivot, c = Math.cos(open), s = Math.sin(open);

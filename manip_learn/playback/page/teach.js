@@ -1,0 +1,309 @@
+// An arm that is taken by the hand: poses come from the program, the newest one is drawn; what the person does is posted.
+
+const OFTEN = 100; // [ms] between two values of a slider, or two places of the goal, that are said
+const LATELY = 1000; // [ms] for which a slider is left where the person has put it
+const LIVE_SECONDS = 20; // of manipulability that stay in the chart
+const MOST_LABELLED = 3; // limits and handles at a time
+const WORDS_GAP = 200; // [ms] between two readings of the time in the headline
+
+class Teach {
+  constructor(show, data) {
+    Object.assign(this, { show, stage: show.stage, rollout: show.rollouts[0], instance: show.rollouts[0].instance, state: null, scene: null, pose: null, drawnSeq: 0, often: new Map(), notes: data.notes });
+    this.rollout.solid = true;
+    this.values = { times: [], mu: [] };
+    Object.assign(this.rollout, { curveTimes: this.values.times, curve: this.values.mu });
+    this.arrange();
+    this.tour = new Tour(this);
+    this.link = new TeachLink(data.events.slice(0, -"events".length), {
+      pose: (pose) => this.receive(pose), scene: (scene) => this.setScene(scene), state: (state) => this.setState(state), ghosts: (ghosts) => this.setGhosts(ghosts),
+    }, () => this.allow(), (words) => this.tell(words, true));
+    this.panel = new Panel(this);
+    if (this.stage) this.addDrawing();
+    this.wire();
+    this.allow();
+    this.head("waiting for the arm", false);
+    show.setTime(0);
+    requestAnimationFrame((now) => this.frame(now));
+  }
+
+  // Two charts beside each other: the arm, and its ghosts.
+  arrange() {
+    const charts = Object.assign(document.createElement("div"), { id: "charts" }), ghosts = Object.assign(document.createElement("div"), { id: "ghost-chart", hidden: true });
+    ghosts.setAttribute("role", "img");
+    get("chart").before(charts);
+    charts.append(get("chart"), ghosts);
+    get("panel").hidden = true;
+    get("log").title = "Logarithmic scale";
+    get("scene").after(get("hand-bar"), get("drop-here"));
+    get("keys").querySelector("dl").replaceChildren(get("teach-keys").content.cloneNode(true));
+    get("scene").setAttribute("aria-label", "The arm in three dimensions: drag it, or press H and move its hand by the arrow keys; otherwise arrow keys turn the view, plus and minus zoom");
+    this.chart = new Chart(get("chart"), this.show.rollouts, LIVE_SECONDS, null);
+    this.legendBox = document.createElement("div");
+    get("legend").append(this.legendBox);
+    this.legend = new Legend(this.legendBox, this.show.rollouts, { onShow: (r, v) => this.show.show(r, v), onSolid: (r) => this.show.show(r, !r.visible) });
+    for (const { pick } of this.legend.rows) pick.title = "Show or hide the arm";
+  }
+
+  addDrawing() {
+    const { stage, instance } = this, { size } = stage;
+    this.pointing = new Pointing(stage, instance);
+    this.furniture = new TeachFurniture(stage, instance);
+    this.marks = new LiveMarks(instance, size);
+    this.spring = new Spring(this.marks);
+    this.goal = new Goal(this, this.marks);
+    this.trail = new TipTrail(instance, size, () => this.rollout.colour);
+    this.limits = new LimitTint(instance);
+    this.lines = new Lines(stage);
+    this.ghosts = new Ghosts(this);
+    stage.world.add(this.marks.group, this.spring.group, this.goal.group, this.trail.mesh, this.lines.group);
+    this.ring = Object.assign(document.createElement("div"), { id: "tip-ring" });
+    this.ring.setAttribute("aria-hidden", "true");
+    stage.element.append(this.ring);
+    this.labels = this.label();
+    stage.onRendered = () => { this.labels.place(); this.placeRing(); };
+    this.show.onRecolour = () => this.limits.again();
+    this.hand = new Hand(this);
+  }
+
+  label() {
+    const labels = new Labels(this.stage), { marks } = this, now = (say) => () => (this.pose ? say(this.pose) : "");
+    labels.add("--weak", now(({ weak }) => (weak ? "the hand can hardly move this way" : "")), () => this.instance.tipPosition().addScaledVector(new THREE.Vector3(...this.pose.weak.direction), 1.15 * ARROW * this.stage.size));
+    labels.add("--free", now((pose) => (pose.marks && (marks.drawn.free.length || marks.drawn.freeTurns.length) ? (marks.drawn.free.length ? "free to move" : "free to turn") : "")), () => marks.anchors()["--free"]);
+    labels.add("--held-mark", now((pose) => (pose.marks && (marks.drawn.held.length || marks.drawn.heldTurns.length) ? (marks.drawn.held.length ? "held" : "may not turn") : "")), () => marks.anchors()["--held"]);
+    labels.add("--goal-knob", () => (this.goal.group.visible ? "drag: where the hand should go" : ""), () => this.goal.place);
+    labels.add("--scene-ink", () => (this.lines.ends.learnt ? MECHANISM_WORDS[this.state.answer.mechanism.type] || "learnt" : ""), () => this.lines.ends.learnt);
+    labels.add("--truth", () => (this.lines.ends.truth ? "the truth" : ""), () => this.lines.ends.truth);
+    for (let i = 0; i < MOST_LABELLED; i++) {
+      labels.add("--weak", now(({ limit }) => (limit[i] ? `${limit[i]} is at its limit` : "")), () => this.limits.at(this.pose.limit[i]));
+      labels.add("--scene-ink", now((pose) => (this.furniture.pieces[i] ? this.furniture.words(i, pose, this.scene) : "")), () => this.furniture.pieces[i].handleAt());
+    }
+    return labels;
+  }
+
+  wire() {
+    get("log").addEventListener("click", () => this.chart.turnLogarithmic());
+    wireCamera(this.show);
+    const once = (action) => (event) => { if (!event.repeat) action(); };
+    wireKeys({
+      ...cameraKeys(this.show), r: once(() => this.panel.record()), l: once(() => this.panel.learn()), g: once(() => this.panel.grip()),
+      h: once(() => this.hand && this.hand.turnByKeys()), " ": once(() => this.panel.run()),
+    });
+    get("by-keys").addEventListener("click", () => this.hand && this.hand.turnByKeys());
+  }
+
+  // ---- who may ----
+
+  get leads() { return !this.state || !this.state.leader || this.state.leader === PAGE_ID; }
+
+  // Whether what is done here counts: the line is there, and no other tab has the arm.
+  get allowed() { return Boolean(this.link && this.link.open && this.state && this.leads); }
+
+  get isHeld() { return Boolean(this.pose && this.pose.held.some(Boolean)); }
+
+  allow() {
+    if (!this.panel) return;
+    const lost = !this.link.open, { allowed } = this;
+    get("controls").disabled = get("grip").disabled = get("by-keys").disabled = !allowed;
+    document.body.classList.toggle("apart", !allowed);
+    get("lead").hidden = lost;
+    get("banner").hidden = lost ? !this.wasOpen : this.leads;
+    const words = lost ? "The connection to the program is lost. Is it still running? This page comes back by itself." : "Another tab has the arm.";
+    if (get("banner").querySelector("p").textContent !== words) get("banner").querySelector("p").textContent = words;
+    this.wasOpen ||= !lost;
+    if (lost && this.wasOpen) this.head("no connection to the program", true);
+    if (!allowed && this.hand) this.hand.letGo();
+  }
+
+  say(said) { if (this.allowed) this.link.say(said); }
+
+  // The newest of its kind, a few times a second, and the last one always.
+  sayOften(said) {
+    const one = this.often.get(said.do) || { last: -Infinity };
+    this.often.set(said.do, one);
+    one.said = said;
+    if (one.timer) return;
+    one.timer = setTimeout(() => {
+      Object.assign(one, { timer: null, last: performance.now() });
+      this.say(one.said);
+    }, Math.max(0, one.last + OFTEN - performance.now()));
+  }
+
+  saidLately(kind) {
+    const one = this.often.get(kind);
+    return Boolean(one) && (Boolean(one.timer) || performance.now() < one.last + LATELY);
+  }
+
+  // What the page itself has to say; refusals are seen as well as heard.
+  tell(words, wrong = false) {
+    get("alerts").textContent = wrong ? "" : words;
+    if (!wrong) return;
+    get("said").textContent = words;
+    get("said").classList.add("lost");
+  }
+
+  head(text, lost) {
+    get("subtitle").textContent = text;
+    get("subtitle").classList.toggle("lost", lost);
+  }
+
+  // ---- what the program says ----
+
+  receive(pose) {
+    this.link.heard(pose.seq);
+    this.pose = pose;
+    this.isNew = true;
+    if (pose.opening.some((value) => Math.abs(value) > 0.05)) this.moved = true;
+    if (this.furniture && pose.mu !== null) this.addValue(pose.time, pose.mu);
+    if (this.stage) this.stage.dirty();
+  }
+
+  setScene(scene) {
+    const isNew = !this.scene || this.scene.number !== scene.number;
+    this.scene = scene;
+    this.panel.setScene(scene);
+    this.setNotes(scene.notes || []);
+    if (!this.stage) return;
+    this.furniture.setScene(scene);
+    if (isNew) this.trail.clear();
+    this.stage.dirty();
+  }
+
+  setState(state) {
+    this.state = state;
+    this.panel.setState(state);
+    this.allow();
+    if (!this.stage) return;
+    this.lines.setState(state);
+    this.stage.dirty();
+  }
+
+  setGhosts(ghosts) {
+    if (this.ghosts) this.ghosts.set(ghosts, this.scene && this.scene.handles[0] && this.scene.handles[0].unit);
+  }
+
+  setNotes(more) {
+    const notes = [...this.notes, ...more], box = get("notes");
+    box.hidden = !notes.length;
+    box.querySelector("summary").textContent = counted(notes.length, "note");
+    box.querySelector("ul").replaceChildren(...notes.map((textContent) => Object.assign(document.createElement("li"), { textContent })));
+  }
+
+  addValue(time, mu) {
+    const { times, mu: curve } = this.values;
+    if (times.length && time < times[times.length - 1]) { times.length = 0; curve.length = 0; }
+    times.push(time);
+    curve.push(mu);
+    while (times.length > 2 && times[1] < time - LIVE_SECONDS) { times.shift(); curve.shift(); }
+    this.rollout.duration = time;
+    this.changed = true;
+  }
+
+  // ---- what is drawn ----
+
+  frame(now) {
+    if (this.pose && this.isNew) this.draw(this.pose);
+    if (this.stage) {
+      this.drawSpring();
+      this.ghosts.frame(now);
+      this.trail.draw(now);
+      this.stage.render();
+    }
+    if (this.pose && this.isNew) this.hasDrawn(this.pose);
+    this.drawWords(now);
+    if (this.pose && this.allowed) this.tour.offer();
+    this.tour.frame();
+    requestAnimationFrame((next) => this.frame(next));
+  }
+
+  draw(pose) {
+    this.instance.setValues(pose.values);
+    this.show.time = pose.time;
+    this.panel.setPose(pose);
+    if (!this.stage) return;
+    this.furniture.setPose(pose);
+    this.marks.setPose(pose);
+    this.limits.set(pose.limit);
+    this.trail.setPose(pose.trail);
+    this.goal.setPose(pose, this.allowed && Boolean(this.state.way));
+    if (this.hand.held && !this.hand.held.goal) this.pulled = true;
+  }
+
+  hasDrawn(pose) {
+    this.isNew = false;
+    if (!Number.isFinite(pose.seq)) return;
+    this.drawnSeq = pose.seq;
+    this.link.drawn(pose.seq);
+  }
+
+  // The own hand is drawn where the pointer is now, not where the program last heard of it.
+  drawSpring() {
+    const { held, axis } = this.hand, told = this.pose && this.pose.hand;
+    if (held && !held.goal) this.spring.set(this.hand.heldAt(), held.to, told || {}, held.drag && axis);
+    else if (told) this.spring.set(new THREE.Vector3(...told.at), new THREE.Vector3(...told.to), told);
+    else this.spring.set(null);
+  }
+
+  drawWords(now) {
+    if (now < (this.worded ?? 0) + WORDS_GAP || !this.pose) return;
+    this.worded = now;
+    const { weak, limit, rate, time } = this.pose;
+    if (this.link.open) this.head(`${(this.state && DOING[this.state.doing]) || "live"} · ${time.toFixed(1)} s${rate ? ` · ${Math.round(rate)} steps/s` : ""}`, false);
+    const words = [weak && "The hand can hardly move this way.", ...limit.map((name) => `${name} is at its limit.`)].filter(Boolean).join(" ");
+    if (words !== this.warned) this.tell(words);
+    this.warned = words;
+    if (!this.changed) return;
+    this.changed = false;
+    get("panel").hidden = false;
+    this.chart.start = Math.max(0, this.rollout.duration - LIVE_SECONDS);
+    this.chart.draw();
+    this.chart.setTime(this.rollout.duration);
+    this.legend.setTime(this.rollout.duration);
+  }
+
+  placeRing() {
+    const at = this.stage.onScreen(this.instance.tipPosition());
+    this.ring.hidden = !at || !this.allowed || Boolean(this.hand.held);
+    if (at) this.ring.style.transform = `translate(${at.x.toFixed(1)}px, ${at.y.toFixed(1)}px)`;
+  }
+
+  // ---- where things are on the page ----
+
+  screenOf(point) { return this.pointing.onPage(new THREE.Vector3(...point)); }
+
+  boxAround(place) {
+    const at = place && this.stage && this.pointing.onPage(place);
+    return at && { x: at.x - TIP_RING, y: at.y - TIP_RING, width: 2 * TIP_RING, height: 2 * TIP_RING, round: true };
+  }
+
+  ringBox() { return this.boxAround(this.instance.tipPosition()); }
+
+  handleBox() { return this.furniture && this.furniture.pieces.length ? this.boxAround(this.furniture.pieces[0].handleAt()) : null; }
+}
+
+function startTeaching() {
+  const data = JSON.parse(get("data").textContent), show = new Show(data), teach = new Teach(show, data);
+  window.manipLearnTeach = {
+    id: PAGE_ID,
+    get seq() { return teach.link.seq; },
+    get pose() { return teach.pose; },
+    get state() { return teach.state; },
+    get scene() { return teach.scene; },
+    // Where a place in the robot's base is on the page [px]; null behind the camera.
+    screenOf: (point) => teach.screenOf(point),
+    tipOnScreen: () => teach.screenOf(teach.instance.tipPosition().toArray()),
+    tip: () => teach.instance.tipPosition().toArray(),
+    // Of the newest pose that has been drawn.
+    get drawnSeq() { return teach.drawnSeq; },
+    // From a pull's post to the first picture that shows what followed [ms].
+    get latencies() { return [...teach.link.latencies]; },
+    // Row-major 4 x 4 pose of a link in the robot's base, as drawn.
+    linkPose: (link) => teach.instance.linkMatrix(link).transpose().toArray(),
+    // From the scene to the eye, unit vector in the robot's base.
+    toEye: () => teach.pointing.toEye().toArray(),
+    goalOnScreen: () => (teach.goal.group.visible ? teach.screenOf(teach.goal.place.toArray()) : null),
+    get drawing() { return Boolean(teach.stage); },
+    get allowed() { return teach.allowed; },
+  };
+  window.manipLearnReady = true;
+}
+startTeaching();

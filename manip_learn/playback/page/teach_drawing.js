@@ -1,0 +1,244 @@
+// What is drawn beside the arm: the pull, what is held and free, what is weak, limits, the tip's way, mechanisms, the goal.
+
+const SPRING = { thin: 0.0016, thick: 0.0055, full: 80, ball: 0.009 }; // radii relative to the scene; the force [N] of the thickest
+const TRAIL = { apart: 0.004, most: 1500, gap: 70 }; // distance of points relative to the scene, their number, time between redrawings [ms]
+const WEAK_SHARE = 0.2; // from which on the program tells of a weak direction
+const GOAL = { away: 0.1, radius: 0.012, near: 18, finger: 26 }; // from the tip and radius relative to the scene; where it is hit [px]
+const DASH = 0.014; // of a line that is the truth, relative to the scene
+const LEARNT = "#0072b2"; // patches of a mechanism without a phase of its own
+const ZEROS = { one: "AAAAAAAAAAA=", six: "A".repeat(32) };
+const UNMARKED = { tip: { joint: 0, placement: new THREE.Matrix4().toArray() }, axes: null, target: null, driven: null, times: ZEROS.one, held: ZEROS.six, free: ZEROS.six, heldTurns: ZEROS.six, freeTurns: ZEROS.six, ellipsoid: ZEROS.six };
+
+// A unit cylinder along y between two places.
+function stretch(mesh, from, to, radius) {
+  const along = to.clone().sub(from), length = along.length();
+  mesh.position.copy(from).addScaledVector(along, 0.5);
+  if (length > 1e-9) mesh.quaternion.setFromUnitVectors(new THREE.Vector3(0, 1, 0), along.divideScalar(length));
+  mesh.scale.set(radius, Math.max(length, 1e-6), radius);
+}
+
+// What is held and free at the tip, and the direction in which the tip can hardly move, from vectors of the program.
+class LiveMarks extends ConstraintMarks {
+  constructor(instance, size) {
+    super(UNMARKED, instance, size, 1);
+    this.parts.ellipsoid.visible = this.parts.target.visible = this.parts.constraint.visible = false;
+    this.inks.weak = this.ink("--weak");
+    this.weak = new THREE.Group();
+    const end = new THREE.Vector3(0, 0, 1.15 * ARROW * size), up = AXES.z, down = up.clone().negate();
+    this.weak.add(this.line(end.clone().negate(), end, this.inks.weak, 1.5 * THIN), this.head(end, up, this.inks.weak, 1.5), this.head(end.clone().negate(), down, this.inks.weak, 1.5));
+    this.weak.visible = false;
+    this.group.add(this.weak);
+    this.drawn = { held: [], free: [], heldTurns: [], freeTurns: [] };
+  }
+
+  setPose({ marks, weak }) {
+    const tip = this.instance.tipPosition();
+    this.parts.constraint.visible = Boolean(marks);
+    this.parts.constraint.position.copy(tip);
+    if (marks) this.setMarks(marks);
+    this.weak.visible = Boolean(weak);
+    if (!weak) return;
+    const strength = Math.min(Math.max(1 - weak.share / WEAK_SHARE, 0), 1);
+    this.weak.position.copy(tip);
+    this.weak.quaternion.setFromUnitVectors(AXES.z, new THREE.Vector3(...weak.direction).normalize());
+    this.weak.scale.setScalar(0.7 + 0.5 * strength);
+    this.inks.weak.opacity = 0.3 + 0.7 * strength;
+  }
+
+  setMarks({ free, held, turns, fixed }) {
+    const said = [free, held, turns, fixed].map((set) => set.map((d) => d.map((x) => x.toFixed(2)))).join(";");
+    if (said === this.said) return;
+    this.said = said;
+    const of = (set) => set.map((d) => new THREE.Vector3(...d).normalize());
+    this.drawThese({ free: of(free), held: of(held), freeTurns: of(turns), heldTurns: of(fixed) });
+  }
+}
+
+// The line from where the arm is held to where it is pulled.
+class Spring {
+  constructor(marks) {
+    this.size = marks.size;
+    this.marks = marks;
+    this.inks = { pull: marks.ink("--pull"), limited: marks.ink("--weak"), x: marks.ink("--series-1", 0.8), y: marks.ink("--series-2", 0.8), z: marks.ink("--series-0", 0.8) };
+    this.line = marks.mesh(new THREE.CylinderGeometry(1, 1, 1, 12), this.inks.pull);
+    this.rail = marks.mesh(new THREE.CylinderGeometry(1, 1, 1, 8), this.inks.x);
+    this.balls = [0.75, 1].map((r) => marks.mesh(new THREE.SphereGeometry(r * SPRING.ball * this.size, 20, 14), this.inks.pull));
+    this.group = new THREE.Group();
+    this.group.add(this.line, this.rail, ...this.balls);
+  }
+
+  // at and to: where the page's own hand is, or that of another page; null where there is none.
+  set(at, to, { force = 0, limited = false } = {}, axis = null) {
+    this.group.visible = Boolean(at);
+    if (!at) return;
+    const ink = limited ? this.inks.limited : this.inks.pull, strength = Math.min(force / SPRING.full, 1);
+    stretch(this.line, at, to, (SPRING.thin + (SPRING.thick - SPRING.thin) * strength) * this.size);
+    this.balls[0].position.copy(at);
+    this.balls[1].position.copy(to);
+    for (const mesh of [this.line, ...this.balls]) mesh.material = ink;
+    this.rail.visible = Boolean(axis);
+    if (!axis) return;
+    this.rail.material = this.inks[axis];
+    const reach = AXES[axis].clone().multiplyScalar(0.5 * this.size);
+    stretch(this.rail, to.clone().sub(reach), to.clone().add(reach), 0.0009 * this.size);
+  }
+}
+
+// Where the tip was since the recording began.
+class TipTrail {
+  constructor(instance, size, colour) {
+    Object.assign(this, { instance, size, points: [], on: false, drawn: 0, changed: false });
+    const material = new THREE.MeshBasicMaterial({ toneMapped: false });
+    onTheme(() => material.color.copy(linear(colour())));
+    this.mesh = new THREE.Mesh(new THREE.BufferGeometry(), material);
+  }
+
+  clear() {
+    this.points = [];
+    this.changed = true;
+  }
+
+  setPose(on) {
+    if (on && !this.on) this.clear();
+    this.on = on;
+    if (!on) return;
+    const tip = this.instance.tipPosition(), last = this.points[this.points.length - 1];
+    if (last && last.distanceTo(tip) < TRAIL.apart * this.size) return;
+    this.points.push(tip);
+    if (this.points.length > TRAIL.most) this.points = this.points.filter((_, i) => i % 2 === 0);
+    this.changed = true;
+  }
+
+  draw(now) {
+    if (!this.changed || now < this.drawn + TRAIL.gap) return;
+    Object.assign(this, { changed: false, drawn: now });
+    this.mesh.geometry.dispose();
+    this.mesh.geometry = this.points.length > 1 ? tubeGeometry(this.points.flatMap((p) => p.toArray()), 0.0022 * this.size) : new THREE.BufferGeometry();
+  }
+}
+
+// Links beyond joints at their limits, tinted.
+class LimitTint {
+  constructor(instance) { Object.assign(this, { instance, names: "", plain: new Map() }); }
+
+  set(names) {
+    if (names.join() === this.names) return;
+    this.names = names.join();
+    const { robot, meshes } = this.instance, at = new Set(names.map((name) => robot.joints.findIndex((joint) => joint.name === name)));
+    for (const [skin, material] of this.plain) skin.material = material;
+    this.plain.clear();
+    for (const { skin } of meshes) {
+      if (!at.has(skin.userData.shape.joint)) continue;
+      this.plain.set(skin, skin.material);
+      skin.material = skin.material.clone();
+      skin.material.color.lerp(linear(pageColour("--weak")), 0.6);
+    }
+  }
+
+  // After the arm has got other colours.
+  again() {
+    const names = this.names ? this.names.split(",") : [];
+    this.plain.clear();
+    this.names = "";
+    this.set(names);
+  }
+
+  at(name) {
+    const joint = this.instance.robot.joints.findIndex((one) => one.name === name);
+    return joint < 0 ? null : new THREE.Vector3().setFromMatrixPosition(this.instance.jointMatrix(joint));
+  }
+}
+
+// Points on a polyline, a dash apart, for lines that are interrupted.
+function dashed(points, step) {
+  const dense = [];
+  for (let i = 0; i + 3 < points.length; i += 3) {
+    const from = new THREE.Vector3().fromArray(points, i), to = new THREE.Vector3().fromArray(points, i + 3), n = Math.max(1, Math.ceil(from.distanceTo(to) / step));
+    for (let k = 0; k < n; k++) dense.push(...from.clone().lerp(to, k / n).toArray());
+  }
+  dense.push(...points.slice(-3));
+  return dense;
+}
+
+// The mechanism that was learnt, solid, and the true one, dashed.
+class Lines {
+  constructor(stage) {
+    Object.assign(this, { stage, group: new THREE.Group(), said: {}, ends: {} });
+    this.parts = { learnt: new THREE.Group(), truth: new THREE.Group() };
+    this.group.add(...Object.values(this.parts));
+    this.truthInk = new THREE.MeshBasicMaterial({ toneMapped: false });
+    onTheme(() => this.truthInk.color.copy(linear(pageColour("--truth"))));
+  }
+
+  set(name, shown, make) {
+    const said = JSON.stringify(shown && [shown.lines, shown.patches]);
+    if (said === this.said[name]) return;
+    this.said[name] = said;
+    const part = this.parts[name];
+    part.traverse((mesh) => { if (mesh.geometry) mesh.geometry.dispose(); });
+    part.clear();
+    const ends = shown ? decode([...shown.lines, ...(shown.patches || [])][0] || "", Float32Array) : [];
+    this.ends[name] = ends.length ? new THREE.Vector3(...ends.slice(-3)) : null;
+    if (shown) part.add(make(shown));
+    this.stage.dirty();
+  }
+
+  setState({ answer, truth }) {
+    const { size } = this.stage, mechanism = answer && answer.mechanism, colour = (answer && answer.phaseKinds && answer.phaseKinds[0] && answer.phaseKinds[0].colour) || LEARNT;
+    this.set("learnt", mechanism && { patches: [], ...mechanism }, (one) => mechanismGroup(one, colour, 0.0014 * size));
+    this.set("truth", truth, ({ lines }) => {
+      const group = new THREE.Group();
+      for (const line of lines) group.add(new THREE.Mesh(tubeGeometry(dashed([...decode(line, Float32Array)], DASH * size), 0.0024 * size, 8, (i) => i % 2 === 1), this.truthInk));
+      return group;
+    });
+  }
+}
+
+// Beside the tip, to be dragged to where the tip is wanted.
+class Goal {
+  constructor(teach, marks) {
+    Object.assign(this, { teach, group: new THREE.Group(), offset: new THREE.Vector3(), dragged: null });
+    const { size } = marks, ink = marks.ink("--goal-knob"), r = GOAL.radius * size;
+    this.line = marks.mesh(new THREE.CylinderGeometry(1, 1, 1, 8), marks.ink("--goal-knob", 0.7));
+    this.knob = marks.mesh(new THREE.SphereGeometry(r, 24, 16), ink);
+    this.halo = marks.mesh(new THREE.SphereGeometry(1.7 * r, 24, 16), marks.ink("--goal-knob", 0.25));
+    this.group.add(this.line, this.halo, this.knob);
+    this.group.visible = false;
+    this.size = size;
+  }
+
+  get place() { return this.dragged ? this.dragged.to : this.teach.instance.tipPosition().add(this.offset); }
+
+  // Along what is free, or else above the tip.
+  setPose({ marks }, shown) {
+    this.group.visible = shown;
+    if (!shown) return;
+    if (!this.dragged) {
+      const free = marks && marks.free.length ? new THREE.Vector3(...marks.free[0]).normalize() : AXES.z.clone();
+      if (free.dot(this.offset) < 0) free.negate(); // no jump where the program turns its sign
+      this.offset = free.multiplyScalar(GOAL.away * this.size);
+    }
+    this.draw();
+  }
+
+  draw() {
+    const { place } = this;
+    stretch(this.line, this.teach.instance.tipPosition(), place, 0.0012 * this.size);
+    this.knob.position.copy(place);
+    this.halo.position.copy(place);
+  }
+
+  at(event) {
+    if (!this.group.visible || this.teach.pointing.far(event, this.place) > (event.pointerType === "touch" ? GOAL.finger : GOAL.near)) return null;
+    return { link: null, joint: null, at: null, place: this.place };
+  }
+
+  moveTo(to) {
+    this.dragged ??= { tip: this.teach.instance.tipPosition(), from: this.place, to };
+    this.dragged.to = to;
+    this.teach.sayOften({ do: "target", at: this.dragged.tip.clone().add(to).sub(this.dragged.from).toArray() });
+    this.draw();
+  }
+
+  drop() { this.dragged = null; }
+}

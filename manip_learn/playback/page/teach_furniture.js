@@ -1,0 +1,111 @@
+// The furniture of a scene, where the program says that it is.
+
+const HANDLE_STATES = { rest: ["handle", 0], near: ["near", 0.55], held: ["holds", 0.55] };
+const LEAST_OPENING = { m: 0.001, rad: 0.01 }; // below which nothing is said
+const BEFORE_A_FRONT = Math.PI * (62 / 180); // the camera from the way that the front opens
+
+// "12.3 cm", "41°".
+function openingInWords(value, unit) {
+  return unit === "rad" ? `${((value * 180) / Math.PI).toFixed(0)}°` : `${(100 * value).toFixed(1)} cm`;
+}
+
+class TeachPiece {
+  constructor({ fixed, moving }, handle) {
+    Object.assign(this, { handle, group: new THREE.Group(), leaf: new THREE.Group() });
+    this.grip = new THREE.MeshStandardMaterial({ color: linear(TONES.handle), roughness: 0.6 });
+    const inks = { ...FURNITURE_INKS, handle: this.grip }, carcass = new THREE.Group();
+    carcass.matrixAutoUpdate = false;
+    carcass.matrix.copy(matrixFromRows(fixed.pose));
+    for (const box of fixed.boxes) carcass.add(...boardOf(box, inks));
+    for (const box of moving.boxes) this.leaf.add(...boardOf(box, inks));
+    const grips = moving.boxes.filter((box) => box[6] === "handle"), places = grips.length ? grips : moving.boxes;
+    this.middle = places.reduce((sum, [x, y, z]) => sum.add(new THREE.Vector3(x, y, z)), new THREE.Vector3()).divideScalar(Math.max(places.length, 1));
+    this.corners = (boxes) => boxes.flatMap(([x, y, z, w, d, h]) => [-1, 1].flatMap((i) => [-1, 1].flatMap((j) => [-1, 1].map((k) => new THREE.Vector3(x + (i * w) / 2, y + (j * d) / 2, z + (k * h) / 2)))));
+    this.still = this.corners(fixed.boxes).map((p) => p.applyMatrix4(carcass.matrix));
+    this.out = new THREE.Vector3().setFromMatrixColumn(carcass.matrix, 1);
+    this.front = this.corners(moving.boxes);
+    this.leaf.visible = false; // until it is known where it is
+    this.group.add(carcass, this.leaf);
+    this.setState("rest");
+  }
+
+  setPose([x, y, z, qw, qx, qy, qz]) {
+    this.leaf.position.set(x, y, z);
+    this.leaf.quaternion.set(qx, qy, qz, qw).normalize();
+    this.leaf.updateMatrix();
+    this.leaf.visible = true;
+  }
+
+  setState(state) {
+    if (state === this.state) return;
+    this.state = state;
+    this.recolour();
+  }
+
+  recolour() {
+    const [name, glow] = HANDLE_STATES[this.state], colour = linear(name === "handle" ? TONES.handle : pageColour(`--${name}`));
+    this.grip.color.copy(colour);
+    this.grip.emissive.copy(colour);
+    this.grip.emissiveIntensity = glow;
+  }
+
+  // The middle of its handle in the robot's base, now.
+  handleAt() {
+    return this.leaf.visible ? this.middle.clone().applyMatrix4(this.leaf.matrix) : new THREE.Vector3(...this.handle.at);
+  }
+
+  points() { return [...this.still, ...(this.leaf.visible ? this.front.map((p) => p.clone().applyMatrix4(this.leaf.matrix)) : [])]; }
+
+  dispose() { this.group.traverse((part) => { if (part.geometry) part.geometry.dispose(); }); }
+}
+
+class TeachFurniture {
+  constructor(stage, instance) {
+    Object.assign(this, { stage, instance, group: new THREE.Group(), pieces: [], number: null });
+    stage.world.add(this.group);
+    DARK.addEventListener("change", () => { for (const piece of this.pieces) piece.recolour(); });
+  }
+
+  setScene(scene) {
+    if (this.number === scene.number) return;
+    this.number = scene.number;
+    for (const piece of this.pieces) piece.dispose();
+    this.group.clear();
+    this.pieces = scene.furniture.map((piece, i) => new TeachPiece(piece, scene.handles[i]));
+    this.group.add(...this.pieces.map((piece) => piece.group));
+    this.unframed = true;
+  }
+
+  setPose(pose) {
+    this.pieces.forEach((piece, i) => {
+      if (pose.furniture[i]) piece.setPose(pose.furniture[i]);
+      piece.setState(pose.held[i] ? "held" : pose.near === i ? "near" : "rest");
+    });
+    if (this.unframed) this.frame();
+  }
+
+  // The camera where the arm and its furniture fill the picture, before the front that is opened.
+  frame() {
+    this.unframed = false;
+    const { stage, instance } = this, arm = instance.groups.map((_, i) => new THREE.Vector3().setFromMatrixPosition(instance.jointMatrix(i)));
+    const points = [...arm, instance.tipPosition(), ...this.pieces.flatMap((piece) => piece.points())], box = new THREE.Box3().setFromPoints(points);
+    const margin = 0.04 * stage.size, corner = (k) => new THREE.Vector3(k & 1 ? margin : -margin, k & 2 ? margin : -margin, k & 4 ? margin : 0);
+    stage.outline = points.flatMap((p) => [0, 1, 2, 3, 4, 5, 6, 7].map((k) => p.clone().add(corner(k))));
+    box.getCenter(stage.middle);
+    const out = this.pieces.length ? this.pieces[0].out : null, usual = Math.atan2(stage.directions.iso[1], stage.directions.iso[0]);
+    if (out && Math.hypot(out.x, out.y) > 0.5) {
+      const front = Math.atan2(out.y, out.x), sides = [front - BEFORE_A_FRONT, front + BEFORE_A_FRONT];
+      const azimuth = sides.sort((a, b) => Math.cos(b - usual) - Math.cos(a - usual))[0];
+      stage.directions.iso = [Math.cos(azimuth), Math.sin(azimuth), 0.4];
+    }
+    stage.look("iso");
+  }
+
+  // How far a handle is moved, and whether it can be gripped.
+  words(i, pose, scene) {
+    const { name, unit } = scene.handles[i], value = pose.opening[i] ?? 0, several = scene.handles.length > 1;
+    const open = Math.abs(value) > LEAST_OPENING[unit] ? `${openingInWords(value, unit)} open` : "";
+    const state = pose.held[i] ? "held" : pose.near === i ? "within reach: grip it" : "";
+    return [several && (open || state) ? name : "", state, open].filter(Boolean).join(" · ");
+  }
+}
