@@ -6,8 +6,13 @@ const LIVE_SECONDS = 20; // of manipulability that stay in the chart
 const MOST_LABELLED = 3; // limits and handles at a time
 const WORDS_GAP = 200; // [ms] between two readings of the time in the headline
 
+// All of a pose that can be seen, to a hundredth of a millimetre or a thousandth of a degree.
+function inPicture({ values, furniture, held, near, hand, weak, marks, limit, trail }) {
+  return JSON.stringify([values, furniture, held, near, hand, weak, marks, limit, trail], (_, x) => (typeof x === "number" ? Math.round(1e5 * x) : x));
+}
+
 class Teach {
-  constructor(show, data) {
+  constructor(show, data, software) {
     Object.assign(this, { show, stage: show.stage, rollout: show.rollouts[0], instance: show.rollouts[0].instance, state: null, scene: null, pose: null, drawnSeq: 0, often: new Map(), notes: data.notes });
     this.rollout.solid = true;
     this.values = { times: [], mu: [] };
@@ -18,7 +23,7 @@ class Teach {
       pose: (pose) => this.receive(pose), scene: (scene) => this.setScene(scene), state: (state) => this.setState(state), ghosts: (ghosts) => this.setGhosts(ghosts),
     }, () => this.allow(), (words) => this.tell(words, true));
     this.panel = new Panel(this);
-    if (this.stage) this.addDrawing();
+    if (this.stage) this.addDrawing(software);
     this.wire();
     this.allow();
     this.head("waiting for the arm", false);
@@ -44,7 +49,7 @@ class Teach {
     for (const { pick } of this.legend.rows) pick.title = "Show or hide the arm";
   }
 
-  addDrawing() {
+  addDrawing(software) {
     const { stage, instance } = this, { size } = stage;
     this.pointing = new Pointing(stage, instance);
     this.furniture = new TeachFurniture(stage, instance);
@@ -61,7 +66,8 @@ class Teach {
     stage.element.append(this.ring);
     this.labels = this.label();
     stage.onRendered = () => { this.labels.place(); this.placeRing(); };
-    this.show.onRecolour = () => this.limits.again();
+    this.quality = new Quality(stage, instance, software);
+    this.show.onRecolour = () => { this.quality.plain(instance); this.limits.again(); };
     this.hand = new Hand(this);
   }
 
@@ -153,8 +159,10 @@ class Teach {
     this.pose = pose;
     this.isNew = true;
     if (pose.opening.some((value) => Math.abs(value) > 0.05)) this.moved = true;
-    if (this.furniture && pose.mu !== null) this.addValue(pose.time, pose.mu);
-    if (this.stage) this.stage.dirty();
+    if (pose.mu !== null) this.addValue(pose.time, pose.mu);
+    const picture = inPicture(pose);
+    if (this.stage && picture !== this.picture) this.stage.dirty(); // an arm that rests need not be drawn again
+    this.picture = picture;
   }
 
   setScene(scene) {
@@ -206,6 +214,7 @@ class Teach {
       this.drawSpring();
       this.ghosts.frame(now);
       this.trail.draw(now);
+      this.quality.frame(now, this.stage.viewer.needs_render);
       this.stage.render();
     }
     if (this.pose && this.isNew) this.hasDrawn(this.pose);
@@ -281,7 +290,8 @@ class Teach {
 }
 
 function startTeaching() {
-  const data = JSON.parse(get("data").textContent), show = new Show(data), teach = new Teach(show, data);
+  const data = JSON.parse(get("data").textContent), software = drawsBySoftware();
+  const show = software ? withoutSmoothing(() => new Show(data)) : new Show(data), teach = new Teach(show, data, software);
   window.manipLearnTeach = {
     id: PAGE_ID,
     get seq() { return teach.link.seq; },

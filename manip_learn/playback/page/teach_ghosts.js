@@ -19,7 +19,7 @@ class Ghosts {
     this.repeats = !matchMedia("(prefers-reduced-motion: reduce)").matches; // where motion is unwelcome, once is enough
     this.box = Object.assign(document.createElement("div"), { id: "ghost-legend" });
     get("legend").append(this.box);
-    DARK.addEventListener("change", () => { for (const rollout of this.rollouts) rollout.instance.setSolid(false); });
+    DARK.addEventListener("change", () => { for (const { instance } of this.rollouts) { instance.setSolid(false); teach.quality.plain(instance); } });
   }
 
   set(data, unit) {
@@ -32,6 +32,7 @@ class Ghosts {
     for (const rollout of this.rollouts) {
       rollout.instance = new RobotInstance(instance.robot, rollout, geometries, false);
       rollout.instance.setSolid(false);
+      this.teach.quality.plain(rollout.instance);
       this.teach.stage.world.add(rollout.instance.root);
     }
     this.duration = Math.max(0, ...this.rollouts.map((r) => r.duration));
