@@ -3,8 +3,11 @@
 const OFTEN = 100; // [ms] between two values of a slider, or two places of the goal, that are said
 const LATELY = 1000; // [ms] for which a slider is left where the person has put it
 const LIVE_SECONDS = 20; // of manipulability that stay in the chart
+const MARK_SHARE = 0.7; // of the size of the scene, which encloses all that the arm can reach, for which marks are drawn
 const MOST_LABELLED = 3; // limits and handles at a time
 const WORDS_GAP = 200; // [ms] between two readings of the time in the headline
+
+const PHONE = matchMedia("(max-width: 620px), (max-height: 460px)"); // as in teach.css
 
 // All of a pose that can be seen, to a hundredth of a millimetre or a thousandth of a degree.
 function inPicture({ values, furniture, held, near, hand, weak, marks, limit, trail }) {
@@ -40,6 +43,9 @@ class Teach {
     get("panel").hidden = true;
     get("log").title = "Logarithmic scale";
     get("scene").after(get("hand-bar"), get("drop-here"));
+    const placeLegend = () => (PHONE.matches ? get("ghost-ends") : get("hand-bar")).before(get("legend")); // it would hide the arm
+    PHONE.addEventListener("change", placeLegend);
+    placeLegend();
     get("keys").querySelector("dl").replaceChildren(get("teach-keys").content.cloneNode(true));
     get("scene").setAttribute("aria-label", "The arm in three dimensions: drag it, or press H and move its hand by the arrow keys; otherwise arrow keys turn the view, plus and minus zoom");
     this.chart = new Chart(get("chart"), this.show.rollouts, LIVE_SECONDS, null);
@@ -50,7 +56,7 @@ class Teach {
   }
 
   addDrawing(software) {
-    const { stage, instance } = this, { size } = stage;
+    const { stage, instance } = this, size = MARK_SHARE * stage.size;
     this.pointing = new Pointing(stage, instance);
     this.furniture = new TeachFurniture(stage, instance);
     this.marks = new LiveMarks(instance, size);
@@ -73,10 +79,10 @@ class Teach {
 
   label() {
     const labels = new Labels(this.stage), { marks } = this, now = (say) => () => (this.pose ? say(this.pose) : "");
-    labels.add("--weak", now(({ weak }) => (weak ? "the hand can hardly move this way" : "")), () => this.instance.tipPosition().addScaledVector(new THREE.Vector3(...this.pose.weak.direction), 1.15 * ARROW * this.stage.size));
+    labels.add("--weak", now(({ weak }) => (weak ? "the hand can hardly move this way" : "")), () => this.instance.tipPosition().addScaledVector(new THREE.Vector3(...this.pose.weak.direction), 1.15 * ARROW * marks.size));
     labels.add("--free", now((pose) => (pose.marks && (marks.drawn.free.length || marks.drawn.freeTurns.length) ? (marks.drawn.free.length ? "free to move" : "free to turn") : "")), () => marks.anchors()["--free"]);
     labels.add("--held-mark", now((pose) => (pose.marks && (marks.drawn.held.length || marks.drawn.heldTurns.length) ? (marks.drawn.held.length ? "held" : "may not turn") : "")), () => marks.anchors()["--held"]);
-    labels.add("--goal-knob", () => (this.goal.group.visible ? "drag: where the hand should go" : ""), () => this.goal.place);
+    labels.add("--goal-knob", () => (this.goal.group.visible && !this.goal.known ? "drag: where the hand should go" : ""), () => this.goal.place);
     labels.add("--scene-ink", () => (this.lines.ends.learnt ? MECHANISM_WORDS[this.state.answer.mechanism.type] || "learnt" : ""), () => this.lines.ends.learnt);
     labels.add("--truth", () => (this.lines.ends.truth ? "the truth" : ""), () => this.lines.ends.truth);
     for (let i = 0; i < MOST_LABELLED; i++) {

@@ -3,7 +3,7 @@
 const SPRING = { thin: 0.0016, thick: 0.0055, full: 80, ball: 0.009 }; // radii relative to the scene; the force [N] of the thickest
 const TRAIL = { apart: 0.004, most: 1500, gap: 70 }; // distance of points relative to the scene, their number, time between redrawings [ms]
 const WEAK_SHARE = 0.2; // from which on the program tells of a weak direction
-const GOAL = { away: 0.1, radius: 0.012, near: 18, finger: 26 }; // from the tip and radius relative to the scene; where it is hit [px]
+const GOAL = { away: 0.1, radius: 0.0095, near: 18, finger: 26 }; // from the tip and radius relative to the scene; where it is hit [px]
 const DASH = 0.014; // of a line that is the truth, relative to the scene
 const LEARNT = "#0072b2"; // patches of a mechanism without a phase of its own
 const ZEROS = { one: "AAAAAAAAAAA=", six: "A".repeat(32) };
@@ -240,5 +240,8 @@ class Goal {
     this.draw();
   }
 
-  drop() { this.dragged = null; }
+  drop() {
+    this.known = true;
+    this.dragged = null;
+  }
 }

@@ -98,7 +98,7 @@ class TeachFurniture {
       const azimuth = sides.sort((a, b) => Math.cos(b - usual) - Math.cos(a - usual))[0];
       stage.directions.iso = [Math.cos(azimuth), Math.sin(azimuth), 0.4];
     }
-    stage.look("iso");
+    stage.look(stage.view);
   }
 
   // How far a handle is moved, and whether it can be gripped.

@@ -96,7 +96,7 @@ class Tour {
       Object.assign(this.ring.style, { left: `${target.x - 5}px`, top: `${target.y - 5}px`, width: `${target.width + 10}px`, height: `${target.height + 10}px` });
       this.ring.classList.toggle("round", Boolean(target.round));
     }
-    if (matchMedia("(max-width: 620px), (max-height: 460px)").matches) { this.box.style.left = this.box.style.top = ""; return; } // at the foot of the window
+    if (PHONE.matches) { this.box.style.left = this.box.style.top = ""; return; } // at the foot of the window
     const { offsetWidth: wide, offsetHeight: high } = this.box, at = target || { x: w / 2, y: h / 2, width: 0, height: 0 };
     const left = at.x - TOUR_GAP - wide, right = at.x + at.width + TOUR_GAP, x = left > 8 && (at.x > w / 2 || right + wide > w - 8) ? left : Math.min(right, w - wide - 8);
     Object.assign(this.box.style, { left: `${Math.max(x, 8)}px`, top: `${Math.min(Math.max(at.y + Math.min(at.height, 60) / 2 - high / 2, 8), h - high - 8)}px` });
