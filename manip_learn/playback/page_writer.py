@@ -43,7 +43,14 @@ TEACH_STYLE = (*STYLE, "teach.css")
 TEACH_PROGRAM = (
     *(name for name in PROGRAM if name not in ("shown.js", "recording_choice.js", "live.js", "main.js")),
     *("teach_quality.js", "teach_link.js", "teach_pointing.js", "teach_hand.js", "teach_furniture.js"),
-    *("teach_drawing.js", "teach_recordings.js", "teach_answer.js", "teach_ghosts.js", "teach_take.js", "teach_panel.js"),
+    *(
+        "teach_drawing.js",
+        "teach_recordings.js",
+        "teach_answer.js",
+        "teach_ghosts.js",
+        "teach_take.js",
+        "teach_panel.js",
+    ),
     *("teach_tour.js", "teach.js"),
 )
 Mode = Literal["replay", "live", "teach"]

@@ -79,7 +79,7 @@ class Teach {
 
   label() {
     const labels = new Labels(this.stage), { marks } = this, now = (say) => () => (this.pose ? say(this.pose) : "");
-    labels.add("--weak", now(({ weak }) => (weak ? "the hand can hardly move this way" : "")), () => this.instance.tipPosition().addScaledVector(new THREE.Vector3(...this.pose.weak.direction), 1.15 * ARROW * marks.size));
+    labels.add("--weak", now(({ weak }) => (weak ? "the hand can hardly move this way" : "")), () => this.weakEnd());
     labels.add("--free", now((pose) => (pose.marks && (marks.drawn.free.length || marks.drawn.freeTurns.length) ? (marks.drawn.free.length ? "free to move" : "free to turn") : "")), () => marks.anchors()["--free"]);
     labels.add("--held-mark", now((pose) => (pose.marks && (marks.drawn.held.length || marks.drawn.heldTurns.length) ? (marks.drawn.held.length ? "held" : "may not turn") : "")), () => marks.anchors()["--held"]);
     labels.add("--goal-knob", () => (this.goal.group.visible && !this.goal.known ? "drag: where the hand should go" : ""), () => this.goal.place);
@@ -90,6 +90,14 @@ class Teach {
       labels.add("--scene-ink", now((pose) => (this.furniture.pieces[i] ? this.furniture.words(i, pose, this.scene) : "")), () => this.furniture.pieces[i].handleAt());
     }
     return labels;
+  }
+
+  // The end of the weak direction's arrow that is farther inside the picture.
+  weakEnd() {
+    const { clientWidth, clientHeight } = this.stage.element, reach = 1.15 * ARROW * this.marks.size;
+    const out = ({ x, y }) => Math.hypot(x / clientWidth - 0.5, y / clientHeight - 0.5);
+    const ends = [1, -1].map((sign) => this.instance.tipPosition().addScaledVector(new THREE.Vector3(...this.pose.weak.direction), sign * reach));
+    return ends.map((end) => [out(this.stage.onScreen(end) || { x: Infinity, y: 0 }), end]).sort((a, b) => a[0] - b[0])[0][1];
   }
 
   wire() {

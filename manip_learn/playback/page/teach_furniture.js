@@ -3,6 +3,7 @@
 const HANDLE_STATES = { rest: ["handle", 0], near: ["near", 0.55], held: ["holds", 0.55] };
 const LEAST_OPENING = { m: 0.001, rad: 0.01 }; // below which nothing is said
 const BEFORE_A_FRONT = Math.PI * (62 / 180); // the camera from the way that the front opens
+const MARGIN = 0.04; // around all that is drawn, relative to the scene
 
 // "12.3 cm", "41°".
 function openingInWords(value, unit) {
@@ -89,8 +90,8 @@ class TeachFurniture {
     this.unframed = false;
     const { stage, instance } = this, arm = instance.groups.map((_, i) => new THREE.Vector3().setFromMatrixPosition(instance.jointMatrix(i)));
     const points = [...arm, instance.tipPosition(), ...this.pieces.flatMap((piece) => piece.points())], box = new THREE.Box3().setFromPoints(points);
-    const margin = 0.04 * stage.size, corner = (k) => new THREE.Vector3(k & 1 ? margin : -margin, k & 2 ? margin : -margin, k & 4 ? margin : 0);
-    stage.outline = points.flatMap((p) => [0, 1, 2, 3, 4, 5, 6, 7].map((k) => p.clone().add(corner(k))));
+    const corners = (p, by) => [0, 1, 2, 3, 4, 5, 6, 7].map((k) => new THREE.Vector3(k & 1 ? by : -by, k & 2 ? by : -by, k & 4 ? by : 0).add(p));
+    stage.outline = [...points.flatMap((p) => corners(p, MARGIN * stage.size)), ...corners(instance.tipPosition(), ARROW * stage.size)]; // the marks stand around the tip
     box.getCenter(stage.middle);
     const out = this.pieces.length ? this.pieces[0].out : null, usual = Math.atan2(stage.directions.iso[1], stage.directions.iso[0]);
     if (out && Math.hypot(out.x, out.y) > 0.5) {

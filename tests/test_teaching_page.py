@@ -1,0 +1,602 @@
+"""The page on which an arm is taught, in a browser, with a program that is played: what it draws, posts and says."""
+
+from __future__ import annotations
+
+import json
+import threading
+import time
+from contextlib import contextmanager
+from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
+
+import numpy as np
+import pytest
+from test_playback import waving
+from test_playback_browser import wait_until
+from test_playback_devices import FINGER, FOCUS, boxes
+
+from manip_learn.playback import replay
+from manip_learn.playback.kinematic_tree import joint_tracks, kinematic_tree
+from manip_learn.playback.page_writer import packed
+from manip_learn.playback.teaching_page import teaching_page
+
+pytestmark = pytest.mark.browser
+
+TOKEN = "word"
+START = np.array([0.3, 0.7, 0.5])
+HOSTILE = "<img src=x onerror=alert(1)>"
+DESKTOP, PHONE = (1280, 800), (390, 844)
+SLOW = 0.05  # of the answer to a pull [s]
+STATE = {
+    "leader": None, "doing": "idle", "said": "Take the arm by its hand.", "wrong": False, "recordings": [],
+    "scenes": [{"kind": "drawer", "title": "A drawer"}, {"kind": "door", "title": "A door"}], "recording": None,
+    "progress": None, "answer": None, "truth": None, "way": None, "run": None, "files": [], "keep": "/kept/here",
+}  # fmt: skip
+RECORDINGS = [
+    {"name": HOSTILE, "seconds": 4.2, "samples": 420, "odd": "", "phases": [[0, 2, -1], [2, 4.2, 0]], "kept": True},
+    {"name": "second", "seconds": 3.0, "samples": 300, "odd": "leaves the line", "phases": [], "kept": True},
+]
+ANSWER = {
+    "sentence": "The hand moves along a line.", "refused": False, "evidence": "They agree to 0.4 mm.",
+    "facts": [["direction", "-x", "within 0.3 degrees"]], "rows": [["1", "held", "310", "1e-6"]],
+    "warnings": ["recordings are few"], "odd": [["second", "leaves the line"]], "next": "", "offer": None,
+    "phaseKinds": [{"label": HOSTILE, "colour": "#0072b2"}],
+    "mechanism": {"type": "line", "sentence": "a line", "patches": [],
+                  "lines": [packed(np.array([[0.4, 0.4, 0.0], [0.9, 0.4, 0.0]]), "<f4")]},
+}  # fmt: skip
+REFUSAL = ANSWER | {
+    "sentence": "Too little was shown.", "refused": True, "mechanism": None, "next": "Show it from the other side.",
+    "offer": {"say": "Turn the arm", "said": {"do": "scene", "kind": "door"}},
+}  # fmt: skip
+WAY = {"unit": "m", "low": 0.0, "high": 0.3, "value": 0.2}
+LEARNT = {"recordings": RECORDINGS, "answer": ANSWER, "way": WAY}
+MARKS = {"free": [[1, 0, 0]], "held": [[0, 1, 0]], "turns": [], "fixed": [[0, 0, 1]]}
+
+
+class Program:
+    """Serves the page, streams what it is given, keeps what it hears; a reader that is slow misses poses."""
+
+    def __init__(self, robot):
+        self.robot, self.tip = robot, robot.frame("tip")
+        self.page = teaching_page(robot, "arm", TOKEN)
+        self.changed = threading.Condition()
+        self.slots, self.heard, self.at_once, self.visits = {}, [], [0, 0], 0
+        self.state, self.gone = STATE, False
+        handle = [*robot.pose(START, self.tip)[:2, 3], 0.0]
+        shut = np.eye(4)
+        shut[:3, 3] = handle
+        body = [[0, -0.2, 0, 0.3, 0.3, 0.2, "body"]]
+        leaf = [[0, -0.03, 0, 0.28, 0.02, 0.18, "front"], [0, 0, 0, 0.1, 0.02, 0.02, "handle"]]
+        self.put("scene", {
+            "number": 1, "kind": "drawer", "title": "A drawer", "task": f"open it {HOSTILE}", "notes": ["no masses"],
+            "handles": [{"name": "drawer", "unit": "m", "at": handle, "firm": True}],
+            "furniture": [{"fixed": {"pose": shut.ravel().tolist(), "boxes": body}, "moving": {"boxes": leaf}}],
+        })  # fmt: skip
+        self.handle = handle
+        self.say()
+        self.pose(START)
+
+    def put(self, slot, value):
+        """The newest of a slot."""
+        with self.changed:
+            self.slots[slot] = (self.slots.get(slot, (0, ""))[0] + 1, json.dumps(value))
+            self.changed.notify_all()
+
+    def say(self, **more):
+        """A state that differs from the one before in this."""
+        self.state = self.state | more
+        self.put("state", self.state)
+
+    def pose(self, q, **more):
+        """A posture, with the rest as it is when nothing happens."""
+        values = joint_tracks(self.robot, kinematic_tree(self.robot), np.array([q]))[0].tolist()
+        calm = {"time": 1.0, "held": [False], "near": None, "hand": None, "weak": None, "mu": 0.2, "marks": None,
+                "limit": [], "opening": [0.0], "rate": 1000, "seq": self.last("pull").get("seq", 0), "trail": False,
+                "furniture": [[*self.handle, 1, 0, 0, 0]]}  # fmt: skip
+        self.put("pose", calm | {"values": values} | more)
+
+    def all(self, do):
+        """Everything of a kind that was heard."""
+        return [said for _, said in self.heard if said["do"] == do]
+
+    def last(self, do):
+        """The newest of a kind, or nothing."""
+        return (self.all(do) or [{}])[-1]
+
+    def stream(self, handler, page):
+        """Events until the reader is gone."""
+        if self.gone:
+            raise OSError
+        if self.state["leader"] is None:
+            self.say(leader=page)
+        seen: dict[str, int] = {}
+        while not self.gone:
+            with self.changed:
+                self.changed.wait_for(lambda: any(seen.get(k) != n for k, (n, _) in self.slots.items()), 0.5)
+                new = [(k, text) for k, (n, text) in self.slots.items() if seen.get(k) != n]
+                seen.update({k: n for k, (n, _) in self.slots.items()})
+            handler.wfile.write((": alive\n\n" + "".join(f"event: {k}\ndata: {t}\n\n" for k, t in new)).encode())
+
+    def hear(self, page, said):
+        """What was posted; pulls are answered slowly."""
+        if said["do"] == "pull":
+            self.at_once[0] += 1
+            self.at_once[1] = max(self.at_once)
+            time.sleep(SLOW)
+            self.at_once[0] -= 1
+        self.heard.append((page, said))
+
+    def answer(self, handler):
+        """One request."""
+        path, _, page = handler.path.partition("?page=")
+        if handler.command == "POST":
+            assert handler.headers["Content-Type"] == "application/json" and handler.headers["Origin"]
+            self.hear(page, json.loads(handler.rfile.read(int(handler.headers["Content-Length"]))))
+            handler.send_response(204)
+            handler.end_headers()
+        elif path == f"/{TOKEN}/events":
+            handler.send_response(200)
+            handler.send_header("Content-Type", "text/event-stream")
+            handler.send_header("Connection", "close")
+            handler.end_headers()
+            self.stream(handler, page)
+        else:
+            body = self.page if path == f"/{TOKEN}/" else b"a file"
+            handler.send_response(200)
+            handler.send_header("Content-Type", "text/html; charset=utf-8" if body is self.page else "text/csv")
+            handler.send_header("Content-Length", str(len(body)))
+            if body is not self.page:
+                handler.send_header("Content-Disposition", "attachment")
+            handler.end_headers()
+            handler.wfile.write(body)
+
+
+@contextmanager
+def served(program):
+    """Address of the page while the program runs."""
+
+    class Handler(BaseHTTPRequestHandler):
+        protocol_version = "HTTP/1.1"
+
+        def do_GET(self):
+            try:
+                program.answer(self)
+            except OSError:
+                self.close_connection = True
+
+        do_POST = do_GET
+
+        def log_message(self, *_):
+            pass
+
+    server = ThreadingHTTPServer(("127.0.0.1", 0), Handler)
+    server.daemon_threads = True
+    threading.Thread(target=server.serve_forever, daemon=True).start()
+    yield f"http://127.0.0.1:{server.server_port}/{TOKEN}/"
+    server.shutdown()
+    server.server_close()
+
+
+@contextmanager
+def opened_page(chromium, program, size, phone=False, before=""):
+    """The program's page, the arm drawn; what goes wrong in it, or wants the network, fails at last."""
+    trouble = []
+    context = chromium.new_context(viewport={"width": size[0], "height": size[1]}, has_touch=phone, is_mobile=phone)
+    page = context.new_page()
+    with served(program) as address:
+        page.on("pageerror", lambda error: trouble.append(str(error)))
+        page.on("console", lambda m: trouble.append(m.text) if m.type == "error" and not before else None)
+        page.on(
+            "request", lambda r: trouble.append(r.url) if not r.url.startswith((address, "data:", "blob:")) else None
+        )
+        page.add_init_script(before or "sessionStorage.setItem('manip-learn-tour', 'seen')")
+        page.goto(address)
+        wait_until(page, "window.manipLearnReady && manipLearnTeach.allowed && manipLearnTeach.pose !== null")
+        yield page
+        context.close()
+    assert trouble == []
+
+
+@pytest.fixture(scope="module")
+def desk(chromium, robot_of):
+    """A program with a planar arm, and its page on a wide screen."""
+    program = Program(robot_of("planar3"))
+    with opened_page(chromium, program, DESKTOP) as page:
+        yield program, page
+
+
+@pytest.fixture
+def program(desk):
+    """The program as it was at first, with nothing heard yet; its page looks from the side and above."""
+    program, page = desk
+    page.keyboard.press("Escape")
+    page.locator("[data-view=iso]").click()
+    program.state = STATE
+    program.visits += 1
+    program.say(leader=page.evaluate("manipLearnTeach.id"), said=f"Visit {program.visits}.")
+    program.put("ghosts", None)
+    program.pose(START)
+    wait_until(page, f"document.getElementById('said').textContent === 'Visit {program.visits}.'")
+    looks_drawn(page)
+    program.heard.clear()
+    return program
+
+
+@pytest.fixture
+def page(program, desk):
+    """Its page."""
+    return desk[1]
+
+
+def until(page, true, what):
+    """Wait until something is true of what the program has heard."""
+    end = time.monotonic() + 20.0
+    while not true():
+        assert time.monotonic() < end, what
+        page.wait_for_timeout(20)
+
+
+def tip_on_screen(page):
+    """Where the tip is [px]."""
+    return np.array(list(page.evaluate("manipLearnTeach.tipOnScreen()").values()))
+
+
+def drag(page, by, keys=(), steps=8):
+    """Take the tip, press keys, move, let go of nothing yet."""
+    x, y = tip_on_screen(page)
+    page.mouse.move(x, y)
+    page.mouse.down()
+    for key in keys:
+        page.keyboard.down(key)
+    page.mouse.move(x + by[0], y + by[1], steps=steps)
+
+
+def looks_drawn(page):
+    """Wait for a picture of the newest pose."""
+    page.evaluate("() => new Promise(done => requestAnimationFrame(() => requestAnimationFrame(done)))")
+
+
+def test_the_arm_is_where_the_values_say(program, page):
+    """Every link is drawn within 1e-9 of forward kinematics, and the numbers of pulls that were heard come through."""
+    for q in (START, np.array([-0.4, 1.2, -0.9])):
+        program.pose(q, seq=7)
+        wait_until(page, f"Math.abs(manipLearnTeach.pose.values[0] - {q[0]}) < 1e-12")
+        looks_drawn(page)
+        for link in ("link1", "link3", "tip"):
+            drawn = np.array(page.evaluate("link => manipLearnTeach.linkPose(link)", link)).reshape(4, 4)
+            np.testing.assert_allclose(drawn, program.robot.pose(q, program.robot.frame(link)), atol=1e-9)
+        assert page.evaluate("manipLearnTeach.drawnSeq") == 7
+
+
+def test_dragging_the_tip_pulls_it_in_the_plane_of_the_view(program, page):
+    """From the tip on, in the plane across the view, to where the pointer is; the newest comes last, one at a time, the
+    last one again while it is held, and then the release.
+    """
+    to_eye, tip = np.array(page.evaluate("manipLearnTeach.toEye()")), program.robot.pose(START, program.tip)[:3, 3]
+    drag(page, (70, -40), steps=30)
+    pulls = program.all("pull")
+    count = len(pulls)
+    until(page, lambda: len(program.all("pull")) > count + 2, "a pull that is held is not said again")
+    page.mouse.up()
+    until(page, lambda: program.all("release"), "no release")
+    pulls = program.all("pull")
+    np.testing.assert_allclose(pulls[0]["to"], tip, atol=1e-9)
+    for pull in pulls:
+        assert pull["link"] is None and pull["at"] is None and pull["turn"] is None
+        assert abs(to_eye @ (np.array(pull["to"]) - tip)) < 1e-9
+    seen = page.evaluate("p => manipLearnTeach.screenOf(p)", pulls[-1]["to"])
+    np.testing.assert_allclose([seen["x"], seen["y"]], tip_on_screen(page) + [70, -40], atol=0.1)
+    assert program.at_once[1] == 1, "two pulls were under way at a time"
+    assert [p["seq"] for p in pulls] == sorted({p["seq"] for p in pulls})
+    assert program.heard[-1][1] == {"do": "release"}
+    program.pose(START)
+    wait_until(page, f"manipLearnTeach.drawnSeq === {pulls[-1]['seq']}")
+    assert len(page.evaluate("manipLearnTeach.latencies")) == len(pulls)
+
+
+@pytest.mark.parametrize("axis", range(3))
+def test_a_key_binds_the_pull_to_an_axis(program, page, axis):
+    """While x, y or z is down the pull moves along that axis of the base alone; with shift the hand turns instead."""
+    drag(page, (60, -50), keys="xyz"[axis])
+    until(page, lambda: len(program.all("pull")) > 2, "no pull")
+    page.keyboard.up("xyz"[axis])
+    page.mouse.up()
+    until(page, lambda: program.all("release"), "no release")
+    moved = np.array(program.last("pull")["to"]) - program.all("pull")[0]["to"]
+    assert abs(moved[axis]) > 0.01
+    np.testing.assert_allclose(np.delete(moved, axis), 0.0, atol=1e-9)
+    if axis:
+        return
+    drag(page, (60, 0), keys=["Shift"])
+    until(page, lambda: program.last("pull")["turn"], "the hand does not turn")
+    page.keyboard.up("Shift")
+    page.mouse.up()
+    turn = np.array(program.last("pull")["turn"])
+    assert np.linalg.norm(np.cross(turn, page.evaluate("manipLearnTeach.toEye()"))) < 1e-9 < np.linalg.norm(turn)
+
+
+def test_a_link_is_taken_where_it_is_hit(program, page):
+    """A pull of a link names it and the point in its joint's frame; beside the arm the camera turns, and nothing is said."""
+    middle = (program.robot.pose(START, program.robot.frame("link1")) @ [0.15, 0.0, 0.0, 1.0])[:3]
+    at = page.evaluate("p => manipLearnTeach.screenOf(p)", middle.tolist())
+    page.mouse.move(at["x"], at["y"])
+    page.mouse.down()
+    until(page, lambda: program.all("pull"), "the link is not taken")
+    page.mouse.up()
+    pull = program.last("pull")
+    taken = program.robot.pose(START, program.robot.frame(pull["link"])) @ [*pull["at"], 1.0]
+    np.testing.assert_allclose(taken[:3], pull["to"], atol=1e-6)
+    assert np.linalg.norm(taken[:3] - middle) < 0.1
+    until(page, lambda: program.all("release"), "no release")
+    eye, count = page.evaluate("manipLearnTeach.toEye()"), len(program.heard)
+    page.mouse.move(60, 500)
+    page.mouse.down()
+    page.mouse.move(200, 450, steps=4)
+    page.mouse.up()
+    assert np.linalg.norm(np.subtract(page.evaluate("manipLearnTeach.toEye()"), eye)) > 0.05
+    assert len(program.heard) == count
+
+
+def test_the_hand_is_moved_by_keys(program, page):
+    """H takes the tip, arrows and page keys move the pull by a centimetre, with shift by half of one, G grips, escape
+    lets go; before and after it arrows turn the camera.
+    """
+    page.locator("#scene").focus()
+    page.keyboard.press("h")
+    until(page, lambda: program.all("pull"), "H does not take the hand")
+    start = np.array(program.last("pull")["to"])
+    for key, length in (("ArrowUp", 0.01), ("PageUp", 0.01), ("Shift+ArrowLeft", 0.005)):
+        before, count = np.array(program.last("pull")["to"]), len(program.all("pull"))
+        page.keyboard.press(key)
+        until(page, lambda count=count: len(program.all("pull")) > count + 1, key)
+        assert np.linalg.norm(np.array(program.last("pull")["to"]) - before) == pytest.approx(length, abs=1e-9), key
+    np.testing.assert_allclose(program.all("pull")[0]["to"], start, atol=1e-9)
+    page.keyboard.press("g")
+    until(page, lambda: program.all("grip") == [{"do": "grip", "closed": True}], "G does not grip")
+    page.keyboard.press("Escape")
+    until(page, lambda: program.all("release"), "escape does not let go")
+    eye, count = page.evaluate("manipLearnTeach.toEye()"), len(program.heard)
+    page.keyboard.press("ArrowLeft")
+    looks_drawn(page)
+    assert np.linalg.norm(np.subtract(page.evaluate("manipLearnTeach.toEye()"), eye)) > 0.05
+    assert len(program.heard) == count
+
+
+def test_names_and_answers_are_text(program, page):
+    """Recordings, their oddities, the answer and the truth are shown as they were said, markup in them too."""
+    truth = {"sentence": HOSTILE, "errors": [["angle", "0.3 degrees"]], "lines": ANSWER["mechanism"]["lines"]}
+    program.say(**LEARNT, truth=truth)
+    weak = {"direction": [0, 1, 0], "share": 0.05}
+    program.pose(START, marks=MARKS, held=[True], opening=[0.123], weak=weak, limit=["joint2"])
+    wait_until(page, "document.querySelectorAll('#recordings li').length === 2")
+    names = page.evaluate("[...document.querySelectorAll('#recordings input')].map(box => box.value)")
+    assert names == [HOSTILE, "second"]
+    assert "odd: leaves the line" in page.locator("#recordings").inner_text()
+    page.locator("#answer summary").click()
+    words = page.locator("#answer").inner_text()
+    for part in (ANSWER["sentence"], ANSWER["evidence"], "within 0.3 degrees", "310", "recordings are few", HOSTILE):
+        assert part in words
+    assert HOSTILE in page.locator("#truth-words").inner_text() and HOSTILE in page.locator("#task").inner_text()
+    assert page.locator("#teach img").count() == 0
+    wait_until(page, "document.getElementById('labels').innerText.includes('hardly move this way')")
+    labels = page.locator("#labels").inner_text()
+    for label in ("held · 12.3 cm open", "joint2 is at its limit", "free to move", "the truth", "line that was learnt"):
+        assert label in labels
+
+
+def test_what_the_person_does_is_posted(program, page):
+    """Buttons, keys, names, the slider and the target say what they are for, and space stops a run."""
+    page.keyboard.press("r")
+    program.say(**LEARNT)
+    program.pose(START, marks=MARKS)
+    wait_until(page, "manipLearnTeach.goalOnScreen()")
+    page.locator("#recordings input").nth(1).fill("opened twice")
+    page.keyboard.press("Enter")
+    page.locator("#recordings button", has_text="Replay").nth(1).click()
+    page.locator("#recordings button", has_text="Delete").nth(1).click()
+    page.locator("#recordings button", has_text="Sure?").click()
+    page.locator("#way").fill("0.25")
+    page.locator("#policy").select_option("zero")
+    page.locator("#run").click()
+    program.say(doing="running")
+    wait_until(page, "!document.querySelector('[data-disturb=elbow]').disabled")
+    page.locator("[data-disturb=elbow]").click()
+    page.locator("#scene").focus()
+    page.keyboard.press(" ")
+    program.say(doing="idle")
+    goal = page.evaluate("manipLearnTeach.goalOnScreen()")
+    page.mouse.move(goal["x"], goal["y"])
+    page.mouse.down()
+    page.mouse.move(goal["x"] + 40, goal["y"], steps=4)
+    page.mouse.up()
+    until(page, lambda: program.all("target"), "no target")
+    said = [said for _, said in program.heard]
+    run = {"do": "run", "policy": "zero", "along": 0.25, "plan": False}
+    for expected in (
+        {"do": "record"}, {"do": "rename", "name": "second", "to": "opened twice"}, {"do": "replay", "name": "second"},
+        {"do": "delete", "name": "second"}, {"do": "way", "value": 0.25}, run, {"do": "disturb", "what": "elbow"},
+        {"do": "stop"},
+    ):  # fmt: skip
+        assert expected in said, expected
+    assert not program.all("pull")
+    program.say(answer=REFUSAL)
+    page.locator("#offer").click()
+    until(page, lambda: program.last("scene") == {"do": "scene", "kind": "door"}, "the offer is not taken")
+    assert "Show it from the other side." in page.locator("#answer").inner_text()
+
+
+def test_files_go_home_and_come_in(program, page):
+    """A file is downloaded once it is there; one that is dropped is posted, if it is a CSV that is not too long."""
+    program.say(**LEARNT)
+    page.locator("[data-take=csv]").click()
+    until(page, lambda: program.last("take") == {"do": "take", "what": "csv"}, "not asked for")
+    with page.expect_download() as download:
+        program.say(files=[{"name": "motions <1>.csv", "says": "two motions"}])
+    assert download.value.suggested_filename.startswith("motions")
+    assert "/kept/here" in page.locator("#keep").inner_text()
+    drop = """([name, size]) => {
+        const data = new DataTransfer();
+        data.items.add(new File(["x".repeat(size)], name));
+        const about = { dataTransfer: data, bubbles: true, cancelable: true };
+        for (const kind of ["dragover", "drop"]) document.dispatchEvent(new DragEvent(kind, about));
+    }"""  # fmt: skip
+    for name, size, words in (("a.txt", 3, "no CSV"), ("long.csv", 11 * 1024 * 1024, "at most 10 MB")):
+        page.evaluate(drop, [name, size])
+        wait_until(page, f"document.getElementById('said').innerText.includes('{words}')")
+    page.evaluate(drop, ["a.csv", 3])
+    until(page, lambda: program.last("drop") == {"do": "drop", "name": "a.csv", "text": "xxx"}, "not dropped")
+    assert len(program.all("drop")) == 1
+
+
+def test_another_tab_has_the_arm(program, page):
+    """Where another tab leads, a banner says so, nothing can be done but to take the arm, and no pull is posted."""
+    program.say(leader="another")
+    wait_until(page, "document.getElementById('banner').checkVisibility()")
+    assert "Another tab has the arm" in page.locator("#banner").inner_text()
+    assert page.locator("#record").is_disabled()
+    drag(page, (30, 0))
+    page.mouse.up()
+    page.keyboard.press("r")
+    page.locator("#lead").click()
+    until(page, lambda: program.heard, "not taken")
+    assert [said for _, said in program.heard] == [{"do": "lead"}]
+    program.say(leader=page.evaluate("manipLearnTeach.id"))
+    wait_until(page, "manipLearnTeach.allowed && !document.getElementById('banner').checkVisibility()")
+
+
+def test_the_tour_and_a_lost_connection(chromium, robot_of):
+    """Five steps, by buttons or arrows, with the focus on Next; skipped, it stays away. When the program is gone the
+    page says so, and everything is disabled.
+    """
+    program = Program(robot_of("planar3"))
+    with opened_page(chromium, program, DESKTOP, before="window.errors = 1") as page:
+        wait_until(page, "document.getElementById('tour').checkVisibility()")
+        assert page.evaluate("document.activeElement.id") == "tour-next"
+        titles = []
+        for _ in range(5):
+            titles.append(page.locator("#tour-title").inner_text())
+            page.keyboard.press("ArrowRight")
+        assert titles == ["Take the hand", "Open the drawer", "Record five", "Learn", "Run"]
+        page.keyboard.press("Escape")
+        assert not page.locator("#tour").is_visible()
+        assert page.evaluate("sessionStorage.getItem('manip-learn-tour')") == "seen"
+        program.gone = True
+        wait_until(page, "document.getElementById('banner').checkVisibility()")
+        assert "connection to the program is lost" in page.locator("#banner").inner_text()
+        assert page.locator("#record").is_disabled() and not page.evaluate("manipLearnTeach.allowed")
+
+
+@pytest.fixture(scope="module")
+def phone(chromium, robot_of):
+    """Another program, and its page on a phone."""
+    program = Program(robot_of("planar3"))
+    with opened_page(chromium, program, PHONE, phone=True) as page:
+        yield program, page
+
+
+def test_a_second_finger_turns_the_hand(phone):
+    """A finger on the tip pulls, a second one turns the hand; a finger beside the arm turns the camera."""
+    program, page = phone
+    session, (x, y) = page.context.new_cdp_session(page), tip_on_screen(page)
+
+    def touch(kind, *points):
+        places = [{"x": x, "y": y, "id": i} for i, (x, y) in enumerate(points)]
+        session.send("Input.dispatchTouchEvent", {"type": kind, "touchPoints": places})
+        page.wait_for_timeout(30)
+
+    touch("touchStart", (x, y))
+    touch("touchMove", (x + 20, y))
+    until(page, lambda: program.all("pull"), "a finger does not pull")
+    touch("touchStart", (x + 20, y), (x + 80, y))
+    touch("touchMove", (x + 20, y), (x + 80, y + 40))
+    until(page, lambda: program.last("pull")["turn"], "the second finger does not turn")
+    turn, to_eye = np.array(program.last("pull")["turn"]), np.array(page.evaluate("manipLearnTeach.toEye()"))
+    np.testing.assert_allclose(turn, -np.arctan2(40, 60) * to_eye, atol=1e-3)
+    touch("touchEnd")
+    until(page, lambda: program.all("release"), "no release")
+    page.keyboard.press("1")
+    looks_drawn(page)
+    eye, count, scene = (
+        page.evaluate("manipLearnTeach.toEye()"),
+        len(program.heard),
+        page.locator("#scene").bounding_box(),
+    )
+    side = (scene["x"] + 20, scene["y"] + 60)
+    touch("touchStart", side)
+    for step in (20, 60, 100):
+        touch("touchMove", (side[0] + step, side[1]))
+    touch("touchEnd")
+    assert np.linalg.norm(np.subtract(page.evaluate("manipLearnTeach.toEye()"), eye)) > 0.05
+    assert len(program.heard) == count
+
+
+def test_ghosts_are_played_beside_the_arm(program, page):
+    """They have a legend that hides each, their manipulability, and say how they ended."""
+    times = np.linspace(0.0, 1.0, 5)
+    ways = joint_tracks(program.robot, kinematic_tree(program.robot), START + times[:, None] * [0.3, 0.0, 0.1])
+    numbers = {"keyTimes": times, "tracks": ways, "curveTimes": times, "curve": 0.1 + times, "opening": 0.1 * times}
+    ghost = {"duration": 1.0, "ended": "opened by 10 cm"} | {name: packed(x, "<f8") for name, x in numbers.items()}
+    program.say(**LEARNT)
+    program.put("ghosts", {"number": 1, "kind": "policies", "rollouts": [
+        ghost | {"name": HOSTILE, "colour": "#0072b2", "colourName": "blue"},
+        ghost | {"name": "zero", "colour": "#d55e00", "colourName": "vermilion"}]})  # fmt: skip
+    wait_until(page, "document.querySelectorAll('#ghost-legend .rollout').length === 2")
+    wait_until(page, "document.querySelector('#ghost-legend .state').textContent.includes('0.1')")
+    assert page.locator("#ghost-legend .name").first.inner_text() == HOSTILE
+    assert page.locator("#ghost-chart polyline").count() == 2
+    page.locator("#ghost-legend .eye").first.click()
+    assert page.locator("#ghost-chart polyline").count() == 1
+    assert "zero: opened by 10 cm" in page.locator("#ghost-ends").evaluate("list => list.textContent")
+    page.locator("#no-ghosts").click()
+    until(page, lambda: program.last("ghosts") == {"do": "ghosts", "show": False}, "not removed")
+    program.put("ghosts", None)
+    wait_until(page, "!document.getElementById('ghost-legend').checkVisibility()")
+
+
+@pytest.mark.parametrize("where", ["desk", "phone"])
+def test_nothing_keeps_readers_out(request, where):
+    """Axe finds nothing that is serious or worse, light and dark, at first and with everything shown; nothing is wider
+    than the window, every control is large enough for a finger on a phone, reached by tab and named.
+    """
+    base = pytest.importorskip("axe_playwright_python.base", reason="NO AXE: ACCESSIBILITY IS NOT TESTED")
+    program, page = request.getfixturevalue(where)
+    size = {"desk": DESKTOP, "phone": PHONE}[where]
+    program.state = STATE
+    program.say(leader=page.evaluate("manipLearnTeach.id"))
+    page.evaluate(base.AXE_SCRIPT)
+    for full in (False, True):
+        if full:
+            truth = {"sentence": "so it is", "errors": [["angle", "0.3"]], "lines": []}
+            more = {"files": [{"name": "a.csv", "says": "motions"}], "progress": {"step": "Reading", "share": 0.4}}
+            program.say(**LEARNT, **more, truth=truth, wrong=True, said="That did not work.")
+            program.pose(START, marks=MARKS, near=0)
+            wait_until(page, "document.querySelectorAll('#files a').length === 1")
+            page.evaluate("for (const list of document.querySelectorAll('.more')) list.open = true")
+        for scheme in ("light", "dark"):
+            page.emulate_media(color_scheme=scheme)
+            looks_drawn(page)
+            found = page.evaluate("axe.run(document, { resultTypes: ['violations'] })")
+            bad = [(v["id"], [(n["target"], n["failureSummary"]) for n in v["nodes"]]) for v in found["violations"]
+                   if v["impact"] in ("serious", "critical")]  # fmt: skip
+            assert bad == [], (scheme, full)
+    assert page.evaluate("document.documentElement.scrollWidth") <= size[0]
+    for name, left, right, across, down in boxes(page, "button, select, summary, input[type=range], label:has(input)"):
+        assert left >= 0 and right <= size[0], name
+        assert size != PHONE or (across >= FINGER and down >= FINGER - 0.5), (name, across, down)
+    if size == PHONE:
+        return
+    places = len(boxes(page, "button:enabled, select:enabled, summary, input, a, [tabindex]"))
+    for _ in range(places):
+        page.keyboard.press("Tab")
+        if page.evaluate("![document.body, document.getElementById('csv')].includes(document.activeElement)"):
+            place, what = page.evaluate(FOCUS)
+            assert place != "no focus ring", what
+
+
+def test_replays_do_not_carry_the_page(robot_of, tmp_path):
+    """A replay has nothing of it and may not speak to anybody; this page may, to its own server alone."""
+    robot = robot_of("planar3")
+    replayed = replay(robot, {"a": waving(robot, 1.0)}, tmp_path / "a.html").html.read_text(encoding="utf-8")
+    taught = teaching_page(robot, "arm", TOKEN).decode()
+    for part in ("class TeachLink", 'id="hand-bar"', "#tour-ring"):
+        assert part in taught and part not in replayed
+    assert "connect-src 'self'" in taught and "connect-src 'none'" in replayed
