@@ -315,7 +315,7 @@ def test_a_key_binds_the_pull_to_an_axis(program, page, axis):
 
 
 def test_a_link_is_taken_where_it_is_hit(program, page):
-    """A pull of a link names it and the point in its joint's frame; beside the arm the camera turns, and nothing is said."""
+    """A pull of a link names it and the point in its joint's frame; beside the arm the camera turns, unsaid."""
     middle = (program.robot.pose(START, program.robot.frame("link1")) @ [0.15, 0.0, 0.0, 1.0])[:3]
     at = page.evaluate("p => manipLearnTeach.screenOf(p)", middle.tolist())
     page.mouse.move(at["x"], at["y"])
