@@ -438,6 +438,28 @@ class RecordOptions:
 
 @final
 @dataclass(frozen=True)
+class TeachOptions:
+    """Teach an arm in the browser: take it by the hand, show it a task, see what it understood, watch it do it.
+
+    The arm and what stands around it are simulated (MuJoCo).
+    """
+
+    robot: Annotated[str, Argument(metavar="ROBOT", help="Which robot to teach.", autocompletion=robot_completions)] = (
+        "sawyer"
+    )
+    frame: Annotated[
+        str | None, Option(help="The frame that takes hold, e.g. the tool's tip.", autocompletion=frame_completions)
+    ] = None
+    scene: Annotated[str, Option(help="First scene: drawer, door, loose-door, table, screw, two or free.")] = "drawer"
+    out: Annotated[Path, Option(help="Folder for recordings and what is learnt.")] = Path("taught")
+    seed: Annotated[int | None, Option(help="Of the places; default: others every time.")] = None
+    no_browser: Annotated[bool, Option("--no-browser", help="Print the page's address, and do not open it.")] = False
+    loading: RobotOptions = RobotOptions()
+    as_json: Json = False
+
+
+@final
+@dataclass(frozen=True)
 class ReproduceOptions:
     """Run the experiments of "Learning Singularity Avoidance", and compare with the printed numbers."""
 

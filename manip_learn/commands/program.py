@@ -55,6 +55,7 @@ COMMANDS = (
     Command("demo", options.DemoOptions, "demo.demo", ("print_demo",)),
     Command("inspect", options.InspectOptions, "robots.inspect", ("print_robot", "print_cross_check")),
     Command("record", options.RecordOptions, "record.record_motions", ("print_recorded",)),
+    Command("teach", options.TeachOptions, "teach.teach", ("print_taught",)),
     Command("learn", options.LearnOptions, "learn.learn", ("print_learnt",)),
     Command("audit", options.AuditOptions, "audit.audit", ("print_audit",)),
     Command("control", options.ControlOptions, "control.control", ("print_controlled",)),

@@ -24,6 +24,7 @@ if TYPE_CHECKING:
     from manip_learn.commands.record import Recorded
     from manip_learn.commands.reproduce import Reproduction
     from manip_learn.commands.robots import Inspected, KnownRobots
+    from manip_learn.commands.teach import Taught
     from manip_learn.commands.warm_up import Warmed
     from manip_learn.learning.audit import EpisodeAudit
     from manip_learn.playback import ReplayResult
@@ -443,6 +444,17 @@ def print_recorded(console: Console, answer: Recorded) -> None:
     if answer.sentence:
         say(console, answer.sentence, style="bold")
     say(console, answer.advice, whole=True)
+
+
+def print_taught(console: Console, answer: Taught) -> None:
+    """What was learnt last, and where all of it is kept."""
+    say(console, *(f"note: {note}" for note in answer.notes), style="dim")
+    if answer.sentence:
+        say(console, answer.sentence, style="bold")
+    if answer.recordings:
+        say_file(console, f"{counted(len(answer.recordings), 'recording')} kept in", answer.folder)
+    else:
+        say(console, "nothing was recorded")
 
 
 def print_exported(console: Console, exported: Exported) -> None:

@@ -110,6 +110,21 @@ class TeachingSession:
         """Ask `run` to return; from any thread."""
         self._heard.put({"end": True})
 
+    @property
+    def files(self) -> tuple[Path, ...]:
+        """The recordings of this scene."""
+        return tuple(one.path for one in self._recordings)
+
+    @property
+    def sentence(self) -> str:
+        """What was learnt of this scene; empty without an answer."""
+        return "" if self._answer is None else str(self._answer["sentence"])
+
+    @property
+    def notes(self) -> tuple[str, ...]:
+        """What had to be assumed of the robot."""
+        return self.arm.scene.notes
+
     def run(self) -> None:
         """Until the last page is closed, or `end`."""
         try:
@@ -349,6 +364,7 @@ class TeachingSession:
         self._say("Recording: take the hand, and show the task.")
         held = self.arm.held is not None
         done = record(self.arm, self.folder, "shown", by="key", motions=1, key=key)
+        self._ended |= done.ended == "Ctrl-C"
         if not done.files or done.samples < 2:
             self._say("Nothing was recorded.", wrong=True)
             return
@@ -464,7 +480,9 @@ class TeachingSession:
             rested[0] = rested[0] + PERIOD if near else 0.0
             return THERE if rested[0] > STAYS else "" if until is None else until()
 
-        return run(loop, self.arm, until=over).ended
+        ended = run(loop, self.arm, until=over).ended
+        self._ended |= ended.startswith("Ctrl-C")
+        return ended
 
     def _loop_of(self, controller: Controller) -> ServoLoop:
         """A loop that yields to a person, not to friction or to its own acceleration."""
@@ -545,6 +563,7 @@ class TeachingSession:
 
         longest = SLOWER * (1.0 + task.duration_from(self.arm.q))
         done = run(loop, self.arm, duration=longest, until=over)
+        self._ended |= done.ended.startswith("Ctrl-C")
         self._loop, self._outcome = None, so_far(done.ended, done.ordered)
         return self._outcome
 

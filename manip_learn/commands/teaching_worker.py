@@ -9,12 +9,13 @@ import threading
 import time
 from collections.abc import Callable, Mapping
 from multiprocessing.connection import Connection
+from pathlib import Path
 from typing import Any, final
 
 import numpy as np
 
 from manip_learn.drivers.teaching_scene import posture_at
-from manip_learn.errors import ManipLearnError
+from manip_learn.errors import ManipLearnError, OutputError
 from manip_learn.recordings.trajectory_source import Progress
 from manip_learn.robot.robot import Robot
 
@@ -294,4 +295,38 @@ def ghost(
     }
 
 
-JOBS: dict[str, Callable[..., Any]] = {"learn": learn, "policies": policies, "compare": compare, "plan": plan}
+def take(
+    robot: Robot, tip: str, said: Progress, *, what: str, files: list[str], file: str | None, out: str, **way: Any
+) -> list[tuple[str, str, str]]:
+    """Files to take home: name, path and what each is.
+
+    Args:
+        robot: The robot.
+        tip: Its frame that is guided.
+        said: Told how far it is.
+        what: constraint, csv, lerobot, replay or script.
+        files: The recordings.
+        file: The constraint, or None if nothing was learnt.
+        out: Folder.
+        way: `way` and `start` of `policies`, or None.
+
+    Raises:
+        OutputError: Nothing was learnt that could be taken, or a word that is none of these.
+    """
+    from manip_learn.commands.teaching_files import HOMES
+
+    if what not in HOMES:
+        raise OutputError(f"what can be taken home is {', '.join(HOMES)}, not {what!r}")
+    if file is None and what not in ("csv", "lerobot"):
+        raise OutputError("nothing has been learnt yet: press Learn first; the recordings can be taken as they are")
+    said("writing", 0.3)
+    return HOMES[what](robot, tip, files, file, Path(out), way.get("way"), way.get("start"))
+
+
+JOBS: dict[str, Callable[..., Any]] = {
+    "learn": learn,
+    "policies": policies,
+    "compare": compare,
+    "plan": plan,
+    "take": take,
+}

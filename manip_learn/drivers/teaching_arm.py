@@ -26,6 +26,7 @@ STEADY = 0.02  # [s] in which a hand comes to where it is meant to be: between t
 LOST = 0.6  # [s] after which a pull that nobody repeats is over: pages repeat it every 0.2 s
 SLOWEST = 0.25  # [s] that the physics may be late before they let the time go: a computer that slept does not catch up
 BUMP, BUMPED = 25.0, 0.3  # [N m], [s] of somebody who bumps into the arm
+LATELY = 0.02  # share of the newest period in their mean: half a second of them count
 AGAIN = 2.0  # times the gripper's reach from which on it closes by itself again, after it was opened
 
 
@@ -119,7 +120,6 @@ class TeachingArm:
         period: Between two readings [s].
         joint_names: In the robot's order.
         held: Number of the handle that the gripper holds, or None.
-        rate: Steps of the physics per second, lately.
     """
 
     simulated = True
@@ -149,7 +149,7 @@ class TeachingArm:
         self._ways = [int(model.joint(f"handle_{k}_x").qposadr[0]) for k in range(len(scene.handles))]
         self.held: int | None = None
         self._closed, self._opened = 0.0, None
-        self._due, self.rate = time.perf_counter(), 1.0 / TIMESTEP
+        self._due, self._each = time.perf_counter(), PERIOD
         self._before = self._due
         self.release()
 
@@ -193,8 +193,13 @@ class TeachingArm:
         elif -left > SLOWEST:
             self._due = time.perf_counter()
         now = time.perf_counter()
-        self.rate += 0.02 * (self.period / TIMESTEP / max(now - self._before, 1e-6) - self.rate)
+        self._each += LATELY * (now - self._before - self._each)
         self._before = now
+
+    @property
+    def rate(self) -> float:
+        """Steps of the physics per second, lately."""
+        return PERIOD / TIMESTEP / self._each
 
     # ---- what a hand does -----------------------------------------------------------------------------------------
 

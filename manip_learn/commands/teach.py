@@ -1,0 +1,117 @@
+"""`manip-learn teach`: a page on which an arm is taken by the hand, shown a task, and watched while it does it."""
+
+from __future__ import annotations
+
+import secrets
+import signal
+import sys
+import threading
+import webbrowser
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, final
+
+from manip_learn.commands.options import TeachOptions
+from manip_learn.errors import ConfigurationError, OutputError
+from manip_learn.recordings.trajectory_source import Progress
+from manip_learn.robot import Robot
+from manip_learn.robot.description.catalogue import known_as
+from manip_learn.robot.tips import likely_tips
+
+if TYPE_CHECKING:
+    from manip_learn.commands.teaching_session import TeachingSession
+
+STARTS = 20.0  # [s] in which the server starts: a busy machine takes a few
+
+
+@final
+@dataclass(frozen=True)
+class Taught:
+    """What is left of a session.
+
+    Attributes:
+        folder: Where recordings and what was learnt are kept; it is there if something was recorded.
+        recordings: The recordings of the last scene.
+        sentence: What was learnt last; empty without an answer.
+        notes: What had to be assumed of the robot.
+    """
+
+    folder: Path
+    recordings: tuple[Path, ...]
+    sentence: str
+    notes: tuple[str, ...]
+
+    def to_dict(self) -> dict[str, Any]:
+        """The JSON answer."""
+        return vars(self) | {"folder": str(self.folder), "recordings": list(map(str, self.recordings))}
+
+
+def teach(options: TeachOptions, progress: Progress) -> Taught:
+    """Serve the page until it is closed.
+
+    Raises:
+        ConfigurationError: No tip, or a robot that cannot be taught in simulation.
+        MissingExtraError: MuJoCo is not installed.
+        OutputError: The server does not start, or the folder cannot be written to.
+    """
+    from manip_learn.commands.teaching_session import TeachingSession
+    from manip_learn.playback.live_viewer import LiveProcess
+    from manip_learn.playback.teaching_page import teaching_page
+
+    progress("preparing the scene", 0.0)
+    robot, tip = _arm(options)
+    if options.out.exists() and not options.out.is_dir():
+        raise OutputError(f"--out {options.out} is a file: name a folder")
+    name = known_as(robot.source) or robot.name or "robot"
+    listeners: list[TeachingSession] = []
+
+    def heard(message: Any) -> None:
+        for session in listeners:
+            session.hear(message)
+
+    seed = secrets.randbits(32) if options.seed is None else options.seed
+    server = LiveProcess(lambda token: teaching_page(robot, name, token), STARTS, heard)
+    try:
+        session = TeachingSession(robot, tip, options.out, options.scene, seed, server)
+        listeners.append(session)
+        progress("ready", 1.0)
+        if options.no_browser:
+            print(f"the page: {server.url}", file=sys.stderr, flush=True)
+        else:
+            webbrowser.open(server.url)
+        with _signals(session):
+            session.run()
+    finally:
+        server.close()
+    return Taught(session.folder, session.files, session.sentence, session.notes)
+
+
+def _arm(options: TeachOptions) -> tuple[Robot, str]:
+    """The robot with the joints locked that do not move its tip, and that tip."""
+    robot = options.loading.load(options.robot)
+    tips = [robot.frame(options.frame).name] if options.frame is not None else list(likely_tips(robot))
+    if len(tips) != 1:
+        shown = ", ".join(tips[:6]) or "none of its frames looks like a tip"
+        raise ConfigurationError(f"say with --frame which frame of {robot.name!r} takes hold: {shown}")
+    tip = tips[0]
+    idle = [name for name in robot.joint_names if not robot.moves(name, tip)]
+    if idle:
+        robot = options.loading.load(options.robot, {**robot.locked, **dict.fromkeys(idle)})
+    return robot, tip
+
+
+@contextmanager
+def _signals(session: TeachingSession) -> Iterator[None]:
+    """Ctrl-C, the end of the terminal and a polite kill end the session, whatever it does."""
+    if threading.current_thread() is not threading.main_thread():
+        yield
+        return
+    ends = [signal.SIGINT, signal.SIGTERM, *([signal.SIGHUP] if hasattr(signal, "SIGHUP") else [])]
+    before = {number: signal.signal(number, lambda *_: session.end()) for number in ends}
+    try:
+        yield
+    finally:
+        for number, handler in before.items():
+            signal.signal(number, handler)
