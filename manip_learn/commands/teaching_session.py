@@ -26,7 +26,6 @@ from manip_learn.control.servo_loop import ServoLoop
 from manip_learn.drivers.record import record
 from manip_learn.drivers.teaching_arm import PERIOD, TeachingArm
 from manip_learn.drivers.teaching_scene import (
-    CLOSES,
     TASKS,
     TITLES,
     Kind,
@@ -511,17 +510,17 @@ class TeachingSession:
         """Go to the handle as the last recording did, or as a plan says, and close the gripper."""
         self._doing = "moving"
         self._say("The hand goes to the handle, as it was shown.")
-        self.arm.shut()
-        one, last = way.recording, way.recording.held_from or 0
-        times = np.append(one.time[:last] - one.time[0], one.time[last] - one.time[0] + CLOSES)
-        ended = self._follow(times, np.vstack([one.q[:last], way.hold]))
+        if way.handle is None:
+            self._say("There is no handle here where the recordings hold something: show this scene.", wrong=True)
+            return False
+        ended = self._follow(*way.approach(self.arm.handle_place(way.handle)))
         if ended == THERE and planned:
             ended = self._change_posture(way)
         if ended != THERE:
             self._say(f"The hand did not come to the handle: {ended}.", wrong=ended != BY_HAND)
             return False
         if not self.arm.grip(True):
-            self._say("There is no handle where it was shown: place the scene again, or show it again.", wrong=True)
+            self._say("The hand did not come to the handle: press Home, and try again.", wrong=True)
             return False
         closing = self.arm.time + 2.0 * STAYS
         while self.arm.time < closing and not self._stop:
@@ -586,7 +585,7 @@ class TeachingSession:
         if self._way is None:
             self._say("There is no way to do yet: learn first.", wrong=True)
             return
-        self._worker.ask(job, file=str(self._constraint_file), way=self._way.asked(), start=self._way.hold)
+        self._worker.ask(job, file=str(self._constraint_file), way=self._way.asked(), start=self._way.hold())
         self._progress = {"step": "simulating", "share": 0.0}
 
     def _take(self, said: Mapping[str, Any]) -> None:
@@ -600,7 +599,7 @@ class TeachingSession:
             files=[str(one.path) for one in self._recordings],
             file=str(self._constraint_file) if learnt else None,
             way=None if self._way is None else self._way.asked(),
-            start=None if self._way is None else self._way.hold,
+            start=None if self._way is None else self._way.hold(),
             out=str(self.folder),
         )
         self._progress = {"step": "writing", "share": 0.0}

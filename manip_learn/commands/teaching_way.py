@@ -13,14 +13,16 @@ from jaxtyping import Float
 from manip_learn.commands.teaching_worker import task_of
 from manip_learn.constraint.constraint import Constraint
 from manip_learn.control.tasks import FreeDirection
-from manip_learn.drivers.teaching_arm import PERIOD
-from manip_learn.drivers.teaching_scene import REACHES, Handle, posture_at
+from manip_learn.drivers.teaching_scene import CLOSES, REACHES, Handle, posture_at
 from manip_learn.linalg import null_basis
 from manip_learn.robot.robot import Robot
 
 SHORTEST = {"m": 0.02, "rad": 0.05}  # [m or rad] a way that was shown and is worth doing again
 SHARE = 0.85  # of the way shown that the slider begins with: the rest is the person's spread
-HELD_AFTER = 2.0  # [s] after the gripper began to close, in which the hand is at the handle where that is shut
+STRIDE, CALM = (
+    15,
+    1.5,
+)  # samples between two postures of an approach, encoders being noisy, and its time over a person's
 ARRIVES = {"m": 2e-3, "rad": 4e-3}  # [m or rad] of a way that is done
 
 
@@ -76,7 +78,9 @@ class ShownWay:
         constraint: What was learnt.
         tip: The frame that is guided.
         recording: The one that the hand takes hold as in.
-        hold: shape (nv,), posture with the hand at the shut handle.
+        held: shape (k, nv), its postures with the hand at the handle.
+        handle: Number of the handle; None where no handle is there, as for a recording of another scene.
+        start: shape (3,), the handle where it is shut, else where the hand took hold [m].
         unit: Of the way.
         high: How far it was shown.
         value: How far it is to go.
@@ -87,7 +91,9 @@ class ShownWay:
     constraint: Constraint
     tip: str
     recording: Shown
-    hold: Float[np.ndarray, " nv"]
+    held: Float[np.ndarray, "k nv"]
+    handle: int | None
+    start: Float[np.ndarray, " 3"]
     unit: Literal["m", "rad"]
     high: float
     value: float
@@ -114,32 +120,58 @@ class ShownWay:
         robot, one = constraint.robot, next((r for r in reversed(recordings) if r.held_from is not None), None)
         if one is None or robot is None:
             return None
-        first, hold = one.held_from or 0, _posture_of_hold(robot, tip, one, handles)
-        held = [k for s, e, n in one.phases if n == 0 for k in np.flatnonzero((one.time >= s) & (one.time <= e))]
-        places = np.array([robot.position(one.q[k], tip) for k in held[::5] if k >= first])
-        if len(places) < 2:
+        first = one.held_from or 0
+        numbers = [k for s, e, n in one.phases if n == 0 for k in np.flatnonzero((one.time >= s) & (one.time <= e))]
+        held = one.q[[k for k in numbers[::5] if k >= first]]
+        if len(held) < 2:
             return None
-        known, start = constraint.mechanism, robot.position(hold, tip)
+        places = np.array([robot.position(q, tip) for q in held])
+        handle = _handle_on(handles, places)
+        known, start = constraint.mechanism, places[0] if handle is None else handles[handle].pose[:3, 3]
         if known is not None and known.type in ("hinge", "screw") and known.axis is not None:
             angles = np.unwrap([_turned(start, place, constraint) for place in places])
-            far = float(angles[np.argmax(np.abs(angles))])
-            way = ShownWay(constraint, tip, one, hold, "rad", abs(far), SHARE * abs(far), float(np.sign(far)), None)
+            far, unit, toward = float(angles[np.argmax(np.abs(angles))]), "rad", None
         else:
             away = places - start
             toward = away[int(np.argmax(np.linalg.norm(away, axis=1)))]
             if known is not None and known.axis is not None and known.type in ("line", "plane"):
                 along = known.axis[None] if known.type == "line" else null_basis(known.axis[None]).T
                 toward = along.T @ (along @ toward)
-            size = float(np.linalg.norm(toward))
-            way = ShownWay(constraint, tip, one, hold, "m", size, SHARE * size, 1.0, toward / max(size, 1e-9))
+            far, unit = float(np.linalg.norm(toward)), "m"
+            toward = toward / max(far, 1e-9)
+        way = ShownWay(
+            constraint, tip, one, held, handle, start, unit, abs(far), SHARE * abs(far), float(np.sign(far)), toward
+        )
         return way if way.high > SHORTEST[way.unit] else None
+
+    def hold(self, place: Float[np.ndarray, " 3"] | None = None) -> Float[np.ndarray, " nv"]:
+        """The posture with the hand at the handle, as it was shown: where it is shut, or at another place [m]."""
+        place = self.start if place is None else place
+        gaps = [float(np.linalg.norm(self.robot.position(q, self.tip) - place)) for q in self.held]
+        best = self.held[int(np.argmin(gaps))]
+        pose = self.robot.pose(best, self.tip)
+        pose[:3, 3] = place
+        found = [posture_at(self.robot, self.tip, best, pose, firm=firm) for firm in (True, False)]
+        return next((q for q in found if q is not None), best)
+
+    def approach(self, place: Float[np.ndarray, " 3"]) -> tuple[Float[np.ndarray, " k"], Float[np.ndarray, "k nv"]]:
+        """How the hand came to the handle in the recording, without its unsteadiness, and on to a place [m].
+
+        Returns:
+            Times [s] and postures.
+        """
+        last = self.recording.held_from or 0
+        few = slice(0, max(last - STRIDE, 1), STRIDE)
+        times, end = self.recording.time[few] - self.recording.time[0], self.recording.time[last] + CLOSES
+        return CALM * np.append(times, end - self.recording.time[0]), np.vstack(
+            [self.recording.q[few], self.hold(place)]
+        )
 
     def at(self, place: Float[np.ndarray, " 3"]) -> float:
         """How far along the way a place of the hand is [m or rad]."""
-        start = self.robot.position(self.hold, self.tip)
         if self.direction is None:
-            return self.sense * _turned(start, place, self.constraint)
-        return float((place - start) @ self.direction)
+            return self.sense * _turned(self.start, place, self.constraint)
+        return float((place - self.start) @ self.direction)
 
     def done(self, q: Float[np.ndarray, " nv"]) -> float:
         """How far along the way the hand is [m or rad]."""
@@ -174,20 +206,12 @@ class ShownWay:
         return f"{size * self.done(q):.{digits}f} of {size * self.value:.{digits}f} {unit}"
 
 
-def _posture_of_hold(robot: Robot, tip: str, one: Shown, handles: Sequence[Handle]) -> Float[np.ndarray, " nv"]:
-    """The posture in which the person held the handle where it is shut."""
-    first = one.held_from or 0
-    q = one.q[first : first + round(HELD_AFTER / PERIOD)]
-    places = np.array([robot.position(x, tip) for x in q])
-    gaps = [np.linalg.norm(places - handle.pose[:3, 3], axis=1) for handle in handles]
-    nearest = int(np.argmin([gap.min() for gap in gaps])) if gaps else 0
-    if not gaps or gaps[nearest].min() > REACHES:
-        return q[0]
-    best = q[int(np.argmin(gaps[nearest]))]
-    pose = robot.pose(best, tip)
-    pose[:3, 3] = handles[nearest].pose[:3, 3]
-    found = [posture_at(robot, tip, best, pose, firm=firm) for firm in (True, False)]
-    return next((x for x in found if x is not None), best)
+def _handle_on(handles: Sequence[Handle], places: Float[np.ndarray, "k 3"]) -> int | None:
+    """The handle along whose way the places are; None where none is near."""
+    ways = [np.array([pose[:3, 3] for pose in handle.stations()]) for handle in handles]
+    gaps = [float(np.median(np.min(np.linalg.norm(places[:, None] - way[None], axis=2), axis=1))) for way in ways]
+    nearest = int(np.argmin(gaps)) if gaps else None
+    return nearest if nearest is not None and gaps[nearest] < 2.0 * REACHES else None
 
 
 def _turned(start: Float[np.ndarray, " 3"], here: Float[np.ndarray, " 3"], constraint: Constraint) -> float:
