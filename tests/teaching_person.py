@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import time
 from collections.abc import Callable, Generator, Iterator
 from pathlib import Path
 from typing import Any
@@ -60,6 +61,8 @@ class Person:
         for _ in range(round(seconds / PERIOD)):
             if done():
                 return
+            if self.session._worker.busy:
+                time.sleep(PERIOD)  # the other process has the processor
             yield None
         raise AssertionError(f"it did not come to pass; the page said {self.said[-3:]}")
 
@@ -73,7 +76,12 @@ class Person:
         n = round(seconds / PERIOD)
         for k in range(n):
             to = path((k + 1) / n) + self.unsteady()
-            yield {"do": "pull", "to": to.tolist(), "turn": None if turn is None else turn((k + 1) / n).tolist(), "seq": k}
+            yield {
+                "do": "pull",
+                "to": to.tolist(),
+                "turn": None if turn is None else turn((k + 1) / n).tolist(),
+                "seq": k,
+            }
 
     def unsteady(self) -> np.ndarray:
         """How far the hand is from where it is meant to be [m]: slow waves, a new set for each demonstration."""
@@ -115,8 +123,11 @@ class Person:
         arm, rng = self.session.arm, self.rng
         a, b = arm.place, arm.handle_place(number)
         yield from self.drag(lambda s: a + _smooth(1.15 * s) * (b - a), float(rng.uniform(1.0, 1.6)))
-        while arm.held != number:
+        for _ in range(round(5.0 / PERIOD)):
+            if arm.held == number:
+                break
             yield {"do": "pull", "to": arm.handle_place(number).tolist(), "turn": None, "seq": 0}
+        assert arm.held == number, f"the hand did not come to handle {number}"
         yield from self.drag(lambda _: b, float(rng.uniform(0.3, 0.6)))
         far, turn = float(rng.uniform(0.75, 1.0)) * handle.travel, None
         if handle.type == "plane":
@@ -133,7 +144,9 @@ class Person:
             for way, least, most in ways:
                 if handle.firm:
                     turn = lambda s, way=way: way(s) * handle.axis  # noqa: E731
-                yield from self.drag(lambda s, way=way: handle.moved(way(s))[:3, 3], float(rng.uniform(least, most)), turn)
+                yield from self.drag(
+                    lambda s, way=way: handle.moved(way(s))[:3, 3], float(rng.uniform(least, most)), turn
+                )
         yield {"do": "grip", "closed": False}
 
     def learn(self) -> Script:

@@ -90,7 +90,7 @@ class TeachingSession:
         self._picture = TeachingPicture(robot, tip)
         self._worker = TeachingWorker(robot, tip)
         self._pages: list[str] = []
-        self._leader, self._left = "", np.inf
+        self._leader, self._left, self._opened = "", np.inf, False
         self._mode: Callable[[], None] | None = None
         self._doing, self._sentence, self._wrong = "idle", "", False
         self._ended, self._stop, self._seq, self._number = False, False, 0, 0
@@ -168,14 +168,14 @@ class TeachingSession:
         self._ended = self._stop = True
 
     def _pages_are(self, pages: list[str], loading: int) -> None:
-        had, self._pages = bool(self._pages), pages
+        self._pages, self._opened = pages, self._opened or bool(pages)
         if self._leader not in pages:
             if self._leader and self.arm.hand.pull is not None:
                 self.arm.let_go()
             self._leader = pages[0] if pages else ""
         if pages or loading:
             self._left = np.inf
-        elif had or self._left < np.inf:
+        elif self._opened:
             self._left = min(self._left, time.monotonic())
 
     def _say(self, sentence: str, wrong: bool = False) -> None:
@@ -382,6 +382,9 @@ class TeachingSession:
     def _learn(self) -> None:
         if not self._recordings:
             self._say("There is nothing to learn from: record the task first.", wrong=True)
+            return
+        if len(self._recordings) < FEW:
+            self._refused(f"From fewer than {FEW} recordings what is held cannot be told from how a person moves.")
             return
         self._worker.ask("learn", files=[str(one.path) for one in self._recordings], out=str(self._constraint_file))
         self._progress = {"step": "reading", "share": 0.0}
