@@ -57,7 +57,7 @@ IMPORTED_AS = {"pin": "pinocchio"}
 # user's own, or a driver, raises; a live view goes on, and logs, whatever a program's function raises in its thread
 LAST_LINES_OF_DEFENCE = (
     *("cli.py", "control/servo_loop.py", "control/driver.py"),
-    *("drivers/record.py", "commands/record.py", "playback/live_viewer.py"),
+    *("drivers/record.py", "commands/record.py", "commands/teaching_worker.py", "playback/live_viewer.py"),
 )
 MAX_LINES, MAX_FUNCTION_LINES = 700, 50
 

@@ -8,9 +8,9 @@ from pathlib import Path
 from typing import Any, final
 
 import numpy as np
-from numpy.typing import ArrayLike
 
 from manip_learn.commands.loading import robot_of_constraint
+from manip_learn.commands.null_policies import null_policy
 from manip_learn.commands.options import ControlOptions, PlanOptions, vector
 from manip_learn.constraint.constraint import Constraint
 from manip_learn.constraint.features.weighed_velocity import WeighedVelocity
@@ -19,19 +19,17 @@ from manip_learn.control.controller import ResolvedRateController
 from manip_learn.control.limits import check_inside
 from manip_learn.control.planning.approach import GraspCone
 from manip_learn.control.planning.plan import Plan, plan
-from manip_learn.control.policies import JointAttractor, ManipulabilityAscent, NullSpacePolicy, ZeroPolicy
 from manip_learn.control.rollout import Rollout
 from manip_learn.control.simulation import simulate
 from manip_learn.control.tasks import FreeDirection, Hold, PointAttractor, Task, motion
 from manip_learn.control.tasks.driven_motion import in_words
 from manip_learn.control.tasks.motion import motion_to
 from manip_learn.control.way import WayDone, leads_away, simulate_way
-from manip_learn.errors import ManipLearnError, TargetError
+from manip_learn.errors import TargetError
 from manip_learn.linalg import complement_rows
 from manip_learn.recordings.trajectory_source import Progress
 from manip_learn.robot import Robot
 
-POLICIES = ("manipulability", "zero", "attractor")
 ROWS = ("all", "held")
 # what a hand that follows the held rows is on
 PLACES = {"line": "line", "plane": "plane", "hinge": "circle", "ball": "sphere", "screw": "helix", "other": "cylinder"}
@@ -300,25 +298,6 @@ def aim_of(constraint: Constraint, task: PointAttractor, rollout: Rollout) -> Ai
     else:
         ignored = tuple(in_words(row, features.row_names) for row in free)
     return Aim(distance, size, off, ignored, 0.0)
-
-
-def null_policy(
-    name: str, task: Task, constraint: Constraint, robot: Robot, gain: float | None, rest: ArrayLike | None
-) -> NullSpacePolicy:
-    """A null-space policy by its name on the command line, with its own gain if none is given.
-
-    Raises:
-        ManipLearnError: Unknown name.
-    """
-    given = () if gain is None else (gain,)
-    if name == "manipulability":
-        climbs = isinstance(task, FreeDirection)
-        return task.ascent(*given) if climbs else ManipulabilityAscent(task.rows(constraint), *given)
-    if name == "zero":
-        return ZeroPolicy(constraint.nv)
-    if name == "attractor":
-        return JointAttractor(robot.neutral() if rest is None else rest, *given, robot=robot)
-    raise ManipLearnError(f"unknown policy {name!r}: use one of {', '.join(POLICIES)}")
 
 
 def _start(robot: Robot, constraint: Constraint, start: list[float] | None, moves: bool) -> tuple[np.ndarray, str]:

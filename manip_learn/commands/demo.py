@@ -9,8 +9,9 @@ from typing import Any, final
 
 import numpy as np
 
-from manip_learn.commands.control import Controlled, follow, null_policy
+from manip_learn.commands.control import Controlled, follow
 from manip_learn.commands.learn import Learnt, learn
+from manip_learn.commands.null_policies import null_policy
 from manip_learn.commands.options import DemoOptions, LearnOptions, PlanOptions
 from manip_learn.constraint.constraint import Constraint
 from manip_learn.control.controller import ResolvedRateController

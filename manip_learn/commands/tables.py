@@ -447,7 +447,7 @@ def print_recorded(console: Console, answer: Recorded) -> None:
 
 
 def print_taught(console: Console, answer: Taught) -> None:
-    """What was learnt last, and where all of it is kept."""
+    """The last answer, and the folder of all of it."""
     say(console, *(f"note: {note}" for note in answer.notes), style="dim")
     if answer.sentence:
         say(console, answer.sentence, style="bold")

@@ -11,7 +11,7 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, final
+from typing import TYPE_CHECKING, Any, cast, final
 
 from manip_learn.commands.options import TeachOptions
 from manip_learn.errors import ConfigurationError, OutputError
@@ -29,13 +29,13 @@ STARTS = 20.0  # [s] in which the server starts: a busy machine takes a few
 @final
 @dataclass(frozen=True)
 class Taught:
-    """What is left of a session.
+    """The end of a session.
 
     Attributes:
-        folder: Where recordings and what was learnt are kept; it is there if something was recorded.
+        folder: Of recordings and constraint; it is there if something was recorded.
         recordings: The recordings of the last scene.
-        sentence: What was learnt last; empty without an answer.
-        notes: What had to be assumed of the robot.
+        sentence: The last answer; empty without one.
+        notes: Assumptions about the robot.
     """
 
     folder: Path
@@ -57,6 +57,7 @@ def teach(options: TeachOptions, progress: Progress) -> Taught:
         OutputError: The server does not start, or the folder cannot be written to.
     """
     from manip_learn.commands.teaching_session import TeachingSession
+    from manip_learn.drivers.teaching_scene import Kind
     from manip_learn.playback.live_viewer import LiveProcess
     from manip_learn.playback.teaching_page import teaching_page
 
@@ -74,7 +75,7 @@ def teach(options: TeachOptions, progress: Progress) -> Taught:
     seed = secrets.randbits(32) if options.seed is None else options.seed
     server = LiveProcess(lambda token: teaching_page(robot, name, token), STARTS, heard)
     try:
-        session = TeachingSession(robot, tip, options.out, options.scene, seed, server)
+        session = TeachingSession(robot, tip, options.out, cast(Kind, options.scene), seed, server)
         listeners.append(session)
         progress("ready", 1.0)
         if options.no_browser:
@@ -108,7 +109,8 @@ def _signals(session: TeachingSession) -> Iterator[None]:
     if threading.current_thread() is not threading.main_thread():
         yield
         return
-    ends = [signal.SIGINT, signal.SIGTERM, *([signal.SIGHUP] if hasattr(signal, "SIGHUP") else [])]
+    hang_up = getattr(signal, "SIGHUP", None)  # Windows has none
+    ends = [signal.SIGINT, signal.SIGTERM, *([] if hang_up is None else [hang_up])]
     before = {number: signal.signal(number, lambda *_: session.end()) for number in ends}
     try:
         yield

@@ -12,6 +12,7 @@ from typing import Any
 import numpy as np
 
 from manip_learn.atomic_write import write_atomically
+from manip_learn.commands.teaching_way import STEP, task_of
 from manip_learn.constraint.constraint import Constraint
 from manip_learn.recordings import load_demonstrations
 from manip_learn.recordings.saved_motion import motion_of_trajectory
@@ -69,7 +70,6 @@ def _lerobot(robot: Robot, tip: str, files: Sequence[str], file: str | None, out
 
 
 def _replay(robot: Robot, tip: str, files: Sequence[str], file: str | None, out: Path, way: Any, start: Any) -> Taken:
-    from manip_learn.commands.teaching_worker import STEP, task_of
     from manip_learn.control.controller import ResolvedRateController
     from manip_learn.control.way import simulate_way
     from manip_learn.playback.replay_page import replay

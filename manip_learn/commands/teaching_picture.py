@@ -1,4 +1,4 @@
-"""The arm, its surroundings and what was learnt, as the teaching page draws them."""
+"""The arm, its surroundings and the constraint, as the teaching page draws them."""
 
 from __future__ import annotations
 
@@ -42,7 +42,7 @@ class TeachingPicture:
 
         Args:
             arm: The arm now.
-            constraint: What was learnt, or None.
+            constraint: The learnt one, or None.
             rows: Rows whose manipulability counts, or None for the tip's translation.
         """
         robot, hand, handles = self._robot, arm.hand, range(len(arm.scene.handles))

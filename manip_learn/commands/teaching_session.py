@@ -14,8 +14,8 @@ import numpy as np
 
 from manip_learn.atomic_write import write_atomically
 from manip_learn.commands.teaching_picture import TeachingPicture, scene_content, truth_content
-from manip_learn.commands.teaching_way import Shown, ShownWay
-from manip_learn.commands.teaching_worker import TeachingWorker, ghost, task_of
+from manip_learn.commands.teaching_way import Shown, ShownWay, task_of
+from manip_learn.commands.teaching_worker import TeachingWorker, ghost
 from manip_learn.constraint.constraint import Constraint
 from manip_learn.control.command import Controller
 from manip_learn.control.controller import ResolvedRateController
@@ -116,12 +116,12 @@ class TeachingSession:
 
     @property
     def sentence(self) -> str:
-        """What was learnt of this scene; empty without an answer."""
+        """The answer about this scene; empty without one."""
         return "" if self._answer is None else str(self._answer["sentence"])
 
     @property
     def notes(self) -> tuple[str, ...]:
-        """What had to be assumed of the robot."""
+        """Assumptions about the robot."""
         return self.arm.scene.notes
 
     def run(self) -> None:
@@ -226,7 +226,7 @@ class TeachingSession:
         }
 
     def _begin(self, mode: Callable[[], None]) -> None:
-        """Stop what is done now, and do this next."""
+        """Stop, and do this next."""
         self._stop, self._mode = True, mode
 
     def _pull(self, said: Mapping[str, Any]) -> None:
@@ -544,7 +544,7 @@ class TeachingSession:
 
     def _drive(self, way: ShownWay, policy: str) -> dict[str, Any]:
         """Run the controller until the way is done, something trips, or the person stops it."""
-        from manip_learn.commands.control import null_policy
+        from manip_learn.commands.null_policies import null_policy
 
         self.arm.hold()
         task, rested = way.task_from(self.arm.q), [0.0]
@@ -607,7 +607,7 @@ class TeachingSession:
         )
         self._progress = {"step": "writing", "share": 0.0}
 
-    # ---- what is shown --------------------------------------------------------------------------------------------
+    # ---- pictures -------------------------------------------------------------------------------------------------
 
     def _show(self, slot: str, content: Any) -> None:
         """Send a slot if it says something new."""

@@ -2,21 +2,22 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any, Literal, final
+from typing import Any, Literal, cast, final
 
 import numpy as np
 from jaxtyping import Float
 
-from manip_learn.commands.teaching_worker import task_of
 from manip_learn.constraint.constraint import Constraint
-from manip_learn.control.tasks import FreeDirection
+from manip_learn.constraint.mechanism import Mechanism
+from manip_learn.control.tasks import FreeDirection, motion
 from manip_learn.drivers.teaching_scene import CLOSES, REACHES, Handle, posture_at
 from manip_learn.linalg import null_basis
 from manip_learn.robot.robot import Robot
 
+STEP = 0.01  # [s] of a simulation, as the arm's period
 SHORTEST = {"m": 0.02, "rad": 0.05}  # [m or rad] a way that was shown and is worth doing again
 SHARE = 0.85  # of the way shown that the slider begins with: the rest is the person's spread
 STRIDE, CALM = (
@@ -49,7 +50,7 @@ class Shown:
 
     @property
     def held_from(self) -> int | None:
-        """Number of the sample from which it holds something, by the gripper, else by what was learnt; or None."""
+        """Number of the sample from which it holds something, by the gripper, else by the phases; or None."""
         if self.gripped is not None:
             return self.gripped
         start = next((start for start, _, k in self.phases if k == 0), None)
@@ -75,7 +76,7 @@ class ShownWay:
     """As far as the task was shown, from where the hand took hold.
 
     Attributes:
-        constraint: What was learnt.
+        constraint: The learnt one.
         tip: The frame that is guided.
         recording: The one that the hand takes hold as in.
         held: shape (k, nv), its postures with the hand at the handle.
@@ -103,16 +104,14 @@ class ShownWay:
     @property
     def robot(self) -> Robot:
         """The constraint's."""
-        robot = self.constraint.robot
-        assert robot is not None  # its features are of a frame
-        return robot
+        return cast(Robot, self.constraint.robot)  # its features are of a frame
 
     @staticmethod
     def of(constraint: Constraint, tip: str, recordings: Sequence[Shown], handles: Sequence[Handle]) -> ShownWay | None:
         """From the last recording that takes hold of something; None where none does, or the way is too short.
 
         Args:
-            constraint: What was learnt from them.
+            constraint: Learnt from them.
             tip: The frame that is guided.
             recordings: With their phases.
             handles: What a gripper can take hold of.
@@ -216,8 +215,20 @@ def _handle_on(handles: Sequence[Handle], places: Float[np.ndarray, "k 3"]) -> i
 
 def _turned(start: Float[np.ndarray, " 3"], here: Float[np.ndarray, " 3"], constraint: Constraint) -> float:
     """Angle about a mechanism's axis from one place to another [rad]."""
-    known = constraint.mechanism
-    assert known is not None and known.axis is not None and known.point is not None
-    axis, point = known.axis, known.point
+    known = cast(Mechanism, constraint.mechanism)
+    axis, point = cast(np.ndarray, known.axis), cast(np.ndarray, known.point)
     a, b = (x - point - ((x - point) @ axis) * axis for x in (start, here))
     return float(np.arctan2(np.cross(a, b) @ axis, a @ b))
+
+
+def task_of(constraint: Constraint, way: Mapping[str, Any], amount: float | None = None) -> FreeDirection:
+    """The task of a way that the page asked for, as the person showed it where that says which way.
+
+    Args:
+        constraint: The learnt one.
+        way: `unit` ("m" or "rad"), `value`, and `direction`, or None for the one shown.
+        amount: In place of the value [m or rad].
+    """
+    far = float(way["value"] if amount is None else amount)
+    along, turn = (far, None) if way["unit"] == "m" else (None, far)
+    return motion(constraint, along, turn, direction=way["direction"])

@@ -13,7 +13,9 @@ from pathlib import Path
 from typing import Any, final
 
 import numpy as np
+from numpy.typing import ArrayLike
 
+from manip_learn.commands.teaching_way import STEP, task_of
 from manip_learn.drivers.teaching_scene import posture_at
 from manip_learn.errors import ManipLearnError, OutputError
 from manip_learn.recordings.trajectory_source import Progress
@@ -23,7 +25,6 @@ PARENT_CHECK_SECONDS = 0.5  # between two looks for the parent
 STOP_SECONDS = 1.0  # for the process to end by itself
 GENTLE = 10  # steps of niceness: on one core the physics go first
 MOST_KEYS = 400  # key frames of a ghost: 60 a second for seven seconds
-STEP = 0.01  # [s] of a simulation, as the arm's period
 BAD_POSTURES = 60  # of which the worst is taken: more change little, each takes a millisecond
 
 
@@ -92,8 +93,8 @@ def _serve(pipe: Connection, robot: Robot, tip: str, parent: int) -> None:
     threading.Thread(target=_end_with, args=(parent,), daemon=True).start()
     with open(os.devnull, "w") as nowhere:  # its warnings are part of the answers
         sys.stdout = sys.stderr = nowhere
-        if hasattr(os, "nice"):
-            os.nice(GENTLE)
+        if (nice := getattr(os, "nice", None)) is not None:  # Windows has none
+            nice(GENTLE)
         from manip_learn import learning  # noqa: F401  # now, and not when somebody waits
 
         while True:
@@ -188,13 +189,17 @@ def _drawn(robot: Robot, tip: str, mechanism: Any, demos: Any, phases: Any) -> d
     }
 
 
-def policies(robot: Robot, tip: str, said: Progress, *, file: str, way: Mapping[str, Any], start: Any) -> Any:
+def policies(
+    robot: Robot, tip: str, said: Progress, *, file: str, way: Mapping[str, Any], start: ArrayLike
+) -> list[dict[str, Any]]:
     """Three null-space policies from a posture at the handle, as ghosts."""
     names = ("manipulability", "attractor", "zero")  # the recommended one first
     return _simulated(robot, tip, said, file, way, np.asarray(start), dict(zip(names, names, strict=True)))
 
 
-def compare(robot: Robot, tip: str, said: Progress, *, file: str, way: Mapping[str, Any], start: Any) -> Any:
+def compare(
+    robot: Robot, tip: str, said: Progress, *, file: str, way: Mapping[str, Any], start: ArrayLike
+) -> list[dict[str, Any]]:
     """With and without the learnt manipulability, from the worst of many postures at the handle, as ghosts."""
     from manip_learn.constraint.constraint import Constraint
     from manip_learn.constraint.manipulability import manipulability
@@ -210,7 +215,9 @@ def compare(robot: Robot, tip: str, said: Progress, *, file: str, way: Mapping[s
     return _simulated(robot, tip, said, file, way, bad, named)
 
 
-def plan(robot: Robot, tip: str, said: Progress, *, file: str, way: Mapping[str, Any], start: Any) -> Any:
+def plan(
+    robot: Robot, tip: str, said: Progress, *, file: str, way: Mapping[str, Any], start: ArrayLike
+) -> dict[str, Any]:
     """The posture in which to take hold, and the way of the joints to it: times [s] and postures."""
     from manip_learn.constraint.constraint import Constraint
     from manip_learn.control.planning.plan import plan as planned
@@ -220,26 +227,11 @@ def plan(robot: Robot, tip: str, said: Progress, *, file: str, way: Mapping[str,
     return {"time": found.approach.time, "q": found.approach.q, "sentence": found.sentence}
 
 
-def task_of(constraint: Any, way: Mapping[str, Any], amount: float | None = None) -> Any:
-    """The task of a way that the page asked for, as the person showed it where that says which way.
-
-    Args:
-        constraint: What was learnt.
-        way: `unit` ("m" or "rad"), `value`, and `direction`, or None for the one shown.
-        amount: In place of the value [m or rad].
-    """
-    from manip_learn.control.tasks import motion
-
-    far = float(way["value"] if amount is None else amount)
-    along, turn = (far, None) if way["unit"] == "m" else (None, far)
-    return motion(constraint, along, turn, direction=way["direction"])
-
-
 def _simulated(
     robot: Robot, tip: str, said: Progress, file: str, way: Any, start: np.ndarray, named: Mapping[str, str]
 ) -> list[dict[str, Any]]:
     """Rollouts of some policies, as the page plays them."""
-    from manip_learn.commands.control import null_policy
+    from manip_learn.commands.null_policies import null_policy
     from manip_learn.constraint.constraint import Constraint
     from manip_learn.control.controller import ResolvedRateController
     from manip_learn.control.way import simulate_way

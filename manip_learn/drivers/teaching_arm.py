@@ -136,7 +136,7 @@ class TeachingArm:
 
         self.scene, self.period, self.joint_names = scene, PERIOD, scene.robot.joint_names
         self._mujoco, self._shown, self._waits = mujoco, shown or (lambda: None), in_real_time
-        model = scene_model(scene)
+        model: Any = scene_model(scene)
         self.hand = Hand(model)
         self._arm = MuJoCoDriver(
             model, self.joint_names, scene.start, period=PERIOD, hand=self.hand, noise=NOISE, rng=rng

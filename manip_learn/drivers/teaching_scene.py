@@ -355,7 +355,7 @@ def _axes_with_z(z: Float[np.ndarray, " 3"]) -> Float[np.ndarray, "3 3"]:
 # ---- as MuJoCo sees it --------------------------------------------------------------------------------------------
 
 
-def scene_model(scene: TeachingScene) -> Any:
+def scene_model(scene: TeachingScene) -> object:
     """The scene as a `mujoco.MjModel`: the arm's joints by their names, then `handle_<i>`, which the equality
     `grip_<i>` can hold at the site `tip`.
 
