@@ -106,7 +106,7 @@ class Teach {
     const once = (action) => (event) => { if (!event.repeat) action(); };
     wireKeys({
       ...cameraKeys(this.show), r: once(() => this.panel.record()), l: once(() => this.panel.learn()), g: once(() => this.panel.grip()),
-      h: once(() => this.hand && this.hand.turnByKeys()), " ": once(() => this.panel.run()),
+      h: once(() => this.hand && this.hand.turnByKeys()), n: once(() => this.hand && this.hand.toNearest()), " ": once(() => this.panel.run()),
     });
     get("by-keys").addEventListener("click", () => this.hand && this.hand.turnByKeys());
   }
@@ -183,9 +183,11 @@ class Teach {
     const isNew = !this.scene || this.scene.number !== scene.number;
     this.scene = scene;
     this.panel.setScene(scene);
+    if (isNew && !this.tour.box.hidden) this.tour.sayStep();
     this.setNotes(scene.notes || []);
     if (!this.stage) return;
     this.furniture.setScene(scene);
+    if (isNew) this.moved = false;
     if (isNew) this.trail.clear();
     this.stage.dirty();
   }
@@ -243,6 +245,7 @@ class Teach {
     this.show.time = pose.time;
     this.panel.setPose(pose);
     if (!this.stage) return;
+    this.hand.setPose(pose);
     this.furniture.setPose(pose);
     this.marks.setPose(pose);
     this.limits.set(pose.limit);
@@ -297,6 +300,9 @@ class Teach {
     const at = place && this.stage && this.pointing.onPage(place);
     return at && { x: at.x - TIP_RING, y: at.y - TIP_RING, width: 2 * TIP_RING, height: 2 * TIP_RING, round: true };
   }
+
+  // Of each handle, in the robot's base.
+  handlePlaces() { return this.pose ? this.pose.furniture.map(([x, y, z]) => new THREE.Vector3(x, y, z)) : []; }
 
   ringBox() { return this.boxAround(this.instance.tipPosition()); }
 

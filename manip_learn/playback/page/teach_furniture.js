@@ -62,7 +62,7 @@ class TeachPiece {
 
 class TeachFurniture {
   constructor(stage, instance) {
-    Object.assign(this, { stage, instance, group: new THREE.Group(), pieces: [], number: null });
+    Object.assign(this, { stage, instance, group: new THREE.Group(), pieces: [], number: null, lit: null });
     stage.world.add(this.group);
     DARK.addEventListener("change", () => { for (const piece of this.pieces) piece.recolour(); });
   }
@@ -80,7 +80,7 @@ class TeachFurniture {
   setPose(pose) {
     this.pieces.forEach((piece, i) => {
       if (pose.furniture[i]) piece.setPose(pose.furniture[i]);
-      piece.setState(pose.held[i] ? "held" : pose.near === i ? "near" : "rest");
+      piece.setState(pose.held[i] ? "held" : pose.near === i || this.lit === i ? "near" : "rest");
     });
     if (this.unframed) this.frame();
   }

@@ -2,11 +2,15 @@
 
 const REPEAT = 200; // [ms] after which a pull that is held is said again
 const TURN_PER_PIXEL = Math.PI / 360; // [rad] of the hand for a pixel to the side, with shift
-const STEP = 0.01, SMALL_STEP = 0.005; // [m] of the pull for a key
+const STEP = 0.01, TURN_STEP = Math.PI / 60; // [m] of the pull and [rad] of the hand for a key
+const MAGNET = 26; // [px] around a handle within which a hand that is drawn over it also comes to its depth
+const GLIDE = 0.4; // [m/s] at which a pull goes to a handle by itself: as fast as a person reaches for something near
+const FREED = 0.06; // [m] from a handle that was let go of, from which it may be taken again: as in the program
+const AT_VIEWER = 0.85; // cosine of the angle between a way and the view from which on a drag can hardly follow it
 
 class Hand {
   constructor(teach) {
-    Object.assign(this, { teach, stage: teach.stage, link: teach.link, pointing: teach.pointing, held: null, axis: null, byKeys: false });
+    Object.assign(this, { teach, stage: teach.stage, link: teach.link, pointing: teach.pointing, held: null, axis: null, byKeys: false, freed: null });
     const scene = this.stage.element, options = { capture: true }; // before the camera's own controls
     scene.addEventListener("pointerdown", (event) => this.down(event), options);
     scene.addEventListener("pointermove", (event) => this.move(event), options);
@@ -45,7 +49,7 @@ class Hand {
   }
 
   take(held) {
-    this.held = { turn: 0, axisOfTurn: this.pointing.toEye(), to: held.place.clone(), ...held };
+    this.held = { turn: 0, spin: null, toHandle: null, axisOfTurn: this.pointing.toEye(), to: held.place.clone(), ...held };
     this.stage.viewer.controls.enabled = false;
     this.stage.element.classList.add("pulling");
     if (held.goal) return;
@@ -74,7 +78,8 @@ class Hand {
     else {
       if (held.wasTurning) held.drag.anchor(held.event, this.axis);
       held.drag.move(event);
-      held.to = held.drag.place.clone();
+      this.setMagnet(this.handleUnder(event), event);
+      if (held.toHandle === null) held.to = held.drag.place.clone();
     }
     if (event.pointerId === held.pointer) Object.assign(held, { wasTurning: event.shiftKey, event });
     if (held.goal) this.teach.goal.moveTo(held.to);
@@ -102,12 +107,13 @@ class Hand {
     if (held.goal) this.teach.goal.drop();
     else this.link.release();
     this.setByKeys(false);
+    this.hint();
     this.stage.dirty();
   }
 
   say() {
-    const { link, at, to, turn, axisOfTurn } = this.held;
-    const vector = Math.abs(turn) > 1e-9 ? axisOfTurn.clone().multiplyScalar(turn).toArray() : null;
+    const { link, at, to, turn, axisOfTurn, spin } = this.held;
+    const vector = spin ? rotationVector(spin).toArray() : Math.abs(turn) > 1e-9 ? axisOfTurn.clone().multiplyScalar(turn).toArray() : null;
     this.link.pull({ do: "pull", link, at: at && at.toArray(), to: to.toArray(), turn: vector });
   }
 
@@ -139,7 +145,88 @@ class Hand {
     this.stage.dirty();
   }
 
+  // ---- to a handle ----
+
+  // The number of the handle that the pointer is over, if the hand may come to it by itself.
+  handleUnder(event) {
+    const { held, teach } = this;
+    if (held.goal || held.link !== null || this.axis || teach.isHeld) return null;
+    const gaps = teach.handlePlaces().map((place, i) => (i === this.freed ? Infinity : this.pointing.far(event, place)));
+    const nearest = gaps.indexOf(Math.min(...gaps));
+    return gaps[nearest] <= MAGNET ? nearest : null;
+  }
+
+  // From a handle on, the drag goes in the plane through it.
+  setMagnet(number, event) {
+    const { held } = this;
+    if (number === held.toHandle) return;
+    if (number === null) {
+      const holds = this.teach.isHeld;
+      held.drag.place = holds ? held.to.clone() : this.teach.handlePlaces()[held.toHandle] || held.to.clone();
+      held.drag.anchor(event, this.axis, holds);
+      if (!holds) held.drag.move(event);
+    }
+    held.toHandle = number;
+    this.glided = undefined;
+    this.stage.dirty();
+  }
+
+  // With each pose: a pull that goes to a handle comes nearer, and ends there when the gripper has closed.
+  setPose(pose) {
+    this.remember(pose);
+    const { held } = this;
+    if (held && held.toHandle !== null) this.glide(pose);
+    this.teach.furniture.lit = held ? held.toHandle : null;
+    this.hint();
+  }
+
+  remember(pose) {
+    const holds = pose.held.indexOf(true), tip = this.teach.instance.tipPosition();
+    if (this.holds >= 0 && holds < 0) this.freed = this.holds;
+    this.holds = holds;
+    const place = this.teach.handlePlaces()[this.freed];
+    if (holds >= 0 || !place || place.distanceTo(tip) > FREED) this.freed = null;
+  }
+
+  glide(pose) {
+    const { held } = this, place = this.teach.handlePlaces()[held.toHandle];
+    if (!place || this.holds >= 0) {
+      if (held.drag) this.setMagnet(null, held.event);
+      held.toHandle = null;
+      return;
+    }
+    const away = place.clone().sub(held.to), most = GLIDE * Math.min(Math.max(pose.time - (this.glided ?? pose.time), 0.005), 0.1);
+    this.glided = pose.time;
+    held.to.add(away.clampLength(0, most));
+    this.say();
+  }
+
+  // What to do next, beside the hand.
+  hint() {
+    const { held, teach } = this, words = !held || held.goal ? "" : held.toHandle !== null ? "let it come: the gripper closes by itself" : held.drag && !this.axis && this.isHardToSee() ? "the way out points at you: turn the view, or hold x, y or z" : "";
+    if (words === this.hinted) return;
+    this.hinted = words;
+    get("hand-hint").textContent = words;
+    get("hand-hint").hidden = !words;
+    if (words) teach.tell(words);
+  }
+
+  // Whether what is held moves towards the viewer, or away.
+  isHardToSee() {
+    const piece = this.teach.furniture.pieces[this.holds], slides = piece && piece.handle.unit === "m" && this.teach.scene.kind !== "table";
+    return Boolean(slides) && Math.abs(piece.out.dot(this.pointing.toEye())) > AT_VIEWER;
+  }
+
   // ---- by keys ----
+
+  toNearest() {
+    const places = this.teach.handlePlaces(), tip = this.teach.instance.tipPosition();
+    if (!this.teach.allowed || this.teach.isHeld || !places.length) return;
+    if (!this.byKeys) this.startByKeys();
+    const gaps = places.map((place) => place.distanceTo(tip));
+    this.held.toHandle = gaps.indexOf(Math.min(...gaps));
+    this.glided = undefined;
+  }
 
   turnByKeys() { if (this.byKeys) this.letGo(); else this.startByKeys(); }
 
@@ -156,17 +243,30 @@ class Hand {
     this.byKeys = on;
     get("by-keys").setAttribute("aria-pressed", String(on));
     get("by-keys-help").hidden = !on;
-    this.teach.tell(on ? "The keys move the hand: arrows, page up and page down. G grips, escape lets go." : "The arm is let go.");
+    this.teach.tell(on ? "The keys move the hand: arrows, page up and page down; with shift they turn it. N goes to the nearest handle, G grips, escape lets go." : "The arm is let go.");
   }
 
   moveByKey(event) {
     const { key } = event;
     if (!this.byKeys || event.ctrlKey || event.metaKey || event.altKey) return;
     const right = this.pointing.toRight(), away = new THREE.Vector3(0, 0, 1).cross(right);
+    if (event.shiftKey) return this.turnByKey(event, right);
     const by = { ArrowLeft: right.clone().negate(), ArrowRight: right, ArrowUp: AXES.z.clone(), ArrowDown: AXES.z.clone().negate(), PageUp: away, PageDown: away.clone().negate() }[key];
     if (!by) return;
     stop(event);
-    this.held.to.addScaledVector(by, event.shiftKey ? SMALL_STEP : STEP);
+    this.held.toHandle = null;
+    this.held.to.addScaledVector(by, STEP);
+    this.say();
+    this.stage.dirty();
+  }
+
+  // About what points to the right, upwards and to the eye in the picture.
+  turnByKey(event, right) {
+    const eye = this.pointing.toEye(), up = eye.clone().cross(right), { held } = this;
+    const [axis, sign] = { ArrowLeft: [up, -1], ArrowRight: [up, 1], ArrowUp: [right, -1], ArrowDown: [right, 1], PageUp: [eye, 1], PageDown: [eye, -1] }[event.key] || [];
+    if (!axis) return;
+    stop(event);
+    held.spin = new THREE.Quaternion().setFromAxisAngle(axis, sign * TURN_STEP).multiply(held.spin || new THREE.Quaternion());
     this.say();
     this.stage.dirty();
   }
@@ -175,6 +275,11 @@ class Hand {
 function stop(event) {
   event.preventDefault();
   event.stopImmediatePropagation();
+}
+
+function rotationVector(q) {
+  const sine = Math.hypot(q.x, q.y, q.z), angle = 2 * Math.atan2(sine, q.w);
+  return new THREE.Vector3(q.x, q.y, q.z).multiplyScalar(sine > 1e-12 ? wrapped(angle) / sine : 2);
 }
 
 function angleFrom(first, second) { return Math.atan2(second.clientY - first.clientY, second.clientX - first.clientX); }

@@ -4,6 +4,8 @@ const WAY_STEPS = { m: { factor: 100, unit: "cm", digits: 1 }, rad: { factor: 18
 const DOING = { idle: "ready", recording: "recording", replaying: "replaying", learning: "learning", planning: "planning", running: "running", moving: "moving" };
 const FREE_HANDS = ["idle", "recording"]; // the program does nothing by itself
 
+const NO_WAY = "There is no way to go yet: in no recording does the gripper take hold of something and move it by 2 cm, or by 3°. Record one that does, and learn again.";
+
 class Panel {
   constructor(teach) {
     Object.assign(this, { teach, say: (said) => teach.say(said), state: null });
@@ -77,7 +79,7 @@ class Panel {
     this.showRecording(state);
     this.showLearning(state);
     this.showRun(state);
-    this.take.set(state.files || [], state.keep);
+    this.take.set(state.files || [], state.keep, Boolean(state.progress));
     this.showSteps(state);
   }
 
@@ -139,10 +141,11 @@ class Panel {
   }
 
   // Steps that cannot be taken yet say why; the next one stands out.
-  showSteps({ recordings, answer, files, run }) {
+  showSteps({ recordings, answer, files, run, way }) {
     const shown = recordings.length > 0, learnt = Boolean(answer) && !answer.refused;
-    const open = { scene: true, show: true, learn: shown || Boolean(answer), do: learnt, take: shown || learnt || (files || []).length > 0 };
-    const now = !shown ? "show" : !answer || answer.refused ? (recordings.length < 2 ? "show" : "learn") : run && run.ended ? "take" : "do";
+    const open = { scene: true, show: true, learn: shown || Boolean(answer), do: learnt && Boolean(way), take: shown || learnt || (files || []).length > 0 };
+    const now = !shown ? "show" : !answer || answer.refused ? (recordings.length < 2 ? "show" : "learn") : !way ? "show" : run && run.ended ? "take" : "do";
+    get("do-hint").textContent = learnt ? NO_WAY : "Learn something first.";
     for (const [name, usable] of Object.entries(open)) {
       get(`step-${name}`).classList.toggle("later", !usable);
       get(`step-${name}`).classList.toggle("now", name === now);

@@ -76,11 +76,10 @@ class Drag {
     this.anchor(event, null);
   }
 
-  // From here on along this axis, or in the plane of the view.
-  anchor(event, axis) {
-    Object.assign(this, { axis, through: this.place.clone() });
-    const at = pointOr(this.pointing.dragged(event, this.through, axis), this.through);
-    this.offset = this.through.clone().sub(at);
+  // From here on along this axis, or in the plane of the view; without a jump, or else to the pointer itself.
+  anchor(event, axis, smooth = true) {
+    Object.assign(this, { axis, through: this.place.clone(), offset: new THREE.Vector3() });
+    if (smooth) this.offset.copy(this.through).sub(pointOr(this.pointing.dragged(event, this.through, axis), this.through));
   }
 
   move(event) {

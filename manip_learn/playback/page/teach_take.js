@@ -2,8 +2,8 @@
 
 const MOST_DROPPED = 10 * 1024 * 1024; // [bytes] of a recording
 const SETTLED = 1500, GIVEN_UP = 60000; // [ms] after which a file that was there already is taken, and none is awaited any more
-// what is asked for -> names that it may have
-const TAKEN = { constraint: /constraint|\.npz$|\.json$/i, csv: /\.csv$|csv/i, lerobot: /lerobot/i, replay: /\.html$/i, script: /\.py$/i };
+// what is asked for -> its name
+const TAKEN = { constraint: "constraint.json", csv: "recordings_csv.zip", lerobot: "recordings_lerobot.zip", replay: "replay.html", script: "taught.py" };
 
 class Take {
   constructor(teach) {
@@ -20,7 +20,8 @@ class Take {
     setTimeout(() => this.match(), SETTLED + 10);
   }
 
-  set(files, keep) {
+  set(files, keep, writing) {
+    this.writing = writing;
     const said = JSON.stringify(files);
     if (said !== this.filesSaid) {
       this.filesSaid = said;
@@ -39,14 +40,13 @@ class Take {
     return item;
   }
 
-  // A file that was not there before, of the kind that was asked for; after a while also one that was.
+  // A file that was not there before; one that was there once nothing is written any more.
   match() {
     this.asked = this.asked.filter(({ what, before, when }) => {
       const age = performance.now() - when, late = age > SETTLED;
-      const fits = this.files.filter((file) => TAKEN[what].test(file.name)), fresh = this.files.filter((file) => !before.has(file.name));
-      const file = fresh.find((one) => TAKEN[what].test(one.name)) || (this.asked.length === 1 && fresh[0]) || (late && fits[fits.length - 1]);
-      if (file) this.download(file.name);
-      return !file && age < GIVEN_UP;
+      const name = TAKEN[what], there = this.files.some((file) => file.name === name), written = !before.has(name) || (late && !this.writing);
+      if (there && written) this.download(name);
+      return !(there && written) && age < GIVEN_UP;
     });
   }
 

@@ -1,12 +1,23 @@
 // Five steps that are pointed at, one after the other.
 
 const TOUR_KEY = "manip-learn-tour", TOUR_GAP = 14; // [px] between what is pointed at and the words
+const COMES = "Draw the hand over the handle: it comes to it, and the gripper closes by itself.";
+const TASK_TITLES = { drawer: "Open the drawer", door: "Open the door", "loose-door": "Open the door", table: "Wipe the table", screw: "Turn the crank", two: "Open both", free: "Move about" };
+const TASK_TEXTS = {
+  drawer: `${COMES} Then pull it open and push it shut; G lets go.`,
+  door: `${COMES} Then swing it open and shut it; G lets go.`,
+  "loose-door": `${COMES} Then swing it open and shut it; G lets go.`,
+  table: "Draw the hand over the sponge: it comes to it, and the gripper closes by itself. Then wipe to and fro, in both directions; G lets go.",
+  screw: "Draw the hand over the crank: it comes to it, and the gripper closes by itself. Then turn it a quarter turn or more, and back; G lets go.",
+  two: `${COMES} Open and shut the drawer, let go with G, and do the same with the door.`,
+  free: "Nothing holds the hand here. Move it about as you like, to see that nothing is learnt from it.",
+};
 const TOUR = [
   { title: "Take the hand", text: "Press on the tip of the arm, or on any link, and drag. A line shows how hard you pull; the arm follows as a real one would.", at: (teach) => teach.ringBox(), done: (teach) => teach.pulled },
-  { title: "Open the drawer", text: "Bring the hand to the handle until it lights up, press Grip, then pull.", at: (teach) => teach.handleBox() || boxOf("grip"), done: (teach) => teach.moved },
+  { title: (kind) => TASK_TITLES[kind] || "Do the task", text: (kind) => TASK_TEXTS[kind] || "Bring the hand to the handle: the gripper closes by itself. Then move it; G lets go.", at: (teach) => teach.handleBox() || boxOf("grip"), done: (teach) => teach.moved },
   { title: "Record five", text: "Press Record before a motion and again after it. Show five, each a little different.", at: () => boxOf("record"), done: (teach) => teach.state && teach.state.recordings.length >= 5 },
   { title: "Learn", text: "The program says in one sentence what holds the hand, and how sure it is. If it is not, it says what to show next.", at: () => boxOf("step-learn"), done: (teach) => teach.state && teach.state.answer && !teach.state.answer.refused },
-  { title: "Run", text: "Say how far, press Run, and the arm does it. Push it meanwhile: it gives way and goes on.", at: () => boxOf("step-do"), done: (teach) => teach.state && teach.state.doing === "running" },
+  { title: "Run", text: "Say how far, press Run, and the arm does it. Push its elbow meanwhile: it gives way and goes on.", at: () => boxOf("step-do"), done: (teach) => teach.state && teach.state.doing === "running" },
 ];
 
 function boxOf(id) {
@@ -56,8 +67,7 @@ class Tour {
     if (step < 0) return;
     this.step = step;
     this.box.hidden = false;
-    this.title.textContent = TOUR[step].title;
-    this.text.textContent = TOUR[step].text;
+    this.sayStep();
     this.count.textContent = `${step + 1} of ${TOUR.length}`;
     this.next.textContent = step + 1 < TOUR.length ? "Next" : "Done";
     this.skip.hidden = step + 1 === TOUR.length;
@@ -65,6 +75,13 @@ class Tour {
     const target = TOUR[step].at(this.teach);
     if (target && target.element) target.element.scrollIntoView({ block: "nearest" });
     this.place();
+  }
+
+  // The words of this scene.
+  sayStep() {
+    const kind = this.teach.scene && this.teach.scene.kind, words = (x) => (typeof x === "function" ? x(kind) : x), { title, text } = TOUR[this.step];
+    this.title.textContent = words(title);
+    this.text.textContent = words(text);
   }
 
   end() {
