@@ -454,11 +454,14 @@ class TeachingSession:
             one.phases = [phase[1:] for phase in content["phases"] if names.get(phase[0]) is one]
             one.odd = odd.get(one.path.name, "")
         uncertain, warned = content["uncertainty"], content["warned"]
-        sure = uncertain is not None and uncertain <= KNOWN and not warned
+        known = uncertain is not None and uncertain <= KNOWN
+        sure = known and not warned
         self._answer = {
             **content["answer"],
             "next": "It is known well enough: let the arm do it."
             if sure
+            else "It is known well enough; read the warnings before you let the arm do it."
+            if known
             else f"Show it once more, from another posture, until it is known to {KNOWN:g} degree.",
             "offer": None if sure else {"say": "Record another one", "said": {"do": "record"}},
         }

@@ -260,6 +260,8 @@ class TeachingArm:
     def let_go(self) -> None:
         """Let the arm go; the gripper stays as it is."""
         self.hand.take(None, self.data)
+        if self._opened is not None and self.near() != self._opened:
+            self._opened = None
 
     def grip(self, closed: bool) -> bool:
         """Close the gripper on the handle within reach, or open it; whether it holds one now."""

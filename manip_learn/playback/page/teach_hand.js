@@ -100,6 +100,7 @@ class Hand {
   letGo() {
     const { held } = this;
     if (!held) return;
+    if (!this.teach.pose || this.teach.pose.near !== this.freed) this.freed = null;
     clearInterval(this.timer);
     this.held = null;
     this.stage.viewer.controls.enabled = true;
@@ -203,7 +204,7 @@ class Hand {
 
   // What to do next, beside the hand.
   hint() {
-    const { held, teach } = this, words = !held || held.goal ? "" : held.toHandle !== null ? "let it come: the gripper closes by itself" : held.drag && !this.axis && this.isHardToSee() ? "the way out points at you: turn the view, or hold x, y or z" : "";
+    const { held, teach } = this, words = !held || held.goal ? "" : held.toHandle !== null ? "let it come: the gripper closes by itself" : this.freed !== null && teach.pose.near === this.freed ? "G closes the gripper again" : held.drag && !this.axis && this.isHardToSee() ? "the way out points at you: turn the view, or hold x, y or z" : "";
     if (words === this.hinted) return;
     this.hinted = words;
     get("hand-hint").textContent = words;

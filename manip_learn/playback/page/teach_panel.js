@@ -60,7 +60,7 @@ class Panel {
 
   setScene({ kind, title, task }) {
     this.kind = kind;
-    get("task").textContent = [title, task].filter(Boolean).join(": ");
+    get("task").textContent = task || title || "";
     this.setKinds();
   }
 

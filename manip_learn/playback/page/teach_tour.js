@@ -115,6 +115,11 @@ class Tour {
     }
     if (PHONE.matches) { this.box.style.left = this.box.style.top = ""; return; } // at the foot of the window
     const { offsetWidth: wide, offsetHeight: high } = this.box, at = target || { x: w / 2, y: h / 2, width: 0, height: 0 };
+    if (at.round) { // below it: what is beside a handle is what it opens
+      const below = at.y + at.height + TOUR_GAP, y = below + high < h - 8 ? below : at.y - TOUR_GAP - high;
+      Object.assign(this.box.style, { left: `${Math.min(Math.max(at.x + at.width / 2 - wide / 2, 8), w - wide - 8)}px`, top: `${Math.max(y, 8)}px` });
+      return;
+    }
     const left = at.x - TOUR_GAP - wide, right = at.x + at.width + TOUR_GAP, x = left > 8 && (at.x > w / 2 || right + wide > w - 8) ? left : Math.min(right, w - wide - 8);
     Object.assign(this.box.style, { left: `${Math.max(x, 8)}px`, top: `${Math.min(Math.max(at.y + Math.min(at.height, 60) / 2 - high / 2, 8), h - high - 8)}px` });
   }
