@@ -287,7 +287,7 @@ class TeachingSession:
 
     def _replay(self, said: Mapping[str, Any]) -> None:
         one = self._shown_by(said["name"])
-        made = ghost(self.robot, one.path.stem, ("blue", COLOURS["blue"]), one.time, one.q)
+        made = ghost(self.robot, one.path.stem, ("vermilion", COLOURS["vermilion"]), one.time, one.q)
         self._show_ghosts("replay", [made])
 
     def _drop(self, said: Mapping[str, Any]) -> None:
@@ -569,7 +569,8 @@ class TeachingSession:
         longest = SLOWER * (1.0 + task.duration_from(self.arm.q))
         done = run(loop, self.arm, duration=longest, until=over)
         self._ended |= done.ended.startswith("Ctrl-C")
-        self._loop, self._outcome = None, so_far(done.ended, done.ordered)
+        ended = done.ended if done.ordered else f"it stopped and let go, as when it is pushed: {done.ended}"
+        self._loop, self._outcome = None, so_far(ended, done.ordered)
         return self._outcome
 
     def _set_way(self, said: Mapping[str, Any]) -> None:

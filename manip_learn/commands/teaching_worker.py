@@ -238,7 +238,8 @@ def _simulated(
     from manip_learn.playback.palette import rollout_colours
 
     constraint, ghosts = Constraint.load(file, robot), []
-    for k, ((name, policy), colours) in enumerate(zip(named.items(), rollout_colours(list(named), {}), strict=True)):
+    colours_of = rollout_colours(["the arm itself", *named], {})[1:]
+    for k, ((name, policy), colours) in enumerate(zip(named.items(), colours_of, strict=True)):
         said(f"moving with the {policy} policy", k / len(named))
         task = task_of(constraint, way)
         controller = ResolvedRateController(

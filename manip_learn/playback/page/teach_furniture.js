@@ -106,7 +106,7 @@ class TeachFurniture {
   words(i, pose, scene) {
     const { name, unit } = scene.handles[i], value = pose.opening[i] ?? 0, several = scene.handles.length > 1;
     const open = Math.abs(value) > LEAST_OPENING[unit] ? `${openingInWords(value, unit)} open` : "";
-    const state = pose.held[i] ? "held" : pose.near === i ? "within reach: grip it" : "";
+    const state = pose.held[i] ? "gripped" : pose.near === i ? "within reach: grip it" : "";
     return [several && (open || state) ? name : "", state, open].filter(Boolean).join(" · ");
   }
 }

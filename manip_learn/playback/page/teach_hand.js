@@ -6,6 +6,7 @@ const STEP = 0.01, TURN_STEP = Math.PI / 60; // [m] of the pull and [rad] of the
 const MAGNET = 26; // [px] around a handle within which a hand that is drawn over it also comes to its depth
 const GLIDE = 0.4; // [m/s] at which a pull goes to a handle by itself: as fast as a person reaches for something near
 const FREED = 0.06; // [m] from a handle that was let go of, from which it may be taken again: as in the program
+const FELT = 0.01; // [m] of a handle's motion that show which way it goes
 const AT_VIEWER = 0.85; // cosine of the angle between a way and the view from which on a drag can hardly follow it
 
 class Hand {
@@ -184,7 +185,9 @@ class Hand {
   remember(pose) {
     const holds = pose.held.indexOf(true), tip = this.teach.instance.tipPosition();
     if (this.holds >= 0 && holds < 0) this.freed = this.holds;
+    if (this.holds !== holds) Object.assign(this, { goes: null, was: null });
     this.holds = holds;
+    this.feel(this.teach.handlePlaces()[holds]);
     const place = this.teach.handlePlaces()[this.freed];
     if (holds >= 0 || !place || place.distanceTo(tip) > FREED) this.freed = null;
   }
@@ -204,7 +207,7 @@ class Hand {
 
   // What to do next, beside the hand.
   hint() {
-    const { held, teach } = this, words = !held || held.goal ? "" : held.toHandle !== null ? "let it come: the gripper closes by itself" : this.freed !== null && teach.pose.near === this.freed ? "G closes the gripper again" : held.drag && !this.axis && this.isHardToSee() ? "the way out points at you: turn the view, or hold x, y or z" : "";
+    const { held, teach } = this, words = !held || held.goal ? "" : held.toHandle !== null ? "let it come: the gripper closes by itself" : this.freed !== null && teach.pose.near === this.freed ? "G closes the gripper again" : held.drag && !this.axis && this.isHardToSee() ? "it moves towards you or away: turn the view, or hold x, y or z" : "";
     if (words === this.hinted) return;
     this.hinted = words;
     get("hand-hint").textContent = words;
@@ -212,11 +215,17 @@ class Hand {
     if (words) teach.tell(words);
   }
 
-  // Whether what is held moves towards the viewer, or away.
-  isHardToSee() {
-    const piece = this.teach.furniture.pieces[this.holds], slides = piece && piece.handle.unit === "m" && this.teach.scene.kind !== "table";
-    return Boolean(slides) && Math.abs(piece.out.dot(this.pointing.toEye())) > AT_VIEWER;
+  // Which way a handle that is held goes: known of what slides, else seen.
+  feel(place) {
+    const piece = this.teach.furniture.pieces[this.holds], { kind } = this.teach.scene || {};
+    if (!place || !piece || kind === "table") return;
+    this.was ??= place;
+    if (piece.handle.unit === "m") this.goes = piece.out;
+    else if (place.distanceTo(this.was) > FELT) Object.assign(this, { goes: place.clone().sub(this.was).normalize(), was: place });
   }
+
+  // Whether what is held moves towards the viewer, or away.
+  isHardToSee() { return Boolean(this.goes) && Math.abs(this.goes.dot(this.pointing.toEye())) > AT_VIEWER; }
 
   // ---- by keys ----
 

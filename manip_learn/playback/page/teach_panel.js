@@ -144,7 +144,7 @@ class Panel {
   showSteps({ recordings, answer, files, run, way }) {
     const shown = recordings.length > 0, learnt = Boolean(answer) && !answer.refused;
     const open = { scene: true, show: true, learn: shown || Boolean(answer), do: learnt && Boolean(way), take: shown || learnt || (files || []).length > 0 };
-    const now = !shown ? "show" : !answer || answer.refused ? (recordings.length < 2 ? "show" : "learn") : !way ? "show" : run && run.ended ? "take" : "do";
+    const now = !shown ? "show" : !answer || answer.refused ? (recordings.length < 2 ? "show" : "learn") : !way ? "show" : run && run.ended && run.ordered !== false ? "take" : "do";
     get("do-hint").textContent = learnt ? NO_WAY : "Learn something first.";
     for (const [name, usable] of Object.entries(open)) {
       get(`step-${name}`).classList.toggle("later", !usable);
