@@ -89,6 +89,7 @@ class MousePerson:
 
     def reach(self, number: int = 0) -> None:
         """Draw the hand over a handle and wait until the gripper has closed."""
+
         def held() -> bool:
             return bool(self.teach(f"pose.held[{number}]"))
 
@@ -109,7 +110,9 @@ class MousePerson:
         page.keyboard.press("g")
         self.pause()
         self.drag(home, float(self.rng.uniform(0.7, 1.1)))
+        self.pause()
         page.mouse.up()
+        self.pause()
         page.keyboard.press("r")
         wait_until(page, f"manipLearnTeach.state.recordings.length > {before}")
 

@@ -379,7 +379,13 @@ def test_names_and_answers_are_text(program, page):
     assert page.locator("#teach img").count() == 0
     wait_until(page, "document.getElementById('labels').innerText.includes('hardly move this way')")
     labels = page.locator("#labels").inner_text()
-    for label in ("gripped · 12.3 cm open", "joint2 is at its limit", "free to move", "the truth", "line that was learnt"):
+    for label in (
+        "gripped · 12.3 cm open",
+        "joint2 is at its limit",
+        "free to move",
+        "the truth",
+        "line that was learnt",
+    ):
         assert label in labels
 
 

@@ -330,6 +330,8 @@ function startTeaching() {
     linkPose: (link) => teach.instance.linkMatrix(link).transpose().toArray(),
     // From the scene to the eye, unit vector in the robot's base.
     toEye: () => teach.pointing.toEye().toArray(),
+    // What the person pulls: link, place, and the number of a handle that it goes to; null without a pull.
+    get pull() { const held = teach.hand && teach.hand.held; return held && !held.goal ? { link: held.link, to: held.to.toArray(), toHandle: held.toHandle } : null; },
     goalOnScreen: () => (teach.goal.group.visible ? teach.screenOf(teach.goal.place.toArray()) : null),
     get drawing() { return Boolean(teach.stage); },
     get allowed() { return teach.allowed; },

@@ -1,0 +1,113 @@
+"""`manip-learn teach` as a person meets it: the program as a child process, its page in Chromium, a mouse, keys."""
+
+from __future__ import annotations
+
+import os
+import re
+import socket
+import time
+from contextlib import contextmanager
+from urllib.parse import urlsplit
+
+import numpy as np
+import pytest
+from mouse_person import MousePerson, program
+from test_playback_browser import wait_until
+
+pytestmark = [pytest.mark.browser, pytest.mark.timeout(400)]
+
+WINDOW = {"width": 900, "height": 640}
+SEED, RECORDINGS = 3, 3
+AXIS = 0.5  # [degrees] from the truth that a lesson may leave
+PICTURE = 60.0  # [ms] from a pull to the picture of what followed, on a machine with nothing else to do
+GONE = 2.0  # [s] after the last tab was closed
+
+
+def is_quiet():
+    """Whether this machine has nothing else to do, so that times mean something."""
+    return os.getloadavg()[0] < 1.0
+
+
+@contextmanager
+def tab(chromium, address):
+    """The page in a window of its own; what goes wrong in it, or wants another host, fails at last."""
+    pytest.importorskip("mujoco", reason="NO MUJOCO: TEACHING IS NOT TESTED")
+    trouble = []
+    context = chromium.new_context(viewport=WINDOW)
+    page = context.new_page()
+    page.on("pageerror", lambda error: trouble.append(str(error)))
+    own = (f"http://{urlsplit(address).netloc}/", "data:", "blob:")
+    context.on("request", lambda one: None if one.url.startswith(own) else trouble.append(one.url))
+    page.add_init_script("sessionStorage.setItem('manip-learn-tour', 'seen')")
+    page.goto(address)
+    wait_until(page, "window.manipLearnReady && manipLearnTeach.allowed && manipLearnTeach.pose !== null")
+    yield page
+    context.close()
+    assert trouble == []
+
+
+def test_a_lesson(chromium, tmp_path):
+    """A drawer is opened by the mouse, with an unsteady hand and pauses, a few times; Learn finds its direction within
+    half a degree of the truth, Run opens it, the constraint goes home, and all is still there when the page is reloaded.
+    """
+    pytest.importorskip("mujoco", reason="NO MUJOCO: TEACHING IS NOT TESTED")
+    quiet = is_quiet()
+    with program(tmp_path, "sawyer", "--seed", str(SEED)) as (_, address), tab(chromium, address) as page:
+        person = MousePerson(page, seed=1)
+        out = np.array(person.teach("scene.furniture[0].fixed.pose")).reshape(4, 4)[:3, 1]
+        for _ in range(RECORDINGS):
+            person.demonstrate(lambda one: one.open_and_shut(float(one.rng.uniform(0.16, 0.22)), out))
+        latency = float(np.percentile(person.teach("latencies"), 90.0))
+        print(f"from a pull to its picture: {latency:.0f} ms for nine in ten, machine {'quiet' if quiet else 'busy'}")
+        assert not quiet or latency <= PICTURE
+        assert page.locator("#recordings li").count() == RECORDINGS
+        page.keyboard.press("l")
+        wait_until(page, "manipLearnTeach.state.answer !== null")
+        assert not person.teach("state.answer.refused"), person.teach("state.said")
+        assert "degrees off" not in page.locator("#teach").inner_text()  # the truth is not told unasked
+        page.locator("#truth").click()
+        wait_until(page, "document.querySelector('#truth-words table') !== null")
+        error = re.search(r"([-0-9.e]+) degrees off", page.locator("#truth-words table").inner_text())
+        assert float(error[1]) < AXIS
+        wanted = person.teach("state.way.value")
+        page.locator("#run").click()
+        wait_until(page, "manipLearnTeach.state.run !== null && manipLearnTeach.state.run.ended !== ''")
+        assert person.teach("state.run.ordered"), person.teach("state.said")
+        assert person.teach("pose.opening[0]") == pytest.approx(wanted, abs=0.01)
+        with page.expect_download() as download:
+            page.locator("[data-take=constraint]").click()
+        assert download.value.suggested_filename == "constraint.json"
+        sentence = page.locator("#answer .headline").inner_text()
+        page.reload()
+        wait_until(page, "window.manipLearnReady && manipLearnTeach.allowed && manipLearnTeach.state.answer !== null")
+        assert page.locator("#recordings li").count() == RECORDINGS
+        assert page.locator("#answer .headline").inner_text() == sentence
+
+
+def test_two_programs_and_closed_tabs(chromium, tmp_path):
+    """Two programs at once do not mix. One whose tab is closed ends, its server too, and keeps what was being recorded."""
+    pytest.importorskip("mujoco", reason="NO MUJOCO: TEACHING IS NOT TESTED")
+    quiet, places = is_quiet(), (tmp_path / "one", tmp_path / "two")
+    with program(places[0], "planar3") as (first, address), program(places[1], "planar3") as (_, other):
+        with tab(chromium, other) as bystander:
+            rested = bystander.evaluate("manipLearnTeach.tip()")
+            with tab(chromium, address) as page:
+                page.keyboard.press("r")
+                wait_until(page, "manipLearnTeach.state.doing === 'recording'")
+                person = MousePerson(page, seed=2)
+                began = np.array(person.teach("tip()"))
+                person.take()
+                person.drag(person.at + [60.0, -40.0], 1.0)
+                wait_until(page, f"Math.hypot(...manipLearnTeach.tip().map((x, i) => x - {began.tolist()}[i])) > 0.02")
+            closed = time.monotonic()
+            first.wait(timeout=60)
+            gone = time.monotonic() - closed
+            with pytest.raises(OSError), socket.create_connection(("127.0.0.1", urlsplit(address).port), timeout=2.0):
+                pass
+            print(f"gone {gone:.2f} s after the tab, machine {'quiet' if quiet else 'busy'}")
+            assert not quiet or gone <= GONE
+            np.testing.assert_allclose(bystander.evaluate("manipLearnTeach.tip()"), rested, atol=1e-3)
+            assert bystander.evaluate("manipLearnTeach.state.doing") == "idle"
+        (kept,) = places[0].glob("*/*.csv")
+        assert len(kept.read_text(encoding="utf-8").splitlines()) > 50  # half a second of it
+        assert not list(places[1].glob("*/*.csv"))
