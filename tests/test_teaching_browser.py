@@ -48,7 +48,7 @@ def tab(chromium, address):
 
 def test_a_lesson(chromium, tmp_path):
     """A drawer is opened by the mouse, with an unsteady hand and pauses, a few times; Learn finds its direction within
-    half a degree of the truth, Run opens it, the constraint goes home, and all is still there when the page is reloaded.
+    half a degree of the truth, Run opens it, the constraint goes home, and all is there when the page is loaded again.
     """
     pytest.importorskip("mujoco", reason="NO MUJOCO: TEACHING IS NOT TESTED")
     quiet = is_quiet()
@@ -85,7 +85,7 @@ def test_a_lesson(chromium, tmp_path):
 
 
 def test_two_programs_and_closed_tabs(chromium, tmp_path):
-    """Two programs at once do not mix. One whose tab is closed ends, its server too, and keeps what was being recorded."""
+    """Two programs at once do not mix. One whose tab is closed ends, its server too, and keeps what it recorded."""
     pytest.importorskip("mujoco", reason="NO MUJOCO: TEACHING IS NOT TESTED")
     quiet, places = is_quiet(), (tmp_path / "one", tmp_path / "two")
     with program(places[0], "planar3") as (first, address), program(places[1], "planar3") as (_, other):

@@ -22,9 +22,9 @@ from manip_learn.playback.teaching_page import teaching_page
 pytestmark = pytest.mark.browser
 
 TOKEN = "word"
-START = np.array([0.3, 0.7, 0.5])
+START, FARTHER = np.array([0.3, 0.7, 0.5]), np.array([0.1, 0.5, 0.4])
 HOSTILE = "<img src=x onerror=alert(1)>"
-DESKTOP, PHONE = (1280, 800), (390, 844)
+DESKTOP, PHONE = (1000, 640), (390, 844)
 SLOW = 0.05  # of the answer to a pull [s]
 STATE = {
     "leader": None, "doing": "idle", "said": "Take the arm by its hand.", "wrong": False, "recordings": [],
@@ -88,6 +88,7 @@ class Program:
 
     def pose(self, q, **more):
         """A posture, with the rest as it is when nothing happens."""
+        self.q = q
         values = joint_tracks(self.robot, kinematic_tree(self.robot), np.array([q]))[0].tolist()
         calm = {"time": 1.0, "held": [False], "near": None, "hand": None, "weak": None, "mu": 0.2, "marks": None,
                 "limit": [], "opening": [0.0], "rate": 1000, "seq": self.last("pull").get("seq", 0), "trail": False,
@@ -328,28 +329,38 @@ def test_a_link_is_taken_where_it_is_hit(program, page):
     assert np.linalg.norm(taken[:3] - middle) < 0.1
     until(page, lambda: program.all("release"), "no release")
     eye, count = page.evaluate("manipLearnTeach.toEye()"), len(program.heard)
-    page.mouse.move(60, 500)
+    page.mouse.move(60, 300)
     page.mouse.down()
-    page.mouse.move(200, 450, steps=4)
+    page.mouse.move(200, 260, steps=4)
     page.mouse.up()
     assert np.linalg.norm(np.subtract(page.evaluate("manipLearnTeach.toEye()"), eye)) > 0.05
     assert len(program.heard) == count
 
 
 def test_the_hand_is_moved_by_keys(program, page):
-    """H takes the tip, arrows and page keys move the pull by a centimetre, with shift by half of one, G grips, escape
-    lets go; before and after it arrows turn the camera.
+    """H takes the tip, arrows and page keys move the pull by a centimetre, with shift they turn the hand about the axes
+    of the view, N goes to the nearest handle, G grips, escape lets go; before and after it arrows turn the camera.
     """
     page.locator("#scene").focus()
     page.keyboard.press("h")
     until(page, lambda: program.all("pull"), "H does not take the hand")
     start = np.array(program.last("pull")["to"])
-    for key, length in (("ArrowUp", 0.01), ("PageUp", 0.01), ("Shift+ArrowLeft", 0.005)):
+    for key, length in (("ArrowUp", 0.01), ("PageUp", 0.01), ("ArrowLeft", 0.01)):
         before, count = np.array(program.last("pull")["to"]), len(program.all("pull"))
         page.keyboard.press(key)
         until(page, lambda count=count: len(program.all("pull")) > count + 1, key)
         assert np.linalg.norm(np.array(program.last("pull")["to"]) - before) == pytest.approx(length, abs=1e-9), key
     np.testing.assert_allclose(program.all("pull")[0]["to"], start, atol=1e-9)
+    page.keyboard.press("Shift+PageUp")
+    page.keyboard.press("Shift+PageUp")
+    twice = np.radians(6.0) * np.array(page.evaluate("manipLearnTeach.toEye()"))
+    until(
+        page, lambda: np.allclose(program.last("pull")["turn"] or 0.0, twice, atol=1e-9), "shift does not turn the hand"
+    )
+    page.keyboard.press("n")
+    beats = iter(range(1000))
+    until(page, lambda: comes(program, next(beats)), "N does not go to the handle")
+    assert program.last("pull")["turn"] is not None
     page.keyboard.press("g")
     until(page, lambda: program.all("grip") == [{"do": "grip", "closed": True}], "G does not grip")
     page.keyboard.press("Escape")
@@ -359,6 +370,39 @@ def test_the_hand_is_moved_by_keys(program, page):
     looks_drawn(page)
     assert np.linalg.norm(np.subtract(page.evaluate("manipLearnTeach.toEye()"), eye)) > 0.05
     assert len(program.heard) == count
+
+
+def comes(program, beat):
+    """Whether the pull is at the handle; until then the program's clock goes on."""
+    program.pose(program.q, time=1.0 + 0.1 * beat)
+    return np.allclose(program.last("pull").get("to", [np.inf] * 3), program.handle, atol=1e-6)
+
+
+def test_a_hand_over_a_handle_comes_to_its_depth(program, page):
+    """Drawn over a handle that is nearer to the eye or farther away, the tip goes to the handle itself, which the page
+    says; not while an axis key is down; once the gripper holds it the pull goes in the plane of the view from there.
+    """
+    program.pose(FARTHER)
+    wait_until(page, f"Math.abs(manipLearnTeach.pose.values[0] - {FARTHER[0]}) < 1e-12")
+    looks_drawn(page)
+    aim = np.array(list(page.evaluate("p => manipLearnTeach.screenOf(p)", list(program.handle)).values()))
+    drag(page, aim - tip_on_screen(page) + [6.0, 4.0], keys="z")
+    until(page, lambda: len(program.all("pull")) > 2, "no pull")
+    assert page.evaluate("manipLearnTeach.pull.toHandle") is None
+    page.keyboard.up("z")
+    page.mouse.move(*(aim + [5.0, 3.0]))
+    assert page.evaluate("manipLearnTeach.pull.toHandle") == 0
+    beats = iter(range(1000))
+    until(page, lambda: comes(program, next(beats)), "the pull does not come to the handle")
+    assert "the gripper closes by itself" in page.locator("#hand-hint").inner_text()
+    program.pose(START, held=[True])
+    wait_until(page, "manipLearnTeach.pull.toHandle === null")
+    page.mouse.move(*(aim + [45.0, 3.0]))
+    until(page, lambda: not np.allclose(program.last("pull")["to"], program.handle, atol=1e-3), "it sticks")
+    moved = np.array(program.last("pull")["to"]) - program.handle
+    assert abs(moved @ page.evaluate("manipLearnTeach.toEye()")) < 1e-6
+    page.mouse.up()
+    until(page, lambda: program.all("release"), "no release")
 
 
 def test_names_and_answers_are_text(program, page):
@@ -424,6 +468,9 @@ def test_what_the_person_does_is_posted(program, page):
     ):  # fmt: skip
         assert expected in said, expected
     assert not program.all("pull")
+    program.say(way=None)
+    wait_until(page, "document.getElementById('do-hint').checkVisibility()")
+    assert "no way to go" in page.locator("#do-hint").inner_text()
     program.say(answer=REFUSAL)
     page.locator("#offer").click()
     until(page, lambda: program.last("scene") == {"do": "scene", "kind": "door"}, "the offer is not taken")
@@ -436,8 +483,9 @@ def test_files_go_home_and_come_in(program, page):
     page.locator("[data-take=csv]").click()
     until(page, lambda: program.last("take") == {"do": "take", "what": "csv"}, "not asked for")
     with page.expect_download() as download:
-        program.say(files=[{"name": "motions <1>.csv", "says": "two motions"}])
-    assert download.value.suggested_filename.startswith("motions")
+        program.say(files=[{"name": "recordings_csv.zip", "says": "two motions <1>"}])
+    assert download.value.suggested_filename == "recordings_csv.zip"
+    assert "two motions <1>" in page.locator("#files").inner_text()
     assert "/kept/here" in page.locator("#keep").inner_text()
     drop = """([name, size]) => {
         const data = new DataTransfer();
