@@ -569,7 +569,11 @@ class TeachingSession:
         longest = SLOWER * (1.0 + task.duration_from(self.arm.q))
         done = run(loop, self.arm, duration=longest, until=over)
         self._ended |= done.ended.startswith("Ctrl-C")
-        ended = done.ended if done.ordered else f"it stopped and let go, as when it is pushed: {done.ended}"
+        ended = (
+            done.ended
+            if done.ordered
+            else f"it was pushed off its way and stopped, Run goes on from there: {done.ended}"
+        )
         self._loop, self._outcome = None, so_far(ended, done.ordered)
         return self._outcome
 

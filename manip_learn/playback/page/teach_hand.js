@@ -207,7 +207,7 @@ class Hand {
 
   // What to do next, beside the hand.
   hint() {
-    const { held, teach } = this, words = !held || held.goal ? "" : held.toHandle !== null ? "let it come: the gripper closes by itself" : this.freed !== null && teach.pose.near === this.freed ? "G closes the gripper again" : held.drag && !this.axis && this.isHardToSee() ? "it moves towards you or away: turn the view, or hold x, y or z" : "";
+    const { held, teach } = this, words = !held || held.goal ? "" : held.toHandle !== null ? "let it come: the gripper closes by itself" : this.freed !== null && teach.pose.near === this.freed ? "G closes the gripper again" : this.isFirm() && Math.abs(held.turn) < 1e-9 && !held.spin ? "held firmly: shift turns the hand with it" : held.drag && !this.axis && this.isHardToSee() ? "it moves towards you or away: turn the view, or hold x, y or z" : "";
     if (words === this.hinted) return;
     this.hinted = words;
     get("hand-hint").textContent = words;
@@ -222,6 +222,12 @@ class Hand {
     this.was ??= place;
     if (piece.handle.unit === "m") this.goes = piece.out;
     else if (place.distanceTo(this.was) > FELT) Object.assign(this, { goes: place.clone().sub(this.was).normalize(), was: place });
+  }
+
+  // Whether what is held turns the hand with it.
+  isFirm() {
+    const piece = this.teach.furniture.pieces[this.holds];
+    return Boolean(piece) && piece.handle.firm && piece.handle.unit === "rad";
   }
 
   // Whether what is held moves towards the viewer, or away.

@@ -17,7 +17,7 @@ const TOUR = [
   { title: (kind) => TASK_TITLES[kind] || "Do the task", text: (kind) => TASK_TEXTS[kind] || "Bring the hand to the handle: the gripper closes by itself. Then move it; G lets go.", at: (teach) => teach.handleBox() || boxOf("grip"), done: (teach) => teach.moved },
   { title: "Record five", text: "Press Record before a motion and again after it. Show five, each a little different.", at: () => boxOf("record"), done: (teach) => teach.state && teach.state.recordings.length >= 5 },
   { title: "Learn", text: "The program says in one sentence what holds the hand, and how sure it is. If it is not, it says what to show next.", at: () => boxOf("step-learn"), done: (teach) => teach.state && teach.state.answer && !teach.state.answer.refused },
-  { title: "Run", text: "Say how far, press Run, and the arm does it. Push its elbow meanwhile: it gives way and goes on.", at: () => boxOf("step-do"), done: (teach) => teach.state && teach.state.doing === "running" },
+  { title: "Run", text: "Say how far, press Run, and the arm does it. Push its elbow meanwhile: it gives way and stops; Run goes on from there.", at: () => boxOf("step-do"), done: (teach) => teach.state && teach.state.doing === "running" },
 ];
 
 function boxOf(id) {
