@@ -118,9 +118,8 @@ class MousePerson:
 
     def open_and_shut(self, far: float, out: np.ndarray, number: int = 0) -> None:
         """Pull a drawer out by its handle until it is open so far, and push it shut."""
-        rest = self.handle(number)
-        away = self.screen(rest + 1.6 * far * out)
-        shut = self.screen(rest)
+        rest = np.array(self.teach(f"scene.handles[{number}].at"))
+        away, shut = self.screen(rest + 1.6 * far * out), self.screen(rest - 0.4 * far * out)
         self.drag(away, float(self.rng.uniform(1.8, 2.6)), lambda: self.teach(f"pose.opening[{number}]") > far)
         self.pause()
         self.drag(shut, float(self.rng.uniform(1.4, 2.0)))
