@@ -325,3 +325,11 @@ def test_wrong_names_and_a_driver_of_other_sizes(planar3: ml.Robot) -> None:
     assert f"no position of joint {planar3.joint_names[1]}" in ml.run(loop_of(planar3), Partial(), 1.0).ended
     more = Arm(joint_names=(*planar3.joint_names, "gripper"))
     assert "4 joints are named, positions have shape (3,)" in ml.run(loop_of(planar3), more, 1.0).ended
+
+
+def test_a_reason_of_the_caller_ends_a_run(planar3: ml.Robot) -> None:
+    """`until` is asked in each cycle; once it gives a reason, the arm brakes within its limits and stands, in order."""
+    arm = Arm()
+    done = ml.run(loop_of(planar3), arm, until=lambda: "seen enough" if len(arm.sent) > 50 else "")
+    assert done.ended == "seen enough" and done.ordered
+    assert 50 < done.cycles < 400 and not arm.sent[-1].any()

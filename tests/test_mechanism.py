@@ -13,7 +13,7 @@ import pytest
 from mechanism_motions import T, about, along, ball, demonstrate, wave
 
 import manip_learn as ml
-from manip_learn.constraint.features.mechanism_rows import across
+from manip_learn.constraint.features.mechanism_rows import MechanismRows, across
 from manip_learn.constraint.mechanism import Mechanism
 from manip_learn.errors import NotIdentifiableError, UnknownNameError
 from manip_learn.learning.mechanisms.find_mechanism import _bends, _doubts, _rival, find_mechanism
@@ -85,6 +85,8 @@ def test_type_and_place(robot_of, name, kind):
     if m.axis is not None:
         error = degrees_between(m.axis, AXIS)
         assert error < min(0.25, 4.0 * m.uncertainty["axis"] + 1e-3)
+        if isinstance(fit.features, MechanismRows):  # a turn of a task counts about the axis that is told
+            assert float(fit.features.geometry.axis @ m.axis) > 0.99
     if kind_of in ("hinge", "ball", "screw", "other"):
         off = m.point - point
         off = np.linalg.norm(off if m.axis is None else off - (off @ AXIS) * AXIS)

@@ -57,6 +57,7 @@ def teach(options: TeachOptions, progress: Progress) -> Taught:
         OutputError: The server does not start, or the folder cannot be written to.
     """
     from manip_learn.commands.teaching_session import TeachingSession
+    from manip_learn.drivers.teaching_arm import PERIOD
     from manip_learn.drivers.teaching_scene import Kind
     from manip_learn.playback.live_viewer import LiveProcess
     from manip_learn.playback.teaching_page import teaching_page
@@ -73,7 +74,7 @@ def teach(options: TeachOptions, progress: Progress) -> Taught:
             session.hear(message)
 
     seed = secrets.randbits(32) if options.seed is None else options.seed
-    server = LiveProcess(lambda token: teaching_page(robot, name, token), STARTS, heard)
+    server = LiveProcess(lambda token: teaching_page(robot, name, token), STARTS, heard, 1.0 / PERIOD)
     try:
         session = TeachingSession(robot, tip, options.out, cast(Kind, options.scene), seed, server)
         listeners.append(session)

@@ -48,9 +48,9 @@ class LiveProcess:
     """A server process, the thread that writes to it, and the one that reads what it heard.
 
     Messages have slots. The pages get the newest of each, and one that is opened later gets them all at once. `put`
-    never waits: the thread writes the newest ones, each slot at most 60 times per second, and only the thread waits if
-    the server is slow. No message is written after one that was put later. Where a function of the program fails in a
-    thread, the first failure at that place is logged, and the thread goes on.
+    never waits: the thread writes the newest ones, each slot as often as a screen shows pictures, and only the thread
+    waits if the server is slow. No message is written after one that was put later. Where a function of the program
+    fails in a thread, the first failure at that place is logged, and the thread goes on.
 
     Args:
         make_page: Token -> the page to serve.
@@ -60,6 +60,7 @@ class LiveProcess:
             the pages that are open, oldest first, and how many were fetched within the last 10 s and are not open
             yet. It is not called once `close` has returned, unless one call takes longer than 2 s. None for pages
             that say nothing.
+        frames_per_second: Messages of a slot that are written in a second at most; None for as many as a screen shows.
 
     Raises:
         OutputError: The server does not start.
@@ -70,7 +71,9 @@ class LiveProcess:
         make_page: Callable[[str], bytes],
         timeout: float,
         heard: Callable[[Mapping[str, Any]], object] | None = None,
+        frames_per_second: float | None = None,
     ):
+        self._interval = 1.0 / (FRAMES_PER_SECOND if frames_per_second is None else frames_per_second)
         token = secrets.token_urlsafe(18)
         self._page = make_page(token)
         self._newest: dict[str, Callable[[], str]] = {}  # by slot, in the order in which they were put
@@ -194,7 +197,7 @@ class LiveProcess:
                 slot = next(iter(self._newest), None)
                 if slot is None:
                     break
-                now, interval = time.monotonic(), 1.0 / FRAMES_PER_SECOND
+                now, interval = time.monotonic(), self._interval
                 due = self._due.get(slot, now)
                 if due > now:
                     return due - now  # later ones wait, too: a page may rely on their order

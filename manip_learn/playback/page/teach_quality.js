@@ -3,7 +3,7 @@
 const SOFTWARE = /swiftshader|llvmpipe|softpipe|software|basic render/i; // names of what draws without a graphics card
 const SLOW = { frame: 45, frames: 8 }; // a picture that takes longer is late [ms]; so many late ones in a row are too slow
 const COARSE_CELLS = 20; // cells along the longest side of a mesh, in each of which one corner is left
-const SMALL_MESH = 300, FEW_PIXELS = 0.7; // triangles of a mesh that is left as it is; share of the pixels along a side
+const SMALL_MESH = 300, FEW_PIXELS = 0.6; // triangles of a mesh that is left as it is; share of the pixels along a side
 
 // Corners within one cell of a grid become one; triangles that lose their area go.
 function coarser(geometry) {
