@@ -467,7 +467,7 @@ class TeachingSession:
         }
         self._way = ShownWay.of(self.constraint, self.tip, self._recordings, self.arm.scene.handles)
         self._rows = None if self._way is None else task_of(self.constraint, self._way.asked()).rows(self.constraint)
-        self._say(self._answer["sentence"])
+        self._say(self._answer["next"])
 
     # ---- run ------------------------------------------------------------------------------------------------------
 

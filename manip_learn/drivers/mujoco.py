@@ -108,7 +108,7 @@ class MuJoCoDriver:
         start, self._goal = self._goal, np.array(q, dtype=np.float64)
         rate = (self._goal - start) / self.period
         self._ahead, self._rate = self._inertia() @ ((rate - self._rate) / self.period), rate
-        for k in range(1, self._steps + 1):
+        for k in range(self._steps):  # where the arm is to be at the beginning of each step, as its state is then
             self._step(start + (k / self._steps) * (self._goal - start), rate)
 
     @property

@@ -455,9 +455,10 @@ def _add_handle(mujoco: Any, spec: Any, handle: Handle, number: int) -> None:
 
 
 def _stops(mujoco: Any, body: Any, travel: float) -> None:
-    """The last joint of a body ends where it is shut and where it is open, with a little room for the grip's give."""
+    """The last joint of a body ends where it is shut, and a little beyond where it is open."""
     made = body.joints[-1]
-    made.limited, made.range = mujoco.mjtLimited.mjLIMITED_TRUE, [-0.02 * travel, 1.1 * travel]
+    made.limited, made.range = mujoco.mjtLimited.mjLIMITED_TRUE, [0.0, 1.1 * travel]
+    made.solref_limit, made.solimp_limit = (STIFF, 1.0), STIFF_SOLIMP
 
 
 def _quaternion(rotation: Float[np.ndarray, "3 3"]) -> Float[np.ndarray, " 4"]:
