@@ -94,7 +94,7 @@ class TeachingSession:
         self._mode: Callable[[], None] | None = None
         self._doing, self._sentence, self._wrong = "idle", "", False
         self._ended, self._stop, self._seq, self._number = False, False, 0, 0
-        self._files: dict[str, tuple[Path, str]] = {}
+        self._number_of_ghosts = 0
         self._put: dict[str, str] = {}
         self._looked = self._began = 0.0
         self._place(kind)
@@ -306,11 +306,10 @@ class TeachingSession:
         self._say(f"{path.stem} is taken in: {counted(len(read.time), 'sample')}.")
 
     def _free_path(self, stem: str) -> Path:
-        folder = self.keep / "recordings"
-        folder.mkdir(parents=True, exist_ok=True)
-        path, number = folder / f"{stem}.csv", 2
+        self.folder.mkdir(parents=True, exist_ok=True)
+        path, number = self.folder / f"{stem}.csv", 2
         while path.exists():
-            path, number = folder / f"{stem}_{number}.csv", number + 1
+            path, number = self.folder / f"{stem}_{number}.csv", number + 1
         return path
 
     # ---- scene ----------------------------------------------------------------------------------------------------
@@ -318,6 +317,7 @@ class TeachingSession:
     def _place(self, kind: Kind) -> None:
         """Another scene of a kind; recordings and answers of the one before stay on the disk."""
         scene = place_scene(kind, self.robot, self.tip, self._rng)
+        self._worker.give_up()
         self.arm = TeachingArm(scene, self._rng, in_real_time=self._real, shown=self._period)
         self.constraint: Constraint | None = None
         self._rows: Constraint | None = None
@@ -327,6 +327,8 @@ class TeachingSession:
         self._progress: dict[str, Any] | None = None
         self._outcome: dict[str, Any] | None = None
         self._grip_time: float | None = None
+        self._planned: dict[str, Any] | None = None
+        self._files: dict[str, tuple[Path, str]] = {}
         self._truth_shown = False
         self._loop: ServoLoop | None = None
         self._number += 1
@@ -372,10 +374,8 @@ class TeachingSession:
         gripped = 0 if held else None if sample is None else min(sample, len(read.time) - 1)
         self._recordings.append(Shown(done.files[0], read.q, read.time, gripped))
         left = ENOUGH - len(self._recordings)
-        more = "that is enough to learn from." if left <= 0 else f"{counted(left, 'more')} would be good."
-        self._say(
-            f"{done.files[0].stem} is kept, {read.time[-1] - read.time[0]:.1f} s; {more}".replace("mores", "more")
-        )
+        more = "that is enough to learn from." if left <= 0 else f"{left} more would be good."
+        self._say(f"{done.files[0].stem} is kept, {read.time[-1] - read.time[0]:.1f} s; {more}")
 
     # ---- learn ----------------------------------------------------------------------------------------------------
 
@@ -625,7 +625,7 @@ class TeachingSession:
             self._shows.put(lambda: text, slot)
 
     def _show_ghosts(self, kind: str, rollouts: list[dict[str, Any]]) -> None:
-        self._number_of_ghosts = getattr(self, "_number_of_ghosts", 0) + 1
+        self._number_of_ghosts += 1
         self._show("ghosts", {"number": self._number_of_ghosts, "kind": kind, "rollouts": rollouts})
 
     def _show_pose(self) -> None:

@@ -58,11 +58,15 @@ class TeachingWorker:
             job: Name of a function of `JOBS`.
             what: Its keywords.
         """
+        self.give_up()
+        self.busy = job
+        self._pipe.send((job, what))
+
+    def give_up(self) -> None:
+        """Give up the job, if there is one."""
         if self.busy:
             self.close()
             self._start()
-        self.busy = job
-        self._pipe.send((job, what))
 
     def heard(self) -> list[tuple[str, Any]]:
         """What has come since: ("progress", (step, share)), ("done", (job, answer)) or ("failed", (job, sentence))."""
