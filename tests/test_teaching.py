@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import multiprocessing
 import os
 import subprocess
 import sys
@@ -16,7 +17,7 @@ import pytest
 from teaching_person import Person
 
 import manip_learn as ml
-from manip_learn.errors import ConfigurationError
+from manip_learn.errors import ConfigurationError, MissingExtraError
 
 pytest.importorskip("mujoco")
 from manip_learn.commands.teaching_session import LEFT, TeachingSession  # noqa: E402
@@ -334,6 +335,14 @@ def test_a_robot_without_masses_and_limits_is_taught_with_defaults_that_are_told
     path.write_text(NO_LIMITS.replace('name="b" type="continuous"', 'name="b" type="floating"'))
     with pytest.raises(ConfigurationError, match="'b' does neither; lock it"):
         place_scene("drawer", ml.load_robot(str(path)), "tip", np.random.default_rng(0))
+
+
+def test_without_mujoco_the_extra_is_named(sawyer, tmp_path, monkeypatch):
+    """One sentence says what to install, and no process is left behind."""
+    monkeypatch.setitem(sys.modules, "mujoco", None)
+    with pytest.raises(MissingExtraError, match=r"manip_learn\[physics\]"):
+        TeachingSession(sawyer, TIP, tmp_path, "drawer", 1, Person(1))
+    assert not [child for child in multiprocessing.active_children() if child.name == "teaching"]
 
 
 @pytest.mark.slow

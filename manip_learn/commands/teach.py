@@ -58,11 +58,12 @@ def teach(options: TeachOptions, progress: Progress) -> Taught:
     """
     from manip_learn.commands.teaching_session import TeachingSession
     from manip_learn.drivers.teaching_arm import PERIOD
-    from manip_learn.drivers.teaching_scene import Kind
+    from manip_learn.drivers.teaching_scene import Kind, physics
     from manip_learn.playback.live_viewer import LiveProcess
     from manip_learn.playback.teaching_page import teaching_page
 
     progress("preparing the scene", 0.0)
+    physics()
     robot, tip = _arm(options)
     if options.out.exists() and not options.out.is_dir():
         raise OutputError(f"--out {options.out} is a file: name a folder")

@@ -97,7 +97,11 @@ class TeachingSession:
         self._number_of_ghosts = 0
         self._put: dict[str, str] = {}
         self._looked = self._began = 0.0
-        self._place(kind)
+        try:
+            self._place(kind)
+        except ManipLearnError:
+            self._worker.close()
+            raise
 
     # ---- the thread of the physics --------------------------------------------------------------------------------
 

@@ -14,7 +14,16 @@ from jaxtyping import Float
 from scipy.spatial.transform import Rotation
 
 from manip_learn.drivers.mujoco import MuJoCoDriver
-from manip_learn.drivers.teaching_scene import CLOSES, REACHES, SOFT, STIFF, TIMESTEP, TeachingScene, scene_model
+from manip_learn.drivers.teaching_scene import (
+    CLOSES,
+    REACHES,
+    SOFT,
+    STIFF,
+    TIMESTEP,
+    TeachingScene,
+    physics,
+    scene_model,
+)
 
 PERIOD = 0.01  # [s] between two readings, as cobots report at 100 Hz and more
 NOISE = 1e-4  # [rad or m] of the encoders: 16 bits a turn
@@ -60,9 +69,7 @@ class Hand:
     """
 
     def __init__(self, model: Any):
-        import mujoco
-
-        self._mujoco = mujoco
+        self._mujoco: Any = physics()
         self._linear, self._angular = np.zeros((3, model.nv)), np.zeros((3, model.nv))
         self.pull: Pull | None = None
         self._goal = self._first = None
@@ -132,10 +139,9 @@ class TeachingArm:
         in_real_time: bool = True,
         shown: Callable[[], object] | None = None,
     ):
-        import mujoco
-
+        self._mujoco: Any = physics()
         self.scene, self.period, self.joint_names = scene, PERIOD, scene.robot.joint_names
-        self._mujoco, self._shown, self._waits = mujoco, shown or (lambda: None), in_real_time
+        self._shown, self._waits = shown or (lambda: None), in_real_time
         model: Any = scene_model(scene)
         self.hand = Hand(model)
         self._arm = MuJoCoDriver(

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
+from types import ModuleType
 from typing import Any, Literal, final
 
 import numpy as np
@@ -355,6 +356,19 @@ def _axes_with_z(z: Float[np.ndarray, " 3"]) -> Float[np.ndarray, "3 3"]:
 # ---- as MuJoCo sees it --------------------------------------------------------------------------------------------
 
 
+def physics() -> ModuleType:
+    """MuJoCo.
+
+    Raises:
+        MissingExtraError: It is not installed.
+    """
+    try:
+        import mujoco
+    except ImportError as error:
+        raise MissingExtraError("teaching in the browser", "physics") from error
+    return mujoco
+
+
 def scene_model(scene: TeachingScene) -> object:
     """The scene as a `mujoco.MjModel`: the arm's joints by their names, then `handle_<i>`, which the equality
     `grip_<i>` can hold at the site `tip`.
@@ -362,10 +376,7 @@ def scene_model(scene: TeachingScene) -> object:
     Raises:
         MissingExtraError: MuJoCo is not installed.
     """
-    try:
-        import mujoco
-    except ImportError as error:
-        raise MissingExtraError("teaching in the browser", "physics") from error
+    mujoco: Any = physics()
     spec = mujoco.MjSpec()
     spec.compiler.degree, spec.option.timestep = False, TIMESTEP
     spec.option.integrator = mujoco.mjtIntegrator.mjINT_IMPLICITFAST
