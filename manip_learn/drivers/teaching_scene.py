@@ -364,6 +364,7 @@ def physics() -> ModuleType:
     """
     try:
         import mujoco
+        from mujoco import MjSpec  # noqa: F401  # a version without it, or folders that an uninstalled one has left
     except ImportError as error:
         raise MissingExtraError("teaching in the browser", "physics") from error
     return mujoco
