@@ -11,6 +11,7 @@ from pathlib import Path
 from typing import Any, Protocol, final
 
 import numpy as np
+from jaxtyping import Float
 
 from manip_learn.atomic_write import write_atomically
 from manip_learn.commands.teaching_picture import TeachingPicture, scene_content, truth_content
@@ -32,6 +33,7 @@ from manip_learn.drivers.teaching_scene import (
     place_scene,
 )
 from manip_learn.errors import ManipLearnError, counted
+from manip_learn.linalg import finite
 from manip_learn.playback.palette import COLOURS
 from manip_learn.recordings import load_demonstrations
 from manip_learn.recordings.trajectory import Trajectory
@@ -97,6 +99,7 @@ class TeachingSession:
         self._number_of_ghosts = 0
         self._put: dict[str, str] = {}
         self._looked = self._began = 0.0
+        self._acts = self._buttons()
         try:
             self._place(kind)
         except ManipLearnError:
@@ -194,7 +197,7 @@ class TeachingSession:
             self.arm.let_go()
             self._leader = page
             return
-        act = self._acts().get(str(do))
+        act = self._acts.get(str(do))
         if act is None or (page != self._leader and self._pages):
             return
         try:
@@ -204,7 +207,7 @@ class TeachingSession:
         except (KeyError, TypeError, ValueError, OSError) as error:
             self._say(f"the page asked for {do!r} in a way that is not understood: {error}", wrong=True)
 
-    def _acts(self) -> dict[str, Callable[[Mapping[str, Any]], None]]:
+    def _buttons(self) -> dict[str, Callable[[Mapping[str, Any]], None]]:
         return {
             "pull": self._pull,
             "release": lambda _: self.arm.let_go(),
@@ -234,15 +237,10 @@ class TeachingSession:
         self._stop, self._mode = True, mode
 
     def _pull(self, said: Mapping[str, Any]) -> None:
-        to = np.asarray(said["to"], dtype=np.float64)
-        turn = said.get("turn")
-        if to.shape != (3,) or not np.all(np.isfinite(to)):
-            raise ValueError("a pull needs three finite numbers")
+        link, turn = said.get("link"), said.get("turn")
+        at = None if link is None else _three(said["at"])
+        to, turn = _three(said["to"]), None if turn is None else _three(turn)
         self._seq = int(said.get("seq", 0))
-        link = said.get("link")
-        at = None if link is None else np.asarray(said["at"], dtype=np.float64)
-        if turn is not None and not np.all(np.isfinite(turn := np.asarray(turn, dtype=np.float64).reshape(3))):
-            raise ValueError("a turn needs three finite numbers")
         self.arm.pull(link, at, to, turn)
 
     def _grip(self, said: Mapping[str, Any]) -> None:
@@ -590,9 +588,7 @@ class TeachingSession:
 
     def _target(self, said: Mapping[str, Any]) -> None:
         """The way that comes nearest to a place that was dragged."""
-        at = np.asarray(said["at"], dtype=np.float64)
-        if at.shape != (3,):
-            raise ValueError("a place needs three numbers")
+        at = _three(said["at"])
         if self._way is not None:
             self._set_way({"value": self._way.at(at)})
 
@@ -662,3 +658,14 @@ class TeachingSession:
                 "keep": str(self.folder),
             },
         )
+
+
+def _three(values: object) -> Float[np.ndarray, " 3"]:
+    """A vector that a page has sent.
+
+    Raises:
+        ValueError: Not three finite numbers.
+    """
+    if (vector := finite(values, 3)) is None:
+        raise ValueError(f"three finite numbers are needed, not {values!r:.60}")
+    return vector

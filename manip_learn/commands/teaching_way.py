@@ -11,8 +11,10 @@ import numpy as np
 from jaxtyping import Float
 
 from manip_learn.constraint.constraint import Constraint
+from manip_learn.constraint.features.mechanism_rows import Place
 from manip_learn.constraint.mechanism import Mechanism
 from manip_learn.control.tasks import FreeDirection, motion
+from manip_learn.control.tasks.driven_motion import place_about
 from manip_learn.drivers.teaching_scene import CLOSES, REACHES, Handle, posture_at
 from manip_learn.linalg import null_basis
 from manip_learn.robot.robot import Robot
@@ -66,7 +68,6 @@ class Shown:
             "samples": len(self.time),
             "odd": self.odd,
             "phases": [[start - first, end - first, k] for start, end, k in self.phases],
-            "kept": True,
         }
 
 
@@ -216,9 +217,8 @@ def _handle_on(handles: Sequence[Handle], places: Float[np.ndarray, "k 3"]) -> i
 def _turned(start: Float[np.ndarray, " 3"], here: Float[np.ndarray, " 3"], constraint: Constraint) -> float:
     """Angle about a mechanism's axis from one place to another [rad]."""
     known = cast(Mechanism, constraint.mechanism)
-    axis, point = cast(np.ndarray, known.axis), cast(np.ndarray, known.point)
-    a, b = (x - point - ((x - point) @ axis) * axis for x in (start, here))
-    return float(np.arctan2(np.cross(a, b) @ axis, a @ b))
+    place = Place(cast(np.ndarray, known.axis), cast(np.ndarray, known.point))
+    return place_about(start - place.point, here - place.point, place, 0.0)["tangential"]
 
 
 def task_of(constraint: Constraint, way: Mapping[str, Any], amount: float | None = None) -> FreeDirection:

@@ -11,7 +11,6 @@ from typing import Any, Literal, final
 
 import numpy as np
 from jaxtyping import Float
-from scipy.spatial.transform import Rotation
 
 from manip_learn.drivers.mujoco import MuJoCoDriver
 from manip_learn.drivers.teaching_scene import (
@@ -24,6 +23,7 @@ from manip_learn.drivers.teaching_scene import (
     physics,
     scene_model,
 )
+from manip_learn.robot.rotations import rotation_matrix, rotation_vector
 
 PERIOD = 0.01  # [s] between two readings, as cobots report at 100 Hz and more
 NOISE = 1e-4  # [rad or m] of the encoders: 16 bits a turn
@@ -105,8 +105,8 @@ class Hand:
         self.force = wanted - DASHPOT * (self._linear @ data.qvel)
         data.qfrc_applied += self._linear.T @ self.force
         if pull.turn is not None:
-            aim = Rotation.from_rotvec(pull.turn).as_matrix() @ self._first
-            moment = WRIST_SPRING * Rotation.from_matrix(aim @ rotation.T).as_rotvec()
+            aim = rotation_matrix(pull.turn) @ self._first
+            moment = WRIST_SPRING * rotation_vector(aim @ rotation.T)
             moment *= min(1.0, TWISTS / max(float(np.linalg.norm(moment)), 1e-9))
             data.qfrc_applied += self._angular.T @ (moment - WRIST_DASHPOT * (self._angular @ data.qvel))
 

@@ -8,7 +8,7 @@ The true mechanism is joints with friction and play; nothing of the learner's mo
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from types import ModuleType
 from typing import Any, Literal, final
 
@@ -16,6 +16,8 @@ import numpy as np
 from jaxtyping import Float
 from scipy.spatial.transform import Rotation
 
+from manip_learn.constraint.features.frame_jacobian import pose_error
+from manip_learn.constraint.features.mechanism_rows import across
 from manip_learn.errors import ConfigurationError, MissingExtraError, counted
 from manip_learn.playback.kinematic_tree import kinematic_tree
 from manip_learn.playback.mechanism_drawing import (
@@ -29,6 +31,7 @@ from manip_learn.playback.mechanism_drawing import (
     facing,
 )
 from manip_learn.robot.robot import Robot
+from manip_learn.robot.rotations import rotation_matrix
 
 Kind = Literal["drawer", "door", "loose-door", "table", "screw", "two", "free"]
 TITLES: dict[Kind, str] = {
@@ -53,6 +56,8 @@ TASKS: dict[Kind, str] = {
 TIMESTEP = 0.002  # [s], 500 steps a second
 STIFF, SOFT = 2.0 * TIMESTEP, 0.12  # [s] in which a grip settles: the firmest that the time step allows, and at first
 CLOSES = 0.4  # [s] in which a gripper closes
+# share of a load that stops and grips take, least and most, over 1 mm: below 1 as MuJoCo demands, and so near that a
+# person's 60 N moves them by less than encoders tell
 STIFF_SOLIMP = (0.9999, 0.99999, 0.001, 0.5, 2.0)
 # damping [N m s/rad], dry friction [N m], rotor inertia [kg m2] of the drives: as guided arms of this size have them
 UPPER, FORE, WRIST = (4.0, 0.5, 0.10), (3.0, 0.3, 0.10), (1.0, 0.1, 0.02)
@@ -105,15 +110,15 @@ class Handle:
         """Whether it turns rather than slides."""
         return self.type in ("hinge", "screw")
 
-    def moved(self, by: float, across: float = 0.0) -> Float[np.ndarray, "4 4"]:
-        """The handle's pose when it has moved by some way [m or rad], and in a plane by another across that [m]."""
+    def moved(self, by: float, beside: float = 0.0) -> Float[np.ndarray, "4 4"]:
+        """The handle's pose when it has moved by some way [m or rad], and in a plane by another beside that [m]."""
         pose = self.pose.copy()
         if self.turns:
-            turn = Rotation.from_rotvec(by * self.axis).as_matrix()
+            turn = rotation_matrix(by * self.axis)
             pose[:3, 3] = self.point + turn @ (pose[:3, 3] - self.point) + self.pitch * by * self.axis
             pose[:3, :3] = turn @ pose[:3, :3]
         elif self.type == "plane":
-            pose[:3, 3] += by * pose[:3, 0] + across * pose[:3, 1]
+            pose[:3, 3] += by * pose[:3, 0] + beside * pose[:3, 1]
         else:
             pose[:3, 3] += by * self.axis
         return pose
@@ -147,7 +152,7 @@ class TeachingScene:
     tip: str
     handles: tuple[Handle, ...]
     start: Float[np.ndarray, " nv"]
-    notes: tuple[str, ...] = field(default=())
+    notes: tuple[str, ...] = ()
 
 
 def place_scene(kind: Kind, robot: Robot, tip: str, rng: np.random.Generator) -> TeachingScene:
@@ -302,9 +307,9 @@ class _Reach:
             boxes = crank_boxes(radius)
             point = at - radius * side
             return Handle("screw", "screw", pose, axis, point, True, travel, play, friction, *boxes, pitch), axis
-        normal = -points if self._flat else Rotation.from_rotvec(rng.normal(0.0, 0.12, 3)).apply(up)
+        normal = -points if self._flat else rotation_matrix(rng.normal(0.0, 0.12, 3)) @ up
         pose = np.eye(4)
-        pose[:3, :3], pose[:3, 3] = _axes_with_z(normal), at
+        pose[:3, :3], pose[:3, 3] = np.vstack([across(normal), normal]).T, at
         travel = float(rng.uniform(0.09, 0.14)) * size
         fixed = ((0.0, 0.0, -0.045, 4.0 * travel, 4.0 * travel, 0.03, BODY),)
         sponge = ((0.0, 0.0, -0.015, 0.09, 0.06, 0.03, HANDLE),)
@@ -336,21 +341,13 @@ def posture_at(
     """
     for _ in range(NEWTON_STEPS):
         pose, J = robot.pose(q, tip), robot.jacobian(q, tip)
-        error = wanted[:3, 3] - pose[:3, 3]
-        if firm:
-            error = np.concatenate([error, Rotation.from_matrix(wanted[:3, :3] @ pose[:3, :3].T).as_rotvec()])
+        error = pose_error(pose, wanted, own_axes=False)[: 6 if firm else 3]
         if np.linalg.norm(error) < ON_PATH:
             sizes = np.linalg.svd(J[: len(error)], compute_uv=False)
             return q if sizes[min(len(sizes), len(error), rank) - 1] > WEAKEST else None
         step = np.linalg.pinv(J[: len(error)], rcond=1e-3) @ error
         q = q + step * min(1.0, LARGEST_STEP / max(float(np.linalg.norm(step)), 1e-12))
     return None
-
-
-def _axes_with_z(z: Float[np.ndarray, " 3"]) -> Float[np.ndarray, "3 3"]:
-    x = np.cross(np.eye(3)[int(np.argmin(np.abs(z)))], z)
-    x /= np.linalg.norm(x)
-    return np.column_stack([x, np.cross(z, x), z])
 
 
 # ---- as MuJoCo sees it --------------------------------------------------------------------------------------------
@@ -438,8 +435,7 @@ def _add_handle(mujoco: Any, spec: Any, handle: Handle, number: int) -> None:
             made.limited, made.range = mujoco.mjtLimited.mjLIMITED_TRUE, [-reach, reach]
             made.solref_limit, made.solimp_limit = (STIFF, 1.0), STIFF_SOLIMP
 
-    across = _axes_with_z(axis)[:, :2].T
-    sides = [axis] if handle.type == "plane" else list(across)
+    sides = [axis] if handle.type == "plane" else list(across(axis))
     for k, side in enumerate(sides):
         joint(slide, side, f"play_{k}", 0.0, handle.play)
     if handle.type == "plane":

@@ -275,3 +275,12 @@ function statusAt(rollout, t) {
   }
   return rollout.status[low][1];
 }
+
+// A further value of a curve that is being made, of which the last seconds stay.
+function addNewest(rollout, { times, mu: curve }, time, mu, seconds) {
+  if (times.length && time < times[times.length - 1]) { times.length = 0; curve.length = 0; }
+  times.push(time);
+  curve.push(mu);
+  while (times.length > 2 && times[1] < time - seconds) { times.shift(); curve.shift(); }
+  rollout.duration = time;
+}

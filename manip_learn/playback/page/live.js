@@ -64,12 +64,7 @@ class Live {
   }
 
   addValue(time, mu) {
-    const { times, mu: curve } = this.values;
-    if (times.length && time < times[times.length - 1]) { times.length = 0; curve.length = 0; }
-    times.push(time);
-    curve.push(mu);
-    while (times.length > 2 && times[1] < time - LIVE_SPAN) { times.shift(); curve.shift(); }
-    this.rollout.duration = time;
+    addNewest(this.rollout, this.values, time, mu, LIVE_SPAN);
     this.changed = true;
   }
 

@@ -213,12 +213,7 @@ class Teach {
   }
 
   addValue(time, mu) {
-    const { times, mu: curve } = this.values;
-    if (times.length && time < times[times.length - 1]) { times.length = 0; curve.length = 0; }
-    times.push(time);
-    curve.push(mu);
-    while (times.length > 2 && times[1] < time - LIVE_SECONDS) { times.shift(); curve.shift(); }
-    this.rollout.duration = time;
+    addNewest(this.rollout, this.values, time, mu, LIVE_SECONDS);
     this.changed = true;
   }
 
