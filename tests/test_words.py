@@ -1,38 +1,19 @@
-"""Words of the library: phrases that a native reader stumbles over, and numbers that nobody explains, become fewer."""
+"""Each number of a module has its unit or its reason beside it."""
 
 from __future__ import annotations
 
 import ast
 import io
-import re
 import tokenize
 from collections.abc import Iterator
 
 from library_source import Source, library, listed
-
-# phrase -> how it is found in docstrings and comments, and how often it may occur: each number only falls
-PHRASES = {
-    "so many times as much: say the number": (
-        r"\bso many times\b|\btimes as (?:much|many|far|long|often|large|fast|slow|strong|wide|high|small)\b",
-        3,
-    ),
-    "what is ...: say the noun": (r"\b[Ww]hat (?:is|are|was|were)\b(?! to be done)", 199),
-    "The same ... at a docstring's beginning: it is read without its neighbour": (r"\A(?:The s|S)ame\b", 0),
-}
 
 
 def comments(source: Source) -> dict[int, str]:
     """Line -> the comment on it."""
     tokens = tokenize.generate_tokens(io.StringIO(source.text).readline)
     return {token.start[0]: token.string for token in tokens if token.type == tokenize.COMMENT}
-
-
-def words(source: Source) -> Iterator[tuple[int, str]]:
-    """(line, text) of the docstrings and comments of a file."""
-    for node in ast.walk(source.tree):
-        if isinstance(node, ast.Module | ast.ClassDef | ast.FunctionDef | ast.AsyncFunctionDef):
-            yield getattr(node, "lineno", 1), ast.get_docstring(node) or ""
-    yield from comments(source).items()
 
 
 def has_number(node: ast.AST) -> bool:
@@ -55,18 +36,6 @@ def unexplained(source: Source) -> Iterator[str]:
         lines = range(node.lineno - 1, (node.end_lineno or node.lineno) + 1)
         if not explained and not any(line in said for line in lines) and any(name.isupper() for name in names):
             yield f"{source.relative}:{node.lineno}: {', '.join(names)}"
-
-
-def test_phrases_become_fewer():
-    """Each phrase occurs in the docstrings and comments of the library at most as often as its ceiling says."""
-    for phrase, (pattern, most) in PHRASES.items():
-        found = [
-            f"{source.relative}:{line}: {text.splitlines()[0]}"
-            for source in library()
-            for line, text in words(source)
-            for _ in re.findall(pattern, text)
-        ]
-        assert len(found) <= most, f"{phrase}; at most {most}\n{listed(found)}"
 
 
 def test_numbers_are_explained():
