@@ -24,6 +24,7 @@ FLOORS = {
     "drivers": "5",
     "playback": "5",
     "experiments": "6",
+    "teach": "6",
     "commands": "7",
     "cli": "8",
     "__main__": "9",
@@ -47,7 +48,7 @@ ROOMS = {
     "rich": {"cli", "commands", "experiments"},
     "matplotlib": {"experiments"},
     "joblib": {"experiments", "learning"},
-    "mujoco": {"drivers", "experiments", "robot"},
+    "mujoco": {"drivers", "robot", "teach"},
     "dask": {"experiments", "learning"},
     "distributed": {"experiments", "learning"},
     "pickle": {"recordings"},  # jobs for a child of our own; nothing that comes from outside is unpickled
@@ -57,7 +58,7 @@ IMPORTED_AS = {"pin": "pinocchio"}
 # user's own, or a driver, raises; a live view goes on, and logs, whatever a program's function raises in its thread
 LAST_LINES_OF_DEFENCE = (
     *("cli.py", "control/servo_loop.py", "control/driver.py"),
-    *("drivers/record.py", "commands/record.py", "commands/teaching_worker.py", "playback/live_viewer.py"),
+    *("drivers/record.py", "commands/record.py", "teach/worker.py", "playback/live_viewer.py"),
 )
 
 

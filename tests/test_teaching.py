@@ -20,10 +20,10 @@ import manip_learn as ml
 from manip_learn.errors import ConfigurationError, MissingExtraError
 
 pytest.importorskip("mujoco")
-from manip_learn.commands.teaching_session import LEFT, TeachingSession  # noqa: E402
-from manip_learn.drivers.teaching_arm import STRONGEST, TeachingArm  # noqa: E402
-from manip_learn.drivers.teaching_scene import TITLES, place_scene  # noqa: E402
 from manip_learn.robot.tips import default_tip  # noqa: E402
+from manip_learn.teach.arm import STRONGEST, TeachingArm  # noqa: E402
+from manip_learn.teach.scene import TITLES, place_scene  # noqa: E402
+from manip_learn.teach.session import LEFT, TeachingSession  # noqa: E402
 
 TIP = "right_gripper_tip"
 NO_LIMITS = """<robot name="bare"><link name="base"/><link name="upper"/><link name="fore"/><link name="hand"/>

@@ -17,7 +17,7 @@ from test_playback_devices import FINGER, FOCUS, boxes
 from manip_learn.playback import replay
 from manip_learn.playback.kinematic_tree import joint_tracks, kinematic_tree
 from manip_learn.playback.page_writer import packed
-from manip_learn.playback.teaching_page import teaching_page
+from manip_learn.teach.picture import teaching_page
 
 pytestmark = pytest.mark.browser
 

@@ -10,13 +10,13 @@ from typing import Any, final
 import numpy as np
 
 from manip_learn.commands.loading import robot_of_constraint
-from manip_learn.commands.null_policies import null_policy
 from manip_learn.commands.options import ControlOptions, PlanOptions, vector
 from manip_learn.constraint.constraint import Constraint
 from manip_learn.constraint.features.weighed_velocity import WeighedVelocity
 from manip_learn.control.command import Status
 from manip_learn.control.controller import ResolvedRateController
 from manip_learn.control.limits import check_inside
+from manip_learn.control.null_policies import null_policy
 from manip_learn.control.planning.approach import GraspCone
 from manip_learn.control.planning.plan import Plan, plan
 from manip_learn.control.rollout import Rollout

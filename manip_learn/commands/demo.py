@@ -11,10 +11,10 @@ import numpy as np
 
 from manip_learn.commands.control import Controlled, follow
 from manip_learn.commands.learn import Learnt, learn
-from manip_learn.commands.null_policies import null_policy
 from manip_learn.commands.options import DemoOptions, LearnOptions, PlanOptions
 from manip_learn.constraint.constraint import Constraint
 from manip_learn.control.controller import ResolvedRateController
+from manip_learn.control.null_policies import null_policy
 from manip_learn.control.planning.plan import Plan
 from manip_learn.control.rollout import Rollout
 from manip_learn.control.simulation import simulate

@@ -21,7 +21,7 @@ from manip_learn.robot.description.catalogue import known_as
 from manip_learn.robot.tips import likely_tips
 
 if TYPE_CHECKING:
-    from manip_learn.commands.teaching_session import TeachingSession
+    from manip_learn.teach.session import TeachingSession
 
 STARTS = 20.0  # [s] in which the server starts: a busy machine takes a few
 
@@ -56,11 +56,11 @@ def teach(options: TeachOptions, progress: Progress) -> Taught:
         MissingExtraError: MuJoCo is not installed.
         OutputError: The server does not start, or the folder cannot be written to.
     """
-    from manip_learn.commands.teaching_session import TeachingSession
-    from manip_learn.drivers.teaching_arm import PERIOD
-    from manip_learn.drivers.teaching_scene import Kind, physics
     from manip_learn.playback.live_viewer import LiveProcess
-    from manip_learn.playback.teaching_page import teaching_page
+    from manip_learn.teach.arm import PERIOD
+    from manip_learn.teach.picture import teaching_page
+    from manip_learn.teach.scene import Kind, physics
+    from manip_learn.teach.session import TeachingSession
 
     progress("preparing the scene", 0.0)
     physics()

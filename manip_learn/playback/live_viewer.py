@@ -27,7 +27,7 @@ from numpy.typing import ArrayLike
 from manip_learn.errors import ConfigurationError, OutputError
 from manip_learn.playback.appearance import appearance
 from manip_learn.playback.kinematic_tree import TreeJoint, joint_tracks, kinematic_tree
-from manip_learn.playback.page_writer import Mode, page
+from manip_learn.playback.page_writer import LIVE, PageKind, page
 from manip_learn.playback.palette import rollout_colours
 from manip_learn.playback.recorded_motion import RecordedMotion
 from manip_learn.playback.scene_data import scene_data
@@ -318,7 +318,7 @@ class LiveViewer:
         self.close()
 
 
-def live_page(robot: Robot, tree: tuple[TreeJoint, ...], name: str, token: str, mode: Mode = "live") -> bytes:
+def live_page(robot: Robot, tree: tuple[TreeJoint, ...], name: str, token: str, kind: PageKind = LIVE) -> bytes:
     """HTML of a page that follows a robot.
 
     Args:
@@ -326,7 +326,7 @@ def live_page(robot: Robot, tree: tuple[TreeJoint, ...], name: str, token: str, 
         tree: Its joints.
         name: Headline.
         token: Of the address under which it is served.
-        mode: `"live"` only shows it, on `"teach"` it is also taught.
+        kind: What the page is made of.
 
     Raises:
         OutputError: Meshcat's viewer is missing.
@@ -350,4 +350,4 @@ def live_page(robot: Robot, tree: tuple[TreeJoint, ...], name: str, token: str, 
     looks = appearance(robot, tree)
     data = scene_data(robot, tree, looks, tip, [still], rollout_colours([name], {}), looks.notes)
     data["events"] = f"/{token}/events"
-    return page(data, robot=name, subtitle="", mode=mode).encode("utf-8")
+    return page(data, robot=name, subtitle="", kind=kind).encode("utf-8")

@@ -5,13 +5,13 @@ from __future__ import annotations
 import base64
 import hashlib
 import html
-import importlib.resources
 import importlib.util
 import json
 import re
+from dataclasses import dataclass, replace
 from functools import cache
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any, final
 
 import numpy as np
 
@@ -33,31 +33,43 @@ def unpacked(text: str, dtype: str) -> np.ndarray:
     return np.frombuffer(base64.b64decode(text), dtype)
 
 
-STYLE = ("style.css", "tracks.css")
-PROGRAM = (
-    *("scene.js", "stage.js", "fit.js", "phases.js", "chart.js", "sheets.js", "tracks.js"),
-    *("constraint_marks.js", "furniture.js", "labels.js", "shown.js", "evidence.js", "recording_choice.js"),
-    *("keys.js", "legend.js", "player.js", "live.js", "main.js"),
-)
-TEACH_STYLE = (*STYLE, "teach.css")
-TEACH_PROGRAM = (
-    *(name for name in PROGRAM if name not in ("shown.js", "recording_choice.js", "live.js", "main.js")),
-    *("teach_quality.js", "teach_link.js", "teach_pointing.js", "teach_hand.js", "teach_furniture.js"),
-    *(
-        "teach_drawing.js",
-        "teach_recordings.js",
-        "teach_answer.js",
-        "teach_ghosts.js",
-        "teach_take.js",
-        "teach_panel.js",
+@final
+@dataclass(frozen=True)
+class PageKind:
+    """The files that a kind of page is made of.
+
+    Attributes:
+        mode: `"replay"`, which listens to nobody; `"live"` may listen to the server that it came from, and another
+            kind may also speak to it.
+        style: Style sheets.
+        program: Parts of the program, in their order.
+        markup: Between the picture and the curves; None for nothing.
+    """
+
+    mode: str
+    style: tuple[Path, ...]
+    program: tuple[Path, ...]
+    markup: Path | None = None
+
+
+FOLDER = Path(__file__).with_name("page")
+REPLAY = PageKind(
+    "replay",
+    (FOLDER / "style.css", FOLDER / "tracks.css"),
+    tuple(
+        FOLDER / f"{name}.js"
+        for name in (
+            *("scene", "stage", "fit", "phases", "chart", "sheets", "tracks"),
+            *("constraint_marks", "furniture", "labels", "shown", "evidence", "recording_choice"),
+            *("keys", "legend", "player", "live", "main"),
+        )
     ),
-    *("teach_tour.js", "teach.js"),
 )
-Mode = Literal["replay", "live", "teach"]
+LIVE = replace(REPLAY, mode="live")
 
 
-def page(data: dict[str, Any], *, robot: str, subtitle: str, mode: Mode = "replay") -> str:
-    """HTML of a replay, of a live view, or of a page on which an arm is taught.
+def page(data: dict[str, Any], *, robot: str, subtitle: str, kind: PageKind = REPLAY) -> str:
+    """HTML of a replay, of a live view, or of another kind of page.
 
     Names are escaped; and even a name that slipped through could not run: scripts run only if their hash is listed.
 
@@ -65,20 +77,18 @@ def page(data: dict[str, Any], *, robot: str, subtitle: str, mode: Mode = "repla
         data: What the program reads; finite numbers and text.
         robot: Headline.
         subtitle: Beside it.
-        mode: A live page may listen to the server that it came from, one to teach on may also speak to it, and a replay
-            to none.
+        kind: What it is made of, and whom it may listen to.
 
     Raises:
         OutputError: Meshcat's viewer is missing.
     """
-    teaching = mode == "teach"
-    viewer, program = viewer_script(), _program(TEACH_PROGRAM if teaching else PROGRAM)
+    viewer, program = viewer_script(), _program(kind.program)
     parts = {
-        "policy": _policy((viewer, program), live=mode != "replay"),
+        "policy": _policy((viewer, program), live=kind.mode != "replay"),
         "title": html.escape(f"{robot}: {subtitle}" if subtitle else robot),
-        "style": "".join(_resource(name) for name in (TEACH_STYLE if teaching else STYLE)),
-        "mode": mode,
-        "teach": _resource("teach.html") if teaching else "",
+        "style": "".join(map(_content, kind.style)),
+        "mode": kind.mode,
+        "markup": "" if kind.markup is None else _content(kind.markup),
         "robot": html.escape(robot),
         "subtitle": html.escape(subtitle),
         "data": json_in_html(data),
@@ -86,7 +96,7 @@ def page(data: dict[str, Any], *, robot: str, subtitle: str, mode: Mode = "repla
         "viewer": viewer,
         "program": program,
     }
-    return re.sub(r"\{\{(\w+)\}\}", lambda match: parts[match[1]], _resource("page.html"))
+    return re.sub(r"\{\{(\w+)\}\}", lambda match: parts[match[1]], _content(FOLDER / "page.html"))
 
 
 def json_in_html(data: object) -> str:
@@ -104,14 +114,13 @@ def _policy(scripts: tuple[str, ...], live: bool) -> str:
 
 
 @cache
-def _resource(name: str) -> str:
-    text = importlib.resources.files("manip_learn.playback").joinpath("page", name).read_text(encoding="utf-8")
-    return text.replace("\r\n", "\n")
+def _content(file: Path) -> str:
+    return file.read_text(encoding="utf-8")  # which makes one newline of every kind
 
 
 @cache
-def _program(names: tuple[str, ...]) -> str:
-    body = "\n".join(_resource(name) for name in names)
+def _program(files: tuple[Path, ...]) -> str:
+    body = "\n".join(map(_content, files))
     return f'"use strict";\n(() => {{\n{body}\n}})();\n'
 
 

@@ -14,9 +14,6 @@ import numpy as np
 from jaxtyping import Float
 
 from manip_learn.atomic_write import write_atomically
-from manip_learn.commands.teaching_picture import TeachingPicture, scene_content, truth_content
-from manip_learn.commands.teaching_way import Shown, ShownWay, task_of
-from manip_learn.commands.teaching_worker import TeachingWorker, ghost
 from manip_learn.constraint.constraint import Constraint
 from manip_learn.control.command import Controller
 from manip_learn.control.controller import ResolvedRateController
@@ -25,19 +22,22 @@ from manip_learn.control.follow_motion import FollowMotion
 from manip_learn.control.following import following_error_limit
 from manip_learn.control.servo_loop import ServoLoop
 from manip_learn.drivers.record import record
-from manip_learn.drivers.teaching_arm import PERIOD, TeachingArm
-from manip_learn.drivers.teaching_scene import (
-    TASKS,
-    TITLES,
-    Kind,
-    place_scene,
-)
 from manip_learn.errors import ManipLearnError, counted
 from manip_learn.linalg import finite
 from manip_learn.playback.palette import COLOURS
 from manip_learn.recordings import load_demonstrations
 from manip_learn.recordings.trajectory import Trajectory
 from manip_learn.robot.robot import Robot
+from manip_learn.teach.arm import PERIOD, TeachingArm
+from manip_learn.teach.picture import TeachingPicture, scene_content, truth_content
+from manip_learn.teach.scene import (
+    TASKS,
+    TITLES,
+    Kind,
+    place_scene,
+)
+from manip_learn.teach.way import Shown, ShownWay, task_of
+from manip_learn.teach.worker import TeachingWorker, ghost
 
 LEFT = 1.0  # [s] without a page after which the program ends: loading a page again asks for it within a tenth of that
 SAID = 0.1  # [s] between two looks at the state as a whole
@@ -549,7 +549,7 @@ class TeachingSession:
 
     def _drive(self, way: ShownWay, policy: str) -> dict[str, Any]:
         """Run the controller until the way is done, something trips, or the person stops it."""
-        from manip_learn.commands.null_policies import null_policy
+        from manip_learn.control.null_policies import null_policy
 
         self.arm.hold()
         task, rested = way.task_from(self.arm.q), [0.0]

@@ -13,7 +13,8 @@ import numpy as np
 from jaxtyping import Float
 
 from manip_learn.drivers.mujoco import MuJoCoDriver
-from manip_learn.drivers.teaching_scene import (
+from manip_learn.robot.rotations import rotation_matrix, rotation_vector
+from manip_learn.teach.scene import (
     CLOSES,
     REACHES,
     SOFT,
@@ -23,7 +24,6 @@ from manip_learn.drivers.teaching_scene import (
     physics,
     scene_model,
 )
-from manip_learn.robot.rotations import rotation_matrix, rotation_vector
 
 PERIOD = 0.01  # [s] between two readings, as cobots report at 100 Hz and more
 NOISE = 1e-4  # [rad or m] of the encoders: 16 bits a turn

@@ -15,9 +15,9 @@ from manip_learn.constraint.features.mechanism_rows import Place
 from manip_learn.constraint.mechanism import Mechanism
 from manip_learn.control.tasks import FreeDirection, motion
 from manip_learn.control.tasks.driven_motion import place_about
-from manip_learn.drivers.teaching_scene import CLOSES, REACHES, Handle, posture_at
 from manip_learn.linalg import null_basis
 from manip_learn.robot.robot import Robot
+from manip_learn.teach.scene import CLOSES, REACHES, Handle, posture_at
 
 STEP = 0.01  # [s] of a simulation, as the arm's period
 SHORTEST = {"m": 0.02, "rad": 0.05}  # [m or rad] a way that was shown and is worth doing again

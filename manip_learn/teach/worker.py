@@ -15,11 +15,11 @@ from typing import Any, final
 import numpy as np
 from numpy.typing import ArrayLike
 
-from manip_learn.commands.teaching_way import STEP, task_of
-from manip_learn.drivers.teaching_scene import posture_at
 from manip_learn.errors import ManipLearnError, OutputError
 from manip_learn.recordings.trajectory_source import Progress
 from manip_learn.robot.robot import Robot
+from manip_learn.teach.scene import posture_at
+from manip_learn.teach.way import STEP, task_of
 
 PARENT_CHECK_SECONDS = 0.5  # between two looks for the parent
 STOP_SECONDS = 1.0  # for the process to end by itself
@@ -235,9 +235,9 @@ def _simulated(
     robot: Robot, tip: str, said: Progress, file: str, way: Any, start: np.ndarray, named: Mapping[str, str]
 ) -> list[dict[str, Any]]:
     """Rollouts of some policies, as the page plays them."""
-    from manip_learn.commands.null_policies import null_policy
     from manip_learn.constraint.constraint import Constraint
     from manip_learn.control.controller import ResolvedRateController
+    from manip_learn.control.null_policies import null_policy
     from manip_learn.control.way import simulate_way
     from manip_learn.playback.palette import rollout_colours
 
@@ -310,7 +310,7 @@ def take(
     Raises:
         OutputError: Nothing was learnt that could be taken, or a word that is none of these.
     """
-    from manip_learn.commands.teaching_files import HOMES
+    from manip_learn.teach.files import HOMES
 
     if what not in HOMES:
         raise OutputError(f"what can be taken home is {', '.join(HOMES)}, not {what!r}")

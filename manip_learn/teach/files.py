@@ -12,12 +12,12 @@ from typing import Any
 import numpy as np
 
 from manip_learn.atomic_write import write_atomically
-from manip_learn.commands.teaching_way import STEP, task_of
 from manip_learn.constraint.constraint import Constraint
 from manip_learn.recordings import load_demonstrations
 from manip_learn.recordings.saved_motion import motion_of_trajectory
 from manip_learn.robot.description.catalogue import known_as
 from manip_learn.robot.robot import Robot
+from manip_learn.teach.way import STEP, task_of
 
 Taken = list[tuple[str, str, str]]
 SCRIPT = '''"""{title}: the same steps as on the page. Run it in the folder of the recordings."""

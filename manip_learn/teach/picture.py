@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+from pathlib import Path
 from typing import Any, final
 
 import numpy as np
@@ -9,16 +11,50 @@ from jaxtyping import Float
 
 from manip_learn.constraint.constraint import Constraint
 from manip_learn.constraint.manipulability import manipulability
-from manip_learn.drivers.teaching_arm import TeachingArm
-from manip_learn.drivers.teaching_scene import TASKS, TITLES, Handle, TeachingScene
 from manip_learn.playback.constraint_marks import held_directions
 from manip_learn.playback.kinematic_tree import joint_tracks, kinematic_tree
-from manip_learn.playback.page_writer import packed
+from manip_learn.playback.live_viewer import live_page
+from manip_learn.playback.page_writer import REPLAY, packed
 from manip_learn.robot.robot import Robot
+from manip_learn.teach.arm import TeachingArm
+from manip_learn.teach.scene import TASKS, TITLES, Handle, TeachingScene
 
 WEAK = 0.2  # least over largest singular value of the tip's translation, below which the weak direction is drawn
 AT_LIMIT = 0.01  # [rad or m] from a joint's limit at which the arm feels it
 SEEN = 20  # random postures that show in how many directions the tip can move
+
+FOLDER = Path(__file__).with_name("page")
+NOT_TAUGHT_WITH = ("shown.js", "recording_choice.js", "live.js", "main.js")  # of a replay's program
+TEACH = replace(
+    REPLAY,
+    mode="teach",
+    style=(*REPLAY.style, FOLDER / "teach.css"),
+    program=(
+        *(file for file in REPLAY.program if file.name not in NOT_TAUGHT_WITH),
+        *(
+            FOLDER / f"{name}.js"
+            for name in (
+                *("quality", "link", "pointing", "hand", "furniture", "drawing", "recordings", "answer", "ghosts"),
+                *("take", "panel", "tour", "teach"),
+            )
+        ),
+    ),
+    markup=FOLDER / "teach.html",
+)
+
+
+def teaching_page(robot: Robot, name: str, token: str) -> bytes:
+    """HTML of the page for `manip-learn teach`, self-contained; it speaks to the server that it came from alone.
+
+    Args:
+        robot: The robot; its poses, furniture and recordings arrive as events.
+        name: Headline.
+        token: Of the address under which it is served.
+
+    Raises:
+        OutputError: Meshcat's viewer is missing.
+    """
+    return live_page(robot, kinematic_tree(robot), name, token, TEACH)
 
 
 @final
