@@ -43,7 +43,7 @@ def ratios_of(rounds: dict[str, list[float]]) -> dict[str, Ratio]:
 
 
 def measured(arm: states.Arm, state: str) -> dict[str, Ratio]:
-    """Ratios of one state: the controller, the same with compiled limits, and the compiled one."""
+    """Ratios of one state: the controller and the compiled one."""
     cases = states.cases_of(arm, state)
     if not cases:
         return {}
@@ -53,7 +53,6 @@ def measured(arm: states.Arm, state: str) -> dict[str, Ratio]:
         "python": states.calls(law, cases),
     }
     if COMPILED:
-        candidates["limits compiled"] = states.calls(law.with_solver("compiled"), cases)
         candidates["compiled"] = states.calls(ml.CompiledController(law), cases)
     return ratios_of(rounds_of(candidates, 2, ROUNDS))
 
@@ -69,7 +68,7 @@ def cell(found: dict[str, Ratio], which: str) -> str:
 def test_every_state() -> None:
     """The table of states and robots."""
     flat: dict[str, Ratio] = {}
-    tables: dict[str, list[str]] = {which: [] for which in ("python", "limits compiled", "compiled")}
+    tables: dict[str, list[str]] = {which: [] for which in ("python", "compiled")}
     arms = {name: states.arm_of(name) for name in states.ROBOTS}
     for state in states.STATES:
         found = {name: measured(arm, state) for name, arm in arms.items()}

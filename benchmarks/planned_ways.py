@@ -24,10 +24,10 @@ import numpy as np
 from pages import put
 
 import manip_learn as ml
-from manip_learn.control.planning.approach import self_collision
-from manip_learn.control.planning.search import ladder_of
-from manip_learn.control.planning.stations import Stations
 from manip_learn.control.way import WayDone, simulate_way
+from manip_learn.planning.approach import self_collision
+from manip_learn.planning.search import ladder_of
+from manip_learn.planning.stations import Stations
 
 TIPS = {"sawyer": "right_hand", "panda": "panda_hand_tcp", "xarm7": "link_eef", "ur5": "tool0", "ur10": "tool0"}
 LOCKED = {"panda": ("panda_finger_joint1", "panda_finger_joint2")}

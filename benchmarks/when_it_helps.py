@@ -1,10 +1,10 @@
-"""When does the manipulability of the task, or a plan, help? Six arms, seven tasks, ten policies and peers, one table.
+"""When does the manipulability of the task, or a plan, help? Six arms, seven tasks, nine policies and peers, one table.
 
     python benchmarks/when_it_helps.py [--out docs/figures_when_it_helps.md] [--starts 50] [--seed 41000] [--workers 2]
         [--arms panda so101] [--tasks reach "door 60 deg"] [--policies none learnt] [--few 10] [--plans 10]
         [--cache FOLDER] [--json FILE] [--python pink=/path/to/python]
 
-What is simulated stands in `when_cases.py` and `when_runs.py`. `--few` starts of each cell get a path and the peers,
+What is simulated stands in `when_cases.py` and `when_runs.py`. `--few` starts of each cell get the peers,
 `--plans` a plan; 0 leaves them out. With `--cache` a run that was stopped goes on where it was. The numbers do not
 depend on how many workers there are.
 """
@@ -41,7 +41,6 @@ TITLES = {
     "held": "μ, held only",
     "penalised": "penalised μ",
     "limits": "joint limits",
-    "path": "whole path",
     "plan": "plan",
     "pink": "Pink, its μ",
     "mink": "mink",
@@ -101,8 +100,6 @@ def numbers_of(cell: Cell, given: argparse.Namespace, pythons: dict[str, str]) -
         number = given.starts
         if policy in PEERS:
             number = min(given.few, number) if policy in pythons else 0
-        elif policy == "path":
-            number = min(given.few, number)
         elif policy == "plan":
             number = min(given.plans, number) if hasattr(ml, "plan") and cell.task != "reach" else 0
         out[policy] = number
@@ -275,7 +272,7 @@ def options(arguments: Sequence[str] | None = None) -> argparse.Namespace:
     """What was asked for."""
     parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
     parser.add_argument("--starts", type=int, default=50, help="starts a cell")
-    parser.add_argument("--few", type=int, default=10, help="of them with a path and with the peers; 0: none")
+    parser.add_argument("--few", type=int, default=10, help="of them with the peers; 0: none")
     parser.add_argument("--plans", type=int, default=10, help="of them with a plan; 0: none")
     parser.add_argument("--seed", type=int, default=41_000)
     parser.add_argument("--arms", nargs="+", default=list(ARMS), choices=list(ARMS))

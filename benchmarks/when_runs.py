@@ -1,4 +1,4 @@
-"""Ways, reaching, paths, plans and peers of `when_it_helps.py`, all judged from the joint path by one rule."""
+"""Ways, reaching, plans and peers of `when_it_helps.py`, all judged from the joint path by one rule."""
 
 from __future__ import annotations
 
@@ -14,13 +14,13 @@ from controller_cases import plain_urdf
 from when_cases import PAUSE, Case
 
 import manip_learn as ml
-from manip_learn.control.planning.approach import self_collision
 from manip_learn.control.way import AT_REST, DONE, SLACK, STRAY, WayDone, simulate_way
+from manip_learn.planning.approach import self_collision
 
 GAIN, DURATION, THERE = 2.0, 5.0, 1e-3  # [1/s] and [s] of reaching, and what may be missing of it [m or rad]
 SCRIPTS = Path(__file__).resolve().parent / "peers"
 OWN = ("none", "learnt", "held", "penalised", "limits")
-SLOW = ("path", "plan")  # what takes seconds a start
+SLOW = ("plan",)  # what takes seconds a start
 PEERS = ("pink", "mink", "placo")
 POLICIES = (*OWN, *SLOW, *PEERS)
 
@@ -117,10 +117,10 @@ def together(parts: list[Part], wanted: int) -> Score:
 
 
 def run(case: Case, name: str, dt: float) -> Score:
-    """One start with one policy, a path or a plan."""
+    """One start with one policy or a plan."""
     if not case.strokes:
         return _reaching(case, name, dt)
-    make = {"path": _path, "plan": _plan}.get(name, _stroke)
+    make = _plan if name == "plan" else _stroke
     q, parts = case.start, []
     for number in range(len(case.strokes)):
         answer = make(case, number, q, name, dt)
@@ -141,12 +141,6 @@ def _stroke(case: Case, number: int, q: np.ndarray, name: str, dt: float) -> tup
     return rollout.q[-1], scored(way, rollout.manipulability[rollout.time >= begins - 1e-9])
 
 
-def _path(case: Case, number: int, q: np.ndarray, name: str, dt: float) -> tuple[np.ndarray, Part]:
-    task = case.motion(number)
-    rollout = ml.optimise_path(task.constraint, task, q, task.duration_from(q) + SLACK, dt)
-    return rollout.q[-1], judged(task, rollout.time, rollout.q, rollout.u, task.pause)
-
-
 def _plan(case: Case, number: int, q: np.ndarray, name: str, dt: float) -> tuple[np.ndarray, Part] | None:
     task, links = case.motion(number), self_collision(case.constraint.robot)
     touching = links is not None and bool(links.closer_than(q, 0.0))  # starts are drawn without regard to links
@@ -162,11 +156,8 @@ def _reaching(case: Case, name: str, dt: float) -> Score:
         raise LookupError("reaching has no way that could be planned")
     rows, robot = case.held(), case.constraint.robot
     task = ml.PointAttractor(case.target if case.keep else case.target[:3, 3], GAIN)
-    if name == "path":
-        rollout = ml.optimise_path(rows, task, case.start, DURATION, dt)
-    else:
-        law = ml.ResolvedRateController(rows, task, policy_of(name, case, rows), dt=dt)
-        rollout = ml.simulate(robot, law, case.start, DURATION, dt)
+    law = ml.ResolvedRateController(rows, task, policy_of(name, case, rows), dt=dt)
+    rollout = ml.simulate(robot, law, case.start, DURATION, dt)
     return reached(case, rollout.time, rollout.q, rollout.u)
 
 

@@ -51,9 +51,6 @@ if TYPE_CHECKING:
     from manip_learn.control.follow_motion import FollowMotion
     from manip_learn.control.following import following_error_limit
     from manip_learn.control.limits import Limits
-    from manip_learn.control.optimise_path import optimise_path
-    from manip_learn.control.planning.approach import GraspCone
-    from manip_learn.control.planning.plan import Plan, plan
     from manip_learn.control.policies import (
         JointAttractor,
         JointLimitAvoidance,
@@ -75,6 +72,8 @@ if TYPE_CHECKING:
     from manip_learn.learning import ConstraintLearner
     from manip_learn.learning.audit import audit_episodes
     from manip_learn.learning.mechanisms.find_mechanism import MechanismFit, find_mechanism
+    from manip_learn.planning.approach import GraspCone
+    from manip_learn.planning.plan import Plan, plan
     from manip_learn.playback import LiveViewer, replay
     from manip_learn.recordings import RecordingSource, iter_demonstrations, load_demonstrations
     from manip_learn.recordings.demonstrations import Demonstrations
@@ -121,9 +120,8 @@ _NAMES = {
     "control.policies": "JointAttractor JointLimitAvoidance ManipulabilityAscent NullSpacePolicy "
     "PenalisedManipulabilityAscent SelfCollisionAvoidance WeightedPolicies ZeroPolicy",
     "control.tasks": "FreeDirection Hold PointAttractor Task Track motion",
-    "control.planning.approach": "GraspCone",
-    "control.planning.plan": "Plan plan",
-    "control.optimise_path": "optimise_path",
+    "planning.approach": "GraspCone",
+    "planning.plan": "Plan plan",
     "control.servo_loop": "ServoLoop",
     "control.driver": "Driver RunRecord run warm_up",
     "control.simulation": "simulate",
@@ -133,6 +131,11 @@ _NAMES = {
     "drivers.record": "RecordedFiles record",
     "playback": "LiveViewer replay",
     "errors": "ManipLearnError NoPlanError",
+}
+# names of 0.1 that are gone, and what to use instead; until 0.3
+_REMOVED = {
+    "PlacoTask": "hand PlaCo the rows A(q), b and pi yourself: A(q + dq) = A q + dt b as two joint-space half-spaces",
+    "optimise_path": "ml.plan chooses posture and motion of a whole way; ManipulabilityAscent climbs on the spot",
 }
 _HOMES = {name: module for module, names in _NAMES.items() for name in names.split()}
 __all__ = ["CentreOfMass", "Command", "CompiledController", "Constraint", "ConstraintLearner", "Controller"]
@@ -146,7 +149,7 @@ __all__ += ["SelfCollisionAvoidance", "ServoLoop", "Stacked", "Status", "Task", 
 __all__ += ["WeightedPolicies", "ZeroPolicy", "audit_episodes", "derive_velocities", "find_mechanism"]
 __all__ += ["following_error_limit", "inspect_robot", "iter_demonstrations", "likely_tips", "load_demonstrations"]
 __all__ += ["load_robot", "log_manipulability_gradient", "log_penalised_manipulability_gradient", "manipulability"]
-__all__ += ["manipulability_batch", "manipulability_gradient", "motion", "optimise_path", "penalised_manipulability"]
+__all__ += ["manipulability_batch", "manipulability_gradient", "motion", "penalised_manipulability"]
 __all__ += ["penalised_manipulability_gradient", "plan", "record", "replay", "resample", "run", "simulate"]
 __all__ += ["subsample", "trim_standstill", "warm_up"]
 
@@ -156,6 +159,8 @@ def __getattr__(name: str) -> Any:
         value = getattr(importlib.import_module(f"manip_learn.{_HOMES[name]}"), name)
         globals()[name] = value
         return value
+    if name in _REMOVED:
+        raise AttributeError(f"{name} has been removed from manip_learn: {_REMOVED[name]}")
     raise AttributeError(f"module 'manip_learn' has no attribute {name!r}")
 
 

@@ -18,7 +18,7 @@ from manip_learn.constraint.features import MechanismRows
 from manip_learn.constraint.features.mechanism_rows import AT_A_DISTANCE, FIELDS, PlaceRows
 from manip_learn.constraint.features.weighed_velocity import WeighedVelocity
 from manip_learn.constraint.mechanism import MECHANISM_KINDS
-from manip_learn.control import compiled_controller, controller
+from manip_learn.control import compiled_controller
 from manip_learn.control.command import Command, Controller
 from manip_learn.control.controller import ResolvedRateController
 from manip_learn.control.limits import Limits
@@ -36,8 +36,7 @@ def kernels(numba: bool, monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
     if numba:
         yield
         return
-    for user in (compiled_controller, controller):
-        monkeypatch.setattr(user, "find_spec", lambda name: "plain Python instead")
+    monkeypatch.setattr(compiled_controller, "find_spec", lambda name: "plain Python instead")
     # all of them first: one that is imported beside a replaced one would keep what it takes from it
     for module in [import_module("manip_learn." + file.removesuffix(".py").replace("/", ".")) for file in KERNEL_FILES]:
         for name, value in list(vars(module).items()):

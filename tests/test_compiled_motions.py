@@ -195,3 +195,27 @@ def test_what_turns_the_hand_is_not_compiled(robot_of: RobotOf) -> None:
         assert "Track" in (why_not(ml.ResolvedRateController(constraint, task)) or "")
     for kind in HELD:
         assert why_not(law_of(robot, kind, "sawyer")) is None, kind
+
+
+@needs_numba
+def test_a_drawer_is_opened_within_walls(robot_of: RobotOf) -> None:
+    """A free direction in a loop, whose velocity is given, and a wall on its way: as with the law in Python."""
+    robot, tip = robot_of("sawyer"), tip_of("sawyer")
+    ready = np.array([0.3, -0.6, 0.2, 0.9, 0.1, 0.5, 0.0])
+    wall = [1.0, 0.0, 0.0, robot.position(ready, tip)[0] + 0.05]
+    positions = []
+    for compiled in (None, False):
+        constraint = ml.Constraint(np.eye(3)[1:], ml.FrameJacobian(robot, tip, "xyz"))
+        task = ml.FreeDirection(constraint, 0.15, 0.1)
+        law = ml.ResolvedRateController(constraint, task, limits=ml.Limits(robot, tip_walls=[wall], frames=tip))
+        loop = ml.ServoLoop(law, 0.0023, compiled=compiled)
+        q, path = ready, []
+        for k in range(700):
+            loop.update(q, 0.0023 * k)
+            q = loop.position
+            assert q is not None
+            path.append(q)
+        positions.append(np.array(path))
+        assert isinstance(loop.controller, ml.CompiledController) == (compiled is None)
+    np.testing.assert_allclose(positions[0], positions[1], rtol=0, atol=1e-9)
+    assert robot.position(positions[0][-1], tip)[0] == pytest.approx(wall[3], abs=2e-3)

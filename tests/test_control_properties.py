@@ -106,18 +106,6 @@ def presses(law: ml.ResolvedRateController, command: Command, q: np.ndarray, dt:
 
 @given(seeds)
 @pytest.mark.fuzz
-def test_both_solvers_give_the_same_command(folder: Path, seed: int) -> None:
-    """`solver="qp"` (DAQP) and the active-set method agree to 1e-7, in velocity and in status."""
-    case = random_case(seed, folder, inverse="damped", solver="active-set")
-    other = random_case(seed, folder, inverse="damped", solver="qp")
-    expected, command = commanded(case), commanded(other)
-    assert expected is not None and command is not None
-    np.testing.assert_allclose(command.velocity, expected.velocity, rtol=0, atol=1e-7)
-    assert command.status is expected.status
-
-
-@given(seeds)
-@pytest.mark.fuzz
 def test_the_base_may_be_anywhere(folder: Path, seed: int) -> None:
     """An arm on a turned and moved base, with rows turned likewise, has the same joint velocities."""
     rng = np.random.default_rng(seed)

@@ -2,9 +2,6 @@
 
 from __future__ import annotations
 
-import json
-import os
-import subprocess
 import sys
 from pathlib import Path
 
@@ -12,7 +9,7 @@ import numpy as np
 import pytest
 
 import manip_learn as ml
-from manip_learn.errors import ConfigurationError, ConstraintError, MissingExtraError, TargetError, UnknownNameError
+from manip_learn.errors import ConfigurationError, ConstraintError, MissingExtraError, UnknownNameError
 
 DT = 0.01
 ROOT = Path(__file__).resolve().parents[1]
@@ -116,102 +113,3 @@ class TestPink:
         planar = robot_of("planar3").pinocchio_model
         with pytest.raises(UnknownNameError, match="Pink's model"):
             self.velocity(planar, np.zeros(3), [self.pink_tasks.PinkConstraintTask(constraint, task, DT)])
-
-
-class TestPlaco:
-    """PlaCo's solver: in an environment of its own, because it pins a Pinocchio that manip_learn does not run with."""
-
-    def test_same_velocity_as_ours(self, robot_of, tmp_path):
-        """From A, b and pi as plain numbers PlaCo finds u = A^+ b + N pi to 1e-9."""
-        python = os.environ.get("MANIP_LEARN_PLACO_PYTHON")
-        if not python:
-            pytest.skip("PlaCo needs an environment of its own: name its interpreter in MANIP_LEARN_PLACO_PYTHON")
-        robot, rng = robot_of("sawyer"), np.random.default_rng(0)
-        steps = [oblique(robot, rng) for _ in range(20)]
-        np.savez(
-            tmp_path / "rows.npz",
-            names=robot.joint_names,
-            q=[q for *_, q in steps],
-            A=[constraint(q) for constraint, *_, q in steps],
-            b=[task.velocity(constraint, q, 0.0) for constraint, task, _, q in steps],
-            pi=[policy(q) for *_, policy, q in steps],
-        )
-        done = subprocess.run(
-            [
-                python,
-                str(ROOT / "tests" / "placo_child.py"),
-                str(tmp_path / "rows.npz"),
-                str(ROOT / "robots/sawyer.urdf"),
-            ],
-            env={**os.environ, "PYTHONPATH": str(ROOT)},
-            capture_output=True,
-            text=True,
-            timeout=100,
-        )
-        assert done.returncode == 0, done.stderr
-        answer = json.loads(done.stdout.strip().splitlines()[-1])
-        ours = [unlimited(constraint, task, policy)(q).velocity for constraint, task, policy, q in steps]
-        assert np.allclose(answer["velocities"], ours, rtol=0.0, atol=1e-9)
-        assert "one number per row" in answer["refused"]
-
-    def test_rows_inside_the_half_spaces(self):
-        """The half-spaces leave exactly the displacements with A dq = dt b, in the columns of the named joints."""
-        from manip_learn.control.interop.placo_task import PlacoTask
-
-        solver = RecordingSolver()
-        task = PlacoTask(solver, ["a", "b"])
-        task.update([[1.0, 2.0]], [3.0], [0.5, -0.5])
-        lhs, bound = solver.half_spaces
-        dq = np.array([0.0, 0.01 * 3.0 / 2.0])
-        q = np.array([9.0, 9.0, 0.1, 0.2])
-        assert np.allclose(lhs @ (q + [0.0, 0.0, *dq]), bound)
-        assert solver.targets == pytest.approx({"a": 0.105, "b": 0.195})
-        task.update([[1.0, 2.0]], [0.0])
-        assert solver.removed == 1
-        assert task.velocity([0.0, 0.02, 0.03]).tolist() == pytest.approx([2.0, 3.0])
-
-    def test_errors(self):
-        """A solver without dt, unknown priorities, and sizes that do not fit are refused."""
-        from manip_learn.control.interop.placo_task import PlacoTask
-
-        with pytest.raises(TargetError, match="solver.dt"):
-            PlacoTask(RecordingSolver(dt=0.0), ["a"])
-        with pytest.raises(TargetError, match="priority"):
-            PlacoTask(RecordingSolver(), ["a"], "scaled")
-        with pytest.raises(TargetError, match="A must have 1 columns"):
-            PlacoTask(RecordingSolver(), ["a"]).update([[1.0, 2.0]], [1.0])
-        with pytest.raises(TargetError, match="finite"):
-            PlacoTask(RecordingSolver(), ["a"]).update([[np.nan]], [1.0])
-
-
-class RecordingSolver:
-    """Stands in for `placo.KinematicsSolver`, its robot and its joints task; keeps what it was given."""
-
-    def __init__(self, dt=0.01):
-        self.dt, self.robot, self.state, self.removed = dt, self, self, 0
-        self.q = np.array([9.0, 9.0, 0.1, 0.2])
-
-    def get_joint_offset(self, name):
-        return {"a": 2, "b": 3}[name]
-
-    def get_joint_v_offset(self, name):
-        return {"a": 1, "b": 2}[name]
-
-    def get_joint(self, name):
-        return float(self.q[self.get_joint_offset(name)])
-
-    def add_joints_task(self):
-        return self
-
-    def add_joint_space_half_spaces_constraint(self, A, b):
-        self.half_spaces = A, b
-        return self
-
-    def remove_constraint(self, _):
-        self.removed += 1
-
-    def configure(self, *_):
-        """Nothing to keep."""
-
-    def set_joints(self, targets):
-        self.targets = targets

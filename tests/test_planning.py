@@ -14,9 +14,9 @@ import manip_learn as ml
 from manip_learn.commands.demo import SCENES
 from manip_learn.control.law_sequence import JointMotion, LawSequence, every_joint
 from manip_learn.control.limits import Limits
-from manip_learn.control.planning.approach import Clearance, clear_path, self_collision
-from manip_learn.control.planning.search import Ladder, _soft_margin, ladder_of, relaxed
-from manip_learn.control.planning.stations import Stations, margins_of, node_margins, rooms
+from manip_learn.planning.approach import Clearance, clear_path, self_collision
+from manip_learn.planning.search import Ladder, _soft_margin, ladder_of, relaxed
+from manip_learn.planning.stations import Stations, margins_of, node_margins, rooms
 from manip_learn.robot.rotations import rotation_matrix
 
 PANDA_TIP = "panda_hand_tcp"

@@ -13,10 +13,11 @@ import manip_learn as ml
 from manip_learn.control.compiled import limits as compiled_limits
 from manip_learn.control.compiled_controller import packed
 from manip_learn.control.limits import Limits
-from manip_learn.control.planning.approach import Clearance, GraspCone, _least_turn, _shortened, clear_path
-from manip_learn.control.planning.search import SELF_MOTION, SHARE, _seeds
-from manip_learn.control.planning.stations import Stations
 from manip_learn.errors import TargetError
+from manip_learn.planning.approach import Clearance, GraspCone, _least_turn, _shortened, clear_path
+from manip_learn.planning.plan import PathPolicy
+from manip_learn.planning.search import SELF_MOTION, SHARE, _seeds
+from manip_learn.planning.stations import Stations
 from manip_learn.robot.rotations import rotation_matrix
 
 SHOWN = rotation_matrix(np.array([0.3, -1.1, 0.7]))
@@ -149,3 +150,15 @@ def test_the_sense_in_which_joints_have_more_room(numba: bool, robot_of: RobotOf
         np.testing.assert_array_equal(got, expected)
         turned += bool(np.any(expected != direction))
     assert 30 < turned < 170
+
+
+def test_a_policy_passes_its_knots() -> None:
+    """Without a task in the way, the posture passes the knots in time, and rests behind the last one."""
+    time, knots = np.array([0.0, 0.5, 1.0, 1.5]), np.array([[0.0, 1.0, 0], [0.2, 0.9, 0], [0.5, 0.5, 0], [0.4, 0.6, 0]])
+    policy = PathPolicy(time, knots, 10.0, ml.load_robot("planar3"))
+    q, dt = knots[0].copy(), 0.001
+    for i in range(3000):
+        if i == 1000:
+            assert np.allclose(q, knots[2], atol=5e-3)
+        q = q + dt * policy(q, i * dt)
+    assert np.allclose(q, knots[-1], atol=1e-3)

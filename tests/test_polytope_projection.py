@@ -10,9 +10,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy.optimize import lsq_linear
 
-from manip_learn.control.bounded_velocity import Desired, bounded_velocity, project_by_active_set, projection_by
+from manip_learn.control.bounded_velocity import Desired, bounded_velocity, project_by_active_set, project_by_daqp
 from manip_learn.control.limits import Bounds
-from manip_learn.errors import ConstraintError
 
 KINDS = ["random", "duplicated", "zero", "equal", "nearly dependent", "badly scaled", "both"]
 Problem = tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]
@@ -46,7 +45,7 @@ def test_the_point_is_the_nearest(seed: int) -> None:
     """It meets the bounds to 1e-11, and is DAQP's point to 1e-9, or no farther where that is known to few digits."""
     for kind in KINDS:
         x, C, low, high = problem(kind, np.random.default_rng(seed))
-        y, other = project_by_active_set(x, C, low, high), projection_by("qp")(x, C, low, high)
+        y, other = project_by_active_set(x, C, low, high), project_by_daqp(x, C, low, high)
         assert y is not None and other is not None, kind
         assert np.max(np.maximum(C @ y - high, low - C @ y)) <= 1e-11, kind
         size = 1.0 + float(np.linalg.norm(x))
@@ -60,8 +59,8 @@ def test_bounds_that_exclude_each_other(rng: np.random.Generator) -> None:
     for _ in range(50):
         x, C, low, high = problem("random", rng)
         C, low, high = np.vstack((C, C[0])), np.append(low, high[0] + 0.1), np.append(high, high[0] + 1.0)
-        for solver in ("active-set", "qp"):
-            assert projection_by(solver)(x, C, low, high) is None
+        for solve in (project_by_active_set, project_by_daqp):
+            assert solve(x, C, low, high) is None
 
 
 def test_a_point_within_the_bounds_stays(rng: np.random.Generator) -> None:
@@ -70,12 +69,6 @@ def test_a_point_within_the_bounds_stays(rng: np.random.Generator) -> None:
         x, C, low, high = problem("random", rng)
         wide = np.abs(C @ x) + 1.0
         np.testing.assert_array_equal(project_by_active_set(x, C, -wide, wide), x)
-
-
-def test_unknown_solver() -> None:
-    """The names are listed."""
-    with pytest.raises(ConstraintError, match="'qp', 'active-set' or 'compiled'"):
-        projection_by("simplex")  # type: ignore[arg-type]
 
 
 def test_the_unit_of_the_rows_does_not_matter() -> None:
@@ -94,9 +87,7 @@ def bounded(A: np.ndarray, v: np.ndarray, w: np.ndarray, box: np.ndarray, slide:
     bounds = Bounds(low.tolist(), high.tolist(), [1] * len(low), [1] * len(low), 0.0)
     null = np.linalg.svd(A)[2][len(A) :].T
     for basis in (null, null @ null.T):  # a basis, or the projector, which serve both
-        found = bounded_velocity(
-            A, Desired(v, w, None), basis, bounds, np.full(len(v), 1e3), None, projection_by("qp"), slide, damping
-        )
+        found = bounded_velocity(A, Desired(v, w, None), basis, bounds, np.full(len(v), 1e3), None, slide, damping)
         np.testing.assert_allclose(found.null_part, null @ (null.T @ found.velocity), rtol=0, atol=1e-12)
     return np.append(found.velocity, found.task_scale)
 

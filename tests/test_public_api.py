@@ -15,11 +15,9 @@ from manip_learn.moved import homes
 
 HEAVY = (
     "meshcat IPython matplotlib dask distributed rosbags pyarrow h5py mujoco yourdfpy trimesh numba typer "
-    "scipy pinocchio xacrodoc joblib casadi"
+    "scipy pinocchio xacrodoc joblib"
 ).split()
-OPTIONAL = (
-    "example_robot_data mujoco rosbags pyarrow h5py dask distributed numba xacrodoc matplotlib joblib casadi".split()
-)
+OPTIONAL = "example_robot_data mujoco rosbags pyarrow h5py dask distributed numba xacrodoc matplotlib joblib".split()
 
 
 def run(code: str) -> subprocess.CompletedProcess[str]:
@@ -57,6 +55,12 @@ def test_unknown_names_are_attribute_errors():
         _ = ml.simulat
     with pytest.raises(ImportError):
         from manip_learn import simulat  # type: ignore[attr-defined]  # noqa: F401
+
+
+def test_a_removed_name_says_what_replaces_it():
+    """Until 0.3, in one sentence that names the name."""
+    with pytest.raises(AttributeError, match=r"optimise_path has been removed.*ml\.plan"):
+        _ = ml.optimise_path
 
 
 def test_import_is_light():

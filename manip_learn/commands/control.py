@@ -17,8 +17,6 @@ from manip_learn.control.command import Status
 from manip_learn.control.controller import ResolvedRateController
 from manip_learn.control.limits import check_inside
 from manip_learn.control.null_policies import null_policy
-from manip_learn.control.planning.approach import GraspCone
-from manip_learn.control.planning.plan import Plan, plan
 from manip_learn.control.rollout import Rollout
 from manip_learn.control.simulation import simulate
 from manip_learn.control.tasks import FreeDirection, Hold, PointAttractor, Task, motion
@@ -27,6 +25,8 @@ from manip_learn.control.tasks.motion import motion_to
 from manip_learn.control.way import WayDone, leads_away, simulate_way
 from manip_learn.errors import TargetError
 from manip_learn.linalg import complement_rows
+from manip_learn.planning.approach import GraspCone
+from manip_learn.planning.plan import Plan, plan
 from manip_learn.recordings.trajectory_source import Progress
 from manip_learn.robot import Robot
 

@@ -3,10 +3,9 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
 from functools import cache
 from operator import truediv
-from typing import Literal, NamedTuple, final
+from typing import NamedTuple, final
 
 import daqp
 import numpy as np
@@ -15,7 +14,6 @@ from scipy.linalg.lapack import dposv
 
 from manip_learn.constraint.small_matrices import svd
 from manip_learn.control.limits import Barrier, Bounds
-from manip_learn.errors import ConstraintError
 
 # how much a bound may be exceeded by rounding, in the unit of the bounds
 TOLERANCE = 1e-11
@@ -26,22 +24,6 @@ REORTHOGONAL = 1e-2
 # the same for DAQP, whose answer may be off by as much: commands are compared to 1e-12
 FINE = 1e-13
 SOLVED, INFEASIBLE = 1, -1  # exit flags of DAQP
-Solver = Literal["qp", "active-set", "compiled"]
-Projection = Callable[
-    [Float[np.ndarray, " k"], Float[np.ndarray, "m k"], Float[np.ndarray, " m"], Float[np.ndarray, " m"]],
-    "Float[np.ndarray, ' k'] | None",
-]
-
-
-def projection_by(solver: Solver) -> Projection:
-    """A solver by its name; "compiled" (see `CompiledLimits`) has DAQP where it does not serve.
-
-    Raises:
-        ConstraintError: Unknown name.
-    """
-    if solver not in ("qp", "active-set", "compiled"):
-        raise ConstraintError(f"solver must be 'qp', 'active-set' or 'compiled', not {solver!r}")
-    return project_by_active_set if solver == "active-set" else project_by_daqp
 
 
 def project_by_daqp(
@@ -210,7 +192,6 @@ def bounded_velocity(
     bounds: Bounds,
     fastest: Float[np.ndarray, " nv"],
     barrier: Barrier | None,
-    project: Projection,
     slide: float = 0.0,
     damping: float = 0.05,
     decomposition: tuple[np.ndarray, np.ndarray, np.ndarray] | None = None,
@@ -241,7 +222,6 @@ def bounded_velocity(
         fastest: Velocity limits.
         barrier: (G, least) for the constraints G u >= least, on the approach to a singularity first, where there is
             one, then on the speeds of frames; None without.
-        project: Solver of the quadratic program.
         slide: 0 keeps the task's direction, 1 slides along what blocks it; in between their mean.
         damping: Singular value of A below which sliding is damped.
         decomposition: U, singular values and V^T of A, where they are known.
@@ -253,7 +233,7 @@ def bounded_velocity(
         m = nv + len(least) + 1
         low = np.fromiter([*bounds.low, *least, 0.0], np.float64, m)
         high = np.fromiter([*bounds.high, *[math.inf] * len(least), 1.0], np.float64, m)
-        program = _Program(low, high, barred, project)
+        program = _Program(low, high, barred)
         found = _bounded(A, desired, null, fastest, program, slide, damping, decomposition)
         if found is not None:
             reached = found.velocity.tolist()
@@ -315,12 +295,11 @@ def approach_scale(v: np.ndarray, rest: np.ndarray, barrier: Barrier | None) -> 
 
 @final
 class _Program(NamedTuple):
-    """Bounds on the joints, the barrier and, last, the task's scale; the barrier's rows, and who solves the program."""
+    """Bounds on the joints, the barrier and, last, the task's scale; and the barrier's rows."""
 
     low: np.ndarray
     high: np.ndarray
     barrier: Barrier | None
-    project: Projection
 
     def along(
         self, v: np.ndarray, scale: float, w: np.ndarray, e: np.ndarray | None, Z: np.ndarray
@@ -343,9 +322,9 @@ class _Program(NamedTuple):
             basis[:, -1], start[-1] = e / speed, speed
         if self.barrier is not None:
             C[nv : nv + self.barrier[0].shape[0]] = self.barrier[0].dot(basis)
-        y = self.project(start, C, self.low[:rows], self.high[:rows])
+        y = project_by_daqp(start, C, self.low[:rows], self.high[:rows])
         if y is None and moves:  # too fast to brake: farther along b is better than beside it
-            y = self.project(start, C, self.low, np.append(self.high[:-1], math.inf))
+            y = project_by_daqp(start, C, self.low, np.append(self.high[:-1], math.inf))
         if y is None:
             return None
         return basis.dot(y), float(y[at]) / weight if moves else 1.0
@@ -361,5 +340,5 @@ class _Program(NamedTuple):
         C = np.divide(Vt.T, root, out=rows[:nv])  # u = C x
         if self.barrier is not None:
             rows[nv:] = self.barrier[0].dot(C)
-        x = self.project(root * Vt.dot(wish), rows, self.low[:-1], self.high[:-1])
+        x = project_by_daqp(root * Vt.dot(wish), rows, self.low[:-1], self.high[:-1])
         return None if x is None else C.dot(x)

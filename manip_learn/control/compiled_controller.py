@@ -16,7 +16,8 @@ from manip_learn.constraint.features.frame_jacobian import AXES, FrameJacobian, 
 from manip_learn.constraint.features.weighed_velocity import WeighedVelocity, compiled_form
 from manip_learn.control.command import STATUSES, Command, Controller, Method, Status, next_posture
 from manip_learn.control.compiled import step_table as table
-from manip_learn.control.controller import ResolvedRateController, packed_limits, tips_are_compiled, with_tips
+from manip_learn.control.controller import ResolvedRateController
+from manip_learn.control.limits import Limits
 from manip_learn.control.policies import JointAttractor, ManipulabilityAscent, ZeroPolicy
 from manip_learn.control.resolved_rate_law import ESCAPE_WIDTH, next_slide
 from manip_learn.control.tasks import FreeDirection, Hold, PointAttractor, Track
@@ -24,6 +25,8 @@ from manip_learn.errors import ConstraintError, MissingExtraError
 from manip_learn.robot.batch.batch_kinematics import batch_kinematics
 from manip_learn.robot.robot import Robot
 from manip_learn.robot.rotations import rotation_matrix
+
+FINITE_ACCELERATION = 1e12  # [rad/s2] stands for none in the kernel, which must stay finite
 
 
 def why_not(controller: ResolvedRateController) -> str | None:
@@ -75,7 +78,15 @@ def packed(controller: ResolvedRateController) -> Float[np.ndarray, "rows 12"]:
     rows, form, reference = compiled_form(features, constraint.selection)  # type: ignore[misc]  # `why_not` has asked
     chain = batch_kinematics(features.robot, features.frame).chain_table(reference)
     chain[1, table.FORM] = form
-    header, dofs = packed_limits(controller.limits, constraint.nv, controller.inverse, controller.threshold)
+    header, dofs = np.zeros((table.CHAIN, table.WIDTH)), np.zeros((constraint.nv, table.WIDTH))
+    header[0, table.INVERSE], header[0, table.THRESHOLD] = (
+        table.INVERSES.index(controller.inverse),
+        controller.threshold,
+    )
+    header[0, table.LIMITS] = controller.limits is not None
+    if (limits := controller.limits) is not None:
+        dofs[:, :3] = np.stack((limits.velocity, limits.lower, limits.upper), axis=1)
+        dofs[:, table.ACCELERATION] = np.minimum(limits.acceleration, FINITE_ACCELERATION)
     header[0, table.N_JOINTS] = chain.shape[0] - JOINTS
     header[0, table.NV], header[0, table.N_CONSTRAINTS] = constraint.nv, constraint.n_constraints
     header[1, table.DAMPING], header[1, table.ESCAPE_WIDTH] = controller.damping, ESCAPE_WIDTH * controller.threshold
@@ -87,6 +98,30 @@ def packed(controller: ResolvedRateController) -> Float[np.ndarray, "rows 12"]:
         header[0, table.TASK] = table.GIVEN
     _pack_policy(controller, header, dofs)
     return with_tips(np.concatenate([header, chain, dofs, rows]), controller.limits)
+
+
+def tips_are_compiled(limits: Limits | None) -> bool:
+    """Whether compiled code knows the chains of all frames whose speed or place is limited; True where none is."""
+    if limits is None or limits.tip is None:
+        return True
+    chains = [batch_kinematics(limits.robot, frame) for frame in limits.tip.frames]
+    return all(chain.fast and chain.public_columns is not None for chain in chains)
+
+
+def with_tips(constants: Float[np.ndarray, "rows 12"], limits: Limits | None) -> Float[np.ndarray, "all_rows 12"]:
+    """A table of constants, with the limits of frames behind it where there are any."""
+    if limits is None or limits.tip is None:
+        return constants
+    from manip_learn.robot.batch.compiled_kinematics import JOINTS  # and with it numba
+
+    tip, numbers = limits.tip, np.zeros((1 + len(limits.tip.walls), table.WIDTH))
+    numbers[0, table.N_FRAMES], numbers[0, table.N_WALLS] = len(tip.frames), len(tip.walls)
+    numbers[0, table.TIP_SPEED], numbers[1:, :4] = tip.speed, tip.walls
+    chains = [batch_kinematics(limits.robot, frame).chain_table("world") for frame in tip.frames]
+    for chain in chains:
+        chain[1, table.LENGTH] = len(chain) - JOINTS
+    constants[table.CHAIN + 1, table.TIPS] = len(constants)
+    return np.concatenate([constants, numbers, *chains])
 
 
 def _is_packed(features: FrameJacobian, n_constraints: int, target: np.ndarray) -> bool:
@@ -171,7 +206,7 @@ class CompiledController:
     mechanisms) and `Track` (of positions in the base), whose b is computed in Python, once a call, and, for rows of a
     frame's Jacobian, `PointAttractor` (positions, poses and whole rotations, along the axes of the base or of the
     frame), and a `ManipulabilityAscent` of the same constraint, a `JointAttractor` or no policy; in every state, at
-    limits and at singularities too. (For all others there is the original's solver `"compiled"`.) The original
+    limits and at singularities too. The original
     controller computes the command only where the posture or the velocity is not finite, where a direction is lost that
     the inverse `"exact"` cannot invert, and where several are lost at once under a policy without a bound. The numbers
     are the same everywhere (to 1e-12 of the largest, to 1e-9 at limits).
@@ -194,10 +229,7 @@ class CompiledController:
     def __init__(self, controller: ResolvedRateController, report: Callable[[str], object] | None = None):
         reason = why_not(controller)
         if reason is not None:
-            raise ConstraintError(
-                f"this controller cannot be compiled: {reason}; use it as it is, or "
-                "controller.with_solver('compiled'), which compiles what keeps the limits"
-            )
+            raise ConstraintError(f"this controller cannot be compiled: {reason}; use it as it is")
         if find_spec("numba") is None:
             raise MissingExtraError("a compiled controller", "fast")
         from manip_learn.control.compiled.control_step import command_of, rollout
@@ -321,8 +353,7 @@ def compiled_if_possible(
 
     Args:
         controller: Any controller.
-        compiled: False: as it is; True: compiled. None: where numba is installed, compiled if it can be, and otherwise
-            with compiled limits behind a law in Python (`ResolvedRateController`'s solver `"compiled"`).
+        compiled: False: as it is; True: compiled. None: compiled where numba is installed and it can be.
         report: As for `CompiledController`.
 
     Raises:
@@ -335,8 +366,6 @@ def compiled_if_possible(
         if compiled:
             raise ConstraintError(f"only a ResolvedRateController can be compiled, not {type(controller).__name__}")
         return controller
-    if compiled is None and find_spec("numba") is None:
+    if compiled is None and (find_spec("numba") is None or why_not(controller) is not None):
         return controller
-    if compiled is None and why_not(controller) is not None:
-        return controller.with_solver("compiled", report) if controller.solver == "qp" else controller
     return CompiledController(controller, report)

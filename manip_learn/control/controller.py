@@ -1,11 +1,9 @@
-"""Resolved-rate control: u = A^+ b + N pi, within the limits of a real arm; these may be compiled (extra `fast`)."""
+"""Resolved-rate control: u = A^+ b + N pi, within the limits of a real arm."""
 
 from __future__ import annotations
 
 import copy
 import math
-from collections.abc import Callable
-from importlib.util import find_spec
 from math import isfinite
 from typing import final
 
@@ -14,151 +12,17 @@ from jaxtyping import Float
 from numpy.typing import ArrayLike
 
 from manip_learn.constraint.constraint import Constraint
-from manip_learn.control.bounded_velocity import BoundedVelocity, Desired, Solver, bounded_velocity, projection_by
-from manip_learn.control.command import STATUSES, Command, Status
-from manip_learn.control.compiled import step_table as table
+from manip_learn.control.bounded_velocity import BoundedVelocity, bounded_velocity
+from manip_learn.control.command import Command, Status
 from manip_learn.control.limits import Barrier, Limits
 from manip_learn.control.policies import NullSpacePolicy, ZeroPolicy, climbing
 from manip_learn.control.resolved_rate_law import Law, ResolvedRateLaw, bounded_command, plain_command
 from manip_learn.control.singularity import approach_bound
 from manip_learn.control.tasks import Hold, Task
-from manip_learn.errors import ConfigurationError, ConstraintError, MissingExtraError, advice, an
+from manip_learn.errors import ConfigurationError, ConstraintError, advice, an
 from manip_learn.linalg import Inverse
-from manip_learn.robot.batch.batch_kinematics import batch_kinematics
-from manip_learn.robot.frame import Frame
 from manip_learn.robot.frame_kinematics import is_plain
 from manip_learn.robot.robot import Robot
-
-LARGEST_ACCELERATION = 1e12  # [rad/s2] stands for none in the kernel, which must stay finite
-
-
-@final
-class CompiledLimits:
-    """The command within the limits, as `ResolvedRateController` computes it, for any features, task and policy.
-
-    Args:
-        limits: The limits.
-        inverse: As for `ResolvedRateController`.
-        threshold: As for `ResolvedRateController`.
-        damping: As for `ResolvedRateController`.
-        report: Called with a sentence where the code has to be compiled first; by default a line of the logger.
-
-    Raises:
-        MissingExtraError: numba is not installed.
-    """
-
-    def __init__(
-        self,
-        limits: Limits,
-        inverse: Inverse,
-        threshold: float,
-        damping: float,
-        report: Callable[[str], object] | None = None,
-    ):
-        if find_spec("numba") is None:
-            raise MissingExtraError("the solver 'compiled'", "fast")
-        from manip_learn.control.compiled.within_limits import bounded_law
-        from manip_learn.robot.batch.compiled_kinematics import JOINTS
-        from manip_learn.robot.batch.kernel_cache import announce_compilation, entry_point
-
-        announce_compilation(bounded_law, report)
-        self._settings = (limits, inverse, threshold, damping)
-        self._robot, nv = limits.robot, limits.velocity.shape[0]
-        header, dofs = packed_limits(limits, nv, inverse, threshold)
-        header[0, table.NV], header[1, table.DAMPING] = nv, damping
-        self._constants = with_tips(np.concatenate([header, np.zeros((JOINTS, table.WIDTH)), dofs]), limits)
-        self._unknown = np.full(nv, np.nan)
-        self._nv = nv
-        law, work = np.ones((table.PARTS + 2, nv)), np.ones((1, table.N_FACTS))
-        arguments = (self._constants, np.zeros(nv), 0.01, self._unknown, 0.0, law, work)
-        self._bounded = entry_point(bounded_law, *arguments)
-
-    def __call__(
-        self,
-        q: Float[np.ndarray, " n"],
-        dt: float,
-        law: Law,
-        velocity: Float[np.ndarray, " nv"],
-        slope: Float[np.ndarray, " nv"] | None,
-        previous: Float[np.ndarray, " nv"] | None,
-        slide: float,
-    ) -> Command:
-        """The command at posture q.
-
-        Args:
-            q: Posture, checked.
-            dt: Time for which the command is held [s].
-            law: The law there, of no more rows than joints.
-            velocity: Sum of its parts [rad/s or m/s].
-            slope: Gradient of the smallest singular value where the approach to a singularity is bounded.
-            previous: Velocity in the step before [rad/s or m/s]; None bounds no acceleration.
-            slide: As for `ResolvedRateController`.
-        """
-        task, null, escape = law.desired
-        s = law.b.shape[0]
-        rows, work = np.empty((table.PARTS + 1 + s, self._nv)), np.empty((1, table.N_FACTS))
-        rows[table.VELOCITY], rows[table.TASK_PART], rows[table.NULL_PART] = velocity, task, null
-        if escape is not None:
-            rows[table.ESCAPE_PART] = escape
-        rows[table.TASK_VELOCITY, :s] = law.b
-        rows[table.PARTS] = math.nan if slope is None else slope
-        rows[table.PARTS + 1 :] = law.A
-        facts = work[table.FACTS]
-        facts[table.SMALLEST], facts[table.HAS_ESCAPE] = law.smallest, escape is not None
-        facts[table.RANK] = s if law.decomposition is None else -1.0
-        x = np.ascontiguousarray(q if q.shape[0] == self._nv else self._robot.positions(q))
-        before = self._unknown if previous is None else np.ascontiguousarray(previous, np.float64)
-        code = self._bounded(self._constants, x, float(dt), before, float(slide), rows, work)
-        numbers = facts.tolist()
-        escape = None if escape is None else rows[table.ESCAPE_PART]
-        return law.command(
-            rows[table.VELOCITY], STATUSES[code], Desired(rows[table.TASK_PART], rows[table.NULL_PART], escape),
-            task_scale=numbers[table.TASK_SCALE], null_scale=numbers[table.NULL_SCALE],
-            progress=numbers[table.PROGRESS], outside=numbers[table.OUTSIDE],
-            limiting_joint=int(numbers[table.LIMITING_JOINT]),
-        )  # fmt: skip
-
-    def __reduce__(self) -> tuple[object, ...]:
-        return CompiledLimits, self._settings  # machine code stays in its process
-
-
-def packed_limits(
-    limits: Limits | None, nv: int, inverse: Inverse, threshold: float
-) -> tuple[Float[np.ndarray, "2 12"], Float[np.ndarray, "nv 12"]]:
-    """The two rows of settings and those of the degrees of freedom, as far as limits set them."""
-    header, dofs = np.zeros((table.CHAIN, table.WIDTH)), np.zeros((nv, table.WIDTH))
-    header[0, table.INVERSE], header[0, table.THRESHOLD] = table.INVERSES.index(inverse), threshold
-    header[0, table.LIMITS] = limits is not None
-    if limits is not None:
-        dofs[:, :3] = np.stack((limits.velocity, limits.lower, limits.upper), axis=1)
-        dofs[:, table.ACCELERATION] = np.minimum(limits.acceleration, LARGEST_ACCELERATION)
-    return header, dofs
-
-
-def tips_are_compiled(limits: Limits | None) -> bool:
-    """Whether compiled code knows the chains of all frames whose speed or place is limited; True where none is."""
-    return limits is None or limits.tip is None or all(_chain_of(limits, frame) for frame in limits.tip.frames)
-
-
-def with_tips(constants: Float[np.ndarray, "rows 12"], limits: Limits | None) -> Float[np.ndarray, "all_rows 12"]:
-    """A table of constants, with the limits of frames behind it where there are any."""
-    if limits is None or limits.tip is None:
-        return constants
-    from manip_learn.robot.batch.compiled_kinematics import JOINTS  # and with it numba
-
-    tip, numbers = limits.tip, np.zeros((1 + len(limits.tip.walls), table.WIDTH))
-    numbers[0, table.N_FRAMES], numbers[0, table.N_WALLS] = len(tip.frames), len(tip.walls)
-    numbers[0, table.TIP_SPEED], numbers[1:, :4] = tip.speed, tip.walls
-    chains = [batch_kinematics(limits.robot, frame).chain_table("world") for frame in tip.frames]
-    for chain in chains:
-        chain[1, table.LENGTH] = len(chain) - JOINTS
-    constants[table.CHAIN + 1, table.TIPS] = len(constants)
-    return np.concatenate([constants, numbers, *chains])
-
-
-def _chain_of(limits: Limits, frame: Frame) -> bool:
-    kinematics = batch_kinematics(limits.robot, frame)
-    return kinematics.fast and kinematics.public_columns is not None
 
 
 @final
@@ -192,9 +56,6 @@ class ResolvedRateController:
             joint limits and scales nothing (the paper's law as printed).
         dt: Time for which a command is held [s], unless the call says otherwise.
         robot: Whose limits count; the features' own robot by default.
-        solver: `"qp"` finds the bounded command by DAQP, `"active-set"` by a method of this library, more slowly;
-            `"compiled"` by the same method, compiled, several times faster (the extra `fast`; the first one on a
-            machine is compiled for half a minute).
 
     Raises:
         ConstraintError: Arguments in another order, a null policy of another number of joints, or settings that are
@@ -222,7 +83,6 @@ class ResolvedRateController:
         limits: bool | Limits = True,
         dt: float = 0.01,
         robot: Robot | None = None,
-        solver: Solver = "qp",
     ):
         _check_order(constraint, task, null_policy)
         if inverse not in ("exact", "truncated", "damped"):
@@ -242,12 +102,9 @@ class ResolvedRateController:
         own = limits.robot if isinstance(limits, Limits) else None
         self.robot: Robot | None = robot or own or constraint.robot
         self.limits = self._limits_of(limits)
-        self.solver: Solver = solver
-        self._project = projection_by(solver)
         self._features_check = self.robot is not None and self.robot is constraint.robot
         settings = (self.inverse, self.threshold, self.damping)
         self._law = ResolvedRateLaw(constraint, self.task, self.null_policy, *settings, self.limits)
-        self._compiled = self._compiled_limits()
 
     def __call__(
         self,
@@ -308,7 +165,7 @@ class ResolvedRateController:
         for before, after in ((self.constraint, rows), (self.learnt, constraint)):
             if before is not after:
                 policy = climbing(policy, before, after)
-        settings = {"threshold": self.threshold, "damping": self._damping_given, "dt": self.dt, "solver": self.solver}
+        settings = {"threshold": self.threshold, "damping": self._damping_given, "dt": self.dt}
         limits = self.limits or False
         return ResolvedRateController(
             constraint, task, policy, self.inverse, limits=limits, robot=self.robot, **settings
@@ -319,30 +176,7 @@ class ResolvedRateController:
         other = copy.copy(self)
         other.limits = other._limits_of(limits)
         other._law = self._law.with_limits(limits)
-        other._compiled = other._compiled_limits()
         return other
-
-    def with_solver(self, solver: Solver, report: Callable[[str], object] | None = None) -> ResolvedRateController:
-        """This controller with another solver.
-
-        Args:
-            solver: As for the class.
-            report: Called with a sentence where code has to be compiled first; by default a line of the logger.
-
-        Raises:
-            ConstraintError: Unknown name.
-            MissingExtraError: `"compiled"` without numba.
-        """
-        other = copy.copy(self)
-        other.solver, other._project = solver, projection_by(solver)
-        other._compiled = other._compiled_limits(report)
-        return other
-
-    def _compiled_limits(self, report: Callable[[str], object] | None = None) -> CompiledLimits | None:
-        wide = self.constraint.n_constraints > self.constraint.nv
-        if self.solver != "compiled" or self.limits is None or wide or not tips_are_compiled(self.limits):
-            return None
-        return CompiledLimits(self.limits, self.inverse, self.threshold, self.damping, report)
 
     def _limits_of(self, limits: bool | Limits) -> Limits | None:
         if isinstance(limits, Limits):
@@ -374,13 +208,11 @@ class ResolvedRateController:
             return plain_command(law, velocity, damped)
         slope, far = self._law.approach(q, dt, law, velocity), previous is None and limits.far(q, dt, velocity)
         tip, tips, fast = limits.tip, None, None
-        if tip is not None and self._compiled is None:
+        if tip is not None:
             tips = tip.at(q, dt, limits.acceleration, previous)
             fast = tip.rows(tips, velocity)
-        if far and slope is None and fast is None and (tip is None or tips is not None):
+        if far and slope is None and fast is None:
             return plain_command(law, velocity, damped)
-        if self._compiled is not None:
-            return self._compiled(q, dt, law, velocity, slope, previous, slide)
         barrier, slow = None, fast is None
         if slope is not None and (bound := approach_bound(law.smallest, slope, limits.acceleration, dt)) < math.inf:
             barrier, slow = (slope[None], np.array([-bound])), slow and -float(slope.dot(velocity)) <= bound
@@ -394,7 +226,7 @@ class ResolvedRateController:
 
         def within(rows: Barrier | None) -> BoundedVelocity:
             return bounded_velocity(
-                *(law.A, law.desired, law.null_space(), bounds, limits.velocity, rows, self._project, slide, blur),
+                *(law.A, law.desired, law.null_space(), bounds, limits.velocity, rows, slide, blur),
                 decomposition=law.decomposition,
             )
 

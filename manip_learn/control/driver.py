@@ -17,20 +17,14 @@ from typing import Any, Protocol, final
 import numpy as np
 from jaxtyping import Float
 
-from manip_learn.constraint.constraint import Constraint
-from manip_learn.constraint.features.frame_jacobian import FrameJacobian
 from manip_learn.control.command import Command, Controller, Status
 from manip_learn.control.compiled_controller import CompiledController, compiled_if_possible
-from manip_learn.control.controller import ResolvedRateController
-from manip_learn.control.policies import ManipulabilityAscent, WeightedPolicies
 from manip_learn.control.rollout import Rollout
 from manip_learn.control.servo_loop import ServoLoop
 from manip_learn.control.simulation import guided
-from manip_learn.control.tasks import PointAttractor
 from manip_learn.errors import ConfigurationError
 from manip_learn.robot.identity import RobotIdentity
 from manip_learn.robot.robot import Robot
-from manip_learn.robot.tips import default_tip
 
 
 @final
@@ -40,13 +34,11 @@ class WarmUp:
 
     Attributes:
         seconds: [s]; what is on disk already is only read.
-        step: Whether whole steps are compiled now.
-        limits: Whether what keeps the limits behind a law in Python is compiled now.
+        step: Whether the controller's steps are compiled now.
     """
 
     seconds: float
     step: bool
-    limits: bool
 
 
 def warm_up(controller: Controller | ServoLoop, report: Callable[[str], object] | None = None) -> WarmUp:
@@ -67,22 +59,7 @@ def warm_up(controller: Controller | ServoLoop, report: Callable[[str], object] 
         controller = controller.controller
     if find_spec("numba") is not None:
         controller = compiled_if_possible(controller, None, report)
-    step = isinstance(controller, CompiledController)
-    limits = isinstance(controller, ResolvedRateController) and controller.solver == "compiled"
-    return WarmUp(time.perf_counter() - start, step, limits)
-
-
-def controllers_to_warm_up(robot: Robot) -> tuple[ResolvedRateController, ResolvedRateController]:
-    """One controller of each kind: of which whole steps are compiled, and of which only what keeps the limits is."""
-    features = FrameJacobian(robot, default_tip(robot), "x y")
-    constraint = Constraint(np.eye(2)[:1], features)
-    target = features.coordinates(robot.neutral())
-    climb = ManipulabilityAscent(constraint)
-    sums = WeightedPolicies([climb], [1.0])  # which are not compiled
-    return (
-        ResolvedRateController(constraint, PointAttractor(target), climb),
-        ResolvedRateController(constraint, PointAttractor(target), sums),
-    )
+    return WarmUp(time.perf_counter() - start, isinstance(controller, CompiledController))
 
 
 SPIN = 2e-4  # [s] before a cycle begins, from which on it is waited for awake: sleeping may wake up late

@@ -16,7 +16,7 @@ from manip_learn.constraint.constraint import Constraint
 from manip_learn.constraint.features.feature_map import Vjp
 from manip_learn.constraint.manipulability import SINGULAR_RATIO, manipulability_of
 from manip_learn.constraint.small_matrices import row_inverse, svd
-from manip_learn.control.bounded_velocity import BoundedVelocity, Desired
+from manip_learn.control.bounded_velocity import NEGLIGIBLE, BoundedVelocity, Desired
 from manip_learn.control.command import STATUSES, Command, Status
 from manip_learn.control.compiled import step_table as table
 from manip_learn.control.limits import ACCELERATION, Bounds, Limits
@@ -158,7 +158,9 @@ def bounded_command(
         escape = escape if share >= 1.0 else escape * max(0.0, share)
         task_part = task_part - escape
     square = float(null.dot(null))
-    null_scale = min(1.0, max(0.0, float(null.dot(null_part)) / square)) if square > 0.0 else 1.0
+    # what rounding leaves of a policy that asks for nothing is not scaled: the processor would decide by how much
+    asks = square > NEGLIGIBLE * NEGLIGIBLE
+    null_scale = min(1.0, max(0.0, float(null.dot(null_part)) / square)) if asks else 1.0
     progress = _progress(law, velocity)
     joint, cause = bounds.binding(velocity, wish)
     outcome = progress, bounds.outside, task_scale, joint, cause, bounds.admit(task)

@@ -224,7 +224,7 @@ def plan(
 ) -> dict[str, Any]:
     """The posture in which to take hold, and the way of the joints to it: times [s] and postures."""
     from manip_learn.constraint.constraint import Constraint
-    from manip_learn.control.planning.plan import plan as planned
+    from manip_learn.planning.plan import plan as planned
 
     constraint = Constraint.load(file, robot)
     found = planned(constraint, task_of(constraint, way), start, progress=said)

@@ -27,15 +27,12 @@ from manip_learn.control.compiled.constrained_rows import (
     decompose,
     dofs_of,
     norm,
-    rank_of,
-    row_space,
-    truncation,
 )
-from manip_learn.control.compiled.limits import binding, bounds_of, breaks, most_rows, tips_at, with_broken, within
-from manip_learn.control.compiled.near_singularity import bounded_approach, is_singular
+from manip_learn.control.compiled.limits import binding, bounds_of, breaks, with_broken, within
+from manip_learn.control.compiled.near_singularity import is_singular
 from manip_learn.control.limits import MOST_ROWS
 from manip_learn.control.resolved_rate_law import AT_GOAL
-from manip_learn.robot.batch.kernel_cache import compiled, compiled_inside
+from manip_learn.robot.batch.kernel_cache import compiled_inside
 
 # rows of the scratch of `project`, each as long as x, before those of the triangle and of the basis
 DIRECTION, ALONG, FALL, MULTIPLIERS, BOUNDS, SIGNS, ACTIVE, SCRATCH = range(8)
@@ -363,43 +360,6 @@ def _on_faces(x, y, work, n, k):
         add(y[:k], work[FALL, a] - dot(q, x), q)
 
 
-@compiled
-def bounded_law(constants, q, dt, previous, slide, law, work):
-    """Bring a law that Python has computed within the limits; its parts are replaced by those commanded.
-
-    Returns the status; the numbers of the command are in the work space afterwards.
-
-    Args:
-        constants: The table of a controller without a chain, see `step_table`.
-        q: Joint positions [rad or m].
-        dt: Time for which the command is held [s].
-        previous: Velocity in the step before [rad/s or m/s], NaN where no acceleration is bounded.
-        slide: See `ResolvedRateController`.
-        law: The velocity, its parts and b, in the rows of `step_table`; the gradient of the smallest singular value
-            where the approach to a singularity is bounded, otherwise NaN; A (s, nv), s <= nv.
-        work: One row, that of FACTS, with the smallest singular value of A, its rank, which is negative where A is to
-            be decomposed, and whether there is a velocity out of a singularity.
-    """
-    parts, slope, A, facts = law[: table.PARTS], law[table.PARTS], law[table.PARTS + 1 :], work[table.FACTS]
-    s, nv = A.shape
-    square, left, space = np.empty((nv + s, nv)), np.empty((s + 1, s)), space_of(nv, most_rows(constants))
-    Ut, sigma, Vt = left[:s], left[s], square[:nv]
-    rows, step = table.Rows(A, Ut, sigma, Vt, square[nv:]), table.Step(constants, q, dt, previous, slide, parts, work)
-    if facts[table.RANK] < 0.0:
-        decompose(A, s, Ut, sigma, Vt)
-        facts[table.RANK] = rank_of(sigma, truncation(sigma, nv))
-        if is_singular(sigma):
-            complete(Vt, rank_of(sigma, 0.0))
-    else:
-        sigma[0] = -1.0  # unknown
-        row_space(A, Vt, Ut)
-    barred = not math.isnan(slope[0])
-    if barred:
-        space[table.SLOPE, :nv] = slope
-        barred = bounded_approach(constants, facts[table.SMALLEST], dt, space)
-    return within_limits(step, rows, barred, tips_at(constants, q, dt, previous), space)
-
-
 @compiled_inside
 def within_limits(step, rows, barred, tips, space):
     """Bring the law within the limits; return the status of the command.
@@ -488,7 +448,7 @@ def split_parts(found, Vt, solved, parts, facts):
     square, along = dot(null_part, null_part), dot(null_part, task)
     for j in range(nv):  # the null-space part of the velocity was in the place of the task's
         null_part[j], task[j] = task[j], velocity[j] - task[j]
-    facts[table.NULL_SCALE] = min(1.0, max(0.0, along / square)) if square > 0.0 else 1.0
+    facts[table.NULL_SCALE] = min(1.0, max(0.0, along / square)) if square > NEGLIGIBLE * NEGLIGIBLE else 1.0
     if facts[table.HAS_ESCAPE] == 0.0:
         return
     factor = min(1.0, max(0.0, dot(velocity, escape) / max(dot(escape, escape), 1e-300)))

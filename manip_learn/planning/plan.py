@@ -9,6 +9,7 @@ from typing import Any, final
 import numpy as np
 from jaxtyping import Float
 from numpy.typing import ArrayLike
+from scipy.interpolate import CubicSpline
 
 from manip_learn.constraint.constraint import Constraint
 from manip_learn.constraint.manipulability_batch import manipulability_batch
@@ -16,10 +17,6 @@ from manip_learn.control.controller import ResolvedRateController
 from manip_learn.control.follow_motion import ARRIVED
 from manip_learn.control.law_sequence import JointMotion, LawSequence, every_joint
 from manip_learn.control.limits import Limits, check_inside
-from manip_learn.control.optimise_path import PathPolicy, check_joints_add_up
-from manip_learn.control.planning.approach import Clearance, GraspCone, clear_path, self_collision
-from manip_learn.control.planning.search import TIE, TURN, Ladder, ladder_of, relaxed
-from manip_learn.control.planning.stations import FEWEST, MOST, PERIOD, Margins, Postures, Stations, margins_of, rooms
 from manip_learn.control.policies import NullSpacePolicy
 from manip_learn.control.rollout import Rollout
 from manip_learn.control.simulation import simulate
@@ -27,6 +24,9 @@ from manip_learn.control.tasks.driven_motion import way_in_words
 from manip_learn.control.tasks.motion import FreeDirection
 from manip_learn.control.way import WayDone, joint_at_limit, simulate_way
 from manip_learn.errors import ConfigurationError, FeatureError, NoPlanError, TargetError, advice, an
+from manip_learn.planning.approach import Clearance, GraspCone, clear_path, self_collision
+from manip_learn.planning.search import TIE, TURN, Ladder, ladder_of, relaxed
+from manip_learn.planning.stations import FEWEST, MOST, PERIOD, Margins, Postures, Stations, margins_of, rooms
 from manip_learn.recordings.trajectory_source import Progress
 from manip_learn.robot import html_card
 from manip_learn.robot.batch.postures import unwound
@@ -73,7 +73,7 @@ class Plan:
         approach: From the start to that posture, as simulated.
         way: The motion itself, as simulated, from the time when the hand has taken hold.
         margin: Least share of its own limits that the way leaves, at most 1: of the joints' ranges, of their speeds,
-            of what the weakest direction could do (`manip_learn.control.planning.stations` has the formula).
+            of what the weakest direction could do (`manip_learn.planning.stations` has the formula).
         margins: The same in parts, with where and which joint.
         outcome: What became of the way: how far, how straight, how fast.
         others: Other postures in which the hand could take hold, and why they were not chosen, best first.
@@ -157,7 +157,7 @@ def plan(
 
     Whether a drawer opens is decided before the pull begins: by the posture in which the handle is taken. The hand's
     place is that of the motion (see `motion`); the posture is chosen among hundreds by the least margin over the whole
-    way, in units of its own limits (`manip_learn.control.planning.stations` has the formula); of margins within a
+    way, in units of its own limits (`manip_learn.planning.stations` has the formula); of margins within a
     hundredth of each other the larger manipulability of the rows held and driven decides. The best is simulated, and
     taken if the whole way is done within 2 mm of what holds the hand; else the next one. Surroundings are not known:
     the approach is clear of the arm's own links only.
@@ -217,6 +217,40 @@ def plan(
 
 
 @final
+class PathPolicy(NullSpacePolicy):
+    """pi = dq*/dt + gain (q*(t) - q), q* a cubic spline through knots, at rest before the first and behind the last.
+
+    Args:
+        time: Times of the knots, rising [s].
+        knots: Joint positions [rad or m], one row per knot.
+        gain: Rate at which differences from the path are made up [1/s].
+        robot: Whose joints they are.
+    """
+
+    def __init__(self, time: Float[np.ndarray, " K"], knots: Float[np.ndarray, "K nv"], gain: float, robot: Robot):
+        self.time = np.array(time, dtype=np.float64)
+        self.knots = np.array(knots, dtype=np.float64)
+        self.gain = float(gain)
+        self._robot = robot
+        self._spline = CubicSpline(self.time, self.knots, bc_type="natural")
+        self._rate = self._spline.derivative()
+
+    def __call__(self, q: ArrayLike, t: float = 0.0) -> Float[np.ndarray, " nv"]:
+        """Velocity along the path and towards it [rad/s or m/s].
+
+        Raises:
+            ConfigurationError: q has the wrong size or is not finite.
+        """
+        first, end = float(self.time[0]), float(self.time[-1])
+        goal = self._spline(min(max(t, first), end))
+        error = self._robot.difference(np.asarray(q, dtype=np.float64), goal)
+        return self.gain * error + (self._rate(t) if first <= t < end else 0.0)
+
+    def __repr__(self) -> str:
+        return f"PathPolicy({len(self.time)} knots over {self.time[-1] - self.time[0]:g} s, gain={self.gain:g})"
+
+
+@final
 class _Problem:
     """One call of `plan`."""
 
@@ -246,7 +280,12 @@ class _Problem:
         self.rng = np.random.default_rng(seed)
         self.touched = False  # whether links touch on a way that was found
         self.unreached = False  # whether a posture of hold could not be reached from the start
-        check_joints_add_up(robot, "a way is planned")
+        unsuited = next((b for b in robot.blocks if b.kind in ("floating", "planar", "other")), None)
+        if unsuited is not None:
+            raise FeatureError(
+                f"joint {unsuited.name!r} is {unsuited.kind}: a way is planned for revolute, continuous and prismatic "
+                "joints only; load the robot with a fixed base"
+            )
         endless = np.flatnonzero(~np.isfinite(self.limits.velocity))
         if len(endless):
             raise ConfigurationError(

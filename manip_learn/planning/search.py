@@ -21,8 +21,8 @@ from jaxtyping import Bool, Float, Int
 
 from manip_learn.constraint.constraint import Constraint
 from manip_learn.constraint.manipulability_batch import manipulability_batch
-from manip_learn.control.planning.stations import Postures, Stations, node_margins, rooms
 from manip_learn.control.policies import ASCENT_GAIN
+from manip_learn.planning.stations import Postures, Stations, node_margins, rooms
 
 SEED_STEPS, MARCH_STEPS = 40, 4  # of Newton's method: from anywhere, and from a station to the next
 SELF_MOTION = 0.25  # [rad or m] of the largest joint's step along the self-motion: a circle of it has 25 such steps
