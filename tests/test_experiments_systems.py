@@ -3,8 +3,6 @@
 from __future__ import annotations
 
 import json
-import sys
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -12,7 +10,6 @@ from numpy.testing import assert_allclose
 
 from manip_learn.constraint.constraint import Constraint
 from manip_learn.constraint.manipulability import manipulability_gradient
-from manip_learn.errors import OutputError
 from manip_learn.experiments import beyond, bounds, rmse, sawyer, singular_starts, table
 from manip_learn.experiments.beyond import (
     curve_features,
@@ -40,10 +37,6 @@ from manip_learn.experiments.paper_setup import (
 from manip_learn.experiments.sawyer import HARD, KIND, sawyer_arm, turned_recordings
 from manip_learn.experiments.table import LearningCase, learning_trial
 from manip_learn.experiments.ways import ESTIMATORS, SAID, scaled_rows
-
-DOCS = Path(__file__).resolve().parents[1] / "docs"
-sys.path.insert(0, str(DOCS))
-from fill_pages import PAGES, PARTS, filled, write_page  # noqa: E402
 
 STANDS = ("stand, mass over one place", "stand, mass in a slanted plane")
 pytestmark = pytest.mark.timeout(400)  # fixtures of half a minute, which others on the machine may stretch
@@ -357,42 +350,3 @@ def test_beyond_is_learnt(case):
     outcome = beyond.beyond_trial(case, np.random.default_rng(0))
     assert outcome["rows"] == outcome["rows_true"]
     assert outcome["angle_deg"] < (1e-9 if case.noise == 0.0 else 1.0)
-
-
-def test_page_is_filled_in():
-    """What stands between markers is replaced, again and again; the rest stays; a missing marker is named."""
-    page = "# Title\n<!-- begin a -->\nold\n<!-- end a -->\nprose\n<!-- begin b -->\n<!-- end b -->\n"
-    once = filled(page, {"a": "| \\1 |", "b": "text"})
-    assert once == (
-        "# Title\n<!-- begin a -->\n\n| \\1 |\n\n<!-- end a -->\nprose\n<!-- begin b -->\n\ntext\n\n<!-- end b -->\n"
-    )
-    assert filled(once, {"a": "| \\1 |", "b": "text"}) == once
-    with pytest.raises(OutputError, match="begin c"):
-        filled(page, {"c": ""})
-
-
-def test_page_needs_results(tmp_path):
-    """Missing, damaged or foreign results are refused with what to do."""
-    page = tmp_path / "reproduction.md"
-    page.write_text("# Page\n")
-    with pytest.raises(OutputError, match="none of the pages"):
-        write_page(tmp_path, tmp_path / "page.md")
-    with pytest.raises(OutputError, match="reproduce all"):
-        write_page(tmp_path, page)
-    for content, said in (("{", "no JSON"), ("{}", "does not hold")):
-        for part in PARTS:
-            (tmp_path / f"{part}.md").write_text("text")
-            (tmp_path / f"{part}.json").write_text(content)
-        with pytest.raises(OutputError, match=said):
-            write_page(tmp_path, page)
-    assert page.read_text() == "# Page\n"
-
-
-def test_the_page_has_all_markers():
-    """Both pages can be filled in, together they have every part, and they show a picture of each."""
-    for name, blocks in PAGES.items():
-        text = (DOCS / name).read_text(encoding="utf-8")
-        filled(text, dict.fromkeys(blocks, ""))
-        for part in set(blocks) & set(PARTS):
-            assert f"](reproduction/{part}.png)" in text
-    assert set(PARTS) <= {block for blocks in PAGES.values() for block in blocks}

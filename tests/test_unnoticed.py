@@ -1,4 +1,4 @@
-"""What no recording can show, and what does show it: each row of docs/unnoticed.md on the shipped recordings."""
+"""What no recording can show, and what does show it: each row of the table in docs/troubleshooting.md."""
 
 from __future__ import annotations
 
@@ -12,10 +12,7 @@ from numpy.testing import assert_allclose
 
 import manip_learn as ml
 from manip_learn.errors import RecordingError
-from manip_learn.learning.effort_witness import effort_witness
 from manip_learn.linalg import row_space_angle
-from manip_learn.recordings.velocities import with_velocities
-from manip_learn.robot.dynamics import inverse_dynamics
 
 ROOT = Path(__file__).resolve().parents[1]
 DATA = ROOT / "examples" / "data"
@@ -128,17 +125,3 @@ def test_slow_time_without_velocities_changes_nothing(arm, drawer):
     demos = ml.load_demonstrations(recordings("sawyer_drawer", 6), arm)
     slow = ml.Demonstrations(ml.Trajectory(10.0 * t.time, t.q, None, t.joint_names, t.name) for t in demos)
     assert learnt(arm, slow).report_.gap == pytest.approx(drawer.report_.gap, rel=1e-6)
-
-
-def test_efforts_show_longer_links(arm, drawer, tmp_path):
-    """Gravity acts on longer levers: what is left beside it is no longer along the held rows."""
-    held, long = drawer.constraint_, described(tmp_path)
-    demos = with_velocities(ml.load_demonstrations(recordings("sawyer_drawer", 6), arm), arm)
-    contact = []
-    for t in demos:
-        tau = inverse_dynamics(arm, t.q, t.u, np.gradient(t.u, t.time, axis=0))
-        push = np.array([8.0 * np.sin(3.0 * t.time), 6.0 * np.cos(2.0 * t.time)])
-        tau += np.einsum("tsv,st->tv", held.selection @ held.features.batch(t.q), push)
-        contact.append(ml.Trajectory(t.time, t.q, t.u, t.joint_names, t.name, effort=tau))
-    shares = [effort_witness(ml.FrameJacobian(robot, TIP), held.selection, contact).share for robot in (arm, long)]
-    assert shares[0] > 0.99 and shares[1] < 0.9, shares
