@@ -6,7 +6,7 @@ limits: anywhere along the self-motion, or brought along it to within SINGULAR o
 driven. A drawer counts as opened if the hand came the whole way and was never farther than 2 mm off its line: it
 would have to bend the rail, or let go.
 
-    python benchmarks/opening_drawers.py [--starts 200] [--seed 20000] [--out docs/figures_opening.md]
+    python benchmarks/opening_drawers.py [--starts 200] [--seed 20000] [--out docs/figures/opening_drawers.csv]
     python benchmarks/opening_drawers.py --chest [--starts 60] [--seed 31]   # all three drawers, one after the other
     python benchmarks/opening_drawers.py --physics     # side force on the rail, from the demo's start (MuJoCo)
 """
@@ -20,8 +20,8 @@ from pathlib import Path
 from typing import final
 
 import numpy as np
-from pages import put
 from scipy.optimize import least_squares
+from table_file import put
 
 import manip_learn as ml
 from manip_learn.commands.demo import SCENES, shipped_recordings
@@ -166,12 +166,9 @@ def opened(way: WayDone) -> bool:
     return way.is_done and not way.strays
 
 
-def page(bench: Bench, n: int, seed: int) -> str:
-    """The table of all studies."""
-    lines = [
-        "| start, grip | policy | opened | helped | hurt | off the line [mm] | time [s] | least mu |",
-        "|---|---|---|---|---|---|---|---|",
-    ]
+def all_studies(bench: Bench, n: int, seed: int) -> list[list[object]]:
+    """The rows of the table."""
+    lines: list[list[object]] = []
     for number, study in enumerate(STUDIES):
         rng = np.random.default_rng([seed, number])
         starts = [bench.start(rng, study) for _ in range(n)]
@@ -183,11 +180,10 @@ def page(bench: Bench, n: int, seed: int) -> str:
             off = np.percentile([1e3 * way.deviation for way in ways[policy]], [50, 90])
             times = [way.seconds for way in ways[policy] if way.seconds is not None]
             mu = np.median([way.least_manipulability for way in ways[policy]])
-            lines.append(
-                f"| {study.title} | {policy} | {np.sum(done)} of {n} | {np.sum(done & ~without)} | "
-                f"{np.sum(~done & without)} | {off[0]:.2f}, {off[1]:.1f} | {np.median(times):.2f} | {mu:.3f} |"
-            )
-    return "\n".join(lines)
+            changed = np.sum(done & ~without), np.sum(~done & without)
+            counts = [study.title, policy, f"{np.sum(done)} of {n}", *changed]
+            lines.append([*counts, f"{off[0]:.2f}, {off[1]:.1f}", f"{np.median(times):.2f}", f"{mu:.3f}"])
+    return lines
 
 
 def chests(bench: Bench, n: int, seed: int) -> str:
@@ -234,7 +230,7 @@ def side_forces(bench: Bench) -> str:
 
 
 def main() -> None:
-    """Print the table, or put it into the page between its marks."""
+    """Print the table, or write it."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--starts", type=int, default=200)
     parser.add_argument("--seed", type=int, default=20_000)
@@ -248,7 +244,8 @@ def main() -> None:
     if given.physics:
         print(side_forces(Bench()))
         return
-    put(page(Bench(), given.starts, given.seed), given.out)
+    header = ["start, grip", "policy", "opened", "helped", "hurt", "off the line [mm]", "time [s]", "least mu"]
+    put(header, all_studies(Bench(), given.starts, given.seed), given.out)
 
 
 if __name__ == "__main__":

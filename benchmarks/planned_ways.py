@@ -21,7 +21,7 @@ from pathlib import Path
 from typing import final
 
 import numpy as np
-from pages import put
+from table_file import put
 
 import manip_learn as ml
 from manip_learn.control.way import WayDone, simulate_way
@@ -106,7 +106,7 @@ def exhaustive(case: Case, rng: np.random.Generator) -> bool | None:
     return any(greedy(case, climbs, q, DT) for q in clear for climbs in (False, True))
 
 
-def row(name: str, keep_orientation: bool, starts: int, seed: int, report: bool) -> str:
+def row(name: str, keep_orientation: bool, starts: int, seed: int, report: bool) -> list[object]:
     """One line of the table."""
     counts = {"zero": 0, "mu": 0, "plan": 0, "lost": 0, "beyond": 0, "none": 0}
     times, margins, bad = [], [], 0
@@ -132,11 +132,9 @@ def row(name: str, keep_orientation: bool, starts: int, seed: int, report: bool)
             say(name, keep_orientation, i + 1, counts, f"{np.median(times or [0]):.2f} s")
     grip = "keeps its orientation" if keep_orientation else "may turn"
     possible = counts["plan"] + counts["beyond"]
-    took = f"{np.median(margins):.2f} | {np.median(times):.2f}, {np.max(times):.2f}" if times else "|"
-    return (
-        f"| {name} | {grip} | {counts['zero']} | {counts['mu']} | **{counts['plan']}** | {counts['beyond']} | "
-        f"{starts - possible} ({counts['none']}) | {counts['lost']} | {bad} | {took} |"
-    )
+    took = [f"{np.median(margins):.2f}", f"{np.median(times):.2f}, {np.max(times):.2f}"] if times else ["", ""]
+    head = [name, grip, *(counts[key] for key in ("zero", "mu", "plan", "beyond"))]
+    return [*head, f"{starts - possible} ({counts['none']})", counts["lost"], bad, *took]
 
 
 def sound(one: Case, plan: ml.Plan) -> bool:
@@ -150,17 +148,6 @@ def sound(one: Case, plan: ml.Plan) -> bool:
         if not (inside and slow and clear):
             return False
     return bool(np.max(np.abs(plan.approach.q[0] - one.start)) < 1e-9)
-
-
-def table(arms: list[str], starts: int, seed: int) -> str:
-    """All lines."""
-    lines = [
-        f"| arm | hand | zero | mu | plan | beyond the plan | none of {EXHAUSTIVE:,} (out of reach) | greedy only "
-        "| unsound | margin | seconds |",
-        "|---|---|---|---|---|---|---|---|---|---|---|",
-    ]
-    lines += [row(name, keep, starts, seed, True) for name in arms for keep in (False, True)]
-    return "\n".join(lines)
 
 
 def by_candidates(starts: int, seed: int) -> str:
@@ -225,7 +212,7 @@ def in_physics(starts: int, seed: int) -> str:
 
 
 def main() -> None:
-    """Print the table, or put it into the page between its marks."""
+    """Print the table, or write it."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--starts", type=int, default=60)
     parser.add_argument("--seed", type=int, default=60_000)
@@ -237,7 +224,9 @@ def main() -> None:
     if given.margins or given.physics:
         print((by_candidates if given.margins else in_physics)(given.starts, given.seed))
         return
-    put(table(given.arms, given.starts, given.seed), given.out)
+    header = ["arm", "hand", "zero", "mu", "plan", "beyond the plan", f"none of {EXHAUSTIVE:,} (out of reach)"]
+    lines = [row(name, keep, given.starts, given.seed, True) for name in given.arms for keep in (False, True)]
+    put([*header, "greedy only", "unsound", "margin", "seconds"], lines, given.out)
 
 
 if __name__ == "__main__":

@@ -31,7 +31,6 @@ STUDIES = {
     "physics": 2,
     "apart": 4,
     "timing": 3,
-    "speed": 3,
 }
 SMALL_TURN = 5.0  # of a hinge [deg]
 CUT_FREE = 1.5, 4.0  # length of a cut free motion [s]
@@ -194,8 +193,6 @@ def cases_of(study: str, sets: int, first_seed: int, kinds: list[str] | None) ->
         case "timing":
             lines = of((*PHASES, "free"), duration=LONG)
             yield from ((f"{kind}, 6 x {LONG:g} s", cases) for kind, cases in lines)
-        case "speed":
-            yield from of(CUT, whole=False)
         case "contaminated":
             for whole in (True, False):
                 where = "whole" if whole else "cut"

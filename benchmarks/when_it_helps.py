@@ -1,6 +1,6 @@
 """When does the manipulability of the task, or a plan, help? Six arms, seven tasks, nine policies and peers, one table.
 
-    python benchmarks/when_it_helps.py [--out docs/figures_when_it_helps.md] [--starts 50] [--seed 41000] [--workers 2]
+    python benchmarks/when_it_helps.py [--out docs/figures/when_it_helps.csv] [--starts 50] [--seed 41000] [--workers 2]
         [--arms panda so101] [--tasks reach "door 60 deg"] [--policies none learnt] [--few 10] [--plans 10]
         [--cache FOLDER] [--json FILE] [--python pink=/path/to/python]
 
@@ -25,8 +25,8 @@ from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
-from pages import put
 from peer_controllers import interpreter
+from table_file import put
 from when_cases import ARMS, GRIPS, KINDS, TASKS, cases_of, exists, robot_of, smallest
 from when_runs import PEERS, POLICIES, Score, run, run_peer
 
@@ -46,6 +46,8 @@ TITLES = {
     "mink": "mink",
     "placo": "PlaCo, its μ",
 }
+HEADER = ["arm", "task", "hand", "starts", "sigma", "policy", "done", "of", "low %", "high %", "against none"]
+HEADER += ["mu least", "mu mean", "seconds", "fastest joint %", "note"]
 GRIP_WORDS = {"free": "may turn", "held": "held"}
 
 
@@ -196,52 +198,43 @@ def paired(policy: str, part: dict[str, list[Score]], cells: Iterable[dict[str, 
     ours, theirs = [a for a, _ in both], [b for _, b in both]
     if not both or not differs(ours, theirs):
         return ""
-    return " ▲" if sum(ours) > sum(theirs) else " ▼"
+    return "more" if sum(ours) > sum(theirs) else "less"
 
 
-def entry(scores: list[Score], mark: str, best: bool, counts_only: bool) -> str:
-    """One cell of the table: done, its interval, least and mean mu, time and fastest joint."""
-    if not scores:
-        return "–"
+def entry(scores: list[Score], mark: str, counts_only: bool) -> list[object]:
+    """The figures of one policy in a cell: done, its interval, the mark, least and mean mu, time and fastest joint."""
     n, good = len(scores), [score for score in scores if score.done]
     low, high = wilson(len(good), n)
-    share = f"{len(good)}/{n}"
-    text = f"{f'**{share}**' if best else share}{mark} {100 * low:.0f}–{100 * high:.0f} %"
+    counts = [len(good), n, f"{100 * low:.0f}", f"{100 * high:.0f}", mark]
     if counts_only:
-        return text
+        return [*counts, "", "", "", ""]
     least, mean, fastest = (
         np.nanmedian([getattr(s, name) for s in scores]) if any(not math.isnan(s.least) for s in scores) else math.nan
         for name in ("least", "mean", "fastest")
     )
-    seconds = f"{np.median([score.seconds for score in good]):.2f} s" if good else "never"
-    return f"{text}<br>{least:.3g}, {mean:.3g}<br>{seconds}, {100 * fastest:.0f} %"
+    seconds = f"{np.median([score.seconds for score in good]):.2f}" if good else ""
+    return [*counts, f"{least:.3g}", f"{mean:.3g}", seconds, f"{100 * fastest:.0f}"]
 
 
-def row(cell: Cell, scores: dict[str, list[Score]], found: Found, sigma: dict[Cell, float]) -> str:
-    """One row of the table."""
+def lines_of(cell: Cell, scores: dict[str, list[Score]], found: Found, sigma: dict[Cell, float]) -> list[list[object]]:
+    """The lines of a cell, one for each policy that was run."""
     whole = "all" in cell
-    head = f"| {cell.arm} | {cell.task} | {GRIP_WORDS[cell.grip]} | {cell.kind} |"
+    head = [cell.arm, cell.task, GRIP_WORDS[cell.grip], cell.kind]
     if not scores:
-        return f"{head} | cannot be: 6 rows, {robot_of(cell.arm).nv} joints |{' |' * (len(POLICIES) - 1)}"
-    most = max(len(part) for part in scores.values())
-    top = max(sum(s.done for s in part) for part in scores.values() if len(part) == most)
-    entries = []
-    for policy in POLICIES:
-        part = scores.get(policy, [])
-        best = len(part) == most and sum(s.done for s in part) == top and top > 0
-        mark = paired(policy, scores, within(cell, found)) if part else ""
-        entries.append(entry(part, mark, best, whole))
-    return f"{head} {'' if whole else f'{sigma[cell]:.3f}'} | {' | '.join(entries)} |"
-
-
-def table(found: Found, sigma: dict[Cell, float]) -> str:
-    """Sums first, then every cell."""
-    lines = [
-        f"| arm | task | hand's orientation | starts | σ | {' | '.join(TITLES[policy] for policy in POLICIES)} |",
-        "|---" * (5 + len(POLICIES)) + "|",
+        return [[*head, *[""] * (len(HEADER) - 5), f"cannot be: 6 rows, {robot_of(cell.arm).nv} joints"]]
+    head.append("" if whole else f"{sigma[cell]:.3f}")
+    cells = within(cell, found)
+    return [
+        [*head, TITLES[policy], *entry(part, paired(policy, scores, cells), whole), ""]
+        for policy in POLICIES
+        if (part := scores.get(policy, []))
     ]
-    lines += [row(cell, scores, found, sigma) for cell, scores in {**pooled(found), **found}.items()]
-    return "\n".join(lines)
+
+
+def table(found: Found, sigma: dict[Cell, float]) -> list[list[object]]:
+    """Sums first, then every cell."""
+    cells = {**pooled(found), **found}
+    return [line for cell, scores in cells.items() for line in lines_of(cell, scores, found, sigma)]
 
 
 def written(found: Found, sigma: dict[Cell, float], path: Path) -> None:
@@ -282,12 +275,12 @@ def options(arguments: Sequence[str] | None = None) -> argparse.Namespace:
     parser.add_argument("--workers", type=int, default=2)
     parser.add_argument("--cache", type=Path, help="folder in which the scores of each cell are kept")
     parser.add_argument("--json", type=Path, help="file for all numbers")
-    parser.add_argument("--out", type=Path, help="page whose table is replaced")
+    parser.add_argument("--out", type=Path, help="file for the table; default: it is printed")
     return parser.parse_args(arguments)
 
 
 def main() -> None:
-    """Measure, and print the table or put it into the page between its marks."""
+    """Measure, and print or write the table."""
     given = options()
     for name in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS"):
         os.environ.setdefault(name, "1")  # of the workers
@@ -299,8 +292,9 @@ def main() -> None:
     found = {cell: some.get(cell, {}) for cell in cells}
     if given.json is not None:
         written(found, sigma, given.json)
-    text = "\n".join([table(found, sigma), *(f"\nSKIPPED {peer}: {reason}" for peer, reason in missing.items())])
-    put(text, given.out)
+    put(HEADER, table(found, sigma), given.out)
+    for peer, reason in missing.items():
+        print(f"SKIPPED {peer}: {reason}", file=sys.stderr)
 
 
 if __name__ == "__main__":

@@ -1,31 +1,27 @@
 """How well whole, mixed and loosely held recordings are learnt, on generated sets that nothing was tuned on.
 
-    python benchmarks/whole_recordings.py --first-seed 2000 --against ../reference --jobs 2 --out table.md
+    python benchmarks/whole_recordings.py --first-seed 27000 --sets 4 --losing --out table.csv
     python benchmarks/whole_recordings.py --studies phases free --sets 5 --losing
 
 Each set is learnt by `ConstraintLearner([world, local])`, as the command line does, and compared with the mechanism
 that it was made with. Set i of a kind has the seed first + i and the robots take turns. No learnt quantity takes part
-in the truth. The study `speed` needs another tree of the library to compare with: `--against`.
+in the truth. Figures are medians with the worst beside them; `COUNTED` ones are numbers of sets.
 """
 
 from __future__ import annotations
 
 import argparse
-import datetime
-import subprocess
 import sys
 import time
-from collections.abc import Callable, Iterable, Iterator
 from concurrent.futures import ProcessPoolExecutor
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, final
+from typing import final
 
 import numpy as np
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "examples"))
 
-from make_recordings.arms import LOCKED
 from make_recordings.kinds import FREE
 from recording_cases import STUDIES, Case, cases_of
 from recording_scores import (
@@ -34,16 +30,13 @@ from recording_scores import (
     mechanisms_figures,
     odd_figures,
     phases_figures,
-    postures,
-    row_angle,
     rows_figures,
 )
-from reference_fits import Rival, in_turns
+from table_file import put
 
 import manip_learn as ml
 from manip_learn.errors import NotIdentifiableError
 
-TREE = Path(__file__).resolve().parents[1]
 COLUMNS = (
     "refused",
     "warned",
@@ -64,13 +57,13 @@ COLUMNS = (
     "lone named",
     "lone wrong",
     "cpu s",
-    "cpu ratio",
-    "other deg",
 )
 COUNTED = {"refused", "warned", "rows right", "wrong, no warning", "type right", "odd missed", "false alarms"}
 COUNTED |= {"lone named", "lone wrong"}
 LARGE_IS_GOOD = {"found %"}
-ROUNDS = 3  # in which both trees learn the same recordings
+HEADER = ["table", "study", "kind", "sets"]
+for column in COLUMNS:
+    HEADER += [column] if column in COUNTED or column in INSIDE.values() else [column, f"{column}, worst"]
 
 
 @final
@@ -113,46 +106,21 @@ def judge(case: Case) -> Outcome:
     return Outcome(case, figures, f"{report}{stated}")
 
 
-def compared(cases: Iterable[Case], against: Path) -> Iterator[Outcome]:
-    """The same cut recordings learnt by this tree and by another one, in turns."""
-    rivals = {"this": Rival(TREE), "other": Rival(against)}
-    for case in cases:
-        arm, demos, truth = case.make()
-        chosen = [
-            (q, truth["mechanisms"][k])
-            for demo, windows in zip(demos, truth["windows"], strict=True)
-            for a, b, k in windows
-            for q in postures(demo, a, b)
-        ]
-        robot = {"robot": case.robot, "locked": list(LOCKED.get(case.robot, ())), "tip": truth["tip"]}
-        answers = in_turns(rivals, robot | {"axes": case.axes}, demos, np.array([q for q, _ in chosen]), ROUNDS)
-        figures = {"cpu s": answers["this"]["cpu s"]}
-        figures["cpu ratio"] = answers["this"]["cpu s"] / answers["other"]["cpu s"]
-        for name, column in (("this", "direction deg"), ("other", "other deg")):
-            if "A" in answers[name]:
-                pairs = zip(answers[name]["A"], chosen, strict=True)
-                angles = [row_angle(np.array(A), q, arm, mechanism, case.axes)[1] for A, (q, mechanism) in pairs]
-                figures[column] = float(np.median(angles))
-        yield Outcome(case, figures)
-    for rival in rivals.values():
-        rival.close()
-
-
-def line_of(study: str, name: str, outcomes: list[Outcome]) -> str:
+def line_of(study: str, name: str, outcomes: list[Outcome], first_seed: int) -> list[str]:
     """One line of the table: counts, and medians with the worst."""
-    cells = [study, name, str(len(outcomes))]
+    cells = [f"whole recordings, seeds from {first_seed}", study, name, str(len(outcomes))]
     for column in COLUMNS:
         values = np.array([o.figures[column] for o in outcomes if column in o.figures])
-        if not len(values):
-            cells.append("")
-        elif column in INSIDE.values():
-            cells.append(f"{100.0 * values.mean():.0f} %")
+        if column in INSIDE.values():
+            cells.append(f"{100.0 * values.mean():.0f} %" if len(values) else "")
         elif column in COUNTED:
-            cells.append(f"{values.sum():.0f}")
+            cells.append(f"{values.sum():.0f}" if len(values) else "")
+        elif not len(values):
+            cells += ["", ""]
         else:
             worst = values.min() if column in LARGE_IS_GOOD else values.max()
-            cells.append(f"{np.median(values):.3g} ({worst:.3g})")
-    return "| " + " | ".join(cells) + " |"
+            cells += [f"{np.median(values):.3g}", f"{worst:.3g}"]
+    return cells
 
 
 def losing(o: Outcome) -> bool:
@@ -171,15 +139,6 @@ def described(o: Outcome) -> str:
     return f"    {o.case.kind} {o.case.robot} {o.case.seed} {numbers}: {o.words[:900]}"
 
 
-def revision() -> str:
-    """Of the code that is measured; says if it has been changed since."""
-
-    def git(*words: str) -> str:
-        return subprocess.run(["git", *words], cwd=TREE, capture_output=True, text=True, check=True).stdout.strip()
-
-    return git("rev-parse", "--short", "HEAD") + (" with changes" if git("status", "--porcelain", "-uno") else "")
-
-
 def options() -> argparse.ArgumentParser:
     """What can be asked for."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
@@ -188,49 +147,37 @@ def options() -> argparse.ArgumentParser:
     parser.add_argument("--sets", type=int, help="sets of each line; by default as many as in the full table")
     parser.add_argument("--first-seed", type=int, default=1100, help="seed of the first set of each kind")
     parser.add_argument("--jobs", type=int, default=1, help="processes that learn sets at the same time")
-    parser.add_argument("--against", type=Path, help="another tree of the library, for the study `speed`")
     parser.add_argument("--out", type=Path, help="file for the table")
     parser.add_argument("--losing", action="store_true", help="say what was answered where it is wrong")
     return parser
 
 
-def outcomes_of(study: str, name: str, cases: list[Case], given: Any, pool: ProcessPoolExecutor) -> list[Outcome]:
+def outcomes_of(study: str, name: str, cases: list[Case], pool: ProcessPoolExecutor) -> list[Outcome]:
     """Every set of a line, learnt; progress goes to the standard error."""
-    made = pool.map(judge, cases) if study != "speed" else compared(cases, given.against)
     out = []
-    for outcome in made:
+    for outcome in pool.map(judge, cases):
         out.append(outcome)
         print(f"\r{study}: {name}, {len(out)} of {len(cases)}   ", end="", file=sys.stderr, flush=True)
     print("\r" + 60 * " " + "\r", end="", file=sys.stderr, flush=True)
     return out
 
 
-def main(arguments: list[str] | None = None, write: Callable[[str], None] = print) -> None:
-    """Measure, and write one table."""
-    given = options().parse_args(arguments)
-    started = datetime.datetime.now(datetime.UTC)
-    lines = [
-        f"Revision {revision()}, {started:%d %B %Y}, seeds from {given.first_seed}.",
-        "",
-        "| study | kind | sets | " + " | ".join(COLUMNS) + " |",
-        "|---" * (3 + len(COLUMNS)) + "|",
-    ]
-    write("\n".join(lines))
-    wrong: list[str] = []
+def main() -> None:
+    """Measure, and print or write one table."""
+    given = options().parse_args()
+    lines: list[list[str]] = []
     with ProcessPoolExecutor(given.jobs) as pool:
         for study in given.studies:
-            if study == "speed" and given.against is None:
-                continue
             for name, cases in cases_of(study, given.sets or STUDIES[study], given.first_seed, given.kinds):
-                outcomes = outcomes_of(study, name, cases, given, pool)
-                lines.append(line_of(study, name, outcomes))
-                write(lines[-1])
+                outcomes = outcomes_of(study, name, cases, pool)
+                lines.append(line_of(study, name, outcomes, given.first_seed))
                 lost = [described(o) for o in outcomes if losing(o)] if given.losing else []
-                wrong += lost
                 if lost:
-                    write("\n".join(lost))
+                    print("\n".join(lost), file=sys.stderr)
                 if given.out:
-                    given.out.write_text("\n".join([*lines, "", *wrong]) + "\n")
+                    put(HEADER, lines, given.out)
+    if not given.out:
+        put(HEADER, lines, None)
 
 
 if __name__ == "__main__":

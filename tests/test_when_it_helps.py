@@ -63,15 +63,18 @@ def test_any_joint_path_is_judged_as_a_simulated_way_is() -> None:
 def test_a_cell_is_the_same_again_and_is_counted_right(tmp_path: Path) -> None:
     """Two starts of a cell, measured twice and from the cache; the table counts what was done."""
     cell = when_it_helps.Cell("so101", "reach", "held", "anywhere")
-    job = when_it_helps.Job(cell, {"none": 2, "learnt": 2, "path": 0}, 41_000, {}, tmp_path)
+    job = when_it_helps.Job(cell, {"none": 2, "learnt": 2, "plan": 0}, 41_000, {}, tmp_path)
     first = when_it_helps.measure(job)
     assert first == when_it_helps.measure(job) == when_it_helps.measure(job._replace(cache=None))
     assert len(list(tmp_path.iterdir())) == 3
     scores = first[2]
     cannot = when_it_helps.Cell("so101", "drawer 0.3 m", "held", "near")
-    text = when_it_helps.table({cell: scores, cannot: {}}, {cell: first[1][0]})
-    rows = [line for line in text.splitlines() if line.startswith("| so101 | ")]
-    assert len({line.count("|") for line in text.splitlines()}) == 1
-    assert len(rows) == 3 and "cannot be" in rows[2]
+    lines = when_it_helps.table({cell: scores, cannot: {}}, {cell: first[1][0]})
+    assert {len(line) for line in lines} == {len(when_it_helps.HEADER)}
+    rows = [dict(zip(when_it_helps.HEADER, line, strict=True)) for line in lines]
+    assert [row["task"] for row in rows if row["note"]] == [cannot.task]
+    assert "cannot be" in rows[-1]["note"] and rows[-1]["policy"] == ""
     for policy in ("none", "learnt"):
-        assert f"{sum(s.done for s in scores[policy])}/2" in rows[1]
+        shown = [row for row in rows if row["policy"] == when_it_helps.TITLES[policy] and row["task"] == "reach"]
+        assert {(row["done"], row["of"]) for row in shown} == {(sum(s.done for s in scores[policy]), 2)}
+        assert [row["mu least"] != "" for row in shown] == [row["arm"] != "all" for row in shown]
