@@ -44,16 +44,6 @@ def test_policy_is_closer_than_printed():
     assert all(block[name]["two_policies"]["mean"] < PAPER_RMSE["mean"] for name in rmse.ESTIMATORS)
 
 
-def test_number_of_rows_is_found():
-    """With 20 trajectories or more the learner finds the number of rows in 98 % of the runs: noise, policies, units."""
-    cells = table.VARIED_TABLE.run(25, np.random.default_rng(7), TrialRunner()).to_dict()
-    few = ("1 trajectory", "5 trajectories", "each demonstrator's own")
-    shares = [
-        c["ours"]["auto"]["rows_right"] for name, block in cells.items() if name not in few for c in block.values()
-    ]
-    assert np.mean(shares) >= 0.98
-
-
 def test_everything_small(tmp_path):
     """`all` writes every part, and another number of workers changes nothing."""
     out = tmp_path / "out"

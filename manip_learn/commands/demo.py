@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-import importlib.resources
 from dataclasses import dataclass
-from pathlib import Path
 from typing import Any, final
 
 import numpy as np
@@ -20,6 +18,7 @@ from manip_learn.control.simulation import simulate
 from manip_learn.control.tasks import PointAttractor, Task, motion
 from manip_learn.control.way import WayDone, simulate_way
 from manip_learn.errors import UnknownNameError
+from manip_learn.experiments.sawyer import shipped_recordings
 from manip_learn.planning.plan import Plan
 from manip_learn.playback import ReplayResult, replay
 from manip_learn.recordings.trajectory_source import Progress
@@ -112,12 +111,6 @@ class Demo:
             "html": str(self.page.html),
             "bytes": self.page.bytes,
         }
-
-
-def shipped_recordings() -> Path:
-    """Folder of the recordings that come with this package, in an installed wheel or in a checkout."""
-    installed = Path(str(importlib.resources.files("manip_learn"))) / "_recordings"
-    return installed if installed.is_dir() else Path(__file__).resolve().parents[2] / "examples" / "data"
 
 
 def demo(options: DemoOptions, progress: Progress | None = None) -> Demo:

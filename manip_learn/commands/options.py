@@ -463,14 +463,12 @@ class TeachOptions:
 class ReproduceOptions:
     """Run the experiments of "Learning Singularity Avoidance", and compare with the printed numbers."""
 
-    experiment: Annotated[
-        str, Argument(help="table, rmse, singular-start, near-singular-start, sawyer, beyond or all.")
-    ]
+    experiment: Annotated[str, Argument(help="table, rmse, singular-start, near-singular-start, sawyer or all.")]
     trials: Annotated[int, Option(help="Repetitions; 50 in the paper.")] = 50
     seed: Annotated[int, Option(help="Random seed; the same seed gives the same numbers.")] = 0
     out: Annotated[Path | None, Option(help="Folder for numbers, figures and replays.")] = None
     workers: Annotated[int | None, Option(help="Processes; default: all cores.")] = None
-    backend: Annotated[str, Option(help="loky, threading or dask.")] = "loky"
+    backend: Annotated[str, Option(help="loky (processes) or threading.")] = "loky"
     as_json: Json = False
 
 

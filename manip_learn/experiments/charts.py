@@ -134,23 +134,3 @@ def strip(axes: Axes, values: Mapping[str, Sequence[float]], paper: float | None
     axes.set_xlim(-0.6, len(values) - 0.4)
     axes.set_xticks(range(len(values)), list(values), rotation=40, ha="right")
     axes.grid(False, axis="x")
-
-
-def shades(n: int) -> list[str]:
-    """Colours for n moments, the early ones pale yellow, the late ones dark violet."""
-    import matplotlib
-    from matplotlib.colors import to_hex
-
-    return [to_hex(colour) for colour in matplotlib.colormaps["viridis_r"](np.linspace(0.04, 1.0, n))]
-
-
-def time_key(figure: Figure, axes: Sequence[Axes], times: Sequence[float]) -> None:
-    """A key beside axes that says which shade is which time [s]."""
-    from matplotlib.cm import ScalarMappable
-    from matplotlib.colors import BoundaryNorm, ListedColormap
-
-    n = len(times)
-    norm = BoundaryNorm(np.arange(n + 1) - 0.5, n)
-    key = figure.colorbar(ScalarMappable(norm, ListedColormap(shades(n))), ax=list(axes), fraction=0.03, pad=0.01)
-    key.set_ticks(range(n), labels=[f"{t:.3g}" for t in times], fontsize=7)
-    key.set_label("time of a posture [s]")

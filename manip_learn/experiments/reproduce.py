@@ -15,7 +15,7 @@ import numpy as np
 
 from manip_learn.atomic_write import write_atomically
 from manip_learn.errors import ExperimentError, UnknownNameError
-from manip_learn.experiments import beyond, bounds, rmse, sawyer, singular_starts, table
+from manip_learn.experiments import rmse, sawyer, singular_starts, table
 from manip_learn.experiments.charts import save_figure
 from manip_learn.experiments.experiment_result import ExperimentResult
 from manip_learn.experiments.trial_runner import BACKENDS, Backend, Experiment, PartStore, TrialRunner
@@ -26,21 +26,13 @@ from manip_learn.recordings.trajectory_source import Progress
 MAX_TRIALS = 100_000  # more would run for months: a slip of the keyboard
 PARTS: dict[str, Experiment[Any]] = {
     "table": table.TABLE,
-    "variants": table.VARIED_TABLE,
-    "bounds": bounds.BOUNDS,
     "rmse": rmse.RMSE,
     "singular-start": singular_starts.FROM_SINGULAR,
     "near-singular-start": singular_starts.FROM_NEAR_SINGULAR,
     "sawyer": sawyer.SAWYER,
-    "recorded": beyond.RECORDED,
-    "beyond": beyond.BEYOND,
 }
 # name that a user gives -> parts
-EXPERIMENTS: dict[str, tuple[str, ...]] = {
-    "table": ("table", "variants"),
-    **{name: (name,) for name in PARTS if name not in ("table", "variants")},
-    "all": tuple(PARTS),
-}
+EXPERIMENTS: dict[str, tuple[str, ...]] = {**{name: (name,) for name in PARTS}, "all": tuple(PARTS)}
 
 
 def reproduce(
@@ -60,24 +52,23 @@ def reproduce(
     there as they come: an interrupted run goes on where it stopped.
 
     Args:
-        name: `"table"`, `"bounds"`, `"rmse"`, `"singular-start"`, `"near-singular-start"`, `"sawyer"`, `"recorded"`,
-            `"beyond"` or `"all"`.
+        name: `"table"`, `"rmse"`, `"singular-start"`, `"near-singular-start"`, `"sawyer"` or `"all"`.
         trials: Number of trials; 50 in the paper.
         seed: Root of all random numbers.
         out: Folder for JSON, CSV, PNG, SVG, Markdown and replay pages; None writes nothing.
         progress: Called with the name of a part and the completed fraction of all trials, 0 to 1.
         workers: Number of processes; all cores by default.
-        backend: joblib's `"loky"` or `"threading"`, or `"dask"`.
+        backend: joblib's `"loky"` or `"threading"`.
         on_result: Called with each part's name and result as it comes.
 
     Returns:
-        Part -> `ours` and `paper` (`table` and `variants`: of each constraint), ready for JSON.
+        Part -> `ours` and `paper` (`table`: of each constraint), ready for JSON.
 
     Raises:
         UnknownNameError: No such experiment or backend; lists those that exist.
         ExperimentError: Trials, seed or workers out of range.
         OutputError: The folder holds other files, or cannot be written.
-        MissingExtraError: joblib, matplotlib or dask is not installed.
+        MissingExtraError: joblib or matplotlib is not installed.
     """
     _check(name, trials, seed, workers, backend)
     store = None if out is None else PartStore(Path(out))

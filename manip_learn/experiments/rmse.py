@@ -23,6 +23,8 @@ from manip_learn.experiments.experiment_result import (
     said_rows,
     summary,
 )
+from manip_learn.experiments.learners import ESTIMATORS as WAYS
+from manip_learn.experiments.learners import SAID
 from manip_learn.experiments.metrics import policy_rmse
 from manip_learn.experiments.paper_setup import (
     PAPER_RMSE,
@@ -37,8 +39,6 @@ from manip_learn.experiments.paper_setup import (
     tip,
 )
 from manip_learn.experiments.trial_runner import of_trials
-from manip_learn.experiments.ways import ESTIMATORS as WAYS
-from manip_learn.experiments.ways import SAID
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure

@@ -24,17 +24,15 @@ from manip_learn.constraint.constraint import Constraint
 from manip_learn.constraint.features.feature_map import FeatureMap
 from manip_learn.constraint.features.frame_jacobian import FrameJacobian
 from manip_learn.constraint.manipulability_batch import manipulability_batch
-from manip_learn.errors import NotIdentifiableError, RecordingError
+from manip_learn.errors import NotIdentifiableError
 from manip_learn.experiments.charts import Panel, strips
 from manip_learn.experiments.experiment_result import (
     TrialsResult,
-    compare_pairs,
     markdown_table,
     mean_and_sd,
     median_and_worst,
     number,
     percent,
-    said_pair,
     share,
     summary,
 )
@@ -48,9 +46,7 @@ from manip_learn.experiments.paper_setup import (
 )
 from manip_learn.experiments.rmse import climb_along
 from manip_learn.experiments.trial_runner import of_trials
-from manip_learn.experiments.ways import SAID, closed_form_held, fit_places, fit_row_by_row, task_rates
 from manip_learn.learning.learner import ConstraintLearner
-from manip_learn.learning.samples import Samples
 from manip_learn.linalg import row_space_angle
 from manip_learn.recordings.demonstrations import Demonstrations
 from manip_learn.recordings.load_demonstrations import load_demonstrations
@@ -64,9 +60,13 @@ from manip_learn.robot.robot import Robot
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
+# the paper's numbers: the pose that the null-space policy leads to [rad], and the starts
+DEFAULT_POSE = np.deg2rad([-100.0, 30.0, -100.0, 40.0, -60.0, -70.0, 250.0])
+START_LOW, START_HIGH = np.deg2rad([0.0, 90.0] * 3 + [0.0]), np.deg2rad([10.0, 100.0] * 3 + [10.0])  # [rad]
+STEP, DEMONSTRATIONS, POINTS = 0.01, 50, 10  # [s]
+ROLLOUTS, ROLLOUT_POINTS = 20, 100  # that the RMSE is taken over, samples of each
 FRAME = "right_gripper_tip"
 KIND, HARD = "sawyer_drawer", "sawyer_drawer_hard"
-DRAWER_DIRECTION = np.deg2rad(25.0)  # of the recordings, about the vertical, from x
 
 
 @cache
@@ -86,7 +86,7 @@ def turned_recordings(along_x: bool, points: int | None, folder: str = KIND) -> 
         folder: `KIND`: grip within a micrometre, noise of 1e-4 rad, 100 Hz, velocities derived from the positions.
             `HARD`: 2 mm of play in the grip, stick and slip, 1e-3 rad, 20 Hz, velocities as recorded, 60 ms old.
     """
-    offset = -DRAWER_DIRECTION + (0.0 if along_x else np.pi / 2)
+    offset = -np.deg2rad(25.0) + (0.0 if along_x else np.pi / 2)  # the recorded drawer opens at 25 degrees from x
     shift = np.eye(7)[sawyer_arm().joint_names.index("right_j0")] * offset
     out = []
     for t in _recordings(folder):
@@ -97,33 +97,15 @@ def turned_recordings(along_x: bool, points: int | None, folder: str = KIND) -> 
 
 @cache
 def _recordings(name: str) -> Demonstrations:
-    files = sorted(recordings_folder(name).glob("*.csv"))
+    files = sorted((shipped_recordings() / name).glob("*.csv"))
     return with_velocities(load_demonstrations(files, sawyer_arm()), sawyer_arm())
 
 
-def recordings_folder(name: str) -> Path:
-    """A folder of shipped recordings, of the installed package or of the repository.
-
-    Raises:
-        RecordingError: It is in neither.
-    """
+def shipped_recordings() -> Path:
+    """Folder of the recordings that come with this package, in an installed wheel or in a checkout."""
     installed = Path(str(importlib.resources.files("manip_learn"))) / "_recordings"
-    here = Path(__file__).resolve().parents[2] / "examples" / "data"
-    for folder in (installed / name, here / name):
-        if folder.is_dir():
-            return folder
-    raise RecordingError(
-        f"the shipped recordings are missing: neither {installed} nor {here} holds {name}; install again",
-        code="missing",
-    )
+    return installed if installed.is_dir() else Path(__file__).resolve().parents[2] / "examples" / "data"
 
-
-# the paper's numbers: the pose that the null-space policy leads to [rad], and the starts
-DEFAULT_POSE = np.deg2rad([-100.0, 30.0, -100.0, 40.0, -60.0, -70.0, 250.0])
-START_LOW, START_HIGH = np.deg2rad([0.0, 90.0] * 3 + [0.0]), np.deg2rad([10.0, 100.0] * 3 + [10.0])  # [rad]
-STEP, DEMONSTRATIONS, POINTS = 0.01, 50, 10  # [s]
-ROLLOUTS, ROLLOUT_POINTS = 20, 100  # that the RMSE is taken over, samples of each
-DAMPING = 0.05  # of the rollouts' inverse [m]; targets may be out of reach
 
 Source = Literal["model", "kind physics", "hard physics"]
 Reading = Literal["constrained row", "free direction"]
@@ -152,20 +134,14 @@ class SawyerCase:
         return f"{self.source}, {'all samples' if self.points is None else f'{self.points} points each'}"
 
 
-SOURCES: tuple[tuple[Source, int | None], ...] = (
-    ("model", POINTS),
-    ("kind physics", POINTS),
-    ("kind physics", None),
-    ("hard physics", POINTS),
-    ("hard physics", None),
-)
-READINGS: tuple[Reading, ...] = ("constrained row", "free direction")
-PUBLISHED = ("held", "row-by-row", "line")  # learners for b = 0, told the number of rows
 BETWEEN = " | "  # the words of a case
 CASES = {
     BETWEEN.join((case.said, case.reading, case.direction)): case
-    for source, points in SOURCES
-    for reading in READINGS
+    for source, points in (
+        ("model", POINTS),
+        *(("kind physics", POINTS), ("kind physics", None), ("hard physics", POINTS), ("hard physics", None)),
+    )
+    for reading in ("constrained row", "free direction")
     for direction in ("x", "y")
     for case in [SawyerCase(source, points, reading, direction)]
 }
@@ -176,8 +152,7 @@ def sawyer_trial(case: SawyerCase, rng: Generator) -> dict[str, Any]:
 
     Returns:
         `mie` and `nmie` at the postures of the training set, `mie_held` and `nmie_held` at those held out,
-        `angle_deg`, `rows`, `rows_true`, `rmse` of 20 rollouts; or `refused`. `others`: the published learners for
-        b = 0 on the same recordings -> `angle_deg` and `nmie_held`.
+        `angle_deg`, `rows`, `rows_true`, `rmse` of 20 rollouts; or `refused`.
     """
     features = FrameJacobian(sawyer_arm(), FRAME, _axes(case))
     Lambda = true_selection(case)
@@ -185,11 +160,10 @@ def sawyer_trial(case: SawyerCase, rng: Generator) -> dict[str, Any]:
     demos, held_out = drawn(case, true, rng)
     test = np.concatenate([t.q for t in held_out])
     mu_test = manipulability_batch(true, test).mu
-    others = _others(case, features, demos, true, test) if case.source != "model" else {}
     try:
         learner = ConstraintLearner(features, seed=int(rng.integers(2**31))).fit(demos)
     except NotIdentifiableError as error:
-        return {"refused": error.code, "rows_true": len(Lambda), "others": others}
+        return {"refused": error.code, "rows_true": len(Lambda)}
     learnt, report = learner.constraint_, learner.report_
     q = np.concatenate([t.q for t in demos])
     mu, other = manipulability_batch(true, q).mu, manipulability_batch(learnt, q).mu
@@ -206,7 +180,6 @@ def sawyer_trial(case: SawyerCase, rng: Generator) -> dict[str, Any]:
         "mie_held": mie(mu_test, other_test),
         "nmie_held": nmie(mu_test, other_test),
         "rmse": _rmse(true, learnt, rng),
-        "others": others,
     }
 
 
@@ -219,27 +192,6 @@ def drawn(case: SawyerCase, true: Constraint, rng: Generator) -> tuple[Demonstra
     chosen = rng.integers(len(every), size=DEMONSTRATIONS)
     left = sorted(set(range(len(every))) - set(chosen.tolist()))
     return Demonstrations(every[int(i)] for i in chosen), Demonstrations(every[i] for i in left)
-
-
-def _others(
-    case: SawyerCase, features: FeatureMap, demos: Demonstrations, true: Constraint, test: np.ndarray
-) -> dict[str, dict[str, float]]:
-    s = true.n_constraints
-    answers = {
-        "held": closed_form_held(np.concatenate(task_rates(features, demos)), s),
-        "line": fit_places([places(features, t.q) for t in demos], s),
-    }
-    if case.points is not None:  # nine searches over all samples would take minutes
-        samples = Samples.collect(features, demos)
-        answers["row-by-row"] = samples.selection(fit_row_by_row(samples, s))
-    mu = manipulability_batch(true, test).mu
-    return {
-        name: {
-            "angle_deg": float(np.degrees(row_space_angle(true.selection, learnt))),
-            "nmie_held": nmie(mu, manipulability_batch(Constraint(learnt, features), test).mu),
-        }
-        for name, learnt in answers.items()
-    }
 
 
 def true_selection(case: SawyerCase) -> Float[np.ndarray, "s p"]:
@@ -283,7 +235,8 @@ def simulated(true: Constraint, rng: Generator) -> Demonstrations:
 
 def _rmse(true: Constraint, learnt: Constraint, rng: Generator) -> list[float]:
     """RMSE of pi_mu = grad mu, equation (13), against pi_mu~ on 20 rollouts of 100 points under pi_mu."""
-    q, _ = steps(true, lambda q: manipulability_batch(true, q).gradient, ROLLOUTS, ROLLOUT_POINTS, DAMPING, rng)
+    damping = 0.05  # [m] of the inverse: targets may be out of reach
+    q, _ = steps(true, lambda q: manipulability_batch(true, q).gradient, ROLLOUTS, ROLLOUT_POINTS, damping, rng)
     return policy_rmse(climb_along(true, q), climb_along(learnt, q)).tolist()
 
 
@@ -302,7 +255,6 @@ class SawyerResult(TrialsResult):
                 "rmse": summary(v for t in trials for v in t.get("rmse", ())),
                 "rows_right": share(t.get("rows") == t["rows_true"] for t in trials),
                 "inside": share(t["angle_deg"] <= t["stated_deg"] for t in trials if t.get("stated_deg") is not None),
-                "others": {name: self._other(trials, name) for name in trials[0]["others"]},
             }
         paper = {
             "mie": PAPER_SAWYER_MIE,
@@ -312,42 +264,18 @@ class SawyerResult(TrialsResult):
         }
         return {"paper": paper, "ours": ours}
 
-    def _other(self, trials: list[dict[str, Any]], name: str) -> dict[str, Any]:
-        answers = [t["others"][name] for t in trials]
-        angles = [a["angle_deg"] for a in answers]
-        return {
-            "angle_deg": summary(angles),
-            "nmie_held": summary(a["nmie_held"] for a in answers),
-            "pair": compare_pairs([t.get("angle_deg") for t in trials], angles),
-        }
-
     def markdown(self) -> str:
-        """All readings beside the paper's numbers, then the published learners on the same recordings."""
+        """All readings beside the paper's numbers."""
         mie_of_paper, rmse_of_paper = number(PAPER_SAWYER_MIE), mean_and_sd(PAPER_SAWYER_RMSE)
         lines = [["**paper, a real arm**", "", "", mie_of_paper, "", "", "", rmse_of_paper, ""]]
-        pairs = []
         for key, block in self.to_dict()["ours"].items():
             case = key.split(BETWEEN)
             lines.append([*case, *(number(block[w]["median"]) for w in ("mie", "mie_held", "nmie_held"))])
             lines[-1].append(median_and_worst(block["angle_deg"]))
             lines[-1] += [mean_and_sd(block["rmse"]), percent(block["rows_right"])]
-            if others := block["others"]:
-                said = [
-                    f"{number(others[n]['angle_deg']['median'])}; {said_pair(others[n]['pair'])}"
-                    if n in others
-                    else "not run"
-                    for n in PUBLISHED
-                ]
-                pairs.append([*case, number(block["angle_deg"]["median"]), *said])
         header = ["demonstrations", "reading", "Lambda", "MIE, training", "MIE, held out", "NMIE, held out"]
         header += ["angle [deg], median (worst)", "RMSE, mean +- s.d.", "rows found"]
-        against = ["recordings", "reading", "Lambda", SAID["auto"], *(SAID[name] for name in PUBLISHED)]
-        words = (
-            "Published learners for b = 0 on the same recordings, told the number of rows: median angle [deg]; the "
-            f"median of its ratio to that of *{SAID['auto']}* [95 % interval], resamples at which *{SAID['auto']}* is "
-            "better. A ratio below 1 is a loss of ours."
-        )
-        return "\n\n".join([markdown_table(header, lines), words, markdown_table(against, pairs)])
+        return markdown_table(header, lines)
 
     def figures(self) -> dict[str, Figure]:
         """MIE on held-out recordings and RMSE of every trial."""

@@ -19,9 +19,9 @@ from manip_learn.control.simulation import simulate
 from manip_learn.control.tasks.point_attractor import PointAttractor
 from manip_learn.experiments import charts
 from manip_learn.experiments.experiment_result import ExperimentResult, markdown_table, number, percent
+from manip_learn.experiments.learners import ESTIMATORS, SAID
 from manip_learn.experiments.paper_setup import Setup, demonstrate, planar_arm, planar_features, true_constraint
 from manip_learn.experiments.trial_runner import Experiment, TrialRunner
-from manip_learn.experiments.ways import ESTIMATORS, SAID
 from manip_learn.linalg import matlab_tolerance
 from manip_learn.playback.palette import COLOURS
 from manip_learn.robot.robot import Robot
@@ -29,15 +29,12 @@ from manip_learn.robot.robot import Robot
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-STEP = 0.02  # [s]
 DURATION = 5.0  # [s]
-STEPS = (STEP, 0.01)  # the paper's 50 Hz, and half of it [s]
+STEPS = (0.02, 0.01)  # the paper's 50 Hz, and half of it [s]
 REACHED = 0.05  # [m]
 PERTURBATION = 0.01  # of the start, standard deviation [rad]
 POLICIES = ("zero", "attractor", "manipulability")
 LEARNT = "joint-affine"  # how Lambda is learnt, from 100 of the paper's demonstrations
-WILD = 1e6  # postures beyond have no digits left below 1e-10 of a turn: chaotic [rad]
-ROUNDING_STARTS = 20  # starts that differ by rounding
 SETTLED = 100.0  # joint speed after the first second above which the arm still leaps [rad/s]
 
 
@@ -65,17 +62,39 @@ class BadStart:
 
         Truncation fires only if the row space is right to 1e-16: the task uses the true A, the policy the learnt one.
         """
-        task = PointAttractor([*self.target, 0.0], gain=1.0)
-        constraint = true_constraint("x y")
-        climb = ManipulabilityAscent(learnt, logarithmic=product)
         null: dict[str, NullSpacePolicy] = {
             "zero": ZeroPolicy(3),
             "attractor": JointAttractor(self.rest),
-            "manipulability": climb,
+            "manipulability": ManipulabilityAscent(learnt, logarithmic=product),
         }
+        constraint, task = true_constraint("x y"), PointAttractor([*self.target, 0.0], gain=1.0)
         if product:
             return ResolvedRateController(constraint, task, null[policy])
         return ResolvedRateController(constraint, task, null[policy], self.inverse, limits=False)
+
+    def rollout(self, policy: str, learnt: Constraint, dt: float, q: Any = None, *, product: bool = False) -> Rollout:
+        """Five seconds from the start, or from another posture."""
+        return simulate(
+            planar_arm(), self.law(policy, learnt, product=product), self.start if q is None else q, DURATION, dt
+        )
+
+
+# first comparison: the arm is stretched out straight, the pseudo-inverse truncated
+SINGULAR = BadStart(
+    "singular-start",
+    tuple(np.deg2rad([90.0 + 1e-12, 360.0, -360.0])),
+    tuple(np.deg2rad([-190.0, 9.0, -307.0])),
+    (0.0, 0.0),
+    "truncated",
+)
+# second comparison: a folded arm, the pseudo-inverse not truncated; the paper does not state r*: that of the first
+NEAR_SINGULAR = BadStart(
+    "near-singular-start",
+    tuple(np.deg2rad([90.0, -180.0, -180.0 + 1e-10])),
+    tuple(np.deg2rad([-33.0, -283.0, 193.0])),
+    (0.0, 0.0),
+    "exact",
+)
 
 
 @final
@@ -103,6 +122,9 @@ class Claim:
         return self.verdict or ("yes" if self.holds else "**no**")
 
 
+Numbers = dict[str, Any]  # of one rollout, see `numbers_of`
+
+
 @final
 @dataclass(frozen=True, eq=False)
 class StartResult(ExperimentResult):
@@ -112,7 +134,7 @@ class StartResult(ExperimentResult):
         setting: The start.
         paper_law: Step [s] -> policy -> rollout.
         product: Policy -> rollout of our controller, step 0.02 s.
-        perturbed: Law -> of each perturbed start: final error [m], largest speed [rad/s], smallest mu after 0.1 s.
+        perturbed: Law -> numbers of each perturbed start.
         claims: One by one.
         rounding: Policy -> numbers of the paper's law, step 0.02 s, from starts that differ by rounding; empty where
             no rollout is chaotic.
@@ -121,50 +143,60 @@ class StartResult(ExperimentResult):
     setting: BadStart
     paper_law: dict[float, dict[str, Rollout]]
     product: dict[str, Rollout]
-    perturbed: dict[str, list[dict[str, float]]]
+    perturbed: dict[str, list[Numbers]]
     claims: tuple[Claim, ...]
-    rounding: dict[str, list[dict[str, float]]]
+    rounding: dict[str, list[Numbers]]
+
+    def _named(self, paper: str, ours: str) -> dict[str, Rollout]:
+        named = {paper.format(dt=dt, policy=p): r for dt, rs in self.paper_law.items() for p, r in rs.items()}
+        return named | {ours.format(policy=p): r for p, r in self.product.items()}
 
     def to_dict(self) -> dict[str, Any]:
-        """Claims, and key numbers of each law."""
-        ours: dict[str, Any] = {
-            f"{policy}, dt {dt:g} s": _meant(_numbers(rollout))
-            for dt, rollouts in self.paper_law.items()
-            for policy, rollout in rollouts.items()
+        """Claims, and key numbers of each law; after a leap of 1e10 rad the digits that are rounding noise are None."""
+        ours = {
+            name: numbers_of(r) for name, r in self._named("{policy}, dt {dt:g} s", "{policy}, our controller").items()
         }
-        ours |= {f"{policy}, our controller": _meant(_numbers(rollout)) for policy, rollout in self.product.items()}
+        for numbers in ours.values():
+            if numbers["chaotic"]:
+                numbers |= dict.fromkeys(("final_error", "min_manipulability", "late_speed"))
+        rates = {"max_velocity": max, "largest_step": max, "min_manipulability": min}
         return {
             "paper": {"claims": [c.text for c in self.claims if c.source == "paper"]},
             "ours": ours,
             "claims": [vars(c) for c in self.claims],
-            "perturbed": {law: _rates(runs) for law, runs in self.perturbed.items()},
-            "rounding": {policy: _settled(runs) for policy, runs in self.rounding.items()},
+            "perturbed": {
+                law: {"reached": _reached(runs)} | {key: most(r[key] for r in runs) for key, most in rates.items()}
+                for law, runs in self.perturbed.items()
+            },
+            "rounding": {
+                policy: {
+                    "reached": _reached(runs),
+                    "settled": float(np.mean([r["late_speed"] < SETTLED for r in runs])),
+                    "least_late_speed": min(r["late_speed"] for r in runs),
+                    "n": len(runs),
+                }
+                for policy, runs in self.rounding.items()
+            },
         }
 
     def rows(self) -> list[dict[str, Any]]:
         """One line per sample of every rollout."""
-        named = {f"paper dt {dt:g} {p}": r for dt, rs in self.paper_law.items() for p, r in rs.items()}
-        named |= {f"ours {p}": r for p, r in self.product.items()}
         names = ("time", "q1", "q2", "q3", "manipulability", "task_error")
         return [
             {"law": law, **dict(zip(names, line, strict=True))}
-            for law, r in named.items()
+            for law, r in self._named("paper dt {dt:g} {policy}", "ours {policy}").items()
             for line in np.column_stack([r.time, r.q, r.manipulability, r.task_error]).tolist()
         ]
 
     def markdown(self) -> str:
         """Claims, the rollouts' key numbers, and the perturbed starts."""
-        content = self.to_dict()
+        content, speed = self.to_dict(), "largest joint speed [rad/s]"
         claims = [["paper" if c.source == "paper" else "our question", c.text, c.seen, c.answer] for c in self.claims]
         lines = []
         for law, n in content["ours"].items():
             said = ["chaotic" if n["chaotic"] else number(n[key]) for key in ("final_error", "min_manipulability")]
             lines.append([law, *said, number(n["max_velocity"])])
-        keys = ("max_velocity", "largest_step", "min_manipulability")
-        runs = [
-            [law, percent(r["reached"]), *(number(r[key]) for key in keys)] for law, r in content["perturbed"].items()
-        ]
-        speed = "largest joint speed [rad/s]"
+        runs = [[law, percent(r.pop("reached")), *map(number, r.values())] for law, r in content["perturbed"].items()]
         within = ["law", f"within {REACHED:g} m", speed, "largest step [rad]", "smallest mu after 0.1 s"]
         return "\n\n".join(
             [
@@ -187,57 +219,27 @@ class StartResult(ExperimentResult):
     def replays(self) -> dict[str, tuple[Robot, Mapping[str, Rollout]]]:
         """Our controller with each policy; the paper's law too where the postures are drawable."""
         rollouts = {f"ours: {p}": r for p, r in self.product.items()}
-        for policy, rollout in self.paper_law[STEP].items():
-            if float(np.max(np.abs(rollout.q))) < 1e3:
+        for policy, rollout in self.paper_law[STEPS[0]].items():
+            if float(np.max(np.abs(rollout.q))) < 1e3:  # [rad]
                 rollouts[f"paper's law: {policy}"] = rollout
         return {self.setting.name: (planar_arm(), rollouts)}
 
 
-Claims = Callable[[dict[float, dict[str, Rollout]], dict[str, list[dict[str, float]]]], list[Claim]]
-
-
-def compare(setting: BadStart, judged: Claims) -> Experiment[StartResult]:
-    """The comparison from one start: three policies at 50 and 100 Hz, our controller, and perturbed starts.
-
-    Args:
-        setting: The start.
-        judged: (rollouts of the paper's law, numbers from starts that differ by rounding) -> claims.
-    """
-
-    def run(trials: int, rng: np.random.Generator, runner: TrialRunner | None = None) -> StartResult:
-        runner = runner or TrialRunner(workers=1)
-        learnt = _learnt(rng)
-        paper_law = {dt: {p: _rollout(setting.law(p, learnt), setting.start, dt) for p in POLICIES} for dt in STEPS}
-        product = {p: _rollout(setting.law(p, learnt, product=True), setting.start) for p in POLICIES}
-        seed = int(rng.integers(2**53))
-        runs = runner.map(setting.name, perturbed_trial, [setting], size(trials), seed)[0]
-        rounding: dict[str, list[dict[str, float]]] = {}
-        if any(_numbers(rollout)["chaotic"] for rollout in paper_law[STEP].values()):
-            last_digit = np.finfo(np.float64).eps * rng.standard_normal((ROUNDING_STARTS, 3))
-            starts = np.array(setting.start) * (1.0 + last_digit)
-            rounding = {p: [_numbers(_rollout(setting.law(p, learnt), q)) for q in starts] for p in POLICIES}
-        perturbed = {law: [run[law] for run in runs] for law in runs[0]}
-        return StartResult(setting, paper_law, product, perturbed, tuple(judged(paper_law, rounding)), rounding)
-
-    def size(trials: int) -> int:
-        return max(1, round(0.8 * trials))  # 40 perturbed starts at the paper's 50 trials
-
-    return Experiment(run, size)
-
-
-def _rollout(law: ResolvedRateController, start: Sequence[float] | np.ndarray, dt: float = STEP) -> Rollout:
-    return simulate(planar_arm(), law, start, DURATION, dt)
-
-
-def perturbed_trial(setting: BadStart, rng: np.random.Generator) -> dict[str, Any]:
-    """Law -> numbers of the rollout from one perturbed start."""
-    learnt = _learnt(rng)
-    q = np.array(setting.start) + PERTURBATION * rng.standard_normal(3)
+def numbers_of(rollout: Rollout, after: int = 3) -> Numbers:
+    """Key numbers of a rollout: its least manipulability from a step on, its speed in the last four fifths, ..."""
+    speed = float(np.max(np.abs(rollout.u)))
     return {
-        f"{whose}: {policy}": _numbers(_rollout(setting.law(policy, learnt, product=product), q), after=5)
-        for whose, product in (("paper's law", False), ("ours", True))
-        for policy in POLICIES
+        "final_error": float(rollout.task_error[-1]),
+        "min_manipulability": float(np.min(rollout.manipulability[after:])),
+        "max_velocity": speed,
+        "largest_step": speed * float(rollout.time[1]),
+        "late_speed": float(np.max(np.abs(rollout.u[len(rollout) // 5 :]))),
+        "chaotic": bool(np.max(np.abs(rollout.q)) > 1e6),  # [rad] beyond which no digit is left below 1e-10 of a turn
     }
+
+
+def _reached(runs: Sequence[Numbers]) -> float:
+    return float(np.mean([r["final_error"] < REACHED for r in runs]))
 
 
 def _learnt(rng: np.random.Generator) -> Constraint:
@@ -247,197 +249,163 @@ def _learnt(rng: np.random.Generator) -> Constraint:
     return Constraint(ESTIMATORS[LEARNT](planar_features(), demos, Lambda, rng)[0], planar_features())
 
 
-def _numbers(rollout: Rollout, after: int = 3) -> dict[str, Any]:
-    # late: the last four fifths
-    dt = float(rollout.time[1])
-    speed = float(np.max(np.abs(rollout.u)))
+def perturbed_trial(setting: BadStart, rng: np.random.Generator) -> dict[str, Any]:
+    """Law -> numbers of the rollout from one perturbed start."""
+    learnt = _learnt(rng)
+    q = np.array(setting.start) + PERTURBATION * rng.standard_normal(3)
     return {
-        "final_error": float(rollout.task_error[-1]),
-        "min_manipulability": float(np.min(rollout.manipulability[after:])),
-        "max_velocity": speed,
-        "largest_step": speed * dt,
-        "late_speed": float(np.max(np.abs(rollout.u[len(rollout) // 5 :]))),
-        "chaotic": bool(np.max(np.abs(rollout.q)) > WILD),
+        f"{whose}: {p}": numbers_of(setting.rollout(p, learnt, STEPS[0], q, product=product), after=5)
+        for whose, product in (("paper's law", False), ("ours", True))
+        for p in POLICIES
     }
 
 
-def _rates(runs: list[dict[str, float]]) -> dict[str, float]:
-    return {
-        "reached": float(np.mean([r["final_error"] < REACHED for r in runs])),
-        "max_velocity": max(r["max_velocity"] for r in runs),
-        "largest_step": max(r["largest_step"] for r in runs),
-        "min_manipulability": min(r["min_manipulability"] for r in runs),
-    }
+Laws = dict[float, dict[str, Rollout]]  # step [s] -> policy -> rollout of the paper's law
 
 
-def _meant(numbers: dict[str, Any]) -> dict[str, Any]:
-    """Without the digits that are rounding noise: after a leap of 1e10 rad none of what follows the leap is known."""
-    noise = ("final_error", "min_manipulability", "late_speed") if numbers["chaotic"] else ()
-    return {key: None if key in noise else value for key, value in numbers.items()}
+def compare(
+    setting: BadStart, judged: Callable[[Laws, dict[str, list[Numbers]]], list[Claim]]
+) -> Experiment[StartResult]:
+    """The comparison from one start: three policies at 50 and 100 Hz, our controller, and perturbed starts.
+
+    Args:
+        setting: The start.
+        judged: (rollouts of the paper's law, numbers from starts that differ by rounding) -> claims.
+    """
+
+    def run(trials: int, rng: np.random.Generator, runner: TrialRunner | None = None) -> StartResult:
+        learnt = _learnt(rng)
+        paper_law = {dt: {p: setting.rollout(p, learnt, dt) for p in POLICIES} for dt in STEPS}
+        product = {p: setting.rollout(p, learnt, STEPS[0], product=True) for p in POLICIES}
+        seed = int(rng.integers(2**53))
+        runner = runner or TrialRunner(workers=1)
+        runs = runner.map(setting.name, perturbed_trial, [setting], size(trials), seed)[0]
+        rounding: dict[str, list[Numbers]] = {}
+        if any(numbers_of(rollout)["chaotic"] for rollout in paper_law[STEPS[0]].values()):
+            last_digit = np.finfo(np.float64).eps * rng.standard_normal((20, 3))  # 20 starts
+            starts = np.array(setting.start) * (1.0 + last_digit)
+            rounding = {p: [numbers_of(setting.rollout(p, learnt, STEPS[0], q)) for q in starts] for p in POLICIES}
+        perturbed = {law: [run[law] for run in runs] for law in runs[0]}
+        return StartResult(setting, paper_law, product, perturbed, tuple(judged(paper_law, rounding)), rounding)
+
+    def size(trials: int) -> int:
+        return max(1, round(0.8 * trials))  # 40 perturbed starts at the paper's 50 trials
+
+    return Experiment(run, size)
 
 
-def _settled(runs: list[dict[str, float]]) -> dict[str, float]:
-    """Of starts that differ by rounding: the share that arrives, and that is slower than 100 rad/s after a second."""
-    return {
-        "reached": float(np.mean([r["final_error"] < REACHED for r in runs])),
-        "settled": float(np.mean([r["late_speed"] < SETTLED for r in runs])),
-        "least_late_speed": min(r["late_speed"] for r in runs),
-        "n": len(runs),
-    }
+def singular_claims(paper_law: Laws, _rounding: object) -> list[Claim]:
+    """Of the first comparison at the paper's 50 Hz, with 100 Hz beside it, and whether an arm could follow."""
 
+    def said(tell: Callable[[Rollout], str], policy: str) -> str:
+        return "; ".join(f"{tell(rollouts[policy])} at {1.0 / dt:.0f} Hz" for dt, rollouts in paper_law.items())
 
-# first comparison: the arm is stretched out straight, the pseudo-inverse truncated
-SINGULAR = BadStart(
-    "singular-start",
-    tuple(np.deg2rad([90.0 + 1e-12, 360.0, -360.0])),
-    tuple(np.deg2rad([-190.0, 9.0, -307.0])),
-    (0.0, 0.0),
-    "truncated",
-)
-# second comparison: a folded arm, the pseudo-inverse not truncated; the paper does not state r*: that of the first
-NEAR_SINGULAR = BadStart(
-    "near-singular-start",
-    tuple(np.deg2rad([90.0, -180.0, -180.0 + 1e-10])),
-    tuple(np.deg2rad([-33.0, -283.0, 193.0])),
-    (0.0, 0.0),
-    "exact",
-)
-CLAIMED = 1e9  # [rad]
-THRESHOLD = 1.332e-15  # of the truncation, as printed
-AROUND = (60, 80)  # "around 70 steps"
+    def dip(r: Rollout) -> tuple[int, float]:  # step of the lowest manipulability from step 3 on, and that
+        low = 3 + int(np.argmin(r.manipulability[3:]))
+        return low, float(r.manipulability[low])
 
-
-def singular_claims(paper_law: dict[float, dict[str, Rollout]], _rounding: object) -> list[Claim]:
-    """Of the first comparison, and whether an arm could follow."""
-    return [_threshold_claim(), *_figure_1_claims(paper_law), *_speed_checks(paper_law)]
-
-
-def near_singular_claims(
-    paper_law: dict[float, dict[str, Rollout]], rounding: dict[str, list[dict[str, float]]]
-) -> list[Claim]:
-    """Of the second comparison, and what the leap depends on."""
-    return [_leap_claim(paper_law[STEP]["zero"]), *_figure_2_claims(rounding), *_leap_checks(paper_law[STEP])]
-
-
-def _threshold_claim() -> Claim:
     A = true_constraint("x y")(np.array(SINGULAR.start))
     sigma = np.linalg.svd(A, compute_uv=False)
     threshold = matlab_tolerance(sigma, A.shape)
-    return Claim(
-        f"The pseudo-inverse drops singular values below {THRESHOLD:.3e}",
-        "paper",
-        f"max(size(A)) eps(norm(A)) = {threshold:.3e}; the smaller singular value is {sigma[-1]:.1e}",
-        f"{threshold:.3e}" == f"{THRESHOLD:.3e}" and bool(sigma[-1] < threshold),
-    )
-
-
-def _figure_1_claims(paper_law: dict[float, dict[str, Rollout]]) -> list[Claim]:
-    """At the paper's 50 Hz, with what 100 Hz gives beside it."""
-
-    def said(tell: Callable[[dict[str, Rollout]], str]) -> str:
-        return "; ".join(f"{tell(rollouts)} at {1.0 / dt:.0f} Hz" for dt, rollouts in paper_law.items())
-
-    zero, attractor, climb = (paper_law[STEP][p] for p in ("zero", "attractor", "manipulability"))
-    dips = {dt: _dip(rollouts["attractor"]) for dt, rollouts in paper_law.items()}
-    step, mu = dips[STEP]
-    in_time = {dt: AROUND[0] <= dip[0] <= AROUND[1] for dt, dip in dips.items()}
-    steps = ", ".join(f"{dip[0]} at {1.0 / dt:.0f} Hz" for dt, dip in dips.items())
-    least = float(np.min(climb.manipulability[3:]))
+    zero, attractor, climb = (paper_law[STEPS[0]][p] for p in POLICIES)
+    dips = {dt: dip(rollouts["attractor"]) for dt, rollouts in paper_law.items()}
+    in_time = [60 <= step <= 80 for step, _ in dips.values()]  # "around 70 steps"
+    late = "" if in_time[0] else "**no** at the paper's 50 Hz, yes at 100 Hz" if in_time[1] else "**no**"
+    fastest = max(float(np.max(np.abs(rollouts["manipulability"].u))) for rollouts in paper_law.values())
     return [
+        Claim(
+            "The pseudo-inverse drops singular values below 1.332e-15",
+            "paper",
+            f"max(size(A)) eps(norm(A)) = {threshold:.3e}; the smaller singular value is {sigma[-1]:.1e}",
+            f"{threshold:.3e}" == "1.332e-15" and bool(sigma[-1] < threshold),
+        ),
         Claim(
             "The zero policy never leaves the singularity",
             "paper",
-            said(lambda r: f"error stays {float(r['zero'].task_error[-1]):.3g} m"),
+            said(lambda r: f"error stays {float(r.task_error[-1]):.3g} m", "zero"),
             float(zero.task_error[-1]) > 2.9,
         ),
         Claim(
             "The attractor arrives",
             "paper",
-            said(lambda r: f"final error {float(r['attractor'].task_error[-1]):.2g} m"),
+            said(lambda r: f"final error {float(r.task_error[-1]):.2g} m", "attractor"),
             float(attractor.task_error[-1]) < REACHED,
         ),
         Claim(
             "... but comes near another singularity on its way",
             "paper",
-            said(lambda r: f"mu {_dip(r['attractor'])[1]:.2g}, up to {np.max(np.abs(r['attractor'].u)):.0f} rad/s"),
-            mu < 0.1,
+            said(lambda r: f"mu {dip(r)[1]:.2g}, up to {np.max(np.abs(r.u)):.0f} rad/s", "attractor"),
+            dips[STEPS[0]][1] < 0.1,
         ),
         Claim(
             "... after around 70 steps",
             "paper",
-            f"lowest at step {steps}",
-            in_time[STEP],
-            "" if in_time[STEP] else "**no** at the paper's 50 Hz, yes at 100 Hz" if in_time[0.01] else "**no**",
+            "lowest at step " + ", ".join(f"{step} at {1.0 / dt:.0f} Hz" for dt, (step, _) in dips.items()),
+            in_time[0],
+            late,
         ),
         Claim(
             "The manipulability policy arrives and stays away from singularities",
             "paper",
             said(
                 lambda r: (
-                    f"final error {float(r['manipulability'].task_error[-1]):.2g} m, "
-                    f"mu >= {float(np.min(r['manipulability'].manipulability[3:])):.3f} from step 3"
-                )
+                    f"final error {float(r.task_error[-1]):.2g} m, "
+                    f"mu >= {float(np.min(r.manipulability[3:])):.3f} from step 3"
+                ),
+                "manipulability",
             ),
-            float(climb.task_error[-1]) < REACHED and least > 0.5,
+            float(climb.task_error[-1]) < REACHED and float(np.min(climb.manipulability[3:])) > 0.5,
+        ),
+        Claim(
+            "The manipulability policy's velocities could be followed by an arm (pi rad/s)",
+            "check",
+            said(lambda r: f"first steps up to {np.max(np.abs(r.u)):.0f} rad/s", "manipulability"),
+            fastest < np.pi,
         ),
     ]
 
 
-def _dip(rollout: Rollout) -> tuple[int, float]:
-    """Step of the lowest manipulability from step 3 on, and that manipulability."""
-    low = 3 + int(np.argmin(rollout.manipulability[3:]))
-    return low, float(rollout.manipulability[low])
+def near_singular_claims(paper_law: Laws, rounding: dict[str, list[Numbers]]) -> list[Claim]:
+    """Of the second comparison, and what the leap depends on.
 
-
-def _speed_checks(paper_law: dict[float, dict[str, Rollout]]) -> list[Claim]:
-    speeds = {dt: float(np.max(np.abs(rollouts["manipulability"].u))) for dt, rollouts in paper_law.items()}
-    seen = "; ".join(f"first steps up to {v:.0f} rad/s at {1.0 / dt:.0f} Hz" for dt, v in speeds.items())
-    text = "The manipulability policy's velocities could be followed by an arm (pi rad/s)"
-    return [Claim(text, "check", seen, max(speeds.values()) < np.pi)]
-
-
-def _leap_claim(zero: Rollout) -> Claim:
-    after = np.abs(zero.q[1])
-    seen = (
-        f"joint 2 at {after[1]:.1e} rad, joints 1 and 3 below {10.0 ** np.ceil(np.log10(after[[0, 2]].max()) + 1):.0e}"
-    )
-    return Claim(
-        "The next state is beyond 1e9 rad for each joint", "paper", f"{seen} rad", bool(np.all(after > CLAIMED))
-    )
-
-
-def _figure_2_claims(rounding: dict[str, list[dict[str, float]]]) -> list[Claim]:
-    """What Figure 2 shows, judged over starts that differ by rounding: a single one is chance after such a leap."""
+    What Figure 2 shows is judged over starts that differ by rounding: a single one is chance after such a leap.
+    """
+    rollouts = paper_law[STEPS[0]]
+    after = np.abs(rollouts["zero"].q[1])
+    others = 10.0 ** np.ceil(np.log10(after[[0, 2]].max()) + 1)
     n = len(rounding["zero"])
-    found = {p: sum(r["final_error"] < REACHED and r["late_speed"] < SETTLED for r in rounding[p]) for p in rounding}
+    rest = {p: sum(r["final_error"] < REACHED and r["late_speed"] < SETTLED for r in rounding[p]) for p in rounding}
     slow = min(r["late_speed"] for r in rounding["attractor"])
-    calm = found["zero"] == n and found["manipulability"] == n
+    first = {p: float(np.max(np.abs(r.u[0]))) for p, r in rollouts.items()}
+    other = replace(NEAR_SINGULAR, target=(1.0, 1.0)).law("zero", true_constraint("x y"))(NEAR_SINGULAR.start)
+    speed = float(np.max(np.abs(other.velocity)))
     return [
+        Claim(
+            "The next state is beyond 1e9 rad for each joint",
+            "paper",
+            f"joint 2 at {after[1]:.1e} rad, joints 1 and 3 below {others:.0e} rad",
+            bool(np.all(after > 1e9)),
+        ),
         Claim(
             "Figure 2: under the zero and the manipulability policy the arm moves away from the singularity",
             "paper",
-            f"both arrive at rest, from {found['zero']} and {found['manipulability']} of {n} starts that differ by "
+            f"both arrive at rest, from {rest['zero']} and {rest['manipulability']} of {n} starts that differ by "
             "rounding",
-            calm,
+            rest["zero"] == n and rest["manipulability"] == n,
         ),
         Claim(
             "Figure 2: the attractor is highly unstable",
             "paper",
             f"beyond 1e{np.floor(np.log10(slow)):.0f} rad/s at some time after the first second from all {n}, at rest "
-            f"on the target from {found['attractor']}: chaotic",
-            slow > SETTLED and found["attractor"] == 0,
+            f"on the target from {rest['attractor']}: chaotic",
+            slow > SETTLED and rest["attractor"] == 0,
         ),
-    ]
-
-
-def _leap_checks(rollouts: dict[str, Rollout]) -> list[Claim]:
-    first = {p: float(np.max(np.abs(r.u[0]))) for p, r in rollouts.items()}
-    seen = ", ".join(f"{p} {v:.1e}" for p, v in first.items()) + " rad/s"
-    text = "The manipulability policy avoids the first leap, which is A^+ b alone"
-    other = replace(NEAR_SINGULAR, target=(1.0, 1.0)).law("zero", true_constraint("x y"))(NEAR_SINGULAR.start)
-    speed = float(np.max(np.abs(other.velocity)))
-    return [
-        Claim(text, "check", seen, first["manipulability"] < 1e3),
+        Claim(
+            "The manipulability policy avoids the first leap, which is A^+ b alone",
+            "check",
+            ", ".join(f"{p} {v:.1e}" for p, v in first.items()) + " rad/s",
+            first["manipulability"] < 1e3,
+        ),
         Claim(
             "The leap does not depend on r*, which is not stated",
             "check",
@@ -449,41 +417,37 @@ def _leap_checks(rollouts: dict[str, Rollout]) -> list[Claim]:
 
 FROM_SINGULAR, FROM_NEAR_SINGULAR = compare(SINGULAR, singular_claims), compare(NEAR_SINGULAR, near_singular_claims)
 
-SHOWN = (0, 1, 2, 3, 6, 12, 25, 37, 50, 100, 250)  # the samples of 251 that are drawn as postures, dt 0.02 s
-REACH = 3.15  # of the axes [m]; the arm is 3 m long
-
 
 def draw_columns(columns: Mapping[str, Sequence[Rollout]], target: tuple[float, float]) -> Figure:
-    """One column a law: the arm at the moments `SHOWN`, and the manipulability of every sample.
+    """One column a law: the arm at some moments, early ones pale, and the manipulability of every sample.
 
     Args:
         columns: Title -> rollout at 0.02 s, and at 0.01 s for the paper's law.
         target: r* [m].
     """
+    from matplotlib import colormaps
+
+    moments = (0, 1, 2, 3, 6, 12, 25, 37, 50, 100, 250)  # of 251 samples
+    shades = colormaps["viridis_r"](np.linspace(0.04, 1.0, len(moments)))
+    reach = (-3.15, 3.15)  # [m]; the arm is 3 m long
     figure, axes = charts.new_figure(12.0, 6.6, 2, len(columns), sharey="row", height_ratios=[1.5, 1.0])
-    shades = charts.shades(len(SHOWN))
     for (above, below), (title, rollouts) in zip(axes.T, columns.items(), strict=True):
-        angles = np.cumsum(rollouts[0].q[[i for i in SHOWN if i < len(rollouts[0])]], axis=1)
+        shown = [i for i in moments if i < len(rollouts[0])]
+        angles = np.cumsum(rollouts[0].q[shown], axis=1)
         joints = np.cumsum(np.stack([np.cos(angles), np.sin(angles)], axis=-1), axis=1)
-        for shade, arm in zip(shades, np.pad(joints, [(0, 0), (1, 0), (0, 0)]), strict=False):
-            above.plot(*arm.T, "-o", color=shade, linewidth=1.3, markersize=2.5, solid_capstyle="round", alpha=0.9)
-        above.plot(
-            *target, "x", color=charts.INK, markersize=7, markeredgewidth=1.6, linestyle="none", label="target r*"
-        )
+        for shade, arm, i in zip(shades, np.pad(joints, [(0, 0), (1, 0), (0, 0)]), shown, strict=False):
+            above.plot(*arm.T, "-o", color=shade, linewidth=1.3, markersize=2.5, label=f"{STEPS[0] * i:.3g} s")
+        above.plot(*target, "x", color=charts.INK, markersize=7, linestyle="none", label="target r*")
         above.set_title(title, fontsize=9)
-        above.set(xlabel="x of the links [m]", aspect="equal", xlim=(-REACH, REACH), ylim=(-REACH, REACH))
+        above.set(xlabel="x of the links [m]", aspect="equal", xlim=reach, ylim=reach)
         for rollout, look, said in zip(rollouts, ("-", ":"), ("0.02 s (50 Hz)", "0.01 s (100 Hz)"), strict=False):
             colour = COLOURS["blue"] if look == "-" else charts.INK
             below.plot(rollout.time, rollout.manipulability, look, color=colour, label=f"step {said}")
         below.legend(loc="upper right", fontsize=7)
         below.set_xlabel("time [s]")
-        steps = below.secondary_xaxis("top", functions=(lambda t: t / STEP, lambda k: k * STEP))
-        steps.set_xlabel("step of 0.02 s", fontsize=8)
-        steps.tick_params(labelsize=7)
     highest = max(float(np.max(r.manipulability)) for rollouts in columns.values() for r in rollouts)
     axes[1, 0].set_ylim(0.0, 1.3 * highest)  # room for the key
     axes[0, 0].set_ylabel("y of the links [m]")
     axes[1, 0].set_ylabel("manipulability of x, y [m$^2$]")
-    axes[0, 0].legend(loc="lower left", fontsize=7)
-    charts.time_key(figure, axes[0], [STEP * i for i in SHOWN])
+    axes[0, -1].legend(loc="center left", bbox_to_anchor=(1.0, 0.5), fontsize=7)
     return figure

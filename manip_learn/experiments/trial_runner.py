@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import contextlib
 import hashlib
 import json
 import os
@@ -21,8 +20,8 @@ from manip_learn.experiments.experiment_result import ExperimentResult
 from manip_learn.linalg import one_thread
 from manip_learn.recordings.trajectory_source import Progress
 
-Backend = Literal["loky", "threading", "dask"]
-BACKENDS = ("loky", "threading", "dask")
+Backend = Literal["loky", "threading"]
+BACKENDS = ("loky", "threading")
 # a trial takes frozen settings and a generator, and returns plain numbers, strings, lists and dictionaries
 Trial = Callable[[Any, np.random.Generator], dict[str, Any]]
 Result = TypeVar("Result", bound=ExperimentResult)
@@ -56,19 +55,16 @@ class Part:
     def run(self) -> list[dict[str, Any]]:
         """Outcome of each trial; it depends on the seed, the case and the trial's number alone."""
         label = zlib.crc32(f"{self.experiment} {sorted(asdict(self.settings).items())}".encode())
+        rngs = (np.random.default_rng([self.seed, label, self.first + i]) for i in range(self.count))
         with one_thread():
-            return [
-                self.trial(self.settings, np.random.default_rng([self.seed, label, self.first + i]))
-                for i in range(self.count)
-            ]
+            return [self.trial(self.settings, rng) for rng in rngs]
 
     @property
     def file(self) -> str:
         """Name of the file that keeps it: another one wherever anything differs that the outcome depends on."""
         trial = f"{self.trial.__module__}.{self.trial.__qualname__}"
         words = (self.experiment, trial, asdict(self.settings), self.first, self.count, self.seed, library_digest())
-        digest = hashlib.sha256(json.dumps(words, sort_keys=True).encode()).hexdigest()
-        return f"{self.experiment.replace('/', '-')}-{digest[:40]}.json"
+        return f"{self.experiment}-{hashlib.sha256(json.dumps(words, sort_keys=True).encode()).hexdigest()[:40]}.json"
 
 
 @cache
@@ -138,10 +134,10 @@ class TrialRunner:
 
     Args:
         workers: Number of processes; all cores by default. 1 runs in this process.
-        backend: joblib's: `"loky"` (processes), `"threading"`, or `"dask"` (an embedded cluster on 127.0.0.1).
+        backend: joblib's: `"loky"` (processes) or `"threading"`.
         store: Where finished parts are kept and found.
         progress: Called with the experiment's name and the completed fraction of `total`, 0 to 1.
-        total: Number of trials of all experiments that this runner is for.
+        total: Number of trials of all experiments.
     """
 
     def __init__(
@@ -172,7 +168,7 @@ class TrialRunner:
             seed: Root of all seeds.
 
         Raises:
-            MissingExtraError: joblib or dask is not installed.
+            MissingExtraError: joblib is not installed.
             OutputError: A part cannot be written.
         """
         parts = [
@@ -206,28 +202,13 @@ class TrialRunner:
             import joblib
         except ImportError as error:
             raise MissingExtraError("spreading trials over the cores", "experiments") from error
-        with _cluster(self.backend, self.workers), joblib.parallel_config(backend=self.backend, n_jobs=self.workers):
+        with joblib.parallel_config(backend=self.backend, n_jobs=self.workers):
             parallel = joblib.Parallel(return_as="generator_unordered", pre_dispatch="2*n_jobs", batch_size=1)
             yield from parallel(joblib.delayed(_numbered)(*one) for one in work)
 
 
 def _numbered(number: int, part: Part) -> tuple[int, list[dict[str, Any]]]:
     return number, part.run()
-
-
-@contextlib.contextmanager
-def _cluster(backend: Backend, workers: int) -> Iterator[None]:
-    if backend != "dask":
-        yield
-        return
-    try:
-        from distributed import Client, LocalCluster
-    except ImportError as error:
-        raise MissingExtraError("the dask backend", "dask") from error
-    # by default the dashboard listens on all interfaces
-    own: Any = {"host": "127.0.0.1", "dashboard_address": "127.0.0.1:0"}
-    with LocalCluster(n_workers=workers, threads_per_worker=1, **own) as cluster, Client(cluster):
-        yield
 
 
 @final
