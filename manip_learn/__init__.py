@@ -6,21 +6,8 @@ Avoidance".
 
 from __future__ import annotations
 
-import os
-import signal
-import sys
-
-if os.path.basename("".join(sys.argv[:1])).partition(".")[0] == "manip-learn" or sys.orig_argv[1:3] == [
-    "-m",
-    "manip_learn",
-]:
-    # the program, not a user of the library: while it is loading, Ctrl-C ends it without a traceback
-    signal.signal(signal.SIGINT, lambda *_: os._exit(130))
-
 import importlib
 from typing import TYPE_CHECKING, Any
-
-from manip_learn.moved import MovedModules
 
 if TYPE_CHECKING:
     from manip_learn.constraint.constraint import Constraint
@@ -86,8 +73,6 @@ if TYPE_CHECKING:
     from manip_learn.robot.tips import likely_tips
 
 __version__ = "0.1.0"
-
-sys.meta_path.append(MovedModules())
 
 # loaded at first use, so that `import manip_learn` and `manip-learn --help` are quick: module -> names
 _NAMES = {

@@ -2,16 +2,13 @@
 
 from __future__ import annotations
 
-import importlib
 import inspect
 import subprocess
 import sys
-from importlib.util import find_spec
 
 import pytest
 
 import manip_learn as ml
-from manip_learn.moved import homes
 
 HEAVY = (
     "meshcat IPython matplotlib dask distributed rosbags pyarrow h5py mujoco yourdfpy trimesh numba typer "
@@ -96,12 +93,10 @@ def test_version():
     assert ml.__version__ == importlib.metadata.version("manip-learn")
 
 
-def test_modules_of_the_last_release_name_their_new_home():
-    """Importing a module that moved is an error that names one which exists; other mistakes stay Python's own."""
-    for old, new in homes().items():
-        with pytest.raises(ModuleNotFoundError, match="since manip_learn 0.1") as caught:
-            importlib.import_module(f"manip_learn.{old}")
-        assert f"manip_learn.{old}".startswith(str(caught.value.name))
-        assert not new or find_spec(f"manip_learn.{new}")
-    with pytest.raises(ModuleNotFoundError, match="No module named"):
-        importlib.import_module("manip_learn.nothing")
+def test_importing_the_library_leaves_the_signals_alone():
+    """Whatever the program is called: only the command line's `main` decides what Ctrl-C does."""
+    code = (
+        "import signal, sys; sys.argv = ['manip-learn']; before = signal.getsignal(signal.SIGINT); import manip_learn; "
+        "import manip_learn.cli; assert signal.getsignal(signal.SIGINT) is before"
+    )
+    assert run(code).returncode == 0
