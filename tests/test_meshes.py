@@ -1,21 +1,19 @@
-"""Mesh files: found inside the robot's folders only, parsed in a process of limited resources."""
+"""Mesh files: found inside the robot's folders only, examined before they are parsed."""
 
 from __future__ import annotations
 
+import json
 import os
-import subprocess
-import sys
 from pathlib import Path
 
 import numpy as np
 import pytest
 from case import case
+from peak_memory import peak_megabytes
 from urdf_corpus_meshes import OBJ, dae, glb, gltf, stl
 
 from manip_learn.errors import RobotError
-from manip_learn.robot.limited_child import START_SECONDS, LimitedChild
-from manip_learn.robot.visuals import meshes
-from manip_learn.robot.visuals.meshes import checked_mesh, find_mesh, mesh_roots, read_meshes
+from manip_learn.robot.visuals.meshes import find_mesh, mesh_roots, read_meshes
 
 
 @pytest.fixture(autouse=True)
@@ -126,133 +124,98 @@ def test_folders_above_are_no_packages_by_themselves(urdf, tmp_path):
 def test_formats_become_triangles(tmp_path, name, content):
     """Every format gives the same triangle."""
     path = write(tmp_path / name, content)
-    vertices, faces = read_meshes([path])[path]
+    mesh = read_meshes([path])[path]
+    assert not isinstance(mesh, RobotError)
+    vertices, faces = mesh.vertices, mesh.faces
     corners = {tuple(v) for v in vertices[faces[0]]}
     assert corners == {(0, 0, 0), (1, 0, 0), (0, 1, 0)}
     assert len(faces) == (5 if name == "a.stl" else 1)
 
 
-def test_too_large_files_are_not_read(tmp_path):
-    """The cap is on the size of the file, before reading."""
-    path = tmp_path / "a.stl"
-    with path.open("wb") as file:
-        file.truncate(51_000_000)
-    with pytest.raises(RobotError) as caught:
-        checked_mesh(path)
-    assert caught.value.code == "mesh-size"
+PAINTED = """<library_effects><effect id="e{0}"><profile_COMMON><technique sid="t"><lambert>
+<diffuse>{1}</diffuse></lambert></technique></profile_COMMON></effect></library_effects>
+<library_materials><material id="m{0}">
+<instance_effect url="#e{0}"/></material></library_materials>"""
+BOUND = """<node><translate>{1} 0 0</translate><instance_geometry url="#g"><bind_material><technique_common>
+<instance_material symbol="s" target="#m{0}"/></technique_common></bind_material></instance_geometry></node>"""
 
 
-def test_a_pipe_does_not_hang(tmp_path):
-    """A mesh that is a pipe is refused at once."""
-    path = tmp_path / "a.stl"
-    os.mkfifo(path)
-    with pytest.raises(RobotError) as caught:
-        checked_mesh(path)
-    assert caught.value.code == "mesh-kind"
+def painted(diffuse: str, *places: int) -> bytes:
+    """A COLLADA triangle at places along x [m], all but the first of another colour."""
+    text = dae().decode().replace('<triangles count="1">', '<triangles count="1" material="s">')
+    library = PAINTED.format(1, diffuse) + PAINTED.format(2, "<color>0 0 1 1</color>")
+    library = library.replace("</library_effects><library_materials>", "</library_effects>\n<library_materials>")
+    parts = "".join(BOUND.format(min(i, 1) + 1, x) for i, x in enumerate(places))
+    text = text.replace("<library_geometries>", library + "<library_geometries>")
+    return text.replace('<node><instance_geometry url="#g"/></node>', parts).encode()
 
 
-CHILD = """
-import os, time
-def prepared():
-    def answer(job):
-        content = open(job["input"], "rb").read()
-        if b"hang" in content: time.sleep(60)
-        while b"busy" in content: pass
-        if b"crash" in content: os.abort()
-        return {"fault": f"parsed {sorted(os.listdir(os.path.dirname(job['input'])))}"}
-    return answer
-"""
+def test_the_colour_of_a_mesh_is_that_of_most_triangles(tmp_path):
+    """Every part is where its node places it; the fourth number is not believed, others end at 0 and 1."""
+    for diffuse, places, colour in (
+        ("<color>2 0.5 -0.2 0.1</color>", (0,), (1.0, 0.5, 0.0, 1.0)),
+        ("<color>1 0 0</color>", (0, 5, 9), (0.0, 0.0, 1.0, 1.0)),
+        ("<color>1 red 0</color>", (0,), None),
+        ("<color>nan 0 0 1</color>", (0,), None),
+        ('<texture texture="gone" texcoord="t"/>', (0,), None),
+    ):
+        path = write(tmp_path / "a.dae", painted(diffuse, *places))
+        mesh = read_meshes([path])[path]
+        with case(diffuse):
+            assert not isinstance(mesh, RobotError), mesh
+            assert mesh.colour == colour
+            assert sorted(set(mesh.vertices[:, 0])) == sorted({x + step for x in places for step in (0, 1)})
 
 
-@pytest.mark.timeout(50)  # the hanging parser sleeps for 60 s
-@pytest.mark.parametrize(("word", "code"), [("hang", "mesh-time"), ("busy", "mesh-time"), ("crash", "mesh-parser")])
-def test_a_mesh_that_kills_its_parser_harms_no_other(tmp_path, monkeypatch, word, code):
-    """A hang or a crash is that mesh's fault only: the next one gets a new parser."""
-    script = tmp_path / "child.py"
-    script.write_text(CHILD, encoding="utf-8")
-    monkeypatch.setattr(meshes, "CHILD", script)
-    bad = write(tmp_path / "bad.obj", f"# {word}\nv 0 0 0\n".encode())
-    good = write(tmp_path / "good.obj", OBJ)
-    answers = read_meshes([bad, good], seconds=1.0)
-    assert isinstance(answers[bad], RobotError) and answers[bad].code == code
-    assert "parsed" in str(answers[good])
+def doubling_nodes() -> bytes:
+    """A COLLADA scene in which a node is used 2^40 times."""
+    nodes = '<node id="n0"><instance_geometry url="#g"/></node>'
+    nodes += "".join(f'<node id="n{i}">{f"""<instance_node url="#n{i - 1}"/>""" * 2}</node>' for i in range(1, 41))
+    text = dae().decode().replace("<library_visual", f"<library_nodes>{nodes}</library_nodes><library_visual")
+    return text.replace("<node><instance_geometry", '<node><instance_node url="#n40"/><instance_geometry').encode()
 
 
-def test_the_real_child_limits_its_memory(tmp_path):
-    """A mesh that wants more memory than allowed fails alone; this one has a node graph that doubles 40 times."""
-    nodes = "".join(f'<node id="n{i}">{f"<instance_node url=&quot;#n{i - 1}&quot;/>" * 2}</node>' for i in range(1, 41))
-    content = dae().replace(
-        b"<library_visual_scenes>", f"<library_nodes>{nodes}</library_nodes>".encode() + b"<library_visual_scenes>"
-    )
-    content = content.replace(b"<node><instance_geometry", b'<node><instance_node url="#n40"/><instance_geometry')
-    content = content.replace(b"&quot;", b'"').replace(
-        b'<node id="n1">', b'<node id="n0"><instance_geometry url="#g"/></node><node id="n1">'
-    )
-    path, good = write(tmp_path / "bomb.dae", content), write(tmp_path / "good.stl")
-    answers = read_meshes([path, good], seconds=4.0)
-    assert isinstance(answers[path], RobotError) and answers[path].code in ("mesh-parser", "mesh-time")
+def claiming(**tables: object) -> bytes:
+    """A glTF document whose tables claim more than there is."""
+    return json.dumps(gltf("data:application/octet-stream;base64," + "A" * 64) | tables).encode()
+
+
+PART = {"attributes": {"POSITION": 0}}
+BOMBS = {
+    "nodes.dae": doubling_nodes(),
+    "count.gltf": claiming(accessors=[{"count": 10**10, "componentType": 5126, "type": "VEC3"}]),
+    "views.gltf": claiming(bufferViews=[{"buffer": 0, "byteLength": 10**6}] * 200),
+    "used.gltf": claiming(accessors=[{"count": 10**6, "componentType": 5126}], meshes=[{"primitives": [PART] * 100}]),
+    "names.ply": b"ply\nformat ascii 1.0\nelement vertex 999999999999\nproperty float x\nend_header\n",
+    "few.stl": bytes(80) + (10**9).to_bytes(4, "little") + bytes(50),
+}
+
+
+@pytest.mark.timeout(20)
+@pytest.mark.parametrize("name", BOMBS)
+def test_a_small_file_that_claims_much_is_refused(tmp_path, name):
+    """What a file says it unpacks to is checked before it is unpacked; its neighbours are read."""
+    bomb, good = write(tmp_path / name, BOMBS[name]), write(tmp_path / "good.stl")
+    before = peak_megabytes()
+    answers = read_meshes([bomb, good])
+    assert isinstance(answers[bomb], RobotError) and answers[bomb].code in ("mesh-content", "mesh-parser")
     assert not isinstance(answers[good], RobotError)
+    assert peak_megabytes() - before < 200.0
 
 
-def test_the_limits_are_real():
-    """After limiting itself, the child cannot have a gigabyte, and its processor time ends."""
-    script = (
-        "import resource, sys; from manip_learn.robot.limited_child import limit_self; limit_self(512_000_000, 60)\n"
-        "assert resource.getrlimit(resource.RLIMIT_CPU)[0] <= 60\n"
-        "try: bytearray(1_000_000_000)\n"
-        "except MemoryError: sys.exit(7)\n"
-    )
-    assert subprocess.run([sys.executable, "-c", script], check=False).returncode == 7
+def test_too_large_files_and_pipes_are_not_read(tmp_path):
+    """The cap is on the size of the file, before reading; a pipe does not hang."""
+    with (large := tmp_path / "a.stl").open("wb") as file:
+        file.truncate(51_000_000)
+    os.mkfifo(pipe := tmp_path / "b.stl")
+    codes = {path: error.code for path, error in read_meshes([large, pipe]).items() if isinstance(error, RobotError)}
+    assert codes == {large: "mesh-size", pipe: "mesh-kind"}
 
 
-def test_a_child_has_the_time_and_the_memory_that_it_was_given(tmp_path):
-    """Its processor time is that of its jobs and its start together; a job that takes longer than asked ends it."""
-    task = write(
-        tmp_path / "task.py",
-        b"import resource, time\n"
-        b"def prepared():\n"
-        b"    def answer(job):\n"
-        b"        time.sleep(job['sleep'])\n"
-        b"        while time.process_time() < job.get('busy', 0.0): pass\n"
-        b"        limits = {'cpu': resource.RLIMIT_CPU, 'as': resource.RLIMIT_AS}\n"
-        b"        return {name: resource.getrlimit(kind)[0] for name, kind in limits.items()}\n"
-        b"    return answer\n",
-    )
-    child = LimitedChild(task, memory=700_000_000, seconds=11, folder=tmp_path)
-    try:
-        assert child.ask({"sleep": 0.0}, 99.0) == {"cpu": 11 + START_SECONDS, "as": 700_000_000} and not child.is_lost
-        assert child.ask({"sleep": 0.5}, 0.1)["cpu"] <= 2  # a job that waits is not one that computes
-        with pytest.raises(TimeoutError, match="more than 0.2 s"):
-            child.ask({"sleep": 30.0}, 0.2)
-        assert child.is_lost
-    finally:
-        child.close()
-    busy = LimitedChild(task, memory=700_000_000, seconds=11, folder=tmp_path)
-    with pytest.raises(TimeoutError, match="more than 1 s"):
-        busy.ask({"sleep": 0.0, "busy": 60.0}, 1.0)
-    busy.close()
-
-
-def test_side_files_cannot_be_reached(tmp_path, monkeypatch):
-    """The parser sees a copy that is alone in its folder; a file that names materials is still read."""
-    write(tmp_path / "a.mtl", b"newmtl x\n")
-    path = write(tmp_path / "a.obj", b"mtllib a.mtl\n" + OBJ)
-    vertices, _ = read_meshes([path])[path]
-    np.testing.assert_array_equal(np.sort(vertices.ravel()), [0] * 7 + [1, 1])
-    script = tmp_path / "child.py"
-    script.write_text(CHILD, encoding="utf-8")
-    monkeypatch.setattr(meshes, "CHILD", script)
-    assert "parsed ['mesh.obj']" in str(read_meshes([path])[path])
-
-
-def test_no_meshes_no_process(monkeypatch):
-    """Nothing is started for nothing."""
-    monkeypatch.setattr(meshes, "LimitedChild", None)
-    assert read_meshes([]) == {}
-
-
-def test_colours_of_meshes_have_three_or_four_numbers():
-    """Each from 0 to 1; the fourth is not believed; other counts and what is no number are no colour."""
-    assert meshes._rgba(b"1 0.5 -0.2") == meshes._rgba(b"2 0.5 0 0.1") == (1.0, 0.5, 0.0, 1.0)
-    for other in (b"", b"1", b"1 0", b"1 0 0 1 1", b"1 0 0 1 1 1", b"1 red 0", b"nan 0 0"):
-        assert meshes._rgba(other) is None
+def test_materials_beside_a_mesh_are_not_opened(tmp_path):
+    """A file that names materials is read, and nothing but that file."""
+    os.mkfifo(tmp_path / "a.mtl")  # would hang
+    path = write(tmp_path / "a.obj", b"mtllib a.mtl\nusemtl x\n" + OBJ)
+    mesh = read_meshes([path])[path]
+    assert not isinstance(mesh, RobotError)
+    np.testing.assert_array_equal(np.sort(mesh.vertices.ravel()), [0] * 7 + [1, 1])

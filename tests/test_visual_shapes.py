@@ -10,7 +10,6 @@ from urdf_corpus_meshes import stl
 
 from manip_learn.robot.description.catalogue import example_package_dir, example_robots
 from manip_learn.robot.loading import load_robot
-from manip_learn.robot.visuals.meshes import mesh_colour
 from manip_learn.robot.visuals.visual_shapes import (
     Box,
     Capsule,
@@ -165,22 +164,3 @@ def test_a_mesh_without_a_material_has_the_colour_of_its_file():
     assert min(colours["panda_hand"][:3]) > 0.8 and colours["panda_hand"][3] == 1
     grey = visual_shapes(load_robot("z1"))
     assert all(v.colour[3] == 1 for v in grey)
-
-
-def test_colours_of_broken_collada_are_left_alone(tmp_path):
-    """No text makes the colour fail; the material with the most polygons wins."""
-    material = '<material id="m{0}"><instance_effect url="#e{0}"/></material>'
-    effect = '<effect id="e{0}"><diffuse><color>{1}</color></diffuse></effect>'
-    text = "".join(material.format(i) for i in (1, 2)) + effect.format(1, "1 0 0 1") + effect.format(2, "0 0 1 0")
-    path = tmp_path / "a.dae"
-    path.write_text(text + '<triangles material="m1" count="3"><triangles count="9" material="m2">', encoding="utf-8")
-    assert mesh_colour(path) == (0, 0, 1, 1)
-    for content in (
-        b"",
-        b"\xff" * 100,
-        text.replace("0 0 1 0", "blue").encode(),
-        text.replace("1 0 0 1", "nan 0 0").encode(),
-    ):
-        path.write_bytes(content)
-        assert mesh_colour(path) is None
-    assert mesh_colour(tmp_path / "gone.dae") is None

@@ -142,7 +142,7 @@ CONTENTS = [
     _content("collada with a texture of its package", "accept", "x/a.dae", dae("../../materials/textures/skin.png")),
     _content("collada with its author's disk", "accept", "a.dae", dae("file:///C:/Users/me/skin.png")),
     _content("collada naming a neighbour", "stand-in:mesh-side-file", "a.dae", dae("../../other/skin.png")),
-    _content("collada without positions", "stand-in:mesh-parser", "a.dae", dae(positions="")),
+    _content("collada without positions", "stand-in:mesh-content", "a.dae", dae(positions="")),
     _content("collada cut", "stand-in:mesh-parser", "a.dae", dae()[:700]),
     _content("gltf reading a file", "stand-in:mesh-side-file", "a.gltf", json.dumps(gltf("/etc/passwd")).encode()),
     _content(

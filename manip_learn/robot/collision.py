@@ -97,7 +97,7 @@ def _shape(robot: Robot, element: VisualElement, meshes: Mapping[str, Any]) -> C
         case None:
             raise RobotError(element.fault, code="collision-shape", path=robot.source, line=element.line)
         case MeshElement(uri, scale):
-            points, faces = _hull(meshes[uri][0] * np.array(scale), element, robot)
+            points, faces = _hull(meshes[uri].vertices * np.array(scale), element, robot)
             geometry, middle = _convex(points, faces), 0.5 * (points.min(axis=0) + points.max(axis=0))
             radius = float(np.linalg.norm(points - middle, axis=1).max())
         case Box(size):

@@ -1,19 +1,25 @@
-"""xacro files -> URDF, on request: their expressions are code of others, and run in a process of limits."""
+"""xacro files -> URDF, on request. Their expressions are code of others and run in a process of limits: this file as a
+script, which is why its functions import what they need of the package themselves.
+"""
 
 from __future__ import annotations
 
+import contextlib
+import json
+import math
+import os
+import re
+import signal
+import subprocess
+import sys
+import time
 from collections.abc import Mapping, Sequence
 from importlib.util import find_spec
 from pathlib import Path
+from typing import Any
 
-from manip_learn.errors import MissingExtraError, RobotError, advice, closest_names
-from manip_learn.robot.description.text import MAX_BYTES, read_description
-from manip_learn.robot.description.xacro_child import FORBIDDEN, declared_in
-from manip_learn.robot.limited_child import LimitedChild
-
-CHILD = Path(__file__).with_name("xacro_child.py")
-MEMORY = 1_000_000_000  # [bytes] of the expanding process; the libraries alone take 100 MB
-SECONDS = 20  # for one file; the largest robots take 3
+SECONDS = 20  # of processor time for one file; the largest robots take 3
+MEMORY = 1_000_000_000  # [bytes] of the process; the libraries alone take 100 MB
 
 
 def expanded_xacro(path: Path, asked: bool | Mapping[str, str], package_dirs: Sequence[Path] = ()) -> bytes:
@@ -29,58 +35,115 @@ def expanded_xacro(path: Path, asked: bool | Mapping[str, str], package_dirs: Se
             wrong, or take more than 20 s or 1 GB), `doctype`, and those of reading a file.
         MissingExtraError: xacrodoc is not installed.
     """
-    content = read_description(path)
+    from manip_learn.errors import MissingExtraError, RobotError, advice, closest_names
+    from manip_learn.robot.description.text import MAX_BYTES, read_description
+
+    def refusal(code: str, sentence: str, place: Path | str = path) -> RobotError:
+        return RobotError(f"{place}: {sentence}", code=code, path=Path(place))
+
+    read_description(path)
     if asked is False:
         how = advice("{}", "load_robot(..., xacro=True)", "--xacro") or "xacro robot.xacro > robot.urdf"
-        raise RobotError(
-            f"{path}: a xacro file is not expanded unless you ask, since it runs expressions and includes other "
-            f"files; if you trust it: {how}",
-            code="xacro",
-            path=path,
-        )
+        danger = "it runs expressions and includes other files"
+        raise refusal("xacro", f"a xacro file is not expanded unless you ask, since {danger}; if you trust it: {how}")
     values = {} if asked is True else asked
     if not isinstance(values, Mapping) or not all(isinstance(name, str) for name in values):
-        sentence = f"{path}: xacro is {asked!r:.80}; True, or a mapping {{argument: value}}, is needed"
-        raise RobotError(sentence, code="xacro-arg")
-    if any(word in content for word in FORBIDDEN):
-        raise _doctype(path)
+        raise refusal("xacro-arg", f"xacro is {asked!r:.80}; True, or a mapping {{argument: value}}, is needed")
     if find_spec("xacro") is None or find_spec("xacrodoc") is None:
         raise MissingExtraError(f"the xacro file {path}", "xacro")
-    text, declared = _expanded(path, {name: str(value) for name, value in values.items()}, package_dirs)
-    declared |= declared_in(content)
-    unknown = sorted(set(values) - declared)
-    if unknown:  # xacro itself would ignore it
-        shown = ", ".join(map(repr, closest_names(unknown[0], declared) or sorted(declared))) or "none"
-        sentence = f"{path}: the xacro file has no argument {unknown[0]!r}; it has {shown}"
-        raise RobotError(sentence, code="xacro-arg", path=path)
-    return text.encode()
-
-
-def _expanded(path: Path, values: dict[str, str], package_dirs: Sequence[Path]) -> tuple[str, set[str]]:
-    """The URDF, and the names of the arguments that included files declare."""
     packages = {p.name: str(p.absolute()) for d in package_dirs for p in d.iterdir() if p.is_dir()}
-    job = {"path": str(path.absolute()), "values": values, "packages": packages, "most": MAX_BYTES}
-    child = LimitedChild(CHILD, memory=MEMORY, seconds=SECONDS, folder=path.absolute().parent)
-    try:
-        answer = child.ask(job, SECONDS)
-    except (TimeoutError, ChildProcessError) as error:
-        limits = f"its expressions may take {SECONDS} s and {MEMORY // 1_000_000_000} GB"
-        raise RobotError(
-            f"{path}: xacro could not be expanded: {error}; {limits}", code="xacro-failed", path=path
-        ) from error
-    finally:
-        child.close()
+    texts = {name: str(value) for name, value in values.items()}
+    answer = _asked_of_child({"path": str(path.absolute()), "values": texts, "packages": packages, "most": MAX_BYTES})
     if "doctype" in answer:
-        raise _doctype(Path(answer["doctype"]))
+        raise refusal("doctype", "a <!DOCTYPE> is not read; delete it", answer["doctype"])
+    if "limit" in answer:
+        limits = f"its expressions may take {SECONDS} s and {MEMORY // 1_000_000_000} GB"
+        raise refusal("xacro-failed", f"xacro could not be expanded: {answer['limit']}; {limits}")
     if "fault" in answer:
+        folder = "name the folder that contains the package with {}"
+        fix = advice(f", or {folder}", "package_dirs=[...]", "--package-dir FOLDER") or ", or set ROS_PACKAGE_PATH"
         said = " ".join(answer["fault"].split())[:300]
-        folders = advice(
-            ", or name the folder that contains the package with {}", "package_dirs=[...]", "--package-dir FOLDER"
-        )
-        fix = f"correct it{folders or ', or set ROS_PACKAGE_PATH'} for $(find ...)"
-        raise RobotError(f"{path}: xacro could not be expanded ({said}); {fix}", code="xacro-failed", path=path)
-    return answer["text"], set(answer["declared"])
+        raise refusal("xacro-failed", f"xacro could not be expanded ({said}); correct it{fix} for $(find ...)")
+    unknown = sorted(set(values) - set(answer["declared"]))
+    if unknown:  # xacro itself would ignore it
+        shown = ", ".join(map(repr, closest_names(unknown[0], answer["declared"]) or answer["declared"])) or "none"
+        raise refusal("xacro-arg", f"the xacro file has no argument {unknown[0]!r}; it has {shown}")
+    return answer["text"].encode()
 
 
-def _doctype(path: Path) -> RobotError:
-    return RobotError(f"{path}: a <!DOCTYPE> is not read; delete it", code="doctype", path=path)
+def _asked_of_child(job: dict[str, Any]) -> dict[str, Any]:
+    """What the process says: the `text` and the arguments that are `declared`; or a `doctype`, a `limit`, a `fault`."""
+    job |= {"search": [p or os.getcwd() for p in sys.path], "seconds": SECONDS}
+    command = [sys.executable, "-I", __file__, json.dumps(job)]
+    late = {"limit": f"it took more than {SECONDS} s"}
+    try:  # ten seconds on the clock for one of processor time, on slow disks and busy machines
+        done = subprocess.run(command, capture_output=True, cwd=Path(job["path"]).parent, timeout=10 * SECONDS)
+    except subprocess.TimeoutExpired:
+        return late
+    if done.returncode == 0:
+        return json.loads(done.stdout)
+    is_late = os.name == "posix" and done.returncode == -signal.SIGXCPU
+    return late if is_late else {"limit": "it crashed or ran out of memory"}
+
+
+class _Doctype(Exception):
+    pass
+
+
+def _expand(job: dict[str, Any]) -> dict[str, Any]:
+    import xacro
+    from xacrodoc import XacroDoc, packages
+
+    parse, declared = xacro.parse, set[str]()
+
+    def check(place: str) -> None:
+        with open(place, "rb") as file:
+            content = file.read(job["most"] + 1)
+        if len(content) > job["most"]:
+            raise OSError(f"{place}: more than {job['most']} bytes")
+        if b"<!DOCTYPE" in content or b"<!ENTITY" in content:
+            raise _Doctype(place)
+        found = re.findall(rb"<xacro:arg\b[^>]*\bname\s*=\s*[\"']([^\"']+)[\"']", content)
+        declared.update(name.decode(errors="replace") for name in found)
+
+    def checked(inp: Any, filename: str | None = None) -> Any:
+        place = os.path.join(xacro.root_dir, filename or "")
+        if inp is None and os.path.isfile(place):  # otherwise xacro says what is missing
+            check(place)
+        return parse(inp, filename)
+
+    xacro.parse, xacro.root_dir = checked, os.path.dirname(job["path"])
+    packages.update_package_cache(job["packages"])
+    try:
+        check(job["path"])
+        text = XacroDoc.from_file(job["path"], subargs=job["values"]).to_urdf_string()
+    except _Doctype as error:
+        return {"doctype": str(error)}
+    except Exception as error:  # whatever the expressions of others raise
+        lacks_memory = isinstance(error, MemoryError) or isinstance(getattr(error, "exc", None), MemoryError)
+        return {"fault": f"{'there is not enough memory ' if lacks_memory else ''}{error}"}
+    if len(text) > job["most"]:
+        return {"fault": f"the URDF has {len(text)} characters, at most {job['most']} are read"}
+    return {"text": text, "declared": sorted(declared)}
+
+
+def _limit_self(seconds: float) -> None:
+    """Limit this process's memory, processor time and files; nothing where there are no limits."""
+    with contextlib.suppress(ImportError):
+        import resource
+
+        cpu = math.ceil(time.process_time() + seconds)
+        limits = {resource.RLIMIT_AS: MEMORY, resource.RLIMIT_CPU: cpu, resource.RLIMIT_CORE: 0}
+        for kind, value in limits.items():
+            hard = resource.getrlimit(kind)[1]
+            with contextlib.suppress(ValueError, OSError):
+                resource.setrlimit(kind, (value if hard == resource.RLIM_INFINITY else min(value, hard), hard))
+
+
+if __name__ == "__main__":
+    asked_for = json.loads(sys.argv[1])
+    sys.path[:] = asked_for["search"]
+    _limit_self(asked_for["seconds"])
+    with contextlib.redirect_stdout(None):  # nothing that libraries print gets between the answer
+        made = _expand(asked_for)
+    print(json.dumps(made))

@@ -1,25 +1,22 @@
 """Mesh addresses -> files inside the robot's folders -> triangles.
 
-A file is examined without parsing (kind, references to other files), then parsed in a child process that may crash,
-hang or run out of memory.
+Files are a user's own, and their parsers are trimesh's. Before they see a file it is examined: its size, its kind, what
+it claims to hold, and that every file it names lies in its package.
 """
 
 from __future__ import annotations
 
 import errno
+import io
 import json
 import os
 import re
-import shutil
 import struct
-import tempfile
-import time
-import zipfile
 from collections import Counter
-from collections.abc import Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import final
+from typing import Any, NamedTuple, final
 from urllib.parse import unquote
 
 import numpy as np
@@ -28,7 +25,17 @@ from jaxtyping import Float, Int
 from manip_learn.errors import RobotError, advice, counted
 from manip_learn.robot.description.catalogue import example_package_dir
 from manip_learn.robot.description.text import read_regular_file
-from manip_learn.robot.limited_child import LimitedChild
+
+Colour = tuple[float, float, float, float]
+Piece = tuple[np.ndarray, np.ndarray, Colour | None]  # corners, triangles
+
+MAX_MESH_BYTES = 50_000_000  # of a file: a million triangles of STL
+MAX_FACES = 2_000_000  # of a mesh: 0.1 GB as triangles
+MAX_CLAIMED = 5 * MAX_FACES  # numbers, times three, in the tables of a glTF: corners, vertices, normals, textures
+MAX_NODES = 20_000  # of a COLLADA scene, each counted as often as it is used
+MAX_SIDE_FILES = 500  # each is looked up on the disk
+MAX_BUFFERS = 10  # of a glTF, each up to MAX_MESH_BYTES
+HEAD = 4_096  # [bytes] in which a file says of which kind it is
 
 LEVELS_UP = 6  # folders above the URDF that may hold its package
 PACKAGE_FILE = "package.xml"
@@ -135,37 +142,117 @@ def _first_inside(uri: str, name: str, folders: Sequence[Path]) -> Path:
     raise RobotError(f"mesh {uri[:200]!r} was not found{fix}", code="mesh-missing")
 
 
-Colour = tuple[float, float, float, float]
-MAX_MESH_BYTES = 50_000_000  # of a file: a million triangles of STL
-HEAD = 4_096  # [bytes] in which a file says of which kind it is
-MAX_SIDE_FILES = 500  # each is looked up on the disk
-MAX_BUFFERS = 10  # of a glTF, each up to MAX_MESH_BYTES
-WINDOWS_PATH = re.compile(r"(file:/*)?[A-Za-z]:[\\/]")
-# each pattern stops at the next "<", so that the time is linear in the size of the file, whatever is in it
-PIECE = re.compile(rb"<(?:triangles|polylist|polygons)\b([^<>]*)>")
-BOUND = re.compile(rb"<instance_material\b([^<>]*)>")
-MATERIAL = re.compile(rb"<material\b([^<>]*)>\s*<instance_effect\b([^<>]*)>")
-DIFFUSE = re.compile(rb"<diffuse>\s*<color[^<>]*>([^<]*)<")
+@final
+class Mesh(NamedTuple):
+    """A mesh as its file holds it.
+
+    Attributes:
+        vertices: shape (n, 3) [m], unscaled.
+        faces: shape (m, 3), counted from 0.
+        colour: Diffuse colour of most of its triangles, of a COLLADA file; None for other formats and textures.
+    """
+
+    vertices: Float[np.ndarray, "n 3"]
+    faces: Int[np.ndarray, "m 3"]
+    colour: Colour | None
 
 
-def checked_mesh(path: Path) -> bytes:
-    """Content of a mesh file whose kind is known and which stands alone.
+def read_meshes(paths: Sequence[Path]) -> dict[Path, Mesh | RobotError]:
+    """Each mesh, or why there is none: codes `mesh-*`. No error is raised.
 
     Args:
-        path: A file inside the robot's folders.
-
-    Raises:
-        RobotError: Codes `mesh-kind`, `mesh-size`, `mesh-content`, `mesh-side-file`, `mesh-missing`.
+        paths: Files inside the robot's folders.
     """
+    out: dict[Path, Mesh | RobotError] = {}
+    for path in dict.fromkeys(paths):
+        try:
+            out[path] = _read(path)
+        except RobotError as error:
+            out[path] = error
+    return out
+
+
+def _read(path: Path) -> Mesh:
     kind = path.suffix.lower()
     if kind not in CHECKS:
         raise _refusal(path, "mesh-kind", f"{kind or 'no extension'!r} is not one of {', '.join(CHECKS)}")
-    content = _read(path)
-    CHECKS[kind](content, path)
-    return content
+    content = _content(path)
+    beside = CHECKS[kind](content, path) or {}
+    try:
+        pieces = _collada_pieces(content) if kind == ".dae" else _pieces(content, kind, beside)
+        vertices, faces, painted, n = [], [], Counter[Colour](), 0
+        for corners, triangles, colour in pieces:
+            if sum(map(len, faces)) + len(triangles) > MAX_FACES:
+                raise _refusal(path, "mesh-content", f"it has more than {MAX_FACES} triangles")
+            used, indices = np.unique(triangles, return_inverse=True)
+            # single precision, as the formats have it
+            vertices.append(np.asarray(corners)[used].astype(np.float32))
+            faces.append(indices.reshape(-1, 3) + n)
+            n += len(used)
+            if colour is not None:
+                painted[colour] += len(triangles)
+    except RobotError:
+        raise
+    except Exception as error:  # whatever foreign parsers raise about a broken file
+        raise _refusal(path, "mesh-parser", f"{type(error).__name__}: {error}"[:300]) from error
+    if not n or not all(np.isfinite(v).all() for v in vertices):
+        raise _refusal(path, "mesh-content", "it has no triangles, or vertices that are not finite")
+    colour = painted.most_common(1)[0][0] if painted else None
+    return Mesh(np.concatenate(vertices).astype(np.float64), np.concatenate(faces), colour)
 
 
-def _read(path: Path) -> bytes:
+def _pieces(content: bytes, kind: str, beside: dict[str, bytes]) -> Iterator[Piece]:
+    import trimesh
+
+    scene = trimesh.load_scene(
+        io.BytesIO(content), file_type=kind[1:], resolver=beside, process=False, skip_materials=True
+    )
+    for node in scene.graph.nodes_geometry:
+        T, name = scene.graph[node]
+        if isinstance(piece := scene.geometry[name], trimesh.Trimesh):
+            yield trimesh.transform_points(piece.vertices, T), piece.faces, None
+
+
+def _collada_pieces(content: bytes) -> Iterator[Piece]:
+    """By the parser that trimesh uses; trimesh itself would walk nodes that double forty times without an end."""
+    import collada
+
+    file = collada.Collada(io.BytesIO(content), ignore=[collada.common.DaeError])
+    if any(isinstance(error, collada.common.DaeBrokenRefError) for error in file.errors):
+        # a mesh with a broken material is left out, too: read once more without materials
+        first, *others = content.split(b"<bind_material")
+        content = first + b"".join(part.partition(b"</bind_material>")[2] for part in others)
+        file = collada.Collada(io.BytesIO(content), ignore=[collada.common.DaeError])
+    pending = [(node, np.eye(4)) for node in file.scene.nodes]
+    for _ in range(MAX_NODES):
+        if not pending:
+            return
+        node, T = pending.pop()
+        if isinstance(node, collada.scene.Node):
+            pending += [(child, T @ node.matrix) for child in node.children]
+        if not isinstance(node, collada.scene.GeometryNode):
+            continue
+        colours = {m.symbol: _diffuse(m.target.effect) for m in node.materials}
+        for piece in node.geometry.primitives:
+            if isinstance(piece, collada.polylist.Polylist):
+                piece = piece.triangleset()
+            if isinstance(piece, collada.triangleset.TriangleSet) and len(piece):
+                yield piece.vertex @ T[:3, :3].T + T[:3, 3], piece.vertex_index, colours.get(piece.material)
+    raise ValueError(f"more than {MAX_NODES} nodes")
+
+
+def _diffuse(effect: Any) -> Colour | None:
+    """Of a COLLADA effect; None for a texture, and for what is no colour."""
+    # the parser says black where a texture is missing
+    node = effect.xmlnode.find(".//{*}diffuse/{*}color")
+    rgba = [] if node is None else [min(max(float(word), 0.0), 1.0) for word in (node.text or "").split()]
+    if len(rgba) not in (3, 4) or not np.isfinite(rgba).all():
+        return None
+    # exporters disagree on what the fourth number means: a mesh is not transparent by it
+    return (rgba[0], rgba[1], rgba[2], 1.0)
+
+
+def _content(path: Path) -> bytes:
     try:
         content = read_regular_file(path, MAX_MESH_BYTES)
     except (OSError, ValueError) as error:
@@ -187,24 +274,29 @@ def _check_stl(content: bytes, path: Path) -> None:
 def _check_obj(content: bytes, path: Path) -> None:
     if b"\0" in content or not re.search(rb"^[ \t]*v[ \t]", content, re.MULTILINE):
         raise _refusal(path, "mesh-content", "it has no OBJ vertices")
-    # materials are not read, but the parser would open the file that is named
     _check_names(re.findall(rb"^[ \t]*(?:mtllib|maplib|call|csh)[ \t]+(.+)$", content, re.MULTILINE), path)
 
 
 def _check_dae(content: bytes, path: Path) -> None:
     text = content.lstrip(b"\xef\xbb\xbf \t\r\n")
+    # the parser would unpack a ZIP file, whatever it begins with; none is without zeros
     if not text.startswith(b"<") or b"<COLLADA" not in content[:HEAD] or b"\0" in content:
         raise _refusal(path, "mesh-content", "it is no COLLADA document")
     if b"<!DOCTYPE" in content or b"<!ENTITY" in content:
         raise _refusal(path, "mesh-content", "it has a <!DOCTYPE>")
+    # each pattern stops at the next "<", so that the time is linear in the size of the file, whatever is in it
     parts = re.findall(rb"<instance_(?:geometry|node|controller)\b([^<>]*)", content)
-    urls = [_value(attributes, b"url").partition(b"#")[0] for attributes in parts]
-    _check_names([*re.findall(rb"<init_from>([^<]*)<", content), *filter(None, urls)], path)
+    urls = [found.group(1) for part in parts if (found := re.search(rb"\burl\s?=\s?[\"']([^\"'#]+)", part[:2000]))]
+    _check_names([*re.findall(rb"<init_from>([^<]*)<", content), *urls], path)
 
 
 def _check_ply(content: bytes, path: Path) -> None:
-    if not content.startswith(b"ply") or b"end_header" not in content[: 16 * HEAD]:
+    header, end, _ = content[: 16 * HEAD].partition(b"end_header")
+    if not content.startswith(b"ply") or not end:
         raise _refusal(path, "mesh-content", "it has no PLY header")
+    claimed = sum(int(n[:18]) for n in re.findall(rb"^element[ \t]+\S+[ \t]+(\d+)", header, re.MULTILINE))
+    if claimed > len(content):
+        raise _refusal(path, "mesh-content", f"it states {claimed} elements in {len(content)} bytes")
 
 
 def _check_glb(content: bytes, path: Path) -> None:
@@ -213,10 +305,19 @@ def _check_glb(content: bytes, path: Path) -> None:
     size, kind = struct.unpack_from("<I4s", content, 12)
     if kind != b"JSON" or size > len(content) - 20:
         raise _refusal(path, "mesh-content", "its first chunk is no JSON")
-    _check_gltf(content[20 : 20 + size], path)
+    _check_document(content[20 : 20 + size], path)
 
 
-def _check_gltf(content: bytes, path: Path) -> None:
+def _check_gltf(content: bytes, path: Path) -> dict[str, bytes]:
+    """The .bin files that the document reads: name -> content."""
+    names = _check_document(content, path)
+    if len(names) > MAX_BUFFERS:
+        raise _refusal(path, "mesh-side-file", f"it reads {len(names)} files, at most {MAX_BUFFERS} are read")
+    return {name: _content(path.parent / name) for name in names}
+
+
+def _check_document(content: bytes, path: Path) -> list[str]:
+    """The files that a glTF document reads, once its claims and what it names have been checked."""
     try:
         document = json.loads(content)
     except (ValueError, RecursionError) as error:
@@ -229,27 +330,24 @@ def _check_gltf(content: bytes, path: Path) -> None:
     if read is not None:
         reason = f"it reads the file {read[:80]!r}; only a .bin file beside it is read"
         raise _refusal(path, "mesh-side-file", reason)
+    try:
+        counts = [a["count"] for a in document.get("accessors", [])]
+        meshes = [p for m in document.get("meshes", []) for p in m["primitives"]]
+        used = [counts[i] for p in meshes for i in (p["attributes"]["POSITION"], p.get("indices")) if i is not None]
+        size = sum(view["byteLength"] for view in document.get("bufferViews", []))
+        is_too_much = max(sum(counts), sum(used)) > 3 * MAX_CLAIMED or size > 2 * MAX_MESH_BYTES
+    except (LookupError, TypeError, AttributeError) as error:
+        raise _refusal(path, "mesh-parser", f"its tables cannot be read ({type(error).__name__}: {error})") from error
+    if is_too_much:
+        raise _refusal(path, "mesh-content", f"it states {max(sum(counts), sum(used))} numbers, {size} bytes: too many")
+    return buffers
 
 
-def _addresses(document: dict[str, object], group: str) -> list[str]:
+def _addresses(document: dict[str, Any], group: str) -> list[str]:
     """Files that a glTF document names; data in place of a file is none."""
     items = document.get(group)
     uris = {str(i["uri"]) for i in items if isinstance(i, dict) and "uri" in i} if isinstance(items, list) else set()
     return sorted(uri for uri in uris if not uri.startswith("data:"))
-
-
-def buffer_files(content: bytes, path: Path) -> dict[str, bytes]:
-    """The .bin files that a checked .gltf reads: name -> content. Other formats have none.
-
-    Raises:
-        RobotError: Codes `mesh-missing`, `mesh-size`, `mesh-kind`, `mesh-side-file`.
-    """
-    if path.suffix.lower() != ".gltf":
-        return {}
-    names = _addresses(json.loads(content), "buffers")
-    if len(names) > MAX_BUFFERS:
-        raise _refusal(path, "mesh-side-file", f"it reads {len(names)} files, at most {MAX_BUFFERS} are read")
-    return {name: _read(path.parent / name) for name in names}
 
 
 def _check_names(names: list[bytes], path: Path) -> None:
@@ -260,7 +358,7 @@ def _check_names(names: list[bytes], path: Path) -> None:
     folder = path.parent.resolve()
     package = next((p.parent for p in (folder, *folder.parents) if p.name.lower() == "meshes"), folder.parent)
     for name in sorted(raw.decode("utf-8", "replace") for raw in different):
-        if WINDOWS_PATH.match(name) and os.name != "nt":
+        if re.match(r"(file:/*)?[A-Za-z]:[\\/]", name) and os.name != "nt":
             continue  # where the texture was on its author's machine: leads nowhere
         inside = name.removeprefix("file://").replace("\\", "/")
         try:
@@ -275,7 +373,7 @@ def _refusal(path: Path, code: str, reason: str) -> RobotError:
     return RobotError(f"mesh {path}: {reason}", code=code, path=path)
 
 
-CHECKS = {
+CHECKS: dict[str, Callable[[bytes, Path], dict[str, bytes] | None]] = {
     ".stl": _check_stl,
     ".obj": _check_obj,
     ".dae": _check_dae,
@@ -283,116 +381,3 @@ CHECKS = {
     ".glb": _check_glb,
     ".gltf": _check_gltf,
 }
-
-
-def mesh_colour(path: Path) -> Colour | None:
-    """Diffuse colour of the material with the most polygons; None for other formats, textures, and what is unclear."""
-    if path.suffix.lower() != ".dae":
-        return None
-    try:
-        content = read_regular_file(path, MAX_MESH_BYTES)
-    except OSError:
-        return None
-    effects = {}
-    for effect in content.split(b"<effect")[1:]:
-        found = DIFFUSE.search(effect)
-        colour = _rgba(found.group(1)) if found else None
-        if colour is not None:
-            effects[_value(effect.partition(b">")[0], b"id")] = colour
-    materials = {_value(a, b"id"): _value(b, b"url").removeprefix(b"#") for a, b in MATERIAL.findall(content)}
-    targets = {_value(a, b"symbol"): _value(a, b"target").removeprefix(b"#") for a in BOUND.findall(content)}
-    polygons: Counter[Colour] = Counter()
-    for attributes in PIECE.findall(content):
-        symbol, count = _value(attributes, b"material"), _value(attributes, b"count")
-        colour = effects.get(materials.get(targets.get(symbol, symbol), b""))
-        if colour is not None and count.isdigit():
-            polygons[colour] += int(count[:9])
-    return polygons.most_common(1)[0][0] if polygons else None
-
-
-def _value(attributes: bytes, name: bytes) -> bytes:
-    found = re.search(rb"\b" + name + rb"\s?=\s?[\"']([^\"']*)", attributes[:2000])
-    return found.group(1) if found else b""
-
-
-def _rgba(text: bytes) -> Colour | None:
-    try:
-        numbers = [min(max(float(word), 0.0), 1.0) for word in text.split()]
-    except ValueError:
-        return None
-    if len(numbers) not in (3, 4) or any(x != x for x in numbers):
-        return None
-    # exporters disagree on what the fourth number means: a mesh is not transparent by it
-    return (numbers[0], numbers[1], numbers[2], 1.0)
-
-
-CHILD = Path(__file__).with_name("mesh_child.py")
-MEMORY = 512_000_000  # [bytes] of the parsing process; the libraries alone take 150 MB
-SECONDS = 5.0  # of processor time for one mesh
-ALL_SECONDS = 60  # for all meshes of one robot
-MAX_FACES = 2_000_000  # of a mesh: 0.1 GB as triangles
-
-Mesh = tuple[Float[np.ndarray, "n 3"], Int[np.ndarray, "m 3"]]
-
-
-def read_meshes(paths: Sequence[Path], seconds: float = SECONDS) -> dict[Path, Mesh | RobotError]:
-    """Vertices [m, unscaled] and faces of each mesh, or why there are none. No error is raised.
-
-    Args:
-        paths: Files inside the robot's folders.
-        seconds: Processor time for one mesh [s].
-    """
-    out: dict[Path, Mesh | RobotError] = {}
-    end = time.monotonic() + ALL_SECONDS
-    child: LimitedChild | None = None
-    with tempfile.TemporaryDirectory(prefix="manip_learn_") as folder:
-        for i, path in enumerate(dict.fromkeys(paths)):
-            # the parser sees a copy that is alone in its folder, so that it finds no side files
-            alone = Path(folder) / str(i)
-            alone.mkdir()
-            try:
-                copy = alone / f"mesh{path.suffix.lower()}"
-                content = checked_mesh(path)
-                copy.write_bytes(content)
-                for name, side in buffer_files(content, path).items():
-                    (alone / name).write_bytes(side)
-                child = child or LimitedChild(CHILD, memory=MEMORY, seconds=ALL_SECONDS, folder=Path(folder))
-                out[path] = _parsed(child, copy, path, min(seconds, end - time.monotonic()))
-            except RobotError as error:
-                out[path] = error
-                if child is not None and child.is_lost:
-                    child.close()
-                    child = None
-            finally:
-                shutil.rmtree(alone)
-        if child is not None:
-            child.close()
-    return out
-
-
-def _parsed(child: LimitedChild, copy: Path, path: Path, seconds: float) -> Mesh:
-    output = copy.with_name("out.npz")
-    try:
-        answer = child.ask({"input": str(copy), "output": str(output)}, seconds)
-    except TimeoutError as error:
-        raise _refusal(path, "mesh-time", f"parsing: {error}") from error
-    except ChildProcessError as error:
-        raise _refusal(path, "mesh-parser", f"parsing: {error}") from error
-    if "fault" in answer:
-        raise _refusal(path, "mesh-parser", str(answer["fault"]))
-    try:
-        with np.load(output, allow_pickle=False) as data:
-            vertices, faces = data["vertices"], data["faces"]
-    except (OSError, ValueError, KeyError, zipfile.BadZipFile) as error:
-        raise _refusal(path, "mesh-parser", "its triangles could not be read back") from error
-    is_usable = (
-        vertices.ndim == faces.ndim == 2
-        and vertices.shape[1:] == faces.shape[1:] == (3,)
-        and 0 < len(faces) <= MAX_FACES
-        and len(vertices) > 0
-        and int(faces.max()) < len(vertices)
-        and bool(np.isfinite(vertices).all())
-    )
-    if not is_usable:
-        raise _refusal(path, "mesh-content", "it has no triangles, too many, or vertices that are not finite")
-    return vertices.astype(np.float64), faces.astype(np.int64)

@@ -20,7 +20,7 @@ from manip_learn.errors import RobotError
 from manip_learn.robot.description.text import XmlNode, parse_xml, shortened
 from manip_learn.robot.description.urdf import ZERO, Pose, as_matrix
 from manip_learn.robot.robot import Robot
-from manip_learn.robot.visuals.meshes import Colour, Mesh, find_mesh, mesh_colour, mesh_roots, read_meshes
+from manip_learn.robot.visuals.meshes import Colour, find_mesh, mesh_roots, read_meshes
 
 Tag = Literal["visual", "collision"]
 LARGEST_SIZE = 1e4  # [m] of a shape and its distance: more is a wrong unit
@@ -296,18 +296,24 @@ def visual_shapes(robot: Robot, meshes: bool = True) -> tuple[Visual, ...]:
     parsed = read_meshes(list(report.found.values())) if meshes else {}
     visuals: list[Visual] = []
     for e in elements:
-        shape, why = e.geometry, e.fault
+        shape, why, colour = e.geometry, e.fault, e.colour
         if isinstance(shape, MeshElement):
-            shape, why = _mesh_shape(shape, report, parsed, meshes)
-        if shape is None:
-            # one stick figure per link is enough, however many of its meshes are missing
-            if not any(v.link == e.link and v.stand_in for v in visuals):
-                visuals += _sticks(robot, [e.link], why)
-            continue
-        frame = robot.pinocchio_model.frames[robot.frame(e.link).index]
-        placement = frame.placement.homogeneous @ as_matrix(e.pose)
-        colour = e.colour or (mesh_colour(shape.source) if isinstance(shape, Triangles) else None) or GREY
-        visuals.append(Visual(e.link, int(frame.parentJoint), placement, shape, colour))
+            path = report.found.get(shape.uri, Path())
+            missing = report.missing.get(shape.uri, f"mesh {shape.uri!r} was not found")
+            mesh = parsed.get(path, RobotError(missing if meshes else "meshes are switched off"))
+            if isinstance(mesh, RobotError):
+                shape, why = None, str(mesh)
+            else:
+                # a mirror image turns every triangle inside out
+                faces = mesh.faces[:, ::-1].copy() if np.prod(shape.scale) < 0 else mesh.faces
+                shape, colour = Triangles(mesh.vertices * np.array(shape.scale), faces, path), colour or mesh.colour
+        if shape is not None:
+            frame = robot.pinocchio_model.frames[robot.frame(e.link).index]
+            placement = frame.placement.homogeneous @ as_matrix(e.pose)
+            visuals.append(Visual(e.link, int(frame.parentJoint), placement, shape, colour or GREY))
+        # one stick figure per link is enough, however many of its meshes are missing
+        elif not any(v.link == e.link and v.stand_in for v in visuals):
+            visuals += _sticks(robot, [e.link], why)
     return tuple(visuals)
 
 
@@ -315,23 +321,6 @@ def _elements(robot: Robot) -> list[VisualElement]:
     if robot.description is None:
         return []
     return visual_elements(robot.description, robot.source or Path(robot.name))
-
-
-def _mesh_shape(
-    element: MeshElement, report: MeshReport, parsed: dict[Path, Mesh | RobotError], meshes: bool
-) -> tuple[Shape | None, str]:
-    if not meshes:
-        return None, "meshes are switched off"
-    path = report.found.get(element.uri)
-    if path is None:
-        return None, report.missing.get(element.uri, f"mesh {element.uri!r} was not found")
-    mesh = parsed[path]
-    if isinstance(mesh, RobotError):
-        return None, str(mesh)
-    vertices, faces = mesh
-    # a mirror image turns every triangle inside out
-    faces = faces[:, ::-1].copy() if np.prod(element.scale) < 0 else faces
-    return Triangles(vertices * np.array(element.scale), faces, path), ""
 
 
 def _sticks(robot: Robot, links: list[str], why: str) -> tuple[Visual, ...]:
