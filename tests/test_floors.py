@@ -121,7 +121,7 @@ def test_third_parties_stay_in_their_rooms():
 def test_every_dependency_is_imported():
     """What pyproject.toml asks of each user is imported somewhere in the library."""
     project = tomllib.loads((PACKAGE.parent / "pyproject.toml").read_text(encoding="utf-8"))["project"]
-    names = {re.split(r"[[<>=!~; ]", line)[0] for line in project["dependencies"]}
+    names = {re.split(r"[\[<>=!~; ]", line)[0] for line in project["dependencies"]}
     imported = {target.split(".")[0] for s in library() for target, _line in s.imports()} | {
         "meshcat"
     }  # its viewer's script
