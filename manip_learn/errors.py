@@ -43,11 +43,6 @@ def advice_for_command(flags: Iterable[str]) -> Iterator[None]:
         _FLAGS.reset(token)
 
 
-def command_flags() -> frozenset[str] | None:
-    """Flags of the command at hand, for errors that come from another process; None outside of commands."""
-    return _FLAGS.get()
-
-
 def advice(sentence: str, python: str, flag: str) -> str:
     """The sentence with `{}` replaced by what the caller can write: the Python argument, or the flag with its value.
 

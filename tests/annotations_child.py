@@ -19,10 +19,7 @@ from manip_learn.errors import MissingExtraError
 
 RESULTS_OF_ANY_KIND = ("manip_learn.learning.streaming.",)
 # these load what is heavy or optional at first use, so names of such types are there for type checkers only
-LATE = (
-    *("manip_learn.commands.", "manip_learn.experiments."),
-    *("manip_learn.recordings.readers.read_request", "manip_learn.recordings.writers.mcap_writer"),
-)
+LATE = ("manip_learn.commands.", "manip_learn.experiments.")
 
 
 def modules() -> Iterator[types.ModuleType]:

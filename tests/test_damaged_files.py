@@ -22,7 +22,7 @@ from manip_learn.robot import Robot, load_robot
 from manip_learn.robot.identity import RobotIdentity
 
 LONG = os.environ.get("HYPOTHESIS_PROFILE") == "fuzz"
-TRIALS = {"npz": 4000, "jsonl": 2000, "csv": 1000, "mcap": 1000, "constraint": 2000} if LONG else {}
+TRIALS = {"npz": 4000, "csv": 1000, "constraint": 2000} if LONG else {}
 FEW, FEW_PAGES = 80, 15
 T = 12
 # values that a damaged or forged JSON file may hold
@@ -83,11 +83,9 @@ def forged(content: object, rng: np.random.Generator) -> object:
 
 
 @pytest.mark.fuzz
-@pytest.mark.parametrize("suffix", ["npz", "jsonl", "csv", "mcap"])
+@pytest.mark.parametrize("suffix", ["npz", "csv"])
 def test_damaged_rollouts(suffix: str, robot: Robot, rollout: Rollout, tmp_path: Path, rng, capsys) -> None:
-    """80 damages of each format (8,000 with `make fuzz`): read or refused by both loaders and by `replay`."""
-    if suffix == "mcap":
-        pytest.importorskip("rosbags", reason="the extra 'ros' is not installed")
+    """80 damages of each format (5,000 with `make fuzz`): read or refused by both loaders and by `replay`."""
     content = rollout.save(tmp_path / f"whole.{suffix}").read_bytes()
     if suffix == "npz":  # half of them not packed, so that damage reaches the numbers
         plain = tmp_path / "plain.npz"

@@ -52,7 +52,7 @@ def test_recordings_come_back(folder: Path, robot: Robot, capsys) -> None:
     """Positions and velocities bit for bit in each format; times too, or to the nanosecond where the format has those.
     Another robot is refused.
     """
-    for to in ["mcap", "csv", "lerobot", "trajectory"]:
+    for to in ["mcap", "csv", "lerobot"]:
         with case(to) as tmp_path:
             pytest.importorskip({"mcap": "rosbags", "lerobot": "pyarrow"}.get(to, "numpy"))
             out = tmp_path / "out"
@@ -60,8 +60,7 @@ def test_recordings_come_back(folder: Path, robot: Robot, capsys) -> None:
             assert main(words) == 0
             answer = json.loads(capsys.readouterr().out)
             assert (answer["format"], answer["trajectories"], answer["samples"]) == (to, 2, 80)
-            suffix = {"trajectory": "yaml"}.get(to, to)
-            names = ["out"] if to == "lerobot" else [f"0_demo_0.{suffix}", f"1_demo_1.{suffix}"]
+            names = ["out"] if to == "lerobot" else [f"0_demo_0.{to}", f"1_demo_1.{to}"]
             assert [Path(file).name for file in answer["files"]] == names
             before, after = load_demonstrations(folder / "demos", robot), load_demonstrations(out, robot)
             assert len(after) == 2
@@ -72,6 +71,8 @@ def test_recordings_come_back(folder: Path, robot: Robot, capsys) -> None:
                 if to in ("csv", "lerobot"):
                     assert (a.time - start).tobytes() == b.time.tobytes()
                 np.testing.assert_array_equal(np.rint(1e9 * (a.time - start)), np.rint(1e9 * b.time))
+            if to == "mcap":  # read as the bag of any robot with these joints
+                continue
             with pytest.raises(RecordingError, match="'arm'") as caught:
                 load_demonstrations(out, load_robot(folder / "longer.urdf"))
             assert caught.value.code == "other-robot"
@@ -81,7 +82,7 @@ def test_a_rollout_with_a_locked_joint(folder: Path, tmp_path: Path, capsys) -> 
     """The joint is locked again by the command, and by the file that it writes."""
     robot = load_robot(folder / "arm.urdf", locked={"j2": 1.2})
     rollout = rollout_of(robot)
-    run, out = rollout.save(tmp_path / "run.npz"), tmp_path / "run.yaml"
+    run, out = rollout.save(tmp_path / "run.npz"), tmp_path / "run.csv"
     assert main(["export", str(folder / "arm.urdf"), str(run), "--out", str(out)]) == 0
     assert "51 samples" in capsys.readouterr().out
     demonstration = load_demonstrations(out, robot)[0]

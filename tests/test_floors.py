@@ -50,7 +50,7 @@ ROOMS = {
     "mujoco": {"drivers", "robot", "teach"},
     "dask": {"experiments", "learning"},
     "distributed": {"experiments", "learning"},
-    "pickle": {"recordings"},  # jobs for a child of our own; nothing that comes from outside is unpickled
+    "pickle": set(),
 }
 IMPORTED_AS = {"pin": "pinocchio"}
 # a sentence and exit code 1 for our own failures, never a traceback; an arm in motion brakes, whatever a task of the

@@ -23,10 +23,13 @@ from manip_learn.control.tasks import FreeDirection, Hold, PointAttractor
 from manip_learn.errors import ConstraintMismatchError, OutputError, RecordingError
 from manip_learn.playback import replay
 from manip_learn.recordings import load_demonstrations
+from manip_learn.recordings.saved_motion import motion_of_trajectory
+from manip_learn.recordings.trajectory import Trajectory
+from manip_learn.recordings.writers.write_motion import joint_trajectory_bytes
 from manip_learn.robot import Robot, load_robot
 from manip_learn.robot.identity import RobotIdentity
 
-FORMATS = ("npz", "csv", "jsonl", "mcap")
+FORMATS = ("npz", "csv")
 ARRAYS = ("time", "q", "u", "manipulability", "task_error")
 # a robot in a URDF of three joints, one of which may be locked
 URDF = """<robot name="{name}"><link name="base"/><link name="a"/><link name="b"/><link name="tip"/>
@@ -72,8 +75,6 @@ def test_a_rollout_comes_back_bit_for_bit(arms: Path) -> None:
     """Every array, NaN and infinity, word, name, frame and the robot, in each format; as a demonstration too."""
     for suffix in FORMATS:
         with case(suffix) as tmp_path:
-            if suffix == "mcap":
-                pytest.importorskip("rosbags", reason="the extra 'ros' is not installed")
             robot = load_robot(arms / "arm.urdf", locked={"j2": 1.2})
             rollout = rollout_of(robot)
             path = rollout.save(tmp_path / f"run.{suffix}")
@@ -187,9 +188,24 @@ def test_files_of_earlier_versions_are_read_with_a_warning(arms: Path, tmp_path:
 
 
 def test_another_ending_is_refused(arms: Path, tmp_path: Path) -> None:
-    """The ending says the format; one that says nothing is an error that lists the formats."""
-    with pytest.raises(OutputError, match=r"\.npz, \.csv, \.mcap, \.jsonl"):
-        rollout_of(load_robot(arms / "arm.urdf")).save(tmp_path / "run.xyz")
+    """The ending says the format; one that says nothing is an error that lists the formats, as is one that went."""
+    rollout = rollout_of(load_robot(arms / "arm.urdf"))
+    with pytest.raises(OutputError, match=r"\.npz, \.csv, \.mcap"):
+        rollout.save(tmp_path / "run.xyz")
+    with pytest.raises(OutputError, match=r"JSON lines are not written any more; \.npz and \.csv"):
+        rollout.save(tmp_path / "run.jsonl")
+    motion = motion_of_trajectory(
+        Trajectory(rollout.time, rollout.q, None, rollout.joint_names), load_robot(arms / "arm.urdf")
+    )
+    for name, content in {
+        "run.mcap": rollout.save(tmp_path / "run.mcap").read_bytes(),
+        "old.jsonl": b'{"format": "manip_learn.rollout", "schema": 2}\n',
+        "run.yaml": joint_trajectory_bytes(motion),
+    }.items():
+        (tmp_path / name).write_bytes(content)
+        with pytest.raises(RecordingError, match=r"\.npz and \.csv|\.npz or \.csv") as caught:
+            Rollout.load(tmp_path / name)
+        assert caught.value.code == "not-a-rollout"
 
 
 def test_the_content_says_the_format(arms: Path) -> None:

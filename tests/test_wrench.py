@@ -14,13 +14,13 @@ from manip_learn.errors import OutputError, RecordingError
 from manip_learn.learning.repeats import _joined
 from manip_learn.recordings import load_demonstrations
 from manip_learn.recordings.demonstrations import Demonstrations
+from manip_learn.recordings.format_words import WRENCH_NAMES, wrench_columns, wrench_sets
 from manip_learn.recordings.preprocessing import resample, subsample, trim_standstill
-from manip_learn.recordings.readers.column_words import wrench_columns, wrench_sets
 from manip_learn.recordings.saved_motion import motion_of_trajectory
 from manip_learn.recordings.trajectory import Trajectory
 from manip_learn.recordings.velocities import derive_velocities
 from manip_learn.recordings.writers.mcap_writer import mcap_bytes
-from manip_learn.recordings.writers.write_motion import WRENCH_NAMES, csv_bytes, jsonl_bytes, npz_bytes
+from manip_learn.recordings.writers.write_motion import csv_bytes, npz_bytes
 from manip_learn.robot import load_robot
 
 T, ROBOT = 80, load_robot("planar3")
@@ -66,7 +66,7 @@ def test_cuts_keep_it():
 
 def test_own_formats_keep_it_exactly():
     """Written and read again, bit for bit, with velocities and efforts beside it and without."""
-    content = {".npz": npz_bytes, ".csv": csv_bytes, ".jsonl": jsonl_bytes, ".mcap": mcap_bytes}
+    content = {".npz": npz_bytes, ".csv": csv_bytes, ".mcap": mcap_bytes}
     for ending in [*content, ""]:
         for u in [U, None]:
             for effort in [EFFORT, None]:

@@ -22,8 +22,8 @@ from manip_learn.drivers.record import LOOK, MOVES, By, Key, RecordedFiles, reco
 from manip_learn.errors import ConfigurationError, ManipLearnError, OutputError, counted
 from manip_learn.learning import ConstraintLearner
 from manip_learn.recordings import load_demonstrations
+from manip_learn.recordings.format_words import EFFORT_SUFFIX, VELOCITY_SUFFIX
 from manip_learn.recordings.trajectory_source import Progress
-from manip_learn.recordings.writers.write_motion import EFFORT_SUFFIX, VELOCITY_SUFFIX
 from manip_learn.robot import Robot
 from manip_learn.robot.tips import likely_tips
 

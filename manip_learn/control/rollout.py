@@ -146,11 +146,12 @@ class Rollout:
         return np.array([manipulability(constraint, q) for q in self.q])
 
     def save(self, path: str | Path) -> Path:
-        """Write a file, whole or not at all; `Rollout.load` and `load_demonstrations` read it, bit for bit.
+        """Write a file, whole or not at all.
 
         Args:
-            path: Its ending says the format: `.npz` (NumPy), `.csv` (text table), `.jsonl` (lines of JSON) or `.mcap`
-                (JointState messages for ROS, and the exact samples on the topic `/rollout`).
+            path: Its ending says the format: `.npz` (NumPy) and `.csv` (text table) are read by `Rollout.load` and
+                `load_demonstrations`, bit for bit; `.mcap` is for ROS (JointState messages, and samples on the topic
+                `/rollout`).
 
         Raises:
             OutputError: It cannot be written, or has another ending.

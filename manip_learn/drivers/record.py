@@ -19,7 +19,8 @@ from manip_learn.atomic_write import has_no_room
 from manip_learn.control.driver import Driver, quiet_collector, wait_until
 from manip_learn.errors import ConfigurationError, OutputError, counted
 from manip_learn.linalg import finite
-from manip_learn.recordings.writers.write_motion import EFFORT_SUFFIX, VELOCITY_SUFFIX, column_line
+from manip_learn.recordings.format_words import EFFORT_SUFFIX, VELOCITY_SUFFIX
+from manip_learn.recordings.saved_motion import column_line
 
 LOOK = 0.5  # [s] before a motion begins that are recorded too: derivatives need samples on both sides
 # [rad or m] within `LOOK` by which an arm moves that is guided: encoders and a hand that waits stay below a tenth of it

@@ -12,8 +12,8 @@ from typing import TYPE_CHECKING, Any, Protocol, TypeAlias, runtime_checkable
 import numpy as np
 
 from manip_learn.errors import MissingExtraError, RecordingError
+from manip_learn.recordings.format_words import EFFORT_SUFFIX, VELOCITY_SUFFIX, WRENCH_NAMES
 from manip_learn.recordings.trajectory import Trajectory
-from manip_learn.recordings.writers.write_motion import EFFORT_SUFFIX, VELOCITY_SUFFIX, WRENCH_NAMES
 
 TRAJECTORY, TIME = "trajectory", "time"
 

@@ -10,9 +10,9 @@ from typing import Literal, TypedDict, Unpack
 from manip_learn.errors import RecordingError, advice, closest_names, printable
 from manip_learn.recordings.data_frame import DataFrame, frames_as_files
 from manip_learn.recordings.demonstrations import Demonstrations
+from manip_learn.recordings.format_words import VELOCITY_SUFFIX
 from manip_learn.recordings.readers.csv_reader import SURPLUS_SUFFIXES
 from manip_learn.recordings.readers.lerobot_dataset import episode_numbers
-from manip_learn.recordings.readers.parser_process import parsed_recordings
 from manip_learn.recordings.readers.read_request import (
     EpisodeSelection,
     OptionUses,
@@ -29,7 +29,6 @@ from manip_learn.recordings.saved_motion import check_robot
 from manip_learn.recordings.trajectory import Trajectory
 from manip_learn.recordings.validation.joint_matching import QUATERNION, ROTATION_VECTOR
 from manip_learn.recordings.validation.validate import validate
-from manip_learn.recordings.writers.write_motion import VELOCITY_SUFFIX
 from manip_learn.robot import Robot
 
 # of an NPZ archive; `time` is a column of any recording
@@ -183,11 +182,9 @@ def read_recordings(
 
 
 def _recordings(file: RecordingFile, request: ReadRequest) -> Iterator[Recording]:
-    if file.format.is_foreign:
-        header = file_header(file.path) if file.path.is_dir() else None
-        if header is not None:
-            check_robot(file.path, header, request.robot)
-        return parsed_recordings(file.format.module, file.path, request)
+    header = file_header(file.path) if file.path.is_dir() else None
+    if header is not None:
+        check_robot(file.path, header, request.robot)
     return file.format.reader()(file.path, request)
 
 

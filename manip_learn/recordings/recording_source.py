@@ -8,8 +8,9 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import Unpack, final
 
+from manip_learn.recordings.format_words import DATASET_HEADER
 from manip_learn.recordings.load_demonstrations import Paths, ReadOptions, open_recordings, read_recordings
-from manip_learn.recordings.readers.lerobot_dataset import DATASET_HEADER, episode_number, open_dataset, separate_files
+from manip_learn.recordings.readers.lerobot_dataset import episode_number, open_dataset, separate_files
 from manip_learn.recordings.readers.recording import size_on_disk
 from manip_learn.recordings.readers.recording_files import LEROBOT, FileFormat, RecordingFile
 from manip_learn.recordings.trajectory import Trajectory

@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import csv
+import io
 import json
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Literal, final
@@ -12,6 +14,7 @@ import numpy as np
 from jaxtyping import Float
 
 from manip_learn.errors import counted
+from manip_learn.recordings.format_words import EFFORT_SUFFIX, VELOCITY_SUFFIX, WRENCH_NAMES
 from manip_learn.recordings.readers.recording import refusal
 from manip_learn.recordings.trajectory import Trajectory
 from manip_learn.robot import Robot
@@ -165,6 +168,27 @@ class SavedMotion:
     wrench: Float[np.ndarray, "T 6"] | None = None
 
 
+def column_groups(header: FileHeader, beside: Collection[str]) -> dict[str, list[str]]:
+    """Array -> names of its columns: time, postures, the arrays beside them, and of a rollout its curves and status."""
+    joints = list(header.joint_names)
+    postures = joints if header.nq in (None, len(joints)) else [f"q[{i}]" for i in range(header.nq or 0)]
+    groups = {"time": ["time"], "q": postures}
+    possible = {"u": [name + VELOCITY_SUFFIX for name in joints], "effort": [name + EFFORT_SUFFIX for name in joints]}
+    possible["wrench"] = list(WRENCH_NAMES)
+    groups |= {name: columns for name, columns in possible.items() if name in beside}
+    if header.kind == "rollout":
+        curves = ("manipulability", "task_error", *(("following_error",) if header.follows else ()), "status")
+        groups |= {name: [name] for name in curves}
+    return groups
+
+
+def column_line(groups: Mapping[str, list[str]]) -> str:
+    """The line of column names; names with commas are quoted."""
+    stream = io.StringIO()
+    csv.writer(stream, lineterminator="").writerow([name for names in groups.values() for name in names])
+    return " ".join(stream.getvalue().splitlines())
+
+
 def motion_of_trajectory(trajectory: Trajectory, robot: Robot) -> SavedMotion:
     """A demonstration of a robot, ready to be written."""
     header = FileHeader("recording", trajectory.joint_names, RobotIdentity.of(robot), nq=trajectory.q.shape[1])
@@ -179,7 +203,13 @@ def checked_motion(path: Path, motion: SavedMotion) -> SavedMotion:
         RecordingError: Says which array does not fit, its shape, and the shape that is needed.
     """
     header, rows, nv = motion.header, motion.time.shape[0], len(motion.header.joint_names)
-    refuse_lost_samples(path, header, rows)
+    if header.samples not in (None, rows):
+        raise refusal(
+            path,
+            "damaged",
+            f"the file was written with {counted(header.samples, 'sample')} and holds {rows}: it was cut or changed "
+            "afterwards; write it again",
+        )
     if not nv:
         raise refusal(path, "no-joint-names", "the file names no joint")
     if len(set(header.joint_names)) != nv:
@@ -204,21 +234,6 @@ def checked_motion(path: Path, motion: SavedMotion) -> SavedMotion:
     if header.kind == "rollout" and len(motion.status) != rows:
         raise refusal(path, "shape", f"there are {len(motion.status)} status words for {rows} times")
     return motion
-
-
-def refuse_lost_samples(path: Path, header: FileHeader, found: int) -> None:
-    """Refuse a file that holds another number of samples than it was written with.
-
-    Raises:
-        RecordingError: Code `damaged`, with both numbers.
-    """
-    if header.samples not in (None, found):
-        raise refusal(
-            path,
-            "damaged",
-            f"the file was written with {counted(header.samples, 'sample')} and holds {found}: it was cut or changed "
-            "afterwards; write it again",
-        )
 
 
 def check_robot(path: Path, header: FileHeader, robot: Robot | None) -> tuple[str, ...]:

@@ -8,7 +8,7 @@ from dataclasses import dataclass, field
 from typing import final
 
 from manip_learn.errors import advice, closest_names
-from manip_learn.recordings.readers.column_words import COMMAND, EFFORT
+from manip_learn.recordings.format_words import COMMAND, EFFORT
 from manip_learn.robot import Robot, load_robot
 from manip_learn.robot.description.catalogue import SHIPPED
 

@@ -16,6 +16,13 @@ import numpy as np
 from jaxtyping import Float
 
 from manip_learn.errors import RecordingError, advice, closest_names
+from manip_learn.recordings.format_words import (
+    EFFORT_SUFFIX,
+    VELOCITY_SUFFIX,
+    WRENCH_NAMES,
+    effort_joint,
+    wrench_columns,
+)
 from manip_learn.recordings.readers.column_patterns import (
     Found,
     PatternError,
@@ -26,12 +33,10 @@ from manip_learn.recordings.readers.column_patterns import (
     find_time,
     numbered_advice,
 )
-from manip_learn.recordings.readers.column_words import effort_joint, wrench_columns
+from manip_learn.recordings.readers.limits import LONGEST_TEXT, check_columns
 from manip_learn.recordings.readers.read_request import SECONDS, ReadRequest, unmoved_joint_names
 from manip_learn.recordings.readers.recording import Recording, reason, refusal
-from manip_learn.recordings.writers.write_motion import EFFORT_SUFFIX, VELOCITY_SUFFIX, WRENCH_NAMES
 
-LONGEST_LINE = 1_000_000  # characters: a sample of 50,000 columns
 COMMENT_MARKS = ("#", "%")
 STAMPED = "%time,"  # `rostopic echo -p` begins its header like a comment
 NUMBER = re.compile(r"[+-]?(\d+([.,]\d*)?|[.,]\d+)([eE][+-]?\d+)?|[+-]?(nan|inf(inity)?)", re.IGNORECASE)
@@ -80,9 +85,9 @@ def text_lines(path: Path, encoding: str = "utf-8-sig") -> Iterator[tuple[int, s
     """
     try:
         with path.open(encoding=encoding) as file:
-            for number, line in enumerate(iter(partial(file.readline, LONGEST_LINE), ""), 1):
-                if len(line) >= LONGEST_LINE:
-                    said = f"this line has more than {LONGEST_LINE:,} characters; a table with one sample per line is"
+            for number, line in enumerate(iter(partial(file.readline, LONGEST_TEXT), ""), 1):
+                if len(line) >= LONGEST_TEXT:
+                    said = f"this line has more than {LONGEST_TEXT:,} characters; a table with one sample per line is"
                     raise refusal(path, "line-too-long", f"{said} needed", line=number)
                 yield number, line
     except UnicodeError as error:
@@ -93,7 +98,7 @@ def text_lines(path: Path, encoding: str = "utf-8-sig") -> Iterator[tuple[int, s
 def _is_cut_off(path: Path, dialect: CsvDialect) -> bool:
     """True if the file ends within a line of numbers, as one that was cut off."""
     with path.open("rb") as file:
-        file.seek(-min(path.stat().st_size, LONGEST_LINE), os.SEEK_END)
+        file.seek(-min(path.stat().st_size, LONGEST_TEXT), os.SEEK_END)
         end = file.read()
     if dialect.encoding == "utf-16":
         end = end.replace(b"\x00", b"")  # line ends, blanks and comment marks are ASCII
@@ -204,6 +209,7 @@ def columns_of(path: Path, dialect: CsvDialect, request: ReadRequest) -> Columns
     Raises:
         RecordingError: No stamps, columns without a name or with the same one, or a choice that the caller must make.
     """
+    check_columns(path, "its header", len(dialect.columns))
     notes: list[str] = []
     names: list[str | None] = []
     for raw in dialect.columns:

@@ -5,19 +5,67 @@ from __future__ import annotations
 import json
 import re
 from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Literal, final
 
-from manip_learn.errors import UnknownNameError, advice, closest_names
-from manip_learn.recordings.readers.column_words import several_wrenches, wrench_columns, wrench_sets
-from manip_learn.recordings.readers.parser_process import parsed_rows
+from manip_learn.errors import DAMAGE, MissingExtraError, UnknownNameError, advice, closest_names
+from manip_learn.recordings.format_words import several_wrenches, wrench_columns, wrench_sets
+from manip_learn.recordings.readers.limits import LARGEST_EPISODES, metadata_text, read_json
 from manip_learn.recordings.readers.read_request import first_names
-from manip_learn.recordings.readers.recording import natural_order, read_json, reason, refusal
+from manip_learn.recordings.readers.recording import natural_order, reason, refusal
 
-DATASET_HEADER = "meta/manip_learn.json"  # of a data set that this library wrote, beside LeRobot's own metadata
 KNOWN_VERSIONS = ("v2.", "v3.")
 SEARCHED_LEVELS = 4  # <root>/data/chunk-000/file-000.parquet
+
+
+@contextmanager
+def opened_parquet(file: Path) -> Iterator[Any]:
+    """A `pyarrow.parquet.ParquetFile` with its checksums tested, closed at the end.
+
+    Raises:
+        RecordingError: Damaged, found when it is opened or while it is read.
+        MissingExtraError: The extra `lerobot` is not installed.
+    """
+    try:
+        import pyarrow as pa
+        import pyarrow.parquet as pq
+    except ImportError as error:
+        raise MissingExtraError("reading LeRobot data", "lerobot") from error
+    try:
+        with pq.ParquetFile(file, page_checksum_verification=True) as parquet:
+            yield parquet
+    except (pa.ArrowException, *DAMAGE) as error:
+        raise refusal(
+            file, "damaged", f"the Parquet file cannot be read ({reason(error)}): download or write it again"
+        ) from error
+
+
+def parquet_rows(file: Path, columns: tuple[str, ...], *, ends_only: bool = False) -> Iterator[dict[str, Any]]:
+    """Some columns of a Parquet file, row by row; a column that is missing is left out.
+
+    Args:
+        file: The file.
+        columns: Names. A file without the first one, the number of the episode, is one episode: 0.
+        ends_only: Only the first and the last value of the first column, each with the number of rows, or nothing if it
+            has none.
+
+    Raises:
+        RecordingError: Damaged.
+        MissingExtraError: The extra `lerobot` is not installed.
+    """
+    with opened_parquet(file) as parquet:
+        there = [c for c in columns if c in parquet.schema_arrow.names]
+        if columns[0] not in there:
+            yield from () if ends_only else ({columns[0]: 0},)
+        elif ends_only:
+            column = parquet.read(columns=[columns[0]]).column(0)
+            if len(column) and not column.null_count:
+                yield from ({columns[0]: int(column[i].as_py()), "rows": len(column)} for i in (0, len(column) - 1))
+        else:
+            for batch in parquet.iter_batches(columns=there):
+                yield from batch.to_pylist()
 
 
 @final
@@ -250,7 +298,6 @@ def entry_names(names: Any) -> tuple[str, ...] | None:
 
 
 ONE_EPISODE = re.compile(r"episode_(\d{1,9})\.parquet")  # files of version 2
-MOST_BYTES = 200_000_000  # of meta/episodes.jsonl: a million episodes
 
 
 def episode_number(file: Path) -> int | None:
@@ -272,7 +319,7 @@ def episode_numbers(path: Path) -> tuple[int, ...]:
         if number is not None:
             numbers.add(number)
         else:
-            numbers |= {int(row["episode_index"]) for row in parsed_rows(file, ("episode_index",))}
+            numbers |= {int(row["episode_index"]) for row in parquet_rows(file, ("episode_index",))}
     return tuple(sorted(numbers))
 
 
@@ -286,7 +333,7 @@ def separate_files(path: Path) -> list[list[Path]]:
     runs: list[list[Path]] = []
     before, found, dataset = None, 0, open_dataset(path)
     for file in dataset.files:
-        ends = list(parsed_rows(file, ("episode_index",), ends_only=True))
+        ends = list(parquet_rows(file, ("episode_index",), ends_only=True))
         found += sum(end.get("rows", 0) for end in ends[:1])
         if runs and (not ends or before is None or ends[0]["episode_index"] == before):
             runs[-1].append(file)
@@ -325,7 +372,7 @@ def _described_episodes(path: Path) -> Iterator[tuple[int, tuple[str, ...]]]:
     if lines.is_file():
         rows: Iterator[dict[str, Any]] = _json_lines(lines)
     elif tables:
-        rows = (row for table in tables for row in parsed_rows(table, ("episode_index", "tasks")))
+        rows = (row for table in tables for row in parquet_rows(table, ("episode_index", "tasks")))
     else:
         raise refusal(
             path,
@@ -356,13 +403,10 @@ def _meta(path: Path) -> Path:
 
 
 def _json_lines(path: Path) -> Iterator[dict[str, Any]]:
-    if path.stat().st_size > MOST_BYTES:
-        said = f"larger than {MOST_BYTES:,} bytes, which no such file should be"
-        raise refusal(path, "too-large", said, in_full=True)
     try:
-        rows = [json.loads(line) for line in path.read_text(encoding="utf-8").splitlines() if line.strip()]
+        rows = [json.loads(line) for line in metadata_text(path, LARGEST_EPISODES).splitlines() if line.strip()]
         if not all(isinstance(row, dict) for row in rows):
             raise ValueError("a line is no object")
-    except (ValueError, RecursionError, OSError) as error:
+    except (ValueError, RecursionError) as error:
         raise refusal(path, "damaged", f"not valid JSON lines: {reason(error)}", in_full=True) from error
     yield from rows

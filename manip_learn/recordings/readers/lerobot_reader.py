@@ -6,36 +6,34 @@ LeRobot does not store units, so the caller must state them.
 from __future__ import annotations
 
 from collections.abc import Iterator
-from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, final
 
 import numpy as np
 
-from manip_learn.errors import DAMAGE, MissingExtraError, advice, counted
-from manip_learn.recordings.readers.column_words import wrench_columns
+from manip_learn.errors import MissingExtraError, advice, counted
+from manip_learn.recordings.format_words import DATASET_HEADER, wrench_columns
 from manip_learn.recordings.readers.lerobot_dataset import (
-    DATASET_HEADER,
     LeRobotDataset,
     StateFeature,
     WrenchFeature,
     episode_number,
     open_dataset,
+    opened_parquet,
     state_feature,
     wrench_feature,
 )
+from manip_learn.recordings.readers.limits import FEWEST_SAMPLE_BYTES, bomb, most_bytes
 from manip_learn.recordings.readers.read_request import ReadRequest
-from manip_learn.recordings.readers.recording import Recording, bomb, float_array, most_bytes, reason, refusal
+from manip_learn.recordings.readers.recording import Recording, float_array, refusal
 
 try:
     import pyarrow as pa
-    import pyarrow.parquet as pq
 except ImportError as error:
     raise MissingExtraError("reading LeRobot data", "lerobot") from error
 
 BATCH = 65_536  # rows in memory: some 10 MB
-FEWEST_BYTES = 16  # of a sample: a stamp and a few joints
 STAMPS = ("timestamp", "frame_index", "episode_index")
 EFFORT_ENDS = (".torque", ".effort")  # of entries of the state, as motors that measure it are named beside `.pos`
 GRIPPER = "gripper"  # always 0 .. 100 in LeRobot, whatever the unit of the other motors
@@ -239,7 +237,7 @@ def _parts(file: Path, dataset: LeRobotDataset, features: Features, request: Rea
         columns = [c for c in dict.fromkeys(known) if c in there]
         stated, found = parquet.metadata.num_rows, 0
         # the library's column metadata would tell more, but asking for it aborts the process if the file is damaged
-        if FEWEST_BYTES * stated > most_bytes(size := file.stat().st_size):
+        if FEWEST_SAMPLE_BYTES * stated > most_bytes(size := file.stat().st_size):
             raise bomb(file, f"{size:,} bytes claim to hold {counted(stated, 'sample')}")
         for batch in parquet.iter_batches(batch_size=BATCH, columns=columns):
             found += batch.num_rows
@@ -309,44 +307,3 @@ def _matrix(file: Path, batch: Any, name: str) -> np.ndarray:
     else:
         return _numbers(file, array, name)[:, None]
     return _numbers(file, array.flatten(), name).reshape(len(array), width)
-
-
-@contextmanager
-def opened_parquet(file: Path) -> Iterator[Any]:
-    """A `pyarrow.parquet.ParquetFile` with its checksums tested, closed at the end.
-
-    Raises:
-        RecordingError: Damaged, found when it is opened or while it is read.
-    """
-    try:
-        with pq.ParquetFile(file, page_checksum_verification=True) as parquet:
-            yield parquet
-    except (pa.ArrowException, *DAMAGE) as error:
-        raise refusal(
-            file, "damaged", f"the Parquet file cannot be read ({reason(error)}): download or write it again"
-        ) from error
-
-
-def parquet_rows(file: Path, columns: tuple[str, ...], *, ends_only: bool) -> Iterator[dict[str, Any]]:
-    """Some columns of a Parquet file, row by row; a column that is missing is left out.
-
-    Args:
-        file: The file.
-        columns: Names. A file without the first one, the number of the episode, is one episode: 0.
-        ends_only: Only the first and the last value of the first column, each with the number of rows, or nothing if it
-            has none.
-
-    Raises:
-        RecordingError: Damaged.
-    """
-    with opened_parquet(file) as parquet:
-        there = [c for c in columns if c in parquet.schema_arrow.names]
-        if columns[0] not in there:
-            yield from () if ends_only else ({columns[0]: 0},)
-        elif ends_only:
-            column = parquet.read(columns=[columns[0]]).column(0)
-            if len(column) and not column.null_count:
-                yield from ({columns[0]: int(column[i].as_py()), "rows": len(column)} for i in (0, len(column) - 1))
-        else:
-            for batch in parquet.iter_batches(columns=there):
-                yield from batch.to_pylist()

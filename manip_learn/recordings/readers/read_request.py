@@ -6,13 +6,11 @@ import functools
 import math
 import re
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass, field, replace
-from typing import TYPE_CHECKING, Any, Literal, NamedTuple, cast, final, get_args
+from dataclasses import dataclass, field
+from typing import Literal, final, get_args
 
 from manip_learn.errors import RecordingError, advice, closest_names, spoken
-
-if TYPE_CHECKING:  # the process that parses foreign formats is without robots, which take long to load
-    from manip_learn.robot.robot import Robot
+from manip_learn.robot import Robot
 
 MOST_SEEN = 10_000  # names kept for near matches
 
@@ -77,16 +75,6 @@ class OptionUses:
     def use(self, option: str, *names: str) -> None:
         """An option was used; of options that list names, these."""
         self._used.setdefault(option, set()).update(names)
-
-    def as_words(self) -> dict[str, Any]:
-        """As JSON can write it."""
-        return {"used": {option: sorted(names) for option, names in self._used.items()}, "seen": list(self._seen)}
-
-    def add_words(self, words: dict[str, Any]) -> None:
-        """What was used and seen elsewhere, from what `as_words` gave."""
-        for option, names in words["used"].items():
-            self.use(option, *names)
-        self.see(*words["seen"])
 
     def without_use(self, option: str, names: Iterable[str]) -> list[str]:
         """Of the names that an option lists, those that nothing in the files was called."""
@@ -211,35 +199,6 @@ def _refused(given: object) -> RecordingError:
         f"0:50 is 0 to 49), got {given!r}",
         code="option",
     )
-
-
-class Block(NamedTuple):
-    """A joint and its kind."""
-
-    name: str
-    kind: str
-
-
-@final
-@dataclass(frozen=True)
-class RobotOutline:
-    """What the parser of a foreign format knows about a robot, under the names of `Robot`."""
-
-    joint_names: tuple[str, ...]
-    blocks: tuple[Block, ...]
-    position_lower: tuple[float, ...]
-    position_upper: tuple[float, ...]
-
-    @staticmethod
-    def of(robot: Robot | RobotOutline) -> RobotOutline:
-        """The outline of a robot."""
-        blocks = tuple(Block(b.name, b.kind) for b in robot.blocks)
-        limits = (tuple(map(float, limit)) for limit in (robot.position_lower, robot.position_upper))
-        return RobotOutline(robot.joint_names, blocks, *limits)
-
-    def joint_index(self, name: str) -> int:
-        """Place of a joint."""
-        return self.joint_names.index(name)
 
 
 @functools.lru_cache(maxsize=8)
@@ -367,10 +326,6 @@ class ReadRequest:
     def continuous(self) -> frozenset[str]:
         """Joints that turn without end."""
         return frozenset(b.name for b in self.robot.blocks if b.kind == "continuous")
-
-    def for_parser(self) -> ReadRequest:
-        """The request for the process that parses a foreign format: with an outline of the robot."""
-        return replace(self, robot=cast("Robot", RobotOutline.of(self.robot)), uses=OptionUses())
 
 
 def _check_choice(option: str, value: object, allowed: tuple[object, ...]) -> None:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import re
 import stat
 from collections.abc import Callable
@@ -128,22 +127,6 @@ def refusal(path: Path, code: str, text: str, *, line: int | None = None, in_ful
     return RecordingError(f"{where}{'' if line is None else f':{line}'}: {text}", code=code, path=path, line=line)
 
 
-# bytes that are never too many, and times that a recording may be larger than its file: motions pack 1 to 20 times
-ALWAYS_FINE, BOMB_RATIO = 50_000_000, 200
-
-
-def most_bytes(packed: int) -> int:
-    """Bytes that so many packed ones may unpack to."""
-    return max(ALWAYS_FINE, BOMB_RATIO * packed)
-
-
-def bomb(path: Path, evidence: str) -> RecordingError:
-    """The refusal of a file that unpacks to far too much."""
-    return refusal(
-        path, "bomb", f"{evidence}: no recorded motion packs so well; if it is real, unpack it yourself first"
-    )
-
-
 def reason(error: BaseException) -> str:
     """Its message without line breaks; the name of its class if it has none."""
     text = " ".join(str(error).split()) or type(error).__name__
@@ -190,20 +173,3 @@ def check_regular(path: Path) -> None:
         raise refusal(path, "missing-file", "there is no such file: check the path", in_full=True) from error
     except (OSError, ValueError) as error:
         raise refusal(path, "unreadable", f"cannot be opened: {reason(error)}", in_full=True) from error
-
-
-def read_json(path: Path, most_bytes: int = 10_000_000) -> object:
-    """A small JSON file.
-
-    Raises:
-        RecordingError: Too large or not JSON.
-    """
-    check_regular(path)
-    if path.stat().st_size > most_bytes:
-        raise refusal(
-            path, "too-large", f"larger than {most_bytes:,} bytes, which no such file should be", in_full=True
-        )
-    try:
-        return json.loads(path.read_text(encoding="utf-8"))
-    except (ValueError, RecursionError) as error:
-        raise refusal(path, "damaged", f"not valid JSON: {reason(error)}", in_full=True) from error

@@ -11,12 +11,12 @@ from pathlib import Path
 from typing import Any, final
 
 from manip_learn.errors import RecordingError, counted
+from manip_learn.recordings.format_words import MARK
 from manip_learn.recordings.readers.csv_reader import CsvDialect, sniff_dialect
 from manip_learn.recordings.readers.lerobot_dataset import episode_numbers, episodes_of_task
 from manip_learn.recordings.readers.read_request import ReadRequest
 from manip_learn.recordings.readers.recording import Recording, check_regular, natural_order, reason, refusal
-from manip_learn.recordings.readers.saved_reader import file_header
-from manip_learn.recordings.writers.write_motion import MARK
+from manip_learn.recordings.readers.saved_reader import JSON_LINES, file_header
 
 Read = Callable[[Path, Any], Iterator[Recording]]
 
@@ -30,13 +30,11 @@ class FileFormat:
         name: Short name.
         title: Common name.
         module: Module with `read(path, request) -> Iterator[Recording]`; imported when it is first needed.
-        is_foreign: True if another library parses it, which is done in a process of its own.
     """
 
     name: str
     title: str
     module: str
-    is_foreign: bool = False
 
     def reader(self) -> Read:
         """The function that reads it.
@@ -49,11 +47,9 @@ class FileFormat:
 
 CSV = FileFormat("csv", "text tables (CSV)", "manip_learn.recordings.readers.csv_reader")
 NPZ = FileFormat("npz", "NumPy archives (.npz)", "manip_learn.recordings.readers.npz_reader")
-ROSBAG = FileFormat("rosbag", "ROS bags", "manip_learn.recordings.readers.rosbag_reader", is_foreign=True)
-LEROBOT = FileFormat("lerobot", "LeRobot data", "manip_learn.recordings.readers.lerobot_reader", is_foreign=True)
-ROBOMIMIC = FileFormat(
-    "robomimic", "robomimic HDF5", "manip_learn.recordings.readers.robomimic_reader", is_foreign=True
-)
+ROSBAG = FileFormat("rosbag", "ROS bags", "manip_learn.recordings.readers.rosbag_reader")
+LEROBOT = FileFormat("lerobot", "LeRobot data", "manip_learn.recordings.readers.lerobot_reader")
+ROBOMIMIC = FileFormat("robomimic", "robomimic HDF5", "manip_learn.recordings.readers.robomimic_reader")
 SAVED = FileFormat("saved", "files of manip_learn", "manip_learn.recordings.readers.saved_reader")
 FORMATS = (CSV, NPZ, ROSBAG, LEROBOT, ROBOMIMIC)
 
@@ -104,9 +100,8 @@ def recognise(path: Path) -> FileFormat:
         raise refusal(path, "empty", "the file is empty")
     if head.startswith(b"PK\x03\x04"):
         return _archive(path)
-    if head.startswith((b"\x89MCAP0\r\n", MARK.encode())) or b'{"format": "manip_learn.' in head[:64]:
-        if file_header(path) is not None:
-            return SAVED
+    if head.removeprefix(b"\xef\xbb\xbf").startswith((MARK.encode(), JSON_LINES.encode())) and file_header(path):
+        return SAVED
     for magic, known in MAGIC:
         if head.startswith(magic):
             return known

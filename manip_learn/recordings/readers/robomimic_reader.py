@@ -14,17 +14,10 @@ from typing import Any
 import numpy as np
 
 from manip_learn.errors import DAMAGE, MissingExtraError, RecordingError, advice
-from manip_learn.recordings.readers.column_words import several_wrenches, wrench_sets
+from manip_learn.recordings.format_words import several_wrenches, wrench_sets
+from manip_learn.recordings.readers.limits import bomb, most_bytes
 from manip_learn.recordings.readers.read_request import ReadRequest
-from manip_learn.recordings.readers.recording import (
-    Recording,
-    bomb,
-    float_array,
-    most_bytes,
-    natural_order,
-    reason,
-    refusal,
-)
+from manip_learn.recordings.readers.recording import Recording, float_array, natural_order, reason, refusal
 
 try:
     import h5py

@@ -1,12 +1,8 @@
-"""Joint-state messages of a bag -> arrays, one stream per topic and set of joints -> one table.
-
-Messages are read by their byte layout, thousands at a time: deserialising each of them takes longer than all the rest.
-"""
+"""ROS bags: the joint states and wrenches of their topics -> one table of the robot's joints."""
 
 from __future__ import annotations
 
-import itertools
-import struct
+from array import array
 from collections import Counter
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, replace
@@ -14,122 +10,85 @@ from pathlib import Path
 from typing import Any, final
 
 import numpy as np
-from jaxtyping import Bool, Float, Int, UInt8
+from jaxtyping import Bool, Float, Int
 
 from manip_learn.errors import advice, closest_names, counted
-from manip_learn.recordings.readers.bag_file import JOINT_STATE, STAMPED_WRENCH, BagFile, open_bag
-from manip_learn.recordings.readers.column_words import several_wrenches
+from manip_learn.recordings.format_words import JOINT_STATE, STAMPED_WRENCH, WRENCH, several_wrenches
+from manip_learn.recordings.readers.bag_file import BagFile, open_bag
+from manip_learn.recordings.readers.limits import MOST_NAME_LISTS, check_columns
 from manip_learn.recordings.readers.read_request import ReadRequest
 from manip_learn.recordings.readers.recording import GAP_FACTOR, Recording, refusal
 
-BATCH = 16_384  # messages in memory: some 10 MB
-MOST_LAYOUTS = 200  # orders of joints in one topic; drivers that alternate have two or three
-MOST_JOINTS = 10_000  # of one message, before its names are read
-STAMP_AT = 4  # offset of the seconds in a message; the nanoseconds follow
+USUAL_TOPIC = "/joint_states"
+SET_BACK = 1_000_000_000  # [ns] a clock that goes back this far was reset
 
 
-@final
-@dataclass(frozen=True, eq=False)
-class JointStateLayout:
-    """Where the numbers are in messages that have the same joints.
-
-    Attributes:
-        order: `"<"` or `">"`, byte order.
-        names: Joint names in the message.
-        position_at: Offset of the positions, or None if the message has none.
-        velocity_at: Offset of the velocities, or None.
-        effort_at: Offset of the efforts, or None.
-        fixed: Offsets of the bytes that every message of this layout shares.
-        template: The shared bytes.
-    """
-
-    order: str
-    names: tuple[str, ...]
-    position_at: int | None
-    velocity_at: int | None
-    effort_at: int | None
-    fixed: Int[np.ndarray, " k"]
-    template: UInt8[np.ndarray, " k"]
-
-    def matches(self, messages: UInt8[np.ndarray, "N size"]) -> Bool[np.ndarray, " N"]:
-        """Messages (one per row) that have this layout."""
-        return np.all(messages[:, self.fixed] == self.template, axis=1)
-
-    def stamps(self, messages: UInt8[np.ndarray, "N size"]) -> Int[np.ndarray, " N"]:
-        """Header stamps [ns]."""
-        parts = np.ascontiguousarray(messages[:, STAMP_AT : STAMP_AT + 8]).view(self.order + "u4")
-        return parts[:, 0].astype(np.int64) * 1_000_000_000 + parts[:, 1].astype(np.int64)
-
-    def numbers(self, messages: UInt8[np.ndarray, "N size"], at: int | None) -> Float[np.ndarray, "N n"] | None:
-        """One number per joint from an offset on; None if the messages have none."""
-        if at is None:
-            return None
-        block = np.ascontiguousarray(messages[:, at : at + 8 * len(self.names)])
-        return block.view(self.order + "f8").astype(np.float64)
-
-
-@final
-class _Cursor:
-    """Reads one message field by field and remembers which bytes are shared by messages of the same layout."""
-
-    def __init__(self, raw: bytes, order: str, at: int, *, cdr: bool):
-        self.raw, self.order, self.at, self.cdr = raw, order, at, cdr
-        self.fixed: list[int] = []
-
-    def count(self) -> int:
-        """An unsigned 32-bit number that belongs to the layout."""
-        if self.cdr:  # CDR aligns numbers to their size, counted after the 4 bytes in front
-            self.at += -(self.at - 4) % 4
-        (value,) = struct.unpack_from(self.order + "I", self.raw, self.at)
-        self.fixed += range(self.at, self.at + 4)
-        self.at += 4
-        return value
-
-    def text(self, *, shared: bool) -> str:
-        """A string."""
-        length = self.count()
-        content = self.raw[self.at : self.at + length]
-        if len(content) != length:
-            raise ValueError("a string ends after the message")
-        if shared:
-            self.fixed += range(self.at, self.at + length)
-        self.at += length
-        return content.rstrip(b"\x00").decode("utf-8")
-
-    def doubles(self) -> tuple[int, int]:
-        """Offset and number of the entries of an array of numbers."""
-        length = self.count()
-        if self.cdr and length:
-            self.at += -(self.at - 4) % 8
-        start = self.at
-        self.at += 8 * length
-        if self.at > len(self.raw):
-            raise ValueError(f"an array of {length} numbers ends after the message")
-        return start, length
-
-
-def layout_of(raw: bytes, *, is_ros1: bool) -> JointStateLayout:
-    """Layout of a ROS 1 or a ROS 2 message.
+def read(path: Path, request: ReadRequest) -> Iterator[Recording]:
+    """The one recording of a bag; time counts from the first sample.
 
     Raises:
-        ValueError: Not a JointState, or an encoding other than plain CDR.
-        struct.error: Too short.
+        RecordingError: Damaged, encrypted, not indexed or a bomb; no joint states, topics that contradict each other,
+            joints that no topic has.
     """
-    if not is_ros1 and raw[:2] not in (b"\x00\x00", b"\x00\x01"):
-        raise ValueError(f"the message is not plain CDR, it starts with {raw[:4]!r}")
-    # the stamp follows the sequence number of ROS 1, or the kind of encoding, which the layout shares
-    cursor = _Cursor(raw, "<" if is_ros1 or raw[1] else ">", 12, cdr=not is_ros1)
-    cursor.fixed += () if is_ros1 else (0, 1)
-    cursor.text(shared=False)  # the header's frame
-    n = cursor.count()
-    if n > MOST_JOINTS:
-        raise ValueError(f"the message names {n} joints")
-    names = tuple(cursor.text(shared=True) for _ in range(n))
-    arrays = [cursor.doubles() for _ in range(3)]
-    position_at, velocity_at, effort_at = (at if k == n and n else None for at, k in arrays)
-    fixed = np.array(cursor.fixed, dtype=np.int64)
-    template = np.frombuffer(raw, dtype=np.uint8)[fixed]
-    return JointStateLayout(cursor.order, names, position_at, velocity_at, effort_at, fixed, template)
+    with open_bag(path) as bag:
+        topics, wrench_topics = _topics(bag, request)
+        several = len(wrench_topics) > 1
+        streams, wrenches, said = _streams(bag, topics if several else topics + wrench_topics)
+    notes = [*bag.notes, *said]
+    if several:
+        flag = advice(": say which one with {}", f"topics=[{wrench_topics[0]!r}]", f"--topic {wrench_topics[0]}")
+        notes.append(several_wrenches(wrench_topics) + flag)
+    streams = [replace(s, names=tuple(map(request.renamed, s.names))) for s in streams]
+    joints = request.robot.joint_names
+    try:
+        chosen, said = topics_of_joints(streams, joints)
+        notes += said
+        if len(chosen) < len(joints):
+            yield _without_samples(path, streams)
+            return
+        groups, said = joint_groups(streams, chosen)
+        notes += said
+        merged, said = merge(groups, request.continuous)
+    except MergeError as error:
+        raise refusal(path, error.code, f"{error}") from error
+    notes += said
+    surplus = sorted({n for s in streams for n in s.names} - set(joints))
+    if surplus:
+        notes.append(f"also recorded, not moved by the robot as loaded, not used: {', '.join(surplus)}")
+    time = (merged.stamps - merged.stamps[0]).astype(np.float64) * 1e-9
+    wrench, said = _wrench_at(merged.stamps, wrenches)
+    known = {"strict_columns": False, "in_seconds": True, "notes": (*notes, *said), "wrench": wrench}
+    yield Recording.of(path, path.name, time, merged.names, merged.q, merged.u, merged.effort, **known)
+
+
+def _topics(bag: BagFile, request: ReadRequest) -> tuple[tuple[str, ...], tuple[str, ...]]:
+    """Topics of joint states and of wrenches: those that were asked for; of a kind of which none was, all."""
+    joint_topics, wrench_topics = bag.of_kind(JOINT_STATE), bag.of_kind(WRENCH, STAMPED_WRENCH)
+    if not joint_topics:
+        there = ", ".join(f"{t} ({k})" for t, k in list(bag.topics.items())[:8]) or "no topics"
+        raise refusal(
+            bag.path, "no-joint-states", f"there is no {JOINT_STATE} in this bag, it has {there}: record /joint_states"
+        )
+    if request.topics is None:
+        return joint_topics, wrench_topics
+    possible = (*joint_topics, *wrench_topics)
+    for topic in request.topics:
+        if topic not in possible:
+            near = closest_names(topic, possible) or list(possible)
+            raise refusal(
+                bag.path, "unknown-topic", f"there is no {JOINT_STATE} topic {topic!r}; there is {', '.join(near)}"
+            )
+    request.uses.use("topics")
+    joints, wrenches = (tuple(t for t in request.topics if t in of) for of in (joint_topics, wrench_topics))
+    return joints or joint_topics, wrenches or wrench_topics
+
+
+def _without_samples(path: Path, streams: list[JointStateStream]) -> Recording:
+    """The names only, for the message about those that are missing."""
+    if not any(len(s.stamps) for s in streams):
+        raise refusal(path, "empty", "the joint-state topics of the bag have no message")
+    names = tuple(dict.fromkeys(n for s in streams for n in s.names))
+    return Recording(path, path.name, np.empty(0), names, np.empty((0, len(names))), strict_columns=False)
 
 
 @final
@@ -174,146 +133,70 @@ class WrenchStream:
     values: Float[np.ndarray, "T 6"]
 
 
-def joint_state_streams(
-    bag: BagFile, topics: tuple[str, ...]
-) -> tuple[list[JointStateStream], list[WrenchStream], list[str]]:
+def _streams(bag: BagFile, topics: tuple[str, ...]) -> tuple[list[JointStateStream], list[WrenchStream], list[str]]:
     """All streams of some topics, those of wrenches apart, and what was left out.
 
     Raises:
-        RecordingError: Messages that are of another type than their topic.
+        RecordingError: The joints named in a topic change all the time, or messages are lost.
     """
-    wrenches: dict[str, list[tuple[np.ndarray, np.ndarray]]] = {}
-    pieces: dict[tuple[str, str, tuple[str, ...]], list[JointStateStream]] = {}
-    layouts: dict[tuple[str, int], list[JointStateLayout]] = {}
+    # header stamps, recorder's stamps and numbers, as they grow: positions, velocities and efforts, or a wrench
+    joints: dict[tuple[str, str, tuple[str, ...]], tuple[array, ...]] = {}
+    wrenches: dict[str, tuple[array, ...]] = {}
     without_positions: Counter[str] = Counter()
-    for topic, publisher, received, raw in _batches(bag, topics):
-        if topic in bag.wrench_topics:
-            wrenches.setdefault(topic, []).append(_wrenches(bag, topic, received, raw))
+    for topic, kind, publisher, received, message in bag.messages(topics):
+        stamp = 0
+        if kind != WRENCH:
+            stamp = message.header.stamp.sec * 1_000_000_000 + message.header.stamp.nanosec
+        if kind != JOINT_STATE:
+            wrench = message if kind == WRENCH else message.wrench
+            stamps, values = wrenches.setdefault(topic, (array("q"), array("d")))
+            stamps.append(stamp or received)
+            values.extend(getattr(vector, axis) for vector in (wrench.force, wrench.torque) for axis in "xyz")
             continue
-        for layout, messages, stamps in _by_layout(bag, topic, raw, received, layouts):
-            positions, velocities, efforts = (
-                layout.numbers(messages, at) for at in (layout.position_at, layout.velocity_at, layout.effort_at)
-            )
-            if positions is None:
-                without_positions[topic] += len(messages)
-                continue
-            source = topic, publisher, layout.names
-            piece = JointStateStream(*source, layout.stamps(messages), stamps, positions, velocities, efforts)
-            pieces.setdefault(source, []).append(piece)
+        names = tuple(message.name)
+        if not names or len(message.position) != len(names):
+            without_positions[topic] += 1
+            continue
+        stream = joints.get((topic, publisher, names))
+        if stream is None:
+            _refuse_unsteady(bag.path, topic, names, sum(key[0] == topic for key in joints))
+            stream = joints[topic, publisher, names] = (array("q"), array("q"), array("d"), array("d"), array("d"))
+        stream[0].append(stamp)
+        stream[1].append(received)
+        for values, numbers in zip(stream[2:], (message.position, message.velocity, message.effort), strict=True):
+            if len(numbers) == len(names):
+                values.frombytes(np.ascontiguousarray(numbers, dtype=np.float64).tobytes())
     notes = [
         f"{counted(n, 'message')} of {topic} have no positions, not used" for topic, n in without_positions.items()
     ]
-    for (topic, *_), parts in pieces.items():
-        without = sum(len(p.stamps) for p in parts if p.velocities is None)
-        if without and any(p.velocities is not None for p in parts):
+    streams = []
+    for source, (stamps, received, *columns) in joints.items():
+        T, n = len(stamps), len(source[2])
+        q, u, effort = (np.array(x).reshape(T, n) if len(x) == T * n else None for x in columns)
+        if u is None and len(columns[1]):
+            without = T - len(columns[1]) // n
             notes.append(
-                f"{without} of {sum(len(p.stamps) for p in parts)} messages of {topic} have no velocities, so those "
-                "of the others are not used"
+                f"{without} of {T} messages of {source[0]} have no velocities, so those of the others are not used"
             )
-    streams = [_one_after_the_other(parts) for parts in pieces.values()]
-    return streams, [_in_order(topic, parts) for topic, parts in wrenches.items()], notes
+        times = (np.array(x, dtype=np.int64) for x in (stamps, received))
+        streams.append(JointStateStream(*source, *times, q, u, effort))  # type: ignore[arg-type]
+    found = []
+    for topic, (stamps, values) in wrenches.items():  # in order; of several with one stamp the first
+        ordered, first = np.unique(np.array(stamps, dtype=np.int64), return_index=True)
+        found.append(WrenchStream(topic, ordered, np.array(values).reshape(-1, 6)[first]))
+    return streams, found, notes
 
 
-def _wrenches(bag: BagFile, topic: str, received: np.ndarray, raw: list[bytes]) -> tuple[np.ndarray, np.ndarray]:
-    """Stamps and numbers, which end each message; compared with the library's own reading of one of each length."""
-    order, kind = "<" if bag.is_ros1 or raw[0][1] else ">", bag.topics[topic]
-    values = np.frombuffer(b"".join(message[-48:] for message in raw), order + "f8").reshape(-1, 6).astype(np.float64)
-    stamps = received
-    if kind == STAMPED_WRENCH:
-        parts = b"".join(message[STAMP_AT : STAMP_AT + 8] for message in raw)
-        seconds, rest = np.frombuffer(parts, order + "u4").reshape(-1, 2).T.astype(np.int64)
-        stamps = seconds * 1_000_000_000 + rest
-    for i in {len(message): i for i, message in enumerate(raw)}.values():
-        known: Any = bag.deserialised(raw[i], kind)
-        wrench = known.wrench if kind == STAMPED_WRENCH else known
-        numbers = [getattr(vector, axis) for vector in (wrench.force, wrench.torque) for axis in "xyz"]
-        if np.array(numbers).tobytes() != values[i].tobytes():
-            raise ValueError("the numbers of a wrench are read differently by the library")
-    return np.where(stamps == 0, received, stamps), values
-
-
-def _in_order(topic: str, parts: list[tuple[np.ndarray, np.ndarray]]) -> WrenchStream:
-    """The messages by their stamps, of several with one stamp the first."""
-    stamps, values = (np.concatenate(some) for some in zip(*parts, strict=True))
-    stamps, first = np.unique(stamps, return_index=True)
-    return WrenchStream(topic, stamps, values[first])
-
-
-def _one_after_the_other(parts: list[JointStateStream]) -> JointStateStream:
-    """The messages of several streams about the same joints; velocities and efforts if all of them have some."""
-    joined: dict[str, Any] = {}
-    for name in ("stamps", "received", "positions", "velocities", "efforts"):
-        arrays = [getattr(part, name) for part in parts]
-        joined[name] = None if any(a is None for a in arrays) else np.concatenate(arrays)
-    return replace(parts[0], **joined)
-
-
-def _batches(bag: BagFile, topics: tuple[str, ...]) -> Iterator[tuple[str, str, np.ndarray, list[bytes]]]:
-    """Messages of one publisher of one topic at a time, with the recorder's stamps."""
-    messages = bag.messages(topics)
-    while batch := list(itertools.islice(messages, BATCH)):
-        for source in dict.fromkeys(m[:2] for m in batch):
-            mine = [m for m in batch if m[:2] == source]
-            yield *source, np.array([m[2] for m in mine], dtype=np.int64), [m[3] for m in mine]
-
-
-def _by_layout(
-    bag: BagFile,
-    topic: str,
-    raw: list[bytes],
-    received: np.ndarray,
-    layouts: dict[tuple[str, int], list[JointStateLayout]],
-) -> Iterator[tuple[JointStateLayout, np.ndarray, np.ndarray]]:
-    """Groups of messages with one layout, as rows of bytes."""
-    sizes = np.fromiter(map(len, raw), dtype=np.int64, count=len(raw))
-    for size in np.unique(sizes):
-        index = np.flatnonzero(sizes == size)
-        rows = np.frombuffer(b"".join(raw[i] for i in index), dtype=np.uint8).reshape(len(index), int(size))
-        known = layouts.setdefault((topic, int(size)), [])
-        todo = np.ones(len(index), dtype=bool)
-        tried = 0
-        while np.any(todo):
-            if tried == len(known):
-                known.append(_new_layout(bag, topic, raw[index[np.argmax(todo)]], sum(map(len, layouts.values()))))
-            layout = known[tried]
-            tried += 1
-            mine = todo & layout.matches(rows)
-            if np.any(mine):
-                _checked_layout(bag, raw[index[np.flatnonzero(mine)[-1]]])  # a sample more
-                yield layout, rows[mine], received[index[mine]]
-                todo &= ~mine
-
-
-def _new_layout(bag: BagFile, topic: str, raw: bytes, n_known: int) -> JointStateLayout:
-    if n_known >= MOST_LAYOUTS:
+def _refuse_unsteady(path: Path, topic: str, names: tuple[str, ...], known: int) -> None:
+    """Refuse a topic whose messages name ever other joints, and a message that names too many."""
+    check_columns(path, f"a message of {topic}", len(names))
+    if known >= MOST_NAME_LISTS:
         raise refusal(
-            bag.path,
+            path,
             "unsteady-names",
-            f"the joints named in {topic} change all the time ({n_known} lists)"
+            f"the joints named in {topic} change all the time ({known} lists)"
             + advice(": choose another topic with {}", "topics=[...]", "--topic NAME"),
         )
-    return _checked_layout(bag, raw)
-
-
-def _checked_layout(bag: BagFile, raw: bytes) -> JointStateLayout:
-    """Where the numbers are in a message; compared with the library's own reading of it."""
-    layout = layout_of(raw, is_ros1=bag.is_ros1)
-    message: Any = bag.deserialised(raw)
-    row = np.frombuffer(raw, dtype=np.uint8)[None]
-    if tuple(message.name) != layout.names:
-        raise ValueError(f"the joint names are read as {tuple(message.name)} and as {layout.names}")
-    arrays = (message.position, layout.position_at), (message.velocity, layout.velocity_at)
-    for values, at in (*arrays, (message.effort, layout.effort_at)):
-        if at is not None and values.tobytes() != layout.numbers(row, at).tobytes():  # type: ignore[union-attr]
-            raise ValueError("the numbers of a message are read differently by the library")
-    stamp = message.header.stamp
-    if layout.stamps(row)[0] != stamp.sec % 2**32 * 1_000_000_000 + stamp.nanosec:
-        raise ValueError("the stamp of a message is read differently by the library")
-    return layout
-
-
-USUAL_TOPIC = "/joint_states"
-SET_BACK = 1_000_000_000  # [ns] a clock that goes back this far was reset
 
 
 class MergeError(Exception):
@@ -446,7 +329,7 @@ def _refuse_two_publishers(streams: list[JointStateStream], chosen: dict[str, st
 
 
 def _group(topic: str, names: tuple[str, ...], streams: list[JointStateStream]) -> tuple[JointGroup, list[str]]:
-    whole = _one_after_the_other([_of_joints(s, names) for s in streams])
+    whole = _joined([_of_joints(s, names) for s in streams])
     stamps, received = whole.stamps, whole.received
     notes = []
     if np.any(stamps == 0):
@@ -473,6 +356,15 @@ def _group(topic: str, names: tuple[str, ...], streams: list[JointStateStream]) 
     order = order[keep]
     u, effort = (None if x is None else x[order] for x in (whole.velocities, whole.efforts))
     return JointGroup(topic, names, stamps[order], whole.positions[order], u, effort), notes
+
+
+def _joined(parts: list[JointStateStream]) -> JointStateStream:
+    """The messages of several streams about the same joints; velocities and efforts if all of them have some."""
+    joined: dict[str, Any] = {}
+    for name in ("stamps", "received", "positions", "velocities", "efforts"):
+        arrays = [getattr(part, name) for part in parts]
+        joined[name] = None if any(a is None for a in arrays) else np.concatenate(arrays)
+    return replace(parts[0], **joined)
 
 
 def _of_joints(stream: JointStateStream, names: tuple[str, ...]) -> JointStateStream:
@@ -533,7 +425,7 @@ def _at(
     return np.column_stack([np.interp(t, own, values[:, i]) for i in range(values.shape[1])])
 
 
-def wrench_at(
+def _wrench_at(
     stamps: Int[np.ndarray, " T"], streams: list[WrenchStream]
 ) -> tuple[Float[np.ndarray, "T 6"] | None, list[str]]:
     """The wrench at the stamps of the joint states, interpolated linearly, and notes; None if there is none.
@@ -559,73 +451,3 @@ def _covered(stamps: Int[np.ndarray, " T"], own: Int[np.ndarray, " S"]) -> Bool[
     after = np.clip(np.searchsorted(own, stamps), 1, len(own) - 1)
     close = own[after] - own[after - 1] <= GAP_FACTOR * np.median(np.diff(own))
     return (stamps >= own[0]) & (stamps <= own[-1]) & close
-
-
-def read(path: Path, request: ReadRequest) -> Iterator[Recording]:
-    """The one recording of a bag; time counts from the first sample.
-
-    Raises:
-        RecordingError: Damaged, no joint states, topics that contradict each other, joints that no topic has.
-    """
-    with open_bag(path) as bag:
-        topics, wrench_topics = _topics(bag, request)
-        several = len(wrench_topics) > 1
-        streams, wrenches, notes = joint_state_streams(bag, topics if several else topics + wrench_topics)
-        notes = [*bag.notes, *notes]
-    if several:
-        flag = advice(": say which one with {}", f"topics=[{wrench_topics[0]!r}]", f"--topic {wrench_topics[0]}")
-        notes.append(several_wrenches(wrench_topics) + flag)
-    streams = [_renamed(s, request) for s in streams]
-    joints = request.robot.joint_names
-    try:
-        chosen, said = topics_of_joints(streams, joints)
-        notes += said
-        if len(chosen) < len(joints):
-            yield _without_samples(path, streams)
-            return
-        groups, said = joint_groups(streams, chosen)
-        notes += said
-        merged, said = merge(groups, request.continuous)
-    except MergeError as error:
-        raise refusal(path, error.code, f"{error}") from error
-    notes += said
-    surplus = sorted({n for s in streams for n in s.names} - set(joints))
-    if surplus:
-        notes.append(f"also recorded, not moved by the robot as loaded, not used: {', '.join(surplus)}")
-    time = (merged.stamps - merged.stamps[0]).astype(np.float64) * 1e-9
-    wrench, said = wrench_at(merged.stamps, wrenches)
-    known = {"strict_columns": False, "in_seconds": True, "notes": (*notes, *said), "wrench": wrench}
-    yield Recording.of(path, path.name, time, merged.names, merged.q, merged.u, merged.effort, **known)
-
-
-def _topics(bag: BagFile, request: ReadRequest) -> tuple[tuple[str, ...], tuple[str, ...]]:
-    """Topics of joint states and of wrenches: those that were asked for; of a kind of which none was, all."""
-    if not bag.joint_topics:
-        there = ", ".join(f"{t} ({k})" for t, k in list(bag.topics.items())[:8]) or "no topics"
-        raise refusal(
-            bag.path, "no-joint-states", f"there is no {JOINT_STATE} in this bag, it has {there}: record /joint_states"
-        )
-    if request.topics is None:
-        return bag.joint_topics, bag.wrench_topics
-    possible = (*bag.joint_topics, *bag.wrench_topics)
-    for topic in request.topics:
-        if topic not in possible:
-            near = closest_names(topic, possible) or list(possible)
-            raise refusal(
-                bag.path, "unknown-topic", f"there is no {JOINT_STATE} topic {topic!r}; there is {', '.join(near)}"
-            )
-    request.uses.use("topics")
-    joints, wrenches = (tuple(t for t in request.topics if t in of) for of in (bag.joint_topics, bag.wrench_topics))
-    return joints or bag.joint_topics, wrenches or bag.wrench_topics
-
-
-def _renamed(stream: JointStateStream, request: ReadRequest) -> JointStateStream:
-    return replace(stream, names=tuple(request.renamed(n) for n in stream.names))
-
-
-def _without_samples(path: Path, streams: list[JointStateStream]) -> Recording:
-    """The names only, for the message about those that are missing."""
-    if not any(len(s.stamps) for s in streams):
-        raise refusal(path, "empty", "the joint-state topics of the bag have no message")
-    names = tuple(dict.fromkeys(n for s in streams for n in s.names))
-    return Recording(path, path.name, np.empty(0), names, np.empty((0, len(names))), strict_columns=False)

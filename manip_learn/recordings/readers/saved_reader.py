@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import itertools
-import json
 import zipfile
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -14,11 +13,10 @@ from typing import Any
 import numpy as np
 
 from manip_learn.errors import DAMAGE, RecordingError
-from manip_learn.recordings.readers.csv_reader import LONGEST_LINE, text_lines
-from manip_learn.recordings.readers.lerobot_dataset import DATASET_HEADER
-from manip_learn.recordings.readers.mcap_records import mcap_header, messages_of
+from manip_learn.recordings.format_words import DATASET_HEADER, MARK
+from manip_learn.recordings.readers.csv_reader import text_lines
+from manip_learn.recordings.readers.limits import LONGEST_TEXT
 from manip_learn.recordings.readers.npz_reader import NpzArchive
-from manip_learn.recordings.readers.parser_process import parsed_recordings
 from manip_learn.recordings.readers.read_request import ReadRequest
 from manip_learn.recordings.readers.recording import Recording, reason, refusal
 from manip_learn.recordings.saved_motion import (
@@ -28,18 +26,15 @@ from manip_learn.recordings.saved_motion import (
     SavedMotion,
     check_robot,
     checked_motion,
+    column_groups,
+    column_line,
     joint_positions,
-    refuse_lost_samples,
 )
 from manip_learn.recordings.trajectory import BESIDE
-from manip_learn.recordings.writers.mcap_writer import ROLLOUT_TOPIC, rollout_sample_values
-from manip_learn.recordings.writers.write_motion import MARK, column_groups, column_line
 
-BAG_PARSER = "manip_learn.recordings.readers.rosbag_reader"
-MCAP = b"\x89MCAP0"
 ARRAYS = ("time", "q", *CURVES)
 TEXTS = ("format", "header", "status", "joint_names", "frame")
-LARGEST = 500_000_000  # bytes of a JointTrajectory, which is read at once
+JSON_LINES = '{"format": "manip_learn.'  # how they began
 
 
 def file_header(path: Path) -> FileHeader | None:
@@ -54,15 +49,18 @@ def file_header(path: Path) -> FileHeader | None:
             return FileHeader.from_json(inner.read_bytes()) if inner.is_file() else None
         if path.exists() and not path.is_file():
             raise refusal(path, "not-a-file", "this is not a regular file; give a rollout or a recording")
-        start = _first_bytes(path)
-        if start.startswith(b"PK"):
+        with path.open(encoding="utf-8-sig", errors="replace") as file:  # bytes that are no text: other characters
+            start = file.read(len(JSON_LINES))
+            line = start + file.readline(LONGEST_TEXT) if start.startswith((MARK, JSON_LINES)) else start
+        if start.startswith("PK"):
             return _npz_header(path)
-        text = mcap_header(path) if start == MCAP else _text_header(path)
-        return None if text is None else FileHeader.from_json(text)
+        if start.startswith(JSON_LINES):
+            raise refusal(path, "not-a-rollout", "JSON lines are not read any more; .npz and .csv are, bit for bit")
+        return FileHeader.from_json(line.removeprefix(MARK)) if start.startswith(MARK) else None
 
 
 def read_saved(path: Path) -> SavedMotion:
-    """The motion in a file of the library: a rollout, or a recording that is not in MCAP.
+    """The motion in a file of the library: a rollout, or a recording.
 
     Raises:
         RecordingError: No such file, a damaged one, or one of another kind.
@@ -70,16 +68,11 @@ def read_saved(path: Path) -> SavedMotion:
     with _refusing_damage(path):
         header = file_header(path)
         if header is None:
-            raise refusal(path, "not-a-rollout", "no rollout; `manip-learn control ... --out FILE.npz` writes one")
-        start = _first_bytes(path).removeprefix(b"\xef\xbb\xbf")
-        if start.startswith(b"PK"):
-            motion = _read_npz(path, header)
-        elif start.startswith(b"{"):
-            motion = _read_jsonl(path, header)
-        elif start.startswith(b"#"):
-            motion = (_read_joint_trajectory if _is_joint_trajectory(path) else _read_csv)(path, header)
-        else:
-            motion = _read_mcap(path, header)
+            said = "no rollout; `manip-learn control ... --out FILE.npz` writes one (.npz and .csv are read back)"
+            raise refusal(path, "not-a-rollout", said)
+        with path.open("rb") as file:
+            is_archive = file.read(2) == b"PK"
+        motion = _read_npz(path, header) if is_archive else _read_csv(path, header)
         return checked_motion(path, replace(motion, name=path.name))
 
 
@@ -91,11 +84,6 @@ def read(path: Path, request: ReadRequest) -> Iterator[Recording]:
     """
     header = file_header(path)
     notes = () if header is None else check_robot(path, header, request.robot)
-    if header is not None and header.kind == "recording" and _first_bytes(path) == MCAP:
-        for recording in parsed_recordings(BAG_PARSER, path, request):
-            refuse_lost_samples(path, header, len(recording.time))
-            yield replace(recording, trusted=True)
-        return
     motion = read_saved(path)
     names = tuple(request.renamed(n) for n in motion.header.joint_names)
     q = joint_positions(path, motion.q, names, request.robot)
@@ -113,25 +101,10 @@ def _refusing_damage(path: Path) -> Iterator[None]:
         raise refusal(path, "damaged", f"the file cannot be read ({reason(error)}): copy or save it again") from error
 
 
-def _first_bytes(path: Path) -> bytes:
-    with path.open("rb") as file:
-        return file.read(len(MCAP))
-
-
-def _text_header(path: Path) -> str | None:
-    """The header in the first line of a file; bytes that are no text become other characters."""
-    with path.open(encoding="utf-8-sig", errors="replace") as file:
-        line = file.readline(LONGEST_LINE)
-    if line.startswith(MARK):
-        return line.removeprefix(MARK)
-    return line if line.startswith('{"format": "manip_learn.') else None
-
-
 def _npz_header(path: Path) -> FileHeader | None:
     with zipfile.ZipFile(path) as zipped:
-        names = zipped.namelist()
-    if "format.npy" not in names:
-        return None
+        if "format.npy" not in zipped.namelist():
+            return None
     archive = NpzArchive(path, (), TEXTS)
     named = archive.text("format") if archive.shape("format") == () else ""
     if not named.startswith(PREFIX):
@@ -158,16 +131,18 @@ def _read_npz(path: Path, header: FileHeader) -> SavedMotion:
     return _motion(replace(header, nq=nq), arrays, status)
 
 
-def _motion(header: FileHeader, arrays: dict[str, np.ndarray], status: tuple[str, ...] = ()) -> SavedMotion:
+def _motion(header: FileHeader, arrays: dict[str, np.ndarray], status: tuple[str, ...]) -> SavedMotion:
     curves: dict[str, Any] = {name: arrays.get(name) for name in CURVES}
     return SavedMotion(header, arrays["time"], arrays["q"], **curves, status=status)
 
 
 def _read_csv(path: Path, header: FileHeader) -> SavedMotion:
     """The motion in a table; errors name the line."""
-    lines = _lines(path)
+    lines = ((number, line.rstrip("\r\n")) for number, line in text_lines(path) if line.strip())
     next(lines)
     number, columns = next(lines, (2, ""))
+    if columns.startswith("# "):  # in a table, these would be the names of the columns
+        raise refusal(path, "not-a-rollout", "a JointTrajectory is written for controllers only: read .npz or .csv")
     choices = (c for n in (1, 0, 2, 3) for c in itertools.combinations(BESIDE, n))
     possible = [column_groups(header, beside) for beside in choices]
     groups = next((g for g in possible if column_line(g) == columns), None)
@@ -199,94 +174,3 @@ def _read_csv(path: Path, header: FileHeader) -> SavedMotion:
         arrays[name] = table[:, at : at + len(names)] if name in ("q", *BESIDE) else table[:, at : at + 1].ravel()
         at += len(names)
     return _motion(header, arrays, tuple(status))
-
-
-def _read_jsonl(path: Path, header: FileHeader) -> SavedMotion:
-    """The motion in lines of JSON; errors name the line."""
-    arrays: dict[str, list] = {"time": [], "q": []}
-    status: list[str] = []
-    nv = len(header.joint_names)
-    widths = {"q": header.nq or nv, "u": nv, "effort": nv, "wrench": 6}
-    lines = _lines(path)
-    next(lines)
-    for number, line in lines:
-        try:
-            sample = json.loads(line)
-            if not arrays["time"]:
-                arrays |= {name: [] for name in CURVES if name in sample}
-            for name, values in arrays.items():
-                values.append(_numbers(name, sample[name], widths.get(name)))
-            if header.kind == "rollout":
-                status.append(sample["status"])
-                if not isinstance(status[-1], str):
-                    raise ValueError(f"the status must be a word, it is {status[-1]!r:.40}")
-        except (KeyError, ValueError, TypeError, OverflowError, RecursionError) as error:
-            said = f"it lacks {error}" if isinstance(error, KeyError) else str(error)
-            raise refusal(path, "not-a-number", f"this line is no sample: {said[:160]}", line=number) from error
-    if not arrays["time"]:
-        raise refusal(path, "too-short", "there is a header but no sample")
-    return _motion(header, {name: np.array(values, dtype=np.float64) for name, values in arrays.items()}, tuple(status))
-
-
-def _numbers(name: str, value: object, width: int | None) -> float | list[float]:
-    """A number, or a list of so many of them; null is NaN, and infinity is a word."""
-    if width is not None:
-        if not isinstance(value, list) or len(value) != width:
-            raise ValueError(f"{name} must be a list of {width} numbers, it is {value!r:.60}")
-        return [_number(f"{name}[{i}]", v) for i, v in enumerate(value)]
-    return _number(name, value)
-
-
-def _number(name: str, value: object) -> float:
-    if value is None:
-        return np.nan
-    if value in ("inf", "-inf") or (isinstance(value, int | float) and not isinstance(value, bool)):
-        return float(value)  # type: ignore[arg-type]
-    raise ValueError(f"{name} must be a number, it is {value!r:.60}")
-
-
-def _lines(path: Path) -> Iterator[tuple[int, str]]:
-    """Lines with their numbers, without line ends; blank ones are left out."""
-    return ((number, line.rstrip("\r\n")) for number, line in text_lines(path) if line.strip())
-
-
-def _read_mcap(path: Path, header: FileHeader) -> SavedMotion:
-    """The samples of a rollout."""
-    samples = [rollout_sample_values(message) for message in messages_of(path, ROLLOUT_TOPIC)]
-    if not samples:
-        raise refusal(path, "too-short", f"the rollout has no samples on {ROLLOUT_TOPIC}")
-    numbers, q, u, status, following = zip(*samples, strict=True)
-    time, manipulability, task_error = np.array(numbers).T
-    arrays = {"time": time, "q": np.array(q), "u": np.array(u)}
-    arrays |= {"manipulability": manipulability, "task_error": task_error}
-    if header.follows:
-        arrays["following_error"] = np.array(following, dtype=np.float64)  # None is NaN
-    return _motion(header, arrays, status)
-
-
-def _is_joint_trajectory(path: Path) -> bool:
-    """Whether the line after the header is a comment too: in a table it would be the names of the columns."""
-    with path.open(encoding="utf-8-sig", errors="replace") as file:
-        file.readline()
-        return file.read(2) == "# "
-
-
-def _read_joint_trajectory(path: Path, header: FileHeader) -> SavedMotion:
-    """The motion; times count from its first point."""
-    size = path.stat().st_size
-    if size > LARGEST:
-        raise refusal(path, "too-large", f"a JointTrajectory of {size:,} bytes, more than {LARGEST:,}: split it")
-    lines = path.read_text(encoding="utf-8-sig").splitlines()
-    content = json.loads("\n".join("" if line.startswith("#") else line for line in lines))
-    if tuple(content["joint_names"]) != header.joint_names:
-        raise refusal(path, "joint-names", "its joint_names are not those of the first line: export it again")
-    points, nv = content["points"], len(header.joint_names)
-    names = {"q": "positions"} | ({"u": "velocities"} if points and "velocities" in points[0] else {})
-    for i, point in enumerate(points):
-        for name in names.values():
-            values = point.get(name)
-            if not isinstance(values, list) or len(values) != nv or not all(type(v) in (int, float) for v in values):
-                raise refusal(path, "shape", f"point {i}: {name} must be {nv} numbers, they are {values!r:.60}")
-    stamps = [p["time_from_start"]["sec"] * 1_000_000_000 + p["time_from_start"]["nanosec"] for p in points]
-    arrays = {a: np.array([p[n] for p in points], dtype=np.float64).reshape(-1, nv) for a, n in names.items()}
-    return _motion(header, arrays | {"time": np.array(stamps, dtype=np.int64) * 1e-9})

@@ -16,9 +16,9 @@ import numpy as np
 
 from manip_learn.atomic_write import write_atomically
 from manip_learn.errors import MissingExtraError, OutputError
-from manip_learn.recordings.readers.lerobot_dataset import DATASET_HEADER, EFFORT, STATE, VELOCITY, WRENCH
+from manip_learn.recordings.format_words import DATASET_HEADER, WRENCH_NAMES
+from manip_learn.recordings.readers.lerobot_dataset import EFFORT, STATE, VELOCITY, WRENCH
 from manip_learn.recordings.saved_motion import SavedMotion
-from manip_learn.recordings.writers.write_motion import WRENCH_NAMES
 
 try:
     import pyarrow as pa

@@ -9,15 +9,14 @@ from __future__ import annotations
 import struct
 import zlib
 from collections.abc import Callable, Iterator
-from typing import TYPE_CHECKING, final
+from typing import final
 
 import numpy as np
 from jaxtyping import Float, Int
 
 from manip_learn.errors import OutputError
-
-if TYPE_CHECKING:  # the process that parses bags is without robots, which take long to load
-    from manip_learn.recordings.saved_motion import SavedMotion
+from manip_learn.recordings.format_words import JOINT_STATE, STAMPED_WRENCH
+from manip_learn.recordings.saved_motion import SavedMotion
 
 MAGIC = b"\x89MCAP0\r\n"
 # codes of records, as the specification of MCAP numbers them
@@ -29,8 +28,6 @@ CHUNK_BYTES = 1_000_000  # after which a chunk is closed; the specification asks
 SECOND = 1_000_000_000  # [ns]; a stamp of zero means "not set" in ROS: motions that start at zero start at one second
 LAST_STAMP = 2**31 * SECOND  # [ns] seconds are int32 in ROS
 
-JOINT_STATE = "sensor_msgs/msg/JointState"
-WRENCH, STAMPED_WRENCH = "geometry_msgs/msg/Wrench", "geometry_msgs/msg/WrenchStamped"
 ROLLOUT_SAMPLE = "manip_learn_msgs/msg/RolloutSample"
 FOLLOWED_SAMPLE = "manip_learn_msgs/msg/FollowedSample"  # with the following error
 _SAMPLE = "float64 time\nfloat64 manipulability\nfloat64 task_error\nfloat64[] q\nfloat64[] u\nstring status\n"
@@ -151,49 +148,6 @@ def rollout_sample(
         _align(message, 8)
         message += struct.pack("<d", following)
     return CDR_LITTLE_ENDIAN + bytes(message)
-
-
-def rollout_sample_values(message: bytes) -> tuple[tuple[float, ...], np.ndarray, np.ndarray, str, float | None]:
-    """What `rollout_sample` was given.
-
-    Raises:
-        ValueError: Another message.
-        struct.error: Too short.
-    """
-    if message[:4] != CDR_LITTLE_ENDIAN:
-        raise ValueError(f"a sample starts with {message[:4]!r}, plain CDR is needed")
-    content = message[4:]
-    at, arrays = 24, []
-    for _ in range(2):
-        at += -at % 4
-        (count,) = struct.unpack_from("<I", content, at)
-        at += 4
-        at += -at % 8 if count else 0
-        if at + 8 * count > len(content):
-            raise ValueError(f"an array of {count} numbers ends after its message")
-        arrays.append(np.frombuffer(content, "<f8", count, at))
-        at += 8 * count
-    status, at = text_at(content, at + -at % 4)
-    following = None
-    if len(content) == at + -at % 8 + 8:
-        at += -at % 8 + 8
-        (following,) = struct.unpack_from("<d", content, at - 8)
-    if at != len(content):
-        raise ValueError("a sample does not end with its status or its following error")
-    return struct.unpack_from("<3d", content, 0), arrays[0], arrays[1], status.rstrip("\x00"), following
-
-
-def text_at(content: bytes, at: int) -> tuple[str, int]:
-    """A text after its length, and where it ends.
-
-    Raises:
-        ValueError: It ends after the content, or is no text.
-    """
-    (length,) = struct.unpack_from("<I", content, at)
-    text = content[at + 4 : at + 4 + length]
-    if len(text) != length:
-        raise ValueError("a text ends after its record")
-    return text.decode(), at + 4 + length
 
 
 def _append_doubles(message: bytearray, values: np.ndarray) -> None:

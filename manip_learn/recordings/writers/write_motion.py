@@ -1,47 +1,23 @@
-"""A motion -> a file: CSV, JSON lines, NPZ or MCAP by its name, and a JointTrajectory as text."""
+"""A motion -> a file: NPZ, CSV or MCAP by its name, and a JointTrajectory as text."""
 
 from __future__ import annotations
 
-import csv
 import io
 import json
-import math
 import os
-from collections.abc import Callable, Collection, Mapping
+from collections.abc import Callable, Mapping
 from pathlib import Path
 
 import numpy as np
 
 from manip_learn.atomic_write import write_atomically
 from manip_learn.errors import OutputError
-from manip_learn.recordings.saved_motion import CURVES, PREFIX, FileHeader, SavedMotion
+from manip_learn.recordings.format_words import MARK
+from manip_learn.recordings.saved_motion import CURVES, PREFIX, SavedMotion, column_groups, column_line
 from manip_learn.recordings.trajectory import BESIDE
 from manip_learn.recordings.writers.mcap_writer import mcap_bytes, nanoseconds
 
-MARK = "# manip_learn "
-VELOCITY_SUFFIX, EFFORT_SUFFIX = "_velocity", "_effort"
-WRENCH_NAMES = ("force_x", "force_y", "force_z", "torque_x", "torque_y", "torque_z")
-
-
-def column_groups(header: FileHeader, beside: Collection[str]) -> dict[str, list[str]]:
-    """Array -> names of its columns: time, postures, the arrays beside them, and of a rollout its curves and status."""
-    joints = list(header.joint_names)
-    postures = joints if header.nq in (None, len(joints)) else [f"q[{i}]" for i in range(header.nq or 0)]
-    groups = {"time": ["time"], "q": postures}
-    possible = {"u": [name + VELOCITY_SUFFIX for name in joints], "effort": [name + EFFORT_SUFFIX for name in joints]}
-    possible["wrench"] = list(WRENCH_NAMES)
-    groups |= {name: columns for name, columns in possible.items() if name in beside}
-    if header.kind == "rollout":
-        curves = ("manipulability", "task_error", *(("following_error",) if header.follows else ()), "status")
-        groups |= {name: [name] for name in curves}
-    return groups
-
-
-def column_line(groups: Mapping[str, list[str]]) -> str:
-    """The line of column names; names with commas are quoted."""
-    stream = io.StringIO()
-    csv.writer(stream, lineterminator="").writerow([name for names in groups.values() for name in names])
-    return " ".join(stream.getvalue().splitlines())
+TYPE = "trajectory_msgs/msg/JointTrajectory"
 
 
 def csv_bytes(motion: SavedMotion) -> bytes:
@@ -52,28 +28,6 @@ def csv_bytes(motion: SavedMotion) -> bytes:
     lines = [MARK + motion.header.to_json(len(motion.time)), column_line(groups)]
     lines += [",".join([*map(repr, row), *word]) for row, word in zip(table.tolist(), words, strict=True)]
     return ("\n".join(lines) + "\n").encode()
-
-
-def jsonl_bytes(motion: SavedMotion) -> bytes:
-    """The lines, UTF-8."""
-    columns: dict[str, list] = {"time": motion.time.tolist(), "q": motion.q.tolist()}
-    columns |= {name: getattr(motion, name).tolist() for name in CURVES if getattr(motion, name) is not None}
-    if motion.header.kind == "rollout":
-        columns["status"] = [str(word) for word in motion.status]
-    lines = [motion.header.to_json(len(motion.time))]
-    for values in zip(*columns.values(), strict=True):
-        sample = {name: _json_value(value) for name, value in zip(columns, values, strict=True)}
-        lines.append(json.dumps(sample, allow_nan=False))
-    return ("\n".join(lines) + "\n").encode()
-
-
-def _json_value(value: object) -> object:
-    """A number, list or word; numbers that JSON lacks become null and the words inf and -inf."""
-    if isinstance(value, list):
-        return [_json_value(v) for v in value]
-    if isinstance(value, float) and not math.isfinite(value):
-        return None if math.isnan(value) else "inf" if value > 0 else "-inf"
-    return value
 
 
 def npz_bytes(motion: SavedMotion) -> bytes:
@@ -89,9 +43,6 @@ def npz_bytes(motion: SavedMotion) -> bytes:
     stream = io.BytesIO()
     np.savez_compressed(stream, **{name: array for name, array in arrays.items() if array is not None})  # type: ignore[arg-type]
     return stream.getvalue()
-
-
-TYPE = "trajectory_msgs/msg/JointTrajectory"
 
 
 def joint_trajectory_bytes(motion: SavedMotion) -> bytes:
@@ -138,7 +89,6 @@ WRITERS: Mapping[str, Callable[[SavedMotion], bytes]] = {
     ".npz": npz_bytes,
     ".csv": csv_bytes,
     ".mcap": mcap_bytes,
-    ".jsonl": jsonl_bytes,
 }
 
 
@@ -156,6 +106,11 @@ def write_motion(path: str | os.PathLike[str], motion: SavedMotion) -> Path:
         raise OutputError(
             f"cannot write {os.fspath(path)!r}: a Rerun recording shows the robot too; use "
             "manip_learn.playback.write_rerun(robot, rollouts, path), or `manip-learn export ROBOT FILE... --out x.rrd`"
+        )
+    if suffix == ".jsonl":
+        raise OutputError(
+            f"cannot write {os.fspath(path)!r}: JSON lines are not written any more; .npz and .csv are read back bit "
+            "for bit"
         )
     if suffix not in WRITERS:
         raise OutputError(

@@ -1,4 +1,6 @@
-"""What names of columns mean, whatever the robot: commands, efforts of joints, and the wrench of a force-torque sensor.
+"""The words of the formats that are read and written: what names of columns, topics and arrays mean.
+
+They are of any robot: velocities, efforts and commands of joints, and the wrench of a force-torque sensor.
 
 The rule for a wrench was made from the names in public code: `fx` ... `tz` and `wrench.force.x` of tables and messages,
 `actual_TCP_force_0` of Universal Robots' RTDE, `O_F_ext_hat_K[0]` of libfranka, `robot0_ee_force` of robosuite,
@@ -13,20 +15,16 @@ from collections.abc import Iterable, Mapping, Sequence
 
 from manip_learn.errors import listed
 
+MARK = "# manip_learn "  # how a text file of this library begins; its header follows
+DATASET_HEADER = "meta/manip_learn.json"  # of a LeRobot data set that this library wrote, beside its own metadata
+VELOCITY_SUFFIX, EFFORT_SUFFIX = "_velocity", "_effort"  # of columns, after the name of a joint
+WRENCH_NAMES = ("force_x", "force_y", "force_z", "torque_x", "torque_y", "torque_z")
+JOINT_STATE = "sensor_msgs/msg/JointState"
+WRENCH, STAMPED_WRENCH = "geometry_msgs/msg/Wrench", "geometry_msgs/msg/WrenchStamped"
 # `d` as in libfranka's q_d and tau_J_d
 COMMAND = {
-    "desired",
-    "command",
-    "commanded",
-    "cmd",
-    "target",
-    "goal",
-    "setpoint",
-    "reference",
-    "ref",
-    "des",
-    "action",
-    "d",
+    *("desired", "command", "commanded", "cmd", "target", "goal"),
+    *("setpoint", "reference", "ref", "des", "action", "d"),
 }
 EFFORT = {"effort", "efforts", "torque", "torques", "tau", "moment"}
 FORCES = 3  # the first of them

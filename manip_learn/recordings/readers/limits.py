@@ -1,0 +1,76 @@
+"""How large what a file claims to hold may be: checked before it is read, with the same numbers for every format."""
+
+from __future__ import annotations
+
+import json
+import re
+from pathlib import Path
+
+from manip_learn.errors import RecordingError
+from manip_learn.recordings.readers.recording import check_regular, reason, refusal
+
+# bytes that are never too many, and times that what is in a file may be larger than it: motions pack 1 to 20 times
+ALWAYS_FINE, BOMB_RATIO = 50_000_000, 200
+LARGEST_ARRAYS = 16_000_000_000  # bytes of all arrays of one recording, which are in memory together
+FEWEST_SAMPLE_BYTES = 16  # of a sample: a stamp and a few joints
+MOST_COLUMNS = 10_000  # of a table, an array or a message: a hundred robots
+LONGEST_TEXT = 1_000_000  # characters of a line of a table, or of one text in an archive
+LARGEST_METADATA = 10_000_000  # bytes of a JSON or YAML file, which lists features or topics but no samples
+LARGEST_EPISODES = 200_000_000  # bytes of meta/episodes.jsonl: a million episodes
+DEEPEST = 100  # brackets within each other in such a file; beyond, parsers take quadratic time or run out of stack
+MOST_NAME_LISTS = 200  # lists of joints in one topic of a bag; drivers that alternate have two or three
+
+
+def most_bytes(packed: int) -> int:
+    """Bytes that so many packed ones may unpack to."""
+    return max(ALWAYS_FINE, BOMB_RATIO * packed)
+
+
+def bomb(path: Path, evidence: str) -> RecordingError:
+    """The refusal of a file that unpacks to far too much."""
+    return refusal(
+        path, "bomb", f"{evidence}: no recorded motion packs so well; if it is real, unpack it yourself first"
+    )
+
+
+def check_columns(path: Path, what: str, n: int) -> None:
+    """Refuse more columns than any robot has joints.
+
+    Raises:
+        RecordingError: Code `too-large`.
+    """
+    if n > MOST_COLUMNS:
+        raise refusal(path, "too-large", f"{what} has {n:,} columns, at most {MOST_COLUMNS:,} are read")
+
+
+def metadata_text(path: Path, most: int = LARGEST_METADATA) -> str:
+    """The text of a file of JSON or YAML.
+
+    Raises:
+        RecordingError: Not a regular file, too large, brackets too deep within each other, or no UTF-8.
+    """
+    check_regular(path)
+    if path.stat().st_size > most:
+        raise refusal(path, "too-large", f"larger than {most:,} bytes, which no such file should be", in_full=True)
+    try:
+        text = path.read_text(encoding="utf-8")
+    except (ValueError, OSError) as error:
+        raise refusal(path, "damaged", f"it cannot be read as text: {reason(error)}", in_full=True) from error
+    depth = 0
+    for found in re.finditer(r"[][{}]", text):
+        depth += 1 if found.group() in "[{" else -1
+        if depth > DEEPEST:
+            raise refusal(path, "damaged", f"more than {DEEPEST} brackets are open within each other", in_full=True)
+    return text
+
+
+def read_json(path: Path) -> object:
+    """A small JSON file.
+
+    Raises:
+        RecordingError: Too large or not JSON.
+    """
+    try:
+        return json.loads(metadata_text(path))
+    except (ValueError, RecursionError) as error:
+        raise refusal(path, "damaged", f"not valid JSON: {reason(error)}", in_full=True) from error
