@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import runpy
 from pathlib import Path
 
 import matplotlib
@@ -30,6 +31,7 @@ def main() -> None:
     draw_policies(robot, learner.constraint_)
     draw_loop(robot, learner.constraint_)
     draw_uncertainty(features, demos)
+    draw_groove()
 
 
 def picture(name: str, x: str, y: str) -> tuple[Figure, Axes]:
@@ -123,6 +125,22 @@ def draw_uncertainty(features: ml.FrameJacobian, demos: ml.Demonstrations) -> No
     reports = [ml.ConstraintLearner(features).fit(demos[:n]).report_ for n in counts]
     figure, axes = picture("learn_while_recording", "motions shown", "uncertainty [degrees]")
     axes.semilogy(counts, [r.uncertainty_deg for r in reports], "o-", color=BLUE, markersize=4)
+    save(figure)
+
+
+def draw_groove() -> None:
+    """10: places of the puck in six pushes, and the groove of each, by the row that was learnt of twenty."""
+    example = runpy.run_path(str(DRAWER.parents[1] / "10_not_kinematic.py"))
+    demos = example["recorded_pushes"](0.05, np.random.default_rng(0))
+    features = ml.CustomFeatures(example["gradients"], example["MONOMIALS"], nv=2)
+    row = ml.ConstraintLearner(features).fit(demos).constraint_.selection[0]
+    x, y = np.meshgrid(np.linspace(-1.6, 1.6, 60), np.linspace(-1.2, 1.2, 60))
+    figure, axes = picture("not_kinematic", "x [m]", "y [m]")
+    for demo in demos[:6]:
+        axes.plot(*demo.q.T, ".", color=BLUE, markersize=2)
+        heights = [np.tensordot(row, [a, b, a * a, a * b, b * b], 1) for a, b in ((x, y), demo.q[0])]
+        axes.contour(x, y, heights[0], levels=[heights[1]], colors=VERMILION, linewidths=0.6)
+    axes.set_aspect("equal")
     save(figure)
 
 
