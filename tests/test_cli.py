@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import shutil
 import subprocess
 import sys
 import unicodedata
@@ -13,8 +14,9 @@ import pytest
 from test_playback import data_in
 
 from manip_learn.cli import main
-from manip_learn.commands.command_line import joined_vectors
+from manip_learn.commands.command_line import WRITTEN, joined_vectors
 from manip_learn.commands.output import SENTENCES
+from manip_learn.commands.program import program
 from manip_learn.control.rollout import Rollout
 
 DATA = Path(__file__).resolve().parents[1] / "examples" / "data"
@@ -344,6 +346,56 @@ def test_a_missing_folder_is_said_before_the_work(run):
     ):
         code, out, err = run(*words.split())
         assert (code, out) == (2, "") and "make the folder first, mkdir -p '" in err and "nobody" not in err, words
+
+
+INPUTS = {"robot": "arm.urdf", "driver": "driver.py", "constraint": "held.json"} | dict.fromkeys(
+    ("recordings", "rollouts", "files"), "rec_01.csv"
+)
+REPLACING = [
+    pytest.param(name, parameter.opts[0], read, id=f"{name} {parameter.opts[0]} {read}")
+    for name, command in sorted(program.commands.items())
+    for parameter in command.params
+    if parameter.name in WRITTEN
+    for read in [p.name for p in command.params if p.name in INPUTS]
+    if name != "demo"  # which names its robot, and reads no file of a user's
+]
+
+
+@pytest.mark.parametrize(("name", "flag", "read"), REPLACING)
+def test_no_output_replaces_an_input(run, tmp_path, name, flag, read):
+    """Every command refuses to write over what it reads, by any spelling, link or hard link, and touches nothing."""
+    (tmp_path / "folder").mkdir()
+    for file in {*INPUTS.values(), "folder/rec_02.csv"}:
+        Path(file).write_text(f"time,j1\n0.0,{len(file)}\n")
+    line = [name]
+    for parameter in program.commands[name].params:
+        if parameter.name in INPUTS:
+            spec = INPUTS[parameter.name] + (":Arm" if parameter.name == "driver" else "")
+            line += [spec] if parameter.param_type_name == "argument" else [parameter.opts[0], spec]
+    source = INPUTS[read]
+    Path("link").symlink_to(source)
+    Path("hard").hardlink_to(source)
+    spellings = [(line, out) for out in (source, f"folder/../{source}", str(tmp_path / source), "link", "hard")]
+    if source == "rec_01.csv":
+        spellings.append(([word if word != source else "folder" for word in line], "folder/rec_02.csv"))
+    before = {path: path.read_bytes() for path in tmp_path.rglob("*") if path.is_file()}
+    for words, out in spellings:
+        code, printed, err = run(*words, flag, out)
+        assert (code, printed) == (2, "") and "would replace an input" in err and flag in err, (words, out, err)
+        assert len(err.splitlines()) == 1
+    assert {path: path.read_bytes() for path in tmp_path.rglob("*") if path.is_file()} == before
+
+
+def test_outputs_in_a_folder_and_beside_each_other(run):
+    """Files that `export` names itself replace no input either, and two outputs are two files."""
+    Path("demos").mkdir()
+    shutil.copy(DRAWER[0], "demos/demo_01.csv")
+    before = Path("demos/demo_01.csv").read_bytes()
+    code, _, err = run("export", "sawyer", "demos/demo_01.csv", "--to", "csv", "--out", "demos")
+    assert code == 2 and "would replace an input" in err
+    code, _, err = run("learn", "sawyer", "demos", *FRAME, "--out", "a.json", "--html", "./a.json")
+    assert code == 2 and "another option writes" in err
+    assert Path("demos/demo_01.csv").read_bytes() == before and not Path("a.json").exists()
 
 
 def test_help_has_headings(run, monkeypatch):

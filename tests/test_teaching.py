@@ -11,6 +11,8 @@ import zipfile
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
+from unittest.mock import MagicMock, call
+from xml.sax.saxutils import quoteattr
 
 import numpy as np
 import pytest
@@ -22,6 +24,7 @@ from manip_learn.errors import ConfigurationError, MissingExtraError
 pytest.importorskip("mujoco")
 from manip_learn.robot.tips import default_tip  # noqa: E402
 from manip_learn.teach.arm import STRONGEST, TeachingArm  # noqa: E402
+from manip_learn.teach.files import HOMES, Lesson  # noqa: E402
 from manip_learn.teach.scene import TITLES, place_scene  # noqa: E402
 from manip_learn.teach.session import LEFT, TeachingSession  # noqa: E402
 
@@ -35,6 +38,30 @@ NO_LIMITS = """<robot name="bare"><link name="base"/><link name="upper"/><link n
 <joint name="c" type="continuous"><parent link="fore"/><child link="hand"/><origin xyz="0.4 0 0"/><axis xyz="0 1 0"/>
 </joint>
 <joint name="d" type="fixed"><parent link="hand"/><child link="tip"/><origin xyz="0.4 0 0"/></joint></robot>"""
+
+
+EVIL = 'x"""; __import__("os").mkdir("ran"); """ {robot} \'\\ #'  # runs where it is pasted into a docstring
+
+
+def test_names_do_not_run_in_the_script(tmp_path, monkeypatch):
+    """Whatever robot, joints, frames and files are called, the script has these words and runs none of them."""
+    (folder := tmp_path / f"{EVIL}\n").mkdir()
+    name = EVIL
+    text = NO_LIMITS.replace('"bare"', quoteattr(name)).replace('"tip"', quoteattr(f"tip {name}"))
+    (path := folder / f"{name}.urdf").write_text(text.replace('name="a"', f"name={quoteattr(f'a {name}')}"))
+    robot = ml.load_robot(path, locked=[f"a {name}"])
+    tip = f"tip {name}"
+    ml.Constraint(np.eye(3)[:1], ml.FrameJacobian(robot, tip)).save(tmp_path / "constraint.json")
+    way = {"unit": "m", "value": 0.2, "direction": [1.0, 0.0, 0.0]}
+    lesson = Lesson(robot, tip, [f"a/{name}.csv"], str(tmp_path / "constraint.json"), tmp_path, way, [0.0, 0.0])
+    ((_, file, _),) = HOMES["script"](lesson)
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setitem(sys.modules, "manip_learn", library := MagicMock())
+    exec(compile(Path(file).read_text(encoding="utf-8"), file, "exec"), {})
+    assert not Path("ran").exists()
+    assert library.load_robot.call_args == call(str(path), locked={f"a {name}": 0.0})
+    assert library.load_demonstrations.call_args.args[0] == [f"{name}.csv"]
+    assert library.FrameJacobian.call_args.args[1] == tip
 
 
 @pytest.fixture

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import inspect
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import contextmanager
 from contextvars import ContextVar
 from pathlib import Path
@@ -13,6 +13,7 @@ from typing import Any, get_type_hints
 from typer.core import TyperCommand
 
 from manip_learn.atomic_write import check_folder
+from manip_learn.errors import ManipLearnError, OutputError, RecordingError
 
 PROGRAM = "manip-learn"
 VECTORS = ("--start", "--target", "--rest", "--direction")
@@ -20,6 +21,7 @@ HEADINGS = {"learn": "Learning", "control": "Task"}  # of a command's own option
 HEADINGS_AFTER = ("Plan", "Controller", "Reading recordings", "Robot", "Output")
 CONTROLLER = {"policy", "rest", "gain", "task_gain", "inverse", "duration", "dt"}
 WRITTEN = {"out", "html", "csv"}
+READ = {"robot", "driver", "constraint", "recordings", "rollouts", "files"}  # arguments that may name a file
 OUTPUT = {*WRITTEN, "open_browser", "browser", "explain", "as_json", "help"}
 _WORDS: ContextVar[tuple[str, ...]] = ContextVar("typed words", default=())
 
@@ -86,13 +88,63 @@ class GroupedCommand(TyperCommand):
         """Run the command.
 
         Raises:
-            OutputError: The folder of a file to write is not there.
+            OutputError: The folder of a file to write is not there, or the file is one of the inputs.
         """
-        for parameter in self.params:
-            path = ctx.params.get(parameter.name)
-            if parameter.name in WRITTEN and path:
-                check_folder(Path(path))  # some versions of typer make it a path later
+        given = {p.name: (p.opts[0], ctx.params.get(p.name)) for p in self.params}
+        written = [(flag, Path(path)) for name, (flag, path) in given.items() if name in WRITTEN and path]
+        for _, path in written:
+            check_folder(path)
+        refuse_to_replace(written, [path for name, (_, path) in given.items() if name in READ and path])
         return super().invoke(ctx)
+
+
+def refuse_to_replace(outputs: Sequence[tuple[str, Path]], inputs: Iterable[str | Path | Sequence[str]]) -> None:
+    """Refuse to write over what is read, by whatever path, link or hard link it is named.
+
+    Args:
+        outputs: Flags and paths.
+        inputs: Files, folders of recordings, names of robots, drivers as FILE.py:NAME, or lists of these.
+
+    Raises:
+        OutputError: An output is an input, a recording in a folder that is an input, or the same as another output.
+    """
+    places = {path.expanduser().resolve(): flag for flag, path in reversed(outputs)}
+    for flag, path in outputs:
+        if places[path.expanduser().resolve()] != flag:
+            raise OutputError(f"{flag} {path} is the file that another option writes: name another file")
+    there = [(flag, path.expanduser()) for flag, path in outputs if path.expanduser().exists()]
+    if not there:  # a file that is not there yet replaces nothing
+        return
+    for one in inputs:
+        for text in [one] if isinstance(one, str | Path) else one:
+            for source in _files_behind(str(text)):
+                for flag, path in there:
+                    if path.samefile(source):
+                        raise OutputError(f"{flag} {path} would replace an input, {source}: name another file")
+
+
+def _files_behind(text: str) -> Iterator[Path]:
+    """The file or folder that an argument stands for, and what is read of a folder."""
+    path = Path(text)
+    if not path.exists() and ".py:" in text:
+        path = Path(text.rpartition(":")[0])
+    if not path.exists():
+        from manip_learn.robot.description.catalogue import find_robot
+
+        try:
+            path = find_robot(text)
+        except ManipLearnError:  # the command says what is wrong with it
+            return
+    yield path
+    if path.is_dir():
+        from manip_learn.recordings.readers.recording_files import recording_files
+
+        try:
+            inside = [file.path for file in recording_files(path)[0]]
+        except RecordingError:
+            inside = [path]
+        for file in inside:
+            yield from (p for p in file.rglob("*") if p.is_file()) if file.is_dir() else [file]
 
 
 def flags_of(program: Any, arguments: Sequence[str]) -> set[str]:

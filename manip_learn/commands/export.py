@@ -11,6 +11,7 @@ from typing import Any, final
 from numpy.typing import ArrayLike
 
 from manip_learn.atomic_write import write_atomically
+from manip_learn.commands.command_line import refuse_to_replace
 from manip_learn.commands.loading import load_for_files, robot_of_constraint
 from manip_learn.commands.options import ExportOptions, vector
 from manip_learn.constraint.constraint import Constraint
@@ -90,6 +91,7 @@ def export(options: ExportOptions, progress: Progress | None = None) -> Exported
         names = [
             out if is_file else out / (_file_name(m.name, i, len(motions)) + endings[0]) for i, m in enumerate(motions)
         ]
+        refuse_to_replace([("--out", name) for name in names], options.files)
         written = [content_of(m) for m in motions]  # nothing is written unless all can be
         files = tuple(map(write_atomically, names, written))
     return Exported(kind, files, len(motions), sum(len(m.time) for m in motions), demonstrations.notes)
@@ -99,8 +101,6 @@ def _export_task(options: ExportOptions, text_of: Callable[[Constraint, ArrayLik
     """Write a constraint for another controller; it says in words what it holds."""
     if len(options.files) != 1:
         raise OutputError(f"--to {options.to} writes one constraint file, got {', '.join(options.files)}")
-    if options.to != "json" and options.out.exists() and options.out.samefile(options.files[0]):
-        raise OutputError(f"--out {options.out} is the constraint file itself: name another")
     robot = robot_of_constraint(options.robot, options.files[0], options.loading)
     constraint = Constraint.load(options.files[0], robot)
     shown, at = constraint.provenance.get("postures"), vector("--at", options.at)

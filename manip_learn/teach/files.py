@@ -6,8 +6,9 @@ import io
 import shutil
 import zipfile
 from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, final
 
 import numpy as np
 
@@ -19,8 +20,35 @@ from manip_learn.robot.description.catalogue import known_as
 from manip_learn.robot.robot import Robot
 from manip_learn.teach.way import STEP, task_of
 
-Taken = list[tuple[str, str, str]]
-SCRIPT = '''"""{title}: the same steps as on the page. Run it in the folder of the recordings."""
+Taken = list[tuple[str, str, str]]  # name, path, and what it is
+
+
+@final
+@dataclass(frozen=True)
+class Lesson:
+    """What was shown and learnt.
+
+    Attributes:
+        robot: The arm.
+        tip: Its frame that was guided.
+        files: The recordings.
+        file: The constraint, or None if nothing was learnt.
+        out: Folder of what is taken home.
+        way: As `ShownWay.asked` says it, or None.
+        start: Posture with the hand at the handle [rad or m], or None.
+    """
+
+    robot: Robot
+    tip: str
+    files: Sequence[str]
+    file: str | None
+    out: Path
+    way: Mapping[str, Any] | None = None
+    start: Any = None
+
+
+# every word that comes from outside is written by repr: a robot's name or a file's may hold quotes
+SCRIPT = '''"""The same steps as on the teaching page. Run it in the folder of the recordings."""
 
 import manip_learn as ml
 
@@ -47,60 +75,62 @@ ml.replay(robot, {{"as learnt": rollout}}, html="again.html")
 """
 
 
-def _constraint(
-    robot: Robot, tip: str, files: Sequence[str], file: str | None, out: Path, way: Any, start: Any
-) -> Taken:
-    return [("constraint.json", str(file), "what was learnt, for `manip-learn control` and `ml.Constraint.load`")]
+def _constraint(lesson: Lesson) -> Taken:
+    return [
+        ("constraint.json", str(lesson.file), "what was learnt, for `manip-learn control` and `ml.Constraint.load`")
+    ]
 
 
-def _csv(robot: Robot, tip: str, files: Sequence[str], file: str | None, out: Path, way: Any, start: Any) -> Taken:
-    path = write_atomically(out / "recordings_csv.zip", _zipped([(Path(f).name, Path(f)) for f in files]))
+def _csv(lesson: Lesson) -> Taken:
+    content = _zipped([(Path(f).name, Path(f)) for f in lesson.files])
+    path = write_atomically(lesson.out / "recordings_csv.zip", content)
     return [(path.name, str(path), "the recordings, one CSV file each")]
 
 
-def _lerobot(robot: Robot, tip: str, files: Sequence[str], file: str | None, out: Path, way: Any, start: Any) -> Taken:
+def _lerobot(lesson: Lesson) -> Taken:
     from manip_learn.recordings.writers.lerobot_writer import write_lerobot
 
-    folder = out / "lerobot"
+    robot, folder = lesson.robot, lesson.out / "lerobot"
     shutil.rmtree(folder, ignore_errors=True)  # of a press before
-    write_lerobot(folder, [motion_of_trajectory(t, robot) for t in load_demonstrations(list(files), robot)])
-    inside = [(str(p.relative_to(out)), p) for p in sorted(folder.rglob("*")) if p.is_file()]
-    path = write_atomically(out / "recordings_lerobot.zip", _zipped(inside))
+    write_lerobot(folder, [motion_of_trajectory(t, robot) for t in load_demonstrations(list(lesson.files), robot)])
+    inside = [(str(p.relative_to(lesson.out)), p) for p in sorted(folder.rglob("*")) if p.is_file()]
+    path = write_atomically(lesson.out / "recordings_lerobot.zip", _zipped(inside))
     return [(path.name, str(path), "the recordings as a LeRobot data set")]
 
 
-def _replay(robot: Robot, tip: str, files: Sequence[str], file: str | None, out: Path, way: Any, start: Any) -> Taken:
+def _replay(lesson: Lesson) -> Taken:
     from manip_learn.control.controller import ResolvedRateController
     from manip_learn.control.way import simulate_way
     from manip_learn.playback.replay_page import replay
 
-    constraint = Constraint.load(str(file), robot)
-    recordings = load_demonstrations(list(files), robot)
-    shown: dict[str, Any] = {Path(f).stem: t for f, t in zip(files, recordings, strict=True)}
-    if way is not None:
-        task = task_of(constraint, way)
+    robot, constraint = lesson.robot, Constraint.load(str(lesson.file), lesson.robot)
+    recordings = load_demonstrations(list(lesson.files), robot)
+    shown: dict[str, Any] = {Path(f).stem: t for f, t in zip(lesson.files, recordings, strict=True)}
+    if lesson.way is not None:
+        task = task_of(constraint, lesson.way)
         law = ResolvedRateController(constraint, task, task.ascent(), dt=STEP)
-        shown = {"as learnt": simulate_way(robot, law, start, STEP)[0]}
-    page = replay(robot, shown, out / "replay.html", tip=tip, constraint=constraint, open_browser=False)
+        shown = {"as learnt": simulate_way(robot, law, lesson.start, STEP)[0]}
+    html = lesson.out / "replay.html"
+    page = replay(robot, shown, html, tip=lesson.tip, constraint=constraint, open_browser=False)
     return [("replay.html", str(page.html), "the replay, one file that needs no network")]
 
 
-def _script(robot: Robot, tip: str, files: Sequence[str], file: str | None, out: Path, way: Any, start: Any) -> Taken:
-    name = known_as(robot.source) or (str(robot.source) if robot.source else robot.name)
-    locked = f", locked={robot.locked!r}" if robot.locked else ""
-    learnt = Constraint.load(str(file), robot)
+def _script(lesson: Lesson) -> Taken:
+    robot, run = lesson.robot, ""
+    learnt = Constraint.load(str(lesson.file), robot)
     firm = learnt.mechanism is not None and learnt.mechanism.grip == "firm"
+    if lesson.way is not None:
+        run = RUN.format(start=np.round(np.asarray(lesson.start), 4).tolist(), way=_way(lesson.way))
     text = SCRIPT.format(
-        title=f"What {robot.name} was taught",
-        robot=name,
-        locked=locked,
-        files=[Path(f).name for f in files],
-        tip=tip,
+        robot=known_as(robot.source) or (str(robot.source) if robot.source else robot.name),
+        locked=f", locked={dict(robot.locked)!r}" if robot.locked else "",
+        files=[Path(f).name for f in lesson.files],
+        tip=lesson.tip,
         axes="pose" if firm else "xyz",
-        run="" if way is None else RUN.format(start=np.round(np.asarray(start), 4).tolist(), way=_way(way)),
+        run=run,
     )
-    path = write_atomically(out / "taught.py", text)
-    return [("taught.py", str(path), f"the same steps in Python; run it in {out}")]
+    path = write_atomically(lesson.out / "taught.py", text)
+    return [("taught.py", str(path), f"the same steps in Python; run it in {lesson.out}")]
 
 
 def _way(way: Mapping[str, Any]) -> str:
@@ -116,7 +146,7 @@ def _zipped(files: Sequence[tuple[str, Path]]) -> bytes:
     return content.getvalue()
 
 
-HOMES: dict[str, Callable[..., Taken]] = {
+HOMES: dict[str, Callable[[Lesson], Taken]] = {
     "constraint": _constraint,
     "csv": _csv,
     "lerobot": _lerobot,

@@ -611,7 +611,7 @@ class TeachingSession:
             file=str(self._constraint_file) if learnt else None,
             way=None if self._way is None else self._way.asked(),
             start=None if self._way is None else self._way.hold(),
-            out=str(self.folder),
+            out=self.folder,
         )
         self._progress = {"step": "writing", "share": 0.0}
 

@@ -9,7 +9,6 @@ import threading
 import time
 from collections.abc import Callable, Mapping
 from multiprocessing.connection import Connection
-from pathlib import Path
 from typing import Any, final
 
 import numpy as np
@@ -292,9 +291,7 @@ def ghost(
     }
 
 
-def take(
-    robot: Robot, tip: str, said: Progress, *, what: str, files: list[str], file: str | None, out: str, **way: Any
-) -> list[tuple[str, str, str]]:
+def take(robot: Robot, tip: str, said: Progress, *, what: str, **lesson: Any) -> list[tuple[str, str, str]]:
     """Files to take home: name, path and what each is.
 
     Args:
@@ -302,22 +299,19 @@ def take(
         tip: Its frame that is guided.
         said: Told how far it is.
         what: constraint, csv, lerobot, replay or script.
-        files: The recordings.
-        file: The constraint, or None if nothing was learnt.
-        out: Folder.
-        way: `way` and `start` of `policies`, or None.
+        lesson: The other fields of `Lesson`.
 
     Raises:
         OutputError: Nothing was learnt that could be taken, or a word that is none of these.
     """
-    from manip_learn.teach.files import HOMES
+    from manip_learn.teach.files import HOMES, Lesson
 
     if what not in HOMES:
         raise OutputError(f"what can be taken home is {', '.join(HOMES)}, not {what!r}")
-    if file is None and what not in ("csv", "lerobot"):
+    if lesson["file"] is None and what not in ("csv", "lerobot"):
         raise OutputError("nothing has been learnt yet: press Learn first; the recordings can be taken as they are")
     said("writing", 0.3)
-    return HOMES[what](robot, tip, files, file, Path(out), way.get("way"), way.get("start"))
+    return HOMES[what](Lesson(robot, tip, **lesson))
 
 
 JOBS: dict[str, Callable[..., Any]] = {
