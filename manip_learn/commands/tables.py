@@ -287,8 +287,6 @@ def _learnt_facts(learnt: Learnt) -> list[tuple[str, str | None, str]]:
         ("left out", f"{share} of the motion unexplained" if math.isfinite(left_out) else "", "left out"),
         ("uncertainty", report.known_to(), "uncertainty"),
         ("evidence", f"strength {strengths}{p_value} (recombination test)" if report.row_evidence else "", "strength"),
-        ("effort", None if report.effort is None else report.effort.sentence(), ""),
-        ("contact", None if report.contact is None else report.contact.sentence(), ""),
         ("mechanism", report.mechanism_in_words(), ""),
         ("learnt from", f"{source} in {report.seconds:.2g} s", ""),
     ]

@@ -19,7 +19,6 @@ from manip_learn.constraint.selection_in_words import describe, free_directions,
 from manip_learn.errors import NotIdentifiableError, advice, counted, listed, named, number_if_known, printable
 from manip_learn.learning import deciding
 from manip_learn.learning.answer import Answer
-from manip_learn.learning.effort_witness import ContactWitness, EffortWitness, contact_witness, effort_witness
 from manip_learn.learning.explanation.evidence import Stretch
 from manip_learn.learning.explanation.findings import IN_ONE_ONLY, Findings, held_throughout
 from manip_learn.learning.recombination import RowSupport
@@ -190,10 +189,6 @@ class LearningReport:
             `"joint zeros"`, what the residual says of constant errors of the joints' zeros (null-space estimator);
             `"policy"`, the part of the policy that the data leave open (joint estimator, where its parameters are
             integrated out). None where a part does not apply.
-        effort: What recorded efforts say of the held rows, a witness that the motion knows nothing of; None where none
-            were recorded, or nothing can be told from them (see `effort_witness`).
-        contact: How well contact by a force sensor, or by efforts, agrees with contact by motion; None without either
-            or without free motion (see `contact_witness`).
     """
 
     sentence: str
@@ -223,8 +218,6 @@ class LearningReport:
     odd_trajectories: tuple[OddTrajectory, ...] = ()
     mechanism: Mechanism | None = None
     uncertainty: Uncertainty = field(default_factory=lambda: dict.fromkeys(PARTS))
-    effort: EffortWitness | None = None
-    contact: ContactWitness | None = None
 
     def to_dict(self) -> dict[str, Any]:
         """Plain numbers, strings and lists, for JSON; None where there is no number."""
@@ -232,8 +225,6 @@ class LearningReport:
         for name in ("phases", "odd_trajectories", "row_evidence"):
             content[name] = [entry._asdict() for entry in content[name]]
         content["uncertainty"] = dict(self.uncertainty)
-        for name, witness in (("effort", self.effort), ("contact", self.contact)):
-            content[name] = None if witness is None else dataclasses.asdict(witness)
         content["mechanism"] = None if self.mechanism is None else self.mechanism.to_dict()
         return _plain(content)
 
@@ -273,8 +264,6 @@ class LearningReport:
             ("gap", f"{self.gap:.3g} (a ratio; {deciding.CLEAR_GAP:g} is clear)"),
             ("unexplained", unexplained if math.isfinite(residual) else None),
             ("uncertainty", self.known_to() or None),
-            ("effort", None if self.effort is None else self.effort.sentence()),
-            ("contact", None if self.contact is None else self.contact.sentence()),
             ("mechanism", self.mechanism_in_words() or None),
             (
                 "learnt from",
@@ -370,32 +359,11 @@ def build_report(
         mechanism=mechanism,
         uncertainty=uncertainty,
     )
-    if kind == "motion-constrained":
-        report = dataclasses.replace(report, **_witnesses(answer, overview, selection))
     provenance = {key: value for key, value in report.to_dict().items() if key in PROVENANCE}
     kept = evenly(len(data.q), KEPT_POSTURES)
     provenance["postures"] = np.round(data.q[kept], 5).tolist()
     provenance["posture_trajectories"] = data.trajectory[kept].tolist()
     return Constraint(selection, features, provenance), report
-
-
-def _witnesses(answer: Answer, overview: RecordingOverview, selection: np.ndarray) -> dict[str, Any]:
-    """Of the contact from which was learnt, beside the free stretches of the same recordings."""
-    source = answer.part.source
-    if source is None or all(t.effort is None and t.wrench is None for t in source.derived):
-        return {}
-    derived = source.derived
-    named = dict(zip(distinct_names(derived), derived, strict=True))
-    free = [
-        named[p.trajectory][p.start : p.end]
-        for p in overview.phases
-        if p.constraint is None and not p.reason and p.trajectory in named
-    ]
-    features, contact = answer.candidate.samples.features, answer.part.demonstrations
-    return {
-        "effort": effort_witness(features, selection, contact, free),
-        "contact": contact_witness(features, contact, free),
-    }
 
 
 def _few_notes(notes: tuple[str, ...]) -> tuple[str, ...]:

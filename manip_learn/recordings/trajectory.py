@@ -26,12 +26,11 @@ class Trajectory:
         joint_names: One name per velocity column, the robot's own names.
         name: Where it came from, for messages.
         effort: shape (T, nv), what the motors exert, gravity and friction included [N m or N], by keyword; None if it
-            was not recorded. `learn` uses it as a witness beside the motion, see `effort_witness`.
+            was not recorded. Nothing is learnt from it.
         wrench: shape (T, 6), forces x y z [N] and torques x y z [N m] that a force-torque sensor at the hand measured,
             by keyword; None if it was not recorded. Axes and origin are those of the sensor as the recording has
             them: files do not say where it sits on the hand, whether the tool's weight has been taken off, or which
-            of hand and world pushes, and some robots give the axes of their base instead. Only what does not depend
-            on these is used, see `contact_witness`.
+            of hand and world pushes, and some robots give the axes of their base instead. Nothing is learnt from it.
 
     Raises:
         RecordingError: Shapes that do not fit, fewer than one row, time that does not increase, NaN or infinity.
