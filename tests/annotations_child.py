@@ -17,7 +17,7 @@ from collections.abc import Iterator
 import manip_learn
 from manip_learn.errors import MissingExtraError
 
-RESULTS_OF_ANY_KIND = ("manip_learn.learning.streaming.",)
+RESULTS_OF_ANY_KIND = ("manip_learn.learning.cluster.",)
 # these load what is heavy or optional at first use, so names of such types are there for type checkers only
 LATE = ("manip_learn.commands.", "manip_learn.experiments.")
 

@@ -180,7 +180,7 @@ def test_streamed_and_on_workers(
 ) -> None:
     """Files read part by part, here or by the workers of a cluster, give the report of the same files in memory."""
     pytest.importorskip("distributed", reason="the extra 'dask' is not installed")
-    from manip_learn.learning.streaming.dask_executor import dask_client
+    from manip_learn.learning.cluster import dask_client
 
     monkeypatch.setattr(recording_source, "PART_BYTES", 30_000)
     for i, t in enumerate(motions(features, TWO, np.random.default_rng(5), 9, noise=0.002, held=True)):

@@ -11,7 +11,7 @@ from case import case
 
 import manip_learn as ml
 from manip_learn.errors import RecordingError
-from manip_learn.recordings.trajectory_source import demonstrations_of
+from manip_learn.recordings.trajectory_source import recordings_given
 
 DRAWER = Path(__file__).resolve().parents[1] / "examples" / "data" / "sawyer_drawer"
 
@@ -50,8 +50,8 @@ def test_one_motion_needs_no_list(demos: ml.Demonstrations, sawyer: ml.Robot):
     t = demos[0]
     u = np.gradient(t.q, t.time, axis=0)
     for given in (t, (t.time, t.q), [t.time, t.q], (t.time, t.q, u), (list(t.time), t.q)):
-        held = demonstrations_of(given, sawyer)
-        assert held is not None
+        held = recordings_given(given, sawyer, 7)
+        assert isinstance(held, ml.Demonstrations)
         assert len(held) == 1
         np.testing.assert_array_equal(held[0].q, t.q)
         assert held[0].joint_names == sawyer.joint_names

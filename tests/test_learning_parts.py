@@ -22,7 +22,6 @@ from manip_learn.learning.estimators.policy_model import PolynomialModel, Radial
 from manip_learn.learning.estimators.variable_projection import fit_joint, scores
 from manip_learn.learning.report import Phase, RecordingOverview
 from manip_learn.learning.samples import (
-    DataSummary,
     Samples,
     TrajectoryBlocks,
     check_fastest,
@@ -32,6 +31,7 @@ from manip_learn.learning.samples import (
 )
 from manip_learn.linalg import orthonormal_rows, row_space_angle
 from manip_learn.recordings.demonstrations import Demonstrations
+from manip_learn.recordings.trajectory import Trajectory
 from manip_learn.robot import load_robot
 
 
@@ -55,8 +55,14 @@ def moving(u: np.ndarray, q: np.ndarray | None = None, n_trajectories: int = 5) 
     """Samples with these velocities, of rows that are the joints themselves."""
     q = np.cumsum(u, axis=0) if q is None else q
     features = CustomFeatures(lambda _: np.eye(u.shape[1]), tuple("abcdefgh"[: u.shape[1]]), u.shape[1])
-    trajectory = np.sort(np.arange(len(u)) % n_trajectories)
-    return Samples.of(features, DataSummary.of_samples(q, u, trajectory, 0))
+    return Samples.collect(features, recorded(q, u, n_trajectories))
+
+
+def recorded(q: np.ndarray, u: np.ndarray, n_trajectories: int) -> Demonstrations:
+    """Samples in recordings that are as long as each other, or by one longer."""
+    names = tuple("abcdefgh"[: u.shape[1]])
+    parts = zip(np.array_split(q, n_trajectories), np.array_split(u, n_trajectories), strict=True)
+    return Demonstrations([Trajectory(np.arange(len(a)), a, b, names) for a, b in parts])
 
 
 def test_what_is_too_little_or_too_odd_to_learn_from(rng):
@@ -71,15 +77,15 @@ def test_what_is_too_little_or_too_odd_to_learn_from(rng):
     usual = np.quantile(np.linalg.norm(far - middle, axis=1), 0.9)
     for factor in (0.98e4, 1.02e4):
         fast[7], far[11] = [0.0, 0.0, -factor, 0.0], middle + [factor * usual, 0.0, 0.0, 0.0]
-        given, samples = DataSummary.of_samples(u, fast, np.repeat(np.arange(4), 10), 0), moving(u, far, 4)
+        given, samples = recorded(u, fast, 4), moving(u, far, 4)
         if factor < 1e4:
-            check_fastest(given, names)
+            check_fastest(given)
             check_postures(samples)
             continue
         with pytest.raises(
             RecordingError, match=r"sample 7 \(trajectory 0\) moves at -1.02e\+04 in joint 'c', 1.0e\+04"
         ):
-            check_fastest(given, names)
+            check_fastest(given)
         with pytest.raises(RecordingError, match=r"sample 11 \(trajectory 1\) is 1\.0e\+04 times"):
             check_postures(samples)
     for share, named in ((0.9e-6, True), (1.1e-6, False)):

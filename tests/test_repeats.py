@@ -18,7 +18,7 @@ from manip_learn.errors import NotIdentifiableError
 from manip_learn.learning.explanation.evidence import Stretch
 from manip_learn.learning.explanation.findings import IN_ONE_ONLY, Findings
 from manip_learn.learning.repeats import IndependentRecordings
-from manip_learn.learning.report import advise, advise_in_general
+from manip_learn.learning.report import advise
 from manip_learn.learning.samples import doubt_velocities
 from manip_learn.recordings.demonstrations import Demonstrations
 from manip_learn.recordings.velocities import with_velocities as derived
@@ -258,8 +258,19 @@ def test_advice_names_each_likely_cause():
     assert advised(3, findings=whole).advice[:1] == (lock,)  # nothing to cut: the stretches are the recordings
     assert advised(3, code="no-motion").advice == () and str(advised(3, code="no-motion")) == "no row is held"
     assert advised(3, advice=("vary the way",), code="no-evidence").advice[0] == "vary the way"
-    general = advise_in_general(NotIdentifiableError("no row is held", code="weak-gap"))
-    assert str(general).startswith("record more varied motions, try other axes or the other reference")
+
+
+def test_what_usually_helps_is_advised_where_no_cause_is_likely():
+    """Lively recordings, no part of which is singled out."""
+    t, rng = np.arange(50) * 0.02, np.random.default_rng(0)
+    moves = [rng.standard_normal((50, 3)) for _ in range(3)]
+    made = [ml.Trajectory(t, np.cumsum(u, axis=0), u, tuple("abc"), f"demo_{i}") for i, u in enumerate(moves)]
+    recordings = IndependentRecordings.of(Demonstrations(made))
+    whole = Findings((), refused=tuple(Stretch(i, 0.0, float(t[-1])) for i in range(3)))
+    refusal = NotIdentifiableError("no row is held", code="weak-gap")
+    features = [ml.CustomFeatures(lambda q: np.eye(3), ("x", "y", "z"), 3)]
+    said = advise(refusal, recordings.demonstrations, features, whole, recordings=recordings, phases="auto")
+    assert str(said).startswith("record more varied motions, try other axes or the other reference")
 
 
 def test_advice_to_cut_names_each_file_and_its_times(drawers):

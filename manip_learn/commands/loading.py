@@ -28,7 +28,7 @@ def cluster_client(dask: str | None) -> Iterator[Any]:
     if dask is None:
         yield None
         return
-    from manip_learn.learning.streaming.dask_executor import dask_client
+    from manip_learn.learning.cluster import dask_client
 
     with dask_client(dask) as client:
         yield client

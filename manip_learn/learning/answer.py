@@ -5,7 +5,7 @@ that each row is held, and the mechanism.
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Literal, final
 
@@ -21,15 +21,12 @@ from manip_learn.learning.estimators.null_space import estimate_null_space, null
 from manip_learn.learning.explanation.findings import Findings, Part
 from manip_learn.learning.mechanisms.find_mechanism import BLIND, MechanismFit, find_mechanism
 from manip_learn.learning.recombination import RowEvidence, recombination_test
-from manip_learn.learning.samples import DataSummary, Samples, check_fastest, check_samples
+from manip_learn.learning.samples import Samples, check_fastest, check_samples
 from manip_learn.linalg import one_thread
 from manip_learn.recordings.demonstrations import Demonstrations
 from manip_learn.recordings.preprocessing import evenly
 
 EstimatorName = Literal["auto", "joint", "null-space", "separate"]
-
-# every fourth of the chosen samples is enough for a joint estimate that all samples refine afterwards
-START_SHARE = 4
 
 
 @final
@@ -73,7 +70,7 @@ class Candidate:
 
 
 def learn_best(
-    feature_maps: Sequence[FeatureMap], data: DataSummary, joint_names: tuple[str, ...], settings: LearnerSettings
+    feature_maps: Sequence[FeatureMap], demonstrations: Demonstrations, settings: LearnerSettings
 ) -> Candidate:
     """The candidate of the first feature map, unless a later one has a larger gap by more than chance.
 
@@ -85,7 +82,7 @@ def learn_best(
     refusals: list[NotIdentifiableError] = []
     for features in feature_maps:
         try:
-            candidate = learn_candidate(features, data, joint_names, settings, rival=best)
+            candidate = learn_candidate(features, demonstrations, settings, rival=best)
         except NotIdentifiableError as error:
             refusals.append(error)
             continue
@@ -100,8 +97,7 @@ def learn_best(
 
 def learn_candidate(
     features: FeatureMap,
-    data: DataSummary,
-    joint_names: tuple[str, ...],
+    demonstrations: Demonstrations,
     settings: LearnerSettings,
     *,
     rival: Candidate | None = None,
@@ -110,8 +106,7 @@ def learn_candidate(
 
     Args:
         features: Phi.
-        data: The samples to learn from.
-        joint_names: One per velocity, for messages.
+        demonstrations: With velocities.
         settings: What the user asked for.
         rival: The best of other feature maps. If its rows are held beyond doubt, the same motion is not self-imposed
             in these.
@@ -120,31 +115,26 @@ def learn_candidate(
         NotIdentifiableError: The data determine no constraint; says why.
         RecordingError: Outliers.
     """
-    samples = Samples.of(features, data)
-    check_fastest(data, joint_names)
-    warnings = check_samples(samples, joint_names, settings.n_constraints)
+    samples = Samples.collect(features, demonstrations)
+    check_fastest(demonstrations)
+    warnings = check_samples(samples, demonstrations.joint_names, settings.n_constraints)
     rival_is_held = rival is not None and rival.estimate.is_held
     if rival is not None and (rival_is_held and settings.estimator == "auto" or settings.estimator == "null-space"):
         if null_space_gap(samples, settings.n_constraints) <= deciding.EQUALLY_GOOD * rival.estimate.gap:
             return None
     rng = np.random.default_rng(settings.seed)
-    # what all samples refine afterwards need not be as good as these can make it
-    share = START_SHARE if len(samples) < data.n_samples else 1
-    start = samples.subset(np.arange(len(samples)) % share == 0) if share > 1 else samples
-    estimate = _estimate(samples, start, settings, rng, rival_is_held)
+    estimate = _estimate(samples, settings, rng, rival_is_held)
     warnings += [*estimate.warnings, *_doubts_of(estimate, samples.nv, settings.n_constraints)]
     return Candidate(samples, estimate, tuple(warnings), rng)
 
 
-def _estimate(
-    samples: Samples, start: Samples, settings: LearnerSettings, rng: np.random.Generator, rival_is_held: bool
-) -> Estimate:
+def _estimate(samples: Samples, settings: LearnerSettings, rng: np.random.Generator, rival_is_held: bool) -> Estimate:
     """By the estimator asked for, or the one that the data select.
 
     That is the null-space one if the world holds the rows (b = 0), the joint one if the demonstrator moves them.
     """
     if settings.estimator == "joint":
-        return _joint(samples, start, settings, rng)
+        return _joint(samples, settings, rng)
     if settings.estimator == "separate":
         from manip_learn.learning.estimators.separation import estimate_separate
 
@@ -154,7 +144,7 @@ def _estimate(
     if settings.estimator == "null-space" or held.is_held or rival_is_held or samples.n_trajectories < 2:
         return held
     try:
-        joint = _joint(samples, start, settings, rng, deciding.EXPLAINED)
+        joint = _joint(samples, settings, rng, deciding.EXPLAINED)
     except NotIdentifiableError:
         return held  # no policy model predicts this motion: the evidence is how little some directions are used
     # both explain the motion: it is held if the held directions show no more than the noise
@@ -163,7 +153,7 @@ def _estimate(
 
 
 def _joint(
-    samples: Samples, start: Samples, settings: LearnerSettings, rng: np.random.Generator, unexplained: float = np.inf
+    samples: Samples, settings: LearnerSettings, rng: np.random.Generator, unexplained: float = np.inf
 ) -> Estimate:
     """The joint estimate, if the motion is rich enough for one.
 
@@ -173,12 +163,9 @@ def _joint(
     # loads SciPy, which what is held does without
     from manip_learn.learning.estimators.joint_estimator import estimate_joint
 
-    isotropic = start is not samples
     try:
         with one_thread():
-            return estimate_joint(
-                start, settings.n_constraints, rng, settings.policy_model, unexplained, isotropic=isotropic
-            )
+            return estimate_joint(samples, settings.n_constraints, rng, settings.policy_model, unexplained)
     except np.linalg.LinAlgError as error:
         raise NotIdentifiableError(
             "the motion is too short, or too much the same in all recordings, for a model of the null-space policy: "
@@ -229,8 +216,6 @@ def _doubts_of(estimate: Estimate, nv: int, n_constraints: int | None) -> list[s
     return warnings
 
 
-# (what to learn from, which Phi, with which settings) -> the best candidate, and a summary of all samples
-Fit = Callable[[Part, LearnerSettings], tuple[Candidate, DataSummary]]
 # trajectories beyond this number add nothing to a mechanism but time
 MOST_PATHS = 16
 # rows of a mechanism that concern the position of the frame alone, for features without rotations
@@ -250,7 +235,6 @@ class Answer:
     Attributes:
         part: What it was learnt from.
         candidate: Lambda with the evidence of the fit.
-        data: Summary of the samples.
         evidence: Evidence for each row; None where the demonstrator moves the rows (b unknown).
         mechanism: What the hand's path says of the mechanism; None if it was not asked for.
         warnings: Doubts beside those of the candidate and of the mechanism.
@@ -258,22 +242,18 @@ class Answer:
 
     part: Part
     candidate: Candidate
-    data: DataSummary
     evidence: RowEvidence | None
     mechanism: MechanismFit | None
     warnings: tuple[str, ...]
 
 
-def find_answers(
-    findings: Findings, everything: Part, settings: LearnerSettings, fit: Fit
-) -> tuple[list[Answer], Findings]:
+def find_answers(findings: Findings, everything: Part, settings: LearnerSettings) -> tuple[list[Answer], Findings]:
     """Learn a constraint from each part; or one from all recordings, if the demonstrator imposes it.
 
     Args:
         findings: What explains the recordings.
         everything: All of them as one part.
         settings: What the user asked for.
-        fit: Makes an estimate from a part.
 
     Returns:
         The answers, best supported first, and the findings with a part for each of them.
@@ -282,11 +262,11 @@ def find_answers(
         NotIdentifiableError: No part determines a constraint; the reason for the first.
     """
     if not findings.explained:
-        return [_undivided(findings.parts[0], settings, fit, elsewhere=findings.elsewhere)], findings
+        return [_undivided(findings.parts[0], settings, elsewhere=findings.elsewhere)], findings
     answers, refused = list[Answer](), list[tuple[Part, NotIdentifiableError]]()
     for part in findings.parts:
         try:
-            answers.append(_explained(part, settings, fit))
+            answers.append(_explained(part, settings))
         except NotIdentifiableError as refusal:
             refused.append((part, refusal))
     if not answers:
@@ -294,7 +274,7 @@ def find_answers(
     best = answers[0]
     confirmed = best.evidence is not None and best.evidence.verdict == "clear"
     if settings.estimator == "auto" and not confirmed and not best.candidate.estimate.is_held:
-        imposed = _imposed(everything, settings, fit)
+        imposed = _imposed(everything, settings)
         if imposed is not None:
             return [imposed], dataclasses.replace(findings, parts=(everything,), free=(), odd=(), unlearnt=())
     said = tuple(f"a further constraint is not learnt: {refusal}" for _, refusal in refused)
@@ -302,18 +282,18 @@ def find_answers(
     return answers, dataclasses.replace(findings, parts=parts, warnings=(*findings.warnings, *said))
 
 
-def _imposed(everything: Part, settings: LearnerSettings, fit: Fit) -> Answer | None:
+def _imposed(everything: Part, settings: LearnerSettings) -> Answer | None:
     """Rows that are moved on purpose, if a model of the null-space policy explains all recordings better than that
     rows are held.
     """
     try:
-        candidate, data = fit(everything, settings)
+        candidate = learn_best(everything.feature_maps, everything.demonstrations, settings)
     except NotIdentifiableError:
         return None
-    return Answer(everything, candidate, data, None, None, ()) if candidate.estimate.name == "joint" else None
+    return Answer(everything, candidate, None, None, ()) if candidate.estimate.name == "joint" else None
 
 
-def _explained(part: Part, settings: LearnerSettings, fit: Fit) -> Answer:
+def _explained(part: Part, settings: LearnerSettings) -> Answer:
     """The constraint of a part in which rows are known to be held.
 
     Raises:
@@ -329,13 +309,13 @@ def _explained(part: Part, settings: LearnerSettings, fit: Fit) -> Answer:
     elif asked is None and isinstance(features, PlaceRows):
         features, n = _straight(mechanism, part) or (features, n)
     held = dataclasses.replace(settings, estimator="null-space", n_constraints=asked or n)
-    candidate, data = fit(dataclasses.replace(part, feature_maps=(features,)), held)
+    candidate = learn_best((features,), part.demonstrations, held)
     if isinstance(features, PlaceRows) and candidate.estimate.table.verdict(candidate.estimate.n_rows) == "none":
         # a contact that gives way does not determine few rows among many: plainer ones it does
-        candidate, data = fit(dataclasses.replace(part, feature_maps=part.asked), held)
+        candidate = learn_best(part.asked, part.demonstrations, held)
     if evidence is None or candidate.samples.features is not rows:
         evidence = _evidence(candidate.samples.features, part, settings)
-    return Answer(part, candidate, data, evidence, mechanism, _doubts(evidence, candidate.estimate.n_rows, asked))
+    return Answer(part, candidate, evidence, mechanism, _doubts(evidence, candidate.estimate.n_rows, asked))
 
 
 def _straight(found: MechanismFit | None, part: Part) -> tuple[FeatureMap, int] | None:
@@ -350,17 +330,17 @@ def _straight(found: MechanismFit | None, part: Part) -> tuple[FeatureMap, int] 
     return maps[0], int(np.linalg.matrix_rank(np.stack(columns), 1e-6))
 
 
-def _undivided(part: Part, settings: LearnerSettings, fit: Fit, *, elsewhere: bool) -> Answer:
+def _undivided(part: Part, settings: LearnerSettings, *, elsewhere: bool) -> Answer:
     """The constraint of recordings that nothing explains: one that the demonstrator imposes, or too few recordings.
 
     Raises:
         NotIdentifiableError: There is none.
     """
-    candidate, data = fit(part, settings)
+    candidate = learn_best(part.feature_maps, part.demonstrations, settings)
     if candidate.estimate.name != "null-space":
-        return Answer(part, candidate, data, None, None, ())
+        return Answer(part, candidate, None, None, ())
     evidence, s = _evidence(candidate.samples.features, part, settings), candidate.estimate.n_rows
-    answer = Answer(part, candidate, data, evidence, None, _doubts(evidence, s, settings.n_constraints))
+    answer = Answer(part, candidate, evidence, None, _doubts(evidence, s, settings.n_constraints))
     if settings.n_constraints is not None or not evidence.strengths or (elsewhere and evidence.n_rows == s):
         return answer
     if evidence.enough:

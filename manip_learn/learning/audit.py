@@ -6,7 +6,6 @@ import csv
 import dataclasses
 import io
 import math
-from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
 from statistics import NormalDist
@@ -20,12 +19,13 @@ from manip_learn.atomic_write import write_atomically
 from manip_learn.constraint.constraint import Constraint
 from manip_learn.errors import RecordingError, counted
 from manip_learn.learning import deciding
-from manip_learn.learning.samples import check_joints
+from manip_learn.learning.cluster import each_part
 from manip_learn.linalg import one_thread
+from manip_learn.recordings.demonstrations import Demonstrations
 from manip_learn.recordings.local_fit import jerk
 from manip_learn.recordings.readers.read_request import refuse_unmatched
 from manip_learn.recordings.trajectory import Trajectory
-from manip_learn.recordings.trajectory_source import Motion, Progress, TrajectorySource, source_of
+from manip_learn.recordings.trajectory_source import CheckedSource, Given, Progress, TrajectorySource, recordings_given
 from manip_learn.recordings.velocities import VelocityMethod, derive_velocities
 from manip_learn.robot.robot import Robot
 
@@ -340,7 +340,7 @@ class AuditReport:
 
 def audit_episodes(
     constraint: Constraint,
-    demonstrations: TrajectorySource | Motion | Iterable[Motion],
+    demonstrations: Given,
     *,
     velocities: VelocityMethod = "auto",
     client: Any = None,
@@ -360,13 +360,19 @@ def audit_episodes(
         RecordingError: No demonstrations, another robot's joints, or velocities that cannot be derived.
         MissingExtraError: A client without the extra `dask`.
     """
-    source = source_of(demonstrations)
+    robot = getattr(constraint.features, "robot", None)
+    given = recordings_given(demonstrations, robot, constraint.nv)
     rows: list[EpisodeAudit] = []
     notes: list[str] = []
-    for part, said in _measured_parts(constraint, source, velocities, client, progress):
+    if isinstance(given, Demonstrations):
+        notes += given.notes
+        given = CheckedSource(given, robot, constraint.nv)
+    for part, said in each_part(
+        measured, given, client, progress, "auditing", constraint=constraint, velocities=velocities
+    ):
         rows += [dataclasses.replace(row, number=len(rows) + i) for i, row in enumerate(part)]
         notes += said
-    notes = refuse_unmatched(notes, source.n_parts)
+    notes = refuse_unmatched(notes, given.n_parts)
     if not rows:
         raise RecordingError("there are no demonstrations: give at least one trajectory", code="empty")
     imposed = constraint.provenance.get("kind") == "self-imposed"
@@ -378,36 +384,18 @@ def audit_episodes(
     return _judged(rows, imposed, tuple(dict.fromkeys(notes)))
 
 
-def _measured_parts(
-    constraint: Constraint, source: TrajectorySource, velocities: VelocityMethod, client: Any, progress: Progress | None
-) -> Iterator[tuple[list[EpisodeAudit], list[str]]]:
-    if client is not None:
-        from manip_learn.learning.streaming.dask_executor import map_parts
-
-        yield from map_parts(client, measured, source, (constraint, velocities), progress, "auditing")
-        return
-    for part in range(source.n_parts):
-        yield measured(source.alone(part), constraint, velocities)
-        if progress is not None:
-            progress("auditing", (part + 1) / source.n_parts)
-
-
 def measured(
-    source: TrajectorySource, constraint: Constraint, velocities: VelocityMethod
+    number: int, source: TrajectorySource, constraint: Constraint, velocities: VelocityMethod
 ) -> tuple[list[EpisodeAudit], list[str]]:
-    """The episodes of a source of one part, and notes of its reader: what a worker does.
+    """The episodes of a part of a source, and notes of its reader: what a worker does.
 
     Raises:
         RecordingError: Another robot's joints, or velocities that cannot be derived.
     """
     notes: list[str] = []
-    rows: list[EpisodeAudit] = []
-    robot = getattr(constraint.features, "robot", None)
     with one_thread():
-        for number, trajectory in enumerate(source.part(0, notes)):
-            check_joints(trajectory.joint_names, robot)
-            rows.append(measure(constraint, trajectory, number, velocities))
-    return rows, notes
+        episodes = source.part(number, notes)
+        return [measure(constraint, episode, i, velocities) for i, episode in enumerate(episodes)], notes
 
 
 def _judged(rows: list[EpisodeAudit], imposed: bool, notes: tuple[str, ...]) -> AuditReport:

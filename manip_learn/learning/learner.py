@@ -5,29 +5,35 @@ from __future__ import annotations
 import dataclasses
 import math
 import time
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any, Literal, final
 
 import numpy as np
 
 from manip_learn.constraint.constraint import Constraint
 from manip_learn.constraint.features.feature_map import FeatureMap
-from manip_learn.errors import FeatureError, NotFittedError, NotIdentifiableError, NumberOfConstraintsError, an
-from manip_learn.learning.answer import Answer, Candidate, EstimatorName, LearnerSettings, find_answers, learn_best
+from manip_learn.errors import (
+    FeatureError,
+    NotFittedError,
+    NotIdentifiableError,
+    NumberOfConstraintsError,
+    RecordingError,
+    an,
+)
+from manip_learn.learning.answer import Answer, EstimatorName, LearnerSettings, find_answers
+from manip_learn.learning.choosing import Choice, choose_from, few_of
 from manip_learn.learning.deciding import BELIEVED_STRENGTH
 from manip_learn.learning.explanation.evidence import BeforeSmoothing
-from manip_learn.learning.explanation.findings import Findings, Part, find, unexplained
+from manip_learn.learning.explanation.findings import Findings, find, unexplained
 from manip_learn.learning.repeats import IndependentRecordings
-from manip_learn.learning.report import LearningReport, RecordingOverview, advise, advise_in_general, build_report
-from manip_learn.learning.samples import IN_MEMORY_SAMPLES, DataSummary, check_fastest, doubt_velocities, in_memory
+from manip_learn.learning.report import LearningReport, RecordingOverview, advise, build_report
+from manip_learn.learning.samples import check_fastest, doubt_velocities
 from manip_learn.learning.uncertainty import uncertainty_of
 from manip_learn.linalg import one_thread
 from manip_learn.recordings.demonstrations import Demonstrations
-from manip_learn.recordings.trajectory_source import Motion, Progress, TrajectorySource, source_of
+from manip_learn.recordings.trajectory_source import CheckedSource, Given, Progress, check_joints, recordings_given
 from manip_learn.recordings.velocities import VelocityMethod, with_velocities
-
-if TYPE_CHECKING:
-    from manip_learn.learning.streaming.sample_stream import SampleStream, TrajectoryBuffer
+from manip_learn.robot.robot import Robot
 
 ESTIMATORS = ("auto", "joint", "null-space", "separate")
 Switch = Literal["auto", "off"]
@@ -131,27 +137,21 @@ class ConstraintLearner:
             if n_constraints is not None and not 1 <= n_constraints <= most:
                 raise NumberOfConstraintsError(n_constraints, most, repr(candidate))
         self._feature_maps = candidates
-        self._buffer: TrajectoryBuffer | None = None
+        self._kept: Choice | None = None
 
-    def fit(
-        self,
-        demonstrations: TrajectorySource | Motion | Iterable[Motion],
-        *,
-        client: Any = None,
-        progress: Progress | None = None,
-    ) -> ConstraintLearner:
+    def fit(self, demonstrations: Given, *, client: Any = None, progress: Progress | None = None) -> ConstraintLearner:
         """Learn from demonstrations; a second fit forgets the first.
 
-        Up to 16,384 samples are learnt from directly. Of more, that many are chosen evenly for a first answer, which
-        Gauss-Newton steps over all of them then refine to the optimum, one part of them in memory at a time.
+        At most 16,384 samples are learnt from. Of more, that many are chosen evenly while they are read, so that
+        recordings that are not in memory need none.
 
         Args:
-            demonstrations: Trajectories in memory; or arrays `(time, q)` or `(time, q, u)`, one column per joint in the
-                robot's order [s, rad or m], one motion or a list; or data frames of pandas; or an object that yields
-                trajectories anew each time it is iterated over; or a `TrajectorySource`, e.g.
-                `manip_learn.recordings.RecordingSource` for files larger than memory.
-            client: A `dask.distributed.Client` whose workers make the passes over the samples; the answer does not
-                depend on their number.
+            demonstrations: `Demonstrations`; or a trajectory; or arrays `(time, q)` or `(time, q, u)`, one column per
+                joint in the robot's order [s, rad or m]; or a data frame of pandas; or a list of these; or an iterable
+                of motions, which is read once; or a `TrajectorySource`, e.g. `manip_learn.RecordingSource` for files
+                larger than memory.
+            client: A `dask.distributed.Client` whose workers read the parts of a source and choose from them; the
+                answer does not depend on their number. What is in memory needs none.
             progress: Called with what is being done and the share of it that is done.
 
         Raises:
@@ -159,83 +159,76 @@ class ConstraintLearner:
             RecordingError: They cannot be used (no velocities to be had, outliers, another robot's joints).
             MissingExtraError: A client without the extra `dask`.
         """
-        self._buffer = None
         self._forget()
-        data = in_memory(demonstrations, self._feature_maps)
-        if isinstance(data, Demonstrations):
-            self._fit_demonstrations(data, client, progress)
-        else:
-            self._fit_stream(source_of(data), client, progress)
+        self._kept = None
+        given = self._given(demonstrations)
+        if not isinstance(given, Demonstrations):
+            given = choose_from(given, self._robot, self.velocities, client, progress).demonstrations()
+        self._learn(given)
+        if progress is not None:
+            progress("learning", 1.0)
         return self
 
-    def partial_fit(self, demonstrations: TrajectorySource | Motion | Iterable[Motion]) -> ConstraintLearner:
-        """Learn from these demonstrations and all that came by `partial_fit` before: the same as one fit to all.
+    def partial_fit(self, demonstrations: Given) -> ConstraintLearner:
+        """Learn from these demonstrations and all that came by `partial_fit` before.
 
-        The evidence about Lambda has no fixed-size sufficient statistic, so times, positions and velocities are kept:
-        120 bytes per sample of a 7-joint arm, up to 256 MB in memory, then in a temporary file.
+        At most 16,384 samples are kept, chosen evenly like those of `fit`.
 
         Raises:
             NotIdentifiableError: Not enough yet; the demonstrations are kept all the same.
             RecordingError: They cannot be used; nothing of them is kept.
         """
-        from manip_learn.learning.streaming.sample_stream import TrajectoryBuffer
-
         self._forget()
-        buffer = self._buffer or TrajectoryBuffer()
-        data = in_memory(demonstrations, self._feature_maps)
-        data = self._with_velocities(data) if isinstance(data, Demonstrations) else data
-        buffer.add(source_of(data), self._feature_maps, self.velocities)
-        self._buffer = buffer
-        self._fit_stream(buffer, None, None)
+        before = self._kept
+        kept = Choice(self._robot, self.velocities) if before is None else before.copy()
+        given = self._given(demonstrations)
+        if isinstance(given, Demonstrations):
+            kept.add_all(given, given.notes)
+        else:
+            for part in range(given.n_parts):
+                kept.add_all(given.part(part, kept.notes))
+        try:
+            self._kept = kept
+            self._learn(kept.demonstrations())
+        except RecordingError:
+            self._kept = before
+            raise
         return self
 
-    def _fit_demonstrations(self, given: Demonstrations, client: Any, progress: Progress | None) -> None:
-        """What repeats counts once -> what explains it -> a constraint for each part."""
+    def _given(self, demonstrations: Given) -> Demonstrations | CheckedSource:
+        """What was given, with the joints of the features."""
+        for features in self._feature_maps:
+            robot = getattr(features, "robot", None)
+            if robot is not None and self._robot is not None:
+                check_joints(self._robot.joint_names, robot)
+        return recordings_given(demonstrations, self._robot, self._feature_maps[0].nv)
+
+    def _learn(self, given: Demonstrations) -> None:
+        """What repeats counts once -> what explains it -> a constraint for each part -> report."""
         with one_thread():
             started = time.perf_counter()
             recordings = IndependentRecordings.of(given)
-            demonstrations = self._with_velocities(recordings.demonstrations)
-            check_fastest(DataSummary.of(demonstrations), demonstrations.joint_names)
-            self._fit_parts(recordings, demonstrations, self._find(demonstrations), client, progress, started)
-
-    def _fit_parts(
-        self,
-        recordings: IndependentRecordings,
-        demonstrations: Demonstrations,
-        findings: Findings,
-        client: Any,
-        progress: Progress | None,
-        started: float,
-    ) -> None:
-        """A constraint, evidence and mechanism for each part of demonstrations with velocities -> report."""
-
-        def fit(part: Part, settings: LearnerSettings) -> tuple[Candidate, DataSummary]:
-            if client is None and part.demonstrations.n_samples <= IN_MEMORY_SAMPLES:
-                data = DataSummary.of(part.demonstrations)
-                return learn_best(part.feature_maps, data, demonstrations.joint_names, settings), data
-            from manip_learn.learning.streaming.sample_stream import open_stream
-
-            stream = open_stream(source_of(part.demonstrations), part.feature_maps, self.velocities)
-            return self._refined(stream, part, settings, client, progress)
-
-        recorded = recordings.demonstrations
-        source = BeforeSmoothing(demonstrations, recorded)
-        parts = tuple(dataclasses.replace(part, source=source) for part in findings.parts)
-        doubts = doubt_velocities(recorded.trajectories, demonstrations.joint_names)
-        warnings = (*recordings.warnings, *doubts, *findings.warnings)
-        (everyone,) = unexplained(demonstrations, self._feature_maps).parts
-        findings = dataclasses.replace(findings, parts=parts, warnings=warnings)
-        try:
-            answers, findings = find_answers(findings, everyone, self._settings, fit)
-        except NotIdentifiableError as refusal:
-            why = advise(
-                refusal, demonstrations, self._feature_maps, findings, recordings=recordings, phases=self.phases
-            )
-            raise why from refusal
-        if progress is not None and client is None:
-            progress("learning", 1.0)
-        overview = RecordingOverview.of(answers, findings, recordings)
-        self._conclude(answers, overview, demonstrations.joint_names, started)
+            demonstrations = with_velocities(recordings.demonstrations, self._robot, self.velocities)
+            check_fastest(demonstrations)
+            demonstrations, every = few_of(demonstrations)
+            recordings = recordings.every(every)
+            findings = self._find(demonstrations)
+            recorded = recordings.demonstrations
+            source = BeforeSmoothing(demonstrations, recorded)
+            parts = tuple(dataclasses.replace(part, source=source) for part in findings.parts)
+            doubts = doubt_velocities(recorded.trajectories, demonstrations.joint_names)
+            warnings = (*recordings.warnings, *doubts, *findings.warnings)
+            (everyone,) = unexplained(demonstrations, self._feature_maps).parts
+            findings = dataclasses.replace(findings, parts=parts, warnings=warnings)
+            try:
+                answers, findings = find_answers(findings, everyone, self._settings)
+            except NotIdentifiableError as refusal:
+                why = advise(
+                    refusal, demonstrations, self._feature_maps, findings, recordings=recordings, phases=self.phases
+                )
+                raise why from refusal
+            overview = RecordingOverview.of(answers, findings, recordings)
+            self._conclude(answers, overview, demonstrations.joint_names, started)
 
     def _find(self, demonstrations: Demonstrations) -> Findings:
         if self.estimator in ("joint", "separate"):
@@ -244,56 +237,6 @@ class ConstraintLearner:
         mechanisms = self.mechanism == "auto" and self.n_constraints is None
         phases, strength = self.phases == "auto", self.strength
         return find(demonstrations, self._feature_maps, rng, phases=phases, mechanisms=mechanisms, strength=strength)
-
-    def _fit_stream(self, source: TrajectorySource, client: Any, progress: Progress | None) -> None:
-        """From recordings that are not held in memory together: some of them say what holds, all of them how exactly.
-
-        Of recordings of several tasks, or with approach and retreat, only those that say it are learnt from. Those of
-        them that repeat others count once.
-        """
-        from manip_learn.learning.streaming.sample_stream import open_stream, representative
-
-        started = time.perf_counter()
-        stream = open_stream(source, self._feature_maps, self.velocities)
-        few, places, is_all = representative(stream, IN_MEMORY_SAMPLES)
-        if is_all:
-            self._fit_demonstrations(few, client, progress)
-            return
-
-        def fit(part: Part, settings: LearnerSettings) -> tuple[Candidate, DataSummary]:
-            return self._refined(stream, part, settings, client, progress)
-
-        with one_thread():
-            recordings = IndependentRecordings.of(few)
-            demonstrations = recordings.demonstrations
-            findings = self._find(demonstrations)
-            if findings.divided:
-                check_fastest(DataSummary.of(demonstrations), demonstrations.joint_names)
-                self._fit_parts(recordings, demonstrations, findings, client, progress, started)
-                return
-            kept = {number for origin in recordings.origins for number, _ in origin}
-            copies = frozenset(place for i, place in enumerate(places) if i not in kept)
-            stream = dataclasses.replace(stream, left_out=copies)
-            try:
-                (everyone,) = unexplained(demonstrations, self._feature_maps).parts
-                answers, findings = find_answers(findings, everyone, self._settings, fit)
-            except NotIdentifiableError as refusal:
-                raise advise_in_general(refusal) from refusal
-            doubts = doubt_velocities(demonstrations.trajectories, few.joint_names)
-            overview = RecordingOverview(warnings=(*recordings.copies, *doubts, *findings.warnings))
-            self._conclude(answers[:1], overview, few.joint_names, started)
-
-    def _refined(
-        self, stream: SampleStream, part: Part, settings: LearnerSettings, client: Any, progress: Progress | None
-    ) -> tuple[Candidate, DataSummary]:
-        """The best candidate from a choice of the samples, refined on all of them."""
-        from manip_learn.learning.streaming.refinement import learn_from_all
-
-        def learn(data: DataSummary) -> Candidate:
-            return learn_best(part.feature_maps, data, stream.joint_names, settings)
-
-        with one_thread():
-            return learn_from_all(stream, learn, IN_MEMORY_SAMPLES, client, progress)
 
     def _conclude(
         self, answers: Sequence[Answer], overview: RecordingOverview, joint_names: tuple[str, ...], started: float
@@ -321,8 +264,9 @@ class ConstraintLearner:
             strength=self.strength,
         )
 
-    def _with_velocities(self, demonstrations: Demonstrations) -> Demonstrations:
-        return with_velocities(demonstrations, getattr(self._feature_maps[0], "robot", None), self.velocities)
+    @property
+    def _robot(self) -> Robot | None:
+        return getattr(self._feature_maps[0], "robot", None)
 
     if not TYPE_CHECKING:  # else every name would be an attribute
 

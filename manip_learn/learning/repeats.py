@@ -92,6 +92,12 @@ class IndependentRecordings:
             demonstrations, tuple(origins[i] for i in kept), given, tuple(copied), (*pieces, *copied)
         )
 
+    def every(self, step: int) -> IndependentRecordings:
+        """The first of them, and every so many after it."""
+        if step == 1:
+            return self
+        return dataclasses.replace(self, demonstrations=self.demonstrations[::step], origins=self.origins[::step])
+
     def places(self, stretch: Stretch) -> tuple[Stretch, ...]:
         """Where a stretch of `demonstrations` lies in the given recordings, on their own clocks."""
         out = []

@@ -165,8 +165,7 @@ class LearningReport:
         gap: Ratio that supports n_constraints; 10 and above is clear, below 3 says little (joint estimator: 1.5).
         gap_table: Number of rows -> gap.
         levels: Null-space and separate estimator: root mean square of the motion along each whitened direction, least
-            first, relative to a motion that is equally strong in all joints [1]; of more than 16,384 samples, those
-            learnt from directly. Empty for the joint estimator.
+            first, relative to a motion that is equally strong in all joints [1]. Empty for the joint estimator.
         energy_fraction: Share of the motion's energy that breaks A u = 0, for the best A of n_constraints rows.
         held_out_residual: Root of the share of energy that is not explained, on trajectories that were left out.
         uncertainty_deg: In 68 % of cases the row space is within this angle of the true one: the root of the sum of
@@ -316,7 +315,7 @@ def build_report(
         uncertainty: Parts of the angle of the row space [deg], see `uncertainty_of`.
         seconds: Time for the fit [s].
     """
-    best, data, evidence, found = answer.candidate, answer.data, answer.evidence, answer.mechanism
+    best, evidence, found = answer.candidate, answer.evidence, answer.mechanism
     samples, estimate, warnings = best.samples, best.estimate, list(best.warnings)
     features, uncertainty_deg, mechanism = samples.features, total_deg(uncertainty), found and found.mechanism
     selection = samples.selection(estimate.whitened_selection)
@@ -342,13 +341,15 @@ def build_report(
         energy_fraction=float(estimate.unexplained),
         held_out_residual=float(np.sqrt(estimate.held_out)),
         uncertainty_deg=uncertainty_deg,
-        excitation=dict(zip(joint_names, energy_shares(data.squares).tolist(), strict=True)),
+        excitation=dict(
+            zip(joint_names, energy_shares(np.einsum("nv,nv->v", samples.u, samples.u)).tolist(), strict=True)
+        ),
         policy_model=estimate.policy_model,
         policy_residuals=estimate.policy_residuals,
-        n_samples=data.n_samples,
-        n_trajectories=data.n_trajectories,
+        n_samples=len(samples),
+        n_trajectories=samples.n_trajectories,
         seconds=seconds,
-        notes=_few_notes(data.notes),
+        notes=_few_notes(answer.part.demonstrations.notes),
         warnings=tuple(
             map(printable, (*warnings, *answer.warnings, *(found.warnings if found else ()), *overview.warnings))
         ),
@@ -360,9 +361,9 @@ def build_report(
         uncertainty=uncertainty,
     )
     provenance = {key: value for key, value in report.to_dict().items() if key in PROVENANCE}
-    kept = evenly(len(data.q), KEPT_POSTURES)
-    provenance["postures"] = np.round(data.q[kept], 5).tolist()
-    provenance["posture_trajectories"] = data.trajectory[kept].tolist()
+    kept = evenly(len(samples), KEPT_POSTURES)
+    provenance["postures"] = np.round(samples.q[kept], 5).tolist()
+    provenance["posture_trajectories"] = samples.trajectory[kept].tolist()
     return Constraint(selection, features, provenance), report
 
 
@@ -408,15 +409,9 @@ def advise(
         *_too_slow(demonstrations),
     ]
     facts = [*recordings.warnings, *_places(findings, recordings)]
-    return _advised(refusal, causes, facts) if causes else advise_in_general(refusal)
-
-
-def advise_in_general(refusal: NotIdentifiableError) -> NotIdentifiableError:
-    """The refusal with what usually helps, where nothing of the data is known."""
-    if refusal.code != "weak-gap":
-        return _advised(refusal, ())
-    usual = "record more varied motions, try other axes or the other reference" + number_if_known(2)
-    return _advised(refusal, (usual,))
+    if not causes and refusal.code == "weak-gap":  # what usually helps
+        causes, facts = ["record more varied motions, try other axes or the other reference" + number_if_known(2)], []
+    return _advised(refusal, causes, facts if causes else ())
 
 
 def _advised(refusal: NotIdentifiableError, causes: Sequence[str], facts: Sequence[str] = ()) -> NotIdentifiableError:

@@ -4,9 +4,9 @@ the recorded velocities.
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
-from typing import cast, final
+from typing import final
 
 import numpy as np
 from jaxtyping import Float, Int
@@ -17,13 +17,8 @@ from manip_learn.learning import deciding
 from manip_learn.linalg import whitener
 from manip_learn.recordings.demonstrations import Demonstrations
 from manip_learn.recordings.trajectory import Trajectory
-from manip_learn.recordings.trajectory_source import Motion, TrajectorySource, demonstrations_of
 from manip_learn.recordings.validation.motion_checks import FEWEST, compare_velocities
-from manip_learn.robot.robot import Robot
 
-# up to this many samples are learnt from directly; of more, this many are chosen, and all of them refine the answer.
-# Phi of these samples, with 6 rows and 7 joints, takes 5.5 MB: four blocks
-IN_MEMORY_SAMPLES = 16_384
 BLOCK = 4096  # samples: a block of features of a 7-joint arm fits a second-level cache
 # Phi of more samples than this is computed anew at each pass instead of kept [numbers]
 KEEP_LIMIT = 3e7
@@ -45,110 +40,20 @@ def rows_beside(selection: Float[np.ndarray, "s p"], Phi: Float[np.ndarray, "n p
     return (selection @ Phi.transpose(1, 2, 0).reshape(p, nv * n)).reshape(-1, nv, n)
 
 
-def stacked(pieces: Sequence[tuple[np.ndarray, np.ndarray, int]]) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Postures, velocities and trajectory of each sample, from those of pieces of trajectories and their numbers.
+def stacked(trajectories: Sequence[Trajectory]) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Postures, velocities, and the trajectory of each sample, counted from 0.
 
     Raises:
-        RecordingError: Postures of different sizes.
+        RecordingError: A trajectory lacks velocities, or has postures of another size.
     """
-    widths = sorted({q.shape[1] for q, _, _ in pieces})
+    for t in trajectories:
+        if t.u is None:
+            raise RecordingError(f"{t.name} has no velocities: derive them first", code="no-velocities")
+    widths = sorted({t.q.shape[1] for t in trajectories})
     if len(widths) > 1:
         raise RecordingError(f"postures must all have the same number of values, got {widths}", code="shape")
-    trajectory = np.repeat([number for _, _, number in pieces], [len(q) for q, _, _ in pieces])
-    return np.concatenate([q for q, _, _ in pieces]), np.concatenate([u for _, u, _ in pieces]), trajectory
-
-
-@final
-@dataclass(frozen=True, eq=False)
-class DataSummary:
-    """Numbers of all samples, and the samples to learn from: all of them in memory, an even choice of more.
-
-    Attributes:
-        n_samples: Number of all samples.
-        n_trajectories: Number of all trajectories.
-        low, high: Smallest and largest posture of all samples, entry by entry, shape (m,) [rad or m].
-        squares: sum u^2 of each joint over all samples, shape (nv,) [(rad/s)^2].
-        fastest: The velocity with the largest norm, shape (nv,) [rad/s].
-        fastest_at: Its sample and trajectory, counted from 0.
-        q, u: The samples to learn from, in order, shapes (k, m) [rad or m] and (k, nv) [rad/s].
-        trajectory: Trajectory of each of these, counted from 0, never decreasing, shape (k,).
-        notes: What was done to the recordings.
-    """
-
-    n_samples: int
-    n_trajectories: int
-    low: Float[np.ndarray, " m"]
-    high: Float[np.ndarray, " m"]
-    squares: Float[np.ndarray, " nv"]
-    fastest: Float[np.ndarray, " nv"]
-    fastest_at: tuple[int, int]
-    q: Float[np.ndarray, "k m"]
-    u: Float[np.ndarray, "k nv"]
-    trajectory: Int[np.ndarray, " k"]
-    notes: tuple[str, ...] = ()
-
-    @staticmethod
-    def of(demonstrations: Demonstrations) -> DataSummary:
-        """Summary of demonstrations in memory; every sample is learnt from.
-
-        Raises:
-            RecordingError: A trajectory lacks velocities, or has postures of another size.
-        """
-        pieces = list[tuple[np.ndarray, np.ndarray, int]]()
-        for number, t in enumerate(demonstrations):
-            if t.u is None:
-                raise RecordingError(f"{t.name} has no velocities: derive them first", code="no-velocities")
-            pieces.append((t.q, t.u, number))
-        return DataSummary.of_samples(*stacked(pieces), 0, demonstrations.notes)
-
-    @staticmethod
-    def of_samples(
-        q: Float[np.ndarray, "n m"],
-        u: Float[np.ndarray, "n nv"],
-        trajectory: Int[np.ndarray, " n"],
-        first: int,
-        notes: tuple[str, ...] = (),
-    ) -> DataSummary:
-        """Summary of consecutive samples, all to learn from; `first` is the number of those before them."""
-        fastest = int(np.argmax(np.einsum("nv,nv->n", u, u)))
-        return DataSummary(
-            *(len(u), int(trajectory[-1]) + 1, q.min(axis=0), q.max(axis=0), np.einsum("nv,nv->v", u, u)),
-            *(u[fastest], (first + fastest, int(trajectory[fastest])), q, u, trajectory, notes),
-        )
-
-
-def check_joints(joint_names: tuple[str, ...], robot: Robot | None) -> None:
-    """Refuse demonstrations of another robot than that of the features.
-
-    Raises:
-        RecordingError: The joint names differ, or their order does.
-    """
-    if robot is not None and tuple(joint_names) != tuple(robot.joint_names):
-        raise RecordingError(
-            f"the demonstrations have the joints {', '.join(joint_names)}; robot {robot.name!r} has "
-            f"{', '.join(robot.joint_names)}: load them with load_demonstrations(files, robot), which sorts by name",
-            code="joint-names",
-        )
-
-
-def in_memory(
-    demonstrations: TrajectorySource | Motion | Iterable[Motion], feature_maps: Sequence[FeatureMap]
-) -> Demonstrations | TrajectorySource | Iterable[Motion]:
-    """Demonstrations in memory with the joints of the features; a stream as it is.
-
-    Raises:
-        RecordingError: The joints are those of another robot.
-    """
-    robot = getattr(feature_maps[0], "robot", None)
-    demos = None if isinstance(demonstrations, TrajectorySource) else demonstrations_of(demonstrations, robot)
-    if demos is None:
-        return cast("TrajectorySource | Iterable[Motion]", demonstrations)
-    if not demos.joint_names:
-        names = tuple(f"q{i}" for i in range(feature_maps[0].nv)) if robot is None else robot.joint_names
-        demos = demos.with_joint_names(names)
-    for features in feature_maps:
-        check_joints(demos.joint_names, getattr(features, "robot", None))
-    return demos
+    number = np.repeat(np.arange(len(trajectories)), [len(t) for t in trajectories])
+    return np.concatenate([t.q for t in trajectories]), np.concatenate([np.asarray(t.u) for t in trajectories]), number
 
 
 @final
@@ -234,25 +139,15 @@ class Samples:
             RecordingError: A trajectory lacks velocities, or acts on another number of joints.
             NotIdentifiableError: Every feature row is zero throughout.
         """
-        return Samples.of(features, DataSummary.of(demonstrations))
-
-    @staticmethod
-    def of(features: FeatureMap, data: DataSummary) -> Samples:
-        """Samples to learn from, all or chosen from more; scaled by the range of all postures.
-
-        Raises:
-            RecordingError: They act on another number of joints.
-            NotIdentifiableError: Every feature row is zero throughout.
-        """
-        if data.u.shape[1] != features.nv:
+        q, u, trajectory = stacked(demonstrations)
+        if u.shape[1] != features.nv:
             raise RecordingError(
-                f"the demonstrations have {data.u.shape[1]} joint velocities, the features act on {features.nv}",
+                f"the demonstrations have {u.shape[1]} joint velocities, the features act on {features.nv}",
                 code="shape",
             )
-        # of some chosen samples no trajectory may be left: count those that are
-        _, trajectory = np.unique(data.trajectory, return_inverse=True)
-        centre, spread = 0.5 * (data.high + data.low), np.maximum(0.5 * (data.high - data.low), 1e-9)
-        raw = Samples(features, data.q, data.u, trajectory, np.eye(features.n_rows), centre, spread)
+        low, high = q.min(axis=0), q.max(axis=0)
+        centre, spread = 0.5 * (high + low), np.maximum(0.5 * (high - low), 1e-9)
+        raw = Samples(features, q, u, trajectory, np.eye(features.n_rows), centre, spread)
         S = np.zeros((features.n_rows, features.n_rows))
         for block in raw.blocks():
             rows = block.Phi.transpose(1, 2, 0).reshape(features.n_rows, -1)
@@ -263,7 +158,7 @@ class Samples:
                 f"all rows of {features!r} are zero on these demonstrations: choose axes in which the frame can move",
                 code="zero-features",
             )
-        return Samples(features, data.q, data.u, trajectory, W, centre, spread, None, raw._kept)
+        return Samples(features, q, u, trajectory, W, centre, spread, None, raw._kept)
 
     def __len__(self) -> int:
         return int(self.u.shape[0])
@@ -351,26 +246,23 @@ def energy_shares(energy: Float[np.ndarray, " nv"]) -> Float[np.ndarray, " nv"]:
     return energy / max(float(energy.sum()), np.finfo(np.float64).tiny)
 
 
-def check_fastest(data: DataSummary, joint_names: Sequence[str]) -> None:
+def check_fastest(demonstrations: Demonstrations) -> None:
     """Refuse a velocity that is far out of line with all others.
-
-    Args:
-        data: Of all samples; those to learn from say what is usual.
-        joint_names: For the message.
 
     Raises:
         RecordingError: There is one.
     """
-    speed = np.linalg.norm(data.u, axis=1)
-    fastest, (sample, trajectory) = data.fastest, data.fastest_at
+    _, u, trajectory = stacked(demonstrations)
+    speed = np.linalg.norm(u, axis=1)
     if not np.any(speed > 0.0):
         return
-    ratio = float(np.linalg.norm(fastest)) / float(np.median(speed[speed > 0.0]))
+    sample = int(np.argmax(np.einsum("nv,nv->n", u, u)))
+    ratio = float(speed[sample]) / float(np.median(speed[speed > 0.0]))
     if ratio > deciding.OUTLIER_FACTOR:
-        joint = int(np.argmax(np.abs(fastest)))
+        joint = int(np.argmax(np.abs(u[sample])))
         raise RecordingError(
-            f"sample {sample} (trajectory {trajectory}) moves at {fastest[joint]:.3g} in joint {joint_names[joint]!r}, "
-            f"{ratio:.1e} times the median speed: remove the outlier",
+            f"sample {sample} (trajectory {trajectory[sample]}) moves at {u[sample, joint]:.3g} in joint "
+            f"{demonstrations.joint_names[joint]!r}, {ratio:.1e} times the median speed: remove the outlier",
             code="outlier",
         )
 

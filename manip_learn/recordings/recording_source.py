@@ -1,8 +1,7 @@
-"""Files of recordings as a source for the learner: read part by part, as often as it takes, here or elsewhere."""
+"""Files of recordings as a source for the learner: read part by part, here or elsewhere."""
 
 from __future__ import annotations
 
-import copy
 import os
 from collections.abc import Iterator
 from pathlib import Path
@@ -17,12 +16,12 @@ from manip_learn.recordings.trajectory import Trajectory
 from manip_learn.recordings.trajectory_source import TrajectorySource
 from manip_learn.robot import Robot
 
-PART_BYTES = 4_000_000  # of files that make a part: small ones share a task, and workers get even shares
+PART_BYTES = 1_000_000  # of files that make a part: small ones share a task, and workers get even shares
 
 
 @final
 class RecordingSource(TrajectorySource):
-    """The demonstrations in some files, never all in memory; what a part needs of a file is read at each pass.
+    """The demonstrations in some files, never all in memory.
 
     Args:
         paths: As for `load_demonstrations`. Workers on other machines must see the same files under the same names.
@@ -56,12 +55,6 @@ class RecordingSource(TrajectorySource):
         yield from read_recordings(self._parts[index], self._request, notes)
         if notes is not None and index == 0:
             notes += self._notes
-
-    def alone(self, index: int) -> TrajectorySource:
-        """The files of one part, without the names of all others."""
-        one = copy.copy(self)
-        one._parts, one._notes = [self._parts[index]], self._notes if index == 0 else ()
-        return one
 
 
 def _pieces(file: RecordingFile, chosen: frozenset[int] | None) -> list[RecordingFile]:

@@ -1,4 +1,6 @@
-"""Motions in memory, and trajectories that need not fit into it: read again and again, part by part."""
+"""The door for motions: whatever a caller has becomes recordings in memory, or a source of them that is read part by
+part.
+"""
 
 from __future__ import annotations
 
@@ -6,7 +8,7 @@ import os
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from pathlib import Path
-from typing import cast, final
+from typing import Any, cast, final
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -24,27 +26,80 @@ from manip_learn.robot.robot import Robot
 # times (T,) [s], positions (T, n) [rad or m], and velocities (T, nv) where they are known
 Arrays = tuple[ArrayLike, ArrayLike] | tuple[ArrayLike, ArrayLike, ArrayLike]
 Motion = Trajectory | Arrays | DataFrame
+# called with what is being done and the share of it that is done, between 0 and 1
+Progress = Callable[[str, float], None]
 
 
-def demonstrations_of(given: object, robot: Robot | None = None) -> Demonstrations | None:
-    """Demonstrations of what is held in memory; None for a stream, which is read anew in each pass.
+class TrajectorySource(ABC):
+    """Trajectories in parts, always the same ones in the same order; each part is read once.
+
+    A child whose parts are read by the workers of a cluster must be picklable. `manip_learn.RecordingSource` reads
+    files.
+    """
+
+    @property
+    @abstractmethod
+    def n_parts(self) -> int:
+        """Number of parts; what is chosen of many samples depends on it, so it must not depend on the machine."""
+
+    @abstractmethod
+    def part(self, index: int, notes: list[str] | None = None) -> Iterable[Trajectory]:
+        """The trajectories of a part; sentences for the report are added to `notes`."""
+
+
+Given = TrajectorySource | Motion | Iterable[Motion]
+
+
+@final
+class CheckedSource(TrajectorySource):
+    """A source, or anything that can be iterated over, whose motions are checked while they are read.
+
+    Args:
+        given: The source, or an iterable, which is one part.
+        robot: Whose joints each motion must have; None for features without a robot.
+        nv: Number of velocities of the features.
+    """
+
+    def __init__(self, given: TrajectorySource | Iterable[Motion], robot: Robot | None, nv: int):
+        self._given, self._robot, self._nv = given, robot, nv
+
+    @property
+    def n_parts(self) -> int:
+        """Number of parts."""
+        return self._given.n_parts if isinstance(self._given, TrajectorySource) else 1
+
+    def part(self, index: int, notes: list[str] | None = None) -> Iterator[Trajectory]:
+        """The trajectories of a part, with the joints of the features.
+
+        Raises:
+            RecordingError: A motion that cannot be used.
+        """
+        said: list[str] = [] if notes is None else notes
+        source = self._given
+        entries = source.part(index, said) if isinstance(source, TrajectorySource) else source
+        for number, entry in enumerate(entries, start=1):
+            for trajectory in _trajectories_of(entry, number, self._robot, said):
+                yield _with_joints(trajectory, self._robot, self._nv)
+
+
+def recordings_given(given: Given, robot: Robot | None, nv: int) -> Demonstrations | CheckedSource:
+    """What a learner or an audit was given: recordings in memory, or a source of more than are held at a time.
 
     Args:
         given: `Demonstrations`; a `Trajectory`, or arrays `(time, q)` or `(time, q, u)` with shapes (T,), (T, n) and
-            (T, nv) [s, rad or m, and those per second]; or a sequence or iterator of these; or data frames of pandas
-            with the columns of a CSV file, if there is a robot.
+            (T, nv) [s, rad or m, and those per second]; a data frame of pandas with the columns of a CSV file, if there
+            is a robot; or a list of these: all of them are in memory. A `TrajectorySource`, an iterator or another
+            iterable of motions is read once, one motion after the other.
         robot: Whose joints the columns of arrays are, in its order: the arrays are then checked like a file.
+        nv: Number of velocities.
 
     Raises:
-        RecordingError: Arrays or trajectories that do not fit, or that a file would be refused for; postures
-            without time.
+        RecordingError: Motions that do not fit, or that a file would be refused for; postures without time.
     """
-    if isinstance(given, Demonstrations):
-        return given
     if isinstance(given, Trajectory) or _is_motion(given):
-        given = [given]
+        given = cast("Sequence[Motion]", [given])
     if robot is not None and (frames := data_frames_in(given)):
-        return load_demonstrations(frames, robot)
+        given = load_demonstrations(frames, robot)
     if isinstance(given, np.ndarray):
         raise RecordingError(
             f"an array of shape {given.shape} alone is no motion, for its times are not known: give (time, q), or "
@@ -56,17 +111,15 @@ def demonstrations_of(given: object, robot: Robot | None = None) -> Demonstratio
             f"{os.fspath(given)!r} is the name of a file: load_demonstrations({os.fspath(given)!r}, robot) reads it",
             code="type",
         )
-    if not isinstance(given, Sequence | Iterator):
-        return None
-    trajectories: list[Trajectory] = []
-    notes: list[str] = []
-    for number, entry in enumerate(given, start=1):
-        if isinstance(entry, Trajectory):
-            trajectories.append(entry)
-            continue
-        checked = _checked(_bare(entry, number), robot)
-        trajectories += checked.trajectories
-        notes += [f"{checked[0].name}: {note}" for note in checked.notes]
+    if not isinstance(given, TrajectorySource | Iterable):
+        raise RecordingError(
+            f"demonstrations must be trajectories or a source of them, got {type(given).__name__}", code="type"
+        )
+    source = CheckedSource(cast("TrajectorySource | Iterable[Motion]", given), robot, nv)
+    if not isinstance(given, Sequence):
+        return source
+    notes = list(given.notes) if isinstance(given, Demonstrations) else []
+    trajectories = list(source.part(0, notes))
     return Demonstrations(trajectories, notes)
 
 
@@ -78,21 +131,23 @@ def _is_motion(given: object) -> bool:
     return getattr(times, "ndim", None) == 1 or (isinstance(times, list) and all(np.isscalar(t) for t in times))
 
 
-def _bare(entry: object, number: int) -> Trajectory:
-    """The arrays of one motion, without names."""
-    if isinstance(entry, list | tuple) and len(entry) in (2, 3):
-        time, q, *u = entry
-        return Trajectory(time, q, u[0] if u else None, name=f"motion {number}")
-    raise RecordingError(
-        f"motion {number} must be a Trajectory, or arrays (time, q) or (time, q, u), got {type(entry).__name__}",
-        code="type",
-    )
-
-
-def _checked(motion: Trajectory, robot: Robot | None) -> Demonstrations:
-    """The motion in the robot's joints, checked like a file; as it is without a robot, or as configurations (nq)."""
+def _trajectories_of(entry: Any, number: int, robot: Robot | None, notes: list[str]) -> Sequence[Trajectory]:
+    """A motion of an iterable as it is, or arrays and tables checked like a file; they may fall into several."""
+    if isinstance(entry, Trajectory):
+        return (entry,)
+    if robot is not None and isinstance(entry, DataFrame):
+        checked = load_demonstrations(entry, robot)
+        notes += checked.notes
+        return checked.trajectories
+    if not isinstance(entry, list | tuple) or len(entry) not in (2, 3):
+        raise RecordingError(
+            f"motion {number} must be a Trajectory, or arrays (time, q) or (time, q, u), got {type(entry).__name__}",
+            code="type",
+        )
+    time, q, *u = entry
+    motion = Trajectory(time, q, u[0] if u else None, name=f"motion {number}")
     if robot is None or (motion.q.shape[1] == robot.nq != robot.nv):
-        return Demonstrations([motion])
+        return (motion,)
     names = robot.joint_names
     if motion.q.shape[1] != robot.nv:
         raise RecordingError(
@@ -101,140 +156,33 @@ def _checked(motion: Trajectory, robot: Robot | None) -> Demonstrations:
             code="shape",
         )
     recording = Recording(Path(motion.name), motion.name, motion.time, names, motion.q, names, motion.u)
-    return validate(recording, ReadRequest(robot))
+    checked = validate(recording, ReadRequest(robot))
+    notes += [f"{checked[0].name}: {note}" for note in checked.notes]
+    return checked.trajectories
 
 
-# a part of a list holds about this many samples: a task for a worker, and what is in memory at a time
-PART = 65_536
-# called with what is being done and the share of it that is done, between 0 and 1
-Progress = Callable[[str, float], None]
-
-
-class TrajectorySource(ABC):
-    """Trajectories in parts, always the same ones in the same order; each pass of the learner reads each part once.
-
-    A child that is read by other processes must be picklable. `manip_learn.recordings.RecordingSource` reads files.
-    """
-
-    @property
-    @abstractmethod
-    def n_parts(self) -> int:
-        """Number of parts; it decides in which order sums are taken, so it must not depend on the machine."""
-
-    @abstractmethod
-    def part(self, index: int, notes: list[str] | None = None) -> Iterable[Trajectory]:
-        """The trajectories of a part; sentences for the report are added to `notes`."""
-
-    def alone(self, index: int) -> TrajectorySource:
-        """A source of this part only, for another process: no more than it needs."""
-        return OnePart(self, index)
-
-
-@final
-class OnePart(TrajectorySource):
-    """One part of another source."""
-
-    def __init__(self, whole: TrajectorySource, index: int):
-        self._whole = whole
-        self._index = index
-
-    @property
-    def n_parts(self) -> int:
-        """One."""
-        return 1
-
-    def part(self, index: int, notes: list[str] | None = None) -> Iterable[Trajectory]:
-        """The trajectories of the part."""
-        return self._whole.part(self._index, notes)
-
-
-@final
-class ListedTrajectories(TrajectorySource):
-    """Trajectories in memory.
-
-    Args:
-        trajectories: All of them.
-        notes: Sentences about them, for the report.
-    """
-
-    def __init__(self, trajectories: Sequence[Trajectory], notes: Sequence[str] = ()):
-        self._trajectories = tuple(trajectories)
-        self._notes = tuple(notes)
-        self._starts = part_starts([len(t) for t in self._trajectories])
-
-    @property
-    def n_parts(self) -> int:
-        """Runs of trajectories with at least `PART` samples."""
-        return len(self._starts) - 1
-
-    def part(self, index: int, notes: list[str] | None = None) -> Iterable[Trajectory]:
-        """The trajectories of a run."""
-        if notes is not None and index == 0:
-            notes += self._notes
-        return self._trajectories[self._starts[index] : self._starts[index + 1]]
-
-    def alone(self, index: int) -> TrajectorySource:
-        """The trajectories of one run, without the others."""
-        notes: list[str] = []
-        return ListedTrajectories(tuple(self.part(index, notes)), tuple(notes))
-
-
-@final
-class IteratedTrajectories(TrajectorySource):
-    """An object that yields trajectories each time it is iterated over; never more than a few are in memory.
-
-    Args:
-        trajectories: The object; not an iterator, which can be read only once.
+def _with_joints(trajectory: Trajectory, robot: Robot | None, nv: int) -> Trajectory:
+    """The trajectory with its columns named, if they were not.
 
     Raises:
-        RecordingError: An iterator.
+        RecordingError: It has the joints of another robot, or in another order.
     """
-
-    def __init__(self, trajectories: Iterable[Trajectory]):
-        if isinstance(trajectories, Iterator):
-            raise RecordingError(
-                "these demonstrations can be read only once, and learning reads them several times: give a list, or an "
-                "object whose __iter__ starts anew each time",
-                code="read-once",
-            )
-        self._trajectories = trajectories
-
-    @property
-    def n_parts(self) -> int:
-        """One: where it could be cut is not known."""
-        return 1
-
-    def part(self, index: int, notes: list[str] | None = None) -> Iterable[Trajectory]:
-        """All trajectories, once more."""
-        if notes is not None and isinstance(self._trajectories, Demonstrations):
-            notes += self._trajectories.notes
-        return self._trajectories
+    if not trajectory.joint_names:
+        names = tuple(f"q{i}" for i in range(nv)) if robot is None else tuple(robot.joint_names)
+        return trajectory.with_joint_names(names)
+    check_joints(trajectory.joint_names, robot)
+    return trajectory
 
 
-def part_starts(lengths: Sequence[int]) -> list[int]:
-    """First trajectory of each part, and the number of trajectories at the end."""
-    starts, samples = [0], 0
-    for i, length in enumerate(lengths):
-        if samples >= PART:
-            starts.append(i)
-            samples = 0
-        samples += length
-    return [*starts, len(lengths)]
-
-
-def source_of(demonstrations: TrajectorySource | Motion | Iterable[Motion]) -> TrajectorySource:
-    """The demonstrations as a source: lists by runs, other objects as one stream; an iterator is read into a list.
+def check_joints(joint_names: Sequence[str], robot: Robot | None) -> None:
+    """Refuse demonstrations of another robot than that of the features.
 
     Raises:
-        RecordingError: Not trajectories, or none.
+        RecordingError: The joint names differ, or their order does.
     """
-    if isinstance(demonstrations, TrajectorySource):
-        return demonstrations
-    held = demonstrations_of(demonstrations)
-    if held is not None:
-        return ListedTrajectories(held.trajectories, held.notes)
-    if isinstance(demonstrations, Iterable):
-        return IteratedTrajectories(cast("Iterable[Trajectory]", demonstrations))
-    raise RecordingError(
-        f"demonstrations must be trajectories or a source of them, got {type(demonstrations).__name__}", code="type"
-    )
+    if robot is not None and tuple(joint_names) != tuple(robot.joint_names):
+        raise RecordingError(
+            f"the demonstrations have the joints {', '.join(joint_names)}; robot {robot.name!r} has "
+            f"{', '.join(robot.joint_names)}: load them with load_demonstrations(files, robot), which sorts by name",
+            code="joint-names",
+        )

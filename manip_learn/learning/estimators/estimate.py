@@ -150,7 +150,6 @@ class Estimate:
         policy_residuals: Policy model -> held-out share of unexplained energy.
         noise: Held-out residual energy per degree of freedom [(rad/s)^2]; 0 where there is no such thing.
         warnings: Doubts.
-        joint: Joint estimator: the fit with the policy's parameters, the start of a refinement on more samples.
         prior: Joint estimator: of the policy's parameters, where they were integrated out.
         levels: Null-space estimator: levels of the whitened directions, least first [1], see `null_space.levels`.
     """
@@ -166,7 +165,6 @@ class Estimate:
     policy_residuals: dict[str, float] = field(default_factory=dict)
     noise: float = 0.0
     warnings: tuple[str, ...] = ()
-    joint: JointFit | None = None
     prior: PolicyPrior | None = None
     levels: Float[np.ndarray, " r"] = field(default_factory=lambda: np.zeros(0))
 

@@ -63,8 +63,6 @@ def estimate_joint(
     rng: np.random.Generator,
     policy_model: str = "auto",
     unexplained: float = np.inf,
-    *,
-    isotropic: bool = False,
 ) -> Estimate:
     """Number of rows and policy model by cross-validation over trajectories, then variable projection on all data.
 
@@ -76,8 +74,6 @@ def estimate_joint(
             `"quintic"` or `"rbf"`; or
             `"affine-offset"`: affine, with an offset per trajectory, where demonstrators rest in different postures.
         unexplained: Held-out share of the energy above which to give up before the expensive part.
-        isotropic: Take the noise as equally strong in all joints, whatever the residual says, and fit the selected
-            model alone: for a fit that goes on.
 
     Raises:
         NotIdentifiableError: One trajectory or motion only, too few samples for even the smallest model, no task in
@@ -109,11 +105,10 @@ def estimate_joint(
             return own
     if chosen.unexplained > unexplained:
         raise NotIdentifiableError("no policy model predicts this motion", code="unexplained")
-    samples = samples if isotropic else weighted
-    samples, fit, scored = _fit_all(samples, chosen, rng, is_start=isotropic, is_free=policy_model == "auto")
+    samples, fit, scored = _fit_all(weighted, chosen, rng, is_free=policy_model == "auto")
     warnings = () if n_constraints is not None else counted.warnings
     estimate = _estimate(samples, fit, scored, counted.table, residuals, chosen.held_out, chosen.unexplained)
-    return dataclasses.replace(estimate, warnings=warnings, joint=fit)
+    return dataclasses.replace(estimate, warnings=warnings)
 
 
 def _estimate(
@@ -315,7 +310,7 @@ def _search_from_starts(samples: Samples, s: int, rng: np.random.Generator) -> J
 
 
 def _fit_all(
-    samples: Samples, chosen: JointFit, rng: np.random.Generator, *, is_start: bool, is_free: bool
+    samples: Samples, chosen: JointFit, rng: np.random.Generator, *, is_free: bool
 ) -> tuple[Samples, JointFit, ScoredFit]:
     """The selected model fitted to all samples, these weighted where needed; and Lambda without a fixed model.
 
@@ -323,12 +318,11 @@ def _fit_all(
         samples: What was recorded.
         chosen: The selected model.
         rng: For the random starts.
-        is_start: The fit goes on elsewhere, with equal weights and with this model.
         is_free: The model was not asked for.
     """
     fit = _fit_from_random_starts(samples, chosen, rng)
     # the residual is noise, and has its covariance, only where the policy model explains the motion
-    if not is_start and chosen.unexplained <= deciding.POORLY_EXPLAINED:
+    if chosen.unexplained <= deciding.POORLY_EXPLAINED:
         samples, fit = _fit_whitened(samples, fit)
         # normal equations resolve the residual
         if is_free and 0 < len(fit.whitened_selection) < samples.n_rows and not fit.leaves_only(NOISY):

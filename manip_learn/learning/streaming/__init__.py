@@ -1,1 +1,0 @@
-"""Learning from demonstrations that are larger than memory, on this machine or on a dask cluster."""

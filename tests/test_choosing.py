@@ -1,0 +1,322 @@
+"""An even choice while recordings are read: exact where all fit, in bounded memory where they do not."""
+
+from __future__ import annotations
+
+import gc
+import json
+import tracemalloc
+from collections.abc import Iterator
+
+import numpy as np
+import pytest
+from scale_motions import Stream, motions
+from task_sets import generated, true_rows
+
+import manip_learn as ml
+from manip_learn.constraint.features import FrameJacobian
+from manip_learn.errors import NotIdentifiableError, RecordingError
+from manip_learn.learning import choosing
+from manip_learn.linalg import orthonormal_rows, row_space_angle
+from manip_learn.recordings import recording_source
+from manip_learn.recordings.trajectory_source import TrajectorySource
+
+ONE = orthonormal_rows(np.array([[0.5, 1.0, -0.4]]))
+TWO = orthonormal_rows(np.array([[1.0, 0.2, 0.3], [-0.3, 0.9, 0.2]]))
+HELD = {"n_constraints": 2, "estimator": "null-space"}
+JOINT = {"n_constraints": 1, "estimator": "joint", "policy_model": "affine"}
+
+
+@pytest.fixture(scope="module")
+def features() -> FrameJacobian:
+    return FrameJacobian(ml.load_robot("sawyer"), "right_gripper_tip", "xyz")
+
+
+@pytest.fixture(scope="module")
+def held(features) -> ml.Demonstrations:
+    return motions(features, TWO, np.random.default_rng(1), 60, noise=0.02, held=True)
+
+
+@pytest.fixture(scope="module")
+def moved(features) -> ml.Demonstrations:
+    return motions(features, ONE, np.random.default_rng(2), 60, noise=0.02)
+
+
+class Yielded:
+    """Trajectories that exist only while they are read, several times over if asked for."""
+
+    def __init__(self, trajectories, times: int = 1):
+        self.trajectories, self.times = trajectories, times
+
+    def __iter__(self):
+        for i in range(self.times):
+            for t in self.trajectories:
+                yield ml.Trajectory(t.time, t.q + 1e-3 * i, t.u, t.joint_names, t.name)
+
+
+class InParts(TrajectorySource):
+    """A source with some trajectories in each part."""
+
+    def __init__(self, trajectories, each: int):
+        self.trajectories, self.each = list(trajectories), each
+
+    @property
+    def n_parts(self) -> int:
+        return -(-len(self.trajectories) // self.each)
+
+    def part(self, index: int, notes: list[str] | None = None) -> Iterator[ml.Trajectory]:
+        yield from self.trajectories[index * self.each : (index + 1) * self.each]
+
+
+# ---- all fit ---------------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("has_velocities", [True, False])
+def test_what_fits_is_learnt_from_as_if_in_memory(features, held, has_velocities):
+    """A stream, an iterator, parts of a source and batches that arrive: bit for bit the answer of one list."""
+    recordings = [ml.Trajectory(t.time, t.q, t.u if has_velocities else None, t.joint_names, t.name) for t in held]
+    whole = ml.ConstraintLearner(features, **HELD).fit(recordings)
+    arriving = ml.ConstraintLearner(features, **HELD)
+    for batch in (recordings[:10], iter(recordings[10:35]), Yielded(recordings[35:])):
+        arriving.partial_fit(batch)
+    others = [ml.ConstraintLearner(features, **HELD).fit(given) for given in (
+        Yielded(recordings), iter(recordings), InParts(recordings, 7), InParts(recordings, 1)
+    )]  # fmt: skip
+    for other in (*others, arriving):
+        np.testing.assert_array_equal(other.constraint_.selection, whole.constraint_.selection)
+        assert other.report_.uncertainty_deg == whole.report_.uncertainty_deg
+        assert other.report_.notes == whole.report_.notes
+        assert (other.report_.n_samples, other.report_.n_trajectories) == (
+            whole.report_.n_samples, 60,
+        )  # fmt: skip
+
+
+def test_pieces_of_one_recording_are_put_together_however_they_arrive(features, held):
+    """Before velocities are derived: a stream of the halves of a recording is that recording."""
+    halves = [ml.Trajectory(t.time[a], t.q[a], None, t.joint_names, t.name) for t in held[:6]
+              for a in (slice(0, 50), slice(50, 100))]  # fmt: skip
+    listed = ml.ConstraintLearner(features, **HELD).fit(halves)
+    streamed = ml.ConstraintLearner(features, **HELD).fit(Yielded(halves))
+    assert listed.report_.n_trajectories == streamed.report_.n_trajectories
+    np.testing.assert_array_equal(listed.constraint_.selection, streamed.constraint_.selection)
+
+
+# ---- more than fit ---------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("most", "rate", "lengths", "expected"),
+    [
+        (1000, 100.0, [100] * 8, (1, 1)),  # all fit
+        (1000, 100.0, [100] * 40, (4, 1)),  # neighbours first, down to 25 samples a second
+        (1000, 100.0, [100] * 160, (4, 4)),  # then recordings
+        (1000, 20.0, [100] * 40, (1, 4)),  # slow ones at once
+        (1000, 100.0, [4000] * 6, (32, 1)),  # but never so many that few recordings are left
+    ],
+)
+def test_what_is_left_out(monkeypatch, most, rate, lengths, expected):
+    """Neighbours, then recordings, then neighbours again; evenly, in order, and for any number of parts alike."""
+    monkeypatch.setattr(choosing, "MOST_SAMPLES", most)
+    recordings = [
+        ml.Trajectory(np.arange(n) / rate, np.full((n, 2), float(i)) + np.arange(n)[:, None] / 1e5, np.ones((n, 2)))
+        for i, n in enumerate(lengths)
+    ]
+    for each in (len(lengths), 8, 1):
+        choice = choosing.choose_from(InParts(recordings, each), None, "auto")
+        chosen = choice.demonstrations()
+        assert (choice.step, choice.every) == expected
+        assert chosen.n_samples <= most and choice.n_samples == sum(lengths)
+        numbers = [round(t.q[0, 0]) for t in chosen]
+        assert numbers == list(range(0, len(lengths), expected[1]))
+        for t in chosen:
+            np.testing.assert_allclose(np.diff(t.time), expected[0] / rate)
+        said = [note for note in chosen.notes if "chosen evenly" in note]
+        assert len(said) == (0 if expected == (1, 1) else 1)
+
+
+@pytest.mark.parametrize(("kind", "settings", "truth"), [("held", HELD, TWO), ("moved", JOINT, ONE)])
+def test_a_choice_answers_like_all(request, features, monkeypatch, kind, settings, truth):
+    """A sixth of the samples: within what is stated of the answer of all, in memory, in a stream and as they arrive."""
+    demos = request.getfixturevalue(kind)
+    whole = ml.ConstraintLearner(features, **settings).fit(demos)
+    monkeypatch.setattr(choosing, "MOST_SAMPLES", 1000)
+    listed, streamed = (ml.ConstraintLearner(features, **settings).fit(x) for x in (demos, Yielded(demos)))
+    arriving = ml.ConstraintLearner(features, **settings)
+    for batch in (demos[:20], Yielded(demos[20:])):
+        arriving.partial_fit(batch)
+    off = np.degrees(row_space_angle(whole.constraint_.selection, listed.constraint_.selection))
+    assert off < 2.0 * listed.report_.uncertainty_deg
+    assert np.degrees(row_space_angle(truth, listed.constraint_.selection)) < 3.0 * listed.report_.uncertainty_deg
+    for other in (streamed, arriving):
+        np.testing.assert_array_equal(other.constraint_.selection, listed.constraint_.selection)
+    assert listed.report_.n_samples <= 1000
+    assert any("chosen evenly out of 6,000 of 60" in note for note in listed.report_.notes)
+
+
+def test_velocities_are_derived_before_samples_are_left_out(monkeypatch):
+    """Velocities of the choice are those of the full rate, to the last bit."""
+    monkeypatch.setattr(choosing, "MOST_SAMPLES", 1500)
+    truth, made = generated("drawer", "sawyer", 3, 8)
+    robot = ml.load_robot("sawyer")
+    given = [ml.Trajectory(t.time, t.q, None, robot.joint_names, t.name) for t in made]
+    choice = choosing.choose_from(InParts(given, 3), robot, "auto")
+    assert choice.step > 1
+    for number, t in zip(range(0, 8, choice.every), choice.demonstrations(), strict=True):
+        full = ml.derive_velocities(given[number], robot)
+        np.testing.assert_array_equal(t.u, full.u[:: choice.step])
+        np.testing.assert_array_equal(t.time, full.time[:: choice.step])
+
+
+def test_phases_are_found_in_a_choice(monkeypatch):
+    """Whole recordings with approach and retreat, a third of their samples: the same constraint, the same stretches."""
+    truth, made = generated("drawer", "sawyer", 5, 8)
+    robot = ml.load_robot("sawyer")
+    features = FrameJacobian(robot, truth["tip"], "xyz")
+    given = [ml.Trajectory(t.time, t.q, None, robot.joint_names, t.name) for t in made]
+    whole = ml.ConstraintLearner(features).fit(given)
+    monkeypatch.setattr(choosing, "MOST_SAMPLES", sum(map(len, given)) // 2)
+    chosen = ml.ConstraintLearner(features).fit(given)
+    assert np.degrees(row_space_angle(true_rows(truth), chosen.constraint_.selection)) < 0.2
+    held = [[p for p in learner.report_.phases if p.constraint == 0] for learner in (whole, chosen)]
+    assert len(held[0]) == len(held[1]) == 8
+    for a, b in zip(*held, strict=True):
+        assert a.trajectory == b.trajectory and abs(a.start - b.start) < 0.15 and abs(a.end - b.end) < 0.15
+    assert chosen.report_.mechanism is not None and chosen.report_.mechanism.type == "line"
+
+
+@pytest.mark.parametrize("arriving", [False, True])
+def test_a_recording_that_repeats_another_counts_once(features, held, monkeypatch, arriving):
+    """Named, and passed over, among those that were chosen."""
+    copy = ml.Trajectory(held[0].time, held[0].q, held[0].u, held[0].joint_names, "the copy")
+    monkeypatch.setattr(choosing, "MOST_SAMPLES", 1000)
+
+    def learnt(*recordings):
+        stream, learning = Yielded(recordings), ml.ConstraintLearner(features, **HELD)
+        return learning.partial_fit(stream) if arriving else learning.fit(stream)
+
+    once, twice = learnt(*held[:11]), learnt(*held[:11], copy)
+    assert any("the copy repeats motion 0" in warning for warning in twice.report_.warnings)
+    assert twice.report_.n_trajectories == 11
+    np.testing.assert_array_equal(twice.constraint_.selection, once.constraint_.selection)
+
+
+def test_memory_does_not_grow(features, held, monkeypatch):
+    """Five times as many samples need no more memory."""
+    monkeypatch.setattr(choosing, "MOST_SAMPLES", 2000)
+
+    def peak(times: int) -> int:
+        gc.collect()
+        tracemalloc.start()
+        ml.ConstraintLearner(features, **HELD).fit(Yielded(held, times))
+        _, most = tracemalloc.get_traced_memory()
+        tracemalloc.stop()
+        return most
+
+    peak(1)  # what is loaded at first use
+    small, large = peak(1), peak(5)
+    assert large < small + 500_000  # the difference in data is 2.7 MB
+
+
+def test_a_source_is_read_once(features):
+    """However many samples there are."""
+    stream = Stream(features, TWO, 200, 10, held=True)
+    ml.ConstraintLearner(features, **HELD).fit(stream)
+    assert stream.passes == 1
+
+
+# ---- what cannot be used ---------------------------------------------------------------------------------------------
+
+
+def test_streams_are_checked(features, held):
+    """Joints of another robot, missing velocities and emptiness are refused in streams, too."""
+    t = held[0]
+    renamed = ml.Trajectory(t.time, t.q, t.u, tuple(f"other_{n}" for n in t.joint_names))
+    for given, words in [
+        (Yielded([*held, renamed]), "sorts by name"),
+        (Yielded([]), "no demonstrations"),
+        (InParts([], 1), "no demonstrations"),
+        (iter([t, 5]), "motion 2 must be a Trajectory"),
+        (3, "must be trajectories"),
+    ]:
+        with pytest.raises(RecordingError, match=words):
+            ml.ConstraintLearner(features).fit(given)
+    plain = ml.CustomFeatures(lambda q: np.eye(7), row_names=tuple("abcdefg"), nv=7)
+    with pytest.raises(RecordingError, match="robot to derive them with|need a robot"):
+        ml.ConstraintLearner(plain, 1).fit(Yielded([ml.Trajectory(t.time, t.q)] * 300))
+
+
+def test_partial_fit_keeps_what_is_usable(features, held):
+    """Too few samples are refused but kept; a batch with an invalid recording is not kept; fit discards all."""
+    learning = ml.ConstraintLearner(features, 2)
+    with pytest.raises(NotIdentifiableError):
+        learning.partial_fit([held[0].part(slice(0, 4))])
+    bad = ml.Trajectory(held[1].time, held[1].q, held[1].u, tuple(f"x{n}" for n in held[1].joint_names))
+    u = held[2].u.copy()
+    u[17, 3] = 1e7
+    outlier = ml.Trajectory(held[2].time, held[2].q, u, held[2].joint_names)
+    for batch, words in [
+        (Yielded([held[1], held[2], bad]), "sorts by name"),
+        (lambda: None, "must be trajectories"),
+        ([held[1], outlier], "remove the outlier"),
+    ]:
+        with pytest.raises(RecordingError, match=words):
+            learning.partial_fit(batch)
+    # of the first four samples nothing can be told, so that they are kept and not learnt from
+    assert learning.partial_fit(held[1:]).report_.n_samples == 5900
+    assert learning.fit(held[:20]).partial_fit(held[20:30]).report_.n_trajectories == 10
+
+
+# ---- files -----------------------------------------------------------------------------------------------------------
+
+
+def test_files_are_a_source(features, held, tmp_path, monkeypatch):
+    """A folder of files, read part by part, gives the answer of the same files loaded at once."""
+    for i, t in enumerate(held):
+        np.savez(tmp_path / f"demo_{i:02d}.npz", time=t.time, q=t.q, u=t.u, joint_names=np.array(t.joint_names))
+    monkeypatch.setattr(recording_source, "PART_BYTES", 50_000)
+    source = ml.RecordingSource(tmp_path, features.robot)
+    assert 5 < source.n_parts < 40
+    whole = ml.ConstraintLearner(features, **HELD).fit(ml.load_demonstrations(tmp_path, features.robot))
+    read = ml.ConstraintLearner(features, **HELD).fit(source)
+    np.testing.assert_array_equal(read.constraint_.selection, whole.constraint_.selection)
+    assert read.report_.n_trajectories == 60
+
+
+def test_lerobot_episodes_are_parts(tmp_path, monkeypatch):
+    """LeRobot data is read file by file, as a whole where an episode goes on in the next file or some are chosen."""
+    pa = pytest.importorskip("pyarrow", reason="the extra 'lerobot' is not installed")
+    import pyarrow.parquet as pq
+
+    monkeypatch.setattr(recording_source, "PART_BYTES", 1)
+    robot = ml.load_robot("planar3")
+    for version, parts, first in (("v2.1", 4, 0), ("v3.0", 4, 0), ("v3.0", 1, 1)):
+        root = tmp_path / f"{version} {first}"
+        (root / "meta").mkdir(parents=True)
+        (root / "data").mkdir()
+        state = {"dtype": "float32", "shape": [3], "names": list(robot.joint_names)}
+        description = {"codebase_version": version, "fps": 50, "features": {"observation.state": state}}
+        (root / "meta" / "info.json").write_text(json.dumps(description))
+        for episode in range(4):
+            t = np.arange(30) / 50
+            q = np.column_stack([np.sin(t) + 0.1 * episode, 0.5 * np.cos(t), 0.3 * t])
+            columns = {
+                "observation.state": pa.array(q.tolist(), type=pa.list_(pa.float64())),
+                "timestamp": pa.array(t),
+                "frame_index": pa.array(np.arange(30)),
+                "episode_index": pa.array(np.full(30, episode)),
+            }
+            table, name = pa.table(columns), f"episode_{episode}.parquet"
+            if first == 1 and episode == 0:  # all but its first samples are at the beginning of the next file
+                pq.write_table(table[:10], root / "data" / "file-000.parquet")
+                before = table[10:]
+                continue
+            if first == 1 and episode == 1:
+                table = pa.concat_tables([before, table])
+            pq.write_table(table, root / "data" / (name if version == "v2.1" else f"file-{episode:03d}.parquet"))
+        source = ml.RecordingSource(root, robot, units="radians")
+        assert source.n_parts == parts
+        assert version == "v2.1" or ml.RecordingSource(root, robot, units="radians", episodes="0:2").n_parts == 1
+        read = [t for i in range(parts) for t in source.part(i)]
+        loaded = ml.load_demonstrations(root, robot, units="radians")
+        assert len(read) == len(loaded) == 4
+        for a, b in zip(read, loaded, strict=True):
+            np.testing.assert_array_equal(a.q, b.q)

@@ -1,0 +1,171 @@
+"""Reading on a dask cluster: a real scheduler, real worker processes, and one of them killed."""
+
+from __future__ import annotations
+
+import gc
+import json
+import os
+import signal
+import sys
+import time
+
+import numpy as np
+import pytest
+from scale_motions import motions
+
+import manip_learn as ml
+from manip_learn.cli import main
+from manip_learn.errors import ManipLearnError, MissingExtraError, RecordingError
+from manip_learn.learning import cluster
+from manip_learn.learning.cluster import dask_client
+from manip_learn.linalg import orthonormal_rows
+from manip_learn.recordings import recording_source
+from manip_learn.recordings.trajectory_source import TrajectorySource
+
+pytest.importorskip("distributed", reason="the extra 'dask' is not installed")
+from distributed import Client
+
+TWO = orthonormal_rows(np.array([[1.0, 0.2, 0.3], [-0.3, 0.9, 0.2]]))
+HELD = {"n_constraints": 2, "estimator": "null-space"}
+# the cluster's own clean-up of sockets and processes is not ours to judge
+pytestmark = [pytest.mark.filterwarnings("ignore::ResourceWarning"), pytest.mark.timeout(300)]
+
+
+@pytest.fixture(scope="module")
+def features() -> ml.FrameJacobian:
+    return ml.FrameJacobian(ml.load_robot("sawyer"), "right_gripper_tip", "xyz")
+
+
+@pytest.fixture(scope="module")
+def client():
+    """Two worker processes on this machine."""
+    with dask_client("local", 2) as client:
+        assert len(client.scheduler_info(n_workers=-1)["workers"]) == 2
+        yield client
+
+
+@pytest.fixture(scope="module")
+def folder(features, tmp_path_factory):
+    """Two hundred files without velocities, more samples than are learnt from."""
+    path = tmp_path_factory.mktemp("fleet")
+    for i, t in enumerate(motions(features, TWO, np.random.default_rng(5), 200, noise=0.02, held=True)):
+        np.savez(path / f"demo_{i:03d}.npz", time=t.time, q=t.q, joint_names=np.array(t.joint_names))
+    return path
+
+
+@pytest.fixture
+def source(features, folder, monkeypatch):
+    """The same in many parts."""
+    monkeypatch.setattr(recording_source, "PART_BYTES", 50_000)
+    source = ml.RecordingSource(folder, features.robot)
+    assert source.n_parts > 20
+    return source
+
+
+def wait_for(condition):
+    """What the scheduler does a moment later."""
+    deadline = time.monotonic() + 20.0
+    while not condition() and time.monotonic() < deadline:
+        time.sleep(0.05)
+    assert condition()
+
+
+def held_keys(client):
+    """Our results that workers still hold."""
+    return [key for keys in client.has_what().values() for key in keys if "manip-learn" in str(key)]
+
+
+def test_workers_change_nothing(client, features, source):
+    """Two workers, one of which is killed in the middle and replaced, give the answer of this process, bit by bit;
+    progress is told, and nothing is held by the workers afterwards.
+    """
+    here = ml.ConstraintLearner(features, **HELD).fit(source)
+    assert any("chosen evenly out of 20,000 of 200" in note for note in here.report_.notes)
+    victims = list(client.run(os.getpid).values())
+    told: dict[str, list[float]] = {}
+
+    def tell_and_kill(step: str, share: float) -> None:
+        if not told:
+            os.kill(victims[0], signal.SIGKILL)
+        told.setdefault(step, []).append(share)
+
+    there = ml.ConstraintLearner(features, **HELD).fit(source, client=client, progress=tell_and_kill)
+    client.wait_for_workers(2, timeout=60)
+    assert victims[0] not in client.run(os.getpid).values()
+    np.testing.assert_array_equal(there.constraint_.selection, here.constraint_.selection)
+    assert there.report_.uncertainty_deg == here.report_.uncertainty_deg
+    assert there.report_.notes == here.report_.notes
+    assert told["reading"] == sorted(told["reading"]) and told["reading"][-1] == 1.0
+    wait_for(lambda: not held_keys(client))
+
+
+def test_what_fits_comes_back_as_it_was_recorded(client, features, folder):
+    """Few files: the answer of the same files in memory, whose velocities are derived there."""
+    files = sorted(folder.iterdir())[:20]
+    loaded = ml.ConstraintLearner(features, **HELD).fit(ml.load_demonstrations(files, features.robot))
+    read = ml.ConstraintLearner(features, **HELD).fit(ml.RecordingSource(files, features.robot), client=client)
+    np.testing.assert_array_equal(read.constraint_.selection, loaded.constraint_.selection)
+
+
+def test_only_this_machine_can_reach_the_cluster(client):
+    """Scheduler, workers and dashboard listen on the loopback address only."""
+    info = client.scheduler_info(n_workers=-1)
+    addresses = [info["address"], *info["workers"], *(w["nanny"] for w in info["workers"].values())]
+    assert all("//127.0.0.1:" in address for address in addresses)
+    assert "//127.0.0.1:" in client.dashboard_link
+
+
+def test_errors_of_workers_come_back(client, features):
+    """A recording that a worker refuses ends the fit with the same sentence as without a cluster."""
+
+    class Broken(TrajectorySource):
+        n_parts = 1
+
+        def part(self, index, notes=None):
+            raise RecordingError("no good")
+
+    with pytest.raises(RecordingError, match="no good"):
+        ml.ConstraintLearner(features, **HELD).fit(Broken(), client=client)
+
+
+def test_command_line(client, folder, capsys):
+    """`--dask ADDRESS` reads on that scheduler; options that work on recordings in memory are refused beside it."""
+    files = list(map(str, sorted(folder.iterdir())[:20]))
+    words = ["learn", "sawyer", *files, "--frame", "right_gripper_tip", "--reference", "world", "--json"]
+    found = []
+    for further in (["--dask", client.scheduler.address], []):
+        assert main([*words, *further]) == 0
+        found.append(json.loads(capsys.readouterr().out)["selection"])
+    assert found[0] == found[1]
+    assert main([*words, "--dask", "local", "--points", "5"]) == 2
+    assert "give one of the two" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize(
+    ("address", "advice"),
+    [
+        ("tcp://127.0.0.1:9", "at 'tcp://127.0.0.1:9' .*: start one with `dask scheduler`, or use 'local'$"),
+        ("tls://127.0.0.1:9", "tls needs certificates in dask's settings"),
+        ("ucx://127.0.0.1:9", "ucx needs packages and settings of its own; use tcp://HOST:PORT"),
+        ("ws://127.0.0.1:9", "ws needs packages"),
+        ("nowhere", "missing port number.*start one with `dask scheduler`"),
+        ("", "at ''.*start one with `dask scheduler`"),
+    ],
+)
+def test_without_a_scheduler(monkeypatch, address: str, advice: str):
+    """Nobody at the address, or a way there that is not set up: one sentence that says so, and what to do."""
+    monkeypatch.setattr(cluster, "PATIENCE", "1s")
+    before = sum(type(x) is Client for x in gc.get_objects())
+    with pytest.raises(ManipLearnError, match=advice), dask_client(address):
+        pass
+    # a client that is half made closes itself when it is collected, which may wait for ever
+    assert sum(type(x) is Client for x in gc.get_objects()) <= before
+
+
+def test_without_the_extra(features, source, monkeypatch):
+    """Without dask, a client or `--dask` names the extra that brings it."""
+    monkeypatch.setitem(sys.modules, "dask.distributed", None)
+    with pytest.raises(MissingExtraError, match="dask"):
+        ml.ConstraintLearner(features).fit(source, client=object())
+    with pytest.raises(MissingExtraError, match="dask"), dask_client("local"):
+        pass
