@@ -95,9 +95,12 @@ def _exit_code(command: Callable[[], Any], as_json: bool) -> int:
         return INTERRUPTED
     except BrokenPipeError:
         return nobody_reads()
-    except SystemExit as end:  # of rich and typer, for a pipe that nobody reads; or of a completion
-        return end.code if COMPLETION in os.environ and isinstance(end.code, int) else nobody_reads()
+    except SystemExit as end:  # of a signal; of a completion; of rich and typer, for a pipe that nobody reads
+        code = end.code if isinstance(end.code, int) else 1
+        return code if code > 128 or COMPLETION in os.environ else nobody_reads()
     except OSError as error:
+        if isinstance(error.__context__, SystemExit):  # SIGHUP: the terminal is gone that was to be tidied up
+            return int(error.__context__.code or 1)
         return refuse(refused_by_system(error), as_json, "system")
     except Exception as error:  # last resort: a sentence, not a traceback
         if signal.getsignal(signal.SIGINT) is _end:  # Ctrl-C in the middle of an import that reports its own failure

@@ -6,8 +6,9 @@ import gc
 import os
 import re
 import signal
+import subprocess
+import sys
 import threading
-import time
 from typing import Any
 
 import numpy as np
@@ -192,22 +193,43 @@ def test_another_period_is_refused(planar3: ml.Robot) -> None:
         ml.run(loop_of(planar3), Arm(), -1.0)
 
 
+class Hands:
+    """The hands of a clock, which move when somebody waits or moves them."""
+
+    def __init__(self) -> None:
+        self.time = 1000.0
+
+    def now(self) -> float:
+        """The time [s]."""
+        return self.time
+
+    def wait_until(self, moment: float) -> None:
+        """That much passes."""
+        self.time = max(self.time, moment)
+
+
+class Timed(Arm):
+    """An arm on a clock, some of whose readings take longer."""
+
+    simulated, period = False, 0.02
+
+    def __init__(self, hands: Hands, takes: dict[int, float] | float):
+        super().__init__()
+        self.hands, self.takes = hands, takes
+
+    def read(self) -> Any:
+        """After as long as that reading takes."""
+        self.hands.time += self.takes if isinstance(self.takes, float) else self.takes.get(self.reads, 0.0)
+        return super().read()
+
+
 def test_the_period_is_held_and_late_cycles_are_counted(planar3: ml.Robot) -> None:
-    """On a real clock: 0.5 s take 0.5 s, and one cycle that takes 3 periods makes the next one late."""
-
-    class Slow(Arm):
-        simulated = False
-        period = 0.02
-
-        def read(self) -> Any:
-            if self.reads == 10:
-                time.sleep(0.06)
-            return super().read()
-
-    start = time.perf_counter()
-    record = ml.run(loop_of(planar3, 0.02), Slow(), 0.5)
-    assert 0.5 <= time.perf_counter() - start < 5.0
-    assert record.overruns >= 1 and record.longest_delay >= 0.03
+    """0.5 s are 0.5 s of the clock; after a cycle of 3.5 periods, those that were missed are not made up for."""
+    hands = Hands()
+    record = ml.run(loop_of(planar3, 0.02), Timed(hands, {10: 0.07}), 0.5, clock=hands)
+    assert record.ordered and record.overruns == 1 and record.longest_delay == pytest.approx(0.05)
+    np.testing.assert_allclose(np.diff(record.rollout.time)[:14], [*[0.02] * 10, 0.07, 0.01, 0.02, 0.02])
+    assert 0.49 < hands.time - 1000.0 < 0.9
 
 
 BLOCKED = {
@@ -220,21 +242,92 @@ BLOCKED = {
 @pytest.mark.parametrize("seconds", BLOCKED)
 def test_a_driver_that_blocks_once(seconds: float, planar3: ml.Robot) -> None:
     """Longer than `stale_after` ends the run; no command jumps, and the last one is zero."""
-
-    class Blocking(Arm):
-        simulated, period = False, 0.02
-
-        def read(self) -> Any:
-            if self.reads == 20:
-                time.sleep(seconds)
-            return super().read()
-
-    loop, arm = loop_of(planar3, 0.02), Blocking()
-    record = ml.run(loop, arm, 1.0)
-    assert BLOCKED[seconds] in record.ended and record.overruns >= 1
+    hands, loop = Hands(), loop_of(planar3, 0.02)
+    arm = Timed(hands, {20: seconds})
+    record = ml.run(loop, arm, 1.0, clock=hands)
+    assert BLOCKED[seconds] in record.ended and record.overruns == 1
     changes = np.abs(np.diff(arm.sent, axis=0, prepend=np.zeros((1, 3))))
     assert np.all(changes <= loop.acceleration_limit * 0.02 * (1.0 + 1e-9))
     assert np.abs(arm.sent[18]).max() > 0.1 and not arm.sent[-1].any()
+
+
+PROGRAM = """
+import signal, sys, time
+import numpy as np
+import manip_learn as ml
+
+how = sys.argv[1]
+
+class Steady:  # time passes while the cycle waits, and only then: no load makes it late
+    t = 0.0
+    def now(self):
+        return self.t
+    def wait_until(self, moment):
+        time.sleep(max(0.0, moment - self.t))
+        self.t = max(self.t, moment)
+
+class Arm:
+    period, q, n = 0.005, np.array([0.3, 0.8, 0.4]), 0
+    def read(self):
+        return self.q, None, None
+    def command(self, q, u):
+        self.q, self.n = q, self.n + 1
+        print("sent", *u, flush=True)
+        if self.n == 40 and how == "blocks":
+            clock.t += 1.0
+            print("blocks", flush=True)
+            time.sleep(60.0)
+    def hold(self):
+        print("held", flush=True)
+        if how == "fails":
+            raise OSError("no port")
+
+if how == "own":
+    for name in ("SIGTERM", "SIGHUP"):
+        signal.signal(getattr(signal, name), lambda *_: print("own handler", flush=True))
+robot, clock = ml.load_robot("planar3"), Steady()
+rows = ml.Constraint([[0, 1]], ml.FrameJacobian(robot, "tip", axes="x y"))
+loop = ml.ServoLoop(ml.ResolvedRateController(rows, ml.PointAttractor([1.0, 1.5])), 0.005, compiled=False)
+done = ml.run(loop, Arm(), 0.5 if how == "ignored" else 300.0, clock=clock)
+print("returned:", done.ended, flush=True)
+"""
+
+
+@pytest.mark.parametrize(
+    ("name", "how", "said", "code"),
+    [
+        ("SIGINT", "", "returned: Ctrl-C", 0),
+        ("SIGTERM", "", "held", 143),
+        ("SIGHUP", "", "held", 129),
+        ("SIGTERM", "own", "returned: SIGTERM", 0),
+        ("SIGHUP", "own", "returned: SIGHUP", 0),
+        ("SIGHUP", "ignored", "returned: the 0.5 s were over", 0),
+        ("SIGINT", "fails", "returned: Ctrl-C; the driver's hold() failed: OSError: no port", 0),
+        ("SIGTERM", "blocks", "blocks", 143),
+    ],
+)
+def test_signals_end_a_run_with_a_braked_arm_that_holds_itself(name: str, how: str, said: str, code: int) -> None:
+    """The last velocity sent is zero, `hold` comes after it, and the program ends as the signal has it end.
+
+    Not where it was started with the signal ignored. A `command` that does not return is given up, and none is sent.
+    """
+    number = signal.Signals[name]
+    ignore = {"preexec_fn": lambda: signal.signal(number, signal.SIG_IGN)} if how == "ignored" else {}
+    words = [sys.executable, "-c", PROGRAM, how]
+    with subprocess.Popen(words, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, **ignore) as program:
+        assert program.stdout is not None and program.stderr is not None
+        lines = [program.stdout.readline() for _ in range(41)]
+        program.send_signal(number)
+        lines += program.stdout.readlines()
+        error = program.stderr.read()
+    assert (lines[-1].strip(), program.returncode) == (said, code) and "Traceback" not in error
+    sent = np.array([[float(x) for x in line.split()[1:]] for line in lines if line.startswith("sent")])
+    assert np.max(np.abs(sent[38])) > 0.1 and np.max(np.abs(np.diff(sent, axis=0))) < 0.1  # braked, not stopped dead
+    if how == "blocks":
+        assert len(sent) == 40 and "command() had not returned for 1 s" in error
+    else:
+        assert not sent[-1].any() and ("held\n" in lines) == (how != "ignored")
+    assert ("own handler\n" in lines) == (how == "own")
 
 
 def test_elsewhere_than_in_the_main_thread(planar3: ml.Robot) -> None:
@@ -259,19 +352,11 @@ def test_a_loop_runs_again(planar3: ml.Robot) -> None:
 
 def test_a_period_that_cannot_be_held_ends_the_run(planar3: ml.Robot) -> None:
     """Reading takes three periods, each time: the run ends within a second or two, and the loop may run again."""
-
-    class Slow(Arm):
-        simulated, period = False, 0.02
-
-        def read(self) -> Any:
-            time.sleep(0.06)
-            return super().read()
-
-    loop = loop_of(planar3, 0.02)
-    record = ml.run(loop, Slow(), 20.0)
+    hands, loop = Hands(), loop_of(planar3, 0.02)
+    record = ml.run(loop, Timed(hands, 0.06), 20.0, clock=hands)
     assert not record.ordered and "the period of 20 ms cannot be held" in record.ended
-    assert record.overruns > 0.9 * (record.cycles - 2) and 0.3 < record.rollout.time[-1] < 15.0
-    assert loop.update(START, 100.0).status is not ml.Status.STOPPED
+    assert record.overruns >= record.cycles - 2 and 0.3 < record.rollout.time[-1] < 3.0
+    assert loop.update(START, 2000.0).status is not ml.Status.STOPPED
 
 
 def test_long_runs_keep_every_second_cycle(planar3: ml.Robot, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import json
 import os
+import pty
 import signal
 import subprocess
 import sys
-import textwrap
 import time
 from pathlib import Path
 
@@ -146,57 +146,68 @@ def test_a_hand_guided_mode_that_is_not_there_is_said(tmp_path: Path):
 
 
 PROGRAM = """
-import resource, sys, time
+import resource, signal, sys, time
 import numpy as np
 from manip_learn.drivers.record import record
 
+limit, last = int(sys.argv[2]), int(sys.argv[3])
+
+class Steady:  # time passes while the cycle waits, and only then: no load makes it late
+    t = 0.0
+    def now(self):
+        return self.t
+    def wait_until(self, moment):
+        time.sleep(max(0.0, moment - self.t))
+        self.t = max(self.t, moment)
+
 class Arm:
-    joint_names, period = ("joint1", "joint2", "joint3"), 0.005
-    begun = time.perf_counter()
+    joint_names, period, n = ("joint1", "joint2", "joint3"), 0.005, 0
     def read(self):
-        t = time.perf_counter() - self.begun
-        return np.array([t, 0.1 * t, -t]), None, None
+        self.n += 1
+        if self.n > last:
+            clock.t += 1.0
+            print("blocks", flush=True)
+            time.sleep(60.0)
+        print(self.n, flush=True)
+        return np.array([0.005, 0.0005, -0.005]) * self.n, None, None
     def hold(self):
         print("held", flush=True)
 
-limit, duration = int(sys.argv[2]), float(sys.argv[3])
 if limit:
     resource.setrlimit(resource.RLIMIT_FSIZE, (limit, limit))
-def shown(q, recorded):
-    if recorded:
-        print(repr(q["joint1"]), flush=True)
-done = record(Arm(), sys.argv[1], shown=shown, duration=duration)
+clock = Steady()
+done = record(Arm(), sys.argv[1], clock=clock)
 print(done.ended, flush=True)
 """
 
 
-def started(folder: Path, limit: int, duration: float) -> subprocess.Popen[str]:
-    words = [sys.executable, "-c", textwrap.dedent(PROGRAM), str(folder), str(limit), str(duration)]
-    return subprocess.Popen(words, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
+def started(folder: Path, limit: int = 0, last: int = 10**9, **more) -> subprocess.Popen[str]:
+    """A program that records; its files get at most `limit` bytes, and its driver blocks after the `last` reading."""
+    words = [sys.executable, "-c", PROGRAM, str(folder), str(limit), str(last)]
+    return subprocess.Popen(words, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, **more)
 
 
-def test_a_killed_program_loses_a_tenth_of_a_second(tmp_path: Path):
-    """After kill -9 the file has whole lines only, and all but the last 0.1 s of what had been read."""
-    with started(tmp_path, 0, 60.0) as program:
+def test_a_killed_program_keeps_what_it_has_read(tmp_path: Path):
+    """The file is written while it grows: after kill -9 it has every sample read before, in whole lines."""
+    with started(tmp_path, last=200) as program:
         assert program.stdout is not None and program.stderr is not None
-        last = 0.0
-        for line in program.stdout:
-            last = float(line)
-            if last > 1.5:
+        while program.stdout.readline() != "blocks\n":
+            pass
+        (file,) = tmp_path.glob("*.csv")
+        for _ in range(600):  # of 0.05 s, for a machine under load
+            if rows(file)[-1:] and rows(file)[-1][1] == 0.005 * 200:
                 break
+            time.sleep(0.05)
         program.send_signal(signal.SIGKILL)
-        for line in program.stdout.read().splitlines():
-            last = float(line)
-    (file,) = tmp_path.glob("*.csv")
     assert file.read_text(encoding="utf-8").endswith("\n")
     table = rows(file)
-    assert last - table[-1][1] <= 0.1
+    assert table[-1][1] == 0.005 * 200 and np.allclose(np.diff(table, axis=0)[:, 1], 0.005)
     assert len(load_demonstrations([str(file)], load_robot("planar3"))[0]) == len(table)
 
 
 def test_a_full_disk_keeps_what_it_has(tmp_path: Path):
     """Where there is no more room, recording ends with a sentence, the arm is held, and the file is whole lines."""
-    program = started(tmp_path, 9000, 60.0)
+    program = started(tmp_path, limit=9000)
     out, error = program.communicate(timeout=60.0)
     (file,) = tmp_path.glob("*.csv")
     assert not error and out.splitlines()[-2] == "held"
@@ -206,18 +217,56 @@ def test_a_full_disk_keeps_what_it_has(tmp_path: Path):
     assert len(load_demonstrations([str(file)], load_robot("planar3"))[0]) == content.count("\n") - 1
 
 
-def test_ctrl_c_ends_it(tmp_path: Path):
-    """Ctrl-C completes the file and holds the arm, without a traceback."""
-    program = started(tmp_path, 0, 60.0)
-    assert program.stdout is not None
-    for line in program.stdout:
-        if float(line) > 0.5:
-            break
-    program.send_signal(signal.SIGINT)
-    out, error = program.communicate(timeout=30.0)
-    assert out.splitlines()[-2:] == ["held", "Ctrl-C"] and not error
+@pytest.mark.parametrize(
+    ("name", "last", "said", "code"),
+    [
+        ("SIGINT", 10**9, ["held", "Ctrl-C"], 0),
+        ("SIGTERM", 10**9, ["held"], 143),
+        ("SIGHUP", 10**9, ["held"], 129),
+        ("SIGTERM", 200, ["blocks", "held"], 143),
+    ],
+)
+def test_signals_complete_the_file_and_hold_the_arm(name: str, last: int, said: list[str], code: int, tmp_path: Path):
+    """Without a traceback; a driver that does not return is given up; the exit code is the signal's."""
+    with started(tmp_path, last=last) as program:
+        assert program.stdout is not None and program.stderr is not None
+        heard = [program.stdout.readline() for _ in range(201)]
+        program.send_signal(signal.Signals[name])
+        heard += program.stdout.readlines()
+        error = program.stderr.read()
+    lines = [line.strip() for line in heard]
+    assert lines[-len(said) :] == said and program.returncode == code and not error
     (file,) = tmp_path.glob("*.csv")
-    assert rows(file)[-1][1] > 0.5
+    count = max(int(line) for line in lines if line.isdecimal())
+    assert rows(file)[-1][1] >= 0.005 * (count - 1) and file.read_text(encoding="utf-8").endswith("\n")
+
+
+REAL_ARM = """
+import numpy as np, time
+class Arm:
+    joint_names, period, begun = ("joint1", "joint2", "joint3"), 0.02, time.perf_counter()
+    def read(self):
+        return np.ones(3) * (time.perf_counter() - self.begun), None, None
+    def hold(self):
+        open("held", "w").close()
+"""
+
+
+def test_a_closed_terminal_leaves_an_arm_that_holds_itself(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
+    """The command's exit code is that of SIGHUP, though nothing can be written any more; the file is complete."""
+    (tmp_path / "arm.py").write_text(REAL_ARM, encoding="utf-8")
+    monkeypatch.setenv("PYTHONPATH", str(Path(__file__).resolve().parents[1]))
+    pid, terminal = pty.fork()
+    if pid == 0:
+        os.chdir(tmp_path)
+        os.execv(sys.executable, [sys.executable, "-m", "manip_learn", "record", "arm.py:Arm", "--no-browser"])
+    said = b""
+    while b"recording" not in said:
+        said += os.read(terminal, 1000)
+    os.close(terminal)
+    assert os.waitstatus_to_exitcode(os.waitpid(pid, 0)[1]) == 129
+    (file,) = tmp_path.rglob("demo_*.csv")
+    assert (tmp_path / "held").exists() and file.read_text(encoding="utf-8").endswith("\n")
 
 
 ARM = """
@@ -278,15 +327,21 @@ def test_a_late_driver_is_counted(tmp_path: Path):
 
     class Slow:
         joint_names, period = NAMES, 0.01
-        n, begun = 0, time.perf_counter()
+        n, time = 0, 50.0
+
+        def now(self):
+            return self.time
+
+        def wait_until(self, moment):
+            self.time = max(self.time, moment)
 
         def read(self):
             self.n += 1
             if self.n == 60:
-                time.sleep(0.105)
-            t = time.perf_counter() - self.begun
-            return np.array([t, t, t]), None, None
+                self.time += 0.104
+            return np.ones(3) * (self.time - 50.0), None, None
 
-    done = record(Slow(), tmp_path, duration=1.5)  # type: ignore[arg-type]
-    assert 9 <= done.lost <= 40 and 0.1 < done.longest_gap < 0.4
-    assert f"{done.lost} samples lost" in done.sentence and os.path.getsize(done.files[0]) > 100
+    slow = Slow()
+    done = record(slow, tmp_path, duration=1.5, clock=slow)  # type: ignore[arg-type]
+    assert done.lost == 9 and done.longest_gap == pytest.approx(0.104)
+    assert "9 samples lost" in done.sentence and os.path.getsize(done.files[0]) > 100

@@ -2,14 +2,10 @@
 
 from __future__ import annotations
 
-import gc
 import logging
 import math
-import signal
-import threading
 import time
-from collections.abc import Callable, Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from importlib.util import find_spec
 from typing import Any, Protocol, final
@@ -19,12 +15,19 @@ from jaxtyping import Float
 
 from manip_learn.control.command import Command, Controller, Status
 from manip_learn.control.compiled_controller import CompiledController, compiled_if_possible
+from manip_learn.control.cycle import Clock, ComputerClock, GivenUp, OrderlyEnd, hold_still, quiet_collector
 from manip_learn.control.rollout import Rollout
 from manip_learn.control.servo_loop import ServoLoop
 from manip_learn.control.simulation import guided
 from manip_learn.errors import ConfigurationError
 from manip_learn.robot.identity import RobotIdentity
 from manip_learn.robot.robot import Robot
+
+LATE = 0.5  # share of a period by which a cycle begins late to be counted
+SAMPLES = 100_000  # of a record at most: a longer run keeps every second, fourth, ... cycle
+LONGEST_STOP = 10.0  # [s] for braking and letting go, after which a run ends in any case
+SLOW_AFTER = 1.0  # [s] in which more than half of the periods were missed: the period cannot be held
+_LOGGER = logging.getLogger("manip_learn")
 
 
 @final
@@ -60,14 +63,6 @@ def warm_up(controller: Controller | ServoLoop, report: Callable[[str], object] 
     if find_spec("numba") is not None:
         controller = compiled_if_possible(controller, None, report)
     return WarmUp(time.perf_counter() - start, isinstance(controller, CompiledController))
-
-
-SPIN = 2e-4  # [s] before a cycle begins, from which on it is waited for awake: sleeping may wake up late
-LATE = 0.5  # share of a period by which a cycle begins late to be counted
-SAMPLES = 100_000  # of a record at most: a longer run keeps every second, fourth, ... cycle
-LONGEST_STOP = 10.0  # [s] for braking and letting go, after which a run ends in any case
-SLOW_AFTER = 1.0  # [s] in which more than half of the periods were missed: the period cannot be held
-_LOGGER = logging.getLogger("manip_learn")
 
 
 class Driver(Protocol):
@@ -110,7 +105,7 @@ class RunRecord:
         overruns: Number of cycles that began late by more than half a period.
         longest_delay: Of the beginning of a cycle [s].
         ended: Why it ended, a sentence.
-        ordered: Whether it ended as it was meant to: after its duration, or by Ctrl-C.
+        ordered: Whether it ended as it was meant to: after its duration, for the caller's reason, or by a signal.
     """
 
     rollout: Rollout
@@ -126,18 +121,26 @@ class RunRecord:
 
 
 def run(
-    loop: ServoLoop, driver: Driver, duration: float | None = None, *, until: Callable[[], str] | None = None
+    loop: ServoLoop,
+    driver: Driver,
+    duration: float | None = None,
+    *,
+    until: Callable[[], str] | None = None,
+    clock: Clock | None = None,
 ) -> RunRecord:
     """Run a servo loop on an arm: read, update, command, once per period.
 
-    However it ends, the arm first brakes within its limits and then stands: after the duration, by Ctrl-C, where the
+    However it ends, the arm first brakes within its limits and then stands: after the duration, by a signal, where the
     driver raises or returns what is no posture, where the arm is blocked and has let go, where the period changes or
     cannot be held. A reading that is wrong once brakes the arm and does not end the run. Python's garbage collector
     rests meanwhile.
 
-    A call of the driver that blocks is waited for. Ctrl-C gives it up where it has taken longer than the loop's
-    `stale_after`, or when pressed again: after `read()` the arm brakes without being read, after `command()` nothing
-    more is sent.
+    The signals are Ctrl-C, SIGTERM and SIGHUP (a stopped container, a closed terminal); once the arm stands, the
+    driver's `hold()` is called, if it has one. After Ctrl-C the run returns. After the other two the program ends, by
+    `SystemExit` with 128 and the number of the signal; where it has a handler of its own for the signal, that is called
+    and the run returns. A call of the driver that blocks is waited for. A signal gives it up where it has taken longer
+    than the loop's `stale_after`, and Ctrl-C also when pressed again: after `read()` the arm brakes without being read,
+    after `command()` nothing more is sent.
 
     The loop begins anew, from the commanded posture where `loop.reset(q)` has given one, otherwise from the first
     measured one.
@@ -147,6 +150,8 @@ def run(
         driver: The arm, see `Driver`.
         duration: Time after which the arm brakes [s]; None goes on until Ctrl-C.
         until: Asked in each cycle: a reason in words, once there is one, after which the arm brakes.
+        clock: Where the time comes from, for an arm whose time is not the computer's. That of a driver which is
+            `simulated` is the number of commands.
 
     Returns:
         What was done and why it ended.
@@ -162,26 +167,22 @@ def run(
             f"the driver's period is {1e3 * driver.period:g} ms and the loop's {1e3 * loop.dt:g} ms: "
             f"make the loop with ServoLoop(controller, dt={driver.period:g})"
         )
-    cycle = _Cycle(loop, driver)
+    clock = clock or ComputerClock()
+    cycle = _Cycle(loop, driver, clock)
     loop.reset(loop.position)
-    with quiet_collector(), _interrupts(cycle):
-        cycle.run(math.inf if duration is None else duration, until or (lambda: ""))
-    if not cycle.ordered:
-        _LOGGER.warning("the arm was stopped: %s", cycle.reason)
+    with OrderlyEnd(lambda reason: cycle.stop(reason, True), loop.stale_after, clock) as ending, quiet_collector():
+        cycle.run(math.inf if duration is None else duration, until or (lambda: ""), ending)
+        if not cycle.ordered:
+            _LOGGER.warning("the arm was stopped: %s", cycle.reason)
     return cycle.record()
-
-
-@final
-class _GivenUp(KeyboardInterrupt):
-    """Ctrl-C in a call of the driver that blocks."""
 
 
 @final
 class _Cycle:
     """The state of a run."""
 
-    def __init__(self, loop: ServoLoop, driver: Driver):
-        self._loop, self._driver = loop, driver
+    def __init__(self, loop: ServoLoop, driver: Driver, clock: Clock):
+        self._loop, self._driver, self._clock = loop, driver, clock
         self._joints = _Joints(loop.robot, driver)
         self._simulated = bool(getattr(driver, "simulated", False))
         self._samples: list[tuple[float, np.ndarray, Command]] = []
@@ -189,20 +190,7 @@ class _Cycle:
         self.cycles = self.overruns = 0
         self.longest_delay = 0.0
         self.reason, self.ordered = "", False
-        self._pressed = False
-        self._called: float | None = None  # when the driver was called that has not returned yet
         self._blocked: set[str] = set()  # what did not return and is called no more
-
-    def interrupt(self) -> None:
-        """Ctrl-C: brake; again, or in a call of the driver that blocks, give that call up.
-
-        Raises:
-            KeyboardInterrupt: In the call of the driver.
-        """
-        again, self._pressed = self._pressed, True
-        self.stop("Ctrl-C", True)
-        if self._called is not None and (again or time.perf_counter() - self._called > self._loop.stale_after):
-            raise _GivenUp
 
     def stop(self, reason: str, ordered: bool = False) -> None:
         """Brake, and end when the arm stands; the first reason counts."""
@@ -210,14 +198,18 @@ class _Cycle:
             self.reason, self.ordered = reason, ordered
             self._loop.stop()
 
-    def run(self, duration: float, until: Callable[[], str]) -> None:
+    def run(self, duration: float, until: Callable[[], str], ending: OrderlyEnd) -> None:
         """Until the arm stands after a reason to stop."""
-        period, loop = self._driver.period, self._loop
-        start = due = time.perf_counter()
-        lately, ending = 0.0, math.inf
+        period, loop, clock = self._driver.period, self._loop, self._clock
+        start = due = clock.now()
+        lately, last = 0.0, math.inf
         while True:
-            late = 0.0 if self._simulated else wait_until(due)
-            t = self.cycles * period if self._simulated else time.perf_counter() - start
+            if self._simulated:
+                t, late = self.cycles * period, 0.0
+            else:
+                clock.wait_until(due)
+                t = clock.now() - start
+                late = t + start - due
             self.longest_delay = max(self.longest_delay, late)
             self.overruns += late > LATE * period
             missed = int(max(0.0, late) / period)
@@ -231,29 +223,29 @@ class _Cycle:
                 self.stop(f"the {duration:g} s were over", True)
             if reason := until():
                 self.stop(reason, True)
-            command = loop.update(self._read(), t)
-            self._send(command)
+            command = loop.update(self._read(ending), t)
+            self._send(command, ending)
             self._note(t, command)
             if command.status is Status.FOLLOWING_ERROR:
                 self.stop(self._frozen() + (loop.stopped_by or "the arm is blocked"))
             self.cycles += 1
-            ending = min(ending, t + LONGEST_STOP) if self.reason else math.inf
-            if t >= ending or "command()" in self._blocked or self._stands(command):
+            last = min(last, t + LONGEST_STOP) if self.reason else math.inf
+            if t >= last or "command()" in self._blocked or self._stands(command):
                 break
+        if ending.asked and "command()" not in self._blocked and (failed := hold_still(self._driver, ending)):
+            self.reason, self.ordered = f"{self.reason}; {failed}", False
         loop.start()
 
-    def _read(self) -> Any:
+    def _read(self, ending: OrderlyEnd) -> Any:
         """The measured posture in the robot's order; None where there is none."""
         if "read()" in self._blocked:
             return None
-        self._called = time.perf_counter()
         try:
-            q, _, _ = self._driver.read()
+            with ending.waiting():
+                q, _, _ = self._driver.read()
             return self._joints.measured(q)
         except (Exception, KeyboardInterrupt) as error:  # whatever a driver raises, an arm in motion must brake
             self._failed("read()", error)
-        finally:
-            self._called = None
         return None
 
     def _failed(self, call: str, error: BaseException) -> None:
@@ -262,24 +254,23 @@ class _Cycle:
             self.stop(f"the driver's {call} failed: {type(error).__name__}: {error}")
             return
         self.stop("Ctrl-C", True)
-        if isinstance(error, _GivenUp) and self._called is not None:
-            taken = time.perf_counter() - self._called
+        if isinstance(error, GivenUp):
             self._blocked.add(call)
-            self.reason, self.ordered = f"{self.reason}; the driver's {call} had not returned for {taken:.2g} s", False
+            taken = f"{error.args[0]:.2g} s"
+            self.reason, self.ordered = f"{self.reason}; the driver's {call} had not returned for {taken}", False
 
-    def _send(self, command: Command) -> None:
+    def _send(self, command: Command, ending: OrderlyEnd) -> None:
         q = self._loop.position
         if q is None:
             return
         robot = self._loop.robot
-        self._called = time.perf_counter()
         try:
             x = q if q.shape[0] == robot.nv else robot.positions(q)
-            self._driver.command(self._joints.sent(x, self._joints.rest), self._joints.sent(command.velocity, 0.0))
+            x, u = self._joints.sent(x, self._joints.rest), self._joints.sent(command.velocity, 0.0)
+            with ending.waiting():
+                self._driver.command(x, u)
         except (Exception, KeyboardInterrupt) as error:  # likewise
             self._failed("command()", error)
-        finally:
-            self._called = None
 
     def _stands(self, command: Command) -> bool:
         """Whether the arm stands for a reason to end; gives the reason where it is the loop's."""
@@ -376,39 +367,3 @@ class _Joints:
         out = np.array(np.broadcast_to(others, (len(self._theirs),)), dtype=np.float64)
         out[self._places] = values
         return out
-
-
-def wait_until(moment: float) -> float:
-    """Sleep, then spin. Returns how late it is [s]."""
-    while (left := moment - time.perf_counter()) > 0.0:
-        if left > SPIN:
-            time.sleep(left - SPIN)
-    return -left
-
-
-@contextmanager
-def quiet_collector() -> Iterator[None]:
-    """No garbage collection inside: one was seen to take 260 ms."""
-    ran = gc.isenabled()
-    gc.collect()
-    gc.freeze()
-    gc.disable()
-    try:
-        yield
-    finally:
-        gc.unfreeze()
-        if ran:
-            gc.enable()
-
-
-@contextmanager
-def _interrupts(cycle: _Cycle) -> Iterator[None]:
-    """Ctrl-C asks the cycle to stop, wherever it is; in other threads than the main one there is none."""
-    if threading.current_thread() is not threading.main_thread():
-        yield
-        return
-    before = signal.signal(signal.SIGINT, lambda *_: cycle.interrupt())
-    try:
-        yield
-    finally:
-        signal.signal(signal.SIGINT, before)

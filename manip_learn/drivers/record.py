@@ -16,7 +16,8 @@ import numpy as np
 from jaxtyping import Float
 
 from manip_learn.atomic_write import has_no_room
-from manip_learn.control.driver import Driver, quiet_collector, wait_until
+from manip_learn.control.cycle import Clock, ComputerClock, OrderlyEnd, hold_still, quiet_collector
+from manip_learn.control.driver import Driver
 from manip_learn.errors import ConfigurationError, OutputError, counted
 from manip_learn.linalg import finite
 from manip_learn.recordings.format_words import EFFORT_SUFFIX, VELOCITY_SUFFIX
@@ -29,6 +30,7 @@ RESTS = 1.5  # [s] in which an arm whose motion is over does not move by that mu
 FLUSHED = 0.02  # [s] between two writes: what a killed program loses
 SYNCED = 1.0  # [s] between two waits for the disk itself: what a power cut loses
 SILENT = 1.0  # [s] without a posture after which recording ends
+PATIENCE = 0.5  # [s] in a period after which a signal gives up what the driver, or who is told of the sample, does
 LATE = 1.5  # periods from one sample to the next from which on one was lost
 By = Literal["motion", "key"]
 Key = Literal["", "start or stop", "end"]
@@ -84,6 +86,7 @@ def record(
     key: Callable[[], Key] | None = None,
     shown: Callable[[Mapping[str, float], bool], object] | None = None,
     began: Callable[[Path | None], object] | None = None,
+    clock: Clock | None = None,
 ) -> RecordedFiles:
     """Record motions of an arm that is guided by hand, a CSV file each: `NAME_01.csv`, `NAME_02.csv`, ...
 
@@ -91,7 +94,7 @@ def record(
     motion, a file begins half a second before a joint moves, and ends when the arm has rested for 1.5 s. Nothing is
     overwritten: numbers go on where a folder has some. Each file is written as its samples come, so that a killed
     program loses 0.02 s of them, and a full disk the sample that it had no room for. `load_demonstrations` reads
-    them.
+    them. Ctrl-C, SIGTERM and SIGHUP end a recording in order; the last two then end the program as they end `run`.
 
     Args:
         driver: The arm; the last posture that it was sent to is where it is held until `release`. A simulated one needs
@@ -105,6 +108,7 @@ def record(
         key: Asked in each period: `"start or stop"`, `"end"` or nothing.
         shown: Told of each sample: joint positions by name [rad or m], and whether they are recorded.
         began: Told of the file that begins, and of None when it ends.
+        clock: As for `run`.
 
     Returns:
         The files, and how many samples were lost.
@@ -122,15 +126,18 @@ def record(
         raise OutputError(f"cannot write to the folder {folder}: name one that you may write to")
     if getattr(driver, "simulated", False) and getattr(driver, "wait", None) is None:
         raise ConfigurationError("a simulated driver needs wait(), in which a period passes without a command")
+    clock = clock or ComputerClock()
     session = _Session(driver, folder, name, by, motions, shown, began)
-    try:
-        session.released(release)
-        with quiet_collector():
-            session.run(np.inf if duration is None else duration, key or (lambda: ""))
-    except KeyboardInterrupt:
-        session.end("Ctrl-C")
-    finally:
-        session.close()
+    with OrderlyEnd(session.end, PATIENCE, clock) as ending:
+        try:
+            with ending.waiting():
+                session.released(release)
+            with quiet_collector():
+                session.run(np.inf if duration is None else duration, key or (lambda: ""), ending, clock)
+        except KeyboardInterrupt:  # in the driver or in who is told of samples
+            session.end("Ctrl-C")
+        finally:
+            session.close(ending)
     return session.record()
 
 
@@ -184,32 +191,33 @@ class _Session:
         if not self._ended:
             self._ended, self._ordered = reason, ordered
 
-    def run(self, duration: float, key: Callable[[], Key]) -> None:
+    def run(self, duration: float, key: Callable[[], Key], ending: OrderlyEnd, clock: Clock) -> None:
         """Until there is a reason to end."""
         driver, period = self._driver, self._driver.period
         simulated = bool(getattr(driver, "simulated", False))
-        start = due = heard = time.perf_counter()
+        start = due = clock.now()
+        heard = 0.0
         for k in count():
-            t = k * period if simulated else time.perf_counter() - start
-            sample = self._read(t)
-            now = start + t
-            heard = heard if sample is None else now
-            if now - heard > SILENT:
-                self.end(f"the driver has given no posture for {SILENT:g} s", False)
-            pressed = key()
-            if pressed == "end":
-                self.end("ended by key")
-            if t >= duration:
-                self.end(f"the {duration:g} s were over")
-            if sample is not None:
-                self._take(sample, pressed == "start or stop")
+            t = k * period if simulated else clock.now() - start
+            with ending.waiting():
+                sample = self._read(t)
+                heard = heard if sample is None else t
+                if t - heard > SILENT:
+                    self.end(f"the driver has given no posture for {SILENT:g} s", False)
+                pressed = key()
+                if pressed == "end":
+                    self.end("ended by key")
+                if t >= duration:
+                    self.end(f"the {duration:g} s were over")
+                if sample is not None:
+                    self._take(sample, pressed == "start or stop")
+                if simulated and not self._ended:
+                    driver.wait()  # type: ignore[attr-defined]
             if self._ended:
                 return
-            if simulated:
-                driver.wait()  # type: ignore[attr-defined]
-                continue
-            due = max(due + period, time.perf_counter())  # a period that was missed is not made up for
-            wait_until(due)
+            if not simulated:
+                due = max(due + period, clock.now())  # a period that was missed is not made up for
+                clock.wait_until(due)
 
     def _read(self, t: float) -> _Sample | None:
         """A reading at a time [s]; None where it is no posture."""
@@ -305,16 +313,13 @@ class _Session:
         if self._motions is not None and len(self._files) >= self._motions:
             self.end(f"{counted(self._motions, 'motion')} recorded")
 
-    def close(self) -> None:
+    def close(self, ending: OrderlyEnd) -> None:
         """Complete the file, and have the arm hold itself."""
-        self._finish()
-        hold = getattr(self._driver, "hold", None)
-        if hold is None:
-            return
         try:
-            hold()
-        except Exception as error:  # likewise
-            self._notes.append(f"the driver's hold() failed: {type(error).__name__}: {error}")
+            self._finish()
+        finally:
+            if failed := hold_still(self._driver, ending):
+                self._notes.append(failed)
 
     def record(self) -> RecordedFiles:
         """The files and numbers so far."""
