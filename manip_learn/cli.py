@@ -15,6 +15,7 @@ from typing import Any
 
 COMPLETION = "_MANIP_LEARN_COMPLETE"  # set by the shell that asks for completions
 INTERRUPTED = 130  # exit code of a shell for Ctrl-C
+_phase = "idle"  # "working" while a command may have something to clean up, "interrupted" once it was asked to end
 
 
 def main(argv: Sequence[str] | None = None) -> int:
@@ -24,33 +25,30 @@ def main(argv: Sequence[str] | None = None) -> int:
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
     if argv is not None:
         return _run(list(argv))
-    signal.signal(signal.SIGINT, _end)  # until there is something to clean up
+    signal.signal(signal.SIGINT, _interrupt)
     sys.unraisablehook = _unraisable
-    code = _run(sys.argv[1:], as_program=True)
-    signal.signal(signal.SIGINT, _end)
-    sys.exit(code)
+    sys.exit(_run(sys.argv[1:]))
 
 
-def _end(signal_number: int = signal.SIGINT, frame: FrameType | None = None) -> None:
-    """Leave at once."""
+def _interrupt(signal_number: int = signal.SIGINT, frame: FrameType | None = None) -> None:
+    """Let a command clean up; leave at once where there is nothing to clean up, or if asked a second time."""
+    global _phase
+    if _phase == "working":
+        _phase = "interrupted"
+        raise KeyboardInterrupt
     os.write(2, b"interrupted\n")
     os._exit(INTERRUPTED)
-
-
-def _interrupt(signal_number: int, frame: FrameType | None) -> None:
-    """Leave with what there is to clean up; asked a second time, at once."""
-    signal.signal(signal.SIGINT, _end)
-    raise KeyboardInterrupt
 
 
 def _unraisable(lost: Any) -> None:
     """Where Python cannot raise, as in a destructor, it would print a traceback of Ctrl-C and go on."""
     if isinstance(lost.exc_value, KeyboardInterrupt):
-        _end()
+        _interrupt()
     sys.__unraisablehook__(lost)
 
 
-def _run(arguments: list[str], as_program: bool = False) -> int:
+def _run(arguments: list[str]) -> int:
+    global _phase
     from manip_learn.commands.command_line import PROGRAM, flags_of, joined_vectors, typed
     from manip_learn.commands.output import refuse
     from manip_learn.commands.program import program
@@ -63,30 +61,31 @@ def _run(arguments: list[str], as_program: bool = False) -> int:
         )
 
     def work() -> Any:
-        if as_program:
-            signal.signal(signal.SIGINT, _interrupt)
+        global _phase
+        _phase = "working"
         return program.main(arguments, prog_name=PROGRAM, standalone_mode=False)
 
     with advice_for_command(flags_of(program, arguments)), typed(arguments):
-        return _exit_code(work, "--json" in arguments)
+        code = _exit_code(work, "--json" in arguments)
+    _phase = "idle"
+    return code
 
 
 def _exit_code(command: Callable[[], Any], as_json: bool) -> int:
     """The exit code of a command, and the sentence that says why, where it did not work."""
     import typer
+    from typer._click.exceptions import UsageError  # of click's errors typer itself exports children alone
 
     from manip_learn.commands.command_line import PROGRAM
     from manip_learn.commands.output import nobody_reads, refuse, refused_by_system
     from manip_learn.errors import ManipLearnError
 
-    # depending on its version, typer bundles click or uses the public one: either way this is click's UsageError
-    usage_error: Any = typer.BadParameter.__mro__[1]
     try:
         outcome = command()
         sys.stdout.flush()
     except ManipLearnError as error:
         return refuse(str(error), as_json, error.code, error.facts())
-    except usage_error as error:
+    except UsageError as error:
         context = getattr(error, "ctx", None)
         where = f"{PROGRAM} {context.info_name}" if context and context.parent else PROGRAM
         return refuse(f"{error.format_message().rstrip('.')}: see `{where} --help`", as_json, "usage")
@@ -103,7 +102,7 @@ def _exit_code(command: Callable[[], Any], as_json: bool) -> int:
             return int(error.__context__.code or 1)
         return refuse(refused_by_system(error), as_json, "system")
     except Exception as error:  # last resort: a sentence, not a traceback
-        if signal.getsignal(signal.SIGINT) is _end:  # Ctrl-C in the middle of an import that reports its own failure
+        if _phase == "interrupted":  # Ctrl-C in the middle of an import that reports its own failure
             return INTERRUPTED
         sentence = f"internal error ({type(error).__name__}: {error}); please report it"
         return refuse(sentence, as_json, "internal", exit_code=1)

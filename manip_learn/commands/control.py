@@ -31,7 +31,7 @@ from manip_learn.recordings.trajectory_source import Progress
 from manip_learn.robot import Robot
 
 ROWS = ("all", "held")
-# what a hand that follows the held rows is on
+# curve or surface that the held rows keep the hand on
 PLACES = {"line": "line", "plane": "plane", "hinge": "circle", "ball": "sphere", "screw": "helix", "other": "cylinder"}
 
 

@@ -178,8 +178,8 @@ class ReadingOptions:
     HEADING: ClassVar[str] = "Reading recordings"
 
     degrees: Annotated[bool, Option("--degrees", help="The recordings are in degrees.")] = False
-    units: Annotated[str | None, Option(help="Of the recorded angles: radians, degrees or normalised.")] = None
-    time_unit: Annotated[str | None, Option(help="Of the time stamps: s, ms, us or ns.")] = None
+    units: Annotated[str | None, Option(help="Unit of the recorded angles: radians, degrees or normalised.")] = None
+    time_unit: Annotated[str | None, Option(help="Unit of the time stamps: s, ms, us or ns.")] = None
     ignore_column: Annotated[list[str] | None, Option(help="Column to ignore; repeatable.")] = None
     rename: Annotated[list[str] | None, Option(help="NAME_IN_FILE=NAME_IN_ROBOT of a joint.")] = None
     columns: Annotated[
@@ -194,7 +194,7 @@ class ReadingOptions:
         str | None, Option(help="A table's last line without a line end (cut off?): drop or keep.")
     ] = None
     episodes: Annotated[
-        str | None, Option(help="Which to read, from 0, e.g. 0:50,60,75: LeRobot episodes, or files in order.")
+        str | None, Option(help="Episodes (LeRobot) or files in order to read, counted from 0, e.g. 0:50,60,75.")
     ] = None
     feature: Annotated[str | None, Option(help="LeRobot feature that holds the joint positions.")] = None
     task: Annotated[str | None, Option(help="Read only the LeRobot episodes that show this task.")] = None
@@ -229,13 +229,13 @@ class PlanOptions:
     plan: Annotated[
         bool, Option("--plan", help="Choose the posture in which to take hold, so that all of it can be done.")
     ] = False
-    seed: Annotated[int, Option(help="Of its random postures.")] = 0
-    grasp_angle: Annotated[float | None, Option(help="By how much the hand's z axis may tilt [degrees].")] = None
+    seed: Annotated[int, Option(help="Random seed of the search.")] = 0
+    grasp_angle: Annotated[float | None, Option(help="Largest tilt of the hand's z axis [degrees].")] = None
     grasp_turns: Annotated[
-        int | None, Option(help="Turns about that axis that grip alike; 2: a gripper, 0: a knob.")
+        int | None, Option(help="Number of turns about that axis that grip alike; 2: a gripper, 0: a knob.")
     ] = None
-    base_within: Annotated[float, Option(help="If there is no plan: try the base elsewhere, so far [m].")] = 0.0
-    beyond_shown: Annotated[bool, Option("--beyond-shown", help="Farther than was shown.")] = False
+    base_within: Annotated[float, Option(help="Without a plan, try the base elsewhere, up to this far [m].")] = 0.0
+    beyond_shown: Annotated[bool, Option("--beyond-shown", help="Allow a way farther than was shown.")] = False
 
     def __post_init__(self) -> None:
         """Refuse options of a plan without `--plan`."""
@@ -299,9 +299,7 @@ class LearnOptions:
         str, Option(help="auto: find the stretches in which a constraint holds; off: take recordings as a whole.")
     ] = "auto"
     mechanism: Annotated[str, Option(help="auto: say what holds the hand (hinge, line, ...); off.")] = "auto"
-    strength: Annotated[
-        float | None, Option(help="How much less than by chance a row must be used to be believed; default: 1.8.")
-    ] = None
+    strength: Annotated[float | None, Option(help="Minimum strength of evidence for a row; default: 1.8.")] = None
     start: Annotated[float | None, Option("--from", help="Leave out what was recorded before [s].")] = None
     until: Annotated[float | None, Option(help="Leave out what was recorded after [s].")] = None
     points: Annotated[int | None, Option(help="Use at most this many samples of each trajectory.")] = None
@@ -339,9 +337,9 @@ class ControlOptions:
     ] = None
     along: Annotated[float | None, Option(help="Way along a line or a plane [m].")] = None
     turn: Annotated[float | None, Option(help="Angle about a hinge, a screw or a ball [degrees].")] = None
-    direction: Annotated[str | None, Option(help="Which way, where several are free: x,y,z.")] = None
-    speed: Annotated[float | None, Option(help="Of the hand [m/s], or of a turn [degrees/s].")] = None
-    keep_orientation: Annotated[bool, Option("--keep-orientation", help="The hand does not turn.")] = False
+    direction: Annotated[str | None, Option(help="Direction of the way, where several are free: x,y,z.")] = None
+    speed: Annotated[float | None, Option(help="Speed of the hand [m/s], or of a turn [degrees/s].")] = None
+    keep_orientation: Annotated[bool, Option("--keep-orientation", help="Keep the orientation of the hand.")] = False
     target: Annotated[str | None, Option(help="Point to go to, one value per axis [m or rad].")] = None
     rows: Annotated[str, Option(help="all: go to the target; held: its held rows only (the paper).")] = "all"
     policy: Annotated[str, Option(help="manipulability, zero or attractor.")] = "manipulability"
@@ -420,7 +418,7 @@ class RecordOptions:
         str, Argument(metavar="DRIVER", help="FILE.py:NAME or package.module:NAME: a driver, or what makes one.")
     ]
     out: Annotated[Path, Option(help="Folder of the recordings.")] = Path("demos")
-    name: Annotated[str, Option(help="What they are called: NAME_01.csv and so on.")] = "demo"
+    name: Annotated[str, Option(help="Name of the recordings: NAME_01.csv and so on.")] = "demo"
     robot: Annotated[str | None, Option(help="Robot to show and to learn for.", autocompletion=robot_completions)] = (
         None
     )
@@ -428,8 +426,8 @@ class RecordOptions:
         str | None, Option(help="The frame that is guided, e.g. the tool's tip.", autocompletion=frame_completions)
     ] = None
     by: Annotated[str, Option(help="motion: from motion to rest; key: Enter begins and ends, q leaves.")] = "motion"
-    motions: Annotated[int | None, Option(help="How many to record; default: until Ctrl-C.")] = None
-    duration: Annotated[float | None, Option(help="How long to wait for them in all [s].")] = None
+    motions: Annotated[int | None, Option(help="Number of motions to record; default: until Ctrl-C.")] = None
+    duration: Annotated[float | None, Option(help="Longest time to wait for all of them [s].")] = None
     no_release: Annotated[bool, Option("--no-release", help="Leave the arm's torque on.")] = False
     no_browser: Annotated[bool, Option("--no-browser", help="Do not open the live picture.")] = False
     loading: RobotOptions = RobotOptions()
@@ -452,7 +450,7 @@ class TeachOptions:
     ] = None
     scene: Annotated[str, Option(help="First scene: drawer, door, loose-door, table, screw, two or free.")] = "drawer"
     out: Annotated[Path, Option(help="Folder for recordings and what is learnt.")] = Path("taught")
-    seed: Annotated[int | None, Option(help="Of the places; default: others every time.")] = None
+    seed: Annotated[int | None, Option(help="Random seed for the scene; default: different each time.")] = None
     no_browser: Annotated[bool, Option("--no-browser", help="Print the page's address, and do not open it.")] = False
     loading: RobotOptions = RobotOptions()
     as_json: Json = False
@@ -464,10 +462,10 @@ class ReproduceOptions:
     """Run the experiments of "Learning Singularity Avoidance", and compare with the printed numbers."""
 
     experiment: Annotated[str, Argument(help="table, rmse, singular-start, near-singular-start, sawyer or all.")]
-    trials: Annotated[int, Option(help="Repetitions; 50 in the paper.")] = 50
+    trials: Annotated[int, Option(help="Number of repetitions; the paper has 50.")] = 50
     seed: Annotated[int, Option(help="Random seed; the same seed gives the same numbers.")] = 0
     out: Annotated[Path | None, Option(help="Folder for numbers, figures and replays.")] = None
-    workers: Annotated[int | None, Option(help="Processes; default: all cores.")] = None
+    workers: Annotated[int | None, Option(help="Number of processes; default: all cores.")] = None
     backend: Annotated[str, Option(help="loky (processes) or threading.")] = "loky"
     as_json: Json = False
 

@@ -34,11 +34,7 @@ STYLE: dict[Any, Any] = {
 
 
 def new_figure(width: float, height: float, rows: int = 1, columns: int = 1, **options: object):
-    """A figure of a size [inch] with a grid of axes, without a display.
-
-    Raises:
-        MissingExtraError: matplotlib is not installed.
-    """
+    """A figure of a size [inch] with a grid of axes, without a display; MissingExtraError without matplotlib."""
     try:
         import matplotlib
         from matplotlib.figure import Figure
@@ -55,11 +51,7 @@ KINDS: dict[str, Any] = {"png": {"dpi": 110, "metadata": {"Software": None}}, "s
 
 
 def save_figure(figure: Figure, folder: Path, name: str, kinds: Sequence[str] = tuple(KINDS)) -> list[Path]:
-    """Write PNG and SVG, whole or not at all; the same figure gives the same bytes.
-
-    Raises:
-        OutputError: They cannot be written.
-    """
+    """Write PNG and SVG, whole or not at all (OutputError); the same figure gives the same bytes."""
     import matplotlib
 
     paths = []
@@ -90,10 +82,12 @@ class Panel:
 
 
 def strips(panels: Sequence[Sequence[Panel]], across: str, width: float = 11.0, height: float = 4.8) -> Figure:
-    """Every value as a dot, with the median of each column as a bar; the panels of a line share their axis.
+    """Every value as a dot on a logarithmic axis, with the median of each column as a bar.
+
+    Nothing is left out or moved: values of exactly zero, which this axis does not have, are triangles on its edge.
 
     Args:
-        panels: Lines of panels; a line is as long as the others.
+        panels: Lines of panels, all as long; those of a line share their axis.
         across: Words of the horizontal axis: the meaning of a column and of a dot.
         width: Of the figure [inch].
         height: Of the figure [inch].
@@ -102,18 +96,14 @@ def strips(panels: Sequence[Sequence[Panel]], across: str, width: float = 11.0, 
     figure, axes = new_figure(width, height, len(panels), len(panels[0]), sharex="col" if same else False, sharey="row")
     for i, line in enumerate(panels):
         for ax, panel in zip(axes[i], line, strict=True):
-            strip(ax, panel.values, panel.paper)
+            _strip(ax, panel.values, panel.paper)
             ax.set_title(panel.title)
         axes[i, 0].set_ylabel(line[0].says)
     figure.supxlabel(across, fontsize=9)
     return figure
 
 
-def strip(axes: Axes, values: Mapping[str, Sequence[float]], paper: float | None = None) -> None:
-    """Every value as a dot on a logarithmic axis, with the median as a bar, and the paper's mean as a line across.
-
-    Nothing is left out or moved: values of exactly zero, which this axis does not have, are triangles on its edge.
-    """
+def _strip(axes: Axes, values: Mapping[str, Sequence[float]], paper: float | None) -> None:
     for i, ys in enumerate(values.values()):
         dots = np.array(ys, dtype=np.float64)
         if not dots.size:

@@ -53,21 +53,18 @@ class TrialsResult(ExperimentResult):
 
     def rows(self) -> list[dict[str, Any]]:
         """One line per trial: its case, and every number under its key; nested keys are joined by dots."""
-        lines = [
-            {"case": case, "trial": i} | dict(_flat(trial))
-            for case, trials in self.outcomes.items()
-            for i, trial in enumerate(trials)
-        ]
+
+        def flat(values: Mapping[str, Any], prefix: str = "") -> Iterator[tuple[str, Any]]:
+            for key, value in values.items():
+                if isinstance(value, dict):
+                    yield from flat(value, f"{prefix}{key}.")
+                else:
+                    yield prefix + key, json.dumps(value) if isinstance(value, list) else value
+
+        named = [(case, i, trial) for case, trials in self.outcomes.items() for i, trial in enumerate(trials)]
+        lines = [{"case": case, "trial": i} | dict(flat(trial)) for case, i, trial in named]
         names = dict.fromkeys(name for line in lines for name in line)
         return [{name: line.get(name, "") for name in names} for line in lines]
-
-
-def _flat(values: Mapping[str, Any], prefix: str = "") -> Iterator[tuple[str, Any]]:
-    for key, value in values.items():
-        if isinstance(value, dict):
-            yield from _flat(value, f"{prefix}{key}.")
-        else:
-            yield prefix + key, json.dumps(value) if isinstance(value, list) else value
 
 
 def summary(values: Iterable[float | None]) -> dict[str, Any]:

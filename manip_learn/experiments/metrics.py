@@ -7,10 +7,12 @@ from jaxtyping import Float
 
 from manip_learn.constraint.features.feature_map import FeatureMap
 
+Manipulabilities = Float[np.ndarray, " n"]  # of the true constraint, or of the learnt one, at the same n postures
+
 
 def manipulability_along(
     features: FeatureMap, Lambda: Float[np.ndarray, "s p"], q: Float[np.ndarray, "n nq"]
-) -> Float[np.ndarray, " n"]:
+) -> Manipulabilities:
     """mu(q) = sqrt(det(A A^T)) at many postures, A = Lambda Phi(q); equation (4) of Manavalan and Howard.
 
     Computed as the product of the singular values of A. Unit: product of the units of the constraint's rows.
@@ -18,38 +20,20 @@ def manipulability_along(
     return np.prod(np.linalg.svd(Lambda @ features.batch(q), compute_uv=False), axis=1)
 
 
-def mie(mu: Float[np.ndarray, " n"], learnt: Float[np.ndarray, " n"]) -> float:
-    """Manipulability index error of Manavalan and Howard, in the unit of mu squared.
-
-        MIE = 1/n sum_i (mu_i - mu~_i)^2
-
-    Args:
-        mu: Manipulability of the true constraint at n postures.
-        learnt: mu~, that of the learnt constraint at the same postures.
-    """
+def mie(mu: Manipulabilities, learnt: Manipulabilities) -> float:
+    """Manipulability index error, MIE = 1/n sum_i (mu_i - mu~_i)^2, in the unit of mu squared."""
     return float(np.mean((mu - learnt) ** 2))
 
 
-def nmie(mu: Float[np.ndarray, " n"], learnt: Float[np.ndarray, " n"]) -> float:
-    """Normalised manipulability index error of Manavalan and Howard; 1 for the best constant mu~.
-
-        NMIE = 1/(n var(mu)) sum_i (mu_i - mu~_i)^2
-
-    Args:
-        mu: Manipulability of the true constraint at n postures.
-        learnt: mu~, that of the learnt constraint at the same postures.
-    """
+def nmie(mu: Manipulabilities, learnt: Manipulabilities) -> float:
+    """Normalised manipulability index error, NMIE = MIE / var(mu); 1 for the best constant mu~."""
     return float(mie(mu, learnt) / np.var(mu))
 
 
-def scale_free_nmie(mu: Float[np.ndarray, " n"], learnt: Float[np.ndarray, " n"]) -> float:
+def scale_free_nmie(mu: Manipulabilities, learnt: Manipulabilities) -> float:
     """NMIE after the best single factor on mu~: the direction of grad mu does not depend on that factor.
 
-        min_c 1/(n var(mu)) sum_i (mu_i - c mu~_i)^2,  c = mu^T mu~ / |mu~|^2
-
-    Args:
-        mu: Manipulability of the true constraint at n postures.
-        learnt: mu~, that of the learnt constraint at the same postures.
+    min_c 1/(n var(mu)) sum_i (mu_i - c mu~_i)^2,  c = mu^T mu~ / |mu~|^2
     """
     factor = float(mu @ learnt) / max(float(learnt @ learnt), np.finfo(np.float64).tiny)
     return nmie(mu, factor * learnt)
@@ -58,13 +42,7 @@ def scale_free_nmie(mu: Float[np.ndarray, " n"], learnt: Float[np.ndarray, " n"]
 def policy_rmse(pi: Float[np.ndarray, "m T nv"], learnt: Float[np.ndarray, "m T nv"]) -> Float[np.ndarray, " m"]:
     """Root mean square difference of two policies along m trajectories, e.g. of pi_mu = grad mu, equation (13).
 
-        RMSE = sqrt(1/T sum_t |pi_t - pi~_t|^2)
-
-    Args:
-        pi: Of the true policy at T moments of each trajectory: velocities [rad/s or m/s], or postures.
-        learnt: pi~, of the learnt policy: at the same postures, or at those of the trajectory that it makes.
-
-    Returns:
-        One value per trajectory, in the unit of the two policies.
+    RMSE = sqrt(1/T sum_t |pi_t - pi~_t|^2), a value per trajectory, in the unit of the policies: velocities
+    [rad/s or m/s], or the postures that they lead to.
     """
     return np.sqrt(np.mean(np.sum((learnt - pi) ** 2, axis=-1), axis=-1))

@@ -116,11 +116,7 @@ def constrained_motion(
 ) -> Float[np.ndarray, "n nv"]:
     """u = A^+ b + N pi, equation (2), at many postures at once.
 
-    Args:
-        A: A(q) of each posture.
-        b: Velocity of the task.
-        pi: Null-space policy [rad/s].
-        damping: d of the damped inverse A^T (A A^T + d^2 I)^-1, in the unit of A; 0 for the pseudo-inverse.
+    With damping d, in the unit of A, the inverse is A^T (A A^T + d^2 I)^-1.
     """
     rest = b - np.einsum("nsv,nv->ns", A, pi)
     if not damping:
@@ -132,14 +128,7 @@ def constrained_motion(
 def euler_steps(
     law: Callable[[np.ndarray], np.ndarray], q: Float[np.ndarray, "g nv"], points: int, step: float = STEP
 ) -> tuple[Float[np.ndarray, "g T nv"], Float[np.ndarray, "g T nv"]]:
-    """Postures [rad] and velocities [rad/s] of explicit Euler steps from many starts at once.
-
-    Args:
-        law: Postures -> velocities.
-        q: Starts [rad].
-        points: Number of samples T, the start included.
-        step: Time of a step [s].
-    """
+    """Postures [rad] and velocities [rad/s] of T - 1 explicit Euler steps of a law, postures -> velocities, at once."""
     postures, actions = [], []
     for _ in range(points):
         postures.append(q)

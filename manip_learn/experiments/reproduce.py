@@ -88,16 +88,16 @@ def reproduce(
 
 
 def write_result(part: str, result: ExperimentResult, folder: Path, settings: dict[str, Any]) -> list[Path]:
-    """JSON, CSV, Markdown, figures and replay pages of one part.
-
-    Raises:
-        OutputError: They cannot be written.
-        MissingExtraError: matplotlib is not installed.
-    """
+    """JSON, CSV, Markdown, figures and replay pages of one part; OutputError if they cannot be written."""
     content = {"experiment": part, "settings": settings, "result": result.to_dict()}
+    table, rows = io.StringIO(), result.rows()
+    if rows:
+        writer = csv.DictWriter(table, fieldnames=list(rows[0]), lineterminator="\n")
+        writer.writeheader()
+        writer.writerows(rows)
     paths = [
         write_atomically(folder / f"{part}.json", json.dumps(content, indent=1, allow_nan=False) + "\n"),
-        write_atomically(folder / f"{part}.csv", _csv(result.rows())),
+        write_atomically(folder / f"{part}.csv", table.getvalue()),
         write_atomically(folder / f"{part}.md", result.markdown() + "\n"),
     ]
     for name, figure in result.figures().items():
@@ -121,12 +121,3 @@ def _check(name: str, trials: int, seed: int, workers: int | None, backend: str)
         raise ExperimentError(f"the seed must be a whole number of 0 or more, got {seed!r}")
     if workers is not None and (isinstance(workers, bool) or not isinstance(workers, int) or workers < 1):
         raise ExperimentError(f"the number of workers must be 1 or more, got {workers!r}; leave it out for all cores")
-
-
-def _csv(rows: list[dict[str, Any]]) -> str:
-    stream = io.StringIO()
-    if rows:
-        writer = csv.DictWriter(stream, fieldnames=list(rows[0]), lineterminator="\n")
-        writer.writeheader()
-        writer.writerows(rows)
-    return stream.getvalue()

@@ -94,15 +94,9 @@ def climbing_rollouts(
     targets: Float[np.ndarray, "m 3"],
     climbed: Constraint | None = None,
 ) -> tuple[Float[np.ndarray, "m T 3"], Float[np.ndarray, "m T 3"]]:
-    """Postures and pi_mu under u = A^+ b + N pi_mu, equations (2) and (13), from m starts at once, by Euler steps.
+    """Postures and pi_mu under u = A^+ b + N pi_mu, equations (2) and (13), from m starts [rad] to m targets r*.
 
-    b = Lambda (r* - r(q)).
-
-    Args:
-        constraint: Of the task.
-        q: Starts [rad].
-        targets: r*.
-        climbed: Whose mu is climbed; that of the task by default.
+    b = Lambda (r* - r(q)); `climbed` is the constraint whose mu is climbed, that of the task by default.
     """
 
     def law(q: np.ndarray) -> np.ndarray:
@@ -123,14 +117,13 @@ def climb_along(constraint: Constraint, q: Float[np.ndarray, "m T nq"]) -> Float
 class RmseResult(TrialsResult):
     """RMSE of every rollout of every trial, see `rmse_trial`."""
 
-    def values(self, rows: str, estimator: str, kind: str) -> list[float]:
-        """RMSE of every rollout of every trial."""
+    def _values(self, rows: str, estimator: str, kind: str) -> list[float]:
         return [v for t in self.outcomes[rows] for v in t[estimator][kind]]
 
     def to_dict(self) -> dict[str, Any]:
         """Paper and ours, over all rollouts; `policy_size` is the root mean square of the true policy."""
         ours = {
-            rows: {name: {kind: summary(self.values(rows, name, kind)) for kind in KINDS} for name in ESTIMATORS}
+            rows: {name: {kind: summary(self._values(rows, name, kind)) for kind in KINDS} for name in ESTIMATORS}
             | {"policy_size": float(np.mean([t["size"] for t in trials]))}
             for rows, trials in self.outcomes.items()
         }
@@ -155,7 +148,7 @@ class RmseResult(TrialsResult):
         panels = [
             [
                 Panel(
-                    {SAID[name]: self.values(rows, name, kind) for name in ESTIMATORS},
+                    {SAID[name]: self._values(rows, name, kind) for name in ESTIMATORS},
                     f"RMSE, {KINDS[kind]}".replace(" [", "\n["),
                     f"constrained rows {said_rows(rows)}" if kind == "two_policies" else "",
                     PAPER_RMSE["mean"] if (rows, kind) == (PRINTED_FOR, "two_policies") else None,

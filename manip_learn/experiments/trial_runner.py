@@ -78,6 +78,13 @@ def library_digest() -> str:
     return digest.hexdigest()
 
 
+def _read(path: Path) -> Any:
+    try:
+        return json.loads(path.read_text(encoding="utf-8"))
+    except (OSError, ValueError):
+        return None
+
+
 @final
 class PartStore:
     """Finished parts as JSON files.
@@ -95,7 +102,7 @@ class PartStore:
         try:
             if self.folder.exists() and not self.folder.is_dir():
                 raise OutputError(f"{self.folder} is a file; give a folder for the results")
-            others = [] if not self.folder.exists() else sorted(p.name for p in self.folder.iterdir())
+            others = sorted(p.name for p in self.folder.iterdir()) if self.folder.exists() else []
         except OSError as error:
             raise OutputError(f"cannot read {self.folder}: {error.strerror}; choose another folder") from error
         content = _read(marker)
@@ -113,19 +120,8 @@ class PartStore:
         return kept if isinstance(kept, list) and len(kept) == part.count else None
 
     def keep(self, part: Part, outcomes: list[dict[str, Any]]) -> None:
-        """Write the outcomes of a part, whole or not at all.
-
-        Raises:
-            OutputError: They cannot be written.
-        """
+        """Write the outcomes of a part, whole or not at all; OutputError if they cannot be written."""
         write_atomically(self.folder / PARTS / part.file, json.dumps(outcomes) + "\n")
-
-
-def _read(path: Path) -> Any:
-    try:
-        return json.loads(path.read_text(encoding="utf-8"))
-    except (OSError, ValueError):
-        return None
 
 
 @final
@@ -158,14 +154,7 @@ class TrialRunner:
     def map(
         self, experiment: str, trial: Trial, settings: Sequence[Any], trials: int, seed: int
     ) -> list[list[dict[str, Any]]]:
-        """All trials of all settings, in order; parts that are in the store are not run again.
-
-        Args:
-            experiment: Name, part of the seeds.
-            trial: A function at the top of a module.
-            settings: Frozen dataclasses.
-            trials: Number of trials of each.
-            seed: Root of all seeds.
+        """All trials of all settings, in order; parts in the store are not run again. Arguments as in `Part`.
 
         Raises:
             MissingExtraError: joblib is not installed.
@@ -226,11 +215,7 @@ class Experiment(Generic[Result]):
 
 
 def of_trials(
-    name: str,
-    trial: Trial,
-    cases: Mapping[str, Any],
-    result: Callable[[dict[str, list[dict[str, Any]]]], Result],
-    share: float = 1.0,
+    name: str, trial: Trial, cases: Mapping[str, Any], result: Callable[..., Result], share: float = 1.0
 ) -> Experiment[Result]:
     """An experiment that runs each of its cases in independent trials.
 
@@ -239,8 +224,7 @@ def of_trials(
         trial: A function at the top of a module.
         cases: Name of a case -> frozen dataclass.
         result: Made from the outcomes: name of a case -> one dictionary per trial.
-        share: Trials of each case over those that the user asks for; of the paper's 50 trials, 20 are enough for
-            paired tests, and 5 where an answer varies little. At least one trial is run.
+        share: Trials of each case over those that the user asks for; at least one is run.
     """
 
     def count(trials: int) -> int:
