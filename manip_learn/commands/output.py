@@ -93,12 +93,7 @@ def refused_by_system(error: OSError) -> str:
     return f"the system refuses: {error.strerror or error} ({error.filename})"
 
 
-BAD_INPUT = 2  # exit code
-
-
-def refuse(
-    sentence: str, as_json: bool, code: str, facts: Mapping[str, Any] | None = None, exit_code: int = BAD_INPUT
-) -> int:
+def refuse(sentence: str, as_json: bool, code: str, facts: Mapping[str, Any] | None = None, exit_code: int = 2) -> int:
     """Print a sentence on standard error; under --json also `{"error": {"code", "message", ...}}` on standard output.
 
     Returns:

@@ -29,6 +29,12 @@ if TYPE_CHECKING:
     from manip_learn.learning.audit import EpisodeAudit
     from manip_learn.playback import ReplayResult
 
+WAY_TERMS = ("off", "fastest", "least mu")
+ROLLOUT_TERMS = ("error", "mu", "peak", "unhindered")
+AUDIT_TERMS = ("score", "sigma", "broken", "mm, deg", "margin", "speed", "jerk", "rest")
+# what an audit shows of an episode, in order; on a narrow terminal the last ones of the second row are left out
+SHOWN_ORDER = ("score", "sigma", "broken", "mm", "deg", "margin", "speed", "jerk", "rest", "s")
+MEASURES = ("score", "broken", "margin", "mm", "sigma", "speed", "rest", "deg", "jerk", "s")
 # term -> a few words, and a paragraph
 WORDS: dict[str, tuple[str, str]] = {
     "row": (
@@ -162,19 +168,11 @@ def print_words(console: Console, terms: Sequence[str], explain: bool) -> None:
         say(console, "--explain says more", style="dim")
 
 
-UNDER_WAY = 0.1  # the nearly singular start is not due to the policy: evaluated from here on [s]
-WIDE = 76  # columns of a terminal that hold the policies below each other
-GAP = 2  # blanks between columns
-# what an audit shows of an episode; on a narrow terminal the last ones are left out
-MEASURES = ("score", "broken", "margin", "mm", "sigma", "speed", "rest", "deg", "jerk", "s")
-SHOWN_ORDER = ("score", "sigma", "broken", "mm", "deg", "margin", "speed", "jerk", "rest", "s")
-
-
 def rollout_table(rollouts: dict[str, Controlled], width: int) -> Table:
     """Policies side by side: a line each, or on a narrow terminal, or of one alone, a column each."""
     measures = [_measures(controlled) for controlled in rollouts.values()]
     lines = [("policy", *measures[0]), *((n, *m.values()) for n, m in zip(rollouts, measures, strict=True))]
-    if width < WIDE or len(measures) == 1:
+    if width < 76 or len(measures) == 1:  # columns that hold the policies below each other
         lines = list(zip(*lines, strict=True))
     if len(measures) == 1:  # no policy is compared
         return table_of(("", ""), lines[1:], box=SIMPLE_HEAD, padding=(0, 1), show_header=False)
@@ -193,7 +191,7 @@ def _measures(controlled: Controlled) -> dict[str, str | Text]:
             "fastest": f"{100 * way.fastest[1]:.0f} %",
             "least mu": f"{way.least_manipulability:.3f}",
         }
-    mu = r.manipulability[r.time >= min(UNDER_WAY, r.time[-1])]
+    mu = r.manipulability[r.time >= min(0.1, r.time[-1])]  # [s]: a nearly singular start is not due to the policy
     return {
         "error": f"{controlled.final_error:.4f}",
         "min mu": f"{mu.min():.4f}",
@@ -209,7 +207,7 @@ def audit_table(episodes: Sequence[EpisodeAudit], width: int) -> tuple[Table, tu
     room = width - max([len("episode"), *(len(printable(e.episode)) for e in episodes)])
     fitting: list[str] = []
     for name in MEASURES:
-        room -= GAP + max(len(name), *(len(c) for c in cells[name]), 0)
+        room -= 2 + max(len(name), *(len(c) for c in cells[name]), 0)
         if room < 0:
             break
         fitting.append(name)
@@ -234,13 +232,6 @@ def _measure(name: str, e: EpisodeAudit) -> str:
         "s": (e.duration, ".1f", ""),
     }[name]
     return f"{value:{form}}{unit}" if math.isfinite(value) else "-"
-
-
-MOST_OTHERS = 3  # postures that a plan says more about on a terminal
-MOST_ROWS = 20  # of an audit on a terminal
-WAY_TERMS = ("off", "fastest", "least mu")
-ROLLOUT_TERMS = ("error", "mu", "peak", "unhindered")
-AUDIT_TERMS = ("score", "sigma", "broken", "mm, deg", "margin", "speed", "jerk", "rest")
 
 
 def print_learnt(console: Console, learnt: Learnt, explain: bool = False) -> None:
@@ -357,7 +348,7 @@ def print_controlled(console: Console, controlled: Controlled, explain: bool = F
     plan = controlled.plan
     if plan is not None:
         say(console, f"plan: {plan.sentence}")
-        say(console, *(f"  instead, margin {other.margin:.0%}: {other.why}" for other in plan.others[:MOST_OTHERS]))
+        say(console, *(f"  instead, margin {other.margin:.0%}: {other.why}" for other in plan.others[:3]))
         say(console, f"  of {counted(plan.candidates, 'posture')} that take hold")
         say(console, *plan.notes, style="yellow")
     counts = controlled.rollout.status_counts
@@ -402,12 +393,13 @@ def _obstacles(controlled: Controlled) -> list[str]:
 def print_audit(console: Console, audited: Audited, explain: bool = False) -> None:
     """The worst episodes, and what to leave out and why."""
     report = audited.report
-    table, hidden = audit_table(report.episodes[:MOST_ROWS], console.width)
+    most = 20  # rows on a terminal
+    table, hidden = audit_table(report.episodes[:most], console.width)
     console.print(table)
     if hidden:
         say(console, f"not shown for want of width: {', '.join(hidden)} (--csv FILE has all)")
-    if len(report.episodes) > MOST_ROWS:
-        say(console, f"and {len(report.episodes) - MOST_ROWS} better episodes (--csv FILE lists all)")
+    if len(report.episodes) > most:
+        say(console, f"and {len(report.episodes) - most} better episodes (--csv FILE lists all)")
     print_words(console, [t for t in AUDIT_TERMS if t.split(",")[0] not in hidden], explain)
     threshold = f"robust z above {report.threshold:.1f}" if math.isfinite(report.threshold) else "too few to tell"
     left_out = f"leave out {len(report.leave_out)} of {counted(len(report.episodes), 'episode')}"

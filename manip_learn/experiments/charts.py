@@ -46,19 +46,17 @@ def new_figure(width: float, height: float, rows: int = 1, columns: int = 1, **o
     return figure, axes
 
 
-# 110 dots per inch: pictures of the pages stay below 200 kB; no dates or versions, so that the bytes are the same
-KINDS: dict[str, Any] = {"png": {"dpi": 110, "metadata": {"Software": None}}, "svg": {"metadata": {"Date": None}}}
-
-
-def save_figure(figure: Figure, folder: Path, name: str, kinds: Sequence[str] = tuple(KINDS)) -> list[Path]:
+def save_figure(figure: Figure, folder: Path, name: str) -> list[Path]:
     """Write PNG and SVG, whole or not at all (OutputError); the same figure gives the same bytes."""
     import matplotlib
 
+    # no dates or versions, so that the bytes are the same
+    kinds: dict[str, Any] = {"png": {"dpi": 110, "metadata": {"Software": None}}, "svg": {"metadata": {"Date": None}}}
     paths = []
-    for kind in kinds:
+    for kind, options in kinds.items():
         stream = io.BytesIO()
         with matplotlib.rc_context(STYLE):
-            figure.savefig(stream, format=kind, **KINDS[kind])
+            figure.savefig(stream, format=kind, **options)
         paths.append(write_atomically(folder / f"{name}.{kind}", stream.getvalue()))
     return paths
 

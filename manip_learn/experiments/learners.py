@@ -26,6 +26,17 @@ from manip_learn.learning.samples import Samples
 from manip_learn.linalg import batch_row_spaces, complement_rows, orthonormal_rows
 from manip_learn.recordings.demonstrations import Demonstrations
 
+# name -> what tables and pictures call it
+SAID: dict[str, str] = {
+    "joint-affine": "joint, affine policy",
+    "joint-quadratic": "joint, quadratic policy",
+    "joint-cubic": "joint, cubic policy",
+    "joint-rbf": "joint, 32 radial functions",
+    "separate": "separate, then all rows at once",
+    "separate-row-by-row": "separate, then row by row",
+    "true-w": "true null-space part",
+    "auto": "as shipped",
+}
 Learnt = tuple[np.ndarray, dict[str, Any]]  # Lambda, and remarks
 Matrix = Float[np.ndarray, "s p"]
 
@@ -114,15 +125,4 @@ ESTIMATORS: dict[str, Callable[..., Learnt]] = {
     ),
     "true-w": _true_null_part,
     "auto": _auto,
-}
-# name -> what tables and pictures call it
-SAID: dict[str, str] = {
-    "joint-affine": "joint, affine policy",
-    "joint-quadratic": "joint, quadratic policy",
-    "joint-cubic": "joint, cubic policy",
-    "joint-rbf": "joint, 32 radial functions",
-    "separate": "separate, then all rows at once",
-    "separate-row-by-row": "separate, then row by row",
-    "true-w": "true null-space part",
-    "auto": "as shipped",
 }

@@ -67,6 +67,9 @@ STEP, DEMONSTRATIONS, POINTS = 0.01, 50, 10  # [s]
 ROLLOUTS, ROLLOUT_POINTS = 20, 100  # that the RMSE is taken over, samples of each
 FRAME = "right_gripper_tip"
 KIND, HARD = "sawyer_drawer", "sawyer_drawer_hard"
+Source = Literal["model", "kind physics", "hard physics"]
+Reading = Literal["constrained row", "free direction"]
+BETWEEN = " | "  # the words of a case
 
 
 @cache
@@ -107,10 +110,6 @@ def shipped_recordings() -> Path:
     return installed if installed.is_dir() else Path(__file__).resolve().parents[2] / "examples" / "data"
 
 
-Source = Literal["model", "kind physics", "hard physics"]
-Reading = Literal["constrained row", "free direction"]
-
-
 @final
 @dataclass(frozen=True)
 class SawyerCase:
@@ -134,7 +133,6 @@ class SawyerCase:
         return f"{self.source}, {'all samples' if self.points is None else f'{self.points} points each'}"
 
 
-BETWEEN = " | "  # the words of a case
 CASES = {
     BETWEEN.join((case.said, case.reading, case.direction)): case
     for source, points in (
@@ -240,18 +238,15 @@ def _rmse(true: Constraint, learnt: Constraint, rng: Generator) -> list[float]:
     return policy_rmse(climb_along(true, q), climb_along(learnt, q)).tolist()
 
 
-ERRORS = ("mie", "nmie", "mie_held", "nmie_held", "angle_deg")
-
-
 @final
 class SawyerResult(TrialsResult):
     """Outcome of every trial, see `sawyer_trial`; a case is its source, its reading and its direction."""
 
     def to_dict(self) -> dict[str, Any]:
         """Paper and ours."""
-        ours = {}
+        ours, errors = {}, ("mie", "nmie", "mie_held", "nmie_held", "angle_deg")
         for case, trials in self.outcomes.items():
-            ours[case] = {what: summary(t.get(what) for t in trials) for what in ERRORS} | {
+            ours[case] = {what: summary(t.get(what) for t in trials) for what in errors} | {
                 "rmse": summary(v for t in trials for v in t.get("rmse", ())),
                 "rows_right": share(t.get("rows") == t["rows_true"] for t in trials),
                 "inside": share(t["angle_deg"] <= t["stated_deg"] for t in trials if t.get("stated_deg") is not None),

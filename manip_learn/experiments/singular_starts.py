@@ -29,6 +29,8 @@ from manip_learn.robot.robot import Robot
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
+Numbers = dict[str, Any]  # of one rollout, see `numbers_of`
+Laws = dict[float, dict[str, Rollout]]  # step [s] -> policy -> rollout of the paper's law
 DURATION = 5.0  # [s]
 STEPS = (0.02, 0.01)  # the paper's 50 Hz, and half of it [s]
 REACHED = 0.05  # [m]
@@ -120,9 +122,6 @@ class Claim:
     def answer(self) -> str:
         """Yes, no, or what else there is to say."""
         return self.verdict or ("yes" if self.holds else "**no**")
-
-
-Numbers = dict[str, Any]  # of one rollout, see `numbers_of`
 
 
 @final
@@ -258,9 +257,6 @@ def perturbed_trial(setting: BadStart, rng: np.random.Generator) -> dict[str, An
         for whose, product in (("paper's law", False), ("ours", True))
         for p in POLICIES
     }
-
-
-Laws = dict[float, dict[str, Rollout]]  # step [s] -> policy -> rollout of the paper's law
 
 
 def compare(

@@ -20,33 +20,6 @@ from manip_learn.robot.description.catalogue import known_as
 from manip_learn.robot.robot import Robot
 from manip_learn.teach.way import STEP, task_of
 
-Taken = list[tuple[str, str, str]]  # name, path, and what it is
-
-
-@final
-@dataclass(frozen=True)
-class Lesson:
-    """What was shown and learnt.
-
-    Attributes:
-        robot: The arm.
-        tip: Its frame that was guided.
-        files: The recordings.
-        file: The constraint, or None if nothing was learnt.
-        out: Folder of what is taken home.
-        way: As `ShownWay.asked` says it, or None.
-        start: Posture with the hand at the handle [rad or m], or None.
-    """
-
-    robot: Robot
-    tip: str
-    files: Sequence[str]
-    file: str | None
-    out: Path
-    way: Mapping[str, Any] | None = None
-    start: Any = None
-
-
 # every word that comes from outside is written by repr: a robot's name or a file's may hold quotes
 SCRIPT = '''"""The same steps as on the teaching page. Run it in the folder of the recordings."""
 
@@ -73,6 +46,31 @@ print(rollout)
 # 3. and in the browser
 ml.replay(robot, {{"as learnt": rollout}}, html="again.html")
 """
+Taken = list[tuple[str, str, str]]  # name, path, and what it is
+
+
+@final
+@dataclass(frozen=True)
+class Lesson:
+    """What was shown and learnt.
+
+    Attributes:
+        robot: The arm.
+        tip: Its frame that was guided.
+        files: The recordings.
+        file: The constraint, or None if nothing was learnt.
+        out: Folder of what is taken home.
+        way: As `ShownWay.asked` says it, or None.
+        start: Posture with the hand at the handle [rad or m], or None.
+    """
+
+    robot: Robot
+    tip: str
+    files: Sequence[str]
+    file: str | None
+    out: Path
+    way: Mapping[str, Any] | None = None
+    start: Any = None
 
 
 def _constraint(lesson: Lesson) -> Taken:
