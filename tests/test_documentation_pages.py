@@ -1,25 +1,31 @@
-"""The check that `make docs` runs on the built pages finds what it is there for."""
+"""The check that `make docs` runs on built pages finds what it is for; figures are drawn from their tables."""
 
 from __future__ import annotations
 
 import importlib.util
 from pathlib import Path
+from types import ModuleType
 
 import pytest
 
-CHECK = Path(__file__).resolve().parents[1] / "docs" / "check_pages.py"
+DOCS = Path(__file__).resolve().parents[1] / "docs"
 GOOD = '<h1 id="top">A</h1><a href="b.html#there">b</a><a href="#top">up</a><a href="https://example.org">site</a>'
 OTHER = '<p id="there"><img src="picture.png"></p><link rel="canonical" href="https://example.org/b.html">'
 
 
-@pytest.fixture(scope="module")
-def check():
-    """The script as a module."""
-    spec = importlib.util.spec_from_file_location("check_pages", CHECK)
+def script(path: Path) -> ModuleType:
+    """A script as a module."""
+    spec = importlib.util.spec_from_file_location(path.stem, path)
     assert spec is not None and spec.loader is not None
     module = importlib.util.module_from_spec(spec)
     spec.loader.exec_module(module)
     return module
+
+
+@pytest.fixture(scope="module")
+def check():
+    """The check of the pages."""
+    return script(DOCS / "check_pages.py")
 
 
 @pytest.fixture
@@ -36,9 +42,9 @@ def test_sound_pages_have_no_fault(check, site):
     assert list(check.faults_of_pages(site)) == []
 
 
-def test_each_fault_is_found(check, site):
-    """What is loaded from the network, and what links to nothing, is named with its page."""
-    for fault, words in (
+@pytest.mark.parametrize(
+    ("fault", "words"),
+    [
         ('<script src="https://cdn.example.org/mathjax.js"></script>', "loads https://cdn.example.org/mathjax.js"),
         ('<link rel="stylesheet" href="//fonts.example.org/css">', "loads //fonts.example.org/css"),
         ('<img src="http://example.org/badge.svg">', "loads http://example.org/badge.svg"),
@@ -47,9 +53,12 @@ def test_each_fault_is_found(check, site):
         ('<a href="b.html#here">b</a>', "b.html#here: no such anchor"),
         ('<a href="#bottom">down</a>', "#bottom: no such anchor"),
         ('<img src="other.png">', "other.png: no such file"),
-    ):
-        (site / "a.html").write_text(GOOD + fault, encoding="utf-8")
-        assert list(check.faults_of_pages(site)) == [f"a.html: {words}"]
+    ],
+)
+def test_each_fault_is_found(check, site, fault, words):
+    """What is loaded from the network, and what links to nothing, is named with its page."""
+    (site / "a.html").write_text(GOOD + fault, encoding="utf-8")
+    assert list(check.faults_of_pages(site)) == [f"a.html: {words}"]
 
 
 def test_style_sheets_load_nothing_from_the_network(check, site):
@@ -72,3 +81,14 @@ def test_links_of_markdown_files_have_targets(check, tmp_path):
 def test_links_of_the_markdown_files_here(check):
     """README, CONTRIBUTING and the pages beside recordings and robots link to what exists."""
     assert list(check.faults_of_markdown(check.ROOT)) == []
+
+
+def test_each_figure_is_drawn_from_its_table(tmp_path):
+    """The script that draws the pictures of the pages of figures makes each picture that is there."""
+    pytest.importorskip("matplotlib", reason="the extra 'experiments' is not installed")
+    plot = script(DOCS / "figures" / "plot.py")
+    tables, plot.HERE = plot.HERE, tmp_path
+    for table in tables.glob("*.csv"):
+        (tmp_path / table.name).symlink_to(table)
+    plot.main()
+    assert {p.name for p in tmp_path.glob("*.svg")} == {p.name for p in tables.glob("*.svg")}
