@@ -12,13 +12,12 @@ from numpy.typing import ArrayLike
 
 from manip_learn.constraint.constraint import Constraint
 from manip_learn.control.rollout import Rollout
-from manip_learn.errors import ConstraintMismatchError, RecordingError, TargetError, counted
+from manip_learn.errors import ConstraintMismatchError, RecordingError, TargetError
+from manip_learn.linalg import finite
 from manip_learn.playback.phase_bands import PhaseBand
 from manip_learn.recordings.trajectory import Trajectory
 from manip_learn.recordings.velocities import derive_velocities
 from manip_learn.robot.robot import Robot
-
-LEAST_SAMPLES = 5  # that velocities are derived from
 
 
 @final
@@ -50,67 +49,13 @@ def motion_samples(robot: Robot, name: str, recording: Rollout | Trajectory) -> 
         RecordingError: No samples, shapes that do not fit, time that does not increase, NaN, another robot, or other
             joints locked.
     """
-    if isinstance(recording, Rollout) and recording.robot is not None:
-        recording.robot.refuse_another(robot, f"rollout {name!r}")
-    time = finite(name, "time", recording.time, 1)
-    if time.size == 0:
-        raise RecordingError(f"rollout {name!r} has no samples: there is nothing to replay", code="empty")
-    if np.any(np.diff(time) <= 0.0):
-        i = int(np.argmax(np.diff(time) <= 0.0))
-        raise RecordingError(
-            f"rollout {name!r}: time must increase, sample {i + 1} is at {time[i + 1]} s after {time[i]} s",
-            code="time-order",
-        )
-    q, order = _columns_of(robot, name, recording, time.size)
-    first = float(time[0])
-    u = getattr(recording, "u", None)
-    if u is not None:
-        u = np.asarray(u, dtype=np.float64)
-        if u.shape != (time.size, robot.nv):
-            raise RecordingError(
-                f"rollout {name!r}: u has shape {u.shape}, {(time.size, robot.nv)} is needed: one row per time",
-                code="shape",
-            )
-        return MotionSamples(time - first, q, first, time - first, q, u[:, order])
-    if time.size >= LEAST_SAMPLES:
-        derived = derive_velocities(Trajectory(time, q, None, robot.joint_names, name), robot)
-        if derived.u is not None:
-            return MotionSamples(time - first, q, first, derived.time - first, derived.q, derived.u)
-    return MotionSamples(time - first, q, first, time[:0], q[:0], np.zeros((0, robot.nv)))
-
-
-def finite(name: str, what: str, values: object, ndim: int) -> np.ndarray:
-    """Values as finite float64 numbers.
-
-    Raises:
-        RecordingError: Something else; says which sample.
-    """
-    try:
-        array = np.ascontiguousarray(values, dtype=np.float64)
-    except (TypeError, ValueError) as error:
-        raise RecordingError(f"rollout {name!r}: {what} must be numbers: {error}", code="not-a-number") from error
-    if array.ndim != ndim:
-        raise RecordingError(
-            f"rollout {name!r}: {what} must have {counted(ndim, 'dimension')}, got shape {array.shape}", code="shape"
-        )
-    if not np.all(np.isfinite(array)):
-        where = tuple(int(i) for i in np.argwhere(~np.isfinite(array))[0])
-        raise RecordingError(
-            f"rollout {name!r}: {what} of sample {where[0]} is {array[where]}, a finite number is needed: "
-            "cut the recording before it",
-            code="not-finite",
-        )
-    return array
-
-
-def _columns_of(
-    robot: Robot, name: str, recording: Rollout | Trajectory, T: int
-) -> tuple[Float[np.ndarray, "T n"], list[int]]:
-    """Postures with their columns in the robot's order, and where the robot's joints are among the recording's."""
-    q = finite(name, "q", recording.q, 2)
-    if q.shape[0] != T:
-        raise RecordingError(f"rollout {name!r} has {T} times and {q.shape[0]} postures", code="shape")
-    names = tuple(recording.joint_names) or robot.joint_names
+    u = recording.u
+    if isinstance(recording, Rollout):
+        if recording.robot is not None:
+            recording.robot.refuse_another(robot, f"rollout {name!r}")
+        # one that was made by hand is not checked: its times and postures as those of a trajectory are
+        recording = Trajectory(recording.time, recording.q, None, recording.joint_names, f"rollout {name!r}")
+    names = recording.joint_names or robot.joint_names
     if set(names) != set(robot.joint_names) or len(names) != robot.nv:
         missing = [n for n in robot.joint_names if n not in names]
         extra = [n for n in names if n not in robot.joint_names]
@@ -123,9 +68,20 @@ def _columns_of(
             code="joint-names",
         )
     order = [names.index(n) for n in robot.joint_names]
-    if names != robot.joint_names and q.shape[1] == robot.nv:
-        q = q[:, order]
-    return q, order
+    first, time = float(recording.time[0]), recording.time - recording.time[0]
+    q = recording.q[:, order] if names != robot.joint_names and recording.q.shape[1] == robot.nv else recording.q
+    if u is not None:
+        if u.shape != (time.size, robot.nv):
+            raise RecordingError(
+                f"rollout {name!r}: u has shape {u.shape}, {(time.size, robot.nv)} is needed: one row per time",
+                code="shape",
+            )
+        return MotionSamples(time, q, first, time, q, u[:, order])
+    if time.size >= 5:  # samples, from which velocities can be derived
+        derived = derive_velocities(Trajectory(recording.time, q, None, robot.joint_names, name), robot)
+        if derived.u is not None:
+            return MotionSamples(time, q, first, derived.time - first, derived.q, derived.u)
+    return MotionSamples(time, q, first, time[:0], q[:0], np.zeros((0, robot.nv)))
 
 
 IMPOSED = "self-imposed"
@@ -193,7 +149,12 @@ def guidance_of(
     if isinstance(constraint, Constraint):
         constraint = (constraint,)
     if constraint is None and isinstance(motion, Rollout) and motion.constraint is not None:
-        constraint = (_own_constraint(robot, name, motion.constraint),)
+        try:
+            constraint = (Constraint.from_dict(motion.constraint, robot, source=f"the constraint of rollout {name!r}"),)
+        except ConstraintMismatchError as error:
+            raise RecordingError(
+                f"rollout {name!r} was not made with robot {robot.name!r}: {error}", code="other-robot"
+            ) from error
     if target is None and isinstance(motion, Rollout):
         target = motion.target
     for c in constraint or ():
@@ -204,24 +165,11 @@ def guidance_of(
                 f"the constraint to show with {name!r} is of {whose}, the robot shown is {robot.name!r} with "
                 f"{robot.nv}: give the constraint of that robot"
             )
-    return Guidance(tuple(constraint or ()), None if target is None else _numbers(target))
-
-
-def _numbers(target: ArrayLike) -> Float[np.ndarray, "..."]:
-    try:
-        array = np.array(target, dtype=np.float64)
-    except (TypeError, ValueError) as error:
-        raise TargetError(f"the target to show must be numbers, got {target!r:.60}") from error
-    if array.ndim not in (1, 2) or not np.all(np.isfinite(array)):
-        raise TargetError(f"the target to show must be finite numbers, or a 4 x 4 pose, got {array.tolist()!r:.80}")
-    return array
-
-
-def _own_constraint(robot: Robot, name: str, content: Mapping[str, Any]) -> Constraint:
-    """What guided a rollout; it belongs to the robot that the rollout was made with."""
-    try:
-        return Constraint.from_dict(content, robot, source=f"the constraint of rollout {name!r}")
-    except ConstraintMismatchError as error:
-        raise RecordingError(
-            f"rollout {name!r} was not made with robot {robot.name!r}: {error}", code="other-robot"
-        ) from error
+    place = None
+    if target is not None:
+        place = next(
+            (x for n in (np.shape(target),) if (x := finite(target, *n)) is not None and len(n) in (1, 2)), None
+        )
+        if place is None:
+            raise TargetError(f"the target to show must be finite numbers, or a 4 x 4 pose, got {target!r:.80}")
+    return Guidance(tuple(constraint or ()), place)

@@ -13,7 +13,7 @@ from jaxtyping import Float
 
 from manip_learn.control.way import leads_away
 from manip_learn.errors import RecordingError
-from manip_learn.linalg import null_basis
+from manip_learn.linalg import finite, null_basis
 from manip_learn.recordings.preprocessing import evenly
 from manip_learn.robot.rotations import rotation_matrix
 
@@ -88,11 +88,8 @@ def _numbers(described: Mapping[str, Any], name: str, n: int) -> np.ndarray | No
     if given is None:
         return None
     what = f"the mechanism's {name} must be {'three finite numbers' if n else 'a finite number'} below {MAX_NUMBER:g}"
-    try:
-        numbers = np.array(given, dtype=np.float64)
-    except (TypeError, ValueError, OverflowError) as error:
-        raise RecordingError(f"{what}: {error}", code="mechanism") from error
-    if numbers.shape != (n,) * bool(n) or not np.all(np.abs(numbers) < MAX_NUMBER):
+    numbers = finite(given, *(n,) * bool(n))
+    if numbers is None or not np.all(np.abs(numbers) < MAX_NUMBER):
         raise RecordingError(f"{what}, got {given!r:.80}", code="mechanism")
     return numbers
 

@@ -15,7 +15,8 @@ from jaxtyping import Float, Int
 from manip_learn.constraint.constraint import Constraint
 from manip_learn.control.rollout import Rollout
 from manip_learn.errors import RecordingError
-from manip_learn.playback.guided_motion import Guidance, MotionSamples, finite, motion_samples
+from manip_learn.linalg import finite
+from manip_learn.playback.guided_motion import Guidance, MotionSamples, motion_samples
 from manip_learn.playback.kinematic_tree import TreeJoint, joint_tracks
 from manip_learn.playback.mechanism_drawing import Furniture, furniture_of
 from manip_learn.playback.page_writer import packed
@@ -350,7 +351,7 @@ def recorded_motion(
     return RecordedMotion(
         name=name,
         key_times=time[keys],
-        tracks=finite(name, "joint motion", tracks, 2),
+        tracks=tracks,
         postures=q[keys],
         path_times=path_times,
         path=path,
@@ -394,11 +395,10 @@ def _curve(name: str, time: np.ndarray, values: object) -> tuple[np.ndarray, np.
     """The manipulability, subsampled so that every minimum and maximum is kept."""
     if values is None:
         return np.zeros(0), np.zeros(0)
-    curve = finite(name, "manipulability", values, 1)
-    if curve.size != time.size:
-        raise RecordingError(
-            f"rollout {name!r} has {time.size} times and {curve.size} values of manipulability", code="shape"
-        )
+    curve = finite(values, time.size)
+    if curve is None:
+        sentence = f"the manipulability of its {time.size} times must be as many finite numbers, got {values!r:.80}"
+        raise RecordingError(f"rollout {name!r}: {sentence}", code="not-finite")
     chosen = extremes(curve, MAX_CURVE_POINTS)
     return time[chosen], curve[chosen]
 
