@@ -165,14 +165,20 @@ def test_bad_rollouts_are_refused(robot_of, tmp_path):
     good = waving(robot)
     nan = np.where(np.arange(good.q.size).reshape(good.q.shape) == 7, np.nan, good.q)
     cases = [
-        (broken(good, q=nan), "q of sample 2 is nan"),
-        (broken(good, manipulability=good.manipulability * np.inf), "manipulability of sample 0"),
+        (broken(good, q=nan), "q of sample 2, joint 'joint2' is nan"),
+        (
+            broken(good, manipulability=good.manipulability * np.inf),
+            "manipulability of its 201 times must be as many finite",
+        ),
         (broken(good, time=good.time * 0.0), "time must increase"),
         (broken(good, time=np.where(good.time == 0.5, np.nan, good.time)), "time of sample 50 is nan"),
-        (broken(good, q=good.q[:-1]), "201 times and 200 postures"),
-        (broken(good, manipulability=good.manipulability[:-1]), "200 values of manipulability"),
+        (broken(good, q=good.q[:-1]), r"q must have shape \(201, 3\)"),
+        (
+            broken(good, manipulability=good.manipulability[:-1]),
+            "manipulability of its 201 times must be as many finite",
+        ),
         (broken(good, status=good.status[:-1]), "200 status words"),
-        (broken(good, time=good.time[:0], q=good.q[:0]), "no samples"),
+        (broken(good, time=good.time[:0], q=good.q[:0]), "there are no samples"),
         (broken(good, joint_names=("joint1", "joint2", "elbow")), "missing joint3; not its own elbow"),
         (waving(robot_of("sawyer")), "not made with robot 'planar3'"),
         ("rollout.npz", "must be a Rollout or a Trajectory"),

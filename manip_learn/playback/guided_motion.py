@@ -13,7 +13,6 @@ from numpy.typing import ArrayLike
 from manip_learn.constraint.constraint import Constraint
 from manip_learn.control.rollout import Rollout
 from manip_learn.errors import ConstraintMismatchError, RecordingError, TargetError
-from manip_learn.linalg import finite
 from manip_learn.playback.phase_bands import PhaseBand
 from manip_learn.recordings.trajectory import Trajectory
 from manip_learn.recordings.velocities import derive_velocities
@@ -167,9 +166,10 @@ def guidance_of(
             )
     place = None
     if target is not None:
-        place = next(
-            (x for n in (np.shape(target),) if (x := finite(target, *n)) is not None and len(n) in (1, 2)), None
-        )
-        if place is None:
+        try:
+            place = np.array(target, dtype=np.float64)
+        except (TypeError, ValueError):
+            place = np.array(np.nan)
+        if place.ndim not in (1, 2) or not np.all(np.isfinite(place)):
             raise TargetError(f"the target to show must be finite numbers, or a 4 x 4 pose, got {target!r:.80}")
     return Guidance(tuple(constraint or ()), place)

@@ -9,6 +9,7 @@ import numpy as np
 import pinocchio as pin
 from jaxtyping import Float
 
+from manip_learn.robot.joints import motion_along
 from manip_learn.robot.robot import Robot
 
 Motion = Literal["fixed", "revolute", "prismatic", "free"]
@@ -61,13 +62,10 @@ def _motion(joint: pin.JointModel) -> tuple[Motion, np.ndarray]:
     q = np.zeros(joint.idx_q + joint.nq)  # a shorter vector would be read past its end
     q[joint.idx_q] = 1.0
     joint.calc(data, q)
-    subspace = np.asarray(data.S).reshape(6)
-    linear, angular = subspace[:3], subspace[3:]
-    if not np.any(linear) and np.isclose(np.linalg.norm(angular), 1.0):
-        return "revolute", angular.copy()
-    if not np.any(angular) and np.isclose(np.linalg.norm(linear), 1.0):
-        return "prismatic", linear.copy()
-    return "free", np.zeros(3)
+    along = motion_along(data.S)
+    if along is None or not np.isclose(np.linalg.norm(along[1]), 1.0):
+        return "free", np.zeros(3)
+    return ("revolute" if along[0] == "R" else "prismatic"), along[1]
 
 
 def joint_tracks(

@@ -193,10 +193,6 @@ def full_coupling(model: pin.Model, blocks: Sequence[JointBlock], mimics: Sequen
     return Coupling(lift, offset)
 
 
-ALIGNED_AXES = ("X", "Y", "Z")
-KINDS = ("revolute", "continuous", "prismatic")
-
-
 @final
 class CarryingJoints(NamedTuple):
     """A chain of joints of one degree of freedom, from the base to a frame.
@@ -229,7 +225,8 @@ def carrying_joints(
     """
     chain = [j for j in model.supports[frame.parent_joint] if j > 0]
     independent = {block.index: block for block in blocks}
-    if not chain or any(j in independent and independent[j].kind not in KINDS for j in chain):
+    single = ("revolute", "continuous", "prismatic")
+    if not chain or any(j in independent and independent[j].kind not in single for j in chain):
         return None
     if any(j not in independent and model.joints[j].nv != 1 for j in chain):
         return None
@@ -237,9 +234,14 @@ def carrying_joints(
     pin.forwardKinematics(model, data, pin.neutral(model), np.zeros(model.nv))
     alone, parent = pin.Model(), 0
     for j in chain:
-        joint = _joint_along(np.array(data.joints[j].S, dtype=np.float64).reshape(-1))
-        if joint is None:
+        if (along := motion_along(data.joints[j].S)) is None:
             return None
+        kind, axis = along
+        letter = next((letter for letter, unit in zip("XYZ", np.eye(3), strict=True) if np.array_equal(axis, unit)), "")
+        if letter:
+            joint = getattr(pin, f"JointModel{kind}{letter}")()
+        else:
+            joint = pin.JointModelPrismaticUnaligned(axis) if kind == "P" else pin.JointModelRevoluteUnaligned(axis)
         parent = alone.addJoint(parent, joint, model.jointPlacements[j], model.names[j])
     placement = model.frames[frame.index].placement
     index = alone.addFrame(pin.Frame(frame.name, parent, 0, placement, pin.FrameType.OP_FRAME))
@@ -251,13 +253,13 @@ def carrying_joints(
     return CarryingJoints(alone, index, columns, np.array(coupling.lift[rows]), np.array(coupling.offset[rows]))
 
 
-def _joint_along(motion: np.ndarray) -> pin.JointModel | None:
-    """A joint that moves along a twist (linear, angular) with one of the parts zero, without limits."""
+def motion_along(S: np.ndarray) -> tuple[Literal["R", "P"], Float[np.ndarray, " 3"]] | None:
+    """Whether a joint turns ("R") or slides ("P"), and along which axis, read off its motion subspace.
+
+    None for a joint of more degrees of freedom, and where a turn slides as well.
+    """
+    motion = np.array(S, dtype=np.float64).reshape(-1)
     linear, angular = motion[:3], motion[3:]
     if motion.shape != (6,) or (np.any(linear) and np.any(angular)):
         return None
-    kind, axis = ("P", linear) if np.any(linear) else ("R", angular)
-    for letter, unit in zip(ALIGNED_AXES, np.eye(3), strict=True):
-        if np.array_equal(axis, unit):
-            return getattr(pin, f"JointModel{kind}{letter}")()
-    return pin.JointModelPrismaticUnaligned(axis) if kind == "P" else pin.JointModelRevoluteUnaligned(axis)
+    return ("P", linear) if np.any(linear) else ("R", angular)

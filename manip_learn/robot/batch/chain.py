@@ -25,7 +25,7 @@ import pinocchio as pin
 from jaxtyping import Bool, Float
 
 from manip_learn.robot.batch.postures import positions_of
-from manip_learn.robot.joints import CarryingJoints
+from manip_learn.robot.joints import CarryingJoints, motion_along
 from manip_learn.robot.robot import Robot
 
 SNAP = 4e-16  # a right angle written in decimals misses 0 or 1 by this much
@@ -98,11 +98,10 @@ def chain_to(carried: CarryingJoints) -> Chain | None:
     prismatic: list[bool] = []
     turn = np.eye(3)  # from the z-along-the-axis frame of the joint before to the model's frame of that joint
     for j in range(1, model.njoints):
-        S = np.array(data.joints[j].S, dtype=np.float64).reshape(-1)
-        slides = not np.any(S[3:])
-        axis = S[:3] if slides else S[3:]
-        if abs(float(np.linalg.norm(axis)) - 1.0) > 1e-12:
+        along = motion_along(data.joints[j].S)
+        if along is None or abs(float(np.linalg.norm(along[1])) - 1.0) > 1e-12:
             return None
+        slides, axis = along[0] == "P", along[1]
         M, z_to_axis = model.jointPlacements[j], _turn_z_to(axis)
         placements.append((turn.T @ M.rotation @ z_to_axis, turn.T @ M.translation))
         prismatic.append(slides)
