@@ -24,7 +24,6 @@ from recording_corpus import FULL, HEADER, JOINTS, TIME, VELOCITIES, Q, U, csv, 
 from manip_learn.control.rollout import Rollout
 from manip_learn.errors import RecordingError
 from manip_learn.recordings import RecordingSource, load_demonstrations
-from manip_learn.recordings.readers import csv_reader
 from manip_learn.recordings.saved_motion import motion_of_trajectory
 from manip_learn.recordings.trajectory import Trajectory
 from manip_learn.recordings.writers.mcap_writer import CHUNK, STATISTICS, mcap_bytes
@@ -411,12 +410,13 @@ def test_a_saved_rollout_that_lost_a_sample_is_refused(tmp_path: Path) -> None:
 def test_a_table_that_changes_while_it_is_read_is_refused(planar3: Robot, tmp_path: Path, monkeypatch) -> None:
     """A recorder or a copy that still writes, or one that begins anew: the end may be missing, so nothing is read."""
     path, whole = tmp_path / "demo.csv", recording_corpus.GOOD
-    read = csv_reader._table
+    read = np.loadtxt
     for after in (whole + "1.2,0,0,0\n", whole[: len(whole) // 2], whole.replace("0.5", "0.4")):
         with case(after):
             path.write_text(whole)
             os.utime(path, (1.0, 1.0))
-            monkeypatch.setattr(csv_reader, "_table", lambda *a, text=after: (read(*a), path.write_text(text))[0])
+            loads = lambda *a, text=after, **k: (read(*a, **k), path.write_text(text))[0]  # noqa: E731
+            monkeypatch.setattr(np, "loadtxt", loads)
             with pytest.raises(RecordingError, match="the file changed while it was read") as caught:
                 load_demonstrations(path, planar3)
             assert caught.value.code == "changed"

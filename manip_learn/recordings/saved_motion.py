@@ -96,14 +96,22 @@ class FileHeader:
         for name, number in {"nq": nq, "samples": content.get("samples")}.items():
             if number is not None and (not isinstance(number, int) or isinstance(number, bool)):
                 raise ValueError(f"{name} must be a whole number, it is {number!r:.40}")
+        target, constraint = content.get("target"), content.get("constraint")
+        if target is not None:
+            array = np.array(target, dtype=np.float64)
+            if array.ndim not in (1, 2) or not np.all(np.isfinite(array)):
+                raise ValueError(f"the target must be finite numbers, it is {target!r:.60}")
+            target = array.tolist()
+        if constraint is not None and not isinstance(constraint, Mapping):
+            raise ValueError(f"the constraint must be an object, it is {constraint!r:.40}")
         return FileHeader(
             "rollout" if named.endswith("rollout") else "recording",
             names_from(content.get("joint_names"), "joint_names"),
             None if robot is None else RobotIdentity.from_dict(robot),
             frame,
             nq,
-            _target(content.get("target")),
-            _object("constraint", content.get("constraint")),
+            target,
+            constraint,
             bool(content.get("following_error")),
             _phases(content.get("phases")),
             content.get("samples"),
@@ -120,19 +128,6 @@ def _phases(value: object) -> list | None:
 
     if value is not None and not (isinstance(value, list) and all(map(fits, value))):
         raise ValueError(f"the phases must be a name, a start and an end each, they are {value!r:.60}")
-    return value
-
-
-def _target(value: object) -> list | None:
-    array = None if value is None else np.array(value, dtype=np.float64)
-    if array is not None and not (array.ndim in (1, 2) and np.all(np.isfinite(array))):
-        raise ValueError(f"the target must be finite numbers, it is {value!r:.60}")
-    return None if array is None else array.tolist()
-
-
-def _object(name: str, value: object) -> Mapping[str, Any] | None:
-    if value is not None and not isinstance(value, Mapping):
-        raise ValueError(f"the {name} must be an object, it is {value!r:.40}")
     return value
 
 

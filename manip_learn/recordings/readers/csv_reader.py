@@ -1,4 +1,4 @@
-"""How a text table is written: encoding, delimiter, decimal mark and header."""
+"""Text tables: encoding, delimiter, decimal mark and header are found; columns by name; every row is checked."""
 
 from __future__ import annotations
 
@@ -41,6 +41,49 @@ COMMENT_MARKS = ("#", "%")
 STAMPED = "%time,"  # `rostopic echo -p` begins its header like a comment
 NUMBER = re.compile(r"[+-]?(\d+([.,]\d*)?|[.,]\d+)([eE][+-]?\d+)?|[+-]?(nan|inf(inity)?)", re.IGNORECASE)
 DELIMITER_WORDS = {",": "comma", ";": "semicolon", "\t": "tab", None: "white space"}
+# what belongs to a message or a data frame, not to the motion
+BOOKKEEPING = re.compile(r"(.*[./])?(header[./](seq|frame_id)|seq|frame_id)|unnamed: 0", re.IGNORECASE)
+SURPLUS_SUFFIXES = ("_effort", "_torque", "_acceleration")  # of columns that belong to a joint but are not needed
+SHOWN = 6  # names in a sentence
+
+
+def read(path: Path, request: ReadRequest) -> Iterator[Recording]:
+    """The one recording of a text table.
+
+    Raises:
+        RecordingError: Names file, line and column, the value seen and the value expected.
+    """
+    before = path.stat()
+    dialect = sniff_dialect(path, request.joint_names)
+    if dialect.named_by_caller:
+        request.uses.use("joint_names")
+    columns = columns_of(path, dialect, request)
+    cut = request.last_line == "drop" and _is_cut_off(path, dialect)
+    dialect = replace(dialect, without_cut_line=cut)
+    table = _table(path, dialect, columns.used, request)
+    after = path.stat()
+    if (after.st_size, after.st_mtime_ns) != (before.st_size, before.st_mtime_ns):
+        raise refusal(
+            path,
+            "changed",
+            f"the file changed while it was read ({before.st_size:,} bytes, then {after.st_size:,}), so its end may be "
+            "missing: read it when the recorder or the copy has ended",
+        )
+    notes = [f"the header was read from the comment in line {dialect.header_line}"] if dialect.commented_header else []
+    notes += columns.notes
+    if cut and len(table) < 2:
+        raise refusal(
+            path,
+            "too-short",
+            f"there is {len(table)} row of numbers beside the last line, which has no line end and may be "
+            "cut off; at least 2 are needed" + advice("; {} reads it", "last_line='keep'", "--last-line keep"),
+        )
+    if cut:
+        notes.append(
+            "the last line has no line end and was left out, for its last number may be cut off"
+            + advice("; if the file is whole, pass {}", "last_line='keep'", "--last-line keep")
+        )
+    yield _recording(path, dialect, request, columns, table, notes)
 
 
 @final
@@ -68,10 +111,18 @@ class CsvDialect:
 
     def split(self, line: str) -> list[str]:
         """Fields of a line, without quotes and surrounding blanks."""
-        return [field.strip().strip('"').strip() for field in line.strip("\r\n").split(self.delimiter)]
+        return _fields(line, self.delimiter)
 
 
-def is_skipped(line: str) -> bool:
+def _fields(line: str, delimiter: str | None) -> list[str]:
+    return [field.strip().strip('"').strip() for field in line.strip("\r\n").split(delimiter)]
+
+
+def _delimiter(line: str) -> str | None:
+    return next((mark for mark in ("\t", ";", ",") if mark in line.strip()), None)
+
+
+def _is_skipped(line: str) -> bool:
     """True for blank lines and comment lines."""
     start = line.lstrip()
     return not start or start.startswith(COMMENT_MARKS)
@@ -103,7 +154,7 @@ def _is_cut_off(path: Path, dialect: CsvDialect) -> bool:
     if dialect.encoding == "utf-16":
         end = end.replace(b"\x00", b"")  # line ends, blanks and comment marks are ASCII
     last = end.replace(b"\r", b"\n").rpartition(b"\n")[2]
-    return not is_skipped(last.decode("ascii", errors="replace"))
+    return not _is_skipped(last.decode("ascii", errors="replace"))
 
 
 def sniff_dialect(path: Path, names: tuple[str, ...] | None = None) -> CsvDialect:
@@ -116,7 +167,7 @@ def sniff_dialect(path: Path, names: tuple[str, ...] | None = None) -> CsvDialec
         is_utf16 = file.read(2) in (codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE)
     encoding, comment = "utf-16" if is_utf16 else "utf-8-sig", ""
     for number, line in text_lines(path, encoding):
-        if not is_skipped(line):
+        if not _is_skipped(line):
             return _dialect(path, encoding, number, line, comment, names)
         comment = line if line.strip() else comment
     needed = "a header with 'time' and the joint names, and rows of numbers are needed"
@@ -127,47 +178,30 @@ def _dialect(
     path: Path, encoding: str, number: int, line: str, comment: str, names: tuple[str, ...] | None
 ) -> CsvDialect:
     """The dialect by the first line that is no comment, and the comment above it."""
-    dialect = CsvDialect(encoding, _delimiter(line), (), number)
-    fields = dialect.split(line)
-    if comment.startswith(STAMPED) and len(echoed := CsvDialect("", ",", (), 0).split(comment)) == len(fields):
-        return CsvDialect(encoding, dialect.delimiter, tuple(echoed), number - 1, commented_header=True)
-    if fields and all(NUMBER.fullmatch(f) for f in fields):
-        commented = _split_comment(comment)
-        if len(commented) == len(fields) and not all(NUMBER.fullmatch(n) for n in commented):
-            return CsvDialect(encoding, dialect.delimiter, tuple(commented), number - 1, commented_header=True)
-        if names is None:
-            raise refusal(
-                path,
-                "no-header",
-                f"the first line holds numbers ({line.strip()[:60]!r}), a header is needed: "
-                "'time' and one joint name per column, since columns are matched by name"
-                + advice("; write it, or pass {}", "joint_names=['time', ...]", "--joint-names time,NAME,..."),
-                line=number,
-            )
-        if len(names) != len(fields):
-            raise refusal(
-                path,
-                "shape",
-                f"this row has {len(fields)} fields and {len(names)} column names were given "
-                f"({', '.join(names)}): give one for each, 'time' among them",
-                line=number,
-            )
-        return CsvDialect(encoding, dialect.delimiter, names, number - 1, named_by_caller=True)
-    return CsvDialect(encoding, dialect.delimiter, tuple(fields), number)
-
-
-def _delimiter(line: str) -> str | None:
-    return next((mark for mark in ("\t", ";", ",") if mark in line.strip()), None)
-
-
-def _split_comment(comment: str) -> list[str]:
+    delimiter = _delimiter(line)
+    fields = _fields(line, delimiter)
+    above = partial(CsvDialect, encoding, delimiter, header_line=number - 1)
+    if comment.startswith(STAMPED) and len(echoed := _fields(comment, ",")) == len(fields):
+        return above(tuple(echoed), commented_header=True)
+    if not all(NUMBER.fullmatch(f) for f in fields):
+        return CsvDialect(encoding, delimiter, tuple(fields), number)
     text = comment.strip().lstrip("".join(COMMENT_MARKS)).strip()
-    return CsvDialect("", _delimiter(text), (), 0).split(text) if text else []
-
-
-# what belongs to a message or a data frame, not to the motion
-BOOKKEEPING = re.compile(r"(.*[./])?(header[./](seq|frame_id)|seq|frame_id)|unnamed: 0", re.IGNORECASE)
-SHOWN = 6  # names in a sentence
+    commented = _fields(text, _delimiter(text)) if text else []
+    if len(commented) == len(fields) and not all(NUMBER.fullmatch(n) for n in commented):
+        return above(tuple(commented), commented_header=True)
+    if names is None:
+        raise refusal(
+            path,
+            "no-header",
+            f"the first line holds numbers ({line.strip()[:60]!r}), a header is needed: "
+            "'time' and one joint name per column, since columns are matched by name"
+            + advice("; write it, or pass {}", "joint_names=['time', ...]", "--joint-names time,NAME,..."),
+            line=number,
+        )
+    if len(names) != len(fields):
+        said = f"this row has {len(fields)} fields and {len(names)} column names were given ({', '.join(names)})"
+        raise refusal(path, "shape", f"{said}: give one for each, 'time' among them", line=number)
+    return above(names, named_by_caller=True)
 
 
 @final
@@ -191,16 +225,10 @@ class Columns:
     notes: tuple[str, ...]
     wrench: tuple[int, ...] = ()
 
-    def stamps(self, table: Float[np.ndarray, "T n"], used: list[int], request: ReadRequest) -> Float[np.ndarray, " T"]:
-        """Stamps, in seconds where `in_seconds`; else in the unit of the file."""
-        first, *rest = (table[:, used.index(i)] for i in self.time)
-        if rest:
-            return first + 1e-9 * rest[0]
-        return first * SECONDS[str(self.unit)] if self.in_seconds(request) else first
-
-    def in_seconds(self, request: ReadRequest) -> bool:
-        """Whether the unit is known by the name, and the caller did not say another one."""
-        return len(self.time) > 1 or (self.unit is not None and request.time_unit is None)
+    @property
+    def used(self) -> list[int]:
+        """Columns that are read."""
+        return [i for i, name in enumerate(self.names) if name is not None]
 
 
 def columns_of(path: Path, dialect: CsvDialect, request: ReadRequest) -> Columns:
@@ -210,7 +238,6 @@ def columns_of(path: Path, dialect: CsvDialect, request: ReadRequest) -> Columns
         RecordingError: No stamps, columns without a name or with the same one, or a choice that the caller must make.
     """
     check_columns(path, "its header", len(dialect.columns))
-    notes: list[str] = []
     names: list[str | None] = []
     for raw in dialect.columns:
         name = request.renamed(raw)
@@ -218,15 +245,16 @@ def columns_of(path: Path, dialect: CsvDialect, request: ReadRequest) -> Columns
     time = find_time(names)
     if not time.columns:
         raise _no_time(path, dialect, names, time.choices)
-    notes += [time.note] if time.note else []
     for i in time.columns:
         names[i] = "time"
+    joints = {*request.robot.joint_names, *unmoved_joint_names(request.robot)}
     left_out = [i for i in time.others if request.columns or names[i] not in request.robot.joint_names]
     left_out += [i for i, n in enumerate(names) if n is not None and BOOKKEEPING.fullmatch(n)]
-    left_out += _row_numbers(path, dialect, names)
-    joints = {*request.robot.joint_names, *unmoved_joint_names(request.robot)}
+    if names and names[0] == "":  # a first column without a name that counts the rows, as pandas writes it
+        first = [row[:1] for row in itertools.islice(_rows(path, dialect), 3)]
+        left_out += [0] if len(first) > 1 and first in ([["0"], ["1"]], [["0"], ["1"], ["2"]]) else []
     wrench, said = wrench_columns([None if i in left_out or n in joints else n for i, n in enumerate(names)])
-    notes += [said] if said else []
+    notes = [note for note in (time.note, said) if note]
     for i, name in zip(wrench, WRENCH_NAMES, strict=False):
         names[i] = name
     found = _joint_columns(path, dialect, names, request)
@@ -243,7 +271,15 @@ def columns_of(path: Path, dialect: CsvDialect, request: ReadRequest) -> Columns
         words = [dialect.columns[i] or f"column {i + 1} (row numbers)" for i in sorted(set(left_out))]
         more = f" and {len(words) - SHOWN} more" if len(words) > SHOWN else ""
         notes.append(f"columns not used: {', '.join(words[:SHOWN])}{more}")
-    _refuse_repeated(path, dialect, names, time.columns)
+    seen: set[str] = set()
+    for i, name in enumerate(names):
+        if name is None or i in time.columns[1:]:
+            continue
+        if not name:
+            raise _header_error(path, dialect, "unnamed-column", f"column {i + 1} of {len(names)} has no name")
+        if name in seen:
+            raise _header_error(path, dialect, "duplicate-column", f"two columns are called {name!r}: keep one")
+        seen.add(name)
     return Columns(tuple(names), time.columns, time.unit, found is None, tuple(notes), wrench)
 
 
@@ -262,15 +298,14 @@ def _joint_columns(path: Path, dialect: CsvDialect, names: list[str | None], req
         raise _header_error(path, dialect, "columns", str(error)) from error
     if found is not None:
         return found
-    recorded = by_recorded_names(names, _row(path, dialect, 0), (*moving, *still))
+    recorded = by_recorded_names(names, next(_rows(path, dialect), []), (*moving, *still))
     if recorded is not None:
         _refuse_changing_names(path, dialect, recorded[1])
         return recorded[0]
     what = numbered_advice(names, moving)
     if what:
-        raise _header_error(
-            path, dialect, "numbered-columns", f"{another_robot(names, robot)}; if it is this one, {what}"
-        )
+        text = f"{another_robot(names, robot)}; if it is this one, {what}"
+        raise _header_error(path, dialect, "numbered-columns", text)
     return None
 
 
@@ -289,99 +324,27 @@ def _no_time(path: Path, dialect: CsvDialect, names: list[str | None], choices: 
     return _header_error(path, dialect, "no-time", text)
 
 
-def _row_numbers(path: Path, dialect: CsvDialect, names: list[str | None]) -> list[int]:
-    """A first column without a name that counts the rows, as pandas writes it."""
-    if not names or names[0] != "":
-        return []
-    counted = [_row(path, dialect, k)[:1] for k in range(3)]
-    return [0] if counted[:2] == [["0"], ["1"]] and counted[2] in ([], ["2"]) else []
-
-
-def _row(path: Path, dialect: CsvDialect, k: int) -> list[str]:
-    """Fields of the k-th row of numbers; empty where there are fewer."""
-    return next(itertools.islice(_rows(path, dialect), k, None), [])
-
-
-def _rows(path: Path, dialect: CsvDialect) -> Iterator[list[str]]:
-    for _, line in _numbered_lines(path, dialect):
-        fields = dialect.split(line)
-        yield [*fields, *[""] * (len(dialect.columns) - len(fields))]
-
-
 def _refuse_changing_names(path: Path, dialect: CsvDialect, columns: list[int]) -> None:
     """Refuse a table in which the columns of names do not name the same joints in every row."""
-    first: list[str] | None = None
-    for row in _rows(path, dialect):
-        joints = [row[i] for i in columns]
-        if first is not None and joints != first:
-            raise refusal(
-                path,
-                "unsteady-names",
-                f"the joints that the rows name change ({', '.join(first[:3])} ..., then "
-                f"{', '.join(joints[:3])} ...): export one publisher's messages only",
-            )
-        first = joints
-
-
-def _refuse_repeated(path: Path, dialect: CsvDialect, names: list[str | None], time: tuple[int, ...]) -> None:
-    seen: set[str] = set()
-    for i, name in enumerate(names):
-        if name is None or i in time[1:]:
-            continue
-        if not name:
-            raise _header_error(path, dialect, "unnamed-column", f"column {i + 1} of {len(names)} has no name")
-        if name in seen:
-            raise _header_error(path, dialect, "duplicate-column", f"two columns are called {name!r}: keep one")
-        seen.add(name)
+    rows = ([row[i] for i in columns] for row in _rows(path, dialect))
+    first = next(rows, [])
+    for joints in rows:
+        if joints != first:
+            said = f"({', '.join(first[:3])} ..., then {', '.join(joints[:3])} ...)"
+            text = f"the joints that the rows name change {said}: export one publisher's messages only"
+            raise refusal(path, "unsteady-names", text)
 
 
 def _header_error(path: Path, dialect: CsvDialect, code: str, text: str) -> RecordingError:
     return refusal(path, code, text, line=dialect.header_line)
 
 
-# columns that belong to a joint but are not needed here
-SURPLUS_SUFFIXES = ("_effort", "_torque", "_acceleration")
-
-
-def read(path: Path, request: ReadRequest) -> Iterator[Recording]:
-    """The one recording of a text table.
-
-    Raises:
-        RecordingError: Names file, line and column, the value seen and the value expected.
-    """
-    before = path.stat()
-    dialect = sniff_dialect(path, request.joint_names)
-    if dialect.named_by_caller:
-        request.uses.use("joint_names")
-    columns = columns_of(path, dialect, request)
-    used = [i for i, name in enumerate(columns.names) if name is not None]
-    cut = _is_cut_off(path, dialect) and request.last_line == "drop"
-    dialect = replace(dialect, without_cut_line=cut)
-    table = _table(path, dialect, used, request)
-    _refuse_changed(path, before)
-    notes = [f"the header was read from the comment in line {dialect.header_line}"] if dialect.commented_header else []
-    notes += columns.notes
-    if cut and len(table) < 2:
-        raise refusal(
-            path,
-            "too-short",
-            f"there is {len(table)} row of numbers beside the last line, which has no line end and may be "
-            "cut off; at least 2 are needed" + advice("; {} reads it", "last_line='keep'", "--last-line keep"),
-        )
-    if cut:
-        notes.append(
-            "the last line has no line end and was left out, for its last number may be cut off"
-            + advice("; if the file is whole, pass {}", "last_line='keep'", "--last-line keep")
-        )
-    yield _recording(path, dialect, request, columns, table, notes)
-
-
 def _recording(
     path: Path, dialect: CsvDialect, request: ReadRequest, columns: Columns, table: np.ndarray, notes: list[str]
 ) -> Recording:
     """The used columns, each as what its name says."""
-    used = [i for i, name in enumerate(columns.names) if name is not None]
-    kept, own = [str(columns.names[i]) for i in used], request.robot.joint_names
+    used, own = columns.used, request.robot.joint_names
+    kept = [str(columns.names[i]) for i in used]
     effort = {n: effort_joint(n, (*own, *unmoved_joint_names(request.robot))) for n in kept}
     surplus = [n for n in kept if not effort[n] and _base_name(n, SURPLUS_SUFFIXES, own)]
     if surplus:
@@ -392,10 +355,15 @@ def _recording(
     known = {*columns.time, *columns.wrench}
     beside = {*v, *e, *(i for i, n in enumerate(kept) if n in surplus or used[i] in known)}
     p = [i for i in range(len(kept)) if i not in beside]
+    time, *rest = (table[:, used.index(i)] for i in columns.time)
+    # the unit is known by the name, unless the caller says another one
+    in_seconds = bool(rest) or (columns.unit is not None and request.time_unit is None)
+    if in_seconds:
+        time = time + 1e-9 * rest[0] if rest else time * SECONDS[str(columns.unit)]
     return Recording(
         path=path,
         name=path.name,
-        time=columns.stamps(table, used, request),
+        time=time,
         position_names=tuple(kept[i] for i in p),
         positions=table[:, p],
         velocity_names=tuple(str(velocity[kept[i]]) for i in v),
@@ -404,22 +372,10 @@ def _recording(
         efforts=table[:, e] if e else None,
         wrench=table[:, [used.index(i) for i in columns.wrench]] if columns.wrench else None,
         strict_columns=columns.strict,
-        in_seconds=columns.in_seconds(request),
+        in_seconds=in_seconds,
         line_of=partial(_line_of, path, dialect),
         notes=tuple(notes),
     )
-
-
-def _refuse_changed(path: Path, before: os.stat_result) -> None:
-    """Refuse a table that a recorder or a copy still writes."""
-    after = path.stat()
-    if (after.st_size, after.st_mtime_ns) != (before.st_size, before.st_mtime_ns):
-        raise refusal(
-            path,
-            "changed",
-            f"the file changed while it was read ({before.st_size:,} bytes, then {after.st_size:,}), so its end may be "
-            "missing: read it when the recorder or the copy has ended",
-        )
 
 
 def _base_name(name: str, suffixes: tuple[str, ...], own_names: tuple[str, ...]) -> str | None:
@@ -450,8 +406,15 @@ def _numbered_lines(path: Path, dialect: CsvDialect) -> Iterator[tuple[int, str]
     for number, line in text_lines(path, dialect.encoding):
         if dialect.without_cut_line and not line.endswith("\n"):
             return
-        if number > dialect.header_line and not is_skipped(line):
+        if number > dialect.header_line and not _is_skipped(line):
             yield number, line
+
+
+def _rows(path: Path, dialect: CsvDialect) -> Iterator[list[str]]:
+    """Fields of the data lines, at least as many as there are columns."""
+    for _, line in _numbered_lines(path, dialect):
+        fields = dialect.split(line)
+        yield [*fields, *[""] * (len(dialect.columns) - len(fields))]
 
 
 def _checked_lines(path: Path, dialect: CsvDialect) -> Iterator[str]:
@@ -461,13 +424,8 @@ def _checked_lines(path: Path, dialect: CsvDialect) -> Iterator[str]:
     for number, line in _numbered_lines(path, dialect):
         fields = len(line.split()) if delimiter is None else line.count(delimiter) + 1
         if fields != width:
-            raise refusal(
-                path,
-                "ragged",
-                f"this row has {fields} fields, the header has {width} "
-                f"({DELIMITER_WORDS[delimiter]}-separated): {line.strip()[:60]!r}",
-                line=number,
-            )
+            said = f"this row has {fields} fields, the header has {width} ({DELIMITER_WORDS[delimiter]}-separated)"
+            raise refusal(path, "ragged", f"{said}: {line.strip()[:60]!r}", line=number)
         if delimiter != ",":
             comma, point = comma or "," in line, point or "." in line
             if comma and point:
@@ -486,20 +444,21 @@ def _explain(path: Path, dialect: CsvDialect, used: list[int], request: ReadRequ
     """Raise the error that names the field which NumPy's parser refused."""
     for number, line in _numbered_lines(path, dialect):
         fields = dialect.split(line)
-        for i in sorted(used):
-            if not NUMBER.fullmatch(fields[i]):
-                what = repr(fields[i][:40]) if fields[i] else "an empty field"
-                name = dialect.columns[i]
-                other = name not in ("time", *request.robot.joint_names) and not request.columns
-                leave = advice("; if it is no joint's: {}", "columns='{joint}'", "--columns '{joint}'")
-                raise RecordingError(
-                    f"{path.name}:{number}, column {name!r}: {what} where a number is needed: "
-                    f"correct the row or remove it{leave if other else ''}",
-                    code="not-a-number",
-                    path=path,
-                    line=number,
-                    column=name,
-                ) from cause
+        i = next((i for i in sorted(used) if not NUMBER.fullmatch(fields[i])), None)
+        if i is None:
+            continue
+        what, name = repr(fields[i][:40]) if fields[i] else "an empty field", dialect.columns[i]
+        leave = ""
+        if name not in ("time", *request.robot.joint_names) and not request.columns:
+            leave = advice("; if it is no joint's: {}", "columns='{joint}'", "--columns '{joint}'")
+        raise RecordingError(
+            f"{path.name}:{number}, column {name!r}: {what} where a number is needed: correct the row or remove it"
+            f"{leave}",
+            code="not-a-number",
+            path=path,
+            line=number,
+            column=name,
+        ) from cause
     raise refusal(path, "not-a-number", f"the numbers cannot be read: {reason(cause)}") from cause
 
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 import re
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
@@ -16,8 +16,16 @@ from manip_learn.recordings.readers.limits import LARGEST_EPISODES, metadata_tex
 from manip_learn.recordings.readers.read_request import first_names
 from manip_learn.recordings.readers.recording import natural_order, reason, refusal
 
-KNOWN_VERSIONS = ("v2.", "v3.")
-SEARCHED_LEVELS = 4  # <root>/data/chunk-000/file-000.parquet
+STATE, VELOCITY, EFFORT = "observation.state", "observation.velocity", "observation.effort"
+WRENCH = "observation.wrench"
+# names that data sets give to joint positions: joint_position (DROID), joint_pos, joint_positions, qpos
+POSITIONS = re.compile(r"(joint_?pos(ition)?s?|qpos)$", re.IGNORECASE)
+VELOCITY_WORDS = (("position", "velocity"), ("pos", "vel"))
+EFFORT_WORDS = tuple(
+    (p, e) for p in ("positions", "position", "pos") for e in ("effort", "torque", "torques", "efforts")
+)
+EFFORTS = (EFFORT, "observation.efforts", "observation.torque", "observation.torques")  # beside `observation.state`
+NUMBERS = ("float", "int", "uint")  # how the types of features that hold numbers begin
 
 
 @contextmanager
@@ -131,7 +139,7 @@ def _described(info_path: Path) -> tuple[dict[str, Any], float | None, int | Non
     if not isinstance(info, dict):
         raise refusal(info_path, "damaged", f"an object is needed, this is {type(info).__name__}", in_full=True)
     version = info.get("codebase_version")
-    if not isinstance(version, str) or not version.startswith(KNOWN_VERSIONS):
+    if not isinstance(version, str) or not version.startswith(("v2.", "v3.")):
         raise refusal(
             info_path,
             "version",
@@ -146,18 +154,6 @@ def _described(info_path: Path) -> tuple[dict[str, Any], float | None, int | Non
     usable = isinstance(fps, int | float) and not isinstance(fps, bool) and 0 < fps < 1e6
     frames, episodes = (n if isinstance(n, int) and not isinstance(n, bool) else None for n in totals)
     return features, float(fps) if usable else None, frames, episodes  # type: ignore[arg-type]
-
-
-STATE, VELOCITY, EFFORT = "observation.state", "observation.velocity", "observation.effort"
-WRENCH = "observation.wrench"
-# names that data sets give to joint positions: joint_position (DROID), joint_pos, joint_positions, qpos
-POSITIONS = re.compile(r"(joint_?pos(ition)?s?|qpos)$", re.IGNORECASE)
-VELOCITY_WORDS = (("position", "velocity"), ("pos", "vel"))
-EFFORT_WORDS = tuple(
-    (p, e) for p in ("positions", "position", "pos") for e in ("effort", "torque", "torques", "efforts")
-)
-EFFORTS = (EFFORT, "observation.efforts", "observation.torque", "observation.torques")  # beside `observation.state`
-NUMBERS = ("float", "int", "uint")  # how the types of features that hold numbers begin
 
 
 @final
@@ -297,12 +293,9 @@ def entry_names(names: Any) -> tuple[str, ...] | None:
     return None
 
 
-ONE_EPISODE = re.compile(r"episode_(\d{1,9})\.parquet")  # files of version 2
-
-
 def episode_number(file: Path) -> int | None:
     """The episode that a file of version 2 holds, by its name; None for other files."""
-    found = ONE_EPISODE.fullmatch(file.name)
+    found = re.fullmatch(r"episode_(\d{1,9})\.parquet", file.name)
     return None if found is None else int(found.group(1))
 
 
@@ -352,16 +345,15 @@ def episodes_of_task(path: Path, task: str) -> frozenset[int]:
         RecordingError: The data set does not say which episode shows which task, or is damaged.
         MissingExtraError: The extra `lerobot` is not installed.
     """
-    tasks = {number: shown for number, shown in _described_episodes(path)}
-    asked = _plain(task)
-    found = frozenset(number for number, shown in tasks.items() if asked in map(_plain, shown))
+
+    def plain(text: str) -> str:
+        return " ".join(text.casefold().split())
+
+    tasks = dict(_described_episodes(path))
+    found = frozenset(number for number, shown in tasks.items() if plain(task) in map(plain, shown))
     if not found:
         raise UnknownNameError("task", task, {t for shown in tasks.values() for t in shown}, f"data set {path.name!r}")
     return found
-
-
-def _plain(task: str) -> str:
-    return " ".join(task.casefold().split())
 
 
 def _described_episodes(path: Path) -> Iterator[tuple[int, tuple[str, ...]]]:
@@ -370,7 +362,11 @@ def _described_episodes(path: Path) -> Iterator[tuple[int, tuple[str, ...]]]:
     lines = meta / "episodes.jsonl"
     tables = sorted((meta / "episodes").rglob("*.parquet"), key=lambda f: natural_order(str(f)))
     if lines.is_file():
-        rows: Iterator[dict[str, Any]] = _json_lines(lines)
+        text = metadata_text(lines, LARGEST_EPISODES)
+        try:
+            rows: Iterable[Any] = [json.loads(line) for line in text.splitlines() if line.strip()]
+        except (ValueError, RecursionError) as error:
+            raise refusal(lines, "damaged", f"not valid JSON lines: {reason(error)}", in_full=True) from error
     elif tables:
         rows = (row for table in tables for row in parquet_rows(table, ("episode_index", "tasks")))
     else:
@@ -383,7 +379,7 @@ def _described_episodes(path: Path) -> Iterator[tuple[int, tuple[str, ...]]]:
             in_full=True,
         )
     for row in rows:
-        number, tasks = row.get("episode_index"), row.get("tasks", ())
+        number, tasks = (row.get("episode_index"), row.get("tasks", ())) if isinstance(row, dict) else (None, None)
         if not isinstance(number, int) or not isinstance(tasks, list | tuple):
             raise refusal(
                 meta,
@@ -396,17 +392,8 @@ def _described_episodes(path: Path) -> Iterator[tuple[int, tuple[str, ...]]]:
 
 
 def _meta(path: Path) -> Path:
-    for folder in [path, *list(path.resolve().parents)[:SEARCHED_LEVELS]]:
+    # a file lies in <root>/data/chunk-000/
+    for folder in [path, *list(path.resolve().parents)[:4]]:
         if (folder / "meta" / "info.json").is_file():
             return folder / "meta"
     return path / "meta"
-
-
-def _json_lines(path: Path) -> Iterator[dict[str, Any]]:
-    try:
-        rows = [json.loads(line) for line in metadata_text(path, LARGEST_EPISODES).splitlines() if line.strip()]
-        if not all(isinstance(row, dict) for row in rows):
-            raise ValueError("a line is no object")
-    except (ValueError, RecursionError) as error:
-        raise refusal(path, "damaged", f"not valid JSON lines: {reason(error)}", in_full=True) from error
-    yield from rows

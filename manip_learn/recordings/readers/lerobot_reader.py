@@ -6,9 +6,9 @@ LeRobot does not store units, so the caller must state them.
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path
-from typing import Any, final
+from typing import Any
 
 import numpy as np
 
@@ -24,7 +24,7 @@ from manip_learn.recordings.readers.lerobot_dataset import (
     state_feature,
     wrench_feature,
 )
-from manip_learn.recordings.readers.limits import FEWEST_SAMPLE_BYTES, bomb, most_bytes
+from manip_learn.recordings.readers.limits import FEWEST_SAMPLE_BYTES, bomb, check_columns, most_bytes
 from manip_learn.recordings.readers.read_request import ReadRequest
 from manip_learn.recordings.readers.recording import Recording, float_array, refusal
 
@@ -38,27 +38,8 @@ STAMPS = ("timestamp", "frame_index", "episode_index")
 EFFORT_ENDS = (".torque", ".effort")  # of entries of the state, as motors that measure it are named beside `.pos`
 GRIPPER = "gripper"  # always 0 .. 100 in LeRobot, whatever the unit of the other motors
 
-
-@final
-@dataclass(frozen=True, eq=False)
-class Episode:
-    """Samples of one episode: `time`, `state`, and `velocity`, `effort` and `wrench` where they were recorded."""
-
-    index: int
-    columns: dict[str, np.ndarray]
-
-    @property
-    def state(self) -> np.ndarray:
-        """Joint positions, in the unit of the file."""
-        return self.columns["state"]
-
-    def like_state(self, name: str) -> np.ndarray | None:
-        """Another column, if it has one number per joint."""
-        values = self.columns.get(name)
-        return values if values is not None and values.shape == self.state.shape else None
-
-
-Features = tuple[StateFeature, WrenchFeature]
+# number of an episode, and its samples: `time`, `state`, and `velocity`, `effort` and `wrench` where they were recorded
+Episode = tuple[int, dict[str, np.ndarray]]
 
 
 def read(path: Path, request: ReadRequest) -> Iterator[Recording]:
@@ -74,51 +55,53 @@ def read(path: Path, request: ReadRequest) -> Iterator[Recording]:
     feature = state_feature(dataset.root, dataset.features, request.feature)
     wrench = wrench_feature(dataset.features, request.ignores)
     request.uses.use("feature")
+    said = [wrench.note] if wrench.note else []
+    if feature.others:
+        how = advice(" ({} reads it)", f"feature={feature.others[0]!r}", f"--feature {feature.others[0]}")
+        text = f"read from {feature.position}; also like joint positions, not used: {', '.join(feature.others)}{how}"
+        said.insert(0, text)
     names: tuple[str, ...] | None = None
     numbers, frames = set(), 0
-    for episode in _episodes(dataset, (feature, wrench), request):
-        numbers.add(episode.index)
-        frames += len(episode.state)
+    for number, columns in _episodes(dataset, feature, wrench, request):
+        numbers.add(number)
+        frames += len(columns["state"])
         if names is None:
-            names = _names(dataset, feature, request, episode.state.shape[1])
-            _refuse_unknown_units(dataset, request, names, episode.state)
-        recording = _recording(dataset, request, names, episode)
-        said = [*_other_features(feature), *([wrench.note] if wrench.note else [])]
+            names = _names(dataset, feature, request, columns["state"].shape[1])
+            _refuse_unknown_units(dataset, request, names, columns["state"])
+        recording = _recording(dataset, request, names, number, columns)
         yield replace(recording, trusted=is_ours, notes=(*recording.notes, *said))
     if request.chosen is None:
         dataset.refuse_lost("frames", frames)
         dataset.refuse_lost("episodes", len(numbers))
 
 
-def _other_features(feature: StateFeature) -> list[str]:
-    if not feature.others:
-        return []
-    how = advice(" ({} reads it)", f"feature={feature.others[0]!r}", f"--feature {feature.others[0]}")
-    return [f"read from {feature.position}; also like joint positions, not used: {', '.join(feature.others)}{how}"]
-
-
-def _recording(dataset: LeRobotDataset, request: ReadRequest, names: tuple[str, ...], episode: Episode) -> Recording:
+def _recording(
+    dataset: LeRobotDataset, request: ReadRequest, names: tuple[str, ...], number: int, columns: dict[str, np.ndarray]
+) -> Recording:
+    state = columns["state"]
     position, velocity, effort, wrench = _kinds(names)
     position_names = tuple(_joint_name(names[i], request) for i in position)
-    positions, notes = _gripper(episode.state[:, position], position_names, request)
+    positions, notes = _gripper(state[:, position], position_names, request)
     if any(names[i] != n for i, n in zip(position, position_names, strict=True)):
         notes.insert(0, "'.pos' was taken off the names")
-    velocity_names, velocities = position_names, episode.like_state("velocity")
-    effort_names, efforts = position_names, episode.like_state("effort")
     if len(position) < len(names):
         velocity_names, effort_names = (tuple(_joint_name(names[i], request) for i in k) for k in (velocity, effort))
-        velocities, efforts = (episode.state[:, k] if k else None for k in (velocity, effort))
+        velocities, efforts = (state[:, k] if k else None for k in (velocity, effort))
+    else:  # in features of their own, if those have one number per joint
+        velocity_names = effort_names = position_names
+        beside = (columns.get(name) for name in ("velocity", "effort"))
+        velocities, efforts = (None if x is None or x.shape != state.shape else x for x in beside)
     return Recording(
         path=dataset.root,
-        name=f"{dataset.root.name} episode {episode.index}",
-        time=episode.columns["time"],
+        name=f"{dataset.root.name} episode {number}",
+        time=columns["time"],
         position_names=position_names,
         positions=positions,
         velocity_names=() if velocities is None else velocity_names,
         velocities=velocities,
         effort_names=() if efforts is None else effort_names,
         efforts=efforts,
-        wrench=episode.state[:, wrench] if wrench else episode.columns.get("wrench"),
+        wrench=state[:, wrench] if wrench else columns.get("wrench"),
         strict_columns=False,
         in_seconds=True,
         notes=tuple(notes),
@@ -169,11 +152,8 @@ def _names(dataset: LeRobotDataset, feature: StateFeature, request: ReadRequest,
             + advice("pass {} in their order", "joint_names=[...]", "--joint-names NAME,NAME,..."),
         )
     if len(names) != width:
-        raise refusal(
-            dataset.root,
-            "shape",
-            f"{feature.position} has {width} entries, there are {len(names)} names: {', '.join(names)}",
-        )
+        text = f"{feature.position} has {width} entries, there are {len(names)} names: {', '.join(names)}"
+        raise refusal(dataset.root, "shape", text)
     return names
 
 
@@ -185,90 +165,80 @@ def _refuse_unknown_units(
     arm = [i for i in _kinds(names)[0] if GRIPPER not in names[i]] or [0]
     low, high = float(np.min(state[:, arm])), float(np.max(state[:, arm]))
     largest = max(abs(low), abs(high))
-    guess = (
-        "'radians'"
-        if largest < 2 * np.pi
-        else "'degrees', or 'normalised' (-100 .. 100)"
-        if largest <= 100
-        else "'degrees'"
-    )
+    likely = "'degrees'" + (", or 'normalised' (-100 .. 100)" if largest <= 100 else "")
     raise refusal(
         dataset.root,
         "units",
         f"LeRobot data does not say its units and the arm's values are {low:.4g} .. {high:.4g}: "
         + advice("pass {}", "units='radians', 'degrees' or 'normalised'", "--units radians, degrees or normalised")
-        + f"; these look like {guess}",
+        + f"; these look like {likely if largest >= 2 * np.pi else repr('radians')}",
     )
 
 
-def _episodes(dataset: LeRobotDataset, features: Features, request: ReadRequest) -> Iterator[Episode]:
-    """Episodes of all files, or the chosen ones; one may go on in the next file."""
-    open_parts: list[Episode] = []
+def _episodes(
+    dataset: LeRobotDataset, feature: StateFeature, wrench: WrenchFeature, request: ReadRequest
+) -> Iterator[Episode]:
+    """Episodes of all files, or the chosen ones; one may go on in the next batch or file."""
+    chosen, number, open_parts = request.chosen, -1, []
     for file in dataset.files:
-        number = episode_number(file)
-        if request.chosen is not None and number is not None and number not in request.chosen:
+        own = episode_number(file)
+        if chosen is not None and own is not None and own not in chosen:
             continue
-        for part in _parts(file, dataset, features, request):
-            if request.chosen is not None and part.index not in request.chosen:
+        for next_number, columns in _parts(file, dataset, feature, wrench, request):
+            if chosen is not None and next_number not in chosen:
                 continue
-            if open_parts and open_parts[0].index != part.index:
-                yield _joined(open_parts)
+            if open_parts and next_number != number:
+                yield number, _joined(open_parts)
                 open_parts = []
-            open_parts.append(part)
+            number = next_number
+            open_parts.append(columns)
     if open_parts:
-        yield _joined(open_parts)
+        yield number, _joined(open_parts)
 
 
-def _joined(parts: list[Episode]) -> Episode:
-    common = [name for name in parts[0].columns if all(name in part.columns for part in parts)]
-    return Episode(parts[0].index, {name: np.concatenate([part.columns[name] for part in parts]) for name in common})
+def _joined(parts: list[dict[str, np.ndarray]]) -> dict[str, np.ndarray]:
+    common = [name for name in parts[0] if all(name in part for part in parts)]
+    return {name: np.concatenate([part[name] for part in parts]) for name in common}
 
 
-def _parts(file: Path, dataset: LeRobotDataset, features: Features, request: ReadRequest) -> Iterator[Episode]:
+def _parts(
+    file: Path, dataset: LeRobotDataset, feature: StateFeature, wrench: WrenchFeature, request: ReadRequest
+) -> Iterator[Episode]:
     """Runs of samples with the same episode number, batch by batch; only the needed columns are read."""
-    feature, wrench = features
     with opened_parquet(file) as parquet:
         there = parquet.schema_arrow.names
         if feature.position not in there:
             raise refusal(
                 file, "no-state", f"there is no column {feature.position!r}, there is {', '.join(there[:12])}"
             )
-        known = (feature.position, feature.velocity, feature.effort, *wrench.names, *STAMPS)
-        columns = [c for c in dict.fromkeys(known) if c in there]
-        stated, found = parquet.metadata.num_rows, 0
+        named = {"state": feature.position, "velocity": feature.velocity, "effort": feature.effort}
+        known = dict.fromkeys((*named.values(), *wrench.names, *STAMPS))
+        stated, found, size = parquet.metadata.num_rows, 0, file.stat().st_size
         # the library's column metadata would tell more, but asking for it aborts the process if the file is damaged
-        if FEWEST_SAMPLE_BYTES * stated > most_bytes(size := file.stat().st_size):
+        if FEWEST_SAMPLE_BYTES * stated > most_bytes(size):
             raise bomb(file, f"{size:,} bytes claim to hold {counted(stated, 'sample')}")
-        for batch in parquet.iter_batches(batch_size=BATCH, columns=columns):
+        for batch in parquet.iter_batches(batch_size=BATCH, columns=[c for c in known if c in there]):
             found += batch.num_rows
-            yield from _split(file, batch, dataset, features, request)
+            columns = {name: _matrix(file, batch, column) for name, column in named.items() if column in there}
+            if wrench.names and all(name in there for name in wrench.names):
+                both = np.hstack([_matrix(file, batch, name) for name in wrench.names])
+                columns |= {"wrench": both[:, wrench.order]} if both.shape[1] == len(wrench.order) else {}
+            columns["time"] = _time(file, batch, dataset, request)
+            n = batch.num_rows
+            number = _numbers(file, batch, "episode_index") if "episode_index" in there else np.zeros(n)
+            bounds = [0, *(int(i) + 1 for i in np.flatnonzero(np.diff(number))), n]
+            for a, b in zip(bounds, bounds[1:], strict=False):
+                if b > a:
+                    yield int(number[a]), {name: values[a:b] for name, values in columns.items()}
         groups = sum(parquet.metadata.row_group(i).num_rows for i in range(parquet.num_row_groups))
         if not found == stated == groups:
             text = f"{counted(found, 'sample')} are there, it states {stated}, in parts {groups}: download it again"
             raise refusal(file, "lost-samples", text)
 
 
-def _split(
-    file: Path, batch: Any, dataset: LeRobotDataset, features: Features, request: ReadRequest
-) -> Iterator[Episode]:
-    feature, wrench = features
-    named = {"state": feature.position, "velocity": feature.velocity, "effort": feature.effort}
-    columns = {name: _matrix(file, batch, column) for name, column in named.items() if column in batch.schema.names}
-    if wrench.names and all(name in batch.schema.names for name in wrench.names):
-        both = np.hstack([_matrix(file, batch, name) for name in wrench.names])
-        columns |= {"wrench": both[:, wrench.order]} if both.shape[1] == len(wrench.order) else {}
-    n = len(columns["state"])
-    number = _vector(file, batch, "episode_index") if "episode_index" in batch.schema.names else np.zeros(n)
-    columns["time"] = _time(file, batch, dataset, request)
-    bounds = [0, *(int(i) + 1 for i in np.flatnonzero(np.diff(number))), n]
-    for a, b in zip(bounds, bounds[1:], strict=False):
-        if b > a:
-            yield Episode(int(number[a]), {name: values[a:b] for name, values in columns.items()})
-
-
 def _time(file: Path, batch: Any, dataset: LeRobotDataset, request: ReadRequest) -> np.ndarray:
     if "timestamp" in batch.schema.names:
-        return _vector(file, batch, "timestamp")
+        return _numbers(file, batch, "timestamp")
     rate = request.rate or dataset.fps
     request.uses.use("rate")
     if rate is None or "frame_index" not in batch.schema.names:
@@ -278,14 +248,21 @@ def _time(file: Path, batch: Any, dataset: LeRobotDataset, request: ReadRequest)
             "there is neither 'timestamp' nor 'frame_index' with a rate: "
             + advice("pass {}", "rate=<samples per second>", "--rate <samples per second>"),
         )
-    return _vector(file, batch, "frame_index") / rate
+    return _numbers(file, batch, "frame_index") / rate
 
 
-def _vector(file: Path, batch: Any, name: str) -> np.ndarray:
-    return _numbers(file, batch.column(name), name)
+def _is_list(kind: Any) -> bool:
+    return pa.types.is_list(kind) or pa.types.is_large_list(kind) or pa.types.is_fixed_size_list(kind)
 
 
-def _numbers(file: Path, array: Any, name: str) -> np.ndarray:
+def _numbers(file: Path, batch: Any, name: str) -> np.ndarray:
+    """A column of numbers, or the entries of all lists in a column, one after the other."""
+    array = batch.column(name)
+    if array.null_count:
+        text = f"{counted(array.null_count, 'sample') if _is_list(array.type) else f'{array.null_count} values'}"
+        raise refusal(file, "not-finite", f"{text} of {name!r} are missing")
+    if _is_list(array.type):
+        array = array.flatten()
     if array.null_count:
         raise refusal(file, "not-finite", f"{array.null_count} values of {name!r} are missing")
     if not (pa.types.is_integer(array.type) or pa.types.is_floating(array.type)):
@@ -294,16 +271,14 @@ def _numbers(file: Path, array: Any, name: str) -> np.ndarray:
 
 
 def _matrix(file: Path, batch: Any, name: str) -> np.ndarray:
-    array = batch.column(name)
-    if array.null_count:
-        raise refusal(file, "not-finite", f"{counted(array.null_count, 'sample')} of {name!r} are missing")
+    """A column of lists of one length, one row per sample."""
+    array, width = batch.column(name), 1
     if pa.types.is_fixed_size_list(array.type):
         width = array.type.list_size
-    elif pa.types.is_list(array.type) or pa.types.is_large_list(array.type):
+    elif _is_list(array.type):
         widths = np.unique(np.diff(array.offsets.to_numpy()))
-        if len(widths) > 1:
+        if len(widths) > 1 and not array.null_count:
             raise refusal(file, "ragged", f"the samples of {name!r} have {widths[0]} to {widths[-1]} entries")
         width = int(widths[0]) if len(widths) else 0
-    else:
-        return _numbers(file, array, name)[:, None]
-    return _numbers(file, array.flatten(), name).reshape(len(array), width)
+    check_columns(file, repr(name), width)
+    return _numbers(file, batch, name).reshape(len(array), width)

@@ -13,9 +13,9 @@ from typing import Any
 
 import numpy as np
 
-from manip_learn.errors import DAMAGE, MissingExtraError, RecordingError, advice
+from manip_learn.errors import DAMAGE, MissingExtraError, advice
 from manip_learn.recordings.format_words import several_wrenches, wrench_sets
-from manip_learn.recordings.readers.limits import bomb, most_bytes
+from manip_learn.recordings.readers.limits import LARGEST_ARRAYS, bomb, check_columns, most_bytes
 from manip_learn.recordings.readers.read_request import ReadRequest
 from manip_learn.recordings.readers.recording import Recording, float_array, natural_order, reason, refusal
 
@@ -52,12 +52,9 @@ def read(path: Path, request: ReadRequest) -> Iterator[Recording]:
                 total += len(recording.time)
                 yield recording
             _refuse_lost(path, "data", total, "samples", data, "total")
-    except RecordingError:
-        raise
     except DAMAGE as error:
-        raise refusal(
-            path, "damaged", f"the HDF5 file cannot be read ({reason(error)}): download or write it again"
-        ) from error
+        said = f"the HDF5 file cannot be read ({reason(error)}): download or write it again"
+        raise refusal(path, "damaged", said) from error
 
 
 def _recording(path: Path, data: Any, name: str, names: tuple[str, ...], rate: float, note: str) -> Recording:
@@ -145,9 +142,12 @@ def _matrix(path: Path, dataset: Any, where: str) -> np.ndarray:
         raise refusal(path, "not-a-number", f"{where} holds {dataset.dtype}, numbers are needed")
     if dataset.ndim != 2:
         raise refusal(path, "shape", f"{where} must have shape (T, n), it has {dataset.shape}")
+    check_columns(path, where, dataset.shape[1])
     need, stored = math.prod(dataset.shape) * dataset.dtype.itemsize, dataset.id.get_storage_size()
     if need and not stored:
         raise refusal(path, "damaged", f"{where} has shape {dataset.shape}, but no numbers are stored")
+    if need > LARGEST_ARRAYS:
+        raise refusal(path, "too-large", f"{where} has {need:,} bytes, more than {LARGEST_ARRAYS:,}: split it")
     if need > most_bytes(stored):
         raise bomb(path, f"{where} claims {need:,} bytes, {stored:,} are stored")
     return float_array(dataset[()])

@@ -117,20 +117,8 @@ class JointStateStream:
     efforts: Float[np.ndarray, "T n"] | None = None
 
 
-@final
-@dataclass(frozen=True, eq=False)
-class WrenchStream:
-    """The messages of one topic about a wrench.
-
-    Attributes:
-        topic: Topic.
-        stamps: shape (T,), of the header, else of the recorder; increasing [ns].
-        values: shape (T, 6), forces [N] and torques [N m].
-    """
-
-    topic: str
-    stamps: Int[np.ndarray, " T"]
-    values: Float[np.ndarray, "T 6"]
+# topic; stamps of the header, else of the recorder, increasing (T,) [ns]; forces [N] and torques [N m] (T, 6)
+WrenchStream = tuple[str, np.ndarray, np.ndarray]
 
 
 def _streams(bag: BagFile, topics: tuple[str, ...]) -> tuple[list[JointStateStream], list[WrenchStream], list[str]]:
@@ -183,7 +171,7 @@ def _streams(bag: BagFile, topics: tuple[str, ...]) -> tuple[list[JointStateStre
     found = []
     for topic, (stamps, values) in wrenches.items():  # in order; of several with one stamp the first
         ordered, first = np.unique(np.array(stamps, dtype=np.int64), return_index=True)
-        found.append(WrenchStream(topic, ordered, np.array(values).reshape(-1, 6)[first]))
+        found.append((topic, ordered, np.array(values).reshape(-1, 6)[first]))
     return streams, found, notes
 
 
@@ -329,8 +317,12 @@ def _refuse_two_publishers(streams: list[JointStateStream], chosen: dict[str, st
 
 
 def _group(topic: str, names: tuple[str, ...], streams: list[JointStateStream]) -> tuple[JointGroup, list[str]]:
-    whole = _joined([_of_joints(s, names) for s in streams])
-    stamps, received = whole.stamps, whole.received
+    def joined(what: str) -> Any:
+        """An array of all streams, if all of them have it."""
+        arrays = [(getattr(s, what), [s.names.index(n) for n in names]) for s in streams]
+        return None if any(a is None for a, _ in arrays) else np.concatenate([a[:, k] for a, k in arrays])
+
+    stamps, received = (np.concatenate([getattr(s, what) for s in streams]) for what in ("stamps", "received"))
     notes = []
     if np.any(stamps == 0):
         stamps = received
@@ -354,24 +346,8 @@ def _group(topic: str, names: tuple[str, ...], streams: list[JointStateStream]) 
             f"{topic}: {counted(np.count_nonzero(~keep), 'message')} left out for a repeated stamp, the last is kept"
         )
     order = order[keep]
-    u, effort = (None if x is None else x[order] for x in (whole.velocities, whole.efforts))
-    return JointGroup(topic, names, stamps[order], whole.positions[order], u, effort), notes
-
-
-def _joined(parts: list[JointStateStream]) -> JointStateStream:
-    """The messages of several streams about the same joints; velocities and efforts if all of them have some."""
-    joined: dict[str, Any] = {}
-    for name in ("stamps", "received", "positions", "velocities", "efforts"):
-        arrays = [getattr(part, name) for part in parts]
-        joined[name] = None if any(a is None for a in arrays) else np.concatenate(arrays)
-    return replace(parts[0], **joined)
-
-
-def _of_joints(stream: JointStateStream, names: tuple[str, ...]) -> JointStateStream:
-    """The columns of some joints."""
-    columns = [stream.names.index(n) for n in names]
-    q, *beside = (None if x is None else x[:, columns] for x in (stream.positions, stream.velocities, stream.efforts))
-    return replace(stream, names=names, positions=q, velocities=beside[0], efforts=beside[1])
+    q, u, effort = (None if x is None else x[order] for x in map(joined, ("positions", "velocities", "efforts")))
+    return JointGroup(topic, names, stamps[order], q, u, effort), notes
 
 
 def merge(groups: list[JointGroup], angles_that_wrap: frozenset[str]) -> tuple[JointGroup, list[str]]:
@@ -434,14 +410,14 @@ def _wrench_at(
     """
     if not streams:
         return None, []
-    one = streams[0]
-    far = int(np.count_nonzero(~_covered(stamps, one.stamps)))
-    where = f"{far} of {counted(len(stamps), 'sample')} have no message of {one.topic} nearby"
+    topic, own, values = streams[0]
+    far = int(np.count_nonzero(~_covered(stamps, own)))
+    where = f"{far} of {counted(len(stamps), 'sample')} have no message of {topic} nearby"
     if 2 * far > len(stamps):  # most numbers would not have been measured
         return None, [f"{where}, so that wrench is not used"]
-    between = "" if np.all(np.isin(stamps, one.stamps)) else ", interpolated at the stamps of the joint states"
-    notes = [f"the wrench is that of {one.topic}{between}"]
-    return _at(stamps, one.stamps, one.values), [*notes, *([f"{where}: the nearest ones are used"] if far else [])]
+    between = "" if np.all(np.isin(stamps, own)) else ", interpolated at the stamps of the joint states"
+    notes = [f"the wrench is that of {topic}{between}"]
+    return _at(stamps, own, values), [*notes, *([f"{where}: the nearest ones are used"] if far else [])]
 
 
 def _covered(stamps: Int[np.ndarray, " T"], own: Int[np.ndarray, " S"]) -> Bool[np.ndarray, " T"]:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
 from dataclasses import dataclass
 from typing import final
 
@@ -16,12 +15,22 @@ from manip_learn.recordings.readers.recording import GAP_FACTOR, Recording
 from manip_learn.recordings.validation.joint_matching import angular_coordinates, object_coordinates
 from manip_learn.robot import Robot
 
-BUNCHED = 0.02  # of the usual step
 UNIT_WORDS = {"ms": "milliseconds", "us": "microseconds", "ns": "nanoseconds"}
 # a stamp of the years 1973 to 5138 in each unit; seconds end where milliseconds begin
 EPOCHS = (("ns", 1e17), ("us", 1e14), ("ms", 1e11))
-# without recorded velocities: a step this long [s] with all joints this slow [rad/s] is no recording in seconds
-LONG_STEP, SLOW = 1.0, 0.02
+NOTABLE = 1e-6  # [rad or m] beyond a limit
+FAR_ANGLE, FAR_LENGTH = 0.1, 0.05  # [rad], [m]: a few degrees are calibration, more is another fault
+FAST = 3.0  # times the velocity limit
+MOVED = 0.02  # [rad or m] a joint must move to be judged by its velocities
+SURE, UNSURE, OTHER_JOINT = 0.9, 0.5, 0.98  # correlations of displacements and integrated velocities
+FEWEST = 8  # samples whose velocities are judged
+# of two motions in turn: samples within which each is heard again, and that are judged together, for the second may
+# have been there for a while only; fewest samples and jumps; steps that are compared in pairs
+LAGS, PART = 20, 20_000
+FEWEST_SAMPLES, FEWEST_JUMPS, COMPARED = 30, 10, 1000
+CLEAR = 6.0  # times the motion from one sample of a publisher to its next one
+SMALLEST = 0.02  # [rad or m]: a flickering encoder jumps by less, or by so little: its quanta are no larger
+OPPOSITE, ALIKE, MOSTLY_BACK = -0.9, 0.6, 0.9  # cosine and ratio of the sizes of a jump and the jump back; their share
 
 
 @final
@@ -76,21 +85,31 @@ def time_in_seconds(recording: Recording, request: ReadRequest) -> Float[np.ndar
     return time
 
 
-def _doubt_slow_time(motion: Motion) -> list[str]:
+def check_motion(motion: Motion) -> list[str]:
+    """Notes on a motion.
+
+    Raises:
+        RecordingError: What would spoil what is learnt: two publishers, units, order, limits, jumps.
+    """
+    _refuse_two_publishers(motion)
+    _refuse_slow_time(motion)
+    return [*_check_velocities(motion), *_check_limits(motion)]
+
+
+def _refuse_slow_time(motion: Motion) -> None:
     """Refuse steps of a second and more while all joints move very slowly, where no velocities were recorded."""
     if motion.u is not None or motion.recording.in_seconds or motion.request.time_unit is not None:
-        return []
+        return
     step = usual_step(np.diff(motion.time))
-    if step < LONG_STEP:
-        return []
+    if step < 1.0:  # [s]
+        return
     with np.errstate(over="ignore"):  # some stamps may differ by next to nothing
         speeds = np.abs(np.diff(motion.q, axis=0)) / np.diff(motion.time)[:, None]
     speed = float(np.max(np.percentile(speeds, 99, axis=0), initial=0.0))
-    if 0.0 < speed < SLOW:
+    if 0.0 < speed < 0.02:  # [rad/s]
         unit = "ms" if step <= 1e3 else "us" if step <= 1e6 else "ns"
         evidence = f"samples are {step:.6g} apart and no joint is faster than {speed:.2g} rad/s"
         raise _unit_refusal(motion.recording, unit, evidence)
-    return []
 
 
 def _unit_refusal(recording: Recording, unit: str, evidence: str) -> RecordingError:
@@ -167,21 +186,14 @@ def bunched_note(time: Float[np.ndarray, " T"]) -> list[str]:
     """
     steps = np.diff(time)
     usual = usual_step(steps)
-    bunched = steps < BUNCHED * usual
+    share = 0.02  # of the usual step
+    bunched = steps < share * usual
     if not np.any(bunched):
         return []
     return [
-        f"{np.count_nonzero(bunched)} steps between stamps are under {BUNCHED:.0%} of the usual {usual:.3g} s (the "
+        f"{np.count_nonzero(bunched)} steps between stamps are under {share:.0%} of the usual {usual:.3g} s (the "
         f"smallest: {np.min(steps):.3g} s): the recorder fell behind, derived velocities will be inaccurate"
     ]
-
-
-NOTABLE = 1e-6  # [rad or m] beyond a limit
-FAR_ANGLE, FAR_LENGTH = 0.1, 0.05  # [rad], [m]: a few degrees are calibration, more is another fault
-MANY_TURNS = 4 * np.pi  # [rad] for joints without limits
-FAST = 3.0  # times the velocity limit
-JUMP = np.pi / 2  # [rad] in one step
-MOSTLY_OUTSIDE = 0.3  # of the samples
 
 
 def _excess(robot: Robot, q: Float[np.ndarray, "T nv"]) -> Float[np.ndarray, " nv"]:
@@ -217,12 +229,12 @@ def _refuse_degrees(motion: Motion, far: Bool[np.ndarray, " nv"], fast: bool) ->
     robot, angular, q = motion.robot, motion.angular, motion.q
     largest = np.abs(q).max(axis=0)
     unlimited = angular & ~np.isfinite(robot.position_lower) & ~np.isfinite(robot.position_upper)
-    turning = unlimited & (largest > MANY_TURNS) & fast
+    turning = unlimited & (largest > 4 * np.pi) & fast
     beyond = far & angular & (largest > 2 * np.pi)
     if not np.any(beyond | turning):
         return
     # one faulty sample, a sign or a full turn is another fault
-    mostly = np.mean((q < robot.position_lower) | (q > robot.position_upper), axis=0) > MOSTLY_OUTSIDE
+    mostly = np.mean((q < robot.position_lower) | (q > robot.position_upper), axis=0) > 0.3
     other = np.array([_other_guess(robot, q[:, i], i) is not None for i in range(robot.nv)])
     suspects = (beyond & mostly & ~other) | turning
     if not np.any(suspects) or np.any(_excess(robot, np.radians(q))[suspects] > FAR_ANGLE):
@@ -296,7 +308,7 @@ def _refuse_jumps(motion: Motion) -> None:
     change, steps = np.abs(np.diff(q, axis=0)), np.diff(motion.time)
     limit = np.where(np.isfinite(robot.velocity_limit), 10 * robot.velocity_limit, 50.0)
     # a rotation vector may jump where its rotation does not, close to a full turn
-    jump = motion.angular & ~object_coordinates(robot) & (change > JUMP) & (change > limit * steps[:, None])
+    jump = motion.angular & ~object_coordinates(robot) & (change > np.pi / 2) & (change > limit * steps[:, None])
     if np.any(jump):
         sample, i = (int(k) for k in np.argwhere(jump)[0])
         turn = abs(change[sample, i] - 2 * np.pi) < 0.5
@@ -309,13 +321,6 @@ def _refuse_jumps(motion: Motion) -> None:
             sample=sample + 1,
             column=robot.joint_names[i],
         )
-
-
-DEGREE = math.degrees(1.0)
-MOVED = 0.02  # [rad or m] a joint must move to be judged
-SURE, UNSURE, OTHER_JOINT = 0.9, 0.5, 0.98  # correlations
-FEWEST, LONGEST_WINDOW = 8, 50  # samples
-TIME_SLOPES = (("ms", 1e-3), ("us", 1e-6), ("ns", 1e-9))
 
 
 @final
@@ -343,7 +348,7 @@ def compare_velocities(
     Windows, not single steps: jitter of the stamps and encoder noise spoil dq/dt from one sample to the next.
     """
     steps = np.diff(time)
-    width = int(np.clip(time.shape[0] // 20, 1, LONGEST_WINDOW))
+    width = int(np.clip(time.shape[0] // 20, 1, 50))
     travel = np.vstack([np.zeros(u.shape[1]), np.cumsum(0.5 * (u[1:] + u[:-1]) * steps[:, None], axis=0)])
     gaps = np.concatenate([[0], np.cumsum(steps > GAP_FACTOR * usual_step(steps))])
     whole = gaps[width:] == gaps[:-width]
@@ -414,7 +419,7 @@ def _refuse_slope(recording: Recording, name: str, angular: bool, slope: float) 
             )
         return
     evidence = f"slope {slope:.3g} between dq/dt and the recorded velocity of {name!r}, 1 is right"
-    if angular and _near(size, DEGREE):
+    if angular and _near(size, math.degrees(1.0)):
         raise recording.refusal(
             "degrees",
             f"positions look like degrees: {evidence}; radians are needed: convert the position columns"
@@ -423,14 +428,14 @@ def _refuse_slope(recording: Recording, name: str, angular: bool, slope: float) 
             ),
             column=name,
         )
-    if angular and _near(size, 1 / DEGREE):
+    if angular and _near(size, math.radians(1.0)):
         raise recording.refusal(
             "degrees",
             f"velocities look like degrees per second: {evidence}; rad/s are needed: convert the velocity columns or "
             "leave them out",
             column=name,
         )
-    unit = next((u for u, s in TIME_SLOPES if _near(size, s)), None)
+    unit = next((u for u in UNIT_WORDS if _near(size, SECONDS[u])), None)
     if unit is not None:
         raise _unit_refusal(recording, unit, evidence)
     raise recording.refusal(
@@ -443,17 +448,6 @@ def _refuse_slope(recording: Recording, name: str, angular: bool, slope: float) 
 
 def _near(value: float, expected: float) -> bool:
     return 1 / 1.25 < value / expected < 1.25
-
-
-LAGS = 20  # samples, within which each of two publishers is heard again
-PART = 20_000  # samples that are judged together: the second publisher may have been there for a while only
-FEWEST_SAMPLES, FEWEST_JUMPS = 30, 10
-CLEAR = 6.0  # times the motion from one sample of a publisher to its next one
-SMALLEST = 0.02  # [rad or m]: a flickering encoder jumps by less
-QUANTA, LARGEST_QUANTUM = 3.0, 0.02  # a coarse encoder flickers by one or two quanta [rad or m]
-OPPOSITE, ALIKE = -0.9, 0.6  # cosine and ratio of the sizes of a jump and the jump back
-MOSTLY_BACK = 0.9  # of the jumps
-COMPARED, ROUNDING = 1000, 1e-9  # steps that are compared in pairs, and of a cosine
 
 
 @final
@@ -474,7 +468,7 @@ class Alternation:
     usual: float
 
 
-def _refuse_two_publishers(motion: Motion) -> list[str]:
+def _refuse_two_publishers(motion: Motion) -> None:
     """Refuse positions that alternate, regularly or not, between two motions."""
     names = motion.robot.joint_names
     for start in range(0, 0 if motion.recording.trusted else len(motion.q), PART):
@@ -489,7 +483,6 @@ def _refuse_two_publishers(motion: Motion) -> list[str]:
                 sample=start + int(found.jumps[0]) + 1,
                 column=names[found.joint],
             )
-    return []
 
 
 def alternation(q: Float[np.ndarray, "T nv"]) -> Alternation | None:
@@ -505,7 +498,8 @@ def alternation(q: Float[np.ndarray, "T nv"]) -> Alternation | None:
     size = np.linalg.norm(steps, axis=1)
     if np.count_nonzero(size > SMALLEST) < FEWEST_JUMPS:  # most recordings: their quanta need not be known
         return None
-    least = max(SMALLEST, QUANTA * _quantum(q))
+    # a coarse encoder flickers by one or two quanta
+    least = max(SMALLEST, 3.0 * _quantum(q))
     if np.count_nonzero(size > least) < FEWEST_JUMPS or not _some_lead_back(steps[size > least]):
         return None
     usual = _usual_distance(q, size)
@@ -528,7 +522,7 @@ def _some_lead_back(steps: Float[np.ndarray, "k nv"]) -> bool:
     if len(steps) > COMPARED:
         return True
     unit = steps / np.linalg.norm(steps, axis=1)[:, None]
-    return bool(np.min(unit @ unit.T) < OPPOSITE + ROUNDING)
+    return bool(np.min(unit @ unit.T) < OPPOSITE + 1e-9)  # of rounding
 
 
 def _usual_distance(q: Float[np.ndarray, "T nv"], size: Float[np.ndarray, " n"]) -> float:
@@ -545,14 +539,5 @@ def _quantum(q: Float[np.ndarray, "T nv"]) -> float:
     """Size of a step by which all joints move by the smallest difference that their encoders show [rad or m]."""
     gaps = np.diff(np.sort(q, axis=0), axis=0)
     least = np.min(np.where(gaps > 0.0, gaps, np.inf), axis=0, initial=np.inf)
-    least = np.where(np.isfinite(least), np.minimum(least, LARGEST_QUANTUM), 0.0)  # a joint that stands still has none
+    least = np.where(np.isfinite(least), np.minimum(least, SMALLEST), 0.0)  # a joint that stands still has none
     return float(np.sqrt(np.sum(least**2)))
-
-
-# in the order in which they are made; each returns notes, and refuses what would spoil what is learnt
-CHECKS: tuple[Callable[[Motion], list[str]], ...] = (
-    _refuse_two_publishers,
-    _doubt_slow_time,
-    _check_velocities,
-    _check_limits,
-)

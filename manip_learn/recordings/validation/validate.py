@@ -14,9 +14,9 @@ from manip_learn.recordings.readers.recording import Recording
 from manip_learn.recordings.trajectory import Trajectory
 from manip_learn.recordings.validation.joint_matching import angular_coordinates, match_joints, object_coordinates
 from manip_learn.recordings.validation.motion_checks import (
-    CHECKS,
     Motion,
     bunched_note,
+    check_motion,
     increasing,
     pieces,
     time_in_seconds,
@@ -53,9 +53,7 @@ def validate(recording: Recording, request: ReadRequest) -> Demonstrations:
     notes += bunched_note(time)
     q, said = _unwrapped(robot, q)
     notes += said
-    motion = Motion(recording, request, time, q, u)
-    for check in CHECKS:
-        notes += check(motion)
+    notes += check_motion(Motion(recording, request, time, q, u))
     return _split(recording, robot, time, q, u, notes)
 
 
