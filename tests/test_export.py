@@ -110,7 +110,7 @@ def test_a_trajectory_is_yaml_for_ros(robot: Robot) -> None:
 def test_lerobot_metadata(folder: Path, tmp_path: Path) -> None:
     """The files of a v3.0 data set, and numbers in them that agree with the samples."""
     pq = pytest.importorskip("pyarrow.parquet", reason="the extra 'lerobot' is not installed")
-    from manip_learn.recordings.writers.lerobot_writer import _rate
+    from manip_learn.recordings.writers.lerobot_writer import samples_per_second
 
     out = tmp_path / "set"
     assert main(["export", str(folder / "arm.urdf"), str(folder / "demos"), "--out", str(out)]) == 0
@@ -140,7 +140,8 @@ def test_lerobot_metadata(folder: Path, tmp_path: Path) -> None:
     for rate, said in ((30.0, 30), (30.02, 30), (30.05, 30.05), (0.7, 0.7), (1.0, 1), (0.9999, 0.9999)):
         slower = [SimpleNamespace(time=np.cumsum(np.full(40, 1.0 / rate))) for _ in demos]
         slower[0].time[20:] += 5.0  # a pause does not count
-        assert _rate(slower) == pytest.approx(said, rel=1e-9) and isinstance(_rate(slower), type(said))
+        found = samples_per_second(slower)
+        assert found == pytest.approx(said, rel=1e-9) and isinstance(found, type(said))
     assert pq.read_table(out / "meta/tasks.parquet").num_rows == info["total_tasks"] == 1
 
 

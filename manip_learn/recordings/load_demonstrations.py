@@ -202,10 +202,8 @@ def _request(robot: Robot, options: ReadOptions) -> ReadRequest:
     degrees = fields.pop("degrees", False)
     unknown = sorted(set(fields) - set(ReadOptions.__annotations__))
     if unknown:
-        raise RecordingError(
-            f"there is no option {unknown[0]!r}; there are {', '.join(sorted(ReadOptions.__annotations__))}",
-            code="option",
-        )
+        text = f"there is no option {unknown[0]!r}; there are {', '.join(sorted(ReadOptions.__annotations__))}"
+        raise RecordingError(text, code="option")
     fields["units_insisted"] = fields.get("units") is not None
     if degrees:
         if fields.get("units") not in (None, "degrees"):

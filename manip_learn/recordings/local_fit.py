@@ -29,6 +29,9 @@ COMPARED = 150
 KEPT_NUMBERS, KEPT_STAMPS = 20_000, 5_000
 # numbers that are worked on at once where each window has its own equations: 4 MB
 BLOCK_NUMBERS = 500_000
+JERK_HALF_WIDTHS = (3, 4, 5, 7, 10, 15, 20, 30, 45)  # [samples]
+CLEAR_JERK = 5.0  # times the jerk that noise alone would leave: its peak is then that of the motion
+CUBIC = 3
 
 # step of evenly spaced stamps [s], or all stamps as bytes
 Grid = float | bytes
@@ -248,11 +251,6 @@ def _cubics(grid: Grid) -> Float[np.ndarray, "m w w"]:
     return powers.transpose(0, 2, 1) @ np.linalg.solve(powers @ powers.transpose(0, 2, 1), powers)
 
 
-JERK_HALF_WIDTHS = (3, 4, 5, 7, 10, 15, 20, 30, 45)  # [samples]
-CLEAR = 5.0  # times the jerk that noise alone would leave: its peak is then that of the motion
-CUBIC = 3
-
-
 def jerk(time: Float[np.ndarray, " T"], x: Float[np.ndarray, "T nv"]) -> tuple[float, float]:
     """Root mean square and peak of the norm of the third derivative, all joints together.
 
@@ -270,17 +268,17 @@ def jerk(time: Float[np.ndarray, " T"], x: Float[np.ndarray, "T nv"]) -> tuple[f
     for half_width in JERK_HALF_WIDTHS:
         if 2 * half_width + 1 > len(time):
             break
-        third = _third_derivatives(time, half_width)
+        third = third_derivatives(time, half_width)
         windows = np.lib.stride_tricks.sliding_window_view(x, 2 * half_width + 1, axis=0)
         squared = np.sum(np.einsum("nw,njw->nj", third, windows) ** 2, axis=1)
         noise = np.sum(third**2, axis=1) * variance
         squared = squared - noise
-        if np.mean(squared) >= CLEAR**2 * np.mean(noise):
+        if np.mean(squared) >= CLEAR_JERK**2 * np.mean(noise):
             break
     return float(np.sqrt(max(np.mean(squared), 0.0))), float(np.sqrt(max(np.max(squared), 0.0)))
 
 
-def _third_derivatives(time: np.ndarray, half_width: int) -> Float[np.ndarray, "N W"]:
+def third_derivatives(time: np.ndarray, half_width: int) -> Float[np.ndarray, "N W"]:
     """Weights of the third derivative at the centre of each window [1/s^3]."""
     stamps = np.lib.stride_tricks.sliding_window_view(time, 2 * half_width + 1)
     longest = np.max(np.abs(stamps - stamps[:, half_width : half_width + 1]), axis=1)

@@ -64,10 +64,8 @@ class Trajectory:
         steps = np.diff(self.time)
         if steps.size and np.min(steps) <= 0.0:
             i = int(np.argmax(steps <= 0.0))
-            raise RecordingError(
-                f"{self.name}: time must increase, sample {i + 1} is at {self.time[i + 1]} s after {self.time[i]} s",
-                code="time-order",
-            )
+            text = f"{self.name}: time must increase, sample {i + 1} is at {self.time[i + 1]} s after {self.time[i]} s"
+            raise RecordingError(text, code="time-order")
 
     def _array(self, what: str, values: object, ndim: int) -> np.ndarray:
         try:
@@ -101,10 +99,8 @@ class Trajectory:
         if T == 0:
             raise RecordingError(f"{self.name}: there are no samples", code="empty")
         if self.q.shape[0] != T or self.q.shape[1] < nv:
-            raise RecordingError(
-                f"{self.name}: q must have shape ({T}, {nv}): {T} times and {nv} joint names; got {self.q.shape}",
-                code="shape",
-            )
+            text = f"{self.name}: q must have shape ({T}, {nv}): {T} times and {nv} joint names; got {self.q.shape}"
+            raise RecordingError(text, code="shape")
         for what, array in self.beside.items():
             width = 6 if what == "wrench" else nv
             if array.shape != (T, width):

@@ -29,6 +29,7 @@ VelocityMethod = Literal["auto", "midpoint", "smooth"]
 CLEAN_SHARE = 1e-3
 # fewer samples leave no room for a window, or, if they are clean, for one that beats midpoints
 SHORT, SHORT_AND_CLEAN = 8, 24
+WINDOWS_AT_A_TIME = 2048  # relative rotations in memory
 
 
 def derive_velocities(
@@ -63,10 +64,8 @@ def derive_velocities(
         RecordingError: Too few samples.
     """
     if len(trajectory) < 3:
-        raise RecordingError(
-            f"{trajectory.name}: at least 3 samples are needed to estimate velocities, got {len(trajectory)}",
-            code="too-short",
-        )
+        text = f"{trajectory.name}: at least 3 samples are needed to estimate velocities, got {len(trajectory)}"
+        raise RecordingError(text, code="too-short")
     if method not in ("auto", "midpoint", "smooth"):
         raise RecordingError(f"velocities must be 'auto', 'midpoint' or 'smooth', not {method!r}", code="method")
     x = positions_along(trajectory, robot)
@@ -74,7 +73,7 @@ def derive_velocities(
         return _manifold_midpoints(trajectory, robot)
     time, T = trajectory.time, len(trajectory)
     if method == "auto":
-        midpoint = T < SHORT or (T < SHORT_AND_CLEAN and _is_clean(time, x))
+        midpoint = T < SHORT or (T < SHORT_AND_CLEAN and is_clean(time, x))
         method = "midpoint" if midpoint and half_width is None else "smooth"
     bodies = [b for b in robot.blocks if b.kind == "floating"]
     if method == "midpoint" and bodies:
@@ -174,10 +173,8 @@ def _windows(
     widths = half_widths_of(trajectory.time) if half_width is None else (half_width,)
     degrees = DEGREES if degree is None else (degree,)
     if half_width is not None and T < 2 * half_width + 1:
-        raise RecordingError(
-            f"{trajectory.name}: {counted(T, 'sample')} are fewer than the smoothing window of {2 * half_width + 1}",
-            code="too-short",
-        )
+        text = f"{trajectory.name}: {counted(T, 'sample')} are fewer than the smoothing window of {2 * half_width + 1}"
+        raise RecordingError(text, code="too-short")
     if half_width is not None and degree is not None and 1 <= degree <= 2 * half_width:
         return [(half_width, degree)] * len(x)
     longest = max(5, T // 3) if half_width is None else T
@@ -232,7 +229,8 @@ def positions_along(trajectory: Trajectory, robot: Robot) -> Float[np.ndarray, "
     return x
 
 
-def _is_clean(time: np.ndarray, x: np.ndarray) -> bool:
+def is_clean(time: np.ndarray, x: np.ndarray) -> bool:
+    """Whether the noise on positions is what printing them leaves, a small share of the motion's own steps."""
     steps = np.diff(x, axis=0)
     motion = float(np.sum(np.mean(steps**2, axis=0)))
     return float(np.sum(noise_variance(time, x))) <= CLEAN_SHARE**2 * motion
@@ -254,9 +252,6 @@ def _measured(trajectory: Trajectory, cut: Callable[[np.ndarray], np.ndarray]) -
 def _between(values: np.ndarray) -> np.ndarray:
     """Halfway between neighbouring samples."""
     return 0.5 * (values[1:] + values[:-1])
-
-
-WINDOWS_AT_A_TIME = 2048  # relative rotations in memory
 
 
 def smooth_pose(

@@ -131,8 +131,6 @@ def open_bag(path: Path) -> Iterator[BagFile]:
     try:
         with contextlib.ExitStack() as stack:
             yield (_folder if path.is_dir() else _file)(path, stack)
-    except RecordingError:
-        raise
     except BAG_DAMAGE as error:
         raise refusal(
             path,

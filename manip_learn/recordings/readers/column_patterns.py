@@ -22,6 +22,19 @@ OTHER = {
     *("temperature", "temp", "voltage", "force", "error", "errors", "limit", "jerk", "name"),
 }
 NUMBERED = re.compile(r"(?P<head>.*?)(?P<number>\d+)(?P<tail>\D*)")
+TIME_UNIT_WORDS = {"s": "seconds", "ms": "milliseconds", "us": "microseconds", "ns": "nanoseconds"}
+# the axis of PlotJuggler's tables [s]
+PLOTJUGGLER = ("__time",)
+# written by `rostopic echo -p`, and by converters of ROS 1 bags, in nanoseconds
+NANOSECONDS = ("%time", "field.header.stamp", "rosbagtimestamp")
+PLAIN = re.compile(
+    r"(time|times|t|timestamps?|stamp|secs?|seconds|elapsed([_ ]time)?|relative[_ ]time|ros[_ ]?time|unix[_ ]?time"
+    r"|epoch|recv_?time|receive[_ ]time|publish[_ ]time|(.*[./])?header[./]stamp)"
+)
+WITH_UNIT = re.compile(r"(?:elapsed[_ ]?)?(?:time|t|timestamp|stamp)[_ ]?[\[(]?(s|sec|secs|seconds|ms|us|ns)[\])]?")
+# `header.stamp.secs` of ROS 1, `header.stamp.sec` of ROS 2, `header/stamp/sec` of paths
+WHOLE_SECONDS = re.compile(r"(.*[./_])?stamp[./_]secs?")
+NANOSECOND_PART = re.compile(r"(.*[./_])?stamp[./_]n(ano)?secs?")
 
 
 class PatternError(ValueError):
@@ -238,22 +251,6 @@ def by_recorded_names(
     return None
 
 
-TIME = "time"
-UNIT_WORDS = {"s": "seconds", "ms": "milliseconds", "us": "microseconds", "ns": "nanoseconds"}
-# the axis of PlotJuggler's tables [s]
-FIRST = ("__time",)
-# written by `rostopic echo -p`, and by converters of ROS 1 bags, in nanoseconds
-NANOSECONDS = ("%time", "field.header.stamp", "rosbagtimestamp")
-PLAIN = re.compile(
-    r"(time|times|t|timestamps?|stamp|secs?|seconds|elapsed([_ ]time)?|relative[_ ]time|ros[_ ]?time|unix[_ ]?time"
-    r"|epoch|recv_?time|receive[_ ]time|publish[_ ]time|(.*[./])?header[./]stamp)"
-)
-WITH_UNIT = re.compile(r"(?:elapsed[_ ]?)?(?:time|t|timestamp|stamp)[_ ]?[\[(]?(s|sec|secs|seconds|ms|us|ns)[\])]?")
-# `header.stamp.secs` of ROS 1, `header.stamp.sec` of ROS 2, `header/stamp/sec` of paths
-SECONDS = re.compile(r"(.*[./_])?stamp[./_]secs?")
-NANO = re.compile(r"(.*[./_])?stamp[./_]n(ano)?secs?")
-
-
 @final
 @dataclass(frozen=True)
 class TimeColumns:
@@ -278,17 +275,17 @@ def find_time(names: Sequence[str | None]) -> TimeColumns:
     """The column `time`, or one that is known by another name: PlotJuggler's, a message's stamp, or the only one."""
     lowered = ["" if n is None else n.strip().lower() for n in names]
     known = [i for i, n in enumerate(lowered) if _is_time(n)]
-    if TIME in names:
-        return TimeColumns((names.index(TIME),), others=tuple(i for i in known if names[i] != TIME))
-    seconds = [i for i in known if SECONDS.fullmatch(lowered[i])]
-    if not any(n in FIRST for n in lowered) and len(seconds) == 1:
-        nano = [i for i in known if NANO.fullmatch(lowered[i])]
+    if "time" in names:
+        return TimeColumns((names.index("time"),), others=tuple(i for i in known if names[i] != "time"))
+    seconds = [i for i in known if WHOLE_SECONDS.fullmatch(lowered[i])]
+    if not any(n in PLOTJUGGLER for n in lowered) and len(seconds) == 1:
+        nano = [i for i in known if NANOSECOND_PART.fullmatch(lowered[i])]
         if len(nano) == 1:
             pair = (seconds[0], nano[0])
             note = f"time is read from {names[pair[0]]!r} [s] and {names[pair[1]]!r} [ns]"
             return TimeColumns(pair, "s", note, tuple(i for i in known if i not in pair))
-    single = [i for i in known if not SECONDS.fullmatch(lowered[i]) and not NANO.fullmatch(lowered[i])]
-    for wanted in (FIRST, ("field.header.stamp",), ("header.stamp", "header/stamp")):
+    single = [i for i in known if not WHOLE_SECONDS.fullmatch(lowered[i]) and not NANOSECOND_PART.fullmatch(lowered[i])]
+    for wanted in (PLOTJUGGLER, ("field.header.stamp",), ("header.stamp", "header/stamp")):
         first = [i for i in single if lowered[i].endswith(wanted)]
         if len(first) == 1:
             return _single(names, lowered, first[0], known)
@@ -298,8 +295,8 @@ def find_time(names: Sequence[str | None]) -> TimeColumns:
 
 
 def _is_time(name: str) -> bool:
-    patterns = (PLAIN, WITH_UNIT, SECONDS, NANO)
-    return name in (*FIRST, *NANOSECONDS) or any(p.fullmatch(name) for p in patterns)
+    patterns = (PLAIN, WITH_UNIT, WHOLE_SECONDS, NANOSECOND_PART)
+    return name in (*PLOTJUGGLER, *NANOSECONDS) or any(p.fullmatch(name) for p in patterns)
 
 
 def _single(names: Sequence[str | None], lowered: list[str], i: int, known: list[int]) -> TimeColumns:
@@ -307,5 +304,5 @@ def _single(names: Sequence[str | None], lowered: list[str], i: int, known: list
     said = WITH_UNIT.fullmatch(lowered[i])
     if said is not None:
         unit = "s" if said.group(1).startswith("s") else said.group(1)
-    note = f"time is read from column {names[i]!r}, in {UNIT_WORDS[unit or 's']}"
+    note = f"time is read from column {names[i]!r}, in {TIME_UNIT_WORDS[unit or 's']}"
     return TimeColumns((i,), unit, note, tuple(k for k in known if k != i))

@@ -429,13 +429,11 @@ def _checked_lines(path: Path, dialect: CsvDialect) -> Iterator[str]:
         if delimiter != ",":
             comma, point = comma or "," in line, point or "." in line
             if comma and point:
-                raise refusal(
-                    path,
-                    "decimal-mark",
+                text = (
                     "both ',' and '.' are used in numbers up to here, so it is not known which one is the decimal "
-                    f"mark: {line.strip()[:60]!r}; write all numbers with one mark and no thousands separator",
-                    line=number,
+                    f"mark: {line.strip()[:60]!r}; write all numbers with one mark and no thousands separator"
                 )
+                raise refusal(path, "decimal-mark", text, line=number)
             line = line.replace(",", ".") if comma else line
         yield line
 
@@ -451,14 +449,11 @@ def _explain(path: Path, dialect: CsvDialect, used: list[int], request: ReadRequ
         leave = ""
         if name not in ("time", *request.robot.joint_names) and not request.columns:
             leave = advice("; if it is no joint's: {}", "columns='{joint}'", "--columns '{joint}'")
-        raise RecordingError(
+        text = (
             f"{path.name}:{number}, column {name!r}: {what} where a number is needed: correct the row or remove it"
-            f"{leave}",
-            code="not-a-number",
-            path=path,
-            line=number,
-            column=name,
-        ) from cause
+            f"{leave}"
+        )
+        raise RecordingError(text, code="not-a-number", path=path, line=number, column=name) from cause
     raise refusal(path, "not-a-number", f"the numbers cannot be read: {reason(cause)}") from cause
 
 

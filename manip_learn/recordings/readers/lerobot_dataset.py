@@ -124,9 +124,8 @@ def open_dataset(path: Path) -> LeRobotDataset:
     if path.is_dir():
         files = tuple(sorted((path / "data").rglob("*.parquet"), key=lambda f: natural_order(str(f.relative_to(path)))))
         if not files:
-            raise refusal(
-                path, "empty", "the data set has no data/**/*.parquet: download its data, not only meta/", in_full=True
-            )
+            text = "the data set has no data/**/*.parquet: download its data, not only meta/"
+            raise refusal(path, "empty", text, in_full=True)
         return LeRobotDataset(path, files, *_described(path / "meta" / "info.json"))
     info = _meta(path) / "info.json"
     features, fps, *_ = _described(info) if info.is_file() else (None, None)
@@ -140,12 +139,8 @@ def _described(info_path: Path) -> tuple[dict[str, Any], float | None, int | Non
         raise refusal(info_path, "damaged", f"an object is needed, this is {type(info).__name__}", in_full=True)
     version = info.get("codebase_version")
     if not isinstance(version, str) or not version.startswith(("v2.", "v3.")):
-        raise refusal(
-            info_path,
-            "version",
-            f"codebase_version is {version!r}; v2.0, v2.1 and v3.0 are read: convert the data set",
-            in_full=True,
-        )
+        text = f"codebase_version is {version!r}; v2.0, v2.1 and v3.0 are read: convert the data set"
+        raise refusal(info_path, "version", text, in_full=True)
     features = info.get("features")
     if not isinstance(features, dict):
         said = "it has no features, so nothing says where the joint positions are"
@@ -196,13 +191,8 @@ def state_feature(path: Path, features: Mapping[str, Any] | None, asked: str | N
         raise refusal(path, "no-state", _missing(wanted, asked, vectors, likely), in_full=True)
     if wanted not in vectors:
         kind = features[wanted].get("dtype") if isinstance(features[wanted], dict) else features[wanted]
-        raise refusal(
-            path,
-            "no-state",
-            f"the feature {wanted!r} holds {kind}, joint positions are a vector of numbers; such are "
-            f"{first_names(vectors)}",
-            in_full=True,
-        )
+        text = f"the feature {wanted!r} holds {kind}, joint positions are a vector of numbers; such are "
+        raise refusal(path, "no-state", text + first_names(vectors), in_full=True)
     others = tuple(name for name in likely if name != wanted)
     return StateFeature(wanted, *_beside(wanted, vectors), entry_names(features[wanted].get("names")), others)
 
@@ -381,13 +371,11 @@ def _described_episodes(path: Path) -> Iterator[tuple[int, tuple[str, ...]]]:
     for row in rows:
         number, tasks = (row.get("episode_index"), row.get("tasks", ())) if isinstance(row, dict) else (None, None)
         if not isinstance(number, int) or not isinstance(tasks, list | tuple):
-            raise refusal(
-                meta,
-                "damaged",
+            said = (
                 f"an episode is described by {reason(ValueError(str(row)))}; its number and a list of tasks "
-                "are needed: download meta/ again",
-                in_full=True,
+                "are needed: download meta/ again"
             )
+            raise refusal(meta, "damaged", said, in_full=True)
         yield number, tuple(t for t in tasks if isinstance(t, str))
 
 

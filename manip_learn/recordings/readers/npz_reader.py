@@ -140,10 +140,8 @@ class NpzArchive:
         is_first = form.read_magic(file) == (1, 0)
         shape, _, dtype = (form.read_array_header_1_0 if is_first else form.read_array_header_2_0)(file)
         if dtype.hasobject:
-            raise self.refusal(
-                "pickle",
-                f"the array {name!r} holds Python objects, which are not opened (they can run code): save numbers",
-            )
+            text = f"the array {name!r} holds Python objects, which are not opened (they can run code): save numbers"
+            raise self.refusal("pickle", text)
         if dtype.kind not in kinds:
             wanted = "text" if kinds == "US" else "real numbers"
             raise self.refusal("not-a-number", f"the array {name!r} holds {dtype}, {wanted} are needed")

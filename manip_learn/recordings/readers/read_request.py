@@ -12,7 +12,19 @@ from typing import Literal, final, get_args
 from manip_learn.errors import RecordingError, advice, closest_names, spoken
 from manip_learn.robot import Robot
 
-MOST_SEEN = 10_000  # names kept for near matches
+Units = Literal["radians", "degrees", "normalised"]
+TimeUnit = Literal["s", "ms", "us", "ns"]
+
+SECONDS: dict[str, float] = {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9}  # of one unit
+# options that only some formats have a use for, and why the recordings had none
+WHY = {
+    "topics": "topics are read from ROS bags, and none of the recordings is one",
+    "joint_names": "the recordings name their columns or joints themselves, so these names are not used",
+    "rate": "the recordings have time stamps, so the rate is not used",
+    "time_unit": "the recordings are of formats that state the unit of their time stamps",
+    "columns": "patterns are those of columns of text tables, and none of the recordings is one",
+    "feature": "features are those of LeRobot data sets, and none of the recordings is one",
+}
 
 
 def first_names(names: Sequence[str], most: int = 12) -> str:
@@ -62,7 +74,7 @@ class OptionUses:
 
     def see(self, *names: str) -> None:
         """Names of columns, joints or arrays in a file."""
-        if len(self._seen) < MOST_SEEN:
+        if len(self._seen) < 10_000:  # for near matches
             self._seen.update(dict.fromkeys(names))
 
     def renamed(self, name: str, rename: Mapping[str, str]) -> str:
@@ -80,7 +92,7 @@ class OptionUses:
         """Of the names that an option lists, those that nothing in the files was called."""
         return [n for n in names if n not in self._used.get(option, ())]
 
-    def was_used(self, option: str) -> bool:
+    def had(self, option: str) -> bool:
         """True if the files had a use for an option."""
         return option in self._used
 
@@ -93,17 +105,6 @@ class OptionUses:
             else f"there is {first_names(list(self._seen)) if self._seen else 'nothing'}"
         )
         return f"nothing in the recordings is called {name!r}; {hint}"
-
-
-# options that only some formats have a use for, and why the recordings had none
-WHY = {
-    "topics": "topics are read from ROS bags, and none of the recordings is one",
-    "joint_names": "the recordings name their columns or joints themselves, so these names are not used",
-    "rate": "the recordings have time stamps, so the rate is not used",
-    "time_unit": "the recordings are of formats that state the unit of their time stamps",
-    "columns": "patterns are those of columns of text tables, and none of the recordings is one",
-    "feature": "features are those of LeRobot data sets, and none of the recordings is one",
-}
 
 
 def refuse_unmatched(notes: Iterable[str], n_parts: int = 1) -> list[str]:
@@ -123,10 +124,6 @@ def refuse_unmatched(notes: Iterable[str], n_parts: int = 1) -> list[str]:
         if len(sentences) >= n_parts:
             raise RecordingError(str(sentences[0]), code="option")
     return kept
-
-
-ITEM = re.compile(r"\s*(?:(\d{1,9})|(\d{1,9})?\s*:\s*(\d{1,9})?)\s*")
-SHOWN = 4  # numbers in a message
 
 
 @final
@@ -172,7 +169,7 @@ class EpisodeSelection:
         for first, end in self.items:
             found = {n for n in known if n >= first and (end is None or n < end)}
             if not found:
-                near = sorted(sorted(known, key=lambda n: abs(n - first))[:SHOWN])
+                near = sorted(sorted(known, key=lambda n: abs(n - first))[:4])
                 item = EpisodeSelection(((first, end),))
                 raise RecordingError(
                     f"{where}: no episode is selected by {str(item)!r}; there are {len(known)}, numbered "
@@ -184,7 +181,7 @@ class EpisodeSelection:
 
 
 def _item(part: str, text: str) -> tuple[int, int | None]:
-    found = ITEM.fullmatch(part)
+    found = re.fullmatch(r"\s*(?:(\d{1,9})|(\d{1,9})?\s*:\s*(\d{1,9})?)\s*", part)
     if found is None:
         raise _refused(text)
     number, first, end = found.groups()
@@ -207,12 +204,6 @@ def unmoved_joint_names(robot: Robot) -> tuple[str, ...]:
     frames = robot.pinocchio_model.frames
     fixed = [f.name for f in frames if f.type.name in ("FIXED_JOINT", "JOINT")]
     return tuple(n for n in (*fixed, *(m.joint for m in robot.mimics)) if n not in robot.joint_names)
-
-
-Units = Literal["radians", "degrees", "normalised"]
-TimeUnit = Literal["s", "ms", "us", "ns"]
-
-SECONDS: dict[str, float] = {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9}  # of one unit
 
 
 @final
@@ -280,10 +271,8 @@ class ReadRequest:
             )
         is_number = isinstance(self.rate, int | float)
         if self.rate is not None and not (is_number and math.isfinite(self.rate) and self.rate > 0):
-            raise RecordingError(
-                f"{as_written('rate')} must be a positive number of samples per second [Hz], got {self.rate!r}",
-                code="option",
-            )
+            text = f"{as_written('rate')} must be a positive number of samples per second [Hz], got {self.rate!r}"
+            raise RecordingError(text, code="option")
 
     def renamed(self, name: str) -> str:
         """The name after renaming."""
@@ -308,7 +297,7 @@ class ReadRequest:
         }
         for option, why in WHY.items():
             value = getattr(self, option)
-            if value not in (None, ()) and not self.uses.was_used(option):
+            if value not in (None, ()) and not self.uses.had(option):
                 listed = list(value) if option in ("topics", "joint_names") else value
                 flag = flags.get(option, f"{flag_of(option)} {value}")
                 said.append((f"{option}={listed!r}", flag, f"{why}: leave it out"))

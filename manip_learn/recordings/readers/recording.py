@@ -161,12 +161,8 @@ def check_regular(path: Path) -> None:
     try:
         mode = path.stat().st_mode
         if not stat.S_ISREG(mode):
-            raise refusal(
-                path,
-                "not-a-file",
-                "this is not a regular file; give a recording or a folder of recordings",
-                in_full=True,
-            )
+            text = "this is not a regular file; give a recording or a folder of recordings"
+            raise refusal(path, "not-a-file", text, in_full=True)
         with path.open("rb"):
             pass
     except FileNotFoundError as error:

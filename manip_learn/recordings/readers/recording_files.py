@@ -130,19 +130,13 @@ def _text(path: Path, head: bytes) -> FileFormat:
     is_utf16 = head.startswith((b"\xff\xfe", b"\xfe\xff"))
     if b"\x00" in head and not is_utf16:
         kinds = ", ".join(f.title for f in FORMATS)
-        raise refusal(
-            path,
-            "unknown-format",
-            f"the content is binary and of no known kind (starts with {head[:8]!r}); known are {kinds}",
-        )
+        text = f"the content is binary and of no known kind (starts with {head[:8]!r}); known are {kinds}"
+        raise refusal(path, "unknown-format", text)
     start = head.lstrip(b"\xef\xbb\xbf \t\r\n")
     if start.startswith((b"<", b"{", b"[")):
         kind = "XML or HTML" if start.startswith(b"<") else "JSON"
-        raise refusal(
-            path,
-            "not-a-recording",
-            f"this looks like {kind}, not like a recording: a table with 'time' and joint names is needed",
-        )
+        text = f"this looks like {kind}, not like a recording: a table with 'time' and joint names is needed"
+        raise refusal(path, "not-a-recording", text)
     return CSV
 
 
@@ -225,19 +219,11 @@ def _in_folder(folder: Path, notes: list[str]) -> Iterator[RecordingFile]:
     kinds = list(dict.fromkeys(f.format.title for f in found))
     if not found:
         why = f"; {damaged[0]}" if damaged else ""
-        raise refusal(
-            folder,
-            "no-recordings",
-            f"there is no recording in this folder{why}; name the recordings, or a folder that holds them",
-            in_full=True,
-        )
+        text = f"there is no recording in this folder{why}; name the recordings, or a folder that holds them"
+        raise refusal(folder, "no-recordings", text, in_full=True)
     if len(kinds) > 1:
-        raise refusal(
-            folder,
-            "mixed-folder",
-            f"the folder holds recordings of several kinds ({', '.join(kinds)}): name the files",
-            in_full=True,
-        )
+        text = f"the folder holds recordings of several kinds ({', '.join(kinds)}): name the files"
+        raise refusal(folder, "mixed-folder", text, in_full=True)
     if ignored:
         notes.append(
             f"{folder.name}: not recordings, not read: {', '.join(ignored[:6])}{', ...' if len(ignored) > 6 else ''}"

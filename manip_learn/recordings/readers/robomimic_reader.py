@@ -60,11 +60,8 @@ def read(path: Path, request: ReadRequest) -> Iterator[Recording]:
 def _recording(path: Path, data: Any, name: str, names: tuple[str, ...], rate: float, note: str) -> Recording:
     demo = _member(path, data, name, h5py.Group)
     if "obs" not in demo:
-        raise refusal(
-            path,
-            "no-state",
-            f"{name} has no group 'obs': extract observations first (robomimic's dataset_states_to_obs.py)",
-        )
+        text = f"{name} has no group 'obs': extract observations first (robomimic's dataset_states_to_obs.py)"
+        raise refusal(path, "no-state", text)
     obs = _member(path, demo, "obs", h5py.Group)
     positions = _matrix(path, _member(path, obs, POSITION, h5py.Dataset), f"{name}/obs/{POSITION}")
     if positions.shape[1] != len(names):
@@ -114,11 +111,8 @@ def _member(path: Path, group: Any, name: str, kind: type) -> Any:
     """A member of a group that is stored in this very file."""
     link = group.get(name, getlink=True)
     if link is None:
-        raise refusal(
-            path,
-            "not-robomimic",
-            f"there is no {name!r} in {group.name!r}, only {', '.join(list(group)[:8]) or 'nothing'}",
-        )
+        text = f"there is no {name!r} in {group.name!r}, only {', '.join(list(group)[:8]) or 'nothing'}"
+        raise refusal(path, "not-robomimic", text)
     if not isinstance(link, h5py.HardLink):
         target = getattr(link, "filename", "") or link.path
         raise refusal(

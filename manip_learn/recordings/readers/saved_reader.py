@@ -147,13 +147,11 @@ def _read_csv(path: Path, header: FileHeader) -> SavedMotion:
     possible = [column_groups(header, beside) for beside in choices]
     groups = next((g for g in possible if column_line(g) == columns), None)
     if groups is None:
-        raise refusal(
-            path,
-            "columns",
+        text = (
             f"the columns are {columns[:80]!r}, the header above them needs {column_line(possible[0])[:200]!r}: "
-            "write the file again, or remove the line of the header to have the table read as any other",
-            line=number,
+            "write the file again, or remove the line of the header to have the table read as any other"
         )
+        raise refusal(path, "columns", text, line=number)
     width = sum(map(len, groups.values()))
     rows: list[list[float]] = []
     status: list[str] = []

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Sequence
 from dataclasses import replace
 
@@ -61,13 +62,11 @@ def _converted(recording: Recording, name: str, columns: list[str], in_degrees: 
     length = np.linalg.norm(quaternions, axis=1)
     bad = np.flatnonzero(~(np.abs(length - 1.0) <= UNIT) & np.isfinite(length))
     if bad.size:
-        raise recording.refusal(
-            "quaternion",
+        text = (
             f"the quaternion of object {name!r} has length {length[bad[0]]:.4g}, 1 is needed (order qx qy qz qw); "
-            f"so in {counted(bad.size, 'sample')}",
-            sample=int(bad[0]),
-            column=columns[0],
+            f"so in {counted(bad.size, 'sample')}"
         )
+        raise recording.refusal("quaternion", text, sample=int(bad[0]), column=columns[0])
     from scipy.spatial.transform import Rotation
 
     vectors = np.full((len(length), 3), np.nan)  # of missing numbers: validation finds them
@@ -82,10 +81,6 @@ def _converted(recording: Recording, name: str, columns: list[str], in_degrees: 
         positions=np.hstack([recording.positions[:, kept], np.degrees(vectors) if in_degrees else vectors]),
         notes=(*recording.notes, f"the quaternions of object {name!r} were converted to rotation vectors"),
     )
-
-
-LOCKED_MOTION = 0.02  # [rad or m], more than encoder noise
-MIMIC_MISMATCH = 0.02  # [rad or m]
 
 
 def angular_coordinates(robot: Robot) -> Bool[np.ndarray, " nv"]:
@@ -134,7 +129,7 @@ def match_joints(recording: Recording, request: ReadRequest) -> Recording:
 
 def _refuse_repeated(recording: Recording) -> None:
     for names in (recording.position_names, recording.velocity_names):
-        repeated = next((n for n in names if names.count(n) > 1), None)
+        repeated = next((n for n, count in Counter(names).items() if count > 1), None)
         if repeated is not None:
             raise recording.refusal("duplicate-column", f"the joint {repeated!r} occurs twice: keep one")
 
@@ -204,12 +199,12 @@ def _unmoved_note(recording: Recording, robot: Robot, name: str, values: np.ndar
             leader = recording.positions[:, recording.position_names.index(mimic.leader)]
             off = np.abs(values - mimic.multiplier * leader - mimic.offset)
             worst = float(np.max(off[np.isfinite(off)], initial=0.0))
-            if worst > MIMIC_MISMATCH:
+            if worst > 0.02:  # [rad or m], more than encoder noise
                 note += f", though it is up to {worst:.3g} away from what the description says"
         return note
     note = f"joint {name!r} is locked or fixed in {robot.name!r}, its column is not used"
     span = float(np.ptp(finite)) if finite.size else 0.0
-    if span > LOCKED_MOTION:
+    if span > 0.02:  # [rad or m], likewise
         note += f", though it moves by {span:.3g} in the recording"
     return note
 

@@ -139,13 +139,11 @@ def increasing(
     if back.size:
         i = int(back[0])
         more = f" (and {back.size - 1} more times)" if back.size > 1 else ""
-        raise recording.refusal(
-            "time-order",
+        text = (
             f"time goes back from {recording.time[i]:.9g} to {recording.time[i + 1]:.9g}{more}: sort the rows, or put "
-            "recordings that were joined into files of their own",
-            sample=i + 1,
-            column="time",
+            "recordings that were joined into files of their own"
         )
+        raise recording.refusal("time-order", text, sample=i + 1, column="time")
     keep = np.ones(time.shape[0], dtype=bool)
     repeated = np.flatnonzero(steps == 0)
     if not repeated.size:
@@ -155,13 +153,11 @@ def increasing(
         same &= np.all(u[repeated] == u[repeated + 1], axis=1)
     if not np.all(same):
         i = int(repeated[np.argmin(same)])
-        raise recording.refusal(
-            "duplicate-time",
+        text = (
             f"the stamp {recording.time[i + 1]:.9g} occurs twice with different positions "
-            f"({recording.place(i)} and {recording.place(i + 1)}; {np.count_nonzero(~same)} such pairs): keep one",
-            sample=i + 1,
-            column="time",
+            f"({recording.place(i)} and {recording.place(i + 1)}; {np.count_nonzero(~same)} such pairs): keep one"
         )
+        raise recording.refusal("duplicate-time", text, sample=i + 1, column="time")
     keep[repeated + 1] = False
     return keep, [f"{repeated.size} repeated samples left out (first: {recording.place(int(repeated[0]) + 1)})"]
 
@@ -245,13 +241,11 @@ def _refuse_degrees(motion: Motion, far: Bool[np.ndarray, " nv"], fast: bool) ->
     fix = "convert this column to radians"
     if whole_file:
         fix = advice("pass {}, or ", "degrees=True", "--degrees") + "convert the file to radians"
-    raise motion.recording.refusal(
-        "degrees",
+    text = (
         f"positions look like degrees: {q[sample, i]:.6g} where the limits are [{robot.position_lower[i]:.4g}, "
-        f"{robot.position_upper[i]:.4g}] rad; {fix}",
-        sample=sample,
-        column=robot.joint_names[i],
+        f"{robot.position_upper[i]:.4g}] rad; {fix}"
     )
+    raise motion.recording.refusal("degrees", text, sample=sample, column=robot.joint_names[i])
 
 
 def _other_guess(robot: Robot, q: Float[np.ndarray, " T"], i: int) -> str | None:
@@ -313,14 +307,12 @@ def _refuse_jumps(motion: Motion) -> None:
         sample, i = (int(k) for k in np.argwhere(jump)[0])
         turn = abs(change[sample, i] - 2 * np.pi) < 0.5
         cause = "it wraps around a full turn, which this limited joint cannot" if turn else "a faulty sample?"
-        raise motion.recording.refusal(
-            "jump",
+        text = (
             f"the joint jumps from {q[sample, i]:.4g} to {q[sample + 1, i]:.4g} rad within {steps[sample]:.3g} s: "
             f"{cause} "
-            "Correct the file (a real break in the recording: put the parts into files of their own)",
-            sample=sample + 1,
-            column=robot.joint_names[i],
+            "Correct the file (a real break in the recording: put the parts into files of their own)"
         )
+        raise motion.recording.refusal("jump", text, sample=sample + 1, column=robot.joint_names[i])
 
 
 @final

@@ -70,14 +70,12 @@ def _refuse_not_finite(recording: Recording) -> None:
     for word, values, columns in parts:
         wrong = np.flatnonzero(~(np.abs(values[row]) < NO_MEASUREMENT))
         if wrong.size:
-            raise recording.refusal(
-                "not-finite",
+            text = (
                 f"{values[row, wrong[0]]}{word} where a finite number is needed, in {counted(rows.size, 'sample')}: "
                 f"{places}; "
-                "remove them (a gap of more than ten steps then splits the demonstration)",
-                sample=row,
-                column=columns[wrong[0]],
+                "remove them (a gap of more than ten steps then splits the demonstration)"
             )
+            raise recording.refusal("not-finite", text, sample=row, column=columns[wrong[0]])
 
 
 def _refuse_radians(recording: Recording, request: ReadRequest, angles: Float[np.ndarray, "T k"]) -> None:
@@ -117,10 +115,8 @@ def _in_radians(
         lower, upper = np.where(pose, -100.0, robot.position_lower), np.where(pose, 100.0, robot.position_upper)
         unlimited = [n for n, a, b in zip(robot.joint_names, lower, upper, strict=True) if not np.isfinite(b - a)]
         if unlimited:
-            raise recording.refusal(
-                "units",
-                f"joint {unlimited[0]!r} has no limits, so its normalised values have no meaning: convert the file",
-            )
+            text = f"joint {unlimited[0]!r} has no limits, so its normalised values have no meaning: convert the file"
+            raise recording.refusal("units", text)
         if np.max(np.abs(q[:, ~pose]), initial=0.0) > 110.0:
             raise recording.refusal(
                 "units", f"values reach {np.max(np.abs(q)):.4g}: normalised ones are -100 .. 100; state other units"

@@ -48,7 +48,7 @@ def write_lerobot(folder: Path, motions: Sequence[SavedMotion]) -> Path:
         if len({getattr(m, name) is None for m in motions}) > 1:
             raise OutputError(f"some trajectories have {what} and others not: export them to data sets of their own")
     table = _samples(motions)
-    fps = _rate(motions)
+    fps = samples_per_second(motions)
     write_atomically(folder / "data" / FILE, _parquet(table))
     write_atomically(folder / "meta" / "episodes" / FILE, _parquet(_episodes(motions)))
     tasks = pa.table({"task_index": pa.array([0], pa.int64()), "task": [TASK]})
@@ -94,7 +94,7 @@ def _episodes(motions: Sequence[SavedMotion]) -> Any:
     )
 
 
-def _rate(motions: Sequence[SavedMotion]) -> float:
+def samples_per_second(motions: Sequence[SavedMotion]) -> float:
     """Samples per second, by the median step; an integer where it is one but for rounding."""
     step = float(np.median(np.concatenate([np.diff(m.time) for m in motions])))
     rate = 1.0 / step
