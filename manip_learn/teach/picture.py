@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import replace
 from pathlib import Path
 from typing import Any, final
@@ -11,6 +12,7 @@ from jaxtyping import Float
 
 from manip_learn.constraint.constraint import Constraint
 from manip_learn.constraint.manipulability import manipulability
+from manip_learn.errors import counted
 from manip_learn.playback.constraint_marks import held_directions
 from manip_learn.playback.kinematic_tree import joint_tracks, kinematic_tree
 from manip_learn.playback.live_viewer import live_page
@@ -21,6 +23,7 @@ from manip_learn.teach.scene import TASKS, TITLES, Handle, TeachingScene
 
 WEAK = 0.2  # least over largest singular value of the tip's translation, below which the weak direction is drawn
 AT_LIMIT = 0.01  # [rad or m] from a joint's limit at which the arm feels it
+ENOUGH = 5  # recordings that a person is asked for
 SEEN = 20  # random postures that show in how many directions the tip can move
 
 FOLDER = Path(__file__).with_name("page")
@@ -188,3 +191,46 @@ def _in_truth(handle: Handle) -> str:
         "screw": f"turns about {axis} through {place}, {1e3 * handle.pitch:.1f} mm per radian",
     }[handle.type]
     return f"the {handle.name} {along}, {how}, with {1e3 * handle.play:.1f} mm of play"
+
+
+def refusal_content(why: str, recordings: int, handles: bool) -> dict[str, Any]:
+    """What the page says where nothing was learnt, and what to do next.
+
+    Args:
+        why: The learner's reason.
+        recordings: How many there were.
+        handles: Whether there is something to take hold of.
+    """
+    few = recordings < ENOUGH
+    another = handles or few
+    return {
+        "sentence": "This was not understood." if few else "Nothing holds the hand, as far as can be seen.",
+        "refused": True,
+        "evidence": why,
+        **dict.fromkeys(("facts", "rows", "warnings", "odd", "phaseKinds"), []),
+        "mechanism": None,
+        "next": f"Show it {counted(ENOUGH - recordings, 'time')} more, each time a little differently."
+        if few
+        else "Nothing that you showed holds the hand firmly. Take hold of something, move it as far as it goes and "
+        "back, and begin each time from another posture.",
+        "offer": {
+            "say": "Record another one" if another else "Try a drawer",
+            "said": {"do": "record"} if another else {"do": "scene", "kind": "drawer"},
+        },
+    }
+
+
+def answer_content(content: Mapping[str, Any]) -> dict[str, Any]:
+    """What the page says of what the worker learnt, and what to do next."""
+    uncertain, limit = content["uncertainty"], 1.0  # [degrees] to which a direction is to be known: 9 mm at 0.5 m
+    known = uncertain is not None and uncertain <= limit
+    sure = known and not content["warned"]
+    return {
+        **content["answer"],
+        "next": "It is known well enough: let the arm do it."
+        if sure
+        else "It is known well enough; read the warnings before you let the arm do it."
+        if known
+        else f"Show it once more, from another posture, until it is known to {limit:g} degree.",
+        "offer": None if sure else {"say": "Record another one", "said": {"do": "record"}},
+    }

@@ -29,7 +29,14 @@ from manip_learn.recordings import load_demonstrations
 from manip_learn.recordings.trajectory import Trajectory
 from manip_learn.robot.robot import Robot
 from manip_learn.teach.arm import PERIOD, TeachingArm
-from manip_learn.teach.picture import TeachingPicture, scene_content, truth_content
+from manip_learn.teach.picture import (
+    ENOUGH,
+    TeachingPicture,
+    answer_content,
+    refusal_content,
+    scene_content,
+    truth_content,
+)
 from manip_learn.teach.scene import (
     TASKS,
     TITLES,
@@ -41,8 +48,7 @@ from manip_learn.teach.worker import TeachingWorker, ghost
 
 LEFT = 1.0  # [s] without a page after which the program ends: loading a page again asks for it within a tenth of that
 SAID = 0.1  # [s] between two looks at the state as a whole
-ENOUGH, FEW = 5, 3  # recordings that a person is asked for, and below which no evidence can be had
-KNOWN = 1.0  # [degrees] to which a direction is to be known: at 0.5 m that is 9 mm
+FEW = 3  # recordings below which no evidence can be had
 STAYS = 0.3  # [s] at the end of a way before a run counts as done
 YIELDS, GENTLY = 45.0, 2.0  # [N] at the hand on which the arm lets go, and [rad/s2] with which it moves by itself
 SLOWER = 3.0  # times, and seconds, that a run may take beyond what its way needs: a person may push against it
@@ -422,31 +428,9 @@ class TeachingSession:
             self._say("; ".join(f"{one['name']}: {one['ended']}" for one in answer) + ".")
 
     def _refused(self, why: str) -> None:
-        n = len(self._recordings)
-        few = n < ENOUGH
-        advice = (
-            f"Show it {counted(ENOUGH - n, 'time')} more, each time a little differently."
-            if few
-            else "Nothing that you showed holds the hand firmly. Take hold of something, move it as far as it goes and "
-            "back, and begin each time from another posture."
-        )
-        nothing = not self.arm.scene.handles
-        offer = (
-            {"say": "Try a drawer", "said": {"do": "scene", "kind": "drawer"}}
-            if nothing and not few
-            else {"say": "Record another one", "said": {"do": "record"}}
-        )
-        self._answer = {
-            "sentence": "This was not understood." if few else "Nothing holds the hand, as far as can be seen.",
-            "refused": True,
-            "evidence": why,
-            **dict.fromkeys(("facts", "rows", "warnings", "odd", "phaseKinds"), []),
-            "mechanism": None,
-            "next": advice,
-            "offer": offer,
-        }
+        self._answer = refusal_content(why, len(self._recordings), bool(self.arm.scene.handles))
         self.constraint = self._rows = self._way = None
-        self._say(advice, wrong=True)
+        self._say(self._answer["next"], wrong=True)
 
     def _learnt(self, content: Mapping[str, Any]) -> None:
         self.constraint = Constraint.load(self._constraint_file, self.robot)
@@ -455,18 +439,7 @@ class TeachingSession:
         for one in self._recordings:
             one.phases = [phase[1:] for phase in content["phases"] if names.get(phase[0]) is one]
             one.odd = odd.get(one.path.name, "")
-        uncertain, warned = content["uncertainty"], content["warned"]
-        known = uncertain is not None and uncertain <= KNOWN
-        sure = known and not warned
-        self._answer = {
-            **content["answer"],
-            "next": "It is known well enough: let the arm do it."
-            if sure
-            else "It is known well enough; read the warnings before you let the arm do it."
-            if known
-            else f"Show it once more, from another posture, until it is known to {KNOWN:g} degree.",
-            "offer": None if sure else {"say": "Record another one", "said": {"do": "record"}},
-        }
+        self._answer = answer_content(content)
         self._way = ShownWay.of(self.constraint, self.tip, self._recordings, self.arm.scene.handles)
         self._rows = None if self._way is None else task_of(self.constraint, self._way.asked()).rows(self.constraint)
         self._say(self._answer["next"])

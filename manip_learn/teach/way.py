@@ -22,10 +22,8 @@ from manip_learn.teach.scene import CLOSES, REACHES, Handle, posture_at
 STEP = 0.01  # [s] of a simulation, as the arm's period
 SHORTEST = {"m": 0.02, "rad": 0.05}  # [m or rad] a way that was shown and is worth doing again
 SHARE = 0.85  # of the way shown that the slider begins with: the rest is the person's spread
-STRIDE, CALM = (
-    15,
-    1.5,
-)  # samples between two postures of an approach, encoders being noisy, and its time over a person's
+STRIDE = 15  # samples between two postures of an approach, encoders being noisy
+CALM = 1.5  # time of an approach over a person's
 ARRIVES = {"m": 2e-3, "rad": 4e-3}  # [m or rad] of a way that is done
 
 
