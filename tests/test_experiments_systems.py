@@ -11,7 +11,6 @@ from numpy.testing import assert_allclose
 from manip_learn.constraint.constraint import Constraint
 from manip_learn.constraint.manipulability import manipulability_gradient
 from manip_learn.experiments import rmse, sawyer, singular_starts
-from manip_learn.experiments.learners import ESTIMATORS, SAID
 from manip_learn.experiments.paper_setup import (
     REST,
     STEP,
@@ -26,7 +25,7 @@ from manip_learn.experiments.paper_setup import (
     tip,
 )
 from manip_learn.experiments.sawyer import HARD, KIND, sawyer_arm, turned_recordings
-from manip_learn.experiments.table import LearningCase, learning_trial
+from manip_learn.experiments.table import ESTIMATORS, SAID, LearningCase, learning_trial
 
 pytestmark = pytest.mark.timeout(400)  # fixtures of half a minute, which others on the machine may stretch
 

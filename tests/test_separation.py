@@ -7,8 +7,8 @@ import pytest
 from numpy.testing import assert_allclose
 
 from manip_learn.errors import NotIdentifiableError
-from manip_learn.experiments.learners import fit_row_by_row, unit_vector
 from manip_learn.experiments.paper_setup import Setup, demonstrate, null_parts, planar_features
+from manip_learn.experiments.table import fit_row_by_row, unit_vector
 from manip_learn.learning.estimators.policy_model import PolynomialModel, RadialModel, TrajectoryOffsetModel
 from manip_learn.learning.estimators.separation import (
     estimate_separate,

@@ -16,8 +16,7 @@ import numpy as np
 from manip_learn.atomic_write import write_atomically
 from manip_learn.errors import ExperimentError, UnknownNameError
 from manip_learn.experiments import rmse, sawyer, singular_starts, table
-from manip_learn.experiments.charts import save_figure
-from manip_learn.experiments.experiment_result import ExperimentResult
+from manip_learn.experiments.experiment_result import ExperimentResult, save_figure
 from manip_learn.experiments.trial_runner import BACKENDS, Backend, Experiment, PartStore, TrialRunner
 from manip_learn.linalg import one_thread
 from manip_learn.playback.replay_page import replay

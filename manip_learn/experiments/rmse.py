@@ -14,17 +14,16 @@ from jaxtyping import Float
 
 from manip_learn.constraint.constraint import Constraint
 from manip_learn.constraint.manipulability_batch import manipulability_batch
-from manip_learn.experiments.charts import Panel, strips
 from manip_learn.experiments.experiment_result import (
+    Panel,
     TrialsResult,
     markdown_table,
     mean_and_sd,
     number,
     said_rows,
+    strips,
     summary,
 )
-from manip_learn.experiments.learners import ESTIMATORS as WAYS
-from manip_learn.experiments.learners import SAID
 from manip_learn.experiments.metrics import policy_rmse
 from manip_learn.experiments.paper_setup import (
     PAPER_RMSE,
@@ -38,6 +37,8 @@ from manip_learn.experiments.paper_setup import (
     planar_features,
     tip,
 )
+from manip_learn.experiments.table import ESTIMATORS as WAYS
+from manip_learn.experiments.table import SAID
 from manip_learn.experiments.trial_runner import of_trials
 
 if TYPE_CHECKING:

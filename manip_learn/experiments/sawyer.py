@@ -25,8 +25,8 @@ from manip_learn.constraint.features.feature_map import FeatureMap
 from manip_learn.constraint.features.frame_jacobian import FrameJacobian
 from manip_learn.constraint.manipulability_batch import manipulability_batch
 from manip_learn.errors import NotIdentifiableError
-from manip_learn.experiments.charts import Panel, strips
 from manip_learn.experiments.experiment_result import (
+    Panel,
     TrialsResult,
     markdown_table,
     mean_and_sd,
@@ -34,6 +34,7 @@ from manip_learn.experiments.experiment_result import (
     number,
     percent,
     share,
+    strips,
     summary,
 )
 from manip_learn.experiments.metrics import mie, nmie, policy_rmse

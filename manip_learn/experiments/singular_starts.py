@@ -17,10 +17,9 @@ from manip_learn.control.policies import JointAttractor, ManipulabilityAscent, N
 from manip_learn.control.rollout import Rollout
 from manip_learn.control.simulation import simulate
 from manip_learn.control.tasks.point_attractor import PointAttractor
-from manip_learn.experiments import charts
-from manip_learn.experiments.experiment_result import ExperimentResult, markdown_table, number, percent
-from manip_learn.experiments.learners import ESTIMATORS, SAID
+from manip_learn.experiments.experiment_result import INK, ExperimentResult, markdown_table, new_figure, number, percent
 from manip_learn.experiments.paper_setup import Setup, demonstrate, planar_arm, planar_features, true_constraint
+from manip_learn.experiments.table import ESTIMATORS, SAID
 from manip_learn.experiments.trial_runner import Experiment, TrialRunner
 from manip_learn.linalg import matlab_tolerance
 from manip_learn.playback.palette import COLOURS
@@ -385,18 +384,18 @@ def draw_columns(columns: Mapping[str, Sequence[Rollout]], target: tuple[float, 
     moments = (0, 1, 2, 3, 6, 12, 25, 37, 50, 100, 250)  # of 251 samples
     shades = colormaps["viridis_r"](np.linspace(0.04, 1.0, len(moments)))
     reach = (-3.15, 3.15)  # [m]; the arm is 3 m long
-    figure, axes = charts.new_figure(12.0, 6.6, 2, len(columns), sharey="row", height_ratios=[1.5, 1.0])
+    figure, axes = new_figure(12.0, 6.6, 2, len(columns), sharey="row", height_ratios=[1.5, 1.0])
     for (above, below), (title, rollouts) in zip(axes.T, columns.items(), strict=True):
         shown = [i for i in moments if i < len(rollouts[0])]
         angles = np.cumsum(rollouts[0].q[shown], axis=1)
         joints = np.cumsum(np.stack([np.cos(angles), np.sin(angles)], axis=-1), axis=1)
         for shade, arm, i in zip(shades, np.pad(joints, [(0, 0), (1, 0), (0, 0)]), shown, strict=False):
             above.plot(*arm.T, "-o", color=shade, linewidth=1.3, markersize=2.5, label=f"{STEPS[0] * i:.3g} s")
-        above.plot(*target, "x", color=charts.INK, markersize=7, linestyle="none", label="target r*")
+        above.plot(*target, "x", color=INK, markersize=7, linestyle="none", label="target r*")
         above.set_title(title, fontsize=9)
         above.set(xlabel="x of the links [m]", aspect="equal", xlim=reach, ylim=reach)
         for rollout, look, said in zip(rollouts, ("-", ":"), ("0.02 s (50 Hz)", "0.01 s (100 Hz)"), strict=False):
-            colour = COLOURS["blue"] if look == "-" else charts.INK
+            colour = COLOURS["blue"] if look == "-" else INK
             below.plot(rollout.time, rollout.manipulability, look, color=colour, label=f"step {said}")
         below.legend(loc="upper right", fontsize=7)
         below.set_xlabel("time [s]")
