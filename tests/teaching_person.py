@@ -61,7 +61,7 @@ class Person:
         for _ in range(round(seconds / PERIOD)):
             if done():
                 return
-            if self.session._worker.busy:
+            if self.session.waits_for_worker:
                 time.sleep(PERIOD)  # the other process has the processor
             yield None
         raise AssertionError(f"it did not come to pass; the page said {self.said[-3:]}")
@@ -88,7 +88,8 @@ class Person:
         self._time += PERIOD
         return np.sum(self._size * np.sin(self._speed * self._time + self._phase), axis=1)
 
-    def _other_hand(self) -> None:
+    def other_hand(self) -> None:
+        """Be unsteady in another way from now on."""
         size = self.rng.uniform(0.5, 1.5, (3, 4))
         self._size = size * ASTRAY / np.sqrt(0.5 * np.sum(size**2, axis=1, keepdims=True))
         self._speed = 2.0 * np.pi * self.rng.uniform(0.3, 1.2, (3, 4))
@@ -98,7 +99,7 @@ class Person:
         """Record one motion: to the handle, all of its way and back, away again; pauses between."""
         session, rng = self.session, self.rng
         arm = session.arm
-        self._other_hand()
+        self.other_hand()
         yield from self.press(do="record")
         yield from self.wait(float(rng.uniform(0.3, 0.7)))
         home = arm.place

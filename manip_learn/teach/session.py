@@ -133,6 +133,11 @@ class TeachingSession:
         return "" if self._answer is None else str(self._answer["sentence"])
 
     @property
+    def waits_for_worker(self) -> bool:
+        """Whether the process that learns has a job."""
+        return bool(self._worker.busy)
+
+    @property
     def notes(self) -> tuple[str, ...]:
         """Assumptions about the robot."""
         return self.arm.scene.notes
