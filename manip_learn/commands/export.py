@@ -63,6 +63,8 @@ def export(options: ExportOptions, progress: Progress | None = None) -> Exported
         OutputError: A format that is not known, several trajectories for one file, or it cannot be written.
         ManipLearnError: Anything that is wrong with the robot or the recordings.
     """
+    if progress is not None:
+        progress("writing", 0.0)
     out, keywords = options.out, options.reading.keywords()
     if options.to is not None and options.to in TASK_WRITERS:
         return _export_task(options, TASK_WRITERS[options.to])

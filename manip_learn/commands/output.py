@@ -59,26 +59,6 @@ def progress(quiet: bool) -> Iterator[Callable[[str, float], None]]:
         yield lambda step, share: bar.update(task, description=step, completed=share)
 
 
-@contextmanager
-def waiting(quiet: bool, what: str) -> Iterator[None]:
-    """A spinner on standard error; silent when it is not a terminal."""
-    if quiet or not sys.stderr.isatty():
-        yield
-        return
-    with console(stderr=True).status(what):
-        yield
-
-
-def answer(as_json: bool, content: dict[str, Any], printer: str = "", value: Any = None, **options: Any) -> None:
-    """Print the answer of a command: one JSON document, or what the printer in `tables` makes of the value."""
-    if as_json:
-        print(json.dumps(for_json(content), indent=2, allow_nan=False))
-        return
-    from manip_learn.commands import tables
-
-    getattr(tables, printer)(console(), value, **options)
-
-
 def refused_by_system(error: OSError) -> str:
     """A sentence about an error of the operating system, e.g. that the answer cannot be printed (a full disk).
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from collections.abc import Iterator
 from dataclasses import dataclass
 from importlib import import_module
@@ -12,7 +13,7 @@ from typer.main import get_command
 
 from manip_learn.commands import options
 from manip_learn.commands.command_line import PROGRAM, GroupedCommand, parsed_by
-from manip_learn.commands.output import answer, progress, waiting
+from manip_learn.commands.output import console, for_json, progress
 
 
 @final
@@ -26,28 +27,26 @@ class Command:
         work: File in `commands` and function that does the work: options and progress -> an answer with `to_dict`, or
             an iterator of answers, each of which says more than the one before.
         printers: Functions in `commands.tables` that print the answers.
-        waiting: What is shown meanwhile, where no progress is known.
     """
 
     name: str
     options: type
     work: str
     printers: tuple[str, ...]
-    waiting: str = ""
 
     def __call__(self, given: Any) -> None:
         """Do the work, and print the answers; under --json the last one alone."""
         file, function = self.work.split(".")
         work = getattr(import_module(f"manip_learn.commands.{file}"), function)
-        with waiting(given.as_json, self.waiting) if self.waiting else progress(given.as_json) as report:
+        with progress(given.as_json) as report:
             answers = work(given, report)
         explain = {"explain": given.explain} if "explain" in vars(given) else {}
         each = answers if isinstance(answers, Iterator) else [answers]
         for last, printer in zip(each, self.printers, strict=True):
             if not given.as_json:  # at once: what follows may take long
-                answer(False, {}, printer, last, **explain)
+                getattr(import_module("manip_learn.commands.tables"), printer)(console(), last, **explain)
         if given.as_json:
-            answer(True, last.to_dict())
+            print(json.dumps(for_json(last.to_dict()), indent=2, allow_nan=False))
 
 
 COMMANDS = (
@@ -59,8 +58,8 @@ COMMANDS = (
     Command("learn", options.LearnOptions, "learn.learn", ("print_learnt",)),
     Command("audit", options.AuditOptions, "audit.audit", ("print_audit",)),
     Command("control", options.ControlOptions, "control.control", ("print_controlled",)),
-    Command("replay", options.ReplayOptions, "replay.replay", ("print_replayed",), "writing the replay"),
-    Command("export", options.ExportOptions, "export.export", ("print_exported",), "writing"),
+    Command("replay", options.ReplayOptions, "replay.replay", ("print_replayed",)),
+    Command("export", options.ExportOptions, "export.export", ("print_exported",)),
     Command("reproduce", options.ReproduceOptions, "reproduce.reproduce", ("print_reproduction",)),
     Command("warm-up", options.WarmUpOptions, "warm_up.warm_up", ("print_warm_up",)),
 )

@@ -43,6 +43,8 @@ def replay(options: ReplayOptions, progress: Progress | None = None) -> ReplayRe
         ConstraintMismatchError: A constraint file of another robot, or none at all.
         ManipLearnError: Anything else that is wrong with the robot or the output.
     """
+    if progress is not None:
+        progress("writing the replay", 0.0)
     if not options.rollouts:
         raise RecordingError("name at least one rollout file; `manip-learn control ... --out rollout.npz` writes one")
     learnt: dict[str, Any] = {}
