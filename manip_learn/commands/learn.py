@@ -14,8 +14,8 @@ from manip_learn.constraint.constraint import Constraint
 from manip_learn.constraint.features import FeatureMap, FrameJacobian, RelativeFrameJacobian
 from manip_learn.errors import FeatureError, ManipLearnError, RecordingError, UnknownNameError
 from manip_learn.learning import ConstraintLearner, LearningReport
-from manip_learn.learning.deciding import BELIEVED_STRENGTH
 from manip_learn.learning.learner import ESTIMATORS, Switch
+from manip_learn.learning.recombination import BELIEVED_STRENGTH
 from manip_learn.recordings import load_demonstrations
 from manip_learn.recordings.demonstrations import Demonstrations, distinct_names
 from manip_learn.recordings.load_demonstrations import numbers_read

@@ -15,18 +15,33 @@ from manip_learn.constraint.features.feature_map import FeatureMap
 from manip_learn.constraint.features.frame_jacobian import FrameJacobian
 from manip_learn.constraint.features.mechanism_rows import MechanismRows, PlaceRows
 from manip_learn.errors import NotIdentifiableError, advice, counted, number_if_known
-from manip_learn.learning import deciding
-from manip_learn.learning.estimators.estimate import Estimate
+from manip_learn.learning.estimators.estimate import (
+    CLEAR_GAP,
+    EQUALLY_GOOD,
+    EXPLAINED,
+    RESIDUAL_RATIO,
+    SOFT_ENERGY,
+    Estimate,
+)
 from manip_learn.learning.estimators.null_space import estimate_null_space, null_space_gap
 from manip_learn.learning.explanation.findings import Findings, Part
 from manip_learn.learning.mechanisms.find_mechanism import BLIND, MechanismFit, find_mechanism
-from manip_learn.learning.recombination import RowEvidence, recombination_test
+from manip_learn.learning.recombination import BELIEVED_STRENGTH, RowEvidence, recombination_test
 from manip_learn.learning.samples import Samples, check_fastest, check_samples
 from manip_learn.linalg import one_thread
 from manip_learn.recordings.demonstrations import Demonstrations
 from manip_learn.recordings.preprocessing import evenly
 
 EstimatorName = Literal["auto", "joint", "null-space", "separate"]
+# trajectories beyond this number add nothing to a mechanism but time
+MOST_PATHS = 16
+# rows of a mechanism that concern the position of the frame alone, for features without rotations
+POSITION_ROWS = {
+    "hinge": ("radial", "axial"),
+    "screw": ("radial", "helical"),
+    "ball": ("spherical",),
+    "other": ("radial",),
+}
 
 
 @final
@@ -48,7 +63,7 @@ class LearnerSettings:
     policy_model: str
     seed: int
     mechanism: bool = True
-    strength: float = deciding.BELIEVED_STRENGTH
+    strength: float = BELIEVED_STRENGTH
 
 
 @final
@@ -86,9 +101,7 @@ def learn_best(
         except NotIdentifiableError as error:
             refusals.append(error)
             continue
-        if best is None or (
-            candidate is not None and candidate.estimate.gap > deciding.EQUALLY_GOOD * best.estimate.gap
-        ):
+        if best is None or (candidate is not None and candidate.estimate.gap > EQUALLY_GOOD * best.estimate.gap):
             best = candidate
     if best is None:
         raise refusals[0]
@@ -120,7 +133,7 @@ def learn_candidate(
     warnings = check_samples(samples, demonstrations.joint_names, settings.n_constraints)
     rival_is_held = rival is not None and rival.estimate.is_held
     if rival is not None and (rival_is_held and settings.estimator == "auto" or settings.estimator == "null-space"):
-        if null_space_gap(samples, settings.n_constraints) <= deciding.EQUALLY_GOOD * rival.estimate.gap:
+        if null_space_gap(samples, settings.n_constraints) <= EQUALLY_GOOD * rival.estimate.gap:
             return None
     rng = np.random.default_rng(settings.seed)
     estimate = _estimate(samples, settings, rng, rival_is_held)
@@ -144,11 +157,11 @@ def _estimate(samples: Samples, settings: LearnerSettings, rng: np.random.Genera
     if settings.estimator == "null-space" or held.is_held or rival_is_held or samples.n_trajectories < 2:
         return held
     try:
-        joint = _joint(samples, settings, rng, deciding.EXPLAINED)
+        joint = _joint(samples, settings, rng, EXPLAINED)
     except NotIdentifiableError:
         return held  # no policy model predicts this motion: the evidence is how little some directions are used
     # both explain the motion: it is held if the held directions show no more than the noise
-    is_noise = held.unexplained * samples.energy / held.n_rows <= deciding.RESIDUAL_RATIO**2 * joint.noise
+    is_noise = held.unexplained * samples.energy / held.n_rows <= RESIDUAL_RATIO**2 * joint.noise
     return held if is_noise else joint
 
 
@@ -194,7 +207,7 @@ def _doubts_of(estimate: Estimate, nv: int, n_constraints: int | None) -> list[s
         raise NotIdentifiableError(f"{s} constraints leave no null space for {nv} joints", code="no-freedom")
     if verdict != "clear":
         warnings.append(
-            f"weak gap: {gap:.2g} for {counted(s, 'row')}, {deciding.CLEAR_GAP:g} is clear; the constraint may be "
+            f"weak gap: {gap:.2g} for {counted(s, 'row')}, {CLEAR_GAP:g} is clear; the constraint may be "
             "soft, or the recordings noisy"
         )
     if n_constraints is not None and table.best != s and table.verdict(table.best) != "none":
@@ -202,29 +215,18 @@ def _doubts_of(estimate: Estimate, nv: int, n_constraints: int | None) -> list[s
             f"{counted(s, 'row')} learnt as asked, but the gap supports {table.best}: "
             f"{table.gap(table.best):.3g} against {gap:.3g}"
         )
-    if estimate.name == "null-space" and estimate.unexplained > deciding.SOFT_ENERGY:
+    if estimate.name == "null-space" and estimate.unexplained > SOFT_ENERGY:
         warnings.append(
             f"{100 * estimate.unexplained:.2g} % of the motion's energy breaks the constraint: it is soft, or the "
             "demonstrator moves the constrained directions on purpose"
             + advice(" (then use {})", "estimator='joint'", "--estimator joint")
         )
-    if estimate.name == "joint" and estimate.held_out > deciding.EXPLAINED:
+    if estimate.name == "joint" and estimate.held_out > EXPLAINED:
         warnings.append(
             f"the policy model predicts only {100 * (1 - estimate.held_out):.0f} % of left-out trajectories: the "
             "null-space motion is not a function of the posture"
         )
     return warnings
-
-
-# trajectories beyond this number add nothing to a mechanism but time
-MOST_PATHS = 16
-# rows of a mechanism that concern the position of the frame alone, for features without rotations
-POSITION_ROWS = {
-    "hinge": ("radial", "axial"),
-    "screw": ("radial", "helical"),
-    "ball": ("spherical",),
-    "other": ("radial",),
-}
 
 
 @final

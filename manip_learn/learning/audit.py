@@ -18,8 +18,8 @@ from scipy.special import stdtrit
 from manip_learn.atomic_write import write_atomically
 from manip_learn.constraint.constraint import Constraint
 from manip_learn.errors import RecordingError, counted
-from manip_learn.learning import deciding
 from manip_learn.learning.cluster import each_part
+from manip_learn.learning.samples import REST_SPEED
 from manip_learn.linalg import one_thread
 from manip_learn.recordings.demonstrations import Demonstrations
 from manip_learn.recordings.local_fit import jerk
@@ -29,6 +29,26 @@ from manip_learn.recordings.trajectory_source import CheckedSource, Given, Progr
 from manip_learn.recordings.velocities import VelocityMethod, derive_velocities
 from manip_learn.robot.robot import Robot
 
+# chance that an audit of equally good episodes leaves any of them out. Convention
+FALSE_ALARMS = 0.05
+# z-score: Iglewicz and Hoaglin, How to Detect and Handle Outliers (1993)
+SMALLEST_THRESHOLD = 3.5
+# episodes, below which no spread can be told. Set by hand
+FEWEST_EPISODES = 5
+# spread below which differences do not matter: 10 %, and 5 points of a share. Set by hand
+LOG_SPREAD, SHARE_SPREAD = 0.1, 0.05
+# values below which differences do not matter: the smallest singular value that is told from zero; a share of the
+# motion, [mm], [deg], a share of the velocity limit, [rad/s^3], [s]. Set by hand
+NEGLIGIBLE = {
+    "singularity": 1e-6,
+    "violation": 0.01,
+    "displacement": 1.0,
+    "rotation": 0.2,
+    "speed": 0.1,
+    "jerk": 1.0,
+    "duration": 1e-3,
+}
+
 CHUNK = 4096  # samples whose Phi are held at a time
 NOTABLE = 1e-6  # [rad or m, and of a speed limit] beyond a limit
 
@@ -36,6 +56,12 @@ NOTABLE = 1e-6  # [rad or m, and of a speed limit] beyond a limit
 # is its efficiency beside the standard deviation, 0.25 what a simulation of small n adds
 MAD_EFFICIENCY, MAD_SMALL = 0.37, 0.25
 MAD_TO_SIGMA = 1.0 / NormalDist().inv_cdf(0.75)
+RULE = (
+    "z = (value - median) / max(1.4826 MAD, least spread) per criterion, the worse the larger (logarithms of "
+    "sigma_min, residual, displacements, peak speed, jerk and duration); score = sqrt(sum of squares of the positive "
+    "z); left out where a z exceeds the threshold, Student's t with 0.37 n + 0.25 degrees of freedom at 5 % for "
+    "all episodes and criteria together, at least 3.5"
+)
 
 
 @final
@@ -211,7 +237,7 @@ def _rest_share(time: Float[np.ndarray, " T"], u: Float[np.ndarray, "T n"]) -> f
     if len(time) < 2:
         return float("nan")
     weights = np.gradient(time)
-    return float(np.sum(weights[np.max(np.abs(u), axis=1, initial=0.0) < deciding.REST_SPEED]) / np.sum(weights))
+    return float(np.sum(weights[np.max(np.abs(u), axis=1, initial=0.0) < REST_SPEED]) / np.sum(weights))
 
 
 @final
@@ -240,13 +266,13 @@ class Criterion:
     @property
     def least_spread(self) -> float:
         """Smallest standard deviation that is believed."""
-        return deciding.LOG_SPREAD if self.name in deciding.NEGLIGIBLE else deciding.SHARE_SPREAD
+        return LOG_SPREAD if self.name in NEGLIGIBLE else SHARE_SPREAD
 
     def badness(self, episode: EpisodeAudit) -> float:
         """A number that grows as the episode gets worse; differences below what is negligible do not matter."""
         value = getattr(episode, self.measure)
-        if self.name in deciding.NEGLIGIBLE:
-            value = math.log(max(value, deciding.NEGLIGIBLE[self.name])) if not math.isnan(value) else math.nan
+        if self.name in NEGLIGIBLE:
+            value = math.log(max(value, NEGLIGIBLE[self.name])) if not math.isnan(value) else math.nan
         return -value if self.is_bad == "low" else value
 
     def sentence(self, episode: EpisodeAudit) -> str:
@@ -279,12 +305,6 @@ CRITERIA = (
     Criterion("jerk", "jerk_rms", "is jerky ({:.3g} rad/s3 rms)"),
     Criterion("rest", "rest_share", "is at rest {:.2g} % of the time", 100.0),
     Criterion("duration", "duration", "lasts {:.3g} s", is_bad="both"),
-)
-RULE = (
-    "z = (value - median) / max(1.4826 MAD, least spread) per criterion, the worse the larger (logarithms of "
-    "sigma_min, residual, displacements, peak speed, jerk and duration); score = sqrt(sum of squares of the positive "
-    "z); left out where a z exceeds the threshold, Student's t with 0.37 n + 0.25 degrees of freedom at 5 % for "
-    "all episodes and criteria together, at least 3.5"
 )
 
 
@@ -378,8 +398,8 @@ def audit_episodes(
     imposed = constraint.provenance.get("kind") == "self-imposed"
     if imposed:
         notes.append("the constrained rows were moved on purpose: motion along them is no violation and does not count")
-    if len(rows) < deciding.FEWEST_EPISODES:
-        few, needed = counted(len(rows), "episode"), deciding.FEWEST_EPISODES
+    if len(rows) < FEWEST_EPISODES:
+        few, needed = counted(len(rows), "episode"), FEWEST_EPISODES
         notes.append(f"too few to say which are odd: {few}, at least {needed} are needed")
     return _judged(rows, imposed, tuple(dict.fromkeys(notes)))
 
@@ -431,9 +451,9 @@ def outlier_threshold(n: int, k: int) -> float:
 
     For normal values; the chance is shared evenly among all n k scores (Bonferroni).
     """
-    if n < deciding.FEWEST_EPISODES:
+    if n < FEWEST_EPISODES:
         return math.inf
     return max(
-        deciding.SMALLEST_THRESHOLD,
-        -float(stdtrit(MAD_EFFICIENCY * n + MAD_SMALL, deciding.FALSE_ALARMS / (n * max(k, 1)))),
+        SMALLEST_THRESHOLD,
+        -float(stdtrit(MAD_EFFICIENCY * n + MAD_SMALL, FALSE_ALARMS / (n * max(k, 1)))),
     )

@@ -22,9 +22,9 @@ from manip_learn.errors import (
 )
 from manip_learn.learning.answer import Answer, EstimatorName, LearnerSettings, find_answers
 from manip_learn.learning.choosing import Choice, choose_from, few_of
-from manip_learn.learning.deciding import BELIEVED_STRENGTH
 from manip_learn.learning.explanation.evidence import BeforeSmoothing
 from manip_learn.learning.explanation.findings import Findings, find, unexplained
+from manip_learn.learning.recombination import BELIEVED_STRENGTH
 from manip_learn.learning.repeats import IndependentRecordings
 from manip_learn.learning.report import LearningReport, RecordingOverview, advise, build_report
 from manip_learn.learning.samples import check_fastest, doubt_velocities

@@ -15,15 +15,49 @@ from jaxtyping import Float, Int
 
 from manip_learn.constraint.features.feature_map import FeatureMap
 from manip_learn.errors import RecordingError, counted, listed
-from manip_learn.learning import deciding
 from manip_learn.learning.samples import whitening
 from manip_learn.recordings.trajectory import Trajectory
+
+# trajectories, below which nothing is clear: of two that differ one cannot say which is the odd one
+FEWEST_TRAJECTORIES = 3
+# chance of at least the evidence seen, were the joints independent of each other, that a row may have. Convention
+ROW_CHANCE = 0.01
+# growth of a row's motion by recombination, exceeded with 99 % confidence and the choice paid for, from which it is
+# believed to be held, and from which it is so beyond doubt. Free motion is coordinated, too: the best of 60 sets of
+# generated free motion reaches 1.6 (seeds 22000 to 22009), free motion of a real arm that replays itself 1.97; a curved
+# part wiped by hand 1.97, contacts with rails, hinges and tables 15 to 500. At half of it 11 of the 60 free sets would
+# be answered, at twice the curved part would not
+BELIEVED_STRENGTH, CLEAR_STRENGTH = 1.8, 4.0
+# least strength of a row that is ranked before one found held: noise spreads unevenly, the first row has the least.
+# Set by hand
+LEANING_STRENGTH = 1.3
+# share of the most used direction's motion below which a direction was not tried. Set by hand
+USED_SHARE = 1.0 / 6.0
+# share of the liveliest joint's motion below which a joint does not set the phase: its noise would. Set by hand
+PHASE_JOINT_SHARE = 0.3
+# [s] that one bin of the phase should cover, and the least number of bins. Set by hand
+BIN_SECONDS, FEWEST_BINS = 0.25, 4
 
 Verdict = Literal["clear", "weak", "none"]
 RowState = Literal["held", "unclear", "free", "untried"]
 
 # standard errors by which a verdict must stand off for the next draw of recombinations to give the same one: 99 %
 SURE = NormalDist().inv_cdf(0.995)
+MOST_BINS = 24  # of the phase
+# points of a trajectory at which Phi is evaluated, at most
+MOST_POINTS = 240
+NODES_PER_BIN = 4  # of a path, between which it is straight
+# exchanges of joints: twice the least for a p-value of ROW_CHANCE, and the most, where fewer leave the verdict open
+RECOMBINATIONS = 2 * round(1.0 / ROW_CHANCE) - 1
+MOST_RECOMBINATIONS = 16 * RECOMBINATIONS  # where the share of better ones stays close to what decides
+# arrangements whose motion is held in memory together: 0.5 MB of a seven-joint arm's pose, six recordings, 20 bins
+MOMENTS_AT_ONCE = 64
+# more trajectories than this add nothing to the evidence but time
+MOST_TRAJECTORIES = 16
+# shifts of a trajectory against itself, where there are too few to exchange joints between
+SHIFTS = 8
+# levels below this may be what interpolation between samples leaves
+LEVEL_FLOOR = 1e-5
 
 
 class RowSupport(NamedTuple):
@@ -67,12 +101,12 @@ class RowEvidence:
     n_recombinations: int
     spread: tuple[float, ...] = ()
     choices: float = 1.0
-    believed: float = deciding.BELIEVED_STRENGTH
+    believed: float = BELIEVED_STRENGTH
 
     @property
     def _z(self) -> float:
         """Standard deviations that the chance allowed leaves out, the choice paid for."""
-        return -NormalDist().inv_cdf(max(deciding.ROW_CHANCE / self.choices, sys.float_info.min))
+        return -NormalDist().inv_cdf(max(ROW_CHANCE / self.choices, sys.float_info.min))
 
     @property
     def lower(self) -> tuple[float, ...]:
@@ -84,7 +118,7 @@ class RowEvidence:
         """Number of rows that the evidence supports, counted without a gap; the last ones may be weak."""
         supported = 0
         for i, (strength, lower, p) in enumerate(zip(self.strengths, self.lower, self.p_values, strict=True)):
-            if p > deciding.ROW_CHANCE or strength < deciding.LEANING_STRENGTH:
+            if p > ROW_CHANCE or strength < LEANING_STRENGTH:
                 break
             supported = i + 1 if lower >= self.believed else supported
         return supported
@@ -97,9 +131,9 @@ class RowEvidence:
         n, z = self.n_recombinations, self._z
         error = SURE * math.sqrt((0.5 * math.pi + 0.5 * z**2) / max(n, 1))
         for strength, lower, sd, p in zip(self.strengths, self.lower, self.spread, self.p_values, strict=True):
-            if abs(p - deciding.ROW_CHANCE) < SURE * math.sqrt(deciding.ROW_CHANCE / n) and p * (n + 1) > 1.5:
+            if abs(p - ROW_CHANCE) < SURE * math.sqrt(ROW_CHANCE / n) and p * (n + 1) > 1.5:
                 return True
-            if p > deciding.ROW_CHANCE or strength < deciding.LEANING_STRENGTH:
+            if p > ROW_CHANCE or strength < LEANING_STRENGTH:
                 return False
             if abs(math.log(max(lower, sys.float_info.min) / self.believed)) < error * sd:
                 return True
@@ -108,7 +142,7 @@ class RowEvidence:
     @property
     def enough(self) -> bool:
         """Whether there are trajectories enough to exchange joints between."""
-        return self.n_trajectories >= deciding.FEWEST_TRAJECTORIES
+        return self.n_trajectories >= FEWEST_TRAJECTORIES
 
     @property
     def verdict(self) -> Verdict:
@@ -120,7 +154,7 @@ class RowEvidence:
     @property
     def clear(self) -> bool:
         """Whether the weakest row that is supported is so beyond doubt, however few the trajectories are."""
-        return bool(self.n_rows) and self.lower[self.n_rows - 1] >= max(deciding.CLEAR_STRENGTH, self.believed)
+        return bool(self.n_rows) and self.lower[self.n_rows - 1] >= max(CLEAR_STRENGTH, self.believed)
 
     @property
     def states(self) -> tuple[RowState, ...]:
@@ -134,10 +168,10 @@ class RowEvidence:
         for i, level in enumerate(self.levels):
             if i < self.n_rows:
                 states.append("held")
-            elif self.strengths[i] >= self.believed and self.p_values[i] <= deciding.ROW_CHANCE:
+            elif self.strengths[i] >= self.believed and self.p_values[i] <= ROW_CHANCE:
                 states.append("unclear")
             else:
-                states.append("free" if level >= deciding.USED_SHARE * most and level > 0.0 else "untried")
+                states.append("free" if level >= USED_SHARE * most and level > 0.0 else "untried")
         return tuple(states)
 
     @property
@@ -168,12 +202,6 @@ class RowEvidence:
             rest = f"the next row (strength {self.strengths[n]:.2g}) {kind}"
         few = f"; too few to be sure with {counted(self.n_trajectories, 'recording')}, record 5 or more"
         return f"{held}; {rest}{'' if self.enough else few}"
-
-
-MOST_BINS = 24  # of the phase
-# points of a trajectory at which Phi is evaluated, at most
-MOST_POINTS = 240
-NODES_PER_BIN = 4  # of a path, between which it is straight
 
 
 @final
@@ -243,10 +271,10 @@ def phase_paths(trajectories: Sequence[Trajectory]) -> list[PhasePath]:
     if not moving:
         return []
     size = np.sqrt(np.mean([np.mean(np.square(t.u), axis=0) for t in moving], axis=0))  # type: ignore[arg-type]
-    scale = np.maximum(size, deciding.PHASE_JOINT_SHARE * np.max(size))
+    scale = np.maximum(size, PHASE_JOINT_SHARE * np.max(size))
     seconds = float(np.median([t.duration for t in moving]))
     most = int(min(MOST_BINS, max(np.median([len(t) for t in moving]) // 2, 1)))
-    n_bins = int(np.clip(round(seconds / deciding.BIN_SECONDS), min(deciding.FEWEST_BINS, most), most))
+    n_bins = int(np.clip(round(seconds / BIN_SECONDS), min(FEWEST_BINS, most), most))
     return _turned([_path(t, scale, n_bins) for t in moving], scale)
 
 
@@ -285,25 +313,12 @@ def _turned(paths: list[PhasePath], scale: Float[np.ndarray, " nv"]) -> list[Pha
     return turned
 
 
-# exchanges of joints: twice the least for a p-value of ROW_CHANCE, and the most, where fewer leave the verdict open
-RECOMBINATIONS = 2 * round(1.0 / deciding.ROW_CHANCE) - 1
-MOST_RECOMBINATIONS = 16 * RECOMBINATIONS  # where the share of better ones stays close to what decides
-# arrangements whose motion is held in memory together: 0.5 MB of a seven-joint arm's pose, six recordings, 20 bins
-MOMENTS_AT_ONCE = 64
-# more trajectories than this add nothing to the evidence but time
-MOST_TRAJECTORIES = 16
-# shifts of a trajectory against itself, where there are too few to exchange joints between
-SHIFTS = 8
-# levels below this may be what interpolation between samples leaves
-LEVEL_FLOOR = 1e-5
-
-
 def recombination_test(
     features: FeatureMap,
     trajectories: Sequence[Trajectory],
     rng: np.random.Generator,
     choices: float = 1.0,
-    believed: float = deciding.BELIEVED_STRENGTH,
+    believed: float = BELIEVED_STRENGTH,
 ) -> RowEvidence:
     """Evidence that the world holds rows of Phi, A(q) u = Lambda Phi(q) u = 0, row by row.
 
@@ -345,7 +360,7 @@ def recombination_test(
     if not len(W):
         return nothing
     donors = [(a, 0.0) for a in range(len(paths))]
-    if len(paths) < deciding.FEWEST_TRAJECTORIES:
+    if len(paths) < FEWEST_TRAJECTORIES:
         donors += [(a, k / SHIFTS) for k in range(1, SHIFTS) for a in range(len(paths))]
     parts = np.stack([_parts(path, W @ P, paths, donors) for path, P in zip(paths, Phi, strict=True)])
     energy = np.mean([np.mean(p.weight[:, None] * p.bin_steps() ** 2) for p in paths])

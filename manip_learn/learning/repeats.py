@@ -24,12 +24,37 @@ import numpy as np
 from jaxtyping import Float
 
 from manip_learn.errors import listed
-from manip_learn.learning import deciding
 from manip_learn.learning.explanation.evidence import Stretch
 from manip_learn.recordings.demonstrations import Demonstrations, distinct_names
 from manip_learn.recordings.local_fit import noise_variance
 from manip_learn.recordings.preprocessing import evenly
 from manip_learn.recordings.trajectory import Trajectory
+
+# [rad] two passes of one path are as near as this to each other: arms repeat a posture to 0.1 mm at half a metre
+REPEATED_RAD = 2e-4
+# distance over what noise and chords allow, up to which a posture lies on a path: the noise of seven joints reaches
+# twice its root mean square once in 5,000 samples, that of two joints once in 50
+LIES_ON_PATH = 2.0
+# least share of a recording's way that lies on another's: copies are trimmed by a few samples at their ends
+REPEATED_SHARE = 0.9
+# largest distance that may be allowed, over the extent of the path; where noise or long chords exceed it nothing can be
+# told. Of 28 kinds of generated sets, whole and cut (6 recordings, 4 arms, no noise, seeds 30000 to 30003), the nearest
+# two are 3.6 % of their extent apart in reaches that are repeated, 6.7 % in contacts
+NEAREST_PATH_SHARE = 0.01
+# steps that the end of one piece may be from the beginning of the next: one without noise, where noise is as large as a
+# step as often as not two
+SEAM_STEPS = 3.0
+# what a cubic leaves at a seam over the most that it leaves elsewhere; 1.25 and 1.5 tell the same of 256 sets
+# (benchmarks/repeated_recordings.py, seeds from 30100)
+SEAM_ROUGHNESS = 2.0
+# what it leaves over the way through the seam, above which nothing moves there: noise alone leaves 0.6
+SEAM_LEFT = 0.25
+# speed at a seam over the mean one, above which a motion was cut rather than ended: the last 10 of 200 samples of a
+# motion that comes to rest have 0.03
+SEAM_SPEED = 0.2
+# mean step over the extent of a recording, above which samples are no path: it is 0.5 for postures at random, 0.1 for
+# ten samples of a straight motion
+PATH_STEP = 0.25
 
 # postures of a recording that are compared, those of a first look, and how many of these must be near
 POSTURES, PROBES, PROBES_NEAR = 200, 9, 6
@@ -164,7 +189,7 @@ class _Path:
     def noise2(self) -> float:
         """Variance of a posture, all joints together, no less than `REPEATED_RAD` squared [rad^2]."""
         t = self.trajectory
-        return deciding.REPEATED_RAD**2 + (float(np.sum(noise_variance(t.time, t.q))) if len(t) > 5 else 0.0)
+        return REPEATED_RAD**2 + (float(np.sum(noise_variance(t.time, t.q))) if len(t) > 5 else 0.0)
 
     def distance_from(self, other: _Path) -> float | None:
         """Largest distance of the postures that lie on the other path [rad]; None if too few of the way do."""
@@ -180,9 +205,9 @@ class _Path:
             for a in first.T.clip(0, max(len(q) - 2, 0)):
                 d = _distance_from_segment(chosen, q[a], q[np.minimum(a + 1, len(q) - 1)])
                 distance, chord = np.minimum(distance, d), np.where(d < distance, chords[a], chord)
-        most = deciding.LIES_ON_PATH * np.sqrt(self.noise2 + other.noise2 + chord**2)
-        lies = distance <= np.minimum(most, deciding.NEAREST_PATH_SHARE * max(self.extent, other.extent))
-        return float(np.max(distance[lies])) if np.sum(way[lies]) >= deciding.REPEATED_SHARE * np.sum(way) else None
+        most = LIES_ON_PATH * np.sqrt(self.noise2 + other.noise2 + chord**2)
+        lies = distance <= np.minimum(most, NEAREST_PATH_SHARE * max(self.extent, other.extent))
+        return float(np.max(distance[lies])) if np.sum(way[lies]) >= REPEATED_SHARE * np.sum(way) else None
 
 
 def _chord_errors(q: Float[np.ndarray, "T n"]) -> Float[np.ndarray, " k"]:
@@ -208,7 +233,7 @@ def _nearby(paths: Sequence[_Path]) -> list[list[int]]:
     out = []
     for j, path in enumerate(paths):
         low, high = path.thinned.min(axis=0), path.thinned.max(axis=0)
-        most = deciding.NEAREST_PATH_SHARE * np.maximum(extents, path.extent)
+        most = NEAREST_PATH_SHARE * np.maximum(extents, path.extent)
         candidates = np.flatnonzero((most > 0.0) & (np.arange(len(paths)) != j))
         for k in range(len(low)):
             column, margin = probes[k, candidates], most[candidates, None]
@@ -276,12 +301,12 @@ def _seams(trajectories: Sequence[Trajectory]) -> list[_Seam]:
     touching = [
         (i, long[k])
         for i, end, step in zip(long, ends, last, strict=True)
-        for k in np.flatnonzero(np.linalg.norm(starts - end, axis=1) <= deciding.SEAM_STEPS * np.maximum(first, step))
+        for k in np.flatnonzero(np.linalg.norm(starts - end, axis=1) <= SEAM_STEPS * np.maximum(first, step))
         if long[k] != i
     ]
-    if not touching or np.median([_step(trajectories[i].q) for i in long]) > deciding.PATH_STEP:
+    if not touching or np.median([_step(trajectories[i].q) for i in long]) > PATH_STEP:
         return []
-    told = deciding.NEAREST_PATH_SHARE * max(float(np.linalg.norm(np.ptp(trajectories[i].q, axis=0))) for i in long)
+    told = NEAREST_PATH_SHARE * max(float(np.linalg.norm(np.ptp(trajectories[i].q, axis=0))) for i in long)
     seams = [s for i, k in touching if (s := _seam(trajectories, i, k, told)) is not None]
     return sorted(seams, key=lambda s: (not s.is_cut, s.after != s.before + 1, s.left))
 
@@ -303,12 +328,10 @@ def _seam(trajectories: Sequence[Trajectory], before: int, after: int, told: flo
     usual = max(float(np.max(_left_by_cubics(q, 2 * half))) for q in (a.q, later))
     ways = [np.linalg.norm(q[2 * half - 1 :] - q[: 1 - 2 * half], axis=1) for q in (a.q, later)]
     way = np.linalg.norm(seam[-1] - seam[0])
-    moving = left < told and way > max(
-        deciding.SEAM_SPEED * float(np.mean(np.concatenate(ways))), left / deciding.SEAM_LEFT
-    )
+    moving = left < told and way > max(SEAM_SPEED * float(np.mean(np.concatenate(ways))), left / SEAM_LEFT)
     pause = b.time[0] - a.time[-1]
     goes_on = bool(0.0 <= pause <= 2.0 * max(np.median(np.diff(a.time)), np.median(np.diff(b.time))))
-    is_seam = goes_on or left <= deciding.SEAM_ROUGHNESS * usual + 1e-12
+    is_seam = goes_on or left <= SEAM_ROUGHNESS * usual + 1e-12
     return _Seam(before, after, goes_on or bool(moving), left) if is_seam else None
 
 

@@ -17,13 +17,13 @@ from manip_learn.constraint.features.mechanism_rows import MechanismRows
 from manip_learn.constraint.mechanism import Mechanism
 from manip_learn.constraint.selection_in_words import describe, free_directions, known_to, said_by_rows
 from manip_learn.errors import NotIdentifiableError, advice, counted, listed, named, number_if_known, printable
-from manip_learn.learning import deciding
 from manip_learn.learning.answer import Answer
+from manip_learn.learning.estimators.estimate import CLEAR_GAP
 from manip_learn.learning.explanation.evidence import Stretch
 from manip_learn.learning.explanation.findings import IN_ONE_ONLY, Findings, held_throughout
-from manip_learn.learning.recombination import RowSupport
+from manip_learn.learning.recombination import FEWEST_TRAJECTORIES, RowSupport
 from manip_learn.learning.repeats import IndependentRecordings
-from manip_learn.learning.samples import energy_shares
+from manip_learn.learning.samples import REST_SPEED, STILL_ENERGY, energy_shares
 from manip_learn.learning.uncertainty import PARTS, Uncertainty, in_words, total_deg
 from manip_learn.recordings.demonstrations import Demonstrations, distinct_names
 from manip_learn.recordings.preprocessing import evenly
@@ -31,6 +31,18 @@ from manip_learn.robot import html_card
 
 SPANS_SHOWN = 6  # of each constraint, in words
 NO_ANSWER = "what several recordings show here could not be learnt"
+MOST_NOTES = 20  # lines, one screen
+# what a constraint file keeps of where its task was shown, evenly over all samples: the place and the reach of a drawer
+# to a centimetre or two, in 10 kB
+KEPT_POSTURES = 144
+_PHASE_COLUMNS = ("recording", "from [s]", "until [s]", "constraint")
+# what of a report goes into the constraint's file
+PROVENANCE = set(
+    "estimator kind gap uncertainty_deg uncertainty n_samples n_trajectories sentence warnings phases odd_trajectories "
+    "mechanism evidence row_evidence held_out_residual n_constraints".split()
+)
+ADVICES_SAID = 2  # in the sentence, the likeliest ones; more would hide them
+ADVISED = ("weak-gap", "no-evidence", "no-freedom")
 
 
 class Phase(NamedTuple):
@@ -134,18 +146,6 @@ def lone_contacts(findings: Findings, recordings: IndependentRecordings) -> tupl
         f"record again, at least twice, {seen} that one recording alone shows: "
         f"{', '.join(contacts[:SPANS_SHOWN])}{more}",
     )
-
-
-MOST_NOTES = 20  # lines, one screen
-# what a constraint file keeps of where its task was shown, evenly over all samples: the place and the reach of a drawer
-# to a centimetre or two, in 10 kB
-KEPT_POSTURES = 144
-_PHASE_COLUMNS = ("recording", "from [s]", "until [s]", "constraint")
-# what of a report goes into the constraint's file
-PROVENANCE = set(
-    "estimator kind gap uncertainty_deg uncertainty n_samples n_trajectories sentence warnings phases odd_trajectories "
-    "mechanism evidence row_evidence held_out_residual n_constraints".split()
-)
 
 
 @final
@@ -260,7 +260,7 @@ class LearningReport:
             ("rows", f"{self.n_constraints} of {len(self.row_names)} ({printable(' '.join(self.row_names))})"),
             ("reference frame", self.reference),
             ("estimator", f"{self.estimator} ({self.kind})"),
-            ("gap", f"{self.gap:.3g} (a ratio; {deciding.CLEAR_GAP:g} is clear)"),
+            ("gap", f"{self.gap:.3g} (a ratio; {CLEAR_GAP:g} is clear)"),
             ("unexplained", unexplained if math.isfinite(residual) else None),
             ("uncertainty", self.known_to() or None),
             ("mechanism", self.mechanism_in_words() or None),
@@ -375,10 +375,6 @@ def _few_notes(notes: tuple[str, ...]) -> tuple[str, ...]:
     return (*unique[:MOST_NOTES], f"and {len(unique) - MOST_NOTES} more notes of this kind")
 
 
-ADVICES_SAID = 2  # in the sentence, the likeliest ones; more would hide them
-ADVISED = ("weak-gap", "no-evidence", "no-freedom")
-
-
 def advise(
     refusal: NotIdentifiableError,
     demonstrations: Demonstrations,
@@ -424,9 +420,9 @@ def _advised(refusal: NotIdentifiableError, causes: Sequence[str], facts: Sequen
 
 def _too_few(recordings: IndependentRecordings) -> list[str]:
     n = len(recordings.demonstrations)
-    if n >= deciding.FEWEST_TRAJECTORIES:
+    if n >= FEWEST_TRAJECTORIES:
         return []
-    wanted = f"record at least {deciding.FEWEST_TRAJECTORIES}, better 5, that differ in way and posture"
+    wanted = f"record at least {FEWEST_TRAJECTORIES}, better 5, that differ in way and posture"
     return [f"{wanted}, not {counted(n, 'recording')}"]
 
 
@@ -496,9 +492,7 @@ def _still_joints(demonstrations: Demonstrations) -> list[str]:
     if total <= 0.0:
         return []
     still = [
-        n
-        for n, e in zip(demonstrations.joint_names, np.atleast_1d(energy), strict=True)
-        if e < deciding.STILL_ENERGY * total
+        n for n, e in zip(demonstrations.joint_names, np.atleast_1d(energy), strict=True) if e < STILL_ENERGY * total
     ]
     if not still:
         return []
@@ -509,7 +503,5 @@ def _still_joints(demonstrations: Demonstrations) -> list[str]:
 def _too_slow(demonstrations: Demonstrations) -> list[str]:
     speed = max((float(np.max(np.abs(t.u))) for t in demonstrations if t.u is not None), default=0.0)
     return (
-        [f"move faster, noise hides a motion in which no joint exceeds {speed:.2g} rad/s"]
-        if speed < deciding.REST_SPEED
-        else []
+        [f"move faster, noise hides a motion in which no joint exceeds {speed:.2g} rad/s"] if speed < REST_SPEED else []
     )

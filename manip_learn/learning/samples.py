@@ -13,11 +13,31 @@ from jaxtyping import Float, Int
 
 from manip_learn.constraint.features.feature_map import FeatureMap
 from manip_learn.errors import NotIdentifiableError, RecordingError, advice, counted, listed, named
-from manip_learn.learning import deciding
 from manip_learn.linalg import whitener
 from manip_learn.recordings.demonstrations import Demonstrations
 from manip_learn.recordings.trajectory import Trajectory
 from manip_learn.recordings.validation.motion_checks import FEWEST, compare_velocities
+
+# directions, or samples, that a smooth motion fills of a window: a cubic has four parameters
+CUBIC = 4
+# ratio to the usual speed, or distance from the middle, beyond which a sample is a fault of the recording. Set by hand
+OUTLIER_FACTOR = 1e4
+# share of the motion's energy below which something counts as still: a thousandth of the velocity. Set by hand
+STILL_ENERGY = 1e-6
+# [joints] fewer than this that move at a time, in the mean, is how a hand-guided arm with stiction moves. Set by hand
+FEW_JOINTS_AT_ONCE = 1.6
+# [rad/s or m/s] of the fastest joint, below which it is at rest: encoder noise of 1e-4 rad at 100 Hz looks like 0.014
+REST_SPEED = 0.02
+# how far a joint's recorded velocity may be off its positions, as a factor: at one joint 1.05 turns a drawer's rows by
+# 0.7 degrees (median; 3.2 at worst), 1.2 by 2.6 (12); 8 sets of 4 arms, seeds 20000 to 20007
+VELOCITY_SLOPE = 1.05
+# correlation c of displacements with integrated velocities above which a joint is judged: in the 20 windows of a
+# recording noise moves a slope by sqrt(1 / c^2 - 1) / sqrt(20), 5 % at 0.98
+VELOCITY_CORRELATION = 0.98
+# standard errors of a difference, an autocorrelation or a curvature that are more than chance: 95 %
+STANDARD_ERRORS = 2.0
+# the same beyond doubt: of a radius or a pitch, and of the chi-square that tells unequal noise; one in 3 million
+BEYOND_CHANCE = 5.0
 
 BLOCK = 4096  # samples: a block of features of a 7-joint arm fits a second-level cache
 # Phi of more samples than this is computed anew at each pass instead of kept [numbers]
@@ -26,6 +46,8 @@ KEEP_WHITENED_LIMIT = 3e6  # numbers of whitened Phi that are kept from one pass
 # rows of Phi below this share of the largest (after scaling each to its own size) are linear copies or identically
 # zero: rounding leaves 1e-15 of a row, a real arm moves the least of its independent rows by 1e-3 or more
 PRUNE_RATIO = 1e-6
+# postures closer together than this share of their size are one and the same
+SAME = 1e-9
 
 
 def runs(numbers: Int[np.ndarray, " n"]) -> list[tuple[int, slice]]:
@@ -237,10 +259,6 @@ def whitening(S: Float[np.ndarray, "p p"], units: Sequence[str]) -> Float[np.nda
     return whitener(S * np.outer(moves, moves), PRUNE_RATIO**2)
 
 
-# postures closer together than this share of their size are one and the same
-SAME = 1e-9
-
-
 def energy_shares(energy: Float[np.ndarray, " nv"]) -> Float[np.ndarray, " nv"]:
     """Share of each joint in the sum; sums to 1."""
     return energy / max(float(energy.sum()), np.finfo(np.float64).tiny)
@@ -258,7 +276,7 @@ def check_fastest(demonstrations: Demonstrations) -> None:
         return
     sample = int(np.argmax(np.einsum("nv,nv->n", u, u)))
     ratio = float(speed[sample]) / float(np.median(speed[speed > 0.0]))
-    if ratio > deciding.OUTLIER_FACTOR:
+    if ratio > OUTLIER_FACTOR:
         joint = int(np.argmax(np.abs(u[sample])))
         raise RecordingError(
             f"sample {sample} (trajectory {trajectory[sample]}) moves at {u[sample, joint]:.3g} in joint "
@@ -298,7 +316,7 @@ def _warn(samples: Samples, joint_names: Sequence[str]) -> list[str]:
     warnings = []
     squares = samples.u**2
     shares = energy_shares(squares.mean(axis=0))
-    still = [name for name, part in zip(joint_names, shares, strict=True) if part < deciding.STILL_ENERGY]
+    still = [name for name, part in zip(joint_names, shares, strict=True) if part < STILL_ENERGY]
     if still and len(still) < samples.nv:
         warnings.append(
             f"{named('joint', still)} hardly moved: what the arm did not try cannot be told from what it could not do"
@@ -307,7 +325,7 @@ def _warn(samples: Samples, joint_names: Sequence[str]) -> list[str]:
     moving = norm > 1e-4 * np.mean(norm)
     # participation number: 1 if a single joint moves, nv if all move equally
     together = float(np.mean(norm[moving] ** 2 / np.sum(squares[moving] ** 2, axis=1)))
-    if samples.nv > 3 and together < deciding.FEW_JOINTS_AT_ONCE:
+    if samples.nv > 3 and together < FEW_JOINTS_AT_ONCE:
         warnings.append(
             f"only {together:.1f} joints move at a time on average: friction of a hand-guided arm looks like a "
             "constraint; move all joints together"
@@ -338,7 +356,7 @@ def check_postures(samples: Samples) -> None:
         )
     # standing still at the median posture for long is no reason to call all motion far out
     usual = float(np.quantile(distance, 0.9)) or float(np.mean(np.delete(distance, farthest)))
-    if 0.0 < usual * deciding.OUTLIER_FACTOR < distance[farthest]:
+    if 0.0 < usual * OUTLIER_FACTOR < distance[farthest]:
         raise RecordingError(
             f"the posture of sample {farthest} (trajectory {samples.trajectory[farthest]}) is "
             f"{distance[farthest] / usual:.1e} times farther out than nearly all others: remove the outlier",
@@ -368,14 +386,14 @@ def doubt_velocities(trajectories: Sequence[Trajectory], joint_names: Sequence[s
         return []
     correlation, slope = np.array([np.diag(m.correlation) for m in matches]), np.array([m.slope for m in matches])
     moved = np.array([m.moved for m in matches])
-    follows = moved & (correlation > deciding.VELOCITY_CORRELATION)
+    follows = moved & (correlation > VELOCITY_CORRELATION)
     shares: dict[int, float] = {}
     off: list[int] = []
     for j in np.flatnonzero(2 * follows.sum(axis=0) > moved.sum(axis=0)).tolist():
         r, c = slope[follows[:, j], j], correlation[follows[:, j], j]
         shares[j] = 1.0 / float(np.median(r))
-        off += [j] if max(np.median(r * c), np.median(c / r)) > deciding.VELOCITY_SLOPE else []
-    if not off or (len(shares) > 1 and max(shares.values()) < deciding.VELOCITY_SLOPE * min(shares.values())):
+        off += [j] if max(np.median(r * c), np.median(c / r)) > VELOCITY_SLOPE else []
+    if not off or (len(shares) > 1 and max(shares.values()) < VELOCITY_SLOPE * min(shares.values())):
         return []
     factors = listed(f"{shares[j]:.3g}" for j in off)
     return [

@@ -31,11 +31,20 @@ import numpy as np
 from jaxtyping import Float, Int
 
 from manip_learn.errors import NotIdentifiableError, error_in_words, listed
-from manip_learn.learning import deciding
 from manip_learn.learning.estimators.estimate import Estimate, PolicyPrior
 from manip_learn.learning.estimators.null_space import split
 from manip_learn.learning.samples import Samples, rows_beside, runs
 from manip_learn.linalg import complement_rows, row_space_angles, whitener
+
+# share of the cases in which the truth lies within a stated angle: one standard deviation of a normal error, rounded
+STATED_SHARE = 0.68
+# [deg] 68 % within this angle is no answer: of all directions in space 13 % are as close to any
+MOST_UNCERTAIN_DEG = 30.0
+# [rad] offsets of the joints' zeros to be thought of: from an encoder's rounding to what the eye sees
+OFFSET_RANGE_RAD = (1e-6, 3e-2)
+# odds beforehand of no offsets: strong evidence for them is wanted (Kass and Raftery, 1995). At even odds 11 of 180
+# sets of drawers with 1e-3 rad of noise alone got stated angles three times too wide (100 Hz, seeds from 30000)
+NONE_TO_SOME = 20.0
 
 NOISE, JOINT_ZEROS, POLICY = PARTS = ("noise", "joint zeros", "policy")
 Uncertainty = dict[str, float | None]
@@ -95,10 +104,10 @@ def check_uncertainty(estimate: Estimate, uncertainty_deg: float | None) -> None
     Raises:
         NotIdentifiableError: It is known to more than `MOST_UNCERTAIN_DEG` only.
     """
-    if estimate.name == "joint" and uncertainty_deg is not None and uncertainty_deg > deciding.MOST_UNCERTAIN_DEG:
+    if estimate.name == "joint" and uncertainty_deg is not None and uncertainty_deg > MOST_UNCERTAIN_DEG:
         raise NotIdentifiableError(
             f"record more trajectories, from other starts to other targets: these tell the rows to "
-            f"{uncertainty_deg:.0f} degrees only, and beyond {deciding.MOST_UNCERTAIN_DEG:g} that is no answer",
+            f"{uncertainty_deg:.0f} degrees only, and beyond {MOST_UNCERTAIN_DEG:g} that is no answer",
             code="uncertain",
         )
 
@@ -124,7 +133,7 @@ def bootstrap_angle_deg(
     hessians: Float[np.ndarray, "g d d"],
     rng: np.random.Generator,
     repetitions: int = 200,
-    quantile: float = deciding.STATED_SHARE,
+    quantile: float = STATED_SHARE,
     prior: PolicyPrior | None = None,
 ) -> float | None:
     """Angle [deg] within which a share of the repetitions keeps the row space of Lambda.
@@ -166,7 +175,7 @@ def angle_within_deg(
     samples: Samples,
     whitened_selection: Float[np.ndarray, "s r"],
     steps: Float[np.ndarray, "k m"],
-    quantile: float = deciding.STATED_SHARE,
+    quantile: float = STATED_SHARE,
 ) -> float:
     """Angle [deg] within which a share of the errors B of Lambda + B Lambda_perp leaves its row space."""
     s, r = whitened_selection.shape
@@ -286,13 +295,13 @@ class JointOffsets:
 
     def errors(self, n: int, rng: np.random.Generator) -> Float[np.ndarray, "n m"]:
         """Draws of the error of B that the offsets make, given the data."""
-        taus = np.concatenate([[0.0], np.geomspace(*deciding.OFFSET_RANGE_RAD, TAU_STEPS)])
+        taus = np.concatenate([[0.0], np.geomspace(*OFFSET_RANGE_RAD, TAU_STEPS)])
         tau2 = taus[:, None] ** 2
         lam, sigma2 = self.curvatures, max(self.variance, LEAST_VARIANCE)
         seen = lam > 0.0
         spread = lam[seen] * sigma2 + lam[seen] ** 2 * tau2
         log_weight = -0.5 * np.sum(np.log(spread) + self.pattern[seen] ** 2 / spread, axis=1)
-        log_weight[1:] -= np.log(deciding.NONE_TO_SOME * TAU_STEPS)
+        log_weight[1:] -= np.log(NONE_TO_SOME * TAU_STEPS)
         weight = np.exp(log_weight - log_weight.max())
         drawn = tau2[rng.choice(len(taus), n, p=weight / weight.sum())]
         shrink = drawn / (sigma2 + lam * drawn)  # posterior variance over sigma^2

@@ -9,10 +9,27 @@ from typing import Any, Literal, Protocol, TypeVar, final
 import numpy as np
 from jaxtyping import Float
 
-from manip_learn.learning import deciding
 from manip_learn.learning.descent import State, descend
 from manip_learn.learning.estimators.policy_model import PolicyModel
 from manip_learn.linalg import turned
+
+# ratios of singular values, noise directions against free ones, that are clear, and weak. Set by hand
+CLEAR_GAP, WEAK_GAP = 10.0, 3.0
+# root mean square of residuals over that of the noise, from which it is more than noise: the ratio of the energies,
+# 1.69, is three standard deviations sqrt(2 / n) of a variance that is estimated from n = 38 samples. The joint
+# estimator's gap compares residuals of whole fits, in which noise enters both: it is weak from here
+RESIDUAL_RATIO = 1.3
+# share of the motion's energy that breaks A u = 0 below which the rows are held beyond doubt, so that no other
+# explanation is tried: a hundredth of the velocity; and above which they are called soft: a tenth. Set by hand
+HELD_ENERGY, SOFT_ENERGY = 1e-4, 1e-2
+# ratio up to which two answers are equally good, so that the first feature map and the simpler model are taken. Set
+# by hand
+EQUALLY_GOOD = 1.1
+# share of what a simpler model leaves that a richer one may leave to explain it: a policy beside the mean motion, which
+# has no posture in it, on left-out trajectories; offsets of each trajectory beside none. Set by hand
+EXPLAINED = 0.3
+# residuals, or samples, for each parameter or centre of a model: a rule of thumb of regression
+RESIDUALS_PER_PARAMETER = 10
 
 Verdict = Literal["clear", "weak", "none"]
 
@@ -41,7 +58,7 @@ class GapTable:
     def verdict(self, count: int) -> Verdict:
         """How sure a number of rows is."""
         gap = self.gap(count)
-        return "clear" if gap >= deciding.CLEAR_GAP else "weak" if gap >= self.weak_from else "none"
+        return "clear" if gap >= CLEAR_GAP else "weak" if gap >= self.weak_from else "none"
 
 
 def gaps_of_levels(levels: Float[np.ndarray, " r"], nv: int) -> GapTable:
@@ -56,7 +73,7 @@ def gaps_of_levels(levels: Float[np.ndarray, " r"], nv: int) -> GapTable:
     padded = np.maximum(np.append(levels, 1.0), floor)
     counts = [s for s in range(1, r + 1) if s < nv]
     gaps = tuple(float(padded[s] / padded[s - 1]) for s in counts)
-    return GapTable(tuple(counts), gaps, deciding.WEAK_GAP, counts[int(np.argmax(gaps))])
+    return GapTable(tuple(counts), gaps, WEAK_GAP, counts[int(np.argmax(gaps))])
 
 
 def gaps_of_residuals(residuals: dict[int, float], floor: float, n_samples: int) -> GapTable:
@@ -69,7 +86,7 @@ def gaps_of_residuals(residuals: dict[int, float], floor: float, n_samples: int)
     """
     counts = [s for s in sorted(residuals) if s > 0]
     gaps = tuple(max(residuals[s - 1], floor) / max(residuals[s], floor) for s in counts)
-    weak_from = max(deciding.RESIDUAL_RATIO, float(np.sqrt(1.0 + 6.0 * np.sqrt(2.0 / n_samples))))
+    weak_from = max(RESIDUAL_RATIO, float(np.sqrt(1.0 + 6.0 * np.sqrt(2.0 / n_samples))))
     needed = max(weak_from, max(gaps) ** 0.25)
     helping = [s for s, gap in zip(counts, gaps, strict=True) if gap >= needed]
     return GapTable(tuple(counts), gaps, weak_from, helping[-1] if helping else counts[int(np.argmax(gaps))])
@@ -181,7 +198,7 @@ class Estimate:
     @property
     def is_held(self) -> bool:
         """Whether the motion obeys A u = 0 beyond doubt."""
-        return self.name == "null-space" and self.gap >= deciding.CLEAR_GAP and self.unexplained < deciding.HELD_ENERGY
+        return self.name == "null-space" and self.gap >= CLEAR_GAP and self.unexplained < HELD_ENERGY
 
 
 class Rows(State, Protocol):

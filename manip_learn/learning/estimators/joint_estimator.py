@@ -10,11 +10,13 @@ from jaxtyping import Float
 from scipy.spatial import cKDTree
 
 from manip_learn.errors import NotIdentifiableError
-from manip_learn.learning import deciding
-from manip_learn.learning.estimators.estimate import Estimate, GapTable, JointFit, gaps_of_residuals
+from manip_learn.learning.estimators.estimate import EXPLAINED, Estimate, GapTable, JointFit, gaps_of_residuals
 from manip_learn.learning.estimators.model_search import (
+    ABOVE_NOISE,
     COMPARE,
     N_FOLDS,
+    POORLY_EXPLAINED,
+    PREDICTED,
     ROUNDING,
     RowCount,
     best_of_starts,
@@ -23,7 +25,13 @@ from manip_learn.learning.estimators.model_search import (
     null_energy,
     search_model,
 )
-from manip_learn.learning.estimators.policy_equations import noise_in_time, shape_in_time, whitened, whitening_factor
+from manip_learn.learning.estimators.policy_equations import (
+    UNEQUAL_NOISE,
+    noise_in_time,
+    shape_in_time,
+    whitened,
+    whitening_factor,
+)
 from manip_learn.learning.estimators.policy_model import (
     HarmonicModel,
     PolicyModel,
@@ -39,6 +47,13 @@ from manip_learn.learning.estimators.variable_projection import (
     scores,
 )
 from manip_learn.learning.samples import Samples, runs
+
+# ratio of joint estimates' gap, beyond which the null-space estimator's answer to the same data is not asked for
+BEYOND_DOUBT_GAP = 30.0
+# root mean square distance from a path over its extent within which a motion repeats it: replays with 3 % of another
+# motion in them have 0.05 to 0.14, generated reaches in threes and more 0.32 and above (12, 192 sets, seeds from 30000)
+SAME_PATH = 0.15
+RADIAL_CENTRES = 32  # of the radial policy models. Set by hand
 
 # share of the motion that is rounding
 EXACT = 1e-16
@@ -160,7 +175,7 @@ def _repeat_one_motion(samples: Samples) -> bool:
     """Whether all trajectories lie on the path of the longest one, whatever their time, direction and rate."""
     paths = [samples.q[part] for _, part in runs(samples.trajectory)]
     extents = [float(np.sum(np.var(path, axis=0))) ** 0.5 for path in paths]
-    most = deciding.SAME_PATH * max(extents)
+    most = SAME_PATH * max(extents)
     tree = cKDTree(_densely(paths[int(np.argmax(extents))], most))
     return all(float(np.mean(tree.query(path)[0] ** 2)) <= most**2 for path in paths)
 
@@ -199,13 +214,13 @@ def _unequal_noise(samples: Samples, few: Samples, fit: JointFit) -> Float[np.nd
     believed where weights by it leave as much noise as is seen.
     """
     S = shape_in_time(samples)
-    if S is None or np.linalg.cond(S) < deciding.UNEQUAL_NOISE or fit.leaves_only(NOISY):
+    if S is None or np.linalg.cond(S) < UNEQUAL_NOISE or fit.leaves_only(NOISY):
         return None
     L = np.linalg.cholesky(S)
     weighted = whitened(few, L)
     again = fit_joint(weighted, fit.whitened_selection, fit.model, **COMPARE)
     left = again.cost / (samples.nv - len(again.whitened_selection)) / noise_in_time(whitened(samples, L))
-    return L if 1.0 / deciding.ABOVE_NOISE < left < deciding.ABOVE_NOISE else None
+    return L if 1.0 / ABOVE_NOISE < left < ABOVE_NOISE else None
 
 
 def _offsets_if_clear(
@@ -228,20 +243,18 @@ def _offsets_if_clear(
     """
     if first.leaves_only(EXACT):
         return None
-    is_poor = chosen.unexplained > deciding.POORLY_EXPLAINED
+    is_poor = chosen.unexplained > POORLY_EXPLAINED
     # rich models come close to separate rest postures, which alone are exact then
-    is_close = first.unexplained > deciding.POORLY_EXPLAINED and not chosen.leaves_only(EXACT)
+    is_close = first.unexplained > POORLY_EXPLAINED and not chosen.leaves_only(EXACT)
     few = _few_trajectories(samples)
     if not (is_poor or is_close) or len(few) < _fewest_for_offsets(few):
         return None
     shared, Lambda = PolynomialModel(1, samples.q.shape[1]), chosen.whitened_selection
     without, offsets = (_held_out_samples(few, Lambda, model) for model in (shared, _offset_model(few)))
-    if offsets > deciding.EXPLAINED * without:
+    if offsets > EXPLAINED * without:
         return None
     own = estimate_with_offsets(samples, n_constraints, rng)
-    is_clear = (
-        own.table.gap(len(own.whitened_selection)) >= deciding.BEYOND_DOUBT_GAP and own.held_out < deciding.PREDICTED
-    )
+    is_clear = own.table.gap(len(own.whitened_selection)) >= BEYOND_DOUBT_GAP and own.held_out < PREDICTED
     return own if is_clear and (is_poor or own.unexplained < EXACT) else None
 
 
@@ -322,7 +335,7 @@ def _fit_all(
     """
     fit = _fit_from_random_starts(samples, chosen, rng)
     # the residual is noise, and has its covariance, only where the policy model explains the motion
-    if chosen.unexplained <= deciding.POORLY_EXPLAINED:
+    if chosen.unexplained <= POORLY_EXPLAINED:
         samples, fit = _fit_whitened(samples, fit)
         # normal equations resolve the residual
         if is_free and 0 < len(fit.whitened_selection) < samples.n_rows and not fit.leaves_only(NOISY):
@@ -334,7 +347,7 @@ def _list_models(samples: Samples, rng: np.random.Generator, name: str) -> list[
     """Models in the order of their size; quadratic stands in for the others in the search for the number of rows."""
     m = samples.q.shape[1]
     if name == "rbf":
-        return [RadialModel(samples.x, deciding.RADIAL_CENTRES, rng)]
+        return [RadialModel(samples.x, RADIAL_CENTRES, rng)]
     if name != "auto":
         if name not in PolynomialModel.NAMES:
             raise NotIdentifiableError(
@@ -347,7 +360,7 @@ def _list_models(samples: Samples, rng: np.random.Generator, name: str) -> list[
     models += [
         HarmonicModel(samples.spread, 1),
         HarmonicModel(samples.spread, 2),
-        RadialModel(samples.x, deciding.RADIAL_CENTRES, rng),
+        RadialModel(samples.x, RADIAL_CENTRES, rng),
     ]
     models.sort(key=lambda model: model.n_terms)
     return [models[0]] + [model for model in models[1:] if model.n_terms * samples.nv <= MAX_COLUMNS]

@@ -30,8 +30,13 @@ from scipy.fft import dct
 from scipy.linalg import eigh
 
 from manip_learn.errors import counted
-from manip_learn.learning import deciding
-from manip_learn.learning.estimators.estimate import GapTable, JointFit, gaps_of_residuals
+from manip_learn.learning.estimators.estimate import (
+    EQUALLY_GOOD,
+    RESIDUALS_PER_PARAMETER,
+    GapTable,
+    JointFit,
+    gaps_of_residuals,
+)
 from manip_learn.learning.estimators.policy_equations import (
     OrthonormalRegressors,
     Projections,
@@ -42,8 +47,31 @@ from manip_learn.learning.estimators.policy_equations import (
 )
 from manip_learn.learning.estimators.policy_model import PolicyModel, PolynomialModel
 from manip_learn.learning.estimators.variable_projection import fit_joint, held_out_costs
-from manip_learn.learning.samples import Samples, rows_beside, runs
+from manip_learn.learning.samples import STANDARD_ERRORS, Samples, rows_beside, runs
 from manip_learn.linalg import row_bases
+
+# share of the root mean square of u that is noise enough: what is resolved below it, in recordings without noise, is
+# how well a model approximates the policy, and with more rows every model comes closer. Set by hand
+RESOLVED_SHARE = 1e-3
+# variance over that of the noise up to which a fit leaves noise alone: 22 % in amplitude. Set by hand
+ABOVE_NOISE = 1.5
+# share of the motion along a direction that a rich policy model must leave for the direction to be the task's: half
+NOT_THE_POLICYS = 0.5
+# left-out motion over that of no policy at all up to which a model predicts it: 1 where there is noise alone to predict
+PREDICTS_NOISE = 1.2
+# held-out share of the energy below which a model is as good as exact: it is believed unasked, and extrapolation no
+# longer decides between models. Set by hand
+PREDICTED = 1e-3
+# share of left-out motion that no model explains from which a weak gap may be the policy's. Set by hand
+POORLY_EXPLAINED = 0.03
+# ratio of the held-out cost by which a richer model must lower it to be worth its parameters. Set by hand
+WORTH = 0.8
+# how many times the regressors of the best a richer model may have. Set by hand
+ONE_DEGREE = 3.0
+# residuals for each of its parameters that make a richer model cheap. Set by hand
+CHEAP = 25.0
+# residual variance over that of a smaller model that is not chance with `RESIDUALS_PER_PARAMETER`. Set by hand
+CLOSER = 0.9
 
 N_FOLDS = 5  # parts that are left out in turn
 # share of the energy that is rounding: of a fit by QR; and below which normal equations cannot compare models
@@ -57,6 +85,12 @@ ROUNDS = 4
 MOST_TRIALS = 3
 # enough steps to compare
 COMPARE: dict[str, Any] = {"max_iterations": 8, "gain": 1e-4}
+# random starts where the closed-form one does not lead to the noise
+RANDOM_STARTS = 3
+# starts with a row less within the rows that were found
+SUBSPACES = 4
+# share of the evidence that is lacking which a richer model must find for a still richer one to be tried
+PROGRESS = 0.1
 
 
 def conditional_pca(samples: Samples, model: PolicyModel) -> tuple[Float[np.ndarray, " r"], Float[np.ndarray, "r r"]]:
@@ -170,7 +204,7 @@ def choose_model(judged: Sequence[JudgedModel], most_parameters: float) -> Judge
 
     Args:
         judged: All models at one Lambda.
-        most_parameters: Regressors that the residuals are many enough for, see `deciding.CHEAP`.
+        most_parameters: Regressors that the residuals are many enough for, see `CHEAP`.
     """
     best = min(judged, key=lambda one: one.held_out)
     most = _largest_size(best.model, most_parameters)
@@ -180,14 +214,14 @@ def choose_model(judged: Sequence[JudgedModel], most_parameters: float) -> Judge
 
 def _largest_size(model: PolicyModel, most_parameters: float) -> float:
     """Regressors that a model richer than a given one may have."""
-    return max(min(deciding.ONE_DEGREE * model.n_terms, most_parameters), model.n_terms)
+    return max(min(ONE_DEGREE * model.n_terms, most_parameters), model.n_terms)
 
 
 def _is_worse(costs: np.ndarray, best: np.ndarray) -> bool:
     difference = costs - best
-    if costs.sum() > deciding.EQUALLY_GOOD * best.sum():
+    if costs.sum() > EQUALLY_GOOD * best.sum():
         return True
-    return bool(difference.mean() > deciding.STANDARD_ERRORS * difference.std(ddof=1) / np.sqrt(len(difference)))
+    return bool(difference.mean() > STANDARD_ERRORS * difference.std(ddof=1) / np.sqrt(len(difference)))
 
 
 def _is_better(trial: JointFit, best: JointFit, factor: float) -> bool:
@@ -220,7 +254,7 @@ def search_model(
     usable = [model for model in models if has_enough(samples, s, model)]
     if s == 0 or len(usable) < 2:
         return best, residuals
-    if best.unexplained > deciding.POORLY_EXPLAINED:
+    if best.unexplained > POORLY_EXPLAINED:
         # a poor model has led Lambda astray: each model from its own closed-form start
         for model in (model for model in usable if model.n_terms * samples.nv <= len(samples)):
             trial = _tried(samples, model, conditional_pca(samples, model)[1][:s])
@@ -237,15 +271,15 @@ def search_model(
         predicts_best = min(judged, key=lambda one: one.held_out)
         settled = predicts_best.model.name == best.model.name
         # a model that is too rich bends Lambda while that is far off: first the model that predicts best
-        chosen = choose_model(judged, residuals_per_joint / deciding.CHEAP) if settled else predicts_best
+        chosen = choose_model(judged, residuals_per_joint / CHEAP) if settled else predicts_best
         if chosen.model.name != best.model.name:
             trial = _tried(samples, chosen.model, best.whitened_selection)
-            if not _is_better(trial, best, deciding.EQUALLY_GOOD if settled else 1.0):
+            if not _is_better(trial, best, EQUALLY_GOOD if settled else 1.0):
                 break
             best = trial
         if settled:
             break
-    return _try_closer_models(samples, judged, best, residuals_per_joint / deciding.RESIDUALS_PER_PARAMETER), residuals
+    return _try_closer_models(samples, judged, best, residuals_per_joint / RESIDUALS_PER_PARAMETER), residuals
 
 
 def _tried(samples: Samples, model: PolicyModel, start: np.ndarray) -> JointFit:
@@ -259,14 +293,14 @@ def _try_closer_models(samples: Samples, judged: list[JudgedModel], best: JointF
     At the Lambda of a model that is too small, a richer one may extrapolate so badly to single trajectories that
     cross-validation rejects it; the variance of its residual shows nevertheless that it describes the motion.
     """
-    if best.unexplained > deciding.POORLY_EXPLAINED:
+    if best.unexplained > POORLY_EXPLAINED:
         return best
     own = next(one for one in judged if one.model.name == best.model.name)
     most = _largest_size(best.model, most_parameters)
-    closer = [one for one in judged if one.variance < deciding.CLOSER * own.variance and one.model.n_terms <= most]
+    closer = [one for one in judged if one.variance < CLOSER * own.variance and one.model.n_terms <= most]
     for one in sorted(closer, key=lambda one: one.variance)[:MOST_TRIALS]:
         trial = _tried(samples, one.model, best.whitened_selection)
-        if _is_better(trial, best, deciding.WORTH) or trial.unexplained < deciding.PREDICTED:
+        if _is_better(trial, best, WORTH) or trial.unexplained < PREDICTED:
             return trial
     return best
 
@@ -280,16 +314,8 @@ def _climb_exact_models(
             continue
         candidate = _tried(samples, model, best.whitened_selection)
         residuals[model.name] = candidate.unexplained
-        best = candidate if _is_better(candidate, best, deciding.WORTH) else best
+        best = candidate if _is_better(candidate, best, WORTH) else best
     return best, residuals
-
-
-# random starts where the closed-form one does not lead to the noise
-RANDOM_STARTS = 3
-# starts with a row less within the rows that were found
-SUBSPACES = 4
-# share of the evidence that is lacking which a richer model must find for a still richer one to be tried
-PROGRESS = 0.1
 
 
 @final
@@ -377,7 +403,7 @@ def explain(samples: Samples, models: Sequence[PolicyModel], rng: np.random.Gene
                 continue
             if same:
                 best = _best_of(found)
-                is_answered = _left(samples, best.fit) <= deciding.ABOVE_NOISE * noise
+                is_answered = _left(samples, best.fit) <= ABOVE_NOISE * noise
                 if is_answered and (s < commanded or _is_hopeless(same, best)):
                     continue
                 most = _most(same)  # were noise all that the richer model leaves:
@@ -416,7 +442,7 @@ def _is_hopeless(same: Sequence[Explanation], best: Explanation) -> bool:
 def _explained(samples: Samples, fit: JointFit) -> Explanation:
     task, n_octaves = _task_nats(samples, fit.whitened_selection)
     fit = cross_validated(samples, fit)
-    predicts = fit.held_out <= deciding.PREDICTS_NOISE * max(fit.energy, _resolved(samples))
+    predicts = fit.held_out <= PREDICTS_NOISE * max(fit.energy, _resolved(samples))
     price = 0.5 * n_octaves * np.log(len(samples))
     nats = task + _null_nats(samples, fit.n_rows, fit.model, _left(samples, fit)) - price
     return Explanation(fit, float(nats), task, predicts)
@@ -457,7 +483,7 @@ def _task_nats(samples: Samples, Lambda: Float[np.ndarray, "s r"]) -> tuple[floa
 
 def _resolved(samples: Samples) -> float:
     """Variance [(rad/s)^2] that is noise enough."""
-    return deciding.RESOLVED_SHARE**2 * samples.energy / samples.nv
+    return RESOLVED_SHARE**2 * samples.energy / samples.nv
 
 
 def _left(samples: Samples, fit: JointFit) -> float:
@@ -481,7 +507,7 @@ def _count_commanded(samples: Samples, models: Sequence[PolicyModel]) -> int:
         return 0
     constant = PolynomialModel(0, samples.q.shape[1])
     left, everything = (conditional_pca(samples, model)[0] for model in (rich[-1], constant))
-    return int(np.count_nonzero(left > deciding.NOT_THE_POLICYS * everything))
+    return int(np.count_nonzero(left > NOT_THE_POLICYS * everything))
 
 
 def _fit_from_starts(
@@ -498,6 +524,6 @@ def _fit_from_starts(
         samples,
         model,
         itertools.chain([conditional_pca(samples, model)[1][:s]], warm, random),
-        lambda best: s in (0, samples.n_rows) or _left(samples, best) <= deciding.ABOVE_NOISE * noise,
+        lambda best: s in (0, samples.n_rows) or _left(samples, best) <= ABOVE_NOISE * noise,
         **COMPARE,
     )

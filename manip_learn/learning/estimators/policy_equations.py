@@ -25,10 +25,16 @@ import numpy as np
 from jaxtyping import Bool, Float, Int
 from scipy.linalg.lapack import dpotrf, dpotri, dpotrs, dtrtri
 
-from manip_learn.learning import deciding
 from manip_learn.learning.estimators.policy_model import PolicyModel
-from manip_learn.learning.samples import Samples, rows_beside
+from manip_learn.learning.samples import BEYOND_CHANCE, CUBIC, Samples, rows_beside
 from manip_learn.linalg import complement_rows, inverse_triangles_beside, row_bases
+
+# largest variance of a joint's noise over the least below which equal weights cost a few per cent at most
+UNEQUAL_NOISE = 2.0
+# residuals for each entry of the noise's covariance, below which it is not estimated. Set by hand
+RESIDUALS_PER_ENTRY = 20
+# variances of the joints' noise beside their mean stay between these. Set by hand
+NOISE_RANGE = (1e-2, 1e2)
 
 # regressors that vary less than this beside the others are left out
 FLAT = 1e-10
@@ -36,6 +42,11 @@ FLAT = 1e-10
 FLOOR = 1e-13
 REFINEMENTS = 2  # passes: the first leaves the rounding of normal equations, the second that of the products
 CHUNK = 1024  # samples whose products of regressors are held at a time
+# weight of the isotropic covariance in samples per sample, for entries that the null spaces hardly show
+PRIOR = 1e-3
+DIFFERENCES = CUBIC - 1  # of neighbouring samples: motion that is a parabola over four samples leaves nothing
+MEDIAN = NormalDist().inv_cdf(0.75)  # of the absolute value of a standard normal variable
+TYLER_STEPS = 10
 
 
 @final
@@ -278,13 +289,6 @@ def left_out(
     return squares, total, least
 
 
-# weight of the isotropic covariance in samples per sample, for entries that the null spaces hardly show
-PRIOR = 1e-3
-DIFFERENCES = deciding.CUBIC - 1  # of neighbouring samples: motion that is a parabola over four samples leaves nothing
-MEDIAN = NormalDist().inv_cdf(0.75)  # of the absolute value of a standard normal variable
-TYLER_STEPS = 10
-
-
 def whitening_factor(
     samples: Samples, whitened_selection: Float[np.ndarray, "s r"], y: Float[np.ndarray, "n nv"]
 ) -> Float[np.ndarray, "nv nv"] | None:
@@ -298,14 +302,14 @@ def whitening_factor(
     N, nv = Projections.of(samples, whitened_selection).N, samples.nv
     z, entries = nv - len(whitened_selection), nv * (nv + 1) // 2
     e = np.einsum("nij,nj->ni", N, y, optimize=True)
-    if len(y) * z < deciding.RESIDUALS_PER_ENTRY * entries or float(np.sum(e**2)) <= 0.0:
+    if len(y) * z < RESIDUALS_PER_ENTRY * entries or float(np.sum(e**2)) <= 0.0:
         return None
     sigma2 = float(np.sum(e**2)) / (len(y) * z)
     Sigma = _covariance(N, e / np.sqrt(sigma2))
-    if np.linalg.cond(Sigma) < deciding.UNEQUAL_NOISE:
+    if np.linalg.cond(Sigma) < UNEQUAL_NOISE:
         return None
     gain = _log_likelihood_ratio(N, e / np.sqrt(sigma2), Sigma, z)
-    if gain < entries + deciding.BEYOND_CHANCE * np.sqrt(2.0 * entries):
+    if gain < entries + BEYOND_CHANCE * np.sqrt(2.0 * entries):
         return None
     return np.linalg.cholesky(Sigma * nv / np.trace(Sigma))
 
@@ -319,7 +323,7 @@ def shape_in_time(samples: Samples) -> Float[np.ndarray, "nv nv"] | None:
     """
     e, nv = _differences(samples), samples.nv
     e = e[np.any(e != 0.0, axis=1)]
-    if len(e) < deciding.RESIDUALS_PER_ENTRY * nv:
+    if len(e) < RESIDUALS_PER_ENTRY * nv:
         return None
     S = np.eye(nv)
     for _ in range(TYLER_STEPS):
@@ -355,7 +359,7 @@ def _covariance(N: np.ndarray, e: np.ndarray) -> Float[np.ndarray, "nv nv"]:
     right = (e.T @ e / n).reshape(-1) - M @ np.eye(nv).reshape(-1)
     deviation = np.linalg.solve(M + PRIOR * np.eye(nv * nv), right).reshape(nv, nv)
     values, vectors = np.linalg.eigh(np.eye(nv) + 0.5 * (deviation + deviation.T))
-    return (vectors * np.clip(values, *deciding.NOISE_RANGE)) @ vectors.T
+    return (vectors * np.clip(values, *NOISE_RANGE)) @ vectors.T
 
 
 def _log_likelihood_ratio(N: np.ndarray, e: np.ndarray, Sigma: np.ndarray, z: int) -> float:

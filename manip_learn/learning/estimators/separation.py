@@ -20,11 +20,13 @@ from jaxtyping import Float
 from scipy.linalg import LinAlgError, cho_factor, cho_solve
 
 from manip_learn.errors import NotIdentifiableError, advice
-from manip_learn.learning import deciding
-from manip_learn.learning.estimators.estimate import Estimate
+from manip_learn.learning.estimators.estimate import RESIDUALS_PER_PARAMETER, Estimate
 from manip_learn.learning.estimators.null_space import estimate_null_space
 from manip_learn.learning.estimators.policy_model import PolicyModel, RadialModel
-from manip_learn.learning.samples import Samples
+from manip_learn.learning.samples import STILL_ENERGY, Samples
+
+# centres of the radial policy models, at least and at most. Set by hand
+FEWEST_CENTRES, MOST_CENTRES = 4, 96
 
 MAX_ITERATIONS = 200  # of each of the stages
 # directions of the regressors' space below this share of the strongest take no part; from coarse to fine, for the
@@ -150,17 +152,17 @@ def separate_null_motion(samples: Samples, rng: np.random.Generator) -> tuple[Se
         NotIdentifiableError: Too few samples for even the smallest model, or no null-space motion to be found.
     """
     x = samples.x
-    n_centres = min(deciding.MOST_CENTRES, len(samples) // deciding.RESIDUALS_PER_PARAMETER)
-    if n_centres < deciding.FEWEST_CENTRES:
+    n_centres = min(MOST_CENTRES, len(samples) // RESIDUALS_PER_PARAMETER)
+    if n_centres < FEWEST_CENTRES:
         raise NotIdentifiableError(
             f"{len(samples)} samples are too few to separate task and null-space part: at least "
-            f"{deciding.FEWEST_CENTRES * deciding.RESIDUALS_PER_PARAMETER} are needed, and many more are better",
+            f"{FEWEST_CENTRES * RESIDUALS_PER_PARAMETER} are needed, and many more are better",
             code="too-few-samples",
         )
     every = -(-len(samples) // SEPARATION_LIMIT)
     separation = separate(x[::every], samples.u[::every], RadialModel(x, n_centres, rng))
     w = separation(x)
-    if float(np.mean(w**2)) * samples.nv < deciding.STILL_ENERGY * samples.energy:
+    if float(np.mean(w**2)) * samples.nv < STILL_ENERGY * samples.energy:
         raise NotIdentifiableError(
             "the separation finds no null-space motion: what is left of the motion after the task is nothing to learn "
             "from" + advice("; use {}", "estimator='joint'", "--estimator joint"),

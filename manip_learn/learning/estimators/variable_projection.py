@@ -32,7 +32,6 @@ import numpy as np
 from jaxtyping import Float, Int
 from scipy.linalg import qr, solve_triangular
 
-from manip_learn.learning.deciding import MOST_LIKELY_DEGREE
 from manip_learn.learning.descent import descend
 from manip_learn.learning.estimators.estimate import JointFit, PolicyPrior, descend_rows
 from manip_learn.learning.estimators.policy_equations import (
@@ -53,6 +52,9 @@ from manip_learn.learning.estimators.policy_model import PolicyModel, Polynomial
 from manip_learn.learning.samples import Samples, TrajectoryBlocks
 from manip_learn.linalg import batch_row_spaces, complement_rows, inverse_triangles, orthonormal_rows, turned
 
+# degree up to which every policy is thought possible. Set by hand
+MOST_LIKELY_DEGREE = 3
+
 MAX_ITERATIONS = 30  # of Gauss-Newton, which ends by itself before
 RANK_TOLERANCE = 1e-13  # of the largest diagonal element of R: rounding of some hundred columns
 # directions of the policy that the data determine well enough to matter for the uncertainty
@@ -65,6 +67,17 @@ LEAST_PIVOT = 1e-8
 MANY_COLUMNS = 64
 # more trajectories than this are taken in blocks: a Hessian of each, for Theta too, is kept
 MAX_BLOCKS = 100
+MARGINAL_ITERATIONS = 40  # of Newton; one that has not settled by then is taken as it is
+# squared length of the last step in standard errors
+SETTLED = 1e-6
+# updates of the variances before the first step, and after each
+FIRST_UPDATES, UPDATES = 4, 2
+# variance of the parameters over the mean square of u: at the start, and least
+START, LEAST = 4.0, 1e-14
+# least number of parameters of a grade that count as determined
+DETERMINED = 1e-6
+# products of regressors that are kept from one pass to the next [numbers]
+KEEP_LIMIT = 3_000_000
 
 
 def fit_joint(
@@ -319,19 +332,6 @@ def _solve(K: np.ndarray, y: np.ndarray) -> np.ndarray:
     if rank:
         out[pivots[:rank]] = solve_triangular(R[:rank, :rank], Q[:, :rank].T @ y, check_finite=False)
     return out
-
-
-MARGINAL_ITERATIONS = 40  # of Newton; one that has not settled by then is taken as it is
-# squared length of the last step in standard errors
-SETTLED = 1e-6
-# updates of the variances before the first step, and after each
-FIRST_UPDATES, UPDATES = 4, 2
-# variance of the parameters over the mean square of u: at the start, and least
-START, LEAST = 4.0, 1e-14
-# least number of parameters of a grade that count as determined
-DETERMINED = 1e-6
-# products of regressors that are kept from one pass to the next [numbers]
-KEEP_LIMIT = 3_000_000
 
 
 @final

@@ -13,10 +13,28 @@ from typing import final
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
-from manip_learn.learning import deciding
 from manip_learn.learning.explanation.row_motion import RowMotion
 from manip_learn.recordings.demonstrations import Demonstrations
 from manip_learn.recordings.trajectory import Trajectory
+
+# [s] samples closer together than this tell the same story, and a change of what is held takes as long, over which
+# velocities are smoothed: a person's motion does not change faster. Set by hand
+CHANGE_SECONDS = 0.1
+# share of a held phase's samples that may be far off (slips, knocks): bounds the evidence against it. Set by hand
+FAR_OFF_SHARE = 0.02
+# [nats] that a change between two states costs: a person changes every few seconds, a chance of exp(-16) for one of
+# the ten samples of a second is that of a change in some months
+SWITCH_NATS = 16.0
+# the scales among which a hypothesis takes the one with the most evidence, about half a decade apart: the standard
+# deviation of what breaks it over the noise's
+HELD_STEADY = (1.0, 3.0, 9.0)
+# the same, share of the motion
+HELD_SHARES = (0.003, 0.01, 0.03, 0.1, 0.2)
+# [s] a stretch shorter than this is chance; as much at either end of a longer one may have left it. Set by hand
+SHORTEST_STRETCH_SECONDS = 0.3
+# ratio to the usual distance, or drift, along the held rows beyond which they are not held: in 50 sets of recordings
+# that all agree the largest drift was 3 times the usual one
+FAR_FROM_HELD = 2.5
 
 
 @final
@@ -55,16 +73,16 @@ def evidence(
     held = np.minimum(floor + share * free, free)
     offset, slope = 0.5 * s * np.log(free / held), 0.5 * (1.0 / held - 1.0 / free)
     exponent = np.minimum(offset[:, None] - energy[:, :, None] * slope[:, None], 50.0)
-    ratio = np.log(deciding.FAR_OFF_SHARE + (1.0 - deciding.FAR_OFF_SHARE) * np.exp(exponent))
-    return ratio * (motion.weight[:, None, None] / deciding.CHANGE_SECONDS)
+    ratio = np.log(FAR_OFF_SHARE + (1.0 - FAR_OFF_SHARE) * np.exp(exponent))
+    return ratio * (motion.weight[:, None, None] / CHANGE_SECONDS)
 
 
 # the scales among which a hypothesis takes the one with the most evidence, about half a decade apart
-SCALES = tuple(HeldScale(steady, share) for steady in deciding.HELD_STEADY for share in deciding.HELD_SHARES)
+SCALES = tuple(HeldScale(steady, share) for steady in HELD_STEADY for share in HELD_SHARES)
 
 
 def gains_of(
-    values: Float[np.ndarray, "n h"], first: Int[np.ndarray, " m"], switch: float = deciding.SWITCH_NATS
+    values: Float[np.ndarray, "n h"], first: Int[np.ndarray, " m"], switch: float = SWITCH_NATS
 ) -> Float[np.ndarray, "g h"]:
     """Evidence of each trajectory for each hypothesis: of the best sequence of held and free stretches, or, as in a cut
     recording, of a single state throughout.
@@ -81,7 +99,7 @@ def gains_of(
 
 
 def held_by(
-    values: Float[np.ndarray, "n h"], first: Int[np.ndarray, " m"], switch: float = deciding.SWITCH_NATS
+    values: Float[np.ndarray, "n h"], first: Int[np.ndarray, " m"], switch: float = SWITCH_NATS
 ) -> Bool[np.ndarray, "n h"]:
     """Which samples each hypothesis holds in, taken on its own: the sequences of `gains_of`."""
     lengths = np.diff(first)
@@ -125,7 +143,7 @@ def _two_states(
 
 
 def states_of(
-    values: Float[np.ndarray, "n k"], first: Int[np.ndarray, " m"], switch: float = deciding.SWITCH_NATS
+    values: Float[np.ndarray, "n k"], first: Int[np.ndarray, " m"], switch: float = SWITCH_NATS
 ) -> Int[np.ndarray, " n"]:
     """Most likely state of each sample: 0 free motion, k the k-th hypothesis (Viterbi's algorithm); or, as in a cut
     recording, a single state throughout.
@@ -210,7 +228,7 @@ def stretches_of(motion: RowMotion, states: Int[np.ndarray, " n"], state: int) -
             continue
         number = int(motion.trajectory[a])
         start, end = float(motion.time[a + inside[0]]), float(motion.time[a + inside[-1]])
-        long = end - start >= deciding.SHORTEST_STRETCH_SECONDS
+        long = end - start >= SHORTEST_STRETCH_SECONDS
         if state:
             start = float(motion.ends[number, 0]) if a == motion.first[number] else start
             end = float(motion.ends[number, 1]) if b == motion.first[number + 1] else end
@@ -228,18 +246,16 @@ def sharpened(motion: RowMotion, rows: Float[np.ndarray, "s r"], stretches: Sequ
     for s in stretches:
         inside = covered(motion, [s])
         time = motion.time[inside]
-        inner = (time >= s.start + deciding.SHORTEST_STRETCH_SECONDS) & (
-            time <= s.end - deciding.SHORTEST_STRETCH_SECONDS
-        )
-        if s.duration < 4.0 * deciding.SHORTEST_STRETCH_SECONDS or np.count_nonzero(inner) < 10:
+        inner = (time >= s.start + SHORTEST_STRETCH_SECONDS) & (time <= s.end - SHORTEST_STRETCH_SECONDS)
+        if s.duration < 4.0 * SHORTEST_STRETCH_SECONDS or np.count_nonzero(inner) < 10:
             out.append(s)
             continue
         way = np.cumsum(motion.rates[inside] * motion.weight[inside, None], axis=0) @ rows.T
         away = np.linalg.norm(way - np.median(way[inner], axis=0), axis=1)
-        left = time[(away > deciding.FAR_FROM_HELD * np.quantile(away[inner], 0.9)) & ~inner]
+        left = time[(away > FAR_FROM_HELD * np.quantile(away[inner], 0.9)) & ~inner]
         before, after = (
-            left[left < s.start + deciding.SHORTEST_STRETCH_SECONDS],
-            left[left > s.end - deciding.SHORTEST_STRETCH_SECONDS],
+            left[left < s.start + SHORTEST_STRETCH_SECONDS],
+            left[left > s.end - SHORTEST_STRETCH_SECONDS],
         )
         first, last = motion.ends[s.trajectory]
         start = float(time[time > before[-1]][0]) if len(before) and s.start > first else s.start
@@ -253,8 +269,8 @@ def cut(trajectory: Trajectory, stretch: Stretch) -> slice | None:
     three are left, which are no motion.
     """
     time = trajectory.time
-    start = stretch.start if stretch.start <= time[0] else stretch.start + deciding.CHANGE_SECONDS
-    end = stretch.end if stretch.end >= time[-1] else stretch.end - deciding.CHANGE_SECONDS
+    start = stretch.start if stretch.start <= time[0] else stretch.start + CHANGE_SECONDS
+    end = stretch.end if stretch.end >= time[-1] else stretch.end - CHANGE_SECONDS
     inside = np.flatnonzero((time >= start) & (time <= end))
     return slice(int(inside[0]), int(inside[-1]) + 1) if len(inside) > 2 else None
 

@@ -14,10 +14,28 @@ from typing import NamedTuple, TypeVar, final
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
-from manip_learn.learning import deciding
-from manip_learn.learning.explanation.evidence import SCALES, HeldScale, evidence, gains_of, held_by, states_of
-from manip_learn.learning.explanation.row_motion import RowMotion, View, broken_energy
+from manip_learn.learning.explanation.evidence import (
+    CHANGE_SECONDS,
+    SCALES,
+    SWITCH_NATS,
+    HeldScale,
+    evidence,
+    gains_of,
+    held_by,
+    states_of,
+)
+from manip_learn.learning.explanation.row_motion import SHORT_WINDOWS_SECONDS, RowMotion, View, broken_energy
 from manip_learn.linalg import row_space_angle
+
+# [nats] least gain of a hypothesis, without its best supporter and after the price of its parameters. Set by hand, on
+# sets with seeds below 20000
+LEAST_GAIN_NATS = 40.0
+# samples that determine rows, for each direction of the features. Set by hand
+SAMPLES_PER_DIRECTION = 3
+# [s] lengths of windows that are taken in pairs, for one on a curved surface fits many rows. Set by hand
+LONG_WINDOWS_SECONDS = (1.2, 2.0)
+# ratio of the next level to the s-th from which a window proposes s rows. Set by hand
+PROPOSAL_GAP = 2.5
 
 STRIDE = 0.5  # share of a window's length by which one starts after the other
 MOST_PAIRED = 60  # windows that are taken in pairs
@@ -30,6 +48,15 @@ SAME = np.radians(3.0)
 
 # keeps what does not move at all positive definite
 TINY = 1e-200
+MOST_CONSTRAINTS = 6  # of one set of recordings: more would be one for each few stretches
+# hypotheses that are tested in a row without one that passes
+MOST_TESTED = 6
+# scales with which proposals are compared: rows of a window are off by degrees, those of a recording hardly
+FIRST_SCALES = (HeldScale(2.0, 0.1), HeldScale(2.0, 0.01))
+# proposals of each view and number of rows that are fitted, the turns of a fit, and the turns of all together
+KEPT, TURNS, SETTLING = 4, 4, 4
+# proposals that are fitted for each recording by itself
+BEST_ALONE = 2
 
 
 class Moments(NamedTuple):
@@ -88,7 +115,7 @@ def proposed(
         sizes, directions = _least_used(moments)
         for s, kept in out.items():
             gap = sizes[:, s] / sizes[:, s - 1]
-            chosen = np.flatnonzero(gap > deciding.PROPOSAL_GAP)
+            chosen = np.flatnonzero(gap > PROPOSAL_GAP)
             chosen = chosen[np.argsort(-gap[chosen])][:most]
             kept.append(np.linalg.qr(directions[chosen, :s].transpose(0, 2, 1))[0].transpose(0, 2, 1))
     joined = {s: np.concatenate(kept) for s, kept in out.items() if kept}
@@ -112,8 +139,8 @@ def _windows(motion: RowMotion, chosen: Bool[np.ndarray, " n"]) -> list[Moments]
     """Windows of these samples, and windows of two recordings together."""
     motion = dataclasses.replace(motion, weight=motion.weight * chosen)
     parts, long = (
-        [_window_moments(motion, deciding.SHORT_WINDOWS_SECONDS)],
-        _window_moments(motion, deciding.LONG_WINDOWS_SECONDS),
+        [_window_moments(motion, SHORT_WINDOWS_SECONDS)],
+        _window_moments(motion, LONG_WINDOWS_SECONDS),
     )
     if len(long.M) > 1:
         sizes, _ = _least_used(long)
@@ -192,16 +219,6 @@ def fitted_rows(motion: RowMotion, weights: Float[np.ndarray, "n h"], s: int) ->
     return np.linalg.qr(directions[:, :s].transpose(0, 2, 1))[0].transpose(0, 2, 1)
 
 
-MOST_CONSTRAINTS = 6  # of one set of recordings: more would be one for each few stretches
-# hypotheses that are tested in a row without one that passes
-MOST_TESTED = 6
-# scales with which proposals are compared: rows of a window are off by degrees, those of a recording hardly
-FIRST_SCALES = (HeldScale(2.0, 0.1), HeldScale(2.0, 0.01))
-# proposals of each view and number of rows that are fitted, the turns of a fit, and the turns of all together
-KEPT, TURNS, SETTLING = 4, 4, 4
-# proposals that are fitted for each recording by itself
-BEST_ALONE = 2
-
 Key = TypeVar("Key", bound=Hashable)
 
 
@@ -235,7 +252,7 @@ class Hypothesis:
     def price(self, seconds: float) -> float:
         """Of the s (r - s) parameters of Lambda, learnt from this much motion (G. Schwarz, 1978) [nats]."""
         s, r = self.rows.shape
-        return 0.5 * s * (r - s) * float(np.log(max(seconds / deciding.CHANGE_SECONDS, 2.0)))
+        return 0.5 * s * (r - s) * float(np.log(max(seconds / CHANGE_SECONDS, 2.0)))
 
     def worth(self, seconds: float) -> float:
         """Support less the price [nats]."""
@@ -266,9 +283,7 @@ class Explanation:
         refused: Hypotheses that gained enough and were not believed, in the order of their test.
     """
 
-    def __init__(
-        self, views: Sequence[View], hypotheses: Sequence[Hypothesis] = (), switch: float = deciding.SWITCH_NATS
-    ):
+    def __init__(self, views: Sequence[View], hypotheses: Sequence[Hypothesis] = (), switch: float = SWITCH_NATS):
         self.views, self.hypotheses, self.switch = views, tuple(hypotheses), switch
         self.thin = views[0].thin
         self.values = _evidence_of([v.thin for v in views], self.hypotheses)[:, :, 0]
@@ -332,7 +347,7 @@ class Explanation:
     def without_idle(self) -> Explanation:
         """Without hypotheses whose samples the others explain as well."""
         now = self
-        while len(now.hypotheses) > 1 and np.min(now.supports) < deciding.LEAST_GAIN_NATS:
+        while len(now.hypotheses) > 1 and np.min(now.supports) < LEAST_GAIN_NATS:
             idle = int(np.argmin(now.supports))
             now = Explanation(now.views, [h for k, h in enumerate(now.hypotheses) if k != idle], now.switch)
         return now
@@ -362,7 +377,7 @@ class Explanation:
         return _again(self.views, [start], held[:, None], baseline, self.switch)[0]
 
 
-def explain(views: Sequence[View], believed: Test, switch: float = deciding.SWITCH_NATS) -> Explanation:
+def explain(views: Sequence[View], believed: Test, switch: float = SWITCH_NATS) -> Explanation:
     """Add one hypothesis after the other, as long as one gains enough and is believed.
 
     Proposals come from windows of unexplained motion, and from recordings and pairs of them in each state; so a
@@ -377,13 +392,13 @@ def explain(views: Sequence[View], believed: Test, switch: float = deciding.SWIT
     now, refused = Explanation(views, (), switch), list[Hypothesis]()
     seconds = float(views[0].thin.weight.sum())
     while len(now.hypotheses) < MOST_CONSTRAINTS:
-        gaining = [h for h in candidates(now) if h.worth(seconds) > deciding.LEAST_GAIN_NATS]
+        gaining = [h for h in candidates(now) if h.worth(seconds) > LEAST_GAIN_NATS]
         accepted, tested = None, 0
         for h in sorted(gaining, key=lambda h: -h.worth(seconds)):
             if tested == MOST_TESTED or any(_similar(h, r) for r in refused):
                 continue
             trial, tested = now.with_one_more(h), tested + 1
-            if trial.supports[-1] > deciding.LEAST_GAIN_NATS and not trial.has_twins:
+            if trial.supports[-1] > LEAST_GAIN_NATS and not trial.has_twins:
                 held = trial.states == len(trial.hypotheses)
                 if believed(views[h.view], trial.hypotheses[-1], held):
                     accepted = trial.without_idle()
@@ -491,9 +506,7 @@ def _again(
     for (view, s), numbers in _grouped((h.view, h.n_rows) for h in hypotheses):
         thin = views[view].thin
         enough = np.count_nonzero(held[:, numbers] & thin.moving[:, None], axis=0)
-        numbers = [
-            i for i, n in zip(numbers, enough, strict=True) if n >= deciding.SAMPLES_PER_DIRECTION * thin.rates.shape[1]
-        ]
+        numbers = [i for i, n in zip(numbers, enough, strict=True) if n >= SAMPLES_PER_DIRECTION * thin.rates.shape[1]]
         scales = [hypotheses[i].scale for i in numbers]
         variance = np.outer(thin.noise, [x.steady**2 for x in scales])
         variance += np.outer(thin.free, [x.share**2 for x in scales])

@@ -18,8 +18,9 @@ from jaxtyping import Bool, Float
 from manip_learn.constraint.features.feature_map import FeatureMap, sum_in_words
 from manip_learn.constraint.features.frame_jacobian import FrameJacobian
 from manip_learn.errors import counted, listed
-from manip_learn.learning import deciding
 from manip_learn.learning.explanation.evidence import (
+    FAR_FROM_HELD,
+    SWITCH_NATS,
     BeforeSmoothing,
     Stretch,
     covered,
@@ -29,8 +30,9 @@ from manip_learn.learning.explanation.evidence import (
     uncovered,
     ways_to_choose,
 )
-from manip_learn.learning.explanation.explain import Explanation, Hypothesis, candidates, explain
+from manip_learn.learning.explanation.explain import LEAST_GAIN_NATS, Explanation, Hypothesis, candidates, explain
 from manip_learn.learning.explanation.row_motion import (
+    OVER_NOISE,
     RowMotion,
     View,
     joints_at_once,
@@ -38,12 +40,40 @@ from manip_learn.learning.explanation.row_motion import (
     mechanism_features,
     views_of,
 )
-from manip_learn.learning.recombination import recombination_test
+from manip_learn.learning.recombination import BELIEVED_STRENGTH, FEWEST_TRAJECTORIES, recombination_test
 from manip_learn.recordings.demonstrations import Demonstrations
 from manip_learn.recordings.trajectory import Trajectory
 from manip_learn.robot.robot import Reference
 
+# [joints] a joint that moves alone goes where it must: only joints that move at the same time show what coordinates
+# them. Joints that are moved one after the other give 1.00, contacts of twelve mechanisms with four arms 1.4 to 4
+# (least 1.1)
+JOINTS_AT_ONCE = 1.1
+# ratio to the usual length of a stretch, below which one is chance: another motion that passes along the free
+# directions. Set by hand
+SHORT_STRETCH_RATIO = 0.25
+# largest share of the free velocity along the rows of a firm contact. Set by hand
+FIRM_SHARE = 0.05
+# the same in a single recording, where only firmness tells a contact from free motion, which also runs straight or
+# flat, but never to better than a few per cent
+FIRM_ALONE_SHARE = 0.01
+# [deg] rows of two constraints closer together than this may be one constraint, or two. Set by hand
+NEARLY_SAME_DEG = 5.0
+# [robust standard deviations of the logarithm] by which a drift must exceed the usual one to be odd. Set by hand
+ODD_SPREAD = 6.0
+# share of its motion by which a stretch must drift to be odd. Set by hand
+ODD_SHARE = 0.005
+# [s] longest interruption of a contact: who lets go for longer does so on purpose. Set by hand
+LONGEST_SLIP_SECONDS = 1.5
+# a slip goes this many times farther along the held rows than a whole contact, and at least this far [m or rad]. Set
+# by hand
+SLIP_FACTOR, LEAST_SLIP = 5.0, 2e-3
+# share of the recordings that must show a constraint before one that does not is called odd: more than half
+SHOWN_BY_SHARE = 0.6
+
 MEDIAN_SQUARE = NormalDist().inv_cdf(0.75) ** 2  # of a standard normal variable
+IN_ONE_ONLY = "appears in one recording only"
+DISAGREES = "does not agree with the other recordings"
 
 
 def agreeing(motion: RowMotion, rows: Float[np.ndarray, "s r"], stretches: Sequence[Stretch]) -> Bool[np.ndarray, " m"]:
@@ -60,10 +90,8 @@ def agreeing(motion: RowMotion, rows: Float[np.ndarray, "s r"], stretches: Seque
         excess = np.log(np.maximum(ratios, 1e-12))
         # below the usual only: above it the odd ones spread as well
         spread = max(0.0, -float(np.quantile(excess[agrees], 0.16)))
-        agrees = (excess <= max(np.log(deciding.FAR_FROM_HELD), deciding.ODD_SPREAD * spread)) | (
-            drift <= deciding.ODD_SHARE
-        )
-        agrees |= lengths <= deciding.OVER_NOISE * noise
+        agrees = (excess <= max(np.log(FAR_FROM_HELD), ODD_SPREAD * spread)) | (drift <= ODD_SHARE)
+        agrees |= lengths <= OVER_NOISE * noise
         if not np.any(agrees):
             return np.ones(len(stretches), dtype=bool)
     return agrees
@@ -116,7 +144,7 @@ def missing(
 ) -> dict[int, str]:
     """The trajectories in which a constraint is not seen although nearly all others show it, and why."""
     shown = {s.trajectory for s in stretches}
-    if len(shown) < max(2.0, deciding.SHOWN_BY_SHARE * len(trajectories)):
+    if len(shown) < max(2.0, SHOWN_BY_SHARE * len(trajectories)):
         return {}
     usual = pieces_of(trajectories, stretches)[1]
     out = {}
@@ -157,13 +185,13 @@ def slipping(
     for i, parts in spans.items():
         for a, b in pairwise(parts if len(parts) > usual else ()):
             gap = Stretch(i, a.end, b.start)
-            if gap.duration > deciding.LONGEST_SLIP_SECONDS or any(gap.shared(s) > 0.0 for s in others):
+            if gap.duration > LONGEST_SLIP_SECONDS or any(gap.shared(s) > 0.0 for s in others):
                 continue
             between = trajectories[i][a.end : b.start]
             whole = [trajectories[s.trajectory][s.start : s.end] for s in stretches]
             if (
-                _drift(motion, rows, gap)[0] > deciding.SLIP_FACTOR * held
-                and _extent(way_along(features, between, selection)) > deciding.LEAST_SLIP
+                _drift(motion, rows, gap)[0] > SLIP_FACTOR * held
+                and _extent(way_along(features, between, selection)) > LEAST_SLIP
             ):
                 why = reason(features, between, whole, selection)
                 out[i] = f"its contact is interrupted from {a.end:.2f} s to {b.start:.2f} s, as by a slip: {why}"
@@ -198,10 +226,6 @@ def way_along(features: FeatureMap, t: Trajectory, selection: Float[np.ndarray, 
     rates = np.matmul(features.batch(t.q), np.asarray(t.u)[:, :, None])[:, :, 0] @ selection.T
     steps = 0.5 * (rates[1:] + rates[:-1]) * np.diff(t.time)[:, None]
     return np.concatenate([np.zeros((1, len(selection))), np.cumsum(steps, axis=0)])
-
-
-IN_ONE_ONLY = "appears in one recording only"
-DISAGREES = "does not agree with the other recordings"
 
 
 @final
@@ -284,7 +308,7 @@ def find(
     *,
     phases: bool = True,
     mechanisms: bool = True,
-    strength: float = deciding.BELIEVED_STRENGTH,
+    strength: float = BELIEVED_STRENGTH,
 ) -> Findings:
     """Explain the recordings by a few constraints and free motion.
 
@@ -305,7 +329,7 @@ def find(
     if not views:
         return unexplained(demonstrations, feature_maps)  # a single row: nothing to compare it with
     believed = _Recombination(trajectories, kinds_tried(views), int(rng.integers(2**32)), strength)
-    explanation = explain(views, believed, deciding.SWITCH_NATS if phases else np.inf)
+    explanation = explain(views, believed, SWITCH_NATS if phases else np.inf)
     elsewhere = _elsewhere(usable, trajectories, explanation)
     if elsewhere:  # what disagrees in this reference is no other task
         return dataclasses.replace(unexplained(demonstrations, feature_maps), warnings=elsewhere, elsewhere=True)
@@ -325,10 +349,7 @@ def _elsewhere(
     """A warning if rows in the other reference, which was not asked for, explain all recordings better."""
     tried = {f.reference for f in feature_maps if isinstance(f, FrameJacobian)}
     states = explanation.states
-    firm = (
-        h.scale.share <= deciding.FIRM_SHARE and np.all(states == k)
-        for k, h in enumerate(explanation.hypotheses, start=1)
-    )
+    firm = (h.scale.share <= FIRM_SHARE and np.all(states == k) for k, h in enumerate(explanation.hypotheses, start=1))
     if len(tried) != 1 or any(firm):
         return ()
     other: Reference = "local" if "world" in tried else "world"
@@ -336,7 +357,7 @@ def _elsewhere(
         FrameJacobian(f.robot, f.frame.name, f.row_names, other) for f in feature_maps if isinstance(f, FrameJacobian)
     ]
     there = _throughout(maps, trajectories)
-    if there is None or there.explained.sum() < explanation.explained.sum() + deciding.LEAST_GAIN_NATS:
+    if there is None or there.explained.sum() < explanation.explained.sum() + LEAST_GAIN_NATS:
         return ()
     return (
         f"in the {tried.pop()} reference no constraint fits all recordings, in the {other} one does: the rows are held "
@@ -402,10 +423,10 @@ class _Recombination:
         """By pieces of these stretches; beyond doubt if they are of few recordings, for two can be alike by chance."""
         noise = [view.motion.noise[view.motion.first[s.trajectory]] for s in stretches]
         at_once = [joints_at_once(np.asarray(p.u), float(np.mean(noise))) for p in pieces]
-        shown = pieces if pieces and np.median(at_once) >= deciding.JOINTS_AT_ONCE else []
+        shown = pieces if pieces and np.median(at_once) >= JOINTS_AT_ONCE else []
         choices = self.tried * ways_to_choose(view.thin, stretches)
         evidence = recombination_test(view.features, shown, np.random.default_rng(self.seed), choices, self.strength)
-        sure = recordings >= deciding.FEWEST_TRAJECTORIES or evidence.clear
+        sure = recordings >= FEWEST_TRAJECTORIES or evidence.clear
         return bool(shown) and evidence.n_rows >= h.n_rows and sure
 
 
@@ -419,23 +440,23 @@ def _lone_contacts(explanation: Explanation, believed: _Recombination) -> list[S
     """
     if np.all(explanation.states > 0):
         return []
-    found = [h for h in candidates(explanation, alone=True) if h.scale.share <= deciding.FIRM_ALONE_SHARE]
+    found = [h for h in candidates(explanation, alone=True) if h.scale.share <= FIRM_ALONE_SHARE]
     out, motion = list[Stretch](), explanation.views[0].motion
     for i in range(explanation.thin.n_trajectories if found else 0):
         h = max(found, key=lambda h: h.gains[i])
-        if h.gains[i] <= deciding.LEAST_GAIN_NATS:
+        if h.gains[i] <= LEAST_GAIN_NATS:
             continue
         alone = Explanation(explanation.views, (*explanation.hypotheses, h), explanation.switch)
         states = alone.fine_states() * (motion.trajectory == i)
         stretches = stretches_of(motion, states, len(alone.hypotheses))
-        worthy = [s for s in stretches if _worth(alone, s) > deciding.LEAST_GAIN_NATS]
+        worthy = [s for s in stretches if _worth(alone, s) > LEAST_GAIN_NATS]
         out += [s for s in worthy if believed.of_one(explanation.views[h.view], h, s)]
     return out
 
 
 def _parts_of(start: float, end: float) -> Float[np.ndarray, " k"]:
     """Edges of the parts of a stretch that stand for recordings: one more than the fewest can be spared [s]."""
-    return np.linspace(start, end, deciding.FEWEST_TRAJECTORIES + 2)
+    return np.linspace(start, end, FEWEST_TRAJECTORIES + 2)
 
 
 def _worth(alone: Explanation, stretch: Stretch) -> float:
@@ -465,9 +486,7 @@ def _findings(
         h = explanation.hypotheses[k]
         spans = sharpened(view.motion, h.rows, stretches_of(view.motion, states, k + 1))
         usual = np.median([s.duration for s in spans]) if spans else 0.0
-        found.append(
-            tuple(pieces_of(trajectories, [s for s in spans if s.duration >= deciding.SHORT_STRETCH_RATIO * usual])[0])
-        )
+        found.append(tuple(pieces_of(trajectories, [s for s in spans if s.duration >= SHORT_STRETCH_RATIO * usual])[0]))
     for number, (k, view, stretches) in enumerate(zip(order, views, found, strict=True), start=1):
         rows = explanation.hypotheses[k].rows
         if not stretches:
@@ -511,5 +530,5 @@ def _doubts(explanation: Explanation, order: Sequence[int]) -> list[str]:
         f"constraints {i + 1} and {j + 1} differ by {angle:.1f} deg only: two contacts that nearly coincide, or one "
         "that is not quite constant; they are kept apart, not averaged"
         for (i, j), angle in angles.items()
-        if angle < deciding.NEARLY_SAME_DEG
+        if angle < NEARLY_SAME_DEG
     ]

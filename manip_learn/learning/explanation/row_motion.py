@@ -14,17 +14,26 @@ from manip_learn.constraint.features.feature_map import FeatureMap
 from manip_learn.constraint.features.frame_jacobian import AXES, FrameJacobian
 from manip_learn.constraint.features.mechanism_rows import PlaceForm, PlaceRows
 from manip_learn.errors import NotIdentifiableError, RecordingError
-from manip_learn.learning import deciding
-from manip_learn.learning.samples import whitening
+from manip_learn.learning.samples import CUBIC, whitening
 from manip_learn.linalg import null_basis
 from manip_learn.recordings.preprocessing import subsample
 from manip_learn.recordings.trajectory import Trajectory
 from manip_learn.robot.batch.batch_kinematics import batch_kinematics
 
+# [s] the largest step of time that counts in full: a gap in a recording is no evidence. Set by hand
+LONGEST_STEP_SECONDS = 0.2
+# [standard deviations of the noise] beyond which it is motion: the range of a random walk exceeds 4 in one of 10,000
+# trajectories, and so does a sample in one of 15,000
+OVER_NOISE = 4.0
+# [s] lengths of the windows that propose rows; from the shortest the noise of the velocities is told, too. Set by hand
+SHORT_WINDOWS_SECONDS = (0.6, 1.2)
+
 # samples a second that are enough to judge a hypothesis; boundaries are found on all samples
 SCAN_RATE = 25.0
 # eigenvalues of Phi Phi^T at one posture below this are none: rows that depend on the others there
 RANK = 1e-8
+# postures of each recording whose mean place becomes the middle of the rows: it conditions the numbers only
+FEW = 50
 
 
 @final
@@ -117,7 +126,7 @@ class RowMotion:
     @property
     def moving(self) -> Bool[np.ndarray, " n"]:
         """Where the rows move clearly more than the noise: elsewhere nothing can be known."""
-        return self.free > deciding.OVER_NOISE**2 * self.noise
+        return self.free > OVER_NOISE**2 * self.noise
 
     def thinned(self) -> RowMotion:
         """Evenly chosen samples, about SCAN_RATE a second, each standing for the time of those left out."""
@@ -175,7 +184,7 @@ def joints_at_once(u: Float[np.ndarray, "n nv"], noise: float) -> float:
         u: Velocities.
         noise: Variance of the noise of each of them.
     """
-    squares = u[np.sum(u**2, axis=1) > deciding.OVER_NOISE**2 * noise * u.shape[1]] ** 2
+    squares = u[np.sum(u**2, axis=1) > OVER_NOISE**2 * noise * u.shape[1]] ** 2
     if not len(squares):
         return 0.0
     return float(np.median(np.sum(squares, axis=1) ** 2 / np.sum(squares**2, axis=1)))
@@ -184,7 +193,7 @@ def joints_at_once(u: Float[np.ndarray, "n nv"], noise: float) -> float:
 def _weights(time: Float[np.ndarray, " T"]) -> Float[np.ndarray, " T"]:
     if len(time) < 2:
         return np.full(len(time), 0.01)
-    steps = np.minimum(np.diff(time), deciding.LONGEST_STEP_SECONDS)
+    steps = np.minimum(np.diff(time), LONGEST_STEP_SECONDS)
     return 0.5 * (np.append(steps, steps[-1]) + np.insert(steps, 0, steps[0]))
 
 
@@ -196,23 +205,19 @@ def velocity_noise(trajectory: Trajectory) -> float:
     """
     u, time = np.asarray(trajectory.u), trajectory.time
     nv, T = u.shape[1], len(u)
-    length = min(T, max(2 * nv, int(np.searchsorted(time, time[0] + deciding.SHORT_WINDOWS_SECONDS[0]))))
+    length = min(T, max(2 * nv, int(np.searchsorted(time, time[0] + SHORT_WINDOWS_SECONDS[0]))))
     starts = np.arange(0, T - length + 1, max(1, length // 2))
     windows = np.stack([u[a : a + length] for a in starts])
     left = []
-    if nv > deciding.CUBIC:
+    if nv > CUBIC:
         values = np.linalg.eigvalsh(np.einsum("wti,wtj->wij", windows, windows) / length)
-        left.append(np.mean(values[:, : nv - deciding.CUBIC], axis=1))
-    if length > deciding.CUBIC:
-        cubic = np.linalg.qr(np.vander(np.linspace(-1.0, 1.0, length), deciding.CUBIC))[0]
+        left.append(np.mean(values[:, : nv - CUBIC], axis=1))
+    if length > CUBIC:
+        cubic = np.linalg.qr(np.vander(np.linspace(-1.0, 1.0, length), CUBIC))[0]
         rest = windows - cubic @ (cubic.T @ windows)
-        left.append(np.sum(rest**2, axis=(1, 2)) / ((length - deciding.CUBIC) * nv))
+        left.append(np.sum(rest**2, axis=(1, 2)) / ((length - CUBIC) * nv))
     least = min((float(np.median(x)) for x in left), default=0.0)
     return max(least, 1e-10 * float(np.mean(u**2)), 1e-24)
-
-
-# postures of each recording whose mean place becomes the middle of the rows: it conditions the numbers only
-FEW = 50
 
 
 @final

@@ -15,18 +15,31 @@ from manip_learn.constraint.features.frame_jacobian import FrameJacobian
 from manip_learn.constraint.features.mechanism_rows import PlaceForm, PlaceRows
 from manip_learn.constraint.mechanism import MECHANISM_KINDS, Mechanism, MechanismKind, Read, read_kind, rows_of
 from manip_learn.errors import NotIdentifiableError
-from manip_learn.learning import deciding
 from manip_learn.learning.explanation.evidence import stretches_of, ways_to_choose
 from manip_learn.learning.explanation.explain import Hypothesis, explain
 from manip_learn.learning.explanation.row_motion import View, kinds_tried, views_of
 from manip_learn.learning.mechanisms.place_fit import PlaceErrors, PlaceFit, fit_place
 from manip_learn.learning.mechanisms.quantities import QUANTITIES, Place, TipPaths, angles_about, thinned, turn_about
-from manip_learn.learning.recombination import recombination_test
+from manip_learn.learning.recombination import BELIEVED_STRENGTH, recombination_test
+from manip_learn.learning.samples import BEYOND_CHANCE, STANDARD_ERRORS
 from manip_learn.recordings.demonstrations import Demonstrations
 from manip_learn.recordings.trajectory import Trajectory
 from manip_learn.recordings.velocities import with_velocities
 from manip_learn.robot.frame import Frame
 from manip_learn.robot.robot import Robot
+
+# [m] beyond this an axis or a centre is not told from a line or a plane. Set by hand
+FARTHEST_M = 3.0
+# [m] by which a path must leave a simpler mechanism: rails wobble. Set by hand
+LEAST_BEND_M = 5e-5
+# one standard deviation above which a fit of a place is no answer: relative to the radius, and [deg]. Set by hand
+POOR_RADIUS, POOR_AXIS_DEG = 0.2, 5.0
+# uncertainty of the radius, relative, that is worth a warning; a third of it is aimed at. Set by hand
+WIDE_RADIUS = 0.015
+# residuals below these do not count as better: what hardware holds. Set by hand
+SMALLEST_RESIDUAL = {"m": 2e-5, "rad": 4e-5}
+# a quantity is the same for all trajectories if its residual grows by less than this ratio. Set by hand
+SHARED_LOSS = 1.15
 
 SAMPLES = 60  # of each trajectory in the first fit of a place
 MOST, LEAST = 4000, 60  # of all trajectories in the last fit, and of each
@@ -105,7 +118,7 @@ def find_mechanism(
     confirm: Confirm | None = None,
     recorded: Sequence[Trajectory] | None = None,
     held: Held | None = None,
-    strength: float = deciding.BELIEVED_STRENGTH,
+    strength: float = BELIEVED_STRENGTH,
 ) -> MechanismFit:
     """The mechanism that held a frame of the robot while the trajectories were recorded.
 
@@ -266,10 +279,10 @@ def _centre(paths: TipPaths, base: Float[np.ndarray, "k 3"]) -> Float[np.ndarray
 
 def _bends(bent: PlaceFit, straight: PlaceFit) -> bool:
     """Whether the data show what the straight form lacks: measurable, and more than rails wobble."""
-    if bent.size is None or ("pitch" not in bent.kind.unknowns and bent.size[0] > deciding.FARTHEST_M):
+    if bent.size is None or ("pitch" not in bent.kind.unknowns and bent.size[0] > FARTHEST_M):
         return False
     size, sigma = bent.size
-    return size > deciding.BEYOND_CHANCE * sigma and _rest(straight) - _rest(bent) > deciding.LEAST_BEND_M**2
+    return size > BEYOND_CHANCE * sigma and _rest(straight) - _rest(bent) > LEAST_BEND_M**2
 
 
 def _rest(fit: PlaceFit) -> float:
@@ -282,8 +295,8 @@ def _rival(bent: PlaceFit, straight: PlaceFit) -> str:
     if bent.size is None or "pitch" in bent.kind.unknowns:
         return ""
     radius, sigma = bent.size
-    curvature = 1.0 / radius + deciding.STANDARD_ERRORS * sigma / radius**2
-    if not np.isfinite(curvature) or curvature < 1.0 / deciding.FARTHEST_M:
+    curvature = 1.0 / radius + STANDARD_ERRORS * sigma / radius**2
+    if not np.isfinite(curvature) or curvature < 1.0 / FARTHEST_M:
         return ""
     return (
         f"a {bent.kind.name} would fit as well, with more than {1.0 / curvature:.2g} m of radius: the motion is "
@@ -297,10 +310,8 @@ def _with_shared(fit: PlaceFit) -> PlaceFit:
     for shared in (names, *((n,) for n in names if len(names) > 1)) if names else ():
         tied, is_lost = fit_place(fit.paths, fit.kind, fit.place, shared, fit.weights), False
         for name in fit.kind.holds:
-            after, before = (
-                np.hypot(f.held_out[name], deciding.SMALLEST_RESIDUAL[QUANTITIES[name].unit]) for f in (tied, fit)
-            )
-            is_lost |= bool(np.any(after > deciding.SHARED_LOSS * before))
+            after, before = (np.hypot(f.held_out[name], SMALLEST_RESIDUAL[QUANTITIES[name].unit]) for f in (tied, fit))
+            is_lost |= bool(np.any(after > SHARED_LOSS * before))
         if not is_lost:
             return tied
     return fit
@@ -357,7 +368,7 @@ def _doubts(mechanism: Mechanism) -> tuple[str, str]:
         return "", ""
     # the curvature of an arc, and with it the radius, is known to its residual over the square of the arc
     far, axis, place = np.degrees(arc), u.get("axis", 0.0), u.get("point", 0.0)
-    worst = max(axis / deciding.POOR_AXIS_DEG, place / (deciding.POOR_RADIUS * max(radius, 0.02)))
+    worst = max(axis / POOR_AXIS_DEG, place / (POOR_RADIUS * max(radius, 0.02)))
     if worst > 1.0:
         return (
             f"move it by at least {min(far * np.sqrt(4.0 * worst), 90.0):.0f} degrees, not {far:.0f}: it looks like "
@@ -365,9 +376,9 @@ def _doubts(mechanism: Mechanism) -> tuple[str, str]:
             f"{1e3 * place:.0f} mm",
             "",
         )
-    if place <= deciding.WIDE_RADIUS * radius or mechanism.grip == "firm":
+    if place <= WIDE_RADIUS * radius or mechanism.grip == "firm":
         return "", ""
-    needed = min(far * np.sqrt(place / (deciding.WIDE_RADIUS / 3.0 * radius)), 90.0)
+    needed = min(far * np.sqrt(place / (WIDE_RADIUS / 3.0 * radius)), 90.0)
     return "", (
         f"the hand goes {far:.0f} degrees about the axis or the centre only, whose place is known to "
         f"+- {1e3 * place:.0f} mm: move it by at least {needed:.0f} degrees"

@@ -32,10 +32,18 @@ import numpy as np
 from jaxtyping import Float
 
 from manip_learn.constraint.mechanism import MechanismKind
-from manip_learn.learning import deciding
 from manip_learn.learning.descent import descend
 from manip_learn.learning.mechanisms.quantities import QUANTITIES, Place, TipPaths
+from manip_learn.learning.samples import STANDARD_ERRORS
 from manip_learn.learning.uncertainty import JointOffsets, influences
+
+# standard errors by which the scatter over trajectories must exceed its expectation to count. Set by hand
+SCATTER_ERRORS = 1.5
+# share of the mean variance of a quantity that every sample has besides: hardware does not hold to nothing
+VARIANCE_FLOOR = 0.05
+# share of the cases in which the truth lies within what is stated of a mechanism's place: one standard deviation of a
+# normal error
+STATED_SHARE_OF_PLACES = 0.683
 
 ITERATIONS, ROUNDS = 25, 2  # weights are those of the place where a round of steps begins
 SETTLED = 1e-6  # squared length of the last step in standard errors
@@ -73,7 +81,7 @@ class Weights:
         floor, column = np.zeros(S.shape[1]), 0
         for one in held:
             own = slice(column, column + one.width)
-            floor[own] = deciding.VARIANCE_FLOOR * float(np.mean(np.einsum("nii->n", S[:, own, own]))) / one.rank
+            floor[own] = VARIANCE_FLOOR * float(np.mean(np.einsum("nii->n", S[:, own, own]))) / one.rank
             column = own.stop
         # what no joint moves is exact, at any weight: the third coordinate of a planar arm
         values, vectors = np.linalg.eigh(S + np.diag(np.where(floor > UNDETERMINED * floor.max(), floor, 1.0)))
@@ -213,7 +221,7 @@ class PlaceFit:
             part, k = self.paths.part(middle), int(np.count_nonzero(~tied[:j]))
             root = self.weights.root[part][:, :, ~tied]
             own[part] = root @ np.linalg.inv(np.sum(root.transpose(0, 2, 1) @ root, axis=0))[:, k]
-        spread = float(np.quantile(np.abs(each - each[middle]), deciding.STATED_SHARE_OF_PLACES))
+        spread = float(np.quantile(np.abs(each - each[middle]), STATED_SHARE_OF_PLACES))
         return Radius(float(each[middle]), spread, self.leaning[middle, j], own)
 
     @cached_property
@@ -276,7 +284,7 @@ class PlaceFit:
         if self.radius is None:
             return PlaceErrors(numbers, None)
         # where each trajectory has its own radius, what they differ by belongs to its error
-        own = float(np.quantile(np.abs(drawn[:, -1]), deciding.STATED_SHARE_OF_PLACES))
+        own = float(np.quantile(np.abs(drawn[:, -1]), STATED_SHARE_OF_PLACES))
         return PlaceErrors(numbers, float(np.hypot(own, self.radius.spread)))
 
 
@@ -313,7 +321,7 @@ class PlaceErrors:
 
     def within(self, chosen: slice) -> float:
         """What the error of some of the seven numbers stays below in 68 % of cases."""
-        return float(np.quantile(np.linalg.norm(self.numbers[:, chosen], axis=1), deciding.STATED_SHARE_OF_PLACES))
+        return float(np.quantile(np.linalg.norm(self.numbers[:, chosen], axis=1), STATED_SHARE_OF_PLACES))
 
 
 def fit_place(
@@ -382,7 +390,7 @@ def _correlation(here: PlaceFit) -> list[float]:
         if n < 2 * k or here.cost <= 0.0:
             break
         share = sum(float(np.sum(a * b)) for a, b in pairs) / n * len(here.residuals) / here.cost
-        if share < deciding.STANDARD_ERRORS / np.sqrt(n):
+        if share < STANDARD_ERRORS / np.sqrt(n):
             break
         shares.append(share)
     return shares
@@ -396,7 +404,7 @@ def _scatter(here: PlaceFit, C: Float[np.ndarray, "m m"]) -> tuple[float, float]
         return 1.0, np.inf
     moves = influences(*here.scores)[:, : here.m] * np.sqrt((n - 1.0) / n)
     ratio = float(np.trace(scaled_inverse(C) @ moves.T @ moves)) / here.m
-    factor = ratio / (1.0 + deciding.SCATTER_ERRORS * np.sqrt(2.0 / freedom))
+    factor = ratio / (1.0 + SCATTER_ERRORS * np.sqrt(2.0 / freedom))
     return (factor, freedom) if factor > 1.0 else (1.0, np.inf)
 
 

@@ -21,6 +21,8 @@ from manip_learn.robot.frame import Frame
 from manip_learn.robot.robot import Robot
 from manip_learn.robot.rotations import left_jacobian_inverse, rotation_vectors, skew
 
+NEAR_AXIS = 1e-4  # [m] angles about an axis are not trusted closer to it
+
 
 @final
 @dataclass(frozen=True, eq=False)
@@ -98,9 +100,6 @@ class TipPaths:
 def thinned(q: Float[np.ndarray, "T n"], most: int) -> Float[np.ndarray, "t n"]:
     """At most `most` samples of a trajectory, evenly spread, ends included."""
     return q[evenly(len(q), most)]
-
-
-NEAR_AXIS = 1e-4  # [m] angles about an axis are not trusted closer to it
 
 
 Slopes = Float[np.ndarray, "N d 7"]
