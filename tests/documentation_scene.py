@@ -71,7 +71,6 @@ def names() -> dict[str, Any]:
         "learner": learner, "report": learner.report_, "constraint": constraint, "task": task, "policy": policy,
         "controller": controller, "loop": loop, "rollout": rollout, "other": rollout, "grasp": demos[0].q[0],
         "q0": q0, "q": q0, "t": 0.0, "target": target, "arm": arm, "running": Countdown(), "physics": arm,
-        "stream": [demos[:2], demos[2:4]],
     }  # fmt: skip
 
 
