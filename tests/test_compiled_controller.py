@@ -418,7 +418,7 @@ def test_commands_are_ones_own(robot_of: RobotOf) -> None:
 @pytest.mark.parametrize("numba", [False])
 @pytest.mark.usefixtures("kernels")
 def test_velocities_near_limits_are_admitted_alike(numba: bool, robot_of: RobotOf, rng: np.random.Generator) -> None:
-    """Each sense of motion has the braking distance to its own limit, as in `Limits.admit`, at every place."""
+    """Each sense of motion has the braking distance to its own limit, as in `Limits.bounds`, at every place."""
     robot = robot_of("sawyer")
     constraint = Constraint(np.eye(3), FrameJacobian(robot, "right_hand", "xyz"))
     controller = ResolvedRateController(constraint, null_policy=ZeroPolicy(robot.nv))
@@ -433,7 +433,8 @@ def test_velocities_near_limits_are_admitted_alike(numba: bool, robot_of: RobotO
                     q, u = middle.copy(), np.zeros(robot.nv)
                     q[j], u[j] = edge - outward * distance, outward * speed
                     for before in (u, u + 1.01 * limits.acceleration * dt):
-                        expected = limits.admit(q, dt, u, before)
+                        bounds = limits.bounds(q, dt, before)
+                        expected = bounds.outside == 0.0 and bounds.admit(u)
                         assert compiled_limits.admitted(table, q, dt, u, before) == expected
                         told.add((expected, speed > 0.0))
     assert len(told) == 4

@@ -15,7 +15,7 @@ from manip_learn.commands.demo import SCENES
 from manip_learn.control.law_sequence import JointMotion, LawSequence, every_joint
 from manip_learn.control.limits import Limits
 from manip_learn.planning.approach import Clearance, clear_path, self_collision
-from manip_learn.planning.search import Ladder, _soft_margin, ladder_of, relaxed
+from manip_learn.planning.search import Ladder, ladder_of, relaxed, soft_margin
 from manip_learn.planning.stations import Stations, margins_of, node_margins, rooms
 from manip_learn.robot.rotations import rotation_matrix
 
@@ -330,14 +330,14 @@ def test_the_slope_of_the_soft_margin_is_that_of_central_differences(panda: ml.R
     rng = np.random.default_rng(2)
     start = READY * [1, 1, 1, 1, 1, bent, 1]
     q = start + np.cumsum(rng.normal(0.0, 0.02, (len(stations), 7)), axis=0)
-    value, slope, _ = _soft_margin(stations, q)
+    value, slope, _ = soft_margin(stations, q)
     steps = 1e-6
     numeric = np.zeros_like(q)
     for i, j in product(range(0, len(q), 3), range(7)):
         ahead, behind = q.copy(), q.copy()
         ahead[i, j] += steps
         behind[i, j] -= steps
-        numeric[i, j] = (_soft_margin(stations, ahead)[0] - _soft_margin(stations, behind)[0]) / (2.0 * steps)
+        numeric[i, j] = (soft_margin(stations, ahead)[0] - soft_margin(stations, behind)[0]) / (2.0 * steps)
     rows = list(range(0, len(q), 3))
     assert np.max(np.abs(numeric[rows] - slope[rows])) < 1e-5 * max(1.0, np.max(np.abs(slope)))
     assert value <= margins_of(stations, q).margin + 1e-9

@@ -13,10 +13,9 @@ import manip_learn as ml
 from manip_learn.control.compiled import limits as compiled_limits
 from manip_learn.control.compiled_controller import packed
 from manip_learn.control.limits import Limits
-from manip_learn.errors import TargetError
-from manip_learn.planning.approach import Clearance, GraspCone, _least_turn, _shortened, clear_path
+from manip_learn.planning.approach import Clearance, GraspCone, clear_path
 from manip_learn.planning.plan import PathPolicy
-from manip_learn.planning.search import SELF_MOTION, SHARE, _seeds
+from manip_learn.planning.search import SELF_MOTION, SHARE, seeds_of
 from manip_learn.planning.stations import Stations
 from manip_learn.robot.rotations import rotation_matrix
 
@@ -62,27 +61,6 @@ def test_a_gripper_that_is_alike_after_a_turn(rng: np.random.Generator) -> None:
     assert len(every) > 4
 
 
-def test_the_least_turn(rng: np.random.Generator) -> None:
-    """It carries one direction to the other, by no more than the angle between them, also none and half a turn."""
-    for _ in range(20):
-        a, b = (x / np.linalg.norm(x) for x in rng.normal(size=(2, 3)))
-        for goal in (b, a, -a):
-            turn = _least_turn(a, goal)
-            np.testing.assert_allclose(turn @ a, goal, atol=1e-9)
-            assert np.arccos(np.clip((np.trace(turn) - 1.0) / 2.0, -1.0, 1.0)) == pytest.approx(
-                angle_of(a, goal), abs=1e-6
-            )
-
-
-@pytest.mark.parametrize(
-    "wrong", [{"axis": (0, 0, 0)}, {"direction": (1, 0)}, {"angle": -0.1}, {"angle": 3.2}, {"turns": 0}]
-)
-def test_a_grasp_that_is_none(wrong: dict) -> None:
-    """Refused with the value seen."""
-    with pytest.raises(TargetError, match="got "):
-        GraspCone(**wrong)
-
-
 def test_where_a_search_begins(robot_of: RobotOf, rng: np.random.Generator) -> None:
     """At the start, along its self-motion both ways, and anywhere within the limits at three stations of the way."""
     robot = robot_of("sawyer")
@@ -90,7 +68,7 @@ def test_where_a_search_begins(robot_of: RobotOf, rng: np.random.Generator) -> N
     start = np.array([0.3, -0.6, 0.2, 1.2, 0.1, 0.9, 0.4])
     stations = Stations.of(ml.motion(constraint, along=0.2), start, Limits(robot))
     n, grips = 96, 2
-    q, station, family = _seeds(stations, start, n, rng, grips)
+    q, station, family = seeds_of(stations, start, n, rng, grips)
     walked = round(SHARE * n)
     assert q.shape == (n, 7) and set(station.tolist()) == {0, len(stations) // 2, len(stations) - 1}
     np.testing.assert_array_equal(q[0], start)
@@ -107,13 +85,10 @@ def test_where_a_search_begins(robot_of: RobotOf, rng: np.random.Generator) -> N
 
 
 def test_an_approach_takes_the_straight_way_where_it_is_clear(robot_of: RobotOf, rng: np.random.Generator) -> None:
-    """Nothing in between: start and goal alone; posts that a straight motion can leave out are left out."""
+    """Nothing in between: start and goal alone; a wall: clear motions around it."""
     robot = robot_of("planar3")
     clear = Clearance(None, robot, [])
     start, goal = np.array([0.0, 0.5, 0.5]), np.array([1.0, -0.5, 0.2])
-    posts = [start, start + 1.0, goal - 1.0, goal + 0.5, goal]
-    short = _shortened(posts, clear, rng)
-    assert len(short) == 2 and np.array_equal(short[0], start) and np.array_equal(short[-1], goal)
     straight = clear_path(start, goal, Limits(robot), clear, rng)
     assert straight is not None and len(straight) == 2
     wall = Blocked(None, robot, [])

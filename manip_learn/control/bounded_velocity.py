@@ -24,6 +24,15 @@ REORTHOGONAL = 1e-2
 # the same for DAQP, whose answer may be off by as much: commands are compared to 1e-12
 FINE = 1e-13
 SOLVED, INFEASIBLE = 1, -1  # exit flags of DAQP
+# weight of the task's scale against the null-space policy, in multiples of the task part
+TASK_WEIGHT = 100.0
+# the weight grows with the policy's speed up to this multiple of the task's
+LARGEST_RATIO = 1e3
+# weight of the task's velocity against joint velocities, where its direction cannot be kept
+DEVIATION_WEIGHT = 1e2
+NEGLIGIBLE = 1e-12  # [rad/s or m/s] below which a velocity has no direction: rounding of ones of about 1
+# [rad/s or m/s] by how much rounding may exceed a bound
+ROUNDING = 1e-9
 
 
 def project_by_daqp(
@@ -142,17 +151,6 @@ def _on_faces(x: np.ndarray, y: np.ndarray, rows: np.ndarray, bounds: np.ndarray
     nearest = x - multipliers.dot(rows)
     _, more, _ = dposv(gram, rows.dot(nearest) - bounds)
     return nearest - more.dot(rows)
-
-
-# weight of the task's scale against the null-space policy, in multiples of the task part
-TASK_WEIGHT = 100.0
-# the weight grows with the policy's speed up to this multiple of the task's
-LARGEST_RATIO = 1e3
-# weight of the task's velocity against joint velocities, where its direction cannot be kept
-DEVIATION_WEIGHT = 1e2
-NEGLIGIBLE = 1e-12  # [rad/s or m/s] below which a velocity has no direction: rounding of ones of about 1
-# [rad/s or m/s] by how much rounding may exceed a bound
-ROUNDING = 1e-9
 
 
 @final

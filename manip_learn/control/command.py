@@ -10,6 +10,8 @@ from jaxtyping import Float
 
 from manip_learn.robot.robot import Robot
 
+Method = Literal["euler", "rk4"]
+
 
 @final
 class Status(StrEnum):
@@ -110,9 +112,6 @@ class TaskController(Controller, Protocol):
     def task_error(self, q: Float[np.ndarray, " n"], t: float = 0.0) -> float:
         """Distance to the task's goal along the constrained rows [m or rad]."""
         ...
-
-
-Method = Literal["euler", "rk4"]
 
 
 def next_posture(

@@ -17,7 +17,6 @@ from manip_learn.constraint.features.weighed_velocity import WeighedVelocity, co
 from manip_learn.control.command import STATUSES, Command, Controller, Method, Status, next_posture
 from manip_learn.control.compiled import step_table as table
 from manip_learn.control.controller import ResolvedRateController
-from manip_learn.control.limits import Limits
 from manip_learn.control.policies import JointAttractor, ManipulabilityAscent, ZeroPolicy
 from manip_learn.control.resolved_rate_law import ESCAPE_WIDTH, next_slide
 from manip_learn.control.tasks import FreeDirection, Hold, PointAttractor, Track
@@ -26,6 +25,12 @@ from manip_learn.robot.batch.batch_kinematics import batch_kinematics
 from manip_learn.robot.robot import Robot
 from manip_learn.robot.rotations import rotation_matrix
 
+_DOUBLE = np.dtype(np.float64)  # in the byte order of the machine
+# looked up at every step
+_INFINITY = math.inf
+_array, _empty, _contiguous, _new = np.ndarray, np.empty, np.ascontiguousarray, tuple.__new__
+_ESCAPE_PART, _TASK_VELOCITY = table.ESCAPE_PART, table.TASK_VELOCITY
+_WORDS = np.array(STATUSES, dtype=object)
 FINITE_ACCELERATION = 1e12  # [rad/s2] stands for none in the kernel, which must stay finite
 
 
@@ -45,7 +50,9 @@ def why_not(controller: ResolvedRateController) -> str | None:
         )
     if controller.robot is not features.robot:
         return "its limits are those of another robot"
-    if not tips_are_compiled(controller.limits):
+    tip = None if controller.limits is None else controller.limits.tip
+    chains = [] if tip is None else [batch_kinematics(features.robot, frame) for frame in tip.frames]
+    if not all(chain.fast and chain.public_columns is not None for chain in chains):
         return "the speed or the place of a frame is limited that other joints than revolute or prismatic ones move"
     if any(b.kind in ("floating", "planar", "other") for b in features.robot.blocks):
         return "the robot's base moves"
@@ -97,29 +104,15 @@ def packed(controller: ResolvedRateController) -> Float[np.ndarray, "rows 12"]:
     elif isinstance(task, FreeDirection | Track):
         header[0, table.TASK] = table.GIVEN
     _pack_policy(controller, header, dofs)
-    return with_tips(np.concatenate([header, chain, dofs, rows]), controller.limits)
-
-
-def tips_are_compiled(limits: Limits | None) -> bool:
-    """Whether compiled code knows the chains of all frames whose speed or place is limited; True where none is."""
-    if limits is None or limits.tip is None:
-        return True
-    chains = [batch_kinematics(limits.robot, frame) for frame in limits.tip.frames]
-    return all(chain.fast and chain.public_columns is not None for chain in chains)
-
-
-def with_tips(constants: Float[np.ndarray, "rows 12"], limits: Limits | None) -> Float[np.ndarray, "all_rows 12"]:
-    """A table of constants, with the limits of frames behind it where there are any."""
-    if limits is None or limits.tip is None:
+    constants = np.concatenate([header, chain, dofs, rows])
+    if limits is None or (tip := limits.tip) is None:
         return constants
-    from manip_learn.robot.batch.compiled_kinematics import JOINTS  # and with it numba
-
-    tip, numbers = limits.tip, np.zeros((1 + len(limits.tip.walls), table.WIDTH))
+    numbers = np.zeros((1 + len(tip.walls), table.WIDTH))
     numbers[0, table.N_FRAMES], numbers[0, table.N_WALLS] = len(tip.frames), len(tip.walls)
     numbers[0, table.TIP_SPEED], numbers[1:, :4] = tip.speed, tip.walls
     chains = [batch_kinematics(limits.robot, frame).chain_table("world") for frame in tip.frames]
-    for chain in chains:
-        chain[1, table.LENGTH] = len(chain) - JOINTS
+    for limited in chains:
+        limited[1, table.LENGTH] = len(limited) - JOINTS
     constants[table.CHAIN + 1, table.TIPS] = len(constants)
     return np.concatenate([constants, numbers, *chains])
 
@@ -174,16 +167,6 @@ def _pack_policy(controller: ResolvedRateController, header: np.ndarray, dofs: n
         dofs[:, table.REST_AT] = controller.robot.positions(policy.rest)  # type: ignore[union-attr]
         for block in policy.robot.blocks if policy.robot is not None else ():
             dofs[block.v, table.WRAPS] = block.kind == "continuous"
-
-
-__all__ = ["CompiledController", "CompiledRollout", "compiled_if_possible", "why_not"]
-
-_DOUBLE = np.dtype(np.float64)  # in the byte order of the machine
-# looked up at every step
-_INFINITY = math.inf
-_array, _empty, _contiguous, _new = np.ndarray, np.empty, np.ascontiguousarray, tuple.__new__
-_ESCAPE_PART, _TASK_VELOCITY = table.ESCAPE_PART, table.TASK_VELOCITY
-_WORDS = np.array(STATUSES, dtype=object)
 
 
 @final

@@ -84,7 +84,12 @@ class ResolvedRateController:
         dt: float = 0.01,
         robot: Robot | None = None,
     ):
-        _check_order(constraint, task, null_policy)
+        fits = null_policy is None or (callable(null_policy) and not isinstance(null_policy, Task | Constraint))
+        if not (isinstance(constraint, Constraint) and (task is None or isinstance(task, Task)) and fits):
+            raise ConstraintError(
+                "call ResolvedRateController(constraint, task, null_policy): got "
+                f"{an(constraint)}, {an(task)} and {an(null_policy)}, in this order"
+            )
         if inverse not in ("exact", "truncated", "damped"):
             raise ConstraintError(f"inverse must be 'exact', 'truncated' or 'damped', not {inverse!r}")
         self.task: Task = task or Hold()
@@ -242,18 +247,4 @@ class ResolvedRateController:
         return (
             f"ResolvedRateController({self.constraint!r}, task={self.task!r}, null_policy={self.null_policy!r}, "
             f"inverse={self.inverse!r})"
-        )
-
-
-def _check_order(constraint: object, task: object, null_policy: object) -> None:
-    """Refuse arguments that are not what their places want.
-
-    Raises:
-        ConstraintError: Says what was given where.
-    """
-    policy = null_policy is None or (callable(null_policy) and not isinstance(null_policy, Task | Constraint))
-    if not (isinstance(constraint, Constraint) and (task is None or isinstance(task, Task)) and policy):
-        raise ConstraintError(
-            "call ResolvedRateController(constraint, task, null_policy): got "
-            f"{an(constraint)}, {an(task)} and {an(null_policy)}, in this order"
         )

@@ -227,7 +227,10 @@ class _Cycle:
             self._send(command, ending)
             self._note(t, command)
             if command.status is Status.FOLLOWING_ERROR:
-                self.stop(self._frozen() + (loop.stopped_by or "the arm is blocked"))
+                past = [q for _, q, _ in self._samples[-int(max(3, 0.02 / (self._stride * period))) :]]
+                frozen = len(past) > 2 and all(np.array_equal(q, past[-1]) for q in past)
+                why = "the driver has gone on returning the same posture, or the arm is off: " if frozen else ""
+                self.stop(why + (loop.stopped_by or "the arm is blocked"))
             self.cycles += 1
             last = min(last, t + LONGEST_STOP) if self.reason else math.inf
             if t >= last or "command()" in self._blocked or self._stands(command):
@@ -281,12 +284,6 @@ class _Cycle:
                 return False  # a driver that is not ready yet
             self.stop(self._loop.stopped_by or f"the loop stands: {command.status}")
         return bool(self.reason)
-
-    def _frozen(self) -> str:
-        """What is known of a driver that has returned the same posture for more than two periods; else nothing."""
-        past = [q for _, q, _ in self._samples[-int(max(3, 0.02 / (self._stride * self._driver.period))) :]]
-        same = len(past) > 2 and all(np.array_equal(q, past[-1]) for q in past)
-        return "the driver has gone on returning the same posture, or the arm is off: " if same else ""
 
     def _note(self, t: float, command: Command) -> None:
         if self.cycles % self._stride:

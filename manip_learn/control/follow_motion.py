@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from typing import NamedTuple, Protocol, final
+from typing import NamedTuple, final
 
 import numpy as np
 from jaxtyping import Bool, Float, Int
@@ -13,30 +13,15 @@ from scipy.interpolate import PchipInterpolator
 from manip_learn.control.bounded_velocity import project_by_daqp
 from manip_learn.control.command import Command, Status
 from manip_learn.control.limits import RETURN_SPEED, Barrier, Limits, stopping_speed
+from manip_learn.control.rollout import Rollout
 from manip_learn.errors import ConfigurationError
+from manip_learn.recordings.trajectory import Trajectory
 from manip_learn.robot.robot import Robot
 
 # [rad or m] of all joints together: a posture is reached, the hand within a millimetre of where it should be
 ARRIVED = 1e-3
-
-
-class TimedPostures(Protocol):
-    """A `Trajectory`, a `Rollout`, or anything else that has these."""
-
-    @property
-    def time(self) -> Float[np.ndarray, " T"]:
-        """Strictly increasing [s]."""
-        ...
-
-    @property
-    def q(self) -> Float[np.ndarray, "T n"]:
-        """Postures: joint positions or configurations [rad or m]."""
-        ...
-
-    @property
-    def joint_names(self) -> tuple[str, ...]:
-        """Joint of each column; empty for the robot's own order."""
-        ...
+# by the limit that sets a bound: POSITION, VELOCITY, ACCELERATION
+LIMITED = (Status.POSITION_LIMITED, Status.VELOCITY_LIMITED, Status.ACCELERATION_LIMITED)
 
 
 @final
@@ -52,7 +37,8 @@ class FollowMotion:
 
     Args:
         robot: The robot.
-        motion: What to follow; columns are matched by joint names where it has some.
+        motion: What to follow, or anything with a rollout's `time`, `q` and `joint_names`; columns are matched by joint
+            names where it has some.
         limits: Limits; by default the robot's. A `ServoLoop` adds its own acceleration and jerk limits.
         ahead: Time by which the output of a loop lags behind, which is made up for [s]; a `ServoLoop` with jerk limits
             gives half of its average.
@@ -78,7 +64,7 @@ class FollowMotion:
         True
     """
 
-    def __init__(self, robot: Robot, motion: TimedPostures, limits: Limits | None = None, *, ahead: float = 0.0):
+    def __init__(self, robot: Robot, motion: Trajectory | Rollout, limits: Limits | None = None, *, ahead: float = 0.0):
         self.robot, self.motion, self.ahead = robot, motion, float(ahead)
         self.limits = Limits(robot) if limits is None else limits
         self._knots = _knots_of(robot, motion, self.limits.velocity)
@@ -119,12 +105,24 @@ class FollowMotion:
         """
         if dt is None:
             raise ConfigurationError("FollowMotion needs the period: run it in ServoLoop(FollowMotion(...), dt)")
-        self._advance(q, t)
+        if self._clock < 0.0:
+            arrived = float(np.linalg.norm(self.robot.difference(q, self.at(0.0)))) < ARRIVED
+            self._clock = 0.0 if arrived else self._clock
+        else:
+            step = max(0.0, t - self._since)
+            self._clock += step * self._rate
+            self.delay += step * (1.0 - self._rate) if self._clock < self.duration else 0.0
+        self._since = t
         started = self._clock >= 0.0
         self._rate = 1.0 if started else 0.0
         wish, rate = self._wish(q, dt)
         if started:
-            self._rate = self._share(q, wish, rate)
+            # the clock runs slower for the motion within the limits of the joints, all of the wish within the tip's
+            most, tip = float(np.max(np.abs(rate) / self.limits.velocity, initial=0.0)), self.limits.tip
+            if tip is not None and math.isfinite(tip.speed):
+                speeds = [np.linalg.norm(self.robot.jacobian(q, frame)[:3].dot(wish)) for frame in tip.frames]
+                most = max(most, max(map(float, speeds)) / tip.speed)
+            self._rate = 1.0 / max(1.0, most)
             if self._rate < 1.0:
                 wish, rate = self._wish(q, dt)
         fastest = self.limits.velocity * (1.0 if started else RETURN_SPEED)
@@ -137,35 +135,24 @@ class FollowMotion:
         away = self.robot.difference(q, goal) - dt * rate
         return rate + np.sign(away) * stopping_speed(np.abs(away), self.limits.acceleration, dt), rate
 
-    def _advance(self, q: np.ndarray, t: float) -> None:
-        """Move the motion's clock on to the time t."""
-        if self._clock < 0.0:
-            arrived = float(np.linalg.norm(self.robot.difference(q, self.at(0.0)))) < ARRIVED
-            self._clock = 0.0 if arrived else self._clock
-        else:
-            step = max(0.0, t - self._since)
-            self._clock += step * self._rate
-            self.delay += step * (1.0 - self._rate) if self._clock < self.duration else 0.0
-        self._since = t
-
-    def _share(self, q: np.ndarray, wish: np.ndarray, rate: np.ndarray) -> float:
-        """How fast the clock may run: the motion within the limits of the joints, all of the wish within the tip's."""
-        most = float(np.max(np.abs(rate) / self.limits.velocity, initial=0.0))
-        tip = self.limits.tip
-        if tip is not None and math.isfinite(tip.speed):
-            speeds = [np.linalg.norm(self.robot.jacobian(q, frame)[:3].dot(wish)) for frame in tip.frames]
-            most = max(most, max(map(float, speeds)) / tip.speed)
-        return 1.0 / max(1.0, most)
-
     def _within(self, q: np.ndarray, wish: np.ndarray, dt: float, previous: np.ndarray | None) -> Command:
         """The velocity nearest to a wish that is within all limits."""
         limits = self.limits
         bounds = limits.bounds(q, dt, previous)
         low, high = np.array(bounds.low), np.array(bounds.high)
-        u = np.clip(wish, low, high)
+        u = within = np.clip(wish, low, high)
         if limits.tip is not None:
             tips = limits.tip.at(q, dt, limits.acceleration, previous)
-            u = limits.tip.bounded(tips, u, None, lambda barrier: _nearest(wish, low, high, barrier)).velocity
+
+            def nearest(barrier: Barrier | None) -> _Nearest:  # within the bounds alone where nothing is in both
+                if barrier is None:
+                    return _Nearest(within)
+                G, least = barrier
+                C, endless = np.vstack([np.eye(len(wish)), G]), np.full(len(least), np.inf)
+                found = project_by_daqp(wish, C, np.append(low, least), np.append(high, endless))
+                return _Nearest(within if found is None else np.clip(found, low, high))
+
+            u = limits.tip.bounded(tips, u, None, nearest).velocity
         j, cause = bounds.binding(u, wish)
         status = Status.OK if j < 0 else LIMITED[cause]
         if bounds.outside > 0.0:
@@ -185,23 +172,8 @@ class FollowMotion:
         return f"FollowMotion({len(self._knots.time)} samples, {self.duration:.4g} s, delayed by {self.delay:.3g} s)"
 
 
-# by the limit that sets a bound: POSITION, VELOCITY, ACCELERATION
-LIMITED = (Status.POSITION_LIMITED, Status.VELOCITY_LIMITED, Status.ACCELERATION_LIMITED)
-
-
 class _Nearest(NamedTuple):
     velocity: Float[np.ndarray, " nv"]
-
-
-def _nearest(wish: np.ndarray, low: np.ndarray, high: np.ndarray, barrier: Barrier | None) -> _Nearest:
-    """The velocity nearest to a wish within bounds and rows; within the bounds alone where no velocity is in both."""
-    u = np.clip(wish, low, high)
-    if barrier is None:
-        return _Nearest(u)
-    G, least = barrier
-    C = np.vstack([np.eye(len(wish)), G])
-    found = project_by_daqp(wish, C, np.append(low, least), np.append(high, np.full(len(least), np.inf)))
-    return _Nearest(u if found is None else np.clip(found, low, high))
 
 
 @final
@@ -243,9 +215,19 @@ class _Knots(NamedTuple):
         return np.where(tangent, x0 + m0 * (s + ahead - begin), x), np.where(tangent, m0, m)
 
 
-def _knots_of(robot: Robot, motion: TimedPostures, fastest: Float[np.ndarray, " nv"]) -> _Knots:
+def _knots_of(robot: Robot, motion: Trajectory | Rollout, fastest: Float[np.ndarray, " nv"]) -> _Knots:
     time = np.array(motion.time, dtype=np.float64)
-    x = _positions(robot, motion)
+    q, names = np.array(motion.q, dtype=np.float64), tuple(motion.joint_names)
+    if names and names != tuple(robot.joint_names):
+        missing = [name for name in robot.joint_names if name not in names]
+        if missing or q.shape[1:] != (len(names),):
+            raise ConfigurationError(
+                f"the motion's joints are {', '.join(names)}: robot {robot.name!r} also has {', '.join(missing)}"
+            )
+        q = q[:, [names.index(name) for name in robot.joint_names]]
+    # without whole turns between samples
+    steps = [robot.difference(before, after) for before, after in zip(q, q[1:], strict=False)]
+    x = np.cumsum([robot.positions(q[0]), *steps], axis=0) if len(q) else q
     if len(time) < 2 or x.shape != (len(time), robot.nv) or not np.all(np.diff(time) > 0.0):
         raise ConfigurationError(
             f"a motion has two or more samples at increasing times and {robot.nv} joints; got times of shape "
@@ -266,19 +248,3 @@ def _knots_of(robot: Robot, motion: TimedPostures, fastest: Float[np.ndarray, " 
                 slope[part, j] = PchipInterpolator(time[part], x[part, j]).derivative()(time[part])
     slope[-1] = 0.0
     return _Knots(time, x, slope, last, jumps)
-
-
-def _positions(robot: Robot, motion: TimedPostures) -> Float[np.ndarray, "T nv"]:
-    """Joint positions in the robot's order, without whole turns between samples."""
-    q, names = np.array(motion.q, dtype=np.float64), tuple(motion.joint_names)
-    if names and names != tuple(robot.joint_names):
-        missing = [name for name in robot.joint_names if name not in names]
-        if missing or q.shape[1:] != (len(names),):
-            raise ConfigurationError(
-                f"the motion's joints are {', '.join(names)}: robot {robot.name!r} also has {', '.join(missing)}"
-            )
-        q = q[:, [names.index(name) for name in robot.joint_names]]
-    if not len(q):
-        return q
-    steps = [robot.difference(before, after) for before, after in zip(q, q[1:], strict=False)]
-    return np.cumsum([robot.positions(q[0]), *steps], axis=0)

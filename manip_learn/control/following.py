@@ -12,7 +12,6 @@ from numpy.typing import ArrayLike
 from manip_learn.constraint.constraint import Constraint
 from manip_learn.constraint.features.feature_map import sum_in_words
 from manip_learn.errors import ConfigurationError
-from manip_learn.robot.frame import Frame
 from manip_learn.robot.robot import Robot
 from manip_learn.robot.tips import default_tip
 
@@ -68,25 +67,18 @@ def following_error_limit(
     tip = robot.frame(frame or default_tip(robot))
     postures = _postures(robot) if q is None else [robot.checked_posture(q)]
     rows = (lambda x: robot.jacobian(x, tip)[:3]) if constraint is None else constraint
-    levers = [_least_lever(rows(np.asarray(x))) for x in postures]
+    levers = []
+    for x in postures:  # the longest lever of a joint, for the direction in which that is shortest of those that move
+        J = rows(np.asarray(x))
+        U, sigma, _ = np.linalg.svd(J, full_matrices=False)
+        moving = U[:, sigma > 1e-6 * sigma[0]]  # no joint yields across a plane that the arm never leaves
+        levers.append(float(np.abs(_directions(moving.shape[1]) @ moving.T @ J).max(axis=1).min()))
     return force * float(np.median(levers)) / k
 
 
 def _postures(robot: Robot) -> list[Float[np.ndarray, " nq"]]:
     rng = np.random.default_rng(0)
     return [robot.random_configuration(rng) for _ in range(POSTURES)]
-
-
-def _reach(robot: Robot, tip: Frame) -> float:
-    """The longest lever of the tip on any joint [m]; at least 1 where a joint is prismatic."""
-    return max(float(np.linalg.norm(robot.jacobian(q, tip)[:3], axis=0).max()) for q in _postures(robot))
-
-
-def _least_lever(J: Float[np.ndarray, "s nv"]) -> float:
-    """The longest lever of a joint, for the direction of force in which that is shortest among those that move."""
-    U, sigma, _ = np.linalg.svd(J, full_matrices=False)
-    moving = U[:, sigma > 1e-6 * sigma[0]]  # no joint yields across a plane that the arm never leaves
-    return float(np.abs(_directions(moving.shape[1]) @ moving.T @ J).max(axis=1).min())
 
 
 def _directions(size: int) -> Float[np.ndarray, "n size"]:
@@ -150,9 +142,10 @@ class FollowingError:
         self._stiffness = _per_joint("stiffness", stiffness, robot)
         self._frame = None
         if limit is None:
-            frame = frame or default_tip(robot)
-            self._frame = robot.frame(frame)
-            limit = FORCE * _reach(robot, self._frame) / self._stiffness
+            self._frame = tip = robot.frame(frame or default_tip(robot))
+            # the longest lever of the tip on any joint [m]; at least 1 where a joint is prismatic
+            reach = max(float(np.linalg.norm(robot.jacobian(q, tip)[:3], axis=0).max()) for q in _postures(robot))
+            limit = FORCE * reach / self._stiffness
         self.limit = _per_joint("following_error_limit", limit, robot)
         self._dt, self._rows = dt, math.ceil(latency / dt - 1e-9) + 2
         self._robot = robot

@@ -26,6 +26,7 @@ from manip_learn.errors import ConfigurationError
 from manip_learn.robot.robot import Robot
 
 RAMP = 0.5  # [s] from rest to the speed, as that of a way
+SETTLING = 1.0  # [s] after which the way begins anyhow, with what encoder noise leaves
 
 
 def every_joint(robot: Robot) -> Constraint:
@@ -108,9 +109,6 @@ class JointMotion(Task):
 
     def __repr__(self) -> str:
         return f"JointMotion({len(self._profiles)} legs, {self.duration:.3g} s)"
-
-
-SETTLING = 1.0  # [s] after which the way begins anyhow, with what encoder noise leaves
 
 
 @final

@@ -6,7 +6,7 @@ import copy
 import math
 from collections.abc import Callable, Sequence
 from operator import le, neg
-from typing import NamedTuple, Protocol, TypeVar, final
+from typing import Any, NamedTuple, final
 
 import numpy as np
 from jaxtyping import Bool, Float
@@ -20,20 +20,15 @@ from manip_learn.robot.tips import default_tip
 # share of the speed that is given away, so that few rows do: the tangents at two points whose directions are 5 degrees
 # apart let 0.1 % more through between them
 RESERVE = 1e-3
+RETURN_SPEED = 0.25  # share of the velocity limit at which a joint that starts outside its position limits returns
+ACCELERATION_RATE = 5.0  # [1/s] default acceleration limit over velocity limit: full speed is reached in 0.2 s
+DEFAULT_ACCELERATION = 10.0  # [rad/s2 or m/s2] default limit of a joint that has no velocity limit
+ROOM_TO_LEAVE = 0.1  # [rad or m] room that the joints need for leaving a singularity
+OUTSIDE = 1e-9  # [rad or m] a joint is outside when it is more than this beyond a position limit
+AT_BOUND = 1e-7  # share of a bound within which a velocity counts as being at it
+POSITION, VELOCITY, ACCELERATION = range(3)  # causes of bounds
 MOST_ROWS = 12  # rounds in which a speed was too large; in practice one to four
 Barrier = tuple[Float[np.ndarray, "r nv"], Float[np.ndarray, " r"]]  # (G, least): rows G u >= least
-
-
-class Solution(Protocol):
-    """What a program answers."""
-
-    @property
-    def velocity(self) -> Float[np.ndarray, " nv"]:
-        """The velocity found, shape (nv,) [rad/s or m/s]."""
-        ...
-
-
-S = TypeVar("S", bound=Solution)
 
 
 @final
@@ -137,18 +132,21 @@ class TipLimits:
         return u * max(0.0, min(shares))
 
     def bounded(
-        self, tips: Tips, wish: Float[np.ndarray, " nv"], barrier: Barrier | None, solve: Callable[[Barrier | None], S]
-    ) -> S:
+        self,
+        tips: Tips,
+        wish: Float[np.ndarray, " nv"],
+        barrier: Barrier | None,
+        solve: Callable[[Barrier | None], Any],
+    ) -> Any:
         """The solution of the program with the rows that it needs.
 
         Args:
             tips: At this posture.
             wish: Velocity before limits.
             barrier: Rows of the program that are there already.
-            solve: Rows -> solution.
+            solve: Rows -> solution, whose `velocity` counts.
         """
-        u: np.ndarray = wish
-        found: S | None = None
+        u, found = wish, None
         for _ in range(MOST_ROWS):
             broken = self.rows(tips, u)
             if broken is None and found is not None:
@@ -184,10 +182,6 @@ def walls_of(box: ArrayLike | None, walls: ArrayLike | None) -> Float[np.ndarray
     unit = np.eye(3)
     faces = np.vstack((np.column_stack((-unit, -sides[0])), np.column_stack((unit, sides[1]))))
     return np.vstack((faces[np.isfinite(faces[:, 3])], rows))
-
-
-# share of the velocity limit at which a joint that starts outside its position limits returns
-RETURN_SPEED = 0.25
 
 
 @final
@@ -249,16 +243,6 @@ def stopping_speed(
     return acceleration * dt * (left + 0.5 * n * (n + 1.0)) / (n + 1.0)
 
 
-# [1/s] default acceleration limit over velocity limit: a joint reaches its full speed in 0.2 s
-ACCELERATION_RATE = 5.0
-# [rad/s2 or m/s2] default acceleration limit of a joint that has no velocity limit
-DEFAULT_ACCELERATION = 10.0
-# [rad or m] room that the joints need for leaving a singularity
-ROOM_TO_LEAVE = 0.1
-# [rad or m] a joint is outside when it is more than this beyond a position limit
-OUTSIDE = 1e-9
-
-
 def check_inside(robot: Robot, positions: Float[np.ndarray, " nv"]) -> None:
     """Refuse a start outside the position limits.
 
@@ -272,11 +256,6 @@ def check_inside(robot: Robot, positions: Float[np.ndarray, " nv"]) -> None:
             f"the start puts joint {robot.joint_names[i]!r} at {positions[i]:.4g}, outside its limits "
             f"{robot.position_lower[i]:.4g} .. {robot.position_upper[i]:.4g} (are these degrees?)"
         )
-
-
-POSITION, VELOCITY, ACCELERATION = range(3)
-# share of a bound within which a velocity counts as being at it
-AT_BOUND = 1e-7
 
 
 @final
@@ -415,21 +394,8 @@ class Limits:
         self.weakest = float(self.acceleration.min())
         self._approach = _Approaches(0.0, [], [], [])
 
-    def admit(
-        self,
-        q: Float[np.ndarray, " n"],
-        dt: float,
-        velocity: Float[np.ndarray, " nv"],
-        previous: Float[np.ndarray, " nv"] | None,
-    ) -> bool:
-        """Whether a velocity is within `bounds`, and no joint outside its position limits."""
-        if previous is None and self.far(q, dt, velocity):
-            return True
-        bounds = self.bounds(q, dt, previous)
-        return bounds.outside == 0.0 and bounds.admit(velocity)
-
     def far(self, q: Float[np.ndarray, " n"], dt: float, velocity: Float[np.ndarray, " nv"]) -> bool:
-        """Whether no joint is near a position limit, or faster than its velocity limit: the short way to `admit`."""
+        """Whether no joint is near a position limit, or faster than its velocity limit: `bounds` then admit it."""
         approaches = self._approach
         if dt != approaches.dt:
             self._approach = approaches = self._approaches(dt)
@@ -471,7 +437,7 @@ class Limits:
                 outside = max(outside, -below, -above)
         bounds = Bounds(low, high, low_cause, high_cause, outside if outside > OUTSIDE else 0.0)
         if previous is not None:
-            _bound_changes(bounds, previous.tolist(), accelerations, dt)
+            bound_changes(bounds, previous, accelerations, dt)
         return bounds
 
     def towards(
@@ -518,18 +484,10 @@ class Limits:
         return direction if fastest == 0.0 or ahead >= min(behind, ROOM_TO_LEAVE / fastest) else -direction
 
 
-def bound_changes(
-    bounds: Bounds, previous: Float[np.ndarray, " nv"], acceleration: Float[np.ndarray, " nv"], dt: float
-) -> Bounds:
+def bound_changes(bounds: Bounds, previous: Float[np.ndarray, " nv"], accelerations: list[float], dt: float) -> Bounds:
     """Bounds narrowed in place to what acceleration limits allow in dt [s] after a velocity."""
-    _bound_changes(bounds, previous.tolist(), acceleration.tolist(), dt)
-    return bounds
-
-
-def _bound_changes(bounds: Bounds, previous: list[float], accelerations: list[float], dt: float) -> None:
-    """Narrow bounds to what the acceleration limits allow after the velocity before."""
     low, high = bounds.low, bounds.high
-    for j, (u, a) in enumerate(zip(previous, accelerations, strict=True)):
+    for j, (u, a) in enumerate(zip(previous.tolist(), accelerations, strict=True)):
         slowest, fastest = u - a * dt, u + a * dt
         if slowest > low[j]:
             low[j], bounds.low_cause[j] = slowest, ACCELERATION
@@ -537,6 +495,7 @@ def _bound_changes(bounds: Bounds, previous: list[float], accelerations: list[fl
             high[j], bounds.high_cause[j] = fastest, ACCELERATION
         if low[j] > high[j]:  # too fast, or too far, for what the acceleration limit allows: it has precedence
             low[j] = high[j] = slowest if high[j] < slowest else fastest
+    return bounds
 
 
 def _positive(what: str, values: ArrayLike, names: tuple[str, ...]) -> Float[np.ndarray, " nv"]:

@@ -27,6 +27,9 @@ from manip_learn.robot.collision import SelfCollision
 from manip_learn.robot.limit_potential import has_range, ranges, room_of
 from manip_learn.robot.robot import Robot
 
+ASCENT_GAIN = 3.0  # [rad^2/s] default: the highest manipulability of the gains that were compared (docs/control.md)
+LARGEST_RATE = 1.0  # [1/s] half ranges a second that a joint moves at most, for joints whose range is short
+
 
 class NullSpacePolicy(ABC):
     """pi(q, t) of equation (2), u = A^+ b + N pi: a desired joint velocity.
@@ -120,10 +123,6 @@ class JointAttractor(NullSpacePolicy):
 
     def __repr__(self) -> str:
         return f"JointAttractor({np.array2string(self.rest, precision=3)}, gain={self.gain:g})"
-
-
-# [1/s] half ranges a second that a joint moves at most, for joints whose range is short
-LARGEST_RATE = 1.0
 
 
 @final
@@ -220,10 +219,6 @@ class SelfCollisionAvoidance(NullSpacePolicy):
             f"SelfCollisionAvoidance({self.collision.robot.name!r}, distance={self.distance:g}, gain={self.gain:g}, "
             f"max_speed={self.max_speed:g})"
         )
-
-
-# [rad^2/s] default gain: the highest manipulability of the gains that were compared (docs/control.md)
-ASCENT_GAIN = 3.0
 
 
 @final

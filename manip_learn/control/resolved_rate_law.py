@@ -47,6 +47,8 @@ GOING_ON = 0.5
 AT_GOAL = 1e-6
 # a task is slowed down where less than this share of its velocity is commanded
 SCALED_BELOW = 0.999
+# width of the escape from a singularity, as a share of the singular value at which damping sets in
+ESCAPE_WIDTH = 0.6
 
 
 @final
@@ -190,10 +192,6 @@ def _progress(law: Law, velocity: np.ndarray) -> float:
     """Velocity along b over the velocity asked for, b^T A u / |b|^2; 1 where nothing is asked for."""
     square = float(law.b.dot(law.b))
     return float(law.b.dot(law.A.dot(velocity))) / square if square > AT_GOAL * AT_GOAL else 1.0
-
-
-# width of the escape from a singularity, as a share of the singular value at which damping sets in
-ESCAPE_WIDTH = 0.6
 
 
 @final

@@ -217,7 +217,16 @@ class Rollout:
                 code="other-robot",
                 path=path,
             )
-        status = _status(path, motion.status)
+        known = {str(s): s for s in Status}
+        unknown = next((i for i, word in enumerate(motion.status) if word not in known), None)
+        if unknown is not None:
+            raise RecordingError(
+                f"{path.name} sample {unknown}: the status is {motion.status[unknown]!r:.40}, "
+                f"it must be one of {', '.join(known)}",
+                code="status",
+                path=path,
+            )
+        status = tuple(known[word] for word in motion.status)
         numbers = motion.time, motion.q, motion.u, motion.manipulability
         guided = {
             "target": None if header.target is None else np.array(header.target),
@@ -227,18 +236,6 @@ class Rollout:
         }
         described = status, header.joint_names, motion.task_error, header.frame, header.robot
         return Rollout(*numbers, *described, **guided), notes
-
-
-def _status(path: Path, words: tuple[str, ...]) -> tuple[Status, ...]:
-    known = {str(s): s for s in Status}
-    unknown = next((i for i, word in enumerate(words) if word not in known), None)
-    if unknown is not None:
-        raise RecordingError(
-            f"{path.name} sample {unknown}: the status is {words[unknown]!r:.40}, it must be one of {', '.join(known)}",
-            code="status",
-            path=path,
-        )
-    return tuple(known[word] for word in words)
 
 
 def written_constraint(constraint: Constraint) -> Mapping[str, Any] | None:

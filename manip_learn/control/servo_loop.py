@@ -41,6 +41,16 @@ COMPARED, ENOUGH = 100, 3
 # largest over smallest period of calls that count as regular, and over dt of a period that is not dt
 REGULAR = 1.25
 ROUNDING = 1e-6  # share of a period
+JITTER = 0.01  # share of the period by which calls may be early or late without being told from regular ones
+LONGEST = 5.0  # [s] an average over more delays the arm by seconds: the limits are meant otherwise
+LATENCY = 0.01  # [s] time by which a measurement may lag behind the command that it is compared with
+UNLOADING_RATE = 5.0  # [1/s] rate at which an arm that was blocked lets go: from 30 N to 5 N in 0.4 s
+# [rad/s or m/s] speed below which it does not fall on the way, and [rad or m] distance at which it has arrived
+SLOWEST, ARRIVED = 1e-3, 1e-9
+# [rad or m] no joint is farther beyond its limits than encoders count a turn too much, and none without is so far away
+TURN, LARGEST_POSITION = 2.0 * math.pi, 1e6
+LONGEST_TIME = 1e15  # [s] a larger number is no time: its steps are longer than a period
+STANDING = (Status.INVALID_INPUT, Status.STALE, Status.FOLLOWING_ERROR, Status.STOPPED)
 
 
 @final
@@ -74,21 +84,17 @@ class Period:
         regular = len(self._seen) >= ENOUGH and longest <= REGULAR * shortest
         if regular and not shortest <= dt * REGULAR:
             dt = shortest
-        if not self._said and (regular or len(self._seen) == COMPARED):
-            self._say(sum(self._seen) / len(self._seen))
+        mean = sum(self._seen) / len(self._seen)
+        told = self._said or not (regular or len(self._seen) == COMPARED)
+        if not (told or self.dt / REGULAR <= mean <= REGULAR * self.dt):
+            self._said = True
+            _LOGGER.warning(
+                "the servo loop was made for a period of %.4g ms and is called every %.4g ms in the mean (%.4g to "
+                "%.4g): give it that as dt",
+                *(1e3 * x for x in (self.dt, mean, shortest, longest)),
+            )
         self.usual, self.longest = dt, longest if longest > REGULAR * dt else dt
         return dt if since >= dt * (1.0 - ROUNDING) else since
-
-    def _say(self, mean: float) -> None:
-        """Once, if the period is another than agreed."""
-        if self.dt / REGULAR <= mean <= REGULAR * self.dt:
-            return
-        self._said = True
-        _LOGGER.warning(
-            "the servo loop was made for a period of %.4g ms and is called every %.4g ms in the mean (%.4g to %.4g): "
-            "give it that as dt",
-            *(1e3 * x for x in (self.dt, mean, min(self._seen), max(self._seen))),
-        )
 
 
 @final
@@ -123,9 +129,6 @@ class Return(NamedTuple):
         speed = min(self.speed + dt, stopping, fastest, far / dt)
         posture = limits.robot.integrate(self.posture, dt * speed * direction)
         return Return(limits, posture, speed)
-
-
-LONGEST = 5.0  # [s] an average over more delays the arm by seconds: the limits are meant otherwise
 
 
 @final
@@ -181,20 +184,6 @@ class MovingAverage:
         return sum((length * (first + last) for first, last, length in newest), self._rest) / (2.0 * self.time)
 
 
-# [s] time by which a measurement may lag behind the command that it is compared with
-LATENCY = 0.01
-# [1/s] rate at which an arm that was blocked lets go: from 30 N to 5 N in 0.4 s
-UNLOADING_RATE = 5.0
-# [rad/s or m/s] speed below which it does not fall on the way, and [rad or m] distance at which it has arrived
-SLOWEST, ARRIVED = 1e-3, 1e-9
-# [rad or m] no joint is farther beyond its limits than encoders count a turn too much, and none without is so far away
-TURN, LARGEST_POSITION = 2.0 * math.pi, 1e6
-JITTER = 0.01  # share of the period by which calls may be early or late without being told from regular ones
-LONGEST_TIME = 1e15  # [s] a larger number is no time: its steps are longer than a period
-GRAVEST = STATUSES.index
-STANDING = (Status.INVALID_INPUT, Status.STALE, Status.FOLLOWING_ERROR, Status.STOPPED)
-
-
 @final
 class ServoLoop:
     """A controller as a real-time program calls it, once per period, e.g. at 1 kHz.
@@ -236,9 +225,8 @@ class ServoLoop:
             while the arm moves or holds.
         latency: Time by which a measurement may lag behind the command that it is compared with [s].
         robot: Whose limits count; the controller's own by default.
-        compiled: None compiles the controller where numba is installed and it can be (see `CompiledController`), and
-            for other controllers of the library what keeps the limits; later changes of it and of its task are then
-            not seen. False takes it as it is; True compiles it.
+        compiled: None compiles the controller where numba is installed and it can be (see `CompiledController`); later
+            changes of it and of its task are then not seen. False takes it as it is; True compiles it.
 
     Attributes:
         acceleration_limit: shape (nv,) [rad/s2 or m/s2], in force.
@@ -544,7 +532,7 @@ class ServoLoop:
         late = self._period.longest
         if late == self._period.usual:
             return self.limits.bounds(q, held, self._velocity)
-        return bound_changes(self._careful(q, late), self._velocity, self.limits.acceleration, held)
+        return bound_changes(self._careful(q, late), self._velocity, self.limits.acceleration.tolist(), held)
 
     def _careful(self, q: np.ndarray, late: float) -> Bounds:
         """Bounds from which a joint stops however late the calls are, without those of its acceleration."""
@@ -561,7 +549,9 @@ class ServoLoop:
             if self._period.longest == self._period.usual or (bounds := self._bounds(q, held)).admit(command.velocity):
                 return command
             slower = np.clip(command.velocity, bounds.low, bounds.high)
-            return command._replace(velocity=slower, status=min(command.status, Status.POSITION_LIMITED, key=GRAVEST))
+            return command._replace(
+                velocity=slower, status=min(command.status, Status.POSITION_LIMITED, key=STATUSES.index)
+            )
         # the user's own controller may write into what it is given, and give the same array every time
         command = self.controller(q.copy(), time, held)
         wish = np.array(command.velocity, dtype=np.float64)
@@ -631,7 +621,8 @@ class ServoLoop:
             late = self._period.longest
             if self._runs_on and late > self._period.usual and self._output is not None:
                 # the mean comes to rest in as many calls, however long these last: it gives way to position limits
-                bounds = bound_changes(self._careful(self._output, late), sent, self.limits.acceleration, held)
+                accelerations = self.limits.acceleration.tolist()
+                bounds = bound_changes(self._careful(self._output, late), sent, accelerations, held)
                 slower = np.clip(self._sent, bounds.low, bounds.high)
                 moved, self._sent = moved - (self._sent - slower), slower
         self._advance(held, moved)

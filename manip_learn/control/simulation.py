@@ -75,9 +75,8 @@ def simulate(
         method: `"euler"` holds each command for a step, as a real arm's interface does; `"rk4"` approximates the
             continuous system.
         compiled: None compiles from 5,000 commands on, where numba is installed and the controller can be compiled
-            (see `CompiledController`; of other controllers of the library what keeps the limits): that depends on the
-            number of commands only, so that a call gives the same last bits whatever ran before it. False takes the
-            controller as it is; True compiles it.
+            (see `CompiledController`): that depends on the number of commands only, so that a call gives the same last
+            bits whatever ran before it. False takes the controller as it is; True compiles it.
         progress: Called with a title and the completed fraction, 0 to 1.
 
     Returns:
@@ -99,7 +98,14 @@ def simulate(
         >>> rollout.q.shape, rollout.u.shape
         ((201, 3), (201, 3))
     """
-    _check_order(robot, controller, q0)
+    commands = isinstance(controller, ServoLoop) or (
+        callable(controller) and not isinstance(controller, Constraint | type)
+    )
+    is_start = not (q0 is None or callable(q0) or isinstance(q0, Robot | str))
+    if not ((robot is None or isinstance(robot, Robot)) and commands and is_start):
+        raise ConfigurationError(
+            f"call simulate(robot, controller, q0): got {an(robot)}, {an(controller)} and {an(q0)}, in this order"
+        )
     if not (np.isfinite(dt) and dt > 0.0 and np.isfinite(duration) and duration >= 0.0):
         raise ConfigurationError(f"duration and dt must be positive numbers of seconds, got {duration!r} and {dt!r}")
     if method not in ("euler", "rk4"):
@@ -108,9 +114,9 @@ def simulate(
     report, table = progress or (lambda title, fraction: None), np.ndim(q0) == 2
     if table and robot is not None:
         q0 = checked_postures(robot, np.asarray(q0))  # names the row before any work is done
-    commands = (len(np.asarray(q0)) if table else 1) * (steps + 1) * (4 if method == "rk4" else 1)
+    number = (len(np.asarray(q0)) if table else 1) * (steps + 1) * (4 if method == "rk4" else 1)
     own = isinstance(controller, ResolvedRateController) and controller.robot is robot
-    if compiled is True or (compiled is None and commands >= COMPILED_FROM and own):
+    if compiled is True or (compiled is None and number >= COMPILED_FROM and own):
         announce = None if progress is None else lambda sentence: report(sentence, 0.0)
         controller = compiled_if_possible(controller, compiled, announce)
     if table:
@@ -120,27 +126,14 @@ def simulate(
             report("simulating", (i + 1) / len(np.asarray(q0)))
         return tuple(rollouts)
     q = np.array(q0, dtype=np.float64) if robot is None else np.array(robot.checked_posture(q0))
-    if isinstance(controller, CompiledController) and controller.robot is robot and _rolls_out(controller, method):
-        rollout = _compiled_rollout(controller, q, steps, dt, method)
-        report("simulating", 1.0)
-        return rollout
+    if isinstance(controller, CompiledController) and controller.robot is robot and controller.rolls_out:
+        limits = controller.controller.limits
+        # jerk limits ask for the average that a servo loop keeps
+        if method != "euler" or limits is None or limits.jerk is None:
+            rollout = _compiled_rollout(controller, q, steps, dt, method)
+            report("simulating", 1.0)
+            return rollout
     return _integrated(robot, controller, q, steps, dt, method, report)
-
-
-def _check_order(robot: object, controller: object, q0: object) -> None:
-    """Refuse a robot, a controller and a start that are not what their places want.
-
-    Raises:
-        ConfigurationError: Says what was given where.
-    """
-    commands = isinstance(controller, ServoLoop) or (
-        callable(controller) and not isinstance(controller, Constraint | type)
-    )
-    is_start = not (q0 is None or callable(q0) or isinstance(q0, Robot | str))
-    if not ((robot is None or isinstance(robot, Robot)) and commands and is_start):
-        raise ConfigurationError(
-            f"call simulate(robot, controller, q0): got {an(robot)}, {an(controller)} and {an(q0)}, in this order"
-        )
 
 
 def _integrated(
@@ -188,13 +181,6 @@ def _loop_of(
     if method == "euler" and law is not None and law.limits is not None:
         return ServoLoop(controller, dt, stale_after=max(0.1, 10.0 * dt), compiled=False).step
     return lambda q, t: controller(q, t, dt)
-
-
-def _rolls_out(controller: CompiledController, method: Method) -> bool:
-    """Whether a rollout is compiled as a whole: not where jerk limits ask for the average that a servo loop keeps."""
-    limits = controller.controller.limits
-    averages = method == "euler" and limits is not None and limits.jerk is not None
-    return controller.rolls_out and not averages
 
 
 def _compiled_rollout(

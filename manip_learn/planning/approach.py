@@ -27,6 +27,12 @@ from manip_learn.robot.rotations import rotation_matrix
 SPINS = 24  # of a hand that may turn about its axis by any angle: every 15 degrees
 ROUNDING = 1e-6  # of a cosine: a hand whose axis stands still counts as inside a cone of no width
 TILTS = 48  # of a hand whose axis may tilt
+CLEARANCE = 0.005  # [m] between links: what a servo's lag makes of a path; links that are neighbours come within 2 cm
+STEP = 0.02  # [rad or m] between checks: a hand at 0.25 m moves by the clearance
+REACH = 0.4  # [rad or m] by which a tree grows at once
+TRIES = 600  # of the trees: a quarter of a second of checks, for each posture of hold that is tried
+SHORTCUTS = 60  # pairs of a path's postures that are tried: of ten postures there are 36
+Posture = Float[np.ndarray, " nv"]
 
 
 @final
@@ -117,15 +123,6 @@ def _least_turn(a: Float[np.ndarray, " 3"], b: Float[np.ndarray, " 3"]) -> Float
     return rotation_matrix(np.arctan2(sine, cosine) / sine * axis)
 
 
-CLEARANCE = 0.005  # [m] between links: what a servo's lag makes of a path; links that are neighbours come within 2 cm
-STEP = 0.02  # [rad or m] between checks: a hand at 0.25 m moves by the clearance
-REACH = 0.4  # [rad or m] by which a tree grows at once
-TRIES = 600  # of the trees: a quarter of a second of checks, for each posture of hold that is tried
-SHORTCUTS = 60  # pairs of a path's postures that are tried: of ten postures there are 36
-
-Posture = Float[np.ndarray, " nv"]
-
-
 @lru_cache(maxsize=8)
 def self_collision(robot: Robot) -> SelfCollision | None:
     """The links that can touch each other, of the collision shapes or else the drawn ones; None if there are none."""
@@ -187,7 +184,13 @@ def clear_path(
     low = np.where(np.isfinite(limits.robot.position_lower), limits.robot.position_lower, start - np.pi)
     high = np.where(np.isfinite(limits.robot.position_upper), limits.robot.position_upper, start + np.pi)
     path = _grown(start, goal, lambda: rng.uniform(low, high), clear)
-    return None if path is None else _shortened(path, clear, rng)
+    for _ in range(SHORTCUTS if path is not None else 0):  # postures that a straight motion can leave out
+        if path is None or len(path) < 3:
+            break
+        i, j = sorted(rng.choice(len(path), 2, replace=False).tolist())
+        if j - i > 1 and clear.of_line(path[i], path[j]):
+            path = [*path[: i + 1], *path[j:]]
+    return path
 
 
 def _grown(start: Posture, goal: Posture, draw: Callable[[], Posture], clear: Clearance) -> list[Posture] | None:
@@ -229,14 +232,3 @@ def _back(tree: tuple[list[Posture], list[int]], node: int) -> list[Posture]:
         out.append(tree[0][node])
         node = tree[1][node]
     return out
-
-
-def _shortened(path: list[Posture], clear: Clearance, rng: np.random.Generator) -> list[Posture]:
-    """Without the postures that a straight motion can leave out."""
-    for _ in range(SHORTCUTS):
-        if len(path) < 3:
-            break
-        i, j = sorted(rng.choice(len(path), 2, replace=False).tolist())
-        if j - i > 1 and clear.of_line(path[i], path[j]):
-            path = [*path[: i + 1], *path[j:]]
-    return path

@@ -352,10 +352,12 @@ class _Problem:
             law = self._law(self.motion, self.stations.time, path)
             way, outcome = simulate_way(self.robot, law, approach.q[-1], self.dt)
             if outcome.is_done and not outcome.strays:
-                margins = margins_of(self.stations, path)
-                others = self._others(ladder, choices, march)
-                sequence = LawSequence(to_hold, law)
-                return self._plan(sequence, path[0], approach, way, margins, outcome, others, len(choices))
+                others = []  # why the best of them are worse
+                for other, its in [c for c in choices if c[0] != march][:OTHERS]:
+                    q = ladder.postures(ladder.path(other, len(self.stations) - 1, its - TIE))
+                    others.append(Choice(q[0], its, margins_of(self.stations, q).limited_by(self.motion.unit)))
+                margins, sequence = margins_of(self.stations, path), LawSequence(to_hold, law)
+                return self._plan(sequence, path[0], approach, way, margins, outcome, tuple(others), len(choices))
         return None
 
     def _choices(self, ladder: Ladder) -> list[tuple[int, float]]:
@@ -426,15 +428,6 @@ class _Problem:
         task = motion.with_distance(motion.wanted)  # which remembers its own start
         return ResolvedRateController(self.constraint, task, policy, limits=self.limits, dt=self.dt)
 
-    def _others(self, ladder: Ladder, choices: list[tuple[int, float]], chosen: int) -> tuple[Choice, ...]:
-        """Why the best of the other choices are worse."""
-        last = len(self.stations) - 1
-        out = []
-        for march, margin in [c for c in choices if c[0] != chosen][:OTHERS]:
-            path = ladder.postures(ladder.path(march, last, margin - TIE))
-            out.append(Choice(path[0], margin, margins_of(self.stations, path).limited_by(self.motion.unit)))
-        return tuple(out)
-
     def as_it_stands(self) -> Plan | None:
         """The way from the start with the ascent of mu, or with spare joints at rest, where that comes true."""
         if self.motion.hold(self.start) > 0.0 or self.grasp is not None:
@@ -486,8 +479,14 @@ class _Problem:
         more = "".join(f"; {sentence}" for sentence in helps)
         last = ladder.reached()
         if last < 0:
+            low, high = self.stations.span
+            q = self.rng.uniform(low, high, (min(candidates, 64), self.robot.nv))
+            zero, grasp = np.zeros(len(q), dtype=int), np.repeat(self.stations.grasp[None], len(q), axis=0)
+            q, _ = self.stations.onto(q, zero, grasp, 60)
+            gap = np.min(np.linalg.norm(self.stations.hand.pose(q)[:, :3, 3] - self.stations.places[0], axis=1))
             return NoPlanError(
-                f"no posture takes hold: the handle is out of the arm's reach, {self._missed(candidates)}{more}",
+                "no posture takes hold: the handle is out of the arm's reach, "
+                f"the hand comes within {gap:.2g} m of it{more}",
                 largest=0.0,
                 posture=None,
                 stopped_by="the end of the arm's reach",
@@ -543,15 +542,6 @@ class _Problem:
         what, d = ("move along", (x, y, z)) if moves else ("turn about", (rx, ry, rz))
         words = ", ".join(f"{c:.2f}" for c in np.array(d) / np.linalg.norm(d))
         return f"a singularity: the hand can hardly {what} ({words}) there (singular value {sigma[-1]:.2g})"
-
-    def _missed(self, candidates: int) -> str:
-        """How near the hand comes to where it should take hold, in words."""
-        low, high = self.stations.span
-        q = self.rng.uniform(low, high, (min(candidates, 64), self.robot.nv))
-        zero = np.zeros(len(q), dtype=int)
-        q, _ = self.stations.onto(q, zero, np.repeat(self.stations.grasp[None], len(q), axis=0), 60)
-        gap = np.linalg.norm(self.stations.hand.pose(q)[:, :3, 3] - self.stations.places[0], axis=1)
-        return f"the hand comes within {np.min(gap):.2g} m of it"
 
     def _helps(self, candidates: int, base_within: float) -> tuple[str, ...]:
         """Other grasps and other places of the base from which the whole way could be done."""

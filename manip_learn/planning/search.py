@@ -31,6 +31,11 @@ PULL = 0.3  # share of the joints' speeds that spare joints may use while the wa
 TIE = 0.01  # margins nearer to each other than a hundredth of the limits are alike: the manipulability decides
 TURN = 2.0 * np.pi
 JUMP = 0.5  # [rad or m] of a joint from one station to the next: a longer step is another branch of the kinematics
+SHARPNESS = 60.0  # of the soft minimum: margins a sixtieth apart count e-fold
+BAND_STEPS = 80  # at most; the first ones gain most
+SMOOTH = 0.25  # share of a knot's way to the middle of its neighbours, a step
+FIRST_RISE = 0.05  # [rad or m] of the joint that moves most in the first step up the slope
+LEAST_RISE = 1e-3  # and where the relaxation ends
 ROUGH = 1.0  # log mu that a node may lose for a step at full speed, when ties are decided: straight joint motion
 
 
@@ -166,7 +171,7 @@ def ladder_of(
         grasps: Orientations in which the hand may take hold, where the rows hold orientations; tried in turn.
         weighed: The same way with the rows whose margins count, where the search holds others too; None for the same.
     """
-    q, station, family = _seeds(stations, start, number, rng, len(grasps))
+    q, station, family = seeds_of(stations, start, number, rng, len(grasps))
     q, there = stations.onto(q, station, grasps[family], SEED_STEPS)
     q, station, family = q[there], station[there], family[there]
     # without those that inverse kinematics found twice, to a thousandth of a radian or a metre
@@ -187,7 +192,7 @@ def ladder_of(
     return Ladder(weighed or stations, table, grasps[family], family, alive, least, log_mu)
 
 
-def _seeds(
+def seeds_of(
     stations: Stations, start: np.ndarray, number: int, rng: np.random.Generator, n_grasps: int
 ) -> tuple[Postures, Int[np.ndarray, " n"], Int[np.ndarray, " n"]]:
     """The start, postures along its self-motion, and random ones; the station and the grasp of each."""
@@ -195,22 +200,18 @@ def _seeds(
     random = rng.uniform(low, high, (number, len(start)))
     station = np.array([0, len(stations) // 2, len(stations) - 1])[np.arange(number) % 3]
     walked = max(1, round(SHARE * number))
-    random[1:walked], station[:walked] = _along_self_motion(stations, start, walked, rng)[1:], 0
+    # in a row along a direction that leaves the hand where it is, half of them one way, half the other
+    A = stations.matrices(start[None], np.zeros(1, dtype=int))[0]
+    direction = rng.normal(size=len(start))
+    direction -= np.linalg.pinv(A) @ (A @ direction)
+    size, half = np.max(np.abs(direction)), walked // 2
+    step = SELF_MOTION * direction / size if size > 1e-9 else np.zeros_like(start)
+    places = np.concatenate([np.arange(1, half + 1), -np.arange(walked - half)])[:, None]
+    random[1:walked], station[:walked] = (start + places * step)[1:], 0
     random[0] = start
     family = np.arange(number) // 3 % n_grasps
     family[:walked] = 0
     return random, station, family
-
-
-def _along_self_motion(stations: Stations, start: np.ndarray, number: int, rng: np.random.Generator) -> Postures:
-    """Postures in a row along a direction that leaves the hand where it is, half of them one way, half the other."""
-    A = stations.matrices(start[None], np.zeros(1, dtype=int))[0]
-    direction = rng.normal(size=len(start))
-    direction -= np.linalg.pinv(A) @ (A @ direction)
-    size = np.max(np.abs(direction))
-    step = SELF_MOTION * direction / size if size > 1e-9 else np.zeros_like(start)
-    half = number // 2
-    return start + np.concatenate([np.arange(1, half + 1), -np.arange(number - half)])[:, None] * step
 
 
 def _march(
@@ -250,13 +251,6 @@ def _pulls(stations: Stations, rows: Constraint, q: Postures, kind: Int[np.ndarr
     return out
 
 
-SHARPNESS = 60.0  # of the soft minimum: margins a sixtieth apart count e-fold
-BAND_STEPS = 80  # at most; the first ones gain most
-SMOOTH = 0.25  # share of a knot's way to the middle of its neighbours, a step
-FIRST_RISE = 0.05  # [rad or m] of the joint that moves most in the first step up the slope
-LEAST_RISE = 1e-3  # and where the relaxation ends
-
-
 def relaxed(stations: Stations, q: Postures, grasp: Float[np.ndarray, "3 3"]) -> Postures:
     """A path with a larger least margin and a straighter motion of the joints, from one that is on the way.
 
@@ -266,14 +260,14 @@ def relaxed(stations: Stations, q: Postures, grasp: Float[np.ndarray, "3 3"]) ->
         grasp: Orientation of the hand at the start.
     """
     k, grasps = np.arange(len(q)), np.repeat(grasp[None], len(q), axis=0)
-    (value, slope, within), rise = _soft_margin(stations, q), FIRST_RISE
+    (value, slope, within), rise = soft_margin(stations, q), FIRST_RISE
     for _ in range(BAND_STEPS):
         largest = np.max(np.abs(slope))
         bent = np.zeros_like(q)
         bent[1:-1] = 0.5 * (q[2:] + q[:-2]) - q[1:-1]
         step = SMOOTH * bent + (rise / largest * slope if largest > 0.0 else 0.0)
         moved, there = stations.onto(q + step, k, grasps, MARCH_STEPS)
-        new = _soft_margin(stations, moved)
+        new = soft_margin(stations, moved)
         if np.all(there) and new[0] > value and new[2] >= min(within, 0.0):
             q, (value, slope, within), rise = moved, new, 1.5 * rise
             continue
@@ -283,7 +277,7 @@ def relaxed(stations: Stations, q: Postures, grasp: Float[np.ndarray, "3 3"]) ->
     return q
 
 
-def _soft_margin(stations: Stations, q: Postures) -> tuple[float, Postures, float]:
+def soft_margin(stations: Stations, q: Postures) -> tuple[float, Postures, float]:
     """A smooth lower bound of the least margin, -log sum exp(-c m) / c over all of them, its gradient, and the least
     margin of the limits of joints.
     """

@@ -44,6 +44,7 @@ LEVER = 0.2  # [m] between a hand and what it turns: a way of 0.1 m/s counts as 
 LONGEST_STEP = 0.5  # [rad or m] of one joint in one Newton step: a linearisation is good for half a radian
 # [m or rad] of damping per metre or radian of error: a far target is approached, a near one met (Levenberg)
 DAMPING = 0.1
+LEAST_LOG = -50.0  # of mu at a singularity: e^-50 is far below what rounding leaves of it
 
 Postures = Float[np.ndarray, "n nv"]
 
@@ -272,9 +273,6 @@ def _weights(features: FeatureMap, goals: Float[np.ndarray, "L 4 4"]) -> Float[n
     own = np.zeros((len(goals), 6, 6))
     own[:, :3, :3] = own[:, 3:, 3:] = goals[:, :3, :3].transpose(0, 2, 1)
     return chosen @ own
-
-
-LEAST_LOG = -50.0  # of mu at a singularity: e^-50 is far below what rounding leaves of it
 
 
 @final

@@ -33,6 +33,22 @@ REASON = (
     "stiff along those that are free, which the controller moves, and along those not known"
 )
 
+# ---- Cartesian impedance ---------------------------------------------------------------------------------------------
+
+# [N/m] and [N m/rad] of stiff axes: at 15 N, the loop's own limit of force, they give way by 15 mm; 50 N m/rad are as
+# stiff for a force 0.22 m off the axis
+STIFF = (1000.0, 50.0)
+# of compliant ones a tenth: a drawer whose axis was 5 degrees wrong cost 1.8 N at 100 N/m, 30 N at 2,000 (measured)
+COMPLIANT = (100.0, 5.0)
+
+# ---- MoveIt: moveit_msgs/Constraints ---------------------------------------------------------------------------------
+
+# [m] and [rad] that a planner may leave a held axis by: half a centimetre is what a gripper's fingers give way, and
+# samplers need some room; three uncertainties at the end of the task where that is more
+TOLERANCE = (0.005, math.radians(2.0))
+EXTENT = 1.0  # [m] to either side of the hand along free axes: more than a table-top arm does in one task
+BOX, ROTATION_VECTOR = 1, 1  # of shape_msgs/SolidPrimitive and moveit_msgs/OrientationConstraint
+
 # ---- URScript: force_mode(task_frame, selection_vector, wrench, type, limits), type 2: the frame as given ------------
 
 # [m/s and rad/s] of compliant axes: the reduced speed of ISO 10218-1, and a turn that moves a tip at 1 m as fast
@@ -106,19 +122,16 @@ def force_mode(constraint: Constraint, q: ArrayLike) -> dict[str, Any]:
         raise ConstraintError(
             "force_mode takes a frame of the robot's base: these rows are seen from another moving frame"
         )
-    held = frame.along("held")
+    held, robot = frame.along("held"), _robot(constraint)
+    # from the base of the robot's description to that of a UR controller
+    base = np.linalg.inv(robot.pose(q, "base")) if "base" in robot.frame_names else np.eye(4)
     return {
-        "task_frame": pose_coordinates(_base(_robot(constraint), q) @ frame.pose).tolist(),
+        "task_frame": pose_coordinates(base @ frame.pose).tolist(),
         "selection_vector": [int(compliant) for compliant in held],
         "wrench": [0.0] * 6,
         "type": 2,
         "limits": [FASTEST if compliant else DEVIATION for compliant in held],
     }
-
-
-def _base(robot: Robot, q: ArrayLike) -> Float[np.ndarray, "4 4"]:
-    """From the base of the robot's description to that of a UR controller."""
-    return np.linalg.inv(robot.pose(q, "base")) if "base" in robot.frame_names else np.eye(4)
 
 
 def urscript(constraint: Constraint, q: ArrayLike) -> str:
@@ -134,6 +147,7 @@ def urscript(constraint: Constraint, q: ArrayLike) -> str:
     tcp = np.linalg.inv(robot.pose(q, "tool0")) @ frame.hand if "tool0" in robot.frame_names else None
     in_hand = pose_coordinates(np.linalg.inv(frame.hand) @ frame.pose)
     reason = [f"# {line}" for line in textwrap.wrap(REASON, 100)]
+    first = [i for i, state in enumerate(frame.axes) if state == "free"][:1]  # a first move: 5 cm or 10 degrees
     return "\n".join([*_comments(frame), *reason, ""]) + PROGRAM.format(
         name="manip_learn_" + re.sub(r"\W+", "_", frame.frame),
         frame=frame.frame,
@@ -144,25 +158,8 @@ def urscript(constraint: Constraint, q: ArrayLike) -> str:
         now=_FOLLOWS[frame.turns],
         damping=DAMPING,
         gain=GAIN,
-        step=_list(_step(frame), "p"),
+        step=_list([(0.05 if i < 3 else math.radians(10.0)) if i in first else 0.0 for i in range(6)], "p"),
     )
-
-
-def _step(frame: TaskFrame) -> list[float]:
-    """5 cm or 10 degrees along the first free axis: a first move to try."""
-    free = [i for i, state in enumerate(frame.axes) if state == "free"]
-    return [(0.05 if i < 3 else math.radians(10.0)) if i in free[:1] else 0.0 for i in range(6)]
-
-
-# ---- Cartesian impedance ---------------------------------------------------------------------------------------------
-
-# [N/m] and [N m/rad] of stiff axes: at 15 N, the loop's own limit of force, they give way by 15 mm; 50 N m/rad are as
-# stiff for a force 0.22 m off the axis
-STIFF = (1000.0, 50.0)
-# of compliant ones a tenth: a drawer whose axis was 5 degrees wrong cost 1.8 N at 100 N/m, 30 N at 2,000 (measured)
-COMPLIANT = (100.0, 5.0)
-# [kg] and [kg m2] where the description has no inertias: damping is then 2 sqrt(stiffness), as often used
-UNIT_INERTIA = 1.0
 
 
 def impedance(
@@ -194,8 +191,8 @@ def impedance(
     X = frame.from_hand
     K = X.T @ np.diag(values) @ X
     M = hand_inertia(robot, q, frame.frame)
-    if M is None:
-        M = UNIT_INERTIA * np.eye(6)
+    if M is None:  # the description has no inertias: 1 kg and 1 kg m2, damping 2 sqrt(stiffness), as often used
+        M = np.eye(6)
     root = np.real(sqrtm(M))
     back = np.linalg.inv(root)
     D = 2.0 * damping_ratio * root @ np.real(sqrtm(back @ K @ back)) @ root
@@ -208,15 +205,6 @@ def impedance(
         "stiffness_along_axes": dict(zip(AXES, values.tolist(), strict=True)),
         "task_frame": frame.to_dict(),
     }
-
-
-# ---- MoveIt: moveit_msgs/Constraints ---------------------------------------------------------------------------------
-
-# [m] and [rad] that a planner may leave a held axis by: half a centimetre is what a gripper's fingers give way, and
-# samplers need some room; three uncertainties at the end of the task where that is more
-TOLERANCE = (0.005, math.radians(2.0))
-EXTENT = 1.0  # [m] to either side of the hand along free axes: more than a table-top arm does in one task
-BOX, ROTATION_VECTOR = 1, 1  # of shape_msgs/SolidPrimitive and moveit_msgs/OrientationConstraint
 
 
 def moveit_constraints(constraint: Constraint, q: ArrayLike) -> str:
@@ -275,21 +263,19 @@ def _boxes(frame: TaskFrame) -> tuple[list[Float[np.ndarray, "4 4"]], list[float
     return places, (2.0 * half).tolist()
 
 
-# ---- written down ----------------------------------------------------------------------------------------------------
-
-
-def _as_json(described: Mapping[str, Any]) -> str:
-    return json.dumps(described, indent=2, allow_nan=False) + "\n"
-
-
 # name on the command line -> the text of a file, from a constraint and a posture
 WRITERS: Mapping[str, Callable[[Constraint, ArrayLike], str]] = {
     "urscript": urscript,
-    "stiffness": lambda constraint, q: _as_json(impedance(constraint, q)),
+    "stiffness": lambda constraint, q: as_json(impedance(constraint, q)),
     "moveit": moveit_constraints,
     # still a constraint file, with the task frame's keys beside its own
-    "json": lambda constraint, q: _as_json(constraint.to_dict() | constraint.task_frame(q).to_dict()),
+    "json": lambda constraint, q: as_json(constraint.to_dict() | constraint.task_frame(q).to_dict()),
 }
+
+
+def as_json(described: Mapping[str, Any]) -> str:
+    """Plain numbers and words as the text of a file."""
+    return json.dumps(described, indent=2, allow_nan=False) + "\n"
 
 
 def _robot(constraint: Constraint) -> Robot:
@@ -299,13 +285,10 @@ def _robot(constraint: Constraint) -> Robot:
     return robot
 
 
-ROUNDING = 1e-9  # [rad]
-
-
 def _comments(frame: TaskFrame) -> list[str]:
     """What the task is, for whoever opens the file."""
     states = ", ".join(
-        f"{name} {state}" + (f" (to {math.degrees(off):.2g} deg)" if state != "unknown" and off > ROUNDING else "")
+        f"{name} {state}" + (f" (to {math.degrees(off):.2g} deg)" if state != "unknown" and off > 1e-9 else "")
         for name, state, off in zip(AXES, frame.axes, frame.uncertainty.tolist(), strict=True)
     )
     holds = [] if frame.mechanism is None else [f"# {printable(frame.mechanism.sentence)}"]

@@ -22,6 +22,23 @@ from manip_learn.robot.rotations import left_jacobian, left_jacobian_inverse, ro
 
 Unit = Literal["m", "rad"]
 Origin = Float[np.ndarray, "..."]  # a pose (4, 4), or coordinates of the features (p,)
+# an error along p rows [m or rad], its rate per unit rate of the distance at a frame that stands still, what makes
+# velocities of the features of the rates of coordinates, and E of `Task.error_jacobian`, None where that is A(q)
+MovingError = tuple[np.ndarray, np.ndarray, np.ndarray | float, np.ndarray | None]
+ONE_WAY = 0.5  # share of what lies to one side of where recordings begin, from which on that is the way shown
+# [m] a hand this near to where a task was shown is on the mechanism: people take hold of a handle a finger's breadth
+# further on, and a constraint file keeps a few postures only
+GRIP = 0.02
+FREE = 0.1  # share of a direction that must be free for it to be meant
+# share of a direction that is translation, or rotation: a learnt one leaks by its uncertainty, 0.1 at most
+PURE = 0.995
+DRIVEN = {  # what may be driven, in words
+    "turn": "turn (about the axis, with the hand) [rad]",
+    "slide": "slide (along the axis) [m]",
+    "tangential": "tangential (around the axis) [rad]",
+    "axial": "axial (along the axis) [m]",
+    "radial": "radial (away from the axis) [m]",
+}
 
 
 def way_in_words(way: float, unit: Unit) -> str:
@@ -36,11 +53,6 @@ class Setpoint(NamedTuple):
     distance: float
     rate: float
     speed: float
-
-
-# an error along p rows [m or rad], its rate per unit rate of the distance at a frame that stands still, what makes
-# velocities of the features of the rates of coordinates, and E of `Task.error_jacobian`, None where that is A(q)
-MovingError = tuple[np.ndarray, np.ndarray, np.ndarray | float, np.ndarray | None]
 
 
 class DrivenMotion(ABC):
@@ -131,9 +143,6 @@ def _shown_postures(constraint: Constraint) -> Float[np.ndarray, "n m"] | None:
     return postures if postures.ndim == 2 and postures.shape[1] in (robot.nq, robot.nv) else None
 
 
-ONE_WAY = 0.5  # share of what lies to one side of where recordings begin, from which on that is the way shown
-
-
 def shown_sense(constraint: Constraint, motion: DrivenMotion) -> float:
     """1 where a task was shown to the positive side of where its recordings began, -1 to the other; 0 if not known.
 
@@ -150,11 +159,6 @@ def shown_sense(constraint: Constraint, motion: DrivenMotion) -> float:
         ways += [motion.progress(origin, posture, 0.0) for posture in others]
     left, moved = float(np.sum(ways)), float(np.sum(np.abs(ways)))
     return math.copysign(1.0, left) if moved > 0.0 and abs(left) >= ONE_WAY * moved else 0.0
-
-
-# [m] a hand this near to where a task was shown is on the mechanism: people take hold of a handle a finger's breadth
-# further on, and a constraint file keeps a few postures only
-GRIP = 0.02
 
 
 @final
@@ -253,11 +257,6 @@ class MotionProfile:
         return (ramped if t < left else self.distance - ramped), rate
 
 
-FREE = 0.1  # share of a direction that must be free for it to be meant
-# share of a direction that is translation, or rotation: a learnt one leaks by its uncertainty, 0.1 at most
-PURE = 0.995
-
-
 @final
 class StraightMotion(DrivenMotion):
     """Features move along f, a direction that Lambda leaves free: the goal moves with the constant twist f.
@@ -347,7 +346,11 @@ def _direction(
     if not len(free):
         raise ConstraintError(f"the constraint leaves none of {' '.join(features.row_names)} free to move along")
     if unit is not None and direction is None:
-        free = _of_one_unit(free, angular if unit == "rad" else ~angular)
+        wanted = free[:, angular if unit == "rad" else ~angular]
+        U, sigma, _ = np.linalg.svd(wanted)
+        pure = U.T[: int(np.count_nonzero(sigma > PURE))] @ free  # a learnt Lambda leaks a little of the other
+        # a single twist that does both, of a hinge or a screw in the hand's axes, counts as what it mostly is
+        free = free if not len(pure) and len(free) == 1 and np.sum(wanted**2) > 0.5 else pure
         if not len(free):
             what = "turn about" if unit == "rad" else "move along"
             raise ConstraintError(f"the constraint leaves nothing of {' '.join(features.row_names)} free to {what}")
@@ -376,30 +379,9 @@ def _direction(
     return moved / np.linalg.norm(moved)
 
 
-def _of_one_unit(free: Float[np.ndarray, "k p"], wanted: np.ndarray) -> Float[np.ndarray, "m p"]:
-    """Of the free directions those that only translate, or only rotate.
-
-    A learnt Lambda leaks a little from one to the other: a direction counts from `PURE` of it on. A single free twist
-    that does both, of a hinge or a screw in the hand's axes, counts as what it mostly is.
-    """
-    U, sigma, _ = np.linalg.svd(free[:, wanted])
-    pure = U.T[: int(np.count_nonzero(sigma > PURE))] @ free
-    return free if not len(pure) and len(free) == 1 and np.sum(free[:, wanted] ** 2) > 0.5 else pure
-
-
 def in_words(row: Float[np.ndarray, " p"], names: tuple[str, ...]) -> str:
     """A direction as a sum of rows, e.g. "+0.6 x +0.8 y"."""
     return sum_in_words(row, names, "+.3g", 1e-3)
-
-
-# what may be driven, in words
-DRIVEN = {
-    "turn": "turn (about the axis, with the hand) [rad]",
-    "slide": "slide (along the axis) [m]",
-    "tangential": "tangential (around the axis) [rad]",
-    "axial": "axial (along the axis) [m]",
-    "radial": "radial (away from the axis) [m]",
-}
 
 
 @final
@@ -434,14 +416,37 @@ class MechanismMotion(DrivenMotion):
         self.along_rows = True
         rows: MechanismRows = constraint.features  # type: ignore[assignment]
         g = rows.geometry
-        held = _held(constraint, rows)
+        weights = constraint.selection.T @ constraint.selection
+        if np.max(np.abs(weights - np.round(weights))) > 1e-9:
+            raise ConstraintError(
+                f"the constraint holds combinations of the rows {' '.join(rows.row_names)}: FreeDirection needs each "
+                "of them to be held as it is, or not at all"
+            )
+        held = tuple(name for name, weight in zip(rows.row_names, np.diag(weights), strict=True) if weight > 0.5)
         firm = any(name.startswith("slide") or name == "screw" for name in held)
         axis, driven = g.axis, ""
         if "spherical" in held or {"slide", "slide-1", "slide-2"} == set(held):
-            axis, driven = _axis_of_turn(direction), "turn" if firm else "tangential"
+            if direction is None:
+                raise ConstraintError(
+                    "a ball leaves turns about every axis free: give the axis in the base frame"
+                    + advice(", e.g. {}", "direction=(0, 0, 1)", "--direction 0,0,1")
+                )
+            turn = finite(direction, 3)
+            if turn is None or not turn.any():
+                raise TargetError(
+                    "the direction of a ball is the axis of the turn, three finite numbers not all zero; "
+                    f"got {direction!r}"
+                )
+            axis, driven = turn, "turn" if firm else "tangential"
         else:
             driven = _chosen(held, firm, direction, unit)
-        beside = _beside(held, driven) if straight and not firm else ()
+        beside: list[str] = []
+        if (
+            straight and not firm
+        ):  # a ball and a screw hold a combination of two: with it and the driven one, one is left
+            combined = {"spherical": "radial", "helical": "axial"}
+            taken = {driven, *held, *(combined[name] for name in held if name in combined)}
+            beside = [name for name in ("radial", "axial", "tangential") if name not in taken]
         self._rows = MechanismRows(
             rows.robot, rows.frame.name, (*held, *beside, driven), axis=axis, point=g.point, pitch=g.pitch
         )
@@ -528,27 +533,6 @@ def _hand(start: np.ndarray, pose: np.ndarray, g: Place, near: float) -> dict[st
     }
 
 
-def _held(constraint: Constraint, rows: MechanismRows) -> tuple[str, ...]:
-    """Names of the rows that are held."""
-    projector = constraint.selection.T @ constraint.selection
-    if np.max(np.abs(projector - np.round(projector))) > 1e-9:
-        raise ConstraintError(
-            f"the constraint holds combinations of the rows {' '.join(rows.row_names)}: FreeDirection needs each of "
-            "them to be held as it is, or not at all"
-        )
-    return tuple(name for name, weight in zip(rows.row_names, np.diag(projector), strict=True) if weight > 0.5)
-
-
-def _beside(held: tuple[str, ...], driven: str) -> tuple[str, ...]:
-    """The cylindrical coordinates of the hand's origin that a way along one of them leaves out, beside what is held.
-
-    A ball and a screw hold a combination of two: with it and the driven one, one of the two is left.
-    """
-    combined = {"spherical": "radial", "helical": "axial"}
-    taken = {driven, *held, *(combined[name] for name in held if name in combined)}
-    return tuple(name for name in ("radial", "axial", "tangential") if name not in taken)
-
-
 def _chosen(held: tuple[str, ...], firm: bool, direction: ArrayLike | str | None, unit: Unit | None) -> str:
     taken = {*held, "slide" if "screw" in held else "", "axial" if "helical" in held else ""}
     names = ("turn", "slide") if firm else ("tangential", "axial", "radial")
@@ -567,17 +551,3 @@ def _chosen(held: tuple[str, ...], firm: bool, direction: ArrayLike | str | None
     if not (isinstance(direction, str) and direction in free):
         raise TargetError(f"the direction of a mechanism is the name of a row that is free: {words}; got {direction!r}")
     return direction
-
-
-def _axis_of_turn(direction: ArrayLike | str | None) -> Float[np.ndarray, " 3"]:
-    if direction is None:
-        raise ConstraintError(
-            "a ball leaves turns about every axis free: give the axis in the base frame"
-            + advice(", e.g. {}", "direction=(0, 0, 1)", "--direction 0,0,1")
-        )
-    axis = finite(direction, 3)
-    if axis is None or not axis.any():
-        raise TargetError(
-            f"the direction of a ball is the axis of the turn, three finite numbers not all zero; got {direction!r}"
-        )
-    return axis

@@ -13,7 +13,6 @@ from numpy.typing import ArrayLike
 
 from manip_learn.constraint.constraint import Constraint
 from manip_learn.constraint.features.mechanism_rows import MechanismRows
-from manip_learn.constraint.mechanism import Mechanism
 from manip_learn.control.policies import ASCENT_GAIN, ManipulabilityAscent
 from manip_learn.control.tasks.driven_motion import (
     DrivenMotion,
@@ -33,6 +32,10 @@ from manip_learn.control.tasks.point_attractor import Task
 from manip_learn.errors import ConstraintError, TargetError, advice
 from manip_learn.linalg import finite
 
+HAND_SPEED = 0.1  # [m/s] of the hand where none is asked for: a drawer of 0.3 m in 3.5 s, less than half of ISO 10218-1
+TURN_SPEED = 0.5  # [rad/s] at most, of a hand near the axis: 0.1 m/s at 0.2 m
+# what a mechanism allows; the others (a cylinder, a held orientation) slide and turn
+SLIDES, TURNS = ("line", "plane"), ("hinge", "screw", "ball")
 APPROACH_SPEED = 0.25  # [m/s] of a hand on its way to the mechanism: the reduced speed of ISO 10218-1 beside people
 SETTLING = 0.5  # [s] at most until the hand is there after its way to the mechanism: e^-5 of a lag, at gain 10 /s
 NOISY = 2e-3  # [m] what counts as there after that: measured postures with noise of 1e-3 rad come no nearer
@@ -322,12 +325,6 @@ def _number(name: str, value: float, positive: bool) -> float:
     return number
 
 
-HAND_SPEED = 0.1  # [m/s] of the hand where none is asked for: a drawer of 0.3 m in 3.5 s, less than half of ISO 10218-1
-TURN_SPEED = 0.5  # [rad/s] at most, of a hand near the axis: 0.1 m/s at 0.2 m
-# what a mechanism allows; the others (a cylinder, a held orientation) slide and turn
-SLIDES, TURNS = ("line", "plane"), ("hinge", "screw", "ball")
-
-
 def motion(
     constraint: Constraint,
     along: float | None = None,
@@ -378,7 +375,13 @@ def motion(
         )
     unit: Unit = "m" if turn is None else "rad"
     known = constraint.mechanism
-    _check_way(known, unit)
+    if known is not None and known.type in (TURNS if unit == "m" else SLIDES):
+        does, fits = (
+            ("turns and does not slide", advice(": use {}", "turn= [rad]", "--turn DEGREES"))
+            if unit == "m"
+            else ("slides and does not turn", advice(": use {}", "along= [m]", "--along METRES"))
+        )
+        raise ConstraintError(f"what was learnt {does} ({known.sentence}){fits}")
     if speed is None:
         lever = 0.0 if known is None or known.radius is None else known.radius
         speed = HAND_SPEED if unit == "m" else min(TURN_SPEED, HAND_SPEED / lever if lever > 0.0 else math.inf)
@@ -394,18 +397,15 @@ def motion(
         pause=pause,
         take_hold=True,
     )
-    return _as_shown(task, direction == "back") if as_shown else task
-
-
-def _as_shown(task: FreeDirection, back: bool) -> FreeDirection:
-    """A way in the sense of the recordings, or against it."""
-    sense = shown_sense(task.learnt, task._motion)
+    if not as_shown:
+        return task
+    sense = shown_sense(constraint, task._motion)
     if sense == 0.0:
         raise ConstraintError(
             "the recordings do not say which way is the one shown: they went to both sides of where they began, or the "
             "constraint was not learnt by this version; leave the direction out, and choose the sign"
         )
-    return task.with_distance(task.wanted * (-sense if back else sense))
+    return task.with_distance(task.wanted * (-sense if direction == "back" else sense))
 
 
 def motion_to(
@@ -449,15 +449,3 @@ def motion_to(
             + advice(" with {}, which goes there first", "motion(constraint, turn=...)", "--turn")
         )
     return task
-
-
-def _check_way(known: Mechanism | None, unit: Unit) -> None:
-    """Refuse to turn what slides, and to slide what turns."""
-    if known is None or known.type not in (TURNS if unit == "m" else SLIDES):
-        return
-    does, fits = (
-        ("turns and does not slide", advice(": use {}", "turn= [rad]", "--turn DEGREES"))
-        if unit == "m"
-        else ("slides and does not turn", advice(": use {}", "along= [m]", "--along METRES"))
-    )
-    raise ConstraintError(f"what was learnt {does} ({known.sentence}){fits}")
