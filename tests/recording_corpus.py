@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import bz2
 import gzip
+import importlib
 import io
 import json
 import pickle
@@ -17,6 +18,7 @@ import warnings
 import zipfile
 from collections.abc import Callable
 from dataclasses import dataclass, field
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -360,7 +362,50 @@ def two_kinds(path: Path) -> None:
     npz(time=TIME, q=Q, joint_names=np.array(JOINTS))(path / "b.npz")
 
 
-CHAPTERS = (text_cases, number_cases, other_kind_cases, archive_cases, stub_cases)
+def claim_cases() -> list[Case]:
+    """Files of each format that claim to hold more than any recording: refused before it is read."""
+    wide = HEADER + "".join(f",c{i}" for i in range(10_000))
+    deep = "[" * 200 + "]" * 200
+    names = np.array(JOINTS)
+    cases = [
+        Case("wide.csv", "too-large", text(wide + "\n" + ",".join(["1"] * 10_004) + "\n")),
+        Case("wide.npz", "too-large", npz(True, time=TIME[:2], q=np.zeros((2, 10_001)), joint_names=names)),
+        Case("deep_lerobot", "damaged", lambda path: lerobot_folder(path, deep)),
+        Case("large_lerobot", "too-large", lambda path: lerobot_folder(path, " " * 10_000_001)),
+        Case("deep_bag", "damaged", lambda path: folder(path, {"metadata.yaml": deep})),
+        Case("large_bag", "too-large", lambda path: folder(path, {"metadata.yaml": " " * 10_000_001})),
+    ]
+    given = {"joint_names": JOINTS, "rate": 50.0}
+    shapes = {"wide": ((2, 10_001), "too-large"), "bomb": ((4_000_000, 3), "bomb"), "huge": ((10**9, 3), "too-large")}
+    for name, (shape, verdict) in shapes.items():
+        cases.append(Case(f"{name}.hdf5", verdict, partial(hdf5, shape=shape), given))
+    cases.append(Case("bomb.parquet", "bomb", parquet_bomb, {"joint_names": JOINTS, "units": "radians"}))
+    return cases
+
+
+def lerobot_folder(path: Path, info: str) -> None:
+    folder(path, {"meta/info.json": info, "data/file-000.parquet": "PAR1"})
+
+
+def hdf5(path: Path, shape: tuple[int, int]) -> None:
+    """Positions of which only the first chunk is stored, packed."""
+    h5py = importlib.import_module("h5py")
+    with h5py.File(path, "w") as file:
+        chunks = (min(shape[0], 1000), shape[1])
+        data = file.create_dataset("data/demo_0/obs/robot0_joint_pos", shape, "f8", chunks=chunks, compression="gzip")
+        data[: chunks[0]] = 0.0
+
+
+def parquet_bomb(path: Path) -> None:
+    """Eight million samples of one value, run-length encoded."""
+    pa, pq = importlib.import_module("pyarrow"), importlib.import_module("pyarrow.parquet")
+    n = 8_000_000
+    state = pa.FixedSizeListArray.from_arrays(pa.array(np.zeros(3 * n, np.float32)), 3)
+    index = pa.array(np.zeros(n, dtype=np.int8))
+    pq.write_table(pa.table({"observation.state": state, "timestamp": index, "episode_index": index}), path)
+
+
+CHAPTERS = (text_cases, number_cases, other_kind_cases, archive_cases, stub_cases, claim_cases)
 CASES = [case for chapter in CHAPTERS for case in chapter()]
 
 

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import functools
+import io
 import math
 import zipfile
 from collections.abc import Callable, Collection, Iterator
@@ -64,6 +66,7 @@ class NpzArchive:
     ):
         self.path = path
         self.ignored: list[str] = []
+        self._bytes = 0  # of the arrays up to here, in memory
         members: dict[str, zipfile.ZipInfo] = {}
         try:
             with zipfile.ZipFile(path) as archive:
@@ -75,16 +78,10 @@ class NpzArchive:
                         members[name] = info
                     else:
                         self.ignored.append(name)
-                total = 0
-                for name, info in members.items():
-                    with archive.open(info) as file:
-                        total += self._checked_bytes(name, file, info.file_size, "fiu" if name in numbers else "US")
-                self._check_size(total)
                 self.arrays: dict[str, np.ndarray] = {}
                 for name, info in members.items():
                     with archive.open(info) as file:
-                        self.arrays[name] = np.lib.format.read_array(file, allow_pickle=False)
-                        file.read(1)  # at the end, the checksum is compared
+                        self.arrays[name] = self._read(name, file, info.file_size, "fiu" if name in numbers else "US")
         except DAMAGE as error:
             raise self.refusal("damaged", f"the archive is damaged ({reason(error)}): copy or save it again") from error
 
@@ -134,11 +131,12 @@ class NpzArchive:
             raise self.refusal("missing-array", f"there is no array {name!r}, there is {', '.join(self.arrays)}")
         return self.arrays[name]
 
-    def _checked_bytes(self, name: str, file: IO[bytes], size: int, kinds: str) -> int:
-        """Bytes of an array in memory by its header, which must agree with its size in the file."""
-        form = np.lib.format
-        is_first = form.read_magic(file) == (1, 0)
-        shape, _, dtype = (form.read_array_header_1_0 if is_first else form.read_array_header_2_0)(file)
+    def _read(self, name: str, file: IO[bytes], size: int, kinds: str) -> np.ndarray:
+        """An array whose header agrees with its size in the file, and which does not fill the memory."""
+        is_first = np.lib.format.read_magic(file) == (1, 0)
+        length = file.read(2 if is_first else 4)
+        header = length + file.read(int.from_bytes(length, "little"))
+        shape, is_fortran, dtype = _parsed_header(is_first, header)
         if dtype.hasobject:
             text = f"the array {name!r} holds Python objects, which are not opened (they can run code): save numbers"
             raise self.refusal("pickle", text)
@@ -149,23 +147,29 @@ class NpzArchive:
             raise self.refusal("shape", f"the array {name!r} has shape {shape} of {dtype}: save it again")
         count, there = math.prod(shape), size - file.tell()
         if count * dtype.itemsize != there:
-            raise self.refusal(
-                "damaged",
-                f"the array {name!r} asks for {count * dtype.itemsize:,} bytes (shape {shape}), it has {there:,}: save "
-                "it again",
-            )
+            said = f"asks for {count * dtype.itemsize:,} bytes (shape {shape}), it has {there:,}: save it again"
+            raise self.refusal("damaged", f"the array {name!r} {said}")
         if len(shape) == 2:
             check_columns(self.path, f"the array {name!r}", shape[1])
-        return count * (8 if kinds == "fiu" else dtype.itemsize)
+        self._bytes += count * (8 if kinds == "fiu" else dtype.itemsize)  # numbers become float64
+        if self._bytes > LARGEST_ARRAYS:
+            said = f"the arrays have {self._bytes:,} bytes, more than {LARGEST_ARRAYS:,}: split the recording"
+            raise self.refusal("too-large", said)
+        # the size of the file counts, for arrays may share packed bytes
+        if self._bytes > most_bytes(packed := self.path.stat().st_size):
+            raise bomb(self.path, f"its {packed:,} bytes unpack to {self._bytes:,}")
+        content = file.read(there + 1)  # at the end, the checksum is compared
+        if len(content) != there:
+            raise self.refusal("damaged", f"the array {name!r} ends too early: copy or save it again")
+        flat = np.frombuffer(content, dtype) if content else np.zeros(count, dtype)
+        return flat.reshape(shape, order="F" if is_fortran else "C")
 
-    def _check_size(self, total: int) -> None:
-        """Refuse what would fill the memory; the size of the file counts, for arrays may share packed bytes."""
-        if total > LARGEST_ARRAYS:
-            raise self.refusal(
-                "too-large", f"the arrays have {total:,} bytes, more than {LARGEST_ARRAYS:,}: split the recording"
-            )
-        if total > most_bytes(packed := self.path.stat().st_size):
-            raise bomb(self.path, f"its {packed:,} bytes unpack to {total:,}")
+
+@functools.lru_cache(maxsize=256)
+def _parsed_header(is_first: bool, content: bytes) -> tuple[tuple[int, ...], bool, np.dtype]:
+    """Shape, order and type; arrays of the same shape share them, and parsing takes longer than reading a small one."""
+    parse = np.lib.format.read_array_header_1_0 if is_first else np.lib.format.read_array_header_2_0
+    return parse(io.BytesIO(content))
 
 
 def _decoded(value: str | bytes) -> str:
