@@ -360,7 +360,7 @@ def test_the_command_line_replays_selected_episodes_of_any_key(tmp_path: Path, c
     assert "set episode 2" not in page
 
 
-def test_an_option_that_matches_nothing_is_found_in_the_parsing_process_too(planar3: Robot, tmp_path: Path) -> None:
+def test_an_option_that_matches_nothing_is_an_error(planar3: Robot, tmp_path: Path) -> None:
     """Foreign formats are parsed elsewhere; what was used there is known here."""
     path = version_3(tmp_path / "set")
     with pytest.raises(RecordingError, match="nothing in the recordings is called 'jiont1'; did you mean 'joint1'"):

@@ -11,7 +11,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from case import case
-from recording_corpus import GOOD, HEADER, JOINTS, TABLE, TIME, Q, csv
+from recording_corpus import JOINTS, TABLE, TIME, Q, csv
 
 from manip_learn.errors import MissingExtraError, RecordingError
 from manip_learn.recordings import iter_demonstrations, load_demonstrations
@@ -174,8 +174,3 @@ def test_shipped_recordings_load(planar3: Robot) -> None:
     for name, robot in (("planar3_reach", planar3), ("sawyer_drawer", load_robot("sawyer"))):
         demos = load_demonstrations(data / name, robot)
         assert demos.notes == () and demos.joint_names == robot.joint_names
-
-
-def test_good_and_header_are_what_the_other_tests_think() -> None:
-    """The corpus' good table begins with its header."""
-    assert GOOD.startswith(HEADER)

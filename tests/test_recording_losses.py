@@ -39,8 +39,7 @@ OPTIONS: dict[str, dict[str, Any]] = {
 
 def bag_file(kind: str, **options: Any) -> Callable[[Path], None]:
     def write(path: Path) -> None:
-        pytest.importorskip("rosbags", reason="the extra 'ros' is not installed")
-        import test_rosbag_reader as bags
+        import test_rosbag_reader as bags  # skips where the extra 'ros' is not installed
 
         bag = bags.write_bag(path.with_name("bag"), kind, bags.all_in_one()[:40], **options)
         file = bag if bag.is_file() else next(p for p in bag.iterdir() if p.suffix in (".db3", ".mcap"))
@@ -147,7 +146,6 @@ def test_the_metadata_of_a_bag_is_believed(planar3: Robot) -> None:
     """A folder with fewer messages than its metadata.yaml states is refused, with both numbers and the way out."""
     for kind in ["sqlite", "mcap"]:
         with case(kind) as tmp_path:
-            pytest.importorskip("rosbags", reason="the extra 'ros' is not installed")
             bag, _ = ros2_bag(tmp_path, kind)
             metadata = bag / "metadata.yaml"
             metadata.write_text(metadata.read_text().replace("message_count: 200", "message_count: 225"))
@@ -158,7 +156,6 @@ def test_the_metadata_of_a_bag_is_believed(planar3: Robot) -> None:
 
 def test_rows_that_are_gone_are_missed(planar3: Robot, tmp_path: Path) -> None:
     """A database from which messages were deleted: its own copy of the metadata tells, without metadata.yaml."""
-    pytest.importorskip("rosbags", reason="the extra 'ros' is not installed")
     _, file = ros2_bag(tmp_path, "sqlite")
     with sqlite3.connect(file) as database:
         database.execute("DELETE FROM messages WHERE id > 175")
@@ -173,7 +170,6 @@ def test_a_killed_recorder_is_noticed(planar3: Robot) -> None:
     """A log beside the database holds messages that are not in it: refused with the command; empty, it is fine."""
     for end in ["-wal", "-journal"]:
         with case(end) as tmp_path:
-            pytest.importorskip("rosbags", reason="the extra 'ros' is not installed")
             bag, file = ros2_bag(tmp_path, "sqlite")
             side = file.with_name(file.name + end)
             for path in (bag, file):
@@ -201,7 +197,6 @@ os._exit(9)
 
 def test_the_way_out_of_a_killed_recording_works(planar3: Robot, tmp_path: Path) -> None:
     """100 of 200 messages are in the log of a recorder that was killed; after the command that the error names, all."""
-    pytest.importorskip("rosbags", reason="the extra 'ros' is not installed")
     bag, file = ros2_bag(tmp_path, "sqlite")
     subprocess.run([sys.executable, "-c", KILLED, str(file)], check=False)
     assert file.with_name(file.name + "-wal").stat().st_size > 0
@@ -214,7 +209,6 @@ def test_the_way_out_of_a_killed_recording_works(planar3: Robot, tmp_path: Path)
 
 def test_the_statistics_of_an_mcap_file_are_believed(planar3: Robot, tmp_path: Path) -> None:
     """A file whose statistics state more messages than it has is refused, in a folder and alone."""
-    pytest.importorskip("rosbags", reason="the extra 'ros' is not installed")
     bag, file = ros2_bag(tmp_path, "mcap")
     content = bytearray(file.read_bytes())
     at = content.rindex(struct.pack("<IHQ", 10, 1, 200))
@@ -230,7 +224,6 @@ def test_a_bag_of_many_chunks_and_topics_is_whole(planar3: Robot) -> None:
     """Long messages fill several chunks, and another topic lies in between: nothing is missed, nothing suspected."""
     for kind in ["mcap", "sqlite", "ros1"]:
         with case(kind) as tmp_path:
-            pytest.importorskip("rosbags", reason="the extra 'ros' is not installed")
             import test_rosbag_reader as bags
 
             others = tuple(f"finger_{i}" for i in range(300))
@@ -250,7 +243,6 @@ def test_a_bag_of_many_chunks_and_topics_is_whole(planar3: Robot) -> None:
 
 def test_chunks_without_a_checksum_are_said_once(planar3: Robot, tmp_path: Path) -> None:
     """The library's writer stores no checksum of chunks; with one, nothing is said, and a flipped bit is refused."""
-    pytest.importorskip("rosbags", reason="the extra 'ros' is not installed")
     import zlib
 
     _, file = ros2_bag(tmp_path, "mcap")
@@ -325,7 +317,6 @@ def streamed(root: Path, robot: Robot) -> list[Trajectory]:
 
 def test_an_unsound_database_is_refused(planar3: Robot, tmp_path: Path) -> None:
     """All messages are there, but SQLite finds a page that belongs to nothing: its verdict counts."""
-    pytest.importorskip("rosbags", reason="the extra 'ros' is not installed")
     _, file = ros2_bag(tmp_path, "sqlite")
     with sqlite3.connect(file) as database:
         database.execute("CREATE TABLE spare (x)")
@@ -338,7 +329,6 @@ def test_an_unsound_database_is_refused(planar3: Robot, tmp_path: Path) -> None:
 
 def test_a_record_behind_the_index_of_a_ros1_bag_must_be_whole(planar3: Robot, tmp_path: Path) -> None:
     """The library reads as far as the index goes; a record that ends after the file was cut all the same."""
-    pytest.importorskip("rosbags", reason="the extra 'ros' is not installed")
     import test_rosbag_reader as bags
 
     bag = bags.write_bag(tmp_path / "bag", "ros1", bags.all_in_one())

@@ -179,12 +179,3 @@ def test_other_hdf5_files_are_named_as_such(planar3: Robot, tmp_path: Path) -> N
     with h5py.File(tmp_path / "c.hdf5", "w") as file:
         file["data/episode"] = np.zeros((5, 3))
     assert refusal(tmp_path / "c.hdf5", planar3).code == "not-robomimic"
-
-
-def test_damaged_files_are_refused(planar3: Robot, tmp_path: Path) -> None:
-    """Cut off at any length: refused, never a traceback."""
-    content = write(tmp_path / "a.hdf5").read_bytes()
-    for share in np.linspace(0.02, 0.98, 25):
-        broken = tmp_path / "broken.hdf5"
-        broken.write_bytes(content[: int(share * len(content))])
-        assert refusal(broken, planar3).code == "damaged"

@@ -333,28 +333,6 @@ def test_a_foreign_message_without_a_definition_does_not_matter(planar3: Robot) 
             np.testing.assert_array_equal(load_demonstrations(bag, planar3)[0].q, Q)
 
 
-def test_damaged_bags_are_refused(planar3: Robot, tmp_path: Path) -> None:
-    """A bag cut off or overwritten anywhere is refused, or read right; never a traceback."""
-    rng = np.random.default_rng(5)
-    for kind in KINDS:
-        bag = write_bag(tmp_path / kind, kind, all_in_one()[:20])
-        file = bag if bag.is_file() else next(p for p in bag.iterdir() if p.suffix in (".db3", ".mcap"))
-        content = file.read_bytes()
-        for trial in range(40):
-            broken = bytearray(content)
-            if trial % 2:
-                broken = broken[: rng.integers(20, len(content))]
-            else:
-                at = int(rng.integers(13, len(content) - 8))
-                broken[at : at + 8] = rng.bytes(8)
-            target = tmp_path / "broken.bin"
-            target.write_bytes(bytes(broken))
-            try:
-                load_demonstrations(target, planar3)
-            except RecordingError as error:
-                assert "\n" not in str(error)
-
-
 def test_a_bomb_in_a_ros1_bag_is_refused(planar3: Robot, tmp_path: Path) -> None:
     """A block of 100 bytes that unpacks to 64 MB is refused before it is unpacked."""
     bag = write_bag(tmp_path / "bag", "ros1", all_in_one(), compression=Writer1.CompressionFormat.BZ2)

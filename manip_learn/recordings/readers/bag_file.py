@@ -20,7 +20,7 @@ from typing import Any, final
 
 from manip_learn.errors import DAMAGE, MissingExtraError, RecordingError
 from manip_learn.recordings.format_words import JOINT_STATE, STAMPED_WRENCH, WRENCH
-from manip_learn.recordings.readers.limits import LARGEST_METADATA, bomb, metadata_text, most_bytes
+from manip_learn.recordings.readers.limits import LARGEST_METADATA, bomb, check_nesting, metadata_text, most_bytes
 from manip_learn.recordings.readers.recording import reason, refusal
 
 try:
@@ -158,7 +158,7 @@ def _file(path: Path, stack: contextlib.ExitStack) -> BagFile:
     storage = reader.storage
     counts = _mcap_counts(path, storage, scans[0]) if scans else _sqlite_counts(path, storage)
     if not scans:
-        _refuse_other_counts(path, counts, _own_metadata(storage), "its own metadata")
+        _refuse_other_counts(path, counts, _own_metadata(path, storage), "its own metadata")
     return BagFile(path, [(path, storage, counts)], Counter(), notes=_scan_notes(scans))
 
 
@@ -341,13 +341,16 @@ def _sqlite_counts(path: Path, storage: Any) -> Counter[str]:
     return _by_topic((names.get(i, "no topic"), n) for i, n in rows)
 
 
-def _own_metadata(storage: Any) -> dict[str, int]:
+def _own_metadata(path: Path, storage: Any) -> dict[str, int]:
     """Messages per topic that a database states itself; nothing where its recorder was killed before."""
     tables = {name for (name,) in storage.dbconn.execute("SELECT name FROM sqlite_master")}
     if "metadata" not in tables:
         return {}
     for (text,) in storage.dbconn.execute("SELECT metadata FROM metadata ORDER BY id DESC LIMIT 1"):
-        content: Any = YAML(typ="safe").load(str(text)[:LARGEST_METADATA])
+        if len(text) > LARGEST_METADATA:
+            raise refusal(path, "too-large", f"its metadata are longer than {LARGEST_METADATA:,} characters")
+        check_nesting(path, text)
+        content: Any = YAML(typ="safe").load(text)
         content = content.get("rosbag2_bagfile_information", content) if isinstance(content, dict) else {}
         if content.get("message_count") and len(content.get("relative_file_paths", ())) == 1:
             return {t["topic_metadata"]["name"]: t["message_count"] for t in content["topics_with_message_count"]}

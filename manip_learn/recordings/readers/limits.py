@@ -56,12 +56,21 @@ def metadata_text(path: Path, most: int = LARGEST_METADATA) -> str:
         text = path.read_text(encoding="utf-8")
     except (ValueError, OSError) as error:
         raise refusal(path, "damaged", f"it cannot be read as text: {reason(error)}", in_full=True) from error
+    check_nesting(path, text)
+    return text
+
+
+def check_nesting(path: Path, text: str) -> None:
+    """Refuse JSON or YAML with more brackets within each other than any metadata has.
+
+    Raises:
+        RecordingError: Code `damaged`.
+    """
     depth = 0
     for found in re.finditer(r"[][{}]", text):
         depth += 1 if found.group() in "[{" else -1
         if depth > DEEPEST:
             raise refusal(path, "damaged", f"more than {DEEPEST} brackets are open within each other", in_full=True)
-    return text
 
 
 def read_json(path: Path) -> object:
