@@ -24,9 +24,10 @@ Row = dict[str, str]
 
 def main() -> None:
     """Draw all of them again."""
-    ink = ("axes.edgecolor", "axes.labelcolor", "axes.titlecolor", "text.color", "xtick.color", "ytick.color")
     matplotlib.rcParams.update({"font.size": 9, "svg.hashsalt": "manip_learn", "svg.fonttype": "none"})
-    matplotlib.rcParams.update(dict.fromkeys(ink, INK) | {"axes.facecolor": "none", "grid.color": INK})
+    matplotlib.rcParams.update({"axes.facecolor": "none", "axes.edgecolor": INK, "axes.labelcolor": INK})
+    matplotlib.rcParams.update({"axes.titlecolor": INK, "text.color": INK, "xtick.color": INK, "ytick.color": INK})
+    matplotlib.rcParams.update({"grid.color": INK})
     for draw in (when_it_helps, whole_recordings, opening_drawers, planned_ways, control):
         figure = draw()
         figure.savefig(HERE / f"{draw.__name__}.svg", transparent=True, metadata={"Date": None})
