@@ -145,24 +145,6 @@ def test_the_null_space_leads_round_position_limits(robot_of, monkeypatch):
     assert reached[True] >= 8
 
 
-def test_velocity_limits_keep_the_direction_of_the_task(robot_of, rng):
-    """Too fast a task is slowed down as a whole: A u stays parallel to b, and the task part alone is at a limit."""
-    robot = robot_of("sawyer")
-    seen = 0
-    for _ in range(60):
-        constraint = oblique(robot, "sawyer", rng)
-        controller = ResolvedRateController(constraint, wild(rng, 5.0), ManipulabilityAscent(constraint))
-        q = inside(robot, rng, 0.5)
-        command = controller(q)
-        if command.status != "velocity-limited":
-            continue
-        seen += 1
-        moved, b = constraint(q) @ command.velocity, command.task_velocity
-        np.testing.assert_allclose(moved / np.linalg.norm(moved), b / np.linalg.norm(b), rtol=0, atol=1e-10)
-        assert np.max(np.abs(command.task_part) / robot.velocity_limit) == pytest.approx(1.0, abs=1e-3)
-    assert seen > 20
-
-
 def test_singular_postures_give_finite_commands_or_a_reason(robot_of, rng):
     """Stretched arms, and postures within 1e-14 ... 1e-3 of them: finite and within limits, or an error."""
     distances = (0.0, 1e-16, 1e-14, 1e-10, 1e-6, 1e-3)
