@@ -223,7 +223,7 @@ FAULTS: dict[str, tuple[dict, list]] = {
 
 @pytest.mark.parametrize("fault", FAULTS)
 def test_faults_brake_the_arm_and_are_named(fault: str, robot_of: RobotOf) -> None:
-    """Within every limit (see `Arm`) to rest, and nowhere near a wrong measurement; where the reason goes, it goes on."""
+    """Within every limit (see `Arm`) to rest, nowhere near a wrong measurement; where the reason goes, it goes on."""
     settings, steps = FAULTS[fault]
     robot = robot_of("sawyer")
     arm = Arm(ml.ServoLoop(law_of(robot, "sawyer", 2.0), compiled=False, **settings), start_of(robot))
