@@ -7,8 +7,7 @@ import logging
 import numpy as np
 import pytest
 from case import case
-from urdf_corpus_case import ARM
-from urdf_corpus_joints import mimic_chain
+from urdf_corpus import ARM, mimic_chain
 
 from manip_learn.errors import RobotError
 from manip_learn.robot.description.catalogue import example_robots

@@ -6,7 +6,7 @@ import json
 
 import pytest
 from case import case
-from urdf_corpus_case import edited
+from urdf_corpus import edited
 
 from manip_learn.errors import RecordingError, advice_for_command
 from manip_learn.robot.identity import RobotIdentity

@@ -14,7 +14,7 @@ import numpy as np
 import pinocchio as pin
 import pytest
 from case import case
-from urdf_corpus_case import ARM, edited
+from urdf_corpus import ARM, edited
 
 from manip_learn.errors import MissingExtraError, RobotError, UnknownNameError
 from manip_learn.robot.description import catalogue, xacro_expansion

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 from case import case
 from peak_memory import peak_megabytes
-from urdf_corpus_meshes import OBJ, dae, glb, gltf, stl
+from urdf_corpus import OBJ, dae, glb, gltf, stl
 
 from manip_learn.errors import RobotError
 from manip_learn.robot.visuals.meshes import find_mesh, mesh_roots, read_meshes

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 from case import case
-from urdf_corpus_case import ARM
+from urdf_corpus import ARM
 
 from manip_learn.errors import RobotError
 from manip_learn.robot.loading import load_robot

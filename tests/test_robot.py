@@ -11,7 +11,7 @@ import pinocchio as pin
 import pytest
 from case import case
 from conftest import TIPS, URDFS, tip_of
-from urdf_corpus_case import edited
+from urdf_corpus import edited
 
 from manip_learn.errors import ConfigurationError, UnknownNameError
 from manip_learn.robot.dynamics import inverse_dynamics

@@ -8,7 +8,7 @@ import sys
 import numpy as np
 import pytest
 from case import case
-from urdf_corpus_case import ARM
+from urdf_corpus import ARM
 
 from manip_learn.robot.loading import captured_c_stderr, load_robot
 from manip_learn.robot.robot_summary import inspect_robot

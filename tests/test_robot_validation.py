@@ -7,8 +7,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from urdf_corpus import corpus
-from urdf_corpus_case import ARM, Case, edited
+from urdf_corpus import ARM, Case, corpus, edited
 
 from manip_learn.errors import ManipLearnError, RobotError
 from manip_learn.robot import loading

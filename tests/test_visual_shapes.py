@@ -5,8 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pinocchio as pin
 import pytest
-from urdf_corpus_case import ARM
-from urdf_corpus_meshes import stl
+from urdf_corpus import ARM, stl
 
 from manip_learn.robot.description.catalogue import example_package_dir, example_robots
 from manip_learn.robot.loading import load_robot

@@ -6,8 +6,7 @@ import random
 import re
 from pathlib import Path
 
-from urdf_corpus_case import ARM, chain
-from urdf_corpus_joints import mimic_chain
+from urdf_corpus import ARM, chain, mimic_chain
 
 ROBOTS = Path(__file__).resolve().parents[1] / "robots"
 MJCF = """<mujoco model="m">
