@@ -247,29 +247,6 @@ def test_everything_fits_the_window(robot_of, tmp_path, opened):
         fits(page, width, height)
 
 
-@pytest.mark.slow
-def test_a_crowd_fits_the_window(robot_of, tmp_path, opened):
-    """Its members beyond twelve are drawn once picked, and the phases of sixty recordings have names."""
-    robot = robot_of("planar3")
-    crowd = {str(i): waving(robot, phase=0.2 * i) for i in range(30)}
-    result = replay(robot, crowd, tmp_path / "b.html")
-    assert "first 12 are drawn" in result.notes[0]
-    many = {f"recording number {i}": waving(robot, phase=0.1 * i).trajectory() for i in range(60)}
-    phases = [(name, 0.5, 1.5, i % 9) for i, name in enumerate(many)]
-    banded = opened(replay(robot, many, tmp_path / "c.html", phases=phases).html.as_uri(), 800, 600)
-    crowded = opened(result.html.as_uri(), 800, 600)
-    fits(crowded, 800, 600)
-    fits(banded, 800, 600)
-    assert crowded.locator("#chart rect").count() < 100
-    crowded.locator("#legend .pick").nth(25).click()
-    seek(crowded, 1.0)
-    tip = robot.frame("tip")
-    np.testing.assert_allclose(link_pose(crowded, "25", "tip"), robot.pose(crowd["25"].q[100], tip), atol=POSES)
-    banded.locator("#legend .pick").nth(59).click()
-    titles = banded.locator("#chart .bands rect title").all_text_contents()
-    assert any(title.startswith("recording number 59:") for title in titles)
-
-
 def test_one_sample_and_no_curve(robot_of, tmp_path, opened):
     """One sample is a replay, too; a demonstration plays without a panel for curves that it does not have."""
     robot = robot_of("planar3")

@@ -5,7 +5,7 @@ Meshes are made small enough for a page, and smooth where the surface is smooth.
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Literal, final
 
@@ -18,7 +18,6 @@ from manip_learn.robot.robot import Robot
 from manip_learn.robot.visuals.visual_shapes import (
     Box,
     Capsule,
-    Cylinder,
     Sphere,
     Triangles,
     Visual,
@@ -29,7 +28,15 @@ from manip_learn.robot.visuals.visual_shapes import (
 ShapeKind = Literal["box", "sphere", "cylinder", "cone", "disc", "mesh"]
 Colour = tuple[float, float, float, float]
 
-PLAIN: Colour = (0.80, 0.83, 0.86, 1.0)  # red, green, blue and opacity: light grey
+# red, green, blue and opacity
+PLAIN: Colour = (0.80, 0.83, 0.86, 1.0)
+DARK: Colour = (0.27, 0.31, 0.36, 1.0)
+MAX_TRIANGLES = 60_000  # about 0.9 MB in the page
+CREASE = np.cos(np.deg2rad(38.0))  # edges that turn by more stay sharp: twelve-sided cylinders look round
+MAX_STEPS = 18  # halvings at most; ten bring the range within 1 per cent
+TUBE_RADIUS = 0.032  # share of the reach
+ROD = 0.8  # share of the slimmest shape's half width
+TAPER = 0.55  # radius at the last joint, share of that at the base
 
 
 @final
@@ -99,11 +106,6 @@ class Appearance:
     notes: tuple[str, ...] = ()
 
 
-# edges that turn by more than 38 degrees stay sharp: twelve-sided cylinders look round
-CREASE = np.cos(np.deg2rad(38.0))
-MAX_STEPS = 18  # halvings at most; ten bring the range within 1 per cent
-
-
 def decimated(meshes: list[TriangleMesh], triangles: int) -> tuple[list[TriangleMesh], int, int]:
     """Simplify meshes until all of them together have at most so many triangles.
 
@@ -113,23 +115,29 @@ def decimated(meshes: list[TriangleMesh], triangles: int) -> tuple[list[Triangle
     Returns:
         The meshes, their triangles before and after.
     """
-    clean = [_merged(m) for m in meshes]
+    clean = []
+    for m in meshes:  # vertices in one place become one: STL files repeat each of them six times
+        span = float(np.ptp(m.vertices, axis=0).max())
+        steps = np.rint((m.vertices - m.vertices.min(axis=0)) / max(span * 1e-6, 1e-12)).astype(np.int64)
+        _, first, index = np.unique(steps, axis=0, return_index=True, return_inverse=True)
+        clean.append(_cleaned(m.vertices[first], index.reshape(-1)[m.triangles]))
     counts = np.array([len(m.triangles) for m in clean], dtype=np.float64)
     before = int(counts.sum())
     if before > triangles:
-        shares = _shares(counts, triangles)
+        # one cap for all, such that the sum fits
+        low, high = 0.0, float(counts.max())
+        for _ in range(60):
+            cap = 0.5 * (low + high)
+            low, high = (cap, high) if np.minimum(counts, cap).sum() <= triangles else (low, cap)
+        shares = np.minimum(counts, max(low, 12.0))
         clean = [m if len(m.triangles) <= s else _clustered(m, int(s)) for m, s in zip(clean, shares, strict=True)]
     after = sum(len(m.triangles) for m in clean)
-    return [_creased(m) for m in clean], before, after
-
-
-def _shares(counts: np.ndarray, budget: float) -> np.ndarray:
-    """Triangles each mesh may keep: one cap for all, such that the sum fits."""
-    low, high = 0.0, float(counts.max())
-    for _ in range(60):
-        cap = 0.5 * (low + high)
-        low, high = (cap, high) if np.minimum(counts, cap).sum() <= budget else (low, cap)
-    return np.minimum(counts, max(low, 12.0))
+    # vertices split along sharp edges, so that normals averaged at vertices are right on both sides
+    for i, mesh in enumerate(clean):
+        pairs = np.column_stack([mesh.triangles.reshape(-1), _smooth_groups(mesh.vertices, mesh.triangles)])
+        unique, index = np.unique(pairs, axis=0, return_inverse=True)
+        clean[i] = TriangleMesh(mesh.vertices[unique[:, 0]], index.reshape(-1, 3))
+    return clean, before, after
 
 
 def _cleaned(vertices: np.ndarray, triangles: np.ndarray) -> TriangleMesh:
@@ -140,14 +148,6 @@ def _cleaned(vertices: np.ndarray, triangles: np.ndarray) -> TriangleMesh:
     triangles = triangles[np.sort(first)]
     used, index = np.unique(triangles, return_inverse=True)
     return TriangleMesh(vertices[used], index.reshape(-1, 3))
-
-
-def _merged(mesh: TriangleMesh) -> TriangleMesh:
-    """Vertices in one place become one: STL files repeat each of them six times."""
-    span = float(np.ptp(mesh.vertices, axis=0).max())
-    steps = np.rint((mesh.vertices - mesh.vertices.min(axis=0)) / max(span * 1e-6, 1e-12)).astype(np.int64)
-    _, first, index = np.unique(steps, axis=0, return_index=True, return_inverse=True)
-    return _cleaned(mesh.vertices[first], index.reshape(-1)[mesh.triangles])
 
 
 def _clustered(mesh: TriangleMesh, target: int) -> TriangleMesh:
@@ -173,14 +173,6 @@ def _on_grid(mesh: TriangleMesh, cell: float) -> TriangleMesh:
     index = index.reshape(-1)
     middle = np.column_stack([np.bincount(index, mesh.vertices[:, k], len(count)) / count for k in range(3)])
     return _cleaned(middle, index[mesh.triangles])
-
-
-def _creased(mesh: TriangleMesh) -> TriangleMesh:
-    """Vertices split along sharp edges, so that normals averaged at vertices are right on both sides."""
-    corners = _smooth_groups(mesh.vertices, mesh.triangles)
-    pairs = np.column_stack([mesh.triangles.reshape(-1), corners])
-    unique, index = np.unique(pairs, axis=0, return_inverse=True)
-    return TriangleMesh(mesh.vertices[unique[:, 0]], index.reshape(-1, 3))
 
 
 def _smooth_groups(vertices: Float[np.ndarray, "V 3"], triangles: Int[np.ndarray, "F 3"]) -> Int[np.ndarray, " C"]:
@@ -212,12 +204,6 @@ def _smooth_groups(vertices: Float[np.ndarray, "V 3"], triangles: Int[np.ndarray
     rows, columns = np.concatenate([j[0] for j in joined]), np.concatenate([j[1] for j in joined])
     graph = coo_array((np.ones(len(rows), dtype=np.int8), (rows, columns)), shape=(3 * n, 3 * n))
     return connected_components(graph, directed=False)[1]
-
-
-DARK: Colour = (0.27, 0.31, 0.36, 1.0)  # red, green, blue and opacity: slate
-TUBE_RADIUS = 0.032  # share of the reach
-ROD = 0.8  # share of the slimmest shape's half width
-TAPER = 0.55  # radius at the last joint, share of that at the base
 
 
 def stick_figure(
@@ -303,9 +289,6 @@ def _tube(i: int, end: np.ndarray, bottom: float, top: float, colour: Colour = P
     return [Shape(i, "cone", (0.8 * bottom, 0.8 * top, length), pose, colour)]
 
 
-MAX_TRIANGLES = 60_000  # about 0.9 MB in the page
-
-
 def appearance(robot: Robot, tree: tuple[TreeJoint, ...], max_triangles: int = MAX_TRIANGLES) -> Appearance:
     """The robot's own shapes; where it has none that can be used, plain ones made from its kinematics.
 
@@ -317,7 +300,13 @@ def appearance(robot: Robot, tree: tuple[TreeJoint, ...], max_triangles: int = M
     visuals = visual_shapes(robot)
     own = [v for v in visuals if not v.stand_in]
     faults = [v for v in visuals if v.stand_in]
-    notes = _fault_notes(faults) if robot.source is not None else []
+    said, links, notes = said_once(v.stand_in for v in faults), dict[str, dict[str, None]](), list[str]()
+    for v in faults if robot.source is not None else ():
+        links.setdefault(said[v.stand_in], {})[v.link] = None
+    for reason, concerned in links.items():  # one sentence for each
+        names = list(concerned)
+        shown = ", ".join(names[:4]) + (f" and {len(names) - 4} more" if len(names) > 4 else "")
+        notes.append(f"Plain shapes stand in for {shown}: {reason}.")
     plain_joints = {v.joint for v in faults} - {v.joint for v in own}
     if not own:
         return Appearance(stick_figure(tree, end_points(robot, tree)), notes=tuple(notes))
@@ -341,41 +330,21 @@ def _own_shapes(visuals: list[Visual], max_triangles: int) -> tuple[list[Shape],
                 files[key] = len(meshes)
                 meshes.append(TriangleMesh(v.shape.vertices, v.shape.faces))
             shapes.append(Shape(v.joint, "mesh", (), v.placement, v.colour, mesh=files[key]))
+        elif isinstance(v.shape, Box):
+            shapes.append(Shape(v.joint, "box", v.shape.size, v.placement, v.colour))
+        elif isinstance(v.shape, Sphere):
+            shapes.append(Shape(v.joint, "sphere", (v.shape.radius,), v.placement, v.colour))
         else:
-            shapes += _plain_shapes(v)
+            radius, length = v.shape.radius, v.shape.length
+            shapes.append(Shape(v.joint, "cylinder", (radius, length), v.placement, v.colour))
+            for z in (-0.5 * length, 0.5 * length) if isinstance(v.shape, Capsule) else ():
+                place = v.placement @ pin.SE3(np.eye(3), np.array([0.0, 0.0, z])).homogeneous
+                shapes.append(Shape(v.joint, "sphere", (radius,), place, v.colour))
     meshes, before, after = decimated(meshes, max_triangles)
     notes = []
     if after < before:
         notes.append(f"The meshes were simplified from {before:,} to {after:,} triangles to keep the page small.")
     return shapes, meshes, notes
-
-
-def _plain_shapes(v: Visual) -> list[Shape]:
-    if isinstance(v.shape, Box):
-        return [Shape(v.joint, "box", v.shape.size, v.placement, v.colour)]
-    if isinstance(v.shape, Sphere):
-        return [Shape(v.joint, "sphere", (v.shape.radius,), v.placement, v.colour)]
-    if not isinstance(v.shape, Cylinder | Capsule):
-        return []
-    radius, length = v.shape.radius, v.shape.length
-    ends = (-0.5 * length, 0.5 * length) if isinstance(v.shape, Capsule) else ()
-    places = (v.placement @ pin.SE3(np.eye(3), np.array([0.0, 0.0, z])).homogeneous for z in ends)
-    shapes = [Shape(v.joint, "cylinder", (radius, length), v.placement, v.colour)]
-    return [*shapes, *(Shape(v.joint, "sphere", (radius,), place, v.colour) for place in places)]
-
-
-def _fault_notes(faults: Iterable[Visual]) -> list[str]:
-    """One sentence per reason, with the links that it concerns."""
-    faults = list(faults)
-    said, links = said_once(v.stand_in for v in faults), dict[str, dict[str, None]]()
-    for v in faults:
-        links.setdefault(said[v.stand_in], {})[v.link] = None
-    notes = []
-    for reason, named in links.items():
-        names = list(named)
-        shown = ", ".join(names[:4]) + (f" and {len(names) - 4} more" if len(names) > 4 else "")
-        notes.append(f"Plain shapes stand in for {shown}: {reason}.")
-    return notes
 
 
 def end_points(robot: Robot, tree: tuple[TreeJoint, ...]) -> dict[int, np.ndarray]:

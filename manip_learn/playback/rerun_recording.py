@@ -77,37 +77,29 @@ def write_rerun(
         content = rr.memory_recording(recording=stream)
         stream.send_blueprint(rrb.Blueprint(layout), make_active=False)
         stream.send_recording_name(robot.name or "robot")
-        _still(stream, ["world"], rr.ViewCoordinates.RIGHT_HAND_Z_UP)
+        _add(stream, ["world"], rr.ViewCoordinates.RIGHT_HAND_Z_UP)
         for (name, recording), (_, colour) in zip(named.items(), rollout_colours(list(named), {}), strict=True):
-            rgb = rgb_of(colour)
+            rgb, clock = rgb_of(colour), samples[name].time + samples[name].first_time
             _add_robot(stream, robot, name, samples[name], rgb, tinted=len(named) > 1)
             places = np.array([robot.position(q, frame) for q in samples[name].q])
             tip_path = ["world", name, "tip"]
-            _still(stream, tip_path, rr.Points3D.from_fields(colors=[rgb], radii=[TIP_RADIUS]))
-            _moving(stream, tip_path, _clock(samples[name]), rr.Points3D.columns(positions=places))
-            _still(stream, [*tip_path, "path"], rr.LineStrips3D([places], colors=[rgb], radii=[PATH_RADIUS]))
+            _add(stream, tip_path, rr.Points3D.from_fields(colors=[rgb], radii=[TIP_RADIUS]))
+            _add(stream, tip_path, rr.Points3D.columns(positions=places), time=clock)
+            _add(stream, [*tip_path, "path"], rr.LineStrips3D([places], colors=[rgb], radii=[PATH_RADIUS]))
             _add_curves(stream, robot, name, recording, samples[name])
             _add_target(stream, robot, name, guided[name], samples[name].q[0])
         return write_atomically(path, content.drain_as_bytes())
 
 
-def _clock(samples: MotionSamples) -> np.ndarray:
-    """Times on the recording's own clock [s]."""
-    return samples.time + samples.first_time
-
-
-def _still(stream: rr.RecordingStream, path: list[str], *parts: Any) -> None:
-    """What does not move; names in a path may hold any sign."""
+def _add(stream: rr.RecordingStream, path: list[str], *parts: Any, time: np.ndarray | None = None) -> None:
+    """What does not move, or columns over time; names in a path may hold any sign."""
     import rerun as rr
 
-    stream.log(rr.new_entity_path(path), *parts, static=True, strict=True)
-
-
-def _moving(stream: rr.RecordingStream, path: list[str], time: np.ndarray, columns: Any) -> None:
-    import rerun as rr
-
-    index = rr.TimeColumn("time", duration=time)
-    stream.send_columns(rr.new_entity_path(path), indexes=[index], columns=columns, strict=True)
+    entity = rr.new_entity_path(path)
+    if time is None:
+        stream.log(entity, *parts, static=True, strict=True)
+    else:
+        stream.send_columns(entity, indexes=[rr.TimeColumn("time", duration=time)], columns=parts[0], strict=True)
 
 
 def _add_robot(
@@ -125,14 +117,14 @@ def _add_robot(
     paths = [["world", name, "robot", str(joint)] for joint in model.names]
     for i in range(1, model.njoints):
         columns = rr.Transform3D.columns(translation=poses[:, i, :3], quaternion=poses[:, i, 3:])
-        _moving(stream, paths[i], _clock(samples), columns)
+        _add(stream, paths[i], columns, time=samples.time + samples.first_time)
     for k, shape in enumerate(looks.shapes):
         own = [round(255 * c) for c in shape.colour]
         colour = [*rgb, own[3]] if shape.accent or (tinted and shape.joint) else own
         placement = pin.SE3ToXYZQUAT(pin.SE3(shape.pose))
         pose = rr.Transform3D(translation=placement[:3], quaternion=placement[3:])
         mesh = None if shape.mesh is None else looks.meshes[shape.mesh]
-        _still(stream, [*paths[shape.joint], f"shape_{k}"], pose, _body(shape, mesh, colour))
+        _add(stream, [*paths[shape.joint], f"shape_{k}"], pose, _body(shape, mesh, colour))
 
 
 def _add_curves(
@@ -141,24 +133,24 @@ def _add_curves(
     """Joints, and what only rollouts have; numbers that are not known (NaN) are left out."""
     import rerun as rr
 
-    positions = np.array([robot.positions(q) for q in samples.q])
-    places = zip(robot.joint_names, positions.T, strict=True)
-    curves: dict[tuple[str, ...], tuple[np.ndarray, np.ndarray]]
-    curves = {("position", joint): (_clock(samples), x) for joint, x in places}
-    speeds = zip(robot.joint_names, samples.u.T, strict=True)
-    curves |= {("velocity", joint): (samples.velocity_time + samples.first_time, x) for joint, x in speeds}
+    clock, joints = samples.time + samples.first_time, robot.joint_names
+    curves: dict[tuple[str, ...], tuple[np.ndarray, np.ndarray]] = {}
+    for joint, x in zip(joints, np.array([robot.positions(q) for q in samples.q]).T, strict=True):
+        curves["position", joint] = clock, x
+    for joint, x in zip(joints, samples.u.T, strict=True):
+        curves["velocity", joint] = samples.velocity_time + samples.first_time, x
     for kind in CURVES:
         values = getattr(recording, kind, None)
         if values is not None:
-            curves[(kind,)] = _clock(samples), values
+            curves[(kind,)] = clock, values
     for path, (time, values) in curves.items():
         known = np.isfinite(values)
         if known.any():
-            _moving(stream, [name, *path], time[known], rr.Scalars.columns(scalars=values[known]))
-    changes = status_changes(name, _clock(samples), getattr(recording, "status", ()))
+            _add(stream, [name, *path], rr.Scalars.columns(scalars=values[known]), time=time[known])
+    changes = status_changes(name, clock, getattr(recording, "status", ()))
     if changes:
         columns = rr.TextLog.columns(text=[word for _, word in changes])
-        _moving(stream, [name, "status"], np.array([time for time, _ in changes]), columns)
+        _add(stream, [name, "status"], columns, time=np.array([time for time, _ in changes]))
 
 
 def _add_target(stream: rr.RecordingStream, robot: Robot, name: str, guidance: Guidance, q: np.ndarray) -> None:
@@ -168,35 +160,27 @@ def _add_target(stream: rr.RecordingStream, robot: Robot, name: str, guidance: G
     target, path = guidance.target, ["world", name, "target"]
     if target is not None and target.shape == (4, 4):
         pose = rr.Transform3D(translation=target[:3, 3], mat3x3=target[:3, :3])
-        _still(stream, path, pose, rr.TransformAxes3D(AXES))
+        _add(stream, path, pose, rr.TransformAxes3D(AXES))
     elif guidance.constraint is not None:
         place = target_place(robot, guidance.constraint, target, q)
         if place is not None and place["carrier"] is None:
-            _still(stream, path, rr.Points3D([place["point"]], radii=[TIP_RADIUS]))
+            _add(stream, path, rr.Points3D([place["point"]], radii=[TIP_RADIUS]))
 
 
 def _body(shape: Shape, mesh: TriangleMesh | None, colour: list[int]) -> Any:
     import rerun as rr
 
-    solid: dict[str, Any] = {"colors": [colour], "fill_mode": "solid"}
     if mesh is not None:
-        normals = _normals(mesh)
-        return rr.Mesh3D(
-            vertex_positions=mesh.vertices,
-            triangle_indices=mesh.triangles,
-            vertex_normals=normals,
-            albedo_factor=colour,
-        )
+        # unit normals at the vertices, each triangle by its area; without them Rerun shades nothing
+        corners, normals = mesh.vertices[mesh.triangles], np.zeros_like(mesh.vertices)
+        areas = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+        np.add.at(normals, mesh.triangles, areas[:, None])
+        normals /= np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), 1e-300)
+        placed = {"vertex_positions": mesh.vertices, "triangle_indices": mesh.triangles, "vertex_normals": normals}
+        return rr.Mesh3D(**placed, albedo_factor=colour)
+    solid: dict[str, Any] = {"colors": [colour], "fill_mode": "solid"}
     if shape.kind in ("box", "sphere"):
         kind = rr.Boxes3D if shape.kind == "box" else rr.Ellipsoids3D
         return kind(half_sizes=[shape.half_extent()], **solid)
     # Rerun has no cones: a cylinder as thick as the middle of one
     return rr.Cylinders3D(lengths=[shape.size[-1]], radii=[float(np.mean(shape.size[:-1]))], **solid)
-
-
-def _normals(mesh: TriangleMesh) -> np.ndarray:
-    """Unit normals (V, 3) at the vertices, each triangle by its area; without them Rerun shades nothing."""
-    corners, sums = mesh.vertices[mesh.triangles], np.zeros_like(mesh.vertices)
-    areas = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
-    np.add.at(sums, mesh.triangles, areas[:, None])
-    return sums / np.maximum(np.linalg.norm(sums, axis=1, keepdims=True), 1e-300)
