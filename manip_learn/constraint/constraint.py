@@ -26,6 +26,7 @@ from manip_learn.robot.robot import Robot
 
 FORMAT = "manip_learn.constraint"
 SCHEMA = 1
+NOT_EXACT = 1e-9  # of an entry of Lambda: rows written with ten digits are taken
 
 
 class Motion(Protocol):
@@ -389,9 +390,6 @@ def _locked_notes(saved: Mapping[str, Any], robot: Robot) -> tuple[str, ...]:
     if then != robot.locked:
         return (f"the constraint was made with {_in_words(then)}, the robot has {_in_words(robot.locked)}",)
     return (f"as when the constraint was made: {_in_words(then)}",) if then else ()
-
-
-NOT_EXACT = 1e-9  # of an entry of Lambda: rows written with ten digits are taken
 
 
 def _check_rows(content: Mapping[str, Any], constraint: Constraint) -> None:

@@ -32,6 +32,64 @@ from manip_learn.robot.rotations import skew
 
 MechanismType = Literal["line", "plane", "hinge", "ball", "screw", "held-orientation", "other"]
 Orientation = Literal["free", "about-axis", "fixed", "carried"]
+TURNING = ("turn-1", "turn-2", "turn")  # the rows that make up an angular velocity
+_ABOUT, _AXLE = "turn-1 turn-2", "axis point-across"
+# name, type, orientation, what is constant, what is fitted, rows
+_TABLE: tuple[tuple[str, MechanismType, Orientation, str, str, str], ...] = (
+    ("plane", "plane", "free", "height", "axis", "axial"),
+    ("plane, turning", "plane", "about-axis", "height axis-in-hand", "axis", f"axial {_ABOUT}"),
+    ("plane, not turning", "plane", "fixed", "height orientation", "axis", f"axial {_ABOUT} turn"),
+    ("line", "line", "free", "across-line", "axis", "slide-1 slide-2"),
+    ("line, not turning", "line", "fixed", "across-line orientation", "axis", f"slide-1 slide-2 {_ABOUT} turn"),
+    ("hinge", "hinge", "free", "radius height", _AXLE, "radial axial"),
+    ("hinge, turning", "hinge", "about-axis", "radius height axis-in-hand", _AXLE, f"radial axial {_ABOUT}"),
+    ("hinge, not turning", "hinge", "fixed", "radius height orientation", _AXLE, f"radial axial {_ABOUT} turn"),
+    ("hinge, firm", "hinge", "carried", "axis-in-hand point-in-hand", _AXLE, f"{_ABOUT} slide-1 slide-2 slide"),
+    ("ball", "ball", "free", "distance", "point", "spherical"),
+    ("ball, firm", "ball", "carried", "point-in-hand", "point", "slide-1 slide-2 slide"),
+    ("cylinder", "other", "free", "radius", _AXLE, "radial"),
+    ("sleeve, firm", "other", "carried", "axis-in-hand axis-line-in-hand", _AXLE, f"{_ABOUT} slide-1 slide-2"),
+    ("screw", "screw", "free", "radius thread", f"{_AXLE} pitch", "radial helical"),
+    (
+        "screw, firm",
+        "screw",
+        "carried",
+        "axis-in-hand screw-in-hand",
+        f"{_AXLE} pitch",
+        f"{_ABOUT} slide-1 slide-2 screw",
+    ),
+    ("direction", "held-orientation", "about-axis", "axis-in-hand", "axis", _ABOUT),
+    ("orientation", "held-orientation", "fixed", "orientation", "", f"{_ABOUT} turn"),
+)
+# rows of translation and of rotation stand apart where each is of one kind to this share: a row of a learnt Lambda
+# leaks by its uncertainty, 1e-2 at 0.6 degrees, and a row that mixes the two for good does so by 0.3 and more
+MIXED = 0.2
+# [m] an axis or a centre farther away is read as this far: the fit to positions decides how far it is
+FARTHEST_START = 5.0
+Z = np.array([0.0, 0.0, 1.0])  # the axis of what has none
+Grip = Literal["loose", "firm"]
+# rows of translation and of rotation stand apart where each is held to this share, or free to it: a row of a learnt
+# Lambda leaks by its uncertainty, 1e-2 at 0.6 degrees, and a row that mixes the two for good does so by 0.3 and more
+CLEAR_SHARE = 0.1
+# [m/rad] a travel below this is that of a hinge: a tenth of the flattest thread in use (M6, 1 mm a turn, 0.16 mm/rad)
+LEAST_PITCH = 1.6e-5
+# the axis that the learner fitted belongs to these rows if it is nearer to theirs than this: 1 degree
+SAME_AXIS = 0.9998
+_TURNS: dict[Orientation, str] = {
+    "free": "the hand may turn",
+    "about-axis": "the hand may turn about {axis} only",
+    "fixed": "the hand does not turn",
+    "carried": "the hand turns with it",
+}
+_NAMES: dict[MechanismType, str] = {
+    "line": "a line ",
+    "plane": "a plane ",
+    "hinge": "a hinge: ",
+    "ball": "a ball: ",
+    "screw": "a screw: ",
+    "held-orientation": "a held orientation",
+    "other": "a cylinder: ",
+}
 
 
 @final
@@ -67,46 +125,11 @@ class MechanismKind:
         return self.type in ("line", "plane", "held-orientation")
 
 
-TURNING = ("turn-1", "turn-2", "turn")  # the rows that make up an angular velocity
-_ABOUT, _AXLE = "turn-1 turn-2", "axis point-across"
-# name, type, orientation, what is constant, what is fitted, rows
-_TABLE: tuple[tuple[str, MechanismType, Orientation, str, str, str], ...] = (
-    ("plane", "plane", "free", "height", "axis", "axial"),
-    ("plane, turning", "plane", "about-axis", "height axis-in-hand", "axis", f"axial {_ABOUT}"),
-    ("plane, not turning", "plane", "fixed", "height orientation", "axis", f"axial {_ABOUT} turn"),
-    ("line", "line", "free", "across-line", "axis", "slide-1 slide-2"),
-    ("line, not turning", "line", "fixed", "across-line orientation", "axis", f"slide-1 slide-2 {_ABOUT} turn"),
-    ("hinge", "hinge", "free", "radius height", _AXLE, "radial axial"),
-    ("hinge, turning", "hinge", "about-axis", "radius height axis-in-hand", _AXLE, f"radial axial {_ABOUT}"),
-    ("hinge, not turning", "hinge", "fixed", "radius height orientation", _AXLE, f"radial axial {_ABOUT} turn"),
-    ("hinge, firm", "hinge", "carried", "axis-in-hand point-in-hand", _AXLE, f"{_ABOUT} slide-1 slide-2 slide"),
-    ("ball", "ball", "free", "distance", "point", "spherical"),
-    ("ball, firm", "ball", "carried", "point-in-hand", "point", "slide-1 slide-2 slide"),
-    ("cylinder", "other", "free", "radius", _AXLE, "radial"),
-    ("sleeve, firm", "other", "carried", "axis-in-hand axis-line-in-hand", _AXLE, f"{_ABOUT} slide-1 slide-2"),
-    ("screw", "screw", "free", "radius thread", f"{_AXLE} pitch", "radial helical"),
-    (
-        "screw, firm",
-        "screw",
-        "carried",
-        "axis-in-hand screw-in-hand",
-        f"{_AXLE} pitch",
-        f"{_ABOUT} slide-1 slide-2 screw",
-    ),
-    ("direction", "held-orientation", "about-axis", "axis-in-hand", "axis", _ABOUT),
-    ("orientation", "held-orientation", "fixed", "orientation", "", f"{_ABOUT} turn"),
-)
 MECHANISM_KINDS: tuple[MechanismKind, ...] = tuple(
     MechanismKind(*row[:3], *(tuple(words.split()) for words in row[3:])) for row in _TABLE
 )
 KINDS = {kind.name: kind for kind in MECHANISM_KINDS}
 
-# rows of translation and of rotation stand apart where each is of one kind to this share: a row of a learnt Lambda
-# leaks by its uncertainty, 1e-2 at 0.6 degrees, and a row that mixes the two for good does so by 0.3 and more
-MIXED = 0.2
-# [m] an axis or a centre farther away is read as this far: the fit to positions decides how far it is
-FARTHEST_START = 5.0
-Z = np.array([0.0, 0.0, 1.0])  # the axis of what has none
 
 Read = tuple[MechanismKind, Place]
 
@@ -269,31 +292,6 @@ def _of_surface(
 
 def _unit(x: Float[np.ndarray, " 3"]) -> Float[np.ndarray, " 3"]:
     return x / np.linalg.norm(x)
-
-
-Grip = Literal["loose", "firm"]
-# rows of translation and of rotation stand apart where each is held to this share, or free to it: a row of a learnt
-# Lambda leaks by its uncertainty, 1e-2 at 0.6 degrees, and a row that mixes the two for good does so by 0.3 and more
-CLEAR_SHARE = 0.1
-# [m/rad] a travel below this is that of a hinge: a tenth of the flattest thread in use (M6, 1 mm a turn, 0.16 mm/rad)
-LEAST_PITCH = 1.6e-5
-# the axis that the learner fitted belongs to these rows if it is nearer to theirs than this: 1 degree
-SAME_AXIS = 0.9998
-_TURNS: dict[Orientation, str] = {
-    "free": "the hand may turn",
-    "about-axis": "the hand may turn about {axis} only",
-    "fixed": "the hand does not turn",
-    "carried": "the hand turns with it",
-}
-_NAMES: dict[MechanismType, str] = {
-    "line": "a line ",
-    "plane": "a plane ",
-    "hinge": "a hinge: ",
-    "ball": "a ball: ",
-    "screw": "a screw: ",
-    "held-orientation": "a held orientation",
-    "other": "a cylinder: ",
-}
 
 
 @final

@@ -23,6 +23,9 @@ from manip_learn.robot.robot import Robot
 
 COUPLED = 0.1  # part of a learnt unit row that turns, up to which it counts as one that only moves, and the other way
 EXACT = 1e-6  # the same of a mechanism's rows
+MOST_PLACES, LEAST_PLACES = 12_000, 60  # of all ellipsoids of a page, and of one motion
+SIX = np.triu_indices(3)  # xx xy xz yy yz zz of a symmetric matrix
+ROUND = (1.0, 2.0, 5.0)
 
 
 @final
@@ -103,11 +106,6 @@ def _projector(columns: Float[np.ndarray, "3 k"]) -> Float[np.ndarray, "3 3"]:
     U, sigma, _ = np.linalg.svd(columns, full_matrices=False)
     U = U[:, sigma > max(COUPLED * sigma[0], 1e-9)]
     return U @ U.T
-
-
-MOST_PLACES, LEAST_PLACES = 12_000, 60  # of all ellipsoids of a page, and of one motion
-SIX = np.triu_indices(3)  # xx xy xz yy yz zz of a symmetric matrix
-ROUND = (1.0, 2.0, 5.0)
 
 
 def places_per_motion(n: int) -> int:

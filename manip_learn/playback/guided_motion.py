@@ -18,6 +18,8 @@ from manip_learn.recordings.trajectory import Trajectory
 from manip_learn.recordings.velocities import derive_velocities
 from manip_learn.robot.robot import Robot
 
+IMPOSED = "self-imposed"
+
 
 @final
 @dataclass(frozen=True, eq=False)
@@ -81,9 +83,6 @@ def motion_samples(robot: Robot, name: str, recording: Rollout | Trajectory) -> 
         if derived.u is not None:
             return MotionSamples(time, q, first, derived.time - first, derived.q, derived.u)
     return MotionSamples(time, q, first, time[:0], q[:0], np.zeros((0, robot.nv)))
-
-
-IMPOSED = "self-imposed"
 
 
 @final

@@ -24,6 +24,15 @@ MAX_TURNS = 12.0  # of a screw that is drawn
 MAX_NUMBER = 1e9  # [m] what is farther away cannot be drawn
 MAX_TEXT = 400
 CORNERS = np.array(list(product((-0.5, 0.5), repeat=3)))  # of a cube with sides of 1
+ON_IT = 0.005  # [m] off its line or circle up to which a hand still moves it: the play of a handle in closed fingers
+LEAST_TRAVEL = 0.02  # [m] less than this is a controller that settles, not a drawer that is pulled
+CANDIDATES = 200  # places along the path where the line may be
+BOARD, STANDOFF = 0.016, 0.045  # thickness of a board, and of the hand in front of it [m]
+ROUNDING = 1e-9  # [s] of times
+UPRIGHT = 0.98  # cosine of the tilt up to which a chest stands on the floor
+KINDS: dict[str, Literal["drawer", "door", "crank"]] = {"line": "drawer", "hinge": "door", "screw": "crank"}
+FRONT, BODY, HANDLE = "front", "body", "handle"
+Box = tuple[float, float, float, float, float, float, str]
 
 
 class DescribedMechanism(Protocol):
@@ -182,17 +191,6 @@ def _across(axis: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
 
 def _margin(extent: float) -> float:
     return max(MARGIN * extent, LEAST_MARGIN)
-
-
-ON_IT = 0.005  # [m] off its line or circle up to which a hand still moves it: the play of a handle in closed fingers
-LEAST_TRAVEL = 0.02  # [m] less than this is a controller that settles, not a drawer that is pulled
-CANDIDATES = 200  # places along the path where the line may be
-BOARD, STANDOFF = 0.016, 0.045  # thickness of a board, and of the hand in front of it [m]
-ROUNDING = 1e-9  # [s] of times
-UPRIGHT = 0.98  # cosine of the tilt up to which a chest stands on the floor
-KINDS: dict[str, Literal["drawer", "door", "crank"]] = {"line": "drawer", "hinge": "door", "screw": "crank"}
-FRONT, BODY, HANDLE = "front", "body", "handle"
-Box = tuple[float, float, float, float, float, float, str]
 
 
 @final

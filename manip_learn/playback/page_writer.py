@@ -17,6 +17,8 @@ import numpy as np
 
 from manip_learn.errors import OutputError
 
+FOLDER = Path(__file__).with_name("page")
+
 
 def packed(array: np.ndarray, dtype: str) -> str:
     """The array's numbers in base64, row by row.
@@ -52,7 +54,6 @@ class PageKind:
     markup: Path | None = None
 
 
-FOLDER = Path(__file__).with_name("page")
 REPLAY = PageKind(
     "replay",
     (FOLDER / "style.css", FOLDER / "tracks.css"),

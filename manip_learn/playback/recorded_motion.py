@@ -31,6 +31,11 @@ AT_REST = 0.1  # share of the root mean square speed of a motion below which it 
 MOST_POINTS = 100_000  # of all curves of a page, 8 bytes each
 MOST_OF_A_CURVE, LEAST_OF_A_CURVE = 2000, 60
 NEGLIGIBLE = 1e-10  # singular values relative to the largest
+KEY_FRAMES_PER_SECOND = 60.0  # as most screens
+MAX_KEY_FRAMES = 18_000  # 30 a second in ten minutes
+MAX_CURVE_POINTS = 2000
+MAX_PATH_POINTS = 1500  # of a drawn path, about one a pixel
+UNGUIDED = Guidance()
 
 
 @final
@@ -253,13 +258,6 @@ def extremes(values: Float[np.ndarray, " T"], most: int) -> Int[np.ndarray, " K"
     for a, b in zip(edges[:-1], edges[1:], strict=True):
         keep |= {a + int(np.argmin(low[a:b])), a + int(np.argmax(high[a:b]))}
     return np.array(sorted(keep))
-
-
-KEY_FRAMES_PER_SECOND = 60.0  # as most screens
-MAX_KEY_FRAMES = 18_000  # 30 a second in ten minutes
-MAX_CURVE_POINTS = 2000
-MAX_PATH_POINTS = 1500  # of a drawn path, about one a pixel
-UNGUIDED = Guidance()
 
 
 @final

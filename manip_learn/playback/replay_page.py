@@ -45,6 +45,9 @@ STATES = {
     "free": "free",
     "untried": "not tried: nothing moved along it",
 }
+FLAG = "--episodes"
+Recording = Rollout | Trajectory
+MAX_GHOSTS = 12  # as in page/scene.js
 
 
 class DescribedReport(Protocol):
@@ -135,9 +138,6 @@ def _number(value: object) -> float | None:
     return float(value) if is_number else None  # type: ignore[arg-type]
 
 
-FLAG = "--episodes"
-
-
 @final
 @dataclass(frozen=True)
 class RecordingChoice:
@@ -193,10 +193,6 @@ def without_flags(words: Sequence[str], flags: Mapping[str, int]) -> list[str]:
         else:
             kept.append(word)
     return kept
-
-
-Recording = Rollout | Trajectory
-MAX_GHOSTS = 12  # as in page/scene.js
 
 
 @final

@@ -34,6 +34,14 @@ from manip_learn.robot.visuals.visual_shapes import (
     visual_elements,
 )
 
+# postures that are looked at for links that can touch: every 0.2 rad of two joints that turn once
+SAMPLES = 1000
+# [m] depth that may come from convex hulls, which are larger than the links
+SLACK = 0.01
+# [m] of Coal's iterations; with its own of 1e-6, gradients between cylinders and boxes are 0.1 off
+TOLERANCE = 1e-12
+MAX_ITERATIONS = 1000  # of the distance of two shapes, which ends by itself before
+
 
 @final
 @dataclass(frozen=True, eq=False)
@@ -145,15 +153,6 @@ def _convex(points: Float[np.ndarray, "k 3"], faces: Int[np.ndarray, "m 3"]) -> 
     for i, j, k in faces.tolist():
         triangles.append(coal.Triangle(i, j, k))
     return coal.Convex(vertices, triangles)
-
-
-# postures that are looked at for links that can touch: every 0.2 rad of two joints that turn once
-SAMPLES = 1000
-# [m] depth that may come from convex hulls, which are larger than the links
-SLACK = 0.01
-# [m] of Coal's iterations; with its own of 1e-6, gradients between cylinders and boxes are 0.1 off
-TOLERANCE = 1e-12
-MAX_ITERATIONS = 1000  # of the distance of two shapes, which ends by itself before
 
 
 @final

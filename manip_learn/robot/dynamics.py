@@ -10,14 +10,13 @@ from numpy.typing import ArrayLike
 from manip_learn.robot.frame import FrameLike
 from manip_learn.robot.robot import Robot
 
+# [kg or kg m2] inertia of a hand in directions in which the arm cannot move: more than any arm weighs
+MOST_INERTIA = 1e3
+
 
 def has_inertias(robot: Robot) -> bool:
     """Whether every link that a joint carries was described with a mass."""
     return all(inertia.mass > 0.0 for inertia in list(robot.pinocchio_model.inertias)[1:])
-
-
-# [kg or kg m2] inertia of a hand in directions in which the arm cannot move: more than any arm weighs
-MOST_INERTIA = 1e3
 
 
 def hand_inertia(robot: Robot, q: ArrayLike, frame: FrameLike) -> Float[np.ndarray, "6 6"] | None:

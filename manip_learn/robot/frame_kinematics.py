@@ -21,6 +21,7 @@ from manip_learn.robot.frame import Frame
 from manip_learn.robot.joints import Coupling, JointBlock, carrying_joints
 
 REFERENCES = {"world": pin.ReferenceFrame.LOCAL_WORLD_ALIGNED, "local": pin.ReferenceFrame.LOCAL}
+DOUBLE = np.dtype(np.float64)  # of this machine's byte order
 
 
 def closed_form(
@@ -170,9 +171,6 @@ def vjps(
     if isinstance(vjp, WeightedVjp):
         return vjp.many(weights)
     return np.array([vjp(matrix) for matrix in np.split(weights, number, axis=1)])
-
-
-DOUBLE = np.dtype(np.float64)  # of this machine's byte order
 
 
 class Postures(Protocol):

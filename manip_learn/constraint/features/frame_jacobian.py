@@ -31,6 +31,8 @@ from manip_learn.robot.rotations import left_jacobian, left_jacobian_inverse, ro
 
 EXACT = 1e-12  # a matrix that is orthonormal to this is taken as it is
 NEARLY = 1e-3  # printed with few digits: made orthonormal; beyond this it is no rotation
+AXES = ("x", "y", "z", "rx", "ry", "rz")
+NAMED_AXES = {"xyz": ("x", "y", "z"), "pose": AXES, "planar": ("x", "y", "rz"), "rotation": ("rx", "ry", "rz")}
 
 
 def pose_coordinates(pose: Float[np.ndarray, "4 4"]) -> Float[np.ndarray, " 6"]:
@@ -110,10 +112,6 @@ def carried_goal(
     F = np.eye(3)
     F[given] = 0.0
     return left_jacobian_inverse(turn) @ left_jacobian(goal) @ F @ left_jacobian_inverse(here)
-
-
-AXES = ("x", "y", "z", "rx", "ry", "rz")
-NAMED_AXES = {"xyz": ("x", "y", "z"), "pose": AXES, "planar": ("x", "y", "rz"), "rotation": ("rx", "ry", "rz")}
 
 
 def parse_axes(axes: str | Sequence[str]) -> tuple[str, ...]:

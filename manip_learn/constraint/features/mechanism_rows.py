@@ -25,6 +25,15 @@ from manip_learn.linalg import finite
 from manip_learn.robot.robot import Robot
 from manip_learn.robot.rotations import skew
 
+# Units are those of the row times a joint velocity.
+FIELDS: dict[str, str] = {
+    **dict.fromkeys(("radial", "tangential", "axial", "helical", "spherical"), "m/s"),
+    **dict.fromkeys(("turn-1", "turn-2", "turn"), "rad/s"),
+    **dict.fromkeys(("slide-1", "slide-2", "slide", "screw"), "m/s"),
+}
+AT_A_DISTANCE = ("radial", "tangential", "helical", "spherical")  # rows that ask how far the hand is
+PlaceForm = Literal["point", "point and rotation", "twist", "surface"]
+
 
 @final
 @dataclass(frozen=True, eq=False)
@@ -69,15 +78,6 @@ def across(axis: Float[np.ndarray, " 3"]) -> Float[np.ndarray, "2 3"]:
     x = np.array(first)
     x /= math.sqrt(x @ x)
     return np.array([x, skew(axis) @ x])
-
-
-# Units are those of the row times a joint velocity.
-FIELDS: dict[str, str] = {
-    **dict.fromkeys(("radial", "tangential", "axial", "helical", "spherical"), "m/s"),
-    **dict.fromkeys(("turn-1", "turn-2", "turn"), "rad/s"),
-    **dict.fromkeys(("slide-1", "slide-2", "slide", "screw"), "m/s"),
-}
-AT_A_DISTANCE = ("radial", "tangential", "helical", "spherical")  # rows that ask how far the hand is
 
 
 def mechanism_weights(names: tuple[str, ...], place: Place, radius: float | None) -> PlaceWeights:
@@ -242,9 +242,6 @@ def _vector(values: ArrayLike, what: str) -> np.ndarray:
         raise FeatureError(f"the {what} must be three finite numbers, got {values!r}")
     vector.setflags(write=False)
     return vector
-
-
-PlaceForm = Literal["point", "point and rotation", "twist", "surface"]
 
 
 @final

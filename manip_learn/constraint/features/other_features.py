@@ -16,6 +16,8 @@ from manip_learn.constraint.features.relative_frame_jacobian import RelativeFram
 from manip_learn.errors import ConstraintMismatchError, FeatureError
 from manip_learn.robot.robot import Robot
 
+STEP = 1e-5  # central differences: truncation h^2 meets rounding eps / h
+
 
 @final
 class CentreOfMass(FeatureMap):
@@ -63,9 +65,6 @@ class CentreOfMass(FeatureMap):
 
     def __repr__(self) -> str:
         return f"CentreOfMass({self.robot.name!r}, axes={' '.join(self.row_names)!r})"
-
-
-STEP = 1e-5  # central differences: truncation h^2 meets rounding eps / h
 
 
 @final

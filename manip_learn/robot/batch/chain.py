@@ -29,6 +29,7 @@ from manip_learn.robot.joints import CarryingJoints, motion_along
 from manip_learn.robot.robot import Robot
 
 SNAP = 4e-16  # a right angle written in decimals misses 0 or 1 by this much
+AFTER = ((1, 2), (2, 0), (0, 1))  # (a x b)_r = a_i b_j - a_j b_i with i, j = AFTER[r]
 
 
 @final
@@ -315,9 +316,6 @@ def _tilt(
     np.multiply(y, c, out=y_out)
     y_out += np.multiply(z, s, out=work)
     return y_out
-
-
-AFTER = ((1, 2), (2, 0), (0, 1))  # (a x b)_r = a_i b_j - a_j b_i with i, j = AFTER[r]
 
 
 @final

@@ -14,6 +14,7 @@ from manip_learn.errors import ConfigurationError
 from manip_learn.robot.robot import Robot
 
 SHORTEST_UNIT = 1e-6  # a (cos, sin) below this length has no direction
+LEAST = 2048  # postures a thread: fewer take less time than starting it
 
 
 def checked_postures(robot: Robot, q: ArrayLike) -> Float[np.ndarray, "n width"]:
@@ -90,9 +91,6 @@ def _column_name(robot: Robot, width: int, column: int) -> str:
         if block.q.start <= column < block.q.stop:
             return f"joint {block.name!r} (entry {column})"
     return f"entry {column}"
-
-
-LEAST = 2048  # postures a thread: fewer take less time than starting it
 
 
 def in_threads(n: int, workers: int | None, work: Callable[[slice], None]) -> None:

@@ -21,6 +21,14 @@ from manip_learn.errors import RobotError, advice, closest_names, counted
 
 SHOWN = 4  # names that a sentence lists
 MAX_WARNINGS = 100  # nobody reads more
+MAX_BYTES = 10_000_000  # of a description; the largest of example-robot-data has 0.2
+MAX_ELEMENTS = 200_000  # of one file, so that memory and time stay small
+MAX_NESTING = 60  # URDF needs 6, nested bodies of MJCF one a joint
+MAX_ATTRIBUTE = 100_000  # [characters] no robot needs more than a few hundred
+# no two ways to read the same digits: else a long number with a typing error takes minutes
+NUMBER = re.compile(r"[+-]?(\d+(\.\d*)?|\.\d+)([eE][+-]?\d+)?", re.ASCII)
+LARGEST = 1e100  # squares and products of what is larger overflow
+NAMED = ("link", "joint", "body", "site")  # elements that messages speak of by name
 
 
 @final
@@ -77,9 +85,6 @@ def meant(name: str, known: Iterable[str], otherwise: str) -> str:
     return f"did you mean {quoted(near)}?" if near else otherwise
 
 
-MAX_BYTES = 10_000_000  # of a description; the largest of example-robot-data has 0.2
-
-
 def read_regular_file(path: Path, most: int) -> bytes:
     """Content of a regular file of at most `most` bytes.
 
@@ -130,15 +135,6 @@ def _not_read(error: OSError | ValueError, path: Path) -> tuple[str, str]:
     inside = ", ".join(sorted(p.name for p in path.glob("*.urdf"))[:SHOWN]) if path.is_dir() else ""
     hint = f"it is a folder; name a file in it, e.g. {inside}" if inside else "name a URDF file"
     return "not-a-file", f"{path}: not a regular file; {hint}"
-
-
-MAX_ELEMENTS = 200_000  # of one file, so that memory and time stay small
-MAX_NESTING = 60  # URDF needs 6, nested bodies of MJCF one a joint
-MAX_ATTRIBUTE = 100_000  # [characters] no robot needs more than a few hundred
-# no two ways to read the same digits: else a long number with a typing error takes minutes
-NUMBER = re.compile(r"[+-]?(\d+(\.\d*)?|\.\d+)([eE][+-]?\d+)?", re.ASCII)
-LARGEST = 1e100  # squares and products of what is larger overflow
-NAMED = ("link", "joint", "body", "site")  # elements that messages speak of by name
 
 
 @final

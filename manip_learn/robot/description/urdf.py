@@ -21,6 +21,25 @@ X: Vector = (1.0, 0.0, 0.0)
 # of each type of joint
 DEGREES_OF_FREEDOM = {"fixed": 0, "revolute": 1, "continuous": 1, "prismatic": 1, "planar": 3, "floating": 6}
 Matrix = Float[np.ndarray, "4 4"]
+KNOWN_ATTRIBUTES = {
+    "origin": {"xyz", "rpy"},
+    "axis": {"xyz"},
+    "limit": {"lower", "upper", "velocity", "effort", "acceleration", "deceleration", "jerk"},
+    "mimic": {"joint", "multiplier", "offset"},
+    "parent": {"link"},
+    "child": {"link"},
+}
+JOINT_CHILDREN = {"origin", "parent", "child", "axis", "limit", "dynamics", "mimic", "safety_controller", "calibration"}
+LINK_CHILDREN = {"inertial", "visual", "collision", "contact", "self_collision_checking", "sensor", "verbose"}
+INERTIAL_CHILDREN = {"origin", "mass", "inertia"}
+MAX_NAME = 200  # [characters] longer ones make no readable sentence
+RESERVED = ("universe",)
+FARTHEST = 1e6  # [m] beyond it poses keep less than 1e-9 m
+FULL_TURN = 2.0 * math.pi + 1e-3  # [rad] files round
+AXIS_NORMS = (1e-3, 1e3)  # of lengths outside the direction may be noise
+INERTIA = ("ixx", "ixy", "ixz", "iyy", "iyz", "izz")
+UNLIMITED = 1_000.0  # [rad or m] larger limits mean "no limit" in practice
+LARGE = 1e300  # what C++ reads as a number and no joint reaches
 
 
 @final
@@ -136,25 +155,6 @@ def as_matrix(pose: Pose) -> Matrix:
     T = np.eye(4)
     T[:3, :3], T[:3, 3] = pin.rpy.rpyToMatrix(*pose.rpy), pose.xyz
     return T
-
-
-KNOWN_ATTRIBUTES = {
-    "origin": {"xyz", "rpy"},
-    "axis": {"xyz"},
-    "limit": {"lower", "upper", "velocity", "effort", "acceleration", "deceleration", "jerk"},
-    "mimic": {"joint", "multiplier", "offset"},
-    "parent": {"link"},
-    "child": {"link"},
-}
-JOINT_CHILDREN = {"origin", "parent", "child", "axis", "limit", "dynamics", "mimic", "safety_controller", "calibration"}
-LINK_CHILDREN = {"inertial", "visual", "collision", "contact", "self_collision_checking", "sensor", "verbose"}
-INERTIAL_CHILDREN = {"origin", "mass", "inertia"}
-MAX_NAME = 200  # [characters] longer ones make no readable sentence
-RESERVED = ("universe",)
-FARTHEST = 1e6  # [m] beyond it poses keep less than 1e-9 m
-FULL_TURN = 2.0 * math.pi + 1e-3  # [rad] files round
-AXIS_NORMS = (1e-3, 1e3)  # of lengths outside the direction may be noise
-INERTIA = ("ixx", "ixy", "ixz", "iyy", "iyz", "izz")
 
 
 def read_link(node: XmlNode) -> UrdfLink:
@@ -334,10 +334,6 @@ def _warn_unknown_children(node: XmlNode, known: set[str]) -> None:
             near = [] if node.log.is_full else closest_names(shortened(child.tag).lower(), known, n=1)
             hint = f"; did you mean <{near[0]}>?" if near else ""
             child.warn(f"<{shortened(child.tag)}> is ignored{hint}")
-
-
-UNLIMITED = 1_000.0  # [rad or m] larger limits mean "no limit" in practice
-LARGE = 1e300  # what C++ reads as a number and no joint reaches
 
 
 def kinematic_urdf(

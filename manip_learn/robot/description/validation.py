@@ -22,6 +22,12 @@ from manip_learn.robot.description.urdf import (
 from manip_learn.robot.joints import Mimic
 
 LARGEST_MULTIPLIER = 1e6  # above it, rounding of the leader is a motion of the follower
+KNOWN_CHILDREN = {"link", "joint", "material", "transmission", "gazebo", "sensor", "ros2_control", "group"}
+MAX_LINKS = 1_000  # loading takes seconds for them
+MAX_DEPTH = 500  # Pinocchio recurses, and crashes at some thousands
+MAX_NV = 150  # Pinocchio's memory grows with the cube: 0.22 GB for these
+MAX_IGNORED = 20  # unknown elements that are named in warnings
+LARGEST_LIMIT = 4.0 * math.pi  # [rad] no arm turns more than twice each way
 
 
 @final
@@ -117,14 +123,6 @@ def _check_type(joint: UrdfJoint, log: Diagnostics) -> None:
         raise log.refusal(
             "mimic-type", joint.line, f"joint {joint.name!r}: {seen}; one is expected; delete the <mimic>"
         )
-
-
-KNOWN_CHILDREN = {"link", "joint", "material", "transmission", "gazebo", "sensor", "ros2_control", "group"}
-MAX_LINKS = 1_000  # loading takes seconds for them
-MAX_DEPTH = 500  # Pinocchio recurses, and crashes at some thousands
-MAX_NV = 150  # Pinocchio's memory grows with the cube: 0.22 GB for these
-MAX_IGNORED = 20  # unknown elements that are named in warnings
-LARGEST_LIMIT = 4.0 * math.pi  # [rad] no arm turns more than twice each way
 
 
 @final

@@ -25,6 +25,10 @@ from manip_learn.robot.visuals.meshes import Colour, find_mesh, mesh_roots, read
 Tag = Literal["visual", "collision"]
 LARGEST_SIZE = 1e4  # [m] of a shape and its distance: more is a wrong unit
 MAX_VISUALS = 2_000  # of a robot, so that its page can be drawn
+STAND_IN: Colour = (0.55, 0.60, 0.68, 1.0)  # red, green, blue and opacity: links without a shape of their own
+GREY: Colour = (0.7, 0.7, 0.72, 1.0)  # red, green, blue and opacity: shapes without a colour
+THIN = 0.02  # [m] radius of rods and balls
+MESH_REASON = re.compile(r"mesh (?P<name>'[^']*'|\"[^\"]*\")(?P<why>.*)")
 
 
 @final
@@ -223,12 +227,6 @@ def _colour(material: XmlNode) -> Colour | None:
 
 def _unusable(node: XmlNode, seen: str) -> RobotError:
     return node.refusal("visual", f"{seen}; a usable shape is expected; a plain shape is drawn")
-
-
-STAND_IN: Colour = (0.55, 0.60, 0.68, 1.0)  # red, green, blue and opacity: links without a shape of their own
-GREY: Colour = (0.7, 0.7, 0.72, 1.0)  # red, green, blue and opacity: shapes without a colour
-THIN = 0.02  # [m] radius of rods and balls
-MESH_REASON = re.compile(r"mesh (?P<name>'[^']*'|\"[^\"]*\")(?P<why>.*)")
 
 
 @final
