@@ -254,7 +254,19 @@ class Constraint:
             ConstraintMismatchError: Another robot, another schema, no constraint file at all, or rows that contradict
                 what the file says of them: their number, names, units, or that they are orthonormal.
         """
-        return Constraint.from_dict(_read(Path(path)), robot, source=str(path), same_urdf=same_urdf)
+        file = Path(path)
+        if not file.is_file():
+            what = "is a folder" if file.is_dir() else "does not exist"
+            raise ConstraintMismatchError(
+                f"constraint file {path} {what}; `manip-learn learn ... --out FILE` writes one"
+            )
+        try:
+            content = json.loads(file.read_bytes())
+        except (ValueError, RecursionError) as error:
+            raise ConstraintMismatchError(f"{path} is not a constraint file: it is not JSON ({error})") from error
+        except OSError as error:
+            raise ConstraintMismatchError(f"cannot read {path}: {error.strerror}") from error
+        return Constraint.from_dict(content, robot, source=str(path), same_urdf=same_urdf)
 
     @staticmethod
     def from_dict(
@@ -265,7 +277,11 @@ class Constraint:
         Raises:
             ConstraintMismatchError: Another robot, another schema, or no constraint at all.
         """
-        _check_format(source, content)
+        if not isinstance(content, Mapping) or content.get("format") != FORMAT:
+            raise ConstraintMismatchError(f'{source} is not a constraint file: it lacks "format": "{FORMAT}"')
+        if content.get("schema") != SCHEMA:
+            seen = f"{source} has schema {content.get('schema')!r}, this version reads {SCHEMA}"
+            raise ConstraintMismatchError(f"{seen}: learn the constraint again")
         _check_robot(source, content, robot, same_urdf)
         try:
             features = described_features(content["features"], robot)
@@ -275,7 +291,12 @@ class Constraint:
             raise ConstraintMismatchError(f"{source}: the file is damaged ({error!r}); save it again") from error
         except ManipLearnError as error:
             raise ConstraintMismatchError(f"{source}: {error}") from error
-        constraint.notes = _locked_notes(content["robot"], robot)
+        then = content["robot"].get("locked", robot.locked)
+        if then != robot.locked:
+            said = f"the constraint was made with {_in_words(then)}, the robot has {_in_words(robot.locked)}"
+            constraint.notes = (said,)
+        elif then:
+            constraint.notes = (f"as when the constraint was made: {_in_words(then)}",)
         return constraint
 
     def __repr__(self) -> str:
@@ -326,27 +347,6 @@ def _orthonormal(selection: ArrayLike, features: FeatureMap) -> np.ndarray:
     return orthonormal_rows(matrix)
 
 
-def _read(path: Path) -> Any:
-    if not path.is_file():
-        what = "is a folder" if path.is_dir() else "does not exist"
-        raise ConstraintMismatchError(f"constraint file {path} {what}; `manip-learn learn ... --out FILE` writes one")
-    try:
-        return json.loads(path.read_bytes())
-    except (ValueError, RecursionError) as error:
-        raise ConstraintMismatchError(f"{path} is not a constraint file: it is not JSON ({error})") from error
-    except OSError as error:
-        raise ConstraintMismatchError(f"cannot read {path}: {error.strerror}") from error
-
-
-def _check_format(path: str, content: Any) -> None:
-    if not isinstance(content, Mapping) or content.get("format") != FORMAT:
-        raise ConstraintMismatchError(f'{path} is not a constraint file: it lacks "format": "{FORMAT}"')
-    if content.get("schema") != SCHEMA:
-        raise ConstraintMismatchError(
-            f"{path} has schema {content.get('schema')!r}, this version reads {SCHEMA}: learn the constraint again"
-        )
-
-
 def _check_robot(path: str, content: Mapping[str, Any], robot: Robot, same_urdf: bool) -> None:
     saved = content.get("robot")
     if not isinstance(saved, dict):
@@ -382,14 +382,6 @@ def _check_robot(path: str, content: Mapping[str, Any], robot: Robot, same_urdf:
 
 def _in_words(locked: Mapping[str, float]) -> str:
     return ", ".join(f"{name} = {value:.4g}" for name, value in locked.items()) + " locked" if locked else "none locked"
-
-
-def _locked_notes(saved: Mapping[str, Any], robot: Robot) -> tuple[str, ...]:
-    """That joints are locked, where they were when the constraint was made or elsewhere."""
-    then = saved.get("locked", robot.locked)
-    if then != robot.locked:
-        return (f"the constraint was made with {_in_words(then)}, the robot has {_in_words(robot.locked)}",)
-    return (f"as when the constraint was made: {_in_words(then)}",) if then else ()
 
 
 def _check_rows(content: Mapping[str, Any], constraint: Constraint) -> None:

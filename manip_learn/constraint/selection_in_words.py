@@ -154,8 +154,14 @@ def _freedom(
     small = np.where(np.abs(free) < NEGLIGIBLE, 0.0, free)
     parts = {verb: [_entries(row, names, rows) for row in small] for verb, (_, rows, *_) in VERBS.items()}
     if any(np.any(move) and np.any(turn) for move, turn in zip(*parts.values(), strict=True)):
-        ways = listed(_way(move, turn) for move, turn in zip(*parts.values(), strict=True))
-        return f"can {ways}, and is {held} in every other way"
+        ways = []  # each direction, with the proportion if it has both kinds
+        for move, turn in zip(*parts.values(), strict=True):
+            if np.any(move) and np.any(turn):
+                ways.append(f"move along {in_words(move)} while turning about {in_words(turn)}")
+            else:
+                verb, row = ("move along", move) if np.any(move) else ("turn about", turn)
+                ways.append(f"{verb} {row_in_words(row, AXES)}")
+        return f"can {listed(ways)}, and is {held} in every other way"
     known = {verb: np.array([n in names for n in rows]) for verb, (_, rows, *_) in VERBS.items()}
     clauses = [_clause(verb, [x for x in parts[verb] if np.any(x)], known[verb], held) for verb in VERBS]
     return "; it ".join(clause for clause in clauses if clause)
@@ -164,13 +170,6 @@ def _freedom(
 def _entries(row: np.ndarray, names: Sequence[str], rows: Sequence[str]) -> Float[np.ndarray, " 3"]:
     """The entries of these rows, 0 for those that the features lack."""
     return np.array([row[names.index(n)] if n in names else 0.0 for n in rows])
-
-
-def _way(move: Float[np.ndarray, " 3"], turn: Float[np.ndarray, " 3"]) -> str:
-    """One direction, with the proportion if it has both kinds: `"move along (...) while turning about (...)"`."""
-    if np.any(move) and np.any(turn):
-        return f"move along {in_words(move)} while turning about {in_words(turn)}"
-    return f"move along {row_in_words(move, AXES)}" if np.any(move) else f"turn about {row_in_words(turn, AXES)}"
 
 
 def _clause(verb: str, free: list[np.ndarray], known: Bool[np.ndarray, " 3"], held: str) -> str:

@@ -133,7 +133,8 @@ def task_frame(
     if mechanism is not None and mechanism.axis is not None and turns == "no":
         wishes.insert(0, mechanism.axis)
     if mechanism is not None and mechanism.point is not None and mechanism.type not in ("line", "plane"):
-        out = p - mechanism.point if mechanism.axis is None else _across(p - mechanism.point, mechanism.axis)
+        out = p - mechanism.point
+        out = out if mechanism.axis is None else out - float(mechanism.axis @ out) * mechanism.axis
         origin = origin if carried else p - out
         wishes.insert(0 if mechanism.axis is None else 1, out)
         turns = "axis"
@@ -230,10 +231,6 @@ def _axes(S: Float[np.ndarray, "3 3"], wishes: Sequence[Float[np.ndarray, " 3"]]
         left[best : best + 1] = [rest] if len(rest) else []
     z, x = found
     return np.column_stack([x, np.cross(z, x), z])
-
-
-def _across(d: Float[np.ndarray, " 3"], axis: Float[np.ndarray, " 3"]) -> Float[np.ndarray, " 3"]:
-    return d - float(axis @ d) * axis
 
 
 def _stated(known: Mechanism | None, angle: Any, lever: float) -> Float[np.ndarray, " 6"]:

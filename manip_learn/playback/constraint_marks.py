@@ -131,7 +131,9 @@ def constraint_marks(
 def _marks(
     robot: Robot, samples: MotionSamples, constraint: Constraint, goal: np.ndarray | None, most: int
 ) -> dict[str, Any] | None:
-    learnt = _learnt(constraint)
+    n, learnt = constraint.provenance.get("n_constraints"), constraint
+    if isinstance(n, int) and 0 < n < constraint.n_constraints:  # a task's rows follow those that were learnt
+        learnt = Constraint(constraint.selection[:n], constraint.features, constraint.provenance)
     kept = evenly(samples.time.size, most)
     frame = getattr(constraint.features, "frame", None)
     if not isinstance(frame, Frame):
@@ -142,24 +144,22 @@ def _marks(
     directions, ruled = (held_directions(c, poses[:, :3, 3]) for c in (learnt, constraint))
     if directions is None or ruled is None:
         return None
-    names = "held", "free", "held_turns", "free_turns"
+    # H J_v J_v^T H in the axes of the directions: semi-axes are the tip's speeds along what is held, at |u| = 1, and of
+    # rows that only move the singular values of A, since this is Lambda^T A A^T Lambda
+    J = batch_kinematics(robot, ruled.frame).jacobian(q, "world")[:, :3]
+    if ruled.axes is not None:
+        J = batch_kinematics(robot, ruled.axes).pose(q)[:, :3, :3].transpose(0, 2, 1) @ J
+    driven = ruled.held @ J
+    names = {"held": "held", "free": "free", "heldTurns": "held_turns", "freeTurns": "free_turns"}
     return {
         "tip": _place(robot, frame),
         "axes": None if directions.axes is None else _place(robot, directions.axes),
         "times": packed(samples.time[kept], "<f8"),
-        **{_key(n): packed(getattr(directions, n)[..., *SIX], "<f4") for n in names},
-        "ellipsoid": packed(_ellipsoids(robot, ruled, q)[:, *SIX], "<f4"),
+        **{key: packed(getattr(directions, n)[..., *SIX], "<f4") for key, n in names.items()},
+        "ellipsoid": packed((driven @ driven.transpose(0, 2, 1))[:, *SIX], "<f4"),
         "driven": constraint.n_constraints > learnt.n_constraints,  # along what is free, too
         "target": target_place(robot, constraint, goal, samples.q[0]),
     }
-
-
-def _learnt(constraint: Constraint) -> Constraint:
-    """Without the rows that a task drives, which follow those that were learnt."""
-    n = constraint.provenance.get("n_constraints")
-    if not isinstance(n, int) or not 0 < n < constraint.n_constraints:
-        return constraint
-    return Constraint(constraint.selection[:n], constraint.features, constraint.provenance)
 
 
 def ellipsoid_scale(marks: Sequence[dict[str, Any] | None], size: float) -> float:
@@ -184,19 +184,6 @@ def ellipsoid_scale(marks: Sequence[dict[str, Any] | None], size: float) -> floa
     return float(power * max(m for m in ROUND if m * power <= wanted * (1.0 + 1e-9)))
 
 
-def _ellipsoids(robot: Robot, directions: HeldDirections, q: Float[np.ndarray, "P n"]) -> Float[np.ndarray, "P 3 3"]:
-    """H J_v J_v^T H in the axes of the directions: semi-axes are the tip's speeds along what is held, at |u| = 1.
-
-    Of rows that only move this is Lambda^T A A^T Lambda: its semi-axes are the singular values of A.
-    """
-    J = batch_kinematics(robot, directions.frame).jacobian(q, "world")[:, :3]
-    if directions.axes is not None:
-        rotation = batch_kinematics(robot, directions.axes).pose(q)[:, :3, :3]
-        J = rotation.transpose(0, 2, 1) @ J
-    held = directions.held @ J
-    return held @ held.transpose(0, 2, 1)
-
-
 def target_place(
     robot: Robot, constraint: Constraint, target: np.ndarray | None, q: Float[np.ndarray, " n"]
 ) -> dict[str, Any] | None:
@@ -212,35 +199,19 @@ def target_place(
     elif isinstance(features, WeighedVelocity):
         return None  # distances from an axis are no place
     else:
-        point = _completed(constraint, target, here, features.coordinates(q))
-    if point is None:
-        return None
+        r, selection = features.coordinates(q), constraint.selection
+        if target.shape == (len(selection),) != r.shape:  # along the rows: the nearest place from the start
+            target = r + selection.T @ (target - selection @ r)
+        known = [name for name in features.row_names if name in AXES[:3]]
+        if target.shape != r.shape or not known:
+            return None
+        point = here.copy()
+        for name in known:
+            point[AXES.index(name)] = target[features.row_names.index(name)]
     return {"carrier": None if carrier is None else _place(robot, carrier), "point": [float(x) for x in point]}
-
-
-def _completed(
-    constraint: Constraint, target: np.ndarray, here: Float[np.ndarray, " 3"], r: Float[np.ndarray, " p"]
-) -> Float[np.ndarray, " 3"] | None:
-    names = constraint.features.row_names
-    if target.shape == r.shape:
-        goal = target
-    elif target.shape == (constraint.n_constraints,):  # along the constrained rows: the nearest place from the start
-        goal = r + constraint.selection.T @ (target - constraint.selection @ r)
-    else:
-        return None
-    point = here.copy()
-    for name, value in zip(names, goal, strict=True):
-        if name in AXES[:3]:
-            point[AXES.index(name)] = value
-    return point if any(name in AXES[:3] for name in names) else None
 
 
 def _place(robot: Robot, frame: Frame) -> dict[str, Any]:
     """Joint that carries a frame, and the frame's pose in the joint's, row by row."""
     placement = robot.pinocchio_model.frames[frame.index].placement.homogeneous
     return {"joint": frame.parent_joint, "placement": [float(x) for x in placement.ravel()]}
-
-
-def _key(name: str) -> str:
-    head, *rest = name.split("_")
-    return head + "".join(word.capitalize() for word in rest)

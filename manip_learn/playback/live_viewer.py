@@ -11,7 +11,6 @@ import selectors
 import subprocess
 import sys
 import threading
-import time
 import time as clock
 import traceback
 import weakref
@@ -82,7 +81,11 @@ class LiveProcess:
         self._failed: set[tuple[object, ...]] = set()  # where functions of the program did
         self._wake = threading.Event()
         self._closed = threading.Event()
-        self._process = _started_server()
+        pipes = {"stdin": subprocess.PIPE, "stdout": subprocess.PIPE, "stderr": subprocess.DEVNULL}
+        try:  # in a session of its own: Ctrl-C is for the program, which then closes us
+            self._process = subprocess.Popen([sys.executable, "-I", str(SERVER)], **pipes, start_new_session=True)
+        except OSError as error:
+            raise OutputError(f"the live view's server cannot be started: {error}") from error
         header = {"page": len(self._page), "token": token, "hears": heard is not None}
         self._feeder = threading.Thread(target=self._feed, args=(header,), name="live view", daemon=True)
         self._feeder.start()
@@ -127,27 +130,21 @@ class LiveProcess:
         """End the server and the threads; calling it twice is allowed."""
         self._closed.set()
         self._wake.set()
-        self._join(self._feeder)
-        if self._feeder.is_alive():  # it is blocked in a write
-            self._process.kill()
-            self._join(self._feeder)
-        self._shut(self._process.stdin)
-        try:
-            self._process.wait(STOP_SECONDS)
-        except subprocess.TimeoutExpired:
-            self._process.kill()
-            self._process.wait()
-        self._join(self._listener)
-        self._shut(self._process.stdout)
-
-    def _join(self, thread: threading.Thread | None) -> None:
-        if thread is not None and thread is not threading.current_thread():
-            thread.join(STOP_SECONDS)
-
-    def _shut(self, pipe: IO[bytes] | None) -> None:
-        if pipe is not None:
-            with contextlib.suppress(OSError):
-                pipe.close()
+        here, pipes = threading.current_thread(), (self._process.stdin, self._process.stdout)
+        for thread, pipe in zip((self._feeder, self._listener), pipes, strict=True):
+            if thread is not None and thread is not here:
+                thread.join(STOP_SECONDS)
+                if thread is self._feeder and thread.is_alive():  # it is blocked in a write
+                    self._process.kill()
+                    thread.join(STOP_SECONDS)
+            if pipe is not None:
+                with contextlib.suppress(OSError):
+                    pipe.close()
+            try:
+                self._process.wait(STOP_SECONDS)
+            except subprocess.TimeoutExpired:
+                self._process.kill()
+                self._process.wait()
 
     def _read_port(self, timeout: float) -> int:
         stdout = self._process.stdout
@@ -197,7 +194,7 @@ class LiveProcess:
                 slot = next(iter(self._newest), None)
                 if slot is None:
                     break
-                now, interval = time.monotonic(), self._interval
+                now, interval = clock.monotonic(), self._interval
                 due = self._due.get(slot, now)
                 if due > now:
                     return due - now  # later ones wait, too: a page may rely on their order
@@ -223,19 +220,6 @@ class LiveProcess:
             if place not in self._failed:
                 self._failed.add(place)
                 _LOGGER.exception("live view: the program failed on %s, which is told once: %s", of, text)
-
-
-def _started_server() -> subprocess.Popen[bytes]:
-    try:
-        return subprocess.Popen(
-            [sys.executable, "-I", str(SERVER)],
-            stdin=subprocess.PIPE,
-            stdout=subprocess.PIPE,
-            stderr=subprocess.DEVNULL,
-            start_new_session=True,  # Ctrl-C is for the program, which then closes us
-        )
-    except OSError as error:
-        raise OutputError(f"the live view's server cannot be started: {error}") from error
 
 
 @final

@@ -83,9 +83,16 @@ def page(data: dict[str, Any], *, robot: str, subtitle: str, kind: PageKind = RE
     Raises:
         OutputError: Meshcat's viewer is missing.
     """
-    viewer, program = viewer_script(), _program(kind.program)
+    body = "\n".join(map(_content, kind.program))
+    viewer, program = viewer_script(), f'"use strict";\n(() => {{\n{body}\n}})();\n'
+    hashed = (base64.b64encode(hashlib.sha256(s.encode()).digest()).decode() for s in (viewer, program))
+    hashes = " ".join(f"'sha256-{one}'" for one in hashed)
+    # meshcat's viewer makes style elements, hence unsafe-inline for styles
+    rules = ["default-src 'none'", f"script-src {hashes}", "style-src 'unsafe-inline'", "img-src data: blob:"]
+    listens = "connect-src 'none'" if kind.mode == "replay" else "connect-src 'self'"
+    rules += [listens, "base-uri 'none'", "form-action 'none'"]
     parts = {
-        "policy": _policy((viewer, program), live=kind.mode != "replay"),
+        "policy": "; ".join(rules),
         "title": html.escape(f"{robot}: {subtitle}" if subtitle else robot),
         "style": "".join(map(_content, kind.style)),
         "mode": kind.mode,
@@ -106,23 +113,9 @@ def json_in_html(data: object) -> str:
     return text.replace("&", "\\u0026").replace("<", "\\u003c").replace(">", "\\u003e")
 
 
-def _policy(scripts: tuple[str, ...], live: bool) -> str:
-    hashes = " ".join(f"'sha256-{base64.b64encode(hashlib.sha256(s.encode()).digest()).decode()}'" for s in scripts)
-    # meshcat's viewer makes style elements, hence unsafe-inline for styles
-    rules = ["default-src 'none'", f"script-src {hashes}", "style-src 'unsafe-inline'", "img-src data: blob:"]
-    rules += ["connect-src 'self'" if live else "connect-src 'none'", "base-uri 'none'", "form-action 'none'"]
-    return "; ".join(rules)
-
-
 @cache
 def _content(file: Path) -> str:
     return file.read_text(encoding="utf-8")  # which makes one newline of every kind
-
-
-@cache
-def _program(files: tuple[Path, ...]) -> str:
-    body = "\n".join(map(_content, files))
-    return f'"use strict";\n(() => {{\n{body}\n}})();\n'
 
 
 def _meshcat_folder() -> Path:

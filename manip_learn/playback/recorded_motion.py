@@ -95,8 +95,12 @@ def tracks_of(
     shares = samples.u / np.where(limited, fastest, 1.0)
     # 0 at the lower limit of a joint, 1 at the upper one
     places = (positions_of(robot, samples.q) - low) / np.where(bounded, high - low, 1.0)
-    tracks = [
-        _singular_values(samples, guidance.constraint),
+    tracks: list[Track | None] = []
+    if guidance.constraint is not None:  # singular values of A(q), largest first
+        A = guidance.constraint.selection @ guidance.constraint.features.batch(samples.q)
+        sigma = np.linalg.svd(A, compute_uv=False).T
+        tracks.append(Track("singular", tuple(Curve(f"σ{k + 1}", samples.time, s) for k, s in enumerate(sigma))))
+    tracks += [
         _fit(samples, guidance, phases) if isinstance(recording, Trajectory) else None,
         _of_limits(robot, "velocity", samples.velocity_time, shares, limited),
         _of_limits(robot, "position", samples.time, places, bounded),
@@ -124,16 +128,6 @@ def _measured(recording: Trajectory, joints: Sequence[str], time: Float[np.ndarr
             size = np.linalg.norm(recording.wrench[:, part], axis=1)
             tracks.append(Track(kind, (Curve("", time, size),), unit))
     return tracks
-
-
-def _singular_values(samples: MotionSamples, constraint: Constraint | None) -> Track | None:
-    """Of A(q), largest first."""
-    if constraint is None:
-        return None
-    A = constraint.selection @ constraint.features.batch(samples.q)
-    sigma = np.linalg.svd(A, compute_uv=False)
-    names = [f"σ{k + 1}" for k in range(sigma.shape[1])]
-    return Track("singular", tuple(Curve(n, samples.time, sigma[:, k]) for k, n in enumerate(names)))
 
 
 def _fit(samples: MotionSamples, guidance: Guidance, phases: Sequence[PhaseBand]) -> Track | None:
@@ -219,27 +213,22 @@ def track_data(tracks: Sequence[Track], most: int) -> dict[str, Any]:
         most: See `points_per_curve`.
     """
     clocks: list[np.ndarray] = []
+
+    def curve_data(curve: Curve) -> dict[str, Any]:
+        kept = extremes(curve.values, most)
+        described: dict[str, Any] = {"name": curve.name, "values": packed(curve.values[kept], "<f4")}
+        if kept.size < curve.values.size:
+            return described | {"times": packed(curve.times[kept], "<f4")}
+        number = next((i for i, clock in enumerate(clocks) if clock is curve.times), len(clocks))
+        if number == len(clocks):
+            clocks.append(curve.times)
+        return described | {"clock": number}
+
     described = [
-        {
-            "kind": t.kind,
-            "unit": t.unit,
-            "without": t.without,
-            "curves": [_curve_data(c, most, clocks) for c in t.curves],
-        }
+        {"kind": t.kind, "unit": t.unit, "without": t.without, "curves": [curve_data(c) for c in t.curves]}
         for t in tracks
     ]
     return {"clocks": [packed(clock, "<f8") for clock in clocks], "tracks": described}
-
-
-def _curve_data(curve: Curve, most: int, clocks: list[np.ndarray]) -> dict[str, Any]:
-    kept = extremes(curve.values, most)
-    described: dict[str, Any] = {"name": curve.name, "values": packed(curve.values[kept], "<f4")}
-    if kept.size < curve.values.size:
-        return described | {"times": packed(curve.times[kept], "<f4")}
-    number = next((i for i, clock in enumerate(clocks) if clock is curve.times), len(clocks))
-    if number == len(clocks):
-        clocks.append(curve.times)
-    return described | {"clock": number}
 
 
 def extremes(values: Float[np.ndarray, " T"], most: int) -> Int[np.ndarray, " K"]:
@@ -336,14 +325,23 @@ def recorded_motion(
     time, q, first_time = samples.time, samples.q, samples.first_time
     keys = key_frames(time)
     path_keys = keys[evenly(keys.size, MAX_PATH_POINTS)]
-    curve_times, curve = _curve(name, time, getattr(recording, "manipulability", None))
+    mu, curve_times, curve = getattr(recording, "manipulability", None), np.zeros(0), np.zeros(0)
+    if mu is not None:
+        if (curve := finite(mu, time.size)) is None:
+            sentence = f"the manipulability of its {time.size} times must be as many finite numbers, got {mu!r:.80}"
+            raise RecordingError(f"rollout {name!r}: {sentence}", code="not-finite")
+        chosen = extremes(curve, MAX_CURVE_POINTS)
+        curve_times, curve = time[chosen], curve[chosen]
     own = _within(own_bands(name, getattr(recording, "phases", ())), first_time, float(time[-1]))
     bands = _within(phases, first_time, float(time[-1])) or own
     tracks = joint_tracks(robot, tree, q[keys])
     path_times, path = time[path_keys], np.array([robot.pose(x, tip)[:3, 3] for x in q[path_keys]])
     measures, furniture = tracks_of(robot, recording, samples, guidance, bands), None
     if isinstance(recording, Rollout):
-        furniture = furniture_of(guidance.mechanism(0) or mechanism, path_times, path, _ways(own))
+        # when the hand has hold of its mechanism, by the rollout's own phases, if they tell
+        tells = any(band.name == WAY or band.name in LEADING for band in own)
+        ways = [(band.start, band.end) for band in own if band.name == WAY] if tells else None
+        furniture = furniture_of(guidance.mechanism(0) or mechanism, path_times, path, ways)
     if furniture is not None:
         measures = (Track("opening", (Curve("", path_times, furniture.opening),), furniture.unit), *measures)
     return RecordedMotion(
@@ -373,13 +371,6 @@ def _within(phases: tuple[PhaseBand, ...], first_time: float, duration: float) -
     return tuple(band for band in moved if band.start < band.end)
 
 
-def _ways(own: tuple[PhaseBand, ...]) -> list[tuple[float, float]] | None:
-    """When the hand has hold of its mechanism, by a rollout's own phases; None if they do not tell."""
-    if not any(band.name == WAY or band.name in LEADING for band in own):
-        return None
-    return [(band.start, band.end) for band in own if band.name == WAY]
-
-
 def key_frames(time: Float[np.ndarray, " T"]) -> np.ndarray:
     """Indices of the samples that are key frames: at most 60 per second, fewer in long motions, first and last kept."""
     span = float(time[-1] - time[0])
@@ -387,18 +378,6 @@ def key_frames(time: Float[np.ndarray, " T"]) -> np.ndarray:
     slots = np.floor((time - time[0]) / gap * (1.0 + 1e-12)).astype(np.int64)
     first_of_slot = np.flatnonzero(np.diff(slots, prepend=-1) > 0)
     return np.union1d(first_of_slot, [time.size - 1])
-
-
-def _curve(name: str, time: np.ndarray, values: object) -> tuple[np.ndarray, np.ndarray]:
-    """The manipulability, subsampled so that every minimum and maximum is kept."""
-    if values is None:
-        return np.zeros(0), np.zeros(0)
-    curve = finite(values, time.size)
-    if curve is None:
-        sentence = f"the manipulability of its {time.size} times must be as many finite numbers, got {values!r:.80}"
-        raise RecordingError(f"rollout {name!r}: {sentence}", code="not-finite")
-    chosen = extremes(curve, MAX_CURVE_POINTS)
-    return time[chosen], curve[chosen]
 
 
 def status_changes(name: str, time: Float[np.ndarray, " T"], words: Iterable[object]) -> tuple[tuple[float, str], ...]:

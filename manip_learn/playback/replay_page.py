@@ -15,7 +15,6 @@ from pathlib import Path
 from typing import Any, Protocol, final
 
 import numpy as np
-from jaxtyping import Float
 from numpy.typing import ArrayLike
 
 from manip_learn.atomic_write import write_atomically
@@ -68,14 +67,24 @@ def evidence_of(report: DescribedReport | Mapping[str, Any]) -> dict[str, Any]:
     """
     content = report if isinstance(report, Mapping) else report.to_dict()
     imposed = content.get("kind") == "self-imposed"
+    odd = _list(content.get("odd_trajectories"))
+    pairs = [(e.get("trajectory"), e.get("reason")) if isinstance(e, Mapping) else e for e in odd]
+    rows = []  # strength, chance and verdict of each, most firmly held first
+    for k, entry in enumerate(_list(content.get("row_evidence"))):
+        if isinstance(entry, Mapping):
+            strength, chance = _number(entry.get("strength")), _number(entry.get("p_value"))
+            state = str(entry.get("state"))
+            grown = "" if strength is None else f"{strength:,.3g} times" if strength < 1e6 else "over a million times"
+            said = "" if chance is None else f"p = {chance:.2g}"
+            rows.append([f"row {k + 1}", STATES.get(state, state[:40]), grown, said])
     return {
         "headline": _text(content.get("sentence")),
         "kind": "the demonstrator moves the constrained directions (b is not 0)" if imposed else "",
         "facts": _facts(content),
         "words": _text(content.get("evidence")),
-        "rows": _rows(content.get("row_evidence")),
+        "rows": rows,
         "warnings": _texts(content.get("warnings")),
-        "odd": _odd(content.get("odd_trajectories")),
+        "odd": [_texts(pair) for pair in pairs if isinstance(pair, list | tuple) and len(pair) == 2],
         "notes": _texts(content.get("notes")),
     }
 
@@ -100,25 +109,6 @@ def _facts(content: Mapping[str, Any]) -> list[list[str]]:
         said = f"of {counted(recordings, 'recording')}" + f"; estimator: {estimator}" * bool(estimator)
         facts.append(["Learnt from", counted(samples, "sample"), said])
     return facts
-
-
-def _rows(value: object) -> list[list[str]]:
-    """Strength, chance and verdict of each row, most firmly held first."""
-    rows = []
-    for k, entry in enumerate(_list(value)):
-        if isinstance(entry, Mapping):
-            strength, chance = _number(entry.get("strength")), _number(entry.get("p_value"))
-            state = str(entry.get("state"))
-            grown = "" if strength is None else f"{strength:,.3g} times" if strength < 1e6 else "over a million times"
-            said = "" if chance is None else f"p = {chance:.2g}"
-            rows.append([f"row {k + 1}", STATES.get(state, state[:40]), grown, said])
-    return rows
-
-
-def _odd(value: object) -> list[list[str]]:
-    """Name and reason, of pairs or of objects."""
-    pairs = [(e.get("trajectory"), e.get("reason")) if isinstance(e, Mapping) else e for e in _list(value)]
-    return [_texts(pair) for pair in pairs if isinstance(pair, list | tuple) and len(pair) == 2]
 
 
 def _list(value: object) -> list[Any]:
@@ -302,7 +292,10 @@ def replay(
     first = mechanism if isinstance(mechanism, Mapping | None) else mechanism.to_dict()
     motions = [recorded_motion(robot, tree, frame, n, r, bands[n], guided[n], first) for n, r in named.items()]
     drawings = _drawings(first, motions)
-    kinds = phase_kinds(phases, _names(drawings, motions[0].guidance)) if phases else ()
+    # each constraint is named by its mechanism, else by how many directions it holds
+    rows = [f"holds {c.n_constraints} of {len(c.features.row_names)}" for c in motions[0].guidance.constraints]
+    parts = zip(drawings, rows or [""] * len(drawings), strict=False)
+    kinds = phase_kinds(phases, [d.type if d is not None else said for d, said in parts]) if phases else ()
     looks = appearance(robot, tree)
     all_notes = (*notes, *looks.notes)
     if len(motions) > MAX_GHOSTS and not phases:
@@ -318,8 +311,17 @@ def replay(
         (choice or RecordingChoice()).to_dict(list(named), evidence["odd"] if evidence else ()) if recorded else None
     )
     content = page(data, robot=known_as(robot.source) or robot.name or "robot", subtitle=title).encode("utf-8")
-    path = write_atomically(_temporary_file(robot.name) if html is None else html, content)
-    if open_browser or (open_browser is None and html is None):
+    if html is None:
+        try:
+            folder = tempfile.mkdtemp(prefix="manip_learn_")
+        except OSError as error:
+            raise OutputError(f"no temporary folder for the replay: {error}; name a file with html=...") from error
+        safe = re.sub(r"[^A-Za-z0-9_-]+", "_", robot.name)[:40] or "robot"
+        is_shown, html = open_browser is None or open_browser, Path(folder) / f"{safe}_replay.html"
+    else:
+        is_shown = bool(open_browser)
+    path = write_atomically(html, content)
+    if is_shown:
         webbrowser.open(path.as_uri())
     return ReplayResult(path, len(content), all_notes)
 
@@ -330,7 +332,13 @@ def _drawings(
     """What is drawn of each constraint's mechanism; without phases of constraints, the first one's alone."""
     n = len(motions[0].guidance.constraints) if any(b.name is None for m in motions for b in m.phases) else 1
     described = [first, *(motions[0].guidance.mechanism(k) for k in range(1, n))]
-    drawn = [None if d is None else mechanism_drawing(d, _held(k, motions)) for k, d in enumerate(described)]
+    drawn: list[MechanismDrawing | None] = []
+    for k, d in enumerate(described):
+        # the tip where constraint k holds; everywhere if that is nowhere
+        bands = [(m, band) for m in motions for band in m.phases if band.constraint == k]
+        held = [m.path[(m.path_times >= band.start) & (m.path_times <= band.end)] for m, band in bands]
+        places = np.concatenate(held if any(map(len, held)) else [m.path for m in motions])
+        drawn.append(None if d is None else mechanism_drawing(d, places))
     opened = motions[0].furniture
     if first is not None and opened is not None and first.get("type") == "line":
         # a line that a rollout moves along is drawn where its hand is: that recordings held it elsewhere says nothing
@@ -338,20 +346,6 @@ def _drawings(
         handle = opened.pose[:3, 3]
         drawn[0] = mechanism_drawing({**first, "point": handle}, np.concatenate([handle[None], *ways]))
     return tuple(drawn)
-
-
-def _held(k: int, motions: Sequence[RecordedMotion]) -> Float[np.ndarray, "n 3"]:
-    """The tip where constraint k holds, in the base frame [m]; everywhere if that is nowhere."""
-    bands = [(m, band) for m in motions for band in m.phases if band.constraint == k]
-    held = [m.path[(m.path_times >= band.start) & (m.path_times <= band.end)] for m, band in bands]
-    return np.concatenate(held if any(map(len, held)) else [m.path for m in motions])
-
-
-def _names(drawings: Sequence[MechanismDrawing | None], guidance: Guidance) -> tuple[str, ...]:
-    """What each constraint is: its mechanism, else how many directions it holds."""
-    constraints = guidance.constraints
-    rows = [f"holds {c.n_constraints} of {len(c.features.row_names)}" for c in constraints] or [""] * len(drawings)
-    return tuple(d.type if d is not None else said for d, said in zip(drawings, rows, strict=False))
 
 
 def _learnt(report: DescribedReport | Mapping[str, Any] | None, guided: Mapping[str, Guidance]) -> Mapping[str, Any]:
@@ -393,12 +387,3 @@ def named_recordings(rollouts: Mapping[str, Recording] | Recording) -> dict[str,
                 code="type",
             )
     return dict(rollouts)
-
-
-def _temporary_file(robot_name: str) -> Path:
-    safe = re.sub(r"[^A-Za-z0-9_-]+", "_", robot_name)[:40] or "robot"
-    try:
-        folder = tempfile.mkdtemp(prefix="manip_learn_")
-    except OSError as error:
-        raise OutputError(f"no temporary folder for the replay: {error}; name a file with html=...") from error
-    return Path(folder) / f"{safe}_replay.html"

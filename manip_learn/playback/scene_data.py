@@ -38,7 +38,11 @@ def scene_data(
 ) -> dict[str, Any]:
     """The data of a page; arrays are little-endian and in base64."""
     cloud = np.concatenate([_drawn_points(robot, looks, motions), *(x for m in mechanisms if m for x in m.lines)])
-    cloud = np.concatenate([cloud, *(m.furniture.corners() for m in motions if m.furniture), *_marked(cloud, motions)])
+    # and where the marks at the tip reach to, along its path
+    reach = MARKS * float(np.linalg.norm(np.ptp(cloud, axis=0)))
+    paths = [m.path[:: max(1, len(m.path) // MAX_POSTURES_FOR_BOUNDS)] for m in motions if m.guidance.constraints]
+    marked = [path + reach * side for path in paths for side in (*np.eye(3), *-np.eye(3))]
+    cloud = np.concatenate([cloud, *(m.furniture.corners() for m in motions if m.furniture), *marked])
     low, high = cloud.min(axis=0), cloud.max(axis=0)
     most, places = points_per_curve([m.measures for m in motions]), places_per_motion(len(motions))
     marks: list[list[dict[str, Any] | None]] = [
@@ -71,13 +75,6 @@ def scene_data(
             if m is not None
         ],
     }
-
-
-def _marked(cloud: Float[np.ndarray, "C 3"], motions: Sequence[RecordedMotion]) -> list[Float[np.ndarray, "M 3"]]:
-    """Where the marks at the tip reach to, along the path [m]."""
-    reach = MARKS * float(np.linalg.norm(np.ptp(cloud, axis=0)))
-    paths = [m.path[:: max(1, len(m.path) // MAX_POSTURES_FOR_BOUNDS)] for m in motions if m.guidance.constraints]
-    return [path + reach * side for path in paths for side in (*np.eye(3), *-np.eye(3))]
 
 
 def _rows(pose: Float[np.ndarray, "4 4"]) -> list[float]:

@@ -126,13 +126,14 @@ def with_cross_check(summary: RobotSummary, robot: Robot, seed: int = 0, posture
 
 def summarise(robot: Robot) -> RobotSummary:
     """Summary of a robot without the check."""
-    meshes = resolve_meshes(robot)
+    meshes, kinds = resolve_meshes(robot), [block.kind for block in robot.blocks for _ in block.units]
+    limits = (robot.position_lower.tolist(), robot.position_upper.tolist(), robot.velocity_limit.tolist())
     return RobotSummary(
         name=robot.name,
         source=robot.source,
         nq=robot.nq,
         nv=robot.nv,
-        joints=_joints(robot),
+        joints=tuple(map(JointSummary, robot.joint_names, kinds, robot.joint_units, *limits)),
         frames=robot.frame_names,
         mimics=robot.mimics,
         locked=dict(robot.locked),
@@ -143,12 +144,6 @@ def summarise(robot: Robot) -> RobotSummary:
         meshes_missing=meshes.missing,
         fingerprint=robot.fingerprint,
     )
-
-
-def _joints(robot: Robot) -> tuple[JointSummary, ...]:
-    kinds = [block.kind for block in robot.blocks for _ in block.units]
-    limits = (robot.position_lower.tolist(), robot.position_upper.tolist(), robot.velocity_limit.tolist())
-    return tuple(map(JointSummary, robot.joint_names, kinds, robot.joint_units, *limits))
 
 
 def cross_check(robot: Robot, rng: np.random.Generator, n: int = 10) -> CrossCheck:

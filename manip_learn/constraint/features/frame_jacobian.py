@@ -208,7 +208,15 @@ class PoseRows(FeatureMap):
             return self.error_to(target, q), None
         error, numbers, R = self._error(np.asarray(target, dtype=np.float64), q)
         J = self.twist_rows(q, self.own_axes)
-        return error[self._rows], self._rates(error, numbers, R, J)[self._rows]
+        # M J, with d/dt error = -M (v, w)
+        M = turn_rates(error[3:], self.own_axes)
+        given = [i - 3 for i in self._row_numbers if i >= 3]
+        if numbers is not None and 0 < len(given) < 3:
+            M -= carried_goal(rotation_vector(R), numbers[3:], given, error[3:])
+        if self.own_axes:
+            J[:3] -= skew(error[:3]).dot(J[3:])
+        J[3:] = M.dot(J[3:])
+        return error[self._rows], J[self._rows]
 
     def coordinates_jacobian(self, q: ArrayLike) -> Float[np.ndarray, "p nv"] | None:
         """Rate of the coordinates per unit joint velocity, exact (see `FeatureMap`)."""
@@ -231,19 +239,6 @@ class PoseRows(FeatureMap):
         position, rotation = self.placement(q)
         place, turn, numbers = self._goal(goal, position, rotation)
         return placement_error(position, rotation, place, turn, self.own_axes), numbers, rotation
-
-    def _rates(
-        self, error: np.ndarray, numbers: np.ndarray | None, rotation: np.ndarray, J: Float[np.ndarray, "6 nv"]
-    ) -> Float[np.ndarray, "6 nv"]:
-        """M J, with d/dt error = -M (v, w); J is written to."""
-        M = turn_rates(error[3:], self.own_axes)
-        given = [i - 3 for i in self._row_numbers if i >= 3]
-        if numbers is not None and 0 < len(given) < 3:
-            M -= carried_goal(rotation_vector(rotation), numbers[3:], given, error[3:])
-        if self.own_axes:
-            J[:3] -= skew(error[:3]).dot(J[3:])
-        J[3:] = M.dot(J[3:])
-        return J
 
     def _goal(
         self, goal: np.ndarray, position: np.ndarray, rotation: np.ndarray

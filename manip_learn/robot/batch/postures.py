@@ -38,12 +38,22 @@ def checked_postures(robot: Robot, q: ArrayLike) -> Float[np.ndarray, "n width"]
     finite = np.isfinite(table)
     if not finite.all():
         row, column = (int(k) for k in np.argwhere(~finite)[0])
+        where = f"joint {robot.joint_names[column]!r}" if table.shape[1] == robot.nv else f"entry {column}"
+        for block in robot.blocks if table.shape[1] != robot.nv else ():
+            if block.q.start <= column < block.q.stop:
+                where = f"joint {block.name!r} (entry {column})"
+        value = table[row, column]
         raise ConfigurationError(
-            f"postures of {robot.name!r}: row {row}, {_column_name(robot, table.shape[1], column)} is "
-            f"{table[row, column]}, a finite number is needed"
+            f"postures of {robot.name!r}: row {row}, {where} is {value}, a finite number is needed"
         )
-    if table.shape[1] != robot.nv:
-        _check_units(robot, table)
+    for block in robot.blocks if table.shape[1] != robot.nv else ():
+        length = np.hypot(*table[:, block.q].T) if block.kind == "continuous" else np.ones(0)
+        if length.size and length.min() < SHORTEST_UNIT:
+            row = int(np.argmin(length))
+            raise ConfigurationError(
+                f"postures of {robot.name!r}: row {row}, joint {block.name!r}: its (cos, sin) is "
+                f"{table[row, block.q]}, which has no direction; it must have length 1"
+            )
     return table
 
 
@@ -69,28 +79,6 @@ def unwound(robot: Robot, postures: Float[np.ndarray, "n width"]) -> Float[np.nd
     """
     positions = positions_of(robot, postures)
     return positions if postures.shape[1] == robot.nv else np.unwrap(positions, axis=0)
-
-
-def _check_units(robot: Robot, table: np.ndarray) -> None:
-    for block in robot.blocks:
-        if block.kind != "continuous":
-            continue
-        length = np.hypot(table[:, block.q.start], table[:, block.q.start + 1])
-        if length.size and length.min() < SHORTEST_UNIT:
-            row = int(np.argmin(length))
-            raise ConfigurationError(
-                f"postures of {robot.name!r}: row {row}, joint {block.name!r}: its (cos, sin) is "
-                f"{table[row, block.q]}, which has no direction; it must have length 1"
-            )
-
-
-def _column_name(robot: Robot, width: int, column: int) -> str:
-    if width == robot.nv:
-        return f"joint {robot.joint_names[column]!r}"
-    for block in robot.blocks:
-        if block.q.start <= column < block.q.stop:
-            return f"joint {block.name!r} (entry {column})"
-    return f"entry {column}"
 
 
 def in_threads(n: int, workers: int | None, work: Callable[[slice], None]) -> None:

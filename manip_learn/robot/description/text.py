@@ -117,24 +117,21 @@ def read_description(path: Path) -> bytes:
     try:
         return read_regular_file(path, MAX_BYTES)
     except (OSError, ValueError) as error:
-        code, sentence = _not_read(error, path)
+        if isinstance(error, ValueError):
+            code, sentence = "unreadable", f"{str(path)!r}: not a usable path ({error})"
+        elif isinstance(error, FileNotFoundError | NotADirectoryError):
+            code, sentence = "missing", f"{path}: there is no such file; check the path"
+        elif error.errno == errno.EFBIG:
+            limit = f"at most {MAX_BYTES} are read; is it a robot description?"
+            code, sentence = "file-too-large", f"{path}: the file has {error.strerror}, {limit}"
+        elif error.errno not in (errno.ENXIO, errno.EISDIR):
+            fix = "check the path and its permissions"
+            code, sentence = "unreadable", f"{path}: cannot be read ({error.strerror}); {fix}"
+        else:
+            inside = ", ".join(sorted(p.name for p in path.glob("*.urdf"))[:SHOWN]) if path.is_dir() else ""
+            hint = f"it is a folder; name a file in it, e.g. {inside}" if inside else "name a URDF file"
+            code, sentence = "not-a-file", f"{path}: not a regular file; {hint}"
         raise RobotError(sentence, code=code, path=path) from error
-
-
-def _not_read(error: OSError | ValueError, path: Path) -> tuple[str, str]:
-    if isinstance(error, ValueError):
-        return "unreadable", f"{str(path)!r}: not a usable path ({error})"
-    if isinstance(error, FileNotFoundError | NotADirectoryError):
-        return "missing", f"{path}: there is no such file; check the path"
-    if error.errno == errno.EFBIG:
-        return "file-too-large", (
-            f"{path}: the file has {error.strerror}, at most {MAX_BYTES} are read; is it a robot description?"
-        )
-    if error.errno not in (errno.ENXIO, errno.EISDIR):
-        return "unreadable", f"{path}: cannot be read ({error.strerror}); check the path and its permissions"
-    inside = ", ".join(sorted(p.name for p in path.glob("*.urdf"))[:SHOWN]) if path.is_dir() else ""
-    hint = f"it is a folder; name a file in it, e.g. {inside}" if inside else "name a URDF file"
-    return "not-a-file", f"{path}: not a regular file; {hint}"
 
 
 @final

@@ -348,9 +348,11 @@ def kinematic_urdf(
     """
     parts = [f"<robot name={quoteattr(urdf.name)}>"]
     for link in urdf.links:
-        inside = ("" if link.inertial is None else _inertial_text(link.inertial)) + "".join(
-            (visuals or {}).get(link.name, ())
-        )
+        inside, inertial = "".join((visuals or {}).get(link.name, ())), link.inertial
+        if inertial is not None:
+            entries = " ".join(f'{key}="{value!r}"' for key, value in zip(INERTIA, inertial.inertia, strict=True))
+            pose = f'{origin_text(inertial.pose)}<mass value="{inertial.mass!r}"/>'
+            inside = f"<inertial>{pose}<inertia {entries}/></inertial>{inside}"
         parts.append(f"<link name={quoteattr(link.name)}>{inside}</link>")
     for joint in urdf.joints:
         mimic = ""
@@ -362,11 +364,6 @@ def kinematic_urdf(
             f'<axis xyz="{spaced(joint.axis)}"/>{_limit_text(joint)}{mimic}</joint>'
         )
     return "\n".join([*parts, "</robot>"])
-
-
-def _inertial_text(inertial: UrdfInertial) -> str:
-    entries = " ".join(f'{key}="{value!r}"' for key, value in zip(INERTIA, inertial.inertia, strict=True))
-    return f'<inertial>{origin_text(inertial.pose)}<mass value="{inertial.mass!r}"/><inertia {entries}/></inertial>'
 
 
 def spaced(numbers: Iterable[float]) -> str:

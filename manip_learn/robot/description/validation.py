@@ -171,8 +171,18 @@ def validate_parts(
     mimics = resolve_mimics(joints, frozenset(locked), log)
     still = {*locked, *mimics.resting, *(m.joint for m in mimics.followers if m.leader in locked)}
     for joint in joints:
-        if joint.name not in still:
-            check_limits(joint, log)
+        if joint.name in still or joint.type not in ("revolute", "prismatic", "continuous"):
+            continue
+        if joint.type != "continuous":
+            _check_range(joint, log)
+        where, limit = f"joint {joint.name!r}", joint.limit
+        if limit is None or limit.velocity is None:
+            if joint.type != "continuous" or limit is not None:
+                line = joint.line if limit is None else limit.line
+                log.warn(line, f"{where}: no velocity limit; it is taken as unlimited")
+        elif limit.velocity <= 0.0:
+            stated = f"{limit.velocity:g} {'m/s' if joint.type == 'prismatic' else 'rad/s'}"
+            log.warn(limit.line, f"{where}: its velocity limit of {stated} is taken for none stated: it is not limited")
     if not any(j.nv for j in joints):
         log.warn(None, "no joint moves")
     return ValidatedRobot(urdf, mimics, log.warnings)
@@ -308,19 +318,8 @@ def _check_reach(root: UrdfLink, links: Sequence[UrdfLink], joints: Sequence[Urd
         raise log.refusal("detached", lost[0].line, sentence)
 
 
-def check_limits(joint: UrdfJoint, log: Diagnostics) -> None:
-    """Refuse limits that cannot be intended, warn about those without effect.
-
-    Raises:
-        RobotError: Codes `limit-order`, `limit-degrees`.
-    """
-    if joint.type in ("revolute", "prismatic"):
-        _check_range(joint, log)
-    if joint.type in ("revolute", "prismatic", "continuous"):
-        _check_velocity(joint, log)
-
-
 def _check_range(joint: UrdfJoint, log: Diagnostics) -> None:
+    """Refuse limits that cannot be intended (`limit-order`, `limit-degrees`), warn about those without effect."""
     where, unit = f"joint {joint.name!r}", "m" if joint.type == "prismatic" else "rad"
     otherwise = ', or type="continuous"' if joint.type == "revolute" else ""
     limit = joint.limit
@@ -343,14 +342,3 @@ def _check_range(joint: UrdfJoint, log: Diagnostics) -> None:
         fix = f"write {math.radians(limit.lower):.4f} ... {math.radians(limit.upper):.4f}{otherwise} for many turns"
         seen = f"{stated}, more than two turns: they look like degrees"
         raise log.refusal("limit-degrees", limit.line, f"{seen}; radians are expected; {fix}")
-
-
-def _check_velocity(joint: UrdfJoint, log: Diagnostics) -> None:
-    where, limit = f"joint {joint.name!r}", joint.limit
-    if limit is None or limit.velocity is None:
-        if joint.type != "continuous" or limit is not None:
-            line = joint.line if limit is None else limit.line
-            log.warn(line, f"{where}: no velocity limit; it is taken as unlimited")
-    elif limit.velocity <= 0.0:
-        stated = f"{limit.velocity:g} {'m/s' if joint.type == 'prismatic' else 'rad/s'}"
-        log.warn(limit.line, f"{where}: its velocity limit of {stated} is taken for none stated: it is not limited")

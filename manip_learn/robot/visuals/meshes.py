@@ -103,9 +103,19 @@ def find_mesh(uri: str, roots: MeshRoots) -> Path:
         RobotError: Codes `mesh-scheme`, `mesh-missing`, `mesh-outside`.
     """
     try:
-        return _first_inside(uri, *_place(uri, roots))
+        name, folders = _place(uri, roots)
+        found = [(folder / name).resolve() for folder in folders if (folder / name).exists()]
+        inside = (real for real in found if any(real.is_relative_to(folder.resolve()) for folder in folders))
+        if (real := next(inside, None)) is not None:
+            return real
     except (OSError, ValueError, RuntimeError) as error:  # names too long, NUL bytes, circular links
         raise RobotError(f"mesh {uri[:200]!r} cannot be looked up ({error})", code="mesh-missing") from error
+    if found:
+        fix = advice("; if that is meant, name its folder with {}", "package_dirs=[...]", "--package-dir FOLDER")
+        sentence = f"leads to {found[-1]}, outside the robot's folders{fix}"
+        raise RobotError(f"mesh {uri[:200]!r} {sentence}", code="mesh-outside")
+    fix = advice("; name the folder that contains its package with {}", "package_dirs=[...]", "--package-dir FOLDER")
+    raise RobotError(f"mesh {uri[:200]!r} was not found{fix}", code="mesh-missing")
 
 
 def _place(uri: str, roots: MeshRoots) -> tuple[str, Sequence[Path]]:
@@ -127,19 +137,6 @@ def _place(uri: str, roots: MeshRoots) -> tuple[str, Sequence[Path]]:
         if roots.beside[0].is_relative_to(candidate) or (candidate / PACKAGE_FILE).is_file():
             folders.append(candidate)
     return inside, folders
-
-
-def _first_inside(uri: str, name: str, folders: Sequence[Path]) -> Path:
-    found = [(folder / name).resolve() for folder in folders if (folder / name).exists()]
-    for real in found:
-        if any(real.is_relative_to(folder.resolve()) for folder in folders):
-            return real
-    if found:
-        sentence = f"leads to {found[-1]}, outside the robot's folders"
-        fix = advice("; if that is meant, name its folder with {}", "package_dirs=[...]", "--package-dir FOLDER")
-        raise RobotError(f"mesh {uri[:200]!r} {sentence}{fix}", code="mesh-outside")
-    fix = advice("; name the folder that contains its package with {}", "package_dirs=[...]", "--package-dir FOLDER")
-    raise RobotError(f"mesh {uri[:200]!r} was not found{fix}", code="mesh-missing")
 
 
 @final

@@ -289,7 +289,8 @@ def visual_shapes(robot: Robot, meshes: bool = True) -> tuple[Visual, ...]:
     """
     elements = _elements(robot)
     if not elements:
-        return _sticks(robot, sorted(_body_names(robot)), "the robot has no visuals")
+        bodies = {f.name for f in robot.pinocchio_model.frames if f.type == pin.FrameType.BODY}
+        return _sticks(robot, sorted(bodies & set(robot.frame_names)), "the robot has no visuals")
     report = resolve_meshes(robot) if meshes else MeshReport({}, {})
     parsed = read_meshes(list(report.found.values())) if meshes else {}
     visuals: list[Visual] = []
@@ -343,20 +344,9 @@ def _sticks(robot: Robot, links: list[str], why: str) -> tuple[Visual, ...]:
         for a, b in rods:
             length = float(np.linalg.norm(b - a))
             rod = Cylinder(min(THIN, 0.15 * length), length)
-            visuals.append(Visual(link, joint, _along(a, b), rod, STAND_IN, why))
+            turn = pin.Quaternion.FromTwoVectors(np.array([0.0, 0.0, 1.0]), b - a)  # z along b - a
+            pose = pin.SE3(turn.toRotationMatrix(), 0.5 * (a + b)).homogeneous
+            visuals.append(Visual(link, joint, pose, rod, STAND_IN, why))
         if not rods:
             visuals.append(Visual(link, joint, frame.placement.homogeneous.copy(), Sphere(THIN), STAND_IN, why))
     return tuple(visuals)
-
-
-def _body_names(robot: Robot) -> set[str]:
-    frames = robot.pinocchio_model.frames
-    return {f.name for f in frames if f.type == pin.FrameType.BODY and f.name in robot.frame_names}
-
-
-def _along(a: np.ndarray, b: np.ndarray) -> Float[np.ndarray, "4 4"]:
-    """Pose in the middle of a and b with z along b - a."""
-    T = np.eye(4)
-    turn = pin.Quaternion.FromTwoVectors(np.array([0.0, 0.0, 1.0]), b - a)
-    T[:3, :3], T[:3, 3] = turn.toRotationMatrix(), 0.5 * (a + b)
-    return T
