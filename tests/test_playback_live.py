@@ -350,7 +350,7 @@ def test_slots_have_a_pace_each(talk):
         got.append(next(events))
     assert got == sorted(set(got), key=lambda event: (event[1], event[0] == "pose"))  # as they were put, each once
     for slot in ("state", "pose"):
-        assert 2 < sum(name == slot for name, _ in got) < 60.0 * (taken + 0.1) + 2
+        assert 0 < sum(name == slot for name, _ in got) < 60.0 * (taken + 0.1) + 2
     connection.close()
 
 
