@@ -44,12 +44,12 @@ ROOMS = {
     "pyarrow": {"recordings"},
     "h5py": {"recordings"},
     "typer": {"cli", "commands"},
-    "rich": {"cli", "commands", "experiments"},
+    "rich": {"cli", "commands"},
     "matplotlib": {"experiments"},
-    "joblib": {"experiments", "learning"},
+    "joblib": {"experiments"},
     "mujoco": {"drivers", "robot", "teach"},
-    "dask": {"experiments", "learning"},
-    "distributed": {"experiments", "learning"},
+    "dask": {"learning"},
+    "distributed": {"learning"},
     "pickle": set(),
 }
 IMPORTED_AS = {"pin": "pinocchio"}
