@@ -379,7 +379,9 @@ def claim_cases() -> list[Case]:
     shapes = {"wide": ((2, 10_001), "too-large"), "bomb": ((4_000_000, 3), "bomb"), "huge": ((10**9, 3), "too-large")}
     for name, (shape, verdict) in shapes.items():
         cases.append(Case(f"{name}.hdf5", verdict, partial(hdf5, shape=shape), given))
-    cases.append(Case("bomb.parquet", "bomb", parquet_bomb, {"joint_names": JOINTS, "units": "radians"}))
+    given = {"joint_names": JOINTS, "units": "radians"}
+    cases.append(Case("bomb.parquet", "bomb", parquet_bomb, given))
+    cases.append(Case("bomb_episode.parquet", "bomb", parquet_bomb, {**given, "episodes": 0}))
     return cases
 
 

@@ -10,9 +10,16 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Literal, final
 
-from manip_learn.errors import DAMAGE, MissingExtraError, UnknownNameError, advice, closest_names
+from manip_learn.errors import DAMAGE, MissingExtraError, UnknownNameError, advice, closest_names, counted
 from manip_learn.recordings.format_words import several_wrenches, wrench_columns, wrench_sets
-from manip_learn.recordings.readers.limits import LARGEST_EPISODES, metadata_text, read_json
+from manip_learn.recordings.readers.limits import (
+    FEWEST_SAMPLE_BYTES,
+    LARGEST_EPISODES,
+    bomb,
+    metadata_text,
+    most_bytes,
+    read_json,
+)
 from manip_learn.recordings.readers.read_request import first_names
 from manip_learn.recordings.readers.recording import natural_order, reason, refusal
 
@@ -33,7 +40,7 @@ def opened_parquet(file: Path) -> Iterator[Any]:
     """A `pyarrow.parquet.ParquetFile` with its checksums tested, closed at the end.
 
     Raises:
-        RecordingError: Damaged, found when it is opened or while it is read.
+        RecordingError: A bomb; or damaged, found when it is opened or while it is read.
         MissingExtraError: The extra `lerobot` is not installed.
     """
     try:
@@ -43,6 +50,10 @@ def opened_parquet(file: Path) -> Iterator[Any]:
         raise MissingExtraError("reading LeRobot data", "lerobot") from error
     try:
         with pq.ParquetFile(file, page_checksum_verification=True) as parquet:
+            rows, size = parquet.metadata.num_rows, file.stat().st_size
+            # the library's column metadata would tell more, but asking for it aborts the process if the file is damaged
+            if FEWEST_SAMPLE_BYTES * rows > most_bytes(size):
+                raise bomb(file, f"{size:,} bytes claim to hold {counted(rows, 'sample')}")
             yield parquet
     except (pa.ArrowException, *DAMAGE) as error:
         raise refusal(
@@ -50,14 +61,10 @@ def opened_parquet(file: Path) -> Iterator[Any]:
         ) from error
 
 
-def parquet_rows(file: Path, columns: tuple[str, ...], *, ends_only: bool = False) -> Iterator[dict[str, Any]]:
+def parquet_rows(file: Path, columns: tuple[str, ...]) -> Iterator[dict[str, Any]]:
     """Some columns of a Parquet file, row by row; a column that is missing is left out.
 
-    Args:
-        file: The file.
-        columns: Names. A file without the first one, the number of the episode, is one episode: 0.
-        ends_only: Only the first and the last value of the first column, each with the number of rows, or nothing if it
-            has none.
+    A file without the first column, the number of the episode, is one episode: 0.
 
     Raises:
         RecordingError: Damaged.
@@ -66,14 +73,10 @@ def parquet_rows(file: Path, columns: tuple[str, ...], *, ends_only: bool = Fals
     with opened_parquet(file) as parquet:
         there = [c for c in columns if c in parquet.schema_arrow.names]
         if columns[0] not in there:
-            yield from () if ends_only else ({columns[0]: 0},)
-        elif ends_only:
-            column = parquet.read(columns=[columns[0]]).column(0)
-            if len(column) and not column.null_count:
-                yield from ({columns[0]: int(column[i].as_py()), "rows": len(column)} for i in (0, len(column) - 1))
-        else:
-            for batch in parquet.iter_batches(columns=there):
-                yield from batch.to_pylist()
+            yield {columns[0]: 0}
+            return
+        for batch in parquet.iter_batches(columns=there):
+            yield from batch.to_pylist()
 
 
 @final
@@ -316,13 +319,17 @@ def separate_files(path: Path) -> list[list[Path]]:
     runs: list[list[Path]] = []
     before, found, dataset = None, 0, open_dataset(path)
     for file in dataset.files:
-        ends = list(parquet_rows(file, ("episode_index",), ends_only=True))
-        found += sum(end.get("rows", 0) for end in ends[:1])
-        if runs and (not ends or before is None or ends[0]["episode_index"] == before):
+        first = last = None
+        with opened_parquet(file) as parquet:
+            if "episode_index" in parquet.schema_arrow.names:
+                column = parquet.read(columns=["episode_index"]).column(0)
+                if len(column) and not column.null_count:
+                    first, last, found = column[0].as_py(), column[-1].as_py(), found + len(column)
+        if runs and (first is None or before is None or first == before):
             runs[-1].append(file)
         else:
             runs.append([file])
-        before = ends[-1]["episode_index"] if ends else None
+        before = last
     dataset.refuse_lost("frames", found)
     return runs
 
