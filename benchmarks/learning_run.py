@@ -17,7 +17,7 @@ from peak_memory import peak_megabytes
 from scale_motions import motions
 
 from manip_learn.constraint.features import FrameJacobian
-from manip_learn.learning import ConstraintLearner, choosing
+from manip_learn.learning import ConstraintLearner
 from manip_learn.linalg import row_space_angle
 from manip_learn.recordings.demonstrations import Demonstrations
 from manip_learn.recordings.trajectory import Trajectory
@@ -88,9 +88,8 @@ def run(job: dict) -> dict:
     selection = np.linalg.qr(rng.standard_normal((features.n_rows, s)))[0].T
     stream = Repeated(motions(features, selection, rng, BASE, held=held), job["samples"] // 100)
     source = stream if job["how"] == "stream" else list(stream)
-    if job["how"] == "at once":
-        choosing.MOST_SAMPLES = 10**9
     model = {} if held else {"policy_model": "affine"}
+    model |= {"most_samples": 10**9} if job["how"] == "at once" else {}
     fit = ConstraintLearner(features, s, "null-space" if held else "joint", **model)
     before, unit = peak_megabytes(), pinv_seconds()
     started, wall = time.process_time(), time.perf_counter()

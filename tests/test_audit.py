@@ -248,3 +248,11 @@ def test_command_line_errors(tmp_path: Path, capsys: pytest.CaptureFixture[str],
     assert "nearest" in capsys.readouterr().err
     with pytest.raises(OutputError):
         AuditReport((), (), 3.5).save_csv(tmp_path / "c.json" / "a.csv")
+
+
+def test_a_user_may_allow_more_false_alarms(constraint: ml.Constraint, demos: ml.Demonstrations) -> None:
+    """A larger chance of leaving out good episodes is a smaller threshold; what is no chance is refused."""
+    usual, bold = (ml.audit_episodes(constraint, demos, false_alarms=chance) for chance in (0.05, 0.9))
+    assert 3.5 <= bold.threshold < usual.threshold
+    with pytest.raises(RecordingError, match="chance between 0 and 1, got 5"):
+        ml.audit_episodes(constraint, demos, false_alarms=5)

@@ -113,15 +113,14 @@ def test_pieces_of_one_recording_are_put_together_however_they_arrive(features, 
         (1000, 100.0, [4000] * 6, (32, 1)),  # but never so many that few recordings are left
     ],
 )
-def test_what_is_left_out(monkeypatch, most, rate, lengths, expected):
+def test_what_is_left_out(most, rate, lengths, expected):
     """Neighbours, then recordings, then neighbours again; evenly, in order, and for any number of parts alike."""
-    monkeypatch.setattr(choosing, "MOST_SAMPLES", most)
     recordings = [
         ml.Trajectory(np.arange(n) / rate, np.full((n, 2), float(i)) + np.arange(n)[:, None] / 1e5, np.ones((n, 2)))
         for i, n in enumerate(lengths)
     ]
     for each in (len(lengths), 8, 1):
-        choice = choosing.choose_from(InParts(recordings, each), None, "auto")
+        choice = choosing.choose_from(InParts(recordings, each), choosing.Choice(None, "auto", most))
         chosen = choice.demonstrations()
         assert (choice.step, choice.every) == expected
         assert chosen.n_samples <= most and choice.n_samples == sum(lengths)
@@ -134,13 +133,13 @@ def test_what_is_left_out(monkeypatch, most, rate, lengths, expected):
 
 
 @pytest.mark.parametrize(("kind", "settings", "truth"), [("held", HELD, TWO), ("moved", JOINT, ONE)])
-def test_a_choice_answers_like_all(request, features, monkeypatch, kind, settings, truth):
+def test_a_choice_answers_like_all(request, features, kind, settings, truth):
     """A sixth of the samples: within what is stated of the answer of all, in memory, in a stream and as they arrive."""
     demos = request.getfixturevalue(kind)
     whole = ml.ConstraintLearner(features, **settings).fit(demos)
-    monkeypatch.setattr(choosing, "MOST_SAMPLES", 1000)
-    listed, streamed = (ml.ConstraintLearner(features, **settings).fit(x) for x in (demos, Yielded(demos)))
-    arriving = ml.ConstraintLearner(features, **settings)
+    few = {**settings, "most_samples": 1000}
+    listed, streamed = (ml.ConstraintLearner(features, **few).fit(x) for x in (demos, Yielded(demos)))
+    arriving = ml.ConstraintLearner(features, **few)
     for batch in (demos[:20], Yielded(demos[20:])):
         arriving.partial_fit(batch)
     off = np.degrees(row_space_angle(whole.constraint_.selection, listed.constraint_.selection))
@@ -152,13 +151,12 @@ def test_a_choice_answers_like_all(request, features, monkeypatch, kind, setting
     assert any("chosen evenly out of 6,000 of 60" in note for note in listed.report_.notes)
 
 
-def test_velocities_are_derived_before_samples_are_left_out(monkeypatch):
+def test_velocities_are_derived_before_samples_are_left_out():
     """Velocities of the choice are those of the full rate, to the last bit."""
-    monkeypatch.setattr(choosing, "MOST_SAMPLES", 1500)
     truth, made = generated("drawer", "sawyer", 3, 8)
     robot = ml.load_robot("sawyer")
     given = [ml.Trajectory(t.time, t.q, None, robot.joint_names, t.name) for t in made]
-    choice = choosing.choose_from(InParts(given, 3), robot, "auto")
+    choice = choosing.choose_from(InParts(given, 3), choosing.Choice(robot, "auto", 1500))
     assert choice.step > 1
     for number, t in zip(range(0, 8, choice.every), choice.demonstrations(), strict=True):
         full = ml.derive_velocities(given[number], robot)
@@ -166,15 +164,14 @@ def test_velocities_are_derived_before_samples_are_left_out(monkeypatch):
         np.testing.assert_array_equal(t.time, full.time[:: choice.step])
 
 
-def test_phases_are_found_in_a_choice(monkeypatch):
+def test_phases_are_found_in_a_choice():
     """Whole recordings with approach and retreat, a third of their samples: the same constraint, the same stretches."""
     truth, made = generated("drawer", "sawyer", 5, 8)
     robot = ml.load_robot("sawyer")
     features = FrameJacobian(robot, truth["tip"], "xyz")
     given = [ml.Trajectory(t.time, t.q, None, robot.joint_names, t.name) for t in made]
     whole = ml.ConstraintLearner(features).fit(given)
-    monkeypatch.setattr(choosing, "MOST_SAMPLES", sum(map(len, given)) // 2)
-    chosen = ml.ConstraintLearner(features).fit(given)
+    chosen = ml.ConstraintLearner(features, most_samples=sum(map(len, given)) // 2).fit(given)
     assert np.degrees(row_space_angle(true_rows(truth), chosen.constraint_.selection)) < 0.2
     held = [[p for p in learner.report_.phases if p.constraint == 0] for learner in (whole, chosen)]
     assert len(held[0]) == len(held[1]) == 8
@@ -183,14 +180,22 @@ def test_phases_are_found_in_a_choice(monkeypatch):
     assert chosen.report_.mechanism is not None and chosen.report_.mechanism.type == "line"
 
 
+def test_what_a_change_costs_is_the_users_to_say():
+    """At a price that no evidence pays no recording falls into phases."""
+    truth, made = generated("drawer", "sawyer", 5, 4)
+    features = FrameJacobian(ml.load_robot("sawyer"), truth["tip"], "xyz")
+    assert any(p.constraint is None for p in ml.ConstraintLearner(features).fit(made).report_.phases)
+    with pytest.raises(NotIdentifiableError):
+        ml.ConstraintLearner(features, switch=1e6).fit(made)
+
+
 @pytest.mark.parametrize("arriving", [False, True])
-def test_a_recording_that_repeats_another_counts_once(features, held, monkeypatch, arriving):
+def test_a_recording_that_repeats_another_counts_once(features, held, arriving):
     """Named, and passed over, among those that were chosen."""
     copy = ml.Trajectory(held[0].time, held[0].q, held[0].u, held[0].joint_names, "the copy")
-    monkeypatch.setattr(choosing, "MOST_SAMPLES", 1000)
 
     def learnt(*recordings):
-        stream, learning = Yielded(recordings), ml.ConstraintLearner(features, **HELD)
+        stream, learning = Yielded(recordings), ml.ConstraintLearner(features, **HELD, most_samples=1000)
         return learning.partial_fit(stream) if arriving else learning.fit(stream)
 
     once, twice = learnt(*held[:11]), learnt(*held[:11], copy)
@@ -199,14 +204,13 @@ def test_a_recording_that_repeats_another_counts_once(features, held, monkeypatc
     np.testing.assert_array_equal(twice.constraint_.selection, once.constraint_.selection)
 
 
-def test_memory_does_not_grow(features, held, monkeypatch):
+def test_memory_does_not_grow(features, held):
     """Five times as many samples need no more memory."""
-    monkeypatch.setattr(choosing, "MOST_SAMPLES", 2000)
 
     def peak(times: int) -> int:
         gc.collect()
         tracemalloc.start()
-        ml.ConstraintLearner(features, **HELD).fit(Yielded(held, times))
+        ml.ConstraintLearner(features, **HELD, most_samples=2000).fit(Yielded(held, times))
         _, most = tracemalloc.get_traced_memory()
         tracemalloc.stop()
         return most

@@ -220,3 +220,9 @@ def test_a_user_may_ask_for_more_evidence():
     for bad in (0.5, np.nan, np.inf, True, "strong"):
         with pytest.raises(FeatureError, match="strength must be"):
             ConstraintLearner(features, strength=bad)
+    for bad in (-1.0, np.nan, np.inf, True, "often"):
+        with pytest.raises(FeatureError, match="switch must be"):
+            ConstraintLearner(features, switch=bad)
+    for bad in (99, 1e4, True, "all"):
+        with pytest.raises(FeatureError, match="most_samples must be"):
+            ConstraintLearner(features, most_samples=bad)

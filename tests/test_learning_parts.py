@@ -23,11 +23,11 @@ from manip_learn.learning.estimators.variable_projection import fit_joint, score
 from manip_learn.learning.report import Phase, RecordingOverview
 from manip_learn.learning.samples import (
     Samples,
-    TrajectoryBlocks,
     check_fastest,
     check_postures,
     check_samples,
     energy_shares,
+    in_blocks,
 )
 from manip_learn.linalg import orthonormal_rows, row_space_angle
 from manip_learn.recordings.demonstrations import Demonstrations
@@ -121,8 +121,8 @@ def test_samples_are_chosen_and_grouped_evenly(rng):
     chosen = samples.subset(samples.trajectory == 2)
     assert chosen.n_trajectories == 1 and np.array_equal(chosen.u, samples.u[samples.trajectory == 2])
     trajectory = np.array([0, 0, 1, 2, 2, 3, 4])
-    assert TrajectoryBlocks(5, 2).runs(trajectory) == [(0, slice(0, 5)), (1, slice(5, 7))]
-    assert TrajectoryBlocks(5, 5).runs(trajectory)[1] == (1, slice(2, 3)) and TrajectoryBlocks(5, 9).n_blocks == 5
+    assert in_blocks(trajectory, 5, 2) == [(0, slice(0, 5)), (1, slice(5, 7))]
+    assert in_blocks(trajectory, 5, 5)[1] == in_blocks(trajectory, 5, 9)[1] == (1, slice(2, 3))
     np.testing.assert_allclose(energy_shares(np.array([1.0, 3.0])), [0.25, 0.75])
     np.testing.assert_allclose(energy_shares(np.zeros(2)), 0.0)
 

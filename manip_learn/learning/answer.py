@@ -6,6 +6,7 @@ from __future__ import annotations
 
 import dataclasses
 from collections.abc import Sequence
+from contextlib import suppress
 from dataclasses import dataclass
 from typing import Literal, final
 
@@ -109,11 +110,7 @@ def learn_best(
 
 
 def learn_candidate(
-    features: FeatureMap,
-    demonstrations: Demonstrations,
-    settings: LearnerSettings,
-    *,
-    rival: Candidate | None = None,
+    features: FeatureMap, demonstrations: Demonstrations, settings: LearnerSettings, *, rival: Candidate | None = None
 ) -> Candidate | None:
     """Samples -> estimate -> number of rows, with one feature map; None where the rival's gap cannot be exceeded.
 
@@ -276,23 +273,15 @@ def find_answers(findings: Findings, everything: Part, settings: LearnerSettings
     best = answers[0]
     confirmed = best.evidence is not None and best.evidence.verdict == "clear"
     if settings.estimator == "auto" and not confirmed and not best.candidate.estimate.is_held:
-        imposed = _imposed(everything, settings)
-        if imposed is not None:
-            return [imposed], dataclasses.replace(findings, parts=(everything,), free=(), odd=(), unlearnt=())
+        # rows that are moved on purpose, if a model of the null-space policy explains all recordings better
+        with suppress(NotIdentifiableError):
+            imposed = learn_best(everything.feature_maps, everything.demonstrations, settings)
+            if imposed.estimate.name == "joint":
+                answer = Answer(everything, imposed, None, None, ())
+                return [answer], dataclasses.replace(findings, parts=(everything,), free=(), odd=(), unlearnt=())
     said = tuple(f"a further constraint is not learnt: {refusal}" for _, refusal in refused)
     parts = (*(a.part for a in answers), *(part for part, _ in refused))
     return answers, dataclasses.replace(findings, parts=parts, warnings=(*findings.warnings, *said))
-
-
-def _imposed(everything: Part, settings: LearnerSettings) -> Answer | None:
-    """Rows that are moved on purpose, if a model of the null-space policy explains all recordings better than that
-    rows are held.
-    """
-    try:
-        candidate = learn_best(everything.feature_maps, everything.demonstrations, settings)
-    except NotIdentifiableError:
-        return None
-    return Answer(everything, candidate, None, None, ()) if candidate.estimate.name == "joint" else None
 
 
 def _explained(part: Part, settings: LearnerSettings) -> Answer:

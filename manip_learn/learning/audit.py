@@ -59,8 +59,8 @@ MAD_TO_SIGMA = 1.0 / NormalDist().inv_cdf(0.75)
 RULE = (
     "z = (value - median) / max(1.4826 MAD, least spread) per criterion, the worse the larger (logarithms of "
     "sigma_min, residual, displacements, peak speed, jerk and duration); score = sqrt(sum of squares of the positive "
-    "z); left out where a z exceeds the threshold, Student's t with 0.37 n + 0.25 degrees of freedom at 5 % for "
-    "all episodes and criteria together, at least 3.5"
+    "z); left out where a z exceeds the threshold, Student's t with 0.37 n + 0.25 degrees of freedom at a "
+    "chance of 5 % or the one asked for, for all episodes and criteria together, at least 3.5"
 )
 
 
@@ -141,13 +141,15 @@ def measure(
     x, columns = _joint_positions(trajectory, robot)
     (excess, limit_joint, beyond), (peak, fastest, too_fast) = _limits(robot, x, u[:, columns], columns)
     rms, jerk_peak = jerk(trajectory.time, x)
+    rests = np.max(np.abs(u[:, columns]), axis=1, initial=0.0) < REST_SPEED
+    weights = np.gradient(moving.time) if len(moving) > 1 else np.ones(1)  # [s] that each sample stands for
     units = np.array(constraint.features.row_units)
     return EpisodeAudit(
         episode=trajectory.name,
         number=number,
         n_samples=len(trajectory),
         duration=trajectory.duration,
-        rest_share=_rest_share(moving.time, u[:, columns]),
+        rest_share=float(np.sum(weights[rests]) / np.sum(weights)) if len(moving) > 1 else float("nan"),
         sigma_min=float(sigma.min()),
         sigma_median=float(np.median(sigma)),
         manipulability_min=float(mu.min()),
@@ -230,14 +232,6 @@ def _limits(
         said = (float("nan"), "") if worst is None else (float(of_joint[worst]), names[worst])
         out.append((*said, 0.0 if worst is None else float(np.mean(np.any(too_far, axis=1)))))
     return out[0], out[1]
-
-
-def _rest_share(time: Float[np.ndarray, " T"], u: Float[np.ndarray, "T n"]) -> float:
-    """Share of the time, sample by sample, in which no joint is faster than REST_SPEED."""
-    if len(time) < 2:
-        return float("nan")
-    weights = np.gradient(time)
-    return float(np.sum(weights[np.max(np.abs(u), axis=1, initial=0.0) < REST_SPEED]) / np.sum(weights))
 
 
 @final
@@ -363,6 +357,7 @@ def audit_episodes(
     demonstrations: Given,
     *,
     velocities: VelocityMethod = "auto",
+    false_alarms: float = FALSE_ALARMS,
     client: Any = None,
     progress: Progress | None = None,
 ) -> AuditReport:
@@ -373,13 +368,16 @@ def audit_episodes(
             its rows is no violation and does not count.
         demonstrations: As for `ConstraintLearner.fit`.
         velocities: How missing velocities are derived, see `derive_velocities`.
+        false_alarms: Chance that of equally good episodes any is left out; a larger one leaves out more.
         client: A `dask.distributed.Client` whose workers measure the episodes.
         progress: Called with what is being done and the share of it that is done.
 
     Raises:
-        RecordingError: No demonstrations, another robot's joints, or velocities that cannot be derived.
+        RecordingError: No demonstrations, another robot's joints, velocities that cannot be derived, or no chance.
         MissingExtraError: A client without the extra `dask`.
     """
+    if not 0.0 < false_alarms < 1.0:
+        raise RecordingError(f"false_alarms must be a chance between 0 and 1, got {false_alarms!r}", code="option")
     robot = getattr(constraint.features, "robot", None)
     given = recordings_given(demonstrations, robot, constraint.nv)
     rows: list[EpisodeAudit] = []
@@ -401,7 +399,7 @@ def audit_episodes(
     if len(rows) < FEWEST_EPISODES:
         few, needed = counted(len(rows), "episode"), FEWEST_EPISODES
         notes.append(f"too few to say which are odd: {few}, at least {needed} are needed")
-    return _judged(rows, imposed, tuple(dict.fromkeys(notes)))
+    return _judged(rows, imposed, false_alarms, tuple(dict.fromkeys(notes)))
 
 
 def measured(
@@ -418,14 +416,14 @@ def measured(
         return [measure(constraint, episode, i, velocities) for i, episode in enumerate(episodes)], notes
 
 
-def _judged(rows: list[EpisodeAudit], imposed: bool, notes: tuple[str, ...]) -> AuditReport:
+def _judged(rows: list[EpisodeAudit], imposed: bool, false_alarms: float, notes: tuple[str, ...]) -> AuditReport:
     criteria = [c for c in CRITERIA if not (imposed and c.needs_rest)]
     values = np.array([[c.badness(row) for c in criteria] for row in rows])
     defined = np.any(np.isfinite(values), axis=0)
     criteria = [c for c, there in zip(criteria, defined, strict=True) if there]
     z = robust_z(values[:, defined], np.array([c.least_spread for c in criteria]))
     z = np.where([c.is_bad == "both" for c in criteria], np.abs(z), z)
-    threshold = outlier_threshold(*z.shape)
+    threshold = outlier_threshold(*z.shape, false_alarms)
     judged = []
     for row, scores in zip(rows, z, strict=True):
         reasons = tuple(
@@ -446,14 +444,11 @@ def robust_z(values: Float[np.ndarray, "n k"], least_spread: Float[np.ndarray, "
     return np.nan_to_num((values - centre) / spread, nan=0.0)
 
 
-def outlier_threshold(n: int, k: int) -> float:
-    """Robust z-score that n equally good episodes exceed anywhere in k criteria with a chance of at most 5 %.
+def outlier_threshold(n: int, k: int, false_alarms: float = FALSE_ALARMS) -> float:
+    """Robust z-score that n equally good episodes exceed anywhere in k criteria with a chance of at most this.
 
     For normal values; the chance is shared evenly among all n k scores (Bonferroni).
     """
     if n < FEWEST_EPISODES:
         return math.inf
-    return max(
-        SMALLEST_THRESHOLD,
-        -float(stdtrit(MAD_EFFICIENCY * n + MAD_SMALL, FALSE_ALARMS / (n * max(k, 1)))),
-    )
+    return max(SMALLEST_THRESHOLD, -float(stdtrit(MAD_EFFICIENCY * n + MAD_SMALL, false_alarms / (n * max(k, 1)))))

@@ -32,6 +32,7 @@ class Choice:
     Args:
         robot: Derives missing velocities; None if there is none.
         velocities: How.
+        most: Number of samples that may be kept.
 
     Attributes:
         n_recordings, n_samples: Of all that were added.
@@ -39,8 +40,8 @@ class Choice:
         notes: Sentences of their readers.
     """
 
-    def __init__(self, robot: Robot | None, velocities: VelocityMethod):
-        self._robot, self._velocities = robot, velocities
+    def __init__(self, robot: Robot | None, velocities: VelocityMethod, most: int = MOST_SAMPLES):
+        self._robot, self._velocities, self._most = robot, velocities, most
         self.n_recordings = self.n_samples = 0
         self.every = self.step = 1
         self.notes: list[str] = []
@@ -51,7 +52,7 @@ class Choice:
 
     def copy(self) -> Choice:
         """The same choice, which grows on its own."""
-        other = Choice(self._robot, self._velocities)
+        other = Choice(self._robot, self._velocities, self._most)
         vars(other).update({name: [*x] if isinstance(x, list) else x for name, x in vars(self).items()})
         return other
 
@@ -64,14 +65,14 @@ class Choice:
         wanted = self.n_recordings % self.every == 0
         self.n_recordings += 1
         self.n_samples += len(recording)
-        if self._recorded is not None and self.n_samples <= MOST_SAMPLES:
+        if self._recorded is not None and self.n_samples <= self._most:
             self._recorded.append(recording)
             return
         self.settle()
         self._recorded = None
         if wanted:
             self._waiting.append(recording)
-            if len(self._waiting) == TOGETHER or sum(map(len, self._waiting)) > MOST_SAMPLES:
+            if len(self._waiting) == TOGETHER or sum(map(len, self._waiting)) > self._most:
                 self._take()
 
     def add_all(self, recordings: Iterable[Trajectory], notes: Iterable[str] = ()) -> None:
@@ -91,7 +92,7 @@ class Choice:
         self.n_recordings += later.n_recordings
         self.n_samples += later.n_samples
         self._derived |= later._derived
-        if self._recorded is not None and later._recorded is not None and self.n_samples <= MOST_SAMPLES:
+        if self._recorded is not None and later._recorded is not None and self.n_samples <= self._most:
             self._recorded, self._kept = self._recorded + later._recorded, self._kept + later._kept
             return self
         for choice in (self, later):
@@ -135,7 +136,7 @@ class Choice:
 
     def _thin(self) -> None:
         """Leave out half of what is kept until the rest is few enough."""
-        while sum(map(len, self._kept)) > MOST_SAMPLES:
+        while sum(map(len, self._kept)) > self._most:
             seconds = sum(t.duration for t in self._kept)
             rate = sum(len(t) - 1 for t in self._kept) / max(seconds, 1e-9)
             # neighbours first, as long as enough are left to judge by when a constraint holds
@@ -161,23 +162,25 @@ class Choice:
         return out
 
 
-def few_of(demonstrations: Demonstrations) -> tuple[Demonstrations, int]:
+def few_of(demonstrations: Demonstrations, most: int) -> tuple[Demonstrations, int]:
     """Demonstrations with velocities if they are few, else the choice from them; and every how many are kept."""
-    if demonstrations.n_samples <= MOST_SAMPLES:
+    if demonstrations.n_samples <= most:
         return demonstrations, 1
-    choice = Choice(None, "auto")
+    choice = Choice(None, "auto", most)
     choice.add_all(demonstrations, demonstrations.notes)
     return choice.demonstrations(), choice.every
 
 
 def choose_from(
-    source: TrajectorySource,
-    robot: Robot | None,
-    velocities: VelocityMethod,
-    client: Any = None,
-    progress: Progress | None = None,
+    source: TrajectorySource, empty: Choice, client: Any = None, progress: Progress | None = None
 ) -> Choice:
     """The choice from a source, which is read once; the same for any number of workers.
+
+    Args:
+        source: The recordings.
+        empty: What each part begins with.
+        client: A dask client whose workers read; None for this process.
+        progress: Told how far it is.
 
     Raises:
         RecordingError: Recordings that cannot be used; or a setting that no part has a use for.
@@ -185,31 +188,23 @@ def choose_from(
     """
     waiting: list[tuple[int, Choice]] = []  # (level, choice), levels falling
     settled = client is not None
-    parts = each_part(
-        choice_of_part, source, client, progress, "reading", robot=robot, velocities=velocities, settled=settled
-    )
     # in pairs, pairs of pairs and so on: as many recordings are left out of each, and only a few choices are in memory
-    for choice in parts:
+    for choice in each_part(choice_of_part, source, client, progress, "reading", empty=empty, settled=settled):
         level = 0
         while waiting and waiting[-1][0] == level:
             choice = waiting.pop()[1].merge(choice)
             level += 1
         waiting.append((level, choice))
-    while len(waiting) > 1:
-        (_, before), (_, after) = waiting[-2:]
-        waiting[-2:] = [(0, before.merge(after))]
-    if not waiting:
-        return Choice(robot, velocities)
-    ((_, choice),) = waiting
-    choice.notes = refuse_unmatched(choice.notes, source.n_parts)
-    return choice
+    whole = empty if not waiting else waiting.pop()[1]
+    while waiting:
+        whole = waiting.pop()[1].merge(whole)
+    whole.notes = refuse_unmatched(whole.notes, source.n_parts)
+    return whole
 
 
-def choice_of_part(
-    number: int, source: TrajectorySource, robot: Robot | None, velocities: VelocityMethod, settled: bool
-) -> Choice:
+def choice_of_part(number: int, source: TrajectorySource, empty: Choice, settled: bool) -> Choice:
     """What is chosen from a part; `settled`: its velocities are derived where it is read, too."""
-    choice = Choice(robot, velocities)
+    choice = empty.copy()
     choice.add_all(source.part(number, choice.notes))
     if settled:
         choice.settle()

@@ -21,8 +21,8 @@ from manip_learn.errors import (
     an,
 )
 from manip_learn.learning.answer import Answer, EstimatorName, LearnerSettings, find_answers
-from manip_learn.learning.choosing import Choice, choose_from, few_of
-from manip_learn.learning.explanation.evidence import BeforeSmoothing
+from manip_learn.learning.choosing import MOST_SAMPLES, Choice, choose_from, few_of
+from manip_learn.learning.explanation.evidence import SWITCH_NATS, BeforeSmoothing
 from manip_learn.learning.explanation.findings import Findings, find, unexplained
 from manip_learn.learning.recombination import BELIEVED_STRENGTH
 from manip_learn.learning.repeats import IndependentRecordings
@@ -61,6 +61,10 @@ class ConstraintLearner:
             `FrameJacobian`; `"off"` does not.
         strength: How much less than by chance a row must be used, with 99 % confidence, to be believed. A larger number
             refuses more, a smaller one believes more; free motion reaches 1.5 now and then.
+        switch: What a change between a contact and free motion costs [nats]. A larger number finds fewer and longer
+            phases: 16 is a chance of exp(-16) for each tenth of a second, that of a change in some months.
+        most_samples: Of more samples so many are chosen evenly. More of them take time and teach next to nothing:
+            their half turns a drawer by 0.0005 degrees.
         seed: Seed of everything random (bootstrap, recombination, random starts, k-means).
 
     Attributes:
@@ -103,6 +107,8 @@ class ConstraintLearner:
         phases: Switch = "auto",
         mechanism: Switch = "auto",
         strength: float = BELIEVED_STRENGTH,
+        switch: float = SWITCH_NATS,
+        most_samples: int = MOST_SAMPLES,
         seed: int = 0,
     ):
         for name, value in (("phases", phases), ("mechanism", mechanism)):
@@ -119,7 +125,11 @@ class ConstraintLearner:
         self.mechanism: Switch = mechanism
         if isinstance(strength, bool) or not isinstance(strength, int | float) or not 1.0 <= strength < math.inf:
             raise FeatureError(f"strength must be a finite number of at least 1, got {strength!r}")
-        self.strength = float(strength)
+        if isinstance(switch, bool) or not isinstance(switch, int | float) or not 0.0 <= switch < math.inf:
+            raise FeatureError(f"switch must be a finite number of nats of at least 0, got {switch!r}")
+        if isinstance(most_samples, bool) or not isinstance(most_samples, int) or most_samples < 100:
+            raise FeatureError(f"most_samples must be an integer of at least 100, got {most_samples!r}")
+        self.strength, self.switch, self.most_samples = float(strength), float(switch), most_samples
         self.seed = seed
         candidates = [features] if not isinstance(features, Sequence) else list(features)
         if not candidates:
@@ -163,7 +173,7 @@ class ConstraintLearner:
         self._kept = None
         given = self._given(demonstrations)
         if not isinstance(given, Demonstrations):
-            given = choose_from(given, self._robot, self.velocities, client, progress).demonstrations()
+            given = choose_from(given, self._empty, client, progress).demonstrations()
         self._learn(given)
         if progress is not None:
             progress("learning", 1.0)
@@ -180,7 +190,7 @@ class ConstraintLearner:
         """
         self._forget()
         before = self._kept
-        kept = Choice(self._robot, self.velocities) if before is None else before.copy()
+        kept = self._empty if before is None else before.copy()
         given = self._given(demonstrations)
         if isinstance(given, Demonstrations):
             kept.add_all(given, given.notes)
@@ -210,7 +220,7 @@ class ConstraintLearner:
             recordings = IndependentRecordings.of(given)
             demonstrations = with_velocities(recordings.demonstrations, self._robot, self.velocities)
             check_fastest(demonstrations)
-            demonstrations, every = few_of(demonstrations)
+            demonstrations, every = few_of(demonstrations, self.most_samples)
             recordings = recordings.every(every)
             findings = self._find(demonstrations)
             recorded = recordings.demonstrations
@@ -221,7 +231,15 @@ class ConstraintLearner:
             (everyone,) = unexplained(demonstrations, self._feature_maps).parts
             findings = dataclasses.replace(findings, parts=parts, warnings=warnings)
             try:
-                answers, findings = find_answers(findings, everyone, self._settings)
+                settings = LearnerSettings(
+                    self.n_constraints,
+                    self.estimator,
+                    self.policy_model,
+                    self.seed,
+                    mechanism=self.mechanism == "auto",
+                    strength=self.strength,
+                )
+                answers, findings = find_answers(findings, everyone, settings)
             except NotIdentifiableError as refusal:
                 why = advise(
                     refusal, demonstrations, self._feature_maps, findings, recordings=recordings, phases=self.phases
@@ -235,8 +253,10 @@ class ConstraintLearner:
             return unexplained(demonstrations, self._feature_maps)
         rng = np.random.default_rng(self.seed)
         mechanisms = self.mechanism == "auto" and self.n_constraints is None
-        phases, strength = self.phases == "auto", self.strength
-        return find(demonstrations, self._feature_maps, rng, phases=phases, mechanisms=mechanisms, strength=strength)
+        switch = self.switch if self.phases == "auto" else math.inf
+        return find(
+            demonstrations, self._feature_maps, rng, switch=switch, mechanisms=mechanisms, strength=self.strength
+        )
 
     def _conclude(
         self, answers: Sequence[Answer], overview: RecordingOverview, joint_names: tuple[str, ...], started: float
@@ -254,15 +274,8 @@ class ConstraintLearner:
         self.constraint_, self.report_ = constraints[0], reports[0]
 
     @property
-    def _settings(self) -> LearnerSettings:
-        return LearnerSettings(
-            self.n_constraints,
-            self.estimator,
-            self.policy_model,
-            self.seed,
-            mechanism=self.mechanism == "auto",
-            strength=self.strength,
-        )
+    def _empty(self) -> Choice:
+        return Choice(self._robot, self.velocities, self.most_samples)
 
     @property
     def _robot(self) -> Robot | None:

@@ -199,7 +199,10 @@ class _Path:
         steps = np.linalg.norm(np.diff(chosen, axis=0), axis=1)
         way = np.append(steps, 0.0) + np.append(0.0, steps) + np.finfo(np.float64).tiny
         nearest = cKDTree(q).query(chosen, k=min(3, len(q)))[1].reshape(len(chosen), -1)
-        chords = _chord_errors(q)
+        # how far the motion may be from each chord between two samples: an eighth of the second difference, doubled
+        second = np.linalg.norm(np.diff(q, n=2, axis=0), axis=1) if len(q) > 2 else np.zeros(1)
+        padded = np.pad(second, 1, mode="edge")
+        chords = 0.25 * np.maximum(padded[1:], padded[:-1])[: max(len(q) - 1, 1)]
         distance, chord = np.full(len(chosen), np.inf), np.zeros(len(chosen))
         for first in (nearest, nearest - 1):
             for a in first.T.clip(0, max(len(q) - 2, 0)):
@@ -208,13 +211,6 @@ class _Path:
         most = LIES_ON_PATH * np.sqrt(self.noise2 + other.noise2 + chord**2)
         lies = distance <= np.minimum(most, NEAREST_PATH_SHARE * max(self.extent, other.extent))
         return float(np.max(distance[lies])) if np.sum(way[lies]) >= REPEATED_SHARE * np.sum(way) else None
-
-
-def _chord_errors(q: Float[np.ndarray, "T n"]) -> Float[np.ndarray, " k"]:
-    """How far the motion may be from each chord between two samples: an eighth of the second difference, doubled."""
-    second = np.linalg.norm(np.diff(q, n=2, axis=0), axis=1) if len(q) > 2 else np.zeros(1)
-    padded = np.pad(second, 1, mode="edge")
-    return 0.25 * np.maximum(padded[1:], padded[:-1])[: max(len(q) - 1, 1)]
 
 
 def _distance_from_segment(

@@ -235,6 +235,10 @@ class LearningReport:
         return f"LearningReport({self.sentence} Gap {self.gap:.3g}, {counted(self.n_samples, 'sample')}{warned})"
 
     def _repr_html_(self) -> str:
+        phases = [
+            (printable(name), f"{start:.2f}", f"{end:.2f}", "free" if held is None else held + 1)
+            for name, start, end, held, _ in self.phases
+        ]
         return html_card.card(
             "What was learnt",
             html_card.sentence(self.sentence),
@@ -244,7 +248,7 @@ class LearningReport:
                 "Gap for each number of rows",
                 html_card.table(("rows", "gap"), [(n, float(gap)) for n, gap in self.gap_table.items()]),
             ),
-            html_card.folded(f"Phases ({len(self.phases)})", html_card.table(_PHASE_COLUMNS, self._phase_rows())),
+            html_card.folded(f"Phases ({len(self.phases)})", html_card.table(_PHASE_COLUMNS, phases)),
             html_card.folded(
                 f"Recordings that do not agree ({len(self.odd_trajectories)})",
                 html_card.table(("recording", "why"), [tuple(map(printable, odd)) for odd in self.odd_trajectories]),
@@ -285,12 +289,6 @@ class LearningReport:
     def _is_told(self) -> bool:
         free = np.reshape(self.free_directions, (-1, len(self.row_names)))
         return said_by_rows(self.mechanism, self.row_names, self.reference, free)
-
-    def _phase_rows(self) -> list[tuple[object, ...]]:
-        return [
-            (printable(name), f"{start:.2f}", f"{end:.2f}", "free" if held is None else held + 1)
-            for name, start, end, held, _ in self.phases
-        ]
 
 
 def _plain(value: Any) -> Any:
@@ -396,13 +394,17 @@ def advise(
     """
     if refusal.code not in ADVISED:
         return _advised(refusal, (), recordings.warnings) if recordings.warnings else refusal
+    n, wanted = len(recordings.demonstrations), f"record at least {FEWEST_TRAJECTORIES}, better 5, that differ"
+    speed = max((float(np.max(np.abs(t.u))) for t in demonstrations if t.u is not None), default=0.0)
+    few = f"{wanted} in way and posture, not {counted(n, 'recording')}"
+    slow = f"move faster, noise hides a motion in which no joint exceeds {speed:.2g} rad/s"
     causes = [
-        *_too_few(recordings),
+        *([few] if n < FEWEST_TRAJECTORIES else []),
         *lone_contacts(findings, recordings),
         *_several_phases(findings, demonstrations, phases),
         *_other_rows(demonstrations, feature_maps),
         *_still_joints(demonstrations),
-        *_too_slow(demonstrations),
+        *([slow] if speed < REST_SPEED else []),
     ]
     facts = [*recordings.warnings, *_places(findings, recordings)]
     if not causes and refusal.code == "weak-gap":  # what usually helps
@@ -416,14 +418,6 @@ def _advised(refusal: NotIdentifiableError, causes: Sequence[str], facts: Sequen
     why = "; ".join([str(refusal), *facts])
     said = f"{'; or '.join(everything[:ADVICES_SAID])}. {why[0].upper()}{why[1:]}" if everything else why
     return NotIdentifiableError(said, code=refusal.code, gaps=refusal.gaps, advice=(*everything, *facts))
-
-
-def _too_few(recordings: IndependentRecordings) -> list[str]:
-    n = len(recordings.demonstrations)
-    if n >= FEWEST_TRAJECTORIES:
-        return []
-    wanted = f"record at least {FEWEST_TRAJECTORIES}, better 5, that differ in way and posture"
-    return [f"{wanted}, not {counted(n, 'recording')}"]
 
 
 def _several_phases(findings: Findings, demonstrations: Demonstrations, phases: str) -> list[str]:
@@ -498,10 +492,3 @@ def _still_joints(demonstrations: Demonstrations) -> list[str]:
         return []
     python, flags = f"load_robot(..., locked={still})", " ".join(f"--lock {name}" for name in still)
     return [f"move {named('joint', still)} too, or lock what shall hardly move{advice(' ({})', python, flags)}"]
-
-
-def _too_slow(demonstrations: Demonstrations) -> list[str]:
-    speed = max((float(np.max(np.abs(t.u))) for t in demonstrations if t.u is not None), default=0.0)
-    return (
-        [f"move faster, noise hides a motion in which no joint exceeds {speed:.2g} rad/s"] if speed < REST_SPEED else []
-    )

@@ -78,27 +78,9 @@ def stacked(trajectories: Sequence[Trajectory]) -> tuple[np.ndarray, np.ndarray,
     return np.concatenate([t.q for t in trajectories]), np.concatenate([np.asarray(t.u) for t in trajectories]), number
 
 
-@final
-@dataclass(frozen=True)
-class TrajectoryBlocks:
-    """Blocks of neighbouring trajectories; each its own if there are no more than `most`.
-
-    Attributes:
-        n_trajectories: Number of trajectories.
-        most: Largest number of blocks.
-    """
-
-    n_trajectories: int
-    most: int
-
-    @property
-    def n_blocks(self) -> int:
-        """Number of blocks."""
-        return min(self.n_trajectories, self.most)
-
-    def runs(self, trajectory: Int[np.ndarray, " n"]) -> list[tuple[int, slice]]:
-        """Blocks of some samples whose trajectories never decrease, and which samples belong to each."""
-        return runs(trajectory if self.n_trajectories <= self.most else trajectory * self.most // self.n_trajectories)
+def in_blocks(trajectory: Int[np.ndarray, " n"], n_trajectories: int, most: int) -> list[tuple[int, slice]]:
+    """Blocks of neighbouring trajectories, each its own if there are no more than `most`; which samples are of each."""
+    return runs(trajectory if n_trajectories <= most else trajectory * most // n_trajectories)
 
 
 @final
@@ -309,10 +291,6 @@ def check_samples(samples: Samples, joint_names: Sequence[str], n_constraints: i
             f"{counted(r, 'row')}, {needed} can and many more are better",
             code="too-few-samples",
         )
-    return _warn(samples, joint_names)
-
-
-def _warn(samples: Samples, joint_names: Sequence[str]) -> list[str]:
     warnings = []
     squares = samples.u**2
     shares = energy_shares(squares.mean(axis=0))

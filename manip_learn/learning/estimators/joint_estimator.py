@@ -94,7 +94,18 @@ def estimate_joint(
         NotIdentifiableError: One trajectory or motion only, too few samples for even the smallest model, no task in
             them, or given up.
     """
-    _check_trajectories(samples)
+    if samples.n_trajectories < 2:
+        raise NotIdentifiableError(
+            "one trajectory does not identify a constraint whose task velocity is unknown: give several, from "
+            "different starts to different targets",
+            code="one-trajectory",
+        )
+    if _repeat_one_motion(samples):
+        raise NotIdentifiableError(
+            f"the {samples.n_trajectories} recordings repeat one motion: like a single one they cannot show which part "
+            "of it is steered on purpose; record motions that differ, from other starts to other targets",
+            code="repeated-motion",
+        )
     if policy_model == "affine-offset":
         return estimate_with_offsets(samples, n_constraints, rng)
     few = samples.thinned(COMPARE_LIMIT)
@@ -120,7 +131,14 @@ def estimate_joint(
             return own
     if chosen.unexplained > unexplained:
         raise NotIdentifiableError("no policy model predicts this motion", code="unexplained")
-    samples, fit, scored = _fit_all(weighted, chosen, rng, is_free=policy_model == "auto")
+    samples, fit, scored = weighted, _fit_from_random_starts(weighted, chosen, rng), None
+    # the residual is noise, and has its covariance, only where the policy model explains the motion
+    if chosen.unexplained <= POORLY_EXPLAINED:
+        samples, fit = _fit_whitened(samples, fit)
+        # normal equations resolve the residual
+        is_free = policy_model == "auto" and 0 < len(fit.whitened_selection) < samples.n_rows
+        scored = fit_marginal(samples, fit, MAX_COLUMNS) if is_free and not fit.leaves_only(NOISY) else None
+    scored = scored or ScoredFit(fit.whitened_selection, *scores(samples, fit))
     warnings = () if n_constraints is not None else counted.warnings
     estimate = _estimate(samples, fit, scored, counted.table, residuals, chosen.held_out, chosen.unexplained)
     return dataclasses.replace(estimate, warnings=warnings)
@@ -149,26 +167,6 @@ def _estimate(
         held_out / (samples.nv - fit.n_rows),
         prior=scored.prior,
     )
-
-
-def _check_trajectories(samples: Samples) -> None:
-    """Refuse what shows the task once only.
-
-    Raises:
-        NotIdentifiableError: One trajectory, or one motion several times.
-    """
-    if samples.n_trajectories < 2:
-        raise NotIdentifiableError(
-            "one trajectory does not identify a constraint whose task velocity is unknown: give several, from "
-            "different starts to different targets",
-            code="one-trajectory",
-        )
-    if _repeat_one_motion(samples):
-        raise NotIdentifiableError(
-            f"the {samples.n_trajectories} recordings repeat one motion: like a single one they cannot show which part "
-            "of it is steered on purpose; record motions that differ, from other starts to other targets",
-            code="repeated-motion",
-        )
 
 
 def _repeat_one_motion(samples: Samples) -> bool:
@@ -224,11 +222,7 @@ def _unequal_noise(samples: Samples, few: Samples, fit: JointFit) -> Float[np.nd
 
 
 def _offsets_if_clear(
-    samples: Samples,
-    n_constraints: int | None,
-    first: JointFit,
-    chosen: JointFit,
-    rng: np.random.Generator,
+    samples: Samples, n_constraints: int | None, first: JointFit, chosen: JointFit, rng: np.random.Generator
 ) -> Estimate | None:
     """The estimate with a rest posture for each trajectory, where a shared policy explains the motion poorly.
 
@@ -320,27 +314,6 @@ def _search_from_starts(samples: Samples, s: int, rng: np.random.Generator) -> J
         idle = 0 if best is None or trial.cost < 0.9 * best.cost else idle + 1
         best, starts = trial if best is None or trial.cost < best.cost else best, []
     return best
-
-
-def _fit_all(
-    samples: Samples, chosen: JointFit, rng: np.random.Generator, *, is_free: bool
-) -> tuple[Samples, JointFit, ScoredFit]:
-    """The selected model fitted to all samples, these weighted where needed; and Lambda without a fixed model.
-
-    Args:
-        samples: What was recorded.
-        chosen: The selected model.
-        rng: For the random starts.
-        is_free: The model was not asked for.
-    """
-    fit = _fit_from_random_starts(samples, chosen, rng)
-    # the residual is noise, and has its covariance, only where the policy model explains the motion
-    if chosen.unexplained <= POORLY_EXPLAINED:
-        samples, fit = _fit_whitened(samples, fit)
-        # normal equations resolve the residual
-        if is_free and 0 < len(fit.whitened_selection) < samples.n_rows and not fit.leaves_only(NOISY):
-            return samples, fit, fit_marginal(samples, fit, MAX_COLUMNS)
-    return samples, fit, ScoredFit(fit.whitened_selection, *scores(samples, fit))
 
 
 def _list_models(samples: Samples, rng: np.random.Generator, name: str) -> list[PolicyModel]:

@@ -107,7 +107,15 @@ def conditional_pca(samples: Samples, model: PolicyModel) -> tuple[Float[np.ndar
     left, cross = np.zeros((k, k)), np.zeros((k, r))
     right, S_G = np.zeros((r, r)), np.zeros((r, r))
     for block in samples.blocks():
-        g, GG, weight = _minimal_features(block.Phi, block.u)
+        gram = np.einsum("npv,nqv->npq", block.Phi, block.Phi, optimize=True)
+        trace = np.einsum("npp->n", gram)[:, None, None]
+        if r <= samples.nv:
+            GG = np.linalg.inv(gram + 1e-13 * trace * np.eye(r))
+        else:
+            GG = np.linalg.pinv(gram, rcond=1e-10, hermitian=True)
+        g = np.einsum("npq,nqv,nv->np", GG, block.Phi, block.u, optimize=True)
+        # near-singular postures count little
+        weight = 1.0 / np.maximum(np.einsum("npp->n", GG), np.finfo(np.float64).tiny)
         root = np.sqrt(weight)[:, None]
         beta, g = model(block.x) * root, g * root
         left += beta.T @ beta
@@ -121,19 +129,6 @@ def conditional_pca(samples: Samples, model: PolicyModel) -> tuple[Float[np.ndar
     eigenvalues, vectors = eigh(0.5 * (C + C.T), S_G)
     order = np.argsort(eigenvalues)[::-1]
     return np.sqrt(np.maximum(eigenvalues[order], 0.0)), (S_G @ vectors[:, order]).T
-
-
-def _minimal_features(Phi: np.ndarray, u: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """g, (Phi Phi^T)^-1 and a weight for each sample: near-singular postures count little."""
-    gram = np.einsum("npv,nqv->npq", Phi, Phi, optimize=True)
-    trace = np.einsum("npp->n", gram)[:, None, None]
-    if Phi.shape[1] <= Phi.shape[2]:
-        inverse = np.linalg.inv(gram + 1e-13 * trace * np.eye(Phi.shape[1]))
-    else:
-        inverse = np.linalg.pinv(gram, rcond=1e-10, hermitian=True)
-    g = np.einsum("npq,nqv,nv->np", inverse, Phi, u, optimize=True)
-    weight = 1.0 / np.maximum(np.einsum("npp->n", inverse), np.finfo(np.float64).tiny)
-    return g, inverse, weight
 
 
 def best_of_starts(
@@ -263,7 +258,14 @@ def search_model(
     judged: list[JudgedModel] = []
     for _ in range(ROUNDS):
         if best.held_out <= EXACT * best.energy:
-            return _climb_exact_models(samples, usable, best, residuals)
+            # next to nothing is left, and normal equations would compare rounding: QR fits, one by one
+            for model in (model for model in usable if model.n_terms * samples.nv <= SCAN_COLUMNS):
+                if model.name == best.model.name or best.held_out <= ROUNDING * best.energy:
+                    continue
+                trial = _tried(samples, model, best.whitened_selection)
+                residuals[model.name] = trial.unexplained
+                best = trial if _is_better(trial, best, WORTH) else best
+            return best, residuals
         projections = Projections.of(samples, best.whitened_selection)
         judged = [_judged(samples, projections, model) for model in usable]
         energy = len(samples) * null_energy(samples, best)
@@ -303,19 +305,6 @@ def _try_closer_models(samples: Samples, judged: list[JudgedModel], best: JointF
         if _is_better(trial, best, WORTH) or trial.unexplained < PREDICTED:
             return trial
     return best
-
-
-def _climb_exact_models(
-    samples: Samples, usable: list[PolicyModel], best: JointFit, residuals: dict[str, float]
-) -> tuple[JointFit, dict[str, float]]:
-    """`search_model` where next to nothing is left and normal equations would compare rounding: QR fits, one by one."""
-    for model in (model for model in usable if model.n_terms * samples.nv <= SCAN_COLUMNS):
-        if model.name == best.model.name or best.held_out <= ROUNDING * best.energy:
-            continue
-        candidate = _tried(samples, model, best.whitened_selection)
-        residuals[model.name] = candidate.unexplained
-        best = candidate if _is_better(candidate, best, WORTH) else best
-    return best, residuals
 
 
 @final
@@ -404,7 +393,9 @@ def explain(samples: Samples, models: Sequence[PolicyModel], rng: np.random.Gene
             if same:
                 best = _best_of(found)
                 is_answered = _left(samples, best.fit) <= ABOVE_NOISE * noise
-                if is_answered and (s < commanded or _is_hopeless(same, best)):
+                # the last of the richer models came hardly closer to the best
+                last, before = same[-1].nats, _most(same[:-1]).nats if len(same) > 1 else -np.inf
+                if is_answered and (s < commanded or last - before < PROGRESS * (best.nats - last)):
                     continue
                 most = _most(same)  # were noise all that the richer model leaves:
                 left = min(noise, _left(samples, most.fit))
@@ -430,13 +421,6 @@ def _best_of(found: Sequence[Explanation]) -> Explanation:
     """The one with the most evidence among those that predict; if none does, the least held-out cost."""
     predicting = [one for one in found if one.predicts]
     return _most(predicting) if predicting else min(found, key=lambda one: one.fit.held_out)
-
-
-def _is_hopeless(same: Sequence[Explanation], best: Explanation) -> bool:
-    """Whether the last of the richer models came hardly closer to the best."""
-    if len(same) < 2:
-        return False
-    return same[-1].nats - _most(same[:-1]).nats < PROGRESS * (best.nats - same[-1].nats)
 
 
 def _explained(samples: Samples, fit: JointFit) -> Explanation:

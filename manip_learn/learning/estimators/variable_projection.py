@@ -49,7 +49,7 @@ from manip_learn.learning.estimators.policy_equations import (
     upper,
 )
 from manip_learn.learning.estimators.policy_model import PolicyModel, PolynomialModel
-from manip_learn.learning.samples import Samples, TrajectoryBlocks
+from manip_learn.learning.samples import Samples, in_blocks
 from manip_learn.linalg import batch_row_spaces, complement_rows, inverse_triangles, orthonormal_rows, turned
 
 # degree up to which every policy is thought possible. Set by hand
@@ -215,13 +215,12 @@ def scores(samples: Samples, fit: JointFit) -> tuple[Float[np.ndarray, "g d"], F
     _, T, pivots = qr(R[:, :width], mode="economic", pivoting=True, check_finite=False)
     diagonal = np.abs(np.diag(T))
     k = int(np.count_nonzero(diagonal > BASIS_TOLERANCE * diagonal[0])) if diagonal.size else 0
-    blocks = TrajectoryBlocks(samples.n_trajectories, MAX_BLOCKS)
-    gradients = np.zeros((blocks.n_blocks, k + m))
-    hessians = np.zeros((blocks.n_blocks, k + m, k + m))
+    n_blocks = min(samples.n_trajectories, MAX_BLOCKS)
+    gradients, hessians = np.zeros((n_blocks, k + m)), np.zeros((n_blocks, k + m, k + m))
     for block, rows in zip(samples.blocks(), _rows(samples, fit.whitened_selection, fit.model, fit.theta), strict=True):
         K = solve_triangular(T[:k, :k], rows[:, pivots[:k]].T, trans="T", check_finite=False).T
         J = np.concatenate([K, rows[:, width:-1] - rows[:, :width] @ projection], axis=1)
-        for i, part in blocks.runs(block.trajectory):
+        for i, part in in_blocks(block.trajectory, samples.n_trajectories, MAX_BLOCKS):
             own = slice(part.start * z, part.stop * z)
             gradients[i] += J[own].T @ rows[own, -1]
             hessians[i] += J[own].T @ J[own]
@@ -491,8 +490,9 @@ class _Posterior:
 
     def scores(self) -> tuple[Float[np.ndarray, "g d"], Float[np.ndarray, "g d d"]]:
         """Gradient and Hessian of sigma^2 l of each block of trajectories, for (Theta, B), see `_without_noise`."""
-        blocks = TrajectoryBlocks(self.samples.n_trajectories, MAX_BLOCKS)
-        runs, membership = blocks.runs(self.samples.trajectory), np.zeros((blocks.n_blocks, len(self.samples)))
+        n = self.samples.n_trajectories
+        runs = in_blocks(self.samples.trajectory, n, MAX_BLOCKS)
+        membership = np.zeros((min(n, MAX_BLOCKS), len(self.samples)))
         sums = self._projections.blockwise(self.regressors.values, self._residual, runs)
         _, gradients, hessians = map(np.array, zip(*sums, strict=True))
         for i, part in runs:

@@ -253,10 +253,7 @@ def sharpened(motion: RowMotion, rows: Float[np.ndarray, "s r"], stretches: Sequ
         way = np.cumsum(motion.rates[inside] * motion.weight[inside, None], axis=0) @ rows.T
         away = np.linalg.norm(way - np.median(way[inner], axis=0), axis=1)
         left = time[(away > FAR_FROM_HELD * np.quantile(away[inner], 0.9)) & ~inner]
-        before, after = (
-            left[left < s.start + SHORTEST_STRETCH_SECONDS],
-            left[left > s.end - SHORTEST_STRETCH_SECONDS],
-        )
+        before, after = (left[left < s.start + SHORTEST_STRETCH_SECONDS], left[left > s.end - SHORTEST_STRETCH_SECONDS])
         first, last = motion.ends[s.trajectory]
         start = float(time[time > before[-1]][0]) if len(before) and s.start > first else s.start
         end = float(time[time < after[0]][-1]) if len(after) and s.end < last else s.end

@@ -138,10 +138,7 @@ def distinct(rows: Float[np.ndarray, "h s r"], most: int | None = None) -> list[
 def _windows(motion: RowMotion, chosen: Bool[np.ndarray, " n"]) -> list[Moments]:
     """Windows of these samples, and windows of two recordings together."""
     motion = dataclasses.replace(motion, weight=motion.weight * chosen)
-    parts, long = (
-        [_window_moments(motion, SHORT_WINDOWS_SECONDS)],
-        _window_moments(motion, LONG_WINDOWS_SECONDS),
-    )
+    parts, long = ([_window_moments(motion, SHORT_WINDOWS_SECONDS)], _window_moments(motion, LONG_WINDOWS_SECONDS))
     if len(long.M) > 1:
         sizes, _ = _least_used(long)
         long = long.chosen(np.argsort(-np.max(sizes[:, 1:] / sizes[:, :-1], axis=1))[:MOST_PAIRED])

@@ -306,7 +306,7 @@ def find(
     feature_maps: Sequence[FeatureMap],
     rng: np.random.Generator,
     *,
-    phases: bool = True,
+    switch: float = SWITCH_NATS,
     mechanisms: bool = True,
     strength: float = BELIEVED_STRENGTH,
 ) -> Findings:
@@ -316,7 +316,7 @@ def find(
         demonstrations: With velocities.
         feature_maps: The candidates for Phi.
         rng: For the comparisons with chance.
-        phases: Whether a constraint may hold in a part of a recording.
+        switch: What a change between two states costs [nats]; infinite: no constraint holds in a part of a recording.
         mechanisms: Whether rows in which mechanisms are constant may explain what those asked for do not.
         strength: From which on a row is believed, see `recombination_test`.
     """
@@ -329,11 +329,11 @@ def find(
     if not views:
         return unexplained(demonstrations, feature_maps)  # a single row: nothing to compare it with
     believed = _Recombination(trajectories, kinds_tried(views), int(rng.integers(2**32)), strength)
-    explanation = explain(views, believed, SWITCH_NATS if phases else np.inf)
+    explanation = explain(views, believed, switch)
     elsewhere = _elsewhere(usable, trajectories, explanation)
     if elsewhere:  # what disagrees in this reference is no other task
         return dataclasses.replace(unexplained(demonstrations, feature_maps), warnings=elsewhere, elsewhere=True)
-    contacts = _lone_contacts(explanation, believed) if phases and len(trajectories) > 1 else []
+    contacts = _lone_contacts(explanation, believed) if switch < np.inf and len(trajectories) > 1 else []
     if not explanation.hypotheses:
         alone = tuple((s, IN_ONE_ONLY) for s in contacts)
         nearest = Explanation(explanation.views, explanation.refused[:1], explanation.switch)

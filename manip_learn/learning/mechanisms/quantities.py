@@ -220,10 +220,6 @@ def _axis_line_in_hand(paths: TipPaths, place: Place) -> Values:
     return np.einsum("nij,nj->ni", R_T, e - along[:, None] * a), J
 
 
-def _orientation(paths: TipPaths, place: Place) -> Values:
-    return paths.turns, np.zeros((len(paths.p), 3, 7))
-
-
 def _of_position(paths: TipPaths, place: Place, J: Slopes) -> Float[np.ndarray, "N d 6"]:
     return np.concatenate([-J[:, :, 3:6], np.zeros((*J.shape[:2], 3))], axis=2)
 
@@ -255,5 +251,5 @@ QUANTITIES: dict[str, Quantity] = {
     "point-in-hand": Quantity(_point_in_hand, 3, 3, "m", _seen_from_hand),
     "screw-in-hand": Quantity(_screw_in_hand, 3, 3, "m", _along_screw),
     "axis-line-in-hand": Quantity(_axis_line_in_hand, 3, 2, "m", _seen_from_hand),
-    "orientation": Quantity(_orientation, 3, 3, "rad", _of_turns),
+    "orientation": Quantity(lambda paths, _: (paths.turns, np.zeros((len(paths.p), 3, 7))), 3, 3, "rad", _of_turns),
 }
