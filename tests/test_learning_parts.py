@@ -14,7 +14,7 @@ from manip_learn.constraint.mechanism import Mechanism
 from manip_learn.constraint.selection_in_words import describe, free_directions
 from manip_learn.errors import NotIdentifiableError, RecordingError
 from manip_learn.learning import ConstraintLearner
-from manip_learn.learning.answer import _doubts_of
+from manip_learn.learning.answer import doubts_of_estimate
 from manip_learn.learning.estimators.estimate import Estimate, GapTable, gaps_of_levels, gaps_of_residuals
 from manip_learn.learning.estimators.model_search import JudgedModel, choose_model, conditional_pca
 from manip_learn.learning.estimators.null_space import fit_null_space, levels
@@ -231,23 +231,23 @@ def test_an_estimate_is_doubted_by_its_numbers():
     for gap, left, held in ((10.0, 0.9e-4, True), (9.9, 0.9e-4, False), (10.0, 1.1e-4, False)):
         assert estimate_of(gap, left).is_held == held
     assert not estimate_of(20.0, 0.0, "joint").is_held
-    assert _doubts_of(estimate_of(10.0, 0.009), 7, None) == []
-    (weak,) = _doubts_of(estimate_of(9.9, 0.009), 7, None)
+    assert doubts_of_estimate(estimate_of(10.0, 0.009), 7, None) == []
+    (weak,) = doubts_of_estimate(estimate_of(9.9, 0.009), 7, None)
     assert weak.startswith("weak gap: 9.9 for 2 rows, 10 is clear")
-    (soft,) = _doubts_of(estimate_of(10.0, 0.011), 7, None)
+    (soft,) = doubts_of_estimate(estimate_of(10.0, 0.011), 7, None)
     assert soft.startswith("1.1 % of the motion's energy breaks the constraint") and soft.endswith(
         "(then use estimator='joint')"
     )
     with pytest.raises(NotIdentifiableError, match="largest gap is 2.9, for 2 rows, and 3 is the least") as refusal:
-        _doubts_of(estimate_of(2.9, 0.0), 7, None)
+        doubts_of_estimate(estimate_of(2.9, 0.0), 7, None)
     assert refusal.value.code == "weak-gap" and refusal.value.gaps == {1: 2.0, 2: 2.9}
-    assert len(_doubts_of(estimate_of(2.9, 0.0), 7, 2)) == 1  # asked for: a warning
+    assert len(doubts_of_estimate(estimate_of(2.9, 0.0), 7, 2)) == 1  # asked for: a warning
     with pytest.raises(NotIdentifiableError, match="2 constraints leave no null space for 2 joints"):
-        _doubts_of(estimate_of(10.0, 0.0), 2, None)
+        doubts_of_estimate(estimate_of(10.0, 0.0), 2, None)
     other = dataclasses.replace(estimate_of(10.0, 0.0), whitened_selection=np.eye(3)[:1])
-    assert "1 row learnt as asked, but the gap supports 2: 10 against 2" in _doubts_of(other, 7, 1)
+    assert "1 row learnt as asked, but the gap supports 2: 10 against 2" in doubts_of_estimate(other, 7, 1)
     assert (
-        _doubts_of(
+        doubts_of_estimate(
             estimate_of(
                 10.0,
                 0.5,
@@ -259,8 +259,8 @@ def test_an_estimate_is_doubted_by_its_numbers():
         == []
     )
     poor = dataclasses.replace(estimate_of(10.0, 0.5, "joint"), held_out=0.31)
-    assert _doubts_of(poor, 7, None)[0].startswith("the policy model predicts only 69 % of left-out")
-    assert _doubts_of(dataclasses.replace(poor, held_out=0.29), 7, None) == []
+    assert doubts_of_estimate(poor, 7, None)[0].startswith("the policy model predicts only 69 % of left-out")
+    assert doubts_of_estimate(dataclasses.replace(poor, held_out=0.29), 7, None) == []
 
 
 def test_a_richer_policy_is_taken_where_it_predicts_as_well_and_is_cheap():

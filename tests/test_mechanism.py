@@ -16,7 +16,7 @@ import manip_learn as ml
 from manip_learn.constraint.features.mechanism_rows import MechanismRows, across
 from manip_learn.constraint.mechanism import Mechanism
 from manip_learn.errors import NotIdentifiableError, UnknownNameError
-from manip_learn.learning.mechanisms.find_mechanism import _bends, _doubts, _rival, find_mechanism
+from manip_learn.learning.mechanisms.find_mechanism import bends, doubts_of_place, find_mechanism, rival_of
 from manip_learn.learning.recombination import recombination_test
 
 AXIS = np.array([0.2, -0.3, 0.93]) / np.linalg.norm([0.2, -0.3, 0.93])
@@ -235,18 +235,22 @@ def test_a_place_that_is_known_badly_is_doubted():
     """No answer from 5 degrees or a fifth of the radius on, a warning from 1.5 % of it; each says how far to move: as
     the residual over the square of the arc, and no more than a quarter of a turn.
     """
-    assert _doubts(hinge_with(4.9, 0.0044)) == ("", "")
-    refused, warned = _doubts(hinge_with(5.1, 0.0))
+    assert doubts_of_place(hinge_with(4.9, 0.0044)) == ("", "")
+    refused, warned = doubts_of_place(hinge_with(5.1, 0.0))
     assert not warned and refused.startswith("move it by at least 58 degrees, not 29: it looks like a hinge: axis")
     assert refused.endswith("but the axis is known to 5.1 degrees only and its place to 0 mm")
-    assert _doubts(hinge_with(0.0, 0.059))[0] == "" and _doubts(hinge_with(0.0, 0.061))[0].endswith("to 61 mm")
-    assert _doubts(hinge_with(50.0, 0.0))[0].startswith("move it by at least 90 degrees")
-    assert _doubts(hinge_with(0.0, 0.0041, radius=0.001))[0].startswith("move it by")  # a fifth of 2 cm at least
-    _, warned = _doubts(hinge_with(0.1, 0.006))
+    assert doubts_of_place(hinge_with(0.0, 0.059))[0] == "" and doubts_of_place(hinge_with(0.0, 0.061))[0].endswith(
+        "to 61 mm"
+    )
+    assert doubts_of_place(hinge_with(50.0, 0.0))[0].startswith("move it by at least 90 degrees")
+    assert doubts_of_place(hinge_with(0.0, 0.0041, radius=0.001))[0].startswith(
+        "move it by"
+    )  # a fifth of 2 cm at least
+    _, warned = doubts_of_place(hinge_with(0.1, 0.006))
     assert warned.startswith("the hand goes 29 degrees about the axis") and "known to +- 6 mm" in warned
     assert warned.endswith("move it by at least 57 degrees")
-    assert _doubts(hinge_with(0.1, 0.006, grip="firm")) == ("", "")
-    assert _doubts(Mechanism("line", AXIS, uncertainty={"axis": 60.0})) == ("", "")
+    assert doubts_of_place(hinge_with(0.1, 0.006, grip="firm")) == ("", "")
+    assert doubts_of_place(Mechanism("line", AXIS, uncertainty={"axis": 60.0})) == ("", "")
 
 
 def test_bent_or_straight_is_told_by_what_the_positions_allow(robot_of):
@@ -259,15 +263,15 @@ def test_bent_or_straight_is_told_by_what_the_positions_allow(robot_of):
         return SimpleNamespace(kind=kind, size=size, held_out={"radius": np.array([rest])})
 
     straight = fit(None, 1e-4, name="line")
-    assert _bends(fit((0.5, 0.09), 1e-6), straight) and not _bends(fit((0.5, 0.11), 1e-6), straight)
-    assert _bends(fit((2.9, 0.01), 1e-6), straight) and not _bends(fit((3.1, 0.01), 1e-6), straight)
-    assert not _bends(fit((0.5, 0.01), np.sqrt(1e-8 - 2.4e-9)), straight)
-    assert _bends(fit((0.5, 0.01), np.sqrt(1e-8 - 2.6e-9)), straight)
-    assert _bends(fit((3.5, 0.01), 1e-6, ("axis", "pitch")), straight) and not _bends(fit(None, 0.0), straight)
-    said = _rival(fit((2.0, 1.0), 0.0), straight)  # 1 / (1 / 2 + 2 / 4)
+    assert bends(fit((0.5, 0.09), 1e-6), straight) and not bends(fit((0.5, 0.11), 1e-6), straight)
+    assert bends(fit((2.9, 0.01), 1e-6), straight) and not bends(fit((3.1, 0.01), 1e-6), straight)
+    assert not bends(fit((0.5, 0.01), np.sqrt(1e-8 - 2.4e-9)), straight)
+    assert bends(fit((0.5, 0.01), np.sqrt(1e-8 - 2.6e-9)), straight)
+    assert bends(fit((3.5, 0.01), 1e-6, ("axis", "pitch")), straight) and not bends(fit(None, 0.0), straight)
+    said = rival_of(fit((2.0, 1.0), 0.0), straight)  # 1 / (1 / 2 + 2 / 4)
     assert said.startswith("a hinge would fit as well, with more than 1 m of radius") and "tell it from a line" in said
-    assert _rival(fit((10.0, 1.0), 0.0), straight) == "" and _rival(fit((10.0, 20.0), 0.0), straight) != ""
-    assert _rival(fit((0.1, 0.1), 0.0, ("pitch",)), straight) == _rival(fit(None, 0.0), straight) == ""
+    assert rival_of(fit((10.0, 1.0), 0.0), straight) == "" and rival_of(fit((10.0, 20.0), 0.0), straight) != ""
+    assert rival_of(fit((0.1, 0.1), 0.0, ("pitch",)), straight) == rival_of(fit(None, 0.0), straight) == ""
 
 
 def test_confirm_has_the_last_word(robot_of):

@@ -21,7 +21,7 @@ from manip_learn.control.simulation import simulate
 from manip_learn.errors import RecordingError, advice, advice_for_command
 from manip_learn.learning import ConstraintLearner
 from manip_learn.learning.audit import audit_episodes
-from manip_learn.recordings import load_demonstrations
+from manip_learn.recordings import load_demonstrations, recording_source
 from manip_learn.recordings.recording_source import RecordingSource
 from manip_learn.robot import Robot, load_robot
 
@@ -68,23 +68,18 @@ def test_an_option_may_match_in_one_file_only(planar3: Robot, tmp_path: Path) ->
     assert sum(len(list(source.part(i))) for i in range(source.n_parts)) == 2
 
 
-def in_parts(source: RecordingSource) -> RecordingSource:
-    """The same files, each a part of its own, as large files are."""
-    source._parts = [[path] for part in source._parts for path in part]  # noqa: SLF001
-    return source
-
-
-def test_recordings_read_in_parts_are_judged_together() -> None:
+def test_recordings_read_in_parts_are_judged_together(monkeypatch: pytest.MonkeyPatch) -> None:
     """Recordings larger than memory: refused if no part had a use for the option, learning and auditing alike."""
+    monkeypatch.setattr(recording_source, "PART_BYTES", 1)
     for option in [{"rename": {"nope": "right_j0"}}, {"ignore_columns": ["nope"]}, {"rate": 50.0}]:
         with case(option):
             sawyer = load_robot("sawyer")
             features = FrameJacobian(sawyer, FRAME[1], "xyz", "world")
             with pytest.raises(RecordingError, match="nope|rate") as caught:
-                ConstraintLearner(features, n_constraints=2).fit(in_parts(RecordingSource(DRAWER, sawyer, **option)))
+                ConstraintLearner(features, n_constraints=2).fit(RecordingSource(DRAWER, sawyer, **option))
             assert caught.value.code == "option"
             with pytest.raises(RecordingError, match="nope|rate"):
-                audit_episodes(Constraint([[1.0, 0, 0]], features), in_parts(RecordingSource(DRAWER, sawyer, **option)))
+                audit_episodes(Constraint([[1.0, 0, 0]], features), RecordingSource(DRAWER, sawyer, **option))
 
 
 def test_another_robot_is_suspected() -> None:

@@ -8,7 +8,13 @@ from generated_motions import arm_features, guided_motions, oblique, planar_feat
 
 from manip_learn.constraint.features import CustomFeatures, FeatureMap, FrameJacobian
 from manip_learn.errors import RecordingError
-from manip_learn.learning.recombination import RowEvidence, _arrangements, _moments, phase_paths, recombination_test
+from manip_learn.learning.recombination import (
+    RowEvidence,
+    arrangements_of_joints,
+    moments_of_motion,
+    phase_paths,
+    recombination_test,
+)
 from manip_learn.recordings.trajectory import Trajectory
 from manip_learn.robot.robot import Robot
 
@@ -180,8 +186,8 @@ def test_each_joint_moves_as_in_its_own_donor(rng):
     parts, donors = rng.standard_normal((3, 5, 4, 6, 2)), rng.integers(0, 6, (7, 4, 3))
     for m, d in np.ndindex(7, 3):
         r = np.sum([parts[d, :, v, donors[m, v, d]] for v in range(4)], axis=0)
-        np.testing.assert_allclose(_moments(parts, donors)[m, d], r.T @ r / 5.0)
-    orders = _arrangements(rng, 50, 4, 3, 3)
+        np.testing.assert_allclose(moments_of_motion(parts, donors)[m, d], r.T @ r / 5.0)
+    orders = arrangements_of_joints(rng, 50, 4, 3, 3)
     assert np.array_equal(np.sort(orders, axis=2), np.broadcast_to(np.arange(3), (50, 4, 3)))
     assert len(np.unique(orders.reshape(50, -1), axis=0)) > 45  # each joint by itself
 

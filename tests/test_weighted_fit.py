@@ -11,7 +11,7 @@ from scipy.spatial.transform import Rotation
 
 import manip_learn as ml
 from manip_learn.constraint.mechanism import MECHANISM_KINDS, MechanismKind
-from manip_learn.learning.mechanisms.place_fit import _scatter, fit_place, tangents
+from manip_learn.learning.mechanisms.place_fit import fit_place, scatter_of_clusters, tangents
 from manip_learn.learning.mechanisms.quantities import (
     QUANTITIES,
     Place,
@@ -113,8 +113,8 @@ def test_what_a_fit_says_of_its_residuals(robot_of):
     moves = influences(*fit.scores) * np.sqrt(0.8)
     small = 1e-3 * fit.noise[0][:4, :4]
     ratio = np.trace(np.linalg.inv(small) @ moves.T @ moves) / 4.0
-    assert _scatter(fit, small) == (pytest.approx(ratio / (1.0 + 1.5 * np.sqrt(2.0 / 16.0)), rel=1e-6), 16.0)
-    assert _scatter(fit, 1e6 * small) == (1.0, np.inf)
+    assert scatter_of_clusters(fit, small) == (pytest.approx(ratio / (1.0 + 1.5 * np.sqrt(2.0 / 16.0)), rel=1e-6), 16.0)
+    assert scatter_of_clusters(fit, 1e6 * small) == (1.0, np.inf)
     # a row's scatter: the noise of all joints through the row, over all samples
     S = fit.weights.noise @ fit.weights.noise.transpose(0, 2, 1)
     moved = fit.weights.back @ S @ fit.weights.back

@@ -11,7 +11,7 @@ import pytest
 from case import case
 
 from manip_learn.errors import OutputError, RecordingError
-from manip_learn.learning.repeats import _joined
+from manip_learn.learning.repeats import joined_pieces
 from manip_learn.recordings import load_demonstrations
 from manip_learn.recordings.demonstrations import Demonstrations
 from manip_learn.recordings.format_words import WRENCH_NAMES, wrench_columns, wrench_sets
@@ -59,9 +59,9 @@ def test_cuts_keep_it():
     halfway = derive_velocities(trajectory(), ROBOT, "midpoint")
     np.testing.assert_allclose(halfway.wrench, 0.5 * (WRENCH[1:] + WRENCH[:-1]))
     pieces = [t.part(slice(0, 30)), t.part(slice(30, T))]
-    np.testing.assert_array_equal(_joined(pieces, [(0, 0.0), (1, 0.0)]).wrench, WRENCH)
+    np.testing.assert_array_equal(joined_pieces(pieces, [(0, 0.0), (1, 0.0)]).wrench, WRENCH)
     without = Trajectory(pieces[1].time, pieces[1].q, pieces[1].u, NAMES)
-    assert _joined([pieces[0], without], [(0, 0.0), (1, 0.0)]).wrench is None
+    assert joined_pieces([pieces[0], without], [(0, 0.0), (1, 0.0)]).wrench is None
 
 
 def test_own_formats_keep_it_exactly():

@@ -134,7 +134,7 @@ def learn_candidate(
             return None
     rng = np.random.default_rng(settings.seed)
     estimate = _estimate(samples, settings, rng, rival_is_held)
-    warnings += [*estimate.warnings, *_doubts_of(estimate, samples.nv, settings.n_constraints)]
+    warnings += [*estimate.warnings, *doubts_of_estimate(estimate, samples.nv, settings.n_constraints)]
     return Candidate(samples, estimate, tuple(warnings), rng)
 
 
@@ -184,7 +184,7 @@ def _joint(
         ) from error
 
 
-def _doubts_of(estimate: Estimate, nv: int, n_constraints: int | None) -> list[str]:
+def doubts_of_estimate(estimate: Estimate, nv: int, n_constraints: int | None) -> list[str]:
     """Warnings about the number of rows, and about what the estimate leaves unexplained.
 
     Raises:

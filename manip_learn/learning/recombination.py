@@ -364,14 +364,14 @@ def recombination_test(
         donors += [(a, k / SHIFTS) for k in range(1, SHIFTS) for a in range(len(paths))]
     parts = np.stack([_parts(path, W @ P, paths, donors) for path, P in zip(paths, Phi, strict=True)])
     energy = np.mean([np.mean(p.weight[:, None] * p.bin_steps() ** 2) for p in paths])
-    (recorded,) = _moments(parts, np.broadcast_to(np.arange(len(paths)), (1, features.nv, len(paths))))
+    (recorded,) = moments_of_motion(parts, np.broadcast_to(np.arange(len(paths)), (1, features.nv, len(paths))))
     moments, held_out = recorded.mean(axis=0)[None], np.sqrt(_held_out_squares(recorded) / energy)
     while True:
         n = max(RECOMBINATIONS, 4 * (len(moments) - 1))
-        order = _arrangements(rng, n - len(moments) + 1, features.nv, len(paths), len(donors))
+        order = arrangements_of_joints(rng, n - len(moments) + 1, features.nv, len(paths), len(donors))
         # a few at a time: their motion is a large array
         few = np.array_split(order, -(-len(order) // MOMENTS_AT_ONCE))
-        moments = np.concatenate([moments, *(_moments(parts, some).mean(axis=1) for some in few)])
+        moments = np.concatenate([moments, *(moments_of_motion(parts, some).mean(axis=1) for some in few)])
         squares, directions = _squared_levels(moments)
         levels = np.maximum(np.sqrt(squares / energy), LEVEL_FLOOR)
         ratios = levels[1:] / np.maximum(held_out, levels[0])
@@ -403,14 +403,16 @@ def _parts(
     return parts * np.sqrt(path.weight)[:, None, None, None]
 
 
-def _arrangements(rng: np.random.Generator, n: int, nv: int, n_paths: int, n_donors: int) -> Int[np.ndarray, "n nv d"]:
+def arrangements_of_joints(
+    rng: np.random.Generator, n: int, nv: int, n_paths: int, n_donors: int
+) -> Int[np.ndarray, "n nv d"]:
     """The donor of each joint of each trajectory."""
     if n_donors == n_paths:
         return np.argsort(rng.random((n, nv, n_paths)), axis=2)
     return rng.integers(0, n_donors, (n, nv, n_paths))
 
 
-def _moments(
+def moments_of_motion(
     parts: Float[np.ndarray, "d b nv a r"], arrangements: Int[np.ndarray, "m nv d"]
 ) -> Float[np.ndarray, "m d r r"]:
     """Mean of r r^T over the bins of each trajectory, the joints arranged like this."""

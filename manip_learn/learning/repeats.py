@@ -90,7 +90,7 @@ class IndependentRecordings:
             return IndependentRecordings(given, tuple(((i, 0.0),) for i in range(len(given))), given)
         chains = _chains(given.trajectories)
         origins = tuple(_on_one_clock(given.trajectories, chain) for chain in chains)
-        whole = [_joined(given.trajectories, origin) for origin in origins]
+        whole = [joined_pieces(given.trajectories, origin) for origin in origins]
         repeated = _repeats(whole)
         if not repeated and len(chains) == len(given):
             return IndependentRecordings(given, origins, given)
@@ -357,7 +357,8 @@ def _on_one_clock(trajectories: Sequence[Trajectory], chain: Sequence[int]) -> t
     return tuple(out)
 
 
-def _joined(trajectories: Sequence[Trajectory], origin: Sequence[tuple[int, float]]) -> Trajectory:
+def joined_pieces(trajectories: Sequence[Trajectory], origin: Sequence[tuple[int, float]]) -> Trajectory:
+    """The pieces of a recording as one, on the clock of the first."""
     pieces = [trajectories[i] for i, _ in origin]
     if len(pieces) == 1:
         return pieces[0]

@@ -179,7 +179,7 @@ def find_mechanism(
     features, selection = _constraint(robot, tip.name, fit, mechanism.radius, postures)
     odd = tuple(i for i in range(len(trajectories)) if i not in {numbers[k] for k in members})
     refused = MechanismFit(None, None, None, held_out, table, "", (), odd)
-    poor, wide = _doubts(mechanism)
+    poor, wide = doubts_of_place(mechanism)
     if poor:
         return dataclasses.replace(refused, reason=poor, warnings=(poor,))
     if confirm is not None and not confirm(features, selection):
@@ -240,12 +240,12 @@ def _straight_or_bent(read: PlaceFit) -> tuple[PlaceFit, str]:
     """
     straight_forms = {bent: straight for straight, bent in BENT_FORMS.items()}
     name = read.kind.name
-    if name in straight_forms and not _bends(read, straight := _other_form(read, straight_forms[name])):
-        return straight, _rival(read, straight)
+    if name in straight_forms and not bends(read, straight := _other_form(read, straight_forms[name])):
+        return straight, rival_of(read, straight)
     if name in BENT_FORMS:
         bent = _other_form(read, BENT_FORMS[name])
-        leaves = _bends(bent, read) and _bends(bent, _other_form(read, name))  # wherever the straight form is
-        return (bent, "") if leaves else (read, _rival(bent, read))
+        leaves = bends(bent, read) and bends(bent, _other_form(read, name))  # wherever the straight form is
+        return (bent, "") if leaves else (read, rival_of(bent, read))
     return read, ""
 
 
@@ -277,7 +277,7 @@ def _centre(paths: TipPaths, base: Float[np.ndarray, "k 3"]) -> Float[np.ndarray
     return middle + 0.5 * np.linalg.lstsq(paths.centred(y), square, rcond=1e-9)[0] @ base
 
 
-def _bends(bent: PlaceFit, straight: PlaceFit) -> bool:
+def bends(bent: PlaceFit, straight: PlaceFit) -> bool:
     """Whether the data show what the straight form lacks: measurable, and more than rails wobble."""
     if bent.size is None or ("pitch" not in bent.kind.unknowns and bent.size[0] > FARTHEST_M):
         return False
@@ -290,7 +290,7 @@ def _rest(fit: PlaceFit) -> float:
     return sum(float(np.sum(fit.held_out[n] ** 2)) for n in fit.kind.holds if QUANTITIES[n].unit == "m")
 
 
-def _rival(bent: PlaceFit, straight: PlaceFit) -> str:
+def rival_of(bent: PlaceFit, straight: PlaceFit) -> str:
     """A bent form near enough to matter, if the motion cannot exclude it."""
     if bent.size is None or "pitch" in bent.kind.unknowns:
         return ""
@@ -359,7 +359,7 @@ def _arc(paths: TipPaths, kind: MechanismKind, place: Place) -> float | None:
     return float(max(np.ptp(angle[paths.part(i)]) for i in range(len(paths.starts))))
 
 
-def _doubts(mechanism: Mechanism) -> tuple[str, str]:
+def doubts_of_place(mechanism: Mechanism) -> tuple[str, str]:
     """A sentence if the parameters are too uncertain to be used, and one if the motion determines the place badly; each
     says how much more motion is needed. Empty where there is no doubt.
     """

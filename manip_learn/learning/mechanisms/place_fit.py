@@ -242,7 +242,7 @@ class PlaceFit:
                 products = share * np.tensordot(G[part][:-k], G[part][k:], axes=([0, 1], [0, 1]))
                 total += products + products.T
         C = self.variance * total
-        factor, freedom = _scatter(self, C[: self.m, : self.m])
+        factor, freedom = scatter_of_clusters(self, C[: self.m, : self.m])
         return factor * C, freedom, 1.0 + 2.0 * sum(correlation)
 
     def _without_offsets(self) -> tuple[PlaceFit, JointOffsets]:
@@ -396,7 +396,7 @@ def _correlation(here: PlaceFit) -> list[float]:
     return shares
 
 
-def _scatter(here: PlaceFit, C: Float[np.ndarray, "m m"]) -> tuple[float, float]:
+def scatter_of_clusters(here: PlaceFit, C: Float[np.ndarray, "m m"]) -> tuple[float, float]:
     """Variance of the place by the scatter over clusters over what is expected, and its degrees of freedom."""
     n = len(here.clusters)
     freedom = here.m * (n - 1.0)
