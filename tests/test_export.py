@@ -3,9 +3,6 @@
 from __future__ import annotations
 
 import json
-import struct
-import zlib
-from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace
 
@@ -17,10 +14,9 @@ from test_saved_files import arm, rollout_of
 from manip_learn.cli import main
 from manip_learn.errors import OutputError, RecordingError
 from manip_learn.recordings import load_demonstrations
-from manip_learn.recordings.saved_motion import FileHeader, SavedMotion, motion_of_trajectory
+from manip_learn.recordings.saved_motion import motion_of_trajectory
 from manip_learn.recordings.trajectory import Trajectory
-from manip_learn.recordings.writers import mcap_writer
-from manip_learn.recordings.writers.mcap_writer import mcap_bytes, nanoseconds
+from manip_learn.recordings.writers.mcap_writer import nanoseconds
 from manip_learn.recordings.writers.write_motion import joint_trajectory_bytes
 from manip_learn.robot import Robot, load_robot
 
@@ -158,57 +154,6 @@ def test_wrong_outputs_are_refused(folder: Path, monkeypatch, capsys):
             assert main(["export", str(folder / "arm.urdf"), str(folder / "demos"), *arguments]) == 2
             assert words in capsys.readouterr().err
             assert not list(tmp_path.iterdir())
-
-
-def test_the_index_of_an_mcap_file_points_at_its_records(robot: Robot, monkeypatch: pytest.MonkeyPatch) -> None:
-    """As the specification has it, in a rollout of several chunks that begins at three seconds: offsets, lengths,
-    stamps, sequence numbers, counts and checksums.
-    """
-    monkeypatch.setattr(mcap_writer, "CHUNK_BYTES", 3000)
-    rollout = rollout_of(robot)
-    shown = replace(rollout, time=rollout.time + 3.0)
-    header = FileHeader("rollout", robot.joint_names, None, "tip")
-    curves = {name: getattr(shown, name) for name in ("u", "manipulability", "task_error", "status")}
-    content = mcap_bytes(SavedMotion(header, shown.time, shown.q, **curves))
-    stamps = np.rint(1e9 * shown.time).astype(np.int64).tolist()
-    found: dict[int, list[tuple[int, bytes]]] = {}
-    at = 8
-    while at < len(content) - 8:
-        kind, length = struct.unpack_from("<BQ", content, at)
-        found.setdefault(kind, []).append((at, content[at + 9 : at + 9 + length]))
-        at += 9 + length
-    assert content[:8] == content[-8:] == b"\x89MCAP0\r\n" and at == len(content) - 8
-    ((metadata_at, metadata),), ((_, metadata_index),) = found[0x0C], found[0x0D]
-    assert struct.unpack_from("<QQ", metadata_index) == (metadata_at, 9 + len(metadata))
-    seen: dict[int, list[int]] = {1: [], 2: []}
-    assert len(found[6]) == len(found[8]) > 3
-    for (chunk_at, chunk), (_, index) in zip(found[6], found[8], strict=True):
-        first, last, size, checksum = struct.unpack_from("<QQQI", chunk)
-        inner = chunk[40:]
-        assert size == len(inner) == struct.unpack_from("<Q", chunk, 32)[0] and checksum == zlib.crc32(inner)
-        assert struct.unpack_from("<QQQQI", index) == (first, last, chunk_at, 9 + len(chunk), 20)
-        places = dict(struct.iter_unpack("<HQ", index[36:56]))
-        message_indexes = {i: body for i, body in found[7] if i in places.values()}
-        assert struct.unpack_from("<Q", index, 56)[0] == sum(9 + len(body) for body in message_indexes.values())
-        assert struct.unpack_from("<IQQ", index, 64) == (0, size, size)
-        times = []
-        for channel, place in places.items():
-            body = message_indexes[place]
-            assert struct.unpack_from("<HI", body) == (channel, len(body) - 6)
-            for stamp, offset in struct.iter_unpack("<QQ", body[6:]):
-                kind, _, mine, sequence, logged, published = struct.unpack_from("<BQHIQQ", inner, offset)
-                assert (kind, mine, logged, published) == (5, channel, stamp, stamp)
-                assert sequence == len(seen[channel])
-                seen[channel].append(stamp)
-                times.append(stamp)
-        assert (first, last) == (min(times), max(times))
-    assert seen == {1: stamps, 2: stamps}
-    summary = found[0x0F][0][0] + 9 + 4
-    n, last = len(stamps), stamps[-1]
-    ((_, statistics),), ((_, footer),) = found[0x0B], found[2]
-    counted = struct.unpack("<QHIIIIQQIHQHQ", statistics)
-    assert counted == (2 * n, 2, 2, 0, 1, len(found[6]), stamps[0], last, 20, 1, n, 2, n)
-    assert struct.unpack("<QQI", footer) == (summary, 0, 0)
 
 
 def test_stamps_are_whole_nanoseconds() -> None:

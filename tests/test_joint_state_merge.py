@@ -5,24 +5,18 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from manip_learn.recordings.readers.rosbag_reader import (
-    JointGroup,
-    JointStateStream,
-    MergeError,
-    joint_groups,
-    merge,
-    topics_of_joints,
-)
+from manip_learn.errors import RecordingError
+from manip_learn.recordings.readers.rosbag_reader import JointStates, joint_groups, merge, topics_of_joints
 
 MS = 1_000_000  # [ns]
 START = 1_700_000_000_123_456_789  # [ns] an integer that float64 cannot hold
 
 
-def group(topic: str, names: str, stamps: np.ndarray, *, u: bool = True) -> JointGroup:
+def group(topic: str, names: str, stamps: np.ndarray, *, u: bool = True) -> JointStates:
     """Joints whose positions are 0.001 per millisecond times 1, 2, 3, ..., and their velocities."""
     slopes = 1.0 + np.arange(len(names.split()))
     q = np.outer((stamps - START) / MS, 1e-3 * slopes)
-    return JointGroup(topic, tuple(names.split()), stamps, q, np.ones((len(stamps), 1)) * slopes if u else None)
+    return JointStates(topic, tuple(names.split()), stamps, q, np.ones((len(stamps), 1)) * slopes if u else None)
 
 
 def every(step: float, first: float, last: float) -> np.ndarray:
@@ -30,7 +24,7 @@ def every(step: float, first: float, last: float) -> np.ndarray:
     return START + (np.arange(first, last + 1e-9, step) * MS).astype(np.int64)
 
 
-def milliseconds(merged: JointGroup) -> list[float]:
+def milliseconds(merged: JointStates) -> list[float]:
     """Stamps of what was merged, from the start."""
     return ((merged.stamps - START) / MS).tolist()
 
@@ -64,7 +58,7 @@ def test_publishers_apart_in_time_are_refused():
     """Publishers that never overlap, and one with a single message, give no table but a sentence."""
     arm = group("/arm", "a b", every(10, 0, 500))
     for stamps in (every(10, 600, 900), every(10, 300, 300)):
-        with pytest.raises(MergeError, match="do not overlap") as caught:
+        with pytest.raises(RecordingError, match="do not overlap") as caught:
             merge([arm, group("/hand", "c", stamps)], frozenset())
         assert caught.value.code == "no-overlap"
 
@@ -72,7 +66,7 @@ def test_publishers_apart_in_time_are_refused():
 def test_velocities_are_interpolated_too_or_all_left_out():
     """Velocities belong to the stamps of their row; with one publisher that has none there are none, and it is said."""
     arm, late = group("/arm", "a b", every(10, 0, 100)), every(10, 5, 95)
-    hand = JointGroup("/hand", ("c",), late, np.zeros((10, 1)), (np.arange(10.0) ** 2)[:, None])
+    hand = JointStates("/hand", ("c",), late, np.zeros((10, 1)), (np.arange(10.0) ** 2)[:, None])
     merged, _ = merge([arm, hand], frozenset())
     assert merged.u is not None and merged.names == ("a", "b", "c")
     squares = np.arange(10.0) ** 2
@@ -91,18 +85,18 @@ def test_the_joints_with_the_most_company_keep_their_stamps():
 def test_angles_that_wrap_are_interpolated_the_short_way():
     """A continuous joint that passes from 3.1 to -3.1 is near pi in between; any other joint passes through 0."""
     arm, ends = group("/arm", "a b", every(10, 0, 20)), np.array([[3.1], [-3.1]])
-    hand = JointGroup("/hand", ("c",), every(20, 0, 20), ends, None)
+    hand = JointStates("/hand", ("c",), every(20, 0, 20), ends, None)
     assert merge([arm, hand], frozenset({"c"}))[0].q[1, 2] == pytest.approx(np.pi)
     assert merge([arm, hand], frozenset())[0].q[1, 2] == pytest.approx(0.0)
 
 
-def stream(stamps, received=None, q=None, u=None, *, topic="/arm", names="a b", publisher="") -> JointStateStream:
+def stream(stamps, received=None, q=None, u=None, *, topic="/arm", names="a b", publisher="") -> JointStates:
     """Messages of one publisher; positions count the messages unless given."""
     stamps, n = np.asarray(stamps, dtype=np.int64), len(stamps)
     received = stamps if received is None else np.asarray(received, dtype=np.int64)
     count = len(names.split())
     q = np.arange(n * count, dtype=float).reshape(n, count) if q is None else np.asarray(q, dtype=float)
-    return JointStateStream(topic, publisher, tuple(names.split()), stamps, received, q, u)
+    return JointStates(topic, tuple(names.split()), stamps, q, u, None, received, publisher)
 
 
 CHOSEN = {"a": "/arm", "b": "/arm"}
@@ -138,7 +132,7 @@ def test_a_clock_that_is_a_little_late_is_sorted_and_one_that_was_reset_is_refus
     np.testing.assert_array_equal(one.q[:, 0], [0, 4, 2, 6])
     assert notes == ["/arm: 1 message came late, sorted by header stamp"]
     reset = START + np.array([0, 2000, 999, 3000]) * MS
-    with pytest.raises(MergeError, match="goes back by 1 s at message 2") as caught:
+    with pytest.raises(RecordingError, match="goes back by 1 s at message 2") as caught:
         joint_groups([stream(reset, START + np.arange(4) * MS)], CHOSEN)
     assert caught.value.code == "time-order"
 
@@ -148,7 +142,7 @@ def test_two_publishers_one_after_the_other_are_one_recording():
     morning, noon = every(10, 0, 100), every(10, 101, 200)
     (one,), _ = joint_groups([stream(morning, publisher="x"), stream(noon, publisher="y")], CHOSEN)
     assert len(one.stamps) == len(morning) + len(noon)
-    with pytest.raises(MergeError, match="two programs") as caught:
+    with pytest.raises(RecordingError, match="two programs") as caught:
         joint_groups([stream(morning, publisher="x"), stream(every(10, 100, 200), publisher="y")], CHOSEN)
     assert caught.value.code == "two-publishers"
 
@@ -164,6 +158,6 @@ def test_a_joint_is_read_from_one_topic():
     assert topics_of_joints([arm, usual], ("a", "b"))[0] == {"a": "/joint_states", "b": "/joint_states"}
     single = stream(stamps, names="b", topic="/other")
     assert topics_of_joints([part, single], ("a", "b", "c"))[0] == {"a": "/part", "b": "/other"}
-    with pytest.raises(MergeError, match="several topics have joint 'a'") as caught:
+    with pytest.raises(RecordingError, match="several topics have joint 'a'") as caught:
         topics_of_joints([part, stream(stamps, names="a", topic="/third")], ("a", "b"))
     assert caught.value.code == "ambiguous-topic"

@@ -150,11 +150,11 @@ class Rollout:
 
         Args:
             path: Its ending says the format: `.npz` (NumPy) and `.csv` (text table) are read by `Rollout.load` and
-                `load_demonstrations`, bit for bit; `.mcap` is for ROS (JointState messages, and samples on the topic
-                `/rollout`).
+                `load_demonstrations`, bit for bit; `.mcap` is a bag for ROS 2 (JointState messages).
 
         Raises:
             OutputError: It cannot be written, or has another ending.
+            MissingExtraError: `.mcap` needs the extra `ros`.
         """
         header = FileHeader(
             "rollout",
@@ -185,7 +185,7 @@ class Rollout:
             RecordingError: No such file, another kind of file, or another robot.
 
         Warns:
-            UserWarning: The file does not say which robot it was made with, as those of earlier versions.
+            UserWarning: The file does not say which robot it was made with.
         """
         rollout, notes = Rollout.load_with_notes(path, robot)
         for note in notes:
@@ -209,7 +209,7 @@ class Rollout:
                 code="not-a-rollout",
                 path=path,
             )
-        notes = check_robot(path, header, robot) if robot is not None or header.schema == 1 else ()
+        notes = check_robot(path, header, robot) if robot is not None else ()
         if robot is not None and header.joint_names != robot.joint_names:
             raise RecordingError(
                 f"{path.name} was made with the joints {', '.join(header.joint_names)}, robot {robot.name!r} has "

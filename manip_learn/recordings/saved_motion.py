@@ -25,8 +25,8 @@ PREFIX = "manip_learn."
 CURVES = ("u", "effort", "wrench", "manipulability", "task_error", "following_error")  # what a motion may have beside q
 SCHEMA = 2
 UNKNOWN_ROBOT = (
-    "the file does not say which robot and which locked joints it was made with (rollouts saved by earlier versions do "
-    "not): only the names of the joints were compared; save it again"
+    "the file does not say which robot and which locked joints it was made with: only the names of the joints were "
+    "compared; save it again"
 )
 
 
@@ -45,8 +45,7 @@ class FileHeader:
         constraint: What guided a rollout, as `Constraint.to_dict` writes it, or None.
         follows: Whether a rollout has the following error.
         phases: Name, start and end [s] of the parts of a rollout, or None.
-        samples: Number of samples that were written; None in a file of before 0.2.
-        schema: Version of the file format; 1 has no robot.
+        samples: Number of samples that were written; None for a LeRobot data set, which counts them itself.
     """
 
     kind: Kind
@@ -59,13 +58,12 @@ class FileHeader:
     follows: bool = False
     phases: list | None = None
     samples: int | None = None
-    schema: int = SCHEMA
 
     def to_json(self, samples: int | None = None) -> str:
         """One line, with the number of samples that follow."""
         content: dict[str, Any] = {
             "format": PREFIX + self.kind,
-            "schema": self.schema,
+            "schema": SCHEMA,
             "joint_names": list(self.joint_names),
             "nq": self.nq,
             "frame": self.frame,

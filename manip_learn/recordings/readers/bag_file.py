@@ -20,7 +20,7 @@ from typing import Any, final
 
 from manip_learn.errors import DAMAGE, MissingExtraError, RecordingError
 from manip_learn.recordings.format_words import JOINT_STATE, STAMPED_WRENCH, WRENCH
-from manip_learn.recordings.readers.limits import LARGEST_METADATA, bomb, check_nesting, metadata_text, most_bytes
+from manip_learn.recordings.readers.limits import bomb, metadata_text, most_bytes
 from manip_learn.recordings.readers.recording import reason, refusal
 
 try:
@@ -33,7 +33,6 @@ try:
     from rosbags.rosbag2.storage_sqlite3 import Sqlite3Reader
     from rosbags.serde import SerdeError
     from rosbags.typesys import Stores, get_typestore
-    from ruamel.yaml import YAML
     from ruamel.yaml.error import YAMLError
 except ImportError as error:
     raise MissingExtraError("reading ROS bags", "ros") from error
@@ -156,9 +155,7 @@ def _file(path: Path, stack: contextlib.ExitStack) -> BagFile:
     if suffix == ".bag":
         return BagFile(path, [(path, reader, _ros1_counts(path, reader))], Counter())
     storage = reader.storage
-    counts = _mcap_counts(path, storage, scans[0]) if scans else _sqlite_counts(path, storage)
-    if not scans:
-        _refuse_other_counts(path, counts, _own_metadata(path, storage), "its own metadata")
+    counts = _mcap_counts(path, storage, scans[0][0]) if scans else _sqlite_counts(path, storage)
     return BagFile(path, [(path, storage, counts)], Counter(), notes=_scan_notes(scans))
 
 
@@ -183,17 +180,14 @@ def _folder(path: Path, stack: contextlib.ExitStack) -> BagFile:
             continue
         if shown not in scans:  # it was packed
             scans[shown] = _scanned(Path(str(storage.path)))
-        parts.append((shown, storage, _mcap_counts(shown, storage, scans[shown])))
+        parts.append((shown, storage, _mcap_counts(shown, storage, scans[shown][0])))
     stated = _by_topic((c.topic, c.msgcount) for c in whole.connections)
     packed = whole.metadata.compression_mode == "message"
     return BagFile(path, parts, stated, packed, _scan_notes([scans[shown] for shown, *_ in parts if shown in scans]))
 
 
 def _by_topic(counts: Iterable[tuple[str, int]]) -> Counter[str]:
-    found: Counter[str] = Counter()
-    for topic, n in counts:
-        found[topic] += n
-    return found
+    return sum((Counter({topic: n}) for topic, n in counts), Counter())
 
 
 def _refuse_other_counts(path: Path, found: Counter[str], stated: dict[str, int], source: str) -> None:
@@ -227,20 +221,8 @@ def _refuse_packed_bomb(path: Path) -> None:
                 raise bomb(path, f"its {path.stat().st_size:,} bytes unpack to more than {most:,}")
 
 
-@final
-@dataclass(frozen=True)
-class McapScan:
-    """What the records of an MCAP file show before the library reads it.
-
-    Attributes:
-        chunks: Number of chunks.
-        unchecked: Chunks without a checksum.
-        has_statistics: Whether the file states numbers of messages.
-    """
-
-    chunks: int
-    unchecked: int
-    has_statistics: bool
+# of an MCAP file: chunks, those without a checksum, and whether the file states numbers of messages
+McapScan = tuple[int, int, bool]
 
 
 def _scanned(path: Path) -> McapScan:
@@ -267,23 +249,24 @@ def _scanned(path: Path) -> McapScan:
             if name in tools:
                 _bounded(path, tools[name], packed, size)
             chunks, unchecked = chunks + 1, unchecked + (not checksum)
-    return McapScan(chunks, unchecked, has_statistics)
+    return chunks, unchecked, has_statistics
 
 
-def _scan_notes(scans: list[McapScan]) -> tuple[str, ...]:
-    unchecked, chunks = sum(s.unchecked for s in scans), sum(s.chunks for s in scans)
+def _scan_notes(scans: Iterable[McapScan]) -> tuple[str, ...]:
+    chunks, unchecked, has_statistics = zip(*scans, strict=True) if scans else ((), (), ())
     notes = []
-    if unchecked:
-        notes.append(f"{unchecked} of {chunks} chunks have no checksum: numbers that were damaged are not noticed")
-    if not all(s.has_statistics for s in scans):
+    if any(unchecked):
+        said = f"{sum(unchecked)} of {sum(chunks)} chunks have no checksum"
+        notes.append(f"{said}: numbers that were damaged are not noticed")
+    if not all(has_statistics):
         notes.append("the file states no number of messages: lost ones are not noticed")
     return tuple(notes)
 
 
-def _mcap_counts(path: Path, storage: Any, scan: McapScan) -> Counter[str]:
+def _mcap_counts(path: Path, storage: Any, n_chunks: int) -> Counter[str]:
     """Messages per topic by the statistics, or by the index of the chunks, of which none may be missing."""
-    if storage.chunks and len(storage.chunks) != scan.chunks:
-        raise _damaged_mcap(path, f"{scan.chunks} chunks are there, its index has {len(storage.chunks)}")
+    if storage.chunks and len(storage.chunks) != n_chunks:
+        raise _damaged_mcap(path, f"{n_chunks} chunks are there, its index has {len(storage.chunks)}")
     by_channel = Counter(storage.statistics.channel_message_counts)
     if not by_channel:  # the numbers by channel may be left out
         by_channel = sum((Counter(chunk.channel_count) for chunk in storage.chunks), Counter())
@@ -339,22 +322,6 @@ def _sqlite_counts(path: Path, storage: Any) -> Counter[str]:
     names = {c.id: c.topic for c in storage.connections}
     rows = storage.dbconn.execute("SELECT topic_id, count(*) FROM messages GROUP BY topic_id")
     return _by_topic((names.get(i, "no topic"), n) for i, n in rows)
-
-
-def _own_metadata(path: Path, storage: Any) -> dict[str, int]:
-    """Messages per topic that a database states itself; nothing where its recorder was killed before."""
-    tables = {name for (name,) in storage.dbconn.execute("SELECT name FROM sqlite_master")}
-    if "metadata" not in tables:
-        return {}
-    for (text,) in storage.dbconn.execute("SELECT metadata FROM metadata ORDER BY id DESC LIMIT 1"):
-        if len(text) > LARGEST_METADATA:
-            raise refusal(path, "too-large", f"its metadata are longer than {LARGEST_METADATA:,} characters")
-        check_nesting(path, text)
-        content: Any = YAML(typ="safe").load(text)
-        content = content.get("rosbag2_bagfile_information", content) if isinstance(content, dict) else {}
-        if content.get("message_count") and len(content.get("relative_file_paths", ())) == 1:
-            return {t["topic_metadata"]["name"]: t["message_count"] for t in content["topics_with_message_count"]}
-    return {}
 
 
 def _refuse_side_files(path: Path) -> None:

@@ -4,15 +4,15 @@ from __future__ import annotations
 
 from array import array
 from collections import Counter
-from collections.abc import Iterable, Iterator
-from dataclasses import dataclass, replace
+from collections.abc import Iterator
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any, final
 
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
-from manip_learn.errors import advice, closest_names, counted
+from manip_learn.errors import RecordingError, advice, closest_names, counted
 from manip_learn.recordings.format_words import JOINT_STATE, STAMPED_WRENCH, WRENCH, several_wrenches
 from manip_learn.recordings.readers.bag_file import BagFile, open_bag
 from manip_learn.recordings.readers.limits import MOST_NAME_LISTS, check_columns
@@ -43,14 +43,18 @@ def read(path: Path, request: ReadRequest) -> Iterator[Recording]:
     try:
         chosen, said = topics_of_joints(streams, joints)
         notes += said
-        if len(chosen) < len(joints):
-            yield _without_samples(path, streams)
-            return
-        groups, said = joint_groups(streams, chosen)
-        notes += said
-        merged, said = merge(groups, request.continuous)
-    except MergeError as error:
+        if len(chosen) == len(joints):
+            groups, said = joint_groups(streams, chosen)
+            notes += said
+            merged, said = merge(groups, request.continuous)
+    except RecordingError as error:
         raise refusal(path, error.code, f"{error}") from error
+    if len(chosen) < len(joints):  # the names only, for the message about those that are missing
+        if not streams:
+            raise refusal(path, "empty", "the joint-state topics of the bag have no message")
+        names = tuple(dict.fromkeys(n for s in streams for n in s.names))
+        yield Recording(path, path.name, np.empty(0), names, np.empty((0, len(names))), strict_columns=False)
+        return
     notes += said
     surplus = sorted({n for s in streams for n in s.names} - set(joints))
     if surplus:
@@ -83,45 +87,37 @@ def _topics(bag: BagFile, request: ReadRequest) -> tuple[tuple[str, ...], tuple[
     return joints or joint_topics, wrenches or wrench_topics
 
 
-def _without_samples(path: Path, streams: list[JointStateStream]) -> Recording:
-    """The names only, for the message about those that are missing."""
-    if not any(len(s.stamps) for s in streams):
-        raise refusal(path, "empty", "the joint-state topics of the bag have no message")
-    names = tuple(dict.fromkeys(n for s in streams for n in s.names))
-    return Recording(path, path.name, np.empty(0), names, np.empty((0, len(names))), strict_columns=False)
-
-
 @final
 @dataclass(frozen=True, eq=False)
-class JointStateStream:
-    """The messages of one publisher about one list of joints.
+class JointStates:
+    """The messages of one publisher about one list of joints, or what was made of several of these.
 
     Attributes:
         topic: Topic.
-        publisher: Who published them, as far as the format says; else empty.
         names: Joints.
         stamps: shape (T,), header stamps [ns].
-        received: shape (T,), stamps of the recorder [ns].
-        positions: shape (T, n).
-        velocities: shape (T, n), or None if any message has none.
-        efforts: shape (T, n), likewise.
+        q: shape (T, n).
+        u: shape (T, n), or None if any message has none.
+        effort: shape (T, n), likewise.
+        received: shape (T,), stamps of the recorder [ns]; of messages as they were read.
+        publisher: Who published them, as far as the format says; else empty.
     """
 
     topic: str
-    publisher: str
     names: tuple[str, ...]
     stamps: Int[np.ndarray, " T"]
-    received: Int[np.ndarray, " T"]
-    positions: Float[np.ndarray, "T n"]
-    velocities: Float[np.ndarray, "T n"] | None
-    efforts: Float[np.ndarray, "T n"] | None = None
+    q: Float[np.ndarray, "T n"]
+    u: Float[np.ndarray, "T n"] | None
+    effort: Float[np.ndarray, "T n"] | None = None
+    received: Int[np.ndarray, " T"] = field(default_factory=lambda: np.empty(0, dtype=np.int64))
+    publisher: str = ""
 
 
 # topic; stamps of the header, else of the recorder, increasing (T,) [ns]; forces [N] and torques [N m] (T, 6)
 WrenchStream = tuple[str, np.ndarray, np.ndarray]
 
 
-def _streams(bag: BagFile, topics: tuple[str, ...]) -> tuple[list[JointStateStream], list[WrenchStream], list[str]]:
+def _streams(bag: BagFile, topics: tuple[str, ...]) -> tuple[list[JointStates], list[WrenchStream], list[str]]:
     """All streams of some topics, those of wrenches apart, and what was left out.
 
     Raises:
@@ -147,7 +143,11 @@ def _streams(bag: BagFile, topics: tuple[str, ...]) -> tuple[list[JointStateStre
             continue
         stream = joints.get((topic, publisher, names))
         if stream is None:
-            _refuse_unsteady(bag.path, topic, names, sum(key[0] == topic for key in joints))
+            check_columns(bag.path, f"a message of {topic}", len(names))
+            if (known := sum(key[0] == topic for key in joints)) >= MOST_NAME_LISTS:
+                text = f"the joints named in {topic} change all the time ({known} lists)"
+                text += advice(": choose another topic with {}", "topics=[...]", "--topic NAME")
+                raise refusal(bag.path, "unsteady-names", text)
             stream = joints[topic, publisher, names] = (array("q"), array("q"), array("d"), array("d"), array("d"))
         stream[0].append(stamp)
         stream[1].append(received)
@@ -166,8 +166,9 @@ def _streams(bag: BagFile, topics: tuple[str, ...]) -> tuple[list[JointStateStre
             notes.append(
                 f"{without} of {T} messages of {source[0]} have no velocities, so those of the others are not used"
             )
-        times = (np.array(x, dtype=np.int64) for x in (stamps, received))
-        streams.append(JointStateStream(*source, *times, q, u, effort))  # type: ignore[arg-type]
+        sent, arrived = (np.array(x, dtype=np.int64) for x in (stamps, received))
+        topic, publisher, names = source
+        streams.append(JointStates(topic, names, sent, q, u, effort, arrived, publisher))  # type: ignore[arg-type]
     found = []
     for topic, (stamps, values) in wrenches.items():  # in order; of several with one stamp the first
         ordered, first = np.unique(np.array(stamps, dtype=np.int64), return_index=True)
@@ -175,55 +176,13 @@ def _streams(bag: BagFile, topics: tuple[str, ...]) -> tuple[list[JointStateStre
     return streams, found, notes
 
 
-def _refuse_unsteady(path: Path, topic: str, names: tuple[str, ...], known: int) -> None:
-    """Refuse a topic whose messages name ever other joints, and a message that names too many."""
-    check_columns(path, f"a message of {topic}", len(names))
-    if known >= MOST_NAME_LISTS:
-        raise refusal(
-            path,
-            "unsteady-names",
-            f"the joints named in {topic} change all the time ({known} lists)"
-            + advice(": choose another topic with {}", "topics=[...]", "--topic NAME"),
-        )
-
-
-class MergeError(Exception):
-    """The streams cannot be merged; `code` and the sentence go into the recording's refusal."""
-
-    def __init__(self, code: str, message: str):
-        super().__init__(message)
-        self.code = code
-
-
-@final
-@dataclass(frozen=True, eq=False)
-class JointGroup:
-    """Joints that were published together.
-
-    Attributes:
-        topic: Topic.
-        names: Joints.
-        stamps: shape (T,), increasing [ns].
-        q: shape (T, n).
-        u: shape (T, n), or None.
-        effort: shape (T, n), or None.
-    """
-
-    topic: str
-    names: tuple[str, ...]
-    stamps: Int[np.ndarray, " T"]
-    q: Float[np.ndarray, "T n"]
-    u: Float[np.ndarray, "T n"] | None
-    effort: Float[np.ndarray, "T n"] | None = None
-
-
-def topics_of_joints(streams: list[JointStateStream], joints: tuple[str, ...]) -> tuple[dict[str, str], list[str]]:
+def topics_of_joints(streams: list[JointStates], joints: tuple[str, ...]) -> tuple[dict[str, str], list[str]]:
     """Joint -> the topic to read it from, and notes. Joints that no topic has are left out.
 
     One topic that has all joints is preferred; of several, `/joint_states`.
 
     Raises:
-        MergeError: Several topics have the same joint and none is `/joint_states`.
+        RecordingError: Several topics have the same joint and none is `/joint_states`.
     """
     carried: dict[str, set[str]] = {}
     for stream in streams:
@@ -252,28 +211,35 @@ def _preferred(topics: list[str], what: str) -> str:
         return topics[0]
     if USUAL_TOPIC in topics:
         return USUAL_TOPIC
-    raise MergeError(
-        "ambiguous-topic",
+    raise RecordingError(
         f"several topics have {what}: {', '.join(topics)}; measured and commanded states must not be mixed"
         + advice(", so say which one: {}", f"topics=[{topics[0]!r}]", f"--topic {topics[0]}"),
+        code="ambiguous-topic",
     )
 
 
-def joint_groups(streams: list[JointStateStream], chosen: dict[str, str]) -> tuple[list[JointGroup], list[str]]:
+def joint_groups(streams: list[JointStates], chosen: dict[str, str]) -> tuple[list[JointStates], list[str]]:
     """Groups of joints with common stamps; every chosen joint is in one group.
 
     Raises:
-        MergeError: A clock that was set back, a joint named twice in a message, or published by two programs at once.
+        RecordingError: A clock that was set back, a joint named twice in a message, or two publishers at once.
     """
-    _refuse_repeated(streams, chosen)
+    for stream in streams:
+        for name, count in Counter(stream.names).items():
+            if count > 1 and chosen.get(name) == stream.topic:
+                raise RecordingError(
+                    f"messages of {stream.topic} name the joint {name!r} {count} times, so it is "
+                    "not known which position is its own: correct the publisher (or the renaming)",
+                    code="duplicate-column",
+                )
     _refuse_two_publishers(streams, chosen)
-    sets: dict[tuple[str, tuple[str, ...]], list[JointStateStream]] = {}
+    sets: dict[tuple[str, tuple[str, ...]], list[JointStates]] = {}
     for stream in streams:
         mine = tuple(j for j, topic in chosen.items() if topic == stream.topic and j in stream.names)
         if mine:
             sets.setdefault((stream.topic, mine), []).append(stream)
     order = sorted(sets, key=lambda key: -sum(len(s.stamps) for s in sets[key]) * len(key[1]))
-    groups: list[JointGroup] = []
+    groups: list[JointStates] = []
     notes: list[str] = []
     taken: set[str] = set()
     for topic, mine in order:
@@ -290,33 +256,22 @@ def joint_groups(streams: list[JointStateStream], chosen: dict[str, str]) -> tup
     return groups, notes
 
 
-def _refuse_repeated(streams: Iterable[JointStateStream], chosen: dict[str, str]) -> None:
-    for stream in streams:
-        for name, count in Counter(stream.names).items():
-            if count > 1 and chosen.get(name) == stream.topic:
-                raise MergeError(
-                    "duplicate-column",
-                    f"messages of {stream.topic} name the joint {name!r} {count} times, so it is "
-                    "not known which position is its own: correct the publisher (or the renaming)",
-                )
-
-
-def _refuse_two_publishers(streams: list[JointStateStream], chosen: dict[str, str]) -> None:
+def _refuse_two_publishers(streams: list[JointStates], chosen: dict[str, str]) -> None:
     """Refuse a joint about which two publishers of one topic speak at the same time."""
     for i, one in enumerate(streams):
         for other in streams[:i]:
             shared = [n for n in one.names if n in other.names and chosen.get(n) == one.topic == other.topic]
             apart = one.received.min() > other.received.max() or other.received.min() > one.received.max()
             if one.publisher != other.publisher and shared and not apart:
-                raise MergeError(
-                    "two-publishers",
+                raise RecordingError(
                     f"two programs publish joint {shared[0]!r} on {one.topic} at the same time, {other.publisher} "
                     f"({len(other.stamps)} messages) and {one.publisher} ({len(one.stamps)}): a robot and a GUI? "
                     "Record again with one of them, or keep one of them with `rosbag filter` (m._connection_header)",
+                    code="two-publishers",
                 )
 
 
-def _group(topic: str, names: tuple[str, ...], streams: list[JointStateStream]) -> tuple[JointGroup, list[str]]:
+def _group(topic: str, names: tuple[str, ...], streams: list[JointStates]) -> tuple[JointStates, list[str]]:
     def joined(what: str) -> Any:
         """An array of all streams, if all of them have it."""
         arrays = [(getattr(s, what), [s.names.index(n) for n in names]) for s in streams]
@@ -332,10 +287,10 @@ def _group(topic: str, names: tuple[str, ...], streams: list[JointStateStream]) 
     back = np.diff(arrived)
     if np.any(back < -SET_BACK):
         i = int(np.argmax(back < -SET_BACK))
-        raise MergeError(
-            "time-order",
+        raise RecordingError(
             f"the clock of {topic} goes back by {-back[i] * 1e-9:.3g} s at message {i + 1}: it was reset, or several "
             "runs are in one bag; cut the bag there",
+            code="time-order",
         )
     order = by_arrival[np.argsort(arrived, kind="stable")]
     if np.any(back < 0):
@@ -346,18 +301,18 @@ def _group(topic: str, names: tuple[str, ...], streams: list[JointStateStream]) 
             f"{topic}: {counted(np.count_nonzero(~keep), 'message')} left out for a repeated stamp, the last is kept"
         )
     order = order[keep]
-    q, u, effort = (None if x is None else x[order] for x in map(joined, ("positions", "velocities", "efforts")))
-    return JointGroup(topic, names, stamps[order], q, u, effort), notes
+    q, u, effort = (None if x is None else x[order] for x in map(joined, ("q", "u", "effort")))
+    return JointStates(topic, names, stamps[order], q, u, effort), notes
 
 
-def merge(groups: list[JointGroup], angles_that_wrap: frozenset[str]) -> tuple[JointGroup, list[str]]:
+def merge(groups: list[JointStates], angles_that_wrap: frozenset[str]) -> tuple[JointStates, list[str]]:
     """All joints at the stamps of the group with the most joints, and notes; the others are interpolated linearly.
 
     Samples are left out where another group has nothing nearby: before its first and after its last message, and in
     its gaps.
 
     Raises:
-        MergeError: The publishers do not overlap in time.
+        RecordingError: The publishers do not overlap in time.
     """
     base = max(groups, key=lambda g: (len(g.names), len(g.stamps)))
     inside = np.ones(len(base.stamps), dtype=bool)
@@ -365,7 +320,9 @@ def merge(groups: list[JointGroup], angles_that_wrap: frozenset[str]) -> tuple[J
     for group in groups:
         if group is base:
             continue
-        q.append(_at(base.stamps, group.stamps, _continuous(group, angles_that_wrap)))
+        own, wrap = group.q.copy(), [i for i, n in enumerate(group.names) if n in angles_that_wrap]
+        own[:, wrap] = np.unwrap(own[:, wrap], axis=0)
+        q.append(_at(base.stamps, group.stamps, own))
         u.append(None if group.u is None else _at(base.stamps, group.stamps, group.u))
         effort.append(None if group.effort is None else _at(base.stamps, group.stamps, group.effort))
         names += group.names
@@ -373,7 +330,9 @@ def merge(groups: list[JointGroup], angles_that_wrap: frozenset[str]) -> tuple[J
         source = f"{group.topic}" if group.topic != base.topic else "other messages of the same topic"
         notes.append(f"{', '.join(group.names)} come from {source}: interpolated at the stamps of {base.topic}")
     if not np.any(inside):
-        raise MergeError("no-overlap", "the publishers of the joints do not overlap in time: record them together")
+        raise RecordingError(
+            "the publishers of the joints do not overlap in time: record them together", code="no-overlap"
+        )
     if not np.all(inside):
         notes.append(f"{counted(np.count_nonzero(~inside), 'sample')} left out, where not all publishers have data")
     without = [g.topic for g in groups if g.u is None]
@@ -383,14 +342,7 @@ def merge(groups: list[JointGroup], angles_that_wrap: frozenset[str]) -> tuple[J
         notes.append(f"velocities are not used, for {', '.join(dict.fromkeys(without))} has none")
     some = [x for x in effort if x is not None]
     efforts = np.hstack(some)[inside] if len(some) == len(groups) else None
-    return JointGroup(base.topic, tuple(names), base.stamps[inside], np.hstack(q)[inside], all_u, efforts), notes
-
-
-def _continuous(group: JointGroup, angles_that_wrap: frozenset[str]) -> Float[np.ndarray, "T n"]:
-    q = group.q.copy()
-    wrap = [i for i, n in enumerate(group.names) if n in angles_that_wrap]
-    q[:, wrap] = np.unwrap(q[:, wrap], axis=0)
-    return q
+    return JointStates(base.topic, tuple(names), base.stamps[inside], np.hstack(q)[inside], all_u, efforts), notes
 
 
 def _at(

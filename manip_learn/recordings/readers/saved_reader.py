@@ -33,7 +33,7 @@ from manip_learn.recordings.saved_motion import (
 from manip_learn.recordings.trajectory import BESIDE
 
 ARRAYS = ("time", "q", *CURVES)
-TEXTS = ("format", "header", "status", "joint_names", "frame")
+TEXTS = ("format", "header", "status", "joint_names")
 JSON_LINES = '{"format": "manip_learn.'  # how they began
 
 
@@ -109,12 +109,10 @@ def _npz_header(path: Path) -> FileHeader | None:
     named = archive.text("format") if archive.shape("format") == () else ""
     if not named.startswith(PREFIX):
         return None
-    if "header" in archive:
-        return FileHeader.from_json(archive.text("header"))
-    if named != PREFIX + "rollout":
-        raise refusal(path, "not-a-rollout", f"its format is {named!r:.40}, which this version does not read")
-    frame = archive.text("frame") if "frame" in archive else ""
-    return FileHeader("rollout", archive.texts("joint_names"), None, frame, schema=1)
+    if "header" not in archive:
+        said = "an early version wrote this file without its robot, which is not read any more: simulate it again"
+        raise refusal(path, "not-a-rollout", said)
+    return FileHeader.from_json(archive.text("header"))
 
 
 def _read_npz(path: Path, header: FileHeader) -> SavedMotion:
@@ -126,9 +124,7 @@ def _read_npz(path: Path, header: FileHeader) -> SavedMotion:
         if len(shape) != ndim or shape == "missing":
             raise refusal(path, "shape", f"time must have shape (T,) and q (T, n); {name} is {shape}")
     arrays = {name: archive.numbers(name) for name in ARRAYS if name in archive}
-    nq = header.nq if header.schema > 1 else arrays["q"].shape[1]
-    status = archive.texts("status") if "status" in archive else ()
-    return _motion(replace(header, nq=nq), arrays, status)
+    return _motion(header, arrays, archive.texts("status") if "status" in archive else ())
 
 
 def _motion(header: FileHeader, arrays: dict[str, np.ndarray], status: tuple[str, ...]) -> SavedMotion:

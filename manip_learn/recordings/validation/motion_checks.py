@@ -24,13 +24,11 @@ FAST = 3.0  # times the velocity limit
 MOVED = 0.02  # [rad or m] a joint must move to be judged by its velocities
 SURE, UNSURE, OTHER_JOINT = 0.9, 0.5, 0.98  # correlations of displacements and integrated velocities
 FEWEST = 8  # samples whose velocities are judged
-# of two motions in turn: samples within which each is heard again, and that are judged together, for the second may
-# have been there for a while only; fewest samples and jumps; steps that are compared in pairs
-LAGS, PART = 20, 20_000
-FEWEST_SAMPLES, FEWEST_JUMPS, COMPARED = 30, 10, 1000
+# of two motions in turn: samples within which each is heard again, and the fewest jumps between them
+LAGS, FEWEST_JUMPS = 20, 10
 CLEAR = 6.0  # times the motion from one sample of a publisher to its next one
 SMALLEST = 0.02  # [rad or m]: a flickering encoder jumps by less, or by so little: its quanta are no larger
-OPPOSITE, ALIKE, MOSTLY_BACK = -0.9, 0.6, 0.9  # cosine and ratio of the sizes of a jump and the jump back; their share
+BACK = 0.45  # share of a jump that may be left after the jump back
 
 
 @final
@@ -442,89 +440,51 @@ def _near(value: float, expected: float) -> bool:
     return 1 / 1.25 < value / expected < 1.25
 
 
-@final
-@dataclass(frozen=True, eq=False)
-class Alternation:
-    """Jumps between two motions.
-
-    Attributes:
-        jumps: Samples before the jumps.
-        joint: Column of the joint that jumps farthest.
-        size: Its usual jump [rad or m].
-        usual: The usual motion between samples that belong together [rad or m].
-    """
-
-    jumps: Int[np.ndarray, " k"]
-    joint: int
-    size: float
-    usual: float
-
-
 def _refuse_two_publishers(motion: Motion) -> None:
     """Refuse positions that alternate, regularly or not, between two motions."""
-    names = motion.robot.joint_names
-    for start in range(0, 0 if motion.recording.trusted else len(motion.q), PART):
-        found = alternation(motion.q[start : start + PART])
-        if found is not None:
-            raise motion.recording.refusal(
-                "two-publishers",
-                f"the samples alternate between two motions: {found.jumps.size} steps jump to and fro, joint "
-                f"{names[found.joint]!r} by about {found.size:.3g}, while samples that belong together are "
-                f"{found.usual:.2g} apart. Two programs published on one topic (a robot and a GUI?): end one of them "
-                "(`ros2 topic info -v`, `rostopic info` list them) and record again",
-                sample=start + int(found.jumps[0]) + 1,
-                column=names[found.joint],
-            )
+    jumps, usual = (np.empty(0), 0.0) if motion.recording.trusted else alternation(motion.q)
+    if not jumps.size:
+        return
+    by_joint = np.median(np.abs(motion.q[jumps + 1] - motion.q[jumps]), axis=0)
+    joint = int(np.argmax(by_joint))
+    name = motion.robot.joint_names[joint]
+    raise motion.recording.refusal(
+        "two-publishers",
+        f"the samples alternate between two motions: {jumps.size} steps jump to and fro, joint {name!r} by about "
+        f"{by_joint[joint]:.3g}, while samples that belong together are {usual:.2g} apart. Two programs published on "
+        "one topic (a robot and a GUI?): end one of them (`ros2 topic info -v`, `rostopic info` list them) and record "
+        "again",
+        sample=int(jumps[0]) + 1,
+        column=name,
+    )
 
 
-def alternation(q: Float[np.ndarray, "T nv"]) -> Alternation | None:
-    """Jumps to and fro between two smooth motions, or None.
+def alternation(q: Float[np.ndarray, "T nv"]) -> tuple[Int[np.ndarray, " k"], float]:
+    """Jumps to and fro between two smooth motions.
 
     A sample is close to one of the samples before it, its own publisher's last one. Where a step is clearly longer than
     that, the publisher has changed; the next such step must lead back. Noise does not do so: its steps differ in size.
+
+    Returns:
+        The samples before the jumps, none of a single motion; and how far samples that belong together are apart, which
+        nine of ten do not exceed [rad or m].
     """
-    n_samples = q.shape[0]
-    if n_samples < FEWEST_SAMPLES:
-        return None
+    none = np.empty(0, dtype=int)
     steps = np.diff(q, axis=0)
     size = np.linalg.norm(steps, axis=1)
     if np.count_nonzero(size > SMALLEST) < FEWEST_JUMPS:  # most recordings: their quanta need not be known
-        return None
-    # a coarse encoder flickers by one or two quanta
-    least = max(SMALLEST, 3.0 * _quantum(q))
-    if np.count_nonzero(size > least) < FEWEST_JUMPS or not _some_lead_back(steps[size > least]):
-        return None
-    usual = _usual_distance(q, size)
-    jumps = np.flatnonzero(size > max(CLEAR * usual, least))
-    if jumps.size < FEWEST_JUMPS:
-        return None
-    there, back = steps[jumps[:-1]], steps[jumps[1:]]
-    sizes = size[jumps]
-    cosine = np.sum(there * back, axis=1) / (sizes[1:] * sizes[:-1])
-    alike = np.minimum(sizes[1:], sizes[:-1]) / np.maximum(sizes[1:], sizes[:-1])
-    if np.mean((cosine < OPPOSITE) & (alike > ALIKE)) < MOSTLY_BACK:
-        return None
-    by_joint = np.median(np.abs(steps[jumps]), axis=0)
-    joint = int(np.argmax(by_joint))
-    return Alternation(jumps, joint, float(by_joint[joint]), usual)
-
-
-def _some_lead_back(steps: Float[np.ndarray, "k nv"]) -> bool:
-    """Whether any of some long steps are opposite to each other; True where they are too many to compare quickly."""
-    if len(steps) > COMPARED:
-        return True
-    unit = steps / np.linalg.norm(steps, axis=1)[:, None]
-    return bool(np.min(unit @ unit.T) < OPPOSITE + 1e-9)  # of rounding
-
-
-def _usual_distance(q: Float[np.ndarray, "T nv"], size: Float[np.ndarray, " n"]) -> float:
-    """Distance from a sample to the closest of those before it, that nine of ten do not exceed [rad or m]."""
-    columns = np.ascontiguousarray(q.T)
+        return none, 0.0
     nearest = size**2
     for lag in range(2, LAGS + 1):
-        apart = columns[:, lag:] - columns[:, :-lag]
-        np.minimum(nearest[lag - 1 :], np.einsum("vn,vn->n", apart, apart), out=nearest[lag - 1 :])
-    return float(np.quantile(np.sqrt(nearest), 0.9))
+        np.minimum(nearest[lag - 1 :], np.sum((q[lag:] - q[:-lag]) ** 2, axis=1), out=nearest[lag - 1 :])
+    usual = float(np.quantile(np.sqrt(nearest), 0.9))
+    # a coarse encoder flickers by one or two quanta
+    jumps = np.flatnonzero(size > max(CLEAR * usual, SMALLEST, 3.0 * _quantum(q)))
+    if jumps.size < FEWEST_JUMPS:
+        return none, usual
+    left = np.linalg.norm(steps[jumps[:-1]] + steps[jumps[1:]], axis=1)  # of a jump, once the next one has led back
+    leads_back = left < BACK * np.maximum(size[jumps[:-1]], size[jumps[1:]])
+    return (jumps if np.mean(leads_back) >= 0.9 else none), usual
 
 
 def _quantum(q: Float[np.ndarray, "T nv"]) -> float:
