@@ -10,7 +10,7 @@ from urdf_corpus import ARM
 from manip_learn.errors import RobotError
 from manip_learn.robot.loading import load_robot
 from manip_learn.robot.robot_summary import cross_check
-from manip_learn.robot.visuals.visual_shapes import Box, Capsule, Cylinder, Sphere, visual_shapes
+from manip_learn.robot.visuals.visual_shapes import visual_shapes
 
 GEOM = '<geom type="sphere" size="0.1"/>'
 RADIAN = '<compiler angle="radian"/>'
@@ -121,11 +121,13 @@ def test_sites_are_frames_and_shapes_are_drawn(tmp_path):
     )
     robot = load(tmp_path, mjcf(body("a", "", JOINT + shapes + '<site name="tcp" pos="0 0 0.5"/>')))
     assert "tcp" in robot.frame_names
-    drawn = {type(v.shape): v for v in visual_shapes(robot)}
-    assert drawn[Box].shape == Box((0.2, 0.4, 0.6)) and drawn[Box].colour == (1.0, 0.0, 0.0, 1.0)
-    assert drawn[Capsule].shape == Capsule(0.1, 0.4)
-    assert drawn[Cylinder].shape.length == pytest.approx(0.6) and drawn[Cylinder].placement[2, 3] == pytest.approx(0.3)
-    assert drawn[Sphere].shape == Sphere(0.1)
+    drawn = {v.shape.kind: v for v in visual_shapes(robot)}
+    assert drawn["box"].shape.size == (0.2, 0.4, 0.6) and drawn["box"].colour == (1.0, 0.0, 0.0, 1.0)
+    assert drawn["capsule"].shape.size == (0.1, 0.4)
+    assert drawn["cylinder"].shape.size[1] == pytest.approx(0.6) and drawn["cylinder"].placement[2, 3] == pytest.approx(
+        0.3
+    )
+    assert drawn["sphere"].shape.size == (0.1,)
 
 
 REFUSED = {

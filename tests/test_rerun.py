@@ -11,9 +11,8 @@ import pinocchio as pin
 import pytest
 from test_playback import EVIL, evil_robot, waving
 
-import manip_learn as ml
 from manip_learn.cli import main
-from manip_learn.errors import MissingExtraError, OutputError, RecordingError
+from manip_learn.errors import OutputError, RecordingError
 from manip_learn.playback import write_rerun
 from manip_learn.robot.loading import load_robot
 
@@ -40,12 +39,10 @@ def chunks_of():
 def followed(robot, duration=2.0, phase=0.0):
     """A rollout with everything that a rollout can have, on a clock of its own."""
     rollout = waving(robot, duration, phase=phase)
-    target = np.eye(4)
-    target[:3, 3] = 0.3, -0.1, 0.5
     error = np.linspace(0.2, 0.0, len(rollout))
     error[7] = np.nan
     u = np.gradient(rollout.q, rollout.time, axis=0)[:, : robot.nv]
-    return replace(rollout, time=rollout.time + 5.0, u=u, task_error=error, following_error=error / 9, target=target)
+    return replace(rollout, time=rollout.time + 5.0, u=u, task_error=error, following_error=error / 9)
 
 
 def scalars(entities, path, first=0.0):
@@ -73,8 +70,8 @@ def test_every_sample_comes_back(robot_of, tmp_path, chunks_of, robot_name):
         np.testing.assert_allclose(time, moments, rtol=0, atol=1e-9)
 
 
-def test_robot_tip_target_and_status(robot_of, tmp_path, chunks_of):
-    """Joints and tip are where kinematics puts them, meshes are whole; target and status are there."""
+def test_robot_tip_and_status(robot_of, tmp_path, chunks_of):
+    """Joints and tip are where kinematics puts them, meshes are whole; the status is there."""
     robot = robot_of("panda")
     rollout = followed(robot)
     entities = chunks_of(write_rerun(robot, {"a": rollout}, tmp_path / "a.rrd", tip="panda_hand"))
@@ -97,22 +94,10 @@ def test_robot_tip_target_and_status(robot_of, tmp_path, chunks_of):
     np.testing.assert_allclose(tip[k], robot.position(rollout.q[k], robot.frame("panda_hand")), atol=1e-6)
     path = np.array(entities["/world/a/tip/path"]["LineStrips3D:strips"][0][0])
     np.testing.assert_allclose(path, tip, atol=1e-7)
-    np.testing.assert_allclose(entities["/world/a/target"]["Transform3D:translation"][0][0], rollout.target[:3, 3])
     words = [text[0] for text in entities["/a/status"]["TextLog:text"]]
     changes = [i for i in range(len(rollout)) if i == 0 or rollout.status[i] != rollout.status[i - 1]]
     assert words == [rollout.status[i] for i in changes] and len(words) > 2
     np.testing.assert_allclose(entities["/a/status"]["time"], rollout.time[changes], rtol=0, atol=1e-9)
-
-
-def test_a_place_to_reach_is_there(robot_of, tmp_path, chunks_of):
-    """The target of a simulated rollout, given along its constrained rows, is a point in the base."""
-    robot = robot_of("planar3")
-    constraint = ml.Constraint(np.eye(2), ml.FrameJacobian(robot, "tip", "x y"))
-    controller = ml.ResolvedRateController(constraint, task=ml.PointAttractor(np.array([0.4, 0.3])))
-    rollout = ml.simulate(robot, controller, np.array([0.3, 0.4, 0.5]), 0.2, 0.01)
-    entities = chunks_of(write_rerun(robot, {"a": rollout}, tmp_path / "a.rrd"))
-    point = entities["/world/a/target"]["Points3D:positions"][0][0]
-    np.testing.assert_allclose(point[:2], [0.4, 0.3], atol=1e-7)
 
 
 def test_several_and_odd_names(tmp_path, chunks_of):
@@ -177,4 +162,3 @@ def test_without_rerun_the_extra_is_named(tmp_path):
         """
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, timeout=60, check=True)
     assert done.stdout.startswith("rerun writing Rerun recordings (.rrd) needs the optional extra 'rerun'")
-    assert issubclass(MissingExtraError, Exception)

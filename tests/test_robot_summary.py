@@ -2,15 +2,12 @@
 
 from __future__ import annotations
 
-import os
-import sys
-
 import numpy as np
 import pytest
 from case import case
 from urdf_corpus import ARM
 
-from manip_learn.robot.loading import captured_c_stderr, load_robot
+from manip_learn.robot.loading import load_robot
 from manip_learn.robot.robot_summary import inspect_robot
 from manip_learn.robot.tips import likely_tips
 
@@ -84,21 +81,3 @@ def test_equal_reasons_are_said_once(tmp_path):
     summary = inspect_robot(load_robot(path))
     assert [w.partition(";")[0] for w in summary.warnings] == ["mesh 'gone0.stl' (and 2 more) was not found"]
     assert len(summary.meshes_missing) == 3
-
-
-def test_c_stderr_is_caught_and_given_back(capfd):
-    """Lines written below Python are collected, in order, also when the block fails; afterwards stderr works again."""
-    with pytest.raises(ValueError), captured_c_stderr() as lines:
-        os.write(2, b"first\n\n  second \xff\n")
-        raise ValueError
-    assert lines == ["first", "second \ufffd"]
-    os.write(2, b"visible\n")
-    assert capfd.readouterr().err == "visible\n"
-
-
-def test_python_stderr_is_caught_too(capfd):
-    """What Python code prints meanwhile is not lost."""
-    with captured_c_stderr() as lines:
-        print("hello", file=sys.stderr)
-    assert lines in (["hello"], [])
-    assert "hello" in "".join(lines) + capfd.readouterr().err

@@ -1,4 +1,4 @@
-"""Shapes to draw: where the file puts them, and primitive ones where a mesh is unavailable."""
+"""Shapes to draw: where the file puts them, or why there are none."""
 
 from __future__ import annotations
 
@@ -9,15 +9,8 @@ from urdf_corpus import ARM, stl
 
 from manip_learn.robot.description.catalogue import example_package_dir, example_robots
 from manip_learn.robot.loading import load_robot
-from manip_learn.robot.visuals.visual_shapes import (
-    Box,
-    Capsule,
-    Cylinder,
-    Sphere,
-    Triangles,
-    resolve_meshes,
-    visual_shapes,
-)
+from manip_learn.robot.visuals.meshes import Mesh
+from manip_learn.robot.visuals.visual_shapes import Solid, resolve_meshes, visual_shapes
 
 TIP = '<link name="tip"/>'
 
@@ -46,10 +39,10 @@ def test_shapes_sizes_and_colours(tmp_path):
         '<material name="red"><color rgba="1 0 0 1"/></material>',
     )
     box, sphere, cylinder, capsule = visual_shapes(robot)
-    assert (box.shape, box.colour) == (Box((1, 2, 3)), (1, 0, 0, 1))
-    assert (sphere.shape, sphere.colour) == (Sphere(0.5), (0, 1, 0, 0.5))
-    assert (cylinder.shape, cylinder.colour) == (Cylinder(0.1, 2), (1, 0, 0, 1))
-    assert capsule.shape == Capsule(0.1, 2) and capsule.colour[3] == 1
+    assert (box.shape, box.colour) == (Solid("box", (1, 2, 3)), (1, 0, 0, 1))
+    assert (sphere.shape, sphere.colour) == (Solid("sphere", (0.5,)), (0, 1, 0, 0.5))
+    assert (cylinder.shape, cylinder.colour) == (Solid("cylinder", (0.1, 2)), (1, 0, 0, 1))
+    assert capsule.shape == Solid("capsule", (0.1, 2)) and capsule.colour[3] == 1
     assert {v.link for v in (box, sphere, cylinder, capsule)} == {"tip"}
 
 
@@ -65,8 +58,8 @@ def test_shapes_are_where_pinocchio_has_them(name):
     visuals = visual_shapes(robot)
     ours = sorted((v.joint, *v.placement.round(6).ravel()) for v in visuals)
     np.testing.assert_allclose(ours, theirs, atol=2e-6)
-    assert not any(v.stand_in for v in visuals)
-    sizes = sorted(float(np.ptp(v.shape.vertices, axis=0).max()) for v in visuals if isinstance(v.shape, Triangles))
+    assert not any(v.fault for v in visuals)
+    sizes = sorted(float(np.ptp(v.shape.vertices, axis=0).max()) for v in visuals if isinstance(v.shape, Mesh))
     reference = sorted(
         float(np.ptp(np.asarray(g.geometry.vertices()) * g.meshScale, axis=0).max())
         for g in geometry.geometryObjects
@@ -84,7 +77,7 @@ def test_locked_joints_carry_their_shapes_along():
     def world(robot, posture):
         data = robot.pinocchio_model.createData()
         pin.forwardKinematics(robot.pinocchio_model, data, robot.pinocchio_configuration(posture))
-        shapes = visual_shapes(robot, meshes=False)
+        shapes = visual_shapes(robot)
         return [data.oMi[v.joint].homogeneous @ v.placement for v in shapes if "finger" in v.link]
 
     for a, b in zip(world(free, full), world(held, q), strict=True):
@@ -97,7 +90,7 @@ def test_scale_and_mirror(tmp_path):
     (tmp_path / "meshes" / "a.stl").write_bytes(stl())
     mesh = '<visual><geometry><mesh filename="../meshes/a.stl" scale="{}"/></geometry></visual>'
     plain, mirrored = visual_shapes(arm_with(tmp_path, mesh.format("2 3 4") + mesh.format("-2 3 4")))
-    assert isinstance(plain.shape, Triangles) and isinstance(mirrored.shape, Triangles)
+    assert isinstance(plain.shape, Mesh) and isinstance(mirrored.shape, Mesh)
     np.testing.assert_array_equal(plain.shape.vertices.max(axis=0), [2, 3, 0])
     np.testing.assert_array_equal(mirrored.shape.vertices.min(axis=0), [-2, 0, 0])
     normals = [
@@ -107,28 +100,22 @@ def test_scale_and_mirror(tmp_path):
 
 
 def test_a_missing_mesh_becomes_a_plain_shape(tmp_path):
-    """The link is still drawn, once, with the reason; the report names the address."""
+    """The link has one fault, with the reason; the address is named."""
     mesh = '<visual><geometry><mesh filename="package://gone/a.stl"/></geometry></visual>'
     robot = arm_with(tmp_path, mesh + mesh)
     (shape,) = visual_shapes(robot)
-    assert isinstance(shape.shape, Sphere) and "package_dirs" in shape.stand_in
-    report = resolve_meshes(robot)
-    assert list(report.missing) == ["package://gone/a.stl"] and not report.found
-    assert len(report.warnings) == 1
+    assert shape.shape is None and "package_dirs" in shape.fault
+    found, missing = resolve_meshes(robot)
+    assert list(missing) == ["package://gone/a.stl"] and not found
 
 
-def test_links_without_shapes_are_drawn_as_sticks(tmp_path):
-    """A robot without visuals has a rod from each link to the next joint, and a ball at its end."""
+def test_links_without_shapes_say_so(tmp_path):
+    """A robot without visuals has a fault at each link, on the joint that carries it."""
     path = tmp_path / "arm.urdf"
     path.write_text(ARM, encoding="utf-8")
     visuals = {v.link: v for v in visual_shapes(load_robot(path))}
-    assert set(visuals) == {"base", "upper", "tip"}
-    assert isinstance(visuals["tip"].shape, Sphere)
-    rod = visuals["upper"]
-    assert isinstance(rod.shape, Cylinder) and rod.shape.length == pytest.approx(0.4)
-    np.testing.assert_allclose(rod.placement[:3, 3], [0.2, 0, 0], atol=1e-12)
-    np.testing.assert_allclose(np.abs(rod.placement[:3, 2]), [1, 0, 0], atol=1e-12)
-    assert all(v.stand_in for v in visuals.values())
+    assert {link: v.joint for link, v in visuals.items()} == {"base": 0, "upper": 1, "tip": 2}
+    assert all(v.shape is None and v.fault == "the robot has no visuals" for v in visuals.values())
 
 
 def test_meshes_are_found_from_another_folder(tmp_path, monkeypatch):
@@ -139,22 +126,8 @@ def test_meshes_are_found_from_another_folder(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     robot = load_robot("urdf/arm.urdf", package_dirs=["meshes"])
     monkeypatch.chdir("/")
-    assert isinstance(visual_shapes(robot)[0].shape, Triangles)
+    assert isinstance(visual_shapes(robot)[0].shape, Mesh)
     assert robot.package_dirs == (tmp_path / "meshes",)
-
-
-def test_without_meshes_no_file_is_opened(monkeypatch):
-    """`meshes=False` draws plain shapes only."""
-    monkeypatch.setattr("manip_learn.robot.visuals.visual_shapes.read_meshes", None)
-    shapes = visual_shapes(load_robot("panda"), meshes=False)
-    assert shapes and not any(isinstance(v.shape, Triangles) for v in shapes)
-
-
-def test_arrays_cannot_be_changed():
-    """What is returned is read-only."""
-    for v in visual_shapes(load_robot("xarm7")):
-        assert not v.placement.flags.writeable
-        assert isinstance(v.shape, Triangles) and not v.shape.vertices.flags.writeable
 
 
 def test_a_mesh_without_a_material_has_the_colour_of_its_file():

@@ -49,7 +49,7 @@ def verdict(case: Case, folder: Path) -> str:
     use(robot, np.random.default_rng(0))
     if not case.category.startswith("mesh"):
         return "warn" if robot.warnings else "accept"
-    if not any(v.stand_in for v in visual_shapes(robot)):
+    if not any(v.fault for v in visual_shapes(robot)):
         return "accept"
     element = visual_elements(robot.description or b"", robot.source or Path())[0]
     if not isinstance(element.geometry, MeshElement):
@@ -94,7 +94,7 @@ def run_mutants(first: int, last: int, seconds: str) -> None:
                 seen[error.code] += 1
             else:
                 use(robot, rng)
-                visual_shapes(robot, meshes=False)
+                visual_shapes(robot)
                 seen["warn" if robot.warnings else "accept"] += 1
         except FAULTS as error:
             faults.append(f"{seed}: {type(error).__name__}: {error}")

@@ -15,15 +15,8 @@ from jaxtyping import Float, Int
 
 from manip_learn.playback.kinematic_tree import TreeJoint
 from manip_learn.robot.robot import Robot
-from manip_learn.robot.visuals.visual_shapes import (
-    Box,
-    Capsule,
-    Sphere,
-    Triangles,
-    Visual,
-    said_once,
-    visual_shapes,
-)
+from manip_learn.robot.visuals.meshes import Mesh
+from manip_learn.robot.visuals.visual_shapes import Visual, said_once, visual_shapes
 
 ShapeKind = Literal["box", "sphere", "cylinder", "cone", "disc", "mesh"]
 Colour = tuple[float, float, float, float]
@@ -298,11 +291,11 @@ def appearance(robot: Robot, tree: tuple[TreeJoint, ...], max_triangles: int = M
         max_triangles: Meshes are simplified until they have no more than this.
     """
     visuals = visual_shapes(robot)
-    own = [v for v in visuals if not v.stand_in]
-    faults = [v for v in visuals if v.stand_in]
-    said, links, notes = said_once(v.stand_in for v in faults), dict[str, dict[str, None]](), list[str]()
+    own = [v for v in visuals if not v.fault]
+    faults = [v for v in visuals if v.fault]
+    said, links, notes = said_once(v.fault for v in faults), dict[str, dict[str, None]](), list[str]()
     for v in faults if robot.source is not None else ():
-        links.setdefault(said[v.stand_in], {})[v.link] = None
+        links.setdefault(said[v.fault], {})[v.link] = None
     for reason, concerned in links.items():  # one sentence for each
         names = list(concerned)
         shown = ", ".join(names[:4]) + (f" and {len(names) - 4} more" if len(names) > 4 else "")
@@ -321,25 +314,22 @@ def appearance(robot: Robot, tree: tuple[TreeJoint, ...], max_triangles: int = M
 
 def _own_shapes(visuals: list[Visual], max_triangles: int) -> tuple[list[Shape], list[TriangleMesh], list[str]]:
     shapes: list[Shape] = []
-    files: dict[object, int] = {}  # a finger's mesh is often used twice
+    known: dict[int, int] = {}  # a finger's mesh is often used twice
     meshes: list[TriangleMesh] = []
     for v in visuals:
-        if isinstance(v.shape, Triangles):
-            key = (v.shape.source, v.shape.vertices.tobytes())
-            if key not in files:
-                files[key] = len(meshes)
-                meshes.append(TriangleMesh(v.shape.vertices, v.shape.faces))
-            shapes.append(Shape(v.joint, "mesh", (), v.placement, v.colour, mesh=files[key]))
-        elif isinstance(v.shape, Box):
-            shapes.append(Shape(v.joint, "box", v.shape.size, v.placement, v.colour))
-        elif isinstance(v.shape, Sphere):
-            shapes.append(Shape(v.joint, "sphere", (v.shape.radius,), v.placement, v.colour))
-        else:
-            radius, length = v.shape.radius, v.shape.length
-            shapes.append(Shape(v.joint, "cylinder", (radius, length), v.placement, v.colour))
-            for z in (-0.5 * length, 0.5 * length) if isinstance(v.shape, Capsule) else ():
-                place = v.placement @ pin.SE3(np.eye(3), np.array([0.0, 0.0, z])).homogeneous
-                shapes.append(Shape(v.joint, "sphere", (radius,), place, v.colour))
+        match v.shape:
+            case Mesh(vertices, faces):
+                if id(v.shape) not in known:
+                    known[id(v.shape)] = len(meshes)
+                    meshes.append(TriangleMesh(vertices, faces))
+                shapes.append(Shape(v.joint, "mesh", (), v.placement, v.colour, mesh=known[id(v.shape)]))
+            case ("capsule", (radius, length)):
+                shapes.append(Shape(v.joint, "cylinder", (radius, length), v.placement, v.colour))
+                for z in (-0.5 * length, 0.5 * length):
+                    place = v.placement @ pin.SE3(np.eye(3), np.array([0.0, 0.0, z])).homogeneous
+                    shapes.append(Shape(v.joint, "sphere", (radius,), place, v.colour))
+            case ("box" | "sphere" | "cylinder" as kind, size):
+                shapes.append(Shape(v.joint, kind, size, v.placement, v.colour))
     meshes, before, after = decimated(meshes, max_triangles)
     notes = []
     if after < before:

@@ -13,8 +13,7 @@ import pinocchio as pin
 from manip_learn.atomic_write import write_atomically
 from manip_learn.errors import MissingExtraError, OutputError
 from manip_learn.playback.appearance import Shape, TriangleMesh, appearance
-from manip_learn.playback.constraint_marks import target_place
-from manip_learn.playback.guided_motion import Guidance, MotionSamples, guidance_of, motion_samples
+from manip_learn.playback.guided_motion import MotionSamples, guidance_of, motion_samples
 from manip_learn.playback.kinematic_tree import kinematic_tree
 from manip_learn.playback.palette import rgb_of, rollout_colours
 from manip_learn.playback.recorded_motion import status_changes
@@ -26,7 +25,7 @@ if TYPE_CHECKING:
 
 CURVES = ("manipulability", "task_error", "following_error")
 VIEWS = ("manipulability", "position", "velocity")
-TIP_RADIUS, PATH_RADIUS, AXES = 0.008, 0.002, 0.1  # [m]
+TIP_RADIUS, PATH_RADIUS = 0.008, 0.002  # [m]
 
 
 def write_rerun(
@@ -40,8 +39,8 @@ def write_rerun(
 
     Below the name of each rollout are `position/JOINT` and `velocity/JOINT` (numbers of the joints), `manipulability`,
     `task_error`, `following_error` and `status` where they are known. `world/NAME/robot/JOINT` is the pose of a joint
-    in the robot's base with its shapes, `world/NAME/tip` the tip and its path, `world/NAME/target` the target where
-    it is a place. The timeline `time` is the recording's own clock [s].
+    in the robot's base with its shapes, `world/NAME/tip` the tip and its path. The timeline `time` is the recording's
+    own clock [s].
 
     Args:
         robot: The robot that the rollouts were made with.
@@ -87,7 +86,6 @@ def write_rerun(
             _add(stream, tip_path, rr.Points3D.columns(positions=places), time=clock)
             _add(stream, [*tip_path, "path"], rr.LineStrips3D([places], colors=[rgb], radii=[PATH_RADIUS]))
             _add_curves(stream, robot, name, recording, samples[name])
-            _add_target(stream, robot, name, guided[name], samples[name].q[0])
         return write_atomically(path, content.drain_as_bytes())
 
 
@@ -153,29 +151,13 @@ def _add_curves(
         _add(stream, [name, "status"], columns, time=np.array([time for time, _ in changes]))
 
 
-def _add_target(stream: rr.RecordingStream, robot: Robot, name: str, guidance: Guidance, q: np.ndarray) -> None:
-    """Where the task was to arrive, in the base, if that is a place; q is the first posture."""
-    import rerun as rr
-
-    target, path = guidance.target, ["world", name, "target"]
-    if target is not None and target.shape == (4, 4):
-        pose = rr.Transform3D(translation=target[:3, 3], mat3x3=target[:3, :3])
-        _add(stream, path, pose, rr.TransformAxes3D(AXES))
-    elif guidance.constraint is not None:
-        place = target_place(robot, guidance.constraint, target, q)
-        if place is not None and place["carrier"] is None:
-            _add(stream, path, rr.Points3D([place["point"]], radii=[TIP_RADIUS]))
-
-
 def _body(shape: Shape, mesh: TriangleMesh | None, colour: list[int]) -> Any:
     import rerun as rr
+    import trimesh
 
     if mesh is not None:
-        # unit normals at the vertices, each triangle by its area; without them Rerun shades nothing
-        corners, normals = mesh.vertices[mesh.triangles], np.zeros_like(mesh.vertices)
-        areas = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
-        np.add.at(normals, mesh.triangles, areas[:, None])
-        normals /= np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), 1e-300)
+        # without normals Rerun shades nothing
+        normals = trimesh.Trimesh(mesh.vertices, mesh.triangles, process=False).vertex_normals
         placed = {"vertex_positions": mesh.vertices, "triangle_indices": mesh.triangles, "vertex_normals": normals}
         return rr.Mesh3D(**placed, albedo_factor=colour)
     solid: dict[str, Any] = {"colors": [colour], "fill_mode": "solid"}

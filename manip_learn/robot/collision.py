@@ -22,17 +22,7 @@ from manip_learn.errors import RobotError
 from manip_learn.robot.description.urdf import as_matrix
 from manip_learn.robot.robot import Robot
 from manip_learn.robot.visuals.meshes import find_mesh, mesh_roots, read_meshes
-from manip_learn.robot.visuals.visual_shapes import (
-    Box,
-    Capsule,
-    Cylinder,
-    MeshElement,
-    Sphere,
-    Tag,
-    Triangles,
-    VisualElement,
-    visual_elements,
-)
+from manip_learn.robot.visuals.visual_shapes import MeshElement, Solid, Tag, VisualElement, visual_elements
 
 # postures that are looked at for links that can touch: every 0.2 rad of two joints that turn once
 SAMPLES = 1000
@@ -108,16 +98,14 @@ def _shape(robot: Robot, element: VisualElement, meshes: Mapping[str, Any]) -> C
             points, faces = _hull(meshes[uri].vertices * np.array(scale), element, robot)
             geometry, middle = _convex(points, faces), 0.5 * (points.min(axis=0) + points.max(axis=0))
             radius = float(np.linalg.norm(points - middle, axis=1).max())
-        case Box(size):
+        case Solid("box", size):
             geometry, radius = coal.Box(*size), 0.5 * float(np.linalg.norm(size))
-        case Sphere(radius):
+        case Solid("sphere", (radius,)):
             geometry = coal.Sphere(radius)
-        case Cylinder(thick, length):
+        case Solid("cylinder", (thick, length)):
             geometry, radius = coal.Cylinder(thick, length), float(np.hypot(thick, 0.5 * length))
-        case Capsule(thick, length):
+        case Solid(_, (thick, length)):
             geometry, radius = coal.Capsule(thick, length), thick + 0.5 * length
-        case Triangles(vertices, faces):
-            geometry, radius = _convex(vertices, faces), float(np.linalg.norm(vertices, axis=1).max())
     centre = placement[:3, :3] @ middle + placement[:3, 3]
     return CollisionShape(element.link, int(frame.parentJoint), placement, geometry, centre, radius)
 
@@ -332,9 +320,6 @@ class SelfCollision:
 
     def __reduce__(self) -> tuple[Any, ...]:
         return _rebuilt, (self.robot, self._tag, self._free)
-
-    def __repr__(self) -> str:
-        return f"SelfCollision({self.robot.name!r}, {len(self._shapes)} shapes, {len(self._pairs)} pairs)"
 
 
 def _rebuilt(robot: Robot, shapes: Tag, free: ArrayLike | None) -> SelfCollision:

@@ -10,15 +10,17 @@ from __future__ import annotations
 import threading
 from collections.abc import Callable
 from math import isfinite
-from typing import Any, Protocol, final
+from typing import TYPE_CHECKING, Any, final
 
 import numpy as np
 import pinocchio as pin
 from jaxtyping import Float, Int
-from numpy.typing import ArrayLike
 
 from manip_learn.robot.frame import Frame
-from manip_learn.robot.joints import Coupling, JointBlock, carrying_joints
+from manip_learn.robot.joints import carrying_joints
+
+if TYPE_CHECKING:
+    from manip_learn.robot.robot import Robot
 
 REFERENCES = {"world": pin.ReferenceFrame.LOCAL_WORLD_ALIGNED, "local": pin.ReferenceFrame.LOCAL}
 DOUBLE = np.dtype(np.float64)  # of this machine's byte order
@@ -173,35 +175,6 @@ def vjps(
     return np.array([vjp(matrix) for matrix in np.split(weights, number, axis=1)])
 
 
-class Postures(Protocol):
-    """The part of a `Robot` that `FrameKinematics` needs."""
-
-    blocks: tuple[JointBlock, ...]
-    nv: int
-
-    @property
-    def coupling(self) -> Coupling | None:
-        """How mimic joints follow."""
-        ...
-
-    @property
-    def pinocchio_model(self) -> pin.Model:
-        """The model of all joints."""
-        ...
-
-    def checked_posture(self, q: ArrayLike) -> np.ndarray:
-        """A configuration or joint positions, checked."""
-        ...
-
-    def positions(self, q: ArrayLike) -> np.ndarray:
-        """Joint positions (nv)."""
-        ...
-
-    def pinocchio_configuration(self, q: ArrayLike) -> np.ndarray:
-        """Configuration of the model."""
-        ...
-
-
 def is_plain(q: np.ndarray) -> bool:
     """Whether an array can be handed to Pinocchio as it is: another layout would change the last digit."""
     return q.dtype is DOUBLE and q.flags.c_contiguous
@@ -231,7 +204,7 @@ class FrameKinematics:
     One object can be used from many threads: each has its own Pinocchio data.
     """
 
-    def __init__(self, robot: Postures, frame: Frame):
+    def __init__(self, robot: Robot, frame: Frame):
         self._robot, self._frame = robot, frame
         self._build()
 

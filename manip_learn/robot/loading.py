@@ -3,15 +3,10 @@
 from __future__ import annotations
 
 import hashlib
-import io
 import math
 import os
 import re
-import sys
-import tempfile
-import threading
-from collections.abc import Collection, Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Literal
@@ -47,8 +42,6 @@ SUFFIXES = (".urdf", ".xml", ".xacro", ".mjcf")
 BASES = {"floating": pin.JointModelFreeFlyer, "planar": pin.JointModelPlanar}
 # numbers of a description, between quotes or spaces
 DECIMAL = re.compile(r'(?<=["\s])-?\d+(\.\d+)?(e[+-]?\d+)?(?=["\s])')
-_one_at_a_time = threading.Lock()
-MOST_SAID = 1_000_000  # [bytes] of what C++ libraries print
 
 
 def load_robot(
@@ -141,14 +134,12 @@ def robot_from_text(
         sentence = f"{path}: a joint is called 'root_joint', the name of the moving base; rename it"
         raise RobotError(sentence, code="name-reserved", path=path)
     still = locked_positions(urdf, validated.mimics, locked)
-    text, lines = kinematic_urdf(with_fixed(urdf, still)), []
+    text = kinematic_urdf(with_fixed(urdf, still))
     try:
-        with captured_c_stderr() as lines:
-            model = pin.buildModelFromXML(text) if root_joint is None else pin.buildModelFromXML(text, root_joint)
+        model = pin.buildModelFromXML(text) if root_joint is None else pin.buildModelFromXML(text, root_joint)
     except (ValueError, RuntimeError) as error:
-        said = " ".join([*lines, str(error)])
-        raise RobotError(f"{path}: Pinocchio refuses the robot: {said[:500]}", code="pinocchio", path=path) from error
-    _check_counts(model, urdf, still, root_joint, path)
+        said = str(error)[:500]
+        raise RobotError(f"{path}: Pinocchio refuses the robot: {said}", code="pinocchio", path=path) from error
     for limit, beyond in (("lowerPositionLimit", -LARGE), ("upperPositionLimit", LARGE), ("velocityLimit", LARGE)):
         values = np.array(getattr(model, limit))
         setattr(model, limit, np.where(np.abs(values) >= LARGE, math.copysign(math.inf, beyond), values))
@@ -162,7 +153,7 @@ def robot_from_text(
         mimics=[m for m in validated.mimics.followers if m.joint not in still],
         locked=still,
         objects=objects,
-        warnings=[*validated.warnings, *(f"Pinocchio: {line}" for line in lines)],
+        warnings=validated.warnings,
     )
 
 
@@ -191,23 +182,6 @@ def _is_mjcf(content: bytes) -> bool:
     return rest.startswith(b"<mujoco")
 
 
-def _check_counts(
-    model: pin.Model, urdf: UrdfFile, still: Collection[str], root_joint: pin.JointModel | None, path: Path
-) -> None:
-    """Everything in the file must be in the model, and nothing else."""
-    kinds = [f.type for f in model.frames][1:]  # the first is the universe
-    bases, base_nv = (0, 0) if root_joint is None else (1, root_joint.nv)
-    joints = kinds.count(pin.FrameType.JOINT) + kinds.count(pin.FrameType.FIXED_JOINT) - bases
-    for what, wanted, seen in (
-        ("links", len(urdf.links), kinds.count(pin.FrameType.BODY)),
-        ("joints", len(urdf.joints), joints),
-        ("degrees of freedom", sum(j.nv for j in urdf.joints if j.name not in still), model.nv - base_nv),
-    ):
-        if seen != wanted:
-            sentence = f"{path}: the file has {wanted} {what}, the loaded model {seen}; please report this file"
-            raise RobotError(sentence, code="counts", path=path)
-
-
 def _fingerprint(
     urdf: UrdfFile, still: dict[str, float], followers: Sequence[Mimic], root_joint: pin.JointModel | None
 ) -> str:
@@ -220,33 +194,6 @@ def _fingerprint(
     lines.append(f"base {'fixed' if root_joint is None else root_joint.shortname()}")
     text = DECIMAL.sub(lambda found: repr(round(float(found.group()), 12) + 0.0), "\n".join(lines))
     return hashlib.sha256(text.encode()).hexdigest()
-
-
-@contextmanager
-def captured_c_stderr() -> Iterator[list[str]]:
-    """Collect the lines written to file descriptor 2; the list is filled when the block ends, also by an error.
-
-    The descriptor belongs to the whole process: what other threads print meanwhile is collected too.
-    """
-    lines: list[str] = []
-    with _one_at_a_time, tempfile.TemporaryFile() as sink:
-        try:
-            saved = os.dup(2)
-        except OSError:  # no stderr, as in a service: nothing visible is lost
-            yield lines
-            return
-        stream = sys.stderr or io.StringIO()
-        stream.flush()
-        os.dup2(sink.fileno(), 2)
-        try:
-            yield lines
-        finally:
-            stream.flush()
-            os.dup2(saved, 2)
-            os.close(saved)
-            sink.seek(0)
-            text = sink.read(MOST_SAID).decode("utf-8", "replace")
-            lines += [line.strip() for line in text.splitlines() if line.strip()]
 
 
 def names_of(locked: Locked) -> tuple[str, ...]:

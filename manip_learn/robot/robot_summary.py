@@ -15,7 +15,7 @@ from manip_learn.robot.description.text import quoted
 from manip_learn.robot.joints import JointKind, Mimic
 from manip_learn.robot.robot import Robot
 from manip_learn.robot.tips import likely_tips
-from manip_learn.robot.visuals.visual_shapes import resolve_meshes
+from manip_learn.robot.visuals.visual_shapes import resolve_meshes, said_once
 
 # largest difference of an entry of two poses [m, and no unit]; rounding along 100 joints stays below
 AGREEMENT = 1e-9
@@ -126,7 +126,8 @@ def with_cross_check(summary: RobotSummary, robot: Robot, seed: int = 0, posture
 
 def summarise(robot: Robot) -> RobotSummary:
     """Summary of a robot without the check."""
-    meshes, kinds = resolve_meshes(robot), [block.kind for block in robot.blocks for _ in block.units]
+    kinds = [block.kind for block in robot.blocks for _ in block.units]
+    found, missing = resolve_meshes(robot)
     limits = (robot.position_lower.tolist(), robot.position_upper.tolist(), robot.velocity_limit.tolist())
     return RobotSummary(
         name=robot.name,
@@ -138,10 +139,10 @@ def summarise(robot: Robot) -> RobotSummary:
         mimics=robot.mimics,
         locked=dict(robot.locked),
         tips=likely_tips(robot),
-        warnings=(*robot.warnings, *meshes.warnings),
+        warnings=(*robot.warnings, *dict.fromkeys(said_once(missing.values()).values())),
         cross_check=None,
-        meshes_found=meshes.found,
-        meshes_missing=meshes.missing,
+        meshes_found=found,
+        meshes_missing=missing,
         fingerprint=robot.fingerprint,
     )
 

@@ -1,4 +1,4 @@
-"""Kinematics of one frame at many postures: NumPy on structures of arrays, Pinocchio as reference and fallback."""
+"""Kinematics of one frame at many postures: NumPy on structures of arrays, Pinocchio as fallback."""
 
 from __future__ import annotations
 
@@ -33,8 +33,6 @@ from manip_learn.robot.robot import Reference, Robot
 COMPILED_FROM = 50_000  # postures: fewer are done in NumPy before numba is even imported
 CHUNK = 1024  # postures: the columns of a 7-joint chain then stay in a second-level cache of 1 MB
 DERIVATIVE_CHUNK = 256  # dJ/dq has as many numbers for each column as the chain has joints
-# largest difference from Pinocchio, relative to the reach, that the check at first use lets pass
-CHAIN_AGREEMENT = 1e-12
 ALL_ROWS = (0, 1, 2, 3, 4, 5)  # of a twist
 
 
@@ -64,7 +62,7 @@ _KNOWN: WeakKeyDictionary[Robot, dict[int, BatchKinematics]] = WeakKeyDictionary
 
 
 def batch_kinematics(robot: Robot, frame: Frame) -> BatchKinematics:
-    """The batch kinematics of a frame, made and checked once per robot."""
+    """The batch kinematics of a frame, made once per robot."""
     frames = _KNOWN.setdefault(robot, {})
     if frame.index not in frames:
         frames[frame.index] = BatchKinematics(robot, frame)
@@ -76,8 +74,7 @@ class BatchKinematics:
     """Jacobians, their derivatives and poses of one frame at many postures.
 
     Only the joints that carry the frame are computed. Chains of revolute, continuous and prismatic joints (mimic joints
-    included) run in NumPy; all others call Pinocchio in a loop. So does a chain whose numbers differ from Pinocchio's
-    at a few postures when it is first used.
+    included) run in NumPy; all others call Pinocchio in a loop.
 
     Args:
         robot: The robot.
@@ -97,7 +94,6 @@ class BatchKinematics:
             self._chain: Chain = chain
             self._reversed = chain.reversed()
             self._columns = ChainColumns(robot, carried)
-            self.fast = self._agrees_with_pinocchio()
 
     def jacobian(
         self,
@@ -289,15 +285,3 @@ class BatchKinematics:
             J_i, H_i = self._robot.jacobian_and_derivative(posture, self._frame, reference)
             J[i], H[i] = J_i[chosen], H_i[chosen]
         return J, H
-
-    def _agrees_with_pinocchio(self) -> bool:
-        """True if a few postures give Pinocchio's Jacobians, derivatives and poses, in both references."""
-        rng, robot = np.random.default_rng(0), self._robot
-        q = np.stack([robot.positions(robot.random_configuration(rng)) for _ in range(3)])
-        poses = np.stack([robot.pose(x, self._frame) for x in q])
-        allowed = CHAIN_AGREEMENT * (1.0 + float(np.max(np.abs(poses))))
-        differences = [self.pose(q) - poses]
-        for reference in ("world", "local"):
-            ours, theirs = self.jacobian_and_derivative(q, reference), self._looped(q, reference, ALL_ROWS)
-            differences += [a - b for a, b in zip(ours, theirs, strict=True)]
-        return all(float(np.max(np.abs(d), initial=0.0)) <= allowed for d in differences)

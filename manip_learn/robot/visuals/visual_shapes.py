@@ -1,7 +1,6 @@
 """Shapes of a robot's links: the `<visual>` or `<collision>` elements of its URDF.
 
-Meshes become checked triangles, with plain shapes where there is nothing better. What is wrong here costs a shape,
-never the robot.
+Meshes become checked triangles. What is wrong here costs a shape, never the robot.
 """
 
 from __future__ import annotations
@@ -10,82 +9,37 @@ import re
 from collections.abc import Iterable
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Literal, final
+from typing import Literal, NamedTuple, final
 
 import numpy as np
 import pinocchio as pin
-from jaxtyping import Float, Int
+from jaxtyping import Float
 
 from manip_learn.errors import RobotError
 from manip_learn.robot.description.text import XmlNode, parse_xml, shortened
-from manip_learn.robot.description.urdf import ZERO, Pose, as_matrix
+from manip_learn.robot.description.urdf import ZERO, Pose, Vector, as_matrix
 from manip_learn.robot.robot import Robot
-from manip_learn.robot.visuals.meshes import Colour, find_mesh, mesh_roots, read_meshes
+from manip_learn.robot.visuals.meshes import Colour, Mesh, find_mesh, mesh_roots, read_meshes
 
 Tag = Literal["visual", "collision"]
 LARGEST_SIZE = 1e4  # [m] of a shape and its distance: more is a wrong unit
 MAX_VISUALS = 2_000  # of a robot, so that its page can be drawn
-STAND_IN: Colour = (0.55, 0.60, 0.68, 1.0)  # red, green, blue and opacity: links without a shape of their own
 GREY: Colour = (0.7, 0.7, 0.72, 1.0)  # red, green, blue and opacity: shapes without a colour
-THIN = 0.02  # [m] radius of rods and balls
 MESH_REASON = re.compile(r"mesh (?P<name>'[^']*'|\"[^\"]*\")(?P<why>.*)")
 
 
 @final
-@dataclass(frozen=True)
-class Box:
-    """A box around its origin; edge lengths x, y, z [m]."""
-
-    size: tuple[float, float, float]
-
-
-@final
-@dataclass(frozen=True)
-class Sphere:
-    """A sphere around its origin [m]."""
-
-    radius: float
-
-
-@final
-@dataclass(frozen=True)
-class Cylinder:
-    """A cylinder along z, its middle at the origin [m]."""
-
-    radius: float
-    length: float
-
-
-@final
-@dataclass(frozen=True)
-class Capsule:
-    """A cylinder along z with half spheres on both ends; `length` is that of the cylinder [m]."""
-
-    radius: float
-    length: float
-
-
-@final
-@dataclass(frozen=True, eq=False)
-class Triangles:
-    """A checked mesh: finite vertices, indices in range, scale applied.
+class Solid(NamedTuple):
+    """A plain body, centred at its origin.
 
     Attributes:
-        vertices: shape (n, 3) [m].
-        faces: shape (m, 3), counted from 0.
-        source: File it was read from.
+        kind: What it is.
+        size: Of a box its edge lengths x, y, z; of a sphere its radius; of the others, which stand along z, radius and
+            length, of a capsule without its half spheres [m].
     """
 
-    vertices: Float[np.ndarray, "n 3"]
-    faces: Int[np.ndarray, "m 3"]
-    source: Path
-
-    def __post_init__(self) -> None:
-        self.vertices.setflags(write=False)
-        self.faces.setflags(write=False)
-
-
-Shape = Box | Sphere | Cylinder | Capsule | Triangles
+    kind: Literal["box", "sphere", "cylinder", "capsule"]
+    size: tuple[float, ...]
 
 
 @final
@@ -97,34 +51,25 @@ class Visual:
         link: Name of the link.
         joint: Pinocchio id of the moving joint that carries it; 0 is the fixed world.
         placement: shape (4, 4), from the shape to that joint [m].
-        shape: What to draw.
+        shape: What to draw, a mesh with its scale applied; None where the file asks for what cannot be drawn.
         colour: Red, green, blue, opacity in 0 ... 1.
-        stand_in: Empty, or why a plain shape is drawn in place of what the file asks for.
+        fault: Empty, or why there is no shape.
     """
 
     link: str
     joint: int
     placement: Float[np.ndarray, "4 4"]
-    shape: Shape
+    shape: Solid | Mesh | None
     colour: Colour
-    stand_in: str = ""
-
-    def __post_init__(self) -> None:
-        self.placement.setflags(write=False)
+    fault: str = ""
 
 
 @final
-@dataclass(frozen=True)
-class MeshElement:
-    """A mesh as the URDF names it.
-
-    Attributes:
-        uri: File name or package:// address.
-        scale: Along x, y, z.
-    """
+class MeshElement(NamedTuple):
+    """A mesh as the URDF names it: file name or package:// address, and the scale along x, y, z."""
 
     uri: str
-    scale: tuple[float, float, float]
+    scale: Vector
 
 
 @final
@@ -138,7 +83,7 @@ class VisualElement:
     link: str
     line: int
     pose: Pose
-    geometry: Shape | MeshElement | None
+    geometry: Solid | MeshElement | None
     colour: Colour | None
     fault: str
 
@@ -182,7 +127,7 @@ def _pose(node: XmlNode) -> Pose:
     return Pose((x, y, z), (roll, pitch, yaw))
 
 
-def _geometry(node: XmlNode) -> Shape | MeshElement:
+def _geometry(node: XmlNode) -> Solid | MeshElement:
     geometry = node.first("geometry")
     if geometry is None or not geometry.children:
         raise _unusable(node, f"its <{node.tag}> has no geometry")
@@ -198,12 +143,11 @@ def _geometry(node: XmlNode) -> Shape | MeshElement:
             return MeshElement(uri, (x, y, z))
         case "box":
             x, y, z = (_size(s, shape) for s in shape.vector("size", 3) or (None,) * 3)
-            return Box((x, y, z))
+            return Solid("box", (x, y, z))
         case "sphere":
-            return Sphere(_size(shape.number("radius"), shape))
+            return Solid("sphere", (_size(shape.number("radius"), shape),))
         case "cylinder" | "capsule" as kind:
-            made = Cylinder if kind == "cylinder" else Capsule
-            return made(_size(shape.number("radius"), shape), _size(shape.number("length"), shape))
+            return Solid(kind, (_size(shape.number("radius"), shape), _size(shape.number("length"), shape)))
     raise _unusable(shape, f"the shape <{shortened(shape.tag)}> is not known")
 
 
@@ -229,25 +173,6 @@ def _unusable(node: XmlNode, seen: str) -> RobotError:
     return node.refusal("visual", f"{seen}; a usable shape is expected; a plain shape is drawn")
 
 
-@final
-@dataclass(frozen=True)
-class MeshReport:
-    """Which mesh files of a robot are there.
-
-    Attributes:
-        found: Address in the URDF -> file.
-        missing: Address in the URDF -> why it cannot be used.
-    """
-
-    found: dict[str, Path]
-    missing: dict[str, str]
-
-    @property
-    def warnings(self) -> tuple[str, ...]:
-        """One sentence per reason why meshes cannot be used."""
-        return tuple(dict.fromkeys(said_once(self.missing.values()).values()))
-
-
 def said_once(reasons: Iterable[str]) -> dict[str, str]:
     """Reason -> sentence; reasons that differ in the name of the mesh only share one, with their number."""
     names: dict[str, list[str]] = {}
@@ -262,8 +187,12 @@ def said_once(reasons: Iterable[str]) -> dict[str, str]:
     }
 
 
-def resolve_meshes(robot: Robot) -> MeshReport:
-    """Look up the visual meshes of a robot without opening them."""
+def resolve_meshes(robot: Robot) -> tuple[dict[str, Path], dict[str, str]]:
+    """Look up the visual meshes of a robot without opening them.
+
+    Returns:
+        Address in the URDF -> file; and of the others, address -> why it cannot be used.
+    """
     addresses = [e.geometry.uri for e in _elements(robot) if isinstance(e.geometry, MeshElement)]
     found: dict[str, Path] = {}
     missing: dict[str, str] = {}
@@ -274,45 +203,41 @@ def resolve_meshes(robot: Robot) -> MeshReport:
                 found[uri] = find_mesh(uri, roots)
             except RobotError as error:
                 missing[uri] = str(error)
-    return MeshReport(found, missing)
+    return found, missing
 
 
-def visual_shapes(robot: Robot, meshes: bool = True) -> tuple[Visual, ...]:
+def visual_shapes(robot: Robot) -> tuple[Visual, ...]:
     """Shapes to draw, each placed on the moving joint that carries it.
 
-    A mesh that is missing, unsafe or broken becomes a plain shape whose `stand_in` says why. A robot without visuals
-    is drawn as sticks from joint to joint.
-
-    Args:
-        robot: A loaded robot.
-        meshes: False to draw plain shapes in place of all meshes, without opening a file.
+    A mesh that is missing, unsafe or broken is a fault of its link, told once; without visuals every link has one. A
+    mesh that is used twice at one scale is one object.
     """
     elements = _elements(robot)
     if not elements:
         bodies = {f.name for f in robot.pinocchio_model.frames if f.type == pin.FrameType.BODY}
-        return _sticks(robot, sorted(bodies & set(robot.frame_names)), "the robot has no visuals")
-    report = resolve_meshes(robot) if meshes else MeshReport({}, {})
-    parsed = read_meshes(list(report.found.values())) if meshes else {}
+        links, why = sorted(bodies & set(robot.frame_names)), "the robot has no visuals"
+        elements = [VisualElement(link, 0, Pose(), None, None, why) for link in links]
+    found, missing = resolve_meshes(robot)
+    parsed, scaled = read_meshes(list(found.values())), dict[tuple[Path, Vector], Mesh]()
     visuals: list[Visual] = []
     for e in elements:
         shape, why, colour = e.geometry, e.fault, e.colour
         if isinstance(shape, MeshElement):
-            path = report.found.get(shape.uri, Path())
-            missing = report.missing.get(shape.uri, f"mesh {shape.uri!r} was not found")
-            mesh = parsed.get(path, RobotError(missing if meshes else "meshes are switched off"))
+            not_found = missing.get(shape.uri, f"mesh {shape.uri!r} was not found")
+            mesh = parsed[found[shape.uri]] if shape.uri in found else RobotError(not_found)
             if isinstance(mesh, RobotError):
                 shape, why = None, str(mesh)
             else:
                 # a mirror image turns every triangle inside out
-                faces = mesh.faces[:, ::-1].copy() if np.prod(shape.scale) < 0 else mesh.faces
-                shape, colour = Triangles(mesh.vertices * np.array(shape.scale), faces, path), colour or mesh.colour
-        if shape is not None:
-            frame = robot.pinocchio_model.frames[robot.frame(e.link).index]
-            placement = frame.placement.homogeneous @ as_matrix(e.pose)
-            visuals.append(Visual(e.link, int(frame.parentJoint), placement, shape, colour or GREY))
-        # one stick figure per link is enough, however many of its meshes are missing
-        elif not any(v.link == e.link and v.stand_in for v in visuals):
-            visuals += _sticks(robot, [e.link], why)
+                faces = mesh.faces[:, ::-1] if np.prod(shape.scale) < 0 else mesh.faces
+                made = Mesh(mesh.vertices * np.array(shape.scale), faces, mesh.colour)
+                shape = scaled.setdefault((found[shape.uri], shape.scale), made)
+                colour = colour or mesh.colour
+        if shape is None and any(v.link == e.link and v.fault for v in visuals):
+            continue
+        frame = robot.pinocchio_model.frames[robot.frame(e.link).index]
+        placement = frame.placement.homogeneous @ as_matrix(e.pose)
+        visuals.append(Visual(e.link, int(frame.parentJoint), placement, shape, colour or GREY, why))
     return tuple(visuals)
 
 
@@ -320,33 +245,3 @@ def _elements(robot: Robot) -> list[VisualElement]:
     if robot.description is None:
         return []
     return visual_elements(robot.description, robot.source or Path(robot.name))
-
-
-def _sticks(robot: Robot, links: list[str], why: str) -> tuple[Visual, ...]:
-    """Rods from each link's origin to its child joints, and a ball where there is none."""
-    model = robot.pinocchio_model
-    visuals: list[Visual] = []
-    for link in links:
-        index = robot.frame(link).index
-        frame = model.frames[index]
-        joint = int(frame.parentJoint)
-        start = np.asarray(frame.placement.translation)
-        ends = [
-            np.asarray(
-                f.placement.translation if f.parentJoint == joint else model.jointPlacements[f.parentJoint].translation
-            )
-            for f in model.frames
-            if f.type in (pin.FrameType.JOINT, pin.FrameType.FIXED_JOINT)
-            and f.parentFrame == index
-            and f.name != "universe"
-        ]
-        rods = [(start, end) for end in ends if np.linalg.norm(end - start) > 1e-6]
-        for a, b in rods:
-            length = float(np.linalg.norm(b - a))
-            rod = Cylinder(min(THIN, 0.15 * length), length)
-            turn = pin.Quaternion.FromTwoVectors(np.array([0.0, 0.0, 1.0]), b - a)  # z along b - a
-            pose = pin.SE3(turn.toRotationMatrix(), 0.5 * (a + b)).homogeneous
-            visuals.append(Visual(link, joint, pose, rod, STAND_IN, why))
-        if not rods:
-            visuals.append(Visual(link, joint, frame.placement.homogeneous.copy(), Sphere(THIN), STAND_IN, why))
-    return tuple(visuals)
