@@ -10,7 +10,7 @@ from __future__ import annotations
 import threading
 from collections.abc import Callable
 from math import isfinite
-from typing import TYPE_CHECKING, Any, final
+from typing import Any, final
 
 import numpy as np
 import pinocchio as pin
@@ -18,9 +18,6 @@ from jaxtyping import Float, Int
 
 from manip_learn.robot.frame import Frame
 from manip_learn.robot.joints import carrying_joints
-
-if TYPE_CHECKING:
-    from manip_learn.robot.robot import Robot
 
 REFERENCES = {"world": pin.ReferenceFrame.LOCAL_WORLD_ALIGNED, "local": pin.ReferenceFrame.LOCAL}
 DOUBLE = np.dtype(np.float64)  # of this machine's byte order
@@ -202,9 +199,13 @@ class FrameKinematics:
     the pose where the Jacobian has just been computed gets it without another pass.
 
     One object can be used from many threads: each has its own Pinocchio data.
+
+    Args:
+        robot: The `Robot`, whose module imports this one.
+        frame: One of its frames.
     """
 
-    def __init__(self, robot: Robot, frame: Frame):
+    def __init__(self, robot: Any, frame: Frame):
         self._robot, self._frame = robot, frame
         self._build()
 
