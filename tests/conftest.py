@@ -159,6 +159,12 @@ def robot_of(tmp_path_factory: pytest.TempPathFactory) -> Callable[[str], Robot]
     return lambda name: named_robot(name, folder)
 
 
+@pytest.fixture(scope="session")
+def planar3() -> Robot:
+    """The shipped three-joint arm."""
+    return load_robot("planar3")
+
+
 @pytest.fixture(scope="module")
 def chromium() -> Iterator[Any]:
     """One browser for all tests of a file."""

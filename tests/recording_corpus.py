@@ -23,6 +23,10 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+import pytest
+
+from manip_learn.errors import RecordingError
+from manip_learn.recordings import load_demonstrations
 
 JOINTS = ("joint1", "joint2", "joint3")
 HEADER = "time,joint1,joint2,joint3"
@@ -31,6 +35,13 @@ TIME = np.arange(60) * 0.02
 Q = np.column_stack([np.sin(TIME), 1.0 + np.cos(TIME), 0.5 * TIME])
 U = np.column_stack([np.cos(TIME), -np.sin(TIME), 0.5 + 0.0 * TIME])
 TABLE, FULL = np.column_stack([TIME, Q]), np.column_stack([TIME, Q, U])
+
+
+def refusal(*given: Any, match: str | None = None, **options: Any) -> RecordingError:
+    """The error that refuses a recording."""
+    with pytest.raises(RecordingError, match=match) as caught:
+        load_demonstrations(*given, **options)
+    return caught.value
 
 
 @dataclass(frozen=True)

@@ -8,25 +8,18 @@ from pathlib import Path
 import numpy as np
 import pytest
 from case import case
-from recording_corpus import TABLE, csv
+from recording_corpus import TABLE, csv, refusal
 
 from manip_learn.cli import main
 from manip_learn.errors import RecordingError, UnknownNameError
 from manip_learn.recordings import RecordingSource, load_demonstrations
 from manip_learn.recordings.demonstrations import Demonstrations
 from manip_learn.recordings.readers.read_request import EpisodeSelection
-from manip_learn.robot import Robot, load_robot
+from manip_learn.robot import Robot
 
-pa = pytest.importorskip("pyarrow", reason="the extra 'lerobot' is not installed")
-import pyarrow.parquet as pq  # noqa: E402
+lerobot = pytest.importorskip("test_lerobot_reader", exc_type=ImportError)
 
-JOINTS = ["joint1", "joint2", "joint3"]
 TASKS = {0: ["Open the drawer"], 1: ["Open the drawer"], 2: ["Wipe the table", "Open the drawer"], 3: ["Close it"]}
-
-
-@pytest.fixture(scope="module")
-def planar3() -> Robot:
-    return load_robot("planar3")
 
 
 @pytest.fixture
@@ -36,49 +29,23 @@ def folder(tmp_path: Path) -> Path:
     return tmp_path
 
 
-def samples(episodes: list[int]):
-    """Twenty samples of each episode at 50 Hz; the first joint tells which."""
-    q = np.concatenate([np.linspace(0, 0.1, 20)[:, None] + [0.01 * i, 0.2, 0.3] for i in episodes]).astype(np.float32)
-    state = pa.FixedSizeListArray.from_arrays(pa.array(q.ravel()), 3)
-    stamps = np.tile(np.arange(20) / 50.0, len(episodes))
-    return pa.table(
-        {
-            "observation.state": state,
-            "timestamp": pa.array(stamps.astype(np.float32)),
-            "episode_index": pa.array(np.repeat(episodes, 20)),
+def made(root: Path, version: str) -> Path:
+    """Four episodes of twenty samples at 50 Hz, of which the first joint tells which; and their tasks."""
+    q = {i: np.linspace(0, 0.1, 20)[:, None] + [0.01 * i, 0.2, 0.3] for i in TASKS}
+    if version == "v2":
+        files = {f"data/chunk-000/episode_{i:06d}.parquet": lerobot.table({i: x}) for i, x in q.items()}
+    else:
+        parts = (range(3), range(3, 4))
+        files = {
+            f"data/chunk-000/file-{k:03d}.parquet": lerobot.table({i: q[i] for i in p}) for k, p in enumerate(parts)
         }
-    )
-
-
-def described(root: Path, version: str) -> None:
-    state = {"dtype": "float32", "shape": [3], "names": JOINTS}
-    (root / "meta").mkdir(parents=True)
-    content = {"codebase_version": version, "fps": 50, "features": {"observation.state": state}}
-    (root / "meta" / "info.json").write_text(json.dumps(content))
-
-
-def version_2(root: Path) -> Path:
-    described(root, "v2.1")
-    lines = [json.dumps({"episode_index": i, "tasks": tasks, "length": 20}) for i, tasks in TASKS.items()]
-    (root / "meta" / "episodes.jsonl").write_text("\n".join(lines) + "\n")
-    (root / "data" / "chunk-000").mkdir(parents=True)
-    for i in TASKS:
-        pq.write_table(samples([i]), root / "data" / "chunk-000" / f"episode_{i:06d}.parquet")
+        tasks = lerobot.pa.table({"episode_index": list(TASKS), "tasks": list(TASKS.values())})
+        files["meta/episodes/chunk-000/file-000.parquet"] = tasks
+    lerobot.dataset(root, lerobot.info(lerobot.JOINTS, version + ".0"), files)
+    if version == "v2":
+        lines = [json.dumps({"episode_index": i, "tasks": tasks, "length": 20}) for i, tasks in TASKS.items()]
+        (root / "meta" / "episodes.jsonl").write_text("\n".join(lines) + "\n")
     return root
-
-
-def version_3(root: Path) -> Path:
-    described(root, "v3.0")
-    (root / "meta" / "episodes" / "chunk-000").mkdir(parents=True)
-    table = pa.table({"episode_index": list(TASKS), "tasks": list(TASKS.values())})
-    pq.write_table(table, root / "meta" / "episodes" / "chunk-000" / "file-000.parquet")
-    (root / "data" / "chunk-000").mkdir(parents=True)
-    pq.write_table(samples([0, 1, 2]), root / "data" / "chunk-000" / "file-000.parquet")
-    pq.write_table(samples([3]), root / "data" / "chunk-000" / "file-001.parquet")
-    return root
-
-
-MADE = {"v2": version_2, "v3": version_3}
 
 
 def numbers(demonstrations: Demonstrations) -> list[int]:
@@ -118,9 +85,9 @@ def test_files_are_selected_by_natural_order(planar3: Robot, folder: Path) -> No
 
 def test_lerobot_episodes_by_number(planar3: Robot) -> None:
     """The number is the episode's own, in both versions of the format, in memory and streamed."""
-    for version in MADE:
+    for version in ("v2", "v3"):
         with case(version) as tmp_path:
-            root = MADE[version](tmp_path / "set")
+            root = made(tmp_path / "set", version)
             demos = load_demonstrations(root, planar3, units="radians", episodes="1:3")
             assert numbers(demos) == [1, 2]
             np.testing.assert_allclose([t.q[0, 0] for t in demos], [0.01, 0.02], atol=1e-6)
@@ -131,22 +98,21 @@ def test_lerobot_episodes_by_number(planar3: Robot) -> None:
 
 def test_lerobot_episodes_by_task(planar3: Robot) -> None:
     """All episodes that show the task, alone or with others; together with numbers, those that satisfy both."""
-    for version in MADE:
+    for version in ("v2", "v3"):
         with case(version) as tmp_path:
-            root = MADE[version](tmp_path / "set")
+            root = made(tmp_path / "set", version)
             demos = load_demonstrations(root, planar3, units="radians", task="open the  Drawer")
             assert numbers(demos) == [0, 1, 2]
             demos = load_demonstrations(root, planar3, units="radians", task="Open the drawer", episodes="2:")
             assert numbers(demos) == [2]
-            with pytest.raises(RecordingError, match="0:2 shows the task 'Close it'; it is shown by 3"):
-                load_demonstrations(root, planar3, units="radians", task="Close it", episodes="0:2")
-
-
-def test_a_task_that_does_not_exist_names_near_ones(planar3: Robot) -> None:
-    """A misspelt task is answered with the tasks that it may mean."""
-    for version in MADE:
-        with case(version) as tmp_path:
-            root = MADE[version](tmp_path / "set")
+            refusal(
+                root,
+                planar3,
+                match="0:2 shows the task 'Close it'; it is shown by 3",
+                units="radians",
+                task="Close it",
+                episodes="0:2",
+            )
             with pytest.raises(UnknownNameError, match="did you mean 'Open the drawer'") as caught:
                 load_demonstrations(root, planar3, units="radians", task="Open the drawr")
             assert caught.value.kind == "task"
@@ -154,9 +120,10 @@ def test_a_task_that_does_not_exist_names_near_ones(planar3: Robot) -> None:
 
 def test_episodes_that_do_not_exist_name_near_ones(planar3: Robot, folder: Path, tmp_path: Path) -> None:
     """Each item must select something: a number beyond the end is no silent empty selection."""
-    with pytest.raises(RecordingError, match=r"'12'.*there are 12, numbered 0 to 11; the nearest: 8, 9, 10, 11"):
-        load_demonstrations(folder, planar3, episodes="0:3,12")
-    root = version_3(tmp_path / "set")
+    refusal(
+        folder, planar3, match=r"'12'.*there are 12, numbered 0 to 11; the nearest: 8, 9, 10, 11", episodes="0:3,12"
+    )
+    root = made(tmp_path / "set", "v3")
     with pytest.raises(RecordingError, match="'7:9'") as caught:
         RecordingSource(root, planar3, units="radians", episodes="7:9")
     assert caught.value.code == "no-episode"
@@ -164,14 +131,13 @@ def test_episodes_that_do_not_exist_name_near_ones(planar3: Robot, folder: Path,
 
 def test_tasks_need_a_data_set_that_names_them(planar3: Robot, folder: Path, tmp_path: Path) -> None:
     """CSV files have no tasks; a data set without meta/episodes says what to download."""
-    with pytest.raises(RecordingError, match="LeRobot data sets only") as caught:
-        load_demonstrations(folder, planar3, task="Open the drawer")
-    assert caught.value.code == "no-tasks"
-    root = version_2(tmp_path / "set")
+    assert refusal(folder, planar3, match="LeRobot data sets only", task="Open the drawer").code == "no-tasks"
+    root = made(tmp_path / "set", "v2")
     (root / "meta" / "episodes.jsonl").unlink()
-    with pytest.raises(RecordingError, match="download all of meta/") as caught:
-        load_demonstrations(root, planar3, units="radians", task="Open the drawer")
-    assert caught.value.code == "no-tasks"
+    assert (
+        refusal(root, planar3, match="download all of meta/", units="radians", task="Open the drawer").code
+        == "no-tasks"
+    )
     assert numbers(load_demonstrations(root, planar3, units="radians", episodes="1")) == [1]
 
 
@@ -179,19 +145,20 @@ def test_damaged_lists_of_episodes_are_refused(planar3: Robot) -> None:
     """What is not JSON lines, or describes no episode, is an error that names the file."""
     for content in ["{", "[1]\n", '{"episode_index": "a", "tasks": []}\n', "\xff"]:
         with case(content) as tmp_path:
-            root = version_2(tmp_path / "set")
+            root = made(tmp_path / "set", "v2")
             (root / "meta" / "episodes.jsonl").write_bytes(content.encode("latin-1"))
-            with pytest.raises(RecordingError, match="meta") as caught:
-                load_demonstrations(root, planar3, units="radians", task="Open the drawer")
-            assert caught.value.code == "damaged"
+            assert refusal(root, planar3, match="meta", units="radians", task="Open the drawer").code == "damaged"
 
 
 def test_two_data_sets_have_no_common_numbers(planar3: Robot, tmp_path: Path) -> None:
     """Episode 1 of which? Refused."""
-    with pytest.raises(RecordingError, match="name one data set"):
-        load_demonstrations(
-            [version_2(tmp_path / "a"), version_3(tmp_path / "b")], planar3, units="radians", episodes="1"
-        )
+    refusal(
+        [made(tmp_path / "a", "v2"), made(tmp_path / "b", "v3")],
+        planar3,
+        match="name one data set",
+        units="radians",
+        episodes="1",
+    )
 
 
 def test_command_line(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

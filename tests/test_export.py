@@ -9,10 +9,11 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 from case import case
+from recording_corpus import refusal
 from test_saved_files import arm, rollout_of
 
 from manip_learn.cli import main
-from manip_learn.errors import OutputError, RecordingError
+from manip_learn.errors import OutputError
 from manip_learn.recordings import load_demonstrations
 from manip_learn.recordings.saved_motion import motion_of_trajectory
 from manip_learn.recordings.trajectory import Trajectory
@@ -69,9 +70,7 @@ def test_recordings_come_back(folder: Path, robot: Robot, capsys) -> None:
                 np.testing.assert_array_equal(np.rint(1e9 * (a.time - start)), np.rint(1e9 * b.time))
             if to == "mcap":  # read as the bag of any robot with these joints
                 continue
-            with pytest.raises(RecordingError, match="'arm'") as caught:
-                load_demonstrations(out, load_robot(folder / "longer.urdf"))
-            assert caught.value.code == "other-robot"
+            assert refusal(out, load_robot(folder / "longer.urdf"), match="'arm'").code == "other-robot"
 
 
 def test_a_rollout_with_a_locked_joint(folder: Path, tmp_path: Path, capsys) -> None:
@@ -83,8 +82,7 @@ def test_a_rollout_with_a_locked_joint(folder: Path, tmp_path: Path, capsys) -> 
     assert "51 samples" in capsys.readouterr().out
     demonstration = load_demonstrations(out, robot)[0]
     assert demonstration.q.tobytes() == rollout.q.tobytes()
-    with pytest.raises(RecordingError, match="'j2' is locked at 1.2, not free to move"):
-        load_demonstrations(out, load_robot(folder / "arm.urdf"))
+    refusal(out, load_robot(folder / "arm.urdf"), match="'j2' is locked at 1.2, not free to move")
 
 
 def test_a_trajectory_is_yaml_for_ros(robot: Robot) -> None:
@@ -115,21 +113,20 @@ def test_lerobot_metadata(folder: Path, tmp_path: Path) -> None:
     table = pq.read_table(out / info["data_path"].format(chunk_index=0, file_index=0))
     assert set(table.column_names) == set(info["features"])
     episodes = pq.read_table(out / "meta/episodes/chunk-000/file-000.parquet").to_pylist()
-    assert [(e["dataset_from_index"], e["dataset_to_index"], e["length"]) for e in episodes] == [
-        (0, 40, 40),
-        (40, 80, 40),
-    ]
+    ends = [(e["dataset_from_index"], e["dataset_to_index"], e["length"]) for e in episodes]
+    assert ends == [(0, 40, 40), (40, 80, 40)]
     stats = json.loads((out / "meta" / "stats.json").read_text())
     states = np.array(table.column("observation.state").to_pylist())
     parts = {"mean": states.mean(0), "std": states.std(0), "min": states.min(0), "max": states.max(0), "count": [80]}
     assert set(stats) == set(table.column_names) and set(stats["observation.state"]) == set(parts)
     for name, part in parts.items():
         np.testing.assert_allclose(stats["observation.state"][name], part, rtol=1e-12)
-    columns = {name: table.column(name).to_numpy() for name in ("index", "frame_index", "episode_index", "task_index")}
-    np.testing.assert_array_equal(columns["index"], np.arange(80))
-    np.testing.assert_array_equal(columns["frame_index"], np.tile(np.arange(40), 2))
-    np.testing.assert_array_equal(columns["episode_index"], np.repeat([0, 1], 40))
-    np.testing.assert_array_equal(columns["task_index"], np.zeros(80))
+    for name, numbers in (
+        ("index", np.arange(80)),
+        ("episode_index", np.repeat([0, 1], 40)),
+        ("task_index", np.zeros(80)),
+    ):
+        np.testing.assert_array_equal(table.column(name).to_numpy(), numbers)
     assert info["features"]["observation.velocity"] == {"dtype": "float64", "shape": [3], "names": ["j1", "j2", "j3"]}
     assert info["splits"] == {"train": "0:2"} and info["robot_type"] == "arm"
     demos = load_demonstrations(folder / "demos", load_robot(folder / "arm.urdf"))

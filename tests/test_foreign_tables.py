@@ -8,8 +8,8 @@ from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
-import pytest
 from case import case
+from recording_corpus import refusal
 
 from manip_learn.cli import main
 from manip_learn.errors import RecordingError
@@ -109,12 +109,6 @@ FORMATS: dict[str, tuple[Callable[[], str], list[str], str]] = {
 WITH_VELOCITY = ("PlotJuggler", "position.<joint>", "q[i], dq[i]", "rostopic echo -p", "bagpy")
 
 
-@pytest.fixture(scope="module")
-def planar3() -> Robot:
-    """The shipped three-joint arm."""
-    return load_robot("planar3")
-
-
 def keywords(flags: list[str]) -> dict[str, object]:
     """The same in Python."""
     return {"columns": flags[1::2]} if flags else {}
@@ -157,9 +151,7 @@ def test_the_error_prints_the_flags_to_type(capsys) -> None:
 def refused(path: Path, robot: Robot, text: str, **options: object) -> RecordingError:
     """The refusal of a table."""
     path.write_text(text)
-    with pytest.raises(RecordingError) as caught:
-        load_demonstrations(path, robot, **options)
-    return caught.value
+    return refusal(path, robot, **options)
 
 
 def test_several_candidates_are_a_choice(planar3: Robot, tmp_path: Path) -> None:

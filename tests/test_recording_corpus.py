@@ -9,12 +9,7 @@ from recording_corpus import CHAPTERS, Case
 
 from manip_learn.errors import ManipLearnError, RecordingError
 from manip_learn.recordings import load_demonstrations
-from manip_learn.robot import Robot, load_robot
-
-
-@pytest.fixture(scope="module")
-def planar3() -> Robot:
-    return load_robot("planar3")
+from manip_learn.robot import Robot
 
 
 def verdict_of(path: Path, robot: Robot, options: dict) -> tuple[str, str]:

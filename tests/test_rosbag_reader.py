@@ -11,10 +11,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 from case import case
+from recording_corpus import refusal
 
-from manip_learn.errors import RecordingError
 from manip_learn.recordings import load_demonstrations
-from manip_learn.robot import Robot, load_robot
+from manip_learn.robot import Robot
 
 pytest.importorskip("rosbags", reason="the extra 'ros' is not installed")
 
@@ -89,11 +89,6 @@ def all_in_one(names=JOINTS, q=Q, u=U, topic="/joint_states", delay: int = 3_000
     ]
 
 
-@pytest.fixture(scope="module")
-def planar3() -> Robot:
-    return load_robot("planar3")
-
-
 def test_round_trip(planar3: Robot) -> None:
     """Positions and velocities come back bit for bit, matched by name; time is the header's, from 0."""
     for kind in KINDS:
@@ -140,23 +135,17 @@ def test_a_bag_is_recognised_by_content(planar3: Robot) -> None:
             np.testing.assert_array_equal(load_demonstrations(odd, planar3)[0].q, Q)
 
 
-def test_compressed_ros1_bags(planar3: Robot) -> None:
-    """Both compressions of ROS 1 are read."""
-    for compression in [Writer1.CompressionFormat.BZ2, Writer1.CompressionFormat.LZ4]:
-        with case(compression) as tmp_path:
-            bag = write_bag(tmp_path / "bag", "ros1", all_in_one(), compression=compression)
-            np.testing.assert_array_equal(load_demonstrations(bag, planar3)[0].q, Q)
-
-
-def test_compressed_ros2_bags(planar3: Robot) -> None:
-    """Compressed messages, files and MCAP blocks are read."""
-    for kind, mode in [
-        ("sqlite", CompressionMode.MESSAGE),
-        ("sqlite", CompressionMode.FILE),
-        ("mcap", CompressionMode.STORAGE),
+def test_compressed_bags(planar3: Robot) -> None:
+    """Both compressions of ROS 1; messages, files and MCAP blocks of ROS 2."""
+    for kind, options in [
+        ("ros1", {"compression": Writer1.CompressionFormat.BZ2}),
+        ("ros1", {"compression": Writer1.CompressionFormat.LZ4}),
+        ("sqlite", {"mode": CompressionMode.MESSAGE}),
+        ("sqlite", {"mode": CompressionMode.FILE}),
+        ("mcap", {"mode": CompressionMode.STORAGE}),
     ]:
-        with case(kind, mode) as tmp_path:
-            bag = write_bag(tmp_path / "bag", kind, all_in_one(), mode=mode)
+        with case(kind, options) as tmp_path:
+            bag = write_bag(tmp_path / "bag", kind, all_in_one(), **options)
             np.testing.assert_array_equal(load_demonstrations(bag, planar3)[0].q, Q)
 
 
@@ -201,12 +190,9 @@ def test_measured_and_commanded_states_are_not_mixed(planar3: Robot, tmp_path: P
     """Two topics with the same joints: a question; topics=[...] answers it; /joint_states is preferred, said aloud."""
     messages = sorted([*all_in_one(topic="/real"), *all_in_one(q=Q + 0.1, topic="/command")], key=lambda m: m[1])
     bag = write_bag(tmp_path / "bag", "mcap", messages)
-    with pytest.raises(RecordingError, match=r"topics=\['/real'\]") as caught:
-        load_demonstrations(bag, planar3)
-    assert caught.value.code == "ambiguous-topic"
+    assert refusal(bag, planar3, match=r"topics=\['/real'\]").code == "ambiguous-topic"
     np.testing.assert_array_equal(load_demonstrations(bag, planar3, topics=["/command"])[0].q, Q + 0.1)
-    with pytest.raises(RecordingError, match="/command"):
-        load_demonstrations(bag, planar3, topics=["/wnted"])
+    refusal(bag, planar3, match="/command", topics=["/wnted"])
     messages = sorted([*all_in_one(), *all_in_one(q=Q + 0.1, topic="/command")], key=lambda m: m[1])
     demos = load_demonstrations(write_bag(tmp_path / "usual", "mcap", messages), planar3)
     np.testing.assert_array_equal(demos[0].q, Q)
@@ -225,17 +211,23 @@ def test_a_forgotten_gui_is_noticed(planar3: Robot) -> None:
     for kind in KINDS:
         with case(kind) as tmp_path:
             messages, _ = robot_and_gui(0.4)
-            with pytest.raises(RecordingError, match="Two programs published on one topic") as caught:
-                load_demonstrations(write_bag(tmp_path / "bag", kind, messages), planar3)
-            assert caught.value.code == "two-publishers" and caught.value.column in JOINTS
+            error = refusal(
+                write_bag(tmp_path / "bag", kind, messages), planar3, match="Two programs published on one topic"
+            )
+            assert error.code == "two-publishers" and error.column in JOINTS
 
 
 def test_two_callers_of_one_topic_are_refused(planar3: Robot, tmp_path: Path) -> None:
     """ROS 1 names the callers: postures that nearly agree are told apart; one after the other, they are read."""
     messages, callers = robot_and_gui(1e-4)
-    with pytest.raises(RecordingError, match="/gui .200 messages. and /robot .200.|/robot .200.* and /gui") as caught:
-        load_demonstrations(write_bag(tmp_path / "bag", "ros1", messages, callers), planar3)
-    assert caught.value.code == "two-publishers"
+    assert (
+        refusal(
+            write_bag(tmp_path / "bag", "ros1", messages, callers),
+            planar3,
+            match="/gui .200 messages. and /robot .200.|/robot .200.* and /gui",
+        ).code
+        == "two-publishers"
+    )
     messages = all_in_one()
     restarted = ["/robot_1"] * 100 + ["/robot_2"] * 100
     demos = load_demonstrations(write_bag(tmp_path / "restarted", "ros1", messages, restarted), planar3)
@@ -249,9 +241,12 @@ def test_a_joint_named_twice_in_a_message_is_refused(planar3: Robot) -> None:
             messages = all_in_one(u=None)
             topic, received, (stamp, _, q, _) = messages[70]
             messages[70] = (topic, received, (stamp, ("joint1", "joint2", "joint3", "joint2"), (*q, 0.5)))
-            with pytest.raises(RecordingError, match="name the joint 'joint2' 2 times") as caught:
-                load_demonstrations(write_bag(tmp_path / "bag", kind, messages), planar3)
-            assert caught.value.code == "duplicate-column"
+            assert (
+                refusal(
+                    write_bag(tmp_path / "bag", kind, messages), planar3, match="name the joint 'joint2' 2 times"
+                ).code
+                == "duplicate-column"
+            )
             messages = [(t, r, (s, (*n, "x", "x"), (*q, 0, 0))) for t, r, (s, n, q, _) in all_in_one(u=None)]
             assert load_demonstrations(write_bag(tmp_path / "other", kind, messages), planar3).n_samples == len(Q)
 
@@ -268,42 +263,12 @@ def test_messages_that_differ_are_named(planar3: Robot, tmp_path: Path) -> None:
     assert demos[0].u is None and "1 of 200 messages of /joint_states have no velocities" in " ".join(demos.notes)
 
 
-def test_missing_joints_are_named_with_near_matches(planar3: Robot, tmp_path: Path) -> None:
-    """A joint that is not published is rejected, with the closest name and the two remedies."""
-    messages = [(t, r, (s, ("joint1", "joint2", "joint_3"), q)) for t, r, (s, _, q, _) in all_in_one()]
-    bag = write_bag(tmp_path / "bag", "ros1", messages)
-    with pytest.raises(RecordingError, match=r"'joint_3'.*locked=\['joint3'\]") as caught:
-        load_demonstrations(bag, planar3)
-    assert caught.value.code == "missing-joint" and caught.value.column == "joint3"
-    demos = load_demonstrations(bag, planar3, rename={"joint_3": "joint3"})
-    np.testing.assert_array_equal(demos[0].q, Q)
-
-
-def test_stamps_that_are_not_set_late_or_doubled(planar3: Robot, tmp_path: Path) -> None:
-    """No header stamps: the recorder's; late messages are sorted; the last of equal stamps is kept; all said aloud."""
+def test_stamps_that_are_not_set(planar3: Robot, tmp_path: Path) -> None:
+    """Without header stamps those of the recorder are used, and it is said."""
     zero = [(t, r, (0, *c[1:])) for t, r, c in all_in_one()]
     demos = load_demonstrations(write_bag(tmp_path / "zero", "mcap", zero), planar3)
     np.testing.assert_allclose(demos[0].time, T, rtol=0, atol=1e-12)
     assert "not set" in " ".join(demos.notes)
-    late = all_in_one()
-    late[50], late[51] = ((*late[50][:2], late[51][2]), (*late[51][:2], late[50][2]))
-    demos = load_demonstrations(write_bag(tmp_path / "late", "mcap", late), planar3)
-    np.testing.assert_array_equal(demos[0].q, Q)
-    assert "came late" in " ".join(demos.notes)
-    doubled = all_in_one()
-    doubled[50] = (*doubled[50][:2], (doubled[51][2][0], *doubled[50][2][1:]))
-    demos = load_demonstrations(write_bag(tmp_path / "doubled", "mcap", doubled), planar3)
-    np.testing.assert_array_equal(demos[0].q, np.delete(Q, 50, axis=0))
-    assert "repeated stamp" in " ".join(demos.notes)
-
-
-def test_a_clock_that_was_reset_is_refused(planar3: Robot, tmp_path: Path) -> None:
-    """Two runs in one bag must not be sorted into each other."""
-    messages = all_in_one()
-    again = [(t, r + 10**10, (s - 10**10, *c)) for t, r, (s, *c) in messages]
-    with pytest.raises(RecordingError, match="goes back") as caught:
-        load_demonstrations(write_bag(tmp_path / "bag", "sqlite", [*messages, *again]), planar3)
-    assert caught.value.code == "time-order"
 
 
 def test_bags_without_joint_states_say_what_they_have(planar3: Robot, tmp_path: Path) -> None:
@@ -312,9 +277,7 @@ def test_bags_without_joint_states_say_what_they_have(planar3: Robot, tmp_path: 
         connection = writer.add_connection("/chatter", "std_msgs/msg/String", typestore=ROS2)
         message = ROS2.types["std_msgs/msg/String"]("hello")
         writer.write(connection, 1, ROS2.serialize_cdr(message, "std_msgs/msg/String"))
-    with pytest.raises(RecordingError, match="/chatter") as caught:
-        load_demonstrations(tmp_path / "bag", planar3)
-    assert caught.value.code == "no-joint-states"
+    assert refusal(tmp_path / "bag", planar3, match="/chatter").code == "no-joint-states"
 
 
 def test_big_endian_messages(planar3: Robot, tmp_path: Path, monkeypatch) -> None:
@@ -342,9 +305,7 @@ def test_a_bomb_in_a_ros1_bag_is_refused(planar3: Robot, tmp_path: Path) -> None
     bomb = bz2.compress(bytes(64_000_000))
     bomb += bytes(size - len(bomb))
     bag.write_bytes(content[:start] + bomb + content[start + size :])
-    with pytest.raises(RecordingError) as caught:
-        load_demonstrations(bag, planar3)
-    assert caught.value.code == "bomb"
+    assert refusal(bag, planar3).code == "bomb"
 
 
 def test_a_bomb_in_an_mcap_is_refused(planar3: Robot) -> None:
@@ -358,21 +319,4 @@ def test_a_bomb_in_an_mcap_is_refused(planar3: Robot) -> None:
             struct.pack_into("<Q", content, at - 16, claim)
             file.write_bytes(bytes(content))
             for path in (bag, file):
-                with pytest.raises(RecordingError) as caught:
-                    load_demonstrations(path, planar3)
-                assert caught.value.code == "bomb"
-
-
-def test_continuous_joints_of_slow_publishers_do_not_wrap(robot_of, tmp_path: Path) -> None:
-    """Interpolation between -pi and pi goes the short way."""
-    robot = robot_of("wrist")
-    fast = STEPS
-    slow = np.arange(STEPS[0], STEPS[-1] + 1, 50_000_000)
-
-    def angle(s: int) -> float:
-        return float((3.0 + s * 1e-9 + np.pi) % (2 * np.pi) - np.pi)
-
-    messages = [("/a", START + int(s), (START + int(s), ("joint1", "joint3", "joint2"), (0.1, 0.2, 0.3))) for s in fast]
-    messages += [("/b", START + int(s), (START + int(s), ("joint0",), (angle(s),))) for s in slow]
-    demos = load_demonstrations(write_bag(tmp_path / "bag", "mcap", sorted(messages, key=lambda m: m[1])), robot)
-    np.testing.assert_allclose(demos[0].q[:, 0], 3.0 + demos[0].time, rtol=0, atol=1e-9)
+                assert refusal(path, planar3).code == "bomb"

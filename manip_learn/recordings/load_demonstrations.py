@@ -118,15 +118,10 @@ def iter_demonstrations(
     """One trajectory after the other, for recordings larger than memory.
 
     Args:
-        paths: As for `load_demonstrations`.
+        paths: As for `load_demonstrations`, whose errors may come, too, as soon as a recording cannot be trusted.
         robot: As for `load_demonstrations`.
         notes: A list to which sentences are added at the end, or None.
         **options: See `ReadOptions`.
-
-    Raises:
-        RecordingError: As soon as a recording is found that cannot be trusted.
-        UnknownNameError: No episode shows the task; lists near matches.
-        MissingExtraError: The format needs a library that is not installed.
     """
     found: list[str] = []
     with frames_as_files(paths) as given:
@@ -144,7 +139,6 @@ def open_recordings(
 
     Raises:
         RecordingError: An option or a path that is wrong, or episodes that do not exist.
-        UnknownNameError: No episode shows the task; lists near matches.
     """
     request = _request(robot, options)
     files, said = recording_files(paths)
@@ -190,11 +184,10 @@ def _recordings(file: RecordingFile, request: ReadRequest) -> Iterator[Recording
 
 def _sentences(by_text: dict[str, list[str]]) -> list[str]:
     """One sentence per finding: the same finding in fifty files is reported once."""
-    sentences = []
-    for text, names in by_text.items():
-        others = f" and {len(names) - 1} more" if len(names) > 1 else ""
-        sentences.append(printable(f"{names[0]}{others}: {text}"))
-    return sentences
+    return [
+        printable(f"{names[0]}{f' and {len(names) - 1} more' if len(names) > 1 else ''}: {text}")
+        for text, names in by_text.items()
+    ]
 
 
 def _request(robot: Robot, options: ReadOptions) -> ReadRequest:
@@ -207,14 +200,8 @@ def _request(robot: Robot, options: ReadOptions) -> ReadRequest:
     fields["units_insisted"] = fields.get("units") is not None
     if degrees:
         if fields.get("units") not in (None, "degrees"):
-            raise RecordingError(
-                advice(
-                    "{} contradict each other: give one",
-                    f"degrees=True and units={fields['units']!r}",
-                    f"--degrees and --units {fields['units']}",
-                ),
-                code="option",
-            )
+            python, flags = f"degrees=True and units={fields['units']!r}", f"--degrees and --units {fields['units']}"
+            raise RecordingError(advice("{} contradict each other: give one", python, flags), code="option")
         fields["units"] = "degrees"
     if fields.get("episodes") is not None:
         fields["episodes"] = EpisodeSelection.of(fields["episodes"])  # type: ignore[arg-type]
@@ -250,15 +237,6 @@ def numbers_read(paths: Paths, robot: Robot, **options: Unpack[ReadOptions]) -> 
 
     Of a LeRobot data set they are numbers of episodes; else places among all files. Files that hold several recordings
     have one number for all.
-
-    Args:
-        paths: As for `load_demonstrations`.
-        robot: As for `load_demonstrations`.
-        **options: As for `load_demonstrations`.
-
-    Raises:
-        RecordingError: An option or a path that is wrong, or episodes that do not exist.
-        UnknownNameError: No episode shows the task.
     """
     files, request, _ = open_recordings(paths, robot, options)
     if any(f.format is LEROBOT for f in files):

@@ -4,8 +4,6 @@ from __future__ import annotations
 
 import functools
 from collections.abc import Sequence
-from dataclasses import dataclass
-from typing import final
 
 import numpy as np
 from jaxtyping import Float
@@ -133,67 +131,32 @@ def _powers(x: Float[np.ndarray, "m W"], degree: int) -> Float[np.ndarray, "m d 
     return powers
 
 
-@final
-@dataclass(frozen=True, eq=False)
-class _Trial:
-    """The windows of one width, with the polynomials that may be fitted to them.
-
-    Attributes:
-        richer: What a polynomial of two degrees more adds to the weights of each slope, shape (m, W, d) [1/s].
-        own: Mean sum of squares of these, shape (d,).
-        spread: That of the weights of the slopes themselves, shape (d,).
-    """
-
-    richer: Float[np.ndarray, "m W d"]
-    own: Float[np.ndarray, " d"]
-    spread: Float[np.ndarray, " d"]
-
-    def errors(
-        self, windows: Float[np.ndarray, "j N W"], noise2: Float[np.ndarray, " j"], weight: float
-    ) -> Float[np.ndarray, "d j"]:
-        """Estimated error of the slope for each degree and joint: bias, times a weight, and noise."""
-        joints, n, _ = windows.shape
-        if len(self.richer) == 1:
-            difference = (windows.reshape(joints * n, -1) @ self.richer[0]).reshape(joints, n, -1)
-            square = np.einsum("jnd,jnd->dj", difference, difference) / n
-        else:
-            difference = windows.transpose(1, 0, 2) @ self.richer
-            square = np.einsum("njd,njd->dj", difference, difference) / n
-        # the difference of the two fits holds the bias and its own share of the noise: take that off again
-        bias2 = np.maximum(square - self.own[:, None] * noise2, 0.0)
-        return weight * bias2 + self.spread[:, None] * noise2
-
-
 def _is_short(grid: Grid) -> bool:
     """Whether it is worth keeping what depends on a grid."""
     return not isinstance(grid, bytes) or len(grid) <= 8 * KEPT_STAMPS
 
 
 @functools.lru_cache(maxsize=32)
-def _trial(grid: Grid, half_width: int, degrees: tuple[int, ...], stride: int) -> _Trial:
-    """Polynomials of some degrees fitted to windows of one width; recordings that are sampled alike share them."""
+def _trial(
+    grid: Grid, half_width: int, degrees: tuple[int, ...], stride: int
+) -> tuple[Float[np.ndarray, "m W d"], Float[np.ndarray, " d"], Float[np.ndarray, " d"]]:
+    """Polynomials of some degrees fitted to windows of one width; recordings that are sampled alike share them.
+
+    Returns:
+        What a polynomial of two degrees more adds to the weights of each slope [1/s]; the mean sum of squares of these;
+        and that of the weights of the slopes themselves.
+    """
     offset = _offsets(grid, half_width, stride)
     slopes = {d: _solved_weights(offset, d)[:, 1] for d in {*degrees, *(degree + 2 for degree in degrees)}}
     richer = np.stack([slopes[d + 2] - slopes[d] for d in degrees], axis=2)
     own = np.mean(np.sum(richer**2, axis=1), axis=0)
-    return _Trial(richer, own, np.array([np.mean(np.sum(slopes[d] ** 2, axis=1)) for d in degrees]))
+    return richer, own, np.array([np.mean(np.sum(slopes[d] ** 2, axis=1)) for d in degrees])
 
 
 def half_widths_of(time: Float[np.ndarray, " T"]) -> tuple[int, ...]:
     """Half widths [samples] among which to choose at some times [s]."""
     step = float(time[-1] - time[0]) / max(len(time) - 1, 1)
     return (*HALF_WIDTHS, *(m for m in WIDER if m * step <= LONGEST * (1.0 + EVEN)))
-
-
-def best_window(
-    time: Float[np.ndarray, " T"],
-    x: Float[np.ndarray, "T nv"],
-    half_widths: Sequence[int] | None = None,
-    degrees: Sequence[int] = DEGREES,
-    longest: int | None = None,
-) -> tuple[int, int]:
-    """Half width [samples] and degree whose slope has the smallest estimated error, all joints together."""
-    return best_windows(time, x[None], half_widths, degrees, longest)[0]
 
 
 def best_windows(
@@ -203,7 +166,15 @@ def best_windows(
     degrees: Sequence[int] = DEGREES,
     longest: int | None = None,
 ) -> list[tuple[int, int]]:
-    """`best_window` of each of several recordings with the same times."""
+    """Half width [samples] and degree whose slope has the smallest estimated error, all joints together.
+
+    Args:
+        time: Of all the recordings [s].
+        x: One recording after the other.
+        half_widths: To choose among.
+        degrees: To choose among.
+        longest: Samples in the longest window.
+    """
     n, T, nv = x.shape
     beside = np.ascontiguousarray(x.transpose(0, 2, 1)).reshape(n * nv, T)
     noise2, grid = noise_variance(time, beside.T), _grid(time)
@@ -219,9 +190,16 @@ def best_windows(
         stride = max(1, (len(time) - 2 * m) // COMPARED)
         windows = np.lib.stride_tricks.sliding_window_view(beside, 2 * m + 1, axis=1)[:, ::stride]
         trial = _trial if _is_short(grid) else _trial.__wrapped__
-        polynomials = trial(grid, m, usable, stride if isinstance(grid, bytes) else 1)
-        errors = polynomials.errors(windows, noise2, weight)
-        errors = np.sum(errors.reshape(len(usable), n, nv), axis=2)
+        richer, own, spread = trial(grid, m, usable, stride if isinstance(grid, bytes) else 1)
+        if len(richer) == 1:
+            difference = (windows.reshape(-1, 2 * m + 1) @ richer[0]).reshape(*windows.shape[:2], -1)
+            square = np.einsum("jnd,jnd->dj", difference, difference) / windows.shape[1]
+        else:
+            difference = windows.transpose(1, 0, 2) @ richer
+            square = np.einsum("njd,njd->dj", difference, difference) / windows.shape[1]
+        # the difference of the two fits holds the bias and its own share of the noise: take that off again
+        bias2 = np.maximum(square - own[:, None] * noise2, 0.0)
+        errors = np.sum((weight * bias2 + spread[:, None] * noise2).reshape(len(usable), n, nv), axis=2)
         for k in np.flatnonzero(errors.min(axis=0) < least):
             i = int(np.argmin(errors[:, k]))
             best[k], least[k] = (m, usable[i]), errors[i, k]

@@ -116,15 +116,11 @@ class Trajectory:
         return int(self.time.shape[0])
 
     def __repr__(self) -> str:
-        return f"Trajectory({self.name!r}: {self.in_words()})"
-
-    def in_words(self) -> str:
-        """Number of samples, duration, joints, and whether velocities were recorded."""
         joints = len(self.joint_names) or (self.q if self.u is None else self.u).shape[1]
         velocities = "without" if self.u is None else "with"
         also = ("" if self.effort is None else " and efforts") + ("" if self.wrench is None else " and a wrench")
         amount = f"{counted(len(self), 'sample')} over {self.duration:.4g} s"
-        return f"{amount}, {counted(joints, 'joint')}, {velocities} velocities{also}"
+        return f"Trajectory({self.name!r}: {amount}, {counted(joints, 'joint')}, {velocities} velocities{also})"
 
     @property
     def beside(self) -> dict[str, Any]:

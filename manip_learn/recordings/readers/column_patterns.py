@@ -9,6 +9,7 @@ from typing import final
 
 from manip_learn.errors import advice, closest_names
 from manip_learn.recordings.format_words import COMMAND, EFFORT
+from manip_learn.recordings.readers.read_request import UNIT_WORDS
 from manip_learn.robot import Robot, load_robot
 from manip_learn.robot.description.catalogue import SHIPPED
 
@@ -22,7 +23,6 @@ OTHER = {
     *("temperature", "temp", "voltage", "force", "error", "errors", "limit", "jerk", "name"),
 }
 NUMBERED = re.compile(r"(?P<head>.*?)(?P<number>\d+)(?P<tail>\D*)")
-TIME_UNIT_WORDS = {"s": "seconds", "ms": "milliseconds", "us": "microseconds", "ns": "nanoseconds"}
 # the axis of PlotJuggler's tables [s]
 PLOTJUGGLER = ("__time",)
 # written by `rostopic echo -p`, and by converters of ROS 1 bags, in nanoseconds
@@ -304,5 +304,5 @@ def _single(names: Sequence[str | None], lowered: list[str], i: int, known: list
     said = WITH_UNIT.fullmatch(lowered[i])
     if said is not None:
         unit = "s" if said.group(1).startswith("s") else said.group(1)
-    note = f"time is read from column {names[i]!r}, in {TIME_UNIT_WORDS[unit or 's']}"
+    note = f"time is read from column {names[i]!r}, in {UNIT_WORDS[unit or 's']}"
     return TimeColumns((i,), unit, note, tuple(k for k in known if k != i))

@@ -61,15 +61,8 @@ def opened_parquet(file: Path) -> Iterator[Any]:
         ) from error
 
 
-def parquet_rows(file: Path, columns: tuple[str, ...]) -> Iterator[dict[str, Any]]:
-    """Some columns of a Parquet file, row by row; a column that is missing is left out.
-
-    A file without the first column, the number of the episode, is one episode: 0.
-
-    Raises:
-        RecordingError: Damaged.
-        MissingExtraError: The extra `lerobot` is not installed.
-    """
+def _parquet_rows(file: Path, columns: tuple[str, ...]) -> Iterator[dict[str, Any]]:
+    """Some columns row by row, those that are there; without the first, the number of the episode, one episode: 0."""
     with opened_parquet(file) as parquet:
         there = [c for c in columns if c in parquet.schema_arrow.names]
         if columns[0] not in there:
@@ -124,34 +117,29 @@ def open_dataset(path: Path) -> LeRobotDataset:
     Raises:
         RecordingError: Another version, no samples, or metadata that is damaged.
     """
+    files, info_path = (path,), _meta(path) / "info.json"
     if path.is_dir():
         files = tuple(sorted((path / "data").rglob("*.parquet"), key=lambda f: natural_order(str(f.relative_to(path)))))
+        info_path = path / "meta" / "info.json"
         if not files:
             text = "the data set has no data/**/*.parquet: download its data, not only meta/"
             raise refusal(path, "empty", text, in_full=True)
-        return LeRobotDataset(path, files, *_described(path / "meta" / "info.json"))
-    info = _meta(path) / "info.json"
-    features, fps, *_ = _described(info) if info.is_file() else (None, None)
-    return LeRobotDataset(path, (path,), features, fps)
-
-
-def _described(info_path: Path) -> tuple[dict[str, Any], float | None, int | None, int | None]:
-    """Features, samples per second, and numbers of samples and episodes."""
+    elif not info_path.is_file():
+        return LeRobotDataset(path, files)
     info = read_json(info_path)
     if not isinstance(info, dict):
         raise refusal(info_path, "damaged", f"an object is needed, this is {type(info).__name__}", in_full=True)
-    version = info.get("codebase_version")
+    version, features = info.get("codebase_version"), info.get("features")
     if not isinstance(version, str) or not version.startswith(("v2.", "v3.")):
         text = f"codebase_version is {version!r}; v2.0, v2.1 and v3.0 are read: convert the data set"
         raise refusal(info_path, "version", text, in_full=True)
-    features = info.get("features")
     if not isinstance(features, dict):
         said = "it has no features, so nothing says where the joint positions are"
         raise refusal(info_path, "no-state", said, in_full=True)
     fps, *totals = (info.get(name) for name in ("fps", "total_frames", "total_episodes"))
     usable = isinstance(fps, int | float) and not isinstance(fps, bool) and 0 < fps < 1e6
-    frames, episodes = (n if isinstance(n, int) and not isinstance(n, bool) else None for n in totals)
-    return features, float(fps) if usable else None, frames, episodes  # type: ignore[arg-type]
+    whole = (n if path.is_dir() and isinstance(n, int) and not isinstance(n, bool) else None for n in totals)
+    return LeRobotDataset(path, files, features, float(fps) if usable else None, *whole)  # type: ignore[arg-type]
 
 
 @final
@@ -204,9 +192,8 @@ def _missing(wanted: str, asked: str | None, vectors: Sequence[str], likely: Seq
     text = f"there is no feature {wanted!r}"
     if asked is not None:
         near = closest_names(asked, vectors)
-        return f"{text}; " + (
-            f"did you mean {first_names(near)}?" if near else f"vectors of numbers are {first_names(vectors)}"
-        )
+        hint = f"did you mean {first_names(near)}?" if near else f"vectors of numbers are {first_names(vectors)}"
+        return f"{text}; {hint}"
     if likely:
         flag = advice(": read it with {}", f"feature={likely[0]!r}", f"--feature {likely[0]}")
         return f"{text}, joint positions seem to be in {first_names(likely)}{flag}"
@@ -234,42 +221,33 @@ def _beside(position: str, vectors: Sequence[str]) -> tuple[str, str]:
     return exchanged(VELOCITY_WORDS, VELOCITY), exchanged(EFFORT_WORDS, effort)
 
 
-@final
-@dataclass(frozen=True)
-class WrenchFeature:
-    """Where a data set keeps a wrench.
-
-    Attributes:
-        names: Of one feature with six entries, or of two with forces and torques; empty if there is none.
-        order: Of the entries, so that forces x y z and torques x y z come out.
-        note: Why none is used though there are some; else empty.
-    """
-
-    names: tuple[str, ...] = ()
-    order: tuple[int, ...] = tuple(range(6))
-    note: str = ""
-
-
-def wrench_feature(features: Mapping[str, Any] | None, ignores: Callable[[str], bool]) -> WrenchFeature:
-    """The feature with the wrench of a sensor at the hand: `observation.wrench`, or the only one of another known name.
+def wrench_feature(
+    features: Mapping[str, Any] | None, ignores: Callable[[str], bool]
+) -> tuple[tuple[str, ...], tuple[int, ...], str]:
+    """Where a data set keeps the wrench of a sensor at the hand: `observation.wrench`, or the only one of a known name.
 
     Args:
         features: What `meta/info.json` says of each feature; None of a single file without it.
         ignores: Whether a feature is not to be read.
+
+    Returns:
+        One feature with six entries, or two with forces and torques, none if there is none; the order of the entries,
+        so that forces x y z and torques x y z come out; and why none is used though there are some, else empty.
     """
+    in_order = tuple(range(6))
     if features is None:
-        return WrenchFeature((WRENCH,))
+        return (WRENCH,), in_order, ""
     width = {name: feature["shape"][0] for name, feature in features.items() if _is_vector(feature)}
     found = [names for names in wrench_sets(width) if not any(map(ignores, names))]
     usual = [names for names in found if names == (WRENCH,)] or found
     if len(usual) > 1:
         one = usual[0][0]
         flag = advice(" ({} leaves one out)", f"ignore_columns=[{one!r}]", f"--ignore-column {one}")
-        return WrenchFeature(note=several_wrenches(map(" and ".join, usual)) + flag)
+        return (), in_order, several_wrenches(map(" and ".join, usual)) + flag
     if not usual:
-        return WrenchFeature()
+        return (), in_order, ""
     entries = entry_names(features[usual[0][0]].get("names")) if len(usual[0]) == 1 else None
-    return WrenchFeature(usual[0], wrench_columns(entries or ())[0] or WrenchFeature.order)
+    return usual[0], wrench_columns(entries or ())[0] or in_order, ""
 
 
 def entry_names(names: Any) -> tuple[str, ...] | None:
@@ -297,7 +275,6 @@ def episode_numbers(path: Path) -> tuple[int, ...]:
 
     Raises:
         RecordingError: No data set, or damaged.
-        MissingExtraError: The extra `lerobot` is not installed.
     """
     numbers: set[int] = set()
     for file in open_dataset(path).files:
@@ -305,7 +282,7 @@ def episode_numbers(path: Path) -> tuple[int, ...]:
         if number is not None:
             numbers.add(number)
         else:
-            numbers |= {int(row["episode_index"]) for row in parquet_rows(file, ("episode_index",))}
+            numbers |= {int(row["episode_index"]) for row in _parquet_rows(file, ("episode_index",))}
     return tuple(sorted(numbers))
 
 
@@ -314,7 +291,6 @@ def separate_files(path: Path) -> list[list[Path]]:
 
     Raises:
         RecordingError: No data set, or damaged.
-        MissingExtraError: The extra `lerobot` is not installed.
     """
     runs: list[list[Path]] = []
     before, found, dataset = None, 0, open_dataset(path)
@@ -340,7 +316,6 @@ def episodes_of_task(path: Path, task: str) -> frozenset[int]:
     Raises:
         UnknownNameError: There is no such task; lists near matches.
         RecordingError: The data set does not say which episode shows which task, or is damaged.
-        MissingExtraError: The extra `lerobot` is not installed.
     """
 
     def plain(text: str) -> str:
@@ -365,7 +340,7 @@ def _described_episodes(path: Path) -> Iterator[tuple[int, tuple[str, ...]]]:
         except (ValueError, RecursionError) as error:
             raise refusal(lines, "damaged", f"not valid JSON lines: {reason(error)}", in_full=True) from error
     elif tables:
-        rows = (row for table in tables for row in parquet_rows(table, ("episode_index", "tasks")))
+        rows = (row for table in tables for row in _parquet_rows(table, ("episode_index", "tasks")))
     else:
         raise refusal(
             path,

@@ -17,7 +17,6 @@ from manip_learn.recordings.format_words import DATASET_HEADER, wrench_columns
 from manip_learn.recordings.readers.lerobot_dataset import (
     LeRobotDataset,
     StateFeature,
-    WrenchFeature,
     episode_number,
     open_dataset,
     opened_parquet,
@@ -40,6 +39,7 @@ GRIPPER = "gripper"  # always 0 .. 100 in LeRobot, whatever the unit of the othe
 
 # number of an episode, and its samples: `time`, `state`, and `velocity`, `effort` and `wrench` where they were recorded
 Episode = tuple[int, dict[str, np.ndarray]]
+Wrench = tuple[tuple[str, ...], tuple[int, ...]]  # features of a wrench, and the order of their entries
 
 
 def read(path: Path, request: ReadRequest) -> Iterator[Recording]:
@@ -53,16 +53,16 @@ def read(path: Path, request: ReadRequest) -> Iterator[Recording]:
     if is_ours:  # in radians; its robot has been checked
         request = replace(request, units=request.units or "radians")
     feature = state_feature(dataset.root, dataset.features, request.feature)
-    wrench = wrench_feature(dataset.features, request.ignores)
+    at_hand, order, note = wrench_feature(dataset.features, request.ignores)
     request.uses.use("feature")
-    said = [wrench.note] if wrench.note else []
+    said = [note] if note else []
     if feature.others:
         how = advice(" ({} reads it)", f"feature={feature.others[0]!r}", f"--feature {feature.others[0]}")
         text = f"read from {feature.position}; also like joint positions, not used: {', '.join(feature.others)}{how}"
         said.insert(0, text)
     names: tuple[str, ...] | None = None
     numbers, frames = set(), 0
-    for number, columns in _episodes(dataset, feature, wrench, request):
+    for number, columns in _episodes(dataset, feature, (at_hand, order), request):
         numbers.add(number)
         frames += len(columns["state"])
         if names is None:
@@ -176,7 +176,7 @@ def _refuse_unknown_units(
 
 
 def _episodes(
-    dataset: LeRobotDataset, feature: StateFeature, wrench: WrenchFeature, request: ReadRequest
+    dataset: LeRobotDataset, feature: StateFeature, wrench: Wrench, request: ReadRequest
 ) -> Iterator[Episode]:
     """Episodes of all files, or the chosen ones; one may go on in the next batch or file."""
     chosen, number, open_parts = request.chosen, -1, []
@@ -202,7 +202,7 @@ def _joined(parts: list[dict[str, np.ndarray]]) -> dict[str, np.ndarray]:
 
 
 def _parts(
-    file: Path, dataset: LeRobotDataset, feature: StateFeature, wrench: WrenchFeature, request: ReadRequest
+    file: Path, dataset: LeRobotDataset, feature: StateFeature, wrench: Wrench, request: ReadRequest
 ) -> Iterator[Episode]:
     """Runs of samples with the same episode number, batch by batch; only the needed columns are read."""
     with opened_parquet(file) as parquet:
@@ -212,15 +212,25 @@ def _parts(
                 file, "no-state", f"there is no column {feature.position!r}, there is {', '.join(there[:12])}"
             )
         named = {"state": feature.position, "velocity": feature.velocity, "effort": feature.effort}
-        known = dict.fromkeys((*named.values(), *wrench.names, *STAMPS))
+        at_hand, order = wrench
+        known = dict.fromkeys((*named.values(), *at_hand, *STAMPS))
         stated, found = parquet.metadata.num_rows, 0
         for batch in parquet.iter_batches(batch_size=BATCH, columns=[c for c in known if c in there]):
             found += batch.num_rows
             columns = {name: _matrix(file, batch, column) for name, column in named.items() if column in there}
-            if wrench.names and all(name in there for name in wrench.names):
-                both = np.hstack([_matrix(file, batch, name) for name in wrench.names])
-                columns |= {"wrench": both[:, wrench.order]} if both.shape[1] == len(wrench.order) else {}
-            columns["time"] = _time(file, batch, dataset, request)
+            if at_hand and all(name in there for name in at_hand):
+                both = np.hstack([_matrix(file, batch, name) for name in at_hand])
+                columns |= {"wrench": both[:, order]} if both.shape[1] == len(order) else {}
+            rate = request.rate or dataset.fps
+            if "timestamp" in there:
+                columns["time"] = _numbers(file, batch, "timestamp")
+            elif "frame_index" in there and rate is not None:
+                request.uses.use("rate")
+                columns["time"] = _numbers(file, batch, "frame_index") / rate
+            else:
+                text = "there is neither 'timestamp' nor 'frame_index' with a rate: "
+                text += advice("pass {}", "rate=<samples per second>", "--rate <samples per second>")
+                raise refusal(file, "no-time", text)
             n = batch.num_rows
             number = _numbers(file, batch, "episode_index") if "episode_index" in there else np.zeros(n)
             bounds = [0, *(int(i) + 1 for i in np.flatnonzero(np.diff(number))), n]
@@ -231,21 +241,6 @@ def _parts(
         if not found == stated == groups:
             text = f"{counted(found, 'sample')} are there, it states {stated}, in parts {groups}: download it again"
             raise refusal(file, "lost-samples", text)
-
-
-def _time(file: Path, batch: Any, dataset: LeRobotDataset, request: ReadRequest) -> np.ndarray:
-    if "timestamp" in batch.schema.names:
-        return _numbers(file, batch, "timestamp")
-    rate = request.rate or dataset.fps
-    request.uses.use("rate")
-    if rate is None or "frame_index" not in batch.schema.names:
-        raise refusal(
-            file,
-            "no-time",
-            "there is neither 'timestamp' nor 'frame_index' with a rate: "
-            + advice("pass {}", "rate=<samples per second>", "--rate <samples per second>"),
-        )
-    return _numbers(file, batch, "frame_index") / rate
 
 
 def _is_list(kind: Any) -> bool:

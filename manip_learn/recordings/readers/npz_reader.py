@@ -31,7 +31,7 @@ def read(path: Path, request: ReadRequest) -> Iterator[Recording]:
     texts = [] if request.ignores("joint_names") else ["joint_names"]
     archive = NpzArchive(path, numbers, texts, request.renamed)
     _check_shapes(archive)
-    arrays = {name: archive.numbers(name) for name in NUMBERS if name in archive}
+    arrays = {name: archive.numbers(name) for name in NUMBERS if name in archive.arrays}
     notes = [f"arrays not used: {', '.join(archive.ignored)}"] if archive.ignored else []
     for name in arrays:
         dtype = archive.arrays[name].dtype
@@ -84,13 +84,6 @@ class NpzArchive:
                         self.arrays[name] = self._read(name, file, info.file_size, "fiu" if name in numbers else "US")
         except DAMAGE as error:
             raise self.refusal("damaged", f"the archive is damaged ({reason(error)}): copy or save it again") from error
-
-    def __contains__(self, name: str) -> bool:
-        return name in self.arrays
-
-    def shape(self, name: str) -> tuple[int, ...]:
-        """Of an array."""
-        return self.arrays[name].shape
 
     def numbers(self, name: str) -> np.ndarray:
         """An array of numbers, float64.
@@ -178,7 +171,7 @@ def _decoded(value: str | bytes) -> str:
 
 def _check_shapes(archive: NpzArchive) -> None:
     for name in ("time", "q"):
-        if name not in archive:
+        if name not in archive.arrays:
             near = closest_names(name, archive.ignored)
             hint = ""
             if near:
@@ -186,26 +179,25 @@ def _check_shapes(archive: NpzArchive) -> None:
                 hint = advice(f"; if {near[0]!r} is meant: {{}}", python, flag)
             there = ", ".join(map(repr, [*archive.arrays, *archive.ignored]))
             raise archive.refusal("missing-array", f"there is no array {name!r}; there is {there}{hint}")
-    time, q = archive.shape("time"), archive.shape("q")
+    shapes = {name: array.shape for name, array in archive.arrays.items()}
+    time, q = shapes["time"], shapes["q"]
     if len(time) != 1 or len(q) != 2 or q[0] != time[0]:
         raise archive.refusal("shape", f"time must have shape (T,) and q (T, n); they have {time} and {q}")
     for name in ("u", "effort", "wrench"):
-        shape = archive.shape(name) if name in archive else q
+        shape = shapes.get(name, q)
         if len(shape) != 2 or shape[0] != time[0]:
-            raise archive.refusal(
-                "shape", f"{name} must have shape ({time[0]}, n), it has {shape}: one row per time stamp"
-            )
-    if "effort" in archive and archive.shape("effort") != archive.shape("u" if "u" in archive else "q"):
-        raise archive.refusal("shape", f"effort has shape {archive.shape('effort')}: one column per joint is needed")
-    if "wrench" in archive and archive.shape("wrench")[1] != 6:
-        raise archive.refusal(
-            "shape", f"wrench has shape {archive.shape('wrench')}: three forces and torques are needed"
-        )
+            said = f"{name} must have shape ({time[0]}, n), it has {shape}: one row per time stamp"
+            raise archive.refusal("shape", said)
+    if "effort" in shapes and shapes["effort"] != shapes.get("u", q):
+        raise archive.refusal("shape", f"effort has shape {shapes['effort']}: one column per joint is needed")
+    if "wrench" in shapes and shapes["wrench"][1] != 6:
+        raise archive.refusal("shape", f"wrench has shape {shapes['wrench']}: three forces and torques are needed")
 
 
 def _joint_names(archive: NpzArchive, request: ReadRequest) -> tuple[str, ...]:
-    width = archive.shape("u" if "u" in archive else "q")[1]
-    if "joint_names" in archive:
+    columns = archive.arrays["q"].shape[1]
+    width = archive.arrays["u"].shape[1] if "u" in archive.arrays else columns
+    if "joint_names" in archive.arrays:
         names = tuple(request.renamed(n) for n in archive.texts("joint_names"))
     elif request.joint_names is not None:
         request.uses.use("joint_names")
@@ -213,7 +205,7 @@ def _joint_names(archive: NpzArchive, request: ReadRequest) -> tuple[str, ...]:
     else:
         raise archive.refusal(
             "no-joint-names",
-            f"the archive has no 'joint_names' for the {counted(archive.shape('q')[1], 'column')} of q: save them"
+            f"the archive has no 'joint_names' for the {counted(columns, 'column')} of q: save them"
             + advice(", or pass {} in the order of the columns", "joint_names=[...]", "--joint-names NAME,NAME,..."),
         )
     if len(names) != width:

@@ -16,6 +16,7 @@ Units = Literal["radians", "degrees", "normalised"]
 TimeUnit = Literal["s", "ms", "us", "ns"]
 
 SECONDS: dict[str, float] = {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9}  # of one unit
+UNIT_WORDS = {"s": "seconds", "ms": "milliseconds", "us": "microseconds", "ns": "nanoseconds"}
 # options that only some formats have a use for, and why the recordings had none
 WHY = {
     "topics": "topics are read from ROS bags, and none of the recordings is one",
@@ -77,13 +78,6 @@ class OptionUses:
         if len(self._seen) < 10_000:  # for near matches
             self._seen.update(dict.fromkeys(names))
 
-    def renamed(self, name: str, rename: Mapping[str, str]) -> str:
-        """The name in a file after renaming."""
-        self.see(name)
-        if name in rename:
-            self.use("rename", name)
-        return rename.get(name, name)
-
     def use(self, option: str, *names: str) -> None:
         """An option was used; of options that list names, these."""
         self._used.setdefault(option, set()).update(names)
@@ -99,11 +93,8 @@ class OptionUses:
     def no(self, name: str) -> str:
         """The sentence that nothing is called so, with near matches."""
         near = [n for n in closest_names(name, self._seen) if n != name]
-        hint = (
-            f"did you mean {', '.join(map(repr, near))}?"
-            if near
-            else f"there is {first_names(list(self._seen)) if self._seen else 'nothing'}"
-        )
+        there = first_names(list(self._seen)) if self._seen else "nothing"
+        hint = f"did you mean {', '.join(map(repr, near))}?" if near else f"there is {there}"
         return f"nothing in the recordings is called {name!r}; {hint}"
 
 
@@ -211,24 +202,12 @@ def unmoved_joint_names(robot: Robot) -> tuple[str, ...]:
 class ReadRequest:
     """Options of `load_demonstrations`, checked once; every reader gets the same object.
 
+    The options are described by `ReadOptions`.
+
     Attributes:
-        robot: The robot whose joints are read.
-        units: Unit of angles in the files; None: radians, and values that look like another unit are
-            refused. `"normalised"` is -100 .. 100 between the joint limits.
         units_insisted: Whether `units` was given as a word: then what looks like radians may be degrees.
-        time_unit: Unit of the time column; None: seconds, and values that look like another unit are refused.
-        ignore_columns: Names of columns that are not read.
-        rename: Name in the file -> `"time"` or the name of a joint.
         columns: Patterns of the names of columns: of positions, and of velocities.
-        joint_names: Names of the columns, in order, for files that have none.
-        topics: Topics of a bag to read; None: all that carry the robot's joints.
-        rate: Samples per second, for files without time stamps [Hz].
-        outside_limits: What to do with positions far outside the joint limits.
-        last_line: What to do with a last line of text that has no end, as that of a file that was cut off.
-        episodes: Which episodes to read; None: all.
-        task: Only episodes that show this task, of LeRobot data.
-        feature: Feature of a LeRobot data set that holds the joint positions; None: `observation.state`.
-        chosen: Numbers of the episodes to read of a data set, once these two have been looked up; None: all.
+        chosen: Numbers of the episodes of a data set, once `episodes` and `task` have been looked up; None: all.
         uses: What of the options the recordings that were read so far had a use for.
 
     Raises:
@@ -275,8 +254,11 @@ class ReadRequest:
             raise RecordingError(text, code="option")
 
     def renamed(self, name: str) -> str:
-        """The name after renaming."""
-        return self.uses.renamed(name, self.rename)
+        """The name in a file after renaming."""
+        self.uses.see(name)
+        if name in self.rename:
+            self.uses.use("rename", name)
+        return self.rename.get(name, name)
 
     def unmatched(self) -> list[UnmatchedOption]:
         """A sentence for each option that the recordings read so far had no use for."""
@@ -310,11 +292,6 @@ class ReadRequest:
         for name in asked:
             self.uses.use("ignore_columns", name)
         return bool(asked)
-
-    @property
-    def continuous(self) -> frozenset[str]:
-        """Joints that turn without end."""
-        return frozenset(b.name for b in self.robot.blocks if b.kind == "continuous")
 
 
 def _check_choice(option: str, value: object, allowed: tuple[object, ...]) -> None:

@@ -12,7 +12,7 @@ from typing import Any, final
 
 from manip_learn.errors import RecordingError, counted
 from manip_learn.recordings.format_words import MARK
-from manip_learn.recordings.readers.csv_reader import CsvDialect, sniff_dialect
+from manip_learn.recordings.readers.csv_reader import sniff_dialect
 from manip_learn.recordings.readers.lerobot_dataset import episode_numbers, episodes_of_task
 from manip_learn.recordings.readers.read_request import ReadRequest
 from manip_learn.recordings.readers.recording import Recording, check_regular, natural_order, reason, refusal
@@ -24,15 +24,8 @@ Read = Callable[[Path, Any], Iterator[Recording]]
 @final
 @dataclass(frozen=True)
 class FileFormat:
-    """One kind of recording.
+    """One kind of recording: its common name, and the module with `read(path, request)`, imported when needed."""
 
-    Attributes:
-        name: Short name.
-        title: Common name.
-        module: Module with `read(path, request) -> Iterator[Recording]`; imported when it is first needed.
-    """
-
-    name: str
     title: str
     module: str
 
@@ -45,12 +38,12 @@ class FileFormat:
         return importlib.import_module(self.module).read
 
 
-CSV = FileFormat("csv", "text tables (CSV)", "manip_learn.recordings.readers.csv_reader")
-NPZ = FileFormat("npz", "NumPy archives (.npz)", "manip_learn.recordings.readers.npz_reader")
-ROSBAG = FileFormat("rosbag", "ROS bags", "manip_learn.recordings.readers.rosbag_reader")
-LEROBOT = FileFormat("lerobot", "LeRobot data", "manip_learn.recordings.readers.lerobot_reader")
-ROBOMIMIC = FileFormat("robomimic", "robomimic HDF5", "manip_learn.recordings.readers.robomimic_reader")
-SAVED = FileFormat("saved", "files of manip_learn", "manip_learn.recordings.readers.saved_reader")
+CSV = FileFormat("text tables (CSV)", "manip_learn.recordings.readers.csv_reader")
+NPZ = FileFormat("NumPy archives (.npz)", "manip_learn.recordings.readers.npz_reader")
+ROSBAG = FileFormat("ROS bags", "manip_learn.recordings.readers.rosbag_reader")
+LEROBOT = FileFormat("LeRobot data", "manip_learn.recordings.readers.lerobot_reader")
+ROBOMIMIC = FileFormat("robomimic HDF5", "manip_learn.recordings.readers.robomimic_reader")
+SAVED = FileFormat("files of manip_learn", "manip_learn.recordings.readers.saved_reader")
 FORMATS = (CSV, NPZ, ROSBAG, LEROBOT, ROBOMIMIC)
 
 MAGIC: tuple[tuple[bytes, FileFormat], ...] = (
@@ -77,12 +70,9 @@ REFUSED_MAGIC: tuple[tuple[bytes | tuple[bytes, ...], str, str], ...] = (
         "compressed with zstd: give the bag's folder (with metadata.yaml), or unpack it first",
     ),
     (b"PK\x05\x06", "empty", "an empty archive"),
-    (b"Rar!", "compressed", "a RAR archive: unpack it first"),
     (b"#ROSBAG V1", "old-bag", "a ROS bag of version 1: convert it with `rosbag fix`"),
     (b"MATLAB ", "matlab", "a MATLAB file: export the table as CSV"),
     (b"version https://git-lfs", "git-lfs", "a Git LFS pointer, not the recording itself: run `git lfs pull`"),
-    (b"%PDF", "not-a-recording", "a PDF document"),
-    (b"\x7fELF", "not-a-recording", "a program"),
     ((b"\x89PNG", b"\xff\xd8\xff"), "not-a-recording", "an image"),
 )
 
@@ -154,10 +144,10 @@ def looks_like_table(path: Path) -> bool:
     if path.suffix.lower() in (".csv", ".tsv"):
         return True
     try:
-        dialect: CsvDialect = sniff_dialect(path)
+        columns = sniff_dialect(path).columns
     except RecordingError:
         return False
-    return "time" in dialect.columns and len(dialect.columns) > 1
+    return "time" in columns and len(columns) > 1
 
 
 @final
@@ -188,20 +178,17 @@ def recording_files(
             files += _in_folder(path, notes)
         else:
             files.append(RecordingFile(path, recognise(path)))
-    unique = {os.path.realpath(f.path): f for f in reversed(files)}
+    unique: dict[str, RecordingFile] = {}
+    for file in files:
+        unique.setdefault(os.path.realpath(file.path), file)
     if len(unique) < len(files):
         notes.append(f"given more than once, read once: {counted(len(files) - len(unique), 'recording')}")
-        files = [f for i, f in enumerate(files) if all(f.path.resolve() != g.path.resolve() for g in files[:i])]
-    return files, notes
+    return list(unique.values()), notes
 
 
 def _as_paths(paths: str | os.PathLike[str] | Iterable[str | os.PathLike[str]]) -> list[Path]:
-    if isinstance(paths, str | os.PathLike):
-        paths = [paths]
-    if not isinstance(paths, Iterable):
-        raise RecordingError(f"recordings are given as paths, got {type(paths).__name__}", code="option")
     given: list[Path] = []
-    for path in paths:
+    for path in [paths] if isinstance(paths, str | os.PathLike) or not isinstance(paths, Iterable) else paths:
         if not isinstance(path, str | os.PathLike) or not os.fspath(path):
             raise RecordingError(f"recordings are given as paths, got {path!r}", code="option")
         given.append(Path(path))

@@ -46,7 +46,8 @@ def read(path: Path, request: ReadRequest) -> Iterator[Recording]:
         if len(chosen) == len(joints):
             groups, said = joint_groups(streams, chosen)
             notes += said
-            merged, said = merge(groups, request.continuous)
+            continuous = frozenset(b.name for b in request.robot.blocks if b.kind == "continuous")
+            merged, said = merge(groups, continuous)
     except RecordingError as error:
         raise refusal(path, error.code, f"{error}") from error
     if len(chosen) < len(joints):  # the names only, for the message about those that are missing
@@ -301,8 +302,8 @@ def _group(topic: str, names: tuple[str, ...], streams: list[JointStates]) -> tu
             f"{topic}: {counted(np.count_nonzero(~keep), 'message')} left out for a repeated stamp, the last is kept"
         )
     order = order[keep]
-    q, u, effort = (None if x is None else x[order] for x in map(joined, ("q", "u", "effort")))
-    return JointStates(topic, names, stamps[order], q, u, effort), notes
+    arrays: list[Any] = [x if x is None else x[order] for x in map(joined, ("q", "u", "effort"))]
+    return JointStates(topic, names, stamps[order], *arrays), notes
 
 
 def merge(groups: list[JointStates], angles_that_wrap: frozenset[str]) -> tuple[JointStates, list[str]]:

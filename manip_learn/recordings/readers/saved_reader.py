@@ -106,10 +106,10 @@ def _npz_header(path: Path) -> FileHeader | None:
         if "format.npy" not in zipped.namelist():
             return None
     archive = NpzArchive(path, (), TEXTS)
-    named = archive.text("format") if archive.shape("format") == () else ""
+    named = archive.text("format") if archive.arrays["format"].shape == () else ""
     if not named.startswith(PREFIX):
         return None
-    if "header" not in archive:
+    if "header" not in archive.arrays:
         said = "an early version wrote this file without its robot, which is not read any more: simulate it again"
         raise refusal(path, "not-a-rollout", said)
     return FileHeader.from_json(archive.text("header"))
@@ -117,14 +117,14 @@ def _npz_header(path: Path) -> FileHeader | None:
 
 def _read_npz(path: Path, header: FileHeader) -> SavedMotion:
     archive = NpzArchive(path, ARRAYS, TEXTS)
-    if "joint_names" in archive and archive.texts("joint_names") != header.joint_names:
+    if "joint_names" in archive.arrays and archive.texts("joint_names") != header.joint_names:
         raise refusal(path, "damaged", "its joint_names are not those of its header: save it again")
     for name, ndim in (("time", 1), ("q", 2)):
-        shape = archive.shape(name) if name in archive else "missing"
+        shape = archive.arrays[name].shape if name in archive.arrays else "missing"
         if len(shape) != ndim or shape == "missing":
             raise refusal(path, "shape", f"time must have shape (T,) and q (T, n); {name} is {shape}")
-    arrays = {name: archive.numbers(name) for name in ARRAYS if name in archive}
-    return _motion(header, arrays, archive.texts("status") if "status" in archive else ())
+    arrays = {name: archive.numbers(name) for name in ARRAYS if name in archive.arrays}
+    return _motion(header, arrays, archive.texts("status") if "status" in archive.arrays else ())
 
 
 def _motion(header: FileHeader, arrays: dict[str, np.ndarray], status: tuple[str, ...]) -> SavedMotion:

@@ -10,12 +10,11 @@ import numpy as np
 from jaxtyping import Bool, Float, Int
 
 from manip_learn.errors import RecordingError, advice, counted, named
-from manip_learn.recordings.readers.read_request import SECONDS, ReadRequest
+from manip_learn.recordings.readers.read_request import SECONDS, UNIT_WORDS, ReadRequest
 from manip_learn.recordings.readers.recording import GAP_FACTOR, Recording
 from manip_learn.recordings.validation.joint_matching import angular_coordinates, object_coordinates
 from manip_learn.robot import Robot
 
-UNIT_WORDS = {"ms": "milliseconds", "us": "microseconds", "ns": "nanoseconds"}
 # a stamp of the years 1973 to 5138 in each unit; seconds end where milliseconds begin
 EPOCHS = (("ns", 1e17), ("us", 1e14), ("ms", 1e11))
 NOTABLE = 1e-6  # [rad or m] beyond a limit
@@ -409,31 +408,23 @@ def _refuse_slope(recording: Recording, name: str, angular: bool, slope: float) 
             )
         return
     evidence = f"slope {slope:.3g} between dq/dt and the recorded velocity of {name!r}, 1 is right"
-    if angular and _near(size, math.degrees(1.0)):
-        raise recording.refusal(
-            "degrees",
-            f"positions look like degrees: {evidence}; radians are needed: convert the position columns"
-            + advice(
-                " ({} is for files whose positions and velocities are both in degrees)", "degrees=True", "--degrees"
-            ),
-            column=name,
-        )
-    if angular and _near(size, math.radians(1.0)):
-        raise recording.refusal(
-            "degrees",
-            f"velocities look like degrees per second: {evidence}; rad/s are needed: convert the velocity columns or "
-            "leave them out",
-            column=name,
-        )
     unit = next((u for u in UNIT_WORDS if _near(size, SECONDS[u])), None)
-    if unit is not None:
+    code = "degrees"
+    if angular and _near(size, math.degrees(1.0)):
+        text = f"positions look like degrees: {evidence}; radians are needed: convert the position columns"
+        both = " ({} is for files whose positions and velocities are both in degrees)"
+        text += advice(both, "degrees=True", "--degrees")
+    elif angular and _near(size, math.radians(1.0)):
+        text = (
+            f"velocities look like degrees per second: {evidence}; rad/s are needed: convert the velocity columns or "
+        )
+        text += "leave them out"
+    elif unit is not None:
         raise _unit_refusal(recording, unit, evidence)
-    raise recording.refusal(
-        "velocity-scale",
-        f"recorded velocities and positions have different scales: {evidence}; correct the units of one of them, "
-        "or leave the velocity columns out",
-        column=name,
-    )
+    else:
+        code, text = "velocity-scale", f"recorded velocities and positions have different scales: {evidence}; "
+        text += "correct the units of one of them, or leave the velocity columns out"
+    raise recording.refusal(code, text, column=name)
 
 
 def _near(value: float, expected: float) -> bool:
@@ -442,8 +433,8 @@ def _near(value: float, expected: float) -> bool:
 
 def _refuse_two_publishers(motion: Motion) -> None:
     """Refuse positions that alternate, regularly or not, between two motions."""
-    jumps, usual = (np.empty(0), 0.0) if motion.recording.trusted else alternation(motion.q)
-    if not jumps.size:
+    jumps, usual = alternation(motion.q)
+    if motion.recording.trusted or not jumps.size:
         return
     by_joint = np.median(np.abs(motion.q[jumps + 1] - motion.q[jumps]), axis=0)
     joint = int(np.argmax(by_joint))

@@ -143,29 +143,22 @@ def _kept(recording: Recording, keep: np.ndarray) -> Recording:
 
 
 def _unwrapped(robot: Robot, q: Float[np.ndarray, "T nv"]) -> tuple[Float[np.ndarray, "T nv"], list[str]]:
-    q, poses = _continuous_poses(robot, q)
+    """Rotation vectors of objects and angles of continuous joints without jumps, and notes."""
     columns = [b.v.start for b in robot.blocks if b.kind == "continuous"]
     wrapped = [i for i in columns if np.any(np.abs(np.diff(q[:, i])) > np.pi)]
-    if not wrapped:
-        return q, poses
-    q = q.copy()
-    q[:, wrapped] = np.unwrap(q[:, wrapped], axis=0)
-    names = [robot.joint_names[i] for i in wrapped]
-    return q, [*poses, f"full turns added where the angle wraps (the posture is the same): {named('joint', names)}"]
-
-
-def _continuous_poses(robot: Robot, q: Float[np.ndarray, "T nv"]) -> tuple[Float[np.ndarray, "T nv"], list[str]]:
-    """Rotation vectors of objects without jumps."""
-    out, notes = q, []
+    q, notes = q.copy(), []
     for block in robot.blocks:
         if block.name in robot.objects:
             part = slice(block.v.start + 3, block.v.stop)
             vectors = continuous_rotation_vectors(q[:, part])
             if not np.array_equal(vectors, q[:, part]):
-                out = out.copy()
-                out[:, part] = vectors
+                q[:, part] = vectors
                 notes.append(f"object {block.name!r}: full turns added where its rotation vector wraps (same pose)")
-    return out, notes
+    if wrapped:
+        q[:, wrapped] = np.unwrap(q[:, wrapped], axis=0)
+        names = [robot.joint_names[i] for i in wrapped]
+        notes.append(f"full turns added where the angle wraps (the posture is the same): {named('joint', names)}")
+    return q, notes
 
 
 def _split(

@@ -39,7 +39,8 @@ def mcap_bytes(motion: SavedMotion) -> bytes:
 def _written(motion: SavedMotion, stamps: Int[np.ndarray, " T"], folder: Path) -> Path:
     """The only file of a bag that the library writes."""
     try:
-        from rosbags.rosbag2 import StoragePlugin, Writer
+        from rosbags.rosbag2 import StoragePlugin
+        from rosbags.rosbag2.writer import Writer
         from rosbags.typesys import Stores, get_typestore
     except ImportError as error:
         raise MissingExtraError("writing MCAP", "ros") from error
