@@ -10,10 +10,9 @@ import pytest
 from case import case
 from conftest import TIPS, URDFS, tip_of
 
-from manip_learn.constraint.features import CentreOfMass, FrameJacobian, Stacked
+from manip_learn.constraint.features import FrameJacobian
 from manip_learn.errors import ConfigurationError, MissingExtraError
 from manip_learn.robot.batch.batch_kinematics import CHUNK, batch_kinematics
-from manip_learn.robot.joints import Mimic
 from manip_learn.robot.robot import Robot
 
 RobotOf = Callable[[str], Robot]
@@ -32,23 +31,12 @@ def positions(robot: Robot, rng: np.random.Generator, n: int) -> np.ndarray:
 
 
 @pytest.mark.parametrize("name", ROBOTS)
-def test_batch_equals_pinocchio_one_by_one(name: str, robot_of: RobotOf, rng: np.random.Generator) -> None:
-    """Jacobians, derivatives and poses of a batch are Pinocchio's to 1e-12, for every robot, axes and reference."""
-    for reference in REFERENCES:
-        with case(reference):
-            robot = robot_of(name)
-            q = positions(robot, rng, 5)
-            for axes in AXES:
-                features = FrameJacobian(robot, tip_of(name), axes, reference)
-                single = [features.value_and_derivative(x) for x in q]
-                np.testing.assert_allclose(features.batch(q), [s[0] for s in single], rtol=0, atol=TOLERANCE)
-                Phi, dPhi = features.batch_with_derivative(q)
-                np.testing.assert_allclose(Phi, [s[0] for s in single], rtol=0, atol=TOLERANCE)
-                np.testing.assert_allclose(dPhi, [s[1] for s in single], rtol=0, atol=TOLERANCE)
-            frame = robot.frame(tip_of(name))
-            np.testing.assert_allclose(
-                batch_kinematics(robot, frame).pose(q), [robot.pose(x, frame) for x in q], rtol=0, atol=TOLERANCE
-            )
+def test_poses_are_those_of_each(name: str, robot_of: RobotOf, rng: np.random.Generator) -> None:
+    """Poses of a batch are Pinocchio's to 1e-12; its Jacobians and derivatives are compared in test_gradients.py."""
+    robot = robot_of(name)
+    q, frame = positions(robot, rng, 5), robot.frame(tip_of(name))
+    got = batch_kinematics(robot, frame).pose(q)
+    np.testing.assert_allclose(got, [robot.pose(x, frame) for x in q], rtol=0, atol=TOLERANCE)
 
 
 def test_arms_do_not_need_the_loop(robot_of: RobotOf) -> None:
@@ -93,32 +81,6 @@ def test_compiled_kernels_are_taken_by_number_alone(monkeypatch: pytest.MonkeyPa
     assert batch_kinematics.kernels(None, 10**9) is None
     with pytest.raises(MissingExtraError, match="fast"):
         batch_kinematics.kernels(True, 1)
-
-
-def test_every_frame_of_a_tree(robot_of: RobotOf, rng: np.random.Generator) -> None:
-    """Frames on every branch, on the base and between joints: columns of joints that do not carry a frame are zero."""
-    robot = robot_of("tree")
-    q = positions(robot, rng, 3)
-    for name in robot.frame_names:
-        features = FrameJacobian(robot, name, "pose")
-        expected = np.array([features(x) for x in q])
-        np.testing.assert_allclose(features.batch(q), expected, rtol=0, atol=TOLERANCE)
-        np.testing.assert_array_equal(features.batch(q)[expected == 0.0], 0.0)
-
-
-def test_mimic_joints_move_with_their_leaders(rng: np.random.Generator) -> None:
-    """A follower's column is added to its leader's, times the multiplier, in Jacobians and twice in derivatives."""
-    model = pin.buildModelFromXML(URDFS["gantry"])
-    robot = Robot(model, mimics=[Mimic("joint3", "joint2", -0.7, 0.2), Mimic("joint4", "joint0", 0.5, -0.1)])
-    assert robot.nv == 3
-    q = positions(robot, rng, 4)
-    for reference in REFERENCES:
-        features = FrameJacobian(robot, "tip", "pose", reference)
-        assert batch_kinematics(robot, features.frame).fast
-        Phi, dPhi = features.batch_with_derivative(q)
-        np.testing.assert_allclose(Phi, [features(x) for x in q], rtol=0, atol=TOLERANCE)
-        np.testing.assert_allclose(dPhi, [features.derivative(x) for x in q], rtol=0, atol=TOLERANCE)
-        np.testing.assert_allclose(features.batch(q), Phi, rtol=0, atol=TOLERANCE)
 
 
 def test_chunks_leave_no_seam(robot_of: RobotOf, rng: np.random.Generator) -> None:
@@ -202,32 +164,3 @@ def test_wrong_tables_are_refused(robot_of: RobotOf) -> None:
     q[2, robot.blocks[2].q] = 0.0
     with pytest.raises(ConfigurationError, match="row 2, joint 'joint2'"):
         features.batch(q)
-
-
-def test_other_feature_maps(robot_of: RobotOf, rng: np.random.Generator) -> None:
-    """Stacked maps and maps without a fast way of their own give the same tables."""
-    robot = robot_of("tree")
-    stacked = Stacked([FrameJacobian(robot, "tip", "xyz"), FrameJacobian(robot, "arm_b", "rotation", "local")])
-    q = positions(robot, rng, 4)
-    for features in (stacked, CentreOfMass(robot)):
-        Phi, dPhi = features.batch_with_derivative(q)
-        np.testing.assert_allclose(features.batch(q), [features(x) for x in q], rtol=0, atol=TOLERANCE)
-        np.testing.assert_allclose(Phi, [features(x) for x in q], rtol=0, atol=TOLERANCE)
-        np.testing.assert_allclose(dPhi, [features.derivative(x) for x in q], rtol=0, atol=TOLERANCE)
-        assert features.batch(q[:0]).shape == (0, features.n_rows, robot.nv)
-
-
-@pytest.mark.parametrize("name", ["gantry", "sawyer", "humanoid", "mimic", "tree"])
-def test_vjp_equals_the_weighted_derivative(name: str, robot_of: RobotOf, rng: np.random.Generator) -> None:
-    """sum_ij C_ij dJ_ij / dq_k without forming dJ/dq is the same number."""
-    for reference in REFERENCES:
-        with case(reference):
-            robot = robot_of(name)
-            q = positions(robot, rng, 6)
-            kinematics = batch_kinematics(robot, robot.frame(tip_of(name)))
-            rows = (1, 5, 0)
-            C = rng.normal(size=(3, robot.nv, 6))
-            _, H = kinematics.jacobian_and_derivative(q, reference, rows)
-            got = kinematics.vjp(q, lambda J, part, C=C: C[..., part] * (1.0 + J**2), reference, rows)
-            weights = C * (1.0 + kinematics.jacobian(q, reference, rows).transpose(1, 2, 0) ** 2)
-            np.testing.assert_allclose(got, np.einsum("ijn,nijk->nk", weights, H), rtol=0, atol=1e-11)

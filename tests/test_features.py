@@ -52,20 +52,6 @@ def test_rows_are_those_of_the_full_jacobian(robot_of, rng):
             assert some.row_units == tuple("rad/s" if n.startswith("r") else "m/s" for n in some.row_names)
 
 
-def test_returned_arrays_belong_to_the_caller(robot_of, rng):
-    """What a feature map handed out stays as it was when the next posture is evaluated."""
-    robot = robot_of("panda")
-    features = FrameJacobian(robot, "panda_hand_tcp", "pose")
-    q = robot.random_configuration(rng)
-    Phi, dPhi = features.value_and_derivative(q)
-    kept, dkept, alone = Phi.copy(), dPhi.copy(), features(q)
-    features.value_and_derivative(robot.random_configuration(rng))
-    features(robot.random_configuration(rng))
-    np.testing.assert_array_equal(Phi, kept)
-    np.testing.assert_array_equal(dPhi, dkept)
-    np.testing.assert_allclose(alone, kept, rtol=0, atol=1e-15)
-
-
 def test_unknown_frame_and_reference(robot_of):
     """A misspelt frame lists near ones; a misspelt reference lists both."""
     robot = robot_of("panda")
@@ -73,6 +59,8 @@ def test_unknown_frame_and_reference(robot_of):
         FrameJacobian(robot, "panda_hand_tpc")
     with pytest.raises(FeatureError, match="'world' or 'local'"):
         FrameJacobian(robot, "panda_hand_tcp", reference="base")  # type: ignore[arg-type]
+    with pytest.raises(FeatureError, match="x y z only"):
+        CentreOfMass(robot, "planar")
 
 
 def test_error_to_a_pose(robot_of, rng):
@@ -122,12 +110,6 @@ def test_wrong_targets(robot_of):
             features.error_to(target, np.zeros(7))
     with pytest.raises(TargetError, match="4 x 4 pose"):
         FrameJacobian(robot, "panda_hand_tcp", "x z", "local").error_to([0.1, 0.2], np.zeros(7))
-
-
-def test_centre_of_mass(robot_of):
-    """Rotation rows and robots without mass are refused."""
-    with pytest.raises(FeatureError, match="x y z only"):
-        CentreOfMass(robot_of("panda"), "planar")
 
 
 def test_stacked(robot_of, rng):

@@ -56,7 +56,8 @@ def test_products_of_many_matrices_are_those_of_each(robot_of: RobotOf, rng: np.
             robot = robot_of(name)
             selection = np.linalg.qr(rng.normal(size=(6, 2)))[0].T
             for frame in frames_of(robot, name):
-                _, product = robot.weighted_jacobian_vjp(robot.random_configuration(rng), frame, "world", selection)
+                kinematics = robot.frame_kinematics(frame)
+                _, product = kinematics.weighted_vjp(robot.random_configuration(rng), "world", selection)
                 weights = rng.normal(size=(4, 2, robot.nv))
                 each = [product(matrix) for matrix in weights]
                 for known in (product, lambda matrix, product=product: product(matrix)):

@@ -64,13 +64,6 @@ def objects() -> dict[str, object]:
     }
 
 
-def test_a_prompt_shows_few_lines(objects: dict[str, object]):
-    """No array of thousands of numbers in a console."""
-    for name, thing in objects.items():
-        assert repr(thing).count("\n") < 10, name
-        assert len(repr(thing)) < 700, name
-
-
 def test_a_notebook_shows_the_facts(objects: dict[str, object]):
     """Each card is whole HTML and says what a reader looks for."""
     for name, words in [
@@ -86,15 +79,6 @@ def test_a_notebook_shows_the_facts(objects: dict[str, object]):
                 assert word in text
 
 
-def test_selection_is_shown_as_it_is(objects: dict[str, object]):
-    """The printed rows are those of Lambda, to the digits shown."""
-    constraint = objects["constraint"]
-    assert isinstance(constraint, ml.Constraint)
-    cells = re.findall(r"-?\d\.\d{4}", text_of(constraint._repr_html_()))
-    shown = np.array(cells[:6], dtype=float).reshape(2, 3)
-    np.testing.assert_allclose(shown, constraint.selection, atol=5e-5)
-
-
 def test_names_cannot_become_markup_or_move_the_cursor():
     """A recording or joint may be called anything."""
     for character in ("\x1b", "\x07", "\x85", "\u202e", "\ud800"):
@@ -108,7 +92,6 @@ def test_names_cannot_become_markup_or_move_the_cursor():
             html_card.curve(np.arange(2), np.arange(2), hostile),
         ):
             assert character not in said and "[31mb" in said or said == repr(robot)
-        assert character not in robot.locked_in_words and robot.locked_in_words.endswith("[31mb at 1")
     card = html_card.card("<b>x", html_card.facts([("<script>", "a & b")]), html_card.warnings(["<i>"]))
     assert "<script>" not in card
     assert text_of(card).count("<") == 3

@@ -7,7 +7,6 @@ import os
 import pickle
 import subprocess
 import sys
-import tempfile
 from pathlib import Path
 
 import numpy as np
@@ -32,34 +31,13 @@ def arm(tmp_path) -> Path:
     return path
 
 
-def test_well_known_names():
-    """Names from the contract load; Panda's second finger follows the first, Kinova has three continuous joints."""
-    for name, nq, nv in [
-        ("planar3", 3, 3),
-        ("sawyer", 7, 7),
-        ("panda", 8, 8),
-        ("ur5", 6, 6),
-        ("xarm7", 7, 7),
-        ("kinova", 9, 6),
-        ("z1", 7, 7),
-    ]:
-        with case(name, nq):
-            robot = load_robot(name)
-            assert (robot.nq, robot.nv) == (nq, nv)
-
-
 def test_a_path_is_a_path(arm, tmp_path, monkeypatch):
     """Path objects, strings, relative names with a suffix, and existing files without one."""
     monkeypatch.chdir(tmp_path)
     (tmp_path / "robotfile").write_text(ARM, encoding="utf-8")
     for name in (arm, str(arm), "arm.urdf", "./arm.urdf", "robotfile"):
         assert load_robot(name).joint_names == ("shoulder", "elbow")
-
-
-def test_a_folder_does_not_hide_a_name(tmp_path, monkeypatch):
-    """A folder called like a robot is no robot description."""
-    (tmp_path / "planar3").mkdir()
-    monkeypatch.chdir(tmp_path)
+    (tmp_path / "planar3").mkdir()  # a folder does not hide a name
     assert load_robot("planar3").nv == 3
 
 
@@ -70,19 +48,13 @@ def test_unknown_names_list_near_matches():
     assert caught.value.kind == "robot" and "planar3" in caught.value.near
 
 
-def test_no_name():
-    """An empty name is a sentence, not the current folder."""
-    for name in ["", "  "]:
-        with case(name):
-            with pytest.raises(RobotError, match="no robot is named"):
-                load_robot(name)
-
-
 def test_missing_file_and_folder(tmp_path, arm):
     """A path that does not exist, and a folder, for which the error lists its contents."""
     with pytest.raises(RobotError, match="no such file") as caught:
         load_robot(tmp_path / "gone.urdf")
     assert caught.value.code == "missing"
+    with pytest.raises(RobotError, match="no robot is named"):
+        load_robot("  ")
     with pytest.raises(RobotError, match="write the path out"):
         load_robot("~nobody-of-this-name/arm.urdf")
     with pytest.raises(RobotError, match="not a usable path"):
@@ -105,27 +77,6 @@ def test_without_the_data_package(monkeypatch):
             find_robot("panda")
         assert load_robot("planar3").nv == 3
         assert robot_names() == ("planar3", "sawyer")
-    finally:
-        monkeypatch.undo()
-        example_robots.cache_clear()
-
-
-def test_the_data_package_without_a_record(monkeypatch):
-    """Packages that were not installed by pip have no RECORD: the list of files serves as well."""
-    package = importlib.metadata.distribution(catalogue.DATA_PACKAGE)
-    expected = example_robots()
-    listed = package.files
-
-    class Bare(type(package)):
-        def read_text(self, filename):
-            return None
-
-        files = listed
-
-    monkeypatch.setattr(catalogue.importlib.metadata, "distribution", lambda name: Bare(package._path))
-    example_robots.cache_clear()
-    try:
-        assert example_robots() == expected
     finally:
         monkeypatch.undo()
         example_robots.cache_clear()
@@ -207,10 +158,6 @@ def test_what_cannot_be_locked():
             with pytest.raises(RobotError) as caught:
                 load_robot("panda", locked=locked)
             assert caught.value.code == code
-
-
-def test_locked_names_are_checked():
-    """An unknown joint is an error with near matches."""
     with pytest.raises(UnknownNameError, match="panda_finger_joint1"):
         load_robot("panda", locked=("finger_joint1",))
 
@@ -254,10 +201,6 @@ def test_bases(arm, rng):
             positions = np.concatenate([np.zeros(nv - 2), rng.uniform(-1, 1, 2)])
             expected = fixed.pose(positions[-2:], fixed.frame("tip"))
             np.testing.assert_allclose(robot.pose(positions, robot.frame("tip")), expected, atol=1e-15)
-
-
-def test_unknown_base(arm):
-    """A base that does not exist is named with those that do."""
     with pytest.raises(RobotError, match="floating"):
         load_robot(arm, base="flying")  # type: ignore[arg-type]
 
@@ -268,15 +211,6 @@ def test_package_dirs_must_exist(arm, tmp_path):
         load_robot(arm, package_dirs=[tmp_path / "nowhere"])
     assert load_robot(arm, package_dirs=str(tmp_path)).package_dirs == (tmp_path,)
     assert load_robot(arm, package_dirs=tmp_path).package_dirs == (tmp_path,)
-
-
-def test_robots_survive_pickling(rng):
-    """A robot sent to another process is the same robot."""
-    robot = load_robot("kinova")
-    copy = pickle.loads(pickle.dumps(robot))
-    q, frame = robot.random_configuration(rng), "j2s6s200_end_effector"
-    np.testing.assert_array_equal(copy.pose(q, copy.frame(frame)), robot.pose(q, robot.frame(frame)))
-    assert copy.fingerprint == robot.fingerprint and copy.locked == robot.locked
 
 
 def test_errors_survive_pickling(tmp_path):
@@ -351,9 +285,7 @@ def test_loading_reads_the_description_only():
     """Once the library is imported, loading a robot opens no file of it but the URDF; no import, no process."""
     code = f"EVENTS = ('open', 'subprocess.Popen', 'os.fork'){LOADING}"
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, timeout=100, check=True)
-    # what C++ libraries print is caught in a temporary file: an open of the folder and of a number
-    own = (f"open {tempfile.gettempdir()}", *(f"open {number}" for number in range(100)))
-    seen = sorted({line for line in done.stdout.splitlines() if line not in own})  # `open` and its opener both tell
+    seen = sorted(set(done.stdout.splitlines()))  # `open` and its opener both tell
     assert len(seen) == 1 and seen[0].startswith("open ") and seen[0].endswith("/panda.urdf"), seen
 
 

@@ -276,7 +276,7 @@ def test_every_derivative_is_exact_with_followers(tmp_path, rng):
                 J, derivative = robot.jacobian_and_derivative(q, "l4", reference)
                 by_steps = slopes(lambda x, r=robot, ref=reference: r.jacobian(x, "l4", ref))
                 np.testing.assert_allclose(derivative, by_steps, atol=1e-9)
-                A, product_of = robot.weighted_jacobian_vjp(q, "l4", reference, selection)
+                A, product_of = robot.frame_kinematics("l4").weighted_vjp(q, reference, selection)
                 np.testing.assert_allclose(A, selection @ J, atol=1e-12)
                 expected = np.einsum("ij,ijk->k", selection.T @ weights[:2, :, 0], derivative)
                 np.testing.assert_allclose(product_of(weights[:2, :, 0]), expected, atol=1e-12)

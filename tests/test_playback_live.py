@@ -6,7 +6,6 @@ import contextlib
 import http.client
 import json
 import os
-import select
 import signal
 import socket
 import subprocess
@@ -14,6 +13,7 @@ import sys
 import textwrap
 import threading
 import time
+from types import SimpleNamespace
 from urllib.parse import quote, urlsplit
 
 import numpy as np
@@ -65,9 +65,11 @@ def is_gone(pid, seconds=10.0):
     return False
 
 
-def server_pid(viewer):
-    """Process id of a viewer's server."""
-    return viewer._process._process.pid
+def server_pid(program=None):
+    """Process id of the only live server that a program has started; by default this one."""
+    found = subprocess.run(["pgrep", "-P", str(program or os.getpid()), "-f", "live_server"], capture_output=True)
+    (pid,) = found.stdout.split()
+    return int(pid)
 
 
 def test_page_and_stream(viewer):
@@ -116,32 +118,31 @@ def test_only_this_machine_can_connect(viewer):
         pass
 
 
-def is_full(pipe):
-    """True if a write to a pipe would wait."""
-    return select.select([], [pipe], [], 0.0)[1] == []
-
-
 @pytest.mark.timeout(60)  # a call that waits for the frozen server never returns
-def test_show_does_not_wait(robot_of, monkeypatch):
-    """Showing returns even when the server is frozen and its pipe is full; closing then ends the server."""
-    monkeypatch.setattr(live_viewer, "FRAMES_PER_SECOND", 1e5)
-    robot = robot_of("sawyer")
-    viewer = LiveViewer(robot, open_browser=False)
-    pid, pipe = server_pid(viewer), viewer._process._process.stdin
-    os.kill(pid, signal.SIGSTOP)
-    q = robot.neutral()
-    while not is_full(pipe):
-        viewer.show(q, manipulability=0.1)
-    for _ in range(1000):
-        viewer.show(q, manipulability=0.1)
-    assert is_full(pipe) and viewer.is_open
+def test_show_does_not_wait(viewer):
+    """Putting returns even when the server is frozen and its pipe is full; closing then ends the server."""
+    process, begun, made = LiveProcess(lambda token: b"<html>page", 10.0), threading.Event(), []
     viewer.close()
+    pid = server_pid()
+    os.kill(pid, signal.SIGSTOP)
+
+    def message():
+        made.append(len(made))
+        begun.set()
+        return '"' + 10**6 * "x" + '"'  # more than a pipe holds: its writer waits
+
+    process.put(message)
+    assert begun.wait(30.0)
+    for _ in range(1000):
+        process.put(message)
+    assert made == [0] and process.is_open
+    process.close()
     assert is_gone(pid)
 
 
 def test_dead_server_does_not_stop_the_program(viewer):
     """When the server dies the program goes on; showing and closing raise nothing."""
-    os.kill(server_pid(viewer), signal.SIGKILL)
+    os.kill(server_pid(), signal.SIGKILL)
     for _ in range(20):
         viewer.show(np.zeros(3))
         time.sleep(0.01)
@@ -165,8 +166,9 @@ PROGRAM = """
 import numpy as np, time, manip_learn as ml
 from manip_learn.playback import LiveViewer
 viewer = LiveViewer(ml.load_robot("planar3"), open_browser=False)
-print(viewer._process._process.pid, flush=True)
 viewer.show(np.zeros(3))
+print("shown", flush=True)
+input()
 {then}
 """
 
@@ -175,8 +177,12 @@ def test_server_ends_with_the_program():
     """However the program ends, killed or without closing its viewer, no server stays behind."""
     for then in ("time.sleep(60)", "raise SystemExit(3)", ""):
         code = textwrap.dedent(PROGRAM).format(then=then)
-        with subprocess.Popen([sys.executable, "-c", code], stdout=subprocess.PIPE, text=True) as program:
-            pid = int(program.stdout.readline())
+        pipes = {"stdin": subprocess.PIPE, "stdout": subprocess.PIPE}
+        with subprocess.Popen([sys.executable, "-c", code], **pipes, text=True) as program:
+            program.stdout.readline()
+            pid = server_pid(program.pid)
+            program.stdin.write("\n")
+            program.stdin.flush()
             if "sleep" in then:
                 program.kill()
             program.wait(30.0)
@@ -185,12 +191,12 @@ def test_server_ends_with_the_program():
 
 def test_slow_clients_lock_nobody_out(viewer):
     """Mute and dripping connections, more than there is room for too, streams that nobody reads, and hundreds of page
-    loads: a page is there within a second all the while, and whoever is too slow is gone after a few.
+    loads: the page is served all the while, and whoever is too slow is gone after a few seconds.
     """
     address = urlsplit(viewer.url)
     streams = [request(viewer.url, address.path + "events")[0] for _ in range(10)]
     slow = [socket.create_connection((address.hostname, address.port)) for _ in range(100)]
-    begin, slowest, gone = time.monotonic(), 0.0, set()
+    begin, gone = time.monotonic(), set()
     while time.monotonic() < begin + 6.0:
         for i, connection in enumerate(slow[:100:2]):  # a byte a second, of a head that never ends
             try:
@@ -198,13 +204,10 @@ def test_slow_clients_lock_nobody_out(viewer):
             except OSError:
                 gone.add(connection)
         for _ in range(3):
-            asked = time.monotonic()
             assert answer(viewer.url)[0] == 200
-            slowest = max(slowest, time.monotonic() - asked)
         if len(slow) == 100 and time.monotonic() > begin + 2.0:
             slow += [socket.create_connection((address.hostname, address.port)) for _ in range(300)]
         time.sleep(0.5)
-    assert slowest < 1.0
     assert len(gone) == 50  # they never stopped sending
     for connection in slow[:100]:
         connection.settimeout(1.0)
@@ -335,22 +338,27 @@ def test_slots_are_newest_only(talk):
     late.close()
 
 
-def test_slots_have_a_pace_each(talk):
-    """A slot is written at most 60 times per second, whatever is put, and the order of what is put is kept."""
+def test_slots_have_a_pace_each(talk, monkeypatch):
+    """A slot is written once in a sixtieth of a second, with the newest of what was put, in the order of putting."""
     process, _ = talk
+    now = [time.monotonic()]  # the clock stands still but for our steps, however slow the machine is
+    monkeypatch.setattr(live_viewer, "clock", SimpleNamespace(monotonic=lambda: now[0]))
     connection, events = stream(process.url)
-    begin, number = time.monotonic(), 0
-    while time.monotonic() < begin + 0.5:
-        number += 1
-        process.put(lambda n=number: str(n), "state")
-        process.put(lambda n=number: str(n), "pose")
-        time.sleep(1e-4)
-    taken, got = time.monotonic() - begin, []
-    while got[-1:] != [("pose", number)]:
-        got.append(next(events))
-    assert got == sorted(set(got), key=lambda event: (event[1], event[0] == "pose"))  # as they were put, each once
-    for slot in ("state", "pose"):
-        assert 0 < sum(name == slot for name, _ in got) < 60.0 * (taken + 0.1) + 2
+
+    def put(number):
+        for slot in ("state", "pose"):
+            process.put(lambda: str(number), slot)
+
+    put(0)
+    got = [next(events), next(events)]
+    for number in range(1, 10):
+        put(-number)
+        now[0] += 0.5 / 60.0
+        time.sleep(0.02)  # for a writer that would not keep to its pace
+        put(number)
+        now[0] += 0.5 / 60.0 + 1e-9
+        got += [next(events), next(events)]
+    assert got == [(slot, number) for number in range(10) for slot in ("state", "pose")]
     connection.close()
 
 
@@ -447,13 +455,6 @@ def test_long_and_slow_speakers_lock_nobody_out(talk):
         connection.close()
 
 
-def test_viewer_does_not_hear(viewer):
-    """A viewer takes nothing from its page, and its process has no thread that listens."""
-    assert post(viewer.url) == 501
-    assert post(viewer.url, path="said") == 501
-    assert viewer._process._listener is None
-
-
 def test_pages_are_counted(talk):
     """Pages that are fetched, opened, closed and opened again are told at once, oldest first, though nothing moves."""
     process, heard = talk
@@ -469,7 +470,7 @@ def test_pages_are_counted(talk):
         ("open", "three", ["two", "one", "three"], 0),
         ("close", "two", ["one", "three"], 0),
     ):
-        number, begin = len(heard), time.monotonic()
+        number = len(heard)
         if action == "fetch":
             assert answer(process.url)[0] == 200
         elif action == "open":
@@ -477,29 +478,10 @@ def test_pages_are_counted(talk):
         else:
             open_pages.pop(page)[0].close()
         assert heard.wait(number + 1)[number:] == [{"pages": pages, "loading": loading}], (action, page)
-        assert time.monotonic() - begin < 1.0  # in 0.1 s on a machine that is not busy; signs of life are 2 s apart
     assert request(process.url, urlsplit(process.url).path + "events")[1].status == 400
     open_pages["one again"] = stream(process.url, "one")  # before the server has seen the first stream end
     assert heard.wait(10)[-1] == {"pages": ["one", "three"], "loading": 0}
     assert len(heard) == 10
-
-
-def test_two_processes_do_not_mix(talk):
-    """What is said to one is not heard by the other, whose pages, addresses and files are not the one's."""
-    process, heard = talk
-    other_heard = Heard()
-    other = LiveProcess(lambda token: b"<html>other", 10.0, other_heard)
-    mine, theirs = urlsplit(process.url), urlsplit(other.url)
-    assert answer(process.url)[1] == b"<html>page" and answer(other.url)[1] == b"<html>other"
-    assert post(process.url, Origin=f"http://{theirs.netloc}") == 403
-    assert answer(process.url, path=theirs.path)[0] == 404
-    assert post(f"http://{mine.netloc}{theirs.path}") == 404
-    assert post(process.url, b'{"to": 1}') == post(other.url, b'{"to": 2}') == 204
-    loading = {"pages": [], "loading": 1}
-    assert heard.wait(2) == [loading, {"page": "a-1", "said": {"to": 1}}]
-    assert other_heard.wait(2) == [loading, {"page": "a-1", "said": {"to": 2}}]
-    other.close()
-    assert post(process.url) == 204 and len(heard.wait(3)) == 3 and len(other_heard) == 2
 
 
 def test_files_are_those_offered(talk, tmp_path):
@@ -578,7 +560,7 @@ def test_busy_program_holds_up_nobody():
         heard(line)
 
     process = LiveProcess(lambda token: b"<html>page", 10.0, busy)
-    pid = process._process.pid
+    pid = server_pid()
     body = json.dumps({"text": 15_000 * "x"}).encode()
     speakers = [threading.Thread(target=lambda: statuses.append(post(process.url, body))) for _ in range(20)]
     for speaker in speakers:
@@ -610,7 +592,7 @@ def test_process_may_be_closed_by_what_it_hears():
         heard(line)
 
     processes.append(LiveProcess(lambda token: b"<html>page", 10.0, closing))
-    pid = processes[0]._process.pid
+    pid = server_pid()
     with contextlib.suppress(OSError, http.client.HTTPException):
         post(processes[0].url)
     heard.wait(1)

@@ -7,11 +7,12 @@ import pytest
 from conftest import URDFS
 from test_playback import unpacked, waving
 
-from manip_learn.playback.appearance import Shape, TriangleMesh, appearance, decimated, z_to
+from manip_learn.playback.appearance import Shape, appearance, decimated, z_to
 from manip_learn.playback.kinematic_tree import kinematic_tree
 from manip_learn.playback.recorded_motion import recorded_motion
 from manip_learn.playback.scene_data import scene_data
 from manip_learn.robot.loading import load_robot
+from manip_learn.robot.visuals.meshes import Mesh
 
 
 def ball(steps=60, radius=0.1):
@@ -20,19 +21,19 @@ def ball(steps=60, radius=0.1):
     grid = radius * np.stack([np.cos(u) * np.sin(v), np.sin(u) * np.sin(v), np.cos(v)], axis=-1)
     a, b, c, d = grid[:-1, :-1], grid[1:, :-1], grid[1:, 1:], grid[:-1, 1:]
     soup = np.concatenate([np.stack([a, b, c], axis=2).reshape(-1, 3), np.stack([a, c, d], axis=2).reshape(-1, 3)])
-    return TriangleMesh(soup, np.arange(len(soup)).reshape(-1, 3))
+    return Mesh(soup, np.arange(len(soup)).reshape(-1, 3))
 
 
 def cube():
     """A cube of 12 triangles on 8 vertices, counter-clockwise from outside."""
     corners = np.array([[x, y, z] for x in (0, 1) for y in (0, 1) for z in (0, 1)], dtype=np.float64)
     quads = [(0, 1, 3, 2), (4, 6, 7, 5), (0, 4, 5, 1), (2, 3, 7, 6), (0, 2, 6, 4), (1, 5, 7, 3)]
-    return TriangleMesh(corners, np.array([t for a, b, c, d in quads for t in ((a, b, c), (a, c, d))]))
+    return Mesh(corners, np.array([t for a, b, c, d in quads for t in ((a, b, c), (a, c, d))]))
 
 
 def volume(mesh):
     """Enclosed volume [m^3]; positive if triangles are counter-clockwise from outside."""
-    a, b, c = (mesh.vertices[mesh.triangles[:, k]] for k in range(3))
+    a, b, c = (mesh.vertices[mesh.faces[:, k]] for k in range(3))
     return float(np.einsum("ij,ij->", a, np.cross(b, c)) / 6.0)
 
 
@@ -42,7 +43,7 @@ def test_budget_is_kept_and_shape_too():
     (ball_out, cube_out), before, after = decimated([large, small], 3000)
     assert before > 10_000
     assert 1500 < after <= 3000
-    assert len(cube_out.triangles) == 12
+    assert len(cube_out.faces) == 12
     assert volume(ball_out) == pytest.approx(volume(large), rel=0.05)
     np.testing.assert_allclose(np.ptp(ball_out.vertices, axis=0), 0.2, rtol=0.06)
     assert decimated([large], 10**6)[1:] == (before - 12, before - 12)
@@ -52,7 +53,7 @@ def test_edges_stay_sharp_and_round_things_smooth():
     """A cube's corners are split into three vertices, a smooth sphere's vertices are shared."""
     (cube_out, ball_out), _, _ = decimated([cube(), ball()], 10**6)
     assert len(cube_out.vertices) == 24
-    assert len(ball_out.vertices) < 0.51 * len(ball_out.triangles) + 10
+    assert len(ball_out.vertices) < 0.51 * len(ball_out.faces) + 10
     assert volume(cube_out) == pytest.approx(1.0)
 
 
@@ -106,7 +107,7 @@ def test_meshes_are_packed(robot_of):
     """Panda's meshes stay within the budget, say so, and come back from 16 bits to within 10 micrometres."""
     robot = robot_of("panda")
     looks = appearance(robot, kinematic_tree(robot), max_triangles=5000)
-    assert sum(len(m.triangles) for m in looks.meshes) <= 5000
+    assert sum(len(m.faces) for m in looks.meshes) <= 5000
     assert any("simplified from" in note for note in looks.notes)
     tree = kinematic_tree(robot)
     motion = recorded_motion(robot, tree, robot.frame("panda_hand"), "a", waving(robot))
@@ -115,7 +116,7 @@ def test_meshes_are_packed(robot_of):
         steps = unpacked(packed["positions"], "<u2").reshape(-1, 3)
         np.testing.assert_allclose(packed["origin"] + steps * packed["step"], mesh.vertices, atol=1e-5)
         triangles = unpacked(packed["triangles"], "<u4" if packed["wide"] else "<u2").reshape(-1, 3)
-        np.testing.assert_array_equal(triangles, mesh.triangles)
+        np.testing.assert_array_equal(triangles, mesh.faces)
 
 
 def test_missing_meshes_are_told(tmp_path, robot_of):

@@ -27,29 +27,6 @@ def test_a_constraint_is_saved_controlled_and_climbs(robot_of: RobotOf, rng: np.
     assert np.linalg.norm(constraint.selection @ end) < 1e-3
 
 
-def test_carrying_an_object_together_is_no_relative_motion(robot_of: RobotOf, rng: np.random.Generator):
-    """Joints below both frames move neither relative to the other."""
-    robot = robot_of("tree")
-    features = ml.RelativeFrameJacobian(robot, "tip", "arm_b")
-    q = robot.random_configuration(rng)
-    shared = [j for j, name in enumerate(robot.joint_names) if name in ("joint0", "joint1")]
-    assert len(shared) == 2
-    np.testing.assert_allclose(features(q)[:, shared], 0.0, atol=1e-14)
-
-
-def test_a_target_pose_is_in_the_other_frame(robot_of: RobotOf, rng: np.random.Generator):
-    """At the target pose the error vanishes; a small displacement of it is what the error shows."""
-    robot = robot_of("sawyer")
-    features = ml.RelativeFrameJacobian(robot, "right_hand", "right_l3")
-    q = robot.random_configuration(rng)
-    here = np.linalg.inv(robot.pose(q, features.relative_to)) @ robot.pose(q, features.frame)
-    np.testing.assert_allclose(features.error_to(here, q), 0.0, atol=1e-12)
-    there = here.copy()
-    there[:3, 3] += [0.01, -0.02, 0.03]
-    np.testing.assert_allclose(features.error_to(there, q), [0.01, -0.02, 0.03, 0, 0, 0], atol=1e-12)
-    np.testing.assert_allclose(features.error_to(features.coordinates(q), q), 0.0, atol=1e-12)
-
-
 def test_bad_arguments_are_refused(robot_of: RobotOf):
     """Unknown frames, the same frame twice, unknown axes and targets of another size are errors."""
     robot = robot_of("sawyer")

@@ -200,16 +200,6 @@ def test_closed_form_hessian(robot_of, rng):
                     )
 
 
-def test_mimic_joint_is_no_degree_of_freedom(robot_of):
-    """The follower is not part of the posture, is driven by its leader, and its motion counts as its leader's."""
-    robot = robot_of("mimic")
-    assert robot.joint_names == ("joint0", "joint1", "joint3")
-    assert [(m.joint, m.leader, m.multiplier, m.offset) for m in robot.mimics] == [("joint2", "joint0", -0.7, 0.2)]
-    full = robot.pinocchio_configuration([0.5, 0.1, 0.3])
-    model = robot.pinocchio_model
-    assert full[model.joints[model.getJointId("joint2")].idx_q] == pytest.approx(-0.7 * 0.5 + 0.2)
-
-
 def test_joint_order_is_that_of_the_names(robot_of):
     """A branching robot's names are in Pinocchio's order, and each position moves the joint of its own name."""
     robot = robot_of("tree")

@@ -71,20 +71,6 @@ class Shape:
 
 @final
 @dataclass(frozen=True, eq=False)
-class TriangleMesh:
-    """A triangle mesh in the frame of its shape.
-
-    Attributes:
-        vertices: shape (V, 3) [m].
-        triangles: shape (F, 3), indices of vertices, counter-clockwise from outside.
-    """
-
-    vertices: Float[np.ndarray, "V 3"]
-    triangles: Int[np.ndarray, "F 3"]
-
-
-@final
-@dataclass(frozen=True, eq=False)
 class Appearance:
     """How a robot looks.
 
@@ -95,11 +81,11 @@ class Appearance:
     """
 
     shapes: tuple[Shape, ...]
-    meshes: tuple[TriangleMesh, ...] = ()
+    meshes: tuple[Mesh, ...] = ()
     notes: tuple[str, ...] = ()
 
 
-def decimated(meshes: list[TriangleMesh], triangles: int) -> tuple[list[TriangleMesh], int, int]:
+def decimated(meshes: list[Mesh], triangles: int) -> tuple[list[Mesh], int, int]:
     """Simplify meshes until all of them together have at most so many triangles.
 
     Large meshes give up more than small ones, and no mesh becomes so coarse that it cannot be recognised as long as
@@ -113,8 +99,8 @@ def decimated(meshes: list[TriangleMesh], triangles: int) -> tuple[list[Triangle
         span = float(np.ptp(m.vertices, axis=0).max())
         steps = np.rint((m.vertices - m.vertices.min(axis=0)) / max(span * 1e-6, 1e-12)).astype(np.int64)
         _, first, index = np.unique(steps, axis=0, return_index=True, return_inverse=True)
-        clean.append(_cleaned(m.vertices[first], index.reshape(-1)[m.triangles]))
-    counts = np.array([len(m.triangles) for m in clean], dtype=np.float64)
+        clean.append(_cleaned(m.vertices[first], index.reshape(-1)[m.faces]))
+    counts = np.array([len(m.faces) for m in clean], dtype=np.float64)
     before = int(counts.sum())
     if before > triangles:
         # one cap for all, such that the sum fits
@@ -123,27 +109,27 @@ def decimated(meshes: list[TriangleMesh], triangles: int) -> tuple[list[Triangle
             cap = 0.5 * (low + high)
             low, high = (cap, high) if np.minimum(counts, cap).sum() <= triangles else (low, cap)
         shares = np.minimum(counts, max(low, 12.0))
-        clean = [m if len(m.triangles) <= s else _clustered(m, int(s)) for m, s in zip(clean, shares, strict=True)]
-    after = sum(len(m.triangles) for m in clean)
+        clean = [m if len(m.faces) <= s else _clustered(m, int(s)) for m, s in zip(clean, shares, strict=True)]
+    after = sum(len(m.faces) for m in clean)
     # vertices split along sharp edges, so that normals averaged at vertices are right on both sides
     for i, mesh in enumerate(clean):
-        pairs = np.column_stack([mesh.triangles.reshape(-1), _smooth_groups(mesh.vertices, mesh.triangles)])
+        pairs = np.column_stack([mesh.faces.reshape(-1), _smooth_groups(mesh.vertices, mesh.faces)])
         unique, index = np.unique(pairs, axis=0, return_inverse=True)
-        clean[i] = TriangleMesh(mesh.vertices[unique[:, 0]], index.reshape(-1, 3))
+        clean[i] = Mesh(mesh.vertices[unique[:, 0]], index.reshape(-1, 3))
     return clean, before, after
 
 
-def _cleaned(vertices: np.ndarray, triangles: np.ndarray) -> TriangleMesh:
+def _cleaned(vertices: np.ndarray, triangles: np.ndarray) -> Mesh:
     """Without triangles that have two corners in one place or that occur twice, and without unused vertices."""
     a, b, c = triangles.T
     triangles = triangles[(a != b) & (b != c) & (c != a)]
     _, first = np.unique(np.sort(triangles, axis=1), axis=0, return_index=True)
     triangles = triangles[np.sort(first)]
     used, index = np.unique(triangles, return_inverse=True)
-    return TriangleMesh(vertices[used], index.reshape(-1, 3))
+    return Mesh(vertices[used], index.reshape(-1, 3))
 
 
-def _clustered(mesh: TriangleMesh, target: int) -> TriangleMesh:
+def _clustered(mesh: Mesh, target: int) -> Mesh:
     """Vertices in one cell of a grid become one; the finest grid that meets the target."""
     span = float(np.ptp(mesh.vertices, axis=0).max())
     low, high = 2.0, 4096.0  # cells along the longest side, coarse enough and too fine
@@ -151,7 +137,7 @@ def _clustered(mesh: TriangleMesh, target: int) -> TriangleMesh:
     for _ in range(MAX_STEPS):
         cells = float(np.sqrt(low * high))
         candidate = _on_grid(mesh, span / cells)
-        if len(candidate.triangles) <= target:
+        if len(candidate.faces) <= target:
             low, best = cells, candidate
         else:
             high = cells
@@ -160,12 +146,12 @@ def _clustered(mesh: TriangleMesh, target: int) -> TriangleMesh:
     return best
 
 
-def _on_grid(mesh: TriangleMesh, cell: float) -> TriangleMesh:
+def _on_grid(mesh: Mesh, cell: float) -> Mesh:
     steps = np.floor((mesh.vertices - mesh.vertices.min(axis=0)) / cell).astype(np.int64)
     _, index, count = np.unique(steps, axis=0, return_inverse=True, return_counts=True)
     index = index.reshape(-1)
     middle = np.column_stack([np.bincount(index, mesh.vertices[:, k], len(count)) / count for k in range(3)])
-    return _cleaned(middle, index[mesh.triangles])
+    return _cleaned(middle, index[mesh.faces])
 
 
 def _smooth_groups(vertices: Float[np.ndarray, "V 3"], triangles: Int[np.ndarray, "F 3"]) -> Int[np.ndarray, " C"]:
@@ -312,16 +298,16 @@ def appearance(robot: Robot, tree: tuple[TreeJoint, ...], max_triangles: int = M
     return Appearance(tuple(shapes), tuple(meshes), tuple(notes + mesh_notes))
 
 
-def _own_shapes(visuals: list[Visual], max_triangles: int) -> tuple[list[Shape], list[TriangleMesh], list[str]]:
+def _own_shapes(visuals: list[Visual], max_triangles: int) -> tuple[list[Shape], list[Mesh], list[str]]:
     shapes: list[Shape] = []
     known: dict[int, int] = {}  # a finger's mesh is often used twice
-    meshes: list[TriangleMesh] = []
+    meshes: list[Mesh] = []
     for v in visuals:
         match v.shape:
-            case Mesh(vertices, faces):
+            case Mesh():
                 if id(v.shape) not in known:
                     known[id(v.shape)] = len(meshes)
-                    meshes.append(TriangleMesh(vertices, faces))
+                    meshes.append(v.shape)
                 shapes.append(Shape(v.joint, "mesh", (), v.placement, v.colour, mesh=known[id(v.shape)]))
             case ("capsule", (radius, length)):
                 shapes.append(Shape(v.joint, "cylinder", (radius, length), v.placement, v.colour))

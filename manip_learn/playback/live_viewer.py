@@ -81,7 +81,7 @@ class LiveProcess:
         self._failed: set[tuple[object, ...]] = set()  # where functions of the program did
         self._wake = threading.Event()
         self._closed = threading.Event()
-        pipes = {"stdin": subprocess.PIPE, "stdout": subprocess.PIPE, "stderr": subprocess.DEVNULL}
+        pipes: dict[str, Any] = {"stdin": subprocess.PIPE, "stdout": subprocess.PIPE, "stderr": subprocess.DEVNULL}
         try:  # in a session of its own: Ctrl-C is for the program, which then closes us
             self._process = subprocess.Popen([sys.executable, "-I", str(SERVER)], **pipes, start_new_session=True)
         except OSError as error:

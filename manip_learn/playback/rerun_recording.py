@@ -12,13 +12,14 @@ import pinocchio as pin
 
 from manip_learn.atomic_write import write_atomically
 from manip_learn.errors import MissingExtraError, OutputError
-from manip_learn.playback.appearance import Shape, TriangleMesh, appearance
+from manip_learn.playback.appearance import Shape, appearance
 from manip_learn.playback.guided_motion import MotionSamples, guidance_of, motion_samples
 from manip_learn.playback.kinematic_tree import kinematic_tree
 from manip_learn.playback.palette import rgb_of, rollout_colours
 from manip_learn.playback.recorded_motion import status_changes
 from manip_learn.playback.replay_page import Recording, named_recordings, shown_tip
 from manip_learn.robot.robot import Robot
+from manip_learn.robot.visuals.meshes import Mesh
 
 if TYPE_CHECKING:
     import rerun as rr
@@ -151,14 +152,14 @@ def _add_curves(
         _add(stream, [name, "status"], columns, time=np.array([time for time, _ in changes]))
 
 
-def _body(shape: Shape, mesh: TriangleMesh | None, colour: list[int]) -> Any:
+def _body(shape: Shape, mesh: Mesh | None, colour: list[int]) -> Any:
     import rerun as rr
     import trimesh
 
     if mesh is not None:
         # without normals Rerun shades nothing
-        normals = trimesh.Trimesh(mesh.vertices, mesh.triangles, process=False).vertex_normals
-        placed = {"vertex_positions": mesh.vertices, "triangle_indices": mesh.triangles, "vertex_normals": normals}
+        normals = trimesh.Trimesh(mesh.vertices, mesh.faces, process=False).vertex_normals
+        placed = {"vertex_positions": mesh.vertices, "triangle_indices": mesh.faces, "vertex_normals": normals}
         return rr.Mesh3D(**placed, albedo_factor=colour)
     solid: dict[str, Any] = {"colors": [colour], "fill_mode": "solid"}
     if shape.kind in ("box", "sphere"):

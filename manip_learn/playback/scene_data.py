@@ -9,7 +9,7 @@ import numpy as np
 import pinocchio as pin
 from jaxtyping import Float
 
-from manip_learn.playback.appearance import Appearance, TriangleMesh
+from manip_learn.playback.appearance import Appearance
 from manip_learn.playback.constraint_marks import constraint_marks, ellipsoid_scale, places_per_motion
 from manip_learn.playback.kinematic_tree import TreeJoint
 from manip_learn.playback.mechanism_drawing import CORNERS, MechanismDrawing
@@ -17,6 +17,7 @@ from manip_learn.playback.page_writer import packed
 from manip_learn.playback.phase_bands import PhaseKind, own_kinds
 from manip_learn.playback.recorded_motion import RecordedMotion, points_per_curve, track_data
 from manip_learn.robot.robot import Robot
+from manip_learn.robot.visuals.meshes import Mesh
 
 MAX_POSTURES_FOR_BOUNDS = 120  # of all motions, around which the camera stands
 OUTLINE_DIRECTIONS = 240  # over the sphere, 13 degrees apart
@@ -97,7 +98,7 @@ def _robot(robot: Robot, tree: tuple[TreeJoint, ...], looks: Appearance, tip: st
     }
 
 
-def _mesh(mesh: TriangleMesh) -> dict[str, Any]:
+def _mesh(mesh: Mesh) -> dict[str, Any]:
     """Vertices as 16-bit steps within their box: 8 micrometres in half a metre."""
     origin = mesh.vertices.min(axis=0)
     step = np.maximum((mesh.vertices.max(axis=0) - origin) / 65535.0, 1e-12)
@@ -106,7 +107,7 @@ def _mesh(mesh: TriangleMesh) -> dict[str, Any]:
         "origin": origin.tolist(),
         "step": step.tolist(),
         "positions": packed(np.rint((mesh.vertices - origin) / step), "<u2"),
-        "triangles": packed(mesh.triangles, "<u4" if wide else "<u2"),
+        "triangles": packed(mesh.faces, "<u4" if wide else "<u2"),
         "wide": wide,
     }
 

@@ -327,7 +327,10 @@ class FrameKinematics:
     def weighted_vjp(
         self, q: Any, reference: str, selection: Float[np.ndarray, "s 6"]
     ) -> tuple[np.ndarray, Callable[[np.ndarray], np.ndarray]]:
-        """A = Lambda J and its vector-Jacobian product, see `Robot.weighted_jacobian_vjp`."""
+        """A = Lambda J and its vector-Jacobian product, weights -> sum_ij weights_ij dA_ij/dq_k.
+
+        The gradient of a scalar function of A costs two small products; dA/dq is never formed.
+        """
         J, by_joint = self._derived(q, reference)
         A, vjp = selection.dot(J), WeightedVjp(by_joint, selection, self._columns, self._lift, self.nv)
         return A if self._plain else self._public(A), vjp

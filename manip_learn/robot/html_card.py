@@ -47,7 +47,8 @@ def table(header: Sequence[str], rows: Sequence[Sequence[object]]) -> str:
     if not rows:
         return ""
     head = "".join(f'<th scope="col" style="{_CELL};opacity:.75">{escape(name)}</th>' for name in header)
-    body = "".join(_row(row) for row in rows[:MOST_ROWS])
+    cells = [[f'<td style="{_CELL}">{escape(_text(value))}</td>' for value in row] for row in rows[:MOST_ROWS]]
+    body = "".join(f"<tr>{''.join(row)}</tr>" for row in cells)
     more = f"<p style='margin:0;opacity:.75'>and {len(rows) - MOST_ROWS} more</p>" if len(rows) > MOST_ROWS else ""
     thead = f"<thead><tr>{head}</tr></thead>" if any(header) else ""
     style = "border-collapse:collapse;margin:4px 0;font-size:13px"
@@ -81,11 +82,6 @@ def curve(x: np.ndarray, y: np.ndarray, label: str) -> str:
         f'<polyline points="{points}" fill="none" stroke="currentColor" stroke-width="1.5"/></svg>'
         f'<p style="margin:0;opacity:.75">{words}</p>'
     )
-
-
-def _row(row: Sequence[object]) -> str:
-    cells = "".join(f'<td style="{_CELL}">{escape(_text(value))}</td>' for value in row)
-    return f"<tr>{cells}</tr>"
 
 
 def _text(value: object) -> str:

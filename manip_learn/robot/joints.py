@@ -19,6 +19,15 @@ COORDINATE_SUFFIXES: dict[str, tuple[str, ...]] = {
     "floating": (".x", ".y", ".z", ".rx", ".ry", ".rz"),
     "planar": (".x", ".y", ".rz"),
 }
+# of Pinocchio's short names by how they begin, the first that fits
+KINDS: tuple[tuple[str, JointKind], ...] = (
+    ("JointModelRUB", "continuous"),
+    ("JointModelRevoluteUnbounded", "continuous"),
+    ("JointModelR", "revolute"),
+    ("JointModelPlanar", "planar"),
+    ("JointModelP", "prismatic"),
+    ("JointModelFreeFlyer", "floating"),
+)
 
 
 @final
@@ -101,16 +110,9 @@ class JointBlock:
 
 def joint_kind(short_name: str) -> JointKind:
     """Kind of a Pinocchio joint from its `shortname()`."""
-    if short_name.startswith("JointModelRUB") or short_name == "JointModelRevoluteUnboundedUnaligned":
-        return "continuous"
-    if short_name.startswith(("JointModelR", "JointModelRevolute")):
-        return "revolute"
-    if short_name.startswith(("JointModelP", "JointModelPrismatic")) and short_name != "JointModelPlanar":
-        return "prismatic"
-    if short_name == "JointModelFreeFlyer":
-        return "floating"
-    if short_name == "JointModelPlanar":
-        return "planar"
+    for begin, kind in KINDS:
+        if short_name.startswith(begin):
+            return kind
     return "other"
 
 

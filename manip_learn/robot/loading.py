@@ -130,7 +130,7 @@ def robot_from_text(
     else:
         validated = validate_urdf(content, path, names_of(locked))
     urdf = with_objects(validated.urdf, objects)
-    if root_joint is not None and urdf.joint("root_joint") is not None:
+    if root_joint is not None and any(j.name == "root_joint" for j in urdf.joints):
         sentence = f"{path}: a joint is called 'root_joint', the name of the moving base; rename it"
         raise RobotError(sentence, code="name-reserved", path=path)
     still = locked_positions(urdf, validated.mimics, locked)

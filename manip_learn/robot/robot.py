@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 import threading
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from functools import cache
 from pathlib import Path
 from typing import Any, Literal, final
@@ -184,11 +184,6 @@ class Robot:
         model = self._model
         chain = {model.names[j] for j in model.supports[self.frame(frame).parent_joint]}
         return bool((leaders | followers) & chain)
-
-    @property
-    def locked_in_words(self) -> str:
-        """Joints that are held still, and where [rad or m]: `"right_j3 at 1.2; right_j6 at 0"`; empty without any."""
-        return "; ".join(f"{printable(name)} at {value:.4g}" for name, value in self.locked.items())
 
     # ---- configurations -------------------------------------------------------------------------------------------
 
@@ -434,18 +429,6 @@ class Robot:
         """
         return self.frame_kinematics(frame).jacobian_and_derivative(q, reference)
 
-    def weighted_jacobian_vjp(
-        self, q: ArrayLike, frame: FrameLike, reference: Reference, selection: Float[np.ndarray, "s 6"]
-    ) -> tuple[Float[np.ndarray, "s nv"], Callable[[Float[np.ndarray, "s nv"]], Float[np.ndarray, " nv"]]]:
-        """A = Lambda J of the frame, and its vector-Jacobian product, weights -> sum_ij weights_ij dA_ij/dq_k.
-
-        The gradient of a scalar function of A costs two small products; dA/dq is never formed.
-
-        Raises:
-            ConfigurationError: Wrong size or not finite.
-        """
-        return self.frame_kinematics(frame).weighted_vjp(q, reference, selection)
-
     @property
     def _data(self) -> pin.Data:
         try:
@@ -507,9 +490,10 @@ class Robot:
                 self.joint_names, kinds, self.joint_units, *limits, strict=True
             )
         ]
+        held = "; ".join(f"{name} at {value:.4g}" for name, value in self.locked.items())
         return html_card.card(
             f"Robot {self.name}",
-            html_card.sentence(f"{self.nv} joints move" + (f"; locked: {self.locked_in_words}" if self.locked else "")),
+            html_card.sentence(f"{self.nv} joints move" + (f"; locked: {held}" if held else "")),
             html_card.warnings(self.warnings),
             html_card.table(("joint", "kind", "position", "velocity"), rows),
             html_card.folded(f"Frames ({len(self.frame_names)})", html_card.sentence(", ".join(self.frame_names))),

@@ -132,10 +132,6 @@ class UrdfFile:
     joints: tuple[UrdfJoint, ...]
     root: str
 
-    def joint(self, name: str) -> UrdfJoint | None:
-        """The joint of that name, or None."""
-        return next((j for j in self.joints if j.name == name), None)
-
 
 def as_pose(T: Matrix) -> Pose:
     """xyz and roll, pitch, yaw of a homogeneous matrix."""

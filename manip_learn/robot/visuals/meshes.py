@@ -141,17 +141,17 @@ def _place(uri: str, roots: MeshRoots) -> tuple[str, Sequence[Path]]:
 
 @final
 class Mesh(NamedTuple):
-    """A mesh as its file holds it.
+    """A triangle mesh.
 
     Attributes:
-        vertices: shape (n, 3) [m], unscaled.
-        faces: shape (m, 3), counted from 0.
+        vertices: shape (n, 3) [m], of a file without the scale of the URDF.
+        faces: shape (m, 3), counted from 0, counter-clockwise from outside.
         colour: Diffuse colour of most of its triangles, of a COLLADA file; None for other formats and textures.
     """
 
     vertices: Float[np.ndarray, "n 3"]
     faces: Int[np.ndarray, "m 3"]
-    colour: Colour | None
+    colour: Colour | None = None
 
 
 def read_meshes(paths: Sequence[Path]) -> dict[Path, Mesh | RobotError]:
