@@ -223,59 +223,42 @@ def test_metadata_that_does_not_fit_is_refused(planar3: Robot) -> None:
             assert refusal(root, planar3, units="radians").code == code
 
 
-def droid(root: Path, version: str, *, with_state: bool = True) -> Path:
-    """A data set in the layout of DROID: joints under a key of their own, beside a state with the gripper's opening."""
-    q = {i: motion(i) for i in (0, 1, 2)}
-    joints = np.concatenate(list(q.values())).astype(np.float32)
-    whole = np.column_stack([joints, np.linspace(0, 1, len(joints), dtype=np.float32)])
-    velocity = np.concatenate([np.gradient(x, 1 / FPS, axis=0) for x in q.values()]).astype(np.float32)
-    columns = {
-        "observation.state.joint_position": pa.array(joints.tolist(), type=pa.list_(pa.float32())),
-        "observation.state.joint_velocity": pa.array(velocity.tolist(), type=pa.list_(pa.float32())),
-        "observation.state.cartesian_position": pa.array(np.zeros((len(joints), 6)).tolist()),
-    }
-    if with_state:
-        columns["observation.state"] = pa.array(whole.tolist(), type=pa.list_(pa.float32()))
-    frames = table(q).drop_columns(["observation.state", "action"])
-    for name, values in columns.items():
-        frames = frames.append_column(name, values)
-    axes = [f"joint_{i}" for i in range(3)]
-    features = {
-        "observation.state.joint_position": {"dtype": "float32", "shape": [3], "names": {"axes": axes}},
-        "observation.state.joint_velocity": {"dtype": "float32", "shape": [3], "names": {"axes": axes}},
-        "observation.state.cartesian_position": {"dtype": "float32", "shape": [6], "names": None},
-        "observation.images.wrist": {"dtype": "video", "shape": [180, 320, 3], "names": None},
-        "language_instruction": {"dtype": "string", "shape": [1], "names": None},
-    }
-    if with_state:
-        features["observation.state"] = {"dtype": "float32", "shape": [4], "names": {"axes": [*axes, "gripper"]}}
-    if version == "v2.1":
-        index = frames["episode_index"].to_numpy()
-        files = {f"data/chunk-000/episode_{i:06d}.parquet": frames.filter(index == i) for i in q}
-    else:
-        files = {"data/chunk-000/file-000.parquet": frames}
-    return dataset(root, {**info(None, version), "features": features}, files)
-
-
 KEY = "observation.state.joint_position"
 NAMED = {"joint_names": JOINTS, "units": "radians", "feature": KEY}
 
 
-def test_joints_under_another_key_are_read(planar3: Robot) -> None:
+def droid(root: Path, *, with_state: bool = True) -> Path:
+    """A data set in the layout of DROID: joints under a key of their own, beside a state with the gripper's opening."""
+    q = {i: motion(i) for i in (0, 1, 2)}
+    joints = np.concatenate(list(q.values()))
+    velocity = np.concatenate([np.gradient(x, 1 / FPS, axis=0) for x in q.values()])
+    arrays = {KEY: joints, "observation.state.joint_velocity": velocity}
+    arrays["observation.state.cartesian_position"] = np.zeros((len(joints), 6))
+    if with_state:
+        arrays["observation.state"] = np.column_stack([joints, np.linspace(0, 1, len(joints))])
+    frames = table(q).drop_columns(["observation.state", "action"])
+    for name, values in arrays.items():
+        frames = frames.append_column(name, pa.array(values.tolist(), type=pa.list_(pa.float32())))
+    features = {name: {"dtype": "float32", "shape": [a.shape[1]], "names": None} for name, a in arrays.items()}
+    features["observation.images.wrist"] = {"dtype": "video", "shape": [180, 320, 3], "names": None}
+    features["language_instruction"] = {"dtype": "string", "shape": [1], "names": None}
+    description = {**info(None, "v3.0"), "features": features}
+    return dataset(root, description, {"data/chunk-000/file-000.parquet": frames})
+
+
+def test_joints_under_another_key_are_read(planar3: Robot, tmp_path: Path) -> None:
     """`feature` names the key, its velocities come along, and episodes are selected as ever."""
-    for version in ["v2.1", "v3.0"]:
-        with case(version) as tmp_path:
-            demos = load_demonstrations(droid(tmp_path / "set", version), planar3, **NAMED, episodes="1:3")
-            assert [t.name for t in demos] == ["set episode 1", "set episode 2"]
-            for t, i in zip(demos, (1, 2), strict=True):
-                np.testing.assert_array_equal(t.q, motion(i).astype(np.float32))
-                np.testing.assert_array_equal(t.u, np.gradient(motion(i), 1 / FPS, axis=0).astype(np.float32))
+    demos = load_demonstrations(droid(tmp_path / "set"), planar3, **NAMED, episodes="1:3")
+    assert [t.name for t in demos] == ["set episode 1", "set episode 2"]
+    for t, i in zip(demos, (1, 2), strict=True):
+        np.testing.assert_array_equal(t.q, motion(i).astype(np.float32))
+        np.testing.assert_array_equal(t.u, np.gradient(motion(i), 1 / FPS, axis=0).astype(np.float32))
 
 
 def test_the_usual_state_is_read_with_a_note_on_the_other_key(planar3: Robot, tmp_path: Path) -> None:
     """Nothing is chosen in silence where two keys look like joint positions."""
     options = {"joint_names": [*JOINTS, "grip"], "units": "radians", "ignore_columns": ["grip"]}
-    demos = load_demonstrations(droid(tmp_path / "set", "v3.0"), planar3, **options)
+    demos = load_demonstrations(droid(tmp_path / "set"), planar3, **options)
     np.testing.assert_array_equal(demos[0].q, motion(0).astype(np.float32))
     assert f"feature='{KEY}' reads it" in " ".join(demos.notes)
 
@@ -289,5 +272,5 @@ def test_a_wrong_key_is_an_error_with_near_matches(planar3: Robot) -> None:
         ("language_instruction", "holds string"),
     ]:
         with case(feature, said) as tmp_path:
-            path = droid(tmp_path / "set", "v3.0", with_state=False)
+            path = droid(tmp_path / "set", with_state=False)
             assert refusal(path, planar3, match=said, **{**NAMED, "feature": feature}).code == "no-state"

@@ -5,7 +5,7 @@ from __future__ import annotations
 import importlib
 import os
 import zipfile
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, final
@@ -202,10 +202,31 @@ def _in_folder(folder: Path, notes: list[str]) -> Iterator[RecordingFile]:
     if whole is not None:
         yield RecordingFile(folder, whole)
         return
-    found, ignored, damaged = _members(folder)
+    found: list[RecordingFile] = []
+    ignored: list[str] = []
+    why = ""
+    try:
+        names = sorted((p.name for p in folder.iterdir() if not p.name.startswith(".")), key=natural_order)
+    except OSError as error:
+        raise refusal(folder, "unreadable", f"cannot be listed: {reason(error)}", in_full=True) from error
+    for path in (folder / name for name in names):
+        if path.is_dir():
+            whole = folder_format(path)
+            found += [RecordingFile(path, whole)] if whole is not None else []
+            continue
+        known = None
+        try:
+            known = recognise(path)
+        except RecordingError as error:
+            if path.suffix.lower() in (".csv", ".tsv", ".npz", ".bag", ".db3", ".mcap", ".parquet", ".hdf5", ".h5"):
+                raise  # its suffix is that of a recording: skipping it silently would hide a broken one
+            why = why or f"; {error}"
+        if known is None or (known is CSV and not looks_like_table(path)):
+            ignored.append(path.name)
+        else:
+            found.append(RecordingFile(path, known))
     kinds = list(dict.fromkeys(f.format.title for f in found))
     if not found:
-        why = f"; {damaged[0]}" if damaged else ""
         text = f"there is no recording in this folder{why}; name the recordings, or a folder that holds them"
         raise refusal(folder, "no-recordings", text, in_full=True)
     if len(kinds) > 1:
@@ -216,39 +237,6 @@ def _in_folder(folder: Path, notes: list[str]) -> Iterator[RecordingFile]:
             f"{folder.name}: not recordings, not read: {', '.join(ignored[:6])}{', ...' if len(ignored) > 6 else ''}"
         )
     yield from found
-
-
-def _members(folder: Path) -> tuple[list[RecordingFile], list[str], list[str]]:
-    """Recordings in a folder, names of other files, and why they are none."""
-    found: list[RecordingFile] = []
-    ignored: list[str] = []
-    reasons: list[str] = []
-    try:
-        names = sorted((p.name for p in folder.iterdir()), key=natural_order)
-    except OSError as error:
-        raise refusal(folder, "unreadable", f"cannot be listed: {reason(error)}", in_full=True) from error
-    for name in names:
-        path = folder / name
-        if name.startswith("."):
-            continue
-        if path.is_dir():
-            whole = folder_format(path)
-            if whole is not None:
-                found.append(RecordingFile(path, whole))
-            continue
-        try:
-            known = recognise(path)
-        except RecordingError as error:
-            if path.suffix.lower() in (".csv", ".tsv", ".npz", ".bag", ".db3", ".mcap", ".parquet", ".hdf5", ".h5"):
-                raise  # its suffix is that of a recording: skipping it silently would hide a broken one
-            ignored.append(name)
-            reasons.append(str(error))
-            continue
-        if known is CSV and not looks_like_table(path):
-            ignored.append(name)
-            continue
-        found.append(RecordingFile(path, known))
-    return found, ignored, reasons
 
 
 def select_episodes(files: list[RecordingFile], request: ReadRequest) -> tuple[list[RecordingFile], ReadRequest, str]:
@@ -264,7 +252,16 @@ def select_episodes(files: list[RecordingFile], request: ReadRequest) -> tuple[l
     if request.episodes is None and request.task is None:
         return files, request, ""
     if all(f.format is not LEROBOT for f in files):
-        return _selected_files(files, request)
+        folder = files[0].path.parent.name or str(files[0].path.parent)
+        if request.task is not None or request.episodes is None:
+            raise RecordingError(
+                f"{folder}: tasks are named by LeRobot data sets only, these are {files[0].format.title}: leave the "
+                "task out, or select files",
+                code="no-tasks",
+            )
+        chosen = request.episodes.of_known(range(len(files)), folder)
+        kept = [f for i, f in enumerate(files) if i in chosen]
+        return kept, request, f"{folder}: {len(kept)} of {len(files)} files selected, as asked"
     if any(f.format is not LEROBOT for f in files) or (len(files) > 1 and any(f.path.is_dir() for f in files)):
         raise RecordingError(
             f"episodes are numbered within one LeRobot data set, {len(files)} recordings are given: name one data set",
@@ -276,31 +273,13 @@ def select_episodes(files: list[RecordingFile], request: ReadRequest) -> tuple[l
     if request.task is not None:
         shown = frozenset().union(*(episodes_of_task(f.path, request.task) for f in files))
         if not chosen & shown:
+            by = sorted(shown & frozenset(known))
+            more = f" and {len(by) - 12} more" if len(by) > 12 else ""
             raise RecordingError(
                 f"{where}: none of the episodes {request.episodes} shows the task {request.task!r}; it is shown by "
-                f"{_listed(sorted(shown & frozenset(known)))}",
+                f"{', '.join(map(str, by[:12])) or 'none'}{more}",
                 code="no-episode",
             )
         chosen &= shown
     note = f"{where}: {len(chosen)} of {counted(len(known), 'episode')} selected, as asked"
     return files, replace(request, chosen=chosen), note
-
-
-def _selected_files(files: list[RecordingFile], request: ReadRequest) -> tuple[list[RecordingFile], ReadRequest, str]:
-    folder = files[0].path.parent.name or str(files[0].path.parent)
-    if request.task is not None:
-        raise RecordingError(
-            f"{folder}: tasks are named by LeRobot data sets only, these are {files[0].format.title}: leave the task "
-            "out, or select files",
-            code="no-tasks",
-        )
-    if request.episodes is None:
-        return files, request, ""
-    chosen = request.episodes.of_known(range(len(files)), folder)
-    kept = [f for i, f in enumerate(files) if i in chosen]
-    return kept, request, f"{folder}: {len(kept)} of {len(files)} files selected, as asked"
-
-
-def _listed(numbers: Sequence[int]) -> str:
-    more = f" and {len(numbers) - 12} more" if len(numbers) > 12 else ""
-    return (", ".join(map(str, numbers[:12])) or "none") + more

@@ -16,9 +16,9 @@ from manip_learn.errors import DAMAGE, RecordingError
 from manip_learn.recordings.format_words import DATASET_HEADER, MARK
 from manip_learn.recordings.readers.csv_reader import text_lines
 from manip_learn.recordings.readers.limits import LONGEST_TEXT
-from manip_learn.recordings.readers.npz_reader import NpzArchive
+from manip_learn.recordings.readers.npz_reader import stored_arrays, texts_of
 from manip_learn.recordings.readers.read_request import ReadRequest
-from manip_learn.recordings.readers.recording import Recording, reason, refusal
+from manip_learn.recordings.readers.recording import Recording, float_array, reason, refusal
 from manip_learn.recordings.saved_motion import (
     CURVES,
     PREFIX,
@@ -105,26 +105,26 @@ def _npz_header(path: Path) -> FileHeader | None:
     with zipfile.ZipFile(path) as zipped:
         if "format.npy" not in zipped.namelist():
             return None
-    archive = NpzArchive(path, (), TEXTS)
-    named = archive.text("format") if archive.arrays["format"].shape == () else ""
+    arrays, _ = stored_arrays(path, (), TEXTS)
+    named = texts_of(path, "format", arrays["format"], 0)[0] if arrays["format"].shape == () else ""
     if not named.startswith(PREFIX):
         return None
-    if "header" not in archive.arrays:
+    if "header" not in arrays:
         said = "an early version wrote this file without its robot, which is not read any more: simulate it again"
         raise refusal(path, "not-a-rollout", said)
-    return FileHeader.from_json(archive.text("header"))
+    return FileHeader.from_json(texts_of(path, "header", arrays["header"], 0)[0])
 
 
 def _read_npz(path: Path, header: FileHeader) -> SavedMotion:
-    archive = NpzArchive(path, ARRAYS, TEXTS)
-    if "joint_names" in archive.arrays and archive.texts("joint_names") != header.joint_names:
+    stored, _ = stored_arrays(path, ARRAYS, TEXTS)
+    if "joint_names" in stored and texts_of(path, "joint_names", stored["joint_names"]) != header.joint_names:
         raise refusal(path, "damaged", "its joint_names are not those of its header: save it again")
     for name, ndim in (("time", 1), ("q", 2)):
-        shape = archive.arrays[name].shape if name in archive.arrays else "missing"
+        shape = stored[name].shape if name in stored else "missing"
         if len(shape) != ndim or shape == "missing":
             raise refusal(path, "shape", f"time must have shape (T,) and q (T, n); {name} is {shape}")
-    arrays = {name: archive.numbers(name) for name in ARRAYS if name in archive.arrays}
-    return _motion(header, arrays, archive.texts("status") if "status" in archive.arrays else ())
+    arrays = {name: float_array(stored[name]) for name in ARRAYS if name in stored}
+    return _motion(header, arrays, texts_of(path, "status", stored["status"]) if "status" in stored else ())
 
 
 def _motion(header: FileHeader, arrays: dict[str, np.ndarray], status: tuple[str, ...]) -> SavedMotion:
