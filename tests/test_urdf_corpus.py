@@ -7,10 +7,8 @@ from __future__ import annotations
 
 import json
 import os
-import signal
 import subprocess
 import sys
-from collections import Counter
 from pathlib import Path
 
 import pytest
@@ -50,24 +48,6 @@ def test_every_case_gets_its_verdict(first, tmp_path):
     ]
     assert not wrong, "\n".join(wrong)
     assert max(a["megabytes"] for a in answers) <= MAX_MEGABYTES
-
-
-def test_the_corpus_is_large_and_varied():
-    """At least 200 cases in twelve categories, no two with the same name."""
-    count = Counter(case.category for case in CASES)
-    assert len(CASES) >= 200
-    assert len(count) == 12 and min(count.values()) >= 9
-    assert len({(case.category, case.name) for case in CASES}) == len(CASES)
-
-
-def test_a_hang_would_be_seen(tmp_path):
-    """The harness itself: the alarm ends a case that takes too long, and the exit code tells."""
-    script = (
-        "import time, urdf_child as child\n"
-        "child.SECONDS, child.verdict = 1, lambda case, folder: time.sleep(60)\n"
-        f"child.main(['corpus', '0', '1', {str(tmp_path)!r}])"
-    )
-    assert run("-c", script, timeout=60).returncode == -signal.SIGALRM
 
 
 @pytest.mark.fuzz

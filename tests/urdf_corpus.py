@@ -1,7 +1,4 @@
-"""Hostile and odd robot descriptions in twelve categories, each with the verdict it must get.
-
-`python tests/urdf_corpus.py FOLDER` writes them all out to look at.
-"""
+"""Hostile and odd robot descriptions in twelve categories, each with the verdict it must get."""
 
 from __future__ import annotations
 
@@ -9,7 +6,6 @@ import json
 import math
 import os
 import struct
-import sys
 from collections.abc import Callable
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -647,14 +643,3 @@ def corpus() -> list[Case]:
         mesh_cases,
     )
     return [case for group in groups for case in group()]
-
-
-def main() -> None:
-    """Write the corpus into a folder."""
-    root = Path(sys.argv[1])
-    for case in corpus():
-        print(case.write(root / case.category / case.name.replace("/", "_")), case.verdict)
-
-
-if __name__ == "__main__":
-    main()
