@@ -37,7 +37,7 @@ def cluster_client(dask: str | None) -> Iterator[Any]:
 def load_for_files(name: str, files: Sequence[str], loading: RobotOptions) -> Robot:
     """The robot with the joints locked that were locked when the files were made, where they say so.
 
-    Rollouts and exported recordings do; those of earlier versions name the joints that moved: the others are locked.
+    Rollouts and exported recordings do.
 
     Raises:
         RecordingError: A file of another robot, or other joints or objects than it says; or a damaged one.
@@ -48,8 +48,6 @@ def load_for_files(name: str, files: Sequence[str], loading: RobotOptions) -> Ro
         return loading.load(name)
     made_with = header.robot
     if made_with is None:
-        if header.kind == "rollout" and header.schema == 1:
-            return load_for_joints(name, header.joint_names, loading)
         return loading.load(name)
     plain = loading.load(name, objects=loading.objects or made_with.objects)
     known = {*plain.joint_names, *plain.locked, *unmoved_joint_names(plain)}
