@@ -30,6 +30,8 @@ if TYPE_CHECKING:
     )
     from manip_learn.constraint.manipulability_batch import manipulability_batch
     from manip_learn.constraint.mechanism import Mechanism
+    from manip_learn.constraint.shown import Shown
+    from manip_learn.constraint.skill import Skill, Step
     from manip_learn.constraint.task_frame import TaskFrame
     from manip_learn.control.command import Command, Controller, Status
     from manip_learn.control.compiled_controller import CompiledController
@@ -61,6 +63,7 @@ if TYPE_CHECKING:
     from manip_learn.learning.mechanisms.find_mechanism import MechanismFit, find_mechanism
     from manip_learn.planning.approach import GraspCone
     from manip_learn.planning.plan import Plan, plan
+    from manip_learn.planning.repeat import Repetition, repeat
     from manip_learn.playback import LiveViewer, replay
     from manip_learn.recordings import RecordingSource, iter_demonstrations, load_demonstrations
     from manip_learn.recordings.demonstrations import Demonstrations
@@ -87,6 +90,8 @@ _NAMES = {
     "recordings.preprocessing": "resample subsample trim_standstill",
     "constraint.constraint": "Constraint",
     "constraint.mechanism": "Mechanism",
+    "constraint.shown": "Shown",
+    "constraint.skill": "Skill Step",
     "constraint.task_frame": "TaskFrame",
     "constraint.features": "CentreOfMass CustomFeatures FeatureMap "
     "FrameJacobian MechanismRows RelativeFrameJacobian Stacked",
@@ -107,6 +112,7 @@ _NAMES = {
     "control.tasks": "FreeDirection Hold PointAttractor Task Track motion",
     "planning.approach": "GraspCone",
     "planning.plan": "Plan plan",
+    "planning.repeat": "Repetition repeat",
     "control.servo_loop": "ServoLoop",
     "control.driver": "Driver RunRecord run warm_up",
     "control.simulation": "simulate",
@@ -129,14 +135,15 @@ __all__ += ["FreeDirection", "GraspCone", "Hold", "JointAttractor", "JointLimitA
 __all__ += ["LeRobotMotor", "Limits", "LiveViewer", "ManipLearnError", "ManipulabilityAscent", "Mechanism"]
 __all__ += ["MechanismFit", "MechanismRows", "MuJoCoDriver", "NoPlanError", "NullSpacePolicy"]
 __all__ += ["PenalisedManipulabilityAscent", "Plan", "PointAttractor", "RecordedFiles", "RecordingSource"]
-__all__ += ["RelativeFrameJacobian", "ResolvedRateController", "Robot", "Rollout", "RunRecord", "SelfCollision"]
-__all__ += ["SelfCollisionAvoidance", "ServoLoop", "Stacked", "Status", "Task", "TaskFrame", "Track", "Trajectory"]
-__all__ += ["WeightedPolicies", "ZeroPolicy", "audit_episodes", "derive_velocities", "find_mechanism"]
-__all__ += ["following_error_limit", "inspect_robot", "iter_demonstrations", "likely_tips", "load_demonstrations"]
-__all__ += ["load_robot", "log_manipulability_gradient", "log_penalised_manipulability_gradient", "manipulability"]
-__all__ += ["manipulability_batch", "manipulability_gradient", "motion", "penalised_manipulability"]
-__all__ += ["penalised_manipulability_gradient", "plan", "record", "replay", "resample", "run", "simulate"]
-__all__ += ["subsample", "trim_standstill", "warm_up"]
+__all__ += ["RelativeFrameJacobian", "Repetition", "ResolvedRateController", "Robot", "Rollout", "RunRecord"]
+__all__ += ["SelfCollision", "SelfCollisionAvoidance", "ServoLoop", "Shown", "Skill", "Stacked", "Status", "Step"]
+__all__ += ["Task", "TaskFrame", "Track", "Trajectory", "WeightedPolicies", "ZeroPolicy", "audit_episodes"]
+__all__ += ["derive_velocities", "find_mechanism", "following_error_limit", "inspect_robot", "iter_demonstrations"]
+__all__ += ["likely_tips", "load_demonstrations", "load_robot", "log_manipulability_gradient"]
+__all__ += ["log_penalised_manipulability_gradient", "manipulability", "manipulability_batch"]
+__all__ += ["manipulability_gradient", "motion", "penalised_manipulability", "penalised_manipulability_gradient"]
+__all__ += ["plan", "record", "repeat", "replay", "resample", "run", "simulate", "subsample", "trim_standstill"]
+__all__ += ["warm_up"]
 
 
 def __getattr__(name: str) -> Any:

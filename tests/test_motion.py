@@ -11,7 +11,6 @@ import pytest
 
 import manip_learn as ml
 from manip_learn.constraint.features import FrameJacobian, MechanismRows
-from manip_learn.control.tasks.driven_motion import _of_one_unit
 from manip_learn.control.tasks.motion import motion_to
 from manip_learn.control.way import DONE, WayDone, joint_at_limit, leads_away, simulate_way
 from manip_learn.errors import ConfigurationError, ConstraintError, TargetError
@@ -296,17 +295,3 @@ def test_half_a_turn_and_more_in_a_kept_orientation() -> None:
     turned = panda.pose(rollout.q[-1], tip)[:3, :3] @ panda.pose(q0, tip)[:3, :3].T
     assert way.is_done and np.degrees(way.done) == pytest.approx(200.0, abs=0.2)
     assert np.max(np.abs(turned - np.eye(3))) < 1e-3
-
-
-def test_free_twists_that_translate_and_turn() -> None:
-    """Of two free directions the one that slides, without its leak; one alone counts as what it mostly is."""
-    angular, leak = np.array([False] * 3 + [True] * 3), 0.02
-    slide, turn = np.array([1.0, 0, 0, leak, 0, 0]), np.array([0, -leak, 0, 0, 1.0, 0])
-    free = np.array([slide / np.linalg.norm(slide), turn / np.linalg.norm(turn)])
-    turned = np.array([[0.6, 0.8], [-0.8, 0.6]]) @ free
-    for wanted, own in ((~angular, free[0]), (angular, free[1])):
-        found = _of_one_unit(turned, wanted)
-        assert found.shape == (1, 6) and abs(found[0] @ own) > 0.999
-    screw = np.array([[0.0, 0.0, 0.5, 0.0, 0.0, np.sqrt(0.75)]])
-    np.testing.assert_array_equal(_of_one_unit(screw, angular), screw)
-    assert _of_one_unit(screw, ~angular).shape == (0, 6)

@@ -70,7 +70,6 @@ class Controlled:
         start: Where the start posture came from, if it was not given.
         verb: What the way did to the thing, e.g. `"opened"`.
         plan: The plan that was followed; None without one.
-        hint: What to try, where the way was probably meant otherwise.
         notes: What loading the constraint had to say, e.g. that joints are locked elsewhere than when it was learnt.
     """
 
@@ -83,7 +82,6 @@ class Controlled:
     start: str = ""
     verb: str = "moved"
     plan: Plan | None = None
-    hint: str = ""
     notes: tuple[str, ...] = ()
 
     @staticmethod
@@ -170,9 +168,10 @@ def control(options: ControlOptions, progress: Progress | None = None) -> Contro
     rest = vector("--rest", options.rest)
     robot = robot_of_constraint(options.robot, options.constraint, options.loading)
     constraint = Constraint.load(options.constraint, robot)
-    moves = options.along is not None or options.turn is not None
-    if target is not None and moves:
+    named_way = options.along is not None or options.turn is not None
+    if target is not None and named_way:
         raise TargetError("--target names the point, --along and --turn the way: give one of them")
+    moves = named_way or (target is None and constraint.shown is not None)
     if options.rows not in ROWS:
         raise TargetError(f"--rows must be {' or '.join(ROWS)}, not {options.rows!r}")
     if options.planned.plan and (
@@ -180,7 +179,7 @@ def control(options: ControlOptions, progress: Progress | None = None) -> Contro
     ):
         raise TargetError("a plan has its own null-space motion: leave --policy, --rest, --duration and --inverse out")
     q0, whence = _start(robot, constraint, start, moves or target is not None)
-    task = _task(options, constraint, q0, target, direction)
+    task = _task(options, constraint, q0, target, direction, moves)
     found, way = None, None
     if options.planned.plan:
         found, rollout, way = follow(options.planned, constraint, task, q0, options.dt, progress)
@@ -194,9 +193,7 @@ def control(options: ControlOptions, progress: Progress | None = None) -> Contro
             length = enough if options.duration is None else options.duration
             rollout = simulate(robot, law, q0, length, options.dt, progress=progress)
     aim = aim_of(constraint, task, rollout) if isinstance(task, PointAttractor) else None
-    against = direction is None and isinstance(task, FreeDirection) and task.goes_as_shown is False
-    hint = "the recordings went the other way: --direction shown counts that way as positive" if against else ""
-    done = Controlled.of(constraint, rollout, options.tolerance, way, aim=aim, start=whence, plan=found, hint=hint)
+    done = Controlled.of(constraint, rollout, options.tolerance, way, aim=aim, start=whence, plan=found)
     if options.check and not done.reached:
         because = "" if way is None else f": stopped by {way.stopped_by}"
         raise TargetError(f"{done.sentence}{because}; ask for less, or start elsewhere (--start)", code="not-reached")
@@ -209,15 +206,26 @@ def _task(
     q0: np.ndarray,
     target: list[float] | None,
     direction: list[float] | str | None,
+    moves: bool,
 ) -> Task:
-    """The way or the target that was named; else to stay on what is held."""
+    """The way or the target that was named; else what was shown; else to stay on what is held."""
     speed, keep = options.speed, options.keep_orientation
-    if options.along is not None or options.turn is not None:
+    if moves:
         angle = None if options.turn is None else math.radians(options.turn)
-        rate = speed if angle is None or speed is None else math.radians(speed)
-        return motion(constraint, options.along, angle, direction=direction, speed=rate, keep_orientation=keep)
+        turns = angle is not None or (
+            options.along is None and constraint.shown is not None and constraint.shown.unit == "rad"
+        )
+        return motion(
+            constraint,
+            options.along,
+            angle,
+            direction=direction,
+            speed=math.radians(speed) if turns and speed is not None else speed,
+            keep_orientation=keep,
+            beyond_shown=options.beyond_shown,
+        )
     if target is None:
-        return Hold()
+        return Hold() if constraint.intention is None else motion(constraint)
     if options.rows == "all" and isinstance(constraint.features, WeighedVelocity):
         return motion_to(constraint, target, q0, speed=speed, keep_orientation=keep)
     task = PointAttractor(target, options.task_gain, speed, driven="all" if options.rows == "all" else "held")
@@ -252,7 +260,6 @@ def follow(
         options.seed,
         grasp=grasp,
         base_within=options.base_within,
-        beyond_shown=options.beyond_shown,
         dt=dt,
         progress=progress,
     )

@@ -44,6 +44,7 @@ class Learnt:
     out: Path | None
     notes: tuple[str, ...]
     page: ReplayResult | None = None
+    robot: str = "ROBOT"
 
     @property
     def constraint(self) -> Constraint:
@@ -71,6 +72,7 @@ class Learnt:
 def _described(constraint: Constraint, report: LearningReport) -> dict[str, Any]:
     return report.to_dict() | {
         "selection": constraint.selection.tolist(),
+        "shown": constraint.provenance.get("shown"),
         "axes": list(report.row_names),
         "free_directions": [list(row) for row in report.free_directions],
     }
@@ -112,12 +114,12 @@ def learn(options: LearnOptions, progress: Progress | None = None) -> Learnt:
     )
     with cluster_client(options.dask) as client:
         learner.fit(demos, client=client, progress=progress)
-    written = learner.constraint_.save(options.out) if options.out is not None else None
+    written = learner.skill_.save(options.out) if options.out is not None else None
     page = None
     if options.html is not None and isinstance(recorded, Demonstrations):
         numbers = numbers_read(options.recordings, robot, **options.reading.keywords())
         page = _replay_of_recordings(robot, recorded, learner, options.html, frame, numbers)
-    return Learnt(learner.constraints_, learner.reports_, frame, written, tuple(notes), page)
+    return Learnt(learner.constraints_, learner.reports_, frame, written, tuple(notes), page, options.robot)
 
 
 def choose_frame(robot: Robot, frame: str | None) -> str:

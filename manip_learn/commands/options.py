@@ -235,13 +235,12 @@ class PlanOptions:
         int | None, Option(help="Number of turns about that axis that grip alike; 2: a gripper, 0: a knob.")
     ] = None
     base_within: Annotated[float, Option(help="Without a plan, try the base elsewhere, up to this far [m].")] = 0.0
-    beyond_shown: Annotated[bool, Option("--beyond-shown", help="Allow a way farther than was shown.")] = False
 
     def __post_init__(self) -> None:
         """Refuse options of a plan without `--plan`."""
-        given = (self.seed, self.grasp_angle, self.grasp_turns, self.base_within, self.beyond_shown)
-        if not self.plan and given != (0, None, None, 0.0, False):
-            raise TargetError("--seed, --grasp-angle, --grasp-turns, --base-within and --beyond-shown go with --plan")
+        given = (self.seed, self.grasp_angle, self.grasp_turns, self.base_within)
+        if not self.plan and given != (0, None, None, 0.0):
+            raise TargetError("--seed, --grasp-angle, --grasp-turns and --base-within go with --plan")
 
 
 @final
@@ -335,9 +334,16 @@ class ControlOptions:
     start: Annotated[
         str | None, Option(help="Joint positions [rad], e.g. 0.1,-0.5,0; default: the first posture that was shown.")
     ] = None
-    along: Annotated[float | None, Option(help="Way along a line or a plane [m].")] = None
-    turn: Annotated[float | None, Option(help="Angle about a hinge, a screw or a ball [degrees].")] = None
-    direction: Annotated[str | None, Option(help="Direction of the way, where several are free: x,y,z.")] = None
+    along: Annotated[
+        float | None, Option(help="Way along a line or a plane [m], positive as it was shown; default: all as shown.")
+    ] = None
+    turn: Annotated[
+        float | None, Option(help="Angle about a hinge, a screw or a ball [degrees], positive as it was shown.")
+    ] = None
+    direction: Annotated[
+        str | None, Option(help="Direction of the way, where several are free: x,y,z; or shown, or back.")
+    ] = None
+    beyond_shown: Annotated[bool, Option("--beyond-shown", help="Allow a way farther than was shown.")] = False
     speed: Annotated[float | None, Option(help="Speed of the hand [m/s], or of a turn [degrees/s].")] = None
     keep_orientation: Annotated[bool, Option("--keep-orientation", help="Keep the orientation of the hand.")] = False
     target: Annotated[str | None, Option(help="Point to go to, one value per axis [m or rad].")] = None
@@ -355,6 +361,29 @@ class ControlOptions:
     planned: PlanOptions = PlanOptions()
     loading: RobotOptions = RobotOptions()
     explain: Explain = False
+    as_json: Json = False
+
+
+@final
+@dataclass(frozen=True)
+class RepeatOptions:
+    """Do again all that the recordings show: take hold, go the way, let go, the next one, and retreat."""
+
+    robot: RobotName
+    task: Annotated[
+        Path, Argument(metavar="TASK", help="Written by `learn --out`.", autocompletion=constraint_completions)
+    ]
+    start: Annotated[
+        str | None, Option(help="Joint positions [rad], e.g. 0.1,-0.5,0; default: the first posture that was shown.")
+    ] = None
+    moved: Annotated[
+        str | None,
+        Option(help="The fixtures stand elsewhere: x,y,z[,rx,ry,rz] (m, degrees about the base's axes)."),
+    ] = None
+    seed: Annotated[int, Option(help="Random seed of the plans.")] = 0
+    out: Annotated[Path | None, Option(help="Rollout file to write: .npz, .csv or .mcap (for ROS).")] = None
+    html: Annotated[Path | None, Option(help="Replay to write.")] = None
+    loading: RobotOptions = RobotOptions()
     as_json: Json = False
 
 

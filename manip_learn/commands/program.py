@@ -58,6 +58,7 @@ COMMANDS = (
     Command("learn", options.LearnOptions, "learn.learn", ("print_learnt",)),
     Command("audit", options.AuditOptions, "audit.audit", ("print_audit",)),
     Command("control", options.ControlOptions, "control.control", ("print_controlled",)),
+    Command("repeat", options.RepeatOptions, "repeat.repeat_skill", ("print_repeated",)),
     Command("replay", options.ReplayOptions, "replay.replay", ("print_replayed",)),
     Command("export", options.ExportOptions, "export.export", ("print_exported",)),
     Command("reproduce", options.ReproduceOptions, "reproduce.reproduce", ("print_reproduction",)),

@@ -22,6 +22,7 @@ if TYPE_CHECKING:
     from manip_learn.commands.export import Exported
     from manip_learn.commands.learn import Learnt
     from manip_learn.commands.record import Recorded
+    from manip_learn.commands.repeat import Repeated
     from manip_learn.commands.reproduce import Reproduction
     from manip_learn.commands.robots import Inspected, KnownRobots
     from manip_learn.commands.teach import Taught
@@ -248,11 +249,21 @@ def print_learnt(console: Console, learnt: Learnt, explain: bool = False) -> Non
     print_words(console, [term for *_, term in facts if term], explain)
     say(console, *(f"constraint {n}: {other.sentence}" for n, other in enumerate(learnt.reports[1:], start=2)))
     say(console, *RecordingOverview(report.phases).sentences())
+    many = len(learnt.constraints) > 1
+    shown = [
+        (f"constraint {n}: " if many else "", c.shown or c.intention) for n, c in enumerate(learnt.constraints, start=1)
+    ]
+    say(console, *(where + what.sentence for where, what in shown if what is not None))
     say(console, *(f"note: {note}" for note in (*learnt.notes, *report.notes)), style="dim")
     say(console, *(f"warning: {warning}" for warning in report.warnings), style="yellow")
     say_file(console, "written", learnt.out)
     if learnt.page is not None:
         say_file(console, "replay", learnt.page.html, learnt.page.bytes)
+    if learnt.out is not None and learnt.constraint.shown is not None:
+        again = f"control {learnt.robot} {learnt.out} --out run.npz"
+        if many:
+            again = f"repeat {learnt.robot} {learnt.out} --html run.html"
+        say(console, f"next: manip-learn {again}", whole=True)
 
 
 def _learnt_facts(learnt: Learnt) -> list[tuple[str, str | None, str]]:
@@ -296,6 +307,36 @@ def print_demo(console: Console, demo: Demo, explain: bool = False) -> None:
         if controlled.way is not None and controlled.way.stopped_by is not None:
             say(console, f"{name}: stopped by {controlled.way.stopped_by}", style="yellow")
     say_file(console, "replay", demo.page.html, demo.page.bytes)
+
+
+def print_repeated(console: Console, repeated: Repeated) -> None:
+    """What became of each step, and where it was written."""
+    from manip_learn.control.tasks.driven_motion import way_in_words
+
+    done = repeated.repetition
+    ways = [step for step in done.steps if step.kind == "way"]
+    say(
+        console,
+        f"{counted(len(ways), 'way')} done as shown" if done.is_done else "not all of it was done",
+        style="bold",
+    )
+    if repeated.whence:
+        say(console, f"start: {repeated.whence} (another: --start)")
+    table = Table("step", "done", "of", "off", "margin", box=SIMPLE_HEAD, pad_edge=False)
+    for step in done.steps:
+        far, wanted = (way_in_words(x, step.unit) for x in (step.done, step.wanted))
+        off = f"{1e3 * step.deviation:.1f} {'mm' if step.unit == 'm' else 'mm or mrad'}"
+        table.add_row(text(step.name), far, wanted, off, "" if step.margin is None else f"{step.margin:.0%}")
+    console.print(table)
+    say(
+        console,
+        *(f"{step.name}: stopped by {step.stopped_by}" for step in done.steps if step.stopped_by),
+        style="yellow",
+    )
+    say(console, *(f"note: {note}" for note in done.notes), style="dim")
+    say_file(console, "written", repeated.out)
+    if repeated.page is not None:
+        say_file(console, "replay", repeated.page.html, repeated.page.bytes)
 
 
 def print_robots(console: Console, listed: KnownRobots) -> None:
@@ -373,8 +414,6 @@ def _obstacles(controlled: Controlled) -> list[str]:
             f"the hand moved {aim.crossed:.3g} along what the recordings show to be blocked, to come to the target: a "
             "hand that holds the thing needs a target on its way, or --along"
         )
-    if controlled.hint:
-        out.append(controlled.hint)
     if aim is not None and aim.ignored and not controlled.reached:
         out.append(f"--rows held leaves {', '.join(aim.ignored)} of the target free")
     if way is None and controlled.stalled:

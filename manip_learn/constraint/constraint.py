@@ -17,7 +17,9 @@ from manip_learn.constraint.features.frame_jacobian import AXES, FrameJacobian
 from manip_learn.constraint.features.mechanism_rows import MechanismRows, PlaceRows
 from manip_learn.constraint.features.other_features import described_features
 from manip_learn.constraint.features.relative_frame_jacobian import RelativeFrameJacobian
-from manip_learn.constraint.mechanism import TURNING, Mechanism, named_rows, read_mechanism
+from manip_learn.constraint.intention import Intention
+from manip_learn.constraint.mechanism import TURNING, Mechanism, named_rows, on_twist, read_mechanism
+from manip_learn.constraint.shown import Shown
 from manip_learn.constraint.task_frame import TaskFrame, task_frame
 from manip_learn.errors import DAMAGE, ConstraintError, ConstraintMismatchError, ManipLearnError, spoken
 from manip_learn.linalg import along_axes, finite, orthonormal_rows
@@ -109,6 +111,16 @@ class Constraint:
             return None
         return read_mechanism(self.selection, self.features, self.provenance)
 
+    @property
+    def shown(self) -> Shown | None:
+        """What the recordings did along the directions that are free; None if it was not learnt from any."""
+        return Shown.from_dict(self.provenance.get("shown"))
+
+    @property
+    def intention(self) -> Intention | None:
+        """Where the rows were moved to by a demonstrator who moved them on purpose (b unknown); None of others."""
+        return Intention.from_dict(self.provenance.get("intention"))
+
     def task_frame(self, q: ArrayLike) -> TaskFrame:
         """The frame along whose axes this constraint leaves the hand free or holds it, at a posture.
 
@@ -156,6 +168,40 @@ class Constraint:
         turns = np.eye(features.n_rows)[turning]
         _, sigma, Vt = np.linalg.svd(turns - turns @ held.T @ held)
         return Constraint(np.vstack([held, Vt[: int(np.count_nonzero(sigma > 0.5))]]), features, self.provenance)
+
+    def showing(self, shown: Shown) -> Constraint:
+        """The same rows, with something else shown along what they leave free."""
+        return Constraint(self.selection, self.features, self.provenance | {"shown": shown.to_dict()})
+
+    def moved(self, transform: Float[np.ndarray, "4 4"]) -> Constraint:
+        """What holds the hand, where it stands elsewhere: p' = R p + t in the base's frame.
+
+        Rows in the hand's own axes, or relative to another frame, move with these and stay.
+
+        Args:
+            transform: shape (4, 4), a rigid motion [m].
+        """
+        R, named = transform[:3, :3], self.about_its_mechanism()
+        provenance = {k: v for k, v in self.provenance.items() if not k.startswith("posture")}
+        mechanism, shown = self.mechanism, self.shown
+        if mechanism is not None:
+            provenance["mechanism"] = mechanism.moved(transform).to_dict()
+        if shown is not None:
+            provenance["shown"] = shown.moved(transform).to_dict()
+        features, selection = named.features, named.selection
+        if isinstance(features, MechanismRows):
+            g = features.geometry
+            place = {"axis": R @ g.axis, "point": R @ g.point + transform[:3, 3], "pitch": g.pitch}
+            features = MechanismRows(
+                features.robot, features.frame.name, features.row_names, **place, radius=features.radius
+            )
+        elif isinstance(features, FrameJacobian) and features.reference == "world":
+            twist = on_twist(features.row_names, selection)
+            twist = np.hstack([twist[:, :3] @ R.T, twist[:, 3:] @ R.T])
+            turns = bool(np.any(np.array(features.row_units) == "rad/s"))
+            features = FrameJacobian(features.robot, features.frame.name, AXES if turns else AXES[:3])
+            selection = twist if turns else twist[:, :3]
+        return Constraint(selection, features, provenance)
 
     def __call__(self, q: ArrayLike) -> Float[np.ndarray, "s nv"]:
         """A(q).
@@ -254,19 +300,7 @@ class Constraint:
             ConstraintMismatchError: Another robot, another schema, no constraint file at all, or rows that contradict
                 what the file says of them: their number, names, units, or that they are orthonormal.
         """
-        file = Path(path)
-        if not file.is_file():
-            what = "is a folder" if file.is_dir() else "does not exist"
-            raise ConstraintMismatchError(
-                f"constraint file {path} {what}; `manip-learn learn ... --out FILE` writes one"
-            )
-        try:
-            content = json.loads(file.read_bytes())
-        except (ValueError, RecursionError) as error:
-            raise ConstraintMismatchError(f"{path} is not a constraint file: it is not JSON ({error})") from error
-        except OSError as error:
-            raise ConstraintMismatchError(f"cannot read {path}: {error.strerror}") from error
-        return Constraint.from_dict(content, robot, source=str(path), same_urdf=same_urdf)
+        return Constraint.from_dict(read_constraint_file(Path(path)), robot, source=str(path), same_urdf=same_urdf)
 
     @staticmethod
     def from_dict(
@@ -345,6 +379,23 @@ def _orthonormal(selection: ArrayLike, features: FeatureMap) -> np.ndarray:
     if np.max(np.abs(matrix @ matrix.T - np.eye(matrix.shape[0]))) < 1e-14:
         return matrix  # kept to the last bit: paper-mode truncation depends on it
     return orthonormal_rows(matrix)
+
+
+def read_constraint_file(path: Path) -> Any:
+    """The JSON document in a constraint file.
+
+    Raises:
+        ConstraintMismatchError: There is no such file, or it is no JSON.
+    """
+    if not path.is_file():
+        what = "is a folder" if path.is_dir() else "does not exist"
+        raise ConstraintMismatchError(f"constraint file {path} {what}; `manip-learn learn ... --out FILE` writes one")
+    try:
+        return json.loads(path.read_bytes())
+    except (ValueError, RecursionError) as error:
+        raise ConstraintMismatchError(f"{path} is not a constraint file: it is not JSON ({error})") from error
+    except OSError as error:
+        raise ConstraintMismatchError(f"cannot read {path}: {error.strerror}") from error
 
 
 def _check_robot(path: str, content: Mapping[str, Any], robot: Robot, same_urdf: bool) -> None:

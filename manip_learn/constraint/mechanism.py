@@ -376,6 +376,13 @@ class Mechanism:
         slides = " and may slide along it" if self.name.startswith("sleeve") else ""
         return _TURNS[self.orientation].format(axis=around) + slides
 
+    def moved(self, transform: Float[np.ndarray, "4 4"]) -> Mechanism:
+        """This mechanism where it stands elsewhere, p' = R p + t."""
+        R = transform[:3, :3]
+        axis = None if self.axis is None else R @ self.axis
+        point = None if self.point is None else R @ self.point + transform[:3, 3]
+        return dataclasses.replace(self, axis=axis, point=point)
+
     def to_dict(self) -> dict[str, Any]:
         """Type, axis, point, radius, pitch and uncertainty, and how the hand is held, ready for JSON."""
         values = {name: getattr(self, name) for name in _FIELDS}

@@ -20,7 +20,7 @@ from manip_learn.control.compiled_controller import CompiledController, compiled
 from manip_learn.control.controller import ResolvedRateController
 from manip_learn.control.follow_motion import ARRIVED, FollowMotion
 from manip_learn.control.limits import Limits
-from manip_learn.control.tasks import PointAttractor, Task
+from manip_learn.control.tasks import FreeDirection, PointAttractor, Task
 from manip_learn.control.tasks.driven_motion import MotionProfile
 from manip_learn.errors import ConfigurationError
 from manip_learn.robot.robot import Robot
@@ -113,45 +113,56 @@ class JointMotion(Task):
 
 @final
 class LawSequence:
-    """A controller that moves the joints to a posture, and from there on does its task.
+    """Laws one after the other: motions of all joints to a posture, and ways along what a constraint leaves free.
 
-    It begins with the first call; a call at or before that time after later ones is a new run.
+    It begins with the first call; a call at or before that time after later ones is a new run. A motion of the joints
+    is over when it has arrived, a way when all of it is done: from a way that is not done no other law takes over.
 
     Args:
-        approach: Its task is a `JointMotion`.
-        way: What follows.
+        laws: In order; the last one stays in force.
 
     Attributes:
-        robot: The robot of both.
-        way_begins: Time at which the second law took over [s]; None as long as it has not.
+        laws: The same.
+        robot: The robot of all.
+        number: Which law is in force, counted from 0.
+        began: Time at which that law took over [s]; None before the first call.
     """
 
-    def __init__(self, approach: ResolvedRateController, way: ResolvedRateController):
-        self.approach, self.way = approach, way
-        self.robot: Robot | None = way.robot
+    def __init__(self, *laws: ResolvedRateController):
+        self.laws = laws
+        self.robot: Robot | None = laws[-1].robot
         self.reset()
 
     def reset(self) -> None:
         """Forget the start: the next call is the first one again."""
-        self._begun, self._latest, self.way_begins = math.inf, -math.inf, None
-        self.approach.task.reset()
-        self.way.task.reset()
+        self.number, self.began = 0, None
+        self._begun, self._latest = math.inf, -math.inf
+        for law in self.laws:
+            law.task.reset()
 
     @property
     def limits(self) -> Limits | None:
-        """Those of the way."""
-        return self.way.limits
+        """Those of the law in force."""
+        return self.current.limits
 
     @property
     def current(self) -> ResolvedRateController:
         """The law that is in force."""
-        return self.approach if self.way_begins is None else self.way
+        return self.laws[self.number]
 
     @property
-    def duration(self) -> float:
-        """How long the approach takes where no limit slows it down [s]."""
-        task = self.approach.task
-        return task.duration if isinstance(task, JointMotion) else 0.0
+    def way(self) -> ResolvedRateController:
+        """The law in force, of a motion of the joints the one that it leads to."""
+        following = self.laws[self.number : self.number + 2]
+        return following[-1] if isinstance(following[0].task, JointMotion) else following[0]
+
+    def _is_over(self, q: ArrayLike, since: float) -> bool:
+        """Whether the law in force has done its part, at a time since it took over [s]."""
+        task = self.current.task
+        if isinstance(task, JointMotion):
+            late = since - task.duration
+            return late >= 0.0 and (late >= SETTLING or self.current.task_error(q) < ARRIVED)
+        return isinstance(task, FreeDirection) and task.is_over(q, since)
 
     def __call__(
         self,
@@ -163,29 +174,31 @@ class LawSequence:
     ) -> Command:
         """The command at posture q; arguments and errors as for `ResolvedRateController`.
 
-        The manipulability is always that of the way's rows.
+        The manipulability is always that of a way's rows.
         """
         if t <= self._begun < self._latest:
             self.reset()
         self._begun, self._latest = min(self._begun, t), t
-        late = t - self._begun - self.duration
-        if self.way_begins is None and late >= 0.0 and (late >= SETTLING or self.approach.task_error(q) < ARRIVED):
-            self.way_begins = t
-        if self.way_begins is not None:
-            return self.way(q, t - self.way_begins, dt, previous, slide)
-        command = self.approach(q, t - self._begun, dt, previous, slide)
+        if self.began is None:
+            self.began = t
+        if self.number + 1 < len(self.laws) and self._is_over(q, t - self.began):
+            self.number, self.began = self.number + 1, t
+        law = self.current
+        command = law(q, t - self.began, dt, previous, slide)
+        if law is self.way:
+            return command
         return command._replace(manipulability=manipulability(self.way.constraint, q))
 
     def task_error(self, q: ArrayLike, t: float = 0.0) -> float:
         """Distance to the goal of the law in force [m or rad]."""
-        return self.current.task_error(q, t - (self.way_begins or 0.0))
+        return self.current.task_error(q, t - (self.began or 0.0))
 
     def with_limits(self, limits: Limits) -> LawSequence:
         """These laws with other limits."""
-        return LawSequence(self.approach.with_limits(limits), self.way.with_limits(limits))
+        return LawSequence(*(law.with_limits(limits) for law in self.laws))
 
     def __repr__(self) -> str:
-        return f"LawSequence({self.approach.task!r}, {self.way.task!r})"
+        return f"LawSequence({', '.join(repr(law.task) for law in self.laws)})"
 
 
 def robot_of(controller: Controller, robot: Robot | None) -> Robot:

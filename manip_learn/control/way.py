@@ -14,12 +14,11 @@ from manip_learn.control.controller import ResolvedRateController
 from manip_learn.control.rollout import Rollout
 from manip_learn.control.simulation import simulate
 from manip_learn.control.tasks.driven_motion import Unit
-from manip_learn.control.tasks.motion import FreeDirection
+from manip_learn.control.tasks.motion import DONE, FreeDirection
 from manip_learn.errors import ConfigurationError
 from manip_learn.recordings.trajectory_source import Progress
 from manip_learn.robot.robot import Robot
 
-DONE = {"m": 1e-3, "rad": np.radians(0.2)}  # what may be missing of a way that is done: a millimetre, 0.2 degrees
 # [m or rad] that a hand may be off what holds it: the play of a drawer's rails; 5 mm press with 18 N on a stiff arm
 STRAY = 2e-3
 AT_LIMIT = 2e-3  # [rad or m] a joint this near to its position limit stands at it: braking is exponential in the end

@@ -12,6 +12,7 @@ import numpy as np
 
 from manip_learn.constraint.constraint import Constraint
 from manip_learn.constraint.features.feature_map import FeatureMap
+from manip_learn.constraint.skill import Skill
 from manip_learn.errors import (
     FeatureError,
     NotFittedError,
@@ -28,6 +29,7 @@ from manip_learn.learning.recombination import BELIEVED_STRENGTH
 from manip_learn.learning.repeats import IndependentRecordings
 from manip_learn.learning.report import LearningReport, RecordingOverview, advise, build_report
 from manip_learn.learning.samples import check_fastest, doubt_velocities
+from manip_learn.learning.skill import skill_of
 from manip_learn.learning.uncertainty import uncertainty_of
 from manip_learn.linalg import one_thread
 from manip_learn.recordings.demonstrations import Demonstrations
@@ -38,7 +40,7 @@ from manip_learn.robot.robot import Robot
 ESTIMATORS = ("auto", "joint", "null-space", "separate")
 Switch = Literal["auto", "off"]
 SWITCHES = ("auto", "off")
-LEARNT = ("constraint_", "constraints_", "report_", "reports_")  # there after `fit` only
+LEARNT = ("constraint_", "constraints_", "report_", "reports_", "skill_")  # there after `fit` only
 
 
 @final
@@ -72,6 +74,7 @@ class ConstraintLearner:
         constraints_: Every constraint that was found, best supported first.
         report_: The evidence for the first, a `LearningReport`, after `fit`.
         reports_: One report per constraint.
+        skill_: The constraints in the order in which they were shown, with what was done along each: a `Skill`.
 
     Raises:
         FeatureError: No features, features that are something else, or settings out of range.
@@ -95,6 +98,7 @@ class ConstraintLearner:
     constraints_: tuple[Constraint, ...]
     report_: LearningReport
     reports_: tuple[LearningReport, ...]
+    skill_: Skill
 
     def __init__(
         self,
@@ -272,6 +276,7 @@ class ConstraintLearner:
             reports.append(report)
         self.constraints_, self.reports_ = tuple(constraints), tuple(reports)
         self.constraint_, self.report_ = constraints[0], reports[0]
+        self.skill_ = skill_of(constraints, answers)
 
     @property
     def _empty(self) -> Choice:

@@ -14,8 +14,10 @@ from manip_learn.constraint.constraint import Constraint
 from manip_learn.constraint.features.feature_map import FeatureMap
 from manip_learn.constraint.features.frame_jacobian import FrameJacobian
 from manip_learn.constraint.features.mechanism_rows import MechanismRows
+from manip_learn.constraint.intention import intention_of
 from manip_learn.constraint.mechanism import Mechanism
 from manip_learn.constraint.selection_in_words import describe, free_directions, known_to, said_by_rows
+from manip_learn.constraint.shown import shown_by
 from manip_learn.errors import NotIdentifiableError, advice, counted, listed, named, number_if_known, printable
 from manip_learn.learning.answer import Answer
 from manip_learn.learning.estimators.estimate import CLEAR_GAP
@@ -362,6 +364,14 @@ def build_report(
     kept = evenly(len(samples), KEPT_POSTURES)
     provenance["postures"] = np.round(samples.q[kept], 5).tolist()
     provenance["posture_trajectories"] = samples.trajectory[kept].tolist()
+    if kind == "motion-constrained":
+        contacts = [(t.time, t.q) for t in answer.part.demonstrations]
+        shown = shown_by(features, selection, Constraint(selection, features, provenance).mechanism, contacts)
+        provenance["shown"] = None if shown is None else shown.to_dict()
+    else:
+        recordings = [(t.q, t.u) for t in answer.part.demonstrations if t.u is not None]
+        meant = intention_of(features, selection, recordings)
+        provenance["intention"] = None if meant is None else meant.to_dict()
     return Constraint(selection, features, provenance), report
 
 

@@ -23,7 +23,7 @@ from manip_learn.control.simulation import simulate
 from manip_learn.control.tasks.driven_motion import way_in_words
 from manip_learn.control.tasks.motion import FreeDirection
 from manip_learn.control.way import WayDone, joint_at_limit, simulate_way
-from manip_learn.errors import ConfigurationError, FeatureError, NoPlanError, TargetError, advice, an
+from manip_learn.errors import ConfigurationError, FeatureError, NoPlanError, TargetError, an
 from manip_learn.planning.approach import Clearance, GraspCone, clear_path, self_collision
 from manip_learn.planning.search import TIE, TURN, Ladder, ladder_of, relaxed
 from manip_learn.planning.stations import FEWEST, MOST, PERIOD, Margins, Postures, Stations, margins_of, rooms
@@ -149,7 +149,6 @@ def plan(
     limits: Limits | None = None,
     collision: SelfCollision | bool = True,
     base_within: float = 0.0,
-    beyond_shown: bool = False,
     dt: float = 0.01,
     progress: Progress | None = None,
 ) -> Plan:
@@ -173,7 +172,6 @@ def plan(
         limits: Of the joints; the robot's own by default.
         collision: The pairs of links that must not touch; True for those of the robot's shapes, False for none.
         base_within: Where there is no plan, base placements up to this distance are tried [m].
-        beyond_shown: Ways longer than what was shown are planned too.
         dt: Step of the simulation [s].
         progress: As for `simulate`.
 
@@ -200,7 +198,7 @@ def plan(
         )
     said = progress or (lambda _title, _share: None)
     problem = _Problem(constraint, motion, start, seed, grasp, limits, collision, dt)
-    problem.check(beyond_shown)
+    problem.check()
     said("comparing postures", 0.1)
     ladder = problem.ladder(candidates)
     if problem.slow_down(ladder):
@@ -298,19 +296,12 @@ class _Problem:
         self.clear = Clearance(shapes, robot, [self.positions])
         self.stations = Stations.of(self.motion, self.start, self.limits)
 
-    def check(self, beyond_shown: bool) -> None:
+    def check(self) -> None:
         """Refuse a start, a way or a grasp that cannot be."""
         check_inside(self.robot, self.positions)
         touching = self.clear.near(self.positions, 0.0)
         if touching is not None:
             raise TargetError(f"at the start the links {touching[0]!r} and {touching[1]!r} touch: start elsewhere")
-        shown, wanted = self.motion.longest_shown, abs(self.motion.wanted)
-        if shown is not None and wanted > shown and not beyond_shown:
-            far, most = (way_in_words(way, self.motion.unit) for way in (wanted, shown))
-            raise TargetError(
-                f"the way of {far} is longer than what was shown ({most}): ask for no more"
-                + advice(", or plan {}", "with beyond_shown=True", "it with --beyond-shown")
-            )
         own = getattr(self.rows.features, "reference", "world") == "local"
         if self.grasp is not None and own and self.stations.holds_orientation:
             raise TargetError("what was learnt is fixed to the hand's own axes: its grasp cannot be chosen")

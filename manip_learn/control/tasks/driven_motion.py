@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import math
 from abc import ABC, abstractmethod
-from dataclasses import dataclass
-from typing import Literal, NamedTuple, final
+from dataclasses import dataclass, replace
+from typing import NamedTuple, final
 
 import numpy as np
 from jaxtyping import Float
@@ -14,18 +14,18 @@ from numpy.typing import ArrayLike
 from manip_learn.constraint.constraint import Constraint
 from manip_learn.constraint.features.feature_map import sum_in_words
 from manip_learn.constraint.features.frame_jacobian import AXES, FrameJacobian, pose_error
-from manip_learn.constraint.features.mechanism_rows import MechanismRows, Place
+from manip_learn.constraint.features.mechanism_rows import MechanismRows, Place, across
 from manip_learn.constraint.features.relative_frame_jacobian import RelativeFrameJacobian
+from manip_learn.constraint.shown import Shown, Unit
 from manip_learn.errors import ConstraintError, TargetError, advice
 from manip_learn.linalg import along_axes, complement_rows, finite
 from manip_learn.robot.rotations import left_jacobian, left_jacobian_inverse, rotation_matrix, rotation_vector, skew
 
-Unit = Literal["m", "rad"]
 Origin = Float[np.ndarray, "..."]  # a pose (4, 4), or coordinates of the features (p,)
 # an error along p rows [m or rad], its rate per unit rate of the distance at a frame that stands still, what makes
 # velocities of the features of the rates of coordinates, and E of `Task.error_jacobian`, None where that is A(q)
 MovingError = tuple[np.ndarray, np.ndarray, np.ndarray | float, np.ndarray | None]
-ONE_WAY = 0.5  # share of what lies to one side of where recordings begin, from which on that is the way shown
+HAND_LEVER = 0.2  # [m] between a hand and what it turns, so that an approach of 0.25 m/s turns by 1.25 rad/s at most
 # [m] a hand this near to where a task was shown is on the mechanism: people take hold of a handle a finger's breadth
 # further on, and a constraint file keeps a few postures only
 GRIP = 0.02
@@ -62,15 +62,23 @@ class DrivenMotion(ABC):
         constraint: The constrained rows and the driven one.
         unit: `"m"` or `"rad"`, of distances along the motion.
         along_rows: Whether E of `rates_and_jacobian` is known to be None at every posture.
-        driven: shape (p,), what a unit of distance adds to the features' coordinates.
-        held: shape (k, p), the constrained rows.
     """
 
     constraint: Constraint
     unit: Unit
     along_rows: bool
-    driven: Float[np.ndarray, " p"]
-    held: Float[np.ndarray, "k p"]
+
+    @abstractmethod
+    def held_at(self, distance: float) -> Float[np.ndarray, "k p"]:
+        """The constrained rows, at a distance."""
+
+    @abstractmethod
+    def driven_at(self, distance: float) -> Float[np.ndarray, " p"]:
+        """What a unit of distance adds to the features' coordinates, at a distance."""
+
+    @abstractmethod
+    def axis_at(self, origin: Origin) -> Float[np.ndarray, " 3"]:
+        """Direction in which the hand goes, or axis about which it turns, at the beginning: in the base frame."""
 
     @abstractmethod
     def origin(self, q: ArrayLike) -> Origin:
@@ -90,11 +98,11 @@ class DrivenMotion(ABC):
 
     def progress(self, origin: Origin, q: ArrayLike, near: float) -> float:
         """How far posture q is from the start [m or rad]; of angles a turn apart the one next to `near`."""
-        return near - self._lag(self.error(origin, q, near))
+        return near - self._lag(self.error(origin, q, near), near)
 
     def deviation(self, origin: Origin, q: ArrayLike, distance: float) -> Float[np.ndarray, " k"]:
         """How far the constrained coordinates are from where they are held [m or rad], at that distance."""
-        return self.held @ self.error(origin, q, distance)
+        return self.held_at(distance) @ self.error(origin, q, distance)
 
     def rates_and_jacobian(
         self, origin: Origin, q: ArrayLike, setpoint: Setpoint, gain: float
@@ -104,21 +112,43 @@ class DrivenMotion(ABC):
         The rate of the error that the moving goal causes, and gain times the error, along the motion within the speed.
         """
         error, along, scale, E = self.moving_error(origin, q, setpoint.distance)
-        wanted = setpoint.rate + gain * self._lag(error)
+        wanted = setpoint.rate + gain * self._lag(error, setpoint.distance)
         excess = wanted - min(max(wanted, -setpoint.speed), setpoint.speed)
         rates = along * setpoint.rate + gain * error
-        return scale * (rates - excess * self.driven if excess else rates), E
+        return scale * (rates - excess * self.driven_at(setpoint.distance) if excess else rates), E
 
-    def _lag(self, error: Float[np.ndarray, " p"]) -> float:
-        return float(self.driven.dot(error)) / float(self.driven.dot(self.driven))
+    def _lag(self, error: Float[np.ndarray, " p"], distance: float) -> float:
+        driven = self.driven_at(distance)
+        return float(driven.dot(error)) / float(driven.dot(driven))
+
+    def placed(self, here: Origin, place: Float[np.ndarray, " 3"], orientation: np.ndarray | None = None) -> Origin:
+        """The origin of a hand at another place [m], turned as here where no orientation is given.
+
+        Args:
+            here: Origin of where the hand is.
+            place: In the base frame.
+            orientation: shape (3, 3).
+        """
+        out = here.copy()
+        if out.ndim == 1:
+            names = self.constraint.features.row_names
+            out[:] = [place[AXES.index(name)] for name in names]
+            return out
+        out[:3, 3] = place
+        if orientation is not None:
+            out[:3, :3] = orientation
+        return out
 
 
 def between(start: Origin, end: Origin, share: float) -> Origin:
-    """An origin on the straight way from one to another: of poses the place moves and the orientation stays."""
+    """An origin on the straight way from one to another; of poses the hand turns evenly meanwhile."""
     out = start.copy()
     if start.ndim == 1:
         return out + share * (end - start)
     out[:3, 3] += share * (end[:3, 3] - start[:3, 3])
+    turn = end[:3, :3] @ start[:3, :3].T
+    if not np.array_equal(end[:3, :3], start[:3, :3]):
+        out[:3, :3] = rotation_matrix(share * rotation_vector(turn)) @ start[:3, :3]
     return out
 
 
@@ -143,67 +173,98 @@ def _shown_postures(constraint: Constraint) -> Float[np.ndarray, "n m"] | None:
     return postures if postures.ndim == 2 and postures.shape[1] in (robot.nq, robot.nv) else None
 
 
-def shown_sense(constraint: Constraint, motion: DrivenMotion) -> float:
-    """1 where a task was shown to the positive side of where its recordings began, -1 to the other; 0 if not known.
+def shown_sense(shown: Shown | None, motion: DrivenMotion, *, of_most: bool = False) -> float:
+    """1 where a task was shown to the positive side of a motion, -1 to the other; 0 if the recordings do not say.
 
-    Whether a person who opened a drawer shut it again does not matter; where the recordings went to both sides, the
-    way is not known.
+    Args:
+        shown: What was shown.
+        motion: The motion.
+        of_most: Where recordings went to both sides, the side of most of them counts.
     """
-    shown, of = _shown_postures(constraint), constraint.provenance.get("posture_trajectories")
-    if shown is None or not of or len(of) != len(shown):
+    if shown is None or not shown.is_way or not (shown.one_way or of_most) or shown.unit != motion.unit:
         return 0.0
-    ways, numbers = [], np.array(of)
-    for number in np.unique(numbers):
-        first, *others = (shown[i] for i in np.flatnonzero(numbers == number))
-        origin = motion.origin(first)
-        ways += [motion.progress(origin, posture, 0.0) for posture in others]
-    left, moved = float(np.sum(ways)), float(np.sum(np.abs(ways)))
-    return math.copysign(1.0, left) if moved > 0.0 and abs(left) >= ONE_WAY * moved else 0.0
+    begin = np.eye(4)
+    begin[:3, :3], begin[:3, 3] = shown.orientation, shown.begin
+    along = float(motion.axis_at(begin) @ shown.coordinates.axes[0])
+    return math.copysign(1.0, along) if along else 0.0
 
 
 @final
 @dataclass(frozen=True, eq=False)
 class ShownPlaces:
-    """Postures in which a task was shown, as a motion along it sees them.
+    """Where a task was shown, as a motion along it sees that.
 
     Attributes:
         motion: The motion along what is free.
-        postures: shape (n, nq or nv).
+        postures: shape (n, nq or nv), in which it was shown; None where they do not say where the mechanism is.
         lever: Distance of the hand from the axis of a turn [m]; 1 where nothing turns.
         n_held: How many of the held coordinates of the motion belong to the constraint; others hold the orientation.
+        hold: shape (3,), where all contacts began [m]; None if they began at different places.
+        orientation: shape (3, 3), of the hand there; None where the mechanism leaves it free.
+        points: shape (k, 3), along the way from there [m].
+        anew: Whether the hand goes there even if it is on the mechanism already.
+        sense: Of the way shown along the motion, 1 or -1.
     """
 
     motion: DrivenMotion
-    postures: Float[np.ndarray, "n m"]
+    postures: Float[np.ndarray, "n m"] | None
     lever: float
     n_held: int
+    hold: Float[np.ndarray, " 3"] | None
+    orientation: Float[np.ndarray, "3 3"] | None
+    points: Float[np.ndarray, "k 3"]
+    anew: bool
+    sense: float
 
     @staticmethod
-    def of(constraint: Constraint, motion: DrivenMotion) -> ShownPlaces | None:
-        """Of a learnt constraint; None if it was not learnt, or if its rows do not say where its mechanism is.
+    def of(constraint: Constraint, motion: DrivenMotion, anew: bool) -> ShownPlaces | None:
+        """Of a learnt constraint; None if it was not learnt, or if nothing says where its mechanism is.
 
-        A hand that is fixed to the mechanism carries the mechanism's place with it, so that only a loose grip has one.
+        A hand that is fixed to the mechanism carries the mechanism's place with it: of a firm grip a place is known
+        where all contacts began at one.
         """
-        mechanism, postures = constraint.mechanism, _shown_postures(constraint)
-        if mechanism is None or mechanism.grip != "loose" or mechanism.orientation != "free" or postures is None:
+        mechanism, postures, shown = constraint.mechanism, _shown_postures(constraint), constraint.shown
+        free = mechanism is not None and mechanism.grip == "loose" and mechanism.orientation == "free"
+        if not free:
+            postures = None
+        hold, points = None, np.zeros((0, 3))
+        if shown is not None and (shown.hold is not None or postures is None or isinstance(motion, PathMotion)):
+            hold, points = shown.begin, shown.points
+        if hold is None and postures is None:
             return None
-        lever = 1.0 if motion.unit == "m" else max(mechanism.radius or 0.0, GRIP)
-        return ShownPlaces(motion, postures, lever, constraint.n_constraints)
+        lever = 1.0 if motion.unit == "m" or mechanism is None else max(mechanism.radius or 0.0, GRIP)
+        turned = None if free or mechanism is None or shown is None else shown.orientation
+        sense = shown_sense(shown, motion, of_most=True) or 1.0
+        return ShownPlaces(motion, postures, lever, constraint.n_constraints, hold, turned, points, anew, sense)
 
-    @property
-    def span(self) -> float:
-        """How far apart along the motion the farthest two of the postures are [m or rad]."""
-        along = [self.motion.progress(self.motion.origin(self.postures[0]), p, 0.0) for p in self.postures]
-        return float(max(along) - min(along))
+    def apart(self, one: Origin, other: Origin) -> float:
+        """Distance of two origins [m]; where the hand's orientation counts, an angle at the lever of a hand."""
+        far = apart(one, other)
+        if self.orientation is None or one.ndim == 1:
+            return far
+        turn = rotation_vector(one[:3, :3].T @ other[:3, :3])
+        return max(far, HAND_LEVER * math.sqrt(turn @ turn))
 
     def nearest(self, here: Origin, distance: float) -> Origin:
-        """The origin from which the way begins: that of the hand where it is on the mechanism, else the nearest one.
+        """The origin from which the way begins.
+
+        That is where contacts began, of a way back its end; of a hand that is on the mechanism already its own,
+        unless it begins anew. Where contacts began at different places, it is the nearest one from which the way stays
+        within what was shown.
 
         Args:
             here: Origin of the motion where the hand is.
             distance: Of the way [m or rad].
         """
         motion = self.motion
+        if self.hold is not None:
+            there = motion.placed(here, self.hold, self.orientation)
+            if self.sense * distance < 0.0:
+                there = motion.goal(there, -distance)
+            off = min((apart(here, motion.placed(here, point)) for point in self.points), default=math.inf)
+            return here if not self.anew and off <= GRIP else there
+        if self.postures is None:
+            return here
         along = np.array([motion.progress(here, p, 0.0) for p in self.postures])
         across = np.array([motion.deviation(here, p, 0.0)[: self.n_held] for p in self.postures])
         origins = [motion.origin(p) for p in self.postures]
@@ -214,7 +275,7 @@ class ShownPlaces:
         first, last = (low, max(high - distance, low)) if distance > 0.0 else (min(low - distance, high), high)
         places = [motion.goal(o, float(np.clip(s, first, last) - s)) for o, s in zip(origins, along, strict=True)]
         place = min(places, key=lambda place: apart(here, place))
-        return between(here, place, 1.0)  # a loose grip keeps the hand's orientation as it is
+        return place if place.ndim == 1 else motion.placed(here, place[:3, 3])
 
 
 @final
@@ -234,6 +295,14 @@ class MotionProfile:
     distance: float
     speed: float
     ramp: float
+
+    def over(self, distance: float) -> MotionProfile:
+        """Over another distance [m or rad]."""
+        return replace(self, distance=distance)
+
+    def slowed(self, times: float) -> MotionProfile:
+        """At a speed that is so many times smaller."""
+        return replace(self, speed=self.peak / times)
 
     @property
     def peak(self) -> float:
@@ -255,6 +324,59 @@ class MotionProfile:
             return peak * (t - 0.5 * ramp), peak
         ramped, rate = peak * ramp * x**3 * (1.0 - 0.5 * x), peak * x * x * (3.0 - 2.0 * x)
         return (ramped if t < left else self.distance - ramped), rate
+
+
+@final
+@dataclass(frozen=True, eq=False)
+class PathProfile:
+    """The way along a path in the time in which it was shown, from rest and to rest.
+
+    The time of the recording begins and ends slowly, over the ramp; between, it runs as the clock does.
+
+    Attributes:
+        times: shape (k,), of the recording, from 0 [s].
+        ways: shape (k,), along the path by then [m].
+        speed: Largest rate of the way [m/s].
+        distance: How much of the path is gone [m].
+        ramp: Time from rest to the pace of the recording [s].
+        pace: Seconds of the recording in a second.
+    """
+
+    times: Float[np.ndarray, " k"]
+    ways: Float[np.ndarray, " k"]
+    distance: float
+    ramp: float
+    pace: float = 1.0
+
+    @property
+    def _clock(self) -> MotionProfile:
+        end = float(np.interp(self.distance, self.ways, self.times))
+        return MotionProfile(end, self.pace, self.ramp)
+
+    @property
+    def speed(self) -> float:
+        """Largest rate of the way [m/s]."""
+        return self._clock.peak * float(np.max(np.diff(self.ways) / np.diff(self.times)))
+
+    def over(self, distance: float) -> PathProfile:
+        """Over the first part of the path [m]."""
+        return replace(self, distance=min(abs(distance), float(self.ways[-1])))
+
+    def slowed(self, times: float) -> PathProfile:
+        """At a pace that is so many times smaller."""
+        return replace(self, pace=self._clock.peak / times)
+
+    @property
+    def duration(self) -> float:
+        """Time from rest to rest [s]."""
+        return self._clock.duration
+
+    def at(self, t: float) -> tuple[float, float]:
+        """Distance covered and its rate, t [s] after the start."""
+        time, pace = self._clock.at(t)
+        k = min(int(np.searchsorted(self.times, time, side="right")), len(self.times) - 1)
+        slope = float((self.ways[k] - self.ways[k - 1]) / (self.times[k] - self.times[k - 1]))
+        return float(self.ways[k - 1]) + slope * (time - float(self.times[k - 1])), slope * pace
 
 
 @final
@@ -289,16 +411,30 @@ class StraightMotion(DrivenMotion):
         self.constraint = Constraint(driven, features, constraint.provenance)
         linear_size, angular_size = (float(np.linalg.norm(f[part])) for part in (~angular, angular))
         self.unit = "rad" if angular_size > linear_size else "m"
-        self.driven = f / max(linear_size, angular_size)  # a distance counts along the larger part
-        self.held = constraint.selection
+        self._driven = f / max(linear_size, angular_size)  # a distance counts along the larger part
+        self._held = constraint.selection
         self._twist = np.zeros(6)
         self.along_rows = isinstance(features, FrameJacobian) and features.only_linear
         self._features: FrameJacobian | RelativeFrameJacobian | None = None
         if isinstance(features, FrameJacobian | RelativeFrameJacobian) and not features.only_linear:
             self._features = features
             self._rows = [AXES.index(name) for name in features.row_names]
-            self._twist[self._rows] = self.driven
+            self._twist[self._rows] = self._driven
             self._own_axes = isinstance(features, FrameJacobian) and features.reference == "local"
+
+    def held_at(self, distance: float) -> Float[np.ndarray, "k p"]:
+        """The same rows all along."""
+        return self._held
+
+    def driven_at(self, distance: float) -> Float[np.ndarray, " p"]:
+        """The same direction all along."""
+        return self._driven
+
+    def axis_at(self, origin: Origin) -> Float[np.ndarray, " 3"]:
+        """The part of f that counts, in the base frame; zero of features that are no rows of a frame."""
+        twist = dict(zip(self.constraint.features.row_names, self._driven, strict=True))
+        axis = np.array([twist.get(name, 0.0) for name in (AXES[:3] if self.unit == "m" else AXES[3:])])
+        return origin[:3, :3] @ axis if self._features is not None and self._own_axes else axis
 
     def origin(self, q: ArrayLike) -> Origin:
         """Pose of the frame, or the coordinates."""
@@ -307,7 +443,7 @@ class StraightMotion(DrivenMotion):
     def goal(self, origin: Origin, distance: float) -> Origin:
         """The pose, or the coordinates, after a distance along f."""
         if self._features is None:
-            return origin + distance * self.driven
+            return origin + distance * self._driven
         v, turn = self._twist[:3] * distance, self._twist[3:] * distance
         goal, turned = np.eye(4), rotation_matrix(turn)
         if self._own_axes:
@@ -328,7 +464,7 @@ class StraightMotion(DrivenMotion):
         """As for `DrivenMotion`, from one look at the pose."""
         if self._features is None:
             E = self.constraint.features.coordinates_jacobian(q)
-            error, along = self.error(origin, q, distance), self.driven
+            error, along = self.error(origin, q, distance), self._driven
         else:
             goal, pose, along = self.goal(origin, distance), self._features.pose(q), np.empty(6)
             error, E = self._features.error_and_jacobian(goal, q)
@@ -453,8 +589,24 @@ class MechanismMotion(DrivenMotion):
         self.constraint = Constraint(np.eye(self._rows.n_rows), self._rows, constraint.provenance)
         self.unit = "rad" if driven in ("turn", "tangential") else "m"
         self._driven = driven
-        self.driven, self.held = np.eye(self._rows.n_rows)[-1], np.eye(len(held), self._rows.n_rows)
+        self._last_row, self._held = np.eye(self._rows.n_rows)[-1], np.eye(len(held), self._rows.n_rows)
         self._turns = any(name.startswith(("turn", "slide", "screw")) for name in (*held, driven))
+
+    def held_at(self, distance: float) -> Float[np.ndarray, "k p"]:
+        """The same rows all along."""
+        return self._held
+
+    def driven_at(self, distance: float) -> Float[np.ndarray, " p"]:
+        """The last row."""
+        return self._last_row
+
+    def axis_at(self, origin: Origin) -> Float[np.ndarray, " 3"]:
+        """The axis of the mechanism, or the direction away from it of a hand that is driven there."""
+        g = self._rows.geometry
+        if self._driven != "radial":
+            return g.axis
+        out = origin[:3, 3] - g.point
+        return out - float(g.axis @ out) * g.axis
 
     def origin(self, q: ArrayLike) -> Origin:
         """Pose of the frame."""
@@ -483,7 +635,7 @@ class MechanismMotion(DrivenMotion):
         """As for `DrivenMotion`; `tangential` is a speed, its coordinate an angle."""
         now, names = self._coordinates(origin, q, distance), self._rows.row_names
         scale = np.array([now["distance from the axis"] if name == "tangential" else 1.0 for name in names])
-        return distance * self.driven - np.array([now[name] for name in names]), self.driven, scale, None
+        return distance * self._last_row - np.array([now[name] for name in names]), self._last_row, scale, None
 
     def _coordinates(self, origin: np.ndarray, q: ArrayLike, near: float) -> dict[str, float]:
         """The coordinate of each row, less its value at the start; angles next to `near`."""
@@ -551,3 +703,96 @@ def _chosen(held: tuple[str, ...], firm: bool, direction: ArrayLike | str | None
     if not (isinstance(direction, str) and direction in free):
         raise TargetError(f"the direction of a mechanism is the name of a row that is free: {words}; got {direction!r}")
     return direction
+
+
+@final
+class PathMotion(DrivenMotion):
+    """The hand's place goes along a path that was shown on a surface; what the constraint holds of it stays held.
+
+    The rows are the hand's velocity along the base's axes, and those of its rotation that are held.
+
+    Args:
+        constraint: The learnt constraint.
+        shown: What was shown along it.
+
+    Raises:
+        ConstraintError: Features that are not rows of one frame in the base.
+    """
+
+    def __init__(self, constraint: Constraint, shown: Shown):
+        robot, frame = constraint.robot, getattr(constraint.features, "frame", None)
+        if robot is None or frame is None or isinstance(constraint.features, RelativeFrameJacobian):
+            raise ConstraintError(f"a path is followed with a frame in the base, not with {constraint.features!r}")
+        mechanism = constraint.mechanism
+        orientation = "free" if mechanism is None else mechanism.orientation
+        turning = np.zeros((0, 3)) if orientation == "free" else np.eye(3)
+        if orientation == "about-axis" and mechanism is not None and mechanism.axis is not None:
+            turning = across(mechanism.axis)
+        self._features = FrameJacobian(robot, frame.name, AXES if len(turning) else AXES[:3])
+        self._p = self._features.n_rows
+        selection = np.zeros((3 + len(turning), self._p))
+        selection[:3, :3] = np.eye(3)
+        if len(turning):
+            selection[3:, 3:] = turning
+        self.constraint = Constraint(selection, self._features, constraint.provenance)
+        self.unit, self.along_rows = "m", not len(turning)
+        ways = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(shown.points, axis=0), axis=1))])
+        moves = np.concatenate([[True], np.diff(ways) > 1e-9])
+        self._ways, self._times, self._points = ways[moves], shown.time[moves], shown.points[moves]
+        self._turns = np.array([shown.coordinates.turn(c) for c in shown.path[moves]])
+        self._carried = orientation == "carried"
+        self._tangents = np.gradient(self._points, self._ways, axis=0)
+        self._normals = [complement_rows(shown.coordinates.directions(point)) for point in self._points]
+
+    def profile(self, ramp: float) -> PathProfile:
+        """The way in time, as it was shown."""
+        return PathProfile(self._times, self._ways, float(self._ways[-1]), ramp)
+
+    def _at(self, table: Float[np.ndarray, "k n"], distance: float) -> Float[np.ndarray, " n"]:
+        return np.array([np.interp(distance, self._ways, column) for column in table.T])
+
+    def driven_at(self, distance: float) -> Float[np.ndarray, " p"]:
+        """Along the path, and the turning of a hand that is carried."""
+        out = np.zeros(self._p)
+        out[:3] = self._at(self._tangents, distance)
+        if self._carried:
+            step = float(self._ways[-1]) / len(self._ways)
+            before, after = (rotation_matrix(self._at(self._turns, distance + x)) for x in (-step, step))
+            out[3:] = rotation_vector(after @ before.T) / (2.0 * step)
+        return out
+
+    def held_at(self, distance: float) -> Float[np.ndarray, "k p"]:
+        """The normals of the surface, and the rotations that are held."""
+        normals = self._normals[min(int(np.searchsorted(self._ways, distance)), len(self._ways) - 1)]
+        out = np.zeros((len(normals) + len(self.constraint.selection) - 3, self._p))
+        out[: len(normals), :3] = normals
+        out[len(normals) :] = self.constraint.selection[3:]
+        return out
+
+    def axis_at(self, origin: Origin) -> Float[np.ndarray, " 3"]:
+        """The path's first direction."""
+        return self._tangents[0]
+
+    def origin(self, q: ArrayLike) -> Origin:
+        """Pose of the frame."""
+        return self._features.robot.pose(q, self._features.frame)
+
+    def goal(self, origin: Origin, distance: float) -> Origin:
+        """The pose after a distance along the path, wherever the hand began; straight on before and after it."""
+        out, beyond = origin.copy(), distance - min(max(distance, 0.0), float(self._ways[-1]))
+        out[:3, 3] = self._at(self._points, distance) + beyond * self._at(self._tangents, distance)
+        if self._carried:
+            out[:3, :3] = rotation_matrix(self._at(self._turns, distance)) @ origin[:3, :3]
+        return out
+
+    def error(self, origin: Origin, q: ArrayLike, distance: float) -> Float[np.ndarray, " p"]:
+        """From the posture to the goal after a distance."""
+        return pose_error(self.origin(q), self.goal(origin, distance), False)[: self._p]
+
+    def moving_error(self, origin: Origin, q: ArrayLike, distance: float) -> MovingError:
+        """As for `DrivenMotion`."""
+        along = self.driven_at(distance)
+        if self.along_rows:
+            return self.error(origin, q, distance), along, 1.0, None
+        error, E = self._features.error_and_jacobian(self.goal(origin, distance), q)
+        return error, along, 1.0, None if E is None else self.constraint.selection.dot(E)

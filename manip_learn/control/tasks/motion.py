@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import copy
 import math
-from dataclasses import replace
 from typing import Any, final
 
 import numpy as np
@@ -19,6 +18,8 @@ from manip_learn.control.tasks.driven_motion import (
     MechanismMotion,
     MotionProfile,
     Origin,
+    PathMotion,
+    PathProfile,
     Setpoint,
     ShownPlaces,
     StraightMotion,
@@ -27,8 +28,9 @@ from manip_learn.control.tasks.driven_motion import (
     between,
     place_about,
     shown_sense,
+    way_in_words,
 )
-from manip_learn.control.tasks.point_attractor import Task
+from manip_learn.control.tasks.point_attractor import PointAttractor, Task
 from manip_learn.errors import ConstraintError, TargetError, advice
 from manip_learn.linalg import finite
 
@@ -36,6 +38,10 @@ HAND_SPEED = 0.1  # [m/s] of the hand where none is asked for: a drawer of 0.3 m
 TURN_SPEED = 0.5  # [rad/s] at most, of a hand near the axis: 0.1 m/s at 0.2 m
 # what a mechanism allows; the others (a cylinder, a held orientation) slide and turn
 SLIDES, TURNS = ("line", "plane"), ("hinge", "screw", "ball")
+DONE = {"m": 1e-3, "rad": math.radians(0.2)}  # what may be missing of a way that is done: a millimetre, 0.2 degrees
+RAMP = 0.5  # [s] from rest to the speed: 0.1 m/s with 0.3 m/s2 at most
+# what a way may be longer than what was shown: the play of a drawer's rails, and two tenths of a degree
+BEYOND = {"m": 2e-3, "rad": math.radians(0.2)}
 APPROACH_SPEED = 0.25  # [m/s] of a hand on its way to the mechanism: the reduced speed of ISO 10218-1 beside people
 SETTLING = 0.5  # [s] at most until the hand is there after its way to the mechanism: e^-5 of a lag, at gain 10 /s
 NOISY = 2e-3  # [m] what counts as there after that: measured postures with noise of 1e-3 rad come no nearer
@@ -77,7 +83,10 @@ class FreeDirection(Task):
         keep_orientation: The hand does not turn either, as of a gripper that has closed on a handle.
         pause: Time for which the hand stands still at the mechanism before the way begins, as to close a gripper [s];
             the null-space policy meanwhile brings the arm into a better posture.
-        take_hold: Go to the mechanism first. Only constraints that were learnt with a loose grip know where it is.
+        take_hold: Go to the mechanism first, where the constraint says where that is: all contacts with it began at
+            one place, or it was learnt with a loose grip.
+        as_shown: Begin where the contacts began, even if the hand is on the mechanism already; and, where several
+            directions are free, go along the path that was shown, in its time: `distance` and `speed` do not count.
 
     Attributes:
         learnt: The constraint.
@@ -121,21 +130,28 @@ class FreeDirection(Task):
         keep_orientation: bool = False,
         pause: float = 0.0,
         take_hold: bool = False,
+        as_shown: bool = False,
     ):
         numbers = {"distance": distance, "speed": speed, "gain": gain, "ramp": ramp}
         for name, value in numbers.items():
             numbers[name] = _number(name, value, positive=name != "distance")
         self.learnt = constraint
         held = constraint.with_orientation() if keep_orientation else constraint.about_its_mechanism()
+        shown = constraint.shown
+        path = PathMotion(held, shown) if as_shown and shown is not None and not shown.is_way else None
         motion_of = MechanismMotion if isinstance(held.features, MechanismRows) else StraightMotion
-        self._motion: DrivenMotion = motion_of(held, direction, unit, straight)
+        self._motion: DrivenMotion = path or motion_of(held, direction, unit, straight)
         self.constraint, self.along_rows = self._motion.constraint, self._motion.along_rows
         self.unit: Unit = self._motion.unit
         self._n_held = constraint.n_constraints
         self.pause = _number("pause", pause, positive=True) if pause else 0.0
-        self._profile = MotionProfile(numbers["distance"], numbers["speed"], numbers["ramp"])
+        self._profile: MotionProfile | PathProfile = MotionProfile(
+            numbers["distance"], numbers["speed"], numbers["ramp"]
+        )
+        if path is not None:
+            self._profile = path.profile(numbers["ramp"])
         self.gain = numbers["gain"]
-        self._shown = ShownPlaces.of(constraint, self._motion) if take_hold else None
+        self._shown = ShownPlaces.of(constraint, self._motion, as_shown) if take_hold or as_shown else None
         self._given = None if start is None else self._motion.origin(start)
         self.reset()
 
@@ -160,7 +176,10 @@ class FreeDirection(Task):
     def hold(self, q: ArrayLike) -> float:
         """How far a hand at posture q has to go to the mechanism [m]; 0 if it is on it, or if that is not known."""
         here = self._motion.origin(q)
-        return 0.0 if self._shown is None else apart(here, self._shown.nearest(here, self.wanted))
+        return self._apart(here, here if self._shown is None else self._shown.nearest(here, self.wanted))
+
+    def _apart(self, one: Origin, other: Origin) -> float:
+        return apart(one, other) if self._shown is None else self._shown.apart(one, other)
 
     def duration_from(self, q: ArrayLike) -> float:
         """How long the motion takes from posture q where no limit slows it down [s]."""
@@ -199,18 +218,18 @@ class FreeDirection(Task):
     @property
     def goes_as_shown(self) -> bool | None:
         """Whether the way goes as the recordings went from where they began; None where they do not say."""
-        sense = shown_sense(self.learnt, self._motion)
+        sense = shown_sense(self.learnt.shown, self._motion)
         return None if sense == 0.0 else sense * self.wanted > 0.0
 
     def with_distance(self, distance: float) -> FreeDirection:
         """This motion by another distance [m or rad], from a start of its own."""
-        return self._with_profile(replace(self._profile, distance=_number("distance", distance, positive=False)))
+        return self._with_profile(self._profile.over(_number("distance", distance, positive=False)))
 
     def slowed(self, times: float) -> FreeDirection:
         """This motion slowed down by a factor, from a start of its own."""
-        return self._with_profile(replace(self._profile, speed=self._profile.peak / times))
+        return self._with_profile(self._profile.slowed(times))
 
-    def _with_profile(self, profile: MotionProfile) -> FreeDirection:
+    def _with_profile(self, profile: MotionProfile | PathProfile) -> FreeDirection:
         other = copy.copy(self)
         other._profile = profile
         other.reset()
@@ -219,7 +238,8 @@ class FreeDirection(Task):
     @property
     def longest_shown(self) -> float | None:
         """How far apart along the motion the places are at which the task was shown [m or rad]; None if not known."""
-        return None if self._shown is None else self._shown.span
+        shown = self.learnt.shown
+        return shown.span if shown is not None and shown.is_way and shown.unit == self.unit else None
 
     def progress(self, q: ArrayLike) -> float:
         """How far the way has come at posture q [m or rad]; 0 before it began, unless `start` was given."""
@@ -231,6 +251,12 @@ class FreeDirection(Task):
     def progress_near(self, q: ArrayLike, near: float) -> float:
         """Progress of a posture on the way [m or rad]; of angles a turn apart the one next to `near`."""
         return 0.0 if self._origin is None else self._motion.progress(self._origin, q, near)
+
+    def is_over(self, q: ArrayLike, t: float) -> bool:
+        """Whether the whole way is done at posture q, and its time is over at t [s]."""
+        if self.way_begins is None or t - self.way_begins < self._profile.duration:
+            return False
+        return abs(self.wanted - self.progress(q)) <= DONE[self.unit]
 
     def deviation(self, q: ArrayLike, progress: float = 0.0) -> float:
         """How far the rows of the constraint are from where they are held, that much of the way done [m or rad]."""
@@ -286,7 +312,7 @@ class FreeDirection(Task):
             gone, _ = self._approach.at(t - begun)
             late = t - begun - self._approach.duration  # [s]
             near = TAKEN if late < SETTLING else NOISY
-            if late < 0.0 or apart(self._motion.origin(q), origin) > near:
+            if late < 0.0 or self._apart(self._motion.origin(q), origin) > near:
                 share = min(gone / self._approach.distance, 1.0)
                 return between(self._start, origin, share), Setpoint(0.0, 0.0, math.inf)
             self.way_begins = t + self.pause
@@ -301,7 +327,7 @@ class FreeDirection(Task):
     def _begin(self, q: ArrayLike, t: float) -> tuple[float, np.ndarray]:
         """The start, and where the way begins: at the mechanism if that is elsewhere."""
         start, origin = self._origins(q)
-        far = apart(start, origin)
+        far = self._apart(start, origin)
         if far > TAKEN:
             self._approach = MotionProfile(far, APPROACH_SPEED, self._profile.ramp)
         else:
@@ -334,31 +360,41 @@ def motion(
     speed: float | None = None,
     keep_orientation: bool = False,
     pause: float = 0.0,
-) -> FreeDirection:
+    beyond_shown: bool = False,
+) -> FreeDirection | PointAttractor:
     """A task: the hand goes along what the constraint leaves free, and holds what it holds.
 
-    If the hand is not on the mechanism, it first goes straight to the nearest place at which the task was shown and
-    from which the way stays within what was shown; that place is known for constraints that were learnt with a loose
-    grip. Where several translations are free, those beside the way stand still.
+    With nothing named it does what was shown: it takes hold where the contacts of the recordings began, and goes the
+    way that they went, as far (the median), in the time that they took; on a surface it follows the path of the most
+    typical recording. Rows that the demonstrator moved on purpose (b unknown) go to the target of the recordings.
+
+    If the hand is not on the mechanism, it first goes straight to where the contacts began; where they began at
+    different places, to the nearest one from which the way stays within what was shown (known for constraints that were
+    learnt with a loose grip). Where several translations are free, those beside the way stand still.
 
     Args:
         constraint: Learnt or written by hand; the controller gets the same.
-        along: Way [m], of a line, a plane, or another mechanism that slides; negative for the other way. Along a line
-            the positive sense is that of the largest number of its direction.
-        turn: Angle [rad], of a hinge, a screw, a ball; right-handed about its axis.
+        along: Way [m], of a line, a plane, or another mechanism that slides; positive as the recordings went, and
+            negative for the other way. Where no recording says which way, the positive sense along a line is that of
+            the largest number of its direction.
+        turn: Angle [rad], of a hinge, a screw, a ball; positive as the recordings went, else right-handed about its
+            axis.
         direction: Which way, where several are free: along a plane three numbers, or one per row of the features; about
             a ball the axis of the turn; of a cylinder the name of a row (`"tangential"`, `"axial"`). Or `"shown"`: as
-            the recordings went from where they began, and `"back"`: the other way; that way then counts as positive.
-        speed: Largest rate [m/s or rad/s]; by default the hand moves at 0.1 m/s.
+            the recordings went, which must say so, and `"back"`: the other way; that way then counts as positive.
+        speed: Largest rate [m/s or rad/s]; by default that of the recordings where they are done again, else the hand
+            moves at 0.1 m/s.
         keep_orientation: The hand does not turn either, as of a gripper that has closed on a handle.
         pause: Time at rest on the mechanism before the way begins, as to close a gripper [s]; the null-space policy
             uses it to leave a bad posture.
+        beyond_shown: Ways longer than what was shown are made, too.
 
     Returns:
-        A `FreeDirection`.
+        A `FreeDirection`; of rows that were moved on purpose a `PointAttractor`.
 
     Raises:
-        TargetError: Neither of `along` and `turn`, or both; a number that is none; a direction that is held.
+        TargetError: Both of `along` and `turn`; neither, and the constraint does not know what was shown; a number that
+            is none, or more than what was shown; a direction that is held.
         ConstraintError: The mechanism does not move that way, nothing is free, or several directions are and none was
             named; says which are. The recordings do not say which way is the one shown.
 
@@ -368,14 +404,30 @@ def motion(
     >>> ml.motion(drawer, along=0.3)
     FreeDirection(distance=0.3 m, speed=0.1 m/s)
     """
-    if (along is None) == (turn is None):
+    shown, known = constraint.shown, constraint.mechanism
+    word = direction if isinstance(direction, str) and direction in ("shown", "back") else None
+    again = along is None and turn is None
+    if again and (meant := constraint.intention) is not None:
+        if not meant.common:
+            raise TargetError(
+                f"the {len(meant.targets)} recordings go to different targets, {meant.spread:.2g} m or rad apart: name "
+                "one" + advice(" with {}", "PointAttractor(target)", "--target")
+            )
+        return PointAttractor(meant.target, meant.gain)
+    unknown = again and (shown is None or (direction is not None and word is None))
+    if unknown or (along is not None and turn is not None):
         raise TargetError(
-            "say how far to go, once"
+            ("the constraint does not know what was shown: " if again and shown is None else "")
+            + "say how far to go, once"
             + advice(": {}", "along=0.3 [m] or turn=0.7 [rad]", "--along 0.3 (metres) or --turn 40 (degrees)")
         )
     unit: Unit = "m" if turn is None else "rad"
-    known = constraint.mechanism
-    if known is not None and known.type in (TURNS if unit == "m" else SLIDES):
+    amount = along if turn is None else turn
+    if again and shown is not None:
+        unit, amount = shown.unit, shown.extent
+        if speed is None:
+            speed = amount / max(shown.seconds - RAMP, RAMP)
+    elif known is not None and known.type in (TURNS if unit == "m" else SLIDES):
         does, fits = (
             ("turns and does not slide", advice(": use {}", "turn= [rad]", "--turn DEGREES"))
             if unit == "m"
@@ -385,27 +437,53 @@ def motion(
     if speed is None:
         lever = 0.0 if known is None or known.radius is None else known.radius
         speed = HAND_SPEED if unit == "m" else min(TURN_SPEED, HAND_SPEED / lever if lever > 0.0 else math.inf)
-    as_shown = isinstance(direction, str) and direction in ("shown", "back")
     task = FreeDirection(
         constraint,
-        along if along is not None else turn,  # type: ignore[arg-type]  # one of the two was given
+        amount,  # type: ignore[arg-type]  # one of them was given
         speed,
-        direction=None if as_shown else direction,
+        direction=None if word is not None else direction,
+        ramp=RAMP,
         unit=unit,
         straight=True,
         keep_orientation=keep_orientation,
         pause=pause,
         take_hold=True,
+        as_shown=again,
     )
-    if not as_shown:
+    if not beyond_shown:
+        check_shown(task)
+    if direction is not None and word is None:
         return task
-    sense = shown_sense(constraint, task._motion)
+    return _as_shown(task, word, of_most=again)
+
+
+def _as_shown(task: FreeDirection, word: str | None, *, of_most: bool) -> FreeDirection:
+    """A way in the sense of the recordings, or against it (`"back"`); as it is where they do not say and need not."""
+    sense = shown_sense(task.learnt.shown, task._motion, of_most=of_most)
     if sense == 0.0:
+        if word is None:
+            return task
         raise ConstraintError(
             "the recordings do not say which way is the one shown: they went to both sides of where they began, or the "
             "constraint was not learnt by this version; leave the direction out, and choose the sign"
         )
-    return task.with_distance(task.wanted * (-sense if direction == "back" else sense))
+    sense = -sense if word == "back" else sense
+    return task if sense > 0.0 else task.with_distance(-task.wanted)
+
+
+def check_shown(task: FreeDirection) -> None:
+    """Refuse a way that is longer than what was shown.
+
+    Raises:
+        TargetError: It is; says both.
+    """
+    shown, wanted = task.longest_shown, abs(task.wanted)
+    if shown is not None and wanted > shown + BEYOND[task.unit]:
+        far, most = (way_in_words(way, task.unit) for way in (wanted, shown))
+        raise TargetError(
+            f"the way of {far} is longer than what was shown ({most}): ask for no more"
+            + advice(", or allow it with {}", "beyond_shown=True", "--beyond-shown")
+        )
 
 
 def motion_to(

@@ -1,0 +1,87 @@
+"""`manip-learn repeat`: all that the recordings show, done again from any start."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, final
+
+import numpy as np
+from jaxtyping import Float
+from scipy.spatial.transform import Rotation
+
+from manip_learn.commands.loading import robot_of_constraint
+from manip_learn.commands.options import RepeatOptions, vector
+from manip_learn.constraint.skill import Skill
+from manip_learn.errors import TargetError
+from manip_learn.planning.repeat import Repetition, repeat
+from manip_learn.recordings.trajectory_source import Progress
+
+if TYPE_CHECKING:
+    from manip_learn.playback import ReplayResult
+
+
+@final
+@dataclass(frozen=True)
+class Repeated:
+    """A skill done again, and where it was written."""
+
+    repetition: Repetition
+    whence: str
+    out: Path | None
+    page: ReplayResult | None
+
+    def to_dict(self) -> dict[str, Any]:
+        """The JSON answer."""
+        rollout = self.repetition.rollout
+        return {
+            "done": self.repetition.is_done,
+            "steps": [step.to_dict() for step in self.repetition.steps],
+            "min_manipulability": float(np.min(rollout.manipulability)),
+            "duration": float(rollout.time[-1]),
+            "phases": [list(phase) for phase in rollout.phases],
+            "notes": list(self.repetition.notes),
+            "out": None if self.out is None else str(self.out),
+            "html": None if self.page is None else str(self.page.html),
+        }
+
+
+def repeat_skill(options: RepeatOptions, progress: Progress | None = None) -> Repeated:
+    """Plan and simulate every step of a skill; write the rollout and a replay to files if they are named.
+
+    Raises:
+        NoPlanError: A step that cannot be done; nothing is written.
+        ManipLearnError: Anything that is wrong with the robot, the file, the numbers or the output.
+    """
+    robot = robot_of_constraint(options.robot, options.task, options.loading)
+    skill = Skill.load(options.task, robot)
+    start, moved = vector("--start", options.start), vector("--moved", options.moved)
+    shown = skill.constraints[0].provenance.get("postures")
+    if start is None and shown:
+        start, whence = shown[0], "the first posture in which the task was shown"
+    elif start is None:
+        start, whence = robot.neutral().tolist(), "the robot's neutral posture"
+    else:
+        whence = ""
+    transform = None if moved is None else _rigid_motion(moved)
+    done = repeat(skill, start, transform, seed=options.seed, progress=progress)
+    out = None if options.out is None else done.rollout.save(options.out)
+    page = None
+    if options.html is not None:
+        from manip_learn.playback import replay
+
+        page = replay(robot, {"repeat": done.rollout}, options.html, open_browser=False)
+    return Repeated(done, whence, out, page)
+
+
+def _rigid_motion(moved: list[float]) -> Float[np.ndarray, "4 4"]:
+    """x, y, z [m] and rotations about the base's x, y and z axes, one after the other [degrees]."""
+    if len(moved) not in (3, 6):
+        raise TargetError(
+            f"--moved takes 3 numbers, x,y,z [m], or 6 with rx,ry,rz [degrees about the base's axes]: got {len(moved)}"
+        )
+    T = np.eye(4)
+    T[:3, 3] = moved[:3]
+    T[:3, :3] = Rotation.from_euler("xyz", [math.radians(a) for a in (*moved[3:], 0.0, 0.0, 0.0)[:3]]).as_matrix()
+    return T

@@ -1,0 +1,432 @@
+"""What the recordings show along the directions that a constraint leaves free: where, which way, how far, how fast."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from typing import Any, Literal, final
+
+import numpy as np
+from jaxtyping import Float
+
+from manip_learn.constraint.features.feature_map import FeatureMap
+from manip_learn.constraint.features.frame_jacobian import AXES, FrameJacobian
+from manip_learn.constraint.features.mechanism_rows import across
+from manip_learn.constraint.features.relative_frame_jacobian import RelativeFrameJacobian
+from manip_learn.constraint.features.weighed_velocity import WeighedVelocity
+from manip_learn.constraint.mechanism import Mechanism
+from manip_learn.errors import counted
+from manip_learn.linalg import complement_rows
+from manip_learn.robot.batch.batch_kinematics import batch_kinematics
+from manip_learn.robot.rotations import rotation_matrix
+
+Unit = Literal["m", "rad"]
+Kind = Literal["straight", "around", "sleeve", "ball"]
+# [m] contacts that begin within this distance of their middle begin at one place: a person finds a handle again to a
+# millimetre or two, a hand that is put down on a table does not
+SAME_PLACE = 3e-3
+BACK = 0.1  # share of the way out within which a hand that was taken back ends
+STARTED = 0.02  # share of the way that a hand has gone when its motion has begun, and that is left when it has ended
+PATH_POINTS = 400  # kept of a path: a millimetre apart on a wipe of 0.4 m
+ONE_SIDED = 0.5  # share of all ways by which one side must exceed the other for it to be the way shown
+PURE = 0.995  # share of a free direction that is translation: a learnt one leaks by its uncertainty, 0.1 at most
+
+
+@final
+@dataclass(frozen=True, eq=False)
+class FreeCoordinates:
+    """Coordinates of a hand along what a mechanism leaves free, counted from where it began, and the places they mean.
+
+    Attributes:
+        kind: `"straight"`: along fixed directions; `"around"`: angle about an axis (a screw travels along it);
+            `"sleeve"`: arc about an axis and way along it; `"ball"`: rotation about a centre.
+        unit: Of every coordinate.
+        axes: shape (k, 3), unit vectors in the base frame: the directions, the axis, or none of a ball's (its
+            coordinates are the components of a rotation vector).
+        point: shape (3,), a point of the axis or the centre [m].
+        pitch: Travel along the axis a radian of turning [m/rad].
+        radius: Distance of the hand from the axis, to which the arcs of a sleeve belong [m].
+        by_hand: Whether the hand turns with the mechanism, so that its own rotation is the angle.
+    """
+
+    kind: Kind
+    unit: Unit
+    axes: Float[np.ndarray, "k 3"]
+    point: Float[np.ndarray, " 3"]
+    pitch: float = 0.0
+    radius: float = 1.0
+    by_hand: bool = False
+
+    @property
+    def is_way(self) -> bool:
+        """Whether there is one coordinate, so that "how far" says all."""
+        return self.kind == "around" or (self.kind == "straight" and len(self.axes) == 1)
+
+    def of(self, poses: Float[np.ndarray, "T 4 4"]) -> Float[np.ndarray, "T k"]:
+        """Coordinates of a hand along a motion, 0 at its first pose; angles without jumps."""
+        p = poses[:, :3, 3]
+        if self.kind == "straight":
+            return (p - p[0]) @ self.axes.T
+        if self.kind == "ball":
+            return self._rotations(p)
+        axis, d = self.axes[0], p - self.point
+        x = d - np.outer(d @ axis, axis)
+        if self.by_hand:
+            M = poses[:, :3, :3] @ poses[0, :3, :3].T
+            # the part of the rotation about the axis: twice the angle whose tangent is the ratio of the quaternion's
+            vee = np.stack([M[:, 2, 1] - M[:, 1, 2], M[:, 0, 2] - M[:, 2, 0], M[:, 1, 0] - M[:, 0, 1]], axis=1)
+            angle = np.arctan2(vee @ axis, np.trace(M, axis1=1, axis2=2) - 1.0)
+        else:
+            angle = np.arctan2(np.cross(x[0], x) @ axis, x @ x[0])
+        angle = np.unwrap(angle)
+        if self.kind == "around":
+            return angle[:, None]
+        return np.column_stack([self.radius * angle, (d - d[0]) @ axis])
+
+    def _rotations(self, p: Float[np.ndarray, "T 3"]) -> Float[np.ndarray, "T 3"]:
+        """Rotation vectors that take the first place about the centre to the others on the shortest way."""
+        d = p - self.point
+        d = d / np.linalg.norm(d, axis=1, keepdims=True)
+        cross, cosine = np.cross(d[0], d), d @ d[0]
+        sine = np.linalg.norm(cross, axis=1)
+        return np.arctan2(sine, cosine)[:, None] * cross / np.maximum(sine, 1e-300)[:, None]
+
+    def place(self, begin: Float[np.ndarray, " 3"], coordinates: Float[np.ndarray, " k"]) -> Float[np.ndarray, " 3"]:
+        """Where a hand that began at a place is after these coordinates [m]."""
+        if self.kind == "straight":
+            return begin + coordinates @ self.axes
+        d = begin - self.point
+        if self.kind == "ball":
+            return self.point + rotation_matrix(coordinates) @ d
+        axis = self.axes[0]
+        angle, travel = float(coordinates[0]), self.pitch * float(coordinates[0])
+        if self.kind == "sleeve":
+            angle, travel = angle / self.radius, float(coordinates[1])
+        return self.point + rotation_matrix(angle * axis) @ d + travel * axis
+
+    def turn(self, coordinates: Float[np.ndarray, " k"]) -> Float[np.ndarray, " 3"]:
+        """Rotation vector of a hand that is carried [rad]."""
+        if self.kind == "straight":
+            return np.zeros(3)
+        if self.kind == "ball":
+            return coordinates
+        return float(coordinates[0]) / (self.radius if self.kind == "sleeve" else 1.0) * self.axes[0]
+
+    def directions(self, place: Float[np.ndarray, " 3"]) -> Float[np.ndarray, "k 3"]:
+        """Unit vectors along which a hand at a place may go."""
+        if self.kind == "straight":
+            return self.axes
+        out = place - self.point
+        if self.kind == "ball":
+            return complement_rows(out[None] / np.linalg.norm(out))
+        around = np.cross(self.axes[0], out)
+        around = around / max(float(np.linalg.norm(around)), 1e-12)
+        return np.array([around, self.axes[0]] if self.kind == "sleeve" else [around])
+
+    def reversed(self) -> FreeCoordinates:
+        """The same with the other sense of its only coordinate."""
+        return replace(self, axes=-self.axes)
+
+    def moved(self, transform: Float[np.ndarray, "4 4"]) -> FreeCoordinates:
+        """Of the mechanism at another place, p' = R p + t."""
+        R, t = transform[:3, :3], transform[:3, 3]
+        return replace(self, axes=self.axes @ R.T, point=R @ self.point + t)
+
+
+def poses_of(features: FeatureMap, q: Float[np.ndarray, "T n"]) -> Float[np.ndarray, "T 4 4"] | None:
+    """Poses of the frame of the features [m], those of a relative one in its own base; None of features without one."""
+    if isinstance(features, RelativeFrameJacobian):
+        return np.array([features.pose(row) for row in q])
+    if isinstance(features, FrameJacobian | WeighedVelocity):
+        return batch_kinematics(features.robot, features.frame).pose(q)
+    return None
+
+
+def free_coordinates(
+    features: FeatureMap,
+    selection: Float[np.ndarray, "s p"],
+    mechanism: Mechanism | None,
+    contacts: Sequence[Float[np.ndarray, "_ 4 4"]],
+) -> FreeCoordinates | None:
+    """The coordinates along what a constraint leaves free to the hand's place; None where it leaves nothing of it.
+
+    Args:
+        features: Phi.
+        selection: Lambda.
+        mechanism: What the rows hold, where that has a name.
+        contacts: Poses of the hand along each contact.
+    """
+    kind = "" if mechanism is None else mechanism.type
+    if mechanism is not None and mechanism.axis is not None and mechanism.point is not None:
+        point, by_hand = np.asarray(mechanism.point, dtype=np.float64), mechanism.orientation == "carried"
+        axes = np.asarray(mechanism.axis, dtype=np.float64)[None]
+        if kind in ("hinge", "screw"):
+            return FreeCoordinates("around", "rad", axes, point, mechanism.pitch or 0.0, by_hand=by_hand)
+        if kind == "other":
+            radius = mechanism.radius or 1.0
+            return FreeCoordinates("sleeve", "m", axes, point, radius=radius, by_hand=by_hand)
+    if mechanism is not None and kind == "ball" and mechanism.point is not None:
+        return FreeCoordinates("ball", "rad", np.eye(3), np.asarray(mechanism.point, dtype=np.float64))
+    axes = _directions(features, selection, mechanism, contacts)
+    return None if axes is None or not len(axes) else FreeCoordinates("straight", "m", axes, np.zeros(3))
+
+
+def _directions(
+    features: FeatureMap,
+    selection: Float[np.ndarray, "s p"],
+    mechanism: Mechanism | None,
+    contacts: Sequence[Float[np.ndarray, "_ 4 4"]],
+) -> Float[np.ndarray, "k 3"] | None:
+    """Fixed directions along which the place is free."""
+    kind = "" if mechanism is None else mechanism.type
+    if kind == "held-orientation":
+        return np.eye(3)
+    if mechanism is not None and kind in ("line", "plane"):
+        if mechanism.axis is not None:
+            axis = np.asarray(mechanism.axis, dtype=np.float64)
+            return axis[None] if kind == "line" else across(axis)
+        # fixed to the hand: its directions are those in which the hand did move
+        places = np.concatenate([c[:, :3, 3] - c[:, :3, 3].mean(axis=0) for c in contacts])
+        return np.linalg.svd(places, full_matrices=False)[2][: 1 if kind == "line" else 2]
+    if not isinstance(features, FrameJacobian) or features.reference != "world":
+        return None
+    linear = np.array([name in AXES[:3] for name in features.row_names])
+    free = complement_rows(selection)
+    U, sigma, _ = np.linalg.svd(free[:, linear]) if len(free) and linear.any() else (np.eye(0), np.zeros(0), None)
+    pure = U.T[: int(np.count_nonzero(sigma > PURE))] @ free if len(sigma) else np.zeros((0, len(linear)))
+    axes = np.zeros((len(pure), 3))
+    for column, name in zip(pure.T, features.row_names, strict=True):
+        if name in AXES[:3]:
+            axes[:, AXES.index(name)] = column
+    return axes / np.linalg.norm(axes, axis=1, keepdims=True) if len(axes) else None
+
+
+@final
+@dataclass(frozen=True, eq=False, repr=False)
+class Shown:
+    """What was done along what a constraint leaves free, over all its contacts; places in the base frame.
+
+    The way is counted from where a contact began; where there is one direction, positive as the recordings went.
+
+    Attributes:
+        unit: `"m"` or `"rad"`, of the way.
+        extent: From where contacts began to their farthest point, the median.
+        spread: Standard deviation of that.
+        least, most: The shortest and the longest of the contacts.
+        span: From the first to the last place along the way that any contact came to; of a path, the most.
+        speed: Mean speed on the way out, the median [m/s or rad/s].
+        seconds: From where the motion began to its farthest point, of a path to its end; the median [s].
+        back: Whether the hand was taken back to the beginning.
+        n: Number of contacts.
+        hold: shape (3,), where contacts began [m], the median; None if they scatter by more than 3 mm.
+        scatter: The largest distance of a beginning from that median [m].
+        path: shape (T, k), along the free coordinates, of the most typical contact [m or rad].
+        time: shape (T,), of the path [s], from 0.
+        begin: shape (3,), where the path begins: `hold`, or where the typical contact began [m].
+        orientation: shape (3, 3), of the hand where the typical contact began.
+        one_way: Whether the recordings agree on a sense; always True of paths on a surface.
+        coordinates: The free coordinates.
+    """
+
+    unit: Unit
+    extent: float
+    spread: float
+    least: float
+    most: float
+    span: float
+    speed: float
+    seconds: float
+    back: bool
+    n: int
+    hold: Float[np.ndarray, " 3"] | None
+    scatter: float
+    path: Float[np.ndarray, "T k"]
+    time: Float[np.ndarray, " T"]
+    begin: Float[np.ndarray, " 3"]
+    orientation: Float[np.ndarray, "3 3"]
+    one_way: bool
+    coordinates: FreeCoordinates
+
+    @property
+    def is_way(self) -> bool:
+        """Whether there is one direction, so that the extent says which way was gone."""
+        return self.coordinates.is_way
+
+    @property
+    def points(self) -> Float[np.ndarray, "T 3"]:
+        """Places along the path [m]."""
+        return np.array([self.coordinates.place(self.begin, c) for c in self.path])
+
+    @property
+    def sentence(self) -> str:
+        """What was shown, in words."""
+        each = counted(self.n, "contact")
+        where = f"In {each} the hand took hold " + (
+            "at the same place" if self.hold is not None else f"at places up to {100 * self.scatter:.2g} cm apart"
+        )
+        size = 1.0 if self.unit == "m" else math.degrees(1.0)
+        unit = "m" if self.unit == "m" else "degrees"
+        digits = 2 if self.unit == "m" else 0
+        far, low, high = (f"{size * x:.{digits}f}" for x in (self.extent, self.least, self.most))
+        range_ = "" if low == high else f" ({low} to {high})"
+        if not self.is_way:
+            return f"{where}, and went up to {far} {unit}{range_} from there on a path of {self.time[-1]:.1f} s."
+        back = ", and back" if self.back else ""
+        back += "" if self.one_way else "; not all went the same way"
+        return f"{where}, moved {far} {unit}{range_} at about {size * self.speed:.2g} {unit}/s{back}."
+
+    def __repr__(self) -> str:
+        return f"Shown({self.sentence})"
+
+    def moved(self, transform: Float[np.ndarray, "4 4"]) -> Shown:
+        """The same at fixtures that stand elsewhere, p' = R p + t."""
+        R, t = transform[:3, :3], transform[:3, 3]
+        hold = None if self.hold is None else R @ self.hold + t
+        return replace(
+            self,
+            hold=hold,
+            begin=R @ self.begin + t,
+            orientation=R @ self.orientation,
+            coordinates=self.coordinates.moved(transform),
+        )
+
+    def to_dict(self) -> dict[str, Any]:
+        """Plain numbers and lists, for a constraint file."""
+        content = {name: getattr(self, name) for name in _NUMBERS}
+        for name in _ARRAYS:
+            value = getattr(self, name)
+            content[name] = None if value is None else np.round(value, 6).tolist()
+        c = self.coordinates
+        content["coordinates"] = {"kind": c.kind, "unit": c.unit, "axes": c.axes.tolist(), "point": c.point.tolist()}
+        content["coordinates"] |= {"pitch": c.pitch, "radius": c.radius, "by_hand": c.by_hand}
+        return content
+
+    @staticmethod
+    def from_dict(content: Any) -> Shown | None:
+        """What `to_dict` wrote; None of anything else."""
+        try:
+            numbers = {name: content[name] for name in _NUMBERS}
+            arrays = {name: None if content[name] is None else np.array(content[name], float) for name in _ARRAYS}
+            free: Mapping[str, Any] = content["coordinates"]
+            places = {name: np.array(free[name], float) for name in ("axes", "point")}
+            rest = {name: free[name] for name in ("kind", "unit", "pitch", "radius", "by_hand")}
+            return Shown(**numbers, **arrays, coordinates=FreeCoordinates(**rest, **places))
+        except (KeyError, TypeError, ValueError):
+            return None
+
+
+_NUMBERS = ("unit", "extent", "spread", "least", "most", "span", "speed", "seconds", "back", "n", "scatter", "one_way")
+_ARRAYS = ("hold", "path", "time", "begin", "orientation")
+
+
+def shown_by(
+    features: FeatureMap,
+    selection: Float[np.ndarray, "s p"],
+    mechanism: Mechanism | None,
+    contacts: Sequence[tuple[Float[np.ndarray, " T"], Float[np.ndarray, "T n"]]],
+) -> Shown | None:
+    """What contacts with one constraint show along its free directions; None where the place of no frame is free.
+
+    Args:
+        features: Phi.
+        selection: Lambda.
+        mechanism: What the rows hold, where that has a name.
+        contacts: (time [s], configurations) of each contact, from where it began.
+    """
+    contacts = [(time, q) for time, q in contacts if len(time) > 1]
+    poses = [poses_of(features, q) for _, q in contacts]
+    if not poses or any(p is None for p in poses):
+        return None
+    motions: list[np.ndarray] = [p for p in poses if p is not None]
+    free = free_coordinates(features, selection, mechanism, motions)
+    if free is None:
+        return None
+    ways = [free.of(p) for p in motions]
+    farthest = [int(np.argmax(np.linalg.norm(w, axis=1))) for w in ways]
+    signed = np.array([float(w[i, 0]) for w, i in zip(ways, farthest, strict=True)])
+    one_way = True
+    if free.is_way:
+        one_way = abs(float(np.sum(signed))) >= ONE_SIDED * float(np.sum(np.abs(signed)))
+        if np.sum(signed) < 0.0:
+            free, ways, signed = free.reversed(), [-w for w in ways], -signed
+    extents = np.array([float(np.linalg.norm(w[i])) for w, i in zip(ways, farthest, strict=True)])
+    if not np.all(np.isfinite(extents)) or float(np.median(extents)) <= 0.0:
+        return None
+    times = [time - time[0] for time, _ in contacts]
+    seconds = np.array([_duration(t, w, i, free.is_way) for t, w, i in zip(times, ways, farthest, strict=True)])
+    lengths = extents if free.is_way else np.array([_length(w) for w in ways])
+    begins = np.array([p[0, :3, 3] for p in motions])
+    middle = np.median(begins, axis=0)
+    scatter = float(np.max(np.linalg.norm(begins - middle, axis=1)))
+    hold = middle if scatter <= SAME_PLACE else None
+    typical = _typical(times, ways, extents) if not free.is_way else _nearest_median(extents, signed > 0.0)
+    time, path = _path(times[typical], ways[typical], farthest[typical], free.is_way)
+    ends = np.array([float(np.linalg.norm(w[-1])) for w in ways])
+    return Shown(
+        free.unit,
+        float(np.median(extents)),
+        float(np.std(extents)),
+        float(np.min(extents)),
+        float(np.max(extents)),
+        _span(free, motions, ways) if free.is_way else float(np.max(extents)),
+        float(np.median(lengths / np.maximum(seconds, 1e-9))),
+        float(np.median(seconds)),
+        bool(np.median(ends / extents) <= BACK),
+        len(ways),
+        hold,
+        scatter,
+        path,
+        time,
+        begins[typical] if hold is None else hold,
+        motions[typical][0, :3, :3],
+        one_way,
+        free,
+    )
+
+
+def _duration(time: Float[np.ndarray, " T"], way: Float[np.ndarray, "T k"], farthest: int, is_way: bool) -> float:
+    """How long the motion took [s]: a way from its beginning to its farthest point, rest at either end left out."""
+    if not is_way:
+        return float(time[-1])
+    out = np.abs(way[: farthest + 1, 0]) / abs(float(way[farthest, 0]) or 1.0)
+    begun = int(np.flatnonzero(out <= STARTED)[-1])
+    there = begun + int(np.flatnonzero(out[begun:] >= 1.0 - STARTED)[0])
+    return float(time[there] - time[begun]) / (1.0 - 2.0 * STARTED)
+
+
+def _span(free: FreeCoordinates, motions: Sequence[np.ndarray], ways: Sequence[np.ndarray]) -> float:
+    """How far apart along a way the contacts' farthest places are [m or rad]."""
+    if free.by_hand:  # grips differ, so that the angle of a hand says nothing of where another began
+        return float(max(np.ptp(way) for way in ways))
+    begins = free.of(np.array([motion[0] for motion in motions]))[:, 0]
+    ends = [(b + way.min(), b + way.max()) for b, way in zip(begins, ways, strict=True)]
+    return float(max(high for _, high in ends) - min(low for low, _ in ends))
+
+
+def _length(way: Float[np.ndarray, "T k"]) -> float:
+    return float(np.sum(np.linalg.norm(np.diff(way, axis=0), axis=1)))
+
+
+def _nearest_median(extents: Float[np.ndarray, " n"], usual: Any) -> int:
+    """The contact that goes as most do, and as far."""
+    off = np.abs(extents - np.median(extents)) + np.where(usual, 0.0, np.inf)
+    return int(np.argmin(off))
+
+
+def _typical(times: Sequence[np.ndarray], ways: Sequence[np.ndarray], extents: Float[np.ndarray, " n"]) -> int:
+    """The contact whose path has the least mean distance from those of the others, each at equal shares of its time."""
+    shares = np.linspace(0.0, 1.0, 50)  # a path of some strokes, each seen several times
+    even = np.array([[np.interp(shares * t[-1], t, c) for c in w.T] for t, w in zip(times, ways, strict=True)])
+    apart = np.linalg.norm(even[:, None] - even[None], axis=2).mean(axis=(1, 2)) if len(ways) > 1 else np.zeros(1)
+    return int(np.argmin(apart + 0.0 * extents))
+
+
+def _path(
+    time: Float[np.ndarray, " T"], way: Float[np.ndarray, "T k"], farthest: int, is_way: bool
+) -> tuple[Float[np.ndarray, " n"], Float[np.ndarray, "n k"]]:
+    """A contact's path at even times: a way out to its farthest point, a path on a surface as a whole."""
+    end = farthest + 1 if is_way else len(time)
+    time, way = time[:end], way[:end]
+    even = np.linspace(0.0, float(time[-1]), min(PATH_POINTS, max(len(time), 2)))
+    return even, np.column_stack([np.interp(even, time, c) for c in way.T])

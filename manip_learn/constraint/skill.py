@@ -1,0 +1,165 @@
+"""A skill: everything that the recordings of a task show, in the order in which it was done."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any, Literal, final
+
+import numpy as np
+from jaxtyping import Float
+
+from manip_learn.atomic_write import write_atomically
+from manip_learn.constraint.constraint import Constraint, read_constraint_file
+from manip_learn.constraint.shown import Shown
+from manip_learn.errors import DAMAGE, ConstraintMismatchError, counted
+from manip_learn.robot.robot import Robot
+
+StepKind = Literal["reach", "way"]
+Gripping = Literal["close", "open"]
+
+
+@final
+@dataclass(frozen=True, eq=False)
+class Step:
+    """One part of a skill.
+
+    Attributes:
+        kind: `"reach"`: the hand goes through the air to where the next way begins, or to where the recordings ended;
+            `"way"`: it goes along what a constraint leaves free.
+        constraint: Of a way, and of a reach the one that the hand goes to; None where the recordings ended.
+        shown: What was shown along the constraint here; None of a reach.
+        gripper: What a gripper does before the step, if it was recorded.
+        place: shape (3,), where the hand goes at the end of a skill, in the base frame [m]; None of other steps.
+    """
+
+    kind: StepKind
+    constraint: Constraint | None
+    shown: Shown | None = None
+    gripper: Gripping | None = None
+    place: Float[np.ndarray, " 3"] | None = None
+
+
+@final
+@dataclass(frozen=True, eq=False, repr=False)
+class Skill:
+    """What a task consists of: constraints, and steps in the order in which they were shown.
+
+    Attributes:
+        constraints: Every constraint that was learnt, best supported first.
+        steps: In order.
+        notes: What to know of the order, in sentences.
+
+    Example:
+        >>> import manip_learn as ml
+        >>> from manip_learn.commands.demo import shipped_recordings  # stands for a folder of your own
+        >>> robot = ml.load_robot("sawyer")
+        >>> demos = ml.load_demonstrations(shipped_recordings() / "sawyer_drawer", robot)[:6]
+        >>> learner = ml.ConstraintLearner(ml.FrameJacobian(robot, "right_gripper_tip", axes="xyz")).fit(demos)
+        >>> [step.kind for step in learner.skill_.steps]
+        ['reach', 'way']
+    """
+
+    constraints: tuple[Constraint, ...]
+    steps: tuple[Step, ...]
+    notes: tuple[str, ...] = ()
+
+    @property
+    def robot(self) -> Robot | None:
+        """The robot that it was shown with."""
+        return self.constraints[0].robot
+
+    def __repr__(self) -> str:
+        said = [f"{i + 1}. {_in_words(step)}" for i, step in enumerate(self.steps[:8])]
+        more = f"\n... and {len(self.steps) - 8} more" if len(self.steps) > 8 else ""
+        return f"Skill of {counted(len(self.steps), 'step')}\n" + "\n".join(said) + more
+
+    def moved(self, transform: Float[np.ndarray, "4 4"]) -> Skill:
+        """The skill at fixtures that stand elsewhere: p' = R p + t in the base's frame."""
+        transform = np.asarray(transform, dtype=np.float64)
+        elsewhere = {id(c): c.moved(transform) for c in self.constraints}
+        steps = []
+        for step in self.steps:
+            shown = None if step.shown is None else step.shown.moved(transform)
+            place = None if step.place is None else transform[:3, :3] @ step.place + transform[:3, 3]
+            constraint = None if step.constraint is None else elsewhere[id(step.constraint)]
+            steps.append(replace(step, constraint=constraint, shown=shown, place=place))
+        return Skill(tuple(elsewhere[id(c)] for c in self.constraints), tuple(steps), self.notes)
+
+    def to_dict(self) -> dict[str, Any]:
+        """The content of a skill's file: that of its first constraint, with the others and the steps beside it.
+
+        Raises:
+            FeatureError: The features are Python functions and cannot be written down.
+        """
+        number = {id(c): i for i, c in enumerate(self.constraints)}
+        steps = [
+            {
+                "kind": step.kind,
+                "constraint": None if step.constraint is None else number[id(step.constraint)],
+                "shown": None if step.shown is None else step.shown.to_dict(),
+                "gripper": step.gripper,
+                "place": None if step.place is None else step.place.tolist(),
+            }
+            for step in self.steps
+        ]
+        others = [c.to_dict() for c in self.constraints[1:]]
+        return self.constraints[0].to_dict() | {"skill": {"others": others, "steps": steps, "notes": list(self.notes)}}
+
+    def save(self, path: str | Path) -> Path:
+        """Write a JSON file, whole or not at all; `Constraint.load` of it gives the first constraint.
+
+        Raises:
+            OutputError: It cannot be written.
+            FeatureError: The features are Python functions and cannot be written down.
+        """
+        return write_atomically(path, json.dumps(self.to_dict(), indent=2, allow_nan=False) + "\n")
+
+    @staticmethod
+    def load(path: str | Path, robot: Robot, *, same_urdf: bool = True) -> Skill:
+        """Read a skill; of a file that holds a constraint alone, its one way.
+
+        Args:
+            path: JSON file written by `save`, or by `Constraint.save`.
+            robot: The robot, loaded with the same locked joints.
+            same_urdf: As for `Constraint.load`.
+
+        Raises:
+            ConstraintMismatchError: Another robot, another schema, a damaged file, or no skill at all.
+        """
+        content, source = read_constraint_file(Path(path)), str(path)
+        first = Constraint.from_dict(content, robot, source=source, same_urdf=same_urdf)
+        saved = content.get("skill")
+        if saved is None:
+            return one_way(first)
+        try:
+            others = [Constraint.from_dict(c, robot, source=source, same_urdf=same_urdf) for c in saved["others"]]
+            constraints = (first, *others)
+            steps = tuple(_step(entry, constraints) for entry in saved["steps"])
+            return Skill(constraints, steps, tuple(map(str, saved.get("notes", ()))))
+        except DAMAGE as error:
+            raise ConstraintMismatchError(f"{source}: the file is damaged ({error!r}); learn it again") from error
+
+
+def _step(entry: Mapping[str, Any], constraints: tuple[Constraint, ...]) -> Step:
+    number, place = entry["constraint"], entry["place"]
+    kind: StepKind = {"reach": "reach", "way": "way"}[entry["kind"]]
+    gripper: Gripping | None = {"close": "close", "open": "open", None: None}[entry["gripper"]]
+    where = None if place is None else np.array(place, dtype=np.float64).reshape(3)
+    constraint = None if number is None else constraints[int(number)]
+    return Step(kind, constraint, Shown.from_dict(entry["shown"]), gripper, where)
+
+
+def one_way(constraint: Constraint) -> Skill:
+    """The skill of a single constraint: to take hold, and its way."""
+    return Skill((constraint,), (Step("reach", constraint), Step("way", constraint, constraint.shown)))
+
+
+def _in_words(step: Step) -> str:
+    if step.kind == "reach":
+        return "go to where it begins" if step.place is None else "go to where the recordings ended"
+    mechanism = None if step.constraint is None else step.constraint.mechanism
+    what = "along what is free" if mechanism is None else f"along {mechanism.sentence}"
+    return what if step.shown is None else f"{what}: {step.shown.extent:.3g} {step.shown.unit}"

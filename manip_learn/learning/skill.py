@@ -1,0 +1,130 @@
+"""From what was learnt of each constraint to a skill: the order in which the recordings show them."""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import numpy as np
+from jaxtyping import Float
+
+from manip_learn.constraint.constraint import Constraint
+from manip_learn.constraint.shown import poses_of, shown_by
+from manip_learn.constraint.skill import Gripping, Skill, Step
+from manip_learn.errors import counted
+from manip_learn.learning.answer import Answer
+from manip_learn.recordings.trajectory import Trajectory
+from manip_learn.robot.robot import Robot
+
+LEAVES = 0.02  # [m] that a hand goes after its last contact if it was taken away from there, and not only let go
+BEFORE = 0.5  # [s] before a contact in which a gripper closes
+GRIPS = 0.1  # share of its range that a gripper's joint moves when it closes or opens
+
+
+class _Contact(NamedTuple):
+    """A contact in a recording: the number of its constraint, when it begins [s], and its samples."""
+
+    constraint: int
+    start: float
+    piece: Trajectory
+
+
+def skill_of(constraints: Sequence[Constraint], answers: Sequence[Answer]) -> Skill:
+    """The constraints in the order in which most recordings show them, each with what was shown there.
+
+    Args:
+        constraints: Best supported first.
+        answers: What each was learnt from.
+    """
+    order = _contacts_in_order(answers)
+    sequences = Counter(tuple(c.constraint for c in contacts) for contacts in order.values())
+    if not sequences:
+        return Skill(tuple(constraints), ())
+    usual, times = sequences.most_common(1)[0]
+    chosen = {i: contacts for i, contacts in order.items() if tuple(c.constraint for c in contacts) == usual}
+    notes = ()
+    if times < len(order):
+        notes = (f"{times} of {counted(len(order), 'recording')} show the steps in this order; the others differ",)
+    steps: list[Step] = []
+    for place, number in enumerate(usual):
+        constraint, pieces = constraints[number], [contacts[place].piece for contacts in chosen.values()]
+        shown = constraint.shown
+        if usual.count(number) > 1:
+            times_and_postures = [(piece.time, piece.q) for piece in pieces]
+            shown = shown_by(constraint.features, constraint.selection, constraint.mechanism, times_and_postures)
+        grip = _gripping(answers, chosen, place)
+        steps.append(Step("reach", constraint, gripper="open" if steps and steps[-1].gripper == "close" else None))
+        steps.append(Step("way", constraint, shown, grip))
+    end = _end_of(constraints[usual[-1]], answers, chosen)
+    if end is not None:
+        steps.append(Step("reach", None, gripper="open" if steps[-1].gripper == "close" else None, place=end))
+    return Skill(tuple(constraints), tuple(steps), notes)
+
+
+def _contacts_in_order(answers: Sequence[Answer]) -> dict[int, list[_Contact]]:
+    """The contacts of each recording; of contacts with one constraint that follow each other, the longest."""
+    found: dict[int, list[_Contact]] = {}
+    for number, answer in enumerate(answers):
+        for stretch, piece in zip(answer.part.stretches, answer.part.demonstrations, strict=True):
+            found.setdefault(stretch.trajectory, []).append(_Contact(number, stretch.start, piece))
+    out: dict[int, list[_Contact]] = {}
+    for recording, contacts in found.items():
+        kept: list[_Contact] = []
+        for contact in sorted(contacts, key=lambda c: c.start):
+            if kept and kept[-1].constraint == contact.constraint:
+                kept[-1] = max(kept[-1], contact, key=lambda c: c.piece.duration)
+            else:
+                kept.append(contact)
+        out[recording] = kept
+    return out
+
+
+def _gripping(answers: Sequence[Answer], chosen: dict[int, list[_Contact]], place: int) -> Gripping | None:
+    """Whether a joint that does not move the hand closes as the contact begins, in most recordings."""
+    source = answers[0].part.source
+    if source is None:
+        return None
+    changes = []
+    for recording, contacts in chosen.items():
+        piece, whole = contacts[place].piece, source.derived[recording]
+        robot, frame = _hand(answers[contacts[place].constraint])
+        if robot is None or frame is None:
+            return None
+        ranges = robot.position_upper - robot.position_lower
+        fingers = [
+            i for i, name in enumerate(robot.joint_names) if not robot.moves(name, frame) and np.isfinite(ranges[i])
+        ]
+        if not fingers or robot.nq != robot.nv:
+            return None
+        before = whole.q[whole.time < piece.time[0] - BEFORE][-1:, fingers]
+        if len(before):
+            changes.append((np.median(piece.q[:, fingers], axis=0) - before[0]) / ranges[fingers])
+    if len(changes) < 0.5 * len(chosen) or not changes:
+        return None
+    change = np.median(changes, axis=0)
+    return "close" if np.max(np.abs(change)) > GRIPS else None
+
+
+def _hand(answer: Answer) -> tuple[Robot | None, str | None]:
+    features = answer.candidate.samples.features
+    frame = getattr(features, "frame", None)
+    return getattr(features, "robot", None), None if frame is None else frame.name
+
+
+def _end_of(
+    constraint: Constraint, answers: Sequence[Answer], chosen: dict[int, list[_Contact]]
+) -> Float[np.ndarray, " 3"] | None:
+    """Where the hand was when recordings ended, if it was taken away from the last contact [m]."""
+    source = answers[0].part.source
+    if source is None:
+        return None
+    ends, away = [], []
+    for recording, contacts in chosen.items():
+        both = np.stack([contacts[-1].piece.q[-1], source.derived[recording].q[-1]])
+        poses = poses_of(constraint.features, both)
+        if poses is None:
+            return None
+        ends.append(poses[1, :3, 3])
+        away.append(float(np.linalg.norm(poses[1, :3, 3] - poses[0, :3, 3])))
+    return np.median(ends, axis=0) if np.median(away) > LEAVES else None

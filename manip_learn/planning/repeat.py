@@ -1,0 +1,261 @@
+"""A skill done again, step by step: take hold, go the way that was shown, let go, on to the next, and retreat."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from typing import Any, final
+
+import numpy as np
+from jaxtyping import Float
+from numpy.typing import ArrayLike
+
+from manip_learn.constraint.constraint import Constraint
+from manip_learn.constraint.features.frame_jacobian import FrameJacobian
+from manip_learn.constraint.shown import Unit
+from manip_learn.constraint.skill import Skill, Step, one_way
+from manip_learn.control.controller import ResolvedRateController
+from manip_learn.control.law_sequence import LawSequence
+from manip_learn.control.limits import Limits
+from manip_learn.control.rollout import Rollout
+from manip_learn.control.tasks.driven_motion import way_in_words
+from manip_learn.control.tasks.motion import APPROACH_SPEED, FreeDirection, motion
+from manip_learn.control.way import simulate_way
+from manip_learn.errors import ConfigurationError, NoPlanError, TargetError, an
+from manip_learn.linalg import complement_rows, finite
+from manip_learn.planning.plan import plan
+from manip_learn.recordings.trajectory_source import Progress
+from manip_learn.robot.robot import Robot
+
+CLOSING = 0.5  # [s] that a gripper takes to close or to open
+NEAR = 1e-3  # [m] a hand this near to where it is to go is there
+
+
+@final
+@dataclass(frozen=True, eq=False)
+class StepDone:
+    """What became of a step.
+
+    Attributes:
+        kind: `"reach"` or `"way"`.
+        wanted: How far the hand was to go [m], or turn [rad].
+        done: How far it went.
+        unit: Of both.
+        deviation: Largest distance off what holds the hand [m or rad]; of a reach, from where it was to end [m].
+        margin: Of a way, as that of a plan; None of a reach.
+        stopped_by: What ended it before it was done, in words; None if it was done.
+        name: What it was, in words.
+    """
+
+    kind: str
+    wanted: float
+    done: float
+    unit: Unit
+    deviation: float
+    margin: float | None
+    stopped_by: str | None
+    name: str
+
+    def to_dict(self) -> dict[str, Any]:
+        """The JSON answer: lengths in m, angles in degrees."""
+        size = 1.0 if self.unit == "m" else float(np.degrees(1.0))
+        return {
+            "kind": self.kind,
+            "name": self.name,
+            "wanted": size * self.wanted,
+            "done": size * self.done,
+            "unit": "m" if self.unit == "m" else "deg",
+            "deviation": self.deviation,
+            "margin": self.margin,
+            "stopped_by": self.stopped_by,
+        }
+
+
+@final
+@dataclass(frozen=True, eq=False, repr=False)
+class Repetition:
+    """A skill done again.
+
+    Attributes:
+        skill: What was done, where its fixtures stand now.
+        rollout: The whole motion, as simulated; its phases are named after the steps.
+        steps: What became of each.
+        controller: Does it, in `simulate`, in a `ServoLoop` and in `run`, from the start.
+        notes: What to know of it, in sentences.
+    """
+
+    skill: Skill
+    rollout: Rollout
+    steps: tuple[StepDone, ...]
+    controller: LawSequence
+    notes: tuple[str, ...] = ()
+
+    @property
+    def is_done(self) -> bool:
+        """Whether every step was done, all of it."""
+        return all(step.stopped_by is None for step in self.steps)
+
+    def __repr__(self) -> str:
+        return "\n".join(f"{i + 1}. {_said(step)}" for i, step in enumerate(self.steps))
+
+
+def _said(step: StepDone) -> str:
+    far = f"{way_in_words(step.done, step.unit)} of {way_in_words(step.wanted, step.unit)}"
+    margin = "" if step.margin is None else f", margin {step.margin:.0%}"
+    return f"{step.name}: {far}{margin}" + ("" if step.stopped_by is None else f"; stopped by {step.stopped_by}")
+
+
+def repeat(
+    skill: Skill | Constraint,
+    start: ArrayLike,
+    moved: ArrayLike | None = None,
+    *,
+    seed: int = 0,
+    limits: Limits | None = None,
+    dt: float = 0.01,
+    progress: Progress | None = None,
+) -> Repetition:
+    """Do again what the recordings show, from any start: every step in the order in which it was shown.
+
+    Each way is planned (see `plan`): the hand takes hold where the contacts began, in the posture that leaves most room
+    for the way, and goes as far as was shown, or along the path that was shown, in the time that was shown. After the
+    last way the hand goes where the recordings ended.
+
+    Args:
+        skill: As learnt (`ConstraintLearner.skill_`) or loaded; a constraint stands for its one way.
+        start: Posture before the first step.
+        moved: shape (4, 4), a rigid motion in the base's frame: the fixtures stand elsewhere, p' = R p + t [m].
+        seed: Of the random postures: the same seed gives the same motion.
+        limits: Of the joints; the robot's own by default.
+        dt: Step of the simulation [s].
+        progress: As for `simulate`.
+
+    Raises:
+        NoPlanError: A step that cannot be done; says which, what stops it and what would help. Nothing is returned of
+            the steps before it.
+        TargetError: A start outside the limits, a motion of the fixtures that is not rigid, nothing to do again.
+        ConfigurationError: No skill, or a start of another size.
+
+    Example:
+        >>> import manip_learn as ml
+        >>> from manip_learn.commands.demo import shipped_recordings  # stands for a folder of your own
+        >>> robot = ml.load_robot("sawyer")
+        >>> demos = ml.load_demonstrations(shipped_recordings() / "sawyer_drawer", robot)[:6]
+        >>> learner = ml.ConstraintLearner(ml.FrameJacobian(robot, "right_gripper_tip", axes="xyz")).fit(demos)
+        >>> again = ml.repeat(learner.skill_, demos[0].q[0])
+        >>> again.is_done, [step.kind for step in again.steps]
+        (True, ['reach', 'way'])
+    """
+    if isinstance(skill, Constraint):
+        skill = one_way(skill)
+    if not isinstance(skill, Skill):
+        raise ConfigurationError(f"call repeat(skill, start): the skill is {an(skill)}; learner.skill_ is one")
+    robot = skill.robot
+    if robot is None or not skill.steps:
+        raise TargetError("there is nothing to do again: the recordings show no step with a robot")
+    if moved is not None:
+        skill = skill.moved(_rigid(moved))
+    q, said = robot.checked_posture(start), progress or (lambda _title, _share: None)
+    limits = limits or Limits(robot)
+    laws: list[ResolvedRateController] = []
+    done: list[StepDone] = []
+    whole: Rollout | None = None
+    notes = list(skill.notes)
+    for number, step in enumerate(skill.steps):
+        if step.kind == "reach" and step.place is None:
+            continue  # the plan of the way that follows begins with it
+        name = _name(number, step, skill)
+        said(name, number / len(skill.steps))
+        if step.kind == "way":
+            parts, steps, rollout, more = _way(step, name, q, seed, limits, dt)
+            notes += [note for note in more if note not in notes]
+        else:
+            parts, steps, rollout = _retreat(skill, step, name, q, robot, limits, dt)
+        laws, done = [*laws, *parts], [*done, *steps]
+        whole = rollout if whole is None else whole.followed_by(rollout)
+        q = whole.q[-1]
+    if whole is None:
+        raise TargetError("there is nothing to do again: the skill has no way")
+    said("done", 1.0)
+    return Repetition(skill, whole, tuple(done), LawSequence(*laws), tuple(notes))
+
+
+def _name(number: int, step: Step, skill: Skill) -> str:
+    if step.kind == "reach":
+        return "retreat"
+    mechanism = None if step.constraint is None else step.constraint.mechanism
+    what = "way" if mechanism is None else mechanism.type
+    ways = [s for s in skill.steps[: number + 1] if s.kind == "way"]
+    return f"{what} {len(ways)}" if sum(s.kind == "way" for s in skill.steps) > 1 else what
+
+
+Part = tuple[list[ResolvedRateController], list[StepDone], Rollout]
+
+
+def _way(
+    step: Step, name: str, q: Float[np.ndarray, " n"], seed: int, limits: Limits, dt: float
+) -> tuple[list[ResolvedRateController], list[StepDone], Rollout, tuple[str, ...]]:
+    """Take hold and go along what was learnt, as it was shown in this step."""
+    constraint = step.constraint
+    if constraint is None or constraint.robot is None:
+        raise TargetError(f"step {name!r}: no constraint to go along")
+    if step.shown is not None and step.shown is not constraint.shown:
+        constraint = constraint.showing(step.shown)
+    task = motion(constraint, pause=CLOSING if step.gripper == "close" else 0.0)
+    try:
+        found = plan(constraint, task, q, seed, limits=limits, dt=dt)
+    except NoPlanError as refusal:
+        facts = {"largest": refusal.largest, "posture": refusal.posture}
+        raise NoPlanError(
+            f"step {name!r}: {refusal}", stopped_by=refusal.stopped_by, helps=refusal.helps, **facts
+        ) from refusal
+    frame = getattr(constraint.features, "frame", None)
+    hand = np.zeros(3) if frame is None else constraint.robot.position(q, frame.name)
+    taken = hand if frame is None else constraint.robot.position(found.approach.q[-1], frame.name)
+    far = float(np.linalg.norm(taken - hand))
+    outcome = found.outcome
+    reach = StepDone("reach", far, far, "m", 0.0, None, None, f"take hold for {name}")
+    way = StepDone(
+        "way",
+        abs(outcome.wanted),
+        abs(outcome.done),
+        outcome.unit,
+        outcome.deviation,
+        found.margin,
+        outcome.stopped_by,
+        name,
+    )
+    rollout = found.rollout
+    phases = tuple((f"{name}: {part}", start, end) for part, start, end in rollout.phases)
+    return list(found.controller.laws), [reach, way], replace(rollout, phases=phases), found.notes
+
+
+def _retreat(
+    skill: Skill, step: Step, name: str, q: Float[np.ndarray, " n"], robot: Robot, limits: Limits, dt: float
+) -> Part:
+    """The hand goes straight to where the recordings ended."""
+    last = next(s.constraint for s in reversed(skill.steps) if s.constraint is not None)
+    frame = last.features.frame.name  # type: ignore[attr-defined]  # a place is known of a frame's rows only
+    away = np.asarray(step.place) - robot.position(q, frame)
+    far = float(np.linalg.norm(away))
+    if far <= NEAR:
+        raise TargetError(f"step {name!r}: the hand is there already")
+    line = Constraint(complement_rows(away[None] / far), FrameJacobian(robot, frame))
+    task = FreeDirection(line, far, APPROACH_SPEED, direction=away)
+    law = ResolvedRateController(line, task, task.ascent(), limits=limits, dt=dt)
+    rollout, outcome = simulate_way(robot, law, q, dt)
+    if not outcome.is_done:
+        raise NoPlanError(f"step {name!r}: the hand does not get to where the recordings ended: {outcome.stopped_by}")
+    off = float(np.linalg.norm(robot.position(rollout.q[-1], frame) - np.asarray(step.place)))
+    rollout = replace(rollout, phases=((name, 0.0, float(rollout.time[-1])),))
+    return [law], [StepDone("reach", far, abs(outcome.done), "m", off, None, None, name)], rollout
+
+
+def _rigid(moved: ArrayLike) -> Float[np.ndarray, "4 4"]:
+    T = finite(moved, 4, 4)
+    turned = None if T is None else T[:3, :3]
+    if T is None or turned is None or np.max(np.abs(turned @ turned.T - np.eye(3))) > 1e-6 or np.linalg.det(turned) < 0:
+        raise TargetError(
+            "moved must be a rigid motion: four rows [R t; 0 0 0 1] of finite numbers, R a rotation, got "
+            f"{np.array2string(np.asarray(moved), precision=3) if np.size(moved) <= 16 else an(moved)}"
+        )
+    return T

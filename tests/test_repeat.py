@@ -1,0 +1,122 @@
+"""A skill: what was learnt, in the order in which it was shown, and done again as one motion."""
+
+from __future__ import annotations
+
+import json
+from functools import cache
+from pathlib import Path
+
+import numpy as np
+import pytest
+from numpy.testing import assert_allclose
+from scipy.spatial.transform import Rotation
+from shown_motions import Thing, recordings
+
+import manip_learn as ml
+from manip_learn.cli import main
+from manip_learn.errors import NoPlanError, TargetError
+
+HOME = (0.2, -0.4, 0.1, -2.1, 0.1, 1.8, 0.6)
+
+
+@cache
+def two_tasks() -> tuple[ml.Robot, str, ml.ConstraintLearner, list[Thing], list[list[float]], list[ml.Trajectory]]:
+    """A drawer and then a table, in each recording."""
+    robot, tip, demos, things, ways = recordings(("drawer", "table"), "panda", 4200)
+    maps = [ml.FrameJacobian(robot, tip, "xyz", reference) for reference in ("world", "local")]
+    return robot, tip, ml.ConstraintLearner(maps).fit(demos), things, ways, demos
+
+
+def begins(again: ml.Repetition, tip: str) -> list[np.ndarray]:
+    """Where the hand is when each way begins."""
+    robot, rollout = again.skill.robot, again.rollout
+    assert robot is not None
+    starts = [a for name, a, _ in rollout.phases if name.endswith(": way")]
+    return [robot.position(rollout.q[int(np.searchsorted(rollout.time, t - 1e-9))], tip) for t in starts]
+
+
+def test_a_skill_has_its_steps_in_order(tmp_path: Path):
+    """Reach and way of the drawer, then of the table, and the retreat; saved, loaded, and read as a constraint."""
+    robot, _, learner, things, _, _ = two_tasks()
+    skill = learner.skill_
+    assert [step.kind for step in skill.steps] == ["reach", "way", "reach", "way", "reach"]
+    assert [step.constraint.mechanism.type for step in skill.steps if step.kind == "way"] == ["line", "plane"]
+    loaded = ml.Skill.load(skill.save(tmp_path / "task.json"), robot)
+    assert repr(loaded) == repr(skill) and len(loaded.constraints) == len(skill.constraints)
+    first = ml.Constraint.load(tmp_path / "task.json", robot)
+    assert_allclose(first.selection, skill.constraints[0].selection)
+    alone = ml.Skill.load(first.save(tmp_path / "one.json"), robot)
+    assert [step.kind for step in alone.steps] == ["reach", "way"]
+
+
+def test_both_tasks_are_done_in_order():
+    """Each hold is where the thing was taken hold of, each way as far as was shown; the controller does the same."""
+    robot, tip, learner, things, ways, _ = two_tasks()
+    again = ml.repeat(learner.skill_, HOME)
+    assert again.is_done and [step.kind for step in again.steps] == ["reach", "way", "reach", "way", "reach"]
+    for place, thing in zip(begins(again, tip), things, strict=True):
+        assert np.linalg.norm(place - thing.hold) < 2e-3
+    drawer = again.steps[1]
+    assert drawer.done == pytest.approx(np.median(ways[0]), rel=0.03)
+    assert drawer.deviation < 1e-3 and drawer.margin is not None and drawer.margin > 0.0
+    run = ml.simulate(robot, again.controller, HOME, again.rollout.time[-1] + 1.0, 0.01)
+    end = robot.position(again.rollout.q[-1], tip)
+    assert np.linalg.norm(robot.position(run.q[-1], tip) - end) < 2e-3
+    assert "drawer" not in repr(again) and "line 1" in repr(again)
+
+
+def test_fixtures_that_stand_elsewhere():
+    """Turned and shifted: the hand takes hold where the things are now, and goes the way they go now."""
+    robot, tip, learner, things, _, _ = two_tasks()
+    T = np.eye(4)
+    T[:3, :3] = Rotation.from_rotvec([0.0, 0.0, 0.2]).as_matrix()
+    T[:3, 3] = things[0].hold - T[:3, :3] @ things[0].hold + [0.03, -0.04, 0.02]
+    again = ml.repeat(learner.skill_, HOME, T)
+    for place, thing in zip(begins(again, tip), things, strict=True):
+        assert np.linalg.norm(place - (T[:3, :3] @ thing.hold + T[:3, 3])) < 2e-3
+    name, start, end = next(phase for phase in again.rollout.phases if phase[0] == "line 1: way")
+    at = [
+        robot.position(again.rollout.q[int(np.searchsorted(again.rollout.time, t - 1e-9))], tip) for t in (start, end)
+    ]
+    way = (at[1] - at[0]) / np.linalg.norm(at[1] - at[0])
+    assert way @ T[:3, :3] @ things[0].axis > 0.9999
+
+
+def test_what_cannot_be_done_is_refused_by_its_step():
+    """Out of reach, no rigid motion, no skill: which step, and nothing is returned of the others."""
+    skill = two_tasks()[2].skill_
+    far = np.eye(4)
+    far[:3, 3] = 2.0, 0.0, 0.0
+    with pytest.raises(NoPlanError, match="step 'line 1'"):
+        ml.repeat(skill, HOME, far)
+    with pytest.raises(TargetError, match="rigid"):
+        ml.repeat(skill, HOME, 2.0 * np.eye(4))
+    with pytest.raises(ml.ManipLearnError, match="learner.skill_"):
+        ml.repeat("task.json", HOME)  # type: ignore[arg-type]
+
+
+def test_the_command_line(tmp_path: Path, capsys: pytest.CaptureFixture[str]):
+    """`learn` says what was shown and what to type next; that works, and so does a drawer that stands elsewhere."""
+    _, tip, _, _, _, demos = two_tasks()
+    folder, task = tmp_path / "recordings", tmp_path / "task.json"
+    folder.mkdir()
+    for i, demo in enumerate(demos):
+        columns = np.column_stack([demo.time, demo.q])
+        np.savetxt(
+            folder / f"{i}.csv", columns, delimiter=",", header=",".join(["time", *demo.joint_names]), comments=""
+        )
+    lock = ["--lock", "panda_finger_joint1", "--lock", "panda_finger_joint2"]
+    assert main(["learn", "panda", str(folder), "--frame", tip, "--out", str(task), *lock]) == 0
+    said = capsys.readouterr().out
+    assert "took hold at the same place" in said and f"next: manip-learn repeat panda {task}" in said
+    start = ",".join(map(str, HOME))
+    assert main(["repeat", "panda", str(task), "--start", start, "--json", *lock]) == 0
+    answer = json.loads(capsys.readouterr().out)
+    assert answer["done"] is True
+    assert [set(step) >= {"kind", "wanted", "done", "deviation", "stopped_by"} for step in answer["steps"]] == [
+        True
+    ] * 5
+    assert main(["repeat", "panda", str(task), "--start", start, "--moved", "3,0,0", *lock]) == 2
+    assert "step 'line 1'" in capsys.readouterr().err
+    assert main(["repeat", "panda", str(task), "--moved", "1,2", *lock]) == 2
+    assert "--moved takes 3 numbers" in capsys.readouterr().err

@@ -1,0 +1,146 @@
+"""What recordings show along what is free, and that the arm does it again."""
+
+from __future__ import annotations
+
+import json
+from functools import cache
+
+import numpy as np
+import pytest
+from numpy.testing import assert_allclose
+from shown_motions import Thing, recordings
+from task_sets import learnt_from
+
+import manip_learn as ml
+from manip_learn.constraint.intention import Intention
+from manip_learn.control.way import simulate_way
+from manip_learn.errors import ConstraintError, TargetError
+
+HOME = {"panda": (0.2, -0.4, 0.1, -2.1, 0.1, 1.8, 0.6), "sawyer": (0.1, -0.8, 0.1, 1.6, 0.1, 0.9, 3.2)}
+SETS = (("drawer", "panda"), ("lid", "sawyer"), ("table", "panda"))
+
+
+@cache
+def shown_set(kind: str, arm: str) -> tuple[ml.Robot, str, ml.ConstraintLearner, Thing, list[float]]:
+    """Robot, tip, what was learnt, the thing and how far each recording went."""
+    robot, tip, demos, (thing,), (ways,) = recordings((kind,), arm, 4100)
+    maps = [ml.FrameJacobian(robot, tip, "xyz", reference) for reference in ("world", "local")]
+    return robot, tip, ml.ConstraintLearner(maps).fit(demos), thing, ways
+
+
+def done(
+    constraint: ml.Constraint, task: ml.Task, start: np.ndarray, tip: str
+) -> tuple[np.ndarray, np.ndarray, object]:
+    """Where the hand is when the way begins and at its end, and what became of the way."""
+    robot = constraint.robot
+    assert robot is not None
+    law = ml.ResolvedRateController(constraint, task, task.ascent())  # type: ignore[attr-defined]
+    rollout, way = simulate_way(robot, law, start)
+    begin = int(np.searchsorted(rollout.time, way.begins or 0.0))
+    places = np.array([robot.position(q, tip) for q in rollout.q[begin:]])
+    return places[0], places, way
+
+
+@pytest.mark.parametrize(("kind", "arm"), SETS)
+def test_what_was_shown_is_what_people_did(kind, arm):
+    """Where contacts began, how far they went, how many and whether back; the same after saving and loading."""
+    robot, _, learner, thing, ways = shown_set(kind, arm)
+    shown = learner.constraint_.shown
+    assert shown is not None and shown.unit == ("rad" if thing.unit == "rad" else "m")
+    assert shown.hold is not None and np.linalg.norm(shown.hold - thing.hold) < 2e-3
+    assert shown.extent == pytest.approx(np.median(ways), rel=0.03)
+    assert shown.least <= shown.extent <= shown.most and shown.spread == pytest.approx(np.std(ways), rel=0.3)
+    assert shown.n == len(ways) and shown.back == (kind != "table")
+    again = ml.Shown.from_dict(json.loads(json.dumps(shown.to_dict())))
+    assert again is not None and again.sentence == shown.sentence
+    assert_allclose(again.points, shown.points, atol=1e-5)
+
+
+@pytest.mark.parametrize(("kind", "arm"), SETS)
+def test_the_arm_does_what_was_shown(kind, arm):
+    """From home it takes hold where contacts began, goes their way, and leaves neither rail nor path."""
+    robot, tip, learner, thing, ways = shown_set(kind, arm)
+    constraint = learner.constraint_
+    begin, places, way = done(constraint, ml.motion(constraint), np.array(HOME[arm]), tip)
+    assert np.linalg.norm(begin - thing.hold) < 2e-3 and way.is_done and way.deviation < 1e-3
+    if kind == "table":
+        points = constraint.shown.points
+        for one, other in ((places, points), (points, places)):
+            assert max(np.min(np.linalg.norm(other - p, axis=1)) for p in one) < 5e-3
+    else:
+        assert abs(way.done) == pytest.approx(np.median(ways), rel=0.03)
+        ends = thing.place(np.array([[np.median(ways)]]))[0]
+        assert np.linalg.norm(places[-1] - ends) < 0.03 * np.median(ways) * 0.5 + 3e-3
+
+
+def test_positive_is_the_way_shown():
+    """A drawer opens by a positive way and is shut by a negative one, which ends where contacts began."""
+    robot, tip, learner, thing, ways = shown_set("drawer", "panda")
+    constraint, start = learner.constraint_, np.array(HOME["panda"])
+    _, places, _ = done(constraint, ml.motion(constraint, along=0.1), start, tip)
+    assert (places[-1] - places[0]) @ thing.axis == pytest.approx(0.1, abs=2e-3)
+    _, places, _ = done(constraint, ml.motion(constraint, along=-0.1), start, tip)
+    assert (places[-1] - places[0]) @ thing.axis == pytest.approx(-0.1, abs=2e-3)
+    assert np.linalg.norm(places[-1] - thing.hold) < 3e-3
+    back = ml.motion(constraint, direction="back")
+    assert np.sign(back.wanted) == -np.sign(ml.motion(constraint).wanted)
+
+
+@pytest.mark.parametrize(
+    ("kind", "arm", "far"), [("drawer", "panda", {"along": 0.5}), ("lid", "sawyer", {"turn": 150.0})]
+)
+def test_more_than_was_shown_is_refused(kind, arm, far):
+    """With both numbers; unless it is asked for."""
+    constraint = shown_set(kind, arm)[2].constraint_
+    with pytest.raises(TargetError, match="longer than what was shown"):
+        ml.motion(constraint, **far)
+    assert ml.motion(constraint, **far, beyond_shown=True).wanted != 0.0
+
+
+def test_contacts_at_different_places_have_no_hold():
+    """The hand then begins where it is on the mechanism, or at the nearest place shown; the sentence says so."""
+    constraint = learnt_from("ur5_loose_door").constraint_
+    shown = constraint.shown
+    assert shown is not None and shown.hold is None and "apart" in shown.sentence
+    robot = constraint.robot
+    assert robot is not None
+    q = np.array(constraint.provenance["postures"][0])
+    assert ml.motion(constraint).hold(q) == 0.0
+
+
+def test_a_constraint_that_was_not_learnt_is_told_how_far():
+    """By hand, or from a file of an earlier version: a sentence, and a way that is named works."""
+    robot = ml.load_robot("planar3")
+    line = ml.Constraint([[0, 1]], ml.FrameJacobian(robot, "tip", axes="x y"))
+    assert line.shown is None
+    with pytest.raises(TargetError, match="does not know what was shown"):
+        ml.motion(line)
+    assert ml.motion(line, along=0.1).wanted == 0.1
+    with pytest.raises(ConstraintError, match="do not say which way"):
+        ml.motion(line, along=0.1, direction="shown")
+    damaged = ml.Constraint(line.selection, line.features, {"shown": {"unit": "m"}})
+    assert damaged.shown is None
+
+
+@pytest.mark.parametrize("common", [True, False])
+def test_rows_moved_on_purpose_have_a_target(common):
+    """A reach in which the tip is drawn to a point: that point and its gain are found, or that the points differ."""
+    robot, rng = ml.load_robot("planar3"), np.random.default_rng(7)
+    features = ml.FrameJacobian(robot, "tip", "x y")
+    both = ml.Constraint(np.eye(2), features)
+    demos, targets = [], []
+    for _ in range(8):
+        targets.append(np.array([0.6, 1.4]) if common or not targets else rng.uniform(0.3, 1.5, 2))
+        reach, rest = ml.PointAttractor(targets[-1], gain=1.2), ml.JointAttractor(np.zeros(3))
+        law = ml.ResolvedRateController(both, reach, rest, limits=False)
+        demos.append(ml.simulate(robot, law, rng.uniform(0.3, 1.2, 3), 2.0, 0.02).trajectory())
+    learner = ml.ConstraintLearner(features, n_constraints=2, estimator="joint").fit(demos)
+    meant = learner.constraint_.intention
+    assert isinstance(meant, Intention) and meant.common is common and meant.gain == pytest.approx(1.2, rel=0.05)
+    if common:
+        task = ml.motion(learner.constraint_)
+        assert isinstance(task, ml.PointAttractor)
+        assert_allclose(learner.constraint_.selection.T @ task.target, targets[0], atol=0.01)
+    else:
+        with pytest.raises(TargetError, match="different targets"):
+            ml.motion(learner.constraint_)
