@@ -371,7 +371,7 @@ class RepeatOptions:
 
     robot: RobotName
     task: Annotated[
-        Path, Argument(metavar="TASK", help="Written by `learn --out`.", autocompletion=constraint_completions)
+        str, Argument(metavar="TASK", help="Written by `learn --out`.", autocompletion=constraint_completions)
     ]
     start: Annotated[
         str | None, Option(help="Joint positions [rad], e.g. 0.1,-0.5,0; default: the first posture that was shown.")

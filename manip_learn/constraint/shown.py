@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import Any, Literal, final
 
@@ -306,12 +306,12 @@ class Shown:
     def from_dict(content: Any) -> Shown | None:
         """What `to_dict` wrote; None of anything else."""
         try:
-            numbers = {name: content[name] for name in _NUMBERS}
-            arrays = {name: None if content[name] is None else np.array(content[name], float) for name in _ARRAYS}
-            free: Mapping[str, Any] = content["coordinates"]
-            places = {name: np.array(free[name], float) for name in ("axes", "point")}
-            rest = {name: free[name] for name in ("kind", "unit", "pitch", "radius", "by_hand")}
-            return Shown(**numbers, **arrays, coordinates=FreeCoordinates(**rest, **places))
+            values: dict[str, Any] = {name: content[name] for name in _NUMBERS}
+            for name in _ARRAYS:
+                values[name] = None if content[name] is None else np.array(content[name], dtype=np.float64)
+            free: dict[str, Any] = dict(content["coordinates"])
+            free |= {name: np.array(free[name], dtype=np.float64) for name in ("axes", "point")}
+            return Shown(**values, coordinates=FreeCoordinates(**free))
         except (KeyError, TypeError, ValueError):
             return None
 

@@ -6,7 +6,7 @@ import json
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any, Literal, final
+from typing import Any, Literal, final, get_args
 
 import numpy as np
 from jaxtyping import Float
@@ -145,8 +145,9 @@ class Skill:
 
 def _step(entry: Mapping[str, Any], constraints: tuple[Constraint, ...]) -> Step:
     number, place = entry["constraint"], entry["place"]
-    kind: StepKind = {"reach": "reach", "way": "way"}[entry["kind"]]
-    gripper: Gripping | None = {"close": "close", "open": "open", None: None}[entry["gripper"]]
+    kind, gripper = entry["kind"], entry["gripper"]
+    if kind not in get_args(StepKind) or gripper not in (None, *get_args(Gripping)):
+        raise ValueError(f"a step of kind {kind!r} with gripper {gripper!r}")
     where = None if place is None else np.array(place, dtype=np.float64).reshape(3)
     constraint = None if number is None else constraints[int(number)]
     return Step(kind, constraint, Shown.from_dict(entry["shown"]), gripper, where)

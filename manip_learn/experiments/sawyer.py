@@ -14,7 +14,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Literal, final
+from typing import TYPE_CHECKING, Any, Literal, final, get_args
 
 import numpy as np
 from jaxtyping import Float
@@ -136,10 +136,8 @@ class SawyerCase:
 
 CASES = {
     BETWEEN.join((case.said, case.reading, case.direction)): case
-    for source, points in (
-        ("model", POINTS),
-        *(("kind physics", POINTS), ("kind physics", None), ("hard physics", POINTS), ("hard physics", None)),
-    )
+    for source in get_args(Source)
+    for points in ((POINTS,) if source == "model" else (POINTS, None))
     for reading in ("constrained row", "free direction")
     for direction in ("x", "y")
     for case in [SawyerCase(source, points, reading, direction)]

@@ -423,7 +423,7 @@ def _judged(rows: list[EpisodeAudit], imposed: bool, false_alarms: float, notes:
     criteria = [c for c, there in zip(criteria, defined, strict=True) if there]
     z = robust_z(values[:, defined], np.array([c.least_spread for c in criteria]))
     z = np.where([c.is_bad == "both" for c in criteria], np.abs(z), z)
-    threshold = outlier_threshold(*z.shape, false_alarms)
+    threshold = outlier_threshold(len(z), z.shape[1], false_alarms)
     judged = []
     for row, scores in zip(rows, z, strict=True):
         reasons = tuple(

