@@ -519,7 +519,8 @@ def motion_to(
     angle = place_about(here - g.point, place - g.point, g, 0.0)["tangential"]
     if abs(angle) < 1e-6:
         raise TargetError("the hand is as near to the point as the mechanism allows: name another")
-    task = motion(constraint, turn=angle, speed=speed, keep_orientation=keep_orientation)
+    task = motion(constraint, turn=angle, speed=speed, keep_orientation=keep_orientation, beyond_shown=True)
+    task = task.with_distance(angle)  # about the axis, whichever way was shown
     far = task.hold(q)
     if far > 0.0:
         raise TargetError(
