@@ -348,7 +348,7 @@ def test_a_missing_folder_is_said_before_the_work(run):
         assert (code, out) == (2, "") and "make the folder first, mkdir -p '" in err and "nobody" not in err, words
 
 
-INPUTS = {"robot": "arm.urdf", "driver": "driver.py", "constraint": "held.json"} | dict.fromkeys(
+INPUTS = {"robot": "arm.urdf", "driver": "driver.py", "constraint": "held.json", "task": "held.json"} | dict.fromkeys(
     ("recordings", "rollouts", "files"), "rec_01.csv"
 )
 REPLACING = [

@@ -273,7 +273,6 @@ def test_a_door_in_place_rows_is_driven(robot_of, keep) -> None:
     shown = {"postures": [list(x) for x in rollout.q[angle <= 0.1][::10]]}
     last = float(np.max(angle[angle <= 0.1][::10]))
     task = ml.FreeDirection(ml.Constraint(door.selection, rows, shown), 0.05, 0.2, take_hold=True)
-    assert task.longest_shown == pytest.approx(last, abs=1e-3)
     beside, beyond = (rollout.q[np.argmin(np.abs(angle - last - far / lever))] for far in (0.015, 0.026))
     assert task.hold(beside) == 0.0 and task.hold(beyond) > 0.02
     assert ml.FreeDirection(ml.Constraint(door.selection, rows, shown), 0.05, 0.2).hold(beyond) == 0.0

@@ -88,17 +88,19 @@ def test_the_words_say_how_far(run, file):
     assert out.startswith("opened 30.0 of 30.0 degrees")
     _code, out, _err = run("control", *file("table"), "--along", "0.1", "--direction", "0", "1", "0")
     assert out.startswith("moved 0.100 of 0.100 m")
-    code, out, _err = run("control", *file("drawer"), "--along", "3")
+    code, out, _err = run("control", *file("drawer"), "--along", "3", "--beyond-shown")
     assert code == 0 and "of 3.000 m" in out and "stopped by " in out and "opened 3.000" not in out
 
 
 def test_a_way_that_is_too_long_is_refused_before_anything_is_written(run, file):
     """With --check: exit code 2, how far it gets and what stops it, and no file."""
-    code, out, err = run("control", *file("drawer"), "--along", "3", "--check", "--out", "run.npz")
+    code, out, err = run("control", *file("drawer"), "--along", "3", "--beyond-shown", "--check", "--out", "run.npz")
     assert (code, out) == (2, "")
     assert "of 3.000 m: stopped by " in err and not list(Path().iterdir())
     code, _out, err = run("control", *file("drawer"), "--along", "0.1", "--check")
     assert (code, err) == (0, "")
+    code, _out, err = run("control", *file("drawer"), "--along", "3")
+    assert code == 2 and "3 m is longer than what was shown (0.2" in err and "--beyond-shown" in err
 
 
 REFUSED = [
@@ -218,5 +220,7 @@ def test_a_plan_on_the_command_line(run, shown):
     error = json.loads(out)["error"]
     assert code == 2 and error["code"] == "no-plan" and 0.0 < error["largest"] < 0.9 and len(error["posture"]) == 7
     assert error["stopped_by"] in error["message"]
-    code, out, _err = run("control", "sawyer", shown, "--along", "0.1")
-    assert code == 0 and "--direction shown" in out  # pushed in: the recordings opened it
+    code, out, _err = run("control", "sawyer", shown, "--json")
+    assert code == 0 and json.loads(out)["wanted"] == pytest.approx(
+        ml.Constraint.load(shown, ml.load_robot("sawyer")).shown.extent
+    )

@@ -127,7 +127,7 @@ def test_simulate_and_a_servo_loop_run_a_plan(sawyer: ml.Robot, opened: ml.Plan)
     assert statuses <= {"ok", "null-scaled", "rerouted", "acceleration-limited"}
     loop.reset(HARD)  # and a second time from the start
     loop.update(HARD, 100.0)
-    assert loop.controller.way_begins is None
+    assert loop.controller.number == 0
 
 
 def test_a_plan_is_saved_like_a_rollout_with_its_phases(tmp_path: Path, sawyer: ml.Robot, opened: ml.Plan) -> None:
@@ -507,38 +507,12 @@ def test_the_second_law_takes_over_where_the_joints_have_arrived(panda: ml.Robot
     for where, takes_over in ((goal, 1.0), (goal + 3e-4, 1.0), (goal + 4e-4, 2.0), (READY, 2.0)):
         for t in (3.0, 3.35, 3.0 + takes_over - 0.01):
             command = both(where, t)
-            assert both.way_begins is None and both.current is both.approach
+            assert both.number == 0 and both.current is laws[0]
             assert command.manipulability == pytest.approx(ml.manipulability(both.way.constraint, where))
             assert both.task_error(where, t) == pytest.approx(np.linalg.norm(where - goal))
             wanted, speed = approach.at(t - 3.0)
             np.testing.assert_allclose(command.velocity, speed + 4.0 * (wanted - where), rtol=0, atol=1e-9)
         both(where, 3.0 + takes_over + 1e-9)
-        assert both.way_begins == pytest.approx(3.0 + takes_over) and both.current is both.way
+        assert both.began == pytest.approx(3.0 + takes_over) and both.current is both.way is laws[1]
         assert len(both(where, 3.0 + takes_over + 0.1).task_velocity) == 3
     assert both.way.task.way_begins == pytest.approx(0.0, abs=1e-6)  # on the clock of its own beginning
-
-
-def test_a_way_counts_as_the_recordings_went() -> None:
-    """Out, and out and back, count alike; recordings to both sides are refused."""
-    robot = ml.load_robot("sawyer")
-    features = ml.FrameJacobian(robot, "right_gripper_tip")
-    out = [HARD + 0.02 * i for i in range(4)]
-    places = np.array([robot.position(q, features.frame) for q in out])
-    way = places[-1] - places[0]
-    across = np.linalg.svd(way[None])[2][1:]
-    to_and_fro = [*out, *out[::-1]]
-
-    def shown(postures: list, of: list) -> ml.Constraint:
-        kept = {"postures": [q.tolist() for q in postures], "posture_trajectories": of}
-        return ml.Constraint(across, features, kept)
-
-    for postures, of in ((out, [0] * 4), (to_and_fro, [0] * 8), ([*out, *out], [0] * 4 + [1] * 4)):
-        forward = ml.motion(shown(postures, of), along=0.2, direction="shown")
-        back = ml.motion(shown(postures, of), along=0.2, direction="back")
-        assert forward.goes_as_shown is True and back.goes_as_shown is False and forward.wanted == -back.wanted
-        along = (places - places[0]) @ forward.constraint.selection[-1]
-        assert abs(forward.wanted) == 0.2 and forward.longest_shown == pytest.approx(np.ptp(along))
-        end = ml.simulate(robot, ml.ResolvedRateController(forward.learnt, forward), HARD, 2.0).q[-1]
-        assert (robot.position(end, features.frame) - places[0]) @ way > 0.0
-    with pytest.raises(ml.ManipLearnError, match="do not say"):
-        ml.motion(shown([*out, *out[::-1]], [0] * 4 + [1] * 4), along=0.2, direction="shown")

@@ -21,7 +21,7 @@ HEADINGS = {"learn": "Learning", "control": "Task"}  # of a command's own option
 HEADINGS_AFTER = ("Plan", "Controller", "Reading recordings", "Robot", "Output")
 CONTROLLER = {"policy", "rest", "gain", "task_gain", "inverse", "duration", "dt"}
 WRITTEN = {"out", "html", "csv"}
-READ = {"robot", "driver", "constraint", "recordings", "rollouts", "files"}  # arguments that may name a file
+READ = {"robot", "driver", "constraint", "task", "recordings", "rollouts", "files"}  # arguments that may name a file
 OUTPUT = {*WRITTEN, "open_browser", "browser", "explain", "as_json", "help"}
 _WORDS: ContextVar[tuple[str, ...]] = ContextVar("typed words", default=())
 

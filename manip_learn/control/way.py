@@ -169,8 +169,8 @@ def _way_done(task: FreeDirection, rollout: Rollout, places: Float[np.ndarray, "
     fastest = int(np.argmax(shares))
     is_done = len(there) > 0 and there[-1] == len(places) - 1
     return WayDone(
-        task.wanted,
-        done,
+        task.counts * task.wanted,
+        task.counts * done,
         task.unit,
         float(rollout.time[first]) if len(places) else None,
         float(rollout.time[first + there[0]] - rollout.time[first]) if is_done else None,

@@ -150,7 +150,11 @@ def markdown_table(header: Sequence[str], rows: Iterable[Sequence[object]]) -> s
 
 
 def new_figure(width: float, height: float, rows: int = 1, columns: int = 1, **options: object):
-    """A figure of a size [inch] with a grid of axes, without a display; MissingExtraError without matplotlib."""
+    """A figure of a size [inch] with a grid of axes, without a display.
+
+    Raises:
+        MissingExtraError: matplotlib is not installed.
+    """
     try:
         import matplotlib
         from matplotlib.figure import Figure

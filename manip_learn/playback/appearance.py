@@ -23,7 +23,7 @@ Colour = tuple[float, float, float, float]
 
 # red, green, blue and opacity
 PLAIN: Colour = (0.80, 0.83, 0.86, 1.0)
-DARK: Colour = (0.27, 0.31, 0.36, 1.0)
+DARK: Colour = (0.27, 0.31, 0.36, 1.0)  # joints, beside links in the plain colour
 MAX_TRIANGLES = 60_000  # about 0.9 MB in the page
 CREASE = np.cos(np.deg2rad(38.0))  # edges that turn by more stay sharp: twelve-sided cylinders look round
 MAX_STEPS = 18  # halvings at most; ten bring the range within 1 per cent

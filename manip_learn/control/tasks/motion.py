@@ -93,6 +93,7 @@ class FreeDirection(Task):
         constraint: The constrained rows and the driven one.
         unit: Unit of the distance, `"m"` or `"rad"`.
         along_rows: Whether the rate of the error is known to be that of the rows, E = A(q) (see `Task`).
+        counts: 1, or -1 where the caller counts a way as positive that is negative here: as the recordings went.
         way_begins: Time at which the hand was at the mechanism and the way began [s]; None as long as it is not there.
 
     Raises:
@@ -135,7 +136,7 @@ class FreeDirection(Task):
         numbers = {"distance": distance, "speed": speed, "gain": gain, "ramp": ramp}
         for name, value in numbers.items():
             numbers[name] = _number(name, value, positive=name != "distance")
-        self.learnt = constraint
+        self.learnt, self.counts = constraint, 1.0
         held = constraint.with_orientation() if keep_orientation else constraint.about_its_mechanism()
         shown = constraint.shown
         path = PathMotion(held, shown) if as_shown and shown is not None and not shown.is_way else None
@@ -224,6 +225,12 @@ class FreeDirection(Task):
     def with_distance(self, distance: float) -> FreeDirection:
         """This motion by another distance [m or rad], from a start of its own."""
         return self._with_profile(self._profile.over(_number("distance", distance, positive=False)))
+
+    def counted_back(self) -> FreeDirection:
+        """The other way, which counts as positive (see `counts`)."""
+        other = self.with_distance(-self.wanted)
+        other.counts = -self.counts
+        return other
 
     def slowed(self, times: float) -> FreeDirection:
         """This motion slowed down by a factor, from a start of its own."""
@@ -468,7 +475,7 @@ def _as_shown(task: FreeDirection, word: str | None, *, of_most: bool) -> FreeDi
             "constraint was not learnt by this version; leave the direction out, and choose the sign"
         )
     sense = -sense if word == "back" else sense
-    return task if sense > 0.0 else task.with_distance(-task.wanted)
+    return task if sense > 0.0 else task.counted_back()
 
 
 def check_shown(task: FreeDirection) -> None:
