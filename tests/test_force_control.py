@@ -198,7 +198,8 @@ def test_command_writes_each_of_them(tmp_path: Path, capsys):
         with case(name):
             assert main(["export", "sawyer", str(file), *words]) == 2
             assert capsys.readouterr().err.count("\n") <= 3
-    assert main(["export", "sawyer", str(file), "--to", "json", "--out", str(file)]) == 2
+    assert main(["export", "sawyer", str(file), "--to", "urscript", "--out", str(file)]) == 2
+    assert main(["export", "sawyer", str(file), "--to", "json", "--out", str(file)]) == 0  # which adds to it
     for written in (file, tmp_path / "out.json"):
         assert Constraint.load(written, robot).n_constraints == 1
 

@@ -94,7 +94,9 @@ class GroupedCommand(TyperCommand):
         written = [(flag, Path(path)) for name, (flag, path) in given.items() if name in WRITTEN and path]
         for _, path in written:
             check_folder(path)
-        refuse_to_replace(written, [path for name, (_, path) in given.items() if name in READ and path])
+        # a constraint as JSON has all that its file has, and the task frame: it may stand in the file's place
+        adds = self.name == "export" and ctx.params.get("to") == "json"
+        refuse_to_replace(written, [path for name, (_, path) in given.items() if name in READ and path and not adds])
         return super().invoke(ctx)
 
 

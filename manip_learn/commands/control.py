@@ -27,6 +27,7 @@ from manip_learn.errors import TargetError
 from manip_learn.linalg import complement_rows
 from manip_learn.planning.approach import GraspCone
 from manip_learn.planning.plan import Plan, plan
+from manip_learn.planning.stations import margin_of
 from manip_learn.recordings.trajectory_source import Progress
 from manip_learn.robot import Robot
 
@@ -70,6 +71,7 @@ class Controlled:
         start: Where the start posture came from, if it was not given.
         verb: What the way did to the thing, e.g. `"opened"`.
         plan: The plan that was followed; None without one.
+        margin: Least share of its own limits that the way left, as that of a plan; None without a way.
         notes: What loading the constraint had to say, e.g. that joints are locked elsewhere than when it was learnt.
     """
 
@@ -82,6 +84,7 @@ class Controlled:
     start: str = ""
     verb: str = "moved"
     plan: Plan | None = None
+    margin: float | None = None
     notes: tuple[str, ...] = ()
 
     @staticmethod
@@ -142,6 +145,7 @@ class Controlled:
             "tolerance": self.tolerance,
             **(way if self.way is None else self.way.to_dict()),
             "plan": None if self.plan is None else self.plan.to_dict(),
+            "margin": self.margin,
             "min_manipulability": float(r.manipulability.min()),
             "mean_manipulability": float(r.manipulability.mean()),
             "max_velocity": float(np.abs(r.u).max()),
@@ -193,7 +197,10 @@ def control(options: ControlOptions, progress: Progress | None = None) -> Contro
             length = enough if options.duration is None else options.duration
             rollout = simulate(robot, law, q0, length, options.dt, progress=progress)
     aim = aim_of(constraint, task, rollout) if isinstance(task, PointAttractor) else None
-    done = Controlled.of(constraint, rollout, options.tolerance, way, aim=aim, start=whence, plan=found)
+    margin = None if found is None else found.margin
+    if found is None and way is not None and isinstance(task, FreeDirection):
+        margin = margin_of(task, rollout, way.begins, robot)
+    done = Controlled.of(constraint, rollout, options.tolerance, way, aim=aim, start=whence, plan=found, margin=margin)
     if options.check and not done.reached:
         because = "" if way is None else f": stopped by {way.stopped_by}"
         raise TargetError(f"{done.sentence}{because}; ask for less, or start elsewhere (--start)", code="not-reached")

@@ -14,8 +14,9 @@ from manip_learn.atomic_write import write_atomically
 from manip_learn.commands.command_line import refuse_to_replace
 from manip_learn.commands.loading import load_for_files, robot_of_constraint
 from manip_learn.commands.options import ExportOptions, vector
-from manip_learn.constraint.constraint import Constraint
+from manip_learn.constraint.constraint import Constraint, read_constraint_file
 from manip_learn.control.interop.force_control import WRITERS as TASK_WRITERS
+from manip_learn.control.interop.force_control import as_json
 from manip_learn.errors import OutputError, counted
 from manip_learn.recordings import load_demonstrations
 from manip_learn.recordings.saved_motion import SavedMotion, motion_of_trajectory
@@ -112,7 +113,10 @@ def _export_task(options: ExportOptions, text_of: Callable[[Constraint, ArrayLik
         q = robot.checked_posture(shown[len(shown) // 2]) if shown else robot.neutral()
         where = "in the middle of the postures shown" if shown else "at the robot's neutral posture"
     frame = constraint.task_frame(q)
-    file = write_atomically(options.out, text_of(constraint, q))
+    text = text_of(constraint, q)
+    if options.to == "json":  # all that the file holds, the steps of a skill too
+        text = as_json(read_constraint_file(Path(options.files[0])) | frame.to_dict())
+    file = write_atomically(options.out, text)
     notes = [*constraint.notes, f"task frame: {frame.sentence}{where and f', {where} (--at takes another)'}"]
     return Exported(str(options.to), (file,), 0, 0, tuple(notes))
 

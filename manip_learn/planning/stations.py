@@ -31,10 +31,12 @@ from manip_learn.constraint.features.frame_jacobian import AXES, FrameJacobian
 from manip_learn.constraint.features.relative_frame_jacobian import RelativeFrameJacobian
 from manip_learn.constraint.features.weighed_velocity import WeighedVelocity
 from manip_learn.control.limits import Limits
+from manip_learn.control.rollout import Rollout
 from manip_learn.control.tasks.driven_motion import Unit
 from manip_learn.control.tasks.motion import FreeDirection
 from manip_learn.errors import FeatureError
 from manip_learn.robot.batch.batch_kinematics import batch_kinematics
+from manip_learn.robot.robot import Robot
 
 PERIOD = 0.1  # [s] between stations: at 0.1 m/s a centimetre, on which a joint path bends by less than a millimetre
 FEWEST, MOST = 16, 64  # stations: of a short way, and of a long one, whose stations are then farther apart
@@ -357,6 +359,27 @@ def rooms(limits: Limits, q: Postures) -> Postures:
     with np.errstate(invalid="ignore"):
         left = 2.0 * np.minimum(q - low, high - q) / (high - low)
     return np.where(np.isfinite(high - low), left, 1.0)
+
+
+def margin_of(motion: FreeDirection, rollout: Rollout, begins: float | None, robot: Robot) -> float | None:
+    """The margin that a way left as it was simulated; None if the hand did not come to it, or the rows have no frame.
+
+    Args:
+        motion: The way.
+        rollout: Its rollout.
+        begins: When the hand was at the mechanism [s].
+        robot: Whose limits count.
+    """
+    if begins is None:
+        return None
+    try:
+        stations = Stations.of(motion, rollout.q[0], Limits(robot))
+    except FeatureError:
+        return None
+    inside = begins + stations.time <= rollout.time[-1] + 1e-9
+    positions = np.array([robot.positions(q) for q in rollout.q])
+    q = np.column_stack([np.interp(begins + stations.time[inside], rollout.time, column) for column in positions.T])
+    return margins_of(stations, q).margin if len(q) > 1 else None
 
 
 def margins_of(stations: Stations, q: Postures) -> Margins:
