@@ -337,7 +337,7 @@ COMMANDS: dict[str, tuple[str, ...]] = {
     "learn a door": ("learn", "ur5", str(DATA / "ur5_loose_door"), "--frame", "tool0"),
     "learn two things": ("learn", "xarm7", str(DATA / "xarm7_drawer_then_table"), "--frame", "link_eef"),
     "audit": ("audit", "sawyer", "{out}/drawer.json", str(DATA / "sawyer_drawer"), "--episodes", "8:14"),
-    "control": ("control", "sawyer", "{out}/drawer.json", "--along", "-0.1"),
+    "control": ("control", "sawyer", "{out}/drawer.json", "--along", "0.1"),
     "replay": ("replay", "sawyer", *LEARN[2:4], "--constraint", "{out}/drawer.json", "--html", "{out}/page.html"),
     "export": ("export", "sawyer", *LEARN[2:4], "--to", "csv", "--out", "{out}/copies"),
 }
