@@ -42,9 +42,9 @@ CONTROL = {
     + ("--target", "0.6,0.27,0.35", "--rows", "held", "--duration", "2"),
     "control drawer, all rows": ("sawyer", "{out}/drawer.json", "--start", "0.3,-0.6,0.2,1.2,0.1,0.9,0.4")
     + ("--target", "0.6,0.27,0.35", "--duration", "2"),
-    "control drawer, along": ("sawyer", "{out}/drawer.json", "--along", "0.2"),
+    "control drawer, along": ("sawyer", "{out}/drawer.json", "--along", "0.2", "--direction", "0.91,0.42,0"),
     "control drawer, from elsewhere": ("sawyer", "{out}/drawer.json", "--start", "1.2,-1.57,0,0,0,0,0")
-    + ("--along", "0.2", "--keep-orientation"),
+    + ("--along", "0.2", "--direction", "0.91,0.42,0", "--keep-orientation"),
     "control planar": ("planar3", "{out}/planar.json", "--start", "0.3,1.2,-0.4", "--target", "0.5,1.5")
     + ("--policy", "attractor", "--rest", "0.2,0.5,0.1", "--duration", "2"),
     "control planar zero": ("planar3", "{out}/planar.json", "--start", "0.3,1.2,-0.4", "--target", "0.5,1.5")
