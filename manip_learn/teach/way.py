@@ -229,4 +229,5 @@ def task_of(constraint: Constraint, way: Mapping[str, Any], amount: float | None
     """
     far = float(way["value"] if amount is None else amount)
     along, turn = (far, None) if way["unit"] == "m" else (None, far)
-    return motion(constraint, along, turn, direction=way["direction"])
+    task = motion(constraint, along, turn, direction=way["direction"], beyond_shown=True)
+    return task.with_distance(far)  # counted about the axis, whichever way was shown
