@@ -381,7 +381,7 @@ def _orthonormal(selection: ArrayLike, features: FeatureMap) -> np.ndarray:
     return orthonormal_rows(matrix)
 
 
-def read_constraint_file(path: Path) -> Any:
+def read_constraint_file(path: Path) -> dict[str, Any]:
     """The JSON document in a constraint file.
 
     Raises:

@@ -6,7 +6,7 @@ import copy
 import math
 from collections.abc import Callable, Sequence
 from operator import le, neg
-from typing import Any, NamedTuple, final
+from typing import NamedTuple, Protocol, TypeVar, final
 
 import numpy as np
 from jaxtyping import Bool, Float
@@ -29,6 +29,18 @@ AT_BOUND = 1e-7  # share of a bound within which a velocity counts as being at i
 POSITION, VELOCITY, ACCELERATION = range(3)  # causes of bounds
 MOST_ROWS = 12  # rounds in which a speed was too large; in practice one to four
 Barrier = tuple[Float[np.ndarray, "r nv"], Float[np.ndarray, " r"]]  # (G, least): rows G u >= least
+
+
+class Solution(Protocol):
+    """What a program answers."""
+
+    @property
+    def velocity(self) -> Float[np.ndarray, " nv"]:
+        """The velocity found, shape (nv,) [rad/s or m/s]."""
+        ...
+
+
+S = TypeVar("S", bound=Solution)
 
 
 @final
@@ -136,8 +148,8 @@ class TipLimits:
         tips: Tips,
         wish: Float[np.ndarray, " nv"],
         barrier: Barrier | None,
-        solve: Callable[[Barrier | None], Any],
-    ) -> Any:
+        solve: Callable[[Barrier | None], S],
+    ) -> S:
         """The solution of the program with the rows that it needs.
 
         Args:
