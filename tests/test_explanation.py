@@ -83,9 +83,9 @@ def test_a_cut_recording_is_one_stretch():
 @pytest.mark.parametrize("kind", ["free", "free_repeated", "free_slow", "free_sticking", "free_one_joint"])
 def test_free_motion_is_explained_by_nothing_else(kind: str):
     """Nothing is held, so nothing is found, in parts of the recordings or in all of them."""
-    for phases in (True, False):
-        result = found(recordings(kind, "panda", 2012, 5), phases=phases)
-        assert not result.explained and result.parts[0].found is None, phases
+    for options in ({}, {"switch": np.inf}):
+        result = found(recordings(kind, "panda", 2012, 5), **options)
+        assert not result.explained and result.parts[0].found is None, options
 
 
 def test_a_contact_in_one_recording_only_is_named_and_not_learnt():

@@ -235,7 +235,8 @@ class _Cycle:
             last = min(last, t + LONGEST_STOP) if self.reason else math.inf
             if t >= last or "command()" in self._blocked or self._stands(command):
                 break
-        if ending.asked and "command()" not in self._blocked and (failed := hold_still(self._driver, ending)):
+        # a driver that does not return from one call is not asked for another
+        if ending.asked and not self._blocked and (failed := hold_still(self._driver, ending)):
             self.reason, self.ordered = f"{self.reason}; {failed}", False
         loop.start()
 
