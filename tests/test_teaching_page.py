@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 from test_playback import waving
 from test_playback_browser import wait_until
-from test_playback_devices import FINGER, FOCUS, boxes
+from test_playback_devices import FINGER, boxes
 
 from manip_learn.playback import replay
 from manip_learn.playback.kinematic_tree import joint_tracks, kinematic_tree
@@ -21,6 +21,13 @@ from manip_learn.teach.picture import teaching_page
 
 pytestmark = pytest.mark.browser
 
+# which element has the focus, and what it is called; or that no ring is drawn around it
+FOCUS = """() => {
+    const e = document.activeElement, style = getComputedStyle(e);
+    if (parseFloat(style.outlineWidth) < 2 || style.outlineStyle !== "solid") return ["no focus ring", e.outerHTML];
+    const name = e.getAttribute("aria-label") || e.textContent.trim() || e.title;
+    return [[...document.querySelectorAll("*")].indexOf(e), name];
+}"""
 TOKEN = "word"
 START, FARTHER = np.array([0.3, 0.7, 0.5]), np.array([0.1, 0.5, 0.4])
 HOSTILE = "<img src=x onerror=alert(1)>"
