@@ -360,7 +360,7 @@ def shown_by(
     middle = np.median(begins, axis=0)
     scatter = float(np.max(np.linalg.norm(begins - middle, axis=1)))
     hold = middle if scatter <= SAME_PLACE else None
-    typical = _typical(times, ways, extents) if not free.is_way else _nearest_median(extents, signed > 0.0)
+    typical = _typical(times, ways) if not free.is_way else _nearest_median(extents, signed > 0.0)
     time, path = _path(times[typical], ways[typical], farthest[typical], free.is_way)
     ends = np.array([float(np.linalg.norm(w[-1])) for w in ways])
     return Shown(
@@ -414,12 +414,12 @@ def _nearest_median(extents: Float[np.ndarray, " n"], usual: Any) -> int:
     return int(np.argmin(off))
 
 
-def _typical(times: Sequence[np.ndarray], ways: Sequence[np.ndarray], extents: Float[np.ndarray, " n"]) -> int:
+def _typical(times: Sequence[np.ndarray], ways: Sequence[np.ndarray]) -> int:
     """The contact whose path has the least mean distance from those of the others, each at equal shares of its time."""
     shares = np.linspace(0.0, 1.0, 50)  # a path of some strokes, each seen several times
     even = np.array([[np.interp(shares * t[-1], t, c) for c in w.T] for t, w in zip(times, ways, strict=True)])
     apart = np.linalg.norm(even[:, None] - even[None], axis=2).mean(axis=(1, 2)) if len(ways) > 1 else np.zeros(1)
-    return int(np.argmin(apart + 0.0 * extents))
+    return int(np.argmin(apart))
 
 
 def _path(

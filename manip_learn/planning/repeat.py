@@ -198,7 +198,7 @@ def _way(
     constraint = step.constraint
     if constraint is None or constraint.robot is None:
         raise TargetError(f"step {name!r}: no constraint to go along")
-    if step.shown is not None and step.shown is not constraint.shown:
+    if step.shown is not None:
         constraint = constraint.showing(step.shown)
     task = motion(constraint, pause=CLOSING if step.gripper == "close" else 0.0)
     try:

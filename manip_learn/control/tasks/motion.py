@@ -216,12 +216,6 @@ class FreeDirection(Task):
         """
         return ManipulabilityAscent(self.constraint, gain)
 
-    @property
-    def goes_as_shown(self) -> bool | None:
-        """Whether the way goes as the recordings went from where they began; None where they do not say."""
-        sense = shown_sense(self.learnt.shown, self._motion)
-        return None if sense == 0.0 else sense * self.wanted > 0.0
-
     def with_distance(self, distance: float) -> FreeDirection:
         """This motion by another distance [m or rad], from a start of its own."""
         return self._with_profile(self._profile.over(_number("distance", distance, positive=False)))
