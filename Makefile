@@ -20,8 +20,8 @@ export PYTHONDONTWRITEBYTECODE :=
 # two workers with one thread each: BLAS threads on these tiny matrices cost more than they bring
 PYTEST := OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1 $(BIN)/python -m pytest
 
-# what touches other libraries: files in and out, robots, the command line, compiled code; pytest refuses a missing file
-QUICK := $(addprefix tests/test_,$(addsuffix .py,public_api cli compiled_controller mjcf loading load_demonstrations \
+# what touches other libraries: files in and out, robots, the command line; pytest refuses a missing file
+QUICK := $(addprefix tests/test_,$(addsuffix .py,public_api cli control_step mjcf loading load_demonstrations \
 	playback meshes rollout_file linalg examples csv_reader lerobot_reader \
 	npz_reader robomimic_reader rosbag_reader))
 
@@ -93,8 +93,7 @@ format: $(VENV)/first
 	$(BIN)/ruff check --fix .
 	$(BIN)/ruff format .
 
-# the demo and the quick tests at the lowest versions; their machine code is not to replace that of the newer compiler
-lowest: export NUMBA_CACHE_DIR := $(CURDIR)/$(LOWEST)/kernels
+# the demo and the quick tests at the lowest versions
 lowest: $(LOWEST)/made
 	$(LOWEST)/bin/manip-learn demo --no-browser --out $(LOWEST)/demo
 	OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1 $(LOWEST)/bin/python -m pytest -n 2 --dist worksteal --benchmark-disable \

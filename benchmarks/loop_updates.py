@@ -1,4 +1,4 @@
-"""How long one `ServoLoop.update` takes: targets, ways, limits of the hand, irregular time. Compiled, on one core.
+"""How long one `ServoLoop.update` takes: targets, ways, limits of the hand, irregular time. On one core.
 
     python benchmarks/loop_updates.py [--calls 3000] [--out FILE.md]
 

@@ -157,7 +157,7 @@ class Bench:
             target[:3, 3] = place
         task, rows = ml.PointAttractor(target, 3.0, 0.4), ml.Constraint(np.eye(features.n_rows), features)
         controller = ml.ResolvedRateController(rows, task, self.policy(policy, rows))
-        rollout = ml.simulate(self.robot, controller, q, 4.0, 0.01, compiled=False)
+        rollout = ml.simulate(self.robot, controller, q, 4.0, 0.01)
         return rollout.q[-1], float(rollout.task_error[-1])
 
 
@@ -214,7 +214,7 @@ def side_forces(bench: Bench) -> str:
         for stiffness in (400.0, 2000.0):
             task, q = bench.motion(keep_orientation=True), np.array(SCENES["sawyer"].start)
             controller = ml.ResolvedRateController(bench.constraint, task, bench.policy(policy, task.constraint))
-            loop = ml.ServoLoop(controller, PERIOD, latency=0.003, compiled=False)
+            loop = ml.ServoLoop(controller, PERIOD, latency=0.003)
             loop.reset(q)
             handle = bench.robot.position(q, bench.features.frame)
             held = drawer(handle, bench.outward)

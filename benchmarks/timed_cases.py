@@ -39,20 +39,19 @@ def held_rows(axes: str = "xyz") -> Any:
     return ml.Constraint(np.linalg.qr(np.random.default_rng(7).normal(size=(3, 3)))[0][:2], features)
 
 
-def law(target: tuple[float, ...] = TARGETS[""], compiled: bool = False) -> Any:
+def law(target: tuple[float, ...] = TARGETS[""]) -> Any:
     """The default controller towards a point, which climbs the manipulability."""
     import manip_learn as ml
 
     constraint = held_rows()
     task = ml.PointAttractor(list(target))
-    made = ml.ResolvedRateController(constraint, task, ml.ManipulabilityAscent(constraint), dt=0.001)
-    return ml.CompiledController(made) if compiled else made
+    return ml.ResolvedRateController(constraint, task, ml.ManipulabilityAscent(constraint), dt=0.001)
 
 
-def step(centre: np.ndarray, compiled: bool, target: tuple[float, ...] = TARGETS[""], from_rest: bool = False) -> Call:
+def step(centre: np.ndarray, target: tuple[float, ...] = TARGETS[""], from_rest: bool = False) -> Call:
     """64 steps at postures around one."""
     postures = centre + np.random.default_rng(0).uniform(-0.02, 0.02, (64, 7))
-    controller, previous = law(target, compiled), np.zeros(7) if from_rest else None
+    controller, previous = law(target), np.zeros(7) if from_rest else None
 
     def run() -> None:
         for q in postures:
@@ -61,24 +60,23 @@ def step(centre: np.ndarray, compiled: bool, target: tuple[float, ...] = TARGETS
     return run
 
 
-def rollouts(starts: int, compiled: bool) -> Call:
-    """Five seconds in steps of 0.01 s, shared by the starts."""
+def five_seconds() -> Call:
+    """A rollout in steps of 0.01 s."""
     import manip_learn as ml
 
-    robot, controller = ml.load_robot("sawyer"), law(compiled=compiled)
-    q = CENTRE + np.random.default_rng(0).uniform(-0.2, 0.2, (starts, 7))
-    return lambda: ml.simulate(robot, controller, q if compiled else q[0], 5.0 / starts, 0.01)
+    robot, controller = ml.load_robot("sawyer"), law()
+    return lambda: ml.simulate(robot, controller, CENTRE, 5.0, 0.01)
 
 
-def batch(what: str, compiled: bool) -> Call:
+def batch(what: str) -> Call:
     """8,192 Jacobians, or mu and its gradient at as many postures."""
     import manip_learn as ml
 
     q, constraint = np.random.default_rng(0).uniform(-1.5, 1.5, (8192, 7)), held_rows()
     features = ml.FrameJacobian(constraint.robot, "right_l6", "pose")
     if what == "Jacobians":
-        return lambda: features.batch(q, compiled=compiled)
-    return lambda: ml.manipulability_batch(constraint, q, compiled=compiled)
+        return lambda: features.batch(q)
+    return lambda: ml.manipulability_batch(constraint, q)
 
 
 def learning(held: bool, **settings: Any) -> Call:
@@ -139,28 +137,20 @@ def loading() -> Call:
     return lambda: ml.load_robot("sawyer")
 
 
-BOTH = {"python": False} | ({"compiled": True} if find_spec("numba") else {})
 # benchmark -> what is timed -> makes the call
 CASES: dict[str, dict[str, Callable[[], Call]]] = {
-    "control_step": {f"{kind}, free": lambda c=c: step(CENTRE, c) for kind, c in BOTH.items()},
+    "control_step": {"python, free": lambda: step(CENTRE)},
     "states": {
-        f"{kind}, {state}": lambda c=c, how=how: step(how[0], c, *how[1:])
-        for kind, c in BOTH.items()
-        for state, how in {
-            "unreachable target": (CENTRE, TARGETS[", unreachable target"]),
-            "acceleration limits": (CENTRE, TARGETS[""], True),
-            "at the end of its reach": (STRAIGHT,),
-            "outside limits": (CENTRE + np.array([3.0, 0, 0, 0, 0, 0, 0]),),
-        }.items()
+        "python, unreachable target": lambda: step(CENTRE, TARGETS[", unreachable target"]),
+        "python, acceleration limits": lambda: step(CENTRE, from_rest=True),
+        "python, at the end of its reach": lambda: step(STRAIGHT),
+        "python, outside limits": lambda: step(CENTRE + np.array([3.0, 0, 0, 0, 0, 0, 0])),
     },
     "batch_kinematics": {
-        f"{what}, {kind}": lambda w=what, c=c: batch(w, c)
-        for what in ("Jacobians", "mu and gradient")
-        for kind, c in BOTH.items()
+        "Jacobians, python": lambda: batch("Jacobians"),
+        "mu and gradient, python": lambda: batch("mu and gradient"),
     },
-    "batch_rollout": {
-        f"{n} starts, {kind}": lambda n=n, c=c: rollouts(n, c) for kind, c in BOTH.items() for n in (1, 20)[: 1 + c]
-    },
+    "rollout": {"5 s of 1 start": five_seconds},
     "learning": {
         "auto, b = 0": lambda: learning(True),
         "auto, b varies": lambda: learning(False),
@@ -193,7 +183,7 @@ def main() -> None:
         try:
             if call is None or (task["benchmark"], task["case"]) != asked:
                 asked, call = (task["benchmark"], task["case"]), CASES[task["benchmark"]][task["case"]]()
-                call()  # loads and compiles what it needs
+                call()  # loads what it needs
             begin = clock()
             for _ in range(task["calls"]):
                 call()

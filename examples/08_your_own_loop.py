@@ -46,7 +46,6 @@ def main() -> None:
     constraint = ml.ConstraintLearner(features).fit(ml.load_demonstrations(RECORDINGS, robot)).constraint_
     task, climb = ml.PointAttractor([0.6, 0.27, 0.35]), ml.ManipulabilityAscent(constraint)
     controller = ml.ResolvedRateController(constraint, task=task, null_policy=climb)
-    ml.warm_up(controller)  # compiles it before the arm is under control
 
     start = {f"right_j{i}": q for i, q in zip((6, 5, 4, 3, 2, 1, 0), (0.0, 0.8, 0.0, 0.4, 0.0, -1.2, 1.2), strict=True)}
     arm = Arm(start)

@@ -34,9 +34,8 @@ if TYPE_CHECKING:
     from manip_learn.constraint.skill import Skill, Step
     from manip_learn.constraint.task_frame import TaskFrame
     from manip_learn.control.command import Command, Controller, Status
-    from manip_learn.control.compiled_controller import CompiledController
     from manip_learn.control.controller import ResolvedRateController
-    from manip_learn.control.driver import Driver, RunRecord, run, warm_up
+    from manip_learn.control.driver import Driver, RunRecord, run
     from manip_learn.control.follow_motion import FollowMotion
     from manip_learn.control.following import following_error_limit
     from manip_learn.control.limits import Limits
@@ -103,7 +102,6 @@ _NAMES = {
     "learning.mechanisms.find_mechanism": "MechanismFit find_mechanism",
     "control.command": "Command Controller Status",
     "control.controller": "ResolvedRateController",
-    "control.compiled_controller": "CompiledController",
     "control.limits": "Limits",
     "control.following": "following_error_limit",
     "control.follow_motion": "FollowMotion",
@@ -114,7 +112,7 @@ _NAMES = {
     "planning.plan": "Plan plan",
     "planning.repeat": "Repetition repeat",
     "control.servo_loop": "ServoLoop",
-    "control.driver": "Driver RunRecord run warm_up",
+    "control.driver": "Driver RunRecord run",
     "control.simulation": "simulate",
     "control.rollout": "Rollout",
     "drivers.lerobot": "LeRobotDriver LeRobotMotor",
@@ -125,11 +123,13 @@ _NAMES = {
 }
 # names of 0.1 that are gone, and what to use instead; until 0.3
 _REMOVED = {
+    "CompiledController": "nothing is compiled any more: use the ResolvedRateController itself",
+    "warm_up": "nothing is compiled any more: leave the call out",
     "PlacoTask": "hand PlaCo the rows A(q), b and pi yourself: A(q + dq) = A q + dt b as two joint-space half-spaces",
     "optimise_path": "ml.plan chooses posture and motion of a whole way; ManipulabilityAscent climbs on the spot",
 }
 _HOMES = {name: module for module, names in _NAMES.items() for name in names.split()}
-__all__ = ["CentreOfMass", "Command", "CompiledController", "Constraint", "ConstraintLearner", "Controller"]
+__all__ = ["CentreOfMass", "Command", "Constraint", "ConstraintLearner", "Controller"]
 __all__ += ["CustomFeatures", "Demonstrations", "Driver", "FeatureMap", "FollowMotion", "FrameJacobian"]
 __all__ += ["FreeDirection", "GraspCone", "Hold", "JointAttractor", "JointLimitAvoidance", "LeRobotDriver"]
 __all__ += ["LeRobotMotor", "Limits", "LiveViewer", "ManipLearnError", "ManipulabilityAscent", "Mechanism"]
@@ -143,7 +143,6 @@ __all__ += ["likely_tips", "load_demonstrations", "load_robot", "log_manipulabil
 __all__ += ["log_penalised_manipulability_gradient", "manipulability", "manipulability_batch"]
 __all__ += ["manipulability_gradient", "motion", "penalised_manipulability", "penalised_manipulability_gradient"]
 __all__ += ["plan", "record", "repeat", "replay", "resample", "run", "simulate", "subsample", "trim_standstill"]
-__all__ += ["warm_up"]
 
 
 def __getattr__(name: str) -> Any:

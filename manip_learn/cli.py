@@ -51,7 +51,7 @@ def _run(arguments: list[str]) -> int:
     global _phase
     from manip_learn.commands.command_line import PROGRAM, flags_of, joined_vectors, typed
     from manip_learn.commands.output import refuse
-    from manip_learn.commands.program import program
+    from manip_learn.commands.program import REMOVED_COMMANDS, program
     from manip_learn.errors import advice_for_command
 
     arguments = joined_vectors(arguments)
@@ -59,6 +59,10 @@ def _run(arguments: list[str]) -> int:
         return refuse(
             "no command given: try `manip-learn demo`, or `manip-learn --help` for all commands", False, "usage"
         )
+
+    if arguments and arguments[0] in REMOVED_COMMANDS:
+        sentence = f"{arguments[0]} has been removed from {PROGRAM}: {REMOVED_COMMANDS[arguments[0]]}"
+        return refuse(sentence, "--json" in arguments, "usage")
 
     def work() -> Any:
         global _phase

@@ -6,7 +6,6 @@ import os
 import shutil
 from collections.abc import Callable, Iterator
 from functools import cache
-from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
 
@@ -25,43 +24,12 @@ if os.environ.get("CHECK_SHAPES", "1") != "0":
 
 import numpy as np  # noqa: E402
 
-import manip_learn as ml  # noqa: E402
 from manip_learn.robot.loading import load_robot  # noqa: E402
 from manip_learn.robot.robot import Robot  # noqa: E402
 
-# of the files whose tests run compiled controllers
-COMPILES = (
-    "compiled servo rollout loops kernel_cache examples free_direction golden physics control_properties "
-    "mechanism_features saved_files warm_up driver"
-).split()
 BROWSER_FLAGS = ["--no-sandbox", "--disable-gpu", "--disable-quic", "--no-first-run", "--disable-background-networking"]
 BROWSERS = ("chromium", "chromium-browser", "google-chrome", "google-chrome-stable")
 ROBOTS = Path(__file__).resolve().parents[1] / "robots"
-
-
-@pytest.hookimpl(tryfirst=True)
-def pytest_runtestloop(session: pytest.Session) -> None:
-    """Compile the control step before the first test that uses it, whose limit of time is not meant for that."""
-    if session.config.option.collectonly or find_spec("numba") is None or "PYTEST_XDIST_WORKER" in os.environ:
-        return
-    if any(_compiles(item) for item in session.items):
-        constraint = ml.Constraint(np.eye(2), ml.FrameJacobian(load_robot("planar3"), "tip", "x y"))
-        ml.CompiledController(ml.ResolvedRateController(constraint)).rollout(np.array([0.1, 0.5, 0.5]), 1, 0.01)
-
-
-def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
-    """What compiles comes first: of two processes that each begin with a half, one compiles, and the other need not.
-
-    The first test that does takes a minute or two.
-    """
-    for item in items:
-        if _compiles(item) and item.get_closest_marker("timeout") is None:
-            item.add_marker(pytest.mark.timeout(400))
-    items.sort(key=lambda item: not _compiles(item))
-
-
-def _compiles(item: pytest.Item) -> bool:
-    return any(word in item.path.name for word in COMPILES)
 
 
 def chain_urdf(name: str, joints: list[tuple[str, str, str, str]], extra: str = "") -> str:

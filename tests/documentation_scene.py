@@ -51,7 +51,7 @@ def names() -> dict[str, Any]:
     task = ml.PointAttractor(target)
     policy = ml.ManipulabilityAscent(constraint)
     controller = ml.ResolvedRateController(constraint, task, policy)
-    loop = ml.ServoLoop(controller, 0.01, compiled=False)
+    loop = ml.ServoLoop(controller, 0.01)
     rollout = ml.simulate(robot, controller, q0, duration=0.2, dt=0.01)
     sent: list[Any] = []
     arm = SimpleNamespace(

@@ -11,7 +11,7 @@ from case import case
 from conftest import TIPS, URDFS, tip_of
 
 from manip_learn.constraint.features import FrameJacobian
-from manip_learn.errors import ConfigurationError, MissingExtraError
+from manip_learn.errors import ConfigurationError
 from manip_learn.robot.batch.batch_kinematics import CHUNK, batch_kinematics
 from manip_learn.robot.robot import Robot
 
@@ -46,41 +46,6 @@ def test_arms_do_not_need_the_loop(robot_of: RobotOf) -> None:
             robot = robot_of(name)
             kinds = {block.kind for block in robot.blocks}
             assert fast(robot, tip_of(name)) == kinds.isdisjoint({"floating", "planar", "other"})
-
-
-@pytest.mark.parametrize("name", ["gantry", "wrist", "tree", "sawyer", "panda", "mimic", "humanoid"])
-def test_compiled_kernels_give_the_same_numbers(name: str, robot_of: RobotOf, rng: np.random.Generator) -> None:
-    """numba or NumPy: the same Jacobians and derivatives to 1e-12, also for angles of many turns."""
-    for reference in REFERENCES:
-        with case(reference):
-            pytest.importorskip("numba", reason="the extra 'fast' is not installed")
-            robot = robot_of(name)
-            q = positions(robot, rng, 300)
-            if fast(robot, tip_of(name)):
-                turning = [block.v.start for block in robot.blocks if block.kind != "prismatic"]
-                q[200:, turning] *= 1e3
-                q[299, turning] = 2e5
-            for axes in ("pose", "ry z"):
-                features = FrameJacobian(robot, tip_of(name), axes, reference)
-                plain, derivative = features.batch_with_derivative(q, compiled=False)
-                scale = 1.0 + float(np.max(np.abs(derivative)))
-                np.testing.assert_allclose(features.batch(q, compiled=True), plain, rtol=0, atol=TOLERANCE * scale)
-                for got, expected in zip(
-                    features.batch_with_derivative(q, compiled=True), (plain, derivative), strict=True
-                ):
-                    np.testing.assert_allclose(got, expected, rtol=0, atol=TOLERANCE * scale)
-
-
-def test_compiled_kernels_are_taken_by_number_alone(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Few postures: NumPy; many: compiled; without numba: NumPy, and an error that names the extra if insisted on."""
-    from manip_learn.robot.batch import batch_kinematics
-
-    assert batch_kinematics.kernels(None, batch_kinematics.COMPILED_FROM - 1) is None
-    assert batch_kinematics.kernels(False, 10**9) is None
-    monkeypatch.setattr(batch_kinematics, "find_spec", lambda name: None)
-    assert batch_kinematics.kernels(None, 10**9) is None
-    with pytest.raises(MissingExtraError, match="fast"):
-        batch_kinematics.kernels(True, 1)
 
 
 def test_chunks_leave_no_seam(robot_of: RobotOf, rng: np.random.Generator) -> None:

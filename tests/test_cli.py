@@ -173,6 +173,7 @@ def test_unrecorded_fingers_are_locked(run, tmp_path):
 
 
 BAD = {
+    "removed command": ["warm-up"],
     "no arguments": [],
     "unknown command": ["lern"],
     "unknown option": ["inspect", "sawyer", "--jsn"],
@@ -216,6 +217,8 @@ def test_bad_input_gives_one_sentence(run, learnt):
         assert (code, out, err.count("\n")) == (2, "", 1), (what, err)
         assert err.startswith("manip-learn: ") and "Traceback" not in err and "internal error" not in err, what
         assert {p.name for p in Path().iterdir()} <= {"text.urdf"}, what
+    _, _, err = run("warm-up")
+    assert "warm-up has been removed" in err and "leave the command out" in err
     for bad in ("--constraints 4", "--constraints 0", "--estimator best", "--reference tool"):
         option, value = bad.split()
         _, _, err = run("learn", "sawyer", DRAWER[0], *FRAME, option, value)

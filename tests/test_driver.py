@@ -76,7 +76,7 @@ class Arm:
 def loop_of(robot: ml.Robot, dt: float = DT) -> ml.ServoLoop:
     """A motion of some seconds."""
     constraint = ml.Constraint([[0, 1]], ml.FrameJacobian(robot, "tip", axes="x y"))
-    return ml.ServoLoop(ml.ResolvedRateController(constraint, ml.PointAttractor([1.0, 1.5])), dt, compiled=False)
+    return ml.ServoLoop(ml.ResolvedRateController(constraint, ml.PointAttractor([1.0, 1.5])), dt)
 
 
 @pytest.fixture
@@ -287,7 +287,7 @@ if how == "own":
         signal.signal(getattr(signal, name), lambda *_: print("own handler", flush=True))
 robot, clock = ml.load_robot("planar3"), Steady()
 rows = ml.Constraint([[0, 1]], ml.FrameJacobian(robot, "tip", axes="x y"))
-loop = ml.ServoLoop(ml.ResolvedRateController(rows, ml.PointAttractor([1.0, 1.5])), 0.005, compiled=False)
+loop = ml.ServoLoop(ml.ResolvedRateController(rows, ml.PointAttractor([1.0, 1.5])), 0.005)
 done = ml.run(loop, Arm(), 0.5 if how == "ignored" else 300.0, clock=clock)
 print("returned:", done.ended, flush=True)
 """
@@ -372,7 +372,7 @@ def test_long_runs_keep_every_second_cycle(planar3: ml.Robot, monkeypatch: pytes
 def test_a_stop_that_takes_too_long_ends_all_the_same(planar3: ml.Robot, monkeypatch: pytest.MonkeyPatch) -> None:
     """10 s after the reason to stop, a run ends with the arm still in motion; until then it brakes."""
     monkeypatch.setattr(driver, "LONGEST_STOP", 0.1)
-    gentle = ml.ServoLoop(loop_of(planar3).controller, DT, acceleration_limit=0.01, compiled=False)
+    gentle = ml.ServoLoop(loop_of(planar3).controller, DT, acceleration_limit=0.01)
     record = ml.run(gentle, Arm("raises"), 2.0)
     assert "no cable" in record.ended and abs(record.cycles - BEFORE - 1 - round(0.1 / DT)) <= 1
     assert record.rollout.u[-1].any()

@@ -38,7 +38,6 @@ ROOMS = {
     "trimesh": {"robot", "playback"},
     "yourdfpy": {"robot", "playback"},
     "xacrodoc": {"robot"},
-    "numba": {"robot", "control"},
     "pink": {"control"},
     "rosbags": {"recordings"},
     "pyarrow": {"recordings"},

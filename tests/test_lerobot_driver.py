@@ -62,7 +62,7 @@ def in_units(arm: Arm, mode: str, low: int = 1024, high: int = 3072) -> Arm:
 def loop_of(robot: ml.Robot, dt: float = PERIOD) -> ml.ServoLoop:
     """A motion of some seconds."""
     constraint = ml.Constraint([[0, 1]], ml.FrameJacobian(robot, "tip", axes="x y"))
-    return ml.ServoLoop(ml.ResolvedRateController(constraint, ml.PointAttractor([1.0, 1.5])), dt, compiled=False)
+    return ml.ServoLoop(ml.ResolvedRateController(constraint, ml.PointAttractor([1.0, 1.5])), dt)
 
 
 @pytest.fixture
@@ -208,7 +208,7 @@ def test_nothing_outside_the_ranges_is_sent(calibrated: bool, planar3: ml.Robot)
     assert arm.sent.pop()["joint1.pos"] <= low + 1e-9
     arm.values |= {"joint1": low - 20.0}
     if calibrated:
-        record = ml.run(ml.ServoLoop(Wild(), PERIOD, compiled=False), driver, 5.0)
+        record = ml.run(ml.ServoLoop(Wild(), PERIOD), driver, 5.0)
         assert "ConfigurationError: motor joint1 is not sent to" in record.ended and "calibrated range" in record.ended
         assert not record.ordered and not record.rollout.u[-1].any()
         assert max(action["joint1.pos"] for action in arm.sent) <= low

@@ -12,8 +12,6 @@ from case import case
 from test_axioms import pseudo_inverse
 
 from manip_learn.constraint.small_matrices import row_inverse, svd
-from manip_learn.control.compiled.constrained_rows import rank_of as kernel_rank
-from manip_learn.control.compiled.constrained_rows import truncation
 from manip_learn.linalg import (
     EPS,
     along_axes,
@@ -67,23 +65,6 @@ def test_exact_inverse_inverts_however_small(rng):
     ):
         assert finite(values, 3) is None
     np.testing.assert_array_equal(finite((1, 2.5, 3), 3), [1.0, 2.5, 3.0])
-
-
-def test_compiled_loops_drop_at_the_same_tolerance():
-    """Matlab's tolerance and the rank of `linalg`, in the body that loops run; what is exactly at it does not count."""
-    for largest, size in ((1000.0, 3), (0.7, 7), (1e-300, 2)):
-        sigma = np.array([largest, 0.0, 0.0])[: min(3, size)]
-        at = matlab_tolerance(sigma, (len(sigma), size))
-        assert plain(truncation)(sigma, size) == at
-        sigma[1] = np.nextafter(at, 1.0)
-        assert plain(kernel_rank)(sigma, at) == rank_of(sigma, (len(sigma), size)) == 2
-        sigma[1] = at
-        assert plain(kernel_rank)(sigma, at) == rank_of(sigma, (len(sigma), size)) == 1
-
-
-def plain(kernel):
-    """A kernel as the Python function that it is written as."""
-    return getattr(kernel, "py_func", kernel)
 
 
 def test_zero_matrix_has_a_zero_inverse():

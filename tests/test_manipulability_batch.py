@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from importlib.util import find_spec
 from itertools import product
 
 import numpy as np
@@ -21,8 +20,6 @@ from manip_learn.constraint.manipulability import (
 from manip_learn.constraint.manipulability_batch import manipulability_batch
 from manip_learn.errors import ConfigurationError
 from manip_learn.linalg import EPS
-
-COMPILED = ("planar3", "sawyer", "panda", "kinova", "gantry", "tree", "mimic", "one")
 
 
 def constraints_of(features: FeatureMap, rng: np.random.Generator) -> list[Constraint]:
@@ -48,27 +45,16 @@ def check(constraint: Constraint, q: np.ndarray) -> None:
 def test_batch_equals_one_by_one(name: str, robot_of: RobotOf, rng: np.random.Generator) -> None:
     """mu and its gradient to 1e-10 relative, for one to four dense rows, at random postures of every robot.
 
-    numba agrees with NumPy to 1e-12, singular postures included; the number of threads changes no bit.
+    The number of threads changes no bit.
     """
     robot = robot_of(name)
-    q = np.stack([robot.positions(robot.random_configuration(rng)) for _ in range(40)])
+    q = np.stack([robot.positions(robot.random_configuration(rng)) for _ in range(4)])
+    many = np.tile(np.vstack([np.zeros((4, robot.nv)), q]), (500, 1))
     for reference in ("world", "local"):
         for constraint in constraints_of(FrameJacobian(robot, tip_of(name), "pose", reference), rng):
             with case(reference, constraint):
-                check(constraint, q[:4])
-                if name in COMPILED and find_spec("numba"):
-                    check_compiled(constraint, np.vstack([np.zeros((4, robot.nv)), q]))
-
-
-def check_compiled(constraint: Constraint, q: np.ndarray) -> None:
-    expected, compiled = (manipulability_batch(constraint, q, compiled=way) for way in (False, True))
-    scale = 1.0 + float(np.max(np.abs(expected.gradient)))
-    np.testing.assert_allclose(compiled.mu, expected.mu, rtol=0, atol=1e-12 * scale)
-    np.testing.assert_allclose(compiled.gradient, expected.gradient, rtol=0, atol=1e-11 * scale)
-    many = np.tile(q, (100, 1))
-    for way in (False, True):
-        alone, shared = (manipulability_batch(constraint, many, compiled=way, workers=n) for n in (1, 3))
-        for a, b in zip(alone, shared, strict=True):
+                check(constraint, q)
+        for a, b in zip(*(manipulability_batch(constraint, many, workers=n) for n in (1, 3)), strict=True):
             np.testing.assert_array_equal(a, b)
 
 
@@ -139,10 +125,9 @@ def test_what_is_wrong_is_named_whatever_thread_finds_it(robot_of: RobotOf) -> N
     constraint = Constraint(np.eye(3)[:2], FrameJacobian(robot, "right_hand"))
     q = np.zeros((9000, 7))
     q[7000, 3] = np.nan
-    for way in (False, None):
-        with pytest.raises(ConfigurationError, match="7000"):
-            manipulability_batch(constraint, q, compiled=way, workers=3)
-        with pytest.raises(ConfigurationError, match="7000"):
-            constraint.features.batch(q, compiled=way, workers=3)  # type: ignore[call-arg]
+    with pytest.raises(ConfigurationError, match="7000"):
+        manipulability_batch(constraint, q, workers=3)
+    with pytest.raises(ConfigurationError, match="7000"):
+        constraint.features.batch(q, workers=3)  # type: ignore[call-arg]
     with pytest.raises(ConfigurationError, match="workers"):
         manipulability_batch(constraint, np.zeros((3, 7)), workers=0)

@@ -5,7 +5,6 @@ Their derivatives are in test_gradients.py.
 
 from __future__ import annotations
 
-from importlib.util import find_spec
 from itertools import product
 
 import numpy as np
@@ -18,7 +17,6 @@ from manip_learn.constraint.features import FrameJacobian, MechanismRows
 from manip_learn.constraint.features.mechanism_rows import FIELDS, PlaceRows
 from manip_learn.constraint.manipulability import manipulability, manipulability_gradient
 from manip_learn.constraint.manipulability_batch import manipulability_batch
-from manip_learn.control.compiled_controller import CompiledController
 from manip_learn.control.controller import ResolvedRateController
 from manip_learn.control.policies import ManipulabilityAscent
 from manip_learn.control.simulation import simulate
@@ -44,7 +42,7 @@ def rows_of(robot, name, rows, **changed):
 
 @pytest.mark.parametrize("name", list(TIPS))
 def test_manipulability_gradient(robot_of, rng, name):
-    """grad mu of constraints on these rows is right to 1e-6, one posture or many, compiled or not."""
+    """grad mu of constraints on these rows is right to 1e-6, one posture or many."""
     robot = robot_of(name)
     q = np.stack([robot.random_configuration(rng) for _ in range(4)])
     for rows in GROUPS:
@@ -52,11 +50,6 @@ def test_manipulability_gradient(robot_of, rng, name):
             features = rows_of(robot, name, rows, radius=0.4 if name == "panda" else None)
             constraint = Constraint(np.eye(features.n_rows), features)
             batch = manipulability_batch(constraint, q)
-            if find_spec("numba"):
-                kernel = manipulability_batch(constraint, q, compiled=True)
-                np.testing.assert_allclose(kernel.mu, batch.mu, rtol=1e-11, atol=1e-14)
-                scale = 1.0 + np.abs(batch.gradient).max()
-                np.testing.assert_allclose(kernel.gradient, batch.gradient, rtol=0, atol=1e-11 * scale)
             for i, x in enumerate(q):
                 mu, gradient = manipulability(constraint, x), manipulability_gradient(constraint, x)
                 assert batch.mu[i] == pytest.approx(mu, rel=1e-9, abs=1e-12)
@@ -179,18 +172,16 @@ def test_files_keep_every_bit(robot_of, rng, tmp_path):
 
 
 def test_the_controller_keeps_the_door_on_its_circle(robot_of):
-    """While it climbs mu in the null space the hand stays on the circle, and mu grows, compiled or not."""
+    """While it climbs mu in the null space the hand stays on the circle, and mu grows."""
     robot = robot_of("panda")
     q = robot.configuration([0.1, -0.3, -0.1, -2.0, 0.1, 1.8, 0.7])
     features = rows_of(robot, "panda", "radial axial")
     constraint = Constraint(np.eye(2), features)
     controller = ResolvedRateController(constraint, task=Hold(), null_policy=ManipulabilityAscent(constraint))
-    laws = [controller, CompiledController(controller)] if find_spec("numba") else [controller]
-    for law in laws:
-        rollout = simulate(robot, law, q, duration=1.0, dt=0.005)
-        r = np.stack([features.coordinates(x) for x in rollout.q])
-        assert np.ptp(r, axis=0).max() < 2e-3
-        assert rollout.manipulability[-1] > 1.02 * rollout.manipulability[0]
+    rollout = simulate(robot, controller, q, duration=1.0, dt=0.005)
+    r = np.stack([features.coordinates(x) for x in rollout.q])
+    assert np.ptp(r, axis=0).max() < 2e-3
+    assert rollout.manipulability[-1] > 1.02 * rollout.manipulability[0]
 
 
 def test_distances_of_a_door_of_known_radius(robot_of, rng):

@@ -207,7 +207,7 @@ def a_rollout(name: str, folder: Path) -> dict[str, Any]:
     law = ml.ResolvedRateController(constraint, ml.PointAttractor(target, 2.0), policy, limits=limits)
     said: dict[str, Any] = {}
     for method in ("euler", "rk4"):
-        done = ml.simulate(robot, law, q0, 1.0, 0.02, method, compiled=False)
+        done = ml.simulate(robot, law, q0, 1.0, 0.02, method)
         said[method] = {"q": done.q, "u": done.u, "mu": done.manipulability, "error": done.task_error}
         said[method]["status"] = [str(s) for s in done.status[::10]]
     return said
@@ -220,7 +220,7 @@ def a_servo_loop(name: str, folder: Path) -> dict[str, Any]:
     q = robot.random_configuration(rng)
     target = features.coordinates(q) + 0.1
     law = ml.ResolvedRateController(constraint, ml.PointAttractor(target), ml.ManipulabilityAscent(constraint))
-    loop = ml.ServoLoop(law, 0.01, compiled=False)
+    loop = ml.ServoLoop(law, 0.01)
     t, sent, words = 0.0, [], []
     for k in range(160):
         t += 0.01 * (1.0 if k % 7 else rng.uniform(0.2, 3.0))
@@ -256,7 +256,7 @@ def a_way(kind: str, folder: Path) -> dict[str, Any]:
     ]
     task = ml.motion(constraint, keep_orientation=kind == "drawer", pause=0.2, **far)
     law = ml.ResolvedRateController(constraint, task, ml.ManipulabilityAscent(constraint))
-    done = ml.simulate(robot, law, ready, 3.0, 0.02, compiled=False)
+    done = ml.simulate(robot, law, ready, 3.0, 0.02)
     said: dict[str, Any] = {"q": done.q, "error": done.task_error, "words": str(task)}
     if kind == "drawer":
         found = ml.plan(constraint, task, ready, candidates=96)

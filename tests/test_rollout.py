@@ -166,7 +166,7 @@ def test_files(robot_of, rng, tmp_path):
     """A rollout comes back from its file to the last bit, in every format; what is none is rejected with a reason."""
     robot = robot_of("wrist")
     controller = reaching(robot, "tip", "xyz", [0.4, 0.2, 0.4])
-    loop = ServoLoop(controller, 0.01, compiled=False)
+    loop = ServoLoop(controller, 0.01)
     rollout = simulate(robot, loop, robot.random_configuration(rng), 0.1, 0.01)
     rollout = replace(rollout, time=rollout.time + 3.25, phases=(("way", 3.25, 3.3), ("rest", 3.3, 3.35)))
     for ending in (".npz", ".csv"):
@@ -260,7 +260,7 @@ def test_what_a_simulated_loop_tells(robot_of):
     robot = robot_of("planar3")
     controller = reaching(robot, "tip", "x y", [1.0, 1.2])
     plain = simulate(robot, controller, [0.3, 0.8, 0.4], 0.2, 0.01)
-    loop = simulate(robot, ServoLoop(controller, 0.01, compiled=False), [0.3, 0.8, 0.4], 0.2, 0.01)
+    loop = simulate(robot, ServoLoop(controller, 0.01), [0.3, 0.8, 0.4], 0.2, 0.01)
     assert plain.following_error is None and loop.following_error is not None
     np.testing.assert_allclose(loop.following_error, 0.0, rtol=0, atol=1e-12)
     np.testing.assert_allclose(loop.q, plain.q, rtol=0, atol=1e-12)
@@ -269,7 +269,7 @@ def test_what_a_simulated_loop_tells(robot_of):
         np.testing.assert_array_equal(rollout.target, [1.0, 1.2])
         np.testing.assert_array_equal(rollout.constraint["selection"], controller.constraint.selection)
     with pytest.raises(ConfigurationError, match="euler"):
-        simulate(robot, ServoLoop(controller, 0.01, compiled=False), [0.3, 0.8, 0.4], 0.2, 0.01, "rk4")
+        simulate(robot, ServoLoop(controller, 0.01), [0.3, 0.8, 0.4], 0.2, 0.01, "rk4")
 
 
 def test_progress_is_reported_with_a_title(robot_of):

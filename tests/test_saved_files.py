@@ -218,7 +218,6 @@ def test_the_content_says_the_format(arms: Path) -> None:
             refusal(odd, load_robot(arms / "longer.urdf"), match="'arm'")
 
 
-@pytest.mark.timeout(400)  # the loop may have to be compiled
 def test_a_rollout_keeps_what_guided_it(robot_of) -> None:
     """Target, constraint and following error come back from every format; the constraint can be built again."""
     for suffix in FORMATS:

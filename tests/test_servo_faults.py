@@ -21,7 +21,7 @@ from servo_cases import (
 
 import manip_learn as ml
 from manip_learn.control.following import STIFFNESS, FollowingError, following_error_limit
-from manip_learn.errors import ConfigurationError, ConstraintError, ManipLearnError
+from manip_learn.errors import ConfigurationError, ManipLearnError
 from manip_learn.robot.tips import default_tip
 
 FOLLOWING_ERROR = ml.Status.FOLLOWING_ERROR
@@ -226,7 +226,7 @@ def test_faults_brake_the_arm_and_are_named(fault: str, robot_of: RobotOf) -> No
     """Within every limit (see `Arm`) to rest, nowhere near a wrong measurement; where the reason goes, it goes on."""
     settings, steps = FAULTS[fault]
     robot = robot_of("sawyer")
-    arm = Arm(ml.ServoLoop(law_of(robot, "sawyer", 2.0), compiled=False, **settings), start_of(robot))
+    arm = Arm(ml.ServoLoop(law_of(robot, "sawyer", 2.0), **settings), start_of(robot))
     for step in steps:
         if isinstance(step, str):
             getattr(arm.loop, step)()
@@ -292,27 +292,6 @@ def test_velocities_of_any_kind_are_numbers(robot_of: RobotOf) -> None:
         for command in Arm(loop, start_of(robot)).calls(20):
             assert command.velocity.dtype == np.float64 and command.status is ml.Status.OK
             np.testing.assert_allclose(command.velocity, velocity, rtol=1e-6)
-
-
-def test_the_compiled_controller_gives_the_same_commands(robot_of: RobotOf) -> None:
-    """A loop compiles its controller by itself, and sends what a loop round its law sends, up to a joint limit."""
-    pytest.importorskip("numba")
-    robot = robot_of("sawyer")
-    law, q = law_of(robot, "sawyer"), start_of(robot)
-    loops = ml.ServoLoop(law, compiled=False), ml.ServoLoop(law), ml.ServoLoop(ml.CompiledController(law))
-    assert [type(loop.controller) for loop in loops] == [type(law), ml.CompiledController, ml.CompiledController]
-    for expected, *commands in zip(*(Arm(loop, q).calls(400) for loop in loops), strict=True):
-        for command in commands:
-            np.testing.assert_allclose(command.velocity, expected.velocity, rtol=0, atol=1e-9)
-            assert command.status is expected.status
-
-
-def test_only_controllers_of_the_library_are_compiled(robot_of: RobotOf) -> None:
-    """A user's own controller is taken as it is, and refused where it has to be compiled."""
-    own = Constantly(robot_of("sawyer"), np.zeros(7))
-    assert ml.ServoLoop(own).controller is own
-    with pytest.raises(ConstraintError, match="Constantly"):
-        ml.ServoLoop(own, compiled=True)
 
 
 @pytest.mark.parametrize("jerk", [None, 200.0])

@@ -57,7 +57,7 @@ def test_random_stamps(seed: int, calls: int, jerk: float | None, robot_of: Robo
     """Stamps 0.2 to 100 ms apart: no command steps by more than a dt's worth, or the time's where that is shorter."""
     robot, rng = robot_of("sawyer"), np.random.default_rng(seed)
     law = fast(robot, seed) if seed else law_of(robot, "sawyer", 2.0)
-    loop = ml.ServoLoop(law, DT, jerk_limit=jerk, compiled=False)
+    loop = ml.ServoLoop(law, DT, jerk_limit=jerk)
     q, t, period, at, before, rate, shortest = start_of(robot), 0.0, DT, None, np.zeros(7), np.zeros(7), DT
     for k in range(calls):
         if seed and k % 700 == 699:
@@ -81,7 +81,7 @@ def test_random_stamps_of_a_velocity_servo(seed: int, jerk: float | None, robot_
     """It goes on at the last velocity for up to 100 ms: once such a gap was seen, no position limit is exceeded."""
     robot, rng = robot_of("sawyer"), np.random.default_rng(seed)
     law = fast(robot, seed)
-    loop, q, t, before = ml.ServoLoop(law, DT, jerk_limit=jerk, compiled=False), start_of(robot), 0.0, np.zeros(7)
+    loop, q, t, before = ml.ServoLoop(law, DT, jerk_limit=jerk), start_of(robot), 0.0, np.zeros(7)
     nearest = -np.inf
     for k in range(4000):
         if k % 700 == 699:
@@ -99,7 +99,7 @@ def test_random_stamps_of_a_velocity_servo(seed: int, jerk: float | None, robot_
 def test_after_a_gap_nothing_steps(servo: str, gap: float, robot_of: RobotOf) -> None:
     """After 20 to 90 ms without a call, velocity and posture go on from where the arm is by a dt's worth each call."""
     robot = robot_of("sawyer")
-    loop = ml.ServoLoop(law_of(robot, "sawyer", 2.0), compiled=False)
+    loop = ml.ServoLoop(law_of(robot, "sawyer", 2.0))
     before = Arm(loop, start_of(robot)).calls(150)[-1].velocity
     q = loop.position
     assert np.max(np.abs(before)) > 0.3
@@ -185,13 +185,12 @@ def test_braking_keeps_position_limits(robot_of: RobotOf) -> None:
     assert np.all(arm.last == 0.0) and arm.q[0] > robot.position_upper[0] - 1e-3
 
 
-@pytest.mark.parametrize("compiled", [False, None])
 @pytest.mark.parametrize("jerk", [None, 500.0])
-def test_the_task_changes_in_motion(jerk: float | None, compiled: bool | None, robot_of: RobotOf) -> None:
+def test_the_task_changes_in_motion(jerk: float | None, robot_of: RobotOf) -> None:
     """`set_target`, `set_task`, `set_constraint`: the velocity goes on within the limits, the new goal is reached."""
     robot = robot_of("sawyer")
     law = law_of(robot, "sawyer")
-    loop, q, before = ml.ServoLoop(law, jerk_limit=jerk, compiled=compiled), start_of(robot), np.zeros(7)
+    loop, q, before = ml.ServoLoop(law, jerk_limit=jerk), start_of(robot), np.zeros(7)
     here = law.constraint.features.coordinates(q)
     one = ml.Constraint(np.eye(3)[:1], law.constraint.features)
     changes = {

@@ -8,9 +8,7 @@ import numpy as np
 from driving import POSTURES, TARGET, TIP, main, read_tasks, report, write
 
 import manip_learn as ml
-from manip_learn.errors import MissingExtraError
 
-STEPS = 500  # of a compiled rollout
 velocity = np.array([0.05, -0.03])
 
 
@@ -27,7 +25,7 @@ class Given(ml.Task):
 
 
 def step():
-    """The law alone, within limits, reaching a point, compiled."""
+    """The law alone, within limits, reaching a point."""
     features = ml.FrameJacobian(ml.load_robot("sawyer"), TIP, "xyz")
     constraint = ml.Constraint(np.linalg.qr(np.random.default_rng(1).normal(size=(3, 2)))[0].T, features)
     ascent, reach = ml.ManipulabilityAscent(constraint, 0.1), ml.PointAttractor(TARGET)
@@ -38,12 +36,6 @@ def step():
         "with limits and status, reaching a point": reaching,
         "task only, reaching a point": ml.ResolvedRateController(constraint, reach),
     }
-    try:
-        compiled = ml.CompiledController(reaching)
-        steps["compiled, reaching a point"] = compiled
-        steps["compiled rollout of 500 steps"] = lambda q: compiled.rollout(q, STEPS, 0.01)
-    except MissingExtraError:
-        pass
     assert all(reaching(q).status == "ok" for q in POSTURES[:8])
     report("manip-learn", steps, calls=300)
 

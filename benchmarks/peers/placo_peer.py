@@ -1,25 +1,22 @@
 """placo, a quadratic programme in C++: a position task along rotated axes, and its manipulability task."""
 
-import json
-from pathlib import Path
-
 import numpy as np
 import placo
-from driving import DT, TARGET, TIP, URDF, drive, drive_ways, main, report, rounds_of
+from driving import DT, TARGET, TIP, URDF, drive, drive_ways, main, report
 
 
-def plain_solver(urdf, tip, target, manipulability, joint_limits):
+def plain_solver(manipulability):
     """Sets the posture of an arm in placo and solves for a point, within velocity limits."""
-    robot = placo.RobotWrapper(urdf, placo.Flags.ignore_collisions)
+    robot = placo.RobotWrapper(URDF, placo.Flags.ignore_collisions)
     solver = placo.KinematicsSolver(robot)
     solver.mask_fbase(True)
     solver.dt = DT
     solver.enable_velocity_limits(True)
-    solver.enable_joint_limits(joint_limits)
-    solver.add_position_task(tip, target).configure("tip", "soft", 1.0)
+    solver.enable_joint_limits(False)
+    solver.add_position_task(TIP, TARGET).configure("tip", "soft", 1.0)
     solver.add_regularization_task(1e-4)
     if manipulability:
-        solver.add_manipulability_task(tip, "position", 1.0).configure("mu", "soft", 1e-3)
+        solver.add_manipulability_task(TIP, "position", 1.0).configure("mu", "soft", 1e-3)
     start = robot.state.q[:7].copy()
 
     def solve(q):
@@ -34,34 +31,7 @@ def plain_solver(urdf, tip, target, manipulability, joint_limits):
 def step():
     """With and without its manipulability task; only velocities are limited."""
     names = {"task with velocity limits": False, "with manipulability": True}
-    report("placo", {name: plain_solver(URDF, TIP, TARGET, climbs, False) for name, climbs in names.items()})
-
-
-def states(path):
-    """With velocity and joint limits: {"urdf", "tip", "target", "far", "far states", "states": {name: [q, ...]}}."""
-    cases = json.loads(Path(path).read_text(encoding="utf-8"))
-
-    def runner(target, postures, climbs):
-        """All postures once."""
-        solve = plain_solver(cases["urdf"], cases["tip"], np.array(target), climbs, True)
-
-        def run():
-            for q in postures:
-                try:
-                    solve(q)
-                except RuntimeError:  # no velocity meets its limits
-                    pass
-
-        return run
-
-    kinds, candidates = {"limits": False, "limits and manipulability": True}, {}
-    for state, postures in cases["states"].items():
-        target, arrays = cases["far" if state in cases["far states"] else "target"], [np.array(q) for q in postures]
-        candidates |= {(state, kind): runner(target, arrays, climbs) for kind, climbs in kinds.items()}
-    best = {kind: {} for kind in kinds}
-    for (state, kind), times in rounds_of(candidates, 2, 9).items():
-        best[kind][state] = 1e6 * min(times) / len(cases["states"][state])
-    print(json.dumps(best))
+    report("placo", {name: plain_solver(climbs) for name, climbs in names.items()})
 
 
 class Solver:
@@ -156,7 +126,6 @@ METHODS = {"placo": reaching(False), "placo, manipulability": reaching(True)}
 if __name__ == "__main__":
     main(
         step=step,
-        states=states,
         control=lambda *files: drive("placo", *files, METHODS),
         way=lambda *files: drive_ways("placo", *files, {"placo": following}),
     )

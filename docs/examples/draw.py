@@ -103,7 +103,7 @@ def draw_policies(robot: ml.Robot, constraint: ml.Constraint) -> None:
 def draw_loop(robot: ml.Robot, constraint: ml.Constraint) -> None:
     """08: commanded velocities, from rest to rest."""
     task, climb = ml.PointAttractor([0.6, 0.27, 0.35]), ml.ManipulabilityAscent(constraint)
-    loop = ml.ServoLoop(ml.ResolvedRateController(constraint, task, climb), 0.002, compiled=False)
+    loop = ml.ServoLoop(ml.ResolvedRateController(constraint, task, climb), 0.002)
     q = np.array([1.2, -1.2, 0.0, 0.4, 0.0, 0.8, 0.0])
     loop.reset(q)
     u = []

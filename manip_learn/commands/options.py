@@ -497,11 +497,3 @@ class ReproduceOptions:
     workers: Annotated[int | None, Option(help="Number of processes; default: all cores.")] = None
     backend: Annotated[str, Option(help="loky (processes) or threading.")] = "loky"
     as_json: Json = False
-
-
-@final
-@dataclass(frozen=True)
-class WarmUpOptions:
-    """Compile once what control loops compile, so that the first one on this machine starts at once."""
-
-    as_json: Json = False

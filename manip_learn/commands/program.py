@@ -62,8 +62,9 @@ COMMANDS = (
     Command("replay", options.ReplayOptions, "replay.replay", ("print_replayed",)),
     Command("export", options.ExportOptions, "export.export", ("print_exported",)),
     Command("reproduce", options.ReproduceOptions, "reproduce.reproduce", ("print_reproduction",)),
-    Command("warm-up", options.WarmUpOptions, "warm_up.warm_up", ("print_warm_up",)),
 )
+# commands of 0.1 that are gone, and what to do instead; until 0.3
+REMOVED_COMMANDS = {"warm-up": "nothing is compiled any more: leave the command out"}
 app = typer.Typer(
     name=PROGRAM,
     help="Learn which directions a demonstrated task constrains, and keep the arm away from its singularities.",

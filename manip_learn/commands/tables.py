@@ -26,7 +26,6 @@ if TYPE_CHECKING:
     from manip_learn.commands.reproduce import Reproduction
     from manip_learn.commands.robots import Inspected, KnownRobots
     from manip_learn.commands.teach import Taught
-    from manip_learn.commands.warm_up import Warmed
     from manip_learn.learning.audit import EpisodeAudit
     from manip_learn.playback import ReplayResult
 
@@ -347,12 +346,6 @@ def print_robots(console: Console, listed: KnownRobots) -> None:
         say(console, f"{robot.name:24} {joints}{origin}")
     if not listed.extra:
         say(console, "more with: pip install 'manip_learn[robots]'")
-
-
-def print_warm_up(console: Console, warmed: Warmed) -> None:
-    """What is compiled now."""
-    nothing = "nothing to compile: control steps run in Python, install the extra 'fast' to compile them"
-    say(console, f"control steps are compiled ({warmed.seconds:.1f} s)" if warmed.compiled else nothing)
 
 
 def print_robot(console: Console, inspected: Inspected) -> None:

@@ -8,7 +8,6 @@ value decomposition.
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from typing import NamedTuple, final
 
 import numpy as np
@@ -16,10 +15,8 @@ from jaxtyping import Bool, Float
 from numpy.typing import ArrayLike
 
 from manip_learn.constraint.constraint import Constraint
-from manip_learn.constraint.features.weighed_velocity import compiled_form
 from manip_learn.constraint.manipulability import SINGULAR_RATIO, gradient_of
-from manip_learn.robot.batch.batch_kinematics import batch_kinematics, kernels
-from manip_learn.robot.batch.postures import checked_postures, in_threads, positions_of
+from manip_learn.robot.batch.postures import checked_postures, in_threads
 
 LEAST_LENGTH_RATIO = 1e-3  # shortest orthogonalised row over longest row of A; below it the SVD takes over
 
@@ -44,21 +41,16 @@ class ManipulabilityBatch(NamedTuple):
         return self.gradient / np.maximum(np.maximum(self.mu, self.floor), np.finfo(np.float64).tiny)[:, None]
 
 
-def manipulability_batch(
-    constraint: Constraint, q: ArrayLike, *, compiled: bool | None = None, workers: int | None = 1
-) -> ManipulabilityBatch:
+def manipulability_batch(constraint: Constraint, q: ArrayLike, *, workers: int | None = 1) -> ManipulabilityBatch:
     """mu(q) and its gradient at n postures, the rows of q.
 
     Args:
         constraint: A(q).
         q: Configurations (nq) or joint positions (nv), one per row.
-        compiled: Use numba (equal to 1e-12), for rows of one frame; None: where it is installed and n is
-            large.
         workers: Number of threads; None for one per core. The numbers do not depend on it.
 
     Raises:
         ConfigurationError: Wrong size or not finite; names the first bad row and joint.
-        MissingExtraError: `compiled=True` without numba.
     """
     features = constraint.features
     postures = np.asarray(q, dtype=np.float64)
@@ -71,38 +63,13 @@ def manipulability_batch(
     if robot is not None:
         checked_postures(robot, postures)  # here, where a row's number is that of the caller
     ill = np.zeros(n, dtype=bool)
-    fill = _compiled(constraint, postures, out, ill) if kernels(compiled, n) is not None else None
-    in_threads(n, workers, fill or (lambda part: _in_bulk(constraint, postures, part, out, ill)))
+    in_threads(n, workers, lambda part: _in_bulk(constraint, postures, part, out, ill))
     bad = np.flatnonzero(ill)
     if bad.size:
         Phi, dPhi = features.batch_with_derivative(postures[bad])
         dA = np.einsum("sp,npjk->nsjk", constraint.selection, dPhi, optimize=True)
         out.mu[bad], out.gradient[bad], out.floor[bad] = _through_svd(constraint.selection @ Phi, dA)
     return out
-
-
-def _compiled(
-    constraint: Constraint, postures: np.ndarray, out: ManipulabilityBatch, ill: np.ndarray
-) -> Callable[[slice], None] | None:
-    """What fills a part of mu, gradient and `ill` in compiled code; None where these features have none."""
-    features, known = constraint.features, compiled_form(constraint.features, constraint.selection)
-    if known is None:
-        return None
-    kinematics = batch_kinematics(features.robot, features.frame)  # type: ignore[attr-defined]  # rows of a frame
-    public = kinematics.public_columns
-    if public is None:
-        return None
-    from manip_learn.constraint.compiled_rows import manipulability_and_gradient
-
-    positions = positions_of(features.robot, postures)  # type: ignore[attr-defined]
-    (selection, form, reference), s = known, constraint.n_constraints
-    table = kinematics.chain_table(reference)
-
-    def fill(part: slice) -> None:
-        results = (out.mu[part], ill[part], out.gradient[part])
-        manipulability_and_gradient(table, positions[part], selection, s, form, public, LEAST_LENGTH_RATIO, *results)
-
-    return fill
 
 
 def _in_bulk(

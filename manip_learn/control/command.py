@@ -55,9 +55,6 @@ class Status(StrEnum):
     OK = "ok"
 
 
-STATUSES = tuple(Status)  # the kernel returns a place in this table
-
-
 @final
 class Command(NamedTuple):
     """What a controller commands at one instant.
@@ -98,7 +95,7 @@ class Command(NamedTuple):
 
 
 class Controller(Protocol):
-    """Anything that `simulate` can run: `ResolvedRateController`, `CompiledController`, or a class of your own."""
+    """Anything that `simulate` can run: a `ResolvedRateController`, or a class of your own."""
 
     def __call__(self, q: Float[np.ndarray, " n"], t: float = 0.0, dt: float | None = None) -> Command:
         """The command at posture q and time t [s], held for dt [s]."""

@@ -1,20 +1,17 @@
-"""An arm behind a small protocol, and the cycle that runs a servo loop on it; what it needs compiled ahead of time."""
+"""An arm behind a small protocol, and the cycle that runs a servo loop on it."""
 
 from __future__ import annotations
 
 import logging
 import math
-import time
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
-from importlib.util import find_spec
 from typing import Any, Protocol, final
 
 import numpy as np
 from jaxtyping import Float
 
-from manip_learn.control.command import Command, Controller, Status
-from manip_learn.control.compiled_controller import CompiledController, compiled_if_possible
+from manip_learn.control.command import Command, Status
 from manip_learn.control.cycle import Clock, ComputerClock, GivenUp, OrderlyEnd, hold_still, quiet_collector
 from manip_learn.control.rollout import Rollout
 from manip_learn.control.servo_loop import ServoLoop
@@ -28,41 +25,6 @@ SAMPLES = 100_000  # of a record at most: a longer run keeps every second, fourt
 LONGEST_STOP = 10.0  # [s] for braking and letting go, after which a run ends in any case
 SLOW_AFTER = 1.0  # [s] in which more than half of the periods were missed: the period cannot be held
 _LOGGER = logging.getLogger("manip_learn")
-
-
-@final
-@dataclass(frozen=True)
-class WarmUp:
-    """What was made ready, and how long that took.
-
-    Attributes:
-        seconds: [s]; what is on disk already is only read.
-        step: Whether the controller's steps are compiled now.
-    """
-
-    seconds: float
-    step: bool
-
-
-def warm_up(controller: Controller | ServoLoop, report: Callable[[str], object] | None = None) -> WarmUp:
-    """Compile, once per machine, what the first `ServoLoop` of a controller would compile.
-
-    Later processes read the machine code from disk. It depends on the kind of controller, not on its numbers: which
-    robot, constraint, target and limits does not matter. Without numba (the extra `fast`) there is nothing to do.
-
-    Args:
-        controller: A controller, or a loop.
-        report: Called with a sentence where code has to be compiled; by default a line of the logger `manip_learn`.
-
-    Returns:
-        What was made ready.
-    """
-    start = time.perf_counter()
-    if isinstance(controller, ServoLoop):
-        controller = controller.controller
-    if find_spec("numba") is not None:
-        controller = compiled_if_possible(controller, None, report)
-    return WarmUp(time.perf_counter() - start, isinstance(controller, CompiledController))
 
 
 class Driver(Protocol):

@@ -16,7 +16,6 @@ from manip_learn.constraint.features.relative_frame_jacobian import RelativeFram
 from manip_learn.constraint.features.weighed_velocity import WeighedVelocity
 from manip_learn.constraint.manipulability import manipulability
 from manip_learn.control.command import Command, Controller
-from manip_learn.control.compiled_controller import CompiledController, compiled_if_possible
 from manip_learn.control.controller import ResolvedRateController
 from manip_learn.control.follow_motion import ARRIVED, FollowMotion
 from manip_learn.control.limits import Limits
@@ -214,9 +213,8 @@ def robot_of(controller: Controller, robot: Robot | None) -> Robot:
 
 
 def law_of(controller: Controller) -> ResolvedRateController | None:
-    """The law of a controller of the library, compiled or not, that in force; None for a controller of another kind."""
-    law = controller.controller if isinstance(controller, CompiledController) else controller
-    law = law.current if isinstance(law, LawSequence) else law
+    """The law in force of a controller of the library; None for a controller of another kind."""
+    law = controller.current if isinstance(controller, LawSequence) else controller
     return law if isinstance(law, ResolvedRateController) else None
 
 
@@ -229,17 +227,16 @@ def limits_of(controller: Controller, robot: Robot, acceleration: ArrayLike | No
     return own.with_rates(acceleration, jerk)
 
 
-def with_limits(controller: Controller, limits: Limits, compiled: bool | None = False, lag: float = 0.0) -> Controller:
-    """A controller of the loop's own, with its limits, compiled where that is asked for (`compiled_if_possible`).
+def with_limits(controller: Controller, limits: Limits, lag: float = 0.0) -> Controller:
+    """A controller of the loop's own, with its limits.
 
     A motion that is known ahead also makes up for the lag of what comes out of the loop [s].
     """
     if isinstance(controller, FollowMotion):
         return controller.with_limits(limits, lag)
-    if isinstance(controller, CompiledController):
-        return CompiledController(controller.controller.with_limits(limits))
-    own = controller.with_limits(limits) if isinstance(controller, ResolvedRateController | LawSequence) else controller
-    return compiled_if_possible(own, compiled)
+    return (
+        controller.with_limits(limits) if isinstance(controller, ResolvedRateController | LawSequence) else controller
+    )
 
 
 def task_of(controller: Controller) -> Task | None:
@@ -250,7 +247,7 @@ def task_of(controller: Controller) -> Task | None:
 
 def keeps_limits(controller: Controller) -> bool:
     """Whether a controller's commands are within the limits that it was given."""
-    return isinstance(controller, ResolvedRateController | CompiledController | LawSequence | FollowMotion)
+    return isinstance(controller, ResolvedRateController | LawSequence | FollowMotion)
 
 
 def waits(controller: Controller) -> bool:

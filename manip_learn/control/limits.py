@@ -220,7 +220,7 @@ class Approach(NamedTuple):
 
 
 def approach_of(velocity: float, acceleration: float, dt: float) -> Approach:
-    """The constants of a joint: value and slope of brake(d) are continuous at d1. Compiled, too, as it stands."""
+    """The constants of a joint: value and slope of brake(d) are continuous at d1."""
     acceleration = BRAKING_SHARE * acceleration
     rate = min(APPROACH_RATE, 0.5 / dt)
     v = min(velocity, 1e6)
@@ -236,7 +236,7 @@ def approach_of(velocity: float, acceleration: float, dt: float) -> Approach:
 
 
 def approach_speed(approach: Approach, distance: float) -> float:
-    """brake(d); negative outside, where the joint returns. Compiled, too, as it stands."""
+    """brake(d); negative outside, where the joint returns."""
     if distance <= approach.linear:
         return max(approach.rate * distance, -approach.fastest)
     half = approach.half

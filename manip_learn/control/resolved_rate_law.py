@@ -17,8 +17,7 @@ from manip_learn.constraint.features.feature_map import Vjp
 from manip_learn.constraint.manipulability import SINGULAR_RATIO, manipulability_of
 from manip_learn.constraint.small_matrices import row_inverse, svd
 from manip_learn.control.bounded_velocity import NEGLIGIBLE, BoundedVelocity, Desired
-from manip_learn.control.command import STATUSES, Command, Status
-from manip_learn.control.compiled import step_table as table
+from manip_learn.control.command import Command, Status
 from manip_learn.control.limits import ACCELERATION, Bounds, Limits
 from manip_learn.control.policies import ManipulabilityAscent, NullSpacePolicy, SampledPolicy, WeightedPolicies
 from manip_learn.control.singularity import (
@@ -47,6 +46,8 @@ GOING_ON = 0.5
 AT_GOAL = 1e-6
 # a task is slowed down where less than this share of its velocity is commanded
 SCALED_BELOW = 0.999
+# the status of a task slowed down by POSITION, VELOCITY or ACCELERATION (see `Bounds`)
+SLOWED_BY = (Status.POSITION_LIMITED, Status.VELOCITY_LIMITED, Status.ACCELERATION_LIMITED)
 # width of the escape from a singularity, as a share of the singular value at which damping sets in
 ESCAPE_WIDTH = 0.6
 
@@ -103,27 +104,25 @@ def plain_command(law: Law, velocity: Float[np.ndarray, " nv"], damped: bool, ou
     """The command where no limit changes the law."""
     lost = _direction_lost(law)
     progress = _progress(law, velocity) if damped or lost else 1.0
-    status = STATUSES[plain_status(lost, damped, progress, outside)]
+    status = plain_status(lost, damped, progress, outside)
     return law.command(velocity, status, law.desired, progress=progress, outside=outside)
 
 
-def plain_status(lost: bool, damped: bool, progress: float, outside: float) -> int:
-    """Place among `STATUSES` of a command that no limit changes. Compiled, too, as it stands."""
+def plain_status(lost: bool, damped: bool, progress: float, outside: float) -> Status:
+    """The status of a command that no limit changes."""
     if outside > 0.0:
-        return table.OUTSIDE_LIMITS
+        return Status.OUTSIDE_LIMITS
     if lost:
-        return table.SINGULAR
+        return Status.SINGULAR
     if not damped:
-        return table.OK
-    return table.STALLED if progress < STALLED_BELOW else table.DAMPED_STATUS
+        return Status.OK
+    return Status.STALLED if progress < STALLED_BELOW else Status.DAMPED
 
 
 def bounded_status(
     lost: bool, damped: bool, progress: float, outside: float, task_scale: float, joint: int, cause: int, fits: bool
-) -> int:
-    """Place among `STATUSES` of a command that limits change, by the limit that is most in its way.
-
-    Compiled, too, as it stands.
+) -> Status:
+    """The status of a command that limits change, by the limit that is most in its way.
 
     Args:
         lost: Whether A loses a direction of the task.
@@ -136,16 +135,16 @@ def bounded_status(
         fits: Whether the task part alone is within the bounds.
     """
     if outside > 0.0:
-        return table.OUTSIDE_LIMITS
+        return Status.OUTSIDE_LIMITS
     if lost:
-        return table.SINGULAR
+        return Status.SINGULAR
     if progress < STALLED_BELOW and cause != ACCELERATION:
-        return table.STALLED
+        return Status.STALLED
     if task_scale < SCALED_BELOW:
-        return table.POSITION_LIMITED + cause if joint >= 0 else table.DAMPED_STATUS  # in the order of the limits
+        return SLOWED_BY[cause] if joint >= 0 else Status.DAMPED
     if damped:
-        return table.DAMPED_STATUS
-    return table.NULL_SCALED if fits else table.REROUTED
+        return Status.DAMPED
+    return Status.NULL_SCALED if fits else Status.REROUTED
 
 
 def bounded_command(
@@ -166,17 +165,14 @@ def bounded_command(
     progress = _progress(law, velocity)
     joint, cause = bounds.binding(velocity, wish)
     outcome = progress, bounds.outside, task_scale, joint, cause, bounds.admit(task)
-    status = STATUSES[bounded_status(_direction_lost(law), damped, *outcome)]
+    status = bounded_status(_direction_lost(law), damped, *outcome)
     numbers = {"task_scale": min(task_scale, 1.0), "null_scale": null_scale, "progress": progress}
     parts = Desired(task_part, null_part, escape)
     return law.command(velocity, status, parts, **numbers, outside=bounds.outside, limiting_joint=joint)
 
 
 def next_slide(slide: float, stalls: bool, progress: float, dt: float) -> float:
-    """`slide` after a command that was held for dt [s]: it grows while the task stalls, and falls when it goes on.
-
-    Compiled, too, as it stands.
-    """
+    """`slide` after a command that was held for dt [s]: it grows while the task stalls, and falls when it goes on."""
     if stalls:
         return min(1.0, slide + dt / SLIDING_AFTER)
     return max(0.0, slide - dt / KEEPING_AFTER) if progress > GOING_ON else slide

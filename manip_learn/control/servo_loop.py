@@ -12,7 +12,7 @@ from jaxtyping import Float
 from numpy.typing import ArrayLike
 
 from manip_learn.constraint.constraint import Constraint
-from manip_learn.control.command import STATUSES, Command, Controller, Status
+from manip_learn.control.command import Command, Controller, Status
 from manip_learn.control.controller import ResolvedRateController
 from manip_learn.control.following import STIFFNESS, FollowingError
 from manip_learn.control.law_sequence import (
@@ -208,7 +208,7 @@ class ServoLoop:
     (`Status.FOLLOWING_ERROR`); `stopped_by` says which row of the constraint was blocked, and by how much.
 
     Args:
-        controller: A `ResolvedRateController`, a `CompiledController`, or any `(q, t, dt) -> Command`.
+        controller: A `ResolvedRateController`, or any `(q, t, dt) -> Command`.
         dt: Period [s].
         acceleration_limit: shape (nv,) or a number [rad/s2 or m/s2]; by default those of the controller's `Limits`.
         jerk_limit: shape (nv,) or a number [rad/s3 or m/s3]; by default those of the controller's `Limits`, or none.
@@ -225,8 +225,6 @@ class ServoLoop:
             while the arm moves or holds.
         latency: Time by which a measurement may lag behind the command that it is compared with [s].
         robot: Whose limits count; the controller's own by default.
-        compiled: None compiles the controller where numba is installed and it can be (see `CompiledController`); later
-            changes of it and of its task are then not seen. False takes it as it is; True compiles it.
 
     Attributes:
         acceleration_limit: shape (nv,) [rad/s2 or m/s2], in force.
@@ -237,15 +235,13 @@ class ServoLoop:
 
     Raises:
         ConfigurationError: A setting that is not positive, or a controller that has no robot where none is given.
-        ConstraintError: `compiled=True` for a controller that cannot be compiled.
-        MissingExtraError: `compiled=True` without numba.
 
     Example:
         >>> import manip_learn as ml
         >>> robot = ml.load_robot("planar3")
         >>> constraint = ml.Constraint([[0, 1]], ml.FrameJacobian(robot, "tip", axes="x y"))
         >>> controller = ml.ResolvedRateController(constraint, ml.PointAttractor([1.0, 1.5]))
-        >>> loop = ml.ServoLoop(controller, dt=0.001, compiled=False)  # leave `compiled` out on an arm
+        >>> loop = ml.ServoLoop(controller, dt=0.001)
         >>> for k in range(1000):  # one second
         ...     measured = loop.position if k else [0.3, 0.8, 0.4]  # your arm's encoders
         ...     command = loop.update(measured, 0.001 * k)
@@ -266,7 +262,6 @@ class ServoLoop:
         correction_time: float | None = None,
         latency: float = LATENCY,
         robot: Robot | None = None,
-        compiled: bool | None = None,
     ):
         for name, value in (("dt", dt), ("stale_after", stale_after), ("latency", latency)):
             if not (is_number(value) and 0.0 <= value < math.inf and (value > 0.0 or name == "latency")):
@@ -275,7 +270,7 @@ class ServoLoop:
         self.limits = limits_of(controller, self.robot, acceleration_limit, jerk_limit)
         self._average = MovingAverage(self.limits, self.dt)
         lag = 0.5 * self._average.time if self._average.averages else 0.0
-        self.controller = with_limits(controller, self.limits, compiled, lag)
+        self.controller = with_limits(controller, self.limits, lag)
         self.acceleration_limit, self.jerk_limit = self.limits.acceleration, self.limits.jerk
         self._keeps_limits = keeps_limits(self.controller)
         frame = frame_of(controller)
@@ -286,7 +281,6 @@ class ServoLoop:
         farthest = np.maximum(np.abs(self.robot.position_lower), np.abs(self.robot.position_upper)) + TURN
         bounded = self.robot.nq == self.robot.nv and bool(np.all(np.isfinite(farthest)))
         self._impossible = farthest if bounded else LARGEST_POSITION
-        self._compiled = compiled
         self._period = Period(self.dt)
         self._slowed = 1.0, self.limits  # a share of the acceleration, and the limits with it
         self._return: Return | None = None
@@ -340,8 +334,7 @@ class ServoLoop:
     def set_task(self, task: Task) -> None:
         """Another task, in motion: the velocity goes over into that of the new task within the acceleration limits.
 
-        A `ManipulabilityAscent` of the rows driven so far climbs those driven from now on. What is compiled is made
-        anew, in milliseconds.
+        A `ManipulabilityAscent` of the rows driven so far climbs those driven from now on.
 
         Raises:
             ConfigurationError: The controller is no `ResolvedRateController`.
@@ -372,7 +365,7 @@ class ServoLoop:
         if self._reference is not None:
             law(self._reference, 0.0, self.dt)  # what does not fit is refused while the old law is still there
             law.task.reset()
-        self.controller = with_limits(law, self.limits, self._compiled)
+        self.controller = with_limits(law, self.limits)
         self._keeps_limits, self._slide, self._behind = True, 0.0, 0.0
 
     @property
@@ -550,7 +543,7 @@ class ServoLoop:
                 return command
             slower = np.clip(command.velocity, bounds.low, bounds.high)
             return command._replace(
-                velocity=slower, status=min(command.status, Status.POSITION_LIMITED, key=STATUSES.index)
+                velocity=slower, status=min(command.status, Status.POSITION_LIMITED, key=tuple(Status).index)
             )
         # the user's own controller may write into what it is given, and give the same array every time
         command = self.controller(q.copy(), time, held)

@@ -11,18 +11,14 @@ from numpy.typing import ArrayLike
 
 from manip_learn.constraint.constraint import Constraint
 from manip_learn.control.command import Command, Controller, Method, TaskController, next_posture
-from manip_learn.control.compiled_controller import CompiledController, compiled_if_possible
-from manip_learn.control.controller import ResolvedRateController
 from manip_learn.control.law_sequence import constraint_of, frame_of, law_of, task_of
 from manip_learn.control.rollout import Rollout, written_constraint
 from manip_learn.control.servo_loop import ServoLoop
 from manip_learn.errors import ConfigurationError, an
 from manip_learn.recordings.trajectory_source import Progress
-from manip_learn.robot.batch.postures import checked_postures, positions_of
+from manip_learn.robot.batch.postures import checked_postures
 from manip_learn.robot.identity import RobotIdentity
 from manip_learn.robot.robot import Robot
-
-COMPILED_FROM = 5_000  # commands: fewer take less time in Python than loading numba does
 
 
 @overload
@@ -34,7 +30,6 @@ def simulate(
     dt: float = ...,
     method: Method = ...,
     *,
-    compiled: bool | None = ...,
     progress: Progress | None = ...,
 ) -> Rollout: ...
 
@@ -48,7 +43,6 @@ def simulate(
     dt: float = ...,
     method: Method = ...,
     *,
-    compiled: bool | None = ...,
     progress: Progress | None = ...,
 ) -> tuple[Rollout, ...]: ...
 
@@ -61,22 +55,18 @@ def simulate(
     dt: float = 0.01,
     method: Method = "euler",
     *,
-    compiled: bool | None = None,
     progress: Progress | None = None,
 ) -> Rollout | tuple[Rollout, ...]:
     """Integrate the controller on the configuration manifold.
 
     Args:
         robot: The robot; None for a system whose state is a plain vector.
-        controller: A `ResolvedRateController`, a `CompiledController`, or any `(q, t, dt) -> Command`.
+        controller: A `ResolvedRateController`, or any `(q, t, dt) -> Command`.
         q0: Start posture; the rollout's postures are the same kind of vector. Or a table of starts, one per row.
         duration: [s].
         dt: Step [s].
         method: `"euler"` holds each command for a step, as a real arm's interface does; `"rk4"` approximates the
             continuous system.
-        compiled: None compiles from 5,000 commands on, where numba is installed and the controller can be compiled
-            (see `CompiledController`): that depends on the number of commands only, so that a call gives the same last
-            bits whatever ran before it. False takes the controller as it is; True compiles it.
         progress: Called with a title and the completed fraction, 0 to 1.
 
     Returns:
@@ -86,8 +76,6 @@ def simulate(
     Raises:
         ConfigurationError: The arguments are in another order; the start has the wrong size or is not finite; a step
             or duration that is not positive.
-        ConstraintError: `compiled=True` for a controller that cannot be compiled.
-        MissingExtraError: `compiled=True` without numba.
 
     Example:
         >>> import manip_learn as ml
@@ -114,25 +102,13 @@ def simulate(
     report, table = progress or (lambda title, fraction: None), np.ndim(q0) == 2
     if table and robot is not None:
         q0 = checked_postures(robot, np.asarray(q0))  # names the row before any work is done
-    number = (len(np.asarray(q0)) if table else 1) * (steps + 1) * (4 if method == "rk4" else 1)
-    own = isinstance(controller, ResolvedRateController) and controller.robot is robot
-    if compiled is True or (compiled is None and number >= COMPILED_FROM and own):
-        announce = None if progress is None else lambda sentence: report(sentence, 0.0)
-        controller = compiled_if_possible(controller, compiled, announce)
     if table:
         rollouts = []
         for i, start in enumerate(np.asarray(q0)):
-            rollouts.append(simulate(robot, controller, start, steps * dt, dt, method, compiled=False))
+            rollouts.append(simulate(robot, controller, start, steps * dt, dt, method))
             report("simulating", (i + 1) / len(np.asarray(q0)))
         return tuple(rollouts)
     q = np.array(q0, dtype=np.float64) if robot is None else np.array(robot.checked_posture(q0))
-    if isinstance(controller, CompiledController) and controller.robot is robot and controller.rolls_out:
-        limits = controller.controller.limits
-        # jerk limits ask for the average that a servo loop keeps
-        if method != "euler" or limits is None or limits.jerk is None:
-            rollout = _compiled_rollout(controller, q, steps, dt, method)
-            report("simulating", 1.0)
-            return rollout
     return _integrated(robot, controller, q, steps, dt, method, report)
 
 
@@ -179,18 +155,8 @@ def _loop_of(
         return controller.update
     law = law_of(controller)
     if method == "euler" and law is not None and law.limits is not None:
-        return ServoLoop(controller, dt, stale_after=max(0.1, 10.0 * dt), compiled=False).step
+        return ServoLoop(controller, dt, stale_after=max(0.1, 10.0 * dt)).step
     return lambda q, t: controller(q, t, dt)
-
-
-def _compiled_rollout(
-    controller: CompiledController, start: np.ndarray, steps: int, dt: float, method: Method
-) -> Rollout:
-    robot = controller.robot
-    run = controller.rollout(positions_of(robot, start[None])[0], steps, dt, method)
-    q = run.q if start.shape[0] == robot.nv else np.array([robot.configuration(x) for x in run.q])
-    numbers = np.arange(steps + 1) * dt, q, run.u, run.mu, run.status, robot.joint_names, run.error
-    return Rollout(*numbers, robot=RobotIdentity.of(robot), **guided(controller))
 
 
 def guided(controller: Controller | ServoLoop) -> dict[str, Any]:

@@ -79,7 +79,7 @@ def smallest_gradient_of(
 
 
 def seed_speed(smallest: float, width: float) -> float:
-    """Speed that starts the motion out of a singularity [rad/s], see `escape_velocity`. Compiled, too, as it stands."""
+    """Speed that starts the motion out of a singularity [rad/s], see `escape_velocity`."""
     return SEED_SPEED * max(0.0, 1.0 - smallest / (SEED_SHARE * width))
 
 
@@ -194,14 +194,14 @@ def approach_rate(
 
 
 def braking_rate(distance: float, deceleration: float, dt: float) -> float:
-    """Rate of a distance from which it can be stopped at 0 with a deceleration. Compiled, too, as it stands."""
+    """Rate of a distance from which it can be stopped at 0 with a deceleration."""
     return min(min(APPROACH_RATE, 0.5 / dt) * distance, math.sqrt(2.0 * deceleration * max(distance, 0.0)))
 
 
 def is_fast(square: float, size: float, weakest: float, smallest: float, dt: float) -> bool:
     """Whether a velocity may approach a singularity too fast, so that a closer look is due.
 
-    |grad sigma| is about as large as A itself. Compiled, too, as it stands.
+    |grad sigma| is about as large as A itself.
 
     Args:
         square: |u|^2.

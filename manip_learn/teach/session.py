@@ -472,7 +472,7 @@ class TeachingSession:
     def _loop_of(self, controller: Controller) -> ServoLoop:
         """A loop that yields to a person, not to friction or to its own acceleration."""
         trips = following_error_limit(self.robot, force=YIELDS)
-        return ServoLoop(controller, dt=PERIOD, acceleration_limit=GENTLY, following_error_limit=trips, compiled=False)
+        return ServoLoop(controller, dt=PERIOD, acceleration_limit=GENTLY, following_error_limit=trips)
 
     def _run(self, said: Mapping[str, Any]) -> None:
         """To the handle as it was shown, then along the way under the learnt constraint."""

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import importlib.util
 from functools import cache
 from typing import Any
 
@@ -157,7 +156,7 @@ def commands(controller: Any, q: np.ndarray, inverse: str, keys: tuple[str, ...]
 
 
 def rollout_cases() -> Cases:
-    """One start and a table of starts, Euler and RK4, as it is and compiled, away from singularities."""
+    """One start and a table of starts, Euler and RK4, away from singularities."""
     cases: Cases = {}
     for name in ROBOTS:
         robot, q = robot_of(name), postures(name)
@@ -166,31 +165,8 @@ def rollout_cases() -> Cases:
             for method in ("euler", "rk4"):
                 case = f"rollout {name} {task} {policy} {method}"
                 cases[case] = summary([ml.simulate(robot, controller, q[0], 1.0, 0.02, method)])
-                # enough samples for the table to be rolled out together
                 starts = q[0] + 0.02 * np.random.default_rng(3).normal(size=(40, robot.nv))
                 cases[f"{case}, 40 starts"] = summary(ml.simulate(robot, controller, starts, 1.0, 0.02, method)[::8])
-        if importlib.util.find_spec("numba") is not None:
-            cases.update(compiled_cases(name))
-    return cases
-
-
-def compiled_cases(name: str) -> Cases:
-    """The compiled controller's commands and rollout, where it applies."""
-    cases: Cases = {}
-    for task, policy in (("point", "ascent"), ("hold", "attractor"), ("none", "zero")):
-        original = ml.ResolvedRateController(constraint_of(name), task_of(task, name), policy_of(policy, name))
-        case = f"compiled {name} {task} {policy}"
-        try:
-            controller = ml.CompiledController(original)
-        except ml.ManipLearnError as error:
-            cases[case] = {"refused": type(error).__name__}
-            continue
-        found = [controller(x, 0.3) for x in postures(name)[::3]]
-        cases[case] = {
-            "status": [str(c.status) for c in found],
-            "velocity": np.array([c.velocity for c in found]),
-            "manipulability": np.array([c.manipulability for c in found]),
-        }
     return cases
 
 

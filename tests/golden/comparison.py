@@ -33,7 +33,6 @@ LOOSER: tuple[tuple[str, str, float], ...] = (
     ("learn planar 20 recordings, planar, world, rows None, separate", "", 1e-3),
     # a thousandth of a radian from a singularity: velocities grow with the inverse of the distance
     ("command", "velocity", 1e-8),
-    ("compiled", "velocity", 1e-8),
     # exactly singular, and what is followed is at rest: 2.9e-8 between SkylakeX and Haswell
     ("command ur5 exact track zero", "velocity", 1.2e-7),
     # the share of a command that limits leave, of which some is a billionth of what it is taken from

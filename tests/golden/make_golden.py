@@ -3,7 +3,7 @@
     python tests/golden/make_golden.py             # write golden.json and golden.npz
     python tests/golden/make_golden.py --check     # recompute and compare; exit code 1 and one line a difference
 
-On the machine that wrote them, and with the same NumPy, SciPy, Pinocchio and numba, all are compared to 1e-12;
+On the machine that wrote them, and with the same NumPy, SciPy and Pinocchio, all are compared to 1e-12;
 elsewhere with the tolerances of comparison.py. `--strict` and `--portable` choose one of these.
 
 Only the public names of `manip_learn` and `python -m manip_learn` are used, so that modules may move. Keys that a later
@@ -58,7 +58,7 @@ def made_with() -> dict[str, str]:
     models = re.findall(r"^model name\s*: (.*)$", CPU.read_text(), re.MULTILINE) if CPU.is_file() else []
     cache = os.environ.get("OPENBLAS_L2_SIZE", "")
     versions = {}
-    for package in ("numpy", "scipy", "pin", "numba"):
+    for package in ("numpy", "scipy", "pin"):
         try:
             versions[package] = importlib.metadata.version(package)
         except importlib.metadata.PackageNotFoundError:

@@ -27,9 +27,6 @@ Outcome = Literal["noticed", "survived", "too slow", "broken"]
 class Workshop:
     """A copy of the project in which faults are tried.
 
-    Compiled functions run as plain Python there: a fault in them needs no minute of compilation, and their lines can be
-    followed.
-
     Args:
         folder: Where to copy to.
         timeout: Time after which a fault counts as noticed, because it hangs [s].
@@ -45,7 +42,7 @@ class Workshop:
             shutil.copytree(ROOT / name, folder / name, ignore=shutil.ignore_patterns(".*", "_build"))
         for name in FILES:
             shutil.copy(ROOT / name, folder / name)
-        os.environ.update(PYTHONPATH=str(folder), CHECK_SHAPES="0", NUMBA_DISABLE_JIT="1")
+        os.environ.update(PYTHONPATH=str(folder), CHECK_SHAPES="0")
         os.environ.update(OMP_NUM_THREADS="1", OPENBLAS_NUM_THREADS="1")
         sys.path[:0] = [str(folder), str(folder / "tests")]
 

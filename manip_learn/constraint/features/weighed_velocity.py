@@ -11,15 +11,11 @@ from jaxtyping import Float
 from numpy.typing import ArrayLike
 
 from manip_learn.constraint.features.feature_map import FeatureMap, Vjp, Weigh
-from manip_learn.constraint.features.frame_jacobian import FrameJacobian
 from manip_learn.robot.batch.batch_kinematics import batch_kinematics
 from manip_learn.robot.frame import Frame
-from manip_learn.robot.robot import Reference, Robot
+from manip_learn.robot.robot import Robot
 
 ON_AXIS = 1e-5  # [m] below this distance from the axis (or the centre) a direction fades to zero instead of flipping
-WIDTH = 12  # columns of the table for compiled code
-FREE = 6  # column of a row of Lambda, behind its six weights, where its shares of the rows of unit length begin
-SLOPES, FREE_ROWS = 2, 2  # rows of the table for the slopes of a row, and for a row of unit length
 
 EVERY_ROW = np.eye(6)  # the twist itself
 
@@ -72,15 +68,6 @@ class PlaceWeights:
         affine[:, free] = 0.0
         numbers = np.concatenate([self.constant, self.by_place.reshape(-1, 18)], axis=1)
         return np.concatenate([affine @ numbers, selection[:, free]], axis=1)
-
-    def table(self, selection: Float[np.ndarray, "s r"]) -> Float[np.ndarray, "k 12"]:
-        """Lambda W(p) as compiled code reads it: `constraint.compiled_rows`."""
-        s, mixed, slopes = len(selection), self.mixed(selection), np.zeros((len(selection), SLOPES * WIDTH))
-        rows, free_rows = np.zeros((s, WIDTH)), np.zeros((len(self.free), FREE_ROWS * WIDTH))
-        rows[:, :6], rows[:, FREE : FREE + len(self.free)], slopes[:, :18] = mixed[:, :6], mixed[:, 24:], mixed[:, 6:24]
-        for row, (i, (b, h)) in zip(free_rows, self.free.items(), strict=True):
-            row[: WIDTH + 4] = [*self.constant[i, :3], *self.by_place[i, :3].reshape(-1), *b, h]
-        return np.concatenate([rows, slopes.reshape(-1, WIDTH), free_rows.reshape(-1, WIDTH)])
 
 
 class WeighedVelocity(FeatureMap):
@@ -188,19 +175,3 @@ class WeighedVelocity(FeatureMap):
 
     def _batch_weights(self, q: ArrayLike) -> tuple[np.ndarray, np.ndarray]:
         return self.weights(batch_kinematics(self.robot, self.frame).pose(q)[:, :3, 3])
-
-
-def compiled_form(
-    features: FeatureMap, selection: Float[np.ndarray, "s p"]
-) -> tuple[Float[np.ndarray, "k 12"], int, Reference] | None:
-    """What `constraint.compiled_rows` needs of A: Lambda's table, its form, and the reference of its Jacobian.
-
-    None for features that are not compiled; children of those that are are not: what they change would be lost.
-    """
-    if type(features) is FrameJacobian:
-        table = np.zeros((len(selection), WIDTH))
-        table[:, :6] = features.padded(selection)
-        return table, 0, features.reference
-    if isinstance(features, WeighedVelocity):
-        return features.place_weights.table(selection), 1 + len(features.place_weights.free), "world"
-    return None

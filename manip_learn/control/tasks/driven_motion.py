@@ -61,12 +61,10 @@ class DrivenMotion(ABC):
     Attributes of every child:
         constraint: The constrained rows and the driven one.
         unit: `"m"` or `"rad"`, of distances along the motion.
-        along_rows: Whether E of `rates_and_jacobian` is known to be None at every posture.
     """
 
     constraint: Constraint
     unit: Unit
-    along_rows: bool
 
     @abstractmethod
     def held_at(self, distance: float) -> Float[np.ndarray, "k p"]:
@@ -414,7 +412,6 @@ class StraightMotion(DrivenMotion):
         self._driven = f / max(linear_size, angular_size)  # a distance counts along the larger part
         self._held = constraint.selection
         self._twist = np.zeros(6)
-        self.along_rows = isinstance(features, FrameJacobian) and features.only_linear
         self._features: FrameJacobian | RelativeFrameJacobian | None = None
         if isinstance(features, FrameJacobian | RelativeFrameJacobian) and not features.only_linear:
             self._features = features
@@ -549,7 +546,6 @@ class MechanismMotion(DrivenMotion):
         unit: Unit | None = None,
         straight: bool = False,
     ):
-        self.along_rows = True
         rows: MechanismRows = constraint.features  # type: ignore[assignment]
         g = rows.geometry
         weights = constraint.selection.T @ constraint.selection
@@ -735,7 +731,7 @@ class PathMotion(DrivenMotion):
         if len(turning):
             selection[3:, 3:] = turning
         self.constraint = Constraint(selection, self._features, constraint.provenance)
-        self.unit, self.along_rows = "m", not len(turning)
+        self.unit = "m"
         ways = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(shown.points, axis=0), axis=1))])
         moves = np.concatenate([[True], np.diff(ways) > 1e-9])
         self._ways, self._times, self._points = ways[moves], shown.time[moves], shown.points[moves]
@@ -792,7 +788,7 @@ class PathMotion(DrivenMotion):
     def moving_error(self, origin: Origin, q: ArrayLike, distance: float) -> MovingError:
         """As for `DrivenMotion`."""
         along = self.driven_at(distance)
-        if self.along_rows:
+        if self._p == 3:  # the hand may turn as it likes
             return self.error(origin, q, distance), along, 1.0, None
         error, E = self._features.error_and_jacobian(self.goal(origin, distance), q)
         return error, along, 1.0, None if E is None else self.constraint.selection.dot(E)

@@ -92,7 +92,6 @@ class FreeDirection(Task):
         learnt: The constraint.
         constraint: The constrained rows and the driven one.
         unit: Unit of the distance, `"m"` or `"rad"`.
-        along_rows: Whether the rate of the error is known to be that of the rows, E = A(q) (see `Task`).
         counts: 1, or -1 where the caller counts a way as positive that is negative here: as the recordings went.
         way_begins: Time at which the hand was at the mechanism and the way began [s]; None as long as it is not there.
 
@@ -142,7 +141,7 @@ class FreeDirection(Task):
         path = PathMotion(held, shown) if as_shown and shown is not None and not shown.is_way else None
         motion_of = MechanismMotion if isinstance(held.features, MechanismRows) else StraightMotion
         self._motion: DrivenMotion = path or motion_of(held, direction, unit, straight)
-        self.constraint, self.along_rows = self._motion.constraint, self._motion.along_rows
+        self.constraint = self._motion.constraint
         self.unit: Unit = self._motion.unit
         self._n_held = constraint.n_constraints
         self.pause = _number("pause", pause, positive=True) if pause else 0.0

@@ -135,7 +135,7 @@ class PointAttractor(Task):
     def __setattr__(self, name: str, value: object) -> None:
         if name in ("target", "gain", "max_speed", "driven") and getattr(self, "_fixed", False):
             raise TargetError(
-                f"the {name} of a task cannot be changed, a controller may have compiled it: make another task, "
+                f"the {name} of a task cannot be changed, a loop may be running it: make another task, "
                 "loop.set_task(...) or loop.set_target(...)"
             )
         super().__setattr__(name, value)

@@ -3,16 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
-from importlib.util import find_spec
-from types import ModuleType
 from typing import final
 from weakref import WeakKeyDictionary
 
 import numpy as np
-from jaxtyping import Float, Int
+from jaxtyping import Float
 from numpy.typing import ArrayLike
 
-from manip_learn.errors import ConfigurationError, MissingExtraError
 from manip_learn.robot.batch.chain import (
     Chain,
     ChainColumns,
@@ -25,38 +22,14 @@ from manip_learn.robot.batch.chain import (
     write_derivative,
     write_jacobian,
 )
-from manip_learn.robot.batch.postures import checked_postures, in_threads, positions_of
+from manip_learn.robot.batch.postures import checked_postures, in_threads
 from manip_learn.robot.frame import Frame
 from manip_learn.robot.joints import carrying_joints
 from manip_learn.robot.robot import Reference, Robot
 
-COMPILED_FROM = 50_000  # postures: fewer are done in NumPy before numba is even imported
 CHUNK = 1024  # postures: the columns of a 7-joint chain then stay in a second-level cache of 1 MB
 DERIVATIVE_CHUNK = 256  # dJ/dq has as many numbers for each column as the chain has joints
 ALL_ROWS = (0, 1, 2, 3, 4, 5)  # of a twist
-
-
-def kernels(compiled: bool | None, n: int) -> ModuleType | None:
-    """The module of compiled kernels, or None for NumPy.
-
-    Args:
-        compiled: True: always; False: never; None: for large numbers of postures, if numba is installed. That depends
-            on n only, so that a call gives the same last bits whatever ran before it.
-        n: Number of postures.
-
-    Raises:
-        MissingExtraError: True, and numba is not installed.
-    """
-    if compiled is False or (compiled is None and n < COMPILED_FROM):
-        return None
-    if find_spec("numba") is None:
-        if compiled:
-            raise MissingExtraError("compiled kinematics", "fast")
-        return None
-    from manip_learn.robot.batch import compiled_kinematics
-
-    return compiled_kinematics
-
 
 _KNOWN: WeakKeyDictionary[Robot, dict[int, BatchKinematics]] = WeakKeyDictionary()
 
@@ -101,7 +74,6 @@ class BatchKinematics:
         reference: Reference = "world",
         rows: Sequence[int] = ALL_ROWS,
         *,
-        compiled: bool | None = None,
         workers: int | None = 1,
     ) -> Float[np.ndarray, "n p nv"]:
         """Frame Jacobians, linear rows first [m/s, rad/s per unit joint velocity].
@@ -110,14 +82,12 @@ class BatchKinematics:
             q: Postures, one per row: configurations (nq) or joint positions (nv).
             reference: Along the base axes (`"world"`) or the frame's own (`"local"`).
             rows: Which of x y z rx ry rz, as 0 .. 5.
-            compiled: Use the numba kernels (equal to 1e-12); None: where numba is installed and n is large.
             workers: Number of threads; None for one per core. The numbers do not depend on it.
 
         Raises:
             ConfigurationError: Wrong size or not finite; names the first bad row and joint.
-            MissingExtraError: `compiled=True` without numba.
         """
-        return self._tables(q, reference, rows, compiled, workers, derivative=False)[0]
+        return self._tables(q, reference, rows, workers, derivative=False)[0]
 
     def jacobian_and_derivative(
         self,
@@ -125,7 +95,6 @@ class BatchKinematics:
         reference: Reference = "world",
         rows: Sequence[int] = ALL_ROWS,
         *,
-        compiled: bool | None = None,
         workers: int | None = 1,
     ) -> tuple[Float[np.ndarray, "n p nv"], Float[np.ndarray, "n p nv nv"]]:
         """Frame Jacobians J and dJ/dq; entry [n, i, j, k] = d J_ij / d q_k along tangent coordinate k, exact.
@@ -134,9 +103,8 @@ class BatchKinematics:
 
         Raises:
             ConfigurationError: Wrong size or not finite; names the first bad row and joint.
-            MissingExtraError: `compiled=True` without numba.
         """
-        return self._tables(q, reference, rows, compiled, workers, derivative=True)
+        return self._tables(q, reference, rows, workers, derivative=True)
 
     def vjp(
         self,
@@ -174,27 +142,6 @@ class BatchKinematics:
             self._columns.scatter(jacobian_vjp(motion, weights), out[:, part])
         return out.T
 
-    @property
-    def public_columns(self) -> Int[np.ndarray, " j"] | None:
-        """Public column of each joint that carries the frame, base first; None if a mimic joint does, or of a loop."""
-        return self._columns.public if self.fast else None
-
-    def chain_table(self, reference: Reference) -> Float[np.ndarray, "rows 12"]:
-        """The chain as compiled code reads it (needs numba).
-
-        Raises:
-            ConfigurationError: Pinocchio's loop is what serves this frame, there is no chain.
-        """
-        from manip_learn.robot.batch.compiled_kinematics import chain_table
-
-        if self.public_columns is None:
-            raise ConfigurationError(f"frame {self._frame.name!r} of {self._robot.name!r} has no compiled kinematics")
-        return chain_table(self._chain, self.public_columns, reference)
-
-    def walked(self, reference: Reference) -> Chain:
-        """The chain as `chain_table` walks it: seen from the frame for columns along its own axes."""
-        return self._chain if reference == "world" else self._reversed
-
     def pose(self, q: ArrayLike) -> Float[np.ndarray, "n 4 4"]:
         """Homogeneous transforms from the frame to the robot's base [m].
 
@@ -223,23 +170,15 @@ class BatchKinematics:
         q: ArrayLike,
         reference: Reference,
         rows: Sequence[int],
-        compiled: bool | None,
         workers: int | None,
         derivative: bool,
     ) -> tuple[Float[np.ndarray, "n p nv"], Float[np.ndarray, "m p nv nv"]]:
         """J, and dJ/dq, which has no entries unless it is asked for (or comes from Pinocchio's loop)."""
         postures = checked_postures(self._robot, q)
-        numba_kernels = kernels(compiled, len(postures))
         if not self.fast:
             return self._looped(postures, reference, rows)
-        p, n, nv, public = len(rows), len(postures), self._robot.nv, self._columns.public
+        p, n, nv = len(rows), len(postures), self._robot.nv
         n_H = n if derivative else 0
-        if numba_kernels is not None and public is not None:
-            J, H = self._new_table(n, p, nv), self._new_table(n_H, p, nv, nv)
-            table, positions = self.chain_table(reference), positions_of(self._robot, postures)
-            fill = numba_kernels.jacobians
-            in_threads(n, workers, lambda k: fill(table, positions[k], np.array(rows), public, J[k], H[k]))
-            return J, H
         J, H = self._new_table(p, nv, n), self._new_table(p, nv, nv, n_H)
 
         def write(some: slice) -> None:
