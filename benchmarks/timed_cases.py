@@ -139,7 +139,7 @@ def loading() -> Call:
 
 # benchmark -> what is timed -> makes the call
 CASES: dict[str, dict[str, Callable[[], Call]]] = {
-    "control_step": {"python, free": lambda: step(CENTRE)},
+    "control_step": {"python, free": lambda: step(CENTRE), "a rollout of 5 s": five_seconds},
     "states": {
         "python, unreachable target": lambda: step(CENTRE, TARGETS[", unreachable target"]),
         "python, acceleration limits": lambda: step(CENTRE, from_rest=True),
@@ -150,7 +150,6 @@ CASES: dict[str, dict[str, Callable[[], Call]]] = {
         "Jacobians, python": lambda: batch("Jacobians"),
         "mu and gradient, python": lambda: batch("mu and gradient"),
     },
-    "rollout": {"5 s of 1 start": five_seconds},
     "learning": {
         "auto, b = 0": lambda: learning(True),
         "auto, b varies": lambda: learning(False),
