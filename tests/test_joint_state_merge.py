@@ -90,13 +90,13 @@ def test_angles_that_wrap_are_interpolated_the_short_way():
     assert merge([arm, hand], frozenset())[0].q[1, 2] == pytest.approx(0.0)
 
 
-def stream(stamps, received=None, q=None, u=None, *, topic="/arm", names="a b", publisher="") -> JointStates:
-    """Messages of one publisher; positions count the messages unless given."""
+def stream(stamps, received=None, q=None, u=None, *, topic="/arm", names="a b") -> JointStates:
+    """Messages about one list of joints; positions count the messages unless given."""
     stamps, n = np.asarray(stamps, dtype=np.int64), len(stamps)
     received = stamps if received is None else np.asarray(received, dtype=np.int64)
     count = len(names.split())
     q = np.arange(n * count, dtype=float).reshape(n, count) if q is None else np.asarray(q, dtype=float)
-    return JointStates(topic, tuple(names.split()), stamps, q, u, None, received, publisher)
+    return JointStates(topic, tuple(names.split()), stamps, q, u, None, received)
 
 
 CHOSEN = {"a": "/arm", "b": "/arm"}
@@ -135,16 +135,6 @@ def test_a_clock_that_is_a_little_late_is_sorted_and_one_that_was_reset_is_refus
     with pytest.raises(RecordingError, match="goes back by 1 s at message 2") as caught:
         joint_groups([stream(reset, START + np.arange(4) * MS)], CHOSEN)
     assert caught.value.code == "time-order"
-
-
-def test_two_publishers_one_after_the_other_are_one_recording():
-    """A driver that was restarted is one recording; two that speak at the same time about one joint are refused."""
-    morning, noon = every(10, 0, 100), every(10, 101, 200)
-    (one,), _ = joint_groups([stream(morning, publisher="x"), stream(noon, publisher="y")], CHOSEN)
-    assert len(one.stamps) == len(morning) + len(noon)
-    with pytest.raises(RecordingError, match="two programs") as caught:
-        joint_groups([stream(morning, publisher="x"), stream(every(10, 100, 200), publisher="y")], CHOSEN)
-    assert caught.value.code == "two-publishers"
 
 
 def test_a_joint_is_read_from_one_topic():

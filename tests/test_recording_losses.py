@@ -132,7 +132,7 @@ def test_rows_that_are_gone_are_missed(planar3: Robot, tmp_path: Path) -> None:
     _, file = ros2_bag(tmp_path, "sqlite")
     with sqlite3.connect(file) as database:
         database.execute("UPDATE messages SET topic_id = 9 WHERE id = 20")
-    assert "0 messages of no topic are there, its content states 1" in str(refusal(file, planar3))
+    assert "of 200 messages that the bag states 199 are of its topics" in str(refusal(file, planar3))
 
 
 def test_a_killed_recorder_is_noticed(planar3: Robot) -> None:
@@ -164,18 +164,14 @@ def test_a_bag_of_many_chunks_and_topics_is_whole(planar3: Robot) -> None:
             file = bag if bag.is_file() else next(p for p in bag.iterdir() if p.suffix in (".db3", ".mcap"))
             for path in (bag, file):
                 assert load_demonstrations(path, planar3).n_samples == 200
-            if kind == "mcap":
-                assert file.stat().st_size > 2**20 and "of 1 chunks" not in " ".join(
-                    load_demonstrations(file, planar3).notes
-                )
+            assert kind != "mcap" or file.stat().st_size > 2**20
 
 
-def test_chunks_without_a_checksum_are_said_once(planar3: Robot, tmp_path: Path) -> None:
-    """The library's writer stores no checksum of chunks; with one, nothing is said, and a flipped bit is refused."""
+def test_a_checksum_of_a_chunk_is_compared(planar3: Robot, tmp_path: Path) -> None:
+    """The library's writer stores none; with one, a flipped bit is refused."""
     import zlib
 
     _, file = ros2_bag(tmp_path, "mcap")
-    assert "1 of 1 chunks have no checksum" in " ".join(load_demonstrations(file, planar3).notes)
     content = bytearray(file.read_bytes())
     chunk = last_records(bytes(content))[CHUNK]
     (size,), first = struct.unpack_from("<Q", content, chunk + 16), chunk + 40
@@ -257,19 +253,6 @@ def test_an_unsound_database_is_refused(planar3: Robot, tmp_path: Path) -> None:
     assert error.code == "damaged" and "SQLite finds" in str(error)
 
 
-def test_a_record_behind_the_index_of_a_ros1_bag_must_be_whole(planar3: Robot, tmp_path: Path) -> None:
-    """The library reads as far as the index goes; a record that ends after the file was cut all the same."""
-    import test_rosbag_reader as bags
-
-    bag = bags.write_bag(tmp_path / "bag", "ros1", bags.all_in_one())
-    whole = bag.read_bytes()
-    head = struct.pack("<II", 8, 4) + b"op=c"
-    bag.write_bytes(whole + head + struct.pack("<I", 4) + b"1234")
-    assert load_demonstrations(bag, planar3).n_samples == 200
-    bag.write_bytes(whole + head + struct.pack("<I", 4) + b"123")
-    assert f"the record at byte {len(whole)} ends after the file" in str(refusal(bag, planar3))
-
-
 def test_every_fault_of_an_mcap_file_is_refused(planar3: Robot, tmp_path: Path) -> None:
     """What is cut, added, renamed or miscounted in a file that has statistics."""
     pytest.importorskip("rosbags", reason="the extra 'ros' is not installed")
@@ -285,14 +268,13 @@ def test_every_fault_of_an_mcap_file_is_refused(planar3: Robot, tmp_path: Path) 
         return bytes(content)
 
     faults = {
-        "it ends without a footer": good[: chunk - 9] + b"xxxxxxxx",
+        "File end magic is invalid": good[: chunk - 9] + b"xxxxxxxx",
         "the bag cannot be read": good + b"xyz",
-        "claims to unpack to 50,000,001": changed(chunk + 16, "<Q", 50_000_001),
-        "its statistics state 61 messages, by channel 60": changed(statistics, "<Q", 61),
-        "60 messages of /joint_states are there, its content states 59": changed(statistics, "<Q", 59).replace(
+        "of 61 messages that the bag states 60 are of its topics": changed(statistics, "<Q", 61),
+        "60 messages of /joint_states are there, the bag states 59": changed(statistics, "<Q", 59).replace(
             struct.pack("<HQ", 1, 60), struct.pack("<HQ", 1, 59)
         ),
-        "0 messages of channel 7 are there, its content states 60": good.replace(
+        "of 60 messages that the bag states 0 are of its topics": good.replace(
             struct.pack("<HQ", 1, 60), struct.pack("<HQ", 7, 60)
         ),
     }

@@ -187,7 +187,7 @@ class ReadingOptions:
         Option(help="Pattern of the columns, 'position.{joint}' or 'q[{index}]'; given twice: velocities."),
     ] = None
     joint_names: Annotated[str | None, Option(help="Column names, in order, for files without names.")] = None
-    topic: Annotated[list[str] | None, Option(help="Topic of a bag; default: all with joints, and a wrench.")] = None
+    topic: Annotated[list[str] | None, Option(help="Topic of a bag; default: all with joints.")] = None
     rate: Annotated[float | None, Option(help="Samples per second, for files without time stamps.")] = None
     outside_limits: Annotated[str | None, Option(help="Samples far outside the limits: refuse or note.")] = None
     last_line: Annotated[

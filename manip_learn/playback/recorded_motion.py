@@ -60,8 +60,8 @@ class Track:
     """Curves that share an axis.
 
     Attributes:
-        kind: `"singular"`, `"velocity"`, `"position"`, `"task-error"`, `"following-error"`, `"fit"`, `"opening"`,
-            `"effort"`, `"force"` or `"torque"`.
+        kind: `"singular"`, `"velocity"`, `"position"`, `"task-error"`, `"following-error"`, `"fit"`, `"opening"`
+            or `"effort"`.
         curves: At least one.
         unit: Of the values; `"limit"` for shares of a limit or of a range, empty for other shares.
         without: Joints that are not shown, because they have no limits.
@@ -117,16 +117,12 @@ def tracks_of(
 
 
 def _measured(recording: Trajectory, joints: Sequence[str], time: Float[np.ndarray, " T"]) -> list[Track]:
-    """Efforts, each over its largest, since those at the base dwarf the others; and the size of force and torque."""
+    """Efforts, each over its largest, since those at the base dwarf the others."""
     tracks = []
     if recording.effort is not None:
         largest = np.max(np.abs(recording.effort), axis=0)
         shares = recording.effort / np.where(largest > 0.0, largest, 1.0)
         tracks.append(Track("effort", tuple(Curve(n, time, c) for n, c in zip(joints, shares.T, strict=True))))
-    if recording.wrench is not None:
-        for kind, unit, part in (("force", "N", slice(0, 3)), ("torque", "N m", slice(3, 6))):
-            size = np.linalg.norm(recording.wrench[:, part], axis=1)
-            tracks.append(Track(kind, (Curve("", time, size),), unit))
     return tracks
 
 

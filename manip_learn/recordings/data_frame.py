@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any, Protocol, TypeAlias, runtime_checkable
 import numpy as np
 
 from manip_learn.errors import MissingExtraError, RecordingError
-from manip_learn.recordings.format_words import EFFORT_SUFFIX, VELOCITY_SUFFIX, WRENCH_NAMES
+from manip_learn.recordings.format_words import EFFORT_SUFFIX, VELOCITY_SUFFIX
 from manip_learn.recordings.trajectory import Trajectory
 
 TRAJECTORY, TIME = "trajectory", "time"
@@ -69,8 +69,8 @@ def frame_of(trajectories: Sequence[Trajectory]) -> PandasFrame:
         TRAJECTORY: np.repeat([t.name for t in trajectories], [len(t) for t in trajectories]),
         TIME: np.concatenate([t.time for t in trajectories]),
     }
-    for attribute, suffix in (("q", ""), ("u", VELOCITY_SUFFIX), ("effort", EFFORT_SUFFIX), ("wrench", "")):
-        names = WRENCH_NAMES if attribute == "wrench" else [name + suffix for name in joints]
+    for attribute, suffix in (("q", ""), ("u", VELOCITY_SUFFIX), ("effort", EFFORT_SUFFIX)):
+        names = [name + suffix for name in joints]
         arrays = [getattr(t, attribute) for t in trajectories]
         if any(a is not None for a in arrays):
             missing = [np.full((len(t), len(names)), np.nan) for t in trajectories]

@@ -77,8 +77,7 @@ class Demonstrations(Sequence[Trajectory]):
 
         Returns:
             Columns `trajectory` (its name), `time` [s], one per joint [rad or m], and `<joint>_velocity` if any
-            trajectory has velocities (NaN for those that have none), `<joint>_effort` and the wrench, `force_x` to
-            `torque_z` [N and N m], likewise.
+            trajectory has velocities (NaN for those that have none), `<joint>_effort` likewise.
 
         Raises:
             RecordingError: Postures that are no joint positions (nq differs from nv) have no column names.

@@ -32,7 +32,7 @@ from manip_learn.recordings.validation.validate import validate
 from manip_learn.robot import Robot
 
 # of an NPZ archive; `time` is a column of any recording
-ARRAYS = ("time", "q", "u", "effort", "wrench", "joint_names", "format")
+ARRAYS = ("time", "q", "u", "effort", "joint_names", "format")
 SUFFIXES = (VELOCITY_SUFFIX, *SURPLUS_SUFFIXES, ".pos", ".vel")
 POSE_SUFFIXES = (".x", ".y", ".z", *ROTATION_VECTOR, *QUATERNION)
 
@@ -54,7 +54,7 @@ class ReadOptions(TypedDict, total=False):
             an index counts the robot's joints from 0 or 1; or two, the second of velocities. All other columns are
             left out, with a note. Not given: columns are called as the joints, or contain their names in one way only.
         joint_names: Names of the columns, in order, for files that have none (robomimic, some LeRobot data).
-        topics: Topics of a bag; not given: all JointState topics that carry joints of the robot, and that of a wrench.
+        topics: Topics of a bag; not given: all JointState topics that carry joints of the robot.
         rate: Samples per second, for files that have no time stamps [Hz].
         outside_limits: `"refuse"` (the default) or `"note"` positions far outside the joint limits.
         last_line: `"drop"` (the default, with a note) or `"keep"` the last line of a text table if it has no line end:

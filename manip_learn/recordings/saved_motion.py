@@ -14,7 +14,7 @@ import numpy as np
 from jaxtyping import Float
 
 from manip_learn.errors import counted
-from manip_learn.recordings.format_words import EFFORT_SUFFIX, VELOCITY_SUFFIX, WRENCH_NAMES
+from manip_learn.recordings.format_words import EFFORT_SUFFIX, VELOCITY_SUFFIX
 from manip_learn.recordings.readers.recording import refusal
 from manip_learn.recordings.trajectory import Trajectory
 from manip_learn.robot import Robot
@@ -22,7 +22,7 @@ from manip_learn.robot.identity import RobotIdentity, names_from
 
 Kind = Literal["rollout", "recording"]
 PREFIX = "manip_learn."
-CURVES = ("u", "effort", "wrench", "manipulability", "task_error", "following_error")  # what a motion may have beside q
+CURVES = ("u", "effort", "manipulability", "task_error", "following_error")  # what a motion may have beside q
 SCHEMA = 2
 UNKNOWN_ROBOT = (
     "the file does not say which robot and which locked joints it was made with: only the names of the joints were "
@@ -145,7 +145,6 @@ class SavedMotion:
         following_error: shape (T,), of rollouts for which it is known; else None.
         name: What messages call it.
         effort: shape (T, nv), of recordings; None if it is not known [N m or N].
-        wrench: shape (T, 6), of recordings; None if it is not known [N and N m].
     """
 
     header: FileHeader
@@ -158,7 +157,6 @@ class SavedMotion:
     name: str = "motion"
     following_error: Float[np.ndarray, " T"] | None = None
     effort: Float[np.ndarray, "T nv"] | None = None
-    wrench: Float[np.ndarray, "T 6"] | None = None
 
 
 def column_groups(header: FileHeader, beside: Collection[str]) -> dict[str, list[str]]:
@@ -167,7 +165,6 @@ def column_groups(header: FileHeader, beside: Collection[str]) -> dict[str, list
     postures = joints if header.nq in (None, len(joints)) else [f"q[{i}]" for i in range(header.nq or 0)]
     groups = {"time": ["time"], "q": postures}
     possible = {"u": [name + VELOCITY_SUFFIX for name in joints], "effort": [name + EFFORT_SUFFIX for name in joints]}
-    possible["wrench"] = list(WRENCH_NAMES)
     groups |= {name: columns for name, columns in possible.items() if name in beside}
     if header.kind == "rollout":
         curves = ("manipulability", "task_error", *(("following_error",) if header.follows else ()), "status")
@@ -214,8 +211,8 @@ def checked_motion(path: Path, motion: SavedMotion) -> SavedMotion:
         needed |= {"following_error": (motion.following_error, (rows,))}
     if header.kind == "recording":
         needed = {"q": needed["q"]} | ({} if motion.u is None else {"u": needed["u"]})
-    measured = {"effort": (motion.effort, (rows, nv)), "wrench": (motion.wrench, (rows, 6))}
-    needed |= {name: pair for name, pair in measured.items() if pair[0] is not None}
+    if motion.effort is not None:
+        needed |= {"effort": (motion.effort, (rows, nv))}
     for name, (array, shape) in needed.items():
         if array is None or array.shape != shape:
             there = "is missing" if array is None else f"has shape {array.shape}"

@@ -10,7 +10,7 @@ from jaxtyping import Float
 
 from manip_learn.errors import RecordingError, counted, printable
 
-BESIDE = ("u", "effort", "wrench")  # what a trajectory may have beside its positions
+BESIDE = ("u", "effort")  # what a trajectory may have beside its positions
 
 
 @final
@@ -27,10 +27,6 @@ class Trajectory:
         name: Where it came from, for messages.
         effort: shape (T, nv), what the motors exert, gravity and friction included [N m or N], by keyword; None if it
             was not recorded. Nothing is learnt from it.
-        wrench: shape (T, 6), forces x y z [N] and torques x y z [N m] that a force-torque sensor at the hand measured,
-            by keyword; None if it was not recorded. Axes and origin are those of the sensor as the recording has
-            them: files do not say where it sits on the hand, whether the tool's weight has been taken off, or which
-            of hand and world pushes, and some robots give the axes of their base instead. Nothing is learnt from it.
 
     Raises:
         RecordingError: Shapes that do not fit, fewer than one row, time that does not increase, NaN or infinity.
@@ -51,7 +47,6 @@ class Trajectory:
     joint_names: tuple[str, ...] = ()
     name: str = field(default="trajectory")
     effort: Float[np.ndarray, "T nv"] | None = field(default=None, kw_only=True)
-    wrench: Float[np.ndarray, "T 6"] | None = field(default=None, kw_only=True)
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "joint_names", tuple(self.joint_names))
@@ -102,10 +97,9 @@ class Trajectory:
             text = f"{self.name}: q must have shape ({T}, {nv}): {T} times and {nv} joint names; got {self.q.shape}"
             raise RecordingError(text, code="shape")
         for what, array in self.beside.items():
-            width = 6 if what == "wrench" else nv
-            if array.shape != (T, width):
+            if array.shape != (T, nv):
                 raise RecordingError(
-                    f"{self.name}: {what} must have shape ({T}, {width}), got {array.shape}", code="shape"
+                    f"{self.name}: {what} must have shape ({T}, {nv}), got {array.shape}", code="shape"
                 )
 
     def __reduce__(self):
@@ -118,13 +112,13 @@ class Trajectory:
     def __repr__(self) -> str:
         joints = len(self.joint_names) or (self.q if self.u is None else self.u).shape[1]
         velocities = "without" if self.u is None else "with"
-        also = ("" if self.effort is None else " and efforts") + ("" if self.wrench is None else " and a wrench")
+        also = "" if self.effort is None else " and efforts"
         amount = f"{counted(len(self), 'sample')} over {self.duration:.4g} s"
         return f"Trajectory({self.name!r}: {amount}, {counted(joints, 'joint')}, {velocities} velocities{also})"
 
     @property
     def beside(self) -> dict[str, Any]:
-        """The arrays beside the positions, by their names: of `u`, `effort` and `wrench` those that are there."""
+        """The arrays beside the positions, by their names: of `u` and `effort` those that are there."""
         return {name: array for name in BESIDE if (array := getattr(self, name)) is not None}
 
     @property

@@ -245,7 +245,7 @@ def _manifold_midpoints(trajectory: Trajectory, robot: Robot) -> Trajectory:
 
 
 def _measured(trajectory: Trajectory, cut: Callable[[np.ndarray], np.ndarray]) -> dict[str, np.ndarray]:
-    """Efforts and wrench, those that are there, at the samples for which velocities are derived."""
+    """Efforts, where they were recorded, at the samples for which velocities are derived."""
     return {what: cut(array) for what, array in trajectory.beside.items() if what != "u"}
 
 

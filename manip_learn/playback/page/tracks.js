@@ -8,8 +8,6 @@ const TRACKS = {
   "task-error": { title: "Distance to the target, constrained rows", of: "all", low: 0, log: true },
   "following-error": { title: "Following error", of: "all", low: 0, log: true },
   effort: { title: "Joint efforts over their largest", of: "one", low: -1, high: 1, percent: true },
-  force: { title: "Force at the hand", of: "all", low: 0 },
-  torque: { title: "Torque at the hand", of: "all", low: 0 },
   fit: { title: "Motion that breaks the constraint", of: "all", low: 0, percent: true, least: 0.1 },
 };
 const TRACK_HEIGHT = 104, MOST_TOGETHER = 8, SERIES = 8;

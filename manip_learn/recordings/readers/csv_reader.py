@@ -16,13 +16,7 @@ import numpy as np
 from jaxtyping import Float
 
 from manip_learn.errors import RecordingError, advice, closest_names
-from manip_learn.recordings.format_words import (
-    EFFORT_SUFFIX,
-    VELOCITY_SUFFIX,
-    WRENCH_NAMES,
-    effort_joint,
-    wrench_columns,
-)
+from manip_learn.recordings.format_words import EFFORT_SUFFIX, VELOCITY_SUFFIX, effort_joint
 from manip_learn.recordings.readers.column_patterns import (
     Found,
     PatternError,
@@ -215,7 +209,6 @@ class Columns:
         unit: Unit of the stamps where their name says it.
         strict: Whether a name that is no joint's is a mistake.
         notes: What the caller should know.
-        wrench: Six columns, forces before torques, or none.
     """
 
     names: tuple[str | None, ...]
@@ -223,7 +216,6 @@ class Columns:
     unit: str | None
     strict: bool
     notes: tuple[str, ...]
-    wrench: tuple[int, ...] = ()
 
     @property
     def used(self) -> list[int]:
@@ -247,22 +239,18 @@ def columns_of(path: Path, dialect: CsvDialect, request: ReadRequest) -> Columns
         raise _no_time(path, dialect, names, time.choices)
     for i in time.columns:
         names[i] = "time"
-    joints = {*request.robot.joint_names, *unmoved_joint_names(request.robot)}
     left_out = [i for i in time.others if request.columns or names[i] not in request.robot.joint_names]
     left_out += [i for i, n in enumerate(names) if n is not None and BOOKKEEPING.fullmatch(n)]
     if names and names[0] == "":  # a first column without a name that counts the rows, as pandas writes it
         first = [row[:1] for row in itertools.islice(_rows(path, dialect), 3)]
         left_out += [0] if len(first) > 1 and first in ([["0"], ["1"]], [["0"], ["1"], ["2"]]) else []
-    wrench, said = wrench_columns([None if i in left_out or n in joints else n for i, n in enumerate(names)])
-    notes = [note for note in (time.note, said) if note]
-    for i, name in zip(wrench, WRENCH_NAMES, strict=False):
-        names[i] = name
+    notes = [time.note] if time.note else []
     found = _joint_columns(path, dialect, names, request)
     if found is not None:
         kinds = (found.positions, ""), (found.velocities, VELOCITY_SUFFIX), (found.efforts, EFFORT_SUFFIX)
         meant = {i: joint + suffix for columns, suffix in kinds for i, joint in columns.items()}
         names = [meant.get(i, name) for i, name in enumerate(names)]
-        kept = {*meant, *time.columns, *wrench}
+        kept = {*meant, *time.columns}
         left_out = [i for i, n in enumerate(names) if n is not None and i not in kept]
         notes += [found.note] if found.note else []
     for i in set(left_out):
@@ -280,7 +268,7 @@ def columns_of(path: Path, dialect: CsvDialect, request: ReadRequest) -> Columns
         if name in seen:
             raise _header_error(path, dialect, "duplicate-column", f"two columns are called {name!r}: keep one")
         seen.add(name)
-    return Columns(tuple(names), time.columns, time.unit, found is None, tuple(notes), wrench)
+    return Columns(tuple(names), time.columns, time.unit, found is None, tuple(notes))
 
 
 def _joint_columns(path: Path, dialect: CsvDialect, names: list[str | None], request: ReadRequest) -> Found | None:
@@ -352,8 +340,7 @@ def _recording(
     velocity = {n: _base_name(n, (VELOCITY_SUFFIX,), own) for n in kept}
     v = [i for i, n in enumerate(kept) if velocity[n] and n not in surplus]
     e = [i for i, n in enumerate(kept) if effort[n] and n not in surplus]
-    known = {*columns.time, *columns.wrench}
-    beside = {*v, *e, *(i for i, n in enumerate(kept) if n in surplus or used[i] in known)}
+    beside = {*v, *e, *(i for i, n in enumerate(kept) if n in surplus or used[i] in columns.time)}
     p = [i for i in range(len(kept)) if i not in beside]
     time, *rest = (table[:, used.index(i)] for i in columns.time)
     # the unit is known by the name, unless the caller says another one
@@ -370,7 +357,6 @@ def _recording(
         velocities=table[:, v] if v else None,
         effort_names=tuple(str(effort[kept[i]]) for i in e),
         efforts=table[:, e] if e else None,
-        wrench=table[:, [used.index(i) for i in columns.wrench]] if columns.wrench else None,
         strict_columns=columns.strict,
         in_seconds=in_seconds,
         line_of=partial(_line_of, path, dialect),

@@ -4,14 +4,13 @@ from __future__ import annotations
 
 import json
 import re
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Literal, final
 
 from manip_learn.errors import DAMAGE, MissingExtraError, UnknownNameError, advice, closest_names, counted
-from manip_learn.recordings.format_words import several_wrenches, wrench_columns, wrench_sets
 from manip_learn.recordings.readers.limits import (
     FEWEST_SAMPLE_BYTES,
     LARGEST_EPISODES,
@@ -24,7 +23,6 @@ from manip_learn.recordings.readers.read_request import first_names
 from manip_learn.recordings.readers.recording import natural_order, reason, refusal
 
 STATE, VELOCITY, EFFORT = "observation.state", "observation.velocity", "observation.effort"
-WRENCH = "observation.wrench"
 # names that data sets give to joint positions: joint_position (DROID), joint_pos, joint_positions, qpos
 POSITIONS = re.compile(r"(joint_?pos(ition)?s?|qpos)$", re.IGNORECASE)
 VELOCITY_WORDS = (("position", "velocity"), ("pos", "vel"))
@@ -219,35 +217,6 @@ def _beside(position: str, vectors: Sequence[str]) -> tuple[str, str]:
 
     effort = next((name for name in EFFORTS if name in vectors), EFFORT)
     return exchanged(VELOCITY_WORDS, VELOCITY), exchanged(EFFORT_WORDS, effort)
-
-
-def wrench_feature(
-    features: Mapping[str, Any] | None, ignores: Callable[[str], bool]
-) -> tuple[tuple[str, ...], tuple[int, ...], str]:
-    """Where a data set keeps the wrench of a sensor at the hand: `observation.wrench`, or the only one of a known name.
-
-    Args:
-        features: What `meta/info.json` says of each feature; None of a single file without it.
-        ignores: Whether a feature is not to be read.
-
-    Returns:
-        One feature with six entries, or two with forces and torques, none if there is none; the order of the entries,
-        so that forces x y z and torques x y z come out; and why none is used though there are some, else empty.
-    """
-    in_order = tuple(range(6))
-    if features is None:
-        return (WRENCH,), in_order, ""
-    width = {name: feature["shape"][0] for name, feature in features.items() if _is_vector(feature)}
-    found = [names for names in wrench_sets(width) if not any(map(ignores, names))]
-    usual = [names for names in found if names == (WRENCH,)] or found
-    if len(usual) > 1:
-        one = usual[0][0]
-        flag = advice(" ({} leaves one out)", f"ignore_columns=[{one!r}]", f"--ignore-column {one}")
-        return (), in_order, several_wrenches(map(" and ".join, usual)) + flag
-    if not usual:
-        return (), in_order, ""
-    entries = entry_names(features[usual[0][0]].get("names")) if len(usual[0]) == 1 else None
-    return usual[0], wrench_columns(entries or ())[0] or in_order, ""
 
 
 def entry_names(names: Any) -> tuple[str, ...] | None:

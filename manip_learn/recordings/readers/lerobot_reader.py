@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 
 from manip_learn.errors import MissingExtraError, advice, counted
-from manip_learn.recordings.format_words import DATASET_HEADER, wrench_columns
+from manip_learn.recordings.format_words import DATASET_HEADER
 from manip_learn.recordings.readers.lerobot_dataset import (
     LeRobotDataset,
     StateFeature,
@@ -21,7 +21,6 @@ from manip_learn.recordings.readers.lerobot_dataset import (
     open_dataset,
     opened_parquet,
     state_feature,
-    wrench_feature,
 )
 from manip_learn.recordings.readers.limits import check_columns
 from manip_learn.recordings.readers.read_request import ReadRequest
@@ -37,9 +36,8 @@ STAMPS = ("timestamp", "frame_index", "episode_index")
 EFFORT_ENDS = (".torque", ".effort")  # of entries of the state, as motors that measure it are named beside `.pos`
 GRIPPER = "gripper"  # always 0 .. 100 in LeRobot, whatever the unit of the other motors
 
-# number of an episode, and its samples: `time`, `state`, and `velocity`, `effort` and `wrench` where they were recorded
+# number of an episode, and its samples: `time`, `state`, and `velocity` and `effort` where they were recorded
 Episode = tuple[int, dict[str, np.ndarray]]
-Wrench = tuple[tuple[str, ...], tuple[int, ...]]  # features of a wrench, and the order of their entries
 
 
 def read(path: Path, request: ReadRequest) -> Iterator[Recording]:
@@ -53,16 +51,15 @@ def read(path: Path, request: ReadRequest) -> Iterator[Recording]:
     if is_ours:  # in radians; its robot has been checked
         request = replace(request, units=request.units or "radians")
     feature = state_feature(dataset.root, dataset.features, request.feature)
-    at_hand, order, note = wrench_feature(dataset.features, request.ignores)
     request.uses.use("feature")
-    said = [note] if note else []
+    said: tuple[str, ...] = ()
     if feature.others:
         how = advice(" ({} reads it)", f"feature={feature.others[0]!r}", f"--feature {feature.others[0]}")
         text = f"read from {feature.position}; also like joint positions, not used: {', '.join(feature.others)}{how}"
-        said.insert(0, text)
+        said = (text,)
     names: tuple[str, ...] | None = None
     numbers, frames = set(), 0
-    for number, columns in _episodes(dataset, feature, (at_hand, order), request):
+    for number, columns in _episodes(dataset, feature, request):
         numbers.add(number)
         frames += len(columns["state"])
         if names is None:
@@ -79,7 +76,7 @@ def _recording(
     dataset: LeRobotDataset, request: ReadRequest, names: tuple[str, ...], number: int, columns: dict[str, np.ndarray]
 ) -> Recording:
     state = columns["state"]
-    position, velocity, effort, wrench = _kinds(names)
+    position, velocity, effort = _kinds(names)
     position_names = tuple(_joint_name(names[i], request) for i in position)
     positions, notes = _gripper(state[:, position], position_names, request)
     if any(names[i] != n for i, n in zip(position, position_names, strict=True)):
@@ -101,20 +98,17 @@ def _recording(
         velocities=velocities,
         effort_names=() if efforts is None else effort_names,
         efforts=efforts,
-        wrench=state[:, wrench] if wrench else columns.get("wrench"),
         strict_columns=False,
         in_seconds=True,
         notes=tuple(notes),
     )
 
 
-def _kinds(names: tuple[str, ...]) -> tuple[list[int], list[int], list[int], list[int]]:
-    """Entries of the state that are positions, velocities, efforts and the six of a wrench."""
-    wrench = list(wrench_columns(names)[0])
+def _kinds(names: tuple[str, ...]) -> tuple[list[int], list[int], list[int]]:
+    """Entries of the state that are positions, velocities and efforts."""
     velocity = [i for i, n in enumerate(names) if n.endswith(".vel")]
     effort = [i for i, n in enumerate(names) if n.endswith(EFFORT_ENDS)]
-    beside = {*wrench, *velocity, *effort}
-    return [i for i in range(len(names)) if i not in beside], velocity, effort, wrench
+    return [i for i in range(len(names)) if i not in {*velocity, *effort}], velocity, effort
 
 
 def _joint_name(name: str, request: ReadRequest) -> str:
@@ -175,16 +169,14 @@ def _refuse_unknown_units(
     )
 
 
-def _episodes(
-    dataset: LeRobotDataset, feature: StateFeature, wrench: Wrench, request: ReadRequest
-) -> Iterator[Episode]:
+def _episodes(dataset: LeRobotDataset, feature: StateFeature, request: ReadRequest) -> Iterator[Episode]:
     """Episodes of all files, or the chosen ones; one may go on in the next batch or file."""
     chosen, number, open_parts = request.chosen, -1, []
     for file in dataset.files:
         own = episode_number(file)
         if chosen is not None and own is not None and own not in chosen:
             continue
-        for next_number, columns in _parts(file, dataset, feature, wrench, request):
+        for next_number, columns in _parts(file, dataset, feature, request):
             if chosen is not None and next_number not in chosen:
                 continue
             if open_parts and next_number != number:
@@ -201,9 +193,7 @@ def _joined(parts: list[dict[str, np.ndarray]]) -> dict[str, np.ndarray]:
     return {name: np.concatenate([part[name] for part in parts]) for name in common}
 
 
-def _parts(
-    file: Path, dataset: LeRobotDataset, feature: StateFeature, wrench: Wrench, request: ReadRequest
-) -> Iterator[Episode]:
+def _parts(file: Path, dataset: LeRobotDataset, feature: StateFeature, request: ReadRequest) -> Iterator[Episode]:
     """Runs of samples with the same episode number, batch by batch; only the needed columns are read."""
     with opened_parquet(file) as parquet:
         there = parquet.schema_arrow.names
@@ -212,15 +202,11 @@ def _parts(
                 file, "no-state", f"there is no column {feature.position!r}, there is {', '.join(there[:12])}"
             )
         named = {"state": feature.position, "velocity": feature.velocity, "effort": feature.effort}
-        at_hand, order = wrench
-        known = dict.fromkeys((*named.values(), *at_hand, *STAMPS))
+        known = dict.fromkeys((*named.values(), *STAMPS))
         stated, found = parquet.metadata.num_rows, 0
         for batch in parquet.iter_batches(batch_size=BATCH, columns=[c for c in known if c in there]):
             found += batch.num_rows
             columns = {name: _matrix(file, batch, column) for name, column in named.items() if column in there}
-            if at_hand and all(name in there for name in at_hand):
-                both = np.hstack([_matrix(file, batch, name) for name in at_hand])
-                columns |= {"wrench": both[:, order]} if both.shape[1] == len(order) else {}
             rate = request.rate or dataset.fps
             if "timestamp" in there:
                 columns["time"] = _numbers(file, batch, "timestamp")

@@ -18,7 +18,7 @@ from manip_learn.recordings.readers.read_request import ReadRequest
 from manip_learn.recordings.readers.recording import Recording, float_array, reason, refusal
 from manip_learn.recordings.saved_motion import joint_positions
 
-NUMBERS = ("time", "q", "u", "effort", "wrench")
+NUMBERS = ("time", "q", "u", "effort")
 
 
 def read(path: Path, request: ReadRequest) -> Iterator[Recording]:
@@ -38,8 +38,8 @@ def read(path: Path, request: ReadRequest) -> Iterator[Recording]:
             notes.append(f"{name} is stored as {stored[name].dtype.str}, read as float64")
     names = _joint_names(path, stored, request)
     q = joint_positions(path, arrays["q"], names, request.robot)
-    also = {"wrench": arrays.get("wrench"), "notes": tuple(notes)}
-    yield Recording.of(path, path.name, arrays["time"], names, q, arrays.get("u"), arrays.get("effort"), **also)
+    u, effort = arrays.get("u"), arrays.get("effort")
+    yield Recording.of(path, path.name, arrays["time"], names, q, u, effort, notes=tuple(notes))
 
 
 def stored_arrays(
@@ -151,15 +151,13 @@ def _check_shapes(path: Path, arrays: dict[str, np.ndarray], ignored: list[str])
     time, q = shapes["time"], shapes["q"]
     if len(time) != 1 or len(q) != 2 or q[0] != time[0]:
         raise refusal(path, "shape", f"time must have shape (T,) and q (T, n); they have {time} and {q}")
-    for name in ("u", "effort", "wrench"):
+    for name in ("u", "effort"):
         shape = shapes.get(name, q)
         if len(shape) != 2 or shape[0] != time[0]:
             said = f"{name} must have shape ({time[0]}, n), it has {shape}: one row per time stamp"
             raise refusal(path, "shape", said)
     if "effort" in shapes and shapes["effort"] != shapes.get("u", q):
         raise refusal(path, "shape", f"effort has shape {shapes['effort']}: one column per joint is needed")
-    if "wrench" in shapes and shapes["wrench"][1] != 6:
-        raise refusal(path, "shape", f"wrench has shape {shapes['wrench']}: three forces and torques are needed")
 
 
 def _joint_names(path: Path, arrays: dict[str, np.ndarray], request: ReadRequest) -> tuple[str, ...]:

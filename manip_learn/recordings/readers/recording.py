@@ -39,7 +39,6 @@ class Recording:
         notes: What the reader noticed or did.
         effort_names: One joint name per column of `efforts`.
         efforts: shape (T, e) [N m or N], or None.
-        wrench: shape (T, 6), forces [N] and torques [N m], or None.
     """
 
     path: Path
@@ -56,7 +55,6 @@ class Recording:
     notes: tuple[str, ...] = ()
     effort_names: tuple[str, ...] = ()
     efforts: Float[np.ndarray, "T e"] | None = None
-    wrench: Float[np.ndarray, "T 6"] | None = None
 
     @staticmethod
     def of(

@@ -14,7 +14,6 @@ from typing import Any
 import numpy as np
 
 from manip_learn.errors import DAMAGE, MissingExtraError, advice
-from manip_learn.recordings.format_words import several_wrenches, wrench_sets
 from manip_learn.recordings.readers.limits import LARGEST_ARRAYS, bomb, check_columns, most_bytes
 from manip_learn.recordings.readers.read_request import ReadRequest
 from manip_learn.recordings.readers.recording import Recording, float_array, natural_order, reason, refusal
@@ -24,8 +23,7 @@ try:
 except ImportError as error:
     raise MissingExtraError("reading robomimic data", "robomimic") from error
 
-ARM = "robot0_"
-POSITION, VELOCITY = ARM + "joint_pos", ARM + "joint_vel"
+POSITION, VELOCITY = "robot0_joint_pos", "robot0_joint_vel"
 EFFORTS = ("robot0_joint_effort", "robot0_joint_torque", "robot0_joint_torques")
 
 
@@ -79,20 +77,8 @@ def _recording(path: Path, data: Any, name: str, names: tuple[str, ...], rate: f
             raise refusal(
                 path, "shape", f"{name}: velocities have shape {velocities.shape}, positions {positions.shape}"
             )
-    wrench, more = _wrench(path, obs, len(positions))
-    time, known = np.arange(positions.shape[0]) / rate, {"strict_columns": False, "in_seconds": True, "wrench": wrench}
-    notes = (note, *more)
-    return Recording.of(path, f"{path.name} {name}", time, names, positions, velocities, efforts, notes=notes, **known)
-
-
-def _wrench(path: Path, obs: Any, n_samples: int) -> tuple[np.ndarray | None, list[str]]:
-    """Forces and torques of the arm's hand, as robosuite observes them; None and a note where there are several."""
-    stored = [n for n in obs if n.startswith(ARM) and isinstance(obs.get(n, getlink=True), h5py.HardLink)]
-    shapes = {n: obs[n].shape for n in stored if isinstance(obs[n], h5py.Dataset)}
-    found = wrench_sets({n: shape[1] for n, shape in shapes.items() if len(shape) == 2 and shape[0] == n_samples})
-    if len(found) != 1:
-        return None, [several_wrenches(map(" and ".join, found))] if found else []
-    return np.hstack([_matrix(path, obs[n], f"{obs.name}/{n}") for n in found[0]]), []
+    time, known = np.arange(positions.shape[0]) / rate, {"strict_columns": False, "in_seconds": True, "notes": (note,)}
+    return Recording.of(path, f"{path.name} {name}", time, names, positions, velocities, efforts, **known)
 
 
 def _refuse_lost(path: Path, where: str, found: int, what: str, group: Any, attribute: str) -> None:

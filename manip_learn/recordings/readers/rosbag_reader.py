@@ -1,4 +1,4 @@
-"""ROS bags: the joint states and wrenches of their topics -> one table of the robot's joints."""
+"""ROS bags: the joint states of their topics -> one table of the robot's joints."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ import numpy as np
 from jaxtyping import Bool, Float, Int
 
 from manip_learn.errors import RecordingError, advice, closest_names, counted
-from manip_learn.recordings.format_words import JOINT_STATE, STAMPED_WRENCH, WRENCH, several_wrenches
+from manip_learn.recordings.format_words import JOINT_STATE
 from manip_learn.recordings.readers.bag_file import BagFile, open_bag
 from manip_learn.recordings.readers.limits import MOST_NAME_LISTS, check_columns
 from manip_learn.recordings.readers.read_request import ReadRequest
@@ -31,13 +31,7 @@ def read(path: Path, request: ReadRequest) -> Iterator[Recording]:
             joints that no topic has.
     """
     with open_bag(path) as bag:
-        topics, wrench_topics = _topics(bag, request)
-        several = len(wrench_topics) > 1
-        streams, wrenches, said = _streams(bag, topics if several else topics + wrench_topics)
-    notes = [*bag.notes, *said]
-    if several:
-        flag = advice(": say which one with {}", f"topics=[{wrench_topics[0]!r}]", f"--topic {wrench_topics[0]}")
-        notes.append(several_wrenches(wrench_topics) + flag)
+        streams, notes = _streams(bag, _topics(bag, request))
     streams = [replace(s, names=tuple(map(request.renamed, s.names))) for s in streams]
     joints = request.robot.joint_names
     try:
@@ -61,22 +55,20 @@ def read(path: Path, request: ReadRequest) -> Iterator[Recording]:
     if surplus:
         notes.append(f"also recorded, not moved by the robot as loaded, not used: {', '.join(surplus)}")
     time = (merged.stamps - merged.stamps[0]).astype(np.float64) * 1e-9
-    wrench, said = _wrench_at(merged.stamps, wrenches)
-    known = {"strict_columns": False, "in_seconds": True, "notes": (*notes, *said), "wrench": wrench}
+    known = {"strict_columns": False, "in_seconds": True, "notes": tuple(notes)}
     yield Recording.of(path, path.name, time, merged.names, merged.q, merged.u, merged.effort, **known)
 
 
-def _topics(bag: BagFile, request: ReadRequest) -> tuple[tuple[str, ...], tuple[str, ...]]:
-    """Topics of joint states and of wrenches: those that were asked for; of a kind of which none was, all."""
-    joint_topics, wrench_topics = bag.of_kind(JOINT_STATE), bag.of_kind(WRENCH, STAMPED_WRENCH)
-    if not joint_topics:
+def _topics(bag: BagFile, request: ReadRequest) -> tuple[str, ...]:
+    """Topics of joint states: those that were asked for, else all."""
+    possible = tuple(topic for topic, kind in bag.topics.items() if kind == JOINT_STATE)
+    if not possible:
         there = ", ".join(f"{t} ({k})" for t, k in list(bag.topics.items())[:8]) or "no topics"
         raise refusal(
             bag.path, "no-joint-states", f"there is no {JOINT_STATE} in this bag, it has {there}: record /joint_states"
         )
     if request.topics is None:
-        return joint_topics, wrench_topics
-    possible = (*joint_topics, *wrench_topics)
+        return possible
     for topic in request.topics:
         if topic not in possible:
             near = closest_names(topic, possible) or list(possible)
@@ -84,14 +76,13 @@ def _topics(bag: BagFile, request: ReadRequest) -> tuple[tuple[str, ...], tuple[
                 bag.path, "unknown-topic", f"there is no {JOINT_STATE} topic {topic!r}; there is {', '.join(near)}"
             )
     request.uses.use("topics")
-    joints, wrenches = (tuple(t for t in request.topics if t in of) for of in (joint_topics, wrench_topics))
-    return joints or joint_topics, wrenches or wrench_topics
+    return request.topics
 
 
 @final
 @dataclass(frozen=True, eq=False)
 class JointStates:
-    """The messages of one publisher about one list of joints, or what was made of several of these.
+    """The messages of one topic about one list of joints, or what was made of several of these.
 
     Attributes:
         topic: Topic.
@@ -101,7 +92,6 @@ class JointStates:
         u: shape (T, n), or None if any message has none.
         effort: shape (T, n), likewise.
         received: shape (T,), stamps of the recorder [ns]; of messages as they were read.
-        publisher: Who published them, as far as the format says; else empty.
     """
 
     topic: str
@@ -111,46 +101,31 @@ class JointStates:
     u: Float[np.ndarray, "T n"] | None
     effort: Float[np.ndarray, "T n"] | None = None
     received: Int[np.ndarray, " T"] = field(default_factory=lambda: np.empty(0, dtype=np.int64))
-    publisher: str = ""
 
 
-# topic; stamps of the header, else of the recorder, increasing (T,) [ns]; forces [N] and torques [N m] (T, 6)
-WrenchStream = tuple[str, np.ndarray, np.ndarray]
-
-
-def _streams(bag: BagFile, topics: tuple[str, ...]) -> tuple[list[JointStates], list[WrenchStream], list[str]]:
-    """All streams of some topics, those of wrenches apart, and what was left out.
+def _streams(bag: BagFile, topics: tuple[str, ...]) -> tuple[list[JointStates], list[str]]:
+    """All streams of some topics, and what was left out.
 
     Raises:
         RecordingError: The joints named in a topic change all the time, or messages are lost.
     """
-    # header stamps, recorder's stamps and numbers, as they grow: positions, velocities and efforts, or a wrench
-    joints: dict[tuple[str, str, tuple[str, ...]], tuple[array, ...]] = {}
-    wrenches: dict[str, tuple[array, ...]] = {}
+    # header stamps, recorder's stamps, positions, velocities and efforts, as they grow
+    joints: dict[tuple[str, tuple[str, ...]], tuple[array, ...]] = {}
     without_positions: Counter[str] = Counter()
-    for topic, kind, publisher, received, message in bag.messages(topics):
-        stamp = 0
-        if kind != WRENCH:
-            stamp = message.header.stamp.sec * 1_000_000_000 + message.header.stamp.nanosec
-        if kind != JOINT_STATE:
-            wrench = message if kind == WRENCH else message.wrench
-            stamps, values = wrenches.setdefault(topic, (array("q"), array("d")))
-            stamps.append(stamp or received)
-            values.extend(getattr(vector, axis) for vector in (wrench.force, wrench.torque) for axis in "xyz")
-            continue
+    for topic, received, message in bag.messages(topics):
         names = tuple(message.name)
         if not names or len(message.position) != len(names):
             without_positions[topic] += 1
             continue
-        stream = joints.get((topic, publisher, names))
+        stream = joints.get((topic, names))
         if stream is None:
             check_columns(bag.path, f"a message of {topic}", len(names))
             if (known := sum(key[0] == topic for key in joints)) >= MOST_NAME_LISTS:
                 text = f"the joints named in {topic} change all the time ({known} lists)"
                 text += advice(": choose another topic with {}", "topics=[...]", "--topic NAME")
                 raise refusal(bag.path, "unsteady-names", text)
-            stream = joints[topic, publisher, names] = (array("q"), array("q"), array("d"), array("d"), array("d"))
-        stream[0].append(stamp)
+            stream = joints[topic, names] = (array("q"), array("q"), array("d"), array("d"), array("d"))
+        stream[0].append(message.header.stamp.sec * 1_000_000_000 + message.header.stamp.nanosec)
         stream[1].append(received)
         for values, numbers in zip(stream[2:], (message.position, message.velocity, message.effort), strict=True):
             if len(numbers) == len(names):
@@ -159,22 +134,17 @@ def _streams(bag: BagFile, topics: tuple[str, ...]) -> tuple[list[JointStates], 
         f"{counted(n, 'message')} of {topic} have no positions, not used" for topic, n in without_positions.items()
     ]
     streams = []
-    for source, (stamps, received, *columns) in joints.items():
-        T, n = len(stamps), len(source[2])
+    for (topic, names), (stamps, received, *columns) in joints.items():
+        T, n = len(stamps), len(names)
         q, u, effort = (np.array(x).reshape(T, n) if len(x) == T * n else None for x in columns)
         if u is None and len(columns[1]):
             without = T - len(columns[1]) // n
             notes.append(
-                f"{without} of {T} messages of {source[0]} have no velocities, so those of the others are not used"
+                f"{without} of {T} messages of {topic} have no velocities, so those of the others are not used"
             )
         sent, arrived = (np.array(x, dtype=np.int64) for x in (stamps, received))
-        topic, publisher, names = source
-        streams.append(JointStates(topic, names, sent, q, u, effort, arrived, publisher))  # type: ignore[arg-type]
-    found = []
-    for topic, (stamps, values) in wrenches.items():  # in order; of several with one stamp the first
-        ordered, first = np.unique(np.array(stamps, dtype=np.int64), return_index=True)
-        found.append((topic, ordered, np.array(values).reshape(-1, 6)[first]))
-    return streams, found, notes
+        streams.append(JointStates(topic, names, sent, q, u, effort, arrived))  # type: ignore[arg-type]
+    return streams, notes
 
 
 def topics_of_joints(streams: list[JointStates], joints: tuple[str, ...]) -> tuple[dict[str, str], list[str]]:
@@ -223,7 +193,7 @@ def joint_groups(streams: list[JointStates], chosen: dict[str, str]) -> tuple[li
     """Groups of joints with common stamps; every chosen joint is in one group.
 
     Raises:
-        RecordingError: A clock that was set back, a joint named twice in a message, or two publishers at once.
+        RecordingError: A clock that was set back, or a joint named twice in a message.
     """
     for stream in streams:
         for name, count in Counter(stream.names).items():
@@ -233,7 +203,6 @@ def joint_groups(streams: list[JointStates], chosen: dict[str, str]) -> tuple[li
                     "not known which position is its own: correct the publisher (or the renaming)",
                     code="duplicate-column",
                 )
-    _refuse_two_publishers(streams, chosen)
     sets: dict[tuple[str, tuple[str, ...]], list[JointStates]] = {}
     for stream in streams:
         mine = tuple(j for j, topic in chosen.items() if topic == stream.topic and j in stream.names)
@@ -255,21 +224,6 @@ def joint_groups(streams: list[JointStates], chosen: dict[str, str]) -> tuple[li
             lost = ", ".join(j for j in mine if j not in free)
             notes.append(f"{counted(n, 'message')} of {topic} with another list of joints are not used for {lost}")
     return groups, notes
-
-
-def _refuse_two_publishers(streams: list[JointStates], chosen: dict[str, str]) -> None:
-    """Refuse a joint about which two publishers of one topic speak at the same time."""
-    for i, one in enumerate(streams):
-        for other in streams[:i]:
-            shared = [n for n in one.names if n in other.names and chosen.get(n) == one.topic == other.topic]
-            apart = one.received.min() > other.received.max() or other.received.min() > one.received.max()
-            if one.publisher != other.publisher and shared and not apart:
-                raise RecordingError(
-                    f"two programs publish joint {shared[0]!r} on {one.topic} at the same time, {other.publisher} "
-                    f"({len(other.stamps)} messages) and {one.publisher} ({len(one.stamps)}): a robot and a GUI? "
-                    "Record again with one of them, or keep one of them with `rosbag filter` (m._connection_header)",
-                    code="two-publishers",
-                )
 
 
 def _group(topic: str, names: tuple[str, ...], streams: list[JointStates]) -> tuple[JointStates, list[str]]:
@@ -352,25 +306,6 @@ def _at(
     # differences first: nanoseconds since 1970 do not fit into float64
     t, own = (stamps - known[0]).astype(np.float64), (known - known[0]).astype(np.float64)
     return np.column_stack([np.interp(t, own, values[:, i]) for i in range(values.shape[1])])
-
-
-def _wrench_at(
-    stamps: Int[np.ndarray, " T"], streams: list[WrenchStream]
-) -> tuple[Float[np.ndarray, "T 6"] | None, list[str]]:
-    """The wrench at the stamps of the joint states, interpolated linearly, and notes; None if there is none.
-
-    Nothing is learnt from it, so no joint state is left out for it: where no message is near, the nearest one counts.
-    """
-    if not streams:
-        return None, []
-    topic, own, values = streams[0]
-    far = int(np.count_nonzero(~_covered(stamps, own)))
-    where = f"{far} of {counted(len(stamps), 'sample')} have no message of {topic} nearby"
-    if 2 * far > len(stamps):  # most numbers would not have been measured
-        return None, [f"{where}, so that wrench is not used"]
-    between = "" if np.all(np.isin(stamps, own)) else ", interpolated at the stamps of the joint states"
-    notes = [f"the wrench is that of {topic}{between}"]
-    return _at(stamps, own, values), [*notes, *([f"{where}: the nearest ones are used"] if far else [])]
 
 
 def _covered(stamps: Int[np.ndarray, " T"], own: Int[np.ndarray, " S"]) -> Bool[np.ndarray, " T"]:

@@ -88,7 +88,7 @@ def read(path: Path, request: ReadRequest) -> Iterator[Recording]:
     names = tuple(request.renamed(n) for n in motion.header.joint_names)
     q = joint_positions(path, motion.q, names, request.robot)
     own = {"in_seconds": True, "trusted": True, "notes": notes}
-    yield Recording.of(path, path.name, motion.time, names, q, motion.u, motion.effort, wrench=motion.wrench, **own)
+    yield Recording.of(path, path.name, motion.time, names, q, motion.u, motion.effort, **own)
 
 
 @contextmanager
@@ -139,7 +139,7 @@ def _read_csv(path: Path, header: FileHeader) -> SavedMotion:
     number, columns = next(lines, (2, ""))
     if columns.startswith("# "):  # in a table, these would be the names of the columns
         raise refusal(path, "not-a-rollout", "a JointTrajectory is written for controllers only: read .npz or .csv")
-    choices = (c for n in (1, 0, 2, 3) for c in itertools.combinations(BESIDE, n))
+    choices = (c for n in (1, 0, 2) for c in itertools.combinations(BESIDE, n))
     possible = [column_groups(header, beside) for beside in choices]
     groups = next((g for g in possible if column_line(g) == columns), None)
     if groups is None:

@@ -112,7 +112,6 @@ def match_joints(recording: Recording, request: ReadRequest) -> Recording:
     notes = _surplus_notes(recording, robot)
     velocities, said = _velocities(recording, robot)
     efforts, also = _efforts(recording, robot)
-    wrench, more = _finite(recording.wrench, "the wrench is")
     q = recording.positions[:, [names.index(j) for j in robot.joint_names]]
     return replace(
         recording,
@@ -122,8 +121,7 @@ def match_joints(recording: Recording, request: ReadRequest) -> Recording:
         velocities=velocities,
         effort_names=robot.joint_names if efforts is not None else (),
         efforts=efforts,
-        wrench=wrench,
-        notes=(*recording.notes, *notes, *said, *also, *more),
+        notes=(*recording.notes, *notes, *said, *also),
     )
 
 
@@ -240,10 +238,7 @@ def _efforts(recording: Recording, robot: Robot) -> tuple[Float[np.ndarray, "T n
         return None, []
     if len(there) < robot.nv:
         return None, [f"efforts are recorded for {len(there)} of {robot.nv} joints, so they are not used"]
-    return _finite(efforts[:, [names.index(j) for j in robot.joint_names]], "efforts are")
-
-
-def _finite(values: Float[np.ndarray, "T n"] | None, what: str) -> tuple[Float[np.ndarray, "T n"] | None, list[str]]:
-    """The values, or None and a note if any of them is missing."""
-    bad = 0 if values is None else int(np.count_nonzero(~np.all(np.isfinite(values), axis=1)))
-    return (None, [f"{what} not finite in {counted(bad, 'sample')}, so not used"]) if bad else (values, [])
+    values = efforts[:, [names.index(j) for j in robot.joint_names]]
+    if bad := int(np.count_nonzero(~np.all(np.isfinite(values), axis=1))):
+        return None, [f"efforts are not finite in {counted(bad, 'sample')}, so not used"]
+    return values, []

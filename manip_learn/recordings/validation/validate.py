@@ -130,14 +130,13 @@ def _in_radians(
 def _kept(recording: Recording, keep: np.ndarray) -> Recording:
     """The recording seen through the kept samples, so that later messages still name the right line."""
     index = np.flatnonzero(keep)
-    efforts, wrench, line_of = recording.efforts, recording.wrench, recording.line_of
+    efforts, line_of = recording.efforts, recording.line_of
     return replace(
         recording,
         time=recording.time[keep],
         positions=recording.positions[keep],
         velocities=None,
         efforts=None if efforts is None else efforts[keep],
-        wrench=None if wrench is None else wrench[keep],
         line_of=None if line_of is None else lambda i: line_of(int(index[i])),
     )
 
@@ -170,8 +169,7 @@ def _split(
     notes: list[str],
 ) -> Demonstrations:
     parts, gaps = pieces(time)
-    measured = {"effort": recording.efforts, "wrench": recording.wrench}
-    whole = Trajectory(time, q, u, robot.joint_names, recording.name, **measured)
+    whole = Trajectory(time, q, u, robot.joint_names, recording.name, effort=recording.efforts)
     if not gaps.size:
         return Demonstrations((whole,), notes)
     long_parts = [p for p in parts if p.stop - p.start >= 2]

@@ -1,5 +1,5 @@
 """Motions as a LeRobot v3.0 data set: one episode each, `observation.state` and, where known,
-`observation.velocity`, `observation.effort` and `observation.wrench` in float64.
+`observation.velocity` and `observation.effort` in float64.
 
 Timestamps count from the first sample of each episode. Nothing that was not recorded is made up: there is no `action`.
 """
@@ -16,8 +16,8 @@ import numpy as np
 
 from manip_learn.atomic_write import write_atomically
 from manip_learn.errors import MissingExtraError, OutputError
-from manip_learn.recordings.format_words import DATASET_HEADER, WRENCH_NAMES
-from manip_learn.recordings.readers.lerobot_dataset import EFFORT, STATE, VELOCITY, WRENCH
+from manip_learn.recordings.format_words import DATASET_HEADER
+from manip_learn.recordings.readers.lerobot_dataset import EFFORT, STATE, VELOCITY
 from manip_learn.recordings.saved_motion import SavedMotion
 
 try:
@@ -28,7 +28,7 @@ except ImportError as error:
 
 TASK = "recorded motion"
 FILE = "chunk-000/file-000.parquet"
-FEATURES = {STATE: "q", VELOCITY: "u", EFFORT: "effort", WRENCH: "wrench"}  # and the arrays of a motion that they hold
+FEATURES = {STATE: "q", VELOCITY: "u", EFFORT: "effort"}  # and the arrays of a motion that they hold
 
 
 def write_lerobot(folder: Path, motions: Sequence[SavedMotion]) -> Path:
@@ -38,13 +38,12 @@ def write_lerobot(folder: Path, motions: Sequence[SavedMotion]) -> Path:
         The folder.
 
     Raises:
-        OutputError: The folder has files, it cannot be written, or only some motions have velocities, efforts or a
-            wrench.
+        OutputError: The folder has files, it cannot be written, or only some motions have velocities or efforts.
         MissingExtraError: pyarrow is not installed.
     """
     if folder.exists() and (not folder.is_dir() or any(folder.iterdir())):
         raise OutputError(f"cannot write a LeRobot data set to {folder}: it exists; name a new or an empty folder")
-    for what, name in (("velocities", "u"), ("efforts", "effort"), ("a wrench", "wrench")):
+    for what, name in (("velocities", "u"), ("efforts", "effort")):
         if len({getattr(m, name) is None for m in motions}) > 1:
             raise OutputError(f"some trajectories have {what} and others not: export them to data sets of their own")
     table = _samples(motions)
@@ -115,12 +114,8 @@ def _statistics(table: Any) -> dict[str, Any]:
 
 def _info(motions: Sequence[SavedMotion], fps: float, table: Any) -> dict[str, Any]:
     header = motions[0].header
-    entries = {name: WRENCH_NAMES if name == WRENCH else header.joint_names for name in FEATURES}
-    features: dict[str, Any] = {
-        name: {"dtype": "float64", "shape": [len(names)], "names": list(names)}
-        for name, names in entries.items()
-        if name in table.column_names
-    }
+    joints = {"dtype": "float64", "shape": [len(header.joint_names)], "names": list(header.joint_names)}
+    features: dict[str, Any] = {name: joints for name in FEATURES if name in table.column_names}
     features["timestamp"] = {"dtype": "float64", "shape": [1], "names": None}
     for name in ("frame_index", "episode_index", "index", "task_index"):
         features[name] = {"dtype": "int64", "shape": [1], "names": None}

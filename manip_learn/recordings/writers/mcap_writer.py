@@ -1,4 +1,4 @@
-"""A motion as an MCAP bag for ROS 2: JointState messages, and WrenchStamped ones where a wrench is known."""
+"""A motion as an MCAP bag of JointState messages for ROS 2."""
 
 from __future__ import annotations
 
@@ -10,10 +10,9 @@ import numpy as np
 from jaxtyping import Float, Int
 
 from manip_learn.errors import MissingExtraError, OutputError
-from manip_learn.recordings.format_words import JOINT_STATE, STAMPED_WRENCH
+from manip_learn.recordings.format_words import JOINT_STATE
 from manip_learn.recordings.saved_motion import SavedMotion
 
-JOINT_TOPIC, WRENCH_TOPIC = "/joint_states", "/wrench"
 SECOND = 1_000_000_000  # [ns]; a stamp of zero means "not set" in ROS: motions that start at zero start at one second
 LAST_STAMP = 2**31 * SECOND  # [ns] seconds are int32 in ROS
 
@@ -46,21 +45,14 @@ def _written(motion: SavedMotion, stamps: Int[np.ndarray, " T"], folder: Path) -
         raise MissingExtraError("writing MCAP", "ros") from error
     store: Any = get_typestore(Stores.ROS2_HUMBLE)
     types, names, nothing = store.types, list(motion.header.joint_names), np.empty(0)
-    vector = types["geometry_msgs/msg/Vector3"]
     q = motion.q if motion.q.shape[1] == len(names) else None  # configurations are no positions of joints
     with Writer(folder, version=9, storage_plugin=StoragePlugin.MCAP) as writer:
-        joints = writer.add_connection(JOINT_TOPIC, JOINT_STATE, typestore=store)
-        if motion.wrench is not None:
-            at_hand = writer.add_connection(WRENCH_TOPIC, STAMPED_WRENCH, typestore=store)
+        joints = writer.add_connection("/joint_states", JOINT_STATE, typestore=store)
         for i, stamp in enumerate(stamps.tolist()):
             header = types["std_msgs/msg/Header"](types["builtin_interfaces/msg/Time"](*divmod(stamp, SECOND)), "")
             numbers = [nothing if x is None else np.ascontiguousarray(x[i]) for x in (q, motion.u, motion.effort)]
             state = types[JOINT_STATE](header, names, *numbers)
             writer.write(joints, stamp, store.serialize_cdr(state, JOINT_STATE))
-            if motion.wrench is not None:
-                force, torque = (vector(*part) for part in np.split(motion.wrench[i], 2))
-                wrench = types[STAMPED_WRENCH](header, types["geometry_msgs/msg/Wrench"](force, torque))
-                writer.write(at_hand, stamp, store.serialize_cdr(wrench, STAMPED_WRENCH))
     return folder / f"{folder.name}.mcap"
 
 
