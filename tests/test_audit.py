@@ -17,7 +17,7 @@ from manip_learn.constraint.features import FrameJacobian
 from manip_learn.errors import OutputError, RecordingError
 from manip_learn.learning.audit import AuditReport, audit_episodes, measure, outlier_threshold, robust_z
 from manip_learn.linalg import orthonormal_rows
-from manip_learn.recordings import RecordingSource, recording_source, trajectory_source
+from manip_learn.recordings import RecordingSource, recording_source
 from manip_learn.recordings.local_fit import jerk
 from manip_learn.recordings.trajectory import Trajectory
 
@@ -194,30 +194,6 @@ def test_streamed_and_on_workers(
     assert told == sorted(told) and told[-1] == 1.0
     with dask_client("local", 1) as client:
         same(here, audit_episodes(constraint, source, client=client))
-
-
-def test_memory_holds_one_trajectory(constraint: ml.Constraint, demos: ml.Demonstrations) -> None:
-    """A trajectory is let go before the next one is asked for."""
-    alive: list[int] = []
-
-    class Source(trajectory_source.TrajectorySource):
-        @property
-        def n_parts(self):
-            return 1
-
-        def part(self, index, notes=None):
-            import weakref
-
-            seen = []
-            for t in demos:
-                copy = Trajectory(t.time, t.q, t.u, t.joint_names, t.name)
-                seen.append(weakref.ref(copy))
-                yield copy
-                del copy
-                alive.append(sum(r() is not None for r in seen))
-
-    audit_episodes(constraint, Source())
-    assert max(alive) <= 1
 
 
 def test_command_line(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

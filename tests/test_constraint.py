@@ -197,8 +197,3 @@ def test_python_functions_cannot_be_saved(robot_of, tmp_path):
     with pytest.raises(ValueError, match="float values"):  # NaN is no JSON
         Constraint([[1.0]], features, {"gap": np.nan}).save(tmp_path / "c.json")
     assert list(tmp_path.iterdir()) == []
-
-
-def test_it_prints_its_rows(features):
-    """The rows are printed by name, without zeros."""
-    assert repr(Constraint([[0.0, 1.0, 0, 0, 0, 0]], features)).startswith("Constraint(y of FrameJacobian")

@@ -13,7 +13,7 @@ import manip_learn as ml
 from manip_learn.constraint.features import FrameJacobian, MechanismRows, RelativeFrameJacobian
 from manip_learn.constraint.features.mechanism_rows import AT_A_DISTANCE, Place, PlaceForm, PlaceRows, mechanism_weights
 from manip_learn.constraint.features.weighed_velocity import ON_AXIS, PlaceWeights
-from manip_learn.constraint.mechanism import KINDS, MECHANISM_KINDS
+from manip_learn.constraint.mechanism import MECHANISM_KINDS
 
 TIP = "right_gripper_tip"
 AXIS = np.array([0.6, 0.64, 0.48])
@@ -183,39 +183,6 @@ def test_every_mechanism_is_a_constant_lambda(robot_of, rng, tmp_path) -> None:
             named = constraint.about_its_mechanism()
             sigma = np.linalg.svd(np.concatenate([constraint(q), named(q)]), compute_uv=False)
             assert np.count_nonzero(sigma > 1e-7) == np.linalg.matrix_rank(constraint(q), 1e-7)  # the same rows there
-
-
-def test_what_is_told_apart_and_how_far(robot_of) -> None:
-    """A centre up to 5 m away makes a ball, beyond it a plane; a leak of a fifth from places to turns is one still; a
-    pitch counts from 0.016 mm a radian on; a fit counts whose axis is within a degree. Without postures neither the
-    radius nor a helix is known.
-    """
-    robot = robot_of("sawyer")
-    for far, kind in ((4.5, "ball"), (5.5, "plane")):
-        m = ml.Constraint([[-far, 0.0, 0.0, 1.0]], PlaceRows(robot, TIP, "point", (0.5, 0.1, 0.3))).mechanism
-        assert m is not None and (m.type, m.radius) == (kind, None)
-        np.testing.assert_allclose(m.point, [0.5 + far if kind == "ball" else 0.5, 0.1, 0.3], rtol=0, atol=1e-9)
-    hinge = ml.Constraint(
-        [[0, 0, 1.0, 0], [-0.4, 0, 0, 1.0]], PlaceRows(robot, TIP, "point", (0.5, 0.1, 0.3))
-    ).mechanism
-    assert hinge is not None and (hinge.type, hinge.radius, hinge.pitch) == ("hinge", None, None)
-    np.testing.assert_allclose(np.cross(hinge.point - [0.9, 0.1, 0.3], [0, 0, 1.0]), 0.0, atol=1e-12)
-    helix, selection = one_form(robot, KINDS["screw"], PLACE, 0.3, np.array([0.5, 0.1, 0.6]))
-    assert ml.Constraint(selection, helix).mechanism is None
-    for leak, kind in ((0.18, "line"), (0.3, None)):
-        rows = np.hstack([np.cos(np.arcsin(leak)) * ACROSS, leak * np.eye(3)[:2]])
-        m = ml.Constraint(rows, FrameJacobian(robot, TIP, "pose")).mechanism
-        assert (None if m is None else m.type) == kind
-    for pitch, kind in ((1.5e-5, "hinge"), (1.7e-5, "screw"), (-1.7e-5, "screw")):
-        rows = np.linalg.svd(np.concatenate([pitch * AXIS, AXIS])[None])[2][1:]
-        m = ml.Constraint(rows, FrameJacobian(robot, TIP, "pose", "local")).mechanism
-        assert m is not None and m.type == kind and m.radius == pytest.approx(0.0, abs=1e-12)
-    for degrees, known in ((0.9, True), (1.4, False)):
-        beside = np.cos(np.radians(degrees)) * AXIS + np.sin(np.radians(degrees)) * ACROSS[0]
-        fitted = ml.Mechanism("line", 2.0 * beside, [0.1, 0.2, 0.3], name="line").to_dict()
-        m = ml.Constraint(ACROSS, FrameJacobian(robot, TIP), {"mechanism": fitted}).mechanism
-        assert m is not None and (m.point is not None) is known
-        assert ml.Constraint(np.eye(3), FrameJacobian(robot, TIP), {"mechanism": fitted}).mechanism is None
 
 
 def test_mu_keeps_its_meaning_at_the_radius(robot_of, rng) -> None:

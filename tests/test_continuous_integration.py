@@ -34,16 +34,6 @@ def test_the_workflow_runs_what_a_developer_runs():
     assert '"${BASE:-}"' in (ROOT / ".ci" / "run").read_text(encoding="utf-8")
 
 
-def test_hosted_pages_are_those_of_make_docs():
-    """Read the Docs calls `make docs`, and takes the folder that its recipe writes."""
-    build = read(".readthedocs.yaml")["build"]
-    recipe = re.search(r"^docs:.*\n((?:\t.*\n)+)", (ROOT / "Makefile").read_text(encoding="utf-8"), re.MULTILINE)
-    make, *_, copy = build["commands"]
-    assert make == "make docs" and recipe is not None
-    folder = copy.split()[2]
-    assert f"-b html docs {folder}\n" in recipe[1] and copy.endswith('"$READTHEDOCS_OUTPUT/html"')
-
-
 def test_every_benchmark_is_listed():
     """The table of benchmarks/README.md has every script that can be run, and no file that does not exist."""
     listed = set(

@@ -11,13 +11,13 @@ from conftest import tip_of
 
 from manip_learn.constraint import small_matrices
 from manip_learn.constraint.constraint import Constraint
-from manip_learn.constraint.features import CentreOfMass, CustomFeatures, FeatureMap, FrameJacobian, Stacked
-from manip_learn.constraint.small_matrices import LEAST_SINGULAR_RATIO, row_inverse, svd
+from manip_learn.constraint.features import FrameJacobian
+from manip_learn.constraint.small_matrices import svd
 from manip_learn.control.command import Command
 from manip_learn.control.controller import ResolvedRateController
 from manip_learn.control.policies import ManipulabilityAscent
 from manip_learn.control.tasks import PointAttractor, Task
-from manip_learn.errors import ConfigurationError, TargetError
+from manip_learn.errors import TargetError
 from manip_learn.robot.robot import Robot
 
 RobotOf = Callable[[str], Robot]
@@ -77,29 +77,6 @@ def test_cholesky_and_svd_give_the_same_command(robot_of: RobotOf, monkeypatch: 
             close(a, b)
 
 
-def test_row_inverse_is_exact_or_refuses(rng: np.random.Generator) -> None:
-    """A^{+T}, the volume and the smallest singular value to 1e-12, or None: never a bad answer."""
-    answered = 0
-    for _ in range(300):
-        s = int(rng.integers(1, 5))
-        A = rng.normal(size=(s, int(rng.integers(s, 9)))) * 10.0 ** rng.uniform(-3, 2)
-        U, sigma, Vt = np.linalg.svd(A, full_matrices=False)
-        sigma = sigma * 10.0 ** -np.linspace(0.0, rng.uniform(0.0, 6.0), s)
-        A = (U * sigma) @ Vt
-        got = row_inverse(A)
-        if got is None:
-            assert sigma[-1] < 1.01 * LEAST_SINGULAR_RATIO * sigma[0]
-            continue
-        answered += 1
-        X, volume, smallest = got
-        np.testing.assert_allclose(X, np.linalg.pinv(A).T, rtol=0, atol=2e-12 / sigma[-1])
-        assert volume == pytest.approx(np.prod(sigma), rel=1e-11)
-        assert smallest == pytest.approx(sigma[-1], rel=1e-11)
-    assert 50 < answered < 290
-    for singular in (np.zeros((2, 5)), np.ones((2, 5)), np.zeros((1, 3)), np.ones((3, 2))):
-        assert row_inverse(singular) is None
-
-
 def test_svd_survives_a_failing_lapack(monkeypatch: pytest.MonkeyPatch, rng: np.random.Generator) -> None:
     """If LAPACK reports that it did not converge, NumPy's own call has the last word."""
     A = rng.normal(size=(2, 5))
@@ -107,43 +84,6 @@ def test_svd_survives_a_failing_lapack(monkeypatch: pytest.MonkeyPatch, rng: np.
     monkeypatch.setattr(small_matrices, "dgesdd", lambda A: (np.nan, np.nan, np.nan, 1))
     for got, factor in zip(svd(A), expected, strict=True):
         np.testing.assert_array_equal(got, factor)
-
-
-def test_value_and_vjp_of_selected_rows(robot_of: RobotOf, rng: np.random.Generator) -> None:
-    """Every feature map's short way to A and to sum weights dA/dq is that of its derivative."""
-    robot = robot_of("tree")
-    maps: list[FeatureMap] = [
-        FrameJacobian(robot, "tip", "ry z x", "local"),
-        FrameJacobian(robot, "arm_b", "pose"),
-        FrameJacobian(robot_of("one"), "tip", "y"),
-        FrameJacobian(robot_of("mimic"), "tip", "xyz"),
-        CentreOfMass(robot),
-        Stacked([FrameJacobian(robot, "tip"), CentreOfMass(robot, "x")]),
-        CustomFeatures(lambda q: np.outer([1.0, 2.0], q), ("a", "b"), 3, derivative=lambda q: np.ones((2, 3, 3))),
-    ]
-    for features in maps:
-        q = rng.uniform(-1.0, 1.0, features.nv)
-        for s in range(1, features.n_rows + 1):
-            constraint = Constraint(np.linalg.qr(rng.normal(size=(features.n_rows, s)))[0].T, features)
-            A, vjp = constraint.value_and_vjp(q)
-            np.testing.assert_allclose(A, constraint(q), rtol=0, atol=1e-13)
-            weights = rng.normal(size=A.shape)
-            expected = np.einsum("ij,ijk->k", weights, constraint.derivative(q))
-            np.testing.assert_allclose(vjp(weights), expected, rtol=0, atol=1e-12)
-
-
-def test_bad_postures_are_still_refused(robot_of: RobotOf) -> None:
-    """The single check of the hot path sees text, lists with NaN, wrong sizes and other byte orders."""
-    features = FrameJacobian(robot_of("sawyer"), "right_hand")
-    constraint = Constraint(np.eye(3), features)
-    for policy in (None, ManipulabilityAscent(constraint)):
-        controller = ResolvedRateController(constraint, PointAttractor([0.6, 0.1, 0.4]), policy)
-        for wrong in ("text", [np.nan] * 7, np.full(7, np.inf), np.zeros(6), np.zeros((7, 1)), ["a"] * 7):
-            with pytest.raises(ConfigurationError):
-                controller(wrong)
-        q = np.linspace(-0.5, 0.7, 7)
-        for same in (list(q), q.astype(">f8"), np.repeat(q, 2)[::2]):
-            np.testing.assert_array_equal(controller(same).velocity, controller(q).velocity)
 
 
 @pytest.mark.parametrize("limits", [True, False])

@@ -12,7 +12,7 @@ from manip_learn.constraint.constraint import Constraint
 from manip_learn.constraint.features import CustomFeatures, FrameJacobian
 from manip_learn.control.controller import ResolvedRateController
 from manip_learn.control.policies import JointAttractor, ManipulabilityAscent
-from manip_learn.control.resolved_rate_law import Law, bounded_status, next_slide, plain_status
+from manip_learn.control.resolved_rate_law import Law
 from manip_learn.control.simulation import simulate
 from manip_learn.control.tasks import PointAttractor, Track
 from manip_learn.errors import ConfigurationError, ConstraintError, TargetError
@@ -89,26 +89,6 @@ def test_every_command_keeps_the_promises(robot_of, rng):
             assert np.all(command.velocity <= high + 1e-9) and np.all(command.velocity >= low - 1e-9)
             assert 0.0 <= command.task_scale <= 1.0 and 0.0 <= command.null_scale <= 1.0
             np.testing.assert_allclose(command.task_part + command.null_part, command.velocity, rtol=0, atol=1e-12)
-
-
-def test_rollouts_never_leave_the_limits(robot_of, rng):
-    """From anywhere, at the limits too, towards anything: positions stay within the limits and speeds below theirs."""
-    for name in ("sawyer", "panda", "gantry", "tree"):
-        robot, led_round = robot_of(name), 0
-        for k in range(12):
-            q = inside(robot, rng)
-            at = rng.random(robot.nv) < 0.3 * (k % 2)
-            q = np.where(at, np.where(rng.random(robot.nv) < 0.5, robot.position_lower, robot.position_upper), q)
-            q = np.clip(np.nan_to_num(q, posinf=0.0, neginf=0.0), robot.position_lower, robot.position_upper)
-            constraint = oblique(robot, name, rng, 1 + k % 3)
-            policy = ManipulabilityAscent(constraint) if k % 3 else JointAttractor(inside(robot, rng), gain=3.0)
-            task = PointAttractor(constraint.features.coordinates(inside(robot, rng)), gain=3.0)
-            rollout = simulate(robot, ResolvedRateController(constraint, task, policy), q, 1.5, 0.02)
-            assert np.max(rollout.q - robot.position_upper) <= 1e-12
-            assert np.max(robot.position_lower - rollout.q) <= 1e-12
-            assert np.max(np.abs(rollout.u) - robot.velocity_limit) <= 1e-12
-            led_round += rollout.status.count("rerouted")
-        assert led_round > 0, name
 
 
 def test_from_outside_the_limits_the_arm_only_comes_back(robot_of, rng):
@@ -213,34 +193,6 @@ def test_the_words_are_right(robot_of):
     blocked[j] = (robot.position_upper if task[j] > 0 else robot.position_lower)[j]
     moved = constraint.features.coordinates(blocked) + 0.1
     assert ResolvedRateController(constraint, PointAttractor(moved))(blocked).status in ("rerouted", "position-limited")
-
-
-def test_each_word_has_its_threshold():
-    """The gravest word first: outside, lost, stalled below 1 %, slowed down below 99.9 % by its limit, damped."""
-    for lost, damped, progress, outside, said in (
-        (False, False, 0.0, 0.0, "ok"), (False, True, 0.0101, 0.0, "damped"), (False, True, 0.0099, 0.0, "stalled"),
-        (True, True, 0.0, 0.0, "singular"), (True, True, 0.0, 1e-6, "outside-limits"),
-    ):  # fmt: skip
-        assert plain_status(lost, damped, progress, outside) == said
-    free = {"lost": False, "damped": False, "progress": 0.5, "outside": 0.0}
-    free |= {"task_scale": 0.9991, "joint": 3, "cause": 1, "fits": True}
-    for changes, said in (
-        ({}, "null-scaled"), ({"fits": False}, "rerouted"), ({"damped": True}, "damped"),
-        ({"task_scale": 0.9989}, "velocity-limited"), ({"task_scale": 0.5, "cause": 0}, "position-limited"),
-        ({"task_scale": 0.5, "cause": 2}, "acceleration-limited"), ({"task_scale": 0.5, "joint": -1}, "damped"),
-        ({"progress": 0.0099, "task_scale": 0.5}, "stalled"), ({"progress": 0.0101}, "null-scaled"),
-        ({"progress": 0.0, "cause": 2, "task_scale": 0.0}, "acceleration-limited"),
-        ({"joint": 0, "task_scale": 0.1}, "velocity-limited"),
-        ({"lost": True, "progress": 0.0}, "singular"), ({"outside": 1e-6, "lost": True}, "outside-limits"),
-    ):  # fmt: skip
-        assert bounded_status(**free | changes) == said, changes
-
-
-def test_an_arm_slides_after_half_a_second_and_turns_back_in_one():
-    """`slide` while the task stalls, while it goes on at more than half of its velocity, and in between."""
-    assert next_slide(0.2, True, 0.0, 0.1) == pytest.approx(0.4) and next_slide(0.9, True, 0.0, 0.1) == 1.0
-    assert next_slide(0.5, False, 0.51, 0.1) == pytest.approx(0.4) and next_slide(0.05, False, 1.0, 0.1) == 0.0
-    assert next_slide(0.5, False, 0.49, 0.1) == 0.5
 
 
 def test_bad_input_is_refused(robot_of):

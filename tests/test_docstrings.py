@@ -54,26 +54,6 @@ def section_entries(node: Documented, title: str) -> list[str] | None:
     return None if section is None else re.findall(r"^    (\*{0,2}\w+)(?: \(.*\))?:", section[1], re.MULTILINE)
 
 
-def test_modules_begin_with_a_sentence():
-    """The first thing in a file is a sentence about its one job."""
-    faults = []
-    for source in library():
-        text = ast.get_docstring(source.tree)
-        if not text or summary(text)[-1] not in ".:)":
-            faults.append(f"{source.relative}: {text and summary(text)!r} is not a sentence")
-    assert not faults, listed(faults)
-
-
-def test_public_things_begin_with_a_sentence():
-    """Every public class, function and method is documented; the first paragraph is a sentence."""
-    faults = []
-    for where, _source, node in everything_public():
-        text = ast.get_docstring(node)
-        if not text or summary(text)[-1] not in ".:?)":
-            faults.append(f"{where}: {text and summary(text)!r} is not a sentence")
-    assert not faults, listed(faults)
-
-
 def test_errors_named_under_raises_exist():
     """`Raises:` names errors of this library, or Python's built-in ones."""
     faults = []

@@ -6,13 +6,11 @@ import ast
 import inspect
 import logging
 import pickle
-import re
 import unicodedata
 from contextlib import nullcontext
 from pathlib import Path
 
 from hypothesis import given, strategies
-from library_source import library, listed
 
 from manip_learn import errors
 from manip_learn.errors import (
@@ -78,20 +76,6 @@ def said(node: ast.expr) -> str:
         case ast.Call(args=arguments, func=ast.Name(id="advice" | "spoken")):
             return said(arguments[0])
     return "x"
-
-
-def test_messages_are_short_and_inflected():
-    """A refusal has at most two sentences, and nothing says "row(s)": numbers come with the noun that fits them."""
-    faults = []
-    for source in library():
-        for node in ast.walk(source.tree):
-            if isinstance(node, ast.Raise) and isinstance(node.exc, ast.Call):
-                texts = list(map(said, node.exc.args))
-                if any(len(re.split(r"[.?!] (?=[A-Z])", text)) > 2 for text in texts):
-                    faults.append(f"{source.relative}:{node.lineno} has more than two sentences")
-            if isinstance(node, ast.Constant) and re.search(r"[a-z]\((s|es|ies)\)", str(node.value)):
-                faults.append(f"{source.relative}:{node.lineno} leaves the number open: {str(node.value)[:60]!r}")
-    assert not faults, listed(faults)
 
 
 def test_numbers_come_with_their_noun():

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from itertools import product
 
 import numpy as np
@@ -169,14 +168,3 @@ def test_custom_features_are_checked():
         CustomFeatures(lambda q: q, ("f",))
     with pytest.raises(FeatureError, match="row name"):
         CustomFeatures(lambda q: q, (), nv=2)
-
-
-def test_descriptions(robot_of):
-    """What is written to a constraint file says frame, axes, units and reference, and is JSON."""
-    robot = robot_of("panda")
-    features = FrameJacobian(robot, "panda_hand_tcp", "x rz", "local")
-    saved = {"frame": "panda_hand_tcp", "axes": ["x", "rz"], "units": ["m/s", "rad/s"], "reference": "local"}
-    assert features.describe() == {"kind": "frame-jacobian", **saved}
-    stacked = Stacked([features, CentreOfMass(robot)]).describe()
-    assert json.loads(json.dumps(stacked)) == stacked
-    assert "panda_hand_tcp" in repr(features)

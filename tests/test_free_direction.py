@@ -2,15 +2,12 @@
 
 from __future__ import annotations
 
-from pathlib import Path
-
 import numpy as np
 import pytest
 from case import case
 from test_gradients import RobotOf
 from test_motion import learnt
 
-import manip_learn as ml
 from manip_learn.constraint.constraint import Constraint
 from manip_learn.constraint.features import (
     CentreOfMass,
@@ -21,17 +18,15 @@ from manip_learn.constraint.features import (
 )
 from manip_learn.control.command import Status
 from manip_learn.control.controller import ResolvedRateController
-from manip_learn.control.law_sequence import forget
 from manip_learn.control.policies import ManipulabilityAscent
 from manip_learn.control.rollout import Rollout
 from manip_learn.control.simulation import simulate
-from manip_learn.control.tasks import FreeDirection, Hold
+from manip_learn.control.tasks import FreeDirection
 from manip_learn.control.tasks.driven_motion import MotionProfile
 from manip_learn.errors import ConstraintError, FeatureError, TargetError
 from manip_learn.robot.robot import Robot
 from manip_learn.robot.rotations import rotation_matrix, rotation_vector
 
-DATA = Path(__file__).resolve().parents[1] / "examples" / "data"
 TIP = "panda_hand_tcp"
 READY = np.array([0.0, -0.3, 0.0, -2.0, 0.0, 1.8, 0.7])
 AXIS = np.array([0.1, -0.2, 0.95]) / np.linalg.norm([0.1, -0.2, 0.95])
@@ -228,36 +223,6 @@ def test_profile() -> None:
         assert np.max(np.abs(np.diff(rates))) / (times[1] - times[0]) < 1.5 * profile.peak / ramp * 1.001
 
 
-def test_what_is_asked_of_a_hand_that_stands_still(robot_of: RobotOf) -> None:
-    """b is the rate of the profile, and gain times the lag, within the speed, from the pause on; then at rest.
-
-    Distance, duration, table and copies by another distance or in another time say the same.
-    """
-    robot = robot_of("panda")
-    constraint = Constraint(np.eye(3)[1:], FrameJacobian(robot, TIP))
-    for sign in (1.0, -1.0):
-        task = FreeDirection(constraint, 0.04 * sign, 0.1, gain=2.0, ramp=0.2, pause=0.3)
-        profile = MotionProfile(0.04 * sign, 0.1, 0.2)
-        assert (task.wanted, task.duration) == (0.04 * sign, pytest.approx(0.3 + profile.duration))
-        assert task.duration_from(READY) == pytest.approx(task.duration) and profile.duration == pytest.approx(0.6)
-        for late in (0.0, 0.2, 0.3, 0.35, 0.4, 0.6, 0.85, 1.5):
-            distance, rate = profile.at(late - 0.3)
-            wanted = sign * min(abs(rate + 2.0 * distance), 0.1)
-            b = task.velocity(task.constraint, READY, 5.0 + late)
-            np.testing.assert_allclose(b @ task.constraint.selection, [wanted, 0.0, 0.0], rtol=0, atol=1e-12)
-            assert task.error(task.constraint, READY, 5.0 + late) == pytest.approx(0.04)
-        assert task.way_begins == pytest.approx(5.3)
-        time, along, goals = task.table(READY, 0.1, 4, 20)
-        np.testing.assert_allclose(time, np.linspace(0.0, 0.6, 7), atol=1e-12)
-        np.testing.assert_allclose(along, [profile.at(t)[0] for t in time], atol=1e-15)
-        here = robot.position(READY, TIP)
-        np.testing.assert_allclose(goals, here + np.outer(along, [1.0, 0.0, 0.0]), atol=1e-12)
-        assert len(task.table(READY, 0.01, 4, 20)[0]) == 20 and len(task.table(READY, 9.0, 4, 20)[0]) == 4
-        slow, back = task.slowed(2.0), task.with_distance(-task.wanted)
-        assert slow.duration == pytest.approx(0.3 + 0.04 / 0.05 + 0.2) and back.wanted == -task.wanted
-        assert slow.way_begins is None and back.duration == task.duration
-
-
 def test_start_reset_and_a_second_run(robot_of: RobotOf) -> None:
     """The start is the first call's, or the one that was given; a run that begins again at its first time, and reset,
     start anew.
@@ -279,41 +244,6 @@ def test_start_reset_and_a_second_run(robot_of: RobotOf) -> None:
     assert given.progress(here) == pytest.approx(0.02, abs=1e-3)
     end = tips(run(given, here, climb=False), robot)[-1]
     np.testing.assert_allclose(end, robot.position(READY, robot.frame(TIP)) + [0.05, 0.0, 0.0], rtol=0, atol=1e-4)
-
-
-def test_rows_of_the_controller(robot_of: RobotOf) -> None:
-    """The controller works on held and driven rows together and remembers what was learnt; other tasks change nothing,
-    and the task of another constraint is refused.
-    """
-    robot = robot_of("panda")
-    constraint = Constraint(np.eye(3)[1:], FrameJacobian(robot, TIP))
-    task = FreeDirection(constraint, 0.05, 0.1)
-    controller = ResolvedRateController(constraint, task)
-    assert controller.learnt is constraint
-    assert controller.constraint is task.constraint
-    assert controller(READY).task_velocity.shape == (3,)
-    assert task.rows(task.constraint) is task.constraint
-    assert ResolvedRateController(constraint, Hold()).constraint is constraint
-    with pytest.raises(ConstraintError, match="another constraint"):
-        ResolvedRateController(Constraint(np.eye(3)[:2], constraint.features), task)
-    assert repr(task) == "FreeDirection(distance=0.05 m, speed=0.1 m/s)"
-
-
-def test_the_error_of_a_setpoint_decays_exactly(robot_of: RobotOf, rng: np.random.Generator) -> None:
-    """For a hand that has turned away from its start meanwhile, the rows of the task's error are its derivative."""
-    features = FrameJacobian(robot_of("panda"), TIP, "pose", "local")
-    constraint = Constraint(np.linalg.qr(rng.normal(size=(6, 3)))[0].T, features)
-    task = FreeDirection(constraint, 0.1, 0.1, direction=(1.0, 0.2, 0.1), gain=2.0)
-    task.velocity(task.constraint, READY, 0.0)
-    q, u, t, h = READY + rng.uniform(-0.3, 0.3, 7), rng.normal(size=7), 9.0, 1e-5
-    E = task.error_jacobian(task.constraint, q, t)
-    # at rest in the end: b is gain times the error along the held rows
-    b = [
-        constraint.selection @ task.constraint.selection.T @ task.velocity(task.constraint, q + k * h * u, t) / 2.0
-        for k in (-1, 1)
-    ]
-    held = constraint.selection @ task.constraint.selection.T @ E
-    np.testing.assert_allclose((b[1] - b[0]) / (2 * h), -held @ u, rtol=0, atol=1e-6)
 
 
 WRONG = [
@@ -368,18 +298,3 @@ def test_what_cannot_be_driven(robot_of: RobotOf) -> None:
     task = FreeDirection(Constraint([[1.0, 0.0]], silent), 0.1, 0.1)
     with pytest.raises(FeatureError, match="no task coordinates"):
         task.velocity(task.constraint, np.zeros(2), 0.0)
-
-
-def test_a_controller_forgets_where_its_way_began(robot_of: RobotOf) -> None:
-    """After `forget` a way begins where the arm is then; a controller of the user's own has nothing to forget."""
-    robot = robot_of("sawyer")
-    constraint = ml.Constraint(np.eye(3)[1:], ml.FrameJacobian(robot, "right_hand"))
-    law = ml.ResolvedRateController(constraint, ml.FreeDirection(constraint, 0.05, 0.5))
-    q = np.array([0.3, -0.6, 0.2, 1.2, 0.1, 0.9, 0.4])
-    for k in range(60):
-        q = robot.integrate(q, 0.01 * law(q, 0.01 * k, 0.01).velocity)
-    task = law.task
-    assert isinstance(task, ml.FreeDirection) and task.progress(q) > 0.02
-    forget(law)
-    assert task.progress(q) == 0.0
-    forget(lambda q, t, dt: None)  # type: ignore[arg-type, return-value]

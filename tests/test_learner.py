@@ -155,15 +155,6 @@ def test_the_planar_reach():
     assert learner.report_.sentence.startswith("The tip is steered on purpose along x and y; it can turn about z.")
 
 
-def test_asking_for_another_number_of_rows():
-    """A given number of rows that the data do not support is used, and the report says which number they support."""
-    rng = np.random.default_rng(73)
-    demos, truth = guided_motions(arm_features(), oblique(2, 3, rng), rng, noise=0.01)
-    learner = ConstraintLearner(truth.features, n_constraints=1).fit(demos)
-    assert learner.constraint_.n_constraints == 1
-    assert any("1 row learnt as asked, but the gap supports 2" in w for w in learner.report_.warnings)
-
-
 def test_refusal_of_the_last_candidate_does_not_hide_an_answer():
     """Of several feature maps those that refuse are passed over; if all refuse, the reason of the first is given."""
     rng = np.random.default_rng(74)
@@ -200,11 +191,6 @@ def test_settings_out_of_range():
     demos, _ = paper_motions([0, 1], np.random.default_rng(75), n_trajectories=20)
     with pytest.raises(NotIdentifiableError, match="'sextic'"):
         ConstraintLearner(features, estimator="joint", policy_model="sextic").fit(demos)
-
-
-def test_repr_names_what_was_asked_for():
-    """The learner prints its settings."""
-    assert "estimator='joint'" in repr(ConstraintLearner(planar_features(), 2, "joint"))
 
 
 def test_a_user_may_ask_for_more_evidence():

@@ -16,18 +16,14 @@ from manip_learn.errors import NotIdentifiableError, RecordingError
 from manip_learn.learning import ConstraintLearner
 from manip_learn.learning.answer import doubts_of_estimate
 from manip_learn.learning.estimators.estimate import Estimate, GapTable, gaps_of_levels, gaps_of_residuals
-from manip_learn.learning.estimators.model_search import JudgedModel, choose_model, conditional_pca
 from manip_learn.learning.estimators.null_space import fit_null_space, levels
-from manip_learn.learning.estimators.policy_model import PolynomialModel, RadialModel
+from manip_learn.learning.estimators.policy_model import PolynomialModel
 from manip_learn.learning.estimators.variable_projection import fit_joint, scores
-from manip_learn.learning.report import Phase, RecordingOverview
 from manip_learn.learning.samples import (
     Samples,
     check_fastest,
     check_postures,
     check_samples,
-    energy_shares,
-    in_blocks,
 )
 from manip_learn.linalg import orthonormal_rows, row_space_angle
 from manip_learn.recordings.demonstrations import Demonstrations
@@ -112,21 +108,6 @@ def test_what_is_too_little_or_too_odd_to_learn_from(rng):
         check_postures(moving(u[:, :1]))
 
 
-def test_samples_are_chosen_and_grouped_evenly(rng):
-    """Every k-th sample with the least k that leaves no more than asked; trajectories in blocks of neighbours."""
-    samples = moving(rng.standard_normal((10, 3)), n_trajectories=3)
-    np.testing.assert_array_equal(samples.thinned(4).u, samples.u[[0, 3, 6, 9]])
-    assert samples.thinned(10) is samples and len(samples.thinned(9)) == 5
-    assert samples.energy == pytest.approx(np.mean(np.sum(samples.u**2, axis=1)))
-    chosen = samples.subset(samples.trajectory == 2)
-    assert chosen.n_trajectories == 1 and np.array_equal(chosen.u, samples.u[samples.trajectory == 2])
-    trajectory = np.array([0, 0, 1, 2, 2, 3, 4])
-    assert in_blocks(trajectory, 5, 2) == [(0, slice(0, 5)), (1, slice(5, 7))]
-    assert in_blocks(trajectory, 5, 5)[1] == in_blocks(trajectory, 5, 9)[1] == (1, slice(2, 3))
-    np.testing.assert_allclose(energy_shares(np.array([1.0, 3.0])), [0.25, 0.75])
-    np.testing.assert_allclose(energy_shares(np.zeros(2)), 0.0)
-
-
 def test_null_space_fit_from_random_starts():
     """The closed-form start leads to the best optimum that random starts find, and nearly all of them find it."""
     rng = np.random.default_rng(2)
@@ -171,34 +152,6 @@ def test_joint_fit_is_an_optimum(reaching):
     total, k = hessians.sum(axis=0), hessians.shape[1] - m
     np.testing.assert_allclose(total[:k, :k], np.eye(k), atol=1e-4)
     assert np.max(np.abs(total[:k, k:])) < 1e-3 * np.sqrt(np.max(np.diag(total)[k:]))
-
-
-def test_conditional_pca_is_a_good_start(reaching):
-    """The closed form is within a few degrees of the truth, and its gap shows the number of rows."""
-    samples, truth = reaching
-    sizes, directions = conditional_pca(samples, PolynomialModel(2, 3))
-    assert np.degrees(row_space_angle(samples.selection(directions[:2]), truth.selection)) < 10.0
-    assert sizes[1] > 2.0 * sizes[2]
-
-
-def test_polynomials(rng):
-    """All monomials up to the degree, once each; a degree without a word of its own is named by its number."""
-    assert [PolynomialModel(degree, 1).name for degree in (0, 5, 6)] == ["constant", "quintic", "degree 6"]
-    x = rng.standard_normal((20, 3))
-    for degree, n in ((0, 1), (1, 4), (2, 10), (3, 20)):
-        beta = PolynomialModel(degree, 3)(x)
-        assert beta.shape == (20, n)
-        assert np.linalg.matrix_rank(beta) == n
-    np.testing.assert_allclose(PolynomialModel(2, 2)(np.array([[2.0, 3.0]])), [[1, 2, 3, 4, 6, 9]])
-
-
-def test_radial_functions(rng):
-    """Shares of the centres sum to 1 everywhere, far away too; fewer postures than centres are no error."""
-    model = RadialModel(rng.uniform(-1, 1, (200, 3)), 16, rng)
-    far = model(np.array([[1e3, -1e3, 1e3], [0.0, 0.0, 0.0]]))
-    np.testing.assert_allclose(far.sum(axis=1), 1.0)
-    assert np.all(np.isfinite(far))
-    assert RadialModel(np.zeros((5, 2)), 16, rng).n_terms == 1
 
 
 def test_gaps():
@@ -261,26 +214,6 @@ def test_an_estimate_is_doubted_by_its_numbers():
     poor = dataclasses.replace(estimate_of(10.0, 0.5, "joint"), held_out=0.31)
     assert doubts_of_estimate(poor, 7, None)[0].startswith("the policy model predicts only 69 % of left-out")
     assert doubts_of_estimate(dataclasses.replace(poor, held_out=0.29), 7, None) == []
-
-
-def test_a_richer_policy_is_taken_where_it_predicts_as_well_and_is_cheap():
-    """The richest that costs no more than 1.1 times the best on left-out trajectories, and no more than chance; at most
-    three times its regressors, or as many as the residuals allow.
-    """
-    base = np.array([1.0, 2.0, 1.5, 1.2, 1.8])
-
-    def judged(degree: int, costs: np.ndarray) -> JudgedModel:
-        return JudgedModel(PolynomialModel(degree, 3), costs, 1.0)
-
-    def chosen(*richer: JudgedModel, most: float = 100.0) -> str:
-        return choose_model([judged(1, base), *richer], most).model.name
-
-    noise = 0.2 * np.array([1.0, -1.0, 1.0, -1.0, 0.5])
-    assert chosen(judged(2, base + noise)) == "quadratic"
-    assert chosen(judged(2, 1.11 * base)) == "affine" and chosen(judged(2, 1.05 * base)) == "affine"
-    assert chosen(judged(2, base + noise), judged(3, base + noise)) == "quadratic"  # 20 regressors, three times 4 is 12
-    assert chosen(judged(2, base + noise), most=9.0) == "affine"
-    assert chosen(judged(2, 0.5 * base), judged(3, 0.5 * base + 0.1 * noise)) == "cubic"
 
 
 def test_free_directions_are_free():
@@ -366,23 +299,6 @@ def test_report_in_json_and_in_words():
     assert isinstance(plain["warnings"], list) and set(plain["gap_table"]) == {"1", "2", "3"}
     assert str(report).splitlines()[0] == report.sentence
     assert "warning: only one trajectory" in str(report)
-
-
-def test_no_name_of_a_file_or_a_row_moves_the_cursor():
-    """Control characters of names are written out in every sentence, in repr and in HTML."""
-    rng, bad = np.random.default_rng(6), "\x1b[31mred\x07\u202e"
-    demos, truth = guided_motions(arm_features(), np.eye(3)[:2], rng, 6, 60, noise=0.01)
-    features = CustomFeatures(truth.features, ("x" + bad, "y", "z"), 7)
-    slips = [dataclasses.replace(t, name=f"{t.name}{bad}") for t in demos]
-    slips[0] = dataclasses.replace(slips[0], u=slips[0].u + 0.02 * np.cos(slips[0].time)[:, None])
-    copied = dataclasses.replace(slips[2], name="copy" + bad)
-    report = ConstraintLearner(features).fit(Demonstrations([*slips, copied], ["read" + bad])).report_
-    reasons = [why for _, why in report.odd_trajectories]
-    said = [str(report), repr(report), report._repr_html_(), *report.notes, *reasons]
-    assert any(r"\x1b[31m" in w for w in report.warnings) and r"read\x1b" in report.notes[0]
-    assert not [c for text in said for c in text if c in bad and not c.isprintable()]
-    overview = RecordingOverview((Phase("a" + bad, 0.0, 1.0, 0), Phase("b" + bad, 0.0, 1.0, None, "why" + bad)))
-    assert len(overview.sentences()) == 2 and all(text.isprintable() for text in overview.sentences())
 
 
 def test_rows_in_other_units_give_the_same_answer():

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 import manip_learn as ml
-from manip_learn.control.limits import Bounds, Limits
+from manip_learn.control.limits import Limits
 from manip_learn.errors import ConfigurationError
 from manip_learn.robot.robot import Robot
 
@@ -77,19 +77,6 @@ def test_bounds_are_those_of_the_docstring(robot_of: RobotOf, rng: np.random.Gen
             assert bounds.outside == pytest.approx(max(0.0, -distance), abs=1e-12)
 
 
-def test_velocities_are_led_towards_a_wish(robot_of: RobotOf) -> None:
-    """Slowed down as a whole, straight from the velocity before, and joint by joint at position limits."""
-    robot = robot_of("sawyer")
-    limits, q, dt = Limits(robot, velocity=1.0, acceleration=2.0), np.zeros(7), 0.01
-    q[1] = 0.0
-    bounds = limits.bounds(q, dt, np.zeros(7))
-    wish, before = np.linspace(-2.0, 1.0, 7), np.full(7, 0.01)
-    change = wish / 2.0 - before
-    expected = before + change * (2.0 * dt / np.abs(change).max())
-    np.testing.assert_allclose(limits.towards(wish, before, bounds, dt), np.clip(expected, bounds.low, bounds.high))
-    np.testing.assert_allclose(limits.towards(wish * 1e-3, np.zeros(7), bounds, dt), wish * 1e-3)
-
-
 def test_a_joint_reaches_its_limit_and_rests(robot_of: RobotOf) -> None:
     """Braking ends at the limit, not before it, and without a jump of the velocity."""
     robot = robot_of("sawyer")
@@ -154,36 +141,6 @@ def test_wrong_limits_are_refused(robot_of: RobotOf) -> None:
             ml.Limits(robot, **settings)
 
 
-def test_a_singularity_is_left_where_there_is_more_room(robot_of: RobotOf) -> None:
-    """Of a direction and its opposite, the one in which no joint soon meets its limit; unchanged if both have room."""
-    robot = robot_of("sawyer")
-    limits, middle = Limits(robot), 0.5 * (robot.position_lower + robot.position_upper)
-    direction = np.array([0.0, 1.0, 0.0, -0.5, 0.0, 0.0, 1e-6])
-    np.testing.assert_array_equal(limits.freer_sense(middle, direction), direction)
-    np.testing.assert_array_equal(limits.freer_sense(middle, -direction), -direction)
-    near = middle.copy()
-    near[1] = robot.position_upper[1] - 0.2  # less than on the other side, and enough
-    np.testing.assert_array_equal(limits.freer_sense(near, direction), direction)
-    near[1] = robot.position_upper[1] - 0.01
-    np.testing.assert_array_equal(limits.freer_sense(near, direction), -direction)
-    np.testing.assert_array_equal(limits.freer_sense(near, -direction), -direction)
-    near = middle.copy()
-    near[3] = robot.position_lower[3] + 0.01
-    np.testing.assert_array_equal(limits.freer_sense(near, direction), -direction)
-    near[1] = robot.position_lower[1] + 0.005  # now the way back has less room still
-    np.testing.assert_array_equal(limits.freer_sense(near, direction), direction)
-    at_rest = middle.copy()
-    at_rest[6] = robot.position_upper[6]  # hardly moved: it has no say
-    np.testing.assert_array_equal(limits.freer_sense(at_rest, direction), direction)
-    np.testing.assert_array_equal(limits.freer_sense(middle, np.zeros(7)), np.zeros(7))
-    widths = robot.position_upper - robot.position_lower
-    tight = Limits(robot, margin=0.5 * float(widths.min()) - 1e-3)
-    q = 0.5 * (tight.lower + tight.upper)
-    along = np.eye(7)[int(widths.argmin())]
-    np.testing.assert_array_equal(tight.freer_sense(q, along), along)
-    np.testing.assert_array_equal(tight.freer_sense(q, -along), -along)
-
-
 def test_admitted_is_what_the_bounds_allow(robot_of: RobotOf, rng: np.random.Generator) -> None:
     """The short answer never says more than the bounds do, at the limits themselves too, nor for a joint outside."""
     robot, dt = robot_of("sawyer"), 0.01
@@ -216,13 +173,3 @@ def test_admitted_is_what_the_bounds_allow(robot_of: RobotOf, rng: np.random.Gen
     outside = middle.copy()
     outside[2] = high[2] + 2e-9
     assert limits.bounds(outside, dt, None).outside > 0.0 and not limits.far(outside, dt, np.zeros(7))
-
-
-def test_the_limit_that_binds_is_that_of_the_joint_that_is_held_back_most() -> None:
-    """Of the joints at a bound, the one that would go furthest beyond it, with the cause of that bound."""
-    bounds = Bounds([-1.0, -2.0, -3.0], [0.1, 2.0, 3.0], [0, 1, 2], [2, 0, 1], 0.0)
-    assert bounds.binding(np.array([0.1, 2.0, 0.0]), np.array([0.9, 2.5, 9.0])) == (0, 2)
-    assert bounds.binding(np.array([0.1, 2.0, 0.0]), np.array([0.2, 2.5, 9.0])) == (1, 0)
-    assert bounds.binding(np.array([0.0, -2.0, -3.0]), np.array([0.0, -2.5, -3.1])) == (1, 1)
-    assert bounds.binding(np.array([0.1, -2.0, -3.0]), np.array([0.5, -2.1, -3.6])) == (2, 2)
-    assert bounds.binding(np.array([0.1, -2.0, 0.0]), np.array([0.05, -1.9, 7.0])) == (-1, -1)

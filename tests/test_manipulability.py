@@ -21,10 +21,9 @@ from manip_learn.constraint.manipulability import (
     manipulability_of,
     penalised_manipulability,
     penalised_manipulability_gradient,
-    products_of_others,
 )
 from manip_learn.control.policies import PenalisedManipulabilityAscent
-from manip_learn.errors import ConfigurationError, ConstraintError
+from manip_learn.errors import ConstraintError
 from manip_learn.robot.limit_potential import limit_weights
 
 
@@ -66,23 +65,6 @@ def test_log_gradient_is_free_of_units(rng):
     np.testing.assert_allclose(
         log_manipulability_gradient(other, q), log_manipulability_gradient(one, q), rtol=0, atol=1e-6
     )
-
-
-def test_products_of_others():
-    """prod_{j != i} sigma_j, with zeros among them."""
-    assert products_of_others([2.0, 3.0, 5.0]) == [15.0, 10.0, 6.0]
-    assert products_of_others([2.0, 0.0, 5.0]) == [0.0, 10.0, 0.0]
-    assert products_of_others([2.0, 0.0, 0.0]) == [0.0, 0.0, 0.0]
-    assert products_of_others([7.0]) == [1.0]
-
-
-def test_bad_postures(robot_of):
-    """NaN and wrong sizes are refused."""
-    constraint = Constraint(np.eye(2), FrameJacobian(robot_of("planar3"), "tip", "x y"))
-    for q in ([np.nan, 0, 0], [0.0, 0.0]):
-        for function in (manipulability, manipulability_gradient, log_manipulability_gradient):
-            with pytest.raises(ConfigurationError):
-                function(constraint, q)
 
 
 # nv = 1, 3, 5, 6, 7, joints without limits, and a mimic joint

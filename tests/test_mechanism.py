@@ -2,12 +2,6 @@
 
 from __future__ import annotations
 
-import dataclasses
-import json
-import math
-import pickle
-from types import SimpleNamespace
-
 import numpy as np
 import pytest
 from mechanism_motions import T, about, along, ball, demonstrate, wave
@@ -16,8 +10,7 @@ import manip_learn as ml
 from manip_learn.constraint.features.mechanism_rows import MechanismRows, across
 from manip_learn.constraint.mechanism import Mechanism
 from manip_learn.errors import NotIdentifiableError, UnknownNameError
-from manip_learn.learning.mechanisms.find_mechanism import bends, doubts_of_place, find_mechanism, rival_of
-from manip_learn.learning.recombination import recombination_test
+from manip_learn.learning.mechanisms.find_mechanism import doubts_of_place, find_mechanism
 
 AXIS = np.array([0.2, -0.3, 0.93]) / np.linalg.norm([0.2, -0.3, 0.93])
 PITCH = 0.04
@@ -208,23 +201,6 @@ def test_doors_in_different_places_are_not_one_hinge(robot_of):
     assert "all of them share" in fit.reason or "holds the hand" in fit.reason
 
 
-def test_the_choice_of_rows_pays_for_all_kinds_that_were_tried(robot_of, monkeypatch):
-    """Whoever takes the best of several kinds of rows and of any four of five recordings is told a chance that has paid
-    for both.
-    """
-    demos, seen = record(robot_of, "panda", along(AXIS[None], 0.2, False), n=5), []
-    module = "manip_learn.learning.mechanisms.find_mechanism."
-
-    def noted(features, pieces, rng, choices, believed):
-        seen.append((len(pieces), choices))
-        return recombination_test(features, pieces, rng, choices, believed)
-
-    monkeypatch.setattr(module + "recombination_test", noted)
-    assert find(robot_of, "panda", demos).mechanism is not None
-    kinds = 4  # the pose and three kinds of rows about a place, of several numbers of rows each
-    assert seen and all(choices >= kinds * math.comb(5, n) for n, choices in seen)
-
-
 def hinge_with(axis: float, point: float, radius: float = 0.3, arc: float = 0.5, grip: str = "loose") -> Mechanism:
     """A hinge whose axis and place are known so well [deg, m]."""
     uncertainty = {"axis": axis, "point": point, "radius": point}
@@ -253,27 +229,6 @@ def test_a_place_that_is_known_badly_is_doubted():
     assert doubts_of_place(Mechanism("line", AXIS, uncertainty={"axis": 60.0})) == ("", "")
 
 
-def test_bent_or_straight_is_told_by_what_the_positions_allow(robot_of):
-    """Bent where the radius is known to a fifth, is less than 3 m and the path leaves the straight form by more than
-    rails wobble; else straight, with the least radius that would fit as well.
-    """
-
-    def fit(size, rest: float, unknowns=("axis", "point-across"), name: str = "hinge"):
-        kind = SimpleNamespace(name=name, holds=("radius",), unknowns=unknowns)
-        return SimpleNamespace(kind=kind, size=size, held_out={"radius": np.array([rest])})
-
-    straight = fit(None, 1e-4, name="line")
-    assert bends(fit((0.5, 0.09), 1e-6), straight) and not bends(fit((0.5, 0.11), 1e-6), straight)
-    assert bends(fit((2.9, 0.01), 1e-6), straight) and not bends(fit((3.1, 0.01), 1e-6), straight)
-    assert not bends(fit((0.5, 0.01), np.sqrt(1e-8 - 2.4e-9)), straight)
-    assert bends(fit((0.5, 0.01), np.sqrt(1e-8 - 2.6e-9)), straight)
-    assert bends(fit((3.5, 0.01), 1e-6, ("axis", "pitch")), straight) and not bends(fit(None, 0.0), straight)
-    said = rival_of(fit((2.0, 1.0), 0.0), straight)  # 1 / (1 / 2 + 2 / 4)
-    assert said.startswith("a hinge would fit as well, with more than 1 m of radius") and "tell it from a line" in said
-    assert rival_of(fit((10.0, 1.0), 0.0), straight) == "" and rival_of(fit((10.0, 20.0), 0.0), straight) != ""
-    assert rival_of(fit((0.1, 0.1), 0.0, ("pitch",)), straight) == rival_of(fit(None, 0.0), straight) == ""
-
-
 def test_confirm_has_the_last_word(robot_of):
     """A further test is given the features and the selection, and its no is final."""
     demos = record(robot_of, "panda", along(AXIS[None], 0.2, False))
@@ -300,25 +255,6 @@ def test_the_answer_does_not_depend_on_the_order(robot_of):
     np.testing.assert_allclose(a.axis, b.axis, atol=1e-6)
     assert a.radius == pytest.approx(b.radius, abs=1e-6)
     np.testing.assert_array_equal(a.axis, again.axis)
-
-
-def test_a_mechanism_is_a_value():
-    """It cannot be changed, can be sent to another process, written as JSON, and says itself in words."""
-    m = Mechanism("hinge", np.array([0.1, 0.0, 0.995]), np.array([0.42, 0.38, 0.51]), 0.383, uncertainty={"axis": 0.1})
-    assert (
-        m.sentence
-        == ("a hinge: axis (0.10, 0.00, 0.99) through (0.42, 0.38, 0.51), 0.383 m from the hand; the hand may turn")
-        or "a hinge: axis (0.10, 0.00, 1.00)" in m.sentence
-    )
-    with pytest.raises(dataclasses.FrozenInstanceError):
-        m.radius = 1.0  # type: ignore[misc]
-    with pytest.raises(ValueError, match="read-only"):
-        m.axis[0] = 1.0
-    with pytest.raises(TypeError):
-        m.uncertainty["axis"] = 0.0  # type: ignore[index]
-    back = pickle.loads(pickle.dumps(m))
-    assert back.sentence == m.sentence and back.uncertainty == m.uncertainty
-    assert json.loads(json.dumps(m.to_dict()))["type"] == "hinge"
 
 
 def test_what_cannot_be_looked_at_is_refused(robot_of):

@@ -7,18 +7,13 @@ import math
 
 import numpy as np
 import pytest
-from generated_motions import arm_features, guided_motions, oblique, paper_motions
+from generated_motions import arm_features, guided_motions, oblique
 
-from manip_learn.learning.estimators.model_search import conditional_pca
 from manip_learn.learning.estimators.null_space import (
-    estimate_null_space,
-    fit_null_space,
     held_out_share,
     levels,
-    null_space_gap,
     trajectory_moments,
 )
-from manip_learn.learning.estimators.policy_model import PolynomialModel
 from manip_learn.learning.samples import Samples
 
 
@@ -40,13 +35,6 @@ def moments_of(samples: Samples, chosen) -> np.ndarray:
     return sum(np.outer(Phi @ u, Phi @ u) for Phi, u, t in rows(samples) if t in chosen)
 
 
-def test_moments_of_each_trajectory():
-    """sum Phi u u^T Phi^T, each trajectory by itself."""
-    samples = held(5)
-    for t, moment in enumerate(trajectory_moments(samples)):
-        np.testing.assert_allclose(moment, moments_of(samples, {t}), atol=1e-10)
-
-
 @pytest.mark.parametrize("n", [2, 4, 12])
 def test_the_held_out_share_is_that_of_trajectories_that_were_not_seen(n):
     """Each trajectory is judged by the constraint of the others; beyond ten of them there are ten folds."""
@@ -63,19 +51,6 @@ def test_the_held_out_share_is_that_of_trajectories_that_were_not_seen(n):
     assert held_out_share(samples, 2, trajectory_moments(samples)) == pytest.approx(broken / energy, rel=1e-9)
 
 
-def test_one_trajectory_has_nothing_held_out():
-    """NaN, not zero: there is no other trajectory to learn from."""
-    samples = held(1, 40)
-    assert math.isnan(held_out_share(samples, 2, trajectory_moments(samples)))
-
-
-def test_no_motion_breaks_nothing():
-    """Where nothing moves the share of the energy is zero, not a division by zero."""
-    samples = held(3)
-    still = dataclasses.replace(samples, u=0.0 * samples.u)
-    assert fit_null_space(still, np.eye(3)[:2], max_iterations=0).unexplained == 0.0
-
-
 def test_levels_are_relative_to_a_motion_of_all_joints():
     """Ten times as fast, a motion has the same levels; they are root mean squares along whitened directions."""
     samples = held(4)
@@ -86,23 +61,3 @@ def test_levels_are_relative_to_a_motion_of_all_joints():
     for size, direction in zip(sizes, directions, strict=True):
         square = np.mean([(direction @ Phi @ u) ** 2 for Phi, u, _ in rows(samples)])
         assert size == pytest.approx(math.sqrt(samples.nv * square / energy), rel=1e-9)
-
-
-def test_what_a_regression_leaves_is_a_velocity():
-    """The sizes of conditional PCA, largest first, are in the unit of the velocities: ten times as fast, ten times."""
-    demos, truth = paper_motions([0, 1], np.random.default_rng(1), n_trajectories=20, noise=0.01)
-    samples = Samples.collect(truth.features, demos)
-    model = PolynomialModel(2, 3)
-    sizes, directions = conditional_pca(samples, model)
-    faster, same = conditional_pca(dataclasses.replace(samples, u=10.0 * samples.u), model)
-    np.testing.assert_allclose(faster, 10.0 * sizes, rtol=1e-6)
-    np.testing.assert_allclose(np.abs(same), np.abs(directions), atol=1e-6)
-    assert np.all(np.diff(sizes) <= 0.0)
-
-
-def test_the_gap_is_known_before_the_fit():
-    """What tells a feature map that cannot win is the gap that its estimate would have had."""
-    samples = held(5, 40)
-    estimate = estimate_null_space(samples)
-    assert null_space_gap(samples) == estimate.table.gap(len(estimate.whitened_selection))
-    assert null_space_gap(samples, 1) == estimate_null_space(samples, 1).table.gap(1)

@@ -87,18 +87,6 @@ def test_two_doors_in_equal_parts_are_two_hinges(whole: bool):
         assert away_from_axis(report, truth if mine == halves[0] else other) < 1e-3
 
 
-@pytest.mark.parametrize("whole", [pytest.param(False, marks=pytest.mark.slow), True])
-def test_two_drawers_in_equal_parts_are_two_lines(whole: bool):
-    """Four recordings of one drawer and four of another: two constraints, each right to 0.3 degrees."""
-    truth, other, learner = learnt_half_and_half("drawer", "ur5", 602, whole)
-    assert len(learner.constraints_) == 2
-    for k, constraint in enumerate(learner.constraints_):
-        names = {p.trajectory for p in learner.report_.phases if p.constraint == k}
-        assert names in ({f"demo_{i}" for i in range(4)}, {f"demo_{i}" for i in range(4, 8)})
-        rows = np.array((truth if "demo_0" in names else other)["mechanisms"][0]["rows"])[:, :3]
-        assert np.degrees(row_space_angle(constraint.selection, rows)) < 0.3
-
-
 def test_pairs_that_share_a_direction_are_no_answer():
     """Free motion in which one joint moves at a time: whatever two of six recordings share, nothing is held."""
     truth, demos = generated("free_one_joint", "xarm7", 7017, 6, True)

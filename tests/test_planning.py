@@ -12,12 +12,11 @@ from conftest import chain_urdf
 
 import manip_learn as ml
 from manip_learn.commands.demo import SCENES
-from manip_learn.control.law_sequence import JointMotion, LawSequence, every_joint
+from manip_learn.control.law_sequence import JointMotion, every_joint
 from manip_learn.control.limits import Limits
 from manip_learn.planning.approach import Clearance, clear_path, self_collision
-from manip_learn.planning.search import Ladder, ladder_of, relaxed, soft_margin
-from manip_learn.planning.stations import Stations, margins_of, node_margins, rooms
-from manip_learn.robot.rotations import rotation_matrix
+from manip_learn.planning.search import Ladder, soft_margin
+from manip_learn.planning.stations import Stations, margins_of
 
 PANDA_TIP = "panda_hand_tcp"
 READY = np.array([0.0, -0.5, 0.0, -2.0, 0.0, 1.7, 0.8])
@@ -228,27 +227,6 @@ def test_a_hand_stays_inside_its_cone(panda: ml.Robot) -> None:
         assert panda.pose(q, PANDA_TIP)[:3, 2] @ down > np.cos(0.32)
 
 
-def test_orientations_of_a_cone_are_inside_it(rng: np.random.Generator) -> None:
-    """Rotations inside the cone, whatever its width and the turns that are alike; the default is what was shown."""
-    shown = np.linalg.qr(rng.normal(size=(3, 3)))[0]
-    shown *= np.linalg.det(shown)
-    for turns, angle in product((1, 2, None), (0.0, 0.4)):
-        cone = ml.GraspCone(axis=(0.0, 1.0, 0.0), angle=angle, turns=turns, direction=(1.0, 1.0, 0.0))
-        found = cone.orientations(shown, rng)
-        assert np.all(cone.holds(found, np.repeat(cone.toward(shown)[None], len(found), axis=0)))
-        assert len(found) == (49 if angle else {1: 1, 2: 2, None: 24}[turns])
-        np.testing.assert_allclose(found[0] @ [0.0, 1.0, 0.0], np.array([1.0, 1.0, 0.0]) / np.sqrt(2.0), atol=1e-12)
-        if angle:  # as wide as the cone, and evenly so over its cap
-            cosines = found[1:, :, 1] @ (np.array([1.0, 1.0, 0.0]) / np.sqrt(2.0))
-            assert np.cos(0.4) <= cosines.min() < 1.0 - 0.8 * (1.0 - np.cos(0.4))
-            off = rotation_matrix(np.array([0.0, 0.0, 1.0]) * 0.41) @ found[:1]
-            assert not cone.holds(off, cone.toward(shown)[None])[0]
-        assert np.allclose(found @ found.transpose(0, 2, 1), np.eye(3)) and np.allclose(np.linalg.det(found), 1.0)
-    assert np.allclose(ml.GraspCone().orientations(shown, rng)[0], shown)
-    opposite = ml.GraspCone(direction=-shown[:, 2]).orientations(shown, rng)[0]
-    assert np.allclose(opposite[:, 2], -shown[:, 2]) and np.isclose(np.linalg.det(opposite), 1.0)
-
-
 def test_a_cone_that_is_none_is_refused() -> None:
     """The sentence says what was got."""
     for wrong in ({"axis": (0, 0, 0)}, {"angle": -1.0}, {"angle": 3.2}, {"turns": 0}, {"direction": (1, 2)}):
@@ -391,57 +369,6 @@ def test_the_ladder_finds_the_path_whose_least_margin_is_largest() -> None:
     assert np.min(least[chosen, np.arange(last + 1)]) >= margins[first] - 0.01
 
 
-def test_relaxing_a_path_keeps_it_on_the_way_and_loses_no_margin(panda: ml.Robot) -> None:
-    """Nor does the joints' motion become rougher."""
-    stations, motion = stations_of(panda, PANDA_TIP, READY)
-    rng = np.random.default_rng(0)
-    ladder = ladder_of(stations, motion.constraint, READY, 96, rng, stations.grasp[None])
-    last = len(stations) - 1
-    margins = ladder.margins_to(last)
-    first = int(np.argmax(margins))
-    path = ladder.postures(ladder.path(first, last, margins[first] - 0.01))
-    better = relaxed(stations, path, ladder.grasp[first])
-    _, there = stations.onto(better, np.arange(last + 1), np.repeat(stations.grasp[None], last + 1, axis=0), 0)
-    assert there.all()
-    assert margins_of(stations, better).margin >= margins_of(stations, path).margin - 0.01
-    assert np.sum(np.diff(better, 2, axis=0) ** 2) <= 1.01 * np.sum(np.diff(path, 2, axis=0) ** 2)
-
-
-def test_margins_are_shares_of_the_limits(panda: ml.Robot) -> None:
-    """The formula, term by term: which joint, where, how much; one in the middle of a range, zero at its end."""
-    limits = Limits(panda)
-    low, high, U = panda.position_lower, panda.position_upper, panda.velocity_limit
-    assert np.allclose(rooms(limits, 0.5 * (low + high)[None]), 1.0) and np.allclose(rooms(limits, high[None]), 0.0)
-    stations, motion = stations_of(panda, PANDA_TIP, READY)
-    n = len(stations)
-    assert (n, stations.distance[-1]) == (26, pytest.approx(0.2)) and np.ptp(np.diff(stations.time)) < 1e-12
-    q = READY + np.cumsum(np.random.default_rng(5).normal(0.0, 0.01, (n, 7)), axis=0)
-    # the hand moves at 0.1 m/s and does not turn: a rotation counts at 0.1 / 0.2 rad/s
-    fast = np.max(np.diff(stations.distance) / np.diff(stations.time))
-    needs = np.where(np.abs(motion.constraint.selection[:, 3:]).max(axis=1) > 0.5, fast / 0.2, fast)
-    np.testing.assert_allclose(stations.needs, np.tile(needs, (n, 1)), rtol=1e-9)
-    A = np.array([motion.constraint(x) for x in q])
-    sigma = np.linalg.svd(A * U / needs[:, None], compute_uv=False)[:, -1]
-    room = 2.0 * np.minimum(q - low, high - q) / (high - low)
-    shares = np.max(np.abs(np.diff(q, axis=0)) / np.diff(stations.time)[:, None] / U, axis=0)
-    got, mu = margins_of(stations, q), np.sqrt(np.linalg.det(A @ A.transpose(0, 2, 1)))
-    at, joint = np.unravel_index(np.argmin(room), room.shape)
-    weakest = sigma / (sigma + 1.0)
-    assert got.weakest == pytest.approx(np.min(weakest)) and got.weakest_at == stations.distance[np.argmin(weakest)]
-    assert (got.room, got.room_joint, got.room_at) == (room.min(), panda.joint_names[joint], stations.distance[at])
-    assert (got.speed, got.speed_joint) == (pytest.approx(1 - shares.max()), panda.joint_names[np.argmax(shares)])
-    assert got.margin == min(got.weakest, got.room, got.speed)
-    assert got.singular_value == pytest.approx(np.min(np.linalg.svd(A, compute_uv=False)))
-    assert got.mean_manipulability == pytest.approx(np.mean(mu))
-    for name, words in (("room", got.room_joint), ("speed", got.speed_joint), ("weakest", "weakest direction")):
-        assert words in got._replace(margin=getattr(got, name)).limited_by("m")
-    nodes = node_margins(stations, q, np.arange(n))
-    np.testing.assert_allclose(nodes.log_mu, np.log(mu), rtol=1e-9)
-    np.testing.assert_allclose(nodes.least, np.minimum(weakest, room.min(axis=1)), rtol=1e-9)
-    straight = node_margins(stations, (READY * [0, 0, 0, 0, 0, 0, 0])[None], np.zeros(1, dtype=int))
-    assert straight.weakest[0] < 1e-6 and straight.log_mu[0] >= -50.0
-
-
 def test_an_approach_goes_around_the_arm_itself() -> None:
     """Where the straight motion is blocked; the same seed gives the same path."""
     robot = ml.load_robot("sawyer")
@@ -489,30 +416,3 @@ def test_joints_move_from_posture_to_posture_within_their_speeds(panda: ml.Robot
         JointMotion(panda, [READY * np.nan], 1.0)
     with pytest.raises(ml.ManipLearnError, match="positive"):
         JointMotion(panda, path, 0.0)
-
-
-def test_the_second_law_takes_over_where_the_joints_have_arrived(panda: ml.Robot) -> None:
-    """At the end of the approach if they are there to a milliradian, else a second later; a new run begins anew."""
-    goal = READY + 0.1
-    approach = JointMotion(panda, [READY, goal], 0.5, gain=4.0)
-    assert approach.duration == pytest.approx(1.0)  # half a second from rest to 0.2 rad/s: too short a way for 0.5
-    middle, rate = approach.at(0.5)
-    np.testing.assert_allclose([middle - READY, rate], [np.full(7, 0.05), np.full(7, 0.2)], atol=1e-12)
-    rail = line(panda, PANDA_TIP)
-    laws = (
-        ml.ResolvedRateController(every_joint(panda), approach, limits=False),
-        ml.ResolvedRateController(rail, ml.motion(rail, along=0.1), limits=False),
-    )
-    both = LawSequence(*laws)
-    for where, takes_over in ((goal, 1.0), (goal + 3e-4, 1.0), (goal + 4e-4, 2.0), (READY, 2.0)):
-        for t in (3.0, 3.35, 3.0 + takes_over - 0.01):
-            command = both(where, t)
-            assert both.number == 0 and both.current is laws[0]
-            assert command.manipulability == pytest.approx(ml.manipulability(both.way.constraint, where))
-            assert both.task_error(where, t) == pytest.approx(np.linalg.norm(where - goal))
-            wanted, speed = approach.at(t - 3.0)
-            np.testing.assert_allclose(command.velocity, speed + 4.0 * (wanted - where), rtol=0, atol=1e-9)
-        both(where, 3.0 + takes_over + 1e-9)
-        assert both.began == pytest.approx(3.0 + takes_over) and both.current is both.way is laws[1]
-        assert len(both(where, 3.0 + takes_over + 0.1).task_velocity) == 3
-    assert both.way.task.way_begins == pytest.approx(0.0, abs=1e-6)  # on the clock of its own beginning

@@ -17,20 +17,14 @@ from manip_learn.learning.estimators.estimate import Estimate, GapTable
 from manip_learn.learning.estimators.joint_estimator import estimate_joint
 from manip_learn.learning.estimators.model_search import explain
 from manip_learn.learning.estimators.policy_equations import (
-    OrthonormalRegressors,
     Projections,
-    Solver,
-    curvature,
-    noise_in_time,
-    shape_in_time,
     whitened,
     whitening_factor,
 )
-from manip_learn.learning.estimators.policy_model import HarmonicModel, PolynomialModel, TrajectoryOffsetModel
+from manip_learn.learning.estimators.policy_model import HarmonicModel, PolynomialModel
 from manip_learn.learning.estimators.variable_projection import (
     fit_joint,
     fit_projected,
-    held_out_by_fold,
     held_out_costs,
 )
 from manip_learn.learning.samples import Samples
@@ -84,19 +78,6 @@ def test_exact_where_nothing_disturbs():
         assert angle_deg(learner.constraint_, truth) < 1e-9
 
 
-def test_normal_equations_find_what_the_qr_finds(monkeypatch):
-    """Lambda and cost agree either way, but for combinations of regressors that hardly show."""
-    demos, truth = paper_motions(PLANAR_ROWS["xy"], np.random.default_rng(33), 40, noise=0.01)
-    samples, model = Samples.collect(truth.features, demos), PolynomialModel(2, 3)
-    start = truth.selection @ np.linalg.pinv(samples.whitening)
-    rows = fit_joint(samples, start, model)
-    monkeypatch.setattr("manip_learn.learning.estimators.variable_projection.MANY_COLUMNS", 0)
-    equations = fit_joint(samples, start, model)
-    assert row_space_angle(rows.whitened_selection, equations.whitened_selection) < 1e-4
-    assert equations.cost == pytest.approx(rows.cost, rel=1e-3)
-    assert equations.energy == pytest.approx(rows.energy, rel=1e-3)
-
-
 def test_noisy_motion_is_fitted_and_judged_alike_by_both_routes(monkeypatch):
     """Where normal equations are used for a small model they find the Lambda and the held-out costs of the QR."""
     demos, truth = paper_motions(PLANAR_ROWS["xy"], np.random.default_rng(34), 40, noise=0.02)
@@ -116,39 +97,6 @@ def test_noisy_motion_is_fitted_and_judged_alike_by_both_routes(monkeypatch):
     assert equations.cost == pytest.approx(rows.cost, rel=1e-8)
     np.testing.assert_allclose(equations.theta, rows.theta, atol=1e-4 * np.abs(rows.theta).max())
     np.testing.assert_allclose(costs, held_out_costs(samples, equations.whitened_selection, model, 5), rtol=1e-7)
-
-
-def test_ill_conditioned_models_are_left_to_the_qr():
-    """Regressors that depend on each other, and motion that a model explains: no answer by normal equations."""
-    demos, truth = paper_motions(PLANAR_ROWS["xy"], np.random.default_rng(35), 40, noise=0.02)
-    samples = Samples.collect(truth.features, demos)
-    start = truth.selection @ np.linalg.pinv(samples.whitening)
-    dependent = TrajectoryOffsetModel(PolynomialModel(1, 3), samples.n_trajectories)
-    assert fit_projected(samples, start, dependent, 30, 1e-13, 1e-9) is None
-    assert held_out_by_fold(samples, start, dependent, samples.trajectory % 5) is None
-    exact, truth = paper_motions(PLANAR_ROWS["xy"], np.random.default_rng(36), 40)
-    samples = Samples.collect(truth.features, exact)
-    start = truth.selection @ np.linalg.pinv(samples.whitening)
-    assert held_out_by_fold(samples, start, PolynomialModel(1, 3), samples.trajectory % 5) is None
-
-
-def test_curvature_is_the_sum_of_products(rng):
-    """sum beta beta^T (x) N, written out; the solver inverts it; regressors are orthonormal."""
-    beta, M = rng.standard_normal((30, 4)), rng.standard_normal((30, 3, 3))
-    N = M @ M.transpose(0, 2, 1)
-    H = curvature(beta, N)
-    np.testing.assert_allclose(H, sum(np.kron(np.outer(b, b), n) for b, n in zip(beta, N, strict=True)), rtol=1e-10)
-    right, solver = rng.standard_normal((12, 2)), Solver(H)
-    np.testing.assert_allclose(H @ solver(right), right, atol=1e-8)
-    np.testing.assert_allclose(solver.inverse(), np.linalg.inv(H), rtol=1e-6, atol=1e-12)
-    np.testing.assert_allclose(solver.inverse_diagonal(), np.diag(np.linalg.inv(H)), rtol=1e-6)
-    assert solver.log_determinant == pytest.approx(np.linalg.slogdet(H)[1], rel=1e-9)
-    scaled = H / np.sqrt(np.outer(np.diag(H), np.diag(H)))
-    assert solver.least_pivot == pytest.approx(np.min(np.diag(np.linalg.cholesky(scaled))) ** 2, rel=1e-6)
-    demos, truth = paper_motions([0, 1], rng, 6)
-    samples = Samples.collect(truth.features, demos)
-    values = OrthonormalRegressors.of(samples, PolynomialModel(2, 3)).values
-    np.testing.assert_allclose(values.T @ values / len(values), np.eye(values.shape[1]), atol=1e-6)
 
 
 def test_harmonic_model_spans_waves_of_each_joint(rng):
@@ -211,16 +159,6 @@ def test_the_evidence_counts_rows_where_residuals_do_not():
     assert nats[1] > nats[2] + 1000.0 and nats[1] > nats[0] + 1000.0
 
 
-def test_evidence_does_not_depend_on_the_number_of_rows_of_a_motion_without_structure(rng):
-    """White noise in all joints, no policy: a row more is as likely as one less, but for the price of parameters."""
-    motion, demos = one_row("affine", 0.0, (20, 20), 20100)
-    samples = Samples.collect(motion.features, demos)
-    samples = dataclasses.replace(samples, u=rng.standard_normal(samples.u.shape))
-    found = explain(samples, [PolynomialModel(0, 3)], np.random.default_rng(0))
-    nats = [one.nats for one in sorted(found, key=lambda one: one.n_rows)]
-    assert np.ptp(nats) < 0.5 * 12 * np.log(len(samples))
-
-
 def test_a_policy_alone_is_no_task():
     """Reaches to one rest posture, every joint a function of the posture: nothing is steered on purpose."""
     motion, _ = one_row("affine", 0.0, (20, 20), 20100)
@@ -279,21 +217,6 @@ def test_unequal_noise_does_not_bend_the_rows(rows: str):
         angles.append(row_space_angle(Lambda, learnt))
         told.append(row_space_angle(Lambda, better))
     assert np.median(angles) < 2.0 * np.median(told)
-
-
-def test_noise_is_seen_in_time(rng):
-    """Shape and size of the covariance of noise on a smooth motion, bursts of single samples left aside."""
-    motion, demos = one_row("affine", 0.0, (50, 40), 20100)
-    samples = Samples.collect(motion.features, demos)
-    L = np.linalg.qr(rng.standard_normal((3, 3)))[0] * [1.0, 2.0, 5.0]
-    e = 0.05 * rng.standard_normal(samples.u.shape) @ L.T
-    burst = np.where(rng.uniform(size=len(e)) < 0.01, 50.0, 1.0)[:, None]
-    noisy_samples = dataclasses.replace(samples, u=samples.u + e * burst)
-    S = shape_in_time(noisy_samples)
-    assert S is not None
-    assert np.linalg.norm(S - L @ L.T / 10.0) < 0.25 * np.linalg.norm(L @ L.T / 10.0)
-    assert noise_in_time(noisy_samples) == pytest.approx(0.05**2 * 10.0, rel=0.25)
-    assert shape_in_time(samples.subset(np.arange(len(samples)) < 30)) is None
 
 
 def test_an_uncertainty_beyond_thirty_degrees_is_no_answer():

@@ -10,7 +10,7 @@ import pytest
 from generated_motions import PLANAR_ROWS, paper_motions
 
 from manip_learn.learning.estimators.estimate import PolicyPrior
-from manip_learn.learning.estimators.policy_model import HarmonicModel, PolynomialModel
+from manip_learn.learning.estimators.policy_model import PolynomialModel
 from manip_learn.learning.estimators.variable_projection import GradedRegressors, ScoredFit, fit_joint, fit_marginal
 from manip_learn.learning.samples import Samples
 from manip_learn.linalg import complement_rows, orthonormal_rows
@@ -72,39 +72,6 @@ def test_the_hessian_holds_no_noise_of_its_own():
             moved = orthonormal_rows(fit.whitened_selection + B @ complement_rows(fit.whitened_selection))
             rises.append(deviance(samples, moved, fit.prior) - least)
         assert abs(np.mean(rises) / 0.3**2 - 1.0) < 0.12
-
-
-def test_gradients_of_the_trajectories_cancel(noisy_reaches):
-    """At the optimum the trajectories pull Lambda in opposite directions, once the policy has followed."""
-    _, fit = noisy_reaches
-    total, pull = fit.hessians.sum(axis=0) + np.diag(fit.prior.precision), fit.gradients.sum(axis=0)
-    covariance = fit.prior.noise * np.linalg.inv(total)[-2:, -2:]
-    # the gradient for Theta belongs to the prior; that for B is zero
-    assert pull[-2:] @ covariance @ pull[-2:] / fit.prior.noise**2 < 1e-4
-
-
-def test_grades_are_degrees():
-    """A polynomial has a variance a degree; a model that is none has one more; columns are limited."""
-    demos, truth = paper_motions(PLANAR_ROWS["xy"], np.random.default_rng(52), 5)
-    samples = Samples.collect(truth.features, demos)
-    cubic = GradedRegressors.of(samples, PolynomialModel(1, 3), 260)
-    assert np.bincount(cubic.grades).tolist() == [1, 3, 6, 10]
-    gram = cubic.values[:, cubic.grades == 2] @ cubic.values[:, cubic.grades == 2].T
-    x = np.concatenate([block.x for block in samples.blocks()])
-    np.testing.assert_allclose(gram, (x @ x.T / 3.0) ** 2, atol=1e-12)
-    assert np.bincount(GradedRegressors.of(samples, PolynomialModel(4, 3), 30).grades).tolist() == [1, 3, 6, 10, 15]
-    waves = GradedRegressors.of(samples, HarmonicModel(samples.spread, 1), 45)
-    assert np.bincount(waves.grades).tolist() == [1, 3, 10]
-
-
-def test_errors_of_a_prior_have_its_covariance(rng):
-    """sigma^2 M^-1 P M^-1 for the last unknowns."""
-    root = rng.standard_normal((3, 4, 4))
-    hessians, prior = root @ root.transpose(0, 2, 1), PolicyPrior(np.array([2.0, 0.5, 0.0, 0.0]), 0.3)
-    errors = prior.errors(hessians, 2, 200_000, rng)
-    inverse = np.linalg.inv(hessians.sum(axis=0) + np.diag(prior.precision))
-    expected = 0.3 * (inverse @ np.diag(prior.precision) @ inverse)[-2:, -2:]
-    np.testing.assert_allclose(np.cov(errors.T), expected, atol=0.02 * np.abs(expected).max())
 
 
 @pytest.mark.slow

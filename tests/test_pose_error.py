@@ -10,7 +10,7 @@ from case import case
 
 from manip_learn.constraint.constraint import Constraint
 from manip_learn.constraint.features import CentreOfMass, FeatureMap, FrameJacobian, RelativeFrameJacobian, Stacked
-from manip_learn.control.tasks import PointAttractor, Track
+from manip_learn.control.tasks import PointAttractor
 from manip_learn.errors import TargetError
 from manip_learn.robot.robot import Robot
 from manip_learn.robot.rotations import rotation_matrix
@@ -167,20 +167,6 @@ def left_after_reaching(features: FeatureMap, rng: np.random.Generator) -> float
             q = q + dt * (damped + pi - np.linalg.pinv(E) @ (E @ pi))
         left.append(task.error(constraint, q, 0.0) / first)
     return max(left)
-
-
-def test_track_and_point_attractor_give_the_same_rows(robot_of: RobotOf, rng: np.random.Generator) -> None:
-    """A moving target has, at each time, the derivative of a target that stands there; numbers along the rows of
-    Lambda count in the coordinates of the features.
-    """
-    features = features_of(robot_of("panda"), "x y rx", "world")
-    constraint, (q, u) = Constraint(np.eye(3)[:2] + np.eye(3)[1:], features), rng.uniform(-1.0, 1.0, (2, 7))
-    target = turned(features, q, 0.5, rng)
-    fixed, moving = PointAttractor(target), Track(lambda t: target)
-    np.testing.assert_array_equal(fixed.error_jacobian(constraint, q, 0.0), moving.error_jacobian(constraint, q, 3.0))
-    along = PointAttractor([0.1, 0.4])
-    E = along.error_jacobian(constraint, q, 0.0)
-    np.testing.assert_allclose(-E @ u, rate(lambda x: along.displacement(constraint, x), q, u), rtol=0, atol=1e-6)
 
 
 def test_poses_that_are_none(robot_of: RobotOf, rng: np.random.Generator) -> None:

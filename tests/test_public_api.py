@@ -82,21 +82,6 @@ def test_names_work_without_the_extras():
     assert result.stdout == "fine\n", result.stderr
 
 
-def test_names_are_the_same_object_every_time():
-    """Two ways to a name lead to one object."""
-    from manip_learn.constraint.constraint import Constraint
-
-    assert ml.Constraint is Constraint
-    assert ml.Constraint is ml.Constraint
-
-
-def test_version():
-    """The version is the one in the package's metadata."""
-    import importlib.metadata
-
-    assert ml.__version__ == importlib.metadata.version("manip-learn")
-
-
 def test_importing_the_library_leaves_the_signals_alone():
     """Whatever the program is called: only the command line's `main` decides what Ctrl-C does."""
     code = (

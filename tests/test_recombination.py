@@ -10,9 +10,6 @@ from manip_learn.constraint.features import CustomFeatures, FeatureMap, FrameJac
 from manip_learn.errors import RecordingError
 from manip_learn.learning.recombination import (
     RowEvidence,
-    arrangements_of_joints,
-    moments_of_motion,
-    phase_paths,
     recombination_test,
 )
 from manip_learn.recordings.trajectory import Trajectory
@@ -125,71 +122,6 @@ def test_the_verdict_is_that_of_its_numbers():
     softly = of_numbers((9.0, 1.2, 2.0), (0.0, 0.0, 0.0), levels=(0.01, 0.1, 1.0))
     assert softly.states == ("held", "untried", "unclear")
     assert of_numbers((9.0, 1.0, 0.9), (0.0,) * 3, levels=(0.01, 0.2, 1.0)).states == ("held", "free", "free")
-
-
-def test_more_recombinations_are_drawn_where_they_could_decide():
-    """Near the strength that counts, by the error of its median and of its spread; near the chance that does."""
-    assert of_numbers((10.0, 1.8 * np.exp(0.2326), 0.9), (0.1, 0.1, 0.1)).is_close
-    assert not of_numbers((10.0, 3.0, 0.9), (0.1, 0.1, 0.1)).is_close
-    error = 2.5758 * np.sqrt((0.5 * np.pi + 0.5 * 2.3263**2) / 199)  # of log(lower) over the spread
-    for off, close in ((0.98, True), (1.02, False)):
-        for sign in (1.0, -1.0):
-            strength = 1.8 * np.exp(0.1 * (2.3263 + sign * off * error))
-            assert of_numbers((10.0, strength, 0.9), (0.1, 0.1, 0.1)).is_close == close
-    assert of_numbers((10.0, 9.0, 0.9), (0.0,) * 3, (0.005, 0.015, 0.5)).is_close
-    assert not of_numbers((10.0, 9.0, 0.9), (0.0,) * 3, (0.005, 0.2, 0.5)).is_close
-
-
-def test_chance_counts_the_recorded_motion_itself():
-    """No recombination is as low as the recorded motion: p is one in all of them and it, never zero."""
-    found = evidence(*held_motions(2, 4))
-    assert found.p_values[:2] == (1.0 / (found.n_recombinations + 1.0),) * 2
-    assert all(least <= strength for least, strength in zip(found.least, found.strengths, strict=True))
-    # as many as tell a chance of 1 % twice over; more where they could decide
-    assert found.n_recombinations == 199
-    features, trajectories = held_motions(2, 4)
-    close = recombination_test(features, trajectories, np.random.default_rng(0), believed=found.lower[1])
-    assert close.n_recombinations >= 4 * 199
-
-
-def test_paths_are_walked_by_their_share_of_the_way(rng):
-    """The joints of another trajectory move between the same phases, ahead by a shift; what leaves at the end comes in
-    at the start. Bins weigh as fast as they are passed, and a path run from its end keeps its displacements.
-    """
-    features, trajectories = held_motions(2, 4)
-    path = phase_paths(trajectories)[0]
-    steps = rng.standard_normal((4 * path.n_bins, 7))
-    g = len(steps)
-    way = np.concatenate([np.zeros((1, 7)), np.cumsum(np.tile(steps, (3, 1)), axis=0)])
-    for shift in (0.0, 0.3, 1.3):
-        at = (path.edges + shift) * g
-        expected = np.diff([[np.interp(x, np.arange(len(way)), way[:, j]) for j in range(7)] for x in at], axis=0)
-        np.testing.assert_allclose(path.displacements(steps, shift), expected, atol=1e-9)
-    assert path.edges[0] == 0.0 and path.edges[-1] == 1.0 and np.all(np.diff(path.edges) > 0.0)
-    assert np.array_equal(path.bins, np.sort(path.bins)) and path.bins[0] == 0 and path.bins[-1] == path.n_bins - 1
-    back = path.reverse()
-    np.testing.assert_allclose(back.bin_steps(), path.bin_steps()[::-1], atol=1e-15)
-    np.testing.assert_allclose(back.reverse().edges, path.edges)
-    np.testing.assert_array_equal(back.reverse().bins, path.bins)
-    time, u = np.linspace(0.0, 4.0, 401), np.ones((401, 2))
-    u[:200] *= 3.0  # three quarters of the way in half of the time
-    made = [Trajectory(time, np.cumsum(u, axis=0), u) for _ in range(3)]
-    (walked, *_) = phase_paths(made)
-    assert walked.n_bins == 16 and np.abs(walked.steps.sum(axis=0)) == pytest.approx([np.sqrt(2.5)] * 2, rel=0.01)
-    weight = np.sort(walked.weight)  # of four slow bins and twelve fast ones
-    np.testing.assert_allclose(weight / weight[0], [1.0] * 4 + [3.0] * 12, rtol=0.03)
-    assert np.mean(weight) == pytest.approx((8.0 / np.sqrt(2.5)) ** 2, rel=0.02)  # the squared length of the way
-
-
-def test_each_joint_moves_as_in_its_own_donor(rng):
-    """r = sum over the joints of what each adds as it moves in its donor; mean of r r^T over the bins."""
-    parts, donors = rng.standard_normal((3, 5, 4, 6, 2)), rng.integers(0, 6, (7, 4, 3))
-    for m, d in np.ndindex(7, 3):
-        r = np.sum([parts[d, :, v, donors[m, v, d]] for v in range(4)], axis=0)
-        np.testing.assert_allclose(moments_of_motion(parts, donors)[m, d], r.T @ r / 5.0)
-    orders = arrangements_of_joints(rng, 50, 4, 3, 3)
-    assert np.array_equal(np.sort(orders, axis=2), np.broadcast_to(np.arange(3), (50, 4, 3)))
-    assert len(np.unique(orders.reshape(50, -1), axis=0)) > 45  # each joint by itself
 
 
 def test_the_rows_found_are_those_that_are_held():
@@ -361,13 +293,6 @@ def test_rows_that_are_zero_throughout_are_no_evidence():
     found = evidence(every, trajectories)
     assert len(found.strengths) == 3
     assert found.verdict != "clear"
-
-
-def test_more_trajectories_than_are_used_and_few_samples_each():
-    """Forty trajectories of ten samples are enough, and no more expensive than sixteen."""
-    features, trajectories = held_motions(1, 12, 40)
-    found = evidence(features, [t.part(slice(i, i + 10)) for i, t in enumerate(trajectories)])
-    assert (found.n_rows, found.n_trajectories) == (1, 16)
 
 
 def test_what_cannot_be_tested_is_refused():

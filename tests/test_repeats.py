@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import dataclasses
 import itertools
 from collections.abc import Callable
 from types import SimpleNamespace
@@ -21,7 +20,6 @@ from manip_learn.learning.repeats import IndependentRecordings
 from manip_learn.learning.report import advise
 from manip_learn.learning.samples import doubt_velocities
 from manip_learn.recordings.demonstrations import Demonstrations
-from manip_learn.recordings.velocities import with_velocities as derived
 
 Motion = tuple[np.ndarray, np.ndarray]
 
@@ -105,35 +103,6 @@ def test_pieces_of_one_recording_are_the_uncut_recording(clock: bool, shared: bo
         assert t.time[0] <= phase.start < phase.end <= t.time[-1]
 
 
-@pytest.mark.parametrize("clock", [False, True])
-@pytest.mark.parametrize("shared", [False, True])
-def test_pieces_are_put_together_as_they_were_recorded(clock: bool, shared: bool, drawers):
-    """Times, postures, recorded velocities and efforts are those of the uncut recording, every sample once; each piece
-    knows where on its own clock it lies.
-    """
-    t, q = drawers[1][2]
-    u, effort = np.gradient(q, t, axis=0), np.cos(q)
-    spans = [slice(a[0], a[-1] + 1 + (shared and k < 3)) for k, a in enumerate(np.array_split(np.arange(len(t)), 4))]
-    cut = [
-        ml.Trajectory(t[s] - (0.0 if clock else t[s.start]), q[s], u[s], name=f"p{k}", effort=effort[s])
-        for k, s in enumerate(spans)
-    ]
-    found = IndependentRecordings.of(Demonstrations([named(drawers[1])[0], *cut]))
-    assert len(found.demonstrations) == 2 and [number for number, _ in found.origins[1]] == [1, 2, 3, 4]
-    whole = found.demonstrations[1]
-    np.testing.assert_allclose(whole.time, t, atol=1e-9)
-    for kept, given in ((whole.q, q), (whole.u, u), (whole.effort, effort)):
-        np.testing.assert_array_equal(kept, given)
-    places = found.places(Stretch(1, float(t[10]), float(t[-10])))
-    assert [p.trajectory for p in places] == [1, 2, 3, 4]
-    for place, piece, s in zip(places, cut, spans, strict=True):
-        at = np.clip([t[s.start], t[s.stop - 1]], t[10], t[-10]) - t[s.start] + piece.time[0]
-        np.testing.assert_allclose([place.start, place.end], at, atol=1e-6)
-    without = [dataclasses.replace(p, effort=None) if k == 2 else p for k, p in enumerate(cut)]
-    again = IndependentRecordings.of(Demonstrations([named(drawers[1])[0], *without]))
-    assert again.demonstrations[1].effort is None and len(again.demonstrations[1]) == len(t)
-
-
 def test_one_recording_in_eight_is_no_more_than_one(drawers):
     """A single recording cut in eight has no uncertainty, as before it was cut."""
     features, motions = drawers
@@ -214,12 +183,6 @@ def test_late_filtered_and_noisy_velocities_are_not_blamed(change, smooth_drawer
     assert not doubt_velocities(with_velocities(smooth_drawers, change), smooth_drawers[0].robot.joint_names)
 
 
-def test_a_factor_that_all_joints_share_turns_nothing(smooth_drawers):
-    """A clock that runs wrong leaves A u = 0 as it is."""
-    given = [ml.Trajectory(1.2 * t.time, t.q, t.u) for t in with_velocities(smooth_drawers, lambda _t, _w, u: u)]
-    assert not doubt_velocities(given, smooth_drawers[0].robot.joint_names)
-
-
 def advised(n: int, phases: str = "auto", findings: Findings | None = None, **refusal) -> NotIdentifiableError:
     """What is advised for n slow recordings in which the second joint stays where it is."""
     t = np.arange(50) * 0.02
@@ -258,32 +221,3 @@ def test_advice_names_each_likely_cause():
     assert advised(3, findings=whole).advice[:1] == (lock,)  # nothing to cut: the stretches are the recordings
     assert advised(3, code="no-motion").advice == () and str(advised(3, code="no-motion")) == "no row is held"
     assert advised(3, advice=("vary the way",), code="no-evidence").advice[0] == "vary the way"
-
-
-def test_what_usually_helps_is_advised_where_no_cause_is_likely():
-    """Lively recordings, no part of which is singled out."""
-    t, rng = np.arange(50) * 0.02, np.random.default_rng(0)
-    moves = [rng.standard_normal((50, 3)) for _ in range(3)]
-    made = [ml.Trajectory(t, np.cumsum(u, axis=0), u, tuple("abc"), f"demo_{i}") for i, u in enumerate(moves)]
-    recordings = IndependentRecordings.of(Demonstrations(made))
-    whole = Findings((), refused=tuple(Stretch(i, 0.0, float(t[-1])) for i in range(3)))
-    refusal = NotIdentifiableError("no row is held", code="weak-gap")
-    features = [ml.CustomFeatures(lambda q: np.eye(3), ("x", "y", "z"), 3)]
-    said = advise(refusal, recordings.demonstrations, features, whole, recordings=recordings, phases="auto")
-    assert str(said).startswith("record more varied motions, try other axes or the other reference")
-
-
-def test_advice_to_cut_names_each_file_and_its_times(drawers):
-    """Stretches that nearly showed something are named on the clocks of the files that were given."""
-    features, motions = drawers
-    given = Demonstrations(named([motions[0], *pieces(motions[1]), motions[2]]))
-    given = given.with_joint_names(features.robot.joint_names)
-    recordings = IndependentRecordings.of(given)
-    demonstrations = derived(recordings.demonstrations, features.robot)
-    refused = (Stretch(0, 0.5, 1.25), Stretch(0, 1.5, 2.0), Stretch(2, 0.25, 1.0))
-    findings = Findings((), refused=refused)
-    refusal = NotIdentifiableError("no evidence", code="no-evidence")
-    again = advise(refusal, demonstrations, [features], findings, recordings=recordings, phases="auto")
-    assert any(a.startswith("cut the recordings") for a in again.advice)
-    assert again.advice[-1].endswith(": demo_0 0.5 to 1.2 s and 1.5 to 2.0 s, demo_9 0.2 to 1.0 s")
-    assert str(again).endswith("; ".join([*recordings.warnings, again.advice[-1]]))

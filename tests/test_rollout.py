@@ -13,11 +13,10 @@ from manip_learn.constraint.constraint import Constraint
 from manip_learn.constraint.features import FrameJacobian
 from manip_learn.control.controller import ResolvedRateController
 from manip_learn.control.policies import JointAttractor, ManipulabilityAscent
-from manip_learn.control.rollout import Rollout
 from manip_learn.control.servo_loop import ServoLoop
 from manip_learn.control.simulation import simulate
 from manip_learn.control.tasks import PointAttractor
-from manip_learn.errors import ConfigurationError, RecordingError
+from manip_learn.errors import ConfigurationError
 from manip_learn.learning import ConstraintLearner
 
 
@@ -160,44 +159,6 @@ def test_evidence_of_a_rollout(robot_of, rng):
     assert sum(rollout.status_counts.values()) == len(rollout)
     with pytest.raises(ValueError, match="read-only"):
         rollout.q[0] = 0.0
-
-
-def test_files(robot_of, rng, tmp_path):
-    """A rollout comes back from its file to the last bit, in every format; what is none is rejected with a reason."""
-    robot = robot_of("wrist")
-    controller = reaching(robot, "tip", "xyz", [0.4, 0.2, 0.4])
-    loop = ServoLoop(controller, 0.01)
-    rollout = simulate(robot, loop, robot.random_configuration(rng), 0.1, 0.01)
-    rollout = replace(rollout, time=rollout.time + 3.25, phases=(("way", 3.25, 3.3), ("rest", 3.3, 3.35)))
-    for ending in (".npz", ".csv"):
-        path = rollout.save(tmp_path / f"my rollout.1{ending}")
-        assert path == tmp_path / f"my rollout.1{ending}" and path.is_file()
-        loaded, notes = Rollout.load_with_notes(path, robot)
-        assert notes == () and len(loaded) == 11
-        for name in ("time", "q", "u", "manipulability", "task_error", "following_error", "target"):
-            np.testing.assert_array_equal(getattr(loaded, name), getattr(rollout, name), err_msg=f"{ending} {name}")
-        for name in ("status", "joint_names", "frame", "phases", "constraint"):
-            assert getattr(loaded, name) == getattr(rollout, name), (ending, name)
-        assert loaded.robot is not None and loaded.robot.name == robot.name
-    assert rollout.target is not None and rollout.target.tolist() == [0.4, 0.2, 0.4] and rollout.frame == "tip"
-    again = Constraint.from_dict(rollout.constraint, robot)
-    np.testing.assert_array_equal(again.selection, controller.constraint.selection)
-    lines = (tmp_path / "my rollout.1.csv").read_text().splitlines(keepends=True)
-    (tmp_path / "cut.csv").write_text("".join(lines[:-1]))
-    with pytest.raises(RecordingError, match="samples"):
-        Rollout.load(tmp_path / "cut.csv")
-    with pytest.raises(RecordingError):
-        Rollout.load(tmp_path / "my rollout.1.npz", robot_of("sawyer"))
-    (tmp_path / "word.csv").write_text("".join(lines).replace(str(rollout.status[-1]), "fine"))
-    with pytest.raises(RecordingError, match="sample .*'fine'"):
-        Rollout.load(tmp_path / "word.csv")
-    np.savez(tmp_path / "other.npz", a=np.zeros(3))
-    (tmp_path / "text.npz").write_text("hello")
-    (tmp_path / "empty.npz").write_bytes(b"")
-    words = {"other": "no rollout", "text": "no rollout", "empty": "no rollout", "none": "not exist"}
-    for name, said in words.items():
-        with pytest.raises(RecordingError, match=said):
-            Rollout.load(tmp_path / f"{name}.npz")
 
 
 def test_parts_of_rollouts(robot_of):

@@ -14,7 +14,6 @@ from servo_cases import (
     Arm,
     Constantly,
     RobotOf,
-    command_of,
     law_of,
     start_of,
 )  # fmt: skip
@@ -284,36 +283,6 @@ def test_commands_belong_to_the_caller(own: bool, robot_of: RobotOf) -> None:
         np.testing.assert_array_equal(command.task_part, task_part)
 
 
-def test_velocities_of_any_kind_are_numbers(robot_of: RobotOf) -> None:
-    """A list of ints or a float32 array from a user's own controller becomes a float64 velocity of the loop's own."""
-    robot = robot_of("sawyer")
-    for velocity in ([0] * 7, np.full(7, 0.001, np.float32), (0.001,) * 7):
-        loop = ml.ServoLoop(lambda q, t, dt, v=velocity: command_of(v), robot=robot)
-        for command in Arm(loop, start_of(robot)).calls(20):
-            assert command.velocity.dtype == np.float64 and command.status is ml.Status.OK
-            np.testing.assert_allclose(command.velocity, velocity, rtol=1e-6)
-
-
-@pytest.mark.parametrize("jerk", [None, 200.0])
-def test_irregular_periods(robot_of: RobotOf, rng: np.random.Generator, jerk: float | None) -> None:
-    """Late calls, with commands that are held in between: the commanded posture is where the arm is, limits hold."""
-    robot = robot_of("sawyer")
-    law = law_of(robot, "sawyer")
-    loop, q, t, before = ml.ServoLoop(law, jerk_limit=jerk), start_of(robot), 0.0, np.zeros(7)
-    first, period, fastest = law.task_error(q), DT, 0.0
-    for k in range(2500):
-        command = loop.update(q, t)
-        assert np.all(np.abs(command.velocity - before) <= 1.5 * loop.acceleration_limit * max(period, DT))
-        # times within 1 % of a period are taken for whole ones
-        assert command.following_error <= 0.01 * DT * fastest + 1e-12
-        fastest = max(fastest, np.max(np.abs(command.velocity)))
-        period = DT * (rng.uniform(0.8, 1.2) if k % 50 else rng.uniform(1.0, 8.0))
-        q, t, before = robot.integrate(q, period * command.velocity), t + period, command.velocity
-        assert loop.position is not None
-        assert np.max(np.abs(loop.position - q)) < 0.02
-    assert law.task_error(q) < 0.02 * first
-
-
 LONG = (pytest.mark.slow, pytest.mark.timeout(3000))
 
 
@@ -339,19 +308,6 @@ def test_memory_does_not_grow(periods: int, robot_of: RobotOf) -> None:
         assert tracemalloc.get_traced_memory()[0] - before < 20_000
     finally:
         tracemalloc.stop()
-
-
-def test_a_loop_can_be_simulated_again(robot_of: RobotOf) -> None:
-    """`simulate` runs a loop from rest at the start given, as often as it is asked to, with the task's error."""
-    robot = robot_of("sawyer")
-    law = law_of(robot, "sawyer")
-    loop = ml.ServoLoop(law, DT)
-    first = ml.simulate(robot, loop, start_of(robot), 0.3, DT)
-    second = ml.simulate(robot, loop, start_of(robot), 0.3, DT)
-    plain = ml.simulate(robot, law, start_of(robot), 0.3, DT)
-    np.testing.assert_array_equal(first.q, second.q)
-    np.testing.assert_allclose(first.q, plain.q, rtol=0, atol=1e-12)
-    np.testing.assert_allclose(first.task_error, plain.task_error, rtol=0, atol=1e-9)
 
 
 def test_wrong_settings_are_refused(robot_of: RobotOf) -> None:

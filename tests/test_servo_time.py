@@ -9,7 +9,7 @@ import pytest
 from servo_cases import DT, Arm, Constantly, RobotOf, law_of, start_of
 
 import manip_learn as ml
-from manip_learn.control.servo_loop import MovingAverage, Period, Return
+from manip_learn.control.servo_loop import Return
 from manip_learn.errors import ConfigurationError, TargetError
 
 ROUNDING = 1.0 + 1e-6
@@ -110,43 +110,6 @@ def test_after_a_gap_nothing_steps(servo: str, gap: float, robot_of: RobotOf) ->
         assert np.all(np.abs(command.velocity - before) <= loop.acceleration_limit * DT * ROUNDING)
         assert np.all(np.abs(robot.difference(q, loop.position)) <= robot.velocity_limit * DT * ROUNDING)
         q, before = loop.position, command.velocity
-
-
-def test_a_period_counts_as_agreed_or_as_it_is(caplog: pytest.LogCaptureFixture) -> None:
-    """Calls on time, a little late, early, regularly slower, and irregular: for how long each command counts."""
-    period = Period(0.01)
-    assert [period.step(x) for x in (0.01, 0.0124, 0.009, 0.01)] == [0.01, 0.01, 0.009, 0.01]
-    assert (period.usual, period.longest) == (0.01, 0.01)
-    slow = Period(0.01)
-    with caplog.at_level(logging.WARNING, "manip_learn"):
-        assert [slow.step(x) for x in (0.03, 0.03)] == [0.01, 0.01]
-        assert (slow.usual, slow.longest) == (0.01, 0.03)
-        assert slow.step(0.031) == 0.03 and (slow.usual, slow.longest) == (0.03, 0.03)
-        assert slow.step(0.04) == 0.01 and (slow.usual, slow.longest) == (0.01, 0.04)  # no longer regular
-        for _ in range(100):  # of which the last 100 are looked at
-            slow.step(0.03)
-    assert (slow.usual, slow.longest) == (0.03, 0.03)
-    assert [r.getMessage() for r in caplog.records] == [
-        "the servo loop was made for a period of 10 ms and is called every 30.33 ms in the mean (30 to 31): "
-        "give it that as dt"
-    ]
-
-
-def test_velocities_are_averaged_over_twice_acceleration_over_jerk(robot_of: RobotOf) -> None:
-    """The mean of straight lines over 2 max(a / jerk), whole periods of it, whatever the times between calls."""
-    limits = ml.Limits(robot_of("planar3"), acceleration=[1.0, 2.0, 1.0], jerk=[10.0, 10.0, 10.0])
-    average = MovingAverage(limits, 0.03)
-    assert average.averages and average.time == pytest.approx(0.42)
-    times, speeds = [0.0], [0.0]
-    for k, dt in enumerate([0.03] * 5 + [0.01] * 7 + [0.2, 0.05] + [0.03] * 20):
-        u = np.array([1.0, -2.0, 0.5]) * np.sin(0.7 * k)
-        times.append(times[-1] + dt)
-        speeds.append(float(np.sin(0.7 * k)))
-        at = np.linspace(times[-1] - 0.42, times[-1], 42_001)
-        mean = np.trapezoid(np.interp(at, times, speeds, left=0.0), at) / 0.42
-        np.testing.assert_allclose(average.of(u, dt), mean * np.array([1.0, -2.0, 0.5]), rtol=0, atol=2e-6)
-    plain = MovingAverage(ml.Limits(robot_of("planar3")), 0.03)
-    assert not plain.averages and plain.time == 0.03
 
 
 def test_the_way_back_is_the_fastest_that_stops(robot_of: RobotOf) -> None:

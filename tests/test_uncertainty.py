@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import dataclasses
 import json
 
 import numpy as np
@@ -19,11 +18,9 @@ from manip_learn.learning.uncertainty import (
     PARTS,
     POLICY,
     JointOffsets,
-    angle_within_deg,
     bootstrap_angle_deg,
     in_words,
     influences,
-    total_deg,
     uncertainty_of,
 )
 from manip_learn.recordings.demonstrations import Demonstrations
@@ -49,33 +46,6 @@ def inside(offset: float, sets: int) -> float:
     return found / sets
 
 
-def test_what_the_residual_says_of_the_offsets():
-    """A pattern far above its noise is the offset itself, turned back by the directions and the response; one that is
-    within it is most likely none; a combination that shows nowhere is as large as the others are found to be.
-    """
-    rng, V = np.random.default_rng(0), np.array([[0.6, 0.8], [0.8, -0.6]])
-    delta = np.array([0.01, 0.002])
-    seen = JointOffsets(np.array([[2.0, 0.0], [0.0, -1.0]]), V, np.array([1e6, 4e6]), 0.0 * delta, 0.01)
-    seen = dataclasses.replace(seen, pattern=seen.curvatures * (V.T @ delta))
-    drawn = seen.errors(4000, rng)
-    np.testing.assert_allclose(drawn.mean(axis=0), [2.0 * 0.01, -0.002], rtol=0.02)
-    spread = 0.01 * (V / seen.curvatures) @ V.T * np.outer([2.0, -1.0], [2.0, -1.0])  # for a wide prior
-    np.testing.assert_allclose(np.cov(drawn.T), spread, rtol=0.1, atol=1e-9)
-    quiet = dataclasses.replace(seen, pattern=0.1 * np.sqrt(seen.curvatures))
-    assert np.mean(np.all(quiet.errors(4000, rng) == 0.0, axis=1)) > 0.9
-    hidden = JointOffsets(np.eye(2), np.eye(2), np.array([1e6, 0.0]), np.array([1e4, 0.0]), 1.0)
-    assert 0.3 < np.std(hidden.errors(4000, rng)[:, 1]) / 0.01 < 3.0
-
-
-def test_parts_add_up_and_a_wide_angle_of_the_joint_estimator_is_no_answer():
-    """Root of the sum of squares of the parts there are; 30 degrees are the most."""
-    assert total_deg({NOISE: 3.0, JOINT_ZEROS: 4.0, POLICY: None}) == 5.0
-    assert total_deg(dict.fromkeys(PARTS)) is None
-    B = np.array([[0.01, 0.0], [0.0, 0.02], [0.03, 0.0], [0.0, -0.04]])  # of one row of three
-    angle = angle_within_deg(ThreeRows(), np.eye(3)[:1], B, 0.5)
-    assert angle == pytest.approx(np.degrees(np.median(np.arctan([0.01, 0.02, 0.03, 0.04]))), rel=1e-6)
-
-
 class ThreeRows:
     """Samples in whitened coordinates that are those of the features."""
 
@@ -88,21 +58,6 @@ class ThreeRows:
 def test_joint_offsets_are_part_of_the_stated_angle():
     """Offsets of 2e-3 rad: the truth is inside in at least 60 % of 25 sets; the bootstrap alone says 25 to 35 %."""
     assert inside(2e-3, 25) >= 0.6
-
-
-def test_without_offsets_hardly_anything_is_added():
-    """The interval of clean recordings grows by less than a quarter in the median."""
-    growth = []
-    for seed in range(8):
-        demos, truth, _ = held(100 + seed, 0.0)
-        samples = Samples.collect(truth.features, demos)
-        estimate = estimate_null_space(samples, 2)
-        covariance = np.linalg.inv(estimate.hessians.sum(axis=0)) * estimate.unexplained * samples.energy / 2
-        offsets = JointOffsets.of(samples, estimate.whitened_selection)
-        assert offsets is not None
-        added = np.mean(np.sum(offsets.errors(400, np.random.default_rng(seed)) ** 2, axis=1))
-        growth.append(np.sqrt(1.0 + added / np.trace(covariance)))
-    assert np.median(growth) < 1.25
 
 
 def test_the_error_of_lambda_is_linear_in_the_offsets():
@@ -118,15 +73,6 @@ def test_the_error_of_lambda_is_linear_in_the_offsets():
     B = np.linalg.solve(true @ estimate.whitened_selection.T, true @ perp.T).reshape(-1)
     foretold = offsets.response @ -delta
     assert np.linalg.norm(B - foretold) < 0.1 * np.linalg.norm(B)
-
-
-def test_nothing_to_say_without_freedom_or_residual():
-    """All rows held, or a residual that is rounding: None."""
-    demos, truth, _ = held(6, 0.0, noise=0.0)
-    samples = Samples.collect(truth.features, demos)
-    whitened = truth.selection @ np.linalg.pinv(samples.whitening)
-    assert JointOffsets.of(samples, np.linalg.qr(whitened.T)[0].T) is None
-    assert JointOffsets.of(samples, np.eye(3)) is None
 
 
 @pytest.mark.parametrize("motions", [5, 60])
@@ -154,23 +100,6 @@ def test_a_turn_of_the_base_shows_nowhere():
     assert offsets is not None
     assert offsets.directions[0] ** 2 @ offsets.curvatures < 1e-12 * offsets.curvatures[-1]
     assert np.linalg.norm(offsets.response[:, 0]) > 0.1
-
-
-def test_noise_that_a_trajectory_shares_counts_as_often_as_there_are_trajectories():
-    """An error common to each trajectory, as of a posture held, makes sigma larger than independent samples do."""
-    demos, truth, _ = held(8, 0.0, noise=0.0)
-    rng = np.random.default_rng(3)
-
-    def variance(errors: list[np.ndarray]) -> float:
-        noisy = [Trajectory(t.time, t.q, t.u + e, t.joint_names, t.name) for t, e in zip(demos, errors, strict=True)]
-        samples = Samples.collect(truth.features, Demonstrations(noisy))
-        offsets = JointOffsets.of(samples, estimate_null_space(samples, 2).whitened_selection)
-        assert offsets is not None
-        return offsets.variance
-
-    alike = [np.tile(0.01 * rng.standard_normal(7), (len(t), 1)) for t in demos]
-    apart = [0.01 * rng.standard_normal(t.q.shape) for t in demos]
-    assert variance(alike) > 4.0 * variance(apart)
 
 
 def test_the_report_states_the_parts():
@@ -251,25 +180,6 @@ def stated(gradients, quantile: float) -> float:
     rng = np.random.default_rng(8)
     # the row is turned by steps of 1e-4 and less, where the angle is the step
     return bootstrap_angle_deg(TwoRows(), np.eye(2)[:1], gradients[:, None], hessians, rng, 20_000, quantile)
-
-
-def plain(gradients, quantile: float) -> float:
-    """The angle from the bootstrap alone: quantile of |sum of the drawn influences|, in the first order."""
-    n = len(gradients)
-    # sum H = 1e4 n, leverage 1 / n each
-    influence = gradients / (1e4 * n * np.sqrt(1.0 - 1.0 / n)) * np.sqrt(n / (n - 1.0))
-    drawn = np.random.default_rng(9).multinomial(n, np.full(n, 1.0 / n), size=20_000) - 1.0
-    return float(np.degrees(np.quantile(np.abs(drawn @ (influence - influence.mean())), quantile)))
-
-
-def test_few_trajectories_with_all_the_influence_widen_the_angle():
-    """A hundred equal trajectories: the bootstrap's own quantile; two of ten that carry all: Student's wide tails."""
-    many = np.where(np.arange(100) % 2 == 0, 1.0, -1.0)
-    assert stated(many, 0.95) == pytest.approx(plain(many, 0.95), rel=0.06)
-    two = np.zeros(10)
-    two[3], two[7] = 10.0, -10.0
-    assert stated(two, 0.95) > 1.6 * plain(two, 0.95)
-    assert stated(np.array([1.0, -1.0]), 0.68) > 0.0  # two are enough to scatter
 
 
 @pytest.mark.parametrize("rank", [3, 80])

@@ -11,16 +11,12 @@ from scipy.spatial.transform import Rotation
 
 import manip_learn as ml
 from manip_learn.constraint.mechanism import MECHANISM_KINDS, MechanismKind
-from manip_learn.learning.mechanisms.place_fit import fit_place, scatter_of_clusters, tangents
+from manip_learn.learning.mechanisms.place_fit import fit_place, tangents
 from manip_learn.learning.mechanisms.quantities import (
     QUANTITIES,
     Place,
     TipPaths,
-    angles_about,
-    thinned,
-    turn_about,
 )
-from manip_learn.learning.uncertainty import influences
 
 AXIS = np.array([0.2, -0.3, 0.93]) / np.linalg.norm([0.2, -0.3, 0.93])
 POINT = np.array([0.55, 0.25, 0.35])
@@ -89,52 +85,6 @@ def test_what_is_stated_holds_in_two_cases_of_three(robot_of, kind, smoothed):
         assert np.median(ratios) > 1.0 / 3.0, name
 
 
-def test_what_a_fit_says_of_its_residuals(robot_of):
-    """A door with known noise: the radius is that of the middle trajectory, with what the others differ by; held rows
-    scatter on left-out trajectories as the noise moves the hand; neighbours that share their noise are told; what bends
-    the path stands off by its own error; and draws have the covariance that is stated.
-    """
-    robot, (path, shared) = robot_of("panda"), KINDS["hinge"]
-    exact = [t.q for t in demonstrate(robot, TIP, MIDDLE, path, np.random.default_rng(3), noise=0.0)]
-    radii = [np.linalg.norm(np.cross(AXIS, robot.position(q[0], robot.frame(TIP)) - POINT)) for q in exact]
-    rng = np.random.default_rng(14)
-    white = [rng.normal(0.0, NOISE, q.shape) for q in exact]
-    smooth = [np.apply_along_axis(np.convolve, 0, e, np.full(5, 0.2), "same") for e in white]
-    fits = {name: fitted(robot, "hinge", [q + e for q, e in zip(exact, noise, strict=True)], ())
-            for name, noise in (("white", white), ("smooth", smooth))}  # fmt: skip
-    fit = fits["white"]
-    assert fit.radius.value == pytest.approx(np.median(radii), abs=3e-3)
-    each = fit.constants[:, 0]
-    assert fit.radius.spread == pytest.approx(np.quantile(np.abs(each - np.median(each)), 0.683))
-    assert fit.m == 4 and fit.slopes.shape[2] == 4 and len(fit.clusters) == 5
-    tied = fitted(robot, "hinge", [q + e for q, e in zip(exact, white, strict=True)], shared)
-    assert tied.slopes.shape[2] == 5 and tied.m == 4 and np.ptp(tied.constants[:, 0]) == 0.0
-    assert tied.variance == pytest.approx(NOISE**2, rel=0.15) and fit.variance == pytest.approx(NOISE**2, rel=0.15)
-    moves = influences(*fit.scores) * np.sqrt(0.8)
-    small = 1e-3 * fit.noise[0][:4, :4]
-    ratio = np.trace(np.linalg.inv(small) @ moves.T @ moves) / 4.0
-    assert scatter_of_clusters(fit, small) == (pytest.approx(ratio / (1.0 + 1.5 * np.sqrt(2.0 / 16.0)), rel=1e-6), 16.0)
-    assert scatter_of_clusters(fit, 1e6 * small) == (1.0, np.inf)
-    # a row's scatter: the noise of all joints through the row, over all samples
-    S = fit.weights.noise @ fit.weights.noise.transpose(0, 2, 1)
-    moved = fit.weights.back @ S @ fit.weights.back
-    for name, column in (("radius", 0), ("height", 1)):
-        expected = NOISE * np.sqrt(np.mean(moved[:, column, column]))
-        assert fit.held_out[name] == pytest.approx([expected], rel=0.15), name
-    np.testing.assert_allclose(fit.weights.root @ fit.weights.back, np.tile(np.eye(2), (len(S), 1, 1)), atol=1e-9)
-    assert fit.noise[2] < 1.2
-    # a mean of five neighbours: correlations 0.8, 0.6, 0.4, 0.2
-    assert fits["smooth"].noise[2] == pytest.approx(1.0 + 2.0 * (0.8 + 0.6 + 0.4 + 0.2), rel=0.2)
-    size, sigma = fit.size
-    assert size == fit.radius.value and 2e-4 < sigma < 5e-3
-    covariance = fit.noise[0]
-    drawn = [fit.errors(np.random.default_rng(seed)) for seed in range(3)]
-    point = np.concatenate([one.numbers for one in drawn])[:, 3:6]
-    T = tangents(fit.kind, fit.place)[3:6]
-    # and what the joints' zeros may be, beside the noise
-    assert 0.8 < np.trace(np.cov(point.T)) / np.trace(T @ covariance[:4, :4] @ T.T) < 3.0
-
-
 def test_weights_make_the_place_better(robot_of):
     """Where the arm is, an error of the joints moves the hand more along some directions than others: with the weights
     the error of a door's place is smaller than with equal ones, over the same draws.
@@ -148,24 +98,6 @@ def test_weights_make_the_place_better(robot_of):
         squares.append([np.sum(np.cross(AXIS, fit.place.axis) ** 2) for fit in fits])
     equal, unequal = np.sqrt(np.mean(squares, axis=0))
     assert unequal < equal
-
-
-def test_turns_are_told_without_jumps_along_each_trajectory():
-    """More than a turn about the axis, of the path and of the hand; some trajectories are the same as before."""
-    angle = np.concatenate([np.linspace(0.0, 9.0, 60), np.linspace(1.0, -8.0, 60)])
-    turn = Rotation.from_rotvec(np.outer(angle, AXIS))
-    lever, R0 = np.cross(AXIS, [1.0, 0.0, 0.0]), Rotation.from_rotvec([0.3, -0.2, 0.5]).as_matrix()
-    paths = TipPaths(POINT + turn.apply(lever), turn.as_matrix() @ R0, np.zeros((120, 6, 7)), np.array([0, 60]))
-    for told in (turn_about(paths, AXIS), angles_about(paths, Place(AXIS, POINT))):
-        for part in (paths.part(0), paths.part(1)):
-            np.testing.assert_allclose(told[part] - told[part][0], angle[part] - angle[part][0], atol=1e-9)
-    second = paths.chosen([1])
-    np.testing.assert_array_equal(second.p, paths.p[60:])
-    assert second.starts.tolist() == [0] and paths.chosen([1, 0]).counts.tolist() == [60, 60]
-    np.testing.assert_allclose(paths.centred(paths.p)[60:], paths.p[60:] - paths.p[60:].mean(axis=0), atol=1e-12)
-    little = dataclasses.replace(second, R=Rotation.from_rotvec(0.1 * np.outer(angle[60:], AXIS)).as_matrix())
-    np.testing.assert_allclose(little.turns, 0.1 * np.outer(angle[60:] - angle[60:].mean(), AXIS), atol=1e-9)
-    np.testing.assert_array_equal(thinned(np.arange(9.0)[:, None], 3)[:, 0], [0.0, 4.0, 8.0])
 
 
 @pytest.mark.parametrize("name", QUANTITIES)

@@ -3,15 +3,11 @@
 from __future__ import annotations
 
 import copy
-import json
-import tempfile
-from pathlib import Path
 
 import numpy as np
 
-from estimator_checks.motions import ONE_ROW, ROUNDING_DEG, planar_motion
+from estimator_checks.motions import ONE_ROW, ROUNDING_DEG
 from estimator_checks.subject import Subject
-from manip_learn.constraint.constraint import Constraint
 from manip_learn.constraint.features.frame_jacobian import FrameJacobian
 from manip_learn.constraint.features.other_features import CustomFeatures
 from manip_learn.recordings.demonstrations import Demonstrations
@@ -31,13 +27,6 @@ def one_row_is_learnt(subject: Subject) -> None:
     """One oblique row is found without being told, or at least not missed in silence."""
     motion = subject.motion(selection=ONE_ROW, n_trajectories=60)
     subject.must_not_be_silent(motion.features, lambda: motion.demonstrations, unless=motion.selection)
-
-
-def nothing_learnt_before_fit(subject: Subject) -> None:
-    """Before `fit` there is nothing learnt."""
-    learner = subject.make(planar_motion("held", n_trajectories=1).features, None)
-    if "constraint_" in vars(learner) or "report_" in vars(learner):
-        subject.broken("constraint_ or report_ exists before fit")
 
 
 def rows_are_orthonormal(subject: Subject) -> None:
@@ -63,28 +52,6 @@ def report_is_complete(subject: Subject) -> None:
         subject.broken("free_directions of the report are not free")
     if abs(sum(report.excitation.values()) - 1.0) > 1e-9 or not report.sentence:
         subject.broken("excitation must sum to 1, and there must be a sentence")
-
-
-def report_through_json(subject: Subject) -> None:
-    """The report goes through JSON without NaN and comes back the same."""
-    plain = subject.clean[1].report_.to_dict()
-    try:
-        text = json.dumps(plain, allow_nan=False)
-    except (TypeError, ValueError) as error:
-        subject.broken(f"the report cannot be written as JSON: {error}", error)
-    if json.loads(text) != json.loads(json.dumps(json.loads(text))) or set(json.loads(text)) != set(plain):
-        subject.broken("the report changes on its way through JSON")
-
-
-def constraint_through_json(subject: Subject) -> None:
-    """The constraint comes back from its file, to the last bit."""
-    motion, learner = subject.clean
-    constraint = learner.constraint_
-    with tempfile.TemporaryDirectory() as folder:
-        path = constraint.save(Path(folder) / "constraint.json")
-        loaded = Constraint.load(path, motion.features.robot)  # type: ignore[attr-defined]
-    if not np.array_equal(loaded.selection, constraint.selection) or loaded.provenance != constraint.provenance:
-        subject.broken("the constraint changes on its way through a file")
 
 
 def learner_can_be_copied(subject: Subject) -> None:

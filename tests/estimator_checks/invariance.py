@@ -134,12 +134,6 @@ def order_of_the_rows(subject: Subject) -> None:
     subject.must_agree(subject.fitted(features, motion.demonstrations), motion.selection[:, ::-1])
 
 
-def demonstrations_from_a_generator(subject: Subject) -> None:
-    """Any iterable of trajectories will do."""
-    motion, expected = subject.clean
-    _must_equal(subject, subject.fitted(motion.features, (t for t in motion.demonstrations)), expected)
-
-
 def _must_equal(subject: Subject, one: Learner, other: Learner, *, same_clock: bool = True) -> None:
     if not np.array_equal(one.constraint_.selection, other.constraint_.selection):
         subject.broken("two answers that must be the same differ")

@@ -17,7 +17,6 @@ from estimator_checks.subject import Subject
 from manip_learn.constraint.features.frame_jacobian import FrameJacobian
 from manip_learn.constraint.features.other_features import CustomFeatures
 from manip_learn.errors import ManipLearnError
-from manip_learn.recordings.demonstrations import Demonstrations
 from manip_learn.recordings.trajectory import Trajectory
 from manip_learn.robot.loading import load_robot
 
@@ -106,15 +105,6 @@ def outlier_in_velocity(subject: Subject) -> None:
     subject.must_not_be_silent(motion.features, lambda: wrong)
 
 
-def outlier_in_position(subject: Subject) -> None:
-    """One position of 1e8: not silently."""
-    motion = subject.motion()
-    q = np.array(motion.demonstrations[4].q)
-    q[5, 1] = 1e8
-    wrong = [changed(t, q=q) if i == 4 else t for i, t in enumerate(motion.demonstrations)]
-    subject.must_not_be_silent(motion.features, lambda: wrong)
-
-
 def velocities_of_other_samples(subject: Subject) -> None:
     """Velocities shuffled among the samples, so that they have nothing to do with the postures: not silently."""
     motion, rng = subject.motion(), np.random.default_rng(5)
@@ -168,13 +158,6 @@ def rows_that_are_zero(subject: Subject) -> None:
     motion = subject.motion()
     flat = FrameJacobian(motion.features.robot, "tip", "z rx ry")  # type: ignore[attr-defined]
     subject.must_refuse(flat, lambda: motion.demonstrations)
-
-
-def numbers_of_constraints_that_cannot_be(subject: Subject) -> None:
-    """Zero, negative, too many, fractional or worded numbers of rows: refused."""
-    motion = subject.motion()
-    for wrong in (0, -1, 4, 2.5, "two", True):
-        subject.must_refuse(motion.features, lambda: motion.demonstrations, wrong)  # type: ignore[arg-type]
 
 
 def as_many_constraints_as_joints(subject: Subject) -> None:
@@ -234,13 +217,6 @@ def one_trajectory(subject: Subject) -> None:
     subject.must_not_be_silent(motion.features, lambda: motion.demonstrations)
 
 
-def two_trajectories_of_two_robots(subject: Subject) -> None:
-    """Trajectories whose joints differ: refused."""
-    motion = subject.motion()
-    odd = changed(motion.demonstrations[0], joint_names=("a", "b", "c"))
-    subject.must_refuse(motion.features, lambda: [*motion.demonstrations, odd])
-
-
 def after_a_refusal_there_is_no_old_answer(subject: Subject) -> None:
     """A fit that refuses leaves no constraint of an earlier fit behind."""
     motion = subject.motion()
@@ -252,10 +228,3 @@ def after_a_refusal_there_is_no_old_answer(subject: Subject) -> None:
             subject.broken("constraint_ or report_ of an earlier fit is still there after a refusal")
         return
     subject.broken("must refuse zero actions in a second fit too")
-
-
-def recordings_without_velocities_or_robot(subject: Subject) -> None:
-    """Positions only, and features that know no robot to derive velocities with: refused."""
-    motion = subject.motion()
-    features = CustomFeatures(motion.features, motion.features.row_names, 3)
-    subject.must_refuse(features, lambda: Demonstrations(mapped(motion.demonstrations, u=lambda t: None)))
