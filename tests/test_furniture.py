@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 import manip_learn as ml
+from manip_learn.constraint.shown import FreeCoordinates, Shown
 from manip_learn.playback.kinematic_tree import kinematic_tree
 from manip_learn.playback.mechanism_drawing import furniture_of
 from manip_learn.playback.recorded_motion import recorded_motion
@@ -42,6 +43,18 @@ def stages(kind, *ways):
     return 0.01 * np.arange(len(path)), path
 
 
+def as_shown(kind, way):
+    """What recordings show who took hold of it where it is shut, and went this way [m or rad]."""
+    begin, end = place(kind, np.array([0.0, way]))
+    turns, sense = kind != "line", np.sign(way)
+    axes = sense * np.array([MECHANISMS[kind]["axis"]])
+    free = FreeCoordinates("around" if turns else "straight", "rad" if turns else "m", axes, CENTRE)
+    numbers = abs(way), 0.0, abs(way), abs(way), abs(way), 0.1, 1.0
+    return Shown(
+        free.unit, *numbers, False, 5, begin, 0.0, np.zeros((2, 1)), np.arange(2.0), begin, np.eye(3), True, free
+    )
+
+
 WAYS = [(kind, way, sense) for kind, way in (("line", 0.3), ("hinge", 0.9), ("screw", 7.5)) for sense in (-1.0, 1.0)]
 
 
@@ -57,6 +70,44 @@ def test_it_moves_with_the_hand_and_only_with_it():
         np.testing.assert_allclose(opening[2 * N + 2 :], way, rtol=0.02, err_msg=kind)
         for i in range(N, 2 * N, 7):
             np.testing.assert_allclose(piece.moved(handle, opening[i])[0], path[i], atol=2e-3, err_msg=kind)
+
+
+@pytest.mark.parametrize(("kind", "way", "sense"), WAYS)
+def test_it_stands_where_it_was_shown(kind, way, sense):
+    """Shut with its handle where recordings took hold, whatever the hand does: it comes and goes the whole way, begins
+    in the middle, which has it open by so much from the first, goes back, or never takes hold.
+    """
+    shown, begin = as_shown(kind, sense * way), place(kind, np.zeros(1))
+    out, back = np.linspace(0.0, way, N), np.linspace(0.7 * way, 0.2 * way, N)
+    for along, held in ((out, True), (np.linspace(0.4 * way, way, N), True), (back, True), (out, False)):
+        on = place(kind, sense * along)
+        aside = on[0] + np.outer(np.linspace(0.2, 0.0, N), [0.3, 0.5, 0.8])
+        times, path = 0.01 * np.arange(2 * N), np.concatenate([aside, on if held else on + [0.0, 0.2, 0.1]])
+        piece = furniture_of(MECHANISMS[kind], times, path, [(times[N], times[-1])], shown)
+        assert piece is not None
+        handle, shut = np.zeros((1, 3)), way if piece.pushed_from else 0.0
+        np.testing.assert_allclose(piece.moved(handle, 0.0), begin, atol=1e-9)
+        expected = along if held else np.zeros(N)
+        np.testing.assert_allclose(piece.opening[N:], expected, atol=1e-9)
+        np.testing.assert_allclose(piece.opening[:N], expected[0], atol=1e-9)
+        if held:
+            np.testing.assert_allclose(piece.moved(handle, piece.opening[-1])[0], path[-1], atol=1e-9)
+        assert piece.pushed_from == pytest.approx(shut)
+
+
+def test_a_hand_that_is_followed_moves_its_handle():
+    """A live hand takes the handle along from where it is, whichever way; one that is elsewhere leaves it."""
+    for kind, way, sense in WAYS:
+        piece = furniture_of(
+            MECHANISMS[kind], np.zeros(1), np.array([[5.0, 5.0, 5.0]]), [], as_shown(kind, sense * way)
+        )
+        assert piece is not None and piece.opening[0] == 0.0
+        opening = piece.followed(place(kind, np.array([sense * 0.5 * way]))[0], 0.0)
+        assert opening == 0.0  # the handle is not there
+        for along in np.linspace(0.0, way, 400):
+            opening = piece.followed(place(kind, np.array([sense * along]))[0], opening)
+            assert opening == pytest.approx(along, abs=1e-6), kind
+        assert piece.followed(np.array([5.0, 5.0, 5.0]), opening) == opening
 
 
 DRAWN = {  # sums over the boxes at rest and over those that move, each times its number: centre and size [m]
@@ -170,7 +221,7 @@ def test_the_phases_of_a_rollout_say_when_it_moves(robot_of):
     (track,) = [t for t in plain.measures if t.kind == "opening"]
     assert track.curves[0].values[-1] == pytest.approx(way, abs=1e-4) == pytest.approx(0.12, abs=2e-3)
     recording = rollout.trajectory("a")
-    assert recorded_motion(robot, tree, tip, "a", recording, mechanism=MECHANISMS["line"]).furniture is None
+    assert recorded_motion(robot, tree, tip, "a", recording, mechanism=MECHANISMS["line"]).furniture == ()
     for names, opens_at in (
         *((("approach", "hold", "way"), 0.6), (("out", "on", "further"), 0.0)),
         (("approach", "approach", "hold"), None),
@@ -179,7 +230,7 @@ def test_the_phases_of_a_rollout_say_when_it_moves(robot_of):
         later = replace(rollout, time=rollout.time + 7.0, phases=tuple((n, 7.0 + a, 7.0 + b) for n, a, b in spans))
         motion = recorded_motion(robot, tree, tip, "a", later, mechanism=MECHANISMS["line"])
         assert [(b.name, pytest.approx(b.start), pytest.approx(b.end)) for b in motion.phases] == spans
-        assert (motion.furniture is None) is (opens_at is None), names
-        if motion.furniture is not None and opens_at is not None:
-            moving = motion.furniture.times[motion.furniture.opening > 0.0]
+        assert (motion.furniture == ()) is (opens_at is None), names
+        if opens_at is not None:
+            moving = motion.furniture[0].times[motion.furniture[0].opening > 0.0]
             assert opens_at < moving[0] < opens_at + 0.05, names

@@ -80,7 +80,6 @@ def test_times_are_moved_to_the_first_sample(robot_of, tmp_path):
     phases = [("a", 99.0, 100.5, None), ("a", 100.5, 107.0, 0), ("a", 110.0, 111.0, 1)]
     data = data_in(replay(robot, {"a": recorded(robot, start=100.0)}, tmp_path / "a.html", phases=phases).html)
     (shown,) = data["rollouts"]
-    assert shown["firstTime"] == 100.0
     np.testing.assert_allclose(shown["phases"], [[0.0, 0.5, -1], [0.5, 2.0, 0]])
     data = data_in(replay(robot, {"a": recorded(robot), "b": recorded(robot)}, tmp_path / "a.html").html)
     assert data["phaseKinds"] == data["mechanisms"] == [] and len({r["colour"] for r in data["rollouts"]}) == 2

@@ -171,7 +171,7 @@ def test_times_and_speeds_of_the_player(run):
     given = """const shown = (t) => {
         const drawn = [], instance = { setValues: (v) => drawn.push(v), tipPosition: () => "tip" };
         const show = Object.assign(Object.create(Show.prototype), { duration: 4, valuesAt: (r, at) => at,
-            rollouts: [{ instance, trail: { setTime: (at, tip) => drawn.push(at, tip) } }] });
+            rollouts: [{ instance, pieces: [], trail: { setTime: (at, tip) => drawn.push(at, tip) } }] });
         show.setTime(t);
         return [show.time, ...drawn];
     };"""

@@ -594,7 +594,7 @@ def test_ghosts_are_played_beside_the_arm(program, page):
     """They have a legend that hides each, their manipulability, and say how they ended."""
     times = np.linspace(0.0, 1.0, 5)
     ways = joint_tracks(program.robot, kinematic_tree(program.robot), START + times[:, None] * [0.3, 0.0, 0.1])
-    numbers = {"keyTimes": times, "tracks": ways, "curveTimes": times, "curve": 0.1 + times, "opening": 0.1 * times}
+    numbers = {"keyTimes": times, "tracks": ways, "curveTimes": times, "curve": 0.1 + times}
     ghost = {"duration": 1.0, "ended": "opened by 10 cm"} | {name: packed(x, "<f8") for name, x in numbers.items()}
     program.say(**LEARNT)
     program.put("ghosts", {"number": 1, "kind": "policies", "rollouts": [

@@ -200,6 +200,7 @@ def control(options: ControlOptions, progress: Progress | None = None) -> Contro
     margin = None if found is None else found.margin
     if found is None and way is not None and isinstance(task, FreeDirection):
         margin = margin_of(task, rollout, way.begins, robot)
+        rollout = replace(rollout, ways=({**rollout.ways[0], "margin": margin},))
     done = Controlled.of(constraint, rollout, options.tolerance, way, aim=aim, start=whence, plan=found, margin=margin)
     if options.check and not done.reached:
         because = "" if way is None else f": stopped by {way.stopped_by}"

@@ -49,6 +49,7 @@ class Rollout:
         following_error: shape (T,), largest distance between commanded and measured joint positions, as a `ServoLoop`'s
             commands give it [rad or m]; None if it is not known.
         phases: Name, start and end [s] of the parts that follow each other, e.g. of a plan; empty where it is one.
+        ways: What became of each way along a mechanism, as `WayDone.to_dict` says it, `begins` on this clock [s].
 
     Example:
         >>> import manip_learn as ml
@@ -75,6 +76,7 @@ class Rollout:
     constraint: Mapping[str, Any] | None = None
     following_error: Float[np.ndarray, " T"] | None = None
     phases: tuple[tuple[str, float, float], ...] = ()
+    ways: tuple[Mapping[str, Any], ...] = ()
 
     def __post_init__(self) -> None:
         for name in ("time", "q", "u", "manipulability", "task_error", "target", "following_error"):
@@ -128,14 +130,16 @@ class Rollout:
         return replace(self, **kept)
 
     def followed_by(self, other: Rollout) -> Rollout:
-        """This motion and another one of the same robot that begins where it ends, as one; the phases of both."""
+        """This motion and another one of the same robot that begins where it ends, as one; phases and ways of both."""
         shift = float(self.time[-1])
         arrays = ("q", "u", "manipulability", "task_error")
         joined = {name: np.concatenate([getattr(self, name)[:-1], getattr(other, name)]) for name in arrays}
         time = np.concatenate([self.time[:-1], other.time + shift])
         phases = (*self.phases, *((name, start + shift, end + shift) for name, start, end in other.phases))
         status = (*self.status[:-1], *other.status)
-        return replace(other, **joined, time=time, status=status, phases=phases, following_error=None)
+        later = ({**way, "begins": None if way["begins"] is None else way["begins"] + shift} for way in other.ways)
+        parts = {"phases": phases, "ways": (*self.ways, *later)}
+        return replace(other, **joined, time=time, status=status, following_error=None, **parts)
 
     def violation(self, constraint: Constraint) -> Float[np.ndarray, " T"]:
         """|A(q) u| along the motion: how far it breaks a constraint with b = 0, in the rows' units per second."""
@@ -166,6 +170,7 @@ class Rollout:
             constraint=self.constraint,
             follows=self.following_error is not None,
             phases=[list(part) for part in self.phases],
+            ways=[dict(way) for way in self.ways],
         )
         words = tuple(str(word) for word in self.status)
         curves = self.manipulability, self.task_error
@@ -233,6 +238,7 @@ class Rollout:
             "constraint": header.constraint,
             "following_error": motion.following_error,
             "phases": tuple((name, float(start), float(end)) for name, start, end in header.phases or ()),
+            "ways": tuple(header.ways or ()),
         }
         described = status, header.joint_names, motion.task_error, header.frame, header.robot
         return Rollout(*numbers, *described, **guided), notes

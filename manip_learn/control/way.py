@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any, final
 
 import numpy as np
@@ -113,7 +113,7 @@ def simulate_way(
         progress: As for `simulate`.
 
     Returns:
-        The rollout, cut shortly after the way was done or stood still, and what became of the way.
+        The rollout, cut shortly after the way was done or stood still, and what became of the way, as it keeps it.
 
     Raises:
         ConfigurationError: Another task; or as `simulate` raises it.
@@ -133,7 +133,8 @@ def simulate_way(
     if end is not None and duration is None:
         cut = rollout.until(end)
         rollout, places = cut, places[: len(places) - (len(rollout) - len(cut))]
-    return rollout, _way_done(task, rollout, places, robot)
+    done = _way_done(task, rollout, places, robot)
+    return replace(rollout, ways=(done.to_dict(),)), done
 
 
 def places_of(task: FreeDirection, rollout: Rollout) -> Float[np.ndarray, " k"]:

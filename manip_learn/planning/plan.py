@@ -451,7 +451,8 @@ class _Problem:
     ) -> Plan:
         held, end = outcome.begins or 0.0, float(way.time[-1])
         approach = replace(approach, phases=(("approach", 0.0, float(approach.time[-1])),))
-        way = replace(way, phases=(*((("hold", 0.0, held),) if held else ()), ("way", held, end)))
+        done = ({**outcome.to_dict(), "margin": margins.margin},)
+        way = replace(way, phases=(*((("hold", 0.0, held),) if held else ()), ("way", held, end)), ways=done)
         numbers = margins.margin, margins, outcome, others, laws, compared, self.notes
         return Plan(self.robot, hold, approach, way, *numbers)
 

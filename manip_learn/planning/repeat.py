@@ -176,6 +176,8 @@ def repeat(
     if whole is None:
         raise TargetError("there is nothing to do again: the skill has no way")
     said("done", 1.0)
+    guide = next((way["constraint"] for way in whole.ways), whole.constraint)
+    whole = replace(whole, constraint=guide, target=None)  # not those of its last part
     return Repetition(skill, whole, tuple(done), LawSequence(*laws), tuple(notes))
 
 
@@ -224,7 +226,8 @@ def _way(
     )
     rollout = found.rollout
     phases = tuple((f"{name}: {part}", start, end) for part, start, end in rollout.phases)
-    return list(found.controller.laws), [reach, way], replace(rollout, phases=phases), found.notes
+    ways = tuple({**done, "name": name, "constraint": rollout.constraint} for done in rollout.ways)
+    return list(found.controller.laws), [reach, way], replace(rollout, phases=phases, ways=ways), found.notes
 
 
 def _retreat(
@@ -244,7 +247,7 @@ def _retreat(
     if not outcome.is_done:
         raise NoPlanError(f"step {name!r}: the hand does not get to where the recordings ended: {outcome.stopped_by}")
     off = float(np.linalg.norm(robot.position(rollout.q[-1], frame) - np.asarray(step.place)))
-    rollout = replace(rollout, phases=((name, 0.0, float(rollout.time[-1])),))
+    rollout = replace(rollout, phases=((name, 0.0, float(rollout.time[-1])),), ways=())
     return [law], [StepDone("reach", far, abs(outcome.done), "m", off, None, None, name)], rollout
 
 

@@ -91,7 +91,8 @@ class Guidance:
     """What guided a motion.
 
     Attributes:
-        constraints: By the numbers of the phases; a motion without phases has the first. Empty if none is known.
+        constraints: By the numbers of the phases, of a skill done again by its ways; a motion without phases has the
+            first. Empty if none is known.
         target: Where the task was to arrive, as `Task.goal` says it; None if that is not known.
     """
 
@@ -146,9 +147,13 @@ def guidance_of(
     """
     if isinstance(constraint, Constraint):
         constraint = (constraint,)
-    if constraint is None and isinstance(motion, Rollout) and motion.constraint is not None:
+    if constraint is None and isinstance(motion, Rollout):
+        kept = [way.get("constraint") for way in motion.ways]
+        if not kept or None in kept:
+            kept = [motion.constraint]
+        source = f"the constraint of rollout {name!r}"
         try:
-            constraint = (Constraint.from_dict(motion.constraint, robot, source=f"the constraint of rollout {name!r}"),)
+            constraint = tuple(Constraint.from_dict(c, robot, source=source) for c in kept if c is not None)
         except ConstraintMismatchError as error:
             raise RecordingError(
                 f"rollout {name!r} was not made with robot {robot.name!r}: {error}", code="other-robot"

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field, replace
 from itertools import product
 from typing import Any, Literal, Protocol, final
 
@@ -11,6 +11,8 @@ import numpy as np
 import pinocchio as pin
 from jaxtyping import Float
 
+from manip_learn.constraint.intention import Intention
+from manip_learn.constraint.shown import Shown
 from manip_learn.control.way import leads_away
 from manip_learn.errors import RecordingError
 from manip_learn.linalg import finite, null_basis
@@ -24,6 +26,9 @@ MAX_TURNS = 12.0  # of a screw that is drawn
 MAX_NUMBER = 1e9  # [m] what is farther away cannot be drawn
 MAX_TEXT = 400
 CORNERS = np.array(list(product((-0.5, 0.5), repeat=3)))  # of a cube with sides of 1
+TURN = 2.0 * np.pi
+HANDLE_NEAR = 0.02  # [m] off the line or circle of a handle up to which a hand that is said to hold it does
+FARTHEST_DOOR = np.deg2rad(110.0)  # a leaf opens no farther in front of its cupboard: what does is a crank
 ON_IT = 0.005  # [m] off its line or circle up to which a hand still moves it: the play of a handle in closed fingers
 LEAST_TRAVEL = 0.02  # [m] less than this is a controller that settles, not a drawer that is pulled
 CANDIDATES = 200  # places along the path where the line may be
@@ -53,12 +58,18 @@ class MechanismDrawing:
         sentence: The mechanism in words.
         lines: Polylines, each of shape (n, 3).
         patches: Corners of flat surfaces in order around them, each of shape (4, 3).
+        shown: What the recordings did along it, in words; empty if that is not known.
+        way: shape (n, 3), from where they began to the farthest point, or along the path on a surface.
+        hold: Whether all of them began at one place.
     """
 
     type: str
     sentence: str
     lines: tuple[Float[np.ndarray, "_n 3"], ...]
     patches: tuple[Float[np.ndarray, "4 3"], ...] = ()
+    shown: str = ""
+    way: Float[np.ndarray, "_n 3"] = field(default_factory=lambda: np.zeros((0, 3)))
+    hold: bool = False
 
 
 @final
@@ -104,20 +115,29 @@ def _numbers(described: Mapping[str, Any], name: str, n: int) -> np.ndarray | No
 
 
 def mechanism_drawing(
-    mechanism: DescribedMechanism | Mapping[str, Any], held: Float[np.ndarray, "n 3"]
+    mechanism: DescribedMechanism | Mapping[str, Any] | None,
+    held: Float[np.ndarray, "n 3"],
+    shown: Shown | Intention | None = None,
 ) -> MechanismDrawing:
-    """Lines and patches of a mechanism, as large as the motion that it held.
+    """Lines and patches of a mechanism, as large as the motion that it held, and what was shown along it.
 
     What a mechanism lacks, e.g. the axis of an orientation that is held, is not drawn; its sentence is always shown.
 
     Args:
-        mechanism: Or its dictionary, as a constraint file holds it.
+        mechanism: Or its dictionary, as a constraint file holds it; None where it has no name.
         held: The tip where the mechanism held it, in the base frame [m]; at least one point.
+        shown: What the recordings did along it, or where they went, if that is known.
 
     Raises:
         RecordingError: Numbers of a wrong size or not finite.
     """
-    described = mechanism if isinstance(mechanism, Mapping) else mechanism.to_dict()
+    if shown is not None:
+        plain = MechanismDrawing("", "", ()) if mechanism is None else mechanism_drawing(mechanism, held)
+        if isinstance(shown, Intention):
+            return replace(plain, shown=shown.sentence)
+        return replace(plain, shown=shown.sentence, way=shown.points, hold=shown.hold is not None)
+    described = mechanism if isinstance(mechanism, Mapping | None) else mechanism.to_dict()
+    described = described or {}
     kind = str(described.get("type") or "mechanism")[:MAX_TEXT]
     sentence = str(described.get("sentence") or kind)[:MAX_TEXT]
     geometry = Geometry.of(described)
@@ -225,6 +245,22 @@ class Furniture:
         """Of the opening."""
         return "m" if self.kind == "drawer" else "rad"
 
+    def followed(self, hand: Float[np.ndarray, " 3"], opening: float) -> float:
+        """How far it is open when the hand has come to a place [m]; as it was where the handle is elsewhere.
+
+        Args:
+            hand: In the base frame [m].
+            opening: How far it was open [m or rad].
+        """
+        if np.linalg.norm(self.moved(np.zeros((1, 3)), opening)[0] - hand) > HANDLE_NEAR:
+            return opening
+        local = self.pose[:3, :3].T @ (hand - self.pose[:3, 3])
+        if self.kind == "drawer":
+            return max(float(self.pushed_from - local[1] if self.pushed_from else local[1]), 0.0)
+        (x, y, _), arm = -self.pivot, local - self.pivot
+        angle = float(np.arctan2(x * arm[1] - y * arm[0], x * arm[0] + y * arm[1]))
+        return max(angle + TURN * round((opening - angle) / TURN), 0.0)
+
     def moved(self, points: Float[np.ndarray, "n 3"], opening: float) -> Float[np.ndarray, "n 3"]:
         """Points of the moving part in the base frame [m], when the hand has moved it so far [m or rad]."""
         if self.kind == "drawer":
@@ -242,9 +278,10 @@ class Furniture:
         return np.concatenate([fixed @ self.pose[:3, :3].T + self.pose[:3, 3], *turned])
 
     def to_dict(self) -> dict[str, Any]:
-        """For the page; the opening is one of the tracks."""
+        """For the page; the opening is a curve of one of the tracks."""
         return {
             "kind": self.kind,
+            "unit": self.unit,
             "pose": [float(x) for x in self.pose.ravel()],
             "pushedFrom": self.pushed_from,
             "pivot": self.pivot.tolist(),
@@ -259,51 +296,75 @@ def furniture_of(
     times: Float[np.ndarray, " T"],
     path: Float[np.ndarray, "T 3"],
     ways: Sequence[tuple[float, float]] | None = None,
+    shown: Shown | None = None,
 ) -> Furniture | None:
-    """What the hand moves along its mechanism; None if that is nothing that opens, or it hardly moves along it.
+    """What the hand moves along its mechanism; None if that is nothing that opens, or nobody knows where it stands.
 
-    A line is taken where the hand moves along it, since its direction alone was learnt; a hinge is where it was learnt.
-    The furniture is shut where the motion along the mechanism begins, or the first of the given ways, follows the hand,
-    and stays where the hand leaves it. A hand that moves away from the robot's base pushes its drawer: that is open at
-    first, and shut in the end.
+    Where the recordings took hold at one place, the furniture is shut with its handle there, and opens as they went. A
+    hand that takes hold in the middle of the way has it open by that much. Elsewhere the handle is shut where the
+    motion along the mechanism begins, or the first of the given ways. The furniture follows the hand, and stays where
+    the hand leaves it. What is moved away from the robot's base is a drawer that is pushed: it is open at first, and
+    shut in the end.
 
     Args:
         mechanism: Its dictionary, as a constraint keeps it.
         times: From the motion's first sample on [s].
         path: The hand in the base frame [m].
-        ways: Start and end of the times during which the hand has hold of it, if that is known: it is shut where the
-            hand is when the first of them begins, and stands still outside of them [s]. None: all of the motion.
+        ways: Start and end of the times during which the hand has hold of it, if that is known; the furniture stands
+            still outside of them [s]. None: the largest sweep along it.
+        shown: What the recordings show along the mechanism, where that is known.
 
     Raises:
         RecordingError: A mechanism with numbers of a wrong size or not finite.
     """
-    if not mechanism or mechanism.get("type") not in KINDS or len(path) < 2:
+    if not mechanism or mechanism.get("type") not in KINDS or not len(path):
         return None
     geometry, kind = Geometry.of(mechanism), KINDS[mechanism["type"]]
     axis, point, pitch = geometry.axis, geometry.point, geometry.pitch
     if axis is None or (kind != "drawer" and point is None):
         return None
-    along, across, lever = _coordinates(axis, point if kind != "drawer" else None, pitch, path)
+    if kind == "door" and shown is not None and shown.hold is not None and shown.most > FARTHEST_DOOR:
+        kind = "crank"
+    centre = point if kind != "drawer" else None
+    along, across, lever = _coordinates(axis, centre, pitch, path)
     spans = [slice(*np.searchsorted(times, (a - ROUNDING, b + ROUNDING))) for a, b in ways or ()]
     found = _stretch(lever * along, across) if ways is None else _way(lever * along, across, spans)
-    if found is None:
+    held, least = np.zeros(len(along), dtype=bool), 0.0
+    if shown is not None and shown.hold is not None:
+        handle, sense, least = shown.hold, float(np.sign(axis @ shown.coordinates.axes[0])) or 1.0, shown.most
+        shut, circle, _ = _coordinates(axis, centre, pitch, handle[None])
+        if ways is None and found is not None:
+            spans = [slice(found[0], found[1])]
+        if centre is not None and spans and spans[0].start < len(along):  # which turn it is
+            first = spans[0].start
+            turns = -sense * np.floor(sense * (along[first] - shut[0]) / TURN + 0.25)
+            if pitch:
+                turns = np.round((across[first, 1] - circle[0, 1]) / (TURN * pitch))
+            along, across = along + TURN * turns, across - [0.0, TURN * turns * pitch]
+        for span in spans:
+            held[span] = np.linalg.norm(across[span] - circle, axis=1) <= HANDLE_NEAR
+        begin = int(np.argmax(held))
+        moved = sense * (along - shut) * np.any(held)
+    elif found is None:
         return None
-    begin, end, middle, sense = found
-    back = along[begin] - along[middle]
-    held = np.zeros(len(along), dtype=bool)
-    held[begin:end] = True
-    for later in spans[1:]:
-        held[later] = np.linalg.norm(across[later] - across[middle], axis=1) <= ON_IT
-    moved = np.maximum(sense * (along - along[begin]), 0.0)
-    moved = moved[np.maximum.accumulate(np.where(held, np.arange(len(along)), begin))]
-    if kind != "drawer" and point is not None:
-        handle = point + rotation_matrix(back * axis) @ (path[middle] - point) + pitch * back * axis
-        if np.linalg.norm(np.cross(axis, handle - point)) < LEAST_TRAVEL:
+    else:
+        begin, end, middle, sense = found
+        back = along[begin] - along[middle]
+        handle = path[middle] + back * axis
+        if centre is not None:
+            handle = centre + rotation_matrix(back * axis) @ (path[middle] - centre) + pitch * back * axis
+        held[begin:end] = True
+        for later in spans[1:]:
+            held[later] = np.linalg.norm(across[later] - across[middle], axis=1) <= ON_IT
+        moved = sense * (along - along[begin])
+    moved = np.maximum(moved, 0.0)[np.maximum.accumulate(np.where(held, np.arange(len(along)), begin))]
+    if centre is not None and kind != "drawer":
+        if np.linalg.norm(np.cross(axis, handle - centre)) < LEAST_TRAVEL:
             return None  # on the axis itself
-        pose, pivot = about(sense * axis, point, handle, STANDOFF if kind == "door" else 0.0)
+        pose, pivot = about(sense * axis, centre, handle, STANDOFF if kind == "door" else 0.0)
         boxes = door_boxes(pivot) if kind == "door" else crank_boxes(-float(pivot[0]))
         return Furniture(kind, pose, times, moved, 0.0, pivot, pitch, *boxes)
-    handle, out, travel = path[middle] + back * axis, sense * axis, float(moved.max())
+    out, travel = sense * axis, max(float(moved.max()), least)
     is_pushed = leads_away(handle, out)
     pose = facing(-out, handle + travel * out) if is_pushed else facing(out, handle)
     return Furniture(kind, pose, times, moved, travel * is_pushed, np.zeros(3), 0.0, *drawer_boxes(travel, pose))

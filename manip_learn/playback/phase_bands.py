@@ -15,7 +15,7 @@ Phase = tuple[str, float, float, int | None] | tuple[str, float, float, int | No
 MAX_CONSTRAINTS = 1000  # a larger number is a mistake, not a constraint
 FREE_COLOUR = "#8a95a0"
 WAY = "way"  # the phase of a rollout in which the hand moves along its mechanism
-LEADING = {"approach": 0.18, "hold": 0.4}  # phases before it, and how much of the rollout's colour they have
+LEADING = {"approach": 0.18, "hold": 0.4, "retreat": 0.18}  # other phases, and how much of its colour they have
 MAX_NAME = 40  # [characters] of a phase: what a band has room for
 _CONSTRAINT_COLOURS = tuple(value for name, value in COLOURS.items() if name != "grey")
 
@@ -31,6 +31,7 @@ class PhaseKind:
         colour: Hexadecimal value.
         ink: Colour of the number, black or white, whichever has more contrast.
         strength: Share of the colour in what is drawn; the rest is the page's. Below 1 the path of the tip is thin.
+        constraint: Number of the constraint to which a rollout's own phase belongs, where it has several.
     """
 
     label: str
@@ -38,6 +39,7 @@ class PhaseKind:
     colour: str
     ink: str
     strength: float = 1.0
+    constraint: int | None = None
 
 
 @final
@@ -48,13 +50,19 @@ class PhaseBand:
     Attributes:
         start, end: On the recording's own clock [s].
         constraint: Number of the constraint, counted from 0; None for free motion.
-        name: What a rollout calls a phase of its own, e.g. `"approach"`; None for those of constraints.
+        name: What a rollout calls a phase of its own, e.g. `"approach"` or `"line 2: approach"`; None for those of
+            constraints.
     """
 
     start: float
     end: float
     constraint: int | None
     name: str | None = None
+
+    @property
+    def part(self) -> str:
+        """What is done in a rollout's own phase, whichever thing it is done to: `"approach"`, `"hold"`, `"way"`."""
+        return (self.name or "").rpartition(": ")[2]
 
 
 def phase_kinds(phases: Sequence[Phase], names: Sequence[str] = ()) -> tuple[PhaseKind, ...]:
@@ -123,8 +131,11 @@ def own_kinds(bands: Sequence[PhaseBand], colour: str) -> tuple[PhaseKind, ...]:
         bands: All of its bands.
         colour: That of the rollout, hexadecimal.
     """
-    names = dict.fromkeys(band.name for band in bands if band.name is not None)
-    return tuple(PhaseKind(name, name, colour, _ink(colour), LEADING.get(name, 1.0)) for name in names)
+    named = {band.name: band for band in bands if band.name is not None}
+    return tuple(
+        PhaseKind(name, name, colour, _ink(colour), LEADING.get(band.part, 1.0), band.constraint)
+        for name, band in named.items()
+    )
 
 
 def phases_from_json(value: object) -> tuple[Phase, ...]:

@@ -13,6 +13,7 @@ import numpy as np
 from jaxtyping import Float, Int
 
 from manip_learn.constraint.constraint import Constraint
+from manip_learn.constraint.shown import Shown
 from manip_learn.control.rollout import Rollout
 from manip_learn.errors import RecordingError
 from manip_learn.linalg import finite
@@ -60,8 +61,8 @@ class Track:
     """Curves that share an axis.
 
     Attributes:
-        kind: `"singular"`, `"velocity"`, `"position"`, `"task-error"`, `"following-error"`, `"fit"`, `"opening"`
-            or `"effort"`.
+        kind: `"singular"`, `"velocity"`, `"position"`, `"task-error"`, `"following-error"`, `"fit"`, `"opening"` of
+            what slides, `"turning"` or `"effort"`.
         curves: At least one.
         unit: Of the values; `"limit"` for shares of a limit or of a range, empty for other shares.
         without: Joints that are not shown, because they have no limits.
@@ -268,7 +269,8 @@ class RecordedMotion:
         samples: All samples; None for a motion that is not recorded.
         guidance: Constraint and target.
         fit_share: Share of a recording's motion that breaks its constraint, see `broken_share`; None if not known.
-        furniture: What a rollout opens; None for recordings, whose paths it would hide, and where nothing opens.
+        furniture: What a rollout opens; of recordings, whose paths it may hide, what all of them took hold of at one
+            place.
     """
 
     name: str
@@ -287,7 +289,7 @@ class RecordedMotion:
     samples: MotionSamples | None = None
     guidance: Guidance = UNGUIDED
     fit_share: float | None = None
-    furniture: Furniture | None = None
+    furniture: tuple[Furniture, ...] = ()
 
 
 def recorded_motion(
@@ -328,18 +330,21 @@ def recorded_motion(
             raise RecordingError(f"rollout {name!r}: {sentence}", code="not-finite")
         chosen = extremes(curve, MAX_CURVE_POINTS)
         curve_times, curve = time[chosen], curve[chosen]
-    own = _within(own_bands(name, getattr(recording, "phases", ())), first_time, float(time[-1]))
+    own = own_bands(name, getattr(recording, "phases", ()))
+    if isinstance(recording, Rollout) and len(recording.ways) > 1:
+        own = tuple(replace(band, constraint=_number_of(recording, band)) for band in own)
+    own = _within(own, first_time, float(time[-1]))
     bands = _within(phases, first_time, float(time[-1])) or own
     tracks = joint_tracks(robot, tree, q[keys])
     path_times, path = time[path_keys], np.array([robot.pose(x, tip)[:3, 3] for x in q[path_keys]])
-    measures, furniture = tracks_of(robot, recording, samples, guidance, bands), None
-    if isinstance(recording, Rollout):
-        # when the hand has hold of its mechanism, by the rollout's own phases, if they tell
-        tells = any(band.name == WAY or band.name in LEADING for band in own)
-        ways = [(band.start, band.end) for band in own if band.name == WAY] if tells else None
-        furniture = furniture_of(guidance.mechanism(0) or mechanism, path_times, path, ways)
-    if furniture is not None:
-        measures = (Track("opening", (Curve("", path_times, furniture.opening),), furniture.unit), *measures)
+    measures, pieces = tracks_of(robot, recording, samples, guidance, bands), []
+    own = own if isinstance(recording, Rollout) else bands
+    for known, shown, held in _opened(recording, guidance, own, mechanism, first_time):
+        piece = furniture_of(known, path_times, path, held, shown)
+        pieces += [] if piece is None else [piece]
+    for kind, unit in (("turning", "rad"), ("opening", "m")):
+        moved = tuple(Curve("", path_times, piece.opening) for piece in pieces if piece.unit == unit)
+        measures = (Track(kind, moved, unit), *measures) if moved else measures
     return RecordedMotion(
         name=name,
         key_times=time[keys],
@@ -357,8 +362,52 @@ def recorded_motion(
         samples=samples,
         guidance=guidance,
         fit_share=broken_share(samples, guidance, bands) if isinstance(recording, Trajectory) else None,
-        furniture=furniture,
+        furniture=tuple(pieces),
     )
+
+
+def _number_of(rollout: Rollout, band: PhaseBand) -> int | None:
+    """Number of the way to which a phase of its own belongs, by the name before its part."""
+    whose = (band.name or "").rpartition(": ")[0]
+    return next((k for k, way in enumerate(rollout.ways) if way.get("name") == whose), None)
+
+
+def _opened(
+    recording: Rollout | Trajectory,
+    guidance: Guidance,
+    bands: Sequence[PhaseBand],
+    mechanism: Mapping[str, Any] | None,
+    first_time: float,
+) -> list[tuple[Mapping[str, Any] | None, Shown | None, list[tuple[float, float]] | None]]:
+    """What a motion may open: mechanism, what was shown along it, and when the hand has hold of it, if that is known.
+
+    Of recordings only that of which all took hold at one place: nobody knows where the others are shut.
+    """
+    found: list[tuple[Mapping[str, Any] | None, Shown | None, list[tuple[float, float]] | None]] = []
+    for k in range(max(len(guidance.constraints), 1)):
+        shown = guidance.constraints[k].shown if guidance.constraints else None
+        known = guidance.mechanism(k) or (mechanism if k == 0 else None)
+        if isinstance(recording, Rollout):
+            held = _held(recording, bands, k, first_time)
+        elif shown is None or shown.hold is None:
+            continue
+        else:
+            held = [(band.start, band.end) for band in bands if band.constraint == k] if bands else None
+        again = next((i for i, (other, *_) in enumerate(found) if known is not None and other == known), None)
+        if again is None:
+            found.append((known, shown, held))
+        elif held is not None:  # the same thing in a later step
+            found[again] = (*found[again][:2], [*(found[again][2] or []), *held])
+    return found
+
+
+def _held(rollout: Rollout, bands: Sequence[PhaseBand], k: int, first_time: float) -> list[tuple[float, float]] | None:
+    """When the hand has hold of mechanism k, as the rollout's phases or its ways tell; None where they do not."""
+    ways = [(band.start, band.end) for band in bands if band.part == WAY and band.constraint in (None, k)]
+    if any(band.part == WAY or band.part in LEADING for band in bands):
+        return ways
+    begins = [way["begins"] - first_time for way in rollout.ways[k : k + 1] if way["begins"] is not None]
+    return [(begin, np.inf) for begin in begins] if rollout.ways else None
 
 
 def _within(phases: tuple[PhaseBand, ...], first_time: float, duration: float) -> tuple[PhaseBand, ...]:

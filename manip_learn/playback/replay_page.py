@@ -19,6 +19,7 @@ from numpy.typing import ArrayLike
 
 from manip_learn.atomic_write import write_atomically
 from manip_learn.constraint.constraint import Constraint
+from manip_learn.constraint.shown import Shown
 from manip_learn.control.rollout import Rollout
 from manip_learn.errors import OutputError, RecordingError, counted, error_in_words
 from manip_learn.playback.appearance import appearance
@@ -27,7 +28,7 @@ from manip_learn.playback.kinematic_tree import kinematic_tree
 from manip_learn.playback.mechanism_drawing import DescribedMechanism, MechanismDrawing, mechanism_drawing
 from manip_learn.playback.page_writer import page
 from manip_learn.playback.palette import rollout_colours
-from manip_learn.playback.phase_bands import Phase, phase_bands, phase_kinds, phases_from_json
+from manip_learn.playback.phase_bands import WAY, Phase, phase_bands, phase_kinds, phases_from_json
 from manip_learn.playback.recorded_motion import RecordedMotion, recorded_motion
 from manip_learn.playback.scene_data import scene_data
 from manip_learn.recordings.trajectory import Trajectory
@@ -295,7 +296,7 @@ def replay(
     # each constraint is named by its mechanism, else by how many directions it holds
     rows = [f"holds {c.n_constraints} of {len(c.features.row_names)}" for c in motions[0].guidance.constraints]
     parts = zip(drawings, rows or [""] * len(drawings), strict=False)
-    kinds = phase_kinds(phases, [d.type if d is not None else said for d, said in parts]) if phases else ()
+    kinds = phase_kinds(phases, [(d and d.type) or said for d, said in parts]) if phases else ()
     looks = appearance(robot, tree)
     all_notes = (*notes, *looks.notes)
     if len(motions) > MAX_GHOSTS and not phases:
@@ -306,6 +307,7 @@ def replay(
     data = scene_data(robot, tree, looks, tip_name, motions, chosen_colours, all_notes, kinds, drawings)
     evidence = evidence_of(learnt) if learnt else None
     data["evidence"] = evidence
+    data["done"] = [row for motion in motions for row in _done(motion, named[motion.name], len(named) > 1)]
     recorded = all(isinstance(r, Trajectory) for r in named.values())
     data["choice"] = (
         (choice or RecordingChoice()).to_dict(list(named), evidence["odd"] if evidence else ()) if recorded else None
@@ -326,25 +328,55 @@ def replay(
     return ReplayResult(path, len(content), all_notes)
 
 
+def _done(motion: RecordedMotion, recording: Recording, several: bool) -> list[list[str]]:
+    """What became of each way of a rollout: its name, where the hand took hold, and its numbers, in words."""
+    rows = []
+    for way in recording.ways if isinstance(recording, Rollout) else ():
+        whose = ": ".join(filter(None, (motion.name if several else "", _text(way.get("name"))))) or motion.name
+        begins, unit = way["begins"], "m" if way.get("unit") == "m" else "degrees"
+        place = "not reached"
+        if begins is not None:
+            at = [np.interp(begins - motion.first_time, motion.path_times, axis) for axis in motion.path.T]
+            place = ", ".join(f"{x:.3f}" for x in at) + " m"
+        done, wanted, off, margin = (_number(way.get(key)) for key in ("done", "wanted", "deviation", "margin"))
+        far = "" if done is None or wanted is None else f"{abs(done):.3g} of {abs(wanted):.3g} {unit}"
+        joint = way.get("fastest_joint")
+        share = _number(joint.get("share_of_limit")) if isinstance(joint, Mapping) else None
+        fastest = "" if share is None else f"{100 * share:.0f} % of its limit ({_text(joint.get('name'))})"
+        stopped = _text(way.get("stopped_by"))
+        far += f", stopped by {stopped}" if stopped else ""
+        strayed = "" if off is None else f"{1e3 * off:.1f} mm"
+        rows.append([whose, place, far, strayed, fastest, "" if margin is None else f"{100 * margin:.0f} %"])
+    return rows
+
+
 def _drawings(
     first: Mapping[str, Any] | None, motions: Sequence[RecordedMotion]
 ) -> tuple[MechanismDrawing | None, ...]:
     """What is drawn of each constraint's mechanism; without phases of constraints, the first one's alone."""
-    n = len(motions[0].guidance.constraints) if any(b.name is None for m in motions for b in m.phases) else 1
-    described = [first, *(motions[0].guidance.mechanism(k) for k in range(1, n))]
-    drawn: list[MechanismDrawing | None] = []
-    for k, d in enumerate(described):
+    guidance, drawn = motions[0].guidance, list[MechanismDrawing | None]()
+    several = any(band.constraint is not None for m in motions for band in m.phases)
+    for k in range(max(len(guidance.constraints), 1) if several else 1):
+        described = first if k == 0 else guidance.mechanism(k)
+        known = guidance.constraints[k] if k < len(guidance.constraints) else None
+        shown = None if known is None else known.shown or known.intention
+        if described is None and shown is None:
+            drawn.append(None)
+            continue
         # the tip where constraint k holds; everywhere if that is nowhere
-        bands = [(m, band) for m in motions for band in m.phases if band.constraint == k]
+        bands = [(m, b) for m in motions for b in m.phases if b.constraint == k and b.part in ("", WAY)]
         held = [m.path[(m.path_times >= band.start) & (m.path_times <= band.end)] for m, band in bands]
         places = np.concatenate(held if any(map(len, held)) else [m.path for m in motions])
-        drawn.append(None if d is None else mechanism_drawing(d, places))
-    opened = motions[0].furniture
-    if first is not None and opened is not None and first.get("type") == "line":
-        # a line that a rollout moves along is drawn where its hand is: that recordings held it elsewhere says nothing
-        ways = [m.furniture.moved(np.zeros((1, 3)), float(m.furniture.opening.max())) for m in motions if m.furniture]
-        handle = opened.pose[:3, 3]
-        drawn[0] = mechanism_drawing({**first, "point": handle}, np.concatenate([handle[None], *ways]))
+        if described is not None and described.get("type") == "line":
+            # a line is drawn where hands took hold, or where that of a rollout does: its direction alone was learnt
+            opened = next((piece for piece in motions[0].furniture if piece.kind == "drawer"), None)
+            if isinstance(shown, Shown) and shown.hold is not None:
+                described, places = {**described, "point": shown.hold}, np.vstack([shown.points, places])
+            elif k == 0 and opened is not None:
+                ends = [p.moved(np.zeros((1, 3)), float(p.opening.max())) for m in motions for p in m.furniture[:1]]
+                described = {**described, "point": opened.pose[:3, 3]}
+                places = np.concatenate([opened.pose[None, :3, 3], *ends])
+        drawn.append(mechanism_drawing(described, places, shown))
     return tuple(drawn)
 
 

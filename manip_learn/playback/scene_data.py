@@ -38,12 +38,13 @@ def scene_data(
     mechanisms: Sequence[MechanismDrawing | None] = (),
 ) -> dict[str, Any]:
     """The data of a page; arrays are little-endian and in base64."""
-    cloud = np.concatenate([_drawn_points(robot, looks, motions), *(x for m in mechanisms if m for x in m.lines)])
+    drawn = [line for m in mechanisms if m for line in (*m.lines, m.way)]
+    cloud = np.concatenate([_drawn_points(robot, looks, motions), *drawn])
     # and where the marks at the tip reach to, along its path
     reach = MARKS * float(np.linalg.norm(np.ptp(cloud, axis=0)))
     paths = [m.path[:: max(1, len(m.path) // MAX_POSTURES_FOR_BOUNDS)] for m in motions if m.guidance.constraints]
     marked = [path + reach * side for path in paths for side in (*np.eye(3), *-np.eye(3))]
-    cloud = np.concatenate([cloud, *(m.furniture.corners() for m in motions if m.furniture), *marked])
+    cloud = np.concatenate([cloud, *(piece.corners() for m in motions for piece in m.furniture), *marked])
     low, high = cloud.min(axis=0), cloud.max(axis=0)
     most, places = points_per_curve([m.measures for m in motions]), places_per_motion(len(motions))
     marks: list[list[dict[str, Any] | None]] = [
@@ -71,6 +72,9 @@ def scene_data(
                 "sentence": m.sentence,
                 "lines": [packed(line, "<f4") for line in m.lines],
                 "patches": [packed(patch, "<f4") for patch in m.patches],
+                "shown": m.shown,
+                "way": packed(m.way, "<f4"),
+                "hold": m.hold,
             }
             for k, m in enumerate(mechanisms)
             if m is not None
@@ -128,9 +132,11 @@ def _rollout(motion: RecordedMotion, colour: tuple[str, str]) -> dict[str, Any]:
         "curveTimes": packed(motion.curve_times, "<f8"),
         "curve": packed(motion.curve, "<f8"),
         "status": [list(change) for change in motion.status],
-        "firstTime": motion.first_time,
         "fitShare": motion.fit_share,
-        "furniture": None if motion.furniture is None else motion.furniture.to_dict(),
+        "furniture": [
+            piece.to_dict() | {"curve": sum(other.unit == piece.unit for other in motion.furniture[:k])}
+            for k, piece in enumerate(motion.furniture)
+        ],
         # start, end, number of the kind; -1 for free motion
         "phases": [
             [b.start, b.end, numbers.get(b.name or "", -1 if b.constraint is None else b.constraint)]
@@ -169,7 +175,7 @@ def _azimuth(motions: Sequence[RecordedMotion]) -> float:
     """Where the camera stands [rad]: beside the arm and a little before it, or before the front that is opened."""
     x, y, _ = np.concatenate([m.path for m in motions]).mean(axis=0)
     usual = float(np.arctan2(y, x) - ASIDE) if np.hypot(x, y) > 1e-6 else float(np.deg2rad(-50.0))
-    out = next((m.furniture.pose[:2, 1] for m in motions if m.furniture), np.zeros(2))
+    out = next((piece.pose[:2, 1] for m in motions for piece in m.furniture), np.zeros(2))
     if np.linalg.norm(out) < 0.5:
         return usual
     front = float(np.arctan2(out[1], out[0]))

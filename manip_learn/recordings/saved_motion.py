@@ -45,6 +45,7 @@ class FileHeader:
         constraint: What guided a rollout, as `Constraint.to_dict` writes it, or None.
         follows: Whether a rollout has the following error.
         phases: Name, start and end [s] of the parts of a rollout, or None.
+        ways: What became of each way of a rollout, or None.
         samples: Number of samples that were written; None for a LeRobot data set, which counts them itself.
     """
 
@@ -57,6 +58,7 @@ class FileHeader:
     constraint: Mapping[str, Any] | None = None
     follows: bool = False
     phases: list | None = None
+    ways: list | None = None
     samples: int | None = None
 
     def to_json(self, samples: int | None = None) -> str:
@@ -70,7 +72,7 @@ class FileHeader:
             "robot": None if self.robot is None else self.robot.to_dict(),
         }
         later = {"target": self.target, "constraint": self.constraint, "following_error": self.follows or None}
-        later |= {"phases": self.phases or None, "samples": samples}
+        later |= {"phases": self.phases or None, "ways": self.ways or None, "samples": samples}
         return json.dumps(
             content | {name: value for name, value in later.items() if value is not None}, allow_nan=False
         )
@@ -112,6 +114,7 @@ class FileHeader:
             constraint,
             bool(content.get("following_error")),
             _phases(content.get("phases")),
+            _ways(content.get("ways")),
             content.get("samples"),
         )
 
@@ -126,6 +129,20 @@ def _phases(value: object) -> list | None:
 
     if value is not None and not (isinstance(value, list) and all(map(fits, value))):
         raise ValueError(f"the phases must be a name, a start and an end each, they are {value!r:.60}")
+    return value
+
+
+def _ways(value: object) -> list | None:
+    """Objects, each of which says when its way began [s], or null if it never did."""
+
+    def fits(way: object) -> bool:
+        if not isinstance(way, dict) or "begins" not in way:
+            return False
+        begins = way["begins"]
+        return begins is None or (isinstance(begins, int | float) and bool(np.isfinite(begins)))
+
+    if value is not None and not (isinstance(value, list) and all(map(fits, value))):
+        raise ValueError(f"the ways must be objects that say when they began, they are {value!r:.60}")
     return value
 
 

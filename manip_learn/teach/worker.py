@@ -286,7 +286,6 @@ def ghost(
         "tracks": packed(joint_tracks(robot, kinematic_tree(robot), np.asarray(q)[kept]), "<f8"),
         "curveTimes": packed(times if len(mu) else mu, "<f8"),
         "curve": packed(mu, "<f8"),
-        "opening": None,
         "ended": ended,
     }
 

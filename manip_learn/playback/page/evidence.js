@@ -28,16 +28,25 @@ function factList(facts) {
 
 // Each row of the test: joints exchanged between recordings would use a held row so many times more.
 function rowTable(rows) {
-  const table = document.createElement("table"), caption = table.createCaption(), head = table.createTHead().insertRow();
-  caption.textContent = "Recombination test: how many times more the motion would use a row if the joints of different recordings were combined; p: the chance of that by accident";
-  for (const text of ["row", "verdict", "strength", "chance"]) {
-    const cell = Object.assign(document.createElement("th"), { textContent: text, scope: "col" });
-    head.append(cell);
-  }
-  const body = table.createTBody();
+  const caption = "Recombination test: how many times more the motion would use a row if the joints of different recordings were combined; p: the chance of that by accident";
+  return tableOf(caption, ["row", "verdict", "strength", "chance"], rows);
+}
+
+function tableOf(caption, heads, rows) {
+  const table = document.createElement("table"), head = table.createTHead().insertRow(), body = table.createTBody();
+  table.createCaption().textContent = caption;
+  for (const text of heads) head.append(Object.assign(document.createElement("th"), { textContent: text, scope: "col" }));
   for (const cells of rows) {
     const line = body.insertRow();
     for (const text of cells) line.insertCell().textContent = text;
   }
   return table;
+}
+
+// What became of each way.
+function fillDone(rows) {
+  if (!rows.length) return;
+  const known = ["", "took hold at", "way", "off", "fastest joint", "margin"].map((head, k) => ({ head, k })).filter(({ k }) => rows.some((row) => row[k]));
+  const caption = "Off: the largest distance of the hand from what holds it; margin: the least share of a limit that is left";
+  addSheet("done", "Done", "What was done").append(tableOf(caption, known.map(({ head }) => head), rows.map((row) => known.map(({ k }) => row[k]))));
 }

@@ -45,7 +45,7 @@ function drawFitRow(group, chart, rollout, y, height) {
   const step = rollout.duration / bins;
   fitBins(rollout.fit, rollout.duration, bins).forEach((share, k) => {
     const x = chart.x(k * step), bar = svg("rect", { x, y, width: Math.max(chart.x((k + 1) * step) - x + 0.3, 0.8), height, fill: fitColour(share) }, group);
-    svg("title", {}, bar).textContent = `${rollout.name}, ${(rollout.firstTime + k * step).toFixed(2)} s: ${Number.isNaN(share) ? "at rest, or not measured" : `${(100 * share).toFixed(1)} % of the motion breaks the constraint`}`;
+    svg("title", {}, bar).textContent = `${rollout.name}, ${(k * step).toFixed(2)} s: ${Number.isNaN(share) ? "at rest, or not measured" : `${(100 * share).toFixed(1)} % of the motion breaks the constraint`}`;
   });
 }
 

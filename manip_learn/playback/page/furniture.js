@@ -1,18 +1,26 @@
-// The drawer, the door or the crank at the hand of the solid rollout; of the others, the outline of its front.
+// The drawers, the doors and the cranks that the solid rollout moves; of the others, the outlines of their fronts.
 
 const TONES = { front: "#eadfcb", body: "#cbb898", handle: "#39424c" };
 const FURNITURE_INKS = Object.fromEntries(Object.entries(TONES).map(([what, hex]) => [what, new THREE.MeshStandardMaterial({ color: linear(hex), roughness: 0.75, emissive: linear(hex), emissiveIntensity: 0.14 })]));
 const EDGES = new THREE.LineBasicMaterial({ color: linear("#5d5340"), transparent: true, opacity: 0.55 });
 
+// How far a piece of furniture is open over time.
+function openingOf(rollout, { unit, curve }) {
+  const track = rollout.byKind.get(unit === "m" ? "opening" : "turning");
+  return track && track.curves[curve];
+}
+
 // "0.214 m open", or degrees.
-function openInWords(rollout, t) {
-  const opening = rollout.byKind.get("opening");
+function pieceInWords(rollout, piece, t) {
+  const opening = openingOf(rollout, piece);
   if (!opening) return "";
-  const value = valueAt(opening.curves[0], Math.min(t, rollout.duration));
-  if (rollout.furniture.kind === "crank") return `turned ${(value * 180 / Math.PI).toFixed(0)}°`;
-  if (opening.unit === "m") return rollout.furniture.pushedFrom ? `pushed in ${value.toFixed(3)} m` : `${value.toFixed(3)} m open`;
+  const value = valueAt(opening, Math.min(t, rollout.duration));
+  if (piece.kind === "crank") return `turned ${(value * 180 / Math.PI).toFixed(0)}°`;
+  if (piece.unit === "m") return piece.pushedFrom ? `pushed in ${value.toFixed(3)} m` : `${value.toFixed(3)} m open`;
   return `${(value * 180 / Math.PI).toFixed(1)}° open`;
 }
+
+function openInWords(rollout, t) { return rollout.furniture.map((piece) => pieceInWords(rollout, piece, t)).filter(Boolean).join(", "); }
 
 // A box and its edges.
 function boardOf([x, y, z, across, deep, high, what], inks = FURNITURE_INKS) {
@@ -24,8 +32,8 @@ function boardOf([x, y, z, across, deep, high, what], inks = FURNITURE_INKS) {
 }
 
 class FurniturePiece {
-  constructor(rollout) {
-    Object.assign(this, rollout.furniture, { rollout, curve: rollout.byKind.get("opening").curves[0], group: new THREE.Group(), carcass: new THREE.Group(), leaf: new THREE.Group(), outline: new THREE.Group() });
+  constructor(rollout, described) {
+    Object.assign(this, described, { rollout, opening: openingOf(rollout, described), group: new THREE.Group(), carcass: new THREE.Group(), leaf: new THREE.Group(), outline: new THREE.Group() });
     this.group.matrixAutoUpdate = false;
     this.group.matrix.copy(matrixFromRows(this.pose));
     for (const box of this.fixed) this.carcass.add(...boardOf(box));
@@ -41,7 +49,7 @@ class FurniturePiece {
   placed(object, x, y, z) { object.position.set(x, y, z); return object; }
 
   setTime(t) {
-    const open = valueAt(this.curve, Math.min(t, this.rollout.duration)), [x, y] = this.pivot, c = Math.cos(open), s = Math.sin(open);
+    const open = valueAt(this.opening, Math.min(t, this.rollout.duration)), [x, y] = this.pivot, c = Math.cos(open), s = Math.sin(open);
     for (const part of [this.leaf, this.outline]) {
       if (this.kind === "drawer") part.position.y = Math.abs(this.pushedFrom - open);
       else {
@@ -50,7 +58,7 @@ class FurniturePiece {
       }
     }
     this.carcass.visible = this.leaf.visible = this.rollout.solid;
-    this.outline.visible = !this.rollout.solid;
+    this.outline.visible = !this.rollout.solid && !this.rollout.hasPhases;
     this.ghostInk.color.copy(linear(this.rollout.colour));
   }
 

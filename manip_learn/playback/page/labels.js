@@ -63,12 +63,16 @@ function labelScene(show, on) {
   mark("ellipsoid", "--ellipsoid", () => "speed within reach (μ)");
   mark("target", "--goal", () => "target");
   labels.add("--goal", () => (on.target && drawn() && drawn().reachedAt ? "any place on this line counts as reached" : ""), () => drawn().reachedAt);
-  const piece = () => show.solid.visible && show.solid.piece;
-  labels.add("--scene-ink", () => (on.furniture && piece() ? `${piece().kind} ${openInWords(show.solid, show.time)}` : ""), () => piece().at(piece().top));
-  for (const { constraint, lines, patches, type } of show.mechanisms) {
+  for (let k = 0; k < Math.max(...show.rollouts.map((r) => r.pieces.length)); k++) {
+    const piece = () => show.solid.visible && show.solid.pieces[k];
+    labels.add("--scene-ink", () => (on.furniture && piece() ? `${piece().kind} ${pieceInWords(show.solid, piece(), show.time)}` : ""), () => piece().at(piece().top));
+  }
+  for (const { constraint, lines, patches, type, way } of show.mechanisms) {
     const words = MECHANISM_WORDS[type] && `${show.mechanisms.length > 1 ? `${constraint + 1}: ` : ""}${MECHANISM_WORDS[type]}`;
     const ends = decode([...lines, ...patches][0] || "", Float32Array);
     if (ends.length) labels.add("--scene-ink", () => (on.mechanism ? words : ""), () => new THREE.Vector3(...ends.slice(-3)));
+    const shown = decode(way, Float32Array);
+    if (shown.length) labels.add("--scene-ink", () => (on.mechanism ? "as it was shown" : ""), () => new THREE.Vector3(...shown.slice(-3)));
   }
   return labels;
 }

@@ -19,8 +19,10 @@ class Legend {
     element.classList.toggle("parted", rollouts.some((r) => r.hasOwnPhases));
     if (mechanisms.length) {
       const words = Object.assign(document.createElement("p"), { id: "mechanism" });
-      for (const { constraint, sentence } of mechanisms)
-        words.append(Object.assign(document.createElement("span"), { textContent: `${mechanisms.length > 1 ? constraint + 1 : "Mechanism"}: ${sentence}` }));
+      for (const { constraint, sentence, shown } of mechanisms) {
+        const whose = mechanisms.length > 1 ? `${constraint + 1}: ` : sentence ? "Mechanism: " : "";
+        for (const said of [sentence && whose + sentence, shown && (sentence ? shown : whose + shown)].filter(Boolean)) words.append(Object.assign(document.createElement("span"), { textContent: said }));
+      }
       element.prepend(words);
     }
     this.setTime(0);

@@ -14,6 +14,7 @@ function fillNotes(notes) {
 // The cards beside the tracks, from the most to the least needed.
 function fillCards(show, data, player) {
   show.shown = new Shown(data, show);
+  fillDone(data.done);
   fillEvidence(data.evidence);
   if (data.choice && show.rollouts.length > 1) new RecordingChoice(data.choice, show, (rollout, visible) => player.showRollout(rollout, visible));
   player.arrangePanel();
@@ -41,8 +42,8 @@ function start() {
       const { drawn } = show.rollouts.find((r) => r.name === name);
       return { ...Object.fromEntries(Object.entries(drawn.drawn).map(([k, v]) => [k, v.map((d) => d.toArray())])), ellipsoid: drawn.ellipsoidAt(t), pose: drawn.poseNow() };
     },
-    // The handle's place in the robot's base, now [m].
-    handle: (name) => show.rollouts.find((r) => r.name === name).piece.at(new THREE.Vector3()).toArray(),
+    // The place of a handle in the robot's base, now [m].
+    handle: (name, k = 0) => show.rollouts.find((r) => r.name === name).pieces[k].at(new THREE.Vector3()).toArray(),
     get time() { return show.time; },
     get duration() { return show.duration; },
     get playing() { return Boolean(player.playing); },

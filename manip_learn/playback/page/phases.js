@@ -3,7 +3,7 @@
 
 const NO_PHASE = { label: "not classified", mark: "", colour: "#cfd6dd", ink: "#000000" };
 const BAND = { tallest: 20, lowest: 3, named: 11, numbered: 12 }; // heights of a row [px], and the least for its texts
-const MAX_NAME = 22, APPROACH = "approach";
+const MAX_NAME = 22, LEAVES = ["approach", "retreat"];
 const LEADING = { radius: 0.5, dash: 9 }; // the path before the way: its radius and the length of a dash, both in radii of a path
 
 function bandsOf(rollout, kinds) {
@@ -26,7 +26,7 @@ function hasPhaseColours(rollout) { return rollout.hasPhases && !rollout.hasOwnP
 // Whether the hand has taken hold, as far as the rollout's own phases tell.
 function takesHold(rollout, t) {
   const phase = rollout.hasOwnPhases && phaseAt(rollout, t);
-  return !phase || phase.label !== APPROACH;
+  return !phase || !LEAVES.includes(phase.label.split(": ").pop());
 }
 
 // What is known of the moment t; null if the page has no phases, or the recording has ended.
@@ -76,8 +76,7 @@ function drawBands(root, chart, rollout, y, row) {
   for (const { start, end, kind } of rollout.bands) {
     const x = chart.x(start), width = Math.max(chart.x(end) - x, 1.2);
     const bar = svg("rect", { x, y, width, height, rx: Math.min(2, width / 2), fill: kind.colour, stroke: kind.outline || "none" }, group);
-    const from = (rollout.firstTime + start).toFixed(2), until = (rollout.firstTime + end).toFixed(2);
-    svg("title", {}, bar).textContent = `${rollout.name}: ${kind.label}, ${from} s to ${until} s`;
+    svg("title", {}, bar).textContent = `${rollout.name}: ${kind.label}, ${start.toFixed(2)} s to ${end.toFixed(2)} s`;
     const mark = markOn(kind, width), isWord = kind.outline && mark.length > 1, at = isWord ? 6 : kind.outline ? width / 2 : 9;
     if (mark && height >= BAND.numbered)
       svg("text", { x: x + at, y: y + height / 2 + 4, "text-anchor": isWord ? "start" : "middle", class: "mark", style: `fill: ${kind.ink}` }, group).textContent = mark;
@@ -105,8 +104,22 @@ function pathColours(rollout, times, sides) {
   return new THREE.BufferAttribute(colours, 3);
 }
 
+// What was shown, from where the hands took hold, a ball where all of them did, to the farthest point, with a head.
+function shownWay(points, radius, hold) {
+  const ink = new THREE.MeshBasicMaterial({ toneMapped: false, transparent: true, opacity: 0.75 }), at = (k) => new THREE.Vector3(...points.slice(3 * k, 3 * k + 3));
+  onTheme(() => ink.color.copy(linear(pageColour("--free"))));
+  const last = points.length / 3 - 1, meshes = [new THREE.Mesh(tubeGeometry(points, radius), ink), new THREE.Mesh(new THREE.ConeGeometry(2.6 * radius, 8 * radius, 20), ink)];
+  const back = at(Math.max(last - 1, 0)), ahead = at(last).sub(back);
+  if (ahead.lengthSq() > 0) meshes[1].quaternion.setFromUnitVectors(new THREE.Vector3(0, 1, 0), ahead.normalize());
+  meshes[1].position.copy(at(last));
+  if (hold) meshes.push(Object.assign(new THREE.Mesh(new THREE.SphereGeometry(2.6 * radius, 20, 14), ink)));
+  if (hold) meshes[2].position.copy(at(0));
+  return meshes;
+}
+
 function mechanismGroup(mechanism, colour, radius) {
-  const group = new THREE.Group(), ink = new THREE.MeshBasicMaterial({ toneMapped: false });
+  const group = new THREE.Group(), ink = new THREE.MeshBasicMaterial({ toneMapped: false }), way = decode(mechanism.way, Float32Array);
+  if (way.length) group.add(...shownWay(way, 2.2 * radius, mechanism.hold));
   onTheme(() => ink.color.copy(linear(pageColour("--scene-ink"))));
   for (const line of mechanism.lines) group.add(new THREE.Mesh(tubeGeometry(decode(line, Float32Array), radius), ink));
   for (const patch of mechanism.patches) {

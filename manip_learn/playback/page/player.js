@@ -59,7 +59,7 @@ class Show {
       const size = this.stage ? this.stage.size : 1;
       if (rollout.path.length >= 6) rollout.trail = new TipPath(rollout, 0.0028 * size, rollout.instance.root);
     }
-    for (const rollout of this.rollouts) if (rollout.furniture) rollout.piece = new FurniturePiece(rollout);
+    for (const rollout of this.rollouts) rollout.pieces = rollout.furniture.map((described) => new FurniturePiece(rollout, described));
     this.mechanisms = data.mechanisms;
     if (!this.stage) return;
     this.mechanismGroup = new THREE.Group();
@@ -89,7 +89,7 @@ class Show {
     this.time = Math.min(Math.max(t, 0), this.duration);
     for (const rollout of this.rollouts) {
       rollout.instance.setValues(this.valuesAt(rollout, this.time));
-      if (rollout.piece) rollout.piece.setTime(this.time);
+      for (const piece of rollout.pieces) piece.setTime(this.time);
       if (rollout.trail) rollout.trail.setTime(this.time, rollout.instance.tipPosition());
     }
     if (this.shown) this.shown.setTime(this.time);

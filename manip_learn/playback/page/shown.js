@@ -28,7 +28,7 @@ class Shown {
   has(name) {
     if (name === "mechanism") return this.show.mechanisms.length > 0;
     if (name === "paths") return true;
-    if (name === "furniture") return this.show.rollouts.some((r) => r.piece);
+    if (name === "furniture") return this.show.rollouts.some((r) => r.pieces.length);
     if (name === "labels") return ["constraint", "mechanism", "furniture"].some((other) => this.has(other));
     return this.show.rollouts.some((r) => r.drawn && (name !== "target" || r.drawn.target) && (name !== "ellipsoid" || r.drawn.ellipsoid.some((x) => x !== 0)));
   }
@@ -61,7 +61,7 @@ class Shown {
   apply() {
     for (const r of this.show.rollouts) {
       if (r.trail) r.trail.group.visible = this.on.paths;
-      if (r.piece) r.piece.group.visible = this.on.furniture;
+      for (const piece of r.pieces) piece.group.visible = this.on.furniture;
       for (const drawn of r.allDrawn) if (drawn) for (const [name, part] of Object.entries(drawn.parts)) part.visible = r.solid && this.on[name];
     }
     if (this.labels) this.labels.hidden = !this.on.labels;
@@ -73,7 +73,7 @@ class Shown {
   // The marks of the constraint that holds now; where none does, those of the one before stay faint.
   setTime(t) {
     for (const r of this.show.rollouts) {
-      const now = Math.min(t, r.duration), k = hasPhaseColours(r) ? r.kinds.indexOf(phaseAt(r, now)) : 0;
+      const now = Math.min(t, r.duration), phase = phaseAt(r, now), k = hasPhaseColours(r) ? r.kinds.indexOf(phase) : (phase && phase.constraint) ?? 0;
       const known = k >= 0 && k < r.allDrawn.length, holds = known && takesHold(r, now);
       if (known) r.drawn = r.allDrawn[k];
       for (const drawn of r.allDrawn) if (drawn) drawn.group.visible = drawn === r.drawn;

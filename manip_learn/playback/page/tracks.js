@@ -2,6 +2,7 @@
 
 const TRACKS = {
   opening: { title: "How far it has moved", of: "all", low: 0 },
+  turning: { title: "How far it has turned", of: "all", low: 0 },
   singular: { title: "Singular values of A", of: "one", log: true },
   velocity: { title: "Joint velocities over their limits", of: "one", low: -1, high: 1, percent: true, limits: [-1, 1] },
   position: { title: "Joint positions between their limits", of: "one", low: 0, high: 1, percent: true, limits: [0, 1] },

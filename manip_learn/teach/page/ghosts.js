@@ -4,12 +4,10 @@ const GHOST_PAUSE = 1.2; // [s] at the end, before they begin again
 
 function ghostRollout(raw, index) {
   const keyTimes = decode(raw.keyTimes, Float64Array), curveOf = (x) => (!x ? [] : typeof x === "string" ? decode(x, Float64Array) : Float64Array.from(x));
-  const opening = raw.opening && { unit: raw.unit || "m", without: [], curves: [{ name: "", times: keyTimes, values: decode(raw.opening, Float64Array) }] };
   return {
     name: raw.name, colourName: raw.colourName, duration: raw.duration, ended: raw.ended || "", index, visible: true, solid: false, keyTimes,
     tracks: decode(raw.tracks, Float64Array), curve: curveOf(raw.curve), curveTimes: curveOf(raw.curveTimes), status: [], bands: [], kinds: [],
-    hasPhases: false, hasOwnPhases: false, furniture: { kind: opening && opening.unit === "rad" ? "door" : "drawer", pushedFrom: 0 },
-    byKind: new Map(opening ? [["opening", opening]] : []), get colour() { return onScreen(raw.colour); },
+    hasPhases: false, hasOwnPhases: false, furniture: [], pieces: [], byKind: new Map(), get colour() { return onScreen(raw.colour); },
   };
 }
 
@@ -22,13 +20,13 @@ class Ghosts {
     DARK.addEventListener("change", () => { for (const { instance } of this.rollouts) { instance.setSolid(false); teach.quality.plain(instance); } });
   }
 
-  set(data, unit) {
+  set(data) {
     const number = data ? data.number : null;
     if (number === this.number) return;
     this.number = number;
     for (const { instance } of this.rollouts) this.teach.stage.world.remove(instance.root);
     const raws = data ? data.rollouts : [], { instance } = this.teach, geometries = instance.meshes.map(({ skin }) => skin.geometry);
-    this.rollouts = raws.map((raw, i) => ghostRollout({ unit, ...raw }, i + 1));
+    this.rollouts = raws.map((raw, i) => ghostRollout(raw, i + 1));
     for (const rollout of this.rollouts) {
       rollout.instance = new RobotInstance(instance.robot, rollout, geometries, false);
       rollout.instance.setSolid(false);

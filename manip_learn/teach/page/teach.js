@@ -202,7 +202,7 @@ class Teach {
   }
 
   setGhosts(ghosts) {
-    if (this.ghosts) this.ghosts.set(ghosts, this.scene && this.scene.handles[0] && this.scene.handles[0].unit);
+    if (this.ghosts) this.ghosts.set(ghosts);
   }
 
   setNotes(more) {
