@@ -27,6 +27,7 @@ ROOM_TO_LEAVE = 0.1  # [rad or m] room that the joints need for leaving a singul
 OUTSIDE = 1e-9  # [rad or m] a joint is outside when it is more than this beyond a position limit
 AT_BOUND = 1e-7  # share of a bound within which a velocity counts as being at it
 POSITION, VELOCITY, ACCELERATION = range(3)  # causes of bounds
+ROUNDED = 1e-12  # [m/s] by how much the solution of a program may approach a wall too fast: rounding of a speed of 1
 MOST_ROWS = 12  # rounds in which a speed was too large; in practice one to four
 Barrier = tuple[Float[np.ndarray, "r nv"], Float[np.ndarray, " r"]]  # (G, least): rows G u >= least
 
@@ -124,9 +125,15 @@ class TipLimits:
             least = np.minimum(least, BRAKING_SHARE * dt * np.abs(G).dot(acceleration) - G.dot(previous))
         return Tips(jacobians, -G, least)
 
-    def rows(self, tips: Tips, u: Float[np.ndarray, " nv"]) -> Barrier | None:
-        """What the velocity u breaks: tangents where a frame is too fast, and walls; None where nothing."""
-        broken = tips.too_near(u)
+    def rows(self, tips: Tips, u: Float[np.ndarray, " nv"], slack: float = 0.0) -> Barrier | None:
+        """What the velocity u breaks: tangents where a frame is too fast, and walls; None where nothing.
+
+        Args:
+            tips: At this posture.
+            u: Joint velocity [rad/s or m/s].
+            slack: By how much a wall may be approached too fast [m/s].
+        """
+        broken = tips.G.dot(u) < tips.least - slack
         rows, least = list(tips.G[broken]), tips.least[broken].tolist()
         for J in tips.jacobians:
             v = J.dot(u)
@@ -160,7 +167,7 @@ class TipLimits:
         """
         u, found = wish, None
         for _ in range(MOST_ROWS):
-            broken = self.rows(tips, u)
+            broken = self.rows(tips, u, ROUNDED)
             if broken is None and found is not None:
                 break
             if broken is not None:
