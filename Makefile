@@ -138,9 +138,9 @@ proofs: $(VENV)/dev
 	CHECK_SHAPES=0 $(PYTEST) -n 2 --dist worksteal --benchmark-disable -m slow --timeout 3600 $(ARGS)
 
 # faults that are put into a copy of the library one by one: the tests must notice them. By default into the lines that
-# changed since the last release; ARGS="manip_learn/linalg.py" into a file, ARGS="--everything --hours 8" over night
+# changed since the last release; ARGS="manip_learn/linalg.py" into a file
 mutants: $(VENV)/dev
-	$(BIN)/python tests/mutation/run.py $(ARGS)
+	$(BIN)/python tests/mutants.py $(ARGS)
 
 # known vulnerabilities of what is installed; asks the database of its index, so it needs the network
 vulnerabilities: $(VENV)/dev

@@ -25,10 +25,11 @@ def arm(name: str) -> ml.Robot:
     return ml.load_robot(name, locked=LOCKED.get(name, ()))
 
 
+@cache
 def generated(
     kind: str, robot: str, seed: int, n: int, whole: bool = True, *, noise: float = 1e-4, tilt: float = 0.0
 ) -> tuple[Truth, list[ml.Trajectory]]:
-    """Truth and recordings, positions only, without joint names."""
+    """Truth and recordings, positions only, without joint names; made once in a run of the tests."""
     with pytest.MonkeyPatch.context() as patch:
         patch.syspath_prepend(str(EXAMPLES))
         make_set = importlib.import_module("make_recordings.kinematic_sets").make_set

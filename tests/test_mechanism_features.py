@@ -13,12 +13,11 @@ from case import case
 from test_gradients import central_difference
 
 from manip_learn.constraint.constraint import Constraint
-from manip_learn.constraint.features import FrameJacobian, MechanismRows
+from manip_learn.constraint.features import MechanismRows
 from manip_learn.constraint.features.mechanism_rows import FIELDS, PlaceRows
 from manip_learn.constraint.manipulability import manipulability, manipulability_gradient
 from manip_learn.constraint.manipulability_batch import manipulability_batch
 from manip_learn.control.controller import ResolvedRateController
-from manip_learn.control.policies import ManipulabilityAscent
 from manip_learn.control.simulation import simulate
 from manip_learn.control.tasks import Hold, PointAttractor
 from manip_learn.errors import ConstraintMismatchError, FeatureError
@@ -138,21 +137,6 @@ def test_finite_on_the_axis(robot_of, rng):
             assert (manipulability(constraint, q) < 1e-6) == (distance < 1e-9)
 
 
-def test_the_motion_of_a_hinge_is_free(robot_of, rng):
-    """A hand that a screw carries along breaks none of the firm rows; its tip breaks none of the loose ones."""
-    robot = robot_of("panda")
-    q = robot.random_configuration(rng)
-    frame = FrameJacobian(robot, "panda_hand_tcp", "pose")
-    a, c = np.array(AXIS) / np.linalg.norm(AXIS), np.array(POINT)
-    p = robot.position(q, robot.frame("panda_hand_tcp"))
-    for pitch, rows in ((0.0, (GROUPS[0], GROUPS[2], GROUPS[3])), (PITCH, (GROUPS[1], GROUPS[4]))):
-        u = np.linalg.pinv(frame(q)) @ np.concatenate([np.cross(a, p - c) + pitch * a, a])
-        for names in rows:
-            features = rows_of(robot, "panda", names, pitch=pitch)
-            np.testing.assert_allclose(features(q) @ u, 0.0, atol=1e-9)
-        assert abs(rows_of(robot, "panda", "tangential", pitch=pitch)(q) @ u)[0] > 0.05
-
-
 def test_files_keep_every_bit(robot_of, rng, tmp_path):
     """A saved constraint comes back with the same rows and the same numbers; a damaged one is refused."""
     robot = robot_of("panda")
@@ -169,19 +153,6 @@ def test_files_keep_every_bit(robot_of, rng, tmp_path):
             (tmp_path / "broken.json").write_text(text)
             with pytest.raises(ConstraintMismatchError, match="damaged"):
                 Constraint.load(tmp_path / "broken.json", robot)
-
-
-def test_the_controller_keeps_the_door_on_its_circle(robot_of):
-    """While it climbs mu in the null space the hand stays on the circle, and mu grows."""
-    robot = robot_of("panda")
-    q = robot.configuration([0.1, -0.3, -0.1, -2.0, 0.1, 1.8, 0.7])
-    features = rows_of(robot, "panda", "radial axial")
-    constraint = Constraint(np.eye(2), features)
-    controller = ResolvedRateController(constraint, task=Hold(), null_policy=ManipulabilityAscent(constraint))
-    rollout = simulate(robot, controller, q, duration=1.0, dt=0.005)
-    r = np.stack([features.coordinates(x) for x in rollout.q])
-    assert np.ptp(r, axis=0).max() < 2e-3
-    assert rollout.manipulability[-1] > 1.02 * rollout.manipulability[0]
 
 
 def test_distances_of_a_door_of_known_radius(robot_of, rng):

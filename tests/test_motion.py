@@ -256,22 +256,6 @@ def test_a_door_is_turned_towards_a_point() -> None:
         motion_to(learnt("drawer")[0], turned, READY)
 
 
-def test_a_target_is_a_point_for_all_rows_and_a_line_for_the_held_ones() -> None:
-    """`driven="all"` brings the tip to the point; `"held"`, the paper's law, to the line through it only."""
-    constraint, _ = learnt("drawer")
-    q0 = np.array(constraint.provenance["postures"][0])
-    free = ml.motion(constraint, along=0.1).constraint.selection[-1]
-    point = tip_of(constraint, q0) + 0.1 * free
-    for driven, near in (("all", True), ("held", False)):
-        task = ml.PointAttractor(point, 2.0, driven=driven)
-        rollout = ml.simulate(constraint.robot, ml.ResolvedRateController(constraint, task), q0, 4.0, 0.01)
-        left = tips(constraint, rollout)[-1] - point
-        assert bool(np.linalg.norm(left) < 1e-3) is near
-        assert np.linalg.norm(constraint.selection @ left) < 1e-3
-    with pytest.raises(TargetError, match="3 numbers .*driven='held'"):
-        ml.ResolvedRateController(constraint, ml.PointAttractor([0.1, 0.2], driven="all"))
-
-
 def test_a_noisy_encoder_does_not_keep_the_way_from_beginning() -> None:
     """With noise of 1e-3 rad the hand is there to a millimetre or so, and the way begins at most a second later."""
     constraint, _ = learnt("door")

@@ -51,11 +51,13 @@ class Person:
         self.tip, self.rng = model.site("tip").id, np.random.default_rng(seed)
         self.start: np.ndarray | None = None
         self.jacobian = np.zeros((3, model.nv))
-        self.sway = self.rng.uniform(0.0, 6.0, 7)
+        self.sway, self.pulls = self.rng.uniform(0.0, 6.0, 7), True
 
     def __call__(self, model, data) -> None:
         if self.start is None:
             self.start, self.rest = data.site_xpos[self.tip].copy(), data.qpos[:7].copy()
+        if not self.pulls:
+            return
         once = data.time % 6.0  # [s]: 3 s of motion, 3 s of rest
         share = 0.5 * (1.0 - np.cos(2.0 * np.pi * min(once, 3.0) / 3.0))
         goal = self.start + 0.2 * share * AXIS
@@ -70,9 +72,8 @@ def test_shown_by_hand_recorded_learnt_and_done(scene, tmp_path: Path):
     and the arm then opens it by 15 cm by itself, without a following error.
     """
     names = [scene.joint(i).name for i in range(7)]
-    driver = MuJoCoDriver(
-        scene, names, GRASP, period=0.01, hand=Person(scene, 3), noise=1e-4, rng=np.random.default_rng(4)
-    )
+    person, rng = Person(scene, 3), np.random.default_rng(4)
+    driver = MuJoCoDriver(scene, names, GRASP, period=0.01, hand=person, noise=1e-4, rng=rng)
     driver.data.eq_active[0] = 1
     robot = ml.load_robot("panda", locked=FINGERS)
     driver.joint_names = robot.joint_names  # the scene numbers its joints
@@ -86,7 +87,7 @@ def test_shown_by_hand_recorded_learnt_and_done(scene, tmp_path: Path):
     assert constraint.mechanism is not None and constraint.mechanism.type == "line"
     assert abs(constraint.task_frame(GRASP).pose[:3, 2] @ AXIS) > np.cos(np.radians(0.5))
 
-    driver._hand = None
+    person.pulls = False
     task = ml.motion(constraint, along=0.15 * float(np.sign(constraint.mechanism.axis @ AXIS)), speed=0.08)
     controller = ml.ResolvedRateController(constraint, task=task, null_policy=task.ascent(1.0))
     loop = ml.ServoLoop(controller, dt=driver.period, acceleration_limit=3.0)
@@ -104,11 +105,11 @@ def test_servos_follow_and_carry_the_weight():
     driver = MuJoCoDriver(model, ("b", "a"), [0.3, -0.5], period=0.01)
     for k in range(200):
         t = 0.01 * (k + 1)
-        driver.command(np.array([0.3 + 0.2 * np.sin(t), -0.5 + 0.2 * np.cos(t) - 0.2]), np.zeros(2))
+        goal = np.array([0.3 + 0.2 * np.sin(t), -0.5 + 0.2 * np.cos(t) - 0.2])
+        driver.command(goal, np.zeros(2))
         if k > 20:
             q, _, _ = driver.read()
-            assert np.max(np.abs(q - driver._goal)) < 2e-3
-    goal = driver._goal.copy()
+            assert np.max(np.abs(q - goal)) < 2e-3
     for _ in range(100):
         driver.command(goal, np.zeros(2))
     q, u, effort = driver.read()

@@ -15,8 +15,10 @@ from manip_learn.commands.demo import SCENES
 from manip_learn.control.law_sequence import JointMotion, every_joint
 from manip_learn.control.limits import Limits
 from manip_learn.planning.approach import Clearance, clear_path, self_collision
+from manip_learn.planning.plan import PathPolicy
 from manip_learn.planning.search import Ladder, soft_margin
 from manip_learn.planning.stations import Stations, margins_of
+from manip_learn.robot.rotations import rotation_matrix
 
 PANDA_TIP = "panda_hand_tcp"
 READY = np.array([0.0, -0.5, 0.0, -2.0, 0.0, 1.7, 0.8])
@@ -416,3 +418,78 @@ def test_joints_move_from_posture_to_posture_within_their_speeds(panda: ml.Robot
         JointMotion(panda, [READY * np.nan], 1.0)
     with pytest.raises(ml.ManipLearnError, match="positive"):
         JointMotion(panda, path, 0.0)
+
+
+SHOWN = rotation_matrix(np.array([0.3, -1.1, 0.7]))
+
+
+def angle_of(a: np.ndarray, b: np.ndarray) -> float:
+    return float(np.arccos(np.clip(a @ b, -1.0, 1.0)))
+
+
+def test_a_grasp_cone_is_filled_evenly(rng: np.random.Generator) -> None:
+    """Every axis is inside the cone; of the cap's area each half of the cosines has half; the first is the nearest."""
+    for angle, turns, direction in ((0.5, None, (0, 0, -1)), (1.2, 2, None), (np.pi, 3, (1, 2, 0.5))):
+        with case(angle):
+            cone = ml.GraspCone((0.0, 0.6, 0.8), angle, turns, direction)
+            wanted, some = cone.toward(SHOWN), []
+            for _ in range(40):
+                found = cone.orientations(SHOWN, rng)
+                np.testing.assert_allclose(
+                    found @ found.transpose(0, 2, 1), np.eye(3)[None].repeat(len(found), 0), atol=1e-9
+                )
+                assert angle_of(found[0] @ np.asarray(cone.axis), wanted) < 1e-6
+                some += [angle_of(R @ np.asarray(cone.axis), wanted) for R in found[1:]]
+            assert max(some) <= angle + 1e-6
+            share = (1.0 - np.cos(some)) / (1.0 - np.cos(angle))
+            assert np.mean(share) == pytest.approx(0.5, abs=0.05) and np.mean(share < 0.25) == pytest.approx(
+                0.25, abs=0.05
+            )
+
+
+def test_a_gripper_that_is_alike_after_a_turn(rng: np.random.Generator) -> None:
+    """Without a cone: so many orientations, evenly about the axis, the first as shown."""
+    for turns in (1, 2, 5):
+        cone = ml.GraspCone((0.0, 0.0, 1.0), turns=turns)
+        found = cone.orientations(SHOWN, rng)
+        assert len(found) == turns
+        np.testing.assert_allclose(found[0], SHOWN, atol=1e-12)
+        for k, R in enumerate(found):
+            about = rotation_matrix(np.array([0.0, 0.0, 2.0 * np.pi * k / turns]))
+            np.testing.assert_allclose(R, SHOWN @ about, atol=1e-12)
+    every = ml.GraspCone(turns=None).orientations(SHOWN, rng)
+    np.testing.assert_allclose(every[:, :, 2], np.repeat(SHOWN[None, :, 2], len(every), 0), atol=1e-12)
+    assert len(every) > 4
+
+
+def test_the_sense_in_which_joints_have_more_room(rng: np.random.Generator) -> None:
+    """A direction is turned round where it would meet a limit within 0.1, and sooner than the other way."""
+    robot, turned = ml.load_robot("sawyer"), 0
+    limits = Limits(robot)
+    for k in range(200):
+        q = rng.uniform(robot.position_lower, robot.position_upper)
+        j = rng.integers(7)
+        q[j] = (robot.position_lower, robot.position_upper, q, robot.position_upper - 1e-3)[k % 4][j]
+        direction = rng.normal(size=7) * rng.choice([0.0, 1e-4, 1.0], 7)
+        fastest = np.max(np.abs(direction))
+        moved = np.flatnonzero(np.abs(direction) > 1e-3 * fastest)
+        room = {}
+        for sense in (1.0, -1.0):  # the time until the first joint is at its limit
+            ends = np.where(sense * direction > 0.0, robot.position_upper, robot.position_lower)
+            room[sense] = min((abs(ends[i] - q[i]) / abs(direction[i]) for i in moved), default=np.inf)
+        back = fastest > 0.0 and room[1.0] < min(room[-1.0], 0.1 / fastest)
+        np.testing.assert_array_equal(limits.freer_sense(q, direction), -direction if back else direction)
+        turned += back
+    assert 30 < turned < 170
+
+
+def test_a_policy_passes_its_knots() -> None:
+    """Without a task in the way, the posture passes the knots in time, and rests behind the last one."""
+    time, knots = np.array([0.0, 0.5, 1.0, 1.5]), np.array([[0.0, 1.0, 0], [0.2, 0.9, 0], [0.5, 0.5, 0], [0.4, 0.6, 0]])
+    policy = PathPolicy(time, knots, 10.0, ml.load_robot("planar3"))
+    q, dt = knots[0].copy(), 0.001
+    for i in range(3000):
+        if i == 1000:
+            assert np.allclose(q, knots[2], atol=5e-3)
+        q = q + dt * policy(q, i * dt)
+    assert np.allclose(q, knots[-1], atol=1e-3)
