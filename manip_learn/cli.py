@@ -49,12 +49,11 @@ def _unraisable(lost: Any) -> None:
 
 def _run(arguments: list[str]) -> int:
     global _phase
-    from manip_learn.commands.command_line import PROGRAM, flags_of, joined_vectors, typed
+    from manip_learn.commands.command_line import PROGRAM, flags_of, typed
     from manip_learn.commands.output import refuse
     from manip_learn.commands.program import REMOVED_COMMANDS, program
     from manip_learn.errors import advice_for_command
 
-    arguments = joined_vectors(arguments)
     if not arguments and COMPLETION not in os.environ:
         return refuse(
             "no command given: try `manip-learn demo`, or `manip-learn --help` for all commands", False, "usage"

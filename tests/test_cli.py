@@ -14,7 +14,7 @@ import pytest
 from test_playback import data_in
 
 from manip_learn.cli import main
-from manip_learn.commands.command_line import WRITTEN, joined_vectors
+from manip_learn.commands.command_line import WRITTEN
 from manip_learn.commands.output import SENTENCES
 from manip_learn.commands.program import program
 from manip_learn.control.rollout import Rollout
@@ -64,7 +64,7 @@ def test_learn_answers_with_one_json_document(run):
 def test_control_answers(run, learnt):
     """The keys of the contract are there and the target is reached."""
     constraint, _ = learnt
-    start = ("--start", "0", "-1", "0", "1.5", "0", "1", "0")
+    start = ("--start", "0 -1 0 1.5 0 1 0")
     code, out, err = run("control", "sawyer", constraint, *start, "--target", "0.6,0.27,0.35", "--json")
     answer = json.loads(out)
     assert (code, err) == (0, "")
@@ -209,13 +209,6 @@ def test_bad_input_gives_one_sentence(run, learnt):
 
 
 CSV = "time,joint1,joint2,joint3\n"
-
-
-def test_vectors_may_be_written_with_spaces():
-    """Numbers behind a vector option belong to it, negative ones too, up to the next option or word."""
-    joined = joined_vectors(["--start", "0.1", "-0.2", "--target", "-1,2", "--json"])
-    assert joined == ["--start", "0.1,-0.2", "--target", "-1,2", "--json"]
-    assert joined_vectors(["control", "--start", "1", "2"]) == ["control", "--start", "1,2"]
 
 
 def test_our_own_failure_is_no_traceback(run, monkeypatch):

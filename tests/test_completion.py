@@ -1,16 +1,13 @@
-"""What the shell offers: robots, frames of the robot that was named, constraint files; and how little it may cost."""
+"""What the shell offers: robots, frames of the robot that was named, flags."""
 
 from __future__ import annotations
 
-import json
 import os
 import subprocess
 import sys
 from pathlib import Path
 
 import pytest
-
-from manip_learn.commands.options import constraint_completions, robot_completions
 
 
 def offered(line: str, folder: Path, shell: str = "bash") -> list[str]:
@@ -34,16 +31,3 @@ def test_names_and_frames(shell: str, tmp_path: Path) -> None:
     assert "sawyer" in offered("manip-learn inspect saw", tmp_path, shell)
     assert offered("manip-learn learn sawyer demo.csv --frame right_gr", tmp_path, shell) == ["right_gripper_tip"]
     assert "--columns" in offered("manip-learn learn sawyer --col", tmp_path, shell)
-
-
-def test_files_at_hand(tmp_path: Path, monkeypatch) -> None:
-    """Descriptions for a robot, constraint files and no other JSON for a constraint, folders for both."""
-    monkeypatch.chdir(tmp_path)
-    (tmp_path / "arms").mkdir()
-    (tmp_path / "arm.urdf").write_text("<robot/>")
-    (tmp_path / "a.json").write_text(json.dumps({"format": "manip_learn.constraint"}))
-    (tmp_path / "another.json").write_text("{}")
-    assert [p for p in robot_completions("ar") if "/" in p or "." in p] == ["arm.urdf", "arms/"]
-    assert constraint_completions("a") == ["a.json", "arms/"]
-    assert constraint_completions(f"{tmp_path}/a.") == [f"{tmp_path}/a.json"]
-    assert constraint_completions("nowhere/") == []

@@ -86,7 +86,7 @@ def test_the_words_say_how_far(run, file):
     assert out.startswith("opened 0.100 of 0.100 m")
     _code, out, _err = run("control", *file("door"), "--turn", "-30")
     assert out.startswith("opened 30.0 of 30.0 degrees")
-    _code, out, _err = run("control", *file("table"), "--along", "0.1", "--direction", "0", "1", "0")
+    _code, out, _err = run("control", *file("table"), "--along", "0.1", "--direction", "0,1,0")
     assert out.startswith("moved 0.100 of 0.100 m")
     code, out, _err = run("control", *file("drawer"), "--along", "3", "--beyond-shown")
     assert code == 0 and "of 3.000 m" in out and "stopped by " in out and "opened 3.000" not in out

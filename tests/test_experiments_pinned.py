@@ -56,7 +56,7 @@ def generator() -> dict[str, Any]:
     out: dict[str, Any] = {}
     for name, setup in setups.items():
         rng = np.random.default_rng(0)
-        out[name] = ends(demonstrate(setup, setup.selection(rng), rng))
+        out[name] = ends(demonstrate(setup, setup.selection, rng))
     features = sawyer.FrameJacobian(sawyer.sawyer_arm(), sawyer.FRAME, "x y z")
     return out | {"drawer": ends(sawyer.simulated(Constraint(np.eye(3)[:1], features), np.random.default_rng(0)))}
 

@@ -46,7 +46,7 @@ def test_tip_is_that_of_the_shipped_arm(rng):
 
 def test_demonstrations_follow_the_papers_law(rng):
     """A u = r* - r on the constrained rows along a trajectory, N u = N (rest - q), and each step is an Euler step."""
-    Lambda = Setup("x rz").selection(rng)
+    Lambda = Setup("x rz").selection
     demos = demonstrate(Setup("x rz", trajectories=6), Lambda, rng)
     assert len(demos) == 6 and len(demos[0]) == 10
     w = null_parts(planar_features(), demos, Lambda).reshape(6, 10, 3)
@@ -61,7 +61,7 @@ def test_demonstrations_follow_the_papers_law(rng):
 
 def test_numbers_of_the_paper(rng):
     """100 demonstrations of 10 points every 0.02 s; starts and rest posture in degrees; 100 Hz for the drawer."""
-    demos = demonstrate(Setup(), Setup().selection(rng), rng)
+    demos = demonstrate(Setup(), Setup().selection, rng)
     assert len(demos) == 100
     for t in demos:
         assert_allclose(t.time, 0.02 * np.arange(10), atol=1e-15)
@@ -77,7 +77,7 @@ def test_numbers_of_the_paper(rng):
 
 def test_climbing_rollouts_are_euler_steps_of_the_papers_law(rng):
     """From posture to posture in 0.02 s: u = A^+ b + N grad mu, and the policies returned are grad mu."""
-    constraint = Constraint(Setup("x y").selection(rng), planar_features())
+    constraint = Constraint(Setup("x y").selection, planar_features())
     starts, targets = draw_starts(3, rng), draw_targets(3, rng)
     for q, pi, target in zip(*rmse.climbing_rollouts(constraint, starts, targets), targets, strict=True):
         assert q.shape == (100, 3)
@@ -91,7 +91,7 @@ def test_climbing_rollouts_are_euler_steps_of_the_papers_law(rng):
 
 def test_rmse_compares_two_trajectories_and_one(rng):
     """With another constraint's mu, two trajectories drift apart; along one, only the policies differ."""
-    true, other = (Constraint(Setup(rows).selection(rng), planar_features()) for rows in ("x y", "x rz"))
+    true, other = (Constraint(Setup(rows).selection, planar_features()) for rows in ("x y", "x rz"))
     starts, targets = draw_starts(2, rng), draw_targets(2, rng)
     q, pi = rmse.climbing_rollouts(true, starts, targets)
     own_q, own_pi = rmse.climbing_rollouts(true, starts, targets, other)
@@ -116,8 +116,8 @@ def test_targets_are_in_reach(rng):
 
 def test_noise_is_relative(rng):
     """10 % noise changes the action by a tenth of its root mean square, joint by joint."""
-    clean = demonstrate(Setup(trajectories=50), Setup().selection(rng), np.random.default_rng(1))
-    noisy = demonstrate(Setup(trajectories=50, noise=0.1), Setup().selection(rng), np.random.default_rng(1))
+    clean = demonstrate(Setup(trajectories=50), Setup().selection, np.random.default_rng(1))
+    noisy = demonstrate(Setup(trajectories=50, noise=0.1), Setup().selection, np.random.default_rng(1))
     u, v = (np.concatenate([t.u for t in demos]) for demos in (clean, noisy))
     assert_allclose(np.std(v - u, axis=0) / np.sqrt(np.mean(u**2, axis=0)), 0.1, rtol=0.15)
 

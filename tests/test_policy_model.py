@@ -55,7 +55,7 @@ def test_reaches_without_a_policy(seed):
     """Exact reaches whose null space is at rest leave rounding of either sign; the rows are learnt from them too."""
     rng = np.random.default_rng([77, seed])
     setup = Setup("x rz", policy="zero")
-    Lambda = setup.selection(rng)
+    Lambda = setup.selection
     learner = ConstraintLearner(planar_features()).fit(demonstrate(setup, Lambda, rng))
     assert np.degrees(row_space_angle(Lambda, learner.constraint_.selection)) < 1e-6
 
@@ -66,7 +66,7 @@ def test_one_exact_reach_has_no_noise_to_divide_by():
     for seed in range(3):
         rng = np.random.default_rng([77, seed])
         setup = Setup("y rz", trajectories=1)
-        demos = demonstrate(setup, setup.selection(rng), rng)
+        demos = demonstrate(setup, setup.selection, rng)
         assert ConstraintLearner(planar_features()).fit(demos).report_.warnings
 
 
@@ -209,7 +209,7 @@ def test_unequal_noise_does_not_bend_the_rows(rows: str):
     for seed in range(20100, 20106):
         rng = np.random.default_rng(seed)
         setup = Setup(rows, noise=0.1)
-        Lambda = setup.selection(rng)
+        Lambda = setup.selection
         demos = demonstrate(setup, Lambda, rng)
         learner = ConstraintLearner(planar_features(), 2, "joint", policy_model="affine").fit(demos)
         learnt = learner.constraint_.selection

@@ -16,7 +16,6 @@ from manip_learn.atomic_write import check_folder
 from manip_learn.errors import ManipLearnError, OutputError, RecordingError
 
 PROGRAM = "manip-learn"
-VECTORS = ("--start", "--target", "--rest", "--direction")
 HEADINGS = {"learn": "Learning", "control": "Task"}  # of a command's own options
 HEADINGS_AFTER = ("Plan", "Controller", "Reading recordings", "Robot", "Output")
 CONTROLLER = {"policy", "rest", "gain", "task_gain", "inverse", "duration", "dt"}
@@ -153,29 +152,6 @@ def flags_of(program: Any, arguments: Sequence[str]) -> set[str]:
     """Flags that the command named in the arguments has; `program` is typer's group of commands."""
     command = next((program.commands[a] for a in arguments if a in program.commands), program)
     return {flag for parameter in command.params for flag in (*parameter.opts, *parameter.secondary_opts)}
-
-
-def joined_vectors(arguments: list[str]) -> list[str]:
-    """The arguments with the numbers behind a vector option joined: `--start 0.1 -0.2` means `--start 0.1,-0.2`."""
-    out: list[str] = []
-    numbers: list[str] | None = None  # open while the values of a vector option follow
-    for argument in arguments:
-        if numbers is not None and _is_vector(argument):
-            numbers.append(argument)
-            continue
-        if numbers:
-            out.append(",".join(numbers))
-        numbers = [] if argument in VECTORS else None
-        out.append(argument)
-    return [*out, ",".join(numbers)] if numbers else out
-
-
-def _is_vector(text: str) -> bool:
-    try:
-        [float(part) for part in text.replace(",", " ").split()]
-    except ValueError:
-        return False
-    return bool(text.strip())
 
 
 @contextmanager

@@ -21,17 +21,12 @@ from manip_learn.errors import ManipLearnError, TargetError
 if TYPE_CHECKING:  # so that `--help` stays quick
     from manip_learn.robot import Robot
 
-DESCRIPTIONS = (".urdf", ".xml", ".xacro", ".mjcf")
-LOOKED_AT = 200  # files of a folder that completion looks at: a shell waits for it
-HEAD = 400  # [bytes] of a file in which its format stands
-
 
 def robot_completions(incomplete: str) -> list[str]:
-    """Names of robots, and robot descriptions in the folder at hand."""
+    """Names of robots; where none begins so, the shell offers files."""
     from manip_learn.robot.description.catalogue import robot_names
 
-    names = [name for name in robot_names() if name.startswith(incomplete)]
-    return names + [p for p in _paths(incomplete) if p.endswith("/") or p.endswith(DESCRIPTIONS)]
+    return [name for name in robot_names() if name.startswith(incomplete)]
 
 
 def frame_completions(context: Context, incomplete: str) -> list[str]:
@@ -47,11 +42,6 @@ def frame_completions(context: Context, incomplete: str) -> list[str]:
     return [name for name in frames if name.startswith(incomplete)]
 
 
-def constraint_completions(incomplete: str) -> list[str]:
-    """Constraint files in the folder at hand, and folders."""
-    return [p for p in _paths(incomplete) if p.endswith("/") or _is_constraint(Path(p))]
-
-
 def _typed_robot() -> str:
     """The robot on the unfinished line: the parser gives up at an option that still lacks its value."""
     line = os.environ.get("COMP_WORDS") or os.environ.get("_TYPER_COMPLETE_ARGS") or ""
@@ -60,27 +50,6 @@ def _typed_robot() -> str:
     except ValueError:  # an open quote
         words = line.split()
     return next((word for word in words[2:] if not word.startswith("-")), "")
-
-
-def _is_constraint(path: Path) -> bool:
-    if path.suffix != ".json":
-        return False
-    try:
-        with path.open("rb") as file:
-            return b"manip_learn.constraint" in file.read(HEAD)
-    except OSError:
-        return False
-
-
-def _paths(incomplete: str) -> list[str]:
-    folder, _, start = incomplete.rpartition("/")
-    place = Path(folder or ("/" if incomplete.startswith("/") else "."))
-    prefix = f"{folder}/" if incomplete.startswith("/") or folder else ""
-    try:
-        found = sorted(p for p in place.iterdir() if p.name.startswith(start) and (start or not p.name.startswith(".")))
-    except OSError:
-        return []
-    return [f"{prefix}{p.name}{'/' if p.is_dir() else ''}" for p in found[:LOOKED_AT]]
 
 
 def pair(flag: str, form: str, text: str, *, may_be_empty: bool = False, unnamed: bool = False) -> tuple[str, str]:
@@ -116,9 +85,7 @@ RobotName = Annotated[
     str, Argument(metavar="ROBOT", help="A name (see `robots`) or a URDF file.", autocompletion=robot_completions)
 ]
 Recordings = Annotated[list[str], Argument(metavar="RECORDING...", help="Files, or a folder of them.")]
-ConstraintFile = Annotated[
-    str, Argument(metavar="CONSTRAINT.JSON", help="Written by `learn --out`.", autocompletion=constraint_completions)
-]
+ConstraintFile = Annotated[str, Argument(metavar="CONSTRAINT.JSON", help="Written by `learn --out`.")]
 Dask = Annotated[str | None, Option(help="Scheduler address, or local: work on a dask cluster.")]
 Explain = Annotated[bool, Option("--explain", help="Explain the terms under the tables at length.")]
 Json = Annotated[bool, Option("--json", help="Print one JSON document and nothing else.")]
@@ -370,9 +337,7 @@ class RepeatOptions:
     """Do again all that the recordings show: take hold, go the way, let go, the next one, and retreat."""
 
     robot: RobotName
-    task: Annotated[
-        str, Argument(metavar="TASK", help="Written by `learn --out`.", autocompletion=constraint_completions)
-    ]
+    task: Annotated[str, Argument(metavar="TASK", help="Written by `learn --out`.")]
     start: Annotated[
         str | None, Option(help="Joint positions [rad], e.g. 0.1,-0.5,0; default: the first posture that was shown.")
     ] = None
@@ -401,7 +366,6 @@ class ReplayOptions:
         Path | None,
         Option(
             help="Constraint file: show the phases and the mechanism that were learnt with it.",
-            autocompletion=constraint_completions,
         ),
     ] = None
     loading: RobotOptions = RobotOptions()
@@ -495,5 +459,4 @@ class ReproduceOptions:
     seed: Annotated[int, Option(help="Random seed; the same seed gives the same numbers.")] = 0
     out: Annotated[Path | None, Option(help="Folder for numbers, figures and replays.")] = None
     workers: Annotated[int | None, Option(help="Number of processes; default: all cores.")] = None
-    backend: Annotated[str, Option(help="loky (processes) or threading.")] = "loky"
     as_json: Json = False

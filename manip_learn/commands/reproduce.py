@@ -39,7 +39,6 @@ def reproduce(options: ReproduceOptions, progress: Progress | None = None) -> Re
         options.out,
         progress,
         workers=options.workers,
-        backend=options.backend,  # type: ignore[arg-type]  # checked there, with a list of the names
         on_result=lambda part, result: pages.update({part: result.markdown()}),
     )
     return Reproduction(numbers, pages, options.out)

@@ -18,7 +18,6 @@ from jaxtyping import Float
 from manip_learn.constraint.constraint import Constraint
 from manip_learn.constraint.features.feature_map import FeatureMap
 from manip_learn.constraint.features.frame_jacobian import FrameJacobian
-from manip_learn.linalg import orthonormal_rows
 from manip_learn.recordings.demonstrations import Demonstrations
 from manip_learn.recordings.trajectory import Trajectory
 from manip_learn.robot.loading import load_robot
@@ -54,7 +53,7 @@ class Setup:
     """A kind of demonstrations.
 
     Attributes:
-        rows: Constrained rows, words of `"x y rz"`; `"oblique"` draws two random directions each time.
+        rows: Constrained rows, words of `"x y rz"`.
         trajectories: Number of demonstrations.
         points: Consecutive samples of each.
         noise: Standard deviation of the noise on the action, relative to the root mean square of each joint's action.
@@ -70,10 +69,9 @@ class Setup:
     policy: PolicyName = "attractor"
     length: float = 1.0
 
-    def selection(self, rng: np.random.Generator) -> Float[np.ndarray, "s 3"]:
-        """True Lambda, orthonormal rows; drawn for `"oblique"`."""
-        if self.rows == "oblique":
-            return orthonormal_rows(rng.standard_normal((2, 3)))
+    @property
+    def selection(self) -> Float[np.ndarray, "s 3"]:
+        """True Lambda, orthonormal rows."""
         names: list[str] = list(AXES.split())
         return np.eye(3)[[names.index(name) for name in self.rows.split()]]
 
@@ -185,7 +183,7 @@ def null_parts(
 
 def true_constraint(rows: str = "x y") -> Constraint:
     """The constraint of unit rows, links 1 m."""
-    return Constraint(Setup(rows).selection(np.random.default_rng(0)), planar_features())
+    return Constraint(Setup(rows).selection, planar_features())
 
 
 def noise_deviations(demonstrations: Demonstrations, share: float) -> Float[np.ndarray, " 3"]:

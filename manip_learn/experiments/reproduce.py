@@ -1,4 +1,4 @@
-"""The paper's experiments by name: run, keep finished parts, write numbers, figures and replays."""
+"""The paper's experiments by name: run, write numbers, figures and replays."""
 
 from __future__ import annotations
 
@@ -14,10 +14,10 @@ from typing import Any
 import numpy as np
 
 from manip_learn.atomic_write import write_atomically
-from manip_learn.errors import ExperimentError, UnknownNameError
+from manip_learn.errors import ExperimentError, OutputError, UnknownNameError
 from manip_learn.experiments import rmse, sawyer, singular_starts, table
 from manip_learn.experiments.experiment_result import ExperimentResult, save_figure
-from manip_learn.experiments.trial_runner import BACKENDS, Backend, Experiment, PartStore, TrialRunner
+from manip_learn.experiments.trial_runner import Experiment, TrialRunner
 from manip_learn.linalg import one_thread
 from manip_learn.playback.replay_page import replay
 from manip_learn.recordings.trajectory_source import Progress
@@ -42,13 +42,12 @@ def reproduce(
     progress: Progress | None = None,
     *,
     workers: int | None = None,
-    backend: Backend = "loky",
     on_result: Callable[[str, ExperimentResult], None] | None = None,
 ) -> dict[str, Any]:
     """Run one experiment of the paper, or all, and set our numbers beside the printed ones.
 
-    The same seed gives the same numbers, whatever the number of workers. With an output folder, finished parts are kept
-    there as they come: an interrupted run goes on where it stopped.
+    The same seed gives the same numbers, whatever the number of workers. With an output folder, each experiment is
+    written there as it is finished.
 
     Args:
         name: `"table"`, `"rmse"`, `"singular-start"`, `"near-singular-start"`, `"sawyer"` or `"all"`.
@@ -57,22 +56,26 @@ def reproduce(
         out: Folder for JSON, CSV, PNG, SVG, Markdown and replay pages; None writes nothing.
         progress: Called with the name of a part and the completed fraction of all trials, 0 to 1.
         workers: Number of processes; all cores by default.
-        backend: joblib's `"loky"` or `"threading"`.
         on_result: Called with each part's name and result as it comes.
 
     Returns:
         Part -> `ours` and `paper` (`table`: of each constraint), ready for JSON.
 
     Raises:
-        UnknownNameError: No such experiment or backend; lists those that exist.
+        UnknownNameError: No such experiment; lists those that exist.
         ExperimentError: Trials, seed or workers out of range.
-        OutputError: The folder holds other files, or cannot be written.
+        OutputError: The folder cannot be made or written.
         MissingExtraError: joblib or matplotlib is not installed.
     """
-    _check(name, trials, seed, workers, backend)
-    store = None if out is None else PartStore(Path(out))
+    _check(name, trials, seed, workers)
+    folder = None if out is None else Path(out).expanduser().resolve()
+    if folder is not None:
+        try:
+            folder.mkdir(parents=True, exist_ok=True)  # before the work, which takes minutes
+        except OSError as error:
+            raise OutputError(f"{folder} cannot be a folder for the results: {error.strerror}; name another") from error
     parts = EXPERIMENTS[name]
-    runner = TrialRunner(workers, backend, store, progress, sum(PARTS[p].size(trials) for p in parts))
+    runner = TrialRunner(workers, progress, sum(PARTS[p].size(trials) for p in parts))
     results: dict[str, Any] = {}
     for part in parts:
         rng = np.random.default_rng([seed, zlib.crc32(part.encode())])
@@ -81,8 +84,8 @@ def reproduce(
         results[part] = result.to_dict()
         if on_result is not None:
             on_result(part, result)
-        if store is not None:
-            write_result(part, result, store.folder, {"trials": trials, "seed": seed})
+        if folder is not None:
+            write_result(part, result, folder, {"trials": trials, "seed": seed})
     return results
 
 
@@ -107,11 +110,9 @@ def write_result(part: str, result: ExperimentResult, folder: Path, settings: di
     return paths
 
 
-def _check(name: str, trials: int, seed: int, workers: int | None, backend: str) -> None:
+def _check(name: str, trials: int, seed: int, workers: int | None) -> None:
     if name not in EXPERIMENTS:
         raise UnknownNameError("experiment", name, EXPERIMENTS)
-    if backend not in BACKENDS:
-        raise UnknownNameError("backend", backend, BACKENDS)
     if isinstance(trials, bool) or not isinstance(trials, int) or not 1 <= trials <= MAX_TRIALS:
         raise ExperimentError(
             f"the number of trials must be a whole number from 1 to {MAX_TRIALS}, got {trials!r}; the paper has 50"

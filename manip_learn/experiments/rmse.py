@@ -70,7 +70,7 @@ def rmse_trial(case: RmseCase, rng: np.random.Generator) -> dict[str, Any]:
     both, so that the policies alone make the difference.
     """
     setup = Setup(case.rows)
-    Lambda = setup.selection(rng)
+    Lambda = setup.selection
     demos = demonstrate(setup, Lambda, rng)
     true = Constraint(Lambda, planar_features())
     starts, targets = draw_starts(ROLLOUTS, rng), draw_targets(ROLLOUTS, rng)

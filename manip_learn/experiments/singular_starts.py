@@ -242,7 +242,7 @@ def _reached(runs: Sequence[Numbers]) -> float:
 
 def _learnt(rng: np.random.Generator) -> Constraint:
     setup = Setup("x y")
-    Lambda = setup.selection(rng)
+    Lambda = setup.selection
     demos = demonstrate(setup, Lambda, rng)
     return Constraint(ESTIMATORS[LEARNT](planar_features(), demos, Lambda, rng)[0], planar_features())
 

@@ -170,7 +170,7 @@ def learning_trial(case: LearningCase, rng: np.random.Generator) -> dict[str, An
         Estimator -> `train` and `test` NMIE, `scale_free` NMIE on the test set, `angle_deg` between the row spaces,
         `rows` found, `seconds`, and for `auto` whether it `warned`; or `refused`, the reason.
     """
-    features, Lambda = planar_features(), case.setup.selection(rng)
+    features, Lambda = planar_features(), case.setup.selection
     train, test = demonstrate(case.setup, Lambda, rng), demonstrate(replace(case.setup, noise=0.0), Lambda, rng)
     seen = {name: np.concatenate([t.q for t in demos]) for name, demos in (("train", train), ("test", test))}
     out: dict[str, Any] = {}
