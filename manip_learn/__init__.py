@@ -66,7 +66,7 @@ if TYPE_CHECKING:
     from manip_learn.playback import LiveViewer, replay
     from manip_learn.recordings import RecordingSource, iter_demonstrations, load_demonstrations
     from manip_learn.recordings.demonstrations import Demonstrations
-    from manip_learn.recordings.preprocessing import resample, subsample, trim_standstill
+    from manip_learn.recordings.preprocessing import subsample
     from manip_learn.recordings.trajectory import Trajectory
     from manip_learn.recordings.velocities import derive_velocities
     from manip_learn.robot import Robot, load_robot
@@ -86,7 +86,7 @@ _NAMES = {
     "recordings.demonstrations": "Demonstrations",
     "recordings.trajectory": "Trajectory",
     "recordings.velocities": "derive_velocities",
-    "recordings.preprocessing": "resample subsample trim_standstill",
+    "recordings.preprocessing": "subsample",
     "constraint.constraint": "Constraint",
     "constraint.mechanism": "Mechanism",
     "constraint.shown": "Shown",
@@ -123,6 +123,8 @@ _NAMES = {
 }
 # names of 0.1 that are gone, and what to use instead; until 0.3
 _REMOVED = {
+    "resample": "time stamps need not be even: leave the call out, or interpolate with numpy.interp",
+    "trim_standstill": "cut a trajectory by time, demo[2.0:5.5]; the learner itself leaves out what rests",
     "CompiledController": "nothing is compiled any more: use the ResolvedRateController itself",
     "warm_up": "nothing is compiled any more: leave the call out",
     "PlacoTask": "hand PlaCo the rows A(q), b and pi yourself: A(q + dq) = A q + dt b as two joint-space half-spaces",
@@ -142,7 +144,7 @@ __all__ += ["derive_velocities", "find_mechanism", "following_error_limit", "ins
 __all__ += ["likely_tips", "load_demonstrations", "load_robot", "log_manipulability_gradient"]
 __all__ += ["log_penalised_manipulability_gradient", "manipulability", "manipulability_batch"]
 __all__ += ["manipulability_gradient", "motion", "penalised_manipulability", "penalised_manipulability_gradient"]
-__all__ += ["plan", "record", "repeat", "replay", "resample", "run", "simulate", "subsample", "trim_standstill"]
+__all__ += ["plan", "record", "repeat", "replay", "run", "simulate", "subsample"]
 
 
 def __getattr__(name: str) -> Any:

@@ -285,7 +285,7 @@ def recordings(kind: str, folder: Path) -> dict[str, Any]:
 
 
 def motions(kind: str, folder: Path) -> dict[str, Any]:
-    """Velocities, resampling, trimming, and the way through every format of a motion with uneven time."""
+    """Velocities, fewer samples, and the way through every format of a motion with uneven time."""
     robot, rng = named_robot("planar3", folder), np.random.default_rng(5)
     time = np.cumsum(rng.uniform(0.005, 0.02, 150))
     q = np.column_stack([np.sin(2.0 * time), np.cos(time), 0.3 * time]) + 1e-4 * rng.normal(size=(150, 3))
@@ -296,9 +296,7 @@ def motions(kind: str, folder: Path) -> dict[str, Any]:
         assert moved.u is not None
         pieces = {
             "derived": moved,
-            "resampled": ml.resample(moved, 0.02),
             "subsampled": ml.subsample(moved, 3),
-            "trimmed": ml.trim_standstill(moved),
         }
         return {name: {"time": t.time, "q": t.q, "u": t.u} for name, t in pieces.items()}
     file = folder / "one.csv"

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import functools
-from collections.abc import Sequence
 
 import numpy as np
 from jaxtyping import Float
@@ -162,8 +161,6 @@ def half_widths_of(time: Float[np.ndarray, " T"]) -> tuple[int, ...]:
 def best_windows(
     time: Float[np.ndarray, " T"],
     x: Float[np.ndarray, "e T nv"],
-    half_widths: Sequence[int] | None = None,
-    degrees: Sequence[int] = DEGREES,
     longest: int | None = None,
 ) -> list[tuple[int, int]]:
     """Half width [samples] and degree whose slope has the smallest estimated error, all joints together.
@@ -171,20 +168,19 @@ def best_windows(
     Args:
         time: Of all the recordings [s].
         x: One recording after the other.
-        half_widths: To choose among.
-        degrees: To choose among.
-        longest: Samples in the longest window.
+        longest: Samples in the longest window; all by default.
     """
     n, T, nv = x.shape
     beside = np.ascontiguousarray(x.transpose(0, 2, 1)).reshape(n * nv, T)
     noise2, grid = noise_variance(time, beside.T), _grid(time)
-    usual = half_widths_of(time)
-    half_widths, weight = half_widths or usual, BIAS_WEIGHT if len(usual) == len(HALF_WIDTHS) else FAST_BIAS_WEIGHT
-    best, least = [(half_widths[0], degrees[0])] * n, np.full(n, np.inf)
+    half_widths = half_widths_of(time)
+    weight = BIAS_WEIGHT if len(half_widths) == len(HALF_WIDTHS) else FAST_BIAS_WEIGHT
+    best, least = [(half_widths[0], DEGREES[0])] * n, np.full(n, np.inf)
     for m in half_widths:
-        if 2 * m + 1 > len(time):
+        if 2 * m + 1 > min(longest or T, T):
             break
-        usable = tuple(degree for degree in degrees if fits(m, degree, longest or T))
+        # samples enough for the richer polynomial that judges it
+        usable = tuple(degree for degree in DEGREES if degree + 3 <= 2 * m + 1)
         if not usable:
             continue
         stride = max(1, (len(time) - 2 * m) // COMPARED)
@@ -204,11 +200,6 @@ def best_windows(
             i = int(np.argmin(errors[:, k]))
             best[k], least[k] = (m, usable[i]), errors[i, k]
     return best
-
-
-def fits(half_width: int, degree: int, longest: int) -> bool:
-    """Whether the window is short enough, and has samples enough for the richer polynomial that judges it."""
-    return degree + 3 <= 2 * half_width + 1 <= longest
 
 
 def noise_variance(time: Float[np.ndarray, " T"], x: Float[np.ndarray, "T nv"]) -> Float[np.ndarray, " nv"]:

@@ -10,15 +10,7 @@ from jaxtyping import Float
 
 from manip_learn.errors import RecordingError, counted
 from manip_learn.recordings.demonstrations import Demonstrations
-from manip_learn.recordings.local_fit import (
-    DEGREES,
-    best_windows,
-    fits,
-    half_widths_of,
-    local_fit,
-    local_weights,
-    noise_variance,
-)
+from manip_learn.recordings.local_fit import best_windows, local_fit, local_weights, noise_variance
 from manip_learn.recordings.trajectory import Trajectory
 from manip_learn.robot.joints import JointBlock
 from manip_learn.robot.robot import Robot
@@ -36,8 +28,6 @@ def derive_velocities(
     trajectory: Trajectory,
     robot: Robot,
     method: VelocityMethod = "auto",
-    half_width: int | None = None,
-    degree: int | None = None,
 ) -> Trajectory:
     """A motion with velocities, at the configurations where they are best determined.
 
@@ -50,11 +40,9 @@ def derive_velocities(
             (Pinocchio's convention for free-flyer joints), see `smooth_pose`.
         method: `"midpoint"`: ((q_t + q_t+1) / 2, dq / dt); `"smooth"`: a polynomial fitted to the samples of a window
             by least squares (Savitzky and Golay, 1964, here with true time stamps), value and slope at its centre;
-            `"auto"`: smooth, but midpoint for very short trajectories and for short ones that are clean.
-        half_width: Half width of the window [samples]; found from the data by default, together with the degree: those
-            whose estimated variance plus squared bias (against a polynomial of two degrees more) is smallest, among
-            30 samples or 0.3 s at most, whichever is more.
-        degree: Degree of the polynomial: 2, 3 or 5 by default.
+            `"auto"`: smooth, but midpoint for very short trajectories and for short ones that are clean. The half width
+            of the window, 30 samples or 0.3 s at most, whichever is more, and the degree of the polynomial, 2, 3 or 5,
+            are those whose estimated variance plus squared bias (against two degrees more) is smallest.
 
     Returns:
         A trajectory with u; shorter by one sample (midpoint) or by a half width at both ends (smooth). Efforts are kept
@@ -74,7 +62,7 @@ def derive_velocities(
     time, T = trajectory.time, len(trajectory)
     if method == "auto":
         midpoint = T < SHORT or (T < SHORT_AND_CLEAN and is_clean(time, x))
-        method = "midpoint" if midpoint and half_width is None else "smooth"
+        method = "midpoint" if midpoint else "smooth"
     bodies = [b for b in robot.blocks if b.kind == "floating"]
     if method == "midpoint" and bodies:
         return _manifold_midpoints(trajectory, robot)
@@ -83,8 +71,8 @@ def derive_velocities(
         names, measured = trajectory.joint_names, _measured(trajectory, _between)
         return Trajectory(_between(time), _between(x), slope, names, trajectory.name, **measured)
     if bodies:
-        return _with_bodies(trajectory, robot, x, bodies, half_width, degree)
-    return _smoothed([trajectory], x[None], half_width, degree)[0]
+        return _with_bodies(trajectory, robot, x, bodies)
+    return _smoothed([trajectory], x[None])[0]
 
 
 def derive_together(
@@ -106,7 +94,7 @@ def derive_together(
         if method == "midpoint" or len(together) < len(some):
             derived |= {i: derive_velocities(t, robot, method) for i, t in zip(numbers, some, strict=True)}
         else:
-            derived |= dict(zip(numbers, _smoothed(some, np.stack(together), None, None), strict=True))
+            derived |= dict(zip(numbers, _smoothed(some, np.stack(together)), strict=True))
     return [derived[i] for i in range(len(trajectories))]
 
 
@@ -115,12 +103,10 @@ def _is_plain(robot: Robot) -> bool:
     return all(b.kind not in ("floating", "planar", "other") for b in robot.blocks)
 
 
-def _smoothed(
-    trajectories: Sequence[Trajectory], x: Float[np.ndarray, "e T nv"], half_width: int | None, degree: int | None
-) -> list[Trajectory]:
+def _smoothed(trajectories: Sequence[Trajectory], x: Float[np.ndarray, "e T nv"]) -> list[Trajectory]:
     """Polynomials fitted to trajectories with the same times, each in the windows that suit it."""
     time, (_, T, nv) = trajectories[0].time, x.shape
-    windows = _windows(trajectories[0], x, half_width, degree)
+    windows = _windows(trajectories[0], x)
     out: dict[int, Trajectory] = {}
     for m, d in dict.fromkeys(windows):
         chosen = [i for i, window in enumerate(windows) if window == (m, d)]
@@ -137,8 +123,6 @@ def _with_bodies(
     robot: Robot,
     x: Float[np.ndarray, "T nv"],
     bodies: Sequence[JointBlock],
-    half_width: int | None,
-    degree: int | None,
 ) -> Trajectory:
     """Joints and floating bodies, each with the window that its own noise asks for; as long as the widest allows."""
     from scipy.spatial.transform import Rotation
@@ -148,10 +132,10 @@ def _with_bodies(
     fixed = np.array([i for i in range(robot.nv) if i not in loose], dtype=int)
     parts: list[tuple[int, np.ndarray | slice, np.ndarray, np.ndarray]] = []
     if fixed.size:
-        m, d = _windows(trajectory, x[None, :, fixed], half_width, degree)[0]
+        m, d = _windows(trajectory, x[None, :, fixed])[0]
         parts.append((m, fixed, *local_fit(time, x[:, fixed], m, d)))
     for b in bodies:
-        m, d = _windows(trajectory, x[None, :, b.v], half_width, degree)[0]
+        m, d = _windows(trajectory, x[None, :, b.v])[0]
         position, rotation = x[:, b.v][:, :3], Rotation.from_rotvec(x[:, b.v][:, 3:])
         parts.append((m, b.v, *smooth_pose(time, position, rotation, m, d)))
     widest = max(m for m, *_ in parts)
@@ -165,26 +149,12 @@ def _with_bodies(
     return Trajectory(time[widest : T - widest], q, u, trajectory.joint_names, trajectory.name, **measured)
 
 
-def _windows(
-    trajectory: Trajectory, x: Float[np.ndarray, "e T _"], half_width: int | None, degree: int | None
-) -> list[tuple[int, int]]:
+def _windows(trajectory: Trajectory, x: Float[np.ndarray, "e T _"]) -> list[tuple[int, int]]:
     """Half width and degree for each of several recordings at the times of a trajectory."""
-    T = len(trajectory)
-    widths = half_widths_of(trajectory.time) if half_width is None else (half_width,)
-    degrees = DEGREES if degree is None else (degree,)
-    if half_width is not None and T < 2 * half_width + 1:
-        text = f"{trajectory.name}: {counted(T, 'sample')} are fewer than the smoothing window of {2 * half_width + 1}"
+    if (T := len(trajectory)) < 5:
+        text = f"{trajectory.name}: {counted(T, 'sample')} are fewer than a smoothing window has: use 'midpoint'"
         raise RecordingError(text, code="too-short")
-    if half_width is not None and degree is not None and 1 <= degree <= 2 * half_width:
-        return [(half_width, degree)] * len(x)
-    longest = max(5, T // 3) if half_width is None else T
-    if T < 5 or not any(fits(m, d, longest) for m in widths for d in degrees):
-        raise RecordingError(
-            f"{trajectory.name}: no window of degree {' or '.join(map(str, degrees))} and half width "
-            f"{' or '.join(map(str, widths))} fits {T} samples: leave the choice to the data, or use 'midpoint'",
-            code="too-short",
-        )
-    return best_windows(trajectory.time, x, widths, degrees, longest)
+    return best_windows(trajectory.time, x, max(5, T // 3))
 
 
 def with_velocities(

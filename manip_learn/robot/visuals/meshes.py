@@ -1,7 +1,7 @@
 """Mesh addresses -> files inside the robot's folders -> triangles.
 
 Files are a user's own, and their parsers are trimesh's. Before they see a file it is examined: its size, its kind, what
-it claims to hold, and that every file it names lies in its package.
+it claims to hold. Materials and pictures that it names are not read.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ from urllib.parse import unquote
 import numpy as np
 from jaxtyping import Float, Int
 
-from manip_learn.errors import RobotError, advice, counted
+from manip_learn.errors import RobotError, advice
 from manip_learn.robot.description.catalogue import example_package_dir
 from manip_learn.robot.description.text import read_regular_file
 
@@ -33,7 +33,6 @@ MAX_MESH_BYTES = 50_000_000  # of a file: a million triangles of STL
 MAX_FACES = 2_000_000  # of a mesh: 0.1 GB as triangles
 MAX_CLAIMED = 5 * MAX_FACES  # numbers, times three, in the tables of a glTF: corners, vertices, normals, textures
 MAX_NODES = 20_000  # of a COLLADA scene, each counted as often as it is used
-MAX_SIDE_FILES = 500  # each is looked up on the disk
 MAX_BUFFERS = 10  # of a glTF, each up to MAX_MESH_BYTES
 HEAD = 4_096  # [bytes] in which a file says of which kind it is
 
@@ -271,7 +270,6 @@ def _check_stl(content: bytes, path: Path) -> None:
 def _check_obj(content: bytes, path: Path) -> None:
     if b"\0" in content or not re.search(rb"^[ \t]*v[ \t]", content, re.MULTILINE):
         raise _refusal(path, "mesh-content", "it has no OBJ vertices")
-    _check_names(re.findall(rb"^[ \t]*(?:mtllib|maplib|call|csh)[ \t]+(.+)$", content, re.MULTILINE), path)
 
 
 def _check_dae(content: bytes, path: Path) -> None:
@@ -281,10 +279,6 @@ def _check_dae(content: bytes, path: Path) -> None:
         raise _refusal(path, "mesh-content", "it is no COLLADA document")
     if b"<!DOCTYPE" in content or b"<!ENTITY" in content:
         raise _refusal(path, "mesh-content", "it has a <!DOCTYPE>")
-    # each pattern stops at the next "<", so that the time is linear in the size of the file, whatever is in it
-    parts = re.findall(rb"<instance_(?:geometry|node|controller)\b([^<>]*)", content)
-    urls = [found.group(1) for part in parts if (found := re.search(rb"\burl\s?=\s?[\"']([^\"'#]+)", part[:2000]))]
-    _check_names([*re.findall(rb"<init_from>([^<]*)<", content), *urls], path)
 
 
 def _check_ply(content: bytes, path: Path) -> None:
@@ -321,8 +315,9 @@ def _check_document(content: bytes, path: Path) -> list[str]:
         raise _refusal(path, "mesh-content", f"it is no JSON ({str(error)[:80]})") from error
     if not isinstance(document, dict) or "asset" not in document:
         raise _refusal(path, "mesh-content", "it is no glTF document")
-    buffers = _addresses(document, "buffers")
-    _check_names([uri.encode("utf-8", "replace") for uri in (*buffers, *_addresses(document, "images"))], path)
+    items = document.get("buffers")
+    uris = {str(i["uri"]) for i in items if isinstance(i, dict) and "uri" in i} if isinstance(items, list) else set()
+    buffers = sorted(uri for uri in uris if not uri.startswith("data:"))  # else the data are in the document
     read = next((uri for uri in buffers if "/" in uri or not uri.lower().endswith(".bin")), None)
     if read is not None:
         reason = f"it reads the file {read[:80]!r}; only a .bin file beside it is read"
@@ -338,32 +333,6 @@ def _check_document(content: bytes, path: Path) -> list[str]:
     if is_too_much:
         raise _refusal(path, "mesh-content", f"it states {max(sum(counts), sum(used))} numbers, {size} bytes: too many")
     return buffers
-
-
-def _addresses(document: dict[str, Any], group: str) -> list[str]:
-    """Files that a glTF document names; data in place of a file is none."""
-    items = document.get(group)
-    uris = {str(i["uri"]) for i in items if isinstance(i, dict) and "uri" in i} if isinstance(items, list) else set()
-    return sorted(uri for uri in uris if not uri.startswith("data:"))
-
-
-def _check_names(names: list[bytes], path: Path) -> None:
-    """Files that a mesh names must lie in its package; they are not read, but another program might."""
-    different = {name.strip() for name in names}
-    if len(different) > MAX_SIDE_FILES:
-        raise _refusal(path, "mesh-side-file", f"it names {counted(len(different), 'other file')}")
-    folder = path.parent.resolve()
-    package = next((p.parent for p in (folder, *folder.parents) if p.name.lower() == "meshes"), folder.parent)
-    for name in sorted(raw.decode("utf-8", "replace") for raw in different):
-        if re.match(r"(file:/*)?[A-Za-z]:[\\/]", name) and os.name != "nt":
-            continue  # where the texture was on its author's machine: leads nowhere
-        inside = name.removeprefix("file://").replace("\\", "/")
-        try:
-            is_inside = "://" not in inside and (folder / inside).resolve().is_relative_to(package)
-        except (OSError, ValueError, RuntimeError):  # names too long, NUL bytes, circular links
-            is_inside = False
-        if not is_inside:
-            raise _refusal(path, "mesh-side-file", f"it names the file {name[:80]!r}, outside its own folder")
 
 
 def _refusal(path: Path, code: str, reason: str) -> RobotError:
