@@ -2,11 +2,9 @@
 
 from __future__ import annotations
 
-import re
 from html.parser import HTMLParser
 from pathlib import Path
 
-import numpy as np
 import pytest
 from case import case
 
@@ -26,12 +24,10 @@ class Balanced(HTMLParser):
         self.text: list[str] = []
 
     def handle_starttag(self, tag: str, attrs: object) -> None:
-        if tag != "polyline":
-            self.open.append(tag)
+        self.open.append(tag)
 
     def handle_endtag(self, tag: str) -> None:
-        if tag != "polyline":
-            assert self.open.pop() == tag
+        assert self.open.pop() == tag
 
     def handle_data(self, data: str) -> None:
         self.text.append(data)
@@ -89,7 +85,6 @@ def test_names_cannot_become_markup_or_move_the_cursor():
             repr(robot),
             robot._repr_html_(),
             *robot.warnings,
-            html_card.curve(np.arange(2), np.arange(2), hostile),
         ):
             assert character not in said and "[31mb" in said or said == repr(robot)
     card = html_card.card("<b>x", html_card.facts([("<script>", "a & b")]), html_card.warnings(["<i>"]))
@@ -101,15 +96,3 @@ def test_long_tables_say_what_is_left_out():
     """The first rows, and the number of the others."""
     shown = text_of(html_card.table(("n",), [(i,) for i in range(40)]))
     assert "and 28 more" in shown
-
-
-def test_curves_keep_their_extremes():
-    """A peak of one sample in a hundred thousand is drawn; without two finite numbers nothing is."""
-    y = np.zeros(100_000)
-    y[31_415] = 7.0
-    drawn = html_card.curve(np.arange(100_000.0), y, "mu")
-    heights = [float(point.split(",")[1]) for point in re.findall(r'points="([^"]*)"', drawn)[0].split()]
-    assert min(heights) == 2.0
-    assert "mu: 0 to 7" in drawn
-    assert len(heights) <= html_card.MOST_POINTS + 2
-    assert html_card.curve(np.arange(3.0), np.array([1.0, np.nan, np.nan]), "mu") == ""

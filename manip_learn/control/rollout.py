@@ -98,11 +98,7 @@ class Rollout:
         return f"Rollout({'; '.join(f'{name} {value}' for name, value in self._facts() if value is not None)})"
 
     def _repr_html_(self) -> str:
-        return html_card.card(
-            "Rollout",
-            html_card.facts(self._facts()),
-            html_card.curve(self.time, self.manipulability, "manipulability μ over time"),
-        )
+        return html_card.card("Rollout", html_card.facts(self._facts()))
 
     def _facts(self) -> list[tuple[str, str | None]]:
         """Name -> value in words; None where there is nothing to say."""

@@ -1,4 +1,4 @@
-"""Cards that notebooks show of objects: a title, facts, tables and a small curve. One look for all of the library.
+"""Cards that notebooks show of objects: a title, facts and tables. One look for all of the library.
 
 Colours are those of the page around it, so that light and dark notebooks can both be read. It stands in the lowest room
 that shows something, because every room above has objects to show.
@@ -9,14 +9,9 @@ from __future__ import annotations
 from collections.abc import Iterable, Sequence
 from html import escape as escape_markup
 
-import numpy as np
-
 from manip_learn.errors import printable
 
 MOST_ROWS = 12  # of a table
-WIDTH, HEIGHT = 320, 56  # of a curve [px]
-# points of a curve: two per pixel, the least and the largest of what falls on it
-MOST_POINTS = 2 * WIDTH
 _CELL = "text-align:left;padding:1px 12px 1px 0;border:0;background:none"
 
 
@@ -65,37 +60,7 @@ def folded(summary: str, inner: str) -> str:
     return f"<details><summary>{escape(summary)}</summary>{inner}</details>" if inner else ""
 
 
-def curve(x: np.ndarray, y: np.ndarray, label: str) -> str:
-    """A small curve over its range, with its words for screen readers; empty without two finite points."""
-    finite = np.isfinite(y)
-    x, y = x[finite], y[finite]
-    if len(x) < 2 or x[-1] <= x[0]:
-        return ""
-    x, y = _extremes(x, y)
-    low, high = float(y.min()), float(y.max())
-    across = (x - x[0]) / (x[-1] - x[0]) * WIDTH
-    down = HEIGHT - 2 - (y - low) / ((high - low) or 1.0) * (HEIGHT - 4)
-    points = " ".join(f"{a:.1f},{b:.1f}" for a, b in zip(across, down, strict=True))
-    words = escape(f"{label}: {low:.3g} to {high:.3g}")
-    return (
-        f'<svg role="img" aria-label="{words}" width="{WIDTH}" height="{HEIGHT}" style="display:block;margin:4px 0">'
-        f'<polyline points="{points}" fill="none" stroke="currentColor" stroke-width="1.5"/></svg>'
-        f'<p style="margin:0;opacity:.75">{words}</p>'
-    )
-
-
 def _text(value: object) -> str:
     if isinstance(value, float):
         return f"{value:.4g}"
     return f"{value:,}" if isinstance(value, int) and not isinstance(value, bool) else str(value)
-
-
-def _extremes(x: np.ndarray, y: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """The least and the largest of every run of samples, in order of time: no peak is lost."""
-    if len(x) <= MOST_POINTS:
-        return x, y
-    kept = {0, len(x) - 1}
-    for run in np.array_split(np.arange(len(x)), MOST_POINTS // 2):
-        kept |= {int(run[np.argmin(y[run])]), int(run[np.argmax(y[run])])}
-    chosen = sorted(kept)
-    return x[chosen], y[chosen]

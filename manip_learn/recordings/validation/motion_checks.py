@@ -23,11 +23,9 @@ FAST = 3.0  # times the velocity limit
 MOVED = 0.02  # [rad or m] a joint must move to be judged by its velocities
 SURE, UNSURE, OTHER_JOINT = 0.9, 0.5, 0.98  # correlations of displacements and integrated velocities
 FEWEST = 8  # samples whose velocities are judged
-# of two motions in turn: samples within which each is heard again, and the fewest jumps between them
-LAGS, FEWEST_JUMPS = 20, 10
-CLEAR = 6.0  # times the motion from one sample of a publisher to its next one
-SMALLEST = 0.02  # [rad or m]: a flickering encoder jumps by less, or by so little: its quanta are no larger
-BACK = 0.45  # share of a jump that may be left after the jump back
+# of two motions in turn: samples within which each is heard again, the fewest jumps between them, and the least size of
+# a jump [rad or m], which quanta of a coarse encoder on all joints together do not reach
+LAGS, FEWEST_JUMPS, SMALLEST = 20, 10, 0.1
 
 
 @final
@@ -463,24 +461,15 @@ def alternation(q: Float[np.ndarray, "T nv"]) -> tuple[Int[np.ndarray, " k"], fl
     none = np.empty(0, dtype=int)
     steps = np.diff(q, axis=0)
     size = np.linalg.norm(steps, axis=1)
-    if np.count_nonzero(size > SMALLEST) < FEWEST_JUMPS:  # most recordings: their quanta need not be known
+    if np.count_nonzero(size > SMALLEST) < FEWEST_JUMPS:  # most recordings
         return none, 0.0
     nearest = size**2
     for lag in range(2, LAGS + 1):
         np.minimum(nearest[lag - 1 :], np.sum((q[lag:] - q[:-lag]) ** 2, axis=1), out=nearest[lag - 1 :])
     usual = float(np.quantile(np.sqrt(nearest), 0.9))
-    # a coarse encoder flickers by one or two quanta
-    jumps = np.flatnonzero(size > max(CLEAR * usual, SMALLEST, 3.0 * _quantum(q)))
+    jumps = np.flatnonzero(size > max(6.0 * usual, SMALLEST))
     if jumps.size < FEWEST_JUMPS:
         return none, usual
     left = np.linalg.norm(steps[jumps[:-1]] + steps[jumps[1:]], axis=1)  # of a jump, once the next one has led back
-    leads_back = left < BACK * np.maximum(size[jumps[:-1]], size[jumps[1:]])
+    leads_back = left < 0.45 * np.maximum(size[jumps[:-1]], size[jumps[1:]])
     return (jumps if np.mean(leads_back) >= 0.9 else none), usual
-
-
-def _quantum(q: Float[np.ndarray, "T nv"]) -> float:
-    """Size of a step by which all joints move by the smallest difference that their encoders show [rad or m]."""
-    gaps = np.diff(np.sort(q, axis=0), axis=0)
-    least = np.min(np.where(gaps > 0.0, gaps, np.inf), axis=0, initial=np.inf)
-    least = np.where(np.isfinite(least), np.minimum(least, SMALLEST), 0.0)  # a joint that stands still has none
-    return float(np.sqrt(np.sum(least**2)))
