@@ -56,6 +56,11 @@ def test_both_tasks_are_done_in_order():
     assert again.is_done and [step.kind for step in again.steps] == ["reach", "way", "reach", "way", "reach"]
     for place, thing in zip(begins(again, tip), things, strict=True):
         assert np.linalg.norm(place - thing.hold) < 2e-3
+    shown = learner.skill_.steps[1].shown
+    first = next(a for name, a, _ in again.rollout.phases if name == "line 1: way")
+    hand = robot.pose(again.rollout.q[int(np.searchsorted(again.rollout.time, first - 1e-9))], tip)[:3, :3]
+    turned = np.linalg.norm(Rotation.from_matrix(hand @ shown.orientation.T).as_rotvec())
+    assert turned <= max(shown.turned, np.radians(10.0)) + 1e-3
     drawer = again.steps[1]
     assert drawer.done == pytest.approx(np.median(ways[0]), rel=0.03)
     assert drawer.deviation < 1e-3 and drawer.margin is not None and drawer.margin > 0.0

@@ -19,7 +19,7 @@ from manip_learn.constraint.mechanism import Mechanism
 from manip_learn.errors import counted
 from manip_learn.linalg import complement_rows
 from manip_learn.robot.batch.batch_kinematics import batch_kinematics
-from manip_learn.robot.rotations import rotation_matrix
+from manip_learn.robot.rotations import angles_between, rotation_matrix
 
 Unit = Literal["m", "rad"]
 Kind = Literal["straight", "around", "sleeve", "ball"]
@@ -225,6 +225,7 @@ class Shown:
         time: shape (T,), of the path [s], from 0.
         begin: shape (3,), where the path begins: `hold`, or where the typical contact began [m].
         orientation: shape (3, 3), of the hand where the typical contact began.
+        turned: Largest angle of a hand from that where the other contacts began [rad].
         one_way: Whether the recordings agree on a sense; always True of paths on a surface.
         coordinates: The free coordinates.
     """
@@ -245,6 +246,7 @@ class Shown:
     time: Float[np.ndarray, " T"]
     begin: Float[np.ndarray, " 3"]
     orientation: Float[np.ndarray, "3 3"]
+    turned: float
     one_way: bool
     coordinates: FreeCoordinates
 
@@ -316,7 +318,8 @@ class Shown:
             return None
 
 
-_NUMBERS = ("unit", "extent", "spread", "least", "most", "span", "speed", "seconds", "back", "n", "scatter", "one_way")
+_NUMBERS = ("unit", "extent", "spread", "least", "most", "span", "speed", "seconds", "back", "n", "scatter")
+_NUMBERS += ("turned", "one_way")
 _ARRAYS = ("hold", "path", "time", "begin", "orientation")
 
 
@@ -380,6 +383,7 @@ def shown_by(
         time,
         begins[typical] if hold is None else hold,
         motions[typical][0, :3, :3],
+        float(np.max(angles_between(motions[typical][0, :3, :3], np.array([p[0, :3, :3] for p in motions])))),
         one_way,
         free,
     )

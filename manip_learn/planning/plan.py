@@ -203,13 +203,10 @@ def plan(
     ladder = problem.ladder(candidates)
     if problem.slow_down(ladder):
         ladder = problem.ladder(candidates)
-    found = problem.best(ladder, said)
+    found = problem.as_shown(ladder, said) or problem.best(ladder, said) or problem.as_it_stands()
     if found is None:
-        clear = ladder.where(problem.clear)
-        found = (problem.best(clear, said) if problem.touched else None) or problem.as_it_stands()
-        if found is None:
-            said("looking for what would help", 0.6)
-            raise problem.refusal(ladder.reached(), clear, candidates, base_within)
+        said("looking for what would help", 0.6)
+        raise problem.refusal(ladder.reached(), ladder.where(problem.clear), candidates, base_within)
     said("planned", 1.0)
     return found
 
@@ -276,7 +273,7 @@ class _Problem:
         self.start = robot.checked_posture(start)
         self.limits, self.dt, self.grasp = limits or Limits(robot), dt, grasp
         self.rng = np.random.default_rng(seed)
-        self.touched = False  # whether links touch on a way that was found
+        self.is_as_shown = False  # whether the hand has to be turned as in the recordings where it takes hold
         self.unreached = False  # whether a posture of hold could not be reached from the start
         unsuited = next((b for b in robot.blocks if b.kind in ("floating", "planar", "other")), None)
         if unsuited is not None:
@@ -327,15 +324,31 @@ class _Problem:
         self.notes = (*self.notes, f"the joints are too slow for it: the way takes {times:.2g} times its time")
         return True
 
-    def best(self, ladder: Ladder, said: Progress) -> Plan | None:
-        """The plan with the largest margin that comes true in simulation; None if none does, or if links touch."""
+    def as_shown(self, ladder: Ladder, said: Progress) -> Plan | None:
+        """The best plan in which the hand takes hold turned as in the recordings; None if they do not say."""
+        if self.stations.grip is None or self.grasp is not None:
+            return None
+        self.is_as_shown = True
+        found = self.best(ladder.as_shown, said)
+        self.is_as_shown = False
+        if found is None:
+            self.notes = (*self.notes, "the hand takes hold turned otherwise than shown: so turned it finds no way")
+        return found
+
+    def best(self, ladder: Ladder, said: Progress, is_clear: bool = False) -> Plan | None:
+        """The plan with the largest margin that comes true in simulation; None if none does.
+
+        Args:
+            ladder: The postures.
+            said: Progress.
+            is_clear: Whether no links touch at its nodes: looked at where they do on a way that was found.
+        """
         choices = self._choices(ladder)
         for number, (march, margin) in enumerate(choices[:TRIED]):
             said("simulating the best of them", 0.3 + 0.08 * number)
             path = self._way(ladder, march, margin)
             if path is None:
-                self.touched = True
-                return None
+                return None if is_clear else self.best(ladder.where(self.clear), said, True)
             reached = self._reached(path)
             if reached is None:
                 continue
@@ -367,14 +380,14 @@ class _Problem:
         """The postures of the best way from one choice, relaxed; None where links touch on it."""
         path = ladder.postures(ladder.path(march, len(self.stations) - 1, margin - TIE))
         better = relaxed(self.stations, path, ladder.grasp[march])
-        for way in filter(self._is_in_cone, (better, path)):
+        for way in filter(self._is_held_right, (better, path)):
             if all(map(self.clear, way)) and all(map(self.clear.of_line, way[:-1], way[1:])):
                 return way
         return None
 
-    def _is_in_cone(self, way: Postures) -> bool:
+    def _is_held_right(self, way: Postures) -> bool:
         if self.grasp is None:
-            return True
+            return not self.is_as_shown or bool(self.stations.takes_hold_as_shown(way[:1])[0])
         stations = self.stations
         toward = stations.turns[: len(way)] @ self.grasp.toward(stations.grasp)
         return bool(np.all(self.grasp.holds(stations.hand.pose(way)[:, :3, :3], toward)))
@@ -389,7 +402,7 @@ class _Problem:
         moved = path + shift
         shift[np.any((moved < robot.position_lower) | (moved > robot.position_upper), axis=0)] = 0.0
         ways = [path, path + shift] if np.any(shift) else [path]
-        if np.min(rooms(self.limits, ways[-1])) >= np.min(rooms(self.limits, path)):
+        if np.min(rooms(self.stations, ways[-1])) >= np.min(rooms(self.stations, path)):
             ways = ways[::-1]
         for way in ways:
             if (approach := self._approach(way[0])) is not None:

@@ -62,6 +62,14 @@ class Ladder:
     least: Float[np.ndarray, "P L"]
     log_mu: Float[np.ndarray, "P L"]
 
+    @property
+    def as_shown(self) -> Ladder:
+        """This ladder with those first nodes only whose hand is turned as in the recordings."""
+        allowed = self.allowed.copy()
+        first = np.flatnonzero(allowed[:, 0])
+        allowed[first, 0] = self.stations.takes_hold_as_shown(self.q[first, 0])
+        return replace(self, allowed=allowed)
+
     def where(self, clear: Callable[[Float[np.ndarray, " nv"]], bool]) -> Ladder:
         """This ladder with those nodes only whose postures are clear."""
         allowed = self.allowed.copy()
@@ -172,6 +180,9 @@ def ladder_of(
         weighed: The same way with the rows whose margins count, where the search holds others too; None for the same.
     """
     q, station, family = seeds_of(stations, start, number, rng, len(grasps))
+    if stations.grip is not None:  # seeds where the hand takes hold: first those turned as in the recordings
+        some = np.flatnonzero(station == 0)
+        q[some], _ = stations.posed().onto(q[some], station[some], stations.grips(len(some), rng), SEED_STEPS)
     q, there = stations.onto(q, station, grasps[family], SEED_STEPS)
     q, station, family = q[there], station[there], family[there]
     # without those that inverse kinematics found twice, to a thousandth of a radian or a metre
@@ -197,12 +208,12 @@ def seeds_of(
 ) -> tuple[Postures, Int[np.ndarray, " n"], Int[np.ndarray, " n"]]:
     """The start, postures along its self-motion, and random ones; the station and the grasp of each."""
     low, high = stations.span
-    random = rng.uniform(low, high, (number, len(start)))
+    random = np.where(stations.moving, rng.uniform(low, high, (number, len(start))), start)
     station = np.array([0, len(stations) // 2, len(stations) - 1])[np.arange(number) % 3]
     walked = max(1, round(SHARE * number))
     # in a row along a direction that leaves the hand where it is, half of them one way, half the other
     A = stations.matrices(start[None], np.zeros(1, dtype=int))[0]
-    direction = rng.normal(size=len(start))
+    direction = rng.normal(size=len(start)) * stations.moving
     direction -= np.linalg.pinv(A) @ (A @ direction)
     size, half = np.max(np.abs(direction)), walked // 2
     step = SELF_MOTION * direction / size if size > 1e-9 else np.zeros_like(start)
@@ -244,7 +255,7 @@ def _pulls(stations: Stations, rows: Constraint, q: Postures, kind: Int[np.ndarr
     if middle.any():
         with np.errstate(invalid="ignore"):
             off = np.where(np.isfinite(high - low), (2.0 * q[middle] - low - high) / (high - low), 0.0)
-        out[middle] = -most * off**3
+        out[middle] = -most * off**3 * stations.moving
     if climbs.any():
         slope = ASCENT_GAIN * manipulability_batch(rows, q[climbs]).log_gradient
         out[climbs] = slope * np.minimum(1.0, np.min(most / np.maximum(np.abs(slope), 1e-12), axis=1))[:, None]
@@ -290,7 +301,7 @@ def soft_margin(stations: Stations, q: Postures) -> tuple[float, Postures, float
     u, v, sigma = left[:, :, -1] * scale, right[:, -1] * U, sigmas[:, -1]
     weakest = sigma / (sigma + 1.0)
     d_sigma = np.einsum("nr,nrjk,nj->nk", np.einsum("ns,nsr->nr", u, W), H, v)
-    room, bounded = rooms(limits, q), np.isfinite(high - low)
+    room, bounded = rooms(stations, q), np.isfinite(high - low) & stations.moving
     with np.errstate(invalid="ignore"):
         d_room = np.where(bounded, np.where(q - low < high - q, 2.0, -2.0) / (high - low), 0.0)
     dt = np.diff(stations.time[: len(q)])[:, None]

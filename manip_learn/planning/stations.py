@@ -37,11 +37,13 @@ from manip_learn.control.tasks.motion import FreeDirection
 from manip_learn.errors import FeatureError
 from manip_learn.robot.batch.batch_kinematics import batch_kinematics
 from manip_learn.robot.robot import Robot
+from manip_learn.robot.rotations import angles_between
 
 PERIOD = 0.1  # [s] between stations: at 0.1 m/s a centimetre, on which a joint path bends by less than a millimetre
 FEWEST, MOST = 16, 64  # stations: of a short way, and of a long one, whose stations are then farther apart
 # [m or rad] off its station that a posture may be: a tenth of the 0.2 mm that count as at the mechanism
 ON = 2e-5
+BY_EYE = 0.17  # [rad] 10 degrees by which a hand is turned that takes hold of a handle as once before, by eye
 LEVER = 0.2  # [m] between a hand and what it turns: a way of 0.1 m/s counts as one of 0.5 rad/s (`tasks.motion`)
 LONGEST_STEP = 0.5  # [rad or m] of one joint in one Newton step: a linearisation is good for half a radian
 # [m or rad] of damping per metre or radian of error: a far target is approached, a near one met (Levenberg)
@@ -96,6 +98,9 @@ class Stations:
         rows: shape (L, s, 6), weights of the hand's twist (v, w) in the rows held and driven.
         needs: shape (L, s), speed that the way needs along each row [m/s or rad/s].
         grasp: shape (3, 3), orientation of the hand at the start, which counts where the rows hold orientations.
+        moving: shape (nv,), joints that move the hand; others, as those of fingers, stay where they are.
+        grip: shape (3, 3), orientation in which recordings took hold, and how far from it they did [rad]; None if the
+            rows hold orientations, or nothing was shown.
     """
 
     limits: Limits
@@ -107,6 +112,8 @@ class Stations:
     needs: Float[np.ndarray, "L s"]
     grasp: Float[np.ndarray, "3 3"]
     hand: Hand
+    moving: Bool[np.ndarray, " nv"]
+    grip: tuple[Float[np.ndarray, "3 3"], float] | None = None
 
     @staticmethod
     def of(motion: FreeDirection, start: ArrayLike, limits: Limits) -> Stations:
@@ -132,7 +139,13 @@ class Stations:
         rows = motion.constraint.selection @ _weights(features, goals)
         needs = _needs(time, goals[:, :3, 3], turns, rows)
         places = goals[:, :3, 3].copy()
-        return Stations(limits, time, distance, places, turns, rows, needs, goals[0, :3, :3].copy(), hand)
+        robot, relative = limits.robot, getattr(features, "relative_to", None)
+        frames = [f for f in (features.frame, relative) if f is not None]  # type: ignore[attr-defined]  # a hand has one
+        moving = np.array([any(robot.moves(name, f) for f in frames) for name in robot.joint_names])
+        grip = None if np.any(np.abs(rows[:, :, 3:]) > 1e-9) else motion.grip_shown
+        if grip is not None:
+            grip = grip[0], max(grip[1], BY_EYE)
+        return Stations(limits, time, distance, places, turns, rows, needs, goals[0, :3, :3].copy(), hand, moving, grip)
 
     def __len__(self) -> int:
         return len(self.time)
@@ -161,6 +174,20 @@ class Stations:
         table = np.repeat(rows[None], len(self), axis=0)
         needs = _needs(self.time, self.places, self.turns, table)
         return replace(self, rows=table, needs=needs)
+
+    def takes_hold_as_shown(self, q: Postures) -> Bool[np.ndarray, " n"]:
+        """Which postures at the first station have the hand turned as in the recordings."""
+        if self.grip is None:
+            return np.ones(len(q), dtype=bool)
+        return angles_between(self.grip[0], self.hand.pose(q)[:, :3, :3]) <= self.grip[1]
+
+    def grips(self, n: int, rng: np.random.Generator) -> Float[np.ndarray, "n 3 3"]:
+        """Orientations as the recordings took hold, the typical one first."""
+        assert self.grip is not None
+        turns = rng.normal(size=(n, 3))
+        turns *= (self.grip[1] * rng.uniform(0.0, 1.0, n) / np.linalg.norm(turns, axis=1))[:, None]
+        turns[:1] = 0.0
+        return Rotation.from_rotvec(turns).as_matrix() @ self.grip[0]
 
     def seen_from(self, shift: Float[np.ndarray, " 3"]) -> Stations:
         """This way, seen from a base that was moved by a shift [m]."""
@@ -349,16 +376,16 @@ def node_margins(stations: Stations, q: Postures, station: np.ndarray) -> NodeMa
     squares = np.linalg.eigvalsh(weighted @ weighted.transpose(0, 2, 1))[:, 0]
     sigma = np.sqrt(np.maximum(squares, 0.0))
     log_mu = 0.5 * np.linalg.slogdet(A @ A.transpose(0, 2, 1))[1]
-    room = np.min(rooms(stations.limits, q), axis=1)
+    room = np.min(rooms(stations, q), axis=1)
     return NodeMargins(sigma / (sigma + 1.0), room, np.maximum(log_mu, LEAST_LOG))
 
 
-def rooms(limits: Limits, q: Postures) -> Postures:
-    """Left of each joint's range, as a share of half of it; 1 where there is no limit."""
-    low, high = limits.robot.position_lower, limits.robot.position_upper
+def rooms(stations: Stations, q: Postures) -> Postures:
+    """Left of each joint's range, as a share of half of it; 1 where there is no limit, or the hand is not moved."""
+    low, high = stations.limits.robot.position_lower, stations.limits.robot.position_upper
     with np.errstate(invalid="ignore"):
         left = 2.0 * np.minimum(q - low, high - q) / (high - low)
-    return np.where(np.isfinite(high - low), left, 1.0)
+    return np.where(np.isfinite(high - low) & stations.moving, left, 1.0)
 
 
 def margin_of(motion: FreeDirection, rollout: Rollout, begins: float | None, robot: Robot) -> float | None:
@@ -385,7 +412,7 @@ def margin_of(motion: FreeDirection, rollout: Rollout, begins: float | None, rob
 def margins_of(stations: Stations, q: Postures) -> Margins:
     """Of a whole way: one posture a station."""
     k, names = np.arange(len(q)), stations.limits.robot.joint_names
-    nodes, left = node_margins(stations, q, k), rooms(stations.limits, q)
+    nodes, left = node_margins(stations, q, k), rooms(stations, q)
     shares = np.abs(np.diff(q, axis=0)) / np.diff(stations.time[: len(q)])[:, None] / stations.limits.velocity
     fastest = shares.max(axis=0, initial=0.0)
     weak, (tight, joint) = int(np.argmin(nodes.weakest)), np.unravel_index(np.argmin(left), left.shape)

@@ -60,6 +60,11 @@ def rotation_vectors(R: Float[np.ndarray, "n 3 3"]) -> Float[np.ndarray, "n 3"]:
     return axis * np.divide(angle, length, out=np.zeros(len(R)), where=length > 0.0)[:, None]
 
 
+def angles_between(one: Float[np.ndarray, "3 3"], others: Float[np.ndarray, "n 3 3"]) -> Float[np.ndarray, " n"]:
+    """By how much each of the others is turned from one orientation [rad]."""
+    return np.linalg.norm(rotation_vectors(others @ one.T), axis=1)
+
+
 def rotation_matrix(vector: Float[np.ndarray, " 3"]) -> Float[np.ndarray, "3 3"]:
     """Rotation matrix of axis times angle [rad]."""
     x, y, z = vector.tolist()

@@ -178,6 +178,12 @@ class FreeDirection(Task):
         here = self._motion.origin(q)
         return self._apart(here, here if self._shown is None else self._shown.nearest(here, self.wanted))
 
+    @property
+    def grip_shown(self) -> tuple[Float[np.ndarray, "3 3"], float] | None:
+        """How the hand was turned where contacts began, and how far from that in others [rad]; None if not known."""
+        shown = self.learnt.shown
+        return None if shown is None or self._shown is None else (shown.orientation, shown.turned)
+
     def _apart(self, one: Origin, other: Origin) -> float:
         return apart(one, other) if self._shown is None else self._shown.apart(one, other)
 
