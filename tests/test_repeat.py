@@ -87,6 +87,70 @@ def test_fixtures_that_stand_elsewhere():
     assert way @ T[:3, :3] @ things[0].axis > 0.9999
 
 
+class Arm:
+    """An arm that goes where it is sent, and notes where the hand was when its gripper was told something."""
+
+    simulated, period = True, 0.01
+
+    def __init__(self, robot: ml.Robot, tip: str, q: np.ndarray):
+        self.robot, self.tip, self.q, self.told = robot, tip, q, list[tuple[str, np.ndarray]]()
+
+    def read(self) -> tuple[np.ndarray, None, None]:
+        """Where it is."""
+        return self.q, None, None
+
+    def command(self, q: np.ndarray, u: np.ndarray) -> None:
+        """Go there."""
+        self.q = np.array(q)
+
+    def gripper(self, word: str) -> None:
+        """Note it."""
+        self.told.append((word, self.robot.position(self.q, self.tip)))
+
+
+@pytest.mark.parametrize("by", ["position", "effort"])
+def test_a_gripper_closes_at_the_handle_and_opens_at_the_end_of_the_way(by: str, tmp_path: Path):
+    """Learnt from the finger's joint or its effort; the driver is told where the hand is there; the finger goes too."""
+    _, tip, demos, (thing,), _ = recordings(("drawer",), "panda", 70000)
+    robot = ml.load_robot("panda")
+    assert robot.joint_names[-1] == "panda_finger_joint1"
+    guided = []
+    for demo in demos:
+        at = [np.linalg.norm(robot.position([*q, 0.0], tip) - thing.hold) < 2e-3 for q in demo.q]
+        first, last = np.flatnonzero(at)[[0, -1]]
+        holds = (np.arange(len(at)) >= first) & (np.arange(len(at)) <= last)
+        finger = np.where(holds, 0.012, 0.038) if by == "position" else np.full(len(at), 0.02)
+        finger = np.convolve(np.pad(finger, 15, mode="edge"), np.ones(31) / 31, "valid")  # a third of a second
+        effort = np.column_stack([np.zeros((len(at), 7)), np.where(holds, 20.0, 0.5)]) if by == "effort" else None
+        names = robot.joint_names
+        guided.append(ml.Trajectory(demo.time, np.column_stack([demo.q, finger]), None, names, effort=effort))
+    skill = ml.ConstraintLearner(ml.FrameJacobian(robot, tip, "xyz")).fit(guided).skill_
+    skill = ml.Skill.load(skill.save(tmp_path / "task.json"), robot)
+    assert [step.gripper for step in skill.steps] == [None, "close", "open"]
+    start = guided[0].q[0]
+    again = ml.repeat(skill, start)
+    phases = {name: (a, b) for name, a, b in again.rollout.phases}
+    assert [name.split(": ")[-1] for name in phases] == ["approach", "close", "hold", "way", "open", "retreat"]
+    if by == "position":
+        inside = (again.rollout.time > phases["line: way"][0]) & (again.rollout.time < phases["line: way"][1])
+        assert_allclose(again.rollout.q[inside, -1], 0.012, atol=1e-3)
+        assert again.rollout.q[0, -1] == again.rollout.q[np.searchsorted(again.rollout.time, 0.5), -1] == start[-1]
+    arm = Arm(robot, tip, start)
+    ml.run(ml.ServoLoop(again.controller, dt=0.01), arm, again.rollout.time[-1] + 2.0)
+    assert [word for word, _ in arm.told] == ["close", "open"]
+    (_, closed), (_, opened) = arm.told
+    assert np.linalg.norm(closed - thing.hold) < 2e-3
+    assert np.linalg.norm(opened - again_end(again, tip)) < 3e-3
+
+
+def again_end(again: ml.Repetition, tip: str) -> np.ndarray:
+    """Where the hand is at the end of the way."""
+    end = next(b for name, _, b in again.rollout.phases if name.endswith(": way"))
+    robot = again.skill.robot
+    assert robot is not None
+    return robot.position(again.rollout.q[int(np.searchsorted(again.rollout.time, end - 1e-9))], tip)
+
+
 def test_what_cannot_be_done_is_refused_by_its_step():
     """Out of reach, no rigid motion, no skill: which step, and nothing is returned of the others."""
     skill = two_tasks()[2].skill_

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any, Literal, final, get_args
 
@@ -31,7 +31,9 @@ class Step:
             `"way"`: it goes along what a constraint leaves free.
         constraint: Of a way, and of a reach the one that the hand goes to; None where the recordings ended.
         shown: What was shown along the constraint here; None of a reach.
-        gripper: What a gripper does before the step, if it was recorded.
+        gripper: What a gripper does once the hand has taken hold, and before it reaches for something else, if the
+            recordings say so.
+        fingers: Joint -> where it goes then [rad or m]; a gripper whose joints were not recorded has none.
         place: shape (3,), where the hand goes at the end of a skill, in the base frame [m]; None of other steps.
     """
 
@@ -40,6 +42,7 @@ class Step:
     shown: Shown | None = None
     gripper: Gripping | None = None
     place: Float[np.ndarray, " 3"] | None = None
+    fingers: Mapping[str, float] = field(default_factory=dict)
 
 
 @final
@@ -102,6 +105,7 @@ class Skill:
                 "shown": None if step.shown is None else step.shown.to_dict(),
                 "gripper": step.gripper,
                 "place": None if step.place is None else step.place.tolist(),
+                "fingers": dict(step.fingers),
             }
             for step in self.steps
         ]
@@ -150,7 +154,8 @@ def _step(entry: Mapping[str, Any], constraints: tuple[Constraint, ...]) -> Step
         raise ValueError(f"a step of kind {kind!r} with gripper {gripper!r}")
     where = None if place is None else np.array(place, dtype=np.float64).reshape(3)
     constraint = None if number is None else constraints[int(number)]
-    return Step(kind, constraint, Shown.from_dict(entry["shown"]), gripper, where)
+    fingers = {str(name): float(value) for name, value in entry.get("fingers", {}).items()}
+    return Step(kind, constraint, Shown.from_dict(entry["shown"]), gripper, where, fingers)
 
 
 def one_way(constraint: Constraint) -> Skill:

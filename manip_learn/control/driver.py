@@ -34,6 +34,9 @@ class Driver(Protocol):
     gripper, are sent where they were first measured); and `simulated`, True for an arm whose clock is the number of
     commands, which is then not waited for, with `wait()`, in which a period passes without one.
 
+    A driver of an arm with a gripper may have `gripper(word)`, which is called with `"close"` or `"open"`, once, where
+    the controller's motion says so (see `repeat`), and returns without waiting for it.
+
     A driver that can let a person guide the arm also has `release()`, after which the joints turn freely, and `hold()`,
     after which the arm stays where it is. Where an arm cannot do that, `release()` raises a `ConfigurationError` that
     says how else to guide it.
@@ -152,6 +155,7 @@ class _Cycle:
         self.cycles = self.overruns = 0
         self.longest_delay = 0.0
         self.reason, self.ordered = "", False
+        self._told: str | None = None  # of the gripper
         self._blocked: set[str] = set()  # what did not return and is called no more
 
     def stop(self, reason: str, ordered: bool = False) -> None:
@@ -187,6 +191,7 @@ class _Cycle:
                 self.stop(reason, True)
             command = loop.update(self._read(ending), t)
             self._send(command, ending)
+            self._tell(ending)
             self._note(t, command)
             if command.status is Status.FOLLOWING_ERROR:
                 past = [q for _, q, _ in self._samples[-int(max(3, 0.02 / (self._stride * period))) :]]
@@ -237,6 +242,20 @@ class _Cycle:
                 self._driver.command(x, u)
         except (Exception, KeyboardInterrupt) as error:  # likewise
             self._failed("command()", error)
+
+    def _tell(self, ending: OrderlyEnd) -> None:
+        """Tell a gripper what to do, once."""
+        word, gripper = getattr(self._loop.controller, "gripper", None), getattr(self._driver, "gripper", None)
+        if word == self._told or self.reason:
+            return
+        self._told = word
+        if word is None or gripper is None:
+            return
+        try:
+            with ending.waiting():
+                gripper(word)
+        except (Exception, KeyboardInterrupt) as error:  # likewise
+            self._failed("gripper()", error)
 
     def _stands(self, command: Command) -> bool:
         """Whether the arm stands for a reason to end; gives the reason where it is the loop's."""

@@ -15,6 +15,7 @@ from manip_learn.constraint.features.other_features import CustomFeatures
 from manip_learn.constraint.features.relative_frame_jacobian import RelativeFrameJacobian
 from manip_learn.constraint.features.weighed_velocity import WeighedVelocity
 from manip_learn.constraint.manipulability import manipulability
+from manip_learn.constraint.skill import Gripping
 from manip_learn.control.command import Command, Controller
 from manip_learn.control.controller import ResolvedRateController
 from manip_learn.control.follow_motion import ARRIVED, FollowMotion
@@ -25,6 +26,7 @@ from manip_learn.errors import ConfigurationError
 from manip_learn.robot.robot import Robot
 
 RAMP = 0.5  # [s] from rest to the speed, as that of a way
+CLOSING = 0.5  # [s] that a gripper takes to close or to open
 SETTLING = 1.0  # [s] after which the way begins anyhow, with what encoder noise leaves
 
 
@@ -47,6 +49,7 @@ class JointMotion(Task):
         postures: shape (k, nv), joint positions [rad or m], the start first.
         speed: shape (nv,), largest speed of each joint [rad/s or m/s].
         gain: Rate at which deviations are taken back [1/s].
+        gripper: What a gripper does meanwhile, `"close"` or `"open"`, for which it has half a second at least.
 
     Raises:
         ConfigurationError: Postures that are not finite or of another size, or speeds that are not positive.
@@ -55,7 +58,14 @@ class JointMotion(Task):
     slides = False
     waits = True
 
-    def __init__(self, robot: Robot, postures: ArrayLike, speed: ArrayLike, gain: float = 10.0):
+    def __init__(
+        self,
+        robot: Robot,
+        postures: ArrayLike,
+        speed: ArrayLike,
+        gain: float = 10.0,
+        gripper: Gripping | None = None,
+    ):
         table = np.array(postures, dtype=np.float64)
         most = np.broadcast_to(np.asarray(speed, dtype=np.float64), (robot.nv,))
         if table.ndim != 2 or table.shape[1] != robot.nv or not len(table) or not np.all(np.isfinite(table)):
@@ -63,6 +73,7 @@ class JointMotion(Task):
         if not np.all(most > 0.0):
             raise ConfigurationError(f"the speeds of the joints must be positive, got {most.tolist()}")
         self._robot, self.gain = robot, float(gain)
+        self.gripper: Gripping | None = gripper
         steps = np.diff(table, axis=0)
         times = np.max(np.abs(steps) / most, axis=1, initial=0.0)  # [s] at full speed
         moves = times > 0.0
@@ -75,7 +86,8 @@ class JointMotion(Task):
     @property
     def duration(self) -> float:
         """How long the motion takes where no limit slows it down [s]."""
-        return float(self._ends[-1]) if len(self._ends) else 0.0
+        moves = float(self._ends[-1]) if len(self._ends) else 0.0
+        return moves if self.gripper is None else max(moves, CLOSING)
 
     def reset(self) -> None:
         """Forget the start: the next call is the first one again."""
@@ -140,6 +152,12 @@ class LawSequence:
             law.task.reset()
 
     @property
+    def gripper(self) -> Gripping | None:
+        """What a gripper was last told, `"close"` or `"open"`; None before that."""
+        told = [law.task.gripper for law in self.laws[: self.number + 1] if isinstance(law.task, JointMotion)]
+        return next((word for word in reversed(told) if word is not None), None)
+
+    @property
     def limits(self) -> Limits | None:
         """Those of the law in force."""
         return self.current.limits
@@ -152,8 +170,8 @@ class LawSequence:
     @property
     def way(self) -> ResolvedRateController:
         """The law in force, of a motion of the joints the one that it leads to."""
-        following = self.laws[self.number : self.number + 2]
-        return following[-1] if isinstance(following[0].task, JointMotion) else following[0]
+        ahead = self.laws[self.number :]
+        return next((law for law in ahead if not isinstance(law.task, JointMotion)), ahead[-1])
 
     def _is_over(self, q: ArrayLike, since: float) -> bool:
         """Whether the law in force has done its part, at a time since it took over [s]."""

@@ -100,7 +100,8 @@ class LeRobotDriver:
         robot: The robot whose joints it moves; locked joints need no motor.
         period: Between two commands [s].
         motors: Motor -> its joint, or a `LeRobotMotor`. A motor that is not named moves the joint of its name.
-        others: Motors that move no joint, as that of a gripper: held where they were first read.
+        others: Motors that move no joint, as that of a gripper: held where they were first read. One that reads 0 to
+            100 shuts at 0 and opens at 100, see `gripper`.
         units: Of motor positions. LeRobot knows them of most arms (`bus.motors`, `config.use_degrees`); give them for
             the others.
 
@@ -230,6 +231,14 @@ class LeRobotDriver:
         if self._held is None:
             self._observed()
         self._send(goals | (self._held or {}))
+
+    def gripper(self, word: Literal["close", "open"]) -> None:
+        """From the next command on the motors of grippers among the others go to 0, or to 100."""
+        if self._held is None:
+            self._observed()
+        for motor in self._held or {}:
+            if getattr(getattr(_on_bus(self._arm, motor), "norm_mode", None), "value", None) == "range_0_100":
+                self._held = (self._held or {}) | {motor: 0.0 if word == "close" else 100.0}
 
     def _send(self, goals: Mapping[str, float]) -> None:
         """Send motor positions, and take note of what LeRobot makes of them."""

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Sequence
+from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
@@ -11,15 +12,15 @@ from jaxtyping import Float
 
 from manip_learn.constraint.constraint import Constraint
 from manip_learn.constraint.shown import poses_of, shown_by
-from manip_learn.constraint.skill import Gripping, Skill, Step
+from manip_learn.constraint.skill import Skill, Step
 from manip_learn.errors import counted
 from manip_learn.learning.answer import Answer
 from manip_learn.recordings.trajectory import Trajectory
 from manip_learn.robot.robot import Robot
 
 LEAVES = 0.02  # [m] that a hand goes after its last contact if it was taken away from there, and not only let go
-BEFORE = 0.5  # [s] before a contact in which a gripper closes
 GRIPS = 0.1  # share of its range that a gripper's joint moves when it closes or opens
+PRESSES = 0.5  # share of its largest effort by which that of a gripper's joint rises when it closes on something
 
 
 class _Contact(NamedTuple):
@@ -47,6 +48,7 @@ def skill_of(constraints: Sequence[Constraint], answers: Sequence[Answer]) -> Sk
     if times < len(order):
         notes = (f"{times} of {counted(len(order), 'recording')} show the steps in this order; the others differ",)
     steps: list[Step] = []
+    grips: _Grip | None = None  # of the way before
     for place, number in enumerate(usual):
         constraint, pieces = constraints[number], [contacts[place].piece for contacts in chosen.values()]
         shown = constraint.shown
@@ -54,11 +56,13 @@ def skill_of(constraints: Sequence[Constraint], answers: Sequence[Answer]) -> Sk
             times_and_postures = [(piece.time, piece.q) for piece in pieces]
             shown = shown_by(constraint.features, constraint.selection, constraint.mechanism, times_and_postures)
         grip = _gripping(answers, chosen, place)
-        steps.append(Step("reach", constraint, gripper="open" if steps and steps[-1].gripper == "close" else None))
-        steps.append(Step("way", constraint, shown, grip))
+        steps.append(_reach(constraint, grips))
+        way = Step("way", constraint, shown)
+        steps.append(way if grip is None else replace(way, gripper="close", fingers=grip.closed))
+        grips = grip
     end = _end_of(constraints[usual[-1]], answers, chosen)
     if end is not None:
-        steps.append(Step("reach", None, gripper="open" if steps[-1].gripper == "close" else None, place=end))
+        steps.append(replace(_reach(None, grips), place=end))
     return Skill(tuple(constraints), tuple(steps), notes)
 
 
@@ -80,30 +84,51 @@ def _contacts_in_order(answers: Sequence[Answer]) -> dict[int, list[_Contact]]:
     return out
 
 
-def _gripping(answers: Sequence[Answer], chosen: dict[int, list[_Contact]], place: int) -> Gripping | None:
-    """Whether a joint that does not move the hand closes as the contact begins, in most recordings."""
+class _Grip(NamedTuple):
+    """Joints of a gripper, where they are while it holds something, and where they were before [rad or m]."""
+
+    closed: dict[str, float]
+    opened: dict[str, float]
+
+
+def _reach(constraint: Constraint | None, grip: _Grip | None) -> Step:
+    """Away from a way, whose grip is opened first."""
+    return Step("reach", constraint) if grip is None else Step("reach", constraint, None, "open", None, grip.opened)
+
+
+def _gripping(answers: Sequence[Answer], chosen: dict[int, list[_Contact]], place: int) -> _Grip | None:
+    """The gripper, where a joint that does not move the hand moves or presses as the contact begins, in most."""
     source = answers[0].part.source
     if source is None:
         return None
-    changes = []
+    grips: list[tuple[np.ndarray, np.ndarray]] = []
+    names: list[str] = []
     for recording, contacts in chosen.items():
         piece, whole = contacts[place].piece, source.derived[recording]
         robot, frame = _hand(answers[contacts[place].constraint])
-        if robot is None or frame is None:
+        if robot is None or frame is None or robot.nq != robot.nv:
             return None
         ranges = robot.position_upper - robot.position_lower
-        fingers = [
-            i for i, name in enumerate(robot.joint_names) if not robot.moves(name, frame) and np.isfinite(ranges[i])
-        ]
-        if not fingers or robot.nq != robot.nv:
-            return None
-        before = whole.q[whole.time < piece.time[0] - BEFORE][-1:, fingers]
-        if len(before):
-            changes.append((np.median(piece.q[:, fingers], axis=0) - before[0]) / ranges[fingers])
-    if len(changes) < 0.5 * len(chosen) or not changes:
+        fingers = [i for i, n in enumerate(robot.joint_names) if not robot.moves(n, frame) and np.isfinite(ranges[i])]
+        names = [robot.joint_names[i] for i in fingers]
+        since = contacts[place - 1].piece.time[-1] if place else -np.inf
+        before = (since < whole.time) & (whole.time < piece.time[0])
+        held = (piece.time[0] <= whole.time) & (whole.time <= piece.time[-1])
+        if not fingers or not before.any():
+            continue
+        reach, closed = whole.q[before][:, fingers], np.median(whole.q[held][:, fingers], axis=0)
+        opened = reach[np.argmax(np.max(np.abs(reach - closed) / ranges[fingers], axis=1))]
+        moves = np.abs(closed - opened) > GRIPS * ranges[fingers]
+        if whole.effort is not None:
+            efforts = np.abs(whole.effort[:, fingers])
+            rise = np.median(efforts[held], axis=0) - np.median(efforts[before], axis=0)
+            moves |= rise > PRESSES * np.max(efforts, axis=0)
+        if moves.any():
+            grips.append((closed, opened))
+    if len(grips) <= 0.5 * len(chosen):
         return None
-    change = np.median(changes, axis=0)
-    return "close" if np.max(np.abs(change)) > GRIPS else None
+    closed, opened = np.median(grips, axis=0)
+    return _Grip(*(dict(zip(names, map(float, values), strict=True)) for values in (closed, opened)))
 
 
 def _hand(answer: Answer) -> tuple[Robot | None, str | None]:

@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import Any, final
 
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Bool, Float
 from numpy.typing import ArrayLike
 from scipy.interpolate import CubicSpline
 
@@ -220,13 +220,21 @@ class PathPolicy(NullSpacePolicy):
         knots: Joint positions [rad or m], one row per knot.
         gain: Rate at which differences from the path are made up [1/s].
         robot: Whose joints they are.
+        moving: shape (nv,), joints that follow the path; None for all.
     """
 
-    def __init__(self, time: Float[np.ndarray, " K"], knots: Float[np.ndarray, "K nv"], gain: float, robot: Robot):
+    def __init__(
+        self,
+        time: Float[np.ndarray, " K"],
+        knots: Float[np.ndarray, "K nv"],
+        gain: float,
+        robot: Robot,
+        moving: Bool[np.ndarray, " nv"] | None = None,
+    ):
         self.time = np.array(time, dtype=np.float64)
         self.knots = np.array(knots, dtype=np.float64)
         self.gain = float(gain)
-        self._robot = robot
+        self._robot, self._moving = robot, True if moving is None else moving
         self._spline = CubicSpline(self.time, self.knots, bc_type="natural")
         self._rate = self._spline.derivative()
 
@@ -238,7 +246,7 @@ class PathPolicy(NullSpacePolicy):
         """
         first, end = float(self.time[0]), float(self.time[-1])
         goal = self._spline(min(max(t, first), end))
-        error = self._robot.difference(np.asarray(q, dtype=np.float64), goal)
+        error = self._robot.difference(np.asarray(q, dtype=np.float64), goal) * self._moving
         return self.gain * error + (self._rate(t) if first <= t < end else 0.0)
 
     def __repr__(self) -> str:
@@ -426,7 +434,9 @@ class _Problem:
 
     def _law(self, motion: FreeDirection, time: Float[np.ndarray, " k"], path: Postures) -> ResolvedRateController:
         """What does a motion with its spare joints along postures at times since the way began [s]."""
-        return self._controller(motion, PathPolicy(motion.pause + time, path, FOLLOWING, self.robot))
+        return self._controller(
+            motion, PathPolicy(motion.pause + time, path, FOLLOWING, self.robot, self.stations.moving)
+        )
 
     def _controller(self, motion: FreeDirection, policy: NullSpacePolicy | None) -> ResolvedRateController:
         task = motion.with_distance(motion.wanted)  # which remembers its own start

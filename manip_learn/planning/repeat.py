@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from typing import Any, final
+from typing import Any, NamedTuple, final
 
 import numpy as np
 from jaxtyping import Float
@@ -14,9 +14,10 @@ from manip_learn.constraint.features.frame_jacobian import FrameJacobian
 from manip_learn.constraint.shown import Unit
 from manip_learn.constraint.skill import Skill, Step, one_way
 from manip_learn.control.controller import ResolvedRateController
-from manip_learn.control.law_sequence import LawSequence
+from manip_learn.control.law_sequence import JointMotion, LawSequence, every_joint
 from manip_learn.control.limits import Limits
 from manip_learn.control.rollout import Rollout
+from manip_learn.control.simulation import simulate
 from manip_learn.control.tasks.driven_motion import way_in_words
 from manip_learn.control.tasks.motion import APPROACH_SPEED, FreeDirection, motion
 from manip_learn.control.way import simulate_way
@@ -26,7 +27,6 @@ from manip_learn.planning.plan import plan
 from manip_learn.recordings.trajectory_source import Progress
 from manip_learn.robot.robot import Robot
 
-CLOSING = 0.5  # [s] that a gripper takes to close or to open
 NEAR = 1e-3  # [m] a hand this near to where it is to go is there
 
 
@@ -161,18 +161,22 @@ def repeat(
     whole: Rollout | None = None
     notes = list(skill.notes)
     for number, step in enumerate(skill.steps):
-        if step.kind == "reach" and step.place is None:
-            continue  # the plan of the way that follows begins with it
         name = _name(number, step, skill)
         said(name, number / len(skill.steps))
+        parts: list[Part] = []
+        if step.kind == "reach" and step.gripper is not None:
+            parts = [_grip(step, name, q, robot, limits, dt, 0.0 if whole is None else whole.manipulability[-1])]
+            q = parts[-1].rollout.q[-1]
         if step.kind == "way":
-            parts, steps, rollout, more = _way(step, name, q, seed, limits, dt)
-            notes += [note for note in more if note not in notes]
-        else:
-            parts, steps, rollout = _retreat(skill, step, name, q, robot, limits, dt)
-        laws, done = [*laws, *parts], [*done, *steps]
-        whole = rollout if whole is None else whole.followed_by(rollout)
-        q = whole.q[-1]
+            parts += _way(step, name, q, seed, limits, dt)
+        elif step.place is not None:  # to a way its plan goes
+            parts += _retreat(skill, step, name, q, robot, limits, dt)
+        for part in parts:
+            laws.append(part.law)
+            done += part.done
+            notes += [note for note in part.notes if note not in notes]
+            whole = part.rollout if whole is None else whole.followed_by(part.rollout)
+            q = whole.q[-1]
     if whole is None:
         raise TargetError("there is nothing to do again: the skill has no way")
     said("done", 1.0)
@@ -190,21 +194,37 @@ def _name(number: int, step: Step, skill: Skill) -> str:
     return f"{what} {len(ways)}" if sum(s.kind == "way" for s in skill.steps) > 1 else what
 
 
-Part = tuple[list[ResolvedRateController], list[StepDone], Rollout]
+class Part(NamedTuple):
+    """A law, its rollout, and what became of the steps that end with it."""
+
+    law: ResolvedRateController
+    rollout: Rollout
+    done: tuple[StepDone, ...] = ()
+    notes: tuple[str, ...] = ()
 
 
-def _way(
-    step: Step, name: str, q: Float[np.ndarray, " n"], seed: int, limits: Limits, dt: float
-) -> tuple[list[ResolvedRateController], list[StepDone], Rollout, tuple[str, ...]]:
+def _grip(
+    step: Step, name: str, q: Float[np.ndarray, " n"], robot: Robot, limits: Limits, dt: float, mu: float
+) -> Part:
+    """The gripper closes or opens; the arm stands meanwhile, and joints of fingers go where they went."""
+    positions, fingers = robot.positions(q), dict(step.fingers)
+    goal = np.array([fingers.get(joint, x) for joint, x in zip(robot.joint_names, positions, strict=True)])
+    task = JointMotion(robot, [positions, goal], limits.velocity, gripper=step.gripper)
+    law = ResolvedRateController(every_joint(robot), task, limits=limits, dt=dt)
+    rollout = simulate(robot, law, q, task.duration, dt)
+    rollout = replace(rollout, manipulability=np.full(len(rollout), mu))
+    return Part(law, replace(rollout, phases=((f"{name}: {step.gripper}", 0.0, float(rollout.time[-1])),)))
+
+
+def _way(step: Step, name: str, q: Float[np.ndarray, " n"], seed: int, limits: Limits, dt: float) -> list[Part]:
     """Take hold and go along what was learnt, as it was shown in this step."""
     constraint = step.constraint
     if constraint is None or constraint.robot is None:
         raise TargetError(f"step {name!r}: no constraint to go along")
     if step.shown is not None:
         constraint = constraint.showing(step.shown)
-    task = motion(constraint, pause=CLOSING if step.gripper == "close" else 0.0)
     try:
-        found = plan(constraint, task, q, seed, limits=limits, dt=dt)
+        found = plan(constraint, motion(constraint), q, seed, limits=limits, dt=dt)
     except NoPlanError as refusal:
         facts = {"largest": refusal.largest, "posture": refusal.posture}
         raise NoPlanError(
@@ -224,22 +244,33 @@ def _way(
         outcome.stopped_by,
         name,
     )
-    rollout = found.rollout
+    to_hold, along = found.controller.laws
+    approach, motion_along, grips = _named(found.approach, name), _named(found.way, name), []
+    if step.gripper is not None:
+        grips = [_grip(step, name, approach.q[-1], robot, limits, dt, float(motion_along.manipulability[0]))]
+        q, fingers = motion_along.q.copy(), [robot.joint_index(joint) for joint in step.fingers]
+        q[:, fingers] = grips[0].rollout.q[-1, fingers]
+        motion_along = replace(motion_along, q=q)
+    return [Part(to_hold, approach, (reach,), found.notes), *grips, Part(along, motion_along, (way,))]
+
+
+def _named(rollout: Rollout, name: str) -> Rollout:
+    """A rollout whose phases and ways say to which step they belong."""
     phases = tuple((f"{name}: {part}", start, end) for part, start, end in rollout.phases)
-    ways = tuple({**done, "name": name, "constraint": rollout.constraint} for done in rollout.ways)
-    return list(found.controller.laws), [reach, way], replace(rollout, phases=phases, ways=ways), found.notes
+    ways = tuple({**way, "name": name, "constraint": rollout.constraint} for way in rollout.ways)
+    return replace(rollout, phases=phases, ways=ways)
 
 
 def _retreat(
     skill: Skill, step: Step, name: str, q: Float[np.ndarray, " n"], robot: Robot, limits: Limits, dt: float
-) -> Part:
+) -> list[Part]:
     """The hand goes straight to where the recordings ended."""
     last = next(s.constraint for s in reversed(skill.steps) if s.constraint is not None)
     frame = last.features.frame.name  # type: ignore[attr-defined]  # a place is known of a frame's rows only
     away = np.asarray(step.place) - robot.position(q, frame)
     far = float(np.linalg.norm(away))
     if far <= NEAR:
-        raise TargetError(f"step {name!r}: the hand is there already")
+        return []  # it is there
     line = Constraint(complement_rows(away[None] / far), FrameJacobian(robot, frame))
     task = FreeDirection(line, far, APPROACH_SPEED, direction=away)
     law = ResolvedRateController(line, task, task.ascent(), limits=limits, dt=dt)
@@ -248,7 +279,7 @@ def _retreat(
         raise NoPlanError(f"step {name!r}: the hand does not get to where the recordings ended: {outcome.stopped_by}")
     off = float(np.linalg.norm(robot.position(rollout.q[-1], frame) - np.asarray(step.place)))
     rollout = replace(rollout, phases=((name, 0.0, float(rollout.time[-1])),), ways=())
-    return [law], [StepDone("reach", far, abs(outcome.done), "m", off, None, None, name)], rollout
+    return [Part(law, rollout, (StepDone("reach", far, abs(outcome.done), "m", off, None, None, name),))]
 
 
 def _rigid(moved: ArrayLike) -> Float[np.ndarray, "4 4"]:
