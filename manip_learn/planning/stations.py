@@ -183,11 +183,11 @@ class Stations:
 
     def grips(self, n: int, rng: np.random.Generator) -> Float[np.ndarray, "n 3 3"]:
         """Orientations as the recordings took hold, the typical one first."""
-        assert self.grip is not None
+        typical, within = self.grip or (self.grasp, 0.0)
         turns = rng.normal(size=(n, 3))
-        turns *= (self.grip[1] * rng.uniform(0.0, 1.0, n) / np.linalg.norm(turns, axis=1))[:, None]
+        turns *= (within * rng.uniform(0.0, 1.0, n) / np.linalg.norm(turns, axis=1))[:, None]
         turns[:1] = 0.0
-        return Rotation.from_rotvec(turns).as_matrix() @ self.grip[0]
+        return Rotation.from_rotvec(turns).as_matrix() @ typical
 
     def seen_from(self, shift: Float[np.ndarray, " 3"]) -> Stations:
         """This way, seen from a base that was moved by a shift [m]."""
