@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import os
 import runpy
-import time
 from collections.abc import Callable
 from pathlib import Path
 
@@ -22,7 +21,6 @@ from manip_learn.constraint.features import FrameJacobian
 from manip_learn.constraint.manipulability_batch import manipulability_batch
 from manip_learn.robot import Robot, load_robot
 from manip_learn.robot.batch.batch_kinematics import batch_kinematics
-from manip_learn.robot.batch.postures import cores
 
 pytestmark = [pytest.mark.bench, pytest.mark.timeout(600)]
 N = 8192
@@ -85,28 +83,6 @@ def bare_loop(robot: Robot, q: np.ndarray) -> Callable[[], object]:
             pin.computeFrameJacobian(model, data, row, index, reference)
 
     return run
-
-
-@pytest.mark.skipif(cores() < 2, reason="two threads need two cores")
-def test_two_threads(robot: Robot) -> None:
-    """Two threads against one, by the clock on the wall: a neighbour counts, so the best of many rounds is taken."""
-    q = np.random.default_rng(0).uniform(-1.5, 1.5, (200_000, robot.nv))
-    features = FrameJacobian(robot, "right_hand", "pose")
-    constraint = Constraint([[0.6, 0.8, 0.0], [0.0, 0.0, 1.0]], FrameJacobian(robot, "right_hand"))
-    kinds: dict[str, Callable[[int], object]] = {
-        "numpy": lambda workers: features.batch(q, workers=workers),
-        "mu and gradient, numpy": lambda workers: manipulability_batch(constraint, q, workers=workers),
-    }
-    gains = {}
-    for name, run in kinds.items():
-        seconds: dict[int, float] = {1: np.inf, 2: np.inf}
-        for _ in range(8):
-            for workers in seconds:
-                begin = time.perf_counter()
-                run(workers)
-                seconds[workers] = min(seconds[workers], time.perf_counter() - begin)
-        gains[name] = seconds[1] / seconds[2]
-    print("\ntwo threads over one: " + ", ".join(f"{name} {x:.2f}" for name, x in gains.items()))
 
 
 def test_rows_derivatives_and_manipulability(robot: Robot, q: np.ndarray) -> None:

@@ -107,7 +107,7 @@ def text_cases() -> list[Case]:
         Case("tab.tsv", "accept", text(csv(TABLE, delimiter="\t"))),
         Case("spaces.txt", "accept", text(csv(TABLE, delimiter="   "))),
         Case("byte_order_mark.csv", "accept", text("\ufeff" + GOOD)),
-        Case("utf16.csv", "accept", text(GOOD, "utf-16")),
+        Case("utf16.csv", "encoding", text(GOOD, "utf-16")),
         Case("windows_lines.csv", "accept", text(GOOD.replace("\n", "\r\n"))),
         Case("old_mac_lines.csv", "accept", text(GOOD.replace("\n", "\r"))),
         Case("comments.csv", "accept", text("# made by hand\n% and so\n\n" + GOOD)),

@@ -16,7 +16,7 @@ from numpy.typing import ArrayLike
 
 from manip_learn.constraint.constraint import Constraint
 from manip_learn.constraint.manipulability import SINGULAR_RATIO, gradient_of
-from manip_learn.robot.batch.postures import checked_postures, in_threads
+from manip_learn.robot.batch.postures import checked_postures
 
 LEAST_LENGTH_RATIO = 1e-3  # shortest orthogonalised row over longest row of A; below it the SVD takes over
 
@@ -41,13 +41,12 @@ class ManipulabilityBatch(NamedTuple):
         return self.gradient / np.maximum(np.maximum(self.mu, self.floor), np.finfo(np.float64).tiny)[:, None]
 
 
-def manipulability_batch(constraint: Constraint, q: ArrayLike, *, workers: int | None = 1) -> ManipulabilityBatch:
+def manipulability_batch(constraint: Constraint, q: ArrayLike) -> ManipulabilityBatch:
     """mu(q) and its gradient at n postures, the rows of q.
 
     Args:
         constraint: A(q).
         q: Configurations (nq) or joint positions (nv), one per row.
-        workers: Number of threads; None for one per core. The numbers do not depend on it.
 
     Raises:
         ConfigurationError: Wrong size or not finite; names the first bad row and joint.
@@ -63,27 +62,19 @@ def manipulability_batch(constraint: Constraint, q: ArrayLike, *, workers: int |
     if robot is not None:
         checked_postures(robot, postures)  # here, where a row's number is that of the caller
     ill = np.zeros(n, dtype=bool)
-    in_threads(n, workers, lambda part: _in_bulk(constraint, postures, part, out, ill))
+
+    def weigh(Phi: np.ndarray, part: slice) -> np.ndarray:
+        A = np.tensordot(constraint.selection, Phi, axes=1)
+        X, out.mu[part], ill[part] = row_inverses(A)
+        return np.tensordot(constraint.selection.T, X * out.mu[part], axes=1)
+
+    out.gradient[:] = features.batch_vjp(postures, weigh)
     bad = np.flatnonzero(ill)
     if bad.size:
         Phi, dPhi = features.batch_with_derivative(postures[bad])
         dA = np.einsum("sp,npjk->nsjk", constraint.selection, dPhi, optimize=True)
         out.mu[bad], out.gradient[bad], out.floor[bad] = _through_svd(constraint.selection @ Phi, dA)
     return out
-
-
-def _in_bulk(
-    constraint: Constraint, postures: np.ndarray, some: slice, out: ManipulabilityBatch, ill: np.ndarray
-) -> None:
-    """Manipulability and gradient of some postures in NumPy, written into `out` and `ill`."""
-    selection, mu_here, ill_here = constraint.selection, out.mu[some], ill[some]
-
-    def weigh(Phi: np.ndarray, part: slice) -> np.ndarray:
-        A = np.tensordot(selection, Phi, axes=1)
-        X, mu_here[part], ill_here[part] = row_inverses(A)
-        return np.tensordot(selection.T, X * mu_here[part], axes=1)
-
-    out.gradient[some] = constraint.features.batch_vjp(postures[some], weigh)
 
 
 def row_inverses(

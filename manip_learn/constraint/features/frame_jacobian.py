@@ -331,26 +331,22 @@ class FrameJacobian(PoseRows):
         """A = Lambda Phi(q), and weights -> sum_ij weights_ij dA_ij / dq_k (see `FeatureMap`)."""
         return self._kinematics.weighted_vjp(q, self.reference, padded)
 
-    def batch(self, q: ArrayLike, *, workers: int | None = 1) -> Float[np.ndarray, "n p nv"]:
+    def batch(self, q: ArrayLike) -> Float[np.ndarray, "n p nv"]:
         """Phi at n postures, the rows of q, in bulk.
 
         Args:
             q: Configurations (nq) or joint positions (nv), one a row.
-            workers: Number of threads; None for one per core. The numbers do not depend on it.
 
         Raises:
             ConfigurationError: Wrong size or not finite; names the first bad row and joint.
         """
         kinematics = batch_kinematics(self.robot, self.frame)
-        return kinematics.jacobian(q, self.reference, self._row_numbers, workers=workers)
+        return kinematics.jacobian(q, self.reference, self._row_numbers)
 
-    def batch_with_derivative(
-        self, q: ArrayLike, *, workers: int | None = 1
-    ) -> tuple[Float[np.ndarray, "n p nv"], Float[np.ndarray, "n p nv nv"]]:
+    def batch_with_derivative(self, q: ArrayLike) -> tuple[Float[np.ndarray, "n p nv"], Float[np.ndarray, "n p nv nv"]]:
         """Phi and dPhi/dq at n postures, in bulk; arguments and errors as for `batch`."""
         kinematics = batch_kinematics(self.robot, self.frame)
-        rows = self._row_numbers
-        return kinematics.jacobian_and_derivative(q, self.reference, rows, workers=workers)
+        return kinematics.jacobian_and_derivative(q, self.reference, self._row_numbers)
 
     def batch_vjp(self, q: ArrayLike, weigh: Weigh) -> Float[np.ndarray, "n nv"]:
         """sum_ij weights_ij dPhi_ij / dq_k at n postures without forming dPhi/dq (see `FeatureMap`)."""

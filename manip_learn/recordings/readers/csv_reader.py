@@ -1,8 +1,7 @@
-"""Text tables: encoding, delimiter, decimal mark and header are found; columns by name; every row is checked."""
+"""Text tables: delimiter, decimal mark and header are found; columns by name; every row is checked."""
 
 from __future__ import annotations
 
-import codecs
 import itertools
 import os
 import re
@@ -16,7 +15,7 @@ import numpy as np
 from jaxtyping import Float
 
 from manip_learn.errors import RecordingError, advice, closest_names
-from manip_learn.recordings.format_words import EFFORT_SUFFIX, VELOCITY_SUFFIX, effort_joint
+from manip_learn.recordings.format_words import VELOCITY_SUFFIX, effort_joint
 from manip_learn.recordings.readers.column_patterns import (
     Found,
     PatternError,
@@ -30,6 +29,7 @@ from manip_learn.recordings.readers.column_patterns import (
 from manip_learn.recordings.readers.limits import LONGEST_TEXT, check_columns
 from manip_learn.recordings.readers.read_request import SECONDS, ReadRequest, unmoved_joint_names
 from manip_learn.recordings.readers.recording import Recording, reason, refusal
+from manip_learn.robot import Robot
 
 COMMENT_MARKS = ("#", "%")
 STAMPED = "%time,"  # `rostopic echo -p` begins its header like a comment
@@ -86,7 +86,6 @@ class CsvDialect:
     """How one file is written.
 
     Attributes:
-        encoding: Of the text.
         delimiter: Between fields; None for white space.
         columns: Names in the header.
         header_line: Line of the header, counted from 1.
@@ -95,7 +94,6 @@ class CsvDialect:
         named_by_caller: True if there is no header, and the names are the caller's.
     """
 
-    encoding: str
     delimiter: str | None
     columns: tuple[str, ...]
     header_line: int
@@ -122,14 +120,14 @@ def _is_skipped(line: str) -> bool:
     return not start or start.startswith(COMMENT_MARKS)
 
 
-def text_lines(path: Path, encoding: str = "utf-8-sig") -> Iterator[tuple[int, str]]:
+def text_lines(path: Path) -> Iterator[tuple[int, str]]:
     """The lines of a text file with their numbers, counted from 1.
 
     Raises:
         RecordingError: Bytes that are no text, or a line beyond a million characters.
     """
     try:
-        with path.open(encoding=encoding) as file:
+        with path.open(encoding="utf-8-sig") as file:
             for number, line in enumerate(iter(partial(file.readline, LONGEST_TEXT), ""), 1):
                 if len(line) >= LONGEST_TEXT:
                     said = f"this line has more than {LONGEST_TEXT:,} characters; a table with one sample per line is"
@@ -145,8 +143,6 @@ def _is_cut_off(path: Path, dialect: CsvDialect) -> bool:
     with path.open("rb") as file:
         file.seek(-min(path.stat().st_size, LONGEST_TEXT), os.SEEK_END)
         end = file.read()
-    if dialect.encoding == "utf-16":
-        end = end.replace(b"\x00", b"")  # line ends, blanks and comment marks are ASCII
     last = end.replace(b"\r", b"\n").rpartition(b"\n")[2]
     return not _is_skipped(last.decode("ascii", errors="replace"))
 
@@ -157,28 +153,24 @@ def sniff_dialect(path: Path, names: tuple[str, ...] | None = None) -> CsvDialec
     Raises:
         RecordingError: No header, no text, or a header of numbers: joint names are mandatory.
     """
-    with path.open("rb") as file:
-        is_utf16 = file.read(2) in (codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE)
-    encoding, comment = "utf-16" if is_utf16 else "utf-8-sig", ""
-    for number, line in text_lines(path, encoding):
+    comment = ""
+    for number, line in text_lines(path):
         if not _is_skipped(line):
-            return _dialect(path, encoding, number, line, comment, names)
+            return _dialect(path, number, line, comment, names)
         comment = line if line.strip() else comment
     needed = "a header with 'time' and the joint names, and rows of numbers are needed"
     raise refusal(path, "empty", f"the file is empty: {needed}")
 
 
-def _dialect(
-    path: Path, encoding: str, number: int, line: str, comment: str, names: tuple[str, ...] | None
-) -> CsvDialect:
+def _dialect(path: Path, number: int, line: str, comment: str, names: tuple[str, ...] | None) -> CsvDialect:
     """The dialect by the first line that is no comment, and the comment above it."""
     delimiter = _delimiter(line)
     fields = _fields(line, delimiter)
-    above = partial(CsvDialect, encoding, delimiter, header_line=number - 1)
+    above = partial(CsvDialect, delimiter, header_line=number - 1)
     if comment.startswith(STAMPED) and len(echoed := _fields(comment, ",")) == len(fields):
         return above(tuple(echoed), commented_header=True)
     if not all(NUMBER.fullmatch(f) for f in fields):
-        return CsvDialect(encoding, delimiter, tuple(fields), number)
+        return CsvDialect(delimiter, tuple(fields), number)
     text = comment.strip().lstrip("".join(COMMENT_MARKS)).strip()
     commented = _fields(text, _delimiter(text)) if text else []
     if len(commented) == len(fields) and not all(NUMBER.fullmatch(n) for n in commented):
@@ -204,23 +196,23 @@ class Columns:
     """Columns of a table.
 
     Attributes:
-        names: Name of each, `time` for stamps; None where it is not read.
         time: Column of the stamps; or two, whole seconds and nanoseconds.
         unit: Unit of the stamps where their name says it.
+        joints: Columns of the joints.
         strict: Whether a name that is no joint's is a mistake.
         notes: What the caller should know.
     """
 
-    names: tuple[str | None, ...]
     time: tuple[int, ...]
     unit: str | None
+    joints: Found
     strict: bool
     notes: tuple[str, ...]
 
     @property
     def used(self) -> list[int]:
         """Columns that are read."""
-        return [i for i, name in enumerate(self.names) if name is not None]
+        return sorted({*self.time, *self.joints.positions, *self.joints.velocities, *self.joints.efforts})
 
 
 def columns_of(path: Path, dialect: CsvDialect, request: ReadRequest) -> Columns:
@@ -244,31 +236,40 @@ def columns_of(path: Path, dialect: CsvDialect, request: ReadRequest) -> Columns
     if names and names[0] == "":  # a first column without a name that counts the rows, as pandas writes it
         first = [row[:1] for row in itertools.islice(_rows(path, dialect), 3)]
         left_out += [0] if len(first) > 1 and first in ([["0"], ["1"]], [["0"], ["1"], ["2"]]) else []
-    notes = [time.note] if time.note else []
     found = _joint_columns(path, dialect, names, request)
     if found is not None:
-        kinds = (found.positions, ""), (found.velocities, VELOCITY_SUFFIX), (found.efforts, EFFORT_SUFFIX)
-        meant = {i: joint + suffix for columns, suffix in kinds for i, joint in columns.items()}
-        names = [meant.get(i, name) for i, name in enumerate(names)]
-        kept = {*meant, *time.columns}
+        kept = {*found.positions, *found.velocities, *found.efforts, *time.columns}
         left_out = [i for i, n in enumerate(names) if n is not None and i not in kept]
-        notes += [found.note] if found.note else []
-    for i in set(left_out):
-        names[i] = None
+    notes = [time.note, "" if found is None else found.note]
     if left_out:
         words = [dialect.columns[i] or f"column {i + 1} (row numbers)" for i in sorted(set(left_out))]
         more = f" and {len(words) - SHOWN} more" if len(words) > SHOWN else ""
         notes.append(f"columns not used: {', '.join(words[:SHOWN])}{more}")
-    seen: set[str] = set()
-    for i, name in enumerate(names):
-        if name is None or i in time.columns[1:]:
-            continue
+    meant = {i: n for i, n in enumerate(names) if n is not None and i not in {*left_out, *time.columns}}
+    for i, name in meant.items():
         if not name:
             raise _header_error(path, dialect, "unnamed-column", f"column {i + 1} of {len(names)} has no name")
-        if name in seen:
+        if name == "time" or name in [meant[k] for k in meant if k < i]:
             raise _header_error(path, dialect, "duplicate-column", f"two columns are called {name!r}: keep one")
-        seen.add(name)
-    return Columns(tuple(names), time.columns, time.unit, found is None, tuple(notes))
+    joints, surplus = _called_as_joints(meant, request.robot) if found is None else (found, [])
+    notes += [f"not needed and not used: {', '.join(surplus)}"] if surplus else []
+    return Columns(time.columns, time.unit, joints, found is None, tuple(filter(None, notes)))
+
+
+def _called_as_joints(names: dict[int, str], robot: Robot) -> tuple[Found, list[str]]:
+    """Columns by their names, `joint1`, `joint1_velocity` or `joint1_effort`; and names that are not needed."""
+    own, surplus = robot.joint_names, list[str]()
+    q, u, effort = dict[int, str](), dict[int, str](), dict[int, str]()
+    for i, name in names.items():
+        if joint := effort_joint(name, (*own, *unmoved_joint_names(robot))):
+            effort[i] = joint
+        elif _base_name(name, SURPLUS_SUFFIXES, own):
+            surplus.append(name)
+        elif joint := _base_name(name, (VELOCITY_SUFFIX,), own):
+            u[i] = joint
+        else:
+            q[i] = name
+    return Found(q, u, "", effort), surplus
 
 
 def _joint_columns(path: Path, dialect: CsvDialect, names: list[str | None], request: ReadRequest) -> Found | None:
@@ -331,18 +332,12 @@ def _recording(
     path: Path, dialect: CsvDialect, request: ReadRequest, columns: Columns, table: np.ndarray, notes: list[str]
 ) -> Recording:
     """The used columns, each as what its name says."""
-    used, own = columns.used, request.robot.joint_names
-    kept = [str(columns.names[i]) for i in used]
-    effort = {n: effort_joint(n, (*own, *unmoved_joint_names(request.robot))) for n in kept}
-    surplus = [n for n in kept if not effort[n] and _base_name(n, SURPLUS_SUFFIXES, own)]
-    if surplus:
-        notes.append(f"not needed and not used: {', '.join(surplus)}")
-    velocity = {n: _base_name(n, (VELOCITY_SUFFIX,), own) for n in kept}
-    v = [i for i, n in enumerate(kept) if velocity[n] and n not in surplus]
-    e = [i for i, n in enumerate(kept) if effort[n] and n not in surplus]
-    beside = {*v, *e, *(i for i, n in enumerate(kept) if n in surplus or used[i] in columns.time)}
-    p = [i for i in range(len(kept)) if i not in beside]
-    time, *rest = (table[:, used.index(i)] for i in columns.time)
+    place = {column: k for k, column in enumerate(columns.used)}
+    q, u, effort = (
+        (tuple(part.values()), table[:, [place[i] for i in part]])
+        for part in (columns.joints.positions, columns.joints.velocities, columns.joints.efforts)
+    )
+    time, *rest = (table[:, place[i]] for i in columns.time)
     # the unit is known by the name, unless the caller says another one
     in_seconds = bool(rest) or (columns.unit is not None and request.time_unit is None)
     if in_seconds:
@@ -351,12 +346,12 @@ def _recording(
         path=path,
         name=path.name,
         time=time,
-        position_names=tuple(kept[i] for i in p),
-        positions=table[:, p],
-        velocity_names=tuple(str(velocity[kept[i]]) for i in v),
-        velocities=table[:, v] if v else None,
-        effort_names=tuple(str(effort[kept[i]]) for i in e),
-        efforts=table[:, e] if e else None,
+        position_names=q[0],
+        positions=q[1],
+        velocity_names=u[0],
+        velocities=u[1] if u[0] else None,
+        effort_names=effort[0],
+        efforts=effort[1] if effort[0] else None,
         strict_columns=columns.strict,
         in_seconds=in_seconds,
         line_of=partial(_line_of, path, dialect),
@@ -389,7 +384,7 @@ def _table(path: Path, dialect: CsvDialect, used: list[int], request: ReadReques
 
 def _numbered_lines(path: Path, dialect: CsvDialect) -> Iterator[tuple[int, str]]:
     """Data lines with their numbers; blank and comment lines are left out."""
-    for number, line in text_lines(path, dialect.encoding):
+    for number, line in text_lines(path):
         if dialect.without_cut_line and not line.endswith("\n"):
             return
         if number > dialect.header_line and not _is_skipped(line):

@@ -22,7 +22,7 @@ from manip_learn.robot.batch.chain import (
     write_derivative,
     write_jacobian,
 )
-from manip_learn.robot.batch.postures import checked_postures, in_threads
+from manip_learn.robot.batch.postures import checked_postures
 from manip_learn.robot.frame import Frame
 from manip_learn.robot.joints import carrying_joints
 from manip_learn.robot.robot import Reference, Robot
@@ -73,8 +73,6 @@ class BatchKinematics:
         q: ArrayLike,
         reference: Reference = "world",
         rows: Sequence[int] = ALL_ROWS,
-        *,
-        workers: int | None = 1,
     ) -> Float[np.ndarray, "n p nv"]:
         """Frame Jacobians, linear rows first [m/s, rad/s per unit joint velocity].
 
@@ -82,20 +80,17 @@ class BatchKinematics:
             q: Postures, one per row: configurations (nq) or joint positions (nv).
             reference: Along the base axes (`"world"`) or the frame's own (`"local"`).
             rows: Which of x y z rx ry rz, as 0 .. 5.
-            workers: Number of threads; None for one per core. The numbers do not depend on it.
 
         Raises:
             ConfigurationError: Wrong size or not finite; names the first bad row and joint.
         """
-        return self._tables(q, reference, rows, workers, derivative=False)[0]
+        return self._tables(q, reference, rows, derivative=False)[0]
 
     def jacobian_and_derivative(
         self,
         q: ArrayLike,
         reference: Reference = "world",
         rows: Sequence[int] = ALL_ROWS,
-        *,
-        workers: int | None = 1,
     ) -> tuple[Float[np.ndarray, "n p nv"], Float[np.ndarray, "n p nv nv"]]:
         """Frame Jacobians J and dJ/dq; entry [n, i, j, k] = d J_ij / d q_k along tangent coordinate k, exact.
 
@@ -104,7 +99,7 @@ class BatchKinematics:
         Raises:
             ConfigurationError: Wrong size or not finite; names the first bad row and joint.
         """
-        return self._tables(q, reference, rows, workers, derivative=True)
+        return self._tables(q, reference, rows, derivative=True)
 
     def vjp(
         self,
@@ -170,7 +165,7 @@ class BatchKinematics:
         q: ArrayLike,
         reference: Reference,
         rows: Sequence[int],
-        workers: int | None,
+        *,
         derivative: bool,
     ) -> tuple[Float[np.ndarray, "n p nv"], Float[np.ndarray, "m p nv nv"]]:
         """J, and dJ/dq, which has no entries unless it is asked for (or comes from Pinocchio's loop)."""
@@ -178,17 +173,11 @@ class BatchKinematics:
         if not self.fast:
             return self._looped(postures, reference, rows)
         p, n, nv = len(rows), len(postures), self._robot.nv
-        n_H = n if derivative else 0
-        J, H = self._new_table(p, nv, n), self._new_table(p, nv, nv, n_H)
-
-        def write(some: slice) -> None:
-            J_here, H_here = J[..., some], H[..., some]
-            for part, motion in self._motions(postures[some], reference, DERIVATIVE_CHUNK if derivative else CHUNK):
-                write_jacobian(motion, rows, self._columns, J_here[..., part])
-                if derivative:
-                    write_derivative(motion, rows, self._columns, H_here[..., part])
-
-        in_threads(n, workers, write)
+        J, H = self._new_table(p, nv, n), self._new_table(p, nv, nv, n if derivative else 0)
+        for part, motion in self._motions(postures, reference, DERIVATIVE_CHUNK if derivative else CHUNK):
+            write_jacobian(motion, rows, self._columns, J[..., part])
+            if derivative:
+                write_derivative(motion, rows, self._columns, H[..., part])
         return J.transpose(2, 0, 1), H.transpose(3, 0, 1, 2)
 
     def _motions(self, postures: np.ndarray, reference: str, chunk: int) -> Iterator[tuple[slice, ChainMotion]]:

@@ -33,7 +33,6 @@ MAX_MESH_BYTES = 50_000_000  # of a file: a million triangles of STL
 MAX_FACES = 2_000_000  # of a mesh: 0.1 GB as triangles
 MAX_CLAIMED = 5 * MAX_FACES  # numbers, times three, in the tables of a glTF: corners, vertices, normals, textures
 MAX_NODES = 20_000  # of a COLLADA scene, each counted as often as it is used
-MAX_BUFFERS = 10  # of a glTF, each up to MAX_MESH_BYTES
 HEAD = 4_096  # [bytes] in which a file says of which kind it is
 
 LEVELS_UP = 6  # folders above the URDF that may hold its package
@@ -173,9 +172,9 @@ def _read(path: Path) -> Mesh:
     if kind not in CHECKS:
         raise _refusal(path, "mesh-kind", f"{kind or 'no extension'!r} is not one of {', '.join(CHECKS)}")
     content = _content(path)
-    beside = CHECKS[kind](content, path) or {}
+    CHECKS[kind](content, path)
     try:
-        pieces = _collada_pieces(content) if kind == ".dae" else _pieces(content, kind, beside)
+        pieces = _collada_pieces(content) if kind == ".dae" else _pieces(content, kind)
         vertices, faces, painted, n = [], [], Counter[Colour](), 0
         for corners, triangles, colour in pieces:
             if sum(map(len, faces)) + len(triangles) > MAX_FACES:
@@ -197,12 +196,10 @@ def _read(path: Path) -> Mesh:
     return Mesh(np.concatenate(vertices).astype(np.float64), np.concatenate(faces), colour)
 
 
-def _pieces(content: bytes, kind: str, beside: dict[str, bytes]) -> Iterator[Piece]:
+def _pieces(content: bytes, kind: str) -> Iterator[Piece]:
     import trimesh
 
-    scene = trimesh.load_scene(
-        io.BytesIO(content), file_type=kind[1:], resolver=beside, process=False, skip_materials=True
-    )
+    scene = trimesh.load_scene(io.BytesIO(content), file_type=kind[1:], resolver={}, process=False, skip_materials=True)
     for node in scene.graph.nodes_geometry:
         T, name = scene.graph[node]
         if isinstance(piece := scene.geometry[name], trimesh.Trimesh):
@@ -281,69 +278,35 @@ def _check_dae(content: bytes, path: Path) -> None:
         raise _refusal(path, "mesh-content", "it has a <!DOCTYPE>")
 
 
-def _check_ply(content: bytes, path: Path) -> None:
-    header, end, _ = content[: 16 * HEAD].partition(b"end_header")
-    if not content.startswith(b"ply") or not end:
-        raise _refusal(path, "mesh-content", "it has no PLY header")
-    claimed = sum(int(n[:18]) for n in re.findall(rb"^element[ \t]+\S+[ \t]+(\d+)", header, re.MULTILINE))
-    if claimed > len(content):
-        raise _refusal(path, "mesh-content", f"it states {claimed} elements in {len(content)} bytes")
-
-
 def _check_glb(content: bytes, path: Path) -> None:
-    if len(content) < 20 or content[:4] != b"glTF":
-        raise _refusal(path, "mesh-content", "it has no glTF header")
-    size, kind = struct.unpack_from("<I4s", content, 12)
-    if kind != b"JSON" or size > len(content) - 20:
-        raise _refusal(path, "mesh-content", "its first chunk is no JSON")
-    _check_document(content[20 : 20 + size], path)
-
-
-def _check_gltf(content: bytes, path: Path) -> dict[str, bytes]:
-    """The .bin files that the document reads: name -> content."""
-    names = _check_document(content, path)
-    if len(names) > MAX_BUFFERS:
-        raise _refusal(path, "mesh-side-file", f"it reads {len(names)} files, at most {MAX_BUFFERS} are read")
-    return {name: _content(path.parent / name) for name in names}
-
-
-def _check_document(content: bytes, path: Path) -> list[str]:
-    """The files that a glTF document reads, once its claims and what it names have been checked."""
+    """Refuse what is no glTF, reads other files, or claims more than any mesh has."""
+    size, kind = struct.unpack_from("<I4s", content, 12) if len(content) >= 20 else (0, b"")
+    if content[:4] != b"glTF" or kind != b"JSON" or size > len(content) - 20:
+        raise _refusal(path, "mesh-content", "it has no glTF header, or its first chunk is no JSON")
     try:
-        document = json.loads(content)
-    except (ValueError, RecursionError) as error:
-        raise _refusal(path, "mesh-content", f"it is no JSON ({str(error)[:80]})") from error
-    if not isinstance(document, dict) or "asset" not in document:
-        raise _refusal(path, "mesh-content", "it is no glTF document")
-    items = document.get("buffers")
-    uris = {str(i["uri"]) for i in items if isinstance(i, dict) and "uri" in i} if isinstance(items, list) else set()
-    buffers = sorted(uri for uri in uris if not uri.startswith("data:"))  # else the data are in the document
-    read = next((uri for uri in buffers if "/" in uri or not uri.lower().endswith(".bin")), None)
-    if read is not None:
-        reason = f"it reads the file {read[:80]!r}; only a .bin file beside it is read"
-        raise _refusal(path, "mesh-side-file", reason)
-    try:
+        document = json.loads(content[20 : 20 + size])
+        if any(not str(buffer.get("uri", "data:")).startswith("data:") for buffer in document.get("buffers", [])):
+            raise _refusal(path, "mesh-side-file", "its buffers are in other files, which are not read")
         counts = [a["count"] for a in document.get("accessors", [])]
         meshes = [p for m in document.get("meshes", []) for p in m["primitives"]]
         used = [counts[i] for p in meshes for i in (p["attributes"]["POSITION"], p.get("indices")) if i is not None]
         size = sum(view["byteLength"] for view in document.get("bufferViews", []))
         is_too_much = max(sum(counts), sum(used)) > 3 * MAX_CLAIMED or size > 2 * MAX_MESH_BYTES
+    except (ValueError, RecursionError) as error:
+        raise _refusal(path, "mesh-content", f"it is no JSON ({str(error)[:80]})") from error
     except (LookupError, TypeError, AttributeError) as error:
         raise _refusal(path, "mesh-parser", f"its tables cannot be read ({type(error).__name__}: {error})") from error
     if is_too_much:
         raise _refusal(path, "mesh-content", f"it states {max(sum(counts), sum(used))} numbers, {size} bytes: too many")
-    return buffers
 
 
 def _refusal(path: Path, code: str, reason: str) -> RobotError:
     return RobotError(f"mesh {path}: {reason}", code=code, path=path)
 
 
-CHECKS: dict[str, Callable[[bytes, Path], dict[str, bytes] | None]] = {
+CHECKS: dict[str, Callable[[bytes, Path], None]] = {
     ".stl": _check_stl,
     ".obj": _check_obj,
     ".dae": _check_dae,
-    ".ply": _check_ply,
     ".glb": _check_glb,
-    ".gltf": _check_gltf,
 }
