@@ -13,7 +13,7 @@ from jaxtyping import Float
 from scipy.linalg.lapack import dposv
 
 from manip_learn.constraint.small_matrices import svd
-from manip_learn.control.limits import Barrier, Bounds
+from manip_learn.control.limits import Barrier, BoundedVelocity, Bounds
 
 # how much a bound may be exceeded by rounding, in the unit of the bounds
 TOLERANCE = 1e-11
@@ -151,21 +151,6 @@ def _on_faces(x: np.ndarray, y: np.ndarray, rows: np.ndarray, bounds: np.ndarray
     nearest = x - multipliers.dot(rows)
     _, more, _ = dposv(gram, rows.dot(nearest) - bounds)
     return nearest - more.dot(rows)
-
-
-@final
-class BoundedVelocity(NamedTuple):
-    """A joint velocity within bounds.
-
-    Attributes:
-        velocity: shape (nv,) [rad/s or m/s].
-        task_scale: Factor s on the task, A velocity = s b; above 1 where the arm cannot slow down fast enough.
-        null_part: Its component in the null space of A.
-    """
-
-    velocity: Float[np.ndarray, " nv"]
-    task_scale: float
-    null_part: Float[np.ndarray, " nv"]
 
 
 @final

@@ -12,9 +12,9 @@ from jaxtyping import Float
 from numpy.typing import ArrayLike
 
 from manip_learn.constraint.constraint import Constraint
-from manip_learn.control.bounded_velocity import BoundedVelocity, bounded_velocity
+from manip_learn.control.bounded_velocity import bounded_velocity
 from manip_learn.control.command import Command, Status
-from manip_learn.control.limits import Barrier, Limits
+from manip_learn.control.limits import Barrier, BoundedVelocity, Limits
 from manip_learn.control.policies import NullSpacePolicy, ZeroPolicy, climbing
 from manip_learn.control.resolved_rate_law import Law, ResolvedRateLaw, bounded_command, plain_command
 from manip_learn.control.singularity import approach_bound
@@ -142,20 +142,6 @@ class ResolvedRateController:
         if not (self._features_check and type(q) is np.ndarray and is_plain(q)):
             q = self._checked_posture(q)
         return self._limited(q, dt, self._law(q, t, dt), previous, slide if self.task.slides else 0.0)
-
-    def task_velocity(self, q: ArrayLike, t: float, dt: float) -> Float[np.ndarray, " s"]:
-        """The velocity b that the task asks of the rows, in their units per second.
-
-        Args:
-            q: Posture: a configuration or joint positions.
-            t: Time [s].
-            dt: Time for which the command is held [s].
-
-        Raises:
-            ConfigurationError: q has the wrong size or is not finite.
-            TargetError: The task's target does not fit the constraint, or b is not finite.
-        """
-        return self._law.task_velocity(self._checked_posture(q), t, dt)[0]
 
     def task_error(self, q: ArrayLike, t: float = 0.0) -> float:
         """Distance to the task's goal along the constrained rows [m or rad]."""

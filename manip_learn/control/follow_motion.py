@@ -12,7 +12,7 @@ from scipy.interpolate import PchipInterpolator
 
 from manip_learn.control.bounded_velocity import project_by_daqp
 from manip_learn.control.command import Command, Status
-from manip_learn.control.limits import RETURN_SPEED, Barrier, Limits, stopping_speed
+from manip_learn.control.limits import RETURN_SPEED, SLOWED_BY, Barrier, BoundedVelocity, Limits, stopping_speed
 from manip_learn.control.rollout import Rollout
 from manip_learn.errors import ConfigurationError
 from manip_learn.recordings.trajectory import Trajectory
@@ -20,8 +20,6 @@ from manip_learn.robot.robot import Robot
 
 # [rad or m] of all joints together: a posture is reached, the hand within a millimetre of where it should be
 ARRIVED = 1e-3
-# by the limit that sets a bound: POSITION, VELOCITY, ACCELERATION
-LIMITED = (Status.POSITION_LIMITED, Status.VELOCITY_LIMITED, Status.ACCELERATION_LIMITED)
 
 
 @final
@@ -141,23 +139,23 @@ class FollowMotion:
         bounds = limits.bounds(q, dt, previous)
         low, high = np.array(bounds.low), np.array(bounds.high)
         u = within = np.clip(wish, low, high)
+        none = np.zeros_like(u)
         if limits.tip is not None:
             tips = limits.tip.at(q, dt, limits.acceleration, previous)
 
-            def nearest(barrier: Barrier | None) -> _Nearest:  # within the bounds alone where nothing is in both
+            def nearest(barrier: Barrier | None) -> BoundedVelocity:  # within the bounds alone where nothing is in both
                 if barrier is None:
-                    return _Nearest(within)
+                    return BoundedVelocity(within, 1.0, none)
                 G, least = barrier
                 C, endless = np.vstack([np.eye(len(wish)), G]), np.full(len(least), np.inf)
                 found = project_by_daqp(wish, C, np.append(low, least), np.append(high, endless))
-                return _Nearest(within if found is None else np.clip(found, low, high))
+                return BoundedVelocity(within if found is None else np.clip(found, low, high), 1.0, none)
 
             u = limits.tip.bounded(tips, u, None, nearest).velocity
         j, cause = bounds.binding(u, wish)
-        status = Status.OK if j < 0 else LIMITED[cause]
+        status = Status.OK if j < 0 else SLOWED_BY[cause]
         if bounds.outside > 0.0:
             status = Status.OUTSIDE_LIMITS
-        none = np.zeros_like(u)
         return Command(
             velocity=u, status=status, manipulability=0.0, task_velocity=none[:0], task_part=u, null_part=none,
             task_scale=1.0, null_scale=0.0, smallest_singular_value=0.0, outside=bounds.outside, limiting_joint=j,
@@ -170,10 +168,6 @@ class FollowMotion:
 
     def __repr__(self) -> str:
         return f"FollowMotion({len(self._knots.time)} samples, {self.duration:.4g} s, delayed by {self.delay:.3g} s)"
-
-
-class _Nearest(NamedTuple):
-    velocity: Float[np.ndarray, " nv"]
 
 
 @final

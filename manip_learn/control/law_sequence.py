@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from typing import Any, final
+from typing import final
 
 import numpy as np
 from jaxtyping import Float
@@ -18,9 +18,9 @@ from manip_learn.constraint.manipulability import manipulability
 from manip_learn.constraint.skill import Gripping
 from manip_learn.control.command import Command, Controller
 from manip_learn.control.controller import ResolvedRateController
-from manip_learn.control.follow_motion import ARRIVED, FollowMotion
+from manip_learn.control.follow_motion import ARRIVED
 from manip_learn.control.limits import Limits
-from manip_learn.control.tasks import FreeDirection, PointAttractor, Task
+from manip_learn.control.tasks import FreeDirection, Task
 from manip_learn.control.tasks.driven_motion import MotionProfile
 from manip_learn.errors import ConfigurationError
 from manip_learn.robot.robot import Robot
@@ -220,68 +220,16 @@ class LawSequence:
         return f"LawSequence({', '.join(repr(law.task) for law in self.laws)})"
 
 
-def robot_of(controller: Controller, robot: Robot | None) -> Robot:
-    """The robot whose limits count: the one given, or the controller's.
-
-    Raises:
-        ConfigurationError: There is none.
-    """
-    own = robot or getattr(controller, "robot", None)
-    if not isinstance(own, Robot):
-        raise ConfigurationError("the controller has no robot whose limits count: ServoLoop(..., robot=robot)")
-    return own
-
-
 def law_of(controller: Controller) -> ResolvedRateController | None:
     """The law in force of a controller of the library; None for a controller of another kind."""
     law = controller.current if isinstance(controller, LawSequence) else controller
     return law if isinstance(law, ResolvedRateController) else None
 
 
-def limits_of(controller: Controller, robot: Robot, acceleration: ArrayLike | None, jerk: ArrayLike | None) -> Limits:
-    """The controller's limits, with other accelerations and jerks if they are given."""
-    law = controller if isinstance(controller, FollowMotion) else law_of(controller)
-    own = None if law is None else law.limits
-    if own is None:
-        return Limits(robot, acceleration=acceleration, jerk=jerk)
-    return own.with_rates(acceleration, jerk)
-
-
-def with_limits(controller: Controller, limits: Limits, lag: float = 0.0) -> Controller:
-    """A controller of the loop's own, with its limits.
-
-    A motion that is known ahead also makes up for the lag of what comes out of the loop [s].
-    """
-    if isinstance(controller, FollowMotion):
-        return controller.with_limits(limits, lag)
-    return (
-        controller.with_limits(limits) if isinstance(controller, ResolvedRateController | LawSequence) else controller
-    )
-
-
 def task_of(controller: Controller) -> Task | None:
     """The task of a controller of the library; None for a controller of another kind."""
     law = law_of(controller)
     return None if law is None else law.task
-
-
-def keeps_limits(controller: Controller) -> bool:
-    """Whether a controller's commands are within the limits that it was given."""
-    return isinstance(controller, ResolvedRateController | LawSequence | FollowMotion)
-
-
-def waits(controller: Controller) -> bool:
-    """Whether a controller's clock stands while the arm does."""
-    task = task_of(controller)
-    return isinstance(controller, FollowMotion) or (task is not None and task.waits)
-
-
-def forget(controller: Controller) -> None:
-    """Make a controller forget what its tasks remember of the past."""
-    if isinstance(controller, LawSequence | FollowMotion):
-        controller.reset()
-    elif (task := task_of(controller)) is not None:
-        task.reset()
 
 
 def constraint_of(controller: Controller) -> Constraint | None:
@@ -299,37 +247,3 @@ def frame_of(controller: Controller) -> str | None:
     return (
         features.frame.name if isinstance(features, FrameJacobian | RelativeFrameJacobian | WeighedVelocity) else None
     )
-
-
-def exchanged(
-    controller: Controller, *, task: Task | None = None, constraint: Constraint | None = None
-) -> ResolvedRateController:
-    """The law of a controller with another task or another constraint.
-
-    Raises:
-        ConfigurationError: It is no controller of the library.
-        ManipLearnError: Task and constraint do not fit each other.
-    """
-    law = law_of(controller)
-    if law is None:
-        raise ConfigurationError(f"only a ResolvedRateController takes another task, not {type(controller).__name__}")
-    if constraint is not None and constraint.robot is not law.learnt.robot:
-        raise ConfigurationError("the constraint belongs to another robot than that of the loop")
-    return law.with_task(law.task if task is None else task, law.learnt if constraint is None else constraint)
-
-
-def aimed_at(task: Task | None, target: ArrayLike) -> PointAttractor:
-    """This attractor with another target.
-
-    Raises:
-        ConfigurationError: The task is no attractor.
-    """
-    if type(task) is not PointAttractor:
-        raise ConfigurationError(f"only a PointAttractor has a target that can be set, the task is {task!r}")
-    return PointAttractor(target, task.gain, task.max_speed, driven=task.driven)
-
-
-def is_number(value: Any) -> bool:
-    """Whether a value is a real number; True, text, arrays and durations are none."""
-    kinds = (int, float, np.integer, np.floating)
-    return isinstance(value, kinds) and not isinstance(value, bool | np.timedelta64)

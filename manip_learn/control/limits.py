@@ -6,12 +6,13 @@ import copy
 import math
 from collections.abc import Callable, Sequence
 from operator import le, neg
-from typing import NamedTuple, Protocol, TypeVar, final
+from typing import NamedTuple, final
 
 import numpy as np
 from jaxtyping import Bool, Float
 from numpy.typing import ArrayLike
 
+from manip_learn.control.command import Status
 from manip_learn.control.singularity import APPROACH_RATE, BRAKING_SHARE, approach_rate
 from manip_learn.errors import ConfigurationError, TargetError
 from manip_learn.robot.robot import Robot
@@ -26,22 +27,26 @@ DEFAULT_ACCELERATION = 10.0  # [rad/s2 or m/s2] default limit of a joint that ha
 ROOM_TO_LEAVE = 0.1  # [rad or m] room that the joints need for leaving a singularity
 OUTSIDE = 1e-9  # [rad or m] a joint is outside when it is more than this beyond a position limit
 AT_BOUND = 1e-7  # share of a bound within which a velocity counts as being at it
-POSITION, VELOCITY, ACCELERATION = range(3)  # causes of bounds
+POSITION, VELOCITY, ACCELERATION = range(3)  # causes of bounds, and the status of a command that each slows down
+SLOWED_BY = (Status.POSITION_LIMITED, Status.VELOCITY_LIMITED, Status.ACCELERATION_LIMITED)
 ROUNDED = 1e-12  # [m/s] by how much the solution of a program may approach a wall too fast: rounding of a speed of 1
 MOST_ROWS = 12  # rounds in which a speed was too large; in practice one to four
 Barrier = tuple[Float[np.ndarray, "r nv"], Float[np.ndarray, " r"]]  # (G, least): rows G u >= least
 
 
-class Solution(Protocol):
-    """What a program answers."""
+@final
+class BoundedVelocity(NamedTuple):
+    """A joint velocity within bounds.
 
-    @property
-    def velocity(self) -> Float[np.ndarray, " nv"]:
-        """The velocity found, shape (nv,) [rad/s or m/s]."""
-        ...
+    Attributes:
+        velocity: shape (nv,) [rad/s or m/s].
+        task_scale: Factor s on the task, A velocity = s b; above 1 where the arm cannot slow down fast enough.
+        null_part: Its component in the null space of A.
+    """
 
-
-S = TypeVar("S", bound=Solution)
+    velocity: Float[np.ndarray, " nv"]
+    task_scale: float
+    null_part: Float[np.ndarray, " nv"]
 
 
 @final
@@ -155,15 +160,15 @@ class TipLimits:
         tips: Tips,
         wish: Float[np.ndarray, " nv"],
         barrier: Barrier | None,
-        solve: Callable[[Barrier | None], S],
-    ) -> S:
+        solve: Callable[[Barrier | None], BoundedVelocity],
+    ) -> BoundedVelocity:
         """The solution of the program with the rows that it needs.
 
         Args:
             tips: At this posture.
             wish: Velocity before limits.
             barrier: Rows of the program that are there already.
-            solve: Rows -> solution, whose `velocity` counts.
+            solve: Rows -> solution.
         """
         u, found = wish, None
         for _ in range(MOST_ROWS):

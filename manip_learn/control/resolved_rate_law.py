@@ -16,9 +16,9 @@ from manip_learn.constraint.constraint import Constraint
 from manip_learn.constraint.features.feature_map import Vjp
 from manip_learn.constraint.manipulability import SINGULAR_RATIO, manipulability_of
 from manip_learn.constraint.small_matrices import row_inverse, svd
-from manip_learn.control.bounded_velocity import NEGLIGIBLE, BoundedVelocity, Desired
+from manip_learn.control.bounded_velocity import NEGLIGIBLE, Desired
 from manip_learn.control.command import Command, Status
-from manip_learn.control.limits import ACCELERATION, Bounds, Limits
+from manip_learn.control.limits import ACCELERATION, SLOWED_BY, BoundedVelocity, Bounds, Limits
 from manip_learn.control.policies import ManipulabilityAscent, NullSpacePolicy, SampledPolicy, WeightedPolicies
 from manip_learn.control.singularity import (
     Decomposition,
@@ -46,8 +46,6 @@ GOING_ON = 0.5
 AT_GOAL = 1e-6
 # a task is slowed down where less than this share of its velocity is commanded
 SCALED_BELOW = 0.999
-# the status of a task slowed down by POSITION, VELOCITY or ACCELERATION (see `Bounds`)
-SLOWED_BY = (Status.POSITION_LIMITED, Status.VELOCITY_LIMITED, Status.ACCELERATION_LIMITED)
 # width of the escape from a singularity, as a share of the singular value at which damping sets in
 ESCAPE_WIDTH = 0.6
 

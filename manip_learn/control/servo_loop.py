@@ -14,24 +14,12 @@ from numpy.typing import ArrayLike
 from manip_learn.constraint.constraint import Constraint
 from manip_learn.control.command import Command, Controller, Status
 from manip_learn.control.controller import ResolvedRateController
+from manip_learn.control.follow_motion import FollowMotion
 from manip_learn.control.following import STIFFNESS, FollowingError
-from manip_learn.control.law_sequence import (
-    aimed_at,
-    constraint_of,
-    exchanged,
-    forget,
-    frame_of,
-    is_number,
-    keeps_limits,
-    limits_of,
-    robot_of,
-    task_of,
-    waits,
-    with_limits,
-)
+from manip_learn.control.law_sequence import LawSequence, constraint_of, frame_of, law_of, task_of
 from manip_learn.control.limits import Bounds, Limits, bound_changes, stopping_speed
 from manip_learn.control.resolved_rate_law import next_slide
-from manip_learn.control.tasks import Task
+from manip_learn.control.tasks import PointAttractor, Task
 from manip_learn.errors import ConfigurationError
 from manip_learn.robot.robot import Robot
 
@@ -51,6 +39,12 @@ SLOWEST, ARRIVED = 1e-3, 1e-9
 TURN, LARGEST_POSITION = 2.0 * math.pi, 1e6
 LONGEST_TIME = 1e15  # [s] a larger number is no time: its steps are longer than a period
 STANDING = (Status.INVALID_INPUT, Status.STALE, Status.FOLLOWING_ERROR, Status.STOPPED)
+
+
+def _is_number(value: Any) -> bool:
+    """Whether a value is a real number; True, text, arrays and durations are none."""
+    kinds = (int, float, np.integer, np.floating)
+    return isinstance(value, kinds) and not isinstance(value, bool | np.timedelta64)
 
 
 @final
@@ -264,18 +258,30 @@ class ServoLoop:
         robot: Robot | None = None,
     ):
         for name, value in (("dt", dt), ("stale_after", stale_after), ("latency", latency)):
-            if not (is_number(value) and 0.0 <= value < math.inf and (value > 0.0 or name == "latency")):
+            if not (_is_number(value) and 0.0 <= value < math.inf and (value > 0.0 or name == "latency")):
                 raise ConfigurationError(f"{name} must be a positive number of seconds, got {value!r}")
-        self.robot, self.dt, self.stale_after = robot_of(controller, robot), float(dt), float(stale_after)
-        self.limits = limits_of(controller, self.robot, acceleration_limit, jerk_limit)
-        self._average = MovingAverage(self.limits, self.dt)
-        lag = 0.5 * self._average.time if self._average.averages else 0.0
-        self.controller = with_limits(controller, self.limits, lag)
+        own = robot or getattr(controller, "robot", None)
+        if not isinstance(own, Robot):
+            raise ConfigurationError("the controller has no robot whose limits count: ServoLoop(..., robot=robot)")
+        self.robot, self.dt, self.stale_after = own, float(dt), float(stale_after)
+        law = controller if isinstance(controller, FollowMotion) else law_of(controller)
+        if law is None or law.limits is None:
+            self.limits = Limits(own, acceleration=acceleration_limit, jerk=jerk_limit)
+        else:
+            self.limits = law.limits.with_rates(acceleration_limit, jerk_limit)
         self.acceleration_limit, self.jerk_limit = self.limits.acceleration, self.limits.jerk
-        self._keeps_limits = keeps_limits(self.controller)
+        self._average = MovingAverage(self.limits, self.dt)
+        # commands of the library's own controllers are within the limits that they were given
+        self._keeps_limits = isinstance(controller, ResolvedRateController | LawSequence | FollowMotion)
+        self.controller = controller
+        if isinstance(controller, FollowMotion):  # a motion that is known ahead makes up for the lag of the average
+            lag = 0.5 * self._average.time if self._average.averages else 0.0
+            self.controller = controller.with_limits(self.limits, lag)
+        elif isinstance(controller, ResolvedRateController | LawSequence):
+            self.controller = controller.with_limits(self.limits)
         frame = frame_of(controller)
         self._following = FollowingError(self.robot, following_error_limit, float(latency), self.dt, stiffness, frame)
-        if not (correction_time is None or (is_number(correction_time) and 0.0 < correction_time < math.inf)):
+        if not (correction_time is None or (_is_number(correction_time) and 0.0 < correction_time < math.inf)):
             raise ConfigurationError(f"correction_time must be a positive number of seconds, got {correction_time!r}")
         self._correction_rate = 0.0 if correction_time is None else 1.0 / float(correction_time)
         farthest = np.maximum(np.abs(self.robot.position_lower), np.abs(self.robot.position_upper)) + TURN
@@ -321,7 +327,10 @@ class ServoLoop:
         self._stopping = False
         self._slide = 0.0
         self._last: Command | None = None
-        forget(self.controller)
+        if isinstance(self.controller, LawSequence | FollowMotion):
+            self.controller.reset()
+        elif (task := task_of(self.controller)) is not None:
+            task.reset()
 
     def stop(self) -> None:
         """Brake and stand until `start` is called."""
@@ -340,7 +349,7 @@ class ServoLoop:
             ConfigurationError: The controller is no `ResolvedRateController`.
             ManipLearnError: The task does not fit the constraint.
         """
-        self._exchange(exchanged(self.controller, task=task))
+        self._exchange(task, None)
 
     def set_target(self, target: ArrayLike) -> None:
         """Another target of a `PointAttractor`, in motion, as for `set_task`.
@@ -349,7 +358,10 @@ class ServoLoop:
             ConfigurationError: The task is another one.
             TargetError: The target does not fit the constraint.
         """
-        self._exchange(exchanged(self.controller, task=aimed_at(task_of(self.controller), target)))
+        task = task_of(self.controller)
+        if type(task) is not PointAttractor:
+            raise ConfigurationError(f"only a PointAttractor has a target that can be set, the task is {task!r}")
+        self._exchange(PointAttractor(target, task.gain, task.max_speed, driven=task.driven), None)
 
     def set_constraint(self, constraint: Constraint) -> None:
         """Another constraint for the same task, in motion, as for `set_task`.
@@ -358,14 +370,21 @@ class ServoLoop:
             ConfigurationError: The controller is no `ResolvedRateController`.
             ManipLearnError: The task does not fit the constraint, or it belongs to another robot.
         """
-        self._exchange(exchanged(self.controller, constraint=constraint))
+        self._exchange(None, constraint)
 
-    def _exchange(self, law: ResolvedRateController) -> None:
-        """Go on with another law from the posture and the velocity of now."""
+    def _exchange(self, task: Task | None, constraint: Constraint | None) -> None:
+        """Go on with another task or another constraint from the posture and the velocity of now."""
+        law = law_of(self.controller)
+        if law is None:
+            kind = type(self.controller).__name__
+            raise ConfigurationError(f"only a ResolvedRateController takes another task, not {kind}")
+        if constraint is not None and constraint.robot is not law.learnt.robot:
+            raise ConfigurationError("the constraint belongs to another robot than that of the loop")
+        law = law.with_task(law.task if task is None else task, law.learnt if constraint is None else constraint)
         if self._reference is not None:
             law(self._reference, 0.0, self.dt)  # what does not fit is refused while the old law is still there
             law.task.reset()
-        self.controller = with_limits(law, self.limits)
+        self.controller = law.with_limits(self.limits)
         self._keeps_limits, self._slide, self._behind = True, 0.0, 0.0
 
     @property
@@ -403,7 +422,7 @@ class ServoLoop:
             ManipLearnError: What the controller raises.
         """
         measured = self._posture(q)
-        time = float(t) if is_number(t) and abs(t) < LONGEST_TIME else math.nan
+        time = float(t) if _is_number(t) and abs(t) < LONGEST_TIME else math.nan
         if measured is not None and time < self._time and self._earlier < time <= self._earlier + self.stale_after:
             self._time = -math.inf  # two states in order: the clock was set back, or one stamp was wrong
         if measured is None or not time >= self._time:
@@ -515,7 +534,9 @@ class ServoLoop:
 
     def _clock(self, time: float) -> float:
         """Time for the controller: that of the state, less that for which a task that waits for the arm has waited."""
-        return time - self._behind if waits(self.controller) else time
+        task = task_of(self.controller)
+        stands = isinstance(self.controller, FollowMotion) or (task is not None and task.waits)
+        return time - self._behind if stands else time
 
     def _bounds(self, q: np.ndarray, held: float) -> Bounds:
         """Bounds on the velocity that follows; where periods vary, a joint can stop however late the calls are.
