@@ -91,7 +91,7 @@ def test_ignored_columns_may_hold_anything(planar3: Robot, tmp_path: Path) -> No
 
 def test_a_table_that_was_cut_off_loses_its_last_line_only(planar3: Robot, tmp_path: Path) -> None:
     """Wherever a table is cut within its last two rows, every number that is read is one that was written, and a
-    row that is lost is said, with the option that reads it; a whole table without a final line end can be kept.
+    row that is lost is said.
     """
     content = csv(TABLE)
     start = content.rindex("\n", 0, content.rindex("\n", 0, -1))
@@ -102,12 +102,7 @@ def test_a_table_that_was_cut_off_loses_its_last_line_only(planar3: Robot, tmp_p
         n = content[:end].count("\n") - 1
         np.testing.assert_allclose(demos[0].q, TABLE[:n, 1:], rtol=1e-8)
         is_cut = not content[:end].endswith("\n")
-        assert ("last_line='keep'" in " ".join(demos.notes)) == is_cut
-    path.write_text(content[:-1], encoding="utf-8", newline="")
-    demos = load_demonstrations(path, planar3, last_line="keep")
-    assert demos.notes == () and demos.n_samples == len(TABLE)
-    path.write_text(content[:-14], encoding="utf-8", newline="")
-    assert refusal(path, planar3, last_line="keep").code == "ragged"
+        assert ("the last line has no line end" in " ".join(demos.notes)) == is_cut
 
 
 def test_a_comment_without_a_line_end_is_no_cut_line(planar3: Robot, tmp_path: Path) -> None:

@@ -117,7 +117,7 @@ def test_commands_share_their_options():
     sets = {c: flags_of(program, [c]) for c in COMMANDS}
     robot = {"--lock", "--package-dir", "--object", "--xacro", "--xacro-arg"}
     reading = {flag for flag in sets["export"] if flag.startswith("--")} - robot - {"--out", "--to", "--at"}
-    assert {"--rename", "--columns", "--degrees", "--episodes", "--last-line"} <= reading
+    assert {"--rename", "--columns", "--degrees", "--episodes"} <= reading
     for command in LOADERS:
         assert robot <= sets[command], command
     for command in READERS:

@@ -157,9 +157,6 @@ class ReadingOptions:
     topic: Annotated[list[str] | None, Option(help="Topic of a bag; default: all with joints.")] = None
     rate: Annotated[float | None, Option(help="Samples per second, for files without time stamps.")] = None
     outside_limits: Annotated[str | None, Option(help="Samples far outside the limits: refuse or note.")] = None
-    last_line: Annotated[
-        str | None, Option(help="A table's last line without a line end (cut off?): drop or keep.")
-    ] = None
     episodes: Annotated[
         str | None, Option(help="Episodes (LeRobot) or files in order to read, counted from 0, e.g. 0:50,60,75.")
     ] = None

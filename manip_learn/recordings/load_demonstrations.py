@@ -57,8 +57,6 @@ class ReadOptions(TypedDict, total=False):
         topics: Topics of a bag; not given: all JointState topics that carry joints of the robot.
         rate: Samples per second, for files that have no time stamps [Hz].
         outside_limits: `"refuse"` (the default) or `"note"` positions far outside the joint limits.
-        last_line: `"drop"` (the default, with a note) or `"keep"` the last line of a text table if it has no line end:
-            a file that was cut off inside its last number ends so, and some programs write whole files so.
         episodes: Which episodes to read: text such as `"0:50,60,75"` (counted from 0; 0:50 is 0 to 49) or numbers. Of a
             LeRobot data set they are numbers of episodes; else places of files in natural order.
         task: Only the episodes of a LeRobot data set that show this task.
@@ -76,7 +74,6 @@ class ReadOptions(TypedDict, total=False):
     topics: Sequence[str] | None
     rate: float | None
     outside_limits: Literal["refuse", "note"]
-    last_line: Literal["drop", "keep"]
     episodes: str | int | Iterable[int] | None
     task: str | None
     feature: str | None
@@ -171,7 +168,9 @@ def read_recordings(
     if not found:
         raise RecordingError(f"there is no demonstration in {', '.join(str(f.path) for f in files)}", code="empty")
     if notes is not None:
-        notes += _sentences(by_text)
+        for text, names in by_text.items():  # the same finding in fifty files is reported once
+            more = f" and {len(names) - 1} more" if len(names) > 1 else ""
+            notes.append(printable(f"{names[0]}{more}: {text}"))
         notes += request.unmatched()
 
 
@@ -180,14 +179,6 @@ def _recordings(file: RecordingFile, request: ReadRequest) -> Iterator[Recording
     if header is not None:
         check_robot(file.path, header, request.robot)
     return file.format.reader()(file.path, request)
-
-
-def _sentences(by_text: dict[str, list[str]]) -> list[str]:
-    """One sentence per finding: the same finding in fifty files is reported once."""
-    return [
-        printable(f"{names[0]}{f' and {len(names) - 1} more' if len(names) > 1 else ''}: {text}")
-        for text, names in by_text.items()
-    ]
 
 
 def _request(robot: Robot, options: ReadOptions) -> ReadRequest:
@@ -216,7 +207,8 @@ def _check_new_names(request: ReadRequest) -> None:
     joints = [*robot.joint_names, *unmoved_joint_names(robot)]
     poses = [name + suffix for name in robot.objects for suffix in POSE_SUFFIXES]
     for old, new in request.rename.items():
-        base = new if new in joints else _without_suffix(new)
+        ends = () if new in joints else SUFFIXES  # a column such as `joint1_velocity` is about its joint
+        base = next((new.removesuffix(s) for s in ends if new.endswith(s)), new)
         if base not in (*joints, *poses, *ARRAYS):
             near = closest_names(base, joints) or joints
             python, flag = f"rename={{{old!r}: {new!r}}}", f"--rename {old}={new}"
@@ -225,11 +217,6 @@ def _check_new_names(request: ReadRequest) -> None:
                 f"{'did you mean' if near != joints else 'it has'} {', '.join(map(repr, near[:12]))}, or 'time'",
                 code="option",
             )
-
-
-def _without_suffix(name: str) -> str:
-    """The joint that a column such as `joint1_velocity` is about."""
-    return next((name.removesuffix(s) for s in SUFFIXES if name.endswith(s)), name)
 
 
 def numbers_read(paths: Paths, robot: Robot, **options: Unpack[ReadOptions]) -> tuple[int, ...]:

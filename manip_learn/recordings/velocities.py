@@ -83,24 +83,20 @@ def derive_together(
     Raises:
         RecordingError: Too few samples.
     """
+    is_plain = all(b.kind not in ("floating", "planar", "other") for b in robot.blocks)  # no body floats or glides
     alike: dict[bytes, list[int]] = {}
     for i, t in enumerate(trajectories):
         alike.setdefault(t.time.tobytes(), []).append(i)
     derived: dict[int, Trajectory] = {}
     for numbers in alike.values():
         some = [trajectories[i] for i in numbers]
-        x = [positions_along(t, robot) for t in some] if _is_plain(robot) and len(some[0]) >= SHORT_AND_CLEAN else []
+        x = [positions_along(t, robot) for t in some] if is_plain and len(some[0]) >= SHORT_AND_CLEAN else []
         together = [one for one in x if one is not None]
         if method == "midpoint" or len(together) < len(some):
             derived |= {i: derive_velocities(t, robot, method) for i, t in zip(numbers, some, strict=True)}
         else:
             derived |= dict(zip(numbers, _smoothed(some, np.stack(together)), strict=True))
     return [derived[i] for i in range(len(trajectories))]
-
-
-def _is_plain(robot: Robot) -> bool:
-    """Whether a joint is all that a velocity belongs to, and no body that floats or glides."""
-    return all(b.kind not in ("floating", "planar", "other") for b in robot.blocks)
 
 
 def _smoothed(trajectories: Sequence[Trajectory], x: Float[np.ndarray, "e T nv"]) -> list[Trajectory]:

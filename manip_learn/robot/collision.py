@@ -96,7 +96,12 @@ def _shape(robot: Robot, element: VisualElement, meshes: Mapping[str, Any]) -> C
             raise RobotError(element.fault, code="collision-shape", path=robot.source, line=element.line)
         case MeshElement(uri, scale):
             points, faces = _hull(meshes[uri].vertices * np.array(scale), element, robot)
-            geometry, middle = _convex(points, faces), 0.5 * (points.min(axis=0) + points.max(axis=0))
+            vertices, triangles = coal.StdVec_Vec3s(), coal.StdVec_Triangle()
+            for point in points:
+                vertices.append(point)
+            for corners in faces.tolist():
+                triangles.append(coal.Triangle(*corners))
+            geometry, middle = coal.Convex(vertices, triangles), 0.5 * (points.min(axis=0) + points.max(axis=0))
             radius = float(np.linalg.norm(points - middle, axis=1).max())
         case Solid("box", size):
             geometry, radius = coal.Box(*size), 0.5 * float(np.linalg.norm(size))
@@ -132,15 +137,6 @@ def _hull(
     inward = np.einsum("ij,ij->i", np.cross(b - a, c - a), hull.equations[:, :3]) < 0.0
     faces[inward] = faces[inward][:, ::-1]
     return hull.points[hull.vertices], faces
-
-
-def _convex(points: Float[np.ndarray, "k 3"], faces: Int[np.ndarray, "m 3"]) -> Any:
-    vertices, triangles = coal.StdVec_Vec3s(), coal.StdVec_Triangle()
-    for point in points:
-        vertices.append(point)
-    for i, j, k in faces.tolist():
-        triangles.append(coal.Triangle(i, j, k))
-    return coal.Convex(vertices, triangles)
 
 
 @final

@@ -83,7 +83,7 @@ def pinocchio_order_is_known(model: pin.Model) -> bool:
     data = model.createData()
     rng = np.random.default_rng(0)
     q = pin.integrate(model, pin.neutral(model), rng.uniform(-1.0, 1.0, model.nv))
-    index = _deepest_frame(model)
+    index = int(np.argmax([len(model.supports[frame.parentJoint]) for frame in model.frames]))  # the deepest
     joint_of_column = columns_to_joints(model)
     pin.computeJointKinematicHessians(model, data, q)
     for name, reference in REFERENCES.items():
@@ -103,11 +103,6 @@ def columns_to_joints(model: pin.Model) -> Int[np.ndarray, " nv"]:
         joint = model.joints[j]
         owner[joint.idx_v : joint.idx_v + joint.nv] = j
     return owner
-
-
-def _deepest_frame(model: pin.Model) -> int:
-    depth = [len(model.supports[frame.parentJoint]) for frame in model.frames]
-    return int(np.argmax(depth))
 
 
 @final

@@ -190,12 +190,12 @@ def numbered_families(names: Sequence[str | None]) -> dict[str, list[int]]:
         match = NUMBERED.fullmatch(name or "")
         if match:
             families.setdefault(f"{match['head']}{INDEX}{match['tail']}", {})[int(match["number"])] = i
-    runs = {p: [numbers[k] for k in sorted(numbers)] for p, numbers in families.items() if _is_run(sorted(numbers))}
-    return {p: columns for p, columns in runs.items() if len(columns) > 1}
-
-
-def _is_run(numbers: list[int]) -> bool:
-    return numbers[0] in (0, 1) and numbers == list(range(numbers[0], numbers[0] + len(numbers)))
+    runs = {p: (min(numbers), [numbers[k] for k in sorted(numbers)]) for p, numbers in families.items()}
+    return {
+        p: columns
+        for p, (first, columns) in runs.items()
+        if first in (0, 1) and len(columns) > 1 and max(families[p]) == first + len(columns) - 1
+    }
 
 
 def numbered_advice(names: Sequence[str | None], moving: Sequence[str]) -> str:
@@ -274,7 +274,9 @@ class TimeColumns:
 def find_time(names: Sequence[str | None]) -> TimeColumns:
     """The column `time`, or one that is known by another name: PlotJuggler's, a message's stamp, or the only one."""
     lowered = ["" if n is None else n.strip().lower() for n in names]
-    known = [i for i, n in enumerate(lowered) if _is_time(n)]
+    patterns = (PLAIN, WITH_UNIT, WHOLE_SECONDS, NANOSECOND_PART)
+    words = (*PLOTJUGGLER, *NANOSECONDS)
+    known = [i for i, n in enumerate(lowered) if n in words or any(p.fullmatch(n) for p in patterns)]
     if "time" in names:
         return TimeColumns((names.index("time"),), others=tuple(i for i in known if names[i] != "time"))
     seconds = [i for i in known if WHOLE_SECONDS.fullmatch(lowered[i])]
@@ -292,11 +294,6 @@ def find_time(names: Sequence[str | None]) -> TimeColumns:
     if len(single) == 1:
         return _single(names, lowered, single[0], known)
     return TimeColumns(choices=tuple(str(names[i]) for i in single))
-
-
-def _is_time(name: str) -> bool:
-    patterns = (PLAIN, WITH_UNIT, WHOLE_SECONDS, NANOSECOND_PART)
-    return name in (*PLOTJUGGLER, *NANOSECONDS) or any(p.fullmatch(name) for p in patterns)
 
 
 def _single(names: Sequence[str | None], lowered: list[str], i: int, known: list[int]) -> TimeColumns:

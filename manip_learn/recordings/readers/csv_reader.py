@@ -47,36 +47,19 @@ def read(path: Path, request: ReadRequest) -> Iterator[Recording]:
     Raises:
         RecordingError: Names file, line and column, the value seen and the value expected.
     """
-    before = path.stat()
     dialect = sniff_dialect(path, request.joint_names)
     if dialect.named_by_caller:
         request.uses.use("joint_names")
     columns = columns_of(path, dialect, request)
-    cut = request.last_line == "drop" and _is_cut_off(path, dialect)
-    dialect = replace(dialect, without_cut_line=cut)
+    dialect = replace(dialect, without_cut_line=_is_cut_off(path, dialect))
     table = _table(path, dialect, columns.used, request)
-    after = path.stat()
-    if (after.st_size, after.st_mtime_ns) != (before.st_size, before.st_mtime_ns):
-        raise refusal(
-            path,
-            "changed",
-            f"the file changed while it was read ({before.st_size:,} bytes, then {after.st_size:,}), so its end may be "
-            "missing: read it when the recorder or the copy has ended",
-        )
     notes = [f"the header was read from the comment in line {dialect.header_line}"] if dialect.commented_header else []
     notes += columns.notes
-    if cut and len(table) < 2:
-        raise refusal(
-            path,
-            "too-short",
-            f"there is {len(table)} row of numbers beside the last line, which has no line end and may be "
-            "cut off; at least 2 are needed" + advice("; {} reads it", "last_line='keep'", "--last-line keep"),
-        )
-    if cut:
-        notes.append(
-            "the last line has no line end and was left out, for its last number may be cut off"
-            + advice("; if the file is whole, pass {}", "last_line='keep'", "--last-line keep")
-        )
+    if dialect.without_cut_line:
+        left_out = "the last line has no line end and was left out, for its last number may be cut off"
+        if len(table) < 2:
+            raise refusal(path, "too-short", f"{left_out}; {len(table)} row is left, at least 2 are needed")
+        notes.append(left_out)
     yield _recording(path, dialect, request, columns, table, notes)
 
 
@@ -374,7 +357,6 @@ def _table(path: Path, dialect: CsvDialect, used: list[int], request: ReadReques
         first = next(lines, None)
         if first is None:
             cut = " with a line end" if dialect.without_cut_line else ""
-            cut += advice(" ({} reads one without)", "last_line='keep'", "--last-line keep") if cut else ""
             raise refusal(path, "too-short", f"there is a header but no row of numbers{cut}")
         form = {"delimiter": dialect.delimiter, "comments": None, "quotechar": '"'}
         return np.loadtxt(itertools.chain([first], lines), usecols=usecols, ndmin=2, **form)

@@ -225,7 +225,6 @@ class ReadRequest:
     topics: tuple[str, ...] | None = None
     rate: float | None = None
     outside_limits: Literal["refuse", "note"] = "refuse"
-    last_line: Literal["drop", "keep"] = "drop"
     episodes: EpisodeSelection | None = None
     task: str | None = None
     feature: str | None = None
@@ -236,7 +235,6 @@ class ReadRequest:
         _check_choice("units", self.units, (None, *get_args(Units)))
         _check_choice("time_unit", self.time_unit, (None, *get_args(TimeUnit)))
         _check_choice("outside_limits", self.outside_limits, ("refuse", "note"))
-        _check_choice("last_line", self.last_line, ("drop", "keep"))
         for option in ("ignore_columns", "columns", "joint_names", "topics"):
             object.__setattr__(self, option, _names(option, getattr(self, option)))
         _check_patterns(self.columns)

@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import Any, final
 
 import numpy as np
-from jaxtyping import Bool, Float, Int
+from jaxtyping import Float, Int
 
 from manip_learn.errors import RecordingError, advice, closest_names, counted
 from manip_learn.recordings.format_words import JOINT_STATE
@@ -281,7 +281,12 @@ def merge(groups: list[JointStates], angles_that_wrap: frozenset[str]) -> tuple[
         u.append(None if group.u is None else _at(base.stamps, group.stamps, group.u))
         effort.append(None if group.effort is None else _at(base.stamps, group.stamps, group.effort))
         names += group.names
-        inside &= _covered(base.stamps, group.stamps)
+        # a message of the other group before and after, both close
+        own, known = base.stamps, group.stamps
+        after = np.clip(np.searchsorted(known, own), 1, len(known) - 1)
+        inside &= (own >= known[0]) & (own <= known[-1]) & (len(known) > 1)
+        if len(known) > 1:
+            inside &= known[after] - known[after - 1] <= GAP_FACTOR * np.median(np.diff(known))
         source = f"{group.topic}" if group.topic != base.topic else "other messages of the same topic"
         notes.append(f"{', '.join(group.names)} come from {source}: interpolated at the stamps of {base.topic}")
     if not np.any(inside):
@@ -306,12 +311,3 @@ def _at(
     # differences first: nanoseconds since 1970 do not fit into float64
     t, own = (stamps - known[0]).astype(np.float64), (known - known[0]).astype(np.float64)
     return np.column_stack([np.interp(t, own, values[:, i]) for i in range(values.shape[1])])
-
-
-def _covered(stamps: Int[np.ndarray, " T"], own: Int[np.ndarray, " S"]) -> Bool[np.ndarray, " T"]:
-    """Stamps with a message of the other group before and after, both close."""
-    if len(own) < 2:
-        return np.zeros(len(stamps), dtype=bool)
-    after = np.clip(np.searchsorted(own, stamps), 1, len(own) - 1)
-    close = own[after] - own[after - 1] <= GAP_FACTOR * np.median(np.diff(own))
-    return (stamps >= own[0]) & (stamps <= own[-1]) & close

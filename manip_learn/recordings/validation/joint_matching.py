@@ -103,7 +103,10 @@ def match_joints(recording: Recording, request: ReadRequest) -> Recording:
     robot = request.robot
     if request.ignore_columns:  # whatever the format
         recording = recording.without(request.ignores)
-    _refuse_repeated(recording)
+    for named in (recording.position_names, recording.velocity_names):
+        repeated = next((n for n, count in Counter(named).items() if count > 1), None)
+        if repeated is not None:
+            raise recording.refusal("duplicate-column", f"the joint {repeated!r} occurs twice: keep one")
     recording = with_rotation_vectors(recording, robot.objects, in_degrees=request.units == "degrees")
     names = recording.position_names
     missing = [j for j in robot.joint_names if j not in names]
@@ -123,13 +126,6 @@ def match_joints(recording: Recording, request: ReadRequest) -> Recording:
         efforts=efforts,
         notes=(*recording.notes, *notes, *said, *also),
     )
-
-
-def _refuse_repeated(recording: Recording) -> None:
-    for names in (recording.position_names, recording.velocity_names):
-        repeated = next((n for n, count in Counter(names).items() if count > 1), None)
-        if repeated is not None:
-            raise recording.refusal("duplicate-column", f"the joint {repeated!r} occurs twice: keep one")
 
 
 def _missing(recording: Recording, robot: Robot, missing: list[str]) -> RecordingError:

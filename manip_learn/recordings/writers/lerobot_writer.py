@@ -61,18 +61,15 @@ def write_lerobot(folder: Path, motions: Sequence[SavedMotion]) -> Path:
 def _samples(motions: Sequence[SavedMotion]) -> Any:
     lengths = [len(m.time) for m in motions]
     arrays = {name: [getattr(m, attribute) for m in motions] for name, attribute in FEATURES.items()}
-    columns = {name: _vectors(some) for name, some in arrays.items() if some[0] is not None}
+    tables = {name: np.concatenate(some) for name, some in arrays.items() if some[0] is not None}
+    vectors = pa.FixedSizeListArray.from_arrays
+    columns = {name: vectors(pa.array(table.ravel()), table.shape[1]) for name, table in tables.items()}
     columns["timestamp"] = pa.array(np.concatenate([m.time - m.time[0] for m in motions]))
     columns["frame_index"] = pa.array(np.concatenate([np.arange(n) for n in lengths]))
     columns["episode_index"] = pa.array(np.repeat(np.arange(len(motions)), lengths))
     columns["index"] = pa.array(np.arange(sum(lengths)))
     columns["task_index"] = pa.array(np.zeros(sum(lengths), dtype=np.int64))
     return pa.table(columns)
-
-
-def _vectors(arrays: list[np.ndarray]) -> Any:
-    table = np.concatenate(arrays)
-    return pa.FixedSizeListArray.from_arrays(pa.array(table.ravel()), table.shape[1])
 
 
 def _episodes(motions: Sequence[SavedMotion]) -> Any:

@@ -113,7 +113,8 @@ def chain_to(carried: CarryingJoints) -> Chain | None:
         R, t = placements[i]
         a, tilt_cos[i], tilt_sin[i], c = _split_zxz(R)
         offset[i - 1] += a
-        shift[i] = _snapped(_turn_z(a).T @ t)
+        cos, sin = math.cos(a), math.sin(a)
+        shift[i] = _snapped(np.array([[cos, sin, 0.0], [-sin, cos, 0.0], [0.0, 0.0, 1.0]]) @ t)
         offset[i] += c
     return Chain(
         prismatic=np.array(prismatic, dtype=bool),
@@ -137,11 +138,6 @@ def _split_zxz(R: np.ndarray) -> tuple[float, float, float, float]:
     x = math.cos(a) * R[0, 0] + math.sin(a) * R[1, 0]
     y = math.cos(a) * R[0, 1] + math.sin(a) * R[1, 1]
     return a, cos_b, sin_b, math.atan2(-y, x)
-
-
-def _turn_z(angle: float) -> np.ndarray:
-    c, s = math.cos(angle), math.sin(angle)
-    return np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]])
 
 
 def _turn_z_to(axis: np.ndarray) -> np.ndarray:
