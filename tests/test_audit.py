@@ -17,7 +17,7 @@ from manip_learn.constraint.features import FrameJacobian
 from manip_learn.errors import OutputError, RecordingError
 from manip_learn.learning.audit import AuditReport, audit_episodes, measure, outlier_threshold, robust_z
 from manip_learn.linalg import orthonormal_rows
-from manip_learn.recordings import RecordingSource, recording_source
+from manip_learn.recordings import RecordingSource, trajectory_source
 from manip_learn.recordings.local_fit import jerk
 from manip_learn.recordings.trajectory import Trajectory
 
@@ -182,7 +182,7 @@ def test_streamed_and_on_workers(
     pytest.importorskip("distributed", reason="the extra 'dask' is not installed")
     from manip_learn.learning.cluster import dask_client
 
-    monkeypatch.setattr(recording_source, "PART_BYTES", 30_000)
+    monkeypatch.setattr(trajectory_source, "PART_BYTES", 30_000)
     for i, t in enumerate(motions(features, TWO, np.random.default_rng(5), 9, noise=0.002, held=True)):
         arrays = {"time": t.time, "q": t.q, "u": np.asarray(t.u), "joint_names": np.array(t.joint_names)}
         np.savez(tmp_path / f"demo_{i}.npz", **arrays)  # type: ignore[arg-type]

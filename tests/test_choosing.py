@@ -17,7 +17,7 @@ from manip_learn.constraint.features import FrameJacobian
 from manip_learn.errors import NotIdentifiableError, RecordingError
 from manip_learn.learning import choosing
 from manip_learn.linalg import orthonormal_rows, row_space_angle
-from manip_learn.recordings import recording_source
+from manip_learn.recordings import trajectory_source
 from manip_learn.recordings.trajectory_source import TrajectorySource
 
 ONE = orthonormal_rows(np.array([[0.5, 1.0, -0.4]]))
@@ -276,7 +276,7 @@ def test_files_are_a_source(features, held, tmp_path, monkeypatch):
     """A folder of files, read part by part, gives the answer of the same files loaded at once."""
     for i, t in enumerate(held):
         np.savez(tmp_path / f"demo_{i:02d}.npz", time=t.time, q=t.q, u=t.u, joint_names=np.array(t.joint_names))
-    monkeypatch.setattr(recording_source, "PART_BYTES", 50_000)
+    monkeypatch.setattr(trajectory_source, "PART_BYTES", 50_000)
     source = ml.RecordingSource(tmp_path, features.robot)
     assert 5 < source.n_parts < 40
     whole = ml.ConstraintLearner(features, **HELD).fit(ml.load_demonstrations(tmp_path, features.robot))
@@ -290,7 +290,7 @@ def test_lerobot_episodes_are_parts(tmp_path, monkeypatch):
     pa = pytest.importorskip("pyarrow", reason="the extra 'lerobot' is not installed")
     import pyarrow.parquet as pq
 
-    monkeypatch.setattr(recording_source, "PART_BYTES", 1)
+    monkeypatch.setattr(trajectory_source, "PART_BYTES", 1)
     robot = ml.load_robot("planar3")
     for version, parts, first in (("v2.1", 4, 0), ("v3.0", 4, 0), ("v3.0", 1, 1)):
         root = tmp_path / f"{version} {first}"

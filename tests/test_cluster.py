@@ -19,7 +19,7 @@ from manip_learn.errors import ManipLearnError, MissingExtraError, RecordingErro
 from manip_learn.learning import cluster
 from manip_learn.learning.cluster import dask_client
 from manip_learn.linalg import orthonormal_rows
-from manip_learn.recordings import recording_source
+from manip_learn.recordings import trajectory_source
 from manip_learn.recordings.trajectory_source import TrajectorySource
 
 pytest.importorskip("distributed", reason="the extra 'dask' is not installed")
@@ -56,7 +56,7 @@ def folder(features, tmp_path_factory):
 @pytest.fixture
 def source(features, folder, monkeypatch):
     """The same in many parts."""
-    monkeypatch.setattr(recording_source, "PART_BYTES", 50_000)
+    monkeypatch.setattr(trajectory_source, "PART_BYTES", 50_000)
     source = ml.RecordingSource(folder, features.robot)
     assert source.n_parts > 20
     return source

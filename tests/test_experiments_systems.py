@@ -201,14 +201,12 @@ def test_our_controller_stays_within_limits(singular, near_singular):
 
 
 def test_start_results_are_drawn_and_written(singular, near_singular, tmp_path):
-    """Claims, tables, figures and replays exist for both, with plain numbers; wild postures are not replayed."""
+    """Claims, tables and figures exist for both, with plain numbers."""
     for result in (singular, near_singular):
         json.dumps(result.to_dict(), allow_nan=False)
         assert "| paper |" in result.markdown()
         assert list(result.figures()) == [result.setting.name]
         assert len({tuple(row) for row in result.rows()}) == 1
-    (_, rollouts), (_, tame) = (r.replays()[r.setting.name] for r in (singular, near_singular))
-    assert len(rollouts) == 6 and set(tame) == {"ours: zero", "ours: attractor", "ours: manipulability"}
 
 
 def test_turned_drawer_opens_along_an_axis():

@@ -21,8 +21,8 @@ from manip_learn.control.simulation import simulate
 from manip_learn.errors import RecordingError, advice, advice_for_command
 from manip_learn.learning import ConstraintLearner
 from manip_learn.learning.audit import audit_episodes
-from manip_learn.recordings import load_demonstrations, recording_source
-from manip_learn.recordings.recording_source import RecordingSource
+from manip_learn.recordings import load_demonstrations, trajectory_source
+from manip_learn.recordings.trajectory_source import RecordingSource
 from manip_learn.robot import Robot, load_robot
 
 UNMATCHED = {
@@ -63,7 +63,7 @@ def test_an_option_may_match_in_one_file_only(planar3: Robot, tmp_path: Path) ->
 
 def test_recordings_read_in_parts_are_judged_together(monkeypatch: pytest.MonkeyPatch) -> None:
     """Recordings larger than memory: refused if no part had a use for the option, learning and auditing alike."""
-    monkeypatch.setattr(recording_source, "PART_BYTES", 1)
+    monkeypatch.setattr(trajectory_source, "PART_BYTES", 1)
     for option in [{"rename": {"nope": "right_j0"}}, {"ignore_columns": ["nope"]}, {"rate": 50.0}]:
         with case(option):
             sawyer = load_robot("sawyer")

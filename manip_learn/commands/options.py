@@ -454,6 +454,6 @@ class ReproduceOptions:
     experiment: Annotated[str, Argument(help="table, rmse, singular-start, near-singular-start, sawyer or all.")]
     trials: Annotated[int, Option(help="Number of repetitions; the paper has 50.")] = 50
     seed: Annotated[int, Option(help="Random seed; the same seed gives the same numbers.")] = 0
-    out: Annotated[Path | None, Option(help="Folder for numbers, figures and replays.")] = None
+    out: Annotated[Path | None, Option(help="Folder for numbers and figures.")] = None
     workers: Annotated[int | None, Option(help="Number of processes; default: all cores.")] = None
     as_json: Json = False

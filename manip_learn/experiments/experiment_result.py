@@ -13,10 +13,8 @@ from typing import TYPE_CHECKING, Any, final
 import numpy as np
 
 from manip_learn.atomic_write import write_atomically
-from manip_learn.control.rollout import Rollout
 from manip_learn.errors import MissingExtraError
 from manip_learn.playback.palette import COLOURS
-from manip_learn.robot.robot import Robot
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -38,7 +36,7 @@ STYLE: dict[Any, Any] = {
 
 
 class ExperimentResult(ABC):
-    """Numbers beside the paper's, as a table, as figures and as replays; the children are frozen dataclasses."""
+    """Numbers beside the paper's, as a table and as figures; the children are frozen dataclasses."""
 
     @abstractmethod
     def to_dict(self) -> dict[str, Any]:
@@ -55,10 +53,6 @@ class ExperimentResult(ABC):
     @abstractmethod
     def figures(self) -> dict[str, Figure]:
         """Name -> figure."""
-
-    def replays(self) -> dict[str, tuple[Robot, Mapping[str, Rollout]]]:
-        """Name -> robot and named rollouts, for replay pages; none where no robot moves."""
-        return {}
 
 
 @dataclass(frozen=True, eq=False)

@@ -1,4 +1,4 @@
-"""The paper's experiments by name: run, write numbers, figures and replays."""
+"""The paper's experiments by name: run, write numbers and figures."""
 
 from __future__ import annotations
 
@@ -19,7 +19,6 @@ from manip_learn.experiments import rmse, sawyer, singular_starts, table
 from manip_learn.experiments.experiment_result import ExperimentResult, save_figure
 from manip_learn.experiments.trial_runner import Experiment, TrialRunner
 from manip_learn.linalg import one_thread
-from manip_learn.playback.replay_page import replay
 from manip_learn.recordings.trajectory_source import Progress
 
 MAX_TRIALS = 100_000  # more would run for months: a slip of the keyboard
@@ -53,7 +52,7 @@ def reproduce(
         name: `"table"`, `"rmse"`, `"singular-start"`, `"near-singular-start"`, `"sawyer"` or `"all"`.
         trials: Number of trials; 50 in the paper.
         seed: Root of all random numbers.
-        out: Folder for JSON, CSV, PNG, SVG, Markdown and replay pages; None writes nothing.
+        out: Folder for JSON, CSV, PNG, SVG and Markdown; None writes nothing.
         progress: Called with the name of a part and the completed fraction of all trials, 0 to 1.
         workers: Number of processes; all cores by default.
         on_result: Called with each part's name and result as it comes.
@@ -90,7 +89,7 @@ def reproduce(
 
 
 def write_result(part: str, result: ExperimentResult, folder: Path, settings: dict[str, Any]) -> list[Path]:
-    """JSON, CSV, Markdown, figures and replay pages of one part; OutputError if they cannot be written."""
+    """JSON, CSV, Markdown and figures of one part; OutputError if they cannot be written."""
     content = {"experiment": part, "settings": settings, "result": result.to_dict()}
     table, rows = io.StringIO(), result.rows()
     if rows:
@@ -104,9 +103,6 @@ def write_result(part: str, result: ExperimentResult, folder: Path, settings: di
     ]
     for name, figure in result.figures().items():
         paths += save_figure(figure, folder, name)
-    for name, (robot, rollouts) in result.replays().items():
-        page = replay(robot, dict(rollouts), html=folder / f"{name}.html", title=name, open_browser=False)
-        paths.append(page.html)
     return paths
 
 

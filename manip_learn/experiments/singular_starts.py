@@ -23,7 +23,6 @@ from manip_learn.experiments.table import ESTIMATORS, SAID
 from manip_learn.experiments.trial_runner import Experiment, TrialRunner
 from manip_learn.linalg import matlab_tolerance
 from manip_learn.playback.palette import COLOURS
-from manip_learn.robot.robot import Robot
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -213,14 +212,6 @@ class StartResult(ExperimentResult):
         columns = {f"paper's law, {p} policy{leap}": [self.paper_law[dt][p] for dt in STEPS] for p in POLICIES}
         columns |= {"our controller, manipulability": [self.product["manipulability"]]}
         return {self.setting.name: draw_columns(columns, self.setting.target)}
-
-    def replays(self) -> dict[str, tuple[Robot, Mapping[str, Rollout]]]:
-        """Our controller with each policy; the paper's law too where the postures are drawable."""
-        rollouts = {f"ours: {p}": r for p, r in self.product.items()}
-        for policy, rollout in self.paper_law[STEPS[0]].items():
-            if float(np.max(np.abs(rollout.q))) < 1e3:  # [rad]
-                rollouts[f"paper's law: {policy}"] = rollout
-        return {self.setting.name: (planar_arm(), rollouts)}
 
 
 def numbers_of(rollout: Rollout, after: int = 3) -> Numbers:
