@@ -289,28 +289,6 @@ def test_loading_reads_the_description_only():
     assert len(seen) == 1 and seen[0].startswith("open ") and seen[0].endswith("/panda.urdf"), seen
 
 
-def test_a_doctype_in_an_included_file_is_refused(tmp_path):
-    """An included xacro file is read like the top one: no entities, whatever includes it; the file is named."""
-    pytest.importorskip("xacrodoc")
-    head = '<robot name="part" xmlns:xacro="http://www.ros.org/wiki/xacro">'
-    (tmp_path / "parts").mkdir()
-    part = tmp_path / "parts" / "height.xacro"
-    path = tmp_path / "arm.xacro"
-    arm = ARM.replace("<robot ", '<robot xmlns:xacro="http://www.ros.org/wiki/xacro" ')
-    include = '<xacro:include filename="parts/height.xacro"/><link name="base"/>'
-    path.write_text(arm.replace('<link name="base"/>', include).replace("0 0 0.3", "0 0 ${h}"), encoding="utf-8")
-    part.write_text(f'{head}<xacro:property name="h" value="0.25"/></robot>', encoding="utf-8")
-    assert load_robot(path, xacro=True).nv == 2
-    part.write_text(
-        f'<!DOCTYPE robot [<!ENTITY h "0.25">]>{head}<xacro:property name="h" value="&h;"/></robot>', encoding="utf-8"
-    )
-    with pytest.raises(RobotError, match="DOCTYPE") as caught:
-        load_robot(path, xacro=True)
-    assert (caught.value.code, caught.value.path.name) == ("doctype", "height.xacro")
-    part.write_text(f'{head}<xacro:property name="h" value="0.5"/></robot>', encoding="utf-8")
-    assert load_robot(path, xacro=True).nv == 2  # a refusal leaves nothing behind
-
-
 def test_arguments_and_packages_of_xacro_files(tmp_path):
     """Values are given to `<xacro:arg>`, a misspelt name is refused, and `$(find ...)` looks in package_dirs."""
     pytest.importorskip("xacrodoc")

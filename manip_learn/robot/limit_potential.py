@@ -17,19 +17,6 @@ from numpy.typing import ArrayLike
 from manip_learn.robot.robot import Robot
 
 
-def limit_potential(robot: Robot, q: ArrayLike) -> float:
-    """h(q) >= number of limited joints, its value in the middle of the ranges; infinite at and outside a limit.
-
-    Joints that are not limited on both sides are left out.
-
-    Raises:
-        ConfigurationError: q has the wrong size or is not finite.
-    """
-    room = room_of(range_coordinates(robot, q))
-    with np.errstate(divide="ignore"):
-        return float(np.sum(1.0 / room[has_range(robot)]))
-
-
 def limit_weights(robot: Robot, q: ArrayLike) -> tuple[Float[np.ndarray, " nv"], Float[np.ndarray, " nv"]]:
     """w_j = (1 + (dh/dq_j)^2)^(-1/4) and dw_j/dq_j: 1 in the middle of a joint's range, 0 at its limits, finite.
 

@@ -32,14 +32,14 @@ def expanded_xacro(path: Path, asked: bool | Mapping[str, str], package_dirs: Se
 
     Raises:
         RobotError: Codes `xacro` (not opted in), `xacro-arg` (no such argument), `xacro-failed` (its expressions are
-            wrong, or take more than 20 s or 1 GB), `doctype`, and those of reading a file.
+            wrong, or take more than 20 s or 1 GB), and those of reading a file.
         MissingExtraError: xacrodoc is not installed.
     """
     from manip_learn.errors import MissingExtraError, RobotError, advice, closest_names
     from manip_learn.robot.description.text import MAX_BYTES, read_description
 
-    def refusal(code: str, sentence: str, place: Path | str = path) -> RobotError:
-        return RobotError(f"{place}: {sentence}", code=code, path=Path(place))
+    def refusal(code: str, sentence: str) -> RobotError:
+        return RobotError(f"{path}: {sentence}", code=code, path=path)
 
     read_description(path)
     if asked is False:
@@ -54,8 +54,6 @@ def expanded_xacro(path: Path, asked: bool | Mapping[str, str], package_dirs: Se
     packages = {p.name: str(p.absolute()) for d in package_dirs for p in d.iterdir() if p.is_dir()}
     texts = {name: str(value) for name, value in values.items()}
     answer = _asked_of_child({"path": str(path.absolute()), "values": texts, "packages": packages, "most": MAX_BYTES})
-    if "doctype" in answer:
-        raise refusal("doctype", "a <!DOCTYPE> is not read; delete it", answer["doctype"])
     if "limit" in answer:
         limits = f"its expressions may take {SECONDS} s and {MEMORY // 1_000_000_000} GB"
         raise refusal("xacro-failed", f"xacro could not be expanded: {answer['limit']}; {limits}")
@@ -72,7 +70,7 @@ def expanded_xacro(path: Path, asked: bool | Mapping[str, str], package_dirs: Se
 
 
 def _asked_of_child(job: dict[str, Any]) -> dict[str, Any]:
-    """What the process says: the `text` and the arguments that are `declared`; or a `doctype`, a `limit`, a `fault`."""
+    """What the process says: the `text` and the arguments that are `declared`; or a `limit`, a `fault`."""
     job |= {"search": [p or os.getcwd() for p in sys.path], "seconds": SECONDS}
     command = [sys.executable, "-I", __file__, json.dumps(job)]
     late = {"limit": f"it took more than {SECONDS} s"}
@@ -86,39 +84,27 @@ def _asked_of_child(job: dict[str, Any]) -> dict[str, Any]:
     return late if is_late else {"limit": "it crashed or ran out of memory"}
 
 
-class _Doctype(Exception):
-    pass
-
-
 def _expand(job: dict[str, Any]) -> dict[str, Any]:
     import xacro
     from xacrodoc import XacroDoc, packages
 
     parse, declared = xacro.parse, set[str]()
 
-    def check(place: str) -> None:
-        with open(place, "rb") as file:
-            content = file.read(job["most"] + 1)
-        if len(content) > job["most"]:
-            raise OSError(f"{place}: more than {job['most']} bytes")
-        if b"<!DOCTYPE" in content or b"<!ENTITY" in content:
-            raise _Doctype(place)
-        found = re.findall(rb"<xacro:arg\b[^>]*\bname\s*=\s*[\"']([^\"']+)[\"']", content)
-        declared.update(name.decode(errors="replace") for name in found)
-
-    def checked(inp: Any, filename: str | None = None) -> Any:
+    def noted(inp: Any, filename: str | None = None) -> Any:
         place = os.path.join(xacro.root_dir, filename or "")
         if inp is None and os.path.isfile(place):  # otherwise xacro says what is missing
-            check(place)
+            note(place)
         return parse(inp, filename)
 
-    xacro.parse, xacro.root_dir = checked, os.path.dirname(job["path"])
+    def note(place: str) -> None:
+        found = re.findall(rb"<xacro:arg\b[^>]*\bname\s*=\s*[\"']([^\"']+)[\"']", Path(place).read_bytes())
+        declared.update(name.decode(errors="replace") for name in found)
+
+    xacro.parse, xacro.root_dir = noted, os.path.dirname(job["path"])
     packages.update_package_cache(job["packages"])
     try:
-        check(job["path"])
+        note(job["path"])
         text = XacroDoc.from_file(job["path"], subargs=job["values"]).to_urdf_string()
-    except _Doctype as error:
-        return {"doctype": str(error)}
     except Exception as error:  # whatever the expressions of others raise
         lacks_memory = isinstance(error, MemoryError) or isinstance(getattr(error, "exc", None), MemoryError)
         return {"fault": f"{'there is not enough memory ' if lacks_memory else ''}{error}"}
