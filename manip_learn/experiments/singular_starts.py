@@ -17,7 +17,7 @@ from manip_learn.control.policies import JointAttractor, ManipulabilityAscent, N
 from manip_learn.control.rollout import Rollout
 from manip_learn.control.simulation import simulate
 from manip_learn.control.tasks.point_attractor import PointAttractor
-from manip_learn.experiments.experiment_result import INK, ExperimentResult, markdown_table, new_figure, number, percent
+from manip_learn.experiments.experiment_result import INK, ExperimentResult, markdown_table, new_figure, number
 from manip_learn.experiments.paper_setup import Setup, demonstrate, planar_arm, planar_features, true_constraint
 from manip_learn.experiments.table import ESTIMATORS, SAID
 from manip_learn.experiments.trial_runner import Experiment, TrialRunner
@@ -32,7 +32,6 @@ Laws = dict[float, dict[str, Rollout]]  # step [s] -> policy -> rollout of the p
 DURATION = 5.0  # [s]
 STEPS = (0.02, 0.01)  # the paper's 50 Hz, and half of it [s]
 REACHED = 0.05  # [m]
-PERTURBATION = 0.01  # of the start, standard deviation [rad]
 POLICIES = ("zero", "attractor", "manipulability")
 LEARNT = "joint-affine"  # how Lambda is learnt, from 100 of the paper's demonstrations
 SETTLED = 100.0  # joint speed after the first second above which the arm still leaps [rad/s]
@@ -131,7 +130,6 @@ class StartResult(ExperimentResult):
         setting: The start.
         paper_law: Step [s] -> policy -> rollout.
         product: Policy -> rollout of our controller, step 0.02 s.
-        perturbed: Law -> numbers of each perturbed start.
         claims: One by one.
         rounding: Policy -> numbers of the paper's law, step 0.02 s, from starts that differ by rounding; empty where
             no rollout is chaotic.
@@ -140,7 +138,6 @@ class StartResult(ExperimentResult):
     setting: BadStart
     paper_law: dict[float, dict[str, Rollout]]
     product: dict[str, Rollout]
-    perturbed: dict[str, list[Numbers]]
     claims: tuple[Claim, ...]
     rounding: dict[str, list[Numbers]]
 
@@ -156,18 +153,13 @@ class StartResult(ExperimentResult):
         for numbers in ours.values():
             if numbers["chaotic"]:
                 numbers |= dict.fromkeys(("final_error", "min_manipulability", "late_speed"))
-        rates = {"max_velocity": max, "largest_step": max, "min_manipulability": min}
         return {
             "paper": {"claims": [c.text for c in self.claims if c.source == "paper"]},
             "ours": ours,
             "claims": [vars(c) for c in self.claims],
-            "perturbed": {
-                law: {"reached": _reached(runs)} | {key: most(r[key] for r in runs) for key, most in rates.items()}
-                for law, runs in self.perturbed.items()
-            },
             "rounding": {
                 policy: {
-                    "reached": _reached(runs),
+                    "reached": float(np.mean([r["final_error"] < REACHED for r in runs])),
                     "settled": float(np.mean([r["late_speed"] < SETTLED for r in runs])),
                     "least_late_speed": min(r["late_speed"] for r in runs),
                     "n": len(runs),
@@ -186,23 +178,19 @@ class StartResult(ExperimentResult):
         ]
 
     def markdown(self) -> str:
-        """Claims, the rollouts' key numbers, and the perturbed starts."""
+        """Claims, and the rollouts' key numbers."""
         content, speed = self.to_dict(), "largest joint speed [rad/s]"
         claims = [["paper" if c.source == "paper" else "our question", c.text, c.seen, c.answer] for c in self.claims]
         lines = []
         for law, n in content["ours"].items():
             said = ["chaotic" if n["chaotic"] else number(n[key]) for key in ("final_error", "min_manipulability")]
             lines.append([law, *said, number(n["max_velocity"])])
-        runs = [[law, percent(r.pop("reached")), *map(number, r.values())] for law, r in content["perturbed"].items()]
-        within = ["law", f"within {REACHED:g} m", speed, "largest step [rad]", "smallest mu after 0.1 s"]
         return "\n\n".join(
             [
                 markdown_table(["whose", "claim", "measured here", "holds as printed"], claims),
                 f"Lambda of the manipulability policy: learnt by *{SAID[LEARNT]}* from 100 demonstrations; the task "
                 "part uses the true one.",
                 markdown_table(["law", "final error [m]", "smallest mu after step 3", speed], lines),
-                f"From {len(next(iter(self.perturbed.values())))} starts perturbed by {PERTURBATION:g} rad:",
-                markdown_table(within, runs),
             ]
         )
 
@@ -227,10 +215,6 @@ def numbers_of(rollout: Rollout, after: int = 3) -> Numbers:
     }
 
 
-def _reached(runs: Sequence[Numbers]) -> float:
-    return float(np.mean([r["final_error"] < REACHED for r in runs]))
-
-
 def _learnt(rng: np.random.Generator) -> Constraint:
     setup = Setup("x y")
     Lambda = setup.selection
@@ -238,46 +222,28 @@ def _learnt(rng: np.random.Generator) -> Constraint:
     return Constraint(ESTIMATORS[LEARNT](planar_features(), demos, Lambda, rng)[0], planar_features())
 
 
-def perturbed_trial(setting: BadStart, rng: np.random.Generator) -> dict[str, Any]:
-    """Law -> numbers of the rollout from one perturbed start."""
-    learnt = _learnt(rng)
-    q = np.array(setting.start) + PERTURBATION * rng.standard_normal(3)
-    return {
-        f"{whose}: {p}": numbers_of(setting.rollout(p, learnt, STEPS[0], q, product=product), after=5)
-        for whose, product in (("paper's law", False), ("ours", True))
-        for p in POLICIES
-    }
-
-
 def compare(
     setting: BadStart, judged: Callable[[Laws, dict[str, list[Numbers]]], list[Claim]]
 ) -> Experiment[StartResult]:
-    """The comparison from one start: three policies at 50 and 100 Hz, our controller, and perturbed starts.
+    """The comparison from one start: three policies at 50 and 100 Hz, and our controller.
 
     Args:
         setting: The start.
         judged: (rollouts of the paper's law, numbers from starts that differ by rounding) -> claims.
     """
 
-    def run(trials: int, rng: np.random.Generator, runner: TrialRunner | None = None) -> StartResult:
+    def run(_trials: int, rng: np.random.Generator, _runner: TrialRunner | None = None) -> StartResult:
         learnt = _learnt(rng)
         paper_law = {dt: {p: setting.rollout(p, learnt, dt) for p in POLICIES} for dt in STEPS}
         product = {p: setting.rollout(p, learnt, STEPS[0], product=True) for p in POLICIES}
-        seed = int(rng.integers(2**53))
-        runner = runner or TrialRunner(workers=1)
-        runs = runner.map(setting.name, perturbed_trial, [setting], size(trials), seed)[0]
         rounding: dict[str, list[Numbers]] = {}
         if any(numbers_of(rollout)["chaotic"] for rollout in paper_law[STEPS[0]].values()):
             last_digit = np.finfo(np.float64).eps * rng.standard_normal((20, 3))  # 20 starts
             starts = np.array(setting.start) * (1.0 + last_digit)
             rounding = {p: [numbers_of(setting.rollout(p, learnt, STEPS[0], q)) for q in starts] for p in POLICIES}
-        perturbed = {law: [run[law] for run in runs] for law in runs[0]}
-        return StartResult(setting, paper_law, product, perturbed, tuple(judged(paper_law, rounding)), rounding)
+        return StartResult(setting, paper_law, product, tuple(judged(paper_law, rounding)), rounding)
 
-    def size(trials: int) -> int:
-        return max(1, round(0.8 * trials))  # 40 perturbed starts at the paper's 50 trials
-
-    return Experiment(run, size)
+    return Experiment(run, lambda _trials: 0)
 
 
 def singular_claims(paper_law: Laws, _rounding: object) -> list[Claim]:
