@@ -202,12 +202,12 @@ class StartResult(ExperimentResult):
         return {self.setting.name: draw_columns(columns, self.setting.target)}
 
 
-def numbers_of(rollout: Rollout, after: int = 3) -> Numbers:
-    """Key numbers of a rollout: its least manipulability from a step on, its speed in the last four fifths, ..."""
+def numbers_of(rollout: Rollout) -> Numbers:
+    """Key numbers of a rollout: its least manipulability from step 3 on, its speed in the last four fifths, ..."""
     speed = float(np.max(np.abs(rollout.u)))
     return {
         "final_error": float(rollout.task_error[-1]),
-        "min_manipulability": float(np.min(rollout.manipulability[after:])),
+        "min_manipulability": float(np.min(rollout.manipulability[3:])),
         "max_velocity": speed,
         "largest_step": speed * float(rollout.time[1]),
         "late_speed": float(np.max(np.abs(rollout.u[len(rollout) // 5 :]))),
