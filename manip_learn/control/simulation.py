@@ -86,11 +86,11 @@ def simulate(
         >>> rollout.q.shape, rollout.u.shape
         ((201, 3), (201, 3))
     """
-    commands = isinstance(controller, ServoLoop) or (
+    can_run = isinstance(controller, ServoLoop) or (
         callable(controller) and not isinstance(controller, Constraint | type)
     )
     is_start = not (q0 is None or callable(q0) or isinstance(q0, Robot | str))
-    if not ((robot is None or isinstance(robot, Robot)) and commands and is_start):
+    if not ((robot is None or isinstance(robot, Robot)) and can_run and is_start):
         raise ConfigurationError(
             f"call simulate(robot, controller, q0): got {an(robot)}, {an(controller)} and {an(q0)}, in this order"
         )
@@ -100,21 +100,14 @@ def simulate(
         raise ConfigurationError(f"method must be 'euler' or 'rk4', not {method!r}")
     steps = round(duration / dt)
     report, table = progress or (lambda title, fraction: None), np.ndim(q0) == 2
-    if table and robot is not None:
-        q0 = checked_postures(robot, np.asarray(q0))  # names the row before any work is done
     if table:
-        rollouts = []
-        for i, start in enumerate(np.asarray(q0)):
+        # names the row before any work is done
+        starts, rollouts = np.asarray(q0) if robot is None else checked_postures(robot, np.asarray(q0)), []
+        for i, start in enumerate(starts):
             rollouts.append(simulate(robot, controller, start, steps * dt, dt, method))
-            report("simulating", (i + 1) / len(np.asarray(q0)))
+            report("simulating", (i + 1) / len(starts))
         return tuple(rollouts)
     q = np.array(q0, dtype=np.float64) if robot is None else np.array(robot.checked_posture(q0))
-    return _integrated(robot, controller, q, steps, dt, method, report)
-
-
-def _integrated(
-    robot: Robot | None, controller: Controller, q: np.ndarray, steps: int, dt: float, method: Method, report: Progress
-) -> Rollout:
     task_error = controller.task_error if isinstance(controller, TaskController | ServoLoop) else None
     command_at = _loop_of(controller, q, dt, method)
     postures, errors = np.empty((steps + 1, q.shape[0])), np.full(steps + 1, np.nan)

@@ -190,11 +190,7 @@ def approach_rate(
     parts = slope.tolist()
     largest = max(map(truediv, map(abs, parts), acceleration.tolist()))
     length = math.hypot(*parts)
-    return braking_rate(distance, BRAKING_SHARE * length * length / largest if largest > 0.0 else math.inf, dt)
-
-
-def braking_rate(distance: float, deceleration: float, dt: float) -> float:
-    """Rate of a distance from which it can be stopped at 0 with a deceleration."""
+    deceleration = BRAKING_SHARE * length * length / largest if largest > 0.0 else math.inf
     return min(min(APPROACH_RATE, 0.5 / dt) * distance, math.sqrt(2.0 * deceleration * max(distance, 0.0)))
 
 

@@ -40,13 +40,6 @@ def pose_coordinates(pose: Float[np.ndarray, "4 4"]) -> Float[np.ndarray, " 6"]:
     return np.concatenate([pose[:3, 3], rotation_vector(pose[:3, :3])])
 
 
-def coordinate_rates(pose: Float[np.ndarray, "4 4"]) -> Float[np.ndarray, "6 6"]:
-    """C with d/dt `pose_coordinates` = C (v, w), the twist along the axes of the base."""
-    C = np.eye(6)
-    C[3:, 3:] = left_jacobian_inverse(rotation_vector(pose[:3, :3]))
-    return C
-
-
 def goal_rotation(R: Float[np.ndarray, "3 3"]) -> Float[np.ndarray, "3 3"]:
     """The rotation that is meant by the upper left part of a 4 x 4 pose.
 
@@ -87,11 +80,6 @@ def placement_error(
     else:
         out[:3], out[3:] = goal - position, turn
     return out
-
-
-def turn_rates(turn: Float[np.ndarray, " 3"], own_axes: bool) -> Float[np.ndarray, "3 3"]:
-    """What M turns the rotation error by, with d/dt e = -M (v, w) for a goal at rest: Jl^-1 or Jr^-1."""
-    return left_jacobian_inverse(turn if own_axes else -turn)
 
 
 def carried_goal(
@@ -208,8 +196,8 @@ class PoseRows(FeatureMap):
             return self.error_to(target, q), None
         error, numbers, R = self._error(np.asarray(target, dtype=np.float64), q)
         J = self.twist_rows(q, self.own_axes)
-        # M J, with d/dt error = -M (v, w)
-        M = turn_rates(error[3:], self.own_axes)
+        # M J, with d/dt error = -M (v, w): the rotation rows turn by Jl^-1 or Jr^-1
+        M = left_jacobian_inverse(error[3:] if self.own_axes else -error[3:])
         given = [i - 3 for i in self._row_numbers if i >= 3]
         if numbers is not None and 0 < len(given) < 3:
             M -= carried_goal(rotation_vector(R), numbers[3:], given, error[3:])
@@ -222,7 +210,9 @@ class PoseRows(FeatureMap):
         """Rate of the coordinates per unit joint velocity, exact (see `FeatureMap`)."""
         if self.only_linear:
             return None
-        return coordinate_rates(self.pose(q))[self._rows] @ self.twist_rows(q, False)
+        C = np.eye(6)  # d/dt coordinates = C (v, w), along the axes of the base
+        C[3:, 3:] = left_jacobian_inverse(rotation_vector(self.pose(q)[:3, :3]))
+        return C[self._rows] @ self.twist_rows(q, False)
 
     def error_jacobian(self, target: ArrayLike, q: ArrayLike) -> Float[np.ndarray, "p nv"] | None:
         """E with d/dt `error_to(target, q)` = -E u, exact; None where E = Phi(q), as for positions along the base.
