@@ -11,6 +11,7 @@ takes part.
 from __future__ import annotations
 
 import json
+import math
 from collections import deque
 from collections.abc import Mapping
 from pathlib import Path
@@ -30,6 +31,7 @@ LATENCY = 0.002  # from a measurement to the command that it leads to [s], half 
 ENCODER_NOISE = 1e-4  # [rad]
 DRAWER_FRICTION = 1.0  # [N], beside 4 N s/m; the joints have 0.1 to 0.5 N m and 1 to 4 N m s/rad
 GRIP = "grip_0"
+CLOSING = 0.4  # [s] in which a gripper that closes on a handle grows firm
 THIN = 10  # periods per point of the plot
 
 
@@ -81,6 +83,7 @@ class ArmPhysics:
         self._grip = model.equality(GRIP).id if held else -1
         if held:
             model.eq_solref[self._grip, 0] = 2.0 * TIMESTEP
+            model.body_ipos[-1] = 0.0  # the handle's mass is at the handle
         if isinstance(mechanism, Slide):
             model.dof_frictionloss[-1] = DRAWER_FRICTION
         if jammed_at is not None:
@@ -88,6 +91,8 @@ class ArmPhysics:
             model.jnt_solref[-1], model.jnt_solimp[-1] = (0.02, 1.0), STIFF_SOLIMP  # wood gives way a little
         self._weight = np.array([0.0, 0.0, -9.81 * payload])
         self._data = mujoco.MjData(model)
+        mujoco.mj_setConst(model, self._data)
+        self._closed = -math.inf  # when the gripper began to close [s]
         first = grasp if start is None else start
         self._data.qpos[: self._n] = first
         if start is None:
@@ -105,6 +110,14 @@ class ArmPhysics:
         """Close the grip on the handle, where the hand is there."""
         if self._grip >= 0:
             self._data.eq_active[self._grip] = 1
+
+    def gripper(self, word: str) -> None:
+        """Close the grip on the handle, by and by, or open it."""
+        if word == "close":
+            self._closed = self.time
+            self.take_hold()
+        elif self._grip >= 0:
+            self._data.eq_active[self._grip] = 0
 
     @property
     def time(self) -> float:
@@ -146,6 +159,9 @@ class ArmPhysics:
         self._sent.append(q)
         start, end = self._sent[0], self._sent[1]
         rate, steps = (end - start) / PERIOD, round(PERIOD / TIMESTEP)
+        if self._grip >= 0:
+            left = max(0.0, 1.0 - (self.time - self._closed) / CLOSING)
+            self._model.eq_solref[self._grip, 0] = 2.0 * TIMESTEP + 0.5 * CLOSING * left
         pull = np.zeros((3, self._model.nv))
         for k in range(steps):
             goal = start + (k / steps) * (end - start)  # drives interpolate between commands
