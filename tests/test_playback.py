@@ -27,7 +27,6 @@ from manip_learn.control.tasks import Hold
 from manip_learn.errors import ConfigurationError, OutputError, RecordingError, RobotError, UnknownNameError
 from manip_learn.playback import replay
 from manip_learn.playback.page_writer import json_in_html
-from manip_learn.playback.palette import COLOURS, rollout_colours
 from manip_learn.recordings.trajectory import Trajectory
 from manip_learn.robot.description.catalogue import find_robot, robot_names
 from manip_learn.robot.loading import load_robot
@@ -221,16 +220,6 @@ def test_demonstrations_have_no_curve(robot_of, tmp_path):
     assert one["curve"] == "" and one["status"] == []
     assert one["tracks"] == other["tracks"]
     assert unpacked(one["keyTimes"])[0] == 0.0
-
-
-def test_colours_differ():
-    """Rollouts have colours of their own; chosen ones are kept and not given away twice."""
-    names = list("abcdefgh")
-    assert [n for n, _ in rollout_colours(names, {})] == list(COLOURS)
-    given = dict(zip(names, rollout_colours(names, {"c": "blue"}), strict=True))
-    assert given["c"] == ("blue", COLOURS["blue"])
-    assert len(set(given.values())) == len(names)
-    assert len(set(rollout_colours([str(i) for i in range(20)], {}))) == len(COLOURS)
 
 
 def test_replay_draws_the_tip_that_is_learnt(robot_of):

@@ -1,31 +1,28 @@
-"""The replay page and the live view on a phone, by keyboard, in the dark and for screen readers."""
+"""The replay page on a phone, by keyboard, in the dark and for screen readers."""
 
 from __future__ import annotations
-
-from contextlib import contextmanager
 
 import numpy as np
 import pytest
 from conftest import tip_of
 from test_phase_bands import luminance
 from test_playback import waving
-from test_playback_browser import PHASES, opened, wait_until  # noqa: F401
+from test_playback_browser import PHASES, opened  # noqa: F401
 
 from manip_learn.constraint.constraint import Constraint
 from manip_learn.constraint.features import FrameJacobian
-from manip_learn.playback import LiveViewer, replay
+from manip_learn.playback import replay
 from manip_learn.playback.palette import COLOURS
 from manip_learn.playback.phase_bands import FREE_COLOUR
 
 pytestmark = pytest.mark.browser
 # ruff: noqa: F811  the fixture of another file is an argument here
 
-DESKTOP, PHONE_WIDTH = (1280, 800), 390  # [px]
+PHONE_WIDTH = 390  # [px]
 FINGER = 40  # least width and height of what a finger must hit [px]
 # a check box or a choice is hit by its label
 CONTROLS = "button, select, summary, input[type=range], label:has(input)"
 HINGE = {"type": "hinge", "axis": [0, 0, 1], "point": [0.5, 0.5, 0.1], "radius": 0.6, "sentence": "a hinge"}
-PAGES = ("phases", "live")
 REPORT = {
     "sentence": "the hand is held", "gap": 3940.0, "n_constraints": 2, "held_out_residual": 0.012,
     "uncertainty_deg": 0.2, "n_samples": 600, "n_trajectories": 2, "warnings": ["recordings are few"],
@@ -39,23 +36,24 @@ OPEN_ONE = "n => document.querySelectorAll('details').forEach((list, i) => { lis
 PHONE = {"phone": True, "width": PHONE_WIDTH, "height": 844}
 
 
-@contextmanager
-def address_of(kind, robot, folder):
-    """Where one of `PAGES` is."""
-    if kind == "live":
-        with LiveViewer(robot, open_browser=False) as viewer:
-            viewer.show(np.full(robot.nv, 0.3), manipulability=0.2, time=1.0)
-            yield viewer.url
-        return
-    rollouts = {f"a rather long name of a rollout, number {i}": waving(robot, 3.0 + i, phase=i) for i in range(3)}
+@pytest.fixture
+def phased(robot_of, tmp_path):
+    """Address of a page that has all that a page can have."""
+    robot = robot_of("planar3")
     guided = Constraint(np.eye(2), FrameJacobian(robot, tip_of(robot.name), "x y"))
-    more = {"constraint": guided, "target": [0.4, 0.3]}
-    if kind == "phases":
-        rollouts = {"a": waving(robot, 4.0).trajectory("a"), "b": waving(robot, 2.0, phase=1.0).trajectory("b")}
-        more = {"phases": PHASES, "mechanism": HINGE, "constraint": (guided, guided), "report": REPORT}
+    motions = {"a": waving(robot, 4.0).trajectory("a"), "b": waving(robot, 2.0, phase=1.0).trajectory("b")}
+    more = {"phases": PHASES, "mechanism": HINGE, "constraint": (guided, guided), "report": REPORT}
     notes = ["a note about a_very_long_file_name_that_has_no_space_in_it_and_goes_on_and_on.mcap"]
-    path = folder / f"{kind}.html"
-    yield replay(robot, rollouts, path, title="drawer, 3 times", notes=notes, **more).html.as_uri()
+    path, more = tmp_path / "phases.html", more | {"target": [0.4, 0.3], "notes": notes}
+    return replay(robot, motions, path, title="drawer, 3 times", **more).html.as_uri()
+
+
+@pytest.fixture
+def plain(robot_of, tmp_path):
+    """Address of a page of three rollouts with long names."""
+    robot = robot_of("planar3")
+    rollouts = {f"a rather long name of a rollout, number {i}": waving(robot, 3.0 + i, phase=i) for i in range(3)}
+    return replay(robot, rollouts, tmp_path / "plain.html", title="drawer, 3 times").html.as_uri()
 
 
 def boxes(page, selector):
@@ -69,52 +67,40 @@ def boxes(page, selector):
     )
 
 
-@pytest.mark.parametrize("kind", PAGES)
-def test_phones_show_everything_without_sideways_scrolling(robot_of, tmp_path, opened, kind):
+def test_phones_show_everything_without_sideways_scrolling(phased, opened):
     """On a phone nothing is wider than the screen, and every control is large enough for a finger; robot and curve are
     there before anything is scrolled, names and notes below.
     """
-    with address_of(kind, robot_of("planar3"), tmp_path) as address:
-        page = opened(address, **PHONE)
-        if kind != "live":
-            (_, top, *_), (_, floor, *_) = (page.locator(s).bounding_box().values() for s in ("#scene", "#transport"))
-            chart, legend = (page.locator(s).bounding_box() for s in ("#chart", "#legend"))
-            assert 0.0 < top < chart["y"] < chart["y"] + chart["height"] <= floor + 2.0
-            assert legend["y"] >= chart["y"] + chart["height"]
-        page.evaluate(ALL_TRACKS)
-        width = PHONE_WIDTH
-        for list_open in range(page.locator("details").count()):
-            page.evaluate(OPEN_ONE, list_open)
-            page.wait_for_timeout(50)
-            assert page.evaluate("[document.documentElement.scrollWidth, innerWidth]") == [width, width]
-            controls = boxes(page, CONTROLS)
-            assert len(controls) > 6
-            for name, left, right, across, down in controls:
-                assert left >= 0 and right <= width and across >= FINGER and down >= FINGER, (width, name)
-            for name, left, right, *_ in boxes(
-                page, "#legend *, #chart, #tracks, .sheet, #notes, #keys dl, #transport, canvas"
-            ):
-                assert left >= -0.5 and right <= width + 0.5, (width, name)
+    page = opened(phased, **PHONE)
+    (_, top, *_), (_, floor, *_) = (page.locator(s).bounding_box().values() for s in ("#scene", "#transport"))
+    chart, legend = (page.locator(s).bounding_box() for s in ("#chart", "#legend"))
+    assert 0.0 < top < chart["y"] < chart["y"] + chart["height"] <= floor + 2.0
+    assert legend["y"] >= chart["y"] + chart["height"]
+    page.evaluate(ALL_TRACKS)
+    width = PHONE_WIDTH
+    for list_open in range(page.locator("details").count()):
+        page.evaluate(OPEN_ONE, list_open)
+        page.wait_for_timeout(50)
+        assert page.evaluate("[document.documentElement.scrollWidth, innerWidth]") == [width, width]
+        for name, left, right, across, down in boxes(page, CONTROLS):
+            assert left >= 0 and right <= width and across >= FINGER and down >= FINGER, (width, name)
+        for name, left, right, *_ in boxes(page, "#legend *, #chart, #tracks, .sheet, #notes, #transport, canvas"):
+            assert left >= -0.5 and right <= width + 0.5, (width, name)
 
 
-@pytest.mark.parametrize("kind", PAGES)
-def test_nothing_keeps_readers_out(robot_of, tmp_path, opened, kind):
-    """Axe finds no violation that is serious or worse, on a light desktop and a dark phone, whichever list is open."""
+def test_nothing_keeps_readers_out(phased, opened):
+    """Axe finds no violation that is serious or worse, light and dark, whichever list is open."""
     base = pytest.importorskip("axe_playwright_python.base", reason="NO AXE: ACCESSIBILITY IS NOT TESTED")
-    with address_of(kind, robot_of("planar3"), tmp_path) as address:
-        page = opened(address)
-        wait_until(page, "getComputedStyle(document.getElementById('panel')).display !== 'none'")
-        page.evaluate(base.AXE_SCRIPT)
-        page.evaluate(ALL_TRACKS)
-        for size, scheme in ((DESKTOP, "light"), ((PHONE_WIDTH, 844), "dark")):
-            page.set_viewport_size({"width": size[0], "height": size[1]})
-            page.emulate_media(color_scheme=scheme)
-            for list_open in range(page.locator("details").count() + 1):
-                page.evaluate(OPEN_ONE, list_open)
-                found = page.evaluate("axe.run(document, { resultTypes: ['violations'] })")
-                bad = [(v["id"], [n["target"] for n in v["nodes"]]) for v in found["violations"]
-                       if v["impact"] in ("serious", "critical")]  # fmt: skip
-                assert bad == [], (size, scheme, list_open)
+    page = opened(phased)
+    page.evaluate(base.AXE_SCRIPT)
+    page.evaluate(ALL_TRACKS)
+    for scheme in ("light", "dark"):
+        page.emulate_media(color_scheme=scheme)
+        for list_open in range(page.locator("details").count() + 1):
+            page.evaluate(OPEN_ONE, list_open)
+            found = page.evaluate("axe.run(document, { resultTypes: ['violations'] })")
+            serious = [v for v in found["violations"] if v["impact"] in ("serious", "critical")]
+            assert [(v["id"], [n["target"] for n in v["nodes"]]) for v in serious] == [], (scheme, list_open)
 
 
 def contrast(one, other):
@@ -130,73 +116,55 @@ def numbers(colour):
     return [float(x) for x in colour[4:-1].split(",")]
 
 
-def test_dark_and_light_are_readable(robot_of, tmp_path, opened):
+def test_dark_and_light_are_readable(plain, opened):
     """The page is dark where the system is; texts of the curve have 4.5:1, lines and bands 3:1 against either page."""
-    with address_of("replay", robot_of("planar3"), tmp_path) as address:
-        page = opened(address)
-        for scheme, is_dark in (("light", False), ("dark", True)):
-            page.emulate_media(color_scheme=scheme)
-            ground = numbers(page.evaluate("getComputedStyle(document.body).backgroundColor"))
-            assert (max(ground) < 90.0) == is_dark
-            texts = page.evaluate("[...document.querySelectorAll('#chart text')].map(e => getComputedStyle(e).fill)")
-            cursor = page.evaluate("getComputedStyle(document.querySelector('#chart [stroke-width=\"1.5\"]')).stroke")
-            assert len(texts) > 5
-            for colour in (*texts, cursor):
-                assert contrast(numbers(colour), ground) >= 4.5, (scheme, colour)
-            for colour in (*COLOURS.values(), FREE_COLOUR):
-                assert contrast(numbers(colour), ground) >= 3.0, (scheme, colour)
+    page = opened(plain)
+    for scheme, is_dark in (("light", False), ("dark", True)):
+        page.emulate_media(color_scheme=scheme)
+        ground = numbers(page.evaluate("getComputedStyle(document.body).backgroundColor"))
+        assert (max(ground) < 90.0) == is_dark
+        texts = page.evaluate("[...document.querySelectorAll('#chart text')].map(e => getComputedStyle(e).fill)")
+        cursor = page.evaluate("getComputedStyle(document.querySelector('#chart [stroke-width=\"1.5\"]')).stroke")
+        assert len(texts) > 5
+        for colour in (*texts, cursor):
+            assert contrast(numbers(colour), ground) >= 4.5, (scheme, colour)
+        for colour in (*COLOURS.values(), FREE_COLOUR):
+            assert contrast(numbers(colour), ground) >= 3.0, (scheme, colour)
 
 
-def test_keys_are_listed_and_leave_the_focus_alone(robot_of, tmp_path, opened):
+def test_keys_are_listed_and_leave_the_focus_alone(plain, opened):
     """? opens the list of the keys and escape closes it; arrows on the robot turn it and leave time alone."""
-    with address_of("replay", robot_of("planar3"), tmp_path) as address:
-        page = opened(address)
-        page.keyboard.press("?")
-        words = page.locator("#keys dl").inner_text()
-        for key in ("space", "← →", "↑ ↓", "home end", "F 1 2 3 4", "L", "R", "tab", "?", "esc"):
-            assert key in words
-        page.keyboard.press("Escape")
-        assert not page.locator("#keys dl").is_visible()
-        start = page.evaluate("manipLearn.eye")
-        page.locator("#scene").focus()
-        for key in ("ArrowDown", "ArrowLeft", "+"):
-            page.keyboard.press(key)
-            moved = page.evaluate("manipLearn.eye")
-            assert np.linalg.norm(np.subtract(moved, start)) > 0.02
-            start = moved
-        assert page.evaluate("manipLearn.time") == 0.0
-        page.keyboard.press("f")
-        page.locator("#speed").focus()
-        page.keyboard.press("ArrowDown")
-        assert page.evaluate("[document.activeElement.id, document.activeElement.value]") == ["speed", "2"]
-        page.evaluate("manipLearn.seek(1)")
-        said = page.locator("#scrub").get_attribute("aria-valuetext")
-        assert said == "1.00 s of 5.00 s, ok, manipulability 0.540"
-        least = page.locator("#chart").get_attribute("aria-label")
-        assert "number 0: lowest manipulability" in least and "at 1.57 s" in least
+    page = opened(plain)
+    page.keyboard.press("?")
+    words = page.locator("#keys dl").inner_text()
+    for key in ("space", "← →", "↑ ↓", "home end", "F 1 2 3 4", "L", "R", "tab", "?", "esc"):
+        assert key in words
+    page.keyboard.press("Escape")
+    assert not page.locator("#keys dl").is_visible()
+    start = page.evaluate("manipLearn.eye")
+    page.locator("#scene").focus()
+    for key in ("ArrowDown", "ArrowLeft", "+"):
+        page.keyboard.press(key)
+        moved = page.evaluate("manipLearn.eye")
+        assert np.linalg.norm(np.subtract(moved, start)) > 0.02
+        start = moved
+    assert page.evaluate("manipLearn.time") == 0.0
+    page.keyboard.press("f")
+    page.locator("#speed").focus()
+    page.keyboard.press("ArrowDown")
+    assert page.evaluate("[document.activeElement.id, document.activeElement.value]") == ["speed", "2"]
+    page.evaluate("manipLearn.seek(1)")
+    said = page.locator("#scrub").get_attribute("aria-valuetext")
+    assert said == "1.00 s of 5.00 s, ok, manipulability 0.540"
+    least = page.locator("#chart").get_attribute("aria-label")
+    assert "number 0: lowest manipulability" in least and "at 1.57 s" in least
 
 
-@pytest.mark.slow
-def test_little_motion_is_respected(robot_of, tmp_path, opened):
-    """Nothing moves by itself; who asked for reduced motion gets no repetition either, until it is switched on."""
-    robot = robot_of("planar3")
-    address = replay(robot, {"a": waving(robot, 0.3)}, tmp_path / "a.html").html.as_uri()
-    for wish, repeats in (("reduce", "false"), ("no-preference", "true")):
-        page = opened(address, reduced_motion=wish)
-        assert page.locator("#loop").get_attribute("aria-pressed") == repeats
-        assert not page.evaluate("manipLearn.playing")
-        page.evaluate("manipLearn.play()")
-        wait_until(page, "manipLearn.time > 0.2")
-        wait_until(page, "manipLearn.time < 0.15" if repeats == "true" else "!manipLearn.playing")
-
-
-def test_no_3d_graphics_says_what_to_do(robot_of, tmp_path, opened):
+def test_no_3d_graphics_says_what_to_do(plain, opened):
     """Without WebGL the page says what to do, and its curves and numbers still play."""
-    robot = robot_of("planar3")
-    address = replay(robot, {"a": waving(robot)}, tmp_path / "a.html").html.as_uri()
-    page = opened(address, before="HTMLCanvasElement.prototype.getContext = () => null")
+    page = opened(plain, before="HTMLCanvasElement.prototype.getContext = () => null")
     assert not page.evaluate("manipLearn.drawing")
     words = page.locator("#no-webgl").inner_text()
     assert "WebGL" in words and "hardware acceleration" in words and "another browser" in words
     page.evaluate("manipLearn.seek(1)")
-    assert page.locator("#clock").inner_text() == "1.00 s" and page.locator("#chart polyline").count() == 1
+    assert page.locator("#clock").inner_text() == "1.00 s" and page.locator("#chart polyline").count() == 3

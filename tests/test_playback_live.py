@@ -415,46 +415,6 @@ def test_strangers_are_not_heard(talk):
     assert heard.wait(1) == [{"page": "a-1", "said": {"do": "stop"}}]
 
 
-def test_long_and_slow_speakers_lock_nobody_out(talk):
-    """A body too long is refused even to a browser that is still sending; bodies that drip are cut off; as many
-    connections that say something as there may be, or more, leave room for the next.
-    """
-    process, heard = talk
-    address = urlsplit(process.url)
-    assert post(process.url, 17 * 2**20 * b" ") == 413
-    head = (
-        f"POST {address.path}said?page=a HTTP/1.1\r\nHost: {address.netloc}\r\nOrigin: http://{address.netloc}\r\n"
-        "Content-Type: application/json\r\nContent-Length: {}\r\n\r\n"
-    )
-    whole = head.format(2).encode() + b"{}"
-    slow = [socket.create_connection((address.hostname, address.port), timeout=10.0) for _ in range(20)]
-    for i, connection in enumerate(slow):  # of one half a second request is never complete
-        connection.sendall(head.format(1000).encode() if i % 2 else whole + head[:10].encode())
-    gone, end = set(), time.monotonic() + 10.0
-    while len(gone) < len(slow) and time.monotonic() < end:
-        for connection in slow:
-            try:
-                connection.send(b" ")
-            except OSError:
-                gone.add(connection)
-        assert post(process.url) == 204
-        time.sleep(0.2)
-    assert len(gone) == len(slow)  # they never stopped sending
-    idle = [socket.create_connection((address.hostname, address.port), timeout=10.0) for _ in range(100)]
-    for connection in idle:
-        connection.sendall(whole)
-        assert connection.recv(1000).startswith(b"HTTP/1.1 204")
-    assert answer(process.url)[0] == 200 and post(process.url) == 204
-    idle[-1].sendall(whole)
-    assert idle[-1].recv(1000).startswith(b"HTTP/1.1 204")  # whoever spoke last has stayed
-    with contextlib.suppress(ConnectionError):
-        assert idle[0].recv(1) == b""
-    number = len(heard.wait(10 + 100))
-    assert number == 110 and not any("page" in line and line["said"] not in ({}, {"do": "stop"}) for line in heard)
-    for connection in (*slow, *idle):
-        connection.close()
-
-
 def test_pages_are_counted(talk):
     """Pages that are fetched, opened, closed and opened again are told at once, oldest first, though nothing moves."""
     process, heard = talk
@@ -581,19 +541,3 @@ def test_busy_program_holds_up_nobody():
     process.close()
     process.close()
     assert is_gone(pid) and not process.is_open
-
-
-def test_process_may_be_closed_by_what_it_hears():
-    """A program may close its process while it hears a line; nothing is heard after that."""
-    heard, processes = Heard(), []
-
-    def closing(line):
-        processes[0].close()
-        heard(line)
-
-    processes.append(LiveProcess(lambda token: b"<html>page", 10.0, closing))
-    pid = server_pid()
-    with contextlib.suppress(OSError, http.client.HTTPException):
-        post(processes[0].url)
-    heard.wait(1)
-    assert is_gone(pid) and len(heard) == 1

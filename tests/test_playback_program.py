@@ -50,29 +50,6 @@ def run(node: str):
     return evaluate
 
 
-ROLLOUT = f"""const rollout = {{
-    keyTimes: Float64Array.from({TIMES}), tracks: Float64Array.from({TRACKS}.flat()), curveTimes: {TIMES},
-    curve: {CURVE}, duration: 2.25, status: [[0, "ok"], [0.5, "damped"], [2, "singular"]],
-}};"""
-
-
-def test_between_samples_everything_is_interpolated(run):
-    """Joints and manipulability lie on the line between their samples; a status holds until the next one begins."""
-    asked = [0.0, 0.1, 0.25, 0.5, 0.8, 1.7, 2.0, 2.2, 2.25, 9.0]
-    drawn = run(*(f"Array.from(Show.prototype.valuesAt(rollout, {t}))" for t in asked), given=ROLLOUT)
-    expected = [[np.interp(t, TIMES, np.array(TRACKS)[:, k]) for k in range(2)] for t in asked]
-    np.testing.assert_allclose(drawn, expected, rtol=0, atol=1e-12)
-    asked = [-1.0, 0.0, 0.1, 0.5, 1.4, 2.0, 2.125, 2.25, 5.0]
-    shown = run(*(f"curveValue(rollout, {t})" for t in asked), given=ROLLOUT)
-    np.testing.assert_allclose(shown, np.interp(asked, TIMES, CURVE), rtol=0, atol=1e-12)
-    asked = [-1.0, 0.0, 0.49, 0.5, 1.99, 2.0, 2.3]
-    expected = np.maximum(np.searchsorted(TIMES, asked, side="right") - 1, 0).tolist()
-    assert run(*(f"indexAt({TIMES}, {t})" for t in asked)) == expected
-    asked = [0.0, 0.49, 0.5, 1.99, 2.0, 7.0]
-    words = run(*(f"statusAt(rollout, {t})" for t in asked), "statusAt({ status: [] }, 1)", given=ROLLOUT)
-    assert words == ["ok", "ok", "damped", "damped", "singular", "singular", None]
-
-
 def test_ticks_and_numbers_are_round(run):
     """Ticks are 1, 2, 2.5 or 5 times a power of ten, evenly apart and inside; numbers have three or four digits."""
     for low, high, count in (
@@ -122,62 +99,6 @@ def test_the_axis_holds_every_value(run):
     assert decades == pytest.approx([0.1, 10.0])
     assert np.log10(tiny) == pytest.approx([-12.0, 1.0])
     assert run("c.findRange([{ curve: [0.5, 2] }])[0]", given=given) == [0]
-
-
-def test_key_frame_steps(run):
-    """A step goes to the next or the previous key frame, from between two of them too, and stops at either end."""
-    given = """const long = { duration: 5, keyTimes: [0, 2.5, 3, 5] };
-        const step = (now, direction) => {
-            let to; const show = { rollouts: [rollout, long], time: now, duration: 5, solid: rollout };
-            Player.prototype.step.call({ show, seek: (t) => { to = t; } }, direction);
-            return to;
-        };"""
-    given = ROLLOUT + given
-    forward = run(*(f"step({t}, 1)" for t in (0, 0.2, 0.5, 1.9, 2.25, 2.5, 5)), given=given)
-    assert forward == [0.5, 0.5, 2.0, 2.0, 2.5, 3.0, 5.0]
-    back = run(*(f"step({t}, -1)" for t in (0, 0.2, 0.5, 2.0, 2.25, 2.5, 4)), given=given)
-    assert back == [0.0, 0.0, 0.0, 0.5, 2.0, 0.0, 3.0]
-
-
-def test_times_and_speeds_of_the_player(run):
-    """Time runs at the chosen speed, starts over from the end, and never leaves 0 to the duration."""
-    given = """const after = (time, now, more = {}) => {
-        const player = Object.assign(Object.create(Player.prototype), {
-            show: { time, duration: 4 }, playing: true, speed: 2, loop: true, last: 1000,
-            moveTo(t) { this.show.time = t; }, setPlaying(on) { this.playing = on; }, ...more });
-        player.frame(now);
-        return [player.show.time, player.playing];
-    };"""
-    moved = run(
-        "after(1, 1100)",
-        "after(1, 9000)",
-        "after(3.9, 1100)",
-        "after(3.9, 1100, { loop: false })",
-        "after(1, 1100, { last: undefined })",
-        "after(1, 1100, { playing: false })",
-        "after(3.8, 1100, { loop: false })",
-        given=given,
-    )
-    expected = [(1.2, True), (1.5, True), (0.1, True), (4, False), (1, True), (1, False), (4, False)]
-    for (time, playing), (wanted, goes_on) in zip(moved, expected, strict=True):
-        assert time == pytest.approx(wanted, abs=1e-9) and playing is goes_on
-    given = """const started = (time) => {
-        const player = Object.assign(Object.create(Player.prototype), {
-            show: { time, duration: 4 }, moveTo(t) { this.show.time = t; }, setPlaying() {} });
-        player.play();
-        return player.show.time;
-    };"""
-    assert run("started(4)", "started(3.99)", given=given) == [0, 3.99]
-    given = """const shown = (t) => {
-        const drawn = [], instance = { setValues: (v) => drawn.push(v), tipPosition: () => "tip" };
-        const show = Object.assign(Object.create(Show.prototype), { duration: 4, valuesAt: (r, at) => at,
-            rollouts: [{ instance, pieces: [], trail: { setTime: (at, tip) => drawn.push(at, tip) } }] });
-        show.setTime(t);
-        return [show.time, ...drawn];
-    };"""
-    assert run("shown(-1)", "shown(2.5)", "shown(7)", given=given) == [
-        *([0, 0, 0, "tip"], [2.5, 2.5, 2.5, "tip"], [4, 4, 4, "tip"]),
-    ]
 
 
 PHASED = """const kinds = ["first", "second", "free"].map((label) => ({ label }));
@@ -267,18 +188,3 @@ def test_numbers_become_ranges_as_episodes_are_counted(run):
     for text in ("0:3,5", "3:5,7", "9"):
         known = EpisodeSelection.of(text).of_known(range(10), "here")
         assert run(f"asRanges({sorted(known)})") == [text]
-
-
-def test_colours_of_the_fit(run):
-    """Colours follow their scale, grey where nothing is known; each span of a row shows its largest share."""
-    steps = run("FIT_SCALE")[0]
-    assert run(*(f"fitColour({share})" for share, _ in steps)) == [colour for _, colour in steps]
-    assert run("fitColour(NaN)", "fitColour(7)", "fitColour(-1)") == [run("AT_REST")[0], steps[-1][1], steps[0][1]]
-    (low, a), (high, b) = steps[1:3]
-    (mixed,) = run(f"fitColour({(low + high) / 2})")
-    assert mixed not in (a, b)
-    given = "const fit = { times: [0, 0.1, 0.2, 0.9, 1.0, 3.0, 4.0], values: [0, 0.5, 0, 0.1, NaN, NaN, 0.2] };"
-    (worst,) = run("fitBins(fit, 4, 4)", given=given)
-    assert worst == [0.5, None, None, 0.2]
-    (line,) = run("fitBins({ times: [0, 4], values: [0, 0.8] }, 4, 4)")
-    np.testing.assert_allclose(line, [0.0, 0.3, 0.5, 0.8])

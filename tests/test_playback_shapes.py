@@ -7,7 +7,7 @@ import pytest
 from conftest import URDFS
 from test_playback import unpacked, waving
 
-from manip_learn.playback.appearance import Shape, appearance, decimated, z_to
+from manip_learn.playback.appearance import appearance, decimated
 from manip_learn.playback.kinematic_tree import kinematic_tree
 from manip_learn.playback.recorded_motion import recorded_motion
 from manip_learn.playback.scene_data import scene_data
@@ -57,16 +57,6 @@ def test_edges_stay_sharp_and_round_things_smooth():
     assert volume(cube_out) == pytest.approx(1.0)
 
 
-def test_rotation_to_a_direction(rng):
-    """z_to is a rotation that takes z to the direction, also for directions along an axis."""
-    directions = [*np.eye(3), *-np.eye(3), *(v / np.linalg.norm(v) for v in rng.normal(size=(20, 3)))]
-    for direction in directions:
-        R = z_to(direction)
-        np.testing.assert_allclose(R @ R.T, np.eye(3), atol=1e-12)
-        assert np.linalg.det(R) == pytest.approx(1.0)
-        np.testing.assert_allclose(R[:, 2], direction, atol=1e-12)
-
-
 def test_robots_without_shapes_get_a_figure(robot_of):
     """A robot without visuals has a body at every joint, and something that reaches to its tip."""
     for name in ("one", "gantry", "wrist", "tree", "humanoid", "rover"):
@@ -75,21 +65,6 @@ def test_robots_without_shapes_get_a_figure(robot_of):
         assert {s.joint for s in looks.shapes} == set(range(len(tree))), name
         assert any(s.kind == "cone" for s in looks.shapes) and not looks.meshes, name
         assert all(np.isfinite(s.pose).all() and min(s.size) > 0.0 for s in looks.shapes), name
-
-
-def test_figures_look_as_they_did(robot_of):
-    """Sums over all shapes, each times its number: of the sizes [m], the poses and the colours; boxes around them."""
-    sizes = {"box": (1.0, 2.0, 3.0), "sphere": (0.3,), "cone": (0.1, 0.3, 2.0), "disc": (0.2, 0.5), "mesh": ()}
-    halves = [Shape(0, kind, size, np.eye(4)).half_extent().tolist() for kind, size in sizes.items()]
-    assert halves == [[0.5, 1.0, 1.5], [0.3] * 3, [0.3, 0.3, 1.0], [0.2, 0.2, 0.25], [0.0] * 3]
-    for name, expected in (
-        ("gantry", [25.261924, 321.321848, 241.64]),
-        ("tree", [26.638506, 496.573465, 350.64]),
-        ("planar3", [47.7072, 233.0, 134.04]),
-    ):
-        shapes = appearance(robot_of(name), kinematic_tree(robot_of(name))).shapes
-        sums = [k * np.array([sum(s.size), s.pose.sum(), sum(s.colour)]) for k, s in enumerate(shapes, 1)]
-        np.testing.assert_allclose(np.sum(sums, axis=0), expected, atol=1e-5, err_msg=name)
 
 
 def test_own_shapes_are_used_and_rods_stay_inside(robot_of):

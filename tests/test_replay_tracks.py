@@ -13,9 +13,7 @@ import numpy as np
 import pytest
 
 from manip_learn.cli import main
-from manip_learn.commands.command_line import typed, typed_command
 from manip_learn.commands.demo import shipped_recordings
-from manip_learn.commands.replay import learning_command
 from manip_learn.constraint.constraint import Constraint
 from manip_learn.constraint.features import FrameJacobian, MechanismRows, RelativeFrameJacobian
 from manip_learn.control.controller import ResolvedRateController
@@ -28,10 +26,8 @@ from manip_learn.learning import ConstraintLearner
 from manip_learn.playback import RecordingChoice, replay
 from manip_learn.playback.constraint_marks import SIX, ellipsoid_scale, held_directions
 from manip_learn.playback.page_writer import packed
-from manip_learn.playback.recorded_motion import Curve, Track, extremes, points_per_curve
 from manip_learn.playback.replay_page import evidence_of
 from manip_learn.recordings import load_demonstrations
-from manip_learn.recordings.demonstrations import Demonstrations
 from manip_learn.recordings.load_demonstrations import numbers_read
 from manip_learn.recordings.trajectory import Trajectory
 from manip_learn.recordings.velocities import derive_velocities
@@ -173,36 +169,6 @@ def test_recordings_without_velocities_show_derived_ones(robot_of, rollout, tmp_
     np.testing.assert_allclose(values, derived.u[:, 1] / robot.velocity_limit[1], rtol=1e-6, atol=1e-7)
     page = data_in(replay(robot, bare[3.0:3.025], tmp_path / "b.html").html)["rollouts"][0]
     assert [t["kind"] for t in page["measures"]["tracks"]] == ["position"]
-
-
-def test_thinned_curves_keep_every_extreme(rng):
-    """A dip or a peak of one sample among 60,000 stays; gaps stay gaps; short curves stay whole."""
-    values = np.sin(np.linspace(0.0, 30.0, 60_000))
-    values[[7_777, 41_234]] = -3.0, 5.0
-    values[50_000:55_000] = np.nan
-    kept = extremes(values, 500)
-    assert kept.size <= 502 and kept[0] == 0 and kept[-1] == values.size - 1
-    assert {7_777, 41_234} <= set(kept.tolist())
-    assert np.isnan(values[kept]).any()
-    np.testing.assert_array_equal(extremes(values[:500], 500), np.arange(500))
-    two = Track("velocity", (Curve("a", values, values), Curve("b", values, values)), "limit")
-    assert [points_per_curve([[two]] * n) for n in (1, 40, 2000)] == [2000, 1250, 60]  # 100,000 in all
-
-
-@pytest.mark.slow
-def test_ten_minutes_at_100_hz_stay_small_and_keep_their_peaks(robot_of, drawer, tmp_path):
-    """60,000 samples with all tracks: less than 4 MB, and the largest velocity is in the page."""
-    robot = robot_of("sawyer")
-    time = 0.01 * np.arange(60_000)
-    q = START + 0.2 * np.sin(0.4 * time[:, None] + np.arange(7.0))
-    u = 0.08 * np.cos(0.4 * time[:, None] + np.arange(7.0))
-    u[31_415, 3] = 1.0
-    demo = Trajectory(time, q, u, robot.joint_names, "long")
-    result = replay(robot, {"long": demo}, tmp_path / "a.html", constraint=drawer)
-    assert result.bytes < 4_000_000
-    times, values = curves_of(data_in(result.html)["rollouts"][0], "velocity")[robot.joint_names[3]]
-    assert values.max() == pytest.approx(1.0 / robot.velocity_limit[3], rel=1e-6)
-    assert times[np.argmax(values)] == pytest.approx(314.15, abs=1e-4)
 
 
 def ranks(directions) -> list[int]:
@@ -425,29 +391,6 @@ def test_the_command_of_the_page_does_what_it_says(tmp_path, monkeypatch, capsys
     assert words[0] == "manip-learn" and main(words[1:]) == 0
     assert json.loads(capsys.readouterr().out)["n_trajectories"] == 3
     assert [r["name"] for r in data_in(tmp_path / "page.html")["rollouts"]] == [names[0], names[3], names[4]]
-
-
-def test_a_replay_says_how_to_learn_again():
-    """Flags that only replay has are left out, the features' are added; without a command line there is none."""
-    assert typed_command() == () == learning_command("tool0", ("x", "y"), "world")
-    replayed = "replay panda a.csv replay --lock j1 --html=p.html --constraint c.json --tip t --open --json"
-    with typed(replayed.split()):
-        assert typed_command()[:2] == ("manip-learn", "replay")
-        assert shlex.join(learning_command("tool0", ("x", "y"), "world")) == (
-            "manip-learn learn panda a.csv replay --lock j1 --frame tool0 --axes 'x y' --reference world"
-        )
-    assert typed_command() == ()
-
-
-def test_pages_of_recordings_offer_the_choice_in_python_too(robot_of, rollout, tmp_path):
-    """Without a command line the page has the names, and which are odd; rollouts are no recordings."""
-    robot = robot_of("sawyer")
-    demos = Demonstrations([rollout.trajectory("a"), rollout.trajectory("b")])
-    report = {"odd_trajectories": [["b", "moves 3 mm"]], "sentence": "s"}
-    data = data_in(replay(robot, {d.name: d for d in demos}, tmp_path / "a.html", report=report).html)
-    assert data["choice"] == {"command": "", "flag": "--episodes", "episodes": [], "odd": {"b": "moves 3 mm"}}
-    mixed = {"a": demos[0], "r": rollout}
-    assert data_in(replay(robot, mixed, tmp_path / "b.html").html)["choice"] is None
 
 
 def test_what_was_measured_is_drawn(robot_of, tmp_path):

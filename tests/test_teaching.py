@@ -52,8 +52,7 @@ def test_names_do_not_run_in_the_script(tmp_path, monkeypatch):
     robot = ml.load_robot(path, locked=[f"a {name}"])
     tip = f"tip {name}"
     ml.Constraint(np.eye(3)[:1], ml.FrameJacobian(robot, tip)).save(tmp_path / "constraint.json")
-    way = {"unit": "m", "value": 0.2, "direction": [1.0, 0.0, 0.0]}
-    lesson = Lesson(robot, tip, [f"a/{name}.csv"], str(tmp_path / "constraint.json"), tmp_path, way, [0.0, 0.0])
+    lesson = Lesson(robot, tip, [f"a/{name}.csv"], str(tmp_path / "constraint.json"), tmp_path, [0.0, 0.0])
     ((_, file, _),) = HOMES["script"](lesson)
     monkeypatch.chdir(tmp_path)
     monkeypatch.setitem(sys.modules, "manip_learn", library := MagicMock())
@@ -390,29 +389,3 @@ def test_twenty_random_scenes(sawyer, tmp_path):
         right += good
         wrong += [] if good else [(kind, seed, answer["sentence"], off)]
     assert right >= 19, wrong
-
-
-@pytest.mark.slow
-@pytest.mark.timeout(3600)
-def test_memory_is_flat(sawyer, tmp_path):
-    """Half an hour of dragging on the arm's clock adds less than 10 MB after the first two minutes."""
-    sizes: list[float] = []
-
-    def resident() -> float:
-        return int(Path("/proc/self/statm").read_text().split()[1]) * 4096 / 1e6
-
-    def script(person: Person) -> Iterator[Any]:
-        person.other_hand()
-        for minute in range(30):
-            home = person.session.arm.place
-            yield from person.drag(lambda s, home=home: home + 0.1 * np.sin(6.0 * s), 30.0)
-            yield from person.press(do="record")
-            yield from person.drag(lambda s, home=home: home + 0.1 * np.sin(6.0 * s), 29.0)
-            yield from person.press(do="record")
-            if minute >= 2:
-                sizes.append(resident())
-
-    if not Path("/proc/self/statm").exists():
-        pytest.skip("the size of a process is read from /proc")
-    taught(sawyer, "free", 3, tmp_path, script)
-    assert sizes[-1] - sizes[0] < 10.0 + 30 * 6000 * 7 * 8 / 1e6, sizes  # and the recordings that are kept

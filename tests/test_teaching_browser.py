@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import re
-import socket
 from contextlib import contextmanager
 from urllib.parse import urlsplit
 
@@ -70,28 +69,3 @@ def test_a_lesson(chromium, tmp_path):
         wait_until(page, "window.manipLearnReady && manipLearnTeach.allowed && manipLearnTeach.state.answer !== null")
         assert page.locator("#recordings li").count() == RECORDINGS
         assert page.locator("#answer .headline").inner_text() == sentence
-
-
-def test_two_programs_and_closed_tabs(chromium, tmp_path):
-    """Two programs at once do not mix. One whose tab is closed ends, its server too, and keeps what it recorded."""
-    pytest.importorskip("mujoco", reason="NO MUJOCO: TEACHING IS NOT TESTED")
-    places = tmp_path / "one", tmp_path / "two"
-    with program(places[0], "planar3") as (first, address), program(places[1], "planar3") as (_, other):
-        with tab(chromium, other) as bystander:
-            rested = bystander.evaluate("manipLearnTeach.tip()")
-            with tab(chromium, address) as page:
-                page.keyboard.press("r")
-                wait_until(page, "manipLearnTeach.state.doing === 'recording'")
-                person = MousePerson(page, seed=2)
-                began = np.array(person.teach("tip()"))
-                person.take()
-                person.drag(person.at + [60.0, -40.0], 1.0)
-                wait_until(page, f"Math.hypot(...manipLearnTeach.tip().map((x, i) => x - {began.tolist()}[i])) > 0.02")
-            first.wait(timeout=60)
-            with pytest.raises(OSError), socket.create_connection(("127.0.0.1", urlsplit(address).port), timeout=2.0):
-                pass
-            np.testing.assert_allclose(bystander.evaluate("manipLearnTeach.tip()"), rested, atol=1e-3)
-            assert bystander.evaluate("manipLearnTeach.state.doing") == "idle"
-        (kept,) = places[0].glob("*/*.csv")
-        assert len(kept.read_text(encoding="utf-8").splitlines()) > 50  # half a second of it
-        assert not list(places[1].glob("*/*.csv"))

@@ -20,6 +20,7 @@ import threading
 import time
 from collections import deque
 from collections.abc import Callable
+from http import HTTPStatus
 from typing import BinaryIO, NamedTuple
 from urllib.parse import quote, unquote
 
@@ -31,7 +32,6 @@ HEARTBEAT_SECONDS = 2.0
 # nothing, since whoever is idle for longest makes room; browsers give an idle connection up after two to five minutes
 IDLE_SECONDS = 60.0
 LOADING_SECONDS = 10.0  # from a page to its stream: a slow machine builds the scene in 2; later, the page was left
-LARGE_SECONDS = 20.0  # for something long that was said, and those before it: 16 MB take 0.4 s of text, 2 of numbers
 PARENT_CHECK_SECONDS = 1.0
 MAX_UNASKED = 150  # connections without a complete request; one more, and the oldest is closed
 MAX_STREAMS = 50  # browsers at a time
@@ -39,23 +39,9 @@ MAX_STREAMS = 50  # browsers at a time
 # three limits together are fewer files than the 256 that macOS lets a process open
 MAX_SAYING = 30
 MAX_REQUEST = 16_384  # [bytes] of a request with its headers: browsers send below 2,000
-MAX_SAID = 16 * 2**20  # [bytes] of a body: recordings are dropped on the page
-SMALL_SAID = 2**14  # [bytes] that are read in 2 ms, far below a frame of 16; more is read in another process
+MAX_SAID = 16 * 2**20  # [bytes] of a body: recordings are dropped on the page, and hold the streams up for 0.4 s
 PIECE = 2**18  # [bytes] of a file at a time: enough for full speed, and below a millisecond of one thread
 STREAM_QUERY = re.compile(r"page=([A-Za-z0-9-]{1,64})")
-# of the status codes of HTTP
-REASONS = {
-    200: "OK",
-    204: "No Content",
-    400: "Bad Request",
-    403: "Forbidden",
-    404: "Not Found",
-    411: "Length Required",
-    413: "Content Too Large",
-    415: "Unsupported Media Type",
-    501: "Not Implemented",
-    503: "Service Unavailable",
-}
 HEADERS = (
     "Cache-Control: no-store",
     "X-Content-Type-Options: nosniff",
@@ -122,22 +108,6 @@ def object_line(body: bytes) -> bytes:
     return line
 
 
-async def object_line_elsewhere(body: bytes) -> bytes:
-    """`object_line` by a process of its own: reading a long body would hold up the streams of this one."""
-    pipes = asyncio.subprocess.PIPE
-    process = await asyncio.create_subprocess_exec(
-        sys.executable, "-I", __file__, "object", stdin=pipes, stdout=pipes, stderr=asyncio.subprocess.DEVNULL
-    )
-    try:
-        line, _ = await process.communicate(body)
-    finally:
-        if process.returncode is None:
-            process.kill()
-    if process.returncode != 0:
-        raise ValueError("no object")
-    return line
-
-
 def opened(path: str) -> tuple[BinaryIO, int]:
     """A regular file and its size [bytes]."""
     file = open(path, "rb")
@@ -195,7 +165,6 @@ class LiveServer:
         )  # of the pages fetched whose stream is not open, oldest first
         self._moved = asyncio.Event()  # something about pages that the program has not been told
         self._program = Program()
-        self._large = asyncio.Semaphore(1)  # one long body at a time: it may take 1 GB
 
     async def start(self) -> int:
         """Listen; the port."""
@@ -334,11 +303,7 @@ class LiveServer:
         async with asyncio.timeout(REQUEST_SECONDS):
             body = await reader.readexactly(length)
         try:
-            if length <= SMALL_SAID:
-                line = object_line(body)
-            else:
-                async with asyncio.timeout(LARGE_SECONDS), self._large:
-                    line = await object_line_elsewhere(body)
+            line = object_line(body)
             whole = b'{"page": "' + page.encode() + b'", "said": ' + line + b"}"
             async with asyncio.timeout(READER_SECONDS):  # it waits for a busy program, and nobody else does
                 await self._program.tell(lambda: whole)
@@ -424,7 +389,7 @@ class LiveServer:
 
 def head(code: int, *lines: str) -> bytes:
     """The head of an answer."""
-    return "\r\n".join((f"HTTP/1.1 {code} {REASONS[code]}", *lines, *HEADERS, "", "")).encode()
+    return "\r\n".join((f"HTTP/1.1 {code} {HTTPStatus(code).phrase}", *lines, *HEADERS, "", "")).encode()
 
 
 def said_length(request: Request) -> int:
@@ -469,7 +434,4 @@ async def main() -> None:
 
 
 if __name__ == "__main__":
-    if sys.argv[1:] == ["object"]:
-        sys.stdout.buffer.write(object_line(sys.stdin.buffer.read()))
-    else:
-        asyncio.run(main())
+    asyncio.run(main())

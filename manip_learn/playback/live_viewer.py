@@ -23,9 +23,11 @@ from typing import IO, Any, final
 import numpy as np
 from numpy.typing import ArrayLike
 
+from manip_learn.constraint.constraint import Constraint
 from manip_learn.errors import ConfigurationError, OutputError
 from manip_learn.playback.appearance import appearance
 from manip_learn.playback.kinematic_tree import TreeJoint, joint_tracks, kinematic_tree
+from manip_learn.playback.mechanism_drawing import Furniture, furniture_of
 from manip_learn.playback.page_writer import LIVE, PageKind, page
 from manip_learn.playback.palette import rollout_colours
 from manip_learn.playback.recorded_motion import RecordedMotion
@@ -240,16 +242,34 @@ class LiveViewer:
         title: Name in the legend.
         open_browser: Show the page now; it is at `url` in any case.
         timeout: How long the server may take to start [s].
+        constraint: What was learnt: a drawer, a door or a crank stands where it was shown, and goes with the hand.
 
     Raises:
         OutputError: The server does not start.
     """
 
-    def __init__(self, robot: Robot, *, title: str = "", open_browser: bool = True, timeout: float = 10.0):
+    def __init__(
+        self,
+        robot: Robot,
+        *,
+        title: str = "",
+        open_browser: bool = True,
+        timeout: float = 10.0,
+        constraint: Constraint | None = None,
+    ):
         self._robot = robot
         self._tree = kinematic_tree(robot)
         name = title or known_as(robot.source) or robot.name or "robot"
-        self._process = LiveProcess(lambda token: live_page(robot, self._tree, name, token), timeout)
+        self._hand, self._piece, self._opening = (
+            getattr(getattr(constraint, "features", None), "frame", None),
+            None,
+            0.0,
+        )
+        if constraint is not None and constraint.shown is not None and constraint.shown.hold is not None:
+            mechanism, shown = constraint.provenance.get("mechanism"), constraint.shown
+            self._piece = furniture_of(mechanism, np.zeros(1), shown.begin[None], [], shown)
+        pieces = () if self._piece is None else (self._piece,)
+        self._process = LiveProcess(lambda token: live_page(robot, self._tree, name, token, furniture=pieces), timeout)
         self._start = clock.monotonic()
         self._finalizer = weakref.finalize(self, self._process.close)
         if open_browser:
@@ -281,11 +301,14 @@ class LiveViewer:
         mu = None if manipulability is None else float(manipulability)
         if not math.isfinite(now) or (mu is not None and not math.isfinite(mu)):
             raise ConfigurationError(f"manipulability {mu} at time {now}: finite numbers are needed")
-        robot, tree = self._robot, self._tree
+        robot, tree, piece = self._robot, self._tree, self._piece
+        if piece is not None:
+            self._opening = piece.followed(robot.position(posture, self._hand), self._opening)
+        more = {} if piece is None else {"opening": [self._opening]}
 
         def message() -> str:
             values = joint_tracks(robot, tree, posture[None])[0]
-            return json.dumps({"time": now, "values": values.tolist(), "mu": mu}, allow_nan=False)
+            return json.dumps({"time": now, "values": values.tolist(), "mu": mu, **more}, allow_nan=False)
 
         self._process.put(message)
 
@@ -302,7 +325,14 @@ class LiveViewer:
         self.close()
 
 
-def live_page(robot: Robot, tree: tuple[TreeJoint, ...], name: str, token: str, kind: PageKind = LIVE) -> bytes:
+def live_page(
+    robot: Robot,
+    tree: tuple[TreeJoint, ...],
+    name: str,
+    token: str,
+    kind: PageKind = LIVE,
+    furniture: tuple[Furniture, ...] = (),
+) -> bytes:
     """HTML of a page that follows a robot.
 
     Args:
@@ -311,6 +341,7 @@ def live_page(robot: Robot, tree: tuple[TreeJoint, ...], name: str, token: str, 
         name: Headline.
         token: Of the address under which it is served.
         kind: What the page is made of.
+        furniture: What the hand may move.
 
     Raises:
         OutputError: Meshcat's viewer is missing.
@@ -330,6 +361,7 @@ def live_page(robot: Robot, tree: tuple[TreeJoint, ...], name: str, token: str, 
         curve=none,
         status=(),
         duration=0.0,
+        furniture=furniture,
     )
     looks = appearance(robot, tree)
     data = scene_data(robot, tree, looks, tip, [still], rollout_colours([name], {}), looks.notes)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import io
 import shutil
 import zipfile
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, final
@@ -14,11 +14,11 @@ import numpy as np
 
 from manip_learn.atomic_write import write_atomically
 from manip_learn.constraint.constraint import Constraint
+from manip_learn.constraint.skill import Skill
 from manip_learn.recordings import load_demonstrations
 from manip_learn.recordings.saved_motion import motion_of_trajectory
 from manip_learn.robot.description.catalogue import known_as
 from manip_learn.robot.robot import Robot
-from manip_learn.teach.way import STEP, task_of
 
 # every word that comes from outside is written by repr: a robot's name or a file's may hold quotes
 SCRIPT = '''"""The same steps as on the teaching page. Run it in the folder of the recordings."""
@@ -32,19 +32,16 @@ demos = ml.load_demonstrations({files!r}, robot)
 rows = [ml.FrameJacobian(robot, {tip!r}, {axes!r}, reference) for reference in ("world", "local")]
 learner = ml.ConstraintLearner(rows).fit(demos)
 print(learner.report_)
-constraint = learner.constraint_
-constraint.save("constraint_again.json")
+learner.skill_.save("constraint_again.json")
 {run}'''
 RUN = """
-# 2. the arm does it, while its null space climbs the manipulability of the task
-start = {start!r}  # [rad] the hand is at the handle
-task = ml.motion(constraint, {way})
-controller = ml.ResolvedRateController(constraint, task=task, null_policy=task.ascent())
-rollout = ml.simulate(robot, controller, start, duration=task.duration + 1.0, dt=0.01)
-print(rollout)
+# 2. the arm does what was shown, from where it stood
+start = {start!r}  # [rad]
+again = ml.repeat(learner.skill_, start)
+print(again)
 
 # 3. and in the browser
-ml.replay(robot, {{"as learnt": rollout}}, html="again.html")
+ml.replay(robot, {{"as shown": again.rollout}}, html="again.html")
 """
 Taken = list[tuple[str, str, str]]  # name, path, and what it is
 
@@ -60,8 +57,7 @@ class Lesson:
         files: The recordings.
         file: The constraint, or None if nothing was learnt.
         out: Folder of what is taken home.
-        way: As `ShownWay.asked` says it, or None.
-        start: Posture with the hand at the handle [rad or m], or None.
+        start: Posture in which the arm stood before it did the task [rad or m]; None where there is none to do.
     """
 
     robot: Robot
@@ -69,7 +65,6 @@ class Lesson:
     files: Sequence[str]
     file: str | None
     out: Path
-    way: Mapping[str, Any] | None = None
     start: Any = None
 
 
@@ -97,19 +92,17 @@ def _lerobot(lesson: Lesson) -> Taken:
 
 
 def _replay(lesson: Lesson) -> Taken:
-    from manip_learn.control.controller import ResolvedRateController
-    from manip_learn.control.way import simulate_way
+    from manip_learn.planning.repeat import repeat
     from manip_learn.playback.replay_page import replay
 
-    robot, constraint = lesson.robot, Constraint.load(str(lesson.file), lesson.robot)
+    robot, skill = lesson.robot, Skill.load(str(lesson.file), lesson.robot)
     recordings = load_demonstrations(list(lesson.files), robot)
     shown: dict[str, Any] = {Path(f).stem: t for f, t in zip(lesson.files, recordings, strict=True)}
-    if lesson.way is not None:
-        task = task_of(constraint, lesson.way)
-        law = ResolvedRateController(constraint, task, task.ascent(), dt=STEP)
-        shown = {"as learnt": simulate_way(robot, law, lesson.start, STEP)[0]}
+    constraints = skill.constraints
+    if lesson.start is not None:
+        shown, constraints = {"as shown": repeat(skill, lesson.start).rollout}, None
     html = lesson.out / "replay.html"
-    page = replay(robot, shown, html, tip=lesson.tip, constraint=constraint, open_browser=False)
+    page = replay(robot, shown, html, tip=lesson.tip, constraint=constraints, open_browser=False)
     return [("replay.html", str(page.html), "the replay, one file that needs no network")]
 
 
@@ -117,8 +110,8 @@ def _script(lesson: Lesson) -> Taken:
     robot, run = lesson.robot, ""
     learnt = Constraint.load(str(lesson.file), robot)
     firm = learnt.mechanism is not None and learnt.mechanism.grip == "firm"
-    if lesson.way is not None:
-        run = RUN.format(start=np.round(np.asarray(lesson.start), 4).tolist(), way=_way(lesson.way))
+    if lesson.start is not None:
+        run = RUN.format(start=np.round(np.asarray(lesson.start), 4).tolist())
     text = SCRIPT.format(
         robot=known_as(robot.source) or (str(robot.source) if robot.source else robot.name),
         locked=f", locked={dict(robot.locked)!r}" if robot.locked else "",
@@ -129,11 +122,6 @@ def _script(lesson: Lesson) -> Taken:
     )
     path = write_atomically(lesson.out / "taught.py", text)
     return [("taught.py", str(path), f"the same steps in Python; run it in {lesson.out}")]
-
-
-def _way(way: Mapping[str, Any]) -> str:
-    amount = f"{'along' if way['unit'] == 'm' else 'turn'}={way['value']:.4f}"
-    return amount if way["direction"] is None else f"{amount}, direction={np.round(way['direction'], 4).tolist()}"
 
 
 def _zipped(files: Sequence[tuple[str, Path]]) -> bytes:

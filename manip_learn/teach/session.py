@@ -15,12 +15,14 @@ from jaxtyping import Float
 
 from manip_learn.atomic_write import write_atomically
 from manip_learn.constraint.constraint import Constraint
+from manip_learn.constraint.skill import Skill
 from manip_learn.control.command import Controller
 from manip_learn.control.controller import ResolvedRateController
 from manip_learn.control.driver import run
 from manip_learn.control.follow_motion import FollowMotion
 from manip_learn.control.following import following_error_limit
 from manip_learn.control.servo_loop import ServoLoop
+from manip_learn.control.tasks import FreeDirection
 from manip_learn.drivers.record import record
 from manip_learn.errors import ManipLearnError, counted
 from manip_learn.linalg import finite
@@ -43,7 +45,7 @@ from manip_learn.teach.scene import (
     Kind,
     place_scene,
 )
-from manip_learn.teach.way import Shown, ShownWay, task_of
+from manip_learn.teach.way import ARRIVES, TaughtRecording, TaughtWay
 from manip_learn.teach.worker import TeachingWorker, ghost
 
 LEFT = 1.0  # [s] without a page after which the program ends: loading a page again asks for it within a tenth of that
@@ -267,8 +269,6 @@ class TeachingSession:
     def _gripped(self) -> None:
         handle = self.arm.scene.handles[self.arm.held or 0]
         self._say(f"The gripper holds the {handle.name}. G, or the button, opens it.")
-        if self._grip_time is None:
-            self._grip_time = self.arm.time
 
     def _start_or_stop(self) -> None:
         if self._doing == "recording":
@@ -276,7 +276,7 @@ class TeachingSession:
         else:
             self._begin(self._record)
 
-    def _shown_by(self, name: Any) -> Shown:
+    def _shown_by(self, name: Any) -> TaughtRecording:
         found = next((one for one in self._recordings if one.path.stem == name), None)
         if found is None:
             raise ValueError(f"there is no recording {name!r}")
@@ -315,7 +315,7 @@ class TeachingSession:
             name = self.robot.name
             self._say(f"{said['name']} is no recording of {name!r}: {refusal}", wrong=True)
             return
-        self._recordings.append(Shown(path, read.q, read.time, None))
+        self._recordings.append(TaughtRecording(path, read.q, read.time))
         self._say(f"{path.stem} is taken in: {counted(len(read.time), 'sample')}.")
 
     def _free_path(self, stem: str) -> Path:
@@ -334,12 +334,11 @@ class TeachingSession:
         self.arm = TeachingArm(scene, self._rng, in_real_time=self._real, shown=self._period)
         self.constraint: Constraint | None = None
         self._rows: Constraint | None = None
-        self._recordings: list[Shown] = []
+        self._recordings: list[TaughtRecording] = []
         self._answer: dict[str, Any] | None = None
-        self._way: ShownWay | None = None
+        self._ways: list[TaughtWay] = []
         self._progress: dict[str, Any] | None = None
         self._outcome: dict[str, Any] | None = None
-        self._grip_time: float | None = None
         self._planned: dict[str, Any] | None = None
         self._files: dict[str, tuple[Path, str]] = {}
         self._truth_shown = False
@@ -364,7 +363,7 @@ class TeachingSession:
 
     def _record(self) -> None:
         """Record until the person stops; the file grows as it goes."""
-        self._doing, self._began, self._grip_time = "recording", self.arm.time, None
+        self._doing, self._began = "recording", self.arm.time
         started = [False]
 
         def key() -> Any:
@@ -376,16 +375,13 @@ class TeachingSession:
             return ""
 
         self._say("Recording: take the hand, and show the task.")
-        held = self.arm.held is not None
         done = record(self.arm, self.folder, "shown", by="key", motions=1, key=key)
         self._ended |= done.ended == "Ctrl-C"
         if not done.files or done.samples < 2:
             self._say("Nothing was recorded.", wrong=True)
             return
         read = load_demonstrations([str(done.files[0])], self.robot)[0]
-        sample = None if self._grip_time is None else round((self._grip_time - self._began) / PERIOD)
-        gripped = 0 if held else None if sample is None else min(sample, len(read.time) - 1)
-        self._recordings.append(Shown(done.files[0], read.q, read.time, gripped))
+        self._recordings.append(TaughtRecording(done.files[0], read.q, read.time))
         left = ENOUGH - len(self._recordings)
         more = "that is enough to learn from." if left <= 0 else f"{left} more would be good."
         self._say(f"{done.files[0].stem} is kept, {read.time[-1] - read.time[0]:.1f} s; {more}")
@@ -399,7 +395,9 @@ class TeachingSession:
         if len(self._recordings) < FEW:
             self._refused(f"From fewer than {FEW} recordings what is held cannot be told from how a person moves.")
             return
-        self._worker.ask("learn", files=[str(one.path) for one in self._recordings], out=str(self._constraint_file))
+        files, handles = [str(one.path) for one in self._recordings], self.arm.scene.handles
+        places = [handle.pose[:3, 3].tolist() for handle in handles]
+        self._worker.ask("learn", files=files, handles=places, out=str(self._constraint_file))
         self._progress = {"step": "reading", "share": 0.0}
         self._say("Learning from " + counted(len(self._recordings), "recording") + ".")
 
@@ -434,19 +432,20 @@ class TeachingSession:
 
     def _refused(self, why: str) -> None:
         self._answer = refusal_content(why, len(self._recordings), bool(self.arm.scene.handles))
-        self.constraint = self._rows = self._way = None
+        self.constraint, self._rows, self._ways = None, None, []
         self._say(self._answer["next"], wrong=True)
 
     def _learnt(self, content: Mapping[str, Any]) -> None:
-        self.constraint = Constraint.load(self._constraint_file, self.robot)
+        skill = Skill.load(self._constraint_file, self.robot)
+        self.constraint = skill.constraints[0]
         names = {one.path.name: one for one in self._recordings}
         odd = {name: why for name, why in content["answer"]["odd"]}
         for one in self._recordings:
             one.phases = [phase[1:] for phase in content["phases"] if names.get(phase[0]) is one]
             one.odd = odd.get(one.path.name, "")
         self._answer = answer_content(content)
-        self._way = ShownWay.of(self.constraint, self.tip, self._recordings, self.arm.scene.handles)
-        self._rows = None if self._way is None else task_of(self.constraint, self._way.asked()).rows(self.constraint)
+        self._ways = TaughtWay.all_of(skill)
+        self._rows = self._way.task().constraint if self._way is not None else None
         self._say(self._answer["next"])
 
     # ---- run ------------------------------------------------------------------------------------------------------
@@ -474,48 +473,67 @@ class TeachingSession:
         trips = following_error_limit(self.robot, force=YIELDS)
         return ServoLoop(controller, dt=PERIOD, acceleration_limit=GENTLY, following_error_limit=trips)
 
+    @property
+    def _way(self) -> TaughtWay | None:
+        """The way that the slider changes: the first one."""
+        return self._ways[0] if self._ways else None
+
     def _run(self, said: Mapping[str, Any]) -> None:
-        """To the handle as it was shown, then along the way under the learnt constraint."""
-        way = self._way
-        if way is None:
+        """Every way in the order shown: take hold where it was shown, and go as far under the learnt constraint."""
+        if self._way is None:
             self._say("There is no way to do yet: learn from recordings that hold something and move it.", wrong=True)
             return
-        way.set(float(said.get("along", said.get("turn", way.value))))
+        self._way.set(float(said.get("along", said.get("turn", self._way.value))))
         policy = str(said.get("policy", "manipulability"))
-        if self.arm.held is None and not self._take_hold(way, bool(said.get("plan"))):
-            return
-        if way.arrived(self.arm.q):
-            self._say("The hand is there already: move the slider.")
-            return
-        self._doing = "running"
-        self._say(f"The arm does it by itself, with the {policy} policy.")
-        outcome = self._drive(way, policy)
-        self._say(f"Moved {way.in_words(self.arm.q)}: {outcome['ended']}.", wrong=not outcome["ordered"])
+        for way in self._ways:
+            if way.number > 0:
+                self.arm.grip(False)  # what the way before moved
+            if self.arm.held is None and not self._take_hold(way, policy, bool(said.get("plan"))):
+                return
+            if way.shown.is_way and abs(way.value - way.at(self.arm.place)) < ARRIVES[way.unit]:
+                self._say("The hand is there already: move the slider.")
+                return
+            self._doing = "running"
+            self._say(f"The arm does it by itself, with the {policy} policy.")
+            outcome = self._drive(way, policy)
+            self._say(f"Moved {way.in_words(outcome['done'])}: {outcome['ended']}.", wrong=not outcome["ordered"])
+            if not outcome["ordered"] or self._stop:
+                return
 
-    def _take_hold(self, way: ShownWay, planned: bool) -> bool:
-        """Go to the handle as the last recording did, or as a plan says, and close the gripper."""
+    def _take_hold(self, way: TaughtWay, policy: str, planned: bool) -> bool:
+        """Go where the recordings took hold, straight or as a plan says, and close the gripper."""
         self._doing = "moving"
         self._say("The hand goes to the handle, as it was shown.")
-        if way.handle is None:
-            self._say("There is no handle here where the recordings hold something: show this scene.", wrong=True)
-            return False
-        ended = self._follow(*way.approach(self.arm.handle_place(way.handle)))
-        if ended == THERE and planned:
+        if planned:
             ended = self._change_posture(way)
+        else:
+            task = way.task()
+            loop = self._loop_of(self._law(way, task, policy))
+            there = lambda: BY_HAND if self._stop else THERE if task.way_begins is not None else ""  # noqa: E731
+            self.arm.hold()
+            ended = run(loop, self.arm, duration=SLOWER * (1.0 + task.duration_from(self.arm.q)), until=there).ended
+            self._ended |= ended.startswith("Ctrl-C")
         if ended != THERE:
             self._say(f"The hand did not come to the handle: {ended}.", wrong=ended != BY_HAND)
             return False
         if not self.arm.grip(True):
-            self._say("The hand did not come to the handle: press Home, and try again.", wrong=True)
+            self._say("No handle is where the recordings took hold of it: press Home, and try again.", wrong=True)
             return False
         closing = self.arm.time + 2.0 * STAYS
         while self.arm.time < closing and not self._stop:
             self.arm.command(self.arm.q_held, np.zeros(self.robot.nv))
         return not self._stop
 
-    def _change_posture(self, way: ShownWay) -> str:
-        """To the posture from which the whole way can be done; why that ended."""
+    def _law(self, way: TaughtWay, task: FreeDirection, policy: str) -> ResolvedRateController:
+        from manip_learn.control.null_policies import null_policy
+
+        chosen = null_policy(policy, task, way.constraint, self.robot, None, self.arm.scene.start)
+        return ResolvedRateController(way.constraint, task, chosen, dt=PERIOD)
+
+    def _change_posture(self, way: TaughtWay) -> str:
+        """To the handle, in the posture from which the whole way can be done; why that ended."""
         self._doing, self._planned = "planning", None
+        self.arm.hold()
         self._worker.ask("plan", file=str(self._constraint_file), way=way.asked(), start=self.arm.q)
         while self._worker.busy and not self._stop:
             self.arm.command(self.arm.q_held, np.zeros(self.robot.nv))
@@ -525,25 +543,22 @@ class TeachingSession:
         self._say(self._planned["sentence"])
         return self._follow(self._planned["time"], self._planned["q"])
 
-    def _drive(self, way: ShownWay, policy: str) -> dict[str, Any]:
+    def _drive(self, way: TaughtWay, policy: str) -> dict[str, Any]:
         """Run the controller until the way is done, something trips, or the person stops it."""
-        from manip_learn.control.null_policies import null_policy
-
         self.arm.hold()
-        task, rested = way.task_from(self.arm.q), [0.0]
-        chosen = null_policy(policy, task, way.constraint, self.robot, None, self.arm.scene.start)
-        law = ResolvedRateController(way.constraint, task, chosen, dt=PERIOD)
-        loop = self._loop = self._loop_of(law)
+        task, rested = way.rest(self.arm.q), [0.0]
+        loop = self._loop = self._loop_of(self._law(way, task, policy))
 
         def so_far(ended: str, ordered: bool) -> dict[str, Any]:
-            numbers = {"done": way.done(self.arm.q), "wanted": way.value}
-            return {"policy": policy, **numbers, "ended": ended, "ordered": ordered}
+            done = way.at(self.arm.place) if way.shown.is_way else task.progress(self.arm.q)
+            return {"policy": policy, "done": done, "wanted": way.value, "ended": ended, "ordered": ordered}
 
         def over() -> str:
             if self._stop:
                 return BY_HAND
-            rested[0] = rested[0] + PERIOD if way.arrived(self.arm.q) else 0.0
             self._outcome = so_far("", True)
+            there = abs(way.value - self._outcome["done"]) < ARRIVES[way.unit]
+            rested[0] = rested[0] + PERIOD if there else 0.0
             return "all of the way is done" if rested[0] > STAYS else ""
 
         longest = SLOWER * (1.0 + task.duration_from(self.arm.q))
@@ -558,11 +573,12 @@ class TeachingSession:
         return self._outcome
 
     def _set_way(self, said: Mapping[str, Any]) -> None:
-        if self._way is None:
+        way = self._way
+        if way is None:
             return
-        self._way.set(float(said["value"]))
-        if self._loop is not None and not self._way.arrived(self.arm.q):
-            self._loop.set_task(self._way.task_from(self.arm.q))
+        way.set(float(said["value"]))
+        if self._loop is not None and way.shown.is_way and abs(way.value - way.at(self.arm.place)) > ARRIVES[way.unit]:
+            self._loop.set_task(way.rest(self.arm.q))
 
     def _target(self, said: Mapping[str, Any]) -> None:
         """The way that comes nearest to a place that was dragged."""
@@ -574,7 +590,7 @@ class TeachingSession:
         if self._way is None:
             self._say("There is no way to do yet: learn first.", wrong=True)
             return
-        self._worker.ask(job, file=str(self._constraint_file), way=self._way.asked(), start=self._way.hold())
+        self._worker.ask(job, file=str(self._constraint_file), way=self._way.asked(), start=self.arm.scene.start)
         self._progress = {"step": "simulating", "share": 0.0}
 
     def _take(self, said: Mapping[str, Any]) -> None:
@@ -587,8 +603,7 @@ class TeachingSession:
             what=str(said["what"]),
             files=[str(one.path) for one in self._recordings],
             file=str(self._constraint_file) if learnt else None,
-            way=None if self._way is None else self._way.asked(),
-            start=None if self._way is None else self._way.hold(),
+            start=None if self._way is None else self.arm.scene.start,
             out=self.folder,
         )
         self._progress = {"step": "writing", "share": 0.0}
@@ -630,7 +645,7 @@ class TeachingSession:
                 "progress": self._progress,
                 "answer": self._answer,
                 "truth": truth_content(arm.scene, self.constraint) if self._truth_shown else None,
-                "way": None if way is None else {"unit": way.unit, "low": 0.0, "high": way.high, "value": way.value},
+                "way": None if way is None else way.to_dict(),
                 "run": self._outcome,
                 "files": [{"name": name, "says": says} for name, (_, says) in self._files.items()],
                 "keep": str(self.folder),

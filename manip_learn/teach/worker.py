@@ -18,7 +18,7 @@ from manip_learn.errors import ManipLearnError, OutputError
 from manip_learn.recordings.trajectory_source import Progress
 from manip_learn.robot.robot import Robot
 from manip_learn.teach.scene import posture_at
-from manip_learn.teach.way import STEP, task_of
+from manip_learn.teach.way import STEP, TaughtWay, held_by_handles
 
 PARENT_CHECK_SECONDS = 0.5  # between two looks for the parent
 STOP_SECONDS = 1.0  # for the process to end by itself
@@ -128,8 +128,10 @@ def _said(pipe: Connection) -> Progress:
 # ---- jobs ---------------------------------------------------------------------------------------------------------
 
 
-def learn(robot: Robot, tip: str, said: Progress, *, files: list[str], out: str) -> dict[str, Any]:
-    """Learn from recordings; the constraint goes to a file.
+def learn(
+    robot: Robot, tip: str, said: Progress, *, files: list[str], handles: list[list[float]], out: str
+) -> dict[str, Any]:
+    """Learn from recordings; the skill goes to a file.
 
     Returns:
         The answer as the page shows it, and the phases of the recordings by their file names.
@@ -149,7 +151,7 @@ def learn(robot: Robot, tip: str, said: Progress, *, files: list[str], out: str)
         if found is None or found.grip != "firm":
             break
     report = learner.report_
-    learner.constraint_.save(out)
+    held_by_handles(learner.skill_, handles).save(out)
     names = [c.mechanism.type if c.mechanism is not None else "" for c in learner.constraints_]
     evidence = evidence_of(report)
     answer = {
@@ -195,59 +197,56 @@ def _drawn(robot: Robot, tip: str, mechanism: Any, demos: Any, phases: Any) -> d
 def policies(
     robot: Robot, tip: str, said: Progress, *, file: str, way: Mapping[str, Any], start: ArrayLike
 ) -> list[dict[str, Any]]:
-    """Three null-space policies from a posture at the handle, as ghosts."""
+    """Three null-space policies from a posture, as ghosts."""
     names = ("manipulability", "attractor", "zero")  # the recommended one first
-    return _simulated(robot, tip, said, file, way, np.asarray(start), dict(zip(names, names, strict=True)))
+    taught = TaughtWay.asked_for(file, robot, way)
+    return _simulated(robot, said, taught, np.asarray(start), dict(zip(names, names, strict=True)))
 
 
 def compare(
     robot: Robot, tip: str, said: Progress, *, file: str, way: Mapping[str, Any], start: ArrayLike
 ) -> list[dict[str, Any]]:
     """With and without the learnt manipulability, from the worst of many postures at the handle, as ghosts."""
-    from manip_learn.constraint.constraint import Constraint
     from manip_learn.constraint.manipulability import manipulability
 
-    constraint, start = Constraint.load(file, robot), np.asarray(start, dtype=np.float64)
-    rows = task_of(constraint, way).rows(constraint)
-    rng, place = np.random.default_rng(0), robot.pose(start, tip)
+    taught, place = TaughtWay.asked_for(file, robot, way), np.eye(4)
+    place[:3, :3], place[:3, 3] = taught.shown.orientation, taught.shown.begin
+    rows, rng = taught.task().constraint, np.random.default_rng(0)
     drawn = (robot.positions(robot.random_configuration(rng)) for _ in range(BAD_POSTURES))
     found = [q for d in drawn if (q := posture_at(robot, tip, d, place, firm=False)) is not None]
     inside = [q for q in found if np.all((robot.position_lower < q) & (q < robot.position_upper))]
-    bad = min([*inside, start], key=lambda q: manipulability(rows, q))
+    bad = min([*inside, np.asarray(start, dtype=np.float64)], key=lambda q: manipulability(rows, q))
     named = {"with the learnt manipulability": "manipulability", "without": "zero"}
-    return _simulated(robot, tip, said, file, way, bad, named)
+    return _simulated(robot, said, taught, bad, named)
 
 
 def plan(
     robot: Robot, tip: str, said: Progress, *, file: str, way: Mapping[str, Any], start: ArrayLike
 ) -> dict[str, Any]:
     """The posture in which to take hold, and the way of the joints to it: times [s] and postures."""
-    from manip_learn.constraint.constraint import Constraint
     from manip_learn.planning.plan import plan as planned
 
-    constraint = Constraint.load(file, robot)
-    found = planned(constraint, task_of(constraint, way), start, progress=said)
+    taught = TaughtWay.asked_for(file, robot, way)
+    found = planned(taught.constraint, taught.task(), start, progress=said)
     return {"time": found.approach.time, "q": found.approach.q, "sentence": found.sentence}
 
 
 def _simulated(
-    robot: Robot, tip: str, said: Progress, file: str, way: Any, start: np.ndarray, named: Mapping[str, str]
+    robot: Robot, said: Progress, way: TaughtWay, start: np.ndarray, named: Mapping[str, str]
 ) -> list[dict[str, Any]]:
     """Rollouts of some policies, as the page plays them."""
-    from manip_learn.constraint.constraint import Constraint
     from manip_learn.control.controller import ResolvedRateController
     from manip_learn.control.null_policies import null_policy
     from manip_learn.control.way import simulate_way
     from manip_learn.playback.palette import rollout_colours
 
-    constraint, ghosts = Constraint.load(file, robot), []
+    ghosts = []
     colours_of = rollout_colours(["the arm itself", *named], {})[1:]
     for k, ((name, policy), colours) in enumerate(zip(named.items(), colours_of, strict=True)):
         said(f"moving with the {policy} policy", k / len(named))
-        task = task_of(constraint, way)
-        controller = ResolvedRateController(
-            constraint, task, null_policy(policy, task, constraint, robot, None, start), dt=STEP
-        )
+        task = way.task()
+        chosen = null_policy(policy, task, way.constraint, robot, None, start)
+        controller = ResolvedRateController(way.constraint, task, chosen, dt=STEP)
         rollout, done = simulate_way(robot, controller, start, STEP)
         says = f"{'all' if done.is_done else f'{done.done:.3g} of {done.wanted:.3g} {done.unit}'} done"
         ended = says + (f": stopped by {done.stopped_by}" if done.stopped_by else "")

@@ -48,8 +48,10 @@ class FurniturePiece {
 
   placed(object, x, y, z) { object.position.set(x, y, z); return object; }
 
-  setTime(t) {
-    const open = valueAt(this.opening, Math.min(t, this.rollout.duration)), [x, y] = this.pivot, c = Math.cos(open), s = Math.sin(open);
+  setTime(t) { if (this.opening) this.setOpening(valueAt(this.opening, Math.min(t, this.rollout.duration))); }
+
+  setOpening(open) {
+    const [x, y] = this.pivot, c = Math.cos(open), s = Math.sin(open);
     for (const part of [this.leaf, this.outline]) {
       if (this.kind === "drawer") part.position.y = Math.abs(this.pushedFrom - open);
       else {
