@@ -28,6 +28,7 @@ from manip_learn.teach.files import HOMES, Lesson  # noqa: E402
 from manip_learn.teach.scene import TITLES, place_scene  # noqa: E402
 from manip_learn.teach.session import LEFT, TeachingSession  # noqa: E402
 
+pytestmark = pytest.mark.timeout(400)  # a busy machine takes four times as long as an idle one
 TIP = "right_gripper_tip"
 NO_LIMITS = """<robot name="bare"><link name="base"/><link name="upper"/><link name="fore"/><link name="hand"/>
 <link name="tip"/>
