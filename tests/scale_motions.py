@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
-
 import numpy as np
 
 from manip_learn.constraint.features import FrameJacobian
@@ -43,26 +41,3 @@ def motions(
     time = DT * np.arange(n_points)
     pairs = zip(positions, velocities, strict=True)
     return Demonstrations([Trajectory(time, a, b, robot.joint_names, f"motion {i}") for i, (a, b) in enumerate(pairs)])
-
-
-class Stream:
-    """Trajectories that exist only while they are read: the same ones at each pass.
-
-    Args:
-        features: Whose robot moves.
-        selection: Lambda.
-        n_trajectories: How many.
-        batch: How many are made at a time.
-        held: See `motions`.
-    """
-
-    def __init__(self, features: FrameJacobian, selection: np.ndarray, n_trajectories: int, batch: int, held: bool):
-        self.features, self.selection, self.held = features, selection, held
-        self.n_trajectories, self.batch = n_trajectories, batch
-        self.passes = 0
-
-    def __iter__(self) -> Iterator[Trajectory]:
-        self.passes += 1
-        for start in range(0, self.n_trajectories, self.batch):
-            rng = np.random.default_rng([7, start])
-            yield from motions(self.features, self.selection, rng, self.batch, noise=0.01, held=self.held)

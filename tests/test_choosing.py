@@ -9,7 +9,7 @@ from collections.abc import Iterator
 
 import numpy as np
 import pytest
-from scale_motions import Stream, motions
+from scale_motions import motions
 from task_sets import generated, true_rows
 
 import manip_learn as ml
@@ -45,9 +45,10 @@ class Yielded:
     """Trajectories that exist only while they are read, several times over if asked for."""
 
     def __init__(self, trajectories, times: int = 1):
-        self.trajectories, self.times = trajectories, times
+        self.trajectories, self.times, self.passes = trajectories, times, 0
 
     def __iter__(self):
+        self.passes += 1
         for i in range(self.times):
             for t in self.trajectories:
                 yield ml.Trajectory(t.time, t.q + 1e-3 * i, t.u, t.joint_names, t.name)
@@ -220,9 +221,9 @@ def test_memory_does_not_grow(features, held):
     assert large < small + 500_000  # the difference in data is 2.7 MB
 
 
-def test_a_source_is_read_once(features):
+def test_a_source_is_read_once(features, held):
     """However many samples there are."""
-    stream = Stream(features, TWO, 200, 10, held=True)
+    stream = Yielded(held, 3)
     ml.ConstraintLearner(features, **HELD).fit(stream)
     assert stream.passes == 1
 

@@ -6,14 +6,13 @@ from dataclasses import dataclass
 from typing import Literal, final
 
 import numpy as np
+from generated_motions import planar_features
 from jaxtyping import Float
 
 from manip_learn.constraint.features.feature_map import FeatureMap
-from manip_learn.constraint.features.frame_jacobian import FrameJacobian
 from manip_learn.linalg import orthonormal_rows
 from manip_learn.recordings.demonstrations import Demonstrations
 from manip_learn.recordings.trajectory import Trajectory
-from manip_learn.robot.loading import load_robot
 
 MotionKind = Literal["held", "moved"]
 DT = 0.02
@@ -38,11 +37,6 @@ class Motion:
     features: FeatureMap
     demonstrations: Demonstrations
     selection: Float[np.ndarray, "s p"]
-
-
-def planar_features() -> FrameJacobian:
-    """x, y and rotation of the tip of a planar arm with three joints."""
-    return FrameJacobian(load_robot("planar3"), "tip", "planar")
 
 
 def planar_motion(
