@@ -212,6 +212,22 @@ def test_standstill_says_nothing():
     assert np.max(np.abs(values)) < 1e-9
 
 
+def test_noise_of_the_velocities_is_no_drift():
+    """A recording whose velocities are noisier goes as far along the held rows as their noise takes it, and no farther:
+    it agrees; one that goes as far without noise does not.
+    """
+    rng = np.random.default_rng(0)
+    noisy = 0.02 * np.cumsum(rng.standard_normal(401)) * 0.01
+    motion, row = flat_motion(still, still, still, still, lambda time: noisy), np.eye(2)[1:]
+    spans = [Stretch(i, 0.0, 4.0) for i in range(5)]
+    short = dataclasses.replace(motion, rates=motion.rates * [0.02, 1.0])  # beside a short way
+    assert agreeing(short, row, spans).tolist() == [True] * 5
+    smooth = np.interp(np.arange(401), [0, 400], [0.0, np.ptp(noisy)])
+    drift = flat_motion(still, still, still, still, lambda time: smooth)
+    drift = dataclasses.replace(drift, rates=drift.rates * [0.02, 1.0])
+    assert agreeing(drift, row, spans).tolist() == [True] * 4 + [False]
+
+
 def test_no_sequence_of_states_is_better(rng: np.random.Generator) -> None:
     """Against all sequences of seven samples: the gains are those of the best one, and the states give them. Into or
     out of a contact costs half a change, also at the ends; a single state throughout costs nothing.
