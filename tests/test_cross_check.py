@@ -105,9 +105,3 @@ def test_the_other_reader_is_silent(tmp_path, rng, caplog, capfd):
     assert not caplog.records
     assert capfd.readouterr() == ("", "")
     assert not logging.getLogger("yourdfpy.urdf").disabled
-
-
-def test_same_random_numbers_same_answer():
-    """The generator is the caller's."""
-    robot = load_robot("panda")
-    assert cross_check(robot, np.random.default_rng(1)) == cross_check(robot, np.random.default_rng(1))

@@ -14,7 +14,6 @@ from manip_learn.errors import ExperimentError, OutputError, UnknownNameError
 from manip_learn.experiments import EXPERIMENTS, reproduce, table
 from manip_learn.experiments.experiment_result import markdown_table, mean_and_sd, number, share, summary
 from manip_learn.experiments.paper_setup import PAPER_NMIE, SELECTIONS, Setup
-from manip_learn.experiments.reproduce import PARTS as EXPERIMENT_PARTS
 from manip_learn.experiments.reproduce import write_result
 from manip_learn.experiments.table import LearningCase, learning_trial
 from manip_learn.experiments.trial_runner import TrialRunner
@@ -96,13 +95,6 @@ def test_what_is_asked_for_is_checked_before_anything_is_written(tmp_path):
     (tmp_path / "thesis.docx").write_text("mine")
     with pytest.raises(OutputError, match="cannot be a folder"):
         reproduce("rmse", trials=1, out=tmp_path / "thesis.docx")
-
-
-def test_names_of_experiments():
-    """The command line's names are there, and `all` has every part."""
-    names = {"table", "rmse", "singular-start", "near-singular-start", "sawyer", "all"}
-    assert names == set(EXPERIMENTS)
-    assert set(EXPERIMENTS["all"]) == set(EXPERIMENT_PARTS)
 
 
 def test_files_of_an_experiment(tmp_path):

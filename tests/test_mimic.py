@@ -86,15 +86,6 @@ def test_mimic_of_mimic_in_any_order(rng):
             np.testing.assert_allclose(robot.pose([a, d], robot.frame("l4")), expected, atol=1e-14)
 
 
-def test_a_leader_below_its_follower(rng):
-    """The leader may hang on the follower."""
-    robot = load({"a": ("d", 0.7, 0.2)})
-    q = rng.uniform(-1, 1, 3)
-    assert robot.joint_names == ("b", "c", "d")
-    expected = free_pose({"a": 0.7 * q[2] + 0.2, "b": q[0], "c": q[1], "d": q[2]})
-    np.testing.assert_allclose(robot.pose(q, robot.frame("l4")), expected, atol=1e-14)
-
-
 def test_a_fixed_leader_holds_its_followers(rng):
     """What follows a fixed joint rests at its offset, also at second hand."""
     robot = load({"b": ("a", 5.0, 0.4), "c": ("b", 0.5, 0.1)}, types={"a": "fixed"})

@@ -91,9 +91,11 @@ def export(options: ExportOptions, progress: Progress | None = None) -> Exported
             raise OutputError(
                 f"cannot write {counted(len(motions), 'trajectory')} to one file, {out}: name a folder, and --to {kind}"
             )
-        names = [
-            out if is_file else out / (_file_name(m.name, i, len(motions)) + endings[0]) for i, m in enumerate(motions)
-        ]
+        stems = [Path(m.name).stem if Path(m.name).suffix else m.name for m in motions]
+        safe = [re.sub(r"[^A-Za-z0-9_.-]+", "_", stem)[:80] for stem in stems]
+        if len(motions) > 1:  # `demo_01.csv` -> `0_demo_01`
+            safe = [f"{i:0{len(str(len(motions) - 1))}d}_{name}" for i, name in enumerate(safe)]
+        names = [out if is_file else out / (name + endings[0]) for name in safe]
         refuse_to_replace([("--out", name) for name in names], options.files)
         written = [content_of(m) for m in motions]  # nothing is written unless all can be
         files = tuple(map(write_atomically, names, written))
@@ -135,9 +137,3 @@ def _format(out: Path, to: str | None) -> str:
             "LeRobot data and several files are written to a folder (a name without ending)"
         )
     return kind
-
-
-def _file_name(name: str, index: int, n: int) -> str:
-    """A file name made of a trajectory's name: `demo_01.csv` -> `0_demo_01`."""
-    safe = re.sub(r"[^A-Za-z0-9_.-]+", "_", Path(name).stem if Path(name).suffix else name)[:80]
-    return f"{index:0{len(str(n - 1))}d}_{safe}" if n > 1 else safe

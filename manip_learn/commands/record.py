@@ -151,7 +151,11 @@ def driver_of(spec: str) -> Driver:
     if not place:
         raise ConfigurationError(f"DRIVER must be FILE.py:NAME or package.module:NAME, got {spec!r}")
     try:
-        module = _file_as_module(Path(place)) if place.endswith(".py") else _module(place)
+        sys.path.insert(0, os.getcwd())
+        try:
+            module = _file_as_module(Path(place)) if place.endswith(".py") else importlib.import_module(place)
+        finally:
+            sys.path.remove(os.getcwd())
         found = getattr(module, name)
         driver = found if _is_driver(found) else found()
     except ManipLearnError:
@@ -166,14 +170,6 @@ def driver_of(spec: str) -> Driver:
 def _is_driver(found: object) -> bool:
     ready = isinstance(getattr(found, "period", None), float | int) and callable(getattr(found, "read", None))
     return ready and not isinstance(found, type)
-
-
-def _module(name: str) -> Any:
-    sys.path.insert(0, os.getcwd())
-    try:
-        return importlib.import_module(name)
-    finally:
-        sys.path.remove(os.getcwd())
 
 
 def _file_as_module(path: Path) -> Any:

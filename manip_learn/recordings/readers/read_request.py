@@ -237,7 +237,15 @@ class ReadRequest:
         _check_choice("outside_limits", self.outside_limits, ("refuse", "note"))
         for option in ("ignore_columns", "columns", "joint_names", "topics"):
             object.__setattr__(self, option, _names(option, getattr(self, option)))
-        _check_patterns(self.columns)
+        wrong = [p for p in self.columns if p.count("{joint}") + p.count("{index}") != 1]
+        if wrong or len(self.columns) > 2:
+            seen = f"{wrong[0]!r}" if wrong else f"{len(self.columns)} patterns"
+            raise RecordingError(
+                f"{as_written('columns')} must be one pattern of the columns of positions, and at most one of "
+                "velocities, each with {joint} or {index}, e.g. 'position.{joint}' or 'q[{index}]', "
+                f"got {seen}",
+                code="option",
+            )
         for option, what in (("task", "the text of a task"), ("feature", "the name of a feature")):
             value = getattr(self, option)
             if value is not None and not (isinstance(value, str) and value.strip()):
@@ -296,17 +304,6 @@ def _check_choice(option: str, value: object, allowed: tuple[object, ...]) -> No
     if value not in allowed:
         choices = ", ".join(spoken(repr(a), str(a)) for a in allowed if a)
         raise RecordingError(f"{as_written(option)} must be one of {choices}, got {value!r}", code="option")
-
-
-def _check_patterns(patterns: tuple[str, ...]) -> None:
-    wrong = [p for p in patterns if p.count("{joint}") + p.count("{index}") != 1]
-    if wrong or len(patterns) > 2:
-        seen = f"{wrong[0]!r}" if wrong else f"{len(patterns)} patterns"
-        raise RecordingError(
-            f"{as_written('columns')} must be one pattern of the columns of positions, and at most one of velocities, "
-            f"each with {{joint}} or {{index}}, e.g. 'position.{{joint}}' or 'q[{{index}}]', got {seen}",
-            code="option",
-        )
 
 
 def _names(option: str, value: str | Sequence[str] | None) -> tuple[str, ...] | None:

@@ -170,10 +170,15 @@ def recording_files(
     Raises:
         RecordingError: No path, a path that is missing, or a folder without recordings of exactly one format.
     """
-    given = _as_paths(paths)
     files: list[RecordingFile] = []
     notes: list[str] = []
-    for path in given:
+    given = [paths] if isinstance(paths, str | os.PathLike) or not isinstance(paths, Iterable) else list(paths)
+    if not given:
+        raise RecordingError("no recording was given: name at least one file or folder", code="empty")
+    for name in given:
+        if not isinstance(name, str | os.PathLike) or not os.fspath(name):
+            raise RecordingError(f"recordings are given as paths, got {name!r}", code="option")
+        path = Path(name)
         if path.is_dir():
             files += _in_folder(path, notes)
         else:
@@ -184,17 +189,6 @@ def recording_files(
     if len(unique) < len(files):
         notes.append(f"given more than once, read once: {counted(len(files) - len(unique), 'recording')}")
     return list(unique.values()), notes
-
-
-def _as_paths(paths: str | os.PathLike[str] | Iterable[str | os.PathLike[str]]) -> list[Path]:
-    given: list[Path] = []
-    for path in [paths] if isinstance(paths, str | os.PathLike) or not isinstance(paths, Iterable) else paths:
-        if not isinstance(path, str | os.PathLike) or not os.fspath(path):
-            raise RecordingError(f"recordings are given as paths, got {path!r}", code="option")
-        given.append(Path(path))
-    if not given:
-        raise RecordingError("no recording was given: name at least one file or folder", code="empty")
-    return given
 
 
 def _in_folder(folder: Path, notes: list[str]) -> Iterator[RecordingFile]:

@@ -84,7 +84,8 @@ def example_robots() -> dict[str, Path]:
         package = importlib.metadata.distribution(DATA_PACKAGE)
     except importlib.metadata.PackageNotFoundError:
         return {}
-    files = {_below_robots(name): name for name in _urdf_files(package)}
+    names = {name: PurePosixPath(name).parts for name in _urdf_files(package)}
+    files = {"/".join(p[p.index("robots") + 1 :] if "robots" in p else p[-1:]): name for name, p in names.items()}
     stems: dict[str, list[str]] = {}
     for key in files:
         stems.setdefault(PurePosixPath(key).stem, []).append(key)
@@ -112,8 +113,3 @@ def example_package_dir() -> Path | None:
             if folder.name == DATA_PACKAGE:
                 return folder.parent
     return None
-
-
-def _below_robots(name: str) -> str:
-    parts = PurePosixPath(name).parts
-    return "/".join(parts[parts.index("robots") + 1 :]) if "robots" in parts else parts[-1]
