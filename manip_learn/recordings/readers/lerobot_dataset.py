@@ -26,7 +26,10 @@ STATE, VELOCITY, EFFORT = "observation.state", "observation.velocity", "observat
 # names that data sets give to joint positions: joint_position (DROID), joint_pos, joint_positions, qpos
 POSITIONS = re.compile(r"(joint_?pos(ition)?s?|qpos)$", re.IGNORECASE)
 VELOCITY_WORDS = (("position", "velocity"), ("pos", "vel"))
-EFFORT_WORDS = (("positions", "effort"), ("position", "effort"), ("pos", "effort"))
+EFFORT_WORDS = tuple(
+    (p, e) for p in ("positions", "position", "pos") for e in ("effort", "torque", "torques", "efforts")
+)
+EFFORTS = (EFFORT, "observation.efforts", "observation.torque", "observation.torques")  # beside `observation.state`
 NUMBERS = ("float", "int", "uint")  # how the types of features that hold numbers begin
 
 
@@ -212,7 +215,8 @@ def _beside(position: str, vectors: Sequence[str]) -> tuple[str, str]:
         names = [head + dot + last.replace(p, v) for p, v in words if p in last and position != STATE]
         return next((name for name in names if name in vectors), names[0] if names else usual)
 
-    return exchanged(VELOCITY_WORDS, VELOCITY), exchanged(EFFORT_WORDS, EFFORT)
+    effort = next((name for name in EFFORTS if name in vectors), EFFORT)
+    return exchanged(VELOCITY_WORDS, VELOCITY), exchanged(EFFORT_WORDS, effort)
 
 
 def entry_names(names: Any) -> tuple[str, ...] | None:
