@@ -93,12 +93,6 @@ def test_a_difference_is_found(rng):
     assert not check.agrees and check.largest_difference == pytest.approx(0.09 - 0.089159)
 
 
-def test_without_a_description(rng):
-    """A robot built from a model has nothing to compare with."""
-    with pytest.raises(RobotError, match="nothing to compare with"):
-        cross_check(Robot(load_robot("ur5").pinocchio_model), rng)
-
-
 def test_the_other_reader_is_silent(tmp_path, rng, caplog, capfd):
     """Its warnings do not reach the user, and its logger is left as it was."""
     cross_check(load_robot("talos"), rng, n=1)

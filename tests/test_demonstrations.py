@@ -93,11 +93,6 @@ def test_velocities_may_be_missing():
     assert Demonstrations([trajectory()]).has_velocities
 
 
-def test_more_posture_columns_than_joints():
-    """Postures may be configurations with more columns than there are velocities (continuous joints)."""
-    assert trajectory(q=np.ones((5, 3))).q.shape == (5, 3)
-
-
 def test_parts():
     """A slice and an index array pick the same samples of time, q and u; the name follows."""
     t = trajectory(T=6)

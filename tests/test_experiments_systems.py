@@ -90,31 +90,6 @@ def test_climbing_rollouts_are_euler_steps_of_the_papers_law(rng):
             assert_allclose((q[i + 1] - q[i]) / 0.02, u, atol=1e-9)
 
 
-def test_rmse_compares_two_trajectories_and_one(rng):
-    """With another constraint's mu, two trajectories drift apart; along one, only the policies differ."""
-    true, other = (Constraint(Setup(rows).selection, planar_features()) for rows in ("x y", "x rz"))
-    starts, targets = draw_starts(2, rng), draw_targets(2, rng)
-    q, pi = rmse.climbing_rollouts(true, starts, targets)
-    own_q, own_pi = rmse.climbing_rollouts(true, starts, targets, other)
-    assert_allclose(own_q[:, 0], q[:, 0])
-    for i in (0, 50):
-        assert_allclose(own_pi[1, i], manipulability_gradient(other, own_q[1, i]), atol=1e-12)
-    # the task is the true one in both
-    assert_allclose(tip(own_q[:, -1])[:, :2], tip(q[:, -1])[:, :2], atol=0.2)
-    assert np.max(np.abs(own_q - q)) > 0.05
-    outcome = rmse.rmse_trial(rmse.RmseCase("x y"), rng)
-    assert set(outcome["separate"]) == set(rmse.KINDS)
-    assert all(len(outcome["separate"][kind]) == 20 for kind in rmse.KINDS)
-
-
-def test_targets_are_in_reach(rng):
-    """The wrist of every target is within two links, for links of any length."""
-    for length in (1.0, 100.0):
-        targets = draw_targets(500, rng, length)
-        heading = length * np.column_stack([np.cos(targets[:, 2]), np.sin(targets[:, 2])])
-        assert np.max(np.linalg.norm(targets[:, :2] - heading, axis=1)) <= 2.0 * length
-
-
 def test_noise_is_relative(rng):
     """10 % noise changes the action by a tenth of its root mean square, joint by joint."""
     clean = demonstrate(Setup(trajectories=50), Setup().selection, np.random.default_rng(1))

@@ -114,9 +114,3 @@ def test_a_changed_array_is_another_posture(robot_of: RobotOf) -> None:
     after = robot.position(q, "right_hand")
     np.testing.assert_array_equal(after, robot.pose(q.copy(), "right_hand")[:3, 3])
     assert np.linalg.norm(after - before) > 0.01
-
-
-def test_what_does_not_carry_the_frame_costs_nothing(robot_of: RobotOf) -> None:
-    """Fingers beside the chain of the hand, and the other arm of a tree, are not in the model of its kinematics."""
-    assert robot_of("tree").frame_kinematics("tip").model.nv < robot_of("tree").pinocchio_model.nv
-    assert robot_of("tree").frame_kinematics("tip") is robot_of("tree").frame_kinematics("tip")

@@ -69,16 +69,6 @@ def test_a_rollout_can_be_learnt_from_again(planar3: Robot, tmp_path: Path) -> N
     assert any("beyond their limits" in note for note in demos.notes)
 
 
-def test_a_rollout_that_chatters_can_be_learnt_from_again(planar3: Robot, tmp_path: Path) -> None:
-    """Commands that change their sign at every step are what our simulation did, not a fault of units."""
-    u = np.where(np.arange(60)[:, None] % 2, -0.9, 1.0) * np.ones(3)
-    q = np.vstack([np.zeros(3), np.cumsum(0.02 * u, axis=0)[:-1]]) * 7.0
-    rollout = Rollout(TIME, q, 7.0 * u, TIME, ("ok",) * 60, JOINTS, TIME)
-    demos = load_demonstrations(rollout.save(tmp_path / "r.npz"), planar3)
-    np.testing.assert_array_equal(demos[0].u, rollout.u)
-    assert not any("does not follow" in note for note in demos.notes)
-
-
 def test_a_rollout_of_configurations_becomes_joint_positions(robot_of, tmp_path: Path) -> None:
     """Continuous joints as (cos, sin) in a rollout are read as angles, with their full turns."""
     robot = robot_of("wrist")

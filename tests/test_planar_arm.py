@@ -73,9 +73,3 @@ def test_a_prismatic_joint_slides_its_link_along_itself() -> None:
     expected = 1.1 * np.array([np.cos(first), np.sin(first)]) + 0.3 * np.array([np.cos(last), np.sin(last)])
     np.testing.assert_allclose(data.oMf[model.getFrameId("tip")].translation[:2], expected, atol=1e-14)
     assert model.upperPositionLimit[1] == 0.4 and model.lowerPositionLimit[1] == 0.0
-
-
-def test_an_awkward_name_is_escaped() -> None:
-    """Quotes, < and & in the name cannot break the XML."""
-    name = "arm \"one\" <&> 'two'"
-    assert pin.buildModelFromXML(planar_arm_urdf((1.0,), name)).name == name

@@ -42,12 +42,6 @@ def test_many_at_once(rng: np.random.Generator) -> None:
     assert rotation_vectors(np.zeros((0, 3, 3))).shape == (0, 3)
 
 
-def test_more_than_a_turn() -> None:
-    """A vector of several turns gives the matrix of what is left, and that the short vector."""
-    R = rotation_matrix(np.array([0.0, 0.0, 4.0 * np.pi + 0.3]))
-    np.testing.assert_allclose(rotation_vector(R), [0.0, 0.0, 0.3], rtol=0, atol=1e-14)
-
-
 def test_jacobians(rng: np.random.Generator) -> None:
     """The left Jacobian turns rates of the vector into angular velocities, and its inverse is one, at every angle."""
     for angle in [*ANGLES[:-3], 0.0999999, 0.1000001]:

@@ -17,7 +17,6 @@ from manip_learn.recordings.local_fit import (
     jerk,
     local_fit,
     noise_variance,
-    third_derivatives,
 )
 from manip_learn.recordings.trajectory import Trajectory
 from manip_learn.recordings.velocities import derive_together, derive_velocities, is_clean, with_velocities
@@ -261,12 +260,3 @@ def test_short_trajectories_are_differenced() -> None:
     least = np.sqrt(np.sum(noise_variance(time, noisy)) / np.sum(np.mean(np.diff(line, axis=0) ** 2, axis=0)))
     for share, clean in ((0.98e-3, True), (1.02e-3, False)):
         assert is_clean(time, line + share / least * noisy) is clean
-
-
-def test_third_derivatives_at_uneven_stamps() -> None:
-    """Of a cubic they are its own, at stamps that are far apart before a sample or after it."""
-    for steps in (np.full(40, 0.01), np.geomspace(0.1, 0.001, 40), np.geomspace(0.001, 0.1, 40)):
-        time = np.cumsum(steps)
-        weights = third_derivatives(time, 5)
-        windows = np.lib.stride_tricks.sliding_window_view(2.0 * time**3 - time, 11)
-        np.testing.assert_allclose(np.einsum("nw,nw->n", weights, windows), 12.0, rtol=1e-5)
