@@ -1,4 +1,4 @@
-"""How long one `ServoLoop.update` takes: targets, ways, limits of the hand, irregular time. On one core.
+"""How long one `ServoLoop.update` takes: targets, ways, limits of the hand, irregular time. Processor time of one core.
 
     python benchmarks/loop_updates.py [--calls 3000] [--out FILE.md]
 
@@ -61,9 +61,9 @@ def measured(case: Case, start: np.ndarray, calls: int) -> tuple[float, float]:
     loop, q, now, times = make(), start, 0.0, []
     for _ in range(calls):
         now += step()
-        before = time.perf_counter()
+        before = time.thread_time()
         loop.update(q, now)
-        times.append(time.perf_counter() - before)
+        times.append(time.thread_time() - before)
         q = start if loop.position is None else loop.position
     late = 1e6 * np.array(times[calls // 10 :])
     return float(np.median(late)), float(np.percentile(late, 99))
