@@ -16,6 +16,7 @@ from manip_learn.constraint.shown import Shown
 from manip_learn.control.way import leads_away
 from manip_learn.errors import RecordingError
 from manip_learn.linalg import finite, null_basis
+from manip_learn.playback.page_writer import packed
 from manip_learn.recordings.preprocessing import evenly
 from manip_learn.robot.rotations import rotation_matrix
 
@@ -70,6 +71,12 @@ class MechanismDrawing:
     shown: str = ""
     way: Float[np.ndarray, "_n 3"] = field(default_factory=lambda: np.zeros((0, 3)))
     hold: bool = False
+
+    def to_dict(self) -> dict[str, Any]:
+        """For the page."""
+        content: dict[str, Any] = {name: getattr(self, name) for name in ("type", "sentence", "shown", "hold")}
+        content |= {name: [packed(x, "<f4") for x in getattr(self, name)] for name in ("lines", "patches")}
+        return content | {"way": packed(self.way, "<f4")}
 
 
 @final

@@ -65,20 +65,7 @@ def scene_data(
         "ellipsoidScale": ellipsoid_scale([one for some in marks for one in some], ELLIPSOID * size),
         "notes": list(notes),
         "phaseKinds": [vars(k) for k in kinds],
-        "mechanisms": [
-            {
-                "constraint": k,
-                "type": m.type,
-                "sentence": m.sentence,
-                "lines": [packed(line, "<f4") for line in m.lines],
-                "patches": [packed(patch, "<f4") for patch in m.patches],
-                "shown": m.shown,
-                "way": packed(m.way, "<f4"),
-                "hold": m.hold,
-            }
-            for k, m in enumerate(mechanisms)
-            if m is not None
-        ],
+        "mechanisms": [m.to_dict() | {"constraint": k} for k, m in enumerate(mechanisms) if m is not None],
     }
 
 

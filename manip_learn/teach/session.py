@@ -45,7 +45,7 @@ from manip_learn.teach.scene import (
     Kind,
     place_scene,
 )
-from manip_learn.teach.way import ARRIVES, TaughtRecording, TaughtWay
+from manip_learn.teach.way import ARRIVES, TaughtRecording, TaughtWay, handle_near
 from manip_learn.teach.worker import TeachingWorker, ghost
 
 LEFT = 1.0  # [s] without a page after which the program ends: loading a page again asks for it within a tenth of that
@@ -395,11 +395,15 @@ class TeachingSession:
         if len(self._recordings) < FEW:
             self._refused(f"From fewer than {FEW} recordings what is held cannot be told from how a person moves.")
             return
-        files, handles = [str(one.path) for one in self._recordings], self.arm.scene.handles
-        places = [handle.pose[:3, 3].tolist() for handle in handles]
-        self._worker.ask("learn", files=files, handles=places, out=str(self._constraint_file))
+        files = [str(one.path) for one in self._recordings]
+        self._worker.ask("learn", files=files, handles=self._stations, out=str(self._constraint_file))
         self._progress = {"step": "reading", "share": 0.0}
         self._say("Learning from " + counted(len(self._recordings), "recording") + ".")
+
+    @property
+    def _stations(self) -> list[Float[np.ndarray, "n 3"]]:
+        """Places along the way of each handle, from where it is shut [m]."""
+        return [np.array([pose[:3, 3] for pose in handle.stations()]) for handle in self.arm.scene.handles]
 
     @property
     def _constraint_file(self) -> Path:
@@ -504,11 +508,15 @@ class TeachingSession:
         """Go where the recordings took hold, straight or as a plan says, and close the gripper."""
         self._doing = "moving"
         self._say("The hand goes to the handle, as it was shown.")
+        if (handle := handle_near(way.shown.begin, self._stations)) is None:
+            self._say("There is no handle here where the recordings hold something: show this scene.", wrong=True)
+            return False
+        place = self.arm.handle_place(handle)
         if planned:
-            ended = self._change_posture(way)
+            ended = self._change_posture(way, place)
         else:
-            task = way.task()
-            loop = self._loop_of(self._law(way, task, policy))
+            task = way.task(place)
+            loop = self._loop_of(self._law(task, policy))
             there = lambda: BY_HAND if self._stop else THERE if task.way_begins is not None else ""  # noqa: E731
             self.arm.hold()
             ended = run(loop, self.arm, duration=SLOWER * (1.0 + task.duration_from(self.arm.q)), until=there).ended
@@ -517,24 +525,24 @@ class TeachingSession:
             self._say(f"The hand did not come to the handle: {ended}.", wrong=ended != BY_HAND)
             return False
         if not self.arm.grip(True):
-            self._say("No handle is where the recordings took hold of it: press Home, and try again.", wrong=True)
+            self._say("The hand did not come to the handle: press Home, and try again.", wrong=True)
             return False
         closing = self.arm.time + 2.0 * STAYS
         while self.arm.time < closing and not self._stop:
             self.arm.command(self.arm.q_held, np.zeros(self.robot.nv))
         return not self._stop
 
-    def _law(self, way: TaughtWay, task: FreeDirection, policy: str) -> ResolvedRateController:
+    def _law(self, task: FreeDirection, policy: str) -> ResolvedRateController:
         from manip_learn.control.null_policies import null_policy
 
-        chosen = null_policy(policy, task, way.constraint, self.robot, None, self.arm.scene.start)
-        return ResolvedRateController(way.constraint, task, chosen, dt=PERIOD)
+        chosen = null_policy(policy, task, task.learnt, self.robot, None, self.arm.scene.start)
+        return ResolvedRateController(task.learnt, task, chosen, dt=PERIOD)
 
-    def _change_posture(self, way: TaughtWay) -> str:
+    def _change_posture(self, way: TaughtWay, place: Float[np.ndarray, " 3"]) -> str:
         """To the handle, in the posture from which the whole way can be done; why that ended."""
         self._doing, self._planned = "planning", None
         self.arm.hold()
-        self._worker.ask("plan", file=str(self._constraint_file), way=way.asked(), start=self.arm.q)
+        self._worker.ask("plan", file=str(self._constraint_file), way=way.asked(), start=self.arm.q, place=place)
         while self._worker.busy and not self._stop:
             self.arm.command(self.arm.q_held, np.zeros(self.robot.nv))
         if self._stop or self._planned is None:
@@ -547,7 +555,7 @@ class TeachingSession:
         """Run the controller until the way is done, something trips, or the person stops it."""
         self.arm.hold()
         task, rested = way.rest(self.arm.q), [0.0]
-        loop = self._loop = self._loop_of(self._law(way, task, policy))
+        loop = self._loop = self._loop_of(self._law(task, policy))
 
         def so_far(ended: str, ordered: bool) -> dict[str, Any]:
             done = way.at(self.arm.place) if way.shown.is_way else task.progress(self.arm.q)

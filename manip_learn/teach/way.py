@@ -10,6 +10,7 @@ from typing import Any, cast, final
 
 import numpy as np
 from jaxtyping import Float
+from numpy.typing import ArrayLike
 
 from manip_learn.constraint.constraint import Constraint
 from manip_learn.constraint.shown import Shown, Unit
@@ -54,30 +55,54 @@ class TaughtRecording:
         }
 
 
-def held_by_handles(skill: Skill, handles: Sequence[Sequence[float]]) -> Skill:
-    """A skill whose ways begin at handles that are shut, since a gripper closed on these: contacts are seen later.
+def handle_near(place: Float[np.ndarray, " 3"], handles: Sequence[Float[np.ndarray, "n 3"]]) -> int | None:
+    """Number of the handle along whose way a place is; None where none is near.
+
+    Args:
+        place: Where a contact began [m].
+        handles: Places along the way of each, from where it is shut [m].
+    """
+    gaps = [float(np.min(np.linalg.norm(way - place, axis=1))) for way in handles]
+    nearest = int(np.argmin(gaps)) if gaps else None
+    return nearest if nearest is not None and gaps[nearest] < 2.0 * REACHES else None
+
+
+def held_by_handles(skill: Skill, handles: Sequence[Float[np.ndarray, "n 3"]]) -> Skill:
+    """A skill whose ways count from where their handles are shut.
+
+    A person does not always shut what was opened before the next recording, and contacts are seen a little late.
 
     Args:
         skill: As learnt.
-        handles: Where the handles are when they are shut [m].
+        handles: As for `handle_near`.
     """
 
-    def at_handle(shown: Shown | None) -> Shown | None:
-        places = [np.array(place) for place in handles if shown is not None]
-        near = min(places, key=lambda place: float(np.linalg.norm(place - cast(Shown, shown).begin)), default=None)
-        if shown is None or near is None or np.linalg.norm(near - shown.begin) > 2.0 * REACHES:
+    def from_shut(shown: Shown | None) -> Shown | None:
+        number = None if shown is None else handle_near(shown.begin, handles)
+        if shown is None or number is None or not shown.is_way:
             return shown
-        return replace(shown, hold=near, begin=near)
+        shut = handles[number][0]
+        ahead = coordinate(shown, shut, shown.begin)
+        least, most = shown.least + ahead, shown.most + ahead
+        counted = {"extent": shown.extent + ahead, "least": least, "most": most, "span": max(shown.span, most)}
+        return replace(shown, hold=shut, begin=shut, path=shown.path + ahead, **counted)
 
     constraints: dict[int, Constraint] = {}
     for constraint in skill.constraints:
-        shown = at_handle(constraint.shown)
+        shown = from_shut(constraint.shown)
         constraints[id(constraint)] = constraint if shown is None else constraint.showing(shown)
     steps = (
-        replace(s, shown=at_handle(s.shown), constraint=None if s.constraint is None else constraints[id(s.constraint)])
+        replace(s, shown=from_shut(s.shown), constraint=None if s.constraint is None else constraints[id(s.constraint)])
         for s in skill.steps
     )
     return Skill(tuple(constraints.values()), tuple(steps), skill.notes)
+
+
+def coordinate(shown: Shown, begin: Float[np.ndarray, " 3"], place: Float[np.ndarray, " 3"]) -> float:
+    """How far a hand is along a way from where it began [m or rad], by its place."""
+    poses = np.tile(np.eye(4), (2, 1, 1))
+    poses[:, :3, 3] = begin, place
+    return float(replace(shown.coordinates, by_hand=False).of(poses)[1, 0])
 
 
 @final
@@ -147,10 +172,13 @@ class TaughtWay:
             raise ValueError("the way must be a finite number")
         self.value = min(max(value, SHORTEST[self.unit]), self.high)
 
-    def task(self) -> FreeDirection:
-        """Go where it was shown to take hold, and the way."""
-        task = motion(self.constraint)
-        return task.with_distance(math.copysign(self.value, task.wanted))
+    def task(self, place: ArrayLike | None = None) -> FreeDirection:
+        """Go where it was shown to take hold, or where the handle is now [m], and what is left of the way."""
+        shown = self.shown
+        begin = shown.begin if place is None else np.asarray(place, dtype=np.float64)
+        task = motion(self.constraint.showing(replace(shown, hold=begin, begin=begin)), beyond_shown=True)
+        left = self.value - (self.at(begin) if shown.is_way else 0.0)
+        return task.with_distance(math.copysign(max(left, SHORTEST[self.unit]), task.wanted))
 
     def rest(self, q: Float[np.ndarray, " nv"]) -> FreeDirection:
         """What is left of the way from a posture; a path on a surface is begun again."""
@@ -172,9 +200,7 @@ class TaughtWay:
             points = shown.points
             far = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(points, axis=0), axis=1))])
             return float(far[np.argmin(np.linalg.norm(points - place, axis=1))])
-        poses = np.tile(np.eye(4), (2, 1, 1))
-        poses[:, :3, 3] = shown.begin, place
-        return float(replace(shown.coordinates, by_hand=False).of(poses)[1, 0])
+        return coordinate(shown, shown.begin, place)
 
     def in_words(self, done: float) -> str:
         """How far it came [m or rad], of how far it was to go."""

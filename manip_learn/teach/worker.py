@@ -14,6 +14,7 @@ from typing import Any, final
 import numpy as np
 from numpy.typing import ArrayLike
 
+from manip_learn.constraint.shown import Shown
 from manip_learn.errors import ManipLearnError, OutputError
 from manip_learn.recordings.trajectory_source import Progress
 from manip_learn.robot.robot import Robot
@@ -129,7 +130,7 @@ def _said(pipe: Connection) -> Progress:
 
 
 def learn(
-    robot: Robot, tip: str, said: Progress, *, files: list[str], handles: list[list[float]], out: str
+    robot: Robot, tip: str, said: Progress, *, files: list[str], handles: list[np.ndarray], out: str
 ) -> dict[str, Any]:
     """Learn from recordings; the skill goes to a file.
 
@@ -151,7 +152,8 @@ def learn(
         if found is None or found.grip != "firm":
             break
     report = learner.report_
-    held_by_handles(learner.skill_, handles).save(out)
+    skill = held_by_handles(learner.skill_, handles)
+    skill.save(out)
     names = [c.mechanism.type if c.mechanism is not None else "" for c in learner.constraints_]
     evidence = evidence_of(report)
     answer = {
@@ -163,7 +165,9 @@ def learn(
         "warnings": evidence["warnings"],
         "odd": evidence["odd"],
         "phaseKinds": [vars(kind) for kind in phase_kinds(report.phases, names)] if report.phases else [],
-        "mechanism": None if report.mechanism is None else _drawn(robot, tip, report.mechanism, demos, report.phases),
+        "mechanism": None
+        if report.mechanism is None
+        else _drawn(robot, tip, report.mechanism, demos, report.phases, skill.constraints[0].shown),
         "others": [c.mechanism.sentence for c in learner.constraints_[1:] if c.mechanism is not None],
     }
     uncertain = report.uncertainty_deg
@@ -173,10 +177,9 @@ def learn(
     return {"answer": answer, "phases": phases, "uncertainty": uncertain, "warned": bool(report.warnings)}
 
 
-def _drawn(robot: Robot, tip: str, mechanism: Any, demos: Any, phases: Any) -> dict[str, Any]:
-    """Lines and patches of a mechanism, as large as the motion that it held."""
+def _drawn(robot: Robot, tip: str, mechanism: Any, demos: Any, phases: Any, shown: Shown | None) -> dict[str, Any]:
+    """Lines and patches of a mechanism, as large as the motion that it held, and what was shown along it."""
     from manip_learn.playback.mechanism_drawing import mechanism_drawing
-    from manip_learn.playback.page_writer import packed
 
     held = [
         robot.position(t.q[k], tip)
@@ -185,13 +188,9 @@ def _drawn(robot: Robot, tip: str, mechanism: Any, demos: Any, phases: Any) -> d
         if name == t.name and number == 0
         for k in np.flatnonzero((t.time >= start) & (t.time <= end))[::10]
     ]
-    drawing = mechanism_drawing(mechanism, np.array(held or [robot.position(t.q[0], tip) for t in demos]))
-    return {
-        "type": drawing.type,
-        "sentence": drawing.sentence,
-        "lines": [packed(line, "<f4") for line in drawing.lines],
-        "patches": [packed(patch, "<f4") for patch in drawing.patches],
-    }
+    places = np.array(held or [robot.position(t.q[0], tip) for t in demos])
+    drawing = mechanism_drawing(mechanism, places, shown)
+    return drawing.to_dict()
 
 
 def policies(
@@ -221,13 +220,13 @@ def compare(
 
 
 def plan(
-    robot: Robot, tip: str, said: Progress, *, file: str, way: Mapping[str, Any], start: ArrayLike
+    robot: Robot, tip: str, said: Progress, *, file: str, way: Mapping[str, Any], start: ArrayLike, place: ArrayLike
 ) -> dict[str, Any]:
     """The posture in which to take hold, and the way of the joints to it: times [s] and postures."""
     from manip_learn.planning.plan import plan as planned
 
-    taught = TaughtWay.asked_for(file, robot, way)
-    found = planned(taught.constraint, taught.task(), start, progress=said)
+    task = TaughtWay.asked_for(file, robot, way).task(place)
+    found = planned(task.learnt, task, start, progress=said)
     return {"time": found.approach.time, "q": found.approach.q, "sentence": found.sentence}
 
 
@@ -245,8 +244,8 @@ def _simulated(
     for k, ((name, policy), colours) in enumerate(zip(named.items(), colours_of, strict=True)):
         said(f"moving with the {policy} policy", k / len(named))
         task = way.task()
-        chosen = null_policy(policy, task, way.constraint, robot, None, start)
-        controller = ResolvedRateController(way.constraint, task, chosen, dt=STEP)
+        chosen = null_policy(policy, task, task.learnt, robot, None, start)
+        controller = ResolvedRateController(task.learnt, task, chosen, dt=STEP)
         rollout, done = simulate_way(robot, controller, start, STEP)
         says = f"{'all' if done.is_done else f'{done.done:.3g} of {done.wanted:.3g} {done.unit}'} done"
         ended = says + (f": stopped by {done.stopped_by}" if done.stopped_by else "")

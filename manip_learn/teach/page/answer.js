@@ -14,6 +14,7 @@ class Answer {
   parts(answer) {
     const { sentence, mechanism, next, offer, phaseKinds = [] } = answer, parts = [paragraph(sentence, "headline")];
     if (mechanism && mechanism.sentence && mechanism.sentence !== sentence) parts.push(paragraph(mechanism.sentence.charAt(0).toUpperCase() + mechanism.sentence.slice(1)));
+    if (mechanism && mechanism.shown) parts.push(paragraph(mechanism.shown));
     if (next) parts.push(paragraph(next, "next"));
     if (offer) parts.push(this.offer(offer));
     if (phaseKinds.length) parts.push(this.legend(phaseKinds));
