@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any, final
+from typing import TYPE_CHECKING, Any, final
 
 import numpy as np
 
@@ -30,6 +30,9 @@ from manip_learn.planning.plan import Plan, plan
 from manip_learn.planning.stations import margin_of
 from manip_learn.recordings.trajectory_source import Progress
 from manip_learn.robot import Robot
+
+if TYPE_CHECKING:
+    from manip_learn.playback import ReplayResult
 
 ROWS = ("all", "held")
 # curve or surface that the held rows keep the hand on
@@ -72,6 +75,8 @@ class Controlled:
         verb: What the way did to the thing, e.g. `"opened"`.
         plan: The plan that was followed; None without one.
         margin: Least share of its own limits that the way left, as that of a plan; None without a way.
+        hold: Where the hand was when the way began, in the base frame [m]; None without a way.
+        page: The replay that was written.
         notes: What loading the constraint had to say, e.g. that joints are locked elsewhere than when it was learnt.
     """
 
@@ -85,6 +90,8 @@ class Controlled:
     verb: str = "moved"
     plan: Plan | None = None
     margin: float | None = None
+    hold: tuple[float, ...] | None = None
+    page: ReplayResult | None = None
     notes: tuple[str, ...] = ()
 
     @staticmethod
@@ -93,6 +100,10 @@ class Controlled:
         known = constraint.mechanism
         place, verb = "" if known is None else PLACES.get(known.type, ""), verb_of(constraint, rollout, way)
         words: dict[str, Any] = {"out": None, "place": place, "verb": verb, "notes": constraint.notes, **more}
+        robot, frame = constraint.robot, getattr(constraint.features, "frame", None)
+        if way is not None and way.begins is not None and robot is not None and frame is not None:
+            q = rollout.q[int(np.searchsorted(rollout.time, way.begins - 1e-9))]
+            words["hold"] = tuple(robot.position(q, frame).tolist())
         return Controlled(rollout, tolerance=tolerance, way=way, **words)
 
     @property
@@ -146,6 +157,7 @@ class Controlled:
             **(way if self.way is None else self.way.to_dict()),
             "plan": None if self.plan is None else self.plan.to_dict(),
             "margin": self.margin,
+            "hold": None if self.hold is None else list(self.hold),
             "min_manipulability": float(r.manipulability.min()),
             "mean_manipulability": float(r.manipulability.mean()),
             "max_velocity": float(np.abs(r.u).max()),
@@ -154,11 +166,12 @@ class Controlled:
             "duration": float(r.time[-1]),
             "final_posture": r.q[-1].tolist(),
             "out": None if self.out is None else str(self.out),
+            "html": None if self.page is None else str(self.page.html),
         }
 
 
 def control(options: ControlOptions, progress: Progress | None = None) -> Controlled:
-    """Simulate a controller and write the rollout to a file if one is named.
+    """Simulate a controller; write the rollout and a replay to files if they are named.
 
     Raises:
         TargetError: A target beside a way, an unknown word for `rows`, a plan without a way; with `check`, a way or a
@@ -205,7 +218,12 @@ def control(options: ControlOptions, progress: Progress | None = None) -> Contro
     if options.check and not done.reached:
         because = "" if way is None else f": stopped by {way.stopped_by}"
         raise TargetError(f"{done.sentence}{because}; ask for less, or start elsewhere (--start)", code="not-reached")
-    return replace(done, out=rollout.save(options.out) if options.out is not None else None)
+    page = None
+    if options.html is not None:
+        from manip_learn.playback import replay
+
+        page = replay(robot, {"control": rollout}, options.html, open_browser=False)
+    return replace(done, out=rollout.save(options.out) if options.out is not None else None, page=page)
 
 
 def _task(

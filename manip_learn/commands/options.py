@@ -322,6 +322,7 @@ class ControlOptions:
     tolerance: Annotated[float, Option(help="Distance to the target that counts as reached [m or rad].")] = 0.01
     check: Annotated[bool, Option("--check", help="Write nothing and refuse if it gets less far.")] = False
     out: Annotated[Path | None, Option(help="Rollout file to write: .npz, .csv or .mcap (for ROS).")] = None
+    html: Annotated[Path | None, Option(help="Replay to write.")] = None
     planned: PlanOptions = PlanOptions()
     loading: RobotOptions = RobotOptions()
     explain: Explain = False

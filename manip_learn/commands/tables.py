@@ -29,7 +29,7 @@ if TYPE_CHECKING:
     from manip_learn.learning.audit import EpisodeAudit
     from manip_learn.playback import ReplayResult
 
-WAY_TERMS = ("off", "fastest", "least mu")
+WAY_TERMS = ("off", "fastest", "margin of a way", "least mu")
 ROLLOUT_TERMS = ("error", "mu", "peak", "unhindered")
 AUDIT_TERMS = ("score", "sigma", "broken", "mm, deg", "margin", "speed", "jerk", "rest")
 # what an audit shows of an episode, in order; on a narrow terminal the last ones of the second row are left out
@@ -79,6 +79,11 @@ WORDS: dict[str, tuple[str, str]] = {
         "fastest joint, of its speed limit",
         "Of all joints and moments of the motion, the largest share of a velocity limit. At 100 % the arm was as fast "
         "as it may be and the hand had to wait for it.",
+    ),
+    "margin of a way": (
+        "least share of the arm's own limits that it leaves",
+        "Of the joints' ranges, of their speeds, and of the speed that the weakest direction could have: the smallest "
+        "of all along the way. A plan chooses the posture in which the hand takes hold by it.",
     ),
     "least mu": (
         "smallest manipulability on the way, 0 at a singularity",
@@ -189,6 +194,7 @@ def _measures(controlled: Controlled) -> dict[str, str | Text]:
             "time": "-" if way.seconds is None else f"{way.seconds:.1f} s",
             "off": Text(f"{1e3 * way.deviation:.1f} mm", "red" if way.strays else ""),
             "fastest": f"{100 * way.fastest[1]:.0f} %",
+            "margin": "-" if controlled.margin is None else f"{100 * controlled.margin:.0f} %",
             "least mu": f"{way.least_manipulability:.3f}",
         }
     mu = r.manipulability[r.time >= min(0.1, r.time[-1])]  # [s]: a nearly singular start is not due to the policy
@@ -259,7 +265,7 @@ def print_learnt(console: Console, learnt: Learnt, explain: bool = False) -> Non
     if learnt.page is not None:
         say_file(console, "replay", learnt.page.html, learnt.page.bytes)
     if learnt.out is not None and learnt.constraint.shown is not None:
-        again = f"control {learnt.robot} {learnt.out} --out run.npz"
+        again = f"control {learnt.robot} {learnt.out} --html run.html"
         if many:
             again = f"repeat {learnt.robot} {learnt.out} --html run.html"
         say(console, f"next: manip-learn {again}", whole=True)
@@ -321,12 +327,14 @@ def print_repeated(console: Console, repeated: Repeated) -> None:
     )
     if repeated.whence:
         say(console, f"start: {repeated.whence} (another: --start)")
-    table = Table("step", "done", "of", "off", "margin", box=SIMPLE_HEAD, pad_edge=False)
+    table = Table("step", "done", "of", "off", "fastest", "margin", box=SIMPLE_HEAD, pad_edge=False)
     for step in done.steps:
         far, wanted = (way_in_words(x, step.unit) for x in (step.done, step.wanted))
         off = f"{1e3 * step.deviation:.1f} {'mm' if step.unit == 'm' else 'mm or mrad'}"
-        table.add_row(text(step.name), far, wanted, off, "" if step.margin is None else f"{step.margin:.0%}")
+        margin = "" if step.margin is None else f"{100 * step.margin:.0f} %"
+        table.add_row(text(step.name), far, wanted, off, f"{100 * step.fastest:.0f} %", margin)
     console.print(table)
+    say(console, *(f"{step.name}: at {_at(step.place.tolist())}" for step in done.steps if step.kind == "reach"))
     say(
         console,
         *(f"{step.name}: stopped by {step.stopped_by}" for step in done.steps if step.stopped_by),
@@ -377,6 +385,8 @@ def print_controlled(console: Console, controlled: Controlled, explain: bool = F
     say(console, controlled.sentence, style="bold")
     if controlled.start:
         say(console, f"start: {controlled.start} (another: --start)")
+    if controlled.hold is not None:
+        say(console, f"the hand took hold at {_at(controlled.hold)}")
     console.print(rollout_table({"rollout": controlled}, console.width))
     print_words(console, ROLLOUT_TERMS if controlled.way is None else WAY_TERMS, explain)
     plan = controlled.plan
@@ -390,6 +400,13 @@ def print_controlled(console: Console, controlled: Controlled, explain: bool = F
     say(console, *_obstacles(controlled), style="yellow")
     say(console, *(f"note: {note}" for note in controlled.notes), style="dim")
     say_file(console, "written", controlled.out)
+    if controlled.page is not None:
+        say_file(console, "replay", controlled.page.html, controlled.page.bytes)
+
+
+def _at(place: Sequence[float]) -> str:
+    """A place in the base frame, in words."""
+    return f"({', '.join(f'{x:.3f}' for x in place)}) m"
 
 
 def _obstacles(controlled: Controlled) -> list[str]:

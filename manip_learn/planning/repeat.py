@@ -43,6 +43,8 @@ class StepDone:
         deviation: Largest distance off what holds the hand [m or rad]; of a reach, from where it was to end [m].
         margin: Of a way, as that of a plan; None of a reach.
         stopped_by: What ended it before it was done, in words; None if it was done.
+        fastest: Largest share of a joint's velocity limit that it took.
+        place: shape (3,), where the hand was at its end: where it took hold, of a way its farthest place [m].
         name: What it was, in words.
     """
 
@@ -53,6 +55,8 @@ class StepDone:
     deviation: float
     margin: float | None
     stopped_by: str | None
+    fastest: float
+    place: Float[np.ndarray, " 3"]
     name: str
 
     def to_dict(self) -> dict[str, Any]:
@@ -66,6 +70,8 @@ class StepDone:
             "unit": "m" if self.unit == "m" else "deg",
             "deviation": self.deviation,
             "margin": self.margin,
+            "fastest": self.fastest,
+            "place": self.place.tolist(),
             "stopped_by": self.stopped_by,
         }
 
@@ -231,9 +237,10 @@ def _way(step: Step, name: str, q: Float[np.ndarray, " n"], seed: int, limits: L
             f"step {name!r}: {refusal}", stopped_by=refusal.stopped_by, helps=refusal.helps, **facts
         ) from refusal
     robot, frame = found.robot, constraint.features.frame.name  # type: ignore[attr-defined]  # a plan has looked
-    far = float(np.linalg.norm(robot.position(found.approach.q[-1], frame) - robot.position(q, frame)))
-    outcome = found.outcome
-    reach = StepDone("reach", far, far, "m", 0.0, None, None, f"take hold for {name}")
+    hold, end = (robot.position(x, frame) for x in (found.approach.q[-1], found.way.q[-1]))
+    far, outcome = float(np.linalg.norm(hold - robot.position(q, frame))), found.outcome
+    fast = float(np.max(np.abs(found.approach.u) / robot.velocity_limit))
+    reach = StepDone("reach", far, far, "m", 0.0, None, None, fast, hold, f"take hold for {name}")
     way = StepDone(
         "way",
         abs(outcome.wanted),
@@ -242,6 +249,8 @@ def _way(step: Step, name: str, q: Float[np.ndarray, " n"], seed: int, limits: L
         outcome.deviation,
         found.margin,
         outcome.stopped_by,
+        outcome.fastest[1],
+        end,
         name,
     )
     to_hold, along = found.controller.laws
@@ -277,9 +286,11 @@ def _retreat(
     rollout, outcome = simulate_way(robot, law, q, dt)
     if not outcome.is_done:
         raise NoPlanError(f"step {name!r}: the hand does not get to where the recordings ended: {outcome.stopped_by}")
-    off = float(np.linalg.norm(robot.position(rollout.q[-1], frame) - np.asarray(step.place)))
+    end = robot.position(rollout.q[-1], frame)
+    off = float(np.linalg.norm(end - np.asarray(step.place)))
     rollout = replace(rollout, phases=((name, 0.0, float(rollout.time[-1])),), ways=())
-    return [Part(law, rollout, (StepDone("reach", far, abs(outcome.done), "m", off, None, None, name),))]
+    done = StepDone("reach", far, abs(outcome.done), "m", off, None, None, outcome.fastest[1], end, name)
+    return [Part(law, rollout, (done,))]
 
 
 def _rigid(moved: ArrayLike) -> Float[np.ndarray, "4 4"]:
