@@ -130,7 +130,8 @@ def _opened(path: Path, stack: contextlib.ExitStack) -> BagFile:
     stack.callback(reader.close)
     if isinstance(reader, rosbag1.Reader):
         return _ros1(path, reader)
-    storage = reader.storage
+    storage: Any = reader.storage
+    is_mcap = isinstance(storage, McapReader)
     parts = storage.storages if path.is_dir() else [storage]
     for part in parts:
         if isinstance(part, McapReader):
@@ -139,7 +140,7 @@ def _opened(path: Path, stack: contextlib.ExitStack) -> BagFile:
         elif isinstance(part, Sqlite3Reader):
             _check_database(path, part)
     stated = _by_topic((c.topic, c.msgcount) for c in storage.connections)
-    if isinstance(storage, McapReader) and not storage.statistics.channel_message_counts:
+    if is_mcap and not storage.statistics.channel_message_counts:
         return BagFile(path, parts, Counter())  # the numbers by channel may be left out
     if stated.total() != storage.metadata.message_count:
         said = f"of {storage.metadata.message_count} messages that the bag states {stated.total()} are of its topics"
@@ -201,10 +202,9 @@ def _check_before(file: Path) -> None:
             )
 
 
-def _check_database(path: Path, storage: Sqlite3Reader) -> None:
+def _check_database(path: Path, storage: Any) -> None:
     """Refuse a database that SQLite finds unsound."""
-    connection: Any = storage.dbconn
-    (verdict,) = connection.execute("PRAGMA integrity_check(1)").fetchone()
+    (verdict,) = storage.dbconn.execute("PRAGMA integrity_check(1)").fetchone()
     if verdict != "ok":
         raise refusal(
             path,
