@@ -131,7 +131,6 @@ def _opened(path: Path, stack: contextlib.ExitStack) -> BagFile:
     if isinstance(reader, rosbag1.Reader):
         return _ros1(path, reader)
     storage: Any = reader.storage
-    is_mcap = isinstance(storage, McapReader)
     parts = storage.storages if path.is_dir() else [storage]
     for part in parts:
         if isinstance(part, McapReader):
@@ -140,7 +139,8 @@ def _opened(path: Path, stack: contextlib.ExitStack) -> BagFile:
         elif isinstance(part, Sqlite3Reader):
             _check_database(path, part)
     stated = _by_topic((c.topic, c.msgcount) for c in storage.connections)
-    if is_mcap and not storage.statistics.channel_message_counts:
+    statistics: Any = getattr(storage, "statistics", None)  # of an MCAP file
+    if statistics is not None and not statistics.channel_message_counts:
         return BagFile(path, parts, Counter())  # the numbers by channel may be left out
     if stated.total() != storage.metadata.message_count:
         said = f"of {storage.metadata.message_count} messages that the bag states {stated.total()} are of its topics"
