@@ -1,4 +1,4 @@
-"""What is shown, done again in rigid-body dynamics through `run`: how far furniture goes, and how hard it is pressed.
+"""What is shown, done again in rigid-body dynamics through `run`: how far furniture goes, how hard it is pressed.
 
     PYTHONPATH=tests:examples python benchmarks/as_shown_physics.py --seed 65000
 
