@@ -186,7 +186,7 @@ def test_a_hand_that_strays_is_told(run, shown):
 
 
 def test_the_demo_opens_the_drawer(run):
-    """A plan and every policy open it as far as was shown, to 1 mm; the plan stays farthest from singularities and limits."""
+    """A plan and every policy open it as far as was shown, to 1 mm; the plan keeps the largest margin."""
     code, out, _err = run("demo", "--no-browser", "--json")
     rollouts = json.loads(out)["rollouts"]
     assert code == 0 and list(rollouts) == ["plan", "manipulability", "attractor", "zero"]
