@@ -20,7 +20,8 @@ from manip_learn.control.policies import (
     WeightedPolicies,
     ZeroPolicy,
 )
-from manip_learn.errors import ConfigurationError, TargetError
+from manip_learn.control.singularity import GROWTH
+from manip_learn.errors import ConfigurationError, ConstraintError, TargetError
 
 
 def test_joint_attractor_goes_the_short_way(robot_of):
@@ -63,6 +64,19 @@ def test_ascent_climbs_out_of_singularities(robot_of):
             assert np.all(np.isfinite(direction)) and np.linalg.norm(direction) > 0.0
             step = 1e-3 * direction / np.linalg.norm(direction)
             assert manipulability(constraint, robot.integrate(q, step)) > manipulability(constraint, q)
+
+
+def test_the_bound_of_the_ascent(robot_of, rng):
+    """Along the gradient g of log mu: gain |g| at most, and max_speed / sqrt(1 + (dt max_speed |g| / GROWTH)^2)."""
+    rows = Constraint(rng.standard_normal((2, 3)), FrameJacobian(robot_of("sawyer"), "right_hand"))
+    for gain, speed, dt, size in product((0.5, 3.0), (1.0, 10.0, None), (0.001, 0.05), (0.2, 2.0, 50.0)):
+        slope = size * np.array([0.6, 0.0, -0.8, 0.0, 0.0, 0.0, 0.0])
+        longest = np.inf if speed is None else speed / np.sqrt(1.0 + (dt * speed * size / GROWTH) ** 2)
+        got = ManipulabilityAscent(rows, gain, max_speed=speed).bounded(slope, 0.1, dt)
+        np.testing.assert_allclose(got, slope / size * min(gain * size, longest), rtol=1e-12)
+    for wrong in (0.0, -1.0, np.nan):
+        with pytest.raises(ConstraintError, match="max_speed"):
+            ManipulabilityAscent(rows, max_speed=wrong)
 
 
 def test_ascent_where_several_directions_are_lost():

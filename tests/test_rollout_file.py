@@ -46,6 +46,15 @@ def test_other_files_are_refused():
                 Rollout.load(path)
 
 
+def test_a_table_that_was_cut_or_changed_is_refused(tmp_path):
+    """The file says how many samples it has, and each status is one of the words."""
+    lines = ROLLOUT.save(tmp_path / "whole.csv").read_text(encoding="utf-8").splitlines(keepends=True)
+    for content, said in ((lines[:-1], "samples"), ([line.replace("damped", "fine") for line in lines], "'fine'")):
+        (tmp_path / "r.csv").write_text("".join(content), encoding="utf-8")
+        with pytest.raises(RecordingError, match=said):
+            Rollout.load(tmp_path / "r.csv")
+
+
 def whole_file() -> bytes:
     """The bytes of a good file, uncompressed so that damage reaches the arrays' headers too."""
     stream = io.BytesIO()
