@@ -10,12 +10,11 @@ from typing import Any
 
 import numpy as np
 from task_sets import arm as arm_named
-from task_sets import generated
+from task_sets import generated, sawyer_drawer
 from vendor_fakes import FAKES, Joints
 
 import manip_learn as ml
 from manip_learn.cli import main
-from manip_learn.learning import ConstraintLearner
 
 ROOT = Path(__file__).resolve().parents[1]
 DRAWER = ROOT / "examples" / "data" / "sawyer_drawer"
@@ -35,17 +34,9 @@ class Countdown:
         return self._left >= 0
 
 
-@cache
-def learnt() -> tuple[ml.Robot, ml.Demonstrations, ConstraintLearner]:
-    """The shipped drawer, of six recordings."""
-    robot = ml.load_robot("sawyer")
-    demos = ml.load_demonstrations(sorted(DRAWER.glob("*.csv"))[:6], robot)
-    return robot, demos, ConstraintLearner(ml.FrameJacobian(robot, TIP)).fit(demos)
-
-
 def names() -> dict[str, Any]:
     """What the pages take for granted: the library, the drawer that was learnt, an arm's driver."""
-    robot, demos, learner = learnt()
+    robot, demos, learner = sawyer_drawer()
     constraint = learner.constraint_
     q0, target = np.array([1.2, -1.2, 0.0, 0.4, 0.0, 0.8, 0.0]), [0.6, 0.27, 0.35]
     task = ml.PointAttractor(target)

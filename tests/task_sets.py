@@ -73,3 +73,11 @@ def learnt_from(folder: str) -> ml.ConstraintLearner:
     """What is learnt from a shipped folder, once in a run of the tests."""
     truth, demos = shipped(folder)
     return learnt(truth["robot"], truth["tip"], list(demos))
+
+
+@cache
+def sawyer_drawer() -> tuple[ml.Robot, ml.Demonstrations, ml.ConstraintLearner]:
+    """The Sawyer, six of the shipped recordings of its drawer, and what is learnt from them, once in a run."""
+    robot = ml.load_robot("sawyer")
+    demos = ml.load_demonstrations(sorted((DATA / "sawyer_drawer").glob("*.csv"))[:6], robot)
+    return robot, demos, ml.ConstraintLearner(ml.FrameJacobian(robot, "right_gripper_tip")).fit(demos)

@@ -3,16 +3,14 @@
 from __future__ import annotations
 
 from html.parser import HTMLParser
-from pathlib import Path
 
 import pytest
 from case import case
+from task_sets import sawyer_drawer
 
 import manip_learn as ml
 from manip_learn.robot import html_card
 from manip_learn.robot.robot import Robot
-
-DRAWER = Path(__file__).resolve().parents[1] / "examples" / "data" / "sawyer_drawer"
 
 
 class Balanced(HTMLParser):
@@ -43,10 +41,7 @@ def text_of(html: str) -> str:
 @pytest.fixture(scope="module")
 def objects() -> dict[str, object]:
     robot = ml.load_robot("sawyer", locked={"right_j6": 0.5})
-    demos = ml.load_demonstrations([DRAWER / f"demo_0{k}.csv" for k in range(1, 7)], ml.load_robot("sawyer"))
-    whole = ml.load_robot("sawyer")
-    features = ml.FrameJacobian(whole, "right_gripper_tip", "xyz")
-    learner = ml.ConstraintLearner(features).fit(demos)
+    whole, demos, learner = sawyer_drawer()
     task = ml.PointAttractor([0.6, 0.27, 0.35])
     controller = ml.ResolvedRateController(learner.constraint_, task=task)
     rollout = ml.simulate(whole, controller, [1.2, -1.57, 0, 0, 0, 0, 0], duration=0.5, dt=0.01)

@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from functools import cache
 from pathlib import Path
 
 import numpy as np
 import pytest
+from task_sets import learnt_from, shipped
 
 import manip_learn as ml
 from manip_learn.constraint.features import FrameJacobian, MechanismRows
@@ -25,14 +25,10 @@ LEARNT = {
 }
 
 
-@cache
 def learnt(name: str) -> tuple[ml.Constraint, ml.Demonstrations]:
     """A constraint from the shipped recordings, and these."""
-    folder, robot_name, frame, number = LEARNT[name]
-    locked = ("panda_finger_joint1", "panda_finger_joint2") if robot_name == "panda" else ()
-    robot = ml.load_robot(robot_name, locked=locked)
-    demonstrations = ml.load_demonstrations(DATA / folder, robot)
-    return ml.ConstraintLearner(FrameJacobian(robot, frame)).fit(demonstrations).constraints_[number], demonstrations
+    folder, _robot, _frame, number = LEARNT[name]
+    return learnt_from(folder).constraints_[number], shipped(folder)[1]
 
 
 def screw() -> ml.Constraint:

@@ -9,6 +9,7 @@ from xml.etree import ElementTree
 import numpy as np
 import pytest
 from numpy.testing import assert_allclose
+from task_sets import sawyer_drawer
 
 import manip_learn as ml
 from manip_learn.errors import RecordingError
@@ -32,9 +33,9 @@ def arm() -> ml.Robot:
 
 
 @pytest.fixture(scope="module")
-def drawer(arm: ml.Robot) -> ml.ConstraintLearner:
+def drawer() -> ml.ConstraintLearner:
     """What six recordings of a drawer teach with the right arm."""
-    return learnt(arm, ml.load_demonstrations(recordings("sawyer_drawer", 6), arm))
+    return sawyer_drawer()[2]
 
 
 def learnt(robot: ml.Robot, demos: ml.Demonstrations) -> ml.ConstraintLearner:
