@@ -62,7 +62,7 @@ def test_a_notebook_shows_the_facts(objects: dict[str, object]):
         ("demonstrations", ["6 recordings", "without velocities", "demo_01.csv", "100"]),
         ("report", ["The tip can move along", "10 is clear", "degrees", "Gap for each number of rows", "demo_06.csv"]),
         ("constraint", ["2 of 3 rows", "row of Λ", "FrameJacobian"]),
-        ("rollout", ["51 samples over 0.5 s", "right_gripper_tip", "manipulability μ over time", "error at the end"]),
+        ("rollout", ["51 samples over 0.5 s", "right_gripper_tip", "error at the end"]),
     ]:
         with case(name, words):
             text = text_of(objects[name]._repr_html_())  # type: ignore[attr-defined]
