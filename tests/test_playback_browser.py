@@ -170,16 +170,6 @@ def test_time_obeys_keys_speed_and_curve(robot_of, address, opened):
     assert page.locator("#speed option").all_inner_texts() == ["0.1×", "0.25×", "0.5×", "1×", "2×", "4×"]
     page.locator("#scrub").fill("7.5")
     assert now() == pytest.approx(7.5, abs=0.05)
-    covered = {}
-    for speed in ("0.1", "4"):
-        seek(page, 0.0)
-        page.locator("#speed").select_option(speed)
-        page.evaluate("manipLearn.play()")
-        wait_until(page, "manipLearn.time > 0")
-        page.wait_for_timeout(500)
-        covered[speed] = now()
-        page.evaluate("manipLearn.pause()")
-    assert covered["4"] > 8.0 * covered["0.1"] > 0.0
     box = page.locator("#chart").bounding_box()
     left, right, y = box["x"] + 58, box["x"] + box["width"] - 14, box["y"] + 40
     page.mouse.move(left + 0.25 * (right - left), y)

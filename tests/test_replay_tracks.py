@@ -24,8 +24,7 @@ from manip_learn.control.tasks import PointAttractor
 from manip_learn.errors import ConstraintMismatchError, TargetError
 from manip_learn.learning import ConstraintLearner
 from manip_learn.playback import RecordingChoice, replay
-from manip_learn.playback.constraint_marks import SIX, ellipsoid_scale, held_directions
-from manip_learn.playback.page_writer import packed
+from manip_learn.playback.constraint_marks import held_directions
 from manip_learn.playback.replay_page import evidence_of
 from manip_learn.recordings import load_demonstrations
 from manip_learn.recordings.load_demonstrations import numbers_read
@@ -71,31 +70,6 @@ def rollout(robot_of, drawer) -> Rollout:
     """One second towards a target."""
     controller = ResolvedRateController(drawer, PointAttractor(TARGET), ManipulabilityAscent(drawer))
     return simulate(robot_of("sawyer"), controller, START, 1.0, 0.01)
-
-
-def test_tracks_hold_the_numbers_of_the_library(robot_of, drawer, rollout, tmp_path):
-    """Every sample of every track: singular values, velocities and positions by their limits, both errors."""
-    robot = robot_of("sawyer")
-    slipping = replace(rollout, following_error=np.linspace(0.0, 0.02, len(rollout)))
-    page = data_in(replay(robot, {"a": slipping}, tmp_path / "a.html").html)["rollouts"][0]
-    sigma = np.array([np.linalg.svd(drawer(q), compute_uv=False) for q in rollout.q])
-    between = (rollout.q - robot.position_lower) / (robot.position_upper - robot.position_lower)
-    expected = {
-        "singular": {"σ1": sigma[:, 0], "σ2": sigma[:, 1]},
-        "velocity": dict(zip(robot.joint_names, (rollout.u / robot.velocity_limit).T, strict=True)),
-        "position": dict(zip(robot.joint_names, between.T, strict=True)),
-        "task-error": {"": rollout.task_error},
-        "following-error": {"": slipping.following_error},
-    }
-    assert [t["kind"] for t in page["measures"]["tracks"]] == list(expected)  # and no fit: b is not zero here
-    units = {t["kind"]: t["unit"] for t in page["measures"]["tracks"]}
-    assert units["task-error"] == "m" and units["following-error"] == "rad"
-    for kind, curves in expected.items():
-        shown = curves_of(page, kind)
-        assert list(shown) == list(curves)
-        for name, values in curves.items():
-            np.testing.assert_array_equal(shown[name][0], rollout.time - rollout.time[0])
-            np.testing.assert_allclose(shown[name][1], values, rtol=1e-6, atol=1e-7)
 
 
 def test_joints_without_limits_are_named(robot_of, tmp_path):
@@ -223,40 +197,6 @@ def test_a_hinge_leaves_its_tangent_free_everywhere(robot_of, rows):
         np.testing.assert_allclose(held, np.eye(3) - free, atol=1e-9)
     if "turn-1" in rows:
         np.testing.assert_allclose(directions.free_turns[0], np.outer(axis, axis), atol=1e-9)
-
-
-@pytest.mark.parametrize("reference", ["world", "local"])
-def test_the_ellipsoid_has_the_singular_values_as_semi_axes(robot_of, drawer, rollout, tmp_path, reference):
-    """At every time of the table, in the axes of the rows; the scale is round, and as large as there is room for."""
-    robot = robot_of("sawyer")
-    features = FrameJacobian(robot, "right_gripper_tip", "xyz", reference)
-    constraint = Constraint(drawer.selection, features)
-    data = data_in(replay(robot, {"a": rollout}, tmp_path / "a.html", constraint=constraint).html)
-    marks = data["rollouts"][0]["marks"][0]
-    table = numbers(marks["ellipsoid"]).reshape(-1, 6)
-    for t, six in zip(numbers(marks["times"], "<f8"), table, strict=True):
-        q = rollout.q[int(np.argmin(np.abs(rollout.time - t)))]
-        M = np.zeros((3, 3))
-        M[SIX] = six
-        M = M + np.triu(M, 1).T
-        A = constraint(q)
-        np.testing.assert_allclose(M, constraint.selection.T @ A @ A.T @ constraint.selection, atol=1e-6)
-    assert (marks["axes"] is None) == (reference == "world")
-    # 1, 2 or 5 times a power of ten, the largest that lets the longest semi-axis have 8 % of the scene's diagonal
-    room = (
-        0.08 * np.linalg.norm(np.subtract(*data["bounds"])) / max(np.linalg.norm(constraint(q), 2) for q in rollout.q)
-    )
-    scales = [m * 10.0**k for k in range(-6, 3) for m in (1, 2, 5)]
-    assert data["ellipsoidScale"] == pytest.approx(max(scale for scale in scales if scale <= room), rel=1e-12)
-    for longest, size, scale in (
-        (1.0, 1.0, 1.0),
-        (3.0, 1.0, 0.2),
-        (0.0199, 1.0, 50.0),
-        (2000.0, 1.0, 5e-4),
-        (0.0, 1.0, 1.0),
-    ):
-        mark = {"ellipsoid": packed([[longest**2, 0.0, 0.0, 0.25 * longest**2, 0.0, 0.0]], "<f4")}
-        assert ellipsoid_scale([None, mark], size) == pytest.approx(scale), longest
 
 
 def test_the_target_is_where_the_task_wants_the_tip(robot_of, drawer, rollout, tmp_path):

@@ -599,7 +599,7 @@ def test_ghosts_are_played_beside_the_arm(program, page):
         ghost | {"name": HOSTILE, "colour": "#0072b2", "colourName": "blue"},
         ghost | {"name": "zero", "colour": "#d55e00", "colourName": "vermilion"}]})  # fmt: skip
     wait_until(page, "document.querySelectorAll('#ghost-legend .rollout').length === 2")
-    wait_until(page, "document.querySelector('#ghost-legend .state').textContent.includes('0.1')")
+    wait_until(page, "document.querySelector('#ghost-legend .mu').textContent.includes('0.1')")
     assert page.locator("#ghost-legend .name").first.inner_text() == HOSTILE
     assert page.locator("#ghost-chart polyline").count() == 2
     page.locator("#ghost-legend .eye").first.click()
