@@ -13,7 +13,6 @@ import sys
 import textwrap
 import threading
 import time
-from types import SimpleNamespace
 from urllib.parse import quote, urlsplit
 
 import numpy as np
@@ -336,30 +335,6 @@ def test_slots_are_newest_only(talk):
     assert next(events) == ("state", {"n": 50})  # the others have not changed
     early.close()
     late.close()
-
-
-def test_slots_have_a_pace_each(talk, monkeypatch):
-    """A slot is written once in a sixtieth of a second, with the newest of what was put, in the order of putting."""
-    process, _ = talk
-    now = [time.monotonic()]  # the clock stands still but for our steps, however slow the machine is
-    monkeypatch.setattr(live_viewer, "clock", SimpleNamespace(monotonic=lambda: now[0]))
-    connection, events = stream(process.url)
-
-    def put(number):
-        for slot in ("state", "pose"):
-            process.put(lambda: str(number), slot)
-
-    put(0)
-    got = [next(events), next(events)]
-    for number in range(1, 10):
-        put(-number)
-        now[0] += 0.5 / 60.0
-        time.sleep(0.02)  # for a writer that would not keep to its pace
-        put(number)
-        now[0] += 0.5 / 60.0 + 1e-9
-        got += [next(events), next(events)]
-    assert got == [(slot, number) for number in range(10) for slot in ("state", "pose")]
-    connection.close()
 
 
 def test_pages_are_heard(talk):

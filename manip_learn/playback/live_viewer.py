@@ -302,7 +302,7 @@ class LiveViewer:
         if not math.isfinite(now) or (mu is not None and not math.isfinite(mu)):
             raise ConfigurationError(f"manipulability {mu} at time {now}: finite numbers are needed")
         robot, tree, piece = self._robot, self._tree, self._piece
-        if piece is not None:
+        if piece is not None and self._hand is not None:
             self._opening = piece.followed(robot.position(posture, self._hand), self._opening)
         more = {} if piece is None else {"opening": [self._opening]}
 

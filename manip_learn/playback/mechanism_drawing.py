@@ -5,13 +5,14 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from itertools import product
-from typing import Any, Literal, Protocol, final
+from typing import Any, Literal, final
 
 import numpy as np
 import pinocchio as pin
 from jaxtyping import Float
 
 from manip_learn.constraint.intention import Intention
+from manip_learn.constraint.mechanism import Mechanism
 from manip_learn.constraint.shown import Shown
 from manip_learn.control.way import leads_away
 from manip_learn.errors import RecordingError
@@ -39,14 +40,6 @@ UPRIGHT = 0.98  # cosine of the tilt up to which a chest stands on the floor
 KINDS: dict[str, Literal["drawer", "door", "crank"]] = {"line": "drawer", "hinge": "door", "screw": "crank"}
 FRONT, BODY, HANDLE = "front", "body", "handle"
 Box = tuple[float, float, float, float, float, float, str]
-
-
-class DescribedMechanism(Protocol):
-    """A mechanism that can describe itself, as `Mechanism` of the learner does."""
-
-    def to_dict(self) -> Mapping[str, Any]:
-        """Type, axis, point, radius, pitch, and a sentence."""
-        ...
 
 
 @final
@@ -122,7 +115,7 @@ def _numbers(described: Mapping[str, Any], name: str, n: int) -> np.ndarray | No
 
 
 def mechanism_drawing(
-    mechanism: DescribedMechanism | Mapping[str, Any] | None,
+    mechanism: Mechanism | Mapping[str, Any] | None,
     held: Float[np.ndarray, "n 3"],
     shown: Shown | Intention | None = None,
 ) -> MechanismDrawing:

@@ -12,20 +12,21 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from html import escape
 from pathlib import Path
-from typing import Any, Protocol, final
+from typing import TYPE_CHECKING, Any, final
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from manip_learn.atomic_write import write_atomically
 from manip_learn.constraint.constraint import Constraint
+from manip_learn.constraint.mechanism import Mechanism
 from manip_learn.constraint.shown import Shown
 from manip_learn.control.rollout import Rollout
 from manip_learn.errors import OutputError, RecordingError, counted, error_in_words
 from manip_learn.playback.appearance import appearance
 from manip_learn.playback.guided_motion import Guidance, guidance_of
 from manip_learn.playback.kinematic_tree import kinematic_tree
-from manip_learn.playback.mechanism_drawing import DescribedMechanism, MechanismDrawing, mechanism_drawing
+from manip_learn.playback.mechanism_drawing import MechanismDrawing, mechanism_drawing
 from manip_learn.playback.page_writer import page
 from manip_learn.playback.palette import rollout_colours
 from manip_learn.playback.phase_bands import WAY, Phase, phase_bands, phase_kinds, phases_from_json
@@ -36,6 +37,9 @@ from manip_learn.robot.description.catalogue import known_as
 from manip_learn.robot.frame import Frame
 from manip_learn.robot.robot import Robot
 from manip_learn.robot.tips import default_tip
+
+if TYPE_CHECKING:
+    from manip_learn.learning.report import LearningReport
 
 MAX_TEXT = 2000  # characters of a text in a card
 MOST_ROWS = 60  # of a table in a card
@@ -50,15 +54,7 @@ Recording = Rollout | Trajectory
 MAX_GHOSTS = 12  # as in page/scene.js
 
 
-class DescribedReport(Protocol):
-    """A report that can describe itself, as `LearningReport` of the learner does."""
-
-    def to_dict(self) -> Mapping[str, Any]:
-        """Plain numbers, strings and lists."""
-        ...
-
-
-def evidence_of(report: DescribedReport | Mapping[str, Any]) -> dict[str, Any]:
+def evidence_of(report: LearningReport | Mapping[str, Any]) -> dict[str, Any]:
     """Headline, facts with what they mean, the evidence of each row, warnings, odd recordings.
 
     What the report lacks is left out: constraint files of earlier versions hold less.
@@ -222,10 +218,10 @@ def replay(
     colours: Mapping[str, str] | None = None,
     open_browser: bool | None = None,
     phases: Sequence[Phase] = (),
-    mechanism: DescribedMechanism | Mapping[str, Any] | None = None,
+    mechanism: Mechanism | Mapping[str, Any] | None = None,
     notes: Sequence[str] = (),
     constraint: Constraint | Sequence[Constraint] | None = None,
-    report: DescribedReport | Mapping[str, Any] | None = None,
+    report: LearningReport | Mapping[str, Any] | None = None,
     target: ArrayLike | None = None,
     choice: RecordingChoice | None = None,
 ) -> ReplayResult:
@@ -341,7 +337,8 @@ def _done(motion: RecordedMotion, recording: Recording, several: bool) -> list[l
         done, wanted, off, margin = (_number(way.get(key)) for key in ("done", "wanted", "deviation", "margin"))
         far = "" if done is None or wanted is None else f"{abs(done):.3g} of {abs(wanted):.3g} {unit}"
         joint = way.get("fastest_joint")
-        share = _number(joint.get("share_of_limit")) if isinstance(joint, Mapping) else None
+        joint = joint if isinstance(joint, Mapping) else {}
+        share = _number(joint.get("share_of_limit"))
         fastest = "" if share is None else f"{100 * share:.0f} % of its limit ({_text(joint.get('name'))})"
         stopped = _text(way.get("stopped_by"))
         far += f", stopped by {stopped}" if stopped else ""
@@ -380,7 +377,7 @@ def _drawings(
     return tuple(drawn)
 
 
-def _learnt(report: DescribedReport | Mapping[str, Any] | None, guided: Mapping[str, Guidance]) -> Mapping[str, Any]:
+def _learnt(report: LearningReport | Mapping[str, Any] | None, guided: Mapping[str, Guidance]) -> Mapping[str, Any]:
     """The report as a dictionary; that of the first constraint shown if none was given, empty if there is none."""
     if report is not None:
         return report if isinstance(report, Mapping) else report.to_dict()

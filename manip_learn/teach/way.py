@@ -185,8 +185,8 @@ class TaughtWay:
         if not self.shown.is_way:
             return self.task()
         left = self.value - self.at(self.place(q))
-        amount = {"along": left} if self.unit == "m" else {"turn": left}
-        return motion(self.constraint, **amount, beyond_shown=True)
+        along, turn = (left, None) if self.unit == "m" else (None, left)
+        return motion(self.constraint, along, turn, beyond_shown=True)
 
     def place(self, q: Float[np.ndarray, " nv"]) -> Float[np.ndarray, " 3"]:
         """Where the hand is at a posture [m]."""
