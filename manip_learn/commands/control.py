@@ -16,12 +16,11 @@ from manip_learn.constraint.features.weighed_velocity import WeighedVelocity
 from manip_learn.control.command import Status
 from manip_learn.control.controller import ResolvedRateController
 from manip_learn.control.limits import check_inside
-from manip_learn.control.null_policies import null_policy
 from manip_learn.control.rollout import Rollout
 from manip_learn.control.simulation import simulate
 from manip_learn.control.tasks import FreeDirection, Hold, PointAttractor, Task, motion
 from manip_learn.control.tasks.driven_motion import in_words
-from manip_learn.control.tasks.motion import motion_to
+from manip_learn.control.tasks.motion import motion_to, null_policy
 from manip_learn.control.way import WayDone, leads_away, simulate_way
 from manip_learn.errors import TargetError
 from manip_learn.linalg import complement_rows

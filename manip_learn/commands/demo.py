@@ -12,10 +12,10 @@ from manip_learn.commands.learn import Learnt, learn
 from manip_learn.commands.options import DemoOptions, LearnOptions, PlanOptions
 from manip_learn.constraint.constraint import Constraint
 from manip_learn.control.controller import ResolvedRateController
-from manip_learn.control.null_policies import null_policy
 from manip_learn.control.rollout import Rollout
 from manip_learn.control.simulation import simulate
 from manip_learn.control.tasks import FreeDirection, PointAttractor, Task, motion
+from manip_learn.control.tasks.motion import null_policy
 from manip_learn.control.way import WayDone, simulate_way
 from manip_learn.errors import UnknownNameError
 from manip_learn.experiments.sawyer import shipped_recordings

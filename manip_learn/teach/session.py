@@ -533,7 +533,7 @@ class TeachingSession:
         return not self._stop
 
     def _law(self, task: FreeDirection, policy: str) -> ResolvedRateController:
-        from manip_learn.control.null_policies import null_policy
+        from manip_learn.control.tasks.motion import null_policy
 
         chosen = null_policy(policy, task, task.learnt, self.robot, None, self.arm.scene.start)
         return ResolvedRateController(task.learnt, task, chosen, dt=PERIOD)

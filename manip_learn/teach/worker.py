@@ -235,7 +235,7 @@ def _simulated(
 ) -> list[dict[str, Any]]:
     """Rollouts of some policies, as the page plays them."""
     from manip_learn.control.controller import ResolvedRateController
-    from manip_learn.control.null_policies import null_policy
+    from manip_learn.control.tasks.motion import null_policy
     from manip_learn.control.way import simulate_way
     from manip_learn.playback.palette import rollout_colours
 

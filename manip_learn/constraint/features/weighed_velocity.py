@@ -62,13 +62,6 @@ class PlaceWeights:
         f = (s * b + turned * y) / size
         return f, (df - f[:, :, None] * (rise * along / size)[:, None]) / size[:, None]
 
-    def mixed(self, selection: Float[np.ndarray, "s r"]) -> Float[np.ndarray, "s k"]:
-        """Lambda T_0 (6 columns) and Lambda T_k (18) of the affine rows, then Lambda's shares of the free ones."""
-        free, affine = list(self.free), selection.copy()
-        affine[:, free] = 0.0
-        numbers = np.concatenate([self.constant, self.by_place.reshape(-1, 18)], axis=1)
-        return np.concatenate([affine @ numbers, selection[:, free]], axis=1)
-
 
 class WeighedVelocity(FeatureMap):
     """Phi(q) = W(p(q)) J(q), with J the frame's Jacobian along the axes of the robot's base and p its origin.
@@ -115,8 +108,12 @@ class WeighedVelocity(FeatureMap):
         return W @ J, turned.reshape(-1, self.nv, self.nv) + J.T @ (dW @ J[:3])
 
     def padded(self, selection: Float[np.ndarray, "s p"]) -> Float[np.ndarray, "s k"]:
-        """Lambda T_0, Lambda T_k and Lambda's shares of the rows of unit length."""
-        return self.place_weights.mixed(selection)
+        """Lambda T_0 (6 columns) and Lambda T_k (18) of affine rows, then Lambda's shares of those of unit length."""
+        place, affine = self.place_weights, selection.copy()
+        free = list(place.free)
+        affine[:, free] = 0.0
+        numbers = np.concatenate([place.constant, place.by_place.reshape(-1, 18)], axis=1)
+        return np.concatenate([affine @ numbers, selection[:, free]], axis=1)
 
     def value_and_vjp(self, q: ArrayLike, padded: Float[np.ndarray, "s k"]) -> tuple[Float[np.ndarray, "s nv"], Vjp]:
         """A = Lambda Phi(q), and weights -> sum_ij weights_ij dA_ij / dq_k (see `FeatureMap`)."""

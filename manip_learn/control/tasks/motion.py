@@ -12,7 +12,13 @@ from numpy.typing import ArrayLike
 
 from manip_learn.constraint.constraint import Constraint
 from manip_learn.constraint.features.mechanism_rows import MechanismRows
-from manip_learn.control.policies import ASCENT_GAIN, ManipulabilityAscent
+from manip_learn.control.policies import (
+    ASCENT_GAIN,
+    JointAttractor,
+    ManipulabilityAscent,
+    NullSpacePolicy,
+    ZeroPolicy,
+)
 from manip_learn.control.tasks.driven_motion import (
     DrivenMotion,
     MechanismMotion,
@@ -31,8 +37,9 @@ from manip_learn.control.tasks.driven_motion import (
     way_in_words,
 )
 from manip_learn.control.tasks.point_attractor import PointAttractor, Task
-from manip_learn.errors import ConstraintError, TargetError, advice
+from manip_learn.errors import ConstraintError, ManipLearnError, TargetError, advice
 from manip_learn.linalg import finite
+from manip_learn.robot.robot import Robot
 
 HAND_SPEED = 0.1  # [m/s] of the hand where none is asked for: a drawer of 0.3 m in 3.5 s, less than half of ISO 10218-1
 TURN_SPEED = 0.5  # [rad/s] at most, of a hand near the axis: 0.1 m/s at 0.2 m
@@ -534,3 +541,22 @@ def motion_to(
             + advice(" with {}, which goes there first", "motion(constraint, turn=...)", "--turn")
         )
     return task
+
+
+def null_policy(
+    name: str, task: Task, constraint: Constraint, robot: Robot, gain: float | None, rest: ArrayLike | None
+) -> NullSpacePolicy:
+    """A null-space policy by its name on the command line, with its own gain if none is given.
+
+    Raises:
+        ManipLearnError: Unknown name.
+    """
+    given = () if gain is None else (gain,)
+    if name == "manipulability":
+        climbs = isinstance(task, FreeDirection)
+        return task.ascent(*given) if climbs else ManipulabilityAscent(task.rows(constraint), *given)
+    if name == "zero":
+        return ZeroPolicy(constraint.nv)
+    if name == "attractor":
+        return JointAttractor(robot.neutral() if rest is None else rest, *given, robot=robot)
+    raise ManipLearnError(f"unknown policy {name!r}: use one of manipulability, zero, attractor")
