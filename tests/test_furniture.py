@@ -51,7 +51,7 @@ def as_shown(kind, way):
     free = FreeCoordinates("around" if turns else "straight", "rad" if turns else "m", axes, CENTRE)
     numbers = abs(way), 0.0, abs(way), abs(way), abs(way), 0.1, 1.0
     return Shown(
-        free.unit, *numbers, False, 5, begin, 0.0, np.zeros((2, 1)), np.arange(2.0), begin, np.eye(3), True, free
+        free.unit, *numbers, False, 5, begin, 0.0, np.zeros((2, 1)), np.arange(2.0), begin, np.eye(3), 0.0, True, free
     )
 
 

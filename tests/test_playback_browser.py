@@ -291,9 +291,9 @@ def shown_drawer(robot):
     """A drawer as it is learnt from recordings that took hold where the hand is at START, and pulled it towards -x."""
     hold = robot.position(START, robot.frame("right_gripper_tip"))
     free = FreeCoordinates("straight", "m", np.array([[-1.0, 0.0, 0.0]]), np.zeros(3))
-    path = np.linspace(0.0, 0.12, 20)[:, None]
+    path, times = np.linspace(0.0, 0.12, 20)[:, None], np.linspace(0.0, 1.2, 20)
     numbers = 0.12, 0.0, 0.12, 0.12, 0.12, 0.1, 1.2
-    shown = Shown("m", *numbers, True, 5, hold, 0.0, path, np.linspace(0.0, 1.2, 20), hold, np.eye(3), True, free)
+    shown = Shown("m", *numbers, True, 5, hold, 0.0, path, times, hold, np.eye(3), 0.0, True, free)
     line = {"type": "line", "axis": [1.0, 0.0, 0.0], "point": hold.tolist(), "sentence": "a line along x"}
     kept = {"mechanism": line, "shown": shown.to_dict(), "kind": "motion-constrained", "n_constraints": 2}
     return Constraint([[0, 1, 0], [0, 0, 1]], FrameJacobian(robot, "right_gripper_tip"), kept), hold

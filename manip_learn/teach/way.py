@@ -83,9 +83,11 @@ def held_by_handles(skill: Skill, handles: Sequence[Float[np.ndarray, "n 3"]]) -
             return shown
         shut = handles[number][0]
         ahead = coordinate(shown, shut, shown.begin)
-        least, most = shown.least + ahead, shown.most + ahead
-        counted = {"extent": shown.extent + ahead, "least": least, "most": most, "span": max(shown.span, most)}
-        return replace(shown, hold=shut, begin=shut, path=shown.path + ahead, **counted)
+        path = shown.path + ahead
+        far = float(np.max(path))  # of the typical contact: the others may have begun elsewhere
+        counted = {"extent": far, "least": min(shown.least + ahead, far), "most": max(far, shown.span)}
+        counted["span"] = counted["most"]
+        return replace(shown, hold=shut, begin=shut, path=path, **counted)
 
     constraints: dict[int, Constraint] = {}
     for constraint in skill.constraints:
