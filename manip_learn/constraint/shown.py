@@ -9,6 +9,7 @@ from typing import Any, Literal, final
 
 import numpy as np
 from jaxtyping import Float
+from scipy.interpolate import make_smoothing_spline
 
 from manip_learn.constraint.features.feature_map import FeatureMap
 from manip_learn.constraint.features.frame_jacobian import AXES, FrameJacobian
@@ -29,6 +30,7 @@ SAME_PLACE = 3e-3
 BACK = 0.1  # share of the way out within which a hand that was taken back ends
 STARTED = 0.02  # share of the way that a hand has gone when its motion has begun, and that is left when it has ended
 PATH_POINTS = 400  # kept of a path: a millimetre apart on a wipe of 0.4 m
+LEAST_SMOOTHED = 8  # samples of a path, from which SciPy's spline and its cross-validation have something to choose
 ONE_SIDED = 0.5  # share of all ways by which one side must exceed the other for it to be the way shown
 PURE = 0.995  # share of a free direction that is translation: a learnt one leaks by its uncertainty, 0.1 at most
 
@@ -429,8 +431,21 @@ def _typical(times: Sequence[np.ndarray], ways: Sequence[np.ndarray]) -> int:
 def _path(
     time: Float[np.ndarray, " T"], way: Float[np.ndarray, "T k"], farthest: int, is_way: bool
 ) -> tuple[Float[np.ndarray, " n"], Float[np.ndarray, "n k"]]:
-    """A contact's path at even times: a way out to its farthest point, a path on a surface as a whole."""
-    end = farthest + 1 if is_way else len(time)
-    time, way = time[:end], way[:end]
+    """A contact's path at even times: a way out to its farthest point, a path on a surface without rest at its ends.
+
+    On a surface it is smoothed, by a cubic spline as smooth as generalised cross-validation finds right (Craven and
+    Wahba, "Smoothing noisy data with spline functions", 1978): steps of encoders would be strokes of the hand.
+    """
+    if is_way:
+        time, way = time[: farthest + 1], way[: farthest + 1]
+        even = np.linspace(0.0, float(time[-1]), min(PATH_POINTS, max(len(time), 2)))
+        return even, np.column_stack([np.interp(even, time, c) for c in way.T])
+    near = STARTED * float(np.max(np.linalg.norm(way, axis=1)))
+    first = int(np.flatnonzero(np.linalg.norm(way, axis=1) > near)[0]) - 1
+    last = int(np.flatnonzero(np.linalg.norm(way - way[-1], axis=1) > near)[-1]) + 2
+    time, way = time[first:last] - time[first], way[first:last]
     even = np.linspace(0.0, float(time[-1]), min(PATH_POINTS, max(len(time), 2)))
-    return even, np.column_stack([np.interp(even, time, c) for c in way.T])
+    path = np.column_stack([np.interp(even, time, c) for c in way.T])
+    if len(even) >= LEAST_SMOOTHED:
+        path = np.column_stack([make_smoothing_spline(even, c)(even) for c in path.T])
+    return even, path - path[0] * np.linspace(1.0, 0.0, len(path))[:, None]  # it begins where the hand took hold

@@ -142,8 +142,9 @@ def places_of(task: FreeDirection, rollout: Rollout) -> Float[np.ndarray, " k"]:
     begins = task.way_begins
     first = len(rollout) if begins is None else int(np.searchsorted(rollout.time, begins - 1e-9))
     places = np.zeros(len(rollout) - first)
-    for i, q in enumerate(rollout.q[first:]):
-        places[i] = task.progress_near(q, places[i - 1] if i else 0.0)
+    meant = [task.meant(t) for t in rollout.time[first:].tolist()]
+    for i, q in enumerate(rollout.q[first:]):  # a path may come back to where it was: the goal says on which part it is
+        places[i] = task.progress_near(q, places[i - 1] + meant[i] - meant[i - 1] if i else 0.0)
     return places
 
 
@@ -158,7 +159,8 @@ def _end(task: FreeDirection, time: Float[np.ndarray, " k"], places: Float[np.nd
     if len(there):
         return float(time[there[0]]) + AT_REST
     before = np.interp(time - STANDING, time, places) if len(time) else places
-    still = np.flatnonzero((np.abs(places - before) < DONE[task.unit]) & (time >= time[:1] + STANDING))
+    behind = np.abs(places - [task.meant(t) for t in time.tolist()]) > DONE[task.unit]  # and not at rest as shown
+    still = np.flatnonzero((np.abs(places - before) < DONE[task.unit]) & (time >= time[:1] + STANDING) & behind)
     return float(time[still[0]]) if len(still) else None
 
 

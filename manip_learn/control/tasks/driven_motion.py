@@ -29,6 +29,7 @@ HAND_LEVER = 0.2  # [m] between a hand and what it turns, so that an approach of
 # [m] a hand this near to where a task was shown is on the mechanism: people take hold of a handle a finger's breadth
 # further on, and a constraint file keeps a few postures only
 GRIP = 0.02
+AHEAD = 0.1  # of its distance along a path, by which a place must be nearer to the hand to be the one where it is
 FREE = 0.1  # share of a direction that must be free for it to be meant
 # share of a direction that is translation, or rotation: a learnt one leaks by its uncertainty, 0.1 at most
 PURE = 0.995
@@ -780,6 +781,15 @@ class PathMotion(DrivenMotion):
         if self._carried:
             out[:3, :3] = rotation_matrix(self._at(self._turns, distance)) @ origin[:3, :3]
         return out
+
+    def progress(self, origin: Origin, q: ArrayLike, near: float) -> float:
+        """The place of the path next to the hand, of those less than 2 cm along it from `near`: it may cross itself."""
+        some = np.flatnonzero(np.abs(self._ways - near) <= GRIP)
+        if not len(some):
+            return super().progress(origin, q, near)
+        hand = self.origin(q)[:3, 3]
+        off = np.linalg.norm(self._points[some] - hand, axis=1) + AHEAD * np.abs(self._ways[some] - near)
+        return super().progress(origin, q, float(self._ways[some[int(np.argmin(off))]]))
 
     def error(self, origin: Origin, q: ArrayLike, distance: float) -> Float[np.ndarray, " p"]:
         """From the posture to the goal after a distance."""

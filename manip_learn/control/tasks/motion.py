@@ -258,8 +258,11 @@ class FreeDirection(Task):
         """How far the way has come at posture q [m or rad]; 0 before it began, unless `start` was given."""
         if self._origin is None or (self.way_begins is None and self._begun is not None):
             return 0.0
-        near = 0.0 if self.way_begins is None else self._profile.at(self._latest - self.way_begins)[0]
-        return self.progress_near(q, near)
+        return self.progress_near(q, self.meant(self._latest))
+
+    def meant(self, t: float) -> float:
+        """How far the way should have come at a time [m or rad]; 0 before it began."""
+        return 0.0 if self.way_begins is None else self._profile.at(t - self.way_begins)[0]
 
     def progress_near(self, q: ArrayLike, near: float) -> float:
         """Progress of a posture on the way [m or rad]; of angles a turn apart the one next to `near`."""
