@@ -175,6 +175,23 @@ def test_nothing_named_does_what_was_shown(run, shown, tmp_path):
     assert page.stat().st_size > 1e5 and str(page.name) in out
 
 
+@pytest.mark.parametrize(
+    ("robot", "recordings", "options"),
+    [
+        ("planar3", "planar3_reach", ("--frame", "tip", "--axes", "planar")),  # on purpose, to different targets
+        ("sawyer", "sawyer_door", ("--frame", "right_gripper_tip")),  # in the hand's own axes, which do not say how far
+        ("xarm7", "xarm7_drawer_then_table", ("--frame", "link_eef")),  # two tasks
+    ],
+)
+def test_the_line_to_type_next_works(run, robot, recordings, options):
+    """What `learn` says last is done, word by word."""
+    code, out, _err = run("learn", robot, shipped_recordings() / recordings, *options, "--out", "task.json")
+    assert code == 0
+    code, out, err = run(*out.split("next: manip-learn ")[1].split())
+    assert code == 0, err
+    assert "at the target" in out or "moved 0.100 of 0.100 m" in out or "2 ways done as shown" in out
+
+
 def test_a_hand_that_strays_is_told(run, shown):
     """Where a joint stops at its limit the hand is pulled off the line by millimetres; a plan takes hold elsewhere."""
     start = "0.0689,-1.6728,2.8072,-1.9042,2.4714,-0.0381,4.6725"

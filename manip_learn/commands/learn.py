@@ -12,6 +12,7 @@ from manip_learn.commands.loading import cluster_client, load_for_files
 from manip_learn.commands.options import LearnOptions
 from manip_learn.constraint.constraint import Constraint
 from manip_learn.constraint.features import FeatureMap, FrameJacobian, RelativeFrameJacobian
+from manip_learn.control.tasks import motion
 from manip_learn.errors import FeatureError, ManipLearnError, RecordingError, UnknownNameError
 from manip_learn.learning import ConstraintLearner, LearningReport
 from manip_learn.learning.learner import ESTIMATORS, Switch
@@ -54,6 +55,23 @@ class Learnt:
     def report(self) -> LearningReport:
         """The evidence for it."""
         return self.reports[0]
+
+    @property
+    def following(self) -> str | None:
+        """The command to type next, which does what was shown; None if nothing was written, or nothing is free."""
+        constraint, meant = self.constraint, self.constraint.intention
+        words = f"manip-learn {'repeat' if len(self.constraints) > 1 else 'control'} {self.robot} {self.out}"
+        if self.out is None:
+            return None
+        if meant is not None and not meant.common:
+            return f"{words} --rows held --target {','.join(f'{x:.3g}' for x in meant.targets[0])}"
+        if constraint.shown is None and meant is None:
+            try:
+                motion(constraint, along=0.1)
+            except ManipLearnError:
+                return None
+            words += " --along 0.1"
+        return f"{words} --html run.html"
 
     def to_dict(self) -> dict[str, Any]:
         """The JSON answer: the keys of the best supported constraint, and all constraints as a list."""

@@ -264,11 +264,8 @@ def print_learnt(console: Console, learnt: Learnt, explain: bool = False) -> Non
     say_file(console, "written", learnt.out)
     if learnt.page is not None:
         say_file(console, "replay", learnt.page.html, learnt.page.bytes)
-    if learnt.out is not None and learnt.constraint.shown is not None:
-        again = f"control {learnt.robot} {learnt.out} --html run.html"
-        if many:
-            again = f"repeat {learnt.robot} {learnt.out} --html run.html"
-        say(console, f"next: manip-learn {again}", whole=True)
+    if learnt.following is not None:
+        say(console, f"next: {learnt.following}", whole=True)
 
 
 def _learnt_facts(learnt: Learnt) -> list[tuple[str, str | None, str]]:
@@ -329,7 +326,7 @@ def print_repeated(console: Console, repeated: Repeated) -> None:
         say(console, f"start: {repeated.whence} (another: --start)")
     table = Table("step", "done", "of", "off", "fastest", "margin", box=SIMPLE_HEAD, pad_edge=False)
     for step in done.steps:
-        far, wanted = (way_in_words(x, step.unit) for x in (step.done, step.wanted))
+        far, wanted = (way_in_words(round(x, 4), step.unit) for x in (step.done, step.wanted))
         off = f"{1e3 * step.deviation:.1f} {'mm' if step.unit == 'm' else 'mm or mrad'}"
         margin = "" if step.margin is None else f"{100 * step.margin:.0f} %"
         table.add_row(text(step.name), far, wanted, off, f"{100 * step.fastest:.0f} %", margin)
