@@ -19,7 +19,7 @@ from typing import Any
 
 import numpy as np
 from own_arm import NAMES, write_package
-from recordings import FREE, motions, write_bags, write_numbered, write_plotjuggler, write_rostopic
+from recordings import FREE, motions, write_bags, write_numbered, write_plotjuggler
 
 import manip_learn as ml
 
@@ -112,7 +112,6 @@ def learn_from_files(hour: Hour, package: Path) -> None:
     writers: dict[str, Callable[[Path, list[ml.Trajectory]], Path]] = {
         "ROS 2 bags": write_bags,
         "PlotJuggler's CSV": write_plotjuggler,
-        "rostopic echo -p": write_rostopic,
         "q[i] and dq[i]": write_numbered,
     }
     for title, write in writers.items():

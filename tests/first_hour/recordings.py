@@ -39,18 +39,6 @@ def write_plotjuggler(folder: Path, demos: list[ml.Trajectory]) -> Path:
     return folder
 
 
-def write_rostopic(folder: Path, demos: list[ml.Trajectory]) -> Path:
-    """`rostopic echo -p /joint_states`: nanoseconds, and numbered fields without names of joints."""
-    folder.mkdir()
-    for i, demo in enumerate(demos):
-        stamps = np.round((EPOCH + demo.time) * 1e9).astype(np.int64)
-        header = ["%time", "field.header.seq", "field.header.stamp"]
-        header += [f"field.position{j}" for j in range(demo.q.shape[1])]
-        rows = [[int(s), k, int(s), *q] for k, (s, q) in enumerate(zip(stamps, demo.q.tolist(), strict=True))]
-        _write(folder / f"echo_{i}.csv", header, rows)
-    return folder
-
-
 def write_numbered(folder: Path, demos: list[ml.Trajectory]) -> Path:
     """Logs of a controller of one's own: t, q[0] ..., dq[0] ..."""
     folder.mkdir()

@@ -23,18 +23,12 @@ OTHER = {
     *("temperature", "temp", "voltage", "force", "error", "errors", "limit", "jerk", "name"),
 }
 NUMBERED = re.compile(r"(?P<head>.*?)(?P<number>\d+)(?P<tail>\D*)")
-# the axis of PlotJuggler's tables [s]
-PLOTJUGGLER = ("__time",)
-# written by `rostopic echo -p`, and by converters of ROS 1 bags, in nanoseconds
-NANOSECONDS = ("%time", "field.header.stamp", "rosbagtimestamp")
+PLOTJUGGLER = "__time"  # the axis of its tables [s]
 PLAIN = re.compile(
     r"(time|times|t|timestamps?|stamp|secs?|seconds|elapsed([_ ]time)?|relative[_ ]time|ros[_ ]?time|unix[_ ]?time"
     r"|epoch|recv_?time|receive[_ ]time|publish[_ ]time|(.*[./])?header[./]stamp)"
 )
 WITH_UNIT = re.compile(r"(?:elapsed[_ ]?)?(?:time|t|timestamp|stamp)[_ ]?[\[(]?(s|sec|secs|seconds|ms|us|ns)[\])]?")
-# `header.stamp.secs` of ROS 1, `header.stamp.sec` of ROS 2, `header/stamp/sec` of paths
-WHOLE_SECONDS = re.compile(r"(.*[./_])?stamp[./_]secs?")
-NANOSECOND_PART = re.compile(r"(.*[./_])?stamp[./_]n(ano)?secs?")
 
 
 class PatternError(ValueError):
@@ -223,83 +217,46 @@ def another_robot(names: Iterable[str | None], robot: Robot) -> str:
     return f"was it recorded with another robot than {robot.name!r}? Then name that one"
 
 
-def by_recorded_names(
-    names: Sequence[str | None], values: Sequence[str], known: Iterable[str]
-) -> tuple[Found, list[int]] | None:
-    """Numbered columns whose joints the file names itself, as `rostopic echo -p` writes them.
-
-    Args:
-        names: Of the columns, e.g. `field.name0`, `field.position0`, `field.velocity0`.
-        values: Fields of the first row.
-        known: Names of the robot's joints.
-
-    Returns:
-        The columns of the joints, and those that hold their names; None if there are none.
-    """
-    families, joints = numbered_families(names), set(known)
-    for pattern, columns in families.items():
-        said = [values[i] for i in columns]
-        if not re.search(r"name", pattern, re.IGNORECASE) or not joints & set(said):
-            continue
-        parts = {}
-        for kind in ("position", "velocity", "effort"):
-            other = families.get(re.sub("name", kind, pattern, flags=re.IGNORECASE), [])
-            parts[kind] = dict(zip(other, said, strict=True)) if len(other) == len(said) else {}
-        if parts["position"]:
-            note = f"the joints are those that the columns {pattern!r} name"
-            return Found(parts["position"], parts["velocity"], note, parts["effort"]), columns
-    return None
+def names_joints(names: Sequence[str | None], values: Sequence[str], joints: Iterable[str]) -> bool:
+    """Whether numbered columns of text name the joints, as in tables of the messages in a bag."""
+    families, known = numbered_families(names), set(joints)
+    return any("name" in p.lower() and known & {values[i] for i in columns} for p, columns in families.items())
 
 
 @final
 @dataclass(frozen=True)
-class TimeColumns:
+class TimeColumn:
     """Where the stamps are.
 
     Attributes:
-        columns: One column; or two, whole seconds and nanoseconds.
+        column: Its number; None if there is none, or several among which the caller must choose.
         unit: Unit that the name says; None: that of any column `time`.
         note: What the caller should know; empty for a column `time`.
         others: Further columns of times, which are not used.
-        choices: Names among which the caller must choose, if there are several; no column is chosen then.
+        choices: Names among which the caller must choose.
     """
 
-    columns: tuple[int, ...] = ()
+    column: int | None = None
     unit: str | None = None
     note: str = ""
     others: tuple[int, ...] = ()
     choices: tuple[str, ...] = ()
 
 
-def find_time(names: Sequence[str | None]) -> TimeColumns:
+def find_time(names: Sequence[str | None]) -> TimeColumn:
     """The column `time`, or one that is known by another name: PlotJuggler's, a message's stamp, or the only one."""
     lowered = ["" if n is None else n.strip().lower() for n in names]
-    patterns = (PLAIN, WITH_UNIT, WHOLE_SECONDS, NANOSECOND_PART)
-    words = (*PLOTJUGGLER, *NANOSECONDS)
-    known = [i for i, n in enumerate(lowered) if n in words or any(p.fullmatch(n) for p in patterns)]
+    known = [i for i, n in enumerate(lowered) if n == PLOTJUGGLER or PLAIN.fullmatch(n) or WITH_UNIT.fullmatch(n)]
     if "time" in names:
-        return TimeColumns((names.index("time"),), others=tuple(i for i in known if names[i] != "time"))
-    seconds = [i for i in known if WHOLE_SECONDS.fullmatch(lowered[i])]
-    if not any(n in PLOTJUGGLER for n in lowered) and len(seconds) == 1:
-        nano = [i for i in known if NANOSECOND_PART.fullmatch(lowered[i])]
-        if len(nano) == 1:
-            pair = (seconds[0], nano[0])
-            note = f"time is read from {names[pair[0]]!r} [s] and {names[pair[1]]!r} [ns]"
-            return TimeColumns(pair, "s", note, tuple(i for i in known if i not in pair))
-    single = [i for i in known if not WHOLE_SECONDS.fullmatch(lowered[i]) and not NANOSECOND_PART.fullmatch(lowered[i])]
-    for wanted in (PLOTJUGGLER, ("field.header.stamp",), ("header.stamp", "header/stamp")):
-        first = [i for i in single if lowered[i].endswith(wanted)]
-        if len(first) == 1:
-            return _single(names, lowered, first[0], known)
-    if len(single) == 1:
-        return _single(names, lowered, single[0], known)
-    return TimeColumns(choices=tuple(str(names[i]) for i in single))
-
-
-def _single(names: Sequence[str | None], lowered: list[str], i: int, known: list[int]) -> TimeColumns:
-    unit = "ns" if lowered[i] in NANOSECONDS else None
-    said = WITH_UNIT.fullmatch(lowered[i])
-    if said is not None:
-        unit = "s" if said.group(1).startswith("s") else said.group(1)
-    note = f"time is read from column {names[i]!r}, in {UNIT_WORDS[unit or 's']}"
-    return TimeColumns((i,), unit, note, tuple(k for k in known if k != i))
+        return TimeColumn(names.index("time"), others=tuple(i for i in known if names[i] != "time"))
+    for ends in (PLOTJUGGLER, ("header.stamp", "header/stamp"), ""):
+        found = [i for i in known if lowered[i].endswith(ends)]
+        if len(found) == 1:
+            break
+    else:
+        return TimeColumn(choices=tuple(str(names[i]) for i in known))
+    (column,) = found
+    said = WITH_UNIT.fullmatch(lowered[column])
+    unit = None if said is None else "s" if said.group(1).startswith("s") else said.group(1)
+    note = f"time is read from column {names[column]!r}, in {UNIT_WORDS[unit or 's']}"
+    return TimeColumn(column, unit, note, tuple(i for i in known if i != column))

@@ -22,8 +22,8 @@ from manip_learn.recordings.readers.column_patterns import (
     another_robot,
     by_joint_names,
     by_patterns,
-    by_recorded_names,
     find_time,
+    names_joints,
     numbered_advice,
 )
 from manip_learn.recordings.readers.limits import LONGEST_TEXT, check_columns
@@ -32,7 +32,6 @@ from manip_learn.recordings.readers.recording import Recording, reason, refusal
 from manip_learn.robot import Robot
 
 COMMENT_MARKS = ("#", "%")
-STAMPED = "%time,"  # `rostopic echo -p` begins its header like a comment
 NUMBER = re.compile(r"[+-]?(\d+([.,]\d*)?|[.,]\d+)([eE][+-]?\d+)?|[+-]?(nan|inf(inity)?)", re.IGNORECASE)
 DELIMITER_WORDS = {",": "comma", ";": "semicolon", "\t": "tab", None: "white space"}
 # what belongs to a message or a data frame, not to the motion
@@ -150,8 +149,8 @@ def _dialect(path: Path, number: int, line: str, comment: str, names: tuple[str,
     delimiter = _delimiter(line)
     fields = _fields(line, delimiter)
     above = partial(CsvDialect, delimiter, header_line=number - 1)
-    if comment.startswith(STAMPED) and len(echoed := _fields(comment, ",")) == len(fields):
-        return above(tuple(echoed), commented_header=True)
+    if comment.startswith("%time,"):  # of `rostopic echo -p`, whose header begins like a comment
+        raise _of_messages(path, number - 1)
     if not all(NUMBER.fullmatch(f) for f in fields):
         return CsvDialect(delimiter, tuple(fields), number)
     text = comment.strip().lstrip("".join(COMMENT_MARKS)).strip()
@@ -179,14 +178,14 @@ class Columns:
     """Columns of a table.
 
     Attributes:
-        time: Column of the stamps; or two, whole seconds and nanoseconds.
+        time: Column of the stamps.
         unit: Unit of the stamps where their name says it.
         joints: Columns of the joints.
         strict: Whether a name that is no joint's is a mistake.
         notes: What the caller should know.
     """
 
-    time: tuple[int, ...]
+    time: int
     unit: str | None
     joints: Found
     strict: bool
@@ -195,7 +194,7 @@ class Columns:
     @property
     def used(self) -> list[int]:
         """Columns that are read."""
-        return sorted({*self.time, *self.joints.positions, *self.joints.velocities, *self.joints.efforts})
+        return sorted({self.time, *self.joints.positions, *self.joints.velocities, *self.joints.efforts})
 
 
 def columns_of(path: Path, dialect: CsvDialect, request: ReadRequest) -> Columns:
@@ -210,10 +209,9 @@ def columns_of(path: Path, dialect: CsvDialect, request: ReadRequest) -> Columns
         name = request.renamed(raw)
         names.append(None if request.ignores(raw, *([name] if name else [])) else name)
     time = find_time(names)
-    if not time.columns:
+    if time.column is None:
         raise _no_time(path, dialect, names, time.choices)
-    for i in time.columns:
-        names[i] = "time"
+    names[time.column] = "time"
     left_out = [i for i in time.others if request.columns or names[i] not in request.robot.joint_names]
     left_out += [i for i, n in enumerate(names) if n is not None and BOOKKEEPING.fullmatch(n)]
     if names and names[0] == "":  # a first column without a name that counts the rows, as pandas writes it
@@ -221,14 +219,14 @@ def columns_of(path: Path, dialect: CsvDialect, request: ReadRequest) -> Columns
         left_out += [0] if len(first) > 1 and first in ([["0"], ["1"]], [["0"], ["1"], ["2"]]) else []
     found = _joint_columns(path, dialect, names, request)
     if found is not None:
-        kept = {*found.positions, *found.velocities, *found.efforts, *time.columns}
+        kept = {*found.positions, *found.velocities, *found.efforts, time.column}
         left_out = [i for i, n in enumerate(names) if n is not None and i not in kept]
     notes = [time.note, "" if found is None else found.note]
     if left_out:
         words = [dialect.columns[i] or f"column {i + 1} (row numbers)" for i in sorted(set(left_out))]
         more = f" and {len(words) - SHOWN} more" if len(words) > SHOWN else ""
         notes.append(f"columns not used: {', '.join(words[:SHOWN])}{more}")
-    meant = {i: n for i, n in enumerate(names) if n is not None and i not in {*left_out, *time.columns}}
+    meant = {i: n for i, n in enumerate(names) if n is not None and i not in {*left_out, time.column}}
     for i, name in meant.items():
         if not name:
             raise _header_error(path, dialect, "unnamed-column", f"column {i + 1} of {len(names)} has no name")
@@ -236,7 +234,7 @@ def columns_of(path: Path, dialect: CsvDialect, request: ReadRequest) -> Columns
             raise _header_error(path, dialect, "duplicate-column", f"two columns are called {name!r}: keep one")
     joints, surplus = _called_as_joints(meant, request.robot) if found is None else (found, [])
     notes += [f"not needed and not used: {', '.join(surplus)}"] if surplus else []
-    return Columns(time.columns, time.unit, joints, found is None, tuple(filter(None, notes)))
+    return Columns(time.column, time.unit, joints, found is None, tuple(filter(None, notes)))
 
 
 def _called_as_joints(names: dict[int, str], robot: Robot) -> tuple[Found, list[str]]:
@@ -259,21 +257,20 @@ def _joint_columns(path: Path, dialect: CsvDialect, names: list[str | None], req
     """Columns of the joints, by the caller's patterns or by the header; None where they are called as the joints."""
     robot = request.robot
     moving, still = robot.joint_names, unmoved_joint_names(robot)
+    is_called_so = any(n in moving for n in names)
+    if not is_called_so and names_joints(names, next(_rows(path, dialect), [""] * len(names)), (*moving, *still)):
+        raise _of_messages(path, dialect.header_line)
     try:
         if request.columns:
             request.uses.use("columns")
             return by_patterns(request.columns, names, moving, still)
-        if any(n in moving for n in names) or robot.objects:
+        if is_called_so or robot.objects:
             return None
         found = by_joint_names(names, moving, still)
     except PatternError as error:
         raise _header_error(path, dialect, "columns", str(error)) from error
     if found is not None:
         return found
-    recorded = by_recorded_names(names, next(_rows(path, dialect), []), (*moving, *still))
-    if recorded is not None:
-        _refuse_changing_names(path, dialect, recorded[1])
-        return recorded[0]
     what = numbered_advice(names, moving)
     if what:
         text = f"{another_robot(names, robot)}; if it is this one, {what}"
@@ -296,15 +293,10 @@ def _no_time(path: Path, dialect: CsvDialect, names: list[str | None], choices: 
     return _header_error(path, dialect, "no-time", text)
 
 
-def _refuse_changing_names(path: Path, dialect: CsvDialect, columns: list[int]) -> None:
-    """Refuse a table in which the columns of names do not name the same joints in every row."""
-    rows = ([row[i] for i in columns] for row in _rows(path, dialect))
-    first = next(rows, [])
-    for joints in rows:
-        if joints != first:
-            said = f"({', '.join(first[:3])} ..., then {', '.join(joints[:3])} ...)"
-            text = f"the joints that the rows name change {said}: export one publisher's messages only"
-            raise refusal(path, "unsteady-names", text)
+def _of_messages(path: Path, line: int) -> RecordingError:
+    """The refusal of what `rostopic echo -p` and bagpy write."""
+    said = "this is a table of the messages in a ROS bag (rostopic echo -p, bagpy): give the bag itself, it is read"
+    return refusal(path, "messages", said, line=line)
 
 
 def _header_error(path: Path, dialect: CsvDialect, code: str, text: str) -> RecordingError:
@@ -320,11 +312,10 @@ def _recording(
         (tuple(part.values()), table[:, [place[i] for i in part]])
         for part in (columns.joints.positions, columns.joints.velocities, columns.joints.efforts)
     )
-    time, *rest = (table[:, place[i]] for i in columns.time)
-    # the unit is known by the name, unless the caller says another one
-    in_seconds = bool(rest) or (columns.unit is not None and request.time_unit is None)
-    if in_seconds:
-        time = time + 1e-9 * rest[0] if rest else time * SECONDS[str(columns.unit)]
+    time, unit = table[:, place[columns.time]], columns.unit
+    in_seconds = unit is not None and request.time_unit is None  # by its name, unless the caller says another unit
+    if unit is not None and in_seconds:
+        time = time * SECONDS[unit]
     return Recording(
         path=path,
         name=path.name,
