@@ -64,7 +64,7 @@ if TYPE_CHECKING:
     from manip_learn.planning.plan import Plan, plan
     from manip_learn.planning.repeat import Repetition, repeat
     from manip_learn.playback import LiveViewer, replay
-    from manip_learn.recordings import RecordingSource, iter_demonstrations, load_demonstrations
+    from manip_learn.recordings import RecordingSource, load_demonstrations
     from manip_learn.recordings.demonstrations import Demonstrations
     from manip_learn.recordings.preprocessing import subsample
     from manip_learn.recordings.trajectory import Trajectory
@@ -82,7 +82,7 @@ _NAMES = {
     "robot.robot_summary": "inspect_robot",
     "robot.tips": "likely_tips",
     "robot.collision": "SelfCollision",
-    "recordings": "RecordingSource iter_demonstrations load_demonstrations",
+    "recordings": "RecordingSource load_demonstrations",
     "recordings.demonstrations": "Demonstrations",
     "recordings.trajectory": "Trajectory",
     "recordings.velocities": "derive_velocities",
@@ -128,6 +128,7 @@ _REMOVED = {
     "CompiledController": "nothing is compiled any more: use the ResolvedRateController itself",
     "warm_up": "nothing is compiled any more: leave the call out",
     "PlacoTask": "hand PlaCo the rows A(q), b and pi yourself: A(q + dq) = A q + dt b as two joint-space half-spaces",
+    "iter_demonstrations": "RecordingSource(paths, robot).part(i) reads part by part, load_demonstrations all at once",
     "optimise_path": "ml.plan chooses posture and motion of a whole way; ManipulabilityAscent climbs on the spot",
 }
 _HOMES = {name: module for module, names in _NAMES.items() for name in names.split()}
@@ -140,7 +141,7 @@ __all__ += ["PenalisedManipulabilityAscent", "Plan", "PointAttractor", "Recorded
 __all__ += ["RelativeFrameJacobian", "Repetition", "ResolvedRateController", "Robot", "Rollout", "RunRecord"]
 __all__ += ["SelfCollision", "SelfCollisionAvoidance", "ServoLoop", "Shown", "Skill", "Stacked", "Status", "Step"]
 __all__ += ["Task", "TaskFrame", "Track", "Trajectory", "WeightedPolicies", "ZeroPolicy", "audit_episodes"]
-__all__ += ["derive_velocities", "find_mechanism", "following_error_limit", "inspect_robot", "iter_demonstrations"]
+__all__ += ["derive_velocities", "find_mechanism", "following_error_limit", "inspect_robot"]
 __all__ += ["likely_tips", "load_demonstrations", "load_robot", "log_manipulability_gradient"]
 __all__ += ["log_penalised_manipulability_gradient", "manipulability", "manipulability_batch"]
 __all__ += ["manipulability_gradient", "motion", "penalised_manipulability", "penalised_manipulability_gradient"]

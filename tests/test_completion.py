@@ -1,4 +1,4 @@
-"""What the shell offers: robots, frames of the robot that was named, flags."""
+"""What the shell offers: robots and flags."""
 
 from __future__ import annotations
 
@@ -26,8 +26,7 @@ def offered(line: str, folder: Path, shell: str = "bash") -> list[str]:
 
 
 @pytest.mark.parametrize("shell", ["bash", "fish"])
-def test_names_and_frames(shell: str, tmp_path: Path) -> None:
-    """A robot by its first letters, a frame of that robot, a flag of the command."""
+def test_names_and_flags(shell: str, tmp_path: Path) -> None:
+    """A robot by its first letters, a flag of the command."""
     assert "sawyer" in offered("manip-learn inspect saw", tmp_path, shell)
-    assert offered("manip-learn learn sawyer demo.csv --frame right_gr", tmp_path, shell) == ["right_gripper_tip"]
     assert "--columns" in offered("manip-learn learn sawyer --col", tmp_path, shell)

@@ -14,7 +14,7 @@ from case import case
 from recording_corpus import JOINTS, TABLE, TIME, Q, csv, refusal
 
 from manip_learn.errors import MissingExtraError, RecordingError
-from manip_learn.recordings import iter_demonstrations, load_demonstrations
+from manip_learn.recordings import RecordingSource, load_demonstrations
 from manip_learn.recordings.demonstrations import Demonstrations
 from manip_learn.robot import Robot, load_robot
 
@@ -98,12 +98,12 @@ def test_notes_say_the_same_thing_once(planar3: Robot, folder: Path) -> None:
 def test_trajectories_come_one_by_one(planar3: Robot, folder: Path) -> None:
     """The generator has given the first before it opens the second; notes are handed out at the end."""
     (folder / "demo_2.csv").write_text(csv(TABLE[:1]))
-    stream = iter_demonstrations([folder / "demo_1.csv", folder / "demo_2.csv"], planar3)
+    stream = iter(RecordingSource([folder / "demo_1.csv", folder / "demo_2.csv"], planar3).part(0))
     assert next(stream).name == "demo_1.csv"
     with pytest.raises(RecordingError, match="demo_2"):
         next(stream)
     notes: list[str] = []
-    assert len(list(iter_demonstrations(folder / "demo_1.csv", planar3, notes=notes, units="degrees"))) == 1
+    assert len(list(RecordingSource(folder / "demo_1.csv", planar3, units="degrees").part(0, notes))) == 1
     assert len(notes) == 1
 
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import math
 import os
 import struct
@@ -407,33 +406,6 @@ def dae(image: str = "", head: str = "", positions: str = "0 0 0 1 0 0 0 1 0") -
 </library_visual_scenes><scene><instance_visual_scene url="#s"/></scene></COLLADA>""".encode()
 
 
-def gltf(buffer_uri: str | None = None, image_uri: str | None = None) -> dict:
-    """A glTF document with one triangle; without an address the buffer is that of a .glb."""
-    document = {
-        "asset": {"version": "2.0"},
-        "scene": 0,
-        "scenes": [{"nodes": [0]}],
-        "nodes": [{"mesh": 0}],
-        "meshes": [{"primitives": [{"attributes": {"POSITION": 0}, "indices": 1}]}],
-        "accessors": [
-            {"bufferView": 0, "componentType": 5126, "count": 3, "type": "VEC3", "min": [0, 0, 0], "max": [1, 1, 0]},
-            {"bufferView": 1, "componentType": 5125, "count": 3, "type": "SCALAR"},
-        ],
-        "bufferViews": [{"buffer": 0, "byteLength": 36}, {"buffer": 0, "byteOffset": 36, "byteLength": 12}],
-        "buffers": [{"byteLength": 48} | ({"uri": buffer_uri} if buffer_uri else {})],
-    }
-    return document | ({"images": [{"uri": image_uri}]} if image_uri else {})
-
-
-def glb(document: dict) -> bytes:
-    """A binary glTF."""
-    text = json.dumps(document).encode()
-    text += b" " * (-len(text) % 4)
-    data = struct.pack("<9f3I", 0, 0, 0, 1, 0, 0, 0, 1, 0, 0, 1, 2)
-    body = struct.pack("<I4s", len(text), b"JSON") + text + struct.pack("<I4s", len(data), b"BIN\0") + data
-    return b"glTF" + struct.pack("<II", 2, 12 + len(body)) + body
-
-
 def linked(target: str):
     """A case whose mesh folder holds a symbolic link besides the URDF."""
 
@@ -496,7 +468,6 @@ CONTENTS = [
     _content("obj with materials beside", "accept", "a.obj", b"mtllib a.mtl\n" + OBJ),
     _content("collada", "accept", "a.dae", dae()),
     _content("collada with image", "accept", "a.dae", dae("skin.png")),
-    _content("glb", "accept", "a.glb", glb(gltf())),
     _content("empty", "stand-in:mesh-content", "a.stl", b""),
     _content("stl cut", "stand-in:mesh-content", "a.stl", stl()[:-3]),
     _content("stl that states 4 billion", "stand-in:mesh-content", "a.stl", stl(1, 0xFFFFFFFF)),
@@ -510,11 +481,7 @@ CONTENTS = [
     _content("collada naming a neighbour", "accept", "a.dae", dae("../../other/skin.png")),
     _content("collada without positions", "stand-in:mesh-content", "a.dae", dae(positions="")),
     _content("collada cut", "stand-in:mesh-parser", "a.dae", dae()[:700]),
-    _content("glb reading a file", "stand-in:mesh-side-file", "a.glb", glb(gltf("/etc/passwd"))),
-    _content("glb with odd buffers", "stand-in:mesh-parser", "a.glb", glb({"asset": {}, "buffers": [1, {"uri": 3}]})),
-    _content("glb with a number of buffers", "stand-in:mesh-parser", "a.glb", glb({"asset": {}, "buffers": 5})),
-    _content("glb naming an image", "accept", "a.glb", glb(gltf(image_uri="/etc/passwd"))),
-    _content("gltf", "stand-in:mesh-kind", "a.gltf", json.dumps(gltf()).encode()),
+    _content("glb", "stand-in:mesh-kind", "a.glb", b"glTF" + bytes(16)),
     _content("collada of open tags", "stand-in:mesh-parser", "a.dae", dae() + b"<instance_node " * 500_000),
     _content(
         "collada of many images",

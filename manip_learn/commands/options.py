@@ -7,14 +7,12 @@ several commands share: then the fields of the set stand in its place. Only what
 from __future__ import annotations
 
 import math
-import os
-import shlex
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, ClassVar, final
 
-from typer import Argument, Context, Option
+from typer import Argument, Option
 
 from manip_learn.errors import ManipLearnError, TargetError
 
@@ -27,29 +25,6 @@ def robot_completions(incomplete: str) -> list[str]:
     from manip_learn.robot.description.catalogue import robot_names
 
     return [name for name in robot_names() if name.startswith(incomplete)]
-
-
-def frame_completions(context: Context, incomplete: str) -> list[str]:
-    """Frames of the robot that was named before: the likely tips first, then all others; none of one not understood."""
-    from manip_learn.robot import load_robot
-    from manip_learn.robot.tips import likely_tips
-
-    try:
-        robot = load_robot(str(context.params.get("robot") or _typed_robot()))
-    except ManipLearnError:
-        return []
-    frames = dict.fromkeys([*likely_tips(robot), *robot.frame_names])
-    return [name for name in frames if name.startswith(incomplete)]
-
-
-def _typed_robot() -> str:
-    """The robot on the unfinished line: the parser gives up at an option that still lacks its value."""
-    line = os.environ.get("COMP_WORDS") or os.environ.get("_TYPER_COMPLETE_ARGS") or ""
-    try:
-        words = shlex.split(line)
-    except ValueError:  # an open quote
-        words = line.split()
-    return next((word for word in words[2:] if not word.startswith("-")), "")
 
 
 def pair(flag: str, form: str, text: str, *, may_be_empty: bool = False, unnamed: bool = False) -> tuple[str, str]:
@@ -244,12 +219,8 @@ class LearnOptions:
 
     robot: RobotName
     recordings: Recordings
-    frame: Annotated[
-        str | None, Option(help="The frame that was guided, e.g. the tool's tip.", autocompletion=frame_completions)
-    ] = None
-    relative_to: Annotated[
-        str | None, Option(help="Frame, e.g. an object, from which it is seen.", autocompletion=frame_completions)
-    ] = None
+    frame: Annotated[str | None, Option(help="The frame that was guided, e.g. the tool's tip.")] = None
+    relative_to: Annotated[str | None, Option(help="Frame, e.g. an object, from which it is seen.")] = None
     axes: Annotated[str, Option(help="xyz, pose, planar, rotation, or any of 'x y z rx ry rz'.")] = "xyz"
     reference: Annotated[str, Option(help="world, local, or auto (the larger gap).")] = "auto"
     constraints: Annotated[int | None, Option(help="Number of constraints; default: from the data.")] = None
@@ -359,7 +330,7 @@ class ReplayOptions:
     rollouts: Annotated[list[str], Argument(metavar="ROLLOUT...", help="Written by `control --out`; or recordings.")]
     html: Annotated[Path, Option(help="File to write.")] = Path("replay.html")
     open_browser: Annotated[bool, Option("--open", help="Open it in the browser.")] = False
-    tip: Annotated[str | None, Option(help="Frame whose path is drawn.", autocompletion=frame_completions)] = None
+    tip: Annotated[str | None, Option(help="Frame whose path is drawn.")] = None
     constraint: Annotated[
         Path | None,
         Option(
@@ -413,9 +384,7 @@ class RecordOptions:
     robot: Annotated[str | None, Option(help="Robot to show and to learn for.", autocompletion=robot_completions)] = (
         None
     )
-    frame: Annotated[
-        str | None, Option(help="The frame that is guided, e.g. the tool's tip.", autocompletion=frame_completions)
-    ] = None
+    frame: Annotated[str | None, Option(help="The frame that is guided, e.g. the tool's tip.")] = None
     by: Annotated[str, Option(help="motion: from motion to rest; key: Enter begins and ends, q leaves.")] = "motion"
     motions: Annotated[int | None, Option(help="Number of motions to record; default: until Ctrl-C.")] = None
     duration: Annotated[float | None, Option(help="Longest time to wait for all of them [s].")] = None
@@ -436,9 +405,7 @@ class TeachOptions:
     robot: Annotated[str, Argument(metavar="ROBOT", help="Which robot to teach.", autocompletion=robot_completions)] = (
         "sawyer"
     )
-    frame: Annotated[
-        str | None, Option(help="The frame that takes hold, e.g. the tool's tip.", autocompletion=frame_completions)
-    ] = None
+    frame: Annotated[str | None, Option(help="The frame that takes hold, e.g. the tool's tip.")] = None
     scene: Annotated[str, Option(help="First scene: drawer, door, loose-door, table, screw, two or free.")] = "drawer"
     out: Annotated[Path, Option(help="Folder for recordings and what is learnt.")] = Path("taught")
     seed: Annotated[int | None, Option(help="Random seed for the scene; default: different each time.")] = None

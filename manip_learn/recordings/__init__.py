@@ -1,6 +1,6 @@
 """Files: recordings in, results out."""
 
-from manip_learn.recordings.load_demonstrations import iter_demonstrations, load_demonstrations
+from manip_learn.recordings.load_demonstrations import load_demonstrations
 from manip_learn.recordings.trajectory_source import RecordingSource
 
-__all__ = ["RecordingSource", "iter_demonstrations", "load_demonstrations"]
+__all__ = ["RecordingSource", "load_demonstrations"]

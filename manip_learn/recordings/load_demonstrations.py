@@ -41,7 +41,7 @@ Tables = DataFrame | Sequence[DataFrame]
 
 
 class ReadOptions(TypedDict, total=False):
-    """Keywords of `load_demonstrations` and `iter_demonstrations`.
+    """Keywords of `load_demonstrations`.
 
     Attributes:
         degrees: The same as `units="degrees"`, but what looks like radians is refused.
@@ -104,29 +104,11 @@ def load_demonstrations(paths: Paths | Tables, robot: Robot, **options: Unpack[R
         >>> len(demos), demos[0].q.shape  # recordings; samples and joints of the first
         (20, (40, 3))
     """
-    notes: list[str] = []
-    trajectories = tuple(iter_demonstrations(paths, robot, notes=notes, **options))
-    return Demonstrations(trajectories, notes)
-
-
-def iter_demonstrations(
-    paths: Paths | Tables, robot: Robot, *, notes: list[str] | None = None, **options: Unpack[ReadOptions]
-) -> Iterator[Trajectory]:
-    """One trajectory after the other, for recordings larger than memory.
-
-    Args:
-        paths: As for `load_demonstrations`, whose errors may come, too, as soon as a recording cannot be trusted.
-        robot: As for `load_demonstrations`.
-        notes: A list to which sentences are added at the end, or None.
-        **options: See `ReadOptions`.
-    """
-    found: list[str] = []
     with frames_as_files(paths) as given:
-        files, request, said = open_recordings(given, robot, options)
-        yield from read_recordings(files, request, found)
-    found = refuse_unmatched(found)
-    if notes is not None:
-        notes += said + found
+        files, request, notes = open_recordings(given, robot, options)
+        found: list[str] = []
+        trajectories = tuple(read_recordings(files, request, found))
+    return Demonstrations(trajectories, notes + refuse_unmatched(found))
 
 
 def open_recordings(

@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import errno
 import io
-import json
 import os
 import re
 import struct
@@ -31,7 +30,6 @@ Piece = tuple[np.ndarray, np.ndarray, Colour | None]  # corners, triangles
 
 MAX_MESH_BYTES = 50_000_000  # of a file: a million triangles of STL
 MAX_FACES = 2_000_000  # of a mesh: 0.1 GB as triangles
-MAX_CLAIMED = 5 * MAX_FACES  # numbers, times three, in the tables of a glTF: corners, vertices, normals, textures
 MAX_NODES = 20_000  # of a COLLADA scene, each counted as often as it is used
 HEAD = 4_096  # [bytes] in which a file says of which kind it is
 
@@ -278,28 +276,6 @@ def _check_dae(content: bytes, path: Path) -> None:
         raise _refusal(path, "mesh-content", "it has a <!DOCTYPE>")
 
 
-def _check_glb(content: bytes, path: Path) -> None:
-    """Refuse what is no glTF, reads other files, or claims more than any mesh has."""
-    size, kind = struct.unpack_from("<I4s", content, 12) if len(content) >= 20 else (0, b"")
-    if content[:4] != b"glTF" or kind != b"JSON" or size > len(content) - 20:
-        raise _refusal(path, "mesh-content", "it has no glTF header, or its first chunk is no JSON")
-    try:
-        document = json.loads(content[20 : 20 + size])
-        if any(not str(buffer.get("uri", "data:")).startswith("data:") for buffer in document.get("buffers", [])):
-            raise _refusal(path, "mesh-side-file", "its buffers are in other files, which are not read")
-        counts = [a["count"] for a in document.get("accessors", [])]
-        meshes = [p for m in document.get("meshes", []) for p in m["primitives"]]
-        used = [counts[i] for p in meshes for i in (p["attributes"]["POSITION"], p.get("indices")) if i is not None]
-        size = sum(view["byteLength"] for view in document.get("bufferViews", []))
-        is_too_much = max(sum(counts), sum(used)) > 3 * MAX_CLAIMED or size > 2 * MAX_MESH_BYTES
-    except (ValueError, RecursionError) as error:
-        raise _refusal(path, "mesh-content", f"it is no JSON ({str(error)[:80]})") from error
-    except (LookupError, TypeError, AttributeError) as error:
-        raise _refusal(path, "mesh-parser", f"its tables cannot be read ({type(error).__name__}: {error})") from error
-    if is_too_much:
-        raise _refusal(path, "mesh-content", f"it states {max(sum(counts), sum(used))} numbers, {size} bytes: too many")
-
-
 def _refusal(path: Path, code: str, reason: str) -> RobotError:
     return RobotError(f"mesh {path}: {reason}", code=code, path=path)
 
@@ -308,5 +284,4 @@ CHECKS: dict[str, Callable[[bytes, Path], None]] = {
     ".stl": _check_stl,
     ".obj": _check_obj,
     ".dae": _check_dae,
-    ".glb": _check_glb,
 }
