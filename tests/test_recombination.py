@@ -96,7 +96,7 @@ def test_held_rows_are_counted_and_clear(s):
 def of_numbers(strengths, spread, p_values=None, levels=(0.01, 0.1, 1.0), n=199, **options) -> RowEvidence:
     """Evidence of five trajectories, with numbers of one's own."""
     p = p_values or (0.005,) * len(strengths)
-    return RowEvidence(strengths, strengths, p, levels, np.eye(3), 5, n, spread, **options)
+    return RowEvidence(strengths, p, levels, np.eye(3), 5, n, spread, **options)
 
 
 def test_the_verdict_is_that_of_its_numbers():

@@ -23,8 +23,9 @@ from manip_learn.learning.estimators.estimate import (
     RESIDUAL_RATIO,
     SOFT_ENERGY,
     Estimate,
+    gaps_of_levels,
 )
-from manip_learn.learning.estimators.null_space import estimate_null_space, null_space_gap
+from manip_learn.learning.estimators.null_space import estimate_null_space, levels
 from manip_learn.learning.explanation.findings import Findings, Part
 from manip_learn.learning.mechanisms.find_mechanism import BLIND, MechanismFit, find_mechanism
 from manip_learn.learning.recombination import BELIEVED_STRENGTH, RowEvidence, recombination_test
@@ -88,7 +89,7 @@ class Candidate:
 def learn_best(
     feature_maps: Sequence[FeatureMap], demonstrations: Demonstrations, settings: LearnerSettings
 ) -> Candidate:
-    """The candidate of the first feature map, unless a later one has a larger gap by more than chance.
+    """An estimate with each feature map; the first, unless the gap of a later one is larger by more than chance.
 
     Raises:
         NotIdentifiableError: The data determine no constraint for any of them; the reason for the first.
@@ -96,46 +97,28 @@ def learn_best(
     """
     best: Candidate | None = None
     refusals: list[NotIdentifiableError] = []
+    check_fastest(demonstrations)
     for features in feature_maps:
         try:
-            candidate = learn_candidate(features, demonstrations, settings, rival=best)
+            samples = Samples.collect(features, demonstrations)
+            warnings = check_samples(samples, demonstrations.joint_names, settings.n_constraints)
+            # rows held beyond doubt: the same motion is not self-imposed in other features
+            is_held = best is not None and best.estimate.is_held
+            if best is not None and (is_held and settings.estimator == "auto" or settings.estimator == "null-space"):
+                table = gaps_of_levels(levels(samples)[0], samples.nv)
+                if table.gap(settings.n_constraints or table.best) <= EQUALLY_GOOD * best.estimate.gap:
+                    continue  # the gap depends on the levels alone
+            rng = np.random.default_rng(settings.seed)
+            estimate = _estimate(samples, settings, rng, is_held)
+            warnings += [*estimate.warnings, *doubts_of_estimate(estimate, samples.nv, settings.n_constraints)]
         except NotIdentifiableError as error:
             refusals.append(error)
             continue
-        if best is None or (candidate is not None and candidate.estimate.gap > EQUALLY_GOOD * best.estimate.gap):
-            best = candidate
+        if best is None or estimate.gap > EQUALLY_GOOD * best.estimate.gap:
+            best = Candidate(samples, estimate, tuple(warnings), rng)
     if best is None:
         raise refusals[0]
     return best
-
-
-def learn_candidate(
-    features: FeatureMap, demonstrations: Demonstrations, settings: LearnerSettings, *, rival: Candidate | None = None
-) -> Candidate | None:
-    """Samples -> estimate -> number of rows, with one feature map; None where the rival's gap cannot be exceeded.
-
-    Args:
-        features: Phi.
-        demonstrations: With velocities.
-        settings: What the user asked for.
-        rival: The best of other feature maps. If its rows are held beyond doubt, the same motion is not self-imposed
-            in these.
-
-    Raises:
-        NotIdentifiableError: The data determine no constraint; says why.
-        RecordingError: Outliers.
-    """
-    samples = Samples.collect(features, demonstrations)
-    check_fastest(demonstrations)
-    warnings = check_samples(samples, demonstrations.joint_names, settings.n_constraints)
-    rival_is_held = rival is not None and rival.estimate.is_held
-    if rival is not None and (rival_is_held and settings.estimator == "auto" or settings.estimator == "null-space"):
-        if null_space_gap(samples, settings.n_constraints) <= EQUALLY_GOOD * rival.estimate.gap:
-            return None
-    rng = np.random.default_rng(settings.seed)
-    estimate = _estimate(samples, settings, rng, rival_is_held)
-    warnings += [*estimate.warnings, *doubts_of_estimate(estimate, samples.nv, settings.n_constraints)]
-    return Candidate(samples, estimate, tuple(warnings), rng)
 
 
 def _estimate(samples: Samples, settings: LearnerSettings, rng: np.random.Generator, rival_is_held: bool) -> Estimate:
@@ -388,28 +371,21 @@ def mechanism_rows(
     Rows across the axis about which alone the hand may turn are constant, but the path of the hand tells that axis
     better than its velocity does where the hand sways: what sways to and fro has a large rate and a small angle.
     """
-    if found is None or found.mechanism is None or found.features is None:
+    if found is None or found.mechanism is None:
         return None
-    features = found.features if isinstance(found.features, MechanismRows) else _turning(found.features, found)
-    if features is None:
+    features, mechanism = found.features, found.mechanism
+    if isinstance(features, FrameJacobian) and mechanism.type == "held-orientation" and mechanism.axis is not None:
+        # the rows across the axis
+        features = MechanismRows(features.robot, features.frame.name, ("turn-1", "turn-2"), axis=mechanism.axis)
+    if not isinstance(features, MechanismRows):
         return None
     units = {unit for f in feature_maps for unit in f.row_units if unit != "m^2/s"}
     names = tuple(n for n, unit in zip(features.row_names, features.row_units, strict=True) if unit in units)
     if units == {"m/s"}:
-        names = POSITION_ROWS.get(found.mechanism.type, ())
+        names = POSITION_ROWS.get(mechanism.type, ())
     if names:
         # whether the arm can move the frame along each row, somewhere on the recordings
         few = np.concatenate([t.q[:: max(1, len(t) // 10)] for t in demonstrations])
         size = np.linalg.norm(features.with_rows(names, features.radius).batch(few), axis=2).max(axis=0)
         names = tuple(n for n, moves in zip(names, size > BLIND, strict=True) if moves)
     return features.with_rows(names, features.radius) if names else None
-
-
-def _turning(features: FeatureMap, found: MechanismFit) -> MechanismRows | None:
-    """The rows across the axis of a held orientation; None of anything else."""
-    mechanism = found.mechanism
-    if mechanism is None or mechanism.type != "held-orientation" or mechanism.axis is None:
-        return None
-    if not isinstance(features, FrameJacobian):
-        return None
-    return MechanismRows(features.robot, features.frame.name, ("turn-1", "turn-2"), axis=mechanism.axis)

@@ -81,7 +81,6 @@ class RowEvidence:
 
     Attributes:
         strengths: How much more the motion uses each row when joints are exchanged between the trajectories: median.
-        least: The least of these ratios over all recombinations.
         p_values: Chance of a level as low as the recorded one if the joints moved independently of each other.
         levels: How much the recorded motion uses each row: 0 not at all, 1 as a motion equally strong in all joints.
         directions: The rows, in the features' own units, orthonormal, shape (r, p).
@@ -93,7 +92,6 @@ class RowEvidence:
     """
 
     strengths: tuple[float, ...]
-    least: tuple[float, ...]
     p_values: tuple[float, ...]
     levels: tuple[float, ...]
     directions: Float[np.ndarray, "r p"]
@@ -237,11 +235,6 @@ class PhasePath:
         """Displacement of each joint in each bin."""
         return self.steps.reshape(self.n_bins, NODES_PER_BIN, -1).sum(axis=1)
 
-    def reverse(self) -> PhasePath:
-        """The path run from its end to its start; displacements keep their sign."""
-        q, weight, steps = self.q[::-1], self.weight[::-1], self.steps[::-1]
-        return PhasePath(q, 1.0 - self.edges[::-1], self.n_bins - 1 - self.bins[::-1], weight, steps)
-
     def displacements(self, steps: Float[np.ndarray, "g nv"], shift: float = 0.0) -> Float[np.ndarray, "n nv"]:
         """How far joints that move by `steps` come while this trajectory passes each of its postures.
 
@@ -308,8 +301,10 @@ def _turned(paths: list[PhasePath], scale: Float[np.ndarray, " nv"]) -> list[Pha
         own = np.linalg.svd(moved, full_matrices=False)[2][0]
         along = moved @ (own if own @ common >= 0.0 else -own)
         steps = path.steps * np.repeat(np.where(along < 0.0, -1.0, 1.0), NODES_PER_BIN)[:, None]
-        path = dataclasses.replace(path, steps=steps)
-        turned.append(path.reverse() if np.sum(along) < -0.5 * np.sum(np.abs(along)) else path)
+        if np.sum(along) < -0.5 * np.sum(np.abs(along)):
+            edges, bins = 1.0 - path.edges[::-1], path.n_bins - 1 - path.bins[::-1]
+            path, steps = PhasePath(path.q[::-1], edges, bins, path.weight[::-1], steps), steps[::-1]
+        turned.append(dataclasses.replace(path, steps=steps))
     return turned
 
 
@@ -353,7 +348,7 @@ def recombination_test(
         chosen = [chosen[i] for i in np.sort(rng.choice(len(chosen), MOST_TRAJECTORIES, replace=False))]
     paths = phase_paths(chosen)
     Phi = [features.batch(path.q) for path in paths]
-    nothing = RowEvidence((), (), (), (), np.zeros((0, features.n_rows)), len(paths), 0, believed=believed)
+    nothing = RowEvidence((), (), (), np.zeros((0, features.n_rows)), len(paths), 0, believed=believed)
     if not Phi:
         return nothing
     W = whitening(np.mean([np.einsum("niv,njv->ij", P, P) / len(P) for P in Phi], axis=0), features.row_units)
@@ -368,7 +363,9 @@ def recombination_test(
     moments, held_out = recorded.mean(axis=0)[None], np.sqrt(_held_out_squares(recorded) / energy)
     while True:
         n = max(RECOMBINATIONS, 4 * (len(moments) - 1))
-        order = arrangements_of_joints(rng, n - len(moments) + 1, features.nv, len(paths), len(donors))
+        size = (n - len(moments) + 1, features.nv, len(paths))  # the donor of each joint of each trajectory
+        exchanged = len(donors) == len(paths)
+        order = np.argsort(rng.random(size), axis=2) if exchanged else rng.integers(0, len(donors), size)
         # a few at a time: their motion is a large array
         few = np.array_split(order, -(-len(order) // MOMENTS_AT_ONCE))
         moments = np.concatenate([moments, *(moments_of_motion(parts, some).mean(axis=1) for some in few)])
@@ -377,7 +374,6 @@ def recombination_test(
         ratios = levels[1:] / np.maximum(held_out, levels[0])
         evidence = RowEvidence(
             tuple(np.median(ratios, axis=0).tolist()),
-            tuple(np.min(ratios, axis=0).tolist()),
             tuple(((1.0 + np.count_nonzero(levels[1:] <= levels[0], axis=0)) / (1.0 + n)).tolist()),
             tuple(levels[0].tolist()),
             np.linalg.qr((directions @ W).T)[0].T,
@@ -401,15 +397,6 @@ def _parts(
         here = path.bins == b
         parts[b] = np.matmul(moved[:, here].transpose(2, 0, 1), Phi[here].transpose(2, 0, 1))
     return parts * np.sqrt(path.weight)[:, None, None, None]
-
-
-def arrangements_of_joints(
-    rng: np.random.Generator, n: int, nv: int, n_paths: int, n_donors: int
-) -> Int[np.ndarray, "n nv d"]:
-    """The donor of each joint of each trajectory."""
-    if n_donors == n_paths:
-        return np.argsort(rng.random((n, nv, n_paths)), axis=2)
-    return rng.integers(0, n_donors, (n, nv, n_paths))
 
 
 def moments_of_motion(

@@ -18,7 +18,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cache, cached_property
 from itertools import product
-from typing import final
+from typing import NamedTuple, final
 
 import numpy as np
 from jaxtyping import Float
@@ -73,14 +73,12 @@ class IndependentRecordings:
         origins: Of each of them the pieces that it is made of: number of the given recording, and the time that was
             added to its clock [s].
         given: The recordings as they were given.
-        copies: What repeats what, in sentences.
-        warnings: The same, and what is put together of pieces.
+        warnings: What repeats what, and what is put together of pieces, in sentences.
     """
 
     demonstrations: Demonstrations
     origins: tuple[tuple[tuple[int, float], ...], ...]
     given: Demonstrations
-    copies: tuple[str, ...] = ()
     warnings: tuple[str, ...] = ()
 
     @staticmethod
@@ -111,11 +109,8 @@ class IndependentRecordings:
                 f"{listed(said[i] for i in copies)} {verb} {said[first]} (the same positions {near}); they count once"
             )
         kept = [i for i in range(len(whole)) if i not in repeated]
-        renamed = [dataclasses.replace(whole[i], name=said[i]) for i in kept]
-        demonstrations = Demonstrations(renamed, given.notes)
-        return IndependentRecordings(
-            demonstrations, tuple(origins[i] for i in kept), given, tuple(copied), (*pieces, *copied)
-        )
+        demonstrations = Demonstrations([dataclasses.replace(whole[i], name=said[i]) for i in kept], given.notes)
+        return IndependentRecordings(demonstrations, tuple(origins[i] for i in kept), given, (*pieces, *copied))
 
     def every(self, step: int) -> IndependentRecordings:
         """The first of them, and every so many after it."""
@@ -267,15 +262,9 @@ def _chains(trajectories: Sequence[Trajectory]) -> list[list[int]]:
     return chains
 
 
-@final
-@dataclass(frozen=True)
-class _Seam:
-    """The end of one recording, where another begins.
-
-    Attributes:
-        before, after: The two recordings.
-        is_cut: Whether a motion was cut there, or one clock goes on.
-        left: What a cubic through both leaves [rad].
+class _Seam(NamedTuple):
+    """The end of one recording, where another begins; whether a motion was cut there, or one clock goes on; and what a
+    cubic through both leaves [rad].
     """
 
     before: int
@@ -300,17 +289,13 @@ def _seams(trajectories: Sequence[Trajectory]) -> list[_Seam]:
         for k in np.flatnonzero(np.linalg.norm(starts - end, axis=1) <= SEAM_STEPS * np.maximum(first, step))
         if long[k] != i
     ]
-    if not touching or np.median([_step(trajectories[i].q) for i in long]) > PATH_STEP:
+    extents = np.array([np.linalg.norm(np.ptp(trajectories[i].q, axis=0)) for i in long])
+    steps = [np.mean(np.linalg.norm(np.diff(trajectories[i].q, axis=0), axis=1)) for i in long]
+    if not touching or np.median([s / e if e > 0.0 else 1.0 for s, e in zip(steps, extents, strict=True)]) > PATH_STEP:
         return []
-    told = NEAREST_PATH_SHARE * max(float(np.linalg.norm(np.ptp(trajectories[i].q, axis=0))) for i in long)
+    told = NEAREST_PATH_SHARE * float(max(extents))
     seams = [s for i, k in touching if (s := _seam(trajectories, i, k, told)) is not None]
     return sorted(seams, key=lambda s: (not s.is_cut, s.after != s.before + 1, s.left))
-
-
-def _step(q: Float[np.ndarray, "T n"]) -> float:
-    """Mean step over the extent; 1 at rest."""
-    extent = float(np.linalg.norm(np.ptp(q, axis=0)))
-    return float(np.mean(np.linalg.norm(np.diff(q, axis=0), axis=1))) / extent if extent > 0.0 else 1.0
 
 
 def _seam(trajectories: Sequence[Trajectory], before: int, after: int, told: float) -> _Seam | None:

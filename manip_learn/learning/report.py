@@ -484,7 +484,7 @@ def _other_rows(demonstrations: Demonstrations, feature_maps: Sequence[FeatureMa
     for axes in ("xyz", "rotation", "pose"):
         for reference in ("world", "local"):
             other = FrameJacobian(first.robot, first.frame.name, axes, reference)
-            if (other.row_names, reference) not in tried and held_throughout([other], demonstrations):
+            if (other.row_names, reference) not in tried and held_throughout([other], demonstrations.trajectories):
                 python, flags = f"axes={axes!r}, reference={reference!r}", f"--axes {axes} --reference {reference}"
                 return [f"try other rows{advice(', {}', python, flags)}, with which one constraint does fit"]
     return []

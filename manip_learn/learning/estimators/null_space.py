@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import NamedTuple, final
+from typing import final
 
 import numpy as np
 from jaxtyping import Float
@@ -46,32 +46,6 @@ class NullSpaceFit:
     def equations(self) -> tuple[Float[np.ndarray, "m m"], Float[np.ndarray, " m"]]:
         """Gauss-Newton Hessian and gradient of all trajectories."""
         return self.curvatures.sum(axis=0), self.scores.sum(axis=0).reshape(-1)
-
-
-class Terms(NamedTuple):
-    """What each of n samples adds to equation (10) and to its derivatives for dLambda = B Lambda_perp.
-
-    Attributes:
-        cost, energy: w^T A^+ A w and |w|^2, summed over the samples.
-        scores: Gradient, shape (s, p'-s, n).
-        curvatures: Gauss-Newton Hessian, B row by row, shape (m, m, n).
-    """
-
-    cost: float
-    energy: float
-    scores: Float[np.ndarray, "s k n"]
-    curvatures: Float[np.ndarray, "m m n"]
-
-    @staticmethod
-    def of(rows: Float[np.ndarray, "r nv n"], s: int, w: Float[np.ndarray, "nv n"]) -> Terms:
-        """From Lambda Phi, s rows, above Lambda_perp Phi, with the samples side by side in the last axis."""
-        m, n = s * (len(rows) - s), w.shape[1]
-        along, null, R_inverse = split(rows[:s], w)
-        a = np.einsum("ijn,jn->in", R_inverse, along)  # A^{+T} w
-        g = np.einsum("kvn,vn->kn", rows[s:], null)
-        inverse_gram = np.einsum("iln,jln->ijn", R_inverse, R_inverse)  # (A A^T)^-1
-        H = inverse_gram[:, None, :, None] * (g[:, None] * g)[None, :, None]
-        return Terms(float(np.sum(along**2)), float(np.sum(w**2)), a[:, None] * g, H.reshape(m, m, n))
 
 
 def split(
@@ -135,10 +109,15 @@ def _fit_at(samples: Samples, Lambda: np.ndarray) -> NullSpaceFit:
     curvatures = np.zeros((samples.n_trajectories, s * k, s * k))
     cost = energy = 0.0
     for block in samples.blocks():
-        terms = Terms.of(rows_beside(both, block.Phi), s, np.ascontiguousarray(block.u.T))
-        cost, energy = cost + terms.cost, energy + terms.energy
-        block.add_to(scores, terms.scores)
-        block.add_to(curvatures, terms.curvatures)
+        rows, w = rows_beside(both, block.Phi), np.ascontiguousarray(block.u.T)
+        along, null, R_inverse = split(rows[:s], w)
+        a = np.einsum("ijn,jn->in", R_inverse, along)  # A^{+T} w
+        g = np.einsum("kvn,vn->kn", rows[s:], null)
+        inverse_gram = np.einsum("iln,jln->ijn", R_inverse, R_inverse)  # (A A^T)^-1
+        H = inverse_gram[:, None, :, None] * (g[:, None] * g)[None, :, None]
+        cost, energy = cost + float(np.sum(along**2)), energy + float(np.sum(w**2))
+        block.add_to(scores, a[:, None] * g)
+        block.add_to(curvatures, H.reshape(s * k, s * k, w.shape[1]))
     n = len(samples)
     return NullSpaceFit(Lambda, cost / n, energy / n, scores, curvatures)
 
@@ -165,12 +144,6 @@ def estimate_null_space(samples: Samples, n_constraints: int | None = None) -> E
         fit.curvatures,
         levels=sizes,
     )
-
-
-def null_space_gap(samples: Samples, n_constraints: int | None = None) -> float:
-    """The gap that `estimate_null_space` will find: it depends on the levels alone."""
-    table = gaps_of_levels(levels(samples)[0], samples.nv)
-    return table.gap(n_constraints or table.best)
 
 
 def held_out_share(samples: Samples, s: int, moments: Float[np.ndarray, "g r r"]) -> float:

@@ -94,18 +94,14 @@ class Projections:
     def of(samples: Samples, Lambda: Float[np.ndarray, "s r"]) -> Projections:
         """For a Lambda in whitened coordinates."""
         both = np.concatenate([Lambda, complement_rows(Lambda)])
-        parts = [Projections.of_rows(rows_beside(both, block.Phi), len(Lambda)) for block in samples.blocks()]
-        if len(parts) == 1:
-            return parts[0]
-        return Projections(*(np.concatenate(p) for p in zip(*((p.N, p.duals, p.free) for p in parts), strict=True)))
-
-    @staticmethod
-    def of_rows(rows: Float[np.ndarray, "r nv n"], s: int) -> Projections:
-        """From Lambda Phi, s rows, above Lambda_perp Phi, with the samples side by side in the last axis."""
-        Q, R = row_bases(rows[:s].transpose(1, 0, 2))
-        N = np.eye(rows.shape[1])[None] - (Q.transpose(2, 0, 1) @ Q.transpose(2, 1, 0))
-        back = np.ascontiguousarray(inverse_triangles_beside(R).transpose(2, 0, 1))
-        return Projections(N, back @ Q.transpose(2, 1, 0), N @ rows[s:].transpose(2, 1, 0))
+        parts, s = [], len(Lambda)
+        for block in samples.blocks():
+            rows = rows_beside(both, block.Phi)
+            Q, R = row_bases(rows[:s].transpose(1, 0, 2))
+            N = np.eye(rows.shape[1])[None] - (Q.transpose(2, 0, 1) @ Q.transpose(2, 1, 0))
+            back = np.ascontiguousarray(inverse_triangles_beside(R).transpose(2, 0, 1))
+            parts.append((N, back @ Q.transpose(2, 1, 0), N @ rows[s:].transpose(2, 1, 0)))
+        return Projections(*(p[0] if len(p) == 1 else np.concatenate(p) for p in zip(*parts, strict=True)))
 
     def energy(self, y: Float[np.ndarray, "n nv"]) -> float:
         """sum |N y|^2."""

@@ -390,20 +390,6 @@ def _weights(model: PolynomialModel, m: int) -> Float[np.ndarray, " k"]:
 
 @final
 @dataclass(frozen=True, eq=False)
-class Variances:
-    """Of the noise and of the policy's parameters.
-
-    Attributes:
-        noise: sigma^2 [(rad/s)^2].
-        parameters: tau^2 of each grade [(rad/s)^2].
-    """
-
-    noise: float
-    parameters: Float[np.ndarray, " g"]
-
-
-@final
-@dataclass(frozen=True, eq=False)
 class ScoredFit:
     """Lambda, and what its uncertainty needs.
 
@@ -433,13 +419,13 @@ def fit_marginal(samples: Samples, fit: JointFit, most_columns: int) -> ScoredFi
     scale = float(np.mean(samples.u**2))
     n_grades = int(regressors.grades.max()) + 1
     noise = max(fit.cost / max(samples.nv - len(fit.whitened_selection), 1), LEAST * scale)
-    here.settle(Variances(noise, np.full(n_grades, START * scale)), FIRST_UPDATES)
+    here.settle(noise, np.full(n_grades, START * scale), FIRST_UPDATES)
     here = descend(
         here, _Posterior.moved, MARGINAL_ITERATIONS, settled=lambda _, step, H: float(step @ H @ step) < SETTLED
     )
     gradients, hessians = here.scores()
     precision = np.append(here.precision, np.zeros(hessians.shape[1] - len(here.precision)))
-    return ScoredFit(here.Lambda, gradients, hessians, PolicyPrior(precision, here.variances.noise))
+    return ScoredFit(here.Lambda, gradients, hessians, PolicyPrior(precision, here.noise))
 
 
 @final
@@ -462,31 +448,32 @@ class _Posterior:
         self._energy = float(np.sum(null_part**2))
         self._grades = np.repeat(regressors.grades, samples.nv)
 
-    def settle(self, variances: Variances, updates: int) -> None:
-        """Solve with some variances, and change these towards the largest likelihood some times."""
-        self._solve(variances)
+    def settle(self, noise: float, variances: Float[np.ndarray, " g"], updates: int) -> None:
+        """Solve with some variances, sigma^2 and tau^2 of each grade [(rad/s)^2], and change these towards the largest
+        likelihood some times.
+        """
+        self._solve(noise, variances)
         for _ in range(updates):
-            self._solve(self._updated())
+            self._solve(*self._updated())
 
     def moved(self, step: Float[np.ndarray, " m"]) -> _Posterior:
         """After a step, settled from the variances here."""
         there = _Posterior(self.samples, self.regressors, turned(self.Lambda, step))
-        there.settle(self.variances, UPDATES)
+        there.settle(self.noise, self.variances, UPDATES)
         return there
 
     @property
     def cost(self) -> float:
         """2 l, see the module."""
-        noise, n_rows = self.variances.noise, len(self.samples) * (self.samples.nv - len(self.Lambda))
-        fit = (self._energy - float(self._pulled @ self._theta)) / noise
-        log_prior = float(np.sum(np.log(self.variances.parameters[self._grades])))
-        return (n_rows - len(self._theta)) * np.log(noise) + self._solver.log_determinant + log_prior + fit
+        n_rows = len(self.samples) * (self.samples.nv - len(self.Lambda))
+        fit = (self._energy - float(self._pulled @ self._theta)) / self.noise
+        log_prior = float(np.sum(np.log(self.variances[self._grades])))
+        return (n_rows - len(self._theta)) * np.log(self.noise) + self._solver.log_determinant + log_prior + fit
 
     def equations(self) -> tuple[Float[np.ndarray, "m m"], Float[np.ndarray, " m"]]:
         """Gauss-Newton Hessian and gradient of l for B."""
         H, gradient = self._projections.equations(self.regressors.values, self._residual, self._solver)
-        noise = self.variances.noise
-        return H / noise, gradient / noise + self._spread_slopes(np.ones(len(self.samples)))[0]
+        return H / self.noise, gradient / self.noise + self._spread_slopes(np.ones(len(self.samples)))[0]
 
     def scores(self) -> tuple[Float[np.ndarray, "g d"], Float[np.ndarray, "g d d"]]:
         """Gradient and Hessian of sigma^2 l of each block of trajectories, for (Theta, B), see `_without_noise`."""
@@ -497,7 +484,7 @@ class _Posterior:
         _, gradients, hessians = map(np.array, zip(*sums, strict=True))
         for i, part in runs:
             membership[i, part] = 1.0
-        gradients[:, len(self._theta) :] += self.variances.noise * self._spread_slopes(membership)
+        gradients[:, len(self._theta) :] += self.noise * self._spread_slopes(membership)
         return gradients, self._without_noise(hessians, membership)
 
     def _without_noise(
@@ -513,7 +500,7 @@ class _Posterior:
         C, F = duals @ duals.transpose(0, 2, 1), free.transpose(0, 2, 1) @ free
         each = np.einsum("gn,nst,nkl->gsktl", membership, C, F, optimize=True)
         c, m = len(self._theta), C.shape[1] * F.shape[1]
-        added = self.variances.noise * each.reshape(-1, m, m)
+        added = self.noise * each.reshape(-1, m, m)
         total = hessians.sum(axis=0) + np.diag(np.append(self.precision, np.zeros(m)))
         own = total[c:, c:] - total[c:, :c] @ self._solver(total[:c, c:])
         least = 1.0 / float(np.max(np.linalg.eigvals(np.linalg.solve(own, added.sum(axis=0))).real, initial=1e-300))
@@ -521,23 +508,23 @@ class _Posterior:
         hessians[:, c:, c:] -= share * added
         return hessians
 
-    def _solve(self, variances: Variances) -> None:
-        self.variances = variances
-        self.precision = variances.noise / variances.parameters[self._grades]
+    def _solve(self, noise: float, variances: Float[np.ndarray, " g"]) -> None:
+        self.noise, self.variances = noise, variances
+        self.precision = noise / variances[self._grades]
         self._solver = Solver(self._curvature + np.diag(self.precision))
         self._theta = self._solver(self._pulled[:, None])[:, 0]
         self._residual = self.samples.u - self.regressors.values @ self._theta.reshape(-1, self.samples.nv)
 
-    def _updated(self) -> Variances:
+    def _updated(self) -> tuple[float, Float[np.ndarray, " g"]]:
         """MacKay's update: sums of squares over the numbers of parameters, and of residuals, that data determine."""
-        n_grades = len(self.variances.parameters)
+        n_grades = len(self.variances)
         determined = 1.0 - self.precision * self._solver.inverse_diagonal()
         counts = np.maximum(np.bincount(self._grades, determined, n_grades), DETERMINED)
         least = LEAST * float(np.mean(self.samples.u**2))
         parameters = np.maximum(np.bincount(self._grades, self._theta**2, n_grades) / counts, least)
         n_rows = len(self.samples) * (self.samples.nv - len(self.Lambda))
         square = float(np.sum(self._projections.project(self._residual) ** 2))
-        return Variances(max(square / max(n_rows - counts.sum(), 1.0), least), parameters)
+        return max(square / max(n_rows - counts.sum(), 1.0), least), parameters
 
     def _spread_slopes(self, weights: Float[np.ndarray, "*g n"]) -> Float[np.ndarray, "g m"]:
         """Half the derivative by B of log |C + P|, each sample's share weighted: that of the posterior spread of pi."""

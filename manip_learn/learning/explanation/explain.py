@@ -83,11 +83,6 @@ class Moments(NamedTuple):
         noise = 0.5 * (self.noise[first] + self.noise[second])
         return Moments(self.M[first] + self.M[second], self.S[first] + self.S[second], noise, self.trajectory[first])
 
-    @staticmethod
-    def joined(parts: Sequence[Moments]) -> Moments:
-        """One after the other."""
-        return Moments(*map(np.concatenate, zip(*parts, strict=True)))
-
 
 def proposed(
     motion: RowMotion, states: Int[np.ndarray, " n"], largest: int, *, whole: bool = False
@@ -109,10 +104,9 @@ def proposed(
     wholes = [part for k in range(int(states.max(initial=0)) + 1) for part in _recordings(motion, states == k)]
     windows = [] if whole else _windows(motion, states == 0)
     for parts, most in ((wholes, None), (windows, MOST)):
-        moments = Moments.joined(parts) if parts else None
-        if moments is None or not len(moments.M):
+        if not sum(len(part.M) for part in parts):
             continue
-        sizes, directions = _least_used(moments)
+        sizes, directions = _least_used(Moments(*map(np.concatenate, zip(*parts, strict=True))))
         for s, kept in out.items():
             gap = sizes[:, s] / sizes[:, s - 1]
             chosen = np.flatnonzero(gap > PROPOSAL_GAP)
@@ -205,15 +199,6 @@ def _window_moments(motion: RowMotion, lengths: Sequence[float]) -> Moments:
     M, S = sums[:, : r * r].reshape(-1, r, r), sums[:, r * r : 2 * r * r].reshape(-1, r, r)
     noise = sums[:, 2 * r * r] / np.maximum(sums[:, -1], 1e-12)
     return Moments(M, S, noise, np.concatenate(numbers).astype(np.int64))
-
-
-def fitted_rows(motion: RowMotion, weights: Float[np.ndarray, "n h"], s: int) -> Float[np.ndarray, "h s r"]:
-    """The s rows that the weighted samples use least, orthonormal, for each set of weights."""
-    n, r = motion.rates.shape
-    products = (motion.rates[:, :, None] * motion.rates[:, None, :]).reshape(n, r * r)
-    M, S = ((weights.T @ one).reshape(-1, r, r) for one in (products, motion.gram.reshape(n, r * r)))
-    _, directions = _least_used(Moments(M, S, np.zeros(len(M)), np.zeros(len(M), dtype=np.int64)))
-    return np.linalg.qr(directions[:, :s].transpose(0, 2, 1))[0].transpose(0, 2, 1)
 
 
 Key = TypeVar("Key", bound=Hashable)
@@ -496,8 +481,8 @@ def _again(
     baseline: Float[np.ndarray, " n"],
     switch: float,
 ) -> list[Hypothesis]:
-    """Each fitted to its held samples, where these are enough to determine its rows; each sample is weighted by the
-    inverse of the variance that is expected of it.
+    """Each fitted to its held samples, where these are enough to determine its rows, which the samples use least; each
+    sample is weighted by the inverse of the variance that is expected of it.
     """
     fitted = list(hypotheses)
     for (view, s), numbers in _grouped((h.view, h.n_rows) for h in hypotheses):
@@ -508,7 +493,12 @@ def _again(
         variance = np.outer(thin.noise, [x.steady**2 for x in scales])
         variance += np.outer(thin.free, [x.share**2 for x in scales])
         weights = np.where(held[:, numbers], thin.weight[:, None] / variance, 0.0)
-        for i, rows in zip(numbers, fitted_rows(thin, weights, s), strict=True):
+        n, r = thin.rates.shape
+        products = (thin.rates[:, :, None] * thin.rates[:, None, :]).reshape(n, r * r)
+        M, S = ((weights.T @ one).reshape(-1, r, r) for one in (products, thin.gram.reshape(n, r * r)))
+        _, directions = _least_used(Moments(M, S, np.zeros(len(M)), np.zeros(len(M), dtype=np.int64)))
+        least = np.linalg.qr(directions[:, :s].transpose(0, 2, 1))[0].transpose(0, 2, 1)
+        for i, rows in zip(numbers, least, strict=True):
             fitted[i] = dataclasses.replace(hypotheses[i], rows=rows)
     return _scaled(views, fitted, baseline, switch)
 

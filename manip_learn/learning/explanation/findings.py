@@ -116,99 +116,60 @@ def _extent(way: Float[np.ndarray, "n k"]) -> float:
     return float(np.linalg.norm(np.ptp(way, axis=0))) if len(way) else 0.0
 
 
-def drifting(
-    features: FeatureMap,
+def disagreeing(
+    view: View,
+    rows: Float[np.ndarray, "s r"],
     trajectories: Sequence[Trajectory],
-    selection: Float[np.ndarray, "s p"],
     stretches: Sequence[Stretch],
     agrees: Bool[np.ndarray, " m"],
-) -> dict[int, str]:
-    """Number of each trajectory with a stretch that does not agree, and why."""
-    members = pieces_of(trajectories, [s for s, good in zip(stretches, agrees, strict=True) if good])[1]
-    out = {}
-    odd = pieces_of(trajectories, [s for s, good in zip(stretches, agrees, strict=True) if not good])
-    for s, piece in zip(*odd, strict=True):
-        time, way = piece.time, way_along(features, piece, selection)
-        later = np.minimum(np.searchsorted(time, time + 0.1), len(time) - 1)  # a tenth of a second
-        fastest = time[np.argmax(np.linalg.norm(way[later] - way, axis=1))]
-        out[s.trajectory] = f"{reason(features, piece, members, selection)}, fastest at {fastest:.2f} s"
-    return out
-
-
-def missing(
-    features: FeatureMap,
-    trajectories: Sequence[Trajectory],
-    selection: Float[np.ndarray, "s p"],
-    stretches: Sequence[Stretch],
+    elsewhere: Sequence[Stretch],
     number: int,
 ) -> dict[int, str]:
-    """The trajectories in which a constraint is not seen although nearly all others show it, and why."""
-    shown = {s.trajectory for s in stretches}
-    if len(shown) < max(2.0, SHOWN_BY_SHARE * len(trajectories)):
-        return {}
-    usual = pieces_of(trajectories, stretches)[1]
-    out = {}
-    for i, t in enumerate(trajectories):
-        if i not in shown:
-            why = reason(features, t, usual, selection)
-            out[i] = f"constraint {number} is not seen in it, but in {len(shown)} of the others; {why}"
-    return out
+    """Number of each trajectory that does not agree about a constraint -> how it differs, in words.
 
-
-def slipping(
-    motion: RowMotion,
-    rows: Float[np.ndarray, "s r"],
-    features: FeatureMap,
-    trajectories: Sequence[Trajectory],
-    selection: Float[np.ndarray, "s p"],
-    stretches: Sequence[Stretch],
-    others: Sequence[Stretch] = (),
-) -> dict[int, str]:
-    """Trajectories in which motion along the held rows interrupts a contact that most others show in one piece.
-
-    Args:
-        motion: Of the trajectories in the features.
-        rows: The held rows, whitened.
-        features: Phi.
-        trajectories: Whole recordings with velocities.
-        selection: Lambda.
-        stretches: Where the constraint holds.
-        others: Stretches of other constraints: what lies between two contacts is no slip if another holds there.
-
-    Returns:
-        Number of the trajectory -> what happens when, in words.
+    Motion along the rows interrupts a contact that most others show in one piece, as by a slip, unless another
+    constraint holds in between (`elsewhere`); or nearly all others show the constraint; or it drifts along its rows.
     """
-    spans = {i: [s for s in stretches if s.trajectory == i] for i in sorted({s.trajectory for s in stretches})}
-    usual = np.median([len(s) for s in spans.values()]) if spans else 0
-    held = float(np.median([_drift(motion, rows, s)[0] for s in stretches])) if stretches else 0.0
-    out = {}
+    motion, own = view.motion, (view.features, view.motion.selection(rows))
+    members = [s for s, good in zip(stretches, agrees, strict=True) if good]
+    odd, out = [s for s in stretches if s not in members], dict[int, str]()
+    spans = {i: [s for s in members if s.trajectory == i] for i in sorted({s.trajectory for s in members})}
+    usual = np.median([len(s) for s in spans.values()])
+    held = float(np.median([_drift(motion, rows, s)[0] for s in members]))
     for i, parts in spans.items():
         for a, b in pairwise(parts if len(parts) > usual else ()):
-            gap = Stretch(i, a.end, b.start)
-            if gap.duration > LONGEST_SLIP_SECONDS or any(gap.shared(s) > 0.0 for s in others):
+            gap, between = Stretch(i, a.end, b.start), trajectories[i][a.end : b.start]
+            if gap.duration > LONGEST_SLIP_SECONDS or any(gap.shared(s) > 0.0 for s in elsewhere):
                 continue
-            between = trajectories[i][a.end : b.start]
-            whole = [trajectories[s.trajectory][s.start : s.end] for s in stretches]
-            if (
-                _drift(motion, rows, gap)[0] > SLIP_FACTOR * held
-                and _extent(way_along(features, between, selection)) > LEAST_SLIP
-            ):
-                why = reason(features, between, whole, selection)
+            if _drift(motion, rows, gap)[0] > SLIP_FACTOR * held and _extent(way_along(between, *own)) > LEAST_SLIP:
+                why = reason(between, [trajectories[s.trajectory][s.start : s.end] for s in members], *own)
                 out[i] = f"its contact is interrupted from {a.end:.2f} s to {b.start:.2f} s, as by a slip: {why}"
                 break
+    shown = {s.trajectory for s in stretches}
+    if len(shown) >= max(2.0, SHOWN_BY_SHARE * len(trajectories)):
+        whole = pieces_of(trajectories, stretches)[1]
+        for i in sorted(set(range(len(trajectories))) - shown):
+            why = reason(trajectories[i], whole, *own)
+            out[i] = f"constraint {number} is not seen in it, but in {len(shown)} of the others; {why}"
+    whole = pieces_of(trajectories, members)[1]
+    for s, piece in zip(*pieces_of(trajectories, odd), strict=True):
+        time, way = piece.time, way_along(piece, *own)
+        later = np.minimum(np.searchsorted(time, time + 0.1), len(time) - 1)  # a tenth of a second
+        fastest = time[np.argmax(np.linalg.norm(way[later] - way, axis=1))]
+        out[s.trajectory] = f"{reason(piece, whole, *own)}, fastest at {fastest:.2f} s"
     return out
 
 
 def reason(
-    features: FeatureMap, t: Trajectory, members: Sequence[Trajectory], selection: Float[np.ndarray, "s p"]
+    t: Trajectory, members: Sequence[Trajectory], features: FeatureMap, selection: Float[np.ndarray, "s p"]
 ) -> str:
     """One sentence: how far it moves along the direction that the others hold still, and how far they do."""
-    way = way_along(features, t, selection)
+    way = way_along(t, features, selection)
     centred = way - way.mean(axis=0)
     worst = np.linalg.svd(centred, full_matrices=False)[2][0]
     row = worst @ selection
     moved = float(np.ptp(way @ worst))
-    usual = float(np.median([np.ptp(way_along(features, other, selection) @ worst) for other in members]))
+    usual = float(np.median([np.ptp(way_along(other, features, selection) @ worst) for other in members]))
     turns = np.array([unit.startswith("rad") for unit in features.row_units])
     rotation = float(np.sum(row[turns] ** 2)) > 0.5
     others = f"the other {len(members)} hold" if len(members) > 1 else "the other one holds"
@@ -221,7 +182,7 @@ def reason(
     )
 
 
-def way_along(features: FeatureMap, t: Trajectory, selection: Float[np.ndarray, "s p"]) -> Float[np.ndarray, "T s"]:
+def way_along(t: Trajectory, features: FeatureMap, selection: Float[np.ndarray, "s p"]) -> Float[np.ndarray, "T s"]:
     """Way along each row [m or rad], trapezoid rule."""
     rates = np.matmul(features.batch(t.q), np.asarray(t.u)[:, :, None])[:, :, 0] @ selection.T
     steps = 0.5 * (rates[1:] + rates[:-1]) * np.diff(t.time)[:, None]
@@ -281,11 +242,6 @@ class Findings:
     unlearnt: tuple[tuple[Stretch, str], ...] = ()
     refused: tuple[Stretch, ...] = ()
     elsewhere: bool = False
-
-    @property
-    def divided(self) -> bool:
-        """Whether several constraints, or one in parts of the recordings, explain them."""
-        return self.explained and (len(self.parts) > 1 or bool(self.free) or bool(self.unlearnt))
 
     def phases(self) -> tuple[tuple[Stretch, int | None, str], ...]:
         """(stretch, number of the constraint or None, why nothing is learnt from it), in order of time."""
@@ -356,7 +312,7 @@ def _elsewhere(
     maps = [
         FrameJacobian(f.robot, f.frame.name, f.row_names, other) for f in feature_maps if isinstance(f, FrameJacobian)
     ]
-    there = _throughout(maps, trajectories)
+    there = held_throughout(maps, trajectories)
     if there is None or there.explained.sum() < explanation.explained.sum() + LEAST_GAIN_NATS:
         return ()
     return (
@@ -365,14 +321,12 @@ def _elsewhere(
     )
 
 
-def held_throughout(feature_maps: Sequence[FeatureMap], demonstrations: Demonstrations) -> bool:
-    """Whether some rows of these features stay still in every recording as a whole, be they held or never tried."""
-    return _throughout([f for f in feature_maps if _moves(f, demonstrations.trajectories)], demonstrations) is not None
-
-
-def _throughout(feature_maps: Sequence[FeatureMap], trajectories: Sequence[Trajectory]) -> Explanation | None:
-    """What stays still in each recording as a whole, chance or not; None if one of them has no such rows."""
-    views = views_of(feature_maps, trajectories) if feature_maps else []
+def held_throughout(feature_maps: Sequence[FeatureMap], trajectories: Sequence[Trajectory]) -> Explanation | None:
+    """The rows of these features that stay still in every recording as a whole, be they held or never tried; None if
+    one recording has no such rows.
+    """
+    usable = [f for f in feature_maps if _moves(f, trajectories)]
+    views = views_of(usable, trajectories) if usable else []
     if not views:
         return None
     found = explain(views, lambda *_: True, np.inf)
@@ -491,21 +445,17 @@ def _findings(
         rows = explanation.hypotheses[k].rows
         if not stretches:
             continue
-        selection = view.motion.selection(rows)
         agrees = agreeing(view.motion, rows, stretches)
         members = tuple(s for s, good in zip(stretches, agrees, strict=True) if good)
         apart += [s for s in stretches if s not in members]
         elsewhere = [s for other in found if other is not stretches for s in other]
-        own = (view.features, trajectories, selection)
-        odd |= slipping(view.motion, rows, *own, members, elsewhere)
-        odd |= missing(*own, stretches, number)
-        odd |= drifting(*own, stretches, agrees)
+        odd |= disagreeing(view, rows, trajectories, stretches, agrees, elsewhere, number)
         parts.append(
             Part(
                 Demonstrations(pieces_of(trajectories, members)[1], demonstrations.notes),
                 members,
                 (view.features,),
-                selection,
+                view.motion.selection(rows),
                 tuple(feature_maps),
                 tried * ways_to_choose(view.motion, members),
             )

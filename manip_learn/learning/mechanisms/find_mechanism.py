@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-import dataclasses
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import final
 
@@ -18,7 +17,7 @@ from manip_learn.errors import NotIdentifiableError
 from manip_learn.learning.explanation.evidence import stretches_of, ways_to_choose
 from manip_learn.learning.explanation.explain import Hypothesis, explain
 from manip_learn.learning.explanation.row_motion import View, kinds_tried, views_of
-from manip_learn.learning.mechanisms.place_fit import PlaceErrors, PlaceFit, fit_place
+from manip_learn.learning.mechanisms.place_fit import STATED_SHARE_OF_PLACES, PlaceFit, fit_place
 from manip_learn.learning.mechanisms.quantities import QUANTITIES, Place, TipPaths, angles_about, thinned, turn_about
 from manip_learn.learning.recombination import BELIEVED_STRENGTH, recombination_test
 from manip_learn.learning.samples import BEYOND_CHANCE, STANDARD_ERRORS
@@ -44,7 +43,6 @@ SHARED_LOSS = 1.15
 SAMPLES = 60  # of each trajectory in the first fit of a place
 MOST, LEAST = 4000, 60  # of all trajectories in the last fit, and of each
 BLIND = 1e-6  # rows of Phi below this are ones that the arm cannot move
-REPEATED = "held by the way of moving, not by a contact that all share"
 FORMS: tuple[PlaceForm, ...] = ("point and rotation", "twist", "surface")
 
 # what each mechanism becomes when it bends
@@ -57,27 +55,6 @@ BENT_FORMS = {
 }
 
 Held = tuple[FeatureMap, Float[np.ndarray, "s p"]]
-Confirm = Callable[[FeatureMap, Float[np.ndarray, "s p"]], bool]
-
-
-@final
-@dataclass(frozen=True)
-class Alternative:
-    """One hypothesis in the comparison.
-
-    Attributes:
-        name: Of the mechanism; `"other rows"` where the rows are those of none.
-        n_rows: Rows that it would hold.
-        support: Evidence beyond free motion, without the best supporter's [nats].
-        recombination: Strength of its rows when joints are exchanged between trajectories; None with one trajectory.
-        verdict: `"chosen"`, or why not.
-    """
-
-    name: str
-    n_rows: int
-    support: float
-    recombination: float | None
-    verdict: str
 
 
 @final
@@ -90,7 +67,6 @@ class MechanismFit:
         features: Phi, with the mechanism's place as its parameters; None without a mechanism.
         selection: Lambda, shape (s, p), for `Constraint(selection, features)`; None without a mechanism.
         held_out: Largest standard deviation of a held row on trajectories left out, by unit (`"m"`, `"rad"`).
-        alternatives: The hypotheses that were tested, in the order of the tests.
         reason: Why there is no mechanism; empty if there is one.
         warnings: What to know about the answer, in sentences.
         rival: Another form that the positions cannot exclude, in words; empty if there is none.
@@ -102,7 +78,6 @@ class MechanismFit:
     features: FeatureMap | None
     selection: Float[np.ndarray, "s p"] | None
     held_out: dict[str, float]
-    alternatives: tuple[Alternative, ...]
     reason: str = ""
     warnings: tuple[str, ...] = ()
     odd: tuple[int, ...] = ()
@@ -115,7 +90,6 @@ def find_mechanism(
     trajectories: Sequence[Trajectory],
     rng: np.random.Generator,
     *,
-    confirm: Confirm | None = None,
     recorded: Sequence[Trajectory] | None = None,
     held: Held | None = None,
     strength: float = BELIEVED_STRENGTH,
@@ -133,8 +107,6 @@ def find_mechanism(
         trajectories: Motion in contact only (phases cut); at least two, better five. Missing velocities are derived.
         rng: For the exchange of joints between trajectories, the test against repeated motions, and for draws of the
             error.
-        confirm: A further test of the constraint that was found, e.g. on other rows of the same recordings; False
-            refuses it.
         recorded: The same trajectories as they were recorded, if `trajectories` are smoothed: the place is fitted to
             these, since smoothing costs the ends of an arc, and its errors are those of neighbours, too.
         held: Phi and Lambda of rows that are known to be held. If they speak of rotations too, they say which mechanism
@@ -155,39 +127,42 @@ def find_mechanism(
         raise NotIdentifiableError("the hand does not move in these trajectories", code="no-motion")
     moved = list(with_velocities(Demonstrations(chosen, ()), robot))
     known = None if held is None else read_kind(*held, views_of([held[0]], moved, scan_only=True)[0].immovable, paths.p)
-    read, members, table = known, tuple(range(len(moved))), tuple[Alternative, ...]()
+    read, members, repeated = known, tuple(range(len(moved))), ""
     if held is None or known is None or not any(unit.startswith("rad") for unit in held[0].row_units):
-        searched, members, table = _read(robot, tip, moved, paths, rng, strength)
+        searched, members, repeated = _read(robot, tip, moved, paths, rng, strength)
         if held is not None and searched is not None and 2 * len(members) <= len(moved):
             # where rows are known to be held in all of them, what holds in so few is not what holds them
             few = f"a {searched[0].name} holds the hand in {len(members)} of {len(moved)} recordings only"
-            return MechanismFit(None, None, None, {}, table, few)
+            return MechanismFit(None, None, None, {}, few)
         read, members = (searched, members) if searched else (known, tuple(range(len(moved))))
     if read is None:
-        return MechanismFit(None, None, None, {}, table, _why_none(table))
+        why = "no line, plane, hinge, ball, screw, cylinder or orientation holds the hand"
+        if repeated:
+            why = (
+                f"the path looks like a {repeated}, but exchanging the joints between the trajectories hardly "
+                "changes that: nothing shows a contact that all of them share. Learn from them one by one, or "
+                "record from other postures and with other grips"
+            )
+        return MechanismFit(None, None, None, {}, why)
     start, rival = _straight_or_bent(fit_place(paths.chosen(members), *read))
     last = chosen if recorded is None else [recorded[i] for i in numbers]
     each = max(LEAST, MOST // len(members))
     postures = [thinned(_postures(robot, last[i]), each) for i in members]
     fine = TipPaths.of(robot, tip, postures)
     fit = _with_shared(fit_place(fine, start.kind, start.place))
-    mechanism = _described(fit, fit.errors(rng))
+    mechanism = _described(fit, rng)
     held_out = {
         unit: max(float(fit.held_out[n].max()) for n in fit.kind.holds if QUANTITIES[n].unit == unit)
         for unit in {QUANTITIES[n].unit for n in fit.kind.holds}
     }
     features, selection = _constraint(robot, tip.name, fit, mechanism.radius, postures)
     odd = tuple(i for i in range(len(trajectories)) if i not in {numbers[k] for k in members})
-    refused = MechanismFit(None, None, None, held_out, table, "", (), odd)
     poor, wide = doubts_of_place(mechanism)
     if poor:
-        return dataclasses.replace(refused, reason=poor, warnings=(poor,))
-    if confirm is not None and not confirm(features, selection):
-        reason = f"the recordings look like {mechanism.sentence}, but the test of its rows refuses it"
-        return dataclasses.replace(refused, reason=reason)
+        return MechanismFit(None, None, None, held_out, poor, (poor,), odd)
     lone = ("one trajectory only: a repeated motion cannot be told from a contact",) if len(postures) == 1 else ()
     warnings = (*lone, *filter(None, (rival, wide)))
-    return MechanismFit(mechanism, features, selection, held_out, table, "", warnings, odd, rival)
+    return MechanismFit(mechanism, features, selection, held_out, "", warnings, odd, rival)
 
 
 def _postures(robot: Robot, trajectory: Trajectory) -> Float[np.ndarray, "T nv"]:
@@ -197,36 +172,35 @@ def _postures(robot: Robot, trajectory: Trajectory) -> Float[np.ndarray, "T nv"]
 
 def _read(
     robot: Robot, tip: Frame, moved: Sequence[Trajectory], paths: TipPaths, rng: np.random.Generator, least: float
-) -> tuple[Read | None, tuple[int, ...], tuple[Alternative, ...]]:
-    """What the rows say that explain most, the trajectories that they explain, and all that was tested."""
+) -> tuple[Read | None, tuple[int, ...], str]:
+    """What the rows say that explain most, the trajectories that they explain, and the first mechanism whose rows are
+    held by the way of moving and not by a contact that all share.
+    """
     middle = paths.p.mean(axis=0)
     maps = [FrameJacobian(robot, tip.name, "pose"), *(PlaceRows(robot, tip.name, form, middle) for form in FORMS)]
-    table = list[Alternative]()
+    repeated = list[str]()
 
     def believed(view: View, h: Hypothesis, held: Bool[np.ndarray, " n"]) -> bool:
         read = read_kind(view.features, view.motion.selection(h.rows), view.immovable, paths.p)
-        name, strength, verdict = "other rows" if read is None else read[0].name, None, "no mechanism has these rows"
-        if read is not None:
-            verdict = "chosen"
-            shown = np.unique(view.thin.trajectory[held])
-            if len(moved) > 1:
-                choices = kinds_tried(views) * ways_to_choose(view.thin, stretches_of(view.thin, held.astype(int), 1))
-                pieces, draws = [moved[i] for i in shown], np.random.default_rng(seed)
-                evidence = recombination_test(view.features, pieces, draws, choices, least)
-                strength = evidence.strengths[h.n_rows - 1] if len(evidence.strengths) >= h.n_rows else 0.0
-                verdict = "chosen" if evidence.n_rows >= h.n_rows else REPEATED
-        table.append(Alternative(name, h.n_rows, h.support, strength, verdict))
-        return verdict == "chosen"
+        if read is None or len(moved) == 1:
+            return read is not None
+        shown = np.unique(view.thin.trajectory[held])
+        choices = kinds_tried(views) * ways_to_choose(view.thin, stretches_of(view.thin, held.astype(int), 1))
+        pieces, draws = [moved[i] for i in shown], np.random.default_rng(seed)
+        if recombination_test(view.features, pieces, draws, choices, least).n_rows >= h.n_rows:
+            return True
+        repeated.append(read[0].name)
+        return False
 
     views, seed = views_of(maps, moved, scan_only=True), int(rng.integers(2**32))
     found = explain(views, believed, np.inf)
     if not found.hypotheses:
-        return None, (), tuple(table)
+        return None, (), "".join(repeated[:1])
     k = int(np.argmax(found.supports))
     h, view = found.hypotheses[k], found.views[found.hypotheses[k].view]
     read = read_kind(view.features, view.motion.selection(h.rows), view.immovable, paths.p)
     members = np.unique(found.thin.trajectory[found.states == k + 1])
-    return read, tuple(members.tolist()), tuple(table)
+    return read, tuple(members.tolist()), "".join(repeated[:1])
 
 
 def _straight_or_bent(read: PlaceFit) -> tuple[PlaceFit, str]:
@@ -317,18 +291,23 @@ def _with_shared(fit: PlaceFit) -> PlaceFit:
     return fit
 
 
-def _described(fit: PlaceFit, errors: PlaceErrors) -> Mechanism:
-    """The mechanism of a fit, with the uncertainty of each parameter."""
+def _described(fit: PlaceFit, rng: np.random.Generator) -> Mechanism:
+    """The mechanism of a fit, with the uncertainty of each parameter: what its error stays below in 68 % of cases."""
+    numbers, radius = fit.errors(rng)
+    axis, point, pitch = (
+        float(np.quantile(np.linalg.norm(numbers[:, part], axis=1), STATED_SHARE_OF_PLACES))
+        for part in (slice(0, 3), slice(3, 6), slice(6, 7))
+    )
     kind, place, known = fit.kind, fit.place.as_told(), set(fit.kind.unknowns)
     uncertainty: dict[str, float] = {}
     if "axis" in known:
-        uncertainty["axis"] = float(np.degrees(errors.within(slice(0, 3))))
+        uncertainty["axis"] = float(np.degrees(axis))
     if known & {"point", "point-across"}:
-        uncertainty["point"] = errors.within(slice(3, 6))
-    if errors.radius is not None:
-        uncertainty["radius"] = errors.radius
+        uncertainty["point"] = point
+    if radius is not None:
+        uncertainty["radius"] = radius
     if "pitch" in known:
-        uncertainty["pitch"] = errors.within(slice(6, 7))
+        uncertainty["pitch"] = pitch
     return Mechanism(
         kind.type,
         place.axis if "axis" in known else None,
@@ -383,17 +362,6 @@ def doubts_of_place(mechanism: Mechanism) -> tuple[str, str]:
         f"the hand goes {far:.0f} degrees about the axis or the centre only, whose place is known to "
         f"+- {1e3 * place:.0f} mm: move it by at least {needed:.0f} degrees"
     )
-
-
-def _why_none(table: Sequence[Alternative]) -> str:
-    repeated = [a for a in table if a.verdict == REPEATED]
-    if repeated:
-        return (
-            f"the path looks like a {repeated[0].name}, but exchanging the joints between the trajectories hardly "
-            "changes that: nothing shows a contact that all of them share. Learn from them one by one, or "
-            "record from other postures and with other grips"
-        )
-    return "no line, plane, hinge, ball, screw, cylinder or orientation holds the hand"
 
 
 def _constraint(

@@ -271,8 +271,10 @@ class PlaceFit:
             return abs(self.place.pitch), float(np.sqrt(variances[self.m - 1]))
         return None if self.radius is None else (self.radius.value, float(np.sqrt(variances[-1])))
 
-    def errors(self, rng: np.random.Generator) -> PlaceErrors:
-        """Draws of the error: that of the noise, and that of the joints' offsets."""
+    def errors(self, rng: np.random.Generator) -> tuple[Float[np.ndarray, "k 7"], float | None]:
+        """Draws of the error of axis, point and pitch, by the noise and by the joints' offsets; and what the error of
+        the radius, if there is one, stays below in 68 % of cases [m].
+        """
         alone, offsets = self._without_offsets()
         covariance, freedom, alike = alone.noise
         values, vectors = np.linalg.eigh(covariance)
@@ -282,10 +284,10 @@ class PlaceFit:
         drawn += dataclasses.replace(offsets, variance=alike * offsets.variance).errors(DRAWS, rng)
         numbers = drawn[:, : self.m] @ tangents(self.kind, self.place).T
         if self.radius is None:
-            return PlaceErrors(numbers, None)
+            return numbers, None
         # where each trajectory has its own radius, what they differ by belongs to its error
         own = float(np.quantile(np.abs(drawn[:, -1]), STATED_SHARE_OF_PLACES))
-        return PlaceErrors(numbers, float(np.hypot(own, self.radius.spread)))
+        return numbers, float(np.hypot(own, self.radius.spread))
 
 
 @final
@@ -304,24 +306,6 @@ class Radius:
     spread: float
     slope: Float[np.ndarray, " u"]
     own: Float[np.ndarray, "N d"]
-
-
-@final
-@dataclass(frozen=True, eq=False)
-class PlaceErrors:
-    """Draws of the error of a place.
-
-    Attributes:
-        numbers: Of axis, point and pitch, shape (k, 7).
-        radius: What the radius' error stays below in 68 % of cases [m]; None if there is no radius.
-    """
-
-    numbers: Float[np.ndarray, "k 7"]
-    radius: float | None
-
-    def within(self, chosen: slice) -> float:
-        """What the error of some of the seven numbers stays below in 68 % of cases."""
-        return float(np.quantile(np.linalg.norm(self.numbers[:, chosen], axis=1), STATED_SHARE_OF_PLACES))
 
 
 def fit_place(
