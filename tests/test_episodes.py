@@ -1,4 +1,4 @@
-"""Selected episodes: files of a folder by their place, LeRobot episodes by number and by task."""
+"""Selected episodes: files of a folder by their place, LeRobot episodes by number."""
 
 from __future__ import annotations
 
@@ -11,15 +11,13 @@ from case import case
 from recording_corpus import TABLE, csv, refusal
 
 from manip_learn.cli import main
-from manip_learn.errors import RecordingError, UnknownNameError
+from manip_learn.errors import RecordingError
 from manip_learn.recordings import RecordingSource, load_demonstrations
 from manip_learn.recordings.demonstrations import Demonstrations
 from manip_learn.recordings.readers.read_request import EpisodeSelection
 from manip_learn.robot import Robot
 
 lerobot = pytest.importorskip("test_lerobot_reader", exc_type=ImportError)
-
-TASKS = {0: ["Open the drawer"], 1: ["Open the drawer"], 2: ["Wipe the table", "Open the drawer"], 3: ["Close it"]}
 
 
 @pytest.fixture
@@ -30,8 +28,8 @@ def folder(tmp_path: Path) -> Path:
 
 
 def made(root: Path, version: str) -> Path:
-    """Four episodes of twenty samples at 50 Hz, of which the first joint tells which; and their tasks."""
-    q = {i: np.linspace(0, 0.1, 20)[:, None] + [0.01 * i, 0.2, 0.3] for i in TASKS}
+    """Four episodes of twenty samples at 50 Hz, of which the first joint tells which."""
+    q = {i: np.linspace(0, 0.1, 20)[:, None] + [0.01 * i, 0.2, 0.3] for i in range(4)}
     if version == "v2":
         files = {f"data/chunk-000/episode_{i:06d}.parquet": lerobot.table({i: x}) for i, x in q.items()}
     else:
@@ -39,12 +37,7 @@ def made(root: Path, version: str) -> Path:
         files = {
             f"data/chunk-000/file-{k:03d}.parquet": lerobot.table({i: q[i] for i in p}) for k, p in enumerate(parts)
         }
-        tasks = lerobot.pa.table({"episode_index": list(TASKS), "tasks": list(TASKS.values())})
-        files["meta/episodes/chunk-000/file-000.parquet"] = tasks
     lerobot.dataset(root, lerobot.info(lerobot.JOINTS, version + ".0"), files)
-    if version == "v2":
-        lines = [json.dumps({"episode_index": i, "tasks": tasks, "length": 20}) for i, tasks in TASKS.items()]
-        (root / "meta" / "episodes.jsonl").write_text("\n".join(lines) + "\n")
     return root
 
 
@@ -96,28 +89,6 @@ def test_lerobot_episodes_by_number(planar3: Robot) -> None:
             assert numbers(Demonstrations(t for i in range(source.n_parts) for t in source.part(i))) == [0, 3]
 
 
-def test_lerobot_episodes_by_task(planar3: Robot) -> None:
-    """All episodes that show the task, alone or with others; together with numbers, those that satisfy both."""
-    for version in ("v2", "v3"):
-        with case(version) as tmp_path:
-            root = made(tmp_path / "set", version)
-            demos = load_demonstrations(root, planar3, units="radians", task="open the  Drawer")
-            assert numbers(demos) == [0, 1, 2]
-            demos = load_demonstrations(root, planar3, units="radians", task="Open the drawer", episodes="2:")
-            assert numbers(demos) == [2]
-            refusal(
-                root,
-                planar3,
-                match="0:2 shows the task 'Close it'; it is shown by 3",
-                units="radians",
-                task="Close it",
-                episodes="0:2",
-            )
-            with pytest.raises(UnknownNameError, match="did you mean 'Open the drawer'") as caught:
-                load_demonstrations(root, planar3, units="radians", task="Open the drawr")
-            assert caught.value.kind == "task"
-
-
 def test_episodes_that_do_not_exist_name_near_ones(planar3: Robot, folder: Path, tmp_path: Path) -> None:
     """Each item must select something: a number beyond the end is no silent empty selection."""
     refusal(
@@ -127,27 +98,6 @@ def test_episodes_that_do_not_exist_name_near_ones(planar3: Robot, folder: Path,
     with pytest.raises(RecordingError, match="'7:9'") as caught:
         RecordingSource(root, planar3, units="radians", episodes="7:9")
     assert caught.value.code == "no-episode"
-
-
-def test_tasks_need_a_data_set_that_names_them(planar3: Robot, folder: Path, tmp_path: Path) -> None:
-    """CSV files have no tasks; a data set without meta/episodes says what to download."""
-    assert refusal(folder, planar3, match="LeRobot data sets only", task="Open the drawer").code == "no-tasks"
-    root = made(tmp_path / "set", "v2")
-    (root / "meta" / "episodes.jsonl").unlink()
-    assert (
-        refusal(root, planar3, match="download all of meta/", units="radians", task="Open the drawer").code
-        == "no-tasks"
-    )
-    assert numbers(load_demonstrations(root, planar3, units="radians", episodes="1")) == [1]
-
-
-def test_damaged_lists_of_episodes_are_refused(planar3: Robot) -> None:
-    """What is not JSON lines, or describes no episode, is an error that names the file."""
-    for content in ["{", "[1]\n", '{"episode_index": "a", "tasks": []}\n', "\xff"]:
-        with case(content) as tmp_path:
-            root = made(tmp_path / "set", "v2")
-            (root / "meta" / "episodes.jsonl").write_bytes(content.encode("latin-1"))
-            assert refusal(root, planar3, match="meta", units="radians", task="Open the drawer").code == "damaged"
 
 
 def test_two_data_sets_have_no_common_numbers(planar3: Robot, tmp_path: Path) -> None:
@@ -169,5 +119,3 @@ def test_command_line(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> Non
     assert json.loads(capsys.readouterr().out)["n_trajectories"] == 9
     assert main([*words, "--episodes", "99"]) == 2
     assert "the nearest: 46, 47, 48, 49" in capsys.readouterr().err
-    assert main([*words, "--task", "drawer"]) == 2
-    assert "LeRobot" in capsys.readouterr().err

@@ -136,7 +136,6 @@ class ReadingOptions:
         str | None, Option(help="Episodes (LeRobot) or files in order to read, counted from 0, e.g. 0:50,60,75.")
     ] = None
     feature: Annotated[str | None, Option(help="LeRobot feature that holds the joint positions.")] = None
-    task: Annotated[str | None, Option(help="Read only the LeRobot episodes that show this task.")] = None
 
     def __post_init__(self) -> None:
         """Refuse a renaming that is not FILE_NAME=ROBOT_NAME; the reader checks all other values."""

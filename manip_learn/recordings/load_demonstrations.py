@@ -59,7 +59,6 @@ class ReadOptions(TypedDict, total=False):
         outside_limits: `"refuse"` (the default) or `"note"` positions far outside the joint limits.
         episodes: Which episodes to read: text such as `"0:50,60,75"` (counted from 0; 0:50 is 0 to 49) or numbers. Of a
             LeRobot data set they are numbers of episodes; else places of files in natural order.
-        task: Only the episodes of a LeRobot data set that show this task.
         feature: Feature of a LeRobot data set that holds the joint positions, e.g.
             `"observation.state.joint_position"`; not given: `observation.state`.
     """
@@ -75,7 +74,6 @@ class ReadOptions(TypedDict, total=False):
     rate: float | None
     outside_limits: Literal["refuse", "note"]
     episodes: str | int | Iterable[int] | None
-    task: str | None
     feature: str | None
 
 
@@ -93,7 +91,6 @@ def load_demonstrations(paths: Paths | Tables, robot: Robot, **options: Unpack[R
 
     Raises:
         RecordingError: A recording that cannot be trusted: says where, what was seen and what to do.
-        UnknownNameError: No episode shows the task; lists near matches.
         MissingExtraError: The format needs a library that is not installed.
 
     Example:

@@ -69,7 +69,6 @@ class RecordingSource(TrajectorySource):
     Raises:
         RecordingError: No path, one that is missing, a folder without recordings of exactly one format, or episodes
             that do not exist.
-        UnknownNameError: No episode shows the task; lists near matches.
     """
 
     def __init__(self, paths: Paths, robot: Robot, **options: Unpack[ReadOptions]):

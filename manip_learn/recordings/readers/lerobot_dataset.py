@@ -1,21 +1,18 @@
-"""What a LeRobot data set says about itself: version, features, files, numbers and tasks of its episodes."""
+"""What a LeRobot data set says about itself: version, features, files and the numbers of its episodes."""
 
 from __future__ import annotations
 
-import json
 import re
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Literal, final
 
-from manip_learn.errors import DAMAGE, MissingExtraError, UnknownNameError, advice, closest_names, counted
+from manip_learn.errors import DAMAGE, MissingExtraError, advice, closest_names, counted
 from manip_learn.recordings.readers.limits import (
     FEWEST_SAMPLE_BYTES,
-    LARGEST_EPISODES,
     bomb,
-    metadata_text,
     most_bytes,
     read_json,
 )
@@ -57,17 +54,6 @@ def opened_parquet(file: Path) -> Iterator[Any]:
         raise refusal(
             file, "damaged", f"the Parquet file cannot be read ({reason(error)}): download or write it again"
         ) from error
-
-
-def _parquet_rows(file: Path, columns: tuple[str, ...]) -> Iterator[dict[str, Any]]:
-    """Some columns row by row, those that are there; without the first, the number of the episode, one episode: 0."""
-    with opened_parquet(file) as parquet:
-        there = [c for c in columns if c in parquet.schema_arrow.names]
-        if columns[0] not in there:
-            yield {columns[0]: 0}
-            return
-        for batch in parquet.iter_batches(columns=there):
-            yield from batch.to_pylist()
 
 
 @final
@@ -251,7 +237,12 @@ def episode_numbers(path: Path) -> tuple[int, ...]:
         if number is not None:
             numbers.add(number)
         else:
-            numbers |= {int(row["episode_index"]) for row in _parquet_rows(file, ("episode_index",))}
+            with opened_parquet(file) as parquet:  # without the column, one episode: 0
+                if "episode_index" not in parquet.schema_arrow.names:
+                    numbers.add(0)
+                    continue
+                for batch in parquet.iter_batches(columns=["episode_index"]):
+                    numbers.update(map(int, batch.column(0).to_pylist()))
     return tuple(sorted(numbers))
 
 
@@ -277,57 +268,6 @@ def separate_files(path: Path) -> list[list[Path]]:
         before = last
     dataset.refuse_lost("frames", found)
     return runs
-
-
-def episodes_of_task(path: Path, task: str) -> frozenset[int]:
-    """Numbers of the episodes that show a task; capitals and spaces around it do not count.
-
-    Raises:
-        UnknownNameError: There is no such task; lists near matches.
-        RecordingError: The data set does not say which episode shows which task, or is damaged.
-    """
-
-    def plain(text: str) -> str:
-        return " ".join(text.casefold().split())
-
-    tasks = dict(_described_episodes(path))
-    found = frozenset(number for number, shown in tasks.items() if plain(task) in map(plain, shown))
-    if not found:
-        raise UnknownNameError("task", task, {t for shown in tasks.values() for t in shown}, f"data set {path.name!r}")
-    return found
-
-
-def _described_episodes(path: Path) -> Iterator[tuple[int, tuple[str, ...]]]:
-    """Number and tasks of each episode: meta/episodes.jsonl of version 2, meta/episodes/**/*.parquet of version 3."""
-    meta = _meta(path)
-    lines = meta / "episodes.jsonl"
-    tables = sorted((meta / "episodes").rglob("*.parquet"), key=lambda f: natural_order(str(f)))
-    if lines.is_file():
-        text = metadata_text(lines, LARGEST_EPISODES)
-        try:
-            rows: Iterable[Any] = [json.loads(line) for line in text.splitlines() if line.strip()]
-        except (ValueError, RecursionError) as error:
-            raise refusal(lines, "damaged", f"not valid JSON lines: {reason(error)}", in_full=True) from error
-    elif tables:
-        rows = (row for table in tables for row in _parquet_rows(table, ("episode_index", "tasks")))
-    else:
-        raise refusal(
-            path,
-            "no-tasks",
-            "the data set does not name the tasks of its episodes (no meta/episodes.jsonl or meta/episodes/): "
-            "download all of meta/"
-            + advice(", or select by number with {}", "episodes='0:50,60'", "--episodes 0:50,60"),
-            in_full=True,
-        )
-    for row in rows:
-        number, tasks = (row.get("episode_index"), row.get("tasks", ())) if isinstance(row, dict) else (None, None)
-        if not isinstance(number, int) or not isinstance(tasks, list | tuple):
-            said = (
-                f"an episode is described by {reason(ValueError(str(row)))}; its number and a list of tasks "
-                "are needed: download meta/ again"
-            )
-            raise refusal(meta, "damaged", said, in_full=True)
-        yield number, tuple(t for t in tasks if isinstance(t, str))
 
 
 def _meta(path: Path) -> Path:

@@ -16,7 +16,6 @@ FEWEST_SAMPLE_BYTES = 16  # of a sample: a stamp and a few joints
 MOST_COLUMNS = 10_000  # of a table, an array or a message: a hundred robots
 LONGEST_TEXT = 1_000_000  # characters of a line of a table, or of one text in an archive
 LARGEST_METADATA = 10_000_000  # bytes of a JSON or YAML file, which lists features or topics but no samples
-LARGEST_EPISODES = 200_000_000  # bytes of meta/episodes.jsonl: a million episodes
 DEEPEST = 100  # brackets within each other in such a file; beyond, parsers take quadratic time or run out of stack
 MOST_NAME_LISTS = 200  # lists of joints in one topic of a bag; drivers that alternate have two or three
 
@@ -43,15 +42,17 @@ def check_columns(path: Path, what: str, n: int) -> None:
         raise refusal(path, "too-large", f"{what} has {n:,} columns, at most {MOST_COLUMNS:,} are read")
 
 
-def metadata_text(path: Path, most: int = LARGEST_METADATA) -> str:
+def metadata_text(path: Path) -> str:
     """The text of a file of JSON or YAML.
 
     Raises:
         RecordingError: Not a regular file, too large, brackets too deep within each other, or no UTF-8.
     """
     check_regular(path)
-    if path.stat().st_size > most:
-        raise refusal(path, "too-large", f"larger than {most:,} bytes, which no such file should be", in_full=True)
+    if path.stat().st_size > LARGEST_METADATA:
+        raise refusal(
+            path, "too-large", f"larger than {LARGEST_METADATA:,} bytes, which no such file should be", in_full=True
+        )
     try:
         text = path.read_text(encoding="utf-8")
     except (ValueError, OSError) as error:

@@ -207,7 +207,7 @@ class ReadRequest:
     Attributes:
         units_insisted: Whether `units` was given as a word: then what looks like radians may be degrees.
         columns: Patterns of the names of columns: of positions, and of velocities.
-        chosen: Numbers of the episodes of a data set, once `episodes` and `task` have been looked up; None: all.
+        chosen: Numbers of the episodes of a data set, once `episodes` has been looked up; None: all.
         uses: What of the options the recordings that were read so far had a use for.
 
     Raises:
@@ -226,7 +226,6 @@ class ReadRequest:
     rate: float | None = None
     outside_limits: Literal["refuse", "note"] = "refuse"
     episodes: EpisodeSelection | None = None
-    task: str | None = None
     feature: str | None = None
     chosen: frozenset[int] | None = None
     uses: OptionUses = field(default_factory=OptionUses, compare=False, repr=False)
@@ -246,10 +245,9 @@ class ReadRequest:
                 f"got {seen}",
                 code="option",
             )
-        for option, what in (("task", "the text of a task"), ("feature", "the name of a feature")):
-            value = getattr(self, option)
-            if value is not None and not (isinstance(value, str) and value.strip()):
-                raise RecordingError(f"{as_written(option)} must be {what}, got {value!r}", code="option")
+        if self.feature is not None and not (isinstance(self.feature, str) and self.feature.strip()):
+            text = f"{as_written('feature')} must be the name of a feature, got {self.feature!r}"
+            raise RecordingError(text, code="option")
         if not isinstance(self.rename, Mapping):
             raise RecordingError(
                 f"rename must be a mapping {{name in the file: name in the robot}}, got {self.rename!r}", code="option"

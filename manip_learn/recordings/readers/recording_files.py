@@ -13,7 +13,7 @@ from typing import Any, final
 from manip_learn.errors import RecordingError, counted
 from manip_learn.recordings.format_words import MARK
 from manip_learn.recordings.readers.csv_reader import sniff_dialect
-from manip_learn.recordings.readers.lerobot_dataset import episode_numbers, episodes_of_task
+from manip_learn.recordings.readers.lerobot_dataset import episode_numbers
 from manip_learn.recordings.readers.read_request import ReadRequest
 from manip_learn.recordings.readers.recording import Recording, check_regular, natural_order, reason, refusal
 from manip_learn.recordings.readers.saved_reader import JSON_LINES, file_header
@@ -240,19 +240,12 @@ def select_episodes(files: list[RecordingFile], request: ReadRequest) -> tuple[l
     files given, in natural order, counted from 0.
 
     Raises:
-        RecordingError: Nothing is selected, several data sets, or a task asked of files that name none.
-        UnknownNameError: No episode shows the task; lists near matches.
+        RecordingError: Nothing is selected, or several data sets.
     """
-    if request.episodes is None and request.task is None:
+    if request.episodes is None:
         return files, request, ""
     if all(f.format is not LEROBOT for f in files):
         folder = files[0].path.parent.name or str(files[0].path.parent)
-        if request.task is not None or request.episodes is None:
-            raise RecordingError(
-                f"{folder}: tasks are named by LeRobot data sets only, these are {files[0].format.title}: leave the "
-                "task out, or select files",
-                code="no-tasks",
-            )
         chosen = request.episodes.of_known(range(len(files)), folder)
         kept = [f for i, f in enumerate(files) if i in chosen]
         return kept, request, f"{folder}: {len(kept)} of {len(files)} files selected, as asked"
@@ -263,17 +256,6 @@ def select_episodes(files: list[RecordingFile], request: ReadRequest) -> tuple[l
         )
     where = files[0].path.name if len(files) == 1 else f"{len(files)} files of LeRobot data"
     known = sorted({n for f in files for n in episode_numbers(f.path)})
-    chosen = frozenset(known) if request.episodes is None else request.episodes.of_known(known, where)
-    if request.task is not None:
-        shown = frozenset().union(*(episodes_of_task(f.path, request.task) for f in files))
-        if not chosen & shown:
-            by = sorted(shown & frozenset(known))
-            more = f" and {len(by) - 12} more" if len(by) > 12 else ""
-            raise RecordingError(
-                f"{where}: none of the episodes {request.episodes} shows the task {request.task!r}; it is shown by "
-                f"{', '.join(map(str, by[:12])) or 'none'}{more}",
-                code="no-episode",
-            )
-        chosen &= shown
+    chosen = request.episodes.of_known(known, where)
     note = f"{where}: {len(chosen)} of {counted(len(known), 'episode')} selected, as asked"
     return files, replace(request, chosen=chosen), note
