@@ -66,8 +66,7 @@ if TYPE_CHECKING:
     from manip_learn.playback import LiveViewer, replay
     from manip_learn.recordings import RecordingSource, load_demonstrations
     from manip_learn.recordings.demonstrations import Demonstrations
-    from manip_learn.recordings.preprocessing import subsample
-    from manip_learn.recordings.trajectory import Trajectory
+    from manip_learn.recordings.trajectory import Trajectory, subsample
     from manip_learn.recordings.velocities import derive_velocities
     from manip_learn.robot import Robot, load_robot
     from manip_learn.robot.collision import SelfCollision
@@ -84,9 +83,8 @@ _NAMES = {
     "robot.collision": "SelfCollision",
     "recordings": "RecordingSource load_demonstrations",
     "recordings.demonstrations": "Demonstrations",
-    "recordings.trajectory": "Trajectory",
+    "recordings.trajectory": "Trajectory subsample",
     "recordings.velocities": "derive_velocities",
-    "recordings.preprocessing": "subsample",
     "constraint.constraint": "Constraint",
     "constraint.mechanism": "Mechanism",
     "constraint.shown": "Shown",

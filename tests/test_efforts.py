@@ -12,9 +12,8 @@ from case import case
 from manip_learn.errors import RecordingError
 from manip_learn.recordings import load_demonstrations
 from manip_learn.recordings.demonstrations import Demonstrations
-from manip_learn.recordings.preprocessing import subsample
 from manip_learn.recordings.saved_motion import motion_of_trajectory
-from manip_learn.recordings.trajectory import Trajectory
+from manip_learn.recordings.trajectory import Trajectory, subsample
 from manip_learn.recordings.velocities import derive_velocities
 from manip_learn.recordings.writers.mcap_writer import mcap_bytes
 from manip_learn.recordings.writers.write_motion import csv_bytes, joint_trajectory_bytes, npz_bytes

@@ -25,7 +25,6 @@ from manip_learn.control.interop.force_control import (
 )
 from manip_learn.errors import ConstraintError
 from manip_learn.robot import load_robot
-from manip_learn.robot.dynamics import hand_inertia
 
 AXIS, POINT = (0.0, 0.0, 1.0), (0.5, 0.2, 0.1)
 FIRM = "turn-1 turn-2 slide-1 slide-2 slide"
@@ -73,7 +72,7 @@ def test_stiffness_is_compliant_where_the_environment_holds(ur5):
                 assert along @ K[:3, :3] @ along == pytest.approx(STIFF[0])
                 assert K[2, 2] == pytest.approx(COMPLIANT[0])
             # D damps every mode of M x'' + D x' + K x critically: (M^-1/2 D M^-1/2 / 2)^2 = M^-1/2 K M^-1/2
-            M = hand_inertia(ur5, q, "tool0")
+            M = ur5.hand_inertia(q, "tool0")
             assert M is not None
             values, V = np.linalg.eigh(M)
             back = V / np.sqrt(values) @ V.T
@@ -88,7 +87,7 @@ def test_hand_inertia_is_that_of_the_dynamics(ur5):
     M = np.column_stack([ur5.inertial_effort(q, e) for e in np.eye(6)])
     wrench = np.array([3.0, -2.0, 1.0, 0.2, 0.1, -0.3])
     acceleration = J @ np.linalg.solve(M, J.T @ wrench)
-    inertia = hand_inertia(ur5, q, "tool0")
+    inertia = ur5.hand_inertia(q, "tool0")
     assert inertia is not None  # its least share, 1e-3 1/kg for each of 4 N, is added to the acceleration
     assert np.allclose(np.linalg.solve(inertia, wrench), acceleration, atol=4e-3)
 

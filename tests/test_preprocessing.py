@@ -6,8 +6,7 @@ import numpy as np
 import pytest
 
 from manip_learn.errors import RecordingError
-from manip_learn.recordings.preprocessing import subsample
-from manip_learn.recordings.trajectory import Trajectory
+from manip_learn.recordings.trajectory import Trajectory, subsample
 
 
 def motion(rest: int = 20, moving: int = 60, dt: float = 0.01) -> Trajectory:

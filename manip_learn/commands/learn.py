@@ -20,7 +20,7 @@ from manip_learn.learning.recombination import BELIEVED_STRENGTH
 from manip_learn.recordings import load_demonstrations
 from manip_learn.recordings.demonstrations import Demonstrations, distinct_names
 from manip_learn.recordings.load_demonstrations import numbers_read
-from manip_learn.recordings.preprocessing import subsample
+from manip_learn.recordings.trajectory import subsample
 from manip_learn.recordings.trajectory_source import Progress, RecordingSource
 from manip_learn.recordings.velocities import with_velocities
 from manip_learn.robot.robot import Reference, Robot

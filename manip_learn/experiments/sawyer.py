@@ -51,8 +51,7 @@ from manip_learn.learning.learner import ConstraintLearner
 from manip_learn.linalg import row_space_angle
 from manip_learn.recordings.demonstrations import Demonstrations
 from manip_learn.recordings.load_demonstrations import load_demonstrations
-from manip_learn.recordings.preprocessing import subsample
-from manip_learn.recordings.trajectory import Trajectory
+from manip_learn.recordings.trajectory import Trajectory, subsample
 from manip_learn.recordings.velocities import with_velocities
 from manip_learn.robot.batch.batch_kinematics import batch_kinematics
 from manip_learn.robot.loading import load_robot

@@ -32,7 +32,7 @@ from manip_learn.learning.recombination import BELIEVED_STRENGTH, RowEvidence, r
 from manip_learn.learning.samples import Samples, check_fastest, check_samples
 from manip_learn.linalg import one_thread
 from manip_learn.recordings.demonstrations import Demonstrations
-from manip_learn.recordings.preprocessing import evenly
+from manip_learn.recordings.trajectory import evenly
 
 EstimatorName = Literal["auto", "joint", "null-space", "separate"]
 # trajectories beyond this number add nothing to a mechanism but time

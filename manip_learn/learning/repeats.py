@@ -27,8 +27,7 @@ from manip_learn.errors import listed
 from manip_learn.learning.explanation.evidence import Stretch
 from manip_learn.recordings.demonstrations import Demonstrations, distinct_names
 from manip_learn.recordings.local_fit import noise_variance
-from manip_learn.recordings.preprocessing import evenly
-from manip_learn.recordings.trajectory import Trajectory
+from manip_learn.recordings.trajectory import Trajectory, evenly
 
 # [rad] two passes of one path are as near as this to each other: arms repeat a posture to 0.1 mm at half a metre
 REPEATED_RAD = 2e-4

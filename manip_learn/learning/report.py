@@ -28,7 +28,7 @@ from manip_learn.learning.repeats import IndependentRecordings
 from manip_learn.learning.samples import REST_SPEED, STILL_ENERGY, energy_shares
 from manip_learn.learning.uncertainty import PARTS, Uncertainty, in_words, total_deg
 from manip_learn.recordings.demonstrations import Demonstrations, distinct_names
-from manip_learn.recordings.preprocessing import evenly
+from manip_learn.recordings.trajectory import evenly
 from manip_learn.robot import html_card
 
 SPANS_SHOWN = 6  # of each constraint, in words

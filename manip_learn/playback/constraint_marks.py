@@ -16,9 +16,9 @@ from manip_learn.constraint.features.weighed_velocity import WeighedVelocity
 from manip_learn.linalg import null_basis, row_basis
 from manip_learn.playback.guided_motion import Guidance, MotionSamples
 from manip_learn.playback.page_writer import packed, unpacked
-from manip_learn.recordings.preprocessing import evenly
+from manip_learn.recordings.trajectory import evenly
 from manip_learn.robot.batch.batch_kinematics import batch_kinematics
-from manip_learn.robot.frame import Frame
+from manip_learn.robot.joints import Frame
 from manip_learn.robot.robot import Robot
 
 COUPLED = 0.1  # part of a learnt unit row that turns, up to which it counts as one that only moves, and the other way

@@ -18,7 +18,7 @@ from manip_learn.control.way import leads_away
 from manip_learn.errors import RecordingError
 from manip_learn.linalg import finite, null_basis
 from manip_learn.playback.page_writer import packed
-from manip_learn.recordings.preprocessing import evenly
+from manip_learn.recordings.trajectory import evenly
 from manip_learn.robot.rotations import rotation_matrix
 
 CIRCLE_POINTS = 96  # 3.75 degrees apart: looks round when it fills a screen

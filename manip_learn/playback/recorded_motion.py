@@ -22,10 +22,9 @@ from manip_learn.playback.kinematic_tree import TreeJoint, joint_tracks
 from manip_learn.playback.mechanism_drawing import Furniture, furniture_of
 from manip_learn.playback.page_writer import packed
 from manip_learn.playback.phase_bands import LEADING, WAY, PhaseBand, own_bands
-from manip_learn.recordings.preprocessing import evenly
-from manip_learn.recordings.trajectory import Trajectory
+from manip_learn.recordings.trajectory import Trajectory, evenly
 from manip_learn.robot.batch.postures import positions_of
-from manip_learn.robot.frame import Frame
+from manip_learn.robot.joints import Frame
 from manip_learn.robot.robot import Robot
 
 AT_REST = 0.1  # share of the root mean square speed of a motion below which it says nothing of a constraint

@@ -34,7 +34,7 @@ from manip_learn.playback.recorded_motion import RecordedMotion, recorded_motion
 from manip_learn.playback.scene_data import scene_data
 from manip_learn.recordings.trajectory import Trajectory
 from manip_learn.robot.description.catalogue import known_as
-from manip_learn.robot.frame import Frame
+from manip_learn.robot.joints import Frame
 from manip_learn.robot.robot import Robot
 from manip_learn.robot.tips import default_tip
 

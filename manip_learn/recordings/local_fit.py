@@ -237,7 +237,9 @@ def jerk(time: Float[np.ndarray, " T"], x: Float[np.ndarray, "T nv"]) -> tuple[f
     for half_width in JERK_HALF_WIDTHS:
         if 2 * half_width + 1 > len(time):
             break
-        third = third_derivatives(time, half_width)
+        stamps = np.lib.stride_tricks.sliding_window_view(time, 2 * half_width + 1)
+        longest = np.max(np.abs(stamps - stamps[:, half_width : half_width + 1]), axis=1)
+        third = local_weights(time, half_width, CUBIC)[:, CUBIC] * (6.0 / longest**3)[:, None]  # weights [1/s^3]
         windows = np.lib.stride_tricks.sliding_window_view(x, 2 * half_width + 1, axis=0)
         squared = np.sum(np.einsum("nw,njw->nj", third, windows) ** 2, axis=1)
         noise = np.sum(third**2, axis=1) * variance
@@ -245,10 +247,3 @@ def jerk(time: Float[np.ndarray, " T"], x: Float[np.ndarray, "T nv"]) -> tuple[f
         if np.mean(squared) >= CLEAR_JERK**2 * np.mean(noise):
             break
     return float(np.sqrt(max(np.mean(squared), 0.0))), float(np.sqrt(max(np.max(squared), 0.0)))
-
-
-def third_derivatives(time: np.ndarray, half_width: int) -> Float[np.ndarray, "N W"]:
-    """Weights of the third derivative at the centre of each window [1/s^3]."""
-    stamps = np.lib.stride_tricks.sliding_window_view(time, 2 * half_width + 1)
-    longest = np.max(np.abs(stamps - stamps[:, half_width : half_width + 1]), axis=1)
-    return local_weights(time, half_width, CUBIC)[:, CUBIC] * (6.0 / longest**3)[:, None]

@@ -1,4 +1,4 @@
-"""A recorded motion: frozen, validated, NumPy only."""
+"""A recorded motion: frozen, validated, NumPy only; and fewer of its samples."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ from dataclasses import dataclass, field, replace
 from typing import Any, final
 
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Float, Int
 
 from manip_learn.errors import RecordingError, counted, printable
 
@@ -166,3 +166,21 @@ class Trajectory:
 def _rebuilt(time: Any, q: Any, joint_names: tuple[str, ...], name: str, beside: dict[str, Any]) -> Trajectory:
     """A trajectory from a pickle."""
     return Trajectory(time, q, joint_names=joint_names, name=name, **beside)
+
+
+def subsample(trajectory: Trajectory, n_samples: int) -> Trajectory:
+    """At most n_samples samples, evenly spread.
+
+    Raises:
+        RecordingError: n_samples is not positive.
+    """
+    if n_samples < 1:
+        raise RecordingError(f"the number of samples must be positive, got {n_samples}", code="samples")
+    if len(trajectory) <= n_samples:
+        return trajectory
+    return trajectory.part(evenly(len(trajectory), n_samples))
+
+
+def evenly(n: int, most: int) -> Int[np.ndarray, " k"]:
+    """At most so many of n places in order, evenly spread, the first and the last among them; none of none."""
+    return np.unique(np.linspace(0, n - 1, min(n, most)).round().astype(int))

@@ -26,7 +26,7 @@ from manip_learn.recordings.load_demonstrations import (
 )
 from manip_learn.recordings.readers.lerobot_dataset import episode_number, open_dataset, separate_files
 from manip_learn.recordings.readers.read_request import ReadRequest
-from manip_learn.recordings.readers.recording import Recording, size_on_disk
+from manip_learn.recordings.readers.recording import Recording
 from manip_learn.recordings.readers.recording_files import LEROBOT, FileFormat, RecordingFile
 from manip_learn.recordings.trajectory import Trajectory
 from manip_learn.recordings.validation.validate import validate
@@ -131,7 +131,8 @@ def _in_parts(files: list[RecordingFile]) -> list[list[RecordingFile]]:
             parts.append([])
             size = 0
         parts[-1].append(file)
-        size += size_on_disk(file.path)
+        inside = file.path.rglob("*") if file.path.is_dir() else [file.path]
+        size += sum(one.stat().st_size for one in inside if one.is_file())
     return parts
 
 

@@ -1,6 +1,6 @@
 """Robots: files -> kinematics."""
 
-from manip_learn.robot.frame import Frame
+from manip_learn.robot.joints import Frame
 from manip_learn.robot.loading import load_robot
 from manip_learn.robot.robot import Reference, Robot
 

@@ -16,8 +16,7 @@ import numpy as np
 import pinocchio as pin
 from jaxtyping import Float, Int
 
-from manip_learn.robot.frame import Frame
-from manip_learn.robot.joints import carrying_joints
+from manip_learn.robot.joints import Frame, carrying_joints
 
 REFERENCES = {"world": pin.ReferenceFrame.LOCAL_WORLD_ALIGNED, "local": pin.ReferenceFrame.LOCAL}
 DOUBLE = np.dtype(np.float64)  # of this machine's byte order

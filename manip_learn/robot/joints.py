@@ -11,8 +11,6 @@ import numpy as np
 import pinocchio as pin
 from jaxtyping import Float, Int
 
-from manip_learn.robot.frame import Frame
-
 JointKind = Literal["revolute", "prismatic", "continuous", "floating", "planar", "other"]
 
 COORDINATE_SUFFIXES: dict[str, tuple[str, ...]] = {
@@ -28,6 +26,25 @@ KINDS: tuple[tuple[str, JointKind], ...] = (
     ("JointModelP", "prismatic"),
     ("JointModelFreeFlyer", "floating"),
 )
+
+
+@final
+@dataclass(frozen=True)
+class Frame:
+    """A named frame, looked up once so that a wrong name can never reach Pinocchio (which would crash).
+
+    Attributes:
+        name: Name in the URDF (a link, else a joint).
+        index: Pinocchio frame id.
+        parent_joint: Pinocchio id of the joint that carries it; 0 is the fixed world.
+    """
+
+    name: str
+    index: int
+    parent_joint: int
+
+
+FrameLike = str | Frame  # what every method of `Robot` takes; a `Frame` saves the look-up
 
 
 @final
@@ -106,14 +123,6 @@ class JointBlock:
         if self.kind in COORDINATE_SUFFIXES:
             return tuple("rad" if "r" in suffix else "m" for suffix in COORDINATE_SUFFIXES[self.kind])
         return ("m" if self.kind == "prismatic" else "rad",) * (self.v.stop - self.v.start)
-
-
-def joint_kind(short_name: str) -> JointKind:
-    """Kind of a Pinocchio joint from its `shortname()`."""
-    for begin, kind in KINDS:
-        if short_name.startswith(begin):
-            return kind
-    return "other"
 
 
 @final

@@ -29,8 +29,12 @@ def limit_weights(robot: Robot, q: ArrayLike) -> tuple[Float[np.ndarray, " nv"],
     Raises:
         ConfigurationError: q has the wrong size or is not finite.
     """
-    x, width = range_coordinates(robot, q), ranges(robot)
-    inside, limited = np.abs(x) <= 1.0, has_range(robot)
+    limited, width = has_range(robot), ranges(robot)
+    # place of each joint in its range, -1 and 1 at the limits; 0 for joints not limited on both sides
+    x, positions = np.zeros(robot.nv), robot.positions(q)
+    twice = 2.0 * positions[limited] - robot.position_upper[limited] - robot.position_lower[limited]
+    x[limited] = twice / width[limited]
+    inside = np.abs(x) <= 1.0
     room, width = room_of(x), np.where(limited, width, 1.0)
     # (1 + h'^2)^(-1/4) = room sqrt(width) / D^(1/4), D = (width room^2)^2 + (4 x)^2 > 0: no division at the limits
     D = (width * room * room) ** 2 + 16.0 * x * x
@@ -38,19 +42,6 @@ def limit_weights(robot: Robot, q: ArrayLike) -> tuple[Float[np.ndarray, " nv"],
     slope_of_D = -8.0 * x * room**3 * width * width + 32.0 * x
     slope = np.sqrt(width) * (-2.0 * x / D**0.25 - 0.25 * room * slope_of_D / D**1.25) * (2.0 / width)
     return np.where(limited, w, 1.0), np.where(limited & inside, slope, 0.0)
-
-
-def range_coordinates(robot: Robot, q: ArrayLike) -> Float[np.ndarray, " nv"]:
-    """x_j: place of each joint in its range, -1 and 1 at the limits; 0 for joints not limited on both sides.
-
-    Raises:
-        ConfigurationError: q has the wrong size or is not finite.
-    """
-    limited, positions = has_range(robot), robot.positions(q)
-    out = np.zeros(robot.nv)
-    twice = 2.0 * positions[limited] - robot.position_upper[limited] - robot.position_lower[limited]
-    out[limited] = twice / ranges(robot)[limited]
-    return out
 
 
 def has_range(robot: Robot) -> np.ndarray:

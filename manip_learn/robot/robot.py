@@ -16,12 +16,12 @@ from numpy.typing import ArrayLike
 
 from manip_learn.errors import ConfigurationError, UnknownNameError, printable
 from manip_learn.robot import html_card
-from manip_learn.robot.frame import Frame, FrameLike
 from manip_learn.robot.frame_kinematics import FrameKinematics, centre_of_mass_derivative, columns_to_joints, is_plain
-from manip_learn.robot.joints import Coupling, JointBlock, Mimic, full_coupling, joint_kind, joint_limits
+from manip_learn.robot.joints import KINDS, Coupling, Frame, FrameLike, JointBlock, Mimic, full_coupling, joint_limits
 
 Reference = Literal["world", "local"]
 MOST_NAMES = 14  # of joints that a `repr` shows
+MOST_INERTIA = 1e3  # [kg or kg m2] of a hand in directions in which the arm cannot move: more than any arm weighs
 
 
 @final
@@ -110,7 +110,7 @@ class Robot:
             blocks.append(
                 JointBlock(
                     name=name,
-                    kind=joint_kind(joint.shortname()),
+                    kind=next((kind for begin, kind in KINDS if joint.shortname().startswith(begin)), "other"),
                     index=index,
                     q=slice(nq, nq + joint.nq),
                     v=slice(nv, nv + joint.nv),
@@ -473,6 +473,20 @@ class Robot:
         upper = M * _upper_triangle(model.nv)
         effort = upper.dot(a) + a.dot(upper) - M.diagonal() * a
         return effort if lift is None else lift.T @ effort
+
+    def hand_inertia(self, q: ArrayLike, frame: FrameLike) -> Float[np.ndarray, "6 6"] | None:
+        """(J M(q)^-1 J^T)^-1, the inertia that a frame's origin has for forces and moments along the axes of the base.
+
+        O. Khatib, "A unified approach for motion and force control of robot manipulators", 1987. None where a link that
+        a joint carries was described without a mass.
+        """
+        if not all(inertia.mass > 0.0 for inertia in list(self._model.inertias)[1:]):
+            return None
+        lift = np.eye(self.nv) if self._coupling is None else self._coupling.lift
+        M = np.triu(pin.crba(self._model, self._model.createData(), self.pinocchio_configuration(q)))
+        M = lift.T @ (M + np.triu(M, 1).T) @ lift
+        J = self.jacobian(q, frame)
+        return np.linalg.inv(J @ np.linalg.solve(M, J.T) + np.eye(6) / MOST_INERTIA)
 
     # ---- internals -------------------------------------------------------------------------------------------------
 

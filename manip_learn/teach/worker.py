@@ -270,7 +270,7 @@ def ghost(
     """
     from manip_learn.playback.kinematic_tree import joint_tracks, kinematic_tree
     from manip_learn.playback.page_writer import packed
-    from manip_learn.recordings.preprocessing import evenly
+    from manip_learn.recordings.trajectory import evenly
 
     kept = evenly(len(time), MOST_KEYS)
     times = np.asarray(time)[kept] - time[0]

@@ -12,7 +12,7 @@ from numpy.typing import ArrayLike
 
 from manip_learn.constraint.features.feature_map import FeatureMap, Vjp, Weigh
 from manip_learn.robot.batch.batch_kinematics import batch_kinematics
-from manip_learn.robot.frame import Frame
+from manip_learn.robot.joints import Frame
 from manip_learn.robot.robot import Robot
 
 ON_AXIS = 1e-5  # [m] below this distance from the axis (or the centre) a direction fades to zero instead of flipping

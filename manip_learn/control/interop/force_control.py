@@ -24,7 +24,6 @@ from manip_learn.constraint.constraint import Constraint
 from manip_learn.constraint.features.frame_jacobian import AXES, pose_coordinates
 from manip_learn.constraint.task_frame import TaskFrame
 from manip_learn.errors import ConstraintError, printable
-from manip_learn.robot.dynamics import hand_inertia
 from manip_learn.robot.robot import Robot
 from manip_learn.robot.rotations import rotation_matrix
 
@@ -190,7 +189,7 @@ def impedance(
     values = np.where(frame.along("held"), np.repeat(compliant, 3), np.repeat(stiff, 3))
     X = frame.from_hand
     K = X.T @ np.diag(values) @ X
-    M = hand_inertia(robot, q, frame.frame)
+    M = robot.hand_inertia(q, frame.frame)
     if M is None:  # the description has no inertias: 1 kg and 1 kg m2, damping 2 sqrt(stiffness), as often used
         M = np.eye(6)
     root = np.real(sqrtm(M))

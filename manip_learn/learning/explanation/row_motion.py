@@ -16,8 +16,7 @@ from manip_learn.constraint.features.mechanism_rows import PlaceForm, PlaceRows
 from manip_learn.errors import NotIdentifiableError, RecordingError
 from manip_learn.learning.samples import CUBIC, whitening
 from manip_learn.linalg import null_basis
-from manip_learn.recordings.preprocessing import subsample
-from manip_learn.recordings.trajectory import Trajectory
+from manip_learn.recordings.trajectory import Trajectory, subsample
 from manip_learn.robot.batch.batch_kinematics import batch_kinematics
 
 # [s] the largest step of time that counts in full: a gap in a recording is no evidence. Set by hand

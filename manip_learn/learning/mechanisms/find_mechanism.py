@@ -24,7 +24,7 @@ from manip_learn.learning.samples import BEYOND_CHANCE, STANDARD_ERRORS
 from manip_learn.recordings.demonstrations import Demonstrations
 from manip_learn.recordings.trajectory import Trajectory
 from manip_learn.recordings.velocities import with_velocities
-from manip_learn.robot.frame import Frame
+from manip_learn.robot.joints import Frame
 from manip_learn.robot.robot import Robot
 
 # [m] beyond this an axis or a centre is not told from a line or a plane. Set by hand

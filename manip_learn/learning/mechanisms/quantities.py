@@ -15,9 +15,9 @@ import numpy as np
 from jaxtyping import Float, Int
 
 from manip_learn.constraint.features.mechanism_rows import Place
-from manip_learn.recordings.preprocessing import evenly
+from manip_learn.recordings.trajectory import evenly
 from manip_learn.robot.batch.batch_kinematics import batch_kinematics
-from manip_learn.robot.frame import Frame
+from manip_learn.robot.joints import Frame
 from manip_learn.robot.robot import Robot
 from manip_learn.robot.rotations import left_jacobian_inverse, rotation_vectors, skew
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import re
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
@@ -13,8 +14,8 @@ from manip_learn.errors import DAMAGE, MissingExtraError, advice, closest_names,
 from manip_learn.recordings.readers.limits import (
     FEWEST_SAMPLE_BYTES,
     bomb,
+    metadata_text,
     most_bytes,
-    read_json,
 )
 from manip_learn.recordings.readers.read_request import first_names
 from manip_learn.recordings.readers.recording import natural_order, reason, refusal
@@ -101,16 +102,21 @@ def open_dataset(path: Path) -> LeRobotDataset:
     Raises:
         RecordingError: Another version, no samples, or metadata that is damaged.
     """
-    files, info_path = (path,), _meta(path) / "info.json"
+    own = path / "meta" / "info.json"
+    around = (folder / "meta" / "info.json" for folder in list(path.resolve().parents)[:4])  # data/chunk-000/FILE
+    files, info_path = (path,), next((place for place in around if place.is_file()), own)
     if path.is_dir():
         files = tuple(sorted((path / "data").rglob("*.parquet"), key=lambda f: natural_order(str(f.relative_to(path)))))
-        info_path = path / "meta" / "info.json"
+        info_path = own
         if not files:
             text = "the data set has no data/**/*.parquet: download its data, not only meta/"
             raise refusal(path, "empty", text, in_full=True)
     elif not info_path.is_file():
         return LeRobotDataset(path, files)
-    info = read_json(info_path)
+    try:
+        info = json.loads(metadata_text(info_path))
+    except (ValueError, RecursionError) as error:
+        raise refusal(info_path, "damaged", f"not valid JSON: {reason(error)}", in_full=True) from error
     if not isinstance(info, dict):
         raise refusal(info_path, "damaged", f"an object is needed, this is {type(info).__name__}", in_full=True)
     version, features = info.get("codebase_version"), info.get("features")
@@ -268,11 +274,3 @@ def separate_files(path: Path) -> list[list[Path]]:
         before = last
     dataset.refuse_lost("frames", found)
     return runs
-
-
-def _meta(path: Path) -> Path:
-    # a file lies in <root>/data/chunk-000/
-    for folder in [path, *list(path.resolve().parents)[:4]]:
-        if (folder / "meta" / "info.json").is_file():
-            return folder / "meta"
-    return path / "meta"

@@ -137,12 +137,6 @@ def float_array(values: np.ndarray) -> Float[np.ndarray, "..."]:
         return np.ascontiguousarray(values, dtype=np.float64)
 
 
-def size_on_disk(path: Path) -> int:
-    """Bytes of a file, or of all files in a folder."""
-    files = path.rglob("*") if path.is_dir() else [path]
-    return sum(file.stat().st_size for file in files if file.is_file())
-
-
 def natural_order(name: str) -> tuple[tuple[int, int, str], ...]:
     """Sort key that puts `demo_2` before `demo_10`."""
     parts = re.findall(r"\d+|\D+", name)

@@ -23,8 +23,7 @@ from manip_learn.robot.batch.chain import (
     write_jacobian,
 )
 from manip_learn.robot.batch.postures import checked_postures
-from manip_learn.robot.frame import Frame
-from manip_learn.robot.joints import carrying_joints
+from manip_learn.robot.joints import Frame, carrying_joints
 from manip_learn.robot.robot import Reference, Robot
 
 CHUNK = 1024  # postures: the columns of a 7-joint chain then stay in a second-level cache of 1 MB
