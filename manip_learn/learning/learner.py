@@ -21,7 +21,7 @@ from manip_learn.errors import (
     RecordingError,
     an,
 )
-from manip_learn.learning.answer import Answer, EstimatorName, LearnerSettings, find_answers
+from manip_learn.learning.answer import EstimatorName, LearnerSettings, find_answers
 from manip_learn.learning.choosing import MOST_SAMPLES, Choice, choose_from, few_of
 from manip_learn.learning.explanation.evidence import SWITCH_NATS, BeforeSmoothing
 from manip_learn.learning.explanation.findings import Findings, find, unexplained
@@ -226,13 +226,22 @@ class ConstraintLearner:
             check_fastest(demonstrations)
             demonstrations, every = few_of(demonstrations, self.most_samples)
             recordings = recordings.every(every)
-            findings = self._find(demonstrations)
+            (everyone,) = unexplained(demonstrations, self._feature_maps).parts
+            findings = Findings((everyone,))
+            if self.estimator not in ("joint", "separate"):
+                findings = find(
+                    demonstrations,
+                    self._feature_maps,
+                    np.random.default_rng(self.seed),
+                    switch=self.switch if self.phases == "auto" else math.inf,
+                    mechanisms=self.mechanism == "auto" and self.n_constraints is None,
+                    strength=self.strength,
+                )
             recorded = recordings.demonstrations
             source = BeforeSmoothing(demonstrations, recorded)
             parts = tuple(dataclasses.replace(part, source=source) for part in findings.parts)
             doubts = doubt_velocities(recorded.trajectories, demonstrations.joint_names)
             warnings = (*recordings.warnings, *doubts, *findings.warnings)
-            (everyone,) = unexplained(demonstrations, self._feature_maps).parts
             findings = dataclasses.replace(findings, parts=parts, warnings=warnings)
             try:
                 settings = LearnerSettings(
@@ -250,33 +259,15 @@ class ConstraintLearner:
                 )
                 raise why from refusal
             overview = RecordingOverview.of(answers, findings, recordings)
-            self._conclude(answers, overview, demonstrations.joint_names, started)
-
-    def _find(self, demonstrations: Demonstrations) -> Findings:
-        if self.estimator in ("joint", "separate"):
-            return unexplained(demonstrations, self._feature_maps)
-        rng = np.random.default_rng(self.seed)
-        mechanisms = self.mechanism == "auto" and self.n_constraints is None
-        switch = self.switch if self.phases == "auto" else math.inf
-        return find(
-            demonstrations, self._feature_maps, rng, switch=switch, mechanisms=mechanisms, strength=self.strength
-        )
-
-    def _conclude(
-        self, answers: Sequence[Answer], overview: RecordingOverview, joint_names: tuple[str, ...], started: float
-    ) -> None:
-        """Uncertainty -> report, for each answer."""
-        constraints, reports = [], []
-        for answer in answers:
-            best = answer.candidate
-            uncertainty = uncertainty_of(best.samples, best.estimate, best.rng)
-            seconds = time.perf_counter() - started
-            constraint, report = build_report(answer, overview, joint_names, uncertainty, seconds)
-            constraints.append(constraint)
-            reports.append(report)
-        self.constraints_, self.reports_ = tuple(constraints), tuple(reports)
-        self.constraint_, self.report_ = constraints[0], reports[0]
-        self.skill_ = skill_of(constraints, answers)
+            learnt = []
+            for answer in answers:
+                best = answer.candidate
+                uncertainty = uncertainty_of(best.samples, best.estimate, best.rng)
+                seconds = time.perf_counter() - started
+                learnt.append(build_report(answer, overview, demonstrations.joint_names, uncertainty, seconds))
+            self.constraints_, self.reports_ = zip(*learnt, strict=True)
+            self.constraint_, self.report_ = learnt[0]
+            self.skill_ = skill_of(self.constraints_, answers)
 
     @property
     def _empty(self) -> Choice:

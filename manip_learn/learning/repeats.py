@@ -200,20 +200,14 @@ class _Path:
         distance, chord = np.full(len(chosen), np.inf), np.zeros(len(chosen))
         for first in (nearest, nearest - 1):
             for a in first.T.clip(0, max(len(q) - 2, 0)):
-                d = _distance_from_segment(chosen, q[a], q[np.minimum(a + 1, len(q) - 1)])
+                along = q[np.minimum(a + 1, len(q) - 1)] - q[a]
+                length2 = np.maximum(np.sum(along**2, axis=1), np.finfo(np.float64).tiny)
+                share = np.clip(np.sum((chosen - q[a]) * along, axis=1) / length2, 0.0, 1.0)
+                d = np.linalg.norm(chosen - q[a] - share[:, None] * along, axis=1)
                 distance, chord = np.minimum(distance, d), np.where(d < distance, chords[a], chord)
         most = LIES_ON_PATH * np.sqrt(self.noise2 + other.noise2 + chord**2)
         lies = distance <= np.minimum(most, NEAREST_PATH_SHARE * max(self.extent, other.extent))
         return float(np.max(distance[lies])) if np.sum(way[lies]) >= REPEATED_SHARE * np.sum(way) else None
-
-
-def _distance_from_segment(
-    points: Float[np.ndarray, "k n"], start: Float[np.ndarray, "k n"], end: Float[np.ndarray, "k n"]
-) -> Float[np.ndarray, " k"]:
-    along = end - start
-    length2 = np.maximum(np.sum(along**2, axis=1), np.finfo(np.float64).tiny)
-    share = np.clip(np.sum((points - start) * along, axis=1) / length2, 0.0, 1.0)
-    return np.linalg.norm(points - start - share[:, None] * along, axis=1)
 
 
 def _nearby(paths: Sequence[_Path]) -> list[list[int]]:

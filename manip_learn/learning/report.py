@@ -308,12 +308,8 @@ def build_report(
 ) -> tuple[Constraint, LearningReport]:
     """The constraint, and the evidence for it.
 
-    Args:
-        answer: The candidate chosen, with its evidence and mechanism where they were looked for.
-        overview: What the recordings show as a whole.
-        joint_names: One per velocity.
-        uncertainty: Parts of the angle of the row space [deg], see `uncertainty_of`.
-        seconds: Time for the fit [s].
+    `uncertainty` holds the parts of the angle of the row space [deg], see `uncertainty_of`, `seconds` the time that the
+    fit took.
     """
     best, evidence, found = answer.candidate, answer.evidence, answer.mechanism
     samples, estimate, warnings = best.samples, best.estimate, list(best.warnings)
@@ -394,13 +390,7 @@ def advise(
 ) -> NotIdentifiableError:
     """The refusal with its likely causes and the next thing to try for each; others than those of the evidence pass.
 
-    Args:
-        refusal: Why nothing was learnt.
-        demonstrations: With velocities.
-        feature_maps: The candidates for Phi.
-        findings: What was found out about the recordings.
-        recordings: Which of those that were given are learnt from.
-        phases: Whether phases were looked for (`"auto"`, `"off"`).
+    Of the recordings, the independent ones are learnt from; phases are looked for (`"auto"`) or not (`"off"`).
     """
     if refusal.code not in ADVISED:
         return _advised(refusal, (), recordings.warnings) if recordings.warnings else refusal
@@ -436,7 +426,9 @@ def _several_phases(findings: Findings, demonstrations: Demonstrations, phases: 
             "cut the recordings to the contact, since no single constraint fits them as a whole"
             + advice(", or allow {}", "phases='auto'", "--phases auto")
         ]
-    if findings.unlearnt or _throughout(findings.refused, demonstrations):
+    spans = {(s.trajectory, s.start, s.end) for s in findings.refused}
+    is_whole = all((i, float(t.time[0]), float(t.time[-1])) in spans for i, t in enumerate(demonstrations))
+    if findings.unlearnt or is_whole:
         return []
     if _held(findings):
         return ["cut the recordings more closely to what seems held, each stretch in a file of its own"]
@@ -456,12 +448,6 @@ def _several_phases(findings: Findings, demonstrations: Demonstrations, phases: 
 def _held(findings: Findings) -> list[Stretch]:
     """Stretches in which rows are held."""
     return [s for part in findings.parts for s in part.stretches] if findings.explained else []
-
-
-def _throughout(stretches: Sequence[Stretch], demonstrations: Demonstrations) -> bool:
-    """Whether these stretches are all of the recordings, each as a whole."""
-    spans = {(s.trajectory, s.start, s.end) for s in stretches}
-    return all((i, float(t.time[0]), float(t.time[-1])) in spans for i, t in enumerate(demonstrations))
 
 
 def _places(findings: Findings, recordings: IndependentRecordings) -> list[str]:

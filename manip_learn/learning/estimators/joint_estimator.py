@@ -174,16 +174,13 @@ def _repeat_one_motion(samples: Samples) -> bool:
     paths = [samples.q[part] for _, part in runs(samples.trajectory)]
     extents = [float(np.sum(np.var(path, axis=0))) ** 0.5 for path in paths]
     most = SAME_PATH * max(extents)
-    tree = cKDTree(_densely(paths[int(np.argmax(extents))], most))
-    return all(float(np.mean(tree.query(path)[0] ** 2)) <= most**2 for path in paths)
-
-
-def _densely(path: Float[np.ndarray, "t nq"], step: float) -> Float[np.ndarray, "k nq"]:
-    """The path with postures added between its samples, until none are farther apart than a step [rad]."""
-    along = np.append(0.0, np.cumsum(np.linalg.norm(np.diff(path, axis=0), axis=1)))
-    n = min(int(along[-1] / step) + 1, MOST_POSTURES) if step > 0.0 else 0
+    longest = paths[int(np.argmax(extents))]
+    # with postures added between its samples, until none are farther apart than that [rad]
+    along = np.append(0.0, np.cumsum(np.linalg.norm(np.diff(longest, axis=0), axis=1)))
+    n = min(int(along[-1] / most) + 1, MOST_POSTURES) if most > 0.0 else 0
     places = np.union1d(along, np.linspace(0.0, along[-1], n + 1))
-    return np.column_stack([np.interp(places, along, column) for column in path.T])
+    tree = cKDTree(np.column_stack([np.interp(places, along, column) for column in longest.T]))
+    return all(float(np.mean(tree.query(path)[0] ** 2)) <= most**2 for path in paths)
 
 
 def _count(
@@ -226,22 +223,16 @@ def _offsets_if_clear(
 ) -> Estimate | None:
     """The estimate with a rest posture for each trajectory, where a shared policy explains the motion poorly.
 
-    None where it is not worth a try, or its answer not beyond doubt.
-
-    Args:
-        samples: What was recorded.
-        n_constraints: As asked for.
-        first: The fit that gave the number of rows.
-        chosen: The fit with the selected policy model.
-        rng: For the starts.
+    None where it is not worth a try, or its answer not beyond doubt. `first` is the fit that gave the number of rows,
+    `chosen` the one with the selected policy model.
     """
     if first.leaves_only(EXACT):
         return None
     is_poor = chosen.unexplained > POORLY_EXPLAINED
     # rich models come close to separate rest postures, which alone are exact then
     is_close = first.unexplained > POORLY_EXPLAINED and not chosen.leaves_only(EXACT)
-    few = _few_trajectories(samples)
-    if not (is_poor or is_close) or len(few) < _fewest_for_offsets(few):
+    few, needed = _few_trajectories(samples)
+    if not (is_poor or is_close) or len(few) < needed:
         return None
     shared, Lambda = PolynomialModel(1, samples.q.shape[1]), chosen.whitened_selection
     without, offsets = (_held_out_samples(few, Lambda, model) for model in (shared, _offset_model(few)))
@@ -263,8 +254,8 @@ def estimate_with_offsets(samples: Samples, n_constraints: int | None, rng: np.r
     Raises:
         NotIdentifiableError: Too few samples per trajectory.
     """
-    few = _few_trajectories(samples)
-    if len(few) < _fewest_for_offsets(few):
+    few, needed = _few_trajectories(samples)
+    if len(few) < needed:
         raise NotIdentifiableError(
             f"{len(samples)} samples of {samples.n_trajectories} trajectories are too few for a policy with an "
             f"offset for each trajectory: about {2 * samples.nv * (1 + samples.nv)} samples per trajectory are needed",
@@ -281,17 +272,14 @@ def estimate_with_offsets(samples: Samples, n_constraints: int | None, rng: np.r
     return _estimate(samples, fit, scored, table, {fit.model.name: share}, held_out[s], share)
 
 
-def _few_trajectories(samples: Samples) -> Samples:
-    return samples.subset(samples.trajectory < FEW).thinned(FEW_SAMPLES)
+def _few_trajectories(samples: Samples) -> tuple[Samples, int]:
+    """What the search with offsets looks at, and how many samples it needs: two for each parameter."""
+    few = samples.subset(samples.trajectory < FEW).thinned(FEW_SAMPLES)
+    return few, 2 * few.nv * _offset_model(few).n_terms
 
 
 def _offset_model(samples: Samples) -> TrajectoryOffsetModel:
     return TrajectoryOffsetModel(PolynomialModel(1, samples.q.shape[1]), samples.n_trajectories)
-
-
-def _fewest_for_offsets(few: Samples) -> int:
-    """Two samples for each parameter."""
-    return 2 * few.nv * _offset_model(few).n_terms
 
 
 def _held_out_samples(samples: Samples, Lambda: Float[np.ndarray, "s r"], model: PolicyModel) -> float:

@@ -138,14 +138,9 @@ def best_of_starts(
     is_enough: Callable[[JointFit], bool] = lambda fit: False,
     **steps: Any,
 ) -> JointFit:
-    """The fit of the least cost, one start after the other until it is enough; at least one start is needed.
+    """The fit of the least cost, one start in whitened coordinates after the other until the best so far is enough.
 
-    Args:
-        samples: What was recorded.
-        model: The policy model.
-        starts: Lambda in whitened coordinates; drawn one at a time.
-        is_enough: Whether the best so far leaves nothing to be looked for.
-        steps: See `fit_joint`.
+    At least one start is needed; for the steps see `fit_joint`.
     """
     best: JointFit | None = None
     for start in starts:
@@ -195,28 +190,22 @@ def _judged(samples: Samples, projections: Projections, model: PolicyModel) -> J
 
 
 def choose_model(judged: Sequence[JudgedModel], most_parameters: float) -> JudgedModel:
-    """The richest of the cheap models that predict no worse than the best.
-
-    Args:
-        judged: All models at one Lambda.
-        most_parameters: Regressors that the residuals are many enough for, see `CHEAP`.
+    """The richest of the models at one Lambda that predict no worse than the best, and of which the residuals can
+    afford the regressors: no more than `most_parameters`, see `CHEAP`.
     """
     best = min(judged, key=lambda one: one.held_out)
     most = _largest_size(best.model, most_parameters)
-    near = [one for one in judged if one.model.n_terms <= most and not _is_worse(one.costs, best.costs)]
+    near = []
+    for one in (one for one in judged if one.model.n_terms <= most and one.held_out <= EQUALLY_GOOD * best.held_out):
+        difference = one.costs - best.costs
+        chance = STANDARD_ERRORS * difference.std(ddof=1) / np.sqrt(len(difference))
+        near += [] if difference.mean() > chance else [one]
     return max(near, key=lambda one: one.model.n_terms)
 
 
 def _largest_size(model: PolicyModel, most_parameters: float) -> float:
     """Regressors that a model richer than a given one may have."""
     return max(min(ONE_DEGREE * model.n_terms, most_parameters), model.n_terms)
-
-
-def _is_worse(costs: np.ndarray, best: np.ndarray) -> bool:
-    difference = costs - best
-    if costs.sum() > EQUALLY_GOOD * best.sum():
-        return True
-    return bool(difference.mean() > STANDARD_ERRORS * difference.std(ddof=1) / np.sqrt(len(difference)))
 
 
 def _is_better(trial: JointFit, best: JointFit, factor: float) -> bool:
@@ -349,13 +338,7 @@ class RowCount:
 def count_rows(samples: Samples, models: Sequence[PolicyModel], rng: np.random.Generator) -> RowCount | None:
     """The number of rows of the explanation with the most evidence, among those that predict left-out trajectories.
 
-    Args:
-        samples: What was recorded.
-        models: Policy models, smallest first.
-        rng: For the random starts.
-
-    Returns:
-        None where there are too few samples for any model.
+    None where there are too few samples for any of the models, which come smallest first.
     """
     found = explain(samples, models, rng)
     if not found:
@@ -365,15 +348,16 @@ def count_rows(samples: Samples, models: Sequence[PolicyModel], rng: np.random.G
     residuals = {s: float(np.sqrt(_variance(samples, one.fit))) for s, one in chosen.items()}
     present = {s: r for s, r in residuals.items() if s == 0 or s - 1 in residuals}
     table = gaps_of_residuals(present, 1e-15 * float(np.sqrt(samples.energy)), len(samples))
-    rivals = [one for one in found if one.nats > best.nats and one.n_rows != best.n_rows]
-    warnings = [
-        f"{counted(best.n_rows, 'row')} and a policy model {best.fit.model.name} predict left-out trajectories, "
-        f"but {counted(other.n_rows, 'row')} and {other.fit.model.name} fit all of them better: record more "
-        "trajectories, or give n_constraints if you know it"
-        for other in ([_most(rivals)] if rivals else [])
-    ]
+    rivals, warnings = [one for one in found if one.nats > best.nats and one.n_rows != best.n_rows], ()
+    if rivals:
+        other = _most(rivals)
+        warnings = (
+            f"{counted(best.n_rows, 'row')} and a policy model {best.fit.model.name} predict left-out trajectories, "
+            f"but {counted(other.n_rows, 'row')} and {other.fit.model.name} fit all of them better: record more "
+            "trajectories, or give n_constraints if you know it",
+        )
     fits = {s: one.fit for s, one in chosen.items()}
-    return RowCount(dataclasses.replace(table, best=best.n_rows), fits, tuple(warnings))
+    return RowCount(dataclasses.replace(table, best=best.n_rows), fits, warnings)
 
 
 def explain(samples: Samples, models: Sequence[PolicyModel], rng: np.random.Generator) -> list[Explanation]:
@@ -383,7 +367,7 @@ def explain(samples: Samples, models: Sequence[PolicyModel], rng: np.random.Gene
     fewer rows than one that leaves only noise, where a policy of the posture may do what the task does in it.
     """
     noise = max(noise_in_time(samples), _resolved(samples))
-    commanded = _count_commanded(samples, models)
+    enough, commanded = ABOVE_NOISE * noise, _count_commanded(samples, models)
     found: list[Explanation] = []
     for model in models:
         for s in range(min(samples.n_rows, samples.nv - 1) + 1):
@@ -392,7 +376,7 @@ def explain(samples: Samples, models: Sequence[PolicyModel], rng: np.random.Gene
                 continue
             if same:
                 best = _best_of(found)
-                is_answered = _left(samples, best.fit) <= ABOVE_NOISE * noise
+                is_answered = _left(samples, best.fit) <= enough
                 # the last of the richer models came hardly closer to the best
                 last, before = same[-1].nats, _most(same[:-1]).nats if len(same) > 1 else -np.inf
                 if is_answered and (s < commanded or last - before < PROGRESS * (best.nats - last)):
@@ -401,16 +385,18 @@ def explain(samples: Samples, models: Sequence[PolicyModel], rng: np.random.Gene
                 left = min(noise, _left(samples, most.fit))
                 if best.predicts and most.task_nats + _null_nats(samples, s, model, left) <= best.nats:
                     continue
+            # closed-form starts, and random ones where these do not lead to the noise
             warm = [_most(same).fit.whitened_selection] if same else []
-            found.append(_explained(samples, _fit_from_starts(samples, s, model, warm, noise, rng)))
-    return found + _within(samples, _best_of(found), rng) if found else found
-
-
-def _within(samples: Samples, best: Explanation, rng: np.random.Generator) -> list[Explanation]:
-    """One row less, from starts among the rows of the best: they hold the true ones where these are fewer."""
-    s, Lambda = best.n_rows, best.fit.whitened_selection
-    starts = ((rng.standard_normal((s, s)) @ Lambda)[1:] for _ in range(SUBSPACES if s > 1 else 0))
-    return [_explained(samples, best_of_starts(samples, best.fit.model, starts, **COMPARE))] if s > 1 else []
+            random = (rng.standard_normal((s, samples.n_rows)) for _ in range(RANDOM_STARTS))
+            starts = itertools.chain([conditional_pca(samples, model)[1][:s]], warm, random)
+            stop = (lambda _: True) if s in (0, samples.n_rows) else (lambda fit: _left(samples, fit) <= enough)
+            found.append(_explained(samples, best_of_starts(samples, model, starts, stop, **COMPARE)))
+    if found and (s := _best_of(found).n_rows) > 1:
+        # one row less, from starts among the rows of the best: they hold the true ones where these are fewer
+        best = _best_of(found).fit
+        starts = ((rng.standard_normal((s, s)) @ best.whitened_selection)[1:] for _ in range(SUBSPACES))
+        found.append(_explained(samples, best_of_starts(samples, best.model, starts, **COMPARE)))
+    return found
 
 
 def _most(found: Sequence[Explanation]) -> Explanation:
@@ -492,22 +478,3 @@ def _count_commanded(samples: Samples, models: Sequence[PolicyModel]) -> int:
     constant = PolynomialModel(0, samples.q.shape[1])
     left, everything = (conditional_pca(samples, model)[0] for model in (rich[-1], constant))
     return int(np.count_nonzero(left > NOT_THE_POLICYS * everything))
-
-
-def _fit_from_starts(
-    samples: Samples,
-    s: int,
-    model: PolicyModel,
-    warm: Sequence[Float[np.ndarray, "s r"]],
-    noise: float,
-    rng: np.random.Generator,
-) -> JointFit:
-    """The fit of the least cost from closed-form starts, and from random ones where these do not lead to the noise."""
-    random = (rng.standard_normal((s, samples.n_rows)) for _ in range(RANDOM_STARTS))
-    return best_of_starts(
-        samples,
-        model,
-        itertools.chain([conditional_pca(samples, model)[1][:s]], warm, random),
-        lambda best: s in (0, samples.n_rows) or _left(samples, best) <= ABOVE_NOISE * noise,
-        **COMPARE,
-    )

@@ -236,56 +236,31 @@ def held_out_costs(
     leaves out every n-th sample instead, for models with parameters of each trajectory.
     """
     folds = (np.arange(len(samples)) if by_sample else samples.trajectory) % n_folds
-    if len(np.unique(folds)) < 2:
+    numbers, fold_of = np.unique(folds, return_inverse=True)
+    if len(numbers) < 2:
         return np.array([np.inf])
-    sums = held_out_by_fold(samples, Lambda, model, folds) if len(samples) >= n_folds else None
-    if sums is None:
-        sums = _held_out_by_rows(samples, Lambda, model, folds)
-    return sums / len(samples)
-
-
-def held_out_by_fold(
-    samples: Samples, Lambda: Float[np.ndarray, "s r"], model: PolicyModel, folds: Int[np.ndarray, " n"]
-) -> Float[np.ndarray, " f"] | None:
-    """Sum of |Z^T (u - pi)|^2 over each fold, pi fitted to the others.
-
-    Args:
-        samples: What was recorded.
-        Lambda: In whitened coordinates.
-        model: beta(q).
-        folds: Fold of each sample.
-
-    Returns:
-        One sum for each fold that has samples, in their order; None where the equations are ill-conditioned, or what
-        is left is no noise.
-    """
-    beta, projections = OrthonormalRegressors.of(samples, model).values, Projections.of(samples, Lambda)
-    if beta.shape[1] < model.n_terms:
-        return None
-    squares, _, least_pivot = left_out(beta, projections, samples.u, folds, LEAST_PIVOT)
-    if least_pivot < LEAST_PIVOT or squares.sum() <= NEARLY_EXACT * projections.energy(samples.u):
-        return None
-    return np.bincount(np.unique(folds, return_inverse=True)[1], squares)
-
-
-def _held_out_by_rows(
-    samples: Samples, Lambda: np.ndarray, model: PolicyModel, folds: np.ndarray
-) -> Float[np.ndarray, " f"]:
-    """`held_out_by_fold` by QR: each fold becomes a triangle once; leaving it out means solving with the others'."""
+    beta = OrthonormalRegressors.of(samples, model).values
+    if len(samples) >= n_folds and beta.shape[1] == model.n_terms:
+        projections = Projections.of(samples, Lambda)
+        squares, _, least_pivot = left_out(beta, projections, samples.u, folds, LEAST_PIVOT)
+        if least_pivot >= LEAST_PIVOT and squares.sum() > NEARLY_EXACT * projections.energy(samples.u):
+            return np.bincount(fold_of, squares) / len(samples)
+    # the equations are ill-conditioned, or what is left is no noise: by QR, each fold becomes a triangle once, and
+    # leaving it out means solving with the others'
     triangles, before = dict[int, np.ndarray](), 0
     for rows in _rows(samples, Lambda, model):
         after = before + len(rows) // (samples.nv - len(Lambda))
-        fold_of_row = np.repeat(folds[before:after], samples.nv - len(Lambda))
+        fold_of_row = np.repeat(fold_of[before:after], samples.nv - len(Lambda))
         for fold in np.unique(fold_of_row).tolist():
             own = rows[fold_of_row == fold]
             triangles[fold] = _triangle([triangles[fold], own] if fold in triangles else [own])
         before = after
     sums = np.zeros(len(triangles))
-    for i, (fold, held) in enumerate(sorted(triangles.items())):
+    for fold, held in triangles.items():
         rest = _triangle(R for other, R in sorted(triangles.items()) if other != fold)
         theta = _solve(rest[:, :-1], rest[:, -1:])
-        sums[i] = float(np.sum((held[:, -1:] - held[:, :-1] @ theta) ** 2))
-    return sums
+        sums[fold] = float(np.sum((held[:, -1:] - held[:, :-1] @ theta) ** 2))
+    return sums / len(samples)
 
 
 def _rows(
@@ -454,7 +429,14 @@ class _Posterior:
         """
         self._solve(noise, variances)
         for _ in range(updates):
-            self._solve(*self._updated())
+            # MacKay's update: sums of squares over the numbers of parameters, and of residuals, that data determine
+            n_grades, least = len(self.variances), LEAST * float(np.mean(self.samples.u**2))
+            determined = 1.0 - self.precision * self._solver.inverse_diagonal()
+            counts = np.maximum(np.bincount(self._grades, determined, n_grades), DETERMINED)
+            parameters = np.maximum(np.bincount(self._grades, self._theta**2, n_grades) / counts, least)
+            square = float(np.sum(self._projections.project(self._residual) ** 2))
+            n_rows = len(self.samples) * (self.samples.nv - len(self.Lambda))
+            self._solve(max(square / max(n_rows - counts.sum(), 1.0), least), parameters)
 
     def moved(self, step: Float[np.ndarray, " m"]) -> _Posterior:
         """After a step, settled from the variances here."""
@@ -515,36 +497,17 @@ class _Posterior:
         self._theta = self._solver(self._pulled[:, None])[:, 0]
         self._residual = self.samples.u - self.regressors.values @ self._theta.reshape(-1, self.samples.nv)
 
-    def _updated(self) -> tuple[float, Float[np.ndarray, " g"]]:
-        """MacKay's update: sums of squares over the numbers of parameters, and of residuals, that data determine."""
-        n_grades = len(self.variances)
-        determined = 1.0 - self.precision * self._solver.inverse_diagonal()
-        counts = np.maximum(np.bincount(self._grades, determined, n_grades), DETERMINED)
-        least = LEAST * float(np.mean(self.samples.u**2))
-        parameters = np.maximum(np.bincount(self._grades, self._theta**2, n_grades) / counts, least)
-        n_rows = len(self.samples) * (self.samples.nv - len(self.Lambda))
-        square = float(np.sum(self._projections.project(self._residual) ** 2))
-        return max(square / max(n_rows - counts.sum(), 1.0), least), parameters
-
     def _spread_slopes(self, weights: Float[np.ndarray, "*g n"]) -> Float[np.ndarray, "g m"]:
         """Half the derivative by B of log |C + P|, each sample's share weighted: that of the posterior spread of pi."""
-        slopes = np.concatenate(
-            [
-                -np.einsum("nsv,nvw,nwk->nsk", self._projections.duals[i], S, self._projections.free[i], optimize=True)
-                for i, S in self._spreads()
-            ]
-        )
-        return np.atleast_2d(weights) @ slopes.reshape(len(slopes), -1)
-
-    def _spreads(self) -> Iterator[tuple[slice, Float[np.ndarray, "n nv nv"]]]:
-        """Posterior covariance of pi over sigma^2, some samples at a time."""
         nv, k = self.samples.nv, self.regressors.values.shape[1]
         (i, j), (v, w) = upper(k), upper(nv)
         inverse = self._solver.inverse().reshape(k, nv, k, nv).transpose(0, 2, 1, 3)[i, j]  # (g, nv, nv)
         # each pair of regressors twice but those with themselves: both ways round together they are symmetric
         shares = (inverse[:, v, w] + inverse[:, w, v]) * np.where(i == j, 0.5, 1.0)[:, None]
+        duals, free, slopes = self._projections.duals, self._projections.free, []
         for part, pairs in self.regressors.products():
             entries = pairs.T @ shares
-            spread = np.empty((len(entries), nv, nv))
+            spread = np.empty((len(entries), nv, nv))  # posterior covariance of pi over sigma^2
             spread[:, v, w] = spread[:, w, v] = entries
-            yield part, spread
+            slopes.append(-np.einsum("nsv,nvw,nwk->nsk", duals[part], spread, free[part], optimize=True))
+        return np.atleast_2d(weights) @ np.concatenate(slopes).reshape(len(self.samples), -1)

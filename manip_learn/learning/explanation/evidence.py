@@ -62,7 +62,7 @@ def evidence(
 
     Args:
         motion: n samples.
-        energy: e = u^T A^+ A u of each sample under each hypothesis.
+        energy: e = u^T A^+ A u of each sample under each hypothesis of s rows.
         s: Number of rows.
         scales: Each hypothesis is judged under each of them.
     """
@@ -87,10 +87,7 @@ def gains_of(
     """Evidence of each trajectory for each hypothesis: of the best sequence of held and free stretches, or, as in a cut
     recording, of a single state throughout.
 
-    Args:
-        values: Evidence of each sample.
-        first: First sample of each trajectory, and n at the end.
-        switch: What a change costs [nats]; infinite: there is none.
+    `first` is the first sample of each trajectory, and n at the end; at an infinite price there is no change.
     """
     whole = np.maximum(np.add.reduceat(values, first[:-1], axis=0), 0.0)
     if np.isinf(switch):
@@ -126,10 +123,7 @@ def _two_states(
 ) -> tuple[Float[np.ndarray, "g h"], Float[np.ndarray, "g h"]]:
     """Evidence of the best sequences that end in free motion, and in a contact, each change for half its price.
 
-    Args:
-        steps: Evidence of each sample.
-        half: Of what a stretch costs [nats].
-        changes: Where to note which samples are best entered from free motion, and from a contact; None: nowhere.
+    `changes`, if they are given, note which samples are best entered from free motion, and from a contact.
     """
     free = np.zeros(steps.shape[1:])
     held = np.full_like(free, -half)
@@ -321,9 +315,7 @@ class BeforeSmoothing:
 
         A part that begins or ends with the derived trajectory begins or ends with the recorded one.
 
-        Args:
-            stretches: Which trajectory each part is of.
-            parts: With velocities.
+        `stretches` say which trajectory each part is of.
         """
         out = []
         for number, part in zip((s.trajectory for s in stretches), parts, strict=True):

@@ -94,11 +94,8 @@ def proposed(
     recordings and pairs of them are of each state by itself, so that rows may be added to an explanation, or it may be
     divided.
 
-    Args:
-        motion: Chosen samples.
-        states: What explains each of them.
-        largest: Largest number of rows.
-        whole: Whether a recording is one state throughout, so that no window says more than it.
+    `states` tell what explains each chosen sample. Where a recording is one state throughout (`whole`), no window says
+    more than it.
     """
     out: dict[int, list[np.ndarray]] = {s: [] for s in range(1, largest + 1)}
     wholes = [part for k in range(int(states.max(initial=0)) + 1) for part in _recordings(motion, states == k)]
@@ -403,9 +400,7 @@ def explain(views: Sequence[View], believed: Test, switch: float = SWITCH_NATS) 
 def candidates(now: Explanation, *, alone: bool = False) -> list[Hypothesis]:
     """The proposals that gain most beyond the explanation so far, of each view and number of rows, fitted.
 
-    Args:
-        now: The explanation of the recordings so far.
-        alone: Those that gain most in each recording by itself, instead of those that several support.
+    `alone`: those that gain most in each recording by itself, instead of those that several support.
     """
     baseline, starts, kinds = now.explained, list[Hypothesis](), []
     whole = bool(np.isinf(now.switch))
@@ -454,10 +449,7 @@ def _evidence_of(
 ) -> Float[np.ndarray, "n h k"]:
     """Evidence of each sample for each hypothesis under some scales, by default under its own.
 
-    Args:
-        motions: The same samples in each view.
-        hypotheses: What may hold.
-        scales: Those to compare.
+    The motions are those of the same samples in each view.
     """
     values = np.empty((len(motions[0]), len(hypotheses), len(scales or SCALES[:1])))
     for (view, s, own), numbers in _grouped((h.view, h.n_rows, () if scales else (h.scale,)) for h in hypotheses):

@@ -387,10 +387,6 @@ class _Recombination:
 def _lone_contacts(explanation: Explanation, believed: _Recombination) -> list[Stretch]:
     """Stretches beside those explained in which rows hold firmly, in one recording each: they are named, so that they
     can be recorded again, and not learnt.
-
-    Args:
-        explanation: What several recordings show.
-        believed: The test of a hypothesis against chance, by a single stretch.
     """
     if np.all(explanation.states > 0):
         return []

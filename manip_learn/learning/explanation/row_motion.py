@@ -73,10 +73,7 @@ class RowMotion:
     ) -> RowMotion:
         """The motion of trajectories with velocities.
 
-        Args:
-            features: Phi.
-            trajectories: With velocities.
-            noise: `velocity_noise` of each trajectory, where it is known already.
+        `noise` is the `velocity_noise` of each trajectory, where it is known already.
 
         Raises:
             RecordingError: A trajectory lacks velocities.
@@ -97,12 +94,16 @@ class RowMotion:
         regular = gram + 1e-9 * np.trace(gram, axis1=1, axis2=2)[:, None, None] * np.eye(len(W))
         used = np.einsum("npv,npv->nv", Phi, np.linalg.solve(regular, Phi))
         rank = int(np.median(np.linalg.matrix_rank(gram[:: max(1, n // 50)], RANK, hermitian=True)))
-        lengths = [len(t) for t in trajectories]
+        lengths, weights = [len(t) for t in trajectories], []
+        for t in trajectories:
+            steps = np.minimum(np.diff(t.time), LONGEST_STEP_SECONDS) if len(t) > 1 else np.array([0.01])
+            halves = 0.5 * (np.append(steps, steps[-1]) + np.insert(steps, 0, steps[0]))
+            weights.append(halves[: len(t)])
         first = np.concatenate([[0], np.cumsum(lengths)]).astype(np.int64)
         each = [velocity_noise(t) for t in trajectories] if noise is None else noise
         return RowMotion(
             np.concatenate([t.time for t in trajectories]),
-            np.concatenate([_weights(t.time) for t in trajectories]),
+            np.concatenate(weights),
             np.repeat(np.arange(len(trajectories)), lengths),
             first,
             rates,
@@ -179,21 +180,12 @@ def broken_energy(motion: RowMotion, rows: Float[np.ndarray, "h s r"]) -> Float[
 def joints_at_once(u: Float[np.ndarray, "n nv"], noise: float) -> float:
     """How many joints move at the same time, (sum u^2)^2 / sum u^4 of a typical sample that moves: 1 for one alone.
 
-    Args:
-        u: Velocities.
-        noise: Variance of the noise of each of them.
+    `noise` is the variance of the noise of each velocity.
     """
     squares = u[np.sum(u**2, axis=1) > OVER_NOISE**2 * noise * u.shape[1]] ** 2
     if not len(squares):
         return 0.0
     return float(np.median(np.sum(squares, axis=1) ** 2 / np.sum(squares**2, axis=1)))
-
-
-def _weights(time: Float[np.ndarray, " T"]) -> Float[np.ndarray, " T"]:
-    if len(time) < 2:
-        return np.full(len(time), 0.01)
-    steps = np.minimum(np.diff(time), LONGEST_STEP_SECONDS)
-    return 0.5 * (np.append(steps, steps[-1]) + np.insert(steps, 0, steps[0]))
 
 
 def velocity_noise(trajectory: Trajectory) -> float:
@@ -247,10 +239,7 @@ def views_of(
 ) -> list[View]:
     """The recordings in each feature map.
 
-    Args:
-        feature_maps: The candidates for Phi.
-        trajectories: With velocities.
-        scan_only: Whether the samples on which hypotheses are scored are all that is wanted.
+    `scan_only`: the samples on which hypotheses are scored are all that is wanted.
 
     Raises:
         RecordingError: A trajectory lacks velocities.

@@ -17,7 +17,7 @@ from manip_learn.errors import NotIdentifiableError
 from manip_learn.learning.explanation.evidence import stretches_of, ways_to_choose
 from manip_learn.learning.explanation.explain import Hypothesis, explain
 from manip_learn.learning.explanation.row_motion import View, kinds_tried, views_of
-from manip_learn.learning.mechanisms.place_fit import STATED_SHARE_OF_PLACES, PlaceFit, fit_place
+from manip_learn.learning.mechanisms.place_fit import PlaceFit, fit_place
 from manip_learn.learning.mechanisms.quantities import QUANTITIES, Place, TipPaths, angles_about, thinned, turn_about
 from manip_learn.learning.recombination import BELIEVED_STRENGTH, recombination_test
 from manip_learn.learning.samples import BEYOND_CHANCE, STANDARD_ERRORS
@@ -292,22 +292,10 @@ def _with_shared(fit: PlaceFit) -> PlaceFit:
 
 
 def _described(fit: PlaceFit, rng: np.random.Generator) -> Mechanism:
-    """The mechanism of a fit, with the uncertainty of each parameter: what its error stays below in 68 % of cases."""
-    numbers, radius = fit.errors(rng)
-    axis, point, pitch = (
-        float(np.quantile(np.linalg.norm(numbers[:, part], axis=1), STATED_SHARE_OF_PLACES))
-        for part in (slice(0, 3), slice(3, 6), slice(6, 7))
-    )
-    kind, place, known = fit.kind, fit.place.as_told(), set(fit.kind.unknowns)
-    uncertainty: dict[str, float] = {}
+    """The mechanism of a fit, with the uncertainty of each parameter."""
+    kind, place, known, uncertainty = fit.kind, fit.place.as_told(), set(fit.kind.unknowns), fit.errors(rng)
     if "axis" in known:
-        uncertainty["axis"] = float(np.degrees(axis))
-    if known & {"point", "point-across"}:
-        uncertainty["point"] = point
-    if radius is not None:
-        uncertainty["radius"] = radius
-    if "pitch" in known:
-        uncertainty["pitch"] = pitch
+        uncertainty["axis"] = float(np.degrees(uncertainty["axis"]))
     return Mechanism(
         kind.type,
         place.axis if "axis" in known else None,

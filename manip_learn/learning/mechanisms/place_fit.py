@@ -235,14 +235,30 @@ class PlaceFit:
     @cached_property
     def noise(self) -> tuple[Float[np.ndarray, "w w"], float, float]:
         """C, its degrees of freedom, and by how much neighbours that are alike make a variance larger."""
-        G, correlation = self.influence, _correlation(self)
+        correlation: list[float] = []  # of neighbours, up to the first that chance explains
+        for k in range(1, LONGEST + 1):
+            pairs = [(self.residuals[p][k:], self.residuals[p][:-k]) for p in self.clusters]
+            n = sum(len(a) for a, _ in pairs)
+            if n < 2 * k or self.cost <= 0.0:
+                break
+            share = sum(float(np.sum(a * b)) for a, b in pairs) / n * len(self.residuals) / self.cost
+            if share < STANDARD_ERRORS / np.sqrt(n):
+                break
+            correlation.append(share)
+        G = self.influence
         total = np.tensordot(G, G, axes=([0, 1], [0, 1]))
         for k, share in enumerate(correlation, start=1):
             for part in (p for p in self.clusters if p.stop - p.start > k):
                 products = share * np.tensordot(G[part][:-k], G[part][k:], axes=([0, 1], [0, 1]))
                 total += products + products.T
         C = self.variance * total
-        factor, freedom = scatter_of_clusters(self, C[: self.m, : self.m])
+        # the variance of the place by the scatter over clusters over what is expected, and its degrees of freedom
+        n, factor, freedom = len(self.clusters), 1.0, np.inf
+        if self.m * (n - 1.0) > 0.0:
+            moves = influences(*self.scores)[:, : self.m] * np.sqrt((n - 1.0) / n)
+            ratio = float(np.trace(scaled_inverse(C[: self.m, : self.m]) @ moves.T @ moves)) / self.m
+            seen = ratio / (1.0 + SCATTER_ERRORS * np.sqrt(2.0 / (self.m * (n - 1.0))))
+            factor, freedom = (seen, self.m * (n - 1.0)) if seen > 1.0 else (1.0, np.inf)
         return factor * C, freedom, 1.0 + 2.0 * sum(correlation)
 
     def _without_offsets(self) -> tuple[PlaceFit, JointOffsets]:
@@ -271,9 +287,9 @@ class PlaceFit:
             return abs(self.place.pitch), float(np.sqrt(variances[self.m - 1]))
         return None if self.radius is None else (self.radius.value, float(np.sqrt(variances[-1])))
 
-    def errors(self, rng: np.random.Generator) -> tuple[Float[np.ndarray, "k 7"], float | None]:
-        """Draws of the error of axis, point and pitch, by the noise and by the joints' offsets; and what the error of
-        the radius, if there is one, stays below in 68 % of cases [m].
+    def errors(self, rng: np.random.Generator) -> dict[str, float]:
+        """What the error of each parameter stays below in 68 % of cases, by noise and by the joints' offsets: of the
+        axis [rad], the point [m], the radius [m] and the pitch [m/rad], where they are fitted.
         """
         alone, offsets = self._without_offsets()
         covariance, freedom, alike = alone.noise
@@ -282,12 +298,20 @@ class PlaceFit:
         if np.isfinite(freedom):
             drawn /= np.sqrt(rng.chisquare(freedom, DRAWS) / freedom)[:, None]
         drawn += dataclasses.replace(offsets, variance=alike * offsets.variance).errors(DRAWS, rng)
-        numbers = drawn[:, : self.m] @ tangents(self.kind, self.place).T
-        if self.radius is None:
-            return numbers, None
-        # where each trajectory has its own radius, what they differ by belongs to its error
-        own = float(np.quantile(np.abs(drawn[:, -1]), STATED_SHARE_OF_PLACES))
-        return numbers, float(np.hypot(own, self.radius.spread))
+        numbers, known = drawn[:, : self.m] @ tangents(self.kind, self.place).T, set(self.kind.unknowns)
+        columns = {"axis": numbers[:, :3]} if "axis" in known else {}
+        if known & {"point", "point-across"}:
+            columns["point"] = numbers[:, 3:6]
+        if self.radius is not None:
+            columns["radius"] = drawn[:, -1:]
+        if "pitch" in known:
+            columns["pitch"] = numbers[:, 6:]
+        lengths = {name: np.linalg.norm(error, axis=1) for name, error in columns.items()}
+        stated = {name: float(np.quantile(length, STATED_SHARE_OF_PLACES)) for name, length in lengths.items()}
+        if self.radius is not None:
+            # where each trajectory has its own radius, what they differ by belongs to its error
+            stated["radius"] = float(np.hypot(stated["radius"], self.radius.spread))
+        return stated
 
 
 @final
@@ -363,33 +387,6 @@ def _without_constants(
     sums = (np.add.reduceat(own.transpose(0, 2, 1) @ one, paths.starts, axis=0) for one in (own, columns))
     best = np.linalg.solve(*sums)
     return columns - own @ np.repeat(best, paths.counts, axis=0), best
-
-
-def _correlation(here: PlaceFit) -> list[float]:
-    """rho_1, rho_2, ... up to the first that chance explains."""
-    shares: list[float] = []
-    for k in range(1, LONGEST + 1):
-        pairs = [(here.residuals[p][k:], here.residuals[p][:-k]) for p in here.clusters]
-        n = sum(len(a) for a, _ in pairs)
-        if n < 2 * k or here.cost <= 0.0:
-            break
-        share = sum(float(np.sum(a * b)) for a, b in pairs) / n * len(here.residuals) / here.cost
-        if share < STANDARD_ERRORS / np.sqrt(n):
-            break
-        shares.append(share)
-    return shares
-
-
-def scatter_of_clusters(here: PlaceFit, C: Float[np.ndarray, "m m"]) -> tuple[float, float]:
-    """Variance of the place by the scatter over clusters over what is expected, and its degrees of freedom."""
-    n = len(here.clusters)
-    freedom = here.m * (n - 1.0)
-    if freedom <= 0.0:
-        return 1.0, np.inf
-    moves = influences(*here.scores)[:, : here.m] * np.sqrt((n - 1.0) / n)
-    ratio = float(np.trace(scaled_inverse(C) @ moves.T @ moves)) / here.m
-    factor = ratio / (1.0 + SCATTER_ERRORS * np.sqrt(2.0 / freedom))
-    return (factor, freedom) if factor > 1.0 else (1.0, np.inf)
 
 
 def scaled_inverse(H: Float[np.ndarray, "w w"]) -> Float[np.ndarray, "w w"]:
