@@ -27,11 +27,7 @@ class Audited:
 
 
 def audit(options: AuditOptions, progress: Progress | None = None) -> Audited:
-    """Measure and rank the episodes in some recordings; write them as CSV if a file is named.
-
-    Raises:
-        ManipLearnError: Anything that is wrong with the robot, the constraint file, the recordings or the output.
-    """
+    """Measure and rank the episodes in some recordings; write them as CSV if a file is named."""
     robot = robot_of_constraint(options.robot, options.constraint, options.loading)
     constraint = Constraint.load(options.constraint, robot)
     source = RecordingSource(options.recordings, robot, **options.reading.keywords())

@@ -84,11 +84,7 @@ class GroupedCommand(TyperCommand):
                     formatter.write_dl(records)
 
     def invoke(self, ctx: Any) -> object:
-        """Run the command.
-
-        Raises:
-            OutputError: The folder of a file to write is not there, or the file is one of the inputs.
-        """
+        """Run the command."""
         given = {p.name: (p.opts[0], ctx.params.get(p.name)) for p in self.params}
         written = [(flag, Path(path)) for name, (flag, path) in given.items() if name in WRITTEN and path]
         for _, path in written:

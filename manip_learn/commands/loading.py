@@ -19,12 +19,7 @@ from manip_learn.robot import Robot
 
 @contextmanager
 def cluster_client(dask: str | None) -> Iterator[Any]:
-    """A client of the scheduler at an address, or of a cluster on this machine (`local`); None without one.
-
-    Raises:
-        ManipLearnError: Nobody answers at the address.
-        MissingExtraError: dask is not installed.
-    """
+    """A client of the scheduler at an address, or of a cluster on this machine (`local`); None without one."""
     if dask is None:
         yield None
         return
@@ -38,10 +33,6 @@ def load_for_files(name: str, files: Sequence[str], loading: RobotOptions) -> Ro
     """The robot with the joints locked that were locked when the files were made, where they say so.
 
     Rollouts and exported recordings do.
-
-    Raises:
-        RecordingError: A file of another robot, or other joints or objects than it says; or a damaged one.
-        ManipLearnError: Anything that is wrong with the robot.
     """
     header, file = _first_header(files)
     if header is None:

@@ -96,11 +96,7 @@ class RobotOptions:
         locked: Sequence[str] | Mapping[str, float | None] | None = None,
         objects: Sequence[str] | None = None,
     ) -> Robot:
-        """The robot, with other joints locked or other objects if they are named.
-
-        Raises:
-            ManipLearnError: Any of the errors of `load_robot`.
-        """
+        """The robot, with other joints locked or other objects if they are named."""
         from manip_learn.robot import load_robot
 
         return load_robot(
@@ -142,11 +138,7 @@ class ReadingOptions:
         self.keywords()
 
     def keywords(self) -> dict[str, Any]:
-        """Keywords of `load_demonstrations`; what was not given is left out.
-
-        Raises:
-            ManipLearnError: A renaming that is not FILE_NAME=ROBOT_NAME.
-        """
+        """Keywords of `load_demonstrations`; what was not given is left out."""
         pairs = [pair("--rename", "NAME_IN_FILE=NAME_IN_ROBOT", text, unnamed=True) for text in self.rename or ()]
         own = {"ignore_column": "ignore_columns", "topic": "topics"}  # what the flags are called there
         given = {own.get(name, name): value for name, value in vars(self).items()} | {

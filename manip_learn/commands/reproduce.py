@@ -26,11 +26,7 @@ class Reproduction:
 
 
 def reproduce(options: ReproduceOptions, progress: Progress | None = None) -> Reproduction:
-    """Run one experiment, or all.
-
-    Raises:
-        ManipLearnError: An unknown experiment, trials out of range, or an output folder that cannot be used.
-    """
+    """Run one experiment, or all."""
     pages: dict[str, str] = {}
     numbers = run_experiments(
         options.experiment,

@@ -94,9 +94,6 @@ def inspect(options: InspectOptions, progress: Progress | None = None) -> Iterat
     Yields:
         What is known at once, and that with the independent check of forward kinematics: the library that checks it
         takes longer to load than the robot.
-
-    Raises:
-        ManipLearnError: The robot cannot be loaded.
     """
     robot = options.loading.load(options.robot)
     summary = summarise(robot)

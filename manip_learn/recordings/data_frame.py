@@ -97,9 +97,6 @@ def frames_as_files(given: Any) -> Iterator[Any]:
 
     Args:
         given: A data frame, several of them, or paths.
-
-    Raises:
-        RecordingError: A frame without columns or rows.
     """
     frames = data_frames_in(given)
     if not frames:

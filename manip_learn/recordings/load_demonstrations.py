@@ -111,11 +111,7 @@ def load_demonstrations(paths: Paths | Tables, robot: Robot, **options: Unpack[R
 def open_recordings(
     paths: Paths, robot: Robot, options: ReadOptions
 ) -> tuple[list[RecordingFile], ReadRequest, list[str]]:
-    """Files to read, how they are read, and what was noticed.
-
-    Raises:
-        RecordingError: An option or a path that is wrong, or episodes that do not exist.
-    """
+    """Files to read, how they are read, and what was noticed."""
     request = _request(robot, options)
     files, said = recording_files(paths)
     files, request, note = select_episodes(files, request)

@@ -158,11 +158,7 @@ class CheckedSource(TrajectorySource):
         return self._given.n_parts if isinstance(self._given, TrajectorySource) else 1
 
     def part(self, index: int, notes: list[str] | None = None) -> Iterator[Trajectory]:
-        """The trajectories of a part, with the joints of the features.
-
-        Raises:
-            RecordingError: A motion that cannot be used.
-        """
+        """The trajectories of a part, with the joints of the features."""
         said: list[str] = [] if notes is None else notes
         source = self._given
         entries = source.part(index, said) if isinstance(source, TrajectorySource) else source
@@ -251,11 +247,7 @@ def _trajectories_of(entry: Any, number: int, robot: Robot | None, notes: list[s
 
 
 def _with_joints(trajectory: Trajectory, robot: Robot | None, nv: int) -> Trajectory:
-    """The trajectory with its columns named, if they were not.
-
-    Raises:
-        RecordingError: It has the joints of another robot, or in another order.
-    """
+    """The trajectory with its columns named, if they were not."""
     if not trajectory.joint_names:
         names = tuple(f"q{i}" for i in range(nv)) if robot is None else tuple(robot.joint_names)
         return trajectory.with_joint_names(names)

@@ -78,11 +78,7 @@ def derive_velocities(
 def derive_together(
     trajectories: Sequence[Trajectory], robot: Robot, method: VelocityMethod = "auto"
 ) -> list[Trajectory]:
-    """`derive_velocities` of each; those recorded at the same times share the work.
-
-    Raises:
-        RecordingError: Too few samples.
-    """
+    """`derive_velocities` of each; those recorded at the same times share the work."""
     is_plain = all(b.kind not in ("floating", "planar", "other") for b in robot.blocks)  # no body floats or glides
     alike: dict[bytes, list[int]] = {}
     for i, t in enumerate(trajectories):

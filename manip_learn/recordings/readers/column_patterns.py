@@ -77,9 +77,6 @@ def by_patterns(
         names: Of the columns.
         moving: Joints of the robot in its order, which an index counts.
         still: Joints that do not move, which may be recorded too.
-
-    Raises:
-        PatternError: One of them names no column, or numbers that are not those of the joints.
     """
     parts = [_columns(p, names, moving, still) for p in patterns]
     if len(parts) == 1 and JOINT in patterns[0]:

@@ -41,11 +41,7 @@ SHOWN = 6  # names in a sentence
 
 
 def read(path: Path, request: ReadRequest) -> Iterator[Recording]:
-    """The one recording of a text table.
-
-    Raises:
-        RecordingError: Names file, line and column, the value seen and the value expected.
-    """
+    """The one recording of a text table."""
     dialect = sniff_dialect(path, request.joint_names)
     if dialect.named_by_caller:
         request.uses.use("joint_names")
@@ -198,11 +194,7 @@ class Columns:
 
 
 def columns_of(path: Path, dialect: CsvDialect, request: ReadRequest) -> Columns:
-    """The columns of a table.
-
-    Raises:
-        RecordingError: No stamps, columns without a name or with the same one, or a choice that the caller must make.
-    """
+    """The columns of a table."""
     check_columns(path, "its header", len(dialect.columns))
     names: list[str | None] = []
     for raw in dialect.columns:

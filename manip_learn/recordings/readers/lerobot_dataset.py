@@ -232,11 +232,7 @@ def episode_number(file: Path) -> int | None:
 
 
 def episode_numbers(path: Path) -> tuple[int, ...]:
-    """Numbers of all episodes of a data set, or of a single file of one, rising.
-
-    Raises:
-        RecordingError: No data set, or damaged.
-    """
+    """Numbers of all episodes of a data set, or of a single file of one, rising."""
     numbers: set[int] = set()
     for file in open_dataset(path).files:
         number = episode_number(file)
@@ -253,11 +249,7 @@ def episode_numbers(path: Path) -> tuple[int, ...]:
 
 
 def separate_files(path: Path) -> list[list[Path]]:
-    """Files of a data set of version 3 in runs that share no episode: each run can be read without the others.
-
-    Raises:
-        RecordingError: No data set, or damaged.
-    """
+    """Files of a data set of version 3 in runs that share no episode: each run can be read without the others."""
     runs: list[list[Path]] = []
     before, found, dataset = None, 0, open_dataset(path)
     for file in dataset.files:

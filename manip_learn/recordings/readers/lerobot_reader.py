@@ -41,11 +41,7 @@ Episode = tuple[int, dict[str, np.ndarray]]
 
 
 def read(path: Path, request: ReadRequest) -> Iterator[Recording]:
-    """One recording per episode; one episode in memory at a time.
-
-    Raises:
-        RecordingError: Units or names not known, damaged, values missing.
-    """
+    """One recording per episode; one episode in memory at a time."""
     dataset = open_dataset(path)
     is_ours = (path / DATASET_HEADER).is_file()
     if is_ours:  # in radians; its robot has been checked

@@ -22,11 +22,7 @@ NUMBERS = ("time", "q", "u", "effort")
 
 
 def read(path: Path, request: ReadRequest) -> Iterator[Recording]:
-    """The one recording of an archive.
-
-    Raises:
-        RecordingError: Objects (pickles), arrays that do not fit together, a bomb, a missing array, no joint names.
-    """
+    """The one recording of an archive."""
     numbers = [n for n in NUMBERS if not request.ignores(n)]
     texts = [] if request.ignores("joint_names") else ["joint_names"]
     stored, ignored = stored_arrays(path, numbers, texts, request.renamed)

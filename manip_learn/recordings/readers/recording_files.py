@@ -30,11 +30,7 @@ class FileFormat:
     module: str
 
     def reader(self) -> Read:
-        """The function that reads it.
-
-        Raises:
-            MissingExtraError: The library that this format needs is not installed.
-        """
+        """The function that reads it."""
         return importlib.import_module(self.module).read
 
 

@@ -28,11 +28,7 @@ EFFORTS = ("robot0_joint_effort", "robot0_joint_torque", "robot0_joint_torques")
 
 
 def read(path: Path, request: ReadRequest) -> Iterator[Recording]:
-    """One recording per demonstration; one in memory at a time.
-
-    Raises:
-        RecordingError: Another kind of HDF5, links, no joint names, no rate, damaged.
-    """
+    """One recording per demonstration; one in memory at a time."""
     try:
         with h5py.File(path, "r") as file:
             data = _member(path, file, "data", h5py.Group)

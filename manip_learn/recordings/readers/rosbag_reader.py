@@ -24,12 +24,7 @@ SET_BACK = 1_000_000_000  # [ns] a clock that goes back this far was reset
 
 
 def read(path: Path, request: ReadRequest) -> Iterator[Recording]:
-    """The one recording of a bag; time counts from the first sample.
-
-    Raises:
-        RecordingError: Damaged, encrypted, not indexed or a bomb; no joint states, topics that contradict each other,
-            joints that no topic has.
-    """
+    """The one recording of a bag; time counts from the first sample."""
     with open_bag(path) as bag:
         streams, notes = _streams(bag, _topics(bag, request))
     streams = [replace(s, names=tuple(map(request.renamed, s.names))) for s in streams]
@@ -104,11 +99,7 @@ class JointStates:
 
 
 def _streams(bag: BagFile, topics: tuple[str, ...]) -> tuple[list[JointStates], list[str]]:
-    """All streams of some topics, and what was left out.
-
-    Raises:
-        RecordingError: The joints named in a topic change all the time, or messages are lost.
-    """
+    """All streams of some topics, and what was left out."""
     # header stamps, recorder's stamps, positions, velocities and efforts, as they grow
     joints: dict[tuple[str, tuple[str, ...]], tuple[array, ...]] = {}
     without_positions: Counter[str] = Counter()
@@ -151,9 +142,6 @@ def topics_of_joints(streams: list[JointStates], joints: tuple[str, ...]) -> tup
     """Joint -> the topic to read it from, and notes. Joints that no topic has are left out.
 
     One topic that has all joints is preferred; of several, `/joint_states`.
-
-    Raises:
-        RecordingError: Several topics have the same joint and none is `/joint_states`.
     """
     carried: dict[str, set[str]] = {}
     for stream in streams:

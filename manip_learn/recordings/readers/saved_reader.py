@@ -77,11 +77,7 @@ def read_saved(path: Path) -> SavedMotion:
 
 
 def read(path: Path, request: ReadRequest) -> Iterator[Recording]:
-    """The one recording of a file.
-
-    Raises:
-        RecordingError: Made with another robot or other locked joints, or damaged.
-    """
+    """The one recording of a file."""
     header = file_header(path)
     notes = () if header is None else check_robot(path, header, request.robot)
     motion = read_saved(path)

@@ -81,11 +81,7 @@ def time_in_seconds(recording: Recording, request: ReadRequest) -> Float[np.ndar
 
 
 def check_motion(motion: Motion) -> list[str]:
-    """Notes on a motion.
-
-    Raises:
-        RecordingError: What would spoil what is learnt: two publishers, units, order, limits, jumps.
-    """
+    """Notes on a motion."""
     _refuse_two_publishers(motion)
     _refuse_slow_time(motion)
     return [*_check_velocities(motion), *_check_limits(motion)]

@@ -31,11 +31,7 @@ NO_MEASUREMENT = 1e50  # finite, but its square would overflow
 
 
 def validate(recording: Recording, request: ReadRequest) -> Demonstrations:
-    """Trajectories of one recording, in the robot's joints and in SI units; the notes report what was noticed or done.
-
-    Raises:
-        RecordingError: A fault that would spoil what is learnt; says where and what to do.
-    """
+    """Trajectories of a recording, in the robot's joints and in SI units; notes report what was noticed or done."""
     recording = match_joints(recording, request)
     q, u = recording.positions, recording.velocities
     robot, notes = request.robot, list(recording.notes)

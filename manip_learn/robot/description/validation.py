@@ -162,11 +162,7 @@ def validate_urdf(content: bytes, path: Path, locked: Collection[str] = ()) -> V
 def validate_parts(
     name: str, links: tuple[UrdfLink, ...], joints: tuple[UrdfJoint, ...], locked: Collection[str], log: Diagnostics
 ) -> ValidatedRobot:
-    """Check links and joints, from whatever format, against each other.
-
-    Raises:
-        RobotError: They form no tree, follow each other in a loop, or have limits that cannot be intended.
-    """
+    """Check links and joints, from whatever format, against each other."""
     urdf = UrdfFile(name, links, joints, root_of_tree(links, joints, log))
     mimics = resolve_mimics(joints, frozenset(locked), log)
     still = {*locked, *mimics.resting, *(m.joint for m in mimics.followers if m.leader in locked)}

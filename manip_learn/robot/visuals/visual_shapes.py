@@ -89,11 +89,7 @@ class VisualElement:
 
 
 def visual_elements(content: bytes, path: Path, tag: Tag = "visual") -> list[VisualElement]:
-    """All visuals of a validated URDF, or all its collision shapes, which have the same form.
-
-    Raises:
-        RobotError: The text is not XML.
-    """
+    """All visuals of a validated URDF, or all its collision shapes, which have the same form."""
     root = parse_xml(content, path)
     colours = {m.attributes.get("name", ""): c for m in root.all("material") if (c := _colour(m)) is not None}
     found: list[VisualElement] = []
