@@ -49,6 +49,16 @@ def test_a_skill_has_its_steps_in_order(tmp_path: Path):
     assert [step.kind for step in alone.steps] == ["reach", "way"]
 
 
+def test_a_wipe_that_begins_straight_is_no_drawer():
+    """A table and then a lid: two constraints in this order, and the wipe begins where the hand was put down."""
+    robot, tip, demos, things, _ = recordings(("table", "lid"), "panda", 61000)
+    skill = ml.ConstraintLearner(ml.FrameJacobian(robot, tip, "xyz")).fit(demos).skill_
+    ways = [step for step in skill.steps if step.kind == "way"]
+    assert [way.constraint.mechanism.type for way in ways] == ["plane", "hinge"] and len(skill.constraints) == 2
+    for way, thing in zip(ways, things, strict=True):
+        assert way.shown.hold is not None and np.linalg.norm(way.shown.hold - thing.hold) < 2e-3
+
+
 def test_both_tasks_are_done_in_order():
     """Each hold is where the thing was taken hold of, each way as far as was shown; the controller does the same."""
     robot, tip, learner, things, ways, _ = two_tasks()

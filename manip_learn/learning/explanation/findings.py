@@ -6,6 +6,7 @@ Those are recordings that drift along rows that the others hold still, and those
 from __future__ import annotations
 
 import dataclasses
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import combinations, pairwise
@@ -13,7 +14,7 @@ from statistics import NormalDist
 from typing import final
 
 import numpy as np
-from jaxtyping import Bool, Float
+from jaxtyping import Bool, Float, Int
 
 from manip_learn.constraint.features.feature_map import FeatureMap, sum_in_words
 from manip_learn.constraint.features.frame_jacobian import FrameJacobian
@@ -25,6 +26,7 @@ from manip_learn.learning.explanation.evidence import (
     Stretch,
     covered,
     pieces_of,
+    runs,
     sharpened,
     stretches_of,
     uncovered,
@@ -420,13 +422,34 @@ def _worth(alone: Explanation, stretch: Stretch) -> float:
     return dataclasses.replace(alone.hypotheses[k], gains=gains).worth(stretch.duration) - alone.switch
 
 
+def _without_passages(explanation: Explanation, states: Int[np.ndarray, " n"]) -> Int[np.ndarray, " n"]:
+    """States in which a short passage counts to the contact beside it that leaves free what the passage does.
+
+    A wipe that begins straight looks like a drawer for as long as that lasts; nobody has let go of anything there.
+    """
+    motion, out = explanation.views[0].motion, states.copy()
+    length = np.linalg.norm(motion.rates, axis=1) * motion.weight
+    spans = runs(states, motion.first)
+    for (k, a, b), (j, c, d) in [*pairwise(spans), *pairwise(spans[::-1])]:
+        beside = motion.trajectory[a] == motion.trajectory[c] and k > 0 and j > 0
+        if beside and np.sum(length[a:b]) < SHORT_STRETCH_RATIO * np.sum(length[c:d]):
+            one, other = explanation.hypotheses[k - 1], explanation.hypotheses[j - 1]
+            if one.view == other.view and len(one.rows) > len(other.rows):
+                rows = explanation.views[one.view].motion
+                more, fewer = rows.selection(one.rows), rows.selection(other.rows)
+                left = fewer - fewer @ more.T @ more
+                if np.linalg.norm(left, 2) < math.sin(math.radians(NEARLY_SAME_DEG)):
+                    out[a:b] = j
+    return out
+
+
 def _findings(
     demonstrations: Demonstrations,
     feature_maps: Sequence[FeatureMap],
     explanation: Explanation,
     contacts: Sequence[Stretch],
 ) -> Findings:
-    trajectories, states = demonstrations.trajectories, explanation.fine_states()
+    trajectories, states = demonstrations.trajectories, _without_passages(explanation, explanation.fine_states())
     tried = kinds_tried(explanation.views)
     order = np.argsort(-explanation.supports).tolist()
     parts, odd, apart = list[Part](), dict[int, str](), list[Stretch]()
