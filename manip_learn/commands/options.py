@@ -61,6 +61,9 @@ RobotName = Annotated[
 ]
 Recordings = Annotated[list[str], Argument(metavar="RECORDING...", help="Files, or a folder of them.")]
 ConstraintFile = Annotated[str, Argument(metavar="CONSTRAINT.JSON", help="Written by `learn --out`.")]
+Start = Annotated[
+    str | None, Option(help="Joint positions [rad], e.g. 0.1,-0.5,0; default: the first posture that was shown.")
+]
 Dask = Annotated[str | None, Option(help="Scheduler address, or local: work on a dask cluster.")]
 Explain = Annotated[bool, Option("--explain", help="Explain the terms under the tables at length.")]
 Json = Annotated[bool, Option("--json", help="Print one JSON document and nothing else.")]
@@ -257,9 +260,7 @@ class ControlOptions:
 
     robot: RobotName
     constraint: ConstraintFile
-    start: Annotated[
-        str | None, Option(help="Joint positions [rad], e.g. 0.1,-0.5,0; default: the first posture that was shown.")
-    ] = None
+    start: Start = None
     along: Annotated[
         float | None, Option(help="Way along a line or a plane [m], positive as it was shown; default: all as shown.")
     ] = None
@@ -298,9 +299,7 @@ class RepeatOptions:
 
     robot: RobotName
     task: Annotated[str, Argument(metavar="TASK", help="Written by `learn --out`.")]
-    start: Annotated[
-        str | None, Option(help="Joint positions [rad], e.g. 0.1,-0.5,0; default: the first posture that was shown.")
-    ] = None
+    start: Start = None
     moved: Annotated[
         str | None,
         Option(help="The fixtures stand elsewhere: x,y,z[,rx,ry,rz] (m, degrees about the base's axes)."),

@@ -64,14 +64,6 @@ class Demonstrations(Sequence[Trajectory]):
         """Names of the velocity columns."""
         return self.trajectories[0].joint_names
 
-    def with_joint_names(self, joint_names: tuple[str, ...]) -> Demonstrations:
-        """These trajectories with their columns named; see `Trajectory.joint_names`.
-
-        Raises:
-            RecordingError: Another number of columns.
-        """
-        return Demonstrations([t.with_joint_names(joint_names) for t in self.trajectories], self.notes)
-
     def to_frame(self) -> PandasFrame:
         """All samples in one table, which `load_demonstrations` reads again: one row per sample.
 

@@ -27,7 +27,7 @@ from manip_learn.recordings.load_demonstrations import (
 from manip_learn.recordings.readers.lerobot_dataset import episode_number, open_dataset, separate_files
 from manip_learn.recordings.readers.read_request import ReadRequest
 from manip_learn.recordings.readers.recording import Recording
-from manip_learn.recordings.readers.recording_files import LEROBOT, FileFormat, RecordingFile
+from manip_learn.recordings.readers.recording_files import LEROBOT, RecordingFile
 from manip_learn.recordings.trajectory import Trajectory
 from manip_learn.recordings.validation.validate import validate
 from manip_learn.robot.robot import Robot
@@ -99,28 +99,21 @@ def _pieces(file: RecordingFile, chosen: frozenset[int] | None) -> list[Recordin
 
     Version 2 has one file per episode; those that are not chosen are left out.
     """
-    if file.format is not LEROBOT or not file.path.is_dir():
-        return [_named_alike_everywhere(file.path, file.format)]
-    dataset = open_dataset(file.path)
-    numbers = [episode_number(path) for path in dataset.files]
-    if None not in numbers:
-        if chosen is None:
-            dataset.refuse_lost("episodes", len(numbers))
-        return [
-            _named_alike_everywhere(path, LEROBOT)
-            for path, number in zip(dataset.files, numbers, strict=True)
-            if chosen is None or number in chosen
-        ]
-    is_ours = (file.path / DATASET_HEADER).is_file()  # its header speaks for the folder, not for a file in it
-    runs = [] if chosen is not None or is_ours else separate_files(file.path)
-    if len(runs) > 1 and all(len(run) == 1 for run in runs):
-        return [_named_alike_everywhere(path, LEROBOT) for (path,) in runs]
-    return [_named_alike_everywhere(file.path, file.format)]  # an episode goes on in the next file
-
-
-def _named_alike_everywhere(path: Path, kind: FileFormat) -> RecordingFile:
-    """The file for workers too, whose working folder is another."""
-    return RecordingFile(Path(os.path.abspath(path)), kind)
+    paths = [file.path]  # where an episode goes on in the next file, the whole folder
+    if file.format is LEROBOT and file.path.is_dir():
+        dataset = open_dataset(file.path)
+        numbers = [episode_number(path) for path in dataset.files]
+        is_ours = (file.path / DATASET_HEADER).is_file()  # its header speaks for the folder, not for a file in it
+        if None not in numbers:
+            if chosen is None:
+                dataset.refuse_lost("episodes", len(numbers))
+            paths = [p for p, n in zip(dataset.files, numbers, strict=True) if chosen is None or n in chosen]
+        elif chosen is None and not is_ours:
+            runs = separate_files(file.path)
+            if len(runs) > 1 and all(len(run) == 1 for run in runs):
+                paths = [path for (path,) in runs]
+    # for workers too, whose working folder is another
+    return [RecordingFile(Path(os.path.abspath(path)), file.format) for path in paths]
 
 
 def _in_parts(files: list[RecordingFile]) -> list[list[RecordingFile]]:

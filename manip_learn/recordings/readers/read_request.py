@@ -67,10 +67,14 @@ class UnmatchedOption(str):
 
 @final
 class OptionUses:
-    """What was used of the options while recordings were read, and the names that were seen."""
+    """What was used of the options while recordings were read, and the names that were seen.
+
+    Attributes:
+        used: Option -> of those that list names, what was called so in the files.
+    """
 
     def __init__(self) -> None:
-        self._used: dict[str, set[str]] = {}
+        self.used: dict[str, set[str]] = {}
         self._seen: dict[str, None] = {}
 
     def see(self, *names: str) -> None:
@@ -80,15 +84,7 @@ class OptionUses:
 
     def use(self, option: str, *names: str) -> None:
         """An option was used; of options that list names, these."""
-        self._used.setdefault(option, set()).update(names)
-
-    def without_use(self, option: str, names: Iterable[str]) -> list[str]:
-        """Of the names that an option lists, those that nothing in the files was called."""
-        return [n for n in names if n not in self._used.get(option, ())]
-
-    def had(self, option: str) -> bool:
-        """True if the files had a use for an option."""
-        return option in self._used
+        self.used.setdefault(option, set()).update(names)
 
     def no(self, name: str) -> str:
         """The sentence that nothing is called so, with near matches."""
@@ -268,11 +264,13 @@ class ReadRequest:
         """A sentence for each option that the recordings read so far had no use for."""
         names = [
             (name, f"rename={{{name!r}: {self.rename[name]!r}}}", f"--rename {name}={self.rename[name]}")
-            for name in self.uses.without_use("rename", self.rename)
+            for name in self.rename
+            if name not in self.uses.used.get("rename", ())
         ]
         names += [
             (name, f"ignore_columns=[{name!r}]", f"--ignore-column {name}")
-            for name in self.uses.without_use("ignore_columns", self.ignore_columns)
+            for name in self.ignore_columns
+            if name not in self.uses.used.get("ignore_columns", ())
         ]
         said = [(python, flag, self.uses.no(name)) for name, python, flag in names]
         topics, patterns = self.topics or (), self.columns
@@ -283,7 +281,7 @@ class ReadRequest:
         }
         for option, why in WHY.items():
             value = getattr(self, option)
-            if value not in (None, ()) and not self.uses.had(option):
+            if value not in (None, ()) and option not in self.uses.used:
                 listed = list(value) if option in ("topics", "joint_names") else value
                 flag = flags.get(option, f"{flag_of(option)} {value}")
                 said.append((f"{option}={listed!r}", flag, f"{why}: leave it out"))

@@ -22,10 +22,7 @@ UNIT = 0.05  # by which the length of a recorded quaternion may differ from 1
 
 def object_coordinates(robot: Robot) -> Bool[np.ndarray, " nv"]:
     """True for the six coordinates of each object, False for those of the robot itself."""
-    out = np.zeros(robot.nv, dtype=bool)
-    for block in robot.blocks:
-        out[block.v] = block.name in robot.objects
-    return out
+    return np.array([block.name in robot.objects for block in robot.blocks for _ in block.units], dtype=bool)
 
 
 def with_rotation_vectors(recording: Recording, objects: Sequence[str], *, in_degrees: bool) -> Recording:
@@ -85,13 +82,7 @@ def _converted(recording: Recording, name: str, columns: list[str], in_degrees: 
 
 def angular_coordinates(robot: Robot) -> Bool[np.ndarray, " nv"]:
     """True where a tangent coordinate is an angle, False where it is a length."""
-    angular = np.ones(robot.nv, dtype=bool)
-    for block in robot.blocks:
-        if block.kind == "prismatic":
-            angular[block.v] = False
-        elif block.kind in ("planar", "floating"):
-            angular[block.v.start : block.v.start + (2 if block.kind == "planar" else 3)] = False
-    return angular
+    return np.array([unit == "rad" for unit in robot.joint_units], dtype=bool)
 
 
 def match_joints(recording: Recording, request: ReadRequest) -> Recording:

@@ -93,10 +93,7 @@ class BatchKinematics:
     ) -> tuple[Float[np.ndarray, "n p nv"], Float[np.ndarray, "n p nv nv"]]:
         """Frame Jacobians J and dJ/dq; entry [n, i, j, k] = d J_ij / d q_k along tangent coordinate k, exact.
 
-        Arguments as for `jacobian`.
-
-        Raises:
-            ConfigurationError: Wrong size or not finite; names the first bad row and joint.
+        Arguments and errors as for `jacobian`.
         """
         return self._tables(q, reference, rows, derivative=True)
 
@@ -116,9 +113,6 @@ class BatchKinematics:
             weigh: (J, which postures) -> weights, both (p, nv, n) with the postures last.
             reference: As in `jacobian`.
             rows: As in `jacobian`.
-
-        Raises:
-            ConfigurationError: Wrong size or not finite; names the first bad row and joint.
         """
         postures = checked_postures(self._robot, q)
         out = np.zeros((self._robot.nv, len(postures)))
@@ -137,11 +131,7 @@ class BatchKinematics:
         return out.T
 
     def pose(self, q: ArrayLike) -> Float[np.ndarray, "n 4 4"]:
-        """Homogeneous transforms from the frame to the robot's base [m].
-
-        Raises:
-            ConfigurationError: Wrong size or not finite; names the first bad row and joint.
-        """
+        """Homogeneous transforms from the frame to the robot's base [m]."""
         postures = checked_postures(self._robot, q)
         out = np.zeros((4, 4, len(postures)))
         out[3, 3] = 1.0

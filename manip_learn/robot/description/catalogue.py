@@ -15,19 +15,12 @@ SHIPPED = ("planar3", "sawyer")
 
 # Names that are not, or not only, the stem of a file.
 SHORT_NAMES = {
-    "alex": "alex_description/urdf/alex_nub_hands.urdf",
-    "alexander": "alexander_description/urdf/alexander_v1.lowerBodyOnly.urdf",
     "anymal": "anymal_b_simple_description/robots/anymal.urdf",
     "anymal_c": "anymal_c_simple_description/urdf/anymal.urdf",
     "anymal_kinova": "anymal_b_simple_description/robots/anymal-kinova.urdf",
-    "asr_twodof": "asr_twodof_description/urdf/TwoDofs.urdf",
     "b1_z1": "b1_description/urdf/b1-z1.urdf",
-    "borinot": "borinot_description/urdf/borinot_flying_arm_2.urdf",
     "g1": "g1_description/urdf/g1_29dof_rev_1_0.urdf",
     "hector": "hector_description/robots/quadrotor_base.urdf",
-    "hextilt": "hextilt_description/urdf/hextilt_flying_arm_5.urdf",
-    "hyq": "hyq_description/robots/hyq_no_sensors.urdf",
-    "solo8": "solo_description/robots/solo.urdf",
     "talos": "talos_data/robots/talos_reduced.urdf",
     "talos_arm": "talos_data/robots/talos_left_arm.urdf",
     "talos_full": "talos_data/robots/talos_full_v2.urdf",
