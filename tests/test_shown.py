@@ -116,6 +116,8 @@ def test_a_constraint_that_was_not_learnt_is_told_how_far():
     with pytest.raises(TargetError, match="does not know what was shown"):
         ml.motion(line)
     assert ml.motion(line, along=0.1).wanted == 0.1
+    with pytest.raises(TargetError, match="ways are in metres"):
+        ml.motion(line, along=150.0)
     with pytest.raises(ConstraintError, match="do not say which way"):
         ml.motion(line, along=0.1, direction="shown")
     damaged = ml.Constraint(line.selection, line.features, {"shown": {"unit": "m"}})

@@ -171,6 +171,21 @@ class Robot:
             return self.joint_names.index(name)
         raise UnknownNameError("joint", name, self.joint_names, f"robot {self.name!r}")
 
+    def reach(self, frame: FrameLike) -> float:
+        """A distance from the base that no place of a frame exceeds [m]: its links, laid end to end."""
+        known, model = self.frame(frame), self._model
+        chain = [j for j in model.supports[known.parent_joint] if j]
+        links = [model.jointPlacements[j].translation for j in chain] + [
+            model.frames[known.index].placement.translation
+        ]
+        ends = np.maximum(np.abs(self.position_lower), np.abs(self.position_upper))
+        slides = [
+            e
+            for e, u, n in zip(ends, self.joint_units, self.joint_names, strict=True)
+            if u == "m" and self.moves(n, known)
+        ]
+        return float(np.sum(np.linalg.norm(links, axis=1)) + sum(slides))
+
     def moves(self, joint: str, frame: FrameLike) -> bool:
         """Whether a joint, or one that mimics it, lies between the base and a frame.
 

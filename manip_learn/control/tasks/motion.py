@@ -468,6 +468,12 @@ def motion(
     )
     if not beyond_shown:
         check_shown(task)
+    robot, frame = constraint.robot, getattr(constraint.features, "frame", None)
+    if unit == "m" and robot is not None and frame is not None and abs(task.wanted) > 2.0 * robot.reach(frame):
+        raise TargetError(
+            f"the way of {way_in_words(task.wanted, unit)} is longer than the arm can go in any direction "
+            f"({2.0 * robot.reach(frame):.2g} m): ways are in metres"
+        )
     if direction is not None and word is None:
         return task
     return _as_shown(task, word, of_most=again)
