@@ -230,15 +230,9 @@ class Answer:
 
 
 def find_answers(findings: Findings, everything: Part, settings: LearnerSettings) -> tuple[list[Answer], Findings]:
-    """Learn a constraint from each part; or one from all recordings, if the demonstrator imposes it.
+    """Learn a constraint from each part; or one from everything as one part, if the demonstrator imposes it.
 
-    Args:
-        findings: What explains the recordings.
-        everything: All of them as one part.
-        settings: What the user asked for.
-
-    Returns:
-        The answers, best supported first, and the findings with a part for each of them.
+    The answers are returned best supported first, with the findings that have a part for each of them.
 
     Raises:
         NotIdentifiableError: No part determines a constraint; the reason for the first.
@@ -352,8 +346,10 @@ def _mechanism(part: Part, settings: LearnerSettings) -> MechanismFit | None:
     maps = [f for f in part.feature_maps if isinstance(f, FrameJacobian | PlaceRows)]
     if not settings.mechanism or not maps or settings.estimator not in ("auto", "null-space"):
         return None
-    chosen, recorded = evenly(len(part.demonstrations), MOST_PATHS).tolist(), part.recorded
-    before = None if recorded is None else [recorded[i] for i in chosen]
+    chosen, before = evenly(len(part.demonstrations), MOST_PATHS).tolist(), None
+    if part.source is not None:
+        recorded = part.source.of(part.stretches, part.demonstrations)
+        before = [recorded[i] for i in chosen]
     rng, motion = np.random.default_rng(settings.seed), [part.demonstrations[i] for i in chosen]
     try:
         held = None if part.found is None else (part.feature_maps[0], part.found)

@@ -175,13 +175,8 @@ def few_of(demonstrations: Demonstrations, most: int) -> tuple[Demonstrations, i
 def choose_from(
     source: TrajectorySource, empty: Choice, client: Any = None, progress: Progress | None = None
 ) -> Choice:
-    """The choice from a source, which is read once; the same for any number of workers.
-
-    Args:
-        source: The recordings.
-        empty: What each part begins with.
-        client: A dask client whose workers read; None for this process.
-        progress: Told how far it is.
+    """The choice from a source, which is read once, each part beginning with an empty one; the same for any number of
+    workers of a dask client, and for none.
 
     Raises:
         RecordingError: Recordings that cannot be used; or a setting that no part has a use for.

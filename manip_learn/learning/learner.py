@@ -127,10 +127,9 @@ class ConstraintLearner:
         self.velocities: VelocityMethod = velocities
         self.phases: Switch = phases
         self.mechanism: Switch = mechanism
-        if isinstance(strength, bool) or not isinstance(strength, int | float) or not 1.0 <= strength < math.inf:
-            raise FeatureError(f"strength must be a finite number of at least 1, got {strength!r}")
-        if isinstance(switch, bool) or not isinstance(switch, int | float) or not 0.0 <= switch < math.inf:
-            raise FeatureError(f"switch must be a finite number of nats of at least 0, got {switch!r}")
+        for name, number, what, least in (("strength", strength, "", 1), ("switch", switch, " of nats", 0)):
+            if isinstance(number, bool) or not isinstance(number, int | float) or not least <= number < math.inf:
+                raise FeatureError(f"{name} must be a finite number{what} of at least {least}, got {number!r}")
         if isinstance(most_samples, bool) or not isinstance(most_samples, int) or most_samples < 100:
             raise FeatureError(f"most_samples must be an integer of at least 100, got {most_samples!r}")
         self.strength, self.switch, self.most_samples = float(strength), float(switch), most_samples

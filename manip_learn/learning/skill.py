@@ -32,12 +32,7 @@ class _Contact(NamedTuple):
 
 
 def skill_of(constraints: Sequence[Constraint], answers: Sequence[Answer]) -> Skill:
-    """The constraints in the order in which most recordings show them, each with what was shown there.
-
-    Args:
-        constraints: Best supported first.
-        answers: What each was learnt from.
-    """
+    """The constraints in the order in which most recordings show them, each with what was shown there."""
     order = _contacts_in_order(answers)
     sequences = Counter(tuple(c.constraint for c in contacts) for contacts in order.values())
     if not sequences:
@@ -105,11 +100,15 @@ def _gripping(answers: Sequence[Answer], chosen: dict[int, list[_Contact]], plac
     names: list[str] = []
     for recording, contacts in chosen.items():
         piece, whole = contacts[place].piece, source.derived[recording]
-        robot, frame = _hand(answers[contacts[place].constraint])
+        features = answers[contacts[place].constraint].candidate.samples.features
+        robot: Robot | None = getattr(features, "robot", None)
+        frame = getattr(features, "frame", None)
         if robot is None or frame is None or robot.nq != robot.nv:
             return None
         ranges = robot.position_upper - robot.position_lower
-        fingers = [i for i, n in enumerate(robot.joint_names) if not robot.moves(n, frame) and np.isfinite(ranges[i])]
+        fingers = [
+            i for i, n in enumerate(robot.joint_names) if not robot.moves(n, frame.name) and np.isfinite(ranges[i])
+        ]
         names = [robot.joint_names[i] for i in fingers]
         since = contacts[place - 1].piece.time[-1] if place else -np.inf
         before = (since < whole.time) & (whole.time < piece.time[0])
@@ -129,12 +128,6 @@ def _gripping(answers: Sequence[Answer], chosen: dict[int, list[_Contact]], plac
         return None
     closed, opened = np.median(grips, axis=0)
     return _Grip(*(dict(zip(names, map(float, values), strict=True)) for values in (closed, opened)))
-
-
-def _hand(answer: Answer) -> tuple[Robot | None, str | None]:
-    features = answer.candidate.samples.features
-    frame = getattr(features, "frame", None)
-    return getattr(features, "robot", None), None if frame is None else frame.name
 
 
 def _end_of(

@@ -97,10 +97,6 @@ def total_deg(parts: Uncertainty) -> float | None:
 def check_uncertainty(estimate: Estimate, uncertainty_deg: float | None) -> None:
     """Refuse a joint estimate that says next to nothing; one of held rows has gap and recombination to stand on.
 
-    Args:
-        estimate: What was learnt.
-        uncertainty_deg: Of its row space [deg].
-
     Raises:
         NotIdentifiableError: It is known to more than `MOST_UNCERTAIN_DEG` only.
     """

@@ -246,10 +246,7 @@ def _offsets_if_clear(
 def estimate_with_offsets(samples: Samples, n_constraints: int | None, rng: np.random.Generator) -> Estimate:
     """Lambda where each demonstrator rests in a posture of their own: pi(q) = Theta^T (q, 1) + c_trajectory.
 
-    Args:
-        samples: What was recorded.
-        n_constraints: Number of rows; by leaving out samples (not trajectories: their constants would be unknown).
-        rng: For the starts.
+    The number of rows is found by leaving out samples, and not trajectories, whose constants would be unknown.
 
     Raises:
         NotIdentifiableError: Too few samples per trajectory.

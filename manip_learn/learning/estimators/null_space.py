@@ -65,10 +65,7 @@ def levels(
     A level is the root mean square of the motion's velocity along a direction, relative to a motion that is equally
     strong in all joints: about 1 along a free direction, about the noise along a constrained one. In whitened
     coordinates this is the generalised eigenproblem sum Phi w w^T Phi^T x = e sum Phi Phi^T x.
-
-    Args:
-        samples: What was recorded.
-        moments: Its `trajectory_moments`, where they are known.
+    The samples' `trajectory_moments` are taken from the caller where they are known.
     """
     moment = (trajectory_moments(samples) if moments is None else moments).sum(axis=0)
     eigenvalues, vectors = np.linalg.eigh(moment / len(samples))
@@ -91,11 +88,8 @@ def fit_null_space(
     """Gauss-Newton on the Grassmann manifold for equation (10), E = sum w^T A^+ A w, from a start.
 
     With dLambda = B Lambda_perp the gradient is 2 sum (A^{+T} w)(Lambda_perp Phi N w)^T; its steps: `descend`.
-
-    Args:
-        samples: What was recorded, w in place of u: the motion itself, or the null-space part that a separation found.
-        start: Lambda in whitened coordinates.
-        max_iterations: Largest number of steps; 0 judges the start as it is.
+    The samples hold w in place of u: the motion itself, or the null-space part that a separation found. The start is in
+    whitened coordinates; no iterations judge it as it is.
     """
     here = _fit_at(samples, orthonormal_rows(start))
     return descend_rows(here, lambda Lambda: _fit_at(samples, Lambda), max_iterations, SHORTEST, GAIN, rise=SAME_COST)
@@ -123,11 +117,8 @@ def _fit_at(samples: Samples, Lambda: np.ndarray) -> NullSpaceFit:
 
 
 def estimate_null_space(samples: Samples, n_constraints: int | None = None) -> Estimate:
-    """Closed-form start, number of rows from the gap of the levels, Gauss-Newton, leave-trajectories-out residual.
-
-    Args:
-        samples: What was recorded.
-        n_constraints: Number of rows; found from the data by default.
+    """Closed-form start, number of rows from the gap of the levels by default, Gauss-Newton, and the residual of
+    trajectories that are left out.
     """
     moments = trajectory_moments(samples)
     sizes, directions = levels(samples, moments)
@@ -147,13 +138,7 @@ def estimate_null_space(samples: Samples, n_constraints: int | None = None) -> E
 
 
 def held_out_share(samples: Samples, s: int, moments: Float[np.ndarray, "g r r"]) -> float:
-    """Share of the energy that breaks a constraint learnt, in closed form, from the other trajectories.
-
-    Args:
-        samples: What was recorded.
-        s: Number of rows.
-        moments: Its `trajectory_moments`.
-    """
+    """Share of the energy that breaks a constraint of s rows learnt, in closed form, from the other trajectories."""
     n_folds = min(MAX_FOLDS, samples.n_trajectories)
     if n_folds < 2:
         return float("nan")

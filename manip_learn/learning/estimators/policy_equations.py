@@ -265,12 +265,7 @@ def left_out(
 ) -> tuple[Float[np.ndarray, " n"], Float[np.ndarray, "c c"], float]:
     """|N (u - pi)|^2 of each sample, pi fitted to the other folds; the curvature of all folds; the least pivot.
 
-    Args:
-        beta: Orthonormal regressors.
-        projections: What Lambda leaves of the samples.
-        u: Velocities.
-        folds: Fold of each sample.
-        least_pivot: No fold is judged after one whose equations are worse conditioned, see `Solver.least_pivot`.
+    The regressors are orthonormal. No fold is judged after one whose `Solver.least_pivot` is less than this one.
     """
     entries, held_out = packed(projections.N), [folds == fold for fold in np.unique(folds)]
     parts = [packed_curvature(beta[held], entries[held]) for held in held_out]
@@ -288,13 +283,7 @@ def left_out(
 def whitening_factor(
     samples: Samples, whitened_selection: Float[np.ndarray, "s r"], y: Float[np.ndarray, "n nv"]
 ) -> Float[np.ndarray, "nv nv"] | None:
-    """L with L L^T the covariance of the noise over its mean variance; None where it is nearly isotropic.
-
-    Args:
-        samples: What was recorded.
-        whitened_selection: Lambda in whitened coordinates.
-        y: u - pi of each sample.
-    """
+    """L with L L^T the covariance of the noise over its mean variance, by y = u - pi; None if it is nearly isotropic."""
     N, nv = Projections.of(samples, whitened_selection).N, samples.nv
     z, entries = nv - len(whitened_selection), nv * (nv + 1) // 2
     e = np.einsum("nij,nj->ni", N, y, optimize=True)

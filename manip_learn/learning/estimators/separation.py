@@ -60,13 +60,7 @@ class Separation:
 
 
 def separate(x: Float[np.ndarray, "n m"], u: Float[np.ndarray, "n nv"], model: PolicyModel) -> Separation:
-    """Levenberg-Marquardt from the regression of u on the posture; random starts end in poor minima now and then.
-
-    Args:
-        x: Postures, shifted and scaled.
-        u: Actions.
-        model: beta(x).
-    """
+    """Levenberg-Marquardt from the regression of u on x; random starts end in poor minima now and then."""
     # orthonormal combinations of the regressors: the normal equations of wide radial functions are hopeless as they are
     basis, sigma, Vt = np.linalg.svd(model(x), full_matrices=False)
     weights, cost = np.zeros((0, u.shape[1])), np.inf
@@ -123,10 +117,7 @@ def residual_and_jacobian(
 def estimate_separate(samples: Samples, n_constraints: int | None, rng: np.random.Generator) -> Estimate:
     """Separate u into task and null-space part, then learn Lambda from A w~ = 0, equation (10) of the paper.
 
-    Args:
-        samples: What was recorded.
-        n_constraints: Number of rows; from the gap of the levels of w~ by default.
-        rng: For k-means.
+    The number of rows is from the gap of the levels of w~ by default.
 
     Raises:
         NotIdentifiableError: Too few samples, or no null-space motion to be found.
@@ -143,10 +134,6 @@ def estimate_separate(samples: Samples, n_constraints: int | None, rng: np.rando
 
 def separate_null_motion(samples: Samples, rng: np.random.Generator) -> tuple[Separation, Samples]:
     """The separation, and the samples with their null-space part w~ in place of u.
-
-    Args:
-        samples: What was recorded.
-        rng: For k-means.
 
     Raises:
         NotIdentifiableError: Too few samples for even the smallest model, or no null-space motion to be found.

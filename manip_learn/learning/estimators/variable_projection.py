@@ -88,15 +88,9 @@ def fit_joint(
     tolerance: float = 1e-13,
     gain: float = 1e-9,
 ) -> JointFit:
-    """Variable projection from one start.
+    """Variable projection from one start in whitened coordinates, at most so many Gauss-Newton steps.
 
-    Args:
-        samples: What was recorded.
-        start: Lambda in whitened coordinates.
-        model: beta(q).
-        max_iterations: Largest number of Gauss-Newton steps.
-        tolerance: Step length at which to stop.
-        gain: Relative decrease of the cost below which to stop.
+    It stops after a step of length `tolerance`, or one that lowers the cost by a share of less than `gain`.
     """
     many = model.n_terms * samples.nv > MANY_COLUMNS
     fast = fit_projected(samples, start, model, max_iterations, tolerance, gain, 0.0 if many else LEAST_PIVOT)
@@ -335,13 +329,7 @@ class GradedRegressors:
 
     @staticmethod
     def of(samples: Samples, model: PolicyModel, most_columns: int) -> GradedRegressors:
-        """Polynomials by degree, and those of a model that is none as one more grade.
-
-        Args:
-            samples: What was recorded.
-            model: The policy model that was selected.
-            most_columns: Number of parameters for which no higher degree is added.
-        """
+        """Polynomials by degree up to a number of parameters, and those of a model that is none as one more grade."""
         x, m = samples.x, samples.q.shape[1]
         own = np.zeros((len(x), 0)) if isinstance(model, PolynomialModel) else model(x, samples.trajectory)
         least = model.degree if isinstance(model, PolynomialModel) else 1
@@ -353,14 +341,10 @@ class GradedRegressors:
         ]
         largest = fitting[-1]
         degrees = np.array([0, *map(len, largest.terms)])
-        values = np.concatenate([largest(x) * _weights(largest, m), own], axis=1)
+        # factors of the monomials that make sum beta_i(x) beta_i(y) = sum over the degrees of (x . y / m)^degree
+        counts = [factorial(len(t)) / prod(factorial(t.count(i)) for i in set(t)) / m ** len(t) for t in largest.terms]
+        values = np.concatenate([largest(x) * np.sqrt(np.array([1.0, *counts])), own], axis=1)
         return GradedRegressors(values, np.append(degrees, np.full(own.shape[1], largest.degree + 1)))
-
-
-def _weights(model: PolynomialModel, m: int) -> Float[np.ndarray, " k"]:
-    """Factors of the monomials that make sum beta_i(x) beta_i(y) = sum over the degrees of (x . y / m)^degree."""
-    counts = [factorial(len(t)) / prod(factorial(t.count(i)) for i in set(t)) / m ** len(t) for t in model.terms]
-    return np.sqrt(np.array([1.0, *counts]))
 
 
 @final
@@ -382,13 +366,7 @@ class ScoredFit:
 
 
 def fit_marginal(samples: Samples, fit: JointFit, most_columns: int) -> ScoredFit:
-    """Gauss-Newton steps on the marginal likelihood from a fit.
-
-    Args:
-        samples: What was recorded.
-        fit: The start, with the selected policy model.
-        most_columns: See `GradedRegressors.of`.
-    """
+    """Gauss-Newton steps on the marginal likelihood from a fit with the selected policy model."""
     regressors = GradedRegressors.of(samples, fit.model, most_columns)
     here = _Posterior(samples, regressors, fit.whitened_selection)
     scale = float(np.mean(samples.u**2))
@@ -405,13 +383,7 @@ def fit_marginal(samples: Samples, fit: JointFit, most_columns: int) -> ScoredFi
 
 @final
 class _Posterior:
-    """Theta given Lambda and the variances; `settle` comes first.
-
-    Args:
-        samples: What was recorded.
-        regressors: beta.
-        Lambda: In whitened coordinates, shape (s, p').
-    """
+    """Theta given Lambda, in whitened coordinates, and the variances; `settle` comes first."""
 
     def __init__(self, samples: Samples, regressors: GradedRegressors, Lambda: Float[np.ndarray, "s r"]):
         self.samples, self.regressors, self.Lambda = samples, regressors, Lambda

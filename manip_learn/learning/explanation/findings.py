@@ -214,11 +214,6 @@ class Part:
     choices: float = 1.0
     source: BeforeSmoothing | None = None
 
-    @property
-    def recorded(self) -> list[Trajectory] | None:
-        """The demonstrations as they were recorded; None if they are."""
-        return None if self.source is None else self.source.of(self.stretches, self.demonstrations)
-
 
 @final
 @dataclass(frozen=True, eq=False)
@@ -344,12 +339,8 @@ def _moves(features: FeatureMap, trajectories: Sequence[Trajectory]) -> bool:
 @final
 @dataclass(frozen=True)
 class _Recombination:
-    """The test of a hypothesis: whether exchanging joints between its stretches breaks its rows.
-
-    Attributes:
-        trajectories: All recordings, with velocities.
-        tried: Kinds of hypotheses of which the one that gains most is tested.
-        seed: Of the exchanges.
+    """The test of a hypothesis, the best of so many tried: whether exchanging joints between its stretches breaks its
+    rows. The seed is that of the exchanges.
     """
 
     trajectories: Sequence[Trajectory]

@@ -208,9 +208,6 @@ def _straight_or_bent(read: PlaceFit) -> tuple[PlaceFit, str]:
 
     Velocities show neither the curvature of a short arc nor that a long one is none as well as positions do. The bent
     form is the answer if its radius or pitch is known to a fifth and the path leaves the straight form measurably.
-
-    Args:
-        read: The mechanism that the rows show, fitted.
     """
     straight_forms = {bent: straight for straight, bent in BENT_FORMS.items()}
     name = read.kind.name

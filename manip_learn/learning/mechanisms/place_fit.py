@@ -337,12 +337,8 @@ def fit_place(
 ) -> PlaceFit:
     """The mechanism at its most likely place: Levenberg-Marquardt, the point of an axis beside the hand.
 
-    Args:
-        paths: Of the hand.
-        kind: What is fitted.
-        start: Where it may be.
-        shared: Quantities that are the same for all trajectories.
-        weights: Those of a place near enough; by default they are found along with the place.
+    `shared` quantities are the same for all trajectories. The weights are those of a place near enough; by default they
+    are found along with the place.
     """
     middle, place = paths.p.mean(axis=0), start
     for _ in range(ROUNDS if weights is None else 1):
