@@ -86,13 +86,7 @@ def each_part(
 ) -> Iterator[Result]:
     """function(number of a part, source=source, **arguments) of each part, in their order.
 
-    Args:
-        function: Reads a part; a pure function, so that a lost worker's share is done again by another.
-        source: What is read.
-        client: Whose workers read; None for this process.
-        progress: Told how far it is.
-        title: What is being done.
-        **arguments: Of the function.
+    The function is pure, so that a lost worker's share is done again by another. Without a client this process reads.
 
     Raises:
         ManipLearnError: Workers die again and again.

@@ -257,8 +257,7 @@ def phase_paths(trajectories: Sequence[Trajectory]) -> list[PhasePath]:
     direction, and all of these along a common one. Otherwise joints of one that still goes out would be put together
     with joints of one that already comes back, a motion that no free arm makes either.
 
-    Args:
-        trajectories: With velocities; those of fewer than three samples or without motion are left out.
+    Trajectories of fewer than three samples or without motion are left out.
     """
     moving = [t for t in trajectories if len(t) > 2 and t.u is not None and np.any(t.u != 0.0)]
     if not moving:
@@ -268,7 +267,19 @@ def phase_paths(trajectories: Sequence[Trajectory]) -> list[PhasePath]:
     seconds = float(np.median([t.duration for t in moving]))
     most = int(min(MOST_BINS, max(np.median([len(t) for t in moving]) // 2, 1)))
     n_bins = int(np.clip(round(seconds / BIN_SECONDS), min(FEWEST_BINS, most), most))
-    return _turned([_path(t, scale, n_bins) for t in moving], scale)
+    paths = [_path(t, scale, n_bins) for t in moving]
+    by_bin = np.stack([path.bin_steps() for path in paths]) / scale
+    common = np.linalg.svd(by_bin.reshape(-1, by_bin.shape[2]), full_matrices=False)[2][0]
+    turned = []
+    for path, moved in zip(paths, by_bin, strict=True):
+        own = np.linalg.svd(moved, full_matrices=False)[2][0]
+        along = moved @ (own if own @ common >= 0.0 else -own)
+        steps = path.steps * np.repeat(np.where(along < 0.0, -1.0, 1.0), NODES_PER_BIN)[:, None]
+        if np.sum(along) < -0.5 * np.sum(np.abs(along)):  # backward as a whole: run in reverse
+            edges, bins = 1.0 - path.edges[::-1], path.n_bins - 1 - path.bins[::-1]
+            path, steps = PhasePath(path.q[::-1], edges, bins, path.weight[::-1], steps), steps[::-1]
+        turned.append(dataclasses.replace(path, steps=steps))
+    return turned
 
 
 def _path(trajectory: Trajectory, scale: Float[np.ndarray, " nv"], n_bins: int) -> PhasePath:
@@ -290,22 +301,6 @@ def _path(trajectory: Trajectory, scale: Float[np.ndarray, " nv"], n_bins: int) 
     edges = np.concatenate([[0.0], 0.5 * (at[1:] + at[:-1]), [1.0]])
     bins = np.minimum((at * n_bins).astype(np.int64), n_bins - 1)
     return PhasePath(trajectory.q[chosen], edges, bins, length**2 * weight / np.mean(weight), steps)
-
-
-def _turned(paths: list[PhasePath], scale: Float[np.ndarray, " nv"]) -> list[PhasePath]:
-    """The paths with backward strokes turned round; trajectories that are backward as a whole run in reverse."""
-    by_bin = np.stack([path.bin_steps() for path in paths]) / scale
-    common = np.linalg.svd(by_bin.reshape(-1, by_bin.shape[2]), full_matrices=False)[2][0]
-    turned = []
-    for path, moved in zip(paths, by_bin, strict=True):
-        own = np.linalg.svd(moved, full_matrices=False)[2][0]
-        along = moved @ (own if own @ common >= 0.0 else -own)
-        steps = path.steps * np.repeat(np.where(along < 0.0, -1.0, 1.0), NODES_PER_BIN)[:, None]
-        if np.sum(along) < -0.5 * np.sum(np.abs(along)):
-            edges, bins = 1.0 - path.edges[::-1], path.n_bins - 1 - path.bins[::-1]
-            path, steps = PhasePath(path.q[::-1], edges, bins, path.weight[::-1], steps), steps[::-1]
-        turned.append(dataclasses.replace(path, steps=steps))
-    return turned
 
 
 def recombination_test(

@@ -232,9 +232,7 @@ class Samples:
 def whitening(S: Float[np.ndarray, "p p"], units: Sequence[str]) -> Float[np.ndarray, "r p"]:
     """W with W S W^T = I, without the combinations of rows that are zero throughout; no rows if all are.
 
-    Args:
-        S: Mean of Phi Phi^T.
-        units: Of each row; rows of one unit are compared with each other before they are scaled.
+    S is the mean of Phi Phi^T. Rows of one unit are compared with each other before they are scaled.
     """
     size, of_unit = np.sqrt(np.diag(S)), np.array(units)
     moves = np.array([size[i] > PRUNE_RATIO * np.max(size[of_unit == unit]) for i, unit in enumerate(units)])
@@ -351,9 +349,7 @@ def doubt_velocities(trajectories: Sequence[Trajectory], joint_names: Sequence[s
     named if the slope that is too large is so by more than 5 %. A factor that all joints share turns no row and is not
     named.
 
-    Args:
-        trajectories: As they were recorded; those without velocities say nothing.
-        joint_names: One per velocity.
+    The trajectories are as they were recorded; those without velocities say nothing.
     """
     matches = [
         compare_velocities(t.time, t.q, t.u)

@@ -111,9 +111,8 @@ def check_uncertainty(estimate: Estimate, uncertainty_deg: float | None) -> None
 def in_words(parts: Uncertainty, reference: str | None) -> str:
     """What a stated angle is made of, and what no recording shows of it: `"noise 0.002 degrees; not included: ..."`.
 
-    Args:
-        parts: None of them there where a mechanism's numbers alone are stated, with the joints' zeros among them.
-        reference: Of the features; rows in axes of the tool (`"local"`) do not care how the base stands.
+    No part is there where a mechanism's numbers alone are stated, with the joints' zeros among them. Rows in axes of
+    the tool (reference `"local"`) do not care how the base stands.
     """
     known = [f"{name} {error_in_words(part, 'degrees')}" for name, part in parts.items() if part is not None]
     missing = ["joint zeros that are off"] if known and parts[JOINT_ZEROS] is None else []
@@ -139,19 +138,9 @@ def bootstrap_angle_deg(
     corrected for its leverage: its residual in the fit to all data is too small, the more so the fewer trajectories
     there are and the more freedom the policy model has.
 
-    Args:
-        samples: What was recorded.
-        whitened_selection: Lambda at the optimum, in whitened coordinates.
-        gradients: Of each trajectory (or block of them) at the optimum; the last s (p'-s) unknowns are those of Lambda,
-            others before them are eliminated.
-        hessians: Gauss-Newton Hessians, likewise.
-        rng: For the draws.
-        repetitions: How many.
-        quantile: Share of the repetitions.
-        prior: Of the policy's parameters, which the Hessians leave out.
-
-    Returns:
-        The angle; None with fewer than two trajectories or no freedom.
+    The gradients and Gauss-Newton Hessians are those of each trajectory, or block of them, at the optimum; their last
+    s (p'-s) unknowns are those of Lambda, others before them are eliminated. The prior of the policy's parameters is
+    what the Hessians leave out. None with fewer than two trajectories or no freedom.
     """
     s, r = whitened_selection.shape
     n, m = gradients.shape[0], s * (r - s)

@@ -221,16 +221,7 @@ def descend_rows(
     gain: float,
     **further: Any,
 ) -> Point:
-    """`descend` on the Grassmann manifold, from rows that have a choice.
-
-    Args:
-        here: The start.
-        at: The point of given rows.
-        max_iterations: Largest number of steps.
-        tolerance: Step length at which to stop.
-        gain: Relative decrease of the cost below which to stop.
-        further: See `descend`.
-    """
+    """`descend` on the Grassmann manifold, from rows that have a choice; `at` gives the point of other rows."""
     s, r = here.whitened_selection.shape
     return descend(
         here,

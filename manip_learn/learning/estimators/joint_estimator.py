@@ -314,8 +314,8 @@ def _list_models(samples: Samples, rng: np.random.Generator, name: str) -> list[
                 code="policy-model",
             )
         return [PolynomialModel(PolynomialModel.NAMES.index(name), m)]
-    models: list[PolicyModel] = [PolynomialModel(degree, m) for degree in range(1, 6)]
-    models += [
+    models: list[PolicyModel] = [
+        *(PolynomialModel(degree, m) for degree in range(1, 6)),
         HarmonicModel(samples.spread, 1),
         HarmonicModel(samples.spread, 2),
         RadialModel(samples.x, RADIAL_CENTRES, rng),

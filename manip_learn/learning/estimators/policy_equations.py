@@ -16,7 +16,6 @@ from __future__ import annotations
 import dataclasses
 import functools
 import math
-from collections.abc import Iterator
 from dataclasses import dataclass
 from statistics import NormalDist
 from typing import final
@@ -124,20 +123,6 @@ class Projections:
         KJ = pull(beta, J)
         rows = J.reshape(-1, J.shape[2])
         return rows.T @ rows - KJ.T @ solver(KJ), rows.T @ y.reshape(-1)
-
-    def blockwise(
-        self, beta: Float[np.ndarray, "n j"], y: Float[np.ndarray, "n nv"], runs: list[tuple[int, slice]]
-    ) -> Iterator[tuple[int, Float[np.ndarray, " d"], Float[np.ndarray, "d d"]]]:
-        """Gradient and Gauss-Newton Hessian for (Theta, B) of the samples of each run, for y = u - pi.
-
-        With e = N y and dLambda = B Lambda_perp: d e / d Theta_kv = -beta_k N_v, d e / d B as in `slopes`.
-        """
-        J, e = self.slopes(y), self.project(y)
-        for block, part in runs:
-            flat, crossed = J[part].reshape(-1, J.shape[2]), -pull(beta[part], J[part])
-            gradient = [-pull(beta[part], e[part][:, :, None])[:, 0], flat.T @ e[part].reshape(-1)]
-            H = np.block([[curvature(beta[part], self.N[part]), crossed], [crossed.T, flat.T @ flat]])
-            yield block, np.concatenate(gradient), H
 
 
 def curvature(beta: Float[np.ndarray, "n j"], N: Float[np.ndarray, "n nv nv"]) -> Float[np.ndarray, "c c"]:
@@ -283,7 +268,7 @@ def left_out(
 def whitening_factor(
     samples: Samples, whitened_selection: Float[np.ndarray, "s r"], y: Float[np.ndarray, "n nv"]
 ) -> Float[np.ndarray, "nv nv"] | None:
-    """L with L L^T the covariance of the noise over its mean variance, by y = u - pi; None if it is nearly isotropic."""
+    """L with L L^T the covariance of the noise over its mean variance, by y = u - pi; None if nearly isotropic."""
     N, nv = Projections.of(samples, whitened_selection).N, samples.nv
     z, entries = nv - len(whitened_selection), nv * (nv + 1) // 2
     e = np.einsum("nij,nj->ni", N, y, optimize=True)

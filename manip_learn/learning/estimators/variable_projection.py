@@ -430,14 +430,22 @@ class _Posterior:
         return H / self.noise, gradient / self.noise + self._spread_slopes(np.ones(len(self.samples)))[0]
 
     def scores(self) -> tuple[Float[np.ndarray, "g d"], Float[np.ndarray, "g d d"]]:
-        """Gradient and Hessian of sigma^2 l of each block of trajectories, for (Theta, B), see `_without_noise`."""
+        """Gradient and Hessian of sigma^2 l of each block of trajectories, for (Theta, B), see `_without_noise`.
+
+        With e = N y and dLambda = B Lambda_perp: d e / d Theta_kv = -beta_k N_v, d e / d B as in `Projections.slopes`.
+        """
         n = self.samples.n_trajectories
         runs = in_blocks(self.samples.trajectory, n, MAX_BLOCKS)
         membership = np.zeros((min(n, MAX_BLOCKS), len(self.samples)))
-        sums = self._projections.blockwise(self.regressors.values, self._residual, runs)
-        _, gradients, hessians = map(np.array, zip(*sums, strict=True))
+        projections, beta, sums = self._projections, self.regressors.values, []
+        J, e = projections.slopes(self._residual), projections.project(self._residual)
         for i, part in runs:
             membership[i, part] = 1.0
+            flat, crossed = J[part].reshape(-1, J.shape[2]), -pull(beta[part], J[part])
+            gradient = [-pull(beta[part], e[part][:, :, None])[:, 0], flat.T @ e[part].reshape(-1)]
+            H = np.block([[curvature(beta[part], projections.N[part]), crossed], [crossed.T, flat.T @ flat]])
+            sums.append((np.concatenate(gradient), H))
+        gradients, hessians = map(np.array, zip(*sums, strict=True))
         gradients[:, len(self._theta) :] += self.noise * self._spread_slopes(membership)
         return gradients, self._without_noise(hessians, membership)
 

@@ -475,20 +475,16 @@ def _findings(
     taken = [s for part in parts for s in part.stretches] + apart
     lone = [s for s in contacts if not any(s.shared(other) > 0.0 for other in taken)]
     tasks = [{s.trajectory for s in part.stretches} for part in parts]
-    warnings = _doubts(explanation, order)
+    angles = {(i, j): np.degrees(explanation.angle(order[i], order[j])) for i, j in combinations(range(len(order)), 2)}
+    warnings = [
+        f"constraints {i + 1} and {j + 1} differ by {angle:.1f} deg only: two contacts that nearly coincide, or one "
+        "that is not quite constant; they are kept apart, not averaged"
+        for (i, j), angle in angles.items()
+        if angle < NEARLY_SAME_DEG
+    ]
     if len(tasks) > 1 and not set.intersection(*tasks):
         shown = listed(counted(len(task), "recording") for task in tasks)
         warnings.append(f"the recordings are of {len(tasks)} tasks, {shown}: each constraint is learnt from its own")
     free = tuple(uncovered(explanation.views[0].motion, [*taken, *lone]))
     unlearnt = (*((s, DISAGREES) for s in apart), *((s, IN_ONE_ONLY) for s in lone))
     return Findings(tuple(parts), free, tuple(sorted(odd.items())), True, tuple(warnings), unlearnt)
-
-
-def _doubts(explanation: Explanation, order: Sequence[int]) -> list[str]:
-    angles = {(i, j): np.degrees(explanation.angle(order[i], order[j])) for i, j in combinations(range(len(order)), 2)}
-    return [
-        f"constraints {i + 1} and {j + 1} differ by {angle:.1f} deg only: two contacts that nearly coincide, or one "
-        "that is not quite constant; they are kept apart, not averaged"
-        for (i, j), angle in angles.items()
-        if angle < NEARLY_SAME_DEG
-    ]

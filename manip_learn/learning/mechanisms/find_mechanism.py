@@ -221,23 +221,20 @@ def _straight_or_bent(read: PlaceFit) -> tuple[PlaceFit, str]:
 
 
 def _other_form(read: PlaceFit, name: str) -> PlaceFit:
-    kind = next(k for k in MECHANISM_KINDS if k.name == name)
-    return fit_place(read.paths, kind, _start_of(read.paths, kind, read.place))
-
-
-def _start_of(paths: TipPaths, kind: MechanismKind, place: Place) -> Place:
-    """Where the other form may be: the same axis, or the direction, the normal and the circle of the path."""
+    """Fitted from the same axis, or from the direction, the normal and the circle of the path."""
+    kind, paths, place = next(k for k in MECHANISM_KINDS if k.name == name), read.paths, read.place
     x = paths.centred(paths.p)
     spread, middle = np.linalg.eigh(x.T @ x)[1].T, paths.p.mean(axis=0)
+    start = Place(place.axis, place.point)
     if kind.type == "line":
-        return Place(spread[2], middle)
-    if kind.type == "plane":
-        return Place(spread[0], middle)
-    if kind.type == "ball":
-        return Place(place.axis, _centre(paths, np.eye(3)))
-    if kind.type == "hinge" and place.pitch == 0.0 and kind.orientation != "carried":
-        return Place(spread[0], _centre(paths, spread[1:]))  # a circle seen along the normal of the path
-    return Place(place.axis, place.point)
+        start = Place(spread[2], middle)
+    elif kind.type == "plane":
+        start = Place(spread[0], middle)
+    elif kind.type == "ball":
+        start = Place(place.axis, _centre(paths, np.eye(3)))
+    elif kind.type == "hinge" and place.pitch == 0.0 and kind.orientation != "carried":
+        start = Place(spread[0], _centre(paths, spread[1:]))  # a circle seen along the normal of the path
+    return fit_place(paths, kind, start)
 
 
 def _centre(paths: TipPaths, base: Float[np.ndarray, "k 3"]) -> Float[np.ndarray, " 3"]:

@@ -261,20 +261,6 @@ class PlaceFit:
             factor, freedom = (seen, self.m * (n - 1.0)) if seen > 1.0 else (1.0, np.inf)
         return factor * C, freedom, 1.0 + 2.0 * sum(correlation)
 
-    def _without_offsets(self) -> tuple[PlaceFit, JointOffsets]:
-        """Residuals without the pattern that offsets of the joints explain, and what it says of them."""
-        K, tied = self.weights.noise, _is_shared(self.kind, self.shared)
-        left, _ = _without_constants(self.paths, self.weights.root[:, :, ~tied], K)
-        left = left + self.influence[:, :, : self.slopes.shape[2]] @ np.tensordot(
-            self.slopes, left, axes=([0, 1], [0, 1])
-        )
-        response, e = np.tensordot(self.influence, K, axes=([0, 1], [0, 1])), self.residuals.reshape(-1)
-        rest, size = left.reshape(len(e), -1), float(np.sum(K * K))
-        offsets, patterns = JointOffsets.of_residual(e, rest, response, size)
-        residuals = (e - patterns @ (patterns.T @ e)).reshape(self.residuals.shape)
-        alone = dataclasses.replace(self, residuals=residuals)
-        return alone, dataclasses.replace(offsets, variance=alone.variance)
-
     @property
     def size(self) -> tuple[float, float] | None:
         """What bends a path, the pitch [m/rad] or the radius [m], with its standard deviation; None where nothing does.
@@ -291,13 +277,21 @@ class PlaceFit:
         """What the error of each parameter stays below in 68 % of cases, by noise and by the joints' offsets: of the
         axis [rad], the point [m], the radius [m] and the pitch [m/rad], where they are fitted.
         """
-        alone, offsets = self._without_offsets()
+        K, tied = self.weights.noise, _is_shared(self.kind, self.shared)
+        left, _ = _without_constants(self.paths, self.weights.root[:, :, ~tied], K)
+        G = self.influence[:, :, : self.slopes.shape[2]]
+        left = left + G @ np.tensordot(self.slopes, left, axes=([0, 1], [0, 1]))
+        response, e = np.tensordot(self.influence, K, axes=([0, 1], [0, 1])), self.residuals.reshape(-1)
+        offsets, patterns = JointOffsets.of_residual(e, left.reshape(len(e), -1), response, float(np.sum(K * K)))
+        # the residuals without the pattern that offsets of the joints explain
+        residuals = (e - patterns @ (patterns.T @ e)).reshape(self.residuals.shape)
+        alone = dataclasses.replace(self, residuals=residuals)
         covariance, freedom, alike = alone.noise
         values, vectors = np.linalg.eigh(covariance)
         drawn = rng.standard_normal((DRAWS, len(values))) @ (vectors * np.sqrt(values.clip(0.0))).T
         if np.isfinite(freedom):
             drawn /= np.sqrt(rng.chisquare(freedom, DRAWS) / freedom)[:, None]
-        drawn += dataclasses.replace(offsets, variance=alike * offsets.variance).errors(DRAWS, rng)
+        drawn += dataclasses.replace(offsets, variance=alike * alone.variance).errors(DRAWS, rng)
         numbers, known = drawn[:, : self.m] @ tangents(self.kind, self.place).T, set(self.kind.unknowns)
         columns = {"axis": numbers[:, :3]} if "axis" in known else {}
         if known & {"point", "point-across"}:
