@@ -96,10 +96,11 @@ class RecordingOverview:
         """The phases with the names of the recordings, on the clocks of those that were given."""
         names, given = distinct_names(recordings.demonstrations), distinct_names(recordings.given)
         number = {id(answer.part): k for k, answer in enumerate(answers)}
+        held = [(s, number.get(id(part)), NO_ANSWER) for part in findings.parts for s in part.stretches]
+        beside = [*((s, None, "") for s in findings.free), *((s, None, why) for s, why in findings.unlearnt)]
         phases = []
-        for s, part, why in findings.phases():
-            constraint = None if part is None else number.get(id(findings.parts[part]))
-            reason = NO_ANSWER if part is not None and constraint is None else why
+        for s, constraint, why in sorted([*held, *beside], key=lambda x: (x[0].trajectory, x[0].start)):
+            reason = why if constraint is None else ""
             phases += [Phase(given[p.trajectory], p.start, p.end, constraint, reason) for p in recordings.places(s)]
         odd = dict(findings.odd)
         warnings = [*findings.warnings, *lone_contacts(findings, recordings)]

@@ -363,10 +363,8 @@ def explain(views: Sequence[View], believed: Test, switch: float = SWITCH_NATS) 
     new hypothesis may explain more, hold more rows than an old one or divide it. Then all compete for every sample, and
     what the others explain as well is dropped.
 
-    Args:
-        views: The recordings in each feature map, the plainest map first.
-        believed: The test of a hypothesis against chance.
-        switch: What a change between two states costs [nats]; infinite: recordings are taken as a whole.
+    The plainest feature map comes first among the views. At an infinite price of a change recordings are taken as a
+    whole.
     """
     now, refused = Explanation(views, (), switch), list[Hypothesis]()
     seconds = float(views[0].thin.weight.sum())

@@ -240,13 +240,6 @@ class Findings:
     refused: tuple[Stretch, ...] = ()
     elsewhere: bool = False
 
-    def phases(self) -> tuple[tuple[Stretch, int | None, str], ...]:
-        """(stretch, number of the constraint or None, why nothing is learnt from it), in order of time."""
-        held = [(s, k, "") for k, part in enumerate(self.parts) for s in part.stretches]
-        free = [(s, None, "") for s in self.free]
-        unlearnt = [(s, None, why) for s, why in self.unlearnt]
-        return tuple(sorted([*held, *free, *unlearnt], key=lambda x: (x[0].trajectory, x[0].start)))
-
 
 def unexplained(demonstrations: Demonstrations, feature_maps: Sequence[FeatureMap]) -> Findings:
     """One part: everything."""
