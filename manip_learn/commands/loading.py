@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from collections.abc import Mapping, Sequence
+from contextlib import AbstractContextManager, nullcontext
 from pathlib import Path
 from typing import Any
 
@@ -17,16 +17,13 @@ from manip_learn.recordings.saved_motion import FileHeader
 from manip_learn.robot import Robot
 
 
-@contextmanager
-def cluster_client(dask: str | None) -> Iterator[Any]:
+def cluster_client(dask: str | None) -> AbstractContextManager[Any]:
     """A client of the scheduler at an address, or of a cluster on this machine (`local`); None without one."""
     if dask is None:
-        yield None
-        return
+        return nullcontext()
     from manip_learn.learning.cluster import dask_client
 
-    with dask_client(dask) as client:
-        yield client
+    return dask_client(dask)
 
 
 def load_for_files(name: str, files: Sequence[str], loading: RobotOptions) -> Robot:

@@ -157,7 +157,12 @@ class CheckedSource(TrajectorySource):
         entries = source.part(index, said) if isinstance(source, TrajectorySource) else source
         for number, entry in enumerate(entries, start=1):
             for trajectory in _trajectories_of(entry, number, self._robot, said):
-                yield _with_joints(trajectory, self._robot, self._nv)
+                if trajectory.joint_names:
+                    check_joints(trajectory.joint_names, self._robot)
+                    yield trajectory
+                else:
+                    names = [f"q{i}" for i in range(self._nv)] if self._robot is None else self._robot.joint_names
+                    yield trajectory.with_joint_names(tuple(names))
 
 
 def recordings_given(given: Given, robot: Robot | None, nv: int) -> Demonstrations | CheckedSource:
@@ -237,15 +242,6 @@ def _trajectories_of(entry: Any, number: int, robot: Robot | None, notes: list[s
     checked = validate(recording, ReadRequest(robot))
     notes += [f"{checked[0].name}: {note}" for note in checked.notes]
     return checked.trajectories
-
-
-def _with_joints(trajectory: Trajectory, robot: Robot | None, nv: int) -> Trajectory:
-    """The trajectory with its columns named, if they were not."""
-    if not trajectory.joint_names:
-        names = tuple(f"q{i}" for i in range(nv)) if robot is None else tuple(robot.joint_names)
-        return trajectory.with_joint_names(names)
-    check_joints(trajectory.joint_names, robot)
-    return trajectory
 
 
 def check_joints(joint_names: Sequence[str], robot: Robot | None) -> None:

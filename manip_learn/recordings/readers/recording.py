@@ -73,23 +73,13 @@ class Recording:
 
     def without(self, unwanted: Callable[[str], bool]) -> Recording:
         """The recording without the columns whose names are not wanted."""
-
-        def kept(names: tuple[str, ...], values: Any) -> tuple[tuple[str, ...], Any]:
-            wanted = [i for i, n in enumerate(names) if not unwanted(n)]
-            return tuple(names[i] for i in wanted), None if values is None else values[:, wanted]
-
-        p_names, p = kept(self.position_names, self.positions)
-        u_names, u = kept(self.velocity_names, self.velocities)
-        e_names, e = kept(self.effort_names, self.efforts)
-        return replace(
-            self,
-            position_names=p_names,
-            positions=p,
-            velocity_names=u_names,
-            velocities=u,
-            effort_names=e_names,
-            efforts=e,
-        )
+        changed: dict[str, Any] = {}
+        for values, names in (("positions", "position"), ("velocities", "velocity"), ("efforts", "effort")):
+            called, array = getattr(self, f"{names}_names"), getattr(self, values)
+            wanted = [i for i, n in enumerate(called) if not unwanted(n)]
+            changed[f"{names}_names"] = tuple(called[i] for i in wanted)
+            changed[values] = None if array is None else array[:, wanted]
+        return replace(self, **changed)
 
     def line(self, sample: int) -> int | None:
         """Line of the sample in the file, counted from 1, or None."""
