@@ -137,7 +137,7 @@ def test_command_line(client, folder, capsys):
         assert main([*words, *further]) == 0
         found.append(json.loads(capsys.readouterr().out)["selection"])
     assert found[0] == found[1]
-    assert main([*words, "--dask", "local", "--points", "5"]) == 2
+    assert main([*words, "--dask", "local", "--html", "page.html"]) == 2
     assert "give one of the two" in capsys.readouterr().err
 
 

@@ -20,9 +20,7 @@ from manip_learn.learning.recombination import BELIEVED_STRENGTH
 from manip_learn.recordings import load_demonstrations
 from manip_learn.recordings.demonstrations import Demonstrations, distinct_names
 from manip_learn.recordings.load_demonstrations import numbers_read
-from manip_learn.recordings.trajectory import subsample
 from manip_learn.recordings.trajectory_source import Progress, RecordingSource
-from manip_learn.recordings.velocities import with_velocities
 from manip_learn.robot.robot import Reference, Robot
 from manip_learn.robot.tips import distance_to_last_joint, likely_tips
 
@@ -114,9 +112,6 @@ def learn(options: LearnOptions, progress: Progress | None = None) -> Learnt:
     robot, demos, frame, notes = load_to_learn(options)
     if isinstance(demos, Demonstrations) and (options.start is not None or options.until is not None):
         demos = Demonstrations([t[options.start : options.until] for t in demos], demos.notes)
-    recorded = demos
-    if options.points is not None and isinstance(demos, Demonstrations):
-        demos = Demonstrations([subsample(t, options.points) for t in with_velocities(demos, robot)], demos.notes)
     candidates: list[FeatureMap] = [FrameJacobian(robot, frame, options.axes, r) for r in REFERENCES[options.reference]]
     if options.relative_to is not None:
         candidates = [RelativeFrameJacobian(robot, frame, options.relative_to, options.axes)]
@@ -133,9 +128,9 @@ def learn(options: LearnOptions, progress: Progress | None = None) -> Learnt:
         learner.fit(demos, client=client, progress=progress)
     written = learner.skill_.save(options.out) if options.out is not None else None
     page = None
-    if options.html is not None and isinstance(recorded, Demonstrations):
+    if options.html is not None and isinstance(demos, Demonstrations):
         numbers = numbers_read(options.recordings, robot, **options.reading.keywords())
-        page = _replay_of_recordings(robot, recorded, learner, options.html, frame, numbers)
+        page = _replay_of_recordings(robot, demos, learner, options.html, frame, numbers)
     return Learnt(learner.constraints_, learner.reports_, frame, written, tuple(notes), page, options.robot)
 
 
@@ -199,7 +194,7 @@ def load_to_learn(options: LearnOptions) -> tuple[Robot, Demonstrations | Record
 
 
 def _refuse_beside_dask(options: LearnOptions) -> None:
-    in_memory = {"--points": options.points, "--html": options.html, "--from": options.start, "--until": options.until}
+    in_memory = {"--html": options.html, "--from": options.start, "--until": options.until}
     for option, value in in_memory.items():
         if value is not None:
             instead = "cut the files first" if option in ("--from", "--until") else "give one of the two"

@@ -230,7 +230,6 @@ class LearnOptions:
     strength: Annotated[float | None, Option(help="Minimum strength of evidence for a row; default: 1.8.")] = None
     start: Annotated[float | None, Option("--from", help="Leave out what was recorded before [s].")] = None
     until: Annotated[float | None, Option(help="Leave out what was recorded after [s].")] = None
-    points: Annotated[int | None, Option(help="Use at most this many samples of each trajectory.")] = None
     seed: Annotated[int, Option(help="Seed of the bootstrap and of random starts.")] = 0
     dask: Dask = None
     explain: Explain = False
