@@ -105,6 +105,20 @@ def test_units_signs_and_zeros(mode: str, planar3: ml.Robot) -> None:
     np.testing.assert_allclose([arm.sent[-1][f"joint{i}.pos"] for i in (1, 2, 3)], values, atol=1e-12)
 
 
+def test_a_gripper_among_the_others_shuts_and_opens(planar3: ml.Robot) -> None:
+    """0 is shut and 100 open, as LeRobot calibrates it; other motors stay where they were."""
+    arm = in_units(Arm(), "degrees")
+    driver = driver_of(arm, planar3)
+    for word, position in (("close", 0.0), ("open", 100.0)):
+        driver.gripper(word)
+        driver.command(START, np.zeros(3))
+        assert arm.sent[-1]["gripper.pos"] == position
+    arm.bus.motors["gripper"].norm_mode = SimpleNamespace(value="degrees")
+    driver.gripper("close")
+    driver.command(START, np.zeros(3))
+    assert arm.sent[-1]["gripper.pos"] == 100.0
+
+
 def test_spans_without_calibration(planar3: ml.Robot) -> None:
     """-100 .. 100 is the span that is given, or the joint's limits; radians are radians; a wide range needs a span."""
     arm = Arm()
