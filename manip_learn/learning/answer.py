@@ -49,16 +49,7 @@ POSITION_ROWS = {
 @final
 @dataclass(frozen=True)
 class LearnerSettings:
-    """What the user asked for.
-
-    Attributes:
-        n_constraints: Number of rows s; None: from the data.
-        estimator: One of `EstimatorName`.
-        policy_model: Of the joint estimator.
-        seed: Of everything random.
-        mechanism: Whether to look for a mechanism.
-        strength: From which on a row is believed.
-    """
+    """What the user asked for, by the names and with the meaning of `ConstraintLearner`."""
 
     n_constraints: int | None
     estimator: EstimatorName

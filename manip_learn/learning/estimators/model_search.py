@@ -322,12 +322,8 @@ class Explanation:
 @final
 @dataclass(frozen=True, eq=False)
 class RowCount:
-    """The number of rows, with its evidence.
-
-    Attributes:
-        table: The gaps, and the number of rows that explains the motion best.
-        fits: Number of rows -> the best explanation that predicts left-out trajectories.
-        warnings: Doubts.
+    """The gaps with the number of rows that explains the motion best; for each number of rows the best explanation that
+    predicts left-out trajectories; and doubts.
     """
 
     table: GapTable

@@ -60,13 +60,8 @@ BEST_ALONE = 2
 
 
 class Moments(NamedTuple):
-    """Sums over windows or recordings.
-
-    Attributes:
-        M: sum r r^T, shape (w, r, r).
-        S: sum Phi Phi^T, shape (w, r, r).
-        noise: Variance of the noise, shape (w,) [(rad/s)^2].
-        trajectory: Trajectory of each, shape (w,).
+    """Sums over w windows or recordings, sum r r^T and sum Phi Phi^T, the variance of the noise [(rad/s)^2] and the
+    trajectory of each.
     """
 
     M: Float[np.ndarray, "w r r"]
@@ -249,12 +244,7 @@ Test = Callable[[View, Hypothesis, Bool[np.ndarray, " n"]], bool]
 
 @final
 class Explanation:
-    """Hypotheses that together explain the recordings.
-
-    Args:
-        views: The recordings in each feature map.
-        hypotheses: What may hold.
-        switch: What a change of state costs [nats].
+    """Hypotheses that together explain the recordings; a change of state costs `switch` nats.
 
     Attributes:
         states: Of each chosen sample: 0 free motion, k the k-th hypothesis.
