@@ -58,18 +58,18 @@ class Learnt:
     def following(self) -> str | None:
         """The command to type next, which does what was shown; None if nothing was written, or nothing is free."""
         constraint, meant = self.constraint, self.constraint.intention
-        words = f"manip-learn {'repeat' if len(self.constraints) > 1 else 'control'} {self.robot} {self.out}"
         if self.out is None:
             return None
+        flags = " --html run.html"
         if meant is not None and not meant.common:
-            return f"{words} --rows held --target {','.join(f'{x:.3g}' for x in meant.targets[0])}"
-        if constraint.shown is None and meant is None:
+            flags = f" --rows held --target {','.join(f'{x:.3g}' for x in meant.targets[0])}"
+        elif constraint.shown is None and meant is None:
             try:
                 motion(constraint, along=0.1)
             except ManipLearnError:
                 return None
-            words += " --along 0.1"
-        return f"{words} --html run.html"
+            flags = f" --along 0.1{flags}"
+        return f"manip-learn {'repeat' if len(self.constraints) > 1 else 'control'} {self.robot} {self.out}{flags}"
 
     def to_dict(self) -> dict[str, Any]:
         """The JSON answer: the keys of the best supported constraint, and all constraints as a list."""
