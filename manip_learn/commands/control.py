@@ -194,7 +194,7 @@ def control(options: ControlOptions, progress: Progress | None = None) -> Contro
         options.policy != "manipulability" or rest or options.duration is not None or options.inverse != "damped"
     ):
         raise TargetError("a plan has its own null-space motion: leave --policy, --rest, --duration and --inverse out")
-    q0, whence = _start(robot, constraint, start, moves or target is not None)
+    q0, whence = start_posture(robot, constraint, start, moves or target is not None)
     task = _task(options, constraint, q0, target, direction, moves)
     found, way = None, None
     if options.planned.plan:
@@ -332,7 +332,9 @@ def aim_of(constraint: Constraint, task: PointAttractor, rollout: Rollout) -> Ai
     return Aim(distance, size, off, ignored, 0.0)
 
 
-def _start(robot: Robot, constraint: Constraint, start: list[float] | None, moves: bool) -> tuple[np.ndarray, str]:
+def start_posture(
+    robot: Robot, constraint: Constraint, start: list[float] | None, moves: bool
+) -> tuple[np.ndarray, str]:
     """The start posture, and where it comes from if it was not given."""
     shown = constraint.provenance.get("postures")
     if start is not None:

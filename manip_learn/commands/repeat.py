@@ -11,6 +11,7 @@ import numpy as np
 from jaxtyping import Float
 from scipy.spatial.transform import Rotation
 
+from manip_learn.commands.control import start_posture
 from manip_learn.commands.loading import robot_of_constraint
 from manip_learn.commands.options import RepeatOptions, vector
 from manip_learn.constraint.skill import Skill
@@ -57,15 +58,9 @@ def repeat_skill(options: RepeatOptions, progress: Progress | None = None) -> Re
     robot = robot_of_constraint(options.robot, options.task, options.loading)
     skill = Skill.load(options.task, robot)
     start, moved = vector("--start", options.start), vector("--moved", options.moved)
-    shown = skill.constraints[0].provenance.get("postures")
-    if start is None and shown:
-        start, whence = shown[0], "the first posture in which the task was shown"
-    elif start is None:
-        start, whence = robot.neutral().tolist(), "the robot's neutral posture"
-    else:
-        whence = ""
+    q0, whence = start_posture(robot, skill.constraints[0], start, True)
     transform = None if moved is None else _rigid_motion(moved)
-    done = repeat(skill, start, transform, seed=options.seed, progress=progress)
+    done = repeat(skill, q0, transform, seed=options.seed, progress=progress)
     out = None if options.out is None else done.rollout.save(options.out)
     page = None
     if options.html is not None:

@@ -360,12 +360,13 @@ def shown_by(
         return None
     times = [time - time[0] for time, _ in contacts]
     seconds = np.array([_duration(t, w, i, free.is_way) for t, w, i in zip(times, ways, farthest, strict=True)])
-    lengths = extents if free.is_way else np.array([_length(w) for w in ways])
+    lengths = extents if free.is_way else np.array([np.linalg.norm(np.diff(w, axis=0), axis=1).sum() for w in ways])
     begins = np.array([p[0, :3, 3] for p in motions])
     middle = np.median(begins, axis=0)
     scatter = float(np.max(np.linalg.norm(begins - middle, axis=1)))
     hold = middle if scatter <= SAME_PLACE else None
-    typical = _typical(times, ways) if not free.is_way else _nearest_median(extents, signed > 0.0)
+    off = np.abs(extents - np.median(extents)) + np.where(signed > 0.0, 0.0, np.inf)  # of those that went as most did
+    typical = int(np.argmin(off)) if free.is_way else _typical(times, ways)
     time, path = _path(times[typical], ways[typical], farthest[typical], free.is_way)
     ends = np.array([float(np.linalg.norm(w[-1])) for w in ways])
     return Shown(
@@ -408,16 +409,6 @@ def _span(free: FreeCoordinates, motions: Sequence[np.ndarray], ways: Sequence[n
     begins = free.of(np.array([motion[0] for motion in motions]))[:, 0]
     ends = [(b + way.min(), b + way.max()) for b, way in zip(begins, ways, strict=True)]
     return float(max(high for _, high in ends) - min(low for low, _ in ends))
-
-
-def _length(way: Float[np.ndarray, "T k"]) -> float:
-    return float(np.sum(np.linalg.norm(np.diff(way, axis=0), axis=1)))
-
-
-def _nearest_median(extents: Float[np.ndarray, " n"], usual: Any) -> int:
-    """The contact that goes as most do, and as far."""
-    off = np.abs(extents - np.median(extents)) + np.where(usual, 0.0, np.inf)
-    return int(np.argmin(off))
 
 
 def _typical(times: Sequence[np.ndarray], ways: Sequence[np.ndarray]) -> int:

@@ -10,10 +10,7 @@ from jaxtyping import Float
 from numpy.typing import ArrayLike
 
 from manip_learn.constraint.constraint import Constraint
-from manip_learn.constraint.features.frame_jacobian import FrameJacobian
 from manip_learn.constraint.features.other_features import CustomFeatures
-from manip_learn.constraint.features.relative_frame_jacobian import RelativeFrameJacobian
-from manip_learn.constraint.features.weighed_velocity import WeighedVelocity
 from manip_learn.constraint.manipulability import manipulability
 from manip_learn.constraint.skill import Gripping
 from manip_learn.control.command import Command, Controller
@@ -240,10 +237,5 @@ def constraint_of(controller: Controller) -> Constraint | None:
 
 def frame_of(controller: Controller) -> str | None:
     """The frame that a controller's constraint holds; None where it has none."""
-    constraint = constraint_of(controller)
-    if constraint is None:
-        return None
-    features = constraint.features
-    return (
-        features.frame.name if isinstance(features, FrameJacobian | RelativeFrameJacobian | WeighedVelocity) else None
-    )
+    frame = getattr(getattr(constraint_of(controller), "features", None), "frame", None)
+    return None if frame is None else frame.name

@@ -371,16 +371,7 @@ class PenalisedManipulabilityAscent(SampledPolicy):
         self.gain, self.max_speed = self._ascent.gain, self._ascent.max_speed
 
     def __call__(self, q: ArrayLike, t: float = 0.0, dt: float = 0.01) -> Float[np.ndarray, " nv"]:
-        """Ascent velocity, finite everywhere.
-
-        Args:
-            q: Posture: a configuration or joint positions.
-            t: Time [s]; the policy does not depend on it.
-            dt: Time for which the velocity is held [s].
-
-        Raises:
-            ConfigurationError: q has the wrong size or is not finite.
-        """
+        """Ascent velocity, finite everywhere; arguments and errors as for `ManipulabilityAscent`."""
         return self._ascent.from_rows(*penalised_value_and_vjp(self.constraint, q), dt)
 
     def __repr__(self) -> str:

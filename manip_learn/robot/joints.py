@@ -25,6 +25,7 @@ KINDS: tuple[tuple[str, JointKind], ...] = (
     ("JointModelPlanar", "planar"),
     ("JointModelP", "prismatic"),
     ("JointModelFreeFlyer", "floating"),
+    ("", "other"),
 )
 
 

@@ -110,7 +110,7 @@ class Robot:
             blocks.append(
                 JointBlock(
                     name=name,
-                    kind=next((kind for begin, kind in KINDS if joint.shortname().startswith(begin)), "other"),
+                    kind=next(kind for begin, kind in KINDS if joint.shortname().startswith(begin)),
                     index=index,
                     q=slice(nq, nq + joint.nq),
                     v=slice(nv, nv + joint.nv),
