@@ -9,13 +9,12 @@ from typing import TYPE_CHECKING, Any, final
 
 import numpy as np
 
-from manip_learn.commands.loading import robot_of_constraint
+from manip_learn.commands.loading import robot_of_constraint, start_posture
 from manip_learn.commands.options import ControlOptions, PlanOptions, vector
 from manip_learn.constraint.constraint import Constraint
 from manip_learn.constraint.features.weighed_velocity import WeighedVelocity
 from manip_learn.control.command import Status
 from manip_learn.control.controller import ResolvedRateController
-from manip_learn.control.limits import check_inside
 from manip_learn.control.rollout import Rollout
 from manip_learn.control.simulation import simulate
 from manip_learn.control.tasks import FreeDirection, Hold, PointAttractor, Task, motion
@@ -28,7 +27,6 @@ from manip_learn.planning.approach import GraspCone
 from manip_learn.planning.plan import Plan, plan
 from manip_learn.planning.stations import margin_of
 from manip_learn.recordings.trajectory_source import Progress
-from manip_learn.robot import Robot
 
 if TYPE_CHECKING:
     from manip_learn.playback import ReplayResult
@@ -330,18 +328,3 @@ def aim_of(constraint: Constraint, task: PointAttractor, rollout: Rollout) -> Ai
     else:
         ignored = tuple(in_words(row, features.row_names) for row in free)
     return Aim(distance, size, off, ignored, 0.0)
-
-
-def start_posture(
-    robot: Robot, constraint: Constraint, start: list[float] | None, moves: bool
-) -> tuple[np.ndarray, str]:
-    """The start posture, and where it comes from if it was not given."""
-    shown = constraint.provenance.get("postures")
-    if start is not None:
-        q0, whence = robot.checked_posture(start), ""
-    elif moves and shown:
-        q0, whence = robot.checked_posture(shown[0]), "the first posture in which the task was shown"
-    else:
-        q0, whence = robot.neutral(), "the robot's neutral posture"
-    check_inside(robot, robot.positions(q0))
-    return q0, whence

@@ -8,7 +8,11 @@ from contextlib import AbstractContextManager, nullcontext
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
 from manip_learn.commands.options import RobotOptions
+from manip_learn.constraint.constraint import Constraint
+from manip_learn.control.limits import check_inside
 from manip_learn.errors import DAMAGE, ConstraintMismatchError, RecordingError, UnknownNameError, named
 from manip_learn.recordings.readers.read_request import unmoved_joint_names
 from manip_learn.recordings.readers.recording_files import recording_files
@@ -124,3 +128,18 @@ def robot_of_constraint(robot_name: str, constraint_file: str, loading: RobotOpt
 
 def _listed(objects: Sequence[str]) -> str:
     return named("object", map(repr, objects)) if objects else "no object"
+
+
+def start_posture(
+    robot: Robot, constraint: Constraint, start: list[float] | None, moves: bool
+) -> tuple[np.ndarray, str]:
+    """The start posture, and where it comes from if it was not given."""
+    shown = constraint.provenance.get("postures")
+    if start is not None:
+        q0, whence = robot.checked_posture(start), ""
+    elif moves and shown:
+        q0, whence = robot.checked_posture(shown[0]), "the first posture in which the task was shown"
+    else:
+        q0, whence = robot.neutral(), "the robot's neutral posture"
+    check_inside(robot, robot.positions(q0))
+    return q0, whence

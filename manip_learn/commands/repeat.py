@@ -11,8 +11,7 @@ import numpy as np
 from jaxtyping import Float
 from scipy.spatial.transform import Rotation
 
-from manip_learn.commands.control import start_posture
-from manip_learn.commands.loading import robot_of_constraint
+from manip_learn.commands.loading import robot_of_constraint, start_posture
 from manip_learn.commands.options import RepeatOptions, vector
 from manip_learn.constraint.skill import Skill
 from manip_learn.errors import TargetError

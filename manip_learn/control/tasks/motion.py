@@ -468,12 +468,6 @@ def motion(
     )
     if not beyond_shown:
         check_shown(task)
-    robot, frame = constraint.robot, getattr(constraint.features, "frame", None)
-    if unit == "m" and robot is not None and frame is not None and abs(task.wanted) > 2.0 * robot.reach(frame):
-        raise TargetError(
-            f"the way of {way_in_words(task.wanted, unit)} is longer than the arm can go in any direction "
-            f"({2.0 * robot.reach(frame):.2g} m): ways are in metres"
-        )
     if direction is not None and word is None:
         return task
     return _as_shown(task, word, of_most=again)
@@ -494,7 +488,7 @@ def _as_shown(task: FreeDirection, word: str | None, *, of_most: bool) -> FreeDi
 
 
 def check_shown(task: FreeDirection) -> None:
-    """Refuse a way that is longer than what was shown.
+    """Refuse a way that is longer than what was shown, or than the arm can go.
 
     Raises:
         TargetError: It is; says both.
@@ -505,6 +499,12 @@ def check_shown(task: FreeDirection) -> None:
         raise TargetError(
             f"the way of {far} is longer than what was shown ({most}): ask for no more"
             + advice(", or allow it with {}", "beyond_shown=True", "--beyond-shown")
+        )
+    robot, frame = task.learnt.robot, getattr(task.learnt.features, "frame", None)
+    if task.unit == "m" and robot is not None and frame is not None and wanted > 2.0 * robot.reach(frame):
+        raise TargetError(
+            f"the way of {way_in_words(wanted, task.unit)} is longer than the arm can go in any direction "
+            f"({2.0 * robot.reach(frame):.2g} m): ways are in metres"
         )
 
 
