@@ -3,13 +3,15 @@
 from __future__ import annotations
 
 import math
+import warnings
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from statistics import NormalDist
 from typing import Any, Literal, final
 
 import numpy as np
 from jaxtyping import Float
-from scipy.interpolate import make_smoothing_spline
+from scipy.interpolate import UnivariateSpline
 
 from manip_learn.constraint.features.feature_map import FeatureMap
 from manip_learn.constraint.features.frame_jacobian import AXES, FrameJacobian
@@ -30,7 +32,7 @@ SAME_PLACE = 3e-3
 BACK = 0.1  # share of the way out within which a hand that was taken back ends
 STARTED = 0.02  # share of the way that a hand has gone when its motion has begun, and that is left when it has ended
 PATH_POINTS = 400  # kept of a path: a millimetre apart on a wipe of 0.4 m
-LEAST_SMOOTHED = 8  # samples of a path, from which SciPy's spline and its cross-validation have something to choose
+LEAST_SMOOTHED = 8  # samples of a path, from which a cubic spline has something to smooth
 ONE_SIDED = 0.5  # share of all ways by which one side must exceed the other for it to be the way shown
 PURE = 0.995  # share of a free direction that is translation: a learnt one leaks by its uncertainty, 0.1 at most
 
@@ -125,10 +127,6 @@ class FreeCoordinates:
         around = np.cross(self.axes[0], out)
         around = around / max(float(np.linalg.norm(around)), 1e-12)
         return np.array([around, self.axes[0]] if self.kind == "sleeve" else [around])
-
-    def reversed(self) -> FreeCoordinates:
-        """The same with the other sense of its only coordinate."""
-        return replace(self, axes=-self.axes)
 
     def moved(self, transform: Float[np.ndarray, "4 4"]) -> FreeCoordinates:
         """Of the mechanism at another place, p' = R p + t."""
@@ -354,7 +352,7 @@ def shown_by(
     if free.is_way:
         one_way = abs(float(np.sum(signed))) >= ONE_SIDED * float(np.sum(np.abs(signed)))
         if np.sum(signed) < 0.0:
-            free, ways, signed = free.reversed(), [-w for w in ways], -signed
+            free, ways, signed = replace(free, axes=-free.axes), [-w for w in ways], -signed
     extents = np.array([float(np.linalg.norm(w[i])) for w, i in zip(ways, farthest, strict=True)])
     if not np.all(np.isfinite(extents)) or float(np.median(extents)) <= 0.0:
         return None
@@ -424,19 +422,22 @@ def _path(
 ) -> tuple[Float[np.ndarray, " n"], Float[np.ndarray, "n k"]]:
     """A contact's path at even times: a way out to its farthest point, a path on a surface without rest at its ends.
 
-    On a surface it is smoothed, by a cubic spline as smooth as generalised cross-validation finds right (Craven and
-    Wahba, "Smoothing noisy data with spline functions", 1978): steps of encoders would be strokes of the hand.
+    On a surface it is smoothed, by a cubic spline that leaves out as much as the noise is (Reinsch, "Smoothing by
+    spline functions", 1967): steps of encoders would be strokes of the hand.
     """
-    if is_way:
-        time, way = time[: farthest + 1], way[: farthest + 1]
-        even = np.linspace(0.0, float(time[-1]), min(PATH_POINTS, max(len(time), 2)))
-        return even, np.column_stack([np.interp(even, time, c) for c in way.T])
-    near = STARTED * float(np.max(np.linalg.norm(way, axis=1)))
-    first = int(np.flatnonzero(np.linalg.norm(way, axis=1) > near)[0]) - 1
-    last = int(np.flatnonzero(np.linalg.norm(way - way[-1], axis=1) > near)[-1]) + 2
+    first, last = 0, farthest + 1
+    if not is_way:
+        near = STARTED * float(np.max(np.linalg.norm(way, axis=1)))
+        first = int(np.flatnonzero(np.linalg.norm(way, axis=1) > near)[0]) - 1
+        last = int(np.flatnonzero(np.linalg.norm(way - way[-1], axis=1) > near)[-1]) + 2
     time, way = time[first:last] - time[first], way[first:last]
     even = np.linspace(0.0, float(time[-1]), min(PATH_POINTS, max(len(time), 2)))
     path = np.column_stack([np.interp(even, time, c) for c in way.T])
-    if len(even) >= LEAST_SMOOTHED:
-        path = np.column_stack([make_smoothing_spline(even, c)(even) for c in path.T])
+    if not is_way and len(even) >= LEAST_SMOOTHED:
+        # a hand has no third derivative between two samples: third differences are noise, of variance 1 + 9 + 9 + 1
+        noise = np.median(np.abs(np.diff(path, 3, axis=0)), axis=0) / (NormalDist().inv_cdf(0.75) * math.sqrt(20.0))
+        least = len(even) * noise**2
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")  # of a search for knots that ends a little above or below the noise
+            path = np.column_stack([UnivariateSpline(even, c, s=s)(even) for c, s in zip(path.T, least, strict=True)])
     return even, path - path[0] * np.linspace(1.0, 0.0, len(path))[:, None]  # it begins where the hand took hold
