@@ -9,6 +9,7 @@ import subprocess
 import sys
 import zipfile
 from collections.abc import Iterator
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 from unittest.mock import MagicMock, call
@@ -16,9 +17,11 @@ from xml.sax.saxutils import quoteattr
 
 import numpy as np
 import pytest
+from shown_motions import recordings
 from teaching_person import Person
 
 import manip_learn as ml
+from manip_learn.constraint.skill import one_way
 from manip_learn.errors import ConfigurationError, MissingExtraError
 
 pytest.importorskip("mujoco")
@@ -27,6 +30,7 @@ from manip_learn.teach.arm import STRONGEST, TeachingArm  # noqa: E402
 from manip_learn.teach.files import HOMES, Lesson  # noqa: E402
 from manip_learn.teach.scene import TITLES, place_scene  # noqa: E402
 from manip_learn.teach.session import LEFT, TeachingSession  # noqa: E402
+from manip_learn.teach.way import TaughtWay, held_by_handles  # noqa: E402
 
 pytestmark = pytest.mark.timeout(400)  # a busy machine takes four times as long as an idle one
 TIP = "right_gripper_tip"
@@ -390,3 +394,21 @@ def test_twenty_random_scenes(sawyer, tmp_path):
         right += good
         wrong += [] if good else [(kind, seed, answer["sentence"], off)]
     assert right >= 19, wrong
+
+
+def test_a_drawer_that_was_left_open_is_opened_all_the_same():
+    """Recordings that go to both sides of where they began, most of them back: ways still count from shut to open."""
+    robot, tip, demos, (drawer,), _ = recordings(("drawer",), "panda", 4100)
+    constraint = ml.ConstraintLearner(ml.FrameJacobian(robot, tip, "xyz")).fit(demos).constraint_
+    shown = constraint.shown
+    back = replace(shown.coordinates, axes=-shown.coordinates.axes)
+    unsure = replace(shown, coordinates=back, path=-shown.path, one_way=False)
+    handle = drawer.hold + np.outer(np.linspace(0.0, 0.2, 11), drawer.axis)
+    skill = held_by_handles(one_way(constraint.showing(unsure)), [handle])
+    (way,) = TaughtWay.all_of(skill)
+    q = min((q for demo in demos for q in demo.q), key=lambda q: np.linalg.norm(robot.position(q, tip) - drawer.hold))
+    task = way.rest(q)
+    law = ml.ResolvedRateController(task.learnt, task, task.ascent())
+    end = robot.position(ml.simulate(robot, law, q, task.duration + 1.0).q[-1], tip)
+    assert (end - drawer.hold) @ drawer.axis == pytest.approx(way.value, abs=5e-3)
+    assert way.at(end) == pytest.approx(way.value, abs=5e-3)

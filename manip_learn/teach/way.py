@@ -68,26 +68,30 @@ def handle_near(place: Float[np.ndarray, " 3"], handles: Sequence[Float[np.ndarr
 
 
 def held_by_handles(skill: Skill, handles: Sequence[Float[np.ndarray, "n 3"]]) -> Skill:
-    """A skill whose ways count from where their handles are shut.
+    """A skill whose ways count from where their handles are shut, positive as they open.
 
-    A person does not always shut what was opened before the next recording, and contacts are seen a little late.
+    A person does not always shut what was opened before the next recording, so that recordings may go to both sides of
+    where they began, and contacts are seen a little late.
 
     Args:
         skill: As learnt.
-        handles: As for `handle_near`.
+        handles: As for `handle_near`; two places at least.
     """
 
     def from_shut(shown: Shown | None) -> Shown | None:
         number = None if shown is None else handle_near(shown.begin, handles)
         if shown is None or number is None or not shown.is_way:
             return shown
-        shut = handles[number][0]
+        shut, ajar = handles[number][:2]
+        if coordinate(shown, shut, ajar) < 0.0:
+            opening = replace(shown.coordinates, axes=-shown.coordinates.axes)
+            shown = replace(shown, coordinates=opening, path=-shown.path)
         ahead = coordinate(shown, shut, shown.begin)
         path = shown.path + ahead
         far = float(np.max(path))  # of the typical contact: the others may have begun elsewhere
         counted = {"extent": far, "least": min(shown.least + ahead, far), "most": max(far, shown.span)}
         counted["span"] = counted["most"]
-        return replace(shown, hold=shut, begin=shut, path=path, **counted)
+        return replace(shown, hold=shut, begin=shut, path=path, one_way=True, **counted)
 
     constraints: dict[int, Constraint] = {}
     for constraint in skill.constraints:
