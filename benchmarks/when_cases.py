@@ -19,7 +19,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 import manip_learn as ml
-from manip_learn.control.tasks.driven_motion import MotionProfile
+from manip_learn.control.tasks.motion_profile import MotionProfile
 from manip_learn.robot.loading import robot_from_text
 
 MIDDLE = 0.55  # of the reach: between too near to fold the arm and too far to reach

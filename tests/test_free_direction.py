@@ -22,7 +22,7 @@ from manip_learn.control.policies import ManipulabilityAscent
 from manip_learn.control.rollout import Rollout
 from manip_learn.control.simulation import simulate
 from manip_learn.control.tasks import FreeDirection
-from manip_learn.control.tasks.driven_motion import MotionProfile
+from manip_learn.control.tasks.motion_profile import MotionProfile
 from manip_learn.errors import ConstraintError, FeatureError, TargetError
 from manip_learn.robot.robot import Robot
 from manip_learn.robot.rotations import rotation_matrix, rotation_vector

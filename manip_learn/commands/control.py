@@ -27,6 +27,7 @@ from manip_learn.planning.approach import GraspCone
 from manip_learn.planning.plan import Plan, plan
 from manip_learn.planning.stations import margin_of
 from manip_learn.recordings.trajectory_source import Progress
+from manip_learn.robot.robot import Robot
 
 if TYPE_CHECKING:
     from manip_learn.playback import ReplayResult
@@ -99,8 +100,7 @@ class Controlled:
         words: dict[str, Any] = {"out": None, "place": place, "verb": verb, "notes": constraint.notes, **more}
         robot, frame = constraint.robot, getattr(constraint.features, "frame", None)
         if way is not None and way.begins is not None and robot is not None and frame is not None:
-            q = rollout.q[int(np.searchsorted(rollout.time, way.begins - 1e-9))]
-            words["hold"] = tuple(robot.position(q, frame).tolist())
+            words["hold"] = tuple(robot.position(rollout.q[_beginning(rollout, way)], frame).tolist())
         return Controlled(rollout, tolerance=tolerance, way=way, **words)
 
     @property
@@ -207,10 +207,7 @@ def control(options: ControlOptions, progress: Progress | None = None) -> Contro
             length = enough if options.duration is None else options.duration
             rollout = simulate(robot, law, q0, length, options.dt, progress=progress)
     aim = aim_of(constraint, task, rollout) if isinstance(task, PointAttractor) else None
-    margin = None if found is None else found.margin
-    if found is None and way is not None and isinstance(task, FreeDirection):
-        margin = margin_of(task, rollout, way.begins, robot)
-        rollout = replace(rollout, ways=({**rollout.ways[0], "margin": margin},))
+    rollout, margin = with_margin(rollout, task, way, found, robot)
     done = Controlled.of(constraint, rollout, options.tolerance, way, aim=aim, start=whence, plan=found, margin=margin)
     if options.check and not done.reached:
         because = "" if way is None else f": stopped by {way.stopped_by}"
@@ -296,13 +293,27 @@ def _long_enough(error: float, tolerance: float, gain: float) -> float:
     return max(5.0, math.log(max(far, 1.0)) / gain if gain > 0.0 else 5.0)
 
 
+def _beginning(rollout: Rollout, way: WayDone | None) -> int:
+    """The sample at which a way began; the first where it did not."""
+    return 0 if way is None or way.begins is None else int(np.searchsorted(rollout.time, way.begins - 1e-9))
+
+
+def with_margin(
+    rollout: Rollout, task: Task, way: WayDone | None, found: Plan | None, robot: Robot
+) -> tuple[Rollout, float | None]:
+    """A rollout that says the margin of its way, and that margin: that of its plan, else as it was simulated."""
+    if found is not None or way is None or not isinstance(task, FreeDirection):
+        return rollout, None if found is None else found.margin
+    margin = margin_of(task, rollout, way.begins, robot)
+    return replace(rollout, ways=({**rollout.ways[0], "margin": margin},)), margin
+
+
 def verb_of(constraint: Constraint, rollout: Rollout, way: WayDone | None) -> str:
     """What a way along a mechanism does to it: a drawer is opened or pushed in, a door opened, a screw turned."""
     known, frame = constraint.mechanism, getattr(constraint.features, "frame", None)
     if known is None or known.type not in ("line", "hinge") or constraint.robot is None or frame is None:
         return "turned" if known is not None and known.type in ("screw", "ball") else "moved"
-    begin = 0 if way is None or way.begins is None else int(np.searchsorted(rollout.time, way.begins - 1e-9))
-    first, last = (constraint.robot.position(q, frame) for q in rollout.q[[begin, -1]])
+    first, last = (constraint.robot.position(q, frame) for q in rollout.q[[_beginning(rollout, way), -1]])
     return "pushed in" if known.type == "line" and leads_away(first, last - first) else "opened"
 
 

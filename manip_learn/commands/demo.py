@@ -7,20 +7,19 @@ from typing import Any, final
 
 import numpy as np
 
-from manip_learn.commands.control import Controlled, follow
+from manip_learn.commands.control import Controlled, follow, with_margin
 from manip_learn.commands.learn import Learnt, learn
 from manip_learn.commands.options import DemoOptions, LearnOptions, PlanOptions
 from manip_learn.constraint.constraint import Constraint
 from manip_learn.control.controller import ResolvedRateController
 from manip_learn.control.rollout import Rollout
 from manip_learn.control.simulation import simulate
-from manip_learn.control.tasks import FreeDirection, PointAttractor, Task, motion
+from manip_learn.control.tasks import PointAttractor, Task, motion
 from manip_learn.control.tasks.motion import null_policy
 from manip_learn.control.way import WayDone, simulate_way
 from manip_learn.errors import UnknownNameError
 from manip_learn.experiments.sawyer import shipped_recordings
 from manip_learn.planning.plan import Plan
-from manip_learn.planning.stations import margin_of
 from manip_learn.playback import ReplayResult, replay
 from manip_learn.recordings.trajectory_source import Progress
 from manip_learn.robot import load_robot
@@ -124,9 +123,8 @@ def demo(options: DemoOptions, progress: Progress | None = None) -> Demo:
     robot, constraint, done = load_robot(options.robot), learnt.constraint, dict[str, Controlled]()
 
     def keep(name: str, rollout: Rollout, task: Task, way: WayDone | None = None, found: Plan | None = None) -> None:
-        saved, margin = rollout.save(out / f"{name}.npz"), None if found is None else found.margin
-        if found is None and way is not None and isinstance(task, FreeDirection):
-            margin = margin_of(task, rollout, way.begins, robot)
+        rollout, margin = with_margin(rollout, task, way, found, robot)
+        saved = rollout.save(out / f"{name}.npz")
         done[name] = Controlled.of(constraint, rollout, TOLERANCE, way, out=saved, plan=found, margin=margin)
 
     if scene.target is None:

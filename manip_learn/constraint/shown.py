@@ -128,6 +128,10 @@ class FreeCoordinates:
         around = around / max(float(np.linalg.norm(around)), 1e-12)
         return np.array([around, self.axes[0]] if self.kind == "sleeve" else [around])
 
+    def reversed(self) -> FreeCoordinates:
+        """The same with the other sense of its only coordinate."""
+        return replace(self, axes=-self.axes)
+
     def moved(self, transform: Float[np.ndarray, "4 4"]) -> FreeCoordinates:
         """Of the mechanism at another place, p' = R p + t."""
         R, t = transform[:3, :3], transform[:3, 3]
@@ -352,7 +356,7 @@ def shown_by(
     if free.is_way:
         one_way = abs(float(np.sum(signed))) >= ONE_SIDED * float(np.sum(np.abs(signed)))
         if np.sum(signed) < 0.0:
-            free, ways, signed = replace(free, axes=-free.axes), [-w for w in ways], -signed
+            free, ways, signed = free.reversed(), [-w for w in ways], -signed
     extents = np.array([float(np.linalg.norm(w[i])) for w, i in zip(ways, farthest, strict=True)])
     if not np.all(np.isfinite(extents)) or float(np.median(extents)) <= 0.0:
         return None

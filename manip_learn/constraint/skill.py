@@ -44,6 +44,12 @@ class Step:
     place: Float[np.ndarray, " 3"] | None = None
     fingers: Mapping[str, float] = field(default_factory=dict)
 
+    @property
+    def as_shown(self) -> Constraint | None:
+        """The constraint, with what was shown along it in this step."""
+        known = self.constraint
+        return known if known is None or self.shown is None else known.showing(self.shown)
+
 
 @final
 @dataclass(frozen=True, eq=False, repr=False)

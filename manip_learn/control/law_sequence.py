@@ -18,7 +18,7 @@ from manip_learn.control.controller import ResolvedRateController
 from manip_learn.control.follow_motion import ARRIVED
 from manip_learn.control.limits import Limits
 from manip_learn.control.tasks import FreeDirection, Task
-from manip_learn.control.tasks.driven_motion import MotionProfile
+from manip_learn.control.tasks.motion_profile import MotionProfile
 from manip_learn.errors import ConfigurationError
 from manip_learn.robot.robot import Robot
 

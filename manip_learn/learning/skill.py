@@ -96,24 +96,23 @@ def _gripping(answers: Sequence[Answer], chosen: dict[int, list[_Contact]], plac
     source = answers[0].part.source
     if source is None:
         return None
+    features = answers[next(iter(chosen.values()))[place].constraint].candidate.samples.features
+    robot: Robot | None = getattr(features, "robot", None)
+    frame = getattr(features, "frame", None)
+    if robot is None or frame is None or robot.nq != robot.nv:
+        return None
+    ranges = robot.position_upper - robot.position_lower
+    idle = [not robot.moves(name, frame.name) for name in robot.joint_names]
+    fingers = np.flatnonzero(idle & np.isfinite(ranges))
+    if not len(fingers):
+        return None
     grips: list[tuple[np.ndarray, np.ndarray]] = []
-    names: list[str] = []
     for recording, contacts in chosen.items():
         piece, whole = contacts[place].piece, source.derived[recording]
-        features = answers[contacts[place].constraint].candidate.samples.features
-        robot: Robot | None = getattr(features, "robot", None)
-        frame = getattr(features, "frame", None)
-        if robot is None or frame is None or robot.nq != robot.nv:
-            return None
-        ranges = robot.position_upper - robot.position_lower
-        fingers = [
-            i for i, n in enumerate(robot.joint_names) if not robot.moves(n, frame.name) and np.isfinite(ranges[i])
-        ]
-        names = [robot.joint_names[i] for i in fingers]
         since = contacts[place - 1].piece.time[-1] if place else -np.inf
         before = (since < whole.time) & (whole.time < piece.time[0])
         held = (piece.time[0] <= whole.time) & (whole.time <= piece.time[-1])
-        if not fingers or not before.any():
+        if not before.any():
             continue
         reach, closed = whole.q[before][:, fingers], np.median(whole.q[held][:, fingers], axis=0)
         opened = reach[np.argmax(np.max(np.abs(reach - closed) / ranges[fingers], axis=1))]
@@ -127,6 +126,7 @@ def _gripping(answers: Sequence[Answer], chosen: dict[int, list[_Contact]], plac
     if len(grips) <= 0.5 * len(chosen):
         return None
     closed, opened = np.median(grips, axis=0)
+    names = [robot.joint_names[i] for i in fingers]
     return _Grip(*(dict(zip(names, map(float, values), strict=True)) for values in (closed, opened)))
 
 

@@ -281,7 +281,6 @@ class _Problem:
         self.start = robot.checked_posture(start)
         self.limits, self.dt, self.grasp = limits or Limits(robot), dt, grasp
         self.rng = np.random.default_rng(seed)
-        self.is_as_shown = False  # whether the hand has to be turned as in the recordings where it takes hold
         self.unreached = False  # whether a posture of hold could not be reached from the start
         unsuited = next((b for b in robot.blocks if b.kind in ("floating", "planar", "other")), None)
         if unsuited is not None:
@@ -336,9 +335,7 @@ class _Problem:
         """The best plan in which the hand takes hold turned as in the recordings; None if they do not say."""
         if self.stations.grip is None or self.grasp is not None:
             return None
-        self.is_as_shown = True
         found = self.best(ladder.as_shown, said)
-        self.is_as_shown = False
         if found is None:
             self.notes = (*self.notes, "the hand takes hold turned otherwise than shown: so turned it finds no way")
         return found
@@ -388,14 +385,15 @@ class _Problem:
         """The postures of the best way from one choice, relaxed; None where links touch on it."""
         path = ladder.postures(ladder.path(march, len(self.stations) - 1, margin - TIE))
         better = relaxed(self.stations, path, ladder.grasp[march])
-        for way in filter(self._is_held_right, (better, path)):
-            if all(map(self.clear, way)) and all(map(self.clear.of_line, way[:-1], way[1:])):
+        for way in (better, path):
+            right = self._is_in_cone(way) and (not ladder.is_as_shown or self.stations.takes_hold_as_shown(way[:1])[0])
+            if right and all(map(self.clear, way)) and all(map(self.clear.of_line, way[:-1], way[1:])):
                 return way
         return None
 
-    def _is_held_right(self, way: Postures) -> bool:
+    def _is_in_cone(self, way: Postures) -> bool:
         if self.grasp is None:
-            return not self.is_as_shown or bool(self.stations.takes_hold_as_shown(way[:1])[0])
+            return True
         stations = self.stations
         toward = stations.turns[: len(way)] @ self.grasp.toward(stations.grasp)
         return bool(np.all(self.grasp.holds(stations.hand.pose(way)[:, :3, :3], toward)))

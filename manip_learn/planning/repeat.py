@@ -224,11 +224,9 @@ def _grip(
 
 def _way(step: Step, name: str, q: Float[np.ndarray, " n"], seed: int, limits: Limits, dt: float) -> list[Part]:
     """Take hold and go along what was learnt, as it was shown in this step."""
-    constraint = step.constraint
+    constraint = step.as_shown
     if constraint is None or constraint.robot is None:
         raise TargetError(f"step {name!r}: no constraint to go along")
-    if step.shown is not None:
-        constraint = constraint.showing(step.shown)
     try:
         found = plan(constraint, motion(constraint), q, seed, limits=limits, dt=dt)
     except NoPlanError as refusal:

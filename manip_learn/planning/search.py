@@ -52,6 +52,7 @@ class Ladder:
         allowed: shape (P, L), nodes that may be used.
         least: shape (P, L), margin of each node.
         log_mu: shape (P, L), log of the manipulability of each node.
+        is_as_shown: Whether paths have to begin with the hand turned as in the recordings.
     """
 
     stations: Stations
@@ -61,6 +62,7 @@ class Ladder:
     allowed: Bool[np.ndarray, "P L"]
     least: Float[np.ndarray, "P L"]
     log_mu: Float[np.ndarray, "P L"]
+    is_as_shown: bool = False
 
     @property
     def as_shown(self) -> Ladder:
@@ -68,7 +70,7 @@ class Ladder:
         allowed = self.allowed.copy()
         first = np.flatnonzero(allowed[:, 0])
         allowed[first, 0] = self.stations.takes_hold_as_shown(self.q[first, 0])
-        return replace(self, allowed=allowed)
+        return replace(self, allowed=allowed, is_as_shown=True)
 
     def where(self, clear: Callable[[Float[np.ndarray, " nv"]], bool]) -> Ladder:
         """This ladder with those nodes only whose postures are clear."""

@@ -173,7 +173,7 @@ class Stations:
     def _with_rows(self, rows: Float[np.ndarray, "s 6"]) -> Stations:
         table = np.repeat(rows[None], len(self), axis=0)
         needs = _needs(self.time, self.places, self.turns, table)
-        return replace(self, rows=table, needs=needs)
+        return replace(self, rows=table, needs=needs, grip=None)
 
     def takes_hold_as_shown(self, q: Postures) -> Bool[np.ndarray, " n"]:
         """Which postures at the first station have the hand turned as in the recordings."""

@@ -84,8 +84,7 @@ def held_by_handles(skill: Skill, handles: Sequence[Float[np.ndarray, "n 3"]]) -
             return shown
         shut, ajar = handles[number][:2]
         if coordinate(shown, shut, ajar) < 0.0:
-            opening = replace(shown.coordinates, axes=-shown.coordinates.axes)
-            shown = replace(shown, coordinates=opening, path=-shown.path)
+            shown = replace(shown, coordinates=shown.coordinates.reversed(), path=-shown.path)
         ahead = coordinate(shown, shut, shown.begin)
         path = shown.path + ahead
         far = float(np.max(path))  # of the typical contact: the others may have begun elsewhere
@@ -131,11 +130,10 @@ class TaughtWay:
         """The ways of a skill, those that are too short to be meant left out."""
         ways: list[TaughtWay] = []
         for step in skill.steps:
-            shown = step.shown or (None if step.constraint is None else step.constraint.shown)
-            if step.kind == "way" and step.constraint is not None and shown is not None:
-                if shown.extent > SHORTEST[shown.unit]:
-                    constraint = step.constraint.showing(shown)
-                    ways.append(TaughtWay(constraint, len(ways), abs(motion(constraint).wanted)))
+            constraint = step.as_shown if step.kind == "way" else None
+            shown = None if constraint is None else constraint.shown
+            if constraint is not None and shown is not None and shown.extent > SHORTEST[shown.unit]:
+                ways.append(TaughtWay(constraint, len(ways), abs(motion(constraint).wanted)))
         return ways
 
     @staticmethod

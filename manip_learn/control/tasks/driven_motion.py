@@ -1,10 +1,9 @@
-"""A motion along one free direction of a constraint: along a straight way, or as a mechanism leaves it free."""
+"""A motion along what a constraint leaves free: a straight way, as a mechanism turns, or a path on a surface."""
 
 from __future__ import annotations
 
 import math
 from abc import ABC, abstractmethod
-from dataclasses import dataclass, replace
 from typing import NamedTuple, final
 
 import numpy as np
@@ -17,6 +16,7 @@ from manip_learn.constraint.features.frame_jacobian import AXES, FrameJacobian, 
 from manip_learn.constraint.features.mechanism_rows import MechanismRows, Place, across
 from manip_learn.constraint.features.relative_frame_jacobian import RelativeFrameJacobian
 from manip_learn.constraint.shown import Shown, Unit
+from manip_learn.control.tasks.motion_profile import PathProfile
 from manip_learn.errors import ConstraintError, TargetError, advice
 from manip_learn.linalg import along_axes, complement_rows, finite
 from manip_learn.robot.rotations import left_jacobian, left_jacobian_inverse, rotation_matrix, rotation_vector, skew
@@ -25,10 +25,7 @@ Origin = Float[np.ndarray, "..."]  # a pose (4, 4), or coordinates of the featur
 # an error along p rows [m or rad], its rate per unit rate of the distance at a frame that stands still, what makes
 # velocities of the features of the rates of coordinates, and E of `Task.error_jacobian`, None where that is A(q)
 MovingError = tuple[np.ndarray, np.ndarray, np.ndarray | float, np.ndarray | None]
-HAND_LEVER = 0.2  # [m] between a hand and what it turns, so that an approach of 0.25 m/s turns by 1.25 rad/s at most
-# [m] a hand this near to where a task was shown is on the mechanism: people take hold of a handle a finger's breadth
-# further on, and a constraint file keeps a few postures only
-GRIP = 0.02
+BESIDE = 0.02  # [m] along a path from where a hand should be, within which it is: some strokes of a wipe cross nearer
 AHEAD = 0.1  # of its distance along a path, by which a place must be nearer to the hand to be the one where it is
 FREE = 0.1  # share of a direction that must be free for it to be meant
 # share of a direction that is translation, or rotation: a learnt one leaks by its uncertainty, 0.1 at most
@@ -161,221 +158,6 @@ def apart(one: Origin, other: Origin) -> float:
 def nearest_turn(angle: float, near: float) -> float:
     """The angle [rad] that is the same but for whole turns and next to another one."""
     return angle + 2.0 * math.pi * round((near - angle) / (2.0 * math.pi))
-
-
-def _shown_postures(constraint: Constraint) -> Float[np.ndarray, "n m"] | None:
-    """Postures in which a constraint was shown, as far as it keeps them; None if it keeps none of its robot."""
-    robot, shown = constraint.robot, constraint.provenance.get("postures")
-    if robot is None or not shown:
-        return None
-    postures = np.array(shown, dtype=np.float64)
-    return postures if postures.ndim == 2 and postures.shape[1] in (robot.nq, robot.nv) else None
-
-
-def shown_sense(shown: Shown | None, motion: DrivenMotion, *, of_most: bool = False) -> float:
-    """1 where a task was shown to the positive side of a motion, -1 to the other; 0 if the recordings do not say.
-
-    Args:
-        shown: What was shown.
-        motion: The motion.
-        of_most: Where recordings went to both sides, the side of most of them counts.
-    """
-    if shown is None or not shown.is_way or not (shown.one_way or of_most) or shown.unit != motion.unit:
-        return 0.0
-    begin = np.eye(4)
-    begin[:3, :3], begin[:3, 3] = shown.orientation, shown.begin
-    along = float(motion.axis_at(begin) @ shown.coordinates.axes[0])
-    return math.copysign(1.0, along) if along else 0.0
-
-
-@final
-@dataclass(frozen=True, eq=False)
-class ShownPlaces:
-    """Where a task was shown, as a motion along it sees that.
-
-    Attributes:
-        motion: The motion along what is free.
-        postures: shape (n, nq or nv), in which it was shown; None where they do not say where the mechanism is.
-        lever: Distance of the hand from the axis of a turn [m]; 1 where nothing turns.
-        n_held: How many of the held coordinates of the motion belong to the constraint; others hold the orientation.
-        hold: shape (3,), where all contacts began [m]; None if they began at different places.
-        orientation: shape (3, 3), of the hand there; None where the mechanism leaves it free.
-        points: shape (k, 3), along the way from there [m].
-        anew: Whether the hand goes there even if it is on the mechanism already.
-        sense: Of the way shown along the motion, 1 or -1.
-    """
-
-    motion: DrivenMotion
-    postures: Float[np.ndarray, "n m"] | None
-    lever: float
-    n_held: int
-    hold: Float[np.ndarray, " 3"] | None
-    orientation: Float[np.ndarray, "3 3"] | None
-    points: Float[np.ndarray, "k 3"]
-    anew: bool
-    sense: float
-
-    @staticmethod
-    def of(constraint: Constraint, motion: DrivenMotion, anew: bool) -> ShownPlaces | None:
-        """Of a learnt constraint; None if it was not learnt, or if nothing says where its mechanism is.
-
-        A hand that is fixed to the mechanism carries the mechanism's place with it: of a firm grip a place is known
-        where all contacts began at one.
-        """
-        mechanism, postures, shown = constraint.mechanism, _shown_postures(constraint), constraint.shown
-        free = mechanism is not None and mechanism.grip == "loose" and mechanism.orientation == "free"
-        if not free:
-            postures = None
-        hold, points = None, np.zeros((0, 3))
-        if shown is not None and (shown.hold is not None or postures is None or isinstance(motion, PathMotion)):
-            hold, points = shown.begin, shown.points
-        if hold is None and postures is None:
-            return None
-        lever = 1.0 if motion.unit == "m" or mechanism is None else max(mechanism.radius or 0.0, GRIP)
-        turned = None if free or mechanism is None or shown is None else shown.orientation
-        sense = shown_sense(shown, motion, of_most=True) or 1.0
-        return ShownPlaces(motion, postures, lever, constraint.n_constraints, hold, turned, points, anew, sense)
-
-    def apart(self, one: Origin, other: Origin) -> float:
-        """Distance of two origins [m]; where the hand's orientation counts, an angle at the lever of a hand."""
-        far = apart(one, other)
-        if self.orientation is None or one.ndim == 1:
-            return far
-        turn = rotation_vector(one[:3, :3].T @ other[:3, :3])
-        return max(far, HAND_LEVER * math.sqrt(turn @ turn))
-
-    def nearest(self, here: Origin, distance: float) -> Origin:
-        """The origin from which the way begins.
-
-        That is where contacts began, of a way back its end; of a hand that is on the mechanism already its own,
-        unless it begins anew. Where contacts began at different places, it is the nearest one from which the way stays
-        within what was shown.
-
-        Args:
-            here: Origin of the motion where the hand is.
-            distance: Of the way [m or rad].
-        """
-        motion = self.motion
-        if self.hold is not None:
-            there = motion.placed(here, self.hold, self.orientation)
-            if self.sense * distance < 0.0:
-                there = motion.goal(there, -distance)
-            off = min((apart(here, motion.placed(here, point)) for point in self.points), default=math.inf)
-            return here if not self.anew and off <= GRIP else there
-        if self.postures is None:
-            return here
-        along = np.array([motion.progress(here, p, 0.0) for p in self.postures])
-        across = np.array([motion.deviation(here, p, 0.0)[: self.n_held] for p in self.postures])
-        origins = [motion.origin(p) for p in self.postures]
-        low, high, room = float(along.min()), float(along.max()), GRIP / self.lever
-        if low - room <= 0.0 <= high + room and np.all((across.min(0) <= GRIP) & (across.max(0) >= -GRIP)):
-            return here
-        # places from which the way ends within what was shown; if it is too long for that, those with the most room
-        first, last = (low, max(high - distance, low)) if distance > 0.0 else (min(low - distance, high), high)
-        places = [motion.goal(o, float(np.clip(s, first, last) - s)) for o, s in zip(origins, along, strict=True)]
-        place = min(places, key=lambda place: apart(here, place))
-        return place if place.ndim == 1 else motion.placed(here, place[:3, 3])
-
-
-@final
-@dataclass(frozen=True)
-class MotionProfile:
-    """A distance in time with bounded acceleration and jerk.
-
-    The speed rises and falls as 3 x^2 - 2 x^3 over the ramp, so that the acceleration is continuous and at most
-    1.5 speed / ramp. Where the distance is too short to reach the speed, the ramps stay as long and the speed is less.
-
-    Attributes:
-        distance: [m or rad], negative for the other way.
-        speed: Of the middle part, positive [m/s or rad/s].
-        ramp: Time from rest to the speed [s].
-    """
-
-    distance: float
-    speed: float
-    ramp: float
-
-    def over(self, distance: float) -> MotionProfile:
-        """Over another distance [m or rad]."""
-        return replace(self, distance=distance)
-
-    def slowed(self, times: float) -> MotionProfile:
-        """At a speed that is so many times smaller."""
-        return replace(self, speed=self.peak / times)
-
-    @property
-    def peak(self) -> float:
-        """Largest speed that is reached [m/s or rad/s]."""
-        return min(self.speed, abs(self.distance) / self.ramp)
-
-    @property
-    def duration(self) -> float:
-        """Time from rest to rest [s]."""
-        return abs(self.distance) / self.peak + self.ramp
-
-    def at(self, t: float) -> tuple[float, float]:
-        """Distance covered and its rate, t [s] after the start; at rest before the start and after the end."""
-        peak, ramp, duration = math.copysign(self.peak, self.distance), self.ramp, self.duration
-        t = min(max(t, 0.0), duration)
-        left = duration - t
-        x = min(t, left) / ramp
-        if x >= 1.0:
-            return peak * (t - 0.5 * ramp), peak
-        ramped, rate = peak * ramp * x**3 * (1.0 - 0.5 * x), peak * x * x * (3.0 - 2.0 * x)
-        return (ramped if t < left else self.distance - ramped), rate
-
-
-@final
-@dataclass(frozen=True, eq=False)
-class PathProfile:
-    """The way along a path in the time in which it was shown, from rest and to rest.
-
-    The time of the recording begins and ends slowly, over the ramp; between, it runs as the clock does.
-
-    Attributes:
-        times: shape (k,), of the recording, from 0 [s].
-        ways: shape (k,), along the path by then [m].
-        speed: Largest rate of the way [m/s].
-        distance: How much of the path is gone [m].
-        ramp: Time from rest to the pace of the recording [s].
-        pace: Seconds of the recording in a second.
-    """
-
-    times: Float[np.ndarray, " k"]
-    ways: Float[np.ndarray, " k"]
-    distance: float
-    ramp: float
-    pace: float = 1.0
-
-    @property
-    def _clock(self) -> MotionProfile:
-        end = float(np.interp(self.distance, self.ways, self.times))
-        return MotionProfile(end, self.pace, self.ramp)
-
-    @property
-    def speed(self) -> float:
-        """Largest rate of the way [m/s]."""
-        return self._clock.peak * float(np.max(np.diff(self.ways) / np.diff(self.times)))
-
-    def over(self, distance: float) -> PathProfile:
-        """Over the first part of the path [m]."""
-        return replace(self, distance=min(abs(distance), float(self.ways[-1])))
-
-    def slowed(self, times: float) -> PathProfile:
-        """At a pace that is so many times smaller."""
-        return replace(self, pace=self._clock.peak / times)
-
-    @property
-    def duration(self) -> float:
-        """Time from rest to rest [s]."""
-        return self._clock.duration
-
-    def at(self, t: float) -> tuple[float, float]:
-        """Distance covered and its rate, t [s] after the start."""
-        time, pace = self._clock.at(t)
-        k = min(int(np.searchsorted(self.times, time, side="right")), len(self.times) - 1)
-        slope = float((self.ways[k] - self.ways[k - 1]) / (self.times[k] - self.times[k - 1]))
-        return float(self.ways[k - 1]) + slope * (time - float(self.times[k - 1])), slope * pace
 
 
 @final
@@ -784,7 +566,7 @@ class PathMotion(DrivenMotion):
 
     def progress(self, origin: Origin, q: ArrayLike, near: float) -> float:
         """The place of the path next to the hand, of those less than 2 cm along it from `near`: it may cross itself."""
-        some = np.flatnonzero(np.abs(self._ways - near) <= GRIP)
+        some = np.flatnonzero(np.abs(self._ways - near) <= BESIDE)
         if not len(some):
             return super().progress(origin, q, near)
         hand = self.origin(q)[:3, 3]

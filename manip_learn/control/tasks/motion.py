@@ -22,21 +22,19 @@ from manip_learn.control.policies import (
 from manip_learn.control.tasks.driven_motion import (
     DrivenMotion,
     MechanismMotion,
-    MotionProfile,
     Origin,
     PathMotion,
-    PathProfile,
     Setpoint,
-    ShownPlaces,
     StraightMotion,
     Unit,
     apart,
     between,
     place_about,
-    shown_sense,
     way_in_words,
 )
+from manip_learn.control.tasks.motion_profile import MotionProfile, PathProfile
 from manip_learn.control.tasks.point_attractor import PointAttractor, Task
+from manip_learn.control.tasks.shown_places import ShownPlaces, shown_sense
 from manip_learn.errors import ConstraintError, ManipLearnError, TargetError, advice
 from manip_learn.linalg import finite
 from manip_learn.robot.robot import Robot

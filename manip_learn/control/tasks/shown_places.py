@@ -1,0 +1,134 @@
+"""Where a task was shown, and which way, as a motion along it sees that."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import final
+
+import numpy as np
+from jaxtyping import Float
+
+from manip_learn.constraint.constraint import Constraint
+from manip_learn.constraint.shown import Shown
+from manip_learn.control.tasks.driven_motion import DrivenMotion, Origin, PathMotion, apart
+from manip_learn.robot.rotations import rotation_vector
+
+# [m] a hand this near to where a task was shown is on the mechanism: people take hold of a handle a finger's breadth
+# further on, and a constraint file keeps a few postures only
+GRIP = 0.02
+HAND_LEVER = 0.2  # [m] between a hand and what it turns, so that an approach of 0.25 m/s turns by 1.25 rad/s at most
+
+
+def _shown_postures(constraint: Constraint) -> Float[np.ndarray, "n m"] | None:
+    """Postures in which a constraint was shown, as far as it keeps them; None if it keeps none of its robot."""
+    robot, shown = constraint.robot, constraint.provenance.get("postures")
+    if robot is None or not shown:
+        return None
+    postures = np.array(shown, dtype=np.float64)
+    return postures if postures.ndim == 2 and postures.shape[1] in (robot.nq, robot.nv) else None
+
+
+def shown_sense(shown: Shown | None, motion: DrivenMotion, *, of_most: bool = False) -> float:
+    """1 where a task was shown to the positive side of a motion, -1 to the other; 0 if the recordings do not say.
+
+    Args:
+        shown: What was shown.
+        motion: The motion.
+        of_most: Where recordings went to both sides, the side of most of them counts.
+    """
+    if shown is None or not shown.is_way or not (shown.one_way or of_most) or shown.unit != motion.unit:
+        return 0.0
+    begin = np.eye(4)
+    begin[:3, :3], begin[:3, 3] = shown.orientation, shown.begin
+    along = float(motion.axis_at(begin) @ shown.coordinates.axes[0])
+    return math.copysign(1.0, along) if along else 0.0
+
+
+@final
+@dataclass(frozen=True, eq=False)
+class ShownPlaces:
+    """Where a task was shown, as a motion along it sees that.
+
+    Attributes:
+        motion: The motion along what is free.
+        postures: shape (n, nq or nv), in which it was shown; None where they do not say where the mechanism is.
+        lever: Distance of the hand from the axis of a turn [m]; 1 where nothing turns.
+        n_held: How many of the held coordinates of the motion belong to the constraint; others hold the orientation.
+        hold: shape (3,), where all contacts began [m]; None if they began at different places.
+        orientation: shape (3, 3), of the hand there; None where the mechanism leaves it free.
+        points: shape (k, 3), along the way from there [m].
+        anew: Whether the hand goes there even if it is on the mechanism already.
+        sense: Of the way shown along the motion, 1 or -1.
+    """
+
+    motion: DrivenMotion
+    postures: Float[np.ndarray, "n m"] | None
+    lever: float
+    n_held: int
+    hold: Float[np.ndarray, " 3"] | None
+    orientation: Float[np.ndarray, "3 3"] | None
+    points: Float[np.ndarray, "k 3"]
+    anew: bool
+    sense: float
+
+    @staticmethod
+    def of(constraint: Constraint, motion: DrivenMotion, anew: bool) -> ShownPlaces | None:
+        """Of a learnt constraint; None if it was not learnt, or if nothing says where its mechanism is.
+
+        A hand that is fixed to the mechanism carries the mechanism's place with it: of a firm grip a place is known
+        where all contacts began at one.
+        """
+        mechanism, postures, shown = constraint.mechanism, _shown_postures(constraint), constraint.shown
+        free = mechanism is not None and mechanism.grip == "loose" and mechanism.orientation == "free"
+        if not free:
+            postures = None
+        hold, points = None, np.zeros((0, 3))
+        if shown is not None and (shown.hold is not None or postures is None or isinstance(motion, PathMotion)):
+            hold, points = shown.begin, shown.points
+        if hold is None and postures is None:
+            return None
+        lever = 1.0 if motion.unit == "m" or mechanism is None else max(mechanism.radius or 0.0, GRIP)
+        turned = None if free or mechanism is None or shown is None else shown.orientation
+        sense = shown_sense(shown, motion, of_most=True) or 1.0
+        return ShownPlaces(motion, postures, lever, constraint.n_constraints, hold, turned, points, anew, sense)
+
+    def apart(self, one: Origin, other: Origin) -> float:
+        """Distance of two origins [m]; where the hand's orientation counts, an angle at the lever of a hand."""
+        far = apart(one, other)
+        if self.orientation is None or one.ndim == 1:
+            return far
+        turn = rotation_vector(one[:3, :3].T @ other[:3, :3])
+        return max(far, HAND_LEVER * math.sqrt(turn @ turn))
+
+    def nearest(self, here: Origin, distance: float) -> Origin:
+        """The origin from which the way begins.
+
+        That is where contacts began, of a way back its end; of a hand that is on the mechanism already its own,
+        unless it begins anew. Where contacts began at different places, it is the nearest one from which the way stays
+        within what was shown.
+
+        Args:
+            here: Origin of the motion where the hand is.
+            distance: Of the way [m or rad].
+        """
+        motion = self.motion
+        if self.hold is not None:
+            there = motion.placed(here, self.hold, self.orientation)
+            if self.sense * distance < 0.0:
+                there = motion.goal(there, -distance)
+            off = min((apart(here, motion.placed(here, point)) for point in self.points), default=math.inf)
+            return here if not self.anew and off <= GRIP else there
+        if self.postures is None:
+            return here
+        along = np.array([motion.progress(here, p, 0.0) for p in self.postures])
+        across = np.array([motion.deviation(here, p, 0.0)[: self.n_held] for p in self.postures])
+        origins = [motion.origin(p) for p in self.postures]
+        low, high, room = float(along.min()), float(along.max()), GRIP / self.lever
+        if low - room <= 0.0 <= high + room and np.all((across.min(0) <= GRIP) & (across.max(0) >= -GRIP)):
+            return here
+        # places from which the way ends within what was shown; if it is too long for that, those with the most room
+        first, last = (low, max(high - distance, low)) if distance > 0.0 else (min(low - distance, high), high)
+        places = [motion.goal(o, float(np.clip(s, first, last) - s)) for o, s in zip(origins, along, strict=True)]
+        place = min(places, key=lambda place: apart(here, place))
+        return place if place.ndim == 1 else motion.placed(here, place[:3, 3])
