@@ -36,8 +36,6 @@ PAPER_NMIE: dict[str, dict[str, float]] = {
     "x rz": {"mean": 7e-6, "sd": 4e-5},
     "y rz": {"mean": 2e-8, "sd": 3e-8},
 }
-# "errors less than 1e-5 in 3DOF simulated systems as well as 1e-2 using a 7DOF real world robotic system"
-PAPER_ABSTRACT = (1e-5, 1e-2)
 # x, y only: RMSE of pi_mu against the learnt one, 20 rollouts of 100 points [rad/s]
 PAPER_RMSE: dict[str, float] = {"mean": 2.069e-4, "sd": 1.001e-4}
 # a real Sawyer that opens a drawer; its data were not published
