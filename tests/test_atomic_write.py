@@ -122,7 +122,7 @@ def test_the_disk_has_the_bytes_before_the_name(tmp_path, monkeypatch):
 NO_ROOM = """
 import resource, sys
 from manip_learn.cli import main
-sys.dont_write_bytecode = True  # before 3.12.8 Python keeps a .pyc that found no room, and nobody can import it any more
+sys.dont_write_bytecode = True  # before 3.12.8 a .pyc that found no room stays, and breaks every import
 resource.setrlimit(resource.RLIMIT_FSIZE, (16, 16))  # [bytes] of a file
 for line in sys.stdin:
     print("exit code", main(line.split()), file=sys.stderr, flush=True)

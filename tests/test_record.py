@@ -174,7 +174,7 @@ class Arm:
         print("held", flush=True)
 
 if limit:
-    sys.dont_write_bytecode = True  # before 3.12.8 Python keeps a .pyc that found no room; nobody can import it any more
+    sys.dont_write_bytecode = True  # before 3.12.8 a .pyc that found no room stays, and breaks every import
     resource.setrlimit(resource.RLIMIT_FSIZE, (limit, limit))
 clock = Steady()
 done = record(Arm(), sys.argv[1], clock=clock)
