@@ -19,6 +19,14 @@ Inverse = Literal["exact", "truncated", "damped"]
 EPS = float(np.finfo(np.float64).eps)
 
 
+@functools.cache
+def unit(size: int) -> Float[np.ndarray, "n n"]:
+    """The unit matrix, not to be written to."""
+    matrix = np.eye(size)
+    matrix.setflags(write=False)
+    return matrix
+
+
 def inverse_singular_values(
     sigma: Float[np.ndarray, " k"],
     shape: tuple[int, ...],

@@ -116,6 +116,13 @@ def gradient_from(
     return mu, vjp((U * others).dot(Vt[:s])), floor
 
 
+def smallest_gradient(A: Float[np.ndarray, "s nv"], vjp: Vjp) -> Float[np.ndarray, " nv"]:
+    """d sigma_min / dq = u_min^T (dA / dq) v_min, for a smallest singular value that is neither 0 nor double."""
+    U, sigma, Vt = svd(A)
+    k = len(sigma)
+    return vjp(U[:, k - 1 : k].dot(Vt[k - 1 : k]))
+
+
 def products_of_others(sigma: Sequence[float]) -> list[float]:
     """prod_{j != i} sigma_j for each i, without a division."""
     s = len(sigma)

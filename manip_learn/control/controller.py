@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import copy
 import math
-from math import isfinite
 from typing import final
 
 import numpy as np
@@ -12,14 +11,12 @@ from jaxtyping import Float
 from numpy.typing import ArrayLike
 
 from manip_learn.constraint.constraint import Constraint
-from manip_learn.control.bounded_velocity import bounded_velocity
-from manip_learn.control.command import Command, Status
-from manip_learn.control.limits import Barrier, BoundedVelocity, Limits
+from manip_learn.control.command import Command
+from manip_learn.control.law import Law
+from manip_learn.control.limits import Limits
 from manip_learn.control.policies import NullSpacePolicy, ZeroPolicy, climbing
-from manip_learn.control.resolved_rate_law import Law, ResolvedRateLaw, bounded_command, plain_command
-from manip_learn.control.singularity import approach_bound
 from manip_learn.control.tasks import Hold, Task
-from manip_learn.errors import ConfigurationError, ConstraintError, advice, an
+from manip_learn.errors import ConfigurationError, ConstraintError, an
 from manip_learn.linalg import Inverse
 from manip_learn.robot.frame_kinematics import is_plain
 from manip_learn.robot.robot import Robot
@@ -109,7 +106,7 @@ class ResolvedRateController:
         self.limits = self._limits_of(limits)
         self._features_check = self.robot is not None and self.robot is constraint.robot
         settings = (self.inverse, self.threshold, self.damping)
-        self._law = ResolvedRateLaw(constraint, self.task, self.null_policy, *settings, self.limits)
+        self._law = Law(constraint, self.task, self.null_policy, *settings)
 
     def __call__(
         self,
@@ -141,7 +138,7 @@ class ResolvedRateController:
             raise ConfigurationError(f"dt must be a positive number of seconds, got {dt!r}")
         if not (self._features_check and type(q) is np.ndarray and is_plain(q)):
             q = self._checked_posture(q)
-        return self._limited(q, dt, self._law(q, t, dt), previous, slide if self.task.slides else 0.0)
+        return self._law.command(q, t, dt, self.limits, previous, slide if self.task.slides else 0.0)
 
     def task_error(self, q: ArrayLike, t: float = 0.0) -> float:
         """Distance to the task's goal along the constrained rows [m or rad]."""
@@ -166,7 +163,6 @@ class ResolvedRateController:
         """This controller with other limits."""
         other = copy.copy(self)
         other.limits = other._limits_of(limits)
-        other._law = self._law.with_limits(limits)
         return other
 
     def _limits_of(self, limits: bool | Limits) -> Limits | None:
@@ -183,51 +179,6 @@ class ResolvedRateController:
         if not np.all(np.isfinite(vector)):
             raise ConfigurationError(f"the posture is not finite: {vector.tolist()}")
         return vector
-
-    def _limited(self, q: np.ndarray, dt: float, law: Law, previous: np.ndarray | None, slide: float) -> Command:
-        """The parts of the law brought within the limits, and added."""
-        task, null, escape = law.desired
-        wish = task + null
-        velocity = wish if escape is None else wish + escape
-        if not isfinite(sum(velocity.tolist())):
-            raise ConfigurationError(
-                f"the {self.inverse!r} inverse overflows at this posture (smallest singular value {law.smallest:.1e}): "
-                + advice("use {}", "inverse='damped'", "--inverse damped")
-            )
-        limits, damped = self.limits, self.inverse == "damped" and law.smallest < self.threshold
-        if limits is None:
-            return plain_command(law, velocity, damped)
-        slope, far = self._law.approach(q, dt, law, velocity), previous is None and limits.far(q, dt, velocity)
-        tip, tips, fast = limits.tip, None, None
-        if tip is not None:
-            tips = tip.at(q, dt, limits.acceleration, previous)
-            fast = tip.rows(tips, velocity)
-        if far and slope is None and fast is None:
-            return plain_command(law, velocity, damped)
-        barrier, slow = None, fast is None
-        if slope is not None and (bound := approach_bound(law.smallest, slope, limits.acceleration, dt)) < math.inf:
-            barrier, slow = (slope[None], np.array([-bound])), slow and -float(slope.dot(velocity)) <= bound
-        if far and slow:
-            return plain_command(law, velocity, damped)
-        bounds = limits.bounds(q, dt, previous)
-        if slow and bounds.admit(velocity):
-            return plain_command(law, velocity, damped, bounds.outside)
-        # an explicit step of dt follows sliding that is damped that much
-        blur = 0.0 if slide == 0.0 else max(self.damping, math.sqrt(2.0 * dt * math.sqrt(law.b.dot(law.b))))
-
-        def within(rows: Barrier | None) -> BoundedVelocity:
-            return bounded_velocity(
-                *(law.A, law.desired, law.null_space(), bounds, limits.velocity, rows, slide, blur),
-                decomposition=law.decomposition,
-            )
-
-        found = within(barrier) if tip is None or tips is None else tip.bounded(tips, velocity, barrier, within)
-        command = bounded_command(law, wish, found, bounds, damped)
-        held_back = fast is not None and not damped and command.status is Status.DAMPED
-        if tips is None or not held_back:
-            return command
-        at_wall = np.any(tips.too_near(velocity))
-        return command._replace(status=Status.POSITION_LIMITED if at_wall else Status.VELOCITY_LIMITED)
 
     def __repr__(self) -> str:
         return (

@@ -10,9 +10,9 @@ from jaxtyping import Bool, Float, Int
 from numpy.typing import ArrayLike
 from scipy.interpolate import PchipInterpolator
 
-from manip_learn.control.bounded_velocity import project_by_daqp
-from manip_learn.control.command import Command, Status
-from manip_learn.control.limits import RETURN_SPEED, SLOWED_BY, Barrier, BoundedVelocity, Limits, stopping_speed
+from manip_learn.control.command import Command, Status, slowed_by
+from manip_learn.control.law import nearest_within
+from manip_learn.control.limits import RETURN_SPEED, Limits, stopping_speed
 from manip_learn.control.rollout import Rollout
 from manip_learn.errors import ConfigurationError
 from manip_learn.recordings.trajectory import Trajectory
@@ -137,23 +137,12 @@ class FollowMotion:
         """The velocity nearest to a wish that is within all limits."""
         limits = self.limits
         bounds = limits.bounds(q, dt, previous)
-        low, high = np.array(bounds.low), np.array(bounds.high)
-        u = within = np.clip(wish, low, high)
-        none = np.zeros_like(u)
+        u, none = np.clip(wish, bounds.low, bounds.high), np.zeros_like(wish)
         if limits.tip is not None:
             tips = limits.tip.at(q, dt, limits.acceleration, previous)
-
-            def nearest(barrier: Barrier | None) -> BoundedVelocity:  # within the bounds alone where nothing is in both
-                if barrier is None:
-                    return BoundedVelocity(within, 1.0, none)
-                G, least = barrier
-                C, endless = np.vstack([np.eye(len(wish)), G]), np.full(len(least), np.inf)
-                found = project_by_daqp(wish, C, np.append(low, least), np.append(high, endless))
-                return BoundedVelocity(within if found is None else np.clip(found, low, high), 1.0, none)
-
-            u = limits.tip.bounded(tips, u, None, nearest).velocity
+            u = limits.tip.bounded(tips, u, None, lambda rows: nearest_within(wish, np.eye(len(wish)), bounds, rows))
         j, cause = bounds.binding(u, wish)
-        status = Status.OK if j < 0 else SLOWED_BY[cause]
+        status = Status.OK if j < 0 else slowed_by(cause)
         if bounds.outside > 0.0:
             status = Status.OUTSIDE_LIMITS
         return Command(

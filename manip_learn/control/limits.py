@@ -5,15 +5,14 @@ from __future__ import annotations
 import copy
 import math
 from collections.abc import Callable, Sequence
-from operator import le, neg
+from operator import le, neg, truediv
 from typing import NamedTuple, final
 
 import numpy as np
 from jaxtyping import Bool, Float
 from numpy.typing import ArrayLike
 
-from manip_learn.control.command import Status
-from manip_learn.control.singularity import APPROACH_RATE, BRAKING_SHARE, approach_rate
+from manip_learn.control.command import ACCELERATION, POSITION, VELOCITY
 from manip_learn.errors import ConfigurationError, TargetError
 from manip_learn.robot.robot import Robot
 from manip_learn.robot.tips import default_tip
@@ -27,26 +26,55 @@ DEFAULT_ACCELERATION = 10.0  # [rad/s2 or m/s2] default limit of a joint that ha
 ROOM_TO_LEAVE = 0.1  # [rad or m] room that the joints need for leaving a singularity
 OUTSIDE = 1e-9  # [rad or m] a joint is outside when it is more than this beyond a position limit
 AT_BOUND = 1e-7  # share of a bound within which a velocity counts as being at it
-POSITION, VELOCITY, ACCELERATION = range(3)  # causes of bounds, and the status of a command that each slows down
-SLOWED_BY = (Status.POSITION_LIMITED, Status.VELOCITY_LIMITED, Status.ACCELERATION_LIMITED)
+# [1/s] rate at which a wall is approached exponentially at the end of the braking distance: a singularity, where the
+# smallest singular value falls, a position limit, a wall of the hand
+APPROACH_RATE = 20.0
+BRAKING_SHARE = 0.5  # of the joints' acceleration that braking before a wall uses; the rest keeps the task on its way
+CROSSING_SPEED = 5e-4  # [rad/s] speed at which a singularity may be crossed
 ROUNDED = 1e-12  # [m/s] by how much the solution of a program may approach a wall too fast: rounding of a speed of 1
 MOST_ROWS = 12  # rounds in which a speed was too large; in practice one to four
 Barrier = tuple[Float[np.ndarray, "r nv"], Float[np.ndarray, " r"]]  # (G, least): rows G u >= least
 
 
-@final
-class BoundedVelocity(NamedTuple):
-    """A joint velocity within bounds.
+def approach_rate(
+    distance: float, slope: Float[np.ndarray, " nv"], acceleration: Float[np.ndarray, " nv"], dt: float
+) -> float:
+    """Largest rate at which a distance may fall, so that the joints can stop where it is 0; negative beyond that.
 
-    Attributes:
-        velocity: shape (nv,) [rad/s or m/s].
-        task_scale: Factor s on the task, A velocity = s b; above 1 where the arm cannot slow down fast enough.
-        null_part: Its component in the null space of A.
+        rate = min(kappa x, sqrt(2 a x)),   a = BRAKING_SHARE |g| min_j (a_j / |n_j|),   n = g / |g|
+
+    Args:
+        distance: x, e.g. the smallest singular value of A, or of a frame from a wall [m].
+        slope: g, its gradient.
+        acceleration: Acceleration limits a_j [rad/s2 or m/s2].
+        dt: Time for which a velocity is held [s].
     """
+    parts = slope.tolist()
+    largest = max(map(truediv, map(abs, parts), acceleration.tolist()))
+    length = math.hypot(*parts)
+    deceleration = BRAKING_SHARE * length * length / largest if largest > 0.0 else math.inf
+    return min(min(APPROACH_RATE, 0.5 / dt) * distance, math.sqrt(2.0 * deceleration * max(distance, 0.0)))
 
-    velocity: Float[np.ndarray, " nv"]
-    task_scale: float
-    null_part: Float[np.ndarray, " nv"]
+
+def approach_bound(
+    smallest: float, slope: Float[np.ndarray, " nv"], acceleration: Float[np.ndarray, " nv"], dt: float
+) -> float:
+    """Largest rate at which the smallest singular value may fall, so that the arm can stop at the singularity.
+
+    That of `approach_rate`, and |grad sigma| CROSSING_SPEED. A task whose target is out of reach presses the arm
+    against a singularity (a stretched elbow), with joint velocities that grow as 1 / sigma until they flip from
+    step to step; with the bound it comes to rest there.
+
+    Args:
+        smallest: sigma, the smallest singular value of A.
+        slope: Its gradient.
+        acceleration: Acceleration limits [rad/s2 or m/s2].
+        dt: Time for which a velocity is held [s].
+    """
+    length = math.hypot(*slope.tolist())
+    if length == 0.0:
+        return math.inf
+    return length * CROSSING_SPEED + approach_rate(smallest, slope, acceleration, dt)
 
 
 @final
@@ -74,7 +102,7 @@ class TipLimits:
 
     The ball of velocities is bounded by tangent planes, n^T J u <= speed, where it was exceeded: first at the velocity
     wished for, then, as long as one is needed, at the solution with those so far (Kelley, "The cutting-plane method for
-    solving convex programs", 1960). A wall is approached no faster than `singularity.approach_rate` of its distance, so
+    solving convex programs", 1960). A wall is approached no faster than `approach_rate` of its distance, so
     that the joints can stop the frame there; a frame beyond a wall returns. No more is asked of a step than
     BRAKING_SHARE of what the acceleration limits allow all joints together. Where they allow no velocity that keeps all
     this, they have precedence.
@@ -160,8 +188,8 @@ class TipLimits:
         tips: Tips,
         wish: Float[np.ndarray, " nv"],
         barrier: Barrier | None,
-        solve: Callable[[Barrier | None], BoundedVelocity],
-    ) -> BoundedVelocity:
+        solve: Callable[[Barrier | None], Float[np.ndarray, " nv"]],
+    ) -> Float[np.ndarray, " nv"]:
         """The solution of the program with the rows that it needs.
 
         Args:
@@ -178,8 +206,7 @@ class TipLimits:
             if broken is not None:
                 G, least = broken
                 barrier = broken if barrier is None else (np.vstack((barrier[0], G)), np.append(barrier[1], least))
-            found = solve(barrier)
-            u = found.velocity
+            u = found = solve(barrier)
         return solve(barrier) if found is None else found
 
 
@@ -494,6 +521,20 @@ class Limits:
         other._columns = tuple(a.tolist() for a in (self.lower, self.upper, self.velocity, other.acceleration))
         other._approach = _Approaches(0.0, [], [], [])
         return other
+
+    def may_approach(self, square: float, size: float, smallest: float, dt: float) -> bool:
+        """Whether a velocity may approach a singularity too fast, so that a closer look is due.
+
+        |grad sigma| is about as large as A itself.
+
+        Args:
+            square: |u|^2.
+            size: |A|^2.
+            smallest: Smallest singular value of A.
+            dt: Time for which the velocity is held [s].
+        """
+        rate = min(APPROACH_RATE, 0.5 / dt) * smallest
+        return square * size >= min(2.0 * BRAKING_SHARE * self.weakest * math.sqrt(size) * smallest, rate * rate)
 
     def freer_sense(self, q: Float[np.ndarray, " n"], direction: Float[np.ndarray, " nv"]) -> Float[np.ndarray, " nv"]:
         """A direction, or its opposite where position limits leave that more room."""

@@ -10,6 +10,7 @@ from typing import final
 import numpy as np
 from jaxtyping import Float
 from numpy.typing import ArrayLike
+from scipy.linalg.lapack import dsyev  # pyright: ignore[reportAttributeAccessIssue]
 
 from manip_learn.constraint.constraint import Constraint
 from manip_learn.constraint.features.feature_map import Vjp
@@ -21,13 +22,19 @@ from manip_learn.constraint.manipulability import (
     penalised_value_and_vjp,
 )
 from manip_learn.constraint.small_matrices import row_inverse, svd
-from manip_learn.control.singularity import GROWTH, SEED_SPEED, Decomposition, steepest_ascent
 from manip_learn.errors import ConfigurationError, ConstraintError, TargetError
 from manip_learn.robot.collision import SelfCollision
+from manip_learn.robot.frame_kinematics import vjps
 from manip_learn.robot.limit_potential import has_range, ranges, room_of
 from manip_learn.robot.robot import Robot
 
 ASCENT_GAIN = 3.0  # [rad^2/s] default: the highest manipulability of the gains that were compared (docs/control.md)
+SEED_SPEED = 5e-4  # [rad/s] speed at which an exact singularity is left, where no sense is better than its opposite
+# by how many times its distance from a singularity one step may carry the arm away from it: nothing lies there that a
+# step could go beyond. Of 61 exactly singular starts of five arms, holding still, 0.25 leaves 61, 56 and 42 within a
+# second at 1, 10 and 20 ms, 1 leaves 61, 61 and 58, 1.25 and more leave all; from 1.5 on arms that are pressed against
+# a singularity turn to and fro now and then
+GROWTH = 1.25
 LARGEST_RATE = 1.0  # [1/s] half ranges a second that a joint moves at most, for joints whose range is short
 
 
@@ -313,7 +320,7 @@ class ManipulabilityAscent(SampledPolicy):
         if self.logarithmic and shape[0] > shape[1]:
             return np.zeros(shape[1])
         if self.logarithmic and self.max_speed is not None and smallest <= SINGULAR_RATIO * sigma[0]:
-            return self.seed * steepest_ascent(Decomposition(*decomposition), vjp)
+            return self.seed * steepest_ascent(decomposition, vjp)
         mu, gradient, floor = gradient_from(shape, decomposition, vjp)
         if not self.logarithmic:
             return gradient * self.gain
@@ -435,6 +442,33 @@ class WeightedPolicies(SampledPolicy):
     def __repr__(self) -> str:
         terms = " + ".join(f"{w:g} {policy!r}" for w, policy in zip(self.weights, self.policies, strict=True))
         return f"WeightedPolicies({terms})"
+
+
+def steepest_ascent(decomposition: tuple[np.ndarray, np.ndarray, np.ndarray], vjp: Vjp) -> Float[np.ndarray, " nv"]:
+    """Unit vector along which the lost singular values grow fastest, in the null space of A if they grow there.
+
+    With U_0, V_0 spanning what A has lost, U_0^T A(q + step) V_0 is linear in the step, with matrix M; mu is a cone
+    there, and the leading right singular vector of M its steepest ascent.
+    """
+    U, sigma, Vt = decomposition
+    largest, *others = sigma.tolist()
+    rank = 1 + sum(x > SINGULAR_RATIO * largest for x in others) if largest > 0.0 else 0
+    Z = Vt[rank:]
+    rows = [vjps(vjp, U[:, i : i + 1] * Z.reshape(-1), Z.shape[0]) for i in range(rank, U.shape[1])]
+    M = rows[0] if len(rows) == 1 else np.concatenate(rows)
+    flat = M.reshape(-1)
+    square = float(flat.dot(flat))
+    if square == 0.0:
+        return np.zeros(M.shape[1])
+    inside = M.dot(Z.T)
+    squares, vectors, failed = dsyev(inside.T.dot(inside))
+    # the largest rate of all is at most the root of `square`, and seldom less than half of it
+    if not failed and squares[-1] > 1e-12 * square:
+        direction = vectors[:, -1].dot(Z)
+    else:
+        direction = svd(M)[2][0]
+    values = direction.tolist()
+    return -direction if max(values) < -min(values) else direction
 
 
 def climbing(policy: NullSpacePolicy, before: Constraint, after: Constraint) -> NullSpacePolicy:

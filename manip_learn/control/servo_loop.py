@@ -16,9 +16,9 @@ from manip_learn.control.command import Command, Controller, Status
 from manip_learn.control.controller import ResolvedRateController
 from manip_learn.control.follow_motion import FollowMotion
 from manip_learn.control.following import STIFFNESS, FollowingError
+from manip_learn.control.law import next_slide
 from manip_learn.control.law_sequence import LawSequence, constraint_of, frame_of, law_of, task_of
 from manip_learn.control.limits import Bounds, Limits, bound_changes, stopping_speed
-from manip_learn.control.resolved_rate_law import next_slide
 from manip_learn.control.tasks import PointAttractor, Task
 from manip_learn.errors import ConfigurationError
 from manip_learn.robot.robot import Robot

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from abc import ABC, abstractmethod
-from typing import NamedTuple, final
+from typing import final
 
 import numpy as np
 from jaxtyping import Float
@@ -42,15 +42,6 @@ DRIVEN = {  # what may be driven, in words
 def way_in_words(way: float, unit: Unit) -> str:
     """The size of a way, e.g. `"0.3 m"` or `"60 degrees"`."""
     return f"{abs(way):.3g} m" if unit == "m" else f"{math.degrees(abs(way)):.3g} degrees"
-
-
-@final
-class Setpoint(NamedTuple):
-    """Where a motion should be: how far from its start [m or rad], how fast, and how large its rate may be."""
-
-    distance: float
-    rate: float
-    speed: float
 
 
 class DrivenMotion(ABC):
@@ -101,17 +92,25 @@ class DrivenMotion(ABC):
         return self.held_at(distance) @ self.error(origin, q, distance)
 
     def rates_and_jacobian(
-        self, origin: Origin, q: ArrayLike, setpoint: Setpoint, gain: float
+        self, origin: Origin, q: ArrayLike, place: float, rate: float, gain: float
     ) -> tuple[Float[np.ndarray, " p"], Float[np.ndarray, "s nv"] | None]:
         """Velocities wanted of the features of `constraint`; E of `Task.error_jacobian`, None where that is A(q).
 
-        The rate of the error that the moving goal causes, and gain times the error, along the motion within the speed.
+        Args:
+            origin: Where the motion begins.
+            q: Posture.
+            place: How far along the motion the hand is [m or rad].
+            rate: At which it is to go on [m/s or rad/s].
+            gain: Rate at which what is off the motion there is taken back [1/s].
         """
-        error, along, scale, E = self.moving_error(origin, q, setpoint.distance)
-        wanted = setpoint.rate + gain * self._lag(error, setpoint.distance)
-        excess = wanted - min(max(wanted, -setpoint.speed), setpoint.speed)
-        rates = along * setpoint.rate + gain * error
-        return scale * (rates - excess * self.driven_at(setpoint.distance) if excess else rates), E
+        error, along, scale, E = self.moving_error(origin, q, place)
+        off = error - self._lag(error, place) * self.driven_at(place)
+        return scale * (along * rate + gain * off), E
+
+    def driven_row(self, place: float) -> Float[np.ndarray, "1 s"]:
+        """The combination of the rows of `constraint` that is driven, of unit length."""
+        row = self.constraint.selection.dot(self.driven_at(place))
+        return row[None] / math.sqrt(row.dot(row))
 
     def _lag(self, error: Float[np.ndarray, " p"], distance: float) -> float:
         driven = self.driven_at(distance)

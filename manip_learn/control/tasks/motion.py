@@ -24,7 +24,6 @@ from manip_learn.control.tasks.driven_motion import (
     MechanismMotion,
     Origin,
     PathMotion,
-    Setpoint,
     StraightMotion,
     Unit,
     apart,
@@ -176,7 +175,7 @@ class FreeDirection(Task):
         self._begun: float | None = None
         self.way_begins: float | None = None
         self._approach: MotionProfile | None = None
-        self._latest = -math.inf
+        self._latest, self._place = -math.inf, 0.0
 
     def hold(self, q: ArrayLike) -> float:
         """How far a hand at posture q has to go to the mechanism [m]; 0 if it is on it, or if that is not known."""
@@ -256,7 +255,7 @@ class FreeDirection(Task):
         """How far the way has come at posture q [m or rad]; 0 before it began, unless `start` was given."""
         if self._origin is None or (self.way_begins is None and self._begun is not None):
             return 0.0
-        return self.progress_near(q, self.meant(self._latest))
+        return self.progress_near(q, self._place)
 
     def meant(self, t: float) -> float:
         """How far the way should have come at a time [m or rad]; 0 before it began."""
@@ -299,10 +298,21 @@ class FreeDirection(Task):
     def velocity_and_jacobian(
         self, constraint: Constraint, q: np.ndarray, t: float
     ) -> tuple[Any, Float[np.ndarray, "s nv"] | None]:
-        """b and E from one look at the pose."""
-        origin, setpoint = self._now(q, t)
-        rates, E = self._motion.rates_and_jacobian(origin, q, setpoint, self.gain)
+        """b and E from one look at the pose: along the motion and onto it, from where the hand is.
+
+        Where limits or a singularity stop the way, the hand so does not follow a goal that goes on without it.
+        """
+        origin, wanted, rate = self._now(q, t)
+        place = self._place = self._motion.progress(origin, q, self._place)
+        rate += self.gain * (wanted - place)
+        if not self._approaches:
+            rate = min(max(rate, -self._profile.speed), self._profile.speed)
+        rates, E = self._motion.rates_and_jacobian(origin, q, place, rate, self.gain)
         return self.constraint.selection.dot(rates), E
+
+    def driven_rows(self, constraint: Constraint) -> Float[np.ndarray, "d s"]:
+        """The row along the motion; all rows on the way to the mechanism."""
+        return super().driven_rows(constraint) if self._approaches else self._motion.driven_row(self._place)
 
     def goal(self) -> Origin | None:
         """Where the motion ends; None before the first call, unless `start` was given."""
@@ -310,12 +320,12 @@ class FreeDirection(Task):
 
     def error(self, constraint: Constraint, q: np.ndarray, t: float) -> float:
         """Way that is left, and the deviation of the constrained coordinates, as one norm [m or rad]."""
-        origin, setpoint = self._now(q, t)
-        left = self._profile.distance - self._motion.progress(origin, q, setpoint.distance)
-        return float(np.hypot(left, np.linalg.norm(self._motion.deviation(origin, q, setpoint.distance))))
+        origin, wanted, _ = self._now(q, t)
+        left = self._profile.distance - self._motion.progress(origin, q, self._place)
+        return float(np.hypot(left, np.linalg.norm(self._motion.deviation(origin, q, wanted))))
 
-    def _now(self, q: ArrayLike, t: float) -> tuple[np.ndarray, Setpoint]:
-        """From where the way counts, and how far along it the hand should be."""
+    def _now(self, q: ArrayLike, t: float) -> tuple[np.ndarray, float, float]:
+        """From where the way counts, how far along it the hand should be, and how fast."""
         if self._begun is not None and t <= self._begun < self._latest:
             self.reset()
         begun, origin = self._begun, self._origin
@@ -328,10 +338,14 @@ class FreeDirection(Task):
             near = TAKEN if late < SETTLING else NOISY
             if late < 0.0 or self._apart(self._motion.origin(q), origin) > near:
                 share = min(gone / self._approach.distance, 1.0)
-                return between(self._start, origin, share), Setpoint(0.0, 0.0, math.inf)
+                return between(self._start, origin, share), 0.0, 0.0
             self.way_begins = t + self.pause
         after = t - (begun if self.way_begins is None else self.way_begins)
-        return origin, Setpoint(*self._profile.at(after), self._profile.speed)
+        return origin, *self._profile.at(after)
+
+    @property
+    def _approaches(self) -> bool:
+        return self.way_begins is None
 
     def _origins(self, q: ArrayLike) -> tuple[np.ndarray, np.ndarray]:
         """Origins of the motion where the hand is, or was said to be, and where it takes hold."""

@@ -14,6 +14,7 @@ from numpy.typing import ArrayLike
 from manip_learn.constraint.constraint import Constraint
 from manip_learn.constraint.features.weighed_velocity import WeighedVelocity
 from manip_learn.errors import TargetError, advice
+from manip_learn.linalg import unit
 
 
 class Task(ABC):
@@ -43,6 +44,13 @@ class Task(ABC):
     def rows(self, constraint: Constraint) -> Constraint:
         """The constraint along whose rows b is given: the controller's own, unless the task drives further rows."""
         return constraint
+
+    def driven_rows(self, constraint: Constraint) -> Float[np.ndarray, "d s"]:
+        """Orthonormal combinations of the rows that are driven; what is across them is held, and gives way last.
+
+        All rows, unless the task says otherwise. Asked for after `velocity_and_jacobian`, for the same instant.
+        """
+        return unit(constraint.n_constraints)
 
     def error_jacobian(self, constraint: Constraint, q: np.ndarray, t: float) -> Float[np.ndarray, "s nv"] | None:
         """E with d/dt (error along the rows) = -E u for a goal at rest; None where E = A(q), as for positions.
@@ -74,6 +82,10 @@ class Hold(Task):
     def velocity(self, constraint: Constraint, q: np.ndarray, t: float) -> Float[np.ndarray, " s"]:
         """Zeros, shape (s,)."""
         return np.zeros(constraint.n_constraints)
+
+    def driven_rows(self, constraint: Constraint) -> Float[np.ndarray, "d s"]:
+        """None: all of them are held."""
+        return unit(constraint.n_constraints)[:0]
 
     def error(self, constraint: Constraint, q: np.ndarray, t: float) -> float:
         """Always 0: there is no goal to reach."""

@@ -1,0 +1,465 @@
+"""The law: equation (2) with damping near singularities, brought within bounds by one quadratic program."""
+
+from __future__ import annotations
+
+import math
+from functools import cache
+from math import isfinite
+from typing import Any, NamedTuple, final
+
+import daqp
+import numpy as np
+from jaxtyping import Float
+from numpy.typing import ArrayLike
+from scipy.linalg.lapack import dposv
+
+from manip_learn.constraint.constraint import Constraint
+from manip_learn.constraint.features.feature_map import Vjp
+from manip_learn.constraint.manipulability import SINGULAR_RATIO, smallest_gradient
+from manip_learn.constraint.small_matrices import row_inverse, svd
+from manip_learn.control.command import POSITION, SCALED_BELOW, VELOCITY, Command, status_of
+from manip_learn.control.limits import Barrier, Bounds, Limits, approach_bound
+from manip_learn.control.policies import SEED_SPEED, ManipulabilityAscent, NullSpacePolicy, SampledPolicy
+from manip_learn.control.tasks import Task
+from manip_learn.errors import ConfigurationError, TargetError, advice
+from manip_learn.linalg import Inverse, inverse_singular_values, unit
+from manip_learn.robot.frame_kinematics import vjps
+
+# lambda of held rows over that of driven ones: where a direction is lost, what holds the hand gives way last
+HELD = 0.1
+# [m or 1] what a unit of velocity of the rows costs within bounds, where one [rad/s] of the policy's costs 1: the rows
+# that are held, and the task's direction, leak 1e-7 of what the policy or the bounds ask for (at a singular value of
+# 0.3), the speed along that direction 1e-4
+ACROSS, ALONG = 1e-4, 3e-3
+ESCAPE_SPEED = 0.2  # [rad/s] at most, of what the policy moves along directions that are nearly lost
+SEED_SHARE = 6e-4  # singular value up to which a policy that has all but vanished moves on, as a share of the threshold
+# an explicit step of dt follows a velocity field whose slope is at most this over dt: three of them add up to less than
+# 1 / dt, from which on a step goes beyond where the field leads
+STABLE_SLOPE = 0.25
+FINE = 1e-13  # [rad/s or m/s] by how much DAQP may exceed a bound: commands are compared to 1e-12
+ROUNDING = 1e-9  # [rad/s or m/s] by how much rounding may
+# [s] for which a task stalls until the arm slides along what blocks it, and goes on until its direction is kept again
+SLIDING_AFTER, KEEPING_AFTER = 0.5, 1.0
+GOING_ON = 0.5  # share of the velocity asked for from which a task goes on
+AT_GOAL = 1e-6  # [m/s or rad/s] a task that asks for less than this has reached its goal
+
+
+@final
+class Desired(NamedTuple):
+    """The law at one posture before bounds, and what the program needs of it.
+
+    Attributes:
+        A: Rows whose velocity is b: those of the constraint, or of the error (see `Task.error_jacobian`).
+        b: Wanted of them.
+        task: A^# b.
+        null: The policy's part in the null space of A.
+        escape: The policy's part along directions that are nearly lost; None away from singularities.
+        mu: Manipulability of the constraint.
+        smallest: Its smallest singular value.
+        basis: X (s, nv) with X A^T = 1 where A is well conditioned, or an orthonormal basis of its rows.
+        gain: Y (s, nv), so that A^# b = Y^T b.
+        vjp: Of the constraint's rows, where it is known.
+    """
+
+    A: Float[np.ndarray, "s nv"]
+    b: Float[np.ndarray, " s"]
+    task: Float[np.ndarray, " nv"]
+    null: Float[np.ndarray, " nv"]
+    escape: Float[np.ndarray, " nv"] | None
+    mu: float
+    smallest: float
+    basis: Float[np.ndarray, "s nv"]
+    gain: Float[np.ndarray, "s nv"]
+    vjp: Vjp | None
+
+    def null_part(self, u: Float[np.ndarray, " nv"]) -> Float[np.ndarray, " nv"]:
+        """The component of a velocity in the null space of A."""
+        X = self.basis
+        return u - (self.A.dot(u).dot(X) if self.escape is None else X.dot(u).dot(X))
+
+
+@final
+class Law:
+    """u = A^+ b + N w, equation (2) of Manavalan and Howard, in three priorities and within limits.
+
+    The rows of A have two parts, as the task says: those that are held, and those that are driven. With P the projector
+    on the driven ones, the velocity before bounds is
+
+        u* = argmin |A u - b|^2_{1 / Lambda^2} + |u - w|^2 = w + A^T (A A^T + Lambda^2)^-1 (b - A w),
+        Lambda^2 = share^2 lambda^2 (P + HELD^2 (1 - P)),    share = 1 - (sigma / threshold)^2, 0 above the threshold.
+
+    Where the smallest singular value sigma of A is above the threshold, Lambda is 0 and u* is equation (2), exactly.
+    Below it, a direction whose singular value is less than Lambda no longer holds the motion, and w moves it: that is
+    damping and the way out of the singularity in one. (Its part along such directions is at most ESCAPE_SPEED.)
+
+    If u* is within the bounds it is the command. If not, the command is the point within them that is nearest to u*:
+
+        min  |(1 - d d^T) A (u - u*)|^2 / ACROSS^2 + |d^T A (u - u*)|^2 / ALONG^2 + |u - u*|^2
+        low <= u <= high,    G u >= least
+
+    d is the unit vector of the driven part of b. So the hand first stays on what holds it and keeps its direction, then
+    keeps its speed, and then does what the policy wants: null-space motion makes room for the task before the task
+    slows down (Flacco, De Luca and Khatib, "Control of redundant robots under hard joint constraints: saturation in
+    the null space", 2015). The rows G bound the approach to a singularity and to walls. The program is strictly convex
+    and u* continuous, so that the command is; it is solved by DAQP (Arnstrom, Bemporad and Axehill, "A dual active-set
+    solver for embedded quadratic programming using recursive LDL^T updates", 2022).
+
+    Args:
+        constraint: A(q).
+        task: b(q, t), and which rows are driven.
+        null_policy: w(q, t).
+        inverse: `"damped"` as above; `"exact"` or `"truncated"`: u* has that inverse and the exact projector.
+        threshold: Singular value of A at which damping sets in.
+        damping: lambda.
+    """
+
+    def __init__(
+        self,
+        constraint: Constraint,
+        task: Task,
+        null_policy: NullSpacePolicy,
+        inverse: Inverse,
+        threshold: float,
+        damping: float,
+    ):
+        self.constraint, self.task, self.null_policy = constraint, task, null_policy
+        self.inverse: Inverse = inverse
+        self.threshold, self.damping = threshold, damping
+        policy = null_policy
+        self._ascent = policy if isinstance(policy, ManipulabilityAscent) and policy.constraint is constraint else None
+        self._samples = policy if isinstance(policy, SampledPolicy) else None
+
+    # ---- before bounds ----------------------------------------------------------------------------------------------
+
+    def desired(self, q: np.ndarray, t: float, dt: float, limits: Limits | None) -> Desired:
+        """The law at a posture, before bounds.
+
+        Raises:
+            ConfigurationError: The posture has the wrong size or is not finite, or an exact inverse overflows.
+            TargetError: The task's target does not fit the constraint, or a velocity is not finite.
+        """
+        ascent, vjp = self._ascent, None
+        if ascent is None:
+            A = self.constraint(q)
+        else:  # one Hessian and one inverse serve the task and the policy
+            A, vjp = self.constraint.value_and_vjp(q)
+        b, E = self.task_velocity(q, t, dt)
+        own = row_inverse(A)
+        if ascent is None or vjp is None:
+            w = self._policy(q, t, dt)
+        elif own is not None:
+            w = ascent.from_inverse(*own, vjp, dt)
+        else:
+            w = ascent.from_decomposition(A.shape, svd(A), vjp, dt)
+        inverse = own if E is None else row_inverse(E)
+        rows = A if E is None else E
+        if own is None or inverse is None or (self.inverse == "damped" and min(own[2], inverse[2]) < self.threshold):
+            return self._near_singularity(q, A, rows, b, w, dt, limits, vjp)
+        X = inverse[0]
+        return Desired(rows, b, b.dot(X), w - rows.dot(w).dot(X), None, own[1], own[2], X, X, vjp)
+
+    def task_velocity(
+        self, q: np.ndarray, t: float, dt: float
+    ) -> tuple[Float[np.ndarray, " s"], Float[np.ndarray, "s nv"] | None]:
+        """b for the time dt [s] that begins at t, in the rows' units per second, and E (see `Task.error_jacobian`).
+
+        Raises:
+            TargetError: The task's target does not fit the constraint, or b is not finite.
+        """
+        sampled = (dt,) if self.task.sampled else ()
+        b, E = self.task.velocity_and_jacobian(self.constraint, q, t, *sampled)
+        return _checked(b, self.constraint.n_constraints, "the task's velocity b"), E
+
+    def _policy(self, q: np.ndarray, t: float, dt: float) -> np.ndarray:
+        w = self.null_policy(q, t) if self._samples is None else self._samples(q, t, dt)
+        return _checked(w, self.constraint.nv, "the null-space policy's velocity")
+
+    def _near_singularity(
+        self,
+        q: np.ndarray,
+        A: np.ndarray,
+        rows: np.ndarray,
+        b: np.ndarray,
+        w: np.ndarray,
+        dt: float,
+        limits: Limits | None,
+        vjp: Vjp | None,
+    ) -> Desired:
+        """The law where directions are nearly lost, see the class."""
+        (s, nv), (U, sigma, Vt) = rows.shape, svd(rows)
+        own = sigma if rows is A else svd(A)[1]
+        mu, smallest = (math.prod(own.tolist()), float(own[-1])) if s <= nv else (0.0, 0.0)
+        V = Vt[: len(sigma)]
+        if self.inverse != "damped":
+            gains = inverse_singular_values(sigma, rows.shape, self.inverse)
+            with np.errstate(over="ignore", invalid="ignore"):
+                Y = (U[:, : len(sigma)] * gains).dot(V)
+                task = b.dot(Y)
+            if not isfinite(sum(task.tolist())):
+                raise ConfigurationError(
+                    f"the {self.inverse!r} inverse overflows at this posture (smallest singular value {smallest:.1e}): "
+                    + advice("use {}", "inverse='damped'", "--inverse damped")
+                )
+            V = V[gains > 0.0]
+            return Desired(rows, b, task, w - V.dot(w).dot(V), np.zeros(nv), mu, smallest, V, Y, vjp)
+        least = float(sigma[-1]) if s <= nv else 0.0
+        share = max(0.0, 1.0 - (least / self.threshold) ** 2)
+        w = self._with_seed(q, w, smallest, limits)
+        square = self._damping(q, (U, sigma, Vt), b, dt, vjp)
+        D = self.task.driven_rows(self.constraint)
+        Lambda2 = share * share * square * (HELD * HELD * unit(s) + (1.0 - HELD * HELD) * D.T.dot(D))
+        _, Y, failed = dposv(rows.dot(rows.T) + Lambda2, rows)
+        if failed:  # A = 0
+            Y = np.zeros((s, nv))
+        task, free = b.dot(Y), w - rows.dot(w).dot(Y)
+        escape = V.dot(free).dot(V)
+        null, length = free - escape, math.sqrt(escape.dot(escape))
+        if length > ESCAPE_SPEED:
+            escape = escape * (ESCAPE_SPEED / length)
+        return Desired(rows, b, task, null, escape, mu, smallest, V, Y, vjp)
+
+    def _damping(
+        self,
+        q: np.ndarray,
+        decomposition: tuple[np.ndarray, np.ndarray, np.ndarray],
+        b: np.ndarray,
+        dt: float,
+        vjp: Vjp | None,
+    ) -> float:
+        """lambda^2, larger for a task that presses into a singularity, so that explicit steps of dt can follow.
+
+        At the singularity A^T w / lambda^2, w the part of b along what is nearly lost, has the slope
+        |d(A^T w) / dq| / lambda^2 (in the Frobenius norm), STABLE_SLOPE / dt at most. How much it presses is the cosine
+        between A^# b and the way to the singularity.
+        """
+        (U, sigma, Vt), square = decomposition, self.damping**2
+        U, nv = U[:, : len(sigma)], self.constraint.nv
+        lost = U[:, sigma < self.threshold]
+        pressed = lost.dot(b.dot(lost))
+        if not pressed.any():
+            return square
+        rates = self.constraint.value_and_vjp(q)[1] if vjp is None else vjp
+        slope = rates(U[:, -1:] * Vt[len(sigma) - 1])
+        task = (b.dot(U) * sigma / (sigma * sigma + square)).dot(Vt[: len(sigma)])
+        size = math.sqrt(slope.dot(slope) * task.dot(task))
+        pressing = -float(slope.dot(task)) / size if size > 0.0 else 0.0
+        if pressing <= 0.0:
+            return square
+        flat = vjps(rates, np.outer(pressed, unit(nv)), nv).reshape(-1)
+        stable = 0.5 * dt / STABLE_SLOPE * math.sqrt(flat.dot(flat))
+        return square + pressing * max(0.0, stable - square)
+
+    def _with_seed(self, q: np.ndarray, w: np.ndarray, smallest: float, limits: Limits | None) -> np.ndarray:
+        """w, at SEED_SPEED at least beside a singularity, where policies that climb out of it vanish.
+
+        At the singularity itself mu rises in both directions: a limit in one of them is no reason to stay.
+        """
+        speed, seed = math.sqrt(w.dot(w)), SEED_SPEED * (1.0 - smallest / (SEED_SHARE * self.threshold))
+        if 0.0 < speed < seed:
+            w = w * (seed / speed)
+        at = self._ascent is not None and smallest <= SINGULAR_RATIO
+        return limits.freer_sense(q, w) if at and limits is not None else w
+
+    # ---- within bounds ----------------------------------------------------------------------------------------------
+
+    def command(
+        self,
+        q: np.ndarray,
+        t: float,
+        dt: float,
+        limits: Limits | None,
+        previous: Float[np.ndarray, " nv"] | None,
+        slide: float,
+    ) -> Command:
+        """The command at a posture; arguments and errors as for `ResolvedRateController`."""
+        law = self.desired(q, t, dt, limits)
+        wish = law.task + law.null if law.escape is None else law.task + law.null + law.escape
+        if limits is None:
+            return self._as_wished(law, wish, 0.0)
+        far = previous is None and limits.far(q, dt, wish)
+        slope = self._approach(q, dt, law, wish, limits)
+        tip = limits.tip
+        if far and slope is None and tip is None:
+            return self._as_wished(law, wish, 0.0)
+        bounds, barrier = limits.bounds(q, dt, previous), None
+        if slope is not None and (bound := approach_bound(law.smallest, slope, limits.acceleration, dt)) < math.inf:
+            barrier = slope[None], np.array([-bound])
+        tips = None if tip is None else tip.at(q, dt, limits.acceleration, previous)
+        slow = barrier is None or float(slope.dot(wish)) >= barrier[1][0]  # type: ignore[union-attr]
+        tip_cause = -1  # of a limit of frames
+        if tip is not None and tips is not None and tip.rows(tips, wish) is not None:
+            slow, tip_cause = False, POSITION if np.any(tips.too_near(wish)) else VELOCITY
+        if slow and bounds.admit(wish):
+            return self._as_wished(law, wish, bounds.outside)
+        wish = self._slowed(law, wish, limits, barrier)
+        M = self._metric(law, dt, slide)
+
+        def nearest(rows: Barrier | None) -> np.ndarray:
+            return nearest_within(wish, M, bounds, rows)
+
+        u = nearest(barrier) if tip is None or tips is None else tip.bounded(tips, wish, barrier, nearest)
+        return self._bounded(law, wish, u, bounds, tip_cause)
+
+    def _slowed(self, law: Desired, wish: np.ndarray, limits: Limits, barrier: Barrier | None) -> np.ndarray:
+        """The law with what drives it slowed down to the velocity limits, and to the approach of a singularity.
+
+        Null-space motion makes no room for more than that.
+        """
+        D = self.task.driven_rows(self.constraint)
+        drive = law.task if len(D) == len(law.b) else D.T.dot(D.dot(law.b)).dot(law.gain)
+        rest, fastest = wish - drive, float(np.abs(drive / limits.velocity).max())
+        if fastest > 1.0:
+            drive = drive / fastest
+        if barrier is not None:
+            slope, least = barrier[0][0], float(barrier[1][0])
+            toward = -float(slope.dot(drive))
+            if toward > 0.0:
+                drive = drive * min(1.0, max(0.0, (float(slope.dot(rest)) - least) / toward))
+        return rest + drive
+
+    def _metric(self, law: Desired, dt: float, slide: float) -> Float[np.ndarray, "nv nv"]:
+        """M of the program min (u - u*)^T M (u - u*), see the class.
+
+        With `slide` the task's direction gives way as its speed does, damped as u* is near a singularity, so that
+        explicit steps of dt can follow.
+        """
+        A, D = law.A, self.task.driven_rows(self.constraint)
+        W = A * (1.0 / ACROSS)
+        if len(D):
+            along = D.dot(law.b)
+            length = math.sqrt(along.dot(along))
+            if slide > 0.0:
+                blur = max(self.damping, math.sqrt(0.5 * dt / STABLE_SLOPE * math.sqrt(law.b.dot(law.b))))
+                across, speed = (x + slide * (blur - x) for x in (ACROSS, ALONG))
+                driven = D.dot(A)
+                W = W + D.T.dot(driven) * (1.0 / across - 1.0 / ACROSS)
+            else:
+                across, speed = ACROSS, ALONG
+            if length > AT_GOAL:
+                d = along.dot(D) * (1.0 / length)
+                W = W + np.outer(d, d.dot(A)) * (1.0 / speed - 1.0 / across)
+        return unit(A.shape[1]) + W.T.dot(W)
+
+    def _approach(
+        self, q: np.ndarray, dt: float, law: Desired, u: np.ndarray, limits: Limits
+    ) -> Float[np.ndarray, " nv"] | None:
+        """Gradient of the smallest singular value, where u could approach the singularity too fast; None elsewhere."""
+        if self.inverse != "damped" or law.A.shape[0] > law.A.shape[1] or law.smallest <= SINGULAR_RATIO:
+            return None
+        flat = law.A.reshape(-1)
+        if not limits.may_approach(float(u.dot(u)), float(flat.dot(flat)), law.smallest, dt):
+            return None
+        A, vjp = self.constraint.value_and_vjp(q) if law.vjp is None else (law.A, law.vjp)
+        return smallest_gradient(A, vjp)
+
+    # ---- what was done ----------------------------------------------------------------------------------------------
+
+    def _as_wished(self, law: Desired, u: np.ndarray, outside: float) -> Command:
+        """The command where no bound changes the law."""
+        near = law.escape is not None
+        progress = _progress(law, u) if near else 1.0
+        status = status_of(progress, outside, self._lost(law, near), self._is_damped(law, near))
+        return Command(
+            *(u, status, law.mu, law.b, law.task, law.null, 1.0, 1.0, law.smallest, law.escape, progress, outside)
+        )
+
+    def _bounded(self, law: Desired, wish: np.ndarray, u: np.ndarray, bounds: Bounds, tip_cause: int) -> Command:
+        """The command where bounds change the law."""
+        near, null_part = law.escape is not None, law.null_part(u)
+        task_part, escape = u - null_part, law.escape
+        if escape is not None:
+            share = float(u.dot(escape)) / max(float(escape.dot(escape)), 1e-300)
+            escape = escape * min(1.0, max(0.0, share))
+            task_part = task_part - escape
+        square = float(law.null.dot(law.null))
+        asks = square > AT_GOAL**2  # what rounding leaves of a policy that asks for nothing is not scaled
+        null_scale = min(1.0, max(0.0, float(law.null.dot(null_part)) / square)) if asks else 1.0
+        progress = _progress(law, u)
+        before = _progress(law, law.task) if near else 1.0
+        scale = min(1.0, max(0.0, progress / before)) if before > 0.0 else 1.0
+        joint, cause = bounds.binding(u, wish)
+        status = status_of(
+            *(progress, bounds.outside, self._lost(law, near), self._is_damped(law, near)),
+            changed=True,
+            scale=scale,
+            cause=tip_cause if joint < 0 else cause,
+            fits=bounds.admit(law.task),
+        )
+        return Command(
+            *(u, status, law.mu, law.b, task_part, null_part, scale, null_scale, law.smallest, escape, progress),
+            outside=bounds.outside,
+            limiting_joint=joint,
+        )
+
+    def _is_damped(self, law: Desired, near: bool) -> bool:
+        return near and self.inverse == "damped" and law.smallest < self.threshold
+
+    def _lost(self, law: Desired, near: bool) -> bool:
+        """Whether A loses a direction: at a singularity, or with more rows than joints that b does not fit."""
+        s, nv = law.A.shape
+        if near and s > nv:
+            return _progress(law, law.task) < SCALED_BELOW
+        return near and law.smallest <= SINGULAR_RATIO * float(np.abs(law.A).max())
+
+
+def nearest_within(
+    wish: Float[np.ndarray, " nv"], M: Float[np.ndarray, "nv nv"], bounds: Bounds, barrier: Barrier | None
+) -> Float[np.ndarray, " nv"]:
+    """argmin (u - wish)^T M (u - wish) within the bounds, and with G u >= least where the bounds allow that.
+
+    Args:
+        wish: Velocity before bounds [rad/s or m/s].
+        M: Positive definite.
+        bounds: Of the joints, which have precedence.
+        barrier: (G, least), or None.
+    """
+    nv = len(wish)
+    lowest, highest = np.array(bounds.low), np.array(bounds.high)
+    for barred in (barrier, None) if barrier is not None else (None,):
+        G = _no_rows(nv) if barred is None else barred[0]
+        least, most = lowest - wish, highest - wish
+        if barred is not None:
+            least = np.concatenate((least, barred[1] - G.dot(wish)))
+            most = np.concatenate((most, np.full(len(G), np.inf)))
+        y, _, flag, _ = daqp.solve(M, _zeros(nv), G, most, least, _inequalities(len(most)), primal_tol=FINE)
+        if flag == 1:
+            u = wish + y
+            within = np.clip(u, lowest, highest)
+            if float(np.abs(within - u).max()) <= ROUNDING:
+                return within
+    return np.clip(wish, lowest, highest)
+
+
+@cache
+def _zeros(size: int) -> np.ndarray:
+    return np.zeros(size)
+
+
+@cache
+def _inequalities(size: int) -> np.ndarray:
+    return np.zeros(size, dtype=np.int32)
+
+
+@cache
+def _no_rows(nv: int) -> np.ndarray:
+    return np.zeros((0, nv))
+
+
+def next_slide(slide: float, stalls: bool, progress: float, dt: float) -> float:
+    """`slide` after a command that was held for dt [s]: it grows while the task stalls, and falls when it goes on."""
+    if stalls:
+        return min(1.0, slide + dt / SLIDING_AFTER)
+    return max(0.0, slide - dt / KEEPING_AFTER) if progress > GOING_ON else slide
+
+
+def _progress(law: Desired, velocity: np.ndarray) -> float:
+    """Velocity along b over the velocity asked for, b^T A u / |b|^2; 1 where nothing is asked for."""
+    square = float(law.b.dot(law.b))
+    return float(law.b.dot(law.A.dot(velocity))) / square if square > AT_GOAL * AT_GOAL else 1.0
+
+
+def _checked(vector: ArrayLike, size: int, what: str) -> Any:
+    array = np.asarray(vector, np.float64)
+    if array.shape != (size,) or not isfinite(sum(array.tolist())):
+        raise TargetError(f"{what} must be {size} finite numbers, got {array.tolist()}")
+    return array
