@@ -59,6 +59,7 @@ class Desired(NamedTuple):
         basis: X (s, nv) with X A^T = 1 where A is well conditioned, or an orthonormal basis of its rows.
         gain: Y (s, nv), so that A^# b = Y^T b.
         vjp: Of the constraint's rows, where it is known.
+        damping: lambda of the driven rows; 0 away from singularities.
     """
 
     A: Float[np.ndarray, "s nv"]
@@ -71,6 +72,7 @@ class Desired(NamedTuple):
     basis: Float[np.ndarray, "s nv"]
     gain: Float[np.ndarray, "s nv"]
     vjp: Vjp | None
+    damping: float = 0.0
 
     def null_part(self, u: Float[np.ndarray, " nv"]) -> Float[np.ndarray, " nv"]:
         """The component of a velocity in the null space of A."""
@@ -216,7 +218,7 @@ class Law:
         null, length = free - escape, math.sqrt(escape.dot(escape))
         if length > ESCAPE_SPEED:
             escape = escape * (ESCAPE_SPEED / length)
-        return Desired(rows, b, task, null, escape, mu, smallest, V, Y, vjp)
+        return Desired(rows, b, task, null, escape, mu, smallest, V, Y, vjp, share * math.sqrt(square))
 
     def _damping(
         self,
@@ -328,13 +330,12 @@ class Law:
         if len(D):
             along = D.dot(law.b)
             length = math.sqrt(along.dot(along))
+            across, speed = ACROSS, math.hypot(ALONG, law.damping)
             if slide > 0.0:
                 blur = max(self.damping, math.sqrt(0.5 * dt / STABLE_SLOPE * math.sqrt(law.b.dot(law.b))))
-                across, speed = (x + slide * (blur - x) for x in (ACROSS, ALONG))
+                across, speed = (x + slide * (blur - x) for x in (across, speed))
                 driven = D.dot(A)
                 W = W + D.T.dot(driven) * (1.0 / across - 1.0 / ACROSS)
-            else:
-                across, speed = ACROSS, ALONG
             if length > AT_GOAL:
                 d = along.dot(D) * (1.0 / length)
                 W = W + np.outer(d, d.dot(A)) * (1.0 / speed - 1.0 / across)
