@@ -35,6 +35,7 @@ SEED_SPEED = 5e-4  # [rad/s] speed at which an exact singularity is left, where 
 # second at 1, 10 and 20 ms, 1 leaves 61, 61 and 58, 1.25 and more leave all; from 1.5 on arms that are pressed against
 # a singularity turn to and fro now and then
 GROWTH = 1.25
+LEAST_ROOM = 1e-4  # of a joint's range, below which a joint counts as at its limit: its slope stays finite
 LARGEST_RATE = 1.0  # [1/s] half ranges a second that a joint moves at most, for joints whose range is short
 
 
@@ -386,6 +387,59 @@ class PenalisedManipulabilityAscent(SampledPolicy):
 
 
 @final
+class RoomAscent(SampledPolicy):
+    """pi climbs the room that is left: of the rows' singular values, and of the joints' ranges.
+
+        m_i = sigma_i / (sigma_i + sigma_0),    m_j = 1 - x_j^2,    M = (sum_i m_i^-2 + sum_j m_j^-2)^(-1/2)
+        pi = gain grad log M, at most max_speed as for `ManipulabilityAscent`
+
+    sigma_0 is the singular value at which the speed asked for needs the slowest joint's full speed, x_j in -1 ... 1 the
+    place of joint j in its range. M is a smooth minimum: what has least room counts most. The manipulability alone
+    leads joints to their limits.
+
+    Args:
+        constraint: Rows held and driven.
+        speed: Along them [m/s or rad/s].
+        gain: Rate [rad^2/s].
+        max_speed: Largest norm of pi [rad/s].
+
+    Raises:
+        ConstraintError: The constraint's features have no robot, or `max_speed` is not positive.
+    """
+
+    def __init__(
+        self, constraint: Constraint, speed: float, gain: float = ASCENT_GAIN, *, max_speed: float | None = 10.0
+    ):
+        robot = limited_robot(constraint)
+        self.constraint, self.speed = constraint, positive("speed", speed)
+        self._ascent = ManipulabilityAscent(constraint, gain, max_speed=max_speed)
+        self.gain, self.max_speed = self._ascent.gain, self._ascent.max_speed
+        slowest = float(np.min(robot.velocity_limit))
+        self._enough = self.speed / (slowest if math.isfinite(slowest) else 1.0)
+        self._robot, self._limited = robot, has_range(robot)
+        self._width = ranges(robot)[self._limited]
+        self._middle = 0.5 * (robot.position_lower + robot.position_upper)[self._limited]
+
+    def __call__(self, q: ArrayLike, t: float = 0.0, dt: float = 0.01) -> Float[np.ndarray, " nv"]:
+        """Ascent velocity, finite everywhere; arguments and errors as for `ManipulabilityAscent`."""
+        A, vjp = self.constraint.value_and_vjp(q)
+        U, sigma, Vt = decomposition = svd(A)
+        if A.shape[0] > A.shape[1] or sigma[-1] <= SINGULAR_RATIO * sigma[0]:
+            return self._ascent.from_decomposition(A.shape, decomposition, vjp, dt)
+        x = 2.0 * (self._robot.positions(q)[self._limited] - self._middle) / self._width
+        room = np.maximum(room_of(x), LEAST_ROOM)
+        shares = np.concatenate([(1.0 + self._enough / sigma) ** 2, 1.0 / room**2])
+        shares /= shares.sum()
+        rates = shares[: len(sigma)] * self._enough / ((sigma + self._enough) * sigma)
+        slope = vjp((U * rates).dot(Vt[: len(sigma)]))
+        slope[self._limited] -= shares[len(sigma) :] * 4.0 * x / (room * self._width)
+        return self._ascent.bounded(slope, float(sigma[-1]), dt)
+
+    def __repr__(self) -> str:
+        return f"RoomAscent(speed={self.speed:g}, gain={self.gain:g})"
+
+
+@final
 class WeightedPolicies(SampledPolicy):
     """pi = sum_i w_i pi_i: several objectives in one null space, their compromise set by the weights.
 
@@ -476,6 +530,8 @@ def climbing(policy: NullSpacePolicy, before: Constraint, after: Constraint) -> 
     if isinstance(policy, ManipulabilityAscent) and policy.constraint is before:
         speed = policy.max_speed
         return ManipulabilityAscent(after, policy.gain, logarithmic=policy.logarithmic, max_speed=speed)
+    if isinstance(policy, RoomAscent) and policy.constraint is before:
+        return RoomAscent(after, policy.speed, policy.gain, max_speed=policy.max_speed)
     if isinstance(policy, WeightedPolicies):
         return WeightedPolicies([climbing(part, before, after) for part in policy.policies], policy.weights)
     return policy

@@ -17,6 +17,7 @@ from manip_learn.control.policies import (
     JointAttractor,
     ManipulabilityAscent,
     NullSpacePolicy,
+    RoomAscent,
     ZeroPolicy,
 )
 from manip_learn.control.tasks.driven_motion import (
@@ -214,16 +215,16 @@ class FreeDirection(Task):
         distance = np.array([self._profile.at(t)[0] for t in time.tolist()])
         return time, distance, [self._motion.goal(origin, s) for s in distance.tolist()]
 
-    def ascent(self, gain: float = ASCENT_GAIN) -> ManipulabilityAscent:
-        """The policy that climbs the manipulability of the rows held and driven: of those that the motion needs.
+    def ascent(self, gain: float = ASCENT_GAIN) -> RoomAscent:
+        """The policy that climbs the room left on the way: of the rows held and driven, and of the joints' ranges.
 
         The rows that are held do not say how well the hand can move along the way: the manipulability of these alone
         may rise while the driven direction is being lost.
 
         Args:
-            gain: As for `ManipulabilityAscent`.
+            gain: As for `RoomAscent`.
         """
-        return ManipulabilityAscent(self.constraint, gain)
+        return RoomAscent(self.constraint, self._profile.speed, gain)
 
     def with_distance(self, distance: float) -> FreeDirection:
         """This motion by another distance [m or rad], from a start of its own."""
