@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import copy
 import math
+from collections.abc import Callable
 from typing import final
 
 import numpy as np
@@ -14,7 +15,7 @@ from manip_learn.constraint.constraint import Constraint
 from manip_learn.control.command import Command
 from manip_learn.control.law import Law
 from manip_learn.control.limits import Limits
-from manip_learn.control.policies import NullSpacePolicy, ZeroPolicy, climbing
+from manip_learn.control.policies import NullSpacePolicy, ZeroPolicy, climbing, policy_of
 from manip_learn.control.tasks import Hold, Task
 from manip_learn.errors import ConfigurationError, ConstraintError, an
 from manip_learn.linalg import Inverse
@@ -26,29 +27,19 @@ from manip_learn.robot.robot import Robot
 class ResolvedRateController:
     """u = A^+ b + N pi, equation (2) of Manavalan and Howard, "Learning Singularity Avoidance", with limits.
 
-    With A = U diag(sigma) V^T, the task part is A^+ b = V diag(g) U^T b, where g_i depends on `inverse`:
-
-        exact:      g = 1 / sigma
-        truncated:  g = 1 / sigma where sigma > max(size(A)) eps(sigma_1), else 0      (Matlab's pinv)
-        damped:     g = sigma / (sigma^2 + lambda^2),  lambda = damping (1 - (sigma / threshold)^2), 0 above threshold
-
-    N = I - A^+ A = Z Z^T is always the exact projector, Z the null basis of A: a damped one would leak into the task.
-    Away from singularities, A^{+T} = (A A^T)^-1 A and N pi = pi - A^+ (A pi) give the same without the decomposition.
-
-    Within limits, the command is the nearest one that keeps the task's direction (see `bounded_velocity`); where no
-    motion along it is possible, the arm slides along what blocks it. With `inverse="damped"`, a singularity is
-    approached no faster than the arm can brake, and, where the null policy climbs this constraint's mu, left again (see
-    `singularity`).
+    The mathematics stands with `law.Law`: what holds the hand comes first, then the direction of the task, then its
+    speed, then the policy, in one quadratic program within the limits. Away from singularities and limits the command
+    is equation (2) exactly. Of the rows, the task says which are held and which driven (`Task.driven_rows`).
 
     Args:
         constraint: A(q).
         task: b(q, t); None holds still (b = 0).
-        null_policy: pi(q, t); None is zero.
-        inverse: `"damped"` for a real arm; `"exact"` or `"truncated"` (Matlab's tolerance) as in the paper.
+        null_policy: pi(q, t), a `NullSpacePolicy` or a function of q, or of q and t; None is zero.
+        inverse: `"damped"` for a real arm; as in the paper `"exact"`, 1 / sigma, or `"truncated"`, which leaves out what
+            is below Matlab's tolerance.
         threshold: Singular value of A at which damping sets in, in the constraint's units (m or 1).
-        damping: Damping factor at a singular value of 0; within limits a larger one for a task that presses into the
-            singularity (see `stable_damping`). None for the task's own: 0.05, and 0.01 where something holds the hand,
-            which must not stray from it.
+        damping: lambda of driven rows at a singular value of 0; that of held rows is a tenth of it, and a task that
+            presses into the singularity has a larger one. None for the task's own: 0.05, and 0.01 for a way.
         limits: `True` for the robot's own (see `Limits` for the accelerations); a `Limits`; `False` ignores the
             joint limits and scales nothing (the paper's law as printed).
         dt: Time for which a command is held [s], unless the call says otherwise.
@@ -72,7 +63,7 @@ class ResolvedRateController:
         self,
         constraint: Constraint,
         task: Task | None = None,
-        null_policy: NullSpacePolicy | None = None,
+        null_policy: NullSpacePolicy | Callable[..., ArrayLike] | None = None,
         inverse: Inverse = "damped",
         *,
         threshold: float = 0.05,
@@ -96,7 +87,10 @@ class ResolvedRateController:
                 raise ConstraintError(f"{name} must be a positive number, got {value!r}")
         self.learnt = constraint
         self.constraint = constraint = self.task.rows(constraint)
-        self.null_policy: NullSpacePolicy = null_policy or ZeroPolicy(constraint.nv)
+        held = constraint.n_constraints - len(self.task.driven_rows(constraint))
+        if held > constraint.nv:
+            raise ConstraintError(f"{held} rows are held by {constraint.nv} joints: they contradict each other")
+        self.null_policy: NullSpacePolicy = ZeroPolicy(constraint.nv) if null_policy is None else policy_of(null_policy)
         self.inverse: Inverse = inverse
         self.threshold = float(threshold)
         self.damping = float(damping)

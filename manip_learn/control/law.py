@@ -27,10 +27,12 @@ from manip_learn.robot.frame_kinematics import vjps
 
 # lambda of held rows over that of driven ones: where a direction is lost, what holds the hand gives way last
 HELD = 0.1
-# [m or 1] what a unit of velocity of the rows costs within bounds, where one [rad/s] of the policy's costs 1: the rows
-# that are held, and the task's direction, leak 1e-7 of what the policy or the bounds ask for (at a singular value of
-# 0.3), the speed along that direction 1e-4
-ACROSS, ALONG = 1e-4, 3e-3
+# [m or 1] what a unit of velocity of the rows costs within bounds, where one [rad/s] of the policy's costs 1. At a
+# singular value of 0.3 the held rows and the task's direction give way by 1e-8 of what the policy asks for, the speed
+# along that direction by 1e-4; of the speed that bounds take from the task, 1e-4 goes beside its direction
+ACROSS, ALONG = 3e-5, 3e-3
+# width of the way out of a singularity, as a share of the threshold: targets beyond it are reached
+ESCAPE_WIDTH = 0.6
 ESCAPE_SPEED = 0.2  # [rad/s] at most, of what the policy moves along directions that are nearly lost
 SEED_SHARE = 6e-4  # singular value up to which a policy that has all but vanished moves on, as a share of the threshold
 # an explicit step of dt follows a velocity field whose slope is at most this over dt: three of them add up to less than
@@ -92,9 +94,12 @@ class Law:
 
     Where the smallest singular value sigma of A is above the threshold, Lambda is 0 and u* is equation (2), exactly.
     Below it, a direction whose singular value is less than Lambda no longer holds the motion, and w moves it: that is
-    damping and the way out of the singularity in one. (Its part along such directions is at most ESCAPE_SPEED.)
+    damping and the way out of the singularity in one. (The policy's part along such directions is at most ESCAPE_SPEED,
+    and fades towards ESCAPE_WIDTH.)
 
-    If u* is within the bounds it is the command. If not, the command is the point within them that is nearest to u*:
+    If u* is within the bounds it is the command. If not, the part of u* that drives the task is slowed down to the
+    velocity limits and to the approach of a singularity, for which null-space motion makes no room, and the command is
+    the point within the bounds that is nearest to u*:
 
         min  |(1 - d d^T) A (u - u*)|^2 / ACROSS^2 + |d^T A (u - u*)|^2 / ALONG^2 + |u - u*|^2
         low <= u <= high,    G u >= least
@@ -216,8 +221,9 @@ class Law:
         task, free = b.dot(Y), w - rows.dot(w).dot(Y)
         escape = V.dot(free).dot(V)
         null, length = free - escape, math.sqrt(escape.dot(escape))
-        if length > ESCAPE_SPEED:
-            escape = escape * (ESCAPE_SPEED / length)
+        fastest = ESCAPE_SPEED * max(0.0, 1.0 - (least / (ESCAPE_WIDTH * self.threshold)) ** 2) ** 2
+        if length > fastest:
+            escape = escape * (fastest / length)
         return Desired(rows, b, task, null, escape, mu, smallest, V, Y, vjp, share * math.sqrt(square))
 
     def _damping(
@@ -293,14 +299,14 @@ class Law:
             slow, tip_cause = False, POSITION if np.any(tips.too_near(wish)) else VELOCITY
         if slow and bounds.admit(wish):
             return self._as_wished(law, wish, bounds.outside)
-        wish = self._slowed(law, wish, limits, barrier)
+        asked, wish = wish, self._slowed(law, wish, limits, barrier)
         M = self._metric(law, dt, slide)
 
         def nearest(rows: Barrier | None) -> np.ndarray:
             return nearest_within(wish, M, bounds, rows)
 
         u = nearest(barrier) if tip is None or tips is None else tip.bounded(tips, wish, barrier, nearest)
-        return self._bounded(law, wish, u, bounds, tip_cause)
+        return self._bounded(law, asked, u, bounds, tip_cause)
 
     def _slowed(self, law: Desired, wish: np.ndarray, limits: Limits, barrier: Barrier | None) -> np.ndarray:
         """The law with what drives it slowed down to the velocity limits, and to the approach of a singularity.
@@ -309,9 +315,10 @@ class Law:
         """
         D = self.task.driven_rows(self.constraint)
         drive = law.task if len(D) == len(law.b) else D.T.dot(D.dot(law.b)).dot(law.gain)
-        rest, fastest = wish - drive, float(np.abs(drive / limits.velocity).max())
-        if fastest > 1.0:
-            drive = drive / fastest
+        rest, fastest = wish - drive, float((np.abs(drive) / limits.velocity).max())
+        if fastest > 1.0:  # as far as what else moves leaves no room for it
+            left = (limits.velocity - np.sign(drive) * rest) / np.maximum(np.abs(drive), 1e-300)
+            drive = drive * min(1.0, max(1.0 / fastest, float(left.min())))
         if barrier is not None:
             slope, least = barrier[0][0], float(barrier[1][0])
             toward = -float(slope.dot(drive))

@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
+import inspect
 import math
 from abc import ABC, abstractmethod
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from typing import final
 
 import numpy as np
@@ -523,6 +524,57 @@ def steepest_ascent(decomposition: tuple[np.ndarray, np.ndarray, np.ndarray], vj
         direction = svd(M)[2][0]
     values = direction.tolist()
     return -direction if max(values) < -min(values) else direction
+
+
+@final
+class PolicyFunction(NullSpacePolicy):
+    """pi(q), or pi(q, t), by a function.
+
+    Args:
+        function: Posture, or posture and time [s], to joint velocity, shape (nv,) [rad/s or m/s].
+
+    Raises:
+        ConfigurationError: A function of other arguments.
+    """
+
+    def __init__(self, function: Callable[..., ArrayLike]):
+        self.function = function
+        kinds = (inspect.Parameter.POSITIONAL_ONLY, inspect.Parameter.POSITIONAL_OR_KEYWORD)
+        try:
+            parameters = list(inspect.signature(function).parameters.values())
+        except (TypeError, ValueError):  # of a builtin
+            parameters = []
+        places = [p for p in parameters if p.kind in kinds]
+        several = any(p.kind is inspect.Parameter.VAR_POSITIONAL for p in parameters)
+        needed = [
+            p.name for p in parameters if p.default is p.empty and p.kind not in (p.VAR_POSITIONAL, p.VAR_KEYWORD)
+        ]
+        if (
+            not (places or several)
+            or len(needed) > 2
+            or any(p.name in needed for p in parameters if p.kind is p.KEYWORD_ONLY)
+        ):
+            raise ConfigurationError(
+                f"a null-space policy is a function of q, or of q and t; this one takes ({', '.join(needed)}): "
+                "write lambda q: ... or lambda q, t: ..."
+            )
+        self._timed = several or len(places) > 1
+
+    def __call__(self, q: ArrayLike, t: float = 0.0) -> Float[np.ndarray, " nv"]:
+        """The function's answer as an array [rad/s or m/s]."""
+        answer = self.function(q, t) if self._timed else self.function(q)
+        try:
+            return np.asarray(answer, dtype=np.float64)
+        except (TypeError, ValueError) as error:
+            raise TargetError(f"the null-space policy must return joint velocities, got {answer!r}") from error
+
+    def __repr__(self) -> str:
+        return f"PolicyFunction({getattr(self.function, '__name__', self.function)!s})"
+
+
+def policy_of(policy: NullSpacePolicy | Callable[..., ArrayLike]) -> NullSpacePolicy:
+    """A policy as it is, a function as one."""
+    return policy if isinstance(policy, NullSpacePolicy) else PolicyFunction(policy)
 
 
 def climbing(policy: NullSpacePolicy, before: Constraint, after: Constraint) -> NullSpacePolicy:
