@@ -52,7 +52,7 @@ def test_cholesky_and_svd_give_the_same_command(robot_of: RobotOf, monkeypatch: 
 
     So they do whatever the last bits of the decomposition are: processors differ in them.
     """
-    law, commands = "manip_learn.control.resolved_rate_law", list[list[Command]]()
+    law, commands = "manip_learn.control.law", list[list[Command]]()
     for kind in ("factorised", "decomposed", *range(8)):
         if kind != "factorised":
             monkeypatch.setattr(f"{law}.row_inverse", lambda A: None)

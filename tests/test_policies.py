@@ -13,6 +13,7 @@ from manip_learn.constraint.constraint import Constraint
 from manip_learn.constraint.features import CustomFeatures, FrameJacobian
 from manip_learn.constraint.manipulability import log_manipulability_gradient, manipulability, manipulability_gradient
 from manip_learn.control.policies import (
+    GROWTH,
     JointAttractor,
     JointLimitAvoidance,
     ManipulabilityAscent,
@@ -20,7 +21,6 @@ from manip_learn.control.policies import (
     WeightedPolicies,
     ZeroPolicy,
 )
-from manip_learn.control.singularity import GROWTH
 from manip_learn.errors import ConfigurationError, ConstraintError, TargetError
 
 

@@ -10,8 +10,7 @@ import pytest
 from servo_cases import Constantly
 
 import manip_learn as ml
-from manip_learn.control.bounded_velocity import bounded_velocity
-from manip_learn.control.limits import BoundedVelocity
+from manip_learn.control.law import nearest_within
 from manip_learn.errors import ConfigurationError, UnknownNameError
 
 TIP, SPEED, DT = "right_gripper_tip", 0.25, 0.002
@@ -123,12 +122,12 @@ def test_rounding_at_a_wall_asks_for_no_more_programs(robot_of: RobotOf, monkeyp
     task, limits = ml.PointAttractor(place + [0.15, 0.1, -0.1]), ml.Limits(robot, tip_walls=walls)
     loop = ml.ServoLoop(ml.ResolvedRateController(rows, task, ml.ManipulabilityAscent(rows), limits=limits), 0.001)
 
-    def counted(*arguments: Any, **options: Any) -> BoundedVelocity:
+    def counted(*arguments: Any) -> np.ndarray:
         nonlocal programs
         programs += 1
-        return bounded_velocity(*arguments, **options)
+        return nearest_within(*arguments)
 
-    monkeypatch.setattr("manip_learn.control.controller.bounded_velocity", counted)
+    monkeypatch.setattr("manip_learn.control.law.nearest_within", counted)
     for k in range(1500):
         before, last = programs, loop.update(q, 0.001 * k)
         q = robot.integrate(q, 0.001 * last.velocity)

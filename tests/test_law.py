@@ -1,0 +1,352 @@
+"""The law: equation (2) where nothing binds, the nearest velocity within bounds, and what a hand is held by."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from itertools import pairwise, product
+
+import numpy as np
+import pytest
+from conftest import tip_of
+from random_arms import Asks
+from scipy.optimize import lsq_linear, nnls
+from test_gradients import RobotOf
+
+import manip_learn as ml
+from manip_learn.constraint.features import MechanismRows
+from manip_learn.constraint.manipulability import smallest_gradient
+from manip_learn.control.command import Command
+from manip_learn.control.law import ACROSS, ALONG, nearest_within
+from manip_learn.control.limits import Bounds, approach_bound
+from manip_learn.control.policies import (
+    JointAttractor,
+    JointLimitAvoidance,
+    ManipulabilityAscent,
+    NullSpacePolicy,
+    SampledPolicy,
+)
+from manip_learn.control.way import simulate_way
+
+DT = 0.01
+ARMS = ["planar3", "sawyer", "panda", "ur5", "kinova", "gantry", "tree", "wrist"]
+Policies = Callable[[ml.Robot, ml.Constraint], NullSpacePolicy | None]
+POLICIES: dict[str, Policies] = {
+    "none": lambda robot, rows: None,
+    "ascent": lambda robot, rows: ManipulabilityAscent(rows),
+    "raw ascent": lambda robot, rows: ManipulabilityAscent(rows, logarithmic=False),
+    "rest": lambda robot, rows: JointAttractor(robot.neutral(), robot=robot),
+    "middle": lambda robot, rows: JointLimitAvoidance(robot),
+    "lambda": lambda robot, rows: lambda q, t: np.full(robot.nv, 0.1),  # type: ignore[return-value]
+}
+
+
+def velocity_of(policy: NullSpacePolicy, q: np.ndarray) -> np.ndarray:
+    """What the policy asks for, held for DT."""
+    return policy(q, 0.0, DT) if isinstance(policy, SampledPolicy) else policy(q, 0.0)
+
+
+def rows_of(robot: ml.Robot, name: str, axes: str, s: int, rng: np.random.Generator) -> ml.Constraint:
+    """Rows in no axis's direction, of unit length."""
+    features = ml.FrameJacobian(robot, tip_of(name), axes)
+    p = features.n_rows
+    return ml.Constraint(np.linalg.qr(rng.normal(size=(p, p)))[0][:s], features)
+
+
+def inside(robot: ml.Robot, rng: np.random.Generator, share: float = 0.9) -> np.ndarray:
+    """A posture within the limits."""
+    low, high = np.maximum(robot.position_lower, -3.0), np.minimum(robot.position_upper, 3.0)
+    return 0.5 * (low + high) + 0.5 * share * (high - low) * rng.uniform(-1.0, 1.0, robot.nv)
+
+
+@pytest.mark.parametrize("kind", POLICIES)
+@pytest.mark.parametrize("name", ARMS)
+def test_equation_2_where_nothing_binds(name: str, kind: str, robot_of: RobotOf, rng: np.random.Generator) -> None:
+    """u = A^+ b + (1 - A^+ A) w to 1e-12, with every inverse, where the status says that nothing was done to it."""
+    robot, compared = robot_of(name), 0
+    for axes, inverse, limits in product(("x y", "xyz", "pose"), ("damped", "exact", "truncated"), (True, False)):
+        for s in (1, 2, 3):
+            rows, q = rows_of(robot, name, axes, min(s, 2 if axes == "x y" else 3), rng), inside(robot, rng)
+            b = 0.02 * rng.normal(size=rows.n_constraints)
+            policy = POLICIES[kind](robot, rows)
+            command = ml.ResolvedRateController(rows, Asks(b), policy, inverse, limits=limits, dt=DT)(q)
+            A = rows(q)
+            sigma = np.linalg.svd(A, compute_uv=False)
+            if A.shape[0] > A.shape[1] or sigma[-1] < 0.05 or command.status is not ml.Status.OK:
+                continue
+            w = np.zeros(robot.nv) if policy is None else velocity_of(policy, q)
+            X = np.linalg.pinv(A)
+            expected = X @ b + w - X @ (A @ w)
+            size = max(1.0, float(np.linalg.norm(w))) / min(1.0, float(sigma[-1]))
+            np.testing.assert_allclose(command.velocity, expected, rtol=0, atol=1e-12 * size)
+            assert command.task_scale == command.null_scale == 1.0
+            assert command.progress == pytest.approx(1.0, rel=0, abs=1e-12)
+            compared += 1
+    assert compared >= 20
+
+
+def box_of(n: int, rng: np.random.Generator) -> Bounds:
+    """Bounds, some of them equal, some on one side of zero."""
+    middle = 0.5 * rng.normal(size=n)
+    half = rng.exponential(size=n) * (rng.random(n) < 0.8)
+    return Bounds((middle - half).tolist(), (middle + half).tolist(), [1] * n, [1] * n, 0.0)
+
+
+def metric_of(n: int, rng: np.random.Generator) -> np.ndarray:
+    """1 + W^T W with the weights of the law, of few or many rows."""
+    W = rng.normal(size=(int(rng.integers(1, n + 1)), n)) / rng.choice([ACROSS, ALONG, 1.0])
+    return np.eye(n) + W.T @ W
+
+
+def excess(u: np.ndarray, bounds: Bounds) -> float:
+    """By how much a velocity exceeds bounds."""
+    return float(np.max(np.maximum(u - np.array(bounds.high), np.array(bounds.low) - u)))
+
+
+@pytest.mark.parametrize("seed", range(8))
+def test_the_nearest_velocity_meets_the_conditions_of_the_optimum(seed: int) -> None:
+    """Within the bounds, and M (u - u*) is held by the bounds and rows that are met, each pushing inwards (by NNLS).
+
+    The conditions of Karush, Kuhn and Tucker are sufficient: the program is convex.
+    """
+    rng = np.random.default_rng([42, seed])
+    for _ in range(60):
+        n = int(rng.integers(1, 10))
+        M, bounds, wish = metric_of(n, rng), box_of(n, rng), 2.0 * rng.normal(size=n)
+        low, high = np.array(bounds.low), np.array(bounds.high)
+        G = rng.normal(size=(int(rng.integers(0, 4)), n))
+        least = G @ rng.uniform(low, high) - 0.1 * rng.exponential(size=len(G))  # a point within the bounds meets them
+        u = nearest_within(wish, M, bounds, (G, least) if len(G) else None)
+        assert excess(u, bounds) <= 0.0
+        assert np.all(G @ u >= least - 1e-9)
+        met = 1e-9 * (1.0 + np.abs(u))
+        pushing = np.vstack((np.eye(n)[u <= low + met], -np.eye(n)[u >= high - met], G[G @ u <= least + 1e-8]))
+        slope = M @ (u - wish)
+        size = float(np.linalg.norm(M) * np.linalg.norm(u - wish))
+        if size > 0.0:
+            left = nnls(pushing.T / size, slope / size)[1] if len(pushing) else float(np.linalg.norm(slope)) / size
+            assert left <= 1e-9
+
+
+def test_bounds_have_precedence_over_rows(rng: np.random.Generator) -> None:
+    """Rows that no velocity within the bounds meets are left out."""
+    for _ in range(100):
+        n = int(rng.integers(1, 10))
+        M, bounds, wish = metric_of(n, rng), box_of(n, rng), 2.0 * rng.normal(size=n)
+        g = rng.normal(size=n)
+        most = float(np.maximum(g * np.array(bounds.low), g * np.array(bounds.high)).sum())
+        u = nearest_within(wish, M, bounds, (g[None], np.array([most + 0.1])))
+        np.testing.assert_array_equal(u, nearest_within(wish, M, bounds, None))
+
+
+def test_a_velocity_within_the_bounds_stays(rng: np.random.Generator) -> None:
+    """The nearest velocity to one that is allowed is itself."""
+    for _ in range(100):
+        n = int(rng.integers(1, 10))
+        wish = rng.normal(size=n)
+        wide = Bounds((wish - 0.1).tolist(), (wish + 0.1).tolist(), [1] * n, [1] * n, 0.0)
+        np.testing.assert_allclose(nearest_within(wish, metric_of(n, rng), wide, None), wish, rtol=0, atol=1e-12)
+
+
+@pytest.mark.parametrize("name", ["sawyer", "panda", "gantry", "wrist"])
+def test_the_command_solves_the_program_of_the_docstring(
+    name: str, robot_of: RobotOf, rng: np.random.Generator
+) -> None:
+    """Held rows weigh 1 / ACROSS^2, the speed along the way 1 / ALONG^2, the policy 1: SciPy's minimum in the box."""
+    robot, compared = robot_of(name), 0
+    for _ in range(60):
+        rows, q = rows_of(robot, name, "xyz", 2, rng), inside(robot, rng, 0.98)
+        A = rows(q)
+        if np.linalg.svd(A, compute_uv=False)[-1] < 0.15:
+            continue
+        task, policy = Asks(0.05 * rng.normal(size=2)), JointAttractor(robot.neutral(), 2.0, robot=robot)
+        law = ml.ResolvedRateController(rows, task, policy, dt=DT)
+        previous = 0.1 * np.minimum(robot.velocity_limit, 3.0) * rng.uniform(-1.0, 1.0, robot.nv)
+        assert law.limits is not None
+        bounds = law.limits.bounds(q, DT, previous)
+        command = law(q, 0.0, DT, previous)
+        X = np.linalg.pinv(A)
+        drive, w = X @ task.b, velocity_of(policy, q)
+        wish = drive + w - X @ (A @ w)
+        slope = smallest_gradient(*rows.value_and_vjp(q))
+        smallest = float(np.linalg.svd(A, compute_uv=False)[-1])
+        presses = -float(slope @ wish) > approach_bound(smallest, slope, law.limits.acceleration, DT)
+        if presses or bounds.admit(wish) or np.any(np.abs(drive) > law.limits.velocity):
+            continue
+        d = task.b / np.linalg.norm(task.b)
+        weighed = np.vstack(((A - np.outer(d, d @ A)) / ACROSS, (d @ A)[None] / ALONG, np.eye(robot.nv)))
+        low, high = np.array(bounds.low), np.array(bounds.high)
+        best = lsq_linear(weighed, weighed @ wish, (low, high + 1e-15), method="bvls", tol=1e-15).x
+        cost = [float(np.sum((weighed @ (u - wish)) ** 2)) for u in (command.velocity, best)]
+        assert excess(command.velocity, bounds) <= 0.0
+        assert cost[0] <= cost[1] * (1.0 + 1e-6) + 1e-9
+        np.testing.assert_allclose(command.velocity, best, rtol=0, atol=1e-5)
+        compared += 1
+    assert compared >= 15
+
+
+def rail(robot: ml.Robot) -> ml.Constraint:
+    """A rail along x: y and z of the hand are held."""
+    return ml.Constraint([[0.0, 1.0, 0.0], [0.0, 0.0, 1.0]], ml.FrameJacobian(robot, "link_eef"))
+
+
+@pytest.mark.parametrize("climbs", [None, "held", "held, slowly", "driven"])
+def test_a_joint_at_its_limit_pulls_no_hand_off_its_rail(climbs: str | None) -> None:
+    """Where a joint stops the way the hand stands on its rail to 0.5 mm, whatever the null-space policy asks for."""
+    robot = ml.load_robot("xarm7")
+    start, rows = [3.302, -1.7578, 0.2082, 3.0665, 5.0783, 1.7292, 0.1807], rail(robot)
+    task = ml.FreeDirection(rows, -0.5, 0.1)
+    policies = {
+        "held": ManipulabilityAscent(rows),
+        "held, slowly": ManipulabilityAscent(task.constraint, max_speed=1.0),
+        "driven": ManipulabilityAscent(task.constraint),
+    }
+    law = ml.ResolvedRateController(rows, task, policies.get(climbs or ""), dt=DT)
+    rollout, way = simulate_way(robot, law, start, DT)
+    places = np.array([robot.position(q, "link_eef") for q in rollout.q])
+    assert float(np.max(np.linalg.norm(places[:, 1:] - places[0, 1:], axis=1))) <= 5e-4
+    assert way.deviation <= 5e-4 and abs(way.done) > 0.2
+
+
+def commands_along(law: ml.ResolvedRateController, previous: np.ndarray | None, walk: Callable[[float], np.ndarray]):
+    """s -> the command at the posture of a walk."""
+    return lambda s: law(walk(s), 0.0, DT, previous)
+
+
+def left_at_the_steepest(command: Callable[[float], Command], s: np.ndarray, places: int = 6) -> float:
+    """The largest jump of u along a walk [rad/s].
+
+    Where u bends most it is looked at ever closer: of a continuous function nothing is left between two postures that
+    are 1e-10 apart, however steep it is; of a jump all.
+    """
+    u = np.array([command(x).velocity for x in s])
+    bends = np.linalg.norm(u[2:] - 2.0 * u[1:-1] + u[:-2], axis=1)
+    jump = 0.0
+    for k in np.argsort(bends)[-places:].tolist():
+        for i in (k, k + 1):
+            (low, high), (first, last) = s[i : i + 2].tolist(), u[i : i + 2]
+            while high - low > 1e-10:
+                middle = 0.5 * (low + high)
+                here = command(middle).velocity
+                if np.linalg.norm(here - first) > np.linalg.norm(last - here):
+                    high, last = middle, here
+                else:
+                    low, first = middle, here
+            jump = max(jump, float(np.linalg.norm(last - first)))
+    return jump
+
+
+@pytest.mark.parametrize("moving", [False, True])
+@pytest.mark.parametrize("kind", ["none", "ascent", "rest"])
+@pytest.mark.parametrize("name", ["sawyer", "panda", "xarm7"])
+def test_where_the_program_begins_nothing_jumps(name: str, kind: str, moving: bool, rng: np.random.Generator) -> None:
+    """Along straight walks of the posture on which the status changes, u has no jump of more than 1e-5 rad/s."""
+    robot, changes = ml.load_robot(name), 0
+    frame = {"xarm7": "link_eef"}.get(name, tip_of(name))
+    for _ in range(4):
+        features = ml.FrameJacobian(robot, frame)
+        rows = ml.Constraint(np.linalg.qr(rng.normal(size=(3, 3)))[0][:2], features)
+        start, target = inside(robot, rng, 0.95), features.coordinates(inside(robot, rng))
+        law = ml.ResolvedRateController(rows, ml.PointAttractor(target, gain=2.0), POLICIES[kind](robot, rows), dt=DT)
+        direction = rng.normal(size=robot.nv)
+        direction *= 0.5 / np.linalg.norm(direction)
+        previous = law(start, 0.0, DT).velocity if moving else None
+        command = commands_along(law, previous, lambda s, a=start, d=direction: a + s * d)
+        s = np.linspace(0.0, 1.0, 201)
+        words = [command(x).status for x in s]
+        changes += sum(a != b for a, b in pairwise(words))
+        assert left_at_the_steepest(command, s) < 1e-5
+    assert changes >= 2
+
+
+@pytest.mark.parametrize("limits", [False, True])
+@pytest.mark.parametrize("kind", ["none", "ascent", "rest"])
+def test_where_damping_begins_nothing_jumps(kind: str, limits: bool, robot_of: RobotOf) -> None:
+    """From a bent to an all but stretched arm: u has no jump at the threshold, nor below it."""
+    robot = robot_of("planar3")
+    rows = ml.Constraint(np.eye(2), ml.FrameJacobian(robot, "tip", "x y"))
+    for b in ([0.05, 0.02], [-0.03, 0.01]):
+        law = ml.ResolvedRateController(rows, Asks(np.array(b)), POLICIES[kind](robot, rows), limits=limits, dt=DT)
+        command = commands_along(law, None, lambda s: np.array([0.3, s, 0.5 * s]))
+        s = np.geomspace(1e-3, 0.5, 300)
+        words = {command(x).status for x in s}
+        assert words & {ml.Status.OK, ml.Status.REROUTED, ml.Status.NULL_SCALED} and ml.Status.DAMPED in words
+        assert left_at_the_steepest(command, s) < 1e-5
+
+
+@pytest.mark.parametrize("grip", ["loose", "firm rows of the mechanism", "firm in the hand's own frame"])
+@pytest.mark.parametrize("policy", ["none", "ascent"])
+def test_a_way_that_was_stopped_goes_on_from_where_the_hand_is(grip: str, policy: str, robot_of: RobotOf) -> None:
+    """A hand that stood for seconds goes on no faster than it was asked to, and stays on the mechanism."""
+    robot, q, speed = robot_of("panda"), np.array([0.0, -0.3, 0.0, -2.0, 0.0, 1.8, 0.7]), 0.3
+    pose = robot.pose(q, "panda_hand_tcp")
+    axis, point = np.array([0.0, 0.0, 1.0]), pose[:3, 3] + [0.1, 0.25, 0.0]
+    if grip == "firm in the hand's own frame":
+        a, c = pose[:3, :3].T @ axis, pose[:3, :3].T @ (point - pose[:3, 3])
+        twist = np.concatenate((np.cross(c, a), a))  # of the hand that turns about the axis: v = a x (0 - c)
+        features = ml.FrameJacobian(robot, "panda_hand_tcp", "pose", "local")
+        rows = ml.Constraint(np.linalg.svd(twist[None])[2][1:], features)
+    else:
+        names = "radial axial" if grip == "loose" else "turn-1 turn-2 slide-1 slide-2 slide"
+        features = MechanismRows(robot, "panda_hand_tcp", names, axis=axis, point=point)
+        rows = ml.Constraint(np.eye(features.n_rows), features)
+    task = ml.FreeDirection(rows, 0.7, speed, unit="rad")
+    climb = task.ascent() if policy == "ascent" else None
+    law, t, u = ml.ResolvedRateController(rows, task, climb, dt=DT), 0.0, np.zeros(robot.nv)
+    radius, height = float(np.linalg.norm((pose[:3, 3] - point)[:2])), float(pose[2, 3])
+    before, off, rates = 0.0, 0.0, [0.0]
+    while t < 9.0:
+        u = law(q, t, DT, u).velocity
+        if 0.8 <= t < 3.8:  # somebody holds the arm
+            u = np.zeros(robot.nv)
+        q, t = robot.integrate(q, DT * u), t + DT
+        place, now = robot.position(q, "panda_hand_tcp"), task.progress(q)
+        off = max(off, abs(float(np.linalg.norm((place - point)[:2])) - radius), abs(float(place[2]) - height))
+        rates.append((now - before) / DT)
+        before = now
+    assert task.progress(q) == pytest.approx(0.7, abs=4e-3)
+    assert max(np.abs(rates)) <= 1.01 * speed
+    assert off <= 5e-4
+
+
+@pytest.mark.parametrize("kind", ["none", "ascent", "rest"])
+@pytest.mark.parametrize("name", ARMS)
+def test_no_command_exceeds_a_bound(name: str, kind: str, robot_of: RobotOf, rng: np.random.Generator) -> None:
+    """Random, extreme and singular postures, any velocity before, tasks of all sizes: finite, 1e-9 at most beyond."""
+    robot = robot_of(name)
+    for k in range(40):
+        axes = ("x y", "xyz", "pose")[k % 3]
+        rows = rows_of(robot, name, axes, 1 + int(rng.integers((2, 3, 6)[k % 3])), rng)
+        q = (inside(robot, rng, 1.0), np.zeros(robot.nv), inside(robot, rng, 1.1), 1e-9 * rng.normal(size=robot.nv))
+        b = 10.0 ** rng.uniform(-4.0, 2.0) * rng.normal(size=rows.n_constraints)
+        law = ml.ResolvedRateController(rows, Asks(b), POLICIES[kind](robot, rows), dt=DT)
+        assert law.limits is not None
+        posture = robot.configuration(q[k % 4]) if robot.nq != robot.nv else q[k % 4]
+        for previous in (None, np.minimum(robot.velocity_limit, 3.0) * rng.uniform(-1.0, 1.0, robot.nv)):
+            dt, slide = 10.0 ** rng.uniform(-3.0, -1.0), float(rng.choice([0.0, 0.5, 1.0]))
+            command = law(posture, 0.0, dt, previous, slide)
+            assert np.all(np.isfinite(command.velocity))
+            assert excess(command.velocity, law.limits.bounds(posture, dt, previous)) <= 1e-9
+
+
+@pytest.mark.parametrize("bend", [-0.1, -1e-3, 1e-5, 1e-2, 0.1])
+def test_the_way_out_of_a_singularity_raises_mu(bend: float, robot_of: RobotOf) -> None:
+    """Beside a singularity the whole null-space motion climbs, to whichever side the arm is bent; at it, too."""
+    robot = robot_of("planar3")
+    rows = ml.Constraint(np.eye(2), ml.FrameJacobian(robot, "tip", "x y"))
+    law = ml.ResolvedRateController(rows, None, ManipulabilityAscent(rows), dt=0.001)
+    for q in (np.array([0.4, bend, 0.0]), np.array([0.4, 0.0, 0.0])):
+        u = law(q).velocity
+        assert np.linalg.norm(u) > 1e-4
+        there = q + 1e-3 * min(1.0, abs(bend)) * u / np.linalg.norm(u)
+        assert ml.manipulability(rows, there) > ml.manipulability(rows, q)
+
+
+def test_more_rows_than_joints_are_no_error(robot_of: RobotOf) -> None:
+    """Every posture is singular then: the command is finite, within limits, and says so where b does not fit."""
+    rows = ml.Constraint(np.eye(6)[:4], ml.FrameJacobian(robot_of("planar3"), "tip", "pose"))
+    q = np.array([0.1, 0.5, 0.2])
+    A = rows(q)
+    for b, word in ((np.array([0.1, 0.0, 0.3, 0.0]), "singular"), (0.1 * A @ np.array([0.2, -0.1, 0.3]), "damped")):
+        command = ml.ResolvedRateController(rows, Asks(b), ManipulabilityAscent(rows))(q)
+        assert np.all(np.isfinite(command.velocity)) and command.manipulability == 0.0
+        assert command.status == word
