@@ -192,14 +192,20 @@ def test_the_line_to_type_next_works(run, robot, recordings, options):
     assert "at the target" in out or "moved 0.100 of 0.100 m" in out or "2 ways done as shown" in out
 
 
-def test_a_hand_that_strays_is_told(run, shown):
-    """Where a joint stops at its limit the hand is pulled off the line by millimetres; a plan takes hold elsewhere."""
+def test_a_hand_whose_joint_meets_its_limit_stays_on_the_line(run, shown):
+    """It stands within 2 mm of what holds it, and a sentence says what stops it; a plan takes hold elsewhere."""
     start = "0.0689,-1.6728,2.8072,-1.9042,2.4714,-0.0381,4.6725"
     way = ("--along", "0.3", "--direction=-1,-0.5,0", "--keep-orientation", "--start", start)
-    for how, strays in (("--policy=zero", True), ("--plan", False)):
-        code, out, _err = run("control", "sawyer", shown, *way, how)
-        assert code == 0 and out.startswith("opened 0.300 of 0.300 m")
-        assert (" mm from what holds it" in out) is strays
+    for policy in ("zero", "manipulability"):
+        code, out, _err = run("control", "sawyer", shown, *way, f"--policy={policy}", "--json")
+        answer = json.loads(out)
+        assert code == 0 and answer["deviation"] <= 2e-3
+        assert answer["reached"] or answer["stopped_by"]
+        code, out, _err = run("control", "sawyer", shown, *way, f"--policy={policy}")
+        assert code == 0 and answer["sentence"] in out and (answer["stopped_by"] or "") in out
+    code, out, _err = run("control", "sawyer", shown, *way, "--plan")
+    assert code == 0 and out.startswith("opened 0.300 of 0.300 m")
+    assert " mm from what holds it" not in out
 
 
 def test_the_demo_opens_the_drawer(run):

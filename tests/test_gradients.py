@@ -26,6 +26,7 @@ from manip_learn.constraint.manipulability import (
     log_manipulability_gradient,
     manipulability,
     manipulability_gradient,
+    smallest_gradient,
 )
 from manip_learn.robot.robot import Robot
 
@@ -296,3 +297,17 @@ def test_the_robots_cover_what_they_should(robot_of: RobotOf):
     assert any(r.mimics for r in robots.values())
     assert any(r.nq != r.nv for r in robots.values())
     assert set(LOCKED) <= set(ROBOTS)
+
+
+@pytest.mark.parametrize("name", ["planar3", "panda", "gantry"])
+def test_gradient_of_the_smallest_singular_value(name: str, robot_of: RobotOf, rng: np.random.Generator) -> None:
+    """It is the slope of sigma_min, wherever that is neither 0 nor double."""
+    robot = robot_of(name)
+    constraint = Constraint(np.eye(2), FrameJacobian(robot, tip_of(name), "x y"))
+    for _ in range(5):
+        q = robot.random_configuration(rng)
+        sigma = np.linalg.svd(constraint(q), compute_uv=False)
+        if min(sigma[1], sigma[0] - sigma[1]) < 0.05:
+            continue
+        slope = central_difference(lambda x: float(np.linalg.svd(constraint(x), compute_uv=False)[-1]), robot, q)
+        np.testing.assert_allclose(smallest_gradient(*constraint.value_and_vjp(q)), slope.reshape(-1), atol=1e-6)

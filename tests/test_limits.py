@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 import manip_learn as ml
-from manip_learn.control.limits import Limits
+from manip_learn.control.limits import Limits, approach_bound
 from manip_learn.errors import ConfigurationError
 from manip_learn.robot.robot import Robot
 
@@ -173,3 +173,16 @@ def test_admitted_is_what_the_bounds_allow(robot_of: RobotOf, rng: np.random.Gen
     outside = middle.copy()
     outside[2] = high[2] + 2e-9
     assert limits.bounds(outside, dt, None).outside > 0.0 and not limits.far(outside, dt, np.zeros(7))
+
+
+def test_a_singularity_is_approached_so_slowly_that_the_arm_can_stop() -> None:
+    """Half of the joints' deceleration brakes sigma to the crossing speed within the distance that is left."""
+    slope, acceleration = np.array([3.0, 0.0, 4.0]), np.array([6.0, 1e-3, 2.0])
+    # a joint that does not move sigma has no say; the others brake it with 0.5 * 5 * min(6 / 0.6, 2 / 0.8)
+    deceleration = 0.5 * 5.0 * 2.5
+    for sigma in (1e-4, 1e-3, 0.02, 0.3):
+        expected = 5.0 * 5e-4 + min(20.0 * sigma, np.sqrt(2.0 * deceleration * sigma))
+        assert approach_bound(sigma, slope, acceleration, 1e-3) == pytest.approx(expected, rel=1e-12)
+    # a long step leaves less: half of the distance in each
+    assert approach_bound(1e-3, slope, acceleration, 0.1) == pytest.approx(5.0 * 5e-4 + 5.0 * 1e-3)
+    assert approach_bound(0.1, np.zeros(3), acceleration, 1e-3) == np.inf

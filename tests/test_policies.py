@@ -12,6 +12,7 @@ import manip_learn as ml
 from manip_learn.constraint.constraint import Constraint
 from manip_learn.constraint.features import CustomFeatures, FrameJacobian
 from manip_learn.constraint.manipulability import log_manipulability_gradient, manipulability, manipulability_gradient
+from manip_learn.constraint.small_matrices import svd
 from manip_learn.control.policies import (
     GROWTH,
     JointAttractor,
@@ -20,6 +21,7 @@ from manip_learn.control.policies import (
     PenalisedManipulabilityAscent,
     WeightedPolicies,
     ZeroPolicy,
+    steepest_ascent,
 )
 from manip_learn.errors import ConfigurationError, ConstraintError, TargetError
 
@@ -64,6 +66,23 @@ def test_ascent_climbs_out_of_singularities(robot_of):
             assert np.all(np.isfinite(direction)) and np.linalg.norm(direction) > 0.0
             step = 1e-3 * direction / np.linalg.norm(direction)
             assert manipulability(constraint, robot.integrate(q, step)) > manipulability(constraint, q)
+
+
+def test_an_exact_singularity_is_left_along_the_steepest_ascent(robot_of):
+    """In the null space, at the small speed of the seed; no other direction of the null space raises mu more."""
+    constraint = Constraint(np.eye(2), FrameJacobian(robot_of("planar3"), "tip", "x y"))
+    q = np.array([0.4, 0.0, 0.0])
+    A, vjp = constraint.value_and_vjp(q)
+    decomposition = svd(A)
+    ascent = steepest_ascent(decomposition, vjp)
+    assert ascent[np.argmax(np.abs(ascent))] > 0.0 and np.linalg.norm(ascent) == pytest.approx(1.0)
+    np.testing.assert_allclose(A @ ascent, 0.0, rtol=0, atol=1e-12)
+    np.testing.assert_allclose(ManipulabilityAscent(constraint)(q), 5e-4 * ascent, rtol=0, atol=1e-12)
+    Z = decomposition[2][1:]
+    for other in np.random.default_rng(5).standard_normal((200, 3)):
+        z = Z.T @ (Z @ other)
+        z *= 1e-4 / np.linalg.norm(z)
+        assert manipulability(constraint, q + z) <= manipulability(constraint, q + 1e-4 * ascent) * (1.0 + 1e-3)
 
 
 def test_the_bound_of_the_ascent(robot_of, rng):
