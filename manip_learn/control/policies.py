@@ -539,26 +539,14 @@ class PolicyFunction(NullSpacePolicy):
 
     def __init__(self, function: Callable[..., ArrayLike]):
         self.function = function
-        kinds = (inspect.Parameter.POSITIONAL_ONLY, inspect.Parameter.POSITIONAL_OR_KEYWORD)
-        try:
-            parameters = list(inspect.signature(function).parameters.values())
-        except (TypeError, ValueError):  # of a builtin
-            parameters = []
-        places = [p for p in parameters if p.kind in kinds]
-        several = any(p.kind is inspect.Parameter.VAR_POSITIONAL for p in parameters)
-        needed = [
-            p.name for p in parameters if p.default is p.empty and p.kind not in (p.VAR_POSITIONAL, p.VAR_KEYWORD)
-        ]
-        if (
-            not (places or several)
-            or len(needed) > 2
-            or any(p.name in needed for p in parameters if p.kind is p.KEYWORD_ONLY)
-        ):
+        takes = inspect.signature(function)
+        one, two = (_fits(takes, number) for number in (1, 2))
+        if not (one or two):
             raise ConfigurationError(
-                f"a null-space policy is a function of q, or of q and t; this one takes ({', '.join(needed)}): "
-                "write lambda q: ... or lambda q, t: ..."
+                f"a null-space policy is a function of q, or of q and t; this one takes {takes}: write lambda q: ... or "
+                "lambda q, t: ..."
             )
-        self._timed = several or len(places) > 1
+        self._timed = two and (not one or "t" in takes.parameters)
 
     def __call__(self, q: ArrayLike, t: float = 0.0) -> Float[np.ndarray, " nv"]:
         """The function's answer as an array [rad/s or m/s]."""
@@ -570,6 +558,15 @@ class PolicyFunction(NullSpacePolicy):
 
     def __repr__(self) -> str:
         return f"PolicyFunction({getattr(self.function, '__name__', self.function)!s})"
+
+
+def _fits(takes: inspect.Signature, number: int) -> bool:
+    """Whether a function may be called with so many arguments."""
+    try:
+        takes.bind(*range(number))
+    except TypeError:
+        return False
+    return True
 
 
 def policy_of(policy: NullSpacePolicy | Callable[..., ArrayLike]) -> NullSpacePolicy:
