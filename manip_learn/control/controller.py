@@ -35,8 +35,8 @@ class ResolvedRateController:
         constraint: A(q).
         task: b(q, t); None holds still (b = 0).
         null_policy: pi(q, t), a `NullSpacePolicy` or a function of q, or of q and t; None is zero.
-        inverse: `"damped"` for a real arm; as in the paper `"exact"`, 1 / sigma, or `"truncated"`, without what is below
-            Matlab's tolerance.
+        inverse: `"damped"` for a real arm; as in the paper `"exact"`, 1 / sigma, or `"truncated"`, without what is
+            below Matlab's tolerance.
         threshold: Singular value of A at which damping sets in, in the constraint's units (m or 1).
         damping: lambda of driven rows at a singular value of 0; that of held rows is a tenth of it, and a task that
             presses into the singularity has a larger one. None for the task's own: 0.05, and 0.01 for a way.

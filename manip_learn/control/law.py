@@ -28,9 +28,9 @@ from manip_learn.robot.frame_kinematics import vjps
 # lambda of held rows over that of driven ones: where a direction is lost, what holds the hand gives way last
 HELD = 0.1
 # [m or 1] what a unit of velocity of the rows costs within bounds, where one [rad/s] of the policy's costs 1. At a
-# singular value of 0.3 the held rows and the task's direction give way by 1e-8 of what the policy asks for, the speed
-# along that direction by 1e-4; of the speed that bounds take from the task, 1e-4 goes beside its direction
-ACROSS, ALONG = 3e-5, 3e-3
+# singular value of 0.3 the held rows and the task's direction give way by 1e-7 of what the policy asks for, the speed
+# along that direction by 1e-4; of the speed that bounds take from the task, 1e-3 goes beside its direction
+ACROSS, ALONG = 1e-4, 3e-3
 # width of the way out of a singularity, as a share of the threshold: targets beyond it are reached
 ESCAPE_WIDTH = 0.6
 ESCAPE_SPEED = 0.2  # [rad/s] at most, of what the policy moves along directions that are nearly lost

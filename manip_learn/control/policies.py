@@ -543,8 +543,8 @@ class PolicyFunction(NullSpacePolicy):
         one, two = (_fits(takes, number) for number in (1, 2))
         if not (one or two):
             raise ConfigurationError(
-                f"a null-space policy is a function of q, or of q and t; this one takes {takes}: write lambda q: ... or "
-                "lambda q, t: ..."
+                f"a null-space policy is a function of q, or of q and t; this one takes {takes}: write lambda q: ... "
+                "or lambda q, t: ..."
             )
         self._timed = two and (not one or "t" in takes.parameters)
 
