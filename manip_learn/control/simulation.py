@@ -10,7 +10,9 @@ from jaxtyping import Float
 from numpy.typing import ArrayLike
 
 from manip_learn.constraint.constraint import Constraint
+from manip_learn.control.batch import BatchLaw
 from manip_learn.control.command import Command, Controller, Method, TaskController, next_posture
+from manip_learn.control.controller import ResolvedRateController
 from manip_learn.control.law_sequence import constraint_of, frame_of, law_of, task_of
 from manip_learn.control.rollout import Rollout, written_constraint
 from manip_learn.control.servo_loop import ServoLoop
@@ -102,11 +104,8 @@ def simulate(
     report, table = progress or (lambda title, fraction: None), np.ndim(q0) == 2
     if table:
         # names the row before any work is done
-        starts, rollouts = np.asarray(q0) if robot is None else checked_postures(robot, np.asarray(q0)), []
-        for i, start in enumerate(starts):
-            rollouts.append(simulate(robot, controller, start, steps * dt, dt, method))
-            report("simulating", (i + 1) / len(starts))
-        return tuple(rollouts)
+        starts = np.asarray(q0) if robot is None else checked_postures(robot, np.asarray(q0))
+        return _from_table(robot, controller, starts, steps, dt, method, lambda x: report("simulating", x))
     q = np.array(q0, dtype=np.float64) if robot is None else np.array(robot.checked_posture(q0))
     task_error = controller.task_error if isinstance(controller, TaskController | ServoLoop) else None
     command_at = _loop_of(controller, q, dt, method)
@@ -135,6 +134,47 @@ def simulate(
         following_error=np.array([c.following_error for c in commands]) if isinstance(controller, ServoLoop) else None,
         **guided(controller),
     )
+
+
+def _from_table(
+    robot: Robot | None,
+    controller: Controller | ServoLoop,
+    starts: Float[np.ndarray, "n width"],
+    steps: int,
+    dt: float,
+    method: Method,
+    report: Callable[[float], None],
+) -> tuple[Rollout, ...]:
+    """One rollout per start: in bulk where the law is served so, else one after the other."""
+    inside = np.zeros(len(starts), bool)
+    if robot is not None and method == "euler" and starts.shape[1] == robot.nv and BatchLaw.serves(controller):
+        # others may be no postures to a servo loop, which knows how far an encoder can be off
+        inside = ((robot.position_lower <= starts) & (starts <= robot.position_upper)).all(axis=1)
+    rollouts: list[Rollout | None] = [None] * len(starts)
+    together = np.flatnonzero(inside)
+    share = len(together) / max(1, len(starts))
+    if together.size and robot is not None and isinstance(controller, ResolvedRateController):
+        controller.task_error(starts[together[0]])  # a target that does not fit is refused here
+        motions = BatchLaw(controller).simulate(starts[together], steps, dt, lambda x: report(share * x))
+        known = {
+            "time": np.arange(steps + 1) * dt,
+            "joint_names": robot.joint_names,
+            "robot": RobotIdentity.of(robot),
+            **guided(controller),
+        }
+        for k, i in enumerate(together.tolist()):
+            rollouts[i] = Rollout(
+                q=motions.q[..., k],
+                u=motions.u[..., k],
+                manipulability=motions.mu[:, k],
+                status=tuple(motions.status[:, k].tolist()),
+                task_error=motions.error[:, k],
+                **known,
+            )
+    for j, i in enumerate(np.flatnonzero(~inside).tolist()):
+        rollouts[i] = simulate(robot, controller, starts[i], steps * dt, dt, method)
+        report(share + (j + 1) / len(starts))
+    return tuple(rollout for rollout in rollouts if rollout is not None)
 
 
 def _loop_of(
