@@ -32,9 +32,7 @@ from manip_learn.control.tasks import Hold, PointAttractor
 from manip_learn.robot.batch.batch_kinematics import batch_kinematics
 
 MOST_STARTS = 512  # at once: the columns of a 7-joint chain then stay in a second-level cache of 1 MB
-# rounds in which all bounds of a program change that are wrong, and rounds in all: after the first ones a single bound
-# changes in each, which ends for sure (Judice and Pires, 1994); of 25,000 programs of a Sawyer none took 20
-TOGETHER, MOST_ROUNDS = 6, 30
+MOST_ROUNDS = 20  # of Newton's steps; what takes more goes through DAQP
 
 
 @final
@@ -170,13 +168,13 @@ class BatchLaw:
             least = None
             if law.slope is not None:
                 least = -approach_bounds(law.smallest, law.slope, limits.acceleration, dt)
-                alone |= ~(np.sum(law.slope * law.wish, axis=0) >= least)
+                alone |= ~(np.einsum("jn,jn->n", law.slope, law.wish) >= least)
             changed = np.flatnonzero(~(alone | bounds.admit(law.wish)))
             if changed.size:
                 part = _Free(*(None if array is None else array[..., changed] for array in law))  # type: ignore[arg-type]
                 found, progress[changed], words, solved = self._bounded(part, bounds.of(changed), slide[changed], dt)
                 if part.slope is not None and least is not None:
-                    solved &= np.sum(part.slope * found, axis=0) >= least[changed]
+                    solved &= np.einsum("jn,jn->n", part.slope, found) >= least[changed]
                 u[:, changed], status[changed], alone[changed] = found, words, ~solved
                 stalls = status == Status.STALLED
             before = slide.copy()
@@ -200,17 +198,17 @@ class BatchLaw:
         controller, rows = self.controller, self._kinematics.linear_rows(x.T)
         A = np.tensordot(self._rows, rows.J, axes=1)
         b = self._velocity(rows.position, error)
-        values, vectors = _eigen(np.sum(A[:, None] * A[None], axis=2))
+        values, vectors = _eigen(np.einsum("sjn,tjn->stn", A, A))
         smallest, mu = np.sqrt(values[0]), np.sqrt(np.prod(values, axis=0))
-        along = np.sum(vectors[..., None, :] * A[:, None], axis=0)  # sigma_k v_k^T, (s, nv, n)
+        along = np.einsum("skn,sjn->kjn", vectors, A)  # sigma_k v_k^T, (s, nv, n)
         scaled = along / values[:, None]
-        X = np.sum(vectors[:, :, None] * scaled[None], axis=1)
+        X = np.einsum("skn,kjn->sjn", vectors, scaled)
         well = values[0] > LEAST_SINGULAR_RATIO**2 * values[-1]
-        task = np.sum(b[:, None] * X, axis=0)
+        task = np.einsum("sn,sjn->jn", b, X)
         policy, wish = controller.null_policy, task
         if isinstance(policy, ManipulabilityAscent):
             w = _ascent(policy, rows.vjp(np.tensordot(self._rows.T, X, axes=1)), mu, dt)
-            wish = task + (w - np.sum(np.sum(A * w, axis=1)[:, None] * X, axis=0))
+            wish = task + (w - np.einsum("sn,sjn->jn", np.einsum("sjn,jn->sn", A, w), X))
         slope = None
         if controller.inverse == "damped":
             well &= smallest >= controller.threshold
@@ -247,10 +245,10 @@ class BatchLaw:
             W = law.A / across
             d = law.b / np.maximum(asked, AT_GOAL)
             share = np.where(asked > AT_GOAL, 1.0 / speed - 1.0 / across, 0.0)
-            W += d[:, None] * (share * np.sum(d[:, None] * law.A, axis=0))
-        y, solved = _nearest(W, bounds.low - wish, bounds.high - wish)
+            W += d[:, None] * (share * np.einsum("sn,sjn->jn", d, law.A))
+        y, _, solved = _nearest(W, bounds.low - wish, bounds.high - wish, np.zeros_like(law.b))
         u = np.clip(wish + y, bounds.low, bounds.high)
-        driven = np.sum(law.b * np.sum(law.A * u, axis=1), axis=0)
+        driven = np.einsum("sn,sjn,jn->n", law.b, law.A, u)
         progress = np.where(asked > AT_GOAL, driven / np.maximum(asked, AT_GOAL) ** 2, 1.0)
         scale = np.clip(progress, 0.0, 1.0)
         facts = zip(progress.tolist(), scale.tolist(), bounds.binding(u, wish).tolist(), bounds.admit(law.task), strict=True)
@@ -282,39 +280,80 @@ def _eigen(G: Float[np.ndarray, "s s n"]) -> tuple[Float[np.ndarray, "s n"], Flo
     return np.stack(((a * c - b * b) / largest, largest)), np.array(((-sin, cos), (cos, sin)))
 
 
-def _nearest(
-    W: Float[np.ndarray, "s nv n"], low: Float[np.ndarray, "nv n"], high: Float[np.ndarray, "nv n"]
-) -> tuple[Float[np.ndarray, "nv n"], Bool[np.ndarray, " n"]]:
-    """argmin |W y|^2 + |y|^2, low <= y <= high, of n programs at once, and which of them were solved.
+def _solve(K: Float[np.ndarray, "s s n"], r: Float[np.ndarray, "s n"]) -> Float[np.ndarray, "s n"]:
+    """The solutions of n systems of equations, K symmetric."""
+    if len(K) == 1:
+        return r / K[0]
+    if len(K) == 2:
+        (a, b), (_, c) = K
+        return np.stack((c * r[0] - b * r[1], a * r[1] - b * r[0])) / (a * c - b * b)
+    return np.linalg.solve(np.moveaxis(K, -1, 0), r.T[..., None])[..., 0].T
 
-    Where a set of joints is at its bounds, the others are y = -W^T z, z = (1 + W F W^T)^-1 W (1 - F) y, F those that
-    are free: as many equations as W has rows. The set changes until it is the right one, by block pivoting (Judice and
-    Pires, "A block principal pivoting algorithm for large-scale strictly monotone linear complementarity problems",
-    1994).
+
+def _nearest(
+    W: Float[np.ndarray, "s nv n"],
+    low: Float[np.ndarray, "nv n"],
+    high: Float[np.ndarray, "nv n"],
+    z: Float[np.ndarray, "s n"],
+) -> tuple[Float[np.ndarray, "nv n"], Float[np.ndarray, "s n"], Bool[np.ndarray, " n"]]:
+    """argmin |W y|^2 + |y|^2, low <= y <= high, of n programs at once; z; and which of them were solved.
+
+    With z = W y the solution is y = clip(-W^T z, low, high): as many unknowns as W has rows, the root of the slope of
+
+        f(z) = |z|^2 / 2 + sum_j h_j(-w_j^T z),    dh_j(x) / dx = clip(x, low_j, high_j),
+
+    which is convex, and quadratic where no joint comes to a bound or leaves one. Newton's steps, each as long as f falls
+    along it, end in a finite number (Li and Swetits, "A new algorithm for solving strictly convex quadratic programs",
+    1997).
+
+    Args:
+        W: Rows.
+        low: Lowest y.
+        high: Highest y.
+        z: Where to begin.
     """
-    s, nv, n = W.shape
-    y, solved, left = np.zeros((nv, n)), np.zeros(n, bool), np.arange(n)
-    side = np.where(low > 0.0, -1, np.where(high < 0.0, 1, 0))  # of each joint: at its low bound, free, at its high one
-    for k in range(MOST_ROUNDS):
-        free = side == 0
-        bound = np.where(side < 0, low, np.where(free, 0.0, high))
-        r = np.sum(W * bound, axis=1)
-        K = np.sum((W * free)[:, None] * W[None], axis=2)
+    (s, nv, n), left = W.shape, np.arange(z.shape[1])
+    y, end, solved = np.zeros((nv, n)), z.copy(), np.zeros(n, bool)
+    x = -np.einsum("sjn,sn->jn", W, z)
+    for _ in range(MOST_ROUNDS):
+        below, above = x < low, x > high
+        free = ~(below | above)
+        bound = np.where(below, low, np.where(above, high, 0.0))
+        K = np.einsum("sjn,tjn->stn", W * free, W)
         K[np.arange(s), np.arange(s)] += 1.0
-        z = np.linalg.solve(np.moveaxis(K, -1, 0), r.T[..., None])[..., 0].T
-        pull = np.sum(W * z[:, None], axis=0)
-        found = np.where(free, -pull, bound)
-        rate = np.where(free, 0.0, bound + pull)  # half the slope of what is minimised
-        becomes = np.where(found < low - FINE, -1, np.where(found > high + FINE, 1, 0))
-        becomes = np.where(free, becomes, np.where(side * rate > 0.0, 0, side))
-        wrong = becomes != side
-        if k >= TOGETHER:  # the last one only
-            wrong &= np.cumsum(wrong[::-1], axis=0)[::-1] == 1
-        done = ~wrong.any(axis=0)
-        y[:, left[done]], solved[left[done]] = found[:, done], True
+        newton = _solve(K, np.einsum("sjn,jn->sn", W, bound))
+        ahead = -np.einsum("sjn,sn->jn", W, newton)
+        found = np.where(free, ahead, bound)
+        done = (np.where(free, (low - FINE <= ahead) & (ahead <= high + FINE), np.clip(ahead, low, high) == bound)).all(0)
+        y[:, left[done]], end[:, left[done]], solved[left[done]] = found[:, done], newton[:, done], True
         if done.all():
             break
-        go = ~done
-        side, left = np.where(wrong, becomes, side)[:, go], left[go]
-        W, low, high = W[..., go], low[:, go], high[:, go]
-    return y, solved
+        go = np.flatnonzero(~done)
+        W, low, high, z, x, newton, ahead = (a.take(go, axis=-1) for a in (W, low, high, z, x, newton, ahead))
+        left, p, e = left[go], newton - z, ahead - x
+        share = _least_along(np.einsum("sn,sn->n", z, p), np.einsum("sn,sn->n", p, p), x, e, low, high)
+        z, x = z + share * p, x + share * e
+    return y, end, solved
+
+
+def _least_along(
+    zp: Float[np.ndarray, " n"],
+    pp: Float[np.ndarray, " n"],
+    x: Float[np.ndarray, "nv n"],
+    e: Float[np.ndarray, "nv n"],
+    low: Float[np.ndarray, "nv n"],
+    high: Float[np.ndarray, "nv n"],
+) -> Float[np.ndarray, " n"]:
+    """Where f(z + t p) of `_nearest` is least: its slope z^T p + t p^T p + e^T clip(x + t e) has corners and rises."""
+    per = 1.0 / np.where(e == 0.0, np.inf, e)
+    corners = np.maximum(np.concatenate(((low - x) * per, (high - x) * per, np.zeros((1, len(zp))))), 0.0)
+    slope = zp + corners * pp
+    slope += np.einsum("jn,cjn->cn", e, np.clip(x + corners[:, None] * e, low, high))
+    before = np.where(slope <= 0.0, corners, 0.0).max(axis=0)
+    after = np.where(slope > 0.0, corners, np.inf).min(axis=0)
+    inside = np.where(np.isfinite(after), 0.5 * (before + after), before + 1.0)
+    place = x + inside * e
+    moving = (low < place) & (place < high)
+    rate = pp + np.einsum("jn,jn->n", e * e, moving)
+    here = zp + before * pp + np.einsum("jn,jn->n", e, np.clip(x + before * e, low, high))
+    return np.minimum(before - here / rate, after)
