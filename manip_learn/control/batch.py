@@ -9,30 +9,21 @@ from collections.abc import Callable
 from typing import NamedTuple, final
 
 import numpy as np
-from jaxtyping import Bool, Float, Int
+from jaxtyping import Bool, Float
 
 from manip_learn.constraint.features import FrameJacobian
 from manip_learn.constraint.small_matrices import LEAST_SINGULAR_RATIO
-from manip_learn.control.command import Status, status_of
+from manip_learn.control.box_programs import nearest_in_boxes
+from manip_learn.control.command import Controller, Status, status_of
 from manip_learn.control.controller import ResolvedRateController
-from manip_learn.control.law import (
-    ACROSS,
-    ALONG,
-    AT_GOAL,
-    FINE,
-    GOING_ON,
-    KEEPING_AFTER,
-    SLIDING_AFTER,
-    STABLE_SLOPE,
-    next_slide,
-)
+from manip_learn.control.law import ACROSS, ALONG, AT_GOAL, STABLE_SLOPE, next_slide
 from manip_learn.control.limits import BoundsTable, Limits, approach_bounds
 from manip_learn.control.policies import GROWTH, ManipulabilityAscent, ZeroPolicy
 from manip_learn.control.tasks import Hold, PointAttractor
 from manip_learn.robot.batch.batch_kinematics import batch_kinematics
+from manip_learn.robot.robot import Robot
 
 MOST_STARTS = 512  # at once: the columns of a 7-joint chain then stay in a second-level cache of 1 MB
-MOST_ROUNDS = 20  # of Newton's steps; what takes more goes through DAQP
 
 
 @final
@@ -45,7 +36,7 @@ class Motions(NamedTuple):
         mu: shape (T, n), manipulability.
         error: shape (T, n), distance to the goal.
         status: shape (T, n), of `Status`.
-        one_by_one: Share of the steps that the law took by itself.
+        alone: shape (T, n), whether the controller took the step by itself.
     """
 
     q: Float[np.ndarray, "T nv n"]
@@ -53,12 +44,12 @@ class Motions(NamedTuple):
     mu: Float[np.ndarray, "T n"]
     error: Float[np.ndarray, "T n"]
     status: np.ndarray
-    one_by_one: float
+    alone: Bool[np.ndarray, "T n"]
 
 
 @final
-class _Free(NamedTuple):
-    """The law at n postures before bounds, away from singularities, see `Desired`; `well` says where it is that."""
+class _Desired(NamedTuple):
+    """`Desired` at n postures away from singularities; `well` says which are, `slope` is the gradient of `smallest`."""
 
     A: Float[np.ndarray, "s nv n"]
     b: Float[np.ndarray, "s n"]
@@ -66,57 +57,59 @@ class _Free(NamedTuple):
     wish: Float[np.ndarray, "nv n"]
     mu: Float[np.ndarray, " n"]
     smallest: Float[np.ndarray, " n"]
-    slope: Float[np.ndarray, "nv n"] | None
+    slope: Float[np.ndarray, "nv n"]
     well: Bool[np.ndarray, " n"]
 
 
 @final
 class BatchLaw:
-    """A `ResolvedRateController` at many starts at once, simulated in steps of one length.
+    """A `ResolvedRateController` from many starts at once, in steps of one length.
 
-    A start that is near a singularity, outside its limits, or approaches a singularity too fast goes through
-    `controller(...)` for that step, and comes back. Every other step is the same law in bulk; where bounds change it,
-    the program of `Law` without rows G, by block pivoting.
+    A start that is near a singularity, outside its limits, or about to approach a singularity too fast goes through the
+    controller itself for that step, and comes back. All other steps are the same law in bulk; where bounds change it,
+    with the same program (without its rows G).
 
     Args:
-        controller: One that `serves` says yes to.
+        controller: One that is served, see `of`.
     """
 
     def __init__(self, controller: ResolvedRateController):
-        self.controller, self.constraint = controller, controller.constraint
-        features = self.constraint.features
-        assert isinstance(features, FrameJacobian) and features.robot is not None
-        self._kinematics = batch_kinematics(features.robot, features.frame)
-        self._rows = self.constraint.features.padded(self.constraint.selection)[:, :3]
-        task, self._goal = controller.task, np.zeros(0)
+        features, task = controller.constraint.features, controller.task
+        assert isinstance(features, FrameJacobian)
+        self.controller, self._kinematics = controller, batch_kinematics(features.robot, features.frame)
+        selection = controller.constraint.selection
+        self._rows = features.padded(selection)[:, :3]
+        self._goal = np.zeros((len(selection), 1))
         if isinstance(task, PointAttractor):
+            controller.task_error(features.robot.neutral())  # a target of the wrong size is refused here
             own = task.target.shape == (features.n_rows,)
-            self._goal = (self.constraint.selection @ task.target if own else task.target)[:, None]
+            self._goal = (selection @ task.target if own else task.target)[:, None]
 
     @staticmethod
-    def serves(controller: object) -> bool:
-        """Whether there is a law in bulk for this controller.
+    def of(controller: Controller, robot: Robot) -> BatchLaw | None:
+        """The law in bulk; None for a controller that has none.
 
-        It must be a `ResolvedRateController` along x, y, z of a frame in the base, carried by a chain of joints that
-        turn or slide; its task a `PointAttractor` (of numbers) or `Hold`; its policy none or the
-        `ManipulabilityAscent` of its own rows; its limits none, or those of the joints without jerk.
+        It must be a `ResolvedRateController` of this robot along x, y, z of a frame in the base, which a chain of
+        joints carries that turn or slide; its task `Hold`, or a `PointAttractor` with numbers; its policy none, or the
+        `ManipulabilityAscent` of its own rows; its limits none, or those of the joints without a jerk.
         """
         if not isinstance(controller, ResolvedRateController):
-            return False
-        features, task, policy = controller.constraint.features, controller.task, controller.null_policy
-        if not (isinstance(features, FrameJacobian) and features.only_linear and controller.robot is features.robot):
-            return False
-        s, nv = controller.constraint.n_constraints, features.nv
-        ascends = isinstance(policy, ManipulabilityAscent) and policy.constraint is controller.constraint
-        limits = controller.limits
-        return (
-            s <= nv
+            return None
+        constraint, task, policy = controller.constraint, controller.task, controller.null_policy
+        features, limits = constraint.features, controller.limits
+        if not (isinstance(features, FrameJacobian) and features.only_linear and features.robot is robot):
+            return None
+        served = (
+            controller.robot is robot
+            and constraint.n_constraints <= features.nv
             and (isinstance(task, Hold) or (isinstance(task, PointAttractor) and task.target.ndim == 1))
-            and (ascends or isinstance(policy, ZeroPolicy))
+            and (isinstance(policy, ZeroPolicy) or getattr(policy, "constraint", None) is constraint)
+            and isinstance(policy, ZeroPolicy | ManipulabilityAscent)
             and (limits is None or (limits.position and limits.tip is None and limits.jerk is None))
-            and all(block.v.stop - block.v.start == 1 and block.kind != "other" for block in features.robot.blocks)
-            and batch_kinematics(features.robot, features.frame).fast
+            and all(block.kind in ("revolute", "prismatic", "continuous") for block in robot.blocks)
+            and batch_kinematics(robot, features.frame).fast
         )
+        return BatchLaw(controller) if served else None
 
     def simulate(
         self, starts: Float[np.ndarray, "n nv"], steps: int, dt: float, report: Callable[[float], None]
@@ -129,142 +122,120 @@ class BatchLaw:
             dt: [s].
             report: Called with the completed fraction.
         """
-        n, nv = starts.shape
-        out = Motions(*np.empty((2, steps + 1, nv, n)), *np.empty((2, steps + 1, n)), np.empty((steps + 1, n), object), 0.0)
-        alone = 0
+        (n, nv), T = starts.shape, steps + 1
+        numbers = (np.empty(shape) for shape in ((T, nv, n), (T, nv, n), (T, n), (T, n)))
+        out = Motions(*numbers, np.empty((T, n), object), np.zeros((T, n), bool))
         for first in range(0, n, MOST_STARTS):
-            part = slice(first, min(first + MOST_STARTS, n))
-            x, u, slide = starts[part].T.copy(), np.zeros((nv, part.stop - first)), np.zeros(part.stop - first)
-            for i in range(steps + 1):
-                here = [array[i, ..., part] for array in out[:5]]
-                here[0][...] = x
-                alone += self._step(i * dt, dt, slide, u, *here)
-                u = here[1].copy()
-                x += dt * u
-                report((first + (part.stop - first) * (i + 1) / (steps + 1)) / n)
-        return out._replace(one_by_one=alone / max(1, n * (steps + 1)))
+            x = starts[first : first + MOST_STARTS].T.copy()
+            m = x.shape[1]
+            previous, slide, z = np.zeros((nv, m)), np.zeros(m), np.zeros((len(self._rows), m))
+            for i in range(T):
+                here = Motions(*(array[i, ..., first : first + m] for array in out))
+                here.q[...] = x
+                self._step(i * dt, dt, here, previous, slide, z)
+                previous = here.u
+                x += dt * previous
+                report((first + m * (i + 1) / T) / n)
+        return out
 
-    def _step(
-        self,
-        t: float,
-        dt: float,
-        slide: np.ndarray,
-        previous: np.ndarray,
-        x: np.ndarray,
-        u: np.ndarray,
-        mu: np.ndarray,
-        error: np.ndarray,
-        status: np.ndarray,
-    ) -> int:
-        """One step, written into u, mu, error, status and slide; returns how many starts went by themselves."""
-        limits, controller = self.controller.limits, self.controller
-        with np.errstate(all="ignore"):  # of starts that are at a singularity, which are looked at below
-            law = self._desired(x, dt, error)
-        u[...], mu[...], status[...] = law.wish, law.mu, Status.OK
-        alone, progress, stalls = ~law.well, np.ones(len(mu)), np.zeros(len(mu), bool)
+    def _step(self, t: float, dt: float, here: Motions, previous: np.ndarray, slide: np.ndarray, z: np.ndarray) -> None:
+        """One step from the postures `here`, written into the rest of it, and into slide and z for the next."""
+        controller, limits = self.controller, self.controller.limits
+        with np.errstate(all="ignore"):  # of starts at a singularity, which go through the controller
+            law = self._desired(here, dt)
+        here.u[...], here.mu[...], here.status[...], here.alone[...] = law.wish, law.mu, Status.OK, ~law.well
+        progress = np.ones(len(slide))
         if limits is not None:
-            bounds = limits.bounds_table(x, dt, previous)
-            alone |= bounds.outside > 0.0
-            least = None
-            if law.slope is not None:
+            bounds = limits.bounds_table(here.q, dt, previous)
+            here.alone[...] |= bounds.outside > 0.0
+            least = np.full(len(slide), -np.inf)
+            if controller.inverse == "damped":
                 least = -approach_bounds(law.smallest, law.slope, limits.acceleration, dt)
-                alone |= ~(np.einsum("jn,jn->n", law.slope, law.wish) >= least)
-            changed = np.flatnonzero(~(alone | bounds.admit(law.wish)))
+                here.alone[...] |= ~(np.einsum("jn,jn->n", law.slope, law.wish) >= least)
+            changed = np.flatnonzero(~(here.alone | bounds.admit(law.wish)))
             if changed.size:
-                part = _Free(*(None if array is None else array[..., changed] for array in law))  # type: ignore[arg-type]
-                found, progress[changed], words, solved = self._bounded(part, bounds.of(changed), slide[changed], dt)
-                if part.slope is not None and least is not None:
-                    solved &= np.einsum("jn,jn->n", part.slope, found) >= least[changed]
-                u[:, changed], status[changed], alone[changed] = found, words, ~solved
-                stalls = status == Status.STALLED
-            before = slide.copy()
-            going = np.where(progress > GOING_ON, np.maximum(0.0, slide - dt / KEEPING_AFTER), slide)
-            slide[...] = np.where(stalls, np.minimum(1.0, slide + dt / SLIDING_AFTER), going)
-        rows = np.flatnonzero(alone)
-        for i in rows.tolist():
-            q = x[:, i].copy()
-            if limits is None:
-                command = controller(q, t, dt)
-            else:
-                command = controller(q, t, dt, previous[:, i].copy(), float(before[i]))
-                slide[i] = next_slide(float(before[i]), command.status is Status.STALLED, command.progress, dt)
-            u[:, i], mu[i], status[i] = command.velocity, command.manipulability, command.status
-        return rows.size
+                part = _Desired(*(array[..., changed] for array in law))
+                u, z[:, changed], words, progress[changed], solved = self._bounded(
+                    part, bounds.of(changed), limits, z[:, changed], slide[changed], dt
+                )
+                solved &= np.einsum("jn,jn->n", part.slope, u) >= least[changed]
+                here.u[:, changed], here.status[changed], here.alone[changed] = u, words, ~solved
+        for i in np.flatnonzero(here.alone).tolist():
+            before = None if limits is None else previous[:, i].copy()
+            command = controller(here.q[:, i].copy(), t, dt, before, float(slide[i]))
+            here.u[:, i], here.mu[i], here.status[i] = command.velocity, command.manipulability, command.status
+            progress[i] = command.progress
+        stalls = here.status == Status.STALLED
+        for i in np.flatnonzero(stalls | (slide > 0.0)).tolist():
+            slide[i] = next_slide(float(slide[i]), bool(stalls[i]), float(progress[i]), dt)
 
-    # ---- the law ----------------------------------------------------------------------------------------------------
-
-    def _desired(self, x: np.ndarray, dt: float, error: np.ndarray) -> _Free:
+    def _desired(self, here: Motions, dt: float) -> _Desired:
         """The law before bounds; writes the distance to the goal."""
-        controller, rows = self.controller, self._kinematics.linear_rows(x.T)
-        A = np.tensordot(self._rows, rows.J, axes=1)
-        b = self._velocity(rows.position, error)
+        controller, policy, nv = self.controller, self.controller.null_policy, len(here.q)
+        J, position, vjp = self._kinematics.linear_rows(here.q.T)
+        A, b = np.tensordot(self._rows, J, axes=1), self._task_velocity(position, here.error)
         values, vectors = _eigen(np.einsum("sjn,tjn->stn", A, A))
         smallest, mu = np.sqrt(values[0]), np.sqrt(np.prod(values, axis=0))
-        along = np.einsum("skn,sjn->kjn", vectors, A)  # sigma_k v_k^T, (s, nv, n)
-        scaled = along / values[:, None]
-        X = np.einsum("skn,kjn->sjn", vectors, scaled)
+        along = np.einsum("skn,sjn->kjn", vectors, A)  # sigma_k v_k^T
+        X = np.einsum("skn,kjn->sjn", vectors, along / values[:, None])
         well = values[0] > LEAST_SINGULAR_RATIO**2 * values[-1]
-        task = np.einsum("sn,sjn->jn", b, X)
-        policy, wish = controller.null_policy, task
+        task = wish = np.einsum("sn,sjn->jn", b, X)
         if isinstance(policy, ManipulabilityAscent):
-            w = _ascent(policy, rows.vjp(np.tensordot(self._rows.T, X, axes=1)), mu, dt)
+            w = _ascent(policy, vjp(np.tensordot(self._rows.T, X, axes=1)), mu, dt)
             wish = task + (w - np.einsum("sn,sjn->jn", np.einsum("sjn,jn->sn", A, w), X))
-        slope = None
+        slope = np.zeros((nv, len(mu)))
         if controller.inverse == "damped":
             well &= smallest >= controller.threshold
             if controller.limits is not None:  # u_min v_min^T : dA / dq
-                lost = vectors[:, :1] * (along[0] / smallest)[None]
-                slope = rows.vjp(np.tensordot(self._rows.T, lost, axes=1))
-        return _Free(A, b, task, wish, mu, smallest, slope, well)
+                slope = vjp(np.tensordot(self._rows.T, vectors[:, :1] * (along[0] / smallest), axes=1))
+        return _Desired(A, b, task, wish, mu, smallest, slope, well)
 
-    def _velocity(self, position: np.ndarray, error: np.ndarray) -> Float[np.ndarray, "s n"]:
-        """B; writes the distance to the goal."""
-        task, s = self.controller.task, len(self._rows)
+    def _task_velocity(self, position: np.ndarray, error: np.ndarray) -> Float[np.ndarray, "s n"]:
+        task, b = self.controller.task, self._goal - self._rows @ position
         if not isinstance(task, PointAttractor):
             error[...] = 0.0
-            return np.zeros((s, position.shape[1]))
-        b = self._goal - self._rows @ position
-        error[...] = np.sqrt(np.sum(b * b, axis=0))
+            return np.zeros_like(b)
+        error[...] = np.sqrt(np.einsum("sn,sn->n", b, b))
         b = task.gain * b
         if task.max_speed is not None:
-            b *= task.max_speed / np.maximum(np.sqrt(np.sum(b * b, axis=0)), task.max_speed)
+            b *= task.max_speed / np.maximum(np.sqrt(np.einsum("sn,sn->n", b, b)), task.max_speed)
         return b
 
     def _bounded(
-        self, law: _Free, bounds: BoundsTable, slide: np.ndarray, dt: float
-    ) -> tuple[np.ndarray, np.ndarray, list[Status], np.ndarray]:
-        """Velocities within bounds, their progress and status, and which programs were solved."""
-        limits, controller = self.controller.limits, self.controller
-        assert isinstance(limits, Limits)
-        wish, W, asked = law.wish, law.A / ACROSS, np.sqrt(np.sum(law.b * law.b, axis=0))
-        if isinstance(controller.task, PointAttractor):  # which drives all rows
+        self, law: _Desired, bounds: BoundsTable, limits: Limits, z: np.ndarray, slide: np.ndarray, dt: float
+    ) -> tuple[np.ndarray, np.ndarray, list[Status], np.ndarray, np.ndarray]:
+        """Velocities within bounds, z of the next programs, status, progress, and which programs were solved."""
+        wish, W, asked = law.wish, law.A / ACROSS, np.sqrt(np.einsum("sn,sn->n", law.b, law.b))
+        goes = asked > AT_GOAL
+        if isinstance(self.controller.task, PointAttractor):  # it drives all rows; see `Law._slowed` and `Law._metric`
             fastest = np.max(np.abs(law.task / limits.velocity[:, None]), axis=0)
             wish = (wish - law.task) + law.task / np.maximum(fastest, 1.0)
-            blur = np.maximum(controller.damping, np.sqrt(0.5 * dt / STABLE_SLOPE * asked))
-            across, speed = (c + slide * (blur - c) for c in (ACROSS, ALONG))
-            W = law.A / across
+            blur = np.maximum(self.controller.damping, np.sqrt(0.5 * dt / STABLE_SLOPE * asked))
+            across, speed = (cost + slide * (blur - cost) for cost in (ACROSS, ALONG))
             d = law.b / np.maximum(asked, AT_GOAL)
-            share = np.where(asked > AT_GOAL, 1.0 / speed - 1.0 / across, 0.0)
-            W += d[:, None] * (share * np.einsum("sn,sjn->jn", d, law.A))
-        y, _, solved = _nearest(W, bounds.low - wish, bounds.high - wish, np.zeros_like(law.b))
+            more = np.where(goes, 1.0 / speed - 1.0 / across, 0.0) * np.einsum("sn,sjn->jn", d, law.A)
+            W = law.A / across + d[:, None] * more
+        y, z, solved = nearest_in_boxes(W, bounds.low - wish, bounds.high - wish, z)
         u = np.clip(wish + y, bounds.low, bounds.high)
-        driven = np.einsum("sn,sjn,jn->n", law.b, law.A, u)
-        progress = np.where(asked > AT_GOAL, driven / np.maximum(asked, AT_GOAL) ** 2, 1.0)
-        scale = np.clip(progress, 0.0, 1.0)
-        facts = zip(progress.tolist(), scale.tolist(), bounds.binding(u, wish).tolist(), bounds.admit(law.task), strict=True)
-        words = [status_of(p, 0.0, False, False, changed=True, scale=x, cause=c, fits=f) for p, x, c, f in facts]
-        return u, progress, words, solved
+        driven = np.einsum("sn,sn->n", law.b, np.einsum("sjn,jn->sn", law.A, u))
+        progress = np.where(goes, driven / np.maximum(asked, AT_GOAL) ** 2, 1.0)
+        facts = (progress, np.clip(progress, 0.0, 1.0), bounds.binding(u, wish), bounds.admit(law.task))
+        words = [
+            status_of(share, 0.0, False, False, changed=True, scale=scale, cause=cause, fits=fits)
+            for share, scale, cause, fits in zip(*(fact.tolist() for fact in facts), strict=True)
+        ]
+        return u, z, words, progress, solved
 
 
 def _ascent(policy: ManipulabilityAscent, slope: np.ndarray, mu: np.ndarray, dt: float) -> Float[np.ndarray, "nv n"]:
-    """`ManipulabilityAscent.from_inverse` from grad log mu."""
+    """`ManipulabilityAscent.from_inverse`, from grad log mu."""
     if not policy.logarithmic:
         return slope * (policy.gain * mu)
     if policy.max_speed is None:
         return slope * policy.gain
-    steepness = np.sqrt(np.sum(slope * slope, axis=0))
-    longest = policy.max_speed / np.sqrt(1.0 + (dt * policy.max_speed * steepness / GROWTH) ** 2)
-    return slope * np.where(policy.gain * steepness <= longest, policy.gain, longest / np.maximum(steepness, 1e-300))
+    steepness = np.sqrt(np.einsum("jn,jn->n", slope, slope))
+    longest = policy.max_speed / np.sqrt(1.0 + (dt * policy.max_speed / GROWTH * steepness) ** 2)
+    return slope * np.minimum(policy.gain, longest / np.maximum(steepness, 1e-300))
 
 
 def _eigen(G: Float[np.ndarray, "s s n"]) -> tuple[Float[np.ndarray, "s n"], Float[np.ndarray, "s s n"]]:
@@ -278,82 +249,3 @@ def _eigen(G: Float[np.ndarray, "s s n"]) -> tuple[Float[np.ndarray, "s n"], Flo
     cos, sin = np.cos(angle), np.sin(angle)
     # the smallest eigenvalue is the quotient, not the difference, which cancels
     return np.stack(((a * c - b * b) / largest, largest)), np.array(((-sin, cos), (cos, sin)))
-
-
-def _solve(K: Float[np.ndarray, "s s n"], r: Float[np.ndarray, "s n"]) -> Float[np.ndarray, "s n"]:
-    """The solutions of n systems of equations, K symmetric."""
-    if len(K) == 1:
-        return r / K[0]
-    if len(K) == 2:
-        (a, b), (_, c) = K
-        return np.stack((c * r[0] - b * r[1], a * r[1] - b * r[0])) / (a * c - b * b)
-    return np.linalg.solve(np.moveaxis(K, -1, 0), r.T[..., None])[..., 0].T
-
-
-def _nearest(
-    W: Float[np.ndarray, "s nv n"],
-    low: Float[np.ndarray, "nv n"],
-    high: Float[np.ndarray, "nv n"],
-    z: Float[np.ndarray, "s n"],
-) -> tuple[Float[np.ndarray, "nv n"], Float[np.ndarray, "s n"], Bool[np.ndarray, " n"]]:
-    """argmin |W y|^2 + |y|^2, low <= y <= high, of n programs at once; z; and which of them were solved.
-
-    With z = W y the solution is y = clip(-W^T z, low, high): as many unknowns as W has rows, the root of the slope of
-
-        f(z) = |z|^2 / 2 + sum_j h_j(-w_j^T z),    dh_j(x) / dx = clip(x, low_j, high_j),
-
-    which is convex, and quadratic where no joint comes to a bound or leaves one. Newton's steps, each as long as f falls
-    along it, end in a finite number (Li and Swetits, "A new algorithm for solving strictly convex quadratic programs",
-    1997).
-
-    Args:
-        W: Rows.
-        low: Lowest y.
-        high: Highest y.
-        z: Where to begin.
-    """
-    (s, nv, n), left = W.shape, np.arange(z.shape[1])
-    y, end, solved = np.zeros((nv, n)), z.copy(), np.zeros(n, bool)
-    x = -np.einsum("sjn,sn->jn", W, z)
-    for _ in range(MOST_ROUNDS):
-        below, above = x < low, x > high
-        free = ~(below | above)
-        bound = np.where(below, low, np.where(above, high, 0.0))
-        K = np.einsum("sjn,tjn->stn", W * free, W)
-        K[np.arange(s), np.arange(s)] += 1.0
-        newton = _solve(K, np.einsum("sjn,jn->sn", W, bound))
-        ahead = -np.einsum("sjn,sn->jn", W, newton)
-        found = np.where(free, ahead, bound)
-        done = (np.where(free, (low - FINE <= ahead) & (ahead <= high + FINE), np.clip(ahead, low, high) == bound)).all(0)
-        y[:, left[done]], end[:, left[done]], solved[left[done]] = found[:, done], newton[:, done], True
-        if done.all():
-            break
-        go = np.flatnonzero(~done)
-        W, low, high, z, x, newton, ahead = (a.take(go, axis=-1) for a in (W, low, high, z, x, newton, ahead))
-        left, p, e = left[go], newton - z, ahead - x
-        share = _least_along(np.einsum("sn,sn->n", z, p), np.einsum("sn,sn->n", p, p), x, e, low, high)
-        z, x = z + share * p, x + share * e
-    return y, end, solved
-
-
-def _least_along(
-    zp: Float[np.ndarray, " n"],
-    pp: Float[np.ndarray, " n"],
-    x: Float[np.ndarray, "nv n"],
-    e: Float[np.ndarray, "nv n"],
-    low: Float[np.ndarray, "nv n"],
-    high: Float[np.ndarray, "nv n"],
-) -> Float[np.ndarray, " n"]:
-    """Where f(z + t p) of `_nearest` is least: its slope z^T p + t p^T p + e^T clip(x + t e) has corners and rises."""
-    per = 1.0 / np.where(e == 0.0, np.inf, e)
-    corners = np.maximum(np.concatenate(((low - x) * per, (high - x) * per, np.zeros((1, len(zp))))), 0.0)
-    slope = zp + corners * pp
-    slope += np.einsum("jn,cjn->cn", e, np.clip(x + corners[:, None] * e, low, high))
-    before = np.where(slope <= 0.0, corners, 0.0).max(axis=0)
-    after = np.where(slope > 0.0, corners, np.inf).min(axis=0)
-    inside = np.where(np.isfinite(after), 0.5 * (before + after), before + 1.0)
-    place = x + inside * e
-    moving = (low < place) & (place < high)
-    rate = pp + np.einsum("jn,jn->n", e * e, moving)
-    here = zp + before * pp + np.einsum("jn,jn->n", e, np.clip(x + before * e, low, high))
-    return np.minimum(before - here / rate, after)

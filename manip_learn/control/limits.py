@@ -372,15 +372,13 @@ class BoundsTable(NamedTuple):
 
     def admit(self, velocity: Float[np.ndarray, "nv n"]) -> Bool[np.ndarray, " n"]:
         """Which velocities are within their bounds."""
-        return ((self.low <= velocity) & (velocity <= self.high)).all(axis=0)
+        return np.all((self.low <= velocity) & (velocity <= self.high), axis=0)
 
     def of(self, which: Int[np.ndarray, " m"]) -> BoundsTable:
         """Those of some of the postures."""
         return BoundsTable(*(array[..., which] for array in self))
 
-    def binding(
-        self, velocity: Float[np.ndarray, "nv n"], desired: Float[np.ndarray, "nv n"]
-    ) -> Int[np.ndarray, " n"]:
+    def binding(self, velocity: Float[np.ndarray, "nv n"], desired: Float[np.ndarray, "nv n"]) -> Int[np.ndarray, " n"]:
         """The limit that changes each velocity most, as the scalar `Bounds.binding` finds it; -1 if none does."""
         near = AT_BOUND * (1.0 + np.abs(velocity))
         over = np.where(velocity >= self.high - near, desired - self.high, 0.0)
@@ -537,9 +535,7 @@ class Limits:
             bound_changes(bounds, previous, accelerations, dt)
         return bounds
 
-    def bounds_table(
-        self, x: Float[np.ndarray, "nv n"], dt: float, previous: Float[np.ndarray, "nv n"]
-    ) -> BoundsTable:
+    def bounds_table(self, x: Float[np.ndarray, "nv n"], dt: float, previous: Float[np.ndarray, "nv n"]) -> BoundsTable:
         """`bounds` of many joint positions at once, by the same constants of each joint; the postures come last."""
         constants = np.array([approach_of(v, a, dt) for v, a in zip(*self._columns[2:], strict=True)])
         free, rate, linear, offset, twice, half, fastest = constants.T[..., None]

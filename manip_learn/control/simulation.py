@@ -12,10 +12,9 @@ from numpy.typing import ArrayLike
 from manip_learn.constraint.constraint import Constraint
 from manip_learn.control.batch import BatchLaw
 from manip_learn.control.command import Command, Controller, Method, TaskController, next_posture
-from manip_learn.control.controller import ResolvedRateController
 from manip_learn.control.law_sequence import constraint_of, frame_of, law_of, task_of
 from manip_learn.control.rollout import Rollout, written_constraint
-from manip_learn.control.servo_loop import ServoLoop
+from manip_learn.control.servo_loop import LARGEST_POSITION, ServoLoop
 from manip_learn.errors import ConfigurationError, an
 from manip_learn.recordings.trajectory_source import Progress
 from manip_learn.robot.batch.postures import checked_postures
@@ -64,7 +63,9 @@ def simulate(
     Args:
         robot: The robot; None for a system whose state is a plain vector.
         controller: A `ResolvedRateController`, or any `(q, t, dt) -> Command`.
-        q0: Start posture; the rollout's postures are the same kind of vector. Or a table of starts, one per row.
+        q0: Start posture; the rollout's postures are the same kind of vector. Or a table of starts, one per row, which
+            are computed together where the law allows that (see `BatchLaw.of`), each as it is by itself but for
+            rounding.
         duration: [s].
         dt: Step [s].
         method: `"euler"` holds each command for a step, as a real arm's interface does; `"rk4"` approximates the
@@ -138,32 +139,28 @@ def simulate(
 
 def _from_table(
     robot: Robot | None,
-    controller: Controller | ServoLoop,
+    controller: Controller,
     starts: Float[np.ndarray, "n width"],
     steps: int,
     dt: float,
     method: Method,
     report: Callable[[float], None],
 ) -> tuple[Rollout, ...]:
-    """One rollout per start: in bulk where the law is served so, else one after the other."""
-    inside = np.zeros(len(starts), bool)
-    if robot is not None and method == "euler" and starts.shape[1] == robot.nv and BatchLaw.serves(controller):
+    """One rollout per start: in bulk where the controller is served so, else one after the other."""
+    law, together = None, np.zeros(len(starts), bool)
+    if robot is not None and method == "euler" and starts.shape[1] == robot.nv:
+        law = None if isinstance(controller, ServoLoop) else BatchLaw.of(controller, robot)
         # others may be no postures to a servo loop, which knows how far an encoder can be off
-        inside = ((robot.position_lower <= starts) & (starts <= robot.position_upper)).all(axis=1)
-    rollouts: list[Rollout | None] = [None] * len(starts)
-    together = np.flatnonzero(inside)
-    share = len(together) / max(1, len(starts))
-    if together.size and robot is not None and isinstance(controller, ResolvedRateController):
-        controller.task_error(starts[together[0]])  # a target that does not fit is refused here
-        motions = BatchLaw(controller).simulate(starts[together], steps, dt, lambda x: report(share * x))
-        known = {
-            "time": np.arange(steps + 1) * dt,
-            "joint_names": robot.joint_names,
-            "robot": RobotIdentity.of(robot),
-            **guided(controller),
-        }
-        for k, i in enumerate(together.tolist()):
+        inside = (robot.position_lower <= starts) & (starts <= robot.position_upper) & (abs(starts) < LARGEST_POSITION)
+        together = inside.all(axis=1) & (law is not None)
+    rollouts: dict[int, Rollout] = {}
+    if law is not None and robot is not None and together.any():
+        share = float(together.mean())
+        motions = law.simulate(starts[together], steps, dt, lambda fraction: report(share * fraction))
+        known = guided(controller) | {"joint_names": robot.joint_names, "robot": RobotIdentity.of(robot)}
+        for k, i in enumerate(np.flatnonzero(together).tolist()):
             rollouts[i] = Rollout(
+                time=np.arange(steps + 1) * dt,
                 q=motions.q[..., k],
                 u=motions.u[..., k],
                 manipulability=motions.mu[:, k],
@@ -171,10 +168,10 @@ def _from_table(
                 task_error=motions.error[:, k],
                 **known,
             )
-    for j, i in enumerate(np.flatnonzero(~inside).tolist()):
+    for i in np.flatnonzero(~together).tolist():
         rollouts[i] = simulate(robot, controller, starts[i], steps * dt, dt, method)
-        report(share + (j + 1) / len(starts))
-    return tuple(rollout for rollout in rollouts if rollout is not None)
+        report(len(rollouts) / len(starts))
+    return tuple(rollouts[i] for i in range(len(starts)))
 
 
 def _loop_of(

@@ -154,9 +154,7 @@ class BatchKinematics:
         """
         columns, chain, n = self._columns, self._chain, len(postures)
         buffers = SweepBuffers.of(chain.size, n)
-        point = tip_position(
-            sweep(chain, columns.positions(postures), buffers), chain.tool_position, buffers.work
-        )
+        point = tip_position(sweep(chain, columns.positions(postures), buffers), chain.tool_position, buffers.work)
         motion = ChainMotion(buffers.axis, point[:, None] - buffers.origin, chain.prismatic, "world")
         J = motion.v
         if not columns.full:
