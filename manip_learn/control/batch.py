@@ -23,7 +23,8 @@ from manip_learn.control.tasks import Hold, PointAttractor
 from manip_learn.robot.batch.batch_kinematics import batch_kinematics
 from manip_learn.robot.robot import Robot
 
-MOST_STARTS = 512  # at once: the columns of a 7-joint chain then stay in a second-level cache of 1 MB
+# starts at once: below, a step of all of them takes longer than one start after the other; above, memory is the limit
+FEWEST_STARTS, MOST_STARTS = 4, 2048
 
 
 @final
@@ -123,8 +124,8 @@ class BatchLaw:
             report: Called with the completed fraction.
         """
         (n, nv), T = starts.shape, steps + 1
-        numbers = (np.empty(shape) for shape in ((T, nv, n), (T, nv, n), (T, n), (T, n)))
-        out = Motions(*numbers, np.empty((T, n), object), np.zeros((T, n), bool))
+        q, u, mu, error = (np.empty(shape) for shape in ((T, nv, n), (T, nv, n), (T, n), (T, n)))
+        out = Motions(q, u, mu, error, status=np.empty((T, n), object), alone=np.zeros((T, n), bool))
         for first in range(0, n, MOST_STARTS):
             x = starts[first : first + MOST_STARTS].T.copy()
             m = x.shape[1]

@@ -10,7 +10,7 @@ from jaxtyping import Float
 from numpy.typing import ArrayLike
 
 from manip_learn.constraint.constraint import Constraint
-from manip_learn.control.batch import BatchLaw
+from manip_learn.control.batch import FEWEST_STARTS, BatchLaw
 from manip_learn.control.command import Command, Controller, Method, TaskController, next_posture
 from manip_learn.control.law_sequence import constraint_of, frame_of, law_of, task_of
 from manip_learn.control.rollout import Rollout, written_constraint
@@ -148,7 +148,7 @@ def _from_table(
 ) -> tuple[Rollout, ...]:
     """One rollout per start: in bulk where the controller is served so, else one after the other."""
     law, together = None, np.zeros(len(starts), bool)
-    if robot is not None and method == "euler" and starts.shape[1] == robot.nv:
+    if robot is not None and method == "euler" and starts.shape[1] == robot.nv and len(starts) >= FEWEST_STARTS:
         law = None if isinstance(controller, ServoLoop) else BatchLaw.of(controller, robot)
         # others may be no postures to a servo loop, which knows how far an encoder can be off
         inside = (robot.position_lower <= starts) & (starts <= robot.position_upper) & (abs(starts) < LARGEST_POSITION)
