@@ -209,8 +209,10 @@ class BatchLaw:
         wish, W, asked = law.wish, law.A / ACROSS, np.sqrt(np.einsum("sn,sn->n", law.b, law.b))
         goes = asked > AT_GOAL
         if isinstance(self.controller.task, PointAttractor):  # it drives all rows; see `Law._slowed` and `Law._metric`
-            fastest = np.max(np.abs(law.task / limits.velocity[:, None]), axis=0)
-            wish = (wish - law.task) + law.task / np.maximum(fastest, 1.0)
+            size, limit, rest = np.abs(law.task), limits.velocity[:, None], wish - law.task
+            fastest = np.maximum(1.0, np.max(size / limit, axis=0))
+            left = np.min((limit - np.sign(law.task) * rest) / np.maximum(size, 1e-300), axis=0)
+            wish = rest + law.task * np.where(fastest > 1.0, np.clip(left, 1.0 / fastest, 1.0), 1.0)
             blur = np.maximum(self.controller.damping, np.sqrt(0.5 * dt / STABLE_SLOPE * asked))
             across, speed = (cost + slide * (blur - cost) for cost in (ACROSS, ALONG))
             d = law.b / np.maximum(asked, AT_GOAL)
@@ -220,7 +222,7 @@ class BatchLaw:
         u = np.clip(wish + y, bounds.low, bounds.high)
         driven = np.einsum("sn,sn->n", law.b, np.einsum("sjn,jn->sn", law.A, u))
         progress = np.where(goes, driven / np.maximum(asked, AT_GOAL) ** 2, 1.0)
-        facts = (progress, np.clip(progress, 0.0, 1.0), bounds.binding(u, wish), bounds.admit(law.task))
+        facts = (progress, np.clip(progress, 0.0, 1.0), bounds.binding(u, law.wish), bounds.admit(law.task))
         words = [
             status_of(share, 0.0, False, False, changed=True, scale=scale, cause=cause, fits=fits)
             for share, scale, cause, fits in zip(*(fact.tolist() for fact in facts), strict=True)
