@@ -47,10 +47,12 @@ class Part(NamedTuple):
 NOTHING = Score(False, None, float("nan"), float("nan"), float("nan"), float("nan"), "no plan")
 
 
-def policy_of(name: str, case: Case, rows: ml.Constraint) -> ml.NullSpacePolicy | None:
-    """A null-space policy by its name."""
+def policy_of(name: str, case: Case, task: ml.FreeDirection | None) -> ml.NullSpacePolicy | None:
+    """A null-space policy by its name; reaching, which has no way, has no other ascent than that of its rows."""
+    rows = case.held() if task is None else task.constraint
     made: dict[str, Callable[[], ml.NullSpacePolicy]] = {
         "learnt": lambda: ml.ManipulabilityAscent(rows),
+        "ascent": lambda: ml.ManipulabilityAscent(rows) if task is None else task.ascent(),
         "held": lambda: ml.ManipulabilityAscent(case.held()),
         "penalised": lambda: ml.PenalisedManipulabilityAscent(rows),
         "limits": lambda: ml.JointLimitAvoidance(case.constraint.robot),
@@ -135,7 +137,7 @@ def run(case: Case, name: str, dt: float) -> Score:
 
 def _stroke(case: Case, number: int, q: np.ndarray, name: str, dt: float) -> tuple[np.ndarray, Part]:
     task = case.motion(number)
-    law = ml.ResolvedRateController(case.constraint, task, policy_of(name, case, task.constraint), dt=dt)
+    law = ml.ResolvedRateController(case.constraint, task, policy_of(name, case, task), dt=dt)
     rollout, way = simulate_way(case.constraint.robot, law, q, dt)
     begins = rollout.time[-1] if way.begins is None else way.begins
     return rollout.q[-1], scored(way, rollout.manipulability[rollout.time >= begins - 1e-9])
@@ -156,7 +158,7 @@ def _reaching(case: Case, name: str, dt: float) -> Score:
         raise LookupError("reaching has no way that could be planned")
     rows, robot = case.held(), case.constraint.robot
     task = ml.PointAttractor(case.target if case.keep else case.target[:3, 3], GAIN)
-    law = ml.ResolvedRateController(rows, task, policy_of(name, case, rows), dt=dt)
+    law = ml.ResolvedRateController(rows, task, policy_of(name, case, None), dt=dt)
     rollout = ml.simulate(robot, law, case.start, DURATION, dt)
     return reached(case, rollout.time, rollout.q, rollout.u)
 

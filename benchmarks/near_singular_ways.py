@@ -1,0 +1,204 @@
+"""The law where it is hardest: ways that begin near a singularity, firm grips, targets and ways out of reach.
+
+    python benchmarks/near_singular_ways.py [--runs docs/figures/law.csv] [--page docs/figures_law.md] [--workers 1]
+        [--before docs/figures/law_before.csv]
+
+One line of `--runs` is one start with one policy. The page is made of them, beside those of an earlier law that the
+same program has measured (`--before`). Ten minutes on one core.
+"""
+
+from __future__ import annotations
+
+import argparse
+import csv
+import tempfile
+from collections.abc import Callable, Iterable
+from concurrent.futures import ProcessPoolExecutor
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import controller_cases
+import numpy as np
+from closed_loops import PERIODS, singular_starts
+from controller_scores import scores
+from near_singular_page import page_of
+from table_file import put
+from when_cases import ARMS, PAUSE, TASKS, Case, cases_of, exists, posture, robot_of
+from when_runs import STRAY, run
+
+import manip_learn as ml
+from manip_learn.control.way import simulate_way
+
+SEEDS = (41_000, 87_000)  # the law was tuned on the starts of the first one
+STARTS = 2  # of each arm and task
+DT = 0.01  # [s]
+POLICIES = ("none", "learnt", "ascent")
+XARM = (3.302, -1.7578, 0.2082, 3.0665, 5.0783, 1.7292, 0.1807)  # [rad] of the smallest case
+POINTS, SECONDS = 12, 8.0  # targets out of reach of each arm, and how long each is driven to [s]
+SPEED, BEYOND, TAIL = 0.25, 2.2, 1.0  # [m/s] of ways out of reach, their length in reaches, last seconds looked at [s]
+STILL = 1e-3  # [rad/s] below which a joint does not count as turning to and fro
+
+
+class Run(NamedTuple):
+    """What became of one start with one policy.
+
+    `good` is a way that was done, a target out of reach without chatter, or a singularity that was left; `off` is how
+    far the hand was off what holds it [mm], and `why` what stopped it.
+    """
+
+    part: str
+    seed: int
+    arm: str
+    task: str
+    number: int
+    policy: str
+    good: bool
+    off: float
+    why: str
+
+
+def way(part: str, seed: int, arm: str, task: str, number: int, policy: str) -> Run:
+    """One start of `when_cases.py`, the hand held in its orientation, or turning with its mechanism ("firm grip")."""
+    case = cases_of(arm, task, "held", "near", number + 1, seed)[number]
+    if part == "firm grip":
+        done, off, why = firm(case, policy)
+    else:
+        score = run(case, policy, DT)
+        done, off, why = score.done, score.deviation, score.why
+    return Run(part, seed, arm, task, number, policy, done, round(1e3 * off, 3), why)
+
+
+def firm(case: Case, policy: str) -> tuple[bool, float, str]:
+    """A door or screw whose handle is gripped firmly: five constant rows of the pose in the hand's own frame."""
+    (stroke,), robot, frame = case.strokes, case.constraint.robot, case.constraint.features.frame
+    pose = robot.pose(case.start, frame)
+    moves = np.cross(stroke.axis, pose[:3, 3] - stroke.point) + stroke.pitch * stroke.axis
+    twist = np.concatenate([pose[:3, :3].T @ moves, pose[:3, :3].T @ stroke.axis])
+    rows = np.linalg.svd(twist[None])[2][1:]
+    constraint = ml.Constraint(rows, ml.FrameJacobian(robot, frame.name, "pose", reference="local"))
+    there = stroke.place(pose, stroke.distance)[:3, 3]
+
+    def beside(task: ml.FreeDirection) -> float:
+        task.velocity(constraint, case.start, 0.0)  # that is where the way begins
+        return float(np.linalg.norm(task.goal()[:3, 3] - there))
+
+    # which sense counts as positive is up to the rows
+    senses = (stroke.distance, -stroke.distance)
+    task = min((ml.FreeDirection(constraint, s, stroke.speed, unit="rad", pause=PAUSE) for s in senses), key=beside)
+    task.reset()
+    law = ml.ResolvedRateController(constraint, task, climbing(policy, task), dt=DT)
+    done = simulate_way(robot, law, case.start, DT)[1]
+    why = done.stopped_by or (f"{1e3 * done.deviation:.1f} mm off" if done.strays else "")
+    return not why, done.deviation, why
+
+
+def climbing(policy: str, task: ml.FreeDirection) -> ml.NullSpacePolicy | None:
+    """A null-space policy for a way by its name."""
+    return {"none": None, "learnt": ml.ManipulabilityAscent(task.constraint), "ascent": task.ascent()}[policy]
+
+
+def smallest_case(policy: str) -> Run:
+    """Half a metre along x, y and z held, from a posture with a spare joint near its limit."""
+    robot = ml.load_robot("xarm7")
+    constraint = ml.Constraint([[0, 1, 0], [0, 0, 1]], ml.FrameJacobian(robot, "link_eef"))
+    task = ml.FreeDirection(constraint, -0.5, 0.1)
+    law = ml.ResolvedRateController(constraint, task, climbing(policy, task), dt=DT)
+    done = simulate_way(robot, law, XARM, DT)[1]
+    off = round(1e3 * done.deviation, 3)
+    return Run("smallest case", 0, "xarm7", "line", 0, policy, done.is_done, off, done.stopped_by or "")
+
+
+def points(arm: str, dt: float, gain: float) -> list[Run]:
+    """Points out of reach, climbing the manipulability: whether a joint turns to and fro in the last second."""
+    out = []
+    with tempfile.TemporaryDirectory() as folder:
+        tasks = controller_cases.tasks_of(arm, Path(folder), POINTS, reachable=False)
+        for i in range(POINTS):
+            rows = tasks.constraint(i)
+            task = ml.PointAttractor(tasks.targets[i], gain)
+            law = ml.ResolvedRateController(rows, task, ml.ManipulabilityAscent(rows), dt=dt)
+            rollout = ml.simulate(tasks.robot, law, tasks.starts[i], SECONDS, dt)
+            flips = scores(tasks, i, rollout.q, rollout.u, dt, 0.0, 0).flips
+            why = f"{flips:.0f} changes of sign, {rollout.status[-1]}" if flips else ""
+            part = f"point out of reach, {1e3 * dt:.0f} ms, gain {gain:g}"
+            out.append(Run(part, 0, arm, f"{len(rows.selection)} rows", i, "learnt", not flips, 0.0, why))
+    return out
+
+
+def long_way(arm: str, number: int, dt: float, policy: str) -> Run:
+    """A straight way of two reaches and more: whether a joint turns to and fro in the last second, and how far off."""
+    rng, robot = np.random.default_rng([9, list(ARMS).index(arm), number]), robot_of(arm)
+    q, features = posture(robot, rng), ml.FrameJacobian(robot, ARMS[arm].tip)
+    constraint = ml.Constraint(np.linalg.qr(rng.normal(size=(3, 3)))[0][:2], features)
+    distance = BEYOND * ARMS[arm].reach * (1 if rng.random() < 0.5 else -1)
+    keep = robot.nv >= 6 and number % 2 == 0
+    task = ml.FreeDirection(constraint, distance, SPEED, straight=True, keep_orientation=keep)
+    law = ml.ResolvedRateController(constraint, task, climbing(policy, task), dt=dt)
+    rollout = ml.simulate(robot, law, q, abs(distance) / SPEED + 3.0, dt)
+    tail = rollout.u[-round(TAIL / dt) :]
+    moving = (np.abs(tail[1:]) > STILL) & (np.abs(tail[:-1]) > STILL)
+    flips = int(np.sum(moving & (np.sign(tail[1:]) != np.sign(tail[:-1])), axis=0).max())
+    off = max(task.deviation(posture, task.progress_near(posture, 0.0)) for posture in rollout.q[::5])
+    why = f"{flips} changes of sign, {rollout.status[-1]}" if flips else ""
+    kind = "orientation kept" if keep else "hand may turn"
+    part = f"way out of reach, {1e3 * dt:.0f} ms"
+    return Run(part, 9, arm, kind, number, policy, not flips, round(1e3 * off, 3), why)
+
+
+def singular() -> list[Run]:
+    """Exactly singular starts of ten arms (`closed_loops.py`): how many are left within a second."""
+    out = []
+    for arm, *cells in singular_starts(6):
+        for kind, cell in zip(("holding", "reaching", "along the lost direction"), cells, strict=True):
+            counts, _, of = cell.partition(" of ")
+            for dt, left in zip(PERIODS, counts.split(", "), strict=True):
+                part = f"singular start, {1e3 * dt:.0f} ms"
+                out += [Run(part, 17, arm, kind, i, "learnt", i < int(left), 0.0, "") for i in range(int(of))]
+    return out
+
+
+def jobs() -> Iterable[tuple[Callable[..., Any], tuple[Any, ...]]]:
+    """All of the work, in pieces."""
+    cells = [(arm, task) for arm in ARMS for task in TASKS if exists(arm, task, "held")]
+    firmly = [cell for cell in cells if cell[1].startswith(("door", "screw"))]
+    for seed in SEEDS:
+        for part, some in (("way", cells), ("firm grip", firmly)):
+            yield from ((way, (part, seed, *c, i, p)) for c in some for i in range(STARTS) for p in POLICIES)
+    yield from ((smallest_case, (p,)) for p in POLICIES)
+    yield from ((points, (a, *g)) for g in ((0.01, 1.0), (0.02, 1.0), (0.02, 3.0)) for a in controller_cases.ROBOTS)
+    yield from ((long_way, (a, i, t, p)) for t in (0.01, 0.02) for a in ARMS for i in range(6) for p in POLICIES[:2])
+    yield singular, ()
+
+
+def done_job(job: tuple[Callable[..., Any], tuple[Any, ...]]) -> list[Run]:
+    """One piece of the work."""
+    found = job[0](*job[1])
+    return found if isinstance(found, list) else [found]
+
+
+def read(path: Path) -> list[Run]:
+    """The runs of a table."""
+    with path.open(encoding="utf-8", newline="") as file:
+        return [
+            Run(*row[:1], int(row[1]), *row[2:4], int(row[4]), row[5], row[6] == "True", float(row[7]), row[8])
+            for row in list(csv.reader(file))[1:]
+        ]
+
+
+def main() -> None:
+    """Measure, and write the runs and the page."""
+    parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
+    parser.add_argument("--runs", type=Path, default=Path("docs/figures/law.csv"))
+    parser.add_argument("--before", type=Path, default=Path("docs/figures/law_before.csv"))
+    parser.add_argument("--page", type=Path, help="file for the page; default: none is written")
+    parser.add_argument("--workers", type=int, default=1)
+    given = parser.parse_args()
+    with ProcessPoolExecutor(given.workers) as pool:
+        runs = [run for some in pool.map(done_job, jobs()) for run in some]
+    put(Run._fields, runs, given.runs)
+    if given.page is not None:
+        given.page.write_text(page_of(read(given.before), runs, STRAY), encoding="utf-8")
+
+
+if __name__ == "__main__":
+    main()
