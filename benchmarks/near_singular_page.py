@@ -2,12 +2,11 @@
 
 from __future__ import annotations
 
+import csv
 import re
 from collections.abc import Callable, Iterable, Sequence
-from typing import TYPE_CHECKING
-
-if TYPE_CHECKING:
-    from near_singular_ways import Run
+from pathlib import Path
+from typing import NamedTuple
 
 TITLES = {"none": "no null-space motion", "learnt": "ascent of μ", "ascent": "`task.ascent()`"}
 HEAD = """# The law at its limits
@@ -47,6 +46,33 @@ Points are 0.3 m out of reach of four arms, ways more than twice as long as six 
 ten arms are those of `closed_loops.py`. An arm turns to and fro if, in the last second, a joint changes the sign of
 its velocity (above 1 mrad/s) from one period to the next.
 """
+
+
+class Run(NamedTuple):
+    """What became of one start with one policy.
+
+    `good` is a way that was done, a target out of reach without chatter, or a singularity that was left; `off` is how
+    far the hand was off what holds it [mm], and `why` what stopped it.
+    """
+
+    part: str
+    seed: int
+    arm: str
+    task: str
+    number: int
+    policy: str
+    good: bool
+    off: float
+    why: str
+
+
+def read(path: Path) -> list[Run]:
+    """The runs of a table."""
+    with path.open(encoding="utf-8", newline="") as file:
+        return [
+            Run(*row[:1], int(row[1]), *row[2:4], int(row[4]), row[5], row[6] == "True", float(row[7]), row[8])
+            for row in list(csv.reader(file))[1:]
+        ]
 
 
 def table(head: Sequence[str], lines: Iterable[Sequence[object]]) -> str:
@@ -144,7 +170,7 @@ def page_of(before: list[Run], now: list[Run], stray: float) -> str:
     policies = ["none", "learnt"] if same else ["none", "learnt", "ascent"]
     text = HEAD
     if same:
-        text += "`task.ascent()` does the same as the ascent of μ of the rows held and driven in each of these runs.\n"
+        text += "`task.ascent()` is the ascent of μ of the rows held and driven.\n"
     for part, head in (("way", ""), ("firm grip", FIRM)):
         then, here = ([run for run in runs if run.part == part] for runs in (before, now))
         text += head + sums(then, here, policies, stray) + lost(then, here, policies, stray)

@@ -10,18 +10,17 @@ same program has measured (`--before`). Ten minutes on one core.
 from __future__ import annotations
 
 import argparse
-import csv
 import tempfile
 from collections.abc import Callable, Iterable
 from concurrent.futures import ProcessPoolExecutor
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 
 import controller_cases
 import numpy as np
 from closed_loops import PERIODS, singular_starts
 from controller_scores import scores
-from near_singular_page import page_of
+from near_singular_page import Run, page_of, read
 from table_file import put
 from when_cases import ARMS, PAUSE, TASKS, Case, cases_of, exists, posture, robot_of
 from when_runs import STRAY, run
@@ -37,24 +36,6 @@ XARM = (3.302, -1.7578, 0.2082, 3.0665, 5.0783, 1.7292, 0.1807)  # [rad] of the 
 POINTS, SECONDS = 12, 8.0  # targets out of reach of each arm, and how long each is driven to [s]
 SPEED, BEYOND, TAIL = 0.25, 2.2, 1.0  # [m/s] of ways out of reach, their length in reaches, last seconds looked at [s]
 STILL = 1e-3  # [rad/s] below which a joint does not count as turning to and fro
-
-
-class Run(NamedTuple):
-    """What became of one start with one policy.
-
-    `good` is a way that was done, a target out of reach without chatter, or a singularity that was left; `off` is how
-    far the hand was off what holds it [mm], and `why` what stopped it.
-    """
-
-    part: str
-    seed: int
-    arm: str
-    task: str
-    number: int
-    policy: str
-    good: bool
-    off: float
-    why: str
 
 
 def way(part: str, seed: int, arm: str, task: str, number: int, policy: str) -> Run:
@@ -157,14 +138,21 @@ def singular() -> list[Run]:
     return out
 
 
+def policies() -> tuple[str, ...]:
+    """Without the ascent of the task, where that is the ascent of the manipulability."""
+    task = cases_of("panda", "drawer 0.3 m", "held", "near", 1, SEEDS[0])[0].motion(0)
+    return POLICIES[:2] if type(task.ascent()) is ml.ManipulabilityAscent else POLICIES
+
+
 def jobs() -> Iterable[tuple[Callable[..., Any], tuple[Any, ...]]]:
     """All of the work, in pieces."""
+    names = policies()
     cells = [(arm, task) for arm in ARMS for task in TASKS if exists(arm, task, "held")]
     firmly = [cell for cell in cells if cell[1].startswith(("door", "screw"))]
     for seed in SEEDS:
         for part, some in (("way", cells), ("firm grip", firmly)):
-            yield from ((way, (part, seed, *c, i, p)) for c in some for i in range(STARTS) for p in POLICIES)
-    yield from ((smallest_case, (p,)) for p in POLICIES)
+            yield from ((way, (part, seed, *c, i, p)) for c in some for i in range(STARTS) for p in names)
+    yield from ((smallest_case, (p,)) for p in names)
     yield from ((points, (a, *g)) for g in ((0.01, 1.0), (0.02, 1.0), (0.02, 3.0)) for a in controller_cases.ROBOTS)
     yield from ((long_way, (a, i, t, p)) for t in (0.01, 0.02) for a in ARMS for i in range(6) for p in POLICIES[:2])
     yield singular, ()
@@ -174,15 +162,6 @@ def done_job(job: tuple[Callable[..., Any], tuple[Any, ...]]) -> list[Run]:
     """One piece of the work."""
     found = job[0](*job[1])
     return found if isinstance(found, list) else [found]
-
-
-def read(path: Path) -> list[Run]:
-    """The runs of a table."""
-    with path.open(encoding="utf-8", newline="") as file:
-        return [
-            Run(*row[:1], int(row[1]), *row[2:4], int(row[4]), row[5], row[6] == "True", float(row[7]), row[8])
-            for row in list(csv.reader(file))[1:]
-        ]
 
 
 def main() -> None:
