@@ -111,6 +111,7 @@ def sums(before: list[Run], now: list[Run], policies: list[str], stray: float) -
         ]
         for seed in dict.fromkeys(run.seed for run in now)
         for policy in policies
+        if any((run.seed, run.policy) == (seed, policy) for run in now)
     ]
     head = ["starts", "policy", "ways done", "points reached", "farther than 2 mm off", "farthest [mm]"]
     if not any(run.task == "reach" for run in now):
@@ -125,7 +126,9 @@ def lost(before: list[Run], now: list[Run], policies: list[str], stray: float) -
     for run in now:
         starts.setdefault(run[1:5], {})[run.policy] = run
 
-    def cell(run: Run) -> str:
+    def cell(run: Run | None) -> str:
+        if run is None:
+            return "not run"
         if run.good:
             return "done"
         then = old.get(run[:6])
@@ -133,9 +136,9 @@ def lost(before: list[Run], now: list[Run], policies: list[str], stray: float) -
         return short(run, stray) + (" (**done before**)" if did else "")
 
     lines = [
-        [*start, *(cell(runs[policy]) for policy in policies)]
+        [*start, *(cell(runs.get(policy)) for policy in policies)]
         for start, runs in starts.items()
-        if not all(runs[policy].good for policy in policies)
+        if not all(runs[policy].good for policy in policies if policy in runs)
     ]
     again = sum("done before" in str(word) for line in lines for word in line)
     text = f"\nNot done, and what stops them (the law before did {again} of these runs):\n"
