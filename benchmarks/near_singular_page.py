@@ -166,12 +166,12 @@ def counted(before: list[Run], now: list[Run]) -> str:
     )
 
 
-def page_of(before: list[Run], now: list[Run], stray: float) -> str:
+def page_of(before: list[Run], now: list[Run], stray: float, law: str) -> str:
     """The whole page."""
     ascent = [run._replace(policy="learnt") for run in now if run.policy == "ascent"]
     same = set(ascent) <= set(now)
     policies = ["none", "learnt"] if same else ["none", "learnt", "ascent"]
-    text = HEAD
+    text = HEAD + (f"It was measured with {law}.\n" if law else "")
     if same:
         text += "`task.ascent()` is the ascent of μ of the rows held and driven.\n"
     for part, head in (("way", ""), ("firm grip", FIRM)):

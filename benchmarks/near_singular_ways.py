@@ -170,13 +170,14 @@ def main() -> None:
     parser.add_argument("--runs", type=Path, default=Path("docs/figures/law.csv"))
     parser.add_argument("--before", type=Path, default=Path("docs/figures/law_before.csv"))
     parser.add_argument("--page", type=Path, help="file for the page; default: none is written")
+    parser.add_argument("--law", default="", help="words for the page: which law was measured")
     parser.add_argument("--workers", type=int, default=1)
     given = parser.parse_args()
     with ProcessPoolExecutor(given.workers) as pool:
         runs = [run for some in pool.map(done_job, jobs()) for run in some]
     put(Run._fields, runs, given.runs)
     if given.page is not None:
-        given.page.write_text(page_of(read(given.before), runs, STRAY), encoding="utf-8")
+        given.page.write_text(page_of(read(given.before), runs, STRAY, given.law), encoding="utf-8")
 
 
 if __name__ == "__main__":
