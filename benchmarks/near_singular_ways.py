@@ -4,7 +4,7 @@
         [--before docs/figures/law_before.csv]
 
 One line of `--runs` is one start with one policy. The page is made of them, beside those of an earlier law that the
-same program has measured (`--before`). Ten minutes on one core.
+same program has measured (`--before`). Fifteen minutes of one core without other load.
 """
 
 from __future__ import annotations
@@ -173,9 +173,11 @@ def main() -> None:
     parser.add_argument("--law", default="", help="words for the page: which law was measured")
     parser.add_argument("--workers", type=int, default=1)
     given = parser.parse_args()
+    runs: list[Run] = []
     with ProcessPoolExecutor(given.workers) as pool:
-        runs = [run for some in pool.map(done_job, jobs()) for run in some]
-    put(Run._fields, runs, given.runs)
+        for some in pool.map(done_job, jobs()):
+            runs += some
+            put(Run._fields, runs, given.runs)  # what is done so far stays if the rest is interrupted
     if given.page is not None:
         given.page.write_text(page_of(read(given.before), runs, STRAY, given.law), encoding="utf-8")
 
