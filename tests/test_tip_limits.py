@@ -132,7 +132,7 @@ def test_rounding_at_a_wall_asks_for_no_more_programs(robot_of: RobotOf, monkeyp
         before, last = programs, loop.update(q, 0.001 * k)
         q = robot.integrate(q, 0.001 * last.velocity)
         assert programs - before <= 4, k
-    assert last.status == "stalled" and programs > 500
+    assert last.progress < 0.03 and programs > 500
 
 
 def test_an_oblique_wall_and_a_start_beyond_it(robot_of: RobotOf) -> None:

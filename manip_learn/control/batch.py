@@ -75,8 +75,8 @@ class BatchLaw:
     """
 
     def __init__(self, controller: ResolvedRateController):
-        features, task = controller.constraint.features, controller.task
-        assert isinstance(features, FrameJacobian)
+        features: FrameJacobian = controller.constraint.features  # type: ignore[assignment]  # `of` has seen to it
+        task = controller.task
         self.controller, self._kinematics = controller, batch_kinematics(features.robot, features.frame)
         selection = controller.constraint.selection
         self._rows = features.padded(selection)[:, :3]

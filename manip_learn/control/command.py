@@ -28,7 +28,7 @@ class Status(StrEnum):
         STOPPED: `ServoLoop.stop` was called: the arm brakes and stands.
         OUTSIDE_LIMITS: A joint is outside its position limits, and returns where it can.
         SINGULAR: A task direction is lost at this posture.
-        STALLED: The task has not reached its goal and does not approach it: less than 3 % of the velocity asked
+        STALLED: The task has not reached its goal and does not approach it: less than 2 % of the velocity asked
             for is left along it, because limits or a singularity block the rest.
         POSITION_LIMITED: The task was slowed down for a position limit.
         VELOCITY_LIMITED: The task was slowed down for a velocity limit.
@@ -97,7 +97,7 @@ class Command(NamedTuple):
 # which limit a bound comes from
 POSITION, VELOCITY, ACCELERATION = range(3)
 # a task stalls where less than this share of the velocity asked for is left, and is slowed down where less than this is
-STALLED_BELOW, SCALED_BELOW = 0.03, 0.999
+STALLED_BELOW, SCALED_BELOW = 0.02, 0.999
 
 
 def slowed_by(cause: int) -> Status:
