@@ -56,11 +56,11 @@ def test_a_lesson(chromium, tmp_path):
         wait_until(page, "document.querySelector('#truth-words table') !== null")
         error = re.search(r"([-0-9.e]+) degrees off", page.locator("#truth-words table").inner_text())
         assert float(error[1]) < AXIS
-        wanted = person.teach("state.way.value")
         page.locator("#run").click()
         wait_until(page, "manipLearnTeach.state.run !== null && manipLearnTeach.state.run.ended !== ''")
         assert person.teach("state.run.ordered"), person.teach("state.said")
-        assert person.teach("pose.opening[0]") == pytest.approx(wanted, abs=0.01)
+        # the pose comes apart from the state, and later on a busy machine
+        wait_until(page, "Math.abs(manipLearnTeach.pose.opening[0] - manipLearnTeach.state.run.wanted) < 0.01")
         with page.expect_download() as download:
             page.locator("[data-take=constraint]").click()
         assert download.value.suggested_filename == "constraint.json"

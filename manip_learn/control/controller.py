@@ -90,7 +90,7 @@ class ResolvedRateController:
         held = constraint.n_constraints - len(self.task.driven_rows(constraint))
         if held > constraint.nv:
             raise ConstraintError(f"{held} rows are held by {constraint.nv} joints: they contradict each other")
-        self.null_policy: NullSpacePolicy = ZeroPolicy(constraint.nv) if null_policy is None else policy_of(null_policy)
+        self.null_policy: NullSpacePolicy = ZeroPolicy(constraint.nv) if null_policy is None else policy_of(null_policy)  # type: ignore[arg-type]
         self.inverse: Inverse = inverse
         self.threshold = float(threshold)
         self.damping = float(damping)
