@@ -575,8 +575,7 @@ def null_policy(
     """
     given = () if gain is None else (gain,)
     if name == "manipulability":
-        climbs = isinstance(task, FreeDirection)
-        return task.ascent(*given) if climbs else ManipulabilityAscent(task.rows(constraint), *given)
+        return ManipulabilityAscent(task.rows(constraint), *given)
     if name == "zero":
         return ZeroPolicy(constraint.nv)
     if name == "attractor":
