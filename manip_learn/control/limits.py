@@ -9,7 +9,7 @@ from operator import le, neg, truediv
 from typing import NamedTuple, final
 
 import numpy as np
-from jaxtyping import Bool, Float, Int
+from jaxtyping import Bool, Float
 from numpy.typing import ArrayLike
 
 from manip_learn.control.command import ACCELERATION, POSITION, VELOCITY
@@ -54,21 +54,6 @@ def approach_rate(
     length = math.hypot(*parts)
     deceleration = BRAKING_SHARE * length * length / largest if largest > 0.0 else math.inf
     return min(min(APPROACH_RATE, 0.5 / dt) * distance, math.sqrt(2.0 * deceleration * max(distance, 0.0)))
-
-
-def approach_bounds(
-    smallest: Float[np.ndarray, " n"],
-    slope: Float[np.ndarray, "nv n"],
-    acceleration: Float[np.ndarray, " nv"],
-    dt: float,
-) -> Float[np.ndarray, " n"]:
-    """`approach_bound` of many postures at once, with the postures last."""
-    length2 = np.sum(slope * slope, axis=0)
-    largest = np.max(np.abs(slope) / acceleration[:, None], axis=0)
-    with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
-        fastest = np.where(largest > 0.0, 2.0 * BRAKING_SHARE * length2 / largest, np.inf)
-        rate = np.minimum(min(APPROACH_RATE, 0.5 / dt) * smallest, np.sqrt(fastest * smallest))
-    return np.where(length2 == 0.0, np.inf, np.sqrt(length2) * CROSSING_SPEED + rate)
 
 
 def approach_bound(
@@ -361,35 +346,6 @@ class Bounds(NamedTuple):
 
 
 @final
-class BoundsTable(NamedTuple):
-    """`Bounds` of many postures at once, with the postures last: each (nv, n), but `outside` (n,)."""
-
-    low: Float[np.ndarray, "nv n"]
-    high: Float[np.ndarray, "nv n"]
-    low_cause: Int[np.ndarray, "nv n"]
-    high_cause: Int[np.ndarray, "nv n"]
-    outside: Float[np.ndarray, " n"]
-
-    def admit(self, velocity: Float[np.ndarray, "nv n"]) -> Bool[np.ndarray, " n"]:
-        """Which velocities are within their bounds."""
-        return np.all((self.low <= velocity) & (velocity <= self.high), axis=0)
-
-    def of(self, which: Int[np.ndarray, " m"]) -> BoundsTable:
-        """Those of some of the postures."""
-        return BoundsTable(*(array[..., which] for array in self))
-
-    def binding(self, velocity: Float[np.ndarray, "nv n"], desired: Float[np.ndarray, "nv n"]) -> Int[np.ndarray, " n"]:
-        """The limit that changes each velocity most, as the scalar `Bounds.binding` finds it; -1 if none does."""
-        near = AT_BOUND * (1.0 + np.abs(velocity))
-        over = np.where(velocity >= self.high - near, desired - self.high, 0.0)
-        under = np.where(velocity <= self.low + near, self.low - desired, 0.0)
-        joint, column = np.argmax(np.maximum(over, under), axis=0), np.arange(velocity.shape[1])
-        above, below = over[joint, column], under[joint, column]
-        cause = np.where(above > below, self.high_cause[joint, column], self.low_cause[joint, column])
-        return np.where(np.maximum(above, below) > 0.0, cause, -1)
-
-
-@final
 class _Approaches(NamedTuple):
     """How fast the joints may approach their limits in steps of dt, and the positions between which all speeds are."""
 
@@ -534,31 +490,6 @@ class Limits:
         if previous is not None:
             bound_changes(bounds, previous, accelerations, dt)
         return bounds
-
-    def bounds_table(self, x: Float[np.ndarray, "nv n"], dt: float, previous: Float[np.ndarray, "nv n"]) -> BoundsTable:
-        """`bounds` of many joint positions at once, by the same constants of each joint; the postures come last."""
-        constants = np.array([approach_of(v, a, dt) for v, a in zip(*self._columns[2:], strict=True)])
-        free, rate, linear, offset, twice, half, fastest = constants.T[..., None]
-        lower, upper, speed, acceleration = (np.array(column)[:, None] for column in self._columns)
-        low_cause, high_cause = np.full(x.shape, VELOCITY), np.full(x.shape, VELOCITY)
-
-        def approach(distance: np.ndarray) -> np.ndarray:
-            with np.errstate(invalid="ignore"):  # of joints without limits
-                braked = np.sqrt(half * half + twice * np.maximum(distance - offset, 0.0)) - half
-                near = np.where(distance <= linear, np.maximum(rate * distance, -fastest), braked)
-            return np.where(distance < free, near, np.inf)
-
-        below, above = x - lower, upper - x
-        down, up = approach(below), approach(above)
-        low_cause[down < speed], high_cause[up < speed] = POSITION, POSITION
-        low, high = -np.minimum(down, speed), np.minimum(up, speed)
-        slowest, quickest = previous - acceleration * dt, previous + acceleration * dt
-        low_cause[slowest > low], high_cause[quickest < high] = ACCELERATION, ACCELERATION
-        low, high = np.maximum(low, slowest), np.minimum(high, quickest)
-        crossed = low > high  # as in `bound_changes`
-        low[crossed] = high[crossed] = np.where(high < slowest, slowest, quickest)[crossed]
-        outside = -np.minimum(below, above).min(axis=0)
-        return BoundsTable(low, high, low_cause, high_cause, np.where(outside > OUTSIDE, outside, 0.0))
 
     def towards(
         self, wish: Float[np.ndarray, " nv"], previous: Float[np.ndarray, " nv"], bounds: Bounds, dt: float

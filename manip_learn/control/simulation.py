@@ -10,11 +10,10 @@ from jaxtyping import Float
 from numpy.typing import ArrayLike
 
 from manip_learn.constraint.constraint import Constraint
-from manip_learn.control.batch import FEWEST_STARTS, BatchLaw
 from manip_learn.control.command import Command, Controller, Method, TaskController, next_posture
 from manip_learn.control.law_sequence import constraint_of, frame_of, law_of, task_of
 from manip_learn.control.rollout import Rollout, written_constraint
-from manip_learn.control.servo_loop import LARGEST_POSITION, ServoLoop
+from manip_learn.control.servo_loop import ServoLoop
 from manip_learn.errors import ConfigurationError, an
 from manip_learn.recordings.trajectory_source import Progress
 from manip_learn.robot.batch.postures import checked_postures
@@ -63,9 +62,7 @@ def simulate(
     Args:
         robot: The robot; None for a system whose state is a plain vector.
         controller: A `ResolvedRateController`, or any `(q, t, dt) -> Command`.
-        q0: Start posture; the rollout's postures are the same kind of vector. Or a table of starts, one per row, which
-            are computed together where the law allows that (see `BatchLaw.of`), each as it is by itself but for
-            rounding.
+        q0: Start posture; the rollout's postures are the same kind of vector. Or a table of starts, one per row.
         duration: [s].
         dt: Step [s].
         method: `"euler"` holds each command for a step, as a real arm's interface does; `"rk4"` approximates the
@@ -105,8 +102,11 @@ def simulate(
     report, table = progress or (lambda title, fraction: None), np.ndim(q0) == 2
     if table:
         # names the row before any work is done
-        starts = np.asarray(q0) if robot is None else checked_postures(robot, np.asarray(q0))
-        return _from_table(robot, controller, starts, steps, dt, method, lambda x: report("simulating", x))
+        starts, rollouts = np.asarray(q0) if robot is None else checked_postures(robot, np.asarray(q0)), []
+        for i, start in enumerate(starts):
+            rollouts.append(simulate(robot, controller, start, steps * dt, dt, method))
+            report("simulating", (i + 1) / len(starts))
+        return tuple(rollouts)
     q = np.array(q0, dtype=np.float64) if robot is None else np.array(robot.checked_posture(q0))
     task_error = controller.task_error if isinstance(controller, TaskController | ServoLoop) else None
     command_at = _loop_of(controller, q, dt, method)
@@ -135,43 +135,6 @@ def simulate(
         following_error=np.array([c.following_error for c in commands]) if isinstance(controller, ServoLoop) else None,
         **guided(controller),
     )
-
-
-def _from_table(
-    robot: Robot | None,
-    controller: Controller,
-    starts: Float[np.ndarray, "n width"],
-    steps: int,
-    dt: float,
-    method: Method,
-    report: Callable[[float], None],
-) -> tuple[Rollout, ...]:
-    """One rollout per start: in bulk where the controller is served so, else one after the other."""
-    law, together = None, np.zeros(len(starts), bool)
-    if robot is not None and method == "euler" and starts.shape[1] == robot.nv and len(starts) >= FEWEST_STARTS:
-        law = None if isinstance(controller, ServoLoop) else BatchLaw.of(controller, robot)
-        # others may be no postures to a servo loop, which knows how far an encoder can be off
-        inside = (robot.position_lower <= starts) & (starts <= robot.position_upper) & (abs(starts) < LARGEST_POSITION)
-        together = inside.all(axis=1) & (law is not None)
-    rollouts: dict[int, Rollout] = {}
-    if law is not None and robot is not None and together.any():
-        share = float(together.mean())
-        motions = law.simulate(starts[together], steps, dt, lambda fraction: report(share * fraction))
-        known = guided(controller) | {"joint_names": robot.joint_names, "robot": RobotIdentity.of(robot)}
-        for k, i in enumerate(np.flatnonzero(together).tolist()):
-            rollouts[i] = Rollout(
-                time=np.arange(steps + 1) * dt,
-                q=motions.q[..., k],
-                u=motions.u[..., k],
-                manipulability=motions.mu[:, k],
-                status=tuple(motions.status[:, k].tolist()),
-                task_error=motions.error[:, k],
-                **known,
-            )
-    for i in np.flatnonzero(~together).tolist():
-        rollouts[i] = simulate(robot, controller, starts[i], steps * dt, dt, method)
-        report(len(rollouts) / len(starts))
-    return tuple(rollouts[i] for i in range(len(starts)))
 
 
 def _loop_of(

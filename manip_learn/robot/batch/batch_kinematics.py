@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
-from typing import NamedTuple, final
+from typing import final
 from weakref import WeakKeyDictionary
 
 import numpy as np
@@ -17,7 +17,6 @@ from manip_learn.robot.batch.chain import (
     SweepBuffers,
     chain_to,
     jacobian_vjp,
-    linear_vjp,
     sweep,
     tip_position,
     write_derivative,
@@ -40,21 +39,6 @@ def batch_kinematics(robot: Robot, frame: Frame) -> BatchKinematics:
     if frame.index not in frames:
         frames[frame.index] = BatchKinematics(robot, frame)
     return frames[frame.index]
-
-
-@final
-class LinearRows(NamedTuple):
-    """Linear rows of a frame's Jacobian at n postures, with the postures last.
-
-    Attributes:
-        J: shape (3, nv, n), x y z along the base axes [m/s per unit joint velocity].
-        position: shape (3, n), of the frame's origin [m].
-        vjp: Weights (3, nv, n) -> sum_ij weights_ij dJ_ij / dq_k, shape (nv, n).
-    """
-
-    J: Float[np.ndarray, "3 nv n"]
-    position: Float[np.ndarray, "3 n"]
-    vjp: Callable[[Float[np.ndarray, "3 nv n"]], Float[np.ndarray, "nv n"]]
 
 
 @final
@@ -145,31 +129,6 @@ class BatchKinematics:
             weights[list(rows)] = self._columns.gather(weigh(J, part))
             self._columns.scatter(jacobian_vjp(motion, weights), out[:, part])
         return out.T
-
-    def linear_rows(self, postures: Float[np.ndarray, "n nv"]) -> LinearRows:
-        """Place and linear rows of a frame whose chain is `fast`, from one sweep, for steps that follow each other.
-
-        Args:
-            postures: Joint positions, checked (see `checked_postures`); at most `CHUNK` of them are the fastest.
-        """
-        columns, chain, n = self._columns, self._chain, len(postures)
-        buffers = SweepBuffers.of(chain.size, n)
-        point = tip_position(sweep(chain, columns.positions(postures), buffers), chain.tool_position, buffers.work)
-        motion = ChainMotion(buffers.axis, point[:, None] - buffers.origin, chain.prismatic, "world")
-        J = motion.v
-        if not columns.full:
-            J = np.zeros((3, self._robot.nv, n))
-            columns.scatter(motion.v, J)
-
-        def vjp(weights: np.ndarray) -> np.ndarray:
-            slopes = linear_vjp(motion, weights if columns.full else columns.gather(weights))
-            if columns.full:
-                return slopes
-            out = np.zeros((self._robot.nv, n))
-            columns.scatter(slopes, out)
-            return out
-
-        return LinearRows(J, point, vjp)
 
     def pose(self, q: ArrayLike) -> Float[np.ndarray, "n 4 4"]:
         """Homogeneous transforms from the frame to the robot's base [m]."""

@@ -414,27 +414,16 @@ def jacobian_vjp(motion: ChainMotion, weights: Float[np.ndarray, "6 j n"]) -> Fl
     The sums over the joints below or above k are running sums of cross products.
     """
     w, v, cv, cw = motion.w, motion.v, weights[:3], weights[3:]
-    if motion.reference == "world":
-        return _world_vjp(motion, cross(v, cv) + cross(w, cw), cv)
     out = np.zeros(w.shape[1:])
+    if motion.reference == "world":
+        moment = np.cumsum((cross(v, cv) + cross(w, cw))[:, ::-1], axis=1)[:, ::-1]
+        force = np.cumsum(cross(cv, w), axis=1)
+        out += np.sum(w * moment, axis=0)
+        out[1:] += np.sum(v[:, 1:] * force[:, :-1], axis=0)
+        return out
     force = np.cumsum(cross(cv, w), axis=1)[:, :-1]
     moment = np.cumsum(cross(cv, v) + cross(cw, w), axis=1)[:, :-1]
     out[1:] = np.sum(v[:, 1:] * force + w[:, 1:] * moment, axis=0)
-    return out
-
-
-def linear_vjp(motion: ChainMotion, weights: Float[np.ndarray, "3 j n"]) -> Float[np.ndarray, "j n"]:
-    """`jacobian_vjp` of the linear rows along the base axes."""
-    return _world_vjp(motion, cross(motion.v, weights), weights)
-
-
-def _world_vjp(motion: ChainMotion, turns: np.ndarray, pulls: np.ndarray) -> Float[np.ndarray, "j n"]:
-    joints, force = turns.shape[1], cross(pulls, motion.w)
-    for k in range(1, joints):  # running sums, of all joints above and of all below: half the time of `np.cumsum`
-        turns[:, joints - 1 - k] += turns[:, joints - k]
-        force[:, k] += force[:, k - 1]
-    out = np.einsum("rjn,rjn->jn", motion.w, turns)
-    out[1:] += np.einsum("rjn,rjn->jn", motion.v[:, 1:], force[:, :-1])
     return out
 
 
