@@ -125,7 +125,7 @@ def test_a_loosely_held_door_is_a_hinge(tmp_path: Path):
     np.testing.assert_array_equal(again(demos[0].q[0]), constraint(demos[0].q[0]))
     controller = ml.ResolvedRateController(constraint, null_policy=ml.ManipulabilityAscent(constraint))
     rollout = ml.simulate(constraint.robot, controller, demos[0].q[0], duration=1.0, dt=0.01)
-    assert np.max(rollout.violation(constraint)) < 1e-9
+    assert np.max(rollout.violation(constraint)) < 1e-7
 
 
 def test_another_drawer_among_the_recordings_is_named():
