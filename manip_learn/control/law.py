@@ -357,8 +357,7 @@ class Law:
         flat = law.A.reshape(-1)
         if not limits.may_approach(float(u.dot(u)), float(flat.dot(flat)), law.smallest, dt):
             return None
-        A, vjp = self.constraint.value_and_vjp(q) if law.vjp is None else (law.A, law.vjp)
-        return smallest_gradient(A, vjp)
+        return smallest_gradient(*self.constraint.value_and_vjp(q))  # the rows of the law may be those of an error
 
     # ---- what was done ----------------------------------------------------------------------------------------------
 
