@@ -28,11 +28,7 @@ def unit(size: int) -> Float[np.ndarray, "n n"]:
 
 
 def inverse_singular_values(
-    sigma: Float[np.ndarray, " k"],
-    shape: tuple[int, ...],
-    inverse: Inverse = "exact",
-    threshold: float = 0.05,
-    damping: float = 0.05,
+    sigma: Float[np.ndarray, " k"], shape: tuple[int, ...], inverse: Inverse = "exact"
 ) -> Float[np.ndarray, " k"]:
     """1/sigma in the chosen sense, so that A^+ = V diag(1/sigma) U^T.
 
@@ -40,30 +36,17 @@ def inverse_singular_values(
         sigma: Singular values of A, in falling order.
         shape: Of A.
         inverse: `"exact"` inverts every singular value above the smallest normal number, however small;
-            `"truncated"` drops those below Matlab's tolerance max(size(A)) * eps(norm(A)), as the paper does;
-            `"damped"` replaces 1/sigma by sigma / (sigma^2 + lambda^2), with lambda = 0 above `threshold`.
-        threshold: Singular value below which damping sets in (damped only), same unit as A.
-        damping: lambda at sigma = 0 (damped only), same unit as A.
+            `"truncated"` drops those below Matlab's tolerance max(size(A)) * eps(norm(A)), as the paper does.
     """
-    if inverse == "damped":  # plain numbers: for as few as a constraint has, NumPy's calls take longer
-        return np.array([damped_inverse(value, threshold, damping) for value in sigma.tolist()])
     out = np.zeros_like(sigma)
     if inverse == "truncated":
         keep = sigma > matlab_tolerance(sigma, shape)
     elif inverse == "exact":
         keep = sigma > np.finfo(np.float64).tiny
     else:
-        raise ValueError(f"inverse must be 'exact', 'truncated' or 'damped', not {inverse!r}")
+        raise ValueError(f"inverse must be 'exact' or 'truncated', not {inverse!r}")
     np.divide(1.0, sigma, out=out, where=keep)
     return out
-
-
-def damped_inverse(value: float, threshold: float, damping: float) -> float:
-    """sigma / (sigma^2 + lambda^2); smooth at the threshold, where value and slope of lambda^2 vanish."""
-    ratio = min(value / threshold, 1.0)
-    damped = damping * (1.0 - ratio * ratio)
-    denominator = value * value + damped * damped
-    return value / denominator if denominator > 0.0 else 0.0
 
 
 def finite(values: object, *shape: int) -> np.ndarray | None:

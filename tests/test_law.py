@@ -167,7 +167,8 @@ def test_the_command_solves_the_program_of_the_docstring(
         X = np.linalg.pinv(A)
         drive, w = X @ task.b, velocity_of(policy, q)
         wish = drive + w - X @ (A @ w)
-        slope = smallest_gradient(*rows.value_and_vjp(q))
+        A, vjp = rows.value_and_vjp(q)
+        slope = smallest_gradient(np.linalg.svd(A), vjp)
         smallest = float(np.linalg.svd(A, compute_uv=False)[-1])
         presses = -float(slope @ wish) > approach_bound(smallest, slope, law.limits.acceleration, DT)
         if presses or bounds.admit(wish) or np.any(np.abs(drive) > law.limits.velocity):

@@ -17,7 +17,6 @@ from manip_learn.linalg import (
     along_axes,
     batch_row_spaces,
     complement_rows,
-    damped_inverse,
     finite,
     inverse_singular_values,
     inverse_triangles,
@@ -69,7 +68,7 @@ def test_exact_inverse_inverts_however_small(rng):
 
 def test_zero_matrix_has_a_zero_inverse():
     """Nothing is divided by zero: the inverse of 0 is 0 in every sense, also without rows or columns."""
-    for inverse in ("exact", "truncated", "damped"):
+    for inverse in ("exact", "truncated"):
         np.testing.assert_array_equal(pseudo_inverse(np.zeros((2, 4)), inverse), np.zeros((4, 2)))
     assert inverse_singular_values(np.zeros(0), (0, 4)).shape == (0,)
 
@@ -81,27 +80,6 @@ def test_matlab_tolerance():
     assert matlab_tolerance(np.array([]), (0, 3)) >= 0.0
     assert [rank_of(np.array([1.0, x]), (2, 3)) for x in (3 * EPS, 3.1 * EPS, 0.0)] == [1, 2, 1]
     assert rank_of(np.array([]), (0, 3)) == rank_of(np.zeros(2), (2, 3)) == 0
-
-
-def test_damped_inverse(rng):
-    """Damping leaves directions above the threshold alone, bounds the others, and sets in without a step or a kink."""
-    A = with_singular_values(rng, [2.0, 0.6, 1e-9], 7)
-    damped = pseudo_inverse(A, "damped", threshold=0.1, damping=0.05)
-    U = np.linalg.svd(A)[0]
-    np.testing.assert_allclose(np.linalg.norm(damped @ U[:, :2], axis=0), [1 / 2.0, 1 / 0.6], rtol=1e-9)
-    assert np.linalg.norm(damped @ U[:, 2]) < 1e-5
-    sigma = np.linspace(0.0, 0.2, 20001)
-    gain = inverse_singular_values(sigma, (1, 7), "damped", 0.1, 0.05)
-    assert gain[0] == 0.0
-    assert np.max(gain) <= 1 / (2 * 0.05) * 2
-    slope = np.diff(gain) / np.diff(sigma)
-    assert np.max(np.abs(np.diff(slope))) < 0.2  # the slope has no jump
-
-
-def test_damped_inverse_in_numbers():
-    """sigma / (sigma^2 + lambda^2), lambda = damping (1 - (sigma / threshold)^2) below the threshold and 0 above it."""
-    for sigma, wanted in ((0.0, 0.0), (0.05, 0.05 / (0.05**2 + 0.03**2)), (0.1, 10.0), (0.2, 5.0)):
-        assert damped_inverse(sigma, 0.1, 0.04) == pytest.approx(wanted, rel=1e-12)
 
 
 def test_row_inverse_of_one_matrix(rng):
@@ -124,7 +102,7 @@ def test_row_inverse_of_one_matrix(rng):
 
 def test_unknown_inverse_is_refused():
     """A misspelt inverse is an error, not the exact one."""
-    with pytest.raises(ValueError, match="'exact', 'truncated' or 'damped'"):
+    with pytest.raises(ValueError, match="'exact' or 'truncated'"):
         pseudo_inverse(np.eye(2), "damp")  # type: ignore[arg-type]
 
 

@@ -116,9 +116,9 @@ def gradient_from(
     return mu, vjp((U * others).dot(Vt[:s])), floor
 
 
-def smallest_gradient(A: Float[np.ndarray, "s nv"], vjp: Vjp) -> Float[np.ndarray, " nv"]:
+def smallest_gradient(decomposition: tuple[np.ndarray, np.ndarray, np.ndarray], vjp: Vjp) -> Float[np.ndarray, " nv"]:
     """d sigma_min / dq = u_min^T (dA / dq) v_min, for a smallest singular value that is neither 0 nor double."""
-    U, sigma, Vt = svd(A)
+    U, sigma, Vt = decomposition
     k = len(sigma)
     return vjp(U[:, k - 1 : k].dot(Vt[k - 1 : k]))
 

@@ -96,7 +96,8 @@ class Command(NamedTuple):
 
 # which limit a bound comes from
 POSITION, VELOCITY, ACCELERATION = range(3)
-# a task stalls where less than this share of the velocity asked for is left, and is slowed down where less than this is
+# a task stalls where less than the first share of the velocity asked for is left (a hand that is pressed against a wall
+# keeps 1 to 2 % by creeping along it), and is slowed down where less than the second is (the program leaves 1e-4 of it)
 STALLED_BELOW, SCALED_BELOW = 0.02, 0.999
 
 

@@ -35,9 +35,9 @@ ACROSS, ALONG = 1e-4, 3e-3
 ESCAPE_WIDTH = 0.6
 ESCAPE_SPEED = 0.2  # [rad/s] at most, of what the policy moves along directions that are nearly lost
 SEED_SHARE = 6e-4  # singular value up to which a policy that has all but vanished moves on, as a share of the threshold
-# an explicit step of dt follows a velocity field whose slope is at most this over dt: three of them add up to less than
-# 1 / dt, from which on a step goes beyond where the field leads
-STABLE_SLOPE = 0.25
+# an explicit step of dt follows a velocity field whose slope is at most this over dt: from 1 / dt on a step goes beyond
+# where the field leads, and the policy's own field adds to the task's
+STABLE_SLOPE = 0.5
 FINE = 1e-13  # [rad/s or m/s] by how much DAQP may exceed a bound: commands are compared to 1e-12
 ROUNDING = 1e-9  # [rad/s or m/s] by how much rounding may
 # [s] for which a task stalls until the arm slides along what blocks it, and goes on until its direction is kept again
@@ -60,7 +60,6 @@ class Desired(NamedTuple):
         smallest: Its smallest singular value.
         basis: X (s, nv) with X A^T = 1 where A is well conditioned, or an orthonormal basis of its rows.
         gain: Y (s, nv), so that A^# b = Y^T b.
-        vjp: Of the constraint's rows, where it is known.
         damping: lambda of the driven rows; 0 away from singularities.
     """
 
@@ -73,8 +72,22 @@ class Desired(NamedTuple):
     smallest: float
     basis: Float[np.ndarray, "s nv"]
     gain: Float[np.ndarray, "s nv"]
-    vjp: Vjp | None
     damping: float = 0.0
+
+    @property
+    def is_lost(self) -> bool:
+        """Whether A loses a direction: at a singularity, or with more rows than joints that b does not fit."""
+        s, nv = self.A.shape
+        if self.escape is None:
+            return False
+        if s > nv:
+            return self.progress(self.task) < SCALED_BELOW
+        return self.smallest <= SINGULAR_RATIO * float(np.abs(self.A).max())
+
+    def progress(self, u: Float[np.ndarray, " nv"]) -> float:
+        """Velocity along b over the velocity asked for, b^T A u / |b|^2; 1 where nothing is asked for."""
+        square = float(self.b.dot(self.b))
+        return float(self.b.dot(self.A.dot(u))) / square if square > AT_GOAL * AT_GOAL else 1.0
 
     def null_part(self, u: Float[np.ndarray, " nv"]) -> Float[np.ndarray, " nv"]:
         """The component of a velocity in the null space of A."""
@@ -163,7 +176,7 @@ class Law:
         if own is None or inverse is None or (self.inverse == "damped" and min(own[2], inverse[2]) < self.threshold):
             return self._near_singularity(q, A, rows, b, w, dt, limits, vjp)
         X = inverse[0]
-        return Desired(rows, b, b.dot(X), w - rows.dot(w).dot(X), None, own[1], own[2], X, X, vjp)
+        return Desired(rows, b, b.dot(X), w - rows.dot(w).dot(X), None, own[1], own[2], X, X)
 
     def task_velocity(
         self, q: np.ndarray, t: float, dt: float
@@ -208,7 +221,7 @@ class Law:
                     + advice("use {}", "inverse='damped'", "--inverse damped")
                 )
             V = V[gains > 0.0]
-            return Desired(rows, b, task, w - V.dot(w).dot(V), np.zeros(nv), mu, smallest, V, Y, vjp)
+            return Desired(rows, b, task, w - V.dot(w).dot(V), np.zeros(nv), mu, smallest, V, Y)
         least = float(sigma[-1]) if s <= nv else 0.0
         share = max(0.0, 1.0 - (least / self.threshold) ** 2)
         w = self._with_seed(q, w, smallest, limits)
@@ -224,7 +237,7 @@ class Law:
         fastest = ESCAPE_SPEED * max(0.0, 1.0 - (least / (ESCAPE_WIDTH * self.threshold)) ** 2) ** 2
         if length > fastest:
             escape = escape * (fastest / length)
-        return Desired(rows, b, task, null, escape, mu, smallest, V, Y, vjp, share * math.sqrt(square))
+        return Desired(rows, b, task, null, escape, mu, smallest, V, Y, share * math.sqrt(square))
 
     def _damping(
         self,
@@ -240,21 +253,20 @@ class Law:
         |d(A^T w) / dq| / lambda^2 (in the Frobenius norm), STABLE_SLOPE / dt at most. How much it presses is the cosine
         between A^# b and the way to the singularity.
         """
-        (U, sigma, Vt), square = decomposition, self.damping**2
-        U, nv = U[:, : len(sigma)], self.constraint.nv
-        lost = U[:, sigma < self.threshold]
+        (U, sigma, Vt), square, nv = decomposition, self.damping**2, self.constraint.nv
+        lost = U[:, : len(sigma)][:, sigma < self.threshold]
         pressed = lost.dot(b.dot(lost))
         if not pressed.any():
             return square
         rates = self.constraint.value_and_vjp(q)[1] if vjp is None else vjp
-        slope = rates(U[:, -1:] * Vt[len(sigma) - 1])
-        task = (b.dot(U) * sigma / (sigma * sigma + square)).dot(Vt[: len(sigma)])
+        slope = smallest_gradient(decomposition, rates)
+        task = (b.dot(U)[: len(sigma)] * sigma / (sigma * sigma + square)).dot(Vt[: len(sigma)])
         size = math.sqrt(slope.dot(slope) * task.dot(task))
         pressing = -float(slope.dot(task)) / size if size > 0.0 else 0.0
         if pressing <= 0.0:
             return square
         flat = vjps(rates, np.outer(pressed, unit(nv)), nv).reshape(-1)
-        stable = 0.5 * dt / STABLE_SLOPE * math.sqrt(flat.dot(flat))
+        stable = dt / STABLE_SLOPE * math.sqrt(flat.dot(flat))
         return square + pressing * max(0.0, stable - square)
 
     def _with_seed(self, q: np.ndarray, w: np.ndarray, smallest: float, limits: Limits | None) -> np.ndarray:
@@ -299,8 +311,9 @@ class Law:
             slow, tip_cause = False, POSITION if np.any(tips.too_near(wish)) else VELOCITY
         if slow and bounds.admit(wish):
             return self._as_wished(law, wish, bounds.outside)
-        asked, wish = wish, self._slowed(law, wish, limits, barrier)
-        M = self._metric(law, dt, slide)
+        D = self.task.driven_rows(self.constraint)
+        asked, wish = wish, self._slowed(law, D, wish, limits, barrier)
+        M = self._metric(law, D, dt, slide)
 
         def nearest(rows: Barrier | None) -> np.ndarray:
             return nearest_within(wish, M, bounds, rows)
@@ -308,12 +321,21 @@ class Law:
         u = nearest(barrier) if tip is None or tips is None else tip.bounded(tips, wish, barrier, nearest)
         return self._bounded(law, asked, u, bounds, tip_cause)
 
-    def _slowed(self, law: Desired, wish: np.ndarray, limits: Limits, barrier: Barrier | None) -> np.ndarray:
+    @staticmethod
+    def _slowed(
+        law: Desired, D: np.ndarray, wish: np.ndarray, limits: Limits, barrier: Barrier | None
+    ) -> Float[np.ndarray, " nv"]:
         """The law with what drives it slowed down to the velocity limits, and to the approach of a singularity.
 
         Null-space motion makes no room for more than that.
+
+        Args:
+            law: Before bounds.
+            D: shape (d, s), the rows that are driven.
+            wish: u* [rad/s or m/s].
+            limits: Of the joints.
+            barrier: (G, least) of the approach to a singularity, one row; None where it is far.
         """
-        D = self.task.driven_rows(self.constraint)
         drive = law.task if len(D) == len(law.b) else D.T.dot(D.dot(law.b)).dot(law.gain)
         rest, fastest = wish - drive, float((np.abs(drive) / limits.velocity).max())
         if fastest > 1.0:  # as far as what else moves leaves no room for it
@@ -326,20 +348,20 @@ class Law:
                 drive = drive * min(1.0, max(0.0, (float(slope.dot(rest)) - least) / toward))
         return rest + drive
 
-    def _metric(self, law: Desired, dt: float, slide: float) -> Float[np.ndarray, "nv nv"]:
+    def _metric(self, law: Desired, D: np.ndarray, dt: float, slide: float) -> Float[np.ndarray, "nv nv"]:
         """M of the program min (u - u*)^T M (u - u*), see the class.
 
         With `slide` the task's direction gives way as its speed does, damped as u* is near a singularity, so that
         explicit steps of dt can follow.
         """
-        A, D = law.A, self.task.driven_rows(self.constraint)
+        A = law.A
         W = A * (1.0 / ACROSS)
         if len(D):
             along = D.dot(law.b)
             length = math.sqrt(along.dot(along))
             across, speed = ACROSS, math.hypot(ALONG, law.damping)
             if slide > 0.0:
-                blur = max(self.damping, math.sqrt(0.5 * dt / STABLE_SLOPE * math.sqrt(law.b.dot(law.b))))
+                blur = max(self.damping, math.sqrt(dt / STABLE_SLOPE * math.sqrt(law.b.dot(law.b))))
                 across, speed = (x + slide * (blur - x) for x in (across, speed))
                 driven = D.dot(A)
                 W = W + D.T.dot(driven) * (1.0 / across - 1.0 / ACROSS)
@@ -357,23 +379,23 @@ class Law:
         flat = law.A.reshape(-1)
         if not limits.may_approach(float(u.dot(u)), float(flat.dot(flat)), law.smallest, dt):
             return None
-        return smallest_gradient(*self.constraint.value_and_vjp(q))  # the rows of the law may be those of an error
+        A, vjp = self.constraint.value_and_vjp(q)  # the rows of the law may be those of an error
+        return smallest_gradient(svd(A), vjp)
 
     # ---- what was done ----------------------------------------------------------------------------------------------
 
     def _as_wished(self, law: Desired, u: np.ndarray, outside: float) -> Command:
         """The command where no bound changes the law."""
-        near = law.escape is not None
-        progress = _progress(law, u) if near else 1.0
-        status = status_of(progress, outside, self._lost(law, near), self._is_damped(law, near))
+        progress = 1.0 if law.escape is None else law.progress(u)
+        status = status_of(progress, outside, law.is_lost, self._is_damped(law))
         return Command(
             *(u, status, law.mu, law.b, law.task, law.null, 1.0, 1.0, law.smallest, law.escape, progress, outside)
         )
 
     def _bounded(self, law: Desired, wish: np.ndarray, u: np.ndarray, bounds: Bounds, tip_cause: int) -> Command:
         """The command where bounds change the law."""
-        near, null_part = law.escape is not None, law.null_part(u)
-        task_part, escape = u - null_part, law.escape
+        null_part, escape = law.null_part(u), law.escape
+        task_part = u - null_part
         if escape is not None:
             share = float(u.dot(escape)) / max(float(escape.dot(escape)), 1e-300)
             escape = escape * min(1.0, max(0.0, share))
@@ -381,12 +403,12 @@ class Law:
         square = float(law.null.dot(law.null))
         asks = square > AT_GOAL**2  # what rounding leaves of a policy that asks for nothing is not scaled
         null_scale = min(1.0, max(0.0, float(law.null.dot(null_part)) / square)) if asks else 1.0
-        progress = _progress(law, u)
-        before = _progress(law, law.task) if near else 1.0
+        progress = law.progress(u)
+        before = 1.0 if law.escape is None else law.progress(law.task)
         scale = min(1.0, max(0.0, progress / before)) if before > 0.0 else 1.0
         joint, cause = bounds.binding(u, wish)
         status = status_of(
-            *(progress, bounds.outside, self._lost(law, near), self._is_damped(law, near)),
+            *(progress, bounds.outside, law.is_lost, self._is_damped(law)),
             changed=True,
             scale=scale,
             cause=tip_cause if joint < 0 else cause,
@@ -398,15 +420,8 @@ class Law:
             limiting_joint=joint,
         )
 
-    def _is_damped(self, law: Desired, near: bool) -> bool:
-        return near and self.inverse == "damped" and law.smallest < self.threshold
-
-    def _lost(self, law: Desired, near: bool) -> bool:
-        """Whether A loses a direction: at a singularity, or with more rows than joints that b does not fit."""
-        s, nv = law.A.shape
-        if near and s > nv:
-            return _progress(law, law.task) < SCALED_BELOW
-        return near and law.smallest <= SINGULAR_RATIO * float(np.abs(law.A).max())
+    def _is_damped(self, law: Desired) -> bool:
+        return self.inverse == "damped" and law.escape is not None and law.smallest < self.threshold
 
 
 def nearest_within(
@@ -457,12 +472,6 @@ def next_slide(slide: float, stalls: bool, progress: float, dt: float) -> float:
     if stalls:
         return min(1.0, slide + dt / SLIDING_AFTER)
     return max(0.0, slide - dt / KEEPING_AFTER) if progress > GOING_ON else slide
-
-
-def _progress(law: Desired, velocity: np.ndarray) -> float:
-    """Velocity along b over the velocity asked for, b^T A u / |b|^2; 1 where nothing is asked for."""
-    square = float(law.b.dot(law.b))
-    return float(law.b.dot(law.A.dot(velocity))) / square if square > AT_GOAL * AT_GOAL else 1.0
 
 
 def _checked(vector: ArrayLike, size: int, what: str) -> Any:
