@@ -5,7 +5,8 @@ from __future__ import annotations
 import copy
 import math
 from collections.abc import Callable
-from typing import final
+from functools import cached_property
+from typing import Literal, final
 
 import numpy as np
 from jaxtyping import Float
@@ -13,6 +14,7 @@ from numpy.typing import ArrayLike
 
 from manip_learn.constraint.constraint import Constraint
 from manip_learn.control.command import Command
+from manip_learn.control.engine import NativeLaw, native_law
 from manip_learn.control.law import Law
 from manip_learn.control.limits import Limits
 from manip_learn.control.policies import NullSpacePolicy, ZeroPolicy, climbing, policy_of
@@ -132,7 +134,20 @@ class ResolvedRateController:
             raise ConfigurationError(f"dt must be a positive number of seconds, got {dt!r}")
         if not (self._features_check and type(q) is np.ndarray and is_plain(q)):
             q = self._checked_posture(q)
-        return self._law.command(q, t, dt, self.limits, previous, slide if self.task.slides else 0.0)
+        slide = slide if self.task.slides else 0.0
+        native = self._native
+        if native is None or (command := native.command(q, t, dt, previous, slide)) is None:
+            return self._law.command(q, t, dt, self.limits, previous, slide)
+        return command
+
+    @property
+    def engine(self) -> Literal["native", "python"]:
+        """What computes the commands: the compiled law (`pip install ./fast`), or the one in Python."""
+        return "python" if self._native is None else "native"
+
+    @cached_property
+    def _native(self) -> NativeLaw | None:
+        return native_law(self._law, self.limits)
 
     def task_error(self, q: ArrayLike, t: float = 0.0) -> float:
         """Distance to the task's goal along the constrained rows [m or rad]."""
@@ -157,6 +172,7 @@ class ResolvedRateController:
         """This controller with other limits."""
         other = copy.copy(self)
         other.limits = other._limits_of(limits)
+        other.__dict__.pop("_native", None)
         return other
 
     def _limits_of(self, limits: bool | Limits) -> Limits | None:

@@ -149,6 +149,11 @@ class Law:
         self._ascent = policy if isinstance(policy, ManipulabilityAscent) and policy.constraint is constraint else None
         self._samples = policy if isinstance(policy, SampledPolicy) else None
 
+    @property
+    def ascends(self) -> bool:
+        """Whether the policy climbs the manipulability of these very rows."""
+        return self._ascent is not None
+
     # ---- before bounds ----------------------------------------------------------------------------------------------
 
     def desired(self, q: np.ndarray, t: float, dt: float, limits: Limits | None) -> Desired:
@@ -166,7 +171,7 @@ class Law:
         b, E = self.task_velocity(q, t, dt)
         own = row_inverse(A)
         if ascent is None or vjp is None:
-            w = self._policy(q, t, dt)
+            w = self.policy_velocity(q, t, dt)
         elif own is not None:
             w = ascent.from_inverse(*own, vjp, dt)
         else:
@@ -190,7 +195,12 @@ class Law:
         b, E = self.task.velocity_and_jacobian(self.constraint, q, t, *sampled)
         return _checked(b, self.constraint.n_constraints, "the task's velocity b"), E
 
-    def _policy(self, q: np.ndarray, t: float, dt: float) -> np.ndarray:
+    def policy_velocity(self, q: np.ndarray, t: float, dt: float) -> Float[np.ndarray, " nv"]:
+        """w for the time dt [s] that begins at t [rad/s or m/s].
+
+        Raises:
+            TargetError: It has another size, or is not finite.
+        """
         w = self.null_policy(q, t) if self._samples is None else self._samples(q, t, dt)
         return _checked(w, self.constraint.nv, "the null-space policy's velocity")
 

@@ -33,6 +33,8 @@ BRAKING_SHARE = 0.5  # of the joints' acceleration that braking before a wall us
 CROSSING_SPEED = 5e-4  # [rad/s] speed at which a singularity may be crossed
 ROUNDED = 1e-12  # [m/s] by how much the solution of a program may approach a wall too fast: rounding of a speed of 1
 MOST_ROWS = 12  # rounds in which a speed was too large; in practice one to four
+# [rad or m] no joint is farther beyond its limits than encoders count a turn too much, and none without is so far away
+TURN, LARGEST_POSITION = 2.0 * math.pi, 1e6
 Barrier = tuple[Float[np.ndarray, "r nv"], Float[np.ndarray, " r"]]  # (G, least): rows G u >= least
 
 
@@ -292,6 +294,12 @@ def stopping_speed(
     left = distance / (acceleration * dt * dt)
     n = np.floor(0.5 * (np.sqrt(1.0 + 8.0 * left) - 1.0))
     return acceleration * dt * (left + 0.5 * n * (n + 1.0)) / (n + 1.0)
+
+
+def farthest_positions(robot: Robot) -> Float[np.ndarray, " nv"] | float:
+    """Positions that no joint is at, however its encoder counts: a turn beyond the farther limit [rad or m]."""
+    farthest = np.maximum(np.abs(robot.position_lower), np.abs(robot.position_upper)) + TURN
+    return farthest if robot.nq == robot.nv and bool(np.all(np.isfinite(farthest))) else LARGEST_POSITION
 
 
 def check_inside(robot: Robot, positions: Float[np.ndarray, " nv"]) -> None:

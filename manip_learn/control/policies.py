@@ -167,6 +167,7 @@ class JointLimitAvoidance(NullSpacePolicy):
         self._middle[limited] = 0.5 * (robot.position_lower[limited] + robot.position_upper[limited])
         self._per_half = np.divide(2.0, width, out=np.zeros(robot.nv), where=limited)
         self._longest = np.where(limited, np.minimum(self.max_speed, 0.5 * LARGEST_RATE * width), 1.0)
+        self.numbers = self._strength, self._middle, self._per_half, self._longest  # for the compiled law
 
     def __call__(self, q: ArrayLike, t: float = 0.0) -> Float[np.ndarray, " nv"]:
         """Velocity towards the middle of the ranges [rad/s or m/s].
@@ -420,6 +421,7 @@ class RoomAscent(SampledPolicy):
         self._robot, self._limited = robot, has_range(robot)
         self._width = ranges(robot)[self._limited]
         self._middle = 0.5 * (robot.position_lower + robot.position_upper)[self._limited]
+        self.numbers = self._enough, np.flatnonzero(self._limited), self._middle, self._width  # for the compiled law
 
     def __call__(self, q: ArrayLike, t: float = 0.0, dt: float = 0.01) -> Float[np.ndarray, " nv"]:
         """Ascent velocity, finite everywhere; arguments and errors as for `ManipulabilityAscent`."""

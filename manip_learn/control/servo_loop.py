@@ -18,7 +18,7 @@ from manip_learn.control.follow_motion import FollowMotion
 from manip_learn.control.following import STIFFNESS, FollowingError
 from manip_learn.control.law import next_slide
 from manip_learn.control.law_sequence import LawSequence, constraint_of, frame_of, law_of, task_of
-from manip_learn.control.limits import Bounds, Limits, bound_changes, stopping_speed
+from manip_learn.control.limits import Bounds, Limits, bound_changes, farthest_positions, stopping_speed
 from manip_learn.control.tasks import PointAttractor, Task
 from manip_learn.errors import ConfigurationError
 from manip_learn.robot.robot import Robot
@@ -35,8 +35,6 @@ LATENCY = 0.01  # [s] time by which a measurement may lag behind the command tha
 UNLOADING_RATE = 5.0  # [1/s] rate at which an arm that was blocked lets go: from 30 N to 5 N in 0.4 s
 # [rad/s or m/s] speed below which it does not fall on the way, and [rad or m] distance at which it has arrived
 SLOWEST, ARRIVED = 1e-3, 1e-9
-# [rad or m] no joint is farther beyond its limits than encoders count a turn too much, and none without is so far away
-TURN, LARGEST_POSITION = 2.0 * math.pi, 1e6
 LONGEST_TIME = 1e15  # [s] a larger number is no time: its steps are longer than a period
 STANDING = (Status.INVALID_INPUT, Status.STALE, Status.FOLLOWING_ERROR, Status.STOPPED)
 
@@ -284,9 +282,7 @@ class ServoLoop:
         if not (correction_time is None or (_is_number(correction_time) and 0.0 < correction_time < math.inf)):
             raise ConfigurationError(f"correction_time must be a positive number of seconds, got {correction_time!r}")
         self._correction_rate = 0.0 if correction_time is None else 1.0 / float(correction_time)
-        farthest = np.maximum(np.abs(self.robot.position_lower), np.abs(self.robot.position_upper)) + TURN
-        bounded = self.robot.nq == self.robot.nv and bool(np.all(np.isfinite(farthest)))
-        self._impossible = farthest if bounded else LARGEST_POSITION
+        self._impossible = farthest_positions(self.robot)
         self._period = Period(self.dt)
         self._slowed = 1.0, self.limits  # a share of the acceleration, and the limits with it
         self._return: Return | None = None

@@ -16,7 +16,7 @@ import numpy as np
 import pinocchio as pin
 from jaxtyping import Float, Int
 
-from manip_learn.robot.joints import Frame, carrying_joints
+from manip_learn.robot.joints import CarryingJoints, Frame, carrying_joints
 
 REFERENCES = {"world": pin.ReferenceFrame.LOCAL_WORLD_ALIGNED, "local": pin.ReferenceFrame.LOCAL}
 DOUBLE = np.dtype(np.float64)  # of this machine's byte order
@@ -222,6 +222,11 @@ class FrameKinematics:
         self._columns_to_joints = columns_to_joints(self.model)
         self._hessian_shape = (self.model.nv, 6 * self.model.nv)
         self._local = threading.local()
+
+    @property
+    def chain(self) -> CarryingJoints | None:
+        """The joints that carry the frame; None where one of them has more than one degree of freedom."""
+        return self._chain
 
     # ---- one posture ------------------------------------------------------------------------------------------------
 
