@@ -91,10 +91,9 @@ def box_of(n: int, rng: np.random.Generator) -> Bounds:
     return Bounds((middle - half).tolist(), (middle + half).tolist(), [1] * n, [1] * n, 0.0)
 
 
-def metric_of(n: int, rng: np.random.Generator) -> np.ndarray:
-    """1 + W^T W with the weights of the law, of few or many rows."""
-    W = rng.normal(size=(int(rng.integers(1, n + 1)), n)) / rng.choice([ACROSS, ALONG, 1.0])
-    return np.eye(n) + W.T @ W
+def weighted_rows(n: int, rng: np.random.Generator) -> np.ndarray:
+    """W of the metric 1 + W^T W with the weights of the law, of few or many rows."""
+    return rng.normal(size=(int(rng.integers(1, n + 1)), n)) / rng.choice([ACROSS, ALONG, 1.0])
 
 
 def excess(u: np.ndarray, bounds: Bounds) -> float:
@@ -111,15 +110,16 @@ def test_the_nearest_velocity_meets_the_conditions_of_the_optimum(seed: int) -> 
     rng = np.random.default_rng([42, seed])
     for _ in range(60):
         n = int(rng.integers(1, 10))
-        M, bounds, wish = metric_of(n, rng), box_of(n, rng), 2.0 * rng.normal(size=n)
+        W, bounds, wish = weighted_rows(n, rng), box_of(n, rng), 2.0 * rng.normal(size=n)
         low, high = np.array(bounds.low), np.array(bounds.high)
         G = rng.normal(size=(int(rng.integers(0, 4)), n))
         least = G @ rng.uniform(low, high) - 0.1 * rng.exponential(size=len(G))  # a point within the bounds meets them
-        u = nearest_within(wish, M, bounds, (G, least) if len(G) else None)
+        u = nearest_within(wish, W, bounds, (G, least) if len(G) else None)
         assert excess(u, bounds) <= 0.0
         assert np.all(G @ u >= least - 1e-9)
         met = 1e-9 * (1.0 + np.abs(u))
         pushing = np.vstack((np.eye(n)[u <= low + met], -np.eye(n)[u >= high - met], G[G @ u <= least + 1e-8]))
+        M = np.eye(n) + W.T @ W
         slope = M @ (u - wish)
         size = float(np.linalg.norm(M) * np.linalg.norm(u - wish))
         if size > 0.0:
@@ -131,11 +131,11 @@ def test_bounds_have_precedence_over_rows(rng: np.random.Generator) -> None:
     """Rows that no velocity within the bounds meets are left out."""
     for _ in range(100):
         n = int(rng.integers(1, 10))
-        M, bounds, wish = metric_of(n, rng), box_of(n, rng), 2.0 * rng.normal(size=n)
+        W, bounds, wish = weighted_rows(n, rng), box_of(n, rng), 2.0 * rng.normal(size=n)
         g = rng.normal(size=n)
         most = float(np.maximum(g * np.array(bounds.low), g * np.array(bounds.high)).sum())
-        u = nearest_within(wish, M, bounds, (g[None], np.array([most + 0.1])))
-        np.testing.assert_array_equal(u, nearest_within(wish, M, bounds, None))
+        u = nearest_within(wish, W, bounds, (g[None], np.array([most + 0.1])))
+        np.testing.assert_array_equal(u, nearest_within(wish, W, bounds, None))
 
 
 def test_a_velocity_within_the_bounds_stays(rng: np.random.Generator) -> None:
@@ -144,7 +144,7 @@ def test_a_velocity_within_the_bounds_stays(rng: np.random.Generator) -> None:
         n = int(rng.integers(1, 10))
         wish = rng.normal(size=n)
         wide = Bounds((wish - 0.1).tolist(), (wish + 0.1).tolist(), [1] * n, [1] * n, 0.0)
-        np.testing.assert_allclose(nearest_within(wish, metric_of(n, rng), wide, None), wish, rtol=0, atol=1e-12)
+        np.testing.assert_allclose(nearest_within(wish, weighted_rows(n, rng), wide, None), wish, rtol=0, atol=1e-12)
 
 
 @pytest.mark.parametrize("name", ["sawyer", "panda", "gantry", "wrist"])

@@ -99,9 +99,7 @@ class NativeLaw:
         )
         self.roll = self._engine.roll
 
-    def command(
-        self, q: np.ndarray, t: float, dt: float, previous: np.ndarray | None, slide: float
-    ) -> Command | None:
+    def command(self, q: np.ndarray, t: float, dt: float, previous: np.ndarray | None, slide: float) -> Command | None:
         """As `Law.command`; None where that has to do it, as for input that is none."""
         knows_rows, knows_task, knows_policy = self._knows
         if knows_rows and knows_task and knows_policy and q.shape[0] == self._constraint.nv:
@@ -178,7 +176,10 @@ def _chain_of(kinematics: FrameKinematics) -> dict[str, Any] | None:
         )
         turned = turn
     end = model.frames[chain.index].placement
-    tip = {"rotation": (turned.T @ end.rotation).reshape(-1).tolist(), "translation": (turned.T @ end.translation).tolist()}
+    tip = {
+        "rotation": (turned.T @ end.rotation).reshape(-1).tolist(),
+        "translation": (turned.T @ end.translation).tolist(),
+    }
     return {"joints": joints, **tip}
 
 

@@ -11,7 +11,7 @@ import daqp
 import numpy as np
 from jaxtyping import Float
 from numpy.typing import ArrayLike
-from scipy.linalg.lapack import dposv
+from scipy.linalg.lapack import dgeqrf, dposv, dtrtrs  # pyright: ignore[reportAttributeAccessIssue]
 
 from manip_learn.constraint.constraint import Constraint
 from manip_learn.constraint.features.feature_map import Vjp
@@ -232,6 +232,7 @@ class Law:
                 )
             V = V[gains > 0.0]
             return Desired(rows, b, task, w - V.dot(w).dot(V), np.zeros(nv), mu, smallest, V, Y)
+        V = V[sigma > SINGULAR_RATIO * sigma[0]]  # of what is lost, rounding alone says where it was
         least = float(sigma[-1]) if s <= nv else 0.0
         share = max(0.0, 1.0 - (least / self.threshold) ** 2)
         w = self._with_seed(q, w, smallest, limits)
@@ -266,7 +267,7 @@ class Law:
         (U, sigma, Vt), square, nv = decomposition, self.damping**2, self.constraint.nv
         lost = U[:, : len(sigma)][:, sigma < self.threshold]
         pressed = lost.dot(b.dot(lost))
-        if not pressed.any():
+        if not pressed.any() or sigma[-1] <= SINGULAR_RATIO * sigma[0]:  # at the singularity there is no way to it
             return square
         rates = self.constraint.value_and_vjp(q)[1] if vjp is None else vjp
         slope = smallest_gradient(decomposition, rates)
@@ -323,10 +324,10 @@ class Law:
             return self._as_wished(law, wish, bounds.outside)
         D = self.task.driven_rows(self.constraint)
         asked, wish = wish, self._slowed(law, D, wish, limits, barrier)
-        M = self._metric(law, D, dt, slide)
+        W = self._metric(law, D, dt, slide)
 
         def nearest(rows: Barrier | None) -> np.ndarray:
-            return nearest_within(wish, M, bounds, rows)
+            return nearest_within(wish, W, bounds, rows)
 
         u = nearest(barrier) if tip is None or tips is None else tip.bounded(tips, wish, barrier, nearest)
         return self._bounded(law, asked, u, bounds, tip_cause)
@@ -358,8 +359,8 @@ class Law:
                 drive = drive * min(1.0, max(0.0, (float(slope.dot(rest)) - least) / toward))
         return rest + drive
 
-    def _metric(self, law: Desired, D: np.ndarray, dt: float, slide: float) -> Float[np.ndarray, "nv nv"]:
-        """M of the program min (u - u*)^T M (u - u*), see the class.
+    def _metric(self, law: Desired, D: np.ndarray, dt: float, slide: float) -> Float[np.ndarray, "s nv"]:
+        """W of the program min |W (u - u*)|^2 + |u - u*|^2, see the class.
 
         With `slide` the task's direction gives way as its speed does, damped as u* is near a singularity, so that
         explicit steps of dt can follow.
@@ -378,7 +379,7 @@ class Law:
             if length > AT_GOAL:
                 d = along.dot(D) * (1.0 / length)
                 W = W + np.outer(d, d.dot(A)) * (1.0 / speed - 1.0 / across)
-        return unit(A.shape[1]) + W.T.dot(W)
+        return W
 
     def _approach(
         self, q: np.ndarray, dt: float, law: Desired, u: np.ndarray, limits: Limits
@@ -435,31 +436,40 @@ class Law:
 
 
 def nearest_within(
-    wish: Float[np.ndarray, " nv"], M: Float[np.ndarray, "nv nv"], bounds: Bounds, barrier: Barrier | None
+    wish: Float[np.ndarray, " nv"], W: Float[np.ndarray, "s nv"], bounds: Bounds, barrier: Barrier | None
 ) -> Float[np.ndarray, " nv"]:
-    """argmin (u - wish)^T M (u - wish) within the bounds, and with G u >= least where the bounds allow that.
+    """argmin |W (u - wish)|^2 + |u - wish|^2 within the bounds, and with G u >= least where the bounds allow that.
+
+    With R^T R = 1 + W^T W it is solved for z = R (u - wish): the metric itself, whose condition is the square of that
+    of R, would cost eight digits.
 
     Args:
         wish: Velocity before bounds [rad/s or m/s].
-        M: Positive definite.
+        W: Any rows.
         bounds: Of the joints, which have precedence.
         barrier: (G, least), or None.
     """
-    nv = len(wish)
+    nv, one = len(wish), _one(len(wish))
     lowest, highest = np.array(bounds.low), np.array(bounds.high)
+    inverse = dtrtrs(dgeqrf(np.concatenate((one, W)))[0][:nv], one)[0]  # R^-1
     for barred in (barrier, None) if barrier is not None else (None,):
-        G = _no_rows(nv) if barred is None else barred[0]
-        least, most = lowest - wish, highest - wish
+        rows, least, most = inverse, lowest - wish, highest - wish
         if barred is not None:
-            least = np.concatenate((least, barred[1] - G.dot(wish)))
-            most = np.concatenate((most, np.full(len(G), np.inf)))
-        y, _, flag, _ = daqp.solve(M, _zeros(nv), G, most, least, _inequalities(len(most)), primal_tol=FINE)
+            rows = np.concatenate((inverse, barred[0].dot(inverse)))
+            least = np.concatenate((least, barred[1] - barred[0].dot(wish)))
+            most = np.concatenate((most, np.full(len(barred[0]), np.inf)))
+        z, _, flag, _ = daqp.solve(one, _zeros(nv), rows, most, least, _inequalities(len(most)), primal_tol=FINE)
         if flag == 1:
-            u = wish + y
+            u = wish + inverse.dot(z)
             within = np.clip(u, lowest, highest)
             if float(np.abs(within - u).max()) <= ROUNDING:
                 return within
     return np.clip(wish, lowest, highest)
+
+
+@cache
+def _one(size: int) -> np.ndarray:
+    return np.eye(size)  # DAQP takes no array that may not be written to
 
 
 @cache
@@ -470,11 +480,6 @@ def _zeros(size: int) -> np.ndarray:
 @cache
 def _inequalities(size: int) -> np.ndarray:
     return np.zeros(size, dtype=np.int32)
-
-
-@cache
-def _no_rows(nv: int) -> np.ndarray:
-    return np.zeros((0, nv))
 
 
 def next_slide(slide: float, stalls: bool, progress: float, dt: float) -> float:
