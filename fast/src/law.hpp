@@ -100,7 +100,6 @@ struct Workspace {
   double A[MAX * MAX], E[MAX * MAX], D[MAX * MAX], Y[MAX * MAX], W[MAX * MAX], G[MAX * MAX], w[MAX], slope[MAX];
   RowInverse own, other;
   Svd of_A, of_rows;
-  bool decomposed;
   Bounds bounds;
   Barrier barrier;
   TipLimits::At tips;
@@ -141,11 +140,7 @@ struct Law {
     bool well = ws.own.of(A, s, n), fits = well;
     if (E) fits = ws.other.of(E, s, n);
     const RowInverse& inverse = E ? ws.other : ws.own;
-    ws.decomposed = false;
-    std::function<Svd&()> svd_of_A = [&ws, A, this]() -> Svd& {
-      if (!ws.decomposed) ws.of_A.of(A, s, n), ws.decomposed = true;
-      return ws.of_A;
-    };
+    LazySvd svd_of_A{ws.of_A, A, s, n};
     if (given.w) std::copy(given.w, given.w + n, ws.w);
     else policy.at(q, n, dt, well ? &ws.own : nullptr, svd_of_A, *vjp, ws.w);
     const double *basis, *Y;
@@ -216,7 +211,7 @@ struct Law {
   // ---- before bounds ----
 
   const Svd& near_singularity(Workspace& ws, const double* q, const double* A, const double* R, const double* D,
-                              int driven, double dt, const Vjp& vjp, const std::function<Svd&()>& svd_of_A, Outcome& out,
+                              int driven, double dt, const Vjp& vjp, LazySvd& svd_of_A, Outcome& out,
                               double& lambda) const {
     Svd& svd = R == A ? svd_of_A() : ws.of_rows;
     if (R != A) svd.of(R, s, n);
@@ -339,7 +334,7 @@ struct Law {
 
   // whether u could approach the singularity too fast; then `slope` is the gradient of the smallest singular value
   bool approaches(Workspace& ws, const double* A, const double* R, const double* u, double dt, const Vjp& vjp,
-                  const std::function<Svd&()>& svd_of_A, double smallest) const {
+                  LazySvd& svd_of_A, double smallest) const {
     if (!damped || s > n || smallest <= SINGULAR_RATIO) return false;
     if (!limits.may_approach(dot(u, u, n), dot(R, R, s * n), smallest, dt)) return false;
     const Svd& svd = svd_of_A();

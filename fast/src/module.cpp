@@ -142,8 +142,6 @@ class Engine {
     int n = law.n, s = law.s;
     const double *posture = numbers_of(q, n), *before = numbers_of(previous, n);
     if (!posture || (!previous.is_none() && !before)) return nb::none();
-    for (int j = 0; j < n; j++)
-      if (!std::isfinite(posture[j])) return nb::none();
     Given given;
     given.b = numbers_of(b, s), given.E = numbers_of(E, s * n), given.w = numbers_of(w, n);
     given.A = numbers_of(A, s * n);
@@ -172,17 +170,20 @@ class Engine {
     Outcome out;
     const Approach* constants = approaches ? approaches->data() : nullptr;
     if (!law.command(*lease.ws, posture, dt, constants, before, slide, given, out)) return nb::none();
-    nb::object fields = nb::steal(PyTuple_New(14));
-    auto set = [&fields](int i, PyObject* value) { PyTuple_SET_ITEM(fields.ptr(), i, value); };
-    set(0, array_of(out.velocity, n)), set(1, nb::object(statuses[out.status]).release().ptr());
-    set(2, PyFloat_FromDouble(out.mu)), set(3, array_of(out.b, s)), set(4, array_of(out.task, n));
-    set(5, array_of(out.null, n)), set(6, PyFloat_FromDouble(out.task_scale));
-    set(7, PyFloat_FromDouble(out.null_scale)), set(8, PyFloat_FromDouble(out.smallest));
-    set(9, out.near ? array_of(out.escape, n) : nb::none().release().ptr());
-    set(10, PyFloat_FromDouble(out.progress)), set(11, PyFloat_FromDouble(out.outside));
-    set(12, PyLong_FromLong(out.joint)), set(13, PyFloat_FromDouble(0.0));
-    nb::object arguments = nb::steal(PyTuple_Pack(1, fields.ptr()));
-    return nb::steal(PyTuple_Type.tp_new((PyTypeObject*)command_type.ptr(), arguments.ptr(), nullptr));
+    return made(out);
+  }
+
+  // a step of which the engine knows everything
+  nb::object step(nb::handle q, double dt, nb::handle previous, double slide) {
+    const double *posture = numbers_of(q, law.n), *before = numbers_of(previous, law.n);
+    if (!posture || (!previous.is_none() && !before)) return nb::none();
+    if (law.limits.given) prepare(dt);
+    Lease lease;
+    Outcome out;
+    const Approach* constants = approach ? approach->data() : nullptr;
+    slide = law.task.slides ? slide : 0.0;
+    if (!law.command(*lease.ws, posture, dt, constants, before, slide, Given(), out)) return nb::none();
+    return made(out);
   }
 
   // The next samples of runs as a ServoLoop in simulation makes them, one start a row; postures, velocities before and
@@ -214,6 +215,19 @@ class Engine {
   }
 
  private:
+  nb::object made(const Outcome& out) const {
+    auto* type = (PyTypeObject*)command_type.ptr();
+    PyObject* fields[14] = {
+        array_of(out.velocity, law.n), nb::object(statuses[out.status]).release().ptr(), PyFloat_FromDouble(out.mu),
+        array_of(out.b, law.s), array_of(out.task, law.n), array_of(out.null, law.n),
+        PyFloat_FromDouble(out.task_scale), PyFloat_FromDouble(out.null_scale), PyFloat_FromDouble(out.smallest),
+        out.near ? array_of(out.escape, law.n) : nb::none().release().ptr(), PyFloat_FromDouble(out.progress),
+        PyFloat_FromDouble(out.outside), PyLong_FromLong(out.joint), PyFloat_FromDouble(0.0)};
+    PyObject* command = type->tp_alloc(type, 14);  // a named tuple is a tuple
+    for (int i = 0; i < 14; i++) PyTuple_SET_ITEM(command, i, fields[i]);
+    return nb::steal(command);
+  }
+
   bool run(Workspace& ws, const Approach* approaches, double* q, double* u, double& slide, double dt, int samples,
            double* to_q, double* to_u, double* to) const {
     int n = law.n, s = law.s;
@@ -240,5 +254,6 @@ NB_MODULE(_engine, m) {
       .def(nb::init<const nb::dict&, nb::object, nb::list>())
       .def("command", &Engine::command, nb::arg(), nb::arg(), nb::arg().none(), nb::arg(), nb::arg().none(),
            nb::arg().none(), nb::arg().none(), nb::arg().none(), nb::arg().none(), nb::arg().none())
+      .def("step", &Engine::step, nb::arg(), nb::arg(), nb::arg().none(), nb::arg())
       .def("roll", &Engine::roll);
 }

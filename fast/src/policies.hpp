@@ -123,7 +123,7 @@ struct Policy {
   }
 
   // w at joint positions q; the rows' inverse (null where it is ill-conditioned), or their decomposition, made on demand
-  void at(const double* q, int n, double dt, const RowInverse* own, const std::function<Svd&()>& svd, const Vjp& vjp,
+  void at(const double* q, int n, double dt, const RowInverse* own, LazySvd& svd, const Vjp& vjp,
           double* w) const {
     double part[MAX];
     std::fill(w, w + n, 0.0);

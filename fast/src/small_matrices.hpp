@@ -173,6 +173,18 @@ struct Svd {
   }
 };
 
+// a decomposition that is made when it is first asked for
+struct LazySvd {
+  Svd& svd;
+  const double* A;
+  int s, n;
+  bool made = false;
+  Svd& operator()() {
+    if (!made) svd.of(A, s, n), made = true;
+    return svd;
+  }
+};
+
 struct RowInverse {
   double X[MAX * MAX], volume, smallest;
   double G[MAX * MAX], copy[MAX * MAX], values[MAX];

@@ -132,10 +132,12 @@ class ResolvedRateController:
             dt = self.dt
         elif not 0.0 < dt < math.inf:
             raise ConfigurationError(f"dt must be a positive number of seconds, got {dt!r}")
+        native = self._native
+        if native is not None and (command := native.step(q, dt, previous, slide)) is not None:
+            return command
         if not (self._features_check and type(q) is np.ndarray and is_plain(q)):
             q = self._checked_posture(q)
         slide = slide if self.task.slides else 0.0
-        native = self._native
         if native is None or (command := native.command(q, t, dt, previous, slide)) is None:
             return self._law.command(q, t, dt, self.limits, previous, slide)
         return command

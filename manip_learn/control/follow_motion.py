@@ -140,9 +140,8 @@ class FollowMotion:
         u, none = np.clip(wish, bounds.low, bounds.high), np.zeros_like(wish)
         if limits.tip is not None:
             tips = limits.tip.at(q, dt, limits.acceleration, previous)
-            u = limits.tip.bounded(
-                tips, u, None, lambda rows: nearest_within(wish, np.zeros((0, len(wish))), bounds, rows)
-            )
+            W = np.zeros((0, len(wish)))
+            u = limits.tip.bounded(tips, u, None, lambda rows: nearest_within(wish, W, bounds, rows))
         j, cause = bounds.binding(u, wish)
         status = Status.OK if j < 0 else slowed_by(cause)
         if bounds.outside > 0.0:
