@@ -255,17 +255,19 @@ struct Law {
     for (int i = 0; i < k; i++)
       if (svd.sigma[i] < threshold) add(pressed, dot(b, svd.U + i * s, s), svd.U + i * s, s);
     for (int i = 0; i < s; i++) any = any || pressed[i] != 0.0;
-    // at the singularity itself there is no way to it
-    if (!any || svd.rank < k) return square;
+    if (!any) return square;
     auto outer = [this](const double* u, const double* v, double* W) {
       for (int i = 0; i < s; i++)
         for (int j = 0; j < n; j++) W[i * n + j] = u[i] * v[j];
     };
-    outer(svd.U + (k - 1) * s, svd.V + (k - 1) * n, W), vjp(W, slope);
-    for (int i = 0; i < k; i++)
-      add(along, dot(b, svd.U + i * s, s) * svd.sigma[i] / (svd.sigma[i] * svd.sigma[i] + square), svd.V + i * n, n);
-    double size = std::sqrt(dot(slope, slope, n) * dot(along, along, n));
-    double pressing = size > 0.0 ? -dot(slope, along, n) / size : 0.0, total = 0.0;
+    double pressing = 1.0, total = 0.0;  // at the singularity itself
+    if (svd.rank == k) {
+      outer(svd.U + (k - 1) * s, svd.V + (k - 1) * n, W), vjp(W, slope);
+      for (int i = 0; i < k; i++)
+        add(along, dot(b, svd.U + i * s, s) * svd.sigma[i] / (svd.sigma[i] * svd.sigma[i] + square), svd.V + i * n, n);
+      double size = std::sqrt(dot(slope, slope, n) * dot(along, along, n));
+      pressing = size > 0.0 ? -dot(slope, along, n) / size : 0.0;
+    }
     if (pressing <= 0.0) return square;
     for (int j = 0; j < n; j++) {
       double unit[MAX] = {};

@@ -267,13 +267,15 @@ class Law:
         (U, sigma, Vt), square, nv = decomposition, self.damping**2, self.constraint.nv
         lost = U[:, : len(sigma)][:, sigma < self.threshold]
         pressed = lost.dot(b.dot(lost))
-        if not pressed.any() or sigma[-1] <= SINGULAR_RATIO * sigma[0]:  # at the singularity there is no way to it
+        if not pressed.any():
             return square
         rates = self.constraint.value_and_vjp(q)[1] if vjp is None else vjp
-        slope = smallest_gradient(decomposition, rates)
-        task = (b.dot(U)[: len(sigma)] * sigma / (sigma * sigma + square)).dot(Vt[: len(sigma)])
-        size = math.sqrt(slope.dot(slope) * task.dot(task))
-        pressing = -float(slope.dot(task)) / size if size > 0.0 else 0.0
+        pressing = 1.0  # at the singularity itself, where nothing says whether the task leads into it or out of it
+        if sigma[-1] > SINGULAR_RATIO * sigma[0]:
+            slope = smallest_gradient(decomposition, rates)
+            task = (b.dot(U)[: len(sigma)] * sigma / (sigma * sigma + square)).dot(Vt[: len(sigma)])
+            size = math.sqrt(slope.dot(slope) * task.dot(task))
+            pressing = -float(slope.dot(task)) / size if size > 0.0 else 0.0
         if pressing <= 0.0:
             return square
         flat = vjps(rates, np.outer(pressed, unit(nv)), nv).reshape(-1)

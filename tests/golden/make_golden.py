@@ -17,6 +17,7 @@ import os
 
 # before NumPy is loaded: sums must not depend on the number of cores
 os.environ.update(dict.fromkeys(("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"), "1"))
+os.environ["MANIP_LEARN_ENGINE"] = "python"  # the text of the law, whatever else is installed
 
 import argparse  # noqa: E402
 import importlib.metadata  # noqa: E402
