@@ -147,6 +147,11 @@ class ResolvedRateController:
         """What computes the commands: the compiled law (`pip install ./fast`), or the one in Python."""
         return "python" if self._native is None else "native"
 
+    @property
+    def compiled_rollouts(self) -> Callable[..., list[bool]] | None:
+        """Whole rollouts where all of the law is compiled, see `simulation`; None where Python has a part in it."""
+        return None if self._native is None else self._native.roll
+
     @cached_property
     def _native(self) -> NativeLaw | None:
         return native_law(self._law, self.limits)

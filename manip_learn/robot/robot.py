@@ -128,7 +128,7 @@ class Robot:
         self._followers = [(joint.idx_v, slice(joint.idx_q, joint.idx_q + joint.nq)) for joint in joints]
         # a plain robot's configuration IS Pinocchio's: the hot path skips all conversions
         self._plain = nq == nv == model.nq and self._coupling is None
-        self._positions_add_up = all(b.kind not in ("floating", "planar", "other") for b in blocks)
+        self.positions_add_up = all(b.kind not in ("floating", "planar", "other") for b in blocks)
         self._unit_blocks = tuple(b for b in blocks if b.kind in ("continuous", "floating", "planar"))
 
     def _build_frames(self) -> None:
@@ -321,7 +321,7 @@ class Robot:
         """
         vector = self.checked_posture(q)
         step = self.velocity(v)
-        if vector.shape[0] == self.nv and self._positions_add_up:
+        if vector.shape[0] == self.nv and self.positions_add_up:
             return vector + step
         out = self._integrate_configuration(self.configuration(vector), step)
         return self.positions(out) if vector.shape[0] == self.nv else out
