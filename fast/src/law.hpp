@@ -180,7 +180,7 @@ struct Law {
         slow = false, tip_cause = near_wall ? POSITION : VELOCITY;
       ws.barrier.number = own_rows;
     }
-    if (slow && ws.bounds.admit(wish, n)) return as_wished(R, wish, lost, weak, out);
+    if (slow && ws.bounds.admit(wish, n)) return ws.bounds.clip(wish, n, wish), as_wished(R, wish, lost, weak, out);
     // the part that drives is slowed down to what null-space motion makes no room for
     std::copy(wish, wish + n, asked);
     if (driven == s) std::copy(out.task, out.task + n, drive);
@@ -253,7 +253,7 @@ struct Law {
     bool any = false;
     int k = svd.k;
     for (int i = 0; i < k; i++)
-      if (svd.sigma[i] < threshold) add(pressed, dot(b, svd.U + i * s, s), svd.U + i * s, s);
+      if (svd.sigma[i] < threshold && (s <= n || i < svd.rank)) add(pressed, dot(b, svd.U + i * s, s), svd.U + i * s, s);
     for (int i = 0; i < s; i++) any = any || pressed[i] != 0.0;
     if (!any) return square;
     auto outer = [this](const double* u, const double* v, double* W) {

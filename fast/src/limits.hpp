@@ -4,7 +4,7 @@
 
 constexpr double INF = HUGE_VAL;
 constexpr double RESERVE = 1e-3, RETURN_SPEED = 0.25, ROOM_TO_LEAVE = 0.1, OUTSIDE = 1e-9, AT_BOUND = 1e-7;
-constexpr double APPROACH_RATE = 20.0, BRAKING_SHARE = 0.5, CROSSING_SPEED = 5e-4, ROUNDED = 1e-12;
+constexpr double FINE = 1e-13, APPROACH_RATE = 20.0, BRAKING_SHARE = 0.5, CROSSING_SPEED = 5e-4, ROUNDED = 1e-12;
 constexpr int MOST_ROWS = 12, MAX_ROWS = 256;  // cutting planes at most, and rows of a program
 constexpr int POSITION = 0, VELOCITY = 1, ACCELERATION = 2;
 
@@ -63,7 +63,7 @@ struct Bounds {
 
   bool admit(const double* u, int n) const {
     for (int j = 0; j < n; j++)
-      if (!(low[j] <= u[j] && u[j] <= high[j])) return false;
+      if (!(low[j] - u[j] <= FINE && u[j] - high[j] <= FINE)) return false;
     return true;
   }
 
@@ -72,7 +72,7 @@ struct Bounds {
   }
 
   void binding(const double* u, const double* wish, int n, int& joint, int& cause) const {
-    double most = 0.0;
+    double most = FINE;
     joint = cause = -1;
     for (int j = 0; j < n; j++) {
       double met = AT_BOUND * (1.0 + std::abs(u[j]));

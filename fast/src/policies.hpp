@@ -2,7 +2,7 @@
 #pragma once
 #include "limits.hpp"
 
-constexpr double SEED_SPEED = 5e-4, GROWTH = 1.25, LEAST_ROOM = 1e-4;
+constexpr double SEED_SPEED = 5e-4, GROWTH = 1.25, LEAST_ROOM = 1e-4, SAME = 1e-9;
 
 // prod_{j != i} sigma_j for each i
 inline void products_of_others(const double* sigma, int s, double* out) {
@@ -29,24 +29,32 @@ inline double steepest(Svd& svd, int first, int rank, bool inside, const Vjp& vj
     }
   for (int i = 0; i < n; i++) total += square[i * n + i];
   std::fill(direction, direction + n, 0.0);
-  if (total == 0.0) return 0.0;
-  int best = 0;
+  double least = SINGULAR_RATIO * svd.sigma[0];
+  if (inside ? total <= least * least : total == 0.0) return 0.0;
+  int size = n;
+  const double* basis = nullptr;
   if (inside) {
     double turned[MAX * MAX], small[MAX * MAX];
     for (int j = 0; j < z; j++) times(square, svd.V + (rank + j) * n, n, n, turned + j * n);
     for (int i = 0; i < z; i++)
       for (int j = 0; j < z; j++) small[i * z + j] = dot(svd.V + (rank + i) * n, turned + j * n, n);
     eigen(small, z, values, vectors);
-    best = std::max_element(values, values + z) - values;
-    inside = values[best] > 1e-12 * total;
-    if (inside) across(vectors + best * z, svd.V + rank * n, z, n, direction);
+    if (z && *std::max_element(values, values + z) > 1e-12 * total) size = z, basis = svd.V + rank * n;
   }
-  if (!inside) {
-    eigen(square, n, values, vectors);
-    best = std::max_element(values, values + n) - values;
-    std::copy(vectors + best * n, vectors + (best + 1) * n, direction);
-  }
-  return std::sqrt(std::max(values[best], 0.0));
+  if (!basis) eigen(square, n, values, vectors);
+  // of directions along which it grows as fast that of the first joint with most
+  double top = *std::max_element(values, values + size), shares[MAX] = {}, most = 0.0;
+  int found = 0, joint = 0;
+  for (int i = 0; i < size; i++)
+    if (values[i] >= top * (1.0 - SAME)) {
+      double* row = square + found++ * n;  // no longer needed
+      if (basis) across(vectors + i * z, basis, z, n, row);
+      else std::copy(vectors + i * n, vectors + (i + 1) * n, row);
+      for (int j = 0; j < n; j++) shares[j] += row[j] * row[j], most = std::max(most, shares[j]);
+    }
+  while (shares[joint] < most - SAME) joint++;
+  for (int i = 0; i < found; i++) add(direction, square[i * n + joint] / std::sqrt(shares[joint]), square + i * n, n);
+  return std::sqrt(std::max(top, 0.0));
 }
 
 struct Policy {
@@ -81,8 +89,7 @@ struct Policy {
     products_of_others(svd.sigma, s, others);
     if (logarithmic && std::isfinite(max_speed) && smallest <= least) {
       factor = steepest(svd, svd.rank, svd.rank, true, vjp, w) > 0.0 ? std::min(max_speed, SEED_SPEED) : 0.0;
-      double most = *std::max_element(w, w + n), fewest = *std::min_element(w, w + n);
-      for (int j = 0; j < n; j++) w[j] *= most < -fewest ? -factor : factor;
+      for (int j = 0; j < n; j++) w[j] *= factor;
       return;
     }
     bool lost = logarithmic && s > 1 && svd.sigma[s - 2] <= least;

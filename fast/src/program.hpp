@@ -5,8 +5,6 @@
 #pragma once
 #include "limits.hpp"
 
-constexpr double FINE = 1e-13;
-
 struct Program {
   int n;
   double R[MAX * MAX];  // upper triangle

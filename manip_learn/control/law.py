@@ -18,7 +18,7 @@ from manip_learn.constraint.features.feature_map import Vjp
 from manip_learn.constraint.manipulability import SINGULAR_RATIO, smallest_gradient
 from manip_learn.constraint.small_matrices import row_inverse, svd
 from manip_learn.control.command import POSITION, SCALED_BELOW, VELOCITY, Command, status_of
-from manip_learn.control.limits import Barrier, Bounds, Limits, approach_bound
+from manip_learn.control.limits import FINE, Barrier, Bounds, Limits, approach_bound
 from manip_learn.control.policies import SEED_SPEED, ManipulabilityAscent, NullSpacePolicy, SampledPolicy
 from manip_learn.control.tasks import Task
 from manip_learn.errors import ConfigurationError, TargetError, advice
@@ -38,7 +38,6 @@ SEED_SHARE = 6e-4  # singular value up to which a policy that has all but vanish
 # an explicit step of dt follows a velocity field whose slope is at most this over dt: from 1 / dt on a step goes beyond
 # where the field leads, and the policy's own field adds to the task's
 STABLE_SLOPE = 0.5
-FINE = 1e-13  # [rad/s or m/s] by how much DAQP may exceed a bound: commands are compared to 1e-12
 ROUNDING = 1e-9  # [rad/s or m/s] by how much rounding may
 # [s] for which a task stalls until the arm slides along what blocks it, and goes on until its direction is kept again
 SLIDING_AFTER, KEEPING_AFTER = 0.5, 1.0
@@ -265,7 +264,10 @@ class Law:
         between A^# b and the way to the singularity.
         """
         (U, sigma, Vt), square, nv = decomposition, self.damping**2, self.constraint.nv
-        lost = U[:, : len(sigma)][:, sigma < self.threshold]
+        nearly = sigma < self.threshold
+        if len(U) > nv:  # rows beyond the number of joints: rounding alone says which of them zeros belong to
+            nearly &= sigma > SINGULAR_RATIO * sigma[0]
+        lost = U[:, : len(sigma)][:, nearly]
         pressed = lost.dot(b.dot(lost))
         if not pressed.any():
             return square
@@ -322,8 +324,8 @@ class Law:
         tip_cause = -1  # of a limit of frames
         if tip is not None and tips is not None and tip.rows(tips, wish) is not None:
             slow, tip_cause = False, POSITION if np.any(tips.too_near(wish)) else VELOCITY
-        if slow and bounds.admit(wish):
-            return self._as_wished(law, wish, bounds.outside)
+        if slow and (excess := bounds.excess(wish)) <= FINE:
+            return self._as_wished(law, wish if excess <= 0.0 else np.clip(wish, *bounds[:2]), bounds.outside)
         D = self.task.driven_rows(self.constraint)
         asked, wish = wish, self._slowed(law, D, wish, limits, barrier)
         W = self._metric(law, D, dt, slide)
@@ -425,7 +427,7 @@ class Law:
             changed=True,
             scale=scale,
             cause=tip_cause if joint < 0 else cause,
-            fits=bounds.admit(law.task),
+            fits=bounds.excess(law.task) <= FINE,
         )
         return Command(
             *(u, status, law.mu, law.b, task_part, null_part, scale, null_scale, law.smallest, escape, progress),

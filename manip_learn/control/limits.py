@@ -5,7 +5,7 @@ from __future__ import annotations
 import copy
 import math
 from collections.abc import Callable, Sequence
-from operator import le, neg, truediv
+from operator import le, neg, sub, truediv
 from typing import NamedTuple, final
 
 import numpy as np
@@ -25,6 +25,7 @@ ACCELERATION_RATE = 5.0  # [1/s] default acceleration limit over velocity limit:
 DEFAULT_ACCELERATION = 10.0  # [rad/s2 or m/s2] default limit of a joint that has no velocity limit
 ROOM_TO_LEAVE = 0.1  # [rad or m] room that the joints need for leaving a singularity
 OUTSIDE = 1e-9  # [rad or m] a joint is outside when it is more than this beyond a position limit
+FINE = 1e-13  # [rad/s or m/s] by how much rounding makes a velocity exceed a bound, as that of a joint at its limit
 AT_BOUND = 1e-7  # share of a bound within which a velocity counts as being at it
 # [1/s] rate at which a wall is approached exponentially at the end of the braking distance: a singularity, where the
 # smallest singular value falls, a position limit, a wall of the hand
@@ -340,9 +341,14 @@ class Bounds(NamedTuple):
         u = velocity.tolist()
         return all(map(le, self.low, u)) and all(map(le, u, self.high))
 
+    def excess(self, velocity: Float[np.ndarray, " nv"]) -> float:
+        """By how much a velocity exceeds the bounds [rad/s or m/s]; negative within them."""
+        u = velocity.tolist()
+        return max(max(map(sub, u, self.high)), max(map(sub, self.low, u)))
+
     def binding(self, velocity: Float[np.ndarray, " nv"], desired: Float[np.ndarray, " nv"]) -> tuple[int, int]:
         """The joint at a bound whose desired velocity exceeds it most, and the limit that sets it; (-1, -1) if none."""
-        joint, cause, most, u = -1, -1, 0.0, velocity.tolist()
+        joint, cause, most, u = -1, -1, FINE, velocity.tolist()
         for j, (wish, low, high) in enumerate(zip(desired.tolist(), self.low, self.high, strict=True)):
             if low <= wish <= high:
                 continue

@@ -24,6 +24,7 @@ from manip_learn.constraint.manipulability import (
 )
 from manip_learn.constraint.small_matrices import row_inverse, svd
 from manip_learn.errors import ConfigurationError, ConstraintError, TargetError
+from manip_learn.linalg import unit
 from manip_learn.robot.collision import SelfCollision
 from manip_learn.robot.frame_kinematics import vjps
 from manip_learn.robot.limit_potential import has_range, ranges, room_of
@@ -37,6 +38,7 @@ SEED_SPEED = 5e-4  # [rad/s] speed at which an exact singularity is left, where 
 # a singularity turn to and fro now and then
 GROWTH = 1.25
 LEAST_ROOM = 1e-4  # of a joint's range, below which a joint counts as at its limit: its slope stays finite
+SAME = 1e-9  # share by which rates may differ that count as equal
 LARGEST_RATE = 1.0  # [1/s] half ranges a second that a joint moves at most, for joints whose range is short
 
 
@@ -515,17 +517,19 @@ def steepest_ascent(decomposition: tuple[np.ndarray, np.ndarray, np.ndarray], vj
     M = rows[0] if len(rows) == 1 else np.concatenate(rows)
     flat = M.reshape(-1)
     square = float(flat.dot(flat))
-    if square == 0.0:
+    if square <= (SINGULAR_RATIO * largest) ** 2:  # rounding: the rows depend on each other everywhere
         return np.zeros(M.shape[1])
     inside = M.dot(Z.T)
     squares, vectors, failed = dsyev(inside.T.dot(inside))
     # the largest rate of all is at most the root of `square`, and seldom less than half of it
-    if not failed and squares[-1] > 1e-12 * square:
-        direction = vectors[:, -1].dot(Z)
-    else:
-        direction = svd(M)[2][0]
-    values = direction.tolist()
-    return -direction if max(values) < -min(values) else direction
+    if failed or not squares[-1] > 1e-12 * square:
+        squares, vectors, _ = dsyev(M.T.dot(M))
+        Z = unit(M.shape[1])
+    # of directions along which it grows as fast, as at the saddle of a planar arm, that of the first joint with most
+    fastest = vectors[:, squares >= squares[-1] * (1.0 - SAME)].T.dot(Z)
+    shares = (fastest * fastest).sum(axis=0)
+    joint = int(np.argmax(shares >= shares.max() - SAME))
+    return fastest[:, joint].dot(fastest) / math.sqrt(shares[joint])
 
 
 @final
