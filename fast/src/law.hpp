@@ -7,7 +7,7 @@
 
 constexpr double HELD = 0.1, ACROSS = 1e-4, ALONG = 3e-3, ESCAPE_WIDTH = 0.6, ESCAPE_SPEED = 0.2, SEED_SHARE = 6e-4;
 constexpr double STABLE_SLOPE = 0.5, AT_GOAL = 1e-6, SLIDING_AFTER = 0.5, KEEPING_AFTER = 1.0, GOING_ON = 0.5;
-constexpr double STALLED_BELOW = 0.02, SCALED_BELOW = 0.999;
+constexpr double ROUNDING = 1e-9, STALLED_BELOW = 0.02, SCALED_BELOW = 0.999;
 // in the order of `Status`
 constexpr int LAW_VERSION = 1;  // as in engine.py: it grows whenever a number of the law changes
 enum Status { OUTSIDE_LIMITS = 4, SINGULAR, STALLED, POSITION_LIMITED, VELOCITY_LIMITED, ACCELERATION_LIMITED, DAMPED,
@@ -195,8 +195,8 @@ struct Law {
     if (fastest > 1.0) {
       double left = INF;
       for (int j = 0; j < n; j++) {
-        double sign = drive[j] > 0.0 ? 1.0 : drive[j] < 0.0 ? -1.0 : 0.0;
-        left = std::min(left, (limits.velocity[j] - sign * rest[j]) / std::max(std::abs(drive[j]), 1e-300));
+        double size = std::abs(drive[j]), room = limits.velocity[j] - (drive[j] > 0.0 ? rest[j] : -rest[j]);
+        if (size > ROUNDING) left = std::min(left, room / size);
       }
       factor = std::min(1.0, std::max(1.0 / fastest, left));
     }

@@ -354,7 +354,8 @@ class Law:
         drive = law.task if len(D) == len(law.b) else D.T.dot(D.dot(law.b)).dot(law.gain)
         rest, fastest = wish - drive, float((np.abs(drive) / limits.velocity).max())
         if fastest > 1.0:  # as far as what else moves leaves no room for it
-            left = (limits.velocity - np.sign(drive) * rest) / np.maximum(np.abs(drive), 1e-300)
+            moved = np.abs(drive) > ROUNDING
+            left = (limits.velocity - np.sign(drive) * rest)[moved] / np.abs(drive)[moved]
             drive = drive * min(1.0, max(1.0 / fastest, float(left.min())))
         if barrier is not None:
             slope, least = barrier[0][0], float(barrier[1][0])
