@@ -56,8 +56,9 @@ struct Program {
       double most = tolerance, normal[MAX];
       for (int j = 0; j < n; j++) {
         double under = bounds.low[j] - wish[j] - y[j], over = y[j] + wish[j] - bounds.high[j];
-        if (under > most && !met[2 * j]) most = under, worst = 2 * j;
-        if (over > most && !met[2 * j + 1]) most = over, worst = 2 * j + 1;
+        if (met[2 * j] || met[2 * j + 1]) continue;  // at one of its bounds, which is within the other
+        if (under > most) most = under, worst = 2 * j;
+        if (over > most) most = over, worst = 2 * j + 1;
       }
       for (int r = 0; r < others; r++) {
         if (met[2 * n + r]) continue;
@@ -89,6 +90,10 @@ struct Program {
         for (int i = 0; i < number; i++)
           if (r[i] > 0.0 && multipliers[i] / r[i] < dual) dual = multipliers[i] / r[i], leaving = i;
         bool moves = number < n && square > 1e-22 * all;
+        if (!moves && most < 1e3 * tolerance) {  // a row that follows from the active ones, but for rounding
+          met[worst] = true;
+          break;
+        }
         double full = moves ? left / square : INF, step = std::min(dual, full);
         if (step == INF) return false;
         for (int i = 0; i < number; i++) multipliers[i] -= step * r[i];

@@ -38,6 +38,9 @@ SEED_SHARE = 6e-4  # singular value up to which a policy that has all but vanish
 # an explicit step of dt follows a velocity field whose slope is at most this over dt: from 1 / dt on a step goes beyond
 # where the field leads, and the policy's own field adds to the task's
 STABLE_SLOPE = 0.5
+# square of the sine between rows of the program that depend on each other. Those that do not are 1e-8 apart at the
+# least of the metric: with DAQP's own tolerance walls were given up that the bounds leave room for
+DEPENDENT = 1e-14
 ROUNDING = 1e-9  # [rad/s or m/s] by how much rounding may
 # [s] for which a task stalls until the arm slides along what blocks it, and goes on until its direction is kept again
 SLIDING_AFTER, KEEPING_AFTER = 0.5, 1.0
@@ -463,7 +466,8 @@ def nearest_within(
             rows = np.concatenate((inverse, barred[0].dot(inverse)))
             least = np.concatenate((least, barred[1] - barred[0].dot(wish)))
             most = np.concatenate((most, np.full(len(barred[0]), np.inf)))
-        z, _, flag, _ = daqp.solve(one, _zeros(nv), rows, most, least, _inequalities(len(most)), primal_tol=FINE)
+        sense = _inequalities(len(most))
+        z, _, flag, _ = daqp.solve(one, _zeros(nv), rows, most, least, sense, primal_tol=FINE, sing_tol=DEPENDENT)
         if flag == 1:
             u = wish + inverse.dot(z)
             within = np.clip(u, lowest, highest)

@@ -422,7 +422,7 @@ class RoomAscent(SampledPolicy):
         self._enough = self.speed / (slowest if math.isfinite(slowest) else 1.0)
         self._robot, self._limited = robot, has_range(robot)
         self._width = ranges(robot)[self._limited]
-        self._middle = 0.5 * (robot.position_lower + robot.position_upper)[self._limited]
+        self._middle = 0.5 * (robot.position_lower[self._limited] + robot.position_upper[self._limited])
         self.numbers = self._enough, np.flatnonzero(self._limited), self._middle, self._width  # for the compiled law
 
     def __call__(self, q: ArrayLike, t: float = 0.0, dt: float = 0.01) -> Float[np.ndarray, " nv"]:
