@@ -6,7 +6,7 @@
 #include "program.hpp"
 
 constexpr double HELD = 0.1, ACROSS = 1e-4, ALONG = 3e-3, ESCAPE_WIDTH = 0.6, ESCAPE_SPEED = 0.2, SEED_SHARE = 6e-4;
-constexpr double STABLE_SLOPE = 0.5, AT_GOAL = 1e-6, SLIDING_AFTER = 0.5, KEEPING_AFTER = 1.0, GOING_ON = 0.5;
+constexpr double ASIDE = 1e-3, STABLE_SLOPE = 0.5, AT_GOAL = 1e-6, SLIDING_AFTER = 0.5, KEEPING_AFTER = 1.0, GOING_ON = 0.5;
 constexpr double ROUNDING = 1e-9, STALLED_BELOW = 0.02, SCALED_BELOW = 0.999;
 // in the order of `Status`
 constexpr int LAW_VERSION = 1;  // as in engine.py: it grows whenever a number of the law changes
@@ -167,20 +167,22 @@ struct Law {
     if (!limits.given) return as_wished(R, wish, lost, weak, out);
     bool far = !previous && limits.far(q, approach, wish);
     bool closer = approaches(ws, A, R, wish, dt, *vjp, svd_of_A, out.smallest);
-    if (far && !closer && !limits.has_tip) return as_wished(R, wish, lost, weak, out);
+    bool fast = may_leave(R, wish) || (previous && may_leave(R, previous));
+    if (far && !closer && !limits.has_tip && !fast) return as_wished(R, wish, lost, weak, out);
     limits.bounds(q, dt, approach, previous, ws.bounds);
     out.outside = ws.bounds.outside, ws.barrier.number = 0;
     double bound = closer ? approach_bound(out.smallest, ws.slope, limits.acceleration.data(), n, dt) : INF;
     if (bound < INF) ws.barrier.append(ws.slope, -bound, n);
-    bool slow = !ws.barrier.number || dot(ws.slope, wish, n) >= -bound, near_wall = false;
+    bool fits_all = !ws.barrier.number || dot(ws.slope, wish, n) >= -bound, near_wall = false;
     int tip_cause = -1, own_rows = ws.barrier.number;
     if (limits.has_tip) {
       limits.tip.at(q, n, dt, limits.acceleration.data(), previous, ws.tips);
       if (limits.tip.rows(ws.tips, wish, n, 0.0, ws.barrier, &near_wall))
-        slow = false, tip_cause = near_wall ? POSITION : VELOCITY;
+        fits_all = false, tip_cause = near_wall ? POSITION : VELOCITY;
       ws.barrier.number = own_rows;
     }
-    if (slow && ws.bounds.admit(wish, n)) return ws.bounds.clip(wish, n, wish), as_wished(R, wish, lost, weak, out);
+    fits_all = fits_all && ws.bounds.admit(wish, n);
+    if (fits_all && !fast) return ws.bounds.clip(wish, n, wish), as_wished(R, wish, lost, weak, out);
     // the part that drives is slowed down to what null-space motion makes no room for
     std::copy(wish, wish + n, asked);
     if (driven == s) std::copy(out.task, out.task + n, drive);
@@ -203,9 +205,43 @@ struct Law {
     double toward = ws.barrier.number ? -factor * dot(ws.slope, drive, n) : 0.0;
     if (toward > 0.0) factor *= std::min(1.0, std::max(0.0, (dot(ws.slope, rest, n) + bound) / toward));
     for (int j = 0; j < n; j++) wish[j] = rest[j] + factor * drive[j];
+    double braking = fast && driven < s ? braking_share(D, driven, wish, previous, *vjp) : 1.0;
+    if (fits_all && braking == 1.0) return ws.bounds.clip(asked, n, asked), as_wished(R, asked, lost, weak, out);
+    if (braking < 1.0) {  // all but what holds the hand
+      double along[MAX], parts[MAX] = {}, held[MAX];
+      times(D, b, driven, s, along), across(along, D, driven, s, parts);
+      for (int i = 0; i < s; i++) parts[i] = b[i] - parts[i];
+      across(parts, Y, s, n, held), tip_cause = tip_cause < 0 ? ACCELERATION : tip_cause;
+      for (int j = 0; j < n; j++) wish[j] = held[j] + braking * (wish[j] - held[j]);
+    }
     metric(ws, R, D, driven, b, lambda, dt, slide);
     if (!within(ws, wish, out.velocity)) return false;
     return bounded(ws, R, basis, rank, asked, tip_cause, lost, weak, out);
+  }
+
+  // ---- what slows the law down, as slowing.py has it ----
+
+  bool may_leave(const double* A, const double* u) const {
+    double square = dot(u, u, n), bend = std::sqrt(n * dot(A, A, s * n)) * square;
+    return bend * square > 8.0 * ASIDE * limits.weakest * limits.weakest;
+  }
+
+  double braking_share(const double* D, int driven, const double* wish, const double* previous, const Vjp& vjp) const {
+    double share = 1.0, W[MAX * MAX], slope[MAX], bend[MAX], along[MAX], parts[MAX];
+    for (int which = 0; which < (previous ? 2 : 1); which++) {
+      const double* u = which ? previous : wish;
+      double time = 0.0;
+      for (int i = 0; i < s; i++) {
+        std::fill(W, W + s * n, 0.0), std::copy(u, u + n, W + i * n);
+        vjp(W, slope), bend[i] = dot(slope, u, n);
+      }
+      times(D, bend, driven, s, along), across(along, D, driven, s, parts);
+      for (int i = 0; i < s; i++) bend[i] -= parts[i];
+      for (int j = 0; j < n; j++) time = std::max(time, std::abs(u[j]) / limits.acceleration[j]);
+      double aside = 0.125 * time * time * std::sqrt(dot(bend, bend, s));
+      if (aside > ASIDE) share = std::min(share, std::pow(ASIDE / aside, which ? 1.0 : 0.25));
+    }
+    return share;
   }
 
   // ---- before bounds ----

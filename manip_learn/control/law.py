@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from functools import cache
 from math import isfinite
-from typing import Any, NamedTuple, final
+from typing import Any, final
 
 import daqp
 import numpy as np
@@ -17,9 +17,11 @@ from manip_learn.constraint.constraint import Constraint
 from manip_learn.constraint.features.feature_map import Vjp
 from manip_learn.constraint.manipulability import SINGULAR_RATIO, smallest_gradient
 from manip_learn.constraint.small_matrices import row_inverse, svd
-from manip_learn.control.command import POSITION, SCALED_BELOW, VELOCITY, Command, status_of
+from manip_learn.control.command import ACCELERATION, POSITION, VELOCITY, Command
+from manip_learn.control.desired import AT_GOAL, Desired
 from manip_learn.control.limits import FINE, Barrier, Bounds, Limits, approach_bound
 from manip_learn.control.policies import SEED_SPEED, ManipulabilityAscent, NullSpacePolicy, SampledPolicy
+from manip_learn.control.slowing import braking_share, may_leave, slowed_drive
 from manip_learn.control.tasks import Task
 from manip_learn.errors import ConfigurationError, TargetError, advice
 from manip_learn.linalg import Inverse, inverse_singular_values, unit
@@ -45,56 +47,6 @@ ROUNDING = 1e-9  # [rad/s or m/s] by how much rounding may
 # [s] for which a task stalls until the arm slides along what blocks it, and goes on until its direction is kept again
 SLIDING_AFTER, KEEPING_AFTER = 0.5, 1.0
 GOING_ON = 0.5  # share of the velocity asked for from which a task goes on
-AT_GOAL = 1e-6  # [m/s or rad/s] a task that asks for less than this has reached its goal
-
-
-@final
-class Desired(NamedTuple):
-    """The law at one posture before bounds, and what the program needs of it.
-
-    Attributes:
-        A: Rows whose velocity is b: those of the constraint, or of the error (see `Task.error_jacobian`).
-        b: Wanted of them.
-        task: A^# b.
-        null: The policy's part in the null space of A.
-        escape: The policy's part along directions that are nearly lost; None away from singularities.
-        mu: Manipulability of the constraint.
-        smallest: Its smallest singular value.
-        basis: X (s, nv) with X A^T = 1 where A is well conditioned, or an orthonormal basis of its rows.
-        gain: Y (s, nv), so that A^# b = Y^T b.
-        damping: lambda of the driven rows; 0 away from singularities.
-    """
-
-    A: Float[np.ndarray, "s nv"]
-    b: Float[np.ndarray, " s"]
-    task: Float[np.ndarray, " nv"]
-    null: Float[np.ndarray, " nv"]
-    escape: Float[np.ndarray, " nv"] | None
-    mu: float
-    smallest: float
-    basis: Float[np.ndarray, "s nv"]
-    gain: Float[np.ndarray, "s nv"]
-    damping: float = 0.0
-
-    @property
-    def is_lost(self) -> bool:
-        """Whether A loses a direction: at a singularity, or with more rows than joints that b does not fit."""
-        s, nv = self.A.shape
-        if self.escape is None:
-            return False
-        if s > nv:
-            return self.progress(self.task) < SCALED_BELOW
-        return self.smallest <= SINGULAR_RATIO * float(np.abs(self.A).max())
-
-    def progress(self, u: Float[np.ndarray, " nv"]) -> float:
-        """Velocity along b over the velocity asked for, b^T A u / |b|^2; 1 where nothing is asked for."""
-        square = float(self.b.dot(self.b))
-        return float(self.b.dot(self.A.dot(u))) / square if square > AT_GOAL * AT_GOAL else 1.0
-
-    def null_part(self, u: Float[np.ndarray, " nv"]) -> Float[np.ndarray, " nv"]:
-        """The component of a velocity in the null space of A."""
-        X = self.basis
-        return u - (self.A.dot(u).dot(X) if self.escape is None else X.dot(u).dot(X))
 
 
 @final
@@ -250,7 +202,8 @@ class Law:
         fastest = ESCAPE_SPEED * max(0.0, 1.0 - (least / (ESCAPE_WIDTH * self.threshold)) ** 2) ** 2
         if length > fastest:
             escape = escape * (fastest / length)
-        return Desired(rows, b, task, null, escape, mu, smallest, V, Y, share * math.sqrt(square))
+        is_damped = smallest < self.threshold
+        return Desired(rows, b, task, null, escape, mu, smallest, V, Y, is_damped, share * math.sqrt(square))
 
     def _damping(
         self,
@@ -311,61 +264,41 @@ class Law:
     ) -> Command:
         """The command at a posture; arguments and errors as for `ResolvedRateController`."""
         law = self.desired(q, t, dt, limits)
-        wish = law.task + law.null if law.escape is None else law.task + law.null + law.escape
+        wish = law.velocity
         if limits is None:
-            return self._as_wished(law, wish, 0.0)
+            return law.as_wished(wish, 0.0)
         far = previous is None and limits.far(q, dt, wish)
         slope = self._approach(q, dt, law, wish, limits)
+        fast = may_leave(law.A, wish, limits) or (previous is not None and may_leave(law.A, previous, limits))
         tip = limits.tip
-        if far and slope is None and tip is None:
-            return self._as_wished(law, wish, 0.0)
+        if far and slope is None and tip is None and not fast:
+            return law.as_wished(wish, 0.0)
         bounds, barrier = limits.bounds(q, dt, previous), None
         if slope is not None and (bound := approach_bound(law.smallest, slope, limits.acceleration, dt)) < math.inf:
             barrier = slope[None], np.array([-bound])
         tips = None if tip is None else tip.at(q, dt, limits.acceleration, previous)
-        slow = barrier is None or float(slope.dot(wish)) >= barrier[1][0]  # type: ignore[union-attr]
-        tip_cause = -1  # of a limit of frames
+        fits = barrier is None or float(slope.dot(wish)) >= barrier[1][0]  # type: ignore[union-attr]
+        cause = -1
         if tip is not None and tips is not None and tip.rows(tips, wish) is not None:
-            slow, tip_cause = False, POSITION if np.any(tips.too_near(wish)) else VELOCITY
-        if slow and (excess := bounds.excess(wish)) <= FINE:
-            return self._as_wished(law, wish if excess <= 0.0 else np.clip(wish, *bounds[:2]), bounds.outside)
+            fits, cause = False, POSITION if np.any(tips.too_near(wish)) else VELOCITY
+        fits = fits and bounds.excess(wish) <= FINE
+        if fits and not fast:
+            return law.as_wished(bounds.nearest(wish), bounds.outside)
         D = self.task.driven_rows(self.constraint)
-        asked, wish = wish, self._slowed(law, D, wish, limits, barrier)
+        slowed = slowed_drive(law, D, limits, barrier)
+        share = braking_share(self.constraint, q, D, slowed, previous, limits) if fast and len(D) < len(law.b) else 1.0
+        if fits and share == 1.0:
+            return law.as_wished(bounds.nearest(wish), bounds.outside)
+        if share < 1.0:
+            held, cause = (law.b - D.T.dot(D.dot(law.b))).dot(law.gain), ACCELERATION if cause < 0 else cause
+            slowed = held + share * (slowed - held)
         W = self._metric(law, D, dt, slide)
 
         def nearest(rows: Barrier | None) -> np.ndarray:
-            return nearest_within(wish, W, bounds, rows)
+            return nearest_within(slowed, W, bounds, rows)
 
-        u = nearest(barrier) if tip is None or tips is None else tip.bounded(tips, wish, barrier, nearest)
-        return self._bounded(law, asked, u, bounds, tip_cause)
-
-    @staticmethod
-    def _slowed(
-        law: Desired, D: np.ndarray, wish: np.ndarray, limits: Limits, barrier: Barrier | None
-    ) -> Float[np.ndarray, " nv"]:
-        """The law with what drives it slowed down to the velocity limits, and to the approach of a singularity.
-
-        Null-space motion makes no room for more than that.
-
-        Args:
-            law: Before bounds.
-            D: shape (d, s), the rows that are driven.
-            wish: u* [rad/s or m/s].
-            limits: Of the joints.
-            barrier: (G, least) of the approach to a singularity, one row; None where it is far.
-        """
-        drive = law.task if len(D) == len(law.b) else D.T.dot(D.dot(law.b)).dot(law.gain)
-        rest, fastest = wish - drive, float((np.abs(drive) / limits.velocity).max())
-        if fastest > 1.0:  # as far as what else moves leaves no room for it
-            moved = np.abs(drive) > ROUNDING
-            left = (limits.velocity - np.sign(drive) * rest)[moved] / np.abs(drive)[moved]
-            drive = drive * min(1.0, max(1.0 / fastest, float(left.min())))
-        if barrier is not None:
-            slope, least = barrier[0][0], float(barrier[1][0])
-            toward = -float(slope.dot(drive))
-            if toward > 0.0:
-                drive = drive * min(1.0, max(0.0, (float(slope.dot(rest)) - least) / toward))
-        return rest + drive
+        u = nearest(barrier) if tip is None or tips is None else tip.bounded(tips, slowed, barrier, nearest)
+        return law.within(bounds, wish, u, cause)
 
     def _metric(self, law: Desired, D: np.ndarray, dt: float, slide: float) -> Float[np.ndarray, "s nv"]:
         """W of the program min |W (u - u*)|^2 + |u - u*|^2, see the class.
@@ -400,47 +333,6 @@ class Law:
             return None
         A, vjp = self.constraint.value_and_vjp(q)  # the rows of the law may be those of an error
         return smallest_gradient(svd(A), vjp)
-
-    # ---- what was done ----------------------------------------------------------------------------------------------
-
-    def _as_wished(self, law: Desired, u: np.ndarray, outside: float) -> Command:
-        """The command where no bound changes the law."""
-        progress = 1.0 if law.escape is None else law.progress(u)
-        status = status_of(progress, outside, law.is_lost, self._is_damped(law))
-        return Command(
-            *(u, status, law.mu, law.b, law.task, law.null, 1.0, 1.0, law.smallest, law.escape, progress, outside)
-        )
-
-    def _bounded(self, law: Desired, wish: np.ndarray, u: np.ndarray, bounds: Bounds, tip_cause: int) -> Command:
-        """The command where bounds change the law."""
-        null_part, escape = law.null_part(u), law.escape
-        task_part = u - null_part
-        if escape is not None:
-            share = float(u.dot(escape)) / max(float(escape.dot(escape)), 1e-300)
-            escape = escape * min(1.0, max(0.0, share))
-            task_part = task_part - escape
-        square = float(law.null.dot(law.null))
-        asks = square > AT_GOAL**2  # what rounding leaves of a policy that asks for nothing is not scaled
-        null_scale = min(1.0, max(0.0, float(law.null.dot(null_part)) / square)) if asks else 1.0
-        progress = law.progress(u)
-        before = 1.0 if law.escape is None else law.progress(law.task)
-        scale = min(1.0, max(0.0, progress / before)) if before > 0.0 else 1.0
-        joint, cause = bounds.binding(u, wish)
-        status = status_of(
-            *(progress, bounds.outside, law.is_lost, self._is_damped(law)),
-            changed=True,
-            scale=scale,
-            cause=tip_cause if joint < 0 else cause,
-            fits=bounds.excess(law.task) <= FINE,
-        )
-        return Command(
-            *(u, status, law.mu, law.b, task_part, null_part, scale, null_scale, law.smallest, escape, progress),
-            outside=bounds.outside,
-            limiting_joint=joint,
-        )
-
-    def _is_damped(self, law: Desired) -> bool:
-        return self.inverse == "damped" and law.escape is not None and law.smallest < self.threshold
 
 
 def nearest_within(

@@ -346,6 +346,10 @@ class Bounds(NamedTuple):
         u = velocity.tolist()
         return max(max(map(sub, u, self.high)), max(map(sub, self.low, u)))
 
+    def nearest(self, velocity: Float[np.ndarray, " nv"]) -> Float[np.ndarray, " nv"]:
+        """The velocity within the bounds that is nearest to one, each joint by itself; itself if it is within."""
+        return velocity if self.admit(velocity) else np.clip(velocity, self.low, self.high)
+
     def binding(self, velocity: Float[np.ndarray, " nv"], desired: Float[np.ndarray, " nv"]) -> tuple[int, int]:
         """The joint at a bound whose desired velocity exceeds it most, and the limit that sets it; (-1, -1) if none."""
         joint, cause, most, u = -1, -1, FINE, velocity.tolist()
