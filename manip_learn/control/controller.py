@@ -6,7 +6,7 @@ import copy
 import math
 from collections.abc import Callable
 from functools import cached_property
-from typing import Literal, final
+from typing import Any, Literal, final
 
 import numpy as np
 from jaxtyping import Float
@@ -14,7 +14,7 @@ from numpy.typing import ArrayLike
 
 from manip_learn.constraint.constraint import Constraint
 from manip_learn.control.command import Command
-from manip_learn.control.engine import NativeLaw, native_law
+from manip_learn.control.engine import native_law
 from manip_learn.control.law import Law
 from manip_learn.control.limits import Limits
 from manip_learn.control.policies import NullSpacePolicy, ZeroPolicy, climbing, policy_of
@@ -132,7 +132,7 @@ class ResolvedRateController:
             dt = self.dt
         elif not 0.0 < dt < math.inf:
             raise ConfigurationError(f"dt must be a positive number of seconds, got {dt!r}")
-        native = self._native
+        native = self.native
         if native is not None and (command := native.step(q, dt, previous, slide)) is not None:
             return command
         if not (self._features_check and type(q) is np.ndarray and is_plain(q)):
@@ -145,15 +145,11 @@ class ResolvedRateController:
     @property
     def engine(self) -> Literal["native", "python"]:
         """What computes the commands: the compiled law (`pip install ./fast`), or the one in Python."""
-        return "python" if self._native is None else "native"
-
-    @property
-    def compiled_rollouts(self) -> Callable[..., list[bool]] | None:
-        """Whole rollouts where all of the law is compiled, see `simulation`; None where Python has a part in it."""
-        return None if self._native is None else self._native.roll
+        return "python" if self.native is None else "native"
 
     @cached_property
-    def _native(self) -> NativeLaw | None:
+    def native(self) -> Any:
+        """The compiled law, see `control.engine`; None where there is none."""
         return native_law(self._law, self.limits)
 
     def task_error(self, q: ArrayLike, t: float = 0.0) -> float:
@@ -179,7 +175,7 @@ class ResolvedRateController:
         """This controller with other limits."""
         other = copy.copy(self)
         other.limits = other._limits_of(limits)
-        other.__dict__.pop("_native", None)
+        other.__dict__.pop("native", None)
         return other
 
     def _limits_of(self, limits: bool | Limits) -> Limits | None:

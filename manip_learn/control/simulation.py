@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 from collections.abc import Callable, Sequence
 from typing import Any, overload
 
@@ -11,7 +10,7 @@ from jaxtyping import Float
 from numpy.typing import ArrayLike
 
 from manip_learn.constraint.constraint import Constraint
-from manip_learn.control.command import Command, Controller, Method, Status, TaskController, next_posture
+from manip_learn.control.command import Command, Controller, Method, TaskController, next_posture
 from manip_learn.control.controller import ResolvedRateController
 from manip_learn.control.law_sequence import constraint_of, frame_of, law_of, task_of
 from manip_learn.control.rollout import Rollout, written_constraint
@@ -22,8 +21,7 @@ from manip_learn.robot.batch.postures import checked_postures
 from manip_learn.robot.identity import RobotIdentity
 from manip_learn.robot.robot import Robot
 
-STARTS, SAMPLES = 256, 200  # rollouts of a table that are made together, and samples of one between two reports
-CORES_KNOWN = hasattr(os, "sched_getaffinity")  # which of the cores this program may use
+STARTS = 256  # rollouts of a table that are made together
 
 
 @overload
@@ -147,45 +145,12 @@ def simulate(
 
 
 def _compiled(
-    robot: Robot | None,
-    controller: Controller | ServoLoop,
-    method: Method,
-    starts: Float[np.ndarray, "k n"],
-    dt: float,
-    steps: int,
-    progress: Progress | None,
+    robot: Robot | None, controller: Controller | ServoLoop, method: Method, starts: np.ndarray, *run: Any
 ) -> Sequence[Rollout | None]:
-    """Whole rollouts of the compiled law, of tables on all cores; None where single steps are needed."""
-    k, n = starts.shape
-    law = controller if isinstance(controller, ResolvedRateController) and method == "euler" else None
-    roll = None if law is None else law.compiled_rollouts
-    if robot is None or law is None or law.limits is None or roll is None or law.limits.robot is not robot:
-        return (None,) * k
-    if law.limits.jerk is not None or n != robot.nv or not robot.positions_add_up:
-        return (None,) * k
-    q, u, slides = np.array(starts, dtype=np.float64), np.zeros((k, n)), np.zeros(k)
-    failed, parts, chunk = np.zeros(k, dtype=bool), [], steps + 1 if progress is None else SAMPLES
-    for first in range(0, steps + 1, chunk):
-        size = min(chunk, steps + 1 - first)
-        tables = np.empty((k, size, n)), np.empty((k, size, n)), np.empty((k, size, 3))
-        failed |= roll(q, u, slides, dt, size, *tables, len(os.sched_getaffinity(0)) if CORES_KNOWN else os.cpu_count())
-        parts.append(tables)
-        if progress is not None and not failed.all():
-            progress("simulating", (first + size) / (steps + 1))
-    postures, velocities, numbers = map(np.concatenate, zip(*parts, strict=True), (1,) * 3)
-    shared, statuses = guided(controller) | {"robot": RobotIdentity.of(robot)}, tuple(Status)
-    return [
-        None
-        if wrong
-        else Rollout(
-            *(np.arange(steps + 1) * dt, postures[i], velocities[i], numbers[i, :, 0]),
-            status=tuple(map(statuses.__getitem__, numbers[i, :, 2].astype(int).tolist())),
-            joint_names=robot.joint_names,
-            task_error=numbers[i, :, 1],
-            **shared,
-        )
-        for i, wrong in enumerate(failed.tolist())
-    ]
+    """Whole rollouts by the compiled law; None where single steps are needed."""
+    known = isinstance(controller, ResolvedRateController) and method == "euler" and controller.robot is robot
+    native = controller.native if known else None
+    return (None,) * len(starts) if native is None else native.rollouts(controller, starts, *run)
 
 
 def _loop_of(
