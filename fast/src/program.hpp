@@ -117,7 +117,7 @@ struct Program {
  private:
   // the rotation of columns i - 1 and i of J that makes d_i zero
   void turn(double* d, int i) {
-    double length = std::hypot(d[i - 1], d[i]);
+    double length = std::sqrt(d[i - 1] * d[i - 1] + d[i] * d[i]);
     if (d[i] == 0.0) return;
     double c = d[i - 1] / length, h = d[i] / length;
     d[i - 1] = length, d[i] = 0.0;
@@ -137,7 +137,7 @@ struct Program {
       std::copy(T + (i + 1) * n, T + (i + 1) * n + i + 2, T + i * n);
     }
     for (int i = leaving; i + 1 < number; i++) {
-      double a = T[i * n + i], b = T[i * n + i + 1], length = std::hypot(a, b);
+      double a = T[i * n + i], b = T[i * n + i + 1], length = std::sqrt(a * a + b * b);
       if (b == 0.0) continue;
       double c = a / length, h = b / length;
       for (int k = i; k + 1 < number; k++) {
