@@ -274,6 +274,25 @@ def test_where_damping_begins_nothing_jumps(kind: str, limits: bool, robot_of: R
         assert left_at_the_steepest(command, s) < 1e-5
 
 
+@pytest.mark.parametrize("sense", [1.0, -1.0])
+def test_a_wrist_that_turns_over_pulls_no_hand_off_its_hinge(sense: float, robot_of: RobotOf) -> None:
+    """A firm grip turns 3 degrees beside a wrist singularity: joints at full speed could not follow the hinge."""
+    robot, q = robot_of("ur5"), np.array([-3.427, -2.081, -1.065, 1.104, -3.128, 4.212])
+    centre, axis = np.array([-0.012, 0.0, 0.049]), np.array([0.0, 1.0, 0.0])  # in the hand
+    twist = np.concatenate((np.cross(centre, axis), axis))
+    rows = ml.Constraint(np.linalg.svd(twist[None])[2][1:], ml.FrameJacobian(robot, "tool0", "pose", "local"))
+    task = ml.FreeDirection(rows, sense * 2.5, 1.0, unit="rad")
+    rollout = ml.simulate(robot, ml.ResolvedRateController(rows, task), q, 4.0, DT)
+    start, off = robot.pose(q, "tool0"), []
+    for posture in rollout.q:
+        pose = robot.pose(posture, "tool0")
+        moved = pose[:3, :3] @ centre + pose[:3, 3] - start[:3, :3] @ centre - start[:3, 3]
+        off.append(np.linalg.norm(moved) + np.linalg.norm(pose[:3, 1] - start[:3, 1]))
+    assert max(off) < 1.5e-3  # [m and rad]
+    assert task.progress(rollout.q[-1]) == pytest.approx(sense * 2.5, abs=4e-3)
+    assert ml.Status.ACCELERATION_LIMITED in rollout.status
+
+
 @pytest.mark.parametrize("grip", ["loose", "firm rows of the mechanism", "firm in the hand's own frame"])
 @pytest.mark.parametrize("policy", ["none", "ascent"])
 def test_a_way_that_was_stopped_goes_on_from_where_the_hand_is(grip: str, policy: str, robot_of: RobotOf) -> None:

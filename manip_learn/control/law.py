@@ -65,8 +65,9 @@ class Law:
     and fades towards ESCAPE_WIDTH.)
 
     If u* is within the bounds it is the command. If not, the part of u* that drives the task is slowed down to the
-    velocity limits and to the approach of a singularity, for which null-space motion makes no room, and the command is
-    the point within the bounds that is nearest to u*:
+    velocity limits and to the approach of a singularity, for which null-space motion makes no room, and all that moves
+    until the joints can brake with the hand on what holds it (see `slowing`). The command is the point within the
+    bounds that is nearest to what u* then is:
 
         min  |(1 - d d^T) A (u - u*)|^2 / ACROSS^2 + |d^T A (u - u*)|^2 / ALONG^2 + |u - u*|^2
         low <= u <= high,    G u >= least
@@ -269,9 +270,9 @@ class Law:
             return law.as_wished(wish, 0.0)
         far = previous is None and limits.far(q, dt, wish)
         slope = self._approach(q, dt, law, wish, limits)
-        fast = may_leave(law.A, wish, limits) or (previous is not None and may_leave(law.A, previous, limits))
+        fast = previous is not None and any(may_leave(law.A, u, limits) for u in (wish, previous))
         tip = limits.tip
-        if far and slope is None and tip is None and not fast:
+        if far and slope is None and tip is None:
             return law.as_wished(wish, 0.0)
         bounds, barrier = limits.bounds(q, dt, previous), None
         if slope is not None and (bound := approach_bound(law.smallest, slope, limits.acceleration, dt)) < math.inf:
@@ -286,7 +287,9 @@ class Law:
             return law.as_wished(bounds.nearest(wish), bounds.outside)
         D = self.task.driven_rows(self.constraint)
         slowed = slowed_drive(law, D, limits, barrier)
-        share = braking_share(self.constraint, q, D, slowed, previous, limits) if fast and len(D) < len(law.b) else 1.0
+        share = 1.0
+        if previous is not None and fast and len(D) < len(law.b):
+            share = braking_share(self.constraint, q, D, slowed, previous, limits)
         if fits and share == 1.0:
             return law.as_wished(bounds.nearest(wish), bounds.outside)
         if share < 1.0:

@@ -60,7 +60,7 @@ def braking_share(
     q: Float[np.ndarray, " n"],
     D: Float[np.ndarray, "d s"],
     wish: Float[np.ndarray, " nv"],
-    previous: Float[np.ndarray, " nv"] | None,
+    previous: Float[np.ndarray, " nv"],
     limits: Limits,
 ) -> float:
     """The share of a motion with which the joints can brake and the hand stays on what holds it, at most 1.
@@ -79,14 +79,12 @@ def braking_share(
         q: Posture.
         D: Rows that are driven.
         wish: u* [rad/s or m/s].
-        previous: Velocity of the step before; None where it is not known.
+        previous: Velocity commanded in the step before [rad/s or m/s].
         limits: Of the joints.
     """
     _, vjp = constraint.value_and_vjp(q)
     s, share = constraint.n_constraints, 1.0
     for u, power in ((wish, 0.25), (previous, 1.0)):
-        if u is None:
-            continue
         bend = vjps(vjp, np.kron(unit(s), u), s).dot(u)
         bend = bend - D.T.dot(D.dot(bend))
         time = float((np.abs(u) / limits.acceleration).max())
