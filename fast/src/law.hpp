@@ -167,8 +167,8 @@ struct Law {
     if (!limits.given) return as_wished(R, wish, lost, weak, out);
     bool far = !previous && limits.far(q, approach, wish);
     bool closer = approaches(ws, A, R, wish, dt, *vjp, svd_of_A, out.smallest);
-    bool fast = may_leave(R, wish) || (previous && may_leave(R, previous));
-    if (far && !closer && !limits.has_tip && !fast) return as_wished(R, wish, lost, weak, out);
+    bool fast = previous && (may_leave(R, wish) || may_leave(R, previous));
+    if (far && !closer && !limits.has_tip) return as_wished(R, wish, lost, weak, out);
     limits.bounds(q, dt, approach, previous, ws.bounds);
     out.outside = ws.bounds.outside, ws.barrier.number = 0;
     double bound = closer ? approach_bound(out.smallest, ws.slope, limits.acceleration.data(), n, dt) : INF;
@@ -228,7 +228,7 @@ struct Law {
 
   double braking_share(const double* D, int driven, const double* wish, const double* previous, const Vjp& vjp) const {
     double share = 1.0, W[MAX * MAX], slope[MAX], bend[MAX], along[MAX], parts[MAX];
-    for (int which = 0; which < (previous ? 2 : 1); which++) {
+    for (int which = 0; which < 2; which++) {
       const double* u = which ? previous : wish;
       double time = 0.0;
       for (int i = 0; i < s; i++) {
