@@ -26,12 +26,12 @@ QUICK := $(addprefix tests/test_,$(addsuffix .py,public_api cli control_step mjc
 	npz_reader robomimic_reader rosbag_reader))
 
 .DEFAULT_GOAL := help
-.PHONY: help demo test lint types check lowest package lerobot docs links bench fuzz proofs mutants vulnerabilities format \
+.PHONY: help demo test lint types check fast lowest package lerobot docs links bench fuzz proofs mutants vulnerabilities format \
 	clean distclean
 
 help:
 	@sed -n '1,4s/^# \{0,1\}//p' Makefile
-	@echo "Also: make lint, types, format, docs, links, lowest, package, lerobot, bench, fuzz, proofs, mutants, vulnerabilities, clean, distclean"
+	@echo "Also: make lint, types, fast, format, docs, links, lowest, package, lerobot, bench, fuzz, proofs, mutants, vulnerabilities, clean, distclean"
 
 # ---- installing -------------------------------------------------------------------------------------------------
 
@@ -50,6 +50,12 @@ $(VENV)/runtime: pyproject.toml $(VENV)/made
 $(VENV)/first: pyproject.toml $(VENV)/made
 	$(PIP) install --quiet --editable '.[lint,robots,test]'
 	@touch $@ $(VENV)/runtime
+
+# the compiled law, which the library can do without
+$(VENV)/fast: $(wildcard fast/*.* fast/src/* fast/manip_learn_fast/*.py) $(VENV)/first
+	@if command -v $(CXX) >/dev/null 2>&1; then $(PIP) install --quiet ./fast; else false; fi || \
+		echo "THE COMPILED LAW COULD NOT BE BUILT (is there a C++17 compiler?): IT IS NOT TESTED" >&2
+	@touch $@
 
 $(VENV)/docs: pyproject.toml $(VENV)/made
 	$(PIP) install --quiet --editable '.[docs]'
@@ -79,6 +85,9 @@ demo: $(VENV)/runtime
 
 test: lint types check
 
+# the law in C++ in the place of the one in Python, wherever it is known
+fast: $(VENV)/fast
+
 lint: $(VENV)/first
 	$(BIN)/ruff check .
 	$(BIN)/ruff format --check .
@@ -86,8 +95,10 @@ lint: $(VENV)/first
 types: $(VENV)/dev
 	$(BIN)/pyright
 
-check: $(VENV)/dev
+# all tests with the compiled law where it could be built, and those of the law without it
+check: $(VENV)/dev $(VENV)/fast
 	$(PYTEST) -n 2 --dist worksteal --benchmark-disable $(ARGS)
+	MANIP_LEARN_ENGINE=python $(PYTEST) -n 2 --dist worksteal --benchmark-disable -q tests/test_law.py
 
 format: $(VENV)/first
 	$(BIN)/ruff check --fix .
