@@ -6,8 +6,11 @@ the best of interleaved rounds: neighbours only ever add time. In brackets, the 
 
 from __future__ import annotations
 
+import copy
+import math
 import os
 import statistics
+import time
 from collections.abc import Callable
 
 import control_states as states
@@ -34,17 +37,22 @@ def ratios_of(rounds: dict[str, list[float]]) -> dict[str, Ratio]:
     return out
 
 
-def measured(arm: states.Arm, state: str) -> Ratio | None:
-    """Ratio of one state; None where the arm has no such postures."""
+def measured(arm: states.Arm, state: str) -> dict[str, Ratio]:
+    """Ratio of one state with each engine; none where the arm has no such postures."""
     cases = states.cases_of(arm, state)
     if not cases:
-        return None
-    law = arm.far if state in FAR else arm.controller
-    candidates: dict[str, Callable[[], object]] = {
-        "bare": states.bare_calls(arm, cases),
-        "python": states.calls(law, cases),
-    }
-    return ratios_of(rounds_of(candidates, 2, ROUNDS))["python"]
+        return {}
+    candidates: dict[str, Callable[[], object]] = {"bare": states.bare_calls(arm, cases)}
+    for name, law in engines(arm.far if state in FAR else arm.controller).items():
+        candidates[name] = states.calls(law, cases)
+    return ratios_of(rounds_of(candidates, 2, ROUNDS))
+
+
+def engines(law: ml.ResolvedRateController) -> dict[str, ml.ResolvedRateController]:
+    """The law in Python, and compiled where that is built (`make fast`)."""
+    python = copy.copy(law)
+    python.__dict__["native"] = None
+    return {"python": python} | ({"native": law} if law.engine == "native" else {})
 
 
 def cell(found: Ratio | None) -> str:
@@ -53,18 +61,40 @@ def cell(found: Ratio | None) -> str:
 
 
 def test_every_state() -> None:
-    """The table of states and robots."""
-    flat: dict[str, Ratio] = {}
+    """The table of states and robots, one for each engine."""
     arms = {name: states.arm_of(name) for name in states.ROBOTS}
-    lines = ["| state | " + " | ".join(arms) + " |", "|---" * (len(arms) + 1) + "|"]
-    for state in states.STATES:
-        found = {name: measured(arm, state) for name, arm in arms.items()}
-        lines.append(f"| {state} | " + " | ".join(map(cell, found.values())) + " |")
-        values = [ratio for ratio in found.values() if ratio is not None]
-        if values:  # medians over the robots
-            flat[f"python, {state}"] = Ratio(*np.median(np.array(values, dtype=np.float64), axis=0).tolist())
-    print(f"\nratio to the bare step (quarter marks), load {os.getloadavg()[0]:.1f}\n\n" + "\n".join(lines))
+    found = {(state, name): measured(arm, state) for state in states.STATES for name, arm in arms.items()}
+    flat: dict[str, Ratio] = {}
+    for engine in engines(arms["sawyer"].controller):
+        lines = ["| state | " + " | ".join(arms) + " |", "|---" * (len(arms) + 1) + "|"]
+        for state in states.STATES:
+            ratios = [found[state, name].get(engine) for name in arms]
+            lines.append(f"| {state} | " + " | ".join(map(cell, ratios)) + " |")
+            if values := [ratio for ratio in ratios if ratio is not None]:  # medians over the robots
+                flat[f"{engine}, {state}"] = Ratio(*np.median(np.array(values, dtype=np.float64), axis=0).tolist())
+        print(
+            f"\n{engine}: ratio to the bare step (quarter marks), load {os.getloadavg()[0]:.1f}\n\n" + "\n".join(lines)
+        )
     keep("states", flat)
+
+
+def test_whole_rollouts() -> None:
+    """500 steps of the compiled law, from one start and from a table on all cores, in microseconds a step and core."""
+    for name in ("sawyer", "ur5", "planar3"):
+        arm, best = states.arm_of(name), [math.inf, math.inf]
+        if arm.controller.engine == "python":
+            pytest.skip("NO manip_learn_fast: make fast")
+        starts = np.array([states.inside(arm.robot, rng) for rng in states.seeds(5, 500)])
+        cores = len(os.sched_getaffinity(0))
+        for law, where in ((arm.controller, "reached"), (arm.far, "out of reach")):
+            for _ in range(ROUNDS):
+                for i, q0 in enumerate((starts[0], starts)):
+                    begun = time.perf_counter()
+                    ml.simulate(arm.robot, law, q0, 5.0, 0.01)
+                    best[i] = min(best[i], time.perf_counter() - begun)
+            one, many = 1e6 * best[0] / 501, 1e6 * best[1] * cores / (501 * len(starts))
+            print(f"{name}, target {where}: {one:.2f} us a step alone, {many:.2f} in a table of {len(starts)}")
+            best = [math.inf, math.inf]
 
 
 def test_pose_targets() -> None:

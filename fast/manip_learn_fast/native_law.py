@@ -21,7 +21,7 @@ from manip_learn_fast._engine import Engine
 from manip_learn_fast.description import description
 
 SAMPLES = 200  # of a rollout, between two reports
-STATUSES = tuple(Status)
+STATUSES = np.array(list(Status), dtype=object)
 
 
 @final
@@ -92,10 +92,10 @@ class NativeLaw:
                 progress("simulating", (first + size) / (steps + 1))
         postures, velocities, numbers = parts[0] if len(parts) == 1 else map(np.hstack, zip(*parts, strict=True))
         shared = guided(controller) | {"robot": RobotIdentity.of(robot), "joint_names": robot.joint_names}
-        time, words = np.arange(steps + 1) * dt, numbers[:, :, 2].astype(int).tolist()
+        time, words = np.arange(steps + 1) * dt, numbers[:, :, 2].astype(int)
         out: list[Rollout | None] = []
         for i, wrong in enumerate(failed.tolist()):
-            status = tuple([STATUSES[word] for word in words[i]])
+            status = tuple(STATUSES[words[i]])
             curves = {"time": time, "q": postures[i], "u": velocities[i], "manipulability": numbers[i, :, 0]}
             rollout = None if wrong else Rollout(**curves, status=status, task_error=numbers[i, :, 1], **shared)
             out.append(rollout)

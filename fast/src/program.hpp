@@ -53,7 +53,7 @@ struct Program {
     for (int j = 0; j < n; j++) tolerance = std::max(tolerance, FINE * std::abs(wish[j]));
     for (int round = 0; round < 50 * (n + others + 1); round++) {
       int worst = -1;
-      double most = tolerance, normal[MAX];
+      double most = tolerance;
       for (int j = 0; j < n; j++) {
         double under = bounds.low[j] - wish[j] - y[j], over = y[j] + wish[j] - bounds.high[j];
         if (met[2 * j] || met[2 * j + 1]) continue;  // at one of its bounds, which is within the other
@@ -72,13 +72,12 @@ struct Program {
           if (active[i] < 2 * n) u[active[i] / 2] = active[i] % 2 ? bounds.high[active[i] / 2] : bounds.low[active[i] / 2];
         return true;
       }
-      std::fill(normal, normal + n, 0.0);
-      if (worst < 2 * n) normal[worst / 2] = worst % 2 ? -1.0 : 1.0;
-      else std::copy(rows->G + (worst - 2 * n) * n, rows->G + (worst - 2 * n + 1) * n, normal);
       double own = 0.0, left = most;  // multiplier of the new constraint, and by how much it is still violated
       while (true) {
         double d[MAX], r[MAX], z[MAX], square = 0.0, all = 0.0;
-        times(J, normal, n, n, d);
+        if (worst >= 2 * n) times(J, rows->G + (worst - 2 * n) * n, n, n, d);
+        else
+          for (int i = 0; i < n; i++) d[i] = worst % 2 ? -J[i * n + worst / 2] : J[i * n + worst / 2];
         for (int i = 0; i < n; i++) all += d[i] * d[i], square += i < number ? 0.0 : d[i] * d[i];
         for (int i = number - 1; i >= 0; i--) {
           double t = d[i];
