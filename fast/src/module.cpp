@@ -69,10 +69,11 @@ static PyObject* array_of(const double* values, npy_intp n) {
 }
 
 // the numbers of an array as large as expected; null if it is another thing
-static double* numbers_of(nb::handle h, npy_intp size) {
+static double* numbers_of(nb::handle h, npy_intp size, int dimensions = 0) {
   if (!PyArray_Check(h.ptr())) return nullptr;
   auto* a = (PyArrayObject*)h.ptr();
   bool plain = PyArray_TYPE(a) == NPY_DOUBLE && PyArray_ISCARRAY_RO(a) && PyArray_SIZE(a) == size;
+  if (dimensions && PyArray_NDIM(a) != dimensions) return nullptr;
   return plain ? (double*)PyArray_DATA(a) : nullptr;
 }
 
@@ -140,7 +141,7 @@ class Engine {
   nb::object command(nb::handle q, double dt, nb::handle previous, double slide, nb::handle b, nb::handle E, nb::handle D,
                      nb::handle w, nb::handle A, nb::handle rates) {
     int n = law.n, s = law.s;
-    const double *posture = numbers_of(q, n), *before = numbers_of(previous, n);
+    const double *posture = numbers_of(q, n, 1), *before = numbers_of(previous, n, 1);
     if (!posture || (!previous.is_none() && !before)) return nb::none();
     Given given;
     given.b = numbers_of(b, s), given.E = numbers_of(E, s * n), given.w = numbers_of(w, n);
@@ -175,7 +176,7 @@ class Engine {
 
   // a step of which the engine knows everything
   nb::object step(nb::handle q, double dt, nb::handle previous, double slide) {
-    const double *posture = numbers_of(q, law.n), *before = numbers_of(previous, law.n);
+    const double *posture = numbers_of(q, law.n, 1), *before = numbers_of(previous, law.n, 1);
     if (!posture || (!previous.is_none() && !before)) return nb::none();
     if (law.limits.given) prepare(dt);
     Lease lease;
@@ -252,8 +253,8 @@ NB_MODULE(_engine, m) {
   m.attr("LAW_VERSION") = LAW_VERSION;
   nb::class_<Engine>(m, "Engine")
       .def(nb::init<const nb::dict&, nb::object, nb::list>())
-      .def("command", &Engine::command, nb::arg(), nb::arg(), nb::arg().none(), nb::arg(), nb::arg().none(),
+      .def("command", &Engine::command, nb::arg().none(), nb::arg(), nb::arg().none(), nb::arg(), nb::arg().none(),
            nb::arg().none(), nb::arg().none(), nb::arg().none(), nb::arg().none(), nb::arg().none())
-      .def("step", &Engine::step, nb::arg(), nb::arg(), nb::arg().none(), nb::arg())
+      .def("step", &Engine::step, nb::arg().none(), nb::arg(), nb::arg().none(), nb::arg())
       .def("roll", &Engine::roll);
 }
