@@ -204,16 +204,13 @@ struct Law {
     }
     double toward = ws.barrier.number ? -factor * dot(ws.slope, drive, n) : 0.0;
     if (toward > 0.0) factor *= std::min(1.0, std::max(0.0, (dot(ws.slope, rest, n) + bound) / toward));
-    for (int j = 0; j < n; j++) wish[j] = rest[j] + factor * drive[j];
-    double braking = fast && driven < s ? braking_share(D, driven, wish, previous, *vjp) : 1.0;
-    if (fits_all && braking == 1.0) return ws.bounds.clip(asked, n, asked), as_wished(R, asked, lost, weak, out);
-    if (braking < 1.0) {  // all but what holds the hand
-      double along[MAX], parts[MAX] = {}, held[MAX];
-      times(D, b, driven, s, along), across(along, D, driven, s, parts);
-      for (int i = 0; i < s; i++) parts[i] = b[i] - parts[i];
-      across(parts, Y, s, n, held), tip_cause = tip_cause < 0 ? ACCELERATION : tip_cause;
-      for (int j = 0; j < n; j++) wish[j] = held[j] + braking * (wish[j] - held[j]);
+    for (int j = 0; j < n; j++) drive[j] *= factor, wish[j] = rest[j] + drive[j];
+    double braking = fast && 0 < driven && driven < s ? braking_share(D, driven, wish, previous, *vjp) : 1.0;
+    if (braking < 1.0) {
+      fits_all = false, tip_cause = tip_cause < 0 ? ACCELERATION : tip_cause;
+      for (int j = 0; j < n; j++) wish[j] = rest[j] + braking * drive[j];
     }
+    if (fits_all) return ws.bounds.clip(asked, n, asked), as_wished(R, asked, lost, weak, out);
     metric(ws, R, D, driven, b, lambda, dt, slide);
     if (!within(ws, wish, out.velocity)) return false;
     return bounded(ws, R, basis, rank, asked, tip_cause, lost, weak, out);

@@ -65,9 +65,9 @@ class Law:
     and fades towards ESCAPE_WIDTH.)
 
     If u* is within the bounds it is the command. If not, the part of u* that drives the task is slowed down to the
-    velocity limits and to the approach of a singularity, for which null-space motion makes no room, and all that moves
-    until the joints can brake with the hand on what holds it (see `slowing`). The command is the point within the
-    bounds that is nearest to what u* then is:
+    velocity limits, to the approach of a singularity, and until the joints can brake with the hand on what holds it
+    (see `slowing`): null-space motion makes no room for that. The command is the point within the bounds that is
+    nearest to what u* then is:
 
         min  |(1 - d d^T) A (u - u*)|^2 / ACROSS^2 + |d^T A (u - u*)|^2 / ALONG^2 + |u - u*|^2
         low <= u <= high,    G u >= least
@@ -286,15 +286,14 @@ class Law:
         if fits and not fast:
             return law.as_wished(bounds.nearest(wish), bounds.outside)
         D = self.task.driven_rows(self.constraint)
-        slowed = slowed_drive(law, D, limits, barrier)
-        share = 1.0
-        if previous is not None and fast and len(D) < len(law.b):
-            share = braking_share(self.constraint, q, D, slowed, previous, limits)
-        if fits and share == 1.0:
+        rest, drive = slowed_drive(law, D, limits, barrier)
+        if previous is not None and fast and 0 < len(D) < len(law.b):
+            share = braking_share(self.constraint, q, D, rest + drive, previous, limits)
+            if share < 1.0:
+                fits, cause, drive = False, ACCELERATION if cause < 0 else cause, share * drive
+        if fits:
             return law.as_wished(bounds.nearest(wish), bounds.outside)
-        if share < 1.0:
-            held, cause = (law.b - D.T.dot(D.dot(law.b))).dot(law.gain), ACCELERATION if cause < 0 else cause
-            slowed = held + share * (slowed - held)
+        slowed = rest + drive
         W = self._metric(law, D, dt, slide)
 
         def nearest(rows: Barrier | None) -> np.ndarray:

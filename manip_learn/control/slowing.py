@@ -1,4 +1,4 @@
-"""What slows the law down before the program: speeds for which motion in the null space makes no room."""
+"""How fast a task may be driven, before the program: motion in the null space makes no room for more."""
 
 from __future__ import annotations
 
@@ -14,15 +14,15 @@ from manip_learn.linalg import unit
 from manip_learn.robot.frame_kinematics import vjps
 
 # [m or rad] by which a hand may leave what holds it while the joints brake: half of what counts as straying on a way.
-# Ten times as much or a fifth of it moves no figure of the firm grips by more than 0.2 mm
+# Twice as much and half of it change the farthest firm grip of 45 by 0.1 mm
 ASIDE = 1e-3
 ROUNDING = 1e-9  # [rad/s or m/s] a joint that the task moves by less has no say in how much it is slowed down
 
 
 def slowed_drive(
     law: Desired, D: Float[np.ndarray, "d s"], limits: Limits, barrier: Barrier | None
-) -> Float[np.ndarray, " nv"]:
-    """The law with what drives it slowed down to the velocity limits, and to the approach of a singularity.
+) -> tuple[Float[np.ndarray, " nv"], Float[np.ndarray, " nv"]]:
+    """The rest of u*, and its part that drives the task, slowed down to velocity limits and a singularity's approach.
 
     Args:
         law: Before bounds.
@@ -42,7 +42,7 @@ def slowed_drive(
         toward = -float(slope.dot(drive))
         if toward > 0.0:
             drive = drive * min(1.0, max(0.0, (float(slope.dot(rest)) - least) / toward))
-    return rest + drive
+    return rest, drive
 
 
 def may_leave(A: Float[np.ndarray, "s nv"], u: Float[np.ndarray, " nv"], limits: Limits) -> bool:
@@ -63,7 +63,7 @@ def braking_share(
     previous: Float[np.ndarray, " nv"],
     limits: Limits,
 ) -> float:
-    """The share of a motion with which the joints can brake and the hand stays on what holds it, at most 1.
+    """The share of its speed at which the task is driven, so that the joints can brake with the hand on what holds it.
 
     All joints that brake together, each as hard as it can beside the slowest, move straight on by T u / 2,
     T = max_j |u_j| / a_j, while the rows that are held turn away by
@@ -71,14 +71,14 @@ def braking_share(
         e(u) = |(1 - P) dA[u] u| T^2 / 8,    P the projector on the rows that are driven.
 
     Where the curve that holds the hand turns faster than the joints can, as while a wrist turns over, the hand would
-    leave it. The share makes e(u*) at most ASIDE, which has the power 4 of the speed, and slows the task in proportion
-    where the motion that there is already exceeds it.
+    leave it. With the share e(u*), of power 4 in the speed, is at most ASIDE; and where the motion that there is
+    exceeds it, the task waits in proportion.
 
     Args:
         constraint: Its rows are A.
         q: Posture.
         D: Rows that are driven.
-        wish: u* [rad/s or m/s].
+        wish: u*, its drive slowed down [rad/s or m/s].
         previous: Velocity commanded in the step before [rad/s or m/s].
         limits: Of the joints.
     """
