@@ -22,6 +22,7 @@ import manip_learn as ml
 from manip_learn.constraint.features import CustomFeatures, MechanismRows, RelativeFrameJacobian
 from manip_learn.constraint.features.mechanism_rows import PlaceRows
 from manip_learn.control.command import SCALED_BELOW, STALLED_BELOW, Command
+from manip_learn.control.law import ACROSS
 from manip_learn.control.policies import (
     JointAttractor,
     JointLimitAvoidance,
@@ -39,11 +40,21 @@ built = pytest.mark.skipif(
 )
 ARMS = ["planar3", "sawyer", "panda", "ur5", "kinova", "gantry", "wrist", "tree", "mimic", "humanoid"]
 LAWS, STATES = 50, 40  # of each arm: 20,000 in all
-# [rad/s or m/s] and of the speed: DAQP leaves 1e-13 on the rows that are met, and the root of the metric's condition is
-# 1e4. The median state agrees to 1e-15
-AGREED = 5e-9
+AGREED = 1e-9  # [rad/s or m/s] and of the speed
 EPS = float(np.finfo(float).eps)
 EXACT, BESIDE = 2e-15, 1e-11  # singular values over the largest: lost to the last bit, and not singular at all
+
+
+class Drives(Asks):
+    """Some combination of the rows is driven, the others are held."""
+
+    def __init__(self, b: np.ndarray, D: np.ndarray):
+        super().__init__(b)
+        self.D = D
+
+    def driven_rows(self, constraint: ml.Constraint) -> np.ndarray:
+        """The same everywhere."""
+        return self.D
 
 
 def rows_of(robot: ml.Robot, name: str, rng: np.random.Generator) -> ml.Constraint:
@@ -73,7 +84,9 @@ def rows_of(robot: ml.Robot, name: str, rng: np.random.Generator) -> ml.Constrai
 def task_of(rows: ml.Constraint, robot: ml.Robot, frame: str, rng: np.random.Generator) -> ml.Task | None:
     """Rest, a target in reach or out of it, a pose, or a velocity of a task that is not known."""
     kind, f = int(rng.integers(5)), rows.features
-    asked = Asks(0.3 * rng.normal(size=rows.n_constraints))
+    s, b = rows.n_constraints, rng.choice([0.1, 1.0]) * rng.normal(size=rows.n_constraints)
+    D = np.linalg.qr(rng.normal(size=(s, s)))[0][: int(rng.integers(0, s + 1))]
+    asked = Asks(b) if rng.random() < 0.5 else Drives(b, D)
     if kind == 0:
         return None
     if kind == 1 or not isinstance(f, ml.FrameJacobian):
@@ -192,7 +205,11 @@ def slack_of(law: ml.ResolvedRateController, state: State, command: Command) -> 
         return None
     if EXACT < ratio < BESIDE:
         return None
-    beside = 16.0 * EPS / ratio if ratio >= BESIDE else 0.0  # error of a singular vector
+    beside = 64.0 * EPS / ratio if ratio >= BESIDE else 0.0  # error of a singular vector
+    # a joint that rounding alone says moves the hand helps those rows that bounds break, at 1 / ACROSS^2
+    A = law.constraint(state.q)
+    broken = float(np.linalg.norm(command.task_velocity - A @ command.velocity)) if law.limits is not None else 0.0
+    beside += 8.0 * EPS * float(np.abs(A).max()) * broken / ACROSS**2
     tips = 1e-11 / max(ratio, 1e-14) if law.limits is not None and law.limits.tip is not None else 0.0
     return (AGREED + beside + tips) * size
 
@@ -251,7 +268,7 @@ def test_both_engines_agree_in_every_state(name: str, robot_of: RobotOf, monkeyp
             assert got.manipulability == pytest.approx(expected.manipulability, rel=1e-9, abs=1e-12), where
             assert got.outside == expected.outside and got.limiting_joint == expected.limiting_joint, where
             assert got.smallest_singular_value == pytest.approx(expected.smallest_singular_value, rel=1e-9, abs=1e-12)
-    assert compared > 0.5 * LAWS * STATES and {"ok", "damped", "singular", "acceleration-limited"} <= set(seen), seen
+    assert compared > 0.5 * LAWS * STATES and {"ok", "damped", "acceleration-limited"} <= set(seen), seen
 
 
 def reaching(robot: ml.Robot, rng: np.random.Generator, policy: str = "ascent", **settings: Any) -> Any:

@@ -67,6 +67,22 @@ struct Program {
         if (under > most) most = under, worst = 2 * n + r;
       }
       if (worst < 0) {
+        // y = J t with T^T t = what the active constraints ask for, twice: the steps above lose half of the digits
+        std::fill(y, y + n, 0.0);
+        for (int twice = 0; twice < 2; twice++) {
+          double t[MAX];
+          for (int k = 0; k < number; k++) {
+            int c = active[k], j = c / 2;
+            if (c >= 2 * n) {
+              const double* g = rows->G + (c - 2 * n) * n;
+              t[k] = rows->least[c - 2 * n] - dot(g, wish, n) - dot(g, y, n);
+            } else {
+              t[k] = c % 2 ? wish[j] + y[j] - bounds.high[j] : bounds.low[j] - wish[j] - y[j];
+            }
+            t[k] = (t[k] - dot(T + k * n, t, k)) / T[k * n + k];
+          }
+          for (int k = 0; k < number; k++) add(y, t[k], J + k * n, n);
+        }
         for (int j = 0; j < n; j++) u[j] = wish[j] + y[j];
         for (int i = 0; i < number; i++)
           if (active[i] < 2 * n) u[active[i] / 2] = active[i] % 2 ? bounds.high[active[i] / 2] : bounds.low[active[i] / 2];
