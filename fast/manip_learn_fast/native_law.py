@@ -17,7 +17,7 @@ from manip_learn.control.limits import Limits
 from manip_learn.control.rollout import Rollout
 from manip_learn.recordings.trajectory_source import Progress
 from manip_learn.robot.identity import RobotIdentity
-from manip_learn_fast._engine import Engine
+from manip_learn_fast._engine import Engine  # pyright: ignore[reportMissingImports]
 from manip_learn_fast.description import description
 
 SAMPLES = 200  # of a rollout, between two reports

@@ -148,8 +148,9 @@ def _compiled(
     robot: Robot | None, controller: Controller | ServoLoop, method: Method, starts: np.ndarray, *run: Any
 ) -> Sequence[Rollout | None]:
     """Whole rollouts by the compiled law; None where single steps are needed."""
-    known = isinstance(controller, ResolvedRateController) and method == "euler" and controller.robot is robot
-    native = controller.native if known else None
+    if not (isinstance(controller, ResolvedRateController) and method == "euler" and controller.robot is robot):
+        return (None,) * len(starts)
+    native = controller.native
     return (None,) * len(starts) if native is None else native.rollouts(controller, starts, *run)
 
 
