@@ -120,6 +120,8 @@ struct Law {
   // one step, with the wishes of the law in a few words where Python's are longer; false where Python has to do it
   bool command(Workspace& ws, const double* q, double dt, const Approach* approach, const double* previous, double slide,
                const Given& given, Outcome& out) const {
+    for (int j = 0; j < n; j++)
+      if (!std::isfinite(q[j])) return false;
     const double *A = given.A, *b = out.b, *E = given.E;
     Vjp own_rates, *none = nullptr;
     const Vjp* vjp = given.rates ? given.rates : none;
