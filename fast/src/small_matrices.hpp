@@ -59,7 +59,7 @@ inline void eigen(double* G, int s, double* values, double* V = nullptr) {
   if (V)
     for (int i = 0; i < s * s; i++) V[i] = i % (s + 1) == 0 ? 1.0 : 0.0;
   double tiny = 0.0;
-  for (int i = 0; i < s; i++) tiny += 1e-19 * G[i * s + i];
+  for (int i = 0; i < s; i++) tiny += 1e-17 * G[i * s + i];
   for (int sweep = 0; sweep < 30; sweep++) {
     bool turned = false;
     for (int p = 0; p < s; p++)
