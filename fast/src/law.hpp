@@ -168,7 +168,7 @@ struct Law {
     bool lost = is_lost(R, out), weak = damped && out.near && out.smallest < threshold;
     if (!limits.given) return as_wished(R, wish, lost, weak, out);
     bool far = !previous && limits.far(q, approach, wish);
-    bool closer = approaches(ws, A, R, wish, dt, *vjp, svd_of_A, out.smallest);
+    bool closer = approaches(ws, R, wish, dt, *vjp, svd_of_A, out.smallest);
     bool fast = previous && (may_leave(R, wish) || may_leave(R, previous));
     if (far && !closer && !limits.has_tip) return as_wished(R, wish, lost, weak, out);
     limits.bounds(q, dt, approach, previous, ws.bounds);
@@ -370,7 +370,7 @@ struct Law {
   }
 
   // whether u could approach the singularity too fast; then `slope` is the gradient of the smallest singular value
-  bool approaches(Workspace& ws, const double* A, const double* R, const double* u, double dt, const Vjp& vjp,
+  bool approaches(Workspace& ws, const double* R, const double* u, double dt, const Vjp& vjp,
                   LazySvd& svd_of_A, double smallest) const {
     if (!damped || s > n || smallest <= SINGULAR_RATIO) return false;
     if (!limits.may_approach(dot(u, u, n), dot(R, R, s * n), smallest, dt)) return false;
