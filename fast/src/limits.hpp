@@ -51,9 +51,10 @@ struct Approach {
     free = v <= joined ? v / rate : offset + v * (v + acceleration * dt) / twice;
   }
 
-  double speed(double distance) const {
-    if (distance <= linear) return std::max(rate * distance, -fastest);
-    return std::sqrt(half * half + twice * (distance - offset)) - half;
+  double speed(double distance, double together) const {
+    double brake = distance <= linear ? std::max(rate * distance, -fastest)
+                                      : std::sqrt(half * half + twice * (distance - offset)) - half;
+    return together > 0.0 && distance > 0.0 ? std::min(brake, distance / together) : brake;
   }
 };
 
@@ -161,14 +162,16 @@ struct Limits {
   }
 
   void bounds(const double* q, double dt, const Approach* approach, const double* previous, Bounds& out) const {
-    double outside = 0.0;
+    double outside = 0.0, together = 0.0;
+    for (int j = 0; previous && j < n; j++) together = std::max(together, std::abs(previous[j]) / acceleration[j]);
     for (int j = 0; j < n; j++) {
       double &low = out.low[j], &high = out.high[j];
       low = -velocity[j], high = velocity[j], out.low_cause[j] = out.high_cause[j] = VELOCITY;
       double below = q[j] - lower[j], above = upper[j] - q[j], free = approach[j].free, fastest;
       if (!(lower[j] + free <= q[j] && q[j] <= upper[j] - free)) {
-        if (above < free && (fastest = approach[j].speed(above)) < high) high = fastest, out.high_cause[j] = POSITION;
-        if (below < free && (fastest = approach[j].speed(below)) < velocity[j])
+        if (above < free && (fastest = approach[j].speed(above, together)) < high)
+          high = fastest, out.high_cause[j] = POSITION;
+        if (below < free && (fastest = approach[j].speed(below, together)) < velocity[j])
           low = -fastest, out.low_cause[j] = POSITION;
         if (below < 0.0 || above < 0.0) outside = std::max(outside, std::max(-below, -above));
       }

@@ -277,12 +277,20 @@ def approach_of(velocity: float, acceleration: float, dt: float) -> Approach:
     return Approach(free, rate, linear, offset, twice, half, fastest)
 
 
-def approach_speed(approach: Approach, distance: float) -> float:
-    """brake(d); negative outside, where the joint returns."""
+def approach_speed(approach: Approach, distance: float, together: float) -> float:
+    """brake(d), at most d / T; negative outside, where the joint returns.
+
+    Args:
+        approach: Of the joint.
+        distance: d from its limit [rad or m].
+        together: T, in which all joints can stop [s].
+    """
     if distance <= approach.linear:
-        return max(approach.rate * distance, -approach.fastest)
-    half = approach.half
-    return math.sqrt(half * half + approach.twice * (distance - approach.offset)) - half
+        speed = max(approach.rate * distance, -approach.fastest)
+    else:
+        half = approach.half
+        speed = math.sqrt(half * half + approach.twice * (distance - approach.offset)) - half
+    return min(speed, distance / together) if together > 0.0 and distance > 0.0 else speed
 
 
 def stopping_speed(
@@ -385,10 +393,12 @@ class Limits:
 
         brake(d) = sqrt(2 a (d - d0) + (a dt / 2)^2) - a dt / 2    for d > d1,    kappa d    for d <= d1,
 
-    with d0 and d1 such that value and slope are continuous: a joint at its limit is approached exponentially. Bounds
-    of this kind can always be met in the step that follows (Del Prete, "Joint position and velocity bounds in
-    discrete-time acceleration/torque control of robot manipulators", 2018). Where they cannot, because the motion
-    started too fast or outside, the acceleration limit has precedence. A joint outside returns.
+    with d0 and d1 such that value and slope are continuous: a joint at its limit is approached exponentially. It is at
+    most d / T, with the time T = max_j |u'_j| / a_j in which all joints can stop: a slow joint that stopped sooner than
+    the fast ones that move with it would take the hand off its way. Bounds of this kind can always be met in the step
+    that follows (Del Prete, "Joint position and velocity bounds in discrete-time acceleration/torque control of robot
+    manipulators", 2018). Where they cannot, because the motion started too fast or outside, the acceleration limit has
+    precedence. A joint outside returns.
 
     Args:
         robot: The robot, for its position and velocity limits.
@@ -494,13 +504,14 @@ class Limits:
         lower, upper, speeds, accelerations = self._columns
         low, high, outside = list(map(neg, speeds)), speeds.copy(), 0.0
         low_cause, high_cause = [VELOCITY] * len(speeds), [VELOCITY] * len(speeds)
+        together = 0.0 if previous is None else max(map(truediv, map(abs, previous.tolist()), accelerations))
         for j, (y, bottom, top) in enumerate(zip(x.tolist(), approaches.low, approaches.high, strict=True)):
             if bottom <= y <= top:  # far from its limits
                 continue
             below, above, approach = y - lower[j], upper[j] - y, approaches.joints[j]
-            if above < approach.free and (fastest := approach_speed(approach, above)) < high[j]:
+            if above < approach.free and (fastest := approach_speed(approach, above, together)) < high[j]:
                 high[j], high_cause[j] = fastest, POSITION
-            if below < approach.free and (fastest := approach_speed(approach, below)) < speeds[j]:
+            if below < approach.free and (fastest := approach_speed(approach, below, together)) < speeds[j]:
                 low[j], low_cause[j] = -fastest, POSITION
             if below < 0.0 or above < 0.0:
                 outside = max(outside, -below, -above)
