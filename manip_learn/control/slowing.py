@@ -14,7 +14,7 @@ from manip_learn.linalg import unit
 from manip_learn.robot.frame_kinematics import vjps
 
 # [m or rad] by which a hand may leave what holds it while the joints brake: half of what counts as straying on a way.
-# Twice as much and half of it change the farthest firm grip of 45 by 0.1 mm
+# With twice as much 3 of 90 near-singular firm grips stray, by up to 3.4 mm, and 2 with this, by 2.1 mm
 ASIDE = 1e-3
 ROUNDING = 1e-9  # [rad/s or m/s] a joint that the task moves by less has no say in how much it is slowed down
 
