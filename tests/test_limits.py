@@ -58,13 +58,17 @@ def test_bounds_are_those_of_the_docstring(robot_of: RobotOf, rng: np.random.Gen
         u = None if previous is None else previous * speed
         for mirrored in (False, True):
             x, before = (low + high - q, u if u is None else -u) if mirrored else (q, u)
+            together = 0.0 if u is None else float(np.max(np.abs(u) / acceleration))  # [s] in which all joints stop
             bounds = limits.bounds(x, dt, before)
             far, near = (bounds.high, bounds.low) if mirrored else (bounds.low, bounds.high)
             causes = bounds.low_cause if mirrored else bounds.high_cause
             for j in range(7):
                 v, a = float(speed[j]), float(acceleration[j])
-                top, bottom, cause = braking(high[j] - q[j], v, a, dt), -braking(q[j] - low[j], v, a, dt), 1
-                cause = 0 if top < v else 1
+                top, bottom = (
+                    min(braking(d, v, a, dt), d / together if together > 0.0 and d > 0.0 else np.inf)
+                    for d in (high[j] - q[j], q[j] - low[j])
+                )
+                bottom, cause = -bottom, 0 if top < v else 1
                 if u is not None:
                     cause = 2 if u[j] + a * dt < top else cause
                     top, bottom = min(top, u[j] + a * dt), max(bottom, u[j] - a * dt)

@@ -168,10 +168,9 @@ struct Limits {
       double &low = out.low[j], &high = out.high[j];
       low = -velocity[j], high = velocity[j], out.low_cause[j] = out.high_cause[j] = VELOCITY;
       double below = q[j] - lower[j], above = upper[j] - q[j], free = approach[j].free, fastest;
-      if (!(lower[j] + free <= q[j] && q[j] <= upper[j] - free)) {
-        if (above < free && (fastest = approach[j].speed(above, together)) < high)
-          high = fastest, out.high_cause[j] = POSITION;
-        if (below < free && (fastest = approach[j].speed(below, together)) < velocity[j])
+      if (!(lower[j] + free <= q[j] && q[j] <= upper[j] - free) || together * velocity[j] > free) {
+        if ((fastest = approach[j].speed(above, together)) < high) high = fastest, out.high_cause[j] = POSITION;
+        if ((fastest = approach[j].speed(below, together)) < velocity[j])
           low = -fastest, out.low_cause[j] = POSITION;
         if (below < 0.0 || above < 0.0) outside = std::max(outside, std::max(-below, -above));
       }

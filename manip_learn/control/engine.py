@@ -25,7 +25,7 @@ def _compiled() -> Any:
     try:
         module = import_module("manip_learn_fast")
         version = module.LAW_VERSION
-    except Exception as error:  # whatever is wrong with it, the law in Python does the work
+    except (ImportError, AttributeError, OSError) as error:  # the law in Python does the work
         if isinstance(error, ModuleNotFoundError) and error.name == "manip_learn_fast":
             return None
         module, wrong = None, f"manip_learn_fast cannot be loaded ({error!r})"

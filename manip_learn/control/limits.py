@@ -373,12 +373,21 @@ class Bounds(NamedTuple):
 
 @final
 class _Approaches(NamedTuple):
-    """How fast the joints may approach their limits in steps of dt, and the positions between which all speeds are."""
+    """How fast the joints may approach their limits in steps of dt.
+
+    Attributes:
+        dt: [s].
+        joints: Of each joint.
+        low: Lowest positions from which on all speeds are allowed to joints that wait for no others.
+        high: Highest ones.
+        quick: Time in which others may stop for that [s].
+    """
 
     dt: float
     joints: list[Approach]
     low: list[float]
     high: list[float]
+    quick: float
 
 
 @final
@@ -471,7 +480,7 @@ class Limits:
             array.setflags(write=False)
         self._columns = tuple(a.tolist() for a in (self.lower, self.upper, self.velocity, self.acceleration))
         self.weakest = float(self.acceleration.min())
-        self._approach = _Approaches(0.0, [], [], [])
+        self._approach = _Approaches(0.0, [], [], [], 0.0)
 
     def far(self, q: Float[np.ndarray, " n"], dt: float, velocity: Float[np.ndarray, " nv"]) -> bool:
         """Whether no joint is near a position limit, or faster than its velocity limit: `bounds` then admit it."""
@@ -486,7 +495,8 @@ class Limits:
     def _approaches(self, dt: float) -> _Approaches:
         joints = [approach_of(v, a, dt) for v, a in zip(*self._columns[2:], strict=True)]
         free = np.array([approach.free for approach in joints])
-        return _Approaches(dt, joints, (self.lower + free).tolist(), (self.upper - free).tolist())
+        quick = float(np.min(free / np.minimum(self.velocity, 1e6), initial=math.inf))
+        return _Approaches(dt, joints, (self.lower + free).tolist(), (self.upper - free).tolist(), quick)
 
     def bounds(self, q: Float[np.ndarray, " n"], dt: float, previous: Float[np.ndarray, " nv"] | None) -> Bounds:
         """Bounds on the velocity of the next dt.
@@ -506,12 +516,12 @@ class Limits:
         low_cause, high_cause = [VELOCITY] * len(speeds), [VELOCITY] * len(speeds)
         together = 0.0 if previous is None else max(map(truediv, map(abs, previous.tolist()), accelerations))
         for j, (y, bottom, top) in enumerate(zip(x.tolist(), approaches.low, approaches.high, strict=True)):
-            if bottom <= y <= top:  # far from its limits
+            if bottom <= y <= top and together <= approaches.quick:  # far from its limits
                 continue
             below, above, approach = y - lower[j], upper[j] - y, approaches.joints[j]
-            if above < approach.free and (fastest := approach_speed(approach, above, together)) < high[j]:
+            if (fastest := approach_speed(approach, above, together)) < high[j]:
                 high[j], high_cause[j] = fastest, POSITION
-            if below < approach.free and (fastest := approach_speed(approach, below, together)) < speeds[j]:
+            if (fastest := approach_speed(approach, below, together)) < speeds[j]:
                 low[j], low_cause[j] = -fastest, POSITION
             if below < 0.0 or above < 0.0:
                 outside = max(outside, -below, -above)
@@ -548,7 +558,7 @@ class Limits:
             other.jerk = _positive("jerk", jerk, self.robot.joint_names)
         other.weakest = float(other.acceleration.min())
         other._columns = tuple(a.tolist() for a in (self.lower, self.upper, self.velocity, other.acceleration))
-        other._approach = _Approaches(0.0, [], [], [])
+        other._approach = _Approaches(0.0, [], [], [], 0.0)
         return other
 
     def may_approach(self, square: float, size: float, smallest: float, dt: float) -> bool:
