@@ -27,7 +27,7 @@ Each line of {download}`the table <figures/law.csv>` is one start with one polic
 
 The starts are those of [When it helps](figures_when_it_helps.md) with a held orientation near a singularity, two for
 each arm and task: 60 ways and 12 points to reach. A way is done if the hand goes all of it and is never 2 mm off what
-holds it. The law was tuned on the starts of seed 41000, not on those of seed 87000.
+holds it. The law was tuned on the starts of seed 41000; of seed 87000 one firm grip, of a UR5, led to a rule as well.
 """
 FIRM = """
 ## Firm grips
