@@ -8,8 +8,8 @@
 constexpr double HELD = 0.1, ACROSS = 1e-4, ALONG = 3e-3, ESCAPE_WIDTH = 0.6, ESCAPE_SPEED = 0.2, SEED_SHARE = 6e-4;
 constexpr double ASIDE = 1e-3, STABLE_SLOPE = 0.5, AT_GOAL = 1e-6, SLIDING_AFTER = 0.5, KEEPING_AFTER = 1.0, GOING_ON = 0.5;
 constexpr double ROUNDING = 1e-9, STALLED_BELOW = 0.02, SCALED_BELOW = 0.999;
-// in the order of `Status`
 constexpr int LAW_VERSION = 1;  // as in engine.py: it grows whenever a number of the law changes
+// in the order of `Status`
 enum Status { OUTSIDE_LIMITS = 4, SINGULAR, STALLED, POSITION_LIMITED, VELOCITY_LIMITED, ACCELERATION_LIMITED, DAMPED,
               REROUTED, NULL_SCALED, OK };
 
@@ -169,7 +169,7 @@ struct Law {
     if (!limits.given) return as_wished(R, wish, lost, weak, out);
     bool far = !previous && limits.far(q, approach, wish);
     bool closer = approaches(ws, R, wish, dt, *vjp, svd_of_A, out.smallest);
-    bool fast = previous && (may_leave(R, wish) || may_leave(R, previous));
+    bool fast = previous && may_leave(R, std::max(dot(wish, wish, n), dot(previous, previous, n)));
     if (far && !closer && !limits.has_tip) return as_wished(R, wish, lost, weak, out);
     limits.bounds(q, dt, approach, previous, ws.bounds);
     out.outside = ws.bounds.outside, ws.barrier.number = 0;
@@ -220,8 +220,8 @@ struct Law {
 
   // ---- what slows the law down, as slowing.py has it ----
 
-  bool may_leave(const double* A, const double* u) const {
-    double square = dot(u, u, n), bend = std::sqrt(n * dot(A, A, s * n)) * square;
+  bool may_leave(const double* A, double square) const {
+    double bend = std::sqrt(n * dot(A, A, s * n)) * square;
     return bend * square > 8.0 * ASIDE * limits.weakest * limits.weakest;
   }
 
@@ -229,14 +229,13 @@ struct Law {
     double share = 1.0, W[MAX * MAX], slope[MAX], bend[MAX], along[MAX], parts[MAX];
     for (int which = 0; which < 2; which++) {
       const double* u = which ? previous : wish;
-      double time = 0.0;
+      double time = limits.stopping_time(u);
       for (int i = 0; i < s; i++) {
         std::fill(W, W + s * n, 0.0), std::copy(u, u + n, W + i * n);
         vjp(W, slope), bend[i] = dot(slope, u, n);
       }
       times(D, bend, driven, s, along), across(along, D, driven, s, parts);
       for (int i = 0; i < s; i++) bend[i] -= parts[i];
-      for (int j = 0; j < n; j++) time = std::max(time, std::abs(u[j]) / limits.acceleration[j]);
       double aside = 0.125 * time * time * std::sqrt(dot(bend, bend, s));
       if (aside > ASIDE) share = std::min(share, std::pow(ASIDE / aside, which ? 1.0 : 0.25));
     }

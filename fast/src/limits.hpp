@@ -161,9 +161,14 @@ struct Limits {
     return true;
   }
 
+  double stopping_time(const double* u) const {
+    double time = 0.0;
+    for (int j = 0; j < n; j++) time = std::max(time, std::abs(u[j]) / acceleration[j]);
+    return time;
+  }
+
   void bounds(const double* q, double dt, const Approach* approach, const double* previous, Bounds& out) const {
-    double outside = 0.0, together = 0.0;
-    for (int j = 0; previous && j < n; j++) together = std::max(together, std::abs(previous[j]) / acceleration[j]);
+    double outside = 0.0, together = previous ? stopping_time(previous) : 0.0;
     for (int j = 0; j < n; j++) {
       double &low = out.low[j], &high = out.high[j];
       low = -velocity[j], high = velocity[j], out.low_cause[j] = out.high_cause[j] = VELOCITY;

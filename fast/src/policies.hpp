@@ -65,12 +65,6 @@ struct Policy {
   std::vector<Policy> parts;
   std::vector<double> weights;
 
-  bool uses_rows() const {
-    for (const Policy& part : parts)
-      if (part.uses_rows()) return true;
-    return kind == ASCENT || kind == ROOM;
-  }
-
   void bounded(const double* slope, int n, double dt, double* w) const {
     double steepness = std::sqrt(dot(slope, slope, n)), factor = gain;
     if (std::isfinite(max_speed)) {

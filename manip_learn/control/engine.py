@@ -28,7 +28,7 @@ def _compiled() -> Any:
     except (ImportError, AttributeError, OSError) as error:  # the law in Python does the work
         if isinstance(error, ModuleNotFoundError) and error.name == "manip_learn_fast":
             return None
-        module, wrong = None, f"manip_learn_fast cannot be loaded ({error!r})"
+        wrong = f"manip_learn_fast cannot be loaded ({error!r})"
     else:
         wrong = f"manip_learn_fast has version {version!r} of the law, this library needs {LAW_VERSION}"
         if version == LAW_VERSION:

@@ -270,7 +270,7 @@ class Law:
             return law.as_wished(wish, 0.0)
         far = previous is None and limits.far(q, dt, wish)
         slope = self._approach(q, dt, law, wish, limits)
-        fast = previous is not None and any(may_leave(law.A, u, limits) for u in (wish, previous))
+        fast = previous is not None and may_leave(law.A, max(wish.dot(wish), previous.dot(previous)), limits)
         tip = limits.tip
         if far and slope is None and tip is None:
             return law.as_wished(wish, 0.0)

@@ -33,6 +33,7 @@ APPROACH_RATE = 20.0
 BRAKING_SHARE = 0.5  # of the joints' acceleration that braking before a wall uses; the rest keeps the task on its way
 CROSSING_SPEED = 5e-4  # [rad/s] speed at which a singularity may be crossed
 ROUNDED = 1e-12  # [m/s] by how much the solution of a program may approach a wall too fast: rounding of a speed of 1
+FASTEST = 1e6  # [rad/s or m/s] speed of a joint without a velocity limit: braking distances stay finite
 MOST_ROWS = 12  # rounds in which a speed was too large; in practice one to four
 # [rad or m] no joint is farther beyond its limits than encoders count a turn too much, and none without is so far away
 TURN, LARGEST_POSITION = 2.0 * math.pi, 1e6
@@ -265,7 +266,7 @@ def approach_of(velocity: float, acceleration: float, dt: float) -> Approach:
     """The constants of a joint: value and slope of brake(d) are continuous at d1."""
     acceleration = BRAKING_SHARE * acceleration
     rate = min(APPROACH_RATE, 0.5 / dt)
-    v = min(velocity, 1e6)
+    v = min(velocity, FASTEST)
     fastest = RETURN_SPEED * v
     if not math.isfinite(acceleration):  # stops at once
         return Approach(v / rate, rate, math.inf, 0.0, 0.0, 0.0, fastest)
@@ -478,25 +479,32 @@ class Limits:
             )
         for array in (self.lower, self.upper):
             array.setflags(write=False)
+        self._prepare()
+
+    def _prepare(self) -> None:
+        """What follows from the limits."""
         self._columns = tuple(a.tolist() for a in (self.lower, self.upper, self.velocity, self.acceleration))
         self.weakest = float(self.acceleration.min())
-        self._approach = _Approaches(0.0, [], [], [], 0.0)
+        self._latest = _Approaches(0.0, [], [], [], 0.0)
 
     def far(self, q: Float[np.ndarray, " n"], dt: float, velocity: Float[np.ndarray, " nv"]) -> bool:
         """Whether no joint is near a position limit, or faster than its velocity limit: `bounds` then admit it."""
-        approaches = self._approach
-        if dt != approaches.dt:
-            self._approach = approaches = self._approaches(dt)
+        approaches = self._approaches(dt)
         x = (q if q.shape[0] == self.robot.nv else self.robot.positions(q)).tolist()
         if not all(map(le, map(abs, velocity.tolist()), self._columns[2])):
             return False
         return all(map(le, approaches.low, x)) and all(map(le, x, approaches.high))
 
     def _approaches(self, dt: float) -> _Approaches:
+        if dt == self._latest.dt:
+            return self._latest
         joints = [approach_of(v, a, dt) for v, a in zip(*self._columns[2:], strict=True)]
         free = np.array([approach.free for approach in joints])
-        quick = float(np.min(free / np.minimum(self.velocity, 1e6), initial=math.inf))
-        return _Approaches(dt, joints, (self.lower + free).tolist(), (self.upper - free).tolist(), quick)
+        quick = float(np.min(free / np.minimum(self.velocity, FASTEST), initial=math.inf))
+        self._latest = found = _Approaches(
+            dt, joints, (self.lower + free).tolist(), (self.upper - free).tolist(), quick
+        )
+        return found
 
     def bounds(self, q: Float[np.ndarray, " n"], dt: float, previous: Float[np.ndarray, " nv"] | None) -> Bounds:
         """Bounds on the velocity of the next dt.
@@ -506,15 +514,13 @@ class Limits:
             dt: Time that the next velocity is held [s].
             previous: Velocity commanded in the step before [rad/s or m/s]; None bounds no acceleration.
         """
-        approaches = self._approach
-        if dt != approaches.dt:
-            self._approach = approaches = self._approaches(dt)
+        approaches = self._approaches(dt)
         x = q if q.shape[0] == self.robot.nv else self.robot.positions(q)
         # loops over Python floats: NumPy calls on vectors as short as an arm's cost more
         lower, upper, speeds, accelerations = self._columns
         low, high, outside = list(map(neg, speeds)), speeds.copy(), 0.0
         low_cause, high_cause = [VELOCITY] * len(speeds), [VELOCITY] * len(speeds)
-        together = 0.0 if previous is None else max(map(truediv, map(abs, previous.tolist()), accelerations))
+        together = 0.0 if previous is None else self.stopping_time(previous)
         for j, (y, bottom, top) in enumerate(zip(x.tolist(), approaches.low, approaches.high, strict=True)):
             if bottom <= y <= top and together <= approaches.quick:  # far from its limits
                 continue
@@ -529,6 +535,10 @@ class Limits:
         if previous is not None:
             bound_changes(bounds, previous, accelerations, dt)
         return bounds
+
+    def stopping_time(self, velocity: Float[np.ndarray, " nv"]) -> float:
+        """T = max_j |u_j| / a_j, in which all joints can stop from a velocity u [s]."""
+        return max(map(truediv, map(abs, velocity.tolist()), self._columns[3]))
 
     def towards(
         self, wish: Float[np.ndarray, " nv"], previous: Float[np.ndarray, " nv"], bounds: Bounds, dt: float
@@ -556,9 +566,7 @@ class Limits:
             other.acceleration = _positive("acceleration", acceleration, self.robot.joint_names)
         if jerk is not None:
             other.jerk = _positive("jerk", jerk, self.robot.joint_names)
-        other.weakest = float(other.acceleration.min())
-        other._columns = tuple(a.tolist() for a in (self.lower, self.upper, self.velocity, other.acceleration))
-        other._approach = _Approaches(0.0, [], [], [], 0.0)
+        other._prepare()
         return other
 
     def may_approach(self, square: float, size: float, smallest: float, dt: float) -> bool:

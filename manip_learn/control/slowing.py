@@ -45,13 +45,13 @@ def slowed_drive(
     return rest, drive
 
 
-def may_leave(A: Float[np.ndarray, "s nv"], u: Float[np.ndarray, " nv"], limits: Limits) -> bool:
+def may_leave(A: Float[np.ndarray, "s nv"], square: float, limits: Limits) -> bool:
     """Whether braking from a velocity may lead the hand off what holds it, so that a closer look is due.
 
-    |dA[u] u| is at most about |A| |u| sum_j |u_j|.
+    |dA[u] u| is at most about |A| |u| sum_j |u_j|, and `square` is |u|^2.
     """
-    square, flat = float(u.dot(u)), A.reshape(-1)
-    bend = math.sqrt(len(u) * float(flat.dot(flat))) * square
+    flat = A.reshape(-1)
+    bend = math.sqrt(A.shape[1] * float(flat.dot(flat))) * square
     return bend * square > 8.0 * ASIDE * limits.weakest**2
 
 
@@ -87,7 +87,7 @@ def braking_share(
     for u, power in ((wish, 0.25), (previous, 1.0)):
         bend = vjps(vjp, np.kron(unit(s), u), s).dot(u)
         bend = bend - D.T.dot(D.dot(bend))
-        time = float((np.abs(u) / limits.acceleration).max())
+        time = limits.stopping_time(u)
         aside = 0.125 * time * time * math.sqrt(bend.dot(bend))
         if aside > ASIDE:
             share = min(share, (ASIDE / aside) ** power)
