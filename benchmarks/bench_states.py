@@ -81,12 +81,13 @@ def test_every_state() -> None:
 def test_whole_rollouts() -> None:
     """500 steps of the compiled law, from one start and from a table on all cores, in microseconds a step and core."""
     for name in ("sawyer", "ur5", "planar3"):
-        arm, best = states.arm_of(name), [math.inf, math.inf]
+        arm = states.arm_of(name)
         if arm.controller.engine == "python":
             pytest.skip("NO manip_learn_fast: make fast")
         starts = np.array([states.inside(arm.robot, rng) for rng in states.seeds(5, 500)])
         cores = len(os.sched_getaffinity(0))
         for law, where in ((arm.controller, "reached"), (arm.far, "out of reach")):
+            best = [math.inf, math.inf]
             for _ in range(ROUNDS):
                 for i, q0 in enumerate((starts[0], starts)):
                     begun = time.perf_counter()
@@ -94,7 +95,6 @@ def test_whole_rollouts() -> None:
                     best[i] = min(best[i], time.perf_counter() - begun)
             one, many = 1e6 * best[0] / 501, 1e6 * best[1] * cores / (501 * len(starts))
             print(f"{name}, target {where}: {one:.2f} us a step alone, {many:.2f} in a table of {len(starts)}")
-            best = [math.inf, math.inf]
 
 
 def test_pose_targets() -> None:

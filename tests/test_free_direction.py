@@ -18,6 +18,7 @@ from manip_learn.constraint.features import (
 )
 from manip_learn.control.command import Status
 from manip_learn.control.controller import ResolvedRateController
+from manip_learn.control.limits import Limits
 from manip_learn.control.policies import ManipulabilityAscent
 from manip_learn.control.rollout import Rollout
 from manip_learn.control.simulation import simulate
@@ -32,7 +33,7 @@ READY = np.array([0.0, -0.3, 0.0, -2.0, 0.0, 1.8, 0.7])
 AXIS = np.array([0.1, -0.2, 0.95]) / np.linalg.norm([0.1, -0.2, 0.95])
 
 
-def run(task: FreeDirection, q: np.ndarray, limits: bool = True, climb: bool = True) -> Rollout:
+def run(task: FreeDirection, q: np.ndarray, limits: bool | Limits = True, climb: bool = True) -> Rollout:
     learnt = task.learnt
     policy = ManipulabilityAscent(learnt, 0.3) if climb else None
     controller = ResolvedRateController(learnt, task, policy, limits=limits)
@@ -189,13 +190,16 @@ def test_limits_delay_but_do_not_bend(robot_of: RobotOf) -> None:
     robot = robot_of("panda")
     constraint = Constraint(np.eye(3)[1:], FrameJacobian(robot, TIP))
     fast = FreeDirection(constraint, -0.25, 3.0, ramp=0.05)
-    rollout = run(fast, READY, climb=False)
-    p = tips(rollout, robot)
-    assert {Status.VELOCITY_LIMITED, Status.ACCELERATION_LIMITED} & set(rollout.status)
-    assert np.max(np.abs(p[:, 1:] - p[0, 1:])) < 1e-3
-    assert p[-1, 0] - p[0, 0] == pytest.approx(-0.25, abs=1e-3)
-    assert np.max(np.abs(np.diff(p[:, 0]))) / 0.01 < 3.0 * 1.001
-    assert np.all(np.abs(rollout.u) <= robot.velocity_limit + 1e-9)
+    strong = Limits(robot, acceleration=100.0 * robot.velocity_limit)  # whose joints brake at once
+    for limits, status in ((strong, Status.VELOCITY_LIMITED), (True, Status.ACCELERATION_LIMITED)):
+        fast.reset()
+        rollout = run(fast, READY, limits=limits, climb=False)
+        p = tips(rollout, robot)
+        assert status in rollout.status
+        assert np.max(np.abs(p[:, 1:] - p[0, 1:])) < 1e-3
+        assert p[-1, 0] - p[0, 0] == pytest.approx(-0.25, abs=1e-3)
+        assert np.max(np.abs(np.diff(p[:, 0]))) / 0.01 < 3.0 * 1.001
+        assert np.all(np.abs(rollout.u) <= robot.velocity_limit + 1e-9)
     far = FreeDirection(constraint, 2.0, 0.5)
     rollout = run(far, READY, climb=False)
     p = tips(rollout, robot)

@@ -142,12 +142,14 @@ def test_braking_keeps_position_limits(robot_of: RobotOf) -> None:
     loop.stop()
     together = arm.call()
     np.testing.assert_allclose(together.velocity[[0, 6]], 1.5 - 5.0 * DT, rtol=1e-6)
+    arm.calls(400)
+    assert np.all(arm.last == 0.0)
     loop.start()
     for _ in range(4000):
         before = robot.position_upper[0] - arm.q[0]
         arm.call()
         assert outside(robot, arm.q) <= 1e-9
-        assert arm.last[0] <= before / (arm.last[6] / 5.0) * 1.02 + 1e-3
+        assert arm.last[0] * arm.last[6] / 5.0 <= 1.02 * before + 1e-3
     assert np.all(arm.last[0] < 1e-3) and arm.q[0] > robot.position_upper[0] - 1e-3
 
 
