@@ -36,7 +36,6 @@ LOST = 0.6  # [s] after which a pull that nobody repeats is over: pages repeat i
 SLOWEST = 0.25  # [s] that the physics may be late before they let the time go: a computer that slept does not catch up
 BUMP, BUMPED = 25.0, 0.3  # [N m], [s] of somebody who bumps into the arm
 LATELY = 0.02  # share of the newest period in their mean: half a second of them count
-AGAIN = 2.0  # times the gripper's reach from which on it closes by itself again, after it was opened
 
 
 @final
@@ -282,11 +281,12 @@ class TeachingArm:
         return self.held is not None
 
     def close_when_near(self) -> bool:
-        """Close the gripper on a handle that the hand has come to; one that it opened at only after it was away."""
+        """Close the gripper on a handle that the hand has come to.
+
+        Where it was opened it stays open until the person has let the arm go elsewhere: a hand that had pushed a drawer
+        shut comes back by its handle.
+        """
         near = self.near()
-        if self._opened is not None:
-            gap = float(np.linalg.norm(self.handle_place(self._opened) - self.place))
-            self._opened = None if gap > AGAIN * REACHES else self._opened
         return self.held is None and near is not None and near != self._opened and self.grip(True)
 
     def disturb(self, what: Literal["elbow", "hand"], rng: np.random.Generator) -> None:

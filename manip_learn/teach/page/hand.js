@@ -5,7 +5,6 @@ const TURN_PER_PIXEL = Math.PI / 360; // [rad] of the hand for a pixel to the si
 const STEP = 0.01, TURN_STEP = Math.PI / 60; // [m] of the pull and [rad] of the hand for a key
 const MAGNET = 26; // [px] around a handle within which a hand that is drawn over it also comes to its depth
 const GLIDE = 0.4; // [m/s] at which a pull goes to a handle by itself: as fast as a person reaches for something near
-const FREED = 0.06; // [m] from a handle that was let go of, from which it may be taken again: as in the program
 const FELT = 0.01; // [m] of a handle's motion that show which way it goes
 const AT_VIEWER = 0.85; // cosine of the angle between a way and the view from which on a drag can hardly follow it
 
@@ -183,13 +182,12 @@ class Hand {
   }
 
   remember(pose) {
-    const holds = pose.held.indexOf(true), tip = this.teach.instance.tipPosition();
+    const holds = pose.held.indexOf(true);
     if (this.holds >= 0 && holds < 0) this.freed = this.holds;
     if (this.holds !== holds) Object.assign(this, { goes: null, was: null });
     this.holds = holds;
     this.feel(this.teach.handlePlaces()[holds]);
-    const place = this.teach.handlePlaces()[this.freed];
-    if (holds >= 0 || !place || place.distanceTo(tip) > FREED) this.freed = null;
+    if (holds >= 0) this.freed = null;
   }
 
   glide(pose) {
