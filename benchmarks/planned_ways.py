@@ -25,8 +25,8 @@ from table_file import put
 
 import manip_learn as ml
 from manip_learn.control.way import WayDone, simulate_way
-from manip_learn.planning.approach import self_collision
-from manip_learn.planning.search import ladder_of
+from manip_learn.planning.clearance import self_collision
+from manip_learn.planning.search import marches_of
 from manip_learn.planning.stations import Stations
 
 TIPS = {"sawyer": "right_hand", "panda": "panda_hand_tcp", "xarm7": "link_eef", "ur5": "tool0", "ur10": "tool0"}
@@ -97,11 +97,11 @@ def exhaustive(case: Case, rng: np.random.Generator) -> bool | None:
     """
     stations = Stations.of(case.motion, case.start, ml.Limits(case.robot))
     rows, grasp = case.motion.constraint, stations.grasp[None]
-    ladder = ladder_of(stations, rows, case.start, EXHAUSTIVE, rng, grasp)
-    if not ladder.allowed.any(axis=0).all():
+    marches = marches_of(stations, rows, case.start, EXHAUSTIVE, rng, grasp)
+    if not np.isfinite(marches.least).any(axis=0).all():
         return None
     links = self_collision(case.robot)
-    whole = ladder.q[ladder.allowed.all(axis=1), 0]
+    whole = marches.q[np.isfinite(marches.least).all(axis=1), 0]
     clear = [q for q in whole if links is None or not links.closer_than(case.robot.configuration(q), NEAR)]
     return any(greedy(case, climbs, q, DT) for q in clear for climbs in (False, True))
 

@@ -15,7 +15,7 @@ from when_cases import PAUSE, Case
 
 import manip_learn as ml
 from manip_learn.control.way import AT_REST, DONE, SLACK, STRAY, WayDone, simulate_way
-from manip_learn.planning.approach import self_collision
+from manip_learn.planning.clearance import self_collision
 
 GAIN, DURATION, THERE = 2.0, 5.0, 1e-3  # [1/s] and [s] of reaching, and what may be missing of it [m or rad]
 SCRIPTS = Path(__file__).resolve().parent / "peers"

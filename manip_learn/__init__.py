@@ -60,7 +60,7 @@ if TYPE_CHECKING:
     from manip_learn.learning import ConstraintLearner
     from manip_learn.learning.audit import audit_episodes
     from manip_learn.learning.mechanisms.find_mechanism import MechanismFit, find_mechanism
-    from manip_learn.planning.approach import GraspCone
+    from manip_learn.planning.grasp_cone import GraspCone
     from manip_learn.planning.plan import Plan, plan
     from manip_learn.planning.repeat import Repetition, repeat
     from manip_learn.playback import LiveViewer, replay
@@ -106,7 +106,7 @@ _NAMES = {
     "control.policies": "JointAttractor JointLimitAvoidance ManipulabilityAscent NullSpacePolicy "
     "PenalisedManipulabilityAscent SelfCollisionAvoidance WeightedPolicies ZeroPolicy",
     "control.tasks": "FreeDirection Hold PointAttractor Task Track motion",
-    "planning.approach": "GraspCone",
+    "planning.grasp_cone": "GraspCone",
     "planning.plan": "Plan plan",
     "planning.repeat": "Repetition repeat",
     "control.servo_loop": "ServoLoop",

@@ -14,9 +14,9 @@ import manip_learn as ml
 from manip_learn.commands.demo import SCENES
 from manip_learn.control.law_sequence import JointMotion, every_joint
 from manip_learn.control.limits import Limits
-from manip_learn.planning.approach import Clearance, clear_path, self_collision
+from manip_learn.planning.clearance import self_collision
 from manip_learn.planning.plan import PathPolicy
-from manip_learn.planning.search import Ladder, soft_margin
+from manip_learn.planning.search import Marches, soft_margin
 from manip_learn.planning.stations import Stations, margins_of
 from manip_learn.robot.rotations import rotation_matrix
 
@@ -345,61 +345,24 @@ def test_newton_brings_postures_onto_their_stations_within_the_limits(panda: ml.
         assert np.max(np.abs(panda.pose(x, PANDA_TIP) - goals[station])) < 5e-5
 
 
-def test_the_ladder_finds_the_path_whose_least_margin_is_largest() -> None:
-    """As trying every path does; the path chosen has that margin but for the tie."""
+def test_the_march_with_the_largest_least_margin_comes_first() -> None:
+    """Of those within a hundredth the one of the larger mean mu; those that take hold alike count once."""
     robot = ml.load_robot("planar3")
     held = ml.Constraint([[0, 1]], ml.FrameJacobian(robot, "tip", "x y"))
-    motion = ml.motion(held, along=0.3)
-    stations = Stations.of(motion, [0.3, 0.8, 0.4], Limits(robot))
-    rng = np.random.default_rng(1)
-    P, last = 5, 5
-    q = 0.3 * rng.normal(size=(P, len(stations), 3))
-    least, mu = rng.uniform(0.1, 0.9, (P, len(stations))), rng.normal(size=(P, len(stations)))
-    allowed = rng.uniform(size=least.shape) > 0.2
-    ladder = Ladder(stations, q, np.tile(np.eye(3), (P, 1, 1)), np.zeros(P, dtype=int), allowed, least, mu)
-    margins = ladder.margins_to(last)
-    best = np.full(P, -np.inf)
-    for path in product(range(P), repeat=last + 1):
-        k = np.arange(last + 1)
-        steps = np.diff(q[list(path), k], axis=0)
-        left = 1.0 - np.max(np.abs(steps) / robot.velocity_limit, axis=1) / np.diff(stations.time[: last + 1])
-        if np.all(allowed[list(path), k]) and np.all(np.abs(steps) <= 0.5):
-            best[path[0]] = max(best[path[0]], min(np.min(least[list(path), k]), np.min(left)))
-    assert np.allclose(margins, best)
-    first = int(np.argmax(margins))
-    chosen = ladder.path(first, last, margins[first] - 0.01)
-    assert np.min(least[chosen, np.arange(last + 1)]) >= margins[first] - 0.01
-
-
-def test_an_approach_goes_around_the_arm_itself() -> None:
-    """Where the straight motion is blocked; the same seed gives the same path."""
-    robot = ml.load_robot("sawyer")
-    links = self_collision(robot)
-    rng = np.random.default_rng(4)
-    limits = Limits(robot)
-
-    def free() -> np.ndarray:
-        while True:
-            q = robot.random_configuration(rng)
-            if not links.closer_than(q, 0.006):
-                return q
-
-    blocked = 0
-    for _ in range(40):
-        start, goal = free(), free()
-        clear = Clearance(links, robot, [start, goal])
-        if clear.of_line(start, goal):
-            continue
-        blocked += 1
-        path = clear_path(start, goal, limits, clear, np.random.default_rng(0))
-        assert path is not None and np.array_equal(path[0], start) and np.array_equal(path[-1], goal)
-        for a, b in zip(path[:-1], path[1:], strict=True):
-            assert all(not links.closer_than(a + s * (b - a), 0.0) for s in np.linspace(0.0, 1.0, 50))
-        again = clear_path(start, goal, limits, clear, np.random.default_rng(0))
-        assert all(np.array_equal(p, q) for p, q in zip(path, again, strict=True))
-        if blocked == 2:
-            break
-    assert blocked == 2
+    stations = Stations.of(ml.motion(held, along=0.3), [0.3, 0.8, 0.4], Limits(robot))
+    P, L, last = 6, len(stations), 5
+    q = np.repeat(np.arange(P)[:, None, None], L, axis=1) * np.ones((1, 1, 3))
+    q[5] = q[0] + 0.1  # takes hold as the first one does
+    q[3, 2:] += 0.9 * robot.velocity_limit * (stations.time[2] - stations.time[1])  # hardly fast enough
+    least, mu = np.full((P, L), 0.9), np.zeros((P, L))
+    least[:, 3] = 0.5, 0.504, 0.7, 0.8, -np.inf, 0.5
+    mu[0] = 1.0
+    marches = Marches(stations, q, np.tile(np.eye(3), (P, 1, 1)), least, mu)
+    assert marches.choices(last).tolist() == [2, 0, 1, 3] and marches.reached == L - 1
+    np.testing.assert_allclose(marches.along[:, last], [0.5, 0.504, 0.7, 0.1, -np.inf, 0.5])
+    assert marches.choices(2).tolist() == [0, 1, 2, 4, 3]
+    blocked = marches.where(lambda q, k: k < 3 or q[0] > 1.5)
+    assert blocked.choices(last).tolist() == [2, 3] and blocked.choices(2).tolist() == [0, 1, 2, 4, 3]
 
 
 def test_joints_move_from_posture_to_posture_within_their_speeds(panda: ml.Robot) -> None:

@@ -23,7 +23,7 @@ from manip_learn.control.tasks.motion import motion_to, null_policy
 from manip_learn.control.way import WayDone, leads_away, simulate_way
 from manip_learn.errors import TargetError
 from manip_learn.linalg import complement_rows
-from manip_learn.planning.approach import GraspCone
+from manip_learn.planning.grasp_cone import GraspCone
 from manip_learn.planning.plan import Plan, plan
 from manip_learn.planning.stations import margin_of
 from manip_learn.recordings.trajectory_source import Progress

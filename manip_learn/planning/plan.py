@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any, final
+from typing import Any, Literal, final
 
 import numpy as np
 from jaxtyping import Bool, Float
@@ -24,9 +24,13 @@ from manip_learn.control.tasks.driven_motion import way_in_words
 from manip_learn.control.tasks.motion import FreeDirection
 from manip_learn.control.way import WayDone, joint_at_limit, simulate_way
 from manip_learn.errors import ConfigurationError, FeatureError, NoPlanError, TargetError, an
-from manip_learn.planning.approach import Clearance, GraspCone, clear_path, self_collision
-from manip_learn.planning.search import TIE, TURN, Ladder, ladder_of, relaxed
+from manip_learn.planning.clearance import Clearance
+from manip_learn.planning.grasp_cone import GraspCone
+from manip_learn.planning.joint_path import joint_path
+from manip_learn.planning.scene import Scene
+from manip_learn.planning.search import TIE, Marches, marches_of, relaxed
 from manip_learn.planning.stations import FEWEST, MOST, PERIOD, Margins, Postures, Stations, margins_of, rooms
+from manip_learn.planning.surroundings import Surroundings, assumed, hand_of
 from manip_learn.recordings.trajectory_source import Progress
 from manip_learn.robot import html_card
 from manip_learn.robot.batch.postures import unwound
@@ -37,13 +41,16 @@ CANDIDATES = 384  # seeds: with 2,000 the best margin of a drawer rises by less 
 LEAST_CANDIDATES = 8  # three stations, three kinds of pull, and the start
 FOLLOWING = 5.0  # [1/s] pull back to the planned postures, half as hard as the task's own feedback
 APPROACH_SHARE = 0.25  # of the velocity limits, on the way to the posture of hold: beside people, as ISO 10218-1
-APART = 0.3  # [rad or m] of the joint that differs most: nearer postures are one and the same choice
+AGAIN = 4  # times the seeds before a plan is refused
 TRIED = 8  # choices that are simulated, best margin first
 OTHERS = 4  # choices of which a plan says why they are worse
 SPARE = 1.1  # times the time that the fastest joint needs: its speed also takes deviations back
 PLACES, SENSES = 3, 8  # of the base: distances, and directions in the plane
 LESS = 0.9  # of a way that did not come true is tried next
 LEAST_SHARE = 0.01  # of the whole way: less is no part of it
+LOOKED = 20  # of marches in whose way something is, for what would help
+TURN = 2.0 * np.pi
+Around = Scene | Literal["assumed"] | None
 
 
 @final
@@ -148,6 +155,7 @@ def plan(
     candidates: int = CANDIDATES,
     limits: Limits | None = None,
     collision: SelfCollision | bool = True,
+    scene: Around = "assumed",
     base_within: float = 0.0,
     dt: float = 0.01,
     progress: Progress | None = None,
@@ -158,8 +166,8 @@ def plan(
     place is that of the motion (see `motion`); the posture is chosen among hundreds by the least margin over the whole
     way, in units of its own limits (`manip_learn.planning.stations` has the formula); of margins within a
     hundredth of each other the larger manipulability of the rows held and driven decides. The best is simulated, and
-    taken if the whole way is done within 2 mm of what holds the hand; else the next one. Surroundings are not known:
-    the approach is clear of the arm's own links only.
+    taken if the whole way is done within 2 mm of what holds the hand; else the next one. Where the arm is as well off as
+    it stands, it stays so. Approach and way are clear of the arm's own links and of the scene by 5 mm.
 
     Args:
         constraint: What holds the hand.
@@ -171,6 +179,9 @@ def plan(
         candidates: Number of postures from which the search begins.
         limits: Of the joints; the robot's own by default.
         collision: The pairs of links that must not touch; True for those of the robot's shapes, False for none.
+        scene: What stands around; None for nothing. By default the floor under the base and the front of what is
+            opened, pushed or wiped are assumed, but where the arm is in them at the start
+            (`manip_learn.planning.surroundings` says how).
         base_within: Where there is no plan, base placements up to this distance are tried [m].
         dt: Step of the simulation [s].
         progress: As for `simulate`.
@@ -180,6 +191,7 @@ def plan(
             and what would help.
         TargetError: A start outside the limits or in collision, a way longer than what was shown, a grasp that does
             not fit.
+        MissingExtraError: Something is in the way of the straight approach, and RoboPlan is not installed.
         ConfigurationError: A start of another size, a joint without velocity limit, a number that is none.
         FeatureError: Rows that are not those of a frame, or a robot with a floating or planar base.
 
@@ -197,16 +209,23 @@ def plan(
             f"got {candidates!r} and {base_within!r}"
         )
     said = progress or (lambda _title, _share: None)
-    problem = _Problem(constraint, motion, start, seed, grasp, limits, collision, dt)
+    problem = _Problem(constraint, motion, start, seed, grasp, limits, collision, scene, dt)
     problem.check()
     said("comparing postures", 0.1)
-    ladder = problem.ladder(candidates)
-    if problem.slow_down(ladder):
-        ladder = problem.ladder(candidates)
-    found = problem.as_shown(ladder, said) or problem.best(ladder, said) or problem.as_it_stands()
+    marches = problem.marches(candidates)
+    if problem.slow_down(marches):
+        marches = problem.marches(candidates)
+    found = problem.best(marches, said)
+    if found is None:
+        said("comparing more postures", 0.5)
+        marches = marches.joined_with(problem.marches(AGAIN * candidates))
+        found = problem.best(marches, said)
+    stands = problem.as_it_stands()
+    if stands is not None and (found is None or stands.margin >= found.margin - TIE):
+        found = stands
     if found is None:
         said("looking for what would help", 0.6)
-        raise problem.refusal(ladder.reached(), ladder.where(problem.clear), candidates, base_within)
+        raise problem.refusal(marches, candidates, base_within)
     said("planned", 1.0)
     return found
 
@@ -266,6 +285,7 @@ class _Problem:
         grasp: GraspCone | None,
         limits: Limits | None,
         collision: SelfCollision | bool,
+        scene: Around,
         dt: float,
     ):
         if not isinstance(motion, FreeDirection):
@@ -280,7 +300,7 @@ class _Problem:
         self.robot, self.constraint, self.motion = robot, constraint, motion.with_distance(motion.wanted)
         self.start = robot.checked_posture(start)
         self.limits, self.dt, self.grasp = limits or Limits(robot), dt, grasp
-        self.rng = np.random.default_rng(seed)
+        self.seed, self.rng = seed, np.random.default_rng(seed)
         self.unreached = False  # whether a posture of hold could not be reached from the start
         unsuited = next((b for b in robot.blocks if b.kind in ("floating", "planar", "other")), None)
         if unsuited is not None:
@@ -295,34 +315,51 @@ class _Problem:
                 ": state it in the robot's description, or pass limits=Limits(robot, velocity=...)"
             )
         self.positions = robot.positions(self.start)
-        shapes = self_collision(robot) if collision is True else collision or None
-        self.notes = ("the robot has no shapes: self-collision was not looked at",) if shapes is None else ()
-        self.clear = Clearance(shapes, robot, [self.positions])
         self.stations = Stations.of(self.motion, self.start, self.limits)
+        self.clear = Clearance(robot, collision, self._around(scene), self.positions)
+        self.notes = tuple(self.clear.notes)
+
+    def _around(self, scene: Around) -> Surroundings:
+        """What stands around."""
+        features: Any = self.rows.features
+        if isinstance(scene, Scene):
+            return Surroundings(tuple(scene.obstacles(self.robot, hand_of(self.robot, features.frame))))
+        if scene is None:
+            return Surroundings()
+        if scene != "assumed":
+            raise ConfigurationError(
+                f"a scene is a Scene, None for nothing, or left out to be assumed, not {an(scene)}"
+            )
+        in_base = getattr(features, "relative_to", None) is None
+        return assumed(self.robot, features.frame, self.stations, self.constraint.mechanism, in_base)
 
     def check(self) -> None:
         """Refuse a start, a way or a grasp that cannot be."""
         check_inside(self.robot, self.positions)
-        touching = self.clear.near(self.positions, 0.0)
+        touching = self.clear.touching(self.positions, distance=0.0)
         if touching is not None:
-            raise TargetError(f"at the start the links {touching[0]!r} and {touching[1]!r} touch: start elsewhere")
+            one, other = touching.links
+            raise TargetError(
+                f"at the start {one!r} and {other!r} touch, {-touching.distance:.2g} m deep: start elsewhere"
+                + (f", or correct {other!r} in the scene" if other in self.clear.names else "")
+            )
         own = getattr(self.rows.features, "reference", "world") == "local"
         if self.grasp is not None and own and self.stations.holds_orientation:
             raise TargetError("what was learnt is fixed to the hand's own axes: its grasp cannot be chosen")
 
-    def ladder(self, candidates: int, stations: Stations | None = None, grasp: GraspCone | None = None) -> Ladder:
-        """Postures along the way, and how they go over into each other."""
+    def marches(self, candidates: int, stations: Stations | None = None, grasp: GraspCone | None = None) -> Marches:
+        """Postures along the way."""
         stations, grasp = stations or self.stations, grasp or self.grasp
         if grasp is None:
             grasps = stations.grasp[None]
-            return ladder_of(stations, self.rows, self.positions, candidates, self.rng, grasps)
+            return marches_of(stations, self.rows, self.positions, candidates, self.rng, grasps)
         grasps = grasp.orientations(stations.grasp, self.rng)
         # a hand that is free to turn takes hold inside the cone, and stays there while it turns with the way
-        return ladder_of(stations.posed(), self.rows, self.positions, candidates, self.rng, grasps, stations)
+        return marches_of(stations.posed(), self.rows, self.positions, candidates, self.rng, grasps, stations)
 
-    def slow_down(self, ladder: Ladder) -> bool:
+    def slow_down(self, marches: Marches) -> bool:
         """Give the way more time, where no posture is found from which the joints are fast enough for it."""
-        margin = float(np.max(ladder.whole, initial=-np.inf))
+        margin = float(np.max(marches.along[:, -1], initial=-np.inf))
         if not -np.inf < margin < -TIE:
             return False
         times = SPARE * (1.0 - margin)
@@ -331,30 +368,31 @@ class _Problem:
         self.notes = (*self.notes, f"the joints are too slow for it: the way takes {times:.2g} times its time")
         return True
 
-    def as_shown(self, ladder: Ladder, said: Progress) -> Plan | None:
-        """The best plan in which the hand takes hold turned as in the recordings; None if they do not say."""
-        if self.stations.grip is None or self.grasp is not None:
-            return None
-        found = self.best(ladder.as_shown, said)
-        if found is None:
-            self.notes = (*self.notes, "the hand takes hold turned otherwise than shown: so turned it finds no way")
-        return found
-
-    def best(self, ladder: Ladder, said: Progress, is_clear: bool = False) -> Plan | None:
+    def best(self, marches: Marches, said: Progress) -> Plan | None:
         """The plan with the largest margin that comes true in simulation; None if none does.
 
-        Args:
-            ladder: The postures.
-            said: Progress.
-            is_clear: Whether no links touch at its nodes: looked at where they do on a way that was found.
+        Plans in which the hand takes hold turned as in the recordings come first, where these say how that was.
         """
-        choices = self._choices(ladder)
-        for number, (march, margin) in enumerate(choices[:TRIED]):
-            said("simulating the best of them", 0.3 + 0.08 * number)
-            path = self._way(ladder, march, margin)
+        if self.stations.grip is None or self.grasp is not None:
+            return self._best(marches, said, False)
+        found = self._best(marches.as_shown, said, True)
+        if found is None and (found := self._best(marches, said, False)) is not None:
+            note = "the hand takes hold turned otherwise than shown: so turned it finds no way"
+            found = replace(found, notes=(*found.notes, note))
+        return found
+
+    def _best(self, marches: Marches, said: Progress, is_as_shown: bool) -> Plan | None:
+        last = len(self.stations) - 1
+        choices, tried = marches.choices(last), 0
+        for march in choices.tolist():
+            clear = self.clear.holding(marches.q[march, 0])
+            path = self._relaxed(marches.q[march], marches.grasp[march], clear, is_as_shown)
             if path is None:
-                return None if is_clear else self.best(ladder.where(self.clear), said, True)
-            reached = self._reached(path)
+                continue
+            if (tried := tried + 1) > TRIED:
+                break
+            said("simulating the best of them", 0.3 + 0.08 * tried)
+            reached = self._reached(path, clear)
             if reached is None:
                 continue
             path, to_hold, approach = reached
@@ -362,34 +400,27 @@ class _Problem:
             way, outcome = simulate_way(self.robot, law, approach.q[-1], self.dt)
             if outcome.is_done and not outcome.strays:
                 others = []  # why the best of them are worse
-                for other, its in [c for c in choices if c[0] != march][:OTHERS]:
-                    q = ladder.postures(ladder.path(other, len(self.stations) - 1, its - TIE))
-                    others.append(Choice(q[0], its, margins_of(self.stations, q).limited_by(self.motion.unit)))
+                for other in [c for c in choices.tolist() if c != march][:OTHERS]:
+                    margins = margins_of(self.stations, marches.q[other])
+                    why = margins.limited_by(self.motion.unit)
+                    others.append(Choice(marches.q[other, 0], margins.margin, why))
                 margins, sequence = margins_of(self.stations, path), LawSequence(to_hold, law)
                 return self._plan(sequence, path[0], approach, way, margins, outcome, tuple(others), len(choices))
         return None
 
-    def _choices(self, ladder: Ladder) -> list[tuple[int, float]]:
-        """Numbers and margins of the marches from which the whole way is possible, best first, each apart."""
-        margins = ladder.whole
-        out: list[tuple[int, float]] = []
-        for march in np.argsort(-margins, kind="stable").tolist():
-            if not np.isfinite(margins[march]):
-                break
-            q = ladder.q[march, 0]
-            if all(np.max(np.abs(ladder.q[m, 0] - q)) > APART for m, _ in out):
-                out.append((march, float(margins[march])))
-        return out
+    def _relaxed(
+        self, march: Postures, grasp: Float[np.ndarray, "3 3"], clear: Clearance, is_as_shown: bool
+    ) -> Postures | None:
+        """The postures of a march, relaxed where that is clear and right too; None where something is in its way."""
 
-    def _way(self, ladder: Ladder, march: int, margin: float) -> Postures | None:
-        """The postures of the best way from one choice, relaxed; None where links touch on it."""
-        path = ladder.postures(ladder.path(march, len(self.stations) - 1, margin - TIE))
-        better = relaxed(self.stations, path, ladder.grasp[march])
-        for way in (better, path):
-            right = self._is_in_cone(way) and (not ladder.is_as_shown or self.stations.takes_hold_as_shown(way[:1])[0])
-            if right and all(map(self.clear, way)) and all(map(self.clear.of_line, way[:-1], way[1:])):
-                return way
-        return None
+        def right(way: Postures) -> bool:
+            as_shown = not is_as_shown or bool(self.stations.takes_hold_as_shown(way[:1])[0])
+            return as_shown and self._is_in_cone(way) and clear.of_way(way)
+
+        if not right(march):
+            return None
+        better = relaxed(self.stations, march, grasp)
+        return better if right(better) else march
 
     def _is_in_cone(self, way: Postures) -> bool:
         if self.grasp is None:
@@ -398,7 +429,7 @@ class _Problem:
         toward = stations.turns[: len(way)] @ self.grasp.toward(stations.grasp)
         return bool(np.all(self.grasp.holds(stations.hand.pose(way)[:, :3, :3], toward)))
 
-    def _reached(self, path: Postures) -> tuple[Postures, ResolvedRateController, Rollout] | None:
+    def _reached(self, path: Postures, clear: Clearance) -> tuple[Postures, ResolvedRateController, Rollout] | None:
         """A path, the law that leads to it and its rollout; by whole turns of joints where the limits leave several.
 
         The nearest turns come first where they leave the limits no less room, else that path as it is.
@@ -411,14 +442,16 @@ class _Problem:
         if np.min(rooms(self.stations, ways[-1])) >= np.min(rooms(self.stations, path)):
             ways = ways[::-1]
         for way in ways:
-            if (approach := self._approach(way[0])) is not None:
+            if (approach := self._approach(way[0], clear)) is not None:
                 return way, *approach
         self.unreached = True
         return None
 
-    def _approach(self, goal: Float[np.ndarray, " nv"]) -> tuple[ResolvedRateController, Rollout] | None:
-        """The motion from the start to the posture of hold, and its law; None where links are in the way."""
-        path = clear_path(self.positions, goal, self.limits, self.clear, self.rng)
+    def _approach(
+        self, goal: Float[np.ndarray, " nv"], clear: Clearance
+    ) -> tuple[ResolvedRateController, Rollout] | None:
+        """The motion from the start to the posture of hold, and its law; None where something is in the way."""
+        path = joint_path(self.robot, self.positions, goal, self.limits, clear, self.seed)
         if path is None:
             return None
         task = JointMotion(self.robot, path, APPROACH_SHARE * self.limits.velocity)
@@ -444,20 +477,22 @@ class _Problem:
         """The way from the start with the ascent of mu, or with spare joints at rest, where that comes true."""
         if self.motion.hold(self.start) > 0.0 or self.grasp is not None:
             return None
+        clear, found = self.clear.holding(self.positions), list[Plan]()
         for policy in (self.motion.ascent(), None):
             law = self._controller(self.motion, policy)
             way, outcome = simulate_way(self.robot, law, self.start, self.dt)
             if not outcome.is_done or outcome.strays or outcome.begins is None:
                 continue
-            joints, reached = unwound(self.robot, way.q), self._approach(self.positions)
-            if reached is None or not all(map(self.clear, joints)):
-                continue
+            joints = unwound(self.robot, way.q)
             time = outcome.begins + self.stations.time * (outcome.seconds or 0.0) / self.stations.time[-1]
             path = np.array([np.interp(time, way.time, column) for column in joints.T]).T
+            reached = self._approach(self.positions, clear) if clear.of_way(path) else None
+            if reached is None:
+                continue
             margins = margins_of(self.stations, path)
             sequence = LawSequence(reached[0], law)
-            return self._plan(sequence, self.positions, reached[1], way, margins, outcome, (), 0)
-        return None
+            found.append(self._plan(sequence, self.positions, reached[1], way, margins, outcome, (), 0))
+        return max(found, key=lambda one: one.margin, default=None)
 
     def _plan(
         self,
@@ -479,19 +514,20 @@ class _Problem:
 
     # ---- where there is no plan -----------------------------------------------------------------------------------
 
-    def refusal(self, could: int, ladder: Ladder, candidates: int, base_within: float) -> NoPlanError:
+    def refusal(self, marches: Marches, candidates: int, base_within: float) -> NoPlanError:
         """How much of the way can be done, what stops it, and what would help.
 
         Args:
-            could: The last station to which a path leads if links may touch.
-            ladder: Nodes at which no links touch.
+            marches: All that were compared.
             candidates: As for `plan`.
             base_within: As for `plan`.
         """
-        helps = self._helps(candidates, base_within)
+        clear = marches.where(lambda q, k: self.clear.holding(q)(q, k) if k == 0 else self.clear(q, k))
+        last = clear.reached
+        pair, helps = self._in_the_way(marches) if last < marches.reached or self.unreached else (None, ())
+        helps = (*helps, *self._helps(candidates, base_within))
         more = "".join(f"; {sentence}" for sentence in helps)
-        last = ladder.reached()
-        if last < 0:
+        if marches.reached < 0:
             low, high = self.stations.span
             q = self.rng.uniform(low, high, (min(candidates, 64), self.robot.nv))
             zero, grasp = np.zeros(len(q), dtype=int), np.repeat(self.stations.grasp[None], len(q), axis=0)
@@ -505,22 +541,41 @@ class _Problem:
                 stopped_by="the end of the arm's reach",
                 helps=helps,
             )
-        margins = ladder.margins_to(last)
-        march = int(np.argmax(margins))
-        path = ladder.postures(ladder.path(march, last, margins[march] - TIE))
-        largest, stopped_by = self._largest(path)
-        if last < could:
-            ahead = ladder.q[np.isfinite(ladder.q[:, last + 1, 0]), last + 1]
-            links = next(filter(None, map(self.clear.near, ahead)), ("on the way",))
-            stopped_by = f"links that would touch ({' and '.join(links)})"
+        largest, stopped_by, posture = 0.0, "", None
+        if last >= 1:
+            paths = [clear.q[march, : last + 1] for march in clear.choices(last)[:OTHERS]]
+            ends = [self._largest(path) for path in paths]
+            longest = max(range(len(ends)), key=lambda i: abs(ends[i][0]))
+            largest, stopped_by = ends[longest]
+            posture = paths[longest][0] if largest else None
+        if pair is not None:
+            stopped_by = f"{pair[0]!r} and {pair[1]!r}, which would touch" + (
+                " on the way from the start to where the hand takes hold" if last == len(self.stations) - 1 else ""
+            )
         return NoPlanError(
             f"no plan for {way_in_words(self.motion.wanted, self.motion.unit)}: "
             f"{way_in_words(largest, self.motion.unit)} at most, stopped by {stopped_by}{more}",
             largest=abs(largest),
-            posture=path[0] if largest else None,
+            posture=posture,
             stopped_by=stopped_by,
             helps=helps,
         )
+
+    def _in_the_way(self, marches: Marches) -> tuple[tuple[str, str] | None, tuple[str, ...]]:
+        """The two things that are least in each other's way on the marches that come farthest, and what would help."""
+        least: tuple[float, tuple[str, str]] | None = None
+        for march in marches.choices(marches.reached)[:LOOKED]:
+            path = marches.q[march, : marches.reached + 1]
+            clear = self.clear.holding(path[0])
+            pairs = [pair for k, q in enumerate(path) if (pair := clear.touching(q, k)) is not None]
+            deepest = min(pairs, key=lambda pair: pair.distance, default=None)
+            if deepest is not None and (least is None or clear.least - deepest.distance < least[0]):
+                least = clear.least - deepest.distance, deepest.links
+        if least is None:
+            return None, ()
+        far, (link, other) = least
+        moved = f"{other} {far:.2f} m farther from {link!r} would leave room for the nearest of the postures"
+        return (link, other), (moved,) if other in self.clear.names else ()
 
     def _largest(self, path: Postures) -> tuple[float, str]:
         """How much of the way comes true from the beginning of a path, and what stops it."""
@@ -544,8 +599,7 @@ class _Problem:
         """What keeps the last posture of a path from going on, in words."""
         q, k = path[-1], np.array([len(path) - 1])
         if len(path) == len(self.stations):
-            between = "links that would touch on the way from the start to where the hand takes hold"
-            return between if self.unreached else "limits of the loop in simulation"
+            return "limits of the loop in simulation"
         if (joint := joint_at_limit(self.robot, q)) is not None:
             return joint
         A = self.stations.matrices(q[None], k)[0]
@@ -561,7 +615,7 @@ class _Problem:
         out = []
 
         def does(stations: Stations, grasp: GraspCone | None = None) -> bool:
-            return bool(np.any(np.isfinite(self.ladder(candidates // 2, stations, grasp).whole)))
+            return self.marches(candidates // 2, stations, grasp).reached == len(stations) - 1
 
         if self.stations.holds_orientation:
             if does(self.stations.free_to_turn()):

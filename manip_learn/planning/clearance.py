@@ -1,0 +1,132 @@
+"""Whether postures are clear: of the arm's own links, and of what stands around."""
+
+from __future__ import annotations
+
+import copy
+from functools import lru_cache
+from typing import final
+
+import numpy as np
+from jaxtyping import Float
+
+from manip_learn.errors import RobotError
+from manip_learn.planning.surroundings import BEHIND, FLOOR, FRONT, LARGE, Surroundings
+from manip_learn.robot.collision import Obstacle, Proximity, SelfCollision
+from manip_learn.robot.robot import Robot
+
+# [m] from links to each other and to what stands around: what a servo's lag makes of a path; links that are neighbours
+# come within 2 cm
+CLEARANCE = 0.005
+ROUNDED = 1e-3  # [m] behind the hand that takes hold there is this much more room than it takes: it shakes a little
+FARTHER = 0.1  # [m] by which a floor or a front that was assumed may be elsewhere: no handle stands out farther
+STEP = 0.02  # [rad or m] between checks: a hand at 0.25 m moves by the clearance
+Posture = Float[np.ndarray, " nv"]
+
+
+@lru_cache(maxsize=8)
+def links_of(robot: Robot) -> tuple[SelfCollision, str]:
+    """The links with their collision shapes, or else the drawn ones, or else capsules; and which of these."""
+    for shapes in ("collision", "visual"):
+        try:
+            return SelfCollision(robot, shapes=shapes), shapes  # type: ignore[arg-type]  # two of the words it knows
+        except RobotError:
+            continue
+    return SelfCollision(robot, shapes="links"), "links"
+
+
+def self_collision(robot: Robot) -> SelfCollision | None:
+    """The links that can touch each other, of the collision shapes or else the drawn ones; None if there are none."""
+    links, shapes = links_of(robot)
+    return None if shapes == "links" else links
+
+
+@final
+class Clearance:
+    """Whether postures are clear of self-collision and of what stands around.
+
+    Args:
+        robot: The robot.
+        links: The pairs of its links that must not touch; True for those of its shapes, False for none.
+        around: What stands around, and where it is at each station of a way.
+        start: A posture that counts as clear as it is: where it is nearer to something than the clearance, that is
+            taken. What was only assumed to stand around and touches there is left out.
+
+    Attributes:
+        least: The clearance [m].
+        notes: What was left out, in sentences.
+    """
+
+    def __init__(self, robot: Robot, links: SelfCollision | bool, around: Surroundings, start: Posture):
+        found, shapes = links_of(robot) if isinstance(links, bool) else (links, "collision")
+        self._robot, self.notes = robot, list[str]()
+        self._own = links is not False and shapes != "links"
+        if links is True and shapes == "links":
+            self.notes.append(
+                "the robot has no shapes: self-collision was not looked at"
+                + (", capsules along its links keep clear of what stands around" if around.obstacles else "")
+            )
+        self._links = found.with_obstacles(around.obstacles)
+        self._around, self._depth = around, LARGE  # what is behind the front is out of the way of every hand
+        if around.is_assumed:
+            self._make_room(self._pairs(start, 0, 0.0))
+        nearest = [pair.distance for pair in self._pairs(start, 0, 2.0 * CLEARANCE)]
+        self.least = max(0.0, min([CLEARANCE, *(0.5 * distance for distance in nearest)]))
+
+    @property
+    def obstacles(self) -> tuple[Obstacle, ...]:
+        """What stands around, where it is before the way."""
+        return self._around.placed(self._depth)
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """What stands around, by its names."""
+        return self._around.names
+
+    def holding(self, q: Posture) -> Clearance:
+        """This clearance for a hand that takes hold at a posture: it may be so far behind the front, and no farther."""
+        if FRONT not in self.names:
+            return self
+        pairs = self._links.closer_than(self._robot.configuration(q), 0.0, self._around.at(0, 0.0))
+        other = copy.copy(self)
+        deep = max([0.0, *(-pair.distance for pair in pairs if pair.links[1] == BEHIND)])
+        other._depth = deep + self.least + ROUNDED
+        return other
+
+    def touching(self, q: Posture, station: int = 0, distance: float | None = None) -> Proximity | None:
+        """Two things nearer to each other than a distance [m], by default the clearance; None if none are."""
+        pairs = self._pairs(q, station, self.least if distance is None else distance)
+        return min(pairs, key=lambda pair: pair.distance, default=None)
+
+    def __call__(self, q: Posture, station: int = 0) -> bool:
+        """Whether a posture is clear, while the hand is at a station of its way."""
+        return not self._pairs(q, station, self.least)
+
+    def of_line(self, a: Posture, b: Posture, station: int = 0) -> bool:
+        """Whether the straight joint motion between two postures is clear, the middle looked at first."""
+        n = max(1, int(np.ceil(np.max(np.abs(b - a)) / STEP)))
+        return all(self(a + i / n * (b - a), station) for i in sorted(range(1, n), key=lambda i: abs(i - n // 2)))
+
+    def of_way(self, path: Float[np.ndarray, "k nv"]) -> bool:
+        """Whether a way is clear, one posture a station, with the straight motions between them."""
+        nodes = all(self(q, k) for k, q in enumerate(path))
+        return nodes and all(self.of_line(a, b, k) for k, (a, b) in enumerate(zip(path, path[1:], strict=False)))
+
+    def _pairs(self, q: Posture, station: int, distance: float) -> list[Proximity]:
+        if not self._own and not self._around.obstacles:
+            return []
+        moved = self._around.at(station, self._depth)
+        found = self._links.closer_than(self._robot.configuration(q), distance, moved)
+        return found if self._own else [pair for pair in found if pair.links[1] in {*self.names, BEHIND}]
+
+    def _make_room(self, touching: list[Proximity]) -> None:
+        """Take what was assumed away from where the arm is, or leave it out."""
+        for name in dict.fromkeys(pair.links[1] for pair in touching if pair.links[1] in self.names):
+            deepest = min((pair for pair in touching if pair.links[1] == name), key=lambda pair: pair.distance)
+            is_there = f"at the start link {deepest.links[0]!r} is in what was taken for {name}: that was "
+            if name in (FLOOR, FRONT) and -deepest.distance <= FARTHER:
+                self._around = self._around.farther(name, CLEARANCE - deepest.distance)
+                self.notes.append(f"{is_there}moved by {CLEARANCE - deepest.distance:.3f} m")
+            else:
+                self._around = self._around.without(name)
+                self.notes.append(is_there + "left out")
+        self._links = self._links.with_obstacles(self._around.obstacles)

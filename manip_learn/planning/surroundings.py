@@ -1,0 +1,197 @@
+"""What stands around an arm while it goes a way: a scene, or what may be assumed where nobody says.
+
+Assumed are the floor under the base and the front of what is opened, pushed or wiped: a half space behind the place
+where the hand takes hold, of a drawer or a door by the depth of a flat handle. The hand may go as far beyond the front as it does when it takes hold; for the other links
+the front ends there. Of a door the leaf is there too, from the handle to the hinge, and turns with the way.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from functools import lru_cache
+from itertools import product
+from typing import final
+
+import coal
+import numpy as np
+import pinocchio as pin
+from jaxtyping import Float
+
+from manip_learn.constraint.mechanism import Mechanism
+from manip_learn.errors import RobotError
+from manip_learn.planning.stations import Stations
+from manip_learn.robot.collision import Obstacle, collision_shapes
+from manip_learn.robot.joints import Frame
+from manip_learn.robot.robot import Robot
+
+FLOOR, FRONT, BEHIND, LEAF = "the floor", "the front of what is held", "the front behind the hand", "the door's leaf"
+LARGE = 10.0  # [m] half the edge of a block whose face is a floor or a front: no arm reaches around it
+HANDLE = 0.025  # [m] that the flattest usual handles stand out of their front
+SLANTED = 0.3  # of a hand's lever that must point out of a front to tell its side: 17 degrees from lying along it
+TALL, THICK = 0.6, 0.018  # [m] of a leaf: a door of a kitchen, of the usual board
+# [m] of the leaf at the handle and at the hinge that is not looked at: a hand around the handle, the frame of the door
+EDGE = 0.05
+Pose = Float[np.ndarray, "4 4"]
+
+
+@final
+@dataclass(frozen=True, eq=False)
+class Surroundings:
+    """Solids, and those of them that move.
+
+    Attributes:
+        obstacles: All of them, where they are before a way.
+        leaf: shape (L, 4, 4), where the leaf of a door is at each station of the way [m]; None without one.
+        sinks: shape (L,), how far the front has been pushed in at each station [m]; None without a front.
+        is_assumed: Whether nobody said that they are there.
+    """
+
+    obstacles: tuple[Obstacle, ...] = ()
+    leaf: Float[np.ndarray, "L 4 4"] | None = None
+    sinks: Float[np.ndarray, " L"] | None = None
+    is_assumed: bool = False
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """What stands around, by its names."""
+        return tuple(dict.fromkeys(o.name for o in self.obstacles if o.name != BEHIND))
+
+    def at(self, station: int, depth: float = LARGE) -> dict[str, Pose]:
+        """Where what moves is at a station.
+
+        Args:
+            station: Number of it.
+            depth: How far behind the front a hand meets it [m].
+        """
+        out = {} if self.leaf is None else {LEAF: self.leaf[min(station, len(self.leaf) - 1)]}
+        front = next((o.placement for o in self.obstacles if o.name == FRONT), None)
+        if front is not None and self.sinks is not None:
+            sunk = float(self.sinks[min(station, len(self.sinks) - 1)])
+            out |= {FRONT: _shifted(front, sunk), BEHIND: _shifted(front, sunk + depth)}
+        return out
+
+    def placed(self, depth: float) -> tuple[Obstacle, ...]:
+        """The obstacles where they are before the way."""
+        now = self.at(0, depth)
+        return tuple(replace(o, placement=now.get(o.name, o.placement)) for o in self.obstacles)
+
+    def without(self, name: str) -> Surroundings:
+        """All but one; without the front its part behind the hand is not there either."""
+        kept = tuple(o for o in self.obstacles if o.name not in ({name, BEHIND} if name == FRONT else {name}))
+        return replace(self, obstacles=kept, leaf=None if name == LEAF else self.leaf)
+
+    def farther(self, name: str, far: float) -> Surroundings:
+        """With a floor or a front farther away [m]."""
+        moved = {o.name: replace(o, placement=_shifted(o.placement, far)) for o in self.obstacles if o.name == name}
+        return replace(self, obstacles=tuple(moved.get(o.name, o) for o in self.obstacles))
+
+
+def _shifted(placement: Pose, depth: float) -> Pose:
+    """A block farther away along its face's normal [m]."""
+    out = placement.copy()
+    out[:3, 3] -= depth * out[:3, 2]
+    return out
+
+
+def assumed(robot: Robot, frame: Frame, stations: Stations, mechanism: Mechanism | None, in_base: bool) -> Surroundings:
+    """The floor under the base, and the front of what a hand holds.
+
+    Args:
+        robot: The robot.
+        frame: Of the hand.
+        stations: The way of the hand.
+        mechanism: What holds the hand, if that has a name.
+        in_base: Whether the stations are places in the robot's base frame.
+    """
+    obstacles, leaf, sinks = [floor(robot, floor_under(robot))], None, None
+    if not in_base or mechanism is None:
+        return Surroundings(tuple(obstacles), is_assumed=True)
+    hand = hand_of(robot, frame)
+    normal = _normal(robot, frame, stations, mechanism)
+    if normal is not None:
+        others = frozenset(_links(robot)) - hand
+        face = stations.places[0] - (0.0 if mechanism.type == "plane" else HANDLE) * normal
+        obstacles += [half_space(name, face, normal, may) for name, may in ((FRONT, hand), (BEHIND, others))]
+        sinks = np.maximum(0.0, (stations.places[0] - stations.places) @ normal)
+    if mechanism.type == "hinge" and mechanism.axis is not None and mechanism.point is not None:
+        solid, leaf = _leaf(stations, np.asarray(mechanism.axis), np.asarray(mechanism.point), hand)
+        obstacles.append(solid)
+    return Surroundings(tuple(obstacles), leaf, sinks, True)
+
+
+def hand_of(robot: Robot, frame: Frame) -> frozenset[str]:
+    """Names of the links that a frame's link carries, and of it: the hand, with its fingers."""
+    model, joint = robot.pinocchio_model, frame.parent_joint
+    return frozenset(name for name, carrier in _links(robot).items() if joint in model.supports[carrier])
+
+
+def _links(robot: Robot) -> dict[str, int]:
+    """Names of the links, and the joint that carries each."""
+    return {f.name: f.parentJoint for f in robot.pinocchio_model.frames if f.type == pin.FrameType.BODY}
+
+
+def half_space(name: str, point: np.ndarray, normal: np.ndarray, may_touch: frozenset[str]) -> Obstacle:
+    """A large block with a face through a point, and out of that face a unit vector."""
+    placement = np.eye(4)
+    placement[:3, :3] = np.column_stack([*np.linalg.svd(normal[None])[2][1:], normal])
+    placement[:3, 0] *= np.sign(np.linalg.det(placement[:3, :3]))
+    placement[:3, 3] = point - LARGE * normal
+    return Obstacle(name, placement, coal.Box(*[2.0 * LARGE] * 3), np.full(3, LARGE), may_touch)
+
+
+def floor(robot: Robot, height: float) -> Obstacle:
+    """What is below a height [m]; links of the first joint, which stands on it, may touch it."""
+    low = frozenset(name for name, joint in _links(robot).items() if joint <= 1)
+    return half_space(FLOOR, np.array([0.0, 0.0, height]), np.array([0.0, 0.0, 1.0]), low)
+
+
+@lru_cache(maxsize=8)
+def floor_under(robot: Robot) -> float:
+    """Height of the lowest corner of the shapes that carry the first joint, at most that of the base's origin [m]."""
+    heights = [0.0]
+    for tag in ("collision", "visual"):
+        try:
+            shapes = collision_shapes(robot, tag)  # type: ignore[arg-type]  # two of the words that it knows
+        except RobotError:
+            continue
+        for shape in (one for one in shapes if one.joint == 0):
+            shape.geometry.computeLocalAABB()
+            box = shape.geometry.aabb_local
+            corners = np.array(list(product(*zip(box.min_, box.max_, strict=True))))
+            heights.append(float(np.min(corners @ shape.placement[2, :3]) + shape.placement[2, 3]))
+        break
+    return min(heights)
+
+
+def _normal(robot: Robot, frame: Frame, stations: Stations, mechanism: Mechanism) -> np.ndarray | None:
+    """Out of the front: along the way of a drawer or a door, across a plane, to the side from which the hand comes."""
+    if mechanism.type in ("line", "hinge"):
+        along = stations.places[1] - stations.places[0]
+    elif mechanism.type == "plane" and mechanism.axis is not None:
+        along = np.asarray(mechanism.axis, dtype=np.float64)
+    else:
+        return None
+    normal = along / np.linalg.norm(along)
+    model = robot.pinocchio_model
+    carrier = model.frames[frame.index].placement.inverse().translation  # the hand's joint, as the hand sees it
+    orientation = stations.grasp if stations.grip is None else stations.grip[0]
+    lever = orientation @ carrier
+    out = float(normal @ lever)
+    if abs(out) <= SLANTED * float(np.linalg.norm(lever)):
+        out = -float(normal @ stations.places[0])  # a hand that lies along the front: the side of the base
+    return normal if out >= 0.0 else -normal
+
+
+def _leaf(stations: Stations, axis: np.ndarray, point: np.ndarray, hand: frozenset[str]) -> tuple[Obstacle, np.ndarray]:
+    """A door's leaf from its handle to its hinge, and where it is at each station."""
+    arms = stations.places - point
+    arms = arms - np.outer(arms @ axis, axis)
+    radius = float(np.linalg.norm(arms[0]))
+    wide = max(radius - 2.0 * EDGE, 0.2 * radius)
+    poses = np.repeat(np.eye(4)[None], len(stations), axis=0)
+    for pose, place, arm in zip(poses, stations.places, arms, strict=True):
+        x = arm / np.linalg.norm(arm)
+        pose[:3, :3] = np.column_stack([x, np.cross(axis, x), axis])
+        pose[:3, 3] = place - 0.5 * arm
+    half = 0.5 * np.array([wide, THICK, TALL])
+    return Obstacle(LEAF, poses[0], coal.Box(*(2.0 * half)), half, hand), poses
