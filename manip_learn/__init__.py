@@ -63,6 +63,7 @@ if TYPE_CHECKING:
     from manip_learn.planning.grasp_cone import GraspCone
     from manip_learn.planning.plan import Plan, plan
     from manip_learn.planning.repeat import Repetition, repeat
+    from manip_learn.planning.scene import Box, Cylinder, Mesh, Scene, Sphere
     from manip_learn.playback import LiveViewer, replay
     from manip_learn.recordings import RecordingSource, load_demonstrations
     from manip_learn.recordings.demonstrations import Demonstrations
@@ -109,6 +110,7 @@ _NAMES = {
     "planning.grasp_cone": "GraspCone",
     "planning.plan": "Plan plan",
     "planning.repeat": "Repetition repeat",
+    "planning.scene": "Box Cylinder Mesh Scene Sphere",
     "control.servo_loop": "ServoLoop",
     "control.driver": "Driver RunRecord run",
     "control.simulation": "simulate",
@@ -130,20 +132,21 @@ _REMOVED = {
     "optimise_path": "ml.plan chooses posture and motion of a whole way; ManipulabilityAscent climbs on the spot",
 }
 _HOMES = {name: module for module, names in _NAMES.items() for name in names.split()}
-__all__ = ["CentreOfMass", "Command", "Constraint", "ConstraintLearner", "Controller"]
-__all__ += ["CustomFeatures", "Demonstrations", "Driver", "FeatureMap", "FollowMotion", "FrameJacobian"]
+__all__ = ["Box", "CentreOfMass", "Command", "Constraint", "ConstraintLearner", "Controller", "CustomFeatures"]
+__all__ += ["Cylinder", "Demonstrations", "Driver", "FeatureMap", "FollowMotion", "FrameJacobian"]
 __all__ += ["FreeDirection", "GraspCone", "Hold", "JointAttractor", "JointLimitAvoidance", "LeRobotDriver"]
 __all__ += ["LeRobotMotor", "Limits", "LiveViewer", "ManipLearnError", "ManipulabilityAscent", "Mechanism"]
-__all__ += ["MechanismFit", "MechanismRows", "MuJoCoDriver", "NoPlanError", "NullSpacePolicy"]
+__all__ += ["MechanismFit", "MechanismRows", "Mesh", "MuJoCoDriver", "NoPlanError", "NullSpacePolicy"]
 __all__ += ["PenalisedManipulabilityAscent", "Plan", "PointAttractor", "RecordedFiles", "RecordingSource"]
 __all__ += ["RelativeFrameJacobian", "Repetition", "ResolvedRateController", "Robot", "Rollout", "RunRecord"]
-__all__ += ["SelfCollision", "SelfCollisionAvoidance", "ServoLoop", "Shown", "Skill", "Stacked", "Status", "Step"]
-__all__ += ["Task", "TaskFrame", "Track", "Trajectory", "WeightedPolicies", "ZeroPolicy", "audit_episodes"]
-__all__ += ["derive_velocities", "find_mechanism", "following_error_limit", "inspect_robot"]
-__all__ += ["likely_tips", "load_demonstrations", "load_robot", "log_manipulability_gradient"]
+__all__ += ["Scene", "SelfCollision", "SelfCollisionAvoidance", "ServoLoop", "Shown", "Skill", "Sphere"]
+__all__ += ["Stacked", "Status", "Step", "Task", "TaskFrame", "Track", "Trajectory", "WeightedPolicies"]
+__all__ += ["ZeroPolicy", "audit_episodes", "derive_velocities", "find_mechanism", "following_error_limit"]
+__all__ += ["inspect_robot", "likely_tips", "load_demonstrations", "load_robot", "log_manipulability_gradient"]
 __all__ += ["log_penalised_manipulability_gradient", "manipulability", "manipulability_batch"]
-__all__ += ["manipulability_gradient", "motion", "penalised_manipulability", "penalised_manipulability_gradient"]
-__all__ += ["plan", "record", "repeat", "replay", "run", "simulate", "subsample"]
+__all__ += ["manipulability_gradient", "motion", "penalised_manipulability"]
+__all__ += ["penalised_manipulability_gradient", "plan", "record", "repeat", "replay", "run", "simulate"]
+__all__ += ["subsample"]
 
 
 def __getattr__(name: str) -> Any:

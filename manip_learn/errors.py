@@ -332,6 +332,12 @@ class TargetError(ManipLearnError):
     code = "target"
 
 
+class SceneError(ManipLearnError):
+    """A thing that stands in the world cannot be used, or a file of such things cannot be read."""
+
+    code = "scene"
+
+
 @final
 class NoPlanError(ManipLearnError):
     """A way cannot be done from any posture that was tried.

@@ -15,6 +15,7 @@ from jaxtyping import Float, Int
 
 from manip_learn.playback.kinematic_tree import TreeJoint
 from manip_learn.robot.robot import Robot
+from manip_learn.robot.visuals.figure import SHORTEST, TUBE, link_ends, link_radii
 from manip_learn.robot.visuals.meshes import Mesh
 from manip_learn.robot.visuals.visual_shapes import Visual, said_once, visual_shapes
 
@@ -27,9 +28,7 @@ DARK: Colour = (0.27, 0.31, 0.36, 1.0)  # joints, beside links in the plain colo
 MAX_TRIANGLES = 60_000  # about 0.9 MB in the page
 CREASE = np.cos(np.deg2rad(38.0))  # edges that turn by more stay sharp: twelve-sided cylinders look round
 MAX_STEPS = 18  # halvings at most; ten bring the range within 1 per cent
-TUBE_RADIUS = 0.032  # share of the reach
 ROD = 0.8  # share of the slimmest shape's half width
-TAPER = 0.55  # radius at the last joint, share of that at the base
 
 
 @final
@@ -185,17 +184,15 @@ def _smooth_groups(vertices: Float[np.ndarray, "V 3"], triangles: Int[np.ndarray
     return connected_components(graph, directed=False)[1]
 
 
-def stick_figure(
-    tree: tuple[TreeJoint, ...], ends: dict[int, Float[np.ndarray, "E 3"]], only: set[int] | None = None
-) -> tuple[Shape, ...]:
+def stick_figure(robot: Robot, tree: tuple[TreeJoint, ...], only: set[int] | None = None) -> tuple[Shape, ...]:
     """Shapes made from the kinematics alone.
 
     Args:
-        tree: The joints.
-        ends: Points that the last links reach to, in the frame of the joint that carries them [m].
+        robot: The robot.
+        tree: Its joints.
         only: Joints whose shapes are made; None for all.
     """
-    radius = _radii(tree, ends)
+    radius, ends = link_radii(robot.pinocchio_model), link_ends(robot.pinocchio_model)
     shapes: list[Shape] = []
     for i, joint in enumerate(tree):
         if only is not None and i not in only:
@@ -209,17 +206,15 @@ def stick_figure(
     return tuple(shapes)
 
 
-def rods(
-    tree: tuple[TreeJoint, ...], ends: dict[int, Float[np.ndarray, "E 3"]], shapes: Sequence[Shape]
-) -> tuple[Shape, ...]:
+def rods(robot: Robot, tree: tuple[TreeJoint, ...], shapes: Sequence[Shape]) -> tuple[Shape, ...]:
     """Slim rods from joint to joint and to the ends, hidden where the shapes of a joint enclose them.
 
     Args:
-        tree: The joints.
-        ends: As for `stick_figure`.
+        robot: The robot.
+        tree: Its joints.
         shapes: What the rods connect; a rod is slimmer than the slimmest shape on its joint.
     """
-    radius = _radii(tree, ends)
+    radius, ends = link_radii(robot.pinocchio_model), link_ends(robot.pinocchio_model)
     made: list[Shape] = []
     for i in range(len(tree)):
         slim = min([float(radius[i]), *(ROD * float(s.half_extent().min()) for s in shapes if s.joint == i)])
@@ -227,17 +222,6 @@ def rods(
         for point in [*targets, *ends.get(i, np.zeros((0, 3)))]:
             made += _tube(i, point, slim, slim, DARK)
     return tuple(made)
-
-
-def _radii(tree: tuple[TreeJoint, ...], ends: dict[int, Float[np.ndarray, "E 3"]]) -> Float[np.ndarray, " J"]:
-    """Radius of the tube that starts at each joint [m]: in proportion to the robot, slimmer towards the tip."""
-    depth, reach = np.zeros(len(tree)), np.zeros(len(tree))  # joints, and length of the path, from the base
-    for i, joint in enumerate(tree[1:], 1):
-        depth[i] = depth[joint.parent] + 1
-        reach[i] = reach[joint.parent] + float(np.linalg.norm(joint.placement[:3, 3]))
-    tips = [reach[i] + float(np.linalg.norm(p, axis=1).max()) for i, p in ends.items() if len(p)]
-    scale = max([float(reach.max()), *tips, 1e-3])
-    return TUBE_RADIUS * scale * (1.0 - (1.0 - TAPER) * depth / max(int(depth.max()), 1))
 
 
 def z_to(direction: Float[np.ndarray, " 3"]) -> Float[np.ndarray, "3 3"]:
@@ -262,10 +246,10 @@ def _hub(i: int, joint: TreeJoint, radius: float) -> Shape:
 
 def _tube(i: int, end: np.ndarray, bottom: float, top: float, colour: Colour = PLAIN) -> list[Shape]:
     length = float(np.linalg.norm(end))
-    if length < 0.2 * bottom:
+    if length < SHORTEST * bottom:
         return []
     pose = pin.SE3(z_to(end / length), end / 2.0).homogeneous
-    return [Shape(i, "cone", (0.8 * bottom, 0.8 * top, length), pose, colour)]
+    return [Shape(i, "cone", (TUBE * bottom, TUBE * top, length), pose, colour)]
 
 
 def appearance(robot: Robot, tree: tuple[TreeJoint, ...], max_triangles: int = MAX_TRIANGLES) -> Appearance:
@@ -288,13 +272,13 @@ def appearance(robot: Robot, tree: tuple[TreeJoint, ...], max_triangles: int = M
         notes.append(f"Plain shapes stand in for {shown}: {reason}.")
     plain_joints = {v.joint for v in faults} - {v.joint for v in own}
     if not own:
-        return Appearance(stick_figure(tree, end_points(robot, tree)), notes=tuple(notes))
+        return Appearance(stick_figure(robot, tree), notes=tuple(notes))
     shapes, meshes, mesh_notes = _own_shapes(own, max_triangles)
     if not meshes:
         # boxes and cylinders rarely touch each other: slim rods show what holds them together
-        shapes += rods(tree, end_points(robot, tree), shapes)
+        shapes += rods(robot, tree, shapes)
     if plain_joints:
-        shapes += stick_figure(tree, end_points(robot, tree), plain_joints)
+        shapes += stick_figure(robot, tree, plain_joints)
     return Appearance(tuple(shapes), tuple(meshes), tuple(notes + mesh_notes))
 
 
@@ -321,15 +305,3 @@ def _own_shapes(visuals: list[Visual], max_triangles: int) -> tuple[list[Shape],
     if after < before:
         notes.append(f"The meshes were simplified from {before:,} to {after:,} triangles to keep the page small.")
     return shapes, meshes, notes
-
-
-def end_points(robot: Robot, tree: tuple[TreeJoint, ...]) -> dict[int, np.ndarray]:
-    """For joints that carry no other joint: the farthest fixed link on each [m], in the joint's frame."""
-    model = robot.pinocchio_model
-    inner = {joint.parent for joint in tree[1:]}
-    ends: dict[int, np.ndarray] = {}
-    for i in range(1, len(tree)):
-        points = [f.placement.translation for f in model.frames if f.parentJoint == i and f.type == pin.FrameType.BODY]
-        if i not in inner and points:
-            ends[i] = np.array([max(points, key=lambda p: float(np.linalg.norm(p)))])
-    return ends

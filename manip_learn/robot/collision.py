@@ -1,16 +1,16 @@
-"""How far the links of a robot are from each other, and in which direction the joints must move to change that.
+"""How far the links of a robot are from each other and from what stands around, and which way the joints change that.
 
-Shapes are convex; a mesh counts as its convex hull.
+The links' shapes are convex; a mesh counts as its convex hull.
 """
 
 from __future__ import annotations
 
 import threading
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from itertools import combinations
 from pathlib import Path
-from typing import Any, NamedTuple, final
+from typing import Any, Literal, NamedTuple, final
 
 import coal
 import numpy as np
@@ -18,12 +18,15 @@ import pinocchio as pin
 from jaxtyping import Float, Int
 from numpy.typing import ArrayLike
 
-from manip_learn.errors import RobotError
+from manip_learn.errors import RobotError, UnknownNameError
+from manip_learn.robot.description.mjcf import turn_z_to
 from manip_learn.robot.description.urdf import as_matrix
 from manip_learn.robot.robot import Robot
+from manip_learn.robot.visuals.figure import SHORTEST, TUBE, link_ends, link_radii
 from manip_learn.robot.visuals.meshes import find_mesh, mesh_roots, read_meshes
-from manip_learn.robot.visuals.visual_shapes import MeshElement, Solid, Tag, VisualElement, visual_elements
+from manip_learn.robot.visuals.visual_shapes import MeshElement, Solid, VisualElement, visual_elements
 
+Shapes = Literal["collision", "visual", "links"]
 # postures that are looked at for links that can touch: every 0.2 rad of two joints that turn once
 SAMPLES = 1000
 # [m] depth that may come from convex hulls, which are larger than the links
@@ -55,17 +58,40 @@ class CollisionShape:
     radius: float
 
 
-def collision_shapes(robot: Robot, tag: Tag = "collision") -> tuple[CollisionShape, ...]:
+@final
+@dataclass(frozen=True, eq=False)
+class Obstacle:
+    """A solid that stands in the world.
+
+    Attributes:
+        name: What it is called.
+        placement: shape (4, 4), in the robot's base frame [m].
+        geometry: A convex shape of Coal, or its mesh of triangles, whose surface counts.
+        half: shape (3,), half extents of a box about it, centred at its origin and along its axes [m].
+        may_touch: Names of the links that may touch it.
+    """
+
+    name: str
+    placement: Float[np.ndarray, "4 4"]
+    geometry: Any
+    half: Float[np.ndarray, " 3"]
+    may_touch: frozenset[str] = frozenset()
+
+
+def collision_shapes(robot: Robot, tag: Shapes = "collision") -> tuple[CollisionShape, ...]:
     """All collision shapes of a robot.
 
     Args:
         robot: A loaded robot.
-        tag: `"visual"` takes the shapes that are drawn in their place.
+        tag: `"visual"` takes the shapes that are drawn in their place; `"links"` takes capsules from joint to joint,
+            as thick as the tubes by which the replay draws a robot that has no shapes.
 
     Raises:
         RobotError: The robot has none, or one of them cannot be used; codes `no-collision-shapes`, `collision-shape`
             and those of meshes.
     """
+    if tag == "links":
+        return _capsules(robot)
     path = robot.source or Path(robot.name)
     elements = visual_elements(robot.description, path, tag) if robot.description is not None else []
     if not elements:
@@ -85,6 +111,50 @@ def collision_shapes(robot: Robot, tag: Tag = "collision") -> tuple[CollisionSha
         if isinstance(mesh, RobotError):
             raise mesh
     return tuple(_shape(robot, element, {uri: parsed[file] for uri, file in files.items()}) for element in elements)
+
+
+def obstacles_of(
+    name: str, placement: ArrayLike, shape: Solid, may_touch: frozenset[str] = frozenset()
+) -> tuple[Obstacle, ...]:
+    """A solid of the world as what links keep clear of.
+
+    Args:
+        name: What it is called.
+        placement: shape (4, 4), in the robot's base frame [m].
+        shape: What it is, in its own frame.
+        may_touch: Names of the links that may touch it.
+    """
+    geometry, half = _solid(shape)
+    return (Obstacle(name, np.array(placement, dtype=np.float64), geometry, half, may_touch),)
+
+
+def _solid(solid: Solid) -> tuple[Any, Float[np.ndarray, " 3"]]:
+    """A plain body for Coal, and half extents of the box about it."""
+    match solid:
+        case ("box", size):
+            return coal.Box(*size), 0.5 * np.array(size)
+        case ("sphere", (radius,)):
+            return coal.Sphere(radius), np.full(3, radius)
+        case ("cylinder", (radius, length)):
+            return coal.Cylinder(radius, length), np.array([radius, radius, 0.5 * length])
+        case (_, (radius, length)):
+            return coal.Capsule(radius, length), np.array([radius, radius, radius + 0.5 * length])
+
+
+def _capsules(robot: Robot) -> tuple[CollisionShape, ...]:
+    model, out = robot.pinocchio_model, list[CollisionShape]()
+    ends, radii = link_ends(model), link_radii(model)
+    for i in range(model.njoints):
+        name = next((f.name for f in model.frames if f.parentJoint == i and f.type == pin.FrameType.BODY), "")
+        children = [model.jointPlacements[c].translation for c in range(1, model.njoints) if model.parents[c] == i]
+        radius = float(TUBE * radii[i])
+        for end in [*children, *ends.get(i, ())] if name else []:
+            length = float(np.linalg.norm(end))
+            if length >= SHORTEST * radii[i]:
+                placement = pin.SE3(turn_z_to(end / length), 0.5 * end).homogeneous
+                geometry = coal.Capsule(radius, length)
+                out.append(CollisionShape(name, i, placement, geometry, 0.5 * end, radius + 0.5 * length))
+    return tuple(out)
 
 
 def _shape(robot: Robot, element: VisualElement, meshes: Mapping[str, Any]) -> CollisionShape:
@@ -141,10 +211,10 @@ def _hull(
 
 @final
 class Proximity(NamedTuple):
-    """Two shapes of a robot that are near each other.
+    """Two shapes that are near each other.
 
     Attributes:
-        links: Names of the two links.
+        links: Names of the two links, or of a link and an obstacle.
         distance: [m]; negative where the shapes overlap: the depth.
         gradient: d distance / dq, shape (nv,) [m/rad or 1].
     """
@@ -156,7 +226,9 @@ class Proximity(NamedTuple):
 
 @final
 class SelfCollision:
-    """Distances between the links of one robot, computed by Coal on convex shapes; a mesh counts as its convex hull.
+    """Distances of one robot's links from each other and from obstacles, computed by Coal on convex shapes.
+
+    A link's mesh counts as its convex hull.
 
     With the witness points p_a, p_b (the nearest points of two shapes) and the unit vector n from a to b,
 
@@ -168,59 +240,76 @@ class SelfCollision:
 
     Left out are links that are joined to each other by one joint or rigidly; those that touch at the posture `free`;
     and those that are joined by two joints and overlap by more than `SLACK` at none of `SAMPLES` postures: they stay
-    near each other whatever the arm does. One instance can be used from many threads.
+    near each other whatever the arm does. Of a link that a joint moves and an obstacle nothing is left out but what the
+    obstacle lets touch it. One instance can be used from many threads.
 
     Args:
         robot: The robot, with its meshes where its shapes are meshes.
-        shapes: `"visual"` takes the shapes that are drawn, for robots without collision shapes.
-        free: A posture without collisions; by default `Robot.neutral()`.
+        shapes: `"visual"` takes the shapes that are drawn, `"links"` capsules along the links, see `collision_shapes`.
+        free: A posture in which no link touches another; by default `Robot.neutral()`.
+        obstacles: What stands around. Those of one name move together.
 
     Attributes:
-        link_pairs: Names of the links whose distances count.
+        link_pairs: Names of the links whose distances from each other count.
+        obstacles: What stands around.
 
     Raises:
         RobotError: The robot has no collision shapes, or one of them cannot be used.
         ConfigurationError: `free` has the wrong size or is not finite.
     """
 
-    def __init__(self, robot: Robot, *, shapes: Tag = "collision", free: ArrayLike | None = None):
+    def __init__(
+        self,
+        robot: Robot,
+        *,
+        shapes: Shapes = "collision",
+        free: ArrayLike | None = None,
+        obstacles: Sequence[Obstacle] = (),
+    ):
         self.robot, self._tag, self._free = robot, shapes, free
         self._shapes = collision_shapes(robot, shapes)
-        self._local = threading.local()
         self._model = robot.pinocchio_model
-        self._geometry = pin.GeometryModel()
-        for number, shape in enumerate(self._shapes):
-            name, placement = f"{shape.link}_{number}", pin.SE3(shape.placement)
-            self._geometry.addGeometryObject(pin.GeometryObject(name, shape.joint, placement, shape.geometry))
         self._pair_up(self._pairs_joined_by(range(2, self._model.njoints)))
         touching = {p.links for p in self.closer_than(robot.neutral() if free is None else free, 0.0)}
         kept = [(a, b) for a, b in self._pairs if self._links(a, b) not in touching]
         self._pair_up(kept)
         apart = self._always_apart()
-        self._pair_up([(a, b) for a, b in kept if self._links(a, b) not in apart])
-        self.link_pairs = tuple(dict.fromkeys(self._links(a, b) for a, b in self._pairs))
+        kept = [(a, b) for a, b in kept if self._links(a, b) not in apart]
+        self.link_pairs = tuple(dict.fromkeys(self._links(a, b) for a, b in kept))
+        self._pair_up(kept, obstacles)
 
-    def closer_than(self, q: ArrayLike, distance: float) -> list[Proximity]:
+    def with_obstacles(self, obstacles: Sequence[Obstacle]) -> SelfCollision:
+        """The same links among other obstacles; their shapes and pairs are shared, so that it takes a millisecond."""
+        other = object.__new__(SelfCollision)
+        vars(other).update(vars(self))
+        other._pair_up(self._pairs[: len(self._radii)], obstacles)
+        return other
+
+    def closer_than(
+        self, q: ArrayLike, distance: float, moved: Mapping[str, Float[np.ndarray, "4 4"]] | None = None
+    ) -> list[Proximity]:
         """All pairs of shapes at a distance of at most `distance` [m], and their gradients.
+
+        Args:
+            q: Configuration or joint positions.
+            distance: [m].
+            moved: Name of an obstacle -> where it is now, in the robot's base frame [m]; the others are in their place.
 
         Raises:
             ConfigurationError: q has the wrong size or is not finite.
+            UnknownNameError: `moved` names no obstacle.
         """
-        data, geometry_data, far = self._placed(q)
+        data, geometry_data, far = self._placed(q, moved)
         found = []
         for k in np.flatnonzero(far <= distance).tolist():
             result = pin.computeDistance(self._geometry, geometry_data, k)
             if result.min_distance <= distance:
-                found.append(self._proximity(k, result, data))
+                found.append(self._proximity(k, result, data, far[k]))
         return found
 
-    def nearest(self, q: ArrayLike) -> Proximity | None:
-        """The pair of shapes at the smallest distance; None if no two links can touch.
-
-        Raises:
-            ConfigurationError: q has the wrong size or is not finite.
-        """
-        data, geometry_data, far = self._placed(q)
+    def nearest(self, q: ArrayLike, moved: Mapping[str, Float[np.ndarray, "4 4"]] | None = None) -> Proximity | None:
+        """The pair of shapes at the smallest distance; None if nothing can touch. See `closer_than`."""
+        data, geometry_data, far = self._placed(q, moved)
         best, pair, least = None, -1, np.inf
         for k in np.argsort(far).tolist():
             if far[k] >= least:
@@ -228,19 +317,38 @@ class SelfCollision:
             result = pin.computeDistance(self._geometry, geometry_data, k)
             if result.min_distance < least:
                 best, pair, least = result, k, result.min_distance
-        return None if best is None else self._proximity(pair, best, data)
+        return None if best is None else self._proximity(pair, best, data, far[pair])
 
-    def _placed(self, q: ArrayLike) -> tuple[pin.Data, Any, Float[np.ndarray, " pairs"]]:
+    def _placed(
+        self, q: ArrayLike, moved: Mapping[str, Float[np.ndarray, "4 4"]] | None = None
+    ) -> tuple[pin.Data, Any, Float[np.ndarray, " pairs"]]:
         """Data with Jacobians, shapes at their places, and a lower bound of the distance of each pair."""
         data, geometry_data = self._own_data()
         pin.computeJointJacobians(self._model, data, self.robot.pinocchio_configuration(q))
         pin.updateGeometryPlacements(self._model, data, self._geometry, geometry_data)
         centres = np.array([data.oMi[s.joint].act(s.centre) for s in self._shapes])
         first, second = self._pair_table
-        apart = np.linalg.norm(centres[first] - centres[second], axis=1)
-        return data, geometry_data, apart - self._radii
+        apart = np.linalg.norm(centres[first] - centres[second], axis=1) - self._radii
+        if not self.obstacles:
+            return data, geometry_data, apart
+        places = self._places
+        for name, placement in (moved or {}).items():
+            numbers = [k for k, o in enumerate(self.obstacles) if o.name == name]
+            if not numbers:
+                raise UnknownNameError("obstacle", name, (o.name for o in self.obstacles))
+            places = places.copy() if places is self._places else places
+            places[numbers] = placement
+            for k in numbers:
+                geometry_data.oMg[len(self._shapes) + k] = pin.SE3(np.asarray(placement))
+        # of the ball about a link from the box about an obstacle, negative where its centre is inside
+        links, things = self._met
+        from_middle = np.einsum("kji,kj->ki", places[things, :3, :3], centres[links] - places[things, :3, 3])
+        beyond = np.abs(from_middle) - self._halves[things]
+        outside = np.maximum(beyond, 0.0)
+        bound = np.sqrt(np.einsum("ki,ki->k", outside, outside)) + np.minimum(beyond.max(axis=1), 0.0)
+        return data, geometry_data, np.concatenate([apart, bound - self._ball_radii[links]])
 
-    def _proximity(self, k: int, result: Any, data: pin.Data) -> Proximity:
+    def _proximity(self, k: int, result: Any, data: pin.Data, least: float) -> Proximity:
         a, b = self._pairs[k]
         nx, ny, nz = np.asarray(result.normal).tolist()
         J = np.asarray(data.J).reshape(6, self._model.nv)  # columns are twists at the base's origin
@@ -249,16 +357,18 @@ class SelfCollision:
             # n . (v + w x p) = n . v + (p x n) . w of the joints that carry the shape; NumPy's cross takes 20 us
             x, y, z = point.tolist()
             wrench = np.array([nx, ny, nz, y * nz - z * ny, z * nx - x * nz, x * ny - y * nx])
-            gradient += sign * self._carries[self._shapes[shape].joint] * wrench.dot(J)
+            if shape < len(self._shapes):
+                gradient += sign * self._carries[self._shapes[shape].joint] * wrench.dot(J)
         if not np.all(np.isfinite(gradient)):
             gradient = np.zeros(self._model.nv)
         coupling = self.robot.coupling
         lifted = gradient if coupling is None else gradient @ coupling.lift
         # where its iterations fail on shapes that overlap, Coal returns the lowest number and no direction
-        return Proximity(self._links(a, b), max(float(result.min_distance), -float(self._radii[k])), lifted)
+        return Proximity(self._links(a, b), max(float(result.min_distance), float(least)), lifted)
 
     def _links(self, a: int, b: int) -> tuple[str, str]:
-        return self._shapes[a].link, self._shapes[b].link
+        n = len(self._shapes)
+        return self._shapes[a].link, self._shapes[b].link if b < n else self.obstacles[b - n].name
 
     def _pairs_joined_by(self, numbers: range) -> list[tuple[int, int]]:
         """Pairs of shapes whose links have that many joints between them."""
@@ -284,15 +394,26 @@ class SelfCollision:
                     apart.discard(links)
         return apart
 
-    def _pair_up(self, pairs: list[tuple[int, int]]) -> None:
-        self._pairs = pairs
-        self._local = threading.local()
-        self._geometry.removeAllCollisionPairs()
-        for a, b in pairs:
+    def _pair_up(self, pairs: list[tuple[int, int]], obstacles: Sequence[Obstacle] = ()) -> None:
+        """Take these pairs of shapes, and each obstacle with every link that moves and must not touch it."""
+        self.obstacles = tuple(obstacles)
+        n, self._local = len(self._shapes), threading.local()
+        around = list(enumerate(self.obstacles, n))
+        met = [(a, b) for a, s in enumerate(self._shapes) if s.joint for b, o in around if s.link not in o.may_touch]
+        self._pairs = [*pairs, *met]
+        self._geometry = pin.GeometryModel()
+        things = [(s.joint, s.placement, s.geometry) for s in self._shapes]
+        things += [(0, o.placement, o.geometry) for o in self.obstacles]
+        for number, (joint, placement, geometry) in enumerate(things):
+            self._geometry.addGeometryObject(pin.GeometryObject(f"{number}", joint, pin.SE3(placement), geometry))
+        for a, b in self._pairs:
             self._geometry.addCollisionPair(pin.CollisionPair(a, b))
         self._pair_table = np.array(pairs, dtype=np.intp).reshape(-1, 2).T
-        radii = np.array([s.radius for s in self._shapes])
-        self._radii = radii[self._pair_table[0]] + radii[self._pair_table[1]]
+        self._met = np.array(met, dtype=np.intp).reshape(-1, 2).T - [[0], [n]]
+        self._places = np.array([o.placement for o in self.obstacles]).reshape(-1, 4, 4)
+        self._halves = np.array([o.half for o in self.obstacles]).reshape(-1, 3)
+        self._ball_radii = np.array([s.radius for s in self._shapes])
+        self._radii = self._ball_radii[self._pair_table[0]] + self._ball_radii[self._pair_table[1]]
         self._carries = {s.joint: self._carriers(s.joint) for s in self._shapes}
 
     def _carriers(self, joint: int) -> Float[np.ndarray, " n"]:
@@ -315,8 +436,8 @@ class SelfCollision:
             return self._local.data
 
     def __reduce__(self) -> tuple[Any, ...]:
-        return _rebuilt, (self.robot, self._tag, self._free)
+        return _rebuilt, (self.robot, self._tag, self._free, self.obstacles)
 
 
-def _rebuilt(robot: Robot, shapes: Tag, free: ArrayLike | None) -> SelfCollision:
-    return SelfCollision(robot, shapes=shapes, free=free)
+def _rebuilt(robot: Robot, shapes: Shapes, free: ArrayLike | None, obstacles: Sequence[Obstacle]) -> SelfCollision:
+    return SelfCollision(robot, shapes=shapes, free=free, obstacles=obstacles)
