@@ -78,6 +78,11 @@ class Clearance:
         return self._around.placed(self._depth)
 
     @property
+    def shown(self) -> tuple[Obstacle, ...]:
+        """What a person would see of them."""
+        return tuple(o for o in self.obstacles if o.name != BEHIND)
+
+    @property
     def names(self) -> tuple[str, ...]:
         """What stands around, by its names."""
         return self._around.names
@@ -106,10 +111,16 @@ class Clearance:
         n = max(1, int(np.ceil(np.max(np.abs(b - a)) / STEP)))
         return all(self(a + i / n * (b - a), station) for i in sorted(range(1, n), key=lambda i: abs(i - n // 2)))
 
+    def in_line(self, a: Posture, b: Posture) -> tuple[str, str] | None:
+        """The first two things that touch on the straight joint motion between two postures."""
+        n = max(1, int(np.ceil(np.max(np.abs(b - a)) / STEP)))
+        pairs = (self.touching(a + i / n * (b - a)) for i in range(n + 1))
+        return next((pair.links for pair in pairs if pair is not None), None)
+
     def of_way(self, path: Float[np.ndarray, "k nv"]) -> bool:
         """Whether a way is clear, one posture a station, with the straight motions between them."""
         nodes = all(self(q, k) for k, q in enumerate(path))
-        return nodes and all(self.of_line(a, b, k) for k, (a, b) in enumerate(zip(path, path[1:], strict=False)))
+        return nodes and all(self.of_line(a, b, k) for k, (a, b) in enumerate(zip(path, path[1:], strict=False), 1))
 
     def _pairs(self, q: Posture, station: int, distance: float) -> list[Proximity]:
         if not self._own and not self._around.obstacles:
@@ -122,7 +133,7 @@ class Clearance:
         """Take what was assumed away from where the arm is, or leave it out."""
         for name in dict.fromkeys(pair.links[1] for pair in touching if pair.links[1] in self.names):
             deepest = min((pair for pair in touching if pair.links[1] == name), key=lambda pair: pair.distance)
-            is_there = f"at the start link {deepest.links[0]!r} is in what was taken for {name}: that was "
+            is_there = f"at the start link {deepest.links[0]!r} is in what was taken for the {name}: that was "
             if name in (FLOOR, FRONT) and -deepest.distance <= FARTHER:
                 self._around = self._around.farther(name, CLEARANCE - deepest.distance)
                 self.notes.append(f"{is_there}moved by {CLEARANCE - deepest.distance:.3f} m")

@@ -34,7 +34,7 @@ from manip_learn.planning.surroundings import Surroundings, assumed, hand_of
 from manip_learn.recordings.trajectory_source import Progress
 from manip_learn.robot import html_card
 from manip_learn.robot.batch.postures import unwound
-from manip_learn.robot.collision import SelfCollision
+from manip_learn.robot.collision import Obstacle, SelfCollision
 from manip_learn.robot.robot import Robot
 
 CANDIDATES = 384  # seeds: with 2,000 the best margin of a drawer rises by less than a hundredth (docs/figures_plan.md)
@@ -87,6 +87,7 @@ class Plan:
         controller: Runs the plan, in `simulate` and in a `ServoLoop`, from the start.
         candidates: Number of postures at the first station that were compared.
         notes: What was not looked at, in sentences.
+        obstacles: What approach and way keep clear of, where it is before the way.
     """
 
     robot: Robot
@@ -100,6 +101,7 @@ class Plan:
     controller: LawSequence
     candidates: int
     notes: tuple[str, ...] = ()
+    obstacles: tuple[Obstacle, ...] = ()
 
     @property
     def rollout(self) -> Rollout:
@@ -142,6 +144,7 @@ class Plan:
             "candidates": self.candidates,
             "others": [{"posture": o.posture.tolist(), "margin": o.margin, "why": o.why} for o in self.others],
             "notes": list(self.notes),
+            "clear_of": list(dict.fromkeys(o.name for o in self.obstacles)),
         }
 
 
@@ -166,8 +169,9 @@ def plan(
     place is that of the motion (see `motion`); the posture is chosen among hundreds by the least margin over the whole
     way, in units of its own limits (`manip_learn.planning.stations` has the formula); of margins within a
     hundredth of each other the larger manipulability of the rows held and driven decides. The best is simulated, and
-    taken if the whole way is done within 2 mm of what holds the hand; else the next one. Where the arm is as well off as
-    it stands, it stays so. Approach and way are clear of the arm's own links and of the scene by 5 mm.
+    taken if the whole way is done within 2 mm of what holds the hand; else the next one. Where the arm does as well from
+    where it stands, it takes hold as it stands. Approach and way keep clear of the arm's own links and of the scene by
+    5 mm.
 
     Args:
         constraint: What holds the hand.
@@ -218,8 +222,9 @@ def plan(
     found = problem.best(marches, said)
     if found is None:
         said("comparing more postures", 0.5)
-        marches = marches.joined_with(problem.marches(AGAIN * candidates))
-        found = problem.best(marches, said)
+        more = problem.marches(AGAIN * candidates)
+        found = problem.best(more, said)
+        marches = marches.joined_with(more)
     stands = problem.as_it_stands()
     if stands is not None and (found is None or stands.margin >= found.margin - TIE):
         found = stands
@@ -301,7 +306,7 @@ class _Problem:
         self.start = robot.checked_posture(start)
         self.limits, self.dt, self.grasp = limits or Limits(robot), dt, grasp
         self.seed, self.rng = seed, np.random.default_rng(seed)
-        self.unreached = False  # whether a posture of hold could not be reached from the start
+        self.unreached: tuple[str, str] | None = None  # what stands between the start and a posture of hold
         unsuited = next((b for b in robot.blocks if b.kind in ("floating", "planar", "other")), None)
         if unsuited is not None:
             raise FeatureError(
@@ -444,7 +449,7 @@ class _Problem:
         for way in ways:
             if (approach := self._approach(way[0], clear)) is not None:
                 return way, *approach
-        self.unreached = True
+        self.unreached = clear.in_line(self.positions, path[0])
         return None
 
     def _approach(
@@ -477,7 +482,7 @@ class _Problem:
         """The way from the start with the ascent of mu, or with spare joints at rest, where that comes true."""
         if self.motion.hold(self.start) > 0.0 or self.grasp is not None:
             return None
-        clear, found = self.clear.holding(self.positions), list[Plan]()
+        clear = self.clear.holding(self.positions)
         for policy in (self.motion.ascent(), None):
             law = self._controller(self.motion, policy)
             way, outcome = simulate_way(self.robot, law, self.start, self.dt)
@@ -491,8 +496,8 @@ class _Problem:
                 continue
             margins = margins_of(self.stations, path)
             sequence = LawSequence(reached[0], law)
-            found.append(self._plan(sequence, self.positions, reached[1], way, margins, outcome, (), 0))
-        return max(found, key=lambda one: one.margin, default=None)
+            return self._plan(sequence, self.positions, reached[1], way, margins, outcome, (), 0)
+        return None
 
     def _plan(
         self,
@@ -509,7 +514,7 @@ class _Problem:
         approach = replace(approach, phases=(("approach", 0.0, float(approach.time[-1])),))
         done = ({**outcome.to_dict(), "margin": margins.margin},)
         way = replace(way, phases=(*((("hold", 0.0, held),) if held else ()), ("way", held, end)), ways=done)
-        numbers = margins.margin, margins, outcome, others, laws, compared, self.notes
+        numbers = margins.margin, margins, outcome, others, laws, compared, self.notes, self.clear.shown
         return Plan(self.robot, hold, approach, way, *numbers)
 
     # ---- where there is no plan -----------------------------------------------------------------------------------
@@ -524,7 +529,9 @@ class _Problem:
         """
         clear = marches.where(lambda q, k: self.clear.holding(q)(q, k) if k == 0 else self.clear(q, k))
         last = clear.reached
-        pair, helps = self._in_the_way(marches) if last < marches.reached or self.unreached else (None, ())
+        pair, helps = self._in_the_way(marches) if last < marches.reached else (None, ())
+        if self.unreached is not None and last == len(self.stations) - 1:
+            pair = self.unreached
         helps = (*helps, *self._helps(candidates, base_within))
         more = "".join(f"; {sentence}" for sentence in helps)
         if marches.reached < 0:
@@ -549,7 +556,7 @@ class _Problem:
             largest, stopped_by = ends[longest]
             posture = paths[longest][0] if largest else None
         if pair is not None:
-            stopped_by = f"{pair[0]!r} and {pair[1]!r}, which would touch" + (
+            stopped_by = f"{pair[0]} and {pair[1]}, which would touch" + (
                 " on the way from the start to where the hand takes hold" if last == len(self.stations) - 1 else ""
             )
         return NoPlanError(
@@ -574,7 +581,7 @@ class _Problem:
         if least is None:
             return None, ()
         far, (link, other) = least
-        moved = f"{other} {far:.2f} m farther from {link!r} would leave room for the nearest of the postures"
+        moved = f"the {other} {far:.2f} m farther from {link} would leave room for the nearest of the postures"
         return (link, other), (moved,) if other in self.clear.names else ()
 
     def _largest(self, path: Postures) -> tuple[float, str]:

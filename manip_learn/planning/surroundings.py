@@ -1,8 +1,9 @@
 """What stands around an arm while it goes a way: a scene, or what may be assumed where nobody says.
 
 Assumed are the floor under the base and the front of what is opened, pushed or wiped: a half space behind the place
-where the hand takes hold, of a drawer or a door by the depth of a flat handle. The hand may go as far beyond the front as it does when it takes hold; for the other links
-the front ends there. Of a door the leaf is there too, from the handle to the hinge, and turns with the way.
+where the hand takes hold, of a drawer or a door by the depth of a flat handle. What is pushed takes its front along.
+The hand may go as far behind the front as it is when it takes hold, other links may not. Of a door the leaf is there
+too, from the handle to the hinge, and turns with the way.
 """
 
 from __future__ import annotations
@@ -19,12 +20,13 @@ from jaxtyping import Float
 
 from manip_learn.constraint.mechanism import Mechanism
 from manip_learn.errors import RobotError
+from manip_learn.planning.scene import Scene
 from manip_learn.planning.stations import Stations
 from manip_learn.robot.collision import Obstacle, collision_shapes
 from manip_learn.robot.joints import Frame
 from manip_learn.robot.robot import Robot
 
-FLOOR, FRONT, BEHIND, LEAF = "the floor", "the front of what is held", "the front behind the hand", "the door's leaf"
+FLOOR, FRONT, BEHIND, LEAF = "floor", "front", "front behind the hand", "leaf"
 LARGE = 10.0  # [m] half the edge of a block whose face is a floor or a front: no arm reaches around it
 HANDLE = 0.025  # [m] that the flattest usual handles stand out of their front
 SLANTED = 0.3  # of a hand's lever that must point out of a front to tell its side: 17 degrees from lying along it
@@ -103,7 +105,7 @@ def assumed(robot: Robot, frame: Frame, stations: Stations, mechanism: Mechanism
         mechanism: What holds the hand, if that has a name.
         in_base: Whether the stations are places in the robot's base frame.
     """
-    obstacles, leaf, sinks = [floor(robot, floor_under(robot))], None, None
+    obstacles, leaf, sinks = [*Scene(floor=floor_under(robot)).obstacles(robot)], None, None
     if not in_base or mechanism is None:
         return Surroundings(tuple(obstacles), is_assumed=True)
     hand = hand_of(robot, frame)
@@ -137,12 +139,6 @@ def half_space(name: str, point: np.ndarray, normal: np.ndarray, may_touch: froz
     placement[:3, 0] *= np.sign(np.linalg.det(placement[:3, :3]))
     placement[:3, 3] = point - LARGE * normal
     return Obstacle(name, placement, coal.Box(*[2.0 * LARGE] * 3), np.full(3, LARGE), may_touch)
-
-
-def floor(robot: Robot, height: float) -> Obstacle:
-    """What is below a height [m]; links of the first joint, which stands on it, may touch it."""
-    low = frozenset(name for name, joint in _links(robot).items() if joint <= 1)
-    return half_space(FLOOR, np.array([0.0, 0.0, height]), np.array([0.0, 0.0, 1.0]), low)
 
 
 @lru_cache(maxsize=8)

@@ -8,6 +8,7 @@ from __future__ import annotations
 import threading
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from functools import lru_cache
 from itertools import combinations
 from pathlib import Path
 from typing import Any, Literal, NamedTuple, final
@@ -78,6 +79,7 @@ class Obstacle:
     may_touch: frozenset[str] = frozenset()
 
 
+@lru_cache(maxsize=16)
 def collision_shapes(robot: Robot, tag: Shapes = "collision") -> tuple[CollisionShape, ...]:
     """All collision shapes of a robot.
 
