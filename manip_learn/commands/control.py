@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any, final
 
 import numpy as np
 
-from manip_learn.commands.loading import robot_of_constraint, start_posture
+from manip_learn.commands.loading import robot_of_constraint, scene_of, start_posture
 from manip_learn.commands.options import ControlOptions, PlanOptions, vector
 from manip_learn.constraint.constraint import Constraint
 from manip_learn.constraint.features.weighed_velocity import WeighedVelocity
@@ -279,6 +279,7 @@ def follow(
         q0,
         options.seed,
         grasp=grasp,
+        scene=scene_of(options.scene, constraint.robot),
         base_within=options.base_within,
         dt=dt,
         progress=progress,

@@ -6,7 +6,7 @@ import json
 from collections.abc import Mapping, Sequence
 from contextlib import AbstractContextManager, nullcontext
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -19,6 +19,9 @@ from manip_learn.recordings.readers.recording_files import recording_files
 from manip_learn.recordings.readers.saved_reader import file_header
 from manip_learn.recordings.saved_motion import FileHeader
 from manip_learn.robot import Robot
+
+if TYPE_CHECKING:
+    from manip_learn.planning.plan import Around
 
 
 def cluster_client(dask: str | None) -> AbstractContextManager[Any]:
@@ -143,3 +146,16 @@ def start_posture(
         q0, whence = robot.neutral(), "the robot's neutral posture"
     check_inside(robot, robot.positions(q0))
     return q0, whence
+
+
+def scene_of(given: str | None, robot: Robot | None) -> Around:
+    """What `--scene` names.
+
+    Raises:
+        SceneError: The file is none of a scene.
+    """
+    from manip_learn.planning.scene import Scene
+
+    if given is None:
+        return "assumed"
+    return None if given == "none" else Scene.load(given, robot)

@@ -152,6 +152,12 @@ class ReadingOptions:
         return {key: value for key, value in given.items() if value is not None and value != []}
 
 
+SceneFile = Annotated[
+    str | None,
+    Option(metavar="FILE", help="What stands around (JSON, URDF, MJCF); none: nothing. Else floor and front are assumed."),
+]
+
+
 @final
 @dataclass(frozen=True)
 class PlanOptions:
@@ -168,12 +174,13 @@ class PlanOptions:
         int | None, Option(help="Number of turns about that axis that grip alike; 2: a gripper, 0: a knob.")
     ] = None
     base_within: Annotated[float, Option(help="Without a plan, try the base elsewhere, up to this far [m].")] = 0.0
+    scene: SceneFile = None
 
     def __post_init__(self) -> None:
         """Refuse options of a plan without `--plan`."""
-        given = (self.seed, self.grasp_angle, self.grasp_turns, self.base_within)
-        if not self.plan and given != (0, None, None, 0.0):
-            raise TargetError("--seed, --grasp-angle, --grasp-turns and --base-within go with --plan")
+        given = (self.seed, self.grasp_angle, self.grasp_turns, self.base_within, self.scene)
+        if not self.plan and given != (0, None, None, 0.0, None):
+            raise TargetError("--seed, --grasp-angle, --grasp-turns, --base-within and --scene go with --plan")
 
 
 @final
@@ -303,6 +310,7 @@ class RepeatOptions:
         str | None,
         Option(help="The fixtures stand elsewhere: x,y,z[,rx,ry,rz] (m, degrees about the base's axes)."),
     ] = None
+    scene: SceneFile = None
     seed: Annotated[int, Option(help="Random seed of the plans.")] = 0
     out: Annotated[Path | None, Option(help="Rollout file to write: .npz, .csv or .mcap (for ROS).")] = None
     html: Annotated[Path | None, Option(help="Replay to write.")] = None

@@ -11,7 +11,7 @@ import numpy as np
 from jaxtyping import Float
 from scipy.spatial.transform import Rotation
 
-from manip_learn.commands.loading import robot_of_constraint, start_posture
+from manip_learn.commands.loading import robot_of_constraint, scene_of, start_posture
 from manip_learn.commands.options import RepeatOptions, vector
 from manip_learn.constraint.skill import Skill
 from manip_learn.errors import TargetError
@@ -59,7 +59,8 @@ def repeat_skill(options: RepeatOptions, progress: Progress | None = None) -> Re
     start, moved = vector("--start", options.start), vector("--moved", options.moved)
     q0, whence = start_posture(robot, skill.constraints[0], start, True)
     transform = None if moved is None else _rigid_motion(moved)
-    done = repeat(skill, q0, transform, seed=options.seed, progress=progress)
+    around = scene_of(options.scene, robot)
+    done = repeat(skill, q0, transform, scene=around, seed=options.seed, progress=progress)
     out = None if options.out is None else done.rollout.save(options.out)
     page = None
     if options.html is not None:

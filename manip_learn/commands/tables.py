@@ -389,8 +389,11 @@ def print_controlled(console: Console, controlled: Controlled, explain: bool = F
     plan = controlled.plan
     if plan is not None:
         say(console, f"plan: {plan.sentence}")
-        say(console, *(f"  instead, margin {other.margin:.0%}: {other.why}" for other in plan.others[:3]))
-        say(console, f"  of {counted(plan.candidates, 'posture')} that take hold")
+        if plan.obstacles:
+            say(console, f"  clear of: {', '.join(dict.fromkeys(o.name for o in plan.obstacles))}")
+        if explain:
+            say(console, *(f"  instead, margin {other.margin:.0%}: {other.why}" for other in plan.others[:3]))
+            say(console, f"  of {counted(plan.candidates, 'posture')} that take hold")
         say(console, *plan.notes, style="yellow")
     counts = controlled.rollout.status_counts
     say(console, f"steps: {', '.join(f'{status} {n}' for status, n in counts.items())}")

@@ -169,9 +169,8 @@ def plan(
     place is that of the motion (see `motion`); the posture is chosen among hundreds by the least margin over the whole
     way, in units of its own limits (`manip_learn.planning.stations` has the formula); of margins within a
     hundredth of each other the larger manipulability of the rows held and driven decides. The best is simulated, and
-    taken if the whole way is done within 2 mm of what holds the hand; else the next one. Where the arm does as well from
-    where it stands, it takes hold as it stands. Approach and way keep clear of the arm's own links and of the scene by
-    5 mm.
+    taken if the whole way is done within 2 mm of what holds the hand; else the next one. An arm that does as well from
+    where it stands takes hold there. Approach and way keep clear of the arm's own links and of the scene by 5 mm.
 
     Args:
         constraint: What holds the hand.
@@ -233,6 +232,38 @@ def plan(
         raise problem.refusal(marches, candidates, base_within)
     said("planned", 1.0)
     return found
+
+
+def moved_to(
+    goal: Float[np.ndarray, " nv"],
+    start: Float[np.ndarray, " nq"],
+    limits: Limits,
+    clear: Clearance,
+    seed: int,
+    dt: float,
+) -> tuple[ResolvedRateController, Rollout] | None:
+    """The motion of the joints from one posture to another, and its law; None where something is in the way.
+
+    Args:
+        goal: Joint positions.
+        start: A configuration.
+        limits: Of the joints.
+        clear: What is clear.
+        seed: Of the path around what is in the way.
+        dt: Step of the simulation [s].
+
+    Raises:
+        MissingExtraError: Something is in the way of the straight motion, and RoboPlan is not installed.
+    """
+    robot = limits.robot
+    path = joint_path(robot, robot.positions(start), goal, limits, clear, seed)
+    if path is None:
+        return None
+    task = JointMotion(robot, path, APPROACH_SHARE * limits.velocity)
+    law = ResolvedRateController(every_joint(robot), task, limits=limits, dt=dt)
+    rollout = simulate(robot, law, start, task.duration + 1.0, dt)
+    arrived = np.flatnonzero((rollout.task_error < ARRIVED) & (rollout.time >= task.duration))
+    return (law, rollout.until(float(rollout.time[arrived[0]]))) if len(arrived) else None
 
 
 @final
@@ -456,16 +487,10 @@ class _Problem:
         self, goal: Float[np.ndarray, " nv"], clear: Clearance
     ) -> tuple[ResolvedRateController, Rollout] | None:
         """The motion from the start to the posture of hold, and its law; None where something is in the way."""
-        path = joint_path(self.robot, self.positions, goal, self.limits, clear, self.seed)
-        if path is None:
+        moved = moved_to(goal, self.start, self.limits, clear, self.seed, self.dt)
+        if moved is None:
             return None
-        task = JointMotion(self.robot, path, APPROACH_SHARE * self.limits.velocity)
-        law = ResolvedRateController(every_joint(self.robot), task, limits=self.limits, dt=self.dt)
-        rollout = simulate(self.robot, law, self.start, task.duration + 1.0, self.dt)
-        arrived = np.flatnonzero((rollout.task_error < ARRIVED) & (rollout.time >= task.duration))
-        if not len(arrived):
-            return None
-        rollout = rollout.until(float(rollout.time[arrived[0]]))
+        law, rollout = moved
         return law, replace(rollout, manipulability=manipulability_batch(self.rows, rollout.q).mu)
 
     def _law(self, motion: FreeDirection, time: Float[np.ndarray, " k"], path: Postures) -> ResolvedRateController:

@@ -23,7 +23,9 @@ from manip_learn.control.tasks.motion import APPROACH_SPEED, FreeDirection, moti
 from manip_learn.control.way import simulate_way
 from manip_learn.errors import ConfigurationError, NoPlanError, TargetError, an
 from manip_learn.linalg import complement_rows, finite
-from manip_learn.planning.plan import plan
+from manip_learn.planning.clearance import Clearance
+from manip_learn.planning.plan import Around, moved_to, plan
+from manip_learn.planning.surroundings import Surroundings
 from manip_learn.recordings.trajectory_source import Progress
 from manip_learn.robot.robot import Robot
 
@@ -115,6 +117,7 @@ def repeat(
     start: ArrayLike,
     moved: ArrayLike | None = None,
     *,
+    scene: Around = "assumed",
     seed: int = 0,
     limits: Limits | None = None,
     dt: float = 0.01,
@@ -130,6 +133,7 @@ def repeat(
         skill: As learnt (`ConstraintLearner.skill_`) or loaded; a constraint stands for its one way.
         start: Posture before the first step.
         moved: shape (4, 4), a rigid motion in the base's frame: the fixtures stand elsewhere, p' = R p + t [m].
+        scene: What stands around, as of `plan`: kept clear of by every step.
         seed: Of the random postures: the same seed gives the same motion.
         limits: Of the joints; the robot's own by default.
         dt: Step of the simulation [s].
@@ -165,7 +169,7 @@ def repeat(
     laws: list[ResolvedRateController] = []
     done: list[StepDone] = []
     whole: Rollout | None = None
-    notes = list(skill.notes)
+    notes, around = list(skill.notes), Surroundings()
     for number, step in enumerate(skill.steps):
         name = _name(number, step, skill)
         said(name, number / len(skill.steps))
@@ -174,9 +178,9 @@ def repeat(
             parts = [_grip(step, name, q, robot, limits, dt, 0.0 if whole is None else whole.manipulability[-1])]
             q = parts[-1].rollout.q[-1]
         if step.kind == "way":
-            parts += _way(step, name, q, seed, limits, dt)
+            parts, around = [*parts, *(found := _way(step, name, q, scene, seed, limits, dt))[0]], found[1]
         elif step.place is not None:  # to a way its plan goes
-            parts += _retreat(skill, step, name, q, robot, limits, dt)
+            parts += _retreat(skill, step, name, q, around, seed, limits, dt)
         for part in parts:
             laws.append(part.law)
             done += part.done
@@ -222,13 +226,15 @@ def _grip(
     return Part(law, replace(rollout, phases=((f"{name}: {step.gripper}", 0.0, float(rollout.time[-1])),)))
 
 
-def _way(step: Step, name: str, q: Float[np.ndarray, " n"], seed: int, limits: Limits, dt: float) -> list[Part]:
-    """Take hold and go along what was learnt, as it was shown in this step."""
+def _way(
+    step: Step, name: str, q: Float[np.ndarray, " n"], scene: Around, seed: int, limits: Limits, dt: float
+) -> tuple[list[Part], Surroundings]:
+    """Take hold and go along what was learnt, as it was shown in this step; and what stands around."""
     constraint = step.as_shown
     if constraint is None or constraint.robot is None:
         raise TargetError(f"step {name!r}: no constraint to go along")
     try:
-        found = plan(constraint, motion(constraint), q, seed, limits=limits, dt=dt)
+        found = plan(constraint, motion(constraint), q, seed, scene=scene, limits=limits, dt=dt)
     except NoPlanError as refusal:
         facts = {"largest": refusal.largest, "posture": refusal.posture}
         raise NoPlanError(
@@ -258,7 +264,8 @@ def _way(step: Step, name: str, q: Float[np.ndarray, " n"], seed: int, limits: L
         q, fingers = motion_along.q.copy(), [robot.joint_index(joint) for joint in step.fingers]
         q[:, fingers] = grips[0].rollout.q[-1, fingers]
         motion_along = replace(motion_along, q=q)
-    return [Part(to_hold, approach, (reach,), found.notes), *grips, Part(along, motion_along, (way,))]
+    around = Surroundings(found.obstacles, is_assumed=scene == "assumed")
+    return [Part(to_hold, approach, (reach,), found.notes), *grips, Part(along, motion_along, (way,))], around
 
 
 def _named(rollout: Rollout, name: str) -> Rollout:
@@ -269,11 +276,18 @@ def _named(rollout: Rollout, name: str) -> Rollout:
 
 
 def _retreat(
-    skill: Skill, step: Step, name: str, q: Float[np.ndarray, " n"], robot: Robot, limits: Limits, dt: float
+    skill: Skill,
+    step: Step,
+    name: str,
+    q: Float[np.ndarray, " n"],
+    around: Surroundings,
+    seed: int,
+    limits: Limits,
+    dt: float,
 ) -> list[Part]:
-    """The hand goes straight to where the recordings ended."""
+    """The hand goes straight to where the recordings ended, or the joints around what is in the way of that."""
     last = next(s.constraint for s in reversed(skill.steps) if s.constraint is not None)
-    frame = last.features.frame.name  # type: ignore[attr-defined]  # a place is known of a frame's rows only
+    robot, frame = limits.robot, last.features.frame.name  # type: ignore[attr-defined]  # a place is known of a frame's rows
     away = np.asarray(step.place) - robot.position(q, frame)
     far = float(np.linalg.norm(away))
     if far <= NEAR:
@@ -284,11 +298,20 @@ def _retreat(
     rollout, outcome = simulate_way(robot, law, q, dt)
     if not outcome.is_done:
         raise NoPlanError(f"step {name!r}: the hand does not get to where the recordings ended: {outcome.stopped_by}")
+    clear = Clearance(robot, True, around, robot.positions(q))
+    done, fastest = abs(outcome.done), outcome.fastest[1]
+    touching = next((pair for x in rollout.q if (pair := clear.touching(robot.positions(x))) is not None), None)
+    if touching is not None:
+        moved = moved_to(robot.positions(rollout.q[-1]), q, limits, clear, seed, dt)
+        if moved is None:
+            between = " and ".join(touching.links)
+            raise NoPlanError(f"step {name!r}: {between} would touch on the way to where the recordings ended")
+        law, rollout = moved
+        fastest = float(np.max(np.abs(rollout.u) / robot.velocity_limit))
     end = robot.position(rollout.q[-1], frame)
     off = float(np.linalg.norm(end - np.asarray(step.place)))
     rollout = replace(rollout, phases=((name, 0.0, float(rollout.time[-1])),), ways=())
-    done = StepDone("reach", far, abs(outcome.done), "m", off, None, None, outcome.fastest[1], end, name)
-    return [Part(law, rollout, (done,))]
+    return [Part(law, rollout, (StepDone("reach", far, done, "m", off, None, None, fastest, end, name),))]
 
 
 def _rigid(moved: ArrayLike) -> Float[np.ndarray, "4 4"]:
