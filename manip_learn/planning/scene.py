@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+import json
 import os
-from collections.abc import Sequence
-from dataclasses import dataclass, fields
-from functools import cached_property
+import re
+from collections import Counter
+from collections.abc import Mapping, Sequence
+from dataclasses import MISSING, dataclass, fields, replace
 from pathlib import Path
 from typing import Any, final
 
@@ -13,24 +15,65 @@ import numpy as np
 from jaxtyping import Float
 from numpy.typing import ArrayLike
 
-from manip_learn.errors import RobotError, SceneError, UnknownNameError, counted
+from manip_learn.atomic_write import write_atomically
+from manip_learn.errors import RobotError, SceneError, UnknownNameError, counted, named
 from manip_learn.linalg import finite
 from manip_learn.robot.collision import Obstacle, obstacles_of
+from manip_learn.robot.description.mjcf import validate_mjcf
+from manip_learn.robot.description.text import parse_xml, read_description
 from manip_learn.robot.description.urdf import Pose, as_matrix
+from manip_learn.robot.loading import robot_from_text
 from manip_learn.robot.robot import Robot
-from manip_learn.robot.visuals import meshes
-from manip_learn.robot.visuals.visual_shapes import Solid
+from manip_learn.robot.visuals import meshes as triangles
+from manip_learn.robot.visuals.visual_shapes import MeshElement, Solid, visual_elements
 
 FORMAT = "manip_learn.scene"
 LARGEST = 20.0  # [m] of a thing, and of its place along an axis: a hall; what is larger is in millimetres
-LARGEST_REACHES = 10.0  # reaches of the robot: a thing in a file that is larger may be in another unit
+LARGEST_REACHES = 10.0  # reaches of a robot: a thing in a file for it that is larger may be in millimetres
 ROUNDING = 1e-6  # of the entries of a rotation: files have seven digits
 CLOSE = 0.01  # [m] from the origin of the base: what the arm is screwed to
 
 
+class Thing:
+    """A solid that stands in the world; its numbers are checked when it is made.
+
+    Attributes:
+        name: What it is called.
+        pose: shape (4, 4), of its own frame in the robot's base frame [m].
+        shape: What it is, in its own frame [m].
+    """
+
+    name: str
+    pose: ArrayLike
+    shape: Solid | triangles.Mesh
+
+    def __post_init__(self) -> None:
+        kind: Any = type(self).__name__.lower()
+        if not isinstance(self.name, str) or not self.name.strip() or not self.name.isprintable():
+            raise SceneError(f"a {kind} is called {self.name!r}; a name is expected; give it one")
+        where, sizes = f"{kind} {self.name!r}", list[float]()
+        for field in ("size", "radius", "length"):
+            if hasattr(self, field):
+                given, n = getattr(self, field), 3 if field == "size" else 1
+                numbers = finite(np.atleast_1d(given), n)
+                if numbers is None or np.any(numbers <= 0.0):
+                    wanted = "three positive numbers are" if n == 3 else "a positive number is"
+                    raise SceneError(f"{where}: its {field} is {given!r}; {wanted} expected [m]; correct it")
+                sizes += numbers.tolist()
+        pose = _pose(getattr(self, "centre" if kind == "sphere" else "pose"), where)
+        shape = _mesh(self, where) if isinstance(self, Mesh) else Solid(kind, tuple(sizes))
+        largest = max(sizes) if sizes else np.ptp(shape.vertices, axis=0).max()  # type: ignore[union-attr]
+        for seen, metres in (("size", largest), ("place", np.abs(pose[:3, 3]).max())):
+            if metres > LARGEST:
+                wanted = f"at most {LARGEST:g} m is expected; if it is in millimetres, divide by 1000"
+                raise SceneError(f"{where}: its {seen} is {metres:g} m; {wanted}")
+        object.__setattr__(self, "pose", pose)
+        object.__setattr__(self, "shape", shape)
+
+
 @final
 @dataclass(frozen=True, eq=False)
-class Box:
+class Box(Thing):
     """A box that stands in the world.
 
     Args:
@@ -47,94 +90,38 @@ class Box:
     pose: ArrayLike
     name: str
 
-    def __post_init__(self) -> None:
-        _set(self, "size", _lengths(self, "size", 3))
-        _set(self, "pose", _pose(self, self.pose))
-
-    @property
-    def shape(self) -> Solid:
-        """What it is, in its own frame."""
-        x, y, z = np.asarray(self.size).tolist()
-        return Solid("box", (x, y, z))
-
 
 @final
 @dataclass(frozen=True, eq=False)
-class Sphere:
-    """A ball that stands in the world.
-
-    Args:
-        radius: [m].
-        centre: shape (3,), in the robot's base frame [m].
-        name: What it is called.
-
-    Raises:
-        SceneError: Numbers that make no ball.
-    """
+class Sphere(Thing):
+    """A ball that stands in the world: its radius [m], its centre, shape (3,), in the robot's base frame [m]."""
 
     radius: float
     centre: ArrayLike
     name: str
 
-    def __post_init__(self) -> None:
-        _set(self, "radius", float(_lengths(self, "radius", 1)[0]))
-        _set(self, "centre", _pose(self, self.centre)[:3, 3])
-
-    @property
-    def pose(self) -> Float[np.ndarray, "4 4"]:
-        """Where it is, in the robot's base frame [m]."""
-        return _pose(self, self.centre)
-
-    @property
-    def shape(self) -> Solid:
-        """What it is, in its own frame."""
-        return Solid("sphere", (self.radius,))
-
 
 @final
 @dataclass(frozen=True, eq=False)
-class Cylinder:
-    """A cylinder along its own z axis that stands in the world.
-
-    Args:
-        radius: [m].
-        length: [m].
-        pose: Of its middle, as for a `Box`.
-        name: What it is called.
-
-    Raises:
-        SceneError: Numbers that make no cylinder, or no pose.
-    """
+class Cylinder(Thing):
+    """A cylinder that stands in the world: its radius, its length along its own z axis [m], its pose as for a `Box`."""
 
     radius: float
     length: float
     pose: ArrayLike
     name: str
 
-    def __post_init__(self) -> None:
-        for size in ("radius", "length"):
-            _set(self, size, float(_lengths(self, size, 1)[0]))
-        _set(self, "pose", _pose(self, self.pose))
-
-    @property
-    def shape(self) -> Solid:
-        """What it is, in its own frame."""
-        return Solid("cylinder", (self.radius, self.length))
-
 
 @final
 @dataclass(frozen=True, eq=False)
-class Mesh:
-    """A body of triangles that stands in the world.
-
-    A part that is closed and convex counts as a solid, another closed one by its surface and what is within, and one
-    that is open by its surface alone: it has no inside (`Scene.notes` says so).
+class Mesh(Thing):
+    """A body of triangles that stands in the world; where it is open it is a surface, without an inside.
 
     Args:
         source: An STL, OBJ or COLLADA file; or vertices, shape (n, 3), and triangles, shape (m, 3), counted from 0.
         pose: Of its own frame, as for a `Box`.
         name: What it is called.
-        scale: Its size over the numbers in the source, one number or one for each axis: 0.001 for millimetres.
+        scale: Metres per unit of the source, one number or one for each axis: 0.001 for millimetres.
 
     Raises:
         SceneError: No such file, one that cannot be read, or numbers that make no mesh.
@@ -145,43 +132,7 @@ class Mesh:
     name: str
     scale: ArrayLike = 1.0
 
-    def __post_init__(self) -> None:
-        _set(self, "pose", _pose(self, self.pose))
-        scale = finite(self.scale, 3) if np.ndim(self.scale) else finite(self.scale)
-        if scale is None or not np.all(scale):
-            raise SceneError(f"{_of(self)}: its scale is {self.scale!r}; a number that is not 0 is expected")
-        _set(self, "scale", scale)
-        largest = float(np.ptp(self.shape.vertices, axis=0).max())
-        if largest > LARGEST:
-            raise _millimetres(self, f"it is {largest:g} m large", f"scale={0.001 * float(np.max(scale)):g}")
 
-    @cached_property
-    def shape(self) -> meshes.Mesh:
-        """What it is, in its own frame.
-
-        Raises:
-            SceneError: As for the mesh itself, which looks at it.
-        """
-        if isinstance(self.source, str | os.PathLike):
-            path = Path(self.source).expanduser()
-            mesh = meshes.read_meshes([path])[path]
-            if isinstance(mesh, RobotError):
-                raise SceneError(f"{_of(self)}: {mesh}; a mesh file is expected; check the path") from mesh
-            vertices, faces = mesh.vertices, mesh.faces
-        else:
-            vertices, faces = (np.asarray(part) for part in self.source)
-            fits = vertices.ndim == faces.ndim == 2 and vertices.shape[1] == faces.shape[1] == 3 and len(faces)
-            if not fits or faces.dtype.kind not in "iu" or faces.min() < 0 or faces.max() >= len(vertices):
-                sentence = "vertices (n, 3) and triangles (m, 3) of their numbers are expected"
-                raise SceneError(f"{_of(self)}: its arrays have shapes {vertices.shape} and {faces.shape}; {sentence}")
-            if finite(vertices, *vertices.shape) is None:
-                raise SceneError(f"{_of(self)}: a vertex is not finite; finite numbers are expected [m]")
-        # a mirror image turns every triangle inside out
-        mirrored = np.prod(np.broadcast_to(self.scale, 3)) < 0.0
-        return meshes.Mesh(vertices * self.scale, faces[:, ::-1] if mirrored else faces)
-
-
-Thing = Box | Sphere | Cylinder | Mesh
 KINDS: dict[str, type[Thing]] = {"boxes": Box, "spheres": Sphere, "cylinders": Cylinder, "meshes": Mesh}
 
 
@@ -192,11 +143,12 @@ class Scene:
 
     Args:
         floor: Height of the floor [m]; None for no floor.
-        boxes: Boxes.
-        spheres: Balls.
-        cylinders: Cylinders.
-        meshes: Bodies of triangles.
+        boxes, spheres, cylinders, meshes: The things; no two have one name.
         handled: Names of what the hand takes hold of or opens: its links may touch these.
+
+    Attributes:
+        solids: All that stands there but the floor, to draw: each has a `name`, a `pose` and a `shape`, see `Thing`.
+        notes: What had to be assumed, a sentence each.
 
     Raises:
         SceneError: A floor that is no height, or two things of one name.
@@ -217,99 +169,197 @@ class Scene:
 
     def __post_init__(self) -> None:
         if self.floor is not None and (finite(self.floor) is None or abs(self.floor) > LARGEST):
-            raise SceneError(f"the floor is at {self.floor!r}; a height of at most {LARGEST:g} m is expected")
+            raise SceneError(f"floor is {self.floor!r}; a height of at most {LARGEST:g} m is expected; correct it")
         for field, kind in KINDS.items():
-            _set(self, field, tuple(getattr(self, field)))
-            other = next((thing for thing in getattr(self, field) if type(thing) is not kind), None)
-            if other is not None:
-                raise SceneError(f"{field} hold {other!r}; each must be a {kind.__name__}")
-        _set(self, "handled", (self.handled,) if isinstance(self.handled, str) else tuple(self.handled))
-        names = [thing.name for thing in self.solids] + ["floor"] * (self.floor is not None)
-        twice = next((name for i, name in enumerate(names) if name in names[:i]), None)
-        if twice is not None:
-            raise SceneError(f"two things of the scene are called {twice!r}; rename one of them")
-        for name in self.handled:
-            if name not in names:
+            object.__setattr__(self, field, tuple(getattr(self, field)))
+            if other := [thing for thing in getattr(self, field) if type(thing) is not kind]:
+                raise SceneError(f"{field} hold {other[0]!r}; each must be a {kind.__name__}")
+        handled = (self.handled,) if isinstance(self.handled, str) else tuple(self.handled)
+        object.__setattr__(self, "handled", handled)
+        names = Counter([thing.name for thing in self.solids] + ["floor"] * (self.floor is not None))
+        for name in (*handled, *names):
+            if names[name] == 0:
                 raise UnknownNameError("thing", name, names, "the scene")
+            if names[name] > 1:
+                raise SceneError(f"{names[name]} things are called {name!r}; a name each is expected; rename them")
 
     @property
-    def solids(self) -> tuple[Thing, ...]:
-        """All that stands there but the floor; each has a `name`, a `pose` (4, 4) [m] and a `shape`."""
+    def solids(self) -> tuple[Thing, ...]:  # noqa: D102
         return (*self.boxes, *self.spheres, *self.cylinders, *self.meshes)
 
     def obstacles(self, robot: Robot, hand: frozenset[str] = frozenset()) -> tuple[Obstacle, ...]:
         """The scene as what a robot's links keep clear of; the floor is a large box below.
 
-        The links that its first joint carries may touch the floor, and a plain solid that its base stands on.
+        The links that its first joint carries may touch the floor, and what its base stands on or in.
 
         Args:
             robot: The robot.
             hand: Names of the links of its hand, which may touch what is handled.
         """
-        parents = robot.pinocchio_model.parents
+        parents, out = robot.pinocchio_model.parents, list[Obstacle]()
         low = frozenset(name for name in robot.frame_names if parents[robot.frame(name).parent_joint] == 0)
-        out: list[Obstacle] = []
-        if self.floor is not None:
-            below = Box((LARGEST,) * 3, (0.0, 0.0, self.floor - 0.5 * LARGEST), "floor")
-            out += obstacles_of(below.name, below.pose, below.shape, low)
-        for thing in self.solids:
-            pose = np.asarray(thing.pose)
-            made = obstacles_of(thing.name, pose, thing.shape, hand if thing.name in self.handled else frozenset())
-            inside = np.all(np.abs(pose[:3, 3] @ pose[:3, :3]) <= made[0].half + CLOSE)
-            if inside and isinstance(thing.shape, Solid):
-                made = obstacles_of(thing.name, pose, thing.shape, made[0].may_touch | low)
-            out += made
+        below = [] if self.floor is None else [Box((LARGEST,) * 3, (0, 0, self.floor - 0.5 * LARGEST), "floor")]
+        for thing in (*below, *self.solids):
+            pose, may_touch = np.asarray(thing.pose), hand if thing.name in self.handled else frozenset[str]()
+            stands = np.abs(pose[:3, 3] @ pose[:3, :3]) - CLOSE  # the origin of the base
+            for made in obstacles_of(thing.name, pose, thing.shape, may_touch):
+                near = thing.name == "floor" or (made.closed is None and np.all(stands <= made.half))
+                out.append(replace(made, may_touch=may_touch | low) if near else made)
         return tuple(out)
 
+    @property
+    def notes(self) -> tuple[str, ...]:  # noqa: D102
+        shapes = {mesh.name: mesh.shape for mesh in self.meshes}
+        edges = {name: triangles.open_edges(s) for name, s in shapes.items() if not isinstance(s, Solid)}
+        said = "where it is open it counts as a surface, and what is behind it as free"
+        return tuple(f"mesh {name!r} has {counted(n, 'open edge')}: {said}" for name, n in edges.items() if n)
+
+    @staticmethod
+    def load(path: str | os.PathLike[str], robot: Robot | None = None) -> Scene:
+        """Read a scene file; or a URDF or MJCF in which nothing moves: the shapes that can be touched, by their names.
+
+        A scene file is JSON with the arguments of `Scene` and of its things; mesh files are looked up beside it:
+
+            {"floor": 0.0, "boxes": [{"name": "table", "size": [1.0, 0.6, 0.04], "pose": [0.6, 0.0, 0.3]}],
+             "meshes": [{"name": "cabinet", "source": "cabinet.stl", "scale": 0.001, "pose": [0.8, 0, 0, 0, 0, 1.57]}],
+             "handled": ["cabinet"]}
+
+        Args:
+            path: The file.
+            robot: Whose reach says which things are too large to be in metres.
+
+        Raises:
+            SceneError: An empty file, one that is no scene, a joint that moves, a thing that is impossible.
+            UnknownNameError: A key that is not known; or `handled` names nothing that stands there.
+            RobotError: The file cannot be read, or its description is refused.
+        """
+        file = Path(path).expanduser()
+        content = read_description(file)
+        try:
+            if not content.strip():
+                raise SceneError('the file is empty; a scene is expected, e.g. {"floor": 0.0}; write one')
+            is_xml = content.lstrip(b"\xef\xbb\xbf \t\r\n").startswith(b"<")
+            scene = _described(content, file) if is_xml else _made(Scene, json.loads(content), "the scene", file)
+        except (SceneError, TypeError, ValueError) as error:
+            seen = error if isinstance(error, SceneError) else f"it is no scene ({error}); repair it"
+            raise SceneError(f"{file}: {seen}") from error
+        for thing in scene.solids if robot else ():
+            size = 2.0 * max(np.max(part.half) for part in obstacles_of(thing.name, np.eye(4), thing.shape))
+            if robot and size > LARGEST_REACHES * max(map(robot.reach, robot.frame_names)):
+                wanted = f"at most {LARGEST_REACHES:g} reaches of {robot.name!r} are expected"
+                raise SceneError(f"{file}: {thing.name!r} is {size:g} m large; {wanted}; are these millimetres?")
+        return scene
+
+    def save(self, path: str | os.PathLike[str]) -> Path:
+        """Write a scene file, whole or not at all, see `load`.
+
+        Raises:
+            OutputError: It cannot be written.
+        """
+        text = json.dumps({"format": FORMAT} | self.to_dict(), indent=2) + "\n"
+        return write_atomically(path, re.sub(r"\s+(?=[^\[\]{}]*\])", " ", text))  # a row of numbers is one line
+
     def to_dict(self) -> dict[str, Any]:
-        """What a scene file holds, see `load`."""
-        described: dict[str, Any] = {"format": FORMAT, "floor": self.floor}
-        for field in KINDS:
-            described[field] = [{f.name: _plain(getattr(t, f.name)) for f in fields(t)} for t in getattr(self, field)]
-        return {key: value for key, value in described.items() if value} | {"handled": list(self.handled)}
+        """What a scene file holds, see `load`, with whole paths of mesh files."""
+        things = {field: [_plain(thing) for thing in getattr(self, field)] for field in KINDS}
+        floor = {} if self.floor is None else {"floor": float(self.floor)}
+        return floor | {field: all_ for field, all_ in things.items() if all_} | {"handled": list(self.handled)}
 
     def __eq__(self, other: object) -> bool:
         return isinstance(other, Scene) and self.to_dict() == other.to_dict()
 
     def __hash__(self) -> int:
-        return hash((self.floor, self.handled, *(thing.name for thing in self.solids)))
+        return hash((self.floor, *(thing.name for thing in self.solids)))
 
     def __repr__(self) -> str:
-        parts = [] if self.floor is None else [f"floor at {self.floor:g} m"]
+        said = [] if self.floor is None else [f"floor at {self.floor:g} m"]
         for field, kind in KINDS.items():
-            names = ", ".join(thing.name for thing in getattr(self, field))
-            parts += [f"{counted(len(getattr(self, field)), kind.__name__.lower())} ({names})"] if names else []
-        return f"Scene: {', '.join(parts) or 'nothing'}"
+            names = [thing.name for thing in getattr(self, field)]
+            said += [f"{counted(len(names), kind.__name__.lower())} ({', '.join(names)})"] if names else []
+        return f"Scene: {', '.join(said) or 'nothing'}"
 
 
-def _set(thing: object, name: str, value: object) -> None:
-    object.__setattr__(thing, name, value)
+def _plain(thing: Any) -> dict[str, Any]:
+    """The fields of a thing as JSON holds them; a pose without a rotation as a place."""
+    out: dict[str, Any] = {field.name: getattr(thing, field.name) for field in fields(thing)}
+    if "pose" in out and np.array_equal(thing.pose[:3, :3], np.eye(3)):
+        out["pose"] = thing.pose[:3, 3]
+    if "source" in out:
+        is_file = isinstance(thing.source, str | os.PathLike)
+        out["source"] = os.path.abspath(thing.source) if is_file else [np.asarray(p).tolist() for p in thing.source]
+    return {key: value if isinstance(value, str | list) else np.asarray(value).tolist() for key, value in out.items()}
 
 
-def _of(thing: Thing) -> str:
-    """A thing as messages name it: `"box 'table'"`."""
-    return f"{type(thing).__name__.lower()} {thing.name!r}"
+def _made(kind: Any, given: Any, where: str, file: Path) -> Any:
+    """A scene or one of its things from what a file says of it."""
+    if not isinstance(given, Mapping):
+        raise SceneError(f"{where} is {given!r}; an object of JSON, in braces, is expected; correct it")
+    known, values = {field.name: field.default is MISSING for field in fields(kind)}, dict(given)
+    values.pop("format", None)
+    for key in values:
+        if key not in known:
+            raise UnknownNameError("key", key, known, f"{where} of {file}")
+    if missing := [repr(name) for name, needed in known.items() if needed and name not in values]:
+        raise SceneError(f"{where} lacks {named('key', missing)}; give a value")
+    for field, thing in KINDS.items() if kind is Scene else ():
+        values[field] = [_made(thing, v, f"{field}[{i}]", file) for i, v in enumerate(values.get(field, ()))]
+    if isinstance(source := values.get("source"), str):
+        values["source"] = file.parent / Path(source).expanduser()
+    return kind(**values)
 
 
-def _lengths(thing: Thing, field: str, n: int) -> Float[np.ndarray, " n"]:
-    given = getattr(thing, field)
-    values = finite(given, n) if n > 1 else finite([given], 1)
-    if values is None or np.any(values <= 0.0):
-        wanted = "a positive number is" if n == 1 else f"{n} positive numbers are"
-        raise SceneError(f"{_of(thing)}: its {field} is {given!r}; {wanted} expected [m]")
-    if np.any(values > LARGEST):
-        raise _millimetres(thing, f"its {field} is {given!r} m", "1000")
-    return values
+def _described(content: bytes, file: Path) -> Scene:
+    """The scene of a URDF or MJCF."""
+    if parse_xml(content, file).tag == "mujoco":
+        content = validate_mjcf(content, file, scene=True)[1]
+    robot = robot_from_text(content, file)
+    if robot.nv:
+        moving = named("joint", map(repr, robot.joint_names))
+        raise SceneError(f"{moving} can move; what stands around an arm stands still; fix them where they stand")
+    touched, seen = (visual_elements(content, file, tag) for tag in ("collision", "visual"))
+    links, names, things = {e.link for e in touched}, Counter[str](), {field: list[Any]() for field in KINDS}
+    for e in [*touched, *(e for e in seen if e.link not in links)]:
+        pose = robot.pinocchio_model.frames[robot.frame(e.link).index].placement.homogeneous @ as_matrix(e.pose)
+        name = e.name or e.link
+        names[name] += 1
+        name = name if names[name] == 1 else f"{name} {names[name]}"
+        match e.geometry:
+            case MeshElement(uri, scale):
+                source = triangles.find_mesh(uri, triangles.mesh_roots(file, ()))
+                things["meshes"].append(Mesh(source, pose, name, scale))
+            case Solid("box", size):
+                things["boxes"].append(Box(size, pose, name))
+            case Solid("sphere", (radius,)):
+                things["spheres"].append(Sphere(radius, pose[:3, 3], name))
+            case Solid(kind, (radius, length)):  # a capsule with its half spheres
+                length += 2.0 * radius * (kind == "capsule")
+                things["cylinders"].append(Cylinder(radius, length, pose, name))
+            case _:
+                raise SceneError(e.fault)
+    return Scene(None, **things)
 
 
-def _millimetres(thing: Thing, seen: str, remedy: str) -> SceneError:
-    fix = f"are these millimetres? give {remedy}" if "=" in remedy else "are these millimetres? divide them by 1000"
-    return SceneError(f"{_of(thing)}: {seen}; at most {LARGEST:g} m is expected; {fix}")
+def _mesh(mesh: Mesh, where: str) -> triangles.Mesh:
+    scale = finite(np.broadcast_to(mesh.scale, 3), 3) if np.size(mesh.scale) in (1, 3) else None
+    if scale is None or not np.all(scale):
+        raise SceneError(f"{where}: its scale is {mesh.scale!r}; a number other than 0 is expected; correct it")
+    if isinstance(mesh.source, str | os.PathLike):
+        path = Path(mesh.source).expanduser()
+        read = triangles.read_meshes([path])[path]
+        if isinstance(read, RobotError):
+            raise SceneError(f"{where}: {read}; an STL, OBJ or COLLADA file is expected; check the path") from read
+        vertices, faces = read.vertices, read.faces
+    else:
+        vertices, faces = (np.asarray(part) for part in mesh.source)
+        numbers = finite(vertices, len(vertices), 3)
+        if numbers is None or finite(faces, len(faces), 3) is None or not np.isin(faces, range(len(numbers))).all():
+            wanted = "vertices (n, 3) [m] and triangles (m, 3) of their numbers are expected; correct them"
+            raise SceneError(f"{where}: arrays of shape {vertices.shape} and {faces.shape} make no mesh; {wanted}")
+    # a mirror image turns every triangle inside out
+    return triangles.Mesh(vertices * scale, faces[:, ::-1] if np.prod(scale) < 0.0 else faces)
 
 
-def _pose(thing: Thing, given: ArrayLike) -> Float[np.ndarray, "4 4"]:
-    if not isinstance(thing.name, str) or not thing.name.strip() or not thing.name.isprintable():
-        raise SceneError(f"a {type(thing).__name__.lower()} is called {thing.name!r}; a name is expected")
+def _pose(given: ArrayLike, where: str) -> Float[np.ndarray, "4 4"]:
     T = np.eye(4)
     if (place := finite(given, 3)) is not None:
         T[:3, 3] = place
@@ -320,23 +370,10 @@ def _pose(thing: Thing, given: ArrayLike) -> Float[np.ndarray, "4 4"]:
         T = matrix
     else:
         wanted = "three numbers, six with roll, pitch and yaw, or a 4 x 4 matrix are expected [m, rad]"
-        raise SceneError(f"{_of(thing)}: its pose is {given!r}; {wanted}")
+        raise SceneError(f"{where}: its place is {given!r}; {wanted}; correct it")
     R = T[:3, :3]
     off = float(max(np.abs(R.T @ R - np.eye(3)).max(), np.abs(T[3] - [0.0, 0.0, 0.0, 1.0]).max()))
     if off > ROUNDING or np.linalg.det(R) < 0.0:
-        seen = "its pose mirrors" if off <= ROUNDING else f"its pose is not rigid, by {off:.2g}"
-        raise SceneError(f"{_of(thing)}: {seen}; a rotation and a place are expected; give a scale apart from it")
-    if np.abs(T[:3, 3]).max() > LARGEST:
-        raise _millimetres(thing, f"it stands at {T[:3, 3].tolist()} m", "1000")
+        seen = "mirrors" if off <= ROUNDING else f"is not rigid, by {off:.2g}"
+        raise SceneError(f"{where}: its pose {seen}; a rotation and a place are expected; give a scale apart from it")
     return T
-
-
-def _plain(value: Any) -> Any:
-    """A field as JSON holds it; a pose without rotation as a place."""
-    if isinstance(value, tuple):
-        return [np.asarray(part).tolist() for part in value]
-    if isinstance(value, np.ndarray) and value.shape == (4, 4) and np.array_equal(value[:3, :3], np.eye(3)):
-        return value[:3, 3].tolist()
-    if isinstance(value, np.ndarray):
-        return value.tolist()
-    return os.fspath(value) if isinstance(value, os.PathLike) else value

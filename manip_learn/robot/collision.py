@@ -16,7 +16,7 @@ from typing import Any, Literal, NamedTuple, final
 import coal
 import numpy as np
 import pinocchio as pin
-from jaxtyping import Float, Int
+from jaxtyping import Float
 from numpy.typing import ArrayLike
 
 from manip_learn.errors import RobotError, UnknownNameError
@@ -24,7 +24,7 @@ from manip_learn.robot.description.mjcf import turn_z_to
 from manip_learn.robot.description.urdf import as_matrix
 from manip_learn.robot.robot import Robot
 from manip_learn.robot.visuals.figure import SHORTEST, TUBE, link_ends, link_radii
-from manip_learn.robot.visuals.meshes import find_mesh, mesh_roots, read_meshes
+from manip_learn.robot.visuals.meshes import Mesh, find_mesh, mesh_roots, read_meshes
 from manip_learn.robot.visuals.visual_shapes import MeshElement, Solid, VisualElement, visual_elements
 
 Shapes = Literal["collision", "visual", "links"]
@@ -35,6 +35,8 @@ SLACK = 0.01
 # [m] of Coal's iterations; with its own of 1e-6, gradients between cylinders and boxes are 0.1 off
 TOLERANCE = 1e-12
 MAX_ITERATIONS = 1000  # of the distance of two shapes, which ends by itself before
+MOST_PARTS = 30  # of a mesh that are looked at one by one: a cabinet with doors and handles
+FLAT = 1e-9  # volume over that of a cube as long: a sheet, which has no inside
 
 
 @final
@@ -70,6 +72,7 @@ class Obstacle:
         geometry: A convex shape of Coal, or its mesh of triangles, whose surface counts.
         half: shape (3,), half extents of a box about it, centred at its origin and along its axes [m].
         may_touch: Names of the links that may touch it.
+        closed: The mesh as trimesh's, where it is closed and not convex: a link within it touches it, too.
     """
 
     name: str
@@ -77,6 +80,7 @@ class Obstacle:
     geometry: Any
     half: Float[np.ndarray, " 3"]
     may_touch: frozenset[str] = frozenset()
+    closed: Any = None
 
 
 @lru_cache(maxsize=16)
@@ -116,9 +120,9 @@ def collision_shapes(robot: Robot, tag: Shapes = "collision") -> tuple[Collision
 
 
 def obstacles_of(
-    name: str, placement: ArrayLike, shape: Solid, may_touch: frozenset[str] = frozenset()
+    name: str, placement: Float[np.ndarray, "4 4"], shape: Solid | Mesh, may_touch: frozenset[str] = frozenset()
 ) -> tuple[Obstacle, ...]:
-    """A solid of the world as what links keep clear of.
+    """A thing of the world as what links keep clear of; each part of a mesh that hangs together is one.
 
     Args:
         name: What it is called.
@@ -126,21 +130,47 @@ def obstacles_of(
         shape: What it is, in its own frame.
         may_touch: Names of the links that may touch it.
     """
-    geometry, half = _solid(shape)
-    return (Obstacle(name, np.array(placement, dtype=np.float64), geometry, half, may_touch),)
+    import trimesh
+
+    if isinstance(shape, Solid):
+        geometry, half, _ = _solid(shape)
+        return (Obstacle(name, placement, geometry, half, may_touch),)
+    whole, out = trimesh.Trimesh(shape.vertices, shape.faces), list[Obstacle]()  # it joins corners in one place
+    parts = whole.split(only_watertight=False)
+    for part in parts if 0 < len(parts) <= MOST_PARTS else [whole]:
+        closed = part if part.is_watertight and abs(part.volume) > FLAT * part.extents.max() ** 3 else None
+        if closed is not None and part.is_convex:
+            geometry, closed = coal.Convex(*_lists(part.convex_hull)), None
+        else:
+            geometry = coal.BVHModelOBBRSS()
+            geometry.beginModel(len(part.faces), len(part.vertices))
+            geometry.addSubModel(*_lists(part))
+            geometry.endModel()
+        out.append(Obstacle(name, placement, geometry, np.abs(part.vertices).max(axis=0), may_touch, closed))
+    return tuple(out)
 
 
-def _solid(solid: Solid) -> tuple[Any, Float[np.ndarray, " 3"]]:
-    """A plain body for Coal, and half extents of the box about it."""
-    match solid:
-        case ("box", size):
-            return coal.Box(*size), 0.5 * np.array(size)
-        case ("sphere", (radius,)):
-            return coal.Sphere(radius), np.full(3, radius)
-        case ("cylinder", (radius, length)):
-            return coal.Cylinder(radius, length), np.array([radius, radius, 0.5 * length])
-        case (_, (radius, length)):
-            return coal.Capsule(radius, length), np.array([radius, radius, radius + 0.5 * length])
+def _lists(mesh: Any) -> tuple[Any, Any]:
+    """Vertices and triangles of a mesh for Coal."""
+    vertices, triangles = coal.StdVec_Vec3s(), coal.StdVec_Triangle()
+    for point in np.asarray(mesh.vertices):
+        vertices.append(point)
+    for corners in mesh.faces.tolist():
+        triangles.append(coal.Triangle(*corners))
+    return vertices, triangles
+
+
+def _solid(solid: Solid) -> tuple[Any, Float[np.ndarray, " 3"], float]:
+    """A plain body for Coal, half extents of the box about it, and the radius of the ball."""
+    if solid.kind == "box":
+        return coal.Box(*solid.size), 0.5 * np.array(solid.size), 0.5 * float(np.linalg.norm(solid.size))
+    radius, half_length = solid.size[0], 0.5 * sum(solid.size[1:])
+    if solid.kind == "sphere":
+        return coal.Sphere(radius), np.full(3, radius), radius
+    if solid.kind == "cylinder":
+        return coal.Cylinder(*solid.size), np.array([radius, radius, half_length]), float(np.hypot(radius, half_length))
+    far = radius + half_length
+    return coal.Capsule(*solid.size), np.array([radius, radius, far]), far
 
 
 def _capsules(robot: Robot) -> tuple[CollisionShape, ...]:
@@ -160,6 +190,8 @@ def _capsules(robot: Robot) -> tuple[CollisionShape, ...]:
 
 
 def _shape(robot: Robot, element: VisualElement, meshes: Mapping[str, Any]) -> CollisionShape:
+    import trimesh
+
     frame = robot.pinocchio_model.frames[robot.frame(element.link).index]
     placement = np.asarray(frame.placement.homogeneous @ as_matrix(element.pose))
     middle = np.zeros(3)
@@ -167,48 +199,20 @@ def _shape(robot: Robot, element: VisualElement, meshes: Mapping[str, Any]) -> C
         case None:
             raise RobotError(element.fault, code="collision-shape", path=robot.source, line=element.line)
         case MeshElement(uri, scale):
-            points, faces = _hull(meshes[uri].vertices * np.array(scale), element, robot)
-            vertices, triangles = coal.StdVec_Vec3s(), coal.StdVec_Triangle()
-            for point in points:
-                vertices.append(point)
-            for corners in faces.tolist():
-                triangles.append(coal.Triangle(*corners))
-            geometry, middle = coal.Convex(vertices, triangles), 0.5 * (points.min(axis=0) + points.max(axis=0))
-            radius = float(np.linalg.norm(points - middle, axis=1).max())
-        case Solid("box", size):
-            geometry, radius = coal.Box(*size), 0.5 * float(np.linalg.norm(size))
-        case Solid("sphere", (radius,)):
-            geometry = coal.Sphere(radius)
-        case Solid("cylinder", (thick, length)):
-            geometry, radius = coal.Cylinder(thick, length), float(np.hypot(thick, 0.5 * length))
-        case Solid(_, (thick, length)):
-            geometry, radius = coal.Capsule(thick, length), thick + 0.5 * length
+            hull = trimesh.convex.convex_hull(meshes[uri].vertices * np.array(scale))
+            if not hull.volume > FLAT * hull.extents.max() ** 3:
+                raise RobotError(
+                    f"link {element.link!r}: its collision mesh has no volume, so that distances to it are not defined",
+                    code="collision-shape",
+                    path=robot.source,
+                    line=element.line,
+                )
+            geometry, middle = coal.Convex(*_lists(hull)), hull.bounds.mean(axis=0)
+            radius = float(np.linalg.norm(hull.vertices - middle, axis=1).max())
+        case solid:
+            geometry, _, radius = _solid(solid)
     centre = placement[:3, :3] @ middle + placement[:3, 3]
     return CollisionShape(element.link, int(frame.parentJoint), placement, geometry, centre, radius)
-
-
-def _hull(
-    vertices: Float[np.ndarray, "n 3"], element: VisualElement, robot: Robot
-) -> tuple[Float[np.ndarray, "k 3"], Int[np.ndarray, "m 3"]]:
-    from scipy.spatial import ConvexHull, QhullError
-
-    try:
-        hull = ConvexHull(vertices)
-    except (QhullError, ValueError) as error:
-        raise RobotError(
-            f"link {element.link!r}: its collision mesh has no volume, so that distances to it are not defined",
-            code="collision-shape",
-            path=robot.source,
-            line=element.line,
-        ) from error
-    number = np.full(len(vertices), -1)
-    number[hull.vertices] = np.arange(len(hull.vertices))
-    faces = number[hull.simplices]
-    # SciPy leaves the sense of rotation open: outward is away from a point within
-    a, b, c = (hull.points[hull.simplices[:, i]] for i in range(3))
-    inward = np.einsum("ij,ij->i", np.cross(b - a, c - a), hull.equations[:, :3]) < 0.0
-    faces[inward] = faces[inward][:, ::-1]
-    return hull.points[hull.vertices], faces
 
 
 @final
@@ -304,9 +308,9 @@ class SelfCollision:
         data, geometry_data, far = self._placed(q, moved)
         found = []
         for k in np.flatnonzero(far <= distance).tolist():
-            result = pin.computeDistance(self._geometry, geometry_data, k)
-            if result.min_distance <= distance:
-                found.append(self._proximity(k, result, data, far[k]))
+            result, exact = self._distance(k, geometry_data, float(far[k]))
+            if exact <= distance:
+                found.append(self._proximity(k, result, exact, data))
         return found
 
     def nearest(self, q: ArrayLike, moved: Mapping[str, Float[np.ndarray, "4 4"]] | None = None) -> Proximity | None:
@@ -316,10 +320,20 @@ class SelfCollision:
         for k in np.argsort(far).tolist():
             if far[k] >= least:
                 break
-            result = pin.computeDistance(self._geometry, geometry_data, k)
-            if result.min_distance < least:
-                best, pair, least = result, k, result.min_distance
-        return None if best is None else self._proximity(pair, best, data, far[pair])
+            result, exact = self._distance(k, geometry_data, float(far[k]))
+            if exact < least:
+                best, pair, least = result, k, exact
+        return None if best is None else self._proximity(pair, best, least, data)
+
+    def _distance(self, k: int, geometry_data: Any, bound: float) -> tuple[Any, float]:
+        """What Coal says of a pair, and its distance, negative where a link is within a closed surface."""
+        result, b = pin.computeDistance(self._geometry, geometry_data, k), self._pairs[k][1]
+        # where its iterations fail on shapes that overlap, Coal returns the lowest number and no direction
+        distance = max(float(result.min_distance), bound)
+        if distance > 0.0 and (mesh := self._closed.get(b)) is not None:
+            point = geometry_data.oMg[b].actInv(result.getNearestPoint1())
+            return result, -distance if mesh.contains([point])[0] else distance
+        return result, distance
 
     def _placed(
         self, q: ArrayLike, moved: Mapping[str, Float[np.ndarray, "4 4"]] | None = None
@@ -331,26 +345,24 @@ class SelfCollision:
         centres = np.array([data.oMi[s.joint].act(s.centre) for s in self._shapes])
         first, second = self._pair_table
         apart = np.linalg.norm(centres[first] - centres[second], axis=1) - self._radii
-        if not self.obstacles:
-            return data, geometry_data, apart
         places = self._places
         for name, placement in (moved or {}).items():
-            numbers = [k for k, o in enumerate(self.obstacles) if o.name == name]
+            numbers = [len(self._shapes) + k for k, o in enumerate(self.obstacles) if o.name == name]
             if not numbers:
                 raise UnknownNameError("obstacle", name, (o.name for o in self.obstacles))
-            places = places.copy() if places is self._places else places
-            places[numbers] = placement
+            places = np.where(np.isin(self._met[1], numbers)[:, None, None], placement, places)
             for k in numbers:
-                geometry_data.oMg[len(self._shapes) + k] = pin.SE3(np.asarray(placement))
+                geometry_data.oMg[k] = pin.SE3(np.asarray(placement))
+        if not self.obstacles:
+            return data, geometry_data, apart
         # of the ball about a link from the box about an obstacle, negative where its centre is inside
-        links, things = self._met
-        from_middle = np.einsum("kji,kj->ki", places[things, :3, :3], centres[links] - places[things, :3, 3])
-        beyond = np.abs(from_middle) - self._halves[things]
+        links = self._met[0]
+        beyond = np.abs(np.einsum("kj,kji->ki", centres[links] - places[:, :3, 3], places[:, :3, :3])) - self._halves
         outside = np.maximum(beyond, 0.0)
         bound = np.sqrt(np.einsum("ki,ki->k", outside, outside)) + np.minimum(beyond.max(axis=1), 0.0)
-        return data, geometry_data, np.concatenate([apart, bound - self._ball_radii[links]])
+        return data, geometry_data, np.concatenate([apart, bound - self._met_radii])
 
-    def _proximity(self, k: int, result: Any, data: pin.Data, least: float) -> Proximity:
+    def _proximity(self, k: int, result: Any, distance: float, data: pin.Data) -> Proximity:
         a, b = self._pairs[k]
         nx, ny, nz = np.asarray(result.normal).tolist()
         J = np.asarray(data.J).reshape(6, self._model.nv)  # columns are twists at the base's origin
@@ -359,18 +371,17 @@ class SelfCollision:
             # n . (v + w x p) = n . v + (p x n) . w of the joints that carry the shape; NumPy's cross takes 20 us
             x, y, z = point.tolist()
             wrench = np.array([nx, ny, nz, y * nz - z * ny, z * nx - x * nz, x * ny - y * nx])
-            if shape < len(self._shapes):
-                gradient += sign * self._carries[self._shapes[shape].joint] * wrench.dot(J)
+            gradient += sign * self._carries[self._solids[shape].joint] * wrench.dot(J)
+        if distance < 0.0 < result.min_distance:  # from within
+            gradient = -gradient
         if not np.all(np.isfinite(gradient)):
             gradient = np.zeros(self._model.nv)
         coupling = self.robot.coupling
         lifted = gradient if coupling is None else gradient @ coupling.lift
-        # where its iterations fail on shapes that overlap, Coal returns the lowest number and no direction
-        return Proximity(self._links(a, b), max(float(result.min_distance), float(least)), lifted)
+        return Proximity(self._links(a, b), distance, lifted)
 
     def _links(self, a: int, b: int) -> tuple[str, str]:
-        n = len(self._shapes)
-        return self._shapes[a].link, self._shapes[b].link if b < n else self.obstacles[b - n].name
+        return self._solids[a].link, self._solids[b].link
 
     def _pairs_joined_by(self, numbers: range) -> list[tuple[int, int]]:
         """Pairs of shapes whose links have that many joints between them."""
@@ -398,25 +409,25 @@ class SelfCollision:
 
     def _pair_up(self, pairs: list[tuple[int, int]], obstacles: Sequence[Obstacle] = ()) -> None:
         """Take these pairs of shapes, and each obstacle with every link that moves and must not touch it."""
-        self.obstacles = tuple(obstacles)
-        n, self._local = len(self._shapes), threading.local()
+        self.obstacles, self._local, n = tuple(obstacles), threading.local(), len(self._shapes)
         around = list(enumerate(self.obstacles, n))
         met = [(a, b) for a, s in enumerate(self._shapes) if s.joint for b, o in around if s.link not in o.may_touch]
-        self._pairs = [*pairs, *met]
+        self._pairs, met_things = [*pairs, *met], [self.obstacles[b - n] for _, b in met]
+        self._closed = {b: o.closed for b, o in around if o.closed is not None}
+        world = [CollisionShape(o.name, 0, o.placement, o.geometry, np.zeros(3), 0.0) for o in self.obstacles]
+        self._solids = [*self._shapes, *world]
         self._geometry = pin.GeometryModel()
-        things = [(s.joint, s.placement, s.geometry) for s in self._shapes]
-        things += [(0, o.placement, o.geometry) for o in self.obstacles]
-        for number, (joint, placement, geometry) in enumerate(things):
-            self._geometry.addGeometryObject(pin.GeometryObject(f"{number}", joint, pin.SE3(placement), geometry))
+        for number, solid in enumerate(self._solids):
+            placed = pin.GeometryObject(f"{number}", solid.joint, pin.SE3(solid.placement), solid.geometry)
+            self._geometry.addGeometryObject(placed)
         for a, b in self._pairs:
             self._geometry.addCollisionPair(pin.CollisionPair(a, b))
-        self._pair_table = np.array(pairs, dtype=np.intp).reshape(-1, 2).T
-        self._met = np.array(met, dtype=np.intp).reshape(-1, 2).T - [[0], [n]]
-        self._places = np.array([o.placement for o in self.obstacles]).reshape(-1, 4, 4)
-        self._halves = np.array([o.half for o in self.obstacles]).reshape(-1, 3)
-        self._ball_radii = np.array([s.radius for s in self._shapes])
-        self._radii = self._ball_radii[self._pair_table[0]] + self._ball_radii[self._pair_table[1]]
-        self._carries = {s.joint: self._carriers(s.joint) for s in self._shapes}
+        self._pair_table, self._met = (np.array(p, dtype=np.intp).reshape(-1, 2).T for p in (pairs, met))
+        radii = np.array([s.radius for s in self._shapes])
+        self._radii, self._met_radii = radii[self._pair_table].sum(axis=0), radii[self._met[0]]
+        self._places = np.array([o.placement for o in met_things]).reshape(-1, 4, 4)
+        self._halves = np.array([o.half for o in met_things]).reshape(-1, 3)
+        self._carries = {s.joint: self._carriers(s.joint) for s in self._solids}
 
     def _carriers(self, joint: int) -> Float[np.ndarray, " n"]:
         """1 for each velocity of Pinocchio's model that moves a joint's link, else 0."""

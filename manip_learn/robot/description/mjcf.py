@@ -28,6 +28,7 @@ from manip_learn.robot.description.urdf import (
     UrdfLink,
     UrdfMimic,
     X,
+    as_matrix,
     as_pose,
     kinematic_urdf,
     near_vector,
@@ -42,6 +43,7 @@ WORLD, MAIN = "world", "main"
 DEFAULTED = ("joint", "geom", "site", "mesh")
 ORIENTATIONS = {"quat": 4, "axisangle": 4, "euler": 3, "xyaxes": 6, "zaxis": 3}  # how many numbers each has
 COLLISION_GROUPS = ("3", "4", "5")
+PLANE = 20.0  # [m] edge of the box that stands for a plane in a scene
 TYPES = {"hinge": "revolute", "slide": "prismatic"}
 UNREADABLE = ("include", "attach", "replicate", "composite", "flexcomp", "frame")
 Attributes = dict[str, dict[str, str]]
@@ -165,7 +167,8 @@ class _Reader:
         has_mass: Whether any body states its mass.
     """
 
-    def __init__(self, root: XmlNode):
+    def __init__(self, root: XmlNode, scene: bool = False):
+        self.scene = scene
         self.classes, self.units = read_defaults(root), read_units(root)
         # without a name a mesh has that of its file
         self.meshes = {
@@ -196,7 +199,7 @@ class _Reader:
             node, link, childclass = pending.pop(0)
             for site in node.all("site"):
                 self._site(self._full(site, childclass), link)
-            for geom in node.all("geom") if link != WORLD else []:
+            for geom in node.all("geom") if link != WORLD or self.scene else []:
                 visual = self._visual(self._full(geom, childclass))
                 self.visuals.setdefault(link, []).extend([visual] if visual else [])
             for body in node.all("body"):
@@ -280,8 +283,12 @@ class _Reader:
         return UrdfInertial(pose, mass, (xx, xy, xz, yy, yz, zz))
 
     def _visual(self, geom: XmlNode) -> str:
-        """The shape as URDF text; empty for what is not drawn (planes, fields, collision groups) or not readable."""
-        if geom.attributes.get("group", "0") in COLLISION_GROUPS:
+        """The shape as URDF text; empty for what is not drawn (planes, fields, collision groups) or not readable.
+
+        Of a scene it is what can be touched.
+        """
+        name, untouched = geom.attributes.get("name", ""), (geom.attributes.get(c) for c in ("contype", "conaffinity"))
+        if all(c == "0" for c in untouched) if self.scene else geom.attributes.get("group", "0") in COLLISION_GROUPS:
             return ""
         try:
             shape, T = self._shape(geom)
@@ -291,7 +298,7 @@ class _Reader:
         if not shape:
             return ""
         rgba = "" if colour is None else f'<material name=""><color rgba="{spaced(colour)}"/></material>'
-        return f"<visual>{origin_text(as_pose(T))}<geometry>{shape}</geometry>{rgba}</visual>"
+        return f"<visual name={quoteattr(name)}>{origin_text(as_pose(T))}<geometry>{shape}</geometry>{rgba}</visual>"
 
     def _shape(self, geom: XmlNode) -> tuple[str, Matrix]:
         T = pose_of(geom, self.units)
@@ -311,7 +318,10 @@ class _Reader:
             along = ends[3:] - ends[:3]
             half = c = 0.5 * float(np.linalg.norm(along))
             T[:3, :3], T[:3, 3] = turn_z_to(along), 0.5 * (ends[:3] + ends[3:])
+        if kind == "plane" and self.scene:
+            T = T @ as_matrix(Pose((0.0, 0.0, -0.5 * PLANE)))
         shapes = {
+            "plane": f'<box size="{PLANE!r} {PLANE!r} {PLANE!r}"/>' if self.scene else "",
             "sphere": f'<sphere radius="{a!r}"/>',
             "capsule": f'<capsule radius="{a!r}" length="{2 * half!r}"/>',
             "cylinder": f'<cylinder radius="{a!r}" length="{2 * half!r}"/>',
@@ -347,10 +357,18 @@ def couplings(root: XmlNode, ref: dict[str, float]) -> dict[str, UrdfMimic]:
     return out
 
 
-def validate_mjcf(content: bytes, path: Path, locked: Collection[str] = ()) -> tuple[ValidatedRobot, bytes]:
+def validate_mjcf(
+    content: bytes, path: Path, locked: Collection[str] = (), *, scene: bool = False
+) -> tuple[ValidatedRobot, bytes]:
     """Read and check an MJCF file.
 
     Joints coupled by a linear `<equality><joint>` become mimic joints; sites become frames.
+
+    Args:
+        content: The file.
+        path: Where it came from, for the messages.
+        locked: Joints that will not move.
+        scene: Whether the shapes wanted are those that can be touched, with the world's own; a plane becomes a box.
 
     Returns:
         The validated description, and the URDF of that robot, with its shapes.
@@ -367,7 +385,7 @@ def validate_mjcf(content: bytes, path: Path, locked: Collection[str] = ()) -> t
             fix = "plain bodies are expected; let MuJoCo write the file out: mj_saveLastXML"
             raise node.refusal("mjcf-element", f"<{node.tag}> is not read; {fix}")
         pending += node.children
-    reader = _Reader(root)
+    reader = _Reader(root, scene)
     follows = couplings(root, reader.ref)
     joints = tuple(replace(j, mimic=follows.get(j.name)) for j in reader.joints)
     if any(j.nv == 1 for j in joints):

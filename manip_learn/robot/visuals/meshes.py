@@ -150,6 +150,13 @@ class Mesh(NamedTuple):
     colour: Colour | None = None
 
 
+def open_edges(mesh: Mesh) -> int:
+    """How many edges do not lie between two triangles; 0 if the mesh is closed."""
+    corners = np.unique(mesh.vertices, axis=0, return_inverse=True)[1].reshape(-1)[mesh.faces]
+    edges = np.sort(corners[:, [[0, 1], [1, 2], [2, 0]]].reshape(-1, 2), axis=1)
+    return int(np.sum(np.unique(edges, axis=0, return_counts=True)[1] != 2))
+
+
 def read_meshes(paths: Sequence[Path]) -> dict[Path, Mesh | RobotError]:
     """Each mesh, or why there is none: codes `mesh-*`. No error is raised.
 

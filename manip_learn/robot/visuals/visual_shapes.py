@@ -77,7 +77,7 @@ class MeshElement(NamedTuple):
 class VisualElement:
     """One `<visual>` or `<collision>`; `geometry` is None where it cannot be used, and `fault` says why.
 
-    Without a colour, `colour` is None.
+    Without a colour, `colour` is None; without a name of its own, `name` is empty.
     """
 
     link: str
@@ -86,6 +86,7 @@ class VisualElement:
     geometry: Solid | MeshElement | None
     colour: Colour | None
     fault: str
+    name: str
 
 
 def visual_elements(content: bytes, path: Path, tag: Tag = "visual") -> list[VisualElement]:
@@ -109,7 +110,7 @@ def _element(link: str, node: XmlNode, colours: dict[str, Colour]) -> VisualElem
     material, colour = node.first("material"), None
     if material is not None:
         colour = _colour(material) or colours.get(material.attributes.get("name", ""))
-    return VisualElement(link, node.line, pose, geometry, colour, fault)
+    return VisualElement(link, node.line, pose, geometry, colour, fault, node.attributes.get("name", ""))
 
 
 def _pose(node: XmlNode) -> Pose:
@@ -212,7 +213,7 @@ def visual_shapes(robot: Robot) -> tuple[Visual, ...]:
     if not elements:
         bodies = {f.name for f in robot.pinocchio_model.frames if f.type == pin.FrameType.BODY}
         links, why = sorted(bodies & set(robot.frame_names)), "the robot has no visuals"
-        elements = [VisualElement(link, 0, Pose(), None, None, why) for link in links]
+        elements = [VisualElement(link, 0, Pose(), None, None, why, "") for link in links]
     found, missing = resolve_meshes(robot)
     parsed, scaled = read_meshes(list(found.values())), dict[tuple[Path, Vector], Mesh]()
     visuals: list[Visual] = []
