@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import copy
 from functools import lru_cache
-from typing import final
+from typing import Any, final
 
 import numpy as np
 from jaxtyping import Float
@@ -66,7 +66,11 @@ class Clearance:
                 + (", capsules along its links keep clear of what stands around" if around.obstacles else "")
             )
         self._links = found.with_obstacles(around.obstacles)
-        self._around, self._depth = around, LARGE  # what is behind the front is out of the way of every hand
+        self._start, self._around, self._depth = (
+            start,
+            around,
+            LARGE,
+        )  # what is behind the front is out of the way of every hand
         if around.is_assumed:
             self._make_room(self._pairs(start, 0, 0.0))
         nearest = [pair.distance for pair in self._pairs(start, 0, 2.0 * CLEARANCE)]
@@ -76,6 +80,11 @@ class Clearance:
     def obstacles(self) -> tuple[Obstacle, ...]:
         """What stands around, where it is before the way."""
         return self._around.placed(self._depth)
+
+    @property
+    def geometry(self) -> Any:
+        """Pinocchio's model of links and obstacles, where these are before the way, and of the pairs that count."""
+        return self._links.with_obstacles(self.obstacles).geometry
 
     @property
     def shown(self) -> tuple[Obstacle, ...]:
@@ -88,10 +97,11 @@ class Clearance:
         return self._around.names
 
     def holding(self, q: Posture) -> Clearance:
-        """This clearance for a hand that takes hold at a posture: it may be so far behind the front, and no farther."""
+        """This clearance for a hand that takes hold at a posture: so far, or as at the start, it may be behind the front."""
         if FRONT not in self.names:
             return self
-        pairs = self._links.closer_than(self._robot.configuration(q), 0.0, self._around.at(0, 0.0))
+        postures = (self._robot.configuration(x) for x in (q, self._start))
+        pairs = [pair for x in postures for pair in self._links.closer_than(x, 0.0, self._around.at(0, 0.0))]
         other = copy.copy(self)
         deep = max([0.0, *(-pair.distance for pair in pairs if pair.links[1] == BEHIND)])
         other._depth = deep + self.least + ROUNDED

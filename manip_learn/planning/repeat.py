@@ -301,17 +301,20 @@ def _retreat(
     clear = Clearance(robot, True, around, robot.positions(q))
     done, fastest = abs(outcome.done), outcome.fastest[1]
     touching = next((pair for x in rollout.q if (pair := clear.touching(robot.positions(x))) is not None), None)
+    notes: tuple[str, ...] = ()
     if touching is not None:
-        moved = moved_to(robot.positions(rollout.q[-1]), q, limits, clear, seed, dt)
-        if moved is None:
-            between = " and ".join(touching.links)
+        goal, between = robot.positions(rollout.q[-1]), " and ".join(touching.links)
+        if (moved := moved_to(goal, q, limits, clear, seed, dt) if clear(goal) else None) is not None:
+            law, rollout = moved
+            fastest = float(np.max(np.abs(rollout.u) / robot.velocity_limit))
+        elif around.is_assumed and touching.links[1] in clear.names:
+            notes = (f"on the {name} {between} would touch, if that is where it was assumed to be: name a scene",)
+        else:
             raise NoPlanError(f"step {name!r}: {between} would touch on the way to where the recordings ended")
-        law, rollout = moved
-        fastest = float(np.max(np.abs(rollout.u) / robot.velocity_limit))
     end = robot.position(rollout.q[-1], frame)
     off = float(np.linalg.norm(end - np.asarray(step.place)))
     rollout = replace(rollout, phases=((name, 0.0, float(rollout.time[-1])),), ways=())
-    return [Part(law, rollout, (StepDone("reach", far, done, "m", off, None, None, fastest, end, name),))]
+    return [Part(law, rollout, (StepDone("reach", far, done, "m", off, None, None, fastest, end, name),), notes)]
 
 
 def _rigid(moved: ArrayLike) -> Float[np.ndarray, "4 4"]:

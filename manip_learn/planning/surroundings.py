@@ -2,8 +2,8 @@
 
 Assumed are the floor under the base and the front of what is opened, pushed or wiped: a half space behind the place
 where the hand takes hold, of a drawer or a door by the depth of a flat handle. What is pushed takes its front along.
-The hand may go as far behind the front as it is when it takes hold, other links may not. Of a door the leaf is there
-too, from the handle to the hinge, and turns with the way.
+The hand may go as far behind the front as it is at the start or when it takes hold, other links may not. Of a door the
+leaf is there too, from the handle to the hinge, and turns with the way.
 """
 
 from __future__ import annotations

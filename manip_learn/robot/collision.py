@@ -313,6 +313,11 @@ class SelfCollision:
                 found.append(self._proximity(k, result, exact, data))
         return found
 
+    @property
+    def geometry(self) -> Any:
+        """Pinocchio's model of the shapes on its joints, obstacles last, and of the pairs whose distances count."""
+        return self._geometry
+
     def nearest(self, q: ArrayLike, moved: Mapping[str, Float[np.ndarray, "4 4"]] | None = None) -> Proximity | None:
         """The pair of shapes at the smallest distance; None if nothing can touch. See `closer_than`."""
         data, geometry_data, far = self._placed(q, moved)
