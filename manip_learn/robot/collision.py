@@ -136,7 +136,7 @@ def obstacles_of(
         geometry, half, _ = _solid(shape)
         return (Obstacle(name, placement, geometry, half, may_touch),)
     whole, out = trimesh.Trimesh(shape.vertices, shape.faces), list[Obstacle]()  # it joins corners in one place
-    parts = whole.split(only_watertight=False)
+    parts = whole.split(only_watertight=False, repair=False)
     for part in parts if 0 < len(parts) <= MOST_PARTS else [whole]:
         closed = part if part.is_watertight and abs(part.volume) > FLAT * part.extents.max() ** 3 else None
         if closed is not None and part.is_convex:
