@@ -49,15 +49,13 @@ class CollisionShape:
         joint: Pinocchio id of the moving joint that carries it; 0 is the fixed world.
         placement: shape (4, 4), from the shape to that joint [m].
         geometry: The shape for the distance computation.
-        centre: Centre of a ball that contains the shape, in the joint's frame [m].
-        radius: Radius of that ball [m].
+        radius: Of a ball about the shape's origin that contains it [m].
     """
 
     link: str
     joint: int
     placement: Float[np.ndarray, "4 4"]
     geometry: Any
-    centre: Float[np.ndarray, " 3"]
     radius: float
 
 
@@ -185,7 +183,7 @@ def _capsules(robot: Robot) -> tuple[CollisionShape, ...]:
             if length >= SHORTEST * radii[i]:
                 placement = pin.SE3(turn_z_to(end / length), 0.5 * end).homogeneous
                 geometry = coal.Capsule(radius, length)
-                out.append(CollisionShape(name, i, placement, geometry, 0.5 * end, radius + 0.5 * length))
+                out.append(CollisionShape(name, i, placement, geometry, radius + 0.5 * length))
     return tuple(out)
 
 
@@ -194,7 +192,6 @@ def _shape(robot: Robot, element: VisualElement, meshes: Mapping[str, Any]) -> C
 
     frame = robot.pinocchio_model.frames[robot.frame(element.link).index]
     placement = np.asarray(frame.placement.homogeneous @ as_matrix(element.pose))
-    middle = np.zeros(3)
     match element.geometry:
         case None:
             raise RobotError(element.fault, code="collision-shape", path=robot.source, line=element.line)
@@ -207,12 +204,13 @@ def _shape(robot: Robot, element: VisualElement, meshes: Mapping[str, Any]) -> C
                     path=robot.source,
                     line=element.line,
                 )
-            geometry, middle = coal.Convex(*_lists(hull)), hull.bounds.mean(axis=0)
-            radius = float(np.linalg.norm(hull.vertices - middle, axis=1).max())
+            middle = hull.bounds.mean(axis=0)
+            hull.apply_translation(-middle)
+            placement[:3, 3] += placement[:3, :3] @ middle
+            geometry, radius = coal.Convex(*_lists(hull)), float(np.linalg.norm(hull.vertices, axis=1).max())
         case solid:
             geometry, _, radius = _solid(solid)
-    centre = placement[:3, :3] @ middle + placement[:3, 3]
-    return CollisionShape(element.link, int(frame.parentJoint), placement, geometry, centre, radius)
+    return CollisionShape(element.link, int(frame.parentJoint), placement, geometry, radius)
 
 
 @final
@@ -342,7 +340,7 @@ class SelfCollision:
         data, geometry_data = self._own_data()
         pin.computeJointJacobians(self._model, data, self.robot.pinocchio_configuration(q))
         pin.updateGeometryPlacements(self._model, data, self._geometry, geometry_data)
-        centres = np.array([data.oMi[s.joint].act(s.centre) for s in self._shapes])
+        centres = np.array([geometry_data.oMg[k].translation for k in range(len(self._shapes))])
         first, second = self._pair_table
         apart = np.linalg.norm(centres[first] - centres[second], axis=1) - self._radii
         places = self._places
@@ -414,7 +412,7 @@ class SelfCollision:
         met = [(a, b) for a, s in enumerate(self._shapes) if s.joint for b, o in around if s.link not in o.may_touch]
         self._pairs, met_things = [*pairs, *met], [self.obstacles[b - n] for _, b in met]
         self._closed = {b: o.closed for b, o in around if o.closed is not None}
-        world = [CollisionShape(o.name, 0, o.placement, o.geometry, np.zeros(3), 0.0) for o in self.obstacles]
+        world = [CollisionShape(o.name, 0, o.placement, o.geometry, 0.0) for o in self.obstacles]
         self._solids = [*self._shapes, *world]
         self._geometry = pin.GeometryModel()
         for number, solid in enumerate(self._solids):
