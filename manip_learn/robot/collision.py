@@ -342,14 +342,14 @@ class SelfCollision:
         centres = np.array([geometry_data.oMg[k].translation for k in range(len(self._shapes))])
         first, second = self._pair_table
         apart = np.linalg.norm(centres[first] - centres[second], axis=1) - self._radii
-        places = self._places
+        places = self._places.copy() if moved else self._places
         for name, placement in moved.items():
-            numbers = [len(self._shapes) + k for k, o in enumerate(self.obstacles) if o.name == name]
-            if not numbers:
-                raise UnknownNameError("obstacle", name, (o.name for o in self.obstacles))
-            places = np.where(np.isin(self._met[1], numbers)[:, None, None], placement, places)
+            if name not in self._named:
+                raise UnknownNameError("obstacle", name, self._named)
+            numbers, rows = self._named[name]
+            places[rows] = placement
             for k in numbers:
-                geometry_data.oMg[k] = pin.SE3(np.asarray(placement))
+                geometry_data.oMg[k] = pin.SE3(placement)
         if not self.obstacles:
             return data, geometry_data, apart
         # of the ball about a link from the box about an obstacle, negative where its centre is inside
@@ -419,6 +419,8 @@ class SelfCollision:
         self._radii, self._met_radii = radii[self._pair_table].sum(axis=0), radii[self._met[0]]
         self._places = np.array([o.placement for o in met_things]).reshape(-1, 4, 4)
         self._halves = np.array([o.half for o in met_things]).reshape(-1, 3)
+        named = {o.name: [b for b, other in around if other.name == o.name] for o in self.obstacles}
+        self._named = {name: (numbers, np.isin(self._met[1], numbers)) for name, numbers in named.items()}
         # 1 for each velocity of Pinocchio's model that moves a solid, else 0
         self._carries = np.zeros((len(self._solids), self._model.nv))
         for k, shape in enumerate(self._shapes):
