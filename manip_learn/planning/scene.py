@@ -22,6 +22,7 @@ from manip_learn.robot.collision import Obstacle, obstacles_of
 from manip_learn.robot.description.mjcf import validate_mjcf
 from manip_learn.robot.description.text import parse_xml, read_description
 from manip_learn.robot.description.urdf import Pose, as_matrix
+from manip_learn.robot.description.validation import validate_urdf
 from manip_learn.robot.loading import robot_from_text
 from manip_learn.robot.robot import Robot
 from manip_learn.robot.visuals import meshes as triangles
@@ -311,11 +312,13 @@ def _made(kind: Any, given: Any, where: str, file: Path) -> Any:
 def _described(content: bytes, file: Path) -> Scene:
     """The scene of a URDF or MJCF."""
     if parse_xml(content, file).tag == "mujoco":
-        content = validate_mjcf(content, file, scene=True)[1]
+        valid, content = validate_mjcf(content, file, scene=True)
+    else:
+        valid = validate_urdf(content, file)
+    if moving := [repr(joint.name) for joint in valid.urdf.joints if joint.nv]:
+        wanted = "what stands around an arm stands still; fix each where it stands"
+        raise SceneError(f"{named('joint', moving)} can move; {wanted}")
     robot = robot_from_text(content, file)
-    if robot.nv:
-        moving = named("joint", map(repr, robot.joint_names))
-        raise SceneError(f"{moving} can move; what stands around an arm stands still; fix them where they stand")
     touched, seen = (visual_elements(content, file, tag) for tag in ("collision", "visual"))
     links, names, things = {e.link for e in touched}, Counter[str](), {field: list[Any]() for field in KINDS}
     for e in [*touched, *(e for e in seen if e.link not in links)]:

@@ -8,9 +8,10 @@ from __future__ import annotations
 import threading
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from functools import lru_cache
+from functools import lru_cache, partial
 from itertools import combinations
 from pathlib import Path
+from types import MappingProxyType
 from typing import Any, Literal, NamedTuple, final
 
 import coal
@@ -28,6 +29,7 @@ from manip_learn.robot.visuals.meshes import Mesh, find_mesh, mesh_roots, read_m
 from manip_learn.robot.visuals.visual_shapes import MeshElement, Solid, VisualElement, visual_elements
 
 Shapes = Literal["collision", "visual", "links"]
+Moved = Mapping[str, Float[np.ndarray, "4 4"]]
 # postures that are looked at for links that can touch: every 0.2 rad of two joints that turn once
 SAMPLES = 1000
 # [m] depth that may come from convex hulls, which are larger than the links
@@ -49,15 +51,13 @@ class CollisionShape:
         joint: Pinocchio id of the moving joint that carries it; 0 is the fixed world.
         placement: shape (4, 4), from the shape to that joint [m].
         geometry: The shape for the distance computation.
-        centre: Centre of a ball that contains the shape, in the joint's frame [m].
-        radius: Radius of that ball [m].
+        radius: Of a ball about the shape's origin that contains it [m].
     """
 
     link: str
     joint: int
     placement: Float[np.ndarray, "4 4"]
     geometry: Any
-    centre: Float[np.ndarray, " 3"]
     radius: float
 
 
@@ -136,7 +136,7 @@ def obstacles_of(
         geometry, half, _ = _solid(shape)
         return (Obstacle(name, placement, geometry, half, may_touch),)
     whole, out = trimesh.Trimesh(shape.vertices, shape.faces), list[Obstacle]()  # it joins corners in one place
-    parts = whole.split(only_watertight=False)
+    parts = whole.split(only_watertight=False, repair=False)
     for part in parts if 0 < len(parts) <= MOST_PARTS else [whole]:
         closed = part if part.is_watertight and abs(part.volume) > FLAT * part.extents.max() ** 3 else None
         if closed is not None and part.is_convex:
@@ -185,7 +185,7 @@ def _capsules(robot: Robot) -> tuple[CollisionShape, ...]:
             if length >= SHORTEST * radii[i]:
                 placement = pin.SE3(turn_z_to(end / length), 0.5 * end).homogeneous
                 geometry = coal.Capsule(radius, length)
-                out.append(CollisionShape(name, i, placement, geometry, 0.5 * end, radius + 0.5 * length))
+                out.append(CollisionShape(name, i, placement, geometry, radius + 0.5 * length))
     return tuple(out)
 
 
@@ -194,7 +194,6 @@ def _shape(robot: Robot, element: VisualElement, meshes: Mapping[str, Any]) -> C
 
     frame = robot.pinocchio_model.frames[robot.frame(element.link).index]
     placement = np.asarray(frame.placement.homogeneous @ as_matrix(element.pose))
-    middle = np.zeros(3)
     match element.geometry:
         case None:
             raise RobotError(element.fault, code="collision-shape", path=robot.source, line=element.line)
@@ -207,12 +206,13 @@ def _shape(robot: Robot, element: VisualElement, meshes: Mapping[str, Any]) -> C
                     path=robot.source,
                     line=element.line,
                 )
-            geometry, middle = coal.Convex(*_lists(hull)), hull.bounds.mean(axis=0)
-            radius = float(np.linalg.norm(hull.vertices - middle, axis=1).max())
+            middle = hull.bounds.mean(axis=0)
+            hull.apply_translation(-middle)
+            placement[:3, 3] += placement[:3, :3] @ middle
+            geometry, radius = coal.Convex(*_lists(hull)), float(np.linalg.norm(hull.vertices, axis=1).max())
         case solid:
             geometry, _, radius = _solid(solid)
-    centre = placement[:3, :3] @ middle + placement[:3, 3]
-    return CollisionShape(element.link, int(frame.parentJoint), placement, geometry, centre, radius)
+    return CollisionShape(element.link, int(frame.parentJoint), placement, geometry, radius)
 
 
 @final
@@ -272,16 +272,15 @@ class SelfCollision:
         free: ArrayLike | None = None,
         obstacles: Sequence[Obstacle] = (),
     ):
-        self.robot, self._tag, self._free = robot, shapes, free
+        self.robot, self._given = robot, dict[str, Any](shapes=shapes, free=free)
         self._shapes = collision_shapes(robot, shapes)
         self._model = robot.pinocchio_model
         self._pair_up(self._pairs_joined_by(range(2, self._model.njoints)))
         touching = {p.links for p in self.closer_than(robot.neutral() if free is None else free, 0.0)}
-        kept = [(a, b) for a, b in self._pairs if self._links(a, b) not in touching]
-        self._pair_up(kept)
+        self._pair_up(kept := [pair for pair in self._pairs if self._links(*pair) not in touching])
         apart = self._always_apart()
-        kept = [(a, b) for a, b in kept if self._links(a, b) not in apart]
-        self.link_pairs = tuple(dict.fromkeys(self._links(a, b) for a, b in kept))
+        kept = [pair for pair in kept if self._links(*pair) not in apart]
+        self.link_pairs = tuple(dict.fromkeys(self._links(*pair) for pair in kept))
         self._pair_up(kept, obstacles)
 
     def with_obstacles(self, obstacles: Sequence[Obstacle]) -> SelfCollision:
@@ -291,9 +290,7 @@ class SelfCollision:
         other._pair_up(self._pairs[: len(self._radii)], obstacles)
         return other
 
-    def closer_than(
-        self, q: ArrayLike, distance: float, moved: Mapping[str, Float[np.ndarray, "4 4"]] | None = None
-    ) -> list[Proximity]:
+    def closer_than(self, q: ArrayLike, distance: float, moved: Moved = MappingProxyType({})) -> list[Proximity]:
         """All pairs of shapes at a distance of at most `distance` [m], and their gradients.
 
         Args:
@@ -313,12 +310,7 @@ class SelfCollision:
                 found.append(self._proximity(k, result, exact, data))
         return found
 
-    @property
-    def geometry(self) -> Any:
-        """Pinocchio's model of the shapes on its joints, obstacles last, and of the pairs whose distances count."""
-        return self._geometry
-
-    def nearest(self, q: ArrayLike, moved: Mapping[str, Float[np.ndarray, "4 4"]] | None = None) -> Proximity | None:
+    def nearest(self, q: ArrayLike, moved: Moved = MappingProxyType({})) -> Proximity | None:
         """The pair of shapes at the smallest distance; None if nothing can touch. See `closer_than`."""
         data, geometry_data, far = self._placed(q, moved)
         best, pair, least = None, -1, np.inf
@@ -341,23 +333,23 @@ class SelfCollision:
         return result, distance
 
     def _placed(
-        self, q: ArrayLike, moved: Mapping[str, Float[np.ndarray, "4 4"]] | None = None
+        self, q: ArrayLike, moved: Moved = MappingProxyType({})
     ) -> tuple[pin.Data, Any, Float[np.ndarray, " pairs"]]:
         """Data with Jacobians, shapes at their places, and a lower bound of the distance of each pair."""
         data, geometry_data = self._own_data()
         pin.computeJointJacobians(self._model, data, self.robot.pinocchio_configuration(q))
         pin.updateGeometryPlacements(self._model, data, self._geometry, geometry_data)
-        centres = np.array([data.oMi[s.joint].act(s.centre) for s in self._shapes])
+        centres = np.array([geometry_data.oMg[k].translation for k in range(len(self._shapes))])
         first, second = self._pair_table
         apart = np.linalg.norm(centres[first] - centres[second], axis=1) - self._radii
-        places = self._places
-        for name, placement in (moved or {}).items():
-            numbers = [len(self._shapes) + k for k, o in enumerate(self.obstacles) if o.name == name]
-            if not numbers:
-                raise UnknownNameError("obstacle", name, (o.name for o in self.obstacles))
-            places = np.where(np.isin(self._met[1], numbers)[:, None, None], placement, places)
+        places = self._places.copy() if moved else self._places
+        for name, placement in moved.items():
+            if name not in self._named:
+                raise UnknownNameError("obstacle", name, self._named)
+            numbers, rows = self._named[name]
+            places[rows] = placement
             for k in numbers:
-                geometry_data.oMg[k] = pin.SE3(np.asarray(placement))
+                geometry_data.oMg[k] = pin.SE3(placement)
         if not self.obstacles:
             return data, geometry_data, apart
         # of the ball about a link from the box about an obstacle, negative where its centre is inside
@@ -370,13 +362,11 @@ class SelfCollision:
     def _proximity(self, k: int, result: Any, distance: float, data: pin.Data) -> Proximity:
         a, b = self._pairs[k]
         nx, ny, nz = np.asarray(result.normal).tolist()
+        x, y, z = result.getNearestPoint1().tolist()
+        # n . (v + w x p) = n . v + (p x n) . w, alike at both points, which n joins; NumPy's cross takes 20 us
+        wrench = np.array([nx, ny, nz, y * nz - z * ny, z * nx - x * nz, x * ny - y * nx])
         J = np.asarray(data.J).reshape(6, self._model.nv)  # columns are twists at the base's origin
-        gradient = np.zeros(self._model.nv)
-        for shape, point, sign in ((b, result.getNearestPoint2(), 1.0), (a, result.getNearestPoint1(), -1.0)):
-            # n . (v + w x p) = n . v + (p x n) . w of the joints that carry the shape; NumPy's cross takes 20 us
-            x, y, z = point.tolist()
-            wrench = np.array([nx, ny, nz, y * nz - z * ny, z * nx - x * nz, x * ny - y * nx])
-            gradient += sign * self._carries[self._solids[shape].joint] * wrench.dot(J)
+        gradient = (self._carries[b] - self._carries[a]) * wrench.dot(J)
         if distance < 0.0 < result.min_distance:  # from within
             gradient = -gradient
         if not np.all(np.isfinite(gradient)):
@@ -391,18 +381,15 @@ class SelfCollision:
     def _pairs_joined_by(self, numbers: range) -> list[tuple[int, int]]:
         """Pairs of shapes whose links have that many joints between them."""
         supports = [set(joints) for joints in self._model.supports]
-        out = []
-        for a, b in combinations(range(len(self._shapes)), 2):
-            between = supports[self._shapes[a].joint] ^ supports[self._shapes[b].joint]
-            if len(between) in numbers:
-                out.append((a, b))
-        return out
+        joints = [supports[shape.joint] for shape in self._shapes]
+        every = combinations(range(len(joints)), 2)
+        return [(a, b) for a, b in every if len(joints[a] ^ joints[b]) in numbers]
 
     def _always_apart(self) -> set[tuple[str, str]]:
         """Links with two joints between them that do not touch at any of the sampled postures."""
         kept, close = self._pairs, set(self._pairs_joined_by(range(2, 3)))
         self._pair_up([pair for pair in kept if pair in close])
-        apart = {self._links(a, b) for a, b in self._pairs}
+        apart = {self._links(*pair) for pair in self._pairs}
         rng = np.random.default_rng(0)  # the same pairs every time
         for _ in range(SAMPLES):
             data, geometry_data, far = self._placed(self.robot.random_configuration(rng))
@@ -419,7 +406,7 @@ class SelfCollision:
         met = [(a, b) for a, s in enumerate(self._shapes) if s.joint for b, o in around if s.link not in o.may_touch]
         self._pairs, met_things = [*pairs, *met], [self.obstacles[b - n] for _, b in met]
         self._closed = {b: o.closed for b, o in around if o.closed is not None}
-        world = [CollisionShape(o.name, 0, o.placement, o.geometry, np.zeros(3), 0.0) for o in self.obstacles]
+        world = [CollisionShape(o.name, 0, o.placement, o.geometry, 0.0) for o in self.obstacles]
         self._solids = [*self._shapes, *world]
         self._geometry = pin.GeometryModel()
         for number, solid in enumerate(self._solids):
@@ -432,16 +419,13 @@ class SelfCollision:
         self._radii, self._met_radii = radii[self._pair_table].sum(axis=0), radii[self._met[0]]
         self._places = np.array([o.placement for o in met_things]).reshape(-1, 4, 4)
         self._halves = np.array([o.half for o in met_things]).reshape(-1, 3)
-        self._carries = {s.joint: self._carriers(s.joint) for s in self._solids}
-
-    def _carriers(self, joint: int) -> Float[np.ndarray, " n"]:
-        """1 for each velocity of Pinocchio's model that moves a joint's link, else 0."""
-        out = np.zeros(self._model.nv)
-        for j in self._model.supports[joint]:
-            block = self._model.joints[j]
-            if j > 0:
-                out[block.idx_v : block.idx_v + block.nv] = 1.0
-        return out
+        named = {o.name: [b for b, other in around if other.name == o.name] for o in self.obstacles}
+        self._named = {name: (numbers, np.isin(self._met[1], numbers)) for name, numbers in named.items()}
+        # 1 for each velocity of Pinocchio's model that moves a solid, else 0
+        self._carries = np.zeros((len(self._solids), self._model.nv))
+        for k, shape in enumerate(self._shapes):
+            for block in (self._model.joints[j] for j in self._model.supports[shape.joint] if j):
+                self._carries[k, block.idx_v : block.idx_v + block.nv] = 1.0
 
     def _own_data(self) -> tuple[pin.Data, Any]:
         try:
@@ -454,8 +438,4 @@ class SelfCollision:
             return self._local.data
 
     def __reduce__(self) -> tuple[Any, ...]:
-        return _rebuilt, (self.robot, self._tag, self._free, self.obstacles)
-
-
-def _rebuilt(robot: Robot, shapes: Shapes, free: ArrayLike | None, obstacles: Sequence[Obstacle]) -> SelfCollision:
-    return SelfCollision(robot, shapes=shapes, free=free, obstacles=obstacles)
+        return partial(SelfCollision, obstacles=self.obstacles, **self._given), (self.robot,)
