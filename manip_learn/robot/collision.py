@@ -34,6 +34,7 @@ SAMPLES = 1000
 SLACK = 0.01
 # [m] of Coal's iterations; with its own of 1e-6, gradients between cylinders and boxes are 0.1 off
 TOLERANCE = 1e-12
+MARGIN = 0.001  # [m] beyond a distance, up to which Coal looks closely whether shapes are nearer than it
 MAX_ITERATIONS = 1000  # of the distance of two shapes, which ends by itself before
 MOST_PARTS = 30  # of a mesh that are looked at one by one: a cabinet with doors and handles
 FLAT = 1e-9  # volume over that of a cube as long: a sheet, which has no inside
@@ -290,6 +291,25 @@ class SelfCollision:
         vars(other).update(vars(self))
         other._pair_up(self._pairs[: len(self._radii)], obstacles)
         return other
+
+    @property
+    def geometry(self) -> Any:
+        """Pinocchio's model of the shapes on its joints, obstacles last, and of the pairs whose distances count."""
+        return self._geometry
+
+    def is_clear(self, q: ArrayLike, distance: float) -> bool:
+        """Whether no pair is at a distance of at most `distance` [m]: not `closer_than`, in a fifth of its time.
+
+        Raises:
+            ConfigurationError: q has the wrong size or is not finite.
+        """
+        data, geometry_data = self._own_data()
+        if getattr(self._local, "margin", None) != distance:
+            for request in geometry_data.collisionRequests:
+                request.security_margin, request.break_distance = distance, distance + MARGIN
+            self._local.margin = distance
+        posture = self.robot.pinocchio_configuration(q)
+        return not pin.computeCollisions(self._model, data, self._geometry, geometry_data, posture, True)
 
     def closer_than(
         self, q: ArrayLike, distance: float, moved: Mapping[str, Float[np.ndarray, "4 4"]] | None = None
