@@ -65,7 +65,7 @@ class Clearance:
                 "the robot has no shapes: self-collision was not looked at"
                 + (", capsules along its links keep clear of what stands around" if around.obstacles else "")
             )
-        self._links = found.with_obstacles(around.obstacles)
+        self._links = found.with_obstacles(around.obstacles, self._own)
         self._start, self._around, self._depth = (
             start,
             around,
@@ -84,7 +84,7 @@ class Clearance:
     @property
     def geometry(self) -> Any:
         """Pinocchio's model of links and obstacles, where these are before the way, and of the pairs that count."""
-        return self._links.with_obstacles(self.obstacles).geometry
+        return self._links.with_obstacles(self.obstacles, self._own).geometry
 
     @property
     def shown(self) -> tuple[Obstacle, ...]:
@@ -114,7 +114,7 @@ class Clearance:
 
     def __call__(self, q: Posture, station: int = 0) -> bool:
         """Whether a posture is clear, while the hand is at a station of its way."""
-        return not self._pairs(q, station, self.least)
+        return self._links.is_clear(self._robot.configuration(q), self.least, self._around.at(station, self._depth))
 
     def of_line(self, a: Posture, b: Posture, station: int = 0) -> bool:
         """Whether the straight joint motion between two postures is clear, the middle looked at first."""
@@ -133,11 +133,7 @@ class Clearance:
         return nodes and all(self.of_line(a, b, k) for k, (a, b) in enumerate(zip(path, path[1:], strict=False), 1))
 
     def _pairs(self, q: Posture, station: int, distance: float) -> list[Proximity]:
-        if not self._own and not self._around.obstacles:
-            return []
-        moved = self._around.at(station, self._depth)
-        found = self._links.closer_than(self._robot.configuration(q), distance, moved)
-        return found if self._own else [pair for pair in found if pair.links[1] in {*self.names, BEHIND}]
+        return self._links.closer_than(self._robot.configuration(q), distance, self._around.at(station, self._depth))
 
     def _make_room(self, touching: list[Proximity]) -> None:
         """Take what was assumed away from where the arm is, or leave it out."""
@@ -150,4 +146,4 @@ class Clearance:
             else:
                 self._around = self._around.without(name)
                 self.notes.append(is_there + "left out")
-        self._links = self._links.with_obstacles(self._around.obstacles)
+        self._links = self._links.with_obstacles(self._around.obstacles, self._own)

@@ -2,8 +2,7 @@
 
 RoboPlan (https://github.com/open-planning/roboplan) plans on Pinocchio and Coal in C++. A URDF with plain names is
 written for it, of our joints, limits and shapes, whatever file the robot came from. It knows no clearance: of each pair
-of shapes one is larger in its copy. Whether a path is clear is decided by our own distances alone. RoboPlan is imported,
-and the copy made, at the first straight motion that is not clear.
+of shapes one is larger in its copy. Our own distances alone decide whether a path is clear.
 """
 
 from __future__ import annotations
@@ -18,7 +17,8 @@ from typing import Any, final
 import coal
 import numpy as np
 import pinocchio as pin
-from jaxtyping import Float
+from jaxtyping import Bool, Float
+from scipy.spatial import ConvexHull
 
 from manip_learn.control.limits import Limits
 from manip_learn.errors import MissingExtraError
@@ -31,61 +31,67 @@ REACH = 1.0  # [rad or m] by which a tree grows at once, all joints together
 COARSE = 0.05  # [rad or m] between RoboPlan's checks, all joints together; those of the result are closer
 SECONDS = 4.0  # of a search that adds no nodes, as from a start that is shut in: no number of nodes ends it
 SEEDS = 3  # searches in each copy
-GROWN = (1.0, 2.0, 0.4)  # times the clearance: more where paths come too near, less where start or goal has no more
-ROUNDING = 1e-9  # [rad or m] beyond limits: start and goal may stand at them
+GROWN = (1.0, 0.4, 2.0)  # times the clearance: less where start or goal has no more, more where paths come too near
 TURN = 2.0 * np.pi  # [rad] one turn, and the room to both sides of a joint that turns without end
 # corners of a solid about the ball of radius 1: its faces are 0.8866 away where its corners are at 1
 CORNERS = np.array([np.divide(d, 0.8866 * np.linalg.norm(d)) for d in product((-1, 0, 1), repeat=3) if any(d)])
 
 
-def joint_path(
-    robot: Robot, start: Posture, goal: Posture, limits: Limits, clear: Clearance, seed: int
-) -> list[Posture] | None:
-    """Knots from the start to the goal, straight joint motions between which are clear; None where none was found.
+@final
+class JointPlanner:
+    """Joint paths of one robot among what stands around it; made once, used for many goals.
 
-    RoboPlan is imported where the straight motion is not clear.
+    RoboPlan is imported, and the copy made, at the first straight motion that is not clear.
 
     Args:
-        robot: The robot.
-        start: Joint positions within the limits [rad or m].
-        goal: Likewise.
-        limits: Of the joints; the positions count.
         clear: Whether a posture or a straight motion is clear.
-        seed: Of the search: the same seed gives the same path.
+        limits: Of the joints; the positions count.
+        moving: shape (nv,), joints that may move, the others only where start and goal differ in them; None for all.
 
-    Raises:
-        MissingExtraError: The straight motion is not clear, and RoboPlan is not installed.
+    Attributes:
+        clear: As given.
+        why: Why the last call of `path` found none, in words; empty where it found one.
     """
-    if not (clear(start) and clear(goal)):
-        return None
-    return [start, goal] if clear.of_line(start, goal) else _Copy(robot, limits, clear).path(start, goal, seed)
 
-
-@final
-class _Copy:
-    """RoboPlan's copy of an arm among what stands around it."""
-
-    def __init__(self, robot: Robot, limits: Limits, clear: Clearance):
-        self._robot, self._geometry, self.clear = robot, clear.geometry, clear
+    def __init__(self, clear: Clearance, limits: Limits, moving: Bool[np.ndarray, " nv"] | None = None):
+        self._robot, self.clear, self.why = limits.robot, clear, ""
+        robot, self._geometry = limits.robot, clear.geometry
         low, high = limits.lower, limits.upper
         self._endless = (np.array(robot.joint_units) == "rad") & ~np.isfinite(low) & ~np.isfinite(high)
-        self._lower = np.where(np.isfinite(low), low, np.minimum(high - 2.0 * TURN, -TURN)) - ROUNDING
-        self._upper = np.where(np.isfinite(high), high, np.maximum(low + 2.0 * TURN, TURN)) + ROUNDING
+        self._lower = np.where(np.isfinite(low), low, np.minimum(high - 2.0 * TURN, -TURN)) - 1e-9
+        self._upper = np.where(np.isfinite(high), high, np.maximum(low + 2.0 * TURN, TURN)) + 1e-9  # rounding
+        self._moving = np.ones(robot.nv, dtype=bool) if moving is None else moving
         self._names = np.array([f"j{block.index:03}" for block in robot.blocks])
         self._copies: dict[float, Any] = {}
 
     def path(self, start: Posture, goal: Posture, seed: int) -> list[Posture] | None:
-        """As `joint_path`, where the straight motion is not clear."""
+        """Knots from the start to the goal, straight joint motions between which are clear; None where none was found.
+
+        Args:
+            start: Joint positions within the limits [rad or m].
+            goal: Likewise.
+            seed: Of the search: the same seed gives the same path.
+
+        Raises:
+            MissingExtraError: The straight motion is not clear, and RoboPlan is not installed.
+        """
+        pair, self.why = self.clear.touching(start) or self.clear.touching(goal), ""
+        if pair is not None:
+            self.why = f"at one end {' and '.join(pair.links)} are nearer than {1e3 * self.clear.least:.3g} mm"
+            return None
+        if self.clear.of_line(start, goal):
+            return [start, goal]
         turns = np.where(self._endless, TURN * np.round(0.5 * (start + goal) / TURN), 0.0)
-        numbers: list[int] = (np.random.SeedSequence(seed).generate_state(SEEDS) >> 1).tolist()  # RoboPlan's have signs
-        for grown, number in product(GROWN, numbers):
+        for grown, number in product(GROWN, np.random.SeedSequence(seed).generate_state(SEEDS)):
             try:
-                knots = self._searched(grown, start - turns, goal - turns, number)
-            except (RuntimeError, ValueError):  # all that RoboPlan raises: it found none
+                knots = self._searched(grown, start - turns, goal - turns, int(number) >> 1)  # a seed with a sign
+            except (RuntimeError, ValueError) as error:  # all that RoboPlan raises
+                self.why = f"no path was found: {error}"
                 return None
             path = [start, *(knots[1:-1] + turns), goal]
             if len(knots) and all(map(self.clear, path)) and all(map(self.clear.of_line, path[:-1], path[1:])):
                 return path
+        self.why = "every path that was found comes too near to something on the way"
         return None
 
     def _searched(self, grown: float, start: Posture, goal: Posture, seed: int) -> Float[np.ndarray, "k nv"]:
@@ -98,18 +104,19 @@ class _Copy:
             raise MissingExtraError("a path round what is in the way", "plan") from error
         if grown not in self._copies:
             self._copies[grown] = self._copied(core, grown * self.clear.least)
-        scene, free = self._copies[grown], start != goal  # the other joints stand still
+        scene, free = self._copies[grown], self._moving | bool(np.any((start != goal) & ~self._moving))
         place = np.argsort(scene.getJointPositionIndices(self._names.tolist()))
         if scene.hasCollisions(start[place]) or scene.hasCollisions(goal[place]):
             return np.empty((0, len(start)))
-        scene.setJointPositions(start[place])
-        group, names = "".join("01"[x] for x in free.tolist()), self._names[free].tolist()
-        scene.addGroup(group, names)
-        options = rrt.RRTOptions(group, NODES, REACH, COARSE, max_planning_time=SECONDS, rrt_connect=True)
-        planner = rrt.RRT(scene, options)
+        scene.setJointPositions(start[place])  # of the joints that stand still
+        names = self._names[free].tolist()
+        scene.addGroup("free", names)
+        planner = rrt.RRT(
+            scene, rrt.RRTOptions("free", NODES, REACH, COARSE, max_planning_time=SECONDS, rrt_connect=True)
+        )
         planner.setRngSeed(seed)
         found = planner.plan(*(core.JointConfiguration(names, q[free]) for q in (start, goal)))
-        found = core.PathShortcutter(scene, core.PathShortcuttingOptions(group, COARSE, seed=seed)).shortcut(found)
+        found = core.PathShortcutter(scene, core.PathShortcuttingOptions("free", COARSE, seed=seed)).shortcut(found)
         knots = np.tile(start, (len(found.positions), 1))
         knots[:, free] = found.positions
         return knots[np.append(True, np.any(np.diff(knots, axis=0), axis=1))]  # which repeat where the trees met
@@ -160,12 +167,11 @@ def _link(name: str, thing: Any, larger: float, folder: Path) -> str:
     match shape:
         case coal.Box():
             form = f"<box size='{_words(2.0 * (np.asarray(shape.halfSide) + larger))}'/>"
-        case coal.Sphere():
-            form = f"<sphere radius='{shape.radius + larger}'/>"
         case coal.Cylinder():
             form = f"<cylinder radius='{shape.radius + larger}' length='{2.0 * (shape.halfLength + larger)}'/>"
-        case coal.Capsule():  # no element of URDF: Pinocchio has a mark for it
-            form, mark = f"<cylinder radius='{shape.radius + larger}' length='{2.0 * shape.halfLength}'/>", "capsule"
+        case coal.Sphere() | coal.Capsule():  # a capsule is no element of URDF: Pinocchio has a mark for it
+            length = 2.0 * getattr(shape, "halfLength", 0.0)
+            form, mark = f"<cylinder radius='{shape.radius + larger}' length='{length}'/>", "capsule"
         case _:
             form, mark = _mesh(shape, larger, folder / f"{name}.obj")
     marked = f"<collision_checking><{mark} name='{name}'/></collision_checking>" if mark else ""
@@ -174,15 +180,16 @@ def _link(name: str, thing: Any, larger: float, folder: Path) -> str:
 
 
 def _mesh(shape: Any, larger: float, file: Path) -> tuple[str, str]:
-    from scipy.spatial import ConvexHull
-
     if convex := isinstance(shape, coal.ConvexBase):
-        around = larger * CORNERS if larger else np.zeros((1, 3))
-        hull = ConvexHull((np.array(shape.points())[:, None] + around).reshape(-1, 3))
+        hull = ConvexHull((np.array(shape.points())[:, None] + larger * CORNERS[: 26 if larger else 1]).reshape(-1, 3))
         points, faces = hull.points[hull.vertices], np.searchsorted(hull.vertices, hull.simplices)
     else:
         corners = [shape.tri_indices(k) for k in range(shape.num_tris)]
         points, faces = np.array(shape.vertices()), np.array([(t[0], t[1], t[2]) for t in corners])
+        a, b, c = np.moveaxis(points[faces], 1, 0)
+        normals = np.zeros_like(points)
+        np.add.at(normals, faces, np.cross(b - a, c - a)[:, None])
+        points = points + larger * normals / np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), 1e-12)
     lines = [f"v {_words(p)}\n" for p in points] + [f"f {a} {b} {c}\n" for a, b, c in (faces + 1).tolist()]
     file.write_text("".join(lines))
     return f"<mesh filename='{file}'/>", "convex" if convex else ""
