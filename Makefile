@@ -43,12 +43,12 @@ $(VENV)/made:
 	@touch $@
 
 $(VENV)/runtime: pyproject.toml $(VENV)/made
-	$(PIP) install --quiet --editable .
+	$(PIP) install --quiet --editable '.[plan]'
 	@touch $@
 
 # lint, and the tests that need no other extra: 1.5 GB where dev has 3.4
 $(VENV)/first: pyproject.toml $(VENV)/made
-	$(PIP) install --quiet --editable '.[lint,robots,test]'
+	$(PIP) install --quiet --editable '.[lint,robots,plan,test]'
 	@touch $@ $(VENV)/runtime
 
 # the compiled law, which the library can do without

@@ -97,7 +97,7 @@ class Clearance:
         return self._around.names
 
     def holding(self, q: Posture) -> Clearance:
-        """This clearance for a hand that takes hold at a posture: so far, or as at the start, it may be behind the front."""
+        """This clearance for a hand that may be as far behind the front as where it takes hold, or as at the start."""
         if FRONT not in self.names:
             return self
         postures = (self._robot.configuration(x) for x in (q, self._start))

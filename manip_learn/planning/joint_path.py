@@ -24,7 +24,6 @@ from manip_learn.control.limits import Limits
 from manip_learn.errors import MissingExtraError
 from manip_learn.planning.clearance import Clearance, Posture
 from manip_learn.robot.joints import motion_along
-from manip_learn.robot.robot import Robot
 
 NODES = 800  # of both trees; a path round a box takes 150 at most, 800 in vain half a second
 REACH = 1.0  # [rad or m] by which a tree grows at once, all joints together

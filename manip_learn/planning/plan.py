@@ -23,7 +23,7 @@ from manip_learn.control.simulation import simulate
 from manip_learn.control.tasks.driven_motion import way_in_words
 from manip_learn.control.tasks.motion import FreeDirection
 from manip_learn.control.way import WayDone, joint_at_limit, simulate_way
-from manip_learn.errors import ConfigurationError, FeatureError, NoPlanError, TargetError, an
+from manip_learn.errors import ConfigurationError, FeatureError, MissingExtraError, NoPlanError, TargetError, an
 from manip_learn.planning.clearance import Clearance
 from manip_learn.planning.grasp_cone import GraspCone
 from manip_learn.planning.joint_path import JointPlanner
@@ -227,6 +227,8 @@ def plan(
     stands = problem.as_it_stands()
     if stands is not None and (found is None or stands.margin >= found.margin - TIE):
         found = stands
+    if found is None and problem.missing is not None:
+        raise problem.missing
     if found is None:
         said("looking for what would help", 0.6)
         raise problem.refusal(marches, candidates, base_within)
@@ -278,6 +280,7 @@ class PathPolicy(NullSpacePolicy):
         gain: Rate at which differences from the path are made up [1/s].
         robot: Whose joints they are.
         moving: shape (nv,), joints that follow the path; None for all.
+        motion: The way along which the path leads: its times count from where that begins; None from the first call on.
     """
 
     def __init__(
@@ -287,7 +290,9 @@ class PathPolicy(NullSpacePolicy):
         gain: float,
         robot: Robot,
         moving: Bool[np.ndarray, " nv"] | None = None,
+        motion: FreeDirection | None = None,
     ):
+        self._motion = motion
         self.time = np.array(time, dtype=np.float64)
         self.knots = np.array(knots, dtype=np.float64)
         self.gain = float(gain)
@@ -302,9 +307,12 @@ class PathPolicy(NullSpacePolicy):
             ConfigurationError: q has the wrong size or is not finite.
         """
         first, end = float(self.time[0]), float(self.time[-1])
+        if self._motion is not None:
+            begins = self._motion.way_begins
+            t = first if begins is None else t - begins
         goal = self._spline(min(max(t, first), end))
         error = self._robot.difference(np.asarray(q, dtype=np.float64), goal) * self._moving
-        return self.gain * error + (self._rate(t) if first <= t < end else 0.0)
+        return self.gain * error + (self._rate(t) if first < t < end else 0.0)
 
     def __repr__(self) -> str:
         return f"PathPolicy({len(self.time)} knots over {self.time[-1] - self.time[0]:g} s, gain={self.gain:g})"
@@ -339,6 +347,7 @@ class _Problem:
         self.start = robot.checked_posture(start)
         self.limits, self.dt, self.grasp = limits or Limits(robot), dt, grasp
         self.seed, self.rng = seed, np.random.default_rng(seed)
+        self.missing: MissingExtraError | None = None  # what would look for a way around it
         self.unreached: tuple[str, str] | None = None  # what stands between the start and a posture of hold
         unsuited = next((b for b in robot.blocks if b.kind in ("floating", "planar", "other")), None)
         if unsuited is not None:
@@ -489,7 +498,10 @@ class _Problem:
         self, goal: Float[np.ndarray, " nv"], clear: Clearance
     ) -> tuple[ResolvedRateController, Rollout] | None:
         """The motion from the start to the posture of hold, and its law; None where something is in the way."""
-        moved = moved_to(goal, self.start, self.limits, clear, self.seed, self.dt, self.stations.moving)
+        try:
+            moved = moved_to(goal, self.start, self.limits, clear, self.seed, self.dt, self.stations.moving)
+        except MissingExtraError as error:  # straight motions to other postures may be clear
+            self.missing, moved = error, None
         if moved is None:
             return None
         law, rollout = moved
@@ -497,12 +509,8 @@ class _Problem:
 
     def _law(self, motion: FreeDirection, time: Float[np.ndarray, " k"], path: Postures) -> ResolvedRateController:
         """What does a motion with its spare joints along postures at times since the way began [s]."""
-        return self._controller(
-            motion, PathPolicy(motion.pause + time, path, FOLLOWING, self.robot, self.stations.moving)
-        )
-
-    def _controller(self, motion: FreeDirection, policy: NullSpacePolicy | None) -> ResolvedRateController:
         task = motion.with_distance(motion.wanted)  # which remembers its own start
+        policy = PathPolicy(time, path, FOLLOWING, self.robot, self.stations.moving, task)
         return ResolvedRateController(self.constraint, task, policy, limits=self.limits, dt=self.dt)
 
     def as_it_stands(self) -> Plan | None:
@@ -511,7 +519,8 @@ class _Problem:
             return None
         clear = self.clear.holding(self.positions)
         for policy in (self.motion.ascent(), None):
-            law = self._controller(self.motion, policy)
+            task = self.motion.with_distance(self.motion.wanted)
+            law = ResolvedRateController(self.constraint, task, policy, limits=self.limits, dt=self.dt)
             way, outcome = simulate_way(self.robot, law, self.start, self.dt)
             if not outcome.is_done or outcome.strays or outcome.begins is None:
                 continue
