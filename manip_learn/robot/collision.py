@@ -8,7 +8,7 @@ from __future__ import annotations
 import threading
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from functools import lru_cache, partial
+from functools import cached_property, lru_cache, partial
 from itertools import combinations
 from pathlib import Path
 from types import MappingProxyType
@@ -224,11 +224,13 @@ class Proximity(NamedTuple):
         links: Names of the two links, or of a link and an obstacle.
         distance: [m]; negative where the shapes overlap: the depth.
         gradient: d distance / dq, shape (nv,) [m/rad or 1].
+        number: Of the pair.
     """
 
     links: tuple[str, str]
     distance: float
     gradient: Float[np.ndarray, " nv"]
+    number: int
 
 
 @final
@@ -296,6 +298,16 @@ class SelfCollision:
         other._pair_up(self._pairs[: len(self._radii)] if own else [], obstacles)
         return other
 
+    @cached_property
+    def lever(self) -> float:
+        """A distance that no place of a link exceeds from the axis of a joint that moves it [m]; 1 of one that slides.
+
+        No entry of a gradient is larger.
+        """
+        ends = (self.robot.reach(s.link) + float(np.linalg.norm(s.placement[:3, 3])) + s.radius for s in self._shapes)
+        coupling = self.robot.coupling
+        return max(1.0, *ends) * (1.0 if coupling is None else float(np.abs(coupling.lift).sum(axis=0).max()))
+
     @property
     def geometry(self) -> Any:
         """Pinocchio's model of the shapes on its joints, obstacles last, and of the pairs whose distances count."""
@@ -319,23 +331,35 @@ class SelfCollision:
         clear = not pin.computeCollisions(self._geometry, geometry_data, True)
         return clear and not (self._closed and self.closer_than(q, distance, moved))  # within a mesh nothing touches
 
-    def closer_than(self, q: ArrayLike, distance: float, moved: Moved = MappingProxyType({})) -> list[Proximity]:
+    def closer_than(
+        self,
+        q: ArrayLike,
+        distance: float,
+        moved: Moved = MappingProxyType({}),
+        only: Sequence[int] | None = None,
+        going: tuple[Float[np.ndarray, " nv"], float] | None = None,
+    ) -> list[Proximity]:
         """All pairs of shapes at a distance of at most `distance` [m], and their gradients.
 
         Args:
             q: Configuration or joint positions.
             distance: [m].
             moved: Name of an obstacle -> where it is now, in the robot's base frame [m]; the others are in their place.
+            only: Numbers of the pairs that are looked at, in this order; None for all.
+            going: A velocity and a time [s]: pairs count, too, that would come as near in that time at the speed at
+                which the velocity moves their links.
 
         Raises:
             ConfigurationError: q has the wrong size or is not finite.
             UnknownNameError: `moved` names no obstacle.
         """
         data, geometry_data, far = self._placed(q, moved)
-        found = []
-        for k in np.flatnonzero(far <= distance).tolist():
+        found, most = [], np.full(len(far), distance)
+        if going is not None:
+            most += going[1] * self._speeds(going[0], data, geometry_data)
+        for k in np.flatnonzero(far <= most).tolist() if only is None else only:
             result, exact = self._distance(k, geometry_data, float(far[k]))
-            if exact <= distance:
+            if exact <= most[k]:
                 found.append(self._proximity(k, result, exact, data))
         return found
 
@@ -386,6 +410,16 @@ class SelfCollision:
         bound = np.sqrt(np.einsum("ki,ki->k", outside, outside)) + np.minimum(beyond.max(axis=1), 0.0)
         return data, geometry_data, np.concatenate([apart, bound - self._met_radii])
 
+    def _speeds(self, velocity: Float[np.ndarray, " nv"], data: pin.Data, geometry_data: Any) -> np.ndarray:
+        """What no two nearest points of each pair exceed in speed towards each other [m/s]."""
+        coupling, n = self.robot.coupling, len(self._shapes)
+        v = velocity if coupling is None else coupling.lift @ velocity
+        twists = (self._carries[:n] * v) @ np.asarray(data.J).reshape(6, -1).T
+        centres = np.array([geometry_data.oMg[k].translation for k in range(n)])
+        linear = np.linalg.norm(twists[:, :3] + np.cross(twists[:, 3:], centres), axis=1)
+        speeds = linear + np.linalg.norm(twists[:, 3:], axis=1) * [shape.radius for shape in self._shapes]
+        return np.concatenate([speeds[self._pair_table].sum(axis=0), speeds[self._met[0]]])
+
     def _numbers(self, name: str) -> tuple[list[int], list[int]]:
         """Of an obstacle's shapes, and of the pairs that it is in."""
         if name not in self._named:
@@ -406,7 +440,7 @@ class SelfCollision:
             gradient = np.zeros(self._model.nv)
         coupling = self.robot.coupling
         lifted = gradient if coupling is None else gradient @ coupling.lift
-        return Proximity(self._links(a, b), distance, lifted)
+        return Proximity(self._links(a, b), distance, lifted, k)
 
     def _links(self, a: int, b: int) -> tuple[str, str]:
         return self._solids[a].link, self._solids[b].link
