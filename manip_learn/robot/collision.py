@@ -386,7 +386,7 @@ class SelfCollision:
         bound = np.sqrt(np.einsum("ki,ki->k", outside, outside)) + np.minimum(beyond.max(axis=1), 0.0)
         return data, geometry_data, np.concatenate([apart, bound - self._met_radii])
 
-    def _numbers(self, name: str) -> tuple[list[int], list[int]]:
+    def _numbers(self, name: str) -> tuple[list[int], np.ndarray]:
         """Of an obstacle's shapes, and of the pairs that it is in."""
         if name not in self._named:
             raise UnknownNameError("obstacle", name, self._named)
