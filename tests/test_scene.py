@@ -376,7 +376,7 @@ BAD_THINGS = [
     (lambda: ml.Mesh((ONE[0], []), (0, 0, 0), "a"), "make no mesh"),
     (lambda: ml.Mesh(([[0, 0, np.inf], *ONE[0]], ONE[1]), (0, 0, 0), "a"), "make no mesh"),
     (lambda: ml.Mesh(ONE, (0, 0, 0), "a", 0.0), "scale is 0.0"),
-    (lambda: ml.Mesh(ONE, (0, 0, 0), "a", 1000.0), "size is 1000 m.*millimetres"),
+    (lambda: ml.Mesh(ONE, (0, 0, 0), "a", 1000.0), "size is 1000 m.*millimetres.*scale=0.001"),
     (lambda: ml.Scene(boxes=[THINGS[0], THINGS[0]]), "2 things are called 'box'.*rename"),
     (lambda: ml.Scene(0.0, boxes=[ml.Box((1, 1, 1), (0, 0, 0), "floor")]), "2 things are called 'floor'"),
     (lambda: ml.Scene(boxes=[THINGS[1]]), "boxes hold Sphere"),
@@ -403,7 +403,11 @@ BAD_FILES = [
     ('{"boxes": [{"name": "a", "size": [1, 1, 1]}]}', SceneError, r"boxes\[0\] lacks key 'pose'"),
     ('{"boxes": [{"name": "a", "size": [1, 1, 1], "poes": [0, 0, 0]}]}', UnknownNameError, "'poes'.*'pose'"),
     ('{"boxes": [{"name": "a", "size": [1, 1, -1], "pose": [0, 0, 0]}]}', SceneError, "room.json: box 'a'"),
-    ('{"boxes": [{"name": "a", "size": [19, 1, 1], "pose": [0, 0, 0]}]}', SceneError, "19 m large.*'panda'.*milli"),
+    (
+        '{"boxes": [{"name": "a", "size": [19, 1, 1], "pose": [0, 0, 0]}]}',
+        SceneError,
+        "19 m large.*reaches.*milli",
+    ),
     ('{"meshes": [{"name": "a", "source": "a.stl", "pose": [0, 0, 0]}]}', SceneError, "room.json: mesh 'a'.*a.stl"),
     ("<robot", RobotError, "XML"),
 ]

@@ -42,11 +42,13 @@ class Thing:
         name: What it is called.
         pose: shape (4, 4), of its own frame in the robot's base frame [m].
         shape: What it is, in its own frame [m].
+        span: Its largest number, of a mesh its longest side [m].
     """
 
     name: str
     pose: ArrayLike
     shape: Solid | triangles.Mesh
+    span: float
 
     def __post_init__(self) -> None:
         kind: Any = type(self).__name__.lower()
@@ -63,13 +65,14 @@ class Thing:
                 sizes += numbers.tolist()
         pose = _pose(getattr(self, "centre" if kind == "sphere" else "pose"), where)
         shape = _mesh(self, where) if isinstance(self, Mesh) else Solid(kind, tuple(sizes))
-        largest = max(sizes) if sizes else np.ptp(shape.vertices, axis=0).max()  # type: ignore[union-attr]
-        for seen, metres in (("size", largest), ("place", np.abs(pose[:3, 3]).max())):
+        span = np.array(sizes) if isinstance(shape, Solid) else np.ptp(shape.vertices, axis=0)
+        fix = "divide by 1000" if isinstance(shape, Solid) else "give scale=0.001"
+        for seen, metres, remedy in (("size", span.max(), fix), ("place", np.abs(pose[:3, 3]).max(), "divide by 1000")):
             if metres > LARGEST:
-                wanted = f"at most {LARGEST:g} m is expected; if it is in millimetres, divide by 1000"
+                wanted = f"at most {LARGEST:g} m is expected; if it is in millimetres, {remedy}"
                 raise SceneError(f"{where}: its {seen} is {metres:g} m; {wanted}")
-        object.__setattr__(self, "pose", pose)
-        object.__setattr__(self, "shape", shape)
+        for name, value in (("pose", pose), ("shape", shape), ("span", float(span.max()))):
+            object.__setattr__(self, name, value)
 
 
 @final
@@ -244,11 +247,12 @@ class Scene:
         except (SceneError, TypeError, ValueError) as error:
             seen = error if isinstance(error, SceneError) else f"it is no scene ({error}); repair it"
             raise SceneError(f"{file}: {seen}") from error
-        for thing in scene.solids if robot else ():
-            size = 2.0 * max(np.max(part.half) for part in obstacles_of(thing.name, np.eye(4), thing.shape))
-            if robot and size > LARGEST_REACHES * max(map(robot.reach, robot.frame_names)):
-                wanted = f"at most {LARGEST_REACHES:g} reaches of {robot.name!r} are expected"
-                raise SceneError(f"{file}: {thing.name!r} is {size:g} m large; {wanted}; are these millimetres?")
+        most = np.inf if robot is None else LARGEST_REACHES * max(map(robot.reach, robot.frame_names))
+        if large := [thing for thing in scene.solids if thing.span > most]:
+            wanted = (
+                f"at most {most:.3g} m, {LARGEST_REACHES:g} reaches of the arm, are expected; are these millimetres?"
+            )
+            raise SceneError(f"{file}: {large[0].name!r} is {large[0].span:g} m large; {wanted}")
         return scene
 
     def save(self, path: str | os.PathLike[str]) -> Path:
