@@ -198,6 +198,22 @@ def placement_of(robot, link):
     return np.asarray(robot.pinocchio_model.frames[robot.frame(link).index].placement.homogeneous)
 
 
+@pytest.mark.parametrize("name", ["balls", *ARMS])
+def test_clear_is_what_is_not_close(robot_of, balls, name):
+    """`is_clear` answers as `closer_than` does, among things of every kind, of which one has moved; so do copies."""
+    robot = balls if name == "balls" else robot_of(name)
+    scene, rng, answers = scene_of(*THINGS, floor=-0.5), np.random.default_rng(12), []
+    collision = SelfCollision(robot, shapes=ARMS.get(name, "collision"), obstacles=scene.obstacles(robot))
+    for k in range(150):
+        q, moved = robot.random_configuration(rng), {"box": pose((0.0, 3.0, 0.1 * k)), "ell": pose((2.0, 0.0, 2.0))}
+        for distance, places in ((0.0, {}), (0.005, moved), (0.03, moved)):
+            close = collision.closer_than(q, distance, places)
+            at_limit = any(abs(pair.distance - distance) < 1e-6 for pair in collision.closer_than(q, 0.04, places))
+            assert at_limit or collision.is_clear(q, distance, places) == (not close)
+            answers.append(not close)
+    assert name == "planar3" or 0.05 < np.mean(answers) < 0.95
+
+
 @pytest.mark.parametrize("name", list(ARMS))
 def test_floor_under_arms(robot_of, name):
     """The lowest corner of each link decides, to a nanometre; what the first joint carries may touch the floor."""
@@ -381,6 +397,7 @@ BAD_THINGS = [
     (lambda: ml.Scene(0.0, boxes=[ml.Box((1, 1, 1), (0, 0, 0), "floor")]), "2 things are called 'floor'"),
     (lambda: ml.Scene(boxes=[THINGS[1]]), "boxes hold Sphere"),
     (lambda: ml.Scene(np.nan), "floor is nan"),
+    (lambda: ml.Scene(-700), "floor is -700; a height of at most 10 m"),
 ]
 
 

@@ -56,7 +56,7 @@ class Thing:
             raise SceneError(f"a {kind} is called {self.name!r}; a name is expected; give it one")
         where, sizes = f"{kind} {self.name!r}", list[float]()
         for field in ("size", "radius", "length"):
-            if hasattr(self, field):
+            if field in vars(self):
                 given, n = getattr(self, field), 3 if field == "size" else 1
                 numbers = finite(np.atleast_1d(given), n)
                 if numbers is None or np.any(numbers <= 0.0):
@@ -150,10 +150,6 @@ class Scene:
         boxes, spheres, cylinders, meshes: The things; no two have one name.
         handled: Names of what the hand takes hold of or opens: its links may touch these.
 
-    Attributes:
-        solids: All that stands there but the floor, to draw: each has a `name`, a `pose` and a `shape`, see `Thing`.
-        notes: What had to be assumed, a sentence each.
-
     Raises:
         SceneError: A floor that is no height, or two things of one name.
         UnknownNameError: `handled` names nothing that stands there.
@@ -172,8 +168,9 @@ class Scene:
     handled: Sequence[str] = ()
 
     def __post_init__(self) -> None:
-        if self.floor is not None and (finite(self.floor) is None or abs(self.floor) > LARGEST):
-            raise SceneError(f"floor is {self.floor!r}; a height of at most {LARGEST:g} m is expected; correct it")
+        if self.floor is not None and (finite(self.floor) is None or abs(self.floor) > 0.5 * LARGEST):
+            wanted = f"a height of at most {0.5 * LARGEST:g} m from the base is expected; correct it"
+            raise SceneError(f"floor is {self.floor!r}; {wanted}")
         for field, kind in KINDS.items():
             object.__setattr__(self, field, tuple(getattr(self, field)))
             if other := [thing for thing in getattr(self, field) if type(thing) is not kind]:
@@ -188,7 +185,8 @@ class Scene:
                 raise SceneError(f"{names[name]} things are called {name!r}; a name each is expected; rename them")
 
     @property
-    def solids(self) -> tuple[Thing, ...]:  # noqa: D102
+    def solids(self) -> tuple[Thing, ...]:
+        """All that stands there but the floor, to draw: each has a `name`, a `pose` and a `shape`, see `Thing`."""
         return (*self.boxes, *self.spheres, *self.cylinders, *self.meshes)
 
     def obstacles(self, robot: Robot, hand: frozenset[str] = frozenset()) -> tuple[Obstacle, ...]:
@@ -207,12 +205,13 @@ class Scene:
             pose, may_touch = np.asarray(thing.pose), hand if thing.name in self.handled else frozenset[str]()
             stands = np.abs(pose[:3, 3] @ pose[:3, :3]) - CLOSE  # the origin of the base
             for made in obstacles_of(thing.name, pose, thing.shape, may_touch):
-                near = thing.name == "floor" or (made.closed is None and np.all(stands <= made.half))
-                out.append(replace(made, may_touch=may_touch | low) if near else made)
+                is_below = thing in below or np.all(stands <= made.half)
+                out.append(replace(made, may_touch=may_touch | low) if is_below else made)
         return tuple(out)
 
     @property
-    def notes(self) -> tuple[str, ...]:  # noqa: D102
+    def notes(self) -> tuple[str, ...]:
+        """What had to be assumed, a sentence each."""
         shapes = {mesh.name: mesh.shape for mesh in self.meshes}
         edges = {name: triangles.open_edges(s) for name, s in shapes.items() if not isinstance(s, Solid)}
         said = "where it is open it counts as a surface, and what is behind it as free"
