@@ -249,6 +249,8 @@ def test_which_links_meet_which_things(robot_of):
     # on a table, and on a floor: the link of the first joint may touch them, and the second may not
     low = [ml.Box((2.0, 2.0, 0.1), (0.0, 0.0, -0.05), "table"), ml.Box((2.0, 2.0, 0.1), (0.0, 0.0, -0.1), "shelf")]
     obstacles = {o.name: o.may_touch for o in ml.Scene(floor=0.0, boxes=low).obstacles(ur5)}
+    held = ml.Scene(boxes=low, handled="table").obstacles(ur5, frozenset({"ee_link"}))
+    assert [o.may_touch - obstacles[o.name] for o in held] == [{"ee_link"}, frozenset()]
     assert {"shoulder_link", "base_link"} <= obstacles["floor"] == obstacles["table"]
     assert "upper_arm_link" not in obstacles["floor"] and not obstacles["shelf"]
 
@@ -367,6 +369,10 @@ def test_descriptions_as_scenes(tmp_path):
     assert scene.cylinders[0].shape.size == pytest.approx((0.05, 0.3))
     urdf.write_text(CABINET.replace("TYPE", "floating"), encoding="utf-8")
     mjcf.write_text(ROOM.replace("JOINT", '<joint name="hinge"/>'), encoding="utf-8")
+    hilly = tmp_path / "hills.xml"
+    hilly.write_text(ROOM.replace("JOINT", '<geom type="hfield" hfield="hills"/>'), encoding="utf-8")
+    with pytest.raises(RobotError, match="hills.xml.*'hfield' is not read"):
+        ml.Scene.load(hilly)
     for path, name in ((urdf, "lamp_joint"), (mjcf, "hinge")):
         with pytest.raises(SceneError, match=f"{path.name}.*{name}.*fix"):
             ml.Scene.load(path)
