@@ -53,6 +53,7 @@ class Clearance:
 
     Attributes:
         least: The clearance [m].
+        links: Distances of the links from each other and from what stands around.
         notes: What was left out, in sentences.
     """
 
@@ -65,7 +66,7 @@ class Clearance:
                 "the robot has no shapes: self-collision was not looked at"
                 + (", capsules along its links keep clear of what stands around" if around.obstacles else "")
             )
-        self._links = found.with_obstacles(around.obstacles)
+        self.links = found.with_obstacles(around.obstacles)
         self._around, self._depth = around, LARGE  # what is behind the front is out of the way of every hand
         if around.is_assumed:
             self._make_room(self._pairs(start, 0, 0.0))
@@ -91,7 +92,7 @@ class Clearance:
         """This clearance for a hand that takes hold at a posture: it may be so far behind the front, and no farther."""
         if FRONT not in self.names:
             return self
-        pairs = self._links.closer_than(self._robot.configuration(q), 0.0, self._around.at(0, 0.0))
+        pairs = self.links.closer_than(self._robot.configuration(q), 0.0, self._around.at(0, 0.0))
         other = copy.copy(self)
         deep = max([0.0, *(-pair.distance for pair in pairs if pair.links[1] == BEHIND)])
         other._depth = deep + self.least + ROUNDED
@@ -104,7 +105,16 @@ class Clearance:
 
     def __call__(self, q: Posture, station: int = 0) -> bool:
         """Whether a posture is clear, while the hand is at a station of its way."""
-        return not self._pairs(q, station, self.least)
+        if not self._own:
+            return not self._pairs(q, station, self.least)
+        moved = self._around.at(station, self._depth)
+        return self.links.is_clear(self._robot.configuration(q), self.least, moved)
+
+    @property
+    def pairs(self) -> list[tuple[int, int]]:
+        """Which shapes of `links.geometry` must not touch, a link's first."""
+        pairs, n = [(p.first, p.second) for p in self.links.geometry.collisionPairs], len(self.obstacles)
+        return pairs if self._own else [pair for pair in pairs if pair[1] >= self.links.geometry.ngeoms - n]
 
     def of_line(self, a: Posture, b: Posture, station: int = 0) -> bool:
         """Whether the straight joint motion between two postures is clear, the middle looked at first."""
@@ -126,7 +136,7 @@ class Clearance:
         if not self._own and not self._around.obstacles:
             return []
         moved = self._around.at(station, self._depth)
-        found = self._links.closer_than(self._robot.configuration(q), distance, moved)
+        found = self.links.closer_than(self._robot.configuration(q), distance, moved)
         return found if self._own else [pair for pair in found if pair.links[1] in {*self.names, BEHIND}]
 
     def _make_room(self, touching: list[Proximity]) -> None:
@@ -140,4 +150,4 @@ class Clearance:
             else:
                 self._around = self._around.without(name)
                 self.notes.append(is_there + "left out")
-        self._links = self._links.with_obstacles(self._around.obstacles)
+        self.links = self.links.with_obstacles(self._around.obstacles)

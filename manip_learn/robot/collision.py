@@ -297,19 +297,24 @@ class SelfCollision:
         """Pinocchio's model of the shapes on its joints, obstacles last, and of the pairs whose distances count."""
         return self._geometry
 
-    def is_clear(self, q: ArrayLike, distance: float) -> bool:
+    def is_clear(
+        self, q: ArrayLike, distance: float, moved: Mapping[str, Float[np.ndarray, "4 4"]] | None = None
+    ) -> bool:
         """Whether no pair is at a distance of at most `distance` [m]: not `closer_than`, in a fifth of its time.
 
-        Raises:
-            ConfigurationError: q has the wrong size or is not finite.
+        Arguments and errors as for `closer_than`.
         """
+        if self._closed:  # surfaces, of whose inside Coal does not know
+            return not self.closer_than(q, distance, moved)
         data, geometry_data = self._own_data()
+        pin.forwardKinematics(self._model, data, self.robot.pinocchio_configuration(q))
+        pin.updateGeometryPlacements(self._model, data, self._geometry, geometry_data)
+        self._move(geometry_data, moved)
         if getattr(self._local, "margin", None) != distance:
             for request in geometry_data.collisionRequests:
                 request.security_margin, request.break_distance = distance, distance + MARGIN
             self._local.margin = distance
-        posture = self.robot.pinocchio_configuration(q)
-        return not pin.computeCollisions(self._model, data, self._geometry, geometry_data, posture, True)
+        return not pin.computeCollisions(self._geometry, geometry_data, True)
 
     def closer_than(
         self, q: ArrayLike, distance: float, moved: Mapping[str, Float[np.ndarray, "4 4"]] | None = None
@@ -366,13 +371,8 @@ class SelfCollision:
         first, second = self._pair_table
         apart = np.linalg.norm(centres[first] - centres[second], axis=1) - self._radii
         places = self._places
-        for name, placement in (moved or {}).items():
-            numbers = [len(self._shapes) + k for k, o in enumerate(self.obstacles) if o.name == name]
-            if not numbers:
-                raise UnknownNameError("obstacle", name, (o.name for o in self.obstacles))
-            places = np.where(np.isin(self._met[1], numbers)[:, None, None], placement, places)
-            for k in numbers:
-                geometry_data.oMg[k] = pin.SE3(np.asarray(placement))
+        for k, placement in self._move(geometry_data, moved).items():
+            places = np.where((self._met[1] == k)[:, None, None], placement, places)
         if not self.obstacles:
             return data, geometry_data, apart
         # of the ball about a link from the box about an obstacle, negative where its centre is inside
@@ -381,6 +381,20 @@ class SelfCollision:
         outside = np.maximum(beyond, 0.0)
         bound = np.sqrt(np.einsum("ki,ki->k", outside, outside)) + np.minimum(beyond.max(axis=1), 0.0)
         return data, geometry_data, np.concatenate([apart, bound - self._met_radii])
+
+    def _move(
+        self, geometry_data: Any, moved: Mapping[str, Float[np.ndarray, "4 4"]] | None
+    ) -> dict[int, Float[np.ndarray, "4 4"]]:
+        """Put obstacles where they are now; the numbers of their shapes, and where these are."""
+        out = dict[int, np.ndarray]()
+        for name, placement in (moved or {}).items():
+            numbers = [len(self._shapes) + k for k, o in enumerate(self.obstacles) if o.name == name]
+            if not numbers:
+                raise UnknownNameError("obstacle", name, (o.name for o in self.obstacles))
+            out |= dict.fromkeys(numbers, placement)
+        for k, placement in out.items():
+            geometry_data.oMg[k] = pin.SE3(np.asarray(placement))
+        return out
 
     def _proximity(self, k: int, result: Any, distance: float, data: pin.Data) -> Proximity:
         a, b = self._pairs[k]
