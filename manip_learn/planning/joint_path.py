@@ -17,17 +17,14 @@ from itertools import product
 from pathlib import Path
 from typing import Any
 
-import coal
 import numpy as np
-import pinocchio as pin
 from jaxtyping import Bool, Float
-from scipy.spatial import ConvexHull
 
 from manip_learn.control.limits import Limits
 from manip_learn.errors import MissingExtraError
 from manip_learn.planning.clearance import Clearance, Posture
 from manip_learn.robot.collision import SelfCollision
-from manip_learn.robot.joints import motion_along
+from manip_learn.robot.plain_urdf import BASE, box_size, joint_name, plain_urdf
 from manip_learn.robot.robot import Robot
 
 NODES = 800  # of both trees; a path round a box takes 150 at most, 800 in vain half a second
@@ -36,10 +33,9 @@ COARSE = 0.05  # [rad or m] between RoboPlan's checks, all joints together; thos
 SECONDS = 4.0  # of a search that adds no nodes, as from a start that is shut in: no number of nodes ends it
 SEEDS = 3  # searches in each copy
 GROWN = (1.0, 0.4, 2.0)  # times the clearance: less where start or goal has no more, more where paths come too near
+ROUNDING = 1e-9  # [rad or m] beyond limits: start and goal may stand at them
 COPIES = 8  # that are kept, of a few megabytes each
 TURN = 2.0 * np.pi  # [rad] one turn, and the room to both sides of a joint that turns without end
-# corners of a solid about the ball of radius 1: its faces are 0.8866 away where its corners are at 1
-CORNERS = np.array([np.divide(d, 0.8866 * np.linalg.norm(d)) for d in product((-1, 0, 1), repeat=3) if any(d)])
 _LOCK, _LOG = threading.Lock(), logging.getLogger(__name__)  # a copy is for one thread at a time
 
 
@@ -105,8 +101,8 @@ def _searched(
         raise MissingExtraError("a path round what is in the way", "plan") from error
     scene, moving = _copied(clear.links, tuple(clear.pairs), limits, grown * clear.least)
     for name, number in moving.items():
-        scene.updateGeometryPlacement(name, "l000", np.asfortranarray(clear.obstacles[number].placement))
-    names = np.array([f"j{block.index:03}" for block in limits.robot.blocks])
+        scene.updateGeometryPlacement(name, BASE, np.asfortranarray(clear.obstacles[number].placement))
+    names = np.array([joint_name(block.index) for block in limits.robot.blocks])
     place = np.argsort(scene.getJointPositionIndices(names.tolist()))
     if scene.hasCollisions(start[place]) or scene.hasCollisions(goal[place]):
         return np.empty((0, len(start)))
@@ -127,81 +123,19 @@ def _copied(
     links: SelfCollision, pairs: tuple[tuple[int, int], ...], limits: Limits, larger: float
 ) -> tuple[Any, dict[str, int]]:
     """RoboPlan's scene of ours, the links larger by so much [m], and of the boxes in it the names and numbers."""
-    core = import_module("roboplan.core")
-    things, first = list(links.geometry.geometryObjects), links.geometry.ngeoms - len(links.obstacles)
-    boxes = {f"s{first + k:03}": k for k, o in enumerate(links.obstacles) if isinstance(o.geometry, coal.Box)}
-    sizes = {f"s{k:03}": (k, 0.0) for _, k in pairs} | {f"g{k:03}": (k, larger) for k, _ in pairs}
-    with tempfile.TemporaryDirectory(prefix="manip_learn_") as folder:
-        fixed = [_link(name, things[k], by, Path(folder)) for name, (k, by) in sizes.items() if name not in boxes]
-        text = "".join(["<robot name='copy'><link name='l000'/>", *_joints(limits), *fixed, "</robot>"])
-        scene = core.Scene("copy", core.loadUrdfSceneDescriptionFromXml(text))
-    boxes = {name: k for name, k in boxes.items() if name in sizes}
-    for name, k in boxes.items():  # which may be elsewhere at the next call, as a door's leaf
-        box = core.Box(*(2.0 * np.asarray(links.obstacles[k].geometry.halfSide)))
-        scene.addBoxGeometry(name, "l000", box, np.asfortranarray(links.obstacles[k].placement), np.ones(4))
-    scene.setCollisions([(a, b) for a, b in product(sizes, sizes) if a < b], False)
-    scene.setCollisions([(f"g{k:03}", f"s{other:03}") for k, other in pairs], True)
-    return scene, boxes
-
-
-def _joints(limits: Limits) -> list[str]:
-    robot, model, out = limits.robot, limits.robot.pinocchio_model, list[str]()
-    data, mimics = model.createData(), {m.joint: m for m in robot.mimics}
-    pin.forwardKinematics(model, data, pin.neutral(model), np.zeros(model.nv))
+    core, obstacles = import_module("roboplan.core"), links.obstacles
+    things, first = list(links.geometry.geometryObjects), links.geometry.ngeoms - len(obstacles)
+    sizes = {f"s{k:03}": (things[k], 0.0) for _, k in pairs} | {f"g{k:03}": (things[k], larger) for k, _ in pairs}
+    named = {f"s{first + k:03}": k for k in range(len(obstacles))}
+    boxes = {n: (k, size) for n, k in named.items() if n in sizes and (size := box_size(obstacles[k].geometry))}
     low = np.where(np.isfinite(limits.lower), limits.lower, np.minimum(limits.upper - 2.0 * TURN, -TURN))
     high = np.where(np.isfinite(limits.upper), limits.upper, np.maximum(limits.lower + 2.0 * TURN, TURN))
-    ends = {b.name: (low[b.v][0] - 1e-9, high[b.v][0] + 1e-9) for b in robot.blocks}  # rounding: a start may be there
-    for j, name in list(enumerate(model.names))[1:]:
-        if (along := motion_along(data.joints[j].S)) is None:
-            raise ValueError(f"joint {name!r} does more than turn or slide")
-        least, most = ends.get(name, (-1e3, 1e3))  # a joint that follows another has its limits
-        inside = f"<axis xyz='{_words(along[1])}'/><limit lower='{least}' upper='{most}' velocity='1' effort='1'/>"
-        if (m := mimics.get(name)) is not None:
-            leader = f"j{model.getJointId(m.leader):03}"
-            inside += f"<mimic joint='{leader}' multiplier='{m.multiplier}' offset='{m.offset}'/>"
-        head = f"j{j:03}", "revolute" if along[0] == "R" else "prismatic", model.parents[j], f"l{j:03}"
-        out.append(f"<link name='l{j:03}'/>{_joint(*head, model.jointPlacements[j], inside)}")
-    return out
-
-
-def _words(values: Any) -> str:
-    return " ".join(map(repr, np.asarray(values, dtype=np.float64).tolist()))
-
-
-def _joint(name: str, kind: str, parent: int, child: str, place: pin.SE3, inside: str = "") -> str:
-    inside += f"<origin xyz='{_words(place.translation)}' rpy='{_words(pin.rpy.matrixToRpy(place.rotation))}'/>"
-    return f"<joint name='{name}' type='{kind}'><parent link='l{parent:03}'/><child link='{child}'/>{inside}</joint>"
-
-
-def _link(name: str, thing: Any, larger: float, folder: Path) -> str:
-    """One shape, larger all round by a length [m], on a link of its own."""
-    shape, mark = thing.geometry, ""
-    match shape:
-        case coal.Box():
-            form = f"<box size='{_words(2.0 * (np.asarray(shape.halfSide) + larger))}'/>"
-        case coal.Cylinder():
-            form = f"<cylinder radius='{shape.radius + larger}' length='{2.0 * (shape.halfLength + larger)}'/>"
-        case coal.Sphere() | coal.Capsule():  # a capsule is no element of URDF: Pinocchio has a mark for it
-            length = 2.0 * getattr(shape, "halfLength", 0.0)
-            form, mark = f"<cylinder radius='{shape.radius + larger}' length='{length}'/>", "capsule"
-        case _:
-            form, mark = _mesh(shape, larger, folder / f"{name}.obj")
-    marked = f"<collision_checking><{mark} name='{name}'/></collision_checking>" if mark else ""
-    link = f"<link name='{name}'><collision name='{name}'><geometry>{form}</geometry></collision>{marked}</link>"
-    return link + _joint(f"{name}_fixed", "fixed", thing.parentJoint, name, thing.placement)
-
-
-def _mesh(shape: Any, larger: float, file: Path) -> tuple[str, str]:
-    if convex := isinstance(shape, coal.ConvexBase):
-        hull = ConvexHull((np.array(shape.points())[:, None] + larger * CORNERS[: 26 if larger else 1]).reshape(-1, 3))
-        points, faces = hull.points[hull.vertices], np.searchsorted(hull.vertices, hull.simplices)
-    else:
-        corners = [shape.tri_indices(k) for k in range(shape.num_tris)]
-        points, faces = np.array(shape.vertices()), np.array([(t[0], t[1], t[2]) for t in corners])
-        a, b, c = np.moveaxis(points[faces], 1, 0)
-        normals = np.zeros_like(points)
-        np.add.at(normals, faces, np.cross(b - a, c - a)[:, None])
-        points = points + larger * normals / np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), 1e-12)
-    lines = [f"v {_words(p)}\n" for p in points] + [f"f {a} {b} {c}\n" for a, b, c in (faces + 1).tolist()]
-    file.write_text("".join(lines))
-    return f"<mesh filename='{file}'/>", "convex" if convex else ""
+    with tempfile.TemporaryDirectory(prefix="manip_learn_") as folder:
+        fixed = {name: solid for name, solid in sizes.items() if name not in boxes}
+        text = plain_urdf(limits.robot, low - ROUNDING, high + ROUNDING, fixed, Path(folder))
+        scene = core.Scene("copy", core.loadUrdfSceneDescriptionFromXml(text))
+    for name, (k, size) in boxes.items():  # which may be elsewhere at the next call, as a door's leaf
+        scene.addBoxGeometry(name, BASE, core.Box(*size), np.asfortranarray(obstacles[k].placement), np.ones(4))
+    scene.setCollisions([(a, b) for a, b in product(sizes, sizes) if a < b], False)
+    scene.setCollisions([(f"g{k:03}", f"s{other:03}") for k, other in pairs], True)
+    return scene, {name: k for name, (k, _) in boxes.items()}
