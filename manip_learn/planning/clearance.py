@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import copy
 from functools import lru_cache
-from typing import Any, final
+from typing import final
 
 import numpy as np
 from jaxtyping import Float
@@ -53,6 +53,7 @@ class Clearance:
 
     Attributes:
         least: The clearance [m].
+        links: Distances of the links from each other and from what stands around.
         notes: What was left out, in sentences.
     """
 
@@ -65,7 +66,7 @@ class Clearance:
                 "the robot has no shapes: self-collision was not looked at"
                 + (", capsules along its links keep clear of what stands around" if around.obstacles else "")
             )
-        self._links = found.with_obstacles(around.obstacles, self._own)
+        self.links = found.with_obstacles(around.obstacles, self._own)
         self._start, self._around, self._depth = (
             start,
             around,
@@ -82,9 +83,9 @@ class Clearance:
         return self._around.placed(self._depth)
 
     @property
-    def geometry(self) -> Any:
-        """Pinocchio's model of links and obstacles, where these are before the way, and of the pairs that count."""
-        return self._links.with_obstacles(self.obstacles, self._own).geometry
+    def pairs(self) -> list[tuple[int, int]]:
+        """Which shapes of `links.geometry` must not touch, a link's first."""
+        return [(p.first, p.second) for p in self.links.geometry.collisionPairs]
 
     @property
     def shown(self) -> tuple[Obstacle, ...]:
@@ -101,7 +102,7 @@ class Clearance:
         if FRONT not in self.names:
             return self
         postures = (self._robot.configuration(x) for x in (q, self._start))
-        pairs = [pair for x in postures for pair in self._links.closer_than(x, 0.0, self._around.at(0, 0.0))]
+        pairs = [pair for x in postures for pair in self.links.closer_than(x, 0.0, self._around.at(0, 0.0))]
         other = copy.copy(self)
         deep = max([0.0, *(-pair.distance for pair in pairs if pair.links[1] == BEHIND)])
         other._depth = deep + self.least + ROUNDED
@@ -114,7 +115,7 @@ class Clearance:
 
     def __call__(self, q: Posture, station: int = 0) -> bool:
         """Whether a posture is clear, while the hand is at a station of its way."""
-        return self._links.is_clear(self._robot.configuration(q), self.least, self._around.at(station, self._depth))
+        return self.links.is_clear(self._robot.configuration(q), self.least, self._around.at(station, self._depth))
 
     def of_line(self, a: Posture, b: Posture, station: int = 0) -> bool:
         """Whether the straight joint motion between two postures is clear, the middle looked at first."""
@@ -133,7 +134,7 @@ class Clearance:
         return nodes and all(self.of_line(a, b, k) for k, (a, b) in enumerate(zip(path, path[1:], strict=False), 1))
 
     def _pairs(self, q: Posture, station: int, distance: float) -> list[Proximity]:
-        return self._links.closer_than(self._robot.configuration(q), distance, self._around.at(station, self._depth))
+        return self.links.closer_than(self._robot.configuration(q), distance, self._around.at(station, self._depth))
 
     def _make_room(self, touching: list[Proximity]) -> None:
         """Take what was assumed away from where the arm is, or leave it out."""
@@ -146,4 +147,4 @@ class Clearance:
             else:
                 self._around = self._around.without(name)
                 self.notes.append(is_there + "left out")
-        self._links = self._links.with_obstacles(self._around.obstacles, self._own)
+        self.links = self.links.with_obstacles(self._around.obstacles, self._own)

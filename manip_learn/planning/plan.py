@@ -26,7 +26,7 @@ from manip_learn.control.way import WayDone, joint_at_limit, simulate_way
 from manip_learn.errors import ConfigurationError, FeatureError, MissingExtraError, NoPlanError, TargetError, an
 from manip_learn.planning.clearance import Clearance
 from manip_learn.planning.grasp_cone import GraspCone
-from manip_learn.planning.joint_path import JointPlanner
+from manip_learn.planning.joint_path import joint_path
 from manip_learn.planning.scene import Scene
 from manip_learn.planning.search import TIE, Marches, marches_of, relaxed
 from manip_learn.planning.stations import FEWEST, MOST, PERIOD, Margins, Postures, Stations, margins_of, rooms
@@ -243,7 +243,6 @@ def moved_to(
     clear: Clearance,
     seed: int,
     dt: float,
-    moving: Bool[np.ndarray, " nv"] | None = None,
 ) -> tuple[ResolvedRateController, Rollout] | None:
     """The motion of the joints from one posture to another, and its law; None where something is in the way.
 
@@ -254,13 +253,12 @@ def moved_to(
         clear: What is clear.
         seed: Of the path around what is in the way.
         dt: Step of the simulation [s].
-        moving: Joints that may move; None for all.
 
     Raises:
         MissingExtraError: Something is in the way of the straight motion, and RoboPlan is not installed.
     """
     robot = limits.robot
-    path = JointPlanner(clear, limits, moving).path(robot.positions(start), goal, seed)
+    path = joint_path(robot, robot.positions(start), goal, limits, clear, seed)
     if path is None:
         return None
     task = JointMotion(robot, path, APPROACH_SHARE * limits.velocity)
@@ -499,7 +497,7 @@ class _Problem:
     ) -> tuple[ResolvedRateController, Rollout] | None:
         """The motion from the start to the posture of hold, and its law; None where something is in the way."""
         try:
-            moved = moved_to(goal, self.start, self.limits, clear, self.seed, self.dt, self.stations.moving)
+            moved = moved_to(goal, self.start, self.limits, clear, self.seed, self.dt)
         except MissingExtraError as error:  # straight motions to other postures may be clear
             self.missing, moved = error, None
         if moved is None:
