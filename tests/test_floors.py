@@ -107,7 +107,7 @@ def test_no_import_cycles():
 
 
 def test_third_parties_stay_in_their_rooms():
-    """Pinocchio in robot/, planning/ and playback/, file formats in recordings/, tools of the command line in commands/."""
+    """Pinocchio in robot/, planning/ and playback/, formats in recordings/, tools of the command line in commands/."""
     faults = []
     for source in library():
         for target, line in source.imports():
