@@ -7,7 +7,7 @@ import numpy as np
 warnings.simplefilter("ignore")  # it warns about its own escapes while it is imported
 
 import roboticstoolbox as rtb  # noqa: E402
-from driving import TARGET, TIP, URDF, drive, main, report  # noqa: E402
+from driving import TARGET, TIP, URDF, answer, drive, main, report  # noqa: E402
 
 
 def step():
@@ -59,4 +59,8 @@ def stepper(manipulability):
 METHODS = {"roboticstoolbox": stepper(False), "roboticstoolbox, jacobm": stepper(True)}
 
 if __name__ == "__main__":
-    main(step=step, control=lambda *files: drive("roboticstoolbox-python", *files, METHODS))
+    main(
+        step=step,
+        control=lambda *files: drive("roboticstoolbox-python", *files, METHODS),
+        timings=lambda: answer("roboticstoolbox-python", METHODS),
+    )
