@@ -22,7 +22,7 @@ from typing import Any
 
 import control_states as states
 import numpy as np
-from controller_cases import ROBOTS, Tasks, plain_robot, tasks_of, write
+from controller_cases import ALL, Tasks, plain_robot, tasks_of, write
 from controller_scores import Scores
 from peer_controllers import DT, DURATION, GAIN, SCRIPTS, TASK_GAIN, interpreter, run
 
@@ -85,7 +85,7 @@ def state_files(folder: Path, arms: list[str]) -> dict[tuple[int, str, str], Pat
     files = {}
     for name in arms:
         robot = plain_robot(name, folder)
-        features = ml.FrameJacobian(robot, ROBOTS[name][0], "xyz")
+        features = ml.FrameJacobian(robot, ALL[name][0], "xyz")
         for s in KINDS:
             rows = np.linalg.qr(np.random.default_rng(7).normal(size=(3, 3)))[0][:s] if s < 3 else np.eye(3)
             arm = states.arm_with(ml.Constraint(rows, features))
@@ -96,7 +96,7 @@ def state_files(folder: Path, arms: list[str]) -> dict[tuple[int, str, str], Pat
                     continue
                 assert isinstance(law.task, ml.PointAttractor)
                 n, goal = len(starts), law.task.target
-                tasks = Tasks(robot, ROBOTS[name][0], [rows] * n, starts, [goal] * n, [])
+                tasks = Tasks(robot, ALL[name][0], [rows] * n, starts, [goal] * n, [])
                 files[s, name, state] = folder / f"{name}-{s}-{state}.json"
                 write(tasks, files[s, name, state], [GAIN], states.DT, 0.0, law.task.gain)
     return files
@@ -176,7 +176,7 @@ def rollouts(
 def main() -> None:
     """Measure and print the tables."""
     parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
-    parser.add_argument("--robots", nargs="+", default=list(ARMS), choices=list(ROBOTS))
+    parser.add_argument("--robots", nargs="+", default=list(ARMS), choices=list(ALL))
     parser.add_argument("--peers", nargs="+", default=list(PEERS), choices=list(PEERS))
     parser.add_argument("--tasks", type=int, default=30, help="rollouts per robot and kind of rows; 0: none")
     parser.add_argument("--rounds", type=int, default=30)

@@ -53,7 +53,7 @@ def scores(
     dt: float,
     seconds: float,
     failed: int,
-    excess: np.ndarray,
+    excess: tuple[float, float] = (0.0, 0.0),
     settle: float = 1.0,
 ) -> Scores:
     """All of them, for one motion of case i.
@@ -66,7 +66,7 @@ def scores(
         dt: Step [s].
         seconds: Time per step [s].
         failed: Steps without an answer.
-        excess: By what the commands exceed velocity limits, as a share of them, and position limits [rad], shape (2,).
+        excess: By what the commands exceed velocity limits, as a share of them, and position limits [rad].
         settle: How much of the end is looked at for changes of sign [s].
     """
     constraint = tasks.constraint(i)
@@ -91,5 +91,5 @@ def scores(
         float(flips),
         1e6 * seconds,
         failed,
-        *excess.tolist(),
+        *excess,
     )

@@ -79,7 +79,8 @@ def run(peer: str, python: str, cases: Path, tasks: Tasks, dt: float) -> dict[st
             seconds, failed, excess = (content[f"{name}|{key}"] for key in ("seconds", "failed", "excess"))
             n = len(tasks.rows)
             out[name] = [
-                scores(tasks, i % n, q[i], u[i], dt, seconds[i], int(failed[i]), excess[i]) for i in range(len(q))
+                scores(tasks, i % n, q[i], u[i], dt, seconds[i], int(failed[i]), tuple(excess[i].tolist()))
+                for i in range(len(q))
             ]
     answer.unlink()
     return out
