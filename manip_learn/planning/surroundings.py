@@ -30,6 +30,7 @@ FLOOR, FRONT, BEHIND, LEAF = "floor", "front", "front behind the hand", "leaf"
 LARGE = 10.0  # [m] half the edge of a block whose face is a floor or a front: no arm reaches around it
 HANDLE = 0.025  # [m] that the flattest usual handles stand out of their front
 SLANTED = 0.3  # of a hand's lever that must point out of a front to tell its side: 17 degrees from lying along it
+BEGUN = 1e-3  # [m] of a way from which on its direction counts
 TALL, THICK = 0.6, 0.018  # [m] of a leaf: a door of a kitchen, of the usual board
 # [m] of the leaf at the handle and at the hinge that is not looked at: a hand around the handle, the frame of the door
 EDGE = 0.05
@@ -116,8 +117,8 @@ def assumed(robot: Robot, frame: Frame, stations: Stations, mechanism: Mechanism
         obstacles += [half_space(name, face, normal, may) for name, may in ((FRONT, hand), (BEHIND, others))]
         sinks = np.maximum(0.0, (stations.places[0] - stations.places) @ normal)
     if mechanism.type == "hinge" and mechanism.axis is not None and mechanism.point is not None:
-        solid, leaf = _leaf(stations, np.asarray(mechanism.axis), np.asarray(mechanism.point), hand)
-        obstacles.append(solid)
+        solid, leaf = _leaf(stations, np.asarray(mechanism.axis), np.asarray(mechanism.point), normal, hand)
+        obstacles += [] if solid is None else [solid]
     return Surroundings(tuple(obstacles), leaf, sinks, True)
 
 
@@ -162,7 +163,11 @@ def floor_under(robot: Robot) -> float:
 def _normal(robot: Robot, frame: Frame, stations: Stations, mechanism: Mechanism) -> np.ndarray | None:
     """Out of the front: along the way of a drawer or a door, across a plane, to the side from which the hand comes."""
     if mechanism.type in ("line", "hinge"):
-        along = stations.places[1] - stations.places[0]
+        gone = stations.places - stations.places[0]
+        begun = np.flatnonzero(np.linalg.norm(gone, axis=1) > BEGUN)
+        if not len(begun):
+            return None  # a hand on the axis of a knob
+        along = gone[begun[0]]
     elif mechanism.type == "plane" and mechanism.axis is not None:
         along = np.asarray(mechanism.axis, dtype=np.float64)
     else:
@@ -178,16 +183,21 @@ def _normal(robot: Robot, frame: Frame, stations: Stations, mechanism: Mechanism
     return normal if out >= 0.0 else -normal
 
 
-def _leaf(stations: Stations, axis: np.ndarray, point: np.ndarray, hand: frozenset[str]) -> tuple[Obstacle, np.ndarray]:
-    """A door's leaf from its handle to its hinge, and where it is at each station."""
+def _leaf(
+    stations: Stations, axis: np.ndarray, point: np.ndarray, normal: np.ndarray | None, hand: frozenset[str]
+) -> tuple[Obstacle | None, np.ndarray | None]:
+    """A door's leaf from its handle to its hinge, and where it is at each station; None of what is no door."""
     arms = stations.places - point
     arms = arms - np.outer(arms @ axis, axis)
-    radius = float(np.linalg.norm(arms[0]))
-    wide = max(radius - 2.0 * EDGE, 0.2 * radius)
+    wide = float(np.linalg.norm(arms[0])) - 2.0 * EDGE
+    if normal is None or wide <= 0.0:
+        return None, None
     poses = np.repeat(np.eye(4)[None], len(stations), axis=0)
+    side = np.sign(np.cross(axis, arms[0]) @ normal)
     for pose, place, arm in zip(poses, stations.places, arms, strict=True):
         x = arm / np.linalg.norm(arm)
-        pose[:3, :3] = np.column_stack([x, np.cross(axis, x), axis])
-        pose[:3, 3] = place - 0.5 * arm
+        y = np.cross(axis, x)
+        pose[:3, :3] = np.column_stack([x, y, axis])
+        pose[:3, 3] = place - 0.5 * arm - side * (HANDLE + 0.5 * THICK) * y
     half = 0.5 * np.array([wide, THICK, TALL])
     return Obstacle(LEAF, poses[0], coal.Box(*(2.0 * half)), half, hand), poses
