@@ -204,9 +204,10 @@ def test_clear_is_what_is_not_close(robot_of, balls, name):
     robot = balls if name == "balls" else robot_of(name)
     scene, rng, answers = scene_of(*THINGS, floor=-0.5), np.random.default_rng(12), []
     collision = SelfCollision(robot, shapes=ARMS.get(name, "collision"), obstacles=scene.obstacles(robot))
-    for k in range(150):
+    for k in range(50):
         q, moved = robot.random_configuration(rng), {"box": pose((0.0, 3.0, 0.1 * k)), "ell": pose((2.0, 0.0, 2.0))}
-        for distance, places in ((0.0, {}), (0.005, moved), (0.03, moved)):
+        about = {"ell": pose(robot.pose(q, robot.frame_names[-1])[:3, 3])}  # the last link is within a beam
+        for distance, places in ((0.0, {}), (0.005, moved), (0.03, moved), (0.0, about)):
             close = collision.closer_than(q, distance, places)
             at_limit = any(abs(pair.distance - distance) < 1e-6 for pair in collision.closer_than(q, 0.04, places))
             assert at_limit or collision.is_clear(q, distance, places) == (not close)
