@@ -134,6 +134,8 @@ def test_what_moves_is_where_it_is(roboplan, sawyer: ml.Robot):
     moves = Clearance(sawyer, links_of(sawyer)[0], leaf, start)
     path, same = (joint_path(sawyer, start, goal, limits, clear, 0) for clear in (stands, moves))
     assert path is not None and same is not None and np.array_equal(path, same)
+    others = [joint_path(sawyer, start, goal, limits, stands, seed) for seed in (1, 2)]
+    assert not any(other is not None and np.array_equal(path, other) for other in others)
 
 
 def test_what_cannot_be_is_said(roboplan, caplog):
