@@ -10,7 +10,7 @@ import numpy as np
 from jaxtyping import Float
 
 from manip_learn.errors import RobotError
-from manip_learn.planning.surroundings import BEHIND, FLOOR, FRONT, LARGE, Surroundings
+from manip_learn.planning.surroundings import AWAY, BEHIND, FLOOR, FRONT, Surroundings
 from manip_learn.robot.collision import Obstacle, Proximity, SelfCollision
 from manip_learn.robot.robot import Robot
 
@@ -18,6 +18,7 @@ from manip_learn.robot.robot import Robot
 # come within 2 cm
 CLEARANCE = 0.005
 ROUNDED = 1e-3  # [m] behind the hand that takes hold there is this much more room than it takes: it shakes a little
+DEEPER = 4  # times that what the hand is in is moved out of its way: its faces are met one after the other
 FARTHER = 0.1  # [m] by which a floor or a front that was assumed may be elsewhere: no handle stands out farther
 STEP = 0.02  # [rad or m] between checks: a hand at 0.25 m moves by the clearance
 Posture = Float[np.ndarray, " nv"]
@@ -52,7 +53,7 @@ class Clearance:
             taken. What was only assumed to stand around and touches there is left out.
 
     Attributes:
-        least: The clearance [m].
+        least: The clearance [m]; of two things that are nearer at the start, half their distance there.
         links: Distances of the links from each other and from what stands around.
         notes: What was left out, in sentences.
     """
@@ -67,20 +68,17 @@ class Clearance:
                 + (", capsules along its links keep clear of what stands around" if around.obstacles else "")
             )
         self.links = found.with_obstacles(around.obstacles, self._own)
-        self._start, self._around, self._depth = (
-            start,
-            around,
-            LARGE,
-        )  # what is behind the front is out of the way of every hand
+        self._start, self._around, self._behind = start, around, AWAY
         if around.is_assumed:
             self._make_room(self._pairs(start, 0, 0.0))
-        nearest = [pair.distance for pair in self._pairs(start, 0, 2.0 * CLEARANCE)]
-        self.least = max(0.0, min([CLEARANCE, *(0.5 * distance for distance in nearest)]))
+        near = [pair for pair in self._pairs(start, 0, 2.0 * CLEARANCE) if pair.distance >= 0.0]
+        self._near = {pair.links: 0.5 * pair.distance for pair in reversed(near)}
+        self.least = min([CLEARANCE, *self._near.values()])
 
     @property
     def obstacles(self) -> tuple[Obstacle, ...]:
         """What stands around, where it is before the way."""
-        return self._around.placed(self._depth)
+        return self._around.placed(self._behind)
 
     @property
     def pairs(self) -> list[tuple[int, int]]:
@@ -90,7 +88,7 @@ class Clearance:
     @property
     def shown(self) -> tuple[Obstacle, ...]:
         """What a person would see of them."""
-        return tuple(o for o in self.obstacles if o.name != BEHIND)
+        return self._around.shown
 
     @property
     def names(self) -> tuple[str, ...]:
@@ -98,24 +96,33 @@ class Clearance:
         return self._around.names
 
     def holding(self, q: Posture) -> Clearance:
-        """This clearance for a hand that may be as far behind the front as where it takes hold, or as at the start."""
-        if FRONT not in self.names:
-            return self
-        postures = (self._robot.configuration(x) for x in (q, self._start))
-        pairs = [pair for x in postures for pair in self.links.closer_than(x, 0.0, self._around.at(0, 0.0))]
-        other = copy.copy(self)
-        deep = max([0.0, *(-pair.distance for pair in pairs if pair.links[1] == BEHIND)])
-        other._depth = deep + self.least + ROUNDED
+        """This clearance for a hand that goes no deeper into what it may touch than here, or at the start."""
+        other, names = copy.copy(self), {name + BEHIND: name for name in self._around.held}
+        other._behind = {name: np.zeros(3) for name in names.values()}
+        room = CLEARANCE + ROUNDED
+        for _ in range(DEEPER if names else 0):
+            found = [pair for x in (q, self._start) for pair in other._pairs(x, 0, room)]
+            deepest = min((p for p in found if p.links[1] in names), key=lambda pair: pair.distance, default=None)
+            if deepest is None:
+                return other
+            moved = (1e-6 + room - deepest.distance) * deepest.normal
+            other._behind = {**other._behind, names[deepest.links[1]]: other._behind[names[deepest.links[1]]] + moved}
+        other._behind = AWAY if names else other._behind
         return other
 
     def touching(self, q: Posture, station: int = 0, distance: float | None = None) -> Proximity | None:
         """Two things nearer to each other than a distance [m], by default the clearance; None if none are."""
-        pairs = self._pairs(q, station, self.least if distance is None else distance)
+        if distance is None:
+            pairs = [p for p in self._pairs(q, station, CLEARANCE) if p.distance <= self._near.get(p.links, CLEARANCE)]
+        else:
+            pairs = self._pairs(q, station, distance)
         return min(pairs, key=lambda pair: pair.distance, default=None)
 
     def __call__(self, q: Posture, station: int = 0) -> bool:
         """Whether a posture is clear, while the hand is at a station of its way."""
-        return self.links.is_clear(self._robot.configuration(q), self.least, self._around.at(station, self._depth))
+        moved = self._around.at(station, self._behind)
+        clear = self.links.is_clear(self._robot.configuration(q), CLEARANCE, moved)
+        return clear or (bool(self._near) and self.touching(q, station) is None)
 
     def of_line(self, a: Posture, b: Posture, station: int = 0) -> bool:
         """Whether the straight joint motion between two postures is clear, the middle looked at first."""
@@ -134,7 +141,7 @@ class Clearance:
         return nodes and all(self.of_line(a, b, k) for k, (a, b) in enumerate(zip(path, path[1:], strict=False), 1))
 
     def _pairs(self, q: Posture, station: int, distance: float) -> list[Proximity]:
-        return self.links.closer_than(self._robot.configuration(q), distance, self._around.at(station, self._depth))
+        return self.links.closer_than(self._robot.configuration(q), distance, self._around.at(station, self._behind))
 
     def _make_room(self, touching: list[Proximity]) -> None:
         """Take what was assumed away from where the arm is, or leave it out."""

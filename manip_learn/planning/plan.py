@@ -24,7 +24,7 @@ from manip_learn.control.tasks.driven_motion import way_in_words
 from manip_learn.control.tasks.motion import FreeDirection
 from manip_learn.control.way import WayDone, joint_at_limit, simulate_way
 from manip_learn.errors import ConfigurationError, FeatureError, MissingExtraError, NoPlanError, TargetError, an
-from manip_learn.planning.clearance import Clearance
+from manip_learn.planning.clearance import CLEARANCE, Clearance
 from manip_learn.planning.grasp_cone import GraspCone
 from manip_learn.planning.joint_path import joint_path
 from manip_learn.planning.scene import Scene
@@ -368,7 +368,8 @@ class _Problem:
         """What stands around."""
         features: Any = self.rows.features
         if isinstance(scene, Scene):
-            return Surroundings(tuple(scene.obstacles(self.robot, hand_of(self.robot, features.frame))))
+            hand = hand_of(self.robot, features.frame)
+            return Surroundings(scene.obstacles(self.robot, hand)).for_hand(self.robot, hand)
         if scene is None:
             return Surroundings()
         if scene != "assumed":
@@ -610,11 +611,11 @@ class _Problem:
             clear = self.clear.holding(path[0])
             pairs = [pair for k, q in enumerate(path) if (pair := clear.touching(q, k)) is not None]
             deepest = min(pairs, key=lambda pair: pair.distance, default=None)
-            if deepest is not None and (least is None or clear.least - deepest.distance < least[0]):
-                least = clear.least - deepest.distance, deepest.links
+            if deepest is not None and (least is None or CLEARANCE - deepest.distance < least[0]):
+                least = CLEARANCE - deepest.distance, deepest.links
         if least is None:
             return None, ()
-        far, (link, other) = least
+        far, (link, other) = np.ceil(100.0 * least[0]) / 100.0, least[1]
         moved = f"the {other} {far:.2f} m farther from {link} would leave room for the nearest of the postures"
         return (link, other), (moved,) if other in self.clear.names else ()
 

@@ -224,11 +224,13 @@ class Proximity(NamedTuple):
         links: Names of the two links, or of a link and an obstacle.
         distance: [m]; negative where the shapes overlap: the depth.
         gradient: d distance / dq, shape (nv,) [m/rad or 1].
+        normal: shape (3,), the way in the base frame in which the second would have to move away.
     """
 
     links: tuple[str, str]
     distance: float
     gradient: Float[np.ndarray, " nv"]
+    normal: Float[np.ndarray, " 3"]
 
 
 @final
@@ -401,12 +403,12 @@ class SelfCollision:
         J = np.asarray(data.J).reshape(6, self._model.nv)  # columns are twists at the base's origin
         gradient = (self._carries[b] - self._carries[a]) * wrench.dot(J)
         if distance < 0.0 < result.min_distance:  # from within
-            gradient = -gradient
+            gradient, nx, ny, nz = -gradient, -nx, -ny, -nz
         if not np.all(np.isfinite(gradient)):
-            gradient = np.zeros(self._model.nv)
+            gradient, nx, ny, nz = np.zeros(self._model.nv), 0.0, 0.0, 0.0
         coupling = self.robot.coupling
         lifted = gradient if coupling is None else gradient @ coupling.lift
-        return Proximity(self._links(a, b), distance, lifted)
+        return Proximity(self._links(a, b), distance, lifted, np.array([nx, ny, nz]))
 
     def _links(self, a: int, b: int) -> tuple[str, str]:
         return self._solids[a].link, self._solids[b].link
