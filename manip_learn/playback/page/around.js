@@ -26,7 +26,7 @@ class AroundThing {
     this.group.matrixAutoUpdate = false;
     this.group.add(body);
     geometry.computeBoundingBox();
-    this.top = isFloor ? null : isFace ? new THREE.Vector3(this.size[0] / 2, 0, this.size[1] / 2) : geometry.boundingBox.max.clone();
+    this.top = isFloor ? null : isFace ? new THREE.Vector3(this.size[0] / 2, 0, this.size[1] / 2) : new THREE.Vector3(0, 0, geometry.boundingBox.max.z);
     if (!isFloor) {
       const ink = this.assumed ? new THREE.LineDashedMaterial({ color: colour, dashSize: 0.025, gapSize: 0.015, toneMapped: false }) : new THREE.LineBasicMaterial({ color: colour, toneMapped: false });
       this.group.add(new THREE.LineSegments(new THREE.EdgesGeometry(geometry, 30), ink).computeLineDistances());
