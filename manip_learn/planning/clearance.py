@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import copy
+from collections.abc import Iterable
 from functools import lru_cache
-from typing import final
+from typing import Any, final
 
 import numpy as np
 from jaxtyping import Float
@@ -21,6 +22,9 @@ ROUNDED = 1e-3  # [m] behind the hand that takes hold there is this much more ro
 DEEPER = 4  # times that what the hand is in is moved out of its way: its faces are met one after the other
 FARTHER = 0.1  # [m] by which a floor or a front that was assumed may be elsewhere: no handle stands out farther
 STEP = 0.02  # [rad or m] between checks: a hand at 0.25 m moves by the clearance
+LAST = 10**9  # a station behind all of them: the last one
+NEAR = 0.3  # [m] up to which a plan says how near it comes to what stands around: farther away nobody asks
+MOST_TRIANGLES = 10_000  # of all that stands around, in a rollout: 0.3 MB of text
 Posture = Float[np.ndarray, " nv"]
 
 
@@ -89,6 +93,26 @@ class Clearance:
     def shown(self) -> tuple[Obstacle, ...]:
         """What a person would see of them."""
         return self._around.shown
+
+    def plain(self, path: Iterable[tuple[Posture, int]]) -> tuple[dict[str, Any], ...]:
+        """The same as plain data: whether it was assumed, whether it moves, and how near what link comes to it [m].
+
+        Args:
+            path: Postures, and at which station of the way.
+        """
+        nearest = dict[str, Proximity]()
+        for q, station in path:
+            for pair in self._pairs(q, station, NEAR):
+                if (known := nearest.get(pair.links[1])) is None or pair.distance < known.distance:
+                    nearest[pair.links[1]] = pair
+        now, later, out = self._around.at(0), self._around.at(LAST), list[dict[str, Any]]()
+        for o in self.shown:
+            moves = o.name in now and not np.array_equal(now[o.name], later[o.name])
+            known = {"assumed": self._around.is_assumed, "moves": moves}
+            if (pair := nearest.get(o.name)) is not None:
+                known |= {"nearest": pair.distance, "link": pair.links[0]}
+            out.append(o.to_dict(MOST_TRIANGLES // len(self.shown)) | known)
+        return tuple(out)
 
     @property
     def names(self) -> tuple[str, ...]:

@@ -49,6 +49,7 @@ PLACES, SENSES = 3, 8  # of the base: distances, and directions in the plane
 LESS = 0.9  # of a way that did not come true is tried next
 LEAST_SHARE = 0.01  # of the whole way: less is no part of it
 LOOKED = 20  # of marches in whose way something is, for what would help
+SEEN = 60  # postures of an approach of which a plan says how near they come to what stands around
 TURN = 2.0 * np.pi
 Around = Scene | Literal["assumed"] | None
 
@@ -549,6 +550,10 @@ class _Problem:
         approach = replace(approach, phases=(("approach", 0.0, float(approach.time[-1])),))
         done = ({**outcome.to_dict(), "margin": margins.margin},)
         way = replace(way, phases=(*((("hold", 0.0, held),) if held else ()), ("way", held, end)), ways=done)
+        path = [(q, 0) for q in approach.q[:: len(approach) // SEEN + 1]]
+        times = held + self.stations.time * ((outcome.seconds or end) / self.stations.time[-1])
+        path += [(q, k) for k, q in enumerate(way.q[np.minimum(np.searchsorted(way.time, times), len(way) - 1)])]
+        way = replace(way, around=self.clear.plain((self.robot.positions(q), k) for q, k in path))
         numbers = margins.margin, margins, outcome, others, laws, compared, self.notes, self.clear.shown
         return Plan(self.robot, hold, approach, way, *numbers)
 

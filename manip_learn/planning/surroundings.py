@@ -24,12 +24,11 @@ from manip_learn.constraint.mechanism import Mechanism
 from manip_learn.errors import RobotError
 from manip_learn.planning.scene import Scene
 from manip_learn.planning.stations import Stations
-from manip_learn.robot.collision import Obstacle, collision_shapes
+from manip_learn.robot.collision import LARGE, Obstacle, collision_shapes
 from manip_learn.robot.joints import Frame
 from manip_learn.robot.robot import Robot
 
 FLOOR, FRONT, LEAF, BEHIND = "floor", "front", "leaf", " behind the hand"
-LARGE = 10.0  # [m] half the edge of a block whose face is a floor or a front: no arm reaches around it
 HANDLE = 0.025  # [m] that the flattest usual handles stand out of their front
 SLANTED = 0.3  # of a hand's lever that must point out of a front to tell its side: 17 degrees from lying along it
 BEGUN = 1e-3  # [m] of a way from which on its direction counts

@@ -39,6 +39,7 @@ TOLERANCE = 1e-12
 MARGIN = 0.001  # [m] beyond a distance, up to which Coal looks closely whether shapes are nearer than it
 MAX_ITERATIONS = 1000  # of the distance of two shapes, which ends by itself before
 MOST_PARTS = 30  # of a mesh that are looked at one by one: a cabinet with doors and handles
+LARGE = 10.0  # [m] half the edge of a block whose face is a floor or a front: no arm reaches around it
 FLAT = 1e-9  # volume over that of a cube as long: a sheet, which has no inside
 
 
@@ -82,6 +83,30 @@ class Obstacle:
     half: Float[np.ndarray, " 3"]
     may_touch: frozenset[str] = frozenset()
     closed: Any = None
+
+    def to_dict(self, most: int) -> dict[str, Any]:
+        """As plain data: its name, its pose, its kind and its numbers [m]; a large block is its face across z.
+
+        Args:
+            most: Triangles; a mesh of more is the box about it.
+        """
+        shape, half, placement = self.geometry, self.half.tolist(), self.placement.copy()
+        described: dict[str, Any] = {"kind": "box", "size": [2.0 * x for x in half]}
+        if min(half) >= LARGE:
+            described = {"kind": "face"}
+            placement[:3, 3] += half[2] * placement[:3, 2]
+        elif isinstance(shape, coal.Sphere):
+            described = {"kind": "sphere", "size": half[:1]}
+        elif isinstance(shape, coal.Cylinder):
+            described = {"kind": "cylinder", "size": [half[0], 2.0 * half[2]]}
+        elif not isinstance(shape, coal.Box):
+            is_convex = isinstance(shape, coal.Convex)
+            n, corners = (shape.num_polygons, shape.polygons) if is_convex else (shape.num_tris, shape.tri_indices)
+            points = np.array(shape.points() if is_convex else shape.vertices())
+            if n <= most:
+                faces = [[corners(k)[i] for i in range(3)] for k in range(n)]
+                described = {"kind": "mesh", "vertices": points.round(5).tolist(), "faces": faces}
+        return {"name": self.name, "pose": placement.tolist()} | described
 
 
 @lru_cache(maxsize=16)
