@@ -28,8 +28,18 @@ from manip_learn.planning.clearance import CLEARANCE, Clearance
 from manip_learn.planning.grasp_cone import GraspCone
 from manip_learn.planning.joint_path import joint_path
 from manip_learn.planning.scene import Scene
-from manip_learn.planning.search import TIE, Marches, marches_of, relaxed
-from manip_learn.planning.stations import FEWEST, MOST, PERIOD, Margins, Postures, Stations, margins_of, rooms
+from manip_learn.planning.search import APART, TIE, Marches, marches_of, relaxed
+from manip_learn.planning.stations import (
+    FEWEST,
+    MOST,
+    PERIOD,
+    Margins,
+    Postures,
+    Stations,
+    margins_of,
+    node_margins,
+    rooms,
+)
 from manip_learn.planning.surroundings import Surroundings, assumed, hand_of
 from manip_learn.recordings.trajectory_source import Progress
 from manip_learn.robot import html_card
@@ -225,9 +235,7 @@ def plan(
         more = problem.marches(AGAIN * candidates)
         found = problem.best(more, said)
         marches = marches.joined_with(more)
-    stands = problem.as_it_stands()
-    if stands is not None and (found is None or stands.margin >= found.margin - TIE):
-        found = stands
+    found = problem.as_it_stands(found) or found
     if found is None and problem.missing is not None:
         raise problem.missing
     if found is None:
@@ -513,10 +521,20 @@ class _Problem:
         policy = PathPolicy(time, path, FOLLOWING, self.robot, self.stations.moving, task)
         return ResolvedRateController(self.constraint, task, policy, limits=self.limits, dt=self.dt)
 
-    def as_it_stands(self) -> Plan | None:
-        """The way from the start with the ascent of mu, or with spare joints at rest, where that comes true."""
+    def as_it_stands(self, found: Plan | None) -> Plan | None:
+        """The way from the start with the ascent of mu, or with spare joints at rest.
+
+        Args:
+            found: The plan otherwise.
+
+        Returns:
+            None where that does not come true, or leaves less than the other plan by more than a tie.
+        """
         if self.motion.hold(self.start) > 0.0 or self.grasp is not None:
             return None
+        least = -np.inf if found is None else found.margin - TIE
+        if node_margins(self.stations, self.positions[None], np.zeros(1, dtype=int)).least[0] < least:
+            return None  # where the way begins it leaves less already
         clear = self.clear.holding(self.positions)
         for policy in (self.motion.ascent(), None):
             task = self.motion.with_distance(self.motion.wanted)
@@ -532,7 +550,14 @@ class _Problem:
                 continue
             margins = margins_of(self.stations, path)
             sequence = LawSequence(reached[0], law)
-            return self._plan(sequence, self.positions, reached[1], way, margins, outcome, (), 0)
+            if margins.margin < least:
+                continue
+            stands = self._plan(sequence, self.positions, reached[1], way, margins, outcome, (), 0)
+            if found is None:
+                return stands
+            others = [Choice(found.hold, found.margin, found.margins.limited_by(self.motion.unit)), *found.others]
+            apart = [other for other in others if np.max(np.abs(other.posture - self.positions)) > APART]
+            return replace(stands, others=tuple(apart[:OTHERS]), candidates=found.candidates)
         return None
 
     def _plan(
