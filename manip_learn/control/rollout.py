@@ -50,7 +50,7 @@ class Rollout:
             commands give it [rad or m]; None if it is not known.
         phases: Name, start and end [s] of the parts that follow each other, e.g. of a plan; empty where it is one.
         ways: What became of each way along a mechanism, as `WayDone.to_dict` says it, `begins` on this clock [s].
-        around: What a plan kept clear of, as `manip_learn.planning.surroundings.plain` says it.
+        around: What a plan kept clear of, as `Obstacle.to_dict` says it, and how near it came to each [m].
 
     Example:
         >>> import manip_learn as ml
@@ -136,8 +136,10 @@ class Rollout:
         phases = (*self.phases, *((name, start + shift, end + shift) for name, start, end in other.phases))
         status = (*self.status[:-1], *other.status)
         later = ({**way, "begins": None if way["begins"] is None else way["begins"] + shift} for way in other.ways)
-        around = (*self.around, *(thing for thing in other.around if thing not in self.around))
-        parts = {"phases": phases, "ways": (*self.ways, *later), "around": around}
+        around = dict[str, Mapping[str, Any]]()  # of what stands around in both, where the arm comes nearer to it
+        for thing in sorted((*self.around, *other.around), key=lambda thing: thing.get("nearest", np.inf)):
+            around.setdefault(json.dumps({k: v for k, v in thing.items() if k not in ("nearest", "link")}), thing)
+        parts = {"phases": phases, "ways": (*self.ways, *later), "around": tuple(around.values())}
         return replace(other, **joined, time=time, status=status, following_error=None, **parts)
 
     def violation(self, constraint: Constraint) -> Float[np.ndarray, " T"]:

@@ -107,7 +107,7 @@ class Clearance:
                     nearest[pair.links[1]] = pair
         now, later, out = self._around.at(0), self._around.at(LAST), list[dict[str, Any]]()
         for o in self.shown:
-            moves = o.name in now and not np.array_equal(now[o.name], later[o.name])
+            moves = o.name in now and not np.allclose(now[o.name], later[o.name])
             known = {"assumed": self._around.is_assumed, "moves": moves}
             if (pair := nearest.get(o.name)) is not None:
                 known |= {"nearest": pair.distance, "link": pair.links[0]}

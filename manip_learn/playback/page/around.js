@@ -1,7 +1,7 @@
 // What a plan keeps clear of, as it stands there; and all of the arm's way past it in one picture.
 
 const AROUND = { given: "#5f5a66", assumed: "#8a6d3b" };
-const STEP = 0.1, MOST_STATIONS = 60; // between two pictures of the arm on its way [rad or m], and how many there are
+const BETWEEN = 0.1, MOST_STATIONS = 60; // between two pictures of the arm on its way [rad or m], and how many there are
 const OPTION = "--scene";
 const MOST_NAMES = 6; // in the picture; the legend has all
 
@@ -60,7 +60,7 @@ function sweptGroup(show, rollout, geometries) {
     let before = null;
     for (let k = 0; k <= MOST_STATIONS; k++) {
       const t = start + (k / MOST_STATIONS) * (end - start), values = Array.from(show.valuesAt(rollout, t));
-      if (before && k < MOST_STATIONS && Math.max(...values.map((x, i) => Math.abs(x - before[i]))) < STEP) continue;
+      if (before && k < MOST_STATIONS && Math.max(...values.map((x, i) => Math.abs(x - before[i]))) < BETWEEN) continue;
       moments.push(values);
       before = values;
     }

@@ -20,7 +20,7 @@ class Legend {
     for (const rollout of rollouts.filter((r) => r.around.length)) {
       const words = Object.assign(document.createElement("p"), { className: "around" }), [said, after] = aroundInWords(rollout).split(OPTION);
       words.append(`${rollouts.length > 1 ? `${rollout.name} keeps` : "Keeps"} clear of ${said}`);
-      if (after) words.append(Object.assign(document.createElement("code"), { textContent: OPTION }), after);
+      if (after) words.append(Object.assign(document.createElement("span"), { textContent: OPTION }), after);
       element.prepend(words);
     }
     if (mechanisms.length) {

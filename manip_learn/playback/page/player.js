@@ -22,7 +22,7 @@ function readable(mu) {
 function prepare(rollout, index, phaseKinds) {
   const own = rollout.phaseKinds && ownKinds(rollout.phaseKinds, rollout.colour), kinds = own || phaseKinds;
   return {
-    ...rollout, kinds, hasPhases: phaseKinds.length > 0, hasOwnPhases: Boolean(own), bands: bandsOf(rollout, kinds), index, visible: true, solid: index === 0,
+    around: [], ...rollout, kinds, hasPhases: phaseKinds.length > 0, hasOwnPhases: Boolean(own), bands: bandsOf(rollout, kinds), index, visible: true, solid: index === 0,
     keyTimes: decode(rollout.keyTimes, Float64Array), tracks: decode(rollout.tracks, Float64Array),
     path: decode(rollout.path, Float32Array), pathTimes: decode(rollout.pathTimes, Float32Array),
     curve: decode(rollout.curve, Float64Array), curveTimes: decode(rollout.curveTimes, Float64Array),
