@@ -448,7 +448,7 @@ def _add_arm(mujoco: Any, spec: Any, scene: TeachingScene) -> None:
     for k, shape in enumerate(one for one in shapes if one.joint and one.link not in hand):
         solid, at = shape.geometry, shape.placement
         made = bodies[shape.joint].add_geom(pos=at[:3, 3], quat=_quaternion(at[:3, :3]), contype=1, conaffinity=0)
-        if hasattr(solid, "points"):  # a hull
+        if getattr(solid, "points", None) is not None:  # a hull
             spec.add_mesh(name=f"link_{k}", uservert=np.array(solid.points()).ravel())
             made.type, made.meshname = mujoco.mjtGeom.mjGEOM_MESH, f"link_{k}"
             continue
