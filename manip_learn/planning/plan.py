@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, Literal, final
@@ -593,9 +594,9 @@ class _Problem:
             base_within: As for `plan`.
         """
         clear = marches.where(lambda q, k: self.clear.holding(q)(q, k) if k == 0 else self.clear(q, k))
-        last = clear.reached
-        pair, helps = self._in_the_way(marches) if last < marches.reached else (None, ())
-        if self.unreached is not None and last == len(self.stations) - 1:
+        last, end = clear.reached, len(self.stations) - 1
+        pair, helps = self._in_the_way(marches) if last < marches.reached == end else (None, ())
+        if self.unreached is not None and last == end:
             pair = self.unreached
         helps = (*helps, *self._helps(candidates, base_within))
         more = "".join(f"; {sentence}" for sentence in helps)
@@ -613,16 +614,16 @@ class _Problem:
                 stopped_by="the end of the arm's reach",
                 helps=helps,
             )
-        largest, stopped_by, posture = 0.0, "", None
+        largest, stopped_by, posture = 0.0, self._stopped_by(marches), None
         if last >= 1:
             paths = [clear.q[march, : last + 1] for march in clear.choices(last)[:OTHERS]]
             ends = [self._largest(path) for path in paths]
             longest = max(range(len(ends)), key=lambda i: abs(ends[i][0]))
-            largest, stopped_by = ends[longest]
-            posture = paths[longest][0] if largest else None
+            largest, posture = ends[longest][0], paths[longest][0] if ends[longest][0] else None
+            stopped_by = ends[longest][1] or stopped_by
         if pair is not None:
             stopped_by = f"{pair[0]} and {pair[1]}, which would touch" + (
-                " on the way from the start to where the hand takes hold" if last == len(self.stations) - 1 else ""
+                " on the way from the start to where the hand takes hold" if last == end else ""
             )
         return NoPlanError(
             f"no plan for {way_in_words(self.motion.wanted, self.motion.unit)}: "
@@ -634,24 +635,25 @@ class _Problem:
         )
 
     def _in_the_way(self, marches: Marches) -> tuple[tuple[str, str] | None, tuple[str, ...]]:
-        """The two things that are least in each other's way on the marches that come farthest, and what would help."""
-        least: tuple[float, tuple[str, str]] | None = None
+        """The two things that are least in each other's way on the whole way, and what would help."""
+        found: list[tuple[bool, float, tuple[str, str]]] = []
         for march in marches.choices(marches.reached)[:LOOKED]:
             path = marches.q[march, : marches.reached + 1]
             clear = self.clear.holding(path[0])
             pairs = [pair for k, q in enumerate(path) if (pair := clear.touching(q, k)) is not None]
-            deepest = min(pairs, key=lambda pair: pair.distance, default=None)
-            if deepest is not None and (least is None or CLEARANCE - deepest.distance < least[0]):
-                least = CLEARANCE - deepest.distance, deepest.links
-        if least is None:
+            if pairs:
+                deepest = min(pairs, key=lambda pair: pair.distance)
+                several = len({pair.links[1] for pair in pairs}) > 1
+                found.append((several, CLEARANCE - deepest.distance, deepest.links))
+        if not found:
             return None, ()
-        far, (link, other) = np.ceil(100.0 * least[0]) / 100.0, least[1]
-        moved = f"the {other} {far:.2f} m farther from {link} would leave room for the nearest of the postures"
-        return (link, other), (moved,) if other in self.clear.names else ()
+        several, depth, (link, other) = min(found)
+        moved = f"the {other} {np.ceil(100.0 * depth) / 100.0:.2f} m farther from {link} would leave room there"
+        return (link, other), (moved,) if other in self.clear.names and not several else ()
 
     def _largest(self, path: Postures) -> tuple[float, str]:
-        """How much of the way comes true from the beginning of a path, and what stops it."""
-        stopped_by, distance = self._stopped_by(path), float(self.stations.distance[len(path) - 1])
+        """How much of the way comes true from the beginning of a path, and what stops it before the end of that."""
+        stopped_by, distance = "", float(self.stations.distance[len(path) - 1])
         times = max(1.0, SPARE * (1.0 - margins_of(self.stations, path).speed))
         while abs(distance) >= LEAST_SHARE * abs(self.motion.wanted):
             task = self.motion.with_distance(distance).slowed(times)
@@ -667,16 +669,19 @@ class _Problem:
             distance = LESS * (outcome.done if 0.0 < outcome.done / distance < 1.0 and not outcome.strays else distance)
         return 0.0, stopped_by
 
-    def _stopped_by(self, path: Postures) -> str:
-        """What keeps the last posture of a path from going on, in words."""
-        q, k = path[-1], np.array([len(path) - 1])
-        if len(path) == len(self.stations):
+    def _stopped_by(self, marches: Marches) -> str:
+        """What keeps the marches that come farthest from going on, in words."""
+        last = marches.reached
+        if last == len(self.stations) - 1:
             return "limits of the loop in simulation"
-        if (joint := joint_at_limit(self.robot, q)) is not None:
-            return joint
-        A = self.stations.matrices(q[None], k)[0]
+        farthest = marches.choices(last)
+        ends = marches.q[farthest, last]
+        limits = Counter(filter(None, (joint_at_limit(self.robot, q) for q in ends)))
+        if 2 * sum(limits.values()) > len(ends):
+            return limits.most_common(1)[0][0]
+        A = self.stations.matrices(ends[:1], np.array([last]))[0]
         left, sigma, _ = np.linalg.svd(A, full_matrices=False)
-        x, y, z, rx, ry, rz = left[:, -1] @ self.stations.rows[k[0]]
+        x, y, z, rx, ry, rz = left[:, -1] @ self.stations.rows[last]
         moves = np.hypot(np.hypot(x, y), z) >= np.hypot(np.hypot(rx, ry), rz)
         what, d = ("move along", (x, y, z)) if moves else ("turn about", (rx, ry, rz))
         words = ", ".join(f"{c:.2f}" for c in np.array(d) / np.linalg.norm(d))

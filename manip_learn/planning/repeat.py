@@ -273,7 +273,7 @@ def _named(rollout: Rollout, name: str) -> Rollout:
     phases = tuple((f"{name}: {part}", start, end) for part, start, end in rollout.phases)
     ways = tuple({**way, "name": name, "constraint": rollout.constraint} for way in rollout.ways)
     around = tuple(
-        thing | {"name": f"{thing['name']} of {name}"} if thing["name"] in (FRONT, LEAF) else thing
+        {**thing, "name": f"{thing['name']} of {name}"} if thing["name"] in (FRONT, LEAF) else thing
         for thing in rollout.around
     )
     return replace(rollout, phases=phases, ways=ways, around=around)
