@@ -195,10 +195,10 @@ def in_physics(starts: int, seed: int) -> str:
             force, sequence = [], loop.controller
             for _ in range(round((plan.rollout.time[-1] + 1.0) / PERIOD)):
                 command = loop.update(physics.read()[0], physics.time)
-                if sequence.way_begins is not None and not force:
+                if sequence.number > 0 and not force:
                     physics.take_hold()
                 physics.command(loop.position, command.velocity)
-                if sequence.way_begins is not None:
+                if sequence.number > 0:
                     force.append(physics.side_force)
             short.append(1e3 * (WAY - physics.way))
             forces.append(max(force[50:], default=np.inf))
