@@ -32,7 +32,8 @@ import manip_learn as ml
 from manip_learn.control.limits import Limits
 from manip_learn.control.way import simulate_way
 from manip_learn.planning.clearance import Clearance, self_collision
-from manip_learn.planning.plan import FOLLOWING, SPARE, PathPolicy, moved_to
+from manip_learn.planning.joint_path import joint_path
+from manip_learn.planning.plan import FOLLOWING, SPARE, PathPolicy
 from manip_learn.planning.search import marches_of
 from manip_learn.planning.stations import Stations
 from manip_learn.planning.surroundings import Surroundings, assumed, hand_of
@@ -53,7 +54,7 @@ FREE_START, FREE_WAY = 0.03, 0.1  # [m] from a random box to the arm at the star
 START_CLEAR = 0.011  # [m] of the arm's links from what stands around: twice the clearance of a plan, and a little
 STATIONS = 200  # of approach and way together
 CLEAR = 0.005  # [m] that a plan promises
-EXHAUSTIVE, EXHAUSTIVE_SECONDS = 2000, 90.0  # postures; [s] of processor for one start
+EXHAUSTIVE, EXHAUSTIVE_SECONDS = 2000, 40.0  # postures; [s] of processor for one start
 Q = np.ndarray
 
 
@@ -373,7 +374,9 @@ def exhaustive(one: World, scene: ml.Scene | str | None, seed: int) -> dict[str,
     else:
         around = assumed(robot, frame, stations, one.constraint.mechanism, True) if scene else Surroundings()
     clear, whole = Clearance(robot, True, around, one.start), np.flatnonzero(np.isfinite(marches.along[:, -1]))
-    counts = {"postures": int(np.isfinite(marches.least[:, 0]).sum()), "whole": len(whole), "clear": 0, "reached": 0}
+    reached = int(marches.reached)
+    counts: dict[str, Any] = {"postures": int(np.isfinite(marches.least[:, 0]).sum()), "whole": len(whole)}
+    counts |= {"clear": 0, "reached": 0, "share": max(reached, 0) / (len(stations) - 1)}
     for march in whole[np.argsort(-marches.along[whole, -1])].tolist():
         if time.process_time() - began > EXHAUSTIVE_SECONDS:
             return counts | {"found": None}
@@ -382,33 +385,36 @@ def exhaustive(one: World, scene: ml.Scene | str | None, seed: int) -> dict[str,
         if not holding.of_way(path):
             continue
         counts["clear"] += 1
-        moved = moved_to(path[0], one.start, limits, holding, seed, 0.02, stations.moving)
-        if moved is None:
+        if joint_path(robot, one.start, path[0], limits, holding, seed) is None:
             continue
         counts["reached"] += 1
         task = motion.with_distance(motion.wanted)
         policy = PathPolicy(stations.time, path, FOLLOWING, robot, stations.moving, task)
         law = ml.ResolvedRateController(one.constraint, task, policy, limits=limits, dt=0.01)
-        outcome = simulate_way(robot, law, moved[1].q[-1], 0.01)[1]
+        outcome = simulate_way(robot, law, robot.configuration(path[0]), 0.01)[1]
         if outcome.is_done and not outcome.strays:
-            return counts | {"found": True, "margin": float(marches.along[march, -1])}
+            return counts | {"found": True, "margin": float(marches.along[march, -1]), "posture": path[0].tolist()}
     return counts | {"found": False}
 
 
-def record(arm: str, number: int, seed: int, variants: list[str], search: bool) -> Iterator[dict[str, Any]]:
+def record(arm: str, number: int, seed: int, given: argparse.Namespace) -> Iterator[dict[str, Any]]:
     """What became of one start, for each variant."""
     kind = KINDS[number % len(KINDS)]
     one = world(arm, kind, number, seed)
-    for variant in variants:
+    for variant in given.variants:
         scene = {"scene": one.scene(), "assumed": "assumed", "nothing": None}[variant]
         plan, seconds, outcome = planned(one, scene)
         out = {"arm": arm, "kind": kind, "number": number, "variant": variant, "outcome": outcome, "seconds": seconds}
         if outcome == "plan":
             out |= {"margin": plan.margin, "approach": float(plan.approach.time[-1]), "notes": list(plan.notes)}
             out["near"] = checked(one, [plan.approach.q, plan.way.q], variant == "scene")
+            if given.physics and (variant == "scene" or kind == "door"):
+                from worlds_physics import executed  # which needs MuJoCo
+
+                out["executed"] = executed(one, plan, variant == "scene", variant == "assumed")
         else:
-            out["error"] = str(plan)
-            if search and outcome in ("refused", "TargetError"):
+            out |= {"error": str(plan), "stopped_by": getattr(plan, "stopped_by", "")}
+            if not given.no_search and variant == "scene" and outcome == "refused":
                 out["search"] = exhaustive(one, scene, seed)
         yield out
 
@@ -422,11 +428,13 @@ def main() -> None:
     parser.add_argument("--arms", nargs="+", default=list(TIPS))
     parser.add_argument("--variants", nargs="+", default=["scene", "assumed"])
     parser.add_argument("--no-search", action="store_true")
+    parser.add_argument("--physics", action="store_true")
+    parser.add_argument("--step", type=int, default=1)
     parser.add_argument("--out", type=Path)
     given = parser.parse_args()
-    for number in range(given.first, given.first + given.starts):
+    for number in range(given.first, given.starts, given.step):
         for arm in given.arms:
-            for out in record(arm, number, given.seed, given.variants, not given.no_search):
+            for out in record(arm, number, given.seed, given):
                 line = json.dumps(out, default=float)
                 if given.out is None:
                     print(line)

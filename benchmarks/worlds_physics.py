@@ -12,8 +12,6 @@ from typing import Any, final
 import coal
 import mujoco
 import numpy as np
-
-from planned_ways import FORCE, STIFFNESS
 from planned_worlds import TIPS, TURN, WAY, Solid, World, leaf_at, meshes_of
 from scipy.spatial.transform import Rotation
 
@@ -23,13 +21,16 @@ sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "examples"))
 from make_recordings.guided_arm import set_damping
 from make_recordings.guided_model import AXES, FORE, LEAST_INERTIA, LEAST_MASS, STIFF_SOLIMP, UPPER, WRIST
 
+# [N m/rad] of position servos, and [N] at which the loop stops: a UR10's shoulder carries 6 kg m^2, a Panda's 1
+SERVOS = {"ur5": (10_000.0, 150.0), "ur10": (20_000.0, 250.0)}
+SERVO = 2000.0, 60.0
 PERIOD, TIMESTEP = 0.001, 0.0005  # of the servo's commands, of the physics [s]
 LATENCY = 0.002  # [s] from a measurement to the command that it leads to
 ENCODER_NOISE = 1e-4  # [rad]
 EVERY = 5  # periods between looks at the contacts
-# what each body is, and what it collides with: the hand not with what it holds, the arm's foot not with the floor
-LINK, BOX, HAND, HELD, FOOT, FLOOR = 1, 2, 4, 8, 16, 32
-MEETS = {LINK: BOX | HELD | FLOOR, HAND: BOX | FLOOR, FOOT: BOX | HELD, BOX: 0, HELD: 0, FLOOR: 0}
+# what each body is, and what it collides with: the hand not with the leaf that it holds, the arm's foot not with the floor
+LINK, BOX, HAND, LEAF_BOX, FOOT, FLOOR = 1, 2, 4, 8, 16, 32
+MEETS = {LINK: BOX | LEAF_BOX | FLOOR, HAND: BOX | FLOOR, FOOT: BOX | LEAF_BOX, BOX: 0, LEAF_BOX: 0, FLOOR: 0}
 
 
 def _quaternion(rotation: np.ndarray) -> np.ndarray:
@@ -43,20 +44,21 @@ class WorldPhysics:
     Args:
         one: The world.
         with_boxes: Whether the random boxes stand there.
+        with_leaf: Whether a door has a leaf that is touched.
         rng: Source of the encoder noise.
     """
 
-    def __init__(self, one: World, with_boxes: bool, rng: np.random.Generator):
+    def __init__(self, one: World, with_boxes: bool, with_leaf: bool, rng: np.random.Generator):
         spec = mujoco.MjSpec()
         spec.option.timestep, spec.option.gravity = TIMESTEP, [0.0, 0.0, 0.0]
         spec.option.integrator = mujoco.mjtIntegrator.mjINT_IMPLICITFAST
         bodies = self._arm(spec, one)
         self._shapes(spec, one, bodies)
         for solid in (one.cabinet, *(one.boxes if with_boxes else ())):
-            self._box(spec.worldbody, solid.name, solid, HELD if solid.held else BOX)
+            self._box(spec.worldbody, solid.name, solid, BOX)
         floor = spec.worldbody.add_geom(name="floor", type=mujoco.mjtGeom.mjGEOM_PLANE, size=[5.0, 5.0, 0.1])
         floor.contype, floor.conaffinity = FLOOR, MEETS[FLOOR]
-        self._handle(spec, one, bodies)
+        self._handle(spec, one, bodies, with_leaf)
         self.model = model = spec.compile()
         self.data, self._rng, self._n = mujoco.MjData(model), rng, one.robot.nv
         mujoco.mj_setConst(model, self.data)
@@ -64,7 +66,8 @@ class WorldPhysics:
         mujoco.mj_forward(model, self.data)
         inertia = np.zeros((model.nv, model.nv))
         mujoco.mj_fullM(model, self.data, inertia)
-        self._damping = 2.0 * np.sqrt(STIFFNESS * np.diag(inertia)[: self._n])
+        self._stiffness = SERVOS.get(one.arm, SERVO)[0]
+        self._damping = 2.0 * np.sqrt(self._stiffness * np.diag(inertia)[: self._n])
         late, first = round(0.5 * LATENCY / PERIOD), self.data.qpos[: self._n].copy()
         self._measured = deque([self._encoders() for _ in range(late + 1)], late + 1)
         self._sent = deque([first.copy() for _ in range(late + 2)], late + 2)
@@ -118,7 +121,7 @@ class WorldPhysics:
         geom = body.add_geom(name=name, type=mujoco.mjtGeom.mjGEOM_BOX, pos=place, size=0.5 * solid.size, mass=0.0)
         geom.quat, geom.contype, geom.conaffinity = _quaternion(solid.pose[:3, :3]), what, MEETS[what]
 
-    def _handle(self, spec: Any, one: World, bodies: list[Any]) -> None:
+    def _handle(self, spec: Any, one: World, bodies: list[Any], with_leaf: bool) -> None:
         grip, n = one.robot.position(one.start, TIPS[one.arm]), one.cabinet.pose[:3, 0]
         frame = one.robot.pinocchio_model.frames[one.robot.frame(TIPS[one.arm]).index]
         tip = bodies[frame.parentJoint].add_site(name="tip", pos=frame.placement.translation)
@@ -133,8 +136,8 @@ class WorldPhysics:
             joint = body.add_joint(name=f"handle_{number}", type=kind, axis=axis, pos=point - grip)
             set_damping(joint, 4.0 if kind == slide else 0.2)
             joint.frictionloss = 1.0 if one.kind == "drawer" else 0.2
-        if one.hinge is not None:
-            self._box(body, "leaf", leaf_at(one, grip), HELD, grip)
+        if one.hinge is not None and with_leaf:
+            self._box(body, "leaf", leaf_at(one, grip), LEAF_BOX, grip)
         body.add_site(name="handle")
         hold = spec.add_equality(name="grip", type=mujoco.mjtEq.mjEQ_CONNECT)
         hold.objtype, hold.name1, hold.name2, hold.active = mujoco.mjtObj.mjOBJ_SITE, "tip", "handle", False
@@ -161,7 +164,7 @@ class WorldPhysics:
         for k in range(steps):
             goal = start + (k / steps) * (end - start)
             error, rate = goal - data.qpos[:n], (end - start) / PERIOD - data.qvel[:n]
-            data.qfrc_applied[:n] = STIFFNESS * error + self._damping * rate
+            data.qfrc_applied[:n] = self._stiffness * error + self._damping * rate
             mujoco.mj_step(self.model, data)
         self._measured.append(self._encoders())
 
@@ -176,13 +179,14 @@ class WorldPhysics:
         return self.data.qpos[: self._n] + self._rng.normal(0.0, ENCODER_NOISE, self._n)
 
 
-def executed(one: World, plan: ml.Plan, with_boxes: bool) -> dict[str, Any]:
-    """What became of a plan in physics: how far from its end what is held stays [mm], and what touched how deep [mm]."""
-    physics = WorldPhysics(one, with_boxes, np.random.default_rng(0))
-    allowed = ml.following_error_limit(one.robot, force=FORCE, stiffness=STIFFNESS)
+def executed(one: World, plan: ml.Plan, with_boxes: bool, with_leaf: bool) -> dict[str, Any]:
+    """How far from its end what is held stays [mm], and what touched how deep [mm]."""
+    physics = WorldPhysics(one, with_boxes, with_leaf, np.random.default_rng(0))
+    stiffness, force = SERVOS.get(one.arm, SERVO)
+    allowed = ml.following_error_limit(one.robot, force=force, stiffness=stiffness)
     loop = ml.ServoLoop(plan.controller, PERIOD, latency=0.003, following_error_limit=allowed)
     loop.reset(one.start)
-    held, sequence, status, q = False, loop.controller, "", []
+    held, sequence, status = False, loop.controller, ""
     for k in range(round((plan.rollout.time[-1] + 1.0) / PERIOD)):
         command = loop.update(physics.read(), physics.data.time)
         if sequence.number > 0 and not held:
@@ -191,7 +195,6 @@ def executed(one: World, plan: ml.Plan, with_boxes: bool) -> dict[str, Any]:
         physics.command(loop.position)
         if k % EVERY == 0:
             physics.look()
-        q.append(physics.data.qpos[: one.robot.nv].copy())
         status = str(command.status)
     if one.kind == "door":
         assert one.hinge is not None
@@ -200,4 +203,4 @@ def executed(one: World, plan: ml.Plan, with_boxes: bool) -> dict[str, Any]:
     else:
         short = WAY - float(np.linalg.norm(physics.way))
     touched = {f"{a} / {b}": round(1e3 * depth, 2) for (a, b), depth in physics.touched.items()}
-    return {"short": 1e3 * short, "touched": touched, "status": status, "q": np.array(q)}
+    return {"short": float(1e3 * short), "touched": touched, "status": status}
