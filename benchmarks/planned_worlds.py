@@ -273,7 +273,9 @@ def world(arm: str, kind: str, number: int, seed: int) -> World:
                 motion = ml.motion(constraint, along=sense * WAY, speed=SPEED, keep_orientation=number % 2 == 0)
             else:
                 side = rng.choice([-1.0, 1.0])
-                hinge = place + side * rng.uniform(*RADIUS) * np.array([-n[1], n[0], 0.0]) - (BEHIND - 0.009) * n
+                hinge = (
+                    place + side * rng.uniform(*RADIUS) * np.array([-n[1], n[0], 0.0]) - (BEHIND + 0.5 * LEAF[0]) * n
+                )
                 features = ml.MechanismRows(robot, TIPS[arm], ("radial", "axial"), axis=(0, 0, 1), point=hinge)
                 constraint = ml.Constraint(np.eye(2), features)
                 sense = np.sign(np.cross([0.0, 0.0, 1.0], place - hinge) @ n)
@@ -370,7 +372,8 @@ def exhaustive(one: World, scene: ml.Scene | str | None, seed: int) -> dict[str,
         stations = Stations.of(motion, one.start, limits)
         marches = marches_of(stations, rows, one.start, EXHAUSTIVE, rng, stations.grasp[None])
     if isinstance(scene, ml.Scene):
-        around = Surroundings(tuple(scene.obstacles(robot, hand_of(robot, frame))))
+        hand = hand_of(robot, frame)
+        around = Surroundings(scene.obstacles(robot, hand)).for_hand(robot, hand)
     else:
         around = assumed(robot, frame, stations, one.constraint.mechanism, True) if scene else Surroundings()
     clear, whole = Clearance(robot, True, around, one.start), np.flatnonzero(np.isfinite(marches.along[:, -1]))

@@ -28,7 +28,7 @@ PERIOD, TIMESTEP = 0.001, 0.0005  # of the servo's commands, of the physics [s]
 LATENCY = 0.002  # [s] from a measurement to the command that it leads to
 ENCODER_NOISE = 1e-4  # [rad]
 EVERY = 5  # periods between looks at the contacts
-# what each body is, and what it collides with: the hand not with the leaf that it holds, the arm's foot not with the floor
+# what each body is, and what it collides with: the hand not with a door's leaf, the foot not with the floor
 LINK, BOX, HAND, LEAF_BOX, FOOT, FLOOR = 1, 2, 4, 8, 16, 32
 MEETS = {LINK: BOX | LEAF_BOX | FLOOR, HAND: BOX | FLOOR, FOOT: BOX | LEAF_BOX, BOX: 0, LEAF_BOX: 0, FLOOR: 0}
 
