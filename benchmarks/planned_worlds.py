@@ -8,7 +8,6 @@ looked at. Where there is no plan, 2,000 postures of the same hand are followed,
 
     python benchmarks/planned_worlds.py [--starts 40] [--seed 100000] [--arms sawyer panda ...] [--out FILE.jsonl]
     python benchmarks/planned_worlds.py --physics ...            # plans in MuJoCo, with contacts, by the loop
-    python benchmarks/planned_worlds.py --table FILE.jsonl ...   # the CSV of what several runs wrote
 """
 
 from __future__ import annotations
