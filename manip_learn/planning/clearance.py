@@ -10,9 +10,8 @@ from typing import Any, final
 import numpy as np
 from jaxtyping import Float
 
-from manip_learn.errors import RobotError
 from manip_learn.planning.surroundings import AWAY, BEHIND, FLOOR, FRONT, Surroundings
-from manip_learn.robot.collision import Obstacle, Proximity, SelfCollision
+from manip_learn.robot.collision import Obstacle, Proximity, SelfCollision, known_shapes
 from manip_learn.robot.robot import Robot
 
 # [m] from links to each other and to what stands around: what a servo's lag makes of a path; links that are neighbours
@@ -31,12 +30,8 @@ Posture = Float[np.ndarray, " nv"]
 @lru_cache(maxsize=8)
 def links_of(robot: Robot) -> tuple[SelfCollision, str]:
     """The links with their collision shapes, or else the drawn ones, or else capsules; and which of these."""
-    for shapes in ("collision", "visual"):
-        try:
-            return SelfCollision(robot, shapes=shapes), shapes  # type: ignore[arg-type]  # two of the words it knows
-        except RobotError:
-            continue
-    return SelfCollision(robot, shapes="links"), "links"
+    shapes = known_shapes(robot)
+    return SelfCollision(robot, shapes=shapes), shapes
 
 
 def self_collision(robot: Robot) -> SelfCollision | None:
@@ -150,13 +145,13 @@ class Clearance:
 
     def of_line(self, a: Posture, b: Posture, station: int = 0) -> bool:
         """Whether the straight joint motion between two postures is clear, the middle looked at first."""
-        n = max(1, int(np.ceil(np.max(np.abs(b - a)) / STEP)))
-        return all(self(a + i / n * (b - a), station) for i in sorted(range(1, n), key=lambda i: abs(i - n // 2)))
+        between = _line(a, b)[1:-1]
+        half = (len(between) + 1) // 2
+        return all(self(q, station) for _, q in sorted(enumerate(between, 1), key=lambda one: abs(one[0] - half)))
 
     def in_line(self, a: Posture, b: Posture) -> tuple[str, str] | None:
         """The first two things that touch on the straight joint motion between two postures."""
-        n = max(1, int(np.ceil(np.max(np.abs(b - a)) / STEP)))
-        pairs = (self.touching(a + i / n * (b - a)) for i in range(n + 1))
+        pairs = map(self.touching, _line(a, b))
         return next((pair.links for pair in pairs if pair is not None), None)
 
     def of_way(self, path: Float[np.ndarray, "k nv"]) -> bool:
@@ -179,3 +174,9 @@ class Clearance:
                 self._around = self._around.without(name)
                 self.notes.append(is_there + "left out")
         self.links = self.links.with_obstacles(self._around.obstacles, self._own)
+
+
+def _line(a: Posture, b: Posture) -> list[Posture]:
+    """Postures of the straight joint motion from one to another."""
+    n = max(1, int(np.ceil(np.max(np.abs(b - a)) / STEP)))
+    return [a + i / n * (b - a) for i in range(n + 1)]

@@ -100,8 +100,9 @@ def _searched(
     except ImportError as error:
         raise MissingExtraError("a path round what is in the way", "plan") from error
     scene, moving = _copied(clear.links, tuple(clear.pairs), limits, grown * clear.least)
+    obstacles = clear.obstacles
     for name, number in moving.items():
-        scene.updateGeometryPlacement(name, BASE, np.asfortranarray(clear.obstacles[number].placement))
+        scene.updateGeometryPlacement(name, BASE, np.asfortranarray(obstacles[number].placement))
     names = np.array([joint_name(block.index) for block in limits.robot.blocks])
     place = np.argsort(scene.getJointPositionIndices(names.tolist()))
     if scene.hasCollisions(start[place]) or scene.hasCollisions(goal[place]):

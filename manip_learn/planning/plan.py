@@ -546,13 +546,12 @@ class _Problem:
             joints = unwound(self.robot, way.q)
             time = outcome.begins + self.stations.time * (outcome.seconds or 0.0) / self.stations.time[-1]
             path = np.array([np.interp(time, way.time, column) for column in joints.T]).T
-            reached = self._approach(self.positions, clear) if clear.of_way(path) else None
+            margins = margins_of(self.stations, path)
+            wanted = margins.margin >= least and clear.of_way(path)
+            reached = self._approach(self.positions, clear) if wanted else None
             if reached is None:
                 continue
-            margins = margins_of(self.stations, path)
             sequence = LawSequence(reached[0], law)
-            if margins.margin < least:
-                continue
             stands = self._plan(sequence, self.positions, reached[1], way, margins, outcome, (), 0)
             if found is None:
                 return stands

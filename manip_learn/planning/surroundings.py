@@ -15,18 +15,17 @@ from itertools import product
 from types import MappingProxyType
 from typing import final
 
-import coal
 import numpy as np
 import pinocchio as pin
 from jaxtyping import Float
 
 from manip_learn.constraint.mechanism import Mechanism
-from manip_learn.errors import RobotError
 from manip_learn.planning.scene import Scene
 from manip_learn.planning.stations import Stations
-from manip_learn.robot.collision import LARGE, Obstacle, collision_shapes
+from manip_learn.robot.collision import LARGE, Obstacle, collision_shapes, known_shapes, obstacles_of
 from manip_learn.robot.joints import Frame
 from manip_learn.robot.robot import Robot
+from manip_learn.robot.visuals.visual_shapes import Solid
 
 FLOOR, FRONT, LEAF, BEHIND = "floor", "front", "leaf", " behind the hand"
 HANDLE = 0.025  # [m] that the flattest usual handles stand out of their front
@@ -165,24 +164,18 @@ def half_space(name: str, point: np.ndarray, normal: np.ndarray, may_touch: froz
     placement[:3, :3] = np.column_stack([*np.linalg.svd(normal[None])[2][1:], normal])
     placement[:3, 0] *= np.sign(np.linalg.det(placement[:3, :3]))
     placement[:3, 3] = point - LARGE * normal
-    return Obstacle(name, placement, coal.Box(*[2.0 * LARGE] * 3), np.full(3, LARGE), may_touch)
+    return obstacles_of(name, placement, Solid("box", (2.0 * LARGE,) * 3), may_touch)[0]
 
 
 @lru_cache(maxsize=8)
 def floor_under(robot: Robot) -> float:
     """Height of the lowest corner of the shapes that carry the first joint, at most that of the base's origin [m]."""
-    heights = [0.0]
-    for tag in ("collision", "visual"):
-        try:
-            shapes = collision_shapes(robot, tag)  # type: ignore[arg-type]  # two of the words that it knows
-        except RobotError:
-            continue
-        for shape in (one for one in shapes if one.joint == 0):
-            shape.geometry.computeLocalAABB()
-            box = shape.geometry.aabb_local
-            corners = np.array(list(product(*zip(box.min_, box.max_, strict=True))))
-            heights.append(float(np.min(corners @ shape.placement[2, :3]) + shape.placement[2, 3]))
-        break
+    heights, tag = [0.0], known_shapes(robot)
+    for shape in (one for one in collision_shapes(robot, tag) if one.joint == 0 and tag != "links"):
+        shape.geometry.computeLocalAABB()
+        box = shape.geometry.aabb_local
+        corners = np.array(list(product(*zip(box.min_, box.max_, strict=True))))
+        heights.append(float(np.min(corners @ shape.placement[2, :3]) + shape.placement[2, 3]))
     return min(heights)
 
 
@@ -225,5 +218,4 @@ def _leaf(
         y = np.cross(axis, x)
         pose[:3, :3] = np.column_stack([x, y, axis])
         pose[:3, 3] = place - 0.5 * wide * x - side * (HANDLE + 0.5 * THICK) * y
-    half = 0.5 * np.array([wide, THICK, TALL])
-    return Obstacle(LEAF, poses[0], coal.Box(*(2.0 * half)), half, hand), poses
+    return obstacles_of(LEAF, poses[0], Solid("box", (wide, THICK, TALL)), hand)[0], poses

@@ -145,6 +145,19 @@ def collision_shapes(robot: Robot, tag: Shapes = "collision") -> tuple[Collision
     return tuple(_shape(robot, element, {uri: parsed[file] for uri, file in files.items()}) for element in elements)
 
 
+@lru_cache(maxsize=16)
+def known_shapes(robot: Robot) -> Shapes:
+    """Which shapes of a robot there are: those for collisions, or else the drawn ones, or else capsules."""
+    tags: tuple[Shapes, ...] = ("collision", "visual")
+    for tag in tags:
+        try:
+            collision_shapes(robot, tag)
+        except RobotError:
+            continue
+        return tag
+    return "links"
+
+
 def obstacles_of(
     name: str, placement: Float[np.ndarray, "4 4"], shape: Solid | Mesh, may_touch: frozenset[str] = frozenset()
 ) -> tuple[Obstacle, ...]:

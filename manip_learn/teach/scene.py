@@ -33,7 +33,7 @@ from manip_learn.playback.mechanism_drawing import (
     drawer_boxes,
     facing,
 )
-from manip_learn.robot.collision import collision_shapes, obstacles_of
+from manip_learn.robot.collision import collision_shapes, known_shapes, obstacles_of
 from manip_learn.robot.robot import Robot
 from manip_learn.robot.rotations import rotation_matrix
 from manip_learn.robot.visuals.visual_shapes import Solid
@@ -216,7 +216,7 @@ def place_scene(kind: Kind, robot: Robot, tip: str, rng: np.random.Generator) ->
 def _assumed(robot: Robot) -> Iterator[str]:
     model = robot.pinocchio_model
     light = [model.names[i] for i in range(1, model.njoints) if model.inertias[i].mass < LEAST_MASS]
-    if links_of(robot)[1] == "links":
+    if known_shapes(robot) == "links":
         yield "no shapes: capsules along the links are stopped by the furniture"
     if light:
         yield (
@@ -444,7 +444,7 @@ def _add_arm(mujoco: Any, spec: Any, scene: TeachingScene) -> None:
             made.limited, made.range = mujoco.mjtLimited.mjLIMITED_TRUE, [low, high]
         bodies.append(body)
     hand = hand_of(robot, robot.frame(scene.tip))
-    shapes = collision_shapes(robot, links_of(robot)[1]) if scene.handles else ()
+    shapes = collision_shapes(robot, known_shapes(robot)) if scene.handles else ()
     for k, shape in enumerate(one for one in shapes if one.joint and one.link not in hand):
         solid, at = shape.geometry, shape.placement
         made = bodies[shape.joint].add_geom(pos=at[:3, 3], quat=_quaternion(at[:3, :3]), contype=1, conaffinity=0)
