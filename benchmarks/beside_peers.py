@@ -24,7 +24,7 @@ import control_states as states
 import numpy as np
 from controller_cases import ALL, Tasks, plain_robot, tasks_of, write
 from controller_scores import Scores
-from peer_controllers import DT, DURATION, GAIN, SCRIPTS, TASK_GAIN, interpreter, run
+from peer_controllers import DT, DURATION, GAIN, SCRIPTS, TASK_GAIN, interpreter, run, tell
 
 import manip_learn as ml
 
@@ -205,10 +205,7 @@ def main() -> None:
             parts += [rollout_table(reached[s], s) for s in KINDS]
     parts += [f"SKIPPED {peer}: {reason}" for peer, reason in skipped.items()]
     parts.append(f"load {os.getloadavg()[0]:.1f} at last")
-    text = "\n\n".join(parts)
-    print(text)
-    if options.out is not None:
-        options.out.write_text(text + "\n", encoding="utf-8")
+    tell(parts, options.out)
 
 
 if __name__ == "__main__":

@@ -178,6 +178,14 @@ def flip_table(results: Results) -> str:
     return "\n".join(lines)
 
 
+def tell(parts: list[str], out: Path | None) -> None:
+    """Print the parts of a page, and write them to a file if one is named."""
+    text = "\n\n".join(parts)
+    print(text)
+    if out is not None:
+        out.write_text(text + "\n", encoding="utf-8")
+
+
 def main() -> None:
     """Run everything that was asked for and print the tables."""
     parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
@@ -204,10 +212,7 @@ def main() -> None:
             flip_table(pressed),
         ]
     parts += [f"SKIPPED {peer}: {reason}" for peer, reason in skipped.items()]
-    text = "\n\n".join(parts)
-    print(text)
-    if options.out is not None:
-        options.out.write_text(text + "\n", encoding="utf-8")
+    tell(parts, options.out)
 
 
 if __name__ == "__main__":
