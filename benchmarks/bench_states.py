@@ -6,7 +6,6 @@ the best of interleaved rounds: neighbours only ever add time. In brackets, the 
 
 from __future__ import annotations
 
-import copy
 import math
 import os
 import statistics
@@ -43,16 +42,9 @@ def measured(arm: states.Arm, state: str) -> dict[str, Ratio]:
     if not cases:
         return {}
     candidates: dict[str, Callable[[], object]] = {"bare": states.bare_calls(arm, cases)}
-    for name, law in engines(arm.far if state in FAR else arm.controller).items():
+    for name, law in states.engines(arm.far if state in FAR else arm.controller).items():
         candidates[name] = states.calls(law, cases)
     return ratios_of(rounds_of(candidates, 2, ROUNDS))
-
-
-def engines(law: ml.ResolvedRateController) -> dict[str, ml.ResolvedRateController]:
-    """The law in Python, and compiled where that is built (`make fast`)."""
-    python = copy.copy(law)
-    python.__dict__["native"] = None
-    return {"python": python} | ({"native": law} if law.engine == "native" else {})
 
 
 def cell(found: Ratio | None) -> str:
@@ -65,7 +57,7 @@ def test_every_state() -> None:
     arms = {name: states.arm_of(name) for name in states.ROBOTS}
     found = {(state, name): measured(arm, state) for state in states.STATES for name, arm in arms.items()}
     flat: dict[str, Ratio] = {}
-    for engine in engines(arms["sawyer"].controller):
+    for engine in states.engines(arms["sawyer"].controller):
         lines = ["| state | " + " | ".join(arms) + " |", "|---" * (len(arms) + 1) + "|"]
         for state in states.STATES:
             ratios = [found[state, name].get(engine) for name in arms]

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import copy
 from collections.abc import Callable, Iterator
 from typing import Any, NamedTuple
 
@@ -53,11 +54,17 @@ class Arm(NamedTuple):
 
 
 def arm_of(name: str, rows: str = "xyz") -> Arm:
-    """The robot with two oblique rows of its frame's position (one row for the planar arm), reaching a point."""
+    """The robot with two oblique rows of its frame's position (one row for the planar arm)."""
     robot, frame, _ = robot_of(name)
     features = ml.FrameJacobian(robot, frame, "x y" if name == "planar3" else rows)
     Lambda = np.linalg.qr(np.random.default_rng(7).normal(size=(features.n_rows, features.n_rows)))[0]
-    constraint = ml.Constraint(Lambda[: 1 if name == "planar3" else 2], features)
+    return arm_with(ml.Constraint(Lambda[: 1 if name == "planar3" else 2], features))
+
+
+def arm_with(constraint: ml.Constraint) -> Arm:
+    """The constraint's robot, reaching a point."""
+    robot, features = constraint.robot, constraint.features
+    assert robot is not None and isinstance(features, ml.FrameJacobian)
     q = inside(robot, np.random.default_rng(8))
     target = features.coordinates(q)
     reach = max(float(np.linalg.norm(features.coordinates(inside(robot, rng)))) for rng in seeds(9, 500))
@@ -69,6 +76,13 @@ def robot_of(name: str) -> tuple[ml.Robot, str, tuple[str, ...]]:
     """Robot, frame and locked joints."""
     description, frame, locked = ROBOTS[name]
     return ml.load_robot(description, locked=locked), frame, locked
+
+
+def engines(law: ml.ResolvedRateController) -> dict[str, ml.ResolvedRateController]:
+    """The law in Python, and compiled where that is built (`make fast`)."""
+    python = copy.copy(law)
+    python.__dict__["native"] = None
+    return {"python": python} | ({"native": law} if law.engine == "native" else {})
 
 
 def controller_of(constraint: ml.Constraint, target: np.ndarray) -> ml.ResolvedRateController:

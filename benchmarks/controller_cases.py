@@ -17,6 +17,11 @@ ROBOTS: dict[str, tuple[str, tuple[str, ...]]] = {
     "ur5": ("tool0", ()),
     "sawyer": ("right_l6", ()),
 }
+MORE = {  # of 5 and 14 joints
+    "so101": ("gripper_frame_link", ("gripper",)),
+    "baxter": ("left_gripper", ("head_pan", "l_gripper_l_finger_joint", "r_gripper_l_finger_joint")),
+}
+ALL = ROBOTS | MORE
 NEAR = 0.02  # mu of a near-singular start, relative to the median over random postures
 BEYOND = 0.3  # [m]
 INERTIAL = '<inertial><mass value="1"/><inertia ixx="0.01" ixy="0" ixz="0" iyy="0.01" iyz="0" izz="0.01"/></inertial>'
@@ -51,6 +56,7 @@ def plain_urdf(robot: ml.Robot, folder: Path) -> Path:
     for joint in tree.findall("joint"):
         if joint.get("name") not in robot.joint_names:
             joint.set("type", "fixed")
+            joint.set("name", f"{joint.get('name')} fixed")  # some peers want no name twice, that of a link neither
         for child in list(joint):
             if child.tag not in ("parent", "child", "origin", "axis", "limit"):
                 joint.remove(child)
@@ -61,18 +67,23 @@ def plain_urdf(robot: ml.Robot, folder: Path) -> Path:
     return path
 
 
-def tasks_of(name: str, folder: Path, number: int, reachable: bool) -> Tasks:
-    """Random oblique tasks with s = 1, 2, 3 in turn; every second one starts near a singularity."""
-    tip, locked = ROBOTS[name]
-    robot = ml.load_robot(plain_urdf(ml.load_robot(name, locked=locked), folder))
+def plain_robot(name: str, folder: Path) -> ml.Robot:
+    """The robot as all peers can read it."""
+    return ml.load_robot(plain_urdf(ml.load_robot(name, locked=ALL[name][1]), folder))
+
+
+def tasks_of(name: str, folder: Path, number: int, reachable: bool, sizes: tuple[int, ...] = (1, 2, 3)) -> Tasks:
+    """Random oblique tasks with so many rows in turn; every second one starts near a singularity."""
+    tip, robot = ALL[name][0], plain_robot(name, folder)
     features = ml.FrameJacobian(robot, tip, "xyz")
     rows, starts, targets, near = [], [], [], []
+    seed = [*sorted(ROBOTS), *MORE].index(name)
     for i in range(number):
-        rng = np.random.default_rng([sorted(ROBOTS).index(name), i, int(reachable)])
-        Lambda = np.linalg.qr(rng.normal(size=(3, 3)))[0][: 1 + i % 3]
+        rng = np.random.default_rng([seed, i, int(reachable)])
+        Lambda = np.linalg.qr(rng.normal(size=(3, 3)))[0][: sizes[i % len(sizes)]]
         constraint = ml.Constraint(Lambda, features)
         # every second of each s: starts and s do not go together
-        near.append(i // 3 % 2 == 1)
+        near.append(i // len(sizes) % 2 == 1)
         starts.append(near_singular(constraint, rng) if near[-1] else inside(robot, rng))
         goal = robot.position(inside(robot, rng), tip)
         if not reachable:

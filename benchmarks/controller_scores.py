@@ -28,6 +28,8 @@ class Scores(NamedTuple):
         flips: Changes of sign per second in the last second, of the worst joint.
         microseconds: Time per step.
         failed: Steps without an answer.
+        over_velocity: Largest velocity that was commanded, less its limit, as a share of it; 0 if within.
+        over_position: How far a command led beyond a position limit within its step [rad]; 0 if within.
     """
 
     least: float
@@ -39,10 +41,20 @@ class Scores(NamedTuple):
     flips: float
     microseconds: float
     failed: int
+    over_velocity: float
+    over_position: float
 
 
 def scores(
-    tasks: Tasks, i: int, q: np.ndarray, u: np.ndarray, dt: float, seconds: float, failed: int, settle: float = 1.0
+    tasks: Tasks,
+    i: int,
+    q: np.ndarray,
+    u: np.ndarray,
+    dt: float,
+    seconds: float,
+    failed: int,
+    excess: tuple[float, float] = (0.0, 0.0),
+    settle: float = 1.0,
 ) -> Scores:
     """All of them, for one motion of case i.
 
@@ -54,6 +66,7 @@ def scores(
         dt: Step [s].
         seconds: Time per step [s].
         failed: Steps without an answer.
+        excess: By what the commands exceed velocity limits, as a share of them, and position limits [rad].
         settle: How much of the end is looked at for changes of sign [s].
     """
     constraint = tasks.constraint(i)
@@ -78,4 +91,5 @@ def scores(
         float(flips),
         1e6 * seconds,
         failed,
+        *excess,
     )

@@ -30,6 +30,8 @@ PEERS: dict[str, tuple[str, ...]] = {
     "pink": ("pin-pink", "quadprog"),
     "mink": ("mink", "daqp"),
     "placo": ("placo",),
+    "oink": ("roboplan-core", "roboplan-oink"),
+    "drake": ("drake",),
     "jparse": ("jparse-robotics", "pin"),
     "roboticstoolbox": ("roboticstoolbox-python",),
 }
@@ -74,9 +76,12 @@ def run(peer: str, python: str, cases: Path, tasks: Tasks, dt: float) -> dict[st
     with np.load(answer) as content:
         for name in dict.fromkeys(key.split("|")[0] for key in content if "|" in key):
             q, u = content[f"{name}|q"], content[f"{name}|u"]
-            seconds, failed = content[f"{name}|seconds"], content[f"{name}|failed"]
+            seconds, failed, excess = (content[f"{name}|{key}"] for key in ("seconds", "failed", "excess"))
             n = len(tasks.rows)
-            out[name] = [scores(tasks, i % n, q[i], u[i], dt, seconds[i], int(failed[i])) for i in range(len(q))]
+            out[name] = [
+                scores(tasks, i % n, q[i], u[i], dt, seconds[i], int(failed[i]), tuple(excess[i].tolist()))
+                for i in range(len(q))
+            ]
     answer.unlink()
     return out
 
@@ -173,6 +178,14 @@ def flip_table(results: Results) -> str:
     return "\n".join(lines)
 
 
+def tell(parts: list[str], out: Path | None) -> None:
+    """Print the parts of a page, and write them to a file if one is named."""
+    text = "\n\n".join(parts)
+    print(text)
+    if out is not None:
+        out.write_text(text + "\n", encoding="utf-8")
+
+
 def main() -> None:
     """Run everything that was asked for and print the tables."""
     parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
@@ -199,10 +212,7 @@ def main() -> None:
             flip_table(pressed),
         ]
     parts += [f"SKIPPED {peer}: {reason}" for peer, reason in skipped.items()]
-    text = "\n\n".join(parts)
-    print(text)
-    if options.out is not None:
-        options.out.write_text(text + "\n", encoding="utf-8")
+    tell(parts, options.out)
 
 
 if __name__ == "__main__":

@@ -116,7 +116,7 @@ def row(name: str, keep_orientation: bool, starts: int, seed: int, report: bool)
         zero, mu = greedy(one, False), greedy(one, True)
         began = time.perf_counter()
         try:
-            plan = ml.plan(one.constraint, one.motion, one.start)
+            plan = ml.plan(one.constraint, one.motion, one.start, scene=None)
             times.append(time.perf_counter() - began)
             margins.append(plan.margin)
             bad += not sound(one, plan)
@@ -159,7 +159,7 @@ def by_candidates(starts: int, seed: int) -> str:
         for one in cases:
             began = time.perf_counter()
             try:
-                margins.append(ml.plan(one.constraint, one.motion, one.start, candidates=candidates).margin)
+                margins.append(ml.plan(one.constraint, one.motion, one.start, candidates=candidates, scene=None).margin)
                 times.append(time.perf_counter() - began)
             except ml.NoPlanError:
                 margins.append(0.0)
@@ -181,7 +181,7 @@ def in_physics(starts: int, seed: int) -> str:
             one = case(name, True, np.random.default_rng([seed, number, 1]))
             number += 1
             try:
-                plan = ml.plan(one.constraint, one.motion, one.start)
+                plan = ml.plan(one.constraint, one.motion, one.start, scene=None)
             except ml.NoPlanError:
                 continue
             first, last = (one.robot.position(q, TIPS[name]) for q in plan.way.q[[0, -1]])
@@ -195,10 +195,10 @@ def in_physics(starts: int, seed: int) -> str:
             force, sequence = [], loop.controller
             for _ in range(round((plan.rollout.time[-1] + 1.0) / PERIOD)):
                 command = loop.update(physics.read()[0], physics.time)
-                if sequence.way_begins is not None and not force:
+                if sequence.number > 0 and not force:
                     physics.take_hold()
                 physics.command(loop.position, command.velocity)
-                if sequence.way_begins is not None:
+                if sequence.number > 0:
                     force.append(physics.side_force)
             short.append(1e3 * (WAY - physics.way))
             forces.append(max(force[50:], default=np.inf))

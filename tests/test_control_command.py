@@ -236,7 +236,7 @@ def test_a_plan_on_the_command_line(run, shown):
     assert code == 0 and answer["sentence"] == "opened 0.200 of 0.200 m" and 0.0 < answer["plan"]["margin"] < 1.0
     rollout = ml.Rollout.load("run.npz", ml.load_robot("sawyer"))
     assert [name for name, _, _ in rollout.phases] == ["approach", "way"]
-    code, out, _err = run(*way, "--plan")
+    code, out, _err = run(*way, "--plan", "--explain")
     assert code == 0 and "plan: take hold" in out and "instead, margin" in out
     for more, words in (
         (("--plan", "--policy", "zero"), "leave --policy"),

@@ -198,6 +198,23 @@ def placement_of(robot, link):
     return np.asarray(robot.pinocchio_model.frames[robot.frame(link).index].placement.homogeneous)
 
 
+@pytest.mark.parametrize("name", ["balls", *ARMS])
+def test_clear_is_what_is_not_close(robot_of, balls, name):
+    """`is_clear` answers as `closer_than` does, among things of every kind, of which one has moved; so do copies."""
+    robot = balls if name == "balls" else robot_of(name)
+    scene, rng, answers = scene_of(*THINGS, floor=-0.5), np.random.default_rng(12), []
+    collision = SelfCollision(robot, shapes=ARMS.get(name, "collision"), obstacles=scene.obstacles(robot))
+    for k in range(50):
+        q, moved = robot.random_configuration(rng), {"box": pose((0.0, 3.0, 0.1 * k)), "ell": pose((2.0, 0.0, 2.0))}
+        about = {"ell": pose(robot.pose(q, robot.frame_names[-1])[:3, 3])}  # the last link is within a beam
+        for distance, places in ((0.0, {}), (0.005, moved), (0.03, moved), (0.0, about)):
+            close = collision.closer_than(q, distance, places)
+            at_limit = any(abs(pair.distance - distance) < 1e-6 for pair in collision.closer_than(q, 0.04, places))
+            assert at_limit or collision.is_clear(q, distance, places) == (not close)
+            answers.append(not close)
+    assert name == "planar3" or 0.05 < np.mean(answers) < 0.95
+
+
 @pytest.mark.parametrize("name", list(ARMS))
 def test_floor_under_arms(robot_of, name):
     """The lowest corner of each link decides, to a nanometre; what the first joint carries may touch the floor."""
@@ -233,6 +250,8 @@ def test_which_links_meet_which_things(robot_of):
     # on a table, and on a floor: the link of the first joint may touch them, and the second may not
     low = [ml.Box((2.0, 2.0, 0.1), (0.0, 0.0, -0.05), "table"), ml.Box((2.0, 2.0, 0.1), (0.0, 0.0, -0.1), "shelf")]
     obstacles = {o.name: o.may_touch for o in ml.Scene(floor=0.0, boxes=low).obstacles(ur5)}
+    held = ml.Scene(boxes=low, handled="table").obstacles(ur5, frozenset({"ee_link"}))
+    assert [o.may_touch - obstacles[o.name] for o in held] == [{"ee_link"}, frozenset()]
     assert {"shoulder_link", "base_link"} <= obstacles["floor"] == obstacles["table"]
     assert "upper_arm_link" not in obstacles["floor"] and not obstacles["shelf"]
 
@@ -351,6 +370,10 @@ def test_descriptions_as_scenes(tmp_path):
     assert scene.cylinders[0].shape.size == pytest.approx((0.05, 0.3))
     urdf.write_text(CABINET.replace("TYPE", "floating"), encoding="utf-8")
     mjcf.write_text(ROOM.replace("JOINT", '<joint name="hinge"/>'), encoding="utf-8")
+    hilly = tmp_path / "hills.xml"
+    hilly.write_text(ROOM.replace("JOINT", '<geom type="hfield" hfield="hills"/>'), encoding="utf-8")
+    with pytest.raises(RobotError, match="hills.xml.*'hfield' is not read"):
+        ml.Scene.load(hilly)
     for path, name in ((urdf, "lamp_joint"), (mjcf, "hinge")):
         with pytest.raises(SceneError, match=f"{path.name}.*{name}.*fix"):
             ml.Scene.load(path)
@@ -376,11 +399,12 @@ BAD_THINGS = [
     (lambda: ml.Mesh((ONE[0], []), (0, 0, 0), "a"), "make no mesh"),
     (lambda: ml.Mesh(([[0, 0, np.inf], *ONE[0]], ONE[1]), (0, 0, 0), "a"), "make no mesh"),
     (lambda: ml.Mesh(ONE, (0, 0, 0), "a", 0.0), "scale is 0.0"),
-    (lambda: ml.Mesh(ONE, (0, 0, 0), "a", 1000.0), "size is 1000 m.*millimetres"),
+    (lambda: ml.Mesh(ONE, (0, 0, 0), "a", 1000.0), "size is 1000 m.*millimetres.*scale=0.001"),
     (lambda: ml.Scene(boxes=[THINGS[0], THINGS[0]]), "2 things are called 'box'.*rename"),
     (lambda: ml.Scene(0.0, boxes=[ml.Box((1, 1, 1), (0, 0, 0), "floor")]), "2 things are called 'floor'"),
     (lambda: ml.Scene(boxes=[THINGS[1]]), "boxes hold Sphere"),
     (lambda: ml.Scene(np.nan), "floor is nan"),
+    (lambda: ml.Scene(-700), "floor is -700; a height of at most 10 m"),
 ]
 
 
@@ -403,7 +427,11 @@ BAD_FILES = [
     ('{"boxes": [{"name": "a", "size": [1, 1, 1]}]}', SceneError, r"boxes\[0\] lacks key 'pose'"),
     ('{"boxes": [{"name": "a", "size": [1, 1, 1], "poes": [0, 0, 0]}]}', UnknownNameError, "'poes'.*'pose'"),
     ('{"boxes": [{"name": "a", "size": [1, 1, -1], "pose": [0, 0, 0]}]}', SceneError, "room.json: box 'a'"),
-    ('{"boxes": [{"name": "a", "size": [19, 1, 1], "pose": [0, 0, 0]}]}', SceneError, "19 m large.*'panda'.*milli"),
+    (
+        '{"boxes": [{"name": "a", "size": [19, 1, 1], "pose": [0, 0, 0]}]}',
+        SceneError,
+        "19 m large.*reaches.*milli",
+    ),
     ('{"meshes": [{"name": "a", "source": "a.stl", "pose": [0, 0, 0]}]}', SceneError, "room.json: mesh 'a'.*a.stl"),
     ("<robot", RobotError, "XML"),
 ]

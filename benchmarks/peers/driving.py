@@ -6,6 +6,7 @@ script says what to do:
 - `step`: microseconds of a step at given postures of the Sawyer-like arm (`bench_control_step.py`)
 - `control CASES ANSWER`: its controller on the tasks of `peer_controllers.py`
 - `way CASES ANSWER`: its controller along the ways of `when_it_helps.py`: poses in time, the same for all peers
+- `timings`: processor time of its controller at the starts of tasks, whenever `beside_peers.py` asks for it
 
 The arm takes commands as a real one would: joint by joint within its velocity limits, and no further than its position
 limits.
@@ -13,10 +14,14 @@ limits.
 
 from __future__ import annotations
 
+import contextlib
 import importlib.metadata
 import json
+import os
 import sys
+import tempfile
 import time
+import xml.etree.ElementTree as ET
 from collections.abc import Callable
 from itertools import cycle
 from pathlib import Path
@@ -36,7 +41,12 @@ DT = 0.01
 CENTRE = np.array([0.1, -0.6, 0.2, 1.3, -0.2, 0.7, 0.4])  # elbow bent, far from limits and singularities
 POSTURES = CENTRE + np.random.default_rng(0).uniform(-0.3, 0.3, (64, 7))
 Step = Callable[[np.ndarray], np.ndarray]
+Motion = tuple[np.ndarray, np.ndarray, float, int, np.ndarray]
 Stepper = Callable[[np.ndarray, np.ndarray], np.ndarray]  # posture, pose wanted at the end of the step -> velocity
+
+
+class NoSuchRowsError(Exception):
+    """A peer's task is not written for these rows."""
 
 
 def main(**jobs: Callable[..., None]) -> None:
@@ -98,11 +108,42 @@ def read_tasks(path: str) -> tuple[Arm, list[Case]]:
     return Arm(**arm), cases
 
 
-def motion(arm: Arm, case: Case, step: Step) -> tuple[np.ndarray, np.ndarray, float, int]:
-    """Postures, velocities, seconds a step, and the number of steps without an answer (the arm then stands still)."""
+def sawyer() -> Arm:
+    """The Sawyer-like arm of `step`, no name of whose fixed joints is a link's too."""
+    tree = ET.parse(URDF)
+    joints = tree.getroot().findall("joint")
+    moving = [joint for joint in joints if joint.get("type") != "fixed"]
+    for joint in joints:
+        if joint not in moving:
+            joint.set("name", f"{joint.get('name')} fixed")
+    limits = [joint.find("limit") for joint in moving]
+    values = (np.array([float(x.get(key)) for x in limits if x is not None]) for key in ("lower", "upper", "velocity"))
+    path = Path(tempfile.mkdtemp()) / "sawyer.urdf"
+    tree.write(path)
+    return Arm(str(path), "base", TIP, [str(joint.get("name")) for joint in moving], *values, DT, 0.0, 1.0)
+
+
+def order(indices: Any) -> slice | np.ndarray:
+    """Where a peer keeps the joints; a slice where that is enough: indices cost a fast peer a tenth of its step."""
+    found = np.asarray(indices)
+    straight = slice(int(found[0]), int(found[0]) + len(found))
+    return straight if np.array_equal(found, np.arange(straight.start, straight.stop)) else found
+
+
+def beyond(arm: Arm, q: np.ndarray, u: np.ndarray) -> np.ndarray:
+    """By what a velocity exceeds its limit, as a share of it, and a posture its own after the step [rad]; at most 0."""
+    after = q + arm.dt * u
+    return np.array([np.max(np.abs(u) / arm.velocity) - 1.0, np.max(np.maximum(after - arm.upper, arm.lower - after))])
+
+
+def motion(arm: Arm, case: Case, step: Step) -> Motion:
+    """Postures, velocities, seconds a step, steps without an answer (the arm then stands still), and what is `beyond`.
+
+    The last is of the commands, the first two are of what the arm makes of them.
+    """
     steps, n = round(arm.duration / arm.dt), len(arm.names)
     q, Q, U = case.start.copy(), np.empty((steps + 1, n)), np.zeros((steps + 1, n))
-    seconds, failed = 0.0, 0
+    seconds, failed, excess = 0.0, 0, np.zeros(2)
     for i in range(steps + 1):
         began = time.perf_counter()
         try:
@@ -115,10 +156,55 @@ def motion(arm: Arm, case: Case, step: Step) -> tuple[np.ndarray, np.ndarray, fl
         seconds += time.perf_counter() - began
         if not np.all(np.isfinite(u)):
             failed, u = failed + 1, np.zeros(n)
+        excess = np.maximum(excess, beyond(arm, q, u))
         u = np.clip(u, -arm.velocity, arm.velocity)
         Q[i], U[i] = q, u
         q = np.clip(q + arm.dt * u, np.minimum(arm.lower, q), np.maximum(arm.upper, q))
-    return Q, U, seconds / (steps + 1), failed
+    return Q, U, seconds / (steps + 1), failed, excess
+
+
+def answer(package: str, methods: dict[str, Callable[[Arm, Case], Step]]) -> None:
+    """Answer lines `[method, file of tasks]` with seconds a step and the number of starts without an answer.
+
+    The parent asks one peer after the other. All tasks of a file are at one target along the same rows.
+    """
+    replies = os.fdopen(os.dup(1), "w")
+    os.dup2(os.open(os.devnull, os.O_WRONLY), 1)  # solvers print
+    known: dict[tuple[str, str], tuple[Step, list[np.ndarray], int]] = {}
+    print(json.dumps([f"{package} {importlib.metadata.version(package)}", list(methods)]), file=replies, flush=True)
+    for line in sys.stdin:
+        method, path = json.loads(line)
+        try:
+            if (method, path) not in known:
+                arm, tasks = read_tasks(path)
+                step, starts = methods[method](arm, tasks[0]), [case.start for case in tasks]
+                known[method, path] = step, starts, sum(not answers(step, q) for q in starts)
+            step, starts, failed = known[method, path]
+            reply: list[Any] = [seconds_of(step, starts), failed]
+        except NoSuchRowsError as error:
+            reply = [None, str(error)]
+        print(json.dumps(reply), file=replies, flush=True)
+
+
+def answers(step: Step, q: np.ndarray) -> bool:
+    """Whether there is a velocity."""
+    try:
+        return bool(np.all(np.isfinite(step(q))))
+    except Exception:  # noqa: BLE001 - every peer has its own way of giving up
+        return False
+
+
+def seconds_of(step: Step, starts: list[np.ndarray], least: float = 0.003) -> float:
+    """Processor time of a step; all starts again and again for at least so long [s]."""
+    steps, began, spent = 0, time.process_time(), 0.0
+    while spent < least:
+        for q in starts:
+            try:
+                step(q)
+            except Exception:  # noqa: BLE001, S110 - what giving up takes counts
+                pass
+        steps, spent = steps + len(starts), time.process_time() - began
+    return spent / steps
 
 
 class WayCase(NamedTuple):
@@ -159,9 +245,12 @@ def clocked(step: Stepper, poses: np.ndarray) -> Step:
 
 
 def drive(package: str, cases: str, answer: str, methods: dict[str, Callable[[Arm, Case], Step]]) -> None:
-    """Every method on every task of a file."""
-    arm, tasks = read_tasks(cases)
-    write(package, answer, {name: [motion(arm, c, make(arm, c)) for c in tasks] for name, make in methods.items()})
+    """Every method on every task of a file, if it takes their rows."""
+    (arm, tasks), runs = read_tasks(cases), {}
+    for name, make in methods.items():
+        with contextlib.suppress(NoSuchRowsError):
+            runs[name] = [motion(arm, c, make(arm, c)) for c in tasks]
+    write(package, answer, runs)
 
 
 def drive_ways(package: str, cases: str, answer: str, methods: dict[str, Callable[[Arm, WayCase], Stepper]]) -> None:
@@ -171,11 +260,11 @@ def drive_ways(package: str, cases: str, answer: str, methods: dict[str, Callabl
     write(package, answer, runs)
 
 
-def write(package: str, answer: str, runs: dict[str, list[tuple[np.ndarray, np.ndarray, float, int]]]) -> None:
+def write(package: str, answer: str, runs: dict[str, list[Motion]]) -> None:
     """The package's version, and the motions of each method."""
     out: dict[str, Any] = {"version": np.array(f"{package} {importlib.metadata.version(package)}")}
     for name, motions in runs.items():
-        for key, values in zip(("q", "u", "seconds", "failed"), zip(*motions, strict=True), strict=True):
+        for key, values in zip(("q", "u", "seconds", "failed", "excess"), zip(*motions, strict=True), strict=True):
             out[f"{name}|{key}"] = np.array(values)
     np.savez(answer, **out)
 

@@ -1,15 +1,17 @@
-"""Ours: a step with a learnt-like dense Lambda (two oblique rows), mu, grad log mu, limits, status; the controller with
-its default settings, with and without the ascent of the manipulability.
+"""Ours: a step with a learnt-like dense Lambda (two oblique rows), mu, grad log mu, limits, status; the controller
+with and without the ascent of the manipulability.
 """
 
+import functools
 import time
 
 import numpy as np
-from driving import POSTURES, TARGET, TIP, main, read_tasks, report, write
+from driving import POSTURES, TARGET, TIP, answer, beyond, main, read_tasks, report, write
 
 import manip_learn as ml
 
 velocity = np.array([0.05, -0.03])
+KINDS = ("ascent", "no null-space motion", "ascent, accelerations limited")
 
 
 class Given(ml.Task):
@@ -40,22 +42,55 @@ def step():
     report("manip-learn", steps, calls=300)
 
 
-def control(cases, answer):
+def laws(arm, rows, target, gain):
+    """Controllers by either engine: with the peers' limits, and with the default ones that bound accelerations too."""
+    from control_states import engines  # whose folder driving has found
+
+    constraint = ml.Constraint(rows, features_of(arm.urdf, arm.tip))
+    task, ascent = ml.PointAttractor(target, gain=arm.task_gain), ml.ManipulabilityAscent(constraint, gain)
+    same = ml.Limits(constraint.robot, acceleration=np.inf)
+    kinds = dict(zip(KINDS, ((ascent, same), (None, same), (ascent, True)), strict=True))
+    return {
+        f"ours, {'compiled' if engine == 'native' else 'Python'}, {kind}": law
+        for kind, (policy, limits) in kinds.items()
+        for engine, law in engines(
+            ml.ResolvedRateController(constraint, task, policy, dt=arm.dt, limits=limits)
+        ).items()
+    }
+
+
+@functools.cache
+def features_of(urdf, tip):
+    """The tip's place."""
+    return ml.FrameJacobian(ml.load_robot(urdf), tip, "xyz")
+
+
+def control(cases, path):
     """Through `simulate`."""
     arm, tasks = read_tasks(cases)
-    features, runs = ml.FrameJacobian(ml.load_robot(arm.urdf), arm.tip, "xyz"), {}
-    for name in ("ours, ascent", "ours, no null-space motion"):
-        runs[name] = []
-        for case in tasks:
-            constraint = ml.Constraint(case.rows, features)
-            ascent = ml.ManipulabilityAscent(constraint, case.gain) if name == "ours, ascent" else None
-            task = ml.PointAttractor(case.target, gain=arm.task_gain)
-            controller = ml.ResolvedRateController(constraint, task, ascent, dt=arm.dt)
+    runs = {}
+    for case in tasks:
+        for name, law in laws(arm, case.rows, case.target, case.gain).items():
             began = time.perf_counter()
-            rollout = ml.simulate(features.robot, controller, case.start, arm.duration, arm.dt)
-            runs[name].append((rollout.q, rollout.u, (time.perf_counter() - began) / len(rollout), 0))
-    write("manip-learn", answer, runs)
+            rollout = ml.simulate(law.constraint.robot, law, case.start, arm.duration, arm.dt)
+            seconds = (time.perf_counter() - began) / len(rollout)
+            excess = [beyond(arm, q, u) for q, u in zip(rollout.q, rollout.u, strict=True)]
+            worst = np.maximum(np.max(excess, axis=0), 0.0)
+            runs.setdefault(name, []).append((rollout.q, rollout.u, seconds, 0, worst))
+    write("manip-learn", path, runs)
 
+
+def stepper(name):
+    """One call of a controller."""
+
+    def make(arm, case):
+        law = laws(arm, case.rows, case.target, case.gain)[name]
+        return lambda q: law(q, 0.0, arm.dt).velocity
+
+    return make
+
+
+NAMES = [f"ours, {engine}, {kind}" for engine in ("compiled", "Python") for kind in KINDS[:2]]
 
 if __name__ == "__main__":
-    main(step=step, control=control)
+    main(step=step, control=control, timings=lambda: answer("manip-learn", {name: stepper(name) for name in NAMES}))

@@ -3,7 +3,20 @@
 import mink
 import mujoco
 import numpy as np
-from driving import DT, TARGET, TIP, URDF, drive, drive_ways, main, on_the_way, pose_error, report
+from driving import (
+    DT,
+    TARGET,
+    TIP,
+    URDF,
+    NoSuchRowsError,
+    answer,
+    drive,
+    drive_ways,
+    main,
+    on_the_way,
+    pose_error,
+    report,
+)
 
 
 def step():
@@ -67,6 +80,15 @@ def reaching(arm, case):
     return solver(arm, Rows(arm, on_the_way(case), arm.task_gain * arm.dt))
 
 
+def placing(arm, case):
+    """The same with mink's own frame task, which is written for x, y, z; its orientation has no cost."""
+    if len(case.rows) < 3:
+        raise NoSuchRowsError
+    task = mink.FrameTask(arm.tip, "body", 1.0, 0.0, gain=arm.task_gain * arm.dt, lm_damping=1.0)
+    task.set_target(mink.SE3.from_translation(case.target))
+    return solver(arm, task)
+
+
 def following(arm, way):
     """Joint velocity by mink along a way."""
     rows = Rows(arm, way, way.gain)
@@ -79,9 +101,12 @@ def following(arm, way):
     return step
 
 
+METHODS = {"mink": reaching, "mink, frame task": placing}
+
 if __name__ == "__main__":
     main(
         step=step,
-        control=lambda *files: drive("mink", *files, {"mink": reaching}),
+        control=lambda *files: drive("mink", *files, METHODS),
+        timings=lambda: answer("mink", METHODS),
         way=lambda *files: drive_ways("mink", *files, {"mink": following}),
     )

@@ -3,7 +3,20 @@
 import numpy as np
 import pink
 import pinocchio as pin
-from driving import DT, TARGET, TIP, URDF, drive, drive_ways, main, on_the_way, pose_error, report
+from driving import (
+    DT,
+    TARGET,
+    TIP,
+    URDF,
+    NoSuchRowsError,
+    answer,
+    drive,
+    drive_ways,
+    main,
+    on_the_way,
+    pose_error,
+    report,
+)
 from pink.tasks import DampingTask, FrameTask, ManipulabilityTask, PostureTask, Task
 
 CLIMB = 3.0  # [1/s] along a way, as that of our ascent
@@ -73,6 +86,15 @@ def reaching(arm, case, climbs):
     return solver(arm, rows, "position", case.gain if climbs else None)
 
 
+def placing(arm, case):
+    """The same with Pink's own frame task, which is written for x, y, z; its orientation has no cost."""
+    if len(case.rows) < 3:
+        raise NoSuchRowsError
+    task = FrameTask(arm.tip, 1.0, 0.0, gain=arm.task_gain * arm.dt, lm_damping=1.0)
+    task.set_target(pin.SE3(np.eye(3), case.target))
+    return solver(arm, task, "position", None)
+
+
 def following(arm, way):
     """Joint velocity by Pink along a way."""
     rows = Rows(arm, way, way.gain)
@@ -87,6 +109,7 @@ def following(arm, way):
 
 METHODS = {
     "pink": lambda arm, case: reaching(arm, case, False),
+    "pink, frame task": placing,
     "pink, manipulability": lambda arm, case: reaching(arm, case, True),
 }
 
@@ -94,5 +117,6 @@ if __name__ == "__main__":
     main(
         step=step,
         control=lambda *files: drive("pin-pink", *files, METHODS),
+        timings=lambda: answer("pin-pink", METHODS),
         way=lambda *files: drive_ways("pin-pink", *files, {"pink": following}),
     )

@@ -2,7 +2,7 @@
 
 import numpy as np
 import pinocchio as pin
-from driving import TARGET, TIP, URDF, drive, main, report
+from driving import TARGET, TIP, URDF, answer, drive, main, report
 
 AXES = pin.ReferenceFrame.LOCAL_WORLD_ALIGNED
 
@@ -49,7 +49,21 @@ def stepper(damping):
     return make
 
 
+def bare(arm, case):
+    """What a step is compared with: the Jacobian, the pseudo-inverse and the product with the null space."""
+    model = pin.buildModelFromUrdf(arm.urdf)
+    data, frame = model.createData(), model.getFrameId(arm.tip)
+    b, pi = np.full(len(case.rows), 0.1), np.full(model.nv, 0.1)
+
+    def step(q):
+        A = case.rows @ pin.computeFrameJacobian(model, data, q, frame, AXES)[:3]
+        inverse = np.linalg.pinv(A)
+        return inverse @ b + pi - inverse @ (A @ pi)
+
+    return step
+
+
 METHODS = {"pseudo-inverse": stepper(0.0), "damped pseudo-inverse": stepper(0.05)}
 
 if __name__ == "__main__":
-    main(step=step, control=lambda *files: drive("pin", *files, METHODS))
+    main(step=step, control=lambda *files: drive("pin", *files, METHODS), timings=lambda: answer("pin", {"bare": bare}))

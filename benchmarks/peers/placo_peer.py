@@ -2,7 +2,7 @@
 
 import numpy as np
 import placo
-from driving import DT, TARGET, TIP, URDF, drive, drive_ways, main, report
+from driving import DT, TARGET, TIP, URDF, answer, drive, drive_ways, main, order, report
 
 
 def plain_solver(manipulability):
@@ -61,14 +61,12 @@ class Solver:
             axes[2] *= np.sign(np.linalg.det(axes))
             self.task.mask.R_custom_world = axes
             self.task.mask.set_axises("xyz"[:s], "custom")
-        self._velocities = [robot.get_joint_v_offset(n) for n in arm.names]
-        self._fixed = robot.state.q[:7].copy()
+        self._positions = order([robot.get_joint_offset(n) for n in arm.names])
+        self._velocities = order([robot.get_joint_v_offset(n) for n in arm.names])
 
     def at(self, q):
         """Take the arm to a posture; the place of its tip [m]."""
-        self.robot.state.q[:7] = self._fixed
-        for name, x in zip(self._arm.names, q.tolist(), strict=True):
-            self.robot.set_joint(name, x)
+        self.robot.state.q[self._positions] = q
         self.robot.update_kinematics()
         return self.robot.get_T_world_frame(self._arm.tip)[:3, 3]
 
@@ -85,11 +83,12 @@ def reaching(manipulability):
         placed.solver.add_regularization_task(1e-6)
         if manipulability:
             placed.solver.add_manipulability_task(arm.tip, "position", case.gain).configure("mu", "soft", 1e-3)
+        share = arm.task_gain * arm.dt
 
         def step(q):
             here = placed.at(q)
             # placo's tasks have no gain: the target is set where the task's velocity leads within dt
-            placed.task.target_world = here + arm.task_gain * arm.dt * (case.target - here)
+            placed.task.target_world = here + share * (case.target - here)
             return placed.velocity()
 
         return step
@@ -127,5 +126,6 @@ if __name__ == "__main__":
     main(
         step=step,
         control=lambda *files: drive("placo", *files, METHODS),
+        timings=lambda: answer("placo", METHODS),
         way=lambda *files: drive_ways("placo", *files, {"placo": following}),
     )

@@ -7,7 +7,7 @@ import numpy as np
 warnings.simplefilter("ignore")  # it warns about its own escapes while it is imported
 
 import roboticstoolbox as rtb  # noqa: E402
-from driving import TARGET, TIP, URDF, drive, main, report  # noqa: E402
+from driving import TARGET, TIP, URDF, answer, drive, main, report  # noqa: E402
 
 
 def step():
@@ -39,15 +39,17 @@ def stepper(manipulability):
         end = robot.link_dict[arm.tip]
         moving = sorted((link for link in robot.links if link.isjoint), key=lambda link: link.jindex)
         order = [[link._joint_name for link in moving].index(n) for n in arm.names]
+        branch = robot.ets(end=end).jindices  # its Jacobian has no columns for joints elsewhere, a second arm's
 
         def step(q):
             full = np.empty(robot.n)
             full[order] = q
-            A = case.rows @ robot.jacob0(full, end=end)[:3]
+            A, climb = np.zeros((len(case.rows), robot.n)), np.zeros(robot.n)
+            A[:, branch] = case.rows @ robot.jacob0(full, end=end)[:3]
             inverse = np.linalg.pinv(A)
             u = inverse @ (arm.task_gain * case.rows @ (case.target - robot.fkine(full, end=end).t))
             if manipulability:
-                climb = case.gain * robot.jacobm(full, end=end, axes="trans").reshape(-1)
+                climb[branch] = case.gain * robot.jacobm(full, end=end, axes="trans").reshape(-1)
                 u = u + climb - inverse @ (A @ climb)
             return u[order]
 
@@ -59,4 +61,8 @@ def stepper(manipulability):
 METHODS = {"roboticstoolbox": stepper(False), "roboticstoolbox, jacobm": stepper(True)}
 
 if __name__ == "__main__":
-    main(step=step, control=lambda *files: drive("roboticstoolbox-python", *files, METHODS))
+    main(
+        step=step,
+        control=lambda *files: drive("roboticstoolbox-python", *files, METHODS),
+        timings=lambda: answer("roboticstoolbox-python", METHODS),
+    )

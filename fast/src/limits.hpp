@@ -95,9 +95,7 @@ struct TipLimits {
     Barrier walls;
   };
 
-  // `near`: rows that Python has computed, of pairs that are near each other
-  void at(const double* q, int n, double dt, const double* acceleration, const double* previous, const double* near,
-          const double* least, int number, At& out) const {
+  void at(const double* q, int n, double dt, const double* acceleration, const double* previous, At& out) const {
     out.jacobians.resize(frames.size() * 3 * n), out.walls.number = 0;
     static constexpr double LINEAR[18] = {1, 0, 0, 0, 0, 0, 0, 1, 0, 0, 0, 0, 0, 0, 1, 0, 0, 0};
     double finite[MAX];
@@ -117,7 +115,6 @@ struct TipLimits {
         out.walls.append(g, least, n);
       }
     }
-    for (int r = 0; r < number; r++) out.walls.append(near + r * n, least[r], n);
   }
 
   // what the velocity u breaks is appended; whether that is anything

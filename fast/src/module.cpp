@@ -139,18 +139,13 @@ class Engine {
 
   // None where Python has to do the step: input that is none, or a case that the engine leaves to it
   nb::object command(nb::handle q, double dt, nb::handle previous, double slide, nb::handle b, nb::handle E, nb::handle D,
-                     nb::handle w, nb::handle A, nb::handle rates, nb::handle near, nb::handle least) {
+                     nb::handle w, nb::handle A, nb::handle rates) {
     int n = law.n, s = law.s;
     const double *posture = numbers_of(q, n, 1), *before = numbers_of(previous, n, 1);
     if (!posture || (!previous.is_none() && !before)) return nb::none();
     Given given;
     given.b = numbers_of(b, s), given.E = numbers_of(E, s * n), given.w = numbers_of(w, n);
     given.A = numbers_of(A, s * n);
-    if (!near.is_none()) {
-      given.pairs = PyArray_Check(least.ptr()) ? PyArray_SIZE((PyArrayObject*)least.ptr()) : 0;
-      given.near = numbers_of(near, given.pairs * n), given.least = numbers_of(least, given.pairs);
-      if (!given.near || !given.least || given.pairs > MAX_ROWS / 2) return nb::none();
-    }
     if (!D.is_none()) {
       given.driven = PyArray_Check(D.ptr()) ? PyArray_SIZE((PyArrayObject*)D.ptr()) / s : 0;
       given.D = numbers_of(D, given.driven * s);
@@ -259,7 +254,7 @@ NB_MODULE(_engine, m) {
   nb::class_<Engine>(m, "Engine")
       .def(nb::init<const nb::dict&, nb::object, nb::list>())
       .def("command", &Engine::command, nb::arg().none(), nb::arg(), nb::arg().none(), nb::arg(), nb::arg().none(),
-           nb::arg().none(), nb::arg().none(), nb::arg().none(), nb::arg().none(), nb::arg().none(), nb::arg().none(), nb::arg().none())
+           nb::arg().none(), nb::arg().none(), nb::arg().none(), nb::arg().none(), nb::arg().none())
       .def("step", &Engine::step, nb::arg().none(), nb::arg(), nb::arg().none(), nb::arg())
       .def("roll", &Engine::roll);
 }

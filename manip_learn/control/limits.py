@@ -14,7 +14,6 @@ from numpy.typing import ArrayLike
 
 from manip_learn.control.command import ACCELERATION, POSITION, VELOCITY
 from manip_learn.errors import ConfigurationError, TargetError
-from manip_learn.robot.collision import Proximity, SelfCollision
 from manip_learn.robot.robot import Robot
 from manip_learn.robot.tips import default_tip
 
@@ -26,15 +25,6 @@ ACCELERATION_RATE = 5.0  # [1/s] default acceleration limit over velocity limit:
 DEFAULT_ACCELERATION = 10.0  # [rad/s2 or m/s2] default limit of a joint that has no velocity limit
 ROOM_TO_LEAVE = 0.1  # [rad or m] room that the joints need for leaving a singularity
 OUTSIDE = 1e-9  # [rad or m] a joint is outside when it is more than this beyond a position limit
-CLEARANCE = (
-    0.005  # [m] default distance of links from each other and from obstacles: what a servo's lag makes of a path
-)
-# [m] by how much more rows keep pairs apart: nearest points that jump from corner to corner take up to 2e-4 in 10 ms
-AIMED = 1e-4
-SHARES = 1.0, 0.5, 0.25, 0.1  # of a velocity beside braking, tried one after the other until links keep clear
-ROUNDED_DISTANCE = 1e-9  # [m] of Coal's distances
-AT_REST = 1e-3  # [m] beyond the clearance: what is farther has only slowed the arm down
-DRIFT, RETURN_RATE = 1e-3, 100.0  # [m] and [1/s], see `pair_rate`
 FINE = 1e-13  # [rad/s or m/s] by how much rounding makes a velocity exceed a bound, as that of a joint at its limit
 AT_BOUND = 1e-7  # share of a bound within which a velocity counts as being at it
 # [1/s] rate at which a wall is approached exponentially at the end of the braking distance: a singularity, where the
@@ -68,27 +58,6 @@ def approach_rate(
     length = math.hypot(*parts)
     deceleration = BRAKING_SHARE * length * length / largest if largest > 0.0 else math.inf
     return min(min(APPROACH_RATE, 0.5 / dt) * distance, math.sqrt(2.0 * deceleration * max(distance, 0.0)))
-
-
-def pair_rate(
-    distance: float, slope: Float[np.ndarray, " nv"], acceleration: Float[np.ndarray, " nv"], dt: float, together: float
-) -> float:
-    """Largest rate at which two things may approach each other, as `approach_rate`, and to rest in the time T.
-
-    What is nearer than it may be comes no nearer; if that is by less than DRIFT, as by nearest points that jump, it is
-    brought back, so that many small steps do not add up.
-
-    Args:
-        distance: What is left [m].
-        slope: Its gradient.
-        acceleration: Acceleration limits [rad/s2 or m/s2].
-        dt: Time for which a velocity is held [s].
-        together: T, in which all joints can stop on a straight line [s].
-    """
-    if distance < 0.0:
-        return -min(RETURN_RATE, 0.5 / dt) * max(0.0, min(-distance, DRIFT + distance))
-    rate = approach_rate(distance, slope, acceleration, dt)
-    return min(rate, distance / together) if together > 0.0 else rate
 
 
 def approach_bound(
@@ -131,20 +100,6 @@ class Tips(NamedTuple):
         return self.G.dot(u) < self.least
 
 
-def _approached(
-    G: Float[np.ndarray, "r nv"],
-    rates: list[float] | Float[np.ndarray, " r"],
-    acceleration: Float[np.ndarray, " nv"],
-    dt: float,
-    previous: Float[np.ndarray, " nv"] | None,
-) -> Barrier:
-    """Rows by which what is approached at G u is approached at these rates, as far as the accelerations allow."""
-    least = -np.array(rates)
-    if previous is not None:
-        least = np.minimum(least, BRAKING_SHARE * dt * np.abs(G).dot(acceleration) - G.dot(previous))
-    return -G, least
-
-
 @final
 class TipLimits:
     """|J_f(q) u| <= speed, and n^T p_f(q) <= d for each wall (n, d), for the origin p_f of each frame f.
@@ -167,35 +122,14 @@ class TipLimits:
         UnknownNameError: No such frame.
     """
 
-    def __init__(
-        self,
-        robot: Robot,
-        speed: float | None,
-        walls: ArrayLike,
-        frames: str | Sequence[str] | None = None,
-        clear_of: SelfCollision | None = None,
-        clearance: float = CLEARANCE,
-        fastest: ArrayLike = math.inf,
-    ):
+    def __init__(self, robot: Robot, speed: float | None, walls: ArrayLike, frames: str | Sequence[str] | None = None):
         if speed is not None and not (isinstance(speed, int | float) and 0.0 < speed < math.inf):
             raise ConfigurationError(f"tip_speed must be a positive number of metres per second, got {speed!r}")
         rows = np.array(walls, dtype=np.float64).reshape(-1, 4)
         lengths = np.linalg.norm(rows[:, :3], axis=1)
         if not (np.all(np.isfinite(rows)) and np.all(lengths > 0.0)):
             raise ConfigurationError(f"walls must be rows (nx, ny, nz, d) with n^T p <= d, got {rows.tolist()}")
-        if not (clear_of is None or (isinstance(clear_of, SelfCollision) and clear_of.robot is robot)):
-            its = f"of another {clear_of.robot.name!r}" if isinstance(clear_of, SelfCollision) else repr(clear_of)
-            wanted = "SelfCollision(robot, obstacles=scene.obstacles(robot)) of the robot of these limits"
-            raise ConfigurationError(f"clear_of is {its}; {wanted} is expected; give that")
-        if not (math.isfinite(clearance) and clearance >= 0.0):
-            raise ConfigurationError(
-                f"clearance is {clearance!r}; a distance of at least 0 [m] is expected; correct it"
-            )
-        self._far: np.ndarray | None = None  # the latest posture, if no pair was near there
-        self.clear_of, self.clearance, self._fastest = clear_of, float(clearance), np.asarray(fastest, np.float64)
-        if frames is None:  # pairs alone need none
-            frames = (default_tip(robot),) if speed is not None or len(rows) else ()
-        names = (frames,) if isinstance(frames, str) else tuple(frames)
+        names = (default_tip(robot),) if frames is None else (frames,) if isinstance(frames, str) else tuple(frames)
         self.speed = math.inf if speed is None else float(speed)
         self.frames = tuple(robot.frame(name) for name in names)
         self.walls = rows / lengths[:, None]
@@ -217,82 +151,16 @@ class TipLimits:
             previous: Velocity commanded in the step before [rad/s or m/s]; None bounds no acceleration.
         """
         jacobians = [self._robot.jacobian(q, frame)[:3] for frame in self.frames]
-        normals, offsets, nv = self.walls[:, :3], self.walls[:, 3], self._robot.nv
-        G = np.vstack([np.empty((0, nv)), *(normals.dot(J) for J in jacobians)])
-        left = [x for frame in self.frames for x in offsets - normals.dot(self._robot.position(q, frame))]
-        finite = np.minimum(acceleration, 1e12)  # inf for none; what follows must stay finite
-        rates = [approach_rate(float(x), g, finite, dt) for x, g in zip(left, G, strict=True)]
-        walls, near = _approached(G, rates, finite, dt, previous), self.near(q, dt, acceleration, previous)
-        return Tips(jacobians, *(walls if near is None else map(np.concatenate, zip(walls, near, strict=True))))
-
-    def near(
-        self,
-        q: Float[np.ndarray, " n"],
-        dt: float,
-        acceleration: Float[np.ndarray, " nv"],
-        previous: Float[np.ndarray, " nv"] | None,
-    ) -> Barrier | None:
-        """Rows of what is near each other, as of walls; None where nothing is. Arguments as for `at`."""
-        if self.clear_of is None:
-            return None
-        still, finite = np.zeros(self._robot.nv) if previous is None else previous, np.minimum(acceleration, 1e12)
-        most = np.minimum(self._fastest, math.inf if previous is None else np.abs(still) + dt * finite)
-        together, stopping = float(np.max(np.abs(still) / finite)), float(np.linalg.norm(most) / finite.min())
-        # [s] at its speed, by which a pair that is farther is below its rate, whatever its gradient is
-        time = max(1.0 / min(APPROACH_RATE, 0.5 / dt), together, stopping)
-        reach = self.clearance + AIMED + time * self.clear_of.lever * float(np.sum(most - np.abs(still)))
-        pairs, rates = list[Proximity](), list[float]()
-        for pair in self.clear_of.closer_than(q, reach, going=(still, time)):
-            rate = pair_rate(pair.distance - self.clearance - AIMED, pair.gradient, finite, dt, together)
-            if np.abs(pair.gradient).dot(most) > rate:
-                pairs.append(pair)
-                rates.append(rate)
-        self._far = None if pairs else q
-        if not pairs:
-            return None
-        G, allowed = -np.array([pair.gradient for pair in pairs]), np.array(rates)
+        if not self.walls.size:
+            return Tips(jacobians, np.empty((0, self._robot.nv)), np.empty(0))
+        normals, offsets = self.walls[:, :3], self.walls[:, 3]
+        G = np.vstack([normals.dot(J) for J in jacobians])
+        left = np.concatenate([offsets - normals.dot(self._robot.position(q, frame)) for frame in self.frames])
+        acceleration = np.minimum(acceleration, 1e12)  # inf for none; what follows must stay finite
+        least = -np.array([approach_rate(x, g, acceleration, dt) for x, g in zip(left.tolist(), G, strict=True)])
         if previous is not None:
-            # where the arm is going surfaces have turned and other points are the nearest ones: distances bend
-            there = self._robot.integrate(q, dt * previous)
-            ahead = self.clear_of.closer_than(there, math.inf, only=[pair.number for pair in pairs])
-            G, now = np.vstack([G, [-pair.gradient for pair in ahead]]), [pair.distance for pair in pairs]
-            bent = (np.array([pair.distance for pair in ahead]) - now) / dt + G[len(pairs) :].dot(previous)
-            allowed = np.append(allowed, allowed + bent)
-        return _approached(G, allowed, finite, dt, previous)
-
-    def kept_clear(
-        self,
-        q: Float[np.ndarray, " n"],
-        u: Float[np.ndarray, " nv"],
-        dt: float,
-        acceleration: Float[np.ndarray, " nv"],
-        previous: Float[np.ndarray, " nv"],
-    ) -> Float[np.ndarray, " nv"]:
-        """The velocity itself if all pairs are clear where it leads, and where the arm that then brakes straight stops.
-
-        Else it is changed towards braking from the velocity before, which was clear then: rows are tangents, which
-        nearest points that jump may leave. A pair that is nearer now must be no nearer there. Arguments as for `at`.
-
-        Args:
-            q: Posture.
-            u: Velocity for dt, which solves the program.
-            dt: [s].
-            acceleration: Of the joints.
-            previous: Velocity in the step before.
-        """
-        if self.clear_of is None or (self._far is not None and np.array_equal(self._far, q)):
-            return u
-        times = np.abs(previous) / acceleration
-        brakes = previous * max(0.0, 1.0 - dt / max(float(np.max(times)), dt))
-        now = {pair.number: pair.distance for pair in self.clear_of.closer_than(q, self.clearance)}
-        for share in SHARES:
-            v = brakes + share * (u - brakes)
-            stops = dt + 0.5 * float(np.max(np.abs(v) / acceleration))
-            there = [self._robot.integrate(q, time * v) for time in dict.fromkeys((dt, stops))]
-            pairs = [pair for x in there for pair in self.clear_of.closer_than(x, self.clearance)]
-            if all(pair.distance >= now.get(pair.number, self.clearance) - ROUNDED_DISTANCE for pair in pairs):
-                return u if share == 1.0 else v
-        return brakes
+            least = np.minimum(least, BRAKING_SHARE * dt * np.abs(G).dot(acceleration) - G.dot(previous))
+        return Tips(jacobians, -G, least)
 
     def rows(self, tips: Tips, u: Float[np.ndarray, " nv"], slack: float = 0.0) -> Barrier | None:
         """What the velocity u breaks: tangents where a frame is too fast, and walls; None where nothing.
@@ -312,18 +180,9 @@ class TipLimits:
                 least.append(self.speed * (RESERVE - 1.0))
         return (np.array(rows), np.array(least)) if rows else None
 
-    def words(self, q: Float[np.ndarray, " n"]) -> str | None:
-        """Which two things are nearest at a posture and how near, if they are about as near as they may be."""
-        pairs = [] if self.clear_of is None else self.clear_of.closer_than(q, self.clearance + AT_REST)
-        if not pairs:
-            return None
-        link, other = (nearest := min(pairs, key=lambda pair: pair.distance)).links
-        known = {obstacle.name for obstacle in self.clear_of.obstacles} if self.clear_of else set()
-        return f"{link} {nearest.distance:.3f} m from {'the ' if other in known else ''}{other}"
-
     def slowed(self, tips: Tips, u: Float[np.ndarray, " nv"]) -> Float[np.ndarray, " nv"]:
         """A velocity, slowed down as a whole to what is allowed; at rest where that is none."""
-        fastest = max((float(np.linalg.norm(J.dot(u))) for J in tips.jacobians), default=0.0)
+        fastest = max(float(np.linalg.norm(J.dot(u))) for J in tips.jacobians)
         rates, shares = tips.G.dot(u), [min(1.0, self.speed / max(fastest, 1e-300))]
         shares += [max(0.0, b) / r for r, b in zip((-rates).tolist(), (-tips.least).tolist(), strict=True) if r > b]
         return u * max(0.0, min(shares))
@@ -565,9 +424,6 @@ class Limits:
             where there is none; None for no box.
         tip_walls: shape (w, 4), rows (n, d): the frames' origins p stay where n^T p <= d [m]; None for no walls.
         frames: Name or names of these frames; by default the robot's likeliest tip.
-        clear_of: The pairs of links, and of links and obstacles, that keep apart, e.g.
-            `SelfCollision(robot, obstacles=scene.obstacles(robot))`; None for none. Rows of the same program.
-        clearance: Distance that they keep [m]. A pair that is nearer at the start comes no nearer, and may part.
 
     Attributes:
         tip: The limits of frames, or None.
@@ -596,8 +452,6 @@ class Limits:
         tip_box: ArrayLike | None = None,
         tip_walls: ArrayLike | None = None,
         frames: str | Sequence[str] | None = None,
-        clear_of: SelfCollision | None = None,
-        clearance: float = CLEARANCE,
     ):
         self.robot = robot
         names = robot.joint_names
@@ -610,9 +464,8 @@ class Limits:
         if not (math.isfinite(margin) and margin >= 0.0):
             raise ConfigurationError(f"margin must be a distance of at least 0, got {margin!r}")
         self.tip = None
-        if not (tip_speed is None and tip_box is None and tip_walls is None and clear_of is None):
-            pairs = (clear_of, clearance, self.velocity)
-            self.tip = TipLimits(robot, tip_speed, walls_of(tip_box, tip_walls), frames, *pairs)
+        if not (tip_speed is None and tip_box is None and tip_walls is None):
+            self.tip = TipLimits(robot, tip_speed, walls_of(tip_box, tip_walls), frames)
         self.position, self.margin = bool(position), float(margin)
         infinite = np.full(robot.nv, np.inf)
         self.lower = robot.position_lower + margin if position else -infinite

@@ -50,6 +50,7 @@ class Rollout:
             commands give it [rad or m]; None if it is not known.
         phases: Name, start and end [s] of the parts that follow each other, e.g. of a plan; empty where it is one.
         ways: What became of each way along a mechanism, as `WayDone.to_dict` says it, `begins` on this clock [s].
+        around: What a plan kept clear of, as `Obstacle.to_dict` says it, and how near it came to each [m].
 
     Example:
         >>> import manip_learn as ml
@@ -77,6 +78,7 @@ class Rollout:
     following_error: Float[np.ndarray, " T"] | None = None
     phases: tuple[tuple[str, float, float], ...] = ()
     ways: tuple[Mapping[str, Any], ...] = ()
+    around: tuple[Mapping[str, Any], ...] = ()
 
     def __post_init__(self) -> None:
         for name in ("time", "q", "u", "manipulability", "task_error", "target", "following_error"):
@@ -134,7 +136,10 @@ class Rollout:
         phases = (*self.phases, *((name, start + shift, end + shift) for name, start, end in other.phases))
         status = (*self.status[:-1], *other.status)
         later = ({**way, "begins": None if way["begins"] is None else way["begins"] + shift} for way in other.ways)
-        parts = {"phases": phases, "ways": (*self.ways, *later)}
+        around = dict[str, Mapping[str, Any]]()  # of what stands around in both, where the arm comes nearer to it
+        for thing in sorted((*self.around, *other.around), key=lambda thing: thing.get("nearest", np.inf)):
+            around.setdefault(json.dumps({k: v for k, v in thing.items() if k not in ("nearest", "link")}), thing)
+        parts = {"phases": phases, "ways": (*self.ways, *later), "around": tuple(around.values())}
         return replace(other, **joined, time=time, status=status, following_error=None, **parts)
 
     def violation(self, constraint: Constraint) -> Float[np.ndarray, " T"]:
@@ -167,6 +172,7 @@ class Rollout:
             follows=self.following_error is not None,
             phases=[list(part) for part in self.phases],
             ways=[dict(way) for way in self.ways],
+            around=[dict(thing) for thing in self.around],
         )
         words = tuple(str(word) for word in self.status)
         curves = self.manipulability, self.task_error
@@ -235,6 +241,7 @@ class Rollout:
             "following_error": motion.following_error,
             "phases": tuple((name, float(start), float(end)) for name, start, end in header.phases or ()),
             "ways": tuple(header.ways or ()),
+            "around": tuple(header.around or ()),
         }
         described = status, header.joint_names, motion.task_error, header.frame, header.robot
         return Rollout(*numbers, *described, **guided), notes

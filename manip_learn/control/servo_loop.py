@@ -313,8 +313,7 @@ class ServoLoop:
         self._following.forget()
         self._relief: np.ndarray | None = None  # posture to go to after a following error
         self._correction = np.zeros(nv)  # what `position` adds to the commanded posture
-        self.measured: np.ndarray | None = None
-        self._stopped_by: str | np.ndarray | None = None  # a posture where something was too near
+        self.measured, self.stopped_by = None, None
         self._time = -math.inf  # of the newest state
         self._earlier = math.nan  # of a state that was refused, being older than the newest
         self._ahead = 0.0  # time by which the commanded posture has moved on since the newest state
@@ -385,11 +384,6 @@ class ServoLoop:
         self._keeps_limits, self._slide, self._behind = True, 0.0, 0.0
 
     @property
-    def stopped_by(self) -> str | None:  # noqa: D102
-        by, tip = self._stopped_by, self.limits.tip
-        return by if tip is None or not isinstance(by, np.ndarray) else tip.words(by)
-
-    @property
     def position(self) -> Float[np.ndarray, " n"] | None:
         """The commanded posture at the end of the period, for a position servo; None before the first state.
 
@@ -430,7 +424,7 @@ class ServoLoop:
         if measured is None or not time >= self._time:
             self._earlier = time if measured is not None and time < self._time else math.nan
             self._waited += self.dt
-            self._stopped_by = f"no posture: {q!r:.200}" if measured is None else f"no time: {t!r:.40}"
+            self.stopped_by = f"no posture: {q!r:.200}" if measured is None else f"no time: {t!r:.40}"
             return self._braked(Status.INVALID_INPUT)
         self.measured = measured
         held = self._accept_time(time, measured)
@@ -448,7 +442,7 @@ class ServoLoop:
             self._reference, self._velocity = self._output, self._sent
             return self._unloading(self._output, measured, period)
         if held is None or self._waited > self.stale_after:
-            self._stopped_by = f"no new state for more than {1e3 * self.stale_after:g} ms"
+            self.stopped_by = f"no new state for more than {1e3 * self.stale_after:g} ms"
             return self._braked(Status.STALE, period)
         if self._correction_rate and self._waited == 0.0:
             slow = min(1.0, self._correction_rate * held) * self._following.distance
@@ -558,20 +552,6 @@ class ServoLoop:
         return self._slowed[1].bounds(q, late, None)
 
     def _command(self, q: np.ndarray, time: float, held: float) -> Command:
-        """The controller's command, within the limits and clear of what stands around."""
-        command, tip = self._within_limits(q, time, held), self.limits.tip
-        if tip is None or tip.clear_of is None:
-            return command
-        u = tip.kept_clear(q, command.velocity, held, self.limits.acceleration, self._velocity)
-        if u is not command.velocity:
-            status, part = min(command.status, Status.POSITION_LIMITED, key=tuple(Status).index), command.task_part
-            task_part = part + u - command.velocity
-            command = command._replace(velocity=u, status=status, limiting_joint=-1, task_part=task_part)
-        if command.limiting_joint < 0 and command.status in (Status.POSITION_LIMITED, Status.STALLED):
-            self._stopped_by = q
-        return command
-
-    def _within_limits(self, q: np.ndarray, time: float, held: float) -> Command:
         """The controller's command, within the limits."""
         if self._keeps_limits:
             command = self.controller(q, time, held, self._velocity, self._slide)  # type: ignore[call-arg]
@@ -615,7 +595,7 @@ class ServoLoop:
         """The arm lets go of what blocks it: it goes slowly to where it was measured when that was found."""
         if self._relief is None:
             self._relief = self.robot.integrate(commanded, self._following.relief())
-            self._stopped_by = self._following.sentence(constraint_of(self.controller), measured)
+            self.stopped_by = self._following.sentence(constraint_of(self.controller), measured)
         left = self.robot.difference(commanded, self._relief)
         farthest = float(np.abs(left).max(initial=0.0))
         if farthest < ARRIVED and not self._velocity.any():

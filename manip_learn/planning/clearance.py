@@ -3,35 +3,35 @@
 from __future__ import annotations
 
 import copy
+from collections.abc import Iterable
 from functools import lru_cache
 from typing import Any, final
 
 import numpy as np
 from jaxtyping import Float
 
-from manip_learn.errors import RobotError
-from manip_learn.planning.surroundings import BEHIND, FLOOR, FRONT, LARGE, Surroundings
-from manip_learn.robot.collision import Obstacle, Proximity, SelfCollision
+from manip_learn.planning.surroundings import AWAY, BEHIND, FLOOR, FRONT, Surroundings
+from manip_learn.robot.collision import Obstacle, Proximity, SelfCollision, known_shapes
 from manip_learn.robot.robot import Robot
 
 # [m] from links to each other and to what stands around: what a servo's lag makes of a path; links that are neighbours
 # come within 2 cm
 CLEARANCE = 0.005
 ROUNDED = 1e-3  # [m] behind the hand that takes hold there is this much more room than it takes: it shakes a little
+DEEPER = 4  # times that what the hand is in is moved out of its way: its faces are met one after the other
 FARTHER = 0.1  # [m] by which a floor or a front that was assumed may be elsewhere: no handle stands out farther
 STEP = 0.02  # [rad or m] between checks: a hand at 0.25 m moves by the clearance
+LAST = 10**9  # a station behind all of them: the last one
+NEAR = 0.3  # [m] up to which a plan says how near it comes to what stands around: farther away nobody asks
+MOST_TRIANGLES = 10_000  # of all that stands around, in a rollout: 0.3 MB of text
 Posture = Float[np.ndarray, " nv"]
 
 
 @lru_cache(maxsize=8)
 def links_of(robot: Robot) -> tuple[SelfCollision, str]:
     """The links with their collision shapes, or else the drawn ones, or else capsules; and which of these."""
-    for shapes in ("collision", "visual"):
-        try:
-            return SelfCollision(robot, shapes=shapes), shapes  # type: ignore[arg-type]  # two of the words it knows
-        except RobotError:
-            continue
-    return SelfCollision(robot, shapes="links"), "links"
+    shapes = known_shapes(robot)
+    return SelfCollision(robot, shapes=shapes), shapes
 
 
 def self_collision(robot: Robot) -> SelfCollision | None:
@@ -52,7 +52,8 @@ class Clearance:
             taken. What was only assumed to stand around and touches there is left out.
 
     Attributes:
-        least: The clearance [m].
+        least: The clearance [m]; of two things that are nearer at the start, half their distance there.
+        links: Distances of the links from each other and from what stands around.
         notes: What was left out, in sentences.
     """
 
@@ -65,31 +66,48 @@ class Clearance:
                 "the robot has no shapes: self-collision was not looked at"
                 + (", capsules along its links keep clear of what stands around" if around.obstacles else "")
             )
-        self._links = found.with_obstacles(around.obstacles, self._own)
-        self._start, self._around, self._depth = (
-            start,
-            around,
-            LARGE,
-        )  # what is behind the front is out of the way of every hand
+        self.links = found.with_obstacles(around.obstacles, self._own)
+        self._start, self._around, self._behind = start, around, AWAY
         if around.is_assumed:
             self._make_room(self._pairs(start, 0, 0.0))
-        nearest = [pair.distance for pair in self._pairs(start, 0, 2.0 * CLEARANCE)]
-        self.least = max(0.0, min([CLEARANCE, *(0.5 * distance for distance in nearest)]))
+        near = [pair for pair in self._pairs(start, 0, 2.0 * CLEARANCE) if pair.distance >= 0.0]
+        self._near = {pair.links: 0.5 * pair.distance for pair in reversed(near)}
+        self.least = min([CLEARANCE, *self._near.values()])
 
     @property
     def obstacles(self) -> tuple[Obstacle, ...]:
         """What stands around, where it is before the way."""
-        return self._around.placed(self._depth)
+        return self._around.placed(self._behind)
 
     @property
-    def geometry(self) -> Any:
-        """Pinocchio's model of links and obstacles, where these are before the way, and of the pairs that count."""
-        return self._links.with_obstacles(self.obstacles, self._own).geometry
+    def pairs(self) -> list[tuple[int, int]]:
+        """Which shapes of `links.geometry` must not touch, a link's first."""
+        return [(p.first, p.second) for p in self.links.geometry.collisionPairs]
 
     @property
     def shown(self) -> tuple[Obstacle, ...]:
         """What a person would see of them."""
-        return tuple(o for o in self.obstacles if o.name != BEHIND)
+        return self._around.shown
+
+    def plain(self, path: Iterable[tuple[Posture, int]]) -> tuple[dict[str, Any], ...]:
+        """The same as plain data: whether it was assumed, whether it moves, and how near what link comes to it [m].
+
+        Args:
+            path: Postures, and at which station of the way.
+        """
+        nearest = dict[str, Proximity]()
+        for q, station in path:
+            for pair in self._pairs(q, station, NEAR):
+                if (known := nearest.get(pair.links[1])) is None or pair.distance < known.distance:
+                    nearest[pair.links[1]] = pair
+        now, later, out = self._around.at(0), self._around.at(LAST), list[dict[str, Any]]()
+        for o in self.shown:
+            moves = o.name in now and not np.allclose(now[o.name], later[o.name])
+            known = {"assumed": self._around.is_assumed, "moves": moves}
+            if (pair := nearest.get(o.name)) is not None:
+                known |= {"nearest": pair.distance, "link": pair.links[0]}
+            out.append(o.to_dict(MOST_TRIANGLES // len(self.shown)) | known)
+        return tuple(out)
 
     @property
     def names(self) -> tuple[str, ...]:
@@ -97,34 +115,43 @@ class Clearance:
         return self._around.names
 
     def holding(self, q: Posture) -> Clearance:
-        """This clearance for a hand that may be as far behind the front as where it takes hold, or as at the start."""
-        if FRONT not in self.names:
-            return self
-        postures = (self._robot.configuration(x) for x in (q, self._start))
-        pairs = [pair for x in postures for pair in self._links.closer_than(x, 0.0, self._around.at(0, 0.0))]
-        other = copy.copy(self)
-        deep = max([0.0, *(-pair.distance for pair in pairs if pair.links[1] == BEHIND)])
-        other._depth = deep + self.least + ROUNDED
+        """This clearance for a hand that goes no deeper into what it may touch than here, or at the start."""
+        other, names = copy.copy(self), {name + BEHIND: name for name in self._around.held}
+        other._behind = {name: np.zeros(3) for name in names.values()}
+        room = CLEARANCE + ROUNDED
+        for _ in range(DEEPER if names else 0):
+            found = [pair for x in (q, self._start) for pair in other._pairs(x, 0, room)]
+            deepest = min((p for p in found if p.links[1] in names), key=lambda pair: pair.distance, default=None)
+            if deepest is None:
+                return other
+            moved = (1e-6 + room - deepest.distance) * deepest.normal
+            other._behind = {**other._behind, names[deepest.links[1]]: other._behind[names[deepest.links[1]]] + moved}
+        other._behind = AWAY if names else other._behind
         return other
 
     def touching(self, q: Posture, station: int = 0, distance: float | None = None) -> Proximity | None:
         """Two things nearer to each other than a distance [m], by default the clearance; None if none are."""
-        pairs = self._pairs(q, station, self.least if distance is None else distance)
+        if distance is None:
+            pairs = [p for p in self._pairs(q, station, CLEARANCE) if p.distance <= self._near.get(p.links, CLEARANCE)]
+        else:
+            pairs = self._pairs(q, station, distance)
         return min(pairs, key=lambda pair: pair.distance, default=None)
 
     def __call__(self, q: Posture, station: int = 0) -> bool:
         """Whether a posture is clear, while the hand is at a station of its way."""
-        return self._links.is_clear(self._robot.configuration(q), self.least, self._around.at(station, self._depth))
+        moved = self._around.at(station, self._behind)
+        clear = self.links.is_clear(self._robot.configuration(q), CLEARANCE, moved)
+        return clear or (bool(self._near) and self.touching(q, station) is None)
 
     def of_line(self, a: Posture, b: Posture, station: int = 0) -> bool:
         """Whether the straight joint motion between two postures is clear, the middle looked at first."""
-        n = max(1, int(np.ceil(np.max(np.abs(b - a)) / STEP)))
-        return all(self(a + i / n * (b - a), station) for i in sorted(range(1, n), key=lambda i: abs(i - n // 2)))
+        between = _line(a, b)[1:-1]
+        half = (len(between) + 1) // 2
+        return all(self(q, station) for _, q in sorted(enumerate(between, 1), key=lambda one: abs(one[0] - half)))
 
     def in_line(self, a: Posture, b: Posture) -> tuple[str, str] | None:
         """The first two things that touch on the straight joint motion between two postures."""
-        n = max(1, int(np.ceil(np.max(np.abs(b - a)) / STEP)))
-        pairs = (self.touching(a + i / n * (b - a)) for i in range(n + 1))
+        pairs = map(self.touching, _line(a, b))
         return next((pair.links for pair in pairs if pair is not None), None)
 
     def of_way(self, path: Float[np.ndarray, "k nv"]) -> bool:
@@ -133,7 +160,7 @@ class Clearance:
         return nodes and all(self.of_line(a, b, k) for k, (a, b) in enumerate(zip(path, path[1:], strict=False), 1))
 
     def _pairs(self, q: Posture, station: int, distance: float) -> list[Proximity]:
-        return self._links.closer_than(self._robot.configuration(q), distance, self._around.at(station, self._depth))
+        return self.links.closer_than(self._robot.configuration(q), distance, self._around.at(station, self._behind))
 
     def _make_room(self, touching: list[Proximity]) -> None:
         """Take what was assumed away from where the arm is, or leave it out."""
@@ -146,4 +173,10 @@ class Clearance:
             else:
                 self._around = self._around.without(name)
                 self.notes.append(is_there + "left out")
-        self._links = self._links.with_obstacles(self._around.obstacles, self._own)
+        self.links = self.links.with_obstacles(self._around.obstacles, self._own)
+
+
+def _line(a: Posture, b: Posture) -> list[Posture]:
+    """Postures of the straight joint motion from one to another."""
+    n = max(1, int(np.ceil(np.max(np.abs(b - a)) / STEP)))
+    return [a + i / n * (b - a) for i in range(n + 1)]

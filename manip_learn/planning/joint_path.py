@@ -2,28 +2,30 @@
 
 RoboPlan (https://github.com/open-planning/roboplan) plans on Pinocchio and Coal in C++. A URDF with plain names is
 written for it, of our joints, limits and shapes, whatever file the robot came from. It knows no clearance: of each pair
-of shapes one is larger in its copy. Our own distances alone decide whether a path is clear.
+of shapes the link's is larger in its copy. Our own distances alone decide whether a path is clear.
 """
 
 from __future__ import annotations
 
+import logging
 import tempfile
+import threading
 import warnings
+from functools import lru_cache
 from importlib import import_module
 from itertools import product
 from pathlib import Path
-from typing import Any, final
+from typing import Any
 
-import coal
 import numpy as np
-import pinocchio as pin
 from jaxtyping import Bool, Float
-from scipy.spatial import ConvexHull
 
 from manip_learn.control.limits import Limits
 from manip_learn.errors import MissingExtraError
 from manip_learn.planning.clearance import Clearance, Posture
-from manip_learn.robot.joints import motion_along
+from manip_learn.robot.collision import SelfCollision
+from manip_learn.robot.plain_urdf import BASE, box_size, joint_name, plain_urdf
+from manip_learn.robot.robot import Robot
 
 NODES = 800  # of both trees; a path round a box takes 150 at most, 800 in vain half a second
 REACH = 1.0  # [rad or m] by which a tree grows at once, all joints together
@@ -31,164 +33,110 @@ COARSE = 0.05  # [rad or m] between RoboPlan's checks, all joints together; thos
 SECONDS = 4.0  # of a search that adds no nodes, as from a start that is shut in: no number of nodes ends it
 SEEDS = 3  # searches in each copy
 GROWN = (1.0, 0.4, 2.0)  # times the clearance: less where start or goal has no more, more where paths come too near
+ROUNDING = 1e-9  # [rad or m] beyond limits: start and goal may stand at them
+COPIES = 8  # that are kept, of a few megabytes each
 TURN = 2.0 * np.pi  # [rad] one turn, and the room to both sides of a joint that turns without end
-# corners of a solid about the ball of radius 1: its faces are 0.8866 away where its corners are at 1
-CORNERS = np.array([np.divide(d, 0.8866 * np.linalg.norm(d)) for d in product((-1, 0, 1), repeat=3) if any(d)])
+_LOCK, _LOG = threading.Lock(), logging.getLogger(__name__)  # a copy is for one thread at a time
 
 
-@final
-class JointPlanner:
-    """Joint paths of one robot among what stands around it; made once, used for many goals.
+def joint_path(
+    robot: Robot, start: Posture, goal: Posture, limits: Limits, clear: Clearance, seed: int
+) -> list[Posture] | None:
+    """Knots from the start to the goal, straight joint motions between which are clear; None where none was found.
 
-    RoboPlan is imported, and the copy made, at the first straight motion that is not clear.
+    RoboPlan is imported where the straight motion is not clear. It plans for joints that turn or slide, and for joints
+    that follow one of these which comes before them. Why there is no path is written to the log, at level INFO.
 
     Args:
-        clear: Whether a posture or a straight motion is clear.
+        robot: The robot.
+        start: Joint positions within the limits [rad or m].
+        goal: Likewise; of a joint without limits at most a turn away.
         limits: Of the joints; the positions count.
-        moving: shape (nv,), joints that may move, the others only where start and goal differ in them; None for all.
+        clear: What is clear.
+        seed: Of the search: the same seed gives the same path.
 
-    Attributes:
-        clear: As given.
-        why: Why the last call of `path` found none, in words; empty where it found one.
+    Raises:
+        MissingExtraError: The straight motion is not clear, and RoboPlan is not installed.
     """
-
-    def __init__(self, clear: Clearance, limits: Limits, moving: Bool[np.ndarray, " nv"] | None = None):
-        self._robot, self.clear, self.why = limits.robot, clear, ""
-        robot, self._geometry = limits.robot, clear.geometry
-        low, high = limits.lower, limits.upper
-        self._endless = (np.array(robot.joint_units) == "rad") & ~np.isfinite(low) & ~np.isfinite(high)
-        self._lower = np.where(np.isfinite(low), low, np.minimum(high - 2.0 * TURN, -TURN)) - 1e-9
-        self._upper = np.where(np.isfinite(high), high, np.maximum(low + 2.0 * TURN, TURN)) + 1e-9  # rounding
-        self._moving = np.ones(robot.nv, dtype=bool) if moving is None else moving
-        self._names = np.array([f"j{block.index:03}" for block in robot.blocks])
-        self._copies: dict[float, Any] = {}
-
-    def path(self, start: Posture, goal: Posture, seed: int) -> list[Posture] | None:
-        """Knots from the start to the goal, straight joint motions between which are clear; None where none was found.
-
-        Args:
-            start: Joint positions within the limits [rad or m].
-            goal: Likewise.
-            seed: Of the search: the same seed gives the same path.
-
-        Raises:
-            MissingExtraError: The straight motion is not clear, and RoboPlan is not installed.
-        """
-        pair, self.why = self.clear.touching(start) or self.clear.touching(goal), ""
-        if pair is not None:
-            self.why = f"at one end {' and '.join(pair.links)} are nearer than {1e3 * self.clear.least:.3g} mm"
-            return None
-        if self.clear.of_line(start, goal):
-            return [start, goal]
-        turns = np.where(self._endless, TURN * np.round(0.5 * (start + goal) / TURN), 0.0)
+    if not (clear(start) and clear(goal)):
+        return None
+    if clear.of_line(start, goal):
+        return [start, goal]
+    why = "every path that was found comes too near to something on the way"
+    endless = (np.array(robot.joint_units) == "rad") & ~np.isfinite(limits.lower) & ~np.isfinite(limits.upper)
+    turns = np.where(endless, TURN * np.round(0.5 * (start + goal) / TURN), 0.0)
+    differ, supports = start != goal, robot.pinocchio_model.supports
+    below = {j for block in robot.blocks if np.any(differ[block.v]) for j in supports[block.index]}
+    carry = differ | np.array([block.index in below for block in robot.blocks for _ in block.units])
+    for free in (carry,) if np.all(carry) else (carry, np.ones_like(carry)):  # fingers, too, only where that is needed
         for grown, number in product(GROWN, np.random.SeedSequence(seed).generate_state(SEEDS)):
             try:
-                knots = self._searched(grown, start - turns, goal - turns, int(number) >> 1)  # a seed with a sign
+                with _LOCK:
+                    knots = _searched(limits, clear, grown, free, start - turns, goal - turns, int(number) >> 1)
             except (RuntimeError, ValueError) as error:  # all that RoboPlan raises
-                self.why = f"no path was found: {error}"
-                return None
+                why = str(error)
+                break
             path = [start, *(knots[1:-1] + turns), goal]
-            if len(knots) and all(map(self.clear, path)) and all(map(self.clear.of_line, path[:-1], path[1:])):
+            if len(knots) and all(map(clear, path)) and all(map(clear.of_line, path[:-1], path[1:])):
                 return path
-        self.why = "every path that was found comes too near to something on the way"
-        return None
-
-    def _searched(self, grown: float, start: Posture, goal: Posture, seed: int) -> Float[np.ndarray, "k nv"]:
-        """RoboPlan's path in a copy whose shapes are larger; empty where start or goal touch something in it."""
-        try:
-            with warnings.catch_warnings():  # of the viewer that it imports
-                warnings.simplefilter("ignore", DeprecationWarning)
-                core, rrt = import_module("roboplan.core"), import_module("roboplan.rrt")
-        except ImportError as error:
-            raise MissingExtraError("a path round what is in the way", "plan") from error
-        if grown not in self._copies:
-            self._copies[grown] = self._copied(core, grown * self.clear.least)
-        scene, free = self._copies[grown], self._moving | bool(np.any((start != goal) & ~self._moving))
-        place = np.argsort(scene.getJointPositionIndices(self._names.tolist()))
-        if scene.hasCollisions(start[place]) or scene.hasCollisions(goal[place]):
-            return np.empty((0, len(start)))
-        scene.setJointPositions(start[place])  # of the joints that stand still
-        names = self._names[free].tolist()
-        scene.addGroup("free", names)
-        planner = rrt.RRT(
-            scene, rrt.RRTOptions("free", NODES, REACH, COARSE, max_planning_time=SECONDS, rrt_connect=True)
-        )
-        planner.setRngSeed(seed)
-        found = planner.plan(*(core.JointConfiguration(names, q[free]) for q in (start, goal)))
-        found = core.PathShortcutter(scene, core.PathShortcuttingOptions("free", COARSE, seed=seed)).shortcut(found)
-        knots = np.tile(start, (len(found.positions), 1))
-        knots[:, free] = found.positions
-        return knots[np.append(True, np.any(np.diff(knots, axis=0), axis=1))]  # which repeat where the trees met
-
-    def _copied(self, core: Any, larger: float) -> Any:
-        """RoboPlan's scene of ours, of each pair one shape larger by so much [m]."""
-        things = list(self._geometry.geometryObjects)  # obstacles last: of each pair it is a link that is larger
-        pairs = [(p.first, p.second) for p in self._geometry.collisionPairs]
-        sizes = {f"s{k:03}": (k, 0.0) for _, k in pairs} | {f"g{k:03}": (k, larger) for k, _ in pairs}
-        with tempfile.TemporaryDirectory(prefix="manip_learn_") as folder:
-            links = [_link(name, things[k], by, Path(folder)) for name, (k, by) in sizes.items()]
-            text = "".join(["<robot name='copy'><link name='l000'/>", *self._joints(), *links, "</robot>"])
-            scene = core.Scene("copy", core.loadUrdfSceneDescriptionFromXml(text))
-        scene.setCollisions([(a, b) for a, b in product(sizes, sizes) if a < b], False)
-        scene.setCollisions([(f"g{k:03}", f"s{other:03}") for k, other in pairs], True)
-        return scene
-
-    def _joints(self) -> list[str]:
-        robot, model, out = self._robot, self._robot.pinocchio_model, list[str]()
-        data, mimics = model.createData(), {m.joint: m for m in robot.mimics}
-        pin.forwardKinematics(model, data, pin.neutral(model), np.zeros(model.nv))
-        limits = {b.name: (self._lower[b.v][0], self._upper[b.v][0]) for b in robot.blocks}
-        for j, name in list(enumerate(model.names))[1:]:
-            if (along := motion_along(data.joints[j].S)) is None:
-                raise ValueError(f"joint {name!r} does more than turn or slide")
-            low, high = limits.get(name, (-1e3, 1e3))  # a joint that follows another has its limits
-            inside = f"<axis xyz='{_words(along[1])}'/><limit lower='{low}' upper='{high}' velocity='1' effort='1'/>"
-            if (m := mimics.get(name)) is not None:
-                leader = f"j{model.getJointId(m.leader):03}"
-                inside += f"<mimic joint='{leader}' multiplier='{m.multiplier}' offset='{m.offset}'/>"
-            head = f"j{j:03}", "revolute" if along[0] == "R" else "prismatic", model.parents[j], f"l{j:03}"
-            out.append(f"<link name='l{j:03}'/>{_joint(*head, model.jointPlacements[j], inside)}")
-        return out
+    _LOG.info("no path round what is in the way: %s", why)
+    return None
 
 
-def _words(values: Any) -> str:
-    return " ".join(map(repr, np.asarray(values, dtype=np.float64).tolist()))
+def _searched(
+    limits: Limits,
+    clear: Clearance,
+    grown: float,
+    free: Bool[np.ndarray, " nv"],
+    start: Posture,
+    goal: Posture,
+    seed: int,
+) -> Float[np.ndarray, "k nv"]:
+    """RoboPlan's path in a copy whose links are larger; empty where start or goal touch something in it."""
+    try:
+        with warnings.catch_warnings():  # of the viewer that it imports
+            warnings.simplefilter("ignore", DeprecationWarning)
+            core, rrt = import_module("roboplan.core"), import_module("roboplan.rrt")
+    except ImportError as error:
+        raise MissingExtraError("a path round what is in the way", "plan") from error
+    scene, moving = _copied(clear.links, tuple(clear.pairs), limits, grown * clear.least)
+    obstacles = clear.obstacles
+    for name, number in moving.items():
+        scene.updateGeometryPlacement(name, BASE, np.asfortranarray(obstacles[number].placement))
+    names = np.array([joint_name(block.index) for block in limits.robot.blocks])
+    place = np.argsort(scene.getJointPositionIndices(names.tolist()))
+    if scene.hasCollisions(start[place]) or scene.hasCollisions(goal[place]):
+        return np.empty((0, len(start)))
+    scene.setJointPositions(start[place])  # of the joints that stand still
+    scene.addGroup("free", names[free].tolist())
+    options = rrt.RRTOptions("free", NODES, REACH, COARSE, max_planning_time=SECONDS, rrt_connect=True)
+    planner = rrt.RRT(scene, options)
+    planner.setRngSeed(seed)
+    found = planner.plan(*(core.JointConfiguration(names[free].tolist(), q[free]) for q in (start, goal)))
+    found = core.PathShortcutter(scene, core.PathShortcuttingOptions("free", COARSE, seed=seed)).shortcut(found)
+    knots = np.tile(start, (len(found.positions), 1))
+    knots[:, free] = found.positions
+    return knots[np.append(True, np.any(np.diff(knots, axis=0), axis=1))]  # which repeat where the trees met
 
 
-def _joint(name: str, kind: str, parent: int, child: str, place: pin.SE3, inside: str = "") -> str:
-    inside += f"<origin xyz='{_words(place.translation)}' rpy='{_words(pin.rpy.matrixToRpy(place.rotation))}'/>"
-    return f"<joint name='{name}' type='{kind}'><parent link='l{parent:03}'/><child link='{child}'/>{inside}</joint>"
-
-
-def _link(name: str, thing: Any, larger: float, folder: Path) -> str:
-    """One shape, larger all round by a length [m], on a link of its own."""
-    shape, mark = thing.geometry, ""
-    match shape:
-        case coal.Box():
-            form = f"<box size='{_words(2.0 * (np.asarray(shape.halfSide) + larger))}'/>"
-        case coal.Cylinder():
-            form = f"<cylinder radius='{shape.radius + larger}' length='{2.0 * (shape.halfLength + larger)}'/>"
-        case coal.Sphere() | coal.Capsule():  # a capsule is no element of URDF: Pinocchio has a mark for it
-            length = 2.0 * getattr(shape, "halfLength", 0.0)
-            form, mark = f"<cylinder radius='{shape.radius + larger}' length='{length}'/>", "capsule"
-        case _:
-            form, mark = _mesh(shape, larger, folder / f"{name}.obj")
-    marked = f"<collision_checking><{mark} name='{name}'/></collision_checking>" if mark else ""
-    link = f"<link name='{name}'><collision name='{name}'><geometry>{form}</geometry></collision>{marked}</link>"
-    return link + _joint(f"{name}_fixed", "fixed", thing.parentJoint, name, thing.placement)
-
-
-def _mesh(shape: Any, larger: float, file: Path) -> tuple[str, str]:
-    if convex := isinstance(shape, coal.ConvexBase):
-        hull = ConvexHull((np.array(shape.points())[:, None] + larger * CORNERS[: 26 if larger else 1]).reshape(-1, 3))
-        points, faces = hull.points[hull.vertices], np.searchsorted(hull.vertices, hull.simplices)
-    else:
-        corners = [shape.tri_indices(k) for k in range(shape.num_tris)]
-        points, faces = np.array(shape.vertices()), np.array([(t[0], t[1], t[2]) for t in corners])
-        a, b, c = np.moveaxis(points[faces], 1, 0)
-        normals = np.zeros_like(points)
-        np.add.at(normals, faces, np.cross(b - a, c - a)[:, None])
-        points = points + larger * normals / np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), 1e-12)
-    lines = [f"v {_words(p)}\n" for p in points] + [f"f {a} {b} {c}\n" for a, b, c in (faces + 1).tolist()]
-    file.write_text("".join(lines))
-    return f"<mesh filename='{file}'/>", "convex" if convex else ""
+@lru_cache(maxsize=COPIES)
+def _copied(
+    links: SelfCollision, pairs: tuple[tuple[int, int], ...], limits: Limits, larger: float
+) -> tuple[Any, dict[str, int]]:
+    """RoboPlan's scene of ours, the links larger by so much [m], and of the boxes in it the names and numbers."""
+    core, obstacles = import_module("roboplan.core"), links.obstacles
+    things, first = list(links.geometry.geometryObjects), links.geometry.ngeoms - len(obstacles)
+    sizes = {f"s{k:03}": (things[k], 0.0) for _, k in pairs} | {f"g{k:03}": (things[k], larger) for k, _ in pairs}
+    named = {f"s{first + k:03}": k for k in range(len(obstacles))}
+    boxes = {n: (k, size) for n, k in named.items() if n in sizes and (size := box_size(obstacles[k].geometry))}
+    low = np.where(np.isfinite(limits.lower), limits.lower, np.minimum(limits.upper - 2.0 * TURN, -TURN))
+    high = np.where(np.isfinite(limits.upper), limits.upper, np.maximum(limits.lower + 2.0 * TURN, TURN))
+    with tempfile.TemporaryDirectory(prefix="manip_learn_") as folder:
+        fixed = {name: solid for name, solid in sizes.items() if name not in boxes}
+        text = plain_urdf(limits.robot, low - ROUNDING, high + ROUNDING, fixed, Path(folder))
+        scene = core.Scene("copy", core.loadUrdfSceneDescriptionFromXml(text))
+    for name, (k, size) in boxes.items():  # which may be elsewhere at the next call, as a door's leaf
+        scene.addBoxGeometry(name, BASE, core.Box(*size), np.asfortranarray(obstacles[k].placement), np.ones(4))
+    scene.setCollisions([(a, b) for a, b in product(sizes, sizes) if a < b], False)
+    scene.setCollisions([(f"g{k:03}", f"s{other:03}") for k, other in pairs], True)
+    return scene, {name: k for name, (k, _) in boxes.items()}

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, Literal, final
@@ -24,12 +25,22 @@ from manip_learn.control.tasks.driven_motion import way_in_words
 from manip_learn.control.tasks.motion import FreeDirection
 from manip_learn.control.way import WayDone, joint_at_limit, simulate_way
 from manip_learn.errors import ConfigurationError, FeatureError, MissingExtraError, NoPlanError, TargetError, an
-from manip_learn.planning.clearance import Clearance
+from manip_learn.planning.clearance import CLEARANCE, Clearance
 from manip_learn.planning.grasp_cone import GraspCone
-from manip_learn.planning.joint_path import JointPlanner
+from manip_learn.planning.joint_path import joint_path
 from manip_learn.planning.scene import Scene
-from manip_learn.planning.search import TIE, Marches, marches_of, relaxed
-from manip_learn.planning.stations import FEWEST, MOST, PERIOD, Margins, Postures, Stations, margins_of, rooms
+from manip_learn.planning.search import APART, TIE, Marches, marches_of, relaxed
+from manip_learn.planning.stations import (
+    FEWEST,
+    MOST,
+    PERIOD,
+    Margins,
+    Postures,
+    Stations,
+    margins_of,
+    node_margins,
+    rooms,
+)
 from manip_learn.planning.surroundings import Surroundings, assumed, hand_of
 from manip_learn.recordings.trajectory_source import Progress
 from manip_learn.robot import html_card
@@ -49,6 +60,7 @@ PLACES, SENSES = 3, 8  # of the base: distances, and directions in the plane
 LESS = 0.9  # of a way that did not come true is tried next
 LEAST_SHARE = 0.01  # of the whole way: less is no part of it
 LOOKED = 20  # of marches in whose way something is, for what would help
+SEEN = 60  # postures of an approach of which a plan says how near they come to what stands around
 TURN = 2.0 * np.pi
 Around = Scene | Literal["assumed"] | None
 
@@ -224,9 +236,7 @@ def plan(
         more = problem.marches(AGAIN * candidates)
         found = problem.best(more, said)
         marches = marches.joined_with(more)
-    stands = problem.as_it_stands()
-    if stands is not None and (found is None or stands.margin >= found.margin - TIE):
-        found = stands
+    found = problem.as_it_stands(found) or found
     if found is None and problem.missing is not None:
         raise problem.missing
     if found is None:
@@ -243,7 +253,6 @@ def moved_to(
     clear: Clearance,
     seed: int,
     dt: float,
-    moving: Bool[np.ndarray, " nv"] | None = None,
 ) -> tuple[ResolvedRateController, Rollout] | None:
     """The motion of the joints from one posture to another, and its law; None where something is in the way.
 
@@ -254,13 +263,12 @@ def moved_to(
         clear: What is clear.
         seed: Of the path around what is in the way.
         dt: Step of the simulation [s].
-        moving: Joints that may move; None for all.
 
     Raises:
         MissingExtraError: Something is in the way of the straight motion, and RoboPlan is not installed.
     """
     robot = limits.robot
-    path = JointPlanner(clear, limits, moving).path(robot.positions(start), goal, seed)
+    path = joint_path(robot, robot.positions(start), goal, limits, clear, seed)
     if path is None:
         return None
     task = JointMotion(robot, path, APPROACH_SHARE * limits.velocity)
@@ -370,7 +378,8 @@ class _Problem:
         """What stands around."""
         features: Any = self.rows.features
         if isinstance(scene, Scene):
-            return Surroundings(tuple(scene.obstacles(self.robot, hand_of(self.robot, features.frame))))
+            hand = hand_of(self.robot, features.frame)
+            return Surroundings(scene.obstacles(self.robot, hand)).for_hand(self.robot, hand)
         if scene is None:
             return Surroundings()
         if scene != "assumed":
@@ -499,7 +508,7 @@ class _Problem:
     ) -> tuple[ResolvedRateController, Rollout] | None:
         """The motion from the start to the posture of hold, and its law; None where something is in the way."""
         try:
-            moved = moved_to(goal, self.start, self.limits, clear, self.seed, self.dt, self.stations.moving)
+            moved = moved_to(goal, self.start, self.limits, clear, self.seed, self.dt)
         except MissingExtraError as error:  # straight motions to other postures may be clear
             self.missing, moved = error, None
         if moved is None:
@@ -513,10 +522,20 @@ class _Problem:
         policy = PathPolicy(time, path, FOLLOWING, self.robot, self.stations.moving, task)
         return ResolvedRateController(self.constraint, task, policy, limits=self.limits, dt=self.dt)
 
-    def as_it_stands(self) -> Plan | None:
-        """The way from the start with the ascent of mu, or with spare joints at rest, where that comes true."""
+    def as_it_stands(self, found: Plan | None) -> Plan | None:
+        """The way from the start with the ascent of mu, or with spare joints at rest.
+
+        Args:
+            found: The plan otherwise.
+
+        Returns:
+            None where that does not come true, or leaves less than the other plan by more than a tie.
+        """
         if self.motion.hold(self.start) > 0.0 or self.grasp is not None:
             return None
+        least = -np.inf if found is None else found.margin - TIE
+        if node_margins(self.stations, self.positions[None], np.zeros(1, dtype=int)).least[0] < least:
+            return None  # where the way begins it leaves less already
         clear = self.clear.holding(self.positions)
         for policy in (self.motion.ascent(), None):
             task = self.motion.with_distance(self.motion.wanted)
@@ -527,12 +546,18 @@ class _Problem:
             joints = unwound(self.robot, way.q)
             time = outcome.begins + self.stations.time * (outcome.seconds or 0.0) / self.stations.time[-1]
             path = np.array([np.interp(time, way.time, column) for column in joints.T]).T
-            reached = self._approach(self.positions, clear) if clear.of_way(path) else None
+            margins = margins_of(self.stations, path)
+            wanted = margins.margin >= least and clear.of_way(path)
+            reached = self._approach(self.positions, clear) if wanted else None
             if reached is None:
                 continue
-            margins = margins_of(self.stations, path)
             sequence = LawSequence(reached[0], law)
-            return self._plan(sequence, self.positions, reached[1], way, margins, outcome, (), 0)
+            stands = self._plan(sequence, self.positions, reached[1], way, margins, outcome, (), 0)
+            if found is None:
+                return stands
+            others = [Choice(found.hold, found.margin, found.margins.limited_by(self.motion.unit)), *found.others]
+            apart = [other for other in others if np.max(np.abs(other.posture - self.positions)) > APART]
+            return replace(stands, others=tuple(apart[:OTHERS]), candidates=found.candidates)
         return None
 
     def _plan(
@@ -550,6 +575,10 @@ class _Problem:
         approach = replace(approach, phases=(("approach", 0.0, float(approach.time[-1])),))
         done = ({**outcome.to_dict(), "margin": margins.margin},)
         way = replace(way, phases=(*((("hold", 0.0, held),) if held else ()), ("way", held, end)), ways=done)
+        path = [(q, 0) for q in approach.q[:: len(approach) // SEEN + 1]]
+        times = held + self.stations.time * ((outcome.seconds or end) / self.stations.time[-1])
+        path += [(q, k) for k, q in enumerate(way.q[np.minimum(np.searchsorted(way.time, times), len(way) - 1)])]
+        way = replace(way, around=self.clear.plain((self.robot.positions(q), k) for q, k in path))
         numbers = margins.margin, margins, outcome, others, laws, compared, self.notes, self.clear.shown
         return Plan(self.robot, hold, approach, way, *numbers)
 
@@ -564,9 +593,9 @@ class _Problem:
             base_within: As for `plan`.
         """
         clear = marches.where(lambda q, k: self.clear.holding(q)(q, k) if k == 0 else self.clear(q, k))
-        last = clear.reached
-        pair, helps = self._in_the_way(marches) if last < marches.reached else (None, ())
-        if self.unreached is not None and last == len(self.stations) - 1:
+        last, end = clear.reached, len(self.stations) - 1
+        pair, helps = self._in_the_way(marches) if last < marches.reached == end else (None, ())
+        if self.unreached is not None and last == end:
             pair = self.unreached
         helps = (*helps, *self._helps(candidates, base_within))
         more = "".join(f"; {sentence}" for sentence in helps)
@@ -584,16 +613,16 @@ class _Problem:
                 stopped_by="the end of the arm's reach",
                 helps=helps,
             )
-        largest, stopped_by, posture = 0.0, "", None
+        largest, stopped_by, posture = 0.0, self._stopped_by(marches), None
         if last >= 1:
             paths = [clear.q[march, : last + 1] for march in clear.choices(last)[:OTHERS]]
             ends = [self._largest(path) for path in paths]
             longest = max(range(len(ends)), key=lambda i: abs(ends[i][0]))
-            largest, stopped_by = ends[longest]
-            posture = paths[longest][0] if largest else None
+            largest, posture = ends[longest][0], paths[longest][0] if ends[longest][0] else None
+            stopped_by = ends[longest][1] or stopped_by
         if pair is not None:
             stopped_by = f"{pair[0]} and {pair[1]}, which would touch" + (
-                " on the way from the start to where the hand takes hold" if last == len(self.stations) - 1 else ""
+                " on the way from the start to where the hand takes hold" if last == end else ""
             )
         return NoPlanError(
             f"no plan for {way_in_words(self.motion.wanted, self.motion.unit)}: "
@@ -605,24 +634,25 @@ class _Problem:
         )
 
     def _in_the_way(self, marches: Marches) -> tuple[tuple[str, str] | None, tuple[str, ...]]:
-        """The two things that are least in each other's way on the marches that come farthest, and what would help."""
-        least: tuple[float, tuple[str, str]] | None = None
+        """The two things that are least in each other's way on the whole way, and what would help."""
+        found: list[tuple[bool, float, tuple[str, str]]] = []
         for march in marches.choices(marches.reached)[:LOOKED]:
             path = marches.q[march, : marches.reached + 1]
             clear = self.clear.holding(path[0])
             pairs = [pair for k, q in enumerate(path) if (pair := clear.touching(q, k)) is not None]
-            deepest = min(pairs, key=lambda pair: pair.distance, default=None)
-            if deepest is not None and (least is None or clear.least - deepest.distance < least[0]):
-                least = clear.least - deepest.distance, deepest.links
-        if least is None:
+            if pairs:
+                deepest = min(pairs, key=lambda pair: pair.distance)
+                several = len({pair.links[1] for pair in pairs}) > 1
+                found.append((several, CLEARANCE - deepest.distance, deepest.links))
+        if not found:
             return None, ()
-        far, (link, other) = least
-        moved = f"the {other} {far:.2f} m farther from {link} would leave room for the nearest of the postures"
-        return (link, other), (moved,) if other in self.clear.names else ()
+        several, depth, (link, other) = min(found)
+        moved = f"the {other} {np.ceil(100.0 * depth) / 100.0:.2f} m farther from {link} would leave room there"
+        return (link, other), (moved,) if other in self.clear.names and not several else ()
 
     def _largest(self, path: Postures) -> tuple[float, str]:
-        """How much of the way comes true from the beginning of a path, and what stops it."""
-        stopped_by, distance = self._stopped_by(path), float(self.stations.distance[len(path) - 1])
+        """How much of the way comes true from the beginning of a path, and what stops it before the end of that."""
+        stopped_by, distance = "", float(self.stations.distance[len(path) - 1])
         times = max(1.0, SPARE * (1.0 - margins_of(self.stations, path).speed))
         while abs(distance) >= LEAST_SHARE * abs(self.motion.wanted):
             task = self.motion.with_distance(distance).slowed(times)
@@ -638,16 +668,19 @@ class _Problem:
             distance = LESS * (outcome.done if 0.0 < outcome.done / distance < 1.0 and not outcome.strays else distance)
         return 0.0, stopped_by
 
-    def _stopped_by(self, path: Postures) -> str:
-        """What keeps the last posture of a path from going on, in words."""
-        q, k = path[-1], np.array([len(path) - 1])
-        if len(path) == len(self.stations):
+    def _stopped_by(self, marches: Marches) -> str:
+        """What keeps the marches that come farthest from going on, in words."""
+        last = marches.reached
+        if last == len(self.stations) - 1:
             return "limits of the loop in simulation"
-        if (joint := joint_at_limit(self.robot, q)) is not None:
-            return joint
-        A = self.stations.matrices(q[None], k)[0]
+        farthest = marches.choices(last)
+        ends = marches.q[farthest, last]
+        limits = Counter(filter(None, (joint_at_limit(self.robot, q) for q in ends)))
+        if 2 * sum(limits.values()) > len(ends):
+            return limits.most_common(1)[0][0]
+        A = self.stations.matrices(ends[:1], np.array([last]))[0]
         left, sigma, _ = np.linalg.svd(A, full_matrices=False)
-        x, y, z, rx, ry, rz = left[:, -1] @ self.stations.rows[k[0]]
+        x, y, z, rx, ry, rz = left[:, -1] @ self.stations.rows[last]
         moves = np.hypot(np.hypot(x, y), z) >= np.hypot(np.hypot(rx, ry), rz)
         what, d = ("move along", (x, y, z)) if moves else ("turn about", (rx, ry, rz))
         words = ", ".join(f"{c:.2f}" for c in np.array(d) / np.linalg.norm(d))

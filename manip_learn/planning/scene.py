@@ -42,11 +42,13 @@ class Thing:
         name: What it is called.
         pose: shape (4, 4), of its own frame in the robot's base frame [m].
         shape: What it is, in its own frame [m].
+        span: Its largest number, of a mesh its longest side [m].
     """
 
     name: str
     pose: ArrayLike
     shape: Solid | triangles.Mesh
+    span: float
 
     def __post_init__(self) -> None:
         kind: Any = type(self).__name__.lower()
@@ -54,7 +56,7 @@ class Thing:
             raise SceneError(f"a {kind} is called {self.name!r}; a name is expected; give it one")
         where, sizes = f"{kind} {self.name!r}", list[float]()
         for field in ("size", "radius", "length"):
-            if hasattr(self, field):
+            if field in vars(self):
                 given, n = getattr(self, field), 3 if field == "size" else 1
                 numbers = finite(np.atleast_1d(given), n)
                 if numbers is None or np.any(numbers <= 0.0):
@@ -63,13 +65,14 @@ class Thing:
                 sizes += numbers.tolist()
         pose = _pose(getattr(self, "centre" if kind == "sphere" else "pose"), where)
         shape = _mesh(self, where) if isinstance(self, Mesh) else Solid(kind, tuple(sizes))
-        largest = max(sizes) if sizes else np.ptp(shape.vertices, axis=0).max()  # type: ignore[union-attr]
-        for seen, metres in (("size", largest), ("place", np.abs(pose[:3, 3]).max())):
+        span = np.array(sizes) if isinstance(shape, Solid) else np.ptp(shape.vertices, axis=0)
+        fix = "divide by 1000" if isinstance(shape, Solid) else "give scale=0.001"
+        for seen, metres, remedy in (("size", span.max(), fix), ("place", np.abs(pose[:3, 3]).max(), "divide by 1000")):
             if metres > LARGEST:
-                wanted = f"at most {LARGEST:g} m is expected; if it is in millimetres, divide by 1000"
+                wanted = f"at most {LARGEST:g} m is expected; if it is in millimetres, {remedy}"
                 raise SceneError(f"{where}: its {seen} is {metres:g} m; {wanted}")
-        object.__setattr__(self, "pose", pose)
-        object.__setattr__(self, "shape", shape)
+        for name, value in (("pose", pose), ("shape", shape), ("span", float(span.max()))):
+            object.__setattr__(self, name, value)
 
 
 @final
@@ -147,10 +150,6 @@ class Scene:
         boxes, spheres, cylinders, meshes: The things; no two have one name.
         handled: Names of what the hand takes hold of or opens: its links may touch these.
 
-    Attributes:
-        solids: All that stands there but the floor, to draw: each has a `name`, a `pose` and a `shape`, see `Thing`.
-        notes: What had to be assumed, a sentence each.
-
     Raises:
         SceneError: A floor that is no height, or two things of one name.
         UnknownNameError: `handled` names nothing that stands there.
@@ -169,8 +168,9 @@ class Scene:
     handled: Sequence[str] = ()
 
     def __post_init__(self) -> None:
-        if self.floor is not None and (finite(self.floor) is None or abs(self.floor) > LARGEST):
-            raise SceneError(f"floor is {self.floor!r}; a height of at most {LARGEST:g} m is expected; correct it")
+        if self.floor is not None and (finite(self.floor) is None or abs(self.floor) > 0.5 * LARGEST):
+            wanted = f"a height of at most {0.5 * LARGEST:g} m from the base is expected; correct it"
+            raise SceneError(f"floor is {self.floor!r}; {wanted}")
         for field, kind in KINDS.items():
             object.__setattr__(self, field, tuple(getattr(self, field)))
             if other := [thing for thing in getattr(self, field) if type(thing) is not kind]:
@@ -185,7 +185,8 @@ class Scene:
                 raise SceneError(f"{names[name]} things are called {name!r}; a name each is expected; rename them")
 
     @property
-    def solids(self) -> tuple[Thing, ...]:  # noqa: D102
+    def solids(self) -> tuple[Thing, ...]:
+        """All that stands there but the floor, to draw: each has a `name`, a `pose` and a `shape`, see `Thing`."""
         return (*self.boxes, *self.spheres, *self.cylinders, *self.meshes)
 
     def obstacles(self, robot: Robot, hand: frozenset[str] = frozenset()) -> tuple[Obstacle, ...]:
@@ -204,12 +205,13 @@ class Scene:
             pose, may_touch = np.asarray(thing.pose), hand if thing.name in self.handled else frozenset[str]()
             stands = np.abs(pose[:3, 3] @ pose[:3, :3]) - CLOSE  # the origin of the base
             for made in obstacles_of(thing.name, pose, thing.shape, may_touch):
-                near = thing.name == "floor" or (made.closed is None and np.all(stands <= made.half))
-                out.append(replace(made, may_touch=may_touch | low) if near else made)
+                is_below = thing in below or np.all(stands <= made.half)
+                out.append(replace(made, may_touch=may_touch | low) if is_below else made)
         return tuple(out)
 
     @property
-    def notes(self) -> tuple[str, ...]:  # noqa: D102
+    def notes(self) -> tuple[str, ...]:
+        """What had to be assumed, a sentence each."""
         shapes = {mesh.name: mesh.shape for mesh in self.meshes}
         edges = {name: triangles.open_edges(s) for name, s in shapes.items() if not isinstance(s, Solid)}
         said = "where it is open it counts as a surface, and what is behind it as free"
@@ -244,11 +246,12 @@ class Scene:
         except (SceneError, TypeError, ValueError) as error:
             seen = error if isinstance(error, SceneError) else f"it is no scene ({error}); repair it"
             raise SceneError(f"{file}: {seen}") from error
-        for thing in scene.solids if robot else ():
-            size = 2.0 * max(np.max(part.half) for part in obstacles_of(thing.name, np.eye(4), thing.shape))
-            if robot and size > LARGEST_REACHES * max(map(robot.reach, robot.frame_names)):
-                wanted = f"at most {LARGEST_REACHES:g} reaches of {robot.name!r} are expected"
-                raise SceneError(f"{file}: {thing.name!r} is {size:g} m large; {wanted}; are these millimetres?")
+        most = np.inf if robot is None else LARGEST_REACHES * max(map(robot.reach, robot.frame_names))
+        if large := [thing for thing in scene.solids if thing.span > most]:
+            wanted = (
+                f"at most {most:.3g} m, {LARGEST_REACHES:g} reaches of the arm, are expected; are these millimetres?"
+            )
+            raise SceneError(f"{file}: {large[0].name!r} is {large[0].span:g} m large; {wanted}")
         return scene
 
     def save(self, path: str | os.PathLike[str]) -> Path:

@@ -8,32 +8,34 @@ leaf is there too, from the handle to the hinge, and turns with the way.
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from functools import lru_cache
 from itertools import product
+from types import MappingProxyType
 from typing import final
 
-import coal
 import numpy as np
 import pinocchio as pin
 from jaxtyping import Float
 
 from manip_learn.constraint.mechanism import Mechanism
-from manip_learn.errors import RobotError
 from manip_learn.planning.scene import Scene
 from manip_learn.planning.stations import Stations
-from manip_learn.robot.collision import Obstacle, collision_shapes
+from manip_learn.robot.collision import LARGE, Obstacle, collision_shapes, known_shapes, obstacles_of
 from manip_learn.robot.joints import Frame
 from manip_learn.robot.robot import Robot
+from manip_learn.robot.visuals.visual_shapes import Solid
 
-FLOOR, FRONT, BEHIND, LEAF = "floor", "front", "front behind the hand", "leaf"
-LARGE = 10.0  # [m] half the edge of a block whose face is a floor or a front: no arm reaches around it
+FLOOR, FRONT, LEAF, BEHIND = "floor", "front", "leaf", " behind the hand"
 HANDLE = 0.025  # [m] that the flattest usual handles stand out of their front
 SLANTED = 0.3  # of a hand's lever that must point out of a front to tell its side: 17 degrees from lying along it
+BEGUN = 1e-3  # [m] of a way from which on its direction counts
 TALL, THICK = 0.6, 0.018  # [m] of a leaf: a door of a kitchen, of the usual board
-# [m] of the leaf at the handle and at the hinge that is not looked at: a hand around the handle, the frame of the door
-EDGE = 0.05
+EDGE = 0.05  # [m] of the leaf at the hinge that is not looked at: the frame of the door
+FAR_AWAY = np.array([0.0, 0.0, -100.0])  # [m] of what no hand shall meet
 Pose = Float[np.ndarray, "4 4"]
+AWAY: Mapping[str, Float[np.ndarray, " 3"]] = MappingProxyType({})
 
 
 @final
@@ -54,37 +56,62 @@ class Surroundings:
     is_assumed: bool = False
 
     @property
+    def shown(self) -> tuple[Obstacle, ...]:
+        """What a person would see of them."""
+        return tuple(o for o in self.obstacles if not o.name.endswith(BEHIND))
+
+    @property
     def names(self) -> tuple[str, ...]:
         """What stands around, by its names."""
-        return tuple(dict.fromkeys(o.name for o in self.obstacles if o.name != BEHIND))
+        return tuple(dict.fromkeys(o.name for o in self.shown))
 
-    def at(self, station: int, depth: float = LARGE) -> dict[str, Pose]:
+    @property
+    def held(self) -> tuple[str, ...]:
+        """Names of what the hand may touch."""
+        return tuple(o.name.removesuffix(BEHIND) for o in self.obstacles if o.name.endswith(BEHIND))
+
+    def for_hand(self, robot: Robot, hand: frozenset[str]) -> Surroundings:
+        """With all that the hand may touch once more, for the hand alone: how far behind its face is said to `at`.
+
+        Not the leaf of a door, about whose handle a hand may turn.
+        """
+        others = frozenset(_links(robot)) - hand
+        held = [o for o in self.obstacles if hand <= o.may_touch and o.name != LEAF]
+        twins = (replace(o, name=o.name + BEHIND, may_touch=others) for o in held)
+        return replace(self, obstacles=(*self.obstacles, *twins))
+
+    def at(self, station: int, behind: Mapping[str, Float[np.ndarray, " 3"]] = AWAY) -> dict[str, Pose]:
         """Where what moves is at a station.
 
         Args:
             station: Number of it.
-            depth: How far behind the front a hand meets it [m].
+            behind: Name of what the hand may touch -> how far from there its twin for the hand is [m]; others are out
+                of every hand's way.
         """
         out = {} if self.leaf is None else {LEAF: self.leaf[min(station, len(self.leaf) - 1)]}
-        front = next((o.placement for o in self.obstacles if o.name == FRONT), None)
-        if front is not None and self.sinks is not None:
-            sunk = float(self.sinks[min(station, len(self.sinks) - 1)])
-            out |= {FRONT: _shifted(front, sunk), BEHIND: _shifted(front, sunk + depth)}
+        places = {o.name: o.placement for o in self.obstacles}
+        if FRONT in places and self.sinks is not None:
+            out[FRONT] = _shifted(places[FRONT], float(self.sinks[min(station, len(self.sinks) - 1)]))
+        for name in self.held:
+            twin = out.get(name, places[name]).copy()
+            twin[:3, 3] += behind.get(name, FAR_AWAY)
+            out[name + BEHIND] = twin
         return out
 
-    def placed(self, depth: float) -> tuple[Obstacle, ...]:
+    def placed(self, behind: Mapping[str, Float[np.ndarray, " 3"]]) -> tuple[Obstacle, ...]:
         """The obstacles where they are before the way."""
-        now = self.at(0, depth)
+        now = self.at(0, behind)
         return tuple(replace(o, placement=now.get(o.name, o.placement)) for o in self.obstacles)
 
     def without(self, name: str) -> Surroundings:
-        """All but one; without the front its part behind the hand is not there either."""
-        kept = tuple(o for o in self.obstacles if o.name not in ({name, BEHIND} if name == FRONT else {name}))
+        """All but one, and its twin for the hand."""
+        kept = tuple(o for o in self.obstacles if o.name.removesuffix(BEHIND) != name)
         return replace(self, obstacles=kept, leaf=None if name == LEAF else self.leaf)
 
     def farther(self, name: str, far: float) -> Surroundings:
         """With a floor or a front farther away [m]."""
-        moved = {o.name: replace(o, placement=_shifted(o.placement, far)) for o in self.obstacles if o.name == name}
+        named = (o for o in self.obstacles if o.name.removesuffix(BEHIND) == name)
+        moved = {o.name: replace(o, placement=_shifted(o.placement, far)) for o in named}
         return replace(self, obstacles=tuple(moved.get(o.name, o) for o in self.obstacles))
 
 
@@ -111,14 +138,13 @@ def assumed(robot: Robot, frame: Frame, stations: Stations, mechanism: Mechanism
     hand = hand_of(robot, frame)
     normal = _normal(robot, frame, stations, mechanism)
     if normal is not None:
-        others = frozenset(_links(robot)) - hand
         face = stations.places[0] - (0.0 if mechanism.type == "plane" else HANDLE) * normal
-        obstacles += [half_space(name, face, normal, may) for name, may in ((FRONT, hand), (BEHIND, others))]
+        obstacles.append(half_space(FRONT, face, normal, hand))
         sinks = np.maximum(0.0, (stations.places[0] - stations.places) @ normal)
     if mechanism.type == "hinge" and mechanism.axis is not None and mechanism.point is not None:
-        solid, leaf = _leaf(stations, np.asarray(mechanism.axis), np.asarray(mechanism.point), hand)
-        obstacles.append(solid)
-    return Surroundings(tuple(obstacles), leaf, sinks, True)
+        solid, leaf = _leaf(stations, np.asarray(mechanism.axis), np.asarray(mechanism.point), normal, hand)
+        obstacles += [] if solid is None else [solid]
+    return Surroundings(tuple(obstacles), leaf, sinks, True).for_hand(robot, hand)
 
 
 def hand_of(robot: Robot, frame: Frame) -> frozenset[str]:
@@ -138,31 +164,29 @@ def half_space(name: str, point: np.ndarray, normal: np.ndarray, may_touch: froz
     placement[:3, :3] = np.column_stack([*np.linalg.svd(normal[None])[2][1:], normal])
     placement[:3, 0] *= np.sign(np.linalg.det(placement[:3, :3]))
     placement[:3, 3] = point - LARGE * normal
-    return Obstacle(name, placement, coal.Box(*[2.0 * LARGE] * 3), np.full(3, LARGE), may_touch)
+    return obstacles_of(name, placement, Solid("box", (2.0 * LARGE,) * 3), may_touch)[0]
 
 
 @lru_cache(maxsize=8)
 def floor_under(robot: Robot) -> float:
     """Height of the lowest corner of the shapes that carry the first joint, at most that of the base's origin [m]."""
-    heights = [0.0]
-    for tag in ("collision", "visual"):
-        try:
-            shapes = collision_shapes(robot, tag)  # type: ignore[arg-type]  # two of the words that it knows
-        except RobotError:
-            continue
-        for shape in (one for one in shapes if one.joint == 0):
-            shape.geometry.computeLocalAABB()
-            box = shape.geometry.aabb_local
-            corners = np.array(list(product(*zip(box.min_, box.max_, strict=True))))
-            heights.append(float(np.min(corners @ shape.placement[2, :3]) + shape.placement[2, 3]))
-        break
+    heights, tag = [0.0], known_shapes(robot)
+    for shape in (one for one in collision_shapes(robot, tag) if one.joint == 0 and tag != "links"):
+        shape.geometry.computeLocalAABB()
+        box = shape.geometry.aabb_local
+        corners = np.array(list(product(*zip(box.min_, box.max_, strict=True))))
+        heights.append(float(np.min(corners @ shape.placement[2, :3]) + shape.placement[2, 3]))
     return min(heights)
 
 
 def _normal(robot: Robot, frame: Frame, stations: Stations, mechanism: Mechanism) -> np.ndarray | None:
     """Out of the front: along the way of a drawer or a door, across a plane, to the side from which the hand comes."""
     if mechanism.type in ("line", "hinge"):
-        along = stations.places[1] - stations.places[0]
+        gone = stations.places - stations.places[0]
+        begun = np.flatnonzero(np.linalg.norm(gone, axis=1) > BEGUN)
+        if not len(begun):
+            return None  # a hand on the axis of a knob
+        along = gone[begun[0]]
     elif mechanism.type == "plane" and mechanism.axis is not None:
         along = np.asarray(mechanism.axis, dtype=np.float64)
     else:
@@ -178,16 +202,20 @@ def _normal(robot: Robot, frame: Frame, stations: Stations, mechanism: Mechanism
     return normal if out >= 0.0 else -normal
 
 
-def _leaf(stations: Stations, axis: np.ndarray, point: np.ndarray, hand: frozenset[str]) -> tuple[Obstacle, np.ndarray]:
-    """A door's leaf from its handle to its hinge, and where it is at each station."""
+def _leaf(
+    stations: Stations, axis: np.ndarray, point: np.ndarray, normal: np.ndarray | None, hand: frozenset[str]
+) -> tuple[Obstacle | None, np.ndarray | None]:
+    """A door's leaf from its handle to its hinge, and where it is at each station; None of what is no door."""
     arms = stations.places - point
     arms = arms - np.outer(arms @ axis, axis)
-    radius = float(np.linalg.norm(arms[0]))
-    wide = max(radius - 2.0 * EDGE, 0.2 * radius)
+    wide = float(np.linalg.norm(arms[0])) - EDGE
+    if normal is None or wide <= 0.0:
+        return None, None
     poses = np.repeat(np.eye(4)[None], len(stations), axis=0)
+    side = np.sign(np.cross(axis, arms[0]) @ normal)
     for pose, place, arm in zip(poses, stations.places, arms, strict=True):
         x = arm / np.linalg.norm(arm)
-        pose[:3, :3] = np.column_stack([x, np.cross(axis, x), axis])
-        pose[:3, 3] = place - 0.5 * arm
-    half = 0.5 * np.array([wide, THICK, TALL])
-    return Obstacle(LEAF, poses[0], coal.Box(*(2.0 * half)), half, hand), poses
+        y = np.cross(axis, x)
+        pose[:3, :3] = np.column_stack([x, y, axis])
+        pose[:3, 3] = place - 0.5 * wide * x - side * (HANDLE + 0.5 * THICK) * y
+    return obstacles_of(LEAF, poses[0], Solid("box", (wide, THICK, TALL)), hand)[0], poses

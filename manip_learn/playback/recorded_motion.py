@@ -270,6 +270,7 @@ class RecordedMotion:
         fit_share: Share of a recording's motion that breaks its constraint, see `broken_share`; None if not known.
         furniture: What a rollout opens; of recordings, whose paths it may hide, what all of them took hold of at one
             place.
+        around: What a rollout's plan kept clear of, as the rollout has it.
     """
 
     name: str
@@ -289,6 +290,7 @@ class RecordedMotion:
     guidance: Guidance = UNGUIDED
     fit_share: float | None = None
     furniture: tuple[Furniture, ...] = ()
+    around: tuple[Mapping[str, Any], ...] = ()
 
 
 def recorded_motion(
@@ -362,6 +364,7 @@ def recorded_motion(
         guidance=guidance,
         fit_share=broken_share(samples, guidance, bands) if isinstance(recording, Trajectory) else None,
         furniture=tuple(pieces),
+        around=recording.around if isinstance(recording, Rollout) else (),
     )
 
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -12,7 +12,7 @@ from jaxtyping import Float
 from manip_learn.playback.appearance import Appearance
 from manip_learn.playback.constraint_marks import constraint_marks, ellipsoid_scale, places_per_motion
 from manip_learn.playback.kinematic_tree import TreeJoint
-from manip_learn.playback.mechanism_drawing import CORNERS, MechanismDrawing
+from manip_learn.playback.mechanism_drawing import CORNERS, MechanismDrawing, facing
 from manip_learn.playback.page_writer import packed
 from manip_learn.playback.phase_bands import PhaseKind, own_kinds
 from manip_learn.playback.recorded_motion import RecordedMotion, points_per_curve, track_data
@@ -23,6 +23,9 @@ MAX_POSTURES_FOR_BOUNDS = 120  # of all motions, around which the camera stands
 OUTLINE_DIRECTIONS = 240  # over the sphere, 13 degrees apart
 ELLIPSOID = 0.08  # longest semi-axis relative to the scene
 ASIDE = np.deg2rad(62.0)  # the camera from what it looks at
+NEAR = 0.25  # of the motion's extent: how far around it the picture reaches for what stands there
+FLOOR_REACH = 3.0  # edge of a floor in extents of the motion: to the rim of the picture
+PATCH = 0.6  # [m] of a front that has no end: as wide as a cupboard
 MARKS = 0.085  # half length of an arrow relative to the scene, as in page/constraint_marks.js
 
 
@@ -46,6 +49,12 @@ def scene_data(
     marked = [path + reach * side for path in paths for side in (*np.eye(3), *-np.eye(3))]
     cloud = np.concatenate([cloud, *(piece.corners() for m in motions for piece in m.furniture), *marked])
     low, high = cloud.min(axis=0), cloud.max(axis=0)
+    size = float(np.linalg.norm(high - low))
+    around = [[_thing(thing, low, high) for thing in m.around] for m in motions]
+    # of what stands around as much is framed as is near the motion
+    near = [corner for some in around for thing in some for corner in thing.pop("corners")]
+    cloud = np.concatenate([cloud, np.clip(np.reshape(near, (-1, 3)), low - NEAR * size, high + NEAR * size)])
+    low, high = cloud.min(axis=0), cloud.max(axis=0)
     most, places = points_per_curve([m.measures for m in motions]), places_per_motion(len(motions))
     marks: list[list[dict[str, Any] | None]] = [
         [] if m.samples is None else constraint_marks(robot, m.samples, m.guidance, places) for m in motions
@@ -59,14 +68,33 @@ def scene_data(
         "floor": float(min(low[2], 0.0)),
         "view": "top" if _is_seen_from_above(tree) else "iso",
         "rollouts": [
-            _rollout(m, c) | {"measures": track_data(m.measures, most), "marks": mark}
-            for m, c, mark in zip(motions, colours, marks, strict=True)
+            _rollout(m, c) | {"measures": track_data(m.measures, most), "marks": mark, "around": things}
+            for m, c, mark, things in zip(motions, colours, marks, around, strict=True)
         ],
         "ellipsoidScale": ellipsoid_scale([one for some in marks for one in some], ELLIPSOID * size),
         "notes": list(notes),
         "phaseKinds": [vars(k) for k in kinds],
         "mechanisms": [m.to_dict() | {"constraint": k} for k, m in enumerate(mechanisms) if m is not None],
     }
+
+
+def _thing(thing: Mapping[str, Any], low: Float[np.ndarray, " 3"], high: Float[np.ndarray, " 3"]) -> dict[str, Any]:
+    """What stands around, with corners of a box about it; a floor reaches below the motion, other faces are patches."""
+    pose, size, kind = np.array(thing["pose"], dtype=np.float64), thing.get("size", ()), thing["kind"]
+    mesh = Mesh(np.array(thing["vertices"]), np.array(thing["faces"])) if kind == "mesh" else None
+    if kind == "face":
+        size = (FLOOR_REACH * float(np.linalg.norm(high - low)),) * 2 if thing["name"] == "floor" else (PATCH,) * 2
+        pose = facing(pose[:3, 2], pose[:3, 3])
+        pose[:2, 3] = 0.5 * (low + high)[:2] if thing["name"] == "floor" else pose[:2, 3]
+    extents = {"face": [PATCH, 0.0, PATCH], "sphere": [2.0 * x for x in (*size,) * 3], "box": size}.get(kind)
+    if kind == "cylinder":
+        extents = [2.0 * size[0], 2.0 * size[0], size[1]]
+    corners = CORNERS * extents if mesh is None else mesh.vertices
+    known = {"name": thing["name"], "kind": kind, "size": list(size), "pose": _rows(pose)}
+    known |= {"assumed": bool(thing.get("assumed")), "moves": bool(thing.get("moves"))}
+    known |= {"nearest": thing.get("nearest"), "link": thing.get("link")}
+    known |= {"mesh": None if mesh is None else _mesh(mesh)}
+    return known | {"corners": (corners @ pose[:3, :3].T + pose[:3, 3]).tolist()}
 
 
 def _rows(pose: Float[np.ndarray, "4 4"]) -> list[float]:

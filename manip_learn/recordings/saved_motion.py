@@ -14,6 +14,7 @@ import numpy as np
 from jaxtyping import Float
 
 from manip_learn.errors import counted
+from manip_learn.linalg import finite
 from manip_learn.recordings.format_words import EFFORT_SUFFIX, VELOCITY_SUFFIX
 from manip_learn.recordings.readers.recording import refusal
 from manip_learn.recordings.trajectory import Trajectory
@@ -24,6 +25,7 @@ Kind = Literal["rollout", "recording"]
 PREFIX = "manip_learn."
 CURVES = ("u", "effort", "manipulability", "task_error", "following_error")  # what a motion may have beside q
 SCHEMA = 2
+SIZES = {"face": 0, "sphere": 1, "cylinder": 2, "box": 3, "mesh": 0}  # numbers of the things that stood around
 UNKNOWN_ROBOT = (
     "the file does not say which robot and which locked joints it was made with: only the names of the joints were "
     "compared; save it again"
@@ -46,6 +48,7 @@ class FileHeader:
         follows: Whether a rollout has the following error.
         phases: Name, start and end [s] of the parts of a rollout, or None.
         ways: What became of each way of a rollout, or None.
+        around: What a rollout kept clear of, or None.
         samples: Number of samples that were written; None for a LeRobot data set, which counts them itself.
     """
 
@@ -59,6 +62,7 @@ class FileHeader:
     follows: bool = False
     phases: list | None = None
     ways: list | None = None
+    around: list | None = None
     samples: int | None = None
 
     def to_json(self, samples: int | None = None) -> str:
@@ -72,7 +76,8 @@ class FileHeader:
             "robot": None if self.robot is None else self.robot.to_dict(),
         }
         later = {"target": self.target, "constraint": self.constraint, "following_error": self.follows or None}
-        later |= {"phases": self.phases or None, "ways": self.ways or None, "samples": samples}
+        later |= {"phases": self.phases or None, "ways": self.ways or None, "around": self.around or None}
+        later |= {"samples": samples}
         return json.dumps(
             content | {name: value for name, value in later.items() if value is not None}, allow_nan=False
         )
@@ -115,6 +120,7 @@ class FileHeader:
             bool(content.get("following_error")),
             _phases(content.get("phases")),
             _ways(content.get("ways")),
+            _around(content.get("around")),
             content.get("samples"),
         )
 
@@ -143,6 +149,26 @@ def _ways(value: object) -> list | None:
 
     if value is not None and not (isinstance(value, list) and all(map(fits, value))):
         raise ValueError(f"the ways must be objects that say when they began, they are {value!r:.60}")
+    return value
+
+
+def _around(value: Any) -> list | None:
+    """Things that stood around: a name, a pose and a shape each."""
+
+    def fits(thing: Any) -> bool:
+        corners, faces = (np.reshape(thing.get(key, ()), (-1, 3)) for key in ("vertices", "faces"))
+        size, n = finite(thing.get("size", ()), SIZES[thing["kind"]]), len(corners)
+        is_whole = finite(corners, n, 3) is not None and bool(np.isin(faces, range(n)).all())
+        is_placed = isinstance(thing["name"], str) and finite(thing["pose"], 4, 4) is not None
+        is_sized = size is not None and bool(np.all(size > 0.0)) and (thing["kind"] == "mesh") == (len(faces) > 0)
+        return is_whole and is_placed and is_sized
+
+    try:
+        fit = value is None or all(map(fits, value))
+    except (AttributeError, KeyError, TypeError, ValueError):
+        fit = False
+    if not fit:
+        raise ValueError(f"what stood around must be things with a name, a pose and a shape, it is {value!r:.60}")
     return value
 
 

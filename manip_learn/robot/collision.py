@@ -8,7 +8,7 @@ from __future__ import annotations
 import threading
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from functools import cached_property, lru_cache, partial
+from functools import lru_cache, partial
 from itertools import combinations
 from pathlib import Path
 from types import MappingProxyType
@@ -39,6 +39,7 @@ TOLERANCE = 1e-12
 MARGIN = 0.001  # [m] beyond a distance, up to which Coal looks closely whether shapes are nearer than it
 MAX_ITERATIONS = 1000  # of the distance of two shapes, which ends by itself before
 MOST_PARTS = 30  # of a mesh that are looked at one by one: a cabinet with doors and handles
+LARGE = 10.0  # [m] half the edge of a block whose face is a floor or a front: no arm reaches around it
 FLAT = 1e-9  # volume over that of a cube as long: a sheet, which has no inside
 
 
@@ -83,6 +84,30 @@ class Obstacle:
     may_touch: frozenset[str] = frozenset()
     closed: Any = None
 
+    def to_dict(self, most: int) -> dict[str, Any]:
+        """As plain data: its name, its pose, its kind and its numbers [m]; a large block is its face across z.
+
+        Args:
+            most: Triangles; a mesh of more is the box about it.
+        """
+        shape, half, placement = self.geometry, self.half.tolist(), self.placement.copy()
+        described: dict[str, Any] = {"kind": "box", "size": [2.0 * x for x in half]}
+        if min(half) >= LARGE:
+            described = {"kind": "face"}
+            placement[:3, 3] += half[2] * placement[:3, 2]
+        elif isinstance(shape, coal.Sphere):
+            described = {"kind": "sphere", "size": half[:1]}
+        elif isinstance(shape, coal.Cylinder):
+            described = {"kind": "cylinder", "size": [half[0], 2.0 * half[2]]}
+        elif not isinstance(shape, coal.Box):
+            is_convex = isinstance(shape, coal.Convex)
+            n, corners = (shape.num_polygons, shape.polygons) if is_convex else (shape.num_tris, shape.tri_indices)
+            points = np.array(shape.points() if is_convex else shape.vertices())
+            if n <= most:
+                faces = [[corners(k)[i] for i in range(3)] for k in range(n)]
+                described = {"kind": "mesh", "vertices": points.round(5).tolist(), "faces": faces}
+        return {"name": self.name, "pose": placement.tolist()} | described
+
 
 @lru_cache(maxsize=16)
 def collision_shapes(robot: Robot, tag: Shapes = "collision") -> tuple[CollisionShape, ...]:
@@ -118,6 +143,19 @@ def collision_shapes(robot: Robot, tag: Shapes = "collision") -> tuple[Collision
         if isinstance(mesh, RobotError):
             raise mesh
     return tuple(_shape(robot, element, {uri: parsed[file] for uri, file in files.items()}) for element in elements)
+
+
+@lru_cache(maxsize=16)
+def known_shapes(robot: Robot) -> Shapes:
+    """Which shapes of a robot there are: those for collisions, or else the drawn ones, or else capsules."""
+    tags: tuple[Shapes, ...] = ("collision", "visual")
+    for tag in tags:
+        try:
+            collision_shapes(robot, tag)
+        except RobotError:
+            continue
+        return tag
+    return "links"
 
 
 def obstacles_of(
@@ -224,13 +262,13 @@ class Proximity(NamedTuple):
         links: Names of the two links, or of a link and an obstacle.
         distance: [m]; negative where the shapes overlap: the depth.
         gradient: d distance / dq, shape (nv,) [m/rad or 1].
-        number: Of the pair.
+        normal: shape (3,), the way in the base frame in which the second would have to move away.
     """
 
     links: tuple[str, str]
     distance: float
     gradient: Float[np.ndarray, " nv"]
-    number: int
+    normal: Float[np.ndarray, " 3"]
 
 
 @final
@@ -298,16 +336,6 @@ class SelfCollision:
         other._pair_up(self._pairs[: len(self._radii)] if own else [], obstacles)
         return other
 
-    @cached_property
-    def lever(self) -> float:
-        """A distance that no place of a link exceeds from the axis of a joint that moves it [m]; 1 of one that slides.
-
-        No entry of a gradient is larger.
-        """
-        ends = (self.robot.reach(s.link) + float(np.linalg.norm(s.placement[:3, 3])) + s.radius for s in self._shapes)
-        coupling = self.robot.coupling
-        return max(1.0, *ends) * (1.0 if coupling is None else float(np.abs(coupling.lift).sum(axis=0).max()))
-
     @property
     def geometry(self) -> Any:
         """Pinocchio's model of the shapes on its joints, obstacles last, and of the pairs whose distances count."""
@@ -331,35 +359,23 @@ class SelfCollision:
         clear = not pin.computeCollisions(self._geometry, geometry_data, True)
         return clear and not (self._closed and self.closer_than(q, distance, moved))  # within a mesh nothing touches
 
-    def closer_than(
-        self,
-        q: ArrayLike,
-        distance: float,
-        moved: Moved = MappingProxyType({}),
-        only: Sequence[int] | None = None,
-        going: tuple[Float[np.ndarray, " nv"], float] | None = None,
-    ) -> list[Proximity]:
+    def closer_than(self, q: ArrayLike, distance: float, moved: Moved = MappingProxyType({})) -> list[Proximity]:
         """All pairs of shapes at a distance of at most `distance` [m], and their gradients.
 
         Args:
             q: Configuration or joint positions.
             distance: [m].
             moved: Name of an obstacle -> where it is now, in the robot's base frame [m]; the others are in their place.
-            only: Numbers of the pairs that are looked at, in this order; None for all.
-            going: A velocity and a time [s]: pairs count, too, that would come as near in that time at the speed at
-                which the velocity moves their links.
 
         Raises:
             ConfigurationError: q has the wrong size or is not finite.
             UnknownNameError: `moved` names no obstacle.
         """
         data, geometry_data, far = self._placed(q, moved)
-        found, most = [], np.full(len(far), distance)
-        if going is not None:
-            most += going[1] * self._speeds(going[0], data, geometry_data)
-        for k in np.flatnonzero(far <= most).tolist() if only is None else only:
+        found = []
+        for k in np.flatnonzero(far <= distance).tolist():
             result, exact = self._distance(k, geometry_data, float(far[k]))
-            if exact <= most[k]:
+            if exact <= distance:
                 found.append(self._proximity(k, result, exact, data))
         return found
 
@@ -410,17 +426,7 @@ class SelfCollision:
         bound = np.sqrt(np.einsum("ki,ki->k", outside, outside)) + np.minimum(beyond.max(axis=1), 0.0)
         return data, geometry_data, np.concatenate([apart, bound - self._met_radii])
 
-    def _speeds(self, velocity: Float[np.ndarray, " nv"], data: pin.Data, geometry_data: Any) -> np.ndarray:
-        """What no two nearest points of each pair exceed in speed towards each other [m/s]."""
-        coupling, n = self.robot.coupling, len(self._shapes)
-        v = velocity if coupling is None else coupling.lift @ velocity
-        twists = (self._carries[:n] * v) @ np.asarray(data.J).reshape(6, -1).T
-        centres = np.array([geometry_data.oMg[k].translation for k in range(n)])
-        linear = np.linalg.norm(twists[:, :3] + np.cross(twists[:, 3:], centres), axis=1)
-        speeds = linear + np.linalg.norm(twists[:, 3:], axis=1) * [shape.radius for shape in self._shapes]
-        return np.concatenate([speeds[self._pair_table].sum(axis=0), speeds[self._met[0]]])
-
-    def _numbers(self, name: str) -> tuple[list[int], list[int]]:
+    def _numbers(self, name: str) -> tuple[list[int], np.ndarray]:
         """Of an obstacle's shapes, and of the pairs that it is in."""
         if name not in self._named:
             raise UnknownNameError("obstacle", name, self._named)
@@ -435,12 +441,12 @@ class SelfCollision:
         J = np.asarray(data.J).reshape(6, self._model.nv)  # columns are twists at the base's origin
         gradient = (self._carries[b] - self._carries[a]) * wrench.dot(J)
         if distance < 0.0 < result.min_distance:  # from within
-            gradient = -gradient
+            gradient, nx, ny, nz = -gradient, -nx, -ny, -nz
         if not np.all(np.isfinite(gradient)):
-            gradient = np.zeros(self._model.nv)
+            gradient, nx, ny, nz = np.zeros(self._model.nv), 0.0, 0.0, 0.0
         coupling = self.robot.coupling
         lifted = gradient if coupling is None else gradient @ coupling.lift
-        return Proximity(self._links(a, b), distance, lifted, k)
+        return Proximity(self._links(a, b), distance, lifted, np.array([nx, ny, nz]))
 
     def _links(self, a: int, b: int) -> tuple[str, str]:
         return self._solids[a].link, self._solids[b].link

@@ -1,6 +1,7 @@
 """What an arm is taught on: a drawer, a door, a table, a screw at random places within its reach, as MuJoCo's physics.
 
-The true mechanism is joints with friction and play; nothing of the learner's models is in it.
+The true mechanism is joints with friction and play; nothing of the learner's models is in it. What stands still of the
+furniture stops the arm's links, but for the hand; what is moved does not.
 """
 
 # pyright: reportAttributeAccessIssue=false
@@ -19,6 +20,8 @@ from scipy.spatial.transform import Rotation
 from manip_learn.constraint.features.frame_jacobian import pose_error
 from manip_learn.constraint.features.mechanism_rows import across
 from manip_learn.errors import ConfigurationError, MissingExtraError, counted
+from manip_learn.planning.clearance import links_of
+from manip_learn.planning.surroundings import hand_of
 from manip_learn.playback.kinematic_tree import kinematic_tree
 from manip_learn.playback.mechanism_drawing import (
     BODY,
@@ -30,8 +33,10 @@ from manip_learn.playback.mechanism_drawing import (
     drawer_boxes,
     facing,
 )
+from manip_learn.robot.collision import collision_shapes, known_shapes, obstacles_of
 from manip_learn.robot.robot import Robot
 from manip_learn.robot.rotations import rotation_matrix
+from manip_learn.robot.visuals.visual_shapes import Solid
 
 Kind = Literal["drawer", "door", "loose-door", "table", "screw", "two", "free"]
 TITLES: dict[Kind, str] = {
@@ -70,6 +75,7 @@ WEAKEST = 0.075  # least singular value of the tip's rows [m/rad] that counts as
 NEWTON_STEPS, LARGEST_STEP = 12, 0.3  # to a place, and of all joints together [rad]: linearised they are near enough
 NEAR_LIMIT = 0.06  # share of its range that each joint keeps from its limits along the whole motion
 TRIES = 400  # random places for a mechanism: one in three to one in thirty are within reach
+CLEAR = 0.01  # [m] that the links keep from the furniture while the hand moves it: a person's elbow swings by more
 STATIONS = 25  # of a mechanism's motion at which the arm must reach it
 
 
@@ -109,6 +115,15 @@ class Handle:
     def turns(self) -> bool:
         """Whether it turns rather than slides."""
         return self.type in ("hinge", "screw")
+
+    @property
+    def solids(self) -> Iterator[tuple[Float[np.ndarray, "4 4"], Float[np.ndarray, " 3"]]]:
+        """Poses in the base and sizes of the boxes that stop an arm [m]."""
+        for x, y, z, *size, what in self.fixed:
+            if what != HANDLE:
+                at = self.pose.copy()
+                at[:3, 3] += at[:3, :3] @ [x, y, z]
+                yield at, np.array(size)
 
     def moved(self, by: float, beside: float = 0.0) -> Float[np.ndarray, "4 4"]:
         """The handle's pose when it has moved by some way [m or rad], and in a plane by another beside that [m]."""
@@ -201,6 +216,8 @@ def place_scene(kind: Kind, robot: Robot, tip: str, rng: np.random.Generator) ->
 def _assumed(robot: Robot) -> Iterator[str]:
     model = robot.pinocchio_model
     light = [model.names[i] for i in range(1, model.njoints) if model.inertias[i].mass < LEAST_MASS]
+    if known_shapes(robot) == "links":
+        yield "no shapes: capsules along the links are stopped by the furniture"
     if light:
         yield (
             f"{counted(len(light), 'link')} without mass ({', '.join(light[:3])}{', ...' * (len(light) > 3)}): "
@@ -220,6 +237,8 @@ class _Reach:
 
     def __init__(self, robot: Robot, tip: str, rng: np.random.Generator):
         self._robot, self._tip, self._rng = robot, tip, rng
+        self._links, self._hand = links_of(robot)[0], hand_of(robot, robot.frame(tip))
+        self._passed = list[np.ndarray]()  # postures in which the arm does the tasks so far
         drawn = [self._drawn() for _ in range(200)]
         places = np.array([robot.position(q, tip) for q in drawn])
         self._far = float(np.quantile(np.linalg.norm(places, axis=1), 0.95))
@@ -268,12 +287,21 @@ class _Reach:
         if any(np.linalg.norm(pose[:3, 3] - other.pose[:3, 3]) < 0.35 * min(self._far, 1.0) for other in others):
             return None
         handle, away = self._handle(kind, pose[:3, 3], pose[:3, :3] @ self._points)
-        if not self._does(handle, q, pose):
+        way = self._along(handle, q, pose)
+        if way is None:
             return None
         begin = pose.copy()
         begin[:3, 3] += AWAY * away
         start = posture_at(self._robot, self._tip, q, begin, False, self._rank)
-        return None if start is None or self._margin_of(start) < 0.0 else (handle, start)
+        if start is None or self._margin_of(start) < 0.0:
+            return None
+        boxes = [box for one in (*others, handle) for box in one.solids]
+        solids = [o for at, size in boxes for o in obstacles_of("", at, Solid("box", tuple(size)), self._hand)]
+        clear, passed = self._links.with_obstacles(solids, False), [*(self._passed if others else ()), *way, start]
+        if not all(clear.is_clear(x, CLEAR) for x in passed):
+            return None
+        self._passed = passed
+        return handle, start
 
     def _handle(self, kind: Kind, at: np.ndarray, points: np.ndarray) -> tuple[Handle, Float[np.ndarray, " 3"]]:
         """A mechanism of random size with its handle at a place, in front of a hand; and the way off it."""
@@ -315,15 +343,16 @@ class _Reach:
         sponge = ((0.0, 0.0, -0.015, 0.09, 0.06, 0.03, HANDLE),)
         return Handle("sponge", "plane", pose, normal, at, False, travel, play, 2.0, fixed, sponge), normal
 
-    def _does(self, handle: Handle, q: np.ndarray, hand: np.ndarray) -> bool:
-        """Whether the arm follows the handle's whole motion from a posture, away from limits and singularities."""
+    def _along(self, handle: Handle, q: np.ndarray, hand: np.ndarray) -> list[np.ndarray] | None:
+        """Postures of the arm along the handle's whole motion; None where limits or singularities are near."""
+        out = [q]
         grip = np.linalg.inv(handle.pose) @ hand
         for pose in handle.stations():
             found = posture_at(self._robot, self._tip, q, pose @ grip, handle.firm, self._rank)
             if found is None or self._margin_of(found) < 0.0:
-                return False
-            q = found
-        return True
+                return None
+            out.append(q := found)
+        return out
 
 
 def posture_at(
@@ -382,6 +411,9 @@ def scene_model(scene: TeachingScene) -> object:
     _add_arm(mujoco, spec, scene)
     for number, handle in enumerate(scene.handles):
         _add_handle(mujoco, spec, handle, number)
+        for at, size in handle.solids:
+            made = spec.worldbody.add_geom(type=mujoco.mjtGeom.mjGEOM_BOX, pos=at[:3, 3], quat=_quaternion(at[:3, :3]))
+            made.size, made.contype, made.conaffinity = 0.5 * size, 0, 1
     return spec.compile()
 
 
@@ -411,6 +443,17 @@ def _add_arm(mujoco: Any, spec: Any, scene: TeachingScene) -> None:
         if np.isfinite(low) and np.isfinite(high):
             made.limited, made.range = mujoco.mjtLimited.mjLIMITED_TRUE, [low, high]
         bodies.append(body)
+    hand = hand_of(robot, robot.frame(scene.tip))
+    shapes = collision_shapes(robot, known_shapes(robot)) if scene.handles else ()
+    for k, shape in enumerate(one for one in shapes if one.joint and one.link not in hand):
+        solid, at = shape.geometry, shape.placement
+        made = bodies[shape.joint].add_geom(pos=at[:3, 3], quat=_quaternion(at[:3, :3]), contype=1, conaffinity=0)
+        if getattr(solid, "points", None) is not None:  # a hull
+            spec.add_mesh(name=f"link_{k}", uservert=np.array(solid.points()).ravel())
+            made.type, made.meshname = mujoco.mjtGeom.mjGEOM_MESH, f"link_{k}"
+            continue
+        made.type = getattr(mujoco.mjtGeom, f"mjGEOM_{type(solid).__name__.upper()}")
+        made.size = getattr(solid, "halfSide", (getattr(solid, "radius", 0.0), getattr(solid, "halfLength", 0.0), 0.0))
     for mimic in robot.mimics:
         led = spec.add_equality(name=f"{mimic.joint}_follows", type=mujoco.mjtEq.mjEQ_JOINT)
         led.objtype, led.name1, led.name2 = mujoco.mjtObj.mjOBJ_JOINT, mimic.joint, mimic.leader

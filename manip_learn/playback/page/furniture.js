@@ -64,9 +64,11 @@ class FurniturePiece {
     this.ghostInk.color.copy(linear(this.rollout.colour));
   }
 
-  // A place on the moving part in the robot's base, now.
-  at(place) {
+  // Pose of the moving part in the robot's base, now.
+  leafMatrix() {
     this.leaf.updateMatrix();
-    return place.clone().applyMatrix4(this.leaf.matrix).applyMatrix4(this.group.matrix);
+    return this.leaf.matrix.clone().premultiply(this.group.matrix);
   }
+
+  at(place) { return place.clone().applyMatrix4(this.leafMatrix()); }
 }

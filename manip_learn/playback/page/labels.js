@@ -67,6 +67,10 @@ function labelScene(show, on) {
     const piece = () => show.solid.visible && show.solid.pieces[k];
     labels.add("--scene-ink", () => (on.furniture && piece() ? `${piece().kind} ${pieceInWords(show.solid, piece(), show.time)}` : ""), () => piece().at(piece().top));
   }
+  for (let k = 0; k < Math.max(...show.rollouts.map((r) => r.named.length)); k++) {
+    const thing = () => show.solid.visible && show.solid.named[k];
+    labels.add("--scene-ink", () => (on.around && thing() ? thing().words : ""), () => thing().at());
+  }
   for (const { constraint, lines, patches, type, way } of show.mechanisms) {
     const words = MECHANISM_WORDS[type] && `${show.mechanisms.length > 1 ? `${constraint + 1}: ` : ""}${MECHANISM_WORDS[type]}`;
     const ends = decode([...lines, ...patches][0] || "", Float32Array);

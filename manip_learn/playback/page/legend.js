@@ -17,6 +17,12 @@ class Legend {
       return { rollout, row, eye, pick, state, mu };
     });
     element.classList.toggle("parted", rollouts.some((r) => r.hasOwnPhases));
+    for (const rollout of rollouts.filter((r) => r.around.length)) {
+      const words = Object.assign(document.createElement("p"), { className: "around" }), [said, after] = aroundInWords(rollout).split(OPTION);
+      words.append(`${rollouts.length > 1 ? `${rollout.name} keeps` : "Keeps"} clear of ${said}`);
+      if (after) words.append(Object.assign(document.createElement("span"), { textContent: OPTION }), after);
+      element.prepend(words);
+    }
     if (mechanisms.length) {
       const words = Object.assign(document.createElement("p"), { id: "mechanism" });
       for (const { constraint, sentence, shown } of mechanisms) {

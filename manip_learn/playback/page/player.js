@@ -22,7 +22,7 @@ function readable(mu) {
 function prepare(rollout, index, phaseKinds) {
   const own = rollout.phaseKinds && ownKinds(rollout.phaseKinds, rollout.colour), kinds = own || phaseKinds;
   return {
-    ...rollout, kinds, hasPhases: phaseKinds.length > 0, hasOwnPhases: Boolean(own), bands: bandsOf(rollout, kinds), index, visible: true, solid: index === 0,
+    around: [], ...rollout, kinds, hasPhases: phaseKinds.length > 0, hasOwnPhases: Boolean(own), bands: bandsOf(rollout, kinds), index, visible: true, solid: index === 0,
     keyTimes: decode(rollout.keyTimes, Float64Array), tracks: decode(rollout.tracks, Float64Array),
     path: decode(rollout.path, Float32Array), pathTimes: decode(rollout.pathTimes, Float32Array),
     curve: decode(rollout.curve, Float64Array), curveTimes: decode(rollout.curveTimes, Float64Array),
@@ -60,6 +60,7 @@ class Show {
       if (rollout.path.length >= 6) rollout.trail = new TipPath(rollout, 0.0028 * size, rollout.instance.root);
     }
     for (const rollout of this.rollouts) rollout.pieces = rollout.furniture.map((described) => new FurniturePiece(rollout, described));
+    addAround(this, geometries);
     this.mechanisms = data.mechanisms;
     if (!this.stage) return;
     this.mechanismGroup = new THREE.Group();
@@ -89,7 +90,7 @@ class Show {
     this.time = Math.min(Math.max(t, 0), this.duration);
     for (const rollout of this.rollouts) {
       rollout.instance.setValues(this.valuesAt(rollout, this.time));
-      for (const piece of rollout.pieces) piece.setTime(this.time);
+      for (const piece of [...rollout.pieces, ...rollout.things]) piece.setTime(this.time);
       if (rollout.trail) rollout.trail.setTime(this.time, rollout.instance.tipPosition());
     }
     if (this.shown) this.shown.setTime(this.time);

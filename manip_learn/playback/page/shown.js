@@ -4,6 +4,8 @@ const SHOWN = {
   constraint: { say: "Constraint at the tip", on: true },
   furniture: { say: "Furniture that is moved", on: true },
   mechanism: { say: "Mechanism", on: true },
+  around: { say: "What it keeps clear of", on: true },
+  swept: { say: "All of the arm's way there", on: true },
   target: { say: "Target", on: true },
   ellipsoid: { say: "Ellipsoid of the task" },
   paths: { say: "Paths of the tip", on: true },
@@ -29,7 +31,9 @@ class Shown {
     if (name === "mechanism") return this.show.mechanisms.length > 0;
     if (name === "paths") return true;
     if (name === "furniture") return this.show.rollouts.some((r) => r.pieces.length);
-    if (name === "labels") return ["constraint", "mechanism", "furniture"].some((other) => this.has(other));
+    if (name === "around") return this.show.rollouts.some((r) => r.things.length);
+    if (name === "swept") return this.show.rollouts.some((r) => r.swept && r.swept.children.length);
+    if (name === "labels") return ["constraint", "mechanism", "furniture", "around"].some((other) => this.has(other));
     return this.show.rollouts.some((r) => r.drawn && (name !== "target" || r.drawn.target) && (name !== "ellipsoid" || r.drawn.ellipsoid.some((x) => x !== 0)));
   }
 
@@ -62,6 +66,8 @@ class Shown {
     for (const r of this.show.rollouts) {
       if (r.trail) r.trail.group.visible = this.on.paths;
       for (const piece of r.pieces) piece.group.visible = this.on.furniture;
+      for (const thing of r.things) thing.group.visible = r.solid && this.on.around;
+      if (r.swept) r.swept.visible = r.solid && this.on.swept;
       for (const drawn of r.allDrawn) if (drawn) for (const [name, part] of Object.entries(drawn.parts)) part.visible = r.solid && this.on[name];
     }
     if (this.labels) this.labels.hidden = !this.on.labels;

@@ -294,7 +294,12 @@ class _Reader:
             shape, T = self._shape(geom)
             colour = geom.vector("rgba", 4)
         except RobotError:
+            if self.scene:
+                raise
             return ""
+        if not shape and self.scene:
+            seen = f"its shape {shortened(geom.attributes.get('type', 'mesh'))!r} is not read"
+            raise geom.refusal("mjcf-element", f"{seen}; a plain body or a mesh file is expected; replace it")
         if not shape:
             return ""
         rgba = "" if colour is None else f'<material name=""><color rgba="{spaced(colour)}"/></material>'

@@ -7,7 +7,7 @@ function ghostRollout(raw, index) {
   return {
     name: raw.name, colourName: raw.colourName, duration: raw.duration, ended: raw.ended || "", index, visible: true, solid: false, keyTimes,
     tracks: decode(raw.tracks, Float64Array), curve: curveOf(raw.curve), curveTimes: curveOf(raw.curveTimes), status: [], bands: [], kinds: [],
-    hasPhases: false, hasOwnPhases: false, furniture: [], pieces: [], byKind: new Map(), get colour() { return onScreen(raw.colour); },
+    hasPhases: false, hasOwnPhases: false, furniture: [], pieces: [], things: [], around: [], byKind: new Map(), get colour() { return onScreen(raw.colour); },
   };
 }
 

@@ -1,0 +1,116 @@
+"""A robot and solids about it as a URDF of plain names, for programs that read nothing else.
+
+Joint 7 is called j007 and carries the link l007, whatever it is called in the robot's file and whichever kind of file
+that is; each solid has a link of its own.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from itertools import product
+from pathlib import Path
+from typing import Any
+
+import coal
+import numpy as np
+import pinocchio as pin
+from jaxtyping import Float
+from scipy.spatial import ConvexHull
+
+from manip_learn.robot.joints import motion_along
+from manip_learn.robot.robot import Robot
+
+BASE = "l000"  # the link that stands still
+# corners of a solid about the ball of radius 1: its faces are 0.8866 away where its corners are at 1
+CORNERS = np.array([np.divide(d, 0.8866 * np.linalg.norm(d)) for d in product((-1, 0, 1), repeat=3) if any(d)])
+
+
+def joint_name(index: int) -> str:
+    """What the joint with that Pinocchio id is called."""
+    return f"j{index:03}"
+
+
+def box_size(shape: Any) -> tuple[float, ...] | None:
+    """Edges of a box of Coal [m]; None for other shapes."""
+    return tuple((2.0 * np.asarray(shape.halfSide)).tolist()) if isinstance(shape, coal.Box) else None
+
+
+def plain_urdf(
+    robot: Robot,
+    lower: Float[np.ndarray, " nv"],
+    upper: Float[np.ndarray, " nv"],
+    solids: Mapping[str, tuple[Any, float]],
+    folder: Path,
+) -> str:
+    """The text of the URDF.
+
+    Args:
+        robot: The robot.
+        lower: Lowest positions of its joints [rad or m].
+        upper: Highest positions.
+        solids: Name -> an object of a Pinocchio geometry model of this robot, and by how much it is larger all round
+            [m]; convex meshes, at their corners, by up to an eighth more.
+        folder: Where meshes are written.
+
+    Raises:
+        ValueError: A joint that neither turns nor slides, or does both.
+    """
+    model, out = robot.pinocchio_model, [f"<robot name='copy'><link name='{BASE}'/>"]
+    data, mimics = model.createData(), {m.joint: m for m in robot.mimics}
+    pin.forwardKinematics(model, data, pin.neutral(model), np.zeros(model.nv))
+    ends = {b.name: (lower[b.v][0], upper[b.v][0]) for b in robot.blocks}
+    for j, name in list(enumerate(model.names))[1:]:
+        if (along := motion_along(data.joints[j].S)) is None:
+            raise ValueError(f"joint {name!r} does more than turn or slide")
+        least, most = ends.get(name, (-1e3, 1e3))  # a joint that follows another has its limits
+        inside = f"<axis xyz='{_words(along[1])}'/><limit lower='{least}' upper='{most}' velocity='1' effort='1'/>"
+        if (m := mimics.get(name)) is not None:
+            leader = joint_name(model.getJointId(m.leader))
+            inside += f"<mimic joint='{leader}' multiplier='{m.multiplier}' offset='{m.offset}'/>"
+        head = joint_name(j), "revolute" if along[0] == "R" else "prismatic", model.parents[j], f"l{j:03}"
+        out.append(f"<link name='l{j:03}'/>{_joint(*head, model.jointPlacements[j], inside)}")
+    out += [_link(name, solid, larger, folder) for name, (solid, larger) in solids.items()]
+    return "".join([*out, "</robot>"])
+
+
+def _words(values: Any) -> str:
+    return " ".join(map(repr, np.asarray(values, dtype=np.float64).tolist()))
+
+
+def _joint(name: str, kind: str, parent: int, child: str, place: pin.SE3, inside: str = "") -> str:
+    inside += f"<origin xyz='{_words(place.translation)}' rpy='{_words(pin.rpy.matrixToRpy(place.rotation))}'/>"
+    return f"<joint name='{name}' type='{kind}'><parent link='l{parent:03}'/><child link='{child}'/>{inside}</joint>"
+
+
+def _link(name: str, thing: Any, larger: float, folder: Path) -> str:
+    """One shape, larger all round by a length [m], on a link of its own."""
+    shape, mark = thing.geometry, ""
+    match shape:
+        case coal.Box():
+            form = f"<box size='{_words(2.0 * (np.asarray(shape.halfSide) + larger))}'/>"
+        case coal.Cylinder():
+            form = f"<cylinder radius='{shape.radius + larger}' length='{2.0 * (shape.halfLength + larger)}'/>"
+        case coal.Sphere() | coal.Capsule():  # a capsule is no element of URDF: Pinocchio has a mark for it
+            length = 2.0 * getattr(shape, "halfLength", 0.0)
+            form, mark = f"<cylinder radius='{shape.radius + larger}' length='{length}'/>", "capsule"
+        case _:
+            form, mark = _mesh(shape, larger, folder / f"{name}.obj")
+    marked = f"<collision_checking><{mark} name='{name}'/></collision_checking>" if mark else ""
+    link = f"<link name='{name}'><collision name='{name}'><geometry>{form}</geometry></collision>{marked}</link>"
+    return link + _joint(f"{name}_fixed", "fixed", thing.parentJoint, name, thing.placement)
+
+
+def _mesh(shape: Any, larger: float, file: Path) -> tuple[str, str]:
+    if convex := isinstance(shape, coal.ConvexBase):
+        hull = ConvexHull((np.array(shape.points())[:, None] + larger * CORNERS[: 26 if larger else 1]).reshape(-1, 3))
+        points, faces = hull.points[hull.vertices], np.searchsorted(hull.vertices, hull.simplices)
+    else:
+        corners = [shape.tri_indices(k) for k in range(shape.num_tris)]
+        points, faces = np.array(shape.vertices()), np.array([(t[0], t[1], t[2]) for t in corners])
+        a, b, c = np.moveaxis(points[faces], 1, 0)
+        normals = np.zeros_like(points)
+        np.add.at(normals, faces, np.cross(b - a, c - a)[:, None])
+        points = points + larger * normals / np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), 1e-12)
+    lines = [f"v {_words(p)}\n" for p in points] + [f"f {a} {b} {c}\n" for a, b, c in (faces + 1).tolist()]
+    file.write_text("".join(lines))
+    return f"<mesh filename='{file}'/>", "convex" if convex else ""
