@@ -552,6 +552,23 @@ class ServoLoop:
         return self._slowed[1].bounds(q, late, None)
 
     def _command(self, q: np.ndarray, time: float, held: float) -> Command:
+        """The controller's command, within the limits and clear of what stands around; else the arm brakes.
+
+        Where it would come to rest if it braked was clear one step before.
+        """
+        command, tip = self._within_limits(q, time, held), self.limits.tip
+        clear = None if tip is None else tip.clear_at(q, held, self.limits.acceleration)
+        if tip is None or tip.clear is None or clear is None:
+            return command
+        if not tip.clear.was_clear(q, command.velocity) and clear(command.velocity) is not None:
+            u = self._velocity * max(0.0, 1.0 - held / max(self.limits.stopping_time(self._velocity), held))
+            status = min(command.status, Status.POSITION_LIMITED, key=tuple(Status).index)
+            command = command._replace(velocity=u, status=status, limiting_joint=-1)
+        if command.limiting_joint < 0 and command.status in (Status.POSITION_LIMITED, Status.STALLED):
+            self.stopped_by = tip.clear.words() or self.stopped_by
+        return command
+
+    def _within_limits(self, q: np.ndarray, time: float, held: float) -> Command:
         """The controller's command, within the limits."""
         if self._keeps_limits:
             command = self.controller(q, time, held, self._velocity, self._slide)  # type: ignore[call-arg]

@@ -4,14 +4,13 @@ from __future__ import annotations
 
 import copy
 from collections.abc import Iterable
-from functools import lru_cache
 from typing import Any, final
 
 import numpy as np
 from jaxtyping import Float
 
 from manip_learn.planning.surroundings import AWAY, BEHIND, FLOOR, FRONT, Surroundings
-from manip_learn.robot.collision import Obstacle, Proximity, SelfCollision, known_shapes
+from manip_learn.robot.collision import Obstacle, Proximity, SelfCollision, links_of
 from manip_learn.robot.robot import Robot
 
 # [m] from links to each other and to what stands around: what a servo's lag makes of a path; links that are neighbours
@@ -25,13 +24,6 @@ LAST = 10**9  # a station behind all of them: the last one
 NEAR = 0.3  # [m] up to which a plan says how near it comes to what stands around: farther away nobody asks
 MOST_TRIANGLES = 10_000  # of all that stands around, in a rollout: 0.3 MB of text
 Posture = Float[np.ndarray, " nv"]
-
-
-@lru_cache(maxsize=8)
-def links_of(robot: Robot) -> tuple[SelfCollision, str]:
-    """The links with their collision shapes, or else the drawn ones, or else capsules; and which of these."""
-    shapes = known_shapes(robot)
-    return SelfCollision(robot, shapes=shapes), shapes
 
 
 def self_collision(robot: Robot) -> SelfCollision | None:

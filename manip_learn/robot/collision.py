@@ -8,7 +8,7 @@ from __future__ import annotations
 import threading
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from functools import lru_cache, partial
+from functools import cached_property, lru_cache, partial
 from itertools import combinations
 from pathlib import Path
 from types import MappingProxyType
@@ -158,6 +158,13 @@ def known_shapes(robot: Robot) -> Shapes:
     return "links"
 
 
+@lru_cache(maxsize=8)
+def links_of(robot: Robot) -> tuple[SelfCollision, Shapes]:
+    """The links with their collision shapes, or else the drawn ones, or else capsules; and which of these."""
+    shapes = known_shapes(robot)
+    return SelfCollision(robot, shapes=shapes), shapes
+
+
 def obstacles_of(
     name: str, placement: Float[np.ndarray, "4 4"], shape: Solid | Mesh, may_touch: frozenset[str] = frozenset()
 ) -> tuple[Obstacle, ...]:
@@ -263,12 +270,14 @@ class Proximity(NamedTuple):
         distance: [m]; negative where the shapes overlap: the depth.
         gradient: d distance / dq, shape (nv,) [m/rad or 1].
         normal: shape (3,), the way in the base frame in which the second would have to move away.
+        number: Of the pair.
     """
 
     links: tuple[str, str]
     distance: float
     gradient: Float[np.ndarray, " nv"]
     normal: Float[np.ndarray, " 3"]
+    number: int
 
 
 @final
@@ -333,6 +342,7 @@ class SelfCollision:
         """
         other = object.__new__(SelfCollision)
         vars(other).update(vars(self))
+        vars(other).pop("levers", None)
         other._pair_up(self._pairs[: len(self._radii)] if own else [], obstacles)
         return other
 
@@ -340,6 +350,23 @@ class SelfCollision:
     def geometry(self) -> Any:
         """Pinocchio's model of the shapes on its joints, obstacles last, and of the pairs whose distances count."""
         return self._geometry
+
+    @cached_property
+    def levers(self) -> Float[np.ndarray, "pairs nv"]:
+        """By how much a joint changes each distance at most, with links laid end to end [m/rad or 1]."""
+        model, robot, out = self._model, self.robot, np.zeros((len(self._solids), self._model.nv))
+        ends = np.maximum(np.abs(model.lowerPositionLimit), np.abs(model.upperPositionLimit))
+        for k, shape in enumerate(self._shapes):
+            length = float(np.linalg.norm(shape.placement[:3, 3])) + shape.radius
+            for j in reversed([j for j in model.supports[shape.joint] if j]):
+                joint = model.joints[j]
+                turns, slide = joint.shortname().startswith("JointModelR"), ends[joint.idx_q : joint.idx_q + joint.nq]
+                out[k, joint.idx_v : joint.idx_v + joint.nv] = length if turns else max(1.0, length)
+                length += float(np.linalg.norm(model.jointPlacements[j].translation))
+                length += 0.0 if turns else float(np.minimum(slide, LARGE).sum())
+        a, b = np.array(self._pairs, dtype=np.intp).reshape(-1, 2).T
+        levers = np.where((out[a] > 0.0) & (out[b] > 0.0), 0.0, out[a] + out[b])  # what carries both changes nothing
+        return levers if robot.coupling is None else levers @ np.abs(robot.coupling.lift)
 
     def is_clear(self, q: ArrayLike, distance: float, moved: Moved = MappingProxyType({})) -> bool:
         """Whether no pair is at a distance of at most `distance` [m]: not `closer_than`, in a fifth of its time.
@@ -359,21 +386,24 @@ class SelfCollision:
         clear = not pin.computeCollisions(self._geometry, geometry_data, True)
         return clear and not (self._closed and self.closer_than(q, distance, moved))  # within a mesh nothing touches
 
-    def closer_than(self, q: ArrayLike, distance: float, moved: Moved = MappingProxyType({})) -> list[Proximity]:
+    def closer_than(
+        self, q: ArrayLike, distance: float, moved: Moved = MappingProxyType({}), only: np.ndarray | None = None
+    ) -> list[Proximity]:
         """All pairs of shapes at a distance of at most `distance` [m], and their gradients.
 
         Args:
             q: Configuration or joint positions.
             distance: [m].
             moved: Name of an obstacle -> where it is now, in the robot's base frame [m]; the others are in their place.
+            only: Numbers of the pairs that are looked at; None for all.
 
         Raises:
             ConfigurationError: q has the wrong size or is not finite.
             UnknownNameError: `moved` names no obstacle.
         """
         data, geometry_data, far = self._placed(q, moved)
-        found = []
-        for k in np.flatnonzero(far <= distance).tolist():
+        near, found = far <= distance, []
+        for k in (np.flatnonzero(near) if only is None else only[near[only]]).tolist():
             result, exact = self._distance(k, geometry_data, float(far[k]))
             if exact <= distance:
                 found.append(self._proximity(k, result, exact, data))
@@ -446,7 +476,7 @@ class SelfCollision:
             gradient, nx, ny, nz = np.zeros(self._model.nv), 0.0, 0.0, 0.0
         coupling = self.robot.coupling
         lifted = gradient if coupling is None else gradient @ coupling.lift
-        return Proximity(self._links(a, b), distance, lifted, np.array([nx, ny, nz]))
+        return Proximity(self._links(a, b), distance, lifted, np.array([nx, ny, nz]), k)
 
     def _links(self, a: int, b: int) -> tuple[str, str]:
         return self._solids[a].link, self._solids[b].link
