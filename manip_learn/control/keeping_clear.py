@@ -3,16 +3,18 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from typing import Protocol, final
 
 import numpy as np
 from jaxtyping import Float
 
 from manip_learn.errors import ConfigurationError
-from manip_learn.robot.collision import Obstacle, Proximity, SelfCollision, links_of
+from manip_learn.robot.collision import Obstacle, SelfCollision, links_of
 from manip_learn.robot.robot import Robot
 
 Barrier = tuple[Float[np.ndarray, "r nv"], Float[np.ndarray, " r"]]  # (G, least): rows G u >= least
+Ahead = tuple[float, Float[np.ndarray, " nv"]]  # a time [s], and its gradient by the velocity
 CLEARANCE = 0.005  # [m] default distance of links from each other and from what stands around, as that of plans
 AIMED = 2e-5  # [m] beyond the clearance, which rows aim at: their solutions are within it after one or two rounds
 ROUNDED = 1e-9  # [m] of Coal's distances
@@ -63,50 +65,50 @@ class KeptClear:
                 f"clearance is {clearance!r}; a distance of at least 0 is expected [m]; correct it"
             )
         self.pairs, self.clearance, self._robot = around, float(clearance), robot
-        q = robot.neutral()
-        self._known = q, np.full(len(around.levers), -math.inf)  # distances at least, at a posture
-        self._clear: tuple[np.ndarray, np.ndarray] = q, q  # posture and velocity that were last found clear
-        self._nearest: Proximity | None = None
+        q, n = robot.neutral(), len(around.levers)
+        # a posture, distances there or less, and which of them are known
+        self._known = q, np.full(n, -math.inf), np.zeros(n, dtype=bool)
+        self._clear = q, q  # posture and velocity that were last found clear
+        self._nearest: tuple[float, tuple[str, str]] | None = None
 
-    def rows(self, q: Float[np.ndarray, " n"], u: Float[np.ndarray, " nv"], times: tuple[float, ...]) -> Barrier | None:
+    def rows(self, q: Float[np.ndarray, " n"], u: Float[np.ndarray, " nv"], times: Sequence[Ahead]) -> Barrier | None:
         """What must hold of v so that no pair is too near where it leads; None if u itself leads nowhere near.
 
         Args:
             q: Posture.
             u: Velocity [rad/s or m/s].
-            times: t [s].
+            times: t [s], and its gradient.
         """
-        posture, least = self._known
-        reach = self.pairs.levers.dot(np.abs(u))
-        here = least if posture is q else least - self.pairs.levers.dot(np.abs(self._robot.difference(posture, q)))
-        close = here - max(times) * reach < self.clearance
-        now = dict[int, Proximity]()
-        if close.any():
-            now = {p.number: p for p in self.pairs.closer_than(q, math.inf, only=np.flatnonzero(close))}
-            here = here.copy()
-            here[list(now)] = [p.distance for p in now.values()]
-            self._known = q, here
-        G, least_rates, near = list[np.ndarray](), list[float](), list[Proximity]()
-        for time in times:
-            close = np.flatnonzero(here - time * reach < self.clearance)
-            there = (
-                self.pairs.closer_than(self._robot.integrate(q, time * u), self.clearance, only=close)
-                if len(close)
-                else []
-            )
+        (posture, here, known), levers, clearance = self._known, self.pairs.levers, self.clearance
+        if not np.array_equal(posture, q):
+            here, known = here - levers.dot(np.abs(self._robot.difference(posture, q))), np.zeros_like(known)
+        longest, reach, rows, allowances, nearest = max(time for time, _ in times), levers.dot(np.abs(u)), [], [], None
+        if (new := np.flatnonzero((here - longest * reach < clearance) & ~known)).size:
+            here, known = here.copy(), known.copy()
+            here[new], known[new] = self.pairs.distances(q, new.tolist()), True
+            self._known = q.copy(), here, known
+        for time, slope in times:
+            close = np.flatnonzero(here - time * reach < clearance).tolist()
+            there = self.pairs.closer_than(self._robot.integrate(q, time * u), clearance, only=close) if close else ()
             for pair in there:
-                allowed = min(self.clearance, here[pair.number])
+                allowed = min(clearance, float(here[pair.number]))
                 if pair.distance >= allowed - ROUNDED:
                     continue
-                near.append(now[pair.number])
-                x, start = (pair, u) if pair.distance > 0.0 or allowed < 0.0 else (now[pair.number], 0.0 * u)
-                G.append(x.gradient)
-                least_rates.append(float(x.gradient.dot(start)) + (allowed + AIMED - x.distance) / time)
-        if not G:
-            self._clear = q, u
+                nearest = min(nearest or (math.inf, pair.links), (float(here[pair.number]), pair.links))
+                at = time
+                while pair.distance < 0.0 < allowed:
+                    at *= 0.5
+                    x = self._robot.integrate(q, at * u)
+                    pair = self.pairs.closer_than(x, math.inf, only=(pair.number,))[0]  # noqa: PLW2901
+                rate = float(pair.gradient.dot(u))
+                rows.append(pair.gradient + rate * slope / time)
+                least = float(rows[-1].dot(u)) - (1.0 - at / time) * rate
+                allowances.append(least + (allowed - pair.distance) / time + AIMED / longest)
+        if nearest is None:
+            self._clear = q.copy(), u.copy()
             return None
-        self._nearest = min(near, key=lambda pair: pair.distance)
-        return np.array(G), np.array(least_rates)
+        self._nearest = nearest
+        return np.array(rows), np.array(allowances)
 
     def was_clear(self, q: Float[np.ndarray, " n"], u: Float[np.ndarray, " nv"]) -> bool:
         """Whether this velocity at this posture is the latest for which there were no rows."""
@@ -114,8 +116,8 @@ class KeptClear:
 
     def words(self) -> str | None:
         """Which two things were the nearest ones and how near, if that stops the arm."""
-        pair = self._nearest
-        if pair is None or pair.distance > self.clearance + AT_REST:
+        if self._nearest is None or self._nearest[0] > self.clearance + AT_REST:
             return None
-        the = "the " if pair.links[1] in {obstacle.name for obstacle in self.pairs.obstacles} else ""
-        return f"{pair.links[0]} {1e3 * pair.distance:.0f} mm from {the}{pair.links[1]}"
+        distance, (link, other) = self._nearest
+        the = "the " if other in {obstacle.name for obstacle in self.pairs.obstacles} else ""
+        return f"{link} {1e3 * distance:.0f} mm from {the}{other}"

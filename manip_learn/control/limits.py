@@ -161,7 +161,7 @@ class TipLimits:
         """
         jacobians, clear = (
             [self._robot.jacobian(q, frame)[:3] for frame in self.frames],
-            self.clear_at(q, dt, acceleration),
+            self.clear_at(q, dt, acceleration, previous),
         )
         if not self.walls.size:
             return Tips(jacobians, np.empty((0, self._robot.nv)), np.empty(0), clear)
@@ -175,7 +175,11 @@ class TipLimits:
         return Tips(jacobians, -G, least, clear)
 
     def clear_at(
-        self, q: Float[np.ndarray, " n"], dt: float, acceleration: Float[np.ndarray, " nv"]
+        self,
+        q: Float[np.ndarray, " n"],
+        dt: float,
+        acceleration: Float[np.ndarray, " nv"],
+        previous: Float[np.ndarray, " nv"] | None,
     ) -> Callable[[Float[np.ndarray, " nv"]], Barrier | None] | None:
         """`Tips.clear`: pairs stay clear in the next step, and where the arm stops when it brakes along u from then on.
 
@@ -184,8 +188,20 @@ class TipLimits:
         clear = self.clear
         if clear is None:
             return None
-        least, share = 1.0 / min(APPROACH_RATE, 0.5 / dt), 0.5 / BRAKING_SHARE
-        return lambda u: clear.rows(q, u, (dt, max(least, share * float(np.max(np.abs(u) / acceleration)))))
+        least, still = 1.0 / min(APPROACH_RATE, 0.5 / dt), np.zeros(self._robot.nv)
+        reach = math.inf if previous is None else dt * acceleration
+        before = still if previous is None else previous
+
+        def rows(u: Float[np.ndarray, " nv"]) -> Barrier | None:
+            u = np.clip(u, before - reach, before + reach)
+            times, slope = 0.5 / BRAKING_SHARE * np.abs(u) / acceleration, still.copy()
+            slowest = int(np.argmax(times))
+            if times[slowest] > least:
+                slope[slowest] = times[slowest] / u[slowest]
+            stops = max(least, float(times[slowest]))
+            return clear.rows(q, u, ((dt, still), (0.5 * stops, 0.5 * slope), (stops, slope)))
+
+        return rows
 
     def rows(self, tips: Tips, u: Float[np.ndarray, " nv"], slack: float = 0.0) -> tuple[Barrier, int] | None:
         """What the velocity u breaks, and its cause: tangents where a frame is too fast, walls, and pairs that are near.

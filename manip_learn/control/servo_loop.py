@@ -557,7 +557,7 @@ class ServoLoop:
         Where it would come to rest if it braked was clear one step before.
         """
         command, tip = self._within_limits(q, time, held), self.limits.tip
-        clear = None if tip is None else tip.clear_at(q, held, self.limits.acceleration)
+        clear = None if tip is None else tip.clear_at(q, held, self.limits.acceleration, self._velocity)
         if tip is None or tip.clear is None or clear is None:
             return command
         if not tip.clear.was_clear(q, command.velocity) and clear(command.velocity) is not None:

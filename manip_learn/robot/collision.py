@@ -387,7 +387,7 @@ class SelfCollision:
         return clear and not (self._closed and self.closer_than(q, distance, moved))  # within a mesh nothing touches
 
     def closer_than(
-        self, q: ArrayLike, distance: float, moved: Moved = MappingProxyType({}), only: np.ndarray | None = None
+        self, q: ArrayLike, distance: float, moved: Moved = MappingProxyType({}), only: Sequence[int] | None = None
     ) -> list[Proximity]:
         """All pairs of shapes at a distance of at most `distance` [m], and their gradients.
 
@@ -401,13 +401,18 @@ class SelfCollision:
             ConfigurationError: q has the wrong size or is not finite.
             UnknownNameError: `moved` names no obstacle.
         """
-        data, geometry_data, far = self._placed(q, moved)
-        near, found = far <= distance, []
-        for k in (np.flatnonzero(near) if only is None else only[near[only]]).tolist():
-            result, exact = self._distance(k, geometry_data, float(far[k]))
+        data, geometry_data, far = self._placed(q, moved, only is None)
+        found = list[Proximity]()
+        for k in np.flatnonzero(far <= distance).tolist() if only is None else only:
+            result, exact = self._distance(k, geometry_data, float(far[k]) if only is None else -np.inf)
             if exact <= distance:
                 found.append(self._proximity(k, result, exact, data))
         return found
+
+    def distances(self, q: ArrayLike, only: Sequence[int]) -> list[float]:
+        """Of some pairs by their numbers [m], negative where they overlap."""
+        _, geometry_data, _ = self._placed(q, bounded=False)
+        return [self._distance(k, geometry_data, -np.inf)[1] for k in only]
 
     def nearest(self, q: ArrayLike, moved: Moved = MappingProxyType({})) -> Proximity | None:
         """The pair of shapes at the smallest distance; None if nothing can touch. See `closer_than`."""
@@ -432,12 +437,14 @@ class SelfCollision:
         return result, distance
 
     def _placed(
-        self, q: ArrayLike, moved: Moved = MappingProxyType({})
+        self, q: ArrayLike, moved: Moved = MappingProxyType({}), bounded: bool = True
     ) -> tuple[pin.Data, Any, Float[np.ndarray, " pairs"]]:
-        """Data with Jacobians, shapes at their places, and a lower bound of the distance of each pair."""
+        """Data with Jacobians, shapes at their places, and, if `bounded`, a lower bound of the distance of each pair."""
         data, geometry_data = self._own_data()
         pin.computeJointJacobians(self._model, data, self.robot.pinocchio_configuration(q))
         pin.updateGeometryPlacements(self._model, data, self._geometry, geometry_data)
+        if not bounded:
+            return data, geometry_data, self._radii
         centres = np.array([geometry_data.oMg[k].translation for k in range(len(self._shapes))])
         first, second = self._pair_table
         apart = np.linalg.norm(centres[first] - centres[second], axis=1) - self._radii
