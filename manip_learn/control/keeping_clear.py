@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
 from typing import Protocol, final
 
 import numpy as np
@@ -14,9 +13,12 @@ from manip_learn.robot.collision import Obstacle, SelfCollision, links_of
 from manip_learn.robot.robot import Robot
 
 Barrier = tuple[Float[np.ndarray, "r nv"], Float[np.ndarray, " r"]]  # (G, least): rows G u >= least
-Ahead = tuple[float, Float[np.ndarray, " nv"]]  # a time [s], and its gradient by the velocity
 CLEARANCE = 0.005  # [m] default distance of links from each other and from what stands around, as that of plans
-AIMED = 2e-5  # [m] beyond the clearance, which rows aim at: their solutions are within it after one or two rounds
+# [m] beyond the clearance, which rows aim at: their solutions are within it after one or two rounds; and as a share of
+# the way until then, for between the postures that are looked at surfaces may be 1 % of it nearer
+AIMED, FUNNEL = 2e-5, 0.02
+# of the time until the arm stands; one that brakes as hard as it can stands at half of it
+LOOKED_AT = 0.25, 0.5, 1.0
 ROUNDED = 1e-9  # [m] of Coal's distances
 AT_REST = 1e-3  # [m] beyond the clearance: what is farther away has slowed the arm down, and does not stop it
 
@@ -71,23 +73,34 @@ class KeptClear:
         self._clear = q, q  # posture and velocity that were last found clear
         self._nearest: tuple[float, tuple[str, str]] | None = None
 
-    def rows(self, q: Float[np.ndarray, " n"], u: Float[np.ndarray, " nv"], times: Sequence[Ahead]) -> Barrier | None:
+    def rows(
+        self,
+        q: Float[np.ndarray, " n"],
+        u: Float[np.ndarray, " nv"],
+        dt: float,
+        longest: float,
+        slope: Float[np.ndarray, " nv"],
+    ) -> Barrier | None:
         """What must hold of v so that no pair is too near where it leads; None if u itself leads nowhere near.
 
         Args:
             q: Posture.
             u: Velocity [rad/s or m/s].
-            times: t [s], and its gradient.
+            dt: Time for which it is held [s].
+            longest: Time after which the arm stands [s].
+            slope: Gradient of that by the velocity.
         """
         (posture, here, known), levers, clearance = self._known, self.pairs.levers, self.clearance
         if not np.array_equal(posture, q):
             here, known = here - levers.dot(np.abs(self._robot.difference(posture, q))), np.zeros_like(known)
-        longest, reach, rows, allowances, nearest = max(time for time, _ in times), levers.dot(np.abs(u)), [], [], None
-        if (new := np.flatnonzero((here - longest * reach < clearance) & ~known)).size:
+        reach, rows, least, nearest = levers.dot(np.abs(u)), [], [], None
+        close = here - longest * reach < clearance
+        if (new := np.flatnonzero(close & ~known)).size:
             here, known = here.copy(), known.copy()
             here[new], known[new] = self.pairs.distances(q, new.tolist()), True
             self._known = q.copy(), here, known
-        for time, slope in times:
+            close = here - longest * reach < clearance
+        for time, share in ((dt, 0.0), *((longest * x, x) for x in LOOKED_AT)) if close.any() else ():
             close = np.flatnonzero(here - time * reach < clearance).tolist()
             there = self.pairs.closer_than(self._robot.integrate(q, time * u), clearance, only=close) if close else ()
             for pair in there:
@@ -101,14 +114,14 @@ class KeptClear:
                     x = self._robot.integrate(q, at * u)
                     pair = self.pairs.closer_than(x, math.inf, only=(pair.number,))[0]  # noqa: PLW2901
                 rate = float(pair.gradient.dot(u))
-                rows.append(pair.gradient + rate * slope / time)
-                least = float(rows[-1].dot(u)) - (1.0 - at / time) * rate
-                allowances.append(least + (allowed - pair.distance) / time + AIMED / longest)
+                rows.append(pair.gradient + rate * share / time * slope)
+                away = allowed - pair.distance + AIMED * time / longest + FUNNEL * time * float(reach[pair.number])
+                least.append(float(rows[-1].dot(u)) - (1.0 - at / time) * rate + away / time)
         if nearest is None:
             self._clear = q.copy(), u.copy()
             return None
         self._nearest = nearest
-        return np.array(rows), np.array(allowances)
+        return np.array(rows), np.array(least)
 
     def was_clear(self, q: Float[np.ndarray, " n"], u: Float[np.ndarray, " nv"]) -> bool:
         """Whether this velocity at this posture is the latest for which there were no rows."""

@@ -198,13 +198,12 @@ class TipLimits:
             slowest = int(np.argmax(times))
             if times[slowest] > least:
                 slope[slowest] = times[slowest] / u[slowest]
-            stops = max(least, float(times[slowest]))
-            return clear.rows(q, u, ((dt, still), (0.5 * stops, 0.5 * slope), (stops, slope)))
+            return clear.rows(q, u, dt, max(least, float(times[slowest])), slope)
 
         return rows
 
     def rows(self, tips: Tips, u: Float[np.ndarray, " nv"], slack: float = 0.0) -> tuple[Barrier, int] | None:
-        """What the velocity u breaks, and its cause: tangents where a frame is too fast, walls, and pairs that are near.
+        """What the velocity u breaks, and its cause: walls, pairs that come near, tangents where a frame is too fast.
 
         None where it breaks nothing.
 

@@ -439,7 +439,7 @@ class SelfCollision:
     def _placed(
         self, q: ArrayLike, moved: Moved = MappingProxyType({}), bounded: bool = True
     ) -> tuple[pin.Data, Any, Float[np.ndarray, " pairs"]]:
-        """Data with Jacobians, shapes at their places, and, if `bounded`, a lower bound of the distance of each pair."""
+        """Data with Jacobians, shapes at their places, and, if `bounded`, a lower bound of each distance."""
         data, geometry_data = self._own_data()
         pin.computeJointJacobians(self._model, data, self.robot.pinocchio_configuration(q))
         pin.updateGeometryPlacements(self._model, data, self._geometry, geometry_data)
