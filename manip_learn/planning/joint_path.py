@@ -126,7 +126,13 @@ def _copied(
     """RoboPlan's scene of ours, the links larger by so much [m], and of the boxes in it the names and numbers."""
     core, obstacles = import_module("roboplan.core"), links.obstacles
     things, first = list(links.geometry.geometryObjects), links.geometry.ngeoms - len(obstacles)
-    sizes = {f"s{k:03}": (things[k], 0.0) for _, k in pairs} | {f"g{k:03}": (things[k], larger) for k, _ in pairs}
+    sizes, together = dict[str, tuple[Any, float]](), list[tuple[str, str]]()
+    for k, other in pairs:
+        own = other < first  # two links, of their triangles if these count
+        names = (f"t{k:03}", f"u{other:03}") if own else (f"g{k:03}", f"s{other:03}")
+        solids = ((links.triangles(i) if own else things[i]) for i in (k, other))
+        sizes |= dict(zip(names, zip(solids, (larger, 0.0), strict=True), strict=True))
+        together.append(names)
     named = {f"s{first + k:03}": k for k in range(len(obstacles))}
     boxes = {n: (k, size) for n, k in named.items() if n in sizes and (size := box_size(obstacles[k].geometry))}
     low = np.where(np.isfinite(limits.lower), limits.lower, np.minimum(limits.upper - 2.0 * TURN, -TURN))
@@ -138,5 +144,5 @@ def _copied(
     for name, (k, size) in boxes.items():  # which may be elsewhere at the next call, as a door's leaf
         scene.addBoxGeometry(name, BASE, core.Box(*size), np.asfortranarray(obstacles[k].placement), np.ones(4))
     scene.setCollisions([(a, b) for a, b in product(sizes, sizes) if a < b], False)
-    scene.setCollisions([(f"g{k:03}", f"s{other:03}") for k, other in pairs], True)
+    scene.setCollisions(together, True)
     return scene, {name: k for name, (k, _) in boxes.items()}

@@ -41,7 +41,7 @@ from manip_learn.planning.stations import (
     node_margins,
     rooms,
 )
-from manip_learn.planning.surroundings import Surroundings, assumed, hand_of
+from manip_learn.planning.surroundings import Surroundings, surroundings_of
 from manip_learn.recordings.trajectory_source import Progress
 from manip_learn.robot import html_card
 from manip_learn.robot.batch.postures import unwound
@@ -99,7 +99,7 @@ class Plan:
         controller: Runs the plan, in `simulate` and in a `ServoLoop`, from the start.
         candidates: Number of postures at the first station that were compared.
         notes: What was not looked at, in sentences.
-        obstacles: What approach and way keep clear of, where it is before the way.
+        around: What approach and way keep clear of.
     """
 
     robot: Robot
@@ -113,7 +113,12 @@ class Plan:
     controller: LawSequence
     candidates: int
     notes: tuple[str, ...] = ()
-    obstacles: tuple[Obstacle, ...] = ()
+    around: Surroundings = Surroundings()
+
+    @property
+    def obstacles(self) -> tuple[Obstacle, ...]:
+        """What approach and way keep clear of, where it is before the way."""
+        return self.around.shown
 
     @property
     def rollout(self) -> Rollout:
@@ -156,7 +161,7 @@ class Plan:
             "candidates": self.candidates,
             "others": [{"posture": o.posture.tolist(), "margin": o.margin, "why": o.why} for o in self.others],
             "notes": list(self.notes),
-            "clear_of": list(dict.fromkeys(o.name for o in self.obstacles)),
+            "clear_of": list(self.around.names),
         }
 
 
@@ -376,18 +381,16 @@ class _Problem:
 
     def _around(self, scene: Around) -> Surroundings:
         """What stands around."""
-        features: Any = self.rows.features
-        if isinstance(scene, Scene):
-            hand = hand_of(self.robot, features.frame)
-            return Surroundings(scene.obstacles(self.robot, hand)).for_hand(self.robot, hand)
         if scene is None:
             return Surroundings()
-        if scene != "assumed":
+        if not isinstance(scene, Scene) and scene != "assumed":
             raise ConfigurationError(
                 f"a scene is a Scene, None for nothing, or left out to be assumed, not {an(scene)}"
             )
-        in_base = getattr(features, "relative_to", None) is None
-        return assumed(self.robot, features.frame, self.stations, self.constraint.mechanism, in_base)
+        features: Any = self.rows.features
+        mechanism = self.constraint.mechanism if getattr(features, "relative_to", None) is None else None
+        given = None if scene == "assumed" else scene
+        return surroundings_of(given, self.robot, features.frame, self.stations, mechanism)
 
     def check(self) -> None:
         """Refuse a start, a way or a grasp that cannot be."""
@@ -579,7 +582,7 @@ class _Problem:
         times = held + self.stations.time * ((outcome.seconds or end) / self.stations.time[-1])
         path += [(q, k) for k, q in enumerate(way.q[np.minimum(np.searchsorted(way.time, times), len(way) - 1)])]
         way = replace(way, around=self.clear.plain((self.robot.positions(q), k) for q, k in path))
-        numbers = margins.margin, margins, outcome, others, laws, compared, self.notes, self.clear.shown
+        numbers = margins.margin, margins, outcome, others, laws, compared, self.notes, self.clear.around
         return Plan(self.robot, hold, approach, way, *numbers)
 
     # ---- where there is no plan -----------------------------------------------------------------------------------
