@@ -376,11 +376,11 @@ def exhaustive(one: World, scene: ml.Scene | str | None, seed: int) -> dict[str,
     reached = int(marches.reached)
     counts: dict[str, Any] = {"postures": int(np.isfinite(marches.least[:, 0]).sum()), "whole": len(whole)}
     counts |= {"clear": 0, "reached": 0, "share": max(reached, 0) / (len(stations) - 1)}
+    holding = clear.holding(marches.q[whole, 0])
     for march in whole[np.argsort(-marches.along[whole, -1])].tolist():
         if time.process_time() - began > EXHAUSTIVE_SECONDS:
             return counts | {"found": None}
         path = marches.q[march]
-        holding = clear.holding(path[0])
         if not holding.of_way(path):
             continue
         counts["clear"] += 1

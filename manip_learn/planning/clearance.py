@@ -111,19 +111,36 @@ class Clearance:
         """What stands around, by its names."""
         return self._around.names
 
-    def holding(self, q: Posture) -> Clearance:
-        """This clearance for a hand that goes no deeper into what it may touch than here, or at the start."""
+    def holding(self, holds: Iterable[Posture]) -> Clearance:
+        """This clearance for a hand that goes no deeper into what it may touch than it has to.
+
+        Args:
+            holds: Postures in which it could take hold. That in which it is least deep sets how deep it may go, or the
+                start, if it is deeper there.
+        """
         other, names = copy.copy(self), {name + BEHIND: name for name in self._around.held}
         other._behind = {name: np.zeros(3) for name in names.values()}
+        if not names:
+            return other
         room = CLEARANCE + ROUNDED
-        for _ in range(DEEPER if names else 0):
-            found = [pair for x in (q, self._start) for pair in other._pairs(x, 0, room)]
-            deepest = min((p for p in found if p.links[1] in names), key=lambda pair: pair.distance, default=None)
-            if deepest is None:
+
+        def met(q: Posture) -> list[Proximity]:
+            return [pair for pair in other._pairs(q, 0, room) if pair.links[1] in names]
+
+        least, best = np.inf, self._start
+        for q in holds:
+            deep = max((room - pair.distance for pair in met(q)), default=0.0)
+            if deep < least:
+                least, best = deep, q
+            if least == 0.0:
+                break
+        for _ in range(DEEPER):
+            if not (found := met(best) + met(self._start)):
                 return other
+            deepest = min(found, key=lambda pair: pair.distance)
             moved = (1e-6 + room - deepest.distance) * deepest.normal
             other._behind = {**other._behind, names[deepest.links[1]]: other._behind[names[deepest.links[1]]] + moved}
-        other._behind = AWAY if names else other._behind
+        other._behind = AWAY
         return other
 
     def touching(self, q: Posture, station: int = 0, distance: float | None = None) -> Proximity | None:

@@ -27,7 +27,7 @@ from manip_learn.robot.collision import SelfCollision
 from manip_learn.robot.plain_urdf import BASE, box_size, joint_name, plain_urdf
 from manip_learn.robot.robot import Robot
 
-NODES = 800  # of both trees; a path round a box takes 150 at most, 800 in vain half a second
+NODES = 300  # of both trees: a path round a box takes 150 at most
 REACH = 1.0  # [rad or m] by which a tree grows at once, all joints together
 COARSE = 0.05  # [rad or m] between RoboPlan's checks, all joints together; those of the result are closer
 SECONDS = 4.0  # of a search that adds no nodes, as from a start that is shut in: no number of nodes ends it
@@ -125,14 +125,8 @@ def _copied(
 ) -> tuple[Any, dict[str, int]]:
     """RoboPlan's scene of ours, the links larger by so much [m], and of the boxes in it the names and numbers."""
     core, obstacles = import_module("roboplan.core"), links.obstacles
-    things, first = list(links.geometry.geometryObjects), links.geometry.ngeoms - len(obstacles)
-    sizes, together = dict[str, tuple[Any, float]](), list[tuple[str, str]]()
-    for k, other in pairs:
-        own = other < first  # two links, of their triangles if these count
-        names = (f"t{k:03}", f"u{other:03}") if own else (f"g{k:03}", f"s{other:03}")
-        solids = ((links.triangles(i) if own else things[i]) for i in (k, other))
-        sizes |= dict(zip(names, zip(solids, (larger, 0.0), strict=True), strict=True))
-        together.append(names)
+    things, first = [links.solid(k) for k in range(links.geometry.ngeoms)], links.geometry.ngeoms - len(obstacles)
+    sizes = {f"s{k:03}": (things[k], 0.0) for _, k in pairs} | {f"g{k:03}": (things[k], larger) for k, _ in pairs}
     named = {f"s{first + k:03}": k for k in range(len(obstacles))}
     boxes = {n: (k, size) for n, k in named.items() if n in sizes and (size := box_size(obstacles[k].geometry))}
     low = np.where(np.isfinite(limits.lower), limits.lower, np.minimum(limits.upper - 2.0 * TURN, -TURN))
@@ -144,5 +138,5 @@ def _copied(
     for name, (k, size) in boxes.items():  # which may be elsewhere at the next call, as a door's leaf
         scene.addBoxGeometry(name, BASE, core.Box(*size), np.asfortranarray(obstacles[k].placement), np.ones(4))
     scene.setCollisions([(a, b) for a, b in product(sizes, sizes) if a < b], False)
-    scene.setCollisions(together, True)
+    scene.setCollisions([(f"g{k:03}", f"s{other:03}") for k, other in pairs], True)
     return scene, {name: k for name, (k, _) in boxes.items()}

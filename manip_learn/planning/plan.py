@@ -54,6 +54,7 @@ FOLLOWING = 5.0  # [1/s] pull back to the planned postures, half as hard as the 
 APPROACH_SHARE = 0.25  # of the velocity limits, on the way to the posture of hold: beside people, as ISO 10218-1
 AGAIN = 4  # times the seeds before a plan is refused
 TRIED = 8  # choices that are simulated, best margin first
+VAIN = 4  # searches for an approach that find none, half a second each: then straight ones only
 OTHERS = 4  # choices of which a plan says why they are worse
 SPARE = 1.1  # times the time that the fastest joint needs: its speed also takes deviations back
 PLACES, SENSES = 3, 8  # of the base: distances, and directions in the plane
@@ -361,6 +362,7 @@ class _Problem:
         self.limits, self.dt, self.grasp = limits or Limits(robot), dt, grasp
         self.seed, self.rng = seed, np.random.default_rng(seed)
         self.missing: MissingExtraError | None = None  # what would look for a way around it
+        self.vain = 0  # searches for an approach that found none
         self.unreached: tuple[str, str] | None = None  # what stands between the start and a posture of hold
         unsuited = next((b for b in robot.blocks if b.kind in ("floating", "planar", "other")), None)
         if unsuited is not None:
@@ -443,8 +445,10 @@ class _Problem:
     def _best(self, marches: Marches, said: Progress, is_as_shown: bool) -> Plan | None:
         last = len(self.stations) - 1
         choices, tried = marches.choices(last), 0
+        clear = self.clear.holding(marches.q[choices, 0])
         for march in choices.tolist():
-            clear = self.clear.holding(marches.q[march, 0])
+            if self.vain >= VAIN and not clear.of_line(self.positions, marches.q[march, 0]):
+                continue
             path = self._relaxed(marches.q[march], marches.grasp[march], clear, is_as_shown)
             if path is None:
                 continue
@@ -515,6 +519,7 @@ class _Problem:
         except MissingExtraError as error:  # straight motions to other postures may be clear
             self.missing, moved = error, None
         if moved is None:
+            self.vain += 1
             return None
         law, rollout = moved
         return law, replace(rollout, manipulability=manipulability_batch(self.rows, rollout.q).mu)
@@ -539,7 +544,7 @@ class _Problem:
         least = -np.inf if found is None else found.margin - TIE
         if node_margins(self.stations, self.positions[None], np.zeros(1, dtype=int)).least[0] < least:
             return None  # where the way begins it leaves less already
-        clear = self.clear.holding(self.positions)
+        clear = self.clear.holding([self.positions])
         for policy in (self.motion.ascent(), None):
             task = self.motion.with_distance(self.motion.wanted)
             law = ResolvedRateController(self.constraint, task, policy, limits=self.limits, dt=self.dt)
@@ -595,7 +600,8 @@ class _Problem:
             candidates: As for `plan`.
             base_within: As for `plan`.
         """
-        clear = marches.where(lambda q, k: self.clear.holding(q)(q, k) if k == 0 else self.clear(q, k))
+        takes_hold = marches.q[np.isfinite(marches.least[:, 0]), 0]
+        clear = marches.where(self.clear.holding(takes_hold))
         last, end = clear.reached, len(self.stations) - 1
         pair, helps = self._in_the_way(marches) if last < marches.reached == end else (None, ())
         if self.unreached is not None and last == end:
@@ -639,9 +645,10 @@ class _Problem:
     def _in_the_way(self, marches: Marches) -> tuple[tuple[str, str] | None, tuple[str, ...]]:
         """The two things that are least in each other's way on the whole way, and what would help."""
         found: list[tuple[bool, float, tuple[str, str]]] = []
-        for march in marches.choices(marches.reached)[:LOOKED]:
+        choices = marches.choices(marches.reached)
+        clear = self.clear.holding(marches.q[choices, 0])
+        for march in choices[:LOOKED]:
             path = marches.q[march, : marches.reached + 1]
-            clear = self.clear.holding(path[0])
             pairs = [pair for k, q in enumerate(path) if (pair := clear.touching(q, k)) is not None]
             if pairs:
                 deepest = min(pairs, key=lambda pair: pair.distance)

@@ -1,6 +1,6 @@
 """How far the links of a robot are from each other and from what stands around, and which way the joints change that.
 
-A link's mesh counts as its convex hull, or, where the hulls of links are near, by its triangles: those of a forearm and
+A link's mesh counts as its convex hull, or, where that is near something, by its triangles: the hulls of a forearm and
 of a wrist touch where the links do not.
 """
 
@@ -312,7 +312,7 @@ class SelfCollision:
         free: A posture in which no link touches another; by default `Robot.neutral()`.
         obstacles: What stands around. Those of one name move together.
         hulls: Whether the convex hull of a link's mesh is all that counts, which takes a tenth of the time; otherwise
-            the triangles of links count whose hulls are near each other.
+            its triangles count where that is near something.
 
     Attributes:
         link_pairs: Names of the links whose distances from each other count.
@@ -360,12 +360,12 @@ class SelfCollision:
         """Pinocchio's model of the shapes on its joints, obstacles last, and of the pairs whose distances count."""
         return self._geometry
 
-    def triangles(self, number: int) -> Any:
-        """A link's shape of `geometry` as it counts between links, as an object of Pinocchio's."""
+    def solid(self, number: int) -> Any:
+        """A shape of `geometry` as it counts where it is near something, as an object of Pinocchio's."""
         thing = self._geometry.geometryObjects[number]
         if self._hulls:
             return thing
-        return pin.GeometryObject(thing.name, thing.parentJoint, thing.placement, self._shapes[number].surface)
+        return pin.GeometryObject(thing.name, thing.parentJoint, thing.placement, self._solids[number].surface)
 
     def is_clear(self, q: ArrayLike, distance: float, moved: Moved = MappingProxyType({})) -> bool:
         """Whether no pair is at a distance of at most `distance` [m]: not `closer_than`, in a fifth of its time.
@@ -384,7 +384,7 @@ class SelfCollision:
                 geometry_data.oMg[k] = pin.SE3(placement)
         if pin.computeCollisions(self._geometry, geometry_data, self._hulls):
             near = (k for k, found in enumerate(geometry_data.collisionResults) if found.isCollision())
-            if self._hulls or any(self._distance(k, geometry_data, -np.inf, distance)[1] <= distance for k in near):
+            if self._hulls or any(self._is_near(k, geometry_data, distance) for k in near):
                 return False
         return not (self._closed and self.closer_than(q, distance, moved))  # within a mesh nothing touches
 
@@ -423,7 +423,7 @@ class SelfCollision:
     def _distance(self, k: int, geometry_data: Any, bound: float, most: float) -> tuple[Any, float]:
         """What Coal says of a pair, and its distance, negative where a link is within a closed surface.
 
-        Links that are nearer to each other than `most` by their hulls are looked at on their triangles.
+        What is nearer than `most` by its hulls is looked at on its triangles.
         """
         result, pair = pin.computeDistance(self._geometry, geometry_data, k), self._pairs[k]
         # where its iterations fail on shapes that overlap, Coal returns the lowest number and no direction
@@ -431,13 +431,29 @@ class SelfCollision:
         if distance > 0.0 and (mesh := self._closed.get(pair[1])) is not None:
             point = geometry_data.oMg[pair[1]].actInv(result.getNearestPoint1())
             return result, -distance if mesh.contains([point])[0] else distance
-        if distance <= most and not self._hulls and max(pair) < len(self._shapes):
-            meshes = list[Any]()
-            for place, i in ((geometry_data.oMg[i], i) for i in pair):
-                meshes += [self._shapes[i].surface, coal.Transform3s(place.rotation, place.translation)]
+        if distance <= most and (meshes := self._meshes(k, geometry_data)):
             coal.distance(*meshes, geometry_data.distanceRequests[k], result := coal.DistanceResult())
             return result, float(result.min_distance)
         return result, distance
+
+    def _is_near(self, k: int, geometry_data: Any, distance: float) -> bool:
+        """Whether a pair whose hulls are near is so by its triangles; that they cut each other is told in no time."""
+        meshes = self._meshes(k, geometry_data)
+        if not meshes or coal.collide(*meshes, coal.CollisionRequest(), coal.CollisionResult()):
+            return True
+        return coal.distance(*meshes, coal.DistanceRequest(), coal.DistanceResult()) <= distance
+
+    def _meshes(self, k: int, geometry_data: Any) -> list[Any]:
+        """A pair and its places for Coal, by their triangles; nothing where hulls are all that counts.
+
+        To a large face a hull is as near as its mesh.
+        """
+        pair, out = self._pairs[k], list[Any]()
+        if self._hulls or pair[1] in self._faces or all(self._solids[i].mesh is None for i in pair):
+            return out
+        for place, i in ((geometry_data.oMg[i], i) for i in pair):
+            out += [self._solids[i].surface, coal.Transform3s(place.rotation, place.translation)]
+        return out
 
     def _placed(
         self, q: ArrayLike, moved: Moved = MappingProxyType({})
@@ -516,6 +532,7 @@ class SelfCollision:
         around = list(enumerate(self.obstacles, n))
         met = [(a, b) for a, s in enumerate(self._shapes) if s.joint for b, o in around if s.link not in o.may_touch]
         self._pairs, met_things = [*pairs, *met], [self.obstacles[b - n] for _, b in met]
+        self._faces = {b for b, o in around if min(o.half) >= LARGE}
         self._closed = {b: o.closed for b, o in around if o.closed is not None}
         world = [CollisionShape(o.name, 0, o.placement, o.geometry, 0.0) for o in self.obstacles]
         self._solids = [*self._shapes, *world]
