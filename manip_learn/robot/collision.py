@@ -432,7 +432,7 @@ class SelfCollision:
             point = geometry_data.oMg[pair[1]].actInv(result.getNearestPoint1())
             return result, -distance if mesh.contains([point])[0] else distance
         if distance <= most and (meshes := self._meshes(k, geometry_data)):
-            coal.distance(*meshes, geometry_data.distanceRequests[k], result := coal.DistanceResult())
+            coal.distance(*meshes, coal.DistanceRequest(), result := coal.DistanceResult())
             return result, float(result.min_distance)
         return result, distance
 
