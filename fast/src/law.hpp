@@ -8,7 +8,7 @@
 constexpr double HELD = 0.1, ACROSS = 1e-4, ALONG = 3e-3, ESCAPE_WIDTH = 0.6, ESCAPE_SPEED = 0.2, SEED_SHARE = 6e-4;
 constexpr double ASIDE = 1e-3, STABLE_SLOPE = 0.5, AT_GOAL = 1e-6, SLIDING_AFTER = 0.5, KEEPING_AFTER = 1.0, GOING_ON = 0.5;
 constexpr double ROUNDING = 1e-9, STALLED_BELOW = 0.02, SCALED_BELOW = 0.999;
-constexpr int LAW_VERSION = 1;  // as in engine.py: it grows whenever a number of the law changes
+constexpr int LAW_VERSION = 2;  // as in engine.py: it grows whenever a number of the law changes
 // in the order of `Status`
 enum Status { OUTSIDE_LIMITS = 4, SINGULAR, STALLED, POSITION_LIMITED, VELOCITY_LIMITED, ACCELERATION_LIMITED, DAMPED,
               REROUTED, NULL_SCALED, OK };

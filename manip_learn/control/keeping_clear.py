@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 import math
+from functools import lru_cache
 from typing import Protocol, final
 
 import numpy as np
 from jaxtyping import Float
 
 from manip_learn.errors import ConfigurationError
-from manip_learn.robot.collision import Obstacle, SelfCollision, links_of
+from manip_learn.robot.collision import Obstacle, SelfCollision, Shapes, known_shapes
 from manip_learn.robot.robot import Robot
 
 Barrier = tuple[Float[np.ndarray, "r nv"], Float[np.ndarray, " r"]]  # (G, least): rows G u >= least
@@ -29,6 +30,12 @@ class Standing(Protocol):
     def obstacles(self, robot: Robot) -> tuple[Obstacle, ...]:
         """What its links keep clear of."""
         ...
+
+
+@lru_cache(maxsize=8)
+def hulls_of(robot: Robot, shapes: Shapes) -> SelfCollision:
+    """The pairs of a robot's links."""
+    return SelfCollision(robot, shapes=shapes)
 
 
 @final
@@ -56,8 +63,8 @@ class KeptClear:
 
     def __init__(self, robot: Robot, around: SelfCollision | Standing, clearance: float):
         if not isinstance(around, SelfCollision):
-            links, shapes = links_of(robot)
-            around = links.with_obstacles(around.obstacles(robot), own=shapes != "links")
+            shapes = known_shapes(robot)  # capsules along links overlap where these are joined
+            around = hulls_of(robot, shapes).with_obstacles(around.obstacles(robot), own=shapes != "links")
         if around.robot is not robot:
             raise ConfigurationError(
                 f"clear_of is of another {around.robot.name!r}; give pairs of the robot of the limits"
