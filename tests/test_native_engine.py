@@ -123,7 +123,7 @@ def policy_of(rows: ml.Constraint, robot: ml.Robot, rng: np.random.Generator) ->
 
 
 def limits_of(robot: ml.Robot, frame: str, rng: np.random.Generator) -> ml.Limits | bool:
-    """None, the robot's own, without acceleration limits, and those of the hand."""
+    """None, the robot's own, without acceleration limits, those of the hand, and what the links keep clear of."""
     kind = int(rng.integers(6))
     if kind == 0:
         return False
@@ -133,6 +133,9 @@ def limits_of(robot: ml.Robot, frame: str, rng: np.random.Generator) -> ml.Limit
         place = robot.position(robot.random_configuration(rng), frame)
         walls = [[*rng.normal(size=3), 0.3], [0.0, 0.0, -1.0, -float(place[2]) + 0.05]]
         return ml.Limits(robot, tip_speed=0.2, tip_walls=walls, frames=frame)
+    if kind == 3:
+        place = robot.position(robot.random_configuration(rng), frame)
+        return ml.Limits(robot, clear_of=ml.Scene(spheres=[ml.Sphere(0.1, place, "ball")]))
     return True
 
 
