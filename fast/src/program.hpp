@@ -123,7 +123,8 @@ struct Program {
           met[worst] = true, active[number] = worst, multipliers[number++] = own;
           break;
         }
-        met[active[leaving]] = false, drop(leaving, number--);
+        drop(leaving, number--), std::fill(std::begin(met), std::end(met), false);  // what followed need not any more
+        for (int i = 0; i < number; i++) met[active[i]] = true;
       }
     }
     return false;

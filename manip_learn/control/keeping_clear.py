@@ -47,7 +47,9 @@ class KeptClear:
 
         d(x) + grad d(x) . t (v - u) >= clearance
 
-    Where shapes would overlap there, x is q: the depth of an overlap says little of the way out.
+    Where shapes would overlap there, x is a posture on the way where they do not yet: the depth of an overlap says
+    little of the way out. The law's program gets the rows where its solution breaks what is asked for, until it does
+    not, as for `TipLimits`.
 
     A pair that no joint could bring near in that time is not looked at: a distance that was known at another posture
     has changed by at most sum_j lever_j |dq_j| since.
