@@ -107,6 +107,11 @@ class Clearance:
         return tuple(out)
 
     @property
+    def gives_way(self) -> bool:
+        """Whether something that the hand may touch was only assumed to be there."""
+        return not self._around.assumed.isdisjoint(self._around.held)
+
+    @property
     def names(self) -> tuple[str, ...]:
         """What stands around, by its names."""
         return self._around.names
@@ -149,7 +154,10 @@ class Clearance:
             pairs = [p for p in self._pairs(q, station, CLEARANCE) if p.distance <= self._near.get(p.links, CLEARANCE)]
         else:
             pairs = self._pairs(q, station, distance)
-        return min(pairs, key=lambda pair: pair.distance, default=None)
+        if not pairs:
+            return None
+        found = min(pairs, key=lambda pair: pair.distance)
+        return found._replace(links=(found.links[0], found.links[1].removesuffix(BEHIND)))
 
     def __call__(self, q: Posture, station: int = 0) -> bool:
         """Whether a posture is clear, while the hand is at a station of its way."""

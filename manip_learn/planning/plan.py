@@ -445,8 +445,11 @@ class _Problem:
     def _best(self, marches: Marches, said: Progress, is_as_shown: bool) -> Plan | None:
         last = len(self.stations) - 1
         choices, tried = marches.choices(last), 0
-        clear = self.clear.holding(marches.q[choices, 0])
-        for march in choices.tolist():
+        holding = self.clear.holding(marches.q[choices, 0])
+        # what was said to stand there is believed, what was only assumed gives way to a hand that takes hold deeper
+        every = [(march, deeper) for deeper in (False, True)[: 1 + self.clear.gives_way] for march in choices.tolist()]
+        for march, deeper in every:
+            clear = self.clear.holding(marches.q[[march], 0]) if deeper else holding
             if self.vain >= VAIN and not clear.of_line(self.positions, marches.q[march, 0]):
                 continue
             path = self._relaxed(marches.q[march], marches.grasp[march], clear, is_as_shown)
