@@ -12,6 +12,7 @@ from test_gradients import RobotOf
 
 import manip_learn as ml
 from manip_learn.errors import ConfigurationError
+from manip_learn.robot.collision import Proximity
 
 CLEARANCE, SLACK = 0.005, 1e-4  # [m]
 TIPS = {"panda": "panda_hand", "ur5": "tool0", "planar3": "tip"}
@@ -31,6 +32,18 @@ def pairs_of(robot: ml.Robot, scene: ml.Scene) -> ml.SelfCollision:
     """All pairs, by the shapes that the robot has."""
     shapes = "visual" if robot.name.startswith("planar3") else "collision"
     return ml.SelfCollision(robot, shapes=shapes, obstacles=scene.obstacles(robot))
+
+
+def nearest(pairs: ml.SelfCollision, q: Any) -> Proximity:
+    """The two shapes that are nearest to each other."""
+    found = pairs.nearest(q)
+    assert found is not None
+    return found
+
+
+def distance(pairs: ml.SelfCollision, q: Any) -> float:
+    """Of the two that are nearest to each other [m]."""
+    return nearest(pairs, q).distance
 
 
 def to_a_point(robot: ml.Robot, tip: str, goal: Any, limits: ml.Limits | bool) -> ml.ResolvedRateController:
@@ -68,14 +81,14 @@ def test_nothing_comes_nearer_than_the_clearance(
     robot = arm_of(name, robot_of)
     q, goal, scene = crossing(robot, name, kind)
     pairs = pairs_of(robot, scene)
-    assert pairs.nearest(q).distance > CLEARANCE
+    assert distance(pairs, q) > CLEARANCE
     limits = ml.Limits(robot, acceleration=acceleration, clear_of=pairs, clearance=CLEARANCE)
     free, kept = (
         ml.simulate(robot, to_a_point(robot, TIPS[name], goal, one), q, 1.2, dt)
         for one in (ml.Limits(robot, acceleration=acceleration), limits)
     )
-    assert min(pairs.nearest(x).distance for x in free.q) < 0.0
-    assert min(pairs.nearest(x).distance for x in kept.q) > CLEARANCE - SLACK
+    assert min(distance(pairs, x) for x in free.q) < 0.0
+    assert min(distance(pairs, x) for x in kept.q) > CLEARANCE - SLACK
     assert np.abs(kept.q - q).max() > 0.1
     for before, after in zip(kept.u, kept.u[1:], strict=False):
         assert np.all(np.abs(after - before) <= dt * limits.acceleration * (1.0 + 1e-9))
@@ -92,10 +105,10 @@ def test_the_loop_says_what_is_in_the_way(robot_of: RobotOf) -> None:
     for k in range(600):
         command = loop.update(q if k == 0 else loop.position, 0.005 * k)
         words.add(command.status)
-    nearest = ml.SelfCollision(robot, obstacles=scene.obstacles(robot)).nearest(loop.position)
-    assert nearest.distance == pytest.approx(CLEARANCE, abs=1e-3)
+    pair = nearest(ml.SelfCollision(robot, obstacles=scene.obstacles(robot)), loop.position)
+    assert pair.distance == pytest.approx(CLEARANCE, abs=1e-3)
     assert words & {ml.Status.POSITION_LIMITED, ml.Status.STALLED}
-    assert loop.stopped_by == f"{nearest.links[0]} 5 mm from the box"
+    assert loop.stopped_by == f"{pair.links[0]} 5 mm from the box"
 
 
 def test_where_nothing_is_near_nothing_changes(robot_of: RobotOf) -> None:
@@ -120,27 +133,29 @@ def test_a_start_within_the_clearance_may_leave(robot_of: RobotOf) -> None:
     apart = 0.3  # the box is moved to where it is 3 mm away
     for _ in range(30):
         pairs = own.with_obstacles(standing("box", tip + apart * along, size).obstacles(robot))
-        apart -= pairs.nearest(q).distance - 0.003
-    near = pairs.nearest(q).distance
+        apart -= distance(pairs, q) - 0.003
+    near = distance(pairs, q)
     assert 0.0 < near < CLEARANCE
     limits = ml.Limits(robot, clear_of=pairs)
     for way, arrives in ((-0.1, True), (0.1, False)):
         run = ml.simulate(robot, to_a_point(robot, "tool0", tip + way * along, limits), q, 2.5, 0.01)
-        assert min(pairs.nearest(x).distance for x in run.q) > near - SLACK
+        assert min(distance(pairs, x) for x in run.q) > near - SLACK
         assert (run.task_error[-1] < 1e-2) == arrives
 
 
 def test_joint_limits_beside_a_thing(robot_of: RobotOf) -> None:
     """Joint limits and acceleration limits are kept to the last digit where rows and bounds meet."""
     robot = arm_of("planar3", robot_of)
-    q, goal, scene = crossing(robot, "planar3", "ball")
-    pairs = pairs_of(robot, scene)
-    free = ml.simulate(robot, to_a_point(robot, "tip", goal, True), q, 1.5, 0.005)
-    limits = ml.Limits(robot, margin=float(robot.position_upper[1] - 0.9), clear_of=pairs)
-    assert np.max(free.q) > 0.91
-    run = ml.simulate(robot, to_a_point(robot, "tip", goal, limits), q, 1.5, 0.005)
+    q = np.array(STARTS["planar3"])
+    place = robot.position(q, "tip")
+    goal, pairs = 0.3 * place[:2], pairs_of(robot, standing("ball", 0.65 * place + [0.1, 0.0, 0.0]))
+    free = ml.simulate(robot, to_a_point(robot, "tip", goal, True), q, 2.5, 0.005)
+    widest = 0.5 * (np.abs(q).max() + np.abs(free.q).max())  # from where the free motion goes on
+    limits = ml.Limits(robot, margin=float(robot.position_upper[1] - widest), clear_of=pairs)
+    assert np.abs(free.q).max() > widest + 0.05
+    run = ml.simulate(robot, to_a_point(robot, "tip", goal, limits), q, 2.5, 0.005)
     assert np.all(run.q <= limits.upper + 1e-9) and np.all(run.q >= limits.lower - 1e-9)
-    assert min(pairs.nearest(x).distance for x in run.q) > CLEARANCE - SLACK
+    assert min(distance(pairs, x) for x in run.q) > CLEARANCE - SLACK
 
 
 def test_a_controller_of_the_users_own_is_stopped(robot_of: RobotOf) -> None:
@@ -153,7 +168,7 @@ def test_a_controller_of_the_users_own_is_stopped(robot_of: RobotOf) -> None:
     least = math.inf
     for k in range(500):
         command = loop.update(q if k == 0 else loop.position, 0.005 * k)
-        least = min(least, pairs.nearest(loop.position).distance)
+        least = min(least, distance(pairs, loop.position))
     assert CLEARANCE - SLACK < least < 0.05
     assert command.status is ml.Status.POSITION_LIMITED and np.abs(command.velocity).max() < 0.05
 
