@@ -123,8 +123,7 @@ struct Program {
           met[worst] = true, active[number] = worst, multipliers[number++] = own;
           break;
         }
-        drop(leaving, number--), std::fill(std::begin(met), std::end(met), false);  // what followed need not any more
-        for (int i = 0; i < number; i++) met[active[i]] = true;
+        met[active[leaving]] = false, drop(leaving, number--);
       }
     }
     return false;
