@@ -212,14 +212,16 @@ def _beside(position: str, vectors: Sequence[str]) -> tuple[str, str]:
 
 
 def entry_names(names: Any) -> tuple[str, ...] | None:
-    """Names of a vector's entries: from a list, `{"motors": [...]}` or `{"shoulder": 0, ...}`; null is None."""
+    """Names of a vector's entries: of `[...]`, `[[...]]`, `{"motors": [...]}` or `{"shoulder": 0, ...}`; null is None."""
     if isinstance(names, dict) and names:
         values = list(names.values())
         if all(isinstance(v, int) and not isinstance(v, bool) for v in values):
             if sorted(values) != list(range(len(values))):
                 return None
             return tuple(sorted(names, key=lambda n: names[n]))
-        names = [n for v in values for n in v] if all(isinstance(v, list) for v in values) else None
+        names = values if all(isinstance(v, list) for v in values) else None
+    if isinstance(names, list) and all(isinstance(v, list) for v in names):
+        names = [n for v in names for n in v]
     if isinstance(names, list) and names and all(isinstance(n, str) for n in names):
         return tuple(names)
     return None

@@ -23,7 +23,7 @@ from manip_learn.recordings.readers.lerobot_dataset import (
     state_feature,
 )
 from manip_learn.recordings.readers.limits import check_columns
-from manip_learn.recordings.readers.read_request import ReadRequest
+from manip_learn.recordings.readers.read_request import ReadRequest, names_advice
 from manip_learn.recordings.readers.recording import Recording, float_array, refusal
 
 try:
@@ -73,12 +73,13 @@ def _recording(
 ) -> Recording:
     state = columns["state"]
     position, velocity, effort = _kinds(names)
-    position_names = tuple(_joint_name(names[i], request) for i in position)
+    joints = _joint_names(names, request)
+    position_names = tuple(joints[i] for i in position)
     positions, notes = _gripper(state[:, position], position_names, request)
-    if any(names[i] != n for i, n in zip(position, position_names, strict=True)):
+    if any(names[i] == f"{n}.pos" for i, n in zip(position, position_names, strict=True)):
         notes.insert(0, "'.pos' was taken off the names")
     if len(position) < len(names):
-        velocity_names, effort_names = (tuple(_joint_name(names[i], request) for i in k) for k in (velocity, effort))
+        velocity_names, effort_names = (tuple(joints[i] for i in k) for k in (velocity, effort))
         velocities, efforts = (state[:, k] if k else None for k in (velocity, effort))
     else:  # in features of their own, if those have one number per joint
         velocity_names = effort_names = position_names
@@ -107,12 +108,13 @@ def _kinds(names: tuple[str, ...]) -> tuple[list[int], list[int], list[int]]:
     return [i for i in range(len(names)) if i not in {*velocity, *effort}], velocity, effort
 
 
-def _joint_name(name: str, request: ReadRequest) -> str:
-    wanted = request.renamed(name)
-    if wanted in request.robot.joint_names:
-        return wanted
-    end = next((end for end in (".pos", ".vel", *EFFORT_ENDS) if wanted.endswith(end)), "")
-    return request.renamed(wanted.removesuffix(end))
+def _joint_names(names: tuple[str, ...], request: ReadRequest) -> tuple[str, ...]:
+    """Of each entry the joint that it is of, without its ending."""
+    bare = []
+    for name in request.renamed(*names):
+        end = next((end for end in (".pos", ".vel", *EFFORT_ENDS) if name.endswith(end)), "")
+        bare.append(name if name in request.robot.joint_names else name.removesuffix(end))
+    return request.renamed(*bare)
 
 
 def _gripper(positions: np.ndarray, names: tuple[str, ...], request: ReadRequest) -> tuple[np.ndarray, list[str]]:
@@ -138,8 +140,8 @@ def _names(dataset: LeRobotDataset, feature: StateFeature, request: ReadRequest,
         raise refusal(
             dataset.root,
             "no-joint-names",
-            f"the data set does not name the {width} entries of {feature.position}: "
-            + advice("pass {} in their order", "joint_names=[...]", "--joint-names NAME,NAME,..."),
+            f"the data set does not name the {width} entries of {feature.position}: name them in meta/info.json"
+            + names_advice(width, request.robot),
         )
     if len(names) != width:
         text = f"{feature.position} has {width} entries, there are {len(names)} names: {', '.join(names)}"

@@ -14,7 +14,7 @@ import numpy as np
 
 from manip_learn.errors import DAMAGE, advice, closest_names, counted
 from manip_learn.recordings.readers.limits import LARGEST_ARRAYS, LONGEST_TEXT, bomb, check_columns, most_bytes
-from manip_learn.recordings.readers.read_request import ReadRequest
+from manip_learn.recordings.readers.read_request import ReadRequest, names_advice
 from manip_learn.recordings.readers.recording import Recording, float_array, reason, refusal
 from manip_learn.recordings.saved_motion import joint_positions
 
@@ -39,7 +39,10 @@ def read(path: Path, request: ReadRequest) -> Iterator[Recording]:
 
 
 def stored_arrays(
-    path: Path, numbers: Collection[str], texts: Collection[str], renamed: Callable[[str], str] = str
+    path: Path,
+    numbers: Collection[str],
+    texts: Collection[str],
+    renamed: Callable[..., tuple[str, ...]] = lambda *names: names,
 ) -> tuple[dict[str, np.ndarray], list[str]]:
     """The arrays of an archive.
 
@@ -62,7 +65,7 @@ def stored_arrays(
     try:
         with zipfile.ZipFile(path) as archive:
             for info in archive.infolist():
-                name = renamed(info.filename.removesuffix(".npy"))
+                (name,) = renamed(info.filename.removesuffix(".npy"))
                 if name in members:
                     raise refusal(path, "duplicate-column", f"the array {name!r} occurs twice: keep one")
                 if name in numbers or name in texts:
@@ -160,16 +163,16 @@ def _joint_names(path: Path, arrays: dict[str, np.ndarray], request: ReadRequest
     columns = arrays["q"].shape[1]
     width = arrays["u"].shape[1] if "u" in arrays else columns
     if "joint_names" in arrays:
-        names = tuple(request.renamed(n) for n in texts_of(path, "joint_names", arrays["joint_names"]))
+        names = request.renamed(*texts_of(path, "joint_names", arrays["joint_names"]))
     elif request.joint_names is not None:
         request.uses.use("joint_names")
-        names = request.joint_names
+        names = request.renamed(*request.joint_names)
     else:
         raise refusal(
             path,
             "no-joint-names",
             f"the archive has no 'joint_names' for the {counted(columns, 'column')} of q: save them"
-            + advice(", or pass {} in the order of the columns", "joint_names=[...]", "--joint-names NAME,NAME,..."),
+            + names_advice(columns, request.robot),
         )
     if len(names) != width:
         raise refusal(

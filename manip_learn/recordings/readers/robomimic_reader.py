@@ -15,7 +15,7 @@ import numpy as np
 
 from manip_learn.errors import DAMAGE, MissingExtraError, advice
 from manip_learn.recordings.readers.limits import LARGEST_ARRAYS, bomb, check_columns, most_bytes
-from manip_learn.recordings.readers.read_request import ReadRequest
+from manip_learn.recordings.readers.read_request import ReadRequest, names_advice
 from manip_learn.recordings.readers.recording import Recording, float_array, natural_order, reason, refusal
 
 try:
@@ -37,12 +37,11 @@ def read(path: Path, request: ReadRequest) -> Iterator[Recording]:
                 raise refusal(
                     path, "not-robomimic", f"the group 'data' holds no 'demo_0', ... but {', '.join(list(data)[:8])}"
                 )
-            names = _names(path, request)
             rate, note = _rate(path, data, request)
             _refuse_lost(path, "data", len(demos), "demonstrations", data, "num_demos")
             total = 0
             for name in demos:
-                recording = _recording(path, data, name, names, rate, note)
+                recording = _recording(path, data, name, request, rate, note)
                 total += len(recording.time)
                 yield recording
             _refuse_lost(path, "data", total, "samples", data, "total")
@@ -51,17 +50,14 @@ def read(path: Path, request: ReadRequest) -> Iterator[Recording]:
         raise refusal(path, "damaged", said) from error
 
 
-def _recording(path: Path, data: Any, name: str, names: tuple[str, ...], rate: float, note: str) -> Recording:
+def _recording(path: Path, data: Any, name: str, request: ReadRequest, rate: float, note: str) -> Recording:
     demo = _member(path, data, name, h5py.Group)
     if "obs" not in demo:
         text = f"{name} has no group 'obs': extract observations first (robomimic's dataset_states_to_obs.py)"
         raise refusal(path, "no-state", text)
     obs = _member(path, demo, "obs", h5py.Group)
     positions = _matrix(path, _member(path, obs, POSITION, h5py.Dataset), f"{name}/obs/{POSITION}")
-    if positions.shape[1] != len(names):
-        raise refusal(
-            path, "shape", f"{name}/obs/{POSITION} has {positions.shape[1]} columns for {len(names)} joint names"
-        )
+    names = _names(path, request, positions.shape[1])
     _refuse_lost(path, f"data/{name}", positions.shape[0], "samples", demo, "num_samples")
     velocities = efforts = None
     for effort in (e for e in EFFORTS if e in obs):
@@ -129,20 +125,15 @@ def _matrix(path: Path, dataset: Any, where: str) -> np.ndarray:
     return float_array(dataset[()])
 
 
-def _names(path: Path, request: ReadRequest) -> tuple[str, ...]:
+def _names(path: Path, request: ReadRequest, width: int) -> tuple[str, ...]:
     if request.joint_names is None:
-        raise refusal(
-            path,
-            "no-joint-names",
-            f"robomimic files name no joints; say which columns {POSITION} has, for this robot probably: "
-            + advice(
-                "{}",
-                f"joint_names={list(request.robot.joint_names)}",
-                f"--joint-names {','.join(request.robot.joint_names)}",
-            ),
-        )
+        said = f"robomimic files name no joints, and {POSITION} has {width} columns: this is where names are needed"
+        raise refusal(path, "no-joint-names", said + names_advice(width, request.robot))
     request.uses.use("joint_names")
-    return request.joint_names
+    if len(request.joint_names) != width:
+        said = f"{POSITION} has {width} columns for {len(request.joint_names)} joint names"
+        raise refusal(path, "shape", f"{said}: give one for each, '-' for one that is not read")
+    return request.renamed(*request.joint_names)
 
 
 def _rate(path: Path, data: Any, request: ReadRequest) -> tuple[float, str]:

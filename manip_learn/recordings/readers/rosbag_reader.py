@@ -27,7 +27,7 @@ def read(path: Path, request: ReadRequest) -> Iterator[Recording]:
     """The one recording of a bag; time counts from the first sample."""
     with open_bag(path) as bag:
         streams, notes = _streams(bag, _topics(bag, request))
-    streams = [replace(s, names=tuple(map(request.renamed, s.names))) for s in streams]
+    streams = [replace(s, names=request.renamed(*s.names)) for s in streams]
     joints = request.robot.joint_names
     try:
         chosen, said = topics_of_joints(streams, joints)
