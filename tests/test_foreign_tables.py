@@ -104,7 +104,7 @@ FORMATS: dict[str, tuple[Callable[[], str], list[str], str]] = {
     "pandas": (
         pandas_dump,
         ["--columns", "{joint}"],
-        "columns not used: column 1 (without a name), gripper_width, label",
+        "not used: column 1 (without a name), gripper_width, label",
     ),
     "pandas, milliseconds": (pandas_milliseconds, [], "'time_ms', in milliseconds"),
 }

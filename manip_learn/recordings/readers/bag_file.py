@@ -20,7 +20,7 @@ from typing import Any, final
 from manip_learn.errors import DAMAGE, MissingExtraError
 from manip_learn.recordings.format_words import JOINT_STATE
 from manip_learn.recordings.readers.limits import bomb, metadata_text, most_bytes
-from manip_learn.recordings.readers.recording import reason, refusal
+from manip_learn.recordings.readers.recording import check_regular, reason, refusal
 
 try:
     import apsw
@@ -116,6 +116,8 @@ def _opened(path: Path, stack: contextlib.ExitStack) -> BagFile:
     if path.is_dir():
         metadata_text(path / "metadata.yaml")  # refuses one that is too large or too deep
         for file in path.iterdir():
+            if file.is_file():
+                check_regular(file)
             _check_before(file)
     else:
         with path.open("rb") as opened:

@@ -68,7 +68,6 @@ REFUSED_MAGIC: tuple[tuple[bytes | tuple[bytes, ...], str, str], ...] = (
     (b"PK\x05\x06", "empty", "an empty archive"),
     (b"#ROSBAG V1", "old-bag", "a ROS bag of version 1: convert it with `rosbag fix`"),
     (b"MATLAB ", "matlab", "a MATLAB file: export the table as CSV"),
-    (b"version https://git-lfs", "git-lfs", "a Git LFS pointer, not the recording itself: run `git lfs pull`"),
     ((b"\x89PNG", b"\xff\xd8\xff"), "not-a-recording", "an image"),
 )
 
