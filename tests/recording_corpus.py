@@ -207,14 +207,14 @@ def other_kind_cases() -> list[Case]:
     np.save(array, Q)
     return [
         Case("pickle.pkl", "pickle", raw(pickle.dumps({"q": Q}))),
-        Case("bare_array.npy", "bare-array", raw(array.getvalue())),
+        Case("bare_array.npy", "no-joint-names", raw(array.getvalue())),
         Case("compressed.csv.gz", "compressed", raw(gzip.compress(GOOD.encode()))),
         Case("zipped.zip", "compressed", raw(plain_zip.getvalue())),
         Case("workbook.xlsx", "excel", raw(workbook.getvalue())),
         Case("lfs_pointer.bag", "git-lfs", text("version https://git-lfs.github.com/spec/v1\noid sha256:00\nsize 9\n")),
         Case("robot.urdf", "not-a-recording", text('<?xml version="1.0"?><robot name="r"/>')),
         Case("settings.json", "not-a-recording", text('{"time": [0, 1]}')),
-        Case("matlab.mat", "matlab", raw(b"MATLAB 5.0 MAT-file, Platform: GLNXA64" + bytes(100))),
+        Case("matlab.mat", "damaged", raw(b"MATLAB 5.0 MAT-file, Platform: GLNXA64" + bytes(100))),
         Case("random.bin", "unknown-format", raw(np.random.default_rng(0).bytes(3000))),
         Case("prose.txt", "no-time", text("Dear reader,\nthis is a letter.\n")),
     ]
@@ -236,7 +236,7 @@ def archive_cases() -> list[Case]:
         Case("complex.npz", "not-a-number", npz(**{**good, "q": Q.astype(complex)})),
         Case("booleans.npz", "not-a-number", npz(**{**good, "q": Q > 0})),
         Case("text_array.npz", "not-a-number", npz(**{**good, "q": Q.astype(str)})),
-        Case("transposed.npz", "shape", npz(**{**good, "q": Q.T})),
+        Case("transposed.npz", "note", npz(**{**good, "q": Q.T})),
         Case("flat.npz", "shape", npz(**{**good, "q": Q[:, 0]})),
         Case("fewer_names.npz", "shape", npz(**{**good, "joint_names": names[:2]})),
         Case("longer_u.npz", "shape", npz(**{**good, "u": U[:-1]})),

@@ -8,6 +8,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+import scipy.io
 from case import case
 from obeying import advised, obeyed, said
 from recording_corpus import TABLE
@@ -65,6 +66,38 @@ def robomimic(folder: Path, names: Sequence[str], q: np.ndarray) -> tuple[Path, 
     return folder / "demo.hdf5", ["--joint-names", ",".join(names)]
 
 
+def archive_without_names(folder: Path, names: Sequence[str], q: np.ndarray) -> tuple[Path, list[str]]:
+    np.savez(folder / "demo.npz", timestamps=TIME, joint_positions=q, tcp_pos=q)
+    return folder / "demo.npz", ["--joint-names", ",".join(names)]
+
+
+def bare(folder: Path, names: Sequence[str], q: np.ndarray) -> tuple[Path, list[str]]:
+    np.save(folder / "demo.npy", np.column_stack([q, TIME, TIME]))
+    return folder / "demo.npy", ["--joint-names", ",".join([*names, "time", "-"])]
+
+
+def matlab(folder: Path, names: Sequence[str], q: np.ndarray) -> tuple[Path, list[str]]:
+    content = {"t": TIME, "q": q.T, "joint_names": np.array(names, dtype=object), "x": q[:, :3]}
+    scipy.io.savemat(folder / "demo.mat", {"demos": {"first": content}}, do_compression=True)
+    return folder / "demo.mat", []
+
+
+def matlab_73(folder: Path, names: Sequence[str], q: np.ndarray) -> tuple[Path, list[str]]:
+    with h5py.File(folder / "demo.mat", "w", userblock_size=512) as file:
+        for name, array in {"log/t": TIME[:, None], "log/q": q, "log/ee_pos": q}.items():
+            file.create_dataset(name, data=array.T).attrs["MATLAB_class"] = np.bytes_("double")
+    with (folder / "demo.mat").open("r+b") as file:
+        file.write(b"MATLAB 7.3 MAT-file, Platform: GLNXA64".ljust(512, b" "))
+    return folder / "demo.mat", ["--joint-names", ",".join(names)]
+
+
+def aloha(folder: Path, names: Sequence[str], q: np.ndarray) -> tuple[Path, list[str]]:
+    with h5py.File(folder / "episode_0.hdf5", "w") as file:
+        file["observations/qpos"], file["observations/qvel"] = q, np.gradient(q, 0.02, axis=0)
+        file["action"], file["observations/images"] = q + 0.1, np.zeros((60, 4, 4, 3), np.uint8)
+    return folder / "episode_0.hdf5", ["--joint-names", ",".join(names), "--rate", "50"]
+
+
 WRITERS = {
     "CSV": table_file,
     "NPZ": archive,
@@ -75,6 +108,11 @@ WRITERS = {
     "LeRobot, nested": data_set(lambda names: [list(names)]),
     "LeRobot, motors": data_set(lambda names: {"motors": [f"{n}.pos" for n in names]}),
     "robomimic": robomimic,
+    "NPZ without names": archive_without_names,
+    "a bare array": bare,
+    "MATLAB 5": matlab,
+    "MATLAB 7.3": matlab_73,
+    "HDF5 as of ALOHA": aloha,
 }
 # how the joints are called in the file -> how many ways are offered
 CALLED: dict[str, tuple[tuple[str, ...], int]] = {

@@ -14,9 +14,9 @@ from typing import Any
 import numpy as np
 
 from manip_learn.errors import DAMAGE, MissingExtraError, advice
-from manip_learn.recordings.readers.limits import LARGEST_ARRAYS, bomb, check_columns, most_bytes
+from manip_learn.recordings.readers.array_reader import hdf5_recordings, numbers
 from manip_learn.recordings.readers.read_request import ReadRequest, names_advice
-from manip_learn.recordings.readers.recording import Recording, float_array, natural_order, reason, refusal
+from manip_learn.recordings.readers.recording import Recording, natural_order, reason, refusal
 
 try:
     import h5py
@@ -31,12 +31,12 @@ def read(path: Path, request: ReadRequest) -> Iterator[Recording]:
     """One recording per demonstration; one in memory at a time."""
     try:
         with h5py.File(path, "r") as file:
-            data = _member(path, file, "data", h5py.Group)
+            link = file.get("data", getlink=True)
+            data = _member(path, file, "data", h5py.Group) if link is not None else {}
             demos = sorted((n for n in data if n.startswith("demo")), key=natural_order)
-            if not demos:
-                raise refusal(
-                    path, "not-robomimic", f"the group 'data' holds no 'demo_0', ... but {', '.join(list(data)[:8])}"
-                )
+            if not demos:  # of any other layout
+                yield from hdf5_recordings(path, file, request)
+                return
             rate, note = _rate(path, data, request)
             _refuse_lost(path, "data", len(demos), "demonstrations", data, "num_demos")
             total = 0
@@ -106,23 +106,9 @@ def _member(path: Path, group: Any, name: str, kind: type) -> Any:
 
 
 def _matrix(path: Path, dataset: Any, where: str) -> np.ndarray:
-    if dataset.is_virtual or dataset.external:
-        raise refusal(
-            path, "link", f"{where} is stored in other files, which are not opened: copy the data into the file"
-        )
-    if dataset.dtype.kind not in "fiu":
-        raise refusal(path, "not-a-number", f"{where} holds {dataset.dtype}, numbers are needed")
-    if dataset.ndim != 2:
+    if dataset.dtype.kind in "fiu" and dataset.ndim != 2:
         raise refusal(path, "shape", f"{where} must have shape (T, n), it has {dataset.shape}")
-    check_columns(path, where, dataset.shape[1])
-    need, stored = math.prod(dataset.shape) * dataset.dtype.itemsize, dataset.id.get_storage_size()
-    if need and not stored:
-        raise refusal(path, "damaged", f"{where} has shape {dataset.shape}, but no numbers are stored")
-    if need > LARGEST_ARRAYS:
-        raise refusal(path, "too-large", f"{where} has {need:,} bytes, more than {LARGEST_ARRAYS:,}: split it")
-    if need > most_bytes(stored):
-        raise bomb(path, f"{where} claims {need:,} bytes, {stored:,} are stored")
-    return float_array(dataset[()])
+    return numbers(path, dataset, where)
 
 
 def _names(path: Path, request: ReadRequest, width: int) -> tuple[str, ...]:
