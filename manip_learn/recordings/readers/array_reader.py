@@ -195,7 +195,8 @@ def _roles(path: Path, group: Mapping[str, str]) -> dict[str, str]:
     for role, kind in KINDS.items():
         if role in roles:
             continue
-        words = [n for n in free if kind_of(n) == kind and not POSES.search(n)]
+        words = [n for n in free if not POSES.search(n) and (kind_of(n) or "position") == kind]
+        words = [n for n in words if kind_of(n) or POSITIONS.search(n)]
         first = [n for n in words if role == "q" and POSITIONS.search(n)]
         fitting = first or words
         if len(fitting) > 1 and role == "q":

@@ -21,7 +21,7 @@ from manip_learn.recordings.readers.read_request import UNIT_WORDS
 from manip_learn.robot import Robot, load_robot
 from manip_learn.robot.description.catalogue import SHIPPED
 
-POSITION = {"position", "positions", "pos", "q", "angle", "angles", "theta", "rad"}
+POSITION = {"position", "positions", "pos", "q", "qpos", "angle", "angles", "theta", "rad"}
 VELOCITY = {"velocity", "velocities", "vel", "qd", "dq", "qdot", "qvel", "speed"}
 OTHER = {
     *("ext", "external"),  # an estimate of what the world exerts, from which gravity and friction have been taken off

@@ -192,18 +192,22 @@ def _refused(given: object) -> RecordingError:
     )
 
 
-def names_advice(n: int, robot: Robot, with_time: bool = False) -> str:
-    """How to name n columns without names, if they are in the robot's order; the end of a sentence."""
-    joints = robot.joint_names
-    rate = (
-        ("", "")
-        if not with_time or n > len(joints)
-        else (" and rate=<samples per second>", " --rate <samples per second>")
-    )
-    names = [*(("time",) if with_time and n > len(joints) else ()), *joints]
-    if len(names) + len(joints) <= n:
-        names += [j + VELOCITY_SUFFIX for j in joints] if with_time else []
+def names_advice(n: int, robot: Robot, stamps: bool | None = None) -> str:
+    """How to name n columns without names, if they are in the robot's order; the end of a sentence.
+
+    Args:
+        n: Number of columns.
+        robot: Whose joints they may be.
+        stamps: Whether the first column could be time stamps; None where they are kept elsewhere.
+    """
+    joints = list(robot.joint_names)
+    names = [*(["time"] if stamps else []), *joints]
+    if stamps is not None and len(names) + len(joints) <= n:
+        names += [j + VELOCITY_SUFFIX for j in joints]
+    if n > 6 * len(names):  # no table of this robot
+        return advice(", or pass {}", "joint_names=[...]", "--joint-names NAME,NAME,...")
     names = [*names, *["-"] * n][:n]
+    rate = (" and rate=<samples per second>", " --rate <samples per second>") if stamps is False else ("", "")
     python, flags = f"joint_names={names}{rate[0]}", f"--joint-names {','.join(names)}{rate[1]}"
     return advice(", or pass {} if they are in the robot's order ('-': not read)", python, flags)
 
