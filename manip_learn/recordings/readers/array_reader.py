@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import math
 import re
+import warnings
 import zlib
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from pathlib import Path
@@ -58,7 +59,9 @@ def read(path: Path, request: ReadRequest) -> Iterator[Recording]:
     leaves: dict[str, Any] = {}
     try:
         _refuse_bomb(path)
-        for name, value in loadmat(path, simplify_cells=True).items():
+        with warnings.catch_warnings(action="ignore"):  # of variables that cannot be read or occur twice
+            content = loadmat(path, simplify_cells=True)
+        for name, value in content.items():
             if not name.startswith("__"):
                 _flatten(name, value, leaves)
     except (MatReadError, *DAMAGE) as error:
@@ -173,7 +176,7 @@ def recordings(path: Path, names: Sequence[str], load: Load, request: ReadReques
             roles |= {} if found.column is None else {"time": list(groups[outer].values())[found.column]}
         chosen[group] = roles
     if not chosen:
-        raise _missing(path, "q", [n for group in groups.values() for n in group])
+        raise _missing(path, [n for group in groups.values() for n in group])
     for group, roles in chosen.items():
         unused = [called for called, name in groups[group].items() if name not in roles.values()]
         notes = (
@@ -207,10 +210,12 @@ def _roles(path: Path, group: Mapping[str, str]) -> dict[str, str]:
     return roles
 
 
-def _missing(path: Path, role: str, there: Sequence[str]) -> RecordingError:
-    near = closest_names(role, there)[:1] or [n for n in there if n not in ROLES][:1]
-    hint = advice(f"; if {near[0]!r} is meant: {{}}", *rename_words({near[0]: role})) if near else ""
-    return refusal(path, "missing-array", f"there is no array {role!r}; there is {first_names(there)}{hint}")
+def _missing(path: Path, there: Sequence[str]) -> RecordingError:
+    likely = [n for n in there if n not in ROLES and re.search(r"joint|state|pos|angle|theta|meas", n, re.IGNORECASE)]
+    name = (closest_names("q", there)[:1] or likely or ["NAME"])[0]
+    what = f"if {name!r} is meant" if name != "NAME" else "the one with joint positions is read with"
+    hint = advice(f"; {what}: {{}}", *rename_words({name: "q"}))
+    return refusal(path, "missing-array", f"there is no array 'q'; there is {first_names(there)}{hint}")
 
 
 def _recording(

@@ -103,11 +103,13 @@ def open_bag(path: Path) -> Iterator[BagFile]:
         with contextlib.ExitStack() as stack:
             yield _opened(path, stack)
     except BAG_DAMAGE as error:
+        parts = sorted(p for p in path.iterdir() if p.suffix in (".mcap", ".db3")) if path.is_dir() else []
+        alone = f", or give {parts[0]} itself" if parts else ""  # files that were renamed, or metadata of others
         raise refusal(
             path,
             "damaged",
             f"the bag cannot be read ({reason(error)}): repair it (`rosbag reindex`, `ros2 bag reindex`, "
-            "`mcap recover`) or record it again",
+            f"`mcap recover`) or record it again{alone}",
         ) from error
 
 

@@ -176,9 +176,11 @@ def _dialect(path: Path, number: int, lines: list[str], comment: str, request: R
     if names is None:
         needed = "a header is needed: 'time' and one joint name per column, since columns are matched by name"
         said = f"the first line holds numbers ({line.strip()[:60]!r}), {needed}"
-        first = [_fields(text, delimiter)[0].replace(",", ".") for text in lines]
-        rises = all(map(NUMBER.fullmatch, first)) and bool(np.all(np.diff(list(map(float, first))) > 0))
-        how = "" if request is None else names_advice(len(fields), request.robot, stamps=rises)
+        how = ""
+        if request is not None:
+            first = [float(_fields(text, delimiter)[0].replace(",", ".")) for text in lines]
+            rises = len(fields) > request.robot.nv and bool(np.all(np.diff(first) > 0))
+            how = names_advice(len(fields), request.robot, stamps=rises)
         raise refusal(path, "no-header", f"{said}; write it{how}", line=number)
     if len(names) != len(fields):
         said = f"this row has {len(fields)} fields and {len(names)} column names were given ({', '.join(names)})"

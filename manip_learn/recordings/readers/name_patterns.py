@@ -13,6 +13,7 @@ JOINT, INDEX = "{joint}", "{index}"
 SHOWN = 8  # names in a sentence
 NUMBERED = re.compile(r"(?P<head>.*?)(?P<number>\d+)(?P<tail>\D*)")
 SIDES = ({"left", "l", "lh", "larm"}, {"right", "r", "rh", "rarm"})  # words that say which of two arms is meant
+ALIKE = 0.55  # of the letters of two names, below which they are not the same word misspelt
 MOST_COMPARED = 300  # names of a file in which a joint is sought letter by letter; an arm has ten
 
 
@@ -165,10 +166,7 @@ def helpful_renaming(
                 continue
             old, new = (s[:at] + JOINT + s[at + n :] for s, at in ((name, i), (joint, k)))
             affixes.setdefault((old, new), {})[name] = joint
-    pairs: dict[str, str] = {}
-    for joint in missing:
-        near = (n for n in closest_names(joint, recorded) if n not in pairs and same_arm(n, joint))
-        pairs |= dict.fromkeys([n for n in near if same_number(n, joint)][:1], joint)
+    pairs = _nearest_pairs(recorded[:MOST_COMPARED], missing)
     most = max(map(len, affixes.values()), default=0)
     alike = [p for p, found in affixes.items() if len(found) == most > 1]
     if alike and most >= len(pairs):
@@ -179,6 +177,22 @@ def helpful_renaming(
     n = len(moving) if len(missing) == len(moving) else 0  # a few numbered names, as of one wrist, are not an arm's
     families = {p: c for p, c in numbered_families(recorded).items() if n < 2 * len(c) <= 2 * n}
     return [({p: JOINT}, {recorded[i]: j for i, j in zip(c, moving, strict=False)}) for p, c in families.items()]
+
+
+def _nearest_pairs(recorded: Sequence[str], missing: Sequence[str]) -> dict[str, str]:
+    """Name -> joint, where each is nearest to the other: a wrist is not proposed for a hip because it is left over."""
+
+    def likeness(name: str, joint: str) -> float:
+        if not same_arm(name, joint) or not same_number(name, joint):
+            return 0.0
+        one, other = (" ".join(w for w in _words(n) if w not in SIDES[0] | SIDES[1]) for n in (name, joint))
+        return difflib.SequenceMatcher(None, one, other, autojunk=False).ratio()
+
+    like = {(n, j): value for n in recorded for j in missing if (value := likeness(n, j)) >= ALIKE}
+    best = {key: max(v for k, v in like.items() if k[at] == key) for at in (0, 1) for key in {k[at] for k in like}}
+    found = [k for k, value in like.items() if value == best[k[0]] == best[k[1]]]
+    once = [k for k in found if sum(k[0] == o[0] or k[1] == o[1] for o in found) == 1]
+    return dict(once)
 
 
 def _words(name: str) -> list[str]:
