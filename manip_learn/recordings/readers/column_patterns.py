@@ -31,7 +31,7 @@ OTHER = {
 PLOTJUGGLER = "__time"  # the axis of its tables [s]
 PLAIN = re.compile(
     r"(time|times|t|timestamps?|stamp|secs?|seconds|elapsed([_ ]time)?|relative[_ ]time|ros[_ ]?time|unix[_ ]?time"
-    r"|epoch|recv_?time|receive[_ ]time|publish[_ ]time|(.*[./])?header[./]stamp)"
+    r"|epoch|date[_ /]?time|recv_?time|receive[_ ]time|publish[_ ]time|(.*[./])?header[./]stamp)"
 )
 WITH_UNIT = re.compile(r"(?:elapsed[_ ]?)?(?:time|t|timestamp|stamp)[_ ]?[\[(]?(s|sec|secs|seconds|ms|us|ns)[\])]?")
 
@@ -99,7 +99,7 @@ def by_joint_names(names: Sequence[str | None], moving: Sequence[str], still: Se
     `effort` say that others are meant; those of commands (`target`, `desired`) are never taken for what was measured.
 
     Raises:
-        PatternError: Several patterns fit: says which, and what to type.
+        RecordingError: Several patterns fit: says which, and what to type.
     """
     made = templates(names, (*moving, *still))
     own = {p: c for p, c in made.items() if set(c) & set(moving)}

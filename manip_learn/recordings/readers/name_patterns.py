@@ -38,7 +38,7 @@ def pattern_columns(
         option: The option that holds the pattern, for the error.
 
     Raises:
-        PatternError: No such column, or numbers that are not those of the joints.
+        RecordingError: No such column, or numbers that are not those of the joints.
     """
     said = advice("{}: ", f"{option}={pattern!r}", f"--{option} '{pattern}'")
     if JOINT in pattern:
