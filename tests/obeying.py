@@ -9,13 +9,14 @@ from pathlib import Path
 from manip_learn.cli import main
 
 # a flag, and its value: a word, or what stands in quotes
-FLAG = r"--[a-z][a-z-]*(?: (?:'[^']*'|[^\s'-][^\s;,]*(?<![:.]))*)?"
+FLAG = r"--[a-z][a-z-]*(?: (?:'[^']*'|[^\s'-][^\s;]*(?<![:.,;])))?"
 RUN = re.compile(rf"(?<![\w-]){FLAG}(?: {FLAG})*")
 WITHOUT_VALUE = re.compile(r"(--degrees|--xacro)\b.*")
 
 
 def advised(sentence: str) -> list[list[str]]:
     """Words to type, one list for each way that the sentence offers."""
+    sentence = sentence.replace("<samples per second>", "50")
     runs = (WITHOUT_VALUE.sub(r"\1", run) for run in RUN.findall(sentence))
     return [shlex.split(run) for run in runs]
 

@@ -106,7 +106,7 @@ def test_arguments_of_a_xacro_file_are_listed_where_one_is_missing(tmp_path: Pat
     args = '<xacro:arg name="length" default="0.3"/><xacro:arg name="mass" default="1"/>'
     space = 'xmlns:xacro="http://www.ros.org/wiki/xacro"'
     path.write_text(f'<robot name="made" {space}>{args}<link name="$(arg side)_base"/></robot>')
-    with pytest.raises(RobotError, match="has the arguments length, mass: give one with xacro={NAME: VALUE}"):
+    with pytest.raises(RobotError, match="has the arguments length, mass, side: give one with xacro={NAME: VALUE}"):
         load_robot(path, xacro=True)
     assert load_robot(path, xacro={"side": "left"}).nv == 0
 

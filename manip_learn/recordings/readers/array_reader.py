@@ -286,7 +286,7 @@ def _names(
     columns = arrays["q"].shape[1]
     # postures of continuous joints have more numbers than velocities
     width = arrays["u"].shape[1] if "u" in arrays and request.joint_names is None else columns
-    if request.joint_names is not None and "joint_names" not in stored:
+    if request.joint_names is not None:  # the caller knows better than the file
         request.uses.use("joint_names")
         names = request.joint_names
     elif "joint_names" in stored:

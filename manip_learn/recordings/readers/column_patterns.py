@@ -146,7 +146,8 @@ def another_robot(names: Iterable[str | None], robot: Robot) -> str:
     recorded = {n.removesuffix("_velocity") for n in names if n and n != "time"}
     fitting = [name for name in SHIPPED if recorded == set(load_robot(name).joint_names)]
     if fitting:
-        return f"it was recorded with {fitting[0]!r}, not {robot.name!r}: name that robot"
+        which = " or ".join(map(repr, fitting))  # arms of one series have joints of the same names
+        return f"it was recorded with {which}, not {robot.name!r}: name that robot"
     return f"was it recorded with another robot than {robot.name!r}? Then name that one"
 
 

@@ -362,7 +362,7 @@ def _table(path: Path, dialect: CsvDialect, used: list[int], request: ReadReques
         first = next(lines, None)
         if first is None:
             cut = " with a line end" if dialect.without_cut_line else ""
-            raise refusal(path, "too-short", f"there is a header but no row of numbers{cut}")
+            raise refusal(path, "too-short", f"there is a header but no row of numbers{cut}; 2 are needed")
         form = {"delimiter": dialect.delimiter, "comments": None, "quotechar": '"'}
         return np.loadtxt(itertools.chain([first], lines), usecols=usecols, ndmin=2, **form)
     except ValueError as error:

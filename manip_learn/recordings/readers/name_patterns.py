@@ -13,7 +13,7 @@ JOINT, INDEX = "{joint}", "{index}"
 SHOWN = 8  # names in a sentence
 NUMBERED = re.compile(r"(?P<head>.*?)(?P<number>\d+)(?P<tail>\D*)")
 SIDES = ({"left", "l", "lh", "larm"}, {"right", "r", "rh", "rarm"})  # words that say which of two arms is meant
-ALIKE = 0.55  # of the letters of two names, below which they are not the same word misspelt
+ALIKE = 0.65  # of the letters of two names, below which they are not the same word misspelt
 MOST_COMPARED = 300  # names of a file in which a joint is sought letter by letter; an arm has ten
 
 

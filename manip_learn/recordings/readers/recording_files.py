@@ -83,7 +83,7 @@ def recognise(path: Path) -> FileFormat:
     with path.open("rb") as file:
         head = file.read(4096)
     if not head.strip():
-        raise refusal(path, "empty", "the file is empty")
+        raise refusal(path, "empty", "the file is empty: copy it again, or record again")
     if head.startswith(b"PK\x03\x04"):
         return _archive(path)
     if head.removeprefix(b"\xef\xbb\xbf").startswith((MARK.encode(), JSON_LINES.encode())) and file_header(path):

@@ -143,6 +143,9 @@ def _missing(recording: Recording, robot: Robot, missing: list[str]) -> Recordin
     nothing = f"nothing is recorded for joint {shown} of robot {robot.name!r}{seen}"
     if not helpful and 2 * len(unknown) > len(recording.position_names):
         said = f"{another_robot(recording.position_names, robot)}; {nothing}"
+        if len(unknown) == robot.nv:
+            in_order = rename_words(dict(zip(unknown, robot.joint_names, strict=True)))
+            said += advice("; if it is this one and they are in its order: {}", *in_order)
         return recording.refusal("missing-joint", said, column=missing[0])
     if len(missing) < robot.nv:
         fixes.append(advice("{} if nothing of it moves", *_lock(missing)))

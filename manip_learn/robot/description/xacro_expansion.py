@@ -100,7 +100,9 @@ def _expand(job: dict[str, Any]) -> dict[str, Any]:
         return parse(inp, filename)
 
     def note(place: str) -> None:
-        found = re.findall(rb"<xacro:arg\b[^>]*\bname\s*=\s*[\"']([^\"']+)[\"']", Path(place).read_bytes())
+        # declared, or used without: xacro takes both
+        arguments = rb"<xacro:arg\b[^>]*\bname\s*=\s*[\"']([\w-]+)[\"']|\$\(arg\s+([\w-]+)\s*\)"
+        found = [a or b for a, b in re.findall(arguments, Path(place).read_bytes())]
         declared.update(name.decode(errors="replace") for name in found)
 
     xacro.parse, xacro.root_dir = noted, os.path.dirname(job["path"])
