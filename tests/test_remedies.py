@@ -18,7 +18,8 @@ from recording_corpus import GOOD, archive_cases, number_cases, other_kind_cases
 # of the corpus: what no advice can save says what is needed, and these are its words
 NEEDED = re.compile(
     r"needed|save (it|the|again)|copy or save|is not read|more than|at most|are not opened|given|unpack it|"
-    r"no recorded motion|keep one|correct|again|is left|convert|leave|remove|of no known kind|check the path|cannot|are left"
+    r"no recorded motion|keep one|correct|again|is left|write all|convert|leave|remove|of no known kind|check the path|cannot|are left",
+    re.IGNORECASE,
 )
 # words of a sentence -> what is done to the file that it is about
 DEEDS: dict[str, Callable[[Path, str], Path]] = {}
@@ -105,7 +106,7 @@ def test_what_a_refusal_says_helps(chapter, capsys) -> None:
     """For every refused file of the corpus: obeyed, no sentence comes twice; without advice it says what is needed."""
     read = 0
     for entry in chapter():
-        if entry.verdict in ("accept", "note"):
+        if entry.verdict in ("accept", "note", "velocity-order"):  # columns that were exchanged only their owner knows
             continue
         with case(entry.name, entry.verdict) as folder:
             path, heard = folder / entry.name, list[str]()

@@ -219,7 +219,8 @@ def columns_of(path: Path, dialect: CsvDialect, request: ReadRequest) -> Columns
     check_columns(path, "its header", len(dialect.columns))
     names: list[str | None] = []
     for raw, name in zip(dialect.columns, request.renamed(*dialect.columns), strict=True):
-        names.append(None if request.ignores(raw, *([name] if name else [])) else name)
+        is_unread = not name and dialect.named_by_caller
+        names.append(None if is_unread or request.ignores(raw, *([name] if name else [])) else name)
     time = find_time(names)
     if time.column is not None:
         names[time.column] = "time"

@@ -13,6 +13,7 @@ JOINT, INDEX = "{joint}", "{index}"
 SHOWN = 8  # names in a sentence
 NUMBERED = re.compile(r"(?P<head>.*?)(?P<number>\d+)(?P<tail>\D*)")
 SIDES = ({"left", "l", "lh", "larm"}, {"right", "r", "rh", "rarm"})  # words that say which of two arms is meant
+UNTELLING = {*SIDES[0], *SIDES[1], "joint", "link", "motor", "k"}  # words that do not tell one joint from another
 ALIKE = 0.65  # of the letters of two names, below which they are not the same word misspelt
 MOST_COMPARED = 300  # names of a file in which a joint is sought letter by letter; an arm has ten
 
@@ -185,7 +186,9 @@ def _nearest_pairs(recorded: Sequence[str], missing: Sequence[str]) -> dict[str,
     def likeness(name: str, joint: str) -> float:
         if not same_arm(name, joint) or not same_number(name, joint):
             return 0.0
-        one, other = (" ".join(w for w in _words(n) if w not in SIDES[0] | SIDES[1]) for n in (name, joint))
+        one, other = (" ".join(w for w in _words(n) if w not in UNTELLING) for n in (name, joint))
+        if not one or not other:
+            one, other = (" ".join(_words(n)) for n in (name, joint))
         return difflib.SequenceMatcher(None, one, other, autojunk=False).ratio()
 
     like = {(n, j): value for n in recorded for j in missing if (value := likeness(n, j)) >= ALIKE}

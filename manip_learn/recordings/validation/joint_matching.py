@@ -155,8 +155,8 @@ def _missing(recording: Recording, robot: Robot, missing: list[str]) -> Recordin
 
 def _lock(joints: list[str]) -> tuple[str, str]:
     """How joints are locked in Python, and on the command line; nothing for none."""
-    python = f"load_robot(..., locked=[{', '.join(map(repr, joints))}])" if joints else ""
-    return python, " ".join(f"--lock {name}" for name in joints)
+    flags = " ".join(f"--lock {name}" for name in joints)
+    return f"load_robot(..., locked=[{', '.join(map(repr, joints))}])" if joints else "", flags
 
 
 def _surplus_notes(recording: Recording, robot: Robot, strict: bool) -> list[str]:
