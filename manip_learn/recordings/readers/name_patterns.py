@@ -186,10 +186,11 @@ def _nearest_pairs(recorded: Sequence[str], missing: Sequence[str]) -> dict[str,
     def likeness(name: str, joint: str) -> float:
         if not same_arm(name, joint) or not same_number(name, joint):
             return 0.0
-        one, other = (" ".join(w for w in _words(n) if w not in UNTELLING) for n in (name, joint))
-        if not one or not other:
-            one, other = (" ".join(_words(n)) for n in (name, joint))
-        return difflib.SequenceMatcher(None, one, other, autojunk=False).ratio()
+        ratios = []
+        for left_out in (SIDES[0] | SIDES[1], UNTELLING):
+            one, other = (" ".join(w for w in _words(n) if w not in left_out) for n in (name, joint))
+            ratios.append(difflib.SequenceMatcher(None, one, other, autojunk=False).ratio() if one and other else 0.0)
+        return max(ratios)
 
     like = {(n, j): value for n in recorded for j in missing if (value := likeness(n, j)) >= ALIKE}
     best = {key: max(v for k, v in like.items() if k[at] == key) for at in (0, 1) for key in {k[at] for k in like}}
