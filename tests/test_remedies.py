@@ -17,8 +17,9 @@ from recording_corpus import GOOD, archive_cases, number_cases, other_kind_cases
 
 # of the corpus: what no advice can save says what is needed, and these are its words
 NEEDED = re.compile(
-    r"needed|save (it|the|again)|copy or save|is not read|more than|at most|are not opened|given|unpack it|correct|again|"
-    r"no recorded motion|keep one|is left|write all|convert|leave|remove|of no known kind|check the path|cannot|are left",
+    r"needed|save (it|the|again)|copy or save|is not read|more than|at most|are not opened|given|unpack it|correct|"
+    r"again|no recorded motion|keep one|is left|write all|convert|leave|remove|of no known kind|check the path|"
+    r"cannot|are left",
     re.IGNORECASE,
 )
 # words of a sentence -> what is done to the file that it is about
