@@ -11,7 +11,7 @@ import pytest
 import scipy.io
 from case import case
 from obeying import advised, obeyed, said
-from recording_corpus import TABLE
+from recording_corpus import TABLE, refusal
 from test_robomimic_reader import ENV_ARGS
 from test_rosbag_reader import START, write_bag
 
@@ -192,3 +192,62 @@ def test_tables_of_other_programs_are_read(name: str, tmp_path: Path, capsys) ->
     read = load_demonstrations(tmp_path / "out.csv", load_robot("planar3"))[0]
     np.testing.assert_array_equal(read.q, Q)
     np.testing.assert_allclose(read.time, TIME, atol=1e-9)
+
+
+def test_patterns_of_names_in_python() -> None:
+    """A text, or a mapping of patterns; what is no pattern, or changes the number of joints, is refused."""
+    robot = load_robot("planar3")
+    with case() as folder:
+        path, _ = archive(folder, [f"left_{j}" for j in JOINTS], Q)
+        for rename in ("left_{joint}", {"left_{joint}": "{joint}"}, {"left_joint{joint}": "joint{joint}"}):
+            np.testing.assert_array_equal(load_demonstrations(path, robot, rename=rename)[0].q, Q)
+        for rename in ("left_", {"left_{joint}": "joint1"}, {"left_joint{index}": "joint1"}, {"left_{joint}": 3}):
+            assert refusal(path, robot, rename=rename).code == "option"
+        assert "left_{joint}" in str(refusal(path, robot))
+        assert "no joint '{joint}_x'" in str(refusal(path, robot, rename={"left_{joint}": "{joint}_x"}))
+
+
+def test_a_name_of_another_number_is_not_taken_for_a_joint() -> None:
+    """Joint 12 is not joint 1 misspelt: only the robot's order is offered, as something that the user must know."""
+    for called in (("joint11", "joint12", "joint13"), ("elbow", "a", "b")):
+        with case(called) as folder:
+            path, _ = bag("mcap")(folder, called, Q)
+            heard = str(refusal(path, load_robot("planar3")))
+            assert "reads" not in heard and "if it is this one and they are in its order" in heard, heard
+
+
+# every how many messages are short of how many positions -> what is said
+LEFT_OUT: dict[str, tuple[int, int, str]] = {
+    "all": (1, 1, "60 messages of /joint_states name 3 joints and have 2 positions"),
+    "some": (4, 1, "15 messages of /joint_states name 3 joints and have 2 positions, not used"),
+    "empty": (1, 3, "60 messages of /joint_states have no positions"),
+}
+
+
+@pytest.mark.parametrize("name", LEFT_OUT)
+def test_messages_that_are_left_out_are_counted(name: str, tmp_path: Path) -> None:
+    """How many, and why: as a note where others are left, as a refusal where none is."""
+    every, short, words = LEFT_OUT[name]
+    rows = [row[: 3 - short] if i % every == 0 else row for i, row in enumerate(Q)]
+    stamps = [START + round(1e9 * t) for t in TIME]
+    messages = [("/joint_states", s, (s, JOINTS, row)) for s, row in zip(stamps, rows, strict=True)]
+    path = write_bag(tmp_path / "bag", "mcap", messages)
+    if every > 1:
+        assert words in " ".join(load_demonstrations(path, load_robot("planar3")).notes)
+    else:
+        error = refusal(path, load_robot("planar3"))
+        assert error.code == "empty" and words in str(error) and "record again" in str(error)
+
+
+POINTER = "version https://git-lfs.github.com/spec/v1\noid sha256:00\nsize 9\n"
+
+
+@pytest.mark.parametrize("name", [n for n in WRITERS if n != "a bare array"])
+def test_a_pointer_of_git_lfs_is_named_by_every_reader(name: str, tmp_path: Path) -> None:
+    """Whichever file of a recording was not fetched."""
+    good, _ = WRITERS[name](tmp_path, JOINTS, Q)
+    for victim in [good] if good.is_file() else [p for p in good.rglob("*") if p.is_file()]:
+        content = victim.read_bytes()
+        victim.write_text(POINTER)
+        assert refusal(good, load_robot("planar3"), units="radians").code == "git-lfs", victim.name
+        victim.write_bytes(content)

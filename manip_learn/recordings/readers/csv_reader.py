@@ -391,9 +391,8 @@ def _checked_lines(path: Path, dialect: CsvDialect) -> Iterator[str]:
     delimiter, width = dialect.delimiter, len(dialect.columns)
     comma = point = False  # decimal marks up to here
     for number, line in _numbered_lines(path, dialect):
-        is_plain = delimiter is not None and '"' not in line
-        fields = line.count(delimiter) + 1 if is_plain and delimiter else len(dialect.split(line))
-        if fields != width:
+        fields = len(line.split()) if delimiter is None else line.count(delimiter) + 1
+        if fields != width and (fields := len(dialect.split(line))) != width:  # some may stand in quotes
             said = f"this row has {fields} fields, the header has {width} ({DELIMITER_WORDS[delimiter]}-separated)"
             raise refusal(path, "ragged", f"{said}: {line.strip()[:60]!r}; correct the row or remove it", line=number)
         if delimiter != ",":

@@ -85,6 +85,8 @@ def _recording(
         velocity_names = effort_names = position_names
         beside = (columns.get(name) for name in ("velocity", "effort"))
         velocities, efforts = (None if x is None or x.shape != state.shape else x for x in beside)
+        unlike = [k for k in ("velocity", "effort") if k in columns and columns[k].shape != state.shape]
+        notes += [f"the {k} has {columns[k].shape[1]} entries for {state.shape[1]} joints, not used" for k in unlike]
     return Recording(
         path=dataset.root,
         name=f"{dataset.root.name} episode {number}",

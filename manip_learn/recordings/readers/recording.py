@@ -78,6 +78,8 @@ class Recording:
         for values, names in (("positions", "position"), ("velocities", "velocity"), ("efforts", "effort")):
             called, array = getattr(self, f"{names}_names"), getattr(self, values)
             wanted = [i for i, n in enumerate(called) if not unwanted(n)]
+            if len(wanted) == len(called):  # a million samples are not copied for nothing
+                continue
             changed[f"{names}_names"] = tuple(called[i] for i in wanted)
             changed[values] = None if array is None else array[:, wanted]
         return replace(self, **changed)

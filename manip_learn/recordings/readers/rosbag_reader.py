@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from array import array
+from array import array as growing
 from collections import Counter
 from collections.abc import Iterator
 from dataclasses import dataclass, field, replace
@@ -107,7 +107,7 @@ class JointStates:
 def _streams(bag: BagFile, topics: tuple[str, ...]) -> tuple[list[JointStates], list[str]]:
     """All streams of some topics, and what was left out."""
     # header stamps, recorder's stamps, positions, velocities and efforts, as they grow
-    joints: dict[tuple[str, tuple[str, ...]], tuple[array, ...]] = {}
+    joints: dict[tuple[str, tuple[str, ...]], tuple[growing, ...]] = {}
     left_out: Counter[tuple[str, str]] = Counter()
     for topic, received, message in bag.messages(topics):
         names = tuple(message.name)
@@ -121,7 +121,7 @@ def _streams(bag: BagFile, topics: tuple[str, ...]) -> tuple[list[JointStates], 
                 text = f"the joints named in {topic} change all the time ({known} lists)"
                 text += advice(": choose another topic with {}", "topics=[...]", "--topic NAME")
                 raise refusal(bag.path, "unsteady-names", text)
-            stream = joints[topic, names] = (array("q"), array("q"), array("d"), array("d"), array("d"))
+            stream = joints[topic, names] = tuple(map(growing, "qqddd"))
         stream[0].append(message.header.stamp.sec * 1_000_000_000 + message.header.stamp.nanosec)
         stream[1].append(received)
         for values, what in zip(stream[2:], ("position", "velocity", "effort"), strict=True):
@@ -135,11 +135,12 @@ def _streams(bag: BagFile, topics: tuple[str, ...]) -> tuple[list[JointStates], 
     for (topic, names), (stamps, received, *columns) in joints.items():
         T, n = len(stamps), len(names)
         q, u, effort = (np.array(x).reshape(T, n) if len(x) == T * n else None for x in columns)
-        if u is None and len(columns[1]):
-            without = T - len(columns[1]) // n
-            notes.append(
-                f"{without} of {T} messages of {topic} have no velocities, so those of the others are not used"
-            )
+        for what, values, array in (("velocities", columns[1], u), ("efforts", columns[2], effort)):
+            if array is None and len(values):
+                without = T - len(values) // n
+                notes.append(
+                    f"{without} of {T} messages of {topic} have no {what}, so those of the others are not used"
+                )
         sent, arrived = (np.array(x, dtype=np.int64) for x in (stamps, received))
         streams.append(JointStates(topic, names, sent, q, u, effort, arrived))  # type: ignore[arg-type]
     return streams, notes
