@@ -241,7 +241,10 @@ def _recording(
     if q.shape[0] != T == q.shape[1]:
         arrays |= {role: array.T for role, array in arrays.items() if role != "time" and array.shape[-1] == T}
         notes.append("one column per sample: read as one row per sample")
-    names, q = _names(path, stored, arrays, request), arrays["q"]
+    q = arrays["q"]
+    # postures of continuous joints have more numbers than velocities
+    width = arrays["u"].shape[1] if "u" in arrays and request.joint_names is None else q.shape[1]
+    names = request.renamed(*column_names(path, "q", width, stored.get("joint_names"), request))
     if "time" not in arrays and "time" in names:
         arrays["time"] = q[:, names.index("time")]
     if "time" not in arrays:
@@ -280,21 +283,21 @@ def _check_shapes(path: Path, arrays: Mapping[str, np.ndarray]) -> None:
         raise refusal(path, "shape", f"effort has shape {shapes['effort']}: one column per joint is needed")
 
 
-def _names(
-    path: Path, stored: Mapping[str, Any], arrays: Mapping[str, np.ndarray], request: ReadRequest
+def column_names(
+    path: Path, what: str, width: int, stored: tuple[str, ...] | None, request: ReadRequest
 ) -> tuple[str, ...]:
-    columns = arrays["q"].shape[1]
-    # postures of continuous joints have more numbers than velocities
-    width = arrays["u"].shape[1] if "u" in arrays and request.joint_names is None else columns
-    if request.joint_names is not None:  # the caller knows better than the file
-        request.uses.use("joint_names")
-        names = request.joint_names
-    elif "joint_names" in stored:
-        names = tuple(stored["joint_names"])
-    else:
-        said = f"the file has no 'joint_names' for the {counted(columns, 'column')} of q: save them"
-        raise refusal(path, "no-joint-names", said + names_advice(columns, request.robot))
+    """One name for each column of an array: the caller's, who knows better, else those in the file.
+
+    Raises:
+        RecordingError: No names, or another number of them.
+    """
+    names = stored if request.joint_names is None else request.joint_names
+    request.uses.use("joint_names")
+    how = names_advice(width, request.robot)
+    if names is None:
+        said = f"nothing names the {counted(width, 'column')} of {what}: save names with them"
+        raise refusal(path, "no-joint-names", said + how)
     if len(names) != width:
-        said = f"there are {len(names)} joint names for {counted(width, 'column')}: one name per column is needed"
-        raise refusal(path, "shape", f"{said}{names_advice(width, request.robot)}")
-    return request.renamed(*names)
+        said = f"{what} has {counted(width, 'column')}, there are {len(names)} joint names: one per column is needed"
+        raise refusal(path, "shape", said + how)
+    return names

@@ -14,6 +14,7 @@ import numpy as np
 
 from manip_learn.errors import MissingExtraError, advice, counted
 from manip_learn.recordings.format_words import DATASET_HEADER
+from manip_learn.recordings.readers.array_reader import column_names
 from manip_learn.recordings.readers.lerobot_dataset import (
     LeRobotDataset,
     StateFeature,
@@ -23,7 +24,7 @@ from manip_learn.recordings.readers.lerobot_dataset import (
     state_feature,
 )
 from manip_learn.recordings.readers.limits import check_columns
-from manip_learn.recordings.readers.read_request import ReadRequest, names_advice
+from manip_learn.recordings.readers.read_request import ReadRequest
 from manip_learn.recordings.readers.recording import Recording, float_array, refusal
 
 try:
@@ -59,7 +60,8 @@ def read(path: Path, request: ReadRequest) -> Iterator[Recording]:
         numbers.add(number)
         frames += len(columns["state"])
         if names is None:
-            names = _names(dataset, feature, request, columns["state"].shape[1])
+            width = columns["state"].shape[1]
+            names = column_names(dataset.root, feature.position, width, feature.names, request)
             _refuse_unknown_units(dataset, request, names, columns["state"])
         recording = _recording(dataset, request, names, number, columns)
         yield replace(recording, trusted=is_ours, notes=(*recording.notes, *said))
@@ -133,22 +135,6 @@ def _gripper(positions: np.ndarray, names: tuple[str, ...], request: ReadRequest
         lower, upper = robot.position_lower[j], robot.position_upper[j]
         positions[:, i] = np.degrees(lower + share * (upper - lower))
     return positions, ["the gripper's 0 .. 100 is spread over its joint limits"]
-
-
-def _names(dataset: LeRobotDataset, feature: StateFeature, request: ReadRequest, width: int) -> tuple[str, ...]:
-    names = request.joint_names or feature.names
-    request.uses.use("joint_names")
-    if names is None:
-        raise refusal(
-            dataset.root,
-            "no-joint-names",
-            f"the data set does not name the {width} entries of {feature.position}: name them in meta/info.json"
-            + names_advice(width, request.robot),
-        )
-    if len(names) != width:
-        text = f"{feature.position} has {width} entries, there are {len(names)} names: {', '.join(names)}"
-        raise refusal(dataset.root, "shape", text)
-    return names
 
 
 def _refuse_unknown_units(

@@ -14,8 +14,8 @@ from typing import Any
 import numpy as np
 
 from manip_learn.errors import DAMAGE, MissingExtraError, advice
-from manip_learn.recordings.readers.array_reader import hdf5_recordings, numbers
-from manip_learn.recordings.readers.read_request import ReadRequest, names_advice
+from manip_learn.recordings.readers.array_reader import column_names, hdf5_recordings, numbers
+from manip_learn.recordings.readers.read_request import ReadRequest
 from manip_learn.recordings.readers.recording import Recording, natural_order, reason, refusal
 
 try:
@@ -57,7 +57,7 @@ def _recording(path: Path, data: Any, name: str, request: ReadRequest, rate: flo
         raise refusal(path, "no-state", text)
     obs = _member(path, demo, "obs", h5py.Group)
     positions = _matrix(path, _member(path, obs, POSITION, h5py.Dataset), f"{name}/obs/{POSITION}")
-    names = _names(path, request, positions.shape[1])
+    names = request.renamed(*column_names(path, POSITION, positions.shape[1], None, request))
     _refuse_lost(path, f"data/{name}", positions.shape[0], "samples", demo, "num_samples")
     velocities = efforts = None
     for effort in (e for e in EFFORTS if e in obs):
@@ -109,17 +109,6 @@ def _matrix(path: Path, dataset: Any, where: str) -> np.ndarray:
     if dataset.dtype.kind in "fiu" and dataset.ndim != 2:
         raise refusal(path, "shape", f"{where} must have shape (T, n), it has {dataset.shape}")
     return numbers(path, dataset, where)
-
-
-def _names(path: Path, request: ReadRequest, width: int) -> tuple[str, ...]:
-    if request.joint_names is None:
-        said = f"robomimic files name no joints, and {POSITION} has {width} columns: this is where names are needed"
-        raise refusal(path, "no-joint-names", said + names_advice(width, request.robot))
-    request.uses.use("joint_names")
-    if len(request.joint_names) != width:
-        said = f"{POSITION} has {width} columns for {len(request.joint_names)} joint names"
-        raise refusal(path, "shape", f"{said}: give one for each, '-' for one that is not read")
-    return request.renamed(*request.joint_names)
 
 
 def _rate(path: Path, data: Any, request: ReadRequest) -> tuple[float, str]:
