@@ -298,6 +298,8 @@ def column_names(
         said = f"nothing names the {counted(width, 'column')} of {what}: save names with them"
         raise refusal(path, "no-joint-names", said + how)
     if len(names) != width:
-        said = f"{what} has {counted(width, 'column')}, there are {len(names)} joint names: one per column is needed"
+        said = (
+            f"there are {len(names)} joint names for the {counted(width, 'column')} of {what}: one for each is needed"
+        )
         raise refusal(path, "shape", said + how)
     return names
