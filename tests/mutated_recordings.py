@@ -18,6 +18,7 @@ import warnings
 from collections import Counter
 from pathlib import Path
 from types import FrameType
+from typing import Any
 
 import numpy as np
 from test_damaged_files import mutant
@@ -49,7 +50,9 @@ def read_part(name: str, seed: int, count: int, results: multiprocessing.Queue) 
     with tempfile.TemporaryDirectory() as folder:
         good, words = WRITERS[name](Path(folder), JOINTS, Q)
         options = dict(zip((OPTIONS[w] for w in words[::2]), words[1::2], strict=True))
-        given = {k: v.split(",") if k == "joint_names" else float(v) if k == "rate" else v for k, v in options.items()}
+        given: Any = {
+            k: v.split(",") if k == "joint_names" else float(v) if k == "rate" else v for k, v in options.items()
+        }
         files = sorted(p for p in good.rglob("*") if p.is_file()) if good.is_dir() else [good]
         for number in range(count):
             victim = files[int(rng.integers(len(files)))]
@@ -75,7 +78,7 @@ def read_part(name: str, seed: int, count: int, results: multiprocessing.Queue) 
 
 def main() -> int:
     """Exit code 0 if every copy was read or refused."""
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser = argparse.ArgumentParser(description="Reads damaged copies of every format.")
     parser.add_argument("formats", nargs="*", default=list(WRITERS), metavar="FORMAT")
     parser.add_argument("--count", type=int, default=5000)
     parser.add_argument("--seed", type=int, default=0)

@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 from collections.abc import Callable, Sequence
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -39,7 +40,7 @@ def archive(folder: Path, names: Sequence[str], q: np.ndarray) -> tuple[Path, li
 def bag(kind: str) -> Callable[[Path, Sequence[str], np.ndarray], tuple[Path, list[str]]]:
     def write(folder: Path, names: Sequence[str], q: np.ndarray) -> tuple[Path, list[str]]:
         stamps = [START + round(1e9 * t) for t in TIME]
-        messages = [("/joint_states", s, (s, names, row)) for s, row in zip(stamps, q, strict=True)]
+        messages: list[Any] = [("/joint_states", s, (s, names, row)) for s, row in zip(stamps, q, strict=True)]
         return write_bag(folder / "bag", kind, messages), []
 
     return write
@@ -230,7 +231,7 @@ def test_messages_that_are_left_out_are_counted(name: str, tmp_path: Path) -> No
     every, short, words = LEFT_OUT[name]
     rows = [row[: 3 - short] if i % every == 0 else row for i, row in enumerate(Q)]
     stamps = [START + round(1e9 * t) for t in TIME]
-    messages = [("/joint_states", s, (s, JOINTS, row)) for s, row in zip(stamps, rows, strict=True)]
+    messages: list[Any] = [("/joint_states", s, (s, JOINTS, row)) for s, row in zip(stamps, rows, strict=True)]
     path = write_bag(tmp_path / "bag", "mcap", messages)
     if every > 1:
         assert words in " ".join(load_demonstrations(path, load_robot("planar3")).notes)
