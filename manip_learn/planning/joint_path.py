@@ -30,7 +30,7 @@ from manip_learn.robot.robot import Robot
 NODES = 300  # of both trees: a path round a box takes 150 at most
 REACH = 1.0  # [rad or m] by which a tree grows at once, all joints together
 COARSE = 0.05  # [rad or m] between RoboPlan's checks, all joints together; those of the result are closer
-SECONDS = 4.0  # of a search that adds no nodes, as from a start that is shut in: no number of nodes ends it
+SECONDS = 2.0  # of a search that adds no nodes, as from a start that is shut in: no number of nodes ends it
 SEEDS = 3  # searches in each copy
 GROWN = (1.0, 0.4, 2.0)  # times the clearance: less where start or goal has no more, more where paths come too near
 ROUNDING = 1e-9  # [rad or m] beyond limits: start and goal may stand at them
@@ -125,8 +125,13 @@ def _copied(
 ) -> tuple[Any, dict[str, int]]:
     """RoboPlan's scene of ours, the links larger by so much [m], and of the boxes in it the names and numbers."""
     core, obstacles = import_module("roboplan.core"), links.obstacles
-    things, first = [links.solid(k) for k in range(links.geometry.ngeoms)], links.geometry.ngeoms - len(obstacles)
-    sizes = {f"s{k:03}": (things[k], 0.0) for _, k in pairs} | {f"g{k:03}": (things[k], larger) for k, _ in pairs}
+    first = links.geometry.ngeoms - len(obstacles)
+    sizes, together = dict[str, tuple[Any, float]](), list[tuple[str, str]]()
+    for k, other in pairs:
+        hull = other in links.faces
+        one, two = f"{'h' if hull else 'g'}{k:03}", f"s{other:03}"
+        sizes |= {one: (links.solid(k, hull), larger), two: (links.solid(other), 0.0)}
+        together.append((one, two))
     named = {f"s{first + k:03}": k for k in range(len(obstacles))}
     boxes = {n: (k, size) for n, k in named.items() if n in sizes and (size := box_size(obstacles[k].geometry))}
     low = np.where(np.isfinite(limits.lower), limits.lower, np.minimum(limits.upper - 2.0 * TURN, -TURN))
@@ -138,5 +143,5 @@ def _copied(
     for name, (k, size) in boxes.items():  # which may be elsewhere at the next call, as a door's leaf
         scene.addBoxGeometry(name, BASE, core.Box(*size), np.asfortranarray(obstacles[k].placement), np.ones(4))
     scene.setCollisions([(a, b) for a, b in product(sizes, sizes) if a < b], False)
-    scene.setCollisions([(f"g{k:03}", f"s{other:03}") for k, other in pairs], True)
+    scene.setCollisions(together, True)
     return scene, {name: k for name, (k, _) in boxes.items()}

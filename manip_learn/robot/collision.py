@@ -319,6 +319,7 @@ class SelfCollision:
     Attributes:
         link_pairs: Names of the links whose distances from each other count.
         obstacles: What stands around.
+        faces: Numbers in `geometry` of those that are large faces, as a floor: to these a hull is as near as its mesh.
 
     Raises:
         RobotError: The robot has no collision shapes, or one of them cannot be used.
@@ -380,10 +381,10 @@ class SelfCollision:
         levers = np.where((out[a] > 0.0) & (out[b] > 0.0), 0.0, out[a] + out[b])  # what carries both changes nothing
         return levers if robot.coupling is None else levers @ np.abs(robot.coupling.lift)
 
-    def solid(self, number: int) -> Any:
-        """A shape of `geometry` as it counts where it is near something, as an object of Pinocchio's."""
+    def solid(self, number: int, hull: bool = False) -> Any:
+        """A shape of `geometry` as it counts where it is near something, or its hull, as an object of Pinocchio's."""
         thing = self._geometry.geometryObjects[number]
-        if self._hulls:
+        if self._hulls or hull:
             return thing
         return pin.GeometryObject(thing.name, thing.parentJoint, thing.placement, self._solids[number].surface)
 
@@ -472,12 +473,9 @@ class SelfCollision:
         return coal.distance(*meshes, coal.DistanceRequest(), coal.DistanceResult()) <= distance
 
     def _meshes(self, k: int, geometry_data: Any) -> list[Any]:
-        """A pair and its places for Coal, by their triangles; nothing where hulls are all that counts.
-
-        To a large face a hull is as near as its mesh.
-        """
+        """A pair and its places for Coal, by their triangles; nothing where hulls are all that counts."""
         pair, out = self._pairs[k], list[Any]()
-        if self._hulls or pair[1] in self._faces or all(self._solids[i].mesh is None for i in pair):
+        if self._hulls or pair[1] in self.faces or all(self._solids[i].mesh is None for i in pair):
             return out
         for place, i in ((geometry_data.oMg[i], i) for i in pair):
             out += [self._solids[i].surface, coal.Transform3s(place.rotation, place.translation)]
@@ -562,7 +560,7 @@ class SelfCollision:
         around = list(enumerate(self.obstacles, n))
         met = [(a, b) for a, s in enumerate(self._shapes) if s.joint for b, o in around if s.link not in o.may_touch]
         self._pairs, met_things = [*pairs, *met], [self.obstacles[b - n] for _, b in met]
-        self._faces = {b for b, o in around if min(o.half) >= LARGE}
+        self.faces = {b for b, o in around if min(o.half) >= LARGE}
         self._closed = {b: o.closed for b, o in around if o.closed is not None}
         world = [CollisionShape(o.name, 0, o.placement, o.geometry, 0.0) for o in self.obstacles]
         self._solids = [*self._shapes, *world]
