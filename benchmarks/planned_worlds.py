@@ -8,11 +8,13 @@ looked at. Where there is no plan, 2,000 postures of the same hand are followed,
 
     python benchmarks/planned_worlds.py [--starts 40] [--seed 100000] [--arms sawyer panda ...] [--out FILE.jsonl]
     python benchmarks/planned_worlds.py --physics ...            # plans in MuJoCo, with contacts, by the loop
+    python benchmarks/planned_worlds.py --table OUT.csv --out FILE.jsonl
 """
 
 from __future__ import annotations
 
 import argparse
+import csv
 import json
 import time
 from collections.abc import Iterator
@@ -418,6 +420,31 @@ def record(arm: str, number: int, seed: int, given: argparse.Namespace) -> Itera
         yield out
 
 
+KEYS = {"around": "nearest obstacle", "own": "nearest own link", "hand": "hand to what it holds", "leaf": "leaf"}
+
+
+def write_table(lines: Path, table: Path) -> None:
+    """One line for each start and world: the outcome, and the least distances over approach and way [mm]."""
+    rows = []
+    for out in map(json.loads, lines.read_text(encoding="utf-8").splitlines()):
+        row = {"arm": out["arm"], "start": out["number"], "kind": out["kind"], "world": out["variant"]}
+        row |= {"outcome": out["outcome"], "processor s": round(out["seconds"], 2)}
+        row |= {"margin": round(out["margin"], 3) if "margin" in out else ""}
+        phases = out.get("near", {}).values()
+        for key, said in KEYS.items():
+            least = min((p[key][0] for p in phases), default=np.inf)
+            row[f"{said} [mm]"] = round(1e3 * least, 1) if np.isfinite(least) else ""
+        run, found = out.get("executed", {}), out.get("search", {}).get("found", "")
+        row["short in MuJoCo [mm]"] = round(run["short"], 1) if run else ""
+        row["touched in MuJoCo"] = "; ".join(" and ".join(map(str, pair[:2])) for pair in run.get("touched", ()))
+        row["of 2,000 postures"] = {True: "some", False: "none", None: "not ended"}.get(found, "")
+        rows.append(row)
+    with table.open("w", encoding="utf-8", newline="") as file:
+        writer = csv.DictWriter(file, list(rows[0]), lineterminator="\n")
+        writer.writeheader()
+        writer.writerows(rows)
+
+
 def main() -> None:
     """Run, or make the table."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
@@ -430,7 +457,11 @@ def main() -> None:
     parser.add_argument("--physics", action="store_true")
     parser.add_argument("--step", type=int, default=1)
     parser.add_argument("--out", type=Path)
+    parser.add_argument("--table", type=Path)
     given = parser.parse_args()
+    if given.table is not None:
+        write_table(given.out, given.table)
+        return
     for number in range(given.first, given.starts, given.step):
         for arm in given.arms:
             for out in record(arm, number, given.seed, given):

@@ -28,7 +28,7 @@ def main() -> None:
     matplotlib.rcParams.update({"axes.facecolor": "none", "axes.edgecolor": INK, "axes.labelcolor": INK})
     matplotlib.rcParams.update({"axes.titlecolor": INK, "text.color": INK, "xtick.color": INK, "ytick.color": INK})
     matplotlib.rcParams.update({"grid.color": INK})
-    for draw in (when_it_helps, whole_recordings, opening_drawers, planned_ways, control):
+    for draw in (when_it_helps, whole_recordings, opening_drawers, planned_ways, planned_worlds, control):
         figure = draw()
         figure.savefig(HERE / f"{draw.__name__}.svg", transparent=True, metadata={"Date": None})
 
@@ -138,6 +138,36 @@ def planned_ways() -> Figure:
     tidy(axes, [f"{r['arm']}, hand {r['hand']}" for r in rows], "", "drawers opened of 20")
     axes.set_xticks(range(0, 21, 5))
     figure.legend(loc="outside upper center", ncols=4, frameon=False)
+    return figure
+
+
+def planned_worlds() -> Figure:
+    """Starts that are planned, by arm, and how near the plans come to each kind of thing."""
+    rows = read("planned_worlds")
+    worlds, arms = ("scene", "assumed"), list(dict.fromkeys(r["arm"] for r in rows))
+    figure = Figure(figsize=(WIDTH, 3.2), layout="constrained")
+    left, right = figure.subplots(1, 2)
+    kinds = ["nearest obstacle [mm]", "nearest own link [mm]", "hand to what it holds [mm]", "leaf [mm]"]
+    for shift, world, colour in zip((-0.2, 0.2), worlds, ("blue", "purple"), strict=True):
+        part = [r for r in rows if r["world"] == world]
+        done = [sum(r["outcome"] == "plan" for r in part if r["arm"] == arm) for arm in arms]
+        bars = left.barh([y + shift for y in range(len(arms))], done, 0.35, color=COLOURS[colour])
+        left.bar_label(bars, padding=2)
+        for y, kind in enumerate(kinds):
+            near = [float(r[kind]) for r in part if r[kind]]
+            right.plot([min(x, 60.0) for x in near], [y + shift] * len(near), "|", color=COLOURS[colour])
+        right.plot([], [], "|", color=COLOURS[colour], label={"scene": "given as a scene", "assumed": "assumed"}[world])
+    starts = sum(r["arm"] == arms[0] and r["world"] == "scene" for r in rows)
+    left.set_xlim(0, 1.15 * starts)
+    right.axvline(5.0, color=INK, linewidth=0.8)
+    tidy(left, arms, "planned", f"of {starts} starts")
+    tidy(
+        right,
+        [k.removesuffix(" [mm]") for k in kinds],
+        "least distance of each plan",
+        "[mm], at most 60; 5 is promised",
+    )
+    figure.legend(loc="outside upper center", ncols=2, frameon=False)
     return figure
 
 
