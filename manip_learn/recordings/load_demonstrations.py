@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import re
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import replace
 from typing import Literal, TypedDict, Unpack
@@ -10,6 +11,7 @@ from typing import Literal, TypedDict, Unpack
 from manip_learn.errors import RecordingError, advice, closest_names, printable
 from manip_learn.recordings.data_frame import DataFrame, frames_as_files
 from manip_learn.recordings.demonstrations import Demonstrations
+from manip_learn.recordings.earned_velocities import Velocities
 from manip_learn.recordings.format_words import VELOCITY_SUFFIX
 from manip_learn.recordings.readers.csv_reader import SURPLUS_SUFFIXES
 from manip_learn.recordings.readers.lerobot_dataset import episode_numbers
@@ -36,6 +38,8 @@ ARRAYS = ("time", "q", "u", "effort", "joint_names", "format")
 SUFFIXES = (VELOCITY_SUFFIX, *SURPLUS_SUFFIXES, ".pos", ".vel")
 POSE_SUFFIXES = (".x", ".y", ".z", *ROTATION_VECTOR, *QUATERNION)
 
+NUMBER = re.compile(r"(?<![a-zA-Z_])[-+]?\d[\d.,]*(e[-+]?\d+)?")  # none within a name
+
 Paths = str | os.PathLike[str] | Iterable[str | os.PathLike[str]]
 Tables = DataFrame | Sequence[DataFrame]
 
@@ -55,12 +59,15 @@ class ReadOptions(TypedDict, total=False):
             left out, with a note. Not given: columns are called as the joints, or contain their names in one way only.
         joint_names: Names of the columns, in order, for files that have none (robomimic, some LeRobot data).
         topics: Topics of a bag; not given: all JointState topics that carry joints of the robot.
-        rate: Samples per second, for files that have no time stamps [Hz].
+        rate: Samples per second [Hz], for files that have no time stamps; where there are some it overrules them.
         outside_limits: `"refuse"` (the default) or `"note"` positions far outside the joint limits.
         episodes: Which episodes to read: text such as `"0:50,60,75"` (counted from 0; 0:50 is 0 to 49) or numbers. Of a
             LeRobot data set they are numbers of episodes; else places of files in natural order.
         feature: Feature of a LeRobot data set that holds the joint positions, e.g.
             `"observation.state.joint_position"`; not given: `observation.state`.
+        velocities: `"auto"` (the default): recorded velocities are used where they integrate to the positions at least
+            as closely as derived ones; else those of all joints are derived when something is learnt, and a note says
+            why. `"derive"`: always; `"recorded"`: never.
     """
 
     degrees: bool
@@ -75,6 +82,7 @@ class ReadOptions(TypedDict, total=False):
     outside_limits: Literal["refuse", "note"]
     episodes: str | int | Iterable[int] | None
     feature: str | None
+    velocities: Velocities
 
 
 def load_demonstrations(paths: Paths | Tables, robot: Robot, **options: Unpack[ReadOptions]) -> Demonstrations:
@@ -129,23 +137,25 @@ def read_recordings(
         RecordingError: As soon as a recording is found that cannot be trusted.
         MissingExtraError: The format needs a library that is not installed.
     """
-    by_text: dict[str, list[str]] = {}
+    by_text: dict[str, list[tuple[str, str]]] = {}
     found = False
     request = replace(request, uses=OptionUses())
     for file in files:
         for recording in _recordings(file, request):
             validated = validate(recording, request)
             for note in validated.notes:
-                by_text.setdefault(note, []).append(recording.name)
+                by_text.setdefault(NUMBER.sub("#", note), []).append((recording.name, note))
             for trajectory in validated.trajectories:
                 found = True
                 yield trajectory
     if not found:
         raise RecordingError(f"there is no demonstration in {', '.join(str(f.path) for f in files)}", code="empty")
     if notes is not None:
-        for text, names in by_text.items():  # the same finding in fifty files is reported once
-            more = f" and {len(names) - 1} more" if len(names) > 1 else ""
-            notes.append(printable(f"{names[0]}{more}: {text}"))
+        for found_in in by_text.values():  # the same finding in fifty files is reported once
+            name, text = found_in[0]
+            alike = "" if all(other == text for _, other in found_in) else " with other figures"
+            more = f" and {len(found_in) - 1} more{alike}" if len(found_in) > 1 else ""
+            notes.append(printable(f"{name}{more}: {text}"))
         notes += request.unmatched()
 
 

@@ -15,7 +15,6 @@ from jaxtyping import Float
 from manip_learn.errors import RecordingError
 
 LONGEST = 160  # characters of a foreign text: two lines of a terminal
-GAP_FACTOR = 10.0  # times the usual step: a break in a recording
 
 
 @final
