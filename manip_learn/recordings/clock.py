@@ -186,7 +186,7 @@ def _by_count(time: Float[np.ndarray, " T"], gaps: Int[np.ndarray, " gaps"], ste
 
 
 def _taken_evenly(
-    steps: Float[np.ndarray, " n"], q: Float[np.ndarray, "T n"], step: float, inside: Bool[np.ndarray, " n"]
+    steps: Float[np.ndarray, " s"], q: Float[np.ndarray, "T n"], step: float, inside: Bool[np.ndarray, " s"]
 ) -> bool:
     """Whether the arm moves as far in long steps as in their neighbours, and about as far as in all others."""
     moved = np.linalg.norm(np.diff(q, axis=0), axis=1)

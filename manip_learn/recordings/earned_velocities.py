@@ -15,7 +15,7 @@ from typing import Literal, NamedTuple
 import numpy as np
 from jaxtyping import Bool, Float
 
-from manip_learn.errors import RecordingError, advice, counted, named
+from manip_learn.errors import RecordingError, advice, counted, listed
 from manip_learn.recordings.clock import pieces
 from manip_learn.recordings.local_fit import best_windows, noise_variance, slope_variance
 from manip_learn.recordings.trajectory import Trajectory, evenly
@@ -28,10 +28,12 @@ FEWEST = 8  # samples of a stretch without gaps that can be judged
 LONGEST, MOST = 8192, 8  # samples in a stretch, and stretches, that are judged: any fault shows in so many
 # share of the largest step by which a velocity that was held over each step may miss the next position: 6 digits
 HELD = 1e-6
+ROUNDED = 1.5  # quanta by which two rounded positions and a rounded velocity may miss each other
 # The noise of the positions is known within a factor of 2; beyond it counts what is also beyond chance: the mean of n
 # squares exceeds its estimate by 3 sqrt(2 / n) in 1 of 700 cases
 KNOWN, CHANCE = 2.0, 3.0
-GRID = 0.01  # share of a quantum by which all values may miss its multiples
+GRID = 0.01  # share of a quantum by which values may miss its multiples
+NO_MEASUREMENT = 1e50  # a finite number whose square would overflow
 
 Stretch = tuple[np.ndarray, np.ndarray, np.ndarray]  # time, positions, velocities
 
@@ -85,12 +87,12 @@ def earned(trajectory: Trajectory, robot: Robot | None, velocities: Velocities =
     derived = "velocities of all joints derived from the positions"
     if velocities == "derive":
         return without, f"{derived}, as asked; recorded ones are not used"
-    missing = ~np.isfinite(u)
+    missing = ~(np.abs(u) < NO_MEASUREMENT)
     if np.any(missing):
         n = np.count_nonzero(np.any(missing, axis=1))
         names = trajectory.joint_names or [str(j) for j in range(u.shape[1])]
         joints = [names[j] for j in np.flatnonzero(np.any(missing, axis=0))]
-        fault = f"velocity of {named('joint', joints)} is not a number in {n:,} of {counted(len(u), 'sample')}"
+        fault = f"velocity of {listed(joints)} is not a number in {n:,} of {counted(len(u), 'sample')}"
         if velocities == "recorded":
             how = advice(": leave {} out", "velocities='recorded'", "--velocities recorded")
             raise RecordingError(f"{trajectory.name}: {fault}{how}", code="not-finite")
@@ -112,7 +114,8 @@ def _fault(trajectory: Trajectory, u: np.ndarray, robot: Robot) -> str:
     time = trajectory.time
     held = _held(time, x, u)
     stretches = [] if np.all(held) else [(time[s], x[s], u[s]) for s in _stretches(time)]
-    verdict = _judged(stretches, held) if stretches else None
+    with np.errstate(all="ignore"):  # what overflows is no reason to keep a velocity
+        verdict = _judged(stretches, held) if stretches else None
     if verdict is None or not verdict.fails:
         return ""
     worst = verdict.joints
@@ -123,7 +126,7 @@ def _fault(trajectory: Trajectory, u: np.ndarray, robot: Robot) -> str:
         if rest[k] >= apart:
             apart, after = float(rest[k]), float(t[k] - t[0])
     names, unit = [robot.joint_names[joints[i]] for i in worst], robot.joint_units[joints[j]]
-    others = f" ({named('joint', names[1:])} likewise)" if len(names) > 1 else ""
+    others = f" ({listed(names[1:])} likewise)" if len(names) > 1 else ""
     return (
         f"velocity of {names[0]} does not integrate to its position: {apart:.2g} {unit} apart after {after:.2g} s, "
         f"{verdict.recorded[j]:.2g} {unit}/s off where the positions give it to {verdict.derived[j]:.1g}{others}"
@@ -149,7 +152,7 @@ def _held(
     """
     steps = np.diff(x, axis=0)
     missed = np.max(np.abs(steps - u[:-1] * np.diff(time)[:, None]), axis=0, initial=0.0)
-    held = missed <= HELD * np.max(np.abs(steps), axis=0, initial=0.0)
+    held = missed <= HELD * np.max(np.abs(steps), axis=0, initial=0.0) + ROUNDED * _quantum(x)
     if not np.any(held) or len(x) < FEWEST:
         return held
     own = np.any(u[-1] != u[-2]) and np.any(u[-1])
@@ -165,16 +168,29 @@ def _integral(time: Float[np.ndarray, " T"], u: Float[np.ndarray, "T n"]) -> Flo
 
 def position_noise(time: Float[np.ndarray, " T"], x: Float[np.ndarray, "T n"]) -> Float[np.ndarray, " n"]:
     """Variance of the noise of positions: what is rough in them, or what their quantum leaves."""
-    quantum = np.zeros(x.shape[1])
-    for j, column in enumerate(x.T):
-        values = np.unique(column)
-        step = np.min(np.diff(values), initial=np.inf)
-        multiples = (values - values[0]) / step
-        if np.max(np.abs(multiples - np.round(multiples))) < GRID and multiples[-1] < 1e6:
-            quantum[j] = step
+    quantum = _quantum(x)
     quantum[np.ptp(x, axis=0) == 0.0] = np.max(quantum)  # a joint that stands still does not show its own
     rounding = 1e-12 * (1.0 + np.max(np.abs(x), axis=0))
     return np.maximum(noise_variance(time, x), quantum**2 / 12.0) + rounding**2
+
+
+def _quantum(x: Float[np.ndarray, "T n"]) -> Float[np.ndarray, " n"]:
+    """Of which all positions of a joint are multiples [rad or m]; 0 where there is none."""
+    quantum = np.zeros(x.shape[1])
+    for digits in range(2, 10):  # printed with so many
+        if _is_multiple(x, 10.0**-digits):
+            return quantum + 10.0**-digits
+    for j, column in enumerate(x.T):
+        steps = np.diff(np.unique(column))
+        if steps.size and _is_multiple(column - column[0], step := float(np.min(steps))):
+            quantum[j] = step
+    return quantum
+
+
+def _is_multiple(x: np.ndarray, step: float) -> bool:
+    """Whether all numbers are multiples of a step, as far as their last digits can tell."""
+    multiples = x / step
+    return bool(np.max(np.abs(multiples)) < 1e10 and np.max(np.abs(multiples - np.round(multiples))) < GRID)
 
 
 def _judged(stretches: Sequence[Stretch], held: Bool[np.ndarray, " n"]) -> Verdict:

@@ -38,7 +38,7 @@ ARRAYS = ("time", "q", "u", "effort", "joint_names", "format")
 SUFFIXES = (VELOCITY_SUFFIX, *SURPLUS_SUFFIXES, ".pos", ".vel")
 POSE_SUFFIXES = (".x", ".y", ".z", *ROTATION_VECTOR, *QUATERNION)
 
-NUMBER = re.compile(r"(?<![a-zA-Z_])[-+]?\d[\d.,]*(e[-+]?\d+)?")  # none within a name
+NUMBER = re.compile(r"\d[\d.,]*(e[-+]?\d+)?")
 
 Paths = str | os.PathLike[str] | Iterable[str | os.PathLike[str]]
 Tables = DataFrame | Sequence[DataFrame]
@@ -144,7 +144,7 @@ def read_recordings(
         for recording in _recordings(file, request):
             validated = validate(recording, request)
             for note in validated.notes:
-                by_text.setdefault(NUMBER.sub("#", note), []).append((recording.name, note))
+                by_text.setdefault(_without_figures(note, request.robot), []).append((recording.name, note))
             for trajectory in validated.trajectories:
                 found = True
                 yield trajectory
@@ -157,6 +157,13 @@ def read_recordings(
             more = f" and {len(found_in) - 1} more{alike}" if len(found_in) > 1 else ""
             notes.append(printable(f"{name}{more}: {text}"))
         notes += request.unmatched()
+
+
+def _without_figures(note: str, robot: Robot) -> str:
+    """A note by which those that differ in joints and numbers only are alike."""
+    names = "|".join(map(re.escape, sorted(robot.joint_names, key=len, reverse=True)))
+    plain = NUMBER.sub("#", re.sub(rf"(?<!\w)({names})(?!\w)", "#", note)) if note.startswith("velocity of ") else note
+    return re.sub(r"#((, | and )#)+| \(# likewise\)", "#", plain)
 
 
 def _recordings(file: RecordingFile, request: ReadRequest) -> Iterator[Recording]:

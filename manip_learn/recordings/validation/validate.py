@@ -10,7 +10,7 @@ from jaxtyping import Float, Int
 from manip_learn.errors import advice, counted, named
 from manip_learn.recordings.clock import between, evenly_spread, in_order, pieces
 from manip_learn.recordings.demonstrations import Demonstrations
-from manip_learn.recordings.earned_velocities import earned
+from manip_learn.recordings.earned_velocities import NO_MEASUREMENT, earned
 from manip_learn.recordings.readers.read_request import ReadRequest
 from manip_learn.recordings.readers.recording import Recording
 from manip_learn.recordings.trajectory import Trajectory
@@ -22,7 +22,6 @@ from manip_learn.robot import Robot
 SHOWN = 5  # places in a sentence
 # [rad]: a guided arm stays within a turn of its zeros and travels less than half a turn; in degrees that were nothing
 RADIANS, TRAVEL = 2.0 * np.pi, np.pi
-NO_MEASUREMENT = 1e50  # finite, but its square would overflow
 
 
 def validate(recording: Recording, request: ReadRequest) -> Demonstrations:
