@@ -12,6 +12,7 @@ from manip_learn.errors import advice, counted
 GAP_FACTOR = 10.0  # times the usual step: a break in a recording
 SHORT = 0.1  # of the usual step: stamped almost at once
 COARSE = 0.05  # of the usual step: stamps that are multiples of so much or more are rounded
+FEWEST = 8  # samples whose stamps are doubted
 NEAR = 10  # messages within which a late one is followed by one that is where it would have been
 SENDERS = 10  # changes between two clocks, at least; one that was set back changes once
 TOO_MANY = 0.2  # of the steps lead back: the rows are in no order
@@ -59,6 +60,9 @@ def in_order(
     back = np.flatnonzero(steps < 0.0)
     if not back.size:
         return [Run(np.arange(n), time)], []
+    if arrival is not None:
+        own, theirs = np.quantile(np.abs(np.stack([steps, np.diff(arrival)])), 0.25, axis=1)
+        arrival = arrival if 0.5 * theirs < own < 2.0 * theirs else None  # of a bag that was written later
     received = np.polyval(np.polyfit(np.arange(n), time, 1), np.arange(n)) if arrival is None else arrival
     ahead = _later_clock(time - received)
     if np.count_nonzero(np.diff(ahead)) >= SENDERS:
@@ -126,7 +130,7 @@ def evenly_spread(time: Float[np.ndarray, " T"], q: Float[np.ndarray, "T n"]) ->
         q: Positions.
     """
     n, steps = len(time), np.diff(time)
-    if n < 3 or time[-1] <= time[0]:
+    if n < FEWEST or time[-1] <= time[0]:
         return time, ""
     mean, usual = (time[-1] - time[0]) / (n - 1), usual_step(steps)
     grain = _grain(steps, mean)

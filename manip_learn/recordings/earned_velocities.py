@@ -98,7 +98,8 @@ def earned(trajectory: Trajectory, robot: Robot | None, velocities: Velocities =
             raise RecordingError(f"{trajectory.name}: {fault}{how}", code="not-finite")
     else:
         judged = velocities == "auto" and robot is not None and u.shape[1] == robot.nv
-        fault = _fault(trajectory, u, robot) if judged else ""
+        with np.errstate(all="ignore"):  # what overflows is no reason to keep a velocity
+            fault = _fault(trajectory, u, robot) if judged else ""
     return (without, f"{fault}; {derived}") if fault else (replace(trajectory, judged=True), "")
 
 
@@ -111,12 +112,14 @@ def _fault(trajectory: Trajectory, u: np.ndarray, robot: Robot) -> str:
         return ""
     if floating:
         x, u = x[:, joints], u[:, joints]
-    time = trajectory.time
-    held = _held(time, x, u)
-    stretches = [] if np.all(held) else [(time[s], x[s], u[s]) for s in _stretches(time)]
-    with np.errstate(all="ignore"):  # what overflows is no reason to keep a velocity
-        verdict = _judged(stretches, held) if stretches else None
-    if verdict is None or not verdict.fails:
+    stretches = [(trajectory.time[s], x[s], u[s]) for s in _stretches(trajectory.time)]
+    if not stretches:
+        return ""
+    held = np.all([_held(*stretch) for stretch in stretches], axis=0)
+    if np.all(held):
+        return ""
+    verdict = _judged(stretches, held)
+    if not verdict.fails:
         return ""
     worst = verdict.joints
     j, apart, after = worst[0], 0.0, 0.0
