@@ -137,12 +137,13 @@ def evenly_spread(time: Float[np.ndarray, " T"], q: Float[np.ndarray, "T n"]) ->
     if not (np.min(steps) < SHORT * mean or grain >= COARSE * mean):
         return time, ""
     gaps, rates = _gaps(steps, usual)
-    if np.count_nonzero(gaps) > n / 200.0:  # no gaps, but how the stamps come
+    always = bool(np.count_nonzero(gaps) > n / 200.0)
+    if always:  # no gaps, but how the stamps come
         gaps, _ = _gaps(steps, usual_step(rates))
     inside = ~gaps
     step = float(np.sum(steps[inside]) / max(np.count_nonzero(inside), 1))
     spread = _by_count(time, np.flatnonzero(gaps), step)
-    if np.min(np.diff(spread)) <= 0.0 or not _taken_evenly(steps, q, step, inside):
+    if np.min(np.diff(spread)) <= 0.0 or not _taken_evenly(steps, q, step, inside, always=always):
         return time, ""
     short = np.count_nonzero(steps < SHORT * step)
     what = f"{short:,} of {n - 1:,} steps between stamps are under a tenth of the usual one"
@@ -190,9 +191,16 @@ def _by_count(time: Float[np.ndarray, " T"], gaps: Int[np.ndarray, " gaps"], ste
 
 
 def _taken_evenly(
-    steps: Float[np.ndarray, " s"], q: Float[np.ndarray, "T n"], step: float, inside: Bool[np.ndarray, " s"]
+    steps: Float[np.ndarray, " s"],
+    q: Float[np.ndarray, "T n"],
+    step: float,
+    inside: Bool[np.ndarray, " s"],
+    *,
+    always: bool,
 ) -> bool:
-    """Whether the arm moves as far in long steps as in their neighbours, and about as far as in all others."""
+    """Whether the arm moves as far in long steps as in their neighbours; if stamps always come so, also about as far as
+    in all others, for at rest it moves nowhere.
+    """
     moved = np.linalg.norm(np.diff(q, axis=0), axis=1)
     beside = 0.5 * (np.append(moved[1:2], moved[:-1]) + np.append(moved[1:], moved[-2:-1]))
     excess = np.where(inside, np.maximum(steps - step, 0.0), 0.0)
@@ -202,7 +210,7 @@ def _taken_evenly(
         return False
     ratio, by_stamps = float(np.sum(excess * moved)) / by_count, longer / (total * step)
     overall = by_count / (total * float(np.mean(moved[inside])))
-    return bool(abs(np.log(max(ratio, 1e-9))) < 0.5 * np.log(by_stamps) and 0.3 < overall < 3.0)
+    return bool(abs(np.log(max(ratio, 1e-9))) < 0.5 * np.log(by_stamps) and (not always or 0.3 < overall < 3.0))
 
 
 def between(time: Float[np.ndarray, " T"]) -> Float[np.ndarray, " T"]:
@@ -210,4 +218,4 @@ def between(time: Float[np.ndarray, " T"]) -> Float[np.ndarray, " T"]:
     first = np.concatenate([[True], np.diff(time) > 0.0])
     begins = np.flatnonzero(first)
     last = time[begins[-1]] + (time[begins[-1]] - time[begins[0]]) / max(begins[-1], 1) * (len(time) - begins[-1])
-    return np.interp(np.arange(len(time)), [*begins, len(time)], [*time[begins], last])
+    return np.interp(np.arange(len(time)), np.append(begins, len(time)), np.append(time[begins], last))

@@ -99,7 +99,7 @@ def earned(trajectory: Trajectory, robot: Robot | None, velocities: Velocities =
     else:
         judged = velocities == "auto" and robot is not None and u.shape[1] == robot.nv
         with np.errstate(all="ignore"):  # what overflows is no reason to keep a velocity
-            fault = _fault(trajectory, u, robot) if judged else ""
+            fault = _fault(trajectory, u, robot) if robot is not None and judged else ""
     return (without, f"{fault}; {derived}") if fault else (replace(trajectory, judged=True), "")
 
 
@@ -184,8 +184,8 @@ def _quantum(x: Float[np.ndarray, "T n"]) -> Float[np.ndarray, " n"]:
         if _is_multiple(x, 10.0**-digits):
             return quantum + 10.0**-digits
     for j, column in enumerate(x.T):
-        steps = np.diff(np.unique(column))
-        if steps.size and _is_multiple(column - column[0], step := float(np.min(steps))):
+        step = min(np.diff(np.unique(column)).tolist(), default=np.inf)
+        if np.isfinite(step) and _is_multiple(np.asarray(column - column[0]), step):
             quantum[j] = step
     return quantum
 
@@ -193,7 +193,8 @@ def _quantum(x: Float[np.ndarray, "T n"]) -> Float[np.ndarray, " n"]:
 def _is_multiple(x: np.ndarray, step: float) -> bool:
     """Whether all numbers are multiples of a step, as far as their last digits can tell."""
     multiples = x / step
-    return bool(np.max(np.abs(multiples)) < 1e10 and np.max(np.abs(multiples - np.round(multiples))) < GRID)
+    missed, largest = np.max(np.abs(multiples - np.round(multiples))), np.max(np.abs(multiples))
+    return bool(largest < 1e10 and missed < GRID)
 
 
 def _judged(stretches: Sequence[Stretch], held: Bool[np.ndarray, " n"]) -> Verdict:

@@ -137,33 +137,41 @@ def read_recordings(
         RecordingError: As soon as a recording is found that cannot be trusted.
         MissingExtraError: The format needs a library that is not installed.
     """
-    by_text: dict[str, list[tuple[str, str]]] = {}
+    said: list[tuple[str, str]] = []
     found = False
     request = replace(request, uses=OptionUses())
     for file in files:
         for recording in _recordings(file, request):
             validated = validate(recording, request)
-            for note in validated.notes:
-                by_text.setdefault(_without_figures(note, request.robot), []).append((recording.name, note))
+            said += [(recording.name, note) for note in validated.notes]
             for trajectory in validated.trajectories:
                 found = True
                 yield trajectory
     if not found:
         raise RecordingError(f"there is no demonstration in {', '.join(str(f.path) for f in files)}", code="empty")
     if notes is not None:
-        for found_in in by_text.values():  # the same finding in fifty files is reported once
-            name, text = found_in[0]
-            alike = "" if all(other == text for _, other in found_in) else " with other figures"
-            more = f" and {len(found_in) - 1} more{alike}" if len(found_in) > 1 else ""
-            notes.append(printable(f"{name}{more}: {text}"))
+        notes += folded(said, request.robot)
         notes += request.unmatched()
 
 
-def _without_figures(note: str, robot: Robot) -> str:
-    """A note by which those that differ in joints and numbers only are alike."""
-    names = "|".join(map(re.escape, sorted(robot.joint_names, key=len, reverse=True)))
-    plain = NUMBER.sub("#", re.sub(rf"(?<!\w)({names})(?!\w)", "#", note)) if note.startswith("velocity of ") else note
-    return re.sub(r"#((, | and )#)+| \(# likewise\)", "#", plain)
+def folded(said: Iterable[tuple[str, str]], robot: Robot | None) -> list[str]:
+    """Notes with the names of their recordings: the same finding in fifty of them is reported once, with the figures of
+    the first.
+    """
+    names = "|".join(map(re.escape, sorted(robot.joint_names if robot else (), key=len, reverse=True)))
+    by_text: dict[str, list[tuple[str, str]]] = {}
+    for name, note in said:
+        text = note
+        if note.startswith("velocity of "):  # in which joints and numbers may differ
+            text = NUMBER.sub("#", re.sub(rf"(?<!\w)({names})(?!\w)", "#", note))
+            text = re.sub(r"#((, | and )#)+| \(# likewise\)", "#", text)
+        by_text.setdefault(text, []).append((name, note))
+    out = []
+    for found in by_text.values():
+        name, text = found[0]
+        alike = "" if all(other == text for _, other in found) else " with other figures"
+        out.append(printable(f"{name}{f' and {len(found) - 1} more{alike}' if len(found) > 1 else ''}: {text}"))
+    return out
 
 
 def _recordings(file: RecordingFile, request: ReadRequest) -> Iterator[Recording]:

@@ -22,6 +22,7 @@ from manip_learn.recordings.format_words import DATASET_HEADER
 from manip_learn.recordings.load_demonstrations import (
     Paths,
     ReadOptions,
+    folded,
     load_demonstrations,
     open_recordings,
     read_recordings,
@@ -152,7 +153,8 @@ class CheckedSource(TrajectorySource):
         nv: int,
         velocities: Velocities = "auto",
     ):
-        self._given, self._robot, self._nv, self._velocities = given, robot, nv, velocities
+        self._given, self._robot, self._nv = given, robot, nv
+        self._velocities: Velocities = velocities
 
     @property
     def n_parts(self) -> int:
@@ -162,18 +164,20 @@ class CheckedSource(TrajectorySource):
     def part(self, index: int, notes: list[str] | None = None) -> Iterator[Trajectory]:
         """The trajectories of a part, with the joints of the features."""
         said: list[str] = [] if notes is None else notes
+        found: list[tuple[str, str]] = []
         source = self._given
         entries = source.part(index, said) if isinstance(source, TrajectorySource) else source
         for number, entry in enumerate(entries, start=1):
-            for trajectory in _trajectories_of(entry, number, self._robot, said, self._velocities):
+            for trajectory in _trajectories_of(entry, number, self._robot, said, found, self._velocities):
                 if trajectory.joint_names:
                     check_joints(trajectory.joint_names, self._robot)
                 else:
                     names = [f"q{i}" for i in range(self._nv)] if self._robot is None else self._robot.joint_names
                     trajectory = trajectory.with_joint_names(tuple(names))
                 trajectory, note = earned(trajectory, self._robot, self._velocities)
-                said += [f"{trajectory.name}: {note}"] if note else []
+                found += [(trajectory.name, note)] if note else []
                 yield trajectory
+        said += folded(found, self._robot)
 
 
 def recordings_given(
@@ -229,7 +233,12 @@ def _is_motion(given: object) -> bool:
 
 
 def _trajectories_of(
-    entry: Any, number: int, robot: Robot | None, notes: list[str], velocities: Velocities
+    entry: Any,
+    number: int,
+    robot: Robot | None,
+    notes: list[str],
+    found: list[tuple[str, str]],
+    velocities: Velocities,
 ) -> Sequence[Trajectory]:
     """A motion of an iterable as it is, or arrays and tables checked like a file; they may fall into several."""
     if isinstance(entry, Trajectory):
@@ -260,7 +269,7 @@ def _trajectories_of(
         )
     recording = Recording(Path(name), name, stamps, names, motion.q, names, motion.u)
     checked = validate(recording, ReadRequest(robot, velocities=velocities))
-    notes += [f"{checked[0].name}: {note}" for note in checked.notes]
+    found += [(checked[0].name, note) for note in checked.notes]
     return checked.trajectories
 
 
