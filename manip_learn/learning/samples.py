@@ -15,6 +15,7 @@ from manip_learn.constraint.features.feature_map import FeatureMap
 from manip_learn.errors import NotIdentifiableError, RecordingError, counted, named
 from manip_learn.linalg import whitener
 from manip_learn.recordings.demonstrations import Demonstrations
+from manip_learn.recordings.earned_velocities import FEWEST, position_noise
 from manip_learn.recordings.trajectory import Trajectory
 
 # directions, or samples, that a smooth motion fills of a window: a cubic has four parameters
@@ -27,6 +28,8 @@ STILL_ENERGY = 1e-6
 FEW_JOINTS_AT_ONCE = 1.6
 # [rad/s or m/s] of the fastest joint, below which it is at rest: encoder noise of 1e-4 rad at 100 Hz looks like 0.014
 REST_SPEED = 0.02
+# standard deviations between the least and the largest of a million numbers by chance, and some more
+BEYOND_NOISE = 12.0
 # standard errors of a difference, an autocorrelation or a curvature that are more than chance: 95 %
 STANDARD_ERRORS = 2.0
 # the same beyond doubt: of a radius or a pitch, and of the chi-square that tells unequal noise; one in 3 million
@@ -255,6 +258,30 @@ def check_fastest(demonstrations: Demonstrations) -> None:
             f"sample {sample} (trajectory {trajectory[sample]}) moves at {u[sample, joint]:.3g} in joint "
             f"{demonstrations.joint_names[joint]!r}, {ratio:.1e} times the median speed: remove the outlier",
             code="outlier",
+        )
+
+
+def check_motion(recorded: Demonstrations) -> None:
+    """Refuse recordings in which no joint moves farther than its encoder's noise does.
+
+    Raises:
+        NotIdentifiableError: In none of them.
+    """
+    most = (-1.0, "", "", 0.0, 0.0)
+    for t in recorded:
+        if len(t) < FEWEST:
+            return
+        moved, noise = np.ptp(t.q, axis=0), np.sqrt(position_noise(t.time, t.q))
+        j = int(np.argmax(moved / noise))
+        most = max(
+            most, (moved[j] / noise[j], (*t.joint_names, *map(str, range(len(moved))))[j], t.name, moved[j], noise[j])
+        )
+    ratio, joint, name, moved, noise = most
+    if ratio < BEYOND_NOISE:
+        raise NotIdentifiableError(
+            f"no joint moves farther than the noise of its positions does: the farthest is {joint} in {name}, by "
+            f"{moved:.2g} where its noise is {noise:.2g} (standard deviation): record a motion",
+            code="no-motion",
         )
 
 

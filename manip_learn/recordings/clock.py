@@ -145,12 +145,12 @@ def evenly_spread(time: Float[np.ndarray, " T"], q: Float[np.ndarray, "T n"]) ->
     spread = _by_count(time, np.flatnonzero(gaps), step)
     if np.min(np.diff(spread)) <= 0.0 or not _taken_evenly(steps, q, step, inside, always=always):
         return time, ""
-    short = np.count_nonzero(steps < SHORT * step)
+    short, apart = np.count_nonzero(steps < SHORT * step), usual_step(np.diff(spread))
     what = f"{short:,} of {n - 1:,} steps between stamps are under a tenth of the usual one"
     if grain >= COARSE * step and not short:
         what = f"the stamps are multiples of {grain:.3g} s"
     how = advice(" ({} overrules them)", "rate=", "--rate")
-    return spread, f"{what}: samples are spread evenly over the time they took, {step:.3g} s apart{how}"
+    return spread, f"{what}: samples are spread evenly over the time they took, {apart:.3g} s apart{how}"
 
 
 def _grain(steps: Float[np.ndarray, " n"], mean: float) -> float:

@@ -21,6 +21,7 @@ from manip_learn.recordings.readers.read_request import ReadRequest
 from manip_learn.recordings.readers.recording import Recording, refusal
 
 USUAL_TOPIC = "/joint_states"
+OTHER_CLOCK = 1_000_000_000  # [ns] by which the clocks of two hosts differ; no message is under way for so long
 
 
 def read(path: Path, request: ReadRequest) -> Iterator[Recording]:
@@ -58,11 +59,19 @@ def read(path: Path, request: ReadRequest) -> Iterator[Recording]:
 
 def _of_senders(streams: list[JointStates]) -> tuple[list[list[JointStates]], list[str]]:
     """The streams of each of several senders, whose clocks differ, each in the order of its time; and notes."""
-    parts, notes = [], []
+    parts: list[list[JointStates]] = []
+    notes: list[str] = []
     for stream in streams:
         runs, said = stream.in_order()
-        notes += said
         parts.append(runs)
+        notes += [sentence for sentence in said if sentence not in notes]
+    clock = parts[0][0].clock
+    for runs in parts:
+        for k, one in enumerate(runs):
+            if abs(ahead := one.clock - clock) > OTHER_CLOCK:
+                runs[k] = replace(one, stamps=one.stamps - ahead)
+                note = f"{one.topic}: a clock {ahead * 1e-9:.3g} s ahead was set to the first by when messages came"
+                notes += [note] if note not in notes else []
     most = max(map(len, parts))
     return [[runs[min(k, len(runs) - 1)] for runs in parts] for k in range(most)], notes
 
@@ -115,6 +124,11 @@ class JointStates:
         u, effort = (None if x is None else x[samples] for x in (self.u, self.effort))
         return replace(self, stamps=stamps, q=self.q[samples], u=u, effort=effort, received=self.received[samples])
 
+    @property
+    def clock(self) -> int:
+        """How far its stamps are ahead of the recorder's [ns]."""
+        return int(np.median(self.stamps - self.received))
+
     def in_order(self) -> tuple[list[JointStates], list[str]]:
         """The messages of each sender in the order of their times, and notes.
 
@@ -122,7 +136,7 @@ class JointStates:
             RecordingError: They are in no order.
         """
         stamps, notes = self.stamps, []
-        if np.any(stamps == 0):
+        if np.any(stamps == 0) or (len(stamps) > 1 and np.ptp(stamps) == 0):
             stamps = self.received
             notes.append(f"{self.topic}: header stamps are not set, the recorder's stamps are used")
         by_arrival = np.argsort(self.received, kind="stable")
