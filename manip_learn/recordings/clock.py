@@ -20,9 +20,9 @@ JUMP = 10.0  # times a usual step of the positions: another motion begins
 
 
 class Run(NamedTuple):
-    """Samples of one sender in the order of their times."""
+    """Samples of one sender in the order of their times, by their numbers; a slice where all are in order."""
 
-    samples: Int[np.ndarray, " T"]
+    samples: Int[np.ndarray, " T"] | slice
     time: Float[np.ndarray, " T"]
 
 
@@ -59,7 +59,7 @@ def in_order(
     n, steps = len(time), np.diff(time)
     back = np.flatnonzero(steps < 0.0)
     if not back.size:
-        return [Run(np.arange(n), time)], []
+        return [Run(slice(None), time)], []
     if arrival is not None:
         own, theirs = np.quantile(np.abs(np.stack([steps, np.diff(arrival)])), 0.25, axis=1)
         arrival = arrival if 0.5 * theirs < own < 2.0 * theirs else None  # of a bag that was written later

@@ -25,7 +25,7 @@ from manip_learn.robot.robot import Robot
 Velocities = Literal["auto", "derive", "recorded"]
 
 FEWEST = 8  # samples of a stretch without gaps that can be judged
-LONGEST, MOST = 8192, 8  # samples in a stretch, and stretches, that are judged: any fault shows in so many
+LONGEST, MOST = 4096, 4  # samples in a stretch, and stretches, that are judged: any fault shows in so many
 # share of the largest step by which a velocity that was held over each step may miss the next position: 6 digits
 HELD = 1e-6
 ROUNDED = 1.5  # quanta by which two rounded positions and a rounded velocity may miss each other
@@ -87,8 +87,8 @@ def earned(trajectory: Trajectory, robot: Robot | None, velocities: Velocities =
     derived = "velocities of all joints derived from the positions"
     if velocities == "derive":
         return without, f"{derived}, as asked; recorded ones are not used"
-    missing = ~(np.abs(u) < NO_MEASUREMENT)
-    if np.any(missing):
+    if not (np.max(u) < NO_MEASUREMENT and np.min(u) > -NO_MEASUREMENT):  # NaN is neither
+        missing = ~(np.abs(u) < NO_MEASUREMENT)
         n = np.count_nonzero(np.any(missing, axis=1))
         names = trajectory.joint_names or [str(j) for j in range(u.shape[1])]
         joints = [names[j] for j in np.flatnonzero(np.any(missing, axis=0))]

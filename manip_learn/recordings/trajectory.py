@@ -67,7 +67,9 @@ class Trajectory:
 
     def _array(self, what: str, values: object, ndim: int) -> np.ndarray:
         try:
-            array = np.array(values, dtype=np.float64, order="C")  # a copy: the caller cannot change it
+            array = np.asarray(values, dtype=np.float64, order="C")
+            if array.flags.writeable or array.base is not None:
+                array = array.copy()  # so that the caller cannot change it
         except (TypeError, ValueError) as error:
             raise RecordingError(f"{self.name}: {what} must be numbers: {error}", code="not-a-number") from error
         if array.ndim != ndim:

@@ -161,9 +161,9 @@ def _in_radians(
     return q, u, []
 
 
-def _kept(recording: Recording, index: Int[np.ndarray, " k"]) -> Recording:
+def _kept(recording: Recording, index: Int[np.ndarray, " k"] | slice) -> Recording:
     """The recording seen through some samples, so that later messages still name the right line."""
-    if len(index) == len(recording.time) and np.all(np.diff(index) == 1):
+    if isinstance(index, slice):
         return recording
     efforts, line_of = recording.efforts, recording.line_of
     return replace(
