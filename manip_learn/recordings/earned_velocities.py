@@ -19,7 +19,7 @@ from manip_learn.errors import RecordingError, advice, counted, listed
 from manip_learn.recordings.clock import pieces
 from manip_learn.recordings.local_fit import best_windows, noise_variance, slope_variance
 from manip_learn.recordings.trajectory import Trajectory, evenly
-from manip_learn.recordings.velocities import VelocityMethod, is_clean, positions_along
+from manip_learn.recordings.velocities import SHORT_AND_CLEAN, VelocityMethod, is_clean, positions_along
 from manip_learn.robot.robot import Robot
 
 Velocities = Literal["auto", "derive", "recorded"]
@@ -32,6 +32,9 @@ ROUNDED = 1.5  # quanta by which two rounded positions and a rounded velocity ma
 # The noise of the positions is known within a factor of 2; beyond it counts what is also beyond chance: the mean of n
 # squares exceeds its estimate by 3 sqrt(2 / n) in 1 of 700 cases
 KNOWN, CHANCE = 2.0, 3.0
+# Shares of the speed below which an error of recorded velocities does not matter: what integration leaves; and of fewer
+# samples than leave room for windows, whose midpoints are off by up to half a step, what no noise explains
+FINE, COARSE = 1e-4, 0.3
 GRID = 0.01  # share of a quantum by which values may miss its multiples
 NO_MEASUREMENT = 1e50  # a finite number whose square would overflow
 
@@ -51,15 +54,17 @@ class Verdict(NamedTuple):
     Attributes:
         recorded: Root mean square error of each joint's recorded velocity [rad/s or m/s].
         derived: Likewise of those that would be derived.
+        least: What both must exceed, all joints together, to matter.
     """
 
     recorded: Float[np.ndarray, " n"]
     derived: Float[np.ndarray, " n"]
+    least: float
 
     @property
     def fails(self) -> bool:
         """Whether the recorded ones are farther off, all joints together."""
-        return float(np.sum(self.recorded**2)) > float(np.sum(self.derived**2))
+        return float(np.sum(self.recorded**2)) > float(np.sum(self.derived**2)) + self.least**2
 
     @property
     def joints(self) -> list[int]:
@@ -215,8 +220,12 @@ def _judged(stretches: Sequence[Stretch], held: Bool[np.ndarray, " n"]) -> Verdi
         apart = np.mean(np.concatenate([rest[w:] - rest[:-w] for rest in long]) ** 2, axis=0)
         by_chance = KNOWN + CHANCE * np.sqrt(2.0 / max(sum(len(rest) / w for rest in long), 1.0))
         errors[w] = np.where(apart > 2.0 * noise * by_chance, apart - 2.0 * noise, 0.0) / (w * step) ** 2
+    speed = float(
+        np.sqrt(np.mean([np.mean(np.sum((np.diff(x, axis=0) / step) ** 2, axis=1)) for _, x, _ in stretches]))
+    )
+    share = FINE if max(map(len, rests)) >= SHORT_AND_CLEAN else COARSE
     verdicts = [
-        Verdict(np.sqrt(np.where(held, 0.0, e)), np.sqrt(derived) * min(1.0, width / max(w, 1)))
+        Verdict(np.sqrt(np.where(held, 0.0, e)), np.sqrt(derived) * min(1.0, width / max(w, 1)), share * speed)
         for w, e in errors.items()
     ]
-    return max(verdicts, key=lambda v: float(np.sum(v.recorded**2)) / max(float(np.sum(v.derived**2)), 1e-300))
+    return max(verdicts, key=lambda v: float(np.sum(v.recorded**2) / max(np.sum(v.derived**2) + v.least**2, 1e-300)))
