@@ -22,7 +22,7 @@ from manip_learn.recordings.trajectory_source import TrajectorySource
 
 ONE = orthonormal_rows(np.array([[0.5, 1.0, -0.4]]))
 TWO = orthonormal_rows(np.array([[1.0, 0.2, 0.3], [-0.3, 0.9, 0.2]]))
-HELD = {"n_constraints": 2, "estimator": "null-space"}
+HELD = {"velocities": "recorded", "n_constraints": 2, "estimator": "null-space"}
 JOINT = {"n_constraints": 1, "estimator": "joint", "policy_model": "affine"}
 
 
