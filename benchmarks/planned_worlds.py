@@ -35,7 +35,7 @@ from manip_learn.planning.joint_path import joint_path
 from manip_learn.planning.plan import FOLLOWING, SPARE, PathPolicy
 from manip_learn.planning.search import marches_of
 from manip_learn.planning.stations import Stations
-from manip_learn.planning.surroundings import Surroundings, assumed, hand_of
+from manip_learn.planning.surroundings import Surroundings, hand_of, surroundings_of
 
 TIPS = FLANGES | {"sawyer": "right_gripper_tip"}  # whose shapes have a gripper: its flange is behind that
 KINDS = ("drawer", "door", "wipe", "drawer", "door", "wipe", "drawer", "door", "wipe", "drawer")
@@ -370,20 +370,17 @@ def exhaustive(one: World, scene: ml.Scene | str | None, seed: int) -> dict[str,
         motion = motion.slowed(SPARE * (1.0 - margin))
         stations = Stations.of(motion, one.start, limits)
         marches = marches_of(stations, rows, one.start, EXHAUSTIVE, rng, stations.grasp[None])
-    if isinstance(scene, ml.Scene):
-        hand = hand_of(robot, frame)
-        around = Surroundings(scene.obstacles(robot, hand)).for_hand(robot, hand)
-    else:
-        around = assumed(robot, frame, stations, one.constraint.mechanism, True) if scene else Surroundings()
+    given = scene if isinstance(scene, ml.Scene) else None
+    around = surroundings_of(given, robot, frame, stations, one.constraint.mechanism) if scene else Surroundings()
     clear, whole = Clearance(robot, True, around, one.start), np.flatnonzero(np.isfinite(marches.along[:, -1]))
     reached = int(marches.reached)
     counts: dict[str, Any] = {"postures": int(np.isfinite(marches.least[:, 0]).sum()), "whole": len(whole)}
     counts |= {"clear": 0, "reached": 0, "share": max(reached, 0) / (len(stations) - 1)}
+    holding = clear.holding(marches.q[whole, 0])
     for march in whole[np.argsort(-marches.along[whole, -1])].tolist():
         if time.process_time() - began > EXHAUSTIVE_SECONDS:
             return counts | {"found": None}
         path = marches.q[march]
-        holding = clear.holding(path[0])
         if not holding.of_way(path):
             continue
         counts["clear"] += 1

@@ -190,13 +190,25 @@ class UnknownNameError(ManipLearnError):
 
     code = "unknown-name"
 
-    def __init__(self, kind: str, name: str, known: Iterable[str], where: str = "", more: str = ""):
-        names = sorted({str(n) for n in known})
+    def __init__(
+        self,
+        kind: str,
+        name: str,
+        known: Iterable[str],
+        where: str = "",
+        more: str = "",
+        others: Iterable[str] = (),
+    ):
+        """An error about a name; `others` are names that look alike and are known to be of another thing."""
+        names, unlike = sorted({str(n) for n in known}), [str(n) for n in others]
         self.kind = kind
         self.name = str(name)
-        self.near = tuple(closest_names(self.name, names))
+        self.near = () if unlike else tuple(closest_names(self.name, names))
         place = f" in {where}" if where else ""
-        if self.near:
+        if unlike:
+            thing = "arm" if kind == "robot" else kind
+            hint = f"{listed(map(repr, unlike))} {'is' if len(unlike) == 1 else 'are'} not the same {thing}"
+        elif self.near:
             hint = f"did you mean {', '.join(repr(n) for n in self.near)}?"
         elif names:
             shown = ", ".join(repr(n) for n in names[:12])

@@ -276,7 +276,7 @@ def test_robots_and_version(run):
     assert (code, err) == (0, "")
     listed = {r["name"]: r for r in answer["robots"]}
     assert listed["planar3"]["joints"] == ["joint1", "joint2", "joint3"]
-    assert [r["name"] for r in answer["robots"][:2]] == ["planar3", "sawyer"]
+    assert [r["name"] for r in answer["robots"][:5]] == ["fr3", "planar3", "sawyer", "ur10e", "ur5e"]
     code, out, err = run("robots")
     assert code == 0 and "sawyer" in out and "7 joints" in out
     code, out, err = run("--version")

@@ -101,7 +101,11 @@ FORMATS: dict[str, tuple[Callable[[], str], list[str], str]] = {
     "position.<joint>": (position_joint, [], "'position.{joint}' and 'velocity.{joint}'"),
     "q[i], dq[i]": (bracketed, ["--columns", "q[{index}]", "--columns", "dq[{index}]"], "q[0] as joint1"),
     "q1 .. q7": (numbered, ["--columns", "q{index}"], "q3 as joint3"),
-    "pandas": (pandas_dump, ["--columns", "{joint}"], "columns not used: column 1 (row numbers), gripper_width, label"),
+    "pandas": (
+        pandas_dump,
+        ["--columns", "{joint}"],
+        "not used: column 1 (without a name), gripper_width, label",
+    ),
     "pandas, milliseconds": (pandas_milliseconds, [], "'time_ms', in milliseconds"),
 }
 WITH_VELOCITY = ("PlotJuggler", "position.<joint>", "q[i], dq[i]")

@@ -76,7 +76,7 @@ def test_without_the_data_package(monkeypatch):
         with pytest.raises(MissingExtraError, match=r"manip_learn\[robots\]"):
             find_robot("panda")
         assert load_robot("planar3").nv == 3
-        assert robot_names() == ("planar3", "sawyer")
+        assert robot_names() == ("fr3", "planar3", "sawyer", "ur10e", "ur5e")
     finally:
         monkeypatch.undo()
         example_robots.cache_clear()

@@ -33,6 +33,7 @@ from manip_learn.control.policies import (
     ZeroPolicy,
 )
 from manip_learn.errors import ConstraintError
+from manip_learn.planning.clearance import links_of
 
 built = pytest.mark.skipif(
     importlib.util.find_spec("manip_learn_fast") is None,
@@ -123,7 +124,7 @@ def policy_of(rows: ml.Constraint, robot: ml.Robot, rng: np.random.Generator) ->
 
 
 def limits_of(robot: ml.Robot, frame: str, rng: np.random.Generator) -> ml.Limits | bool:
-    """None, the robot's own, without acceleration limits, and those of the hand."""
+    """None, the robot's own, without acceleration limits, those of the hand, and what the links keep clear of."""
     kind = int(rng.integers(6))
     if kind == 0:
         return False
@@ -133,6 +134,11 @@ def limits_of(robot: ml.Robot, frame: str, rng: np.random.Generator) -> ml.Limit
         place = robot.position(robot.random_configuration(rng), frame)
         walls = [[*rng.normal(size=3), 0.3], [0.0, 0.0, -1.0, -float(place[2]) + 0.05]]
         return ml.Limits(robot, tip_speed=0.2, tip_walls=walls, frames=frame)
+    if kind == 3:
+        place = robot.position(robot.random_configuration(rng), frame)
+        ball = ml.Scene(spheres=[ml.Sphere(0.1, place, "ball")]).obstacles(robot)
+        # from a ball alone distances have no kinks, at which rounding decides about a gradient
+        return ml.Limits(robot, clear_of=links_of(robot)[0].with_obstacles(ball, own=False))
     return True
 
 

@@ -53,10 +53,10 @@ def test_memory_order_does_not_matter(planar3: Robot, tmp_path: Path) -> None:
 
 
 def test_arrays_under_other_names(planar3: Robot, tmp_path: Path) -> None:
-    """rename reads them; the refusal without it names what is there."""
-    np.savez(tmp_path / "a.npz", t=TIME, qpos=Q)
-    assert refusal(tmp_path / "a.npz", planar3, match="'qpos'").code == "missing-array"
-    demos = load_demonstrations(tmp_path / "a.npz", planar3, rename={"t": "time", "qpos": "q"}, joint_names=JOINTS)
+    """Known words are read as they are; rename reads others, and the refusal without it says how."""
+    np.savez(tmp_path / "a.npz", t=TIME, measured=Q)
+    assert refusal(tmp_path / "a.npz", planar3, match="rename={'measured': 'q'}").code == "missing-array"
+    demos = load_demonstrations(tmp_path / "a.npz", planar3, rename={"t": "time", "measured": "q"}, joint_names=JOINTS)
     np.testing.assert_array_equal(demos[0].q, Q)
 
 

@@ -155,11 +155,11 @@ def test_data_that_do_not_fit_are_refused(planar3: Robot) -> None:
 
 
 def test_other_hdf5_files_are_named_as_such(planar3: Robot, tmp_path: Path) -> None:
-    """HDF5 without data/demo_N, or without observations, says what is there or what to do."""
+    """HDF5 of another layout is read by the names of its arrays; without any of positions it says what is there."""
     with h5py.File(tmp_path / "a.hdf5", "w") as file:
         file["images"] = np.zeros(3)
     error = refusal(tmp_path / "a.hdf5", planar3)
-    assert error.code == "not-robomimic" and "images" in str(error)
+    assert error.code == "missing-array" and "images" in str(error)
     with h5py.File(tmp_path / "b.hdf5", "w") as file:
         file["data/demo_0/states"] = np.zeros((5, 3))
         file["data"].attrs["env_args"] = ENV_ARGS
@@ -167,4 +167,4 @@ def test_other_hdf5_files_are_named_as_such(planar3: Robot, tmp_path: Path) -> N
     assert error.code == "no-state" and "dataset_states_to_obs" in str(error)
     with h5py.File(tmp_path / "c.hdf5", "w") as file:
         file["data/episode"] = np.zeros((5, 3))
-    assert refusal(tmp_path / "c.hdf5", planar3).code == "not-robomimic"
+    assert refusal(tmp_path / "c.hdf5", planar3).code == "missing-array"

@@ -7,6 +7,7 @@ from concurrent.futures import ThreadPoolExecutor
 
 import numpy as np
 import pytest
+import trimesh
 from conftest import chain_urdf
 from test_gradients import central_difference
 
@@ -92,6 +93,37 @@ def test_which_pairs_count(robot_of, collision_of):
     assert frozenset(("panda_link2", "panda_link4")) not in pairs  # a knee that cannot close that far
     for name in SHAPES:
         assert collision_of(name).nearest(robot_of(name).neutral()).distance > 0.0
+
+
+def test_a_mesh_that_is_not_convex(tmp_path):
+    """A ball between the legs of a U is within its hull; by its triangles it is as far away as from the nearest leg."""
+    legs = [
+        ((0.1, 0.8, 0.2), (0.75, 0.0, 0.0)),
+        ((0.5, 0.1, 0.2), (0.45, 0.45, 0.0)),
+        ((0.5, 0.1, 0.2), (0.45, -0.45, 0.0)),
+    ]
+    boxes = [trimesh.creation.box(size, trimesh.transformations.translation_matrix(at)) for size, at in legs]
+    trimesh.util.concatenate(boxes).export(tmp_path / "u.stl")
+    text = chain_urdf(
+        "hook", [("revolute", "0 0 1", "0 0 0", "0 0 0")] + [("revolute", "0 0 1", "0.3 0 0", "0 0 0")] * 2
+    )
+    mesh, ball = '<mesh filename="u.stl"/>', '<sphere radius="0.05"/>'
+    for link, kind in (("base", mesh), ("link2", ball)):
+        text = text.replace(f'<link name="{link}">', f'<link name="{link}">{shape(kind).replace("0.1 0 0", "0 0 0")}')
+    (tmp_path / "hook.urdf").write_text(text, encoding="utf-8")
+    robot, rng = load_robot(tmp_path / "hook.urdf"), np.random.default_rng(8)
+    hulls, meshes = SelfCollision(robot, free=[2.0, 0.5, 0.5]), SelfCollision(robot, free=[2.0, 0.5, 0.5], hulls=False)
+    between = 0
+    for _ in range(200):
+        q = robot.random_configuration(rng)
+        place = robot.position(q, "link2")
+        away = (np.abs(place - np.array(at)) - 0.5 * np.array(size) for size, at in legs)
+        expected = min(np.linalg.norm(np.maximum(d, 0.0)) + min(d.max(), 0.0) for d in away) - 0.05
+        if expected > 1e-4:
+            assert meshes.nearest(q).distance == pytest.approx(expected, abs=1e-6)
+            between += bool(hulls.nearest(q).distance < 0.0)
+        assert meshes.is_clear(q, 0.02) is bool(expected > 0.02) or abs(expected - 0.02) < 1e-6
+    assert between > 20
 
 
 def test_mimic_joints_and_threads(robot_of, collision_of):

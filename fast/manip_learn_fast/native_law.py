@@ -44,7 +44,10 @@ class NativeLaw:
         described = description(law, limits)
         self._unknown = tuple(described[part] is None for part in ("rows", "task", "policy"))
         self._engine = Engine(described, Command, list(Status))
-        self.step: Callable[..., Command | None] = _left_to_python if any(self._unknown) else self._engine.step
+        tip = None if limits is None else limits.tip
+        self._clears = None if tip is None or tip.clear is None else tip
+        self._whole = not any(self._unknown) and self._clears is None
+        self.step: Callable[..., Command | None] = self._engine.step if self._whole else _left_to_python
 
     def command(self, q: np.ndarray, t: float, dt: float, previous: np.ndarray | None, slide: float) -> Command | None:
         """As `Law.command`, q checked; None where that has to do it."""
@@ -60,7 +63,10 @@ class NativeLaw:
             b, E = plain(b), None if E is None else plain(E, np.float64)
         if policy:
             w = plain(law.policy_velocity(q, t, dt))
-        return self._engine.command(plain(x), dt, previous, slide, b, E, D, w, A, rates)
+        clear = None
+        if self._clears is not None and self._limits is not None:
+            clear = self._clears.clear_at(q, dt, self._limits.acceleration, previous)
+        return self._engine.command(plain(x), dt, previous, slide, b, E, D, w, A, rates, clear)
 
     def rollouts(
         self, controller: ResolvedRateController, starts: np.ndarray, dt: float, steps: int, progress: Progress | None
@@ -77,7 +83,7 @@ class NativeLaw:
         from manip_learn.control.simulation import guided  # which asks for this module
 
         (k, n), robot, limits, law = starts.shape, controller.robot, self._limits, self._law
-        left = any(self._unknown) or limits is None or limits.jerk is not None or law.inverse != "damped"
+        left = not self._whole or limits is None or limits.jerk is not None or law.inverse != "damped"
         if left or robot is None or n != robot.nv or not robot.positions_add_up:
             return (None,) * k
         cores = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1

@@ -8,7 +8,7 @@
 constexpr double HELD = 0.1, ACROSS = 1e-4, ALONG = 3e-3, ESCAPE_WIDTH = 0.6, ESCAPE_SPEED = 0.2, SEED_SHARE = 6e-4;
 constexpr double ASIDE = 1e-3, STABLE_SLOPE = 0.5, AT_GOAL = 1e-6, SLIDING_AFTER = 0.5, KEEPING_AFTER = 1.0, GOING_ON = 0.5;
 constexpr double ROUNDING = 1e-9, STALLED_BELOW = 0.02, SCALED_BELOW = 0.999;
-constexpr int LAW_VERSION = 1;  // as in engine.py: it grows whenever a number of the law changes
+constexpr int LAW_VERSION = 2;  // as in engine.py: it grows whenever a number of the law changes
 // in the order of `Status`
 enum Status { OUTSIDE_LIMITS = 4, SINGULAR, STALLED, POSITION_LIMITED, VELOCITY_LIMITED, ACCELERATION_LIMITED, DAMPED,
               REROUTED, NULL_SCALED, OK };
@@ -86,6 +86,7 @@ struct Given {
   const double *A = nullptr, *b = nullptr, *E = nullptr, *D = nullptr, *w = nullptr;
   int driven = 0;
   const Vjp* rates = nullptr;
+  const Cuts* clear = nullptr;
 };
 
 struct Outcome {
@@ -165,20 +166,21 @@ struct Law {
     for (int j = 0; j < n; j++)
       if (!std::isfinite(wish[j])) return false;
     out.joint = -1, out.outside = 0.0, out.task_scale = out.null_scale = 1.0;
+    bool has_tip = limits.has_tip || given.clear;
     bool lost = is_lost(R, out), weak = damped && out.near && out.smallest < threshold;
     if (!limits.given) return as_wished(R, wish, lost, weak, out);
     bool far = !previous && limits.far(q, approach, wish);
     bool closer = approaches(ws, R, wish, dt, *vjp, svd_of_A, out.smallest);
     bool fast = previous && may_leave(R, std::max(dot(wish, wish, n), dot(previous, previous, n)));
-    if (far && !closer && !limits.has_tip) return as_wished(R, wish, lost, weak, out);
+    if (far && !closer && !has_tip) return as_wished(R, wish, lost, weak, out);
     limits.bounds(q, dt, approach, previous, ws.bounds);
     out.outside = ws.bounds.outside, ws.barrier.number = 0;
     double bound = closer ? approach_bound(out.smallest, ws.slope, limits.acceleration.data(), n, dt) : INF;
     if (bound < INF) ws.barrier.append(ws.slope, -bound, n);
     bool fits_all = !ws.barrier.number || dot(ws.slope, wish, n) >= -bound, near_wall = false;
     int tip_cause = -1, own_rows = ws.barrier.number;
-    if (limits.has_tip) {
-      limits.tip.at(q, n, dt, limits.acceleration.data(), previous, ws.tips);
+    if (has_tip) {
+      limits.tip.at(q, n, dt, limits.acceleration.data(), previous, ws.tips), ws.tips.clear = given.clear;
       if (limits.tip.rows(ws.tips, wish, n, 0.0, ws.barrier, &near_wall))
         fits_all = false, tip_cause = near_wall ? POSITION : VELOCITY;
       ws.barrier.number = own_rows;
@@ -214,7 +216,7 @@ struct Law {
     }
     if (fits_all) return ws.bounds.clip(asked, n, asked), as_wished(R, asked, lost, weak, out);
     metric(ws, R, D, driven, b, lambda, dt, slide);
-    if (!within(ws, wish, out.velocity)) return false;
+    if (!within(ws, wish, has_tip, out.velocity)) return false;
     return bounded(ws, R, basis, rank, asked, tip_cause, lost, weak, out);
   }
 
@@ -352,15 +354,16 @@ struct Law {
   }
 
   // the solution of the program, with the rows of frames that it needs
-  bool within(Workspace& ws, const double* wish, double* u) const {
+  bool within(Workspace& ws, const double* wish, bool has_tip, double* u) const {
     bool found = false;
-    if (limits.has_tip) {
+    if (has_tip) {
       std::copy(wish, wish + n, u);
       for (int round = 0; round < MOST_ROWS; round++) {
         bool broken = limits.tip.rows(ws.tips, u, n, ROUNDED, ws.barrier);
         if (!broken && found) break;
         if (ws.barrier.number == MAX_ROWS) return false;
-        nearest_within(ws.program, wish, ws.bounds, ws.barrier.number ? &ws.barrier : nullptr, u), found = true;
+        found = true;
+        if (!nearest_within(ws.program, wish, ws.bounds, ws.barrier.number ? &ws.barrier : nullptr, u)) break;
       }
     } else {
       nearest_within(ws.program, wish, ws.bounds, ws.barrier.number ? &ws.barrier : nullptr, u);

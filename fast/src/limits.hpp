@@ -84,6 +84,9 @@ struct Bounds {
   }
 };
 
+// rows by which Python keeps pairs apart that a velocity would bring too near
+using Cuts = std::function<void(const double* u, Barrier& rows)>;
+
 // The limits of frames, see TipLimits, and the frames at one posture
 struct TipLimits {
   std::vector<Chain> frames;
@@ -93,6 +96,7 @@ struct TipLimits {
   struct At {
     std::vector<double> jacobians;  // each (3 x nv)
     Barrier walls;
+    const Cuts* clear = nullptr;
   };
 
   void at(const double* q, int n, double dt, const double* acceleration, const double* previous, At& out) const {
@@ -125,6 +129,10 @@ struct TipLimits {
         broken = true, rows.append(tips.walls.G + w * n, tips.walls.least[w], n);
         if (near) *near = true;
       }
+    if (int before = rows.number; tips.clear && ((*tips.clear)(u, rows), rows.number > before)) {
+      broken = true;
+      if (near) *near = true;
+    }
     for (size_t f = 0; f < frames.size(); f++) {
       const double* J = &tips.jacobians[f * 3 * n];
       double v[3], row[MAX];

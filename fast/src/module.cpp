@@ -139,7 +139,7 @@ class Engine {
 
   // None where Python has to do the step: input that is none, or a case that the engine leaves to it
   nb::object command(nb::handle q, double dt, nb::handle previous, double slide, nb::handle b, nb::handle E, nb::handle D,
-                     nb::handle w, nb::handle A, nb::handle rates) {
+                     nb::handle w, nb::handle A, nb::handle rates, nb::handle clear) {
     int n = law.n, s = law.s;
     const double *posture = numbers_of(q, n, 1), *before = numbers_of(previous, n, 1);
     if (!posture || (!previous.is_none() && !before)) return nb::none();
@@ -165,6 +165,16 @@ class Engine {
       std::copy(gradient, gradient + n, out);
     };
     if (!law.known) given.rates = &callback;
+    Cuts cuts = [&clear, n](const double* u, Barrier& rows) {
+      nb::object answer = clear(nb::steal(array_of(u, n)));
+      if (answer.is_none()) return;
+      nb::object G = answer[0], bound = answer[1];
+      npy_intp number = PyArray_Check(bound.ptr()) ? PyArray_SIZE((PyArrayObject*)bound.ptr()) : 0;
+      const double *g = numbers_of(G, number * n), *least = numbers_of(bound, number);
+      if (!g || !least) throw nb::value_error("rows of another size");
+      for (npy_intp r = 0; r < number; r++) rows.append(g + r * n, least[r], n);
+    };
+    if (!clear.is_none()) given.clear = &cuts;
     if (law.limits.given) prepare(dt);
     auto approaches = approach;
     Lease lease;
@@ -254,7 +264,7 @@ NB_MODULE(_engine, m) {
   nb::class_<Engine>(m, "Engine")
       .def(nb::init<const nb::dict&, nb::object, nb::list>())
       .def("command", &Engine::command, nb::arg().none(), nb::arg(), nb::arg().none(), nb::arg(), nb::arg().none(),
-           nb::arg().none(), nb::arg().none(), nb::arg().none(), nb::arg().none(), nb::arg().none())
+           nb::arg().none(), nb::arg().none(), nb::arg().none(), nb::arg().none(), nb::arg().none(), nb::arg().none())
       .def("step", &Engine::step, nb::arg().none(), nb::arg(), nb::arg().none(), nb::arg())
       .def("roll", &Engine::roll);
 }

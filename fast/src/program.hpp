@@ -165,8 +165,9 @@ struct Program {
 };
 
 // as `nearest_within`: rows give way to bounds
-inline void nearest_within(Program& program, const double* wish, const Bounds& bounds, const Barrier* rows, double* u) {
+inline bool nearest_within(Program& program, const double* wish, const Bounds& bounds, const Barrier* rows, double* u) {
   bool found = program.solve(wish, bounds, rows, u);
-  if (!found && rows) found = program.solve(wish, bounds, nullptr, u);
-  bounds.clip(found ? u : wish, program.n, u);
+  bool any = found || (rows && program.solve(wish, bounds, nullptr, u));
+  bounds.clip(any ? u : wish, program.n, u);
+  return found;
 }

@@ -122,7 +122,9 @@ class ReadingOptions:
     units: Annotated[str | None, Option(help="Unit of the recorded angles: radians, degrees or normalised.")] = None
     time_unit: Annotated[str | None, Option(help="Unit of the time stamps: s, ms, us or ns.")] = None
     ignore_column: Annotated[list[str] | None, Option(help="Column to ignore; repeatable.")] = None
-    rename: Annotated[list[str] | None, Option(help="NAME_IN_FILE=NAME_IN_ROBOT of a joint.")] = None
+    rename: Annotated[
+        list[str] | None, Option(help="NAME_IN_FILE=NAME_IN_ROBOT; 'left_{joint}' or 'q{index}' of all joints.")
+    ] = None
     columns: Annotated[
         list[str] | None,
         Option(help="Pattern of the columns, 'position.{joint}' or 'q[{index}]'; given twice: velocities."),
@@ -145,7 +147,11 @@ class ReadingOptions:
 
     def keywords(self) -> dict[str, Any]:
         """Keywords of `load_demonstrations`; what was not given is left out."""
-        pairs = [pair("--rename", "NAME_IN_FILE=NAME_IN_ROBOT", text, unnamed=True) for text in self.rename or ()]
+        form = "NAME_IN_FILE=NAME_IN_ROBOT, or a pattern such as 'left_{joint}'"
+        pairs = [
+            (text, "{joint}") if "{" in text and "=" not in text else pair("--rename", form, text, unnamed=True)
+            for text in self.rename or ()
+        ]
         own = {"ignore_column": "ignore_columns", "topic": "topics"}  # what the flags are called there
         given = {own.get(name, name): value for name, value in vars(self).items()} | {
             "degrees": self.degrees or None,

@@ -354,18 +354,24 @@ def print_robots(console: Console, listed: KnownRobots) -> None:
 
 
 def print_robot(console: Console, inspected: Inspected) -> None:
-    """Joints, frames and warnings."""
+    """What one must know before learning: the tip, the joints that move it, what is odd; then numbers and frames."""
     summary = inspected.summary
     console.print(Text.assemble(text(summary.name, "bold"), f": nq {summary.nq}, nv {summary.nv}"), highlight=False)
     if summary.source is not None:
         say(console, str(summary.source), style="dim", whole=True)
+    say(console, f"likely tips: {', '.join(summary.tips) or 'none'}")
+    if summary.moving_tip and len(summary.moving_tip) < len(summary.joints):
+        others = [j.name for j in summary.joints if j.name not in summary.moving_tip]
+        say(console, f"moving {summary.tips[0]}: {', '.join(summary.moving_tip)}; not: {', '.join(others)}")
+    unlimited = [j.name for j in summary.joints if not math.isfinite(j.upper - j.lower)]
+    say(console, *([f"without position limits: {', '.join(unlimited)}"] if unlimited else []))
+    say(console, *(f"warning: {warning}" for warning in summary.warnings), style="yellow")
     rows = [(j.name, j.kind, _limit(j.lower), _limit(j.upper), _limit(j.velocity), j.unit) for j in summary.joints]
     header = ("joint", "kind", "lower", "upper", "velocity", "unit")
     console.print(table_of(header, rows, left=(0, 1, 5), header_style="bold"))
     say(console, *(f"mimic: {m.joint} = {m.multiplier:g} {m.leader} + {m.offset:g}" for m in summary.mimics))
     say(console, *(f"locked: {name} at {position:g}" for name, position in summary.locked.items()))
-    say(console, f"likely tips: {', '.join(summary.tips) or 'none'}", f"frames: {', '.join(summary.frames)}")
-    say(console, *(f"warning: {warning}" for warning in summary.warnings), style="yellow")
+    say(console, f"frames: {', '.join(summary.frames)}")
 
 
 def print_cross_check(console: Console, inspected: Inspected) -> None:

@@ -17,7 +17,7 @@ from manip_learn.constraint.constraint import Constraint
 from manip_learn.constraint.features.feature_map import Vjp
 from manip_learn.constraint.manipulability import SINGULAR_RATIO, smallest_gradient
 from manip_learn.constraint.small_matrices import row_inverse, svd
-from manip_learn.control.command import ACCELERATION, POSITION, VELOCITY, Command
+from manip_learn.control.command import ACCELERATION, Command
 from manip_learn.control.desired import AT_GOAL, Desired
 from manip_learn.control.limits import FINE, Barrier, Bounds, Limits, approach_bound
 from manip_learn.control.policies import SEED_SPEED, ManipulabilityAscent, NullSpacePolicy, SampledPolicy
@@ -280,8 +280,8 @@ class Law:
         tips = None if tip is None else tip.at(q, dt, limits.acceleration, previous)
         fits = barrier is None or float(slope.dot(wish)) >= barrier[1][0]  # type: ignore[union-attr]
         cause = -1
-        if tip is not None and tips is not None and tip.rows(tips, wish) is not None:
-            fits, cause = False, POSITION if np.any(tips.too_near(wish)) else VELOCITY
+        if tip is not None and tips is not None and (broken := tip.rows(tips, wish)) is not None:
+            fits, cause = False, broken[1]
         fits = fits and bounds.excess(wish) <= FINE
         if fits and not fast:
             return law.as_wished(bounds.nearest(wish), bounds.outside)

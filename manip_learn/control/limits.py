@@ -9,11 +9,13 @@ from operator import le, neg, sub, truediv
 from typing import NamedTuple, final
 
 import numpy as np
-from jaxtyping import Bool, Float
+from jaxtyping import Float
 from numpy.typing import ArrayLike
 
 from manip_learn.control.command import ACCELERATION, POSITION, VELOCITY
+from manip_learn.control.keeping_clear import CLEARANCE, Barrier, KeptClear, Standing
 from manip_learn.errors import ConfigurationError, TargetError
+from manip_learn.robot.collision import SelfCollision
 from manip_learn.robot.robot import Robot
 from manip_learn.robot.tips import default_tip
 
@@ -34,10 +36,10 @@ BRAKING_SHARE = 0.5  # of the joints' acceleration that braking before a wall us
 CROSSING_SPEED = 5e-4  # [rad/s] speed at which a singularity may be crossed
 ROUNDED = 1e-12  # [m/s] by how much the solution of a program may approach a wall too fast: rounding of a speed of 1
 FASTEST = 1e6  # [rad/s or m/s] speed of a joint without a velocity limit: braking distances stay finite
+GIVEN_UP = 1e-6  # [m/s] by which a solution breaks its rows where these are left out
 MOST_ROWS = 12  # rounds in which a speed was too large; in practice one to four
 # [rad or m] no joint is farther beyond its limits than encoders count a turn too much, and none without is so far away
 TURN, LARGEST_POSITION = 2.0 * math.pi, 1e6
-Barrier = tuple[Float[np.ndarray, "r nv"], Float[np.ndarray, " r"]]  # (G, least): rows G u >= least
 
 
 def approach_rate(
@@ -89,15 +91,13 @@ class Tips(NamedTuple):
         jacobians: Of the frames' origins, each (3, nv) [m].
         G: shape (w, nv), minus the rate at which each frame approaches each wall, per unit of joint velocity.
         least: shape (w,) [m/s], minus the rates that are allowed.
+        clear: u -> rows that keep apart what u would bring too near; None where nothing is kept clear of.
     """
 
     jacobians: list[Float[np.ndarray, "3 nv"]]
     G: Float[np.ndarray, "w nv"]
     least: Float[np.ndarray, " w"]
-
-    def too_near(self, u: Float[np.ndarray, " nv"]) -> Bool[np.ndarray, " w"]:
-        """Which walls the velocity u approaches too fast."""
-        return self.G.dot(u) < self.least
+    clear: Callable[[Float[np.ndarray, " nv"]], Barrier | None] | None = None
 
 
 @final
@@ -122,18 +122,27 @@ class TipLimits:
         UnknownNameError: No such frame.
     """
 
-    def __init__(self, robot: Robot, speed: float | None, walls: ArrayLike, frames: str | Sequence[str] | None = None):
+    def __init__(
+        self,
+        robot: Robot,
+        speed: float | None,
+        walls: ArrayLike,
+        frames: str | Sequence[str] | None = None,
+        clear: KeptClear | None = None,
+    ):
         if speed is not None and not (isinstance(speed, int | float) and 0.0 < speed < math.inf):
             raise ConfigurationError(f"tip_speed must be a positive number of metres per second, got {speed!r}")
         rows = np.array(walls, dtype=np.float64).reshape(-1, 4)
         lengths = np.linalg.norm(rows[:, :3], axis=1)
         if not (np.all(np.isfinite(rows)) and np.all(lengths > 0.0)):
             raise ConfigurationError(f"walls must be rows (nx, ny, nz, d) with n^T p <= d, got {rows.tolist()}")
-        names = (default_tip(robot),) if frames is None else (frames,) if isinstance(frames, str) else tuple(frames)
+        if frames is None:
+            frames = () if speed is None and not len(rows) else default_tip(robot)
+        names = (frames,) if isinstance(frames, str) else tuple(frames)
         self.speed = math.inf if speed is None else float(speed)
         self.frames = tuple(robot.frame(name) for name in names)
         self.walls = rows / lengths[:, None]
-        self._robot = robot
+        self.clear, self._robot = clear, robot
 
     def at(
         self,
@@ -150,9 +159,12 @@ class TipLimits:
             acceleration: Of the joints [rad/s2 or m/s2].
             previous: Velocity commanded in the step before [rad/s or m/s]; None bounds no acceleration.
         """
-        jacobians = [self._robot.jacobian(q, frame)[:3] for frame in self.frames]
+        jacobians, clear = (
+            [self._robot.jacobian(q, frame)[:3] for frame in self.frames],
+            self.clear_at(q, dt, acceleration, previous),
+        )
         if not self.walls.size:
-            return Tips(jacobians, np.empty((0, self._robot.nv)), np.empty(0))
+            return Tips(jacobians, np.empty((0, self._robot.nv)), np.empty(0), clear)
         normals, offsets = self.walls[:, :3], self.walls[:, 3]
         G = np.vstack([normals.dot(J) for J in jacobians])
         left = np.concatenate([offsets - normals.dot(self._robot.position(q, frame)) for frame in self.frames])
@@ -160,10 +172,40 @@ class TipLimits:
         least = -np.array([approach_rate(x, g, acceleration, dt) for x, g in zip(left.tolist(), G, strict=True)])
         if previous is not None:
             least = np.minimum(least, BRAKING_SHARE * dt * np.abs(G).dot(acceleration) - G.dot(previous))
-        return Tips(jacobians, -G, least)
+        return Tips(jacobians, -G, least, clear)
 
-    def rows(self, tips: Tips, u: Float[np.ndarray, " nv"], slack: float = 0.0) -> Barrier | None:
-        """What the velocity u breaks: tangents where a frame is too fast, and walls; None where nothing.
+    def clear_at(
+        self,
+        q: Float[np.ndarray, " n"],
+        dt: float,
+        acceleration: Float[np.ndarray, " nv"],
+        previous: Float[np.ndarray, " nv"] | None,
+    ) -> Callable[[Float[np.ndarray, " nv"]], Barrier | None] | None:
+        """`Tips.clear`: pairs stay clear in the next step, and where the arm stops when it brakes along u from then on.
+
+        Braking takes BRAKING_SHARE of the acceleration, and ends exponentially as everywhere. Arguments as for `at`.
+        """
+        clear = self.clear
+        if clear is None:
+            return None
+        least, still = 1.0 / min(APPROACH_RATE, 0.5 / dt), np.zeros(self._robot.nv)
+        reach = math.inf if previous is None else dt * acceleration
+        before = still if previous is None else previous
+
+        def rows(u: Float[np.ndarray, " nv"]) -> Barrier | None:
+            u = np.clip(u, before - reach, before + reach)
+            times, slope = 0.5 / BRAKING_SHARE * np.abs(u) / acceleration, still.copy()
+            slowest = int(np.argmax(times))
+            if times[slowest] > least:
+                slope[slowest] = times[slowest] / u[slowest]
+            return clear.rows(q, u, dt, max(least, float(times[slowest])), slope)
+
+        return rows
+
+    def rows(self, tips: Tips, u: Float[np.ndarray, " nv"], slack: float = 0.0) -> tuple[Barrier, int] | None:
+        """What the velocity u breaks, and its cause: walls, pairs that come near, tangents where a frame is too fast.
+
+        None where it breaks nothing.
 
         Args:
             tips: At this posture.
@@ -172,17 +214,20 @@ class TipLimits:
         """
         broken = tips.G.dot(u) < tips.least - slack
         rows, least = list(tips.G[broken]), tips.least[broken].tolist()
+        if tips.clear is not None and (near := tips.clear(u)) is not None:
+            rows, least = [*rows, *near[0]], [*least, *near[1]]
+        cause = POSITION if rows else VELOCITY
         for J in tips.jacobians:
             v = J.dot(u)
             fast = math.sqrt(v.dot(v))
             if fast > self.speed:
                 rows.append((-v / fast).dot(J))
                 least.append(self.speed * (RESERVE - 1.0))
-        return (np.array(rows), np.array(least)) if rows else None
+        return ((np.array(rows), np.array(least)), cause) if rows else None
 
     def slowed(self, tips: Tips, u: Float[np.ndarray, " nv"]) -> Float[np.ndarray, " nv"]:
         """A velocity, slowed down as a whole to what is allowed; at rest where that is none."""
-        fastest = max(float(np.linalg.norm(J.dot(u))) for J in tips.jacobians)
+        fastest = max((float(np.linalg.norm(J.dot(u))) for J in tips.jacobians), default=0.0)
         rates, shares = tips.G.dot(u), [min(1.0, self.speed / max(fastest, 1e-300))]
         shares += [max(0.0, b) / r for r, b in zip((-rates).tolist(), (-tips.least).tolist(), strict=True) if r > b]
         return u * max(0.0, min(shares))
@@ -208,9 +253,11 @@ class TipLimits:
             if broken is None and found is not None:
                 break
             if broken is not None:
-                G, least = broken
-                barrier = broken if barrier is None else (np.vstack((barrier[0], G)), np.append(barrier[1], least))
+                G, least = broken[0]
+                barrier = broken[0] if barrier is None else (np.vstack((barrier[0], G)), np.append(barrier[1], least))
             u = found = solve(barrier)
+            if barrier is not None and np.any(barrier[0].dot(u) < barrier[1] - GIVEN_UP):
+                break  # there is no solution: bounds have precedence
         return solve(barrier) if found is None else found
 
 
@@ -424,6 +471,9 @@ class Limits:
             where there is none; None for no box.
         tip_walls: shape (w, 4), rows (n, d): the frames' origins p stay where n^T p <= d [m]; None for no walls.
         frames: Name or names of these frames; by default the robot's likeliest tip.
+        clear_of: What the links keep clear of, rows of the same program (see `KeptClear`): a `Scene`, and their own
+            pairs; or the pairs of a `SelfCollision`. None for nothing.
+        clearance: Distance that they keep [m]. Pairs that are nearer may part, and come no nearer.
 
     Attributes:
         tip: The limits of frames, or None.
@@ -452,6 +502,8 @@ class Limits:
         tip_box: ArrayLike | None = None,
         tip_walls: ArrayLike | None = None,
         frames: str | Sequence[str] | None = None,
+        clear_of: SelfCollision | Standing | None = None,
+        clearance: float = CLEARANCE,
     ):
         self.robot = robot
         names = robot.joint_names
@@ -464,8 +516,9 @@ class Limits:
         if not (math.isfinite(margin) and margin >= 0.0):
             raise ConfigurationError(f"margin must be a distance of at least 0, got {margin!r}")
         self.tip = None
-        if not (tip_speed is None and tip_box is None and tip_walls is None):
-            self.tip = TipLimits(robot, tip_speed, walls_of(tip_box, tip_walls), frames)
+        clear = None if clear_of is None else KeptClear(robot, clear_of, clearance)
+        if not (tip_speed is None and tip_box is None and tip_walls is None and clear is None):
+            self.tip = TipLimits(robot, tip_speed, walls_of(tip_box, tip_walls), frames, clear)
         self.position, self.margin = bool(position), float(margin)
         infinite = np.full(robot.nv, np.inf)
         self.lower = robot.position_lower + margin if position else -infinite

@@ -552,6 +552,22 @@ class ServoLoop:
         return self._slowed[1].bounds(q, late, None)
 
     def _command(self, q: np.ndarray, time: float, held: float) -> Command:
+        """The controller's command, within the limits and clear of what stands around; else the arm brakes.
+
+        Where it would come to rest if it braked was clear one step before.
+        """
+        command, tip = self._within_limits(q, time, held), self.limits.tip
+        clear = None if tip is None else tip.clear_at(q, held, self.limits.acceleration, self._velocity)
+        if tip is None or tip.clear is None or clear is None:
+            return command
+        if not tip.clear.was_clear(q, command.velocity) and clear(command.velocity) is not None:
+            status = min(command.status, Status.POSITION_LIMITED, key=tuple(Status).index)
+            command = command._replace(velocity=self._braking(held), status=status, limiting_joint=-1)
+        if command.limiting_joint < 0 and command.status in (Status.POSITION_LIMITED, Status.STALLED):
+            self.stopped_by = tip.clear.words() or self.stopped_by
+        return command
+
+    def _within_limits(self, q: np.ndarray, time: float, held: float) -> Command:
         """The controller's command, within the limits."""
         if self._keeps_limits:
             command = self.controller(q, time, held, self._velocity, self._slide)  # type: ignore[call-arg]
@@ -579,7 +595,12 @@ class ServoLoop:
 
     def _braked(self, status: Status, held: float | None = None) -> Command:
         """The arm brakes along the motion it was in, as hard as the acceleration limits allow in a time [s]."""
-        u, dt = self._velocity, self.dt if held is None else held
+        dt = self.dt if held is None else held
+        return self._beside_the_law(self._braking(dt), status, dt)
+
+    def _braking(self, dt: float) -> np.ndarray:
+        """The velocity with which the arm brakes for a time [s]."""
+        u = self._velocity
         hardest = float(np.max(np.abs(u) / (self.limits.acceleration * dt), initial=0.0))
         if np.all(np.isfinite(self.limits.acceleration)):
             u = u * max(0.0, 1.0 - 1.0 / hardest) if hardest > 0.0 else u
@@ -589,7 +610,7 @@ class ServoLoop:
             bounds = self._bounds(self._reference, dt)
             # slower towards a limit, but at rest outside one
             u = np.clip(u, np.minimum(bounds.low, 0.0), np.maximum(bounds.high, 0.0))
-        return self._beside_the_law(u, status, dt)
+        return u
 
     def _unloading(self, commanded: np.ndarray, measured: np.ndarray, held: float) -> Command:
         """The arm lets go of what blocks it: it goes slowly to where it was measured when that was found."""

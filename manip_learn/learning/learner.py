@@ -30,6 +30,7 @@ from manip_learn.learning.repeats import IndependentRecordings
 from manip_learn.learning.report import LearningReport, RecordingOverview, advise, build_report
 from manip_learn.learning.samples import check_fastest, check_motion
 from manip_learn.learning.skill import skill_of
+from manip_learn.learning.still_hand import refuse_still_hand
 from manip_learn.learning.uncertainty import uncertainty_of
 from manip_learn.linalg import one_thread
 from manip_learn.recordings.demonstrations import Demonstrations
@@ -233,6 +234,7 @@ class ConstraintLearner:
             )
             check_motion(recordings.demonstrations)
             check_fastest(demonstrations)
+            refuse_still_hand(self._feature_maps[0], demonstrations)
             demonstrations, every = few_of(demonstrations, self.most_samples)
             recordings = recordings.every(every)
             (everyone,) = unexplained(demonstrations, self._feature_maps).parts

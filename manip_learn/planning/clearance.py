@@ -10,7 +10,7 @@ from typing import Any, final
 import numpy as np
 from jaxtyping import Float
 
-from manip_learn.planning.surroundings import AWAY, BEHIND, FLOOR, FRONT, Surroundings
+from manip_learn.planning.surroundings import AWAY, BEHIND, FLOOR, LAST, Surroundings
 from manip_learn.robot.collision import Obstacle, Proximity, SelfCollision, known_shapes
 from manip_learn.robot.robot import Robot
 
@@ -19,9 +19,7 @@ from manip_learn.robot.robot import Robot
 CLEARANCE = 0.005
 ROUNDED = 1e-3  # [m] behind the hand that takes hold there is this much more room than it takes: it shakes a little
 DEEPER = 4  # times that what the hand is in is moved out of its way: its faces are met one after the other
-FARTHER = 0.1  # [m] by which a floor or a front that was assumed may be elsewhere: no handle stands out farther
 STEP = 0.02  # [rad or m] between checks: a hand at 0.25 m moves by the clearance
-LAST = 10**9  # a station behind all of them: the last one
 NEAR = 0.3  # [m] up to which a plan says how near it comes to what stands around: farther away nobody asks
 MOST_TRIANGLES = 10_000  # of all that stands around, in a rollout: 0.3 MB of text
 Posture = Float[np.ndarray, " nv"]
@@ -31,7 +29,7 @@ Posture = Float[np.ndarray, " nv"]
 def links_of(robot: Robot) -> tuple[SelfCollision, str]:
     """The links with their collision shapes, or else the drawn ones, or else capsules; and which of these."""
     shapes = known_shapes(robot)
-    return SelfCollision(robot, shapes=shapes), shapes
+    return SelfCollision(robot, shapes=shapes, hulls=False), shapes
 
 
 def self_collision(robot: Robot) -> SelfCollision | None:
@@ -49,7 +47,7 @@ class Clearance:
         links: The pairs of its links that must not touch; True for those of its shapes, False for none.
         around: What stands around, and where it is at each station of a way.
         start: A posture that counts as clear as it is: where it is nearer to something than the clearance, that is
-            taken. What was only assumed to stand around and touches there is left out.
+            taken. What was only assumed to stand around gives way where the arm is in it there.
 
     Attributes:
         least: The clearance [m]; of two things that are nearer at the start, half their distance there.
@@ -68,8 +66,7 @@ class Clearance:
             )
         self.links = found.with_obstacles(around.obstacles, self._own)
         self._start, self._around, self._behind = start, around, AWAY
-        if around.is_assumed:
-            self._make_room(self._pairs(start, 0, 0.0))
+        self._make_room(self._pairs(start, 0, 0.0))
         near = [pair for pair in self._pairs(start, 0, 2.0 * CLEARANCE) if pair.distance >= 0.0]
         self._near = {pair.links: 0.5 * pair.distance for pair in reversed(near)}
         self.least = min([CLEARANCE, *self._near.values()])
@@ -85,9 +82,9 @@ class Clearance:
         return [(p.first, p.second) for p in self.links.geometry.collisionPairs]
 
     @property
-    def shown(self) -> tuple[Obstacle, ...]:
-        """What a person would see of them."""
-        return self._around.shown
+    def around(self) -> Surroundings:
+        """What stands around, with room for the start."""
+        return self._around
 
     def plain(self, path: Iterable[tuple[Posture, int]]) -> tuple[dict[str, Any], ...]:
         """The same as plain data: whether it was assumed, whether it moves, and how near what link comes to it [m].
@@ -101,32 +98,54 @@ class Clearance:
                 if (known := nearest.get(pair.links[1])) is None or pair.distance < known.distance:
                     nearest[pair.links[1]] = pair
         now, later, out = self._around.at(0), self._around.at(LAST), list[dict[str, Any]]()
-        for o in self.shown:
+        for o in self._around.shown:
             moves = o.name in now and not np.allclose(now[o.name], later[o.name])
-            known = {"assumed": self._around.is_assumed, "moves": moves}
+            known = {"assumed": o.name in self._around.assumed, "moves": moves}
             if (pair := nearest.get(o.name)) is not None:
                 known |= {"nearest": pair.distance, "link": pair.links[0]}
-            out.append(o.to_dict(MOST_TRIANGLES // len(self.shown)) | known)
+            out.append(o.to_dict(MOST_TRIANGLES // len(self._around.shown)) | known)
         return tuple(out)
+
+    @property
+    def gives_way(self) -> bool:
+        """Whether something that the hand may touch was only assumed to be there."""
+        return not self._around.assumed.isdisjoint(self._around.held)
 
     @property
     def names(self) -> tuple[str, ...]:
         """What stands around, by its names."""
         return self._around.names
 
-    def holding(self, q: Posture) -> Clearance:
-        """This clearance for a hand that goes no deeper into what it may touch than here, or at the start."""
+    def holding(self, holds: Iterable[Posture]) -> Clearance:
+        """This clearance for a hand that goes no deeper into what it may touch than it has to.
+
+        Args:
+            holds: Postures in which it could take hold. That in which it is least deep sets how deep it may go, or the
+                start, if it is deeper there.
+        """
         other, names = copy.copy(self), {name + BEHIND: name for name in self._around.held}
         other._behind = {name: np.zeros(3) for name in names.values()}
+        if not names:
+            return other
         room = CLEARANCE + ROUNDED
-        for _ in range(DEEPER if names else 0):
-            found = [pair for x in (q, self._start) for pair in other._pairs(x, 0, room)]
-            deepest = min((p for p in found if p.links[1] in names), key=lambda pair: pair.distance, default=None)
-            if deepest is None:
+
+        def met(q: Posture) -> list[Proximity]:
+            return [pair for pair in other._pairs(q, 0, room) if pair.links[1] in names]
+
+        least, best = np.inf, self._start
+        for q in holds:
+            deep = max((room - pair.distance for pair in met(q)), default=0.0)
+            if deep < least:
+                least, best = deep, q
+            if least == 0.0:
+                break
+        for _ in range(DEEPER):
+            if not (found := met(best) + met(self._start)):
                 return other
+            deepest = min(found, key=lambda pair: pair.distance)
             moved = (1e-6 + room - deepest.distance) * deepest.normal
             other._behind = {**other._behind, names[deepest.links[1]]: other._behind[names[deepest.links[1]]] + moved}
-        other._behind = AWAY if names else other._behind
+        other._behind = AWAY
         return other
 
     def touching(self, q: Posture, station: int = 0, distance: float | None = None) -> Proximity | None:
@@ -135,7 +154,10 @@ class Clearance:
             pairs = [p for p in self._pairs(q, station, CLEARANCE) if p.distance <= self._near.get(p.links, CLEARANCE)]
         else:
             pairs = self._pairs(q, station, distance)
-        return min(pairs, key=lambda pair: pair.distance, default=None)
+        if not pairs:
+            return None
+        found = min(pairs, key=lambda pair: pair.distance)
+        return found._replace(links=(found.links[0], found.links[1].removesuffix(BEHIND)))
 
     def __call__(self, q: Posture, station: int = 0) -> bool:
         """Whether a posture is clear, while the hand is at a station of its way."""
@@ -163,16 +185,14 @@ class Clearance:
         return self.links.closer_than(self._robot.configuration(q), distance, self._around.at(station, self._behind))
 
     def _make_room(self, touching: list[Proximity]) -> None:
-        """Take what was assumed away from where the arm is, or leave it out."""
-        for name in dict.fromkeys(pair.links[1] for pair in touching if pair.links[1] in self.names):
-            deepest = min((pair for pair in touching if pair.links[1] == name), key=lambda pair: pair.distance)
-            is_there = f"at the start link {deepest.links[0]!r} is in what was taken for the {name}: that was "
-            if name in (FLOOR, FRONT) and -deepest.distance <= FARTHER:
-                self._around = self._around.farther(name, CLEARANCE - deepest.distance)
-                self.notes.append(f"{is_there}moved by {CLEARANCE - deepest.distance:.3f} m")
-            else:
-                self._around = self._around.without(name)
-                self.notes.append(is_there + "left out")
+        """Let what was assumed give way to links that are in it."""
+        by_depth = sorted(touching, key=lambda pair: -pair.distance)
+        for name in sorted(self._around.assumed & {pair.links[1] for pair in touching}):
+            inside = {pair.links[0]: CLEARANCE - pair.distance for pair in by_depth if pair.links[1] == name}
+            self._around = self._around.with_room(name, inside)
+            links, are = " and ".join(map(repr, inside)), "are" if len(inside) > 1 else "is"
+            gives = f"that is {max(inside.values()):.3f} m lower" if name == FLOOR else "it may pass through"
+            self.notes.append(f"at the start {links} {are} in what was taken for the {name}: {gives}")
         self.links = self.links.with_obstacles(self._around.obstacles, self._own)
 
 

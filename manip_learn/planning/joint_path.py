@@ -27,7 +27,7 @@ from manip_learn.robot.collision import SelfCollision
 from manip_learn.robot.plain_urdf import BASE, box_size, joint_name, plain_urdf
 from manip_learn.robot.robot import Robot
 
-NODES = 800  # of both trees; a path round a box takes 150 at most, 800 in vain half a second
+NODES = 300  # of both trees: a path round a box takes 150 at most
 REACH = 1.0  # [rad or m] by which a tree grows at once, all joints together
 COARSE = 0.05  # [rad or m] between RoboPlan's checks, all joints together; those of the result are closer
 SECONDS = 4.0  # of a search that adds no nodes, as from a start that is shut in: no number of nodes ends it
@@ -125,7 +125,7 @@ def _copied(
 ) -> tuple[Any, dict[str, int]]:
     """RoboPlan's scene of ours, the links larger by so much [m], and of the boxes in it the names and numbers."""
     core, obstacles = import_module("roboplan.core"), links.obstacles
-    things, first = list(links.geometry.geometryObjects), links.geometry.ngeoms - len(obstacles)
+    things, first = [links.solid(k) for k in range(links.geometry.ngeoms)], links.geometry.ngeoms - len(obstacles)
     sizes = {f"s{k:03}": (things[k], 0.0) for _, k in pairs} | {f"g{k:03}": (things[k], larger) for k, _ in pairs}
     named = {f"s{first + k:03}": k for k in range(len(obstacles))}
     boxes = {n: (k, size) for n, k in named.items() if n in sizes and (size := box_size(obstacles[k].geometry))}

@@ -41,7 +41,7 @@ from manip_learn.planning.stations import (
     node_margins,
     rooms,
 )
-from manip_learn.planning.surroundings import Surroundings, assumed, hand_of
+from manip_learn.planning.surroundings import Surroundings, surroundings_of
 from manip_learn.recordings.trajectory_source import Progress
 from manip_learn.robot import html_card
 from manip_learn.robot.batch.postures import unwound
@@ -54,6 +54,7 @@ FOLLOWING = 5.0  # [1/s] pull back to the planned postures, half as hard as the 
 APPROACH_SHARE = 0.25  # of the velocity limits, on the way to the posture of hold: beside people, as ISO 10218-1
 AGAIN = 4  # times the seeds before a plan is refused
 TRIED = 8  # choices that are simulated, best margin first
+VAIN = 4  # searches for an approach that find none, half a second each: then straight ones only
 OTHERS = 4  # choices of which a plan says why they are worse
 SPARE = 1.1  # times the time that the fastest joint needs: its speed also takes deviations back
 PLACES, SENSES = 3, 8  # of the base: distances, and directions in the plane
@@ -99,7 +100,7 @@ class Plan:
         controller: Runs the plan, in `simulate` and in a `ServoLoop`, from the start.
         candidates: Number of postures at the first station that were compared.
         notes: What was not looked at, in sentences.
-        obstacles: What approach and way keep clear of, where it is before the way.
+        around: What approach and way keep clear of.
     """
 
     robot: Robot
@@ -113,7 +114,12 @@ class Plan:
     controller: LawSequence
     candidates: int
     notes: tuple[str, ...] = ()
-    obstacles: tuple[Obstacle, ...] = ()
+    around: Surroundings = Surroundings()
+
+    @property
+    def obstacles(self) -> tuple[Obstacle, ...]:
+        """What approach and way keep clear of, where it is before the way."""
+        return self.around.shown
 
     @property
     def rollout(self) -> Rollout:
@@ -156,7 +162,7 @@ class Plan:
             "candidates": self.candidates,
             "others": [{"posture": o.posture.tolist(), "margin": o.margin, "why": o.why} for o in self.others],
             "notes": list(self.notes),
-            "clear_of": list(dict.fromkeys(o.name for o in self.obstacles)),
+            "clear_of": list(self.around.names),
         }
 
 
@@ -356,6 +362,7 @@ class _Problem:
         self.limits, self.dt, self.grasp = limits or Limits(robot), dt, grasp
         self.seed, self.rng = seed, np.random.default_rng(seed)
         self.missing: MissingExtraError | None = None  # what would look for a way around it
+        self.vain = 0  # searches for an approach that found none
         self.unreached: tuple[str, str] | None = None  # what stands between the start and a posture of hold
         unsuited = next((b for b in robot.blocks if b.kind in ("floating", "planar", "other")), None)
         if unsuited is not None:
@@ -376,18 +383,16 @@ class _Problem:
 
     def _around(self, scene: Around) -> Surroundings:
         """What stands around."""
-        features: Any = self.rows.features
-        if isinstance(scene, Scene):
-            hand = hand_of(self.robot, features.frame)
-            return Surroundings(scene.obstacles(self.robot, hand)).for_hand(self.robot, hand)
         if scene is None:
             return Surroundings()
-        if scene != "assumed":
+        if not isinstance(scene, Scene) and scene != "assumed":
             raise ConfigurationError(
                 f"a scene is a Scene, None for nothing, or left out to be assumed, not {an(scene)}"
             )
-        in_base = getattr(features, "relative_to", None) is None
-        return assumed(self.robot, features.frame, self.stations, self.constraint.mechanism, in_base)
+        features: Any = self.rows.features
+        mechanism = self.constraint.mechanism if getattr(features, "relative_to", None) is None else None
+        given = None if scene == "assumed" else scene
+        return surroundings_of(given, self.robot, features.frame, self.stations, mechanism)
 
     def check(self) -> None:
         """Refuse a start, a way or a grasp that cannot be."""
@@ -440,8 +445,13 @@ class _Problem:
     def _best(self, marches: Marches, said: Progress, is_as_shown: bool) -> Plan | None:
         last = len(self.stations) - 1
         choices, tried = marches.choices(last), 0
-        for march in choices.tolist():
-            clear = self.clear.holding(marches.q[march, 0])
+        holding = self.clear.holding(marches.q[choices, 0])
+        # what was said to stand there is believed, what was only assumed gives way to a hand that takes hold deeper
+        every = [(march, deeper) for deeper in (False, True)[: 1 + self.clear.gives_way] for march in choices.tolist()]
+        for march, deeper in every:
+            clear = self.clear.holding(marches.q[[march], 0]) if deeper else holding
+            if self.vain >= VAIN and not clear.of_line(self.positions, marches.q[march, 0]):
+                continue
             path = self._relaxed(marches.q[march], marches.grasp[march], clear, is_as_shown)
             if path is None:
                 continue
@@ -512,6 +522,7 @@ class _Problem:
         except MissingExtraError as error:  # straight motions to other postures may be clear
             self.missing, moved = error, None
         if moved is None:
+            self.vain += 1
             return None
         law, rollout = moved
         return law, replace(rollout, manipulability=manipulability_batch(self.rows, rollout.q).mu)
@@ -536,7 +547,7 @@ class _Problem:
         least = -np.inf if found is None else found.margin - TIE
         if node_margins(self.stations, self.positions[None], np.zeros(1, dtype=int)).least[0] < least:
             return None  # where the way begins it leaves less already
-        clear = self.clear.holding(self.positions)
+        clear = self.clear.holding([self.positions])
         for policy in (self.motion.ascent(), None):
             task = self.motion.with_distance(self.motion.wanted)
             law = ResolvedRateController(self.constraint, task, policy, limits=self.limits, dt=self.dt)
@@ -579,7 +590,7 @@ class _Problem:
         times = held + self.stations.time * ((outcome.seconds or end) / self.stations.time[-1])
         path += [(q, k) for k, q in enumerate(way.q[np.minimum(np.searchsorted(way.time, times), len(way) - 1)])]
         way = replace(way, around=self.clear.plain((self.robot.positions(q), k) for q, k in path))
-        numbers = margins.margin, margins, outcome, others, laws, compared, self.notes, self.clear.shown
+        numbers = margins.margin, margins, outcome, others, laws, compared, self.notes, self.clear.around
         return Plan(self.robot, hold, approach, way, *numbers)
 
     # ---- where there is no plan -----------------------------------------------------------------------------------
@@ -592,7 +603,8 @@ class _Problem:
             candidates: As for `plan`.
             base_within: As for `plan`.
         """
-        clear = marches.where(lambda q, k: self.clear.holding(q)(q, k) if k == 0 else self.clear(q, k))
+        takes_hold = marches.q[np.isfinite(marches.least[:, 0]), 0]
+        clear = marches.where(self.clear.holding(takes_hold))
         last, end = clear.reached, len(self.stations) - 1
         pair, helps = self._in_the_way(marches) if last < marches.reached == end else (None, ())
         if self.unreached is not None and last == end:
@@ -636,9 +648,10 @@ class _Problem:
     def _in_the_way(self, marches: Marches) -> tuple[tuple[str, str] | None, tuple[str, ...]]:
         """The two things that are least in each other's way on the whole way, and what would help."""
         found: list[tuple[bool, float, tuple[str, str]]] = []
-        for march in marches.choices(marches.reached)[:LOOKED]:
+        choices = marches.choices(marches.reached)
+        clear = self.clear.holding(marches.q[choices, 0])
+        for march in choices[:LOOKED]:
             path = marches.q[march, : marches.reached + 1]
-            clear = self.clear.holding(path[0])
             pairs = [pair for k, q in enumerate(path) if (pair := clear.touching(q, k)) is not None]
             if pairs:
                 deepest = min(pairs, key=lambda pair: pair.distance)

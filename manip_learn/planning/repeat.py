@@ -264,8 +264,8 @@ def _way(
         q, fingers = motion_along.q.copy(), [robot.joint_index(joint) for joint in step.fingers]
         q[:, fingers] = grips[0].rollout.q[-1, fingers]
         motion_along = replace(motion_along, q=q)
-    around = Surroundings(found.obstacles, is_assumed=scene == "assumed")
-    return [Part(to_hold, approach, (reach,), found.notes), *grips, Part(along, motion_along, (way,))], around
+    parts = [Part(to_hold, approach, (reach,), found.notes), *grips, Part(along, motion_along, (way,))]
+    return parts, found.around.afterwards
 
 
 def _named(rollout: Rollout, name: str) -> Rollout:
@@ -311,7 +311,7 @@ def _retreat(
         if (moved := moved_to(goal, q, limits, clear, seed, dt) if clear(goal) else None) is not None:
             law, rollout = moved
             fastest = float(np.max(np.abs(rollout.u) / robot.velocity_limit))
-        elif around.is_assumed and touching.links[1] in clear.names:
+        elif touching.links[1] in around.assumed:
             notes = (f"on the {name} {between} would touch, if that is where it was assumed to be: name a scene",)
         else:
             raise NoPlanError(f"step {name!r}: {between} would touch on the way to where the recordings ended")

@@ -2,8 +2,9 @@
 
 Assumed are the floor under the base and the front of what is opened, pushed or wiped: a half space behind the place
 where the hand takes hold, of a drawer or a door by the depth of a flat handle. What is pushed takes its front along.
-The hand may go as far behind the front as it is at the start or when it takes hold, other links may not. Of a door the
-leaf is there too, from the handle to the hinge, and turns with the way.
+The hand may go as far behind the front as it is at the start or when it takes hold, other links may not. The leaf of a
+door is there in every scene, from the hinge to a little beyond the handle, and turns with the way. What the arm is in
+at the start cannot be there: the floor is lower then, and a link that is in the front or in the leaf passes through it.
 """
 
 from __future__ import annotations
@@ -32,7 +33,8 @@ HANDLE = 0.025  # [m] that the flattest usual handles stand out of their front
 SLANTED = 0.3  # of a hand's lever that must point out of a front to tell its side: 17 degrees from lying along it
 BEGUN = 1e-3  # [m] of a way from which on its direction counts
 TALL, THICK = 0.6, 0.018  # [m] of a leaf: a door of a kitchen, of the usual board
-EDGE = 0.05  # [m] of the leaf at the hinge that is not looked at: the frame of the door
+EDGE = 0.05  # [m] of the leaf at the hinge that is not looked at, the frame of the door; and beyond its handle
+LAST = 10**9  # a station behind all of them: the last one
 FAR_AWAY = np.array([0.0, 0.0, -100.0])  # [m] of what no hand shall meet
 Pose = Float[np.ndarray, "4 4"]
 AWAY: Mapping[str, Float[np.ndarray, " 3"]] = MappingProxyType({})
@@ -47,13 +49,13 @@ class Surroundings:
         obstacles: All of them, where they are before a way.
         leaf: shape (L, 4, 4), where the leaf of a door is at each station of the way [m]; None without one.
         sinks: shape (L,), how far the front has been pushed in at each station [m]; None without a front.
-        is_assumed: Whether nobody said that they are there.
+        assumed: Names of those of which nobody said that they are there.
     """
 
     obstacles: tuple[Obstacle, ...] = ()
     leaf: Float[np.ndarray, "L 4 4"] | None = None
     sinks: Float[np.ndarray, " L"] | None = None
-    is_assumed: bool = False
+    assumed: frozenset[str] = frozenset()
 
     @property
     def shown(self) -> tuple[Obstacle, ...]:
@@ -103,16 +105,28 @@ class Surroundings:
         now = self.at(0, behind)
         return tuple(replace(o, placement=now.get(o.name, o.placement)) for o in self.obstacles)
 
-    def without(self, name: str) -> Surroundings:
-        """All but one, and its twin for the hand."""
-        kept = tuple(o for o in self.obstacles if o.name.removesuffix(BEHIND) != name)
-        return replace(self, obstacles=kept, leaf=None if name == LEAF else self.leaf)
+    @property
+    def afterwards(self) -> Surroundings:
+        """What a person would see of them where the way has ended."""
+        last = self.at(LAST)
+        moved = tuple(replace(o, placement=last.get(o.name, o.placement)) for o in self.shown)
+        return Surroundings(moved, assumed=self.assumed)
 
-    def farther(self, name: str, far: float) -> Surroundings:
-        """With a floor or a front farther away [m]."""
-        named = (o for o in self.obstacles if o.name.removesuffix(BEHIND) == name)
-        moved = {o.name: replace(o, placement=_shifted(o.placement, far)) for o in named}
-        return replace(self, obstacles=tuple(moved.get(o.name, o) for o in self.obstacles))
+    def with_room(self, name: str, links: Mapping[str, float]) -> Surroundings:
+        """With a lower floor, or with other things that some links may touch.
+
+        Args:
+            name: Of what was assumed.
+            links: Names of the links that are in it, and how deep [m].
+        """
+        deepest, found = max(links.values()), list[Obstacle]()
+        for o in self.obstacles:
+            if o.name == name == FLOOR:
+                o = replace(o, placement=_shifted(o.placement, deepest))
+            elif o.name.removesuffix(BEHIND) == name:
+                o = replace(o, may_touch=o.may_touch | links.keys())
+            found.append(o)
+        return replace(self, obstacles=tuple(found))
 
 
 def _shifted(placement: Pose, depth: float) -> Pose:
@@ -122,29 +136,34 @@ def _shifted(placement: Pose, depth: float) -> Pose:
     return out
 
 
-def assumed(robot: Robot, frame: Frame, stations: Stations, mechanism: Mechanism | None, in_base: bool) -> Surroundings:
-    """The floor under the base, and the front of what a hand holds.
+def surroundings_of(
+    scene: Scene | None, robot: Robot, frame: Frame, stations: Stations, mechanism: Mechanism | None
+) -> Surroundings:
+    """A scene, or the floor under the base and the front of what a hand holds; and the leaf of a door.
 
     Args:
+        scene: What stands around; None where nobody says.
         robot: The robot.
         frame: Of the hand.
-        stations: The way of the hand.
-        mechanism: What holds the hand, if that has a name.
-        in_base: Whether the stations are places in the robot's base frame.
+        stations: The way of the hand, in the robot's base frame.
+        mechanism: What holds the hand; None where that has no name, or another frame than the base sees it.
     """
-    obstacles, leaf, sinks = [*Scene(floor=floor_under(robot)).obstacles(robot)], None, None
-    if not in_base or mechanism is None:
-        return Surroundings(tuple(obstacles), is_assumed=True)
-    hand = hand_of(robot, frame)
-    normal = _normal(robot, frame, stations, mechanism)
-    if normal is not None:
+    hand, leaf, sinks = hand_of(robot, frame), None, None
+    obstacles = [*(Scene(floor=floor_under(robot)) if scene is None else scene).obstacles(robot, hand)]
+    assumed = {FLOOR} if scene is None else set[str]()
+    normal = None if mechanism is None else _normal(robot, frame, stations, mechanism)
+    if normal is not None and mechanism is not None and scene is None:
         face = stations.places[0] - (0.0 if mechanism.type == "plane" else HANDLE) * normal
         obstacles.append(half_space(FRONT, face, normal, hand))
         sinks = np.maximum(0.0, (stations.places[0] - stations.places) @ normal)
-    if mechanism.type == "hinge" and mechanism.axis is not None and mechanism.point is not None:
-        solid, leaf = _leaf(stations, np.asarray(mechanism.axis), np.asarray(mechanism.point), normal, hand)
-        obstacles += [] if solid is None else [solid]
-    return Surroundings(tuple(obstacles), leaf, sinks, True).for_hand(robot, hand)
+        assumed.add(FRONT)
+    if normal is not None and mechanism is not None and mechanism.type == "hinge":
+        leaf = _leaf(stations, np.asarray(mechanism.axis), np.asarray(mechanism.point), normal)
+    if leaf is not None:
+        solid, leaf = leaf
+        obstacles += obstacles_of(LEAF, leaf[0], solid, hand)
+        assumed.add(LEAF)
+    return Surroundings(tuple(obstacles), leaf, sinks, frozenset(assumed)).for_hand(robot, hand)
 
 
 def hand_of(robot: Robot, frame: Frame) -> frozenset[str]:
@@ -203,19 +222,27 @@ def _normal(robot: Robot, frame: Frame, stations: Stations, mechanism: Mechanism
 
 
 def _leaf(
-    stations: Stations, axis: np.ndarray, point: np.ndarray, normal: np.ndarray | None, hand: frozenset[str]
-) -> tuple[Obstacle | None, np.ndarray | None]:
-    """A door's leaf from its handle to its hinge, and where it is at each station; None of what is no door."""
+    stations: Stations, axis: np.ndarray, point: np.ndarray, normal: np.ndarray
+) -> tuple[Solid, Float[np.ndarray, "L 4 4"]] | None:
+    """The leaf of a door, and where it is at each station; None of a knob, which is no door.
+
+    Args:
+        stations: The way of the hand.
+        axis: shape (3,), of the hinge.
+        point: shape (3,), on it [m].
+        normal: shape (3,), out of the front, before the way.
+    """
     arms = stations.places - point
-    arms = arms - np.outer(arms @ axis, axis)
-    wide = float(np.linalg.norm(arms[0])) - EDGE
-    if normal is None or wide <= 0.0:
-        return None, None
+    heights = arms @ axis
+    arms -= np.outer(heights, axis)
+    if (reach := float(np.linalg.norm(arms[0]))) <= EDGE:
+        return None
     poses = np.repeat(np.eye(4)[None], len(stations), axis=0)
-    side = np.sign(np.cross(axis, arms[0]) @ normal)
-    for pose, place, arm in zip(poses, stations.places, arms, strict=True):
-        x = arm / np.linalg.norm(arm)
+    out = float(np.sign(np.cross(axis, arms[0]) @ normal))  # of the handle, from its leaf
+    for pose, arm, height in zip(poses, arms, heights, strict=True):
+        behind = out * HANDLE * np.cross(axis, arm / reach)
+        x = (arm - behind) / np.linalg.norm(arm - behind)
         y = np.cross(axis, x)
         pose[:3, :3] = np.column_stack([x, y, axis])
-        pose[:3, 3] = place - 0.5 * wide * x - side * (HANDLE + 0.5 * THICK) * y
-    return obstacles_of(LEAF, poses[0], Solid("box", (wide, THICK, TALL)), hand)[0], poses
+        pose[:3, 3] = point + height * axis + (0.5 * reach + EDGE) * x - out * 0.5 * THICK * y
+    return Solid("box", (reach, THICK, TALL)), poses

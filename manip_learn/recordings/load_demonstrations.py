@@ -15,6 +15,7 @@ from manip_learn.recordings.earned_velocities import Velocities
 from manip_learn.recordings.format_words import VELOCITY_SUFFIX
 from manip_learn.recordings.readers.csv_reader import SURPLUS_SUFFIXES
 from manip_learn.recordings.readers.lerobot_dataset import episode_numbers
+from manip_learn.recordings.readers.name_patterns import JOINT
 from manip_learn.recordings.readers.read_request import (
     EpisodeSelection,
     OptionUses,
@@ -22,6 +23,7 @@ from manip_learn.recordings.readers.read_request import (
     TimeUnit,
     Units,
     refuse_unmatched,
+    rename_words,
     unmoved_joint_names,
 )
 from manip_learn.recordings.readers.recording import Recording
@@ -53,7 +55,8 @@ class ReadOptions(TypedDict, total=False):
             limits). Not given: radians; what looks like degrees is refused. Prismatic joints are metres in any case.
         time_unit: `"s"`, `"ms"`, `"us"` or `"ns"`. Not given: seconds; what looks like another unit is refused.
         ignore_columns: Columns that are not read.
-        rename: Name in the file -> `"time"` or the robot's name of the joint.
+        rename: Name in the file -> `"time"` or the robot's name of the joint; of all joints at once a pattern:
+            `"left_{joint}"`, `{"left_{joint}": "{joint}_l"}`, or `"q{index}"` for numbers in the robot's order.
         columns: Pattern of the columns of positions in a text table, e.g. `"position.{joint}"` or `"q[{index}]"`, where
             an index counts the robot's joints from 0 or 1; or two, the second of velocities. All other columns are
             left out, with a note. Not given: columns are called as the joints, or contain their names in one way only.
@@ -74,7 +77,7 @@ class ReadOptions(TypedDict, total=False):
     units: Units | None
     time_unit: TimeUnit | None
     ignore_columns: Sequence[str]
-    rename: Mapping[str, str]
+    rename: Mapping[str, str] | str
     columns: str | Sequence[str]
     joint_names: Sequence[str] | None
     topics: Sequence[str] | None
@@ -206,12 +209,14 @@ def _check_new_names(request: ReadRequest) -> None:
     robot = request.robot
     joints = [*robot.joint_names, *unmoved_joint_names(robot)]
     poses = [name + suffix for name in robot.objects for suffix in POSE_SUFFIXES]
-    for old, new in request.rename.items():
+    for old, new in request.new_names.items():
         ends = () if new in joints else SUFFIXES  # a column such as `joint1_velocity` is about its joint
         base = next((new.removesuffix(s) for s in ends if new.endswith(s)), new)
-        if base not in (*joints, *poses, *ARRAYS):
+        head, pattern, tail = new.partition(JOINT)
+        fits = any(j.startswith(head) and j.endswith(tail) for j in joints) if pattern else False
+        if not fits and base not in (*joints, *poses, *ARRAYS):
             near = closest_names(base, joints) or joints
-            python, flag = f"rename={{{old!r}: {new!r}}}", f"--rename {old}={new}"
+            python, flag = rename_words({old: new})
             raise RecordingError(
                 f"{advice('{}: ', python, flag)}robot {robot.name!r} has no joint {new!r}; "
                 f"{'did you mean' if near != joints else 'it has'} {', '.join(map(repr, near[:12]))}, or 'time'",

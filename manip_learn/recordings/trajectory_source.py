@@ -28,6 +28,7 @@ from manip_learn.recordings.load_demonstrations import (
     read_recordings,
 )
 from manip_learn.recordings.readers.lerobot_dataset import episode_number, open_dataset, separate_files
+from manip_learn.recordings.readers.name_patterns import helpful_renaming
 from manip_learn.recordings.readers.read_request import ReadRequest
 from manip_learn.recordings.readers.recording import Recording
 from manip_learn.recordings.readers.recording_files import LEROBOT, RecordingFile
@@ -290,8 +291,12 @@ def check_joints(joint_names: Sequence[str], robot: Robot | None) -> None:
         RecordingError: The joint names differ, or their order does.
     """
     if robot is not None and tuple(joint_names) != tuple(robot.joint_names):
+        ways = helpful_renaming(joint_names, robot.joint_names, robot.joint_names)
+        in_order = any([reads.get(n) for n in joint_names] == list(robot.joint_names) for _, reads in ways)
+        same = "; if they are the same joints: trajectory.with_joint_names(robot.joint_names)" if in_order else ""
         raise RecordingError(
             f"the demonstrations have the joints {', '.join(joint_names)}; robot {robot.name!r} has "
-            f"{', '.join(robot.joint_names)}: load them with load_demonstrations(files, robot), which sorts by name",
+            f"{', '.join(robot.joint_names)}: load them with load_demonstrations(files, robot), which sorts by name"
+            f"{same}",
             code="joint-names",
         )

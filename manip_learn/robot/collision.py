@@ -1,6 +1,7 @@
 """How far the links of a robot are from each other and from what stands around, and which way the joints change that.
 
-The links' shapes are convex; a mesh counts as its convex hull.
+A link's mesh counts as its convex hull, or, where that is near something, by its triangles: the hulls of a forearm and
+of a wrist touch where the links do not.
 """
 
 from __future__ import annotations
@@ -8,7 +9,7 @@ from __future__ import annotations
 import threading
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from functools import lru_cache, partial
+from functools import cached_property, lru_cache, partial
 from itertools import combinations
 from pathlib import Path
 from types import MappingProxyType
@@ -54,6 +55,7 @@ class CollisionShape:
         placement: shape (4, 4), from the shape to that joint [m].
         geometry: The shape for the distance computation.
         radius: Of a ball about the shape's origin that contains it [m].
+        mesh: What the shape is the convex hull of, as trimesh's; None of other shapes.
     """
 
     link: str
@@ -61,6 +63,12 @@ class CollisionShape:
     placement: Float[np.ndarray, "4 4"]
     geometry: Any
     radius: float
+    mesh: Any = None
+
+    @cached_property
+    def surface(self) -> Any:
+        """The triangles, or the shape if it has none, for Coal."""
+        return self.geometry if self.mesh is None else _surface(self.mesh)
 
 
 @final
@@ -181,10 +189,7 @@ def obstacles_of(
         if closed is not None and part.is_convex:
             geometry, closed = coal.Convex(*_lists(part.convex_hull)), None
         else:
-            geometry = coal.BVHModelOBBRSS()
-            geometry.beginModel(len(part.faces), len(part.vertices))
-            geometry.addSubModel(*_lists(part))
-            geometry.endModel()
+            geometry = _surface(part)
         out.append(Obstacle(name, placement, geometry, np.abs(part.vertices).max(axis=0), may_touch, closed))
     return tuple(out)
 
@@ -197,6 +202,15 @@ def _lists(mesh: Any) -> tuple[Any, Any]:
     for corners in mesh.faces.tolist():
         triangles.append(coal.Triangle(*corners))
     return vertices, triangles
+
+
+def _surface(mesh: Any) -> Any:
+    """The triangles of a mesh for Coal."""
+    geometry = coal.BVHModelOBBRSS()
+    geometry.beginModel(len(mesh.faces), len(mesh.vertices))
+    geometry.addSubModel(*_lists(mesh))
+    geometry.endModel()
+    return geometry
 
 
 def _solid(solid: Solid) -> tuple[Any, Float[np.ndarray, " 3"], float]:
@@ -231,13 +245,14 @@ def _capsules(robot: Robot) -> tuple[CollisionShape, ...]:
 def _shape(robot: Robot, element: VisualElement, meshes: Mapping[str, Any]) -> CollisionShape:
     import trimesh
 
-    frame = robot.pinocchio_model.frames[robot.frame(element.link).index]
+    frame, whole = robot.pinocchio_model.frames[robot.frame(element.link).index], None
     placement = np.asarray(frame.placement.homogeneous @ as_matrix(element.pose))
     match element.geometry:
         case None:
             raise RobotError(element.fault, code="collision-shape", path=robot.source, line=element.line)
         case MeshElement(uri, scale):
-            hull = trimesh.convex.convex_hull(meshes[uri].vertices * np.array(scale))
+            whole = trimesh.Trimesh(meshes[uri].vertices * np.array(scale), meshes[uri].faces)
+            hull = trimesh.convex.convex_hull(whole)
             if not hull.volume > FLAT * hull.extents.max() ** 3:
                 raise RobotError(
                     f"link {element.link!r}: its collision mesh has no volume, so that distances to it are not defined",
@@ -247,11 +262,12 @@ def _shape(robot: Robot, element: VisualElement, meshes: Mapping[str, Any]) -> C
                 )
             middle = hull.bounds.mean(axis=0)
             hull.apply_translation(-middle)
+            whole.apply_translation(-middle)
             placement[:3, 3] += placement[:3, :3] @ middle
             geometry, radius = coal.Convex(*_lists(hull)), float(np.linalg.norm(hull.vertices, axis=1).max())
         case solid:
             geometry, _, radius = _solid(solid)
-    return CollisionShape(element.link, int(frame.parentJoint), placement, geometry, radius)
+    return CollisionShape(element.link, int(frame.parentJoint), placement, geometry, radius, whole)
 
 
 @final
@@ -263,19 +279,21 @@ class Proximity(NamedTuple):
         distance: [m]; negative where the shapes overlap: the depth.
         gradient: d distance / dq, shape (nv,) [m/rad or 1].
         normal: shape (3,), the way in the base frame in which the second would have to move away.
+        number: Of the pair.
     """
 
     links: tuple[str, str]
     distance: float
     gradient: Float[np.ndarray, " nv"]
     normal: Float[np.ndarray, " 3"]
+    number: int
 
 
 @final
 class SelfCollision:
-    """Distances of one robot's links from each other and from obstacles, computed by Coal on convex shapes.
+    """Distances of one robot's links from each other and from obstacles, computed by Coal.
 
-    A link's mesh counts as its convex hull.
+    A link's mesh counts as its convex hull, or by its triangles: see `hulls`.
 
     With the witness points p_a, p_b (the nearest points of two shapes) and the unit vector n from a to b,
 
@@ -295,6 +313,8 @@ class SelfCollision:
         shapes: `"visual"` takes the shapes that are drawn, `"links"` capsules along the links, see `collision_shapes`.
         free: A posture in which no link touches another; by default `Robot.neutral()`.
         obstacles: What stands around. Those of one name move together.
+        hulls: Whether the convex hull of a link's mesh is all that counts, which takes a tenth of the time; otherwise
+            its triangles count where that is near something.
 
     Attributes:
         link_pairs: Names of the links whose distances from each other count.
@@ -312,10 +332,11 @@ class SelfCollision:
         shapes: Shapes = "collision",
         free: ArrayLike | None = None,
         obstacles: Sequence[Obstacle] = (),
+        hulls: bool = True,
     ):
-        self.robot, self._given = robot, dict[str, Any](shapes=shapes, free=free)
+        self.robot, self._given = robot, dict[str, Any](shapes=shapes, free=free, hulls=hulls)
         self._shapes = collision_shapes(robot, shapes)
-        self._model = robot.pinocchio_model
+        self._model, self._hulls = robot.pinocchio_model, hulls
         self._pair_up(self._pairs_joined_by(range(2, self._model.njoints)))
         touching = {p.links for p in self.closer_than(robot.neutral() if free is None else free, 0.0)}
         self._pair_up(kept := [pair for pair in self._pairs if self._links(*pair) not in touching])
@@ -333,6 +354,7 @@ class SelfCollision:
         """
         other = object.__new__(SelfCollision)
         vars(other).update(vars(self))
+        vars(other).pop("levers", None)
         other._pair_up(self._pairs[: len(self._radii)] if own else [], obstacles)
         return other
 
@@ -340,6 +362,30 @@ class SelfCollision:
     def geometry(self) -> Any:
         """Pinocchio's model of the shapes on its joints, obstacles last, and of the pairs whose distances count."""
         return self._geometry
+
+    @cached_property
+    def levers(self) -> Float[np.ndarray, "pairs nv"]:
+        """By how much a joint changes each distance at most, with links laid end to end [m/rad or 1]."""
+        model, robot, out = self._model, self.robot, np.zeros((len(self._solids), self._model.nv))
+        ends = np.maximum(np.abs(model.lowerPositionLimit), np.abs(model.upperPositionLimit))
+        for k, shape in enumerate(self._shapes):
+            length = float(np.linalg.norm(shape.placement[:3, 3])) + shape.radius
+            for j in reversed([j for j in model.supports[shape.joint] if j]):
+                joint = model.joints[j]
+                turns, slide = joint.shortname().startswith("JointModelR"), ends[joint.idx_q : joint.idx_q + joint.nq]
+                out[k, joint.idx_v : joint.idx_v + joint.nv] = length if turns else max(1.0, length)
+                length += float(np.linalg.norm(model.jointPlacements[j].translation))
+                length += 0.0 if turns else float(np.minimum(slide, LARGE).sum())
+        a, b = np.array(self._pairs, dtype=np.intp).reshape(-1, 2).T
+        levers = np.where((out[a] > 0.0) & (out[b] > 0.0), 0.0, out[a] + out[b])  # what carries both changes nothing
+        return levers if robot.coupling is None else levers @ np.abs(robot.coupling.lift)
+
+    def solid(self, number: int) -> Any:
+        """A shape of `geometry` as it counts where it is near something, as an object of Pinocchio's."""
+        thing = self._geometry.geometryObjects[number]
+        if self._hulls:
+            return thing
+        return pin.GeometryObject(thing.name, thing.parentJoint, thing.placement, self._solids[number].surface)
 
     def is_clear(self, q: ArrayLike, distance: float, moved: Moved = MappingProxyType({})) -> bool:
         """Whether no pair is at a distance of at most `distance` [m]: not `closer_than`, in a fifth of its time.
@@ -356,28 +402,39 @@ class SelfCollision:
         for name, placement in moved.items():
             for k in self._numbers(name)[0]:
                 geometry_data.oMg[k] = pin.SE3(placement)
-        clear = not pin.computeCollisions(self._geometry, geometry_data, True)
-        return clear and not (self._closed and self.closer_than(q, distance, moved))  # within a mesh nothing touches
+        if pin.computeCollisions(self._geometry, geometry_data, self._hulls):
+            near = (k for k, found in enumerate(geometry_data.collisionResults) if found.isCollision())
+            if self._hulls or any(self._is_near(k, geometry_data, distance) for k in near):
+                return False
+        return not (self._closed and self.closer_than(q, distance, moved))  # within a mesh nothing touches
 
-    def closer_than(self, q: ArrayLike, distance: float, moved: Moved = MappingProxyType({})) -> list[Proximity]:
+    def closer_than(
+        self, q: ArrayLike, distance: float, moved: Moved = MappingProxyType({}), only: Sequence[int] | None = None
+    ) -> list[Proximity]:
         """All pairs of shapes at a distance of at most `distance` [m], and their gradients.
 
         Args:
             q: Configuration or joint positions.
             distance: [m].
             moved: Name of an obstacle -> where it is now, in the robot's base frame [m]; the others are in their place.
+            only: Numbers of the pairs that are looked at; None for all.
 
         Raises:
             ConfigurationError: q has the wrong size or is not finite.
             UnknownNameError: `moved` names no obstacle.
         """
-        data, geometry_data, far = self._placed(q, moved)
-        found = []
-        for k in np.flatnonzero(far <= distance).tolist():
-            result, exact = self._distance(k, geometry_data, float(far[k]))
+        data, geometry_data, far = self._placed(q, moved, only is None)
+        found = list[Proximity]()
+        for k in np.flatnonzero(far <= distance).tolist() if only is None else only:
+            result, exact = self._distance(k, geometry_data, float(far[k]) if only is None else -np.inf, distance)
             if exact <= distance:
                 found.append(self._proximity(k, result, exact, data))
         return found
+
+    def distances(self, q: ArrayLike, only: Sequence[int]) -> list[float]:
+        """Of some pairs by their numbers [m], negative where they overlap."""
+        _, geometry_data, _ = self._placed(q, bounded=False)
+        return [self._distance(k, geometry_data, -np.inf, np.inf)[1] for k in only]
 
     def nearest(self, q: ArrayLike, moved: Moved = MappingProxyType({})) -> Proximity | None:
         """The pair of shapes at the smallest distance; None if nothing can touch. See `closer_than`."""
@@ -386,28 +443,55 @@ class SelfCollision:
         for k in np.argsort(far).tolist():
             if far[k] >= least:
                 break
-            result, exact = self._distance(k, geometry_data, float(far[k]))
+            result, exact = self._distance(k, geometry_data, float(far[k]), least)
             if exact < least:
                 best, pair, least = result, k, exact
         return None if best is None else self._proximity(pair, best, least, data)
 
-    def _distance(self, k: int, geometry_data: Any, bound: float) -> tuple[Any, float]:
-        """What Coal says of a pair, and its distance, negative where a link is within a closed surface."""
-        result, b = pin.computeDistance(self._geometry, geometry_data, k), self._pairs[k][1]
+    def _distance(self, k: int, geometry_data: Any, bound: float, most: float) -> tuple[Any, float]:
+        """What Coal says of a pair, and its distance, negative where a link is within a closed surface.
+
+        What is nearer than `most` by its hulls is looked at on its triangles.
+        """
+        result, pair = pin.computeDistance(self._geometry, geometry_data, k), self._pairs[k]
         # where its iterations fail on shapes that overlap, Coal returns the lowest number and no direction
         distance = max(float(result.min_distance), bound)
-        if distance > 0.0 and (mesh := self._closed.get(b)) is not None:
-            point = geometry_data.oMg[b].actInv(result.getNearestPoint1())
+        if distance > 0.0 and (mesh := self._closed.get(pair[1])) is not None:
+            point = geometry_data.oMg[pair[1]].actInv(result.getNearestPoint1())
             return result, -distance if mesh.contains([point])[0] else distance
+        if distance <= most and (meshes := self._meshes(k, geometry_data)):
+            coal.distance(*meshes, coal.DistanceRequest(), result := coal.DistanceResult())
+            return result, float(result.min_distance)
         return result, distance
 
+    def _is_near(self, k: int, geometry_data: Any, distance: float) -> bool:
+        """Whether a pair whose hulls are near is so by its triangles; that they cut each other is told in no time."""
+        meshes = self._meshes(k, geometry_data)
+        if not meshes or coal.collide(*meshes, coal.CollisionRequest(), coal.CollisionResult()):
+            return True
+        return coal.distance(*meshes, coal.DistanceRequest(), coal.DistanceResult()) <= distance
+
+    def _meshes(self, k: int, geometry_data: Any) -> list[Any]:
+        """A pair and its places for Coal, by their triangles; nothing where hulls are all that counts.
+
+        To a large face a hull is as near as its mesh.
+        """
+        pair, out = self._pairs[k], list[Any]()
+        if self._hulls or pair[1] in self._faces or all(self._solids[i].mesh is None for i in pair):
+            return out
+        for place, i in ((geometry_data.oMg[i], i) for i in pair):
+            out += [self._solids[i].surface, coal.Transform3s(place.rotation, place.translation)]
+        return out
+
     def _placed(
-        self, q: ArrayLike, moved: Moved = MappingProxyType({})
+        self, q: ArrayLike, moved: Moved = MappingProxyType({}), bounded: bool = True
     ) -> tuple[pin.Data, Any, Float[np.ndarray, " pairs"]]:
-        """Data with Jacobians, shapes at their places, and a lower bound of the distance of each pair."""
+        """Data with Jacobians, shapes at their places, and, if `bounded`, a lower bound of each distance."""
         data, geometry_data = self._own_data()
         pin.computeJointJacobians(self._model, data, self.robot.pinocchio_configuration(q))
         pin.updateGeometryPlacements(self._model, data, self._geometry, geometry_data)
+        if not bounded:
+            return data, geometry_data, self._radii
         centres = np.array([geometry_data.oMg[k].translation for k in range(len(self._shapes))])
         first, second = self._pair_table
         apart = np.linalg.norm(centres[first] - centres[second], axis=1) - self._radii
@@ -446,7 +530,7 @@ class SelfCollision:
             gradient, nx, ny, nz = np.zeros(self._model.nv), 0.0, 0.0, 0.0
         coupling = self.robot.coupling
         lifted = gradient if coupling is None else gradient @ coupling.lift
-        return Proximity(self._links(a, b), distance, lifted, np.array([nx, ny, nz]))
+        return Proximity(self._links(a, b), distance, lifted, np.array([nx, ny, nz]), k)
 
     def _links(self, a: int, b: int) -> tuple[str, str]:
         return self._solids[a].link, self._solids[b].link
@@ -478,6 +562,7 @@ class SelfCollision:
         around = list(enumerate(self.obstacles, n))
         met = [(a, b) for a, s in enumerate(self._shapes) if s.joint for b, o in around if s.link not in o.may_touch]
         self._pairs, met_things = [*pairs, *met], [self.obstacles[b - n] for _, b in met]
+        self._faces = {b for b, o in around if min(o.half) >= LARGE}
         self._closed = {b: o.closed for b, o in around if o.closed is not None}
         world = [CollisionShape(o.name, 0, o.placement, o.geometry, 0.0) for o in self.obstacles]
         self._solids = [*self._shapes, *world]

@@ -83,6 +83,7 @@ class RobotSummary:
         mimics: Joints that follow others.
         locked: Joints held still -> position [rad or m].
         tips: Likely tip frames, best first; with more than one, the user must choose.
+        moving_tip: Joints that move the first of them.
         warnings: What was ignored or repaired, and meshes that cannot be used.
         cross_check: Independent check of forward kinematics; None if there is none, and the last warning says why.
         meshes_found: Address in the URDF -> file.
@@ -99,6 +100,7 @@ class RobotSummary:
     mimics: tuple[Mimic, ...]
     locked: dict[str, float]
     tips: tuple[str, ...]
+    moving_tip: tuple[str, ...]
     warnings: tuple[str, ...]
     cross_check: CrossCheck | None
     meshes_found: dict[str, Path]
@@ -128,6 +130,7 @@ def summarise(robot: Robot) -> RobotSummary:
     """Summary of a robot without the check."""
     kinds = [block.kind for block in robot.blocks for _ in block.units]
     found, missing = resolve_meshes(robot)
+    tips = likely_tips(robot)
     limits = (robot.position_lower.tolist(), robot.position_upper.tolist(), robot.velocity_limit.tolist())
     return RobotSummary(
         name=robot.name,
@@ -138,7 +141,8 @@ def summarise(robot: Robot) -> RobotSummary:
         frames=robot.frame_names,
         mimics=robot.mimics,
         locked=dict(robot.locked),
-        tips=likely_tips(robot),
+        tips=tips,
+        moving_tip=tuple(j for j in robot.joint_names if tips and robot.moves(j, tips[0])),
         warnings=(*robot.warnings, *dict.fromkeys(said_once(missing.values()).values())),
         cross_check=None,
         meshes_found=found,

@@ -23,15 +23,22 @@ NOT_A_TIP = re.compile(
 )
 
 
+# joints of a gripper's own motor: what they move opens and closes, and does not go where the hand goes
+GRIPS = re.compile(r"gripper|finger|thumb|knuckle|jaw|claw")
+
+
 def likely_tips(robot: Robot) -> tuple[str, ...]:
     """Links that may be the tip, the most likely first; with more than one, the user must choose.
 
     Candidates are links that move, named like a tool centre point, else like a tool, else like a hand; without such
     names, the ends of the chains that count the most joints. A link above another one of them, or moved by some of its
-    joints only, is not a candidate.
+    joints only, is not a candidate; nor is one that the gripper's own motor moves, unless the robot is a gripper.
     """
     movers = _joints_above(robot)
+    names = robot.pinocchio_model.names
+    grips = {i for i in range(robot.pinocchio_model.njoints) if GRIPS.search(names[i].lower())}
     moving = [n for n, joints in movers.items() if joints and not NOT_A_TIP.search(n.lower())]
+    moving = [n for n in moving if not movers[n] & grips] or moving
     candidates: list[str] = []
     for kind in KINDS:
         # a frame between two finger tips is better than one of them

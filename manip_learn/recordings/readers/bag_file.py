@@ -20,7 +20,7 @@ from typing import Any, final
 from manip_learn.errors import DAMAGE, MissingExtraError
 from manip_learn.recordings.format_words import JOINT_STATE
 from manip_learn.recordings.readers.limits import bomb, metadata_text, most_bytes
-from manip_learn.recordings.readers.recording import reason, refusal
+from manip_learn.recordings.readers.recording import check_regular, reason, refusal
 
 try:
     import apsw
@@ -103,11 +103,13 @@ def open_bag(path: Path) -> Iterator[BagFile]:
         with contextlib.ExitStack() as stack:
             yield _opened(path, stack)
     except BAG_DAMAGE as error:
+        parts = sorted(p for p in path.iterdir() if p.suffix in (".mcap", ".db3")) if path.is_dir() else []
+        alone = f", or give {parts[0]} itself" if parts else ""  # files that were renamed, or metadata of others
         raise refusal(
             path,
             "damaged",
             f"the bag cannot be read ({reason(error)}): repair it (`rosbag reindex`, `ros2 bag reindex`, "
-            "`mcap recover`) or record it again",
+            f"`mcap recover`) or record it again{alone}",
         ) from error
 
 
@@ -116,6 +118,8 @@ def _opened(path: Path, stack: contextlib.ExitStack) -> BagFile:
     if path.is_dir():
         metadata_text(path / "metadata.yaml")  # refuses one that is too large or too deep
         for file in path.iterdir():
+            if file.is_file():
+                check_regular(file)
             _check_before(file)
     else:
         with path.open("rb") as opened:

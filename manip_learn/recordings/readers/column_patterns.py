@@ -7,32 +7,33 @@ from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field
 from typing import final
 
-from manip_learn.errors import advice, closest_names
+from manip_learn.errors import advice
 from manip_learn.recordings.format_words import COMMAND, EFFORT
+from manip_learn.recordings.readers.name_patterns import (
+    INDEX,
+    JOINT,
+    PatternError,
+    numbered_families,
+    pattern_columns,
+    templates,
+)
 from manip_learn.recordings.readers.read_request import UNIT_WORDS
 from manip_learn.robot import Robot, load_robot
 from manip_learn.robot.description.catalogue import SHIPPED
 
-JOINT, INDEX = "{joint}", "{index}"
-SHOWN = 8  # names in a sentence
-POSITION = {"position", "positions", "pos", "q", "angle", "angles", "theta", "rad"}
+POSITION = {"position", "positions", "pos", "q", "qpos", "angle", "angles", "theta", "rad"}
 VELOCITY = {"velocity", "velocities", "vel", "qd", "dq", "qdot", "qvel", "speed"}
 OTHER = {
     *("ext", "external"),  # an estimate of what the world exerts, from which gravity and friction have been taken off
     *("current", "acceleration", "acc", "accel", "qdd", "ddq"),
     *("temperature", "temp", "voltage", "force", "error", "errors", "limit", "jerk", "name"),
 }
-NUMBERED = re.compile(r"(?P<head>.*?)(?P<number>\d+)(?P<tail>\D*)")
 PLOTJUGGLER = "__time"  # the axis of its tables [s]
 PLAIN = re.compile(
     r"(time|times|t|timestamps?|stamp|secs?|seconds|elapsed([_ ]time)?|relative[_ ]time|ros[_ ]?time|unix[_ ]?time"
-    r"|epoch|recv_?time|receive[_ ]time|publish[_ ]time|(.*[./])?header[./]stamp)"
+    r"|epoch|date[_ /]?time|recv_?time|receive[_ ]time|publish[_ ]time|(.*[./])?header[./]stamp)"
 )
 WITH_UNIT = re.compile(r"(?:elapsed[_ ]?)?(?:time|t|timestamp|stamp)[_ ]?[\[(]?(s|sec|secs|seconds|ms|us|ns)[\])]?")
-
-
-class PatternError(ValueError):
-    """A pattern that does not fit the names; the reader says where."""
 
 
 @final
@@ -78,7 +79,7 @@ def by_patterns(
         moving: Joints of the robot in its order, which an index counts.
         still: Joints that do not move, which may be recorded too.
     """
-    parts = [_columns(p, names, moving, still) for p in patterns]
+    parts = [pattern_columns(p, names, moving, still, "columns") for p in patterns]
     if len(parts) == 1 and JOINT in patterns[0]:
         usual = {i: j for j in moving for i, n in enumerate(names) if n == f"{j}_velocity"}
         parts.append(usual if set(usual.values()) == set(moving) else {})
@@ -91,41 +92,6 @@ def by_patterns(
     return Found(parts[0], parts[1] if len(parts) > 1 else {}, note, own)
 
 
-def _columns(pattern: str, names: Sequence[str | None], moving: Sequence[str], still: Iterable[str]) -> dict[int, str]:
-    said = advice("{}: ", f"columns={pattern!r}", f"--columns '{pattern}'")
-    if JOINT in pattern:
-        found = {i: j for j in (*moving, *still) for i, n in enumerate(names) if n == pattern.replace(JOINT, j)}
-        if not found:
-            wanted = [pattern.replace(JOINT, j) for j in moving]
-            raise PatternError(f"{said}there is no column {wanted[0]!r}; there is {shown(names, wanted[0])}")
-        return found
-    regex = re.compile(re.escape(pattern).replace(re.escape(INDEX), r"(\d+)"))
-    numbered = {int(m.group(1)): i for i, n in enumerate(names) if n is not None and (m := regex.fullmatch(n))}
-    if not numbered:
-        wanted = pattern.replace(INDEX, "0")
-        raise PatternError(f"{said}there is no column such as {wanted!r}; there is {shown(names, wanted)}")
-    first, n = min(numbered), len(numbered)
-    if first > 1 or sorted(numbered) != list(range(first, first + n)):
-        raise PatternError(
-            f"{said}the columns are numbered {', '.join(map(str, sorted(numbered)))}; 0, 1, 2, ... or 1, 2, 3, ... "
-            "without gaps is needed"
-        )
-    if n > len(moving):
-        raise PatternError(
-            f"{said}there are {n} such columns and {len(moving)} moving joints ({', '.join(moving)}): lock fewer "
-            "joints, or rename the columns to joints"
-        )
-    return {numbered[first + k]: joint for k, joint in zip(range(n), moving, strict=False)}
-
-
-def shown(names: Sequence[str | None], wanted: str = "") -> str:
-    """The names that look like the wanted one, else the first of all."""
-    all_names = [n for n in names if n]
-    listed = closest_names(wanted, all_names) if wanted else []
-    listed = listed or all_names[:SHOWN]
-    return ", ".join(map(repr, listed)) + (" ..." if len(all_names) > len(listed) else "")
-
-
 def by_joint_names(names: Sequence[str | None], moving: Sequence[str], still: Sequence[str]) -> Found | None:
     """Columns that contain the names of joints, where they leave no choice; None if there are none.
 
@@ -133,9 +99,9 @@ def by_joint_names(names: Sequence[str | None], moving: Sequence[str], still: Se
     `effort` say that others are meant; those of commands (`target`, `desired`) are never taken for what was measured.
 
     Raises:
-        PatternError: Several patterns fit: says which, and what to type.
+        RecordingError: Several patterns fit: says which, and what to type.
     """
-    made = _templates(names, (*moving, *still))
+    made = templates(names, (*moving, *still))
     own = {p: c for p, c in made.items() if set(c) & set(moving)}
     if not own:
         return None
@@ -159,36 +125,6 @@ def by_joint_names(names: Sequence[str | None], moving: Sequence[str], still: Se
     return Found(positions, speeds, note, efforts)
 
 
-def _templates(names: Sequence[str | None], joints: Sequence[str]) -> dict[str, dict[str, int]]:
-    """Pattern -> joint -> column, of all names that contain that of a joint as a whole word."""
-    words = [(j, re.compile(rf"(?<![A-Za-z0-9]){re.escape(j)}(?![A-Za-z0-9])")) for j in sorted(joints, key=len)[::-1]]
-    made: dict[str, dict[str, int]] = {}
-    for i, name in enumerate(names):
-        for joint, word in words:
-            places = list(word.finditer(name or ""))
-            if len(places) == 1:
-                start, end = places[0].span()
-                made.setdefault(f"{(name or '')[:start]}{JOINT}{(name or '')[end:]}", {})[joint] = i
-            if places:
-                break
-    return made
-
-
-def numbered_families(names: Sequence[str | None]) -> dict[str, list[int]]:
-    """Pattern with `{index}` -> columns in the order of their numbers: names that differ in their last number only."""
-    families: dict[str, dict[int, int]] = {}
-    for i, name in enumerate(names):
-        match = NUMBERED.fullmatch(name or "")
-        if match:
-            families.setdefault(f"{match['head']}{INDEX}{match['tail']}", {})[int(match["number"])] = i
-    runs = {p: (min(numbers), [numbers[k] for k in sorted(numbers)]) for p, numbers in families.items()}
-    return {
-        p: columns
-        for p, (first, columns) in runs.items()
-        if first in (0, 1) and len(columns) > 1 and max(families[p]) == first + len(columns) - 1
-    }
-
-
 def numbered_advice(names: Sequence[str | None], moving: Sequence[str]) -> str:
     """What to type for numbered columns, with the joints that their numbers would stand for; empty without any."""
     n = len(moving)  # a few numbered columns, as of one wrist, are not the joints of an arm
@@ -210,7 +146,8 @@ def another_robot(names: Iterable[str | None], robot: Robot) -> str:
     recorded = {n.removesuffix("_velocity") for n in names if n and n != "time"}
     fitting = [name for name in SHIPPED if recorded == set(load_robot(name).joint_names)]
     if fitting:
-        return f"it was recorded with {fitting[0]!r}, not {robot.name!r}: name that robot"
+        which = " or ".join(map(repr, fitting))  # arms of one series have joints of the same names
+        return f"it was recorded with {which}, not {robot.name!r}: name that robot"
     return f"was it recorded with another robot than {robot.name!r}? Then name that one"
 
 

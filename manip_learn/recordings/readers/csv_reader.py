@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import csv
 import itertools
 import os
 import re
@@ -19,7 +20,6 @@ from manip_learn.errors import RecordingError, advice, closest_names
 from manip_learn.recordings.format_words import VELOCITY_SUFFIX, effort_joint
 from manip_learn.recordings.readers.column_patterns import (
     Found,
-    PatternError,
     another_robot,
     by_joint_names,
     by_patterns,
@@ -28,7 +28,8 @@ from manip_learn.recordings.readers.column_patterns import (
     numbered_advice,
 )
 from manip_learn.recordings.readers.limits import LONGEST_TEXT, check_columns
-from manip_learn.recordings.readers.read_request import SECONDS, ReadRequest, unmoved_joint_names
+from manip_learn.recordings.readers.name_patterns import PatternError
+from manip_learn.recordings.readers.read_request import SECONDS, ReadRequest, names_advice, unmoved_joint_names
 from manip_learn.recordings.readers.recording import Recording, reason, refusal
 from manip_learn.robot import Robot
 
@@ -44,12 +45,13 @@ SHOWN = 6  # names in a sentence
 
 def read(path: Path, request: ReadRequest) -> Iterator[Recording]:
     """The one recording of a text table."""
-    dialect = sniff_dialect(path, request.joint_names)
+    dialect = sniff_dialect(path, request)
     if dialect.named_by_caller:
         request.uses.use("joint_names")
     columns = columns_of(path, dialect, request)
     dialect = replace(dialect, without_cut_line=_is_cut_off(path, dialect))
-    if seconds_of(dialect.split(next(_numbered_lines(path, dialect), (0, ""))[1])[columns.time : columns.time + 1]):
+    first, at = dialect.split(next(_numbered_lines(path, dialect), (0, ""))[1]), columns.time
+    if at is not None and seconds_of(first[at : at + 1]):
         columns = replace(columns, unit="s", as_clock=True)
     table = _table(path, dialect, columns, request)
     notes = [f"the header was read from the comment in line {dialect.header_line}"] if dialect.commented_header else []
@@ -89,11 +91,26 @@ class CsvDialect:
 
 
 def _fields(line: str, delimiter: str | None) -> list[str]:
-    return [field.strip().strip('"').strip() for field in line.strip("\r\n").split(delimiter)]
+    line = line.strip("\r\n")
+    if delimiter is None or '"' not in line:
+        return [field.strip().strip('"').strip() for field in line.split(delimiter)]
+    return [field.strip() for field in next(csv.reader([line], delimiter=delimiter, skipinitialspace=True))]
 
 
 def _delimiter(line: str) -> str | None:
-    return next((mark for mark in ("\t", ";", ",") if mark in line.strip()), None)
+    bare = re.sub('"[^"]*"', "", line.strip())
+    return next((mark for mark in ("\t", ";", ",") if mark in bare), None)
+
+
+def _unnamed(columns: list[str], rows: list[str], delimiter: str | None) -> tuple[str, ...]:
+    """Names of columns, empty for one that only the rows have: a mark at each line's end, or R's names of the rows."""
+    fields = [_fields(row, delimiter) for row in rows]
+    if not fields or {len(f) for f in fields} != {len(columns) + 1}:
+        return tuple(columns)
+    if not any(f[-1] for f in fields):
+        return (*columns, "")
+    is_named = all(row.startswith('"') for row in rows) or [f[0] for f in fields] in (["1"], ["1", "2"])
+    return ("", *columns) if is_named else tuple(columns)
 
 
 def _is_skipped(line: str) -> bool:
@@ -129,46 +146,50 @@ def _is_cut_off(path: Path, dialect: CsvDialect) -> bool:
     return not _is_skipped(last.decode("ascii", errors="replace"))
 
 
-def sniff_dialect(path: Path, names: tuple[str, ...] | None = None) -> CsvDialect:
-    """Dialect of a text table, from its header; `names` are those of its columns if it has none.
+def sniff_dialect(path: Path, request: ReadRequest | None = None) -> CsvDialect:
+    """Dialect of a text table, from its header, or with the names of the request if it has none.
 
     Raises:
         RecordingError: No header, no text, or a header of numbers: joint names are mandatory.
     """
     comment = ""
-    for number, line in text_lines(path):
+    lines = text_lines(path)
+    for number, line in lines:
         if not _is_skipped(line):
-            return _dialect(path, number, line, comment, names)
+            rows = list(itertools.islice((row for _, row in lines if not _is_skipped(row)), 2))
+            return _dialect(path, number, [line, *rows], comment, request)
         comment = line if line.strip() else comment
     needed = "a header with 'time' and the joint names, and rows of numbers are needed"
     raise refusal(path, "empty", f"the file is empty: {needed}")
 
 
-def _dialect(path: Path, number: int, line: str, comment: str, names: tuple[str, ...] | None) -> CsvDialect:
-    """The dialect by the first line that is no comment, and the comment above it."""
+def _dialect(path: Path, number: int, lines: list[str], comment: str, request: ReadRequest | None) -> CsvDialect:
+    """The dialect by the first lines that are no comments, and the comment above them."""
+    line, *rows = lines
     delimiter = _delimiter(line)
     fields = _fields(line, delimiter)
     above = partial(CsvDialect, delimiter, header_line=number - 1)
     if comment.startswith("%time,"):  # of `rostopic echo -p`, whose header begins like a comment
         raise _of_messages(path, number - 1)
     if not all(NUMBER.fullmatch(f) for f in fields):
-        return CsvDialect(delimiter, tuple(fields), number)
+        return CsvDialect(delimiter, _unnamed(fields, rows, delimiter), number)
     text = comment.strip().lstrip("".join(COMMENT_MARKS)).strip()
     commented = _fields(text, _delimiter(text)) if text else []
     if len(commented) == len(fields) and not all(NUMBER.fullmatch(n) for n in commented):
         return above(tuple(commented), commented_header=True)
+    names = None if request is None else request.joint_names
     if names is None:
-        raise refusal(
-            path,
-            "no-header",
-            f"the first line holds numbers ({line.strip()[:60]!r}), a header is needed: "
-            "'time' and one joint name per column, since columns are matched by name"
-            + advice("; write it, or pass {}", "joint_names=['time', ...]", "--joint-names time,NAME,..."),
-            line=number,
-        )
+        needed = "a header is needed: 'time' and one joint name per column, since columns are matched by name"
+        said = f"the first line holds numbers ({line.strip()[:60]!r}), {needed}"
+        how = ""
+        if request is not None:
+            first = [float(_fields(text, delimiter)[0].replace(",", ".")) for text in lines]
+            rises = len(fields) > request.robot.nv and bool(np.all(np.diff(first) > 0))
+            how = names_advice(len(fields), request.robot, stamps=rises)
+        raise refusal(path, "no-header", f"{said}; write it{how}", line=number)
     if len(names) != len(fields):
         said = f"this row has {len(fields)} fields and {len(names)} column names were given ({', '.join(names)})"
-        raise refusal(path, "shape", f"{said}: give one for each, 'time' among them", line=number)
+        raise refusal(path, "shape", f"{said}: give one for each, '-' for one that is not read", line=number)
     return above(names, named_by_caller=True)
 
 
@@ -178,7 +199,7 @@ class Columns:
     """Columns of a table.
 
     Attributes:
-        time: Column of the stamps.
+        time: Column of the stamps; None where they are counted at the rate that the caller gives.
         unit: Unit of the stamps where their name says it.
         joints: Columns of the joints.
         strict: Whether a name that is no joint's is a mistake.
@@ -186,7 +207,7 @@ class Columns:
         as_clock: True where stamps are dates or times of day, which become seconds.
     """
 
-    time: int
+    time: int | None
     unit: str | None
     joints: Found
     strict: bool
@@ -196,38 +217,36 @@ class Columns:
     @property
     def used(self) -> list[int]:
         """Columns that are read."""
-        return sorted({self.time, *self.joints.positions, *self.joints.velocities, *self.joints.efforts})
+        stamps = () if self.time is None else (self.time,)
+        return sorted({*stamps, *self.joints.positions, *self.joints.velocities, *self.joints.efforts})
 
 
 def columns_of(path: Path, dialect: CsvDialect, request: ReadRequest) -> Columns:
     """The columns of a table."""
     check_columns(path, "its header", len(dialect.columns))
     names: list[str | None] = []
-    for raw in dialect.columns:
-        name = request.renamed(raw)
-        names.append(None if request.ignores(raw, *([name] if name else [])) else name)
+    for raw, name in zip(dialect.columns, request.renamed(*dialect.columns), strict=True):
+        is_unread = not name and dialect.named_by_caller
+        names.append(None if is_unread or request.ignores(raw, *([name] if name else [])) else name)
     time = find_time(names)
-    if time.column is None:
+    if time.column is not None:
+        names[time.column] = "time"
+    elif request.rate is None:
         raise _no_time(path, dialect, names, time.choices)
-    names[time.column] = "time"
     left_out = [i for i in time.others if request.columns or names[i] not in request.robot.joint_names]
     left_out += [i for i, n in enumerate(names) if n is not None and BOOKKEEPING.fullmatch(n)]
-    if names and names[0] == "":  # a first column without a name that counts the rows, as pandas writes it
-        first = [row[:1] for row in itertools.islice(_rows(path, dialect), 3)]
-        left_out += [0] if len(first) > 1 and first in ([["0"], ["1"]], [["0"], ["1"], ["2"]]) else []
+    left_out += [i for i, n in enumerate(names) if n == ""]
     found = _joint_columns(path, dialect, names, request)
     if found is not None:
         kept = {*found.positions, *found.velocities, *found.efforts, time.column}
         left_out = [i for i, n in enumerate(names) if n is not None and i not in kept]
     notes = [time.note, "" if found is None else found.note]
     if left_out:
-        words = [dialect.columns[i] or f"column {i + 1} (row numbers)" for i in sorted(set(left_out))]
+        words = [dialect.columns[i] or f"column {i + 1} (without a name)" for i in sorted(set(left_out))]
         more = f" and {len(words) - SHOWN} more" if len(words) > SHOWN else ""
         notes.append(f"columns not used: {', '.join(words[:SHOWN])}{more}")
     meant = {i: n for i, n in enumerate(names) if n is not None and i not in {*left_out, time.column}}
     for i, name in meant.items():
-        if not name:
-            raise _header_error(path, dialect, "unnamed-column", f"column {i + 1} of {len(names)} has no name")
         if name == "time" or name in [meant[k] for k in meant if k < i]:
             raise _header_error(path, dialect, "duplicate-column", f"two columns are called {name!r}: keep one")
     joints, surplus = _called_as_joints(meant, request.robot) if found is None else (found, [])
@@ -286,6 +305,7 @@ def _no_time(path: Path, dialect: CsvDialect, names: list[str | None], choices: 
         hint = f"; several could be it, choose one: {' or '.join(flags)}"
     elif near and all(flags):
         hint = f"; if {near[0] or 'the first column, which has no name,'!r} is meant, pass {flags[0]} or rename it"
+    hint += advice("; without time stamps, pass {}", "rate=<samples per second>", "--rate <samples per second>")
     shown = ", ".join(map(repr, dialect.columns[:8])) + (" ..." if len(dialect.columns) > 8 else "")
     text = f"there is no column 'time'; the {DELIMITER_WORDS[dialect.delimiter]}-separated header has {shown}{hint}"
     return _header_error(path, dialect, "no-time", text)
@@ -310,7 +330,11 @@ def _recording(
         (tuple(part.values()), table[:, [place[i] for i in part]])
         for part in (columns.joints.positions, columns.joints.velocities, columns.joints.efforts)
     )
-    time, unit = table[:, place[columns.time]], columns.unit
+    unit = columns.unit
+    if columns.time is None:
+        time, unit = request.counted(len(table)), "s"
+    else:
+        time = table[:, place[columns.time]]
     in_seconds = unit is not None and request.time_unit is None  # by its name, unless the caller says another unit
     if unit is not None and in_seconds:
         time = time * SECONDS[unit]
@@ -347,7 +371,7 @@ def _table(path: Path, dialect: CsvDialect, columns: Columns, request: ReadReque
         first = next(lines, None)
         if first is None:
             cut = " with a line end" if dialect.without_cut_line else ""
-            raise refusal(path, "too-short", f"there is a header but no row of numbers{cut}")
+            raise refusal(path, "too-short", f"there is a header but no row of numbers{cut}; 2 are needed")
         form = {"delimiter": dialect.delimiter, "comments": None, "quotechar": '"'}
         return np.loadtxt(itertools.chain([first], lines), usecols=usecols, ndmin=2, **form)
     except ValueError as error:
@@ -393,9 +417,9 @@ def _checked_lines(path: Path, dialect: CsvDialect, clock: int | None) -> Iterat
     comma = point = False  # decimal marks up to here
     for number, line in _numbered_lines(path, dialect):
         fields = len(line.split()) if delimiter is None else line.count(delimiter) + 1
-        if fields != width:
+        if fields != width and (fields := len(dialect.split(line))) != width:  # some may stand in quotes
             said = f"this row has {fields} fields, the header has {width} ({DELIMITER_WORDS[delimiter]}-separated)"
-            raise refusal(path, "ragged", f"{said}: {line.strip()[:60]!r}", line=number)
+            raise refusal(path, "ragged", f"{said}: {line.strip()[:60]!r}; correct the row or remove it", line=number)
         if delimiter != ",":
             comma, point = comma or "," in line, point or "." in line
             if comma and point:

@@ -18,7 +18,7 @@ from manip_learn.recordings.readers.limits import (
     most_bytes,
 )
 from manip_learn.recordings.readers.read_request import first_names
-from manip_learn.recordings.readers.recording import natural_order, reason, refusal
+from manip_learn.recordings.readers.recording import check_regular, natural_order, reason, refusal
 
 STATE, VELOCITY, EFFORT = "observation.state", "observation.velocity", "observation.effort"
 # names that data sets give to joint positions: joint_position (DROID), joint_pos, joint_positions, qpos
@@ -44,6 +44,7 @@ def opened_parquet(file: Path) -> Iterator[Any]:
         import pyarrow.parquet as pq
     except ImportError as error:
         raise MissingExtraError("reading LeRobot data", "lerobot") from error
+    check_regular(file)
     try:
         with pq.ParquetFile(file, page_checksum_verification=True) as parquet:
             rows, size = parquet.metadata.num_rows, file.stat().st_size
@@ -212,14 +213,16 @@ def _beside(position: str, vectors: Sequence[str]) -> tuple[str, str]:
 
 
 def entry_names(names: Any) -> tuple[str, ...] | None:
-    """Names of a vector's entries: from a list, `{"motors": [...]}` or `{"shoulder": 0, ...}`; null is None."""
+    """Names of a vector's entries: of `[...]`, `[[...]]`, `{"motors": [...]}`, `{"shoulder": 0, ...}`; null is None."""
     if isinstance(names, dict) and names:
         values = list(names.values())
         if all(isinstance(v, int) and not isinstance(v, bool) for v in values):
             if sorted(values) != list(range(len(values))):
                 return None
             return tuple(sorted(names, key=lambda n: names[n]))
-        names = [n for v in values for n in v] if all(isinstance(v, list) for v in values) else None
+        names = values if all(isinstance(v, list) for v in values) else None
+    if isinstance(names, list) and all(isinstance(v, list) for v in names):
+        names = [n for v in names for n in v]
     if isinstance(names, list) and names and all(isinstance(n, str) for n in names):
         return tuple(names)
     return None

@@ -14,6 +14,7 @@ import numpy as np
 
 from manip_learn.errors import MissingExtraError, advice, counted
 from manip_learn.recordings.format_words import DATASET_HEADER
+from manip_learn.recordings.readers.array_reader import column_names
 from manip_learn.recordings.readers.lerobot_dataset import (
     LeRobotDataset,
     StateFeature,
@@ -60,7 +61,8 @@ def read(path: Path, request: ReadRequest) -> Iterator[Recording]:
         numbers.add(number)
         frames += len(columns["state"])
         if names is None:
-            names = _names(dataset, feature, request, columns["state"].shape[1])
+            width = columns["state"].shape[1]
+            names = column_names(dataset.root, feature.position, width, feature.names, request)
             _refuse_unknown_units(dataset, request, names, columns["state"])
         recording = _recording(dataset, request, names, number, columns)
         yield replace(recording, trusted=is_ours, notes=(*recording.notes, *said))
@@ -74,17 +76,20 @@ def _recording(
 ) -> Recording:
     state = columns["state"]
     position, velocity, effort = _kinds(names)
-    position_names = tuple(_joint_name(names[i], request) for i in position)
+    joints = _joint_names(names, request)
+    position_names = tuple(joints[i] for i in position)
     positions, notes = _gripper(state[:, position], position_names, request)
-    if any(names[i] != n for i, n in zip(position, position_names, strict=True)):
+    if any(names[i] == f"{n}.pos" for i, n in zip(position, position_names, strict=True)):
         notes.insert(0, "'.pos' was taken off the names")
     if len(position) < len(names):
-        velocity_names, effort_names = (tuple(_joint_name(names[i], request) for i in k) for k in (velocity, effort))
+        velocity_names, effort_names = (tuple(joints[i] for i in k) for k in (velocity, effort))
         velocities, efforts = (state[:, k] if k else None for k in (velocity, effort))
     else:  # in features of their own, if those have one number per joint
         velocity_names = effort_names = position_names
         beside = (columns.get(name) for name in ("velocity", "effort"))
         velocities, efforts = (None if x is None or x.shape != state.shape else x for x in beside)
+        unlike = [k for k in ("velocity", "effort") if k in columns and columns[k].shape != state.shape]
+        notes += [f"the {k} has {columns[k].shape[1]} entries for {state.shape[1]} joints, not used" for k in unlike]
     name = f"{dataset.root.name} episode {number}"
     time, note = _times(dataset, request, name, columns)
     return Recording(
@@ -138,12 +143,13 @@ def _kinds(names: tuple[str, ...]) -> tuple[list[int], list[int], list[int]]:
     return [i for i in range(len(names)) if i not in {*velocity, *effort}], velocity, effort
 
 
-def _joint_name(name: str, request: ReadRequest) -> str:
-    wanted = request.renamed(name)
-    if wanted in request.robot.joint_names:
-        return wanted
-    end = next((end for end in (".pos", ".vel", *EFFORT_ENDS) if wanted.endswith(end)), "")
-    return request.renamed(wanted.removesuffix(end))
+def _joint_names(names: tuple[str, ...], request: ReadRequest) -> tuple[str, ...]:
+    """Of each entry the joint that it is of, without its ending."""
+    bare = []
+    for name in request.renamed(*names):
+        end = next((end for end in (".pos", ".vel", *EFFORT_ENDS) if name.endswith(end)), "")
+        bare.append(name if name in request.robot.joint_names else name.removesuffix(end))
+    return request.renamed(*bare)
 
 
 def _gripper(positions: np.ndarray, names: tuple[str, ...], request: ReadRequest) -> tuple[np.ndarray, list[str]]:
@@ -160,22 +166,6 @@ def _gripper(positions: np.ndarray, names: tuple[str, ...], request: ReadRequest
         lower, upper = robot.position_lower[j], robot.position_upper[j]
         positions[:, i] = np.degrees(lower + share * (upper - lower))
     return positions, ["the gripper's 0 .. 100 is spread over its joint limits"]
-
-
-def _names(dataset: LeRobotDataset, feature: StateFeature, request: ReadRequest, width: int) -> tuple[str, ...]:
-    names = request.joint_names or feature.names
-    request.uses.use("joint_names")
-    if names is None:
-        raise refusal(
-            dataset.root,
-            "no-joint-names",
-            f"the data set does not name the {width} entries of {feature.position}: "
-            + advice("pass {} in their order", "joint_names=[...]", "--joint-names NAME,NAME,..."),
-        )
-    if len(names) != width:
-        text = f"{feature.position} has {width} entries, there are {len(names)} names: {', '.join(names)}"
-        raise refusal(dataset.root, "shape", text)
-    return names
 
 
 def _refuse_unknown_units(

@@ -6,40 +6,46 @@ import functools
 import io
 import math
 import zipfile
-from collections.abc import Callable, Collection, Iterator
+from collections.abc import Collection, Iterator, Mapping
 from pathlib import Path
-from typing import IO
+from typing import IO, Any
 
 import numpy as np
 
-from manip_learn.errors import DAMAGE, advice, closest_names, counted
+from manip_learn.errors import DAMAGE
+from manip_learn.recordings.readers.array_reader import recordings
 from manip_learn.recordings.readers.limits import LARGEST_ARRAYS, LONGEST_TEXT, bomb, check_columns, most_bytes
 from manip_learn.recordings.readers.read_request import ReadRequest
-from manip_learn.recordings.readers.recording import Recording, float_array, reason, refusal
-from manip_learn.recordings.saved_motion import joint_positions
+from manip_learn.recordings.readers.recording import Recording, reason, refusal
 
-NUMBERS = ("time", "q", "u", "effort")
+BARE = b"\x93NUMPY"  # how a single array begins, without an archive around
 
 
 def read(path: Path, request: ReadRequest) -> Iterator[Recording]:
-    """The one recording of an archive."""
-    numbers = [n for n in NUMBERS if not request.ignores(n)]
-    texts = [] if request.ignores("joint_names") else ["joint_names"]
-    stored, ignored = stored_arrays(path, numbers, texts, request.renamed)
-    _check_shapes(path, stored, ignored)
-    arrays = {name: float_array(stored[name]) for name in NUMBERS if name in stored}
-    notes = [f"arrays not used: {', '.join(ignored)}"] if ignored else []
-    for name in arrays:
-        if stored[name].dtype != np.dtype(np.float64):
-            notes.append(f"{name} is stored as {stored[name].dtype.str}, read as float64")
-    names = _joint_names(path, stored, request)
-    q = joint_positions(path, arrays["q"], names, request.robot)
-    u, effort = arrays.get("u"), arrays.get("effort")
-    yield Recording.of(path, path.name, arrays["time"], names, q, u, effort, notes=tuple(notes))
+    """The recording of an archive, or of one bare array of positions."""
+    with path.open("rb") as file:
+        is_bare = file.read(len(BARE)) == BARE
+
+    def load(roles: Mapping[str, str]) -> dict[str, Any]:
+        if is_bare:
+            return {role: _bare(path) for role in roles}
+        texts = [name for role, name in roles.items() if role == "joint_names"]
+        arrays, _ = stored_arrays(path, [name for name in roles.values() if name not in texts], texts)
+        return {r: texts_of(path, r, arrays[n]) if n in texts else arrays[n] for r, n in roles.items()}
+
+    yield from recordings(path, ["q"] if is_bare else stored_arrays(path, (), ())[1], load, request)
+
+
+def _bare(path: Path) -> np.ndarray:
+    try:
+        with path.open("rb") as file:
+            return _array(path, "q", file, path.stat().st_size, "fiu", 0)[0]
+    except DAMAGE as error:
+        raise refusal(path, "damaged", f"the array is damaged ({reason(error)}): copy or save it again") from error
 
 
 def stored_arrays(
-    path: Path, numbers: Collection[str], texts: Collection[str], renamed: Callable[[str], str] = str
+    path: Path, numbers: Collection[str], texts: Collection[str]
 ) -> tuple[dict[str, np.ndarray], list[str]]:
     """The arrays of an archive.
 
@@ -47,7 +53,6 @@ def stored_arrays(
         path: File.
         numbers: Names of arrays of numbers.
         texts: Names of arrays of text.
-        renamed: Name in the file -> name in `numbers` or `texts`.
 
     Returns:
         Name -> array as it is stored, of those that were asked for and are there; and the names of the others.
@@ -62,7 +67,7 @@ def stored_arrays(
     try:
         with zipfile.ZipFile(path) as archive:
             for info in archive.infolist():
-                name = renamed(info.filename.removesuffix(".npy"))
+                name = info.filename.removesuffix(".npy")
                 if name in members:
                     raise refusal(path, "duplicate-column", f"the array {name!r} occurs twice: keep one")
                 if name in numbers or name in texts:
@@ -131,50 +136,3 @@ def _parsed_header(is_first: bool, content: bytes) -> tuple[tuple[int, ...], boo
     """Shape, order and type; arrays of the same shape share them, and parsing takes longer than reading a small one."""
     parse = np.lib.format.read_array_header_1_0 if is_first else np.lib.format.read_array_header_2_0
     return parse(io.BytesIO(content))
-
-
-def _check_shapes(path: Path, arrays: dict[str, np.ndarray], ignored: list[str]) -> None:
-    for name in ("time", "q"):
-        if name not in arrays:
-            near = closest_names(name, ignored)
-            hint = ""
-            if near:
-                python, flag = f"rename={{{near[0]!r}: {name!r}}}", f"--rename {near[0]}={name}"
-                hint = advice(f"; if {near[0]!r} is meant: {{}}", python, flag)
-            there = ", ".join(map(repr, [*arrays, *ignored]))
-            raise refusal(path, "missing-array", f"there is no array {name!r}; there is {there}{hint}")
-    shapes = {name: array.shape for name, array in arrays.items()}
-    time, q = shapes["time"], shapes["q"]
-    if len(time) != 1 or len(q) != 2 or q[0] != time[0]:
-        raise refusal(path, "shape", f"time must have shape (T,) and q (T, n); they have {time} and {q}")
-    for name in ("u", "effort"):
-        shape = shapes.get(name, q)
-        if len(shape) != 2 or shape[0] != time[0]:
-            said = f"{name} must have shape ({time[0]}, n), it has {shape}: one row per time stamp"
-            raise refusal(path, "shape", said)
-    if "effort" in shapes and shapes["effort"] != shapes.get("u", q):
-        raise refusal(path, "shape", f"effort has shape {shapes['effort']}: one column per joint is needed")
-
-
-def _joint_names(path: Path, arrays: dict[str, np.ndarray], request: ReadRequest) -> tuple[str, ...]:
-    columns = arrays["q"].shape[1]
-    width = arrays["u"].shape[1] if "u" in arrays else columns
-    if "joint_names" in arrays:
-        names = tuple(request.renamed(n) for n in texts_of(path, "joint_names", arrays["joint_names"]))
-    elif request.joint_names is not None:
-        request.uses.use("joint_names")
-        names = request.joint_names
-    else:
-        raise refusal(
-            path,
-            "no-joint-names",
-            f"the archive has no 'joint_names' for the {counted(columns, 'column')} of q: save them"
-            + advice(", or pass {} in the order of the columns", "joint_names=[...]", "--joint-names NAME,NAME,..."),
-        )
-    if len(names) != width:
-        raise refusal(
-            path,
-            "shape",
-            f"there are {len(names)} joint names for {counted(width, 'column')}: one name per column is needed",
-        )
-    return names

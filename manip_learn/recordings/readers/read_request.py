@@ -5,12 +5,18 @@ from __future__ import annotations
 import functools
 import math
 import re
+import shlex
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Literal, final, get_args
 
+import numpy as np
+from jaxtyping import Float
+
 from manip_learn.errors import RecordingError, advice, closest_names, spoken
 from manip_learn.recordings.earned_velocities import Velocities
+from manip_learn.recordings.format_words import EFFORT_SUFFIX, VELOCITY_SUFFIX
+from manip_learn.recordings.readers.name_patterns import INDEX, JOINT, renamed
 from manip_learn.robot import Robot
 
 Units = Literal["radians", "degrees", "normalised"]
@@ -18,6 +24,7 @@ TimeUnit = Literal["s", "ms", "us", "ns"]
 
 SECONDS: dict[str, float] = {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9}  # of one unit
 UNIT_WORDS = {"s": "seconds", "ms": "milliseconds", "us": "microseconds", "ns": "nanoseconds"}
+ENDS = (VELOCITY_SUFFIX, EFFORT_SUFFIX, ".pos", ".vel", ".torque", ".effort")  # of names that are about a joint
 # options that only some formats have a use for, and why the recordings had none
 WHY = {
     "topics": "topics are read from ROS bags, and none of the recordings is one",
@@ -185,6 +192,33 @@ def _refused(given: object) -> RecordingError:
     )
 
 
+def names_advice(n: int, robot: Robot, stamps: bool | None = None) -> str:
+    """How to name n columns without names, if they are in the robot's order; the end of a sentence.
+
+    Args:
+        n: Number of columns.
+        robot: Whose joints they may be.
+        stamps: Whether the first column could be time stamps; None where they are kept elsewhere.
+    """
+    joints = list(robot.joint_names)
+    names = [*(["time"] if stamps else []), *joints]
+    if stamps is not None and len(names) + len(joints) <= n:
+        names += [j + VELOCITY_SUFFIX for j in joints]
+    if n > 6 * len(names):  # no table of this robot
+        return advice(", or pass {}", "joint_names=[...]", "--joint-names NAME,NAME,...")
+    names = [*names, *["-"] * n][:n]
+    rate = (" and rate=<samples per second>", " --rate <samples per second>") if stamps is False else ("", "")
+    python, flags = f"joint_names={names}{rate[0]}", f"--joint-names {','.join(names)}{rate[1]}"
+    return advice(", or pass {} if they are in the robot's order ('-': not read)", python, flags)
+
+
+def rename_words(rename: Mapping[str, str]) -> tuple[str, str]:
+    """An option `rename` as it is written in Python, and as flags for a shell."""
+    python = ", ".join(f"{old!r}: {new!r}" for old, new in rename.items())
+    pairs = [old if new == JOINT else f"{old}={new}" for old, new in rename.items()]
+    return f"rename={{{python}}}", " ".join(f"--rename {shlex.quote(p)}" for p in pairs)
+
+
 @functools.lru_cache(maxsize=8)
 def unmoved_joint_names(robot: Robot) -> tuple[str, ...]:
     """Joints of the description that are no degrees of freedom: locked, fixed and mimic joints."""
@@ -215,7 +249,7 @@ class ReadRequest:
     units_insisted: bool = False
     time_unit: TimeUnit | None = None
     ignore_columns: tuple[str, ...] = ()
-    rename: Mapping[str, str] = field(default_factory=dict)
+    rename: Mapping[str, str] | str = field(default_factory=dict)
     columns: tuple[str, ...] = ()
     joint_names: tuple[str, ...] | None = None
     topics: tuple[str, ...] | None = None
@@ -234,6 +268,8 @@ class ReadRequest:
         _check_choice("outside_limits", self.outside_limits, ("refuse", "note"))
         for option in ("ignore_columns", "columns", "joint_names", "topics"):
             object.__setattr__(self, option, _names(option, getattr(self, option)))
+        if self.joint_names is not None:  # a column that is not read
+            object.__setattr__(self, "joint_names", tuple("" if n == "-" else n for n in self.joint_names))
         wrong = [p for p in self.columns if p.count("{joint}") + p.count("{index}") != 1]
         if wrong or len(self.columns) > 2:
             seen = f"{wrong[0]!r}" if wrong else f"{len(self.columns)} patterns"
@@ -246,29 +282,47 @@ class ReadRequest:
         if self.feature is not None and not (isinstance(self.feature, str) and self.feature.strip()):
             text = f"{as_written('feature')} must be the name of a feature, got {self.feature!r}"
             raise RecordingError(text, code="option")
-        if not isinstance(self.rename, Mapping):
+        rename = {self.rename: JOINT} if isinstance(self.rename, str) else self.rename
+        if not isinstance(rename, Mapping) or not all(isinstance(n, str) for pair in rename.items() for n in pair):
             raise RecordingError(
                 f"rename must be a mapping {{name in the file: name in the robot}}, got {self.rename!r}", code="option"
             )
+        for old, new in rename.items():
+            known = new == JOINT if INDEX in old else old.count(JOINT) == new.count(JOINT) < 2
+            if not known:
+                raise RecordingError(
+                    f"{as_written('rename')} must be a name and its new name, or a pattern such as 'left_{JOINT}', "
+                    f"'left_{JOINT}={JOINT}_l' or 'q{INDEX}', got {old!r} and {new!r}",
+                    code="option",
+                )
+        object.__setattr__(self, "rename", rename)
         is_number = isinstance(self.rate, int | float)
         if self.rate is not None and not (is_number and math.isfinite(self.rate) and self.rate > 0):
             text = f"{as_written('rate')} must be a positive number of samples per second [Hz], got {self.rate!r}"
             raise RecordingError(text, code="option")
 
-    def renamed(self, name: str) -> str:
-        """The name in a file after renaming."""
-        self.uses.see(name)
-        if name in self.rename:
-            self.uses.use("rename", name)
-        return self.rename.get(name, name)
+    def renamed(self, *names: str) -> tuple[str, ...]:
+        """All names of one kind in a file, e.g. those of its columns, after renaming."""
+        self.uses.see(*names)
+        moving = self.robot.joint_names
+        new = renamed(names, self.new_names, moving, unmoved_joint_names(self.robot), ENDS) if self.rename else {}
+        self.uses.use("rename", *(entry for _, entry in new.values()))
+        return tuple(new[n][0] if n in new else n for n in names)
+
+    @property
+    def new_names(self) -> Mapping[str, str]:
+        """Name or pattern in the file -> new name."""
+        return {} if isinstance(self.rename, str) else self.rename
+
+    def counted(self, n: int) -> Float[np.ndarray, " n"]:
+        """Time stamps of n samples at the rate that the caller gives [s]."""
+        self.uses.use("rate")
+        return np.arange(n) / (self.rate or 1.0)
 
     def unmatched(self) -> list[UnmatchedOption]:
         """A sentence for each option that the recordings read so far had no use for."""
-        names = [
-            (name, f"rename={{{name!r}: {self.rename[name]!r}}}", f"--rename {name}={self.rename[name]}")
-            for name in self.rename
-            if name not in self.uses.used.get("rename", ())
-        ]
+        used = self.uses.used.get("rename", ())
+        names = [(old, *rename_words({old: new})) for old, new in self.new_names.items() if old not in used]
         names += [
             (name, f"ignore_columns=[{name!r}]", f"--ignore-column {name}")
             for name in self.ignore_columns

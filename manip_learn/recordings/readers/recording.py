@@ -15,6 +15,7 @@ from jaxtyping import Float
 from manip_learn.errors import RecordingError
 
 LONGEST = 160  # characters of a foreign text: two lines of a terminal
+POINTER = b"version https://git-lfs"  # how the text begins that Git LFS leaves in place of a file
 
 
 @final
@@ -76,6 +77,8 @@ class Recording:
         for values, names in (("positions", "position"), ("velocities", "velocity"), ("efforts", "effort")):
             called, array = getattr(self, f"{names}_names"), getattr(self, values)
             wanted = [i for i, n in enumerate(called) if not unwanted(n)]
+            if len(wanted) == len(called):  # a million samples are not copied for nothing
+                continue
             changed[f"{names}_names"] = tuple(called[i] for i in wanted)
             changed[values] = None if array is None else array[:, wanted]
         return replace(self, **changed)
@@ -134,18 +137,20 @@ def natural_order(name: str) -> tuple[tuple[int, int, str], ...]:
 
 
 def check_regular(path: Path) -> None:
-    """Refuse what is neither a file nor there.
+    """Refuse what is neither a file nor there, and a file that only stands for one.
 
     Raises:
-        RecordingError: Missing, not readable, a pipe, a device.
+        RecordingError: Missing, not readable, a pipe, a device, a pointer of Git LFS.
     """
     try:
         mode = path.stat().st_mode
         if not stat.S_ISREG(mode):
             text = "this is not a regular file; give a recording or a folder of recordings"
             raise refusal(path, "not-a-file", text, in_full=True)
-        with path.open("rb"):
-            pass
+        with path.open("rb") as file:
+            if file.read(len(POINTER)) == POINTER:
+                text = "this is a Git LFS pointer, not the recording itself: run `git lfs pull`"
+                raise refusal(path, "git-lfs", text)
     except FileNotFoundError as error:
         raise refusal(path, "missing-file", "there is no such file: check the path", in_full=True) from error
     except (OSError, ValueError) as error:

@@ -38,9 +38,10 @@ CSV = FileFormat("text tables (CSV)", "manip_learn.recordings.readers.csv_reader
 NPZ = FileFormat("NumPy archives (.npz)", "manip_learn.recordings.readers.npz_reader")
 ROSBAG = FileFormat("ROS bags", "manip_learn.recordings.readers.rosbag_reader")
 LEROBOT = FileFormat("LeRobot data", "manip_learn.recordings.readers.lerobot_reader")
-ROBOMIMIC = FileFormat("robomimic HDF5", "manip_learn.recordings.readers.robomimic_reader")
+MATLAB = FileFormat("MATLAB files", "manip_learn.recordings.readers.array_reader")
+ROBOMIMIC = FileFormat("HDF5 (robomimic)", "manip_learn.recordings.readers.robomimic_reader")
 SAVED = FileFormat("files of manip_learn", "manip_learn.recordings.readers.saved_reader")
-FORMATS = (CSV, NPZ, ROSBAG, LEROBOT, ROBOMIMIC)
+FORMATS = (CSV, NPZ, ROSBAG, LEROBOT, ROBOMIMIC, MATLAB)
 
 MAGIC: tuple[tuple[bytes, FileFormat], ...] = (
     (b"#ROSBAG V2", ROSBAG),
@@ -48,6 +49,8 @@ MAGIC: tuple[tuple[bytes, FileFormat], ...] = (
     (b"\x89MCAP0\r\n", ROSBAG),
     (b"PAR1", LEROBOT),
     (b"\x89HDF\r\n\x1a\n", ROBOMIMIC),
+    (b"\x93NUMPY", NPZ),
+    (b"MATLAB ", MATLAB),
 )
 # content that people do hand in by mistake -> what to do
 REFUSED_MAGIC: tuple[tuple[bytes | tuple[bytes, ...], str, str], ...] = (
@@ -56,7 +59,6 @@ REFUSED_MAGIC: tuple[tuple[bytes | tuple[bytes, ...], str, str], ...] = (
         "pickle",
         "a Python pickle, which can run any code when it is opened: save the arrays with np.savez",
     ),
-    (b"\x93NUMPY", "bare-array", "a bare NumPy array without names: save time, q, u and joint_names with np.savez"),
     (b"\x1f\x8b", "compressed", "compressed with gzip: unpack it first"),
     (b"BZh", "compressed", "compressed with bzip2: unpack it first"),
     (b"\xfd7zXZ", "compressed", "compressed with xz: unpack it first"),
@@ -67,8 +69,6 @@ REFUSED_MAGIC: tuple[tuple[bytes | tuple[bytes, ...], str, str], ...] = (
     ),
     (b"PK\x05\x06", "empty", "an empty archive"),
     (b"#ROSBAG V1", "old-bag", "a ROS bag of version 1: convert it with `rosbag fix`"),
-    (b"MATLAB ", "matlab", "a MATLAB file: export the table as CSV"),
-    (b"version https://git-lfs", "git-lfs", "a Git LFS pointer, not the recording itself: run `git lfs pull`"),
     ((b"\x89PNG", b"\xff\xd8\xff"), "not-a-recording", "an image"),
 )
 
@@ -83,7 +83,7 @@ def recognise(path: Path) -> FileFormat:
     with path.open("rb") as file:
         head = file.read(4096)
     if not head.strip():
-        raise refusal(path, "empty", "the file is empty")
+        raise refusal(path, "empty", "the file is empty: copy it again, or record again")
     if head.startswith(b"PK\x03\x04"):
         return _archive(path)
     if head.removeprefix(b"\xef\xbb\xbf").startswith((MARK.encode(), JSON_LINES.encode())) and file_header(path):

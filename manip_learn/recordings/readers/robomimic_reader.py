@@ -14,9 +14,9 @@ from typing import Any
 import numpy as np
 
 from manip_learn.errors import DAMAGE, MissingExtraError, advice
-from manip_learn.recordings.readers.limits import LARGEST_ARRAYS, bomb, check_columns, most_bytes
+from manip_learn.recordings.readers.array_reader import column_names, hdf5_recordings, numbers
 from manip_learn.recordings.readers.read_request import ReadRequest
-from manip_learn.recordings.readers.recording import Recording, float_array, natural_order, reason, refusal
+from manip_learn.recordings.readers.recording import Recording, natural_order, reason, refusal
 
 try:
     import h5py
@@ -31,18 +31,17 @@ def read(path: Path, request: ReadRequest) -> Iterator[Recording]:
     """One recording per demonstration; one in memory at a time."""
     try:
         with h5py.File(path, "r") as file:
-            data = _member(path, file, "data", h5py.Group)
+            link = file.get("data", getlink=True)
+            data = _member(path, file, "data", h5py.Group) if link is not None else {}
             demos = sorted((n for n in data if n.startswith("demo")), key=natural_order)
-            if not demos:
-                raise refusal(
-                    path, "not-robomimic", f"the group 'data' holds no 'demo_0', ... but {', '.join(list(data)[:8])}"
-                )
-            names = _names(path, request)
+            if not demos:  # of any other layout
+                yield from hdf5_recordings(path, file, request)
+                return
             rate, note = _rate(path, data, request)
             _refuse_lost(path, "data", len(demos), "demonstrations", data, "num_demos")
             total = 0
             for name in demos:
-                recording = _recording(path, data, name, names, rate, note)
+                recording = _recording(path, data, name, request, rate, note)
                 total += len(recording.time)
                 yield recording
             _refuse_lost(path, "data", total, "samples", data, "total")
@@ -51,17 +50,14 @@ def read(path: Path, request: ReadRequest) -> Iterator[Recording]:
         raise refusal(path, "damaged", said) from error
 
 
-def _recording(path: Path, data: Any, name: str, names: tuple[str, ...], rate: float, note: str) -> Recording:
+def _recording(path: Path, data: Any, name: str, request: ReadRequest, rate: float, note: str) -> Recording:
     demo = _member(path, data, name, h5py.Group)
     if "obs" not in demo:
         text = f"{name} has no group 'obs': extract observations first (robomimic's dataset_states_to_obs.py)"
         raise refusal(path, "no-state", text)
     obs = _member(path, demo, "obs", h5py.Group)
     positions = _matrix(path, _member(path, obs, POSITION, h5py.Dataset), f"{name}/obs/{POSITION}")
-    if positions.shape[1] != len(names):
-        raise refusal(
-            path, "shape", f"{name}/obs/{POSITION} has {positions.shape[1]} columns for {len(names)} joint names"
-        )
+    names = request.renamed(*column_names(path, POSITION, positions.shape[1], None, request))
     _refuse_lost(path, f"data/{name}", positions.shape[0], "samples", demo, "num_samples")
     velocities = efforts = None
     for effort in (e for e in EFFORTS if e in obs):
@@ -110,39 +106,9 @@ def _member(path: Path, group: Any, name: str, kind: type) -> Any:
 
 
 def _matrix(path: Path, dataset: Any, where: str) -> np.ndarray:
-    if dataset.is_virtual or dataset.external:
-        raise refusal(
-            path, "link", f"{where} is stored in other files, which are not opened: copy the data into the file"
-        )
-    if dataset.dtype.kind not in "fiu":
-        raise refusal(path, "not-a-number", f"{where} holds {dataset.dtype}, numbers are needed")
-    if dataset.ndim != 2:
+    if dataset.dtype.kind in "fiu" and dataset.ndim != 2:
         raise refusal(path, "shape", f"{where} must have shape (T, n), it has {dataset.shape}")
-    check_columns(path, where, dataset.shape[1])
-    need, stored = math.prod(dataset.shape) * dataset.dtype.itemsize, dataset.id.get_storage_size()
-    if need and not stored:
-        raise refusal(path, "damaged", f"{where} has shape {dataset.shape}, but no numbers are stored")
-    if need > LARGEST_ARRAYS:
-        raise refusal(path, "too-large", f"{where} has {need:,} bytes, more than {LARGEST_ARRAYS:,}: split it")
-    if need > most_bytes(stored):
-        raise bomb(path, f"{where} claims {need:,} bytes, {stored:,} are stored")
-    return float_array(dataset[()])
-
-
-def _names(path: Path, request: ReadRequest) -> tuple[str, ...]:
-    if request.joint_names is None:
-        raise refusal(
-            path,
-            "no-joint-names",
-            f"robomimic files name no joints; say which columns {POSITION} has, for this robot probably: "
-            + advice(
-                "{}",
-                f"joint_names={list(request.robot.joint_names)}",
-                f"--joint-names {','.join(request.robot.joint_names)}",
-            ),
-        )
-    request.uses.use("joint_names")
-    return request.joint_names
+    return numbers(path, dataset, where)
 
 
 def _rate(path: Path, data: Any, request: ReadRequest) -> tuple[float, str]:

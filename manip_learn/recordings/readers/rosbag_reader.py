@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from array import array
+from array import array as growing
 from collections import Counter
 from collections.abc import Iterator
 from dataclasses import dataclass, field, replace
@@ -17,21 +17,27 @@ from manip_learn.recordings.clock import GAP_FACTOR, in_order
 from manip_learn.recordings.format_words import JOINT_STATE
 from manip_learn.recordings.readers.bag_file import BagFile, open_bag
 from manip_learn.recordings.readers.limits import MOST_NAME_LISTS, check_columns
-from manip_learn.recordings.readers.read_request import ReadRequest
+from manip_learn.recordings.readers.read_request import ReadRequest, first_names
 from manip_learn.recordings.readers.recording import Recording, refusal
 
 USUAL_TOPIC = "/joint_states"
+PLURAL = {"position": "positions", "velocity": "velocities", "effort": "efforts"}
 OTHER_CLOCK = 1_000_000_000  # [ns] by which the clocks of two hosts differ; no message is under way for so long
 
 
 def read(path: Path, request: ReadRequest) -> Iterator[Recording]:
     """The one recording of a bag; time counts from the first sample."""
     with open_bag(path) as bag:
-        streams, notes = _streams(bag, _topics(bag, request))
-    streams = [replace(s, names=tuple(map(request.renamed, s.names))) for s in streams]
+        topics = _topics(bag, request)
+        streams, notes = _streams(bag, topics)
+        others = [t for t in bag.topics if t not in topics]
+    notes += [f"other topics, not read: {first_names(others, 6)}"] if others else []
+    streams = [replace(s, names=request.renamed(*s.names)) for s in streams]
     joints = request.robot.joint_names
     if not streams:
-        raise refusal(path, "empty", "the joint-state topics of the bag have no message")
+        why = f"; {'; '.join(notes)}" if notes else ""
+        text = f"no message of joint states can be used{why}: mend the program that publishes them and record again"
+        raise refusal(path, "empty", text)
     of_senders, said = _of_senders(streams)
     notes += said
     continuous = frozenset(b.name for b in request.robot.blocks if b.kind == "continuous")
@@ -158,12 +164,12 @@ class JointStates:
 def _streams(bag: BagFile, topics: tuple[str, ...]) -> tuple[list[JointStates], list[str]]:
     """All streams of some topics, and what was left out."""
     # header stamps, recorder's stamps, positions, velocities and efforts, as they grow
-    joints: dict[tuple[str, tuple[str, ...]], tuple[array, ...]] = {}
-    without_positions: Counter[str] = Counter()
+    joints: dict[tuple[str, tuple[str, ...]], tuple[growing, ...]] = {}
+    left_out: Counter[tuple[str, str]] = Counter()
     for topic, received, message in bag.messages(topics):
         names = tuple(message.name)
         if not names or len(message.position) != len(names):
-            without_positions[topic] += 1
+            left_out[topic, _misfit(len(names), len(message.position), "position")] += 1
             continue
         stream = joints.get((topic, names))
         if stream is None:
@@ -172,27 +178,36 @@ def _streams(bag: BagFile, topics: tuple[str, ...]) -> tuple[list[JointStates], 
                 text = f"the joints named in {topic} change all the time ({known} lists)"
                 text += advice(": choose another topic with {}", "topics=[...]", "--topic NAME")
                 raise refusal(bag.path, "unsteady-names", text)
-            stream = joints[topic, names] = (array("q"), array("q"), array("d"), array("d"), array("d"))
+            stream = joints[topic, names] = tuple(map(growing, "qqddd"))
         stream[0].append(message.header.stamp.sec * 1_000_000_000 + message.header.stamp.nanosec)
         stream[1].append(received)
-        for values, numbers in zip(stream[2:], (message.position, message.velocity, message.effort), strict=True):
+        for values, what in zip(stream[2:], ("position", "velocity", "effort"), strict=True):
+            numbers = getattr(message, what)
             if len(numbers) == len(names):
                 values.frombytes(np.ascontiguousarray(numbers, dtype=np.float64).tobytes())
-    notes = [
-        f"{counted(n, 'message')} of {topic} have no positions, not used" for topic, n in without_positions.items()
-    ]
+            elif len(numbers):
+                left_out[topic, f"{_misfit(len(names), len(numbers), what)}: their {PLURAL[what]}"] += 1
+    notes = [f"{counted(n, 'message')} of {topic} {why}, not used" for (topic, why), n in left_out.items()]
     streams = []
     for (topic, names), (stamps, received, *columns) in joints.items():
         T, n = len(stamps), len(names)
         q, u, effort = (np.array(x).reshape(T, n) if len(x) == T * n else None for x in columns)
-        if u is None and len(columns[1]):
-            without = T - len(columns[1]) // n
-            notes.append(
-                f"{without} of {T} messages of {topic} have no velocities, so those of the others are not used"
-            )
+        for what, values, array in (("velocities", columns[1], u), ("efforts", columns[2], effort)):
+            if array is None and len(values):
+                without = T - len(values) // n
+                notes.append(
+                    f"{without} of {T} messages of {topic} have no {what}, so those of the others are not used"
+                )
         sent, arrived = (np.array(x, dtype=np.int64) for x in (stamps, received))
         streams.append(JointStates(topic, names, sent, q, u, effort, arrived))  # type: ignore[arg-type]
     return streams, notes
+
+
+def _misfit(names: int, numbers: int, what: str) -> str:
+    """Why numbers of a message cannot be used."""
+    if names and not numbers:
+        return f"have no {PLURAL[what]}"
+    return f"name {counted(names, 'joint')} and have {counted(numbers, what)}"
 
 
 def topics_of_joints(streams: list[JointStates], joints: tuple[str, ...]) -> tuple[dict[str, str], list[str]]:

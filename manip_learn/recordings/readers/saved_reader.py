@@ -81,7 +81,7 @@ def read(path: Path, request: ReadRequest) -> Iterator[Recording]:
     header = file_header(path)
     notes = () if header is None else check_robot(path, header, request.robot)
     motion = read_saved(path)
-    names = tuple(request.renamed(n) for n in motion.header.joint_names)
+    names = request.renamed(*motion.header.joint_names)
     q = joint_positions(path, motion.q, names, request.robot)
     own = {"in_seconds": True, "trusted": True, "notes": notes}
     yield Recording.of(path, path.name, motion.time, names, q, motion.u, motion.effort, **own)

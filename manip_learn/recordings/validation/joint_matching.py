@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import shlex
 from collections import Counter
 from collections.abc import Sequence
 from dataclasses import replace
@@ -9,14 +10,16 @@ from dataclasses import replace
 import numpy as np
 from jaxtyping import Bool, Float
 
-from manip_learn.errors import RecordingError, advice, closest_names, counted
+from manip_learn.errors import RecordingError, advice, counted
 from manip_learn.recordings.readers.column_patterns import another_robot
-from manip_learn.recordings.readers.read_request import ReadRequest, unmoved_joint_names
+from manip_learn.recordings.readers.name_patterns import helpful_renaming
+from manip_learn.recordings.readers.read_request import ReadRequest, first_names, rename_words, unmoved_joint_names
 from manip_learn.recordings.readers.recording import Recording
 from manip_learn.recordings.velocities import continuous_rotation_vectors
 from manip_learn.robot import Robot
 
 QUATERNION, ROTATION_VECTOR = (".qx", ".qy", ".qz", ".qw"), (".rx", ".ry", ".rz")
+SHOWN = 12  # columns that a sentence says how to leave out
 UNIT = 0.05  # by which the length of a recorded quaternion may differ from 1
 
 
@@ -92,8 +95,7 @@ def match_joints(recording: Recording, request: ReadRequest) -> Recording:
         RecordingError: A joint without a column, a column without a joint.
     """
     robot = request.robot
-    if request.ignore_columns:  # whatever the format
-        recording = recording.without(request.ignores)
+    recording = recording.without(lambda name: not name or request.ignores(name))  # whatever the format
     for named in (recording.position_names, recording.velocity_names):
         repeated = next((n for n, count in Counter(named).items() if count > 1), None)
         if repeated is not None:
@@ -107,7 +109,8 @@ def match_joints(recording: Recording, request: ReadRequest) -> Recording:
         raise recording.refusal("no-positions", text)
     if missing:
         raise _missing(recording, robot, missing)
-    notes = _surplus_notes(recording, robot)
+    chosen = any("{" in name for name in request.new_names)  # by a pattern: what it leaves is not meant
+    notes = _surplus_notes(recording, robot, recording.strict_columns and not chosen)
     velocities, said = _velocities(recording, robot)
     efforts, also = _efforts(recording, robot)
     q = recording.positions[:, [names.index(j) for j in robot.joint_names]]
@@ -125,38 +128,47 @@ def match_joints(recording: Recording, request: ReadRequest) -> Recording:
 
 def _missing(recording: Recording, robot: Robot, missing: list[str]) -> RecordingError:
     shown = ", ".join(map(repr, missing[:3])) + (f" and {len(missing) - 3} more" if len(missing) > 3 else "")
-    free = [n for n in recording.position_names if n not in robot.joint_names]
-    near = closest_names(missing[0], free)
-    seen = f", it has {', '.join(map(repr, near or recording.position_names[:10])) or 'none'}"
-    fixes = []
-    if near:
-        one, other = near[0], missing[0]
-        fixes.append(advice(f"{{}} if {one!r} is meant", f"rename={{{one!r}: {other!r}}}", f"--rename {one}={other}"))
+    known = {*robot.joint_names, *unmoved_joint_names(robot)}
+    unknown = list(dict.fromkeys(n for n in recording.position_names if n not in known))
+    seen = f", it has {first_names(unknown or recording.position_names, 10)}"
     thing = next((n for n in robot.objects if missing[0].startswith(f"{n}.")), None)
     if thing is not None:
         wanted = f"{thing}.x .y .z [m] and {thing}.rx .ry .rz (rotation vector [rad]) or {thing}.qx .qy .qz .qw"
-        fixes += [f"record {wanted}", "leave the object out"]
-        said = (
-            f"nothing is recorded for {shown}, the pose of object {thing!r}{seen}: {'; or '.join(filter(None, fixes))}"
-        )
+        said = f"nothing is recorded for {shown}, the pose of object {thing!r}{seen}: record {wanted}; or leave it out"
         return recording.refusal("missing-object", said, column=missing[0])
-    unknown = [n for n in recording.position_names if n not in {*robot.joint_names, *unmoved_joint_names(robot)}]
+    helpful, fixes = helpful_renaming(unknown, missing, robot.joint_names), []
+    for rename, reads in helpful:
+        python, flags = rename_words(rename)
+        locked, lock = _lock([j for j in missing if j not in reads.values()])
+        words = ", ".join(f"{name} as {joint}" for name, joint in list(reads.items())[:2])
+        more = ", ..." if len(reads) > 2 else ""
+        python, flags = " and ".join(filter(None, (python, locked))), " ".join(filter(None, (flags, lock)))
+        fixes.append(advice(f"{{}} reads {words}{more}", python, flags))
     nothing = f"nothing is recorded for joint {shown} of robot {robot.name!r}{seen}"
-    if not near and 2 * len(unknown) > len(recording.position_names):
+    if not helpful and 2 * len(unknown) > len(recording.position_names):
         said = f"{another_robot(recording.position_names, robot)}; {nothing}"
+        if len(unknown) == robot.nv:
+            in_order = rename_words(dict(zip(unknown, robot.joint_names, strict=True)))
+            said += advice("; if it is this one and they are in its order: {}", *in_order)
         return recording.refusal("missing-joint", said, column=missing[0])
-    python = f"load_robot(..., locked=[{', '.join(map(repr, missing))}])"
-    flags = " ".join(f"--lock {name}" for name in missing)
-    fixes.append(advice("{} if nothing of it moves", python, flags) or "name the robot that was recorded")
-    return recording.refusal("missing-joint", f"{nothing}: {'; or '.join(filter(None, fixes))}", column=missing[0])
+    if len(missing) < robot.nv:
+        fixes.append(advice("{} if nothing of it moves", *_lock(missing)))
+    fixes = [f for f in fixes if f] or ["name the robot that was recorded"]
+    return recording.refusal("missing-joint", f"{nothing}: {'; or '.join(fixes)}", column=missing[0])
 
 
-def _surplus_notes(recording: Recording, robot: Robot) -> list[str]:
+def _lock(joints: list[str]) -> tuple[str, str]:
+    """How joints are locked in Python, and on the command line; nothing for none."""
+    flags = " ".join(f"--lock {name}" for name in joints)
+    return f"load_robot(..., locked=[{', '.join(map(repr, joints))}])" if joints else "", flags
+
+
+def _surplus_notes(recording: Recording, robot: Robot, strict: bool) -> list[str]:
     unmoved = unmoved_joint_names(robot)
     known = {*robot.joint_names, *unmoved}
     unknown = [n for n in (*recording.position_names, *recording.velocity_names) if n not in known]
-    if unknown and recording.strict_columns:
-        raise _unknown(recording, robot, unknown[0])
+    if unknown and strict:
+        raise _unknown(recording, robot, list(dict.fromkeys(unknown)))
     notes = []
     if unknown:
         notes.append(f"not joints of {robot.name!r}, not used: {', '.join(dict.fromkeys(unknown))}")
@@ -166,16 +178,17 @@ def _surplus_notes(recording: Recording, robot: Robot) -> list[str]:
     return notes
 
 
-def _unknown(recording: Recording, robot: Robot, name: str) -> RecordingError:
-    near = closest_names(name, robot.joint_names)
-    hint = f" (near: {', '.join(map(repr, near))})" if near else f" (it has {', '.join(robot.joint_names)})"
-    only_joints = advice(" ({} reads the joints and leaves all else out)", "columns='{joint}'", "--columns '{joint}'")
+def _unknown(recording: Recording, robot: Robot, names: list[str]) -> RecordingError:
+    flags = " ".join(f"--ignore-column {shlex.quote(name)}" for name in names[:SHOWN])
+    leave = advice(", or pass {}", f"ignore_columns={names[:SHOWN]}", flags)
+    only_joints = advice("; {} reads the joints and leaves all else out", "columns='{joint}'", "--columns '{joint}'")
     return recording.refusal(
         "unknown-column",
-        f"no joint of robot {robot.name!r} matches this column{hint}: correct the name"
-        + advice(", or pass {}", f"ignore_columns=[{name!r}]", f"--ignore-column {name}")
+        f"no joint of robot {robot.name!r} matches this column (it has {', '.join(robot.joint_names)}): correct the "
+        "name"
+        + (leave if len(names) <= SHOWN else "")
         + (only_joints if recording.line_of is not None else ""),  # patterns are for text tables
-        column=name,
+        column=names[0],
     )
 
 

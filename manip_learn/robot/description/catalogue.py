@@ -6,12 +6,15 @@ import csv
 import functools
 import importlib.metadata
 import importlib.resources
+import re
 from pathlib import Path, PurePosixPath
 
-from manip_learn.errors import MissingExtraError, UnknownNameError
+from manip_learn.errors import MissingExtraError, UnknownNameError, closest_names
 
 DATA_PACKAGE = "example-robot-data"
-SHIPPED = ("planar3", "sawyer")
+SHIPPED = ("planar3", "sawyer", "fr3", "ur5e", "ur10e")
+
+SERIES, NUMBER = re.compile(r"[a-z]+"), re.compile(r"\d+[a-z]?")  # ur and 5e in ur5e
 
 # Names that are not, or not only, the stem of a file.
 SHORT_NAMES = {
@@ -49,7 +52,16 @@ def find_robot(name: str) -> Path:
         return catalogue[name]
     if not catalogue and name in SHORT_NAMES.keys() | {"panda", "xarm7", "kinova", "z1", "so100", "so101", "baxter"}:
         raise MissingExtraError(f"the robot {name!r}", "robots")
-    raise UnknownNameError("robot", name, robot_names(), "the list of robots (or give the path of a .urdf file)")
+    known = robot_names()
+    # a letter more, or another number, is another arm and no typing error
+    near = closest_names(name, known) if NUMBER.search(name) else []
+    others = [
+        n
+        for n in near
+        if NUMBER.findall(n) != NUMBER.findall(name) and SERIES.findall(n)[:1] == SERIES.findall(name)[:1]
+    ]
+    where = "the list of robots (or give the path of a .urdf file)"
+    raise UnknownNameError("robot", name, known, where, others=others)
 
 
 def robot_names() -> tuple[str, ...]:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import final
 from xml.sax.saxutils import quoteattr
 
@@ -189,9 +189,25 @@ def read_joint(node: XmlNode) -> UrdfJoint:
         child=_link_of(node, "child"),
         pose=_pose(node),
         axis=_axis(node, kind),
-        limit=None if limit is None or numbers is None else UrdfLimit(limit.line, *numbers),
+        limit=None if limit is None or numbers is None else _safe(node, UrdfLimit(limit.line, *numbers)),
         mimic=None if mimic is None else _mimic(mimic),
     )
+
+
+def _safe(node: XmlNode, limit: UrdfLimit) -> UrdfLimit:
+    """The limit, or the narrower one at which the safety controller of the arm's driver stops a joint."""
+    safety = _only(node, "safety_controller")
+    low, high = (None if safety is None else safety.number(f"soft_{n}_limit") for n in ("lower", "upper"))
+    if low is None or high is None or limit.lower is None or limit.upper is None or not low < high:
+        return limit  # URDF's own default is 0 for both, which means none
+    lower, upper = max(low, limit.lower), min(high, limit.upper)
+    if (lower, upper) == (limit.lower, limit.upper) or not lower < upper:
+        return limit
+    node.warn(
+        f"its safety_controller allows {lower:g} ... {upper:g} of the limits {limit.lower:g} ... {limit.upper:g}: "
+        "the narrower ones are used"
+    )
+    return replace(limit, lower=lower, upper=upper)
 
 
 def read_name(node: XmlNode) -> str:

@@ -61,7 +61,10 @@ def expanded_xacro(path: Path, asked: bool | Mapping[str, str], package_dirs: Se
         folder = "name the folder that contains the package with {}"
         fix = advice(f", or {folder}", "package_dirs=[...]", "--package-dir FOLDER") or ", or set ROS_PACKAGE_PATH"
         said = " ".join(answer["fault"].split())[:300]
-        raise refusal("xacro-failed", f"xacro could not be expanded ({said}); correct it{fix} for $(find ...)")
+        known = f"; the file has the arguments {', '.join(answer['declared'])}" if answer["declared"] else ""
+        give = advice(": give one with {}", "xacro={NAME: VALUE}", "--xacro-arg NAME=VALUE") if known else ""
+        text = f"xacro could not be expanded ({said}); correct it{fix} for $(find ...){known}{give}"
+        raise refusal("xacro-failed", text)
     unknown = sorted(set(values) - set(answer["declared"]))
     if unknown:  # xacro itself would ignore it
         shown = ", ".join(map(repr, closest_names(unknown[0], answer["declared"]) or answer["declared"])) or "none"
@@ -97,7 +100,9 @@ def _expand(job: dict[str, Any]) -> dict[str, Any]:
         return parse(inp, filename)
 
     def note(place: str) -> None:
-        found = re.findall(rb"<xacro:arg\b[^>]*\bname\s*=\s*[\"']([^\"']+)[\"']", Path(place).read_bytes())
+        # declared, or used without: xacro takes both
+        arguments = rb"<xacro:arg\b[^>]*\bname\s*=\s*[\"']([\w-]+)[\"']|\$\(arg\s+([\w-]+)\s*\)"
+        found = [a or b for a, b in re.findall(arguments, Path(place).read_bytes())]
         declared.update(name.decode(errors="replace") for name in found)
 
     xacro.parse, xacro.root_dir = noted, os.path.dirname(job["path"])
@@ -107,9 +112,11 @@ def _expand(job: dict[str, Any]) -> dict[str, Any]:
         text = XacroDoc.from_file(job["path"], subargs=job["values"]).to_urdf_string()
     except Exception as error:  # whatever the expressions of others raise
         lacks_memory = isinstance(error, MemoryError) or isinstance(getattr(error, "exc", None), MemoryError)
-        return {"fault": f"{'there is not enough memory ' if lacks_memory else ''}{error}"}
+        said = f"{'there is not enough memory ' if lacks_memory else ''}{error}"
+        return {"fault": said, "declared": sorted(declared)}
     if len(text) > job["most"]:
-        return {"fault": f"the URDF has {len(text)} characters, at most {job['most']} are read"}
+        said = f"the URDF has {len(text)} characters, at most {job['most']} are read"
+        return {"fault": said, "declared": []}
     return {"text": text, "declared": sorted(declared)}
 
 

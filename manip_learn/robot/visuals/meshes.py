@@ -132,6 +132,10 @@ def _place(uri: str, roots: MeshRoots) -> tuple[str, Sequence[Path]]:
     for candidate in (d / package for d in roots.walked):
         if roots.beside[0].is_relative_to(candidate) or (candidate / PACKAGE_FILE).is_file():
             folders.append(candidate)
+    if not folders[len(roots.above) :]:  # a package in a repository beside the robot's, or one whose folder was renamed
+        for depth in ("*", "*/*"):
+            files = roots.beside[-1].parent.glob(f"{depth}/{PACKAGE_FILE}")
+            folders += [p.parent for p in files if package in (p.parent.name, _package_name(p.parent))]
     return inside, folders
 
 
@@ -221,7 +225,8 @@ def _collada_pieces(content: bytes) -> Iterator[Piece]:
         first, *others = content.split(b"<bind_material")
         content = first + b"".join(part.partition(b"</bind_material>")[2] for part in others)
         file = collada.Collada(io.BytesIO(content), ignore=[collada.common.DaeError])
-    pending = [(node, np.eye(4)) for node in file.scene.nodes]
+    unit = float(file.assetInfo.unitmeter or 1.0)  # what the file's numbers count [m]; the parser hands them out as is
+    pending = [(node, np.diag([unit, unit, unit, 1.0])) for node in file.scene.nodes]
     for _ in range(MAX_NODES):
         if not pending:
             return

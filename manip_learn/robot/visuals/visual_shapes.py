@@ -22,6 +22,8 @@ from manip_learn.robot.robot import Robot
 from manip_learn.robot.visuals.meshes import Colour, Mesh, find_mesh, mesh_roots, read_meshes
 
 Tag = Literal["visual", "collision"]
+# times the length of all links together, beyond which a mesh is in millimetres; and the least such length [m]
+LONGEST_LINK, SHORTEST_REACH = 20.0, 0.2
 LARGEST_SIZE = 1e4  # [m] of a shape and its distance: more is a wrong unit
 MAX_VISUALS = 2_000  # of a robot, so that its page can be drawn
 GREY: Colour = (0.7, 0.7, 0.72, 1.0)  # red, green, blue and opacity: shapes without a colour
@@ -216,6 +218,8 @@ def visual_shapes(robot: Robot) -> tuple[Visual, ...]:
         elements = [VisualElement(link, 0, Pose(), None, None, why, "") for link in links]
     found, missing = resolve_meshes(robot)
     parsed, scaled = read_meshes(list(found.values())), dict[tuple[Path, Vector], Mesh]()
+    model = robot.pinocchio_model
+    reach = max(float(sum(np.linalg.norm(p.translation) for p in model.jointPlacements)), SHORTEST_REACH)
     visuals: list[Visual] = []
     for e in elements:
         shape, why, colour = e.geometry, e.fault, e.colour
@@ -228,8 +232,12 @@ def visual_shapes(robot: Robot) -> tuple[Visual, ...]:
                 # a mirror image turns every triangle inside out
                 faces = mesh.faces[:, ::-1] if np.prod(shape.scale) < 0 else mesh.faces
                 made = Mesh(mesh.vertices * np.array(shape.scale), faces, mesh.colour)
-                shape = scaled.setdefault((found[shape.uri], shape.scale), made)
-                colour = colour or mesh.colour
+                length, why = float(np.ptp(made.vertices, axis=0).max()), e.fault
+                if length > LONGEST_LINK * reach:
+                    why = f"mesh {shape.uri!r} is {length:.3g} m long, {length / reach:.0f} times the arm's reach: its "
+                    why += 'unit may be millimetres; scale="0.001 0.001 0.001" in its <mesh> says so'
+                made = scaled.setdefault((found[shape.uri], shape.scale), made)
+                shape, colour = None if why else made, colour or mesh.colour
         if shape is None and any(v.link == e.link and v.fault for v in visuals):
             continue
         frame = robot.pinocchio_model.frames[robot.frame(e.link).index]

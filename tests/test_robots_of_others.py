@@ -1,0 +1,187 @@
+"""Descriptions as other people have them: units of meshes, limits of safety controllers, packages beside the robot's,
+and what a stranger is told before learning.
+"""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+from case import case
+from urdf_corpus import dae, stl
+
+import manip_learn as ml
+from manip_learn.cli import main
+from manip_learn.errors import NotIdentifiableError, RobotError, UnknownNameError
+from manip_learn.robot import Robot, load_robot
+from manip_learn.robot.tips import likely_tips
+from manip_learn.robot.visuals.meshes import Mesh, read_meshes
+from manip_learn.robot.visuals.visual_shapes import visual_shapes
+
+
+def joint(name: str, parent: str, child: str, more: str = "", kind: str = "revolute", x: float = 0.3) -> str:
+    """A joint about y, with usual limits unless others are given."""
+    limit = "" if kind == "fixed" or "<limit" in more else '<limit lower="-2" upper="2" velocity="2" effort="9"/>'
+    ends = f'<parent link="{parent}"/><child link="{child}"/><origin xyz="{x} 0 0"/><axis xyz="0 1 0"/>'
+    return f'<joint name="{name}" type="{kind}">{ends}{limit}{more}</joint>'
+
+
+def described(path: Path, links: list[str], *joints: str, visual: str = "") -> Path:
+    """A URDF; the last link is drawn as it is said."""
+    path.parent.mkdir(parents=True, exist_ok=True)
+    bodies = "".join(f'<link name="{n}"/>' for n in links[:-1]) + f'<link name="{links[-1]}">{visual}</link>'
+    path.write_text(f'<robot name="made">{bodies}{"".join(joints)}</robot>')
+    return path
+
+
+def mesh(uri: str, scale: str = "") -> str:
+    return f'<visual><geometry><mesh filename="{uri}"{scale}/></geometry></visual>'
+
+
+def test_the_unit_of_a_collada_file_is_applied(tmp_path: Path) -> None:
+    """A file that counts millimetres or inches is as large as one that counts metres and says the same."""
+    sizes = {}
+    for unit in ("1", "0.001", "0.0254"):
+        path = tmp_path / f"{unit}.dae"
+        path.write_bytes(dae().replace(b'meter="1"', f'meter="{unit}"'.encode()))
+        made = read_meshes([path])[path]
+        assert isinstance(made, Mesh), made
+        sizes[unit] = float(np.ptp(made.vertices, axis=0).max())
+    np.testing.assert_allclose([sizes["0.001"], sizes["0.0254"]], np.array([0.001, 0.0254]) * sizes["1"], rtol=1e-6)
+
+
+def test_a_link_many_arms_long_is_named(tmp_path: Path) -> None:
+    """A mesh in millimetres that does not say so is drawn as a plain shape, and the scale to write is told."""
+    (tmp_path / "a.stl").write_bytes(stl(value=900.0))
+    for scale, is_drawn in (("", False), (' scale="0.001 0.001 0.001"', True)):
+        robot = load_robot(
+            described(tmp_path / "a.urdf", ["b", "l"], joint("j", "b", "l"), visual=mesh("a.stl", scale))
+        )
+        (visual,) = (v for v in visual_shapes(robot) if v.link == "l")
+        assert (visual.shape is not None) == is_drawn
+        assert is_drawn or ('scale="0.001 0.001 0.001"' in visual.fault and "times the arm's reach" in visual.fault)
+
+
+def test_packages_beside_the_robots_are_found(tmp_path: Path) -> None:
+    """In the same workspace, in a repository of several packages, and in a folder of another name."""
+    for place in ("hand_pkg", "tools/hand_pkg", "hand_pkg-main"):
+        with case(place) as folder:
+            beside = folder / "src" / place
+            (beside / "meshes").mkdir(parents=True)
+            (beside / "package.xml").write_text("<package><name>hand_pkg</name></package>")
+            (beside / "meshes" / "a.stl").write_bytes(stl())
+            (folder / "src" / "arm_pkg").mkdir()
+            (folder / "src" / "arm_pkg" / "package.xml").write_text("<package><name>arm_pkg</name></package>")
+            visual = mesh("package://hand_pkg/meshes/a.stl")
+            path = described(
+                folder / "src" / "arm_pkg" / "urdf" / "a.urdf", ["b", "l"], joint("j", "b", "l"), visual=visual
+            )
+            assert all(v.shape is not None for v in visual_shapes(load_robot(path)) if v.link == "l")
+
+
+@pytest.mark.parametrize(
+    ("safety", "limits", "is_told"),
+    [
+        ('soft_lower_limit="-1" soft_upper_limit="1.5" k_velocity="1"', (-1.0, 1.5), True),
+        ('soft_lower_limit="-3" soft_upper_limit="3" k_velocity="1"', (-2.0, 2.0), False),
+        ('soft_lower_limit="-1" soft_upper_limit="3" k_velocity="1"', (-1.0, 2.0), True),
+        ('k_velocity="1"', (-2.0, 2.0), False),
+        ('soft_lower_limit="0" soft_upper_limit="0" k_velocity="1"', (-2.0, 2.0), False),
+        ('soft_lower_limit="5" soft_upper_limit="6" k_velocity="1"', (-2.0, 2.0), False),
+    ],
+)
+def test_the_narrower_limits_of_a_safety_controller_are_used(safety, limits, is_told, tmp_path: Path) -> None:
+    """Where they are narrower and make sense, with a note; else those of the joint."""
+    more = f"<safety_controller {safety}/>"
+    robot = load_robot(described(tmp_path / "a.urdf", ["b", "l"], joint("j", "b", "l", more)))
+    assert (float(robot.position_lower[0]), float(robot.position_upper[0])) == limits
+    assert any("safety_controller allows" in w for w in robot.warnings) == is_told
+
+
+def test_arguments_of_a_xacro_file_are_listed_where_one_is_missing(tmp_path: Path) -> None:
+    """The refusal names them, and how one is given."""
+    pytest.importorskip("xacrodoc", reason="the extra 'xacro' is not installed")
+    path = tmp_path / "a.xacro"
+    args = '<xacro:arg name="length" default="0.3"/><xacro:arg name="mass" default="1"/>'
+    space = 'xmlns:xacro="http://www.ros.org/wiki/xacro"'
+    path.write_text(f'<robot name="made" {space}>{args}<link name="$(arg side)_base"/></robot>')
+    with pytest.raises(RobotError, match="has the arguments length, mass, side: give one with xacro={NAME: VALUE}"):
+        load_robot(path, xacro=True)
+    assert load_robot(path, xacro={"side": "left"}).nv == 0
+
+
+def test_an_arm_of_another_series_is_not_offered() -> None:
+    """The names of shipped arms are those of their makers; a name beside them is another arm, and no typing error."""
+    # by hand from the makers' Denavit-Hartenberg parameters, all joints at zero
+    for name, tip, place in (
+        ("ur5e", "tool0", (0.425 + 0.3922, 0.1333 + 0.0996, 0.1625 - 0.0997)),
+        ("ur10e", "tool0", (0.6127 + 0.57155, 0.17415 + 0.11655, 0.1807 - 0.11985)),
+        ("fr3", "fr3_hand_tcp", (0.088, 0.0, 0.333 + 0.316 + 0.384 - 0.107 - 0.1034)),
+    ):
+        robot = load_robot(name)
+        assert likely_tips(robot) == (tip,) and not robot.warnings
+        np.testing.assert_allclose(np.abs(robot.pose(np.zeros(robot.nv), tip)[:3, 3]), place, atol=1e-12)
+    for name, other in (("ur3e", "ur5e"), ("ur16e", "ur10e")):
+        with pytest.raises(UnknownNameError, match="not the same arm") as caught:
+            load_robot(name)
+        assert repr(other) in str(caught.value) and "did you mean" not in str(caught.value)
+    with pytest.raises(UnknownNameError, match="did you mean 'planar3'"):
+        load_robot("planr3")
+
+
+def gripper(path: Path) -> Robot:
+    """An arm of two joints whose gripper has a motor, a propeller on it, and two fingers that follow."""
+    links = ["base", "upper", "fore", "gripper_link", "gripper_prop_link", "left_finger_link", "ee_gripper_link"]
+    joints = [
+        joint("shoulder", "base", "upper"),
+        joint("elbow", "upper", "fore"),
+        joint("wrist", "fore", "gripper_link", kind="fixed"),
+        joint("gripper", "gripper_link", "gripper_prop_link", kind="continuous"),
+        joint("left_finger", "gripper_link", "left_finger_link", kind="prismatic", x=0.05),
+        joint("ee_gripper", "gripper_link", "ee_gripper_link", kind="fixed", x=0.1),
+    ]
+    return load_robot(described(path, links, *joints))
+
+
+def test_what_the_grippers_motor_moves_is_no_tip(tmp_path: Path) -> None:
+    """The frame between the fingers is the tip, though the propeller has one joint more above it."""
+    assert "gripper_prop_link" not in likely_tips(gripper(tmp_path / "a.urdf"))
+    assert likely_tips(gripper(tmp_path / "a.urdf"))[0] == "ee_gripper_link"
+
+
+def test_inspect_says_first_what_one_must_know(tmp_path: Path, capsys) -> None:
+    """Tip, the joints that move it and those that do not, limits that were narrowed or lack: within 20 lines."""
+    gripper(tmp_path / "a.urdf")
+    assert main(["inspect", str(tmp_path / "a.urdf")]) == 0
+    said = capsys.readouterr().out.replace("\n", " ")
+    for words in (
+        "likely tips: ee_gripper_link",
+        "moving ee_gripper_link: shoulder, elbow",
+        "not: gripper, left_finger",
+    ):
+        assert words in said, said
+    assert "without position limits: gripper" in said
+
+
+def test_the_hand_that_stood_still_is_not_learnt_about(tmp_path: Path) -> None:
+    """Two arms, one of which moves: its hand is named, and with it the question is answered."""
+    links = ["base", *(f"{side}_{n}" for side in ("left", "right") for n in ("a", "b", "c", "tool"))]
+    joints = []
+    for side in ("left", "right"):
+        chain = ["base", *(f"{side}_{n}" for n in ("a", "b", "c"))]
+        joints += [joint(f"{side}_j{k}", chain[k], chain[k + 1]) for k in range(3)]
+        joints.append(joint(f"{side}_tip", f"{side}_c", f"{side}_tool", kind="fixed"))
+    robot = load_robot(described(tmp_path / "two.urdf", links, *joints))
+    rng, time = np.random.default_rng(3), np.linspace(0.0, 2.0, 120)
+    moves = [robot.moves(j, "right_tool") for j in robot.joint_names]
+    motions = []
+    for _ in range(6):
+        swing = rng.uniform(0.2, 0.6, 6)[:, None] * np.sin(rng.uniform(1, 3, (6, 1)) * time + rng.uniform(0, 3, (6, 1)))
+        q = np.where(np.array(moves)[:, None], swing, 1e-4 * rng.standard_normal(swing.shape)).T
+        motions.append((time, q))
+    still = ml.FrameJacobian(robot, frame="left_tool", axes="xyz")
+    with pytest.raises(
+        NotIdentifiableError, match="'left_tool' stood still.*'right_tool': name it with frame='right_tool'"
+    ):
+        ml.ConstraintLearner(still).fit(motions)
