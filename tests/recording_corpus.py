@@ -182,7 +182,7 @@ def number_cases() -> list[Case]:
         Case(
             "small_degrees.csv", "degrees", text(csv(FULL * [1, 5.73, 5.73, 5.73, 0.1, 0.1, 0.1], HEADER + VELOCITIES))
         ),
-        Case("velocity_degrees.csv", "degrees", text(csv(FULL * [1, 1, 1, 1, 57.3, 57.3, 57.3], HEADER + VELOCITIES))),
+        Case("velocity_degrees.csv", "note", text(csv(FULL * [1, 1, 1, 1, 57.3, 57.3, 57.3], HEADER + VELOCITIES))),
         Case("velocity_sign.csv", "note", text(csv(FULL * [1, 1, 1, 1, 1, -1, 1], HEADER + VELOCITIES))),
         Case("velocity_scale.csv", "note", text(csv(FULL * [1, 1, 1, 1, 5, 5, 5], HEADER + VELOCITIES))),
         Case("velocity_order.csv", "note", text(csv(FULL[:, [0, 1, 2, 3, 4, 6, 5]], HEADER + VELOCITIES))),

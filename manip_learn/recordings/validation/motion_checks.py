@@ -21,6 +21,9 @@ SLOW, LONG = 0.02, 1.0  # [rad/s], [s]: no arm is shown a motion so slowly with 
 NOTABLE = 1e-6  # [rad or m] beyond a limit
 FAR_ANGLE, FAR_LENGTH = 0.1, 0.05  # [rad], [m]: a few degrees are calibration, more is another fault
 FAST = 3.0  # times the velocity limit
+# the share by which velocities in rad/s and positions in degrees may miss the ratio of their units, and the least
+# squared correlation of what they say, over all joints
+UNIT_OFF, ALIKE = 0.2, 0.8
 # of two motions in turn: samples within which each is heard again, the fewest jumps between them, and the least size of
 # a jump [rad or m], which quanta of a coarse encoder on all joints together do not reach
 LAGS, FEWEST_JUMPS, SMALLEST = 20, 10, 0.1
@@ -97,6 +100,22 @@ def check_motion(motion: Motion) -> list[str]:
     """Notes on a motion."""
     _refuse_two_publishers(motion)
     return _check_limits(motion)
+
+
+def refuse_degrees_beside(motion: Motion, u: Float[np.ndarray, "T nv"]) -> None:
+    """Refuse positions that move by as many degrees as their recorded velocities say in radians."""
+    if motion.request.units is not None or motion.request.velocities != "auto":
+        return
+    steps = np.diff(motion.q, axis=0)[:, motion.angular]
+    said = (0.5 * (u[1:] + u[:-1]) * np.diff(motion.time)[:, None])[:, motion.angular]
+    with np.errstate(all="ignore"):  # velocities that are not numbers, or have none, say nothing
+        both, own, other = np.sum(steps * said), np.sum(steps**2), np.sum(said**2)
+        alike = abs(np.degrees(both / own) - 1.0) < UNIT_OFF and both**2 > ALIKE * own * other
+    if alike:
+        python, flag = "velocities='derive'", "--velocities derive"
+        text = f"positions look like degrees: the recorded velocities are {both / own:.3g} of their speed, in radians "
+        text += f"1; {advice('pass {}, or ', 'degrees=True', '--degrees')}convert the position columns to radians"
+        raise motion.recording.refusal("degrees", text + advice("; {} if they are", python, flag))
 
 
 def _excess(robot: Robot, q: Float[np.ndarray, "T nv"]) -> Float[np.ndarray, " nv"]:

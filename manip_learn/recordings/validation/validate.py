@@ -15,7 +15,7 @@ from manip_learn.recordings.readers.read_request import ReadRequest
 from manip_learn.recordings.readers.recording import Recording
 from manip_learn.recordings.trajectory import Trajectory
 from manip_learn.recordings.validation.joint_matching import angular_coordinates, match_joints, object_coordinates
-from manip_learn.recordings.validation.motion_checks import Motion, check_motion, time_in_seconds
+from manip_learn.recordings.validation.motion_checks import Motion, check_motion, refuse_degrees_beside, time_in_seconds
 from manip_learn.recordings.velocities import continuous_rotation_vectors
 from manip_learn.robot import Robot
 
@@ -84,11 +84,14 @@ def _of_one_sender(
         n = np.count_nonzero(np.diff(time) <= 0.0)
         time = between(time)
         notes.append(f"{counted(n, 'stamp')} repeated with other positions: spread up to the next stamp")
-    notes += check_motion(Motion(recording, request, time, q))
+    motion = Motion(recording, request, time, q)
+    notes += check_motion(motion)
     whole = Trajectory(
         time, q, u, robot.joint_names, recording.name, effort=recording.efforts, judged=recording.trusted
     )
     whole, note = earned(whole, robot, request.velocities)
+    if note and u is not None:
+        refuse_degrees_beside(motion, u)
     notes += [note] if note else []
     return _split(recording, whole, notes), notes
 
