@@ -258,7 +258,7 @@ def test_what_is_asked_for_is_done(tmp_path: Path) -> None:
     robot = features.robot
     demos = {how: ml.load_demonstrations(tmp_path, robot, velocities=how) for how in ("auto", "derive", "recorded")}
     assert not demos["auto"].has_velocities and not demos["derive"].has_velocities
-    assert "as asked" in demos["derive"].notes[0] and "5 more with other figures" in demos["auto"].notes[0]
+    assert "as asked" in demos["derive"].notes[0] and " and 5 more: " in demos["auto"].notes[0]
     np.testing.assert_array_equal(demos["recorded"][0].u, wrong[0].u)
     good = from_positions("planar3", SEED)
     assert error(features, truth, demos["auto"]) == error(features, truth, wrong, velocities="derive") == good

@@ -8,7 +8,7 @@ within a window, and over longer times by less and less, since they integrate to
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import replace
 from typing import Literal, NamedTuple
 
@@ -74,53 +74,86 @@ class Verdict(NamedTuple):
         return [int(j) for j in order if self.recorded[j] ** 2 > usual] or [int(order[0])]
 
 
-def earned(trajectory: Trajectory, robot: Robot | None, velocities: Velocities = "auto") -> tuple[Trajectory, str]:
-    """A motion with its recorded velocities if they have earned their place, else without; and a note, if any.
+def earned(
+    trajectories: Sequence[Trajectory], robot: Robot | None, velocities: Velocities = "auto"
+) -> tuple[list[Trajectory], list[tuple[str, str]]]:
+    """Motions with their recorded velocities if these have earned their place, else without; and notes with names.
+
+    There is one verdict for all: differences between recordings, some of which keep theirs, were differences of the
+    method. Those with NaN among them have none.
 
     Args:
-        trajectory: As recorded; its velocities may be NaN where none were measured.
+        trajectories: As recorded; their velocities may be NaN where none were measured.
         robot: Whose joints they are; without one, all that are numbers are kept. Floating bodies are not judged.
         velocities: `"auto"`; `"derive"`: none are kept; `"recorded"`: all are.
 
     Raises:
         RecordingError: Recorded velocities are insisted on, and some are not finite.
     """
-    u = trajectory.u
-    if u is None or (trajectory.judged and velocities != "derive"):
-        return trajectory, ""
-    without = replace(trajectory, u=None, judged=True)
+    out, notes = list(trajectories), list[tuple[str, str]]()
     derived = "velocities of all joints derived from the positions"
+    given = [i for i, t in enumerate(out) if t.u is not None and (not t.judged or velocities == "derive")]
     if velocities == "derive":
-        return without, f"{derived}, as asked; recorded ones are not used"
-    if not (np.max(u) < NO_MEASUREMENT and np.min(u) > -NO_MEASUREMENT):  # NaN is neither
-        missing = ~(np.abs(u) < NO_MEASUREMENT)
-        n = np.count_nonzero(np.any(missing, axis=1))
-        names = trajectory.joint_names or [str(j) for j in range(u.shape[1])]
-        joints = [names[j] for j in np.flatnonzero(np.any(missing, axis=0))]
-        fault = f"velocity of {listed(joints)} is not a number in {n:,} of {counted(len(u), 'sample')}"
-        if velocities == "recorded":
-            how = advice(": leave {} out", "velocities='recorded'", "--velocities recorded")
-            raise RecordingError(f"{trajectory.name}: {fault}{how}", code="not-finite")
+        faults = dict.fromkeys(given, f"{derived}, as asked; recorded ones are not used")
     else:
-        judged = velocities == "auto" and robot is not None and u.shape[1] == robot.nv
-        with np.errstate(all="ignore"):  # what overflows is no reason to keep a velocity
-            fault = _fault(trajectory, u, robot) if robot is not None and judged else ""
-    return (without, f"{fault}; {derived}") if fault else (replace(trajectory, judged=True), "")
+        faults = {i: f"{fault}; {derived}" for i in given if (fault := _not_numbers(out[i], velocities))}
+        left = [i for i in given if i not in faults]
+        if velocities == "auto" and robot is not None and left:
+            with np.errstate(all="ignore"):  # what overflows is no reason to keep a velocity
+                fault = _fault([out[i] for i in left], robot)
+            faults |= dict.fromkeys(left, f"{fault}; {derived}") if fault else {}
+    for i in given:
+        out[i] = replace(out[i], judged=True, **({"u": None} if i in faults else {}))
+        notes += [(out[i].name, faults[i])] if i in faults else []
+    return out, notes
 
 
-def _fault(trajectory: Trajectory, u: np.ndarray, robot: Robot) -> str:
+def judged_in_turn(
+    trajectories: Iterable[Trajectory],
+    robot: Robot | None,
+    velocities: Velocities,
+    notes: list[tuple[str, str]],
+    *,
+    together: bool,
+) -> Iterator[Trajectory]:
+    """Motions with the velocities that are `earned`, of all together, or one by one if they are never all in memory."""
+    for some in [list(trajectories)] if together else ([one] for one in trajectories):
+        kept, said = earned(some, robot, velocities)
+        notes += said
+        yield from kept
+
+
+def _not_numbers(trajectory: Trajectory, velocities: Velocities) -> str:
+    """Joints whose velocities are not finite, in words; nothing if all are."""
+    u = np.asarray(trajectory.u)
+    if np.max(u) < NO_MEASUREMENT and np.min(u) > -NO_MEASUREMENT:  # NaN is neither
+        return ""
+    missing = ~(np.abs(u) < NO_MEASUREMENT)
+    n = np.count_nonzero(np.any(missing, axis=1))
+    names = trajectory.joint_names or [str(j) for j in range(u.shape[1])]
+    joints = [names[j] for j in np.flatnonzero(np.any(missing, axis=0))]
+    fault = f"velocity of {listed(joints)} is not a number in {n:,} of {counted(len(u), 'sample')}"
+    if velocities == "recorded":
+        how = advice(": leave {} out", "velocities='recorded'", "--velocities recorded")
+        raise RecordingError(f"{trajectory.name}: {fault}{how}", code="not-finite")
+    return fault
+
+
+def _fault(trajectories: Sequence[Trajectory], robot: Robot) -> str:
     """Joints whose velocities do not follow their positions, in words with the figures; nothing if all do."""
-    x = positions_along(trajectory, robot)
     floating = {i for b in robot.blocks if b.kind == "floating" for i in range(b.v.start, b.v.stop)}
     joints = [i for i in range(robot.nv) if i not in floating]
-    if x is None or not joints:
-        return ""
-    if floating:
-        x, u = x[:, joints], u[:, joints]
-    stretches = [(trajectory.time[s], x[s], u[s]) for s in _stretches(trajectory.time)]
+    stretches: list[Stretch] = []
+    for t in trajectories:
+        x, u = positions_along(t, robot), np.asarray(t.u)
+        if x is not None and joints and u.shape[1] == robot.nv:
+            x, u = (x[:, joints], u[:, joints]) if floating else (x, u)
+            stretches += [(t.time[s], x[s], u[s]) for s in _stretches(t.time)]
     if not stretches:
         return ""
     held = np.all([_held(*stretch) for stretch in stretches], axis=0)
+    if np.any(held) and 2 * sum(is_clean(time, x) for time, x, _ in stretches) <= len(stretches):
+        held[:] = False
     if np.all(held):
         return ""
     verdict = _judged(stretches, held)
@@ -155,16 +188,12 @@ def _held(
 ) -> Bool[np.ndarray, " n"]:
     """Joints whose velocity is what moves them from each sample to the next one, as simulations hold it.
 
-    Differences of positions are such velocities too. Those of noisy positions are noisy, and those of exact ones have
-    none of its own for the last sample.
+    Differences of positions are such velocities too, but have none of its own for the last sample.
     """
     steps = np.diff(x, axis=0)
     missed = np.max(np.abs(steps - u[:-1] * np.diff(time)[:, None]), axis=0, initial=0.0)
     held = missed <= HELD * np.max(np.abs(steps), axis=0, initial=0.0) + ROUNDED * _quantum(x)
-    if not np.any(held) or len(x) < FEWEST:
-        return held
-    own = np.any(u[-1] != u[-2]) and np.any(u[-1])
-    return held & (own and is_clean(time, x))
+    return held & (np.any(u[-1] != u[-2]) and np.any(u[-1]))
 
 
 def _integral(time: Float[np.ndarray, " T"], u: Float[np.ndarray, "T n"]) -> Float[np.ndarray, "T n"]:
@@ -204,25 +233,25 @@ def _is_multiple(x: np.ndarray, step: float) -> bool:
 
 def _judged(stretches: Sequence[Stretch], held: Bool[np.ndarray, " n"]) -> Verdict:
     """Recorded beside derived velocities, at the time scale at which the recorded ones do worst."""
-    noise = np.mean([position_noise(t, x) for t, x, _ in stretches], axis=0)
-    step = float(np.mean([(t[-1] - t[0]) / (len(t) - 1) for t, _, _ in stretches]))
+    noises = [position_noise(t, x) for t, x, _ in stretches]
+    steps = [(t[-1] - t[0]) / (len(t) - 1) for t, _, _ in stretches]
     derived, width = np.zeros(len(held)), 1
-    for t, x, _ in stretches:
+    for (t, x, _), noise in zip(stretches, noises, strict=True):
         m, degree = best_windows(t, x[None], max(5, len(t) // 3))[0]
         derived += slope_variance(t, x, m, degree, noise) / len(stretches)
         width = max(width, 2 * m)
+    noise = np.mean([n / step**2 for n, step in zip(noises, steps, strict=True)], axis=0)  # in steps, as the rests
     # mean square error of the velocity by the time scale [samples]; 0: its own noise
     errors = {0: np.mean([noise_variance(t, u) for t, _, u in stretches], axis=0)}
-    rests = [x - _integral(t, u) for t, x, u in stretches]
+    rests = [(x - _integral(t, u)) / step for (t, x, u), step in zip(stretches, steps, strict=True)]
     for k in range(int(np.log2(max(map(len, rests)) - 1)) + 1):
         w = 2**k
         long = [rest for rest in rests if len(rest) > w]
         apart = np.mean(np.concatenate([rest[w:] - rest[:-w] for rest in long]) ** 2, axis=0)
         by_chance = KNOWN + CHANCE * np.sqrt(2.0 / max(sum(len(rest) / w for rest in long), 1.0))
-        errors[w] = np.where(apart > 2.0 * noise * by_chance, apart - 2.0 * noise, 0.0) / (w * step) ** 2
-    speed = float(
-        np.sqrt(np.mean([np.mean(np.sum((np.diff(x, axis=0) / step) ** 2, axis=1)) for _, x, _ in stretches]))
-    )
+        errors[w] = np.where(apart > 2.0 * noise * by_chance, apart - 2.0 * noise, 0.0) / w**2
+    moved = [np.mean(np.sum(np.diff(x, axis=0) ** 2, axis=1)) for _, x, _ in stretches]
+    speed = float(np.sqrt(np.mean(np.array(moved) / np.square(steps))))
     share = FINE if max(map(len, rests)) >= SHORT_AND_CLEAN else COARSE
     verdicts = [
         Verdict(np.sqrt(np.where(held, 0.0, e)), np.sqrt(derived) * min(1.0, width / max(w, 1)), share * speed)

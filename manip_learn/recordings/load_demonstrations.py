@@ -11,7 +11,7 @@ from typing import Literal, TypedDict, Unpack
 from manip_learn.errors import RecordingError, advice, closest_names, printable
 from manip_learn.recordings.data_frame import DataFrame, frames_as_files
 from manip_learn.recordings.demonstrations import Demonstrations
-from manip_learn.recordings.earned_velocities import Velocities
+from manip_learn.recordings.earned_velocities import Velocities, judged_in_turn
 from manip_learn.recordings.format_words import VELOCITY_SUFFIX
 from manip_learn.recordings.readers.csv_reader import SURPLUS_SUFFIXES
 from manip_learn.recordings.readers.lerobot_dataset import episode_numbers
@@ -115,7 +115,7 @@ def load_demonstrations(paths: Paths | Tables, robot: Robot, **options: Unpack[R
     with frames_as_files(paths) as given:
         files, request, notes = open_recordings(given, robot, options)
         found: list[str] = []
-        trajectories = tuple(read_recordings(files, request, found))
+        trajectories = tuple(read_recordings(files, request, found, together=True))
     return Demonstrations(trajectories, notes + refuse_unmatched(found))
 
 
@@ -130,31 +130,36 @@ def open_recordings(
 
 
 def read_recordings(
-    files: list[RecordingFile], request: ReadRequest, notes: list[str] | None = None
+    files: list[RecordingFile], request: ReadRequest, notes: list[str] | None = None, *, together: bool = False
 ) -> Iterator[Trajectory]:
     """The trajectories in files, one after the other; sentences are added to `notes` at the end.
 
-    Among them is an `UnmatchedOption` for each option that these files had no use for.
+    Among them is an `UnmatchedOption` for each option that these files had no use for. Velocities are judged
+    `together`, or those of each recording alone.
 
     Raises:
         RecordingError: As soon as a recording is found that cannot be trusted.
         MissingExtraError: The format needs a library that is not installed.
     """
     said: list[tuple[str, str]] = []
-    found = False
     request = replace(request, uses=OptionUses())
+    validated = _validated(files, request, said)
+    yield from judged_in_turn(validated, request.robot, request.velocities, said, together=together)
+    if notes is not None:
+        notes += folded(said, request.robot)
+        notes += request.unmatched()
+
+
+def _validated(files: list[RecordingFile], request: ReadRequest, said: list[tuple[str, str]]) -> Iterator[Trajectory]:
+    found = False
     for file in files:
         for recording in _recordings(file, request):
             validated = validate(recording, request)
             said += [(recording.name, note) for note in validated.notes]
-            for trajectory in validated.trajectories:
-                found = True
-                yield trajectory
+            found |= bool(validated.trajectories)
+            yield from validated.trajectories
     if not found:
         raise RecordingError(f"there is no demonstration in {', '.join(str(f.path) for f in files)}", code="empty")
-    if notes is not None:
-        notes += folded(said, request.robot)
-        notes += request.unmatched()
 
 
 def folded(said: Iterable[tuple[str, str]], robot: Robot | None) -> list[str]:

@@ -17,7 +17,7 @@ from numpy.typing import ArrayLike
 from manip_learn.errors import RecordingError
 from manip_learn.recordings.data_frame import DataFrame, data_frames_in
 from manip_learn.recordings.demonstrations import Demonstrations
-from manip_learn.recordings.earned_velocities import Velocities, earned
+from manip_learn.recordings.earned_velocities import Velocities, judged_in_turn
 from manip_learn.recordings.format_words import DATASET_HEADER
 from manip_learn.recordings.load_demonstrations import (
     Paths,
@@ -166,19 +166,22 @@ class CheckedSource(TrajectorySource):
         """The trajectories of a part, with the joints of the features."""
         said: list[str] = [] if notes is None else notes
         found: list[tuple[str, str]] = []
+        together = isinstance(self._given, Sequence)
+        named = self._named(index, said, found)
+        yield from judged_in_turn(named, self._robot, self._velocities, found, together=together)
+        said += folded(found, self._robot)
+
+    def _named(self, index: int, said: list[str], found: list[tuple[str, str]]) -> Iterator[Trajectory]:
         source = self._given
         entries = source.part(index, said) if isinstance(source, TrajectorySource) else source
         for number, entry in enumerate(entries, start=1):
             for trajectory in _trajectories_of(entry, number, self._robot, said, found, self._velocities):
                 if trajectory.joint_names:
                     check_joints(trajectory.joint_names, self._robot)
+                    yield trajectory
                 else:
                     names = [f"q{i}" for i in range(self._nv)] if self._robot is None else self._robot.joint_names
-                    trajectory = trajectory.with_joint_names(tuple(names))
-                trajectory, note = earned(trajectory, self._robot, self._velocities)
-                found += [(trajectory.name, note)] if note else []
-                yield trajectory
-        said += folded(found, self._robot)
+                    yield trajectory.with_joint_names(tuple(names))
 
 
 def recordings_given(

@@ -122,7 +122,7 @@ def find_mechanism(
     numbers = [i for i, t in enumerate(trajectories) if len(t) >= 10]
     if not numbers:
         raise NotIdentifiableError("no trajectory has ten samples: there is no path to look at", code="too-short")
-    chosen = [earned(trajectories[i], robot)[0] for i in numbers]
+    chosen, _ = earned([trajectories[i] for i in numbers], robot)
     paths = TipPaths.of(robot, tip, [thinned(_postures(robot, t), SAMPLES) for t in chosen])
     if max(np.ptp(paths.p, axis=0).max(), np.abs(paths.turns).max()) < 1e-3:
         raise NotIdentifiableError("the hand does not move in these trajectories", code="no-motion")

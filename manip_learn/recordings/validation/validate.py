@@ -10,7 +10,7 @@ from jaxtyping import Float, Int
 from manip_learn.errors import advice, counted, named
 from manip_learn.recordings.clock import between, evenly_spread, in_order, pieces
 from manip_learn.recordings.demonstrations import Demonstrations
-from manip_learn.recordings.earned_velocities import NO_MEASUREMENT, earned
+from manip_learn.recordings.earned_velocities import NO_MEASUREMENT
 from manip_learn.recordings.readers.read_request import ReadRequest
 from manip_learn.recordings.readers.recording import Recording
 from manip_learn.recordings.trajectory import Trajectory
@@ -86,13 +86,11 @@ def _of_one_sender(
         notes.append(f"{counted(n, 'stamp')} repeated with other positions: spread up to the next stamp")
     motion = Motion(recording, request, time, q)
     notes += check_motion(motion)
+    if u is not None and not recording.trusted:
+        refuse_degrees_beside(motion, u)
     whole = Trajectory(
         time, q, u, robot.joint_names, recording.name, effort=recording.efforts, judged=recording.trusted
     )
-    whole, note = earned(whole, robot, request.velocities)
-    if note and u is not None:
-        refuse_degrees_beside(motion, u)
-    notes += [note] if note else []
     return _split(recording, whole, notes), notes
 
 
