@@ -126,7 +126,8 @@ def test_an_episode_that_violates_the_constraint_is_left_out(
 ) -> None:
     """One episode of another task among twelve: first in the ranking, left out, and the reason is given."""
     other = motions(features, TWO[:, [2, 0, 1]], np.random.default_rng(3), 1, noise=0.002, held=True)[0]
-    report = audit_episodes(constraint, with_one(demos, 4, dataclasses.replace(other, name="intruder")))
+    given = with_one(demos, 4, dataclasses.replace(other, name="intruder"))
+    report = audit_episodes(constraint, given, velocities="recorded")  # with noise that positions do not have
     assert [e.episode for e in report.leave_out] == ["intruder"]
     worst = report.episodes[0]
     assert worst.number == 4 and any("violates the constraint" in reason for reason in worst.reasons)
