@@ -198,7 +198,8 @@ def measure(
         rng = np.random.default_rng([seed, k, ARMS.index(arm), POLICIES.index(policy), size[0], size[1]])
         motion = motion_of(arm, policy, *size, rng)
         demos, covariance = noisy(motion, noise, anisotropy, rng)
-        learner = ConstraintLearner(motion.features, len(motion.selection), "joint", policy_model=model)
+        settings = {"policy_model": model, "velocities": "recorded"}  # with noise that positions do not have
+        learner = ConstraintLearner(motion.features, len(motion.selection), "joint", **settings)
         started = time.process_time()
         learner.fit(demos)
         seconds.append(time.process_time() - started)

@@ -106,7 +106,7 @@ def test_jerk_is_that_of_the_motion_not_of_the_noise(noise: float, rng: np.rando
 
 def test_good_episodes_stay(constraint: ml.Constraint, demos: ml.Demonstrations) -> None:
     """Episodes of one kind: none is left out, all are ranked by falling score."""
-    report = audit_episodes(constraint, demos)
+    report = audit_episodes(constraint, demos, velocities="recorded")  # with noise that positions do not have
     assert report.leave_out == ()
     scores = [e.score for e in report.episodes]
     assert scores == sorted(scores, reverse=True) and len(scores) == 12
@@ -126,7 +126,8 @@ def test_an_episode_that_violates_the_constraint_is_left_out(
 ) -> None:
     """One episode of another task among twelve: first in the ranking, left out, and the reason is given."""
     other = motions(features, TWO[:, [2, 0, 1]], np.random.default_rng(3), 1, noise=0.002, held=True)[0]
-    report = audit_episodes(constraint, with_one(demos, 4, dataclasses.replace(other, name="intruder")))
+    given = with_one(demos, 4, dataclasses.replace(other, name="intruder"))
+    report = audit_episodes(constraint, given, velocities="recorded")  # with noise that positions do not have
     assert [e.episode for e in report.leave_out] == ["intruder"]
     worst = report.episodes[0]
     assert worst.number == 4 and any("violates the constraint" in reason for reason in worst.reasons)

@@ -22,8 +22,8 @@ from manip_learn.recordings.trajectory_source import TrajectorySource
 
 ONE = orthonormal_rows(np.array([[0.5, 1.0, -0.4]]))
 TWO = orthonormal_rows(np.array([[1.0, 0.2, 0.3], [-0.3, 0.9, 0.2]]))
-HELD = {"n_constraints": 2, "estimator": "null-space"}
-JOINT = {"n_constraints": 1, "estimator": "joint", "policy_model": "affine"}
+HELD = {"velocities": "recorded", "n_constraints": 2, "estimator": "null-space"}
+JOINT = {"velocities": "recorded", "n_constraints": 1, "estimator": "joint", "policy_model": "affine"}
 
 
 @pytest.fixture(scope="module")
@@ -251,7 +251,7 @@ def test_streams_are_checked(features, held):
 
 def test_partial_fit_keeps_what_is_usable(features, held):
     """Too few samples are refused but kept; a batch with an invalid recording is not kept; fit discards all."""
-    learning = ml.ConstraintLearner(features, 2)
+    learning = ml.ConstraintLearner(features, 2, velocities="recorded")
     with pytest.raises(NotIdentifiableError):
         learning.partial_fit([held[0].part(slice(0, 4))])
     bad = ml.Trajectory(held[1].time, held[1].q, held[1].u, tuple(f"x{n}" for n in held[1].joint_names))

@@ -47,8 +47,6 @@ def test_the_refused_line_is_named(planar3: Robot) -> None:
         ("0.14,x1,1.9,0.07", "not-a-number", "joint1", "'x1'"),
         ("0.14,,1.9,0.07", "not-a-number", "joint1", "an empty field"),
         ("0.14,nan,1.9,0.07", "not-finite", "joint1", "nan"),
-        ("0.01,0.1,1.9,0.07", "time-order", "time", "from 0.12 to 0.01"),
-        ("0.12,0.1,1.9,0.07", "duplicate-time", "time", "0.12"),
         ("0.14,0.1,1.9", "ragged", None, "3 fields, the header has 4"),
         ("0.14,900,1.9,0.07", "outside-limits", "joint1", "900"),
     ]:

@@ -195,9 +195,13 @@ def test_tables_of_messages_are_refused(planar3: Robot, tmp_path: Path) -> None:
 
 
 def test_a_stated_unit_is_not_asked_for_again(planar3: Robot, tmp_path: Path) -> None:
-    """A plain `timestamp` that looks like milliseconds is refused."""
+    """A plain `timestamp` whose size is that of milliseconds since 1970 is read as such, with a note."""
     text = table(["timestamp", *JOINTS], 1e3 * (EPOCH + TIME), *Q.T)
-    assert refused(tmp_path / "demo.csv", planar3, text).code == "time-unit"
+    path = tmp_path / "demo.csv"
+    path.write_text(text)
+    demos = load_demonstrations(path, planar3)
+    np.testing.assert_allclose(demos[0].time - demos[0].time[0], TIME - TIME[0], atol=1e-6)
+    assert any("read as milliseconds" in note for note in demos.notes)
 
 
 def test_a_column_close_to_a_joint_is_still_a_mistake(planar3: Robot, tmp_path: Path) -> None:

@@ -33,7 +33,7 @@ PARTS = {part.__name__.rpartition(".")[2]: set(vars(part)) for part in (answers,
 
 
 def make(name: str):
-    return lambda features, n: ConstraintLearner(features, n, estimator=ESTIMATORS[name][0])
+    return lambda features, n: ConstraintLearner(features, n, estimator=ESTIMATORS[name][0], velocities="recorded")
 
 
 @pytest.mark.timeout(300)

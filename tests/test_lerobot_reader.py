@@ -274,3 +274,25 @@ def test_a_wrong_key_is_an_error_with_near_matches(planar3: Robot) -> None:
         with case(feature, said) as tmp_path:
             path = droid(tmp_path / "set", with_state=False)
             assert refusal(path, planar3, match=said, **{**NAMED, "feature": feature}).code == "no-state"
+
+
+def test_times_are_stamps_or_frames_over_fps(planar3: Robot) -> None:
+    """Stamps that do not run are frame_index / fps, with a note; those that contradict fps are refused with both."""
+    frames = np.arange(80)
+    for name, stamps, options, note in [
+        ("zero", 0.0 * frames, {}, "the stamps do not increase: frame_index / 50 is the time"),
+        ("in pairs", frames // 2 / 25.0, {}, "the stamps do not increase"),
+        ("overruled", frames / 30.0, {"rate": 50.0}, "the stamps are overruled"),
+        ("as they are", frames / 50.0 + 3.0, {}, ""),
+    ]:
+        with case(name) as tmp_path:
+            files = {"data/chunk-000/episode_000000.parquet": table({0: motion(0)}, timestamp=pa.array(stamps))}
+            demos = load_demonstrations(
+                dataset(tmp_path / "set", info(JOINTS), files), planar3, units="radians", **options
+            )
+            np.testing.assert_allclose(demos[0].time - demos[0].time[0], frames / 50.0, atol=1e-9)
+            assert note in "".join(demos.notes) and bool(note) == bool(demos.notes)
+    with case("contradicted") as tmp_path:
+        files = {"data/chunk-000/episode_000000.parquet": table({0: motion(0)}, timestamp=pa.array(frames / 30.0))}
+        error = refusal(dataset(tmp_path / "set", info(JOINTS), files), planar3, units="radians")
+        assert error.code == "fps" and "say 30 frames per second, fps says 50" in str(error)

@@ -76,7 +76,7 @@ def test_each_motion_is_a_file_of_its_own(tmp_path: Path):
         arm.k = round(table[50, 0] / 0.01)
         q, u, effort = arm.read()
         assert table[50].tolist() == [table[50, 0], *q, *u, *effort]
-    demos = load_demonstrations([str(file) for file in done.files], load_robot("planar3"))
+    demos = load_demonstrations([str(file) for file in done.files], load_robot("planar3"), velocities="recorded")
     assert demos[0].u is not None and demos[0].effort is not None and len(demos) == 2
     assert sum(map(len, demos)) == done.samples
 

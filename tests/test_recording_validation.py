@@ -1,4 +1,4 @@
-"""Validation: faults are detected by limits and slopes and named; real data pass; every change is reported."""
+"""Validation: faults are detected by limits and named; real data pass; every change is reported."""
 
 from __future__ import annotations
 
@@ -22,14 +22,13 @@ def sawyer() -> Robot:
 
 
 def guided(robot: Robot, rng: np.random.Generator, n: int = 400, dt: float = 0.05) -> tuple[np.ndarray, ...]:
-    """A motion as of a guided arm: smooth, inside the limits, jittering stamps, encoder noise, quantised velocities."""
+    """A motion as of a guided arm: smooth, inside the limits, jittering stamps, encoder noise."""
     time = np.cumsum(dt * rng.uniform(0.3, 1.7, n))
     lower, upper = np.maximum(robot.position_lower, -3.0), np.minimum(robot.position_upper, 3.0)
     middle, half = 0.5 * (lower + upper), 0.25 * (upper - lower)
     rate, phase = rng.uniform(0.2, 0.6, robot.nv), rng.uniform(0, 6, robot.nv)
     q = middle + half * np.sin(rate * time[:, None] + phase) + 1e-4 * rng.normal(size=(n, robot.nv))
-    u = half * rate * np.cos(rate * time[:, None] + phase) + 0.01 * rng.normal(size=(n, robot.nv))
-    return time, q, np.round(u, 3)
+    return time, q, half * rate * np.cos(rate * time[:, None] + phase)
 
 
 def load(robot: Robot, folder: Path, time: Any, q: Any, u: Any = None, **options: Any) -> Demonstrations:
@@ -66,49 +65,21 @@ def test_degrees_are_always_caught(robot_of, rng: np.random.Generator) -> None:
             assert demos.notes == ("demo.npz: degrees converted to radians, as asked",)
 
 
-def test_faults_are_named_by_the_slope(sawyer: Robot, rng) -> None:
-    """slope(dq/dt against the recorded velocity) tells degrees, milliseconds and signs apart; the number is said."""
-    for scale_t, scale_q, scale_u, code, slope in [
-        (1.0, 57.29578, 1.0, "degrees", 57.3),
-        (1.0, 1.0, 57.29578, "degrees", 0.0175),
-        (1e3, 1.0, 1.0, "time-unit", 1e-3),
-        (1e6, 1.0, 1.0, "time-unit", 1e-6),
-        (1e9, 1.0, 1.0, "time-unit", 1e-9),
-        (1.0, 1.0, 0.1, "velocity-scale", 10.0),
-        (1.0, 1.0, -1.0, "sign", -1.0),
-    ]:
-        with case(scale_t, scale_q, scale_u, code, slope) as tmp_path:
-            time, q, u = guided(sawyer, rng)
-            small = 0.02 * q if scale_q > 1 else q  # inside the limits even in degrees: the limits cannot tell
-            error = refused(sawyer, tmp_path, scale_t * time, scale_q * small, scale_u * (u * small.std() / q.std()))
-            assert error.code == code
-            said = float(str(error).split("slope ")[1].split()[0])
-            assert said == pytest.approx(slope, rel=0.05)
-
-
 def test_joints_at_rest_are_not_judged(sawyer: Robot, rng, tmp_path: Path) -> None:
     """A joint that stands still, with an offset in its velocity, is no fault."""
     time, q, u = guided(sawyer, rng)
-    q[:, 2], u[:, 2] = 0.4 + 1e-4 * rng.normal(size=len(q)), -0.001
+    q[:, 2], u[:, 2] = 0.4 + 1e-4 * rng.normal(size=len(q)), -1e-6
     assert load(sawyer, tmp_path, time, q, u).notes == ()
 
 
-def test_useless_velocities_are_a_note(sawyer: Robot, rng, tmp_path: Path) -> None:
-    """Noise instead of velocities is not repaired and not hidden."""
-    time, q, u = guided(sawyer, rng)
-    u[:, 5] = rng.normal(size=len(q))
-    demos = load(sawyer, tmp_path, time, q, u)
-    np.testing.assert_array_equal(demos[0].u, u)
-    assert len(demos.notes) == 1 and "'right_j5' does not follow" in demos.notes[0]
-
-
 def test_slopes_survive_the_noise_of_a_fast_recorder(sawyer: Robot, rng, tmp_path: Path) -> None:
-    """At 1 kHz the encoder's noise is larger than the motion in a step; still no fault, and a sign is still found."""
+    """At 1 kHz the encoder's noise is larger than the motion in a step; still no fault, and a sign still is one."""
     time, q, u = guided(sawyer, rng, n=4000, dt=0.001)
     q += 5e-4 * rng.normal(size=q.shape)
     assert load(sawyer, tmp_path, time, q, u).notes == ()
     u[:, 3] *= -1
-    assert refused(sawyer, tmp_path, time, q, u).code == "sign"
+    demos = load(sawyer, tmp_path, time, q, u)
+    assert demos[0].u is None and "velocity of right_j3 does not integrate" in demos.notes[0]
 
 
 def test_a_little_beyond_the_limits_is_a_note(sawyer: Robot, rng, tmp_path: Path) -> None:
@@ -227,34 +198,16 @@ def test_locked_and_mimic_joints_are_known_names(robot_of, tmp_path: Path) -> No
         assert ("moves by 0.021" in note) == said
 
 
-def test_velocities_of_another_scale_are_said(planar3: Robot, rng: np.random.Generator, tmp_path: Path) -> None:
-    """Within a factor of two the motion may be right and the velocities filtered: read, with the factor and the joints;
-    beyond, and with time ten times as slow, refused.
-    """
-    time, q, u = guided(planar3, rng)
-    assert load(planar3, tmp_path, time, q, u * 1.15).notes == ()
-    for factor, said in ((1.9, "1.9 times"), (0.6, "0.6 times"), (1.35, "1.3 times|1.4 times")):
-        (note,) = load(planar3, tmp_path, time, q, u * factor).notes
-        assert (
-            re.search(f"recorded velocities are ({said}) the rate at which", note)
-            and "joints joint1, joint2 and" in note
-        )
-    (note,) = load(planar3, tmp_path, time, q, u * [1.0, 1.7, 1.0]).notes
-    assert "1.7 times" in note and "(joint joint2)" in note
-    for arguments in ((time, q, u * 2.2), (10.0 * time, q, u)):
-        assert refused(planar3, tmp_path, *arguments).code == "velocity-scale"
-
-
-def test_a_stamp_that_repeats_must_repeat_the_sample(planar3: Robot, rng: np.random.Generator, tmp_path: Path) -> None:
-    """Positions and recorded velocities alike: it is left out; another position or another velocity: refused."""
+def test_a_stamp_that_repeats(planar3: Robot, rng: np.random.Generator, tmp_path: Path) -> None:
+    """The same sample twice: left out once. Another position with the same stamp: spread up to the next stamp."""
     time, q, u = (np.insert(x, 21, x[20], axis=0) for x in guided(planar3, rng))
     demos = load(planar3, tmp_path, time, q, u)
-    assert demos.notes == ("demo.npz: 1 repeated samples left out (first: sample 21)",)
+    assert demos.notes == ("demo.npz: 1 repeated sample left out (first: sample 21)",)
     np.testing.assert_array_equal(demos[0].u, np.delete(u, 21, axis=0))
     np.testing.assert_array_equal(demos[0].time, np.delete(time, 21))
-    for spoilt in ((q + (np.arange(401) == 21)[:, None] * 1e-3, u), (q, u + (np.arange(401) == 21)[:, None] * 1e-3)):
-        error = refused(planar3, tmp_path, time, *spoilt)
-        assert error.code == "duplicate-time" and "sample 20 and sample 21; 1 such pairs" in str(error)
+    demos = load(planar3, tmp_path, time, q + (np.arange(401) == 21)[:, None] * 1e-3)
+    assert "1 stamp repeated with other positions" in demos.notes[0]
+    assert demos[0].time[21] == pytest.approx(0.5 * (time[20] + time[22]))
 
 
 def said(folder: Path, robot: Robot, *arrays: Any, **options: Any) -> str:
@@ -291,7 +244,6 @@ def test_each_bound_lies_where_it_is_meant(robot_of, tmp_path: Path) -> None:
         there_and_back = np.abs(np.arange(200.0) - 100.0)
         return step * np.arange(200.0), np.outer(step * speed * there_and_back - 1.0, np.eye(5)[2])
 
-    swing, swung = np.outer(0.01 * np.sin(2.0 * time), np.eye(5)[2]), np.outer(0.02 * np.cos(2.0 * time), np.eye(5)[2])
     bounds: dict[str, tuple[Any, Any, str]] = {
         "angle beyond its limit, 0.1 rad": (
             (robot, time, raised(2, 2.099)),
@@ -304,10 +256,10 @@ def test_each_bound_lies_where_it_is_meant(robot_of, tmp_path: Path) -> None:
             "outside-limits",
         ),
         "gap of ten steps": ((robot, late(9.9), q, u), (robot, late(10.1), q, u), "split at 1 gap"),
-        "step of 0.02 of the usual one": (
-            (robot, late(0.021), q, u),
-            (robot, late(0.019), q, u),
-            "under 2% of the usual",
+        "step of a tenth of the usual one": (
+            (robot, late(0.101), q, u),
+            (robot, late(0.099), q, u),
+            "under a tenth of the usual",
         ),
         "three times the velocity limit": (
             (robot, 0.1 * time, fast(5.9)),
@@ -315,33 +267,30 @@ def test_each_bound_lies_where_it_is_meant(robot_of, tmp_path: Path) -> None:
             "its limit is 2",
         ),
         "jump of a quarter turn": ((robot, time, jumping(1.5)), (robot, time, jumping(1.65)), "jump"),
-        "a joint that moves by 0.02 is judged": (
-            (robot, time, 0.99 * swing, -swung),
-            (robot, time, 1.01 * swing, -swung),
-            "sign",
-        ),
         "microseconds begin at 1e14": (
             (robot, 0.99e14 + time, q),
             (robot, 1.01e14 + 0.02e6 * np.arange(200), q),
-            "'us'",
+            "read as microseconds",
         ),
-        "nanoseconds begin at 1e17": ((robot, 0.99e17 + 1e9 * time, q), (robot, 1.01e17 + 1e9 * time, q), "'ns'"),
-        "milliseconds begin at 1e11": ((robot, 0.99e11 + time, q), (robot, 1.01e11 + time, q), "time-unit"),
-        "steps of a second": ((robot, *creeping(0.98, 0.01)), (robot, *creeping(1.02, 0.01)), "time-unit"),
-        "0.02 rad/s": ((robot, *creeping(1.5, 0.021)), (robot, *creeping(1.5, 0.019)), "time-unit"),
+        "nanoseconds begin at 1e17": (
+            (robot, 0.99e17 + 1e9 * time, q),
+            (robot, 1.01e17 + 1e9 * time, q),
+            "as nanoseconds",
+        ),
+        "milliseconds begin at 1e11": ((robot, 0.99e11 + time, q), (robot, 1.01e11 + time, q), "as milliseconds"),
+        "steps of a second": ((robot, *creeping(0.98, 0.01)), (robot, *creeping(1.02, 0.01)), "as milliseconds"),
+        "0.02 rad/s": ((robot, *creeping(1.5, 0.021)), (robot, *creeping(1.5, 0.019)), "as milliseconds"),
         "a number of 1e50": (
             (wrist, time, turning(0.1), np.outer(one, [0, 0, 0, 0.9e50])),
             (wrist, time, turning(0.1), np.outer(one, [0, 0, 0, 1.1e50])),
-            "not-finite",
+            "is not a number",
         ),
     }
     normal = np.array([[50.0, 0.0, -50.0, 1.0, 2.0]]) * np.cos(time)[:, None]
     for top, is_refused in ((109.0, False), (111.0, True)):
         values = normal * [top / 50.0, 1, 1, 1, 1]
         assert ("normalised ones are" in said(tmp_path, robot, time, values, units="normalised")) == is_refused
-    assert "full turn" not in said(tmp_path, robot, time, raised(2, 2.2)) and "sign" not in said(
-        tmp_path, robot, time, q
-    )
+    assert "full turn" not in said(tmp_path, robot, time, raised(2, 2.2))
     for name, (inside, outside, expected) in bounds.items():
         with case(name):
             assert expected not in said(tmp_path, *inside)

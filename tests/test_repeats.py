@@ -9,7 +9,6 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 from scipy.interpolate import CubicSpline
-from scipy.signal import lfilter
 from task_sets import arm, generated
 
 import manip_learn as ml
@@ -18,7 +17,6 @@ from manip_learn.learning.explanation.evidence import Stretch
 from manip_learn.learning.explanation.findings import IN_ONE_ONLY, Findings
 from manip_learn.learning.repeats import IndependentRecordings
 from manip_learn.learning.report import advise
-from manip_learn.learning.samples import doubt_velocities
 from manip_learn.recordings.demonstrations import Demonstrations
 
 Motion = tuple[np.ndarray, np.ndarray]
@@ -135,52 +133,6 @@ def test_recordings_that_begin_at_rest_where_the_last_one_ended_count_each():
     anywhere = [(2.0 * share[:20, 0], rng.uniform(-1.0, 1.0, (20, 7))) for _ in range(5)]
     for motions in (strokes, noisy, anywhere):
         assert len(IndependentRecordings.of(Demonstrations(named(motions))).demonstrations) == len(motions)
-
-
-def with_velocities(
-    drawers, change: Callable[[np.ndarray, CubicSpline, np.ndarray], np.ndarray]
-) -> list[ml.Trajectory]:
-    """The motions with recorded velocities, those of the fourth joint changed."""
-    out = []
-    for i, (t, q) in enumerate(drawers[1]):
-        way = CubicSpline(t, q)
-        u = np.array(way(t, 1))
-        u[:, 3] = change(t, way, u)[:, 3]
-        out.append(ml.Trajectory(t, q, u, name=f"demo_{i}"))
-    return out
-
-
-@pytest.fixture(scope="module")
-def smooth_drawers(drawers) -> tuple[ml.FrameJacobian, list[Motion]]:
-    """The drawers without noise, so that the derivative of the postures is the velocity."""
-    return drawers[0], [(t.time, t.q) for t in generated("drawer", "panda", 30001, 3, False, noise=0.0)[1]]
-
-
-@pytest.mark.parametrize("factor", [0.85, 1.08, 1.2])
-def test_a_joint_whose_velocity_has_another_scale_is_named(factor: float, smooth_drawers):
-    """The report names the joint and the factor, to 1 %, and says what to do."""
-    report = (
-        ml.ConstraintLearner(smooth_drawers[0])
-        .fit(with_velocities(smooth_drawers, lambda _t, _w, u: factor * u))
-        .report_
-    )
-    (said,) = [w for w in report.warnings if "recorded velocities" in w]
-    assert "joint panda_joint4 are" in said and "dataclasses.replace(t, u=None)" in said
-    assert float(said.split(" times")[0].split()[-1]) == pytest.approx(factor, rel=0.01)
-
-
-@pytest.mark.parametrize(
-    "change",
-    [
-        pytest.param(lambda _t, _w, u: 1.04 * u, id="4 %"),
-        pytest.param(lambda t, w, _u: w(np.clip(t - 0.1, t[0], None), 1), id="0.1 s late"),
-        pytest.param(lambda _t, _w, u: lfilter([0.05], [1.0, -0.95], u, axis=0), id="first-order filter of 0.2 s"),
-        pytest.param(lambda _t, _w, u: u + np.random.default_rng(0).normal(0.0, 0.1, u.shape), id="noise of 0.1 rad/s"),
-    ],
-)
-def test_late_filtered_and_noisy_velocities_are_not_blamed(change, smooth_drawers):
-    """What keeps the scale is no fault of scale."""
-    assert not doubt_velocities(with_velocities(smooth_drawers, change), smooth_drawers[0].robot.joint_names)
 
 
 def advised(n: int, phases: str = "auto", findings: Findings | None = None, **refusal) -> NotIdentifiableError:

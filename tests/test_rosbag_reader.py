@@ -308,3 +308,27 @@ def test_a_packed_file_or_message_that_claims_too_much_is_refused(planar3: Robot
                 with sqlite3.connect(next(bag.glob("*.db3"))) as database:
                     database.execute("UPDATE messages SET data = ? WHERE id = 20", (bomb,))
             assert refusal(bag, planar3).code == "bomb"
+
+
+def test_clocks_of_two_hosts(planar3: Robot) -> None:
+    """On one topic they are two recordings; with some joints each they are put on one clock by the receive times."""
+    ahead = 51_000_000_000
+    both = [
+        ("/joint_states", START + int(s) + 1000 * k, (START + int(s) + k * ahead, JOINTS, q, ()))
+        for s, q in zip(STEPS, Q, strict=True)
+        for k in (0, 1)
+    ]
+    parts = [
+        (topic, START + int(s) + k, (START + int(s) + k * ahead, names, q[columns], ()))
+        for s, q in zip(STEPS, Q, strict=True)
+        for k, (topic, names, columns) in enumerate([("/arm", JOINTS[:2], [0, 1]), ("/wrist", JOINTS[2:], [2])])
+    ]
+    with case("one topic") as tmp_path:
+        demos = load_demonstrations(write_bag(tmp_path / "bag", "mcap", both), planar3)
+        assert [t.name for t in demos] == ["bag sender 1", "bag sender 2"] and "51 s apart" in demos.notes[0]
+        for t in demos:
+            np.testing.assert_array_equal(t.q, Q)
+    with case("joints of two hosts") as tmp_path:
+        demos = load_demonstrations(write_bag(tmp_path / "bag", "mcap", parts), planar3)
+        np.testing.assert_allclose(demos[0].q, Q[-len(demos[0]) :], atol=1e-6)
+        assert len(demos) == 1 and len(demos[0]) >= len(Q) - 1 and "a clock 51 s ahead" in demos.notes[0]

@@ -131,7 +131,10 @@ class ReadingOptions:
     ] = None
     joint_names: Annotated[str | None, Option(help="Column names, in order, for files without names.")] = None
     topic: Annotated[list[str] | None, Option(help="Topic of a bag; default: all with joints.")] = None
-    rate: Annotated[float | None, Option(help="Samples per second, for files without time stamps.")] = None
+    rate: Annotated[float | None, Option(help="Samples per second; overrules time stamps.")] = None
+    velocities: Annotated[
+        str | None, Option(help="Recorded ones: auto (used where they integrate to the positions), derive, recorded.")
+    ] = None
     outside_limits: Annotated[str | None, Option(help="Samples far outside the limits: refuse or note.")] = None
     episodes: Annotated[
         str | None, Option(help="Episodes (LeRobot) or files in order to read, counted from 0, e.g. 0:50,60,75.")

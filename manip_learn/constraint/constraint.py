@@ -235,7 +235,7 @@ class Constraint:
         """
         broken = total = 0.0
         for trajectory in demonstrations:
-            if trajectory.u is None:
+            if trajectory.u is None or not np.all(np.isfinite(trajectory.u)):
                 raise ConstraintError(f"{trajectory.name} has no velocities: derive them first (derive_velocities)")
             for q, u in zip(trajectory.q, trajectory.u, strict=True):
                 A = self(q)

@@ -119,7 +119,7 @@ class Rollout:
 
     def trajectory(self, name: str = "rollout") -> Trajectory:
         """The motion as a demonstration, so that it can be learnt from again."""
-        return Trajectory(self.time, self.q, self.u, self.joint_names, name)
+        return Trajectory(self.time, self.q, self.u, self.joint_names, name, judged=True)
 
     def until(self, end: float) -> Rollout:
         """The samples up to a time [s]."""

@@ -22,6 +22,7 @@ from manip_learn.learning.cluster import each_part
 from manip_learn.learning.samples import REST_SPEED
 from manip_learn.linalg import one_thread
 from manip_learn.recordings.demonstrations import Demonstrations
+from manip_learn.recordings.earned_velocities import Velocities, used_and_derived
 from manip_learn.recordings.local_fit import jerk
 from manip_learn.recordings.readers.read_request import refuse_unmatched
 from manip_learn.recordings.trajectory import Trajectory
@@ -356,7 +357,7 @@ def audit_episodes(
     constraint: Constraint,
     demonstrations: Given,
     *,
-    velocities: VelocityMethod = "auto",
+    velocities: VelocityMethod | Velocities = "auto",
     false_alarms: float = FALSE_ALARMS,
     client: Any = None,
     progress: Progress | None = None,
@@ -367,7 +368,7 @@ def audit_episodes(
         constraint: Learnt, or written by hand. If it was learnt as self-imposed (rows moved on purpose), motion along
             its rows is no violation and does not count.
         demonstrations: As for `ConstraintLearner.fit`.
-        velocities: How missing velocities are derived, see `derive_velocities`.
+        velocities: Which recorded ones are used and how others are derived, as of `ConstraintLearner`.
         false_alarms: Chance that of equally good episodes any is left out; a larger one leaves out more.
         client: A `dask.distributed.Client` whose workers measure the episodes.
         progress: Called with what is being done and the share of it that is done.
@@ -379,7 +380,7 @@ def audit_episodes(
     if not 0.0 < false_alarms < 1.0:
         raise RecordingError(f"false_alarms must be a chance between 0 and 1, got {false_alarms!r}", code="option")
     robot = getattr(constraint.features, "robot", None)
-    given = recordings_given(demonstrations, robot, constraint.nv)
+    given = recordings_given(demonstrations, robot, constraint.nv, used_and_derived(velocities)[0])
     rows: list[EpisodeAudit] = []
     notes: list[str] = []
     if isinstance(given, Demonstrations):
@@ -403,7 +404,7 @@ def audit_episodes(
 
 
 def measured(
-    number: int, source: TrajectorySource, constraint: Constraint, velocities: VelocityMethod
+    number: int, source: TrajectorySource, constraint: Constraint, velocities: VelocityMethod | Velocities
 ) -> tuple[list[EpisodeAudit], list[str]]:
     """The episodes of a part of a source, and notes of its reader: what a worker does.
 
@@ -413,7 +414,8 @@ def measured(
     notes: list[str] = []
     with one_thread():
         episodes = source.part(number, notes)
-        return [measure(constraint, episode, i, velocities) for i, episode in enumerate(episodes)], notes
+        how = used_and_derived(velocities)[1]
+        return [measure(constraint, episode, i, how) for i, episode in enumerate(episodes)], notes
 
 
 def _judged(rows: list[EpisodeAudit], imposed: bool, false_alarms: float, notes: tuple[str, ...]) -> AuditReport:

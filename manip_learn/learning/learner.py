@@ -6,7 +6,7 @@ import dataclasses
 import math
 import time
 from collections.abc import Sequence
-from typing import TYPE_CHECKING, Any, Literal, final
+from typing import TYPE_CHECKING, Any, Literal, final, get_args
 
 import numpy as np
 
@@ -28,12 +28,13 @@ from manip_learn.learning.explanation.findings import Findings, find, unexplaine
 from manip_learn.learning.recombination import BELIEVED_STRENGTH
 from manip_learn.learning.repeats import IndependentRecordings
 from manip_learn.learning.report import LearningReport, RecordingOverview, advise, build_report
-from manip_learn.learning.samples import check_fastest, doubt_velocities
+from manip_learn.learning.samples import check_fastest, check_motion
 from manip_learn.learning.skill import skill_of
 from manip_learn.learning.still_hand import refuse_still_hand
 from manip_learn.learning.uncertainty import uncertainty_of
 from manip_learn.linalg import one_thread
 from manip_learn.recordings.demonstrations import Demonstrations
+from manip_learn.recordings.earned_velocities import Velocities, used_and_derived
 from manip_learn.recordings.trajectory_source import CheckedSource, Given, Progress, check_joints, recordings_given
 from manip_learn.recordings.velocities import VelocityMethod, with_velocities
 from manip_learn.robot.robot import Robot
@@ -57,7 +58,9 @@ class ConstraintLearner:
             posture); `"separate"` for the paper's own route; `"auto"` selects the first or the second from the data.
         policy_model: Joint estimator: `"auto"` (cross-validation), `"constant"`, `"affine"`, `"quadratic"`, `"cubic"`,
             `"rbf"`, or `"affine-offset"` (affine, with a separate rest posture for each trajectory).
-        velocities: How missing velocities are derived, see `derive_velocities`.
+        velocities: Which recorded ones are used: `"auto"`, those that integrate to the positions at least as closely
+            as derived ones; `"derive"`, none; `"recorded"`, all. What `load_demonstrations` has judged is not judged
+            again. `"midpoint"` and `"smooth"`: as `"auto"`, missing ones derived so (see `derive_velocities`).
         phases: `"auto"` looks for the stretches in which a constraint holds where no single one fits the recordings;
             `"off"` takes every recording as a whole.
         mechanism: `"auto"` looks for a mechanism (line, plane, hinge, ball, screw, held orientation) where Phi is a
@@ -108,7 +111,7 @@ class ConstraintLearner:
         estimator: EstimatorName = "auto",
         *,
         policy_model: str = "auto",
-        velocities: VelocityMethod = "auto",
+        velocities: VelocityMethod | Velocities = "auto",
         phases: Switch = "auto",
         mechanism: Switch = "auto",
         strength: float = BELIEVED_STRENGTH,
@@ -125,7 +128,9 @@ class ConstraintLearner:
         self.n_constraints = n_constraints
         self.estimator: EstimatorName = estimator
         self.policy_model = policy_model
-        self.velocities: VelocityMethod = velocities
+        if velocities not in (choices := (*get_args(Velocities), *get_args(VelocityMethod)[1:])):
+            raise FeatureError(f"velocities must be one of {', '.join(choices)}, not {velocities!r}")
+        self.velocities: VelocityMethod | Velocities = velocities
         self.phases: Switch = phases
         self.mechanism: Switch = mechanism
         for name, number, what, least in (("strength", strength, "", 1), ("switch", switch, " of nats", 0)):
@@ -215,14 +220,19 @@ class ConstraintLearner:
             robot = getattr(features, "robot", None)
             if robot is not None and self._robot is not None:
                 check_joints(self._robot.joint_names, robot)
-        return recordings_given(demonstrations, self._robot, self._feature_maps[0].nv)
+        return recordings_given(
+            demonstrations, self._robot, self._feature_maps[0].nv, used_and_derived(self.velocities)[0]
+        )
 
     def _learn(self, given: Demonstrations) -> None:
         """What repeats counts once -> what explains it -> a constraint for each part -> report."""
         with one_thread():
             started = time.perf_counter()
             recordings = IndependentRecordings.of(given)
-            demonstrations = with_velocities(recordings.demonstrations, self._robot, self.velocities)
+            demonstrations = with_velocities(
+                recordings.demonstrations, self._robot, used_and_derived(self.velocities)[1]
+            )
+            check_motion(recordings.demonstrations)
             check_fastest(demonstrations)
             refuse_still_hand(self._feature_maps[0], demonstrations)
             demonstrations, every = few_of(demonstrations, self.most_samples)
@@ -241,8 +251,7 @@ class ConstraintLearner:
             recorded = recordings.demonstrations
             source = BeforeSmoothing(demonstrations, recorded)
             parts = tuple(dataclasses.replace(part, source=source) for part in findings.parts)
-            doubts = doubt_velocities(recorded.trajectories, demonstrations.joint_names)
-            warnings = (*recordings.warnings, *doubts, *findings.warnings)
+            warnings = (*recordings.warnings, *findings.warnings)
             findings = dataclasses.replace(findings, parts=parts, warnings=warnings)
             try:
                 settings = LearnerSettings(
@@ -272,7 +281,7 @@ class ConstraintLearner:
 
     @property
     def _empty(self) -> Choice:
-        return Choice(self._robot, self.velocities, self.most_samples)
+        return Choice(self._robot, used_and_derived(self.velocities)[1], self.most_samples)
 
     @property
     def _robot(self) -> Robot | None:

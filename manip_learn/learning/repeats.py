@@ -347,4 +347,5 @@ def joined_pieces(trajectories: Sequence[Trajectory], origin: Sequence[tuple[int
     beside = {
         what: np.concatenate([p.beside[what][k:] for p, k in zip(pieces, skipped, strict=True)]) for what in of_all
     }
-    return Trajectory(time, q, joint_names=pieces[0].joint_names, name=pieces[0].name, **beside)
+    cut = {"u": None, "effort": None} | beside
+    return dataclasses.replace(pieces[0], time=time, q=q, **cut)  # judged as its pieces are

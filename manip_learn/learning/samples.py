@@ -12,11 +12,11 @@ import numpy as np
 from jaxtyping import Float, Int
 
 from manip_learn.constraint.features.feature_map import FeatureMap
-from manip_learn.errors import NotIdentifiableError, RecordingError, advice, counted, listed, named
+from manip_learn.errors import NotIdentifiableError, RecordingError, counted, named
 from manip_learn.linalg import whitener
 from manip_learn.recordings.demonstrations import Demonstrations
+from manip_learn.recordings.earned_velocities import FEWEST, position_noise
 from manip_learn.recordings.trajectory import Trajectory
-from manip_learn.recordings.validation.motion_checks import FEWEST, compare_velocities
 
 # directions, or samples, that a smooth motion fills of a window: a cubic has four parameters
 CUBIC = 4
@@ -28,12 +28,8 @@ STILL_ENERGY = 1e-6
 FEW_JOINTS_AT_ONCE = 1.6
 # [rad/s or m/s] of the fastest joint, below which it is at rest: encoder noise of 1e-4 rad at 100 Hz looks like 0.014
 REST_SPEED = 0.02
-# how far a joint's recorded velocity may be off its positions, as a factor: at one joint 1.05 turns a drawer's rows by
-# 0.7 degrees (median; 3.2 at worst), 1.2 by 2.6 (12); 8 sets of 4 arms, seeds 20000 to 20007
-VELOCITY_SLOPE = 1.05
-# correlation c of displacements with integrated velocities above which a joint is judged: in the 20 windows of a
-# recording noise moves a slope by sqrt(1 / c^2 - 1) / sqrt(20), 5 % at 0.98
-VELOCITY_CORRELATION = 0.98
+# standard deviations between the least and the largest of a million numbers by chance, and some more
+BEYOND_NOISE = 12.0
 # standard errors of a difference, an autocorrelation or a curvature that are more than chance: 95 %
 STANDARD_ERRORS = 2.0
 # the same beyond doubt: of a radius or a pitch, and of the chi-square that tells unequal noise; one in 3 million
@@ -265,6 +261,30 @@ def check_fastest(demonstrations: Demonstrations) -> None:
         )
 
 
+def check_motion(recorded: Demonstrations) -> None:
+    """Refuse recordings in which no joint moves farther than its encoder's noise does.
+
+    Raises:
+        NotIdentifiableError: In none of them.
+    """
+    most = (-1.0, "", "", 0.0, 0.0)
+    for t in recorded:
+        if len(t) < FEWEST:
+            return
+        moved, noise = np.ptp(t.q, axis=0), np.sqrt(position_noise(t.time, t.q))
+        j = int(np.argmax(moved / noise))
+        most = max(
+            most, (moved[j] / noise[j], (*t.joint_names, *map(str, range(len(moved))))[j], t.name, moved[j], noise[j])
+        )
+    ratio, joint, name, moved, noise = most
+    if ratio < BEYOND_NOISE:
+        raise NotIdentifiableError(
+            f"no joint moves farther than the noise of its positions does: the farthest is {joint} in {name}, by "
+            f"{moved:.2g} where its noise is {noise:.2g} (standard deviation): record a motion",
+            code="no-motion",
+        )
+
+
 def check_samples(samples: Samples, joint_names: Sequence[str], n_constraints: int | None) -> list[str]:
     """Refuse what no estimator can learn from; warnings for what is doubtful.
 
@@ -338,41 +358,3 @@ def check_postures(samples: Samples) -> None:
             f"{distance[farthest] / usual:.1e} times farther out than nearly all others: remove the outlier",
             code="outlier",
         )
-
-
-def doubt_velocities(trajectories: Sequence[Trajectory], joint_names: Sequence[str]) -> list[str]:
-    """A warning that names the joints whose recorded velocities have another scale than their positions.
-
-    The displacement dq over a short window is compared with the velocity integrated over it, du, in each recording; the
-    median over the recordings counts. Noise on either makes the slope of one upon the other too small, never too large,
-    and so do delays and filters: for a first-order filter the slope of dq upon du is 1 at every frequency. A joint is
-    named if the slope that is too large is so by more than 5 %. A factor that all joints share turns no row and is not
-    named.
-
-    The trajectories are as they were recorded; those without velocities say nothing.
-    """
-    matches = [
-        compare_velocities(t.time, t.q, t.u)
-        for t in trajectories
-        if t.u is not None and t.q.shape == t.u.shape and len(t) >= FEWEST
-    ]
-    if not matches:
-        return []
-    correlation, slope = np.array([np.diag(m.correlation) for m in matches]), np.array([m.slope for m in matches])
-    moved = np.array([m.moved for m in matches])
-    follows = moved & (correlation > VELOCITY_CORRELATION)
-    shares: dict[int, float] = {}
-    off: list[int] = []
-    for j in np.flatnonzero(2 * follows.sum(axis=0) > moved.sum(axis=0)).tolist():
-        r, c = slope[follows[:, j], j], correlation[follows[:, j], j]
-        shares[j] = 1.0 / float(np.median(r))
-        off += [j] if max(np.median(r * c), np.median(c / r)) > VELOCITY_SLOPE else []
-    if not off or (len(shares) > 1 and max(shares.values()) < VELOCITY_SLOPE * min(shares.values())):
-        return []
-    factors = listed(f"{shares[j]:.3g}" for j in off)
-    return [
-        f"the recorded velocities of {named('joint', (joint_names[j] for j in off))} are {factors} times what the "
-        "positions say, though they follow them closely, which turns what is learnt: correct their scale, or leave all "
-        "recorded velocities out, to have them derived from the positions"
-        + advice(" ({})", "dataclasses.replace(t, u=None)", "--ignore-column for each velocity column")
-    ]

@@ -50,7 +50,7 @@ def motion_samples(robot: Robot, name: str, recording: Rollout | Trajectory) -> 
         RecordingError: No samples, shapes that do not fit, time that does not increase, NaN, another robot, or other
             joints locked.
     """
-    u = recording.u
+    u = recording.u if recording.u is not None and np.all(np.isfinite(recording.u)) else None
     if isinstance(recording, Rollout):
         if recording.robot is not None:
             recording.robot.refuse_another(robot, f"rollout {name!r}")

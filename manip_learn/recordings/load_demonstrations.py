@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import re
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import replace
 from typing import Literal, TypedDict, Unpack
@@ -10,6 +11,7 @@ from typing import Literal, TypedDict, Unpack
 from manip_learn.errors import RecordingError, advice, closest_names, printable
 from manip_learn.recordings.data_frame import DataFrame, frames_as_files
 from manip_learn.recordings.demonstrations import Demonstrations
+from manip_learn.recordings.earned_velocities import Velocities, judged_in_turn
 from manip_learn.recordings.format_words import VELOCITY_SUFFIX
 from manip_learn.recordings.readers.csv_reader import SURPLUS_SUFFIXES
 from manip_learn.recordings.readers.lerobot_dataset import episode_numbers
@@ -38,6 +40,8 @@ ARRAYS = ("time", "q", "u", "effort", "joint_names", "format")
 SUFFIXES = (VELOCITY_SUFFIX, *SURPLUS_SUFFIXES, ".pos", ".vel")
 POSE_SUFFIXES = (".x", ".y", ".z", *ROTATION_VECTOR, *QUATERNION)
 
+NUMBER = re.compile(r"\d[\d.,]*(e[-+]?\d+)?")
+
 Paths = str | os.PathLike[str] | Iterable[str | os.PathLike[str]]
 Tables = DataFrame | Sequence[DataFrame]
 
@@ -58,12 +62,15 @@ class ReadOptions(TypedDict, total=False):
             left out, with a note. Not given: columns are called as the joints, or contain their names in one way only.
         joint_names: Names of the columns, in order, for files that have none (robomimic, some LeRobot data).
         topics: Topics of a bag; not given: all JointState topics that carry joints of the robot.
-        rate: Samples per second, for files that have no time stamps [Hz].
+        rate: Samples per second [Hz], for files that have no time stamps; where there are some it overrules them.
         outside_limits: `"refuse"` (the default) or `"note"` positions far outside the joint limits.
         episodes: Which episodes to read: text such as `"0:50,60,75"` (counted from 0; 0:50 is 0 to 49) or numbers. Of a
             LeRobot data set they are numbers of episodes; else places of files in natural order.
         feature: Feature of a LeRobot data set that holds the joint positions, e.g.
             `"observation.state.joint_position"`; not given: `observation.state`.
+        velocities: `"auto"` (the default): recorded velocities are used where they integrate to the positions at least
+            as closely as derived ones; else those of all joints are derived when something is learnt, and a note says
+            why. `"derive"`: always; `"recorded"`: never.
     """
 
     degrees: bool
@@ -78,6 +85,7 @@ class ReadOptions(TypedDict, total=False):
     outside_limits: Literal["refuse", "note"]
     episodes: str | int | Iterable[int] | None
     feature: str | None
+    velocities: Velocities
 
 
 def load_demonstrations(paths: Paths | Tables, robot: Robot, **options: Unpack[ReadOptions]) -> Demonstrations:
@@ -107,7 +115,7 @@ def load_demonstrations(paths: Paths | Tables, robot: Robot, **options: Unpack[R
     with frames_as_files(paths) as given:
         files, request, notes = open_recordings(given, robot, options)
         found: list[str] = []
-        trajectories = tuple(read_recordings(files, request, found))
+        trajectories = tuple(read_recordings(files, request, found, together=True))
     return Demonstrations(trajectories, notes + refuse_unmatched(found))
 
 
@@ -122,34 +130,56 @@ def open_recordings(
 
 
 def read_recordings(
-    files: list[RecordingFile], request: ReadRequest, notes: list[str] | None = None
+    files: list[RecordingFile], request: ReadRequest, notes: list[str] | None = None, *, together: bool = False
 ) -> Iterator[Trajectory]:
     """The trajectories in files, one after the other; sentences are added to `notes` at the end.
 
-    Among them is an `UnmatchedOption` for each option that these files had no use for.
+    Among them is an `UnmatchedOption` for each option that these files had no use for. Velocities are judged
+    `together`, or those of each recording alone.
 
     Raises:
         RecordingError: As soon as a recording is found that cannot be trusted.
         MissingExtraError: The format needs a library that is not installed.
     """
-    by_text: dict[str, list[str]] = {}
-    found = False
+    said: list[tuple[str, str]] = []
     request = replace(request, uses=OptionUses())
+    validated = _validated(files, request, said)
+    yield from judged_in_turn(validated, request.robot, request.velocities, said, together=together)
+    if notes is not None:
+        notes += folded(said, request.robot)
+        notes += request.unmatched()
+
+
+def _validated(files: list[RecordingFile], request: ReadRequest, said: list[tuple[str, str]]) -> Iterator[Trajectory]:
+    found = False
     for file in files:
         for recording in _recordings(file, request):
             validated = validate(recording, request)
-            for note in validated.notes:
-                by_text.setdefault(note, []).append(recording.name)
-            for trajectory in validated.trajectories:
-                found = True
-                yield trajectory
+            said += [(recording.name, note) for note in validated.notes]
+            found |= bool(validated.trajectories)
+            yield from validated.trajectories
     if not found:
         raise RecordingError(f"there is no demonstration in {', '.join(str(f.path) for f in files)}", code="empty")
-    if notes is not None:
-        for text, names in by_text.items():  # the same finding in fifty files is reported once
-            more = f" and {len(names) - 1} more" if len(names) > 1 else ""
-            notes.append(printable(f"{names[0]}{more}: {text}"))
-        notes += request.unmatched()
+
+
+def folded(said: Iterable[tuple[str, str]], robot: Robot | None) -> list[str]:
+    """Notes with the names of their recordings: the same finding in fifty of them is reported once, with the figures of
+    the first.
+    """
+    names = "|".join(map(re.escape, sorted(robot.joint_names if robot else (), key=len, reverse=True)))
+    by_text: dict[str, list[tuple[str, str]]] = {}
+    for name, note in said:
+        text = note
+        if note.startswith("velocity of "):  # in which joints and numbers may differ
+            text = NUMBER.sub("#", re.sub(rf"(?<!\w)({names})(?!\w)", "#", note))
+            text = re.sub(r"#((, | and )#)+| \(# likewise\)", "#", text)
+        by_text.setdefault(text, []).append((name, note))
+    out = []
+    for found in by_text.values():
+        name, text = found[0]
+        alike = "" if all(other == text for _, other in found) else " with other figures"
+        out.append(printable(f"{name}{f' and {len(found) - 1} more{alike}' if len(found) > 1 else ''}: {text}"))
+    return out
 
 
 def _recordings(file: RecordingFile, request: ReadRequest) -> Iterator[Recording]:

@@ -202,6 +202,19 @@ def best_windows(
     return best
 
 
+def slope_variance(
+    time: Float[np.ndarray, " T"], x: Float[np.ndarray, "T nv"], half_width: int, degree: int, noise2: np.ndarray
+) -> Float[np.ndarray, " nv"]:
+    """Mean square error of the slopes that `local_fit` finds, from positions with noise of these variances."""
+    grid, m = _grid(time), half_width
+    stride = max(1, (len(time) - 2 * m) // COMPARED)
+    windows = np.lib.stride_tricks.sliding_window_view(x, 2 * m + 1, axis=0)[::stride]
+    trial = _trial if _is_short(grid) else _trial.__wrapped__
+    richer, own, spread = trial(grid, m, (degree,), stride if isinstance(grid, bytes) else 1)
+    difference = np.einsum("njw,nw->nj", windows, np.broadcast_to(richer[:, :, 0], (len(windows), 2 * m + 1)))
+    return np.maximum(np.mean(difference**2, axis=0) - own * noise2, 0.0) + spread * noise2
+
+
 def noise_variance(time: Float[np.ndarray, " T"], x: Float[np.ndarray, "T nv"]) -> Float[np.ndarray, " nv"]:
     """Variance of white noise on the samples from what a local cubic through five points leaves over."""
     grid = _grid(time)

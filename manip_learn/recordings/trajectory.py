@@ -22,11 +22,13 @@ class Trajectory:
         time: shape (T,), strictly increasing [s].
         q: shape (T, n), postures: joint positions, one column per name [rad or m]; or configurations (nq columns) of a
             robot whose nq differs from nv.
-        u: shape (T, nv), joint velocities [rad/s or m/s]; None if they were not recorded.
+        u: shape (T, nv), joint velocities [rad/s or m/s]; None if they were not recorded. NaN where one was not
+            measured: all are then derived from the positions when the motion is learnt from.
         joint_names: One name per velocity column, the robot's own names.
         name: Where it came from, for messages.
         effort: shape (T, nv), what the motors exert, gravity and friction included [N m or N], by keyword; None if it
             was not recorded. Nothing is learnt from it.
+        judged: By keyword; True where u has been compared with the positions, or is to be taken as it is.
 
     Raises:
         RecordingError: Shapes that do not fit, fewer than one row, time that does not increase, NaN or infinity.
@@ -47,6 +49,7 @@ class Trajectory:
     joint_names: tuple[str, ...] = ()
     name: str = field(default="trajectory")
     effort: Float[np.ndarray, "T nv"] | None = field(default=None, kw_only=True)
+    judged: bool = field(default=False, kw_only=True)
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "joint_names", tuple(self.joint_names))
@@ -64,14 +67,16 @@ class Trajectory:
 
     def _array(self, what: str, values: object, ndim: int) -> np.ndarray:
         try:
-            array = np.array(values, dtype=np.float64, order="C")  # a copy: the caller cannot change it
+            array = np.asarray(values, dtype=np.float64, order="C")
+            if array.flags.writeable or array.base is not None:
+                array = array.copy()  # so that the caller cannot change it
         except (TypeError, ValueError) as error:
             raise RecordingError(f"{self.name}: {what} must be numbers: {error}", code="not-a-number") from error
         if array.ndim != ndim:
             raise RecordingError(
                 f"{self.name}: {what} must have {counted(ndim, 'dimension')}, got shape {array.shape}", code="shape"
             )
-        if not np.all(np.isfinite(array)):
+        if what != "u" and not np.all(np.isfinite(array)):
             where = np.argwhere(~np.isfinite(array))[0]
             column = ""
             if ndim == 2 and array.shape[1] == len(self.joint_names):
@@ -104,7 +109,7 @@ class Trajectory:
 
     def __reduce__(self):
         # through the constructor: a pickled array comes back writeable
-        return _rebuilt, (self.time, self.q, self.joint_names, self.name, self.beside)
+        return _rebuilt, (self.time, self.q, self.joint_names, self.name, self.beside, self.judged)
 
     def __len__(self) -> int:
         return int(self.time.shape[0])
@@ -163,9 +168,11 @@ class Trajectory:
         return replace(self, time=self.time[samples], q=self.q[samples], name=name or self.name, **cut)
 
 
-def _rebuilt(time: Any, q: Any, joint_names: tuple[str, ...], name: str, beside: dict[str, Any]) -> Trajectory:
+def _rebuilt(
+    time: Any, q: Any, joint_names: tuple[str, ...], name: str, beside: dict[str, Any], judged: bool
+) -> Trajectory:
     """A trajectory from a pickle."""
-    return Trajectory(time, q, joint_names=joint_names, name=name, **beside)
+    return Trajectory(time, q, joint_names=joint_names, name=name, judged=judged, **beside)
 
 
 def subsample(trajectory: Trajectory, n_samples: int) -> Trajectory:

@@ -7,6 +7,7 @@ from __future__ import annotations
 import os
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterable, Iterator, Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import Any, Unpack, cast, final
 
@@ -16,10 +17,12 @@ from numpy.typing import ArrayLike
 from manip_learn.errors import RecordingError
 from manip_learn.recordings.data_frame import DataFrame, data_frames_in
 from manip_learn.recordings.demonstrations import Demonstrations
+from manip_learn.recordings.earned_velocities import Velocities, judged_in_turn
 from manip_learn.recordings.format_words import DATASET_HEADER
 from manip_learn.recordings.load_demonstrations import (
     Paths,
     ReadOptions,
+    folded,
     load_demonstrations,
     open_recordings,
     read_recordings,
@@ -141,10 +144,18 @@ class CheckedSource(TrajectorySource):
         given: The source, or an iterable, which is one part.
         robot: Whose joints each motion must have; None for features without a robot.
         nv: Number of velocities of the features.
+        velocities: Which recorded ones are kept, see `earned`.
     """
 
-    def __init__(self, given: TrajectorySource | Iterable[Motion], robot: Robot | None, nv: int):
+    def __init__(
+        self,
+        given: TrajectorySource | Iterable[Motion],
+        robot: Robot | None,
+        nv: int,
+        velocities: Velocities = "auto",
+    ):
         self._given, self._robot, self._nv = given, robot, nv
+        self._velocities: Velocities = velocities
 
     @property
     def n_parts(self) -> int:
@@ -154,10 +165,17 @@ class CheckedSource(TrajectorySource):
     def part(self, index: int, notes: list[str] | None = None) -> Iterator[Trajectory]:
         """The trajectories of a part, with the joints of the features."""
         said: list[str] = [] if notes is None else notes
+        found: list[tuple[str, str]] = []
+        together = isinstance(self._given, Sequence)
+        named = self._named(index, said, found)
+        yield from judged_in_turn(named, self._robot, self._velocities, found, together=together)
+        said += folded(found, self._robot)
+
+    def _named(self, index: int, said: list[str], found: list[tuple[str, str]]) -> Iterator[Trajectory]:
         source = self._given
         entries = source.part(index, said) if isinstance(source, TrajectorySource) else source
         for number, entry in enumerate(entries, start=1):
-            for trajectory in _trajectories_of(entry, number, self._robot, said):
+            for trajectory in _trajectories_of(entry, number, self._robot, said, found, self._velocities):
                 if trajectory.joint_names:
                     check_joints(trajectory.joint_names, self._robot)
                     yield trajectory
@@ -166,7 +184,9 @@ class CheckedSource(TrajectorySource):
                     yield trajectory.with_joint_names(tuple(names))
 
 
-def recordings_given(given: Given, robot: Robot | None, nv: int) -> Demonstrations | CheckedSource:
+def recordings_given(
+    given: Given, robot: Robot | None, nv: int, velocities: Velocities = "auto"
+) -> Demonstrations | CheckedSource:
     """What a learner or an audit was given: recordings in memory, or a source of more than are held at a time.
 
     Args:
@@ -176,6 +196,7 @@ def recordings_given(given: Given, robot: Robot | None, nv: int) -> Demonstratio
             iterable of motions is read once, one motion after the other.
         robot: Whose joints the columns of arrays are, in its order: the arrays are then checked like a file.
         nv: Number of velocities.
+        velocities: Which recorded ones are kept, see `earned`.
 
     Raises:
         RecordingError: Motions that do not fit, or that a file would be refused for; postures without time.
@@ -183,7 +204,7 @@ def recordings_given(given: Given, robot: Robot | None, nv: int) -> Demonstratio
     if isinstance(given, Trajectory) or _is_motion(given):
         given = cast("Sequence[Motion]", [given])
     if robot is not None and (frames := data_frames_in(given)):
-        given = load_demonstrations(frames, robot)
+        given = load_demonstrations(frames, robot, velocities=velocities)
     if isinstance(given, np.ndarray):
         raise RecordingError(
             f"an array of shape {given.shape} alone is no motion, for its times are not known: give (time, q), or "
@@ -199,7 +220,7 @@ def recordings_given(given: Given, robot: Robot | None, nv: int) -> Demonstratio
         raise RecordingError(
             f"demonstrations must be trajectories or a source of them, got {type(given).__name__}", code="type"
         )
-    source = CheckedSource(cast("TrajectorySource | Iterable[Motion]", given), robot, nv)
+    source = CheckedSource(cast("TrajectorySource | Iterable[Motion]", given), robot, nv, velocities)
     if not isinstance(given, Sequence):
         return source
     notes = list(given.notes) if isinstance(given, Demonstrations) else []
@@ -215,12 +236,19 @@ def _is_motion(given: object) -> bool:
     return getattr(times, "ndim", None) == 1 or (isinstance(times, list) and all(np.isscalar(t) for t in times))
 
 
-def _trajectories_of(entry: Any, number: int, robot: Robot | None, notes: list[str]) -> Sequence[Trajectory]:
+def _trajectories_of(
+    entry: Any,
+    number: int,
+    robot: Robot | None,
+    notes: list[str],
+    found: list[tuple[str, str]],
+    velocities: Velocities,
+) -> Sequence[Trajectory]:
     """A motion of an iterable as it is, or arrays and tables checked like a file; they may fall into several."""
     if isinstance(entry, Trajectory):
         return (entry,)
     if robot is not None and isinstance(entry, DataFrame):
-        checked = load_demonstrations(entry, robot)
+        checked = load_demonstrations(entry, robot, velocities=velocities)
         notes += checked.notes
         return checked.trajectories
     if not isinstance(entry, list | tuple) or len(entry) not in (2, 3):
@@ -229,9 +257,13 @@ def _trajectories_of(entry: Any, number: int, robot: Robot | None, notes: list[s
             code="type",
         )
     time, q, *u = entry
-    motion = Trajectory(time, q, u[0] if u else None, name=f"motion {number}")
-    if robot is None or (motion.q.shape[1] == robot.nq != robot.nv):
-        return (motion,)
+    name = f"motion {number}"
+    if robot is None:
+        return (Trajectory(time, q, u[0] if u else None, name=name),)
+    stamps = _stamps(time, name)  # they are checked like those of a file
+    motion = Trajectory(np.arange(float(len(stamps))), q, u[0] if u else None, name=name)
+    if motion.q.shape[1] == robot.nq != robot.nv:
+        return (replace(motion, time=stamps),)
     names = robot.joint_names
     if motion.q.shape[1] != robot.nv:
         raise RecordingError(
@@ -239,10 +271,20 @@ def _trajectories_of(entry: Any, number: int, robot: Robot | None, notes: list[s
             f"({', '.join(names)}): one column per joint is needed, in this order",
             code="shape",
         )
-    recording = Recording(Path(motion.name), motion.name, motion.time, names, motion.q, names, motion.u)
-    checked = validate(recording, ReadRequest(robot))
-    notes += [f"{checked[0].name}: {note}" for note in checked.notes]
+    recording = Recording(Path(name), name, stamps, names, motion.q, names, motion.u)
+    checked = validate(recording, ReadRequest(robot, velocities=velocities))
+    found += [(checked[0].name, note) for note in checked.notes]
     return checked.trajectories
+
+
+def _stamps(time: ArrayLike, name: str) -> np.ndarray:
+    try:
+        stamps = np.asarray(time, dtype=np.float64)
+    except (TypeError, ValueError) as error:
+        raise RecordingError(f"{name}: time must be numbers: {error}", code="not-a-number") from error
+    if stamps.ndim != 1:
+        raise RecordingError(f"{name}: time must have 1 dimension, got shape {stamps.shape}", code="shape")
+    return stamps
 
 
 def check_joints(joint_names: Sequence[str], robot: Robot | None) -> None:

@@ -206,9 +206,9 @@ def _manifold_midpoints(trajectory: Trajectory, robot: Robot) -> Trajectory:
     return Trajectory(time, middles, steps / dt[:, None], names, trajectory.name, **measured)
 
 
-def _measured(trajectory: Trajectory, cut: Callable[[np.ndarray], np.ndarray]) -> dict[str, np.ndarray]:
-    """Efforts, where they were recorded, at the samples for which velocities are derived."""
-    return {what: cut(array) for what, array in trajectory.beside.items() if what != "u"}
+def _measured(trajectory: Trajectory, cut: Callable[[np.ndarray], np.ndarray]) -> dict[str, Any]:
+    """Efforts, where they were recorded, at the samples for which velocities are derived; these need no judge."""
+    return {what: cut(array) for what, array in trajectory.beside.items() if what != "u"} | {"judged": True}
 
 
 def _between(values: np.ndarray) -> np.ndarray:

@@ -8,6 +8,7 @@ import os
 import re
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
+from datetime import UTC, datetime
 from functools import partial
 from pathlib import Path
 from typing import NoReturn, final
@@ -34,6 +35,7 @@ from manip_learn.robot import Robot
 
 COMMENT_MARKS = ("#", "%")
 NUMBER = re.compile(r"[+-]?(\d+([.,]\d*)?|[.,]\d+)([eE][+-]?\d+)?|[+-]?(nan|inf(inity)?)", re.IGNORECASE)
+TIME_OF_DAY = re.compile(r"(\d{1,3}):([0-5]?\d):([0-5]?\d(?:[.,]\d*)?)")
 DELIMITER_WORDS = {",": "comma", ";": "semicolon", "\t": "tab", None: "white space"}
 # what belongs to a message or a data frame, not to the motion
 BOOKKEEPING = re.compile(r"(.*[./])?(header[./](seq|frame_id)|seq|frame_id)|unnamed: 0", re.IGNORECASE)
@@ -48,7 +50,10 @@ def read(path: Path, request: ReadRequest) -> Iterator[Recording]:
         request.uses.use("joint_names")
     columns = columns_of(path, dialect, request)
     dialect = replace(dialect, without_cut_line=_is_cut_off(path, dialect))
-    table = _table(path, dialect, columns.used, request)
+    first, at = dialect.split(next(_numbered_lines(path, dialect), (0, ""))[1]), columns.time
+    if at is not None and seconds_of(first[at : at + 1]):
+        columns = replace(columns, unit="s", as_clock=True)
+    table = _table(path, dialect, columns, request)
     notes = [f"the header was read from the comment in line {dialect.header_line}"] if dialect.commented_header else []
     notes += columns.notes
     if dialect.without_cut_line:
@@ -199,6 +204,7 @@ class Columns:
         joints: Columns of the joints.
         strict: Whether a name that is no joint's is a mistake.
         notes: What the caller should know.
+        as_clock: True where stamps are dates or times of day, which become seconds.
     """
 
     time: int | None
@@ -206,6 +212,7 @@ class Columns:
     joints: Found
     strict: bool
     notes: tuple[str, ...]
+    as_clock: bool = False
 
     @property
     def used(self) -> list[int]:
@@ -355,10 +362,11 @@ def _base_name(name: str, suffixes: tuple[str, ...], own_names: tuple[str, ...])
     return next((name.removesuffix(s) for s in suffixes if name.endswith(s) and name != s), None)
 
 
-def _table(path: Path, dialect: CsvDialect, used: list[int], request: ReadRequest) -> Float[np.ndarray, "T n"]:
+def _table(path: Path, dialect: CsvDialect, columns: Columns, request: ReadRequest) -> Float[np.ndarray, "T n"]:
     """The used columns of all rows."""
+    used = columns.used
     usecols = None if len(used) == len(dialect.columns) else used
-    lines = _checked_lines(path, dialect)
+    lines = _checked_lines(path, dialect, columns.time if columns.as_clock else None)
     try:
         first = next(lines, None)
         if first is None:
@@ -386,8 +394,25 @@ def _rows(path: Path, dialect: CsvDialect) -> Iterator[list[str]]:
         yield [*fields, *[""] * (len(dialect.columns) - len(fields))]
 
 
-def _checked_lines(path: Path, dialect: CsvDialect) -> Iterator[str]:
-    """Data lines for NumPy's parser, each with the right number of fields and decimal points."""
+def seconds_of(stamp: list[str]) -> list[str]:
+    """A date or a time of day (ISO 8601, hh:mm:ss) as seconds, since 1970 or since midnight; nothing of a number."""
+    text = stamp[0] if stamp else ""
+    if day := TIME_OF_DAY.fullmatch(text):
+        hours, minutes, seconds = (float(part.replace(",", ".")) for part in day.groups())
+        return [repr(3600.0 * hours + 60.0 * minutes + seconds)]
+    try:
+        date = datetime.fromisoformat(text) if not NUMBER.fullmatch(text) else None
+    except ValueError:
+        date = None
+    if date is None:
+        return []
+    return [repr((date if date.tzinfo else date.replace(tzinfo=UTC)).timestamp())]
+
+
+def _checked_lines(path: Path, dialect: CsvDialect, clock: int | None) -> Iterator[str]:
+    """Data lines for NumPy's parser, each with the right number of fields and decimal points, and seconds for the text
+    of a clock in a column.
+    """
     delimiter, width = dialect.delimiter, len(dialect.columns)
     comma = point = False  # decimal marks up to here
     for number, line in _numbered_lines(path, dialect):
@@ -404,6 +429,11 @@ def _checked_lines(path: Path, dialect: CsvDialect) -> Iterator[str]:
                 )
                 raise refusal(path, "decimal-mark", text, line=number)
             line = line.replace(",", ".") if comma else line
+        if clock is not None:
+            parts = dialect.split(line)
+            line = (delimiter or " ").join(
+                [*parts[:clock], *(seconds_of(parts[clock : clock + 1]) or ["?"]), *parts[clock + 1 :]]
+            )
         yield line
 
 
@@ -411,7 +441,7 @@ def _explain(path: Path, dialect: CsvDialect, used: list[int], request: ReadRequ
     """Raise the error that names the field which NumPy's parser refused."""
     for number, line in _numbered_lines(path, dialect):
         fields = dialect.split(line)
-        i = next((i for i in sorted(used) if not NUMBER.fullmatch(fields[i])), None)
+        i = next((i for i in used if not NUMBER.fullmatch(fields[i]) and not seconds_of(fields[i : i + 1])), None)
         if i is None:
             continue
         what, name = repr(fields[i][:40]) if fields[i] else "an empty field", dialect.columns[i]

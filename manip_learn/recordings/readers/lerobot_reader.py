@@ -35,6 +35,7 @@ except ImportError as error:
 BATCH = 65_536  # rows in memory: some 10 MB
 STAMPS = ("timestamp", "frame_index", "episode_index")
 EFFORT_ENDS = (".torque", ".effort")  # of entries of the state, as motors that measure it are named beside `.pos`
+FPS_OFF = 1.25  # times fps by which stamps may be off: dropped frames
 GRIPPER = "gripper"  # always 0 .. 100 in LeRobot, whatever the unit of the other motors
 
 # number of an episode, and its samples: `time`, `state`, and `velocity` and `effort` where they were recorded
@@ -89,10 +90,12 @@ def _recording(
         velocities, efforts = (None if x is None or x.shape != state.shape else x for x in beside)
         unlike = [k for k in ("velocity", "effort") if k in columns and columns[k].shape != state.shape]
         notes += [f"the {k} has {columns[k].shape[1]} entries for {state.shape[1]} joints, not used" for k in unlike]
+    name = f"{dataset.root.name} episode {number}"
+    time, note = _times(dataset, request, name, columns)
     return Recording(
         path=dataset.root,
-        name=f"{dataset.root.name} episode {number}",
-        time=columns["time"],
+        name=name,
+        time=time,
         position_names=position_names,
         positions=positions,
         velocity_names=() if velocities is None else velocity_names,
@@ -101,8 +104,36 @@ def _recording(
         efforts=efforts,
         strict_columns=False,
         in_seconds=True,
-        notes=tuple(notes),
+        notes=(*notes, *filter(None, [note])),
     )
+
+
+def _times(
+    dataset: LeRobotDataset, request: ReadRequest, name: str, columns: dict[str, np.ndarray]
+) -> tuple[np.ndarray, str]:
+    """Times of an episode [s]: its stamps where they increase, else the numbers of its frames over fps; and a note.
+
+    Raises:
+        RecordingError: Stamps that contradict fps.
+    """
+    stamps, frames = columns.get("timestamp"), columns.get("frame_index")
+    rate = request.rate or dataset.fps
+    if request.rate is not None and frames is not None:
+        request.uses.use("rate")
+    if frames is None or rate is None or stamps is None:
+        return stamps if frames is None or rate is None else frames / rate, ""  # type: ignore[return-value]
+    if len(stamps) < 2 or np.any(np.diff(stamps) <= 0.0) or request.rate is not None:
+        said = f"the stamps {'are overruled' if request.rate else 'do not increase'}"
+        return frames / rate, f"{said}: frame_index / {rate:g} is the time" if len(stamps) > 1 else ""
+    by_stamps = (frames[-1] - frames[0]) / (stamps[-1] - stamps[0])
+    if not 1 / FPS_OFF < by_stamps / rate < FPS_OFF:
+        raise refusal(
+            dataset.root,
+            "fps",
+            f"{name[len(dataset.root.name) + 1 :]}: its time stamps say {by_stamps:.3g} frames per second, fps says "
+            f"{rate:.3g}" + advice(": pass the right one, {}", f"rate={rate:g}", f"--rate {rate:g}"),
+        )
+    return stamps, ""
 
 
 def _kinds(names: tuple[str, ...]) -> tuple[list[int], list[int], list[int]]:
@@ -193,13 +224,10 @@ def _parts(file: Path, dataset: LeRobotDataset, feature: StateFeature, request: 
         for batch in parquet.iter_batches(batch_size=BATCH, columns=[c for c in known if c in there]):
             found += batch.num_rows
             columns = {name: _matrix(file, batch, column) for name, column in named.items() if column in there}
-            rate = request.rate or dataset.fps
-            if "timestamp" in there:
-                columns["time"] = _numbers(file, batch, "timestamp")
-            elif "frame_index" in there and rate is not None:
-                request.uses.use("rate")
-                columns["time"] = _numbers(file, batch, "frame_index") / rate
-            else:
+            for stamps in ("timestamp", "frame_index"):
+                if stamps in there:
+                    columns[stamps] = _numbers(file, batch, stamps)
+            if "timestamp" not in there and ("frame_index" not in there or (request.rate or dataset.fps) is None):
                 text = "there is neither 'timestamp' nor 'frame_index' with a rate: "
                 text += advice("pass {}", "rate=<samples per second>", "--rate <samples per second>")
                 raise refusal(file, "no-time", text)

@@ -14,6 +14,7 @@ import numpy as np
 from jaxtyping import Float
 
 from manip_learn.errors import RecordingError, advice, closest_names, spoken
+from manip_learn.recordings.earned_velocities import Velocities
 from manip_learn.recordings.format_words import EFFORT_SUFFIX, VELOCITY_SUFFIX
 from manip_learn.recordings.readers.name_patterns import INDEX, JOINT, renamed
 from manip_learn.robot import Robot
@@ -28,7 +29,6 @@ ENDS = (VELOCITY_SUFFIX, EFFORT_SUFFIX, ".pos", ".vel", ".torque", ".effort")  #
 WHY = {
     "topics": "topics are read from ROS bags, and none of the recordings is one",
     "joint_names": "the recordings name their columns or joints themselves, so these names are not used",
-    "rate": "the recordings have time stamps, so the rate is not used",
     "time_unit": "the recordings are of formats that state the unit of their time stamps",
     "columns": "patterns are those of columns of text tables, and none of the recordings is one",
     "feature": "features are those of LeRobot data sets, and none of the recordings is one",
@@ -257,12 +257,14 @@ class ReadRequest:
     outside_limits: Literal["refuse", "note"] = "refuse"
     episodes: EpisodeSelection | None = None
     feature: str | None = None
+    velocities: Velocities = "auto"
     chosen: frozenset[int] | None = None
     uses: OptionUses = field(default_factory=OptionUses, compare=False, repr=False)
 
     def __post_init__(self) -> None:
         _check_choice("units", self.units, (None, *get_args(Units)))
         _check_choice("time_unit", self.time_unit, (None, *get_args(TimeUnit)))
+        _check_choice("velocities", self.velocities, get_args(Velocities))
         _check_choice("outside_limits", self.outside_limits, ("refuse", "note"))
         for option in ("ignore_columns", "columns", "joint_names", "topics"):
             object.__setattr__(self, option, _names(option, getattr(self, option)))

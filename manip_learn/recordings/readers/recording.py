@@ -16,7 +16,6 @@ from manip_learn.errors import RecordingError
 
 LONGEST = 160  # characters of a foreign text: two lines of a terminal
 POINTER = b"version https://git-lfs"  # how the text begins that Git LFS leaves in place of a file
-GAP_FACTOR = 10.0  # times the usual step: a break in a recording
 
 
 @final

@@ -13,15 +13,16 @@ import numpy as np
 from jaxtyping import Float, Int
 
 from manip_learn.errors import RecordingError, advice, closest_names, counted
+from manip_learn.recordings.clock import GAP_FACTOR, in_order
 from manip_learn.recordings.format_words import JOINT_STATE
 from manip_learn.recordings.readers.bag_file import BagFile, open_bag
 from manip_learn.recordings.readers.limits import MOST_NAME_LISTS, check_columns
 from manip_learn.recordings.readers.read_request import ReadRequest, first_names
-from manip_learn.recordings.readers.recording import GAP_FACTOR, Recording, refusal
+from manip_learn.recordings.readers.recording import Recording, refusal
 
 USUAL_TOPIC = "/joint_states"
 PLURAL = {"position": "positions", "velocity": "velocities", "effort": "efforts"}
-SET_BACK = 1_000_000_000  # [ns] a clock that goes back this far was reset
+OTHER_CLOCK = 1_000_000_000  # [ns] by which the clocks of two hosts differ; no message is under way for so long
 
 
 def read(path: Path, request: ReadRequest) -> Iterator[Recording]:
@@ -33,31 +34,52 @@ def read(path: Path, request: ReadRequest) -> Iterator[Recording]:
     notes += [f"other topics, not read: {first_names(others, 6)}"] if others else []
     streams = [replace(s, names=request.renamed(*s.names)) for s in streams]
     joints = request.robot.joint_names
-    try:
-        chosen, said = topics_of_joints(streams, joints)
-        notes += said
-        if len(chosen) == len(joints):
-            groups, said = joint_groups(streams, chosen)
-            notes += said
-            continuous = frozenset(b.name for b in request.robot.blocks if b.kind == "continuous")
-            merged, said = merge(groups, continuous)
-    except RecordingError as error:
-        raise refusal(path, error.code, f"{error}") from error
-    if len(chosen) < len(joints):  # the names only, for the message about those that are missing
-        if not streams:
-            why = f"; {'; '.join(notes)}" if notes else ""
-            text = f"no message of joint states can be used{why}: mend the program that publishes them and record again"
-            raise refusal(path, "empty", text)
-        names = tuple(dict.fromkeys(n for s in streams for n in s.names))
-        yield Recording(path, path.name, np.empty(0), names, np.empty((0, len(names))), strict_columns=False)
-        return
+    if not streams:
+        why = f"; {'; '.join(notes)}" if notes else ""
+        text = f"no message of joint states can be used{why}: mend the program that publishes them and record again"
+        raise refusal(path, "empty", text)
+    of_senders, said = _of_senders(streams)
     notes += said
-    surplus = sorted({n for s in streams for n in s.names} - set(joints))
-    if surplus:
-        notes.append(f"also recorded, not moved by the robot as loaded, not used: {', '.join(surplus)}")
-    time = (merged.stamps - merged.stamps[0]).astype(np.float64) * 1e-9
-    known = {"strict_columns": False, "in_seconds": True, "notes": tuple(notes)}
-    yield Recording.of(path, path.name, time, merged.names, merged.q, merged.u, merged.effort, **known)
+    continuous = frozenset(b.name for b in request.robot.blocks if b.kind == "continuous")
+    for number, of_one in enumerate(of_senders, 1):
+        try:
+            chosen, said = topics_of_joints(of_one, joints)
+            if len(chosen) == len(joints):
+                groups, also = joint_groups(of_one, chosen)
+                merged, more = merge(groups, continuous)
+        except RecordingError as error:
+            raise refusal(path, error.code, f"{error}") from error
+        if len(chosen) < len(joints):  # the names only, for the message about those that are missing
+            names = tuple(dict.fromkeys(n for s in of_one for n in s.names))
+            yield Recording(path, path.name, np.empty(0), names, np.empty((0, len(names))), strict_columns=False)
+            return
+        own = [*notes, *said, *also, *more]
+        surplus = sorted({n for s in of_one for n in s.names} - set(joints))
+        if surplus:
+            own.append(f"also recorded, not moved by the robot as loaded, not used: {', '.join(surplus)}")
+        time = (merged.stamps - merged.stamps[0]).astype(np.float64) * 1e-9
+        known = {"strict_columns": False, "in_seconds": True, "notes": tuple(own)}
+        name = f"{path.name} sender {number}" if len(of_senders) > 1 else path.name
+        yield Recording.of(path, name, time, merged.names, merged.q, merged.u, merged.effort, **known)
+
+
+def _of_senders(streams: list[JointStates]) -> tuple[list[list[JointStates]], list[str]]:
+    """The streams of each of several senders, whose clocks differ, each in the order of its time; and notes."""
+    parts: list[list[JointStates]] = []
+    notes: list[str] = []
+    for stream in streams:
+        runs, said = stream.in_order()
+        parts.append(runs)
+        notes += [sentence for sentence in said if sentence not in notes]
+    clock = parts[0][0].clock
+    for runs in parts:
+        for k, one in enumerate(runs):
+            if abs(ahead := one.clock - clock) > OTHER_CLOCK:
+                runs[k] = replace(one, stamps=one.stamps - ahead)
+                note = f"{one.topic}: a clock {ahead * 1e-9:.3g} s ahead was set to the first by when messages came"
+                notes += [note] if note not in notes else []
+    most = max(map(len, parts))
+    return [[runs[min(k, len(runs) - 1)] for runs in parts] for k in range(most)], notes
 
 
 def _topics(bag: BagFile, request: ReadRequest) -> tuple[str, ...]:
@@ -102,6 +124,41 @@ class JointStates:
     u: Float[np.ndarray, "T n"] | None
     effort: Float[np.ndarray, "T n"] | None = None
     received: Int[np.ndarray, " T"] = field(default_factory=lambda: np.empty(0, dtype=np.int64))
+
+    def part(self, samples: Int[np.ndarray, " k"], stamps: Int[np.ndarray, " k"]) -> JointStates:
+        """Some messages, with these stamps."""
+        u, effort = (None if x is None else x[samples] for x in (self.u, self.effort))
+        return replace(self, stamps=stamps, q=self.q[samples], u=u, effort=effort, received=self.received[samples])
+
+    @property
+    def clock(self) -> int:
+        """How far its stamps are ahead of the recorder's [ns]."""
+        return int(np.median(self.stamps - self.received))
+
+    def in_order(self) -> tuple[list[JointStates], list[str]]:
+        """The messages of each sender in the order of their times, and notes.
+
+        Raises:
+            RecordingError: They are in no order.
+        """
+        stamps, notes = self.stamps, []
+        if np.any(stamps == 0) or (len(stamps) > 1 and np.ptp(stamps) == 0):
+            stamps = self.received
+            notes.append(f"{self.topic}: header stamps are not set, the recorder's stamps are used")
+        by_arrival = np.argsort(self.received, kind="stable")
+        first = int(stamps.min())
+        # differences first: nanoseconds since 1970 do not fit into float64
+        time = (stamps - first)[by_arrival].astype(np.float64) * 1e-9
+        arrival = (self.received - self.received.min())[by_arrival].astype(np.float64) * 1e-9
+        runs, said = in_order(time, self.q[by_arrival], arrival)
+        if not runs:
+            raise RecordingError(
+                f"the stamps of {self.topic} are in no order" + advice("; pass {}", "rate=<Hz>", "--rate HZ"),
+                code="time-order",
+            )
+        notes += [f"{self.topic}: {sentence}" for sentence in said]
+        parts = [(by_arrival[run.samples], first + np.round(run.time * 1e9).astype(np.int64)) for run in runs]
+        return [self.part(*part) for part in parts], notes
 
 
 def _streams(bag: BagFile, topics: tuple[str, ...]) -> tuple[list[JointStates], list[str]]:
@@ -196,7 +253,7 @@ def joint_groups(streams: list[JointStates], chosen: dict[str, str]) -> tuple[li
     """Groups of joints with common stamps; every chosen joint is in one group.
 
     Raises:
-        RecordingError: A clock that was set back, or a joint named twice in a message.
+        RecordingError: A joint named twice in a message.
     """
     for stream in streams:
         for name, count in Counter(stream.names).items():
@@ -235,30 +292,14 @@ def _group(topic: str, names: tuple[str, ...], streams: list[JointStates]) -> tu
         arrays = [(getattr(s, what), [s.names.index(n) for n in names]) for s in streams]
         return None if any(a is None for a, _ in arrays) else np.concatenate([a[:, k] for a, k in arrays])
 
-    stamps, received = (np.concatenate([getattr(s, what) for s in streams]) for what in ("stamps", "received"))
-    notes = []
-    if np.any(stamps == 0):
-        stamps = received
-        notes.append(f"{topic}: header stamps are not set, the recorder's stamps are used")
-    by_arrival = np.argsort(received, kind="stable")
-    arrived = stamps[by_arrival]
-    back = np.diff(arrived)
-    if np.any(back < -SET_BACK):
-        i = int(np.argmax(back < -SET_BACK))
-        raise RecordingError(
-            f"the clock of {topic} goes back by {-back[i] * 1e-9:.3g} s at message {i + 1}: it was reset, or several "
-            "runs are in one bag; cut the bag there",
-            code="time-order",
-        )
-    order = by_arrival[np.argsort(arrived, kind="stable")]
-    if np.any(back < 0):
-        notes.append(f"{topic}: {counted(np.count_nonzero(back < 0), 'message')} came late, sorted by header stamp")
+    stamps = np.concatenate([s.stamps for s in streams])
+    notes, order = [], np.argsort(stamps, kind="stable")
     keep = np.append(np.diff(stamps[order]) != 0, True)
-    if not np.all(keep):
+    if len(streams) > 1 and not np.all(keep):
         notes.append(
             f"{topic}: {counted(np.count_nonzero(~keep), 'message')} left out for a repeated stamp, the last is kept"
         )
-    order = order[keep]
+        order = order[keep]
     arrays: list[Any] = [x if x is None else x[order] for x in map(joined, ("q", "u", "effort"))]
     return JointStates(topic, names, stamps[order], *arrays), notes
 

@@ -92,7 +92,7 @@ def match_joints(recording: Recording, request: ReadRequest) -> Recording:
     """The recording with the robot's joints as columns, in the robot's order; numbers are still those of the file.
 
     Raises:
-        RecordingError: A joint without a column, a column without a joint, velocities for some joints only.
+        RecordingError: A joint without a column, a column without a joint.
     """
     robot = request.robot
     recording = recording.without(lambda name: not name or request.ignores(name))  # whatever the format
@@ -103,6 +103,10 @@ def match_joints(recording: Recording, request: ReadRequest) -> Recording:
     recording = with_rotation_vectors(recording, robot.objects, in_degrees=request.units == "degrees")
     names = recording.position_names
     missing = [j for j in robot.joint_names if j not in names]
+    if len(missing) == robot.nv and set(recording.velocity_names) & set(robot.joint_names):
+        n = counted(len(set(recording.velocity_names) & set(robot.joint_names)), "joint")
+        text = f"velocities of {n} are recorded and no positions, from which a posture is known: record positions too"
+        raise recording.refusal("no-positions", text)
     if missing:
         raise _missing(recording, robot, missing)
     chosen = any("{" in name for name in request.new_names)  # by a pattern: what it leaves is not meant
@@ -217,17 +221,8 @@ def _velocities(recording: Recording, robot: Robot) -> tuple[Float[np.ndarray, "
     if robot.objects and not recording.trusted:
         # a camera gives poses, and what a file calls their velocity may be in any frame
         return None, ["recorded velocities are not used: those of objects and joints are derived alike from positions"]
-    absent = [j for j in robot.joint_names if j not in names]
-    if absent:
-        columns = [j + "_velocity" for j in there]
-        flags = " ".join(f"--ignore-column {c}" for c in columns)
-        raise recording.refusal(
-            "partial-velocity",
-            f"velocities are recorded for {len(there)} of {robot.nv} joints, not {', '.join(map(repr, absent[:3]))}: "
-            f"record all, or none{advice(': {}', f'ignore_columns={columns}', flags)}",
-            column=absent[0],
-        )
-    return recording.velocities[:, [names.index(j) for j in robot.joint_names]], []
+    known = np.column_stack([recording.velocities, np.full(len(recording.velocities), np.nan)])  # of those not recorded
+    return known[:, [names.index(j) if j in names else -1 for j in robot.joint_names]], []
 
 
 def _efforts(recording: Recording, robot: Robot) -> tuple[Float[np.ndarray, "T nv"] | None, list[str]]:

@@ -1,28 +1,29 @@
-"""Checks of a recorded motion: time stamps, limits, recorded velocities, and two publishers on one topic."""
+"""Checks of a recorded motion: time stamps, limits, and two publishers on one topic."""
 
 from __future__ import annotations
 
-import math
 from dataclasses import dataclass
 from typing import final
 
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
-from manip_learn.errors import RecordingError, advice, counted, named
+from manip_learn.errors import advice, counted
+from manip_learn.recordings.clock import usual_step
 from manip_learn.recordings.readers.read_request import SECONDS, UNIT_WORDS, ReadRequest
-from manip_learn.recordings.readers.recording import GAP_FACTOR, Recording
+from manip_learn.recordings.readers.recording import Recording
 from manip_learn.recordings.validation.joint_matching import angular_coordinates, object_coordinates
 from manip_learn.robot import Robot
 
 # a stamp of the years 1973 to 5138 in each unit; seconds end where milliseconds begin
 EPOCHS = (("ns", 1e17), ("us", 1e14), ("ms", 1e11))
+SLOW, LONG = 0.02, 1.0  # [rad/s], [s]: no arm is shown a motion so slowly with a sample so seldom
 NOTABLE = 1e-6  # [rad or m] beyond a limit
 FAR_ANGLE, FAR_LENGTH = 0.1, 0.05  # [rad], [m]: a few degrees are calibration, more is another fault
 FAST = 3.0  # times the velocity limit
-MOVED = 0.02  # [rad or m] a joint must move to be judged by its velocities
-SURE, UNSURE, OTHER_JOINT = 0.9, 0.5, 0.98  # correlations of displacements and integrated velocities
-FEWEST = 8  # samples whose velocities are judged
+# the share by which velocities in rad/s and positions in degrees may miss the ratio of their units, and the least
+# squared correlation of what they say, over all joints
+UNIT_OFF, ALIKE = 0.2, 0.8
 # of two motions in turn: samples within which each is heard again, the fewest jumps between them, and the least size of
 # a jump [rad or m], which quanta of a coarse encoder on all joints together do not reach
 LAGS, FEWEST_JUMPS, SMALLEST = 20, 10, 0.1
@@ -38,14 +39,12 @@ class Motion:
         request: How it is read.
         time: shape (T,), increasing [s].
         q: shape (T, nv) [rad or m].
-        u: shape (T, nv) [rad/s or m/s], or None.
     """
 
     recording: Recording
     request: ReadRequest
     time: Float[np.ndarray, " T"]
     q: Float[np.ndarray, "T nv"]
-    u: Float[np.ndarray, "T nv"] | None
 
     @property
     def robot(self) -> Robot:
@@ -58,129 +57,65 @@ class Motion:
         return angular_coordinates(self.robot)
 
 
-def time_in_seconds(recording: Recording, request: ReadRequest) -> Float[np.ndarray, " T"]:
-    """Stamps in seconds.
+def time_in_seconds(
+    recording: Recording,
+    request: ReadRequest,
+    q: Float[np.ndarray, "T nv"],
+    u: Float[np.ndarray, "T nv"] | None,
+) -> tuple[Float[np.ndarray, " T"], list[str]]:
+    """Times [s] of positions [rad or m], and a note if they are not the stamps of the file.
 
-    Raises:
-        RecordingError: Fewer than two samples, or stamps that look like another unit.
+    Stamps that count from 1970 say their unit by their size, others by how slowly the arm would move.
     """
     time = recording.time
-    if time.shape[0] < 2:
-        rows = "1 row" if time.shape[0] == 1 else "no row"
-        raise recording.refusal("too-short", f"there is {rows} of numbers, at least 2 are needed")
+    if request.rate is not None:
+        request.uses.use("rate")
+        counted_time = np.arange(len(time)) / request.rate
+        same = np.allclose(time, counted_time, rtol=1e-9, atol=0.0)  # the reader has asked for the rate itself
+        note = f"the time stamps are overruled: {request.rate:g} samples per second, as asked"
+        return counted_time, [] if same else [note]
     if recording.in_seconds:
-        return time
+        return time, []
     if request.time_unit is not None:
         request.uses.use("time_unit")
-        return time * SECONDS[request.time_unit]
+        return time * SECONDS[request.time_unit], []
     largest = float(np.max(np.abs(time)))
-    unit = next((u for u, start in EPOCHS if largest > start), None)
-    if unit is not None:
-        raise _unit_refusal(recording, unit, f"the stamps reach {largest:.6g}")
-    return time
+    unit, evidence = next((u for u, start in EPOCHS if largest > start), None), f"the stamps reach {largest:.6g}"
+    steps = np.abs(np.diff(time))
+    step = usual_step(steps)
+    if unit is None and step >= LONG:
+        with np.errstate(over="ignore", divide="ignore", invalid="ignore"):  # stamps may differ by next to nothing
+            speed = float(np.nanmax(np.percentile(np.abs(np.diff(q, axis=0)) / steps[:, None], 99, axis=0)))
+        believed = u is not None and np.percentile(np.abs(np.nan_to_num(u)), 99) < FAST * SLOW and np.any(u)
+        if 0.0 < speed < SLOW and not believed:
+            unit = "ms" if step <= 1e3 else "us" if step <= 1e6 else "ns"
+            evidence = f"samples are {step:.6g} apart and no joint would be faster than {speed:.2g} rad/s"
+    if unit is None:
+        return time, []
+    how = advice(" ({} if they are seconds)", "time_unit='s'", "--time-unit s")
+    return time * SECONDS[unit], [f"the time stamps were read as {UNIT_WORDS[unit]}, for {evidence}{how}"]
 
 
 def check_motion(motion: Motion) -> list[str]:
     """Notes on a motion."""
     _refuse_two_publishers(motion)
-    _refuse_slow_time(motion)
-    return [*_check_velocities(motion), *_check_limits(motion)]
+    return _check_limits(motion)
 
 
-def _refuse_slow_time(motion: Motion) -> None:
-    """Refuse steps of a second and more while all joints move very slowly, where no velocities were recorded."""
-    if motion.u is not None or motion.recording.in_seconds or motion.request.time_unit is not None:
+def refuse_degrees_beside(motion: Motion, u: Float[np.ndarray, "T nv"]) -> None:
+    """Refuse positions that move by as many degrees as their recorded velocities say in radians."""
+    if motion.request.units is not None or motion.request.velocities != "auto":
         return
-    step = usual_step(np.diff(motion.time))
-    if step < 1.0:  # [s]
-        return
-    with np.errstate(over="ignore"):  # some stamps may differ by next to nothing
-        speeds = np.abs(np.diff(motion.q, axis=0)) / np.diff(motion.time)[:, None]
-    speed = float(np.max(np.percentile(speeds, 99, axis=0), initial=0.0))
-    if 0.0 < speed < 0.02:  # [rad/s]
-        unit = "ms" if step <= 1e3 else "us" if step <= 1e6 else "ns"
-        evidence = f"samples are {step:.6g} apart and no joint is faster than {speed:.2g} rad/s"
-        raise _unit_refusal(motion.recording, unit, evidence)
-
-
-def _unit_refusal(recording: Recording, unit: str, evidence: str) -> RecordingError:
-    """The refusal of stamps that are not in seconds."""
-    return recording.refusal(
-        "time-unit",
-        f"time looks like {UNIT_WORDS[unit]}: {evidence}; seconds are needed: convert the column"
-        + advice(", or pass {}", f"time_unit={unit!r}", f"--time-unit {unit}")
-        + advice(" ({} if they are seconds)", "time_unit='s'", "--time-unit s"),
-        column="time",
-    )
-
-
-def increasing(
-    recording: Recording,
-    time: Float[np.ndarray, " T"],
-    q: Float[np.ndarray, "T nv"],
-    u: Float[np.ndarray, "T nv"] | None,
-) -> tuple[Bool[np.ndarray, " T"], list[str]]:
-    """Samples to keep, so that time increases, and notes.
-
-    Raises:
-        RecordingError: Time goes back, or two different samples have one stamp.
-    """
-    steps = np.diff(time)
-    back = np.flatnonzero(steps < 0)
-    if back.size:
-        i = int(back[0])
-        more = f" (and {back.size - 1} more times)" if back.size > 1 else ""
-        text = (
-            f"time goes back from {recording.time[i]:.9g} to {recording.time[i + 1]:.9g}{more}: sort the rows, or put "
-            "recordings that were joined into files of their own"
-        )
-        raise recording.refusal("time-order", text, sample=i + 1, column="time")
-    keep = np.ones(time.shape[0], dtype=bool)
-    repeated = np.flatnonzero(steps == 0)
-    if not repeated.size:
-        return keep, []
-    same = np.all(q[repeated] == q[repeated + 1], axis=1)
-    if u is not None:
-        same &= np.all(u[repeated] == u[repeated + 1], axis=1)
-    if not np.all(same):
-        i = int(repeated[np.argmin(same)])
-        text = (
-            f"the stamp {recording.time[i + 1]:.9g} occurs twice with different positions "
-            f"({recording.place(i)} and {recording.place(i + 1)}; {np.count_nonzero(~same)} such pairs): keep one"
-        )
-        raise recording.refusal("duplicate-time", text, sample=i + 1, column="time")
-    keep[repeated + 1] = False
-    return keep, [f"{repeated.size} repeated samples left out (first: {recording.place(int(repeated[0]) + 1)})"]
-
-
-def pieces(time: Float[np.ndarray, " T"]) -> tuple[list[slice], Int[np.ndarray, " gaps"]]:
-    """Runs of samples without a gap longer than ten times the median step, and the samples before each gap."""
-    steps = np.diff(time)
-    gaps = np.flatnonzero(steps > GAP_FACTOR * usual_step(steps))
-    bounds = [0, *(int(g) + 1 for g in gaps), time.shape[0]]
-    return [slice(a, b) for a, b in zip(bounds, bounds[1:], strict=False)], gaps
-
-
-def usual_step(steps: Float[np.ndarray, " n"]) -> float:
-    """Median of the steps between stamps [s]; for so short a question NumPy's own takes longer to start than to do."""
-    ordered, half = np.sort(steps), len(steps) // 2
-    return float(ordered[half] if len(steps) % 2 else 0.5 * (ordered[half - 1] + ordered[half]))
-
-
-def bunched_note(time: Float[np.ndarray, " T"]) -> list[str]:
-    """A sentence on samples that were stamped almost at once, as by a recorder that fell behind: velocities derived
-    from them would be far too large.
-    """
-    steps = np.diff(time)
-    usual = usual_step(steps)
-    share = 0.02  # of the usual step
-    bunched = steps < share * usual
-    if not np.any(bunched):
-        return []
-    return [
-        f"{np.count_nonzero(bunched)} steps between stamps are under {share:.0%} of the usual {usual:.3g} s (the "
-        f"smallest: {np.min(steps):.3g} s): the recorder fell behind, derived velocities will be inaccurate"
-    ]
+    steps = np.diff(motion.q, axis=0)[:, motion.angular]
+    said = (0.5 * (u[1:] + u[:-1]) * np.diff(motion.time)[:, None])[:, motion.angular]
+    with np.errstate(all="ignore"):  # velocities that are not numbers, or have none, say nothing
+        both, own, other = np.sum(steps * said), np.sum(steps**2), np.sum(said**2)
+        alike = abs(np.degrees(both / own) - 1.0) < UNIT_OFF and both**2 > ALIKE * own * other
+    if alike:
+        python, flag = "velocities='derive'", "--velocities derive"
+        text = f"positions look like degrees: the recorded velocities are {both / own:.3g} of their speed, in radians "
+        text += f"1; {advice('pass {}, or ', 'degrees=True', '--degrees')}convert the position columns to radians"
+        raise motion.recording.refusal("degrees", text + advice("; {} if they are", python, flag))
 
 
 def _excess(robot: Robot, q: Float[np.ndarray, "T nv"]) -> Float[np.ndarray, " nv"]:
@@ -304,125 +239,6 @@ def _refuse_jumps(motion: Motion) -> None:
             "Correct the file (a real break in the recording: put the parts into files of their own)"
         )
         raise motion.recording.refusal("jump", text, sample=sample + 1, column=robot.joint_names[i])
-
-
-@final
-@dataclass(frozen=True, eq=False)
-class VelocityMatch:
-    """How displacements follow from the recorded velocities.
-
-    Attributes:
-        slope: shape (nv,), displacement over integrated velocity: 1 is right, 57.3 degrees, 1e-3
-            milliseconds, -1 a sign.
-        correlation: shape (nv, nv), of the displacement of joint i with the integrated velocity of joint j.
-        moved: shape (nv,), joints that moved enough to be judged.
-    """
-
-    slope: Float[np.ndarray, " nv"]
-    correlation: Float[np.ndarray, "nv nv"]
-    moved: Bool[np.ndarray, " nv"]
-
-
-def compare_velocities(
-    time: Float[np.ndarray, " T"], q: Float[np.ndarray, "T nv"], u: Float[np.ndarray, "T nv"]
-) -> VelocityMatch:
-    """Displacements over short windows against velocities integrated over the same windows.
-
-    Windows, not single steps: jitter of the stamps and encoder noise spoil dq/dt from one sample to the next.
-    """
-    steps = np.diff(time)
-    width = int(np.clip(time.shape[0] // 20, 1, 50))
-    travel = np.vstack([np.zeros(u.shape[1]), np.cumsum(0.5 * (u[1:] + u[:-1]) * steps[:, None], axis=0)])
-    gaps = np.concatenate([[0], np.cumsum(steps > GAP_FACTOR * usual_step(steps))])
-    whole = gaps[width:] == gaps[:-width]
-    dq = (q[width:] - q[:-width])[whole]
-    du = (travel[width:] - travel[:-width])[whole]
-    q_size, u_size = np.linalg.norm(dq, axis=0), np.linalg.norm(du, axis=0)
-    with np.errstate(divide="ignore", invalid="ignore"):
-        correlation = np.nan_to_num((dq.T @ du) / np.outer(q_size, u_size), nan=0.0, posinf=0.0, neginf=0.0)
-        slope = np.sign(np.diag(correlation)) * np.where(u_size > 0, q_size / u_size, 0.0)
-    return VelocityMatch(slope, correlation, np.ptp(q, axis=0) > MOVED)
-
-
-def _check_velocities(motion: Motion) -> list[str]:
-    """Notes on recorded velocities that do not follow the positions; a fault that can be named is refused: degrees,
-    milliseconds, a sign, another joint's velocity, a scale.
-    """
-    if motion.u is None or len(motion.time) < FEWEST or motion.recording.trusted:
-        return []
-    names, notes = motion.robot.joint_names, []
-    scales: dict[str, float] = {}
-    match = compare_velocities(motion.time, motion.q, motion.u)
-    for i, name in enumerate(names):
-        if not match.moved[i]:
-            continue
-        own = float(match.correlation[i, i])
-        if abs(own) >= SURE:
-            _refuse_slope(motion.recording, name, bool(motion.angular[i]), float(match.slope[i]))
-            if not _near(float(match.slope[i]), 1.0):
-                scales[name] = 1.0 / float(match.slope[i])
-            continue
-        j = _follower(match, i)
-        if j is not None:
-            raise motion.recording.refusal(
-                "velocity-order",
-                f"the velocity does not follow this joint (correlation {own:.2f}) but that recorded for "
-                f"{names[j]!r} does ({match.correlation[i, j]:.2f}): the columns are in the wrong order",
-                column=name,
-            )
-        if abs(own) < UNSURE:
-            notes.append(f"the recorded velocity of {name!r} does not follow its position (correlation {own:.2f})")
-    if scales:
-        farthest = max(scales.values(), key=lambda scale: abs(math.log(scale)))
-        notes.append(
-            f"recorded velocities are {farthest:.2g} times the rate at which the positions change "
-            f"({named('joint', scales)}): check their units, or the clock; they are used as they are"
-        )
-    return notes
-
-
-def _follower(match: VelocityMatch, i: int) -> int | None:
-    """Another joint whose recorded velocity is clearly that of joint i; it must not match its own joint either."""
-    size = np.abs(match.correlation)
-    lost = ~(match.moved & (np.diag(size) >= SURE))
-    lost[i] = False
-    j = int(np.argmax(np.where(lost, size[i], 0.0)))
-    return j if lost[j] and size[i, j] > OTHER_JOINT else None
-
-
-def _refuse_slope(recording: Recording, name: str, angular: bool, slope: float) -> None:
-    size = abs(slope)
-    if 0.5 <= size <= 2.0:
-        if slope < 0:
-            raise recording.refusal(
-                "sign",
-                f"the recorded velocity has the wrong sign: slope {slope:.3g} between dq/dt and it, 1 is right; turn "
-                "the sign of the velocity, or leave all velocity columns out",
-                column=name,
-            )
-        return
-    evidence = f"slope {slope:.3g} between dq/dt and the recorded velocity of {name!r}, 1 is right"
-    unit = next((u for u in UNIT_WORDS if _near(size, SECONDS[u])), None)
-    code = "degrees"
-    if angular and _near(size, math.degrees(1.0)):
-        text = f"positions look like degrees: {evidence}; radians are needed: convert the position columns"
-        both = " ({} is for files whose positions and velocities are both in degrees)"
-        text += advice(both, "degrees=True", "--degrees")
-    elif angular and _near(size, math.radians(1.0)):
-        text = (
-            f"velocities look like degrees per second: {evidence}; rad/s are needed: convert the velocity columns or "
-        )
-        text += "leave them out"
-    elif unit is not None:
-        raise _unit_refusal(recording, unit, evidence)
-    else:
-        code, text = "velocity-scale", f"recorded velocities and positions have different scales: {evidence}; "
-        text += "correct the units of one of them, or leave the velocity columns out"
-    raise recording.refusal(code, text, column=name)
-
-
-def _near(value: float, expected: float) -> bool:
-    return 1 / 1.25 < value / expected < 1.25
 
 
 def _refuse_two_publishers(motion: Motion) -> None:

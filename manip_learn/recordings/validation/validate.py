@@ -5,69 +5,108 @@ from __future__ import annotations
 from dataclasses import replace
 
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Float, Int
 
 from manip_learn.errors import advice, counted, named
+from manip_learn.recordings.clock import between, evenly_spread, in_order, pieces
 from manip_learn.recordings.demonstrations import Demonstrations
+from manip_learn.recordings.earned_velocities import NO_MEASUREMENT
 from manip_learn.recordings.readers.read_request import ReadRequest
 from manip_learn.recordings.readers.recording import Recording
 from manip_learn.recordings.trajectory import Trajectory
 from manip_learn.recordings.validation.joint_matching import angular_coordinates, match_joints, object_coordinates
-from manip_learn.recordings.validation.motion_checks import (
-    Motion,
-    bunched_note,
-    check_motion,
-    increasing,
-    pieces,
-    time_in_seconds,
-)
+from manip_learn.recordings.validation.motion_checks import Motion, check_motion, refuse_degrees_beside, time_in_seconds
 from manip_learn.recordings.velocities import continuous_rotation_vectors
 from manip_learn.robot import Robot
 
 SHOWN = 5  # places in a sentence
 # [rad]: a guided arm stays within a turn of its zeros and travels less than half a turn; in degrees that were nothing
 RADIANS, TRAVEL = 2.0 * np.pi, np.pi
-NO_MEASUREMENT = 1e50  # finite, but its square would overflow
 
 
 def validate(recording: Recording, request: ReadRequest) -> Demonstrations:
     """Trajectories of a recording, in the robot's joints and in SI units; notes report what was noticed or done."""
     recording = match_joints(recording, request)
-    q, u = recording.positions, recording.velocities
-    robot, notes = request.robot, list(recording.notes)
-    if recording.time.shape[0] >= 2:
-        _refuse_not_finite(recording)
-    time = time_in_seconds(recording, request)
-    q, u, said = _in_radians(recording, request, q, u)
+    notes = list(recording.notes)
+    if recording.time.shape[0] < 2:
+        rows = "1 row" if recording.time.shape[0] == 1 else "no row"
+        raise recording.refusal("too-short", f"there is {rows} of numbers, at least 2 are needed")
+    _refuse_not_finite(recording)
+    q, u, said = _in_radians(recording, request, recording.positions, recording.velocities)
     notes += said
-    keep, said = increasing(recording, time, q, u)
+    time, said = time_in_seconds(recording, request, q, u)
     notes += said
-    if not np.all(keep):
+    runs, said = in_order(time, q)
+    notes += said
+    if not runs:
+        i = int(np.argmax(np.diff(time) < 0.0))
+        text = f"time goes back in {np.count_nonzero(np.diff(time) < 0.0)} of {counted(len(time) - 1, 'step')}, first "
+        text += f"from {recording.time[i]:.9g} to {recording.time[i + 1]:.9g}: sort the rows"
+        text += advice(", or pass {} if they were taken evenly", "rate=<samples per second>", "--rate HZ")
+        raise recording.refusal("time-order", text, sample=i + 1, column="time")
+    trajectories: list[Trajectory] = []
+    for number, run in enumerate(runs, 1):
+        of_one = replace(recording, name=f"{recording.name} sender {number}") if len(runs) > 1 else recording
+        own = None if u is None else u[run.samples]
+        found, said = _of_one_sender(_kept(of_one, run.samples), request, run.time, q[run.samples], own)
+        trajectories += found
+        notes += [note for note in said if note not in notes]
+    return Demonstrations(trajectories, notes)
+
+
+def _of_one_sender(
+    recording: Recording,
+    request: ReadRequest,
+    time: Float[np.ndarray, " T"],
+    q: Float[np.ndarray, "T nv"],
+    u: Float[np.ndarray, "T nv"] | None,
+) -> tuple[tuple[Trajectory, ...], list[str]]:
+    """Trajectories of samples whose stamps do not lead back, and notes."""
+    robot, notes = request.robot, list[str]()
+    if time[-1] <= time[0]:
+        text = "all stamps are the same: no motion is left"
+        text += advice("; pass {}", "rate=<samples per second>", "--rate HZ")
+        raise recording.refusal("too-short", text)
+    repeated = np.flatnonzero(np.diff(time) == 0.0)
+    same = np.all(q[repeated] == q[repeated + 1], axis=1)
+    if u is not None:
+        same &= np.all(u[repeated] == u[repeated + 1], axis=1)
+    if repeated.size and np.all(same):
+        first = recording.place(int(repeated[0]) + 1)
+        notes.append(f"{counted(repeated.size, 'repeated sample')} left out (first: {first})")
+        keep = np.delete(np.arange(len(time)), repeated + 1)
         recording, time, q, u = _kept(recording, keep), time[keep], q[keep], None if u is None else u[keep]
-        if time.shape[0] < 2:
-            raise recording.refusal("too-short", "all stamps are the same: no motion is left")
-    notes += bunched_note(time)
     q, said = _unwrapped(robot, q)
     notes += said
-    notes += check_motion(Motion(recording, request, time, q, u))
-    return _split(recording, robot, time, q, u, notes)
+    time, note = evenly_spread(time, q)
+    notes += [note] if note else []
+    if np.any(np.diff(time) <= 0.0):
+        n = np.count_nonzero(np.diff(time) <= 0.0)
+        time = between(time)
+        notes.append(f"{counted(n, 'stamp')} repeated with other positions: spread up to the next stamp")
+    motion = Motion(recording, request, time, q)
+    notes += check_motion(motion)
+    if u is not None and not recording.trusted:
+        refuse_degrees_beside(motion, u)
+    whole = Trajectory(
+        time, q, u, robot.joint_names, recording.name, effort=recording.efforts, judged=recording.trusted
+    )
+    return _split(recording, whole, notes), notes
 
 
 def _refuse_not_finite(recording: Recording) -> None:
-    parts = [("", recording.time[:, None], ("time",)), ("", recording.positions, recording.position_names)]
-    if recording.velocities is not None:
-        parts.append((" velocity", recording.velocities, recording.velocity_names))
-    bad = np.any([~np.all(np.abs(values) < NO_MEASUREMENT, axis=1) for _, values, _ in parts], axis=0)
+    parts = [(recording.time[:, None], ("time",)), (recording.positions, recording.position_names)]
+    bad = np.any([~np.all(np.abs(values) < NO_MEASUREMENT, axis=1) for values, _ in parts], axis=0)
     rows = np.flatnonzero(bad)
     if not rows.size:
         return
     places = ", ".join(recording.place(int(r)) for r in rows[:SHOWN]) + (", ..." if rows.size > SHOWN else "")
     row = int(rows[0])
-    for word, values, columns in parts:
+    for values, columns in parts:
         wrong = np.flatnonzero(~(np.abs(values[row]) < NO_MEASUREMENT))
         if wrong.size:
             text = (
-                f"{values[row, wrong[0]]}{word} where a finite number is needed, in {counted(rows.size, 'sample')}: "
+                f"{values[row, wrong[0]]} where a finite number is needed, in {counted(rows.size, 'sample')}: "
                 f"{places}; "
                 "remove them (a gap of more than ten steps then splits the demonstration)"
             )
@@ -123,16 +162,17 @@ def _in_radians(
     return q, u, []
 
 
-def _kept(recording: Recording, keep: np.ndarray) -> Recording:
-    """The recording seen through the kept samples, so that later messages still name the right line."""
-    index = np.flatnonzero(keep)
+def _kept(recording: Recording, index: Int[np.ndarray, " k"] | slice) -> Recording:
+    """The recording seen through some samples, so that later messages still name the right line."""
+    if isinstance(index, slice):
+        return recording
     efforts, line_of = recording.efforts, recording.line_of
     return replace(
         recording,
-        time=recording.time[keep],
-        positions=recording.positions[keep],
+        time=recording.time[index],
+        positions=recording.positions[index],
         velocities=None,
-        efforts=None if efforts is None else efforts[keep],
+        efforts=None if efforts is None else efforts[index],
         line_of=None if line_of is None else lambda i: line_of(int(index[i])),
     )
 
@@ -156,18 +196,12 @@ def _unwrapped(robot: Robot, q: Float[np.ndarray, "T nv"]) -> tuple[Float[np.nda
     return q, notes
 
 
-def _split(
-    recording: Recording,
-    robot: Robot,
-    time: Float[np.ndarray, " T"],
-    q: Float[np.ndarray, "T nv"],
-    u: Float[np.ndarray, "T nv"] | None,
-    notes: list[str],
-) -> Demonstrations:
+def _split(recording: Recording, whole: Trajectory, notes: list[str]) -> tuple[Trajectory, ...]:
+    """The stretches between gaps, which are added to the notes."""
+    time = whole.time
     parts, gaps = pieces(time)
-    whole = Trajectory(time, q, u, robot.joint_names, recording.name, effort=recording.efforts)
     if not gaps.size:
-        return Demonstrations((whole,), notes)
+        return (whole,)
     long_parts = [p for p in parts if p.stop - p.start >= 2]
     shown = ", ".join(f"{time[g + 1] - time[g]:.3g} s after {recording.place(int(g))}" for g in gaps[:SHOWN])
     notes.append(
@@ -178,5 +212,4 @@ def _split(
     if not long_parts:
         raise recording.refusal("too-short", "the samples are so far apart that no two belong together")
     n = len(long_parts)
-    trajectories = tuple(whole.part(p, f"{recording.name} part {k} of {n}") for k, p in enumerate(long_parts, 1))
-    return Demonstrations(trajectories, notes)
+    return tuple(whole.part(p, f"{recording.name} part {k} of {n}") for k, p in enumerate(long_parts, 1))
