@@ -101,7 +101,7 @@ def turned_recordings(along_x: bool, points: int | None, folder: str = KIND) -> 
 @cache
 def _recordings(name: str) -> Demonstrations:
     files = sorted((shipped_recordings() / name).glob("*.csv"))
-    return with_velocities(load_demonstrations(files, sawyer_arm()), sawyer_arm())
+    return with_velocities(load_demonstrations(files, sawyer_arm(), velocities="recorded"), sawyer_arm())
 
 
 def shipped_recordings() -> Path:
