@@ -10,6 +10,7 @@ from jaxtyping import Bool, Float, Int
 from manip_learn.errors import advice, counted
 
 GAP_FACTOR = 10.0  # times the usual step: a break in a recording
+FEW = 2  # gaps of a recording that stopped and went on; more, and more than one in 200 samples, are how stamps come
 SHORT = 0.1  # of the usual step: stamped almost at once
 COARSE = 0.05  # of the usual step: stamps that are multiples of so much or more are rounded
 FEWEST = 8  # samples whose stamps are doubted
@@ -137,11 +138,14 @@ def evenly_spread(time: Float[np.ndarray, " T"], q: Float[np.ndarray, "T n"]) ->
     if not (np.min(steps) < SHORT * mean or grain >= COARSE * mean):
         return time, ""
     gaps, rates = _gaps(steps, usual)
-    always = bool(np.count_nonzero(gaps) > n / 200.0)
+    always = bool(np.count_nonzero(gaps) > max(FEW, n / 200.0))
     if always:  # no gaps, but how the stamps come
         gaps, _ = _gaps(steps, usual_step(rates))
     inside = ~gaps
     step = float(np.sum(steps[inside]) / max(np.count_nonzero(inside), 1))
+    grain = _grain(steps[inside], step) if step > 0.0 else mean
+    if not (np.min(steps[inside]) < SHORT * step or grain >= COARSE * step):
+        return time, ""
     spread = _by_count(time, np.flatnonzero(gaps), step)
     if np.min(np.diff(spread)) <= 0.0 or not _taken_evenly(steps, q, step, inside, always=always):
         return time, ""
