@@ -436,7 +436,7 @@ def write_table(lines: Path, table: Path) -> None:
             row[f"{said} [mm]"] = round(1e3 * least, 1) if np.isfinite(least) else ""
         run, found = out.get("executed", {}), out.get("search", {}).get("found", "")
         row["short in MuJoCo [mm]"] = round(run["short"], 1) if run else ""
-        row["touched in MuJoCo"] = "; ".join(" and ".join(map(str, pair[:2])) for pair in run.get("touched", ()))
+        row["touched in MuJoCo"] = "; ".join(run.get("touched", ()))
         row["of 2,000 postures"] = {True: "some", False: "none", None: "not ended"}.get(found, "")
         rows.append(row)
     with table.open("w", encoding="utf-8", newline="") as file:

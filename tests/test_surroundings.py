@@ -6,8 +6,9 @@ import numpy as np
 import pytest
 
 import manip_learn as ml
+from manip_learn.control.keeping_clear import CLEARANCE
 from manip_learn.control.limits import Limits
-from manip_learn.planning.clearance import CLEARANCE, Clearance
+from manip_learn.planning.clearance import Clearance
 from manip_learn.planning.stations import Stations
 from manip_learn.planning.surroundings import FLOOR, FRONT, LEAF, Surroundings, half_space, hand_of, surroundings_of
 

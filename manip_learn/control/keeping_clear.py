@@ -14,7 +14,9 @@ from manip_learn.robot.collision import Obstacle, SelfCollision, Shapes, known_s
 from manip_learn.robot.robot import Robot
 
 Barrier = tuple[Float[np.ndarray, "r nv"], Float[np.ndarray, " r"]]  # (G, least): rows G u >= least
-CLEARANCE = 0.005  # [m] default distance of links from each other and from what stands around, as that of plans
+# [m] from links to each other and to what stands around, in plans too: what a servo's lag makes of a path; links that
+# are neighbours come within 2 cm
+CLEARANCE = 0.005
 # [m] beyond the clearance, which rows aim at: their solutions are within it after one or two rounds; and as a share of
 # the way until then, for between the postures that are looked at surfaces may be 1 % of it nearer
 AIMED, FUNNEL = 2e-5, 0.02

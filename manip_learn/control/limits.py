@@ -159,10 +159,8 @@ class TipLimits:
             acceleration: Of the joints [rad/s2 or m/s2].
             previous: Velocity commanded in the step before [rad/s or m/s]; None bounds no acceleration.
         """
-        jacobians, clear = (
-            [self._robot.jacobian(q, frame)[:3] for frame in self.frames],
-            self.clear_at(q, dt, acceleration, previous),
-        )
+        jacobians = [self._robot.jacobian(q, frame)[:3] for frame in self.frames]
+        clear = self.clear_at(q, dt, acceleration, previous)
         if not self.walls.size:
             return Tips(jacobians, np.empty((0, self._robot.nv)), np.empty(0), clear)
         normals, offsets = self.walls[:, :3], self.walls[:, 3]

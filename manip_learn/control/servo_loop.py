@@ -557,12 +557,11 @@ class ServoLoop:
         Where it would come to rest if it braked was clear one step before.
         """
         command, tip = self._within_limits(q, time, held), self.limits.tip
-        clear = None if tip is None else tip.clear_at(q, held, self.limits.acceleration, self._velocity)
-        if tip is None or tip.clear is None or clear is None:
+        if tip is None or tip.clear is None:
             return command
-        if not tip.clear.was_clear(q, command.velocity) and clear(command.velocity) is not None:
-            status = min(command.status, Status.POSITION_LIMITED, key=tuple(Status).index)
-            command = command._replace(velocity=self._braking(held), status=status, limiting_joint=-1)
+        clear = tip.clear_at(q, held, self.limits.acceleration, self._velocity)
+        if clear is not None and not tip.clear.was_clear(q, command.velocity) and clear(command.velocity) is not None:
+            command = _held_back(command, self._braking(held))._replace(limiting_joint=-1)
         if command.limiting_joint < 0 and command.status in (Status.POSITION_LIMITED, Status.STALLED):
             self.stopped_by = tip.clear.words() or self.stopped_by
         return command
@@ -574,10 +573,7 @@ class ServoLoop:
             self._slide = next_slide(self._slide, command.status is Status.STALLED, command.progress, held)
             if self._period.longest == self._period.usual or (bounds := self._bounds(q, held)).admit(command.velocity):
                 return command
-            slower = np.clip(command.velocity, bounds.low, bounds.high)
-            return command._replace(
-                velocity=slower, status=min(command.status, Status.POSITION_LIMITED, key=tuple(Status).index)
-            )
+            return _held_back(command, np.clip(command.velocity, bounds.low, bounds.high))
         # the user's own controller may write into what it is given, and give the same array every time
         command = self.controller(q.copy(), time, held)
         wish = np.array(command.velocity, dtype=np.float64)
@@ -680,3 +676,9 @@ class ServoLoop:
 
     def __repr__(self) -> str:
         return f"ServoLoop({self.controller!r}, dt={self.dt:g})"
+
+
+def _held_back(command: Command, velocity: np.ndarray) -> Command:
+    """A command with another velocity, within a limit of positions; its status says so where it says nothing graver."""
+    status = min(command.status, Status.POSITION_LIMITED, key=tuple(Status).index)
+    return command._replace(velocity=velocity, status=status)

@@ -28,7 +28,7 @@ from manip_learn.learning.explanation.findings import Findings, find, unexplaine
 from manip_learn.learning.recombination import BELIEVED_STRENGTH
 from manip_learn.learning.repeats import IndependentRecordings
 from manip_learn.learning.report import LearningReport, RecordingOverview, advise, build_report
-from manip_learn.learning.samples import check_fastest, check_motion
+from manip_learn.learning.samples import check_fastest, refuse_noise
 from manip_learn.learning.skill import skill_of
 from manip_learn.learning.still_hand import refuse_still_hand
 from manip_learn.learning.uncertainty import uncertainty_of
@@ -232,7 +232,7 @@ class ConstraintLearner:
             demonstrations = with_velocities(
                 recordings.demonstrations, self._robot, used_and_derived(self.velocities)[1]
             )
-            check_motion(recordings.demonstrations)
+            refuse_noise(recordings.demonstrations)
             check_fastest(demonstrations)
             refuse_still_hand(self._feature_maps[0], demonstrations)
             demonstrations, every = few_of(demonstrations, self.most_samples)

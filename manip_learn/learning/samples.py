@@ -261,28 +261,28 @@ def check_fastest(demonstrations: Demonstrations) -> None:
         )
 
 
-def check_motion(recorded: Demonstrations) -> None:
+def refuse_noise(recorded: Demonstrations) -> None:
     """Refuse recordings in which no joint moves farther than its encoder's noise does.
 
     Raises:
         NotIdentifiableError: In none of them.
     """
-    most = (-1.0, "", "", 0.0, 0.0)
+    found = []
     for t in recorded:
         if len(t) < FEWEST:
             return
         moved, noise = np.ptp(t.q, axis=0), np.sqrt(position_noise(t.time, t.q))
         j = int(np.argmax(moved / noise))
-        most = max(
-            most, (moved[j] / noise[j], (*t.joint_names, *map(str, range(len(moved))))[j], t.name, moved[j], noise[j])
-        )
-    ratio, joint, name, moved, noise = most
-    if ratio < BEYOND_NOISE:
-        raise NotIdentifiableError(
-            f"no joint moves farther than the noise of its positions does: the farthest is {joint} in {name}, by "
-            f"{moved:.2g} where its noise is {noise:.2g} (standard deviation): record a motion",
-            code="no-motion",
-        )
+        if moved[j] >= BEYOND_NOISE * noise[j]:
+            return
+        joint = t.joint_names[j] if t.joint_names else str(j)
+        found.append((moved[j] / noise[j], joint, t.name, moved[j], noise[j]))
+    _, joint, name, moved, noise = max(found)
+    raise NotIdentifiableError(
+        f"no joint moves farther than the noise of its positions does: the farthest is {joint} in {name}, by "
+        f"{moved:.2g} where its noise is {noise:.2g} (standard deviation): record a motion",
+        code="no-motion",
+    )
 
 
 def check_samples(samples: Samples, joint_names: Sequence[str], n_constraints: int | None) -> list[str]:

@@ -10,13 +10,11 @@ from typing import Any, final
 import numpy as np
 from jaxtyping import Float
 
+from manip_learn.control.keeping_clear import CLEARANCE
 from manip_learn.planning.surroundings import AWAY, BEHIND, FLOOR, LAST, Surroundings
 from manip_learn.robot.collision import Obstacle, Proximity, SelfCollision, known_shapes
 from manip_learn.robot.robot import Robot
 
-# [m] from links to each other and to what stands around: what a servo's lag makes of a path; links that are neighbours
-# come within 2 cm
-CLEARANCE = 0.005
 ROUNDED = 1e-3  # [m] behind the hand that takes hold there is this much more room than it takes: it shakes a little
 DEEPER = 4  # times that what the hand is in is moved out of its way: its faces are met one after the other
 STEP = 0.02  # [rad or m] between checks: a hand at 0.25 m moves by the clearance

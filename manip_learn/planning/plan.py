@@ -16,6 +16,7 @@ from manip_learn.constraint.constraint import Constraint
 from manip_learn.constraint.manipulability_batch import manipulability_batch
 from manip_learn.control.controller import ResolvedRateController
 from manip_learn.control.follow_motion import ARRIVED
+from manip_learn.control.keeping_clear import CLEARANCE
 from manip_learn.control.law_sequence import JointMotion, LawSequence, every_joint
 from manip_learn.control.limits import Limits, check_inside
 from manip_learn.control.policies import NullSpacePolicy
@@ -25,7 +26,7 @@ from manip_learn.control.tasks.driven_motion import way_in_words
 from manip_learn.control.tasks.motion import FreeDirection
 from manip_learn.control.way import WayDone, joint_at_limit, simulate_way
 from manip_learn.errors import ConfigurationError, FeatureError, MissingExtraError, NoPlanError, TargetError, an
-from manip_learn.planning.clearance import CLEARANCE, Clearance
+from manip_learn.planning.clearance import Clearance
 from manip_learn.planning.grasp_cone import GraspCone
 from manip_learn.planning.joint_path import joint_path
 from manip_learn.planning.scene import Scene

@@ -69,8 +69,7 @@ def time_in_seconds(
     """
     time = recording.time
     if request.rate is not None:
-        request.uses.use("rate")
-        counted_time = np.arange(len(time)) / request.rate
+        counted_time = request.counted(len(time))
         same = np.allclose(time, counted_time, rtol=1e-9, atol=0.0)  # the reader has asked for the rate itself
         note = f"the time stamps are overruled: {request.rate:g} samples per second, as asked"
         return counted_time, [] if same else [note]
