@@ -14,7 +14,7 @@ from case import case
 from generated_motions import angle_deg, arm_features, guided_motions, oblique, planar_features
 
 import manip_learn as ml
-from manip_learn.errors import RecordingError
+from manip_learn.errors import NotIdentifiableError, RecordingError
 from manip_learn.recordings.trajectory_source import recordings_given
 
 DT, SAMPLES = 0.01, 300  # [s]
@@ -291,3 +291,16 @@ def test_uneven_sampling_is_believed() -> None:
             read = recordings_given([(time, q)], features.robot, 7)
             assert isinstance(read, ml.Demonstrations)
             np.testing.assert_array_equal(np.concatenate([part.time for part in read]), time)
+
+
+def test_positions_that_are_noise_are_no_motion() -> None:
+    """Where no joint moves farther than its encoder's noise nothing is learnt; one recording that moves is not that."""
+    features, exact, _ = motions("planar3", SEED)
+    rng = np.random.default_rng(SEED)
+    still = [ml.Trajectory(t.time, t.q[:1] + 1e-4 * rng.normal(size=t.q.shape)) for t in exact]
+    with pytest.raises(NotIdentifiableError, match="farther than the noise of its positions") as refused:
+        ml.ConstraintLearner(features).fit(still)
+    assert refused.value.code == "no-motion"
+    with pytest.raises(NotIdentifiableError) as refused:
+        ml.ConstraintLearner(features).fit([*still[1:], ml.Trajectory(exact[0].time, exact[0].q)])
+    assert refused.value.code != "no-motion"
