@@ -280,11 +280,15 @@ class TeachingArm:
             self._opened, self.held = self.held, None
         return self.held is not None
 
+    def close_again(self) -> None:
+        """Let the gripper close by itself once more where it was opened."""
+        self._opened = None
+
     def close_when_near(self) -> bool:
         """Close the gripper on a handle that the hand has come to.
 
-        Where it was opened it stays open until the person has let the arm go elsewhere: a hand that had pushed a drawer
-        shut comes back by its handle.
+        Where it was opened it stays open until the person has let the arm go elsewhere, or records again: a hand that had
+        pushed a drawer shut comes back by its handle.
         """
         near = self.near()
         return self.held is None and near is not None and near != self._opened and self.grip(True)

@@ -364,6 +364,7 @@ class TeachingSession:
     def _record(self) -> None:
         """Record until the person stops; the file grows as it goes."""
         self._doing, self._began = "recording", self.arm.time
+        self.arm.close_again()
         started = [False]
 
         def key() -> Any:
