@@ -15,7 +15,13 @@ from manip_learn.recordings.readers.read_request import ReadRequest
 from manip_learn.recordings.readers.recording import Recording
 from manip_learn.recordings.trajectory import Trajectory
 from manip_learn.recordings.validation.joint_matching import angular_coordinates, match_joints, object_coordinates
-from manip_learn.recordings.validation.motion_checks import Motion, check_motion, refuse_degrees_beside, time_in_seconds
+from manip_learn.recordings.validation.motion_checks import (
+    Motion,
+    check_motion,
+    failed_reads,
+    refuse_degrees_beside,
+    time_in_seconds,
+)
 from manip_learn.recordings.velocities import continuous_rotation_vectors
 from manip_learn.robot import Robot
 
@@ -71,10 +77,15 @@ def _of_one_sender(
     same = np.all(q[repeated] == q[repeated + 1], axis=1)
     if u is not None:
         same &= np.all(u[repeated] == u[repeated + 1], axis=1)
-    if repeated.size and np.all(same):
-        first = recording.place(int(repeated[0]) + 1)
-        notes.append(f"{counted(repeated.size, 'repeated sample')} left out (first: {first})")
-        keep = np.delete(np.arange(len(time)), repeated + 1)
+    left_out = {"repeated sample": repeated + 1} if repeated.size and np.all(same) else {}
+    failed = np.empty(0, dtype=int) if recording.trusted else failed_reads(q)
+    left_out |= {"failed read": failed} if failed.size else {}
+    for what, samples in left_out.items():
+        posture = f"; the joints jump to {', '.join(f'{x:.3g}' for x in q[failed[0]])}" if samples is failed else ""
+        where = recording.place(int(samples[0]))
+        notes.append(f"{counted(samples.size, what)} left out (first: {where}{posture})")
+    if left_out:
+        keep = np.delete(np.arange(len(time)), np.concatenate(list(left_out.values())))
         recording, time, q, u = _kept(recording, keep), time[keep], q[keep], None if u is None else u[keep]
     q, said = _unwrapped(robot, q)
     notes += said
