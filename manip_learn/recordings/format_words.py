@@ -9,6 +9,7 @@ MARK = "# manip_learn "  # how a text file of this library begins; its header fo
 DATASET_HEADER = "meta/manip_learn.json"  # of a LeRobot data set that this library wrote, beside its own metadata
 VELOCITY_SUFFIX, EFFORT_SUFFIX = "_velocity", "_effort"  # of columns, after the name of a joint
 JOINT_STATE = "sensor_msgs/msg/JointState"
+RATE = ("rate=<samples per second>", "--rate <samples per second>")  # how the option is written
 # `d` as in libfranka's q_d and tau_J_d
 COMMAND = {
     *("desired", "command", "commanded", "cmd", "target", "goal"),

@@ -93,7 +93,7 @@ class LeRobotDataset:
             "lost-samples",
             f"{found} {what} are there, meta/info.json states total_{what} = {stated}: a file of data/ is missing or "
             "was changed; download the data set again"
-            + advice(", or select episodes that are there with {}", "episodes='0:50,60'", "--episodes 0:50,60"),
+            + advice(", or read the episodes that are there with {}", "episodes='0:'", "--episodes 0:"),
         )
 
 

@@ -14,7 +14,7 @@ from jaxtyping import Float, Int
 
 from manip_learn.errors import RecordingError, advice, closest_names, counted
 from manip_learn.recordings.clock import GAP_FACTOR, in_order
-from manip_learn.recordings.format_words import JOINT_STATE
+from manip_learn.recordings.format_words import JOINT_STATE, RATE
 from manip_learn.recordings.readers.bag_file import BagFile, open_bag
 from manip_learn.recordings.readers.limits import MOST_NAME_LISTS, check_columns
 from manip_learn.recordings.readers.read_request import ReadRequest, first_names
@@ -38,6 +38,8 @@ def read(path: Path, request: ReadRequest) -> Iterator[Recording]:
         why = f"; {'; '.join(notes)}" if notes else ""
         text = f"no message of joint states can be used{why}: mend the program that publishes them and record again"
         raise refusal(path, "empty", text)
+    if request.rate is not None:  # their order is that of their arrival
+        streams = [replace(s, stamps=s.received) for s in streams]
     of_senders, said = _of_senders(streams)
     notes += said
     continuous = frozenset(b.name for b in request.robot.blocks if b.kind == "continuous")
@@ -153,7 +155,7 @@ class JointStates:
         runs, said = in_order(time, self.q[by_arrival], arrival)
         if not runs:
             raise RecordingError(
-                f"the stamps of {self.topic} are in no order" + advice("; pass {}", "rate=<Hz>", "--rate HZ"),
+                f"the stamps of {self.topic} are in no order" + advice("; pass {}", *RATE),
                 code="time-order",
             )
         notes += [f"{self.topic}: {sentence}" for sentence in said]
@@ -176,7 +178,9 @@ def _streams(bag: BagFile, topics: tuple[str, ...]) -> tuple[list[JointStates], 
             check_columns(bag.path, f"a message of {topic}", len(names))
             if (known := sum(key[0] == topic for key in joints)) >= MOST_NAME_LISTS:
                 text = f"the joints named in {topic} change all the time ({known} lists)"
-                text += advice(": choose another topic with {}", "topics=[...]", "--topic NAME")
+                others = [t for t in topics if t != topic] or ["NAME"]
+                flags = " ".join(f"--topic {t}" for t in others)
+                text += advice(": choose another topic with {}", f"topics={others}", flags)
                 raise refusal(bag.path, "unsteady-names", text)
             stream = joints[topic, names] = tuple(map(growing, "qqddd"))
         stream[0].append(message.header.stamp.sec * 1_000_000_000 + message.header.stamp.nanosec)

@@ -11,6 +11,7 @@ from manip_learn.errors import advice, counted, named
 from manip_learn.recordings.clock import between, evenly_spread, in_order, pieces
 from manip_learn.recordings.demonstrations import Demonstrations
 from manip_learn.recordings.earned_velocities import NO_MEASUREMENT
+from manip_learn.recordings.format_words import RATE
 from manip_learn.recordings.readers.read_request import ReadRequest
 from manip_learn.recordings.readers.recording import Recording
 from manip_learn.recordings.trajectory import Trajectory
@@ -48,7 +49,7 @@ def validate(recording: Recording, request: ReadRequest) -> Demonstrations:
         i = int(np.argmax(np.diff(time) < 0.0))
         text = f"time goes back in {np.count_nonzero(np.diff(time) < 0.0)} of {counted(len(time) - 1, 'step')}, first "
         text += f"from {recording.time[i]:.9g} to {recording.time[i + 1]:.9g}: sort the rows"
-        text += advice(", or pass {} if they were taken evenly", "rate=<samples per second>", "--rate HZ")
+        text += advice(", or pass {} if they were taken evenly", *RATE)
         raise recording.refusal("time-order", text, sample=i + 1, column="time")
     trajectories: list[Trajectory] = []
     for number, run in enumerate(runs, 1):
@@ -71,7 +72,7 @@ def _of_one_sender(
     robot, notes = request.robot, list[str]()
     if time[-1] <= time[0]:
         text = "all stamps are the same: no motion is left"
-        text += advice("; pass {}", "rate=<samples per second>", "--rate HZ")
+        text += advice("; pass {}", *RATE)
         raise recording.refusal("too-short", text)
     repeated = np.flatnonzero(np.diff(time) == 0.0)
     same = np.all(q[repeated] == q[repeated + 1], axis=1)
