@@ -246,6 +246,9 @@ class LearnOptions:
     ] = "auto"
     mechanism: Annotated[str, Option(help="auto: say what holds the hand (hinge, line, ...); off.")] = "auto"
     strength: Annotated[float | None, Option(help="Minimum strength of evidence for a row; default: 1.8.")] = None
+    habits: Annotated[bool, Option("--habits", help="Also learn rows that may be kept by the way of moving only.")] = (
+        False
+    )
     start: Annotated[float | None, Option("--from", help="Leave out what was recorded before [s].")] = None
     until: Annotated[float | None, Option(help="Leave out what was recorded after [s].")] = None
     seed: Annotated[int, Option(help="Seed of the bootstrap and of random starts.")] = 0

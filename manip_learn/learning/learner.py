@@ -69,6 +69,8 @@ class ConstraintLearner:
             refuses more, a smaller one believes more; free motion reaches 1.5 now and then.
         switch: What a change between a contact and free motion costs [nats]. A larger number finds fewer and longer
             phases: 16 is a chance of exp(-16) for each tenth of a second, that of a change in some months.
+        habits: Whether rows that may be kept by the way of moving only are learnt beside those that are clearly held;
+            they are named in any case.
         most_samples: Of more samples so many are chosen evenly. More of them take time and teach next to nothing:
             their half turns a drawer by 0.0005 degrees.
         seed: Seed of everything random (bootstrap, recombination, random starts, k-means).
@@ -116,6 +118,7 @@ class ConstraintLearner:
         mechanism: Switch = "auto",
         strength: float = BELIEVED_STRENGTH,
         switch: float = SWITCH_NATS,
+        habits: bool = False,
         most_samples: int = MOST_SAMPLES,
         seed: int = 0,
     ):
@@ -139,7 +142,7 @@ class ConstraintLearner:
         if isinstance(most_samples, bool) or not isinstance(most_samples, int) or most_samples < 100:
             raise FeatureError(f"most_samples must be an integer of at least 100, got {most_samples!r}")
         self.strength, self.switch, self.most_samples = float(strength), float(switch), most_samples
-        self.seed = seed
+        self.habits, self.seed = bool(habits), seed
         candidates = [features] if not isinstance(features, Sequence) else list(features)
         if not candidates:
             raise FeatureError("give the learner at least one feature map")
@@ -261,6 +264,7 @@ class ConstraintLearner:
                     self.seed,
                     mechanism=self.mechanism == "auto",
                     strength=self.strength,
+                    habits=self.habits,
                 )
                 answers, findings = find_answers(findings, everyone, settings)
             except NotIdentifiableError as refusal:
