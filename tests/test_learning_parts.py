@@ -186,7 +186,7 @@ def test_two_witnesses_decide_together():
     for gap, strengths, support, clear in (
         (3.9, (12.0, 10.0), 39.0, False),
         (4.1, (10.0, 12.0), 41.0, False),
-        (12.0, (3.5, 9.0), 42.0, False),
+        (12.0, (9.0, 3.5), 42.0, False),
         (12.0, (30.0, 5.0), 60.0, True),
         (45.0, (0.3, 0.2), 45.0, False),  # never tried: one witness alone
     ):
