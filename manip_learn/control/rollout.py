@@ -169,7 +169,7 @@ class Rollout:
             nq=self.q.shape[1],
             target=None if self.target is None else self.target.tolist(),
             constraint=self.constraint,
-            follows=self.following_error is not None,
+            following_error=self.following_error is not None,
             phases=[list(part) for part in self.phases],
             ways=[dict(way) for way in self.ways],
             around=[dict(thing) for thing in self.around],

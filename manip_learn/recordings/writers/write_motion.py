@@ -85,10 +85,11 @@ def _number(value: float) -> str:
     return text if "." in digits else f"{digits}.0{mark}{exponent}"
 
 
-WRITERS: Mapping[str, Callable[[SavedMotion], bytes]] = {
-    ".npz": npz_bytes,
-    ".csv": csv_bytes,
-    ".mcap": mcap_bytes,
+WRITERS: Mapping[str, Callable[[SavedMotion], bytes]] = {".npz": npz_bytes, ".csv": csv_bytes, ".mcap": mcap_bytes}
+ELSEWHERE = {  # endings that are refused with what to do
+    ".rrd": "a Rerun recording shows the robot too; use manip_learn.playback.write_rerun(robot, rollouts, path), or "
+    "`manip-learn export ROBOT FILE... --out x.rrd`",
+    ".jsonl": "JSON lines are not written any more; .npz and .csv are read back bit for bit",
 }
 
 
@@ -102,23 +103,12 @@ def write_motion(path: str | os.PathLike[str], motion: SavedMotion) -> Path:
         OutputError: No format of that name, it cannot be written, or the format cannot hold the motion.
     """
     suffix = Path(path).suffix.lower()
-    if suffix == ".rrd":
-        raise OutputError(
-            f"cannot write {os.fspath(path)!r}: a Rerun recording shows the robot too; use "
-            "manip_learn.playback.write_rerun(robot, rollouts, path), or `manip-learn export ROBOT FILE... --out x.rrd`"
-        )
-    if suffix == ".jsonl":
-        raise OutputError(
-            f"cannot write {os.fspath(path)!r}: JSON lines are not written any more; .npz and .csv are read back bit "
-            "for bit"
-        )
+    refused = f"cannot write {os.fspath(path)!r}: "
     if suffix not in WRITERS:
-        raise OutputError(
-            f"cannot write {os.fspath(path)!r}: the ending says the format, and it is {suffix or 'missing'!r}; use "
-            f"one of {', '.join(WRITERS)}"
-        )
+        usual = f"the ending says the format, and it is {suffix or 'missing'!r}; use one of {', '.join(WRITERS)}"
+        raise OutputError(refused + ELSEWHERE.get(suffix, usual))
     try:
         content = WRITERS[suffix](motion)
     except UnicodeEncodeError as error:
-        raise OutputError(f"cannot write {os.fspath(path)!r}: a name in it is no text ({error})") from error
+        raise OutputError(f"{refused}a name in it is no text ({error})") from error
     return write_atomically(path, content)
