@@ -79,17 +79,8 @@ def frame_of(trajectories: Sequence[Trajectory]) -> PandasFrame:
     return pd.DataFrame(table)
 
 
-def data_frames_in(given: object) -> list[DataFrame]:
-    """The tables of pandas that were given, one or a list of them; none if anything else was."""
-    if isinstance(given, DataFrame):
-        return [given]
-    if isinstance(given, Sequence) and all(isinstance(entry, DataFrame) for entry in given):
-        return list(given)
-    return []
-
-
 @contextmanager
-def frames_as_files(given: Any) -> Iterator[Any]:
+def frames_as_files(given: Any, first: int = 1) -> Iterator[Any]:
     """Data frames as text tables while they are read, so that one reader says what columns mean; else what was given.
 
     A frame with a column `trajectory` is one table for each of its values. An index of times or durations, or an index
@@ -97,13 +88,14 @@ def frames_as_files(given: Any) -> Iterator[Any]:
 
     Args:
         given: A data frame, several of them, or paths.
+        first: Number of the first frame in names.
     """
-    frames = data_frames_in(given)
-    if not frames:
+    frames = [given] if isinstance(given, DataFrame) else given
+    if not (isinstance(frames, Sequence) and frames and all(isinstance(frame, DataFrame) for frame in frames)):
         yield given
         return
     with tempfile.TemporaryDirectory(prefix="manip_learn_") as folder:
-        yield [path for number, frame in enumerate(frames, start=1) for path in _written(frame, Path(folder), number)]
+        yield [path for number, frame in enumerate(frames, first) for path in _written(frame, Path(folder), number)]
 
 
 def _written(frame: Any, folder: Path, number: int) -> Iterator[Path]:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import os
 import re
 from collections.abc import Iterable, Iterator, Mapping, Sequence
@@ -28,8 +29,6 @@ from manip_learn.recordings.readers.read_request import (
 )
 from manip_learn.recordings.readers.recording import Recording
 from manip_learn.recordings.readers.recording_files import LEROBOT, RecordingFile, recording_files, select_episodes
-from manip_learn.recordings.readers.saved_reader import file_header
-from manip_learn.recordings.saved_motion import check_robot
 from manip_learn.recordings.trajectory import Trajectory
 from manip_learn.recordings.validation.joint_matching import QUATERNION, ROTATION_VECTOR
 from manip_learn.recordings.validation.validate import validate
@@ -112,9 +111,9 @@ def load_demonstrations(paths: Paths | Tables, robot: Robot, **options: Unpack[R
         >>> len(demos), demos[0].q.shape  # recordings; samples and joints of the first
         (20, (40, 3))
     """
+    found: list[str] = []
     with frames_as_files(paths) as given:
         files, request, notes = open_recordings(given, robot, options)
-        found: list[str] = []
         trajectories = tuple(read_recordings(files, request, found, together=True))
     return Demonstrations(trajectories, notes + refuse_unmatched(found))
 
@@ -130,7 +129,7 @@ def open_recordings(
 
 
 def read_recordings(
-    files: list[RecordingFile], request: ReadRequest, notes: list[str] | None = None, *, together: bool = False
+    files: list[RecordingFile], request: ReadRequest, notes: list[str], *, together: bool = False
 ) -> Iterator[Trajectory]:
     """The trajectories in files, one after the other; sentences are added to `notes` at the end.
 
@@ -143,23 +142,25 @@ def read_recordings(
     """
     said: list[tuple[str, str]] = []
     request = replace(request, uses=OptionUses())
-    validated = _validated(files, request, said)
-    yield from judged_in_turn(validated, request.robot, request.velocities, said, together=together)
-    if notes is not None:
-        notes += folded(said, request.robot)
-        notes += request.unmatched()
-
-
-def _validated(files: list[RecordingFile], request: ReadRequest, said: list[tuple[str, str]]) -> Iterator[Trajectory]:
-    found = False
-    for file in files:
-        for recording in _recordings(file, request):
-            validated = validate(recording, request)
-            said += [(recording.name, note) for note in validated.notes]
-            found |= bool(validated.trajectories)
-            yield from validated.trajectories
-    if not found:
+    recordings = (recording for file in files for recording in file.recordings(request))
+    trajectories = validated(recordings, request, said)
+    first = next(trajectories, None)
+    if first is None:
         raise RecordingError(f"there is no demonstration in {', '.join(str(f.path) for f in files)}", code="empty")
+    every = itertools.chain([first], trajectories)
+    yield from judged_in_turn(every, request.robot, request.velocities, said, together=together)
+    notes += folded(said, request.robot)
+    notes += request.unmatched()
+
+
+def validated(
+    recordings: Iterable[Recording], request: ReadRequest, said: list[tuple[str, str]]
+) -> Iterator[Trajectory]:
+    """The trajectories of recordings of any origin; notes are added to `said`, each with the name of its recording."""
+    for recording in recordings:
+        checked = validate(recording, request)
+        said += [(recording.name, note) for note in checked.notes]
+        yield from checked
 
 
 def folded(said: Iterable[tuple[str, str]], robot: Robot | None) -> list[str]:
@@ -180,13 +181,6 @@ def folded(said: Iterable[tuple[str, str]], robot: Robot | None) -> list[str]:
         alike = "" if all(other == text for _, other in found) else " with other figures"
         out.append(printable(f"{name}{f' and {len(found) - 1} more{alike}' if len(found) > 1 else ''}: {text}"))
     return out
-
-
-def _recordings(file: RecordingFile, request: ReadRequest) -> Iterator[Recording]:
-    header = file_header(file.path) if file.path.is_dir() else None
-    if header is not None:
-        check_robot(file.path, header, request.robot)
-    return file.format.reader()(file.path, request)
 
 
 def _request(robot: Robot, options: ReadOptions) -> ReadRequest:

@@ -17,6 +17,7 @@ from manip_learn.recordings.readers.lerobot_dataset import episode_numbers
 from manip_learn.recordings.readers.read_request import ReadRequest
 from manip_learn.recordings.readers.recording import Recording, check_regular, natural_order, reason, refusal
 from manip_learn.recordings.readers.saved_reader import JSON_LINES, file_header
+from manip_learn.recordings.saved_motion import check_robot
 
 Read = Callable[[Path, Any], Iterator[Recording]]
 
@@ -153,6 +154,17 @@ class RecordingFile:
 
     path: Path
     format: FileFormat
+
+    def recordings(self, request: ReadRequest) -> Iterator[Recording]:
+        """The recordings in it, one after the other.
+
+        Raises:
+            RecordingError: It cannot be read, or a header of this library says that it is of another robot.
+        """
+        header = file_header(self.path) if self.path.is_dir() else None
+        if header is not None:
+            check_robot(self.path, header, request.robot)
+        return self.format.reader()(self.path, request)
 
 
 def recording_files(
