@@ -143,27 +143,18 @@ class SavedMotion:
 
     Attributes:
         header: What the file says about itself.
-        time: shape (T,) [s].
-        q: shape (T, nq).
-        u: shape (T, nv), or None [rad/s or m/s].
-        manipulability: shape (T,), of rollouts; else None.
-        task_error: shape (T,), of rollouts; else None.
-        status: One word per sample, of rollouts; else empty.
-        following_error: shape (T,), of rollouts for which it is known; else None.
+        arrays: `time`, shape (T,) [s], and `q`, shape (T, nq); where they are known `u`, shape (T, nv) [rad/s or m/s],
+            and `effort`, likewise [N m or N]; of rollouts `manipulability`, `task_error`, `status` (words) and, where
+            it is known, `following_error`, shape (T,) each.
         name: What messages call it.
-        effort: shape (T, nv), of recordings; None if it is not known [N m or N].
     """
 
     header: FileHeader
-    time: Float[np.ndarray, " T"]
-    q: Float[np.ndarray, "T nq"]
-    u: Float[np.ndarray, "T nv"] | None
-    manipulability: Float[np.ndarray, " T"] | None = None
-    task_error: Float[np.ndarray, " T"] | None = None
-    status: tuple[str, ...] = ()
+    arrays: Mapping[str, np.ndarray]
     name: str = "motion"
-    following_error: Float[np.ndarray, " T"] | None = None
-    effort: Float[np.ndarray, "T nv"] | None = None
+
+    def __len__(self) -> int:
+        return len(self.arrays["time"])
 
 
 def column_groups(header: FileHeader, beside: Collection[str]) -> dict[str, list[str]]:
@@ -190,8 +181,8 @@ def column_line(groups: Mapping[str, list[str]]) -> str:
 def motion_of_trajectory(trajectory: Trajectory, robot: Robot) -> SavedMotion:
     """A demonstration of a robot, ready to be written."""
     header = FileHeader("recording", trajectory.joint_names, RobotIdentity.of(robot), nq=trajectory.q.shape[1])
-    beside: dict[str, Any] = {"u": None} | trajectory.beside
-    return SavedMotion(header, trajectory.time, trajectory.q, name=trajectory.name, **beside)
+    arrays = {"time": trajectory.time, "q": trajectory.q, **trajectory.beside}
+    return SavedMotion(header, arrays, trajectory.name)
 
 
 def checked_motion(path: Path, motion: SavedMotion) -> SavedMotion:
@@ -200,7 +191,7 @@ def checked_motion(path: Path, motion: SavedMotion) -> SavedMotion:
     Raises:
         RecordingError: Says which array does not fit, its shape, and the shape that is needed.
     """
-    header, rows, nv = motion.header, motion.time.shape[0], len(motion.header.joint_names)
+    header, rows, nv = motion.header, len(motion), len(motion.header.joint_names)
     if header.samples not in (None, rows):
         raise refusal(
             path,
@@ -220,9 +211,9 @@ def checked_motion(path: Path, motion: SavedMotion) -> SavedMotion:
         shapes |= dict.fromkeys(sorted(curves), (rows,))
         needed |= {"u", *curves}
     for name, shape in shapes.items():
-        array = getattr(motion, name)
-        if (name in needed or array is not None) and np.shape(array) != shape:
-            there = "is missing" if array is None else f"has shape {np.shape(array)}"
+        found = motion.arrays[name].shape if name in motion.arrays else None
+        if found != shape and (name in needed or found is not None):
+            there = "is missing" if found is None else f"has shape {found}"
             text = f"{name} {there}, {shape} is needed: {rows} times, {nv} joints, {width} columns of q"
             raise refusal(path, "shape", text)
     if header.robot is not None and width not in (nv, header.robot.nq):

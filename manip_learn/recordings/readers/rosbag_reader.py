@@ -199,9 +199,10 @@ def _streams(bag: BagFile, topics: tuple[str, ...]) -> tuple[list[JointStates], 
             if 0 < len(values) < T * n:
                 some = f"{T - len(values) // n} of {T} messages of {topic} have no {PLURAL[what]}"
                 notes.append(f"{some}, so those of the others are not used")
-        arrays: Any = (np.array(x).reshape(T, n) if len(x) == T * n else None for x in columns)
         stamps, received = (np.array(x, dtype=np.int64) for x in (sent, arrived))
-        streams.append(JointStates(topic, names, stamps, *arrays, received))
+        full = (np.array(x).reshape(T, n) if len(x) == T * n else None for x in columns)
+        known: dict[str, Any] = dict(zip(ARRAYS, full, strict=True))
+        streams.append(JointStates(topic, names, stamps, **known, received=received))
     return streams, speeds, notes
 
 

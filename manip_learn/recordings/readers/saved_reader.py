@@ -7,7 +7,6 @@ import zipfile
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
@@ -71,10 +70,8 @@ def read_saved(path: Path) -> SavedMotion:
             raise refusal(path, "not-a-rollout", said)
         with path.open("rb") as file:
             is_archive = file.read(2) == b"PK"
-        arrays, status = _of_archive(path, header) if is_archive else _of_table(path, header)
-        curves: dict[str, Any] = {name: arrays.get(name) for name in CURVES}
-        motion = SavedMotion(header, arrays["time"], arrays["q"], **curves, status=status, name=path.name)
-        return checked_motion(path, motion)
+        arrays = _of_archive(path, header) if is_archive else _of_table(path, header)
+        return checked_motion(path, SavedMotion(header, arrays, path.name))
 
 
 def read(path: Path, request: ReadRequest) -> Iterator[Recording]:
@@ -83,9 +80,10 @@ def read(path: Path, request: ReadRequest) -> Iterator[Recording]:
     notes = () if header is None else check_robot(path, header, request.robot)
     motion = read_saved(path)
     names = request.renamed(*motion.header.joint_names)
-    q = joint_positions(path, motion.q, names, request.robot)
+    q = joint_positions(path, motion.arrays["q"], names, request.robot)
+    beside = (motion.arrays.get(name) for name in BESIDE)
     own = {"in_seconds": True, "trusted": True, "notes": notes}
-    yield Recording.of(path, path.name, motion.time, names, q, motion.u, motion.effort, **own)
+    yield Recording.of(path, path.name, motion.arrays["time"], names, q, *beside, **own)
 
 
 @contextmanager
@@ -112,8 +110,8 @@ def _npz_header(path: Path) -> FileHeader | None:
     return FileHeader.from_json(texts_of(path, "header", arrays["header"], 0)[0])
 
 
-def _of_archive(path: Path, header: FileHeader) -> tuple[dict[str, np.ndarray], tuple[str, ...]]:
-    """The arrays of an archive, and a rollout's words."""
+def _of_archive(path: Path, header: FileHeader) -> dict[str, np.ndarray]:
+    """The arrays of an archive."""
     stored, _ = stored_arrays(path, ARRAYS, TEXTS)
     if "joint_names" in stored and texts_of(path, "joint_names", stored["joint_names"]) != header.joint_names:
         raise refusal(path, "damaged", "its joint_names are not those of its header: save it again")
@@ -121,12 +119,12 @@ def _of_archive(path: Path, header: FileHeader) -> tuple[dict[str, np.ndarray], 
         shape = stored[name].shape if name in stored else "missing"
         if len(shape) != ndim or shape == "missing":
             raise refusal(path, "shape", f"time must have shape (T,) and q (T, n); {name} is {shape}")
-    arrays = {name: float_array(stored[name]) for name in ARRAYS if name in stored}
-    return arrays, texts_of(path, "status", stored["status"]) if "status" in stored else ()
+    words = {"status": np.array(texts_of(path, "status", stored["status"]))} if "status" in stored else {}
+    return {name: float_array(stored[name]) for name in ARRAYS if name in stored} | words
 
 
-def _of_table(path: Path, header: FileHeader) -> tuple[dict[str, np.ndarray], tuple[str, ...]]:
-    """The columns of a table, and a rollout's words; errors name the line."""
+def _of_table(path: Path, header: FileHeader) -> dict[str, np.ndarray]:
+    """The arrays of a table; errors name the line."""
     lines = ((number, line.rstrip("\r\n")) for number, line in text_lines(path) if line.strip())
     next(lines)
     number, columns = next(lines, (2, ""))
@@ -157,4 +155,4 @@ def _of_table(path: Path, header: FileHeader) -> tuple[dict[str, np.ndarray], tu
         status += fields[n:]
     parts = np.split(np.reshape(rows, (len(rows), n)), ends[:-1], axis=1)
     arrays = {k: x if k in ("q", *BESIDE) else x.ravel() for k, x in zip(groups, parts, strict=True)}
-    return arrays, tuple(status)
+    return arrays | ({"status": np.array(status, dtype=str)} if "status" in groups else {})

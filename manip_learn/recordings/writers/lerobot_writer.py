@@ -44,10 +44,10 @@ def write_lerobot(folder: Path, motions: Sequence[SavedMotion]) -> Path:
     if folder.exists() and (not folder.is_dir() or any(folder.iterdir())):
         raise OutputError(f"cannot write a LeRobot data set to {folder}: it exists; name a new or an empty folder")
     for what, name in (("velocities", "u"), ("efforts", "effort")):
-        if len({getattr(m, name) is None for m in motions}) > 1:
+        if len({name in m.arrays for m in motions}) > 1:
             raise OutputError(f"some trajectories have {what} and others not: export them to data sets of their own")
     table = _samples(motions)
-    fps = samples_per_second(motions)
+    fps = samples_per_second([m.arrays["time"] for m in motions])
     write_atomically(folder / "data" / FILE, _parquet(table))
     write_atomically(folder / "meta" / "episodes" / FILE, _parquet(_episodes(motions)))
     tasks = pa.table({"task_index": pa.array([0], pa.int64()), "task": [TASK]})
@@ -59,12 +59,12 @@ def write_lerobot(folder: Path, motions: Sequence[SavedMotion]) -> Path:
 
 
 def _samples(motions: Sequence[SavedMotion]) -> Any:
-    lengths = [len(m.time) for m in motions]
-    arrays = {name: [getattr(m, attribute) for m in motions] for name, attribute in FEATURES.items()}
-    tables = {name: np.concatenate(some) for name, some in arrays.items() if some[0] is not None}
+    lengths, times = [len(m) for m in motions], [m.arrays["time"] for m in motions]
+    kept = {feature: name for feature, name in FEATURES.items() if name in motions[0].arrays}
+    tables = {feature: np.concatenate([m.arrays[name] for m in motions]) for feature, name in kept.items()}
     vectors = pa.FixedSizeListArray.from_arrays
     columns = {name: vectors(pa.array(table.ravel()), table.shape[1]) for name, table in tables.items()}
-    columns["timestamp"] = pa.array(np.concatenate([m.time - m.time[0] for m in motions]))
+    columns["timestamp"] = pa.array(np.concatenate([time - time[0] for time in times]))
     columns["frame_index"] = pa.array(np.concatenate([np.arange(n) for n in lengths]))
     columns["episode_index"] = pa.array(np.repeat(np.arange(len(motions)), lengths))
     columns["index"] = pa.array(np.arange(sum(lengths)))
@@ -73,7 +73,7 @@ def _samples(motions: Sequence[SavedMotion]) -> Any:
 
 
 def _episodes(motions: Sequence[SavedMotion]) -> Any:
-    lengths = np.array([len(m.time) for m in motions])
+    lengths = np.array([len(m) for m in motions])
     ends, zeros = np.cumsum(lengths), np.zeros(len(motions), dtype=np.int64)
     return pa.table(
         {
@@ -90,9 +90,9 @@ def _episodes(motions: Sequence[SavedMotion]) -> Any:
     )
 
 
-def samples_per_second(motions: Sequence[SavedMotion]) -> float:
+def samples_per_second(times: Sequence[np.ndarray]) -> float:
     """Samples per second, by the median step; an integer where it is one but for rounding."""
-    step = float(np.median(np.concatenate([np.diff(m.time) for m in motions])))
+    step = float(np.median(np.concatenate(list(map(np.diff, times)))))
     rate = 1.0 / step
     return round(rate) if abs(rate - round(rate)) < 1e-3 * rate and rate >= 1.0 else rate
 

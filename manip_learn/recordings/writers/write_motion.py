@@ -13,8 +13,7 @@ import numpy as np
 from manip_learn.atomic_write import write_atomically
 from manip_learn.errors import OutputError
 from manip_learn.recordings.format_words import MARK
-from manip_learn.recordings.saved_motion import CURVES, PREFIX, SavedMotion, column_groups, column_line
-from manip_learn.recordings.trajectory import BESIDE
+from manip_learn.recordings.saved_motion import PREFIX, SavedMotion, column_groups, column_line
 from manip_learn.recordings.writers.mcap_writer import mcap_bytes, nanoseconds
 
 TYPE = "trajectory_msgs/msg/JointTrajectory"
@@ -22,10 +21,11 @@ TYPE = "trajectory_msgs/msg/JointTrajectory"
 
 def csv_bytes(motion: SavedMotion) -> bytes:
     """The table, UTF-8."""
-    groups = column_groups(motion.header, [name for name in BESIDE if getattr(motion, name) is not None])
-    table = np.column_stack([getattr(motion, name) for name in groups if name != "status"])
-    words = [[word] for word in motion.status] or [[]] * len(table)
-    lines = [MARK + motion.header.to_json(len(motion.time)), column_line(groups)]
+    arrays = motion.arrays
+    groups = column_groups(motion.header, arrays)
+    table = np.column_stack([arrays[name] for name in groups if name != "status"])
+    words = [[word] for word in arrays["status"]] if "status" in groups else [[]] * len(table)
+    lines = [MARK + motion.header.to_json(len(motion)), column_line(groups)]
     lines += [",".join([*map(repr, row), *word]) for row, word in zip(table.tolist(), words, strict=True)]
     return ("\n".join(lines) + "\n").encode()
 
@@ -33,15 +33,10 @@ def csv_bytes(motion: SavedMotion) -> bytes:
 def npz_bytes(motion: SavedMotion) -> bytes:
     """The archive."""
     header = motion.header
-    arrays: dict[str, np.ndarray | None] = {
-        "format": np.array(PREFIX + header.kind),
-        "header": np.array(header.to_json(len(motion.time))),
-        **{name: getattr(motion, name) for name in ("time", "q", *CURVES)},
-        "joint_names": np.array(header.joint_names, dtype=str),
-        "status": np.array(motion.status, dtype=str) if header.kind == "rollout" else None,
-    }
+    texts = {"format": PREFIX + header.kind, "header": header.to_json(len(motion)), "joint_names": header.joint_names}
+    arrays = {name: np.array(text, dtype=str) for name, text in texts.items()} | dict(motion.arrays)
     stream = io.BytesIO()
-    np.savez_compressed(stream, **{name: array for name, array in arrays.items() if array is not None})  # type: ignore[arg-type]
+    np.savez_compressed(stream, **arrays)  # type: ignore[arg-type]
     return stream.getvalue()
 
 
@@ -52,23 +47,23 @@ def joint_trajectory_bytes(motion: SavedMotion) -> bytes:
         OutputError: Numbers that are not finite, or times that whole nanoseconds cannot tell apart.
     """
     names = motion.header.joint_names
-    if motion.q.shape[1] != len(names):
+    q, u = motion.arrays["q"].tolist(), motion.arrays.get("u")
+    if motion.arrays["q"].shape[1] != len(names):
         raise OutputError("a JointTrajectory needs one position per joint, the motion has configurations")
-    times = nanoseconds(motion.time, from_first=True).tolist()
+    times = nanoseconds(motion.arrays["time"], from_first=True).tolist()
     lines = [
-        MARK + motion.header.to_json(len(motion.time)),
+        MARK + motion.header.to_json(len(motion)),
         f'# ros2 topic pub --once <controller>/joint_trajectory {TYPE} "$(cat FILE)"',
         '{"header": {"stamp": {"sec": 0, "nanosec": 0}, "frame_id": ""},',
         f' "joint_names": {json.dumps(list(names))},',
         ' "points": [',
     ]
-    velocities = None if motion.u is None else motion.u.tolist()
-    for i, (time, q) in enumerate(zip(times, motion.q.tolist(), strict=True)):
+    for i, time in enumerate(times):
         sec, nanosec = divmod(time, 1_000_000_000)
-        moving = "" if velocities is None else f', "velocities": {_numbers(velocities[i])}'
+        moving = "" if u is None else f', "velocities": {_numbers(u[i].tolist())}'
         start = f'{{"sec": {sec}, "nanosec": {nanosec}}}'
         end = "," if i + 1 < len(times) else ""
-        lines.append(f'  {{"positions": {_numbers(q)}{moving}, "time_from_start": {start}}}{end}')
+        lines.append(f'  {{"positions": {_numbers(q[i])}{moving}, "time_from_start": {start}}}{end}')
     return "\n".join([*lines, " ]}", ""]).encode()
 
 
