@@ -177,8 +177,8 @@ def _streams(bag: BagFile, topics: tuple[str, ...]) -> tuple[list[JointStates], 
             continue
         if (topic, names) not in tables:
             check_columns(bag.path, f"a message of {topic}", len(names))
-            if (known := sum(key[0] == topic for key in tables)) >= MOST_NAME_LISTS:
-                text = f"the joints named in {topic} change all the time ({known} lists)"
+            if (lists := sum(key[0] == topic for key in tables)) >= MOST_NAME_LISTS:
+                text = f"the joints named in {topic} change all the time ({lists} lists)"
                 text += advice(": choose another topic with {}", "topics=[...]", "--topic NAME")
                 raise refusal(bag.path, "unsteady-names", text)
             tables[topic, names] = tuple(map(growing, "qqddd"))

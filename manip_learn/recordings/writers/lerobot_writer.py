@@ -60,34 +60,32 @@ def write_lerobot(folder: Path, motions: Sequence[SavedMotion]) -> Path:
 
 def _samples(motions: Sequence[SavedMotion]) -> Any:
     lengths, times = [len(m) for m in motions], [m.arrays["time"] for m in motions]
-    kept = {feature: name for feature, name in FEATURES.items() if name in motions[0].arrays}
-    tables = {feature: np.concatenate([m.arrays[name] for m in motions]) for feature, name in kept.items()}
-    vectors = pa.FixedSizeListArray.from_arrays
-    columns = {name: vectors(pa.array(table.ravel()), table.shape[1]) for name, table in tables.items()}
-    columns["timestamp"] = pa.array(np.concatenate([time - time[0] for time in times]))
-    columns["frame_index"] = pa.array(np.concatenate([np.arange(n) for n in lengths]))
-    columns["episode_index"] = pa.array(np.repeat(np.arange(len(motions)), lengths))
-    columns["index"] = pa.array(np.arange(sum(lengths)))
-    columns["task_index"] = pa.array(np.zeros(sum(lengths), dtype=np.int64))
-    return pa.table(columns)
+    columns: dict[str, Any] = {}
+    for feature, name in FEATURES.items():
+        if name in motions[0].arrays:
+            table = np.concatenate([m.arrays[name] for m in motions])
+            columns[feature] = pa.FixedSizeListArray.from_arrays(pa.array(table.ravel()), table.shape[1])
+    numbers = {
+        "timestamp": np.concatenate([time - time[0] for time in times]),
+        "frame_index": np.concatenate(list(map(np.arange, lengths))),
+        "episode_index": np.repeat(np.arange(len(motions)), lengths),
+        "index": np.arange(sum(lengths)),
+        "task_index": np.zeros(sum(lengths), dtype=np.int64),
+    }
+    return pa.table(columns | numbers)
 
 
 def _episodes(motions: Sequence[SavedMotion]) -> Any:
     lengths = np.array([len(m) for m in motions])
-    ends, zeros = np.cumsum(lengths), np.zeros(len(motions), dtype=np.int64)
-    return pa.table(
-        {
-            "episode_index": np.arange(len(motions)),
-            "tasks": pa.array([[TASK]] * len(motions)),
-            "length": lengths,
-            "data/chunk_index": zeros,
-            "data/file_index": zeros,
-            "dataset_from_index": ends - lengths,
-            "dataset_to_index": ends,
-            "meta/episodes/chunk_index": zeros,
-            "meta/episodes/file_index": zeros,
-        }
-    )
+    places = ("data/chunk_index", "data/file_index", "meta/episodes/chunk_index", "meta/episodes/file_index")
+    known = {
+        "episode_index": np.arange(len(motions)),
+        "tasks": pa.array([[TASK]] * len(motions)),
+        "length": lengths,
+        "dataset_from_index": np.cumsum(lengths) - lengths,
+        "dataset_to_index": np.cumsum(lengths),
+    }
+    return pa.table(known | dict.fromkeys(places, np.zeros(len(motions), dtype=np.int64)))
 
 
 def samples_per_second(times: Sequence[np.ndarray]) -> float:
@@ -113,9 +111,9 @@ def _info(motions: Sequence[SavedMotion], fps: float, table: Any) -> dict[str, A
     header = motions[0].header
     joints = {"dtype": "float64", "shape": [len(header.joint_names)], "names": list(header.joint_names)}
     features: dict[str, Any] = {name: joints for name in FEATURES if name in table.column_names}
-    features["timestamp"] = {"dtype": "float64", "shape": [1], "names": None}
-    for name in ("frame_index", "episode_index", "index", "task_index"):
-        features[name] = {"dtype": "int64", "shape": [1], "names": None}
+    for name in table.column_names:
+        kind = "float64" if name == "timestamp" else "int64"
+        features.setdefault(name, {"dtype": kind, "shape": [1], "names": None})
     return {
         "codebase_version": "v3.0",
         "robot_type": None if header.robot is None else header.robot.name,
