@@ -60,11 +60,9 @@ def frame_of(trajectories: Sequence[Trajectory]) -> PandasFrame:
     joints = trajectories[0].joint_names
     for t in trajectories:
         if t.q.shape[1] != len(joints):
-            raise RecordingError(
-                f"{t.name}: q has {t.q.shape[1]} columns and there are {len(joints)} joint names: a table needs one "
-                "name per column; name the joints, or load the recording with load_demonstrations",
-                code="joint-names",
-            )
+            text = f"{t.name}: q has {t.q.shape[1]} columns and there are {len(joints)} joint names: a table needs one "
+            text += "name per column; name the joints, or load the recording with load_demonstrations"
+            raise RecordingError(text, code="joint-names")
     table: dict[str, np.ndarray] = {
         TRAJECTORY: np.repeat([t.name for t in trajectories], [len(t) for t in trajectories]),
         TIME: np.concatenate([t.time for t in trajectories]),

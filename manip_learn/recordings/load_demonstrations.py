@@ -15,7 +15,6 @@ from manip_learn.recordings.demonstrations import Demonstrations
 from manip_learn.recordings.earned_velocities import Velocities, judged_in_turn
 from manip_learn.recordings.format_words import VELOCITY_SUFFIX
 from manip_learn.recordings.readers.csv_reader import SURPLUS_SUFFIXES
-from manip_learn.recordings.readers.lerobot_dataset import episode_numbers
 from manip_learn.recordings.readers.name_patterns import JOINT
 from manip_learn.recordings.readers.read_request import (
     EpisodeSelection,
@@ -28,7 +27,12 @@ from manip_learn.recordings.readers.read_request import (
     unmoved_joint_names,
 )
 from manip_learn.recordings.readers.recording import Recording
-from manip_learn.recordings.readers.recording_files import LEROBOT, RecordingFile, recording_files, select_episodes
+from manip_learn.recordings.readers.recording_files import (
+    RecordingFile,
+    known_episodes,
+    recording_files,
+    select_episodes,
+)
 from manip_learn.recordings.trajectory import Trajectory
 from manip_learn.recordings.validation.joint_matching import QUATERNION, ROTATION_VECTOR
 from manip_learn.recordings.validation.validate import validate
@@ -215,12 +219,9 @@ def _check_new_names(request: ReadRequest) -> None:
         fits = any(j.startswith(head) and j.endswith(tail) for j in joints) if pattern else False
         if not fits and base not in (*joints, *poses, *ARRAYS):
             near = closest_names(base, joints) or joints
-            python, flag = rename_words({old: new})
-            raise RecordingError(
-                f"{advice('{}: ', python, flag)}robot {robot.name!r} has no joint {new!r}; "
-                f"{'did you mean' if near != joints else 'it has'} {', '.join(map(repr, near[:12]))}, or 'time'",
-                code="option",
-            )
+            which = f"{'did you mean' if near != joints else 'it has'} {', '.join(map(repr, near[:12]))}, or 'time'"
+            text = f"robot {robot.name!r} has no joint {new!r}; {which}"
+            raise RecordingError(advice("{}: ", *rename_words({old: new})) + text, code="option")
 
 
 def numbers_read(paths: Paths, robot: Robot, **options: Unpack[ReadOptions]) -> tuple[int, ...]:
@@ -230,8 +231,4 @@ def numbers_read(paths: Paths, robot: Robot, **options: Unpack[ReadOptions]) -> 
     have one number for all.
     """
     files, request, _ = open_recordings(paths, robot, options)
-    if any(f.format is LEROBOT for f in files):
-        known = sorted({n for f in files for n in episode_numbers(f.path)})
-        return tuple(known if request.chosen is None else sorted(request.chosen))
-    chosen = {f.path for f in files}
-    return tuple(i for i, f in enumerate(recording_files(paths)[0]) if f.path in chosen)
+    return tuple(known_episodes(files) if request.chosen is None else sorted(request.chosen))

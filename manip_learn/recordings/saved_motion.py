@@ -154,7 +154,7 @@ class SavedMotion:
     name: str = "motion"
 
     def __len__(self) -> int:
-        return len(self.arrays["time"])
+        return len(self.arrays.get("time", ()))
 
 
 def column_groups(header: FileHeader, beside: Collection[str]) -> dict[str, list[str]]:
@@ -193,19 +193,15 @@ def checked_motion(path: Path, motion: SavedMotion) -> SavedMotion:
     """
     header, rows, nv = motion.header, len(motion), len(motion.header.joint_names)
     if header.samples not in (None, rows):
-        raise refusal(
-            path,
-            "damaged",
-            f"the file was written with {counted(header.samples, 'sample')} and holds {rows}: it was cut or changed "
-            "afterwards; write it again",
-        )
+        text = f"the file was written with {counted(header.samples, 'sample')} and holds {rows}: it was cut or changed "
+        raise refusal(path, "damaged", text + "afterwards; write it again")
     if not nv:
         raise refusal(path, "no-joint-names", "the file names no joint")
     if len(set(header.joint_names)) != nv:
         raise refusal(path, "duplicate-column", "two joints have the same name: keep one")
     width = header.nq or (header.robot.nq if header.robot else nv)
-    shapes = {"q": (rows, width), "u": (rows, nv), "effort": (rows, nv)}
-    needed = {"q"}
+    shapes = {"time": (rows,), "q": (rows, width), "u": (rows, nv), "effort": (rows, nv)}
+    needed = {"time", "q"}
     if header.kind == "rollout":
         curves = column_groups(header, ()).keys() - {"time", "q"}
         shapes |= dict.fromkeys(sorted(curves), (rows,))
@@ -246,6 +242,5 @@ def joint_positions(
         return q
     if names == robot.joint_names and q.shape[1] == robot.nq and np.all(np.isfinite(q)):
         return np.array([robot.positions(row) for row in q]).reshape(q.shape[0], robot.nv)
-    raise refusal(
-        path, "shape", f"q has {q.shape[1]} columns for {len(names)} joint names: one column per joint is needed"
-    )
+    text = f"q has {q.shape[1]} columns for {len(names)} joint names: one column per joint is needed"
+    raise refusal(path, "shape", text)

@@ -7,7 +7,7 @@ from __future__ import annotations
 import os
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterable, Iterator, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, Unpack, cast, final
 
@@ -136,57 +136,53 @@ Given = TrajectorySource | Motion | Iterable[Motion]
 
 
 @final
+@dataclass(frozen=True, eq=False)
 class CheckedSource(TrajectorySource):
     """A source, or anything that can be iterated over, whose motions are checked while they are read.
 
-    Args:
+    Attributes:
         given: The source, or an iterable, which is one part.
         robot: Whose joints each motion must have; None for features without a robot.
         nv: Number of velocities of the features.
         velocities: Which recorded ones are kept, see `earned`.
     """
 
-    def __init__(
-        self,
-        given: TrajectorySource | Iterable[Motion],
-        robot: Robot | None,
-        nv: int,
-        velocities: Velocities = "auto",
-    ):
-        self._given, self._robot, self._nv = given, robot, nv
-        self._velocities: Velocities = velocities
+    given: TrajectorySource | Iterable[Motion]
+    robot: Robot | None
+    nv: int
+    velocities: Velocities = "auto"
 
     @property
     def n_parts(self) -> int:
         """Number of parts."""
-        return self._given.n_parts if isinstance(self._given, TrajectorySource) else 1
+        return self.given.n_parts if isinstance(self.given, TrajectorySource) else 1
 
     def part(self, index: int, notes: list[str] | None = None) -> Iterator[Trajectory]:
         """The trajectories of a part, with the joints of the features."""
         said: list[str] = [] if notes is None else notes
         found: list[tuple[str, str]] = []
-        source, together = self._given, isinstance(self._given, Sequence)
+        source, together = self.given, isinstance(self.given, Sequence)
         entries = source.part(index, said) if isinstance(source, TrajectorySource) else source
         motions = (motion for i, entry in enumerate(entries, 1) for motion in self._motions(entry, i, found))
         named = map(self._named, motions)
-        yield from judged_in_turn(named, self._robot, self._velocities, found, together=together)
-        said += folded(found, self._robot)
+        yield from judged_in_turn(named, self.robot, self.velocities, found, together=together)
+        said += folded(found, self.robot)
 
     def _named(self, motion: Trajectory) -> Trajectory:
         """A motion with the names of the joints of the features, which must be its own if it has names."""
         if motion.joint_names:
-            check_joints(motion.joint_names, self._robot)
+            check_joints(motion.joint_names, self.robot)
             return motion
-        names = [f"q{i}" for i in range(self._nv)] if self._robot is None else self._robot.joint_names
+        names = [f"q{i}" for i in range(self.nv)] if self.robot is None else self.robot.joint_names
         return motion.with_joint_names(tuple(names))
 
     def _motions(self, entry: Any, number: int, found: list[tuple[str, str]]) -> Iterator[Trajectory]:
         """A motion as it is, or arrays and tables checked like a file; they may fall into several."""
-        name, robot = f"motion {number}", self._robot
+        name, robot = f"motion {number}", self.robot
         if isinstance(entry, Trajectory):
             yield entry
         elif robot is not None and isinstance(entry, DataFrame):
-            request = ReadRequest(robot, velocities=self._velocities)
+            request = ReadRequest(robot, velocities=self.velocities)
             with frames_as_files([entry], number) as files:
                 tables = (table for file in files for table in RecordingFile(file, CSV).recordings(request))
                 yield from validated(tables, request, found)
@@ -205,13 +201,10 @@ class CheckedSource(TrajectorySource):
                 yield replace(motion, time=stamps)
                 return
             if width != robot.nv:
-                raise RecordingError(
-                    f"{name}: q has {width} columns, robot {robot.name!r} has {robot.nv} joints ({', '.join(names)}): "
-                    "one column per joint is needed, in this order",
-                    code="shape",
-                )
+                text = f"{name}: q has {width} columns, robot {robot.name!r} has {robot.nv} joints ({', '.join(names)})"
+                raise RecordingError(f"{text}: one column per joint is needed, in this order", code="shape")
             recording = Recording.of(Path(name), name, stamps, names, motion.q, motion.u, None)
-            yield from validated([recording], ReadRequest(robot, velocities=self._velocities), found)
+            yield from validated([recording], ReadRequest(robot, velocities=self.velocities), found)
 
 
 def _stamps(time: ArrayLike, name: str) -> np.ndarray:
@@ -280,9 +273,6 @@ def check_joints(joint_names: Sequence[str], robot: Robot | None) -> None:
         ways = helpful_renaming(joint_names, robot.joint_names, robot.joint_names)
         in_order = any([reads.get(n) for n in joint_names] == list(robot.joint_names) for _, reads in ways)
         same = "; if they are the same joints: trajectory.with_joint_names(robot.joint_names)" if in_order else ""
-        raise RecordingError(
-            f"the demonstrations have the joints {', '.join(joint_names)}; robot {robot.name!r} has "
-            f"{', '.join(robot.joint_names)}: load them with load_demonstrations(files, robot), which sorts by name"
-            f"{same}",
-            code="joint-names",
-        )
+        text = f"the demonstrations have the joints {', '.join(joint_names)}; robot {robot.name!r} has "
+        text += f"{', '.join(robot.joint_names)}: load them with load_demonstrations(files, robot), which sorts by name"
+        raise RecordingError(text + same, code="joint-names")

@@ -179,12 +179,9 @@ class EpisodeSelection:
             found = {n for n in known if n >= first and (end is None or n < end)}
             if not found:
                 near = sorted(sorted(known, key=lambda n: abs(n - first))[:4])
-                item = EpisodeSelection(((first, end),))
-                raise RecordingError(
-                    f"{where}: no episode is selected by {str(item)!r}; there are {len(known)}, numbered "
-                    f"{min(known)} to {max(known)}; the nearest: {', '.join(map(str, near))}",
-                    code="no-episode",
-                )
+                text = f"{where}: no episode is selected by {str(EpisodeSelection(((first, end),)))!r}; there are "
+                text += f"{len(known)}, numbered {min(known)} to {max(known)}; the nearest: {', '.join(map(str, near))}"
+                raise RecordingError(text, code="no-episode")
             chosen |= found
         return frozenset(chosen)
 

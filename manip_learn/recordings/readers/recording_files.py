@@ -5,10 +5,10 @@ from __future__ import annotations
 import importlib
 import os
 import zipfile
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any, final
+from typing import final
 
 from manip_learn.errors import RecordingError, counted
 from manip_learn.recordings.format_words import MARK
@@ -19,7 +19,7 @@ from manip_learn.recordings.readers.recording import Recording, check_regular, n
 from manip_learn.recordings.readers.saved_reader import JSON_LINES, file_header
 from manip_learn.recordings.saved_motion import check_robot
 
-Read = Callable[[Path, Any], Iterator[Recording]]
+READERS = "manip_learn.recordings.readers."
 
 
 @final
@@ -30,18 +30,14 @@ class FileFormat:
     title: str
     module: str
 
-    def reader(self) -> Read:
-        """The function that reads it."""
-        return importlib.import_module(self.module).read
 
-
-CSV = FileFormat("text tables (CSV)", "manip_learn.recordings.readers.csv_reader")
-NPZ = FileFormat("NumPy archives (.npz)", "manip_learn.recordings.readers.npz_reader")
-ROSBAG = FileFormat("ROS bags", "manip_learn.recordings.readers.rosbag_reader")
-LEROBOT = FileFormat("LeRobot data", "manip_learn.recordings.readers.lerobot_reader")
-MATLAB = FileFormat("MATLAB files", "manip_learn.recordings.readers.array_reader")
-ROBOMIMIC = FileFormat("HDF5 (robomimic)", "manip_learn.recordings.readers.robomimic_reader")
-SAVED = FileFormat("files of manip_learn", "manip_learn.recordings.readers.saved_reader")
+CSV = FileFormat("text tables (CSV)", READERS + "csv_reader")
+NPZ = FileFormat("NumPy archives (.npz)", READERS + "npz_reader")
+ROSBAG = FileFormat("ROS bags", READERS + "rosbag_reader")
+LEROBOT = FileFormat("LeRobot data", READERS + "lerobot_reader")
+MATLAB = FileFormat("MATLAB files", READERS + "array_reader")
+ROBOMIMIC = FileFormat("HDF5 (robomimic)", READERS + "robomimic_reader")
+SAVED = FileFormat("files of manip_learn", READERS + "saved_reader")
 FORMATS = (CSV, NPZ, ROSBAG, LEROBOT, ROBOMIMIC, MATLAB)
 
 SUFFIXES = (".csv", ".tsv", ".npz", ".bag", ".db3", ".mcap", ".parquet", ".hdf5", ".h5")  # of recordings
@@ -114,9 +110,8 @@ def _archive(path: Path) -> FileFormat:
         return SAVED if "format.npy" in names and file_header(path) is not None else NPZ
     if any(n.startswith("xl/") for n in names):
         raise refusal(path, "excel", "this is an Excel workbook: save the sheet as CSV")
-    raise refusal(
-        path, "compressed", f"this zip archive holds no NumPy arrays (it has {', '.join(names[:4])}): unpack it first"
-    )
+    there = ", ".join(names[:4])
+    raise refusal(path, "compressed", f"this zip archive holds no NumPy arrays (it has {there}): unpack it first")
 
 
 def folder_format(path: Path) -> FileFormat | None:
@@ -153,7 +148,7 @@ class RecordingFile:
         header = file_header(self.path) if self.path.is_dir() else None
         if header is not None:
             check_robot(self.path, header, request.robot)
-        return self.format.reader()(self.path, request)
+        return importlib.import_module(self.format.module).read(self.path, request)
 
 
 def recording_files(
@@ -220,30 +215,34 @@ def _in_folder(folder: Path, notes: list[str]) -> list[RecordingFile]:
     return found
 
 
-def select_episodes(files: list[RecordingFile], request: ReadRequest) -> tuple[list[RecordingFile], ReadRequest, str]:
-    """The files with the selected episodes, the request that selects them in data sets, and a note.
+def known_episodes(files: list[RecordingFile]) -> Sequence[int]:
+    """Numbers of all episodes in some files, as `episodes` counts them.
 
     In a LeRobot data set the number of an episode is its `episode_index`; of other files it is the place among all
     files given, in natural order, counted from 0.
+    """
+    if all(f.format is not LEROBOT for f in files):
+        return range(len(files))
+    return sorted({number for f in files if f.format is LEROBOT for number in episode_numbers(f.path)})
+
+
+def select_episodes(files: list[RecordingFile], request: ReadRequest) -> tuple[list[RecordingFile], ReadRequest, str]:
+    """The files with the selected episodes, the request that selects them in data sets, and a note.
 
     Raises:
         RecordingError: Nothing is selected, or several data sets.
     """
     if request.episodes is None:
         return files, request, ""
-    data_sets = [f.format is LEROBOT for f in files]
-    if not any(data_sets):
-        folder = files[0].path.parent.name or str(files[0].path.parent)
-        chosen = request.episodes.of_known(range(len(files)), folder)
-        kept = [f for i, f in enumerate(files) if i in chosen]
-        return kept, request, f"{folder}: {len(kept)} of {len(files)} files selected, as asked"
-    if not all(data_sets) or (len(files) > 1 and any(f.path.is_dir() for f in files)):
-        raise RecordingError(
-            f"episodes are numbered within one LeRobot data set, {len(files)} recordings are given: name one data set",
-            code="option",
-        )
-    where = files[0].path.name if len(files) == 1 else f"{len(files)} files of LeRobot data"
-    known = sorted({n for f in files for n in episode_numbers(f.path)})
+    in_sets, n = [f.format is LEROBOT for f in files], len(files)
+    if any(in_sets) and (not all(in_sets) or (n > 1 and any(f.path.is_dir() for f in files))):
+        text = f"episodes are numbered within one LeRobot data set, {n} recordings are given: name one data set"
+        raise RecordingError(text, code="option")
+    folder = files[0].path.parent
+    where = files[0].path.name if n == 1 else f"{n} files of LeRobot data"
+    where = where if any(in_sets) else folder.name or str(folder)
+    known = known_episodes(files)
     chosen = request.episodes.of_known(known, where)
-    note = f"{where}: {len(chosen)} of {counted(len(known), 'episode')} selected, as asked"
-    return files, replace(request, chosen=chosen), note
+    kept = [f for i, f in enumerate(files) if in_sets[i] or i in chosen]
+    note = f"{where}: {len(chosen)} of {counted(len(known), 'episode' if any(in_sets) else 'file')} selected, as asked"
+    return kept, replace(request, chosen=chosen), note

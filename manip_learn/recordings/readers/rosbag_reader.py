@@ -36,9 +36,11 @@ def read(path: Path, request: ReadRequest) -> Iterator[Recording]:
     streams = [replace(s, names=request.renamed(*s.names)) for s in streams]
     joints = request.robot.joint_names
     if not streams:
-        for names, n in speeds.most_common(1):  # which is refused, since no positions are among them
-            shapes = (np.empty(n), (), np.empty((n, 0)), request.renamed(*names), np.empty((n, len(names))))
-            yield Recording(path, path.name, *shapes, strict_columns=False)
+        for names, n in speeds.items():  # velocities alone are refused where joints are matched, by what they are of
+            called = request.renamed(*names)
+            if set(called) & set(joints):
+                only = (np.empty(n), (), np.empty((n, 0)), called, np.empty((n, len(names))))
+                yield Recording(path, path.name, *only, strict_columns=False)
         why = f"; {'; '.join(notes)}" if notes else ""
         text = f"no message of joint states can be used{why}: mend the program that publishes them and record again"
         raise refusal(path, "empty", text)
@@ -91,9 +93,8 @@ def _topics(bag: BagFile, request: ReadRequest) -> tuple[str, ...]:
     possible = tuple(topic for topic, kind in bag.topics.items() if kind == JOINT_STATE)
     if not possible:
         there = ", ".join(f"{t} ({k})" for t, k in list(bag.topics.items())[:8]) or "no topics"
-        raise refusal(
-            bag.path, "no-joint-states", f"there is no {JOINT_STATE} in this bag, it has {there}: record /joint_states"
-        )
+        text = f"there is no {JOINT_STATE} in this bag, it has {there}: record /joint_states"
+        raise refusal(bag.path, "no-joint-states", text)
     for topic in request.topics or ():
         if topic not in possible:
             near = ", ".join(closest_names(topic, possible) or possible)
@@ -125,9 +126,10 @@ class JointStates:
     effort: Float[np.ndarray, "T n"] | None = None
     received: Int[np.ndarray, " T"] = field(default_factory=lambda: np.empty(0, dtype=np.int64))
 
-    def part(self, samples: Int[np.ndarray, " k"], stamps: Int[np.ndarray, " k"]) -> JointStates:
-        """Some messages, with these stamps."""
-        return replace(self, stamps=stamps, received=self.received[samples], **self.each(lambda x: x[samples]))
+    def of(self, names: tuple[str, ...]) -> JointStates:
+        """Some of its joints."""
+        columns = [self.names.index(name) for name in names]
+        return replace(self, names=names, **self.each(lambda x: x[:, columns]))
 
     def each(self, change: Callable[[np.ndarray], np.ndarray]) -> dict[str, Any]:
         """Its arrays, each changed where it is there."""
@@ -155,13 +157,14 @@ class JointStates:
         arrival = (self.received - self.received.min())[by_arrival].astype(np.float64) * 1e-9
         runs, said = in_order(time, self.q[by_arrival], arrival)
         if not runs:
-            raise RecordingError(
-                f"the stamps of {self.topic} are in no order" + advice("; pass {}", "rate=<Hz>", "--rate HZ"),
-                code="time-order",
-            )
+            text = f"the stamps of {self.topic} are in no order" + advice("; pass {}", "rate=<Hz>", "--rate HZ")
+            raise RecordingError(text, code="time-order")
         notes += [f"{self.topic}: {sentence}" for sentence in said]
-        parts = [(by_arrival[run.samples], first + np.round(run.time * 1e9).astype(np.int64)) for run in runs]
-        return [self.part(*part) for part in parts], notes
+        parts = []
+        for run in runs:
+            k, own = by_arrival[run.samples], first + np.round(run.time * 1e9).astype(np.int64)
+            parts.append(replace(self, stamps=own, received=self.received[k], **self.each(lambda x, k=k: x[k])))
+        return parts, notes
 
 
 def _streams(bag: BagFile, topics: tuple[str, ...]) -> tuple[list[JointStates], Counter[tuple[str, ...]], list[str]]:
@@ -226,11 +229,9 @@ def topics_of_joints(streams: list[JointStates], joints: tuple[str, ...]) -> tup
     for joint in joints:
         topics = [t for t in whole or carried if joint in carried[t]]
         if len(topics) > 1 and USUAL_TOPIC not in topics:
-            raise RecordingError(
-                f"several topics have joint {joint!r}: {', '.join(topics)}; measured and commanded states must not be "
-                "mixed" + advice(", so say which one: {}", f"topics=[{topics[0]!r}]", f"--topic {topics[0]}"),
-                code="ambiguous-topic",
-            )
+            text = f"several topics have joint {joint!r}: {', '.join(topics)}; measured and commanded states must not"
+            text += " be mixed" + advice(", so say which one: {}", f"topics=[{topics[0]!r}]", f"--topic {topics[0]}")
+            raise RecordingError(text, code="ambiguous-topic")
         chosen |= {joint: USUAL_TOPIC if len(topics) > 1 else topics[0]} if topics else {}
     used = list(dict.fromkeys(chosen.values()))
     notes = [f"joint states read from {', '.join(used)}"] if len(carried) > len(used) else []
@@ -249,53 +250,42 @@ def joint_groups(streams: list[JointStates], chosen: dict[str, str]) -> tuple[li
     for stream in streams:
         for name, count in Counter(stream.names).items():
             if count > 1 and chosen.get(name) == stream.topic:
-                raise RecordingError(
-                    f"messages of {stream.topic} name the joint {name!r} {count} times, so it is "
-                    "not known which position is its own: correct the publisher (or the renaming)",
-                    code="duplicate-column",
-                )
+                text = f"messages of {stream.topic} name the joint {name!r} {count} times, so it is not known which "
+                text += "position is its own: correct the publisher (or the renaming)"
+                raise RecordingError(text, code="duplicate-column")
     sets: dict[tuple[str, tuple[str, ...]], list[JointStates]] = {}
     for stream in streams:
         mine = tuple(j for j, topic in chosen.items() if topic == stream.topic and j in stream.names)
         if mine:
             sets.setdefault((stream.topic, mine), []).append(stream)
-    order = sorted(sets, key=lambda key: -sum(len(s.stamps) for s in sets[key]) * len(key[1]))
+    sizes = {key: sum(len(s.stamps) for s in some) for key, some in sets.items()}
     groups: list[JointStates] = []
     notes: list[str] = []
-    taken: set[str] = set()
-    for topic, mine in order:
-        free = tuple(j for j in mine if j not in taken)
-        if free:
-            taken.update(free)
-            group, said = _group(topic, free, sets[topic, mine])
-            groups.append(group)
-            notes += said
-        if len(free) < len(mine):
-            n = sum(len(s.stamps) for s in sets[topic, mine])
-            lost = ", ".join(j for j in mine if j not in free)
-            notes.append(f"{counted(n, 'message')} of {topic} with another list of joints are not used for {lost}")
+    for topic, mine in sorted(sets, key=lambda key: -sizes[key] * len(key[1])):
+        taken = {j for group in groups for j in group.names}
+        free, lost = tuple(j for j in mine if j not in taken), [j for j in mine if j in taken]
+        if lost:
+            n = counted(sizes[topic, mine], "message")
+            notes.append(f"{n} of {topic} with another list of joints are not used for {', '.join(lost)}")
+        if not free:
+            continue
+        some = [s.of(free) for s in sets[topic, mine]]
+        stamps = np.concatenate([s.stamps for s in some])
+        order = np.argsort(stamps, kind="stable")
+        keep = np.append(np.diff(stamps[order]) != 0, True)
+        if len(some) > 1 and not np.all(keep):
+            n = counted(np.count_nonzero(~keep), "message")
+            notes.append(f"{topic}: {n} left out for a repeated stamp, the last is kept")
+            order = order[keep]
+        arrays = _combined(some, np.concatenate, order)
+        groups.append(JointStates(topic, free, stamps[order], **arrays))
     return groups, notes
 
 
-def _combined(streams: list[JointStates], combine: Callable[[list[np.ndarray]], np.ndarray]) -> dict[str, Any]:
-    """The arrays of several streams as one each, of which all of them have it."""
+def _combined(streams: list[JointStates], combine: Callable[[Any], np.ndarray], samples: np.ndarray) -> dict[str, Any]:
+    """Some samples of the arrays of several streams as one each, of which all of them have it."""
     arrays = {name: [getattr(s, name) for s in streams] for name in ARRAYS}
-    return {name: None if any(x is None for x in some) else combine(some) for name, some in arrays.items()}
-
-
-def _group(topic: str, names: tuple[str, ...], streams: list[JointStates]) -> tuple[JointStates, list[str]]:
-    """Some joints of several streams of one topic, in the order of their stamps, and notes."""
-    order_of = [[s.names.index(n) for n in names] for s in streams]
-    parts = [replace(s, **s.each(lambda x, k=k: x[:, k])) for s, k in zip(streams, order_of, strict=True)]
-    stamps, received = (np.concatenate([getattr(s, name) for s in streams]) for name in ("stamps", "received"))
-    group = JointStates(topic, names, stamps, **_combined(parts, np.concatenate), received=received)
-    notes, order = [], np.argsort(stamps, kind="stable")
-    keep = np.append(np.diff(stamps[order]) != 0, True)
-    if len(streams) > 1 and not np.all(keep):
-        lost = counted(np.count_nonzero(~keep), "message")
-        notes.append(f"{topic}: {lost} left out for a repeated stamp, the last is kept")
-        order = order[keep]
-    return group.part(order, stamps[order]), notes
+    return {name: None if any(x is None for x in some) else combine(some)[samples] for name, some in arrays.items()}
 
 
 def merge(groups: list[JointStates], angles_that_wrap: frozenset[str]) -> tuple[JointStates, list[str]]:
@@ -319,18 +309,16 @@ def merge(groups: list[JointStates], angles_that_wrap: frozenset[str]) -> tuple[
         source = group.topic if group.topic != base.topic else "other messages of the same topic"
         notes.append(f"{', '.join(group.names)} come from {source}: interpolated at the stamps of {base.topic}")
     if not np.any(inside):
-        raise RecordingError(
-            "the publishers of the joints do not overlap in time: record them together", code="no-overlap"
-        )
+        text = "the publishers of the joints do not overlap in time: record them together"
+        raise RecordingError(text, code="no-overlap")
     if not np.all(inside):
         notes.append(f"{counted(np.count_nonzero(~inside), 'sample')} left out, where not all publishers have data")
     without = dict.fromkeys(g.topic for g in groups if g.u is None)
     if without and any(g.u is not None for g in groups):
         notes.append(f"velocities are not used, for {', '.join(without)} has none")
-    arrays = _combined([base, *(_at(base.stamps, group, angles_that_wrap) for group in others)], np.hstack)
+    arrays = _combined([base, *(_at(base.stamps, group, angles_that_wrap) for group in others)], np.hstack, inside)
     names = tuple(name for group in (base, *others) for name in group.names)
-    merged = JointStates(base.topic, names, base.stamps, **arrays, received=base.stamps)
-    return merged.part(np.flatnonzero(inside), base.stamps[inside]), notes
+    return JointStates(base.topic, names, base.stamps[inside], **arrays), notes
 
 
 def _at(stamps: Int[np.ndarray, " T"], group: JointStates, angles_that_wrap: frozenset[str]) -> JointStates:

@@ -115,10 +115,6 @@ def _of_archive(path: Path, header: FileHeader) -> dict[str, np.ndarray]:
     stored, _ = stored_arrays(path, ARRAYS, TEXTS)
     if "joint_names" in stored and texts_of(path, "joint_names", stored["joint_names"]) != header.joint_names:
         raise refusal(path, "damaged", "its joint_names are not those of its header: save it again")
-    for name, ndim in (("time", 1), ("q", 2)):
-        shape = stored[name].shape if name in stored else "missing"
-        if len(shape) != ndim or shape == "missing":
-            raise refusal(path, "shape", f"time must have shape (T,) and q (T, n); {name} is {shape}")
     words = {"status": np.array(texts_of(path, "status", stored["status"]))} if "status" in stored else {}
     return {name: float_array(stored[name]) for name in ARRAYS if name in stored} | words
 

@@ -5,8 +5,10 @@ from __future__ import annotations
 import io
 import json
 import os
+import re
 from collections.abc import Callable, Mapping
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -47,7 +49,6 @@ def joint_trajectory_bytes(motion: SavedMotion) -> bytes:
         OutputError: Numbers that are not finite, or times that whole nanoseconds cannot tell apart.
     """
     names = motion.header.joint_names
-    q, u = motion.arrays["q"].tolist(), motion.arrays.get("u")
     if motion.arrays["q"].shape[1] != len(names):
         raise OutputError("a JointTrajectory needs one position per joint, the motion has configurations")
     times = nanoseconds(motion.arrays["time"], from_first=True).tolist()
@@ -58,26 +59,20 @@ def joint_trajectory_bytes(motion: SavedMotion) -> bytes:
         f' "joint_names": {json.dumps(list(names))},',
         ' "points": [',
     ]
+    known = {"positions": motion.arrays["q"], "velocities": motion.arrays.get("u")}
     for i, time in enumerate(times):
-        sec, nanosec = divmod(time, 1_000_000_000)
-        moving = "" if u is None else f', "velocities": {_numbers(u[i].tolist())}'
-        start = f'{{"sec": {sec}, "nanosec": {nanosec}}}'
-        end = "," if i + 1 < len(times) else ""
-        lines.append(f'  {{"positions": {_numbers(q[i])}{moving}, "time_from_start": {start}}}{end}')
+        point: dict[str, Any] = {name: array[i].tolist() for name, array in known.items() if array is not None}
+        point["time_from_start"] = dict(zip(("sec", "nanosec"), divmod(time, 1_000_000_000), strict=True))
+        lines.append(f"  {_yaml(point)}{',' if i + 1 < len(times) else ''}")
     return "\n".join([*lines, " ]}", ""]).encode()
 
 
-def _numbers(values: list[float]) -> str:
-    return f"[{', '.join(map(_number, values))}]"
-
-
-def _number(value: float) -> str:
-    """Shortest text that is read as the same float64; 1e-05 alone would be a word in YAML 1.1."""
-    text = repr(value)
-    if "n" in text:  # nan, inf
-        raise OutputError(f"a JointTrajectory cannot hold the number {text}")
-    digits, mark, exponent = text.partition("e")
-    return text if "." in digits else f"{digits}.0{mark}{exponent}"
+def _yaml(content: object) -> str:
+    """JSON that is YAML 1.1 too, in which 1e-05 would be a word; numbers are read as the same float64."""
+    try:
+        return re.sub(r"(?<![\d.])(\d+)e", r"\1.0e", json.dumps(content, allow_nan=False))
+    except ValueError as error:
+        raise OutputError(f"a JointTrajectory can hold finite numbers only ({error})") from error
 
 
 WRITERS: Mapping[str, Callable[[SavedMotion], bytes]] = {".npz": npz_bytes, ".csv": csv_bytes, ".mcap": mcap_bytes}
