@@ -192,10 +192,8 @@ class CheckedSource(TrajectorySource):
         elif robot is None:
             yield Trajectory(*entry, name=name)
         else:
-            stamps = _stamps(entry[0], name)
-            motion = Trajectory(
-                np.arange(float(len(stamps))), *entry[1:], name=name
-            )  # stamps are checked like a file's
+            stamps = _stamps(entry[0], name)  # they are checked like those of a file
+            motion = Trajectory(np.arange(float(len(stamps))), *entry[1:], name=name)
             width, names = motion.q.shape[1], robot.joint_names
             if width == robot.nq != robot.nv:
                 yield replace(motion, time=stamps)

@@ -37,8 +37,7 @@ WHY = {
     "columns": "patterns are those of columns of text tables, and none of the recordings is one",
     "feature": "features are those of LeRobot data sets, and none of the recordings is one",
 }
-# one item of a selection of episodes: a number, or a range without its first or its last one
-ITEM = re.compile(r"\s*(?:(\d{1,9})|(\d{1,9})?\s*:\s*(\d{1,9})?)\s*")
+ITEM = re.compile(r"\s*(\d{1,9}|\d{0,9}\s*:\s*\d{0,9})\s*")  # of a selection of episodes
 
 
 def first_names(names: Sequence[str], most: int = 12) -> str:
@@ -141,10 +140,10 @@ class EpisodeSelection:
     """Numbers and half-open ranges of numbers, as Python counts: 0:50 is 0 to 49.
 
     Attributes:
-        items: First number and the one after the last, None for no end; one pair per item.
+        items: Text of each of them, e.g. `5`, `0:50` or `10:`.
     """
 
-    items: tuple[tuple[int, int | None], ...]
+    items: tuple[str, ...]
 
     @staticmethod
     def of(episodes: str | int | Iterable[int]) -> EpisodeSelection:
@@ -154,19 +153,12 @@ class EpisodeSelection:
             RecordingError: Anything else.
         """
         given = [episodes] if isinstance(episodes, int) else episodes
-        parts = (
-            [] if not isinstance(given, Iterable) else given.split(",") if isinstance(given, str) else map(repr, given)
-        )
-        found = [ITEM.fullmatch(part) for part in parts]
-        items = [m.groups() for m in found if m is not None]
-        if not items or len(items) < len(found):
+        texts = map(repr, given) if isinstance(given, Iterable) else ()  # True, 1.5 and '1' are no numbers of episodes
+        items = given.split(",") if isinstance(given, str) else list(texts)
+        if not items or not all(map(ITEM.fullmatch, items)):
             wanted = "numbers and ranges such as '0:50,60,75' (counted from 0; 0:50 is 0 to 49)"
             raise _refused("episodes", wanted, episodes)
-        ends = [(int(n), int(n) + 1) if n else (int(a or 0), None if b is None else int(b)) for n, a, b in items]
-        return EpisodeSelection(tuple(ends))
-
-    def __str__(self) -> str:
-        return ",".join(str(a) if b == a + 1 else f"{a}:{'' if b is None else b}" for a, b in self.items)
+        return EpisodeSelection(tuple(items))
 
     def of_known(self, known: Sequence[int], where: str) -> frozenset[int]:
         """The selected ones among the numbers that exist.
@@ -175,12 +167,15 @@ class EpisodeSelection:
             RecordingError: An item selects nothing; names the nearest numbers.
         """
         chosen: set[int] = set()
-        for first, end in self.items:
-            found = {n for n in known if n >= first and (end is None or n < end)}
+        for item in self.items:
+            first, is_range, end = (part.strip() for part in item.partition(":"))
+            low = int(first or 0)
+            high = low + 1 if not is_range else int(end) if end else math.inf
+            found = {n for n in known if low <= n < high}
             if not found:
-                near = sorted(sorted(known, key=lambda n: abs(n - first))[:4])
-                text = f"{where}: no episode is selected by {str(EpisodeSelection(((first, end),)))!r}; there are "
-                text += f"{len(known)}, numbered {min(known)} to {max(known)}; the nearest: {', '.join(map(str, near))}"
+                near = sorted(sorted(known, key=lambda n: abs(n - low))[:4])
+                text = f"{where}: no episode is selected by {item.strip()!r}; there are {len(known)}, numbered "
+                text += f"{min(known)} to {max(known)}; the nearest: {', '.join(map(str, near))}"
                 raise RecordingError(text, code="no-episode")
             chosen |= found
         return frozenset(chosen)
