@@ -220,6 +220,9 @@ def topics_of_joints(streams: list[JointStates], joints: tuple[str, ...]) -> tup
     """Joint -> the topic to read it from, and notes. Joints that no topic has are left out.
 
     One topic that has all joints is preferred; of several, `/joint_states`.
+
+    Raises:
+        RecordingError: Several other topics have a joint.
     """
     carried: dict[str, set[str]] = {}
     for stream in streams:
