@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import re
 from pathlib import Path
 
@@ -49,16 +50,13 @@ def metadata_text(path: Path) -> str:
     """
     check_regular(path)
     if path.stat().st_size > LARGEST_METADATA:
-        raise refusal(
-            path, "too-large", f"larger than {LARGEST_METADATA:,} bytes, which no such file should be", in_full=True
-        )
+        text = f"larger than {LARGEST_METADATA:,} bytes, which no such file should be"
+        raise refusal(path, "too-large", text, in_full=True)
     try:
         text = path.read_text(encoding="utf-8")
     except (ValueError, OSError) as error:
         raise refusal(path, "damaged", f"it cannot be read as text: {reason(error)}", in_full=True) from error
-    depth = 0
-    for found in re.finditer(r"[][{}]", text):
-        depth += 1 if found.group() in "[{" else -1
-        if depth > DEEPEST:
-            raise refusal(path, "damaged", f"more than {DEEPEST} brackets are open within each other", in_full=True)
+    depths = itertools.accumulate(1 if mark in "[{" else -1 for mark in re.findall(r"[][{}]", text))
+    if any(depth > DEEPEST for depth in depths):
+        raise refusal(path, "damaged", f"more than {DEEPEST} brackets are open within each other", in_full=True)
     return text

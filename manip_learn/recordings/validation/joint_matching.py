@@ -105,7 +105,8 @@ def match_joints(recording: Recording, request: ReadRequest) -> Recording:
     missing = [j for j in robot.joint_names if j not in names]
     if len(missing) == robot.nv and set(recording.velocity_names) & set(robot.joint_names):
         n = counted(len(set(recording.velocity_names) & set(robot.joint_names)), "joint")
-        text = f"velocities of {n} are recorded and no positions, from which a posture is known: record positions too"
+        text = f"velocities of {n} are recorded in {counted(len(recording.time), 'sample')} and no positions"
+        text += ", from which a posture is known: record positions too"
         raise recording.refusal("no-positions", text)
     if missing:
         raise _missing(recording, robot, missing)
