@@ -18,18 +18,14 @@ import numpy as np
 from jaxtyping import Float
 
 from manip_learn.errors import DAMAGE, MissingExtraError, RecordingError, advice, closest_names, counted
-from manip_learn.recordings.readers.column_patterns import find_time, kind_of
-from manip_learn.recordings.readers.lerobot_dataset import POSITIONS
 from manip_learn.recordings.readers.limits import LARGEST_ARRAYS, bomb, check_columns, most_bytes
+from manip_learn.recordings.readers.name_patterns import named_in
+from manip_learn.recordings.readers.quantities import ROLES, array_roles, find_time
 from manip_learn.recordings.readers.read_request import ReadRequest, first_names, names_advice, rename_words
 from manip_learn.recordings.readers.recording import Recording, float_array, natural_order, reason, refusal
 from manip_learn.recordings.saved_motion import joint_positions
 
 NUMBERS = ("time", "q", "u", "effort")
-ROLES = (*NUMBERS, "joint_names")
-KINDS = {"q": "position", "u": "velocity", "effort": "effort"}
-# of arrays of a hand, a gripper or a thing, whose positions are not those of the arm's joints
-POSES = re.compile(r"eef|(^|_)ee(_|$)|tcp|cart|gripper|finger|hand|object|camera|cos|sin|quat", re.IGNORECASE)
 SHOWN = 8  # names in a sentence
 MOST_ARRAYS = 100_000  # of one file, which are listed before any is read
 HEADER_BYTES, COMPRESSED = 128, 15  # of a MATLAB file: before its first element; the type of a packed one
@@ -171,7 +167,8 @@ def recordings(path: Path, names: Sequence[str], load: Load, request: ReadReques
             groups.setdefault(name.rpartition("/")[0], {})[called] = name
     chosen = {}
     for group in sorted(groups, key=natural_order):
-        roles = _roles(path, groups[group])
+        with named_in(path):
+            roles = {role: groups[group][called] for role, called in array_roles(list(groups[group])).items()}
         if "q" not in roles:
             continue
         outer = group
@@ -191,28 +188,6 @@ def recordings(path: Path, names: Sequence[str], load: Load, request: ReadReques
         notes += [f"read by the words in their names: {', '.join(guessed)}"] if guessed else []
         title = f"{path.name} {group}" if len(chosen) > 1 else path.name
         yield _recording(path, title, roles, load, request, notes)
-
-
-def _roles(path: Path, group: Mapping[str, str]) -> dict[str, str]:
-    """What an array of a group is -> its name in the file; by its own name, else by the words in it."""
-    roles = {role: group[role] for role in ROLES if role in group}
-    free = [called for called in group if called not in ROLES]
-    if "time" not in roles:
-        found = find_time(free)
-        roles |= {} if found.column is None else {"time": group[free[found.column]]}
-    for role, kind in KINDS.items():
-        if role in roles:
-            continue
-        words = [n for n in free if not POSES.search(n) and (kind_of(n) or "position") == kind]
-        words = [n for n in words if kind_of(n) or POSITIONS.search(n)]
-        first = [n for n in words if role == "q" and POSITIONS.search(n)]
-        fitting = first or words
-        if len(fitting) > 1 and role == "q":
-            ways = (rename_words({n: "q"}) for n in fitting[:SHOWN])
-            flags = " or ".join(advice("{}", *way) or n for way, n in zip(ways, fitting, strict=False))
-            raise refusal(path, "missing-array", f"several arrays could be joint positions: say which: {flags}")
-        roles |= {role: group[fitting[0]]} if len(fitting) == 1 else {}
-    return roles
 
 
 def _missing(path: Path, there: Sequence[str]) -> RecordingError:

@@ -16,31 +16,17 @@ from typing import NoReturn, final
 import numpy as np
 from jaxtyping import Float
 
-from manip_learn.errors import RecordingError, advice, closest_names
-from manip_learn.recordings.format_words import VELOCITY_SUFFIX, effort_joint
-from manip_learn.recordings.readers.column_patterns import (
-    Found,
-    another_robot,
-    by_joint_names,
-    by_patterns,
-    find_time,
-    names_joints,
-    numbered_advice,
-)
+from manip_learn.errors import RecordingError, advice
 from manip_learn.recordings.readers.limits import LONGEST_TEXT, check_columns
-from manip_learn.recordings.readers.name_patterns import PatternError
-from manip_learn.recordings.readers.read_request import SECONDS, ReadRequest, names_advice, unmoved_joint_names
+from manip_learn.recordings.readers.name_patterns import named_in
+from manip_learn.recordings.readers.quantities import MESSAGES, Columns, table_columns
+from manip_learn.recordings.readers.read_request import SECONDS, ReadRequest, names_advice
 from manip_learn.recordings.readers.recording import Recording, reason, refusal
-from manip_learn.robot import Robot
 
 COMMENT_MARKS = ("#", "%")
 NUMBER = re.compile(r"[+-]?(\d+([.,]\d*)?|[.,]\d+)([eE][+-]?\d+)?|[+-]?(nan|inf(inity)?)", re.IGNORECASE)
 TIME_OF_DAY = re.compile(r"(\d{1,3}):([0-5]?\d):([0-5]?\d(?:[.,]\d*)?)")
 DELIMITER_WORDS = {",": "comma", ";": "semicolon", "\t": "tab", None: "white space"}
-# what belongs to a message or a data frame, not to the motion
-BOOKKEEPING = re.compile(r"(.*[./])?(header[./](seq|frame_id)|seq|frame_id)|unnamed: 0", re.IGNORECASE)
-SURPLUS_SUFFIXES = ("_effort", "_torque", "_acceleration")  # of columns that belong to a joint but are not needed
-SHOWN = 6  # names in a sentence
 
 
 def read(path: Path, request: ReadRequest) -> Iterator[Recording]:
@@ -48,12 +34,16 @@ def read(path: Path, request: ReadRequest) -> Iterator[Recording]:
     dialect = sniff_dialect(path, request)
     if dialect.named_by_caller:
         request.uses.use("joint_names")
-    columns = columns_of(path, dialect, request)
-    dialect = replace(dialect, without_cut_line=_is_cut_off(path, dialect))
-    first, at = dialect.split(next(_numbered_lines(path, dialect), (0, ""))[1]), columns.time
-    if at is not None and seconds_of(first[at : at + 1]):
-        columns = replace(columns, unit="s", as_clock=True)
-    table = _table(path, dialect, columns, request)
+    check_columns(path, "its header", len(dialect.columns))
+    first = dialect.split(next(_numbered_lines(path, dialect), (0, ""))[1])
+    with named_in(path, dialect.header_line):
+        columns = table_columns(dialect.columns, first, request)
+    dialect = replace(dialect, without_cut_line=_is_cut_off(path))
+    at = columns.time
+    clock = at if at is not None and seconds_of(first[at : at + 1]) else None
+    if clock is not None:
+        columns = replace(columns, unit="s")
+    table = _table(path, dialect, columns, request, clock)
     notes = [f"the header was read from the comment in line {dialect.header_line}"] if dialect.commented_header else []
     notes += columns.notes
     if dialect.without_cut_line:
@@ -137,7 +127,7 @@ def text_lines(path: Path) -> Iterator[tuple[int, str]]:
         raise refusal(path, "encoding", said) from error
 
 
-def _is_cut_off(path: Path, dialect: CsvDialect) -> bool:
+def _is_cut_off(path: Path) -> bool:
     """True if the file ends within a line of numbers, as one that was cut off."""
     with path.open("rb") as file:
         file.seek(-min(path.stat().st_size, LONGEST_TEXT), os.SEEK_END)
@@ -170,7 +160,7 @@ def _dialect(path: Path, number: int, lines: list[str], comment: str, request: R
     fields = _fields(line, delimiter)
     above = partial(CsvDialect, delimiter, header_line=number - 1)
     if comment.startswith("%time,"):  # of `rostopic echo -p`, whose header begins like a comment
-        raise _of_messages(path, number - 1)
+        raise refusal(path, "messages", MESSAGES, line=number - 1)
     if not all(NUMBER.fullmatch(f) for f in fields):
         return CsvDialect(delimiter, _unnamed(fields, rows, delimiter), number)
     text = comment.strip().lstrip("".join(COMMENT_MARKS)).strip()
@@ -193,134 +183,6 @@ def _dialect(path: Path, number: int, lines: list[str], comment: str, request: R
     return above(names, named_by_caller=True)
 
 
-@final
-@dataclass(frozen=True)
-class Columns:
-    """Columns of a table.
-
-    Attributes:
-        time: Column of the stamps; None where they are counted at the rate that the caller gives.
-        unit: Unit of the stamps where their name says it.
-        joints: Columns of the joints.
-        strict: Whether a name that is no joint's is a mistake.
-        notes: What the caller should know.
-        as_clock: True where stamps are dates or times of day, which become seconds.
-    """
-
-    time: int | None
-    unit: str | None
-    joints: Found
-    strict: bool
-    notes: tuple[str, ...]
-    as_clock: bool = False
-
-    @property
-    def used(self) -> list[int]:
-        """Columns that are read."""
-        stamps = () if self.time is None else (self.time,)
-        return sorted({*stamps, *self.joints.positions, *self.joints.velocities, *self.joints.efforts})
-
-
-def columns_of(path: Path, dialect: CsvDialect, request: ReadRequest) -> Columns:
-    """The columns of a table."""
-    check_columns(path, "its header", len(dialect.columns))
-    names: list[str | None] = []
-    for raw, name in zip(dialect.columns, request.renamed(*dialect.columns), strict=True):
-        is_unread = not name and dialect.named_by_caller
-        names.append(None if is_unread or request.ignores(raw, *([name] if name else [])) else name)
-    time = find_time(names)
-    if time.column is not None:
-        names[time.column] = "time"
-    elif request.rate is None:
-        raise _no_time(path, dialect, names, time.choices)
-    left_out = [i for i in time.others if request.columns or names[i] not in request.robot.joint_names]
-    left_out += [i for i, n in enumerate(names) if n is not None and BOOKKEEPING.fullmatch(n)]
-    left_out += [i for i, n in enumerate(names) if n == ""]
-    found = _joint_columns(path, dialect, names, request)
-    if found is not None:
-        kept = {*found.positions, *found.velocities, *found.efforts, time.column}
-        left_out = [i for i, n in enumerate(names) if n is not None and i not in kept]
-    notes = [time.note, "" if found is None else found.note]
-    if left_out:
-        words = [dialect.columns[i] or f"column {i + 1} (without a name)" for i in sorted(set(left_out))]
-        more = f" and {len(words) - SHOWN} more" if len(words) > SHOWN else ""
-        notes.append(f"columns not used: {', '.join(words[:SHOWN])}{more}")
-    meant = {i: n for i, n in enumerate(names) if n is not None and i not in {*left_out, time.column}}
-    for i, name in meant.items():
-        if name == "time" or name in [meant[k] for k in meant if k < i]:
-            raise _header_error(path, dialect, "duplicate-column", f"two columns are called {name!r}: keep one")
-    joints, surplus = _called_as_joints(meant, request.robot) if found is None else (found, [])
-    notes += [f"not needed and not used: {', '.join(surplus)}"] if surplus else []
-    return Columns(time.column, time.unit, joints, found is None, tuple(filter(None, notes)))
-
-
-def _called_as_joints(names: dict[int, str], robot: Robot) -> tuple[Found, list[str]]:
-    """Columns by their names, `joint1`, `joint1_velocity` or `joint1_effort`; and names that are not needed."""
-    own, surplus = robot.joint_names, list[str]()
-    q, u, effort = dict[int, str](), dict[int, str](), dict[int, str]()
-    for i, name in names.items():
-        if joint := effort_joint(name, (*own, *unmoved_joint_names(robot))):
-            effort[i] = joint
-        elif _base_name(name, SURPLUS_SUFFIXES, own):
-            surplus.append(name)
-        elif joint := _base_name(name, (VELOCITY_SUFFIX,), own):
-            u[i] = joint
-        else:
-            q[i] = name
-    return Found(q, u, "", effort), surplus
-
-
-def _joint_columns(path: Path, dialect: CsvDialect, names: list[str | None], request: ReadRequest) -> Found | None:
-    """Columns of the joints, by the caller's patterns or by the header; None where they are called as the joints."""
-    robot = request.robot
-    moving, still = robot.joint_names, unmoved_joint_names(robot)
-    is_called_so = any(n in moving for n in names)
-    if not is_called_so and names_joints(names, next(_rows(path, dialect), [""] * len(names)), (*moving, *still)):
-        raise _of_messages(path, dialect.header_line)
-    try:
-        if request.columns:
-            request.uses.use("columns")
-            return by_patterns(request.columns, names, moving, still)
-        if is_called_so or robot.objects:
-            return None
-        found = by_joint_names(names, moving, still)
-    except PatternError as error:
-        raise _header_error(path, dialect, "columns", str(error)) from error
-    if found is not None:
-        return found
-    what = numbered_advice(names, moving)
-    if what:
-        text = f"{another_robot(names, robot)}; if it is this one, {what}"
-        raise _header_error(path, dialect, "numbered-columns", text)
-    return None
-
-
-def _no_time(path: Path, dialect: CsvDialect, names: list[str | None], choices: tuple[str, ...]) -> RecordingError:
-    near = choices or tuple(closest_names("time", [n for n in names if n])[:1])
-    if not near and names and names[0] == "":
-        near = ("",)
-    flags = [advice("{}", f"rename={{{n!r}: 'time'}}", f"--rename {n}=time") for n in near]
-    hint = ""
-    if choices and all(flags):
-        hint = f"; several could be it, choose one: {' or '.join(flags)}"
-    elif near and all(flags):
-        hint = f"; if {near[0] or 'the first column, which has no name,'!r} is meant, pass {flags[0]} or rename it"
-    hint += advice("; without time stamps, pass {}", "rate=<samples per second>", "--rate <samples per second>")
-    shown = ", ".join(map(repr, dialect.columns[:8])) + (" ..." if len(dialect.columns) > 8 else "")
-    text = f"there is no column 'time'; the {DELIMITER_WORDS[dialect.delimiter]}-separated header has {shown}{hint}"
-    return _header_error(path, dialect, "no-time", text)
-
-
-def _of_messages(path: Path, line: int) -> RecordingError:
-    """The refusal of what `rostopic echo -p` and bagpy write."""
-    said = "this is a table of the messages in a ROS bag (rostopic echo -p, bagpy): give the bag itself, it is read"
-    return refusal(path, "messages", said, line=line)
-
-
-def _header_error(path: Path, dialect: CsvDialect, code: str, text: str) -> RecordingError:
-    return refusal(path, code, text, line=dialect.header_line)
-
-
 def _recording(
     path: Path, dialect: CsvDialect, request: ReadRequest, columns: Columns, table: np.ndarray, notes: list[str]
 ) -> Recording:
@@ -328,7 +190,7 @@ def _recording(
     place = {column: k for k, column in enumerate(columns.used)}
     q, u, effort = (
         (tuple(part.values()), table[:, [place[i] for i in part]])
-        for part in (columns.joints.positions, columns.joints.velocities, columns.joints.efforts)
+        for part in (columns.positions, columns.velocities, columns.efforts)
     )
     unit = columns.unit
     if columns.time is None:
@@ -355,18 +217,13 @@ def _recording(
     )
 
 
-def _base_name(name: str, suffixes: tuple[str, ...], own_names: tuple[str, ...]) -> str | None:
-    """`joint1` for `joint1_velocity`, unless the robot has a joint that is really called so."""
-    if name in own_names:
-        return None
-    return next((name.removesuffix(s) for s in suffixes if name.endswith(s) and name != s), None)
-
-
-def _table(path: Path, dialect: CsvDialect, columns: Columns, request: ReadRequest) -> Float[np.ndarray, "T n"]:
+def _table(
+    path: Path, dialect: CsvDialect, columns: Columns, request: ReadRequest, clock: int | None
+) -> Float[np.ndarray, "T n"]:
     """The used columns of all rows."""
     used = columns.used
     usecols = None if len(used) == len(dialect.columns) else used
-    lines = _checked_lines(path, dialect, columns.time if columns.as_clock else None)
+    lines = _checked_lines(path, dialect, clock)
     try:
         first = next(lines, None)
         if first is None:
@@ -385,13 +242,6 @@ def _numbered_lines(path: Path, dialect: CsvDialect) -> Iterator[tuple[int, str]
             return
         if number > dialect.header_line and not _is_skipped(line):
             yield number, line
-
-
-def _rows(path: Path, dialect: CsvDialect) -> Iterator[list[str]]:
-    """Fields of the data lines, at least as many as there are columns."""
-    for _, line in _numbered_lines(path, dialect):
-        fields = dialect.split(line)
-        yield [*fields, *[""] * (len(dialect.columns) - len(fields))]
 
 
 def seconds_of(stamp: list[str]) -> list[str]:

@@ -15,7 +15,7 @@ from jaxtyping import Float
 
 from manip_learn.errors import RecordingError, advice, closest_names, spoken
 from manip_learn.recordings.earned_velocities import Velocities
-from manip_learn.recordings.format_words import EFFORT_SUFFIX, VELOCITY_SUFFIX
+from manip_learn.recordings.format_words import VELOCITY_SUFFIX
 from manip_learn.recordings.readers.name_patterns import INDEX, JOINT, renamed
 from manip_learn.robot import Robot
 
@@ -24,7 +24,6 @@ TimeUnit = Literal["s", "ms", "us", "ns"]
 
 SECONDS: dict[str, float] = {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9}  # of one unit
 UNIT_WORDS = {"s": "seconds", "ms": "milliseconds", "us": "microseconds", "ns": "nanoseconds"}
-ENDS = (VELOCITY_SUFFIX, EFFORT_SUFFIX, ".pos", ".vel", ".torque", ".effort")  # of names that are about a joint
 # options that only some formats have a use for, and why the recordings had none
 WHY = {
     "topics": "topics are read from ROS bags, and none of the recordings is one",
@@ -305,7 +304,7 @@ class ReadRequest:
         """All names of one kind in a file, e.g. those of its columns, after renaming."""
         self.uses.see(*names)
         moving = self.robot.joint_names
-        new = renamed(names, self.new_names, moving, unmoved_joint_names(self.robot), ENDS) if self.rename else {}
+        new = renamed(names, self.new_names, moving, unmoved_joint_names(self.robot)) if self.rename else {}
         self.uses.use("rename", *(entry for _, entry in new.values()))
         return tuple(new[n][0] if n in new else n for n in names)
 

@@ -11,8 +11,8 @@ import numpy as np
 from jaxtyping import Bool, Float
 
 from manip_learn.errors import RecordingError, advice, counted
-from manip_learn.recordings.readers.column_patterns import another_robot
 from manip_learn.recordings.readers.name_patterns import helpful_renaming
+from manip_learn.recordings.readers.quantities import another_robot
 from manip_learn.recordings.readers.read_request import ReadRequest, first_names, rename_words, unmoved_joint_names
 from manip_learn.recordings.readers.recording import Recording
 from manip_learn.recordings.velocities import continuous_rotation_vectors
