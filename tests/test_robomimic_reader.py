@@ -130,18 +130,18 @@ def replaced(value: Any, **options: Any) -> Callable[[Any], None]:
 def test_data_that_do_not_fit_are_refused(planar3: Robot) -> None:
     """Missing, ragged, not numbers, absurd sizes: refused before the numbers are read, where that is possible."""
     for change, code in [
-        (lambda obs: None, "not-robomimic"),
-        (lambda obs: obs.create_group("robot0_joint_pos"), "not-robomimic"),
+        (lambda obs: None, "no-state"),
+        (lambda obs: obs.create_group("robot0_joint_pos"), "no-state"),
         (replaced(Q[:, 0]), "shape"),
         (replaced(Q[:, :2]), "shape"),
         (replaced(Q[:-1]), "shape"),
-        (replaced(Q.astype("S8")), "not-a-number"),
+        (replaced(Q.astype("S8")), "no-state"),
         (replaced(np.where(Q == Q[5, 1], np.nan, Q)), "not-finite"),
         (replaced(np.zeros((5_000_000, 3)), compression="gzip"), "bomb"),
         (lambda obs: obs.create_dataset("robot0_joint_pos", (60, 3), "f8"), "damaged"),
         (lambda obs: obs.create_dataset("robot0_joint_pos", (10**12, 3), "f8", chunks=(1000, 3)), "damaged"),
         (replaced(np.degrees(Q)), "degrees"),
-        (replaced(np.stack([Q, Q])), "shape"),
+        (replaced(np.stack([Q, Q])), "no-state"),
     ]:
         with case(change, code) as tmp_path:
             path = write(tmp_path / "a.hdf5")

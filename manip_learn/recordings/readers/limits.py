@@ -5,6 +5,8 @@ from __future__ import annotations
 import re
 from pathlib import Path
 
+import numpy as np
+
 from manip_learn.errors import RecordingError
 from manip_learn.recordings.readers.recording import check_regular, reason, refusal
 
@@ -29,6 +31,17 @@ def bomb(path: Path, evidence: str) -> RecordingError:
     return refusal(
         path, "bomb", f"{evidence}: no recorded motion packs so well; if it is real, unpack it yourself first"
     )
+
+
+def refuse_lost(path: Path, where: str, found: int, what: str, stated: object, way_out: str = "") -> None:
+    """Refuse a file in which another number of something was found than it states.
+
+    Raises:
+        RecordingError: Code `lost-samples`.
+    """
+    if isinstance(stated, int | np.integer) and not isinstance(stated, bool) and int(stated) != found:
+        text = f"{found} {what} are there, {where} states {int(stated)}: some are missing or were changed"
+        raise refusal(path, "lost-samples", f"{text}; download it again{way_out}")
 
 
 def check_columns(path: Path, what: str, n: int) -> None:

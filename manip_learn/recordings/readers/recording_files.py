@@ -39,7 +39,7 @@ NPZ = FileFormat("NumPy archives (.npz)", "manip_learn.recordings.readers.npz_re
 ROSBAG = FileFormat("ROS bags", "manip_learn.recordings.readers.rosbag_reader")
 LEROBOT = FileFormat("LeRobot data", "manip_learn.recordings.readers.lerobot_reader")
 MATLAB = FileFormat("MATLAB files", "manip_learn.recordings.readers.array_reader")
-ROBOMIMIC = FileFormat("HDF5 (robomimic)", "manip_learn.recordings.readers.robomimic_reader")
+ROBOMIMIC = FileFormat("HDF5 (robomimic)", "manip_learn.recordings.readers.hdf5_reader")
 SAVED = FileFormat("files of manip_learn", "manip_learn.recordings.readers.saved_reader")
 FORMATS = (CSV, NPZ, ROSBAG, LEROBOT, ROBOMIMIC, MATLAB)
 
