@@ -4,11 +4,13 @@ from __future__ import annotations
 
 import json
 import re
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Literal, final
+
+import numpy as np
 
 from manip_learn.errors import DAMAGE, MissingExtraError, advice, closest_names, counted
 from manip_learn.recordings.readers.limits import (
@@ -16,19 +18,13 @@ from manip_learn.recordings.readers.limits import (
     bomb,
     metadata_text,
     most_bytes,
+    refuse_lost,
 )
+from manip_learn.recordings.readers.quantities import POSITIONS, arrays_of
 from manip_learn.recordings.readers.read_request import first_names
 from manip_learn.recordings.readers.recording import check_regular, natural_order, reason, refusal
 
 STATE, VELOCITY, EFFORT = "observation.state", "observation.velocity", "observation.effort"
-# names that data sets give to joint positions: joint_position (DROID), joint_pos, joint_positions, qpos
-POSITIONS = re.compile(r"(joint_?pos(ition)?s?|qpos)$", re.IGNORECASE)
-VELOCITY_WORDS = (("position", "velocity"), ("pos", "vel"))
-EFFORT_WORDS = tuple(
-    (p, e) for p in ("positions", "position", "pos") for e in ("effort", "torque", "torques", "efforts")
-)
-EFFORTS = (EFFORT, "observation.efforts", "observation.torque", "observation.torques")  # beside `observation.state`
-NUMBERS = ("float", "int", "uint")  # how the types of features that hold numbers begin
 
 
 @contextmanager
@@ -86,15 +82,9 @@ class LeRobotDataset:
             RecordingError: Code `lost-samples`.
         """
         stated = self.total_frames if what == "frames" else self.total_episodes
-        if stated is None or stated == found:
-            return
-        raise refusal(
-            self.root,
-            "lost-samples",
-            f"{found} {what} are there, meta/info.json states total_{what} = {stated}: a file of data/ is missing or "
-            "was changed; download the data set again"
-            + advice(", or select episodes that are there with {}", "episodes='0:50,60'", "--episodes 0:50,60"),
-        )
+        way_out = ", or select episodes that are there with {}"
+        way_out = advice(way_out, "episodes='0:50,60'", "--episodes 0:50,60")
+        refuse_lost(self.root, f"meta/info.json, total_{what},", found, what, stated, way_out)
 
 
 def open_dataset(path: Path) -> LeRobotDataset:
@@ -133,50 +123,28 @@ def open_dataset(path: Path) -> LeRobotDataset:
     return LeRobotDataset(path, files, features, float(fps) if usable else None, *whole)  # type: ignore[arg-type]
 
 
-@final
-@dataclass(frozen=True)
-class StateFeature:
-    """The feature that is read.
-
-    Attributes:
-        position: Its name, which is that of a column too.
-        velocity: Name that the velocities of the same joints would have.
-        effort: Name that their efforts would have.
-        names: Names of its entries, or None.
-        others: Other features that look like joint positions.
-    """
-
-    position: str
-    velocity: str
-    effort: str
-    names: tuple[str, ...] | None = None
-    others: tuple[str, ...] = ()
-
-
-def state_feature(path: Path, features: Mapping[str, Any] | None, asked: str | None) -> StateFeature:
+def state_feature(dataset: LeRobotDataset, asked: str | None) -> tuple[str, tuple[str, ...] | None, list[str]]:
     """The feature to read: the one that was asked for, otherwise `observation.state`.
 
-    Args:
-        path: The data set, for messages.
-        features: What `meta/info.json` says of each feature; None of a single file without it.
-        asked: Name of the feature, or None.
+    Returns:
+        Its name, which is that of a column too; the names of its entries, or None; and other features that look like
+        joint positions.
 
     Raises:
         RecordingError: There is no such feature, or it holds no vector of numbers.
     """
-    wanted = STATE if asked is None else asked
+    wanted, features = asked or STATE, dataset.features
     if features is None:
-        return StateFeature(wanted, *_beside(wanted, ()))
+        return wanted, None, []
     vectors = [name for name, feature in features.items() if _is_vector(feature)]
-    likely = tuple(name for name in vectors if POSITIONS.search(name) and not name.startswith("action"))
+    likely = [name for name in vectors if POSITIONS.search(name) and not name.startswith("action")]
     if wanted not in features:
-        raise refusal(path, "no-state", _missing(wanted, asked, vectors, likely), in_full=True)
+        raise refusal(dataset.root, "no-state", _missing(wanted, asked, vectors, likely), in_full=True)
     if wanted not in vectors:
         kind = features[wanted].get("dtype") if isinstance(features[wanted], dict) else features[wanted]
         text = f"the feature {wanted!r} holds {kind}, joint positions are a vector of numbers; such are "
-        raise refusal(path, "no-state", text + first_names(vectors), in_full=True)
-    others = tuple(name for name in likely if name != wanted)
-    return StateFeature(wanted, *_beside(wanted, vectors), entry_names(features[wanted].get("names")), others)
+        raise refusal(dataset.root, "no-state", text + first_names(vectors), in_full=True)
+    return wanted, entry_names(features[wanted].get("names")), [name for name in likely if name != wanted]
 
 
 def _missing(wanted: str, asked: str | None, vectors: Sequence[str], likely: Sequence[str]) -> str:
@@ -197,19 +165,19 @@ def _is_vector(feature: Any) -> bool:
         return False
     shape, dtype = feature.get("shape"), feature.get("dtype")
     # old data sets leave the type of the state out
-    return isinstance(shape, list) and len(shape) == 1 and (dtype is None or str(dtype).startswith(NUMBERS))
+    return (
+        isinstance(shape, list)
+        and len(shape) == 1
+        and (dtype is None or str(dtype).startswith(("float", "int", "uint")))
+    )
 
 
-def _beside(position: str, vectors: Sequence[str]) -> tuple[str, str]:
-    """Names of the velocities and efforts beside some positions: the usual ones, or with the word exchanged."""
-
-    def exchanged(words: Sequence[tuple[str, str]], usual: str) -> str:
-        head, dot, last = position.rpartition(".")
-        names = [head + dot + last.replace(p, v) for p, v in words if p in last and position != STATE]
-        return next((name for name in names if name in vectors), names[0] if names else usual)
-
-    effort = next((name for name in EFFORTS if name in vectors), EFFORT)
-    return exchanged(VELOCITY_WORDS, VELOCITY), exchanged(EFFORT_WORDS, effort)
+def beside(position: str, columns: Iterable[str]) -> dict[str, str]:
+    """`velocity` and `effort` -> the column that holds them for the joints of some positions, in the same group."""
+    group = position.rpartition(".")[0]
+    last = {c.rpartition(".")[2]: c for c in columns if c != position and c.rpartition(".")[0] == group}
+    found = {kind: arrays_of(kind, last) for kind in ("velocity", "effort")}
+    return {kind: last[names[0]] for kind, names in found.items() if len(names) == 1}
 
 
 def entry_names(names: Any) -> tuple[str, ...] | None:
@@ -239,16 +207,16 @@ def episode_numbers(path: Path) -> tuple[int, ...]:
     numbers: set[int] = set()
     for file in open_dataset(path).files:
         number = episode_number(file)
-        if number is not None:
-            numbers.add(number)
-        else:
-            with opened_parquet(file) as parquet:  # without the column, one episode: 0
-                if "episode_index" not in parquet.schema_arrow.names:
-                    numbers.add(0)
-                    continue
-                for batch in parquet.iter_batches(columns=["episode_index"]):
-                    numbers.update(map(int, batch.column(0).to_pylist()))
+        numbers |= set(map(int, np.unique(_episodes_in(file)))) if number is None else {number}
     return tuple(sorted(numbers))
+
+
+def _episodes_in(file: Path) -> np.ndarray:
+    """The episode of each sample of a file, as far as they are known; without the column, one sample of episode 0."""
+    with opened_parquet(file) as parquet:
+        if "episode_index" not in parquet.schema_arrow.names:
+            return np.zeros(1)
+        return parquet.read(columns=["episode_index"]).column(0).drop_null().to_numpy()
 
 
 def separate_files(path: Path) -> list[list[Path]]:
@@ -256,16 +224,11 @@ def separate_files(path: Path) -> list[list[Path]]:
     runs: list[list[Path]] = []
     before, found, dataset = None, 0, open_dataset(path)
     for file in dataset.files:
-        first = last = None
-        with opened_parquet(file) as parquet:
-            if "episode_index" in parquet.schema_arrow.names:
-                column = parquet.read(columns=["episode_index"]).column(0)
-                if len(column) and not column.null_count:
-                    first, last, found = column[0].as_py(), column[-1].as_py(), found + len(column)
-        if runs and (first is None or before is None or first == before):
+        numbers = _episodes_in(file)
+        if runs and (not len(numbers) or before is None or numbers[0] == before):
             runs[-1].append(file)
         else:
             runs.append([file])
-        before = last
+        before, found = numbers[-1] if len(numbers) else None, found + len(numbers)
     dataset.refuse_lost("frames", found)
     return runs

@@ -17,14 +17,15 @@ from manip_learn.recordings.format_words import DATASET_HEADER
 from manip_learn.recordings.readers.array_reader import column_names
 from manip_learn.recordings.readers.lerobot_dataset import (
     LeRobotDataset,
-    StateFeature,
+    beside,
     episode_number,
     open_dataset,
     opened_parquet,
     state_feature,
 )
 from manip_learn.recordings.readers.limits import check_columns
-from manip_learn.recordings.readers.read_request import ReadRequest
+from manip_learn.recordings.readers.quantities import entry_columns
+from manip_learn.recordings.readers.read_request import ReadRequest, first_names
 from manip_learn.recordings.readers.recording import Recording, float_array, refusal
 
 try:
@@ -34,7 +35,6 @@ except ImportError as error:
 
 BATCH = 65_536  # rows in memory: some 10 MB
 STAMPS = ("timestamp", "frame_index", "episode_index")
-EFFORT_ENDS = (".torque", ".effort")  # of entries of the state, as motors that measure it are named beside `.pos`
 FPS_OFF = 1.25  # times fps by which stamps may be off: dropped frames
 GRIPPER = "gripper"  # always 0 .. 100 in LeRobot, whatever the unit of the other motors
 
@@ -48,21 +48,19 @@ def read(path: Path, request: ReadRequest) -> Iterator[Recording]:
     is_ours = (path / DATASET_HEADER).is_file()
     if is_ours:  # in radians; its robot has been checked
         request = replace(request, units=request.units or "radians")
-    feature = state_feature(dataset.root, dataset.features, request.feature)
+    feature, entries, others = state_feature(dataset, request.feature)
     request.uses.use("feature")
     said: tuple[str, ...] = ()
-    if feature.others:
-        how = advice(" ({} reads it)", f"feature={feature.others[0]!r}", f"--feature {feature.others[0]}")
-        text = f"read from {feature.position}; also like joint positions, not used: {', '.join(feature.others)}{how}"
-        said = (text,)
+    if others:
+        how = advice(" ({} reads it)", f"feature={others[0]!r}", f"--feature {others[0]}")
+        said = (f"read from {feature}; also like joint positions, not used: {', '.join(others)}{how}",)
     names: tuple[str, ...] | None = None
     numbers, frames = set(), 0
     for number, columns in _episodes(dataset, feature, request):
         numbers.add(number)
         frames += len(columns["state"])
         if names is None:
-            width = columns["state"].shape[1]
-            names = column_names(dataset.root, feature.position, width, feature.names, request)
+            names = column_names(dataset.root, feature, columns["state"].shape[1], entries, request)
             _refuse_unknown_units(dataset, request, names, columns["state"])
         recording = _recording(dataset, request, names, number, columns)
         yield replace(recording, trusted=is_ours, notes=(*recording.notes, *said))
@@ -75,21 +73,20 @@ def _recording(
     dataset: LeRobotDataset, request: ReadRequest, names: tuple[str, ...], number: int, columns: dict[str, np.ndarray]
 ) -> Recording:
     state = columns["state"]
-    position, velocity, effort = _kinds(names)
-    joints = _joint_names(names, request)
-    position_names = tuple(joints[i] for i in position)
-    positions, notes = _gripper(state[:, position], position_names, request)
-    if any(names[i] == f"{n}.pos" for i, n in zip(position, position_names, strict=True)):
+    entries = entry_columns(names, request)
+    position_names = tuple(entries.positions.values())
+    positions, notes = _gripper(state[:, list(entries.positions)], position_names, request)
+    if any(names[i].endswith(".pos") and names[i] != n for i, n in entries.positions.items()):
         notes.insert(0, "'.pos' was taken off the names")
-    if len(position) < len(names):
-        velocity_names, effort_names = (tuple(joints[i] for i in k) for k in (velocity, effort))
-        velocities, efforts = (state[:, k] if k else None for k in (velocity, effort))
-    else:  # in features of their own, if those have one number per joint
-        velocity_names = effort_names = position_names
-        beside = (columns.get(name) for name in ("velocity", "effort"))
-        velocities, efforts = (None if x is None or x.shape != state.shape else x for x in beside)
-        unlike = [k for k in ("velocity", "effort") if k in columns and columns[k].shape != state.shape]
-        notes += [f"the {k} has {columns[k].shape[1]} entries for {state.shape[1]} joints, not used" for k in unlike]
+    beside = {"velocity": entries.velocities, "effort": entries.efforts}
+    values = {kind: (tuple(c.values()), state[:, list(c)]) for kind, c in beside.items() if c}
+    for kind in beside if len(positions[0]) == len(names) else ():  # in features of their own
+        if kind in columns and columns[kind].shape == state.shape:
+            values[kind] = position_names, columns[kind]
+        elif kind in columns:
+            there = columns[kind].shape[1]
+            notes.append(f"the {kind} has {there} entries for {len(names)} joints, not used")
+    (velocity_names, velocities), (effort_names, efforts) = (values.get(kind, ((), None)) for kind in beside)
     name = f"{dataset.root.name} episode {number}"
     time, note = _times(dataset, request, name, columns)
     return Recording(
@@ -98,9 +95,9 @@ def _recording(
         time=time,
         position_names=position_names,
         positions=positions,
-        velocity_names=() if velocities is None else velocity_names,
+        velocity_names=velocity_names,
         velocities=velocities,
-        effort_names=() if efforts is None else effort_names,
+        effort_names=effort_names,
         efforts=efforts,
         strict_columns=False,
         in_seconds=True,
@@ -136,22 +133,6 @@ def _times(
     return stamps, ""
 
 
-def _kinds(names: tuple[str, ...]) -> tuple[list[int], list[int], list[int]]:
-    """Entries of the state that are positions, velocities and efforts."""
-    velocity = [i for i, n in enumerate(names) if n.endswith(".vel")]
-    effort = [i for i, n in enumerate(names) if n.endswith(EFFORT_ENDS)]
-    return [i for i in range(len(names)) if i not in {*velocity, *effort}], velocity, effort
-
-
-def _joint_names(names: tuple[str, ...], request: ReadRequest) -> tuple[str, ...]:
-    """Of each entry the joint that it is of, without its ending."""
-    bare = []
-    for name in request.renamed(*names):
-        end = next((end for end in (".pos", ".vel", *EFFORT_ENDS) if name.endswith(end)), "")
-        bare.append(name if name in request.robot.joint_names else name.removesuffix(end))
-    return request.renamed(*bare)
-
-
 def _gripper(positions: np.ndarray, names: tuple[str, ...], request: ReadRequest) -> tuple[np.ndarray, list[str]]:
     """Positions with the gripper's 0 .. 100 in the unit of the other motors."""
     robot = request.robot
@@ -173,7 +154,7 @@ def _refuse_unknown_units(
 ) -> None:
     if request.units is not None:
         return
-    arm = [i for i in _kinds(names)[0] if GRIPPER not in names[i]] or [0]
+    arm = [i for i in entry_columns(names, request).positions if GRIPPER not in names[i]] or [0]
     low, high = float(np.min(state[:, arm])), float(np.max(state[:, arm]))
     largest = max(abs(low), abs(high))
     likely = "'degrees'" + (", or 'normalised' (-100 .. 100)" if largest <= 100 else "")
@@ -186,7 +167,7 @@ def _refuse_unknown_units(
     )
 
 
-def _episodes(dataset: LeRobotDataset, feature: StateFeature, request: ReadRequest) -> Iterator[Episode]:
+def _episodes(dataset: LeRobotDataset, feature: str, request: ReadRequest) -> Iterator[Episode]:
     """Episodes of all files, or the chosen ones; one may go on in the next batch or file."""
     chosen, number, open_parts = request.chosen, -1, []
     for file in dataset.files:
@@ -210,20 +191,19 @@ def _joined(parts: list[dict[str, np.ndarray]]) -> dict[str, np.ndarray]:
     return {name: np.concatenate([part[name] for part in parts]) for name in common}
 
 
-def _parts(file: Path, dataset: LeRobotDataset, feature: StateFeature, request: ReadRequest) -> Iterator[Episode]:
+def _parts(file: Path, dataset: LeRobotDataset, feature: str, request: ReadRequest) -> Iterator[Episode]:
     """Runs of samples with the same episode number, batch by batch; only the needed columns are read."""
     with opened_parquet(file) as parquet:
         there = parquet.schema_arrow.names
-        if feature.position not in there:
-            raise refusal(
-                file, "no-state", f"there is no column {feature.position!r}, there is {', '.join(there[:12])}"
-            )
-        named = {"state": feature.position, "velocity": feature.velocity, "effort": feature.effort}
+        if feature not in there:
+            raise refusal(file, "no-state", f"there is no column {feature!r}, there is {first_names(there)}")
+        lists = [field.name for field in parquet.schema_arrow if _is_list(field.type)]
+        named = {"state": feature, **beside(feature, lists)}
         known = dict.fromkeys((*named.values(), *STAMPS))
         stated, found = parquet.metadata.num_rows, 0
         for batch in parquet.iter_batches(batch_size=BATCH, columns=[c for c in known if c in there]):
             found += batch.num_rows
-            columns = {name: _matrix(file, batch, column) for name, column in named.items() if column in there}
+            columns = {name: _matrix(file, batch, column) for name, column in named.items()}
             for stamps in ("timestamp", "frame_index"):
                 if stamps in there:
                     columns[stamps] = _numbers(file, batch, stamps)

@@ -18,6 +18,7 @@ from manip_learn.recordings.readers.name_patterns import (
     PatternError,
     numbered_families,
     pattern_columns,
+    split_end,
     templates,
 )
 from manip_learn.recordings.readers.read_request import (
@@ -197,6 +198,18 @@ def _by_joint_names(names: Sequence[str | None], robot: Robot, still: Sequence[s
     alike = " and ".join(repr(p) for p in (measured[0], u, effort) if p)
     note = f"columns are read as {alike}, the only ones that name the joints"
     return Columns(own[measured[0]], pool.get(u, {}), efforts, notes=(note,))
+
+
+def entry_columns(names: Sequence[str], request: ReadRequest) -> Columns:
+    """The entries of a vector that a program named after joints, with ends such as `.pos` and `.vel`."""
+    columns: dict[str, dict[int, str]] = {kind: {} for kind in ("position", "velocity", "effort")}
+    for i, name in enumerate(request.renamed(*names)):
+        base, end = split_end(name)
+        is_whole = name in request.robot.joint_names or kind_of(end) not in columns
+        columns["position" if is_whole else kind_of(end)][i] = name if is_whole else base
+    for kind, entries in columns.items():
+        columns[kind] = dict(zip(entries, request.renamed(*entries.values()), strict=True))
+    return Columns(columns["position"], columns["velocity"], columns["effort"])
 
 
 def _numbered_advice(names: Sequence[str | None], moving: Sequence[str]) -> str:
