@@ -16,12 +16,12 @@ from typing import Any, final
 
 import numpy as np
 
-from manip_learn.errors import DAMAGE, RecordingError, advice, closest_names, counted
+from manip_learn.errors import RecordingError, advice, closest_names, counted
 from manip_learn.recordings.readers.limits import bomb, most_bytes
 from manip_learn.recordings.readers.name_patterns import named_in
 from manip_learn.recordings.readers.quantities import ROLES, array_roles, find_time
 from manip_learn.recordings.readers.read_request import ReadRequest, first_names, names_advice, rename_words
-from manip_learn.recordings.readers.recording import Recording, float_array, natural_order, reason, refusal
+from manip_learn.recordings.readers.recording import Recording, float_array, natural_order, refusal, refusing_damage
 from manip_learn.recordings.saved_motion import joint_positions
 
 NUMBERS = ("time", "q", "u", "effort")
@@ -50,16 +50,13 @@ def read(path: Path, request: ReadRequest) -> Iterator[Recording]:
     from scipy.io.matlab import MatReadError
 
     leaves: dict[str, Any] = {}
-    try:
+    with refusing_damage(path, MatReadError):
         _refuse_bomb(path)
         with warnings.catch_warnings(action="ignore"):  # of variables that cannot be read or occur twice
             content = loadmat(path, simplify_cells=True)
         for name, value in content.items():
             if not name.startswith("__"):
                 _flatten(name, value, leaves)
-    except (MatReadError, *DAMAGE) as error:
-        said = f"the MATLAB file cannot be read ({reason(error)}): save it again"
-        raise refusal(path, "damaged", said) from error
     yield from recordings(path, list(leaves), lambda roles: {r: leaves[n] for r, n in roles.items()}, request)
 
 

@@ -7,7 +7,7 @@ import itertools
 import os
 import re
 from collections.abc import Iterator
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from datetime import UTC, datetime
 from functools import partial
 from pathlib import Path
@@ -16,10 +16,10 @@ from typing import NoReturn, final
 import numpy as np
 from jaxtyping import Float
 
-from manip_learn.errors import RecordingError, advice
+from manip_learn.errors import advice
 from manip_learn.recordings.readers.limits import LONGEST_TEXT, check_columns
 from manip_learn.recordings.readers.name_patterns import named_in
-from manip_learn.recordings.readers.quantities import MESSAGES, Columns, table_columns
+from manip_learn.recordings.readers.quantities import MESSAGES, table_columns
 from manip_learn.recordings.readers.read_request import SECONDS, ReadRequest, names_advice
 from manip_learn.recordings.readers.recording import Recording, reason, refusal
 
@@ -32,26 +32,47 @@ DELIMITER_WORDS = {",": "comma", ";": "semicolon", "\t": "tab", None: "white spa
 def read(path: Path, request: ReadRequest) -> Iterator[Recording]:
     """The one recording of a text table."""
     dialect = sniff_dialect(path, request)
-    if dialect.named_by_caller:
-        request.uses.use("joint_names")
     check_columns(path, "its header", len(dialect.columns))
-    first = dialect.split(next(_numbered_lines(path, dialect), (0, ""))[1])
+    first = _fields(next(_numbered_lines(path, dialect), (0, ""))[1], dialect.delimiter)
     with named_in(path, dialect.header_line):
         columns = table_columns(dialect.columns, first, request)
-    dialect = replace(dialect, without_cut_line=_is_cut_off(path))
-    at = columns.time
-    clock = at if at is not None and seconds_of(first[at : at + 1]) else None
-    if clock is not None:
-        columns = replace(columns, unit="s")
-    table = _table(path, dialect, columns, request, clock)
+    clock, used, unit = columns.time, columns.used, columns.unit
+    if clock is not None and clock < len(first) and seconds_of(first[clock]) is not None:
+        unit = "s"
+    else:
+        clock = None
+    table = _table(path, dialect, used, request, clock)
     notes = [f"the header was read from the comment in line {dialect.header_line}"] if dialect.commented_header else []
     notes += columns.notes
-    if dialect.without_cut_line:
+    if _is_cut_off(path):
         left_out = "the last line has no line end and was left out, for its last number may be cut off"
         if len(table) < 2:
             raise refusal(path, "too-short", f"{left_out}; {len(table)} row is left, at least 2 are needed")
         notes.append(left_out)
-    yield _recording(path, dialect, request, columns, table, notes)
+    if columns.time is None:
+        time, unit = request.counted(len(table)), "s"
+    else:
+        time = table[:, used.index(columns.time)]
+    in_seconds = unit is not None and request.time_unit is None  # by its name, unless the caller says another unit
+    if unit is not None and in_seconds:
+        time = time * SECONDS[unit]
+    parts = (columns.positions, columns.velocities, columns.efforts)
+    q, u, effort = (table[:, [used.index(i) for i in part]] for part in parts)
+    yield Recording(
+        path=path,
+        name=path.name,
+        time=time,
+        position_names=tuple(columns.positions.values()),
+        positions=q,
+        velocity_names=tuple(columns.velocities.values()),
+        velocities=u,
+        effort_names=tuple(columns.efforts.values()),
+        efforts=effort,
+        strict_columns=columns.strict,
+        in_seconds=in_seconds,
+        line_of=partial(_line_of, path, dialect),
+        notes=tuple(notes),
+    )
 
 
 @final
@@ -61,26 +82,19 @@ class CsvDialect:
 
     Attributes:
         delimiter: Between fields; None for white space.
-        columns: Names in the header.
+        columns: Names in the header, or the caller's for a table without one.
         header_line: Line of the header, counted from 1.
         commented_header: True if the header was found in a comment line.
-        without_cut_line: True if a last line without a line end is not read.
-        named_by_caller: True if there is no header, and the names are the caller's.
     """
 
     delimiter: str | None
     columns: tuple[str, ...]
     header_line: int
     commented_header: bool = False
-    without_cut_line: bool = False
-    named_by_caller: bool = False
-
-    def split(self, line: str) -> list[str]:
-        """Fields of a line, without quotes and surrounding blanks."""
-        return _fields(line, self.delimiter)
 
 
 def _fields(line: str, delimiter: str | None) -> list[str]:
+    """Fields of a line, without quotes and surrounding blanks."""
     line = line.strip("\r\n")
     if delimiter is None or '"' not in line:
         return [field.strip().strip('"').strip() for field in line.split(delimiter)]
@@ -158,7 +172,6 @@ def _dialect(path: Path, number: int, lines: list[str], comment: str, request: R
     line, *rows = lines
     delimiter = _delimiter(line)
     fields = _fields(line, delimiter)
-    above = partial(CsvDialect, delimiter, header_line=number - 1)
     if comment.startswith("%time,"):  # of `rostopic echo -p`, whose header begins like a comment
         raise refusal(path, "messages", MESSAGES, line=number - 1)
     if not all(NUMBER.fullmatch(f) for f in fields):
@@ -166,69 +179,34 @@ def _dialect(path: Path, number: int, lines: list[str], comment: str, request: R
     text = comment.strip().lstrip("".join(COMMENT_MARKS)).strip()
     commented = _fields(text, _delimiter(text)) if text else []
     if len(commented) == len(fields) and not all(NUMBER.fullmatch(n) for n in commented):
-        return above(tuple(commented), commented_header=True)
-    names = None if request is None else request.joint_names
-    if names is None:
+        return CsvDialect(delimiter, tuple(commented), number - 1, commented_header=True)
+    if request is None or request.joint_names is None:
         needed = "a header is needed: 'time' and one joint name per column, since columns are matched by name"
-        said = f"the first line holds numbers ({line.strip()[:60]!r}), {needed}"
         how = ""
         if request is not None:
             first = [float(_fields(text, delimiter)[0].replace(",", ".")) for text in lines]
             rises = len(fields) > request.robot.nv and bool(np.all(np.diff(first) > 0))
             how = names_advice(len(fields), request.robot, stamps=rises)
-        raise refusal(path, "no-header", f"{said}; write it{how}", line=number)
+        said = f"the first line holds numbers ({line.strip()[:60]!r}), {needed}; write it{how}"
+        raise refusal(path, "no-header", said, line=number)
+    names = request.joint_names
     if len(names) != len(fields):
         said = f"this row has {len(fields)} fields and {len(names)} column names were given ({', '.join(names)})"
         raise refusal(path, "shape", f"{said}: give one for each, '-' for one that is not read", line=number)
-    return above(names, named_by_caller=True)
-
-
-def _recording(
-    path: Path, dialect: CsvDialect, request: ReadRequest, columns: Columns, table: np.ndarray, notes: list[str]
-) -> Recording:
-    """The used columns, each as what its name says."""
-    place = {column: k for k, column in enumerate(columns.used)}
-    q, u, effort = (
-        (tuple(part.values()), table[:, [place[i] for i in part]])
-        for part in (columns.positions, columns.velocities, columns.efforts)
-    )
-    unit = columns.unit
-    if columns.time is None:
-        time, unit = request.counted(len(table)), "s"
-    else:
-        time = table[:, place[columns.time]]
-    in_seconds = unit is not None and request.time_unit is None  # by its name, unless the caller says another unit
-    if unit is not None and in_seconds:
-        time = time * SECONDS[unit]
-    return Recording(
-        path=path,
-        name=path.name,
-        time=time,
-        position_names=q[0],
-        positions=q[1],
-        velocity_names=u[0],
-        velocities=u[1] if u[0] else None,
-        effort_names=effort[0],
-        efforts=effort[1] if effort[0] else None,
-        strict_columns=columns.strict,
-        in_seconds=in_seconds,
-        line_of=partial(_line_of, path, dialect),
-        notes=tuple(notes),
-    )
+    request.uses.use("joint_names")
+    return CsvDialect(delimiter, names, number - 1)
 
 
 def _table(
-    path: Path, dialect: CsvDialect, columns: Columns, request: ReadRequest, clock: int | None
+    path: Path, dialect: CsvDialect, used: list[int], request: ReadRequest, clock: int | None
 ) -> Float[np.ndarray, "T n"]:
     """The used columns of all rows."""
-    used = columns.used
     usecols = None if len(used) == len(dialect.columns) else used
     lines = _checked_lines(path, dialect, clock)
     try:
         first = next(lines, None)
         if first is None:
-            cut = " with a line end" if dialect.without_cut_line else ""
-            raise refusal(path, "too-short", f"there is a header but no row of numbers{cut}; 2 are needed")
+            raise refusal(path, "too-short", "there is a header but no row of numbers with a line end; 2 are needed")
         form = {"delimiter": dialect.delimiter, "comments": None, "quotechar": '"'}
         return np.loadtxt(itertools.chain([first], lines), usecols=usecols, ndmin=2, **form)
     except ValueError as error:
@@ -236,27 +214,22 @@ def _table(
 
 
 def _numbered_lines(path: Path, dialect: CsvDialect) -> Iterator[tuple[int, str]]:
-    """Data lines with their numbers; blank and comment lines are left out."""
+    """Data lines with their numbers; blank and comment lines are left out, and a last one without a line end."""
     for number, line in text_lines(path):
-        if dialect.without_cut_line and not line.endswith("\n"):
-            return
-        if number > dialect.header_line and not _is_skipped(line):
+        if number > dialect.header_line and line.endswith("\n") and not _is_skipped(line):
             yield number, line
 
 
-def seconds_of(stamp: list[str]) -> list[str]:
-    """A date or a time of day (ISO 8601, hh:mm:ss) as seconds, since 1970 or since midnight; nothing of a number."""
-    text = stamp[0] if stamp else ""
-    if day := TIME_OF_DAY.fullmatch(text):
+def seconds_of(stamp: str) -> float | None:
+    """A date or a time of day (ISO 8601, hh:mm:ss) in seconds, since 1970 or since midnight; None for a number."""
+    if day := TIME_OF_DAY.fullmatch(stamp):
         hours, minutes, seconds = (float(part.replace(",", ".")) for part in day.groups())
-        return [repr(3600.0 * hours + 60.0 * minutes + seconds)]
+        return 3600.0 * hours + 60.0 * minutes + seconds
     try:
-        date = datetime.fromisoformat(text) if not NUMBER.fullmatch(text) else None
+        date = None if NUMBER.fullmatch(stamp) else datetime.fromisoformat(stamp)
     except ValueError:
-        date = None
-    if date is None:
-        return []
-    return [repr((date if date.tzinfo else date.replace(tzinfo=UTC)).timestamp())]
+        return None
+    return None if date is None else (date if date.tzinfo else date.replace(tzinfo=UTC)).timestamp()
 
 
 def _checked_lines(path: Path, dialect: CsvDialect, clock: int | None) -> Iterator[str]:
@@ -267,42 +240,37 @@ def _checked_lines(path: Path, dialect: CsvDialect, clock: int | None) -> Iterat
     comma = point = False  # decimal marks up to here
     for number, line in _numbered_lines(path, dialect):
         fields = len(line.split()) if delimiter is None else line.count(delimiter) + 1
-        if fields != width and (fields := len(dialect.split(line))) != width:  # some may stand in quotes
+        if fields != width and (fields := len(_fields(line, delimiter))) != width:  # some may stand in quotes
             said = f"this row has {fields} fields, the header has {width} ({DELIMITER_WORDS[delimiter]}-separated)"
             raise refusal(path, "ragged", f"{said}: {line.strip()[:60]!r}; correct the row or remove it", line=number)
         if delimiter != ",":
             comma, point = comma or "," in line, point or "." in line
             if comma and point:
-                text = (
-                    "both ',' and '.' are used in numbers up to here, so it is not known which one is the decimal "
-                    f"mark: {line.strip()[:60]!r}; write all numbers with one mark and no thousands separator"
-                )
-                raise refusal(path, "decimal-mark", text, line=number)
+                said = "both ',' and '.' are used in numbers up to here, so it is not known which is the decimal mark"
+                how = "write all numbers with one mark and no thousands separator"
+                raise refusal(path, "decimal-mark", f"{said}: {line.strip()[:60]!r}; {how}", line=number)
             line = line.replace(",", ".") if comma else line
         if clock is not None:
-            parts = dialect.split(line)
-            line = (delimiter or " ").join(
-                [*parts[:clock], *(seconds_of(parts[clock : clock + 1]) or ["?"]), *parts[clock + 1 :]]
-            )
+            parts = _fields(line, delimiter)
+            seconds = seconds_of(parts[clock])
+            parts[clock] = "?" if seconds is None else repr(seconds)
+            line = (delimiter or " ").join(parts)
         yield line
 
 
 def _explain(path: Path, dialect: CsvDialect, used: list[int], request: ReadRequest, cause: ValueError) -> NoReturn:
     """Raise the error that names the field which NumPy's parser refused."""
     for number, line in _numbered_lines(path, dialect):
-        fields = dialect.split(line)
-        i = next((i for i in used if not NUMBER.fullmatch(fields[i]) and not seconds_of(fields[i : i + 1])), None)
+        fields = _fields(line, dialect.delimiter)
+        i = next((i for i in used if not NUMBER.fullmatch(fields[i]) and seconds_of(fields[i]) is None), None)
         if i is None:
             continue
         what, name = repr(fields[i][:40]) if fields[i] else "an empty field", dialect.columns[i]
         leave = ""
         if name not in ("time", *request.robot.joint_names) and not request.columns:
             leave = advice("; if it is no joint's: {}", "columns='{joint}'", "--columns '{joint}'")
-        text = (
-            f"{path.name}:{number}, column {name!r}: {what} where a number is needed: correct the row or remove it"
-            f"{leave}"
-        )
-        raise RecordingError(text, code="not-a-number", path=path, line=number, column=name) from cause
+        text = f"{what} where a number is needed: correct the row or remove it{leave}"
+        raise refusal(path, "not-a-number", text, line=number, column=name) from cause
     raise refusal(path, "not-a-number", f"the numbers cannot be read: {reason(cause)}") from cause
 
 

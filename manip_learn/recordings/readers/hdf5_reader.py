@@ -16,7 +16,7 @@ from typing import Any
 import numpy as np
 from jaxtyping import Float
 
-from manip_learn.errors import DAMAGE, MissingExtraError, RecordingError
+from manip_learn.errors import MissingExtraError, RecordingError
 from manip_learn.recordings.readers.array_reader import (
     MOST_ARRAYS,
     NUMBERS,
@@ -26,7 +26,7 @@ from manip_learn.recordings.readers.array_reader import (
 )
 from manip_learn.recordings.readers.limits import LARGEST_ARRAYS, bomb, check_columns, most_bytes, refuse_lost
 from manip_learn.recordings.readers.read_request import ReadRequest, first_names
-from manip_learn.recordings.readers.recording import Recording, float_array, natural_order, reason, refusal
+from manip_learn.recordings.readers.recording import Recording, float_array, natural_order, refusal, refusing_damage
 
 try:
     import h5py
@@ -49,22 +49,18 @@ def read(path: Path, request: ReadRequest) -> Iterator[Recording]:
         # MATLAB stores columns one after the other
         return {r: array.T if "MATLAB_class" in members[roles[r]].attrs else array for r, array in arrays.items()}
 
-    try:
-        with h5py.File(path, "r") as file:
-            if file.visititems_links(note):
-                raise refusal(path, "too-large", f"it holds more than {MOST_ARRAYS:,} arrays: split it")
-            members = {n: file[n] if isinstance(link, h5py.HardLink) else link for n, link in members.items()}
-            names = [n for n, member in members.items() if _is_array(member)]
-            if names and not any(isinstance(members[n], h5py.Dataset) for n in names):
-                raise _elsewhere(path, names[0])
-            demos = sorted(filter(DEMONSTRATION.fullmatch, members), key=natural_order)
-            if demos:
-                yield from _demonstrations(path, {n: members[n] for n in ("data", *demos)}, names, load, request)
-            else:
-                yield from recordings(path, names, load, request)
-    except DAMAGE as error:
-        said = f"the HDF5 file cannot be read ({reason(error)}): download or save it again"
-        raise refusal(path, "damaged", said) from error
+    with refusing_damage(path), h5py.File(path, "r") as file:
+        if file.visititems_links(note):
+            raise refusal(path, "too-large", f"it holds more than {MOST_ARRAYS:,} arrays: split it")
+        members = {n: file[n] if isinstance(link, h5py.HardLink) else link for n, link in members.items()}
+        names = [n for n, member in members.items() if _is_array(member)]
+        if names and not any(isinstance(members[n], h5py.Dataset) for n in names):
+            raise _elsewhere(path, names[0])
+        demos = sorted(filter(DEMONSTRATION.fullmatch, members), key=natural_order)
+        if demos:
+            yield from _demonstrations(path, {n: members[n] for n in ("data", *demos)}, names, load, request)
+        else:
+            yield from recordings(path, names, load, request)
 
 
 def _is_array(member: Any) -> bool:
@@ -86,18 +82,19 @@ def _demonstrations(
             how = "or, without 'obs', extract observations first (robomimic's dataset_states_to_obs.py)"
             text = f"{demo} has no array of joint positions in 'obs', there is {there}: download it again, {how}"
             raise refusal(path, "no-state", text)
-    refuse_lost(path, "the attribute 'num_demos'", len(demos), "demonstrations", groups[data].attrs.get("num_demos"))
-    rate, total = _control_rate(groups[data].attrs.get("env_args")), 0
+    stated = groups[data].attrs
+    refuse_lost(path, len(demos), "demonstrations", "data", "'num_demos'", stated.get("num_demos"))
+    rate, total = _control_rate(stated.get("env_args")), 0
     for demo in demos:
         title, group, notes = f"{path.name} {demo.removeprefix('data/')}", found[f"{demo}/obs"], ()
         if request.rate is None and rate and "time" not in group.roles:
             notes = (f"no time stamps in the file: {rate:g} samples per second, from control_freq in env_args",)
         recording = group_recording(path, title, group, load, replace(request, rate=rate) if notes else request)
-        n, stated = len(recording.time), groups[demo].attrs.get("num_samples")
-        refuse_lost(path, f"the attribute 'num_samples' of {demo}", n, "samples", stated)
+        n = len(recording.time)
+        refuse_lost(path, n, "samples", demo, "'num_samples'", groups[demo].attrs.get("num_samples"))
         total += n
         yield replace(recording, strict_columns=False, notes=(*notes, *recording.notes))
-    refuse_lost(path, "the attribute 'total'", total, "samples", groups[data].attrs.get("total"))
+    refuse_lost(path, total, "samples", "data", "'total'", stated.get("total"))
 
 
 def _control_rate(text: Any) -> float:

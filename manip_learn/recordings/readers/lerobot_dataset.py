@@ -6,13 +6,13 @@ import json
 import re
 from collections.abc import Iterable, Iterator, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, Literal, final
 
 import numpy as np
 
-from manip_learn.errors import DAMAGE, MissingExtraError, advice, closest_names, counted
+from manip_learn.errors import MissingExtraError, advice, closest_names, counted
 from manip_learn.recordings.readers.limits import (
     FEWEST_SAMPLE_BYTES,
     bomb,
@@ -22,7 +22,7 @@ from manip_learn.recordings.readers.limits import (
 )
 from manip_learn.recordings.readers.quantities import POSITIONS, arrays_of
 from manip_learn.recordings.readers.read_request import first_names
-from manip_learn.recordings.readers.recording import check_regular, natural_order, reason, refusal
+from manip_learn.recordings.readers.recording import check_regular, natural_order, reason, refusal, refusing_damage
 
 STATE, VELOCITY, EFFORT = "observation.state", "observation.velocity", "observation.effort"
 
@@ -41,17 +41,15 @@ def opened_parquet(file: Path) -> Iterator[Any]:
     except ImportError as error:
         raise MissingExtraError("reading LeRobot data", "lerobot") from error
     check_regular(file)
-    try:
-        with pq.ParquetFile(file, page_checksum_verification=True) as parquet:
-            rows, size = parquet.metadata.num_rows, file.stat().st_size
-            # the library's column metadata would tell more, but asking for it aborts the process if the file is damaged
-            if FEWEST_SAMPLE_BYTES * rows > most_bytes(size):
-                raise bomb(file, f"{size:,} bytes claim to hold {counted(rows, 'sample')}")
-            yield parquet
-    except (pa.ArrowException, *DAMAGE) as error:
-        raise refusal(
-            file, "damaged", f"the Parquet file cannot be read ({reason(error)}): download or write it again"
-        ) from error
+    with (
+        refusing_damage(file, pa.ArrowException),
+        pq.ParquetFile(file, page_checksum_verification=True) as parquet,
+    ):
+        rows, size = parquet.metadata.num_rows, file.stat().st_size
+        # the library's column metadata would tell more, but asking for it aborts the process if the file is damaged
+        if FEWEST_SAMPLE_BYTES * rows > most_bytes(size):
+            raise bomb(file, f"{size:,} bytes claim to hold {counted(rows, 'sample')}")
+        yield parquet
 
 
 @final
@@ -64,16 +62,14 @@ class LeRobotDataset:
         files: Parquet files with the samples, in order.
         features: What the data set says of each feature; None of a file that belongs to none.
         fps: Samples per second, or None.
-        total_frames: Number of samples that a whole data set states, or None.
-        total_episodes: Number of its episodes, likewise.
+        totals: Numbers of `frames` and `episodes` that a whole data set states.
     """
 
     root: Path
     files: tuple[Path, ...]
     features: dict[str, Any] | None = None
     fps: float | None = None
-    total_frames: int | None = None
-    total_episodes: int | None = None
+    totals: dict[str, Any] = field(default_factory=dict)
 
     def refuse_lost(self, what: Literal["frames", "episodes"], found: int) -> None:
         """Refuse a data set that states another number of samples or episodes than were found in it.
@@ -81,10 +77,9 @@ class LeRobotDataset:
         Raises:
             RecordingError: Code `lost-samples`.
         """
-        stated = self.total_frames if what == "frames" else self.total_episodes
-        way_out = ", or select episodes that are there with {}"
-        way_out = advice(way_out, "episodes='0:50,60'", "--episodes 0:50,60")
-        refuse_lost(self.root, f"meta/info.json, total_{what},", found, what, stated, way_out)
+        select = ", or select episodes that are there with {}"
+        way_out = advice(select, "episodes='0:50,60'", "--episodes 0:50,60")
+        refuse_lost(self.root, found, what, "meta/info.json", f"total_{what}", self.totals.get(what), way_out)
 
 
 def open_dataset(path: Path) -> LeRobotDataset:
@@ -93,34 +88,33 @@ def open_dataset(path: Path) -> LeRobotDataset:
     Raises:
         RecordingError: Another version, no samples, or metadata that is damaged.
     """
-    own = path / "meta" / "info.json"
-    around = (folder / "meta" / "info.json" for folder in list(path.resolve().parents)[:4])  # data/chunk-000/FILE
-    files, info_path = (path,), next((place for place in around if place.is_file()), own)
+    files, info_path = (path,), path / "meta" / "info.json"
     if path.is_dir():
         files = tuple(sorted((path / "data").rglob("*.parquet"), key=lambda f: natural_order(str(f.relative_to(path)))))
-        info_path = own
         if not files:
             text = "the data set has no data/**/*.parquet: download its data, not only meta/"
             raise refusal(path, "empty", text, in_full=True)
-    elif not info_path.is_file():
-        return LeRobotDataset(path, files)
+    else:
+        around = (folder / "meta" / "info.json" for folder in list(path.resolve().parents)[:4])  # data/chunk-000/FILE
+        info_path = next((place for place in around if place.is_file()), None)
+        if info_path is None:
+            return LeRobotDataset(path, files)
     try:
         info = json.loads(metadata_text(info_path))
     except (ValueError, RecursionError) as error:
         raise refusal(info_path, "damaged", f"not valid JSON: {reason(error)}", in_full=True) from error
     if not isinstance(info, dict):
         raise refusal(info_path, "damaged", f"an object is needed, this is {type(info).__name__}", in_full=True)
-    version, features = info.get("codebase_version"), info.get("features")
+    version, features, fps = (info.get(name) for name in ("codebase_version", "features", "fps"))
     if not isinstance(version, str) or not version.startswith(("v2.", "v3.")):
         text = f"codebase_version is {version!r}; v2.0, v2.1 and v3.0 are read: convert the data set"
         raise refusal(info_path, "version", text, in_full=True)
     if not isinstance(features, dict):
         said = "it has no features, so nothing says where the joint positions are"
         raise refusal(info_path, "no-state", said, in_full=True)
-    fps, *totals = (info.get(name) for name in ("fps", "total_frames", "total_episodes"))
-    usable = isinstance(fps, int | float) and not isinstance(fps, bool) and 0 < fps < 1e6
-    whole = (n if path.is_dir() and isinstance(n, int) and not isinstance(n, bool) else None for n in totals)
-    return LeRobotDataset(path, files, features, float(fps) if usable else None, *whole)  # type: ignore[arg-type]
+    rate = float(fps) if isinstance(fps, int | float) and not isinstance(fps, bool) and 0 < fps < 1e6 else None
+    totals = {what: info.get(f"total_{what}") for what in ("frames", "episodes")} if path.is_dir() else {}
+    return LeRobotDataset(path, files, features, rate, totals)
 
 
 def state_feature(dataset: LeRobotDataset, asked: str | None) -> tuple[str, tuple[str, ...] | None, list[str]]:

@@ -33,14 +33,14 @@ def bomb(path: Path, evidence: str) -> RecordingError:
     )
 
 
-def refuse_lost(path: Path, where: str, found: int, what: str, stated: object, way_out: str = "") -> None:
-    """Refuse a file in which another number of something was found than it states.
+def refuse_lost(path: Path, found: int, what: str, where: str, name: str, stated: object, way_out: str = "") -> None:
+    """Refuse a file in which another number of something was found than `name` states.
 
     Raises:
         RecordingError: Code `lost-samples`.
     """
     if isinstance(stated, int | np.integer) and not isinstance(stated, bool) and int(stated) != found:
-        text = f"{found} {what} are there, {where} states {int(stated)}: some are missing or were changed"
+        text = f"{found} {what} are there, {where} states {name} = {int(stated)}: some are missing or were changed"
         raise refusal(path, "lost-samples", f"{text}; download it again{way_out}")
 
 
