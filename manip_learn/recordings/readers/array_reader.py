@@ -144,8 +144,8 @@ def array_groups(path: Path, names: Sequence[str], request: ReadRequest) -> dict
         outer = group if "q" in roles else ""
         while "time" not in roles and outer:  # beside the group
             outer = outer.rpartition("/")[0]
-            column = find_time(list(groups.get(outer, ()))).column
-            roles |= {} if column is None else {"time": list(groups[outer].values())[column]}
+            stamps, _ = find_time(list(groups.get(outer, ())))
+            roles |= {"time": list(groups[outer].values())[stamps[0]]} if len(stamps) == 1 else {}
         unused = [called for called, name in groups[group].items() if name not in roles.values()]
         more = ", ..." if len(unused) > SHOWN else ""
         notes = [f"arrays not used: {', '.join(unused[:SHOWN])}{more}"] if unused else []

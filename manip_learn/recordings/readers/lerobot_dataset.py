@@ -158,12 +158,8 @@ def _is_vector(feature: Any) -> bool:
     if not isinstance(feature, dict):
         return False
     shape, dtype = feature.get("shape"), feature.get("dtype")
-    # old data sets leave the type of the state out
-    return (
-        isinstance(shape, list)
-        and len(shape) == 1
-        and (dtype is None or str(dtype).startswith(("float", "int", "uint")))
-    )
+    is_number = dtype is None or str(dtype).startswith(("float", "int", "uint"))  # old data sets do not say it
+    return isinstance(shape, list) and len(shape) == 1 and is_number
 
 
 def beside(position: str, columns: Iterable[str]) -> dict[str, str]:

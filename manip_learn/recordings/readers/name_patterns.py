@@ -55,28 +55,22 @@ def pattern_columns(
         RecordingError: No such column, or numbers that are not those of the joints.
     """
     said = advice("{}: ", f"{option}={pattern!r}", f"--{option} '{pattern}'")
-    if JOINT in pattern:
-        found = {i: j for j in (*moving, *still) for i, n in enumerate(names) if n == pattern.replace(JOINT, j)}
-        if not found:
-            wanted = [pattern.replace(JOINT, j) for j in moving]
-            raise PatternError(f"{said}there is no column {wanted[0]!r}; there is {shown(names, wanted[0])}")
-        return found
     regex = re.compile(re.escape(pattern).replace(re.escape(INDEX), r"(\d{1,6})"))
-    numbered = {int(m.group(1)): i for i, n in enumerate(names) if n is not None and (m := regex.fullmatch(n))}
-    if not numbered:
-        wanted = pattern.replace(INDEX, "0")
-        raise PatternError(f"{said}there is no column such as {wanted!r}; there is {shown(names, wanted)}")
+    numbered = {int(m.group(1)): i for i, n in enumerate(names) if n and INDEX in pattern and (m := regex.fullmatch(n))}
+    found = {i: j for j in (*moving, *still) for i, n in enumerate(names) if n == pattern.replace(JOINT, j)}
+    if not numbered and not found:
+        wanted = pattern.replace(JOINT, moving[0]).replace(INDEX, "0")
+        like = "such as " if INDEX in pattern else ""
+        raise PatternError(f"{said}there is no column {like}{wanted!r}; there is {shown(names, wanted)}")
+    if JOINT in pattern:
+        return found
     first, n = min(numbered), len(numbered)
     if first > 1 or sorted(numbered) != list(range(first, first + n)):
-        raise PatternError(
-            f"{said}the columns are numbered {', '.join(map(str, sorted(numbered)))}; 0, 1, 2, ... or 1, 2, 3, ... "
-            "without gaps is needed"
-        )
+        seen = f"the columns are numbered {', '.join(map(str, sorted(numbered)))}"
+        raise PatternError(f"{said}{seen}; 0, 1, 2, ... or 1, 2, 3, ... without gaps is needed")
     if n > len(moving):
-        raise PatternError(
-            f"{said}there are {n} such columns and {len(moving)} moving joints ({', '.join(moving)}): lock fewer "
-            "joints, or rename the columns to joints"
-        )
+        seen = f"there are {n} such columns and {len(moving)} moving joints ({', '.join(moving)})"
+        raise PatternError(f"{said}{seen}: lock fewer joints, or rename the columns to joints")
     return {numbered[first + k]: joint for k, joint in zip(range(n), moving, strict=False)}
 
 

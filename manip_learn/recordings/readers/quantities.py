@@ -120,16 +120,22 @@ def table_columns(header: Sequence[str], first_row: Sequence[str], request: Read
     for raw, name in zip(header, request.renamed(*header), strict=True):
         is_unread = not name and request.joint_names is not None  # the caller's '-'
         names.append(None if is_unread or request.ignores(raw, name) else name)
-    time = find_time(names)
-    if time.column is None and request.rate is None:
-        raise _no_time(header, names, time.choices)
+    stamps, times = find_time(names)
+    time = stamps[0] if len(stamps) == 1 else None
+    if time is None and request.rate is None:
+        raise _no_time(header, names, [str(names[i]) for i in stamps])
     for pattern, columns in numbered_families(names).items():
         if "name" in pattern.lower() and {first_row[i] for i in columns if i < len(first_row)} & {*moving, *still}:
             raise PatternError(MESSAGES, "messages")
-    left_out = {i for i in time.others if request.columns or names[i] not in moving} | {time.column}
+    left_out = {i for i in times if request.columns or names[i] not in moving or i == time}
     joints = [None if i in left_out or BOOKKEEPING.fullmatch(n or "") else n or None for i, n in enumerate(names)]
     found = _asked(joints, request) if request.columns else _by_joint_names(joints, robot, still)
-    found = replace(found, time=time.column, unit=time.unit)
+    notes, unit = list(found.notes), None
+    if time is not None and (name := str(names[time])) != "time":
+        stated = WITH_UNIT.fullmatch(name.strip().lower())
+        unit = None if stated is None else "s" if stated.group(1).startswith("s") else stated.group(1)
+        notes.insert(0, f"time is read from column {name!r}, in {UNIT_WORDS[unit or 's']}")
+    found = replace(found, time=time, unit=unit)
     used = found.used
     for i in used:
         if names[i] in [names[k] for k in used if k < i]:
@@ -137,8 +143,8 @@ def table_columns(header: Sequence[str], first_row: Sequence[str], request: Read
     rest = [i for i, n in enumerate(names) if n is not None and i not in used]
     words = [header[i] or f"column {i + 1} (without a name)" for i in rest[:SHOWN]]
     more = f" and {len(rest) - SHOWN} more" if len(rest) > SHOWN else ""
-    notes = (time.note, *found.notes, f"columns not used: {', '.join(words)}{more}" if rest else "")
-    return replace(found, notes=tuple(filter(None, notes)))
+    notes += [f"columns not used: {', '.join(words)}{more}"] if rest else []
+    return replace(found, notes=tuple(notes))
 
 
 def _asked(names: Sequence[str | None], request: ReadRequest) -> Columns:
@@ -245,9 +251,9 @@ def array_roles(names: Sequence[str]) -> dict[str, str]:
     """
     roles = {role: role for role in ROLES if role in names}
     free = [n for n in names if n not in ROLES]
-    time = find_time(free).column
-    if time is not None:
-        roles.setdefault("time", free[time])
+    stamps, _ = find_time(free)
+    if len(stamps) == 1:
+        roles.setdefault("time", free[stamps[0]])
     for role, kind in ROLES.items():
         there = [] if role in roles else arrays_of(kind, free)
         if len(there) > 1 and role == "q":
@@ -264,49 +270,24 @@ def arrays_of(kind: str, names: Iterable[str]) -> list[str]:
     return [n for n in there if POSITIONS.search(n)] or there
 
 
-@final
-@dataclass(frozen=True)
-class TimeColumn:
-    """Where the stamps are.
+def find_time(names: Sequence[str | None]) -> tuple[list[int], list[int]]:
+    """Columns of times: the only one that could be `time`, or all that could; and all that are known by their names.
 
-    Attributes:
-        column: Its number; None if there is none, or several among which the caller must choose.
-        unit: Unit that the name says; None: that of any column `time`.
-        note: What the caller should know; empty for a column `time`.
-        others: Further columns of times, which are not used.
-        choices: Names among which the caller must choose.
+    A column `time` is it, or PlotJuggler's, or a message's stamp.
     """
-
-    column: int | None = None
-    unit: str | None = None
-    note: str = ""
-    others: tuple[int, ...] = ()
-    choices: tuple[str, ...] = ()
-
-
-def find_time(names: Sequence[str | None]) -> TimeColumn:
-    """The column `time`, or one that is known by another name: PlotJuggler's, a message's stamp, or the only one."""
     lowered = ["" if n is None else n.strip().lower() for n in names]
     known = [i for i, n in enumerate(lowered) if n == PLOTJUGGLER or PLAIN.fullmatch(n) or WITH_UNIT.fullmatch(n)]
     if "time" in names:
-        return TimeColumn(names.index("time"), others=tuple(i for i in known if names[i] != "time"))
-    for ends in (PLOTJUGGLER, ("header.stamp", "header/stamp"), ""):
+        return [names.index("time")], known
+    for ends in (PLOTJUGGLER, ("header.stamp", "header/stamp")):
         found = [i for i in known if lowered[i].endswith(ends)]
         if len(found) == 1:
-            break
-    else:
-        return TimeColumn(choices=tuple(str(names[i]) for i in known))
-    (column,) = found
-    said = WITH_UNIT.fullmatch(lowered[column])
-    unit = None if said is None else "s" if said.group(1).startswith("s") else said.group(1)
-    note = f"time is read from column {names[column]!r}, in {UNIT_WORDS[unit or 's']}"
-    return TimeColumn(column, unit, note, tuple(i for i in known if i != column))
+            return found, known
+    return known, known
 
 
-def _no_time(header: Sequence[str], names: Sequence[str | None], choices: tuple[str, ...]) -> PatternError:
-    near = choices or tuple(closest_names("time", [n for n in names if n])[:1])
-    if not near and names and names[0] == "":
-        near = ("",)
+def _no_time(header: Sequence[str], names: Sequence[str | None], choices: list[str]) -> PatternError:
+    near = choices or closest_names("time", [n for n in names if n])[:1] or [n for n in names[:1] if n == ""]
     flags = [advice("{}", f"rename={{{n!r}: 'time'}}", f"--rename {n}=time") for n in near]
     hint = ""
     if choices and all(flags):

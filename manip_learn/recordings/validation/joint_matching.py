@@ -173,7 +173,7 @@ def _surplus_notes(recording: Recording, robot: Robot, strict: bool) -> list[str
             note, though = f"joint {name!r} is locked or fixed in {robot.name!r}", "it moves by {} in the recording"
             off = values - np.min(values[np.isfinite(values)], initial=np.inf)
         else:
-            note, though = f"mimic joint {name!r} follows {mimic.leader!r}", "it is up to {} off the description"
+            note, though = f"mimic joint {name!r} follows {mimic.leader!r}", "it is up to {} away from its description"
             leader = recording.positions[:, at.get(mimic.leader, at[name])]
             off = values - mimic.multiplier * leader - mimic.offset if mimic.leader in at else 0.0 * values
         worst = float(np.max(np.abs(off[np.isfinite(off)]), initial=0.0))
