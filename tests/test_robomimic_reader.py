@@ -63,6 +63,23 @@ def test_round_trip(planar3: Robot, tmp_path: Path) -> None:
     assert other.u is None
 
 
+def test_what_else_is_in_a_demonstration(planar3: Robot, tmp_path: Path) -> None:
+    """The next observations are no recording; stamps go before a rate; of two arms the caller says which is read."""
+    path = write(tmp_path / "a.hdf5", (0,))
+    with h5py.File(path, "a") as file:
+        file["data/demo_0/next_obs/robot0_joint_pos"] = Q
+        file["data/demo_0/obs/robot0_gripper_qpos"] = Q[:, :2]
+        file["data/demo_0/obs/timestamps"] = 2.0 * T
+    (demo,) = load_demonstrations(path, planar3, joint_names=JOINTS)
+    np.testing.assert_allclose(demo.time, 2.0 * T)
+    np.testing.assert_array_equal(demo.q, Q)
+    with h5py.File(path, "a") as file:
+        file["data/demo_0/obs/robot1_joint_pos"] = Q + 0.1
+    assert "rename={'robot1_joint_pos': 'q'}" in str(refusal(path, planar3))
+    (demo,) = load_demonstrations(path, planar3, joint_names=JOINTS, rename={"robot1_joint_pos": "q"})
+    np.testing.assert_array_equal(demo.q, Q + 0.1)
+
+
 def test_names_must_be_given(planar3: Robot, tmp_path: Path) -> None:
     """The file has none; the refusal proposes the robot's."""
     error = refusal(write(tmp_path / "a.hdf5"), planar3, joint_names=None)

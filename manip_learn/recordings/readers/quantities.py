@@ -127,7 +127,7 @@ def table_columns(header: Sequence[str], first_row: Sequence[str], request: Read
     for pattern, columns in numbered_families(names).items():
         if "name" in pattern.lower() and {first_row[i] for i in columns if i < len(first_row)} & {*moving, *still}:
             raise PatternError(MESSAGES, "messages")
-    left_out = {i for i in times if request.columns or names[i] not in moving or i == time}
+    left_out = {i for i in times if request.columns or names[i] not in moving} | {time}
     joints = [None if i in left_out or BOOKKEEPING.fullmatch(n or "") else n or None for i, n in enumerate(names)]
     found = _asked(joints, request) if request.columns else _by_joint_names(joints, robot, still)
     notes, unit = list(found.notes), None
@@ -271,14 +271,14 @@ def arrays_of(kind: str, names: Iterable[str]) -> list[str]:
 
 
 def find_time(names: Sequence[str | None]) -> tuple[list[int], list[int]]:
-    """Columns of times: the only one that could be `time`, or all that could; and all that are known by their names.
+    """Columns of times: the only one that could be it, or all that could; and those that are known by other names.
 
     A column `time` is it, or PlotJuggler's, or a message's stamp.
     """
     lowered = ["" if n is None else n.strip().lower() for n in names]
     known = [i for i, n in enumerate(lowered) if n == PLOTJUGGLER or PLAIN.fullmatch(n) or WITH_UNIT.fullmatch(n)]
     if "time" in names:
-        return [names.index("time")], known
+        return [names.index("time")], [i for i in known if names[i] != "time"]
     for ends in (PLOTJUGGLER, ("header.stamp", "header/stamp")):
         found = [i for i in known if lowered[i].endswith(ends)]
         if len(found) == 1:
