@@ -173,7 +173,7 @@ def group_recording(path: Path, title: str, group: ArrayGroup, load: Load, reque
             notes.append(f"{role} is stored as {kind.str}, read as float64")
         if role != "time" and array.ndim == 1:
             arrays[role] = array[:, None]
-        elif role == "time" and 1 in array.shape[1:] + array.shape[:-1]:  # as MATLAB keeps vectors
+        elif role == "time" and array.ndim == 2 and 1 in array.shape:  # as MATLAB keeps vectors
             arrays[role] = array.ravel()
     T = len(arrays["time"]) if "time" in arrays else max(arrays["q"].shape)
     if arrays["q"].shape[0] != T == arrays["q"].shape[1]:
@@ -215,8 +215,8 @@ def _check_shapes(path: Path, arrays: Mapping[str, np.ndarray], roles: Mapping[s
         if len(shape) != 2 or shape != (*time, width):
             name = roles[role].rpartition("/")[2]
             leave = advice("; or leave it out with {}", f"ignore_columns=[{name!r}]", f"--ignore-column {name}")
-            said = f"{role} must have one row per time stamp and one column per joint, {(*time, width)}"
-            raise refusal(path, "shape", f"{said}; it has {shape}{leave}")
+            said = f"{role} must have one row per time stamp and one column per joint, {(*time, width)}; it has"
+            raise refusal(path, "shape", f"{said} {shape}{leave}")
 
 
 def column_names(
@@ -234,8 +234,6 @@ def column_names(
         said = f"nothing names the {counted(width, 'column')} of {what}: save names with them"
         raise refusal(path, "no-joint-names", said + how)
     if len(names) != width:
-        said = (
-            f"there are {len(names)} joint names for the {counted(width, 'column')} of {what}: one for each is needed"
-        )
-        raise refusal(path, "shape", said + how)
+        said = f"there are {len(names)} joint names for the {counted(width, 'column')} of {what}: one for each is"
+        raise refusal(path, "shape", f"{said} needed{how}")
     return names

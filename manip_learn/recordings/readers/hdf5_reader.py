@@ -49,7 +49,8 @@ def read(path: Path, request: ReadRequest) -> Iterator[Recording]:
         # MATLAB stores columns one after the other
         return {r: array.T if "MATLAB_class" in members[roles[r]].attrs else array for r, array in arrays.items()}
 
-    with refusing_damage(path), h5py.File(path, "r") as file:
+    # h5py says SystemError where it comes upon damage on its way through the links
+    with refusing_damage(path, SystemError), h5py.File(path, "r") as file:
         if file.visititems_links(note):
             raise refusal(path, "too-large", f"it holds more than {MOST_ARRAYS:,} arrays: split it")
         members = {n: file[n] if isinstance(link, h5py.HardLink) else link for n, link in members.items()}

@@ -175,15 +175,12 @@ def entry_names(names: Any) -> tuple[str, ...] | None:
     if isinstance(names, dict) and names:
         values = list(names.values())
         if all(isinstance(v, int) and not isinstance(v, bool) for v in values):
-            if sorted(values) != list(range(len(values))):
-                return None
-            return tuple(sorted(names, key=lambda n: names[n]))
-        names = values if all(isinstance(v, list) for v in values) else None
+            names = sorted(names, key=lambda n: names[n]) if sorted(values) == list(range(len(values))) else None
+        else:
+            names = values if all(isinstance(v, list) for v in values) else None
     if isinstance(names, list) and all(isinstance(v, list) for v in names):
         names = [n for v in names for n in v]
-    if isinstance(names, list) and names and all(isinstance(n, str) for n in names):
-        return tuple(names)
-    return None
+    return tuple(names) if isinstance(names, list) and names and all(isinstance(n, str) for n in names) else None
 
 
 def episode_number(file: Path) -> int | None:

@@ -122,11 +122,6 @@ def numbered_families(names: Sequence[str | None]) -> dict[str, list[int]]:
     }
 
 
-def is_pattern(name: str) -> bool:
-    """Whether a name in `rename` stands for several."""
-    return name.count(JOINT) + name.count(INDEX) == 1
-
-
 def renamed(
     names: Sequence[str], rename: Mapping[str, str], moving: Sequence[str], still: Sequence[str]
 ) -> dict[str, tuple[str, str]]:
@@ -141,9 +136,10 @@ def renamed(
     new: dict[str, tuple[str, str]] = {}
     for old, wanted in rename.items():
         if INDEX in old:
-            numbered = pattern_columns(old, names, moving, (), "rename") if _has_numbers(old, names) else {}
+            regex = re.compile(re.escape(old).replace(re.escape(INDEX), r"\d+"))
+            numbered = pattern_columns(old, names, moving, (), "rename") if any(map(regex.fullmatch, names)) else {}
             new |= {names[i]: (joint, old) for i, joint in numbered.items()}
-        elif is_pattern(old):
+        elif JOINT in old:
             head, tail = wanted.split(JOINT)
             inner = {j: j.removeprefix(head).removesuffix(tail) for j in (*moving, *still) if f"{head}{tail}" != j}
             fitting = {old.replace(JOINT, part): j for j, part in inner.items() if head + part + tail == j}
@@ -155,11 +151,6 @@ def renamed(
         if base in about and about[base][0] in moving:
             new[name] = (about[base][0] + end, about[base][1])
     return new
-
-
-def _has_numbers(pattern: str, names: Sequence[str]) -> bool:
-    head, tail = pattern.split(INDEX)
-    return any(n.startswith(head) and n.endswith(tail) and n[len(head) : len(n) - len(tail)].isdecimal() for n in names)
 
 
 def helpful_renaming(
