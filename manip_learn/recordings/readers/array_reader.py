@@ -33,19 +33,11 @@ Load = Callable[[Mapping[str, str]], dict[str, Any]]  # what arrays are -> their
 
 
 def read(path: Path, request: ReadRequest) -> Iterator[Recording]:
-    """The recordings of a MATLAB file, each struct or cell with joint positions one.
+    """The recordings of a MATLAB file of version 5, each struct or cell with joint positions one.
 
     Raises:
         RecordingError: Damaged, a bomb, or without joint positions.
-        MissingExtraError: Version 7.3, which is HDF5, without the extra `robomimic`.
     """
-    with path.open("rb") as file:
-        is_hdf5 = b"MATLAB 7.3" in file.read(HEADER_BYTES)
-    if is_hdf5:
-        from manip_learn.recordings.readers import hdf5_reader
-
-        yield from hdf5_reader.read(path, request)
-        return
     from scipy.io import loadmat
     from scipy.io.matlab import MatReadError
 

@@ -112,7 +112,7 @@ def table_columns(header: Sequence[str], first_row: Sequence[str], request: Read
         request: How it is read.
 
     Raises:
-        PatternError: No time, a choice that only the caller can make, or a table of messages.
+        RecordingError: No time, a choice that only the caller can make, or a table of messages.
     """
     robot = request.robot
     moving, still = robot.joint_names, unmoved_joint_names(robot)
@@ -181,7 +181,7 @@ def _by_joint_names(names: Sequence[str | None], robot: Robot, still: Sequence[s
     others are meant; those of commands (`target`, `desired`) are never taken for what was measured.
 
     Raises:
-        PatternError: Several templates fit: says which, and what to type.
+        RecordingError: Several templates fit: says which, and what to type.
     """
     moving, known = robot.joint_names, {*robot.joint_names, *still}
     made = templates(names, (*moving, *still))
@@ -247,7 +247,7 @@ def array_roles(names: Sequence[str]) -> dict[str, str]:
     """What the arrays of a group are (see `ROLES`) -> their names: by a name of its own, else by the words in it.
 
     Raises:
-        PatternError: Several arrays could be joint positions.
+        RecordingError: Several arrays could be joint positions.
     """
     roles = {role: role for role in ROLES if role in names}
     free = [n for n in names if n not in ROLES]

@@ -50,6 +50,7 @@ MAGIC: tuple[tuple[bytes, FileFormat], ...] = (
     (b"PAR1", LEROBOT),
     (b"\x89HDF\r\n\x1a\n", ROBOMIMIC),
     (b"\x93NUMPY", NPZ),
+    (b"MATLAB 7.3", ROBOMIMIC),  # which is HDF5
     (b"MATLAB ", MATLAB),
 )
 # content that people do hand in by mistake -> what to do
