@@ -76,7 +76,7 @@ def _demonstrations(
 ) -> Iterator[Recording]:
     """Those of robomimic: each must have positions, as many as are stated, at the rate that is stated."""
     data, *demos = groups
-    found = array_groups(path, [n for n in names if "/next_obs/" not in n], request)
+    found = array_groups(path, names, request)  # among them `next_obs`, which is `obs` once more and is not read
     for demo in demos:
         if f"{demo}/obs" not in found:
             there = first_names([n.removeprefix(f"{demo}/") for n in names if n.startswith(f"{demo}/")])
