@@ -230,7 +230,7 @@ CASES: dict[str, Refused] = {
         "not-finite", columns(HEADER, TIME, np.where(Q == Q[9], np.nan, Q)), "remove them", PLAIN
     ),
     # ---- arrays
-    "an archive without stamps": Refused("missing-array", one("a.npz", npz(q=Q, joint_names=np.array(JOINTS)))),
+    "an archive without stamps": Refused("no-time", one("a.npz", npz(q=Q, joint_names=np.array(JOINTS)))),
     "an archive without names": Refused("no-joint-names", one("a.npz", npz(time=TIME, q=Q))),
     "an archive of another name": Refused(
         "missing-array", one("a.npz", npz(time=TIME, measured=Q, joint_names=np.array(JOINTS)))
@@ -327,7 +327,7 @@ CASES: dict[str, Refused] = {
         "lost-samples", hdf5(stated("total", 7)), "download it again", GOOD_HDF5, NAMED
     ),
     "no positions in HDF5": Refused(
-        "not-robomimic", hdf5(replaced("data/demo_0/obs/robot0_joint_pos", None)), "there is no", GOOD_HDF5, NAMED
+        "no-state", hdf5(replaced("data/demo_0/obs/robot0_joint_pos", None)), "no array of joint positions", GOOD_HDF5, NAMED
     ),
     # ---- objects
     "no pose of the box": Refused(

@@ -13,8 +13,7 @@ from manip_learn.errors import RecordingError, advice, closest_names, printable
 from manip_learn.recordings.data_frame import DataFrame, frames_as_files
 from manip_learn.recordings.demonstrations import Demonstrations
 from manip_learn.recordings.earned_velocities import Velocities, judged_in_turn
-from manip_learn.recordings.format_words import VELOCITY_SUFFIX
-from manip_learn.recordings.readers.csv_reader import SURPLUS_SUFFIXES
+from manip_learn.recordings.format_words import ENDS
 from manip_learn.recordings.readers.name_patterns import JOINT
 from manip_learn.recordings.readers.read_request import (
     EpisodeSelection,
@@ -40,7 +39,6 @@ from manip_learn.robot import Robot
 
 # of an NPZ archive; `time` is a column of any recording
 ARRAYS = ("time", "q", "u", "effort", "joint_names", "format")
-SUFFIXES = (VELOCITY_SUFFIX, *SURPLUS_SUFFIXES, ".pos", ".vel")
 POSE_SUFFIXES = (".x", ".y", ".z", *ROTATION_VECTOR, *QUATERNION)
 
 NUMBER = re.compile(r"\d[\d.,]*(e[-+]?\d+)?")
@@ -213,7 +211,7 @@ def _check_new_names(request: ReadRequest) -> None:
     joints = [*robot.joint_names, *unmoved_joint_names(robot)]
     poses = [name + suffix for name in robot.objects for suffix in POSE_SUFFIXES]
     for old, new in request.new_names.items():
-        ends = () if new in joints else SUFFIXES  # a column such as `joint1_velocity` is about its joint
+        ends = () if new in joints else ENDS  # a column such as `joint1_velocity` is about its joint
         base = next((new.removesuffix(s) for s in ends if new.endswith(s)), new)
         head, pattern, tail = new.partition(JOINT)
         fits = any(j.startswith(head) and j.endswith(tail) for j in joints) if pattern else False

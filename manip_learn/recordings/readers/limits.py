@@ -6,6 +6,8 @@ import itertools
 import re
 from pathlib import Path
 
+import numpy as np
+
 from manip_learn.errors import RecordingError
 from manip_learn.recordings.readers.recording import check_regular, reason, refusal
 
@@ -30,6 +32,17 @@ def bomb(path: Path, evidence: str) -> RecordingError:
     return refusal(
         path, "bomb", f"{evidence}: no recorded motion packs so well; if it is real, unpack it yourself first"
     )
+
+
+def refuse_lost(path: Path, found: int, what: str, where: str, name: str, stated: object, way_out: str = "") -> None:
+    """Refuse a file in which another number of something was found than `name` states.
+
+    Raises:
+        RecordingError: Code `lost-samples`.
+    """
+    if isinstance(stated, int | np.integer) and not isinstance(stated, bool) and int(stated) != found:
+        text = f"{found} {what} are there, {where} states {name} = {int(stated)}: some are missing or were changed"
+        raise refusal(path, "lost-samples", f"{text}; download it again{way_out}")
 
 
 def check_columns(path: Path, what: str, n: int) -> None:

@@ -16,7 +16,7 @@ from jaxtyping import Float
 
 from manip_learn.errors import RecordingError, advice, closest_names, spoken
 from manip_learn.recordings.earned_velocities import Velocities
-from manip_learn.recordings.format_words import EFFORT_SUFFIX, VELOCITY_SUFFIX
+from manip_learn.recordings.format_words import VELOCITY_SUFFIX
 from manip_learn.recordings.readers.name_patterns import INDEX, JOINT, renamed
 from manip_learn.robot import Robot
 
@@ -26,7 +26,6 @@ OutsideLimits = Literal["refuse", "note"]
 
 SECONDS: dict[str, float] = {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9}  # of one unit
 UNIT_WORDS = {"s": "seconds", "ms": "milliseconds", "us": "microseconds", "ns": "nanoseconds"}
-ENDS = (VELOCITY_SUFFIX, EFFORT_SUFFIX, ".pos", ".vel", ".torque", ".effort")  # of names that are about a joint
 FLAGS = {"ignore_columns": "--ignore-column", "topics": "--topic"}  # of options that are called otherwise in Python
 CHOICES = {"units": Units, "time_unit": TimeUnit, "velocities": Velocities, "outside_limits": OutsideLimits}
 # options that only some formats have a use for, and why the recordings had none
@@ -281,7 +280,7 @@ class ReadRequest:
         """All names of one kind in a file, e.g. those of its columns, after renaming."""
         self.uses.see(*names)
         moving = self.robot.joint_names
-        new = renamed(names, self.new_names, moving, unmoved_joint_names(self.robot), ENDS) if self.rename else {}
+        new = renamed(names, self.new_names, moving, unmoved_joint_names(self.robot)) if self.rename else {}
         self.uses.use("rename", *(entry for _, entry in new.values()))
         return tuple(new[n][0] if n in new else n for n in names)
 

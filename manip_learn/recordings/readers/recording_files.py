@@ -36,7 +36,7 @@ NPZ = FileFormat("NumPy archives (.npz)", READERS + "npz_reader")
 ROSBAG = FileFormat("ROS bags", READERS + "rosbag_reader")
 LEROBOT = FileFormat("LeRobot data", READERS + "lerobot_reader")
 MATLAB = FileFormat("MATLAB files", READERS + "array_reader")
-ROBOMIMIC = FileFormat("HDF5 (robomimic)", READERS + "robomimic_reader")
+ROBOMIMIC = FileFormat("HDF5 (robomimic)", READERS + "hdf5_reader")
 SAVED = FileFormat("files of manip_learn", READERS + "saved_reader")
 FORMATS = (CSV, NPZ, ROSBAG, LEROBOT, ROBOMIMIC, MATLAB)
 
@@ -44,7 +44,7 @@ SUFFIXES = (".csv", ".tsv", ".npz", ".bag", ".db3", ".mcap", ".parquet", ".hdf5"
 MAGIC: dict[tuple[bytes, ...], FileFormat] = {
     (b"#ROSBAG V2", b"SQLite format 3\x00", b"\x89MCAP0\r\n"): ROSBAG,
     (b"PAR1",): LEROBOT,
-    (b"\x89HDF\r\n\x1a\n",): ROBOMIMIC,
+    (b"\x89HDF\r\n\x1a\n", b"MATLAB 7.3"): ROBOMIMIC,  # the latter is HDF5 too
     (b"\x93NUMPY",): NPZ,
     (b"MATLAB ",): MATLAB,
 }
