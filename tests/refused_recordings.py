@@ -327,7 +327,11 @@ CASES: dict[str, Refused] = {
         "lost-samples", hdf5(stated("total", 7)), "download it again", GOOD_HDF5, NAMED
     ),
     "no positions in HDF5": Refused(
-        "no-state", hdf5(replaced("data/demo_0/obs/robot0_joint_pos", None)), "no array of joint positions", GOOD_HDF5, NAMED
+        "no-state",
+        hdf5(replaced("data/demo_0/obs/robot0_joint_pos", None)),
+        "no array of joint positions",
+        GOOD_HDF5,
+        NAMED,
     ),
     # ---- objects
     "no pose of the box": Refused(

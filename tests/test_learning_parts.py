@@ -181,22 +181,30 @@ def estimate_of(gap: float, unexplained: float, name: str = "null-space", **chan
     return Estimate(name, np.eye(3)[:2], table, unexplained, 0.0, nothing, np.zeros((1, 2, 2)), **changes)
 
 
-def test_two_witnesses_decide_together():
-    """Gap times the strength of the weakest row: below 40 an answer is refused, and clear needs both."""
-    for gap, strengths, support, clear in (
-        (3.9, (12.0, 10.0), 39.0, False),
-        (4.1, (10.0, 12.0), 41.0, False),
-        (12.0, (9.0, 3.5), 42.0, False),
-        (12.0, (30.0, 5.0), 60.0, True),
-        (45.0, (0.3, 0.2), 45.0, False),  # never tried: one witness alone
+def test_its_own_tests_decide_on_an_answer():
+    """Fewer rows by recombination, or a gap twice as large at another number: refused, with what says so; clear needs
+    both.
+    """
+    for gap, strengths, says, clear in (
+        (12.0, (30.0, 9.0), "", True),
+        (12.0, (9.0, 3.5), "", False),
+        (4.1, (12.0, 10.0), "", False),
+        (12.0, (9.0, 1.2), "the recombination test supports 1: ", False),
+        (12.0, (0.9, 1.2), "the recombination test supports 0: ", False),
+        (1.1, (12.0, 10.0), "", False),
+        (0.9, (12.0, 10.0), "the gap supports 1: 2 against 0.9", False),
     ):
         with case(gap, strengths):
             rows = RowEvidence(strengths, (0.005, 0.005), (0.1, 0.1), np.eye(3)[:2], 5, 200, (0.0, 0.0))
-            candidate = Candidate(None, estimate_of(gap, 0.0), (), np.random.default_rng(0))  # type: ignore[arg-type]
+            estimate = estimate_of(gap, 0.0)
+            estimate = dataclasses.replace(estimate, table=dataclasses.replace(estimate.table, best=1 + (gap > 2.0)))
+            candidate = Candidate(None, estimate, (), np.random.default_rng(0))  # type: ignore[arg-type]
             answer = Answer(None, candidate, rows, None, ())  # type: ignore[arg-type]
-            assert answer.support == pytest.approx(support) and answer.clear == clear
-            assert answer.refusal().code == "no-evidence" and f"is {support:.2g}, and 40 is" in str(answer.refusal())
-    assert np.isinf(Answer(None, candidate, None, None, ()).support)  # type: ignore[arg-type]
+            assert answer.contradiction.startswith(says) and bool(says) == bool(answer.contradiction)
+            assert answer.clear == clear
+            if says:
+                assert answer.refusal().code == "no-evidence" and says in str(answer.refusal())
+    assert Answer(None, candidate, None, None, ()).contradiction  # type: ignore[arg-type]
 
 
 def test_an_estimate_is_doubted_by_its_numbers():

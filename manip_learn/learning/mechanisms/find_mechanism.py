@@ -110,8 +110,8 @@ def find_mechanism(
             error.
         recorded: The same trajectories as they were recorded, if `trajectories` are smoothed: the place is fitted to
             these, since smoothing costs the ends of an arc, and its errors are those of neighbours, too.
-        held: Phi and Lambda of rows that are known to be held. If they speak of rotations too, they say which mechanism
-            it is, and no other rows are looked for; if not, they do where no rows of the whole pose say more.
+        held: Phi and Lambda of rows that are known to be held. Where they are those of a mechanism, no other rows are
+            looked for; if they do not speak of rotations, what holds the hand's orientation is tested beside them.
         strength: How much less than by chance a row must be used, with 99 % confidence, to be believed.
 
     Raises:
@@ -129,7 +129,9 @@ def find_mechanism(
     moved = list(with_velocities(Demonstrations(chosen, ()), robot))
     known = None if held is None else read_kind(*held, views_of([held[0]], moved, scan_only=True)[0].immovable, paths.p)
     read, members, repeated = known, tuple(range(len(moved))), ""
-    if held is None or known is None or not any(unit.startswith("rad") for unit in held[0].row_units):
+    if held is not None and known is not None and not any(unit.startswith("rad") for unit in held[0].row_units):
+        read = _gripped(known, robot, tip, moved, paths, rng, strength)
+    elif known is None:
         searched, members, repeated = _read(robot, tip, moved, paths, rng, strength)
         if held is not None and searched is not None and 2 * len(members) <= len(moved):
             # where rows are known to be held in all of them, what holds in so few is not what holds them
@@ -169,6 +171,30 @@ def find_mechanism(
 def _postures(robot: Robot, trajectory: Trajectory) -> Float[np.ndarray, "T nv"]:
     q = trajectory.q
     return np.stack([robot.positions(x) for x in q]) if q.shape[1] != robot.nv else q
+
+
+def _gripped(
+    read: Read,
+    robot: Robot,
+    tip: Frame,
+    moved: Sequence[Trajectory],
+    paths: TipPaths,
+    rng: np.random.Generator,
+    least: float,
+) -> Read:
+    """A mechanism that holds the hand's place, with all that exchanging joints shows it to hold of its orientation."""
+    name = read[0].name
+    firmer = [k for k in MECHANISM_KINDS if k.name.startswith(f"{name}, ") or k.orientation == "carried"]
+    postures, seed = [_postures(robot, t) for t in moved], int(rng.integers(2**32))
+    about = np.linalg.svd(paths.turns, full_matrices=False)[2][0]  # what turns the hand with it turns it about its axis
+    for kind in sorted(firmer, key=lambda k: (-k.n_rows, not k.name.startswith(name))):
+        fit = fit_place(paths, kind, Place(about, read[1].point) if kind.orientation == "carried" else read[1])
+        radius = None if fit.radius is None else max(fit.radius.value, LEAST_BEND_M)
+        features, selection = _constraint(robot, tip.name, fit, radius, postures)
+        evidence = recombination_test(features, moved, np.random.default_rng(seed), len(firmer), least)
+        if evidence.n_rows >= len(selection) > 0:
+            return kind, fit.place
+    return read
 
 
 def _read(
