@@ -2,8 +2,8 @@
 
     python benchmarks/guided_hands.py --sets 100 --first-seed 61000 --out table.csv
 
-A set is drawn from its seed: task, arm, number of recordings, whole or cut, rate, resolution, zeros of the joints, play,
-lost samples, and the hand. Nothing that is learnt takes part in the truth. Even seeds are for tuning, odd ones are held
+A set is drawn from its seed: task, arm, number of recordings, whole or cut, rate, resolution, zeros of the joints,
+play, lost samples, and the hand. Nothing that is learnt takes part in the truth. Even seeds are for tuning, odd ones are held
 out; both are reported apart. An answer is right if the first constraint has as many rows as the mechanism that most of
 its stretches are of; wrong in silence if it is not and nothing warns.
 """
@@ -155,7 +155,7 @@ class HandSet:
 def paced(
     t: Float[np.ndarray, " T"], spans: list[list[float]], hand: Hand, rng: np.random.Generator
 ) -> tuple[Float[np.ndarray, " n"], Float[np.ndarray, " n"]]:
-    """Times, and where on the way the hand is at each of them: at another pace, with pauses, steps back, and sticking."""
+    """Times, and where on the way the hand is then: at another pace, with pauses, steps back, and sticking."""
     dt, at, when, where = 0.005, 0.0, [0.0], [0.0]
     stops = np.sort(rng.uniform(0.0, t[-1], rng.poisson(hand.pauses))).tolist()
     turns = np.sort(rng.uniform(0.5, t[-1], rng.poisson(hand.corrections))).tolist()
@@ -319,9 +319,8 @@ def main() -> None:
                 for x in some
                 if x.get("outcome") == "right" and "off deg" in x
             ]
-            print(
-                f"{'held out' if half else 'tuning'} {what}: {len(some)} sets, {counts}, within twice the stated: {sum(inside)} of {len(inside)}"
-            )
+            inside = f"{sum(inside)} of {len(inside)} within twice the stated angle"
+            print(f"{'held out' if half else 'tuning'} {what}: {len(some)} sets, {counts}, {inside}")
 
 
 if __name__ == "__main__":
