@@ -51,48 +51,46 @@ def derive_velocities(
     Raises:
         RecordingError: Too few samples.
     """
-    if len(trajectory) < 3:
-        text = f"{trajectory.name}: at least 3 samples are needed to estimate velocities, got {len(trajectory)}"
-        raise RecordingError(text, code="too-short")
-    if method not in ("auto", "midpoint", "smooth"):
-        raise RecordingError(f"velocities must be 'auto', 'midpoint' or 'smooth', not {method!r}", code="method")
-    x = positions_along(trajectory, robot)
-    if x is None:  # a planar base: differences on the manifold only
-        return _manifold_midpoints(trajectory, robot)
-    time, T = trajectory.time, len(trajectory)
-    if method == "auto":
-        midpoint = T < SHORT or (T < SHORT_AND_CLEAN and is_clean(time, x))
-        method = "midpoint" if midpoint else "smooth"
-    bodies = [b for b in robot.blocks if b.kind == "floating"]
-    if method == "midpoint" and bodies:
-        return _manifold_midpoints(trajectory, robot)
-    if method == "midpoint":
-        slope = np.diff(x, axis=0) / np.diff(time)[:, None]
-        names, measured = trajectory.joint_names, _measured(trajectory, _between)
-        return Trajectory(_between(time), _between(x), slope, names, trajectory.name, **measured)
-    if bodies:
-        return _with_bodies(trajectory, robot, x, bodies)
-    return _smoothed([trajectory], x[None])[0]
+    return derive_together([trajectory], robot, method)[0]
 
 
 def derive_together(
     trajectories: Sequence[Trajectory], robot: Robot, method: VelocityMethod = "auto"
 ) -> list[Trajectory]:
     """`derive_velocities` of each; those recorded at the same times share the work."""
-    is_plain = all(b.kind not in ("floating", "planar", "other") for b in robot.blocks)  # no body floats or glides
-    alike: dict[bytes, list[int]] = {}
-    for i, t in enumerate(trajectories):
-        alike.setdefault(t.time.tobytes(), []).append(i)
+    if method not in ("auto", "midpoint", "smooth"):
+        raise RecordingError(f"velocities must be 'auto', 'midpoint' or 'smooth', not {method!r}", code="method")
+    bodies = [b for b in robot.blocks if b.kind == "floating"]
+    alike: dict[tuple[str, bytes], dict[int, np.ndarray]] = {}
     derived: dict[int, Trajectory] = {}
-    for numbers in alike.values():
-        some = [trajectories[i] for i in numbers]
-        x = [positions_along(t, robot) for t in some] if is_plain and len(some[0]) >= SHORT_AND_CLEAN else []
-        together = [one for one in x if one is not None]
-        if method == "midpoint" or len(together) < len(some):
-            derived |= {i: derive_velocities(t, robot, method) for i, t in zip(numbers, some, strict=True)}
+    for i, t in enumerate(trajectories):
+        if (T := len(t)) < 3:
+            text = f"{t.name}: at least 3 samples are needed to estimate velocities, got {T}"
+            raise RecordingError(text, code="too-short")
+        x, how = positions_along(t, robot), method
+        if how == "auto":
+            short = T < SHORT or (T < SHORT_AND_CLEAN and x is not None and is_clean(t.time, x))
+            how = "midpoint" if short else "smooth"
+        if x is None or (how == "midpoint" and bodies):  # a planar base: differences on the manifold only
+            derived[i] = _manifold_midpoints(t, robot)
         else:
-            derived |= dict(zip(numbers, _smoothed(some, np.stack(together)), strict=True))
+            alike.setdefault((how, t.time.tobytes()), {})[i] = x
+    for (how, _), some in alike.items():
+        own = [trajectories[i] for i in some]
+        if how == "midpoint":
+            found = [_midpoints(t, x) for t, x in zip(own, some.values(), strict=True)]
+        elif bodies:
+            found = [_with_bodies(t, robot, x, bodies) for t, x in zip(own, some.values(), strict=True)]
+        else:
+            found = _smoothed(own, np.stack(list(some.values())))
+        derived |= dict(zip(some, found, strict=True))
     return [derived[i] for i in range(len(trajectories))]
+
+
+def _midpoints(trajectory: Trajectory, x: Float[np.ndarray, "T nv"]) -> Trajectory:
+    slope, measured = np.diff(x, axis=0) / np.diff(trajectory.time)[:, None], _measured(trajectory, _between)
+    names, name = trajectory.joint_names, trajectory.name
+    return Trajectory(_between(trajectory.time), _between(x), slope, names, name, **measured)
 
 
 def _smoothed(trajectories: Sequence[Trajectory], x: Float[np.ndarray, "e T nv"]) -> list[Trajectory]:
