@@ -77,7 +77,7 @@ class ConstraintLearner:
 
     Attributes:
         constraint_: The learnt `Constraint`, after `fit`: the best supported one.
-        constraints_: Every constraint that was found, best supported first.
+        constraints_: Every constraint that was found, clear ones first, then best supported first.
         report_: The evidence for the first, a `LearningReport`, after `fit`.
         reports_: One report per constraint.
         skill_: The constraints in the order in which they were shown, with what was done along each: a `Skill`.
