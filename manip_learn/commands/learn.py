@@ -123,6 +123,8 @@ def learn(options: LearnOptions, progress: Progress | None = None) -> Learnt:
         mechanism=_one_of(get_args(Switch), "--mechanism", options.mechanism),
         seed=options.seed,
         strength=BELIEVED_STRENGTH if options.strength is None else options.strength,
+        zeros=options.zeros,
+        links=options.links,
     )
     with cluster_client(options.dask) as client:
         learner.fit(demos, client=client, progress=progress)
