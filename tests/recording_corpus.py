@@ -229,7 +229,7 @@ def archive_cases() -> list[Case]:
         Case("names_given.npz", "accept", npz(time=TIME, q=Q), {"joint_names": JOINTS}),
         Case("more_arrays.npz", "note", npz(**good, camera=np.zeros((4, 4)))),
         Case("no_names.npz", "no-joint-names", npz(time=TIME, q=Q)),
-        Case("no_time.npz", "missing-array", npz(q=Q, joint_names=names)),
+        Case("no_time.npz", "no-time", npz(q=Q, joint_names=names)),
         Case("objects.npz", "pickle", npz(**{**good, "q": Q.astype(object)})),
         Case("complex.npz", "not-a-number", npz(**{**good, "q": Q.astype(complex)})),
         Case("booleans.npz", "not-a-number", npz(**{**good, "q": Q > 0})),

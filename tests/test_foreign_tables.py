@@ -211,3 +211,32 @@ def test_a_column_close_to_a_joint_is_still_a_mistake(planar3: Robot, tmp_path: 
     assert error.code == "unknown-column" and "columns='{joint}'" in str(error)
     demos = load_demonstrations(tmp_path / "demo.csv", planar3, columns="{joint}")
     assert any("joint11, joint12" in note for note in demos.notes)
+
+
+# beside the columns of positions: how others are called -> velocities are read, efforts are read, what a note says
+BESIDE: dict[str, tuple[list[str], bool, bool, str]] = {
+    "velocity.{joint}": (["velocity.{}"], True, False, ""),
+    "{joint}_vel": (["{}_vel"], True, False, ""),
+    "both": (["{}.vel", "tau_{}"], True, True, ""),
+    "two of velocities": (["{}_velocity", "{}.vel"], False, False, "not used: joint1_velocity, joint2_velocity"),
+    "a command": (["desired_{}"], False, False, "not used: desired_joint1"),
+    "commanded efforts": (["{}_desired_effort", "{}_effort"], False, True, "not used: joint1_desired_effort"),
+    "temperatures": (["{}_temperature"], False, False, "not used: joint1_temperature"),
+    "accelerations": (["{}_acceleration"], False, False, "not used: joint1_acceleration"),
+}
+
+
+def test_quantities_are_told_by_words(planar3: Robot, tmp_path: Path) -> None:
+    """Where columns are called as the joints, or contain their names, the words around these say what others hold."""
+    path = tmp_path / "demo.csv"
+    for position in ("{}", "position.{}"):
+        for name, (patterns, with_velocity, with_effort, said) in BESIDE.items():
+            with case(position, name):
+                header = ["time", *(p.format(j) for p in (position, *patterns) for j in JOINTS)]
+                others = [U if i == 0 else Q + 1.0 for i in range(len(patterns))]
+                path.write_text(table(header, TIME, *Q.T, *(c for values in others for c in values.T)))
+                demos = load_demonstrations(path, planar3)
+                np.testing.assert_array_equal(demos[0].q, Q)
+                assert demos[0].u is None or np.array_equal(demos[0].u, U)
+                assert (demos[0].u is not None, demos[0].effort is not None) == (with_velocity, with_effort)
+                assert said in " ".join(demos.notes)

@@ -7,6 +7,7 @@ import json
 
 import numpy as np
 import pytest
+from case import case
 from generated_motions import arm_features, guided_motions, oblique, paper_motions
 
 from manip_learn.constraint.features import CustomFeatures, FrameJacobian, MechanismRows
@@ -14,11 +15,12 @@ from manip_learn.constraint.mechanism import Mechanism
 from manip_learn.constraint.selection_in_words import describe, free_directions
 from manip_learn.errors import NotIdentifiableError, RecordingError
 from manip_learn.learning import ConstraintLearner
-from manip_learn.learning.answer import doubts_of_estimate
+from manip_learn.learning.answer import Answer, Candidate, doubts_of_estimate
 from manip_learn.learning.estimators.estimate import Estimate, GapTable, gaps_of_levels, gaps_of_residuals
 from manip_learn.learning.estimators.null_space import fit_null_space, levels
 from manip_learn.learning.estimators.policy_model import PolynomialModel
 from manip_learn.learning.estimators.variable_projection import fit_joint, scores
+from manip_learn.learning.recombination import RowEvidence
 from manip_learn.learning.samples import (
     Samples,
     check_fastest,
@@ -179,6 +181,24 @@ def estimate_of(gap: float, unexplained: float, name: str = "null-space", **chan
     return Estimate(name, np.eye(3)[:2], table, unexplained, 0.0, nothing, np.zeros((1, 2, 2)), **changes)
 
 
+def test_two_witnesses_decide_together():
+    """Gap times the strength of the weakest row: below 40 an answer is refused, and clear needs both."""
+    for gap, strengths, support, clear in (
+        (3.9, (12.0, 10.0), 39.0, False),
+        (4.1, (10.0, 12.0), 41.0, False),
+        (12.0, (9.0, 3.5), 42.0, False),
+        (12.0, (30.0, 5.0), 60.0, True),
+        (45.0, (0.3, 0.2), 45.0, False),  # never tried: one witness alone
+    ):
+        with case(gap, strengths):
+            rows = RowEvidence(strengths, (0.005, 0.005), (0.1, 0.1), np.eye(3)[:2], 5, 200, (0.0, 0.0))
+            candidate = Candidate(None, estimate_of(gap, 0.0), (), np.random.default_rng(0))  # type: ignore[arg-type]
+            answer = Answer(None, candidate, rows, None, ())  # type: ignore[arg-type]
+            assert answer.support == pytest.approx(support) and answer.clear == clear
+            assert answer.refusal().code == "no-evidence" and f"is {support:.2g}, and 40 is" in str(answer.refusal())
+    assert np.isinf(Answer(None, candidate, None, None, ()).support)  # type: ignore[arg-type]
+
+
 def test_an_estimate_is_doubted_by_its_numbers():
     """Held beyond doubt: gap 10, 1e-4 of the energy; soft from 1 %; refused below 3; a policy predicts 70 %."""
     for gap, left, held in ((10.0, 0.9e-4, True), (9.9, 0.9e-4, False), (10.0, 1.1e-4, False)):
@@ -198,7 +218,7 @@ def test_an_estimate_is_doubted_by_its_numbers():
     with pytest.raises(NotIdentifiableError, match="2 constraints leave no null space for 2 joints"):
         doubts_of_estimate(estimate_of(10.0, 0.0), 2, None)
     other = dataclasses.replace(estimate_of(10.0, 0.0), whitened_selection=np.eye(3)[:1])
-    assert "1 row learnt as asked, but the gap supports 2: 10 against 2" in doubts_of_estimate(other, 7, 1)
+    assert "1 row learnt, but the gap supports 2: 10 against 2" in doubts_of_estimate(other, 7, 1)
     assert (
         doubts_of_estimate(
             estimate_of(

@@ -171,6 +171,11 @@ def test_velocities_in_the_state_or_beside_it(planar3: Robot, tmp_path: Path) ->
     files = {"data/a.parquet": table({0: q}, **beside)}
     demos = load_demonstrations(dataset(tmp_path / "two", info(JOINTS), files), planar3, units="radians")
     np.testing.assert_array_equal(demos[0].u, u)
+    names = [*JOINTS, *(f"{j}_velocity" for j in JOINTS), *(f"{j}_acceleration" for j in JOINTS)]
+    files = {"data/a.parquet": table({0: np.hstack([q, u, u])})}
+    demos = load_demonstrations(dataset(tmp_path / "three", info(names), files), planar3, units="radians")
+    np.testing.assert_array_equal(demos[0].q, q.astype(np.float32))
+    np.testing.assert_array_equal(demos[0].u, u.astype(np.float32))
 
 
 def test_names_come_in_many_forms() -> None:

@@ -118,7 +118,7 @@ def test_missing_libraries_name_the_extra(monkeypatch: pytest.MonkeyPatch) -> No
         return real(name, *arguments, **keywords)
 
     extras = {"rosbags": ("bag_file", "ros"), "lz4": ("bag_file", "ros"), "pyarrow": ("lerobot_reader", "lerobot")}
-    for missing, (reader, extra) in (extras | {"h5py": ("robomimic_reader", "robomimic")}).items():
+    for missing, (reader, extra) in (extras | {"h5py": ("hdf5_reader", "robomimic")}).items():
         with case(missing), monkeypatch.context() as patch:
             patch.setattr(builtins, "__import__", absent)
             for name in [n for n in sys.modules if n.startswith(readers)]:

@@ -218,12 +218,12 @@ def test_a_place_that_is_known_badly_is_doubted():
         "to 61 mm"
     )
     assert doubts_of_place(hinge_with(50.0, 0.0))[0].startswith("move it by at least 90 degrees")
+    assert doubts_of_place(hinge_with(50.0, 0.0, arc=3.0))[0].startswith("record it more often")
     assert doubts_of_place(hinge_with(0.0, 0.0041, radius=0.001))[0].startswith(
         "move it by"
     )  # a fifth of 2 cm at least
     _, warned = doubts_of_place(hinge_with(0.1, 0.006))
-    assert warned.startswith("the hand goes 29 degrees about the axis") and "known to +- 6 mm" in warned
-    assert warned.endswith("move it by at least 57 degrees")
+    assert warned.startswith("move it by at least 57 degrees, not 29: ") and warned.endswith("is known to +- 6 mm")
     assert doubts_of_place(hinge_with(0.1, 0.006, grip="firm")) == ("", "")
     assert doubts_of_place(Mechanism("line", AXIS, uncertainty={"axis": 60.0})) == ("", "")
 

@@ -5,10 +5,14 @@ from __future__ import annotations
 from pathlib import Path
 
 import numpy as np
+import pandas as pd
+from case import case
 from jaxtyping import Float
 
+from manip_learn.recordings import load_demonstrations
 from manip_learn.recordings.readers.csv_reader import sniff_dialect
 from manip_learn.recordings.validation.motion_checks import alternation
+from manip_learn.robot import Robot
 
 RECORDINGS = sorted(Path(__file__).parents[1].glob("examples/data/**/*.csv"))
 TURNS = ("strict", "phase", "rate", "random")
@@ -79,3 +83,28 @@ def test_a_second_publisher_in_a_part_of_a_recording_is_found(rng: np.random.Gen
     q = motion(rng, 2_000, 4, 0.01, 0.5)
     q[800:1000:2] += 0.8
     assert 795 <= alternation(q)[0][0] <= 805
+
+
+def test_failed_reads_are_left_out(planar3: Robot, rng: np.random.Generator) -> None:
+    """A driver that could not read its motors publishes one posture now and then: said, and the rest is the motion; one
+    that is held for long, or is no jump, is a motion.
+    """
+    for n in (2, 12, 40):
+        with case(f"{n} failed reads"):
+            q = motion(rng, 1000, 3, 0.01, 0.3) + [0.4, 0.5, 0.6]
+            failed = np.sort(rng.choice(998, n, replace=False)) + 1
+            told = load_demonstrations(table(q, failed, -1.5), planar3)
+            assert (
+                told.n_samples == 1000 - n
+                and f"{n} failed reads left out (first: line {failed[0] + 2}; " in told.notes[0]
+            )
+    kept = load_demonstrations(table(q, np.arange(300, 500), 0.05 + q[300]), planar3)
+    assert kept.n_samples == 1000 and kept.notes == ()
+
+
+def table(q: np.ndarray, at: np.ndarray, posture: float | np.ndarray) -> pd.DataFrame:
+    """Positions of three joints, of which some samples show a posture."""
+    shown = q.copy()
+    shown[at] = posture
+    columns = {f"joint{j + 1}": shown[:, j] for j in range(3)}
+    return pd.DataFrame({"time": 0.01 * np.arange(len(q)), **columns})

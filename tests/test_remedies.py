@@ -4,16 +4,23 @@ next sentence is another one.
 
 from __future__ import annotations
 
+import ast
 import gzip
+import json
 import re
+import shutil
 import zipfile
 from collections.abc import Callable
 from pathlib import Path
 
 import pytest
 from case import case
+from library_source import library
 from obeying import advised, said
-from recording_corpus import GOOD, archive_cases, number_cases, other_kind_cases, text_cases
+from recording_corpus import CHAPTERS, GOOD, archive_cases, number_cases, other_kind_cases, text_cases
+from refused_recordings import CASES
+
+from manip_learn.cli import main
 
 # of the corpus: what no advice can save says what is needed, and these are its words
 NEEDED = re.compile(
@@ -22,6 +29,9 @@ NEEDED = re.compile(
     r"cannot|are left",
     re.IGNORECASE,
 )
+# what only a program in Python can do wrong
+IN_PYTHON = {*("type", "span", "samples", "method", "missing", "joint-names", "duplicate-joint", "no-velocities")}
+IN_PYTHON |= {"not-a-rollout"}
 # words of a sentence -> what is done to the file that it is about
 DEEDS: dict[str, Callable[[Path, str], Path]] = {}
 
@@ -127,3 +137,46 @@ def test_what_a_refusal_says_helps(chapter, capsys) -> None:
             else:
                 read += 1
     assert read > 0
+
+
+def codes_of_recordings() -> set[str]:
+    """Codes with which recordings are refused, as the source names them."""
+    calls = [n for s in library() if s.top == "recordings" for n in ast.walk(s.tree) if isinstance(n, ast.Call)]
+    said = [k.value for call in calls for k in call.keywords if k.arg == "code"]
+    said += [a for call in calls if ast.unparse(call.func).endswith("refusal") for a in call.args[:2]]
+    return {a.value for a in said if isinstance(a, ast.Constant) and re.fullmatch("[a-z-]{2,20}", str(a.value))}
+
+
+def test_every_reason_has_a_remedy() -> None:
+    """A recording is refused for no reason that is missing in these tables."""
+    shown = {entry.code for entry in CASES.values()} | {entry.verdict for chapter in CHAPTERS for entry in chapter()}
+    assert codes_of_recordings() <= shown | IN_PYTHON
+
+
+@pytest.mark.parametrize("name", CASES)
+def test_the_remedy_of_each_reason_works(name: str, tmp_path: Path, capsys) -> None:
+    """The flags in a sentence are typed, or the file is mended as it says; it is then read, or the next is another."""
+    entry, words = CASES[name], list(CASES[name].words)
+    path, heard = entry.bad(tmp_path), list[str]()
+
+    def export() -> dict[str, str]:
+        out = tmp_path / f"out {len(heard)}"
+        code = main(["export", "planar3", str(path), "--to", "csv", "--out", str(out), *words, "--json"])
+        assert code in (0, 2)
+        return json.loads(capsys.readouterr().out).get("error", {})
+
+    while error := export():
+        assert error["message"] not in heard, f"{words}: heard again: {error['message']}"
+        assert heard or error["code"] == entry.code, error
+        heard.append(error["message"])
+        assert len(heard) < 4, heard
+        if entry.good is not None:
+            assert entry.says in error["message"], error
+            for old in tmp_path.iterdir():
+                shutil.rmtree(old) if old.is_dir() else old.unlink()
+            path, words = entry.good(tmp_path), [w for w in words if w not in entry.undone]
+        else:
+            ways = advised(error["message"])
+            assert ways, error
+            words += ways[0]
+    assert heard

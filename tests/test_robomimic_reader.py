@@ -63,6 +63,23 @@ def test_round_trip(planar3: Robot, tmp_path: Path) -> None:
     assert other.u is None
 
 
+def test_what_else_is_in_a_demonstration(planar3: Robot, tmp_path: Path) -> None:
+    """The next observations are no recording; stamps go before a rate; of two arms the caller says which is read."""
+    path = write(tmp_path / "a.hdf5", (0,))
+    with h5py.File(path, "a") as file:
+        file["data/demo_0/next_obs/robot0_joint_pos"] = Q
+        file["data/demo_0/obs/robot0_gripper_qpos"] = Q[:, :2]
+        file["data/demo_0/obs/timestamps"] = 2.0 * T
+    (demo,) = load_demonstrations(path, planar3, joint_names=JOINTS)
+    np.testing.assert_allclose(demo.time, 2.0 * T)
+    np.testing.assert_array_equal(demo.q, Q)
+    with h5py.File(path, "a") as file:
+        file["data/demo_0/obs/robot1_joint_pos"] = Q + 0.1
+    assert "rename={'robot1_joint_pos': 'q'}" in str(refusal(path, planar3))
+    (demo,) = load_demonstrations(path, planar3, joint_names=JOINTS, rename={"robot1_joint_pos": "q"})
+    np.testing.assert_array_equal(demo.q, Q + 0.1)
+
+
 def test_names_must_be_given(planar3: Robot, tmp_path: Path) -> None:
     """The file has none; the refusal proposes the robot's."""
     error = refusal(write(tmp_path / "a.hdf5"), planar3, joint_names=None)
@@ -130,18 +147,18 @@ def replaced(value: Any, **options: Any) -> Callable[[Any], None]:
 def test_data_that_do_not_fit_are_refused(planar3: Robot) -> None:
     """Missing, ragged, not numbers, absurd sizes: refused before the numbers are read, where that is possible."""
     for change, code in [
-        (lambda obs: None, "not-robomimic"),
-        (lambda obs: obs.create_group("robot0_joint_pos"), "not-robomimic"),
+        (lambda obs: None, "no-state"),
+        (lambda obs: obs.create_group("robot0_joint_pos"), "no-state"),
         (replaced(Q[:, 0]), "shape"),
         (replaced(Q[:, :2]), "shape"),
         (replaced(Q[:-1]), "shape"),
-        (replaced(Q.astype("S8")), "not-a-number"),
+        (replaced(Q.astype("S8")), "no-state"),
         (replaced(np.where(Q == Q[5, 1], np.nan, Q)), "not-finite"),
         (replaced(np.zeros((5_000_000, 3)), compression="gzip"), "bomb"),
         (lambda obs: obs.create_dataset("robot0_joint_pos", (60, 3), "f8"), "damaged"),
         (lambda obs: obs.create_dataset("robot0_joint_pos", (10**12, 3), "f8", chunks=(1000, 3)), "damaged"),
         (replaced(np.degrees(Q)), "degrees"),
-        (replaced(np.stack([Q, Q])), "shape"),
+        (replaced(np.stack([Q, Q])), "no-state"),
     ]:
         with case(change, code) as tmp_path:
             path = write(tmp_path / "a.hdf5")

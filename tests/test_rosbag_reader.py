@@ -155,6 +155,18 @@ def test_empty_velocities_are_none(planar3: Robot, tmp_path: Path) -> None:
     assert demos[0].u is None and demos.notes == ()
 
 
+def test_velocities_without_positions_are_named(planar3: Robot) -> None:
+    """A publisher that leaves the positions empty: not "no message", but what was recorded, and how often."""
+    for kind in KINDS:
+        with case(kind) as tmp_path:
+            messages = [(t, r, (s, names, (), u)) for t, r, (s, names, _, u) in all_in_one()]
+            said = "velocities of 3 joints are recorded in 200 samples and no positions"
+            assert refusal(write_bag(tmp_path / "bag", kind, messages), planar3, match=said).code == "no-positions"
+            of_others = [(t, r, (s, ("a", "b", "c"), q, u)) for t, r, (s, _, q, u) in messages]
+            said = "200 messages of /joint_states have no positions"
+            assert refusal(write_bag(tmp_path / "others", kind, of_others), planar3, match=said).code == "empty"
+
+
 def test_several_publishers_are_merged_by_name(planar3: Robot) -> None:
     """Joints from two topics, one at half the rate and half a step late, are put on common stamps, and it is said."""
     for kind in KINDS:

@@ -209,6 +209,21 @@ def test_velocities_that_contradict_the_positions_are_derived(fault: str) -> Non
     assert error(features, truth, faulty(arm, SEED, fault)) <= 3.0 * from_positions(arm, SEED)
 
 
+def test_one_recording_at_fault_is_named() -> None:
+    """Those of all are derived, and the notes tell the recordings at fault from the others."""
+    features, exact, _ = motions("sawyer", SEED)
+    for fault in ("of one joint zero", "late by 150 ms", "of one joint in degrees", "drifting"):
+        with case(fault):
+            given = [replace(t, name=f"demo_{i}") for i, t in enumerate(exact)]
+            given[4] = replace(faulty("sawyer", SEED, fault)[4], name="demo_4")
+            read = recordings_given(given, features.robot, features.nv)
+            assert isinstance(read, ml.Demonstrations) and all(t.u is None for t in read)
+            (one,) = (note for note in read.notes if note.startswith("demo_4: "))
+            (others,) = (note for note in read.notes if note != one)
+            assert "does not integrate to its position" in one
+            assert others.startswith("demo_0 and 4 more: ") and "1 other recording" in others
+
+
 @pytest.mark.parametrize("fault", TIMES)
 def test_times_that_contradict_the_positions_are_spread(fault: str) -> None:
     """The answer is as good as with the true times, and a note says what was done."""
@@ -258,7 +273,7 @@ def test_what_is_asked_for_is_done(tmp_path: Path) -> None:
     robot = features.robot
     demos = {how: ml.load_demonstrations(tmp_path, robot, velocities=how) for how in ("auto", "derive", "recorded")}
     assert not demos["auto"].has_velocities and not demos["derive"].has_velocities
-    assert "as asked" in demos["derive"].notes[0] and " and 5 more: " in demos["auto"].notes[0]
+    assert "as asked" in demos["derive"].notes[0] and " and 5 more" in demos["auto"].notes[0]
     np.testing.assert_array_equal(demos["recorded"][0].u, wrong[0].u)
     good = from_positions("planar3", SEED)
     assert error(features, truth, demos["auto"]) == error(features, truth, wrong, velocities="derive") == good

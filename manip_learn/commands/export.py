@@ -99,7 +99,7 @@ def export(options: ExportOptions, progress: Progress | None = None) -> Exported
         refuse_to_replace([("--out", name) for name in names], options.files)
         written = [content_of(m) for m in motions]  # nothing is written unless all can be
         files = tuple(map(write_atomically, names, written))
-    return Exported(kind, files, len(motions), sum(len(m.time) for m in motions), demonstrations.notes)
+    return Exported(kind, files, len(motions), sum(map(len, motions)), demonstrations.notes)
 
 
 def _export_task(options: ExportOptions, text_of: Callable[[Constraint, ArrayLike], str]) -> Exported:

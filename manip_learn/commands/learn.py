@@ -123,6 +123,7 @@ def learn(options: LearnOptions, progress: Progress | None = None) -> Learnt:
         mechanism=_one_of(get_args(Switch), "--mechanism", options.mechanism),
         seed=options.seed,
         strength=BELIEVED_STRENGTH if options.strength is None else options.strength,
+        habits=options.habits,
         zeros=options.zeros,
         links=options.links,
     )

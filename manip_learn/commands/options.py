@@ -246,6 +246,9 @@ class LearnOptions:
     ] = "auto"
     mechanism: Annotated[str, Option(help="auto: say what holds the hand (hinge, line, ...); off.")] = "auto"
     strength: Annotated[float | None, Option(help="Minimum strength of evidence for a row; default: 1.8.")] = None
+    habits: Annotated[bool, Option("--habits", help="Also learn rows that may be kept by the way of moving only.")] = (
+        False
+    )
     zeros: Annotated[
         float, Option(help="How far the joints' zeros may be off [deg, 68 %]; 1 for arms of hobby servos.")
     ] = 0.1

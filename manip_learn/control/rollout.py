@@ -169,15 +169,15 @@ class Rollout:
             nq=self.q.shape[1],
             target=None if self.target is None else self.target.tolist(),
             constraint=self.constraint,
-            follows=self.following_error is not None,
+            following_error=self.following_error is not None,
             phases=[list(part) for part in self.phases],
             ways=[dict(way) for way in self.ways],
             around=[dict(thing) for thing in self.around],
         )
-        words = tuple(str(word) for word in self.status)
-        curves = self.manipulability, self.task_error
-        motion = SavedMotion(header, self.time, self.q, self.u, *curves, words, following_error=self.following_error)
-        return write_motion(path, motion)
+        arrays = {name: np.array(getattr(self, name)) for name in _CURVES if getattr(self, name) is not None}
+        return write_motion(
+            path, SavedMotion(header, arrays | {"status": np.array(list(map(str, self.status)), dtype=str)})
+        )
 
     @staticmethod
     def load(path: str | Path, robot: Robot | None = None) -> Rollout:
@@ -209,7 +209,7 @@ class Rollout:
         path = Path(path)
         motion = read_saved(path)
         header = motion.header
-        if motion.u is None or motion.manipulability is None or motion.task_error is None:
+        if header.kind != "rollout":
             raise RecordingError(
                 f"{path.name} is a recording, no rollout"
                 + spoken(": load_demonstrations reads it", ": name a file that `manip-learn control --out` wrote"),
@@ -224,27 +224,25 @@ class Rollout:
                 code="other-robot",
                 path=path,
             )
-        known = {str(s): s for s in Status}
-        unknown = next((i for i, word in enumerate(motion.status) if word not in known), None)
+        known, words = {str(s): s for s in Status}, motion.arrays["status"].tolist()
+        unknown = next((i for i, word in enumerate(words) if word not in known), None)
         if unknown is not None:
             raise RecordingError(
-                f"{path.name} sample {unknown}: the status is {motion.status[unknown]!r:.40}, "
+                f"{path.name} sample {unknown}: the status is {words[unknown]!r:.40}, "
                 f"it must be one of {', '.join(known)}",
                 code="status",
                 path=path,
             )
-        status = tuple(known[word] for word in motion.status)
-        numbers = motion.time, motion.q, motion.u, motion.manipulability
+        arrays: dict[str, Any] = {name: motion.arrays[name] for name in _CURVES if name in motion.arrays}
         guided = {
+            "status": tuple(known[word] for word in words),
             "target": None if header.target is None else np.array(header.target),
-            "constraint": header.constraint,
-            "following_error": motion.following_error,
             "phases": tuple((name, float(start), float(end)) for name, start, end in header.phases or ()),
             "ways": tuple(header.ways or ()),
             "around": tuple(header.around or ()),
         }
-        described = status, header.joint_names, motion.task_error, header.frame, header.robot
-        return Rollout(*numbers, *described, **guided), notes
+        told = {name: getattr(header, name) for name in ("joint_names", "frame", "robot", "constraint")}
+        return Rollout(**(arrays | told | guided)), notes
 
 
 def written_constraint(constraint: Constraint) -> Mapping[str, Any] | None:

@@ -71,6 +71,8 @@ class ConstraintLearner:
             refuses more, a smaller one believes more; free motion reaches 1.5 now and then.
         switch: What a change between a contact and free motion costs [nats]. A larger number finds fewer and longer
             phases: 16 is a chance of exp(-16) for each tenth of a second, that of a change in some months.
+        habits: Whether rows that may be kept by the way of moving only are learnt beside those that are clearly held;
+            they are named in any case.
         most_samples: Of more samples so many are chosen evenly. More of them take time and teach next to nothing:
             their half turns a drawer by 0.0005 degrees.
         zeros: Standard deviation [deg] of the errors of the joints' zeros, as it is thought of the arm beforehand: an
@@ -122,6 +124,7 @@ class ConstraintLearner:
         mechanism: Switch = "auto",
         strength: float = BELIEVED_STRENGTH,
         switch: float = SWITCH_NATS,
+        habits: bool = False,
         most_samples: int = MOST_SAMPLES,
         zeros: float = 0.1,
         links: float = 0.5,
@@ -153,7 +156,7 @@ class ConstraintLearner:
             raise FeatureError(f"most_samples must be an integer of at least 100, got {most_samples!r}")
         self.strength, self.switch, self.most_samples = float(strength), float(switch), most_samples
         self.zeros, self.links = float(zeros), float(links)
-        self.seed = seed
+        self.habits, self.seed = bool(habits), seed
         candidates = [features] if not isinstance(features, Sequence) else list(features)
         if not candidates:
             raise FeatureError("give the learner at least one feature map")
@@ -276,6 +279,7 @@ class ConstraintLearner:
                     self.seed,
                     mechanism=self.mechanism == "auto",
                     strength=self.strength,
+                    habits=self.habits,
                     arm=arm,
                 )
                 answers, findings = find_answers(findings, everyone, settings)

@@ -60,11 +60,9 @@ def frame_of(trajectories: Sequence[Trajectory]) -> PandasFrame:
     joints = trajectories[0].joint_names
     for t in trajectories:
         if t.q.shape[1] != len(joints):
-            raise RecordingError(
-                f"{t.name}: q has {t.q.shape[1]} columns and there are {len(joints)} joint names: a table needs one "
-                "name per column; name the joints, or load the recording with load_demonstrations",
-                code="joint-names",
-            )
+            text = f"{t.name}: q has {t.q.shape[1]} columns and there are {len(joints)} joint names: a table needs one "
+            text += "name per column; name the joints, or load the recording with load_demonstrations"
+            raise RecordingError(text, code="joint-names")
     table: dict[str, np.ndarray] = {
         TRAJECTORY: np.repeat([t.name for t in trajectories], [len(t) for t in trajectories]),
         TIME: np.concatenate([t.time for t in trajectories]),
@@ -79,17 +77,8 @@ def frame_of(trajectories: Sequence[Trajectory]) -> PandasFrame:
     return pd.DataFrame(table)
 
 
-def data_frames_in(given: object) -> list[DataFrame]:
-    """The tables of pandas that were given, one or a list of them; none if anything else was."""
-    if isinstance(given, DataFrame):
-        return [given]
-    if isinstance(given, Sequence) and all(isinstance(entry, DataFrame) for entry in given):
-        return list(given)
-    return []
-
-
 @contextmanager
-def frames_as_files(given: Any) -> Iterator[Any]:
+def frames_as_files(given: Any, first: int = 1) -> Iterator[Any]:
     """Data frames as text tables while they are read, so that one reader says what columns mean; else what was given.
 
     A frame with a column `trajectory` is one table for each of its values. An index of times or durations, or an index
@@ -97,13 +86,14 @@ def frames_as_files(given: Any) -> Iterator[Any]:
 
     Args:
         given: A data frame, several of them, or paths.
+        first: Number of the first frame in names.
     """
-    frames = data_frames_in(given)
-    if not frames:
+    frames = [given] if isinstance(given, DataFrame) else given
+    if not (isinstance(frames, Sequence) and frames and all(isinstance(frame, DataFrame) for frame in frames)):
         yield given
         return
     with tempfile.TemporaryDirectory(prefix="manip_learn_") as folder:
-        yield [path for number, frame in enumerate(frames, start=1) for path in _written(frame, Path(folder), number)]
+        yield [path for number, frame in enumerate(frames, first) for path in _written(frame, Path(folder), number)]
 
 
 def _written(frame: Any, folder: Path, number: int) -> Iterator[Path]:

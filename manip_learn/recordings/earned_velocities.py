@@ -8,7 +8,7 @@ within a window, and over longer times by less and less, since they integrate to
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import replace
 from typing import Literal, NamedTuple
 
@@ -98,10 +98,11 @@ def earned(
     else:
         faults = {i: f"{fault}; {derived}" for i in given if (fault := _not_numbers(out[i], velocities))}
         left = [i for i in given if i not in faults]
-        if velocities == "auto" and robot is not None and left:
+        if velocities == "auto" and robot is not None:
             with np.errstate(all="ignore"):  # what overflows is no reason to keep a velocity
-                fault = _fault([out[i] for i in left], robot)
-            faults |= dict.fromkeys(left, f"{fault}; {derived}") if fault else {}
+                found = _faults({i: out[i] for i in left}, robot)
+            others = f"{derived}, as those of {counted(len(found), 'other recording')} are: one method for all"
+            faults |= {i: f"{found[i]}; {derived}" if i in found else others for i in left} if found else {}
     for i in given:
         out[i] = replace(out[i], judged=True, **({"u": None} if i in faults else {}))
         notes += [(out[i].name, faults[i])] if i in faults else []
@@ -139,26 +140,34 @@ def _not_numbers(trajectory: Trajectory, velocities: Velocities) -> str:
     return fault
 
 
-def _fault(trajectories: Sequence[Trajectory], robot: Robot) -> str:
-    """Joints whose velocities do not follow their positions, in words with the figures; nothing if all do."""
+def _faults(trajectories: Mapping[int, Trajectory], robot: Robot) -> dict[int, str]:
+    """Recordings that are to blame, by their numbers, and joints whose velocities do not follow their positions, in
+    words with the figures; nothing if all do.
+    """
     floating = {i for b in robot.blocks if b.kind == "floating" for i in range(b.v.start, b.v.stop)}
     joints = [i for i in range(robot.nv) if i not in floating]
-    stretches: list[Stretch] = []
-    for t in trajectories:
+    stretches: dict[int, list[Stretch]] = {}
+    for i, t in trajectories.items():
         x, u = positions_along(t, robot), np.asarray(t.u)
         if x is not None and joints and u.shape[1] == robot.nv:
             x, u = (x[:, joints], u[:, joints]) if floating else (x, u)
-            stretches += [(t.time[s], x[s], u[s]) for s in _stretches(t.time)]
-    if not stretches:
-        return ""
-    held = np.all([_held(*stretch) for stretch in stretches], axis=0)
-    if np.any(held) and 2 * sum(is_clean(time, x) for time, x, _ in stretches) <= len(stretches):
+            stretches[i] = [(t.time[s], x[s], u[s]) for s in _stretches(t.time)]
+    together = [stretch for own in stretches.values() for stretch in own]
+    if not together:
+        return {}
+    held = np.all([_held(*stretch) for stretch in together], axis=0)
+    if np.any(held) and 2 * sum(is_clean(time, x) for time, x, _ in together) <= len(together):
         held[:] = False
-    if np.all(held):
-        return ""
-    verdict = _judged(stretches, held)
-    if not verdict.fails:
-        return ""
+    if np.all(held) or not (verdict := _judged(together, held)).fails:
+        return {}
+    alone = {i: _judged(own, held) for i, own in stretches.items() if own}
+    names, units = ([words[i] for i in joints] for words in (robot.joint_names, robot.joint_units))
+    alone = {i: found for i, found in alone.items() if found.fails} or dict.fromkeys(alone, verdict)
+    return {i: _in_words(found, stretches[i], names, units) for i, found in alone.items()}
+
+
+def _in_words(verdict: Verdict, stretches: Sequence[Stretch], names: Sequence[str], units: Sequence[str]) -> str:
+    """Which joints are to blame, how far the worst is from its positions after how long, and both errors."""
     worst = verdict.joints
     j, apart, after = worst[0], 0.0, 0.0
     for t, y, v in stretches:
@@ -166,11 +175,10 @@ def _fault(trajectories: Sequence[Trajectory], robot: Robot) -> str:
         k = int(np.argmax(rest))
         if rest[k] >= apart:
             apart, after = float(rest[k]), float(t[k] - t[0])
-    names, unit = [robot.joint_names[joints[i]] for i in worst], robot.joint_units[joints[j]]
-    others = f" ({listed(names[1:])} likewise)" if len(names) > 1 else ""
+    others = f" ({listed([names[i] for i in worst[1:]])} likewise)" if len(worst) > 1 else ""
     return (
-        f"velocity of {names[0]} does not integrate to its position: {apart:.2g} {unit} apart after {after:.2g} s, "
-        f"{verdict.recorded[j]:.2g} {unit}/s off where the positions give it to {verdict.derived[j]:.1g}{others}"
+        f"velocity of {names[j]} does not integrate to its position: {apart:.2g} {units[j]} apart after {after:.2g} s, "
+        f"{verdict.recorded[j]:.2g} {units[j]}/s off where the positions give it to {verdict.derived[j]:.1g}{others}"
     )
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import os
 import re
 from collections.abc import Iterable, Iterator, Mapping, Sequence
@@ -12,9 +13,7 @@ from manip_learn.errors import RecordingError, advice, closest_names, printable
 from manip_learn.recordings.data_frame import DataFrame, frames_as_files
 from manip_learn.recordings.demonstrations import Demonstrations
 from manip_learn.recordings.earned_velocities import Velocities, judged_in_turn
-from manip_learn.recordings.format_words import VELOCITY_SUFFIX
-from manip_learn.recordings.readers.csv_reader import SURPLUS_SUFFIXES
-from manip_learn.recordings.readers.lerobot_dataset import episode_numbers
+from manip_learn.recordings.format_words import ENDS
 from manip_learn.recordings.readers.name_patterns import JOINT
 from manip_learn.recordings.readers.read_request import (
     EpisodeSelection,
@@ -27,9 +26,12 @@ from manip_learn.recordings.readers.read_request import (
     unmoved_joint_names,
 )
 from manip_learn.recordings.readers.recording import Recording
-from manip_learn.recordings.readers.recording_files import LEROBOT, RecordingFile, recording_files, select_episodes
-from manip_learn.recordings.readers.saved_reader import file_header
-from manip_learn.recordings.saved_motion import check_robot
+from manip_learn.recordings.readers.recording_files import (
+    RecordingFile,
+    known_episodes,
+    recording_files,
+    select_episodes,
+)
 from manip_learn.recordings.trajectory import Trajectory
 from manip_learn.recordings.validation.joint_matching import QUATERNION, ROTATION_VECTOR
 from manip_learn.recordings.validation.validate import validate
@@ -37,7 +39,6 @@ from manip_learn.robot import Robot
 
 # of an NPZ archive; `time` is a column of any recording
 ARRAYS = ("time", "q", "u", "effort", "joint_names", "format")
-SUFFIXES = (VELOCITY_SUFFIX, *SURPLUS_SUFFIXES, ".pos", ".vel")
 POSE_SUFFIXES = (".x", ".y", ".z", *ROTATION_VECTOR, *QUATERNION)
 
 NUMBER = re.compile(r"\d[\d.,]*(e[-+]?\d+)?")
@@ -112,9 +113,9 @@ def load_demonstrations(paths: Paths | Tables, robot: Robot, **options: Unpack[R
         >>> len(demos), demos[0].q.shape  # recordings; samples and joints of the first
         (20, (40, 3))
     """
+    found: list[str] = []
     with frames_as_files(paths) as given:
         files, request, notes = open_recordings(given, robot, options)
-        found: list[str] = []
         trajectories = tuple(read_recordings(files, request, found, together=True))
     return Demonstrations(trajectories, notes + refuse_unmatched(found))
 
@@ -130,7 +131,7 @@ def open_recordings(
 
 
 def read_recordings(
-    files: list[RecordingFile], request: ReadRequest, notes: list[str] | None = None, *, together: bool = False
+    files: list[RecordingFile], request: ReadRequest, notes: list[str], *, together: bool = False
 ) -> Iterator[Trajectory]:
     """The trajectories in files, one after the other; sentences are added to `notes` at the end.
 
@@ -143,23 +144,25 @@ def read_recordings(
     """
     said: list[tuple[str, str]] = []
     request = replace(request, uses=OptionUses())
-    validated = _validated(files, request, said)
-    yield from judged_in_turn(validated, request.robot, request.velocities, said, together=together)
-    if notes is not None:
-        notes += folded(said, request.robot)
-        notes += request.unmatched()
-
-
-def _validated(files: list[RecordingFile], request: ReadRequest, said: list[tuple[str, str]]) -> Iterator[Trajectory]:
-    found = False
-    for file in files:
-        for recording in _recordings(file, request):
-            validated = validate(recording, request)
-            said += [(recording.name, note) for note in validated.notes]
-            found |= bool(validated.trajectories)
-            yield from validated.trajectories
-    if not found:
+    recordings = (recording for file in files for recording in file.recordings(request))
+    trajectories = validated(recordings, request, said)
+    first = next(trajectories, None)
+    if first is None:
         raise RecordingError(f"there is no demonstration in {', '.join(str(f.path) for f in files)}", code="empty")
+    every = itertools.chain([first], trajectories)
+    yield from judged_in_turn(every, request.robot, request.velocities, said, together=together)
+    notes += folded(said, request.robot)
+    notes += request.unmatched()
+
+
+def validated(
+    recordings: Iterable[Recording], request: ReadRequest, said: list[tuple[str, str]]
+) -> Iterator[Trajectory]:
+    """The trajectories of recordings of any origin; notes are added to `said`, each with the name of its recording."""
+    for recording in recordings:
+        checked = validate(recording, request)
+        said += [(recording.name, note) for note in checked.notes]
+        yield from checked
 
 
 def folded(said: Iterable[tuple[str, str]], robot: Robot | None) -> list[str]:
@@ -180,13 +183,6 @@ def folded(said: Iterable[tuple[str, str]], robot: Robot | None) -> list[str]:
         alike = "" if all(other == text for _, other in found) else " with other figures"
         out.append(printable(f"{name}{f' and {len(found) - 1} more{alike}' if len(found) > 1 else ''}: {text}"))
     return out
-
-
-def _recordings(file: RecordingFile, request: ReadRequest) -> Iterator[Recording]:
-    header = file_header(file.path) if file.path.is_dir() else None
-    if header is not None:
-        check_robot(file.path, header, request.robot)
-    return file.format.reader()(file.path, request)
 
 
 def _request(robot: Robot, options: ReadOptions) -> ReadRequest:
@@ -215,18 +211,15 @@ def _check_new_names(request: ReadRequest) -> None:
     joints = [*robot.joint_names, *unmoved_joint_names(robot)]
     poses = [name + suffix for name in robot.objects for suffix in POSE_SUFFIXES]
     for old, new in request.new_names.items():
-        ends = () if new in joints else SUFFIXES  # a column such as `joint1_velocity` is about its joint
+        ends = () if new in joints else ENDS  # a column such as `joint1_velocity` is about its joint
         base = next((new.removesuffix(s) for s in ends if new.endswith(s)), new)
         head, pattern, tail = new.partition(JOINT)
         fits = any(j.startswith(head) and j.endswith(tail) for j in joints) if pattern else False
         if not fits and base not in (*joints, *poses, *ARRAYS):
             near = closest_names(base, joints) or joints
-            python, flag = rename_words({old: new})
-            raise RecordingError(
-                f"{advice('{}: ', python, flag)}robot {robot.name!r} has no joint {new!r}; "
-                f"{'did you mean' if near != joints else 'it has'} {', '.join(map(repr, near[:12]))}, or 'time'",
-                code="option",
-            )
+            which = f"{'did you mean' if near != joints else 'it has'} {', '.join(map(repr, near[:12]))}, or 'time'"
+            text = f"robot {robot.name!r} has no joint {new!r}; {which}"
+            raise RecordingError(advice("{}: ", *rename_words({old: new})) + text, code="option")
 
 
 def numbers_read(paths: Paths, robot: Robot, **options: Unpack[ReadOptions]) -> tuple[int, ...]:
@@ -236,8 +229,4 @@ def numbers_read(paths: Paths, robot: Robot, **options: Unpack[ReadOptions]) -> 
     have one number for all.
     """
     files, request, _ = open_recordings(paths, robot, options)
-    if any(f.format is LEROBOT for f in files):
-        known = sorted({n for f in files for n in episode_numbers(f.path)})
-        return tuple(known if request.chosen is None else sorted(request.chosen))
-    chosen = {f.path for f in files}
-    return tuple(i for i, f in enumerate(recording_files(paths)[0]) if f.path in chosen)
+    return tuple(known_episodes(files) if request.chosen is None else sorted(request.chosen))

@@ -7,7 +7,7 @@ from __future__ import annotations
 import os
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterable, Iterator, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, Unpack, cast, final
 
@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from manip_learn.errors import RecordingError
-from manip_learn.recordings.data_frame import DataFrame, data_frames_in
+from manip_learn.recordings.data_frame import DataFrame, frames_as_files
 from manip_learn.recordings.demonstrations import Demonstrations
 from manip_learn.recordings.earned_velocities import Velocities, judged_in_turn
 from manip_learn.recordings.format_words import DATASET_HEADER
@@ -23,17 +23,16 @@ from manip_learn.recordings.load_demonstrations import (
     Paths,
     ReadOptions,
     folded,
-    load_demonstrations,
     open_recordings,
     read_recordings,
+    validated,
 )
 from manip_learn.recordings.readers.lerobot_dataset import episode_number, open_dataset, separate_files
 from manip_learn.recordings.readers.name_patterns import helpful_renaming
 from manip_learn.recordings.readers.read_request import ReadRequest
 from manip_learn.recordings.readers.recording import Recording
-from manip_learn.recordings.readers.recording_files import LEROBOT, RecordingFile
+from manip_learn.recordings.readers.recording_files import CSV, LEROBOT, RecordingFile
 from manip_learn.recordings.trajectory import Trajectory
-from manip_learn.recordings.validation.validate import validate
 from manip_learn.robot.robot import Robot
 
 PART_BYTES = 1_000_000  # of files that make a part: small ones share a task, and workers get even shares
@@ -93,9 +92,9 @@ class RecordingSource(TrajectorySource):
             RecordingError: A recording that cannot be trusted.
             MissingExtraError: The format needs a library that is not installed.
         """
-        yield from read_recordings(self._parts[index], self._request, notes)
-        if notes is not None and index == 0:
-            notes += self._notes
+        said = [] if notes is None else notes
+        yield from read_recordings(self._parts[index], self._request, said)
+        said += self._notes if index == 0 else ()
 
 
 def _pieces(file: RecordingFile, chosen: frozenset[int] | None) -> list[RecordingFile]:
@@ -137,51 +136,83 @@ Given = TrajectorySource | Motion | Iterable[Motion]
 
 
 @final
+@dataclass(frozen=True, eq=False)
 class CheckedSource(TrajectorySource):
     """A source, or anything that can be iterated over, whose motions are checked while they are read.
 
-    Args:
+    Attributes:
         given: The source, or an iterable, which is one part.
         robot: Whose joints each motion must have; None for features without a robot.
         nv: Number of velocities of the features.
         velocities: Which recorded ones are kept, see `earned`.
     """
 
-    def __init__(
-        self,
-        given: TrajectorySource | Iterable[Motion],
-        robot: Robot | None,
-        nv: int,
-        velocities: Velocities = "auto",
-    ):
-        self._given, self._robot, self._nv = given, robot, nv
-        self._velocities: Velocities = velocities
+    given: TrajectorySource | Iterable[Motion]
+    robot: Robot | None
+    nv: int
+    velocities: Velocities = "auto"
 
     @property
     def n_parts(self) -> int:
         """Number of parts."""
-        return self._given.n_parts if isinstance(self._given, TrajectorySource) else 1
+        return self.given.n_parts if isinstance(self.given, TrajectorySource) else 1
 
     def part(self, index: int, notes: list[str] | None = None) -> Iterator[Trajectory]:
         """The trajectories of a part, with the joints of the features."""
         said: list[str] = [] if notes is None else notes
         found: list[tuple[str, str]] = []
-        together = isinstance(self._given, Sequence)
-        named = self._named(index, said, found)
-        yield from judged_in_turn(named, self._robot, self._velocities, found, together=together)
-        said += folded(found, self._robot)
-
-    def _named(self, index: int, said: list[str], found: list[tuple[str, str]]) -> Iterator[Trajectory]:
-        source = self._given
+        source, together = self.given, isinstance(self.given, Sequence)
         entries = source.part(index, said) if isinstance(source, TrajectorySource) else source
-        for number, entry in enumerate(entries, start=1):
-            for trajectory in _trajectories_of(entry, number, self._robot, said, found, self._velocities):
-                if trajectory.joint_names:
-                    check_joints(trajectory.joint_names, self._robot)
-                    yield trajectory
-                else:
-                    names = [f"q{i}" for i in range(self._nv)] if self._robot is None else self._robot.joint_names
-                    yield trajectory.with_joint_names(tuple(names))
+        motions = (motion for i, entry in enumerate(entries, 1) for motion in self._motions(entry, i, found))
+        named = map(self._named, motions)
+        yield from judged_in_turn(named, self.robot, self.velocities, found, together=together)
+        said += folded(found, self.robot)
+
+    def _named(self, motion: Trajectory) -> Trajectory:
+        """A motion with the names of the joints of the features, which must be its own if it has names."""
+        if motion.joint_names:
+            check_joints(motion.joint_names, self.robot)
+            return motion
+        names = [f"q{i}" for i in range(self.nv)] if self.robot is None else self.robot.joint_names
+        return motion.with_joint_names(tuple(names))
+
+    def _motions(self, entry: Any, number: int, found: list[tuple[str, str]]) -> Iterator[Trajectory]:
+        """A motion as it is, or arrays and tables checked like a file; they may fall into several."""
+        name, robot = f"motion {number}", self.robot
+        if isinstance(entry, Trajectory):
+            yield entry
+        elif robot is not None and isinstance(entry, DataFrame):
+            request = ReadRequest(robot, velocities=self.velocities)
+            with frames_as_files([entry], number) as files:
+                tables = (table for file in files for table in RecordingFile(file, CSV).recordings(request))
+                yield from validated(tables, request, found)
+        elif not isinstance(entry, list | tuple) or len(entry) not in (2, 3):
+            text = f"{name} must be a Trajectory, or arrays (time, q) or (time, q, u), got {type(entry).__name__}"
+            raise RecordingError(text, code="type")
+        elif robot is None:
+            yield Trajectory(*entry, name=name)
+        else:
+            stamps = _stamps(entry[0], name)  # they are checked like those of a file
+            motion = Trajectory(np.arange(float(len(stamps))), *entry[1:], name=name)
+            width, names = motion.q.shape[1], robot.joint_names
+            if width == robot.nq != robot.nv:
+                yield replace(motion, time=stamps)
+                return
+            if width != robot.nv:
+                text = f"{name}: q has {width} columns, robot {robot.name!r} has {robot.nv} joints ({', '.join(names)})"
+                raise RecordingError(f"{text}: one column per joint is needed, in this order", code="shape")
+            recording = Recording.of(Path(name), name, stamps, names, motion.q, motion.u, None)
+            yield from validated([recording], ReadRequest(robot, velocities=self.velocities), found)
+
+
+def _stamps(time: ArrayLike, name: str) -> np.ndarray:
+    try:
+        stamps = np.asarray(time, dtype=np.float64)
+    except (TypeError, ValueError) as error:
+        raise RecordingError(f"{name}: time must be numbers: {error}", code="not-a-number") from error
+    if stamps.ndim != 1:
+        raise RecordingError(f"{name}: time must have 1 dimension, got shape {stamps.shape}", code="shape")
+    return stamps
 
 
 def recordings_given(
@@ -201,25 +232,19 @@ def recordings_given(
     Raises:
         RecordingError: Motions that do not fit, or that a file would be refused for; postures without time.
     """
-    if isinstance(given, Trajectory) or _is_motion(given):
+    if isinstance(given, Trajectory | DataFrame) or _is_motion(given):
         given = cast("Sequence[Motion]", [given])
-    if robot is not None and (frames := data_frames_in(given)):
-        given = load_demonstrations(frames, robot, velocities=velocities)
+    wrong = ""
     if isinstance(given, np.ndarray):
-        raise RecordingError(
-            f"an array of shape {given.shape} alone is no motion, for its times are not known: give (time, q), or "
-            "(time, q, u) with velocities, or a list of such pairs",
-            code="type",
-        )
-    if isinstance(given, str | os.PathLike):
-        raise RecordingError(
-            f"{os.fspath(given)!r} is the name of a file: load_demonstrations({os.fspath(given)!r}, robot) reads it",
-            code="type",
-        )
-    if not isinstance(given, TrajectorySource | Iterable):
-        raise RecordingError(
-            f"demonstrations must be trajectories or a source of them, got {type(given).__name__}", code="type"
-        )
+        wrong = f"an array of shape {given.shape} alone is no motion, for its times are not known: give (time, q), or "
+        wrong += "(time, q, u) with velocities, or a list of such pairs"
+    elif isinstance(given, str | os.PathLike):
+        file = os.fspath(given)
+        wrong = f"{file!r} is the name of a file: load_demonstrations({file!r}, robot) reads it"
+    elif not isinstance(given, TrajectorySource | Iterable):
+        wrong = f"demonstrations must be trajectories or a source of them, got {type(given).__name__}"
+    if wrong:
+        raise RecordingError(wrong, code="type")
     source = CheckedSource(cast("TrajectorySource | Iterable[Motion]", given), robot, nv, velocities)
     if not isinstance(given, Sequence):
         return source
@@ -236,57 +261,6 @@ def _is_motion(given: object) -> bool:
     return getattr(times, "ndim", None) == 1 or (isinstance(times, list) and all(np.isscalar(t) for t in times))
 
 
-def _trajectories_of(
-    entry: Any,
-    number: int,
-    robot: Robot | None,
-    notes: list[str],
-    found: list[tuple[str, str]],
-    velocities: Velocities,
-) -> Sequence[Trajectory]:
-    """A motion of an iterable as it is, or arrays and tables checked like a file; they may fall into several."""
-    if isinstance(entry, Trajectory):
-        return (entry,)
-    if robot is not None and isinstance(entry, DataFrame):
-        checked = load_demonstrations(entry, robot, velocities=velocities)
-        notes += checked.notes
-        return checked.trajectories
-    if not isinstance(entry, list | tuple) or len(entry) not in (2, 3):
-        raise RecordingError(
-            f"motion {number} must be a Trajectory, or arrays (time, q) or (time, q, u), got {type(entry).__name__}",
-            code="type",
-        )
-    time, q, *u = entry
-    name = f"motion {number}"
-    if robot is None:
-        return (Trajectory(time, q, u[0] if u else None, name=name),)
-    stamps = _stamps(time, name)  # they are checked like those of a file
-    motion = Trajectory(np.arange(float(len(stamps))), q, u[0] if u else None, name=name)
-    if motion.q.shape[1] == robot.nq != robot.nv:
-        return (replace(motion, time=stamps),)
-    names = robot.joint_names
-    if motion.q.shape[1] != robot.nv:
-        raise RecordingError(
-            f"{motion.name}: q has {motion.q.shape[1]} columns, robot {robot.name!r} has {robot.nv} joints "
-            f"({', '.join(names)}): one column per joint is needed, in this order",
-            code="shape",
-        )
-    recording = Recording(Path(name), name, stamps, names, motion.q, names, motion.u)
-    checked = validate(recording, ReadRequest(robot, velocities=velocities))
-    found += [(checked[0].name, note) for note in checked.notes]
-    return checked.trajectories
-
-
-def _stamps(time: ArrayLike, name: str) -> np.ndarray:
-    try:
-        stamps = np.asarray(time, dtype=np.float64)
-    except (TypeError, ValueError) as error:
-        raise RecordingError(f"{name}: time must be numbers: {error}", code="not-a-number") from error
-    if stamps.ndim != 1:
-        raise RecordingError(f"{name}: time must have 1 dimension, got shape {stamps.shape}", code="shape")
-    return stamps
-
-
 def check_joints(joint_names: Sequence[str], robot: Robot | None) -> None:
     """Refuse demonstrations of another robot than that of the features.
 
@@ -297,9 +271,6 @@ def check_joints(joint_names: Sequence[str], robot: Robot | None) -> None:
         ways = helpful_renaming(joint_names, robot.joint_names, robot.joint_names)
         in_order = any([reads.get(n) for n in joint_names] == list(robot.joint_names) for _, reads in ways)
         same = "; if they are the same joints: trajectory.with_joint_names(robot.joint_names)" if in_order else ""
-        raise RecordingError(
-            f"the demonstrations have the joints {', '.join(joint_names)}; robot {robot.name!r} has "
-            f"{', '.join(robot.joint_names)}: load them with load_demonstrations(files, robot), which sorts by name"
-            f"{same}",
-            code="joint-names",
-        )
+        text = f"the demonstrations have the joints {', '.join(joint_names)}; robot {robot.name!r} has "
+        text += f"{', '.join(robot.joint_names)}: load them with load_demonstrations(files, robot), which sorts by name"
+        raise RecordingError(text + same, code="joint-names")

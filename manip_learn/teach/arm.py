@@ -287,8 +287,8 @@ class TeachingArm:
     def close_when_near(self) -> bool:
         """Close the gripper on a handle that the hand has come to.
 
-        Where it was opened it stays open until the person has let the arm go elsewhere, or records again: a hand that had
-        pushed a drawer shut comes back by its handle.
+        Where it was opened it stays open until the person has let the arm go elsewhere, or records again: a hand that
+        had pushed a drawer shut comes back by its handle.
         """
         near = self.near()
         return self.held is None and near is not None and near != self._opened and self.grip(True)

@@ -125,7 +125,6 @@ def disagreeing(
     stretches: Sequence[Stretch],
     agrees: Bool[np.ndarray, " m"],
     elsewhere: Sequence[Stretch],
-    number: int,
 ) -> dict[int, str]:
     """Number of each trajectory that does not agree about a constraint -> how it differs, in words.
 
@@ -152,7 +151,7 @@ def disagreeing(
         whole = pieces_of(trajectories, stretches)[1]
         for i in sorted(set(range(len(trajectories))) - shown):
             why = reason(trajectories[i], whole, *own)
-            out[i] = f"constraint {number} is not seen in it, but in {len(shown)} of the others; {why}"
+            out[i] = f"what {len(shown)} of the others hold still is not seen in it; {why}"
     whole = pieces_of(trajectories, members)[1]
     for s, piece in zip(*pieces_of(trajectories, odd), strict=True):
         time, way = piece.time, way_along(piece, *own)
@@ -444,7 +443,7 @@ def _findings(
         spans = sharpened(view.motion, h.rows, stretches_of(view.motion, states, k + 1))
         usual = np.median([s.duration for s in spans]) if spans else 0.0
         found.append(tuple(pieces_of(trajectories, [s for s in spans if s.duration >= SHORT_STRETCH_RATIO * usual])[0]))
-    for number, (k, view, stretches) in enumerate(zip(order, views, found, strict=True), start=1):
+    for k, view, stretches in zip(order, views, found, strict=True):
         rows = explanation.hypotheses[k].rows
         if not stretches:
             continue
@@ -452,7 +451,7 @@ def _findings(
         members = tuple(s for s, good in zip(stretches, agrees, strict=True) if good)
         apart += [s for s in stretches if s not in members]
         elsewhere = [s for other in found if other is not stretches for s in other]
-        odd |= disagreeing(view, rows, trajectories, stretches, agrees, elsewhere, number)
+        odd |= disagreeing(view, rows, trajectories, stretches, agrees, elsewhere)
         parts.append(
             Part(
                 Demonstrations(pieces_of(trajectories, members)[1], demonstrations.notes),

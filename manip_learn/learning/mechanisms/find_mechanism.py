@@ -360,18 +360,24 @@ def doubts_of_place(mechanism: Mechanism) -> tuple[str, str]:
     worst = max(axis / POOR_AXIS_DEG, place / (POOR_RADIUS * max(radius, 0.02)))
     if worst > 1.0:
         return (
-            f"move it by at least {min(far * np.sqrt(4.0 * worst), 90.0):.0f} degrees, not {far:.0f}: it looks like "
-            f"{mechanism.sentence}, but the axis is known to {axis:.1f} degrees only and its place to "
-            f"{1e3 * place:.0f} mm",
+            f"{_farther(far, far * np.sqrt(4.0 * worst))}: it looks like {mechanism.sentence}, but the axis is known "
+            f"to {axis:.1f} degrees only and its place to {1e3 * place:.0f} mm",
             "",
         )
     if place <= WIDE_RADIUS * radius or mechanism.grip == "firm":
         return "", ""
-    needed = min(far * np.sqrt(place / (WIDE_RADIUS / 3.0 * radius)), 90.0)
+    needed = far * np.sqrt(place / (WIDE_RADIUS / 3.0 * radius))
     return "", (
-        f"the hand goes {far:.0f} degrees about the axis or the centre only, whose place is known to "
-        f"+- {1e3 * place:.0f} mm: move it by at least {needed:.0f} degrees"
+        f"{_farther(far, needed)}: the place of the axis or the centre, about which the hand goes, is known to "
+        f"+- {1e3 * place:.0f} mm"
     )
+
+
+def _farther(far: float, needed: float) -> str:
+    """What would make a place better known: a longer arc, or, where it is long already, more of them [deg]."""
+    if far < min(needed, 90.0):
+        return f"move it by at least {min(needed, 90.0):.0f} degrees, not {far:.0f}"
+    return "record it more often, with a hand that is steadier"
 
 
 def _constraint(

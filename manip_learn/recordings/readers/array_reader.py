@@ -1,4 +1,4 @@
-"""Arrays that are known by their names: MATLAB files and HDF5 files of any layout, and what NumPy archives share.
+"""Arrays that are known by their names: MATLAB files, and what HDF5 files and NumPy archives share with them.
 
 One group (of a struct, an HDF5 group, an archive) that holds joint positions is one recording. Which array is which is
 said by its name, in the words that columns of tables have; where that leaves a choice, the caller says so.
@@ -6,30 +6,26 @@ said by its name, in the words that columns of tables have; where that leaves a 
 
 from __future__ import annotations
 
-import math
 import re
 import warnings
 import zlib
 from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, final
 
 import numpy as np
-from jaxtyping import Float
 
-from manip_learn.errors import DAMAGE, MissingExtraError, RecordingError, advice, closest_names, counted
-from manip_learn.recordings.readers.column_patterns import find_time, kind_of
-from manip_learn.recordings.readers.lerobot_dataset import POSITIONS
-from manip_learn.recordings.readers.limits import LARGEST_ARRAYS, bomb, check_columns, most_bytes
+from manip_learn.errors import RecordingError, advice, closest_names, counted
+from manip_learn.recordings.format_words import RATE
+from manip_learn.recordings.readers.limits import bomb, most_bytes
+from manip_learn.recordings.readers.name_patterns import named_in
+from manip_learn.recordings.readers.quantities import ROLES, array_roles, find_time
 from manip_learn.recordings.readers.read_request import ReadRequest, first_names, names_advice, rename_words
-from manip_learn.recordings.readers.recording import Recording, float_array, natural_order, reason, refusal
+from manip_learn.recordings.readers.recording import Recording, float_array, natural_order, refusal, refusing_damage
 from manip_learn.recordings.saved_motion import joint_positions
 
 NUMBERS = ("time", "q", "u", "effort")
-ROLES = (*NUMBERS, "joint_names")
-KINDS = {"q": "position", "u": "velocity", "effort": "effort"}
-# of arrays of a hand, a gripper or a thing, whose positions are not those of the arm's joints
-POSES = re.compile(r"eef|(^|_)ee(_|$)|tcp|cart|gripper|finger|hand|object|camera|cos|sin|quat", re.IGNORECASE)
 SHOWN = 8  # names in a sentence
 MOST_ARRAYS = 100_000  # of one file, which are listed before any is read
 HEADER_BYTES, COMPRESSED = 128, 15  # of a MATLAB file: before its first element; the type of a packed one
@@ -38,40 +34,22 @@ Load = Callable[[Mapping[str, str]], dict[str, Any]]  # what arrays are -> their
 
 
 def read(path: Path, request: ReadRequest) -> Iterator[Recording]:
-    """The recordings of a MATLAB file, each struct or cell with joint positions one.
+    """The recordings of a MATLAB file of version 5, each struct or cell with joint positions one.
 
     Raises:
         RecordingError: Damaged, a bomb, or without joint positions.
-        MissingExtraError: Version 7.3, which is HDF5, without the extra `robomimic`.
     """
-    with path.open("rb") as file:
-        is_hdf5 = b"MATLAB 7.3" in file.read(HEADER_BYTES)
-    if is_hdf5:
-        try:
-            import h5py
-        except ImportError as error:
-            raise MissingExtraError("reading MATLAB 7.3 files", "robomimic") from error
-        try:
-            with h5py.File(path, "r") as opened:
-                yield from hdf5_recordings(path, opened, request)
-        except DAMAGE as error:
-            said = f"the file cannot be read ({reason(error)}): save it again"
-            raise refusal(path, "damaged", said) from error
-        return
     from scipy.io import loadmat
     from scipy.io.matlab import MatReadError
 
     leaves: dict[str, Any] = {}
-    try:
+    with refusing_damage(path, MatReadError):
         _refuse_bomb(path)
         with warnings.catch_warnings(action="ignore"):  # of variables that cannot be read or occur twice
             content = loadmat(path, simplify_cells=True)
         for name, value in content.items():
             if not name.startswith("__"):
                 _flatten(name, value, leaves)
-    except (MatReadError, *DAMAGE) as error:
-        said = f"the MATLAB file cannot be read ({reason(error)}): save it again"
-        raise refusal(path, "damaged", said) from error
     yield from recordings(path, list(leaves), lambda roles: {r: leaves[n] for r, n in roles.items()}, request)
 
 
@@ -105,50 +83,6 @@ def _flatten(name: str, value: Any, leaves: dict[str, Any]) -> None:
         leaves[name] = value
 
 
-def hdf5_recordings(path: Path, file: Any, request: ReadRequest) -> Iterator[Recording]:
-    """The recordings of an open HDF5 file; links are not followed."""
-    import h5py
-
-    sets: dict[str, Any] = {}
-
-    def note(name: str, member: Any) -> None:
-        if isinstance(member, h5py.Dataset) and member.dtype.kind in "fiu" and member.ndim in (1, 2):
-            sets[name] = member
-        if len(sets) > MOST_ARRAYS:
-            raise refusal(path, "too-large", f"it holds more than {MOST_ARRAYS:,} arrays: split it")
-
-    file.visititems(note)
-
-    def load(roles: Mapping[str, str]) -> dict[str, Any]:
-        arrays = {role: numbers(path, sets[name], name) for role, name in roles.items() if role in NUMBERS}
-        # MATLAB stores columns one after the other
-        return {r: array.T if "MATLAB_class" in sets[roles[r]].attrs else array for r, array in arrays.items()}
-
-    yield from recordings(path, list(sets), load, request)
-
-
-def numbers(path: Path, dataset: Any, where: str) -> Float[np.ndarray, "..."]:
-    """A data set of HDF5 that is stored in this very file, as float64.
-
-    Raises:
-        RecordingError: Stored elsewhere, no numbers, too large.
-    """
-    if dataset.is_virtual or dataset.external:
-        text = f"{where} is stored in other files, which are not opened: copy the data into the file"
-        raise refusal(path, "link", text)
-    if dataset.dtype.kind not in "fiu":
-        raise refusal(path, "not-a-number", f"{where} holds {dataset.dtype}, numbers are needed")
-    check_columns(path, where, dataset.shape[1] if dataset.ndim == 2 else 1)
-    need, stored = math.prod(dataset.shape) * dataset.dtype.itemsize, dataset.id.get_storage_size()
-    if need and not stored:
-        raise refusal(path, "damaged", f"{where} has shape {dataset.shape}, but no numbers are stored")
-    if need > LARGEST_ARRAYS:
-        raise refusal(path, "too-large", f"{where} has {need:,} bytes, more than {LARGEST_ARRAYS:,}: split it")
-    if need > most_bytes(stored):
-        raise bomb(path, f"{where} claims {need:,} bytes, {stored:,} are stored")
-    return float_array(dataset[()])
-
-
 def recordings(path: Path, names: Sequence[str], load: Load, request: ReadRequest) -> Iterator[Recording]:
     """One recording for each group of arrays with joint positions.
 
@@ -161,6 +95,33 @@ def recordings(path: Path, names: Sequence[str], load: Load, request: ReadReques
     Raises:
         RecordingError: No joint positions, or arrays whose shapes do not fit.
     """
+    groups = array_groups(path, names, request)
+    if not groups:
+        raise _missing(path, [n.rpartition("/")[2] for n in names])
+    for name, group in groups.items():
+        yield group_recording(path, f"{path.name} {name}" if len(groups) > 1 else path.name, group, load, request)
+
+
+@final
+@dataclass(frozen=True)
+class ArrayGroup:
+    """Arrays that are one recording.
+
+    Attributes:
+        roles: What arrays are (see `ROLES`) -> their names in the file, with the groups around them.
+        notes: What the caller should know.
+    """
+
+    roles: dict[str, str]
+    notes: tuple[str, ...]
+
+
+def array_groups(path: Path, names: Sequence[str], request: ReadRequest) -> dict[str, ArrayGroup]:
+    """The groups with joint positions, in natural order of their names.
+
+    Raises:
+        RecordingError: Several arrays of one could be the positions.
+    """
     renamed = dict(zip(names, request.renamed(*names), strict=True))
     last = {n: n.rpartition("/")[2] for n in names}
     of_last = dict(zip(last.values(), request.renamed(*last.values()), strict=True))
@@ -169,50 +130,23 @@ def recordings(path: Path, names: Sequence[str], load: Load, request: ReadReques
         called = renamed[name] if renamed[name] != name else of_last[last[name]]
         if not request.ignores(name, called):
             groups.setdefault(name.rpartition("/")[0], {})[called] = name
-    chosen = {}
+    found = {}
     for group in sorted(groups, key=natural_order):
-        roles = _roles(path, groups[group])
-        if "q" not in roles:
-            continue
-        outer = group
+        with named_in(path):
+            roles = {role: groups[group][called] for role, called in array_roles(list(groups[group])).items()}
+        outer = group if "q" in roles else ""
         while "time" not in roles and outer:  # beside the group
             outer = outer.rpartition("/")[0]
-            found = find_time(list(groups.get(outer, ())))
-            roles |= {} if found.column is None else {"time": list(groups[outer].values())[found.column]}
-        chosen[group] = roles
-    if not chosen:
-        raise _missing(path, [n for group in groups.values() for n in group])
-    for group, roles in chosen.items():
+            stamps, _ = find_time(list(groups.get(outer, ())))
+            roles |= {"time": list(groups[outer].values())[stamps[0]]} if len(stamps) == 1 else {}
         unused = [called for called, name in groups[group].items() if name not in roles.values()]
-        notes = (
-            [f"arrays not used: {', '.join(unused[:SHOWN])}{', ...' if len(unused) > SHOWN else ''}"] if unused else []
-        )
-        guessed = [f"{role} from {name!r}" for role, name in roles.items() if role not in groups[group]]
+        more = ", ..." if len(unused) > SHOWN else ""
+        notes = [f"arrays not used: {', '.join(unused[:SHOWN])}{more}"] if unused else []
+        guessed = [f"{role} from {last[name]!r}" for role, name in roles.items() if role not in groups[group]]
         notes += [f"read by the words in their names: {', '.join(guessed)}"] if guessed else []
-        title = f"{path.name} {group}" if len(chosen) > 1 else path.name
-        yield _recording(path, title, roles, load, request, notes)
-
-
-def _roles(path: Path, group: Mapping[str, str]) -> dict[str, str]:
-    """What an array of a group is -> its name in the file; by its own name, else by the words in it."""
-    roles = {role: group[role] for role in ROLES if role in group}
-    free = [called for called in group if called not in ROLES]
-    if "time" not in roles:
-        found = find_time(free)
-        roles |= {} if found.column is None else {"time": group[free[found.column]]}
-    for role, kind in KINDS.items():
-        if role in roles:
-            continue
-        words = [n for n in free if not POSES.search(n) and (kind_of(n) or "position") == kind]
-        words = [n for n in words if kind_of(n) or POSITIONS.search(n)]
-        first = [n for n in words if role == "q" and POSITIONS.search(n)]
-        fitting = first or words
-        if len(fitting) > 1 and role == "q":
-            ways = (rename_words({n: "q"}) for n in fitting[:SHOWN])
-            flags = " or ".join(advice("{}", *way) or n for way, n in zip(ways, fitting, strict=False))
-            raise refusal(path, "missing-array", f"several arrays could be joint positions: say which: {flags}")
-        roles |= {role: group[fitting[0]]} if len(fitting) == 1 else {}
-    return roles
+        if "q" in roles:
+            found[group] = ArrayGroup(roles, tuple(notes))
+    return found
 
 
 def _missing(path: Path, there: Sequence[str]) -> RecordingError:
@@ -223,22 +157,19 @@ def _missing(path: Path, there: Sequence[str]) -> RecordingError:
     return refusal(path, "missing-array", f"there is no array 'q'; there is {first_names(there)}{hint}")
 
 
-def _recording(
-    path: Path, title: str, roles: dict[str, str], load: Load, request: ReadRequest, notes: list[str]
-) -> Recording:
+def group_recording(path: Path, title: str, group: ArrayGroup, load: Load, request: ReadRequest) -> Recording:
     """The recording in some arrays, one row per sample."""
-    stored = load(roles)
+    notes, stored = list(group.notes), load(group.roles)
     arrays = {role: float_array(array) for role, array in stored.items() if role in NUMBERS}
     for role, array in arrays.items():
         if (kind := np.asarray(stored[role]).dtype) != np.dtype(np.float64):
             notes.append(f"{role} is stored as {kind.str}, read as float64")
         if role != "time" and array.ndim == 1:
             arrays[role] = array[:, None]
-    q = arrays["q"]
-    if "time" in arrays and arrays["time"].ndim == 2 and 1 in arrays["time"].shape:  # as MATLAB keeps vectors
-        arrays["time"] = arrays["time"].ravel()
-    T = len(arrays["time"]) if "time" in arrays else max(q.shape)
-    if q.shape[0] != T == q.shape[1]:
+        elif role == "time" and array.ndim == 2 and 1 in array.shape:  # as MATLAB keeps vectors
+            arrays[role] = array.ravel()
+    T = len(arrays["time"]) if "time" in arrays else max(arrays["q"].shape)
+    if arrays["q"].shape[0] != T == arrays["q"].shape[1]:
         arrays |= {role: array.T for role, array in arrays.items() if role != "time" and array.shape[-1] == T}
         notes.append("one column per sample: read as one row per sample")
     q = arrays["q"]
@@ -247,40 +178,38 @@ def _recording(
     names = request.renamed(*column_names(path, "q", width, stored.get("joint_names"), request))
     if "time" not in arrays and "time" in names:
         arrays["time"] = q[:, names.index("time")]
-    if "time" not in arrays:
-        if request.rate is None:
-            raise _no_time(path, roles)
+    is_counted = "time" not in arrays and request.rate is not None
+    if is_counted:
         arrays["time"] = request.counted(len(q))
-    _check_shapes(path, arrays)
+    _check_shapes(path, arrays, group.roles)
     kept = [i for i, n in enumerate(names) if n != "time"]
     names = tuple(names[i] for i in kept)
     if len(kept) < q.shape[1] and q.shape[1] == len(kept) + 1:
         q = q[:, kept]
     q = joint_positions(path, q, names, request.robot)
-    beside = (arrays.get("u"), arrays.get("effort"))
-    return Recording.of(path, title, arrays["time"], names, q, *beside, notes=tuple(notes))
+    u, effort = arrays.get("u"), arrays.get("effort")
+    in_seconds = is_counted and request.time_unit is None
+    return Recording.of(path, title, arrays["time"], names, q, u, effort, in_seconds=in_seconds, notes=tuple(notes))
 
 
-def _no_time(path: Path, roles: Mapping[str, str]) -> RecordingError:
-    how = advice("pass {}", "rate=<samples per second>", "--rate <samples per second>")
-    how += advice("; or, where another array holds the stamps, {}", "rename={NAME: 'time'}", "--rename NAME=time")
-    there = first_names(list(roles.values()))
-    return refusal(path, "missing-array", f"there is no array 'time' beside {there}: {how or 'add the stamps'}")
-
-
-def _check_shapes(path: Path, arrays: Mapping[str, np.ndarray]) -> None:
+def _check_shapes(path: Path, arrays: Mapping[str, np.ndarray], roles: Mapping[str, str]) -> None:
     shapes = {role: array.shape for role, array in arrays.items()}
+    if "time" not in shapes:
+        how = advice("pass {}", *RATE)
+        how += advice("; or, where another array holds the stamps, {}", "rename={NAME: 'time'}", "--rename NAME=time")
+        text = f"there is no array 'time' beside {first_names(list(roles.values()))}: {how or 'add the stamps'}"
+        raise refusal(path, "no-time", text)
     time, q = shapes["time"], shapes["q"]
     if len(time) != 1 or len(q) != 2 or q[0] != time[0]:
         raise refusal(path, "shape", f"time must have shape (T,) and q (T, n); they have {time} and {q}")
+    width = shapes.get("u", q)[-1]
     for role in ("u", "effort"):
-        shape = shapes.get(role, q)
-        if len(shape) != 2 or shape[0] != time[0]:
-            leave = advice("; or leave it out with {}", f"ignore_columns=[{role!r}]", f"--ignore-column {role}")
-            said = f"{role} must have shape ({time[0]}, n), it has {shape}: one row per time stamp{leave}"
-            raise refusal(path, "shape", said)
-    if "effort" in shapes and shapes["effort"] != shapes.get("u", q):
-        raise refusal(path, "shape", f"effort has shape {shapes['effort']}: one column per joint is needed")
+        shape = shapes.get(role, (*time, width))
+        if len(shape) != 2 or shape != (*time, width):
+            name = roles[role].rpartition("/")[2]
+            leave = advice("; or leave it out with {}", f"ignore_columns=[{name!r}]", f"--ignore-column {name}")
+            said = f"{role} must have one row per time stamp and one column per joint, {(*time, width)}; it has"
+            raise refusal(path, "shape", f"{said} {shape}{leave}")
 
 
 def column_names(
@@ -298,8 +227,6 @@ def column_names(
         said = f"nothing names the {counted(width, 'column')} of {what}: save names with them"
         raise refusal(path, "no-joint-names", said + how)
     if len(names) != width:
-        said = (
-            f"there are {len(names)} joint names for the {counted(width, 'column')} of {what}: one for each is needed"
-        )
-        raise refusal(path, "shape", said + how)
+        said = f"there are {len(names)} joint names for the {counted(width, 'column')} of {what}: one for each is"
+        raise refusal(path, "shape", f"{said} needed{how}")
     return names

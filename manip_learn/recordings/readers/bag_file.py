@@ -12,7 +12,7 @@ import contextlib
 import functools
 import tempfile
 from collections import Counter
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, final
@@ -104,65 +104,66 @@ def open_bag(path: Path) -> Iterator[BagFile]:
             yield _opened(path, stack)
     except BAG_DAMAGE as error:
         parts = sorted(p for p in path.iterdir() if p.suffix in (".mcap", ".db3")) if path.is_dir() else []
-        alone = f", or give {parts[0]} itself" if parts else ""  # files that were renamed, or metadata of others
-        raise refusal(
-            path,
-            "damaged",
-            f"the bag cannot be read ({reason(error)}): repair it (`rosbag reindex`, `ros2 bag reindex`, "
-            f"`mcap recover`) or record it again{alone}",
-        ) from error
+        text = f"the bag cannot be read ({reason(error)}): repair it (`rosbag reindex`, `ros2 bag reindex`, "
+        text += "`mcap recover`) or record it again"  # or files were renamed, or the metadata are those of others
+        text += f", or give {parts[0]} itself" if parts else ""
+        raise refusal(path, "damaged", text) from error
 
 
 def _opened(path: Path, stack: contextlib.ExitStack) -> BagFile:
-    place, head = path, b""
+    place, files = path, list(path.iterdir()) if path.is_dir() else [path]
+    for file in files:
+        _check_before(file)
+    is_ros1 = False
     if path.is_dir():
         metadata_text(path / "metadata.yaml")  # refuses one that is too large or too deep
-        for file in path.iterdir():
-            if file.is_file():
-                check_regular(file)
-            _check_before(file)
     else:
         with path.open("rb") as opened:
             head = opened.read(8)
-        suffix = ".bag" if head.startswith(b"#ROSBAG") else ".mcap" if head.startswith(b"\x89MCAP") else ".db3"
-        _check_before(path)
+        is_ros1 = head.startswith(b"#ROSBAG")
+        suffix = ".bag" if is_ros1 else ".mcap" if head.startswith(b"\x89MCAP") else ".db3"
         # the library goes by the suffix, and its SQLite address cannot hold every character of a path
         place = Path(stack.enter_context(tempfile.TemporaryDirectory())) / f"bag{suffix}"
         place.symlink_to(path.resolve())
-    reader: Any = rosbag1.Reader(place) if head.startswith(b"#ROSBAG") else rosbag2.Reader(place)
+    reader: Any = rosbag1.Reader(place) if is_ros1 else rosbag2.Reader(place)
     reader.open()
     stack.callback(reader.close)
-    if isinstance(reader, rosbag1.Reader):
-        return _ros1(path, reader)
+    stated = Counter[str]()
+    if is_ros1:
+        _bound_blocks(path, reader)
+        names = {c.id: c.topic for c in reader.connections}
+        for number, n in (pair for info in reader.chunk_infos for pair in info.connection_counts.items()):
+            stated[names.get(number, f"connection {number}")] += n
+        return BagFile(path, [reader], stated)
     storage: Any = reader.storage
     parts = storage.storages if path.is_dir() else [storage]
     for part in parts:
-        if isinstance(part, McapReader):
-            for chunk in part.chunks:
-                _refuse_size(path, chunk.uncompressed_size, chunk.compressed_size)
-        elif isinstance(part, Sqlite3Reader):
-            _check_database(path, part)
-    stated = _by_topic((c.topic, c.msgcount) for c in storage.connections)
+        is_mcap, is_database = (isinstance(part, kind) for kind in (McapReader, Sqlite3Reader))
+        for chunk in part.chunks if is_mcap else ():
+            _refuse_size(path, chunk.uncompressed_size, chunk.compressed_size)
+        if is_database:
+            (verdict,) = part.dbconn.execute("PRAGMA integrity_check(1)").fetchone()
+            if verdict != "ok":
+                text = f"the database is damaged: SQLite finds {' '.join(str(verdict).split())[:80]}; `sqlite3 "
+                text += f"{part.path.name} .recover` and `ros2 bag reindex` keep what is left"
+                raise refusal(path, "damaged", text)
     statistics: Any = getattr(storage, "statistics", None)  # of an MCAP file
     if statistics is not None and not statistics.channel_message_counts:
-        return BagFile(path, parts, Counter())  # the numbers by channel may be left out
+        return BagFile(path, parts, stated)  # the numbers by channel may be left out
+    for c in storage.connections:
+        stated[c.topic] += c.msgcount
     if stated.total() != storage.metadata.message_count:
         said = f"of {storage.metadata.message_count} messages that the bag states {stated.total()} are of its topics"
         raise refusal(path, "lost-messages", f"{said}: {LOST}")
     return BagFile(path, parts, stated, storage.metadata.compression_mode == "message")
 
 
-def _by_topic(counts: Iterable[tuple[str, int]]) -> Counter[str]:
-    return sum((Counter({topic: n}) for topic, n in counts), Counter())
-
-
-def _ros1(path: Path, reader: rosbag1.Reader) -> BagFile:
-    """A bag whose chunks are unpacked within bounds, and what their index states."""
+def _bound_blocks(path: Path, reader: Any) -> None:
+    """Let the library unpack the blocks of a bag of ROS 1 within bounds only."""
     tools = {bz2.decompress: bz2.BZ2Decompressor, lz4.frame.decompress: lz4.frame.LZ4FrameDecompressor}
 
     def bounded(tool: Callable[[], Any], packed: bytes) -> bytes:
-        most = most_bytes(len(packed))
-        content = tool().decompress(packed, max_length=most + 1)
+        content = tool().decompress(packed, max_length=most_bytes(len(packed)) + 1)
         _refuse_size(path, len(content), len(packed))
         return content
 
@@ -170,9 +171,6 @@ def _ros1(path: Path, reader: rosbag1.Reader) -> BagFile:
         if chunk.decompressor in tools:
             tool: Any = functools.partial(bounded, tools[chunk.decompressor])
             reader.chunks[position] = chunk._replace(decompressor=tool)
-    names = {c.id: c.topic for c in reader.connections}
-    stated = (pair for info in reader.chunk_infos for pair in info.connection_counts.items())
-    return BagFile(path, [reader], _by_topic((names.get(i, f"connection {i}"), n) for i, n in stated))
 
 
 def _refuse_size(path: Path, unpacked: int, packed: int) -> None:
@@ -187,32 +185,18 @@ def _refuse_claim(path: Path, head: bytes, packed: int) -> None:
 
 
 def _check_before(file: Path) -> None:
-    """Refuse a packed file that claims too much, and a database with a write-ahead log or journal beside it.
+    """Refuse a file of a bag that only stands for one, claims too much, or has a write-ahead log or journal beside it.
 
     The newest messages are in the log and not in the database yet.
     """
+    if file.is_file():
+        check_regular(file)
     if file.suffix == ".zstd":
         with file.open("rb") as opened:
             _refuse_claim(file, opened.read(18), file.stat().st_size)  # the longest head of a frame
-    for end in ("-wal", "-journal"):
-        side = file.with_name(file.name + end)
-        if side.is_file() and side.stat().st_size:
-            raise refusal(
-                file,
-                "unfinished",
-                f"in a copy of the folder, put the last messages into the database: sqlite3 {file.name} "
-                "'PRAGMA wal_checkpoint(TRUNCATE); SELECT count(*) FROM messages;', then run `ros2 bag reindex` on the "
-                f"folder. The recorder was killed, and they are in {side.name} only ({side.stat().st_size:,} bytes)",
-            )
-
-
-def _check_database(path: Path, storage: Any) -> None:
-    """Refuse a database that SQLite finds unsound."""
-    (verdict,) = storage.dbconn.execute("PRAGMA integrity_check(1)").fetchone()
-    if verdict != "ok":
-        raise refusal(
-            path,
-            "damaged",
-            f"the database is damaged: SQLite finds {' '.join(str(verdict).split())[:80]}; "
-            f"`sqlite3 {storage.path.name} .recover` and `ros2 bag reindex` keep what is left",
-        )
+    for side in (file.with_name(file.name + end) for end in ("-wal", "-journal")):
+        if side.is_file() and (size := side.stat().st_size):
+            text = f"in a copy of the folder, put the last messages into the database: sqlite3 {file.name} 'PRAGMA "
+            text += "wal_checkpoint(TRUNCATE); SELECT count(*) FROM messages;', then run `ros2 bag reindex` on the "
+            text += f"folder. The recorder was killed, and they are in {side.name} only ({size:,} bytes)"
+            raise refusal(file, "unfinished", text)

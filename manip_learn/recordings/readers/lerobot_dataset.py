@@ -4,31 +4,27 @@ from __future__ import annotations
 
 import json
 import re
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, Literal, final
 
-from manip_learn.errors import DAMAGE, MissingExtraError, advice, closest_names, counted
+import numpy as np
+
+from manip_learn.errors import MissingExtraError, advice, closest_names, counted
 from manip_learn.recordings.readers.limits import (
     FEWEST_SAMPLE_BYTES,
     bomb,
     metadata_text,
     most_bytes,
+    refuse_lost,
 )
+from manip_learn.recordings.readers.quantities import POSITIONS, arrays_of
 from manip_learn.recordings.readers.read_request import first_names
-from manip_learn.recordings.readers.recording import check_regular, natural_order, reason, refusal
+from manip_learn.recordings.readers.recording import check_regular, natural_order, reason, refusal, refusing_damage
 
 STATE, VELOCITY, EFFORT = "observation.state", "observation.velocity", "observation.effort"
-# names that data sets give to joint positions: joint_position (DROID), joint_pos, joint_positions, qpos
-POSITIONS = re.compile(r"(joint_?pos(ition)?s?|qpos)$", re.IGNORECASE)
-VELOCITY_WORDS = (("position", "velocity"), ("pos", "vel"))
-EFFORT_WORDS = tuple(
-    (p, e) for p in ("positions", "position", "pos") for e in ("effort", "torque", "torques", "efforts")
-)
-EFFORTS = (EFFORT, "observation.efforts", "observation.torque", "observation.torques")  # beside `observation.state`
-NUMBERS = ("float", "int", "uint")  # how the types of features that hold numbers begin
 
 
 @contextmanager
@@ -45,17 +41,15 @@ def opened_parquet(file: Path) -> Iterator[Any]:
     except ImportError as error:
         raise MissingExtraError("reading LeRobot data", "lerobot") from error
     check_regular(file)
-    try:
-        with pq.ParquetFile(file, page_checksum_verification=True) as parquet:
-            rows, size = parquet.metadata.num_rows, file.stat().st_size
-            # the library's column metadata would tell more, but asking for it aborts the process if the file is damaged
-            if FEWEST_SAMPLE_BYTES * rows > most_bytes(size):
-                raise bomb(file, f"{size:,} bytes claim to hold {counted(rows, 'sample')}")
-            yield parquet
-    except (pa.ArrowException, *DAMAGE) as error:
-        raise refusal(
-            file, "damaged", f"the Parquet file cannot be read ({reason(error)}): download or write it again"
-        ) from error
+    with (
+        refusing_damage(file, pa.ArrowException),
+        pq.ParquetFile(file, page_checksum_verification=True) as parquet,
+    ):
+        rows, size = parquet.metadata.num_rows, file.stat().st_size
+        # the library's column metadata would tell more, but asking for it aborts the process if the file is damaged
+        if FEWEST_SAMPLE_BYTES * rows > most_bytes(size):
+            raise bomb(file, f"{size:,} bytes claim to hold {counted(rows, 'sample')}")
+        yield parquet
 
 
 @final
@@ -68,16 +62,14 @@ class LeRobotDataset:
         files: Parquet files with the samples, in order.
         features: What the data set says of each feature; None of a file that belongs to none.
         fps: Samples per second, or None.
-        total_frames: Number of samples that a whole data set states, or None.
-        total_episodes: Number of its episodes, likewise.
+        totals: Numbers of `frames` and `episodes` that a whole data set states.
     """
 
     root: Path
     files: tuple[Path, ...]
     features: dict[str, Any] | None = None
     fps: float | None = None
-    total_frames: int | None = None
-    total_episodes: int | None = None
+    totals: dict[str, Any] = field(default_factory=dict)
 
     def refuse_lost(self, what: Literal["frames", "episodes"], found: int) -> None:
         """Refuse a data set that states another number of samples or episodes than were found in it.
@@ -85,16 +77,8 @@ class LeRobotDataset:
         Raises:
             RecordingError: Code `lost-samples`.
         """
-        stated = self.total_frames if what == "frames" else self.total_episodes
-        if stated is None or stated == found:
-            return
-        raise refusal(
-            self.root,
-            "lost-samples",
-            f"{found} {what} are there, meta/info.json states total_{what} = {stated}: a file of data/ is missing or "
-            "was changed; download the data set again"
-            + advice(", or select episodes that are there with {}", "episodes='0:50,60'", "--episodes 0:50,60"),
-        )
+        way_out = advice(", or read the episodes that are there with {}", "episodes='0:'", "--episodes 0:")
+        refuse_lost(self.root, found, what, "meta/info.json", f"total_{what}", self.totals.get(what), way_out)
 
 
 def open_dataset(path: Path) -> LeRobotDataset:
@@ -103,80 +87,57 @@ def open_dataset(path: Path) -> LeRobotDataset:
     Raises:
         RecordingError: Another version, no samples, or metadata that is damaged.
     """
-    own = path / "meta" / "info.json"
-    around = (folder / "meta" / "info.json" for folder in list(path.resolve().parents)[:4])  # data/chunk-000/FILE
-    files, info_path = (path,), next((place for place in around if place.is_file()), own)
+    files, info_path = (path,), path / "meta" / "info.json"
     if path.is_dir():
         files = tuple(sorted((path / "data").rglob("*.parquet"), key=lambda f: natural_order(str(f.relative_to(path)))))
-        info_path = own
         if not files:
             text = "the data set has no data/**/*.parquet: download its data, not only meta/"
             raise refusal(path, "empty", text, in_full=True)
-    elif not info_path.is_file():
-        return LeRobotDataset(path, files)
+    else:
+        around = (folder / "meta" / "info.json" for folder in list(path.resolve().parents)[:4])  # data/chunk-000/FILE
+        info_path = next((place for place in around if place.is_file()), None)
+        if info_path is None:
+            return LeRobotDataset(path, files)
     try:
         info = json.loads(metadata_text(info_path))
     except (ValueError, RecursionError) as error:
         raise refusal(info_path, "damaged", f"not valid JSON: {reason(error)}", in_full=True) from error
     if not isinstance(info, dict):
         raise refusal(info_path, "damaged", f"an object is needed, this is {type(info).__name__}", in_full=True)
-    version, features = info.get("codebase_version"), info.get("features")
+    version, features, fps = (info.get(name) for name in ("codebase_version", "features", "fps"))
     if not isinstance(version, str) or not version.startswith(("v2.", "v3.")):
         text = f"codebase_version is {version!r}; v2.0, v2.1 and v3.0 are read: convert the data set"
         raise refusal(info_path, "version", text, in_full=True)
     if not isinstance(features, dict):
         said = "it has no features, so nothing says where the joint positions are"
         raise refusal(info_path, "no-state", said, in_full=True)
-    fps, *totals = (info.get(name) for name in ("fps", "total_frames", "total_episodes"))
-    usable = isinstance(fps, int | float) and not isinstance(fps, bool) and 0 < fps < 1e6
-    whole = (n if path.is_dir() and isinstance(n, int) and not isinstance(n, bool) else None for n in totals)
-    return LeRobotDataset(path, files, features, float(fps) if usable else None, *whole)  # type: ignore[arg-type]
+    rate = float(fps) if isinstance(fps, int | float) and not isinstance(fps, bool) and 0 < fps < 1e6 else None
+    totals = {what: info.get(f"total_{what}") for what in ("frames", "episodes")} if path.is_dir() else {}
+    return LeRobotDataset(path, files, features, rate, totals)
 
 
-@final
-@dataclass(frozen=True)
-class StateFeature:
-    """The feature that is read.
-
-    Attributes:
-        position: Its name, which is that of a column too.
-        velocity: Name that the velocities of the same joints would have.
-        effort: Name that their efforts would have.
-        names: Names of its entries, or None.
-        others: Other features that look like joint positions.
-    """
-
-    position: str
-    velocity: str
-    effort: str
-    names: tuple[str, ...] | None = None
-    others: tuple[str, ...] = ()
-
-
-def state_feature(path: Path, features: Mapping[str, Any] | None, asked: str | None) -> StateFeature:
+def state_feature(dataset: LeRobotDataset, asked: str | None) -> tuple[str, tuple[str, ...] | None, list[str]]:
     """The feature to read: the one that was asked for, otherwise `observation.state`.
 
-    Args:
-        path: The data set, for messages.
-        features: What `meta/info.json` says of each feature; None of a single file without it.
-        asked: Name of the feature, or None.
+    Returns:
+        Its name, which is that of a column too; the names of its entries, or None; and other features that look like
+        joint positions.
 
     Raises:
         RecordingError: There is no such feature, or it holds no vector of numbers.
     """
-    wanted = STATE if asked is None else asked
+    wanted, features = asked or STATE, dataset.features
     if features is None:
-        return StateFeature(wanted, *_beside(wanted, ()))
+        return wanted, None, []
     vectors = [name for name, feature in features.items() if _is_vector(feature)]
-    likely = tuple(name for name in vectors if POSITIONS.search(name) and not name.startswith("action"))
+    likely = [name for name in vectors if POSITIONS.search(name) and not name.startswith("action")]
     if wanted not in features:
-        raise refusal(path, "no-state", _missing(wanted, asked, vectors, likely), in_full=True)
+        raise refusal(dataset.root, "no-state", _missing(wanted, asked, vectors, likely), in_full=True)
     if wanted not in vectors:
         kind = features[wanted].get("dtype") if isinstance(features[wanted], dict) else features[wanted]
         text = f"the feature {wanted!r} holds {kind}, joint positions are a vector of numbers; such are "
-        raise refusal(path, "no-state", text + first_names(vectors), in_full=True)
-    others = tuple(name for name in likely if name != wanted)
-    return StateFeature(wanted, *_beside(wanted, vectors), entry_names(features[wanted].get("names")), others)
+        raise refusal(dataset.root, "no-state", text + first_names(vectors), in_full=True)
+    return wanted, entry_names(features[wanted].get("names")), [name for name in likely if name != wanted]
 
 
 def _missing(wanted: str, asked: str | None, vectors: Sequence[str], likely: Sequence[str]) -> str:
@@ -196,20 +157,16 @@ def _is_vector(feature: Any) -> bool:
     if not isinstance(feature, dict):
         return False
     shape, dtype = feature.get("shape"), feature.get("dtype")
-    # old data sets leave the type of the state out
-    return isinstance(shape, list) and len(shape) == 1 and (dtype is None or str(dtype).startswith(NUMBERS))
+    is_number = dtype is None or str(dtype).startswith(("float", "int", "uint"))  # old data sets do not say it
+    return isinstance(shape, list) and len(shape) == 1 and is_number
 
 
-def _beside(position: str, vectors: Sequence[str]) -> tuple[str, str]:
-    """Names of the velocities and efforts beside some positions: the usual ones, or with the word exchanged."""
-
-    def exchanged(words: Sequence[tuple[str, str]], usual: str) -> str:
-        head, dot, last = position.rpartition(".")
-        names = [head + dot + last.replace(p, v) for p, v in words if p in last and position != STATE]
-        return next((name for name in names if name in vectors), names[0] if names else usual)
-
-    effort = next((name for name in EFFORTS if name in vectors), EFFORT)
-    return exchanged(VELOCITY_WORDS, VELOCITY), exchanged(EFFORT_WORDS, effort)
+def beside(position: str, columns: Iterable[str]) -> dict[str, str]:
+    """`velocity` and `effort` -> the column that holds them for the joints of some positions, in the same group."""
+    group = position.rpartition(".")[0]
+    last = {c.rpartition(".")[2]: c for c in columns if c != position and c.rpartition(".")[0] == group}
+    found = {kind: arrays_of(kind, last) for kind in ("velocity", "effort")}
+    return {kind: last[names[0]] for kind, names in found.items() if len(names) == 1}
 
 
 def entry_names(names: Any) -> tuple[str, ...] | None:
@@ -217,15 +174,12 @@ def entry_names(names: Any) -> tuple[str, ...] | None:
     if isinstance(names, dict) and names:
         values = list(names.values())
         if all(isinstance(v, int) and not isinstance(v, bool) for v in values):
-            if sorted(values) != list(range(len(values))):
-                return None
-            return tuple(sorted(names, key=lambda n: names[n]))
-        names = values if all(isinstance(v, list) for v in values) else None
+            names = sorted(names, key=lambda n: names[n]) if sorted(values) == list(range(len(values))) else None
+        else:
+            names = values if all(isinstance(v, list) for v in values) else None
     if isinstance(names, list) and all(isinstance(v, list) for v in names):
         names = [n for v in names for n in v]
-    if isinstance(names, list) and names and all(isinstance(n, str) for n in names):
-        return tuple(names)
-    return None
+    return tuple(names) if isinstance(names, list) and names and all(isinstance(n, str) for n in names) else None
 
 
 def episode_number(file: Path) -> int | None:
@@ -239,16 +193,16 @@ def episode_numbers(path: Path) -> tuple[int, ...]:
     numbers: set[int] = set()
     for file in open_dataset(path).files:
         number = episode_number(file)
-        if number is not None:
-            numbers.add(number)
-        else:
-            with opened_parquet(file) as parquet:  # without the column, one episode: 0
-                if "episode_index" not in parquet.schema_arrow.names:
-                    numbers.add(0)
-                    continue
-                for batch in parquet.iter_batches(columns=["episode_index"]):
-                    numbers.update(map(int, batch.column(0).to_pylist()))
+        numbers |= set(map(int, np.unique(_episodes_in(file)))) if number is None else {number}
     return tuple(sorted(numbers))
+
+
+def _episodes_in(file: Path) -> np.ndarray:
+    """The episode of each sample of a file, as far as they are known; without the column, one sample of episode 0."""
+    with opened_parquet(file) as parquet:
+        if "episode_index" not in parquet.schema_arrow.names:
+            return np.zeros(1)
+        return parquet.read(columns=["episode_index"]).column(0).drop_null().to_numpy()
 
 
 def separate_files(path: Path) -> list[list[Path]]:
@@ -256,16 +210,11 @@ def separate_files(path: Path) -> list[list[Path]]:
     runs: list[list[Path]] = []
     before, found, dataset = None, 0, open_dataset(path)
     for file in dataset.files:
-        first = last = None
-        with opened_parquet(file) as parquet:
-            if "episode_index" in parquet.schema_arrow.names:
-                column = parquet.read(columns=["episode_index"]).column(0)
-                if len(column) and not column.null_count:
-                    first, last, found = column[0].as_py(), column[-1].as_py(), found + len(column)
-        if runs and (first is None or before is None or first == before):
+        numbers = _episodes_in(file)
+        if runs and (not len(numbers) or before is None or numbers[0] == before):
             runs[-1].append(file)
         else:
             runs.append([file])
-        before = last
+        before, found = numbers[-1] if len(numbers) else None, found + len(numbers)
     dataset.refuse_lost("frames", found)
     return runs

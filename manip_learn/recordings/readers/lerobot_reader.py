@@ -12,19 +12,20 @@ from typing import Any
 
 import numpy as np
 
-from manip_learn.errors import MissingExtraError, advice, counted
-from manip_learn.recordings.format_words import DATASET_HEADER
+from manip_learn.errors import MissingExtraError, RecordingError, advice, counted
+from manip_learn.recordings.format_words import DATASET_HEADER, RATE
 from manip_learn.recordings.readers.array_reader import column_names
 from manip_learn.recordings.readers.lerobot_dataset import (
     LeRobotDataset,
-    StateFeature,
+    beside,
     episode_number,
     open_dataset,
     opened_parquet,
     state_feature,
 )
-from manip_learn.recordings.readers.limits import check_columns
-from manip_learn.recordings.readers.read_request import ReadRequest
+from manip_learn.recordings.readers.limits import check_columns, refuse_lost
+from manip_learn.recordings.readers.quantities import Columns, entry_columns
+from manip_learn.recordings.readers.read_request import ReadRequest, first_names
 from manip_learn.recordings.readers.recording import Recording, float_array, refusal
 
 try:
@@ -34,7 +35,6 @@ except ImportError as error:
 
 BATCH = 65_536  # rows in memory: some 10 MB
 STAMPS = ("timestamp", "frame_index", "episode_index")
-EFFORT_ENDS = (".torque", ".effort")  # of entries of the state, as motors that measure it are named beside `.pos`
 FPS_OFF = 1.25  # times fps by which stamps may be off: dropped frames
 GRIPPER = "gripper"  # always 0 .. 100 in LeRobot, whatever the unit of the other motors
 
@@ -48,22 +48,21 @@ def read(path: Path, request: ReadRequest) -> Iterator[Recording]:
     is_ours = (path / DATASET_HEADER).is_file()
     if is_ours:  # in radians; its robot has been checked
         request = replace(request, units=request.units or "radians")
-    feature = state_feature(dataset.root, dataset.features, request.feature)
+    feature, entries, others = state_feature(dataset, request.feature)
     request.uses.use("feature")
     said: tuple[str, ...] = ()
-    if feature.others:
-        how = advice(" ({} reads it)", f"feature={feature.others[0]!r}", f"--feature {feature.others[0]}")
-        text = f"read from {feature.position}; also like joint positions, not used: {', '.join(feature.others)}{how}"
-        said = (text,)
+    if others:
+        how = advice(" ({} reads it)", f"feature={others[0]!r}", f"--feature {others[0]}")
+        said = (f"read from {feature}; also like joint positions, not used: {', '.join(others)}{how}",)
     names: tuple[str, ...] | None = None
     numbers, frames = set(), 0
     for number, columns in _episodes(dataset, feature, request):
         numbers.add(number)
         frames += len(columns["state"])
         if names is None:
-            width = columns["state"].shape[1]
-            names = column_names(dataset.root, feature.position, width, feature.names, request)
-            _refuse_unknown_units(dataset, request, names, columns["state"])
+            names = column_names(dataset.root, feature, columns["state"].shape[1], entries, request)
+            if request.units is None:
+                raise _unknown_units(dataset, names, entry_columns(names, request), columns["state"])
         recording = _recording(dataset, request, names, number, columns)
         yield replace(recording, trusted=is_ours, notes=(*recording.notes, *said))
     if request.chosen is None:
@@ -74,50 +73,35 @@ def read(path: Path, request: ReadRequest) -> Iterator[Recording]:
 def _recording(
     dataset: LeRobotDataset, request: ReadRequest, names: tuple[str, ...], number: int, columns: dict[str, np.ndarray]
 ) -> Recording:
-    state = columns["state"]
-    position, velocity, effort = _kinds(names)
-    joints = _joint_names(names, request)
-    position_names = tuple(joints[i] for i in position)
-    positions, notes = _gripper(state[:, position], position_names, request)
-    if any(names[i] == f"{n}.pos" for i, n in zip(position, position_names, strict=True)):
+    state, entries = columns["state"], entry_columns(names, request)
+    position_names = tuple(entries.positions.values())
+    positions, notes = _gripper(state[:, list(entries.positions)], position_names, request)
+    if any(names[i].endswith(".pos") and names[i] != n for i, n in entries.positions.items()):
         notes.insert(0, "'.pos' was taken off the names")
-    if len(position) < len(names):
-        velocity_names, effort_names = (tuple(joints[i] for i in k) for k in (velocity, effort))
-        velocities, efforts = (state[:, k] if k else None for k in (velocity, effort))
-    else:  # in features of their own, if those have one number per joint
-        velocity_names = effort_names = position_names
-        beside = (columns.get(name) for name in ("velocity", "effort"))
-        velocities, efforts = (None if x is None or x.shape != state.shape else x for x in beside)
-        unlike = [k for k in ("velocity", "effort") if k in columns and columns[k].shape != state.shape]
-        notes += [f"the {k} has {columns[k].shape[1]} entries for {state.shape[1]} joints, not used" for k in unlike]
-    name = f"{dataset.root.name} episode {number}"
-    time, note = _times(dataset, request, name, columns)
-    return Recording(
-        path=dataset.root,
-        name=name,
-        time=time,
-        position_names=position_names,
-        positions=positions,
-        velocity_names=() if velocities is None else velocity_names,
-        velocities=velocities,
-        effort_names=() if efforts is None else effort_names,
-        efforts=efforts,
-        strict_columns=False,
-        in_seconds=True,
-        notes=(*notes, *filter(None, [note])),
-    )
+    values = {}  # in the state; where that holds positions alone, in features of their own
+    for kind, part in (("velocity", entries.velocities), ("effort", entries.efforts)):
+        own = columns.get(kind) if len(position_names) == len(names) else None
+        if own is not None and own.shape != state.shape:
+            notes.append(f"the {kind} has {own.shape[1]} entries for {len(names)} joints, not used")
+        is_own = own is not None and own.shape == state.shape
+        values[f"{kind}_names"] = position_names if is_own else tuple(part.values())
+        values["velocities" if kind == "velocity" else "efforts"] = own if is_own else state[:, list(part)]
+    title = f"episode {number}"
+    time, note = _times(dataset, request, title, columns)
+    known = {"strict_columns": False, "in_seconds": True, "notes": (*notes, *filter(None, [note]))}
+    name = f"{dataset.root.name} {title}"
+    return Recording(dataset.root, name, time, position_names, positions, **values, **known)
 
 
 def _times(
-    dataset: LeRobotDataset, request: ReadRequest, name: str, columns: dict[str, np.ndarray]
+    dataset: LeRobotDataset, request: ReadRequest, title: str, columns: dict[str, np.ndarray]
 ) -> tuple[np.ndarray, str]:
     """Times of an episode [s]: its stamps where they increase, else the numbers of its frames over fps; and a note.
 
     Raises:
         RecordingError: Stamps that contradict fps.
     """
-    stamps, frames = columns.get("timestamp"), columns.get("frame_index")
-    rate = request.rate or dataset.fps
+    stamps, frames, rate = columns.get("timestamp"), columns.get("frame_index"), request.rate or dataset.fps
     if request.rate is not None and frames is not None:
         request.uses.use("rate")
     if frames is None or rate is None or stamps is None:
@@ -127,29 +111,10 @@ def _times(
         return frames / rate, f"{said}: frame_index / {rate:g} is the time" if len(stamps) > 1 else ""
     by_stamps = (frames[-1] - frames[0]) / (stamps[-1] - stamps[0])
     if not 1 / FPS_OFF < by_stamps / rate < FPS_OFF:
-        raise refusal(
-            dataset.root,
-            "fps",
-            f"{name[len(dataset.root.name) + 1 :]}: its time stamps say {by_stamps:.3g} frames per second, fps says "
-            f"{rate:.3g}" + advice(": pass the right one, {}", f"rate={rate:g}", f"--rate {rate:g}"),
-        )
+        said = f"{title}: its time stamps say {by_stamps:.3g} frames per second, fps says {rate:.3g}"
+        how = advice(": pass the right one, {}", f"rate={rate:g}", f"--rate {rate:g}")
+        raise refusal(dataset.root, "fps", said + how)
     return stamps, ""
-
-
-def _kinds(names: tuple[str, ...]) -> tuple[list[int], list[int], list[int]]:
-    """Entries of the state that are positions, velocities and efforts."""
-    velocity = [i for i, n in enumerate(names) if n.endswith(".vel")]
-    effort = [i for i, n in enumerate(names) if n.endswith(EFFORT_ENDS)]
-    return [i for i in range(len(names)) if i not in {*velocity, *effort}], velocity, effort
-
-
-def _joint_names(names: tuple[str, ...], request: ReadRequest) -> tuple[str, ...]:
-    """Of each entry the joint that it is of, without its ending."""
-    bare = []
-    for name in request.renamed(*names):
-        end = next((end for end in (".pos", ".vel", *EFFORT_ENDS) if name.endswith(end)), "")
-        bare.append(name if name in request.robot.joint_names else name.removesuffix(end))
-    return request.renamed(*bare)
 
 
 def _gripper(positions: np.ndarray, names: tuple[str, ...], request: ReadRequest) -> tuple[np.ndarray, list[str]]:
@@ -158,43 +123,33 @@ def _gripper(positions: np.ndarray, names: tuple[str, ...], request: ReadRequest
     if GRIPPER not in names or GRIPPER not in robot.joint_names or request.units == "radians":
         return positions, []
     i, j = names.index(GRIPPER), robot.joint_index(GRIPPER)
-    share = positions[:, i] / 100.0
-    positions = positions.copy()
+    lower, upper = np.degrees([robot.position_lower[j], robot.position_upper[j]])
     if request.units == "normalised":
-        positions[:, i] = 200.0 * share - 100.0
-    else:
-        lower, upper = robot.position_lower[j], robot.position_upper[j]
-        positions[:, i] = np.degrees(lower + share * (upper - lower))
-    return positions, ["the gripper's 0 .. 100 is spread over its joint limits"]
+        lower, upper = -100.0, 100.0
+    spread = positions.copy()
+    spread[:, i] = lower + positions[:, i] / 100.0 * (upper - lower)
+    return spread, ["the gripper's 0 .. 100 is spread over its joint limits"]
 
 
-def _refuse_unknown_units(
-    dataset: LeRobotDataset, request: ReadRequest, names: tuple[str, ...], state: np.ndarray
-) -> None:
-    if request.units is not None:
-        return
-    arm = [i for i in _kinds(names)[0] if GRIPPER not in names[i]] or [0]
-    low, high = float(np.min(state[:, arm])), float(np.max(state[:, arm]))
-    largest = max(abs(low), abs(high))
-    likely = "'degrees'" + (", or 'normalised' (-100 .. 100)" if largest <= 100 else "")
-    raise refusal(
-        dataset.root,
-        "units",
-        f"LeRobot data does not say its units and the arm's values are {low:.4g} .. {high:.4g}: "
-        + advice("pass {}", "units='radians', 'degrees' or 'normalised'", "--units radians, degrees or normalised")
-        + f"; these look like {likely if largest >= 2 * np.pi else repr('radians')}",
-    )
+def _unknown_units(dataset: LeRobotDataset, names: tuple[str, ...], entries: Columns, q: np.ndarray) -> RecordingError:
+    values = q[:, [i for i in entries.positions if GRIPPER not in names[i]] or [0]]
+    low, high = np.min(values), np.max(values)
+    likely = "'degrees'" + (", or 'normalised' (-100 .. 100)" if max(-low, high) <= 100 else "")
+    said = f"LeRobot data does not say its units and the arm's values are {low:.4g} .. {high:.4g}: "
+    said += advice("pass {}", "units='radians', 'degrees' or 'normalised'", "--units radians, degrees or normalised")
+    said += f"; these look like {likely if max(-low, high) >= 2 * np.pi else repr('radians')}"
+    return refusal(dataset.root, "units", said)
 
 
-def _episodes(dataset: LeRobotDataset, feature: StateFeature, request: ReadRequest) -> Iterator[Episode]:
+def _episodes(dataset: LeRobotDataset, feature: str, request: ReadRequest) -> Iterator[Episode]:
     """Episodes of all files, or the chosen ones; one may go on in the next batch or file."""
-    chosen, number, open_parts = request.chosen, -1, []
+    number, open_parts = -1, []
     for file in dataset.files:
         own = episode_number(file)
-        if chosen is not None and own is not None and own not in chosen:
+        if request.chosen is not None and own is not None and own not in request.chosen:
             continue
         for next_number, columns in _parts(file, dataset, feature, request):
-            if chosen is not None and next_number not in chosen:
+            if request.chosen is not None and next_number not in request.chosen:
                 continue
             if open_parts and next_number != number:
                 yield number, _joined(open_parts)
@@ -210,37 +165,31 @@ def _joined(parts: list[dict[str, np.ndarray]]) -> dict[str, np.ndarray]:
     return {name: np.concatenate([part[name] for part in parts]) for name in common}
 
 
-def _parts(file: Path, dataset: LeRobotDataset, feature: StateFeature, request: ReadRequest) -> Iterator[Episode]:
+def _parts(file: Path, dataset: LeRobotDataset, feature: str, request: ReadRequest) -> Iterator[Episode]:
     """Runs of samples with the same episode number, batch by batch; only the needed columns are read."""
     with opened_parquet(file) as parquet:
         there = parquet.schema_arrow.names
-        if feature.position not in there:
-            raise refusal(
-                file, "no-state", f"there is no column {feature.position!r}, there is {', '.join(there[:12])}"
-            )
-        named = {"state": feature.position, "velocity": feature.velocity, "effort": feature.effort}
-        known = dict.fromkeys((*named.values(), *STAMPS))
+        if feature not in there:
+            raise refusal(file, "no-state", f"there is no column {feature!r}, there is {first_names(there)}")
+        if "timestamp" not in there and ("frame_index" not in there or (request.rate or dataset.fps) is None):
+            how = advice("pass {}", *RATE)
+            raise refusal(file, "no-time", f"there is neither 'timestamp' nor 'frame_index' with a rate: {how}")
+        lists = [field.name for field in parquet.schema_arrow if _is_list(field.type)]
+        named = {"state": feature, **beside(feature, lists), **{name: name for name in STAMPS if name in there}}
         stated, found = parquet.metadata.num_rows, 0
-        for batch in parquet.iter_batches(batch_size=BATCH, columns=[c for c in known if c in there]):
+        for batch in parquet.iter_batches(batch_size=BATCH, columns=list(named.values())):
             found += batch.num_rows
-            columns = {name: _matrix(file, batch, column) for name, column in named.items() if column in there}
-            for stamps in ("timestamp", "frame_index"):
-                if stamps in there:
-                    columns[stamps] = _numbers(file, batch, stamps)
-            if "timestamp" not in there and ("frame_index" not in there or (request.rate or dataset.fps) is None):
-                text = "there is neither 'timestamp' nor 'frame_index' with a rate: "
-                text += advice("pass {}", "rate=<samples per second>", "--rate <samples per second>")
-                raise refusal(file, "no-time", text)
-            n = batch.num_rows
-            number = _numbers(file, batch, "episode_index") if "episode_index" in there else np.zeros(n)
-            bounds = [0, *(int(i) + 1 for i in np.flatnonzero(np.diff(number))), n]
+            columns = {name: _numbers(file, batch, column) for name, column in named.items()}
+            if columns["state"].ndim == 1:  # of one joint
+                columns["state"] = columns["state"][:, None]
+            number = columns.pop("episode_index", np.zeros(batch.num_rows))
+            bounds = [0, *(int(i) + 1 for i in np.flatnonzero(np.diff(number))), batch.num_rows]
             for a, b in zip(bounds, bounds[1:], strict=False):
                 if b > a:
                     yield int(number[a]), {name: values[a:b] for name, values in columns.items()}
+        refuse_lost(file, found, "samples", "the file", "its number", stated)
         groups = sum(parquet.metadata.row_group(i).num_rows for i in range(parquet.num_row_groups))
-        if not found == stated == groups:
-            text = f"{counted(found, 'sample')} are there, it states {stated}, in parts {groups}: download it again"
-            raise refusal(file, "lost-samples", text)
+        refuse_lost(file, found, "samples", "the file", "the sum of its parts", groups)
 
 
 def _is_list(kind: Any) -> bool:
@@ -248,29 +197,23 @@ def _is_list(kind: Any) -> bool:
 
 
 def _numbers(file: Path, batch: Any, name: str) -> np.ndarray:
-    """A column of numbers, or the entries of all lists in a column, one after the other."""
-    array = batch.column(name)
+    """A column of numbers, shape (T,), or of lists of one length, shape (T, n)."""
+    array, shape = batch.column(name), (batch.num_rows,)
     if array.null_count:
-        text = f"{counted(array.null_count, 'sample') if _is_list(array.type) else f'{array.null_count} values'}"
-        raise refusal(file, "not-finite", f"{text} of {name!r} are missing")
+        raise refusal(file, "not-finite", f"{counted(array.null_count, 'sample')} of {name!r} are missing")
     if _is_list(array.type):
+        widths = {array.type.list_size} if pa.types.is_fixed_size_list(array.type) else _widths(array)
+        if len(widths) > 1:
+            raise refusal(file, "ragged", f"the samples of {name!r} have {min(widths)} to {max(widths)} entries")
+        shape = (batch.num_rows, max(widths, default=0))
+        check_columns(file, repr(name), shape[1])
         array = array.flatten()
     if array.null_count:
         raise refusal(file, "not-finite", f"{array.null_count} values of {name!r} are missing")
     if not (pa.types.is_integer(array.type) or pa.types.is_floating(array.type)):
         raise refusal(file, "not-a-number", f"{name!r} holds {array.type}, numbers are needed")
-    return float_array(array.to_numpy(zero_copy_only=False))
+    return float_array(array.to_numpy(zero_copy_only=False)).reshape(shape)
 
 
-def _matrix(file: Path, batch: Any, name: str) -> np.ndarray:
-    """A column of lists of one length, one row per sample."""
-    array, width = batch.column(name), 1
-    if pa.types.is_fixed_size_list(array.type):
-        width = array.type.list_size
-    elif _is_list(array.type):
-        widths = np.unique(np.diff(array.offsets.to_numpy()))
-        if len(widths) > 1 and not array.null_count:
-            raise refusal(file, "ragged", f"the samples of {name!r} have {widths[0]} to {widths[-1]} entries")
-        width = int(widths[0]) if len(widths) else 0
-    check_columns(file, repr(name), width)
-    return _numbers(file, batch, name).reshape(len(array), width)
+def _widths(array: Any) -> set[int]:
+    return set(np.unique(np.diff(array.offsets.to_numpy())).tolist())

@@ -2,8 +2,11 @@
 
 from __future__ import annotations
 
+import itertools
 import re
 from pathlib import Path
+
+import numpy as np
 
 from manip_learn.errors import RecordingError
 from manip_learn.recordings.readers.recording import check_regular, reason, refusal
@@ -31,6 +34,17 @@ def bomb(path: Path, evidence: str) -> RecordingError:
     )
 
 
+def refuse_lost(path: Path, found: int, what: str, where: str, name: str, stated: object, way_out: str = "") -> None:
+    """Refuse a file in which another number of something was found than `name` states.
+
+    Raises:
+        RecordingError: Code `lost-samples`.
+    """
+    if isinstance(stated, int | np.integer) and not isinstance(stated, bool) and int(stated) != found:
+        text = f"{found} {what} are there, {where} states {name} = {int(stated)}: some are missing or were changed"
+        raise refusal(path, "lost-samples", f"{text}; download it again{way_out}")
+
+
 def check_columns(path: Path, what: str, n: int) -> None:
     """Refuse more columns than any robot has joints.
 
@@ -49,16 +63,13 @@ def metadata_text(path: Path) -> str:
     """
     check_regular(path)
     if path.stat().st_size > LARGEST_METADATA:
-        raise refusal(
-            path, "too-large", f"larger than {LARGEST_METADATA:,} bytes, which no such file should be", in_full=True
-        )
+        text = f"larger than {LARGEST_METADATA:,} bytes, which no such file should be"
+        raise refusal(path, "too-large", text, in_full=True)
     try:
         text = path.read_text(encoding="utf-8")
     except (ValueError, OSError) as error:
         raise refusal(path, "damaged", f"it cannot be read as text: {reason(error)}", in_full=True) from error
-    depth = 0
-    for found in re.finditer(r"[][{}]", text):
-        depth += 1 if found.group() in "[{" else -1
-        if depth > DEEPEST:
-            raise refusal(path, "damaged", f"more than {DEEPEST} brackets are open within each other", in_full=True)
+    depths = itertools.accumulate(1 if mark in "[{" else -1 for mark in re.findall(r"[][{}]", text))
+    if any(depth > DEEPEST for depth in depths):
+        raise refusal(path, "damaged", f"more than {DEEPEST} brackets are open within each other", in_full=True)
     return text

@@ -4,10 +4,14 @@ from __future__ import annotations
 
 import difflib
 import re
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from pathlib import Path
 from typing import final
 
 from manip_learn.errors import RecordingError, advice, closest_names
+from manip_learn.recordings.format_words import ENDS
+from manip_learn.recordings.readers.recording import refusal
 
 JOINT, INDEX = "{joint}", "{index}"
 SHOWN = 8  # names in a sentence
@@ -20,10 +24,19 @@ MOST_COMPARED = 300  # names of a file in which a joint is sought letter by lett
 
 @final
 class PatternError(RecordingError):
-    """A pattern that does not fit the names; the reader says where."""
+    """Names or a pattern that do not say what is meant; the reader says where (`named_in`)."""
 
-    def __init__(self, message: str):
-        super().__init__(message, code="columns")
+    def __init__(self, message: str, code: str = "columns"):
+        super().__init__(message, code=code)
+
+
+@contextmanager
+def named_in(path: Path, line: int | None = None) -> Iterator[None]:
+    """Within it, a `PatternError` is the refusal of a file."""
+    try:
+        yield
+    except PatternError as error:
+        raise refusal(path, error.code, str(error), line=line) from error
 
 
 def pattern_columns(
@@ -42,28 +55,22 @@ def pattern_columns(
         RecordingError: No such column, or numbers that are not those of the joints.
     """
     said = advice("{}: ", f"{option}={pattern!r}", f"--{option} '{pattern}'")
-    if JOINT in pattern:
-        found = {i: j for j in (*moving, *still) for i, n in enumerate(names) if n == pattern.replace(JOINT, j)}
-        if not found:
-            wanted = [pattern.replace(JOINT, j) for j in moving]
-            raise PatternError(f"{said}there is no column {wanted[0]!r}; there is {shown(names, wanted[0])}")
-        return found
     regex = re.compile(re.escape(pattern).replace(re.escape(INDEX), r"(\d{1,6})"))
-    numbered = {int(m.group(1)): i for i, n in enumerate(names) if n is not None and (m := regex.fullmatch(n))}
-    if not numbered:
-        wanted = pattern.replace(INDEX, "0")
-        raise PatternError(f"{said}there is no column such as {wanted!r}; there is {shown(names, wanted)}")
+    numbered = {int(m.group(1)): i for i, n in enumerate(names) if n and INDEX in pattern and (m := regex.fullmatch(n))}
+    found = {i: j for j in (*moving, *still) for i, n in enumerate(names) if n == pattern.replace(JOINT, j)}
+    if not numbered and not found:
+        wanted = pattern.replace(JOINT, moving[0]).replace(INDEX, "0")
+        like = "such as " if INDEX in pattern else ""
+        raise PatternError(f"{said}there is no column {like}{wanted!r}; there is {shown(names, wanted)}")
+    if JOINT in pattern:
+        return found
     first, n = min(numbered), len(numbered)
     if first > 1 or sorted(numbered) != list(range(first, first + n)):
-        raise PatternError(
-            f"{said}the columns are numbered {', '.join(map(str, sorted(numbered)))}; 0, 1, 2, ... or 1, 2, 3, ... "
-            "without gaps is needed"
-        )
+        seen = f"the columns are numbered {', '.join(map(str, sorted(numbered)))}"
+        raise PatternError(f"{said}{seen}; 0, 1, 2, ... or 1, 2, 3, ... without gaps is needed")
     if n > len(moving):
-        raise PatternError(
-            f"{said}there are {n} such columns and {len(moving)} moving joints ({', '.join(moving)}): lock fewer "
-            "joints, or rename the columns to joints"
-        )
+        seen = f"there are {n} such columns and {len(moving)} moving joints ({', '.join(moving)})"
+        raise PatternError(f"{said}{seen}: lock fewer joints, or rename the columns to joints")
     return {numbered[first + k]: joint for k, joint in zip(range(n), moving, strict=False)}
 
 
@@ -75,19 +82,29 @@ def shown(names: Sequence[str | None], wanted: str = "") -> str:
     return ", ".join(map(repr, listed)) + (" ..." if len(all_names) > len(listed) else "")
 
 
-def templates(names: Sequence[str | None], joints: Sequence[str]) -> dict[str, dict[str, int]]:
-    """Pattern -> joint -> column, of all names that contain that of a joint as a whole word."""
+def templates(names: Sequence[str | None], joints: Sequence[str]) -> dict[str, dict[int, str]]:
+    """Pattern with `{joint}` -> column -> the name that it stands for.
+
+    It is that of a joint, if it is a whole word of the column's name and occurs once; else the name without its end.
+    """
     words = [(j, re.compile(rf"(?<![A-Za-z0-9]){re.escape(j)}(?![A-Za-z0-9])")) for j in sorted(joints, key=len)[::-1]]
-    made: dict[str, dict[str, int]] = {}
-    for i, name in enumerate(names):
-        for joint, word in words:
-            places = list(word.finditer(name or ""))
-            if len(places) == 1:
-                start, end = places[0].span()
-                made.setdefault(f"{(name or '')[:start]}{JOINT}{(name or '')[end:]}", {})[joint] = i
-            if places:
-                break
+    made: dict[str, dict[int, str]] = {}
+    for i, name in ((i, n) for i, n in enumerate(names) if n):
+        joint, places = next(((j, p) for j, word in words if (p := list(word.finditer(name)))), ("", []))
+        if len(places) == 1:
+            start, end = places[0].span()
+            pattern = f"{name[:start]}{JOINT}{name[end:]}"
+        else:
+            joint, ending = split_end(name)
+            pattern = JOINT + ending
+        made.setdefault(pattern, {})[i] = joint
     return made
+
+
+def split_end(name: str) -> tuple[str, str]:
+    """A name without its end, as of columns about a joint (`joint1_velocity`), and the end; none where it has none."""
+    end = next((end for end in ENDS if name.endswith(end) and name != end), "")
+    return name.removesuffix(end), end
 
 
 def numbered_families(names: Sequence[str | None]) -> dict[str, list[int]]:
@@ -105,13 +122,8 @@ def numbered_families(names: Sequence[str | None]) -> dict[str, list[int]]:
     }
 
 
-def is_pattern(name: str) -> bool:
-    """Whether a name in `rename` stands for several."""
-    return name.count(JOINT) + name.count(INDEX) == 1
-
-
 def renamed(
-    names: Sequence[str], rename: Mapping[str, str], moving: Sequence[str], still: Sequence[str], ends: Sequence[str]
+    names: Sequence[str], rename: Mapping[str, str], moving: Sequence[str], still: Sequence[str]
 ) -> dict[str, tuple[str, str]]:
     """Name in a file -> its new name, and the entry of `rename` that says so; a name of its own goes before a pattern.
 
@@ -120,30 +132,25 @@ def renamed(
         rename: Names or patterns -> names, or a pattern with `{joint}`.
         moving: Joints of the robot in its order, which `{index}` counts.
         still: Further names that `{joint}` may stand for.
-        ends: Of names that are about a joint, such as `_velocity`: they follow the joint.
     """
     new: dict[str, tuple[str, str]] = {}
     for old, wanted in rename.items():
         if INDEX in old:
-            numbered = pattern_columns(old, names, moving, (), "rename") if _has_numbers(old, names) else {}
+            regex = re.compile(re.escape(old).replace(re.escape(INDEX), r"\d+"))
+            numbered = pattern_columns(old, names, moving, (), "rename") if any(map(regex.fullmatch, names)) else {}
             new |= {names[i]: (joint, old) for i, joint in numbered.items()}
-        elif is_pattern(old):
+        elif JOINT in old:
             head, tail = wanted.split(JOINT)
             inner = {j: j.removeprefix(head).removesuffix(tail) for j in (*moving, *still) if f"{head}{tail}" != j}
             fitting = {old.replace(JOINT, part): j for j, part in inner.items() if head + part + tail == j}
             new |= {name: (fitting[name], old) for name in names if name in fitting}
     new |= {old: (wanted, old) for old, wanted in rename.items() if old in names}
     for name in (n for n in names if n not in new):
-        base = next((name.removesuffix(end) for end in ends if name.endswith(end) and name != end), "")
-        about = renamed((base,), {k: v for k, v in rename.items() if INDEX not in k}, moving, still, ()) if base else {}
+        base, end = split_end(name)  # which follows the joint
+        about = renamed((base,), {k: v for k, v in rename.items() if INDEX not in k}, moving, still) if end else {}
         if base in about and about[base][0] in moving:
-            new[name] = (about[base][0] + name.removeprefix(base), about[base][1])
+            new[name] = (about[base][0] + end, about[base][1])
     return new
-
-
-def _has_numbers(pattern: str, names: Sequence[str]) -> bool:
-    head, tail = pattern.split(INDEX)
-    return any(n.startswith(head) and n.endswith(tail) and n[len(head) : len(n) - len(tail)].isdecimal() for n in names)
 
 
 def helpful_renaming(

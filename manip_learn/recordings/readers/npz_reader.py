@@ -12,11 +12,10 @@ from typing import IO, Any
 
 import numpy as np
 
-from manip_learn.errors import DAMAGE
 from manip_learn.recordings.readers.array_reader import recordings
 from manip_learn.recordings.readers.limits import LARGEST_ARRAYS, LONGEST_TEXT, bomb, check_columns, most_bytes
 from manip_learn.recordings.readers.read_request import ReadRequest
-from manip_learn.recordings.readers.recording import Recording, reason, refusal
+from manip_learn.recordings.readers.recording import Recording, refusal, refusing_damage
 
 BARE = b"\x93NUMPY"  # how a single array begins, without an archive around
 
@@ -28,20 +27,13 @@ def read(path: Path, request: ReadRequest) -> Iterator[Recording]:
 
     def load(roles: Mapping[str, str]) -> dict[str, Any]:
         if is_bare:
-            return {role: _bare(path) for role in roles}
+            with refusing_damage(path), path.open("rb") as file:
+                return {role: _array(path, "q", file, path.stat().st_size, "fiu", 0)[0] for role in roles}
         texts = [name for role, name in roles.items() if role == "joint_names"]
         arrays, _ = stored_arrays(path, [name for name in roles.values() if name not in texts], texts)
         return {r: texts_of(path, r, arrays[n]) if n in texts else arrays[n] for r, n in roles.items()}
 
     yield from recordings(path, ["q"] if is_bare else stored_arrays(path, (), ())[1], load, request)
-
-
-def _bare(path: Path) -> np.ndarray:
-    try:
-        with path.open("rb") as file:
-            return _array(path, "q", file, path.stat().st_size, "fiu", 0)[0]
-    except DAMAGE as error:
-        raise refusal(path, "damaged", f"the array is damaged ({reason(error)}): copy or save it again") from error
 
 
 def stored_arrays(
@@ -60,28 +52,20 @@ def stored_arrays(
     Raises:
         RecordingError: Damaged, arrays of objects (pickles), text for numbers, a bomb, an array that occurs twice.
     """
-    ignored: list[str] = []
     members: dict[str, zipfile.ZipInfo] = {}
     arrays: dict[str, np.ndarray] = {}
     total = 0  # bytes of the arrays up to here, in memory
-    try:
-        with zipfile.ZipFile(path) as archive:
-            for info in archive.infolist():
-                name = info.filename.removesuffix(".npy")
-                if name in members:
-                    raise refusal(path, "duplicate-column", f"the array {name!r} occurs twice: keep one")
-                if name in numbers or name in texts:
-                    members[name] = info
-                else:
-                    ignored.append(name)
-            for name, info in members.items():
-                with archive.open(info) as file:
-                    kinds = "fiu" if name in numbers else "US"
-                    arrays[name], total = _array(path, name, file, info.file_size, kinds, total)
-    except DAMAGE as error:
-        said = f"the archive is damaged ({reason(error)}): copy or save it again"
-        raise refusal(path, "damaged", said) from error
-    return arrays, ignored
+    with refusing_damage(path), zipfile.ZipFile(path) as archive:
+        for info in archive.infolist():
+            name = info.filename.removesuffix(".npy")
+            if name in members:
+                raise refusal(path, "duplicate-column", f"the array {name!r} occurs twice: keep one")
+            members[name] = info
+        for name in [n for n in members if n in numbers or n in texts]:
+            kinds = "fiu" if name in numbers else "US"
+            with archive.open(members[name]) as file:
+                arrays[name], total = _array(path, name, file, members[name].file_size, kinds, total)
+    return arrays, [n for n in members if n not in arrays]
 
 
 def texts_of(path: Path, name: str, array: np.ndarray, ndim: int = 1) -> tuple[str, ...]:

@@ -6,25 +6,28 @@ import functools
 import math
 import re
 import shlex
+from collections import Counter, defaultdict
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
-from typing import Literal, final, get_args
+from typing import Any, Literal, final, get_args
 
 import numpy as np
 from jaxtyping import Float
 
 from manip_learn.errors import RecordingError, advice, closest_names, spoken
 from manip_learn.recordings.earned_velocities import Velocities
-from manip_learn.recordings.format_words import EFFORT_SUFFIX, VELOCITY_SUFFIX
+from manip_learn.recordings.format_words import VELOCITY_SUFFIX
 from manip_learn.recordings.readers.name_patterns import INDEX, JOINT, renamed
 from manip_learn.robot import Robot
 
 Units = Literal["radians", "degrees", "normalised"]
 TimeUnit = Literal["s", "ms", "us", "ns"]
+OutsideLimits = Literal["refuse", "note"]
 
 SECONDS: dict[str, float] = {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9}  # of one unit
 UNIT_WORDS = {"s": "seconds", "ms": "milliseconds", "us": "microseconds", "ns": "nanoseconds"}
-ENDS = (VELOCITY_SUFFIX, EFFORT_SUFFIX, ".pos", ".vel", ".torque", ".effort")  # of names that are about a joint
+FLAGS = {"ignore_columns": "--ignore-column", "topics": "--topic"}  # of options that are called otherwise in Python
+CHOICES = {"units": Units, "time_unit": TimeUnit, "velocities": Velocities, "outside_limits": OutsideLimits}
 # options that only some formats have a use for, and why the recordings had none
 WHY = {
     "topics": "topics are read from ROS bags, and none of the recordings is one",
@@ -33,6 +36,7 @@ WHY = {
     "columns": "patterns are those of columns of text tables, and none of the recordings is one",
     "feature": "features are those of LeRobot data sets, and none of the recordings is one",
 }
+ITEM = re.compile(r"\s*(\d{1,9}|\d{0,9}\s*:\s*\d{0,9})\s*")  # of a selection of episodes
 
 
 def first_names(names: Sequence[str], most: int = 12) -> str:
@@ -42,12 +46,27 @@ def first_names(names: Sequence[str], most: int = 12) -> str:
 
 def flag_of(option: str) -> str:
     """The flag of the command line for a keyword of `load_demonstrations`."""
-    return {"ignore_columns": "--ignore-column", "topics": "--topic"}.get(option, "--" + option.replace("_", "-"))
+    return FLAGS.get(option, "--" + option.replace("_", "-"))
 
 
-def as_written(option: str) -> str:
-    """A keyword of `load_demonstrations` as the caller writes it: in Python, or on the command line."""
-    return spoken(option, flag_of(option))
+def option_words(option: str, value: Any) -> tuple[str, str]:
+    """An option with its value, as it is written in Python, and as flags for a shell."""
+    if isinstance(value, Mapping):
+        words = [old if new == JOINT else f"{old}={new}" for old, new in value.items()]
+    elif option == "joint_names":
+        words = [",".join(name or "-" for name in value)]
+    else:
+        words = [value] if isinstance(value, str) else value
+    listed = list(value) if isinstance(value, tuple) else value
+    return f"{option}={listed!r}", " ".join(f"{flag_of(option)} {shlex.quote(word)}" for word in words)
+
+
+rename_words = functools.partial(option_words, "rename")
+
+
+def _refused(option: str, wanted: str, given: object) -> RecordingError:
+    """The refusal of an option, which is called as the caller writes it: in Python, or on the command line."""
+    return RecordingError(f"{spoken(option, flag_of(option))} must be {wanted}, got {given!r}", code="option")
 
 
 @final
@@ -60,16 +79,15 @@ class UnmatchedOption(str):
         option: The option with its value, the same in every part.
     """
 
-    option: str
+    option = ""
 
-    def __new__(cls, option: str, sentence: str) -> UnmatchedOption:
-        """The sentence, and the option that it is about."""
-        self = super().__new__(cls, sentence)
-        self.option = option
-        return self
-
-    def __reduce__(self) -> tuple[type[UnmatchedOption], tuple[str, str]]:
-        return UnmatchedOption, (self.option, str(self))
+    @staticmethod
+    def of(option: str, value: Any, why: str) -> UnmatchedOption:
+        """The sentence that says why an option had no use."""
+        python, flags = option_words(option, value)
+        sentence = UnmatchedOption(advice("{}: ", python, flags) + why)
+        sentence.option = python
+        return sentence
 
 
 @final
@@ -81,7 +99,7 @@ class OptionUses:
     """
 
     def __init__(self) -> None:
-        self.used: dict[str, set[str]] = {}
+        self.used: dict[str, set[str]] = defaultdict(set)
         self._seen: dict[str, None] = {}
 
     def see(self, *names: str) -> None:
@@ -91,7 +109,7 @@ class OptionUses:
 
     def use(self, option: str, *names: str) -> None:
         """An option was used; of options that list names, these."""
-        self.used.setdefault(option, set()).update(names)
+        self.used[option].update(names)
 
     def no(self, name: str) -> str:
         """The sentence that nothing is called so, with near matches."""
@@ -101,23 +119,18 @@ class OptionUses:
         return f"nothing in the recordings is called {name!r}; {hint}"
 
 
-def refuse_unmatched(notes: Iterable[str], n_parts: int = 1) -> list[str]:
+def refuse_unmatched(notes: Sequence[str], n_parts: int = 1) -> list[str]:
     """The notes without sentences about options that matched in some part.
 
     Raises:
         RecordingError: An option that matched nothing in any part.
     """
-    kept: list[str] = []
-    unmatched: dict[str, list[UnmatchedOption]] = {}
-    for note in notes:
-        if isinstance(note, UnmatchedOption):
-            unmatched.setdefault(note.option, []).append(note)
-        else:
-            kept.append(note)
-    for sentences in unmatched.values():
-        if len(sentences) >= n_parts:
-            raise RecordingError(str(sentences[0]), code="option")
-    return kept
+    unmatched = [note for note in notes if isinstance(note, UnmatchedOption)]
+    parts = Counter(note.option for note in unmatched)
+    for note in unmatched:
+        if parts[note.option] >= n_parts:
+            raise RecordingError(str(note), code="option")
+    return [note for note in notes if not isinstance(note, UnmatchedOption)]
 
 
 @final
@@ -126,10 +139,10 @@ class EpisodeSelection:
     """Numbers and half-open ranges of numbers, as Python counts: 0:50 is 0 to 49.
 
     Attributes:
-        items: First number and the one after the last, None for no end; one pair per item.
+        items: Text of each of them, e.g. `5`, `0:50` or `10:`.
     """
 
-    items: tuple[tuple[int, int | None], ...]
+    items: tuple[str, ...]
 
     @staticmethod
     def of(episodes: str | int | Iterable[int]) -> EpisodeSelection:
@@ -138,20 +151,13 @@ class EpisodeSelection:
         Raises:
             RecordingError: Anything else.
         """
-        if isinstance(episodes, int) and not isinstance(episodes, bool):
-            episodes = [episodes]
-        if isinstance(episodes, str):
-            items = [_item(part, episodes) for part in episodes.split(",")]
-        else:
-            given = list(episodes) if isinstance(episodes, Iterable) else []
-            numbers = [n for n in given if isinstance(n, int) and not isinstance(n, bool) and n >= 0]
-            if not numbers or len(numbers) < len(given):
-                raise _refused(episodes)
-            items = [(n, n + 1) for n in numbers]
+        given = [episodes] if isinstance(episodes, int) else episodes
+        texts = map(repr, given) if isinstance(given, Iterable) else ()  # True, 1.5 and '1' are no numbers of episodes
+        items = given.split(",") if isinstance(given, str) else list(texts)
+        if not items or not all(map(ITEM.fullmatch, items)):
+            wanted = "numbers and ranges such as '0:50,60,75' (counted from 0; 0:50 is 0 to 49)"
+            raise _refused("episodes", wanted, episodes)
         return EpisodeSelection(tuple(items))
-
-    def __str__(self) -> str:
-        return ",".join(str(a) if b == a + 1 else f"{a}:{'' if b is None else b}" for a, b in self.items)
 
     def of_known(self, known: Sequence[int], where: str) -> frozenset[int]:
         """The selected ones among the numbers that exist.
@@ -160,36 +166,18 @@ class EpisodeSelection:
             RecordingError: An item selects nothing; names the nearest numbers.
         """
         chosen: set[int] = set()
-        for first, end in self.items:
-            found = {n for n in known if n >= first and (end is None or n < end)}
+        for item in self.items:
+            first, is_range, end = (part.strip() for part in item.partition(":"))
+            low = int(first or 0)
+            high = low + 1 if not is_range else int(end) if end else math.inf
+            found = {n for n in known if low <= n < high}
             if not found:
-                near = sorted(sorted(known, key=lambda n: abs(n - first))[:4])
-                item = EpisodeSelection(((first, end),))
-                raise RecordingError(
-                    f"{where}: no episode is selected by {str(item)!r}; there are {len(known)}, numbered "
-                    f"{min(known)} to {max(known)}; the nearest: {', '.join(map(str, near))}",
-                    code="no-episode",
-                )
+                near = sorted(sorted(known, key=lambda n: abs(n - low))[:4])
+                text = f"{where}: no episode is selected by {item.strip()!r}; there are {len(known)}, numbered "
+                text += f"{min(known)} to {max(known)}; the nearest: {', '.join(map(str, near))}"
+                raise RecordingError(text, code="no-episode")
             chosen |= found
         return frozenset(chosen)
-
-
-def _item(part: str, text: str) -> tuple[int, int | None]:
-    found = re.fullmatch(r"\s*(?:(\d{1,9})|(\d{1,9})?\s*:\s*(\d{1,9})?)\s*", part)
-    if found is None:
-        raise _refused(text)
-    number, first, end = found.groups()
-    if number is not None:
-        return int(number), int(number) + 1
-    return int(first or 0), None if end is None else int(end)
-
-
-def _refused(given: object) -> RecordingError:
-    return RecordingError(
-        f"{advice('{}', 'episodes', '--episodes')} must be numbers and ranges such as '0:50,60,75' (counted from 0; "
-        f"0:50 is 0 to 49), got {given!r}",
-        code="option",
-    )
 
 
 def names_advice(n: int, robot: Robot, stamps: bool | None = None) -> str:
@@ -210,13 +198,6 @@ def names_advice(n: int, robot: Robot, stamps: bool | None = None) -> str:
     rate = (" and rate=<samples per second>", " --rate <samples per second>") if stamps is False else ("", "")
     python, flags = f"joint_names={names}{rate[0]}", f"--joint-names {','.join(names)}{rate[1]}"
     return advice(", or pass {} if they are in the robot's order ('-': not read)", python, flags)
-
-
-def rename_words(rename: Mapping[str, str]) -> tuple[str, str]:
-    """An option `rename` as it is written in Python, and as flags for a shell."""
-    python = ", ".join(f"{old!r}: {new!r}" for old, new in rename.items())
-    pairs = [old if new == JOINT else f"{old}={new}" for old, new in rename.items()]
-    return f"rename={{{python}}}", " ".join(f"--rename {shlex.quote(p)}" for p in pairs)
 
 
 @functools.lru_cache(maxsize=8)
@@ -254,7 +235,7 @@ class ReadRequest:
     joint_names: tuple[str, ...] | None = None
     topics: tuple[str, ...] | None = None
     rate: float | None = None
-    outside_limits: Literal["refuse", "note"] = "refuse"
+    outside_limits: OutsideLimits = "refuse"
     episodes: EpisodeSelection | None = None
     feature: str | None = None
     velocities: Velocities = "auto"
@@ -262,50 +243,44 @@ class ReadRequest:
     uses: OptionUses = field(default_factory=OptionUses, compare=False, repr=False)
 
     def __post_init__(self) -> None:
-        _check_choice("units", self.units, (None, *get_args(Units)))
-        _check_choice("time_unit", self.time_unit, (None, *get_args(TimeUnit)))
-        _check_choice("velocities", self.velocities, get_args(Velocities))
-        _check_choice("outside_limits", self.outside_limits, ("refuse", "note"))
+        for option, choices in CHOICES.items():
+            value, allowed = getattr(self, option), get_args(choices)
+            if value not in (*allowed, getattr(ReadRequest, option)):
+                words = ", ".join(spoken(repr(a), str(a)) for a in allowed)
+                raise _refused(option, f"one of {words}", value)
         for option in ("ignore_columns", "columns", "joint_names", "topics"):
-            object.__setattr__(self, option, _names(option, getattr(self, option)))
+            given = getattr(self, option)
+            names = (given,) if isinstance(given, str) else given
+            if names is None:
+                continue
+            if not isinstance(names, Sequence) or not all(isinstance(n, str) for n in names):
+                raise _refused(option, "names", given)
+            object.__setattr__(self, option, tuple(names))
         if self.joint_names is not None:  # a column that is not read
             object.__setattr__(self, "joint_names", tuple("" if n == "-" else n for n in self.joint_names))
-        wrong = [p for p in self.columns if p.count("{joint}") + p.count("{index}") != 1]
-        if wrong or len(self.columns) > 2:
-            seen = f"{wrong[0]!r}" if wrong else f"{len(self.columns)} patterns"
-            raise RecordingError(
-                f"{as_written('columns')} must be one pattern of the columns of positions, and at most one of "
-                "velocities, each with {joint} or {index}, e.g. 'position.{joint}' or 'q[{index}]', "
-                f"got {seen}",
-                code="option",
-            )
+        if len(self.columns) > 2 or any(p.count(JOINT) + p.count(INDEX) != 1 for p in self.columns):
+            wanted = "one pattern of the columns of positions, and at most one of velocities, each with {joint} or "
+            raise _refused("columns", wanted + "{index}, e.g. 'position.{joint}' or 'q[{index}]'", list(self.columns))
         if self.feature is not None and not (isinstance(self.feature, str) and self.feature.strip()):
-            text = f"{as_written('feature')} must be the name of a feature, got {self.feature!r}"
-            raise RecordingError(text, code="option")
+            raise _refused("feature", "the name of a feature", self.feature)
         rename = {self.rename: JOINT} if isinstance(self.rename, str) else self.rename
         if not isinstance(rename, Mapping) or not all(isinstance(n, str) for pair in rename.items() for n in pair):
-            raise RecordingError(
-                f"rename must be a mapping {{name in the file: name in the robot}}, got {self.rename!r}", code="option"
-            )
+            raise _refused("rename", "a mapping {name in the file: name in the robot}", rename)
         for old, new in rename.items():
             known = new == JOINT if INDEX in old else old.count(JOINT) == new.count(JOINT) < 2
             if not known:
-                raise RecordingError(
-                    f"{as_written('rename')} must be a name and its new name, or a pattern such as 'left_{JOINT}', "
-                    f"'left_{JOINT}={JOINT}_l' or 'q{INDEX}', got {old!r} and {new!r}",
-                    code="option",
-                )
+                wanted = "a name and its new name, or a pattern such as 'left_{joint}', 'left_{joint}={joint}_l' or "
+                raise _refused("rename", wanted + "'q{index}'", f"{old}={new}")
         object.__setattr__(self, "rename", rename)
-        is_number = isinstance(self.rate, int | float)
-        if self.rate is not None and not (is_number and math.isfinite(self.rate) and self.rate > 0):
-            text = f"{as_written('rate')} must be a positive number of samples per second [Hz], got {self.rate!r}"
-            raise RecordingError(text, code="option")
+        rate = self.rate
+        if rate is not None and not (isinstance(rate, int | float) and math.isfinite(rate) and rate > 0):
+            raise _refused("rate", "a positive number of samples per second [Hz]", rate)
 
     def renamed(self, *names: str) -> tuple[str, ...]:
         """All names of one kind in a file, e.g. those of its columns, after renaming."""
         self.uses.see(*names)
         moving = self.robot.joint_names
-        new = renamed(names, self.new_names, moving, unmoved_joint_names(self.robot), ENDS) if self.rename else {}
+        new = renamed(names, self.new_names, moving, unmoved_joint_names(self.robot)) if self.rename else {}
         self.uses.use("rename", *(entry for _, entry in new.values()))
         return tuple(new[n][0] if n in new else n for n in names)
 
@@ -321,27 +296,12 @@ class ReadRequest:
 
     def unmatched(self) -> list[UnmatchedOption]:
         """A sentence for each option that the recordings read so far had no use for."""
-        used = self.uses.used.get("rename", ())
-        names = [(old, *rename_words({old: new})) for old, new in self.new_names.items() if old not in used]
-        names += [
-            (name, f"ignore_columns=[{name!r}]", f"--ignore-column {name}")
-            for name in self.ignore_columns
-            if name not in self.uses.used.get("ignore_columns", ())
-        ]
-        said = [(python, flag, self.uses.no(name)) for name, python, flag in names]
-        topics, patterns = self.topics or (), self.columns
-        flags = {
-            "topics": " ".join(f"--topic {topic}" for topic in topics),
-            "joint_names": "--joint-names",
-            "columns": " ".join(f"--columns '{p}'" for p in patterns),
-        }
-        for option, why in WHY.items():
-            value = getattr(self, option)
-            if value not in (None, ()) and option not in self.uses.used:
-                listed = list(value) if option in ("topics", "joint_names") else value
-                flag = flags.get(option, f"{flag_of(option)} {value}")
-                said.append((f"{option}={listed!r}", flag, f"{why}: leave it out"))
-        return [UnmatchedOption(python, advice("{}: ", python, flag) + text) for python, flag, text in said]
+        parts = [("rename", {old: new}, old) for old, new in self.new_names.items()]
+        parts += [("ignore_columns", (name,), name) for name in self.ignore_columns]
+        used = self.uses.used
+        said = [UnmatchedOption.of(o, part, self.uses.no(n)) for o, part, n in parts if n not in used[o]]
+        asked = {option: value for option in WHY if (value := getattr(self, option)) and option not in used}
+        return said + [UnmatchedOption.of(o, value, f"{WHY[o]}: leave it out") for o, value in asked.items()]
 
     def ignores(self, *names: str) -> bool:
         """True if a column with these names (in the file, and after renaming) is not to be read."""
@@ -350,19 +310,3 @@ class ReadRequest:
         for name in asked:
             self.uses.use("ignore_columns", name)
         return bool(asked)
-
-
-def _check_choice(option: str, value: object, allowed: tuple[object, ...]) -> None:
-    if value not in allowed:
-        choices = ", ".join(spoken(repr(a), str(a)) for a in allowed if a)
-        raise RecordingError(f"{as_written(option)} must be one of {choices}, got {value!r}", code="option")
-
-
-def _names(option: str, value: str | Sequence[str] | None) -> tuple[str, ...] | None:
-    if value is None:
-        return None
-    given = (value,) if isinstance(value, str) else value
-    names = tuple(n for n in given if isinstance(n, str)) if isinstance(given, Sequence) else ()
-    if not isinstance(given, Sequence) or len(names) != len(given):
-        raise RecordingError(f"{as_written(option)} must be names, got {value!r}", code="option")
-    return names

@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import re
 import stat
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, final
@@ -12,7 +13,7 @@ from typing import Any, final
 import numpy as np
 from jaxtyping import Float
 
-from manip_learn.errors import RecordingError
+from manip_learn.errors import DAMAGE, RecordingError
 
 LONGEST = 160  # characters of a foreign text: two lines of a terminal
 POINTER = b"version https://git-lfs"  # how the text begins that Git LFS leaves in place of a file
@@ -103,7 +104,9 @@ class Recording:
         return RecordingError(f"{where}: {text}", code=code, path=self.path, line=line, column=column)
 
 
-def refusal(path: Path, code: str, text: str, *, line: int | None = None, in_full: bool = False) -> RecordingError:
+def refusal(
+    path: Path, code: str, text: str, *, line: int | None = None, column: str | None = None, in_full: bool = False
+) -> RecordingError:
     """The error that refuses a file.
 
     Args:
@@ -111,10 +114,22 @@ def refusal(path: Path, code: str, text: str, *, line: int | None = None, in_ful
         code: Short name of the reason.
         text: What is wrong, and what to do.
         line: Where, counted from 1.
+        column: Name of the column.
         in_full: Call it by its whole path.
     """
-    where = str(path) if in_full else path.name
-    return RecordingError(f"{where}{'' if line is None else f':{line}'}: {text}", code=code, path=path, line=line)
+    where = f"{path if in_full else path.name}{'' if line is None else f':{line}'}"
+    where += "" if column is None else f", column {column!r}"
+    return RecordingError(f"{where}: {text}", code=code, path=path, line=line, column=column)
+
+
+@contextmanager
+def refusing_damage(path: Path, *more: type[Exception]) -> Iterator[None]:
+    """Within it, what libraries raise for broken files, and `more`, is the refusal of a file."""
+    try:
+        yield
+    except (*more, *DAMAGE) as error:
+        said = f"the file is damaged ({reason(error)}): download, copy or save it again"
+        raise refusal(path, "damaged", said) from error
 
 
 def reason(error: BaseException) -> str:

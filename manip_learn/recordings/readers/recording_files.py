@@ -5,10 +5,10 @@ from __future__ import annotations
 import importlib
 import os
 import zipfile
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any, final
+from typing import final
 
 from manip_learn.errors import RecordingError, counted
 from manip_learn.recordings.format_words import MARK
@@ -17,8 +17,9 @@ from manip_learn.recordings.readers.lerobot_dataset import episode_numbers
 from manip_learn.recordings.readers.read_request import ReadRequest
 from manip_learn.recordings.readers.recording import Recording, check_regular, natural_order, reason, refusal
 from manip_learn.recordings.readers.saved_reader import JSON_LINES, file_header
+from manip_learn.recordings.saved_motion import check_robot
 
-Read = Callable[[Path, Any], Iterator[Recording]]
+READERS = "manip_learn.recordings.readers."
 
 
 @final
@@ -29,47 +30,44 @@ class FileFormat:
     title: str
     module: str
 
-    def reader(self) -> Read:
-        """The function that reads it."""
-        return importlib.import_module(self.module).read
 
-
-CSV = FileFormat("text tables (CSV)", "manip_learn.recordings.readers.csv_reader")
-NPZ = FileFormat("NumPy archives (.npz)", "manip_learn.recordings.readers.npz_reader")
-ROSBAG = FileFormat("ROS bags", "manip_learn.recordings.readers.rosbag_reader")
-LEROBOT = FileFormat("LeRobot data", "manip_learn.recordings.readers.lerobot_reader")
-MATLAB = FileFormat("MATLAB files", "manip_learn.recordings.readers.array_reader")
-ROBOMIMIC = FileFormat("HDF5 (robomimic)", "manip_learn.recordings.readers.robomimic_reader")
-SAVED = FileFormat("files of manip_learn", "manip_learn.recordings.readers.saved_reader")
+CSV = FileFormat("text tables (CSV)", READERS + "csv_reader")
+NPZ = FileFormat("NumPy archives (.npz)", READERS + "npz_reader")
+ROSBAG = FileFormat("ROS bags", READERS + "rosbag_reader")
+LEROBOT = FileFormat("LeRobot data", READERS + "lerobot_reader")
+MATLAB = FileFormat("MATLAB files", READERS + "array_reader")
+ROBOMIMIC = FileFormat("HDF5 (robomimic)", READERS + "hdf5_reader")
+SAVED = FileFormat("files of manip_learn", READERS + "saved_reader")
 FORMATS = (CSV, NPZ, ROSBAG, LEROBOT, ROBOMIMIC, MATLAB)
 
-MAGIC: tuple[tuple[bytes, FileFormat], ...] = (
-    (b"#ROSBAG V2", ROSBAG),
-    (b"SQLite format 3\x00", ROSBAG),
-    (b"\x89MCAP0\r\n", ROSBAG),
-    (b"PAR1", LEROBOT),
-    (b"\x89HDF\r\n\x1a\n", ROBOMIMIC),
-    (b"\x93NUMPY", NPZ),
-    (b"MATLAB ", MATLAB),
-)
+SUFFIXES = (".csv", ".tsv", ".npz", ".bag", ".db3", ".mcap", ".parquet", ".hdf5", ".h5")  # of recordings
+MAGIC: dict[tuple[bytes, ...], FileFormat] = {
+    (b"#ROSBAG V2", b"SQLite format 3\x00", b"\x89MCAP0\r\n"): ROSBAG,
+    (b"PAR1",): LEROBOT,
+    (b"\x89HDF\r\n\x1a\n", b"MATLAB 7.3"): ROBOMIMIC,  # the latter is HDF5 too
+    (b"\x93NUMPY",): NPZ,
+    (b"MATLAB ",): MATLAB,
+}
 # content that people do hand in by mistake -> what to do
 REFUSED_MAGIC: tuple[tuple[bytes | tuple[bytes, ...], str, str], ...] = (
     (
         (b"\x80\x02", b"\x80\x03", b"\x80\x04", b"\x80\x05"),
         "pickle",
-        "a Python pickle, which can run any code when it is opened: save the arrays with np.savez",
+        "is a Python pickle, which can run any code when it is opened: save the arrays with np.savez",
     ),
-    (b"\x1f\x8b", "compressed", "compressed with gzip: unpack it first"),
-    (b"BZh", "compressed", "compressed with bzip2: unpack it first"),
-    (b"\xfd7zXZ", "compressed", "compressed with xz: unpack it first"),
+    (b"\x1f\x8b", "compressed", "is compressed with gzip: unpack it first"),
+    (b"BZh", "compressed", "is compressed with bzip2: unpack it first"),
+    (b"\xfd7zXZ", "compressed", "is compressed with xz: unpack it first"),
     (
         b"\x28\xb5\x2f\xfd",
         "compressed",
-        "compressed with zstd: give the bag's folder (with metadata.yaml), or unpack it first",
+        "is compressed with zstd: give the bag's folder (with metadata.yaml), or unpack it first",
     ),
-    (b"PK\x05\x06", "empty", "an empty archive"),
-    (b"#ROSBAG V1", "old-bag", "a ROS bag of version 1: convert it with `rosbag fix`"),
-    ((b"\x89PNG", b"\xff\xd8\xff"), "not-a-recording", "an image"),
+    (b"PK\x05\x06", "empty", "is an empty archive"),
+    (b"#ROSBAG V1", "old-bag", "is a ROS bag of version 1: convert it with `rosbag fix`"),
+    ((b"\x89PNG", b"\xff\xd8\xff"), "not-a-recording", "is an image"),
+    (b"<", "not-a-recording", "looks like XML or HTML: a table with 'time' and joint names is needed"),
+    ((b"{", b"["), "not-a-recording", "looks like JSON: a table with 'time' and joint names is needed"),
 )
 
 
@@ -88,13 +86,18 @@ def recognise(path: Path) -> FileFormat:
         return _archive(path)
     if head.removeprefix(b"\xef\xbb\xbf").startswith((MARK.encode(), JSON_LINES.encode())) and file_header(path):
         return SAVED
-    for magic, known in MAGIC:
-        if head.startswith(magic):
+    start = head.lstrip(b"\xef\xbb\xbf \t\r\n")
+    for signs, known in MAGIC.items():
+        if head.startswith(signs):
             return known
-    for magic, code, sentence in REFUSED_MAGIC:
-        if head.startswith(magic):
-            raise refusal(path, code, f"this is {sentence}")
-    return _text(path, head)
+    for sign, code, sentence in REFUSED_MAGIC:
+        if start.startswith(sign):
+            raise refusal(path, code, f"this {sentence}")
+    if b"\x00" in head and not head.startswith((b"\xff\xfe", b"\xfe\xff")):  # UTF-16 is told by its reader
+        kinds = ", ".join(f.title for f in FORMATS)
+        text = f"the content is binary and of no known kind (starts with {head[:8]!r}); known are {kinds}"
+        raise refusal(path, "unknown-format", text)
+    return CSV
 
 
 def _archive(path: Path) -> FileFormat:
@@ -107,32 +110,14 @@ def _archive(path: Path) -> FileFormat:
         return SAVED if "format.npy" in names and file_header(path) is not None else NPZ
     if any(n.startswith("xl/") for n in names):
         raise refusal(path, "excel", "this is an Excel workbook: save the sheet as CSV")
-    raise refusal(
-        path, "compressed", f"this zip archive holds no NumPy arrays (it has {', '.join(names[:4])}): unpack it first"
-    )
-
-
-def _text(path: Path, head: bytes) -> FileFormat:
-    is_utf16 = head.startswith((b"\xff\xfe", b"\xfe\xff"))
-    if b"\x00" in head and not is_utf16:
-        kinds = ", ".join(f.title for f in FORMATS)
-        text = f"the content is binary and of no known kind (starts with {head[:8]!r}); known are {kinds}"
-        raise refusal(path, "unknown-format", text)
-    start = head.lstrip(b"\xef\xbb\xbf \t\r\n")
-    if start.startswith((b"<", b"{", b"[")):
-        kind = "XML or HTML" if start.startswith(b"<") else "JSON"
-        text = f"this looks like {kind}, not like a recording: a table with 'time' and joint names is needed"
-        raise refusal(path, "not-a-recording", text)
-    return CSV
+    there = ", ".join(names[:4])
+    raise refusal(path, "compressed", f"this zip archive holds no NumPy arrays (it has {there}): unpack it first")
 
 
 def folder_format(path: Path) -> FileFormat | None:
     """Format of a folder that is one recording as a whole (a ROS 2 bag, a LeRobot data set), or None."""
-    if (path / "metadata.yaml").is_file():
-        return ROSBAG
-    if (path / "meta" / "info.json").is_file():
-        return LEROBOT
-    return None
+    wholes = {"metadata.yaml": ROSBAG, "meta/info.json": LEROBOT}
+    return next((known for name, known in wholes.items() if (path / name).is_file()), None)
 
 
 def looks_like_table(path: Path) -> bool:
@@ -154,6 +139,17 @@ class RecordingFile:
     path: Path
     format: FileFormat
 
+    def recordings(self, request: ReadRequest) -> Iterator[Recording]:
+        """The recordings in it, one after the other.
+
+        Raises:
+            RecordingError: It cannot be read, or a header of this library says that it is of another robot.
+        """
+        header = file_header(self.path) if self.path.is_dir() else None
+        if header is not None:
+            check_robot(self.path, header, request.robot)
+        return importlib.import_module(self.format.module).read(self.path, request)
+
 
 def recording_files(
     paths: str | os.PathLike[str] | Iterable[str | os.PathLike[str]],
@@ -166,19 +162,16 @@ def recording_files(
     Raises:
         RecordingError: No path, a path that is missing, or a folder without recordings of exactly one format.
     """
-    files: list[RecordingFile] = []
-    notes: list[str] = []
     given = [paths] if isinstance(paths, str | os.PathLike) or not isinstance(paths, Iterable) else list(paths)
     if not given:
         raise RecordingError("no recording was given: name at least one file or folder", code="empty")
+    notes: list[str] = []
+    files: list[RecordingFile] = []
     for name in given:
         if not isinstance(name, str | os.PathLike) or not os.fspath(name):
             raise RecordingError(f"recordings are given as paths, got {name!r}", code="option")
         path = Path(name)
-        if path.is_dir():
-            files += _in_folder(path, notes)
-        else:
-            files.append(RecordingFile(path, recognise(path)))
+        files += _in_folder(path, notes) if path.is_dir() else [RecordingFile(path, recognise(path))]
     unique: dict[str, RecordingFile] = {}
     for file in files:
         unique.setdefault(os.path.realpath(file.path), file)
@@ -187,11 +180,10 @@ def recording_files(
     return list(unique.values()), notes
 
 
-def _in_folder(folder: Path, notes: list[str]) -> Iterator[RecordingFile]:
-    whole = folder_format(folder)
-    if whole is not None:
-        yield RecordingFile(folder, whole)
-        return
+def _in_folder(folder: Path, notes: list[str]) -> list[RecordingFile]:
+    """The folder itself if it is one recording, else the recordings in it."""
+    if (whole := folder_format(folder)) is not None:
+        return [RecordingFile(folder, whole)]
     found: list[RecordingFile] = []
     ignored: list[str] = []
     why = ""
@@ -200,21 +192,16 @@ def _in_folder(folder: Path, notes: list[str]) -> Iterator[RecordingFile]:
     except OSError as error:
         raise refusal(folder, "unreadable", f"cannot be listed: {reason(error)}", in_full=True) from error
     for path in (folder / name for name in names):
-        if path.is_dir():
-            whole = folder_format(path)
-            found += [RecordingFile(path, whole)] if whole is not None else []
-            continue
-        known = None
         try:
-            known = recognise(path)
+            known = folder_format(path) if path.is_dir() else recognise(path)
         except RecordingError as error:
-            if path.suffix.lower() in (".csv", ".tsv", ".npz", ".bag", ".db3", ".mcap", ".parquet", ".hdf5", ".h5"):
-                raise  # its suffix is that of a recording: skipping it silently would hide a broken one
-            why = why or f"; {error}"
-        if known is None or (known is CSV and not looks_like_table(path)):
-            ignored.append(path.name)
-        else:
+            if path.suffix.lower() in SUFFIXES:
+                raise  # it is called like a recording: skipping it silently would hide a broken one
+            known, why = None, why or f"; {error}"
+        if known is not None and (known is not CSV or looks_like_table(path)):
             found.append(RecordingFile(path, known))
+        elif not path.is_dir():
+            ignored.append(path.name)
     kinds = list(dict.fromkeys(f.format.title for f in found))
     if not found:
         text = f"there is no recording in this folder{why}; name the recordings, or a folder that holds them"
@@ -223,35 +210,39 @@ def _in_folder(folder: Path, notes: list[str]) -> Iterator[RecordingFile]:
         text = f"the folder holds recordings of several kinds ({', '.join(kinds)}): name the files"
         raise refusal(folder, "mixed-folder", text, in_full=True)
     if ignored:
-        notes.append(
-            f"{folder.name}: not recordings, not read: {', '.join(ignored[:6])}{', ...' if len(ignored) > 6 else ''}"
-        )
-    yield from found
+        more = ", ..." if len(ignored) > 6 else ""
+        notes.append(f"{folder.name}: not recordings, not read: {', '.join(ignored[:6])}{more}")
+    return found
+
+
+def known_episodes(files: list[RecordingFile]) -> Sequence[int]:
+    """Numbers of all episodes in some files, as `episodes` counts them.
+
+    In a LeRobot data set the number of an episode is its `episode_index`; of other files it is the place among all
+    files given, in natural order, counted from 0.
+    """
+    if all(f.format is not LEROBOT for f in files):
+        return range(len(files))
+    return sorted({number for f in files if f.format is LEROBOT for number in episode_numbers(f.path)})
 
 
 def select_episodes(files: list[RecordingFile], request: ReadRequest) -> tuple[list[RecordingFile], ReadRequest, str]:
     """The files with the selected episodes, the request that selects them in data sets, and a note.
-
-    In a LeRobot data set the number of an episode is its `episode_index`; of other files it is the place among all
-    files given, in natural order, counted from 0.
 
     Raises:
         RecordingError: Nothing is selected, or several data sets.
     """
     if request.episodes is None:
         return files, request, ""
-    if all(f.format is not LEROBOT for f in files):
-        folder = files[0].path.parent.name or str(files[0].path.parent)
-        chosen = request.episodes.of_known(range(len(files)), folder)
-        kept = [f for i, f in enumerate(files) if i in chosen]
-        return kept, request, f"{folder}: {len(kept)} of {len(files)} files selected, as asked"
-    if any(f.format is not LEROBOT for f in files) or (len(files) > 1 and any(f.path.is_dir() for f in files)):
-        raise RecordingError(
-            f"episodes are numbered within one LeRobot data set, {len(files)} recordings are given: name one data set",
-            code="option",
-        )
-    where = files[0].path.name if len(files) == 1 else f"{len(files)} files of LeRobot data"
-    known = sorted({n for f in files for n in episode_numbers(f.path)})
+    in_sets, n = [f.format is LEROBOT for f in files], len(files)
+    if any(in_sets) and (not all(in_sets) or (n > 1 and any(f.path.is_dir() for f in files))):
+        text = f"episodes are numbered within one LeRobot data set, {n} recordings are given: name one data set"
+        raise RecordingError(text, code="option")
+    folder = files[0].path.parent
+    where = files[0].path.name if n == 1 else f"{n} files of LeRobot data"
+    where = where if any(in_sets) else folder.name or str(folder)
+    known = known_episodes(files)
     chosen = request.episodes.of_known(known, where)
-    note = f"{where}: {len(chosen)} of {counted(len(known), 'episode')} selected, as asked"
-    return files, replace(request, chosen=chosen), note
+    kept = [f for i, f in enumerate(files) if in_sets[i] or i in chosen]
+    note = f"{where}: {len(chosen)} of {counted(len(known), 'episode' if any(in_sets) else 'file')} selected, as asked"
+    return kept, replace(request, chosen=chosen), note

@@ -6,9 +6,7 @@ import itertools
 import zipfile
 from collections.abc import Iterator
 from contextlib import contextmanager
-from dataclasses import replace
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
@@ -51,12 +49,12 @@ def file_header(path: Path) -> FileHeader | None:
             raise refusal(path, "not-a-file", "this is not a regular file; give a rollout or a recording")
         with path.open(encoding="utf-8-sig", errors="replace") as file:  # bytes that are no text: other characters
             start = file.read(len(JSON_LINES))
-            line = start + file.readline(LONGEST_TEXT) if start.startswith((MARK, JSON_LINES)) else start
-        if start.startswith("PK"):
-            return _npz_header(path)
-        if start.startswith(JSON_LINES):
-            raise refusal(path, "not-a-rollout", "JSON lines are not read any more; .npz and .csv are, bit for bit")
-        return FileHeader.from_json(line.removeprefix(MARK)) if start.startswith(MARK) else None
+            if start.startswith("PK"):
+                return _npz_header(path)
+            if start.startswith(JSON_LINES):
+                raise refusal(path, "not-a-rollout", "JSON lines are not read any more; .npz and .csv are, bit for bit")
+            is_ours = start.startswith(MARK)
+            return FileHeader.from_json((start + file.readline(LONGEST_TEXT)).removeprefix(MARK)) if is_ours else None
 
 
 def read_saved(path: Path) -> SavedMotion:
@@ -72,8 +70,8 @@ def read_saved(path: Path) -> SavedMotion:
             raise refusal(path, "not-a-rollout", said)
         with path.open("rb") as file:
             is_archive = file.read(2) == b"PK"
-        motion = _read_npz(path, header) if is_archive else _read_csv(path, header)
-        return checked_motion(path, replace(motion, name=path.name))
+        arrays = _of_archive(path, header) if is_archive else _of_table(path, header)
+        return checked_motion(path, SavedMotion(header, arrays, path.name))
 
 
 def read(path: Path, request: ReadRequest) -> Iterator[Recording]:
@@ -82,9 +80,10 @@ def read(path: Path, request: ReadRequest) -> Iterator[Recording]:
     notes = () if header is None else check_robot(path, header, request.robot)
     motion = read_saved(path)
     names = request.renamed(*motion.header.joint_names)
-    q = joint_positions(path, motion.q, names, request.robot)
+    q = joint_positions(path, motion.arrays["q"], names, request.robot)
+    beside = (motion.arrays.get(name) for name in BESIDE)
     own = {"in_seconds": True, "trusted": True, "notes": notes}
-    yield Recording.of(path, path.name, motion.time, names, q, motion.u, motion.effort, **own)
+    yield Recording.of(path, path.name, motion.arrays["time"], names, q, *beside, **own)
 
 
 @contextmanager
@@ -111,25 +110,17 @@ def _npz_header(path: Path) -> FileHeader | None:
     return FileHeader.from_json(texts_of(path, "header", arrays["header"], 0)[0])
 
 
-def _read_npz(path: Path, header: FileHeader) -> SavedMotion:
+def _of_archive(path: Path, header: FileHeader) -> dict[str, np.ndarray]:
+    """The arrays of an archive."""
     stored, _ = stored_arrays(path, ARRAYS, TEXTS)
     if "joint_names" in stored and texts_of(path, "joint_names", stored["joint_names"]) != header.joint_names:
         raise refusal(path, "damaged", "its joint_names are not those of its header: save it again")
-    for name, ndim in (("time", 1), ("q", 2)):
-        shape = stored[name].shape if name in stored else "missing"
-        if len(shape) != ndim or shape == "missing":
-            raise refusal(path, "shape", f"time must have shape (T,) and q (T, n); {name} is {shape}")
-    arrays = {name: float_array(stored[name]) for name in ARRAYS if name in stored}
-    return _motion(header, arrays, texts_of(path, "status", stored["status"]) if "status" in stored else ())
+    words = {"status": np.array(texts_of(path, "status", stored["status"]))} if "status" in stored else {}
+    return {name: float_array(stored[name]) for name in ARRAYS if name in stored} | words
 
 
-def _motion(header: FileHeader, arrays: dict[str, np.ndarray], status: tuple[str, ...]) -> SavedMotion:
-    curves: dict[str, Any] = {name: arrays.get(name) for name in CURVES}
-    return SavedMotion(header, arrays["time"], arrays["q"], **curves, status=status)
-
-
-def _read_csv(path: Path, header: FileHeader) -> SavedMotion:
-    """The motion in a table; errors name the line."""
+def _of_table(path: Path, header: FileHeader) -> dict[str, np.ndarray]:
+    """The arrays of a table; errors name the line."""
     lines = ((number, line.rstrip("\r\n")) for number, line in text_lines(path) if line.strip())
     next(lines)
     number, columns = next(lines, (2, ""))
@@ -144,23 +135,20 @@ def _read_csv(path: Path, header: FileHeader) -> SavedMotion:
             "write the file again, or remove the line of the header to have the table read as any other"
         )
         raise refusal(path, "columns", text, line=number)
-    width = sum(map(len, groups.values()))
+    ends = np.cumsum([len(names) for names in groups.values()])
+    n = ends[-1] - ("status" in groups)
     rows: list[list[float]] = []
     status: list[str] = []
     for number, line in lines:
         fields = line.split(",")
-        if len(fields) != width:
-            said = f"this row has {len(fields)} fields, {width} are needed: {line[:60]!r}"
-            raise refusal(path, "ragged", said, line=number)
-        status += [fields.pop()] if "status" in groups else []
         try:
-            rows.append([float(f) for f in fields])
+            if len(fields) != ends[-1]:
+                raise ValueError(f"it has {len(fields)} fields, {ends[-1]} are needed")
+            rows.append([float(f) for f in fields[:n]])
         except ValueError as error:
-            said = f"a number is needed in every column but the status: {error}"
-            raise refusal(path, "not-a-number", said, line=number) from error
-    table = np.array(rows, dtype=np.float64).reshape(len(rows), width - ("status" in groups))
-    arrays, at = {}, 0
-    for name, names in groups.items():
-        arrays[name] = table[:, at : at + len(names)] if name in ("q", *BESIDE) else table[:, at : at + 1].ravel()
-        at += len(names)
-    return _motion(header, arrays, tuple(status))
+            text = f"each row needs a number in every column but the status: {error}, in {line[:60]!r}"
+            raise refusal(path, "not-a-number", text, line=number) from error
+        status += fields[n:]
+    parts = np.split(np.reshape(rows, (len(rows), n)), ends[:-1], axis=1)
+    arrays = {k: x if k in ("q", *BESIDE) else x.ravel() for k, x in zip(groups, parts, strict=True)}
+    return arrays | ({"status": np.array(status, dtype=str)} if "status" in groups else {})

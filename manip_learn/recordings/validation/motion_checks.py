@@ -27,6 +27,7 @@ UNIT_OFF, ALIKE = 0.2, 0.8
 # of two motions in turn: samples within which each is heard again, the fewest jumps between them, and the least size of
 # a jump [rad or m], which quanta of a coarse encoder on all joints together do not reach
 LAGS, FEWEST_JUMPS, SMALLEST = 20, 10, 0.1
+SELDOM = 0.05  # of the samples, at most, are failed reads; a second publisher's are more
 
 
 @final
@@ -257,6 +258,20 @@ def _refuse_two_publishers(motion: Motion) -> None:
         sample=int(jumps[0]) + 1,
         column=name,
     )
+
+
+def failed_reads(q: Float[np.ndarray, "T nv"]) -> Int[np.ndarray, " k"]:
+    """Samples that repeat one posture to the last bit, each far from those before and after: what a driver publishes
+    when it could not read its motors, e.g. -pi of every joint.
+    """
+    size = np.linalg.norm(np.diff(q, axis=0), axis=1)
+    if np.count_nonzero(size > SMALLEST) < 4:  # of two such samples; most recordings
+        return np.empty(0, dtype=int)
+    far = size > max(6.0 * float(np.quantile(size, 0.9)), SMALLEST)
+    postures, often = np.unique(q[1:][far], axis=0, return_counts=True)
+    same = np.all(q == postures[np.argmax(often)], axis=1) if len(postures) else np.zeros(len(q), dtype=bool)
+    is_seldom = 1 < np.count_nonzero(same) < SELDOM * len(q)
+    return np.flatnonzero(same & is_seldom & np.all(far[np.flatnonzero(np.diff(same))]))
 
 
 def alternation(q: Float[np.ndarray, "T nv"]) -> tuple[Int[np.ndarray, " k"], float]:

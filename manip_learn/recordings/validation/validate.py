@@ -11,11 +11,18 @@ from manip_learn.errors import advice, counted, named
 from manip_learn.recordings.clock import between, evenly_spread, in_order, pieces
 from manip_learn.recordings.demonstrations import Demonstrations
 from manip_learn.recordings.earned_velocities import NO_MEASUREMENT
+from manip_learn.recordings.format_words import RATE
 from manip_learn.recordings.readers.read_request import ReadRequest
 from manip_learn.recordings.readers.recording import Recording
 from manip_learn.recordings.trajectory import Trajectory
 from manip_learn.recordings.validation.joint_matching import angular_coordinates, match_joints, object_coordinates
-from manip_learn.recordings.validation.motion_checks import Motion, check_motion, refuse_degrees_beside, time_in_seconds
+from manip_learn.recordings.validation.motion_checks import (
+    Motion,
+    check_motion,
+    failed_reads,
+    refuse_degrees_beside,
+    time_in_seconds,
+)
 from manip_learn.recordings.velocities import continuous_rotation_vectors
 from manip_learn.robot import Robot
 
@@ -42,7 +49,7 @@ def validate(recording: Recording, request: ReadRequest) -> Demonstrations:
         i = int(np.argmax(np.diff(time) < 0.0))
         text = f"time goes back in {np.count_nonzero(np.diff(time) < 0.0)} of {counted(len(time) - 1, 'step')}, first "
         text += f"from {recording.time[i]:.9g} to {recording.time[i + 1]:.9g}: sort the rows"
-        text += advice(", or pass {} if they were taken evenly", "rate=<samples per second>", "--rate HZ")
+        text += advice(", or pass {} if they were taken evenly", *RATE)
         raise recording.refusal("time-order", text, sample=i + 1, column="time")
     trajectories: list[Trajectory] = []
     for number, run in enumerate(runs, 1):
@@ -65,16 +72,21 @@ def _of_one_sender(
     robot, notes = request.robot, list[str]()
     if time[-1] <= time[0]:
         text = "all stamps are the same: no motion is left"
-        text += advice("; pass {}", "rate=<samples per second>", "--rate HZ")
+        text += advice("; pass {}", *RATE)
         raise recording.refusal("too-short", text)
     repeated = np.flatnonzero(np.diff(time) == 0.0)
     same = np.all(q[repeated] == q[repeated + 1], axis=1)
     if u is not None:
         same &= np.all(u[repeated] == u[repeated + 1], axis=1)
-    if repeated.size and np.all(same):
-        first = recording.place(int(repeated[0]) + 1)
-        notes.append(f"{counted(repeated.size, 'repeated sample')} left out (first: {first})")
-        keep = np.delete(np.arange(len(time)), repeated + 1)
+    left_out = {"repeated sample": repeated + 1} if repeated.size and np.all(same) else {}
+    failed = np.empty(0, dtype=int) if recording.trusted else failed_reads(q)
+    left_out |= {"failed read": failed} if failed.size else {}
+    for what, samples in left_out.items():
+        posture = f"; the joints jump to {', '.join(f'{x:.3g}' for x in q[failed[0]])}" if samples is failed else ""
+        where = recording.place(int(samples[0]))
+        notes.append(f"{counted(samples.size, what)} left out (first: {where}{posture})")
+    if left_out:
+        keep = np.delete(np.arange(len(time)), np.concatenate(list(left_out.values())))
         recording, time, q, u = _kept(recording, keep), time[keep], q[keep], None if u is None else u[keep]
     q, said = _unwrapped(robot, q)
     notes += said

@@ -44,10 +44,10 @@ def write_lerobot(folder: Path, motions: Sequence[SavedMotion]) -> Path:
     if folder.exists() and (not folder.is_dir() or any(folder.iterdir())):
         raise OutputError(f"cannot write a LeRobot data set to {folder}: it exists; name a new or an empty folder")
     for what, name in (("velocities", "u"), ("efforts", "effort")):
-        if len({getattr(m, name) is None for m in motions}) > 1:
+        if len({name in m.arrays for m in motions}) > 1:
             raise OutputError(f"some trajectories have {what} and others not: export them to data sets of their own")
     table = _samples(motions)
-    fps = samples_per_second(motions)
+    fps = samples_per_second([m.arrays["time"] for m in motions])
     write_atomically(folder / "data" / FILE, _parquet(table))
     write_atomically(folder / "meta" / "episodes" / FILE, _parquet(_episodes(motions)))
     tasks = pa.table({"task_index": pa.array([0], pa.int64()), "task": [TASK]})
@@ -59,40 +59,38 @@ def write_lerobot(folder: Path, motions: Sequence[SavedMotion]) -> Path:
 
 
 def _samples(motions: Sequence[SavedMotion]) -> Any:
-    lengths = [len(m.time) for m in motions]
-    arrays = {name: [getattr(m, attribute) for m in motions] for name, attribute in FEATURES.items()}
-    tables = {name: np.concatenate(some) for name, some in arrays.items() if some[0] is not None}
-    vectors = pa.FixedSizeListArray.from_arrays
-    columns = {name: vectors(pa.array(table.ravel()), table.shape[1]) for name, table in tables.items()}
-    columns["timestamp"] = pa.array(np.concatenate([m.time - m.time[0] for m in motions]))
-    columns["frame_index"] = pa.array(np.concatenate([np.arange(n) for n in lengths]))
-    columns["episode_index"] = pa.array(np.repeat(np.arange(len(motions)), lengths))
-    columns["index"] = pa.array(np.arange(sum(lengths)))
-    columns["task_index"] = pa.array(np.zeros(sum(lengths), dtype=np.int64))
-    return pa.table(columns)
+    lengths, times = [len(m) for m in motions], [m.arrays["time"] for m in motions]
+    columns: dict[str, Any] = {}
+    for feature, name in FEATURES.items():
+        if name in motions[0].arrays:
+            table = np.concatenate([m.arrays[name] for m in motions])
+            columns[feature] = pa.FixedSizeListArray.from_arrays(pa.array(table.ravel()), table.shape[1])
+    numbers = {
+        "timestamp": np.concatenate([time - time[0] for time in times]),
+        "frame_index": np.concatenate(list(map(np.arange, lengths))),
+        "episode_index": np.repeat(np.arange(len(motions)), lengths),
+        "index": np.arange(sum(lengths)),
+        "task_index": np.zeros(sum(lengths), dtype=np.int64),
+    }
+    return pa.table(columns | numbers)
 
 
 def _episodes(motions: Sequence[SavedMotion]) -> Any:
-    lengths = np.array([len(m.time) for m in motions])
-    ends, zeros = np.cumsum(lengths), np.zeros(len(motions), dtype=np.int64)
-    return pa.table(
-        {
-            "episode_index": np.arange(len(motions)),
-            "tasks": pa.array([[TASK]] * len(motions)),
-            "length": lengths,
-            "data/chunk_index": zeros,
-            "data/file_index": zeros,
-            "dataset_from_index": ends - lengths,
-            "dataset_to_index": ends,
-            "meta/episodes/chunk_index": zeros,
-            "meta/episodes/file_index": zeros,
-        }
-    )
+    lengths = np.array([len(m) for m in motions])
+    places = ("data/chunk_index", "data/file_index", "meta/episodes/chunk_index", "meta/episodes/file_index")
+    known = {
+        "episode_index": np.arange(len(motions)),
+        "tasks": pa.array([[TASK]] * len(motions)),
+        "length": lengths,
+        "dataset_from_index": np.cumsum(lengths) - lengths,
+        "dataset_to_index": np.cumsum(lengths),
+    }
+    return pa.table(known | dict.fromkeys(places, np.zeros(len(motions), dtype=np.int64)))
 
 
-def samples_per_second(motions: Sequence[SavedMotion]) -> float:
+def samples_per_second(times: Sequence[np.ndarray]) -> float:
     """Samples per second, by the median step; an integer where it is one but for rounding."""
-    step = float(np.median(np.concatenate([np.diff(m.time) for m in motions])))
+    step = float(np.median(np.concatenate(list(map(np.diff, times)))))
     rate = 1.0 / step
     return round(rate) if abs(rate - round(rate)) < 1e-3 * rate and rate >= 1.0 else rate
 
@@ -113,9 +111,9 @@ def _info(motions: Sequence[SavedMotion], fps: float, table: Any) -> dict[str, A
     header = motions[0].header
     joints = {"dtype": "float64", "shape": [len(header.joint_names)], "names": list(header.joint_names)}
     features: dict[str, Any] = {name: joints for name in FEATURES if name in table.column_names}
-    features["timestamp"] = {"dtype": "float64", "shape": [1], "names": None}
-    for name in ("frame_index", "episode_index", "index", "task_index"):
-        features[name] = {"dtype": "int64", "shape": [1], "names": None}
+    for name in table.column_names:
+        kind = "float64" if name == "timestamp" else "int64"
+        features.setdefault(name, {"dtype": kind, "shape": [1], "names": None})
     return {
         "codebase_version": "v3.0",
         "robot_type": None if header.robot is None else header.robot.name,

@@ -12,6 +12,7 @@ from jaxtyping import Float, Int
 from manip_learn.errors import MissingExtraError, OutputError
 from manip_learn.recordings.format_words import JOINT_STATE
 from manip_learn.recordings.saved_motion import SavedMotion
+from manip_learn.recordings.trajectory import BESIDE
 
 SECOND = 1_000_000_000  # [ns]; a stamp of zero means "not set" in ROS: motions that start at zero start at one second
 LAST_STAMP = 2**31 * SECOND  # [ns] seconds are int32 in ROS
@@ -24,7 +25,7 @@ def mcap_bytes(motion: SavedMotion) -> bytes:
         OutputError: Times that stamps of whole nanoseconds cannot tell apart, or no room for temporary files.
         MissingExtraError: The extra `ros` is not installed.
     """
-    stamps = nanoseconds(motion.time, from_first=False)
+    stamps = nanoseconds(motion.arrays["time"], from_first=False)
     if stamps.size and stamps[0] == 0:
         stamps = stamps + SECOND
     try:
@@ -45,12 +46,13 @@ def _written(motion: SavedMotion, stamps: Int[np.ndarray, " T"], folder: Path) -
         raise MissingExtraError("writing MCAP", "ros") from error
     store: Any = get_typestore(Stores.ROS2_HUMBLE)
     types, names, nothing = store.types, list(motion.header.joint_names), np.empty(0)
-    q = motion.q if motion.q.shape[1] == len(names) else None  # configurations are no positions of joints
+    known = (motion.arrays.get(name) for name in ("q", *BESIDE))  # configurations are no positions of joints
+    arrays = [None if x is None or x.shape[1] != len(names) else np.ascontiguousarray(x) for x in known]
     with Writer(folder, version=9, storage_plugin=StoragePlugin.MCAP) as writer:
         joints = writer.add_connection("/joint_states", JOINT_STATE, typestore=store)
         for i, stamp in enumerate(stamps.tolist()):
             header = types["std_msgs/msg/Header"](types["builtin_interfaces/msg/Time"](*divmod(stamp, SECOND)), "")
-            numbers = [nothing if x is None else np.ascontiguousarray(x[i]) for x in (q, motion.u, motion.effort)]
+            numbers = [nothing if x is None else x[i] for x in arrays]
             state = types[JOINT_STATE](header, names, *numbers)
             writer.write(joints, stamp, store.serialize_cdr(state, JOINT_STATE))
     return folder / f"{folder.name}.mcap"

@@ -5,16 +5,17 @@ from __future__ import annotations
 import io
 import json
 import os
+import re
 from collections.abc import Callable, Mapping
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
 from manip_learn.atomic_write import write_atomically
 from manip_learn.errors import OutputError
 from manip_learn.recordings.format_words import MARK
-from manip_learn.recordings.saved_motion import CURVES, PREFIX, SavedMotion, column_groups, column_line
-from manip_learn.recordings.trajectory import BESIDE
+from manip_learn.recordings.saved_motion import PREFIX, SavedMotion, column_groups, column_line
 from manip_learn.recordings.writers.mcap_writer import mcap_bytes, nanoseconds
 
 TYPE = "trajectory_msgs/msg/JointTrajectory"
@@ -22,10 +23,11 @@ TYPE = "trajectory_msgs/msg/JointTrajectory"
 
 def csv_bytes(motion: SavedMotion) -> bytes:
     """The table, UTF-8."""
-    groups = column_groups(motion.header, [name for name in BESIDE if getattr(motion, name) is not None])
-    table = np.column_stack([getattr(motion, name) for name in groups if name != "status"])
-    words = [[word] for word in motion.status] or [[]] * len(table)
-    lines = [MARK + motion.header.to_json(len(motion.time)), column_line(groups)]
+    arrays = motion.arrays
+    groups = column_groups(motion.header, arrays)
+    table = np.column_stack([arrays[name] for name in groups if name != "status"])
+    words = [[word] for word in arrays["status"]] if "status" in groups else [[]] * len(table)
+    lines = [MARK + motion.header.to_json(len(motion)), column_line(groups)]
     lines += [",".join([*map(repr, row), *word]) for row, word in zip(table.tolist(), words, strict=True)]
     return ("\n".join(lines) + "\n").encode()
 
@@ -33,15 +35,10 @@ def csv_bytes(motion: SavedMotion) -> bytes:
 def npz_bytes(motion: SavedMotion) -> bytes:
     """The archive."""
     header = motion.header
-    arrays: dict[str, np.ndarray | None] = {
-        "format": np.array(PREFIX + header.kind),
-        "header": np.array(header.to_json(len(motion.time))),
-        **{name: getattr(motion, name) for name in ("time", "q", *CURVES)},
-        "joint_names": np.array(header.joint_names, dtype=str),
-        "status": np.array(motion.status, dtype=str) if header.kind == "rollout" else None,
-    }
+    texts = {"format": PREFIX + header.kind, "header": header.to_json(len(motion)), "joint_names": header.joint_names}
+    arrays = {name: np.array(text, dtype=str) for name, text in texts.items()} | dict(motion.arrays)
     stream = io.BytesIO()
-    np.savez_compressed(stream, **{name: array for name, array in arrays.items() if array is not None})  # type: ignore[arg-type]
+    np.savez_compressed(stream, **arrays)  # type: ignore[arg-type]
     return stream.getvalue()
 
 
@@ -52,43 +49,37 @@ def joint_trajectory_bytes(motion: SavedMotion) -> bytes:
         OutputError: Numbers that are not finite, or times that whole nanoseconds cannot tell apart.
     """
     names = motion.header.joint_names
-    if motion.q.shape[1] != len(names):
+    if motion.arrays["q"].shape[1] != len(names):
         raise OutputError("a JointTrajectory needs one position per joint, the motion has configurations")
-    times = nanoseconds(motion.time, from_first=True).tolist()
+    times = nanoseconds(motion.arrays["time"], from_first=True).tolist()
     lines = [
-        MARK + motion.header.to_json(len(motion.time)),
+        MARK + motion.header.to_json(len(motion)),
         f'# ros2 topic pub --once <controller>/joint_trajectory {TYPE} "$(cat FILE)"',
         '{"header": {"stamp": {"sec": 0, "nanosec": 0}, "frame_id": ""},',
         f' "joint_names": {json.dumps(list(names))},',
         ' "points": [',
     ]
-    velocities = None if motion.u is None else motion.u.tolist()
-    for i, (time, q) in enumerate(zip(times, motion.q.tolist(), strict=True)):
-        sec, nanosec = divmod(time, 1_000_000_000)
-        moving = "" if velocities is None else f', "velocities": {_numbers(velocities[i])}'
-        start = f'{{"sec": {sec}, "nanosec": {nanosec}}}'
-        end = "," if i + 1 < len(times) else ""
-        lines.append(f'  {{"positions": {_numbers(q)}{moving}, "time_from_start": {start}}}{end}')
+    known = {"positions": motion.arrays["q"], "velocities": motion.arrays.get("u")}
+    for i, time in enumerate(times):
+        point: dict[str, Any] = {name: array[i].tolist() for name, array in known.items() if array is not None}
+        point["time_from_start"] = dict(zip(("sec", "nanosec"), divmod(time, 1_000_000_000), strict=True))
+        lines.append(f"  {_yaml(point)}{',' if i + 1 < len(times) else ''}")
     return "\n".join([*lines, " ]}", ""]).encode()
 
 
-def _numbers(values: list[float]) -> str:
-    return f"[{', '.join(map(_number, values))}]"
+def _yaml(content: object) -> str:
+    """JSON that is YAML 1.1 too, in which 1e-05 would be a word; numbers are read as the same float64."""
+    try:
+        return re.sub(r"(?<![\d.])(\d+)e", r"\1.0e", json.dumps(content, allow_nan=False))
+    except ValueError as error:
+        raise OutputError(f"a JointTrajectory can hold finite numbers only ({error})") from error
 
 
-def _number(value: float) -> str:
-    """Shortest text that is read as the same float64; 1e-05 alone would be a word in YAML 1.1."""
-    text = repr(value)
-    if "n" in text:  # nan, inf
-        raise OutputError(f"a JointTrajectory cannot hold the number {text}")
-    digits, mark, exponent = text.partition("e")
-    return text if "." in digits else f"{digits}.0{mark}{exponent}"
-
-
-WRITERS: Mapping[str, Callable[[SavedMotion], bytes]] = {
-    ".npz": npz_bytes,
-    ".csv": csv_bytes,
-    ".mcap": mcap_bytes,
+WRITERS: Mapping[str, Callable[[SavedMotion], bytes]] = {".npz": npz_bytes, ".csv": csv_bytes, ".mcap": mcap_bytes}
+ELSEWHERE = {  # endings that are refused with what to do
+    ".rrd": "a Rerun recording shows the robot too; use manip_learn.playback.write_rerun(robot, rollouts, path), or "
+    "`manip-learn export ROBOT FILE... --out x.rrd`",
+    ".jsonl": "JSON lines are not written any more; .npz and .csv are read back bit for bit",
 }
 
 
@@ -102,23 +93,12 @@ def write_motion(path: str | os.PathLike[str], motion: SavedMotion) -> Path:
         OutputError: No format of that name, it cannot be written, or the format cannot hold the motion.
     """
     suffix = Path(path).suffix.lower()
-    if suffix == ".rrd":
-        raise OutputError(
-            f"cannot write {os.fspath(path)!r}: a Rerun recording shows the robot too; use "
-            "manip_learn.playback.write_rerun(robot, rollouts, path), or `manip-learn export ROBOT FILE... --out x.rrd`"
-        )
-    if suffix == ".jsonl":
-        raise OutputError(
-            f"cannot write {os.fspath(path)!r}: JSON lines are not written any more; .npz and .csv are read back bit "
-            "for bit"
-        )
+    refused = f"cannot write {os.fspath(path)!r}: "
     if suffix not in WRITERS:
-        raise OutputError(
-            f"cannot write {os.fspath(path)!r}: the ending says the format, and it is {suffix or 'missing'!r}; use "
-            f"one of {', '.join(WRITERS)}"
-        )
+        usual = f"the ending says the format, and it is {suffix or 'missing'!r}; use one of {', '.join(WRITERS)}"
+        raise OutputError(refused + ELSEWHERE.get(suffix, usual))
     try:
         content = WRITERS[suffix](motion)
     except UnicodeEncodeError as error:
-        raise OutputError(f"cannot write {os.fspath(path)!r}: a name in it is no text ({error})") from error
+        raise OutputError(f"{refused}a name in it is no text ({error})") from error
     return write_atomically(path, content)
