@@ -14,7 +14,7 @@ from manip_learn.constraint.features.frame_jacobian import FrameJacobian
 from manip_learn.constraint.features.mechanism_rows import PlaceForm, PlaceRows
 from manip_learn.constraint.mechanism import MECHANISM_KINDS, Mechanism, MechanismKind, Read, read_kind, rows_of
 from manip_learn.errors import NotIdentifiableError
-from manip_learn.learning.arm_errors import AS_DESCRIBED, ArmErrors, link_twists
+from manip_learn.learning.arm_errors import AS_DESCRIBED, ArmErrors
 from manip_learn.learning.explanation.evidence import stretches_of, ways_to_choose
 from manip_learn.learning.explanation.explain import Hypothesis, explain
 from manip_learn.learning.explanation.row_motion import View, kinds_tried, views_of
@@ -26,6 +26,7 @@ from manip_learn.recordings.demonstrations import Demonstrations
 from manip_learn.recordings.earned_velocities import earned
 from manip_learn.recordings.trajectory import Trajectory
 from manip_learn.recordings.velocities import with_velocities
+from manip_learn.robot.batch.batch_kinematics import link_twists
 from manip_learn.robot.joints import Frame
 from manip_learn.robot.robot import Robot
 

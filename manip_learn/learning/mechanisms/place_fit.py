@@ -291,7 +291,7 @@ class PlaceFit:
             rng: For the draws.
             arm: What is thought of its errors beforehand.
             on: The same fit at postures that are on the mechanism, where the patterns of these errors are taken.
-            links: Twists of the frame there by errors of the links, see `link_twists`.
+            links: Twists of the frame there by errors of the links, see `batch_kinematics.link_twists`.
         """
         at, tied, e = on or self, _is_shared(self.kind, self.shared), self.residuals.reshape(-1)
         by_links = [] if links is None else [arm.ratio * at.weights.twist @ twist for twist in links]
