@@ -64,7 +64,7 @@ def angles(kind: str, seed: int, rate: float, noise: float, n: int) -> tuple[flo
     features, demos, true = recorded(kind, seed, rate, noise, n)
     samples = Samples.collect(features, with_velocities(demos, features.robot))
     estimate = estimate_null_space(samples, ROWS[kind])
-    parts = uncertainty_of(samples, estimate, np.random.default_rng(seed))
+    parts, _ = uncertainty_of(samples, estimate, np.random.default_rng(seed))
     learnt = np.linalg.qr(samples.selection(estimate.whitened_selection).T)[0]
     sine = np.linalg.norm(learnt - true.T @ (true @ learnt), 2)
     return float(np.degrees(np.arcsin(min(sine, 1.0)))), float(total_deg(parts) or 0.0), float(parts[NOISE] or 0.0)

@@ -18,7 +18,7 @@ import manip_learn as ml
 from manip_learn.errors import NotIdentifiableError
 
 RECORDINGS = Path(__file__).parent / "data" / "sawyer_drawer"
-ENOUGH = 0.002  # uncertainty of the row space [deg]
+ENOUGH = 0.002  # noise of the row space [deg]: what more motions can lower, unlike errors of the arm itself
 
 
 class Recorder:
@@ -67,7 +67,7 @@ def main() -> None:
         except NotIdentifiableError as refusal:  # the motion is kept all the same
             print(f"{motion.name}: not enough yet ({refusal.args[0].partition(':')[0]})")
             continue
-        spread = report.uncertainty_deg
+        spread = report.uncertainty["noise"]
         known = "uncertainty not known yet" if spread is None else f"+- {spread:.2g} degrees"
         held = f"{report.n_constraints} of {len(report.row_names)} rows held"
         print(f"{motion.name}: {held}, {known}, gap {report.gap:.3g} (10 is clear)")

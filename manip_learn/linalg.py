@@ -254,3 +254,10 @@ def along_axes(rows: Float[np.ndarray, "k p"]) -> Float[np.ndarray, "k p"]:
         remaining = null_basis(direction[None, :]).T @ remaining if remaining.shape[0] > 1 else remaining[:0]
     # in the order of the axes that they point along most
     return np.array(sorted(out, key=lambda row: int(np.argmax(np.abs(row)))))
+
+
+def manipulability_of(A: Float[np.ndarray, "s nv"]) -> float:
+    """mu of a constraint matrix; 0 if it has more rows than columns."""
+    if A.shape[0] > A.shape[1]:
+        return 0.0
+    return float(np.prod(np.linalg.svd(A, compute_uv=False)))

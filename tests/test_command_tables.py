@@ -107,7 +107,7 @@ def test_learning_explains_its_words(learnt: Learnt) -> None:
 def test_an_axis_that_nothing_determines_has_no_angle(learnt: Learnt) -> None:
     """An uncertainty beyond any angle is said in words: +- 1,600 degrees means nothing to a reader."""
     found = learnt.report.mechanism
-    assert found is not None and "direction known to 0.00" in printed(100, print_learnt, learnt)
+    assert found is not None and "direction known to 0.1" in printed(100, print_learnt, learnt)
     lost = dataclasses.replace(found, uncertainty={**found.uncertainty, "axis": 1600.0})
     report = dataclasses.replace(learnt.report, mechanism=lost, uncertainty_deg=None)
     text = printed(100, print_learnt, dataclasses.replace(learnt, reports=(report, *learnt.reports[1:])))

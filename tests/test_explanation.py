@@ -6,6 +6,7 @@ from __future__ import annotations
 
 import dataclasses
 import itertools
+import tracemalloc
 from typing import Any
 
 import numpy as np
@@ -91,6 +92,20 @@ def test_one_is_not_divided(kind: str):
         for t in trajectories
     ]
     assert len(found((features, noisy, {})).parts) == 1
+
+
+def test_memory_grows_with_the_samples_alone():
+    """Three times as many whole recordings need at most three times as much: 4.7 times where each contact that one
+    recording alone may show is weighed on the samples of all.
+    """
+    features, trajectories, _ = recordings("drawer", "panda", 2021, 24)
+    peaks = []
+    for n in (8, 24):
+        tracemalloc.start()
+        found((features, trajectories[:n], {}))
+        peaks.append(tracemalloc.get_traced_memory()[1])
+        tracemalloc.stop()
+    assert peaks[1] < 3.0 * peaks[0], peaks
 
 
 def test_noise_that_differs_among_recordings_is_not_odd():

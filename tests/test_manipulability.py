@@ -18,12 +18,12 @@ from manip_learn.constraint.manipulability import (
     log_penalised_manipulability_gradient,
     manipulability,
     manipulability_gradient,
-    manipulability_of,
     penalised_manipulability,
     penalised_manipulability_gradient,
 )
 from manip_learn.control.policies import PenalisedManipulabilityAscent
 from manip_learn.errors import ConstraintError
+from manip_learn.linalg import manipulability_of
 from manip_learn.robot.limit_potential import limit_weights
 
 
@@ -40,7 +40,7 @@ def test_definition(robot_of, rng):
         assert manipulability(turned, q) == pytest.approx(manipulability(constraint, q), rel=1e-11)
         gradient = manipulability_gradient(constraint, q)
         np.testing.assert_allclose(manipulability_gradient(turned, q), gradient, rtol=0, atol=1e-9)
-        assert manipulability_of(A) == manipulability(constraint, q)
+        assert manipulability_of(A) == manipulability(constraint, q) == constraint.manipulability(q)
 
 
 def test_singular_is_zero_never_nan(robot_of):

@@ -124,7 +124,7 @@ def draw_uncertainty(features: ml.FrameJacobian, demos: ml.Demonstrations) -> No
     counts = [2, 3, 4, 5, 6, 8, 10]
     reports = [ml.ConstraintLearner(features).fit(demos[:n]).report_ for n in counts]
     figure, axes = picture("learn_while_recording", "motions shown", "uncertainty [degrees]")
-    axes.semilogy(counts, [r.uncertainty_deg for r in reports], "o-", color=BLUE, markersize=4)
+    axes.semilogy(counts, [r.uncertainty["noise"] for r in reports], "o-", color=BLUE, markersize=4)
     save(figure)
 
 

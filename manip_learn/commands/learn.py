@@ -124,6 +124,8 @@ def learn(options: LearnOptions, progress: Progress | None = None) -> Learnt:
         seed=options.seed,
         strength=BELIEVED_STRENGTH if options.strength is None else options.strength,
         habits=options.habits,
+        zeros=options.zeros,
+        links=options.links,
     )
     with cluster_client(options.dask) as client:
         learner.fit(demos, client=client, progress=progress)

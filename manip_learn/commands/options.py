@@ -249,6 +249,10 @@ class LearnOptions:
     habits: Annotated[bool, Option("--habits", help="Also learn rows that may be kept by the way of moving only.")] = (
         False
     )
+    zeros: Annotated[
+        float, Option(help="How far the joints' zeros may be off [deg, 68 %]; 1 for arms of hobby servos.")
+    ] = 0.1
+    links: Annotated[float, Option(help="How far the links may be off their description [mm and mrad, 68 %].")] = 0.5
     start: Annotated[float | None, Option("--from", help="Leave out what was recorded before [s].")] = None
     until: Annotated[float | None, Option(help="Leave out what was recorded after [s].")] = None
     seed: Annotated[int, Option(help="Seed of the bootstrap and of random starts.")] = 0

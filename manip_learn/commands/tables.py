@@ -56,8 +56,9 @@ WORDS: dict[str, tuple[str, str]] = {
     ),
     "uncertainty": (
         "68 % of repetitions with other recordings stay within it",
-        "The recordings are drawn again with repetition and learnt from, many times (bootstrap). It says how much the "
-        "answer depends on which recordings there are, not whether they are of the right task.",
+        "The recordings are drawn again with repetition and learnt from, many times (bootstrap), and the arm is taken "
+        "to be off by as much as --zeros and --links say, as far as the recordings do not tell. It says how much the "
+        "answer depends on these, not whether the recordings are of the right task.",
     ),
     "strength": (
         "growth of a row's motion when joints are exchanged; 1 or less: free",

@@ -22,7 +22,7 @@ from manip_learn.constraint.mechanism import TURNING, Mechanism, named_rows, on_
 from manip_learn.constraint.shown import Shown
 from manip_learn.constraint.task_frame import TaskFrame, task_frame
 from manip_learn.errors import DAMAGE, ConstraintError, ConstraintMismatchError, ManipLearnError, spoken
-from manip_learn.linalg import along_axes, finite, orthonormal_rows
+from manip_learn.linalg import along_axes, finite, manipulability_of, orthonormal_rows
 from manip_learn.robot import html_card
 from manip_learn.robot.robot import Robot
 
@@ -210,6 +210,14 @@ class Constraint:
             ConfigurationError: q has the wrong size or is not finite.
         """
         return self.selection.dot(self.features(q))
+
+    def manipulability(self, q: ArrayLike) -> float:
+        """mu(q) = sqrt(det(A A^T)), as `manip_learn.manipulability(constraint, q)`.
+
+        Raises:
+            ConfigurationError: q has the wrong size or is not finite.
+        """
+        return manipulability_of(self(q))
 
     def derivative(self, q: ArrayLike) -> Float[np.ndarray, "s nv nv"]:
         """dA/dq; entry [i, j, k] = d A_ij / d q_k along tangent coordinate k."""

@@ -22,7 +22,7 @@ from manip_learn.constraint.constraint import Constraint
 from manip_learn.constraint.features.feature_map import Vjp
 from manip_learn.constraint.small_matrices import svd
 from manip_learn.errors import ConstraintError
-from manip_learn.linalg import EPS
+from manip_learn.linalg import EPS, manipulability_of
 from manip_learn.robot.limit_potential import limit_weights
 from manip_learn.robot.robot import Robot
 
@@ -46,14 +46,7 @@ def manipulability(constraint: Constraint, q: ArrayLike) -> float:
         >>> round(ml.manipulability(constraint, [0.0, 0.0, 0.0]), 2)  # stretched along x: the task is singular
         0.0
     """
-    return manipulability_of(constraint(q))
-
-
-def manipulability_of(A: Float[np.ndarray, "s nv"]) -> float:
-    """mu of a constraint matrix; 0 if it has more rows than columns."""
-    if A.shape[0] > A.shape[1]:
-        return 0.0
-    return float(np.prod(np.linalg.svd(A, compute_uv=False)))
+    return constraint.manipulability(q)
 
 
 def manipulability_gradient(constraint: Constraint, q: ArrayLike) -> Float[np.ndarray, " nv"]:

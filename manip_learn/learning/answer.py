@@ -16,6 +16,7 @@ from manip_learn.constraint.features.feature_map import FeatureMap
 from manip_learn.constraint.features.frame_jacobian import FrameJacobian
 from manip_learn.constraint.features.mechanism_rows import MechanismRows, PlaceRows
 from manip_learn.errors import NotIdentifiableError, advice, counted, number_if_known
+from manip_learn.learning.arm_errors import AS_DESCRIBED, ArmErrors
 from manip_learn.learning.estimators.estimate import (
     CLEAR_GAP,
     EQUALLY_GOOD,
@@ -63,6 +64,7 @@ class LearnerSettings:
     mechanism: bool = True
     strength: float = BELIEVED_STRENGTH
     habits: bool = False
+    arm: ArmErrors = AS_DESCRIBED
 
 
 @final
@@ -396,8 +398,8 @@ def _mechanism(part: Part, settings: LearnerSettings) -> MechanismFit | None:
     rng, motion = np.random.default_rng(settings.seed), [part.demonstrations[i] for i in chosen]
     try:
         held = None if part.found is None else (part.feature_maps[0], part.found)
-        robot, frame, strength = maps[0].robot, maps[0].frame.name, settings.strength
-        return find_mechanism(robot, frame, motion, rng, recorded=before, held=held, strength=strength)
+        believed = {"strength": settings.strength, "arm": settings.arm}
+        return find_mechanism(maps[0].robot, maps[0].frame.name, motion, rng, recorded=before, held=held, **believed)
     except NotIdentifiableError:
         return None
 

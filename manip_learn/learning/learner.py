@@ -12,6 +12,7 @@ import numpy as np
 
 from manip_learn.constraint.constraint import Constraint
 from manip_learn.constraint.features.feature_map import FeatureMap
+from manip_learn.constraint.features.mechanism_rows import MechanismRows
 from manip_learn.constraint.skill import Skill
 from manip_learn.errors import (
     FeatureError,
@@ -22,6 +23,7 @@ from manip_learn.errors import (
     an,
 )
 from manip_learn.learning.answer import EstimatorName, LearnerSettings, find_answers
+from manip_learn.learning.arm_errors import ArmErrors
 from manip_learn.learning.choosing import MOST_SAMPLES, Choice, choose_from, few_of
 from manip_learn.learning.explanation.evidence import SWITCH_NATS, BeforeSmoothing
 from manip_learn.learning.explanation.findings import Findings, find, unexplained
@@ -31,7 +33,7 @@ from manip_learn.learning.report import LearningReport, RecordingOverview, advis
 from manip_learn.learning.samples import check_fastest, refuse_noise
 from manip_learn.learning.skill import skill_of
 from manip_learn.learning.still_hand import refuse_still_hand
-from manip_learn.learning.uncertainty import uncertainty_of
+from manip_learn.learning.uncertainty import mu_within_place, uncertainty_of
 from manip_learn.linalg import one_thread
 from manip_learn.recordings.demonstrations import Demonstrations
 from manip_learn.recordings.earned_velocities import Velocities, used_and_derived
@@ -73,6 +75,10 @@ class ConstraintLearner:
             they are named in any case.
         most_samples: Of more samples so many are chosen evenly. More of them take time and teach next to nothing:
             their half turns a drawer by 0.0005 degrees.
+        zeros: Standard deviation [deg] of the errors of the joints' zeros, as it is thought of the arm beforehand: an
+            industrial arm has 0.05 to 0.2, one of hobby servos 1. The recordings correct it where they show the errors.
+            0: an arm whose joints and links are as described, unless the recordings show that they are not.
+        links: The same of its links [mm and mrad]: of the place and the turn of each joint seen from the one before.
         seed: Seed of everything random (bootstrap, recombination, random starts, k-means).
 
     Attributes:
@@ -120,6 +126,8 @@ class ConstraintLearner:
         switch: float = SWITCH_NATS,
         habits: bool = False,
         most_samples: int = MOST_SAMPLES,
+        zeros: float = 0.1,
+        links: float = 0.5,
         seed: int = 0,
     ):
         for name, value in (("phases", phases), ("mechanism", mechanism)):
@@ -136,12 +144,18 @@ class ConstraintLearner:
         self.velocities: VelocityMethod | Velocities = velocities
         self.phases: Switch = phases
         self.mechanism: Switch = mechanism
-        for name, number, what, least in (("strength", strength, "", 1), ("switch", switch, " of nats", 0)):
+        for name, number, what, least in (
+            ("strength", strength, "", 1),
+            ("switch", switch, " of nats", 0),
+            ("zeros", zeros, " of degrees", 0),
+            ("links", links, " of mm and mrad", 0),
+        ):
             if isinstance(number, bool) or not isinstance(number, int | float) or not least <= number < math.inf:
                 raise FeatureError(f"{name} must be a finite number{what} of at least {least}, got {number!r}")
         if isinstance(most_samples, bool) or not isinstance(most_samples, int) or most_samples < 100:
             raise FeatureError(f"most_samples must be an integer of at least 100, got {most_samples!r}")
         self.strength, self.switch, self.most_samples = float(strength), float(switch), most_samples
+        self.zeros, self.links = float(zeros), float(links)
         self.habits, self.seed = bool(habits), seed
         candidates = [features] if not isinstance(features, Sequence) else list(features)
         if not candidates:
@@ -256,6 +270,7 @@ class ConstraintLearner:
             parts = tuple(dataclasses.replace(part, source=source) for part in findings.parts)
             warnings = (*recordings.warnings, *findings.warnings)
             findings = dataclasses.replace(findings, parts=parts, warnings=warnings)
+            arm = ArmErrors(math.radians(self.zeros), 1e-3 * self.links)
             try:
                 settings = LearnerSettings(
                     self.n_constraints,
@@ -265,6 +280,7 @@ class ConstraintLearner:
                     mechanism=self.mechanism == "auto",
                     strength=self.strength,
                     habits=self.habits,
+                    arm=arm,
                 )
                 answers, findings = find_answers(findings, everyone, settings)
             except NotIdentifiableError as refusal:
@@ -276,9 +292,12 @@ class ConstraintLearner:
             learnt = []
             for answer in answers:
                 best = answer.candidate
-                uncertainty = uncertainty_of(best.samples, best.estimate, best.rng)
+                parts, mu = uncertainty_of(best.samples, best.estimate, best.rng, arm)
+                rows, off = best.samples.features, None if answer.mechanism is None else answer.mechanism.errors
+                if off is not None and isinstance(rows, MechanismRows) and best.estimate.n_rows == rows.n_rows:
+                    mu = mu_within_place(rows, best.samples.q, off.numbers, off.radius, off.arm, arm)
                 seconds = time.perf_counter() - started
-                learnt.append(build_report(answer, overview, demonstrations.joint_names, uncertainty, seconds))
+                learnt.append(build_report(answer, overview, demonstrations.joint_names, (parts, mu), seconds))
             self.constraints_, self.reports_ = zip(*learnt, strict=True)
             self.constraint_, self.report_ = learnt[0]
             self.skill_ = skill_of(self.constraints_, answers)

@@ -18,7 +18,16 @@ from manip_learn.constraint.intention import intention_of
 from manip_learn.constraint.mechanism import Mechanism
 from manip_learn.constraint.selection_in_words import describe, free_directions, known_to, said_by_rows
 from manip_learn.constraint.shown import shown_by
-from manip_learn.errors import NotIdentifiableError, advice, counted, listed, named, number_if_known, printable
+from manip_learn.errors import (
+    NotIdentifiableError,
+    advice,
+    counted,
+    error_in_words,
+    listed,
+    named,
+    number_if_known,
+    printable,
+)
 from manip_learn.learning.answer import Answer
 from manip_learn.learning.estimators.estimate import CLEAR_GAP
 from manip_learn.learning.explanation.evidence import Stretch
@@ -40,8 +49,8 @@ KEPT_POSTURES = 144
 _PHASE_COLUMNS = ("recording", "from [s]", "until [s]", "constraint")
 # what of a report goes into the constraint's file
 PROVENANCE = set(
-    "estimator kind gap uncertainty_deg uncertainty n_samples n_trajectories sentence warnings phases odd_trajectories "
-    "mechanism evidence row_evidence held_out_residual n_constraints".split()
+    "estimator kind gap uncertainty_deg uncertainty mu_uncertainty n_samples n_trajectories sentence warnings phases "
+    "odd_trajectories mechanism evidence row_evidence held_out_residual n_constraints".split()
 )
 ADVICES_SAID = 2  # in the sentence, the likeliest ones; more would hide them
 ADVISED = ("weak-gap", "no-evidence", "no-freedom")
@@ -191,6 +200,8 @@ class LearningReport:
             `"joint zeros"`, what the residual says of constant errors of the joints' zeros (null-space estimator);
             `"policy"`, the part of the policy that the data leave open (joint estimator, where its parameters are
             integrated out). None where a part does not apply.
+        mu_uncertainty: In 68 % of cases, at the postures that were shown, the manipulability of the true constraint is
+            within this share of the learnt one's; None with a single trajectory.
     """
 
     sentence: str
@@ -220,6 +231,7 @@ class LearningReport:
     odd_trajectories: tuple[OddTrajectory, ...] = ()
     mechanism: Mechanism | None = None
     uncertainty: Uncertainty = field(default_factory=lambda: dict.fromkeys(PARTS))
+    mu_uncertainty: float | None = None
 
     def to_dict(self) -> dict[str, Any]:
         """Plain numbers, strings and lists, for JSON; None where there is no number."""
@@ -281,7 +293,8 @@ class LearningReport:
     def known_to(self) -> str:
         """The uncertainty in words, as in the sentence: which quantity is known how well; empty if none is."""
         said = known_to(self.uncertainty_deg, self.mechanism, self._is_told)
-        return f"{said} (68 %, {in_words(self.uncertainty, self.reference)})" if said else ""
+        mu = "" if self.mu_uncertainty is None else f", mu to {error_in_words(100.0 * self.mu_uncertainty, '%')}"
+        return f"{said}{mu} (68 %, {in_words(self.uncertainty, self.reference)})" if said else ""
 
     def mechanism_in_words(self) -> str:
         """What holds the hand, without the place if the sentence tells it; empty if nothing was found."""
@@ -305,13 +318,18 @@ def _plain(value: Any) -> Any:
 
 
 def build_report(
-    answer: Answer, overview: RecordingOverview, joint_names: tuple[str, ...], uncertainty: Uncertainty, seconds: float
+    answer: Answer,
+    overview: RecordingOverview,
+    joint_names: tuple[str, ...],
+    known: tuple[Uncertainty, float | None],
+    seconds: float,
 ) -> tuple[Constraint, LearningReport]:
     """The constraint, and the evidence for it.
 
-    `uncertainty` holds the parts of the angle of the row space [deg], see `uncertainty_of`, `seconds` the time that the
-    fit took.
+    `known` holds the parts of the angle of the row space [deg] and the share of mu, see `uncertainty_of`, `seconds` the
+    time that the fit took.
     """
+    uncertainty, mu_uncertainty = known
     best, evidence, found = answer.candidate, answer.evidence, answer.mechanism
     samples, estimate, warnings = best.samples, best.estimate, list(best.warnings)
     features, uncertainty_deg, mechanism = samples.features, total_deg(uncertainty), found and found.mechanism
@@ -356,6 +374,7 @@ def build_report(
         odd_trajectories=overview.odd_trajectories,
         mechanism=mechanism,
         uncertainty=uncertainty,
+        mu_uncertainty=mu_uncertainty,
     )
     provenance = {key: value for key, value in report.to_dict().items() if key in PROVENANCE}
     kept = evenly(len(samples), KEPT_POSTURES)

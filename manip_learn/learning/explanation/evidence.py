@@ -293,7 +293,8 @@ def covered(motion: RowMotion, stretches: Sequence[Stretch]) -> Bool[np.ndarray,
     """Which samples lie in one of these stretches."""
     held = np.zeros(len(motion), dtype=bool)
     for s in stretches:
-        held |= (motion.trajectory == s.trajectory) & (motion.time >= s.start) & (motion.time <= s.end)
+        own = slice(*motion.first[s.trajectory : s.trajectory + 2])
+        held[own] |= (motion.time[own] >= s.start) & (motion.time[own] <= s.end)
     return held
 
 

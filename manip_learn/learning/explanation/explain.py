@@ -6,9 +6,9 @@ Proposed are the rows that windows, recordings, pairs of either, and everything 
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Callable, Hashable, Iterable, Sequence
+from collections.abc import Callable, Hashable, Iterable, Iterator, Sequence
 from dataclasses import dataclass
-from itertools import combinations
+from itertools import combinations, pairwise
 from typing import NamedTuple, TypeVar, final
 
 import numpy as np
@@ -55,8 +55,9 @@ MOST_TESTED = 6
 FIRST_SCALES = (HeldScale(2.0, 0.1), HeldScale(2.0, 0.01))
 # proposals of each view and number of rows that are fitted, the turns of a fit, and the turns of all together
 KEPT, TURNS, SETTLING = 4, 4, 4
-# proposals that are fitted for each recording by itself
-BEST_ALONE = 2
+# numbers of the evidence of samples for hypotheses that are held in memory at a time: 16 MB, and as much again a few
+# times over on the way
+AT_ONCE = 2**21
 
 
 class Moments(NamedTuple):
@@ -137,9 +138,9 @@ def _windows(motion: RowMotion, chosen: Bool[np.ndarray, " n"]) -> list[Moments]
 def _recordings(motion: RowMotion, chosen: Bool[np.ndarray, " n"]) -> list[Moments]:
     """These samples of each recording, of pairs of recordings, and of all."""
     starts, weight = motion.first[:-1], motion.weight * chosen
-    products = motion.rates[:, :, None] * motion.rates[:, None, :]
-    M = np.add.reduceat(products * weight[:, None, None], starts, axis=0)
-    S = np.add.reduceat(motion.gram * weight[:, None, None], starts, axis=0)
+    spans = [slice(a, b) for a, b in pairwise(motion.first)]
+    M = np.stack([(motion.rates[own].T * weight[own]) @ motion.rates[own] for own in spans])
+    S = np.stack([np.tensordot(weight[own], motion.gram[own], axes=1) for own in spans])
     shown = np.flatnonzero(np.add.reduceat(weight, starts) > 0.0)
     if not len(shown):
         return []
@@ -165,32 +166,24 @@ def _least_used(moments: Moments) -> tuple[Float[np.ndarray, "w r"], Float[np.nd
 def _window_moments(motion: RowMotion, lengths: Sequence[float]) -> Moments:
     """M and S of each window that moves, and the variance of its noise."""
     r = motion.rates.shape[1]
-    n = len(motion)
-    columns = np.concatenate(
-        [
-            (motion.rates[:, :, None] * motion.rates[:, None, :]).reshape(n, -1),
-            motion.gram.reshape(n, -1),
-            motion.noise[:, None],
-            motion.moving[:, None].astype(float),
-            np.ones((n, 1)),
-        ],
-        axis=1,
-    )
-    total = np.concatenate([np.zeros((1, columns.shape[1])), np.cumsum(columns * motion.weight[:, None], axis=0)])
-    parts, numbers = [], []
-    for i, (a, b) in enumerate(zip(motion.first[:-1], motion.first[1:], strict=True)):
-        time = motion.time[a:b]
+    parts, numbers = [np.zeros((0, 2 * r * r + 3))], [np.zeros(0, dtype=np.int64)]
+    for i in range(motion.n_trajectories):
+        one = motion.of_recordings(i, i + 1)
+        n, time = len(one), one.time
+        products = (one.rates[:, :, None] * one.rates[:, None, :]).reshape(n, -1)
+        columns = np.column_stack([products, one.gram.reshape(n, -1), one.noise, one.moving, np.ones(n)])
+        total = np.concatenate([np.zeros((1, columns.shape[1])), np.cumsum(columns * one.weight[:, None], axis=0)])
         for length in lengths:
             starts = np.arange(time[0], max(time[-1] - length, time[0]) + 1e-9, STRIDE * length)
             low, high = np.searchsorted(time, starts), np.searchsorted(time, starts + length)
-            sums = total[a + high] - total[a + low]
+            sums = total[high] - total[low]
             kept = (sums[:, -2] > 0.5 * length) & (sums[:, -1] > 0.8 * length) & (high - low > 2 * r)
             parts.append(sums[kept])
             numbers.append(np.full(np.count_nonzero(kept), i))
-    sums = np.concatenate(parts) if parts else np.zeros((0, columns.shape[1]))
+    sums = np.concatenate(parts)
     M, S = sums[:, : r * r].reshape(-1, r, r), sums[:, r * r : 2 * r * r].reshape(-1, r, r)
     noise = sums[:, 2 * r * r] / np.maximum(sums[:, -1], 1e-12)
-    return Moments(M, S, noise, np.concatenate(numbers).astype(np.int64))
+    return Moments(M, S, noise, np.concatenate(numbers))
 
 
 Key = TypeVar("Key", bound=Hashable)
@@ -385,32 +378,19 @@ def explain(views: Sequence[View], believed: Test, switch: float = SWITCH_NATS) 
     return now
 
 
-def candidates(now: Explanation, *, alone: bool = False) -> list[Hypothesis]:
-    """The proposals that gain most beyond the explanation so far, of each view and number of rows, fitted.
-
-    `alone`: those that gain most in each recording by itself, instead of those that several support.
-    """
-    baseline, starts, kinds = now.explained, list[Hypothesis](), []
-    whole = bool(np.isinf(now.switch))
+def candidates(now: Explanation) -> list[Hypothesis]:
+    """The proposals that gain most beyond the explanation so far, of each view and number of rows, fitted."""
+    baseline, whole, tried, chosen = now.explained, bool(np.isinf(now.switch)), list[Hypothesis](), list[Hypothesis]()
     for number, view in enumerate(now.views):
-        for s, rows in proposed(view.thin, now.states, view.largest, whole=whole).items():
-            energy = broken_energy(view.thin, rows)
-            kinds.append((number, rows, evidence(view.thin, energy, s, FIRST_SCALES)))
-    if not kinds:
-        return []
-    values = np.concatenate([each for _, _, each in kinds], axis=1) - baseline[:, None, None]
-    tried = [gains_of(v, now.thin.first, now.switch) for v in np.moveaxis(values, 2, 0)]
-    borders = np.cumsum([len(rows) for _, rows, _ in kinds])[:-1]
-    all_gains = np.split(np.max(tried, axis=0), borders, axis=1)
-    all_supports = np.split(np.max([supports_of(g) for g in tried], axis=0), borders)
-    for (number, rows, _), gains, support in zip(kinds, all_gains, all_supports, strict=True):
-        order = np.argsort(-support)[: np.count_nonzero(support > 0.0)]
-        chosen = np.unique(np.argmax(gains, axis=1)) if alone else order[distinct(rows[order], KEPT)]
-        starts += [Hypothesis(number, rows[i], SCALES[0], gains[:, i]) for i in chosen]
-    if alone and starts:
-        gains = np.stack([h.gains for h in starts], axis=1)
-        starts = [starts[i] for i in np.unique(np.argsort(-gains, axis=1)[:, :BEST_ALONE])]
-    return _fitted(now.views, starts, baseline, now.switch)
+        for rows in proposed(view.thin, now.states, view.largest, whole=whole).values():
+            tried += [Hypothesis(number, one, SCALES[0], np.zeros(0)) for one in rows]
+    gains = _gains(now.views, tried, FIRST_SCALES, baseline, now.switch)
+    supports = np.max([supports_of(of_scale) for of_scale in np.moveaxis(gains, 2, 0)], axis=0)
+    for _, numbers in _grouped((h.view, h.n_rows) for h in tried):
+        order = sorted((i for i in numbers if supports[i] > 0.0), key=lambda i: -supports[i])
+        rows = np.stack([tried[i].rows for i in order]) if order else np.zeros((0, 1, 1))
+        chosen += [tried[order[i]] for i in distinct(rows, KEPT)]
+    return _fitted(now.views, chosen, baseline, now.switch)
 
 
 def _fitted(
@@ -423,13 +403,45 @@ def _fitted(
         if not going:
             break
         now = [best[i] for i in going]
-        values = _evidence_of([v.thin for v in views], now)[:, :, 0]
-        held = held_by(values - baseline[:, None], views[0].thin.first, switch)
+        held = np.empty((len(baseline), len(now)), dtype=bool)
+        for _, own, thin in _batches(views, len(now)):
+            values = _evidence_of(thin, now)[:, :, 0] - baseline[own, None]
+            held[own] = held_by(values, thin[0].first, switch)
         again = zip(going, _again(views, now, held, baseline, switch), strict=True)
         better = {i: h for i, h in again if h.gains.sum() > best[i].gains.sum()}
         best = [better.get(i, h) for i, h in enumerate(best)]
         going = list(better)
     return best
+
+
+def _batches(views: Sequence[View], width: int) -> Iterator[tuple[slice, slice, list[RowMotion]]]:
+    """Neighbouring recordings, as many as make a table of this width no larger than AT_ONCE: which ones, their samples,
+    and what these are in each view.
+    """
+    first, start = views[0].thin.first, 0
+    while start + 1 < len(first):
+        most = int(first[start]) + AT_ONCE // max(width, 1)
+        end = max(start + 1, int(np.searchsorted(first, most, side="right")) - 1)
+        motions = [v.thin.of_recordings(start, end) for v in views]
+        yield slice(start, end), slice(int(first[start]), int(first[end])), motions
+        start = end
+
+
+def _gains(
+    views: Sequence[View],
+    hypotheses: Sequence[Hypothesis],
+    scales: Sequence[HeldScale],
+    baseline: Float[np.ndarray, " n"],
+    switch: float,
+) -> Float[np.ndarray, "g h k"]:
+    """Gain of each recording over the baseline by each hypothesis under each of the scales."""
+    h, k = len(hypotheses), len(scales)
+    gains = np.zeros((views[0].thin.n_trajectories, h, k))
+    for recordings, own, motions in _batches(views, h * k) if h else ():
+        n = len(motions[0])
+        values = _evidence_of(motions, hypotheses, scales) - baseline[own, None, None]
+        gains[recordings] = gains_of(values.reshape(n, -1), motions[0].first, switch).reshape(-1, h, k)
+    return gains
 
 
 def _evidence_of(
@@ -473,9 +485,9 @@ def _again(
         variance = np.outer(thin.noise, [x.steady**2 for x in scales])
         variance += np.outer(thin.free, [x.share**2 for x in scales])
         weights = np.where(held[:, numbers], thin.weight[:, None] / variance, 0.0)
-        n, r = thin.rates.shape
-        products = (thin.rates[:, :, None] * thin.rates[:, None, :]).reshape(n, r * r)
-        M, S = ((weights.T @ one).reshape(-1, r, r) for one in (products, thin.gram.reshape(n, r * r)))
+        r = thin.rates.shape[1]
+        M = np.stack([(thin.rates.T * w) @ thin.rates for w in weights.T]) if numbers else np.zeros((0, r, r))
+        S = np.tensordot(weights, thin.gram, axes=(0, 0))
         _, directions = _least_used(Moments(M, S, np.zeros(len(M)), np.zeros(len(M), dtype=np.int64)))
         least = np.linalg.qr(directions[:, :s].transpose(0, 2, 1))[0].transpose(0, 2, 1)
         for i, rows in zip(numbers, least, strict=True):
@@ -487,11 +499,7 @@ def _scaled(
     views: Sequence[View], hypotheses: Sequence[Hypothesis], baseline: Float[np.ndarray, " n"], switch: float
 ) -> list[Hypothesis]:
     """Each with the scale that gains most."""
-    if not hypotheses:
-        return []
-    values = _evidence_of([v.thin for v in views], hypotheses, SCALES) - baseline[:, None, None]
-    gains = gains_of(values.reshape(len(baseline), -1), views[0].thin.first, switch)
-    gains = gains.reshape(len(gains), len(hypotheses), len(SCALES))
+    gains = _gains(views, hypotheses, SCALES, baseline, switch)
     most = np.argmax(gains.sum(axis=0), axis=1)
     return [
         dataclasses.replace(h, scale=SCALES[k], gains=gains[:, i, k])

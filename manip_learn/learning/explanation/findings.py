@@ -371,20 +371,20 @@ class _Recombination:
 
 def _lone_contacts(explanation: Explanation, believed: _Recombination) -> list[Stretch]:
     """Stretches beside those explained in which rows hold firmly, in one recording each: they are named, so that they
-    can be recorded again, and not learnt.
+    can be recorded again, and not learnt. What one recording alone shows is weighed on its own samples.
     """
-    if np.all(explanation.states > 0):
-        return []
-    found = [h for h in candidates(explanation, alone=True) if h.scale.share <= FIRM_ALONE_SHARE]
-    out, motion = list[Stretch](), explanation.views[0].motion
-    for i in range(explanation.thin.n_trajectories if found else 0):
-        h = max(found, key=lambda h: h.gains[i])
-        if h.gains[i] <= LEAST_GAIN_NATS:
+    out = list[Stretch]()
+    for i in range(explanation.thin.n_trajectories):
+        views = [v.of_recordings(i, i + 1) for v in explanation.views]
+        rest = Explanation(views, explanation.hypotheses, explanation.switch)
+        found = [] if np.all(rest.states > 0) else candidates(rest)
+        firm = [h for h in found if h.scale.share <= FIRM_ALONE_SHARE and h.support > LEAST_GAIN_NATS]
+        if not firm:
             continue
-        alone = Explanation(explanation.views, (*explanation.hypotheses, h), explanation.switch)
-        states = alone.fine_states() * (motion.trajectory == i)
-        stretches = stretches_of(motion, states, len(alone.hypotheses))
-        worthy = [s for s in stretches if _worth(alone, s) > LEAST_GAIN_NATS]
+        h = max(firm, key=lambda h: h.support)
+        alone = Explanation(views, (*explanation.hypotheses, h), explanation.switch)
+        stretches = stretches_of(views[0].motion, alone.fine_states(), len(alone.hypotheses))
+        worthy = [dataclasses.replace(s, trajectory=i) for s in stretches if _worth(alone, s) > LEAST_GAIN_NATS]
         out += [s for s in worthy if believed.of_one(explanation.views[h.view], h, s)]
     return out
 

@@ -14,7 +14,7 @@ from manip_learn.constraint.features.feature_map import FeatureMap
 from manip_learn.constraint.features.frame_jacobian import AXES, FrameJacobian
 from manip_learn.constraint.features.mechanism_rows import PlaceForm, PlaceRows
 from manip_learn.errors import NotIdentifiableError, RecordingError
-from manip_learn.learning.samples import CUBIC, whitening
+from manip_learn.learning.samples import BLOCK, CUBIC, whitening
 from manip_learn.linalg import null_basis
 from manip_learn.recordings.trajectory import Trajectory, subsample
 from manip_learn.robot.batch.batch_kinematics import batch_kinematics
@@ -31,6 +31,8 @@ SHORT_WINDOWS_SECONDS = (0.6, 1.2)
 SCAN_RATE = 25.0
 # eigenvalues of Phi Phi^T at one posture below this are none: rows that depend on the others there
 RANK = 1e-8
+# attributes of `RowMotion` with a value for each sample
+OF_SAMPLES = ("time", "weight", "trajectory", "rates", "gram", "free", "noise")
 # postures of each recording whose mean place becomes the middle of the rows: it conditions the numbers only
 FEW = 50
 
@@ -87,12 +89,15 @@ class RowMotion:
         W = whitening(np.tensordot(Phi, Phi, axes=([0, 2], [0, 2])) / len(Phi), features.row_units)
         if not len(W):
             raise NotIdentifiableError(f"all rows of {features!r} are zero on these recordings", code="zero-features")
-        n, p, nv = Phi.shape
-        Phi = (W @ Phi.transpose(1, 0, 2).reshape(p, n * nv)).reshape(-1, n, nv).transpose(1, 0, 2)
-        rates = np.matmul(Phi, u[:, :, None])[:, :, 0]
-        gram = np.matmul(Phi, Phi.transpose(0, 2, 1))
-        regular = gram + 1e-9 * np.trace(gram, axis1=1, axis2=2)[:, None, None] * np.eye(len(W))
-        used = np.einsum("npv,npv->nv", Phi, np.linalg.solve(regular, Phi))
+        n, r = len(u), len(W)
+        rates, gram, free = np.empty((n, r)), np.empty((n, r, r)), np.empty(n)
+        for part in (slice(start, start + BLOCK) for start in range(0, n, BLOCK)):
+            white = W @ Phi[part]
+            rates[part] = np.matmul(white, u[part, :, None])[:, :, 0]
+            gram[part] = own = np.matmul(white, white.transpose(0, 2, 1))
+            regular = own + 1e-9 * np.trace(own, axis1=1, axis2=2)[:, None, None] * np.eye(r)
+            used = np.einsum("npv,npv->nv", white, np.linalg.solve(regular, white))
+            free[part] = np.sum(used * u[part] ** 2, axis=1)
         rank = int(np.median(np.linalg.matrix_rank(gram[:: max(1, n // 50)], RANK, hermitian=True)))
         lengths, weights = [len(t) for t in trajectories], []
         for t in trajectories:
@@ -108,7 +113,7 @@ class RowMotion:
             first,
             rates,
             gram,
-            np.sum(used * u**2, axis=1) / rank,
+            free / rank,
             np.repeat(each, lengths),
             W,
             rank,
@@ -143,9 +148,15 @@ class RowMotion:
     def chosen(self, keep: Bool[np.ndarray, " n"], times: float = 1.0) -> RowMotion:
         """Some of the samples, each standing for `times` its own time."""
         first = np.concatenate([[0], np.cumsum(keep)])[self.first].astype(np.int64)
-        of_samples = ("time", "trajectory", "rates", "gram", "free", "noise")
-        kept = {name: getattr(self, name)[keep] for name in of_samples}
-        return dataclasses.replace(self, first=first, weight=self.weight[keep] * times, **kept)
+        kept = {name: getattr(self, name)[keep] for name in OF_SAMPLES}
+        return dataclasses.replace(self, first=first, **kept | {"weight": kept["weight"] * times})
+
+    def of_recordings(self, start: int, end: int) -> RowMotion:
+        """The recordings from `start` until before `end`, counted from 0 again."""
+        own = slice(int(self.first[start]), int(self.first[end]))
+        kept = {name: getattr(self, name)[own] for name in OF_SAMPLES}
+        first, kept["trajectory"] = self.first[start : end + 1] - own.start, kept["trajectory"] - start
+        return dataclasses.replace(self, first=first, ends=self.ends[start:end], **kept)
 
     def selection(self, rows: Float[np.ndarray, "s r"]) -> Float[np.ndarray, "s p"]:
         """Lambda in the features' own basis, with orthonormal rows, from whitened rows."""
@@ -227,6 +238,11 @@ class View:
     motion: RowMotion
     thin: RowMotion
     largest: int
+
+    def of_recordings(self, start: int, end: int) -> View:
+        """The recordings from `start` until before `end`, counted from 0 again."""
+        motion, thin = (m.of_recordings(start, end) for m in (self.motion, self.thin))
+        return dataclasses.replace(self, motion=motion, thin=thin)
 
     @property
     def immovable(self) -> Float[np.ndarray, "k p"]:

@@ -14,10 +14,11 @@ from manip_learn.constraint.features.frame_jacobian import FrameJacobian
 from manip_learn.constraint.features.mechanism_rows import PlaceForm, PlaceRows
 from manip_learn.constraint.mechanism import MECHANISM_KINDS, Mechanism, MechanismKind, Read, read_kind, rows_of
 from manip_learn.errors import NotIdentifiableError
+from manip_learn.learning.arm_errors import AS_DESCRIBED, ArmErrors
 from manip_learn.learning.explanation.evidence import stretches_of, ways_to_choose
 from manip_learn.learning.explanation.explain import Hypothesis, explain
 from manip_learn.learning.explanation.row_motion import View, kinds_tried, views_of
-from manip_learn.learning.mechanisms.place_fit import PlaceFit, fit_place
+from manip_learn.learning.mechanisms.place_fit import PlaceErrors, PlaceFit, fit_place
 from manip_learn.learning.mechanisms.quantities import QUANTITIES, Place, TipPaths, angles_about, thinned, turn_about
 from manip_learn.learning.recombination import BELIEVED_STRENGTH, recombination_test
 from manip_learn.learning.samples import BEYOND_CHANCE, STANDARD_ERRORS
@@ -25,6 +26,7 @@ from manip_learn.recordings.demonstrations import Demonstrations
 from manip_learn.recordings.earned_velocities import earned
 from manip_learn.recordings.trajectory import Trajectory
 from manip_learn.recordings.velocities import with_velocities
+from manip_learn.robot.batch.batch_kinematics import link_twists
 from manip_learn.robot.joints import Frame
 from manip_learn.robot.robot import Robot
 
@@ -43,6 +45,7 @@ SHARED_LOSS = 1.15
 
 SAMPLES = 60  # of each trajectory in the first fit of a place
 MOST, LEAST = 4000, 60  # of all trajectories in the last fit, and of each
+ONTO = 3  # steps onto a mechanism: each squares what is left, 1 mm of half a metre
 BLIND = 1e-6  # rows of Phi below this are ones that the arm cannot move
 FORMS: tuple[PlaceForm, ...] = ("point and rotation", "twist", "surface")
 
@@ -73,6 +76,7 @@ class MechanismFit:
         rival: Another form that the positions cannot exclude, in words; empty if there is none.
         odd: Numbers (from 0) of trajectories that do not belong: the others agree on a mechanism that does not hold
             these, or they are too short.
+        errors: Draws of what its place is off by; None without a mechanism.
     """
 
     mechanism: Mechanism | None
@@ -83,6 +87,7 @@ class MechanismFit:
     warnings: tuple[str, ...] = ()
     odd: tuple[int, ...] = ()
     rival: str = ""
+    errors: PlaceErrors | None = None
 
 
 def find_mechanism(
@@ -94,6 +99,7 @@ def find_mechanism(
     recorded: Sequence[Trajectory] | None = None,
     held: Held | None = None,
     strength: float = BELIEVED_STRENGTH,
+    arm: ArmErrors = AS_DESCRIBED,
 ) -> MechanismFit:
     """The mechanism that held a frame of the robot while the trajectories were recorded.
 
@@ -113,6 +119,8 @@ def find_mechanism(
         held: Phi and Lambda of rows that are known to be held. Where they are those of a mechanism, no other rows are
             looked for; if they do not speak of rotations, what holds the hand's orientation is tested beside them.
         strength: How much less than by chance a row must be used, with 99 % confidence, to be believed.
+        arm: What is thought of its errors beforehand. They widen what is stated; whether a place is known well enough
+            to be used, and how much more motion would help, is judged without them.
 
     Raises:
         UnknownNameError: No such frame; lists near matches.
@@ -153,7 +161,8 @@ def find_mechanism(
     postures = [thinned(_postures(robot, last[i]), each) for i in members]
     fine = TipPaths.of(robot, tip, postures)
     fit = _with_shared(fit_place(fine, start.kind, start.place))
-    mechanism = _described(fit, rng)
+    errors = fit.errors(rng)
+    mechanism = _described(fit, errors)
     held_out = {
         unit: max(float(fit.held_out[n].max()) for n in fit.kind.holds if QUANTITIES[n].unit == unit)
         for unit in {QUANTITIES[n].unit for n in fit.kind.holds}
@@ -161,11 +170,15 @@ def find_mechanism(
     features, selection = _constraint(robot, tip.name, fit, mechanism.radius, postures)
     odd = tuple(i for i in range(len(trajectories)) if i not in {numbers[k] for k in members})
     poor, wide = doubts_of_place(mechanism)
+    if arm.zeros:
+        on, q = _on_the_mechanism(robot, tip, postures, fit)
+        errors = fit.errors(rng, arm, on, link_twists(robot, tip, q) if arm.ratio else None)
+        mechanism = _described(fit, errors)
     if poor:
         return MechanismFit(None, None, None, held_out, poor, (poor,), odd)
     lone = ("one trajectory only: a repeated motion cannot be told from a contact",) if len(postures) == 1 else ()
     warnings = (*lone, *filter(None, (rival, wide)))
-    return MechanismFit(mechanism, features, selection, held_out, "", warnings, odd, rival)
+    return MechanismFit(mechanism, features, selection, held_out, "", warnings, odd, rival, errors)
 
 
 def _postures(robot: Robot, trajectory: Trajectory) -> Float[np.ndarray, "T nv"]:
@@ -312,9 +325,24 @@ def _with_shared(fit: PlaceFit) -> PlaceFit:
     return fit
 
 
-def _described(fit: PlaceFit, rng: np.random.Generator) -> Mechanism:
+def _on_the_mechanism(
+    robot: Robot, tip: Frame, postures: Sequence[Float[np.ndarray, "_ nv"]], fit: PlaceFit
+) -> tuple[PlaceFit, Float[np.ndarray, "N nv"]]:
+    """The fit at the nearest postures on the mechanism, and these.
+
+    At those that were recorded, errors of the arm that no motion shows would look like the residual: links that are
+    all longer by a share make all distances longer by it, and what is left of them, too.
+    """
+    q, on, edges = np.concatenate(postures), fit, np.cumsum([len(one) for one in postures])[:-1]
+    for _ in range(ONTO):
+        q = q - np.einsum("ndv,nd->nv", on.weights.noise, on.residuals)
+        on = PlaceFit.at(TipPaths.of(robot, tip, np.split(q, edges)), fit.kind, fit.place, fit.shared)
+    return on, q
+
+
+def _described(fit: PlaceFit, errors: PlaceErrors) -> Mechanism:
     """The mechanism of a fit, with the uncertainty of each parameter."""
-    kind, place, known, uncertainty = fit.kind, fit.place.as_told(), set(fit.kind.unknowns), fit.errors(rng)
+    kind, place, known, uncertainty = fit.kind, fit.place.as_told(), set(fit.kind.unknowns), fit.stated(errors)
     if "axis" in known:
         uncertainty["axis"] = float(np.degrees(uncertainty["axis"]))
     return Mechanism(

@@ -18,7 +18,8 @@ scatter beyond that, by their influences corrected for leverage (Bell and McCaff
 
 A constant error delta of the joints' zeros leaves the pattern K_n delta, K_n = W_n^(1/2) D_n J_n, which moves what is
 stated by sum G_n^T K_n delta. The rest tells how large the offsets are, by the likelihood of `JointOffsets`; what a
-mechanism has in common with the whole arm, such as a turn of the base, shows nowhere and is as large as the others.
+mechanism has in common with the whole arm, such as a turn of the base, shows nowhere and is as large as the others, or
+as was thought of the arm beforehand. Errors of the links move the frame by twists of their own, in place of J_n delta.
 """
 
 from __future__ import annotations
@@ -32,6 +33,7 @@ import numpy as np
 from jaxtyping import Float
 
 from manip_learn.constraint.mechanism import MechanismKind
+from manip_learn.learning.arm_errors import AS_DESCRIBED, ArmErrors
 from manip_learn.learning.descent import descend
 from manip_learn.learning.mechanisms.quantities import QUANTITIES, Place, TipPaths
 from manip_learn.learning.samples import STANDARD_ERRORS
@@ -62,12 +64,14 @@ class Weights:
     Attributes:
         root: W_n^(1/2).
         back: W_n^(-1/2).
-        noise: K_n = W_n^(1/2) D_n J_n, the weighted residuals by the joints.
+        twist: W_n^(1/2) D_n, the weighted residuals by the twist of the frame.
+        noise: K_n = W_n^(1/2) D_n J_n, the same by the joints.
         n_residuals: How many residuals vary.
     """
 
     root: Float[np.ndarray, "N d d"]
     back: Float[np.ndarray, "N d d"]
+    twist: Float[np.ndarray, "N d 6"]
     noise: Float[np.ndarray, "N d nv"]
     n_residuals: float
 
@@ -76,7 +80,8 @@ class Weights:
         """From the slopes of the held quantities; in no direction does a sample vary by nothing."""
         held = [QUANTITIES[name] for name in kind.holds]
         D = [one.by_twist(paths, place, one.evaluate(paths, place)[1]) for one in held]
-        noise = np.concatenate(D, axis=1) @ paths.J
+        by_twist = np.concatenate(D, axis=1)
+        noise = by_twist @ paths.J
         S = noise @ noise.transpose(0, 2, 1)
         floor, column = np.zeros(S.shape[1]), 0
         for one in held:
@@ -86,7 +91,7 @@ class Weights:
         # what no joint moves is exact, at any weight: the third coordinate of a planar arm
         values, vectors = np.linalg.eigh(S + np.diag(np.where(floor > UNDETERMINED * floor.max(), floor, 1.0)))
         root, back = ((vectors * scale[:, None]) @ vectors.transpose(0, 2, 1) for scale in (values**-0.5, values**0.5))
-        return Weights(root, back, root @ noise, float(np.sum((root @ S) * root)))
+        return Weights(root, back, root @ by_twist, root @ noise, float(np.sum((root @ S) * root)))
 
 
 @final
@@ -273,15 +278,28 @@ class PlaceFit:
             return abs(self.place.pitch), float(np.sqrt(variances[self.m - 1]))
         return None if self.radius is None else (self.radius.value, float(np.sqrt(variances[-1])))
 
-    def errors(self, rng: np.random.Generator) -> dict[str, float]:
-        """What the error of each parameter stays below in 68 % of cases, by noise and by the joints' offsets: of the
-        axis [rad], the point [m], the radius [m] and the pitch [m/rad], where they are fitted.
+    def errors(
+        self,
+        rng: np.random.Generator,
+        arm: ArmErrors = AS_DESCRIBED,
+        on: PlaceFit | None = None,
+        links: Float[np.ndarray, "l N 6 6"] | None = None,
+    ) -> PlaceErrors:
+        """Errors by noise and by the arm.
+
+        Args:
+            rng: For the draws.
+            arm: What is thought of its errors beforehand.
+            on: The same fit at postures that are on the mechanism, where the patterns of these errors are taken.
+            links: Twists of the frame there by errors of the links, see `batch_kinematics.link_twists`.
         """
-        K, tied = self.weights.noise, _is_shared(self.kind, self.shared)
-        left, _ = _without_constants(self.paths, self.weights.root[:, :, ~tied], K)
-        G = self.influence[:, :, : self.slopes.shape[2]]
-        left = left + G @ np.tensordot(self.slopes, left, axes=([0, 1], [0, 1]))
-        response, e = np.tensordot(self.influence, K, axes=([0, 1], [0, 1])), self.residuals.reshape(-1)
+        at, tied, e = on or self, _is_shared(self.kind, self.shared), self.residuals.reshape(-1)
+        by_links = [] if links is None else [arm.ratio * at.weights.twist @ twist for twist in links]
+        K = np.concatenate([at.weights.noise, *by_links], axis=2)
+        left, _ = _without_constants(at.paths, at.weights.root[:, :, ~tied], K)
+        G = at.influence[:, :, : at.slopes.shape[2]]
+        left = left + G @ np.tensordot(at.slopes, left, axes=([0, 1], [0, 1]))
+        response = np.tensordot(at.influence, K, axes=([0, 1], [0, 1]))
         offsets, patterns = JointOffsets.of_residual(e, left.reshape(len(e), -1), response, float(np.sum(K * K)))
         # the residuals without the pattern that offsets of the joints explain
         residuals = (e - patterns @ (patterns.T @ e)).reshape(self.residuals.shape)
@@ -291,21 +309,48 @@ class PlaceFit:
         drawn = rng.standard_normal((DRAWS, len(values))) @ (vectors * np.sqrt(values.clip(0.0))).T
         if np.isfinite(freedom):
             drawn /= np.sqrt(rng.chisquare(freedom, DRAWS) / freedom)[:, None]
-        drawn += dataclasses.replace(offsets, variance=alike * alone.variance).errors(DRAWS, rng)
-        numbers, known = drawn[:, : self.m] @ tangents(self.kind, self.place).T, set(self.kind.unknowns)
-        columns = {"axis": numbers[:, :3]} if "axis" in known else {}
+        offsets = dataclasses.replace(offsets, variance=alike * alone.variance, expected=arm.zeros)
+        by_the_arm = offsets.draws(DRAWS, rng)
+        drawn += by_the_arm @ offsets.response.T
+        numbers = drawn[:, : self.m] @ tangents(self.kind, self.place).T
+        numbers[:, :3] *= np.sign(self.place.as_told().axis @ self.place.axis)
+        return PlaceErrors(numbers, drawn[:, self.slopes.shape[2] :], by_the_arm)
+
+    def stated(self, errors: PlaceErrors) -> dict[str, float]:
+        """What the error of each parameter stays below in 68 % of cases: of the axis [rad], the point [m], the radius
+        [m] and the pitch [m/rad], where they are fitted.
+        """
+        known, columns = set(self.kind.unknowns), {}
+        if "axis" in known:
+            columns["axis"] = errors.numbers[:, :3]
         if known & {"point", "point-across"}:
-            columns["point"] = numbers[:, 3:6]
+            columns["point"] = errors.numbers[:, 3:6]
         if self.radius is not None:
-            columns["radius"] = drawn[:, -1:]
+            columns["radius"] = errors.radius
         if "pitch" in known:
-            columns["pitch"] = numbers[:, 6:]
+            columns["pitch"] = errors.numbers[:, 6:]
         lengths = {name: np.linalg.norm(error, axis=1) for name, error in columns.items()}
         stated = {name: float(np.quantile(length, STATED_SHARE_OF_PLACES)) for name, length in lengths.items()}
         if self.radius is not None:
             # where each trajectory has its own radius, what they differ by belongs to its error
             stated["radius"] = float(np.hypot(stated["radius"], self.radius.spread))
         return stated
+
+
+@final
+@dataclass(frozen=True, eq=False)
+class PlaceErrors:
+    """Draws of what a place is off by.
+
+    Attributes:
+        numbers: Axis, in the sense in which it is told, point and pitch, shape (k, 7).
+        radius: shape (k, 1) [m]; (k, 0) where there is none.
+        arm: Errors of the arm that belong to each, as those of `JointOffsets`, shape (k, e).
+    """
+
+    numbers: Float[np.ndarray, "k 7"]
+    radius: Float[np.ndarray, "k r"]
+    arm: Float[np.ndarray, "k e"]
 
 
 @final

@@ -7,6 +7,7 @@ from typing import final
 from weakref import WeakKeyDictionary
 
 import numpy as np
+import pinocchio as pin
 from jaxtyping import Float
 from numpy.typing import ArrayLike
 
@@ -202,3 +203,20 @@ class BatchKinematics:
             J_i, H_i = self._robot.jacobian_and_derivative(posture, self._frame, reference)
             J[i], H[i] = J_i[chosen], H_i[chosen]
         return J, H
+
+
+def link_twists(robot: Robot, frame: Frame, q: Float[np.ndarray, "n nv"]) -> Float[np.ndarray, "l n 6 6"] | None:
+    """Twists of a frame, along the base's axes and at its origin, that unit errors of each of l links make: three of
+    their places, three of their turns. None where other joints than those that turn or slide carry it.
+    """
+    if not batch_kinematics(robot, frame).fast:
+        return None
+    model = robot.pinocchio_model
+    joints = [j for j in model.supports[frame.parent_joint] if j > 0]
+    frames = [Frame(model.names[j], model.getFrameId(model.names[j], pin.FrameType.JOINT), j) for j in joints]
+    poses = np.stack([batch_kinematics(robot, f).pose(q) for f in (*frames, frame)])
+    turn, lever = poses[:-1, :, :3, :3], poses[-1, :, :3, 3] - poses[1:, :, :3, 3]
+    twists = np.zeros((len(joints), len(q), 6, 6))
+    twists[..., :3, :3] = twists[..., 3:, 3:] = turn
+    twists[..., :3, 3:] = np.cross(turn, lever[..., None], axisa=2, axisb=2, axisc=2)
+    return twists
