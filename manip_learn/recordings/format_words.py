@@ -8,4 +8,3 @@ VELOCITY_SUFFIX, EFFORT_SUFFIX = "_velocity", "_effort"  # of columns, after the
 # of names that are about a joint, after its name
 ENDS = (VELOCITY_SUFFIX, EFFORT_SUFFIX, "_torque", "_acceleration", ".pos", ".vel", ".torque", ".effort")
 JOINT_STATE = "sensor_msgs/msg/JointState"
-RATE = ("rate=<samples per second>", "--rate <samples per second>")  # how the option is written

@@ -49,7 +49,7 @@ def derive_velocities(
         as they were recorded, halfway between samples for midpoints.
 
     Raises:
-        RecordingError: Too few samples.
+        RecordingError: Too few samples, or no such method.
     """
     return derive_together([trajectory], robot, method)[0]
 
@@ -57,7 +57,11 @@ def derive_velocities(
 def derive_together(
     trajectories: Sequence[Trajectory], robot: Robot, method: VelocityMethod = "auto"
 ) -> list[Trajectory]:
-    """`derive_velocities` of each; those recorded at the same times share the work."""
+    """`derive_velocities` of each; those recorded at the same times share the work.
+
+    Raises:
+        RecordingError: Too few samples, or no such method.
+    """
     if method not in ("auto", "midpoint", "smooth"):
         raise RecordingError(f"velocities must be 'auto', 'midpoint' or 'smooth', not {method!r}", code="method")
     bodies = [b for b in robot.blocks if b.kind == "floating"]

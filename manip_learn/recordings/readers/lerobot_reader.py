@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 
 from manip_learn.errors import MissingExtraError, RecordingError, advice, counted
-from manip_learn.recordings.format_words import DATASET_HEADER, RATE
+from manip_learn.recordings.format_words import DATASET_HEADER
 from manip_learn.recordings.readers.array_reader import column_names
 from manip_learn.recordings.readers.lerobot_dataset import (
     LeRobotDataset,
@@ -25,7 +25,7 @@ from manip_learn.recordings.readers.lerobot_dataset import (
 )
 from manip_learn.recordings.readers.limits import check_columns, refuse_lost
 from manip_learn.recordings.readers.quantities import Columns, entry_columns
-from manip_learn.recordings.readers.read_request import ReadRequest, first_names
+from manip_learn.recordings.readers.read_request import RATE, ReadRequest, first_names
 from manip_learn.recordings.readers.recording import Recording, float_array, refusal
 
 try:

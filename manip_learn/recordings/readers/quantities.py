@@ -12,7 +12,6 @@ from dataclasses import dataclass, replace
 from typing import final
 
 from manip_learn.errors import advice, closest_names
-from manip_learn.recordings.format_words import RATE
 from manip_learn.recordings.readers.name_patterns import (
     INDEX,
     JOINT,
@@ -23,6 +22,7 @@ from manip_learn.recordings.readers.name_patterns import (
     templates,
 )
 from manip_learn.recordings.readers.read_request import (
+    RATE,
     UNIT_WORDS,
     ReadRequest,
     first_names,

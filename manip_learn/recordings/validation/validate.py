@@ -11,8 +11,7 @@ from manip_learn.errors import advice, counted, named
 from manip_learn.recordings.clock import between, evenly_spread, in_order, pieces
 from manip_learn.recordings.demonstrations import Demonstrations
 from manip_learn.recordings.earned_velocities import NO_MEASUREMENT
-from manip_learn.recordings.format_words import RATE
-from manip_learn.recordings.readers.read_request import ReadRequest
+from manip_learn.recordings.readers.read_request import RATE, ReadRequest
 from manip_learn.recordings.readers.recording import Recording
 from manip_learn.recordings.trajectory import Trajectory
 from manip_learn.recordings.validation.joint_matching import angular_coordinates, match_joints, object_coordinates
