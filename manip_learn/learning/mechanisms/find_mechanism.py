@@ -384,13 +384,16 @@ def doubts_of_place(mechanism: Mechanism) -> tuple[str, str]:
         return "", ""
     # the curvature of an arc, and with it the radius, is known to its residual over the square of the arc
     far, axis, place = np.degrees(arc), u.get("axis", 0.0), u.get("point", 0.0)
-    worst = max(axis / POOR_AXIS_DEG, place / (POOR_RADIUS * max(radius, 0.02)))
+    by_axis, by_place = axis / POOR_AXIS_DEG, place / (POOR_RADIUS * max(radius, 0.02))
+    worst = max(by_axis, by_place)
     if worst > 1.0:
-        return (
-            f"{_farther(far, far * np.sqrt(4.0 * worst))}: it looks like {mechanism.sentence}, but the axis is known "
-            f"to {axis:.1f} degrees only and its place to {1e3 * place:.0f} mm",
-            "",
+        what = (
+            f"the axis is known to {axis:.1f} degrees"
+            if by_axis == worst
+            else f"its place is known to {1e3 * place:.0f} mm"
         )
+        how = _farther(far, far * np.sqrt(4.0 * worst))
+        return f"{how}: it looks like {mechanism.sentence}, but {what} only", ""
     if place <= WIDE_RADIUS * radius or mechanism.grip == "firm":
         return "", ""
     needed = far * np.sqrt(place / (WIDE_RADIUS / 3.0 * radius))
