@@ -212,7 +212,7 @@ def test_the_totals_of_a_lerobot_data_set_are_believed(planar3: Robot, tmp_path:
             for read in (load, partial(streamed, robot=planar3)):
                 with pytest.raises(RecordingError, match="meta/info.json states total_") as caught:
                     read(root)
-                assert caught.value.code == "lost-samples" and "episodes='0:50,60'" in str(caught.value)
+                assert caught.value.code == "lost-samples" and "episodes='0:'" in str(caught.value)
             assert len(load(root, episodes=[0, 1])) == 2
             assert load(next(root.glob("data/**/*.parquet"))).n_samples > 0
             info.write_text(json.dumps(json.loads(info.read_text()) | {"total_frames": True, "total_episodes": None}))

@@ -45,7 +45,7 @@ def fitted(robot, kind, postures, shared, *, equal=False):
 
 def errors_of(kind, fit, radius):
     """Error and what is stated, by parameter."""
-    e, stated = fit.place.point - POINT, fit.errors(np.random.default_rng(0))
+    e, stated = fit.place.point - POINT, fit.stated(fit.errors(np.random.default_rng(0)))
     out = {}
     if kind != "ball":
         e = e - (e @ AXIS) * AXIS
@@ -147,7 +147,7 @@ def test_offsets_of_the_joints_are_part_of_what_is_stated(robot_of, kind):
         for _ in range(30 if offset else 5):
             delta = offset * rng.standard_normal(7)
             fit = fitted(robot, kind, [q + delta + rng.normal(0.0, 1e-4, q.shape) for q in exact], shared)
-            sizes[offset].append(fit.errors(np.random.default_rng(0))["point"])
+            sizes[offset].append(fit.stated(fit.errors(np.random.default_rng(0)))["point"])
             for name, (error, stated) in errors_of(kind, fit, 0.0).items():
                 if offset and name != "radius":
                     inside.setdefault(name, []).append(error <= stated)
@@ -160,7 +160,7 @@ def test_the_learner_fits_the_place_to_what_was_recorded(robot_of):
     """Smoothing, for velocities, cuts off the ends of an arc: the place is that of the recordings as they are."""
     robot = robot_of("panda")
     demos = demonstrate(robot, TIP, MIDDLE, KINDS["hinge"][0], np.random.default_rng(9), noise=5e-4)
-    learner = ml.ConstraintLearner(ml.FrameJacobian(robot, TIP, "xyz")).fit(demos)
+    learner = ml.ConstraintLearner(ml.FrameJacobian(robot, TIP, "xyz"), zeros=0.0).fit(demos)
     direct = ml.find_mechanism(robot, TIP, demos, np.random.default_rng(0)).mechanism
     found = learner.report_.mechanism
     # [m] the fits start from rows that were found otherwise; smoothed recordings would move the place by 0.5 mm

@@ -368,7 +368,8 @@ def shown_by(
     scatter = float(np.max(np.linalg.norm(begins - middle, axis=1)))
     hold = middle if scatter <= SAME_PLACE else None
     off = np.abs(extents - np.median(extents)) + np.where(signed > 0.0, 0.0, np.inf)  # of those that went as most did
-    typical = int(np.argmin(off)) if free.is_way else _typical(times, ways)
+    # of an even number two are as near to the median, but for rounding: the first
+    typical = int(np.argmin(np.round(off, 9))) if free.is_way else _typical(times, ways)
     time, path = _path(times[typical], ways[typical], farthest[typical], free.is_way)
     ends = np.array([float(np.linalg.norm(w[-1])) for w in ways])
     return Shown(
