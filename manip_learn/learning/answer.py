@@ -180,7 +180,7 @@ def doubts_of_estimate(estimate: Estimate, nv: int, n_constraints: int | None) -
             f"the recordings do not show a constraint: the largest gap is {gap:.2g}, for {counted(s, 'row')}, and "
             f"{table.weak_from:g} is the least that counts",
             code="weak-gap",
-            gaps=dict(zip(table.counts, table.gaps, strict=True)),
+            gaps=table.by_count,
         )
     if s >= nv:
         raise NotIdentifiableError(f"{s} constraints leave no null space for {nv} joints", code="no-freedom")
@@ -247,13 +247,15 @@ class Answer:
 
     def refusal(self) -> NotIdentifiableError:
         """Why it is not believed, where something contradicts it."""
-        n, table = self.candidate.estimate.n_rows, self.candidate.estimate.table
-        return NotIdentifiableError(
-            f"{counted(n, 'row')} would explain the recordings, but {self.contradiction}",
-            code="no-evidence",
-            gaps=dict(zip(table.counts, table.gaps, strict=True)),
-            advice=("vary the way and the posture between recordings" + number_if_known(n),),
-        )
+        estimate = self.candidate.estimate
+        rows = counted(estimate.n_rows, "row")
+        return _no_evidence(estimate, f"{rows} would explain the recordings, but {self.contradiction}")
+
+
+def _no_evidence(estimate: Estimate, why: str) -> NotIdentifiableError:
+    """The refusal of rows that nothing shows to be held."""
+    advised = "vary the way and the posture between recordings" + number_if_known(estimate.n_rows)
+    return NotIdentifiableError(why, code="no-evidence", gaps=estimate.table.by_count, advice=(advised,))
 
 
 def find_answers(findings: Findings, everything: Part, settings: LearnerSettings) -> tuple[list[Answer], Findings]:
@@ -357,14 +359,11 @@ def _undivided(part: Part, settings: LearnerSettings, *, elsewhere: bool) -> Ans
     if settings.n_constraints is not None or not evidence.strengths or (elsewhere and evidence.n_rows == s):
         return answer
     if evidence.enough:
-        gaps = candidate.estimate.table
         unused = f"{counted(s, 'direction')}, gap {candidate.estimate.gap:.3g}"
-        raise NotIdentifiableError(
+        raise _no_evidence(
+            candidate.estimate,
             f"nothing shows that what the motion leaves unused ({unused}) is held rather than never tried: "
             f"{evidence.sentence()}",
-            code="no-evidence",
-            gaps=dict(zip(gaps.counts, gaps.gaps, strict=True)),
-            advice=("vary the way and the posture between recordings" + number_if_known(s),),
         )
     said = (
         f"record 3, better 5, that differ: {counted(evidence.n_trajectories, 'recording')} cannot show that "

@@ -351,7 +351,7 @@ def build_report(
         reference=getattr(features, "reference", None),
         free_directions=tuple(tuple(float(c) for c in row) for row in free),
         gap=estimate.gap,
-        gap_table=dict(zip(estimate.table.counts, estimate.table.gaps, strict=True)),
+        gap_table=estimate.table.by_count,
         levels=tuple(float(level) for level in estimate.levels),
         energy_fraction=float(estimate.unexplained),
         held_out_residual=float(np.sqrt(estimate.held_out)),

@@ -51,9 +51,14 @@ class GapTable:
     weak_from: float
     best: int
 
+    @property
+    def by_count(self) -> dict[int, float]:
+        """Number of rows -> gap."""
+        return dict(zip(self.counts, self.gaps, strict=True))
+
     def gap(self, count: int) -> float:
         """Gap of a number of rows; 0 if it is no candidate."""
-        return self.gaps[self.counts.index(count)] if count in self.counts else 0.0
+        return self.by_count.get(count, 0.0)
 
     def verdict(self, count: int) -> Verdict:
         """How sure a number of rows is."""

@@ -137,15 +137,14 @@ def find_mechanism(
     moved = list(with_velocities(Demonstrations(chosen, ()), robot))
     known = None if held is None else read_kind(*held, views_of([held[0]], moved, scan_only=True)[0].immovable, paths.p)
     read, members, repeated = known, tuple(range(len(moved))), ""
-    if held is not None and known is not None and not any(unit.startswith("rad") for unit in held[0].row_units):
-        read = _gripped(known, robot, tip, moved, paths, rng, strength)
-    elif known is None:
-        searched, members, repeated = _read(robot, tip, moved, paths, rng, strength)
-        if held is not None and searched is not None and 2 * len(members) <= len(moved):
+    if known is None:
+        read, members, repeated = _read(robot, tip, moved, paths, rng, strength)
+        if held is not None and read is not None and 2 * len(members) <= len(moved):
             # where rows are known to be held in all of them, what holds in so few is not what holds them
-            few = f"a {searched[0].name} holds the hand in {len(members)} of {len(moved)} recordings only"
+            few = f"a {read[0].name} holds the hand in {len(members)} of {len(moved)} recordings only"
             return MechanismFit(None, None, None, {}, few)
-        read, members = (searched, members) if searched else (known, tuple(range(len(moved))))
+    elif held is not None and not any(unit.startswith("rad") for unit in held[0].row_units):
+        read = _gripped(known, robot, tip, moved, paths, rng, strength)
     if read is None:
         why = "no line, plane, hinge, ball, screw, cylinder or orientation holds the hand"
         if repeated:
