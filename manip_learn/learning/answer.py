@@ -5,17 +5,20 @@ that each row is held, and the mechanism.
 from __future__ import annotations
 
 import dataclasses
+import math
 from collections.abc import Sequence
 from contextlib import suppress
 from dataclasses import dataclass
-from typing import Literal, final
+from itertools import combinations
+from typing import Any, Literal, final
 
 import numpy as np
+from jaxtyping import Float
 
 from manip_learn.constraint.features.feature_map import FeatureMap
 from manip_learn.constraint.features.frame_jacobian import FrameJacobian
 from manip_learn.constraint.features.mechanism_rows import MechanismRows, PlaceRows
-from manip_learn.errors import NotIdentifiableError, advice, counted, number_if_known
+from manip_learn.errors import NotIdentifiableError, advice, counted, listed, number_if_known
 from manip_learn.learning.arm_errors import AS_DESCRIBED, ArmErrors
 from manip_learn.learning.estimators.estimate import (
     CLEAR_GAP,
@@ -27,11 +30,12 @@ from manip_learn.learning.estimators.estimate import (
     gaps_of_levels,
 )
 from manip_learn.learning.estimators.null_space import estimate_null_space, levels
-from manip_learn.learning.explanation.findings import Findings, Part
+from manip_learn.learning.explanation.evidence import Stretch
+from manip_learn.learning.explanation.findings import DISAGREES, NEARLY_SAME_DEG, Findings, Part
 from manip_learn.learning.mechanisms.find_mechanism import BLIND, MechanismFit, find_mechanism
 from manip_learn.learning.recombination import BELIEVED_STRENGTH, RowEvidence, recombination_test
 from manip_learn.learning.samples import Samples, check_fastest, check_samples
-from manip_learn.linalg import one_thread
+from manip_learn.linalg import one_thread, row_space_angle
 from manip_learn.recordings.demonstrations import Demonstrations
 from manip_learn.recordings.trajectory import evenly
 
@@ -228,6 +232,16 @@ class Answer:
     warnings: tuple[str, ...]
 
     @property
+    def features(self) -> dict[str, Any]:
+        """Phi, described."""
+        return self.candidate.samples.features.describe()
+
+    @property
+    def selection(self) -> Float[np.ndarray, "s p"]:
+        """Lambda, with orthonormal rows."""
+        return self.candidate.samples.selection(self.candidate.estimate.whitened_selection)
+
+    @property
     def contradiction(self) -> str:
         """What its own tests say against it, in words; empty if they support it."""
         estimate, table, evidence = self.candidate.estimate, self.candidate.estimate.table, self.evidence
@@ -270,11 +284,12 @@ def find_answers(findings: Findings, everything: Part, settings: LearnerSettings
     if not findings.explained:
         return [_undivided(findings.parts[0], settings, elsewhere=findings.elsewhere)], findings
     answers, refused = list[Answer](), list[tuple[Part, NotIdentifiableError]]()
-    for part in findings.parts:
+    located, apart = _by_place(findings.parts, settings)
+    for one in located:
         try:
-            answers.append(_explained(part, settings))
+            answers.append(_explained(one, settings))
         except NotIdentifiableError as refusal:
-            refused.append((part, refusal))
+            refused.append((one.part, refusal))
     if not answers:
         raise refused[0][1]
     best = answers[0]
@@ -301,33 +316,114 @@ def find_answers(findings: Findings, everything: Part, settings: LearnerSettings
             f"(gap {a.candidate.estimate.gap:.3g}), and are not learnt beside what is clear"
             + advice("; {} learns them too", "habits=True", "--habits")
         )
-    unlearnt = (*findings.unlearnt, *((s, KEPT) for a in habits for s in a.part.stretches))
+    unlearnt = (*findings.unlearnt, *((s, DISAGREES) for s in apart))
+    unlearnt += tuple((s, KEPT) for a in habits for s in a.part.stretches)
     answers = [a for a in answers if a not in habits]
     parts = (*(a.part for a in answers), *(part for part, _ in refused))
-    warnings = (*findings.warnings, *said)
-    return answers, dataclasses.replace(findings, parts=parts, unlearnt=unlearnt, warnings=warnings)
+    warnings = (*findings.warnings, *_several(answers), *said)
+    moved = {s.trajectory for x in located if x.example for s in x.part.stretches}
+    odd = tuple((i, why) for i, why in findings.odd if i not in moved)
+    return answers, dataclasses.replace(findings, parts=parts, unlearnt=unlearnt, odd=odd, warnings=warnings)
 
 
-def _explained(part: Part, settings: LearnerSettings) -> Answer:
+def _several(answers: Sequence[Answer]) -> list[str]:
+    """Warnings about constraints that are nearly the same, and about recordings of different tasks."""
+    said = []
+    for (i, a), (j, b) in combinations(enumerate(answers, start=1), 2):
+        angle = math.degrees(row_space_angle(a.selection, b.selection)) if a.features == b.features else 90.0
+        if angle < NEARLY_SAME_DEG:
+            said.append(
+                f"constraints {i} and {j} differ by {angle:.1f} deg only: two contacts that nearly coincide, or one "
+                "that is not quite constant; they are kept apart, not averaged"
+            )
+    tasks = [{s.trajectory for s in a.part.stretches} for a in answers]
+    if len(tasks) > 1 and not set.intersection(*tasks):
+        shown = listed(counted(len(task), "recording") for task in tasks)
+        said.append(f"the recordings are of {len(tasks)} tasks, {shown}: each constraint is learnt from its own")
+    return said
+
+
+@final
+@dataclass(frozen=True, eq=False)
+class _Located:
+    """A part, the mechanism that holds its stretches, and the stretch whose place is told if each has its own."""
+
+    part: Part
+    mechanism: MechanismFit | None
+    example: Part | None = None
+
+
+def _by_place(parts: Sequence[Part], settings: LearnerSettings) -> tuple[list[_Located], list[Stretch]]:
+    """The parts, divided where mechanisms at several places explain one much better than a single one; and stretches
+    that have a place of their own, beside others that share theirs.
+
+    Where most have a place of their own, what holds the hand was moved between recordings: parts of other recordings,
+    with as many rows, are of the same thing.
+    """
+    out, alone, waiting = list[_Located](), list[Stretch](), list(parts)
+    while waiting:
+        part = waiting.pop(0)
+        found = _mechanism(part, settings)
+        places = () if found is None else found.places
+        recordings = [s.trajectory for s in part.stretches]
+        several = len(set(recordings)) > 1  # else the stretches of the only one count as such
+        shared = [group for group in places if len({recordings[i] for i in group} if several else group) > 1]
+        if 2 * sum(map(len, shared)) > sum(map(len, places)):
+            waiting[:0] = [_with_own_rows(part.chosen(group)) for group in shared]
+            alone += [part.stretches[i] for group in places if group not in shared for i in group]
+        elif found is not None and places:
+            for other in [x for x in waiting if _same_rows(part, x)]:
+                waiting.remove(other)
+                part = part.joined(other)
+            last = max(s.trajectory for s in part.stretches)
+            example = _with_own_rows(part.chosen([i for i, s in enumerate(part.stretches) if s.trajectory == last]))
+            there = _mechanism(example, settings)
+            moved = (
+                f"{found.reason}; it was moved between recordings, and is learnt as it stood in "
+                f"{example.demonstrations[0].name}"
+                + advice(": {} says where it stands when the task is repeated", "repeat(moved=...)", "--moved")
+            )
+            out.append(_Located(part, there and dataclasses.replace(there, warnings=(moved,)), example))
+        else:
+            out.append(_Located(part, found))
+    return out, alone
+
+
+def _same_rows(one: Part, other: Part) -> bool:
+    """Whether both have as many rows of the same features, in different recordings."""
+    apart = not {s.trajectory for s in one.stretches} & {s.trajectory for s in other.stretches}
+    alike = one.found is not None and other.found is not None and len(one.found) == len(other.found)
+    return apart and alike
+
+
+def _with_own_rows(part: Part) -> Part:
+    """The part with as many rows as it has, those that its own motion uses least."""
+    if part.found is None:
+        return part
+    samples = Samples.collect(part.feature_maps[0], part.demonstrations)
+    return dataclasses.replace(part, found=samples.selection(levels(samples)[1][: len(part.found)]))
+
+
+def _explained(located: _Located, settings: LearnerSettings) -> Answer:
     """The constraint of a part in which rows are known to be held.
 
     Raises:
         NotIdentifiableError: The part determines no constraint.
     """
-    asked = settings.n_constraints
-    mechanism = _mechanism(part, settings)
+    asked, part, mechanism = settings.n_constraints, located.part, located.mechanism
+    there = located.example or part
     features, n = part.feature_maps[0], None if part.found is None else len(part.found)
-    rows = mechanism_rows(mechanism, part.asked, part.demonstrations) if asked is None else None
+    rows = mechanism_rows(mechanism, part.asked, there.demonstrations) if asked is None else None
     evidence = None if rows is None else _evidence(rows, part, settings)
     if rows is not None and evidence is not None and evidence.n_rows == rows.n_rows:
         features, n = rows, rows.n_rows
     elif asked is None and isinstance(features, PlaceRows):
         features, n = _straight(mechanism, part) or (features, n)
     held = dataclasses.replace(settings, estimator="null-space", n_constraints=asked or n)
-    candidate = learn_best((features,), part.demonstrations, held)
+    candidate = learn_best((features,), there.demonstrations, held)
     if isinstance(features, PlaceRows) and candidate.estimate.table.verdict(candidate.estimate.n_rows) == "none":
         # a contact that gives way does not determine few rows among many: plainer ones it does
-        candidate = learn_best(part.asked, part.demonstrations, held)
+        candidate = learn_best(part.asked, there.demonstrations, held)
     if evidence is None or candidate.samples.features is not rows:
         evidence = _evidence(candidate.samples.features, part, settings)
     return Answer(part, candidate, evidence, mechanism, _doubts(evidence, candidate.estimate.n_rows, asked))

@@ -40,6 +40,8 @@ from manip_learn.recordings.demonstrations import Demonstrations, distinct_names
 from manip_learn.recordings.trajectory import evenly
 from manip_learn.robot import html_card
 
+# recordings from which on nothing is said of their number: what several do by chance, five hardly do
+ENOUGH = 5
 SPANS_SHOWN = 6  # of each constraint, in words
 NO_ANSWER = "what several recordings show here could not be learnt"
 MOST_NOTES = 20  # lines, one screen
@@ -340,6 +342,9 @@ def build_report(
     unused = [n for n, u in zip(features.row_names, used, strict=True) if not u]
     if unused:
         warnings.append(f"always zero for this robot and frame, so left out: {listed(unused)}")
+    if (n := len(answer.part.demonstrations)) < ENOUGH:
+        count = "one trajectory" if n == 1 else f"{n} trajectories"
+        warnings.append(f"only {count}: evidence from so few is thin; record {ENOUGH} or more")
     kind = "motion-constrained" if estimate.name == "null-space" else "self-imposed"
     free = free_directions(selection, used)
     report = LearningReport(

@@ -326,9 +326,6 @@ def check_samples(samples: Samples, joint_names: Sequence[str], n_constraints: i
             f"only {together:.1f} joints move at a time on average: friction of a hand-guided arm looks like a "
             "constraint; move all joints together"
         )
-    if samples.n_trajectories < 5:
-        count = "one trajectory" if samples.n_trajectories == 1 else f"{samples.n_trajectories} trajectories"
-        warnings.append(f"only {count}: evidence from so few is thin; record 5 or more")
     return warnings
 
 

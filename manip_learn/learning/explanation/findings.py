@@ -9,7 +9,7 @@ import dataclasses
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
-from itertools import combinations, pairwise
+from itertools import pairwise
 from statistics import NormalDist
 from typing import final
 
@@ -18,7 +18,6 @@ from jaxtyping import Bool, Float, Int
 
 from manip_learn.constraint.features.feature_map import FeatureMap, sum_in_words
 from manip_learn.constraint.features.frame_jacobian import FrameJacobian
-from manip_learn.errors import counted, listed
 from manip_learn.learning.explanation.evidence import (
     FAR_FROM_HELD,
     SWITCH_NATS,
@@ -59,7 +58,7 @@ FIRM_SHARE = 0.05
 # the same in a single recording, where only firmness tells a contact from free motion, which also runs straight or
 # flat, but never to better than a few per cent
 FIRM_ALONE_SHARE = 0.01
-# [deg] rows of two constraints closer together than this may be one constraint, or two. Set by hand
+# [deg] rows closer together than this are nearly the same. Set by hand
 NEARLY_SAME_DEG = 5.0
 # [robust standard deviations of the logarithm] by which a drift must exceed the usual one to be odd. Set by hand
 ODD_SPREAD = 6.0
@@ -212,6 +211,17 @@ class Part:
     asked: tuple[FeatureMap, ...] = ()
     choices: float = 1.0
     source: BeforeSmoothing | None = None
+
+    def chosen(self, numbers: Sequence[int]) -> Part:
+        """Some of its stretches, in which as many rows are held, but others perhaps."""
+        motion = Demonstrations([self.demonstrations[i] for i in numbers], self.demonstrations.notes)
+        stretches = tuple(self.stretches[i] for i in numbers)
+        return dataclasses.replace(self, demonstrations=motion, stretches=stretches)
+
+    def joined(self, other: Part) -> Part:
+        """With the stretches of another part."""
+        motion = Demonstrations([*self.demonstrations, *other.demonstrations], self.demonstrations.notes)
+        return dataclasses.replace(self, demonstrations=motion, stretches=(*self.stretches, *other.stretches))
 
 
 @final
@@ -466,17 +476,6 @@ def _findings(
         return unexplained(demonstrations, feature_maps)
     taken = [s for part in parts for s in part.stretches] + apart
     lone = [s for s in contacts if not any(s.shared(other) > 0.0 for other in taken)]
-    tasks = [{s.trajectory for s in part.stretches} for part in parts]
-    angles = {(i, j): np.degrees(explanation.angle(order[i], order[j])) for i, j in combinations(range(len(order)), 2)}
-    warnings = [
-        f"constraints {i + 1} and {j + 1} differ by {angle:.1f} deg only: two contacts that nearly coincide, or one "
-        "that is not quite constant; they are kept apart, not averaged"
-        for (i, j), angle in angles.items()
-        if angle < NEARLY_SAME_DEG
-    ]
-    if len(tasks) > 1 and not set.intersection(*tasks):
-        shown = listed(counted(len(task), "recording") for task in tasks)
-        warnings.append(f"the recordings are of {len(tasks)} tasks, {shown}: each constraint is learnt from its own")
     free = tuple(uncovered(explanation.views[0].motion, [*taken, *lone]))
     unlearnt = (*((s, DISAGREES) for s in apart), *((s, IN_ONE_ONLY) for s in lone))
-    return Findings(tuple(parts), free, tuple(sorted(odd.items())), True, tuple(warnings), unlearnt)
+    return Findings(tuple(parts), free, tuple(sorted(odd.items())), True, (), unlearnt)

@@ -18,6 +18,7 @@ from manip_learn.learning.arm_errors import AS_DESCRIBED, ArmErrors
 from manip_learn.learning.explanation.evidence import stretches_of, ways_to_choose
 from manip_learn.learning.explanation.explain import Hypothesis, explain
 from manip_learn.learning.explanation.row_motion import View, kinds_tried, views_of
+from manip_learn.learning.mechanisms.one_place import apart, groups_of
 from manip_learn.learning.mechanisms.place_fit import PlaceErrors, PlaceFit, fit_place
 from manip_learn.learning.mechanisms.quantities import QUANTITIES, Place, TipPaths, angles_about, thinned, turn_about
 from manip_learn.learning.recombination import BELIEVED_STRENGTH, recombination_test
@@ -77,6 +78,7 @@ class MechanismFit:
         odd: Numbers (from 0) of trajectories that do not belong: the others agree on a mechanism that does not hold
             these, or they are too short.
         errors: Draws of what its place is off by; None without a mechanism.
+        places: Numbers (from 0) of the trajectories that share a place, where there are several; else empty.
     """
 
     mechanism: Mechanism | None
@@ -88,6 +90,7 @@ class MechanismFit:
     odd: tuple[int, ...] = ()
     rival: str = ""
     errors: PlaceErrors | None = None
+    places: tuple[tuple[int, ...], ...] = ()
 
 
 def find_mechanism(
@@ -155,6 +158,11 @@ def find_mechanism(
             )
         return MechanismFit(None, None, None, {}, why)
     start, rival = _straight_or_bent(fit_place(paths.chosen(members), *read))
+    groups = groups_of(start.paths, start.kind, start.place)
+    if len(groups) > 1:
+        places = tuple(tuple(numbers[members[i]] for i in group.members) for group in groups)
+        why = f"a {start.kind.type} holds the hand in each recording, but not the same: they are {apart(groups)} apart"
+        return MechanismFit(None, None, None, {}, why, (why,), places=places)
     last = chosen if recorded is None else [recorded[i] for i in numbers]
     each = max(LEAST, MOST // len(members))
     postures = [thinned(_postures(robot, last[i]), each) for i in members]

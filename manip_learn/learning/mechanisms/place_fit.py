@@ -25,6 +25,7 @@ as was thought of the arm beforehand. Errors of the links move the frame by twis
 from __future__ import annotations
 
 import dataclasses
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from typing import final
@@ -132,7 +133,7 @@ class PlaceFit:
         n, k, d = len(paths.p), int(np.count_nonzero(tied)), len(tied)
         ones = np.broadcast_to(-np.eye(d)[:, tied], (n, d, k))
         columns = [np.concatenate(J, axis=1) @ T, ones, np.concatenate(values, axis=1)[:, :, None]]
-        left, own = _without_constants(paths, weights.root[:, :, ~tied], weights.root @ np.concatenate(columns, axis=2))
+        left, own = without_constants(paths, weights.root[:, :, ~tied], weights.root @ np.concatenate(columns, axis=2))
         slopes, residuals = left[:, :, :-1], left[:, :, -1]
         S = slopes[:, :, m:].reshape(n * d, k)
         common = -np.linalg.solve(S.T @ S, S.T @ residuals.reshape(-1))
@@ -240,16 +241,7 @@ class PlaceFit:
     @cached_property
     def noise(self) -> tuple[Float[np.ndarray, "w w"], float, float]:
         """C, its degrees of freedom, and by how much neighbours that are alike make a variance larger."""
-        correlation: list[float] = []  # of neighbours, up to the first that chance explains
-        for k in range(1, LONGEST + 1):
-            pairs = [(self.residuals[p][k:], self.residuals[p][:-k]) for p in self.clusters]
-            n = sum(len(a) for a, _ in pairs)
-            if n < 2 * k or self.cost <= 0.0:
-                break
-            share = sum(float(np.sum(a * b)) for a, b in pairs) / n * len(self.residuals) / self.cost
-            if share < STANDARD_ERRORS / np.sqrt(n):
-                break
-            correlation.append(share)
+        correlation = correlations(self.residuals, self.clusters)
         G = self.influence
         total = np.tensordot(G, G, axes=([0, 1], [0, 1]))
         for k, share in enumerate(correlation, start=1):
@@ -296,7 +288,7 @@ class PlaceFit:
         at, tied, e = on or self, _is_shared(self.kind, self.shared), self.residuals.reshape(-1)
         by_links = [] if links is None else [arm.ratio * at.weights.twist @ twist for twist in links]
         K = np.concatenate([at.weights.noise, *by_links], axis=2)
-        left, _ = _without_constants(at.paths, at.weights.root[:, :, ~tied], K)
+        left, _ = without_constants(at.paths, at.weights.root[:, :, ~tied], K)
         G = at.influence[:, :, : at.slopes.shape[2]]
         left = left + G @ np.tensordot(at.slopes, left, axes=([0, 1], [0, 1]))
         response = np.tensordot(at.influence, K, axes=([0, 1], [0, 1]))
@@ -394,6 +386,21 @@ def fit_place(
     return here
 
 
+def correlations(residuals: Float[np.ndarray, "N d"], parts: Sequence[slice]) -> list[float]:
+    """Of neighbours within each part, of next neighbours, and so on, up to the first that chance explains."""
+    out, square = list[float](), float(np.sum(residuals**2))
+    for k in range(1, LONGEST + 1):
+        pairs = [(residuals[p][k:], residuals[p][:-k]) for p in parts]
+        n = sum(len(a) for a, _ in pairs)
+        if n < 2 * k or square <= 0.0:
+            break
+        share = sum(float(np.sum(a * b)) for a, b in pairs) / n * len(residuals) / square
+        if share < STANDARD_ERRORS / np.sqrt(n):
+            break
+        out.append(share)
+    return out
+
+
 def tangents(kind: MechanismKind, place: Place) -> Float[np.ndarray, "7 m"]:
     """Directions in which the seven numbers of a place may move."""
     across, whole = place.across.T, np.eye(7)
@@ -415,7 +422,7 @@ def _is_shared(kind: MechanismKind, shared: tuple[str, ...]) -> np.ndarray:
     return np.array([name in shared for name in _names(kind)])
 
 
-def _without_constants(
+def without_constants(
     paths: TipPaths, own: Float[np.ndarray, "N d o"], columns: Float[np.ndarray, "N d w"]
 ) -> tuple[Float[np.ndarray, "N d w"], Float[np.ndarray, "n o w"]]:
     """Columns less their best combination of those of each trajectory's own constants, and that combination."""

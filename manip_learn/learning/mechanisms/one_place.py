@@ -1,0 +1,134 @@
+"""Which trajectories share the place of a mechanism: all, unless several places explain them much better.
+
+With n independent samples the gain of more places is n / 2 log(cost of the fewer / cost of the more), less log(n) / 2
+for each number more (G. Schwarz, 1978), in nats. In both, errors of the joints' zeros that are the same in all
+trajectories explain what they can: an arm that is not quite its description sees one drawer run in other directions
+from other postures.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from itertools import combinations
+from typing import final
+
+import numpy as np
+from jaxtyping import Float
+
+from manip_learn.constraint.mechanism import MechanismKind
+from manip_learn.learning.explanation.explain import LEAST_GAIN_NATS
+from manip_learn.learning.mechanisms.place_fit import PlaceFit, correlations, fit_place, without_constants
+from manip_learn.learning.mechanisms.quantities import Place, TipPaths
+
+# [rad] standard deviation of the zeros that may explain a difference: that of arms of hobby servos, the worst there are
+WORST_ZEROS = np.radians(1.0)
+# [rad] residuals of the joints below this are no difference between places: rails and tables are no better. Set by hand
+LEAST_RESIDUAL = 4e-5
+
+
+@final
+@dataclass(frozen=True, eq=False)
+class Group:
+    """Trajectories that share a place; their numbers, and the fit of the place to them."""
+
+    members: tuple[int, ...]
+    fit: PlaceFit
+
+    @cached_property
+    def reduced(self) -> tuple[Float[np.ndarray, "N d"], Float[np.ndarray, "m nv"]]:
+        """Residuals, and what the joints' zeros do to them, without what another place and constants could take up."""
+        r = self.fit.residuals.reshape(-1)
+        K = without_constants(self.fit.paths, self.fit.weights.root, self.fit.weights.noise)[0].reshape(len(r), -1)
+        Q = np.linalg.svd(self.fit.slopes.reshape(len(r), -1), full_matrices=False)[0]
+        return (r - Q @ (Q.T @ r)).reshape(self.fit.residuals.shape), K - Q @ (Q.T @ K)
+
+    @cached_property
+    def sums(self) -> tuple[Float[np.ndarray, "nv nv"], Float[np.ndarray, " nv"], float]:
+        """K^T K, K^T r and r^T r."""
+        r, K = self.reduced
+        return K.T @ K, K.T @ r.reshape(-1), float(np.sum(r**2))
+
+
+def zeros_of(groups: Sequence[Group], variance: float) -> tuple[Float[np.ndarray, " nv"], float]:
+    """The most likely errors of the joints' zeros [rad], and what they and the places leave: the cost [rad^2]."""
+    KK, Kr, rr = (sum(parts[1:], parts[0]) for parts in zip(*(g.sums for g in groups), strict=True))
+    zeros = -np.linalg.solve(KK + variance / WORST_ZEROS**2 * np.eye(len(KK)), Kr)
+    return zeros, max(float(rr + Kr @ zeros), 0.0)
+
+
+def groups_of(paths: TipPaths, kind: MechanismKind, place: Place) -> list[Group]:
+    """The groups of trajectories that share a place, largest first; only one, if one place explains all as well.
+
+    Args:
+        paths: Of the hand, along all trajectories.
+        kind: The mechanism.
+        place: Where it is, if it is the same for all.
+    """
+    numbers = range(len(paths.starts))
+    whole = Group(tuple(numbers), fit_place(paths, kind, place))
+    if len(numbers) < 2 or not whole.fit.m:
+        return [whole]
+    groups = [Group((i,), PlaceFit.at(paths.chosen([i]), kind, whole.fit.place, ())) for i in numbers]
+    if Scale.of(groups).gain([whole], groups) < LEAST_GAIN_NATS:  # to first order
+        return [whole]
+    groups = [Group(g.members, fit_place(g.fit.paths, kind, whole.fit.place)) for g in groups]
+    scale, joined = Scale.of(groups), dict[tuple[int, ...], Group]()
+    while len(groups) > 1:
+        losses = list[tuple[float, list[Group]]]()
+        for one, other in combinations(groups, 2):
+            members = tuple(sorted(one.members + other.members))
+            if members not in joined:
+                start = max(one, other, key=lambda g: len(g.members)).fit.place
+                joined[members] = Group(members, fit_place(paths.chosen(members), kind, start))
+            fewer = [*(g for g in groups if g not in (one, other)), joined[members]]
+            losses.append((scale.gain(fewer, groups), fewer))
+        loss, fewer = min(losses, key=lambda x: x[0])
+        if loss >= LEAST_GAIN_NATS:
+            break
+        groups = fewer
+    return sorted(groups, key=lambda g: -len(g.members))
+
+
+@final
+@dataclass(frozen=True)
+class Scale:
+    """By what differences of cost count: independent samples, and the variance of a residual [rad^2]."""
+
+    independent: float
+    samples: float
+    variance: float
+
+    @staticmethod
+    def of(each: Sequence[Group]) -> Scale:
+        """As it is beside a place of their own."""
+        samples = sum(g.fit.weights.n_residuals - g.fit.constants.size for g in each)
+        variance = sum(g.sums[2] for g in each) / samples + LEAST_RESIDUAL**2
+        zeros, cost = zeros_of(each, variance)
+        left, parts, start = [], [], 0
+        for g in each:
+            r, K = g.reduced
+            left.append(r + (K @ zeros).reshape(r.shape))
+            parts.append(slice(start, start := start + len(r)))
+        alike = 1.0 + 2.0 * sum(correlations(np.concatenate(left), parts))
+        return Scale(samples / alike, samples, cost / samples + LEAST_RESIDUAL**2)
+
+    def gain(self, fewer: Sequence[Group], more: Sequence[Group]) -> float:
+        """Of more places over fewer [nats]."""
+        costs = [zeros_of(groups, self.variance)[1] + self.samples * LEAST_RESIDUAL**2 for groups in (fewer, more)]
+        numbers = sum(g.fit.m for g in more) - sum(g.fit.m for g in fewer)
+        return 0.5 * self.independent * np.log(costs[0] / costs[1]) - 0.5 * numbers * np.log(max(self.independent, 2.0))
+
+
+def apart(groups: Sequence[Group]) -> str:
+    """By how much the places of groups differ at most, in words."""
+    places, unknowns, said = [g.fit.place for g in groups], groups[0].fit.kind.unknowns, []
+    pairs = list(combinations(places, 2))
+    if "axis" in unknowns:
+        turned = max(np.arctan2(np.linalg.norm(np.cross(a.axis, b.axis)), abs(a.axis @ b.axis)) for a, b in pairs)
+        said.append(f"{np.degrees(turned):.1f} deg")
+    if "point" in unknowns or "point-across" in unknowns:
+        away = [(a.point - b.point, a.axis if "axis" in unknowns else np.zeros(3)) for a, b in pairs]
+        said.append(f"{1e3 * max(np.linalg.norm(d - (d @ axis) * axis) for d, axis in away):.0f} mm")
+    return " and ".join(said)
