@@ -13,6 +13,7 @@ if TYPE_CHECKING:
     from manip_learn.constraint.constraint import Constraint
     from manip_learn.constraint.features import (
         CentreOfMass,
+        CurveRows,
         CustomFeatures,
         FeatureMap,
         FrameJacobian,
@@ -91,7 +92,7 @@ _NAMES = {
     "constraint.shown": "Shown",
     "constraint.skill": "Skill Step",
     "constraint.task_frame": "TaskFrame",
-    "constraint.features": "CentreOfMass CustomFeatures FeatureMap "
+    "constraint.features": "CentreOfMass CurveRows CustomFeatures FeatureMap "
     "FrameJacobian MechanismRows RelativeFrameJacobian Stacked",
     "constraint.manipulability": "log_manipulability_gradient log_penalised_manipulability_gradient manipulability "
     "manipulability_gradient penalised_manipulability penalised_manipulability_gradient",
@@ -132,8 +133,8 @@ _REMOVED = {
     "optimise_path": "ml.plan chooses posture and motion of a whole way; ManipulabilityAscent climbs on the spot",
 }
 _HOMES = {name: module for module, names in _NAMES.items() for name in names.split()}
-__all__ = ["Box", "CentreOfMass", "Command", "Constraint", "ConstraintLearner", "Controller", "CustomFeatures"]
-__all__ += ["Cylinder", "Demonstrations", "Driver", "FeatureMap", "FollowMotion", "FrameJacobian"]
+__all__ = ["Box", "CentreOfMass", "Command", "Constraint", "ConstraintLearner", "Controller", "CurveRows"]
+__all__ += ["CustomFeatures", "Cylinder", "Demonstrations", "Driver", "FeatureMap", "FollowMotion", "FrameJacobian"]
 __all__ += ["FreeDirection", "GraspCone", "Hold", "JointAttractor", "JointLimitAvoidance", "LeRobotDriver"]
 __all__ += ["LeRobotMotor", "Limits", "LiveViewer", "ManipLearnError", "ManipulabilityAscent", "Mechanism"]
 __all__ += ["MechanismFit", "MechanismRows", "Mesh", "MuJoCoDriver", "NoPlanError", "NullSpacePolicy"]

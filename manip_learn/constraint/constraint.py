@@ -12,6 +12,7 @@ from jaxtyping import Float
 from numpy.typing import ArrayLike
 
 from manip_learn.atomic_write import write_atomically
+from manip_learn.constraint.features.curve_rows import CurveRows
 from manip_learn.constraint.features.feature_map import FeatureMap, Vjp, row_in_words
 from manip_learn.constraint.features.frame_jacobian import AXES, FrameJacobian
 from manip_learn.constraint.features.mechanism_rows import MechanismRows, PlaceRows
@@ -155,6 +156,10 @@ class Constraint:
             features: FeatureMap = f.with_rows((*f.row_names, *added), f.radius)
             turning = [i for i, name in enumerate(features.row_names) if name in TURNING]
             columns = list(range(f.n_rows))
+        elif isinstance(f, CurveRows):
+            features = f.with_rows((*(name for name in f.row_names if name not in AXES), *AXES[3:]))
+            turning = [features.row_names.index(name) for name in AXES[3:]]
+            columns = [features.row_names.index(name) for name in f.row_names]
         elif isinstance(f, FrameJacobian | RelativeFrameJacobian):
             if isinstance(f, FrameJacobian):
                 features = FrameJacobian(f.robot, f.frame.name, AXES, f.reference)
@@ -195,6 +200,8 @@ class Constraint:
             features = MechanismRows(
                 features.robot, features.frame.name, features.row_names, **place, radius=features.radius
             )
+        elif isinstance(features, CurveRows):
+            features = features.moved(transform)
         elif isinstance(features, FrameJacobian) and features.reference == "world":
             twist = on_twist(features.row_names, selection)
             twist = np.hstack([twist[:, :3] @ R.T, twist[:, 3:] @ R.T])

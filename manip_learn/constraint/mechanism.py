@@ -16,6 +16,7 @@ from typing import Any, Literal, final
 import numpy as np
 from jaxtyping import Float
 
+from manip_learn.constraint.features.curve_rows import CurveRows
 from manip_learn.constraint.features.feature_map import FeatureMap
 from manip_learn.constraint.features.frame_jacobian import AXES, FrameJacobian
 from manip_learn.constraint.features.mechanism_rows import (
@@ -81,6 +82,7 @@ _TURNS: dict[Orientation, str] = {
     "fixed": "the hand does not turn",
     "carried": "the hand turns with it",
 }
+CURVE = "curve"  # name of what is no lower pair, and holds the hand to a line of any shape
 _NAMES: dict[MechanismType, str] = {
     "line": "a line ",
     "plane": "a plane ",
@@ -300,7 +302,8 @@ class Mechanism:
     """A mechanism that holds the hand; places and directions in the robot's base frame.
 
     Attributes:
-        type: `"line"`, `"plane"`, `"hinge"`, `"ball"`, `"screw"`, `"held-orientation"` or `"other"` (a cylinder).
+        type: `"line"`, `"plane"`, `"hinge"`, `"ball"`, `"screw"`, `"held-orientation"` or `"other"` (a cylinder, or a
+            curve).
         axis: shape (3,), unit vector: along a line, normal to a plane, along the axis of a hinge, a screw or a
             cylinder, the direction about which the hand may still turn. None for a ball, and where the hand does not
             turn at all.
@@ -318,7 +321,7 @@ class Mechanism:
             axis (two directions) or a point. It speaks of errors of the joints, those that differ from sample to sample
             and constant ones, and of what the trajectories scatter beyond these.
         arc: By how much the path turns about the axis or the centre [rad]; None where nothing turns.
-        name: Which of the candidates it is, e.g. `"hinge, firm"`.
+        name: Which of the candidates it is, e.g. `"hinge, firm"`; `"curve"` where none of them fits.
     """
 
     type: MechanismType
@@ -353,13 +356,16 @@ class Mechanism:
     @property
     def sentence(self) -> str:
         """The mechanism in words and numbers, e.g. `"a line along (1.00, 0.00, 0.00); the hand may turn"`."""
-        return f"{_NAMES[self.type]}{self.place}; {self.turns}"
+        name = "a curve" if self.name == CURVE else _NAMES[self.type]
+        return f"{name}{self.place}; {self.turns}"
 
     @property
     def place(self) -> str:
         """Its axis, centre, pitch and distance in words, in the robot's base frame; empty for an orientation."""
         if self.axis is None and self.grip == "firm" and self.type in ("line", "hinge", "screw"):
             return "fixed to the hand" + ("" if self.radius is None else f", {self.radius:.3f} m from its origin")
+        if self.name == CURVE:
+            return ""
         axis, point = in_words(self.axis), in_words(self.point)
         words = {"line": f"along {axis}", "plane": f"across {axis}", "ball": f"centre {point}", "held-orientation": ""}
         said = words.get(self.type, f"axis {axis} through {point}")
@@ -423,6 +429,8 @@ def read_mechanism(
     spread = math.radians(angle) if isinstance(angle, int | float) else 0.0
     if isinstance(features, MechanismRows):
         read = _of_mechanism_rows(selection, features)
+    elif isinstance(features, CurveRows):
+        read = _of_curve_rows(selection, features)
     elif isinstance(features, PlaceRows):
         read = _of_place_rows(selection, features, learnt.get("postures"), spread)
     elif isinstance(features, FrameJacobian | RelativeFrameJacobian):
@@ -446,6 +454,12 @@ def _of_mechanism_rows(selection: np.ndarray, features: MechanismRows) -> Mechan
     held = {name for name, share in zip(features.row_names, shares, strict=True) if share > 0.5}
     kind = next((k for k in MECHANISM_KINDS if set(k.rows) == held), None)
     return None if kind is None else _of_kind(kind, features.geometry, features.radius)
+
+
+def _of_curve_rows(selection: np.ndarray, features: CurveRows) -> Mechanism | None:
+    along = np.array([not name.startswith("across") for name in features.row_names])
+    held = len(selection) == 2 and not np.any(np.abs(selection[:, along]) > CLEAR_SHARE)
+    return Mechanism("other", name=CURVE) if held else None
 
 
 def _of_place_rows(selection: np.ndarray, features: PlaceRows, postures: Any, spread: float) -> Mechanism | None:

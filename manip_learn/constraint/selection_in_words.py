@@ -7,6 +7,7 @@ from collections.abc import Iterable, Sequence
 import numpy as np
 from jaxtyping import Bool, Float
 
+from manip_learn.constraint.features.curve_rows import CurveRows
 from manip_learn.constraint.features.feature_map import NEGLIGIBLE, FeatureMap, row_in_words
 from manip_learn.constraint.features.frame_jacobian import AXES as TWIST
 from manip_learn.constraint.features.frame_jacobian import FrameJacobian
@@ -14,7 +15,7 @@ from manip_learn.constraint.features.mechanism_rows import MechanismRows
 from manip_learn.constraint.features.other_features import CentreOfMass
 from manip_learn.constraint.features.relative_frame_jacobian import RelativeFrameJacobian
 from manip_learn.constraint.features.weighed_velocity import WeighedVelocity
-from manip_learn.constraint.mechanism import Mechanism, in_words
+from manip_learn.constraint.mechanism import CURVE, Mechanism, in_words
 from manip_learn.errors import error_in_words, listed
 from manip_learn.linalg import along_axes, null_basis
 
@@ -32,6 +33,7 @@ LOOKS = {
     "screw": "a screw (a valve)",
     "held-orientation": "a held orientation (a full cup)",
     "other": "a cylinder (a sleeve on a rod)",
+    CURVE: "a rail that is bent",
 }
 FREE_MOVES = {"line": 1, "plane": 2}  # directions that a mechanism leaves free, where they are the same everywhere
 # what a mechanism leaves free whose rows depend on the place
@@ -90,7 +92,7 @@ def describe(
     sentences = [f"{subject} {_freedom(free[:, used], names, features, held, mechanism)}."]
     told = said_by_rows(mechanism, features.row_names, getattr(features, "reference", None), free)
     if mechanism is not None:
-        words = LOOKS[mechanism.type]
+        words = LOOKS[CURVE if mechanism.name == CURVE else mechanism.type]
         if not told and mechanism.place:
             words += f", {mechanism.place}"
         if mechanism.orientation != "free" and not set(ROTATIONS) & set(names):
@@ -148,6 +150,9 @@ def _freedom(
         radius = "" if mechanism.radius is None else f" of radius {mechanism.radius:.3f} m"
         way = WAYS[mechanism.type].format(axis=in_words(mechanism.axis), point=in_words(mechanism.point), radius=radius)
         return f"can {way}"
+    if isinstance(features, CurveRows):
+        ends = " to ".join(in_words(end) for end in features.curve.points[[0, -1]])
+        return f"can move along a curve of {features.curve.length:.2f} m from {ends} and cannot leave it"
     if not isinstance(features, FrameJacobian | RelativeFrameJacobian | CentreOfMass):
         ways = listed([row_in_words(row, names) for row in free]) if len(free) else ""
         return f"is free along {ways} in ({', '.join(names)}) and {held} in every other way" if ways else f"is {held}"

@@ -13,6 +13,7 @@ import numpy as np
 from jaxtyping import Float
 from scipy.interpolate import UnivariateSpline
 
+from manip_learn.constraint.features.curve_rows import Curve, CurveRows
 from manip_learn.constraint.features.feature_map import FeatureMap
 from manip_learn.constraint.features.frame_jacobian import AXES, FrameJacobian
 from manip_learn.constraint.features.mechanism_rows import across
@@ -25,7 +26,7 @@ from manip_learn.robot.batch.batch_kinematics import batch_kinematics
 from manip_learn.robot.rotations import angles_between, rotation_matrix
 
 Unit = Literal["m", "rad"]
-Kind = Literal["straight", "around", "sleeve", "ball"]
+Kind = Literal["straight", "around", "sleeve", "ball", "curve"]
 # [m] contacts that begin within this distance of their middle begin at one place: a person finds a handle again to a
 # millimetre or two, a hand that is put down on a table does not
 SAME_PLACE = 3e-3
@@ -44,14 +45,15 @@ class FreeCoordinates:
 
     Attributes:
         kind: `"straight"`: along fixed directions; `"around"`: angle about an axis (a screw travels along it);
-            `"sleeve"`: arc about an axis and way along it; `"ball"`: rotation about a centre.
+            `"sleeve"`: arc about an axis and way along it; `"ball"`: rotation about a centre; `"curve"`: way along it.
         unit: Of every coordinate.
-        axes: shape (k, 3), unit vectors in the base frame: the directions, the axis, or none of a ball's (its
-            coordinates are the components of a rotation vector).
+        axes: shape (k, 3), unit vectors in the base frame: the directions, the axis, a curve's tangent where contacts
+            began, or none of a ball's (its coordinates are the components of a rotation vector).
         point: shape (3,), a point of the axis or the centre [m].
         pitch: Travel along the axis a radian of turning [m/rad].
         radius: Distance of the hand from the axis, to which the arcs of a sleeve belong [m].
         by_hand: Whether the hand turns with the mechanism, so that its own rotation is the angle.
+        curve: Of a hand that follows one, in the sense in which the way counts.
     """
 
     kind: Kind
@@ -61,17 +63,21 @@ class FreeCoordinates:
     pitch: float = 0.0
     radius: float = 1.0
     by_hand: bool = False
+    curve: Curve | None = None
 
     @property
     def is_way(self) -> bool:
         """Whether there is one coordinate, so that "how far" says all."""
-        return self.kind == "around" or (self.kind == "straight" and len(self.axes) == 1)
+        return self.kind in ("around", "curve") or (self.kind == "straight" and len(self.axes) == 1)
 
     def of(self, poses: Float[np.ndarray, "T 4 4"]) -> Float[np.ndarray, "T k"]:
         """Coordinates of a hand along a motion, 0 at its first pose; angles without jumps."""
         p = poses[:, :3, 3]
         if self.kind == "straight":
             return (p - p[0]) @ self.axes.T
+        if self.curve is not None:
+            s = self.curve.nearest(p)
+            return (s - s[0])[:, None]
         if self.kind == "ball":
             return self._rotations(p)
         axis, d = self.axes[0], p - self.point
@@ -100,6 +106,8 @@ class FreeCoordinates:
         """Where a hand that began at a place is after these coordinates [m]."""
         if self.kind == "straight":
             return begin + coordinates @ self.axes
+        if self.curve is not None:
+            return self.curve.along(begin, float(coordinates[0]))
         d = begin - self.point
         if self.kind == "ball":
             return self.point + rotation_matrix(coordinates) @ d
@@ -111,7 +119,7 @@ class FreeCoordinates:
 
     def turn(self, coordinates: Float[np.ndarray, " k"]) -> Float[np.ndarray, " 3"]:
         """Rotation vector of a hand that is carried [rad]."""
-        if self.kind == "straight":
+        if self.kind in ("straight", "curve"):
             return np.zeros(3)
         if self.kind == "ball":
             return coordinates
@@ -121,6 +129,8 @@ class FreeCoordinates:
         """Unit vectors along which a hand at a place may go."""
         if self.kind == "straight":
             return self.axes
+        if self.curve is not None:
+            return self.curve.tangents(place[None])
         out = place - self.point
         if self.kind == "ball":
             return complement_rows(out[None] / np.linalg.norm(out))
@@ -130,12 +140,14 @@ class FreeCoordinates:
 
     def reversed(self) -> FreeCoordinates:
         """The same with the other sense of its only coordinate."""
-        return replace(self, axes=-self.axes)
+        curve = None if self.curve is None else Curve(self.curve.points[::-1])
+        return replace(self, axes=-self.axes, curve=curve)
 
     def moved(self, transform: Float[np.ndarray, "4 4"]) -> FreeCoordinates:
         """Of the mechanism at another place, p' = R p + t."""
         R, t = transform[:3, :3], transform[:3, 3]
-        return replace(self, axes=self.axes @ R.T, point=R @ self.point + t)
+        curve = None if self.curve is None else self.curve.moved(transform)
+        return replace(self, axes=self.axes @ R.T, point=R @ self.point + t, curve=curve)
 
 
 def poses_of(features: FeatureMap, q: Float[np.ndarray, "T n"]) -> Float[np.ndarray, "T 4 4"] | None:
@@ -162,6 +174,9 @@ def free_coordinates(
         contacts: Poses of the hand along each contact.
     """
     kind = "" if mechanism is None else mechanism.type
+    if isinstance(features, CurveRows):
+        begin = np.median([poses[0, :3, 3] for poses in contacts], axis=0)
+        return FreeCoordinates("curve", "m", features.curve.tangents(begin[None]), np.zeros(3), curve=features.curve)
     if mechanism is not None and mechanism.axis is not None and mechanism.point is not None:
         point, by_hand = np.asarray(mechanism.point, dtype=np.float64), mechanism.orientation == "carried"
         axes = np.asarray(mechanism.axis, dtype=np.float64)[None]
@@ -306,6 +321,8 @@ class Shown:
         c = self.coordinates
         content["coordinates"] = {"kind": c.kind, "unit": c.unit, "axes": c.axes.tolist(), "point": c.point.tolist()}
         content["coordinates"] |= {"pitch": c.pitch, "radius": c.radius, "by_hand": c.by_hand}
+        if c.curve is not None:
+            content["coordinates"]["curve"] = c.curve.points.tolist()
         return content
 
     @staticmethod
@@ -317,6 +334,8 @@ class Shown:
                 values[name] = None if content[name] is None else np.array(content[name], dtype=np.float64)
             free: dict[str, Any] = dict(content["coordinates"])
             free |= {name: np.array(free[name], dtype=np.float64) for name in ("axes", "point")}
+            if "curve" in free:
+                free["curve"] = Curve(free["curve"])
             return Shown(**values, coordinates=FreeCoordinates(**free))
         except (KeyError, TypeError, ValueError):
             return None

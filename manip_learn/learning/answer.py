@@ -15,6 +15,7 @@ from typing import Any, Literal, final
 import numpy as np
 from jaxtyping import Float
 
+from manip_learn.constraint.features.curve_rows import CurveRows
 from manip_learn.constraint.features.feature_map import FeatureMap
 from manip_learn.constraint.features.frame_jacobian import FrameJacobian
 from manip_learn.constraint.features.mechanism_rows import MechanismRows, PlaceRows
@@ -30,9 +31,9 @@ from manip_learn.learning.estimators.estimate import (
     gaps_of_levels,
 )
 from manip_learn.learning.estimators.null_space import estimate_null_space, levels
-from manip_learn.learning.explanation.evidence import Stretch
-from manip_learn.learning.explanation.findings import DISAGREES, NEARLY_SAME_DEG, Findings, Part
-from manip_learn.learning.mechanisms.find_mechanism import BLIND, MechanismFit, find_mechanism
+from manip_learn.learning.explanation.evidence import Stretch, pieces_of
+from manip_learn.learning.explanation.findings import DISAGREES, LONGEST_SLIP_SECONDS, NEARLY_SAME_DEG, Findings, Part
+from manip_learn.learning.mechanisms.find_mechanism import BLIND, MechanismFit, find_curve, find_mechanism
 from manip_learn.learning.recombination import BELIEVED_STRENGTH, RowEvidence, recombination_test
 from manip_learn.learning.samples import Samples, check_fastest, check_samples
 from manip_learn.linalg import one_thread, row_space_angle
@@ -386,7 +387,44 @@ def _by_place(parts: Sequence[Part], settings: LearnerSettings) -> tuple[list[_L
             out.append(_Located(part, there and dataclasses.replace(there, warnings=(moved,)), example))
         else:
             out.append(_Located(part, found))
-    return out, alone
+    return _as_one_curve(out), alone
+
+
+def _as_one_curve(located: list[_Located]) -> list[_Located]:
+    """A single part in the place of those that follow each other without a pause, where the hand goes along one curve
+    that is nearer to its places than the mechanisms of all of them.
+
+    The search sees velocities, and takes a bent rail for several mechanisms in turn.
+    """
+    spans = [(s, x) for x in located for s in x.part.stretches if x.mechanism is not None]
+    runs = list[tuple[Stretch, set[int]]]()
+    for s, x in sorted(spans, key=lambda span: (span[0].trajectory, span[0].start)):
+        last, parts = runs[-1] if runs else (None, set())
+        if last is None or last.trajectory != s.trajectory or s.start - last.end > LONGEST_SLIP_SECONDS:
+            runs.append((s, {id(x)}))
+        else:
+            runs[-1] = Stretch(s.trajectory, last.start, max(last.end, s.end)), parts | {id(x)}
+    longest = {run.trajectory: run for run, parts in sorted(runs, key=lambda r: r[0].duration) if len(parts) > 1}
+    inside = [x for x in located if all(_within(s, longest) for s in x.part.stretches) and x.mechanism is not None]
+    if len(inside) < 2 or (source := inside[0].part.source) is None:
+        return located
+    stretches, pieces = pieces_of(source.derived.trajectories, tuple(longest.values()))
+    seconds = [sum(s.duration for s in x.part.stretches) for x in inside]
+    variance = np.average([x.mechanism.variance for x in inside if x.mechanism is not None], weights=seconds)
+    features = inside[0].part.asked[0]
+    if not isinstance(features, FrameJacobian):
+        return located
+    found = find_curve(features.robot, features.frame.name, pieces, float(variance))
+    if found is None:
+        return located
+    motion = Demonstrations(pieces, inside[0].part.demonstrations.notes)
+    whole = dataclasses.replace(inside[0].part, demonstrations=motion, stretches=tuple(stretches))
+    return [_Located(whole, found), *(x for x in located if x not in inside)]
+
+
+def _within(stretch: Stretch, runs: dict[int, Stretch]) -> bool:
+    run = runs.get(stretch.trajectory)
+    return run is not None and run.start <= stretch.start and stretch.end <= run.end
 
 
 def _same_rows(one: Part, other: Part) -> bool:
@@ -501,7 +539,7 @@ def _mechanism(part: Part, settings: LearnerSettings) -> MechanismFit | None:
 
 def mechanism_rows(
     found: MechanismFit | None, feature_maps: Sequence[FeatureMap], demonstrations: Demonstrations
-) -> MechanismRows | None:
+) -> MechanismRows | CurveRows | None:
     """The rows of a mechanism that depend on the place, in the axes asked for and in which the arm can move.
 
     Rows across the axis about which alone the hand may turn are constant, but the path of the hand tells that axis
@@ -510,6 +548,8 @@ def mechanism_rows(
     if found is None or found.mechanism is None:
         return None
     features, mechanism = found.features, found.mechanism
+    if isinstance(features, CurveRows):
+        return features
     if isinstance(features, FrameJacobian) and mechanism.type == "held-orientation" and mechanism.axis is not None:
         # the rows across the axis
         features = MechanismRows(features.robot, features.frame.name, ("turn-1", "turn-2"), axis=mechanism.axis)

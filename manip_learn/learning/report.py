@@ -11,6 +11,7 @@ from typing import Any, NamedTuple, final
 import numpy as np
 
 from manip_learn.constraint.constraint import Constraint
+from manip_learn.constraint.features.curve_rows import CurveRows
 from manip_learn.constraint.features.feature_map import FeatureMap
 from manip_learn.constraint.features.frame_jacobian import FrameJacobian
 from manip_learn.constraint.features.mechanism_rows import MechanismRows
@@ -336,7 +337,7 @@ def build_report(
     samples, estimate, warnings = best.samples, best.estimate, list(best.warnings)
     features, uncertainty_deg, mechanism = samples.features, total_deg(uncertainty), found and found.mechanism
     selection = samples.selection(estimate.whitened_selection)
-    if isinstance(features, MechanismRows) and len(selection) == features.n_rows:
+    if isinstance(features, MechanismRows | CurveRows) and len(selection) == features.n_rows:
         selection = np.eye(features.n_rows)  # all of the rows: any basis of theirs will do, so the plainest
     used = np.linalg.norm(samples.whitening, axis=0) > 0.0
     unused = [n for n, u in zip(features.row_names, used, strict=True) if not u]

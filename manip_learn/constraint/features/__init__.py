@@ -1,5 +1,6 @@
 """Feature maps Phi(q), the rows out of which a constraint selects."""
 
+from manip_learn.constraint.features.curve_rows import CurveRows
 from manip_learn.constraint.features.feature_map import FeatureMap
 from manip_learn.constraint.features.frame_jacobian import FrameJacobian
 from manip_learn.constraint.features.mechanism_rows import MechanismRows
@@ -8,6 +9,7 @@ from manip_learn.constraint.features.relative_frame_jacobian import RelativeFram
 
 __all__ = [
     "CentreOfMass",
+    "CurveRows",
     "CustomFeatures",
     "FeatureMap",
     "FrameJacobian",

@@ -9,6 +9,7 @@ import numpy as np
 from jaxtyping import Float
 from numpy.typing import ArrayLike
 
+from manip_learn.constraint.features.curve_rows import CurveRows
 from manip_learn.constraint.features.feature_map import FeatureMap
 from manip_learn.constraint.features.frame_jacobian import FrameJacobian, parse_axes
 from manip_learn.constraint.features.mechanism_rows import MechanismRows, PlaceRows
@@ -276,6 +277,8 @@ def _described(described: dict[str, Any], robot: Robot) -> FeatureMap:
     if kind == "mechanism-rows":
         place = {name: described[name] for name in ("axis", "point", "pitch")}
         return MechanismRows(robot, described["frame"], described["rows"], **place, radius=described.get("radius"))
+    if kind == "curve-rows":
+        return CurveRows(robot, described["frame"], described["points"], described["rows"])
     if kind == "place-rows":
         return PlaceRows(robot, described["frame"], described["form"], described["middle"])
     if kind == "stacked":

@@ -11,6 +11,7 @@ from jaxtyping import Float
 from numpy.typing import ArrayLike
 
 from manip_learn.constraint.constraint import Constraint
+from manip_learn.constraint.features.curve_rows import CurveRows
 from manip_learn.constraint.features.feature_map import sum_in_words
 from manip_learn.constraint.features.frame_jacobian import AXES, FrameJacobian, pose_error
 from manip_learn.constraint.features.mechanism_rows import MechanismRows, Place, across
@@ -481,6 +482,67 @@ def _chosen(held: tuple[str, ...], firm: bool, direction: ArrayLike | str | None
     if not (isinstance(direction, str) and direction in free):
         raise TargetError(f"the direction of a mechanism is the name of a row that is free: {words}; got {direction!r}")
     return direction
+
+
+@final
+class CurveMotion(DrivenMotion):
+    """The hand goes along a curve, as far off it as where it began, and keeps its orientation where that is held.
+
+    Args:
+        constraint: The learnt constraint, of rows across a curve, and of rotations.
+        direction: None: there is one way.
+        unit: `"m"`, or None.
+
+    Raises:
+        ConstraintError: A turn is asked for.
+        TargetError: A direction is named.
+    """
+
+    def __init__(self, constraint: Constraint, direction: ArrayLike | str | None, unit: Unit | None = None):
+        rows: CurveRows = constraint.features  # type: ignore[assignment]
+        if unit == "rad":
+            raise ConstraintError("a hand on a curve goes along it and does not turn about anything: say how far [m]")
+        if direction is not None:
+            raise TargetError(f"on a curve the hand goes forth, or back by a negative way: leave {direction!r} out")
+        held = tuple(name for name in rows.row_names if name != "along")
+        self._rows, self.unit = rows.with_rows((*held, "along")), "m"
+        self.constraint = Constraint(np.eye(len(held) + 1), self._rows, constraint.provenance)
+
+    def held_at(self, distance: float) -> Float[np.ndarray, "k p"]:
+        """All rows but the last."""
+        return np.eye(self._rows.n_rows)[:-1]
+
+    def driven_at(self, distance: float) -> Float[np.ndarray, " p"]:
+        """The last row."""
+        return np.eye(self._rows.n_rows)[-1]
+
+    def axis_at(self, origin: Origin) -> Float[np.ndarray, " 3"]:
+        """The curve's direction next to the hand."""
+        return self._rows.curve.tangents(origin[None, :3, 3])[0]
+
+    def origin(self, q: ArrayLike) -> Origin:
+        """Pose of the frame."""
+        return self._rows.robot.pose(q, self._rows.frame)
+
+    def goal(self, origin: Origin, distance: float) -> Origin:
+        """The pose so far along the curve."""
+        out = origin.copy()
+        out[:3, 3] = self._rows.curve.along(origin[:3, 3], distance)
+        return out
+
+    def progress(self, origin: Origin, q: ArrayLike, near: float) -> float:
+        """How much farther along the curve the hand is."""
+        begin, now = self._rows.curve.nearest(np.stack([origin[:3, 3], self.origin(q)[:3, 3]]))
+        return float(now - begin)
+
+    def error(self, origin: Origin, q: ArrayLike, distance: float) -> Float[np.ndarray, " p"]:
+        """From the posture to the goal after a distance, along the rows where the hand is."""
+        pose = self.origin(q)
+        return self._rows.weights(pose[None, :3, 3])[0][0] @ pose_error(pose, self.goal(origin, distance), False)
+
+    def moving_error(self, origin: Origin, q: ArrayLike, distance: float) -> MovingError:
+        """As for `DrivenMotion`."""
+        return self.error(origin, q, distance), self.driven_at(distance), 1.0, None
 
 
 @final

@@ -11,6 +11,7 @@ from jaxtyping import Float
 from numpy.typing import ArrayLike
 
 from manip_learn.constraint.constraint import Constraint
+from manip_learn.constraint.features.curve_rows import CurveRows
 from manip_learn.constraint.features.mechanism_rows import MechanismRows
 from manip_learn.control.policies import (
     ASCENT_GAIN,
@@ -21,6 +22,7 @@ from manip_learn.control.policies import (
     ZeroPolicy,
 )
 from manip_learn.control.tasks.driven_motion import (
+    CurveMotion,
     DrivenMotion,
     MechanismMotion,
     Origin,
@@ -144,8 +146,11 @@ class FreeDirection(Task):
         held = constraint.with_orientation() if keep_orientation else constraint.about_its_mechanism()
         shown = constraint.shown
         path = PathMotion(held, shown) if as_shown and shown is not None and not shown.is_way else None
-        motion_of = MechanismMotion if isinstance(held.features, MechanismRows) else StraightMotion
-        self._motion: DrivenMotion = path or motion_of(held, direction, unit, straight)
+        if isinstance(held.features, CurveRows):
+            self._motion: DrivenMotion = CurveMotion(held, direction, unit)
+        else:
+            motion_of = MechanismMotion if isinstance(held.features, MechanismRows) else StraightMotion
+            self._motion = path or motion_of(held, direction, unit, straight)
         self.constraint = self._motion.constraint
         self.unit: Unit = self._motion.unit
         self._n_held = constraint.n_constraints

@@ -9,20 +9,32 @@ from typing import final
 import numpy as np
 from jaxtyping import Bool, Float
 
+from manip_learn.constraint.features.curve_rows import CurveRows
 from manip_learn.constraint.features.feature_map import FeatureMap
 from manip_learn.constraint.features.frame_jacobian import FrameJacobian
 from manip_learn.constraint.features.mechanism_rows import PlaceForm, PlaceRows
-from manip_learn.constraint.mechanism import MECHANISM_KINDS, Mechanism, MechanismKind, Read, read_kind, rows_of
+from manip_learn.constraint.mechanism import (
+    CURVE,
+    KINDS,
+    MECHANISM_KINDS,
+    Mechanism,
+    MechanismKind,
+    Read,
+    read_kind,
+    rows_of,
+)
 from manip_learn.errors import NotIdentifiableError
 from manip_learn.learning.arm_errors import AS_DESCRIBED, ArmErrors
 from manip_learn.learning.explanation.evidence import stretches_of, ways_to_choose
-from manip_learn.learning.explanation.explain import Hypothesis, explain
+from manip_learn.learning.explanation.explain import LEAST_GAIN_NATS, Hypothesis, explain
 from manip_learn.learning.explanation.row_motion import View, kinds_tried, views_of
-from manip_learn.learning.mechanisms.one_place import apart, groups_of
+from manip_learn.learning.mechanisms.fit_curve import fit_curve, gain_in_nats, variance_of
+from manip_learn.learning.mechanisms.one_place import apart, groups_of, likelier, misfit
 from manip_learn.learning.mechanisms.place_fit import PlaceErrors, PlaceFit, fit_place
 from manip_learn.learning.mechanisms.quantities import QUANTITIES, Place, TipPaths, angles_about, thinned, turn_about
 from manip_learn.learning.recombination import BELIEVED_STRENGTH, recombination_test
 from manip_learn.learning.samples import BEYOND_CHANCE, STANDARD_ERRORS
+from manip_learn.linalg import null_basis
 from manip_learn.recordings.demonstrations import Demonstrations
 from manip_learn.recordings.earned_velocities import earned
 from manip_learn.recordings.trajectory import Trajectory
@@ -41,6 +53,8 @@ POOR_RADIUS, POOR_AXIS_DEG = 0.2, 5.0
 WIDE_RADIUS = 0.015
 # residuals below these do not count as better: what hardware holds. Set by hand
 SMALLEST_RESIDUAL = {"m": 2e-5, "rad": 4e-5}
+# [m] by which a hand must leave a mechanism in the same way each time before it is said. Set by hand
+LEAST_SAID_M = 1e-3
 # a quantity is the same for all trajectories if its residual grows by less than this ratio. Set by hand
 SHARED_LOSS = 1.15
 
@@ -78,6 +92,8 @@ class MechanismFit:
         odd: Numbers (from 0) of trajectories that do not belong: the others agree on a mechanism that does not hold
             these, or they are too short.
         errors: Draws of what its place is off by; None without a mechanism.
+        variance: Mean square of what the mechanism, or one that is none, leaves of the hand's places in each direction
+            that it holds [m^2]; 0 where it holds none.
         places: Numbers (from 0) of the trajectories that share a place, where there are several; else empty.
     """
 
@@ -90,6 +106,7 @@ class MechanismFit:
     odd: tuple[int, ...] = ()
     rival: str = ""
     errors: PlaceErrors | None = None
+    variance: float = 0.0
     places: tuple[tuple[int, ...], ...] = ()
 
 
@@ -147,7 +164,8 @@ def find_mechanism(
             few = f"a {read[0].name} holds the hand in {len(members)} of {len(moved)} recordings only"
             return MechanismFit(None, None, None, {}, few)
     elif held is not None and not any(unit.startswith("rad") for unit in held[0].row_units):
-        read = _gripped(known, robot, tip, moved, paths, rng, strength)
+        bent, _ = _straight_or_bent(fit_place(paths, *known))
+        read = _gripped((bent.kind, bent.place), robot, tip, moved, paths, rng, strength)
     if read is None:
         why = "no line, plane, hinge, ball, screw, cylinder or orientation holds the hand"
         if repeated:
@@ -163,6 +181,20 @@ def find_mechanism(
         places = tuple(tuple(numbers[members[i]] for i in group.members) for group in groups)
         why = f"a {start.kind.type} holds the hand in each recording, but not the same: they are {apart(groups)} apart"
         return MechanismFit(None, None, None, {}, why, (why,), places=places)
+    bent, (gain, left) = "", misfit(start)
+    if gain > LEAST_GAIN_NATS and (other := _of_another_shape(start)) is not None:
+        start, rival, (gain, left) = other, "", misfit(other)
+    place = sum(QUANTITIES[name].rank for name in start.kind.holds if QUANTITIES[name].unit == "m")
+    variance = left * _rest(start) / max(place, 1)
+    if gain > LEAST_GAIN_NATS:
+        curve = _curve_instead(start.paths, variance, robot, tip.name)
+        if curve is not None:
+            return curve
+        if variance > LEAST_SAID_M**2:
+            bent = (
+                f"the hand leaves the {start.kind.type} that fits best by {1e3 * np.sqrt(variance):.2g} mm in the same "
+                "way in all recordings: what holds it has another shape, and is near to this one only there"
+            )
     last = chosen if recorded is None else [recorded[i] for i in numbers]
     each = max(LEAST, MOST // len(members))
     postures = [thinned(_postures(robot, last[i]), each) for i in members]
@@ -182,10 +214,38 @@ def find_mechanism(
         errors = fit.errors(rng, arm, on, link_twists(robot, tip, q) if arm.ratio else None)
         mechanism = _described(fit, errors)
     if poor:
-        return MechanismFit(None, None, None, held_out, poor, (poor,), odd)
+        return MechanismFit(None, None, None, held_out, poor, (poor,), odd, variance=variance)
     lone = ("one trajectory only: a repeated motion cannot be told from a contact",) if len(postures) == 1 else ()
-    warnings = (*lone, *filter(None, (rival, wide)))
-    return MechanismFit(mechanism, features, selection, held_out, "", warnings, odd, rival, errors)
+    warnings = (*lone, *filter(None, (bent, rival, wide)))
+    return MechanismFit(mechanism, features, selection, held_out, "", warnings, odd, rival, errors, variance)
+
+
+def find_curve(robot: Robot, frame: str, trajectories: Sequence[Trajectory], variance: float) -> MechanismFit | None:
+    """The curve that a hand keeps to, where it is much nearer to that than to mechanisms that leave that variance in
+    each direction that they hold [m^2].
+    """
+    postures = [thinned(_postures(robot, t), SAMPLES) for t in trajectories]
+    return _curve_instead(TipPaths.of(robot, robot.frame(frame), postures), variance, robot, frame)
+
+
+def _curve_instead(paths: TipPaths, variance: float, robot: Robot, frame: str) -> MechanismFit | None:
+    found = fit_curve(paths)
+    if found is None or gain_in_nats(variance, found[1], paths) < LEAST_GAIN_NATS:
+        return None
+    curve, off = found
+    features = CurveRows(robot, frame, curve, ("across-1", "across-2"))
+    size = float(np.sqrt(variance_of(off)))
+    mechanism = Mechanism("other", name=CURVE, uncertainty={"point": size})
+    return MechanismFit(mechanism, features, np.eye(2), {"m": size}, variance=variance)
+
+
+def _of_another_shape(fit: PlaceFit) -> PlaceFit | None:
+    """The mechanism of another kind that holds as many directions and fits much better, if there is one."""
+    kind, best = fit.kind, fit
+    for other in MECHANISM_KINDS:
+        if other.orientation == kind.orientation == "free" and other.n_rows == kind.n_rows and other is not kind:
+            best = min(best, *_other_forms(fit, other.name), key=_rest)
+    return best if best is not fit and likelier(best, fit) > LEAST_GAIN_NATS else None
 
 
 def _postures(robot: Robot, trajectory: Trajectory) -> Float[np.ndarray, "T nv"]:
@@ -268,20 +328,28 @@ def _straight_or_bent(read: PlaceFit) -> tuple[PlaceFit, str]:
 
 
 def _other_form(read: PlaceFit, name: str) -> PlaceFit:
+    """The best fit of another kind."""
+    return min(_other_forms(read, name), key=lambda fit: fit.cost)
+
+
+def _other_forms(read: PlaceFit, name: str) -> list[PlaceFit]:
     """Fitted from the same axis, or from the direction, the normal and the circle of the path."""
-    kind, paths, place = next(k for k in MECHANISM_KINDS if k.name == name), read.paths, read.place
+    kind, paths, place = KINDS[name], read.paths, read.place
     x = paths.centred(paths.p)
     spread, middle = np.linalg.eigh(x.T @ x)[1].T, paths.p.mean(axis=0)
-    start = Place(place.axis, place.point)
+    starts = [Place(place.axis, place.point)]
     if kind.type == "line":
-        start = Place(spread[2], middle)
+        starts = [Place(spread[2], middle)]
     elif kind.type == "plane":
-        start = Place(spread[0], middle)
+        starts = [Place(spread[0], middle)]
     elif kind.type == "ball":
-        start = Place(place.axis, _centre(paths, np.eye(3)))
+        starts = [Place(place.axis, _centre(paths, np.eye(3)))]
+    elif kind.name == "cylinder":
+        axes = [spread[1], spread[2], spread[1] + spread[2], spread[1] - spread[2]]
+        starts = [Place(a / np.linalg.norm(a), _centre(paths, null_basis(a[None]).T)) for a in axes]
     elif kind.type == "hinge" and place.pitch == 0.0 and kind.orientation != "carried":
-        start = Place(spread[0], _centre(paths, spread[1:]))  # a circle seen along the normal of the path
-    return fit_place(paths, kind, start)
+        starts = [Place(spread[0], _centre(paths, spread[1:]))]  # a circle seen along the normal of the path
+    return [fit_place(paths, kind, start) for start in starts]
 
 
 def _centre(paths: TipPaths, base: Float[np.ndarray, "k 3"]) -> Float[np.ndarray, " 3"]:

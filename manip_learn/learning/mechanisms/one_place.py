@@ -11,7 +11,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
-from itertools import combinations
+from itertools import combinations, combinations_with_replacement
 from typing import final
 
 import numpy as np
@@ -19,8 +19,15 @@ from jaxtyping import Float
 
 from manip_learn.constraint.mechanism import MechanismKind
 from manip_learn.learning.explanation.explain import LEAST_GAIN_NATS
-from manip_learn.learning.mechanisms.place_fit import PlaceFit, correlations, fit_place, without_constants
-from manip_learn.learning.mechanisms.quantities import Place, TipPaths
+from manip_learn.learning.mechanisms.place_fit import (
+    PlaceFit,
+    correlations,
+    fit_place,
+    names_of,
+    scaled_inverse,
+    without_constants,
+)
+from manip_learn.learning.mechanisms.quantities import QUANTITIES, Place, TipPaths
 
 # [rad] standard deviation of the zeros that may explain a difference: that of arms of hobby servos, the worst there are
 WORST_ZEROS = np.radians(1.0)
@@ -56,6 +63,45 @@ def zeros_of(groups: Sequence[Group], variance: float) -> tuple[Float[np.ndarray
     KK, Kr, rr = (sum(parts[1:], parts[0]) for parts in zip(*(g.sums for g in groups), strict=True))
     zeros = -np.linalg.solve(KK + variance / WORST_ZEROS**2 * np.eye(len(KK)), Kr)
     return zeros, max(float(rr + Kr @ zeros), 0.0)
+
+
+def misfit(fit: PlaceFit) -> tuple[float, float]:
+    """What a mechanism leaves of the hand's place in the same way in all trajectories, as one of another shape would.
+
+    Returns:
+        Gain of polynomials of third degree in the place, fitted to the other trajectories each time, beside errors of
+        the joints' zeros, over these alone [nats]; and the share of the squared residuals that the zeros leave.
+    """
+    group, paths = Group((), fit), fit.paths
+    scale, (r, K) = Scale.of([group]), group.reduced
+    zeros, left = zeros_of([group], scale.variance)
+    e, parts = (r.reshape(-1) + K @ zeros).reshape(r.shape), [paths.part(i) for i in range(len(paths.starts))]
+    x = paths.p - paths.p.mean(axis=0)
+    x /= np.abs(x).max()
+    powers = [np.prod(x[:, list(axes)], axis=1) for n in (2, 3) for axes in combinations_with_replacement(range(3), n)]
+    held = [k for k, name in enumerate(names_of(fit.kind)) if QUANTITIES[name].unit == "m"]
+    if not held:
+        return 0.0, 1.0
+    X = np.stack(powers, axis=1)[:, None, None, :] * fit.weights.root[:, :, held, None]
+    X = without_constants(paths, fit.weights.root, X.reshape(*X.shape[:2], -1))[0]
+    X = np.concatenate([X, fit.slopes, K.reshape(*r.shape, -1)], axis=2)
+    products = np.stack([np.tensordot(X[p], X[p], axes=([0, 1], [0, 1])) for p in parts])
+    along = np.stack([np.tensordot(X[p], e[p], axes=([0, 1], [0, 1])) for p in parts])
+    foretold = np.concatenate(
+        [
+            e[p] - X[p] @ scaled_inverse(products.sum(axis=0) - own) @ (along.sum(axis=0) - mine)
+            for p, own, mine in zip(parts, products, along, strict=True)
+        ]
+    )
+    n, floor = scale.samples / (1.0 + 2.0 * sum(correlations(foretold, parts))), scale.samples * LEAST_RESIDUAL**2
+    gain = 0.5 * n * np.log((left + floor) / (float(np.sum(foretold**2)) + floor))
+    return float(gain), left / max(fit.cost, np.finfo(np.float64).tiny)
+
+
+def likelier(one: PlaceFit, other: PlaceFit) -> float:
+    """Gain of one kind of mechanism over another that holds as many directions [nats]."""
+    scale = Scale.of([Group((), one)])
+    return scale.gain([Group((), other)], [Group((), one)])
 
 
 def groups_of(paths: TipPaths, kind: MechanismKind, place: Place) -> list[Group]:

@@ -220,7 +220,7 @@ class PlaceFit:
             slope[: self.m] = J.mean(axis=(0, 1)) @ tangents(self.kind, self.place)
             return Radius(float(values.mean()), 0.0, slope, own)
         # that of the middle one of the trajectories, for a grip that slips is elsewhere
-        j = _names(self.kind).index(name)
+        j = names_of(self.kind).index(name)
         each, tied = self.constants[:, j], _is_shared(self.kind, self.shared)
         middle = int(np.argsort(each)[len(each) // 2])
         if not tied[j]:
@@ -413,13 +413,13 @@ def tangents(kind: MechanismKind, place: Place) -> Float[np.ndarray, "7 m"]:
     return np.concatenate([np.zeros((7, 0)), *(directions[name] for name in kind.unknowns)], axis=1)
 
 
-def _names(kind: MechanismKind) -> list[str]:
+def names_of(kind: MechanismKind) -> list[str]:
     """The quantity of each held value."""
     return [name for name in kind.holds for _ in range(QUANTITIES[name].width)]
 
 
 def _is_shared(kind: MechanismKind, shared: tuple[str, ...]) -> np.ndarray:
-    return np.array([name in shared for name in _names(kind)])
+    return np.array([name in shared for name in names_of(kind)])
 
 
 def without_constants(
