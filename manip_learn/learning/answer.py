@@ -414,7 +414,7 @@ def _as_one_curve(located: list[_Located]) -> list[_Located]:
     features = inside[0].part.asked[0]
     if not isinstance(features, FrameJacobian):
         return located
-    found = find_curve(features.robot, features.frame.name, pieces, float(variance))
+    found = find_curve(features.robot, features.frame.name, source.of(stretches, pieces), float(variance))
     if found is None:
         return located
     motion = Demonstrations(pieces, inside[0].part.demonstrations.notes)

@@ -186,8 +186,9 @@ def find_mechanism(
         start, rival, (gain, left) = other, "", misfit(other)
     place = sum(QUANTITIES[name].rank for name in start.kind.holds if QUANTITIES[name].unit == "m")
     variance = left * _rest(start) / max(place, 1)
+    last = chosen if recorded is None else [recorded[i] for i in numbers]
     if gain > LEAST_GAIN_NATS:
-        curve = _curve_instead(start.paths, variance, robot, tip.name)
+        curve = find_curve(robot, tip.name, [last[i] for i in members], variance)
         if curve is not None:
             return curve
         if variance > LEAST_SAID_M**2:
@@ -195,7 +196,6 @@ def find_mechanism(
                 f"the hand leaves the {start.kind.type} that fits best by {1e3 * np.sqrt(variance):.2g} mm in the same "
                 "way in all recordings: what holds it has another shape, and is near to this one only there"
             )
-    last = chosen if recorded is None else [recorded[i] for i in numbers]
     each = max(LEAST, MOST // len(members))
     postures = [thinned(_postures(robot, last[i]), each) for i in members]
     fine = TipPaths.of(robot, tip, postures)
@@ -222,13 +222,9 @@ def find_mechanism(
 
 def find_curve(robot: Robot, frame: str, trajectories: Sequence[Trajectory], variance: float) -> MechanismFit | None:
     """The curve that a hand keeps to, where it is much nearer to that than to mechanisms that leave that variance in
-    each direction that they hold [m^2].
+    each direction that they hold [m^2]. The trajectories are as recorded: smoothing costs the ends.
     """
-    postures = [thinned(_postures(robot, t), SAMPLES) for t in trajectories]
-    return _curve_instead(TipPaths.of(robot, robot.frame(frame), postures), variance, robot, frame)
-
-
-def _curve_instead(paths: TipPaths, variance: float, robot: Robot, frame: str) -> MechanismFit | None:
+    paths = TipPaths.of(robot, robot.frame(frame), [thinned(_postures(robot, t), SAMPLES) for t in trajectories])
     found = fit_curve(paths)
     if found is None or gain_in_nats(variance, found[1], paths) < LEAST_GAIN_NATS:
         return None

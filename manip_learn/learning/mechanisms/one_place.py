@@ -60,9 +60,9 @@ class Group:
 
 def zeros_of(groups: Sequence[Group], variance: float) -> tuple[Float[np.ndarray, " nv"], float]:
     """The most likely errors of the joints' zeros [rad], and what they and the places leave: the cost [rad^2]."""
-    KK, Kr, rr = (sum(parts[1:], parts[0]) for parts in zip(*(g.sums for g in groups), strict=True))
+    KK, Kr = (np.sum([g.sums[i] for g in groups], axis=0) for i in (0, 1))
     zeros = -np.linalg.solve(KK + variance / WORST_ZEROS**2 * np.eye(len(KK)), Kr)
-    return zeros, max(float(rr + Kr @ zeros), 0.0)
+    return zeros, max(sum(g.sums[2] for g in groups) + float(Kr @ zeros), 0.0)
 
 
 def misfit(fit: PlaceFit) -> tuple[float, float]:
