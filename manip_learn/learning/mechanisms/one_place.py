@@ -60,7 +60,7 @@ class Group:
 
 def zeros_of(groups: Sequence[Group], variance: float) -> tuple[Float[np.ndarray, " nv"], float]:
     """The most likely errors of the joints' zeros [rad], and what they and the places leave: the cost [rad^2]."""
-    KK, Kr = (np.sum([g.sums[i] for g in groups], axis=0) for i in (0, 1))
+    KK, Kr = np.sum([g.sums[0] for g in groups], axis=0), np.sum([g.sums[1] for g in groups], axis=0)
     zeros = -np.linalg.solve(KK + variance / WORST_ZEROS**2 * np.eye(len(KK)), Kr)
     return zeros, max(sum(g.sums[2] for g in groups) + float(Kr @ zeros), 0.0)
 
