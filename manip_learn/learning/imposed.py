@@ -220,7 +220,7 @@ def blocks_of(samples: Samples) -> list[Part]:
 def pull(beta: Float[np.ndarray, "n k"], values: Float[np.ndarray, "n nv m"]) -> Float[np.ndarray, "c m"]:
     """sum beta (x) values: the derivative by Theta, row by row, of what already lies in the null space."""
     n, nv, m = values.shape
-    return (beta.T @ values.reshape(n, nv * m)).reshape(-1, m)
+    return (beta.T @ values.reshape(n, nv * m)).reshape(beta.shape[1] * nv, m)
 
 
 @final
@@ -426,13 +426,10 @@ class Posterior:
 
     def equations(self) -> tuple[Float[np.ndarray, "m m"], Float[np.ndarray, " m"]]:
         """Gauss-Newton Hessian and gradient of the cost's half for B."""
-        J, beta = self.at.slopes(self.y), self.regressors.values
-        n, nv, m = J.shape
-        theta = self._solver(pull(beta, J))
-        by_theta = (beta @ theta.reshape(beta.shape[1], nv * m)).reshape(n, nv, m)
-        rows = (J - self.at.N @ by_theta).reshape(-1, m)
-        H, gradient = rows.T @ rows + theta.T @ (self.precision[:, None] * theta), rows.T @ self.y.reshape(-1)
-        return H / self.noise, gradient / self.noise + self._spread_slopes(np.ones(n))[0]
+        J = self.at.slopes(self.y)
+        KJ, rows = pull(self.regressors.values, J), J.reshape(self.y.size, J.shape[2])
+        H, gradient = rows.T @ rows - KJ.T @ self._solver(KJ), rows.T @ self.y.reshape(-1)
+        return H / self.noise, gradient / self.noise + self._spread_slopes(np.ones(len(self.y)))[0]
 
     def _spread_slopes(self, weights: Float[np.ndarray, "*g n"]) -> Float[np.ndarray, "g m"]:
         """Half the derivative by B of log |C + P|, each sample's share weighted: that of the posterior spread of pi."""
