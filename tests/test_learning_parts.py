@@ -18,8 +18,7 @@ from manip_learn.learning import ConstraintLearner
 from manip_learn.learning.answer import Answer, Candidate, doubts_of_estimate
 from manip_learn.learning.estimators.estimate import Estimate, GapTable, gaps_of_levels, gaps_of_residuals
 from manip_learn.learning.estimators.null_space import fit_null_space, levels
-from manip_learn.learning.estimators.policy_model import PolynomialModel
-from manip_learn.learning.estimators.variable_projection import fit_joint, scores
+from manip_learn.learning.imposed import Regressors, monomials, without_noise
 from manip_learn.learning.recombination import RowEvidence
 from manip_learn.learning.samples import (
     Samples,
@@ -141,16 +140,16 @@ def test_null_space_cost_is_equation_10():
 def test_joint_fit_is_an_optimum(reaching):
     """No small rotation of Lambda lowers the cost, with the policy refitted; the gradients sum to zero."""
     samples, truth = reaching
-    model = PolynomialModel(1, 3)
-    fit = fit_joint(samples, truth.selection @ np.linalg.pinv(samples.whitening), model)
+    affine = [monomials(0), monomials(1)]
+    _, fit = without_noise(samples, orthonormal_rows(truth.selection @ np.linalg.pinv(samples.whitening)), [("", affine)])
     rng = np.random.default_rng(4)
     for _ in range(5):
-        turned = orthonormal_rows(fit.whitened_selection + 1e-3 * rng.standard_normal(fit.whitened_selection.shape))
-        assert fit_joint(samples, turned, model, max_iterations=0).cost > fit.cost
-    gradients, hessians = scores(samples, fit)
-    m = fit.whitened_selection.shape[0] * (samples.n_rows - fit.whitened_selection.shape[0])
+        turned = orthonormal_rows(fit.Lambda + 1e-3 * rng.standard_normal(fit.Lambda.shape))
+        assert type(fit)(samples, Regressors.of(samples, affine), turned).cost > fit.cost
+    gradients, hessians = fit.scores()
     assert np.max(np.abs(gradients.sum(axis=0))) < 1e-3 * np.max(np.linalg.norm(gradients, axis=1))
     # the policy's part is orthonormal and already eliminated from Lambda's
+    m = len(fit.Lambda) * (samples.n_rows - len(fit.Lambda))
     total, k = hessians.sum(axis=0), hessians.shape[1] - m
     np.testing.assert_allclose(total[:k, :k], np.eye(k), atol=1e-4)
     assert np.max(np.abs(total[:k, k:])) < 1e-3 * np.sqrt(np.max(np.diag(total)[k:]))

@@ -14,18 +14,20 @@ from manip_learn.errors import NotIdentifiableError
 from manip_learn.experiments.paper_setup import Setup, demonstrate, noise_deviations, planar_features
 from manip_learn.learning import ConstraintLearner
 from manip_learn.learning.estimators.estimate import Estimate, GapTable
-from manip_learn.learning.estimators.joint_estimator import estimate_joint
-from manip_learn.learning.estimators.model_search import explain
-from manip_learn.learning.estimators.policy_equations import (
+from manip_learn.learning.imposed import (
+    ExactPolicy,
+    Posterior,
     Projections,
+    Regressors,
+    Search,
+    blocks_of,
+    descended,
+    estimate_imposed,
+    monomials,
+    resolved,
+    shape_of_residual,
+    waves,
     whitened,
-    whitening_factor,
-)
-from manip_learn.learning.estimators.policy_model import HarmonicModel, PolynomialModel
-from manip_learn.learning.estimators.variable_projection import (
-    fit_joint,
-    fit_projected,
-    held_out_costs,
 )
 from manip_learn.learning.samples import Samples
 from manip_learn.learning.uncertainty import check_uncertainty
@@ -78,54 +80,61 @@ def test_exact_where_nothing_disturbs():
         assert angle_deg(learner.constraint_, truth) < 1e-9
 
 
-def test_noisy_motion_is_fitted_and_judged_alike_by_both_routes(monkeypatch):
-    """Where normal equations are used for a small model they find the Lambda and the held-out costs of the QR."""
-    demos, truth = paper_motions(PLANAR_ROWS["xy"], np.random.default_rng(34), 40, noise=0.02)
-    samples, model = Samples.collect(truth.features, demos), PolynomialModel(1, 3)
-    start = truth.selection @ np.linalg.pinv(samples.whitening)
-    assert fit_projected(samples, start, model, 30, 1e-13, 1e-9) is not None
-
-    equations = fit_joint(samples, start, model)
-    costs = held_out_costs(samples, equations.whitened_selection, model, 5)
-    module = "manip_learn.learning.estimators.variable_projection."
-    monkeypatch.setattr(module + "fit_projected", lambda *_: None)
-    monkeypatch.setattr(module + "left_out", lambda *_: (np.zeros(1), None, 0.0))
-    rows = fit_joint(samples, start, model)
-    # rounding moves the cost by 1e-9 of itself, which at an optimum leaves Lambda open to 3e-7 (on one processor; 1e-9
-    # on another) and Theta to 3e-5 along what hardly shows
-    assert row_space_angle(rows.whitened_selection, equations.whitened_selection) < 1e-6
-    assert equations.cost == pytest.approx(rows.cost, rel=1e-8)
-    np.testing.assert_allclose(equations.theta, rows.theta, atol=1e-4 * np.abs(rows.theta).max())
-    np.testing.assert_allclose(costs, held_out_costs(samples, equations.whitened_selection, model, 5), rtol=1e-7)
+AFFINE = [monomials(0), monomials(1)]
 
 
-def test_harmonic_model_spans_waves_of_each_joint(rng):
-    """sin(q + a) of any joint and any phase is linear in the regressors, whatever x was scaled by."""
-    spread, x = np.array([0.7, 1.9]), rng.uniform(-1, 1, (50, 2))
-    beta = HarmonicModel(spread, 2)(x)
-    assert beta.shape == (50, HarmonicModel(spread, 2).n_terms)
-    wave = np.sin(2.0 * spread[1] * x[:, 1] + 0.4) + np.cos(spread[0] * x[:, 0] - 1.0)
+def reaches(seed: int, noise: float) -> tuple[Samples, np.ndarray]:
+    """Forty short reaches, and the true rows in whitened coordinates, orthonormal."""
+    demos, truth = paper_motions(PLANAR_ROWS["xy"], np.random.default_rng(seed), 40, noise=noise)
+    samples = Samples.collect(truth.features, demos)
+    return samples, orthonormal_rows(truth.selection @ np.linalg.pinv(samples.whitening))
+
+
+def test_a_recording_is_left_out_in_closed_form():
+    """What the policy leaves of a recording is that of the policy of the others: refitted, with and without a prior."""
+    samples, Lambda = reaches(34, 0.02)
+    regressors, parts = Regressors.of(samples, AFFINE), blocks_of(samples)
+    posterior, exact = Posterior(samples, regressors, Lambda), ExactPolicy(samples, regressors, Lambda)
+    N = Projections.of(samples, Lambda).N
+    K = np.einsum("nk,nvw->nvkw", regressors.values, N).reshape(len(samples), 3, -1)
+    target = np.einsum("nvw,nw->nv", N, samples.u)
+    for fit, prior in ((posterior, np.diag(posterior.precision)), (exact, np.zeros((12, 12)))):
+        left = 0.0
+        for part in parts:
+            rest = np.ones(len(samples), dtype=bool)
+            rest[part] = False
+            own, e = K[rest].reshape(-1, 12), target[rest].reshape(-1)
+            theta = np.linalg.solve(own.T @ own + prior, own.T @ e)
+            left += float(np.sum((target[part] - K[part] @ theta) ** 2))
+        assert fit.held_out(parts) == pytest.approx(left / len(samples), rel=1e-6)
+
+
+def test_waves_span_those_of_each_joint_with_any_phase():
+    """sin(2 q + a) of any joint is linear in the regressors."""
+    samples, _ = reaches(35, 0.0)
+    beta = np.concatenate([np.ones((len(samples), 1)), waves(2)(samples)], axis=1)
+    wave = np.sin(2.0 * samples.q[:, 1] + 0.4) + np.cos(2.0 * samples.q[:, 0] - 1.0)
     assert np.linalg.norm(wave - beta @ np.linalg.lstsq(beta, wave, rcond=None)[0]) < 1e-10
 
 
 def test_unequal_noise_is_seen_and_equal_noise_is_not():
-    """Ten times the deviation in one direction: a factor near the truth; the same in all joints: None."""
+    """Ten times the deviation in one direction: a covariance near the truth; the same in all joints: the unit matrix,
+    and what is whitened is what the null space of A shows.
+    """
     motion = motion_of("sawyer", "affine", 40, 15, np.random.default_rng(41))
     for anisotropy in (1.0, 10.0):
         demos, covariance = noisy(motion, 0.01, anisotropy, np.random.default_rng(42))
         samples = Samples.collect(motion.features, demos)
-        Lambda = motion.selection @ np.linalg.pinv(samples.whitening)
-        L = whitening_factor(samples, Lambda, samples.u - motion.policy(samples.q))
-        assert (L is None) == (anisotropy == 1.0)
-        if L is not None:
-            truth = covariance * 7 / np.trace(covariance)
-            assert np.linalg.norm(L @ L.T - truth) < 0.3 * np.linalg.norm(truth)
-            # z^T u, z in the null space of A, is what the whitened samples are left with
-            Z = np.linalg.svd(motion.selection @ motion.features(samples.q[0]))[2][2:].T
-            other = whitened(samples, L)
-            e = Projections.of(other, Lambda).N[0] @ other.u[0]
-            expected = Z.T @ samples.u[0]
-            assert e @ e == pytest.approx(expected @ np.linalg.solve(Z.T @ L @ L.T @ Z, expected))
+        Lambda = orthonormal_rows(motion.selection @ np.linalg.pinv(samples.whitening))
+        Sigma = shape_of_residual(Posterior(samples, Regressors.of(samples, AFFINE), Lambda))
+        truth = covariance * 7 / np.trace(covariance)
+        assert np.linalg.norm(Sigma - truth) < 0.3 * np.linalg.norm(truth)
+        # z^T u, z in the null space of A, is what the whitened samples are left with
+        Z = np.linalg.svd(motion.selection @ motion.features(samples.q[0]))[2][2:].T
+        other = whitened(samples, Sigma)
+        e = Projections.of(other, Lambda).N[0] @ other.u[0]
+        expected = Z.T @ samples.u[0]
+        assert e @ e == pytest.approx(expected @ np.linalg.solve(Z.T @ Sigma @ Z, expected))
 
 
 def one_row(policy: str, noise: float, size: tuple[int, int], seed: int, apart: float = 1.0):
@@ -152,10 +161,9 @@ def test_the_evidence_counts_rows_where_residuals_do_not():
     """A second row lowers the residual of a model that is too small, and costs what is not known of the task in it."""
     motion, demos = one_row("sinusoidal", 0.0, (100, 10), 20100)
     samples = Samples.collect(motion.features, demos)
-    found = explain(samples, [PolynomialModel(degree, 3) for degree in (1, 2)], np.random.default_rng(0))
-    residual = {one.n_rows: one.fit.cost / (3 - one.n_rows) for one in found if one.fit.model.name == "affine"}
-    nats = {s: max(one.nats for one in found if one.n_rows == s) for s in range(3)}
-    assert residual[2] < 0.1 * residual[1]
+    found = Search(samples, AFFINE, resolved(samples), np.random.default_rng(0), 3).found
+    assert found[2].noise < 0.1 * found[1].noise
+    nats = {s: one.nats(resolved(samples)) for s, one in found.items()}
     assert nats[1] > nats[2] + 1000.0 and nats[1] > nats[0] + 1000.0
 
 
@@ -185,18 +193,16 @@ def test_a_motion_that_is_replayed_is_one_motion(rate: float, rng):
     with pytest.raises(NotIdentifiableError, match="repeat"):
         ConstraintLearner(features, estimator="joint").fit(demos)
     with pytest.raises(NotIdentifiableError, match="repeat one motion") as refusal:
-        estimate_joint(Samples.collect(features, Demonstrations(demos)), None, rng)
+        estimate_imposed(Samples.collect(features, Demonstrations(demos)), None, rng)
     assert refusal.value.code == "repeated-motion"
 
 
 def told_noise(demos: Demonstrations, start: np.ndarray, deviations: np.ndarray) -> np.ndarray:
     """Maximum likelihood from a start, told the standard deviation of the noise on each joint's action."""
     samples = Samples.collect(planar_features(), demos)
-    told = whitened(samples, np.diag(deviations / np.mean(deviations)))
+    told = whitened(samples, np.diag(deviations / np.mean(deviations)) ** 2)
     Lambda = orthonormal_rows(start @ np.linalg.pinv(samples.whitening))
-    for _ in range(3):  # each stops when its steps are small
-        Lambda = fit_joint(told, Lambda, PolynomialModel(1, samples.q.shape[1])).whitened_selection
-    return samples.selection(Lambda)
+    return samples.selection(descended(Posterior(told, Regressors.of(told, AFFINE), Lambda)).Lambda)
 
 
 @pytest.mark.parametrize("rows", [pytest.param("x y", marks=pytest.mark.slow), "y rz"])

@@ -9,9 +9,7 @@ import numpy as np
 import pytest
 from generated_motions import PLANAR_ROWS, paper_motions
 
-from manip_learn.learning.estimators.estimate import PolicyPrior
-from manip_learn.learning.estimators.policy_model import PolynomialModel
-from manip_learn.learning.estimators.variable_projection import GradedRegressors, ScoredFit, fit_joint, fit_marginal
+from manip_learn.learning.imposed import Posterior, Regressors, descended, monomials
 from manip_learn.learning.samples import Samples
 from manip_learn.linalg import complement_rows, orthonormal_rows
 
@@ -19,59 +17,58 @@ sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "benchmarks"))
 from efficiency import measure  # noqa: E402
 
 
-@pytest.fixture(scope="module")
-def noisy_reaches() -> tuple[Samples, ScoredFit]:
-    """Twelve short reaches with 2 % noise, an affine fit and what becomes of it."""
-    demos, truth = paper_motions(PLANAR_ROWS["xy"], np.random.default_rng(51), 12, noise=0.02)
+GRADES = [monomials(degree) for degree in range(4)]
+
+
+def most_likely(seed: int, noise: float) -> Posterior:
+    """Of twelve short reaches with noise."""
+    demos, truth = paper_motions(PLANAR_ROWS["xy"], np.random.default_rng(seed), 12, noise=noise)
     samples = Samples.collect(truth.features, demos)
-    start = truth.selection @ np.linalg.pinv(samples.whitening)
-    return samples, fit_marginal(samples, fit_joint(samples, start, PolynomialModel(1, 3)), 260)
+    start = orthonormal_rows(truth.selection @ np.linalg.pinv(samples.whitening))
+    return descended(Posterior(samples, Regressors.of(samples, GRADES), start))
 
 
-def deviance(samples: Samples, Lambda: np.ndarray, prior: PolicyPrior) -> float:
+def deviance(fit: Posterior, Lambda: np.ndarray) -> float:
     """- 2 log N(Z^T u; 0, sigma^2 I + K T K^T), with the covariance written out."""
-    regressors = GradedRegressors.of(samples, PolynomialModel(1, 3), 260).values
-    c = regressors.shape[1] * samples.nv
+    samples, beta = fit.samples, fit.regressors.values
     Phi = np.concatenate([block.Phi for block in samples.blocks()])
     Z = np.linalg.svd(Lambda @ Phi)[2][:, len(Lambda) :]
-    K = np.einsum("nk,nzv->nzkv", regressors, Z).reshape(-1, c)
+    K = np.einsum("nk,nzv->nzkv", beta, Z).reshape(-1, len(fit.precision))
     target = np.einsum("nzv,nv->nz", Z, samples.u).reshape(-1)
-    covariance = prior.noise * (np.eye(len(K)) + (K / prior.precision[:c]) @ K.T)
+    covariance = fit.noise * (np.eye(len(K)) + (K / fit.precision) @ K.T)
     return float(np.linalg.slogdet(covariance)[1] + target @ np.linalg.solve(covariance, target))
 
 
-def test_no_other_lambda_is_more_likely(noisy_reaches):
-    """The deviance, computed from the covariance of all samples, rises to all sides as the Hessian says."""
-    samples, fit = noisy_reaches
-    Lambda, m = fit.whitened_selection, 2
-    total = fit.hessians.sum(axis=0) + np.diag(fit.prior.precision)
-    covariance = fit.prior.noise * np.linalg.inv(total)[-m:, -m:]
-    least = deviance(samples, Lambda, fit.prior)
-    values, vectors = np.linalg.eigh(covariance)
+def rises(fit: Posterior, steps: tuple[float, ...]) -> np.ndarray:
+    """How much the deviance rises by some standard errors along each axis of the stated covariance, over their square,
+    shape (axes, steps).
+    """
+    _, hessians = fit.scores()
+    total, c = hessians.sum(axis=0), len(fit.precision)
+    total[:c, :c] += np.diag(fit.precision)
+    values, vectors = np.linalg.eigh(fit.noise * np.linalg.inv(total)[c:, c:])
+    Lambda, least, out = fit.Lambda, deviance(fit, fit.Lambda), []
     for value, vector in zip(values, vectors.T, strict=True):
-        for sign in (1.0, -1.0):
-            B = sign * np.sqrt(value) * vector.reshape(len(Lambda), -1)
-            # one standard error: 2 l rises by 1
-            rise = deviance(samples, orthonormal_rows(Lambda + B @ complement_rows(Lambda)), fit.prior) - least
-            assert 0.6 < rise < 1.6
+        turns = [(step * np.sqrt(value) * vector).reshape(len(Lambda), -1) @ complement_rows(Lambda) for step in steps]
+        out.append([deviance(fit, orthonormal_rows(Lambda + turn)) - least for turn in turns])
+    return np.array(out) / np.square(steps)
+
+
+def test_the_cost_is_the_deviance():
+    """With the covariance of all samples written out, at Lambda and beside it."""
+    fit = most_likely(51, 0.02)
+    assert fit.cost == pytest.approx(deviance(fit, fit.Lambda), rel=1e-9)
+
+
+def test_no_other_lambda_is_more_likely():
+    """The deviance rises to all sides as the Hessian says: by 1 for one standard error."""
+    found = rises(most_likely(51, 0.02), (1.0, -1.0))
+    assert np.all(found > 0.6) and np.all(found < 1.6)
 
 
 def test_the_hessian_holds_no_noise_of_its_own():
     """At 20 % noise it is the curvature of the deviance to 12 %; with the noise of its regressors 30 and 70 % more."""
-    demos, truth = paper_motions(PLANAR_ROWS["xy"], np.random.default_rng(52), 12, noise=0.2)
-    samples = Samples.collect(truth.features, demos)
-    start = truth.selection @ np.linalg.pinv(samples.whitening)
-    fit = fit_marginal(samples, fit_joint(samples, start, PolynomialModel(1, 3)), 260)
-    total = fit.hessians.sum(axis=0) + np.diag(fit.prior.precision)
-    values, vectors = np.linalg.eigh(fit.prior.noise * np.linalg.inv(total)[-2:, -2:])
-    least = deviance(samples, fit.whitened_selection, fit.prior)
-    for value, vector in zip(values, vectors.T, strict=True):
-        rises = []
-        for sign in (0.3, -0.3):
-            B = sign * np.sqrt(value) * vector.reshape(2, -1)
-            moved = orthonormal_rows(fit.whitened_selection + B @ complement_rows(fit.whitened_selection))
-            rises.append(deviance(samples, moved, fit.prior) - least)
-        assert abs(np.mean(rises) / 0.3**2 - 1.0) < 0.12
+    np.testing.assert_allclose(rises(most_likely(52, 0.2), (0.3, -0.3)).mean(axis=1), 1.0, atol=0.12)
 
 
 @pytest.mark.slow

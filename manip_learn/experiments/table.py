@@ -40,11 +40,11 @@ from manip_learn.experiments.paper_setup import (
     planar_features,
 )
 from manip_learn.experiments.trial_runner import of_trials
-from manip_learn.learning.estimators.joint_estimator import estimate_joint
 from manip_learn.learning.estimators.null_space import fit_null_space, levels
-from manip_learn.learning.estimators.separation import estimate_separate, separate_null_motion
+from manip_learn.learning.imposed import estimate_imposed
 from manip_learn.learning.learner import ConstraintLearner
 from manip_learn.learning.samples import Samples
+from manip_learn.learning.separate import estimate_separate, separate_null_motion
 from manip_learn.linalg import batch_row_spaces, complement_rows, orthonormal_rows, row_space_angle
 from manip_learn.recordings.demonstrations import Demonstrations
 
@@ -124,7 +124,7 @@ def _of_samples(learn: Callable[[Samples, int, np.random.Generator], np.ndarray]
 
 
 def _joint(model: str) -> Callable[..., Learnt]:
-    return _of_samples(lambda samples, s, rng: estimate_joint(samples, s, rng, model).whitened_selection)
+    return _of_samples(lambda samples, s, rng: estimate_imposed(samples, s, rng, model).whitened_selection)
 
 
 def _true_null_part(features: FeatureMap, demos: Demonstrations, true: Matrix, rng: np.random.Generator) -> Learnt:
@@ -146,7 +146,7 @@ ESTIMATORS: dict[str, Callable[..., Learnt]] = {
     "joint-rbf": _joint("rbf"),
     "separate": _of_samples(lambda samples, s, rng: estimate_separate(samples, s, rng).whitened_selection),
     "separate-row-by-row": _of_samples(
-        lambda samples, s, rng: orthonormal_rows(fit_row_by_row(separate_null_motion(samples, rng)[1], s))
+        lambda samples, s, rng: orthonormal_rows(fit_row_by_row(separate_null_motion(samples, rng)[0], s))
     ),
     "true-w": _true_null_part,
     "auto": _auto,

@@ -25,7 +25,6 @@ from manip_learn.learning.estimators.estimate import (
     CLEAR_GAP,
     EQUALLY_GOOD,
     EXPLAINED,
-    RESIDUAL_RATIO,
     SOFT_ENERGY,
     Estimate,
     gaps_of_levels,
@@ -114,7 +113,7 @@ def learn_best(
                     continue  # the gap depends on the levels alone
             rng = np.random.default_rng(settings.seed)
             estimate = _estimate(samples, settings, rng, is_held)
-            warnings += [*estimate.warnings, *doubts_of_estimate(estimate, samples.nv, settings.n_constraints)]
+            warnings += doubts_of_estimate(estimate, samples.nv, settings.n_constraints)
         except NotIdentifiableError as error:
             refusals.append(error)
             continue
@@ -128,12 +127,13 @@ def learn_best(
 def _estimate(samples: Samples, settings: LearnerSettings, rng: np.random.Generator, rival_is_held: bool) -> Estimate:
     """By the estimator asked for, or the one that the data select.
 
-    That is the null-space one if the world holds the rows (b = 0), the joint one if the demonstrator moves them.
+    That is the null-space one if the world holds the rows (b = 0), the joint one if the demonstrator moves them:
+    whichever makes the same motion more likely.
     """
     if settings.estimator == "joint":
         return _joint(samples, settings, rng)
     if settings.estimator == "separate":
-        from manip_learn.learning.estimators.separation import estimate_separate
+        from manip_learn.learning.separate import estimate_separate
 
         with one_thread():
             return estimate_separate(samples, settings.n_constraints, rng)
@@ -143,10 +143,10 @@ def _estimate(samples: Samples, settings: LearnerSettings, rng: np.random.Genera
     try:
         joint = _joint(samples, settings, rng, EXPLAINED)
     except NotIdentifiableError:
-        return held  # no policy model predicts this motion: the evidence is how little some directions are used
-    # both explain the motion: it is held if the held directions show no more than the noise
-    is_noise = held.unexplained * samples.energy / held.n_rows <= RESIDUAL_RATIO**2 * joint.noise
-    return held if is_noise else joint
+        return held  # no policy predicts this motion: the evidence is how little some directions are used
+    from manip_learn.learning.imposed import held_nats
+
+    return joint if joint.nats > held_nats(samples, held.whitened_selection) else held
 
 
 def _joint(
@@ -157,12 +157,12 @@ def _joint(
     Raises:
         NotIdentifiableError: It is not, or no policy model leaves less than this share unexplained.
     """
-    # loads SciPy, which what is held does without
-    from manip_learn.learning.estimators.joint_estimator import estimate_joint
+    # imported here: only this estimator needs SciPy
+    from manip_learn.learning.imposed import estimate_imposed
 
     try:
         with one_thread():
-            return estimate_joint(samples, settings.n_constraints, rng, settings.policy_model, unexplained)
+            return estimate_imposed(samples, settings.n_constraints, rng, settings.policy_model, unexplained)
     except np.linalg.LinAlgError as error:
         raise NotIdentifiableError(
             "the motion is too short, or too much the same in all recordings, for a model of the null-space policy: "

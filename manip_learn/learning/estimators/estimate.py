@@ -10,7 +10,6 @@ import numpy as np
 from jaxtyping import Float
 
 from manip_learn.learning.descent import State, descend
-from manip_learn.learning.estimators.policy_model import PolicyModel
 from manip_learn.linalg import turned
 
 # ratios of singular values, noise directions against free ones, that are clear, and weak. Set by hand
@@ -28,8 +27,6 @@ EQUALLY_GOOD = 1.1
 # share of what a simpler model leaves that a richer one may leave to explain it: a policy beside the mean motion, which
 # has no posture in it, on left-out trajectories; offsets of each trajectory beside none. Set by hand
 EXPLAINED = 0.3
-# residuals, or samples, for each parameter or centre of a model: a rule of thumb of regression
-RESIDUALS_PER_PARAMETER = 10
 
 Verdict = Literal["clear", "weak", "none"]
 
@@ -99,39 +96,6 @@ def gaps_of_residuals(residuals: dict[int, float], floor: float, n_samples: int)
 
 @final
 @dataclass(frozen=True, eq=False)
-class JointFit:
-    """Lambda and the null-space policy, as the joint estimator found them.
-
-    Attributes:
-        whitened_selection: Lambda in whitened coordinates, orthonormal rows, shape (s, p').
-        theta: Parameters of the policy model, shape (k, nv).
-        cost: Mean of |Z^T (u - pi)|^2.
-        energy: Mean of |Z^T u|^2.
-        model: The policy model.
-        held_out: Mean of |Z^T (u - pi)|^2 on left-out trajectories, once it is cross-validated.
-        unexplained: That as a share of the energy that there is to explain.
-    """
-
-    whitened_selection: Float[np.ndarray, "s r"]
-    theta: Float[np.ndarray, "k nv"]
-    cost: float
-    energy: float
-    model: PolicyModel
-    held_out: float = float("nan")
-    unexplained: float = float("nan")
-
-    @property
-    def n_rows(self) -> int:
-        """Number of rows s."""
-        return len(self.whitened_selection)
-
-    def leaves_only(self, share: float) -> bool:
-        """Whether no more than a share of the motion in the null space is left."""
-        return self.cost <= share * self.energy
-
-
-@final
-@dataclass(frozen=True, eq=False)
 class PolicyPrior:
     """Gaussian prior of the policy's parameters, independent of each other.
 
@@ -170,8 +134,7 @@ class Estimate:
         gradients, hessians: Of each trajectory at the optimum, for the bootstrap.
         policy_model: Name of the policy model, if there is one.
         policy_residuals: Policy model -> held-out share of unexplained energy.
-        noise: Held-out residual energy per degree of freedom [(rad/s)^2]; 0 where there is no such thing.
-        warnings: Doubts.
+        nats: Joint estimator: log-likelihood of the motion, see `imposed`.
         prior: Joint estimator: of the policy's parameters, where they were integrated out.
         levels: Null-space estimator: levels of the whitened directions, least first [1], see `null_space.levels`.
     """
@@ -185,8 +148,7 @@ class Estimate:
     hessians: Float[np.ndarray, "g m m"]
     policy_model: str | None = None
     policy_residuals: dict[str, float] = field(default_factory=dict)
-    noise: float = 0.0
-    warnings: tuple[str, ...] = ()
+    nats: float = 0.0
     prior: PolicyPrior | None = None
     levels: Float[np.ndarray, " r"] = field(default_factory=lambda: np.zeros(0))
 

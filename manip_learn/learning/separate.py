@@ -12,22 +12,20 @@ over w in it. Such a w~ still serves to find Lambda, but it is no policy.
 from __future__ import annotations
 
 import dataclasses
-from dataclasses import dataclass
-from typing import final
 
 import numpy as np
 from jaxtyping import Float
 from scipy.linalg import LinAlgError, cho_factor, cho_solve
 
 from manip_learn.errors import NotIdentifiableError, advice
-from manip_learn.learning.estimators.estimate import RESIDUALS_PER_PARAMETER, Estimate
+from manip_learn.learning.estimators.estimate import Estimate
 from manip_learn.learning.estimators.null_space import estimate_null_space
-from manip_learn.learning.estimators.policy_model import PolicyModel, RadialModel
+from manip_learn.learning.imposed import radial
 from manip_learn.learning.samples import STILL_ENERGY, Samples
 
 # centres of the radial policy models, at least and at most. Set by hand
 FEWEST_CENTRES, MOST_CENTRES = 4, 96
-
+SAMPLES_PER_CENTRE = 10  # a rule of thumb of regression
 MAX_ITERATIONS = 200  # of each of the stages
 # directions of the regressors' space below this share of the strongest take no part; from coarse to fine, for the
 # descent from the regression alone ends in a poor minimum now and then
@@ -39,30 +37,15 @@ STALLED = 5  # steps of little gain in a row that end a stage
 SEPARATION_LIMIT = 4_000
 
 
-@final
-@dataclass(frozen=True, eq=False)
-class Separation:
-    """A model of the null-space part.
+def separate(
+    beta: Float[np.ndarray, "n k"], u: Float[np.ndarray, "n nv"]
+) -> tuple[Float[np.ndarray, "k nv"], float]:
+    """Weights of w~ = beta(x) weights, and the mean of (w^ . u - |w~|)^2 [(rad/s)^2].
 
-    Attributes:
-        weights: shape (k, nv), w~ = beta(x) weights.
-        model: beta.
-        cost: Mean of (w^ . u - |w~|)^2 [(rad/s)^2].
+    Levenberg-Marquardt from the regression of u on the posture; random starts end in poor minima now and then.
     """
-
-    weights: Float[np.ndarray, "k nv"]
-    model: PolicyModel
-    cost: float
-
-    def __call__(self, x: Float[np.ndarray, "n m"]) -> Float[np.ndarray, "n nv"]:
-        """w~ at shifted and scaled postures."""
-        return self.model(x) @ self.weights
-
-
-def separate(x: Float[np.ndarray, "n m"], u: Float[np.ndarray, "n nv"], model: PolicyModel) -> Separation:
-    """Levenberg-Marquardt from the regression of u on x; random starts end in poor minima now and then."""
     # orthonormal combinations of the regressors: the normal equations of wide radial functions are hopeless as they are
-    basis, sigma, Vt = np.linalg.svd(model(x), full_matrices=False)
+    basis, sigma, Vt = np.linalg.svd(beta, full_matrices=False)
     weights, cost = np.zeros((0, u.shape[1])), np.inf
     for share, no_gain in zip(STAGES, NO_GAIN, strict=True):
         k = int(np.count_nonzero(sigma > share * sigma[0]))
@@ -72,7 +55,7 @@ def separate(x: Float[np.ndarray, "n m"], u: Float[np.ndarray, "n nv"], model: P
             start = basis[:, :k].T @ u  # the regression
         weights, cost = _descend(basis[:, :k], start, u, no_gain)
     k = len(weights)
-    return Separation((Vt[:k].T / sigma[:k]) @ weights, model, cost / len(u))
+    return (Vt[:k].T / sigma[:k]) @ weights, cost / len(u)
 
 
 def _descend(basis: np.ndarray, weights: np.ndarray, u: np.ndarray, no_gain: float) -> tuple[np.ndarray, float]:
@@ -122,37 +105,41 @@ def estimate_separate(samples: Samples, n_constraints: int | None, rng: np.rando
     Raises:
         NotIdentifiableError: Too few samples, or no null-space motion to be found.
     """
-    separation, null_motion = separate_null_motion(samples, rng)
-    name = separation.model.name
+    null_motion, cost = separate_null_motion(samples, rng)
+    name = f"rbf{_n_centres(samples)}"
     return dataclasses.replace(
         estimate_null_space(null_motion, n_constraints),
         name="separate",
         policy_model=name,
-        policy_residuals={name: separation.cost / samples.energy},
+        policy_residuals={name: cost / samples.energy},
     )
 
 
-def separate_null_motion(samples: Samples, rng: np.random.Generator) -> tuple[Separation, Samples]:
-    """The separation, and the samples with their null-space part w~ in place of u.
+def _n_centres(samples: Samples) -> int:
+    return min(MOST_CENTRES, len(samples) // SAMPLES_PER_CENTRE)
+
+
+def separate_null_motion(samples: Samples, rng: np.random.Generator) -> tuple[Samples, float]:
+    """The samples with their null-space part w~ in place of u, and the cost of the separation [(rad/s)^2].
 
     Raises:
         NotIdentifiableError: Too few samples for even the smallest model, or no null-space motion to be found.
     """
-    x = samples.x
-    n_centres = min(MOST_CENTRES, len(samples) // RESIDUALS_PER_PARAMETER)
+    n_centres = _n_centres(samples)
     if n_centres < FEWEST_CENTRES:
         raise NotIdentifiableError(
             f"{len(samples)} samples are too few to separate task and null-space part: at least "
-            f"{FEWEST_CENTRES * RESIDUALS_PER_PARAMETER} are needed, and many more are better",
+            f"{FEWEST_CENTRES * SAMPLES_PER_CENTRE} are needed, and many more are better",
             code="too-few-samples",
         )
     every = -(-len(samples) // SEPARATION_LIMIT)
-    separation = separate(x[::every], samples.u[::every], RadialModel(x, n_centres, rng))
-    w = separation(x)
+    beta = radial(samples.x, n_centres, rng)(samples)
+    weights, cost = separate(beta[::every], samples.u[::every])
+    w = beta @ weights
     if float(np.mean(w**2)) * samples.nv < STILL_ENERGY * samples.energy:
         raise NotIdentifiableError(
             "the separation finds no null-space motion: what is left of the motion after the task is nothing to learn "
             "from" + advice("; use {}", "estimator='joint'", "--estimator joint"),
             code="no-null-motion",
         )
-    return separation, dataclasses.replace(samples, u=w)
+    return dataclasses.replace(samples, u=w), cost
