@@ -16,17 +16,13 @@ from manip_learn.constraint.selection_in_words import describe, free_directions
 from manip_learn.errors import NotIdentifiableError, RecordingError
 from manip_learn.learning import ConstraintLearner
 from manip_learn.learning.answer import Answer, Candidate, doubts_of_estimate
+from manip_learn.learning.checks import check_fastest, check_postures, check_samples
 from manip_learn.learning.estimators.estimate import Estimate, GapTable, gaps_of_levels, gaps_of_residuals
 from manip_learn.learning.estimators.null_space import fit_null_space, levels
 from manip_learn.learning.estimators.policy_model import PolynomialModel
 from manip_learn.learning.estimators.variable_projection import fit_joint, scores
 from manip_learn.learning.recombination import RowEvidence
-from manip_learn.learning.samples import (
-    Samples,
-    check_fastest,
-    check_postures,
-    check_samples,
-)
+from manip_learn.learning.samples import Samples
 from manip_learn.linalg import orthonormal_rows, row_space_angle
 from manip_learn.recordings.demonstrations import Demonstrations
 from manip_learn.recordings.trajectory import Trajectory

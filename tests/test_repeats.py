@@ -14,7 +14,7 @@ from task_sets import arm, generated
 import manip_learn as ml
 from manip_learn.errors import NotIdentifiableError
 from manip_learn.learning.explanation.evidence import Stretch
-from manip_learn.learning.explanation.findings import IN_ONE_ONLY, Findings
+from manip_learn.learning.explanation.findings import IN_ONE_ONLY, Findings, Part
 from manip_learn.learning.repeats import IndependentRecordings
 from manip_learn.learning.report import advise
 from manip_learn.recordings.demonstrations import Demonstrations
@@ -144,8 +144,8 @@ def advised(n: int, phases: str = "auto", findings: Findings | None = None, **re
     recordings = IndependentRecordings.of(Demonstrations(made))
     features = ml.CustomFeatures(lambda q: np.eye(3), ("x", "y", "z"), 3)
     said = NotIdentifiableError("no row is held", **{"code": "weak-gap", **refusal})
-    given = (recordings.demonstrations, [features], findings or Findings(()))
-    return advise(said, *given, recordings=recordings, phases=phases)
+    everything = Part.of_all(recordings.demonstrations, [features])
+    return advise(said, everything, findings or Findings(()), recordings=recordings, phases=phases)
 
 
 def test_advice_names_each_likely_cause():

@@ -17,6 +17,7 @@ from manip_learn.constraint.features.frame_jacobian import FrameJacobian
 from manip_learn.constraint.features.mechanism_rows import MechanismRows, PlaceRows
 from manip_learn.errors import NotIdentifiableError, advice, counted, number_if_known
 from manip_learn.learning.arm_errors import AS_DESCRIBED, ArmErrors
+from manip_learn.learning.checks import check_samples
 from manip_learn.learning.estimators.estimate import (
     CLEAR_GAP,
     EQUALLY_GOOD,
@@ -30,7 +31,7 @@ from manip_learn.learning.estimators.null_space import estimate_null_space, leve
 from manip_learn.learning.explanation.findings import Findings, Part
 from manip_learn.learning.mechanisms.find_mechanism import BLIND, MechanismFit, find_mechanism
 from manip_learn.learning.recombination import BELIEVED_STRENGTH, RowEvidence, recombination_test
-from manip_learn.learning.samples import Samples, check_fastest, check_samples
+from manip_learn.learning.samples import Samples
 from manip_learn.linalg import one_thread
 from manip_learn.recordings.demonstrations import Demonstrations
 from manip_learn.recordings.trajectory import evenly
@@ -85,9 +86,7 @@ class Candidate:
     rng: np.random.Generator
 
 
-def learn_best(
-    feature_maps: Sequence[FeatureMap], demonstrations: Demonstrations, settings: LearnerSettings
-) -> Candidate:
+def learn_best(feature_maps: Sequence[FeatureMap], part: Part, settings: LearnerSettings) -> Candidate:
     """An estimate with each feature map; the first, unless the gap of a later one is larger by more than chance.
 
     Raises:
@@ -96,11 +95,10 @@ def learn_best(
     """
     best: Candidate | None = None
     refusals: list[NotIdentifiableError] = []
-    check_fastest(demonstrations)
     for features in feature_maps:
         try:
-            samples = Samples.collect(features, demonstrations)
-            warnings = check_samples(samples, demonstrations.joint_names, settings.n_constraints)
+            samples = Samples.collect(features, part.table)
+            warnings = check_samples(samples, part.demonstrations.joint_names, settings.n_constraints)
             # rows held beyond doubt: the same motion is not self-imposed in other features
             is_held = best is not None and best.estimate.is_held
             if best is not None and (is_held and settings.estimator == "auto" or settings.estimator == "null-space"):
@@ -282,7 +280,7 @@ def find_answers(findings: Findings, everything: Part, settings: LearnerSettings
     if settings.estimator == "auto" and not confirmed and not best.candidate.estimate.is_held:
         # rows that are moved on purpose, if a model of the null-space policy explains all recordings better
         with suppress(NotIdentifiableError):
-            imposed = learn_best(everything.feature_maps, everything.demonstrations, settings)
+            imposed = learn_best(everything.feature_maps, everything, settings)
             if imposed.estimate.name == "joint":
                 answer = Answer(everything, imposed, None, None, ())
                 return [answer], dataclasses.replace(findings, parts=(everything,), free=(), odd=(), unlearnt=())
@@ -324,10 +322,10 @@ def _explained(part: Part, settings: LearnerSettings) -> Answer:
     elif asked is None and isinstance(features, PlaceRows):
         features, n = _straight(mechanism, part) or (features, n)
     held = dataclasses.replace(settings, estimator="null-space", n_constraints=asked or n)
-    candidate = learn_best((features,), part.demonstrations, held)
+    candidate = learn_best((features,), part, held)
     if isinstance(features, PlaceRows) and candidate.estimate.table.verdict(candidate.estimate.n_rows) == "none":
         # a contact that gives way does not determine few rows among many: plainer ones it does
-        candidate = learn_best(part.asked, part.demonstrations, held)
+        candidate = learn_best(part.asked, part, held)
     if evidence is None or candidate.samples.features is not rows:
         evidence = _evidence(candidate.samples.features, part, settings)
     return Answer(part, candidate, evidence, mechanism, _doubts(evidence, candidate.estimate.n_rows, asked))
@@ -351,7 +349,7 @@ def _undivided(part: Part, settings: LearnerSettings, *, elsewhere: bool) -> Ans
     Raises:
         NotIdentifiableError: There is none.
     """
-    candidate = learn_best(part.feature_maps, part.demonstrations, settings)
+    candidate = learn_best(part.feature_maps, part, settings)
     if candidate.estimate.name != "null-space":
         return Answer(part, candidate, None, None, ())
     evidence, s = _evidence(candidate.samples.features, part, settings), candidate.estimate.n_rows

@@ -24,15 +24,14 @@ from manip_learn.errors import (
 )
 from manip_learn.learning.answer import EstimatorName, LearnerSettings, find_answers
 from manip_learn.learning.arm_errors import ArmErrors
+from manip_learn.learning.checks import check_fastest, refuse_noise, refuse_still_hand
 from manip_learn.learning.choosing import MOST_SAMPLES, Choice, choose_from, few_of
 from manip_learn.learning.explanation.evidence import SWITCH_NATS, BeforeSmoothing
-from manip_learn.learning.explanation.findings import Findings, find, unexplained
+from manip_learn.learning.explanation.findings import Findings, Part, find
 from manip_learn.learning.recombination import BELIEVED_STRENGTH
 from manip_learn.learning.repeats import IndependentRecordings
 from manip_learn.learning.report import LearningReport, RecordingOverview, advise, build_report
-from manip_learn.learning.samples import check_fastest, refuse_noise
 from manip_learn.learning.skill import skill_of
-from manip_learn.learning.still_hand import refuse_still_hand
 from manip_learn.learning.uncertainty import mu_within_place, uncertainty_of
 from manip_learn.linalg import one_thread
 from manip_learn.recordings.demonstrations import Demonstrations
@@ -254,22 +253,18 @@ class ConstraintLearner:
             refuse_still_hand(self._feature_maps[0], demonstrations)
             demonstrations, every = few_of(demonstrations, self.most_samples)
             recordings = recordings.every(every)
-            (everyone,) = unexplained(demonstrations, self._feature_maps).parts
-            findings = Findings((everyone,))
+            source = BeforeSmoothing(demonstrations, recordings.demonstrations)
+            everything = Part.of_all(demonstrations, self._feature_maps, source)
+            findings = Findings((everything,))
             if self.estimator not in ("joint", "separate"):
                 findings = find(
-                    demonstrations,
-                    self._feature_maps,
+                    everything,
                     np.random.default_rng(self.seed),
                     switch=self.switch if self.phases == "auto" else math.inf,
                     mechanisms=self.mechanism == "auto" and self.n_constraints is None,
                     strength=self.strength,
                 )
-            recorded = recordings.demonstrations
-            source = BeforeSmoothing(demonstrations, recorded)
-            parts = tuple(dataclasses.replace(part, source=source) for part in findings.parts)
-            warnings = (*recordings.warnings, *findings.warnings)
-            findings = dataclasses.replace(findings, parts=parts, warnings=warnings)
+            findings = dataclasses.replace(findings, warnings=(*recordings.warnings, *findings.warnings))
             arm = ArmErrors(math.radians(self.zeros), 1e-3 * self.links)
             try:
                 settings = LearnerSettings(
@@ -282,11 +277,9 @@ class ConstraintLearner:
                     habits=self.habits,
                     arm=arm,
                 )
-                answers, findings = find_answers(findings, everyone, settings)
+                answers, findings = find_answers(findings, everything, settings)
             except NotIdentifiableError as refusal:
-                why = advise(
-                    refusal, demonstrations, self._feature_maps, findings, recordings=recordings, phases=self.phases
-                )
+                why = advise(refusal, everything, findings, recordings=recordings, phases=self.phases)
                 raise why from refusal
             overview = RecordingOverview.of(answers, findings, recordings)
             learnt = []

@@ -11,7 +11,6 @@ from typing import Any, NamedTuple, final
 import numpy as np
 
 from manip_learn.constraint.constraint import Constraint
-from manip_learn.constraint.features.feature_map import FeatureMap
 from manip_learn.constraint.features.frame_jacobian import FrameJacobian
 from manip_learn.constraint.features.mechanism_rows import MechanismRows
 from manip_learn.constraint.intention import intention_of
@@ -29,12 +28,13 @@ from manip_learn.errors import (
     printable,
 )
 from manip_learn.learning.answer import Answer
+from manip_learn.learning.checks import REST_SPEED, energy_shares
 from manip_learn.learning.estimators.estimate import CLEAR_GAP
 from manip_learn.learning.explanation.evidence import Stretch
-from manip_learn.learning.explanation.findings import IN_ONE_ONLY, Findings, held_throughout
+from manip_learn.learning.explanation.findings import IN_ONE_ONLY, Findings, Part, held_throughout
 from manip_learn.learning.recombination import FEWEST_TRAJECTORIES, RowSupport
 from manip_learn.learning.repeats import IndependentRecordings
-from manip_learn.learning.samples import REST_SPEED, STILL_ENERGY, energy_shares
+from manip_learn.learning.samples import STILL_ENERGY
 from manip_learn.learning.uncertainty import PARTS, Uncertainty, in_words, total_deg
 from manip_learn.recordings.demonstrations import Demonstrations, distinct_names
 from manip_learn.recordings.trajectory import evenly
@@ -401,8 +401,7 @@ def _few_notes(notes: tuple[str, ...]) -> tuple[str, ...]:
 
 def advise(
     refusal: NotIdentifiableError,
-    demonstrations: Demonstrations,
-    feature_maps: Sequence[FeatureMap],
+    everything: Part,
     findings: Findings,
     *,
     recordings: IndependentRecordings,
@@ -414,6 +413,7 @@ def advise(
     """
     if refusal.code not in ADVISED:
         return _advised(refusal, (), recordings.warnings) if recordings.warnings else refusal
+    demonstrations = everything.demonstrations
     n, wanted = len(recordings.demonstrations), f"record at least {FEWEST_TRAJECTORIES}, better 5, that differ"
     speed = max((float(np.max(np.abs(t.u))) for t in demonstrations if t.u is not None), default=0.0)
     few = f"{wanted} in way and posture, not {counted(n, 'recording')}"
@@ -422,7 +422,7 @@ def advise(
         *([few] if n < FEWEST_TRAJECTORIES else []),
         *lone_contacts(findings, recordings),
         *_several_phases(findings, demonstrations, phases),
-        *_other_rows(demonstrations, feature_maps),
+        *_other_rows(everything),
         *_still_joints(demonstrations),
         *([slow] if speed < REST_SPEED else []),
     ]
@@ -481,16 +481,16 @@ def _places(findings: Findings, recordings: IndependentRecordings) -> list[str]:
     return [f"{what}: {spans}"] if spans else []
 
 
-def _other_rows(demonstrations: Demonstrations, feature_maps: Sequence[FeatureMap]) -> list[str]:
+def _other_rows(everything: Part) -> list[str]:
     """Whether rows that were not asked for are held."""
-    first = feature_maps[0]
-    if not isinstance(first, FrameJacobian) or len(demonstrations) < 2:
+    first = everything.asked[0]
+    if not isinstance(first, FrameJacobian) or len(everything.demonstrations) < 2:
         return []
-    tried = {(f.row_names, f.reference) for f in feature_maps if isinstance(f, FrameJacobian)}
+    tried = {(f.row_names, f.reference) for f in everything.asked if isinstance(f, FrameJacobian)}
     for axes in ("xyz", "rotation", "pose"):
         for reference in ("world", "local"):
             other = FrameJacobian(first.robot, first.frame.name, axes, reference)
-            if (other.row_names, reference) not in tried and held_throughout([other], demonstrations.trajectories):
+            if (other.row_names, reference) not in tried and held_throughout([other], everything.table):
                 python, flags = f"axes={axes!r}, reference={reference!r}", f"--axes {axes} --reference {reference}"
                 return [f"try other rows{advice(', {}', python, flags)}, with which one constraint does fit"]
     return []
