@@ -43,6 +43,7 @@ from manip_learn.learning.explanation.row_motion import (
     views_of,
 )
 from manip_learn.learning.recombination import BELIEVED_STRENGTH, FEWEST_TRAJECTORIES, recombination_test
+from manip_learn.learning.repeats import once_each
 from manip_learn.learning.samples import Table
 from manip_learn.recordings.demonstrations import Demonstrations
 from manip_learn.recordings.trajectory import Trajectory
@@ -345,7 +346,9 @@ class _Recombination:
         stretches, pieces = pieces_of(self.table, [s for s, good in zip(shown, still, strict=True) if good])
         recordings = {s.trajectory for s in stretches}
         enough = len(recordings) >= min(2, len(self.table.recordings))
-        return enough and self._confirmed(view, h, stretches, pieces.recordings, len(recordings))
+        chosen = once_each(stretches, pieces.recordings) if enough else []
+        stretches, shown = [stretches[k] for k in chosen], [pieces.recordings[k] for k in chosen]
+        return enough and self._confirmed(view, h, stretches, shown, len(recordings))
 
     def of_one(self, view: View, h: Hypothesis, stretch: Stretch) -> bool:
         """Whether the parts of a single stretch confirm the hypothesis beyond doubt, each as a recording would."""
