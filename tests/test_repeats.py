@@ -199,7 +199,7 @@ def advised(n: int, phases: str = "auto", findings: Findings | None = None, **re
     features = ml.CustomFeatures(lambda q: np.eye(3), ("x", "y", "z"), 3)
     said = NotIdentifiableError("no row is held", **{"code": "weak-gap", **refusal})
     everything = Part.of_all(recordings.demonstrations, [features])
-    return advise(said, everything, findings or Findings(()), recordings=recordings, phases=phases)
+    return advise(said, everything, findings or Findings(()), lambda rows: True, recordings=recordings, phases=phases)
 
 
 def test_advice_names_each_likely_cause():

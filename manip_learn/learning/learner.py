@@ -6,6 +6,7 @@ import dataclasses
 import math
 import time
 from collections.abc import Sequence
+from contextlib import suppress
 from typing import TYPE_CHECKING, Any, Literal, final, get_args
 
 import numpy as np
@@ -241,7 +242,7 @@ class ConstraintLearner:
         )
 
     def _learn(self, given: Demonstrations) -> None:
-        """What repeats counts once -> what explains it -> a constraint for each part -> report."""
+        """What repeats counts once -> one table -> what explains it -> a constraint for each part -> reports."""
         with one_thread():
             started = time.perf_counter()
             recordings = IndependentRecordings.of(given)
@@ -255,31 +256,31 @@ class ConstraintLearner:
             recordings = recordings.every(every)
             source = BeforeSmoothing(demonstrations, recordings.demonstrations)
             everything = Part.of_all(demonstrations, self._feature_maps, source)
-            findings = Findings((everything,))
-            if self.estimator not in ("joint", "separate"):
-                findings = find(
-                    everything,
-                    np.random.default_rng(self.seed),
-                    switch=self.switch if self.phases == "auto" else math.inf,
-                    mechanisms=self.mechanism == "auto" and self.n_constraints is None,
-                    strength=self.strength,
-                )
-            findings = dataclasses.replace(findings, warnings=(*recordings.warnings, *findings.warnings))
             arm = ArmErrors(math.radians(self.zeros), 1e-3 * self.links)
+            settings = LearnerSettings(
+                self.n_constraints,
+                self.estimator,
+                self.policy_model,
+                self.seed,
+                mechanism=self.mechanism == "auto",
+                strength=self.strength,
+                habits=self.habits,
+                arm=arm,
+            )
+            findings = self._explained(everything)
+            findings = dataclasses.replace(findings, warnings=(*recordings.warnings, *findings.warnings))
             try:
-                settings = LearnerSettings(
-                    self.n_constraints,
-                    self.estimator,
-                    self.policy_model,
-                    self.seed,
-                    mechanism=self.mechanism == "auto",
-                    strength=self.strength,
-                    habits=self.habits,
-                    arm=arm,
-                )
                 answers, findings = find_answers(findings, everything, settings)
             except NotIdentifiableError as refusal:
-                why = advise(refusal, everything, findings, recordings=recordings, phases=self.phases)
+
+                def fits(rows: FeatureMap) -> bool:
+                    other = dataclasses.replace(everything, feature_maps=(rows,), asked=(rows,))
+                    found = self._explained(other)
+                    with suppress(NotIdentifiableError):
+                        return found.explained and bool(find_answers(found, other, settings)[0])
+                    return False
+
+                why = advise(refusal, everything, findings, fits, recordings=recordings, phases=self.phases)
                 raise why from refusal
             overview = RecordingOverview.of(answers, findings, recordings)
             learnt = []
@@ -294,6 +295,18 @@ class ConstraintLearner:
             self.constraints_, self.reports_ = zip(*learnt, strict=True)
             self.constraint_, self.report_ = learnt[0]
             self.skill_ = skill_of(self.constraints_, answers)
+
+    def _explained(self, everything: Part) -> Findings:
+        """What explains the recordings; everything is one part where the demonstrator is said to impose the rows."""
+        if self.estimator in ("joint", "separate"):
+            return Findings((everything,))
+        return find(
+            everything,
+            np.random.default_rng(self.seed),
+            switch=self.switch if self.phases == "auto" else math.inf,
+            mechanisms=self.mechanism == "auto" and self.n_constraints is None,
+            strength=self.strength,
+        )
 
     @property
     def _empty(self) -> Choice:

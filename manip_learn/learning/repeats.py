@@ -95,11 +95,10 @@ class IndependentRecordings:
         paths = [_Path(t) for t in given]
         chains, names, said = _chains(paths), distinct_names(given), list[str]()
         whole = [joined_pieces(given.trajectories, chain) for chain in chains]
-        for k, chain in enumerate(chains):
+        for chain in chains:
             numbers = [i for i, _ in chain]
             run = len(chain) > 2 and numbers == list(range(numbers[0], numbers[-1] + 1))
             text = f"{names[numbers[0]]} to {names[numbers[-1]]}" if run else listed(names[i] for i in numbers)
-            whole[k] = whole[k] if len(chains) == len(given) else dataclasses.replace(whole[k], name=text)
             said += [text]
         warnings = [
             f"{text} are pieces of one recording, each goes on where another ends; they count once"
@@ -121,7 +120,7 @@ class IndependentRecordings:
                 whole[i] = whole[i].part(slice(known[0]))
         if not warnings:
             return IndependentRecordings(given, chains, given)
-        demonstrations = Demonstrations([whole[i] for i in kept], given.notes)
+        demonstrations = Demonstrations([dataclasses.replace(whole[i], name=said[i]) for i in kept], given.notes)
         return IndependentRecordings(demonstrations, tuple(chains[i] for i in kept), given, tuple(warnings))
 
     def every(self, step: int) -> IndependentRecordings:

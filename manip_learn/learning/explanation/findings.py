@@ -257,6 +257,11 @@ class Findings:
     refused: tuple[Stretch, ...] = ()
     elsewhere: bool = False
 
+    @property
+    def held(self) -> list[Stretch]:
+        """Stretches in which rows are held."""
+        return [s for part in self.parts for s in part.stretches] if self.explained else []
+
 
 def find(
     everything: Part,
