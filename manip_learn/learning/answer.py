@@ -31,6 +31,7 @@ from manip_learn.learning.estimators.null_space import estimate_null_space, leve
 from manip_learn.learning.explanation.findings import Findings, Part
 from manip_learn.learning.mechanisms.find_mechanism import BLIND, MechanismFit, find_mechanism
 from manip_learn.learning.recombination import BELIEVED_STRENGTH, RowEvidence, recombination_test
+from manip_learn.learning.repeats import once_each
 from manip_learn.learning.samples import Samples
 from manip_learn.linalg import one_thread
 from manip_learn.recordings.demonstrations import Demonstrations
@@ -372,8 +373,8 @@ def _undivided(part: Part, settings: LearnerSettings, *, elsewhere: bool) -> Ans
 
 
 def _evidence(features: FeatureMap, part: Part, settings: LearnerSettings) -> RowEvidence:
-    rng = np.random.default_rng(settings.seed)
-    return recombination_test(features, part.demonstrations, rng, part.choices, settings.strength)
+    pieces = [part.demonstrations[k] for k in once_each(part.stretches, part.demonstrations)]
+    return recombination_test(features, pieces, np.random.default_rng(settings.seed), part.choices, settings.strength)
 
 
 def _doubts(evidence: RowEvidence, s: int, asked: int | None) -> tuple[str, ...]:
