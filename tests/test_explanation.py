@@ -25,7 +25,7 @@ from manip_learn.learning.explanation.evidence import (
     sharpened,
     states_of,
 )
-from manip_learn.learning.explanation.findings import Findings, agreeing, find
+from manip_learn.learning.explanation.findings import Findings, Part, agreeing, find
 from manip_learn.learning.explanation.row_motion import (
     RowMotion,
     broken_energy,
@@ -41,7 +41,7 @@ Recordings = tuple[FrameJacobian, list[Trajectory], dict[str, Any]]
 
 def found(made: Recordings, **options: Any) -> Findings:
     features, trajectories, _ = made
-    return find(Demonstrations(trajectories), [features], np.random.default_rng(0), **options)
+    return find(Part.of_all(Demonstrations(trajectories), [features]), np.random.default_rng(0), **options)
 
 
 def test_a_cut_recording_is_one_stretch():

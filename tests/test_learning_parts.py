@@ -16,16 +16,12 @@ from manip_learn.constraint.selection_in_words import describe, free_directions
 from manip_learn.errors import NotIdentifiableError, RecordingError
 from manip_learn.learning import ConstraintLearner
 from manip_learn.learning.answer import Answer, Candidate, doubts_of_estimate
+from manip_learn.learning.checks import check_fastest, check_postures, check_samples
 from manip_learn.learning.estimators.estimate import Estimate, GapTable, gaps_of_levels, gaps_of_residuals
 from manip_learn.learning.estimators.null_space import fit_null_space, levels
 from manip_learn.learning.imposed import Regressors, monomials, without_noise
 from manip_learn.learning.recombination import RowEvidence
-from manip_learn.learning.samples import (
-    Samples,
-    check_fastest,
-    check_postures,
-    check_samples,
-)
+from manip_learn.learning.samples import Samples
 from manip_learn.linalg import orthonormal_rows, row_space_angle
 from manip_learn.recordings.demonstrations import Demonstrations
 from manip_learn.recordings.trajectory import Trajectory
@@ -141,7 +137,9 @@ def test_joint_fit_is_an_optimum(reaching):
     """No small rotation of Lambda lowers the cost, with the policy refitted; the gradients sum to zero."""
     samples, truth = reaching
     affine = [monomials(0), monomials(1)]
-    _, fit = without_noise(samples, orthonormal_rows(truth.selection @ np.linalg.pinv(samples.whitening)), [("", affine)])
+    _, fit = without_noise(
+        samples, orthonormal_rows(truth.selection @ np.linalg.pinv(samples.whitening)), [("", affine)]
+    )
     rng = np.random.default_rng(4)
     for _ in range(5):
         turned = orthonormal_rows(fit.Lambda + 1e-3 * rng.standard_normal(fit.Lambda.shape))

@@ -1,4 +1,4 @@
-"""Copies, replays and pieces of one recording are evidence once; recordings of their own count each."""
+"""Copies, replays, rounds and pieces of one recording are evidence once; recordings of their own count each."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from task_sets import arm, generated
 import manip_learn as ml
 from manip_learn.errors import NotIdentifiableError
 from manip_learn.learning.explanation.evidence import Stretch
-from manip_learn.learning.explanation.findings import IN_ONE_ONLY, Findings
+from manip_learn.learning.explanation.findings import IN_ONE_ONLY, Findings, Part
 from manip_learn.learning.repeats import IndependentRecordings
 from manip_learn.learning.report import advise
 from manip_learn.recordings.demonstrations import Demonstrations
@@ -122,6 +122,60 @@ def test_demonstrations_of_their_own_count_each(kind: str, robot: str, noise: fl
         assert found.demonstrations is given and not found.warnings
 
 
+def excitation(seed: int, periods: float, noise: float = 1e-4) -> tuple[ml.Robot, ml.Trajectory]:
+    """A programmed motion in the air, of some periods of 12 s, with noise."""
+    robot, rng = arm("panda"), np.random.default_rng(seed)
+    t, n = np.arange(0.0, 12.0 * periods, 0.01), len(robot.joint_names)
+    phases = [np.outer(2.0 * np.pi * k / 12.0 * t, np.ones(n)) for k in range(1, 6)]
+    q = sum(rng.normal(size=n) / k * np.sin(x) + rng.normal(size=n) / k * np.cos(x) for k, x in enumerate(phases, 1))
+    reach = 0.38 * (robot.position_upper - robot.position_lower) / np.abs(q).max(axis=0)
+    q = q * reach + 0.5 * (robot.position_lower + robot.position_upper)
+    return robot, ml.Trajectory(t, q + rng.normal(0.0, noise, q.shape), None, robot.joint_names, "calibration")
+
+
+@pytest.mark.parametrize("periods", [1.3, 2.2, 3.0])
+@pytest.mark.parametrize("noise", [0.0, 1e-3])
+def test_what_goes_round_in_one_file_counts_once(periods: float, noise: float):
+    """Its first period is kept, whatever the noise; one period and what is not quite one are kept whole."""
+    found = IndependentRecordings.of(Demonstrations([excitation(3, periods, noise)[1]]))
+    assert found.demonstrations[0].duration == pytest.approx(12.0, abs=0.5)
+    assert [w.partition(" from 1")[0] for w in found.warnings] == ["calibration repeats itself"]
+    for once in (0.9, 1.0):
+        given = Demonstrations([excitation(3, once, noise)[1]])
+        assert IndependentRecordings.of(given).demonstrations is given
+
+
+def there_and_back(rng: np.random.Generator, strokes: int) -> ml.Trajectory:
+    """A programmed motion in the air along a curve of its own, again and again, 4 s a stroke."""
+    robot, t = arm("panda"), np.arange(0.0, 4.0 * strokes, 0.01)
+    low, high = robot.position_lower, robot.position_upper
+    a, b, c = (rng.uniform(low + 0.2 * (high - low), high - 0.2 * (high - low)) for _ in range(3))
+    s = 0.5 - 0.5 * np.cos(np.pi * t / 4.0)[:, None]
+    q = (1 - s) ** 2 * a + 2 * s * (1 - s) * c + s**2 * b
+    return ml.Trajectory(t, q + rng.normal(0.0, 1e-4, q.shape), None, robot.joint_names, "reach")
+
+
+@pytest.mark.parametrize("what", ["round", "there and back", "three there and back"])
+def test_free_motion_that_repeats_itself_in_one_file_is_refused(what: str):
+    """The same stretch twice is no evidence that anything is held. The round was once a plane with gap 367, the way
+    there and back a sphere with gap 215, and three of them a sphere with gap 711.
+    """
+    features = [ml.FrameJacobian(arm("panda"), "panda_hand", "xyz", reference) for reference in ("world", "local")]
+    rng = np.random.default_rng(2 if what == "there and back" else 1)
+    motions = [excitation(3, 2.2)[1]] if what == "round" else [there_and_back(rng, 2)]
+    if what.startswith("three"):
+        rng = np.random.default_rng(1)
+        motions = [there_and_back(rng, 3) for _ in range(3)]
+    with pytest.raises(NotIdentifiableError):
+        ml.ConstraintLearner(features).fit(motions)
+
+
+def test_a_drawer_that_is_opened_and_shut_counts_whole(drawers):
+    """The way back of a hand at work is left to it, also of an arm that can go one way only, and in all recordings."""
+    given = Demonstrations(generated("drawer_firm", "ur5", 20000, 6, False)[1])
+    assert IndependentRecordings.of(given).demonstrations is given
+
+
 def test_recordings_that_begin_at_rest_where_the_last_one_ended_count_each():
     """An arm that is left where it stopped, and postures at random, are no pieces of one recording."""
     share = np.linspace(0.0, 1.0, 200)[:, None]
@@ -144,8 +198,8 @@ def advised(n: int, phases: str = "auto", findings: Findings | None = None, **re
     recordings = IndependentRecordings.of(Demonstrations(made))
     features = ml.CustomFeatures(lambda q: np.eye(3), ("x", "y", "z"), 3)
     said = NotIdentifiableError("no row is held", **{"code": "weak-gap", **refusal})
-    given = (recordings.demonstrations, [features], findings or Findings(()))
-    return advise(said, *given, recordings=recordings, phases=phases)
+    everything = Part.of_all(recordings.demonstrations, [features])
+    return advise(said, everything, findings or Findings(()), lambda rows: True, recordings=recordings, phases=phases)
 
 
 def test_advice_names_each_likely_cause():

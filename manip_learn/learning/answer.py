@@ -21,6 +21,7 @@ from manip_learn.constraint.features.frame_jacobian import FrameJacobian
 from manip_learn.constraint.features.mechanism_rows import MechanismRows, PlaceRows
 from manip_learn.errors import NotIdentifiableError, advice, counted, listed, number_if_known
 from manip_learn.learning.arm_errors import AS_DESCRIBED, ArmErrors
+from manip_learn.learning.checks import check_samples
 from manip_learn.learning.estimators.estimate import (
     CLEAR_GAP,
     EQUALLY_GOOD,
@@ -30,11 +31,12 @@ from manip_learn.learning.estimators.estimate import (
     gaps_of_levels,
 )
 from manip_learn.learning.estimators.null_space import estimate_null_space, levels
-from manip_learn.learning.explanation.evidence import Stretch, pieces_of
+from manip_learn.learning.explanation.evidence import Stretch
 from manip_learn.learning.explanation.findings import DISAGREES, LONGEST_SLIP_SECONDS, NEARLY_SAME_DEG, Findings, Part
 from manip_learn.learning.mechanisms.find_mechanism import BLIND, MechanismFit, find_curve, find_mechanism
 from manip_learn.learning.recombination import BELIEVED_STRENGTH, RowEvidence, recombination_test
-from manip_learn.learning.samples import Samples, check_fastest, check_samples
+from manip_learn.learning.repeats import once_each
+from manip_learn.learning.samples import Samples
 from manip_learn.linalg import one_thread, row_space_angle
 from manip_learn.recordings.demonstrations import Demonstrations
 from manip_learn.recordings.trajectory import evenly
@@ -89,9 +91,7 @@ class Candidate:
     rng: np.random.Generator
 
 
-def learn_best(
-    feature_maps: Sequence[FeatureMap], demonstrations: Demonstrations, settings: LearnerSettings
-) -> Candidate:
+def learn_best(feature_maps: Sequence[FeatureMap], part: Part, settings: LearnerSettings) -> Candidate:
     """An estimate with each feature map; the first, unless the gap of a later one is larger by more than chance.
 
     Raises:
@@ -100,11 +100,10 @@ def learn_best(
     """
     best: Candidate | None = None
     refusals: list[NotIdentifiableError] = []
-    check_fastest(demonstrations)
     for features in feature_maps:
         try:
-            samples = Samples.collect(features, demonstrations)
-            warnings = check_samples(samples, demonstrations.joint_names, settings.n_constraints)
+            samples = Samples.collect(features, part.table)
+            warnings = check_samples(samples, part.demonstrations.joint_names, settings.n_constraints)
             # rows held beyond doubt: the same motion is not self-imposed in other features
             is_held = best is not None and best.estimate.is_held
             if best is not None and (is_held and settings.estimator == "auto" or settings.estimator == "null-space"):
@@ -298,7 +297,7 @@ def find_answers(findings: Findings, everything: Part, settings: LearnerSettings
     if settings.estimator == "auto" and not confirmed and not best.candidate.estimate.is_held:
         # rows that are moved on purpose, if a model of the null-space policy explains all recordings better
         with suppress(NotIdentifiableError):
-            imposed = learn_best(everything.feature_maps, everything.demonstrations, settings)
+            imposed = learn_best(everything.feature_maps, everything, settings)
             if imposed.estimate.name == "joint":
                 answer = Answer(everything, imposed, None, None, ())
                 return [answer], dataclasses.replace(findings, parts=(everything,), free=(), odd=(), unlearnt=())
@@ -370,14 +369,14 @@ def _by_place(parts: Sequence[Part], settings: LearnerSettings) -> tuple[list[_L
         several = len(set(recordings)) > 1  # else the stretches of the only one count as such
         shared = [group for group in places if len({recordings[i] for i in group} if several else group) > 1]
         if 2 * sum(map(len, shared)) > sum(map(len, places)):
-            waiting[:0] = [_with_own_rows(part.chosen(group)) for group in shared]
+            waiting[:0] = [_with_own_rows(part.of([part.stretches[i] for i in group])) for group in shared]
             alone += [part.stretches[i] for group in places if group not in shared for i in group]
         elif found is not None and places:
             for other in [x for x in waiting if _same_rows(part, x)]:
                 waiting.remove(other)
-                part = part.joined(other)
+                part = part.of((*part.stretches, *other.stretches))
             last = max(s.trajectory for s in part.stretches)
-            example = _with_own_rows(part.chosen([i for i, s in enumerate(part.stretches) if s.trajectory == last]))
+            example = _with_own_rows(part.of([s for s in part.stretches if s.trajectory == last]))
             there = _mechanism(example, settings)
             moved = (
                 f"{found.reason}; it was moved between recordings, and is learnt as it stood in "
@@ -408,17 +407,17 @@ def _as_one_curve(located: list[_Located]) -> list[_Located]:
     inside = [x for x in located if all(_within(s, longest) for s in x.part.stretches) and x.mechanism is not None]
     if len(inside) < 2 or (source := inside[0].part.source) is None:
         return located
-    stretches, pieces = pieces_of(source.derived.trajectories, tuple(longest.values()))
+    whole = inside[0].part.of(tuple(longest.values()))
     seconds = [sum(s.duration for s in x.part.stretches) for x in inside]
     variance = np.average([x.mechanism.variance for x in inside if x.mechanism is not None], weights=seconds)
     features = inside[0].part.asked[0]
     if not isinstance(features, FrameJacobian):
         return located
-    found = find_curve(features.robot, features.frame.name, source.of(stretches, pieces), float(variance))
+    found = find_curve(
+        features.robot, features.frame.name, source.of(whole.stretches, whole.demonstrations), float(variance)
+    )
     if found is None:
         return located
-    motion = Demonstrations(pieces, inside[0].part.demonstrations.notes)
-    whole = dataclasses.replace(inside[0].part, demonstrations=motion, stretches=tuple(stretches))
     return [_Located(whole, found), *(x for x in located if x not in inside)]
 
 
@@ -438,7 +437,7 @@ def _with_own_rows(part: Part) -> Part:
     """The part with as many rows as it has, those that its own motion uses least."""
     if part.found is None:
         return part
-    samples = Samples.collect(part.feature_maps[0], part.demonstrations)
+    samples = Samples.collect(part.feature_maps[0], part.table)
     return dataclasses.replace(part, found=samples.selection(levels(samples)[1][: len(part.found)]))
 
 
@@ -458,10 +457,10 @@ def _explained(located: _Located, settings: LearnerSettings) -> Answer:
     elif asked is None and isinstance(features, PlaceRows):
         features, n = _straight(mechanism, part) or (features, n)
     held = dataclasses.replace(settings, estimator="null-space", n_constraints=asked or n)
-    candidate = learn_best((features,), there.demonstrations, held)
+    candidate = learn_best((features,), there, held)
     if isinstance(features, PlaceRows) and candidate.estimate.table.verdict(candidate.estimate.n_rows) == "none":
         # a contact that gives way does not determine few rows among many: plainer ones it does
-        candidate = learn_best(part.asked, there.demonstrations, held)
+        candidate = learn_best(part.asked, there, held)
     if evidence is None or candidate.samples.features is not rows:
         evidence = _evidence(candidate.samples.features, part, settings)
     return Answer(part, candidate, evidence, mechanism, _doubts(evidence, candidate.estimate.n_rows, asked))
@@ -485,7 +484,7 @@ def _undivided(part: Part, settings: LearnerSettings, *, elsewhere: bool) -> Ans
     Raises:
         NotIdentifiableError: There is none.
     """
-    candidate = learn_best(part.feature_maps, part.demonstrations, settings)
+    candidate = learn_best(part.feature_maps, part, settings)
     if candidate.estimate.name != "null-space":
         return Answer(part, candidate, None, None, ())
     evidence, s = _evidence(candidate.samples.features, part, settings), candidate.estimate.n_rows
@@ -508,8 +507,8 @@ def _undivided(part: Part, settings: LearnerSettings, *, elsewhere: bool) -> Ans
 
 
 def _evidence(features: FeatureMap, part: Part, settings: LearnerSettings) -> RowEvidence:
-    rng = np.random.default_rng(settings.seed)
-    return recombination_test(features, part.demonstrations, rng, part.choices, settings.strength)
+    pieces = [part.demonstrations[k] for k in once_each(part.stretches, part.demonstrations)]
+    return recombination_test(features, pieces, np.random.default_rng(settings.seed), part.choices, settings.strength)
 
 
 def _doubts(evidence: RowEvidence, s: int, asked: int | None) -> tuple[str, ...]:

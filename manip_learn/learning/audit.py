@@ -18,8 +18,8 @@ from scipy.special import stdtrit
 from manip_learn.atomic_write import write_atomically
 from manip_learn.constraint.constraint import Constraint
 from manip_learn.errors import RecordingError, counted
+from manip_learn.learning.checks import REST_SPEED
 from manip_learn.learning.cluster import each_part
-from manip_learn.learning.samples import REST_SPEED
 from manip_learn.linalg import one_thread
 from manip_learn.recordings.demonstrations import Demonstrations
 from manip_learn.recordings.earned_velocities import Velocities, used_and_derived

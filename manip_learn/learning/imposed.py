@@ -29,7 +29,6 @@ L^-1 pi, and l less log |L| a sample is the likelihood of the same u.
 from __future__ import annotations
 
 import dataclasses
-import itertools
 import math
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass, field
@@ -380,7 +379,9 @@ class Posterior:
         scale = float(np.mean(samples.u**2))
         self._least = LEAST * scale
         if before is None:
-            self._settle(FIRST_NOISE * scale, np.full(int(regressors.grades.max()) + 1, FIRST_SPREAD * scale), FIRST_UPDATES)
+            self._settle(
+                FIRST_NOISE * scale, np.full(int(regressors.grades.max()) + 1, FIRST_SPREAD * scale), FIRST_UPDATES
+            )
         else:
             self._settle(before.noise, before.variances, UPDATES)
 
@@ -415,7 +416,10 @@ class Posterior:
         penalty = float(np.sum(self.precision * self.theta**2))
         noise = max(noise, self.noise)
         return (
-            self.n_residuals * math.log(noise) + self._solver.log_determinant - log_prior + (self.residual + penalty) / noise
+            self.n_residuals * math.log(noise)
+            + self._solver.log_determinant
+            - log_prior
+            + (self.residual + penalty) / noise
         )
 
     def moved(self, step: Float[np.ndarray, " m"]) -> Posterior:
@@ -443,7 +447,9 @@ class Posterior:
             entries = pairs.T @ shares
             spread = np.empty((len(entries), nv, nv))
             spread[:, v, w] = spread[:, w, v] = entries
-            slopes.append(-np.einsum("nsv,nvw,nwk->nsk", self.at.duals[part], spread, self.at.free[part], optimize=True))
+            slopes.append(
+                -np.einsum("nsv,nvw,nwk->nsk", self.at.duals[part], spread, self.at.free[part], optimize=True)
+            )
         return np.atleast_2d(weights) @ np.concatenate(slopes).reshape(len(beta), -1)
 
     def held_out(self, parts: Sequence[Part]) -> float:
@@ -503,7 +509,9 @@ class Posterior:
         samples = self.samples
         along = samples.u - self.at.project(samples.u)
         lambda_price = 0.5 * s * (r - s) * math.log(len(samples))
-        return _signal_nats(samples, along, s, floor) - 0.5 * self.cost_at_least(floor) - lambda_price + _volume(samples)
+        return (
+            _signal_nats(samples, along, s, floor) - 0.5 * self.cost_at_least(floor) - lambda_price + _volume(samples)
+        )
 
 
 def resolved(samples: Samples) -> float:
@@ -635,9 +643,7 @@ class Search:
         self.enough = ABOVE_NOISE * (floor if n_random == MANY_STARTS else max(noise_in_time(samples), floor))
         beta, affine = self._regressors.values, np.concatenate([np.ones((len(samples), 1)), samples.x], axis=1)
         starts = [conditional_pca(samples, one) for one in (affine, beta) if 2 * one.shape[1] < len(samples)]
-        self.found = {
-            s: self._look(one[:s] for one in starts) for s in range(min(samples.n_rows, samples.nv - 1) + 1)
-        }
+        self.found = {s: self._look(one[:s] for one in starts) for s in range(min(samples.n_rows, samples.nv - 1) + 1)}
         if self.best.noise > self.enough:
             for s, before in self.found.items():
                 random = (rng.standard_normal((s, samples.n_rows)) for _ in range(n_random))
@@ -707,7 +713,11 @@ def models_without_noise(samples: Samples) -> list[tuple[str, list[Grade]]]:
     """Models that may describe a policy exactly, fewest parameters first."""
     names = [POLYNOMIALS[: k + 1] for k in range(1, len(POLYNOMIALS))]
     names += [("constant", "affine", "harmonic1"), ("constant", "affine", "harmonic1", "harmonic2")]
-    models = [(some[-1], [ALL[one] for one in some]) for some in names if len(fitting({one: ALL[one] for one in some}, samples)) == len(some)]
+    models = [
+        (some[-1], [ALL[one] for one in some])
+        for some in names
+        if len(fitting({one: ALL[one] for one in some}, samples)) == len(some)
+    ]
     return sorted(models, key=lambda model: sum(grade(samples).shape[1] for grade in model[1]))
 
 

@@ -6,6 +6,7 @@ import dataclasses
 import math
 import time
 from collections.abc import Sequence
+from contextlib import suppress
 from typing import TYPE_CHECKING, Any, Literal, final, get_args
 
 import numpy as np
@@ -24,15 +25,14 @@ from manip_learn.errors import (
 )
 from manip_learn.learning.answer import EstimatorName, LearnerSettings, find_answers
 from manip_learn.learning.arm_errors import ArmErrors
+from manip_learn.learning.checks import check_fastest, refuse_noise, refuse_still_hand
 from manip_learn.learning.choosing import MOST_SAMPLES, Choice, choose_from, few_of
 from manip_learn.learning.explanation.evidence import SWITCH_NATS, BeforeSmoothing
-from manip_learn.learning.explanation.findings import Findings, find, unexplained
+from manip_learn.learning.explanation.findings import Findings, Part, find
 from manip_learn.learning.recombination import BELIEVED_STRENGTH
 from manip_learn.learning.repeats import IndependentRecordings
 from manip_learn.learning.report import LearningReport, RecordingOverview, advise, build_report
-from manip_learn.learning.samples import check_fastest, refuse_noise
 from manip_learn.learning.skill import skill_of
-from manip_learn.learning.still_hand import refuse_still_hand
 from manip_learn.learning.uncertainty import mu_within_place, uncertainty_of
 from manip_learn.linalg import one_thread
 from manip_learn.recordings.demonstrations import Demonstrations
@@ -242,7 +242,7 @@ class ConstraintLearner:
         )
 
     def _learn(self, given: Demonstrations) -> None:
-        """What repeats counts once -> what explains it -> a constraint for each part -> report."""
+        """What repeats counts once -> one table -> what explains it -> a constraint for each part -> reports."""
         with one_thread():
             started = time.perf_counter()
             recordings = IndependentRecordings.of(given)
@@ -254,39 +254,33 @@ class ConstraintLearner:
             refuse_still_hand(self._feature_maps[0], demonstrations)
             demonstrations, every = few_of(demonstrations, self.most_samples)
             recordings = recordings.every(every)
-            (everyone,) = unexplained(demonstrations, self._feature_maps).parts
-            findings = Findings((everyone,))
-            if self.estimator not in ("joint", "separate"):
-                findings = find(
-                    demonstrations,
-                    self._feature_maps,
-                    np.random.default_rng(self.seed),
-                    switch=self.switch if self.phases == "auto" else math.inf,
-                    mechanisms=self.mechanism == "auto" and self.n_constraints is None,
-                    strength=self.strength,
-                )
-            recorded = recordings.demonstrations
-            source = BeforeSmoothing(demonstrations, recorded)
-            parts = tuple(dataclasses.replace(part, source=source) for part in findings.parts)
-            warnings = (*recordings.warnings, *findings.warnings)
-            findings = dataclasses.replace(findings, parts=parts, warnings=warnings)
+            source = BeforeSmoothing(demonstrations, recordings.demonstrations)
+            everything = Part.of_all(demonstrations, self._feature_maps, source)
             arm = ArmErrors(math.radians(self.zeros), 1e-3 * self.links)
+            settings = LearnerSettings(
+                self.n_constraints,
+                self.estimator,
+                self.policy_model,
+                self.seed,
+                mechanism=self.mechanism == "auto",
+                strength=self.strength,
+                habits=self.habits,
+                arm=arm,
+            )
+            findings = self._explained(everything)
+            findings = dataclasses.replace(findings, warnings=(*recordings.warnings, *findings.warnings))
             try:
-                settings = LearnerSettings(
-                    self.n_constraints,
-                    self.estimator,
-                    self.policy_model,
-                    self.seed,
-                    mechanism=self.mechanism == "auto",
-                    strength=self.strength,
-                    habits=self.habits,
-                    arm=arm,
-                )
-                answers, findings = find_answers(findings, everyone, settings)
+                answers, findings = find_answers(findings, everything, settings)
             except NotIdentifiableError as refusal:
-                why = advise(
-                    refusal, demonstrations, self._feature_maps, findings, recordings=recordings, phases=self.phases
-                )
+
+                def fits(rows: FeatureMap) -> bool:
+                    other = dataclasses.replace(everything, feature_maps=(rows,), asked=(rows,))
+                    found = self._explained(other)
+                    with suppress(NotIdentifiableError):
+                        return found.explained and bool(find_answers(found, other, settings)[0])
+                    return False
+
+                why = advise(refusal, everything, findings, fits, recordings=recordings, phases=self.phases)
                 raise why from refusal
             overview = RecordingOverview.of(answers, findings, recordings)
             learnt = []
@@ -301,6 +295,18 @@ class ConstraintLearner:
             self.constraints_, self.reports_ = zip(*learnt, strict=True)
             self.constraint_, self.report_ = learnt[0]
             self.skill_ = skill_of(self.constraints_, answers)
+
+    def _explained(self, everything: Part) -> Findings:
+        """What explains the recordings; everything is one part where the demonstrator is said to impose the rows."""
+        if self.estimator in ("joint", "separate"):
+            return Findings((everything,))
+        return find(
+            everything,
+            np.random.default_rng(self.seed),
+            switch=self.switch if self.phases == "auto" else math.inf,
+            mechanisms=self.mechanism == "auto" and self.n_constraints is None,
+            strength=self.strength,
+        )
 
     @property
     def _empty(self) -> Choice:

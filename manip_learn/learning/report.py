@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from typing import Any, NamedTuple, final
 
@@ -30,12 +30,12 @@ from manip_learn.errors import (
     printable,
 )
 from manip_learn.learning.answer import Answer
+from manip_learn.learning.checks import REST_SPEED, energy_shares
 from manip_learn.learning.estimators.estimate import CLEAR_GAP
-from manip_learn.learning.explanation.evidence import Stretch
-from manip_learn.learning.explanation.findings import IN_ONE_ONLY, Findings, held_throughout
+from manip_learn.learning.explanation.findings import IN_ONE_ONLY, Findings, Part, held_throughout
 from manip_learn.learning.recombination import FEWEST_TRAJECTORIES, RowSupport
 from manip_learn.learning.repeats import IndependentRecordings
-from manip_learn.learning.samples import REST_SPEED, STILL_ENERGY, energy_shares
+from manip_learn.learning.samples import STILL_ENERGY
 from manip_learn.learning.uncertainty import PARTS, Uncertainty, in_words, total_deg
 from manip_learn.recordings.demonstrations import Demonstrations, distinct_names
 from manip_learn.recordings.trajectory import evenly
@@ -407,29 +407,33 @@ def _few_notes(notes: tuple[str, ...]) -> tuple[str, ...]:
 
 def advise(
     refusal: NotIdentifiableError,
-    demonstrations: Demonstrations,
-    feature_maps: Sequence[FeatureMap],
+    everything: Part,
     findings: Findings,
+    fits: Callable[[FeatureMap], bool],
     *,
     recordings: IndependentRecordings,
     phases: str,
 ) -> NotIdentifiableError:
     """The refusal with its likely causes and the next thing to try for each; others than those of the evidence pass.
 
-    Of the recordings, the independent ones are learnt from; phases are looked for (`"auto"`) or not (`"off"`).
+    Other rows are advised if the recordings fit them (`fits`): if they are answered, as by `ConstraintLearner.fit`. Of
+    the recordings, the independent ones are learnt from; phases are looked for (`"auto"`) or not (`"off"`).
     """
     if refusal.code not in ADVISED:
         return _advised(refusal, (), recordings.warnings) if recordings.warnings else refusal
+    table, names = everything.table, everything.demonstrations.joint_names
     n, wanted = len(recordings.demonstrations), f"record at least {FEWEST_TRAJECTORIES}, better 5, that differ"
-    speed = max((float(np.max(np.abs(t.u))) for t in demonstrations if t.u is not None), default=0.0)
     few = f"{wanted} in way and posture, not {counted(n, 'recording')}"
+    speed, shares = float(np.max(np.abs(table.u))), energy_shares(np.sum(table.u**2, axis=0))
     slow = f"move faster, noise hides a motion in which no joint exceeds {speed:.2g} rad/s"
+    still = [name for name, share in zip(names, shares, strict=True) if share < STILL_ENERGY] if speed else []
+    locked = advice(" ({})", f"load_robot(..., locked={still})", " ".join(f"--lock {name}" for name in still))
     causes = [
         *([few] if n < FEWEST_TRAJECTORIES else []),
         *lone_contacts(findings, recordings),
-        *_several_phases(findings, demonstrations, phases),
-        *_other_rows(demonstrations, feature_maps),
-        *_still_joints(demonstrations),
+        *_several_phases(findings, everything.demonstrations, phases),
+        *_other_rows(everything, fits),
+        *([f"move {named('joint', still)} too, or lock what shall hardly move{locked}"] if still else []),
         *([slow] if speed < REST_SPEED else []),
     ]
     facts = [*recordings.warnings, *_places(findings, recordings)]
@@ -447,70 +451,45 @@ def _advised(refusal: NotIdentifiableError, causes: Sequence[str], facts: Sequen
 
 
 def _several_phases(findings: Findings, demonstrations: Demonstrations, phases: str) -> list[str]:
+    whole = ", since no single constraint fits {} as a whole"
     if phases == "off":
-        return [
-            "cut the recordings to the contact, since no single constraint fits them as a whole"
-            + advice(", or allow {}", "phases='auto'", "--phases auto")
-        ]
+        allowed = advice(", or allow {}", "phases='auto'", "--phases auto")
+        return ["cut the recordings to the contact" + whole.format("them") + allowed]
     spans = {(s.trajectory, s.start, s.end) for s in findings.refused}
     is_whole = all((i, float(t.time[0]), float(t.time[-1])) in spans for i, t in enumerate(demonstrations))
     if findings.unlearnt or is_whole:
         return []
-    if _held(findings):
+    if findings.held:
         return ["cut the recordings more closely to what seems held, each stretch in a file of its own"]
+    how = ("trajectory[start:until]", "--from and --until")
     if len(demonstrations) < 2:
-        return [
-            "cut the recording to the contact"
-            + advice(" with {}", "trajectory[start:until]", "--from and --until")
-            + ", since no single constraint fits it as a whole"
-        ]
-    return [
-        "cut the recordings to the contact"
-        + advice(" ({})", "trajectory[start:until]", "--from and --until")
-        + ", for no stretch of them obeys a constraint that several confirm, as in free motion"
-    ]
-
-
-def _held(findings: Findings) -> list[Stretch]:
-    """Stretches in which rows are held."""
-    return [s for part in findings.parts for s in part.stretches] if findings.explained else []
+        return ["cut the recording to the contact" + advice(" with {}", *how) + whole.format("it")]
+    unconfirmed = ", for no stretch of them obeys a constraint that several confirm, as in free motion"
+    return ["cut the recordings to the contact" + advice(" ({})", *how) + unconfirmed]
 
 
 def _places(findings: Findings, recordings: IndependentRecordings) -> list[str]:
     """Where something seems held, or nearly so: each recording with its times."""
-    held = _held(findings)
     names, times = distinct_names(recordings.given), dict[str, list[str]]()
-    for place in (p for s in held or findings.refused for p in recordings.places(s)):
+    for place in (p for s in findings.held or findings.refused for p in recordings.places(s)):
         times.setdefault(names[place.trajectory], []).append(f"{place.start:.1f} to {place.end:.1f} s")
     spans = ", ".join(f"{name} {listed(of_one)}" for name, of_one in times.items())
-    what = "what seems held" if held else "the likeliest contact, if anything was touched"
+    what = "what seems held" if findings.held else "the likeliest contact, if anything was touched"
     return [f"{what}: {spans}"] if spans else []
 
 
-def _other_rows(demonstrations: Demonstrations, feature_maps: Sequence[FeatureMap]) -> list[str]:
+def _other_rows(everything: Part, fits: Callable[[FeatureMap], bool]) -> list[str]:
     """Whether rows that were not asked for are held."""
-    first = feature_maps[0]
-    if not isinstance(first, FrameJacobian) or len(demonstrations) < 2:
+    first = everything.asked[0]
+    if not isinstance(first, FrameJacobian) or len(everything.demonstrations) < 2:
         return []
-    tried = {(f.row_names, f.reference) for f in feature_maps if isinstance(f, FrameJacobian)}
+    tried = {(f.row_names, f.reference) for f in everything.asked if isinstance(f, FrameJacobian)}
     for axes in ("xyz", "rotation", "pose"):
         for reference in ("world", "local"):
             other = FrameJacobian(first.robot, first.frame.name, axes, reference)
-            if (other.row_names, reference) not in tried and held_throughout([other], demonstrations.trajectories):
+            # few of those that stay still are found to be held
+            is_new = (other.row_names, reference) not in tried
+            if is_new and held_throughout([other], everything.table) and fits(other):
                 python, flags = f"axes={axes!r}, reference={reference!r}", f"--axes {axes} --reference {reference}"
                 return [f"try other rows{advice(', {}', python, flags)}, with which one constraint does fit"]
     return []
-
-
-def _still_joints(demonstrations: Demonstrations) -> list[str]:
-    energy = sum(np.einsum("nv,nv->v", t.u, t.u) for t in demonstrations if t.u is not None)
-    total = float(np.sum(energy))
-    if total <= 0.0:
-        return []
-    still = [
-        n for n, e in zip(demonstrations.joint_names, np.atleast_1d(energy), strict=True) if e < STILL_ENERGY * total
-    ]
-    if not still:
-        return []
-    python, flags = f"load_robot(..., locked={still})", " ".join(f"--lock {name}" for name in still)
-    return [f"move {named('joint', still)} too, or lock what shall hardly move{advice(' ({})', python, flags)}"]

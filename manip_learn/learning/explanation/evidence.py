@@ -14,6 +14,7 @@ import numpy as np
 from jaxtyping import Bool, Float, Int
 
 from manip_learn.learning.explanation.row_motion import RowMotion
+from manip_learn.learning.samples import Table
 from manip_learn.recordings.demonstrations import Demonstrations
 from manip_learn.recordings.trajectory import Trajectory
 
@@ -266,13 +267,11 @@ def cut(trajectory: Trajectory, stretch: Stretch) -> slice | None:
     return slice(int(inside[0]), int(inside[-1]) + 1) if len(inside) > 2 else None
 
 
-def pieces_of(
-    trajectories: Sequence[Trajectory], stretches: Sequence[Stretch]
-) -> tuple[list[Stretch], list[Trajectory]]:
+def pieces_of(table: Table, stretches: Sequence[Stretch]) -> tuple[list[Stretch], Table]:
     """The stretches that are long enough to learn from, and their samples."""
-    spans = [(s, cut(trajectories[s.trajectory], s)) for s in stretches]
-    long = [(s, trajectories[s.trajectory].part(span)) for s, span in spans if span is not None]
-    return [s for s, _ in long], [piece for _, piece in long]
+    spans = [(s, cut(table.recordings[s.trajectory], s)) for s in stretches]
+    long = [(s, span) for s, span in spans if span is not None]
+    return [s for s, _ in long], table.pieces([(s.trajectory, span) for s, span in long])
 
 
 def uncovered(motion: RowMotion, taken: Sequence[Stretch]) -> list[Stretch]:

@@ -24,7 +24,8 @@ from manip_learn.learning.explanation.evidence import (
     held_by,
     states_of,
 )
-from manip_learn.learning.explanation.row_motion import SHORT_WINDOWS_SECONDS, RowMotion, View, broken_energy
+from manip_learn.learning.explanation.row_motion import RowMotion, View, broken_energy
+from manip_learn.learning.samples import SHORT_WINDOWS_SECONDS
 from manip_learn.linalg import row_space_angle
 
 # [nats] least gain of a hypothesis, without its best supporter and after the price of its parameters. Set by hand, on

@@ -42,6 +42,8 @@ from manip_learn.learning.explanation.row_motion import (
     views_of,
 )
 from manip_learn.learning.recombination import BELIEVED_STRENGTH, FEWEST_TRAJECTORIES, recombination_test
+from manip_learn.learning.repeats import once_each
+from manip_learn.learning.samples import Table
 from manip_learn.recordings.demonstrations import Demonstrations
 from manip_learn.recordings.trajectory import Trajectory
 from manip_learn.robot.robot import Reference
@@ -120,7 +122,7 @@ def _extent(way: Float[np.ndarray, "n k"]) -> float:
 def disagreeing(
     view: View,
     rows: Float[np.ndarray, "s r"],
-    trajectories: Sequence[Trajectory],
+    table: Table,
     stretches: Sequence[Stretch],
     agrees: Bool[np.ndarray, " m"],
     elsewhere: Sequence[Stretch],
@@ -130,7 +132,7 @@ def disagreeing(
     Motion along the rows interrupts a contact that most others show in one piece, as by a slip, unless another
     constraint holds in between (`elsewhere`); or nearly all others show the constraint; or it drifts along its rows.
     """
-    motion, own = view.motion, (view.features, view.motion.selection(rows))
+    motion, own, trajectories = view.motion, (view.features, view.motion.selection(rows)), table.recordings
     members = [s for s, good in zip(stretches, agrees, strict=True) if good]
     odd, out = [s for s in stretches if s not in members], dict[int, str]()
     spans = {i: [s for s in members if s.trajectory == i] for i in sorted({s.trajectory for s in members})}
@@ -147,12 +149,13 @@ def disagreeing(
                 break
     shown = {s.trajectory for s in stretches}
     if len(shown) >= max(2.0, SHOWN_BY_SHARE * len(trajectories)):
-        whole = pieces_of(trajectories, stretches)[1]
+        whole = pieces_of(table, stretches)[1].recordings
         for i in sorted(set(range(len(trajectories))) - shown):
             why = reason(trajectories[i], whole, *own)
             out[i] = f"what {len(shown)} of the others hold still is not seen in it; {why}"
-    whole = pieces_of(trajectories, members)[1]
-    for s, piece in zip(*pieces_of(trajectories, odd), strict=True):
+    whole = pieces_of(table, members)[1].recordings
+    left, pieces = pieces_of(table, odd)
+    for s, piece in zip(left, pieces.recordings, strict=True):
         time, way = piece.time, way_along(piece, *own)
         later = np.minimum(np.searchsorted(time, time + 0.1), len(time) - 1)  # a tenth of a second
         fastest = time[np.argmax(np.linalg.norm(way[later] - way, axis=1))]
@@ -196,6 +199,7 @@ class Part:
 
     Attributes:
         demonstrations: Whole recordings, or stretches of them.
+        table: Their samples.
         stretches: Where each of them lies; trajectories are counted from 0 in what was given to the learner.
         feature_maps: The candidates for Phi; the one in which the rows were found, if they were.
         found: Rows that explain these stretches, orthonormal; None if nothing does.
@@ -205,6 +209,7 @@ class Part:
     """
 
     demonstrations: Demonstrations
+    table: Table
     stretches: tuple[Stretch, ...]
     feature_maps: tuple[FeatureMap, ...]
     found: Float[np.ndarray, "s p"] | None = None
@@ -212,16 +217,24 @@ class Part:
     choices: float = 1.0
     source: BeforeSmoothing | None = None
 
-    def chosen(self, numbers: Sequence[int]) -> Part:
-        """Some of its stretches, in which as many rows are held, but others perhaps."""
-        motion = Demonstrations([self.demonstrations[i] for i in numbers], self.demonstrations.notes)
-        stretches = tuple(self.stretches[i] for i in numbers)
-        return dataclasses.replace(self, demonstrations=motion, stretches=stretches)
+    def of(self, stretches: Sequence[Stretch]) -> Part:
+        """Other stretches of the recordings, in which as many rows are held, but others perhaps."""
+        held, pieces = pieces_of(self.table.whole, stretches)
+        motion = Demonstrations(pieces.recordings, self.demonstrations.notes)
+        return dataclasses.replace(self, demonstrations=motion, table=pieces, stretches=tuple(held))
 
-    def joined(self, other: Part) -> Part:
-        """With the stretches of another part."""
-        motion = Demonstrations([*self.demonstrations, *other.demonstrations], self.demonstrations.notes)
-        return dataclasses.replace(self, demonstrations=motion, stretches=(*self.stretches, *other.stretches))
+    @staticmethod
+    def of_all(
+        demonstrations: Demonstrations, feature_maps: Sequence[FeatureMap], source: BeforeSmoothing | None = None
+    ) -> Part:
+        """Everything in one part.
+
+        Raises:
+            RecordingError: A trajectory lacks velocities, or has postures of another size.
+        """
+        stretches = tuple(Stretch(i, float(t.time[0]), float(t.time[-1])) for i, t in enumerate(demonstrations))
+        maps = tuple(feature_maps)
+        return Part(demonstrations, Table.of(demonstrations), stretches, maps, asked=maps, source=source)
 
 
 @final
@@ -249,16 +262,14 @@ class Findings:
     refused: tuple[Stretch, ...] = ()
     elsewhere: bool = False
 
-
-def unexplained(demonstrations: Demonstrations, feature_maps: Sequence[FeatureMap]) -> Findings:
-    """One part: everything."""
-    stretches = tuple(Stretch(i, float(t.time[0]), float(t.time[-1])) for i, t in enumerate(demonstrations))
-    return Findings((Part(demonstrations, stretches, tuple(feature_maps), None, tuple(feature_maps)),))
+    @property
+    def held(self) -> list[Stretch]:
+        """Stretches in which rows are held."""
+        return [s for part in self.parts for s in part.stretches] if self.explained else []
 
 
 def find(
-    demonstrations: Demonstrations,
-    feature_maps: Sequence[FeatureMap],
+    everything: Part,
     rng: np.random.Generator,
     *,
     switch: float = SWITCH_NATS,
@@ -268,39 +279,33 @@ def find(
     """Explain the recordings by a few constraints and free motion.
 
     Args:
-        demonstrations: With velocities.
-        feature_maps: The candidates for Phi.
+        everything: The recordings with velocities, and the candidates for Phi.
         rng: For the comparisons with chance.
         switch: What a change between two states costs [nats]; infinite: no constraint holds in a part of a recording.
         mechanisms: Whether rows in which mechanisms are constant may explain what those asked for do not.
         strength: From which on a row is believed, see `recombination_test`.
     """
-    trajectories = demonstrations.trajectories
-    usable = [f for f in feature_maps if _moves(f, trajectories)]
-    widths = {t.u.shape[1] for t in trajectories if t.u is not None}
-    if not usable or any(widths != {f.nv} for f in feature_maps):
-        return unexplained(demonstrations, feature_maps)  # refused where the samples are collected
-    views = views_of([*usable, *(mechanism_features(usable, trajectories) if mechanisms else ())], trajectories)
+    table, feature_maps, nothing = everything.table, everything.asked, Findings((everything,))
+    if any(table.u.shape[1] != f.nv for f in feature_maps):
+        return nothing  # refused where the samples are collected
+    more = mechanism_features(feature_maps, table.recordings) if mechanisms else ()
+    views = views_of([*feature_maps, *more], table)
     if not views:
-        return unexplained(demonstrations, feature_maps)  # a single row: nothing to compare it with
-    believed = _Recombination(trajectories, kinds_tried(views), int(rng.integers(2**32)), strength)
+        return nothing  # no row moves, or a single one: nothing to compare it with
+    believed = _Recombination(table, kinds_tried(views), int(rng.integers(2**32)), strength)
     explanation = explain(views, believed, switch)
-    elsewhere = _elsewhere(usable, trajectories, explanation)
+    elsewhere = _elsewhere(feature_maps, table, explanation)
     if elsewhere:  # what disagrees in this reference is no other task
-        return dataclasses.replace(unexplained(demonstrations, feature_maps), warnings=elsewhere, elsewhere=True)
-    contacts = _lone_contacts(explanation, believed) if switch < np.inf and len(trajectories) > 1 else []
+        return dataclasses.replace(nothing, warnings=elsewhere, elsewhere=True)
+    contacts = _lone_contacts(explanation, believed) if switch < np.inf and len(table.recordings) > 1 else []
     if not explanation.hypotheses:
         alone = tuple((s, IN_ONE_ONLY) for s in contacts)
         nearest = Explanation(explanation.views, explanation.refused[:1], explanation.switch)
-        refused = stretches_of(nearest.thin, nearest.states, 1)
-        nothing = unexplained(demonstrations, feature_maps)
-        return dataclasses.replace(nothing, unlearnt=alone, refused=refused)
-    return _findings(demonstrations, feature_maps, explanation, contacts)
+        return dataclasses.replace(nothing, unlearnt=alone, refused=stretches_of(nearest.thin, nearest.states, 1))
+    return _findings(everything, explanation, contacts)
 
 
-def _elsewhere(
-    feature_maps: Sequence[FeatureMap], trajectories: Sequence[Trajectory], explanation: Explanation
-) -> tuple[str, ...]:
+def _elsewhere(feature_maps: Sequence[FeatureMap], table: Table, explanation: Explanation) -> tuple[str, ...]:
     """A warning if rows in the other reference, which was not asked for, explain all recordings better."""
     tried = {f.reference for f in feature_maps if isinstance(f, FrameJacobian)}
     states = explanation.states
@@ -311,7 +316,7 @@ def _elsewhere(
     maps = [
         FrameJacobian(f.robot, f.frame.name, f.row_names, other) for f in feature_maps if isinstance(f, FrameJacobian)
     ]
-    there = held_throughout(maps, trajectories)
+    there = held_throughout(maps, table)
     if there is None or there.explained.sum() < explanation.explained.sum() + LEAST_GAIN_NATS:
         return ()
     return (
@@ -320,22 +325,15 @@ def _elsewhere(
     )
 
 
-def held_throughout(feature_maps: Sequence[FeatureMap], trajectories: Sequence[Trajectory]) -> Explanation | None:
+def held_throughout(feature_maps: Sequence[FeatureMap], table: Table) -> Explanation | None:
     """The rows of these features that stay still in every recording as a whole, be they held or never tried; None if
     one recording has no such rows.
     """
-    usable = [f for f in feature_maps if _moves(f, trajectories)]
-    views = views_of(usable, trajectories) if usable else []
+    views = views_of(feature_maps, table)
     if not views:
         return None
     found = explain(views, lambda *_: True, np.inf)
-    return found if set(found.thin.trajectory[found.states > 0]) == set(range(len(trajectories))) else None
-
-
-def _moves(features: FeatureMap, trajectories: Sequence[Trajectory]) -> bool:
-    """Whether any row of the features is not zero throughout."""
-    few = np.concatenate([t.q[:: max(1, len(t) // 5)] for t in trajectories])
-    return bool(np.any(np.abs(features.batch(few)) > 0.0))
+    return found if set(found.thin.trajectory[found.states > 0]) == set(range(len(table.recordings))) else None
 
 
 @final
@@ -345,7 +343,7 @@ class _Recombination:
     rows. The seed is that of the exchanges.
     """
 
-    trajectories: Sequence[Trajectory]
+    table: Table
     tried: int
     seed: int
     strength: float
@@ -355,15 +353,17 @@ class _Recombination:
         shown = stretches_of(view.thin, held.astype(np.int64), 1)
         # a slip of some millimetres is a few samples of evidence; exchanged joints break no more of a short contact
         still = agreeing(view.thin, h.rows, shown)
-        stretches, pieces = pieces_of(self.trajectories, [s for s, good in zip(shown, still, strict=True) if good])
+        stretches, pieces = pieces_of(self.table, [s for s, good in zip(shown, still, strict=True) if good])
         recordings = {s.trajectory for s in stretches}
-        enough = len(recordings) >= min(2, len(self.trajectories))
-        return enough and self._confirmed(view, h, stretches, pieces, len(recordings))
+        enough = len(recordings) >= min(2, len(self.table.recordings))
+        chosen = once_each(stretches, pieces.recordings) if enough else []
+        stretches, shown = [stretches[k] for k in chosen], [pieces.recordings[k] for k in chosen]
+        return enough and self._confirmed(view, h, stretches, shown, len(recordings))
 
     def of_one(self, view: View, h: Hypothesis, stretch: Stretch) -> bool:
         """Whether the parts of a single stretch confirm the hypothesis beyond doubt, each as a recording would."""
-        stretches, pieces = pieces_of(self.trajectories, [stretch])
-        parts = [p[a:b] for p in pieces for a, b in pairwise(_parts_of(float(p.time[0]), float(p.time[-1])))]
+        stretches, pieces = pieces_of(self.table, [stretch])
+        parts = [p[a:b] for p in pieces.recordings for a, b in pairwise(_parts_of(float(p.time[0]), float(p.time[-1])))]
         return self._confirmed(view, h, stretches, parts, 1)
 
     def _confirmed(
@@ -436,13 +436,8 @@ def _without_passages(explanation: Explanation, states: Int[np.ndarray, " n"]) -
     return out
 
 
-def _findings(
-    demonstrations: Demonstrations,
-    feature_maps: Sequence[FeatureMap],
-    explanation: Explanation,
-    contacts: Sequence[Stretch],
-) -> Findings:
-    trajectories, states = demonstrations.trajectories, _without_passages(explanation, explanation.fine_states())
+def _findings(everything: Part, explanation: Explanation, contacts: Sequence[Stretch]) -> Findings:
+    table, states = everything.table, _without_passages(explanation, explanation.fine_states())
     tried = kinds_tried(explanation.views)
     order = np.argsort(-explanation.supports).tolist()
     parts, odd, apart = list[Part](), dict[int, str](), list[Stretch]()
@@ -452,7 +447,7 @@ def _findings(
         h = explanation.hypotheses[k]
         spans = sharpened(view.motion, h.rows, stretches_of(view.motion, states, k + 1))
         usual = np.median([s.duration for s in spans]) if spans else 0.0
-        found.append(tuple(pieces_of(trajectories, [s for s in spans if s.duration >= SHORT_STRETCH_RATIO * usual])[0]))
+        found.append(tuple(pieces_of(table, [s for s in spans if s.duration >= SHORT_STRETCH_RATIO * usual])[0]))
     for k, view, stretches in zip(order, views, found, strict=True):
         rows = explanation.hypotheses[k].rows
         if not stretches:
@@ -461,19 +456,21 @@ def _findings(
         members = tuple(s for s, good in zip(stretches, agrees, strict=True) if good)
         apart += [s for s in stretches if s not in members]
         elsewhere = [s for other in found if other is not stretches for s in other]
-        odd |= disagreeing(view, rows, trajectories, stretches, agrees, elsewhere)
+        odd |= disagreeing(view, rows, table, stretches, agrees, elsewhere)
+        pieces = pieces_of(table, members)[1]
         parts.append(
-            Part(
-                Demonstrations(pieces_of(trajectories, members)[1], demonstrations.notes),
-                members,
-                (view.features,),
-                view.motion.selection(rows),
-                tuple(feature_maps),
-                tried * ways_to_choose(view.motion, members),
+            dataclasses.replace(
+                everything,
+                demonstrations=Demonstrations(pieces.recordings, everything.demonstrations.notes),
+                table=pieces,
+                stretches=members,
+                feature_maps=(view.features,),
+                found=view.motion.selection(rows),
+                choices=tried * ways_to_choose(view.motion, members),
             )
         )
     if not parts:
-        return unexplained(demonstrations, feature_maps)
+        return Findings((everything,))
     taken = [s for part in parts for s in part.stretches] + apart
     lone = [s for s in contacts if not any(s.shared(other) > 0.0 for other in taken)]
     free = tuple(uncovered(explanation.views[0].motion, [*taken, *lone]))

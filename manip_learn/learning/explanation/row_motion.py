@@ -13,20 +13,14 @@ from jaxtyping import Bool, Float, Int
 from manip_learn.constraint.features.feature_map import FeatureMap
 from manip_learn.constraint.features.frame_jacobian import AXES, FrameJacobian
 from manip_learn.constraint.features.mechanism_rows import PlaceForm, PlaceRows
-from manip_learn.errors import NotIdentifiableError, RecordingError
-from manip_learn.learning.samples import BLOCK, CUBIC, whitening
+from manip_learn.learning.samples import Samples, Table
 from manip_learn.linalg import null_basis
 from manip_learn.recordings.trajectory import Trajectory, subsample
 from manip_learn.robot.batch.batch_kinematics import batch_kinematics
 
-# [s] the largest step of time that counts in full: a gap in a recording is no evidence. Set by hand
-LONGEST_STEP_SECONDS = 0.2
 # [standard deviations of the noise] beyond which it is motion: the range of a random walk exceeds 4 in one of 10,000
 # trajectories, and so does a sample in one of 15,000
 OVER_NOISE = 4.0
-# [s] lengths of the windows that propose rows; from the shortest the noise of the velocities is told, too. Set by hand
-SHORT_WINDOWS_SECONDS = (0.6, 1.2)
-
 # samples a second that are enough to judge a hypothesis; boundaries are found on all samples
 SCAN_RATE = 25.0
 # eigenvalues of Phi Phi^T at one posture below this are none: rows that depend on the others there
@@ -70,55 +64,28 @@ class RowMotion:
     ends: Float[np.ndarray, "g 2"]
 
     @staticmethod
-    def collect(
-        features: FeatureMap, trajectories: Sequence[Trajectory], noise: Sequence[float] | None = None
-    ) -> RowMotion:
-        """The motion of trajectories with velocities.
-
-        `noise` is the `velocity_noise` of each trajectory, where it is known already.
+    def collect(features: FeatureMap, recordings: Table | Sequence[Trajectory]) -> RowMotion:
+        """The motion of recordings with velocities.
 
         Raises:
-            RecordingError: A trajectory lacks velocities.
+            RecordingError: A trajectory lacks velocities, or acts on another number of joints.
             NotIdentifiableError: Every row of Phi is zero throughout.
         """
-        for t in trajectories:
-            if t.u is None:
-                raise RecordingError(f"{t.name} has no velocities: derive them first", code="no-velocities")
-        u = np.concatenate([t.u for t in trajectories])  # type: ignore[misc]
-        Phi = features.batch(np.concatenate([t.q for t in trajectories]))
-        W = whitening(np.tensordot(Phi, Phi, axes=([0, 2], [0, 2])) / len(Phi), features.row_units)
-        if not len(W):
-            raise NotIdentifiableError(f"all rows of {features!r} are zero on these recordings", code="zero-features")
-        n, r = len(u), len(W)
+        table = Table.of(recordings)
+        samples = Samples.collect(features, table)
+        n, r, start = len(samples), samples.n_rows, 0
         rates, gram, free = np.empty((n, r)), np.empty((n, r, r)), np.empty(n)
-        for part in (slice(start, start + BLOCK) for start in range(0, n, BLOCK)):
-            white = W @ Phi[part]
-            rates[part] = np.matmul(white, u[part, :, None])[:, :, 0]
+        for block in samples.blocks():
+            white, part = np.ascontiguousarray(block.Phi), slice(start, start := start + len(block.u))
+            rates[part] = np.matmul(white, block.u[:, :, None])[:, :, 0]
             gram[part] = own = np.matmul(white, white.transpose(0, 2, 1))
             regular = own + 1e-9 * np.trace(own, axis1=1, axis2=2)[:, None, None] * np.eye(r)
             used = np.einsum("npv,npv->nv", white, np.linalg.solve(regular, white))
-            free[part] = np.sum(used * u[part] ** 2, axis=1)
+            free[part] = np.sum(used * block.u**2, axis=1)
         rank = int(np.median(np.linalg.matrix_rank(gram[:: max(1, n // 50)], RANK, hermitian=True)))
-        lengths, weights = [len(t) for t in trajectories], []
-        for t in trajectories:
-            steps = np.minimum(np.diff(t.time), LONGEST_STEP_SECONDS) if len(t) > 1 else np.array([0.01])
-            halves = 0.5 * (np.append(steps, steps[-1]) + np.insert(steps, 0, steps[0]))
-            weights.append(halves[: len(t)])
-        first = np.concatenate([[0], np.cumsum(lengths)]).astype(np.int64)
-        each = [velocity_noise(t) for t in trajectories] if noise is None else noise
-        return RowMotion(
-            np.concatenate([t.time for t in trajectories]),
-            np.concatenate(weights),
-            np.repeat(np.arange(len(trajectories)), lengths),
-            first,
-            rates,
-            gram,
-            free / rank,
-            np.repeat(each, lengths),
-            W,
-            rank,
-            np.array([[t.time[0], t.time[-1]] for t in trajectories]),
-        )
+        ends = np.stack([table.time[table.first[:-1]], table.time[table.first[1:] - 1]], axis=1)
+        noise, of_table = table.noise[table.trajectory], (table.time, table.weight, table.trajectory, table.first)
+        return RowMotion(*of_table, rates, gram, free / rank, noise, samples.whitening, rank, ends)
 
     def __len__(self) -> int:
         return len(self.time)
@@ -199,29 +166,6 @@ def joints_at_once(u: Float[np.ndarray, "n nv"], noise: float) -> float:
     return float(np.median(np.sum(squares, axis=1) ** 2 / np.sum(squares**2, axis=1)))
 
 
-def velocity_noise(trajectory: Trajectory) -> float:
-    """Variance of a joint velocity's noise: the rest that a smooth motion leaves in short windows.
-
-    A motion as smooth as a cubic fills four directions of a window, of its samples as of the joints: the rest in
-    the others is noise. Where there are no more joints than that, the samples alone tell.
-    """
-    u, time = np.asarray(trajectory.u), trajectory.time
-    nv, T = u.shape[1], len(u)
-    length = min(T, max(2 * nv, int(np.searchsorted(time, time[0] + SHORT_WINDOWS_SECONDS[0]))))
-    starts = np.arange(0, T - length + 1, max(1, length // 2))
-    windows = np.stack([u[a : a + length] for a in starts])
-    left = []
-    if nv > CUBIC:
-        values = np.linalg.eigvalsh(np.einsum("wti,wtj->wij", windows, windows) / length)
-        left.append(np.mean(values[:, : nv - CUBIC], axis=1))
-    if length > CUBIC:
-        cubic = np.linalg.qr(np.vander(np.linspace(-1.0, 1.0, length), CUBIC))[0]
-        rest = windows - cubic @ (cubic.T @ windows)
-        left.append(np.sum(rest**2, axis=(1, 2)) / ((length - CUBIC) * nv))
-    least = min((float(np.median(x)) for x in left), default=0.0)
-    return max(least, 1e-10 * float(np.mean(u**2)), 1e-24)
-
-
 @final
 @dataclass(frozen=True, eq=False)
 class View:
@@ -251,20 +195,20 @@ class View:
 
 
 def views_of(
-    feature_maps: Sequence[FeatureMap], trajectories: Sequence[Trajectory], *, scan_only: bool = False
+    feature_maps: Sequence[FeatureMap], recordings: Table | Sequence[Trajectory], *, scan_only: bool = False
 ) -> list[View]:
-    """The recordings in each feature map.
+    """The recordings in each feature map whose rows move, with something left free.
 
     `scan_only`: the samples on which hypotheses are scored are all that is wanted.
 
     Raises:
-        RecordingError: A trajectory lacks velocities.
-        NotIdentifiableError: Every row of a map is zero throughout.
+        RecordingError: A trajectory lacks velocities, or acts on another number of joints.
     """
-    noise = [velocity_noise(t) for t in trajectories]
+    table = Table.of(recordings)
     if scan_only:
-        trajectories = [subsample(t, max(2, round(t.duration * SCAN_RATE))) for t in trajectories]
-    motions = [(f, RowMotion.collect(f, trajectories, noise)) for f in feature_maps]
+        few = [subsample(t, max(2, round(t.duration * SCAN_RATE))) for t in table.recordings]
+        table = dataclasses.replace(Table.of(few), _noise=table.noise)
+    motions = [(f, RowMotion.collect(f, table)) for f in feature_maps if np.any(table.Phi(f))]
     views = [View(f, motion, motion.thinned(), min(motion.rank, f.nv) - 1) for f, motion in motions]
     return [v for v in views if v.largest > 0]
 
