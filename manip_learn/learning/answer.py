@@ -508,7 +508,9 @@ def _undivided(part: Part, settings: LearnerSettings, *, elsewhere: bool) -> Ans
 
 def _evidence(features: FeatureMap, part: Part, settings: LearnerSettings) -> RowEvidence:
     pieces = [part.demonstrations[k] for k in once_each(part.stretches, part.demonstrations)]
-    return recombination_test(features, pieces, np.random.default_rng(settings.seed), part.choices, settings.strength)
+    rng = np.random.default_rng(settings.seed)
+    tested = recombination_test(features, pieces, rng, part.choices, settings.strength)
+    return dataclasses.replace(tested, firm=part.firm)
 
 
 def _doubts(evidence: RowEvidence, s: int, asked: int | None) -> tuple[str, ...]:

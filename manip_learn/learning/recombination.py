@@ -89,6 +89,9 @@ class RowEvidence:
         spread: Standard deviation of the logarithm of each strength over the recombinations.
         choices: Hypotheses of which this one, the best, was chosen: kinds of rows, and parts of the recordings.
         believed: Strength from which on a row counts, with 99 % confidence.
+        firm: Number of rows that a second witness supports, where joints that hardly move have nothing to exchange:
+            they do not move beyond the noise, and are at one place in all recordings, although the hand came from
+            elsewhere.
     """
 
     strengths: tuple[float, ...]
@@ -100,6 +103,7 @@ class RowEvidence:
     spread: tuple[float, ...] = ()
     choices: float = 1.0
     believed: float = BELIEVED_STRENGTH
+    firm: int = 0
 
     @property
     def _z(self) -> float:
@@ -119,7 +123,7 @@ class RowEvidence:
             if p > ROW_CHANCE or strength < LEANING_STRENGTH:
                 break
             supported = i + 1 if lower >= self.believed else supported
-        return supported
+        return max(supported, min(self.firm, len(self.strengths)))
 
     @property
     def is_close(self) -> bool:
@@ -188,6 +192,7 @@ class RowEvidence:
         )
         if n:
             softly = "held softly, or by the way of moving only" if self.enough else "held, it seems"
+            softly = "held firmly at one place each time, or never tried" if n == self.firm else softly
             firmly = "held" if self.verdict == "clear" else softly
             strengths = listed(f"{s:.3g}" for s in self.strengths[:n])
             held = f"{counted(n, 'row')} {firmly} (strength {strengths}, p = {max(self.p_values[:n]):.2g})"

@@ -100,7 +100,7 @@ def proposed(
     for parts, most in ((wholes, None), (windows, MOST)):
         if not sum(len(part.M) for part in parts):
             continue
-        sizes, directions = _least_used(Moments(*map(np.concatenate, zip(*parts, strict=True))))
+        sizes, directions = least_used(Moments(*map(np.concatenate, zip(*parts, strict=True))))
         for s, kept in out.items():
             gap = sizes[:, s] / sizes[:, s - 1]
             chosen = np.flatnonzero(gap > PROPOSAL_GAP)
@@ -128,7 +128,7 @@ def _windows(motion: RowMotion, chosen: Bool[np.ndarray, " n"]) -> list[Moments]
     motion = dataclasses.replace(motion, weight=motion.weight * chosen)
     parts, long = ([_window_moments(motion, SHORT_WINDOWS_SECONDS)], _window_moments(motion, LONG_WINDOWS_SECONDS))
     if len(long.M) > 1:
-        sizes, _ = _least_used(long)
+        sizes, _ = least_used(long)
         long = long.chosen(np.argsort(-np.max(sizes[:, 1:] / sizes[:, :-1], axis=1))[:MOST_PAIRED])
         first, second = np.triu_indices(len(long.M), 1)
         apart = long.trajectory[first] != long.trajectory[second]
@@ -153,7 +153,7 @@ def _recordings(motion: RowMotion, chosen: Bool[np.ndarray, " n"]) -> list[Momen
     return [each.chosen(few), each.paired(pairs[:, 0], pairs[:, 1]), together]
 
 
-def _least_used(moments: Moments) -> tuple[Float[np.ndarray, "w r"], Float[np.ndarray, "w r r"]]:
+def least_used(moments: Moments) -> tuple[Float[np.ndarray, "w r"], Float[np.ndarray, "w r r"]]:
     """Levels of all directions of each window, least first and at least the noise, and the directions as rows."""
     M, S = moments.M, moments.S
     r = M.shape[1]
@@ -489,7 +489,7 @@ def _again(
         r = thin.rates.shape[1]
         M = np.stack([(thin.rates.T * w) @ thin.rates for w in weights.T]) if numbers else np.zeros((0, r, r))
         S = np.tensordot(weights, thin.gram, axes=(0, 0))
-        _, directions = _least_used(Moments(M, S, np.zeros(len(M)), np.zeros(len(M), dtype=np.int64)))
+        _, directions = least_used(Moments(M, S, np.zeros(len(M)), np.zeros(len(M), dtype=np.int64)))
         least = np.linalg.qr(directions[:, :s].transpose(0, 2, 1))[0].transpose(0, 2, 1)
         for i, rows in zip(numbers, least, strict=True):
             fitted[i] = dataclasses.replace(hypotheses[i], rows=rows)

@@ -31,7 +31,15 @@ from manip_learn.learning.explanation.evidence import (
     uncovered,
     ways_to_choose,
 )
-from manip_learn.learning.explanation.explain import LEAST_GAIN_NATS, Explanation, Hypothesis, candidates, explain
+from manip_learn.learning.explanation.explain import (
+    LEAST_GAIN_NATS,
+    Explanation,
+    Hypothesis,
+    Moments,
+    candidates,
+    explain,
+    least_used,
+)
 from manip_learn.learning.explanation.row_motion import (
     OVER_NOISE,
     RowMotion,
@@ -60,6 +68,12 @@ FIRM_SHARE = 0.05
 # the same in a single recording, where only firmness tells a contact from free motion, which also runs straight or
 # flat, but never to better than a few per cent
 FIRM_ALONE_SHARE = 0.01
+# ratio of the next level to those of the held rows, or to the noise, from which they are firm: free motion of people's
+# hands reaches 11, a box that is pushed 26
+FIRM_GAP = 40.0
+# share of the way along the rows, before a contact, by which its place may differ between recordings. Set by hand
+SAME_PLACE_SHARE = 0.02
+STEPS = 20  # of an integral along the joints' straight way
 # [deg] rows closer together than this are nearly the same. Set by hand
 NEARLY_SAME_DEG = 5.0
 # [robust standard deviations of the logarithm] by which a drift must exceed the usual one to be odd. Set by hand
@@ -204,6 +218,7 @@ class Part:
         feature_maps: The candidates for Phi; the one in which the rows were found, if they were.
         found: Rows that explain these stretches, orthonormal; None if nothing does.
         asked: The feature maps that were asked for.
+        firm: How many rows are held so firmly, and at one place, that this is evidence (see `RowEvidence`).
         choices: Among how many they were chosen: feature maps, numbers of rows, and `ways_to_choose` as much motion.
         source: All recordings before they were smoothed; None if they were not.
     """
@@ -214,6 +229,7 @@ class Part:
     feature_maps: tuple[FeatureMap, ...]
     found: Float[np.ndarray, "s p"] | None = None
     asked: tuple[FeatureMap, ...] = ()
+    firm: int = 0
     choices: float = 1.0
     source: BeforeSmoothing | None = None
 
@@ -358,7 +374,9 @@ class _Recombination:
         enough = len(recordings) >= min(2, len(self.table.recordings))
         chosen = once_each(stretches, pieces.recordings) if enough else []
         stretches, shown = [stretches[k] for k in chosen], [pieces.recordings[k] for k in chosen]
-        return enough and self._confirmed(view, h, stretches, shown, len(recordings))
+        return enough and (
+            self._confirmed(view, h, stretches, shown, len(recordings)) or is_firm(self.table, view, h, stretches)
+        )
 
     def of_one(self, view: View, h: Hypothesis, stretch: Stretch) -> bool:
         """Whether the parts of a single stretch confirm the hypothesis beyond doubt, each as a recording would."""
@@ -377,6 +395,38 @@ class _Recombination:
         evidence = recombination_test(view.features, shown, np.random.default_rng(self.seed), choices, self.strength)
         sure = recordings >= FEWEST_TRAJECTORIES or evidence.clear
         return bool(shown) and evidence.n_rows >= h.n_rows and sure
+
+
+def is_firm(table: Table, view: View, h: Hypothesis, stretches: Sequence[Stretch]) -> bool:
+    """Whether rows do not move beyond the noise, far less than what is free, and stand at one place in at least three
+    recordings, to which the hand came from elsewhere each time.
+
+    A joint that rests because a contact holds it has no motion that could be exchanged. Nobody brings a free hand back
+    to the same place to a hundredth of its way; but an arm rests at its home, where nothing came before.
+    """
+    motion, s = view.motion, h.n_rows
+    few = len({x.trajectory for x in stretches}) < FEWEST_TRAJECTORIES
+    if few or h.scale.share > FIRM_ALONE_SHARE or table.q.shape != table.u.shape:
+        return False
+    inside = covered(motion, stretches)
+    weight = motion.weight * inside
+    M, S = (motion.rates.T * weight) @ motion.rates, np.tensordot(weight, motion.gram, axes=1)
+    sizes, _ = least_used(Moments(M[None], S[None], motion.noise[inside].mean()[None], np.zeros(1, dtype=np.int64)))
+    if sizes[0, s] < FIRM_GAP * sizes[0, s - 1]:
+        return False
+    middles, came = [], []
+    for x in stretches:
+        before = (motion.trajectory == x.trajectory) & (motion.time < x.start)
+        way = np.cumsum(motion.rates[before] * motion.weight[before, None], axis=0) @ h.rows.T
+        came.append(_extent(way))
+        recording = table.recordings[x.trajectory]
+        middles.append(recording.q[np.searchsorted(recording.time, 0.5 * (x.start + x.end))])
+    shares = (np.arange(STEPS) + 0.5) / STEPS
+    off = []
+    for q in middles[1:]:  # along the rows, on the straight way between the joints' positions
+        between = view.features.batch(middles[0] + shares[:, None] * (q - middles[0]))
+        off.append(np.linalg.norm(h.rows @ motion.whitening @ between.mean(axis=0) @ (q - middles[0])))
+    return max(off) <= SAME_PLACE_SHARE * float(np.median(came))
 
 
 def _lone_contacts(explanation: Explanation, believed: _Recombination) -> list[Stretch]:
@@ -466,6 +516,7 @@ def _findings(everything: Part, explanation: Explanation, contacts: Sequence[Str
                 stretches=members,
                 feature_maps=(view.features,),
                 found=view.motion.selection(rows),
+                firm=len(rows) if is_firm(table, view, explanation.hypotheses[k], members) else 0,
                 choices=tried * ways_to_choose(view.motion, members),
             )
         )
