@@ -62,7 +62,8 @@ CHUNK, KEEP_LIMIT = 1024, 10_000_000  # samples whose products of regressors are
 MAX_BLOCKS = 100  # more trajectories than this are taken in blocks: a Hessian of each, for Theta too, is kept
 
 # share of the root mean square of u that is noise enough to tell hypotheses apart: what is resolved below it, in
-# recordings without noise, is how well features approximate the policy, and with more rows they come closer. Set by hand
+# recordings without noise, is how well features approximate the policy, and with more rows they come closer. Set by
+# hand
 RESOLVED_SHARE = 1e-3
 # variance over that of the noise up to which a fit leaves noise alone: 22 % in amplitude. Set by hand
 ABOVE_NOISE = 1.5
@@ -192,7 +193,8 @@ class Regressors:
             if i < len(self._kept):
                 yield part, self._kept[i]
                 continue
-            pairs = np.concatenate([row[part] * rows[a:, part] for a, row in enumerate(rows)])
+            none = rows[:0, part]  # where every regressor has been left out
+            pairs = np.concatenate([none, *(row[part] * rows[a:, part] for a, row in enumerate(rows))])
             if keep:
                 self._kept.append(pairs)
             yield part, pairs
