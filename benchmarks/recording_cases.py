@@ -16,6 +16,8 @@ from manip_learn.recordings.trajectory import Trajectory
 
 PHASES = ("drawer", "table", "door", "drawer_then_table", "door_then_drawer")
 FIRM = {"drawer_firm", "table_flat", "door_firm", "hinge", "screw", "sleeve", "joystick"}
+CONTACTS = ("drawer_firm", "door_firm", "hinge", "screw", "sleeve", "joystick", "table_flat")
+CONTACTS += ("table", "drawer", "door", "tether")
 CUT = ("drawer", "drawer_firm", "table", "table_flat", "door", "door_firm", "hinge")
 # study: sets of each of its lines in the full table
 STUDIES = {
@@ -31,6 +33,7 @@ STUDIES = {
     "physics": 2,
     "apart": 4,
     "timing": 3,
+    "noise": 4,
 }
 SMALL_TURN = 5.0  # of a hinge [deg]
 CUT_FREE = 1.5, 4.0  # length of a cut free motion [s]
@@ -180,6 +183,10 @@ def cases_of(study: str, sets: int, first_seed: int, kinds: list[str] | None) ->
             for noise in (1e-3, 3e-3):
                 lines = of(("drawer", "table", "table_flat", "door", "tether"), n=5, noise=noise, whole=False)
                 yield from ((f"{kind}, {noise:g} rad", cases) for kind, cases in lines)
+        case "noise":
+            for noise in (1e-5, 1e-4, 1e-3):
+                lines = of(CONTACTS, noise=noise, whole=False)
+                yield from ((f"{kind}, {noise:g} rad", cases) for kind, cases in lines)
         case "mechanisms":
             yield from of(CUT, whole=False)
             yield from of(("tether", "joystick", "screw", "sleeve", "glass"), whole=False)
@@ -187,7 +194,7 @@ def cases_of(study: str, sets: int, first_seed: int, kinds: list[str] | None) ->
             lines = of(("door", "door_firm", "hinge"), whole=False, turn=SMALL_TURN)
             yield from ((f"{kind}, {SMALL_TURN:g} deg", cases) for kind, cases in lines)
         case "apart":
-            for degrees in (2.0, 5.0, 10.0, 20.0):
+            for degrees in (1.0, 2.0, 5.0, 10.0, 20.0):
                 lines = of(("table", "drawer"), n=8, whole=False, apart=degrees)
                 yield from ((f"{kind}s {degrees:g} deg apart", cases) for kind, cases in lines)
         case "timing":

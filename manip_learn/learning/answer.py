@@ -34,6 +34,7 @@ from manip_learn.learning.estimators.null_space import estimate_null_space, leve
 from manip_learn.learning.explanation.evidence import Stretch
 from manip_learn.learning.explanation.findings import DISAGREES, LONGEST_SLIP_SECONDS, NEARLY_SAME_DEG, Findings, Part
 from manip_learn.learning.mechanisms.find_mechanism import BLIND, MechanismFit, find_curve, find_mechanism
+from manip_learn.learning.mechanisms.one_place import at_one_place
 from manip_learn.learning.recombination import BELIEVED_STRENGTH, RowEvidence, recombination_test
 from manip_learn.learning.repeats import once_each
 from manip_learn.learning.samples import Samples
@@ -385,8 +386,21 @@ def _by_place(parts: Sequence[Part], settings: LearnerSettings) -> tuple[list[_L
             )
             out.append(_Located(part, there and dataclasses.replace(there, warnings=(moved,)), example))
         else:
-            out.append(_Located(part, found))
+            same = next((x for x in out if found is not None and x.example is None and _is_same(x, part, found)), None)
+            if same is None:
+                out.append(_Located(part, found))
+            else:  # apart for an arm that is not quite its description
+                out.remove(same)
+                waiting.insert(0, _with_own_rows(part.of((*same.part.stretches, *part.stretches))))
     return _as_one_curve(out), alone
+
+
+def _is_same(located: _Located, part: Part, found: MechanismFit) -> bool:
+    """Whether one place of a mechanism explains the stretches of two parts, in different recordings."""
+    known = located.mechanism
+    if known is None or known.fit is None or found.fit is None or not _same_rows(located.part, part):
+        return False
+    return at_one_place(known.fit, found.fit)
 
 
 def _as_one_curve(located: list[_Located]) -> list[_Located]:

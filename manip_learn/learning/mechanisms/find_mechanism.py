@@ -94,6 +94,7 @@ class MechanismFit:
         errors: Draws of what its place is off by; None without a mechanism.
         variance: Mean square of what the mechanism, or one that is none, leaves of the hand's places in each direction
             that it holds [m^2]; 0 where it holds none.
+        fit: Of the place to some samples of each trajectory; None without one.
         places: Numbers (from 0) of the trajectories that share a place, where there are several; else empty.
     """
 
@@ -107,6 +108,7 @@ class MechanismFit:
     rival: str = ""
     errors: PlaceErrors | None = None
     variance: float = 0.0
+    fit: PlaceFit | None = None
     places: tuple[tuple[int, ...], ...] = ()
 
 
@@ -217,7 +219,7 @@ def find_mechanism(
         return MechanismFit(None, None, None, held_out, poor, (poor,), odd, variance=variance)
     lone = ("one trajectory only: a repeated motion cannot be told from a contact",) if len(postures) == 1 else ()
     warnings = (*lone, *filter(None, (bent, rival, wide)))
-    return MechanismFit(mechanism, features, selection, held_out, "", warnings, odd, rival, errors, variance)
+    return MechanismFit(mechanism, features, selection, held_out, "", warnings, odd, rival, errors, variance, start)
 
 
 def find_curve(robot: Robot, frame: str, trajectories: Sequence[Trajectory], variance: float) -> MechanismFit | None:

@@ -167,6 +167,18 @@ class Scale:
         return 0.5 * self.independent * np.log(costs[0] / costs[1]) - 0.5 * numbers * np.log(max(self.independent, 2.0))
 
 
+def at_one_place(one: PlaceFit, other: PlaceFit) -> bool:
+    """Whether one place of a mechanism explains the trajectories of two as well."""
+    if one.kind is not other.kind or not one.m:
+        return False
+    paths = one.paths.beside(other.paths)
+    n, numbers = len(one.paths.starts), tuple(range(len(paths.starts)))
+    groups = [Group(numbers[:n], fit_place(one.paths, one.kind, one.place))]
+    groups.append(Group(numbers[n:], fit_place(other.paths, one.kind, other.place)))
+    joined = Group(numbers, fit_place(paths, one.kind, one.place))
+    return Scale.of(groups).gain([joined], groups) < LEAST_GAIN_NATS
+
+
 def apart(groups: Sequence[Group]) -> str:
     """By how much the places of groups differ at most, in words."""
     places, unknowns, said = [g.fit.place for g in groups], groups[0].fit.kind.unknowns, []

@@ -92,6 +92,11 @@ class TipPaths:
         starts = np.cumsum([0, *self.counts[list(numbers[:-1])]])
         return TipPaths(self.p[rows], self.R[rows], self.J[rows], starts)
 
+    def beside(self, other: TipPaths) -> TipPaths:
+        """These trajectories, then others."""
+        p, R, J = (np.concatenate([getattr(self, what), getattr(other, what)]) for what in ("p", "R", "J"))
+        return TipPaths(p, R, J, np.concatenate([self.starts, len(self.p) + other.starts]))
+
     def part(self, number: int) -> slice:
         """Rows of one trajectory."""
         return slice(int(self.starts[number]), int(self.starts[number] + self.counts[number]))
