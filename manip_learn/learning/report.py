@@ -455,11 +455,12 @@ def _several_phases(findings: Findings, demonstrations: Demonstrations, phases: 
         return []
     if findings.held:
         return ["cut the recordings more closely to what seems held, each stretch in a file of its own"]
-    how = ("trajectory[start:until]", "--from and --until")
     if len(demonstrations) < 2:
-        return ["cut the recording to the contact" + advice(" with {}", *how) + whole.format("it")]
+        how = advice(" with {}", "trajectory[start:until]", "--from and --until")
+        return ["cut the recording to the contact" + how + whole.format("it")]
+    how = advice(" ({})", "trajectory[start:until]", "--from and --until")
     unconfirmed = ", for no stretch of them obeys a constraint that several confirm, as in free motion"
-    return ["cut the recordings to the contact" + advice(" ({})", *how) + unconfirmed]
+    return ["cut the recordings to the contact" + how + unconfirmed]
 
 
 def _places(findings: Findings, recordings: IndependentRecordings) -> list[str]:
