@@ -9,7 +9,7 @@ import math
 from dataclasses import dataclass
 from pathlib import Path
 from statistics import NormalDist
-from typing import Any, Literal, final
+from typing import Any, Literal, NamedTuple, final
 
 import numpy as np
 from jaxtyping import Float
@@ -235,9 +235,7 @@ def _limits(
     return out[0], out[1]
 
 
-@final
-@dataclass(frozen=True)
-class Criterion:
+class Criterion(NamedTuple):
     """One way in which an episode can be worse than the others; its z-score is one-sided.
 
     Attributes:
@@ -258,11 +256,6 @@ class Criterion:
     joint: str = ""
     needs_rest: bool = False
 
-    @property
-    def least_spread(self) -> float:
-        """Smallest standard deviation that is believed."""
-        return LOG_SPREAD if self.name in NEGLIGIBLE else SHARE_SPREAD
-
     def badness(self, episode: EpisodeAudit) -> float:
         """A number that grows as the episode gets worse; differences below what is negligible do not matter."""
         value = getattr(episode, self.measure)
@@ -276,27 +269,16 @@ class Criterion:
         return self.words.format(self.factor * getattr(episode, self.measure), joint=joint)
 
 
+NEAR = "comes close to the task's singularity (smallest singular value {:.3g})"
+LIMIT = "joint {joint!r} gets within {:.2g} % of its range to a limit"
+FAST = "joint {joint!r} reaches {:.3g} % of its velocity limit"
 CRITERIA = (
-    Criterion(
-        "singularity",
-        "sigma_min",
-        "comes close to the task's singularity (smallest singular value {:.3g})",
-        is_bad="low",
-    ),
+    Criterion("singularity", "sigma_min", NEAR, is_bad="low"),
     Criterion("violation", "residual", "violates the constraint with {:.2g} % of its motion", 100.0, needs_rest=True),
     Criterion("displacement", "displacement_mm", "moves {:.3g} mm along directions that are held", needs_rest=True),
     Criterion("rotation", "displacement_deg", "turns {:.3g} degrees about axes that are held", needs_rest=True),
-    Criterion(
-        "limits",
-        "limit_margin",
-        "joint {joint!r} gets within {:.2g} % of its range to a limit",
-        100.0,
-        "low",
-        "limit_joint",
-    ),
-    Criterion(
-        "speed", "peak_speed", "joint {joint!r} reaches {:.3g} % of its velocity limit", 100.0, joint="peak_speed_joint"
-    ),
+    Criterion("limits", "limit_margin", LIMIT, 100.0, "low", "limit_joint"),
+    Criterion("speed", "peak_speed", FAST, 100.0, joint="peak_speed_joint"),
     Criterion("jerk", "jerk_rms", "is jerky ({:.3g} rad/s3 rms)"),
     Criterion("rest", "rest_share", "is at rest {:.2g} % of the time", 100.0),
     Criterion("duration", "duration", "lasts {:.3g} s", is_bad="both"),
@@ -423,7 +405,7 @@ def _judged(rows: list[EpisodeAudit], imposed: bool, false_alarms: float, notes:
     values = np.array([[c.badness(row) for c in criteria] for row in rows])
     defined = np.any(np.isfinite(values), axis=0)
     criteria = [c for c, there in zip(criteria, defined, strict=True) if there]
-    z = robust_z(values[:, defined], np.array([c.least_spread for c in criteria]))
+    z = robust_z(values[:, defined], np.array([LOG_SPREAD if c.name in NEGLIGIBLE else SHARE_SPREAD for c in criteria]))
     z = np.where([c.is_bad == "both" for c in criteria], np.abs(z), z)
     threshold = outlier_threshold(len(z), z.shape[1], false_alarms)
     judged = []

@@ -13,7 +13,6 @@ import numpy as np
 
 from manip_learn.constraint.constraint import Constraint
 from manip_learn.constraint.features.feature_map import FeatureMap
-from manip_learn.constraint.features.mechanism_rows import MechanismRows
 from manip_learn.constraint.skill import Skill
 from manip_learn.errors import (
     FeatureError,
@@ -33,7 +32,6 @@ from manip_learn.learning.recombination import BELIEVED_STRENGTH
 from manip_learn.learning.repeats import IndependentRecordings
 from manip_learn.learning.report import LearningReport, RecordingOverview, advise, build_report
 from manip_learn.learning.skill import skill_of
-from manip_learn.learning.uncertainty import mu_within_place, uncertainty_of
 from manip_learn.linalg import one_thread
 from manip_learn.recordings.demonstrations import Demonstrations
 from manip_learn.recordings.earned_velocities import Velocities, used_and_derived
@@ -283,15 +281,8 @@ class ConstraintLearner:
                 why = advise(refusal, everything, findings, fits, recordings=recordings, phases=self.phases)
                 raise why from refusal
             overview = RecordingOverview.of(answers, findings, recordings)
-            learnt = []
-            for answer in answers:
-                best = answer.candidate
-                parts, mu = uncertainty_of(best.samples, best.estimate, best.rng, arm)
-                rows, off = best.samples.features, None if answer.mechanism is None else answer.mechanism.errors
-                if off is not None and isinstance(rows, MechanismRows) and best.estimate.n_rows == rows.n_rows:
-                    mu = mu_within_place(rows, best.samples.q, off.numbers, off.radius, off.arm, arm)
-                seconds = time.perf_counter() - started
-                learnt.append(build_report(answer, overview, demonstrations.joint_names, (parts, mu), seconds))
+            names = demonstrations.joint_names
+            learnt = [build_report(answer, overview, names, arm, started) for answer in answers]
             self.constraints_, self.reports_ = zip(*learnt, strict=True)
             self.constraint_, self.report_ = learnt[0]
             self.skill_ = skill_of(self.constraints_, answers)

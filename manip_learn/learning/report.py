@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import math
+import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from typing import Any, NamedTuple, final
@@ -30,13 +31,14 @@ from manip_learn.errors import (
     printable,
 )
 from manip_learn.learning.answer import Answer
+from manip_learn.learning.arm_errors import ArmErrors
 from manip_learn.learning.checks import REST_SPEED, energy_shares
 from manip_learn.learning.estimators.estimate import CLEAR_GAP
 from manip_learn.learning.explanation.findings import IN_ONE_ONLY, Findings, Part, held_throughout
 from manip_learn.learning.recombination import FEWEST_TRAJECTORIES, RowSupport
 from manip_learn.learning.repeats import IndependentRecordings
 from manip_learn.learning.samples import STILL_ENERGY
-from manip_learn.learning.uncertainty import PARTS, Uncertainty, in_words, total_deg
+from manip_learn.learning.uncertainty import PARTS, Uncertainty, in_words, mu_within_place, total_deg, uncertainty_of
 from manip_learn.recordings.demonstrations import Demonstrations, distinct_names
 from manip_learn.recordings.trajectory import evenly
 from manip_learn.robot import html_card
@@ -324,21 +326,25 @@ def build_report(
     answer: Answer,
     overview: RecordingOverview,
     joint_names: tuple[str, ...],
-    known: tuple[Uncertainty, float | None],
-    seconds: float,
+    arm: ArmErrors,
+    started: float,
 ) -> tuple[Constraint, LearningReport]:
-    """The constraint, and the evidence for it.
+    """The constraint, and the evidence for it; the fit started when the clock `time.perf_counter` was at `started`.
 
-    `known` holds the parts of the angle of the row space [deg] and the share of mu, see `uncertainty_of`, `seconds` the
-    time that the fit took.
+    Raises:
+        NotIdentifiableError: A joint estimate that is known too badly for an answer.
     """
-    uncertainty, mu_uncertainty = known
     best, evidence, found = answer.candidate, answer.evidence, answer.mechanism
     samples, estimate, warnings = best.samples, best.estimate, list(best.warnings)
-    features, uncertainty_deg, mechanism = samples.features, total_deg(uncertainty), found and found.mechanism
+    features, mechanism = samples.features, found and found.mechanism
     selection = samples.selection(estimate.whitened_selection)
+    uncertainty, mu_uncertainty = uncertainty_of(samples, estimate, best.rng, arm)
+    uncertainty_deg = total_deg(uncertainty)
     if isinstance(features, MechanismRows | CurveRows) and len(selection) == features.n_rows:
         selection = np.eye(features.n_rows)  # all of the rows: any basis of theirs will do, so the plainest
+        off = None if found is None else found.errors
+        if off is not None and isinstance(features, MechanismRows):
+            mu_uncertainty = mu_within_place(features, samples.q, off.numbers, off.radius, off.arm, arm)
     used = np.linalg.norm(samples.whitening, axis=0) > 0.0
     unused = [n for n, u in zip(features.row_names, used, strict=True) if not u]
     if unused:
@@ -346,6 +352,9 @@ def build_report(
     if (n := len(answer.part.demonstrations)) < ENOUGH:
         count = "one trajectory" if n == 1 else f"{n} trajectories"
         warnings.append(f"only {count}: evidence from so few is thin; record {ENOUGH} or more")
+    notes = tuple(dict.fromkeys(map(printable, answer.part.demonstrations.notes)))
+    if len(notes) > MOST_NOTES:  # of thousands of files, not thousands of sentences
+        notes = (*notes[:MOST_NOTES], f"and {len(notes) - MOST_NOTES} more notes of this kind")
     kind = "motion-constrained" if estimate.name == "null-space" else "self-imposed"
     free = free_directions(selection, used)
     report = LearningReport(
@@ -369,8 +378,8 @@ def build_report(
         policy_residuals=estimate.policy_residuals,
         n_samples=len(samples),
         n_trajectories=samples.n_trajectories,
-        seconds=seconds,
-        notes=_few_notes(answer.part.demonstrations.notes),
+        seconds=time.perf_counter() - started,
+        notes=notes,
         warnings=tuple(
             map(printable, (*warnings, *answer.warnings, *(found.warnings if found else ()), *overview.warnings))
         ),
@@ -395,14 +404,6 @@ def build_report(
         meant = intention_of(features, selection, recordings)
         provenance["intention"] = None if meant is None else meant.to_dict()
     return Constraint(selection, features, provenance), report
-
-
-def _few_notes(notes: tuple[str, ...]) -> tuple[str, ...]:
-    """Each sentence once; of thousands of files, not thousands of sentences."""
-    unique = tuple(dict.fromkeys(map(printable, notes)))
-    if len(unique) <= MOST_NOTES:
-        return unique
-    return (*unique[:MOST_NOTES], f"and {len(unique) - MOST_NOTES} more notes of this kind")
 
 
 def advise(
@@ -461,11 +462,12 @@ def _several_phases(findings: Findings, demonstrations: Demonstrations, phases: 
         return []
     if findings.held:
         return ["cut the recordings more closely to what seems held, each stretch in a file of its own"]
-    how = ("trajectory[start:until]", "--from and --until")
     if len(demonstrations) < 2:
-        return ["cut the recording to the contact" + advice(" with {}", *how) + whole.format("it")]
+        how = advice(" with {}", "trajectory[start:until]", "--from and --until")
+        return ["cut the recording to the contact" + how + whole.format("it")]
+    how = advice(" ({})", "trajectory[start:until]", "--from and --until")
     unconfirmed = ", for no stretch of them obeys a constraint that several confirm, as in free motion"
-    return ["cut the recordings to the contact" + advice(" ({})", *how) + unconfirmed]
+    return ["cut the recordings to the contact" + how + unconfirmed]
 
 
 def _places(findings: Findings, recordings: IndependentRecordings) -> list[str]:

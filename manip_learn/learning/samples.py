@@ -107,7 +107,8 @@ class Table:
         first = np.concatenate([[0], np.cumsum(lengths, dtype=np.int64)])
         recordings = tuple(self.recordings[i].part(span) for i, span in spans)
         number = np.repeat(np.arange(len(spans)), lengths)
-        return Table(recordings, self.time[rows], self.q[rows], self.u[rows], number, first, None, (self, rows))
+        own = (self.time[rows], self.q[rows], self.u[rows], number, first)
+        return Table(recordings, *own, _larger=(self, rows))
 
     @property
     def whole(self) -> Table:

@@ -17,6 +17,7 @@ from manip_learn.constraint.features.weighed_velocity import WeighedVelocity
 from manip_learn.errors import FeatureError
 from manip_learn.robot.robot import Robot
 
+# names of the rows: velocities across and along the curve, then angular ones
 ROWS = ("across-1", "across-2", "along", *AXES[3:])
 FINE = 12  # places of the frame from one point to the next: its error falls with the fourth power of their distance
 COARSE = 3  # places from one point to the next, from the nearest of which the nearest of all is looked for

@@ -13,7 +13,7 @@ from jaxtyping import Bool, Float, Int
 from manip_learn.constraint.features.feature_map import FeatureMap
 from manip_learn.constraint.features.frame_jacobian import AXES, FrameJacobian
 from manip_learn.constraint.features.mechanism_rows import PlaceForm, PlaceRows
-from manip_learn.learning.samples import Samples, Table
+from manip_learn.learning.samples import BLOCK, Samples, Table
 from manip_learn.linalg import null_basis
 from manip_learn.recordings.trajectory import Trajectory, subsample
 from manip_learn.robot.batch.batch_kinematics import batch_kinematics
@@ -73,15 +73,15 @@ class RowMotion:
         """
         table = Table.of(recordings)
         samples = Samples.collect(features, table)
-        n, r, start = len(samples), samples.n_rows, 0
+        n, r = len(samples), samples.n_rows
         rates, gram, free = np.empty((n, r)), np.empty((n, r, r)), np.empty(n)
-        for block in samples.blocks():
-            white, part = np.ascontiguousarray(block.Phi), slice(start, start := start + len(block.u))
-            rates[part] = np.matmul(white, block.u[:, :, None])[:, :, 0]
+        for part in (slice(start, start + BLOCK) for start in range(0, n, BLOCK)):
+            white, u = samples.whitening @ samples.Phi[part], samples.u[part]
+            rates[part] = np.matmul(white, u[:, :, None])[:, :, 0]
             gram[part] = own = np.matmul(white, white.transpose(0, 2, 1))
             regular = own + 1e-9 * np.trace(own, axis1=1, axis2=2)[:, None, None] * np.eye(r)
             used = np.einsum("npv,npv->nv", white, np.linalg.solve(regular, white))
-            free[part] = np.sum(used * block.u**2, axis=1)
+            free[part] = np.sum(used * u**2, axis=1)
         rank = int(np.median(np.linalg.matrix_rank(gram[:: max(1, n // 50)], RANK, hermitian=True)))
         ends = np.stack([table.time[table.first[:-1]], table.time[table.first[1:] - 1]], axis=1)
         noise, of_table = table.noise[table.trajectory], (table.time, table.weight, table.trajectory, table.first)

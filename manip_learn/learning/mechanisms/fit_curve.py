@@ -11,7 +11,7 @@ from manip_learn.errors import FeatureError
 from manip_learn.learning.mechanisms.place_fit import correlations
 from manip_learn.learning.mechanisms.quantities import TipPaths
 
-CUBIC = 3
+CUBIC = 3  # degree of the spline: its curvature is continuous
 PIECES = (2, 4, 8, 16, 32)  # of the spline that is fitted: as many as foretell the other trajectories best
 ROUNDS = 5  # of fitting, each to the places on the curve that are next to the samples
 POINTS = 4  # of the curve in each piece of the spline
