@@ -141,7 +141,9 @@ def test_joint_fit_is_an_optimum(reaching):
     """No small rotation of Lambda lowers the cost, with the policy refitted; the gradients sum to zero."""
     samples, truth = reaching
     affine = [monomials(0), monomials(1)]
-    _, fit = without_noise(samples, orthonormal_rows(truth.selection @ np.linalg.pinv(samples.whitening)), [("", affine)])
+    _, fit = without_noise(
+        samples, orthonormal_rows(truth.selection @ np.linalg.pinv(samples.whitening)), [("", affine)]
+    )
     rng = np.random.default_rng(4)
     for _ in range(5):
         turned = orthonormal_rows(fit.Lambda + 1e-3 * rng.standard_normal(fit.Lambda.shape))

@@ -16,7 +16,6 @@ from manip_learn.linalg import complement_rows, orthonormal_rows
 sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "benchmarks"))
 from efficiency import measure  # noqa: E402
 
-
 GRADES = [monomials(degree) for degree in range(4)]
 
 

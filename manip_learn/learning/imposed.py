@@ -29,7 +29,6 @@ L^-1 pi, and l less log |L| a sample is the likelihood of the same u.
 from __future__ import annotations
 
 import dataclasses
-import itertools
 import math
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass, field
@@ -46,7 +45,7 @@ from scipy.spatial import cKDTree
 
 from manip_learn.errors import NotIdentifiableError
 from manip_learn.learning.descent import descend
-from manip_learn.learning.estimators.estimate import Estimate, PolicyPrior, gaps_of_residuals
+from manip_learn.learning.estimators.estimate import Estimate, GapTable, PolicyPrior, gaps_of_residuals
 from manip_learn.learning.samples import CUBIC, Samples, in_blocks, rows_beside, runs
 from manip_learn.linalg import complement_rows, inverse_triangles_beside, orthonormal_rows, row_bases, turned
 
@@ -60,6 +59,9 @@ MOST_COLUMNS = 400  # parameters of the policy: the time of a step grows with th
 # samples that the search looks at; more of them only sharpen what it found
 COMPARE_LIMIT = 1_500
 CHUNK, KEEP_LIMIT = 1024, 10_000_000  # samples whose products of regressors are made at a time; kept products [numbers]
+PARTS = 10  # that are left out in turn, at most
+# left-out motion over that of no policy at all up to which a policy predicts it: 1 where there is noise alone to predict
+PREDICTS = 1.2
 MAX_BLOCKS = 100  # more trajectories than this are taken in blocks: a Hessian of each, for Theta too, is kept
 
 # share of the root mean square of u that is noise enough to tell hypotheses apart: what is resolved below it, in
@@ -83,7 +85,9 @@ EXACT_STEPS = 30  # of the descent by least squares, which ends by itself before
 RANDOM_STARTS, SUBSPACES = 3, 4  # starts where no closed-form one leads to the noise; within the rows that were found
 # a rest posture for each trajectory makes the cost bumpy: many starts on a few trajectories and samples
 FEW, FEW_SAMPLES, MANY_STARTS = 16, 600, 40
+OWN_SHARE = 1e-6  # of what is noise enough elsewhere
 
+COVARIANCES = 2  # of the noise, each by the residual of a fit with the one before
 # largest variance of a joint's noise over the least below which equal weights cost a few per cent at most
 UNEQUAL_NOISE = 2.0
 NOISE_RANGE = (1e-2, 1e2)  # variances of the joints' noise beside their mean. Set by hand
@@ -156,7 +160,47 @@ def radial(x: Float[np.ndarray, "n m"], n_centres: int, rng: np.random.Generator
     return beta
 
 
-ALL = {**{name: monomials(k) for k, name in enumerate(POLYNOMIALS)}, "harmonic1": waves(1), "harmonic2": waves(2)}
+GRADES: dict[str, Grade] = {
+    **{name: monomials(degree) for degree, name in enumerate(POLYNOMIALS)},
+    "harmonic1": waves(1),
+    "harmonic2": waves(2),
+    "offset": offsets,
+}
+# policy models that can be asked for, or that may describe a policy exactly
+MODELS = {
+    **{name: POLYNOMIALS[: degree + 1] for degree, name in enumerate(POLYNOMIALS)},
+    "harmonic1": ("constant", "affine", "harmonic1"),
+    "harmonic2": ("constant", "affine", "harmonic1", "harmonic2"),
+    OWN: ("affine", "offset"),
+}
+
+
+def grades_of(samples: Samples, policy_model: str, rng: np.random.Generator) -> dict[str, Grade]:
+    """The grades of a policy model; of the general prior those for whose parameters there is room.
+
+    Raises:
+        NotIdentifiableError: There is no model of that name.
+    """
+    if policy_model == "rbf":
+        return {f"rbf{RADIAL_CENTRES}": radial(samples.x, RADIAL_CENTRES, rng)}
+    if policy_model in (*POLYNOMIALS, OWN):
+        return {name: GRADES[name] for name in MODELS[policy_model]}
+    if policy_model != "auto":
+        raise NotIdentifiableError(
+            f"unknown policy model {policy_model!r}: use 'auto', 'rbf', {OWN!r} or one of {', '.join(POLYNOMIALS)}",
+            code="policy-model",
+        )
+    out = dict[str, Grade]()
+    for name in GENERAL:
+        if n_columns(samples, [*out, name]) <= MOST_COLUMNS:
+            out[name] = GRADES[name]
+    return out
+
+
+def n_columns(samples: Samples, names: Iterable[str]) -> int:
+    """Parameters of a policy with some grades."""
+    one = samples.subset(np.arange(len(samples)) == 0)
+    return samples.nv * sum(GRADES[name](one).shape[1] for name in names)
 
 
 @final
@@ -210,6 +254,14 @@ class Regressors:
     def part(self, samples: Part) -> Regressors:
         """Those of some samples."""
         return Regressors(self.values[samples], self.grades)
+
+
+def parts_of(samples: Samples, own: bool) -> list[Part]:
+    """What is left out in turn: trajectories, or some of them, or samples where no other tells a trajectory's offset."""
+    n, most = len(samples), min(samples.n_trajectories, PARTS)
+    if own:
+        return [np.arange(k, n, PARTS) for k in range(PARTS)]
+    return [part for _, part in in_blocks(samples.trajectory, samples.n_trajectories, most)]
 
 
 def blocks_of(samples: Samples) -> list[Part]:
@@ -376,11 +428,14 @@ class Posterior:
         self.energy = float(np.sum(null_part**2))
         self._pulled = pull(regressors.values, null_part[:, :, None])[:, 0]
         self._grades = np.repeat(regressors.grades, samples.nv)
-        self.n_residuals = len(samples) * (samples.nv - len(Lambda))
+        self._free = samples.nv - len(Lambda)
+        self.n_residuals = len(samples) * self._free
         scale = float(np.mean(samples.u**2))
         self._least = LEAST * scale
         if before is None:
-            self._settle(FIRST_NOISE * scale, np.full(int(regressors.grades.max()) + 1, FIRST_SPREAD * scale), FIRST_UPDATES)
+            self._settle(
+                FIRST_NOISE * scale, np.full(int(regressors.grades.max()) + 1, FIRST_SPREAD * scale), FIRST_UPDATES
+            )
         else:
             self._settle(before.noise, before.variances, UPDATES)
 
@@ -405,6 +460,11 @@ class Posterior:
         self.residual = float(np.sum(self.at.project(self.y) ** 2))
 
     @property
+    def motion(self) -> float:
+        """Mean of |Z^T u|^2 that there is to explain; what is not resolved is not held against the policy."""
+        return max(self.energy / len(self.samples), self._free * resolved(self.samples))
+
+    @property
     def cost(self) -> float:
         """- 2 log N, see the module."""
         return self.cost_at_least(0.0)
@@ -415,7 +475,10 @@ class Posterior:
         penalty = float(np.sum(self.precision * self.theta**2))
         noise = max(noise, self.noise)
         return (
-            self.n_residuals * math.log(noise) + self._solver.log_determinant - log_prior + (self.residual + penalty) / noise
+            self.n_residuals * math.log(noise)
+            + self._solver.log_determinant
+            - log_prior
+            + (self.residual + penalty) / noise
         )
 
     def moved(self, step: Float[np.ndarray, " m"]) -> Posterior:
@@ -443,7 +506,9 @@ class Posterior:
             entries = pairs.T @ shares
             spread = np.empty((len(entries), nv, nv))
             spread[:, v, w] = spread[:, w, v] = entries
-            slopes.append(-np.einsum("nsv,nvw,nwk->nsk", self.at.duals[part], spread, self.at.free[part], optimize=True))
+            slopes.append(
+                -np.einsum("nsv,nvw,nwk->nsk", self.at.duals[part], spread, self.at.free[part], optimize=True)
+            )
         return np.atleast_2d(weights) @ np.concatenate(slopes).reshape(len(beta), -1)
 
     def held_out(self, parts: Sequence[Part]) -> float:
@@ -503,7 +568,9 @@ class Posterior:
         samples = self.samples
         along = samples.u - self.at.project(samples.u)
         lambda_price = 0.5 * s * (r - s) * math.log(len(samples))
-        return _signal_nats(samples, along, s, floor) - 0.5 * self.cost_at_least(floor) - lambda_price + _volume(samples)
+        return (
+            _signal_nats(samples, along, s, floor) - 0.5 * self.cost_at_least(floor) - lambda_price + _volume(samples)
+        )
 
 
 def resolved(samples: Samples) -> float:
@@ -621,26 +688,25 @@ class Search:
     Args:
         samples: Few enough for many descents.
         grades: Of the prior.
-        floor: Least variance of the noise by which hypotheses are told apart [(rad/s)^2].
         rng: For the random starts.
-        n_random: Random starts of each number of rows where none that is computed leads to the noise.
+        own: Whether these are offsets of each trajectory, which make the cost bumpy, and follow nearly anything: what
+            they leave of the true motion alone is rounding.
     """
 
-    def __init__(
-        self, samples: Samples, grades: Sequence[Grade], floor: float, rng: np.random.Generator, n_random: int
-    ):
-        self._samples, self._floor, self._rng = samples, floor, rng
+    def __init__(self, samples: Samples, grades: Sequence[Grade], rng: np.random.Generator, own: bool):
+        floor = OWN_SHARE * resolved(samples) if own else resolved(samples)
+        self._samples, self._floor, self._left_out = samples, floor, dict[Posterior, float]()
+        self._parts = parts_of(samples, own)
         self._regressors = Regressors.of(samples, grades)
-        # smooth motion looks like noise of a millionth: too much where many starts lead to as little
-        self.enough = ABOVE_NOISE * (floor if n_random == MANY_STARTS else max(noise_in_time(samples), floor))
+        self.enough = ABOVE_NOISE * (floor if own else max(noise_in_time(samples), floor))
         beta, affine = self._regressors.values, np.concatenate([np.ones((len(samples), 1)), samples.x], axis=1)
         starts = [conditional_pca(samples, one) for one in (affine, beta) if 2 * one.shape[1] < len(samples)]
-        self.found = {
-            s: self._look(one[:s] for one in starts) for s in range(min(samples.n_rows, samples.nv - 1) + 1)
-        }
+        self.found = {s: self._look(one[:s] for one in starts) for s in range(min(samples.n_rows, samples.nv - 1) + 1)}
         if self.best.noise > self.enough:
             for s, before in self.found.items():
-                random = (rng.standard_normal((s, samples.n_rows)) for _ in range(n_random))
+                random = (
+                    rng.standard_normal((s, samples.n_rows)) for _ in range(MANY_STARTS if own else RANDOM_STARTS)
+                )
                 self.found[s] = self._look(random, before)
         # one row less, within the rows of the best: they hold the true ones where these are fewer
         while (s := len(self.best.Lambda)) > 1:
@@ -651,8 +717,28 @@ class Search:
 
     @property
     def best(self) -> Posterior:
-        """The one with the most evidence."""
-        return max(self.found.values(), key=lambda one: one.nats(self._floor))
+        """The one with the most evidence, of those whose policy predicts recordings that it was not fitted to.
+
+        Evidence alone believes in a rich policy that follows each of a few recordings.
+        """
+        predicting = [s for s, one in self.found.items() if self.left_out(s) <= PREDICTS * one.motion]
+        if not predicting:
+            return self.found[min(self.found, key=self.left_out)]
+        return max((self.found[s] for s in predicting), key=lambda one: one.nats(self._floor))
+
+    def left_out(self, s: int) -> float:
+        """Mean of |Z^T (u - pi)|^2 on recordings that the policy of s rows was not fitted to."""
+        one = self.found[s]
+        if one not in self._left_out:
+            self._left_out[one] = one.held_out(self._parts)
+        return self._left_out[one]
+
+    def gaps(self) -> GapTable:
+        """How much each row helps to predict recordings; best is the number of rows of the best."""
+        nv, least = self._samples.nv, LEAST * self._samples.energy
+        residuals = {s: math.sqrt(max(self.left_out(s), least) / (nv - s)) for s in self.found}
+        table = gaps_of_residuals(residuals, math.sqrt(least), len(self._samples))
+        return dataclasses.replace(table, best=max(len(self.best.Lambda), 1))
 
     def _look(self, starts: Iterable[Float[np.ndarray, "s r"]], best: Posterior | None = None) -> Posterior:
         """The most likely after a few steps, from one start after the other until noise alone is left."""
@@ -673,44 +759,6 @@ def descended(here: Posterior, steps: int = STEPS) -> Posterior:
     return descend(here, Posterior.moved, steps, settled=lambda _, step, H: float(step @ H @ step) < SETTLED)
 
 
-def prior_of(samples: Samples, name: str, rng: np.random.Generator) -> dict[str, Grade]:
-    """The grades of a policy model.
-
-    Raises:
-        NotIdentifiableError: There is no model of that name.
-    """
-    if name == "rbf":
-        return {f"rbf{RADIAL_CENTRES}": radial(samples.x, RADIAL_CENTRES, rng)}
-    if name == OWN:
-        return {"affine": monomials(1), "offset": offsets}
-    if name in POLYNOMIALS:
-        return {one: monomials(k) for k, one in enumerate(POLYNOMIALS[: POLYNOMIALS.index(name) + 1])}
-    if name != "auto":
-        raise NotIdentifiableError(
-            f"unknown policy model {name!r}: use 'auto', 'rbf', {OWN!r} or one of {', '.join(POLYNOMIALS)}",
-            code="policy-model",
-        )
-    return fitting({one: ALL[one] for one in GENERAL}, samples)
-
-
-def fitting(grades: dict[str, Grade], samples: Samples) -> dict[str, Grade]:
-    """Those grades, in their order, for whose parameters there is room."""
-    one, out, width = samples.subset(np.arange(len(samples)) == 0), dict[str, Grade](), 0
-    for name, grade in grades.items():
-        own = grade(one).shape[1]
-        if (width + own) * samples.nv <= MOST_COLUMNS:
-            out[name], width = grade, width + own
-    return out
-
-
-def models_without_noise(samples: Samples) -> list[tuple[str, list[Grade]]]:
-    """Models that may describe a policy exactly, fewest parameters first."""
-    names = [POLYNOMIALS[: k + 1] for k in range(1, len(POLYNOMIALS))]
-    names += [("constant", "affine", "harmonic1"), ("constant", "affine", "harmonic1", "harmonic2")]
-    models = [(some[-1], [ALL[one] for one in some]) for some in names if len(fitting({one: ALL[one] for one in some}, samples)) == len(some)]
-    return sorted(models, key=lambda model: sum(grade(samples).shape[1] for grade in model[1]))
-
-
 def estimate_imposed(
     samples: Samples,
     n_constraints: int | None,
@@ -718,7 +766,7 @@ def estimate_imposed(
     policy_model: str = "auto",
     unexplained: float = math.inf,
 ) -> Estimate:
-    """Number of rows by evidence, then the most likely Lambda on all data.
+    """Number of rows by evidence on a choice of samples, then the most likely Lambda on all.
 
     Args:
         samples: What was recorded.
@@ -727,86 +775,91 @@ def estimate_imposed(
         policy_model: `"auto"` (the general prior), `"constant"`, `"affine"`, `"quadratic"`, `"cubic"`, `"quartic"`,
             `"quintic"` or `"rbf"`; or `"affine-offset"`: affine, with an offset per trajectory, where demonstrators
             rest in different postures.
-        unexplained: Held-out share of the energy above which to give up.
+        unexplained: Share of the energy of left-out recordings that a policy may leave.
 
     Raises:
         NotIdentifiableError: One trajectory or motion only, too few samples for an affine policy, no task in them, or
-            given up.
+            no policy explains them.
     """
     refuse_what_cannot_show_it(samples, n_constraints)
-    enough = floor = resolved(samples)
-    few = samples.thinned(COMPARE_LIMIT)
-    if policy_model == OWN:
-        few, floor = samples.subset(samples.trajectory < FEW).thinned(FEW_SAMPLES), LEAST * samples.energy / samples.nv
-    grades = prior_of(few, policy_model, rng)
-    settings = list(grades.values()), floor, rng, MANY_STARTS if policy_model == OWN else RANDOM_STARTS
-    search = Search(few, *settings)
-    chosen = search.best if n_constraints is None else search.found[n_constraints]
-    S = shape_in_time(samples) if chosen.noise > NO_NOISE * samples.energy else None
+    floor, own, given = resolved(samples), policy_model == OWN, samples
+    few = _few(samples) if own else samples.thinned(COMPARE_LIMIT)
+    grades = grades_of(few, policy_model, rng)
+
+    def searched(some: Samples) -> tuple[Search, Posterior]:
+        search = Search(some, list(grades.values()), rng, own)
+        return search, search.best if n_constraints is None else search.found[n_constraints]
+
+    search, chosen = searched(few)
+    is_noisy = chosen.noise > NO_NOISE * samples.energy
+    S = shape_in_time(samples) if is_noisy else None
     if S is not None and np.linalg.cond(S) >= UNEQUAL_NOISE:
-        other = Search(whitened(few, S), *settings)
-        weighted = other.best if n_constraints is None else other.found[n_constraints]
+        other, weighted = searched(whitened(few, S))
         if weighted.nats(floor) > chosen.nats(floor):
             search, chosen, samples = other, weighted, whitened(samples, S)
-    s = len(chosen.Lambda)
-    if s == 0:
+    if len(chosen.Lambda) == 0:
         raise NotIdentifiableError(
             "a policy of the posture alone explains the motion: nothing in it is steered on purpose, or too few "
             "trajectories show what is; record more, from other starts to other targets",
             code="no-task",
         )
-    if policy_model == "auto" and chosen.noise > search.enough:
-        part = samples.subset(samples.trajectory < FEW).thinned(FEW_SAMPLES)
-        shared, own = (
-            Posterior(part, Regressors.of(part, list(prior_of(part, name, rng).values())), chosen.Lambda)
-            for name in ("auto", OWN)
-        )
-        if own.nats(floor) > shared.nats(floor):
-            return estimate_imposed(samples, n_constraints, rng, OWN, unexplained)
-    residuals = {k: math.sqrt(one.noise) for k, one in search.found.items()}
-    table = gaps_of_residuals(residuals, math.sqrt(LEAST * samples.energy), len(few))
-    table = dataclasses.replace(table, best=max(len(search.best.Lambda), 1))
-    names = list(grades)
-    if chosen.noise <= NO_NOISE * samples.energy:
-        if policy_model == OWN:
-            few = samples
-        models = models_without_noise(few) if policy_model == "auto" else [(policy_model, list(grades.values()))]
-        name, fit = without_noise(few, chosen.Lambda, models)
-        prior, nats = None, Posterior(samples, Regressors.of(samples, list(grades.values())), fit.Lambda).nats(enough)
+    if policy_model == "auto" and chosen.noise > search.enough and _rest_apart(samples, chosen.Lambda, grades):
+        return estimate_imposed(given, n_constraints, rng, OWN, unexplained)
+    regressors = Regressors.of(samples, list(grades.values()))
+    if is_noisy:
+        fit = _with_its_noise(descended(Posterior(samples, regressors, chosen.Lambda)), floor)
+        nats, name = fit.nats(floor), _said(list(grades), fit.determined)
     else:
-        fit = descended(Posterior(samples, Regressors.of(samples, list(grades.values())), chosen.Lambda))
-        for _ in range(2):
-            Sigma = shape_of_residual(fit)
-            if np.linalg.cond(Sigma) < UNEQUAL_NOISE:
-                break
-            weighted = whitened(samples, Sigma)
-            other = descended(Posterior(weighted, fit.regressors, fit.Lambda))
-            if other.nats(floor) <= fit.nats(floor):
-                break
-            fit, samples = other, weighted
-        name = _said(names, fit.determined) if policy_model == "auto" else policy_model
-        nats = fit.nats(enough)
+        name, fit = without_noise(samples if own else few, chosen.Lambda, _exact_models(few, grades, policy_model))
+        nats = Posterior(samples, regressors, fit.Lambda).nats(floor)
+    name = name if policy_model in ("auto", "rbf") else policy_model
     gradients, hessians = fit.scores()
+    prior = None
     if isinstance(fit, Posterior):
         prior = PolicyPrior(np.append(fit.precision, np.zeros(hessians.shape[1] - len(fit.precision))), fit.noise)
-    parts = blocks_of(fit.samples) if policy_model != OWN else [np.arange(k, len(fit.samples), 5) for k in range(5)]
-    held_out, n = fit.held_out(parts), len(fit.samples)
-    energy = max(fit.energy / n, VANISHING * samples.energy)
-    if held_out > unexplained * energy:
-        raise NotIdentifiableError("no policy model predicts this motion", code="unexplained")
+    energy = max(fit.energy / len(fit.samples), VANISHING * samples.energy)
+    held_out = fit.held_out(parts_of(fit.samples, own)) / energy
+    if held_out > unexplained:
+        raise NotIdentifiableError("no policy explains left-out recordings", code="unexplained")
+    left = fit.residual / len(fit.samples) / energy
+    residuals = {name: held_out}
     return Estimate(
-        "joint",
-        fit.Lambda,
-        table,
-        fit.residual / n / energy,
-        held_out / energy,
-        gradients,
-        hessians,
-        name,
-        {name: held_out / energy},
-        nats,
-        prior,
+        "joint", fit.Lambda, search.gaps(), left, held_out, gradients, hessians, name, residuals, nats, prior
     )
+
+
+def _few(samples: Samples) -> Samples:
+    return samples.subset(samples.trajectory < FEW).thinned(FEW_SAMPLES)
+
+
+def _rest_apart(samples: Samples, Lambda: Float[np.ndarray, "s r"], grades: dict[str, Grade]) -> bool:
+    """Whether offsets of each trajectory explain more than the general prior, where this leaves more than noise."""
+    few, floor = _few(samples), OWN_SHARE * resolved(samples)
+    own = [GRADES[name] for name in MODELS[OWN]]
+    shared, apart = (Posterior(few, Regressors.of(few, one), Lambda) for one in (list(grades.values()), own))
+    return apart.nats(floor) > shared.nats(floor)
+
+
+def _with_its_noise(fit: Posterior, floor: float) -> Posterior:
+    """The fit with the covariance of the noise that its residual shows, where that makes the motion more likely."""
+    for _ in range(COVARIANCES):
+        Sigma = shape_of_residual(fit)
+        if np.linalg.cond(Sigma) < UNEQUAL_NOISE:
+            break
+        other = descended(Posterior(whitened(fit.samples, Sigma), fit.regressors, fit.Lambda))
+        if other.nats(floor) <= fit.nats(floor):
+            break
+        fit = other
+    return fit
+
+
+def _exact_models(samples: Samples, grades: dict[str, Grade], policy_model: str) -> list[tuple[str, list[Grade]]]:
+    """Models that may describe a policy exactly, fewest parameters first."""
+    if policy_model != "auto":
+        return [(next(iter(grades)), list(grades.values()))]
+    sizes = {name: n_columns(samples, some) for name, some in MODELS.items() if name not in ("constant", OWN)}
+    names = [name for name in sorted(sizes, key=lambda name: sizes[name]) if sizes[name] <= MOST_COLUMNS]
+    return [(name, [GRADES[one] for one in MODELS[name]]) for name in names]
 
 
 def _said(names: Sequence[str], determined: Float[np.ndarray, " g"]) -> str:

@@ -37,9 +37,7 @@ STALLED = 5  # steps of little gain in a row that end a stage
 SEPARATION_LIMIT = 4_000
 
 
-def separate(
-    beta: Float[np.ndarray, "n k"], u: Float[np.ndarray, "n nv"]
-) -> tuple[Float[np.ndarray, "k nv"], float]:
+def separate(beta: Float[np.ndarray, "n k"], u: Float[np.ndarray, "n nv"]) -> tuple[Float[np.ndarray, "k nv"], float]:
     """Weights of w~ = beta(x) weights, and the mean of (w^ . u - |w~|)^2 [(rad/s)^2].
 
     Levenberg-Marquardt from the regression of u on the posture; random starts end in poor minima now and then.
