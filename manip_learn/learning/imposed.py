@@ -29,6 +29,7 @@ L^-1 pi, and l less log |L| a sample is the likelihood of the same u.
 from __future__ import annotations
 
 import dataclasses
+import itertools
 import math
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass, field
@@ -45,7 +46,7 @@ from scipy.spatial import cKDTree
 
 from manip_learn.errors import NotIdentifiableError
 from manip_learn.learning.descent import descend
-from manip_learn.learning.estimators.estimate import Estimate, GapTable, PolicyPrior, gaps_of_residuals
+from manip_learn.learning.estimators.estimate import Estimate, GapTable, PolicyPrior
 from manip_learn.learning.samples import CUBIC, Samples, in_blocks, rows_beside, runs
 from manip_learn.linalg import complement_rows, inverse_triangles_beside, orthonormal_rows, row_bases, turned
 
@@ -60,12 +61,12 @@ MOST_COLUMNS = 400  # parameters of the policy: the time of a step grows with th
 COMPARE_LIMIT = 1_500
 CHUNK, KEEP_LIMIT = 1024, 10_000_000  # samples whose products of regressors are made at a time; kept products [numbers]
 PARTS = 10  # that are left out in turn, at most
-# left-out motion over that of no policy at all up to which a policy predicts it: 1 where there is noise alone to predict
+# left-out motion over that of no policy up to which a policy predicts it: 1 where there is noise alone to predict
 PREDICTS = 1.2
 MAX_BLOCKS = 100  # more trajectories than this are taken in blocks: a Hessian of each, for Theta too, is kept
 
-# share of the root mean square of u that is noise enough to tell hypotheses apart: what is resolved below it, in
-# recordings without noise, is how well features approximate the policy, and with more rows they come closer. Set by hand
+# share of the root mean square of u that is noise enough to tell hypotheses apart: what is resolved below it is how well
+# features approximate the policy, and with more rows they come closer. Set by hand
 RESOLVED_SHARE = 1e-3
 # variance over that of the noise up to which a fit leaves noise alone: 22 % in amplitude. Set by hand
 ABOVE_NOISE = 1.5
@@ -256,17 +257,11 @@ class Regressors:
         return Regressors(self.values[samples], self.grades)
 
 
-def parts_of(samples: Samples, own: bool) -> list[Part]:
-    """What is left out in turn: trajectories, or some of them, or samples where no other tells a trajectory's offset."""
-    n, most = len(samples), min(samples.n_trajectories, PARTS)
+def parts_of(samples: Samples, most: int, own: bool = False) -> list[Part]:
+    """Trajectories, or blocks of them; or samples dealt out in turn, where a trajectory has an offset of its own."""
     if own:
-        return [np.arange(k, n, PARTS) for k in range(PARTS)]
+        return [np.arange(k, len(samples), most) for k in range(most)]
     return [part for _, part in in_blocks(samples.trajectory, samples.n_trajectories, most)]
-
-
-def blocks_of(samples: Samples) -> list[Part]:
-    """Samples of each trajectory, or block of them."""
-    return [part for _, part in in_blocks(samples.trajectory, samples.n_trajectories, MAX_BLOCKS)]
 
 
 def pull(beta: Float[np.ndarray, "n k"], values: Float[np.ndarray, "n nv m"]) -> Float[np.ndarray, "c m"]:
@@ -403,7 +398,7 @@ class ExactPolicy:
     def scores(self) -> tuple[Float[np.ndarray, "g d"], Float[np.ndarray, "g d d"]]:
         """As `Posterior.scores`, for the policy in its orthonormal basis, already eliminated from Lambda."""
         J, sums = self._slopes(), []
-        for rows, own in self._blocks(blocks_of(self.samples)):
+        for rows, own in self._blocks(parts_of(self.samples, MAX_BLOCKS)):
             both = np.concatenate([own, J[rows]], axis=1)
             sums.append((both.T @ self._e[rows], both.T @ both))
         gradients, hessians = map(np.array, zip(*sums, strict=True))
@@ -428,8 +423,7 @@ class Posterior:
         self.energy = float(np.sum(null_part**2))
         self._pulled = pull(regressors.values, null_part[:, :, None])[:, 0]
         self._grades = np.repeat(regressors.grades, samples.nv)
-        self._free = samples.nv - len(Lambda)
-        self.n_residuals = len(samples) * self._free
+        self.n_residuals = len(samples) * (samples.nv - len(Lambda))
         scale = float(np.mean(samples.u**2))
         self._least = LEAST * scale
         if before is None:
@@ -458,11 +452,6 @@ class Posterior:
         self.theta = self._solver(self._pulled[:, None])[:, 0]
         self.y = self.samples.u - self.regressors.values @ self.theta.reshape(-1, self.samples.nv)
         self.residual = float(np.sum(self.at.project(self.y) ** 2))
-
-    @property
-    def motion(self) -> float:
-        """Mean of |Z^T u|^2 that there is to explain; what is not resolved is not held against the policy."""
-        return max(self.energy / len(self.samples), self._free * resolved(self.samples))
 
     @property
     def cost(self) -> float:
@@ -527,7 +516,7 @@ class Posterior:
 
         With e = N y and dLambda = B Lambda_perp: d e / d Theta_kv = -beta_k N_v, d e / d B as in `slopes`.
         """
-        beta, parts, sums = self.regressors.values, blocks_of(self.samples), []
+        beta, parts, sums = self.regressors.values, parts_of(self.samples, MAX_BLOCKS), []
         membership = np.zeros((len(parts), len(beta)))
         J, e = self.at.slopes(self.y), self.at.project(self.y)
         for own, part in zip(membership, parts, strict=True):
@@ -564,13 +553,15 @@ class Posterior:
 
     def nats(self, floor: float) -> float:
         """l, see the module, with a noise of at least this variance [(rad/s)^2]."""
-        s, r = self.Lambda.shape
-        samples = self.samples
-        along = samples.u - self.at.project(samples.u)
-        lambda_price = 0.5 * s * (r - s) * math.log(len(samples))
-        return (
-            _signal_nats(samples, along, s, floor) - 0.5 * self.cost_at_least(floor) - lambda_price + _volume(samples)
-        )
+        s, samples = len(self.Lambda), self.samples
+        task = _signal_nats(samples, samples.u - self.at.project(samples.u), s, floor)
+        volume = 0.0 if samples.mixing is None else float(np.linalg.slogdet(samples.mixing)[1])
+        return task - 0.5 * self.cost_at_least(floor) + len(samples) * volume - _price(samples, s)
+
+
+def _price(samples: Samples, s: int) -> float:
+    """Of the entries of Lambda."""
+    return 0.5 * s * (samples.n_rows - s) * math.log(len(samples))
 
 
 def resolved(samples: Samples) -> float:
@@ -580,12 +571,12 @@ def resolved(samples: Samples) -> float:
 
 def held_nats(samples: Samples, Lambda: Float[np.ndarray, "s r"]) -> float:
     """l of rows that are held: A u is noise, and what moves in the null space a signal in time."""
-    (s, r), floor = Lambda.shape, resolved(samples)
+    s, floor = len(Lambda), resolved(samples)
     free = Projections.of(samples, Lambda).project(samples.u)
     square = float(np.sum((samples.u - free) ** 2)) / (len(samples) * s)
     noise = max(square, floor)
     held = -0.5 * len(samples) * s * (math.log(noise) + square / noise)
-    return held + _signal_nats(samples, free, samples.nv - s, floor) - 0.5 * s * (r - s) * math.log(len(samples))
+    return held + _signal_nats(samples, free, samples.nv - s, floor) - _price(samples, s)
 
 
 def _signal_nats(samples: Samples, signal: Float[np.ndarray, "n nv"], size: int, floor: float) -> float:
@@ -602,11 +593,6 @@ def _signal_nats(samples: Samples, signal: Float[np.ndarray, "n nv"], size: int,
     variance = np.maximum(mean, floor)
     price = np.count_nonzero(used) * math.log(len(samples))
     return -0.5 * float(np.sum(counts[used] * (np.log(variance) + mean / variance)) + price)
-
-
-def _volume(samples: Samples) -> float:
-    """- n log |L|: what a density gains by the whitening of the noise."""
-    return 0.0 if samples.mixing is None else len(samples) * float(np.linalg.slogdet(samples.mixing)[1])
 
 
 def conditional_pca(samples: Samples, beta: Float[np.ndarray, "n k"]) -> Float[np.ndarray, "r r"]:
@@ -696,7 +682,7 @@ class Search:
     def __init__(self, samples: Samples, grades: Sequence[Grade], rng: np.random.Generator, own: bool):
         floor = OWN_SHARE * resolved(samples) if own else resolved(samples)
         self._samples, self._floor, self._left_out = samples, floor, dict[Posterior, float]()
-        self._parts = parts_of(samples, own)
+        self._parts = parts_of(samples, PARTS, own)
         self._regressors = Regressors.of(samples, grades)
         self.enough = ABOVE_NOISE * (floor if own else max(noise_in_time(samples), floor))
         beta, affine = self._regressors.values, np.concatenate([np.ones((len(samples), 1)), samples.x], axis=1)
@@ -721,7 +707,12 @@ class Search:
 
         Evidence alone believes in a rich policy that follows each of a few recordings.
         """
-        predicting = [s for s, one in self.found.items() if self.left_out(s) <= PREDICTS * one.motion]
+        n, nv = len(self._samples), self._samples.nv
+        predicting = [
+            s
+            for s, one in self.found.items()
+            if self.left_out(s) <= PREDICTS * max(one.energy / n, (nv - s) * resolved(self._samples))
+        ]
         if not predicting:
             return self.found[min(self.found, key=self.left_out)]
         return max((self.found[s] for s in predicting), key=lambda one: one.nats(self._floor))
@@ -734,11 +725,15 @@ class Search:
         return self._left_out[one]
 
     def gaps(self) -> GapTable:
-        """How much each row helps to predict recordings; best is the number of rows of the best."""
-        nv, least = self._samples.nv, LEAST * self._samples.energy
-        residuals = {s: math.sqrt(max(self.left_out(s), least) / (nv - s)) for s in self.found}
-        table = gaps_of_residuals(residuals, math.sqrt(least), len(self._samples))
-        return dataclasses.replace(table, best=max(len(self.best.Lambda), 1))
+        """Ratio by which each row lowers what is left of left-out recordings [root mean square per direction].
+
+        A ratio that is no chance, three standard deviations of the variances of so many samples, is weak evidence.
+        """
+        nv, n, least = self._samples.nv, len(self._samples), LEAST * self._samples.energy
+        left = [math.sqrt(max(self.left_out(s), least) / (nv - s)) for s in sorted(self.found)]
+        gaps = tuple(before / after for before, after in itertools.pairwise(left))
+        weak_from = math.sqrt(1.0 + 6.0 * math.sqrt(2.0 / n))
+        return GapTable(tuple(range(1, len(left))), gaps, weak_from, max(len(self.best.Lambda), 1))
 
     def _look(self, starts: Iterable[Float[np.ndarray, "s r"]], best: Posterior | None = None) -> Posterior:
         """The most likely after a few steps, from one start after the other until noise alone is left."""
@@ -818,7 +813,7 @@ def estimate_imposed(
     if isinstance(fit, Posterior):
         prior = PolicyPrior(np.append(fit.precision, np.zeros(hessians.shape[1] - len(fit.precision))), fit.noise)
     energy = max(fit.energy / len(fit.samples), VANISHING * samples.energy)
-    held_out = fit.held_out(parts_of(fit.samples, own)) / energy
+    held_out = fit.held_out(parts_of(fit.samples, PARTS, own)) / energy
     if held_out > unexplained:
         raise NotIdentifiableError("no policy explains left-out recordings", code="unexplained")
     left = fit.residual / len(fit.samples) / energy
