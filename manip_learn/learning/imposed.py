@@ -65,8 +65,8 @@ PARTS = 10  # that are left out in turn, at most
 PREDICTS = 1.2
 MAX_BLOCKS = 100  # more trajectories than this are taken in blocks: a Hessian of each, for Theta too, is kept
 
-# share of the root mean square of u that is noise enough to tell hypotheses apart: what is resolved below it is how well
-# features approximate the policy, and with more rows they come closer. Set by hand
+# share of the root mean square of u that is noise enough to tell hypotheses apart: what is resolved below it is how
+# well features approximate the policy, and with more rows they come closer. Set by hand
 RESOLVED_SHARE = 1e-3
 # variance over that of the noise up to which a fit leaves noise alone: 22 % in amplitude. Set by hand
 ABOVE_NOISE = 1.5
