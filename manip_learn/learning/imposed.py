@@ -82,6 +82,7 @@ FLOOR = 1e-13  # share of each curvature added, so that directions without data 
 RANK = 1e-13  # of the largest singular value: rounding of some hundred columns
 SETTLED = 1e-6  # squared length of the last step in standard errors
 LOOK_STEPS, STEPS = 6, 40  # of a first look at a start, and of a descent
+RICHER = 0.5  # of what a smaller model leaves without noise, that a richer one may leave to be taken
 EXACT_STEPS = 30  # of the descent by least squares, which ends by itself before
 RANDOM_STARTS, SUBSPACES = 3, 4  # starts where no closed-form one leads to the noise; within the rows that were found
 # a rest posture for each trajectory makes the cost bumpy: many starts on a few trajectories and samples
@@ -873,7 +874,7 @@ def without_noise(
     for name, grades in models:
         here = ExactPolicy(samples, Regressors.of(samples, grades), Lambda)
         here = descend(here, ExactPolicy.moved, EXACT_STEPS if 0 < s < r else 0, tolerance=1e-13, gain=1e-9)
-        best = (name, here) if best is None or here.cost < best[1].cost else best
+        best = (name, here) if best is None or here.cost < RICHER * best[1].cost else best
         if here.cost <= ROUNDING * len(samples) * samples.energy:
             break
     if best is None:
