@@ -73,7 +73,7 @@ ABOVE_NOISE = 1.5
 # variance over the mean square of u: of the noise, least, where normal equations end; of noise and parameters at first
 LEAST, FIRST_NOISE, FIRST_SPREAD = 1e-12, 0.1, 4.0
 # share of the motion below which a residual is no noise, and least squares answer; and that is rounding
-NO_NOISE, ROUNDING = 1e-9, 1e-24
+NO_NOISE, ROUNDING = 1e-8, 1e-24
 VANISHING = 1e-16  # share of the energy that is rounding where nothing moves in the null space
 FIRST_UPDATES, UPDATES = 4, 2  # of the variances before the first step, and after each
 # number of parameters of a grade below which it is dropped; and least that counts
@@ -784,7 +784,7 @@ def estimate_imposed(
 
     def searched(some: Samples) -> tuple[Search, Posterior]:
         search = Search(some, list(grades.values()), rng, own)
-        return search, search.best if n_constraints is None else search.found[n_constraints]
+        return search, descended(search.best if n_constraints is None else search.found[n_constraints])
 
     search, chosen = searched(few)
     is_noisy = chosen.noise > NO_NOISE * samples.energy
