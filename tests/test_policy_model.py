@@ -20,10 +20,10 @@ from manip_learn.learning.imposed import (
     Projections,
     Regressors,
     Search,
-    blocks_of,
     descended,
     estimate_imposed,
     monomials,
+    parts_of,
     resolved,
     shape_of_residual,
     waves,
@@ -93,7 +93,7 @@ def reaches(seed: int, noise: float) -> tuple[Samples, np.ndarray]:
 def test_a_recording_is_left_out_in_closed_form():
     """What the policy leaves of a recording is that of the policy of the others: refitted, with and without a prior."""
     samples, Lambda = reaches(34, 0.02)
-    regressors, parts = Regressors.of(samples, AFFINE), blocks_of(samples)
+    regressors, parts = Regressors.of(samples, AFFINE), parts_of(samples, 10)
     posterior, exact = Posterior(samples, regressors, Lambda), ExactPolicy(samples, regressors, Lambda)
     N = Projections.of(samples, Lambda).N
     K = np.einsum("nk,nvw->nvkw", regressors.values, N).reshape(len(samples), 3, -1)
@@ -161,7 +161,7 @@ def test_the_evidence_counts_rows_where_residuals_do_not():
     """A second row lowers the residual of a model that is too small, and costs what is not known of the task in it."""
     motion, demos = one_row("sinusoidal", 0.0, (100, 10), 20100)
     samples = Samples.collect(motion.features, demos)
-    found = Search(samples, AFFINE, resolved(samples), np.random.default_rng(0), 3).found
+    found = Search(samples, AFFINE, np.random.default_rng(0), own=False).found
     assert found[2].noise < 0.1 * found[1].noise
     nats = {s: one.nats(resolved(samples)) for s, one in found.items()}
     assert nats[1] > nats[2] + 1000.0 and nats[1] > nats[0] + 1000.0

@@ -29,6 +29,7 @@ L^-1 pi, and l less log |L| a sample is the likelihood of the same u.
 from __future__ import annotations
 
 import dataclasses
+import itertools
 import math
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass, field
@@ -45,7 +46,7 @@ from scipy.spatial import cKDTree
 
 from manip_learn.errors import NotIdentifiableError
 from manip_learn.learning.descent import descend
-from manip_learn.learning.estimators.estimate import Estimate, PolicyPrior, gaps_of_residuals
+from manip_learn.learning.estimators.estimate import Estimate, GapTable, PolicyPrior
 from manip_learn.learning.samples import CUBIC, Samples, in_blocks, rows_beside, runs
 from manip_learn.linalg import complement_rows, inverse_triangles_beside, orthonormal_rows, row_bases, turned
 
@@ -59,18 +60,20 @@ MOST_COLUMNS = 400  # parameters of the policy: the time of a step grows with th
 # samples that the search looks at; more of them only sharpen what it found
 COMPARE_LIMIT = 1_500
 CHUNK, KEEP_LIMIT = 1024, 10_000_000  # samples whose products of regressors are made at a time; kept products [numbers]
+PARTS = 10  # that are left out in turn, at most
+# left-out motion over that of no policy up to which a policy predicts it: 1 where there is noise alone to predict
+PREDICTS = 1.2
 MAX_BLOCKS = 100  # more trajectories than this are taken in blocks: a Hessian of each, for Theta too, is kept
 
-# share of the root mean square of u that is noise enough to tell hypotheses apart: what is resolved below it, in
-# recordings without noise, is how well features approximate the policy, and with more rows they come closer. Set by
-# hand
+# share of the root mean square of u that is noise enough to tell hypotheses apart: what is resolved below it is how
+# well features approximate the policy, and with more rows they come closer. Set by hand
 RESOLVED_SHARE = 1e-3
 # variance over that of the noise up to which a fit leaves noise alone: 22 % in amplitude. Set by hand
 ABOVE_NOISE = 1.5
 # variance over the mean square of u: of the noise, least, where normal equations end; of noise and parameters at first
 LEAST, FIRST_NOISE, FIRST_SPREAD = 1e-12, 0.1, 4.0
 # share of the motion below which a residual is no noise, and least squares answer; and that is rounding
-NO_NOISE, ROUNDING = 1e-9, 1e-24
+NO_NOISE, ROUNDING = 1e-8, 1e-24
 VANISHING = 1e-16  # share of the energy that is rounding where nothing moves in the null space
 FIRST_UPDATES, UPDATES = 4, 2  # of the variances before the first step, and after each
 # number of parameters of a grade below which it is dropped; and least that counts
@@ -79,11 +82,14 @@ FLOOR = 1e-13  # share of each curvature added, so that directions without data 
 RANK = 1e-13  # of the largest singular value: rounding of some hundred columns
 SETTLED = 1e-6  # squared length of the last step in standard errors
 LOOK_STEPS, STEPS = 6, 40  # of a first look at a start, and of a descent
+RICHER = 0.5  # of what a smaller model leaves without noise, that a richer one may leave to be taken
 EXACT_STEPS = 30  # of the descent by least squares, which ends by itself before
 RANDOM_STARTS, SUBSPACES = 3, 4  # starts where no closed-form one leads to the noise; within the rows that were found
 # a rest posture for each trajectory makes the cost bumpy: many starts on a few trajectories and samples
 FEW, FEW_SAMPLES, MANY_STARTS = 16, 600, 40
+OWN_SHARE = 1e-6  # of what is noise enough elsewhere
 
+COVARIANCES = 2  # of the noise, each by the residual of a fit with the one before
 # largest variance of a joint's noise over the least below which equal weights cost a few per cent at most
 UNEQUAL_NOISE = 2.0
 NOISE_RANGE = (1e-2, 1e2)  # variances of the joints' noise beside their mean. Set by hand
@@ -156,7 +162,47 @@ def radial(x: Float[np.ndarray, "n m"], n_centres: int, rng: np.random.Generator
     return beta
 
 
-ALL = {**{name: monomials(k) for k, name in enumerate(POLYNOMIALS)}, "harmonic1": waves(1), "harmonic2": waves(2)}
+GRADES: dict[str, Grade] = {
+    **{name: monomials(degree) for degree, name in enumerate(POLYNOMIALS)},
+    "harmonic1": waves(1),
+    "harmonic2": waves(2),
+    "offset": offsets,
+}
+# policy models that can be asked for, or that may describe a policy exactly
+MODELS = {
+    **{name: POLYNOMIALS[: degree + 1] for degree, name in enumerate(POLYNOMIALS)},
+    "harmonic1": ("constant", "affine", "harmonic1"),
+    "harmonic2": ("constant", "affine", "harmonic1", "harmonic2"),
+    OWN: ("affine", "offset"),
+}
+
+
+def grades_of(samples: Samples, policy_model: str, rng: np.random.Generator) -> dict[str, Grade]:
+    """The grades of a policy model; of the general prior those for whose parameters there is room.
+
+    Raises:
+        NotIdentifiableError: There is no model of that name.
+    """
+    if policy_model == "rbf":
+        return {f"rbf{RADIAL_CENTRES}": radial(samples.x, RADIAL_CENTRES, rng)}
+    if policy_model in (*POLYNOMIALS, OWN):
+        return {name: GRADES[name] for name in MODELS[policy_model]}
+    if policy_model != "auto":
+        raise NotIdentifiableError(
+            f"unknown policy model {policy_model!r}: use 'auto', 'rbf', {OWN!r} or one of {', '.join(POLYNOMIALS)}",
+            code="policy-model",
+        )
+    out = dict[str, Grade]()
+    for name in GENERAL:
+        if n_columns(samples, [*out, name]) <= MOST_COLUMNS:
+            out[name] = GRADES[name]
+    return out
+
+
+def n_columns(samples: Samples, names: Iterable[str]) -> int:
+    """Parameters of a policy with some grades."""
+    one = samples.subset(np.arange(len(samples)) == 0)
+    return samples.nv * sum(GRADES[name](one).shape[1] for name in names)
 
 
 @final
@@ -213,9 +259,11 @@ class Regressors:
         return Regressors(self.values[samples], self.grades)
 
 
-def blocks_of(samples: Samples) -> list[Part]:
-    """Samples of each trajectory, or block of them."""
-    return [part for _, part in in_blocks(samples.trajectory, samples.n_trajectories, MAX_BLOCKS)]
+def parts_of(samples: Samples, most: int, own: bool = False) -> list[Part]:
+    """Trajectories, or blocks of them; or samples dealt out in turn, where a trajectory has an offset of its own."""
+    if own:
+        return [np.arange(k, len(samples), most) for k in range(most)]
+    return [part for _, part in in_blocks(samples.trajectory, samples.n_trajectories, most)]
 
 
 def pull(beta: Float[np.ndarray, "n k"], values: Float[np.ndarray, "n nv m"]) -> Float[np.ndarray, "c m"]:
@@ -352,7 +400,7 @@ class ExactPolicy:
     def scores(self) -> tuple[Float[np.ndarray, "g d"], Float[np.ndarray, "g d d"]]:
         """As `Posterior.scores`, for the policy in its orthonormal basis, already eliminated from Lambda."""
         J, sums = self._slopes(), []
-        for rows, own in self._blocks(blocks_of(self.samples)):
+        for rows, own in self._blocks(parts_of(self.samples, MAX_BLOCKS)):
             both = np.concatenate([own, J[rows]], axis=1)
             sums.append((both.T @ self._e[rows], both.T @ both))
         gradients, hessians = map(np.array, zip(*sums, strict=True))
@@ -470,7 +518,7 @@ class Posterior:
 
         With e = N y and dLambda = B Lambda_perp: d e / d Theta_kv = -beta_k N_v, d e / d B as in `slopes`.
         """
-        beta, parts, sums = self.regressors.values, blocks_of(self.samples), []
+        beta, parts, sums = self.regressors.values, parts_of(self.samples, MAX_BLOCKS), []
         membership = np.zeros((len(parts), len(beta)))
         J, e = self.at.slopes(self.y), self.at.project(self.y)
         for own, part in zip(membership, parts, strict=True):
@@ -507,13 +555,15 @@ class Posterior:
 
     def nats(self, floor: float) -> float:
         """l, see the module, with a noise of at least this variance [(rad/s)^2]."""
-        s, r = self.Lambda.shape
-        samples = self.samples
-        along = samples.u - self.at.project(samples.u)
-        lambda_price = 0.5 * s * (r - s) * math.log(len(samples))
-        return (
-            _signal_nats(samples, along, s, floor) - 0.5 * self.cost_at_least(floor) - lambda_price + _volume(samples)
-        )
+        s, samples = len(self.Lambda), self.samples
+        task = _signal_nats(samples, samples.u - self.at.project(samples.u), s, floor)
+        volume = 0.0 if samples.mixing is None else float(np.linalg.slogdet(samples.mixing)[1])
+        return task - 0.5 * self.cost_at_least(floor) + len(samples) * volume - _price(samples, s)
+
+
+def _price(samples: Samples, s: int) -> float:
+    """Of the entries of Lambda."""
+    return 0.5 * s * (samples.n_rows - s) * math.log(len(samples))
 
 
 def resolved(samples: Samples) -> float:
@@ -523,12 +573,12 @@ def resolved(samples: Samples) -> float:
 
 def held_nats(samples: Samples, Lambda: Float[np.ndarray, "s r"]) -> float:
     """l of rows that are held: A u is noise, and what moves in the null space a signal in time."""
-    (s, r), floor = Lambda.shape, resolved(samples)
+    s, floor = len(Lambda), resolved(samples)
     free = Projections.of(samples, Lambda).project(samples.u)
     square = float(np.sum((samples.u - free) ** 2)) / (len(samples) * s)
     noise = max(square, floor)
     held = -0.5 * len(samples) * s * (math.log(noise) + square / noise)
-    return held + _signal_nats(samples, free, samples.nv - s, floor) - 0.5 * s * (r - s) * math.log(len(samples))
+    return held + _signal_nats(samples, free, samples.nv - s, floor) - _price(samples, s)
 
 
 def _signal_nats(samples: Samples, signal: Float[np.ndarray, "n nv"], size: int, floor: float) -> float:
@@ -545,11 +595,6 @@ def _signal_nats(samples: Samples, signal: Float[np.ndarray, "n nv"], size: int,
     variance = np.maximum(mean, floor)
     price = np.count_nonzero(used) * math.log(len(samples))
     return -0.5 * float(np.sum(counts[used] * (np.log(variance) + mean / variance)) + price)
-
-
-def _volume(samples: Samples) -> float:
-    """- n log |L|: what a density gains by the whitening of the noise."""
-    return 0.0 if samples.mixing is None else len(samples) * float(np.linalg.slogdet(samples.mixing)[1])
 
 
 def conditional_pca(samples: Samples, beta: Float[np.ndarray, "n k"]) -> Float[np.ndarray, "r r"]:
@@ -631,24 +676,25 @@ class Search:
     Args:
         samples: Few enough for many descents.
         grades: Of the prior.
-        floor: Least variance of the noise by which hypotheses are told apart [(rad/s)^2].
         rng: For the random starts.
-        n_random: Random starts of each number of rows where none that is computed leads to the noise.
+        own: Whether these are offsets of each trajectory, which make the cost bumpy, and follow nearly anything: what
+            they leave of the true motion alone is rounding.
     """
 
-    def __init__(
-        self, samples: Samples, grades: Sequence[Grade], floor: float, rng: np.random.Generator, n_random: int
-    ):
-        self._samples, self._floor, self._rng = samples, floor, rng
+    def __init__(self, samples: Samples, grades: Sequence[Grade], rng: np.random.Generator, own: bool):
+        floor = OWN_SHARE * resolved(samples) if own else resolved(samples)
+        self._samples, self._floor, self._left_out = samples, floor, dict[Posterior, float]()
+        self._parts = parts_of(samples, PARTS, own)
         self._regressors = Regressors.of(samples, grades)
-        # smooth motion looks like noise of a millionth: too much where many starts lead to as little
-        self.enough = ABOVE_NOISE * (floor if n_random == MANY_STARTS else max(noise_in_time(samples), floor))
+        self.enough = ABOVE_NOISE * (floor if own else max(noise_in_time(samples), floor))
         beta, affine = self._regressors.values, np.concatenate([np.ones((len(samples), 1)), samples.x], axis=1)
         starts = [conditional_pca(samples, one) for one in (affine, beta) if 2 * one.shape[1] < len(samples)]
         self.found = {s: self._look(one[:s] for one in starts) for s in range(min(samples.n_rows, samples.nv - 1) + 1)}
         if self.best.noise > self.enough:
             for s, before in self.found.items():
-                random = (rng.standard_normal((s, samples.n_rows)) for _ in range(n_random))
+                random = (
+                    rng.standard_normal((s, samples.n_rows)) for _ in range(MANY_STARTS if own else RANDOM_STARTS)
+                )
                 self.found[s] = self._look(random, before)
         # one row less, within the rows of the best: they hold the true ones where these are fewer
         while (s := len(self.best.Lambda)) > 1:
@@ -659,8 +705,37 @@ class Search:
 
     @property
     def best(self) -> Posterior:
-        """The one with the most evidence."""
-        return max(self.found.values(), key=lambda one: one.nats(self._floor))
+        """The one with the most evidence, of those whose policy predicts recordings that it was not fitted to.
+
+        Evidence alone believes in a rich policy that follows each of a few recordings.
+        """
+        n, nv = len(self._samples), self._samples.nv
+        predicting = [
+            s
+            for s, one in self.found.items()
+            if self.left_out(s) <= PREDICTS * max(one.energy / n, (nv - s) * resolved(self._samples))
+        ]
+        if not predicting:
+            return self.found[min(self.found, key=self.left_out)]
+        return max((self.found[s] for s in predicting), key=lambda one: one.nats(self._floor))
+
+    def left_out(self, s: int) -> float:
+        """Mean of |Z^T (u - pi)|^2 on recordings that the policy of s rows was not fitted to."""
+        one = self.found[s]
+        if one not in self._left_out:
+            self._left_out[one] = one.held_out(self._parts)
+        return self._left_out[one]
+
+    def gaps(self) -> GapTable:
+        """Ratio by which each row lowers what is left of left-out recordings [root mean square per direction].
+
+        A ratio that is no chance, three standard deviations of the variances of so many samples, is weak evidence.
+        """
+        nv, n, least = self._samples.nv, len(self._samples), LEAST * self._samples.energy
+        left = [math.sqrt(max(self.left_out(s), least) / (nv - s)) for s in sorted(self.found)]
+        gaps = tuple(before / after for before, after in itertools.pairwise(left))
+        weak_from = math.sqrt(1.0 + 6.0 * math.sqrt(2.0 / n))
+        return GapTable(tuple(range(1, len(left))), gaps, weak_from, max(len(self.best.Lambda), 1))
 
     def _look(self, starts: Iterable[Float[np.ndarray, "s r"]], best: Posterior | None = None) -> Posterior:
         """The most likely after a few steps, from one start after the other until noise alone is left."""
@@ -681,48 +756,6 @@ def descended(here: Posterior, steps: int = STEPS) -> Posterior:
     return descend(here, Posterior.moved, steps, settled=lambda _, step, H: float(step @ H @ step) < SETTLED)
 
 
-def prior_of(samples: Samples, name: str, rng: np.random.Generator) -> dict[str, Grade]:
-    """The grades of a policy model.
-
-    Raises:
-        NotIdentifiableError: There is no model of that name.
-    """
-    if name == "rbf":
-        return {f"rbf{RADIAL_CENTRES}": radial(samples.x, RADIAL_CENTRES, rng)}
-    if name == OWN:
-        return {"affine": monomials(1), "offset": offsets}
-    if name in POLYNOMIALS:
-        return {one: monomials(k) for k, one in enumerate(POLYNOMIALS[: POLYNOMIALS.index(name) + 1])}
-    if name != "auto":
-        raise NotIdentifiableError(
-            f"unknown policy model {name!r}: use 'auto', 'rbf', {OWN!r} or one of {', '.join(POLYNOMIALS)}",
-            code="policy-model",
-        )
-    return fitting({one: ALL[one] for one in GENERAL}, samples)
-
-
-def fitting(grades: dict[str, Grade], samples: Samples) -> dict[str, Grade]:
-    """Those grades, in their order, for whose parameters there is room."""
-    one, out, width = samples.subset(np.arange(len(samples)) == 0), dict[str, Grade](), 0
-    for name, grade in grades.items():
-        own = grade(one).shape[1]
-        if (width + own) * samples.nv <= MOST_COLUMNS:
-            out[name], width = grade, width + own
-    return out
-
-
-def models_without_noise(samples: Samples) -> list[tuple[str, list[Grade]]]:
-    """Models that may describe a policy exactly, fewest parameters first."""
-    names = [POLYNOMIALS[: k + 1] for k in range(1, len(POLYNOMIALS))]
-    names += [("constant", "affine", "harmonic1"), ("constant", "affine", "harmonic1", "harmonic2")]
-    models = [
-        (some[-1], [ALL[one] for one in some])
-        for some in names
-        if len(fitting({one: ALL[one] for one in some}, samples)) == len(some)
-    ]
-    return sorted(models, key=lambda model: sum(grade(samples).shape[1] for grade in model[1]))
-
-
 def estimate_imposed(
     samples: Samples,
     n_constraints: int | None,
@@ -730,7 +763,7 @@ def estimate_imposed(
     policy_model: str = "auto",
     unexplained: float = math.inf,
 ) -> Estimate:
-    """Number of rows by evidence, then the most likely Lambda on all data.
+    """Number of rows by evidence on a choice of samples, then the most likely Lambda on all.
 
     Args:
         samples: What was recorded.
@@ -739,86 +772,91 @@ def estimate_imposed(
         policy_model: `"auto"` (the general prior), `"constant"`, `"affine"`, `"quadratic"`, `"cubic"`, `"quartic"`,
             `"quintic"` or `"rbf"`; or `"affine-offset"`: affine, with an offset per trajectory, where demonstrators
             rest in different postures.
-        unexplained: Held-out share of the energy above which to give up.
+        unexplained: Share of the energy of left-out recordings that a policy may leave.
 
     Raises:
         NotIdentifiableError: One trajectory or motion only, too few samples for an affine policy, no task in them, or
-            given up.
+            no policy explains them.
     """
     refuse_what_cannot_show_it(samples, n_constraints)
-    enough = floor = resolved(samples)
-    few = samples.thinned(COMPARE_LIMIT)
-    if policy_model == OWN:
-        few, floor = samples.subset(samples.trajectory < FEW).thinned(FEW_SAMPLES), LEAST * samples.energy / samples.nv
-    grades = prior_of(few, policy_model, rng)
-    settings = list(grades.values()), floor, rng, MANY_STARTS if policy_model == OWN else RANDOM_STARTS
-    search = Search(few, *settings)
-    chosen = search.best if n_constraints is None else search.found[n_constraints]
-    S = shape_in_time(samples) if chosen.noise > NO_NOISE * samples.energy else None
+    floor, own, given = resolved(samples), policy_model == OWN, samples
+    few = _few(samples) if own else samples.thinned(COMPARE_LIMIT)
+    grades = grades_of(few, policy_model, rng)
+
+    def searched(some: Samples) -> tuple[Search, Posterior]:
+        search = Search(some, list(grades.values()), rng, own)
+        return search, descended(search.best if n_constraints is None else search.found[n_constraints])
+
+    search, chosen = searched(few)
+    is_noisy = chosen.noise > NO_NOISE * samples.energy
+    S = shape_in_time(samples) if is_noisy else None
     if S is not None and np.linalg.cond(S) >= UNEQUAL_NOISE:
-        other = Search(whitened(few, S), *settings)
-        weighted = other.best if n_constraints is None else other.found[n_constraints]
+        other, weighted = searched(whitened(few, S))
         if weighted.nats(floor) > chosen.nats(floor):
             search, chosen, samples = other, weighted, whitened(samples, S)
-    s = len(chosen.Lambda)
-    if s == 0:
+    if len(chosen.Lambda) == 0:
         raise NotIdentifiableError(
             "a policy of the posture alone explains the motion: nothing in it is steered on purpose, or too few "
             "trajectories show what is; record more, from other starts to other targets",
             code="no-task",
         )
-    if policy_model == "auto" and chosen.noise > search.enough:
-        part = samples.subset(samples.trajectory < FEW).thinned(FEW_SAMPLES)
-        shared, own = (
-            Posterior(part, Regressors.of(part, list(prior_of(part, name, rng).values())), chosen.Lambda)
-            for name in ("auto", OWN)
-        )
-        if own.nats(floor) > shared.nats(floor):
-            return estimate_imposed(samples, n_constraints, rng, OWN, unexplained)
-    residuals = {k: math.sqrt(one.noise) for k, one in search.found.items()}
-    table = gaps_of_residuals(residuals, math.sqrt(LEAST * samples.energy), len(few))
-    table = dataclasses.replace(table, best=max(len(search.best.Lambda), 1))
-    names = list(grades)
-    if chosen.noise <= NO_NOISE * samples.energy:
-        if policy_model == OWN:
-            few = samples
-        models = models_without_noise(few) if policy_model == "auto" else [(policy_model, list(grades.values()))]
-        name, fit = without_noise(few, chosen.Lambda, models)
-        prior, nats = None, Posterior(samples, Regressors.of(samples, list(grades.values())), fit.Lambda).nats(enough)
+    if policy_model == "auto" and chosen.noise > search.enough and _rest_apart(samples, chosen.Lambda, grades):
+        return estimate_imposed(given, n_constraints, rng, OWN, unexplained)
+    regressors = Regressors.of(samples, list(grades.values()))
+    if is_noisy:
+        fit = _with_its_noise(descended(Posterior(samples, regressors, chosen.Lambda)), floor)
+        nats, name = fit.nats(floor), _said(list(grades), fit.determined)
     else:
-        fit = descended(Posterior(samples, Regressors.of(samples, list(grades.values())), chosen.Lambda))
-        for _ in range(2):
-            Sigma = shape_of_residual(fit)
-            if np.linalg.cond(Sigma) < UNEQUAL_NOISE:
-                break
-            weighted = whitened(samples, Sigma)
-            other = descended(Posterior(weighted, fit.regressors, fit.Lambda))
-            if other.nats(floor) <= fit.nats(floor):
-                break
-            fit, samples = other, weighted
-        name = _said(names, fit.determined) if policy_model == "auto" else policy_model
-        nats = fit.nats(enough)
+        name, fit = without_noise(samples if own else few, chosen.Lambda, _exact_models(few, grades, policy_model))
+        nats = Posterior(samples, regressors, fit.Lambda).nats(floor)
+    name = name if policy_model in ("auto", "rbf") else policy_model
     gradients, hessians = fit.scores()
+    prior = None
     if isinstance(fit, Posterior):
         prior = PolicyPrior(np.append(fit.precision, np.zeros(hessians.shape[1] - len(fit.precision))), fit.noise)
-    parts = blocks_of(fit.samples) if policy_model != OWN else [np.arange(k, len(fit.samples), 5) for k in range(5)]
-    held_out, n = fit.held_out(parts), len(fit.samples)
-    energy = max(fit.energy / n, VANISHING * samples.energy)
-    if held_out > unexplained * energy:
-        raise NotIdentifiableError("no policy model predicts this motion", code="unexplained")
+    energy = max(fit.energy / len(fit.samples), VANISHING * samples.energy)
+    held_out = fit.held_out(parts_of(fit.samples, PARTS, own)) / energy
+    if held_out > unexplained:
+        raise NotIdentifiableError("no policy explains left-out recordings", code="unexplained")
+    left = fit.residual / len(fit.samples) / energy
+    residuals = {name: held_out}
     return Estimate(
-        "joint",
-        fit.Lambda,
-        table,
-        fit.residual / n / energy,
-        held_out / energy,
-        gradients,
-        hessians,
-        name,
-        {name: held_out / energy},
-        nats,
-        prior,
+        "joint", fit.Lambda, search.gaps(), left, held_out, gradients, hessians, name, residuals, nats, prior
     )
+
+
+def _few(samples: Samples) -> Samples:
+    return samples.subset(samples.trajectory < FEW).thinned(FEW_SAMPLES)
+
+
+def _rest_apart(samples: Samples, Lambda: Float[np.ndarray, "s r"], grades: dict[str, Grade]) -> bool:
+    """Whether offsets of each trajectory explain more than the general prior, where this leaves more than noise."""
+    few, floor = _few(samples), OWN_SHARE * resolved(samples)
+    own = [GRADES[name] for name in MODELS[OWN]]
+    shared, apart = (Posterior(few, Regressors.of(few, one), Lambda) for one in (list(grades.values()), own))
+    return apart.nats(floor) > shared.nats(floor)
+
+
+def _with_its_noise(fit: Posterior, floor: float) -> Posterior:
+    """The fit with the covariance of the noise that its residual shows, where that makes the motion more likely."""
+    for _ in range(COVARIANCES):
+        Sigma = shape_of_residual(fit)
+        if np.linalg.cond(Sigma) < UNEQUAL_NOISE:
+            break
+        other = descended(Posterior(whitened(fit.samples, Sigma), fit.regressors, fit.Lambda))
+        if other.nats(floor) <= fit.nats(floor):
+            break
+        fit = other
+    return fit
+
+
+def _exact_models(samples: Samples, grades: dict[str, Grade], policy_model: str) -> list[tuple[str, list[Grade]]]:
+    """Models that may describe a policy exactly, fewest parameters first."""
+    if policy_model != "auto":
+        return [(next(iter(grades)), list(grades.values()))]
+    sizes = {name: n_columns(samples, some) for name, some in MODELS.items() if name not in ("constant", OWN)}
+    names = [name for name in sorted(sizes, key=lambda name: sizes[name]) if sizes[name] <= MOST_COLUMNS]
+    return [(name, [GRADES[one] for one in MODELS[name]]) for name in names]
 
 
 def _said(names: Sequence[str], determined: Float[np.ndarray, " g"]) -> str:
@@ -837,7 +875,7 @@ def without_noise(
     for name, grades in models:
         here = ExactPolicy(samples, Regressors.of(samples, grades), Lambda)
         here = descend(here, ExactPolicy.moved, EXACT_STEPS if 0 < s < r else 0, tolerance=1e-13, gain=1e-9)
-        best = (name, here) if best is None or here.cost < best[1].cost else best
+        best = (name, here) if best is None or here.cost < RICHER * best[1].cost else best
         if here.cost <= ROUNDING * len(samples) * samples.energy:
             break
     if best is None:

@@ -56,7 +56,7 @@ class ConstraintLearner:
         estimator: `"null-space"` for motions that the world constrains (b = 0); `"joint"` for motions whose
             constrained rows the demonstrator moves on purpose (b unknown, a null-space policy that depends on the
             posture); `"separate"` for the paper's own route; `"auto"` selects the first or the second from the data.
-        policy_model: Joint estimator: `"auto"` (cross-validation), `"constant"`, `"affine"`, `"quadratic"`, `"cubic"`,
+        policy_model: Joint estimator: `"auto"` (a general prior), `"constant"`, `"affine"`, `"quadratic"`, `"cubic"`,
             `"rbf"`, or `"affine-offset"` (affine, with a separate rest posture for each trajectory).
         velocities: Which recorded ones are used: `"auto"`, those that integrate to the positions at least as closely
             as derived ones; `"derive"`, none; `"recorded"`, all. What `load_demonstrations` has judged is not judged

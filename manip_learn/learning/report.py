@@ -190,7 +190,7 @@ class LearningReport:
             possible row space. A base that stands turned turns all recordings alike, which none of them shows: it is
             not included.
         excitation: Joint name -> its share of the motion's energy.
-        policy_model: Joint estimator: the model of the null-space policy.
+        policy_model: Joint estimator: what the data determine of the null-space policy, or the model asked for.
         policy_residuals: Joint estimator: model -> held-out share of unexplained energy.
         n_samples, n_trajectories: What was learnt from.
         seconds: Time for the fit [s].

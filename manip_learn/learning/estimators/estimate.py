@@ -15,17 +15,16 @@ from manip_learn.linalg import turned
 # ratios of singular values, noise directions against free ones, that are clear, and weak. Set by hand
 CLEAR_GAP, WEAK_GAP = 10.0, 3.0
 # root mean square of residuals over that of the noise, from which it is more than noise: the ratio of the energies,
-# 1.69, is three standard deviations sqrt(2 / n) of a variance that is estimated from n = 38 samples. The joint
-# estimator's gap compares residuals of whole fits, in which noise enters both: it is weak from here
+# 1.69, is three standard deviations sqrt(2 / n) of a variance that is estimated from n = 38 samples
 RESIDUAL_RATIO = 1.3
-# share of the motion's energy that breaks A u = 0 below which the rows are held beyond doubt, so that no other
-# explanation is tried: a hundredth of the velocity; and above which they are called soft: a tenth. Set by hand
+# share of the motion's energy that breaks A u = 0 below which the rows are held beyond doubt: a hundredth of the
+# velocity; and above which they are called soft: a tenth. Set by hand
 HELD_ENERGY, SOFT_ENERGY = 1e-4, 1e-2
 # ratio up to which two answers are equally good, so that the first feature map and the simpler model are taken. Set
 # by hand
 EQUALLY_GOOD = 1.1
-# share of what a simpler model leaves that a richer one may leave to explain it: a policy beside the mean motion, which
-# has no posture in it, on left-out trajectories; offsets of each trajectory beside none. Set by hand
+# share of the motion of left-out recordings that a policy may leave to explain it, beside the mean motion, which has no
+# posture in it. Set by hand
 EXPLAINED = 0.3
 
 Verdict = Literal["clear", "weak", "none"]
@@ -78,22 +77,6 @@ def gaps_of_levels(levels: Float[np.ndarray, " r"], nv: int) -> GapTable:
     return GapTable(tuple(counts), gaps, WEAK_GAP, counts[int(np.argmax(gaps))])
 
 
-def gaps_of_residuals(residuals: dict[int, float], floor: float, n_samples: int) -> GapTable:
-    """Gaps between the held-out residuals [root mean square per degree of freedom] of fits with s - 1 and with s rows.
-
-    With too few rows the task's own motion is left over; with enough rows only noise is, and more rows change nothing.
-    So the last row that still helps is the answer, not the one that helps most: a task that moves much more along one
-    of its rows than along the other has its largest gap too early. What counts as help grows with the largest gap,
-    for imperfect policy models leave small differences, and with the chance of few samples.
-    """
-    counts = [s for s in sorted(residuals) if s > 0]
-    gaps = tuple(max(residuals[s - 1], floor) / max(residuals[s], floor) for s in counts)
-    weak_from = max(RESIDUAL_RATIO, float(np.sqrt(1.0 + 6.0 * np.sqrt(2.0 / n_samples))))
-    needed = max(weak_from, max(gaps) ** 0.25)
-    helping = [s for s, gap in zip(counts, gaps, strict=True) if gap >= needed]
-    return GapTable(tuple(counts), gaps, weak_from, helping[-1] if helping else counts[int(np.argmax(gaps))])
-
-
 @final
 @dataclass(frozen=True, eq=False)
 class PolicyPrior:
@@ -132,7 +115,7 @@ class Estimate:
         unexplained: Share of the energy that is not explained on the data it was fitted to.
         held_out: The same on trajectories that were left out.
         gradients, hessians: Of each trajectory at the optimum, for the bootstrap.
-        policy_model: Name of the policy model, if there is one.
+        policy_model: Name of the policy model, or what the data determine of the general prior.
         policy_residuals: Policy model -> held-out share of unexplained energy.
         nats: Joint estimator: log-likelihood of the motion, see `imposed`.
         prior: Joint estimator: of the policy's parameters, where they were integrated out.
