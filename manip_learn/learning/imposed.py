@@ -239,8 +239,7 @@ class Regressors:
             if i < len(self._kept):
                 yield part, self._kept[i]
                 continue
-            none = rows[:0, part]  # where every regressor has been left out
-            pairs = np.concatenate([none, *(row[part] * rows[a:, part] for a, row in enumerate(rows))])
+            pairs = np.concatenate([row[part] * rows[a:, part] for a, row in enumerate(rows)])
             if keep:
                 self._kept.append(pairs)
             yield part, pairs
@@ -474,7 +473,8 @@ class Posterior:
 
     def moved(self, step: Float[np.ndarray, " m"]) -> Posterior:
         """After a step, settled from the variances here."""
-        kept = (self.determined >= SPENT)[self.regressors.grades]
+        enough = min(SPENT, float(self.determined.max()))  # the last grade stays, whatever little it explains
+        kept = (self.determined >= enough)[self.regressors.grades]
         regressors = self.regressors if np.all(kept) else self.regressors.only(kept)
         return Posterior(self.samples, regressors, turned(self.Lambda, step), self)
 
