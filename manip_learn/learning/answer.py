@@ -31,7 +31,7 @@ from manip_learn.learning.estimators.estimate import (
     gaps_of_levels,
 )
 from manip_learn.learning.estimators.null_space import estimate_null_space, levels
-from manip_learn.learning.explanation.evidence import Stretch
+from manip_learn.learning.explanation.evidence import CHANGE_SECONDS, Stretch
 from manip_learn.learning.explanation.findings import DISAGREES, LONGEST_SLIP_SECONDS, NEARLY_SAME_DEG, Findings, Part
 from manip_learn.learning.mechanisms.find_mechanism import BLIND, MechanismFit, find_curve, find_mechanism
 from manip_learn.learning.mechanisms.one_place import at_one_place
@@ -430,14 +430,14 @@ def _as_one_curve(located: list[_Located]) -> list[_Located]:
     if len(inside) < 2 or (source := inside[0].part.source) is None:
         return located
     whole = inside[0].part.of(tuple(longest.values()))
-    seconds = [sum(s.duration for s in x.part.stretches) for x in inside]
+    seconds = [sum(s.duration + 2.0 * CHANGE_SECONDS for s in x.part.stretches) for x in inside]
     variance = np.average([x.mechanism.variance for x in inside if x.mechanism is not None], weights=seconds)
+    share = min(1.0, sum(seconds) / sum(s.duration for s in whole.stretches))
     features = inside[0].part.asked[0]
     if not isinstance(features, FrameJacobian):
         return located
-    found = find_curve(
-        features.robot, features.frame.name, source.of(whole.stretches, whole.demonstrations), float(variance)
-    )
+    recorded = source.of(whole.stretches, whole.demonstrations)
+    found = find_curve(features.robot, features.frame.name, recorded, float(variance), share)
     if found is None:
         return located
     return [_Located(whole, found), *(x for x in located if x not in inside)]

@@ -167,7 +167,8 @@ def find_mechanism(
             return MechanismFit(None, None, None, {}, few)
     elif held is not None and not any(unit.startswith("rad") for unit in held[0].row_units):
         bent, _ = _straight_or_bent(fit_place(paths, *known))
-        read = _gripped((bent.kind, bent.place), robot, tip, moved, paths, rng, strength)
+        loose = known if bent.kind is known[0] else (bent.kind, bent.place)
+        read = _gripped(loose, robot, tip, moved, paths, rng, strength)
     if read is None:
         why = "no line, plane, hinge, ball, screw, cylinder or orientation holds the hand"
         if repeated:
@@ -222,13 +223,20 @@ def find_mechanism(
     return MechanismFit(mechanism, features, selection, held_out, "", warnings, odd, rival, errors, variance, start)
 
 
-def find_curve(robot: Robot, frame: str, trajectories: Sequence[Trajectory], variance: float) -> MechanismFit | None:
+def find_curve(
+    robot: Robot, frame: str, trajectories: Sequence[Trajectory], variance: float, share: float = 1.0
+) -> MechanismFit | None:
     """The curve that a hand keeps to, where it is much nearer to that than to mechanisms that leave that variance in
-    each direction that they hold [m^2]. The trajectories are as recorded: smoothing costs the ends.
+    each direction that they hold [m^2], in that share of the time; else nothing holds. The trajectories are as
+    recorded: smoothing costs the ends.
     """
     paths = TipPaths.of(robot, robot.frame(frame), [thinned(_postures(robot, t), SAMPLES) for t in trajectories])
     found = fit_curve(paths)
-    if found is None or gain_in_nats(variance, found[1], paths) < LEAST_GAIN_NATS:
+    if found is None:
+        return None
+    free = float(np.linalg.eigvalsh(np.cov(paths.p.T))[:2].mean())  # beside a straight line
+    gains = [gain_in_nats(v, found[1], paths) for v in (variance, free)]
+    if share * gains[0] + (1.0 - share) * gains[1] < LEAST_GAIN_NATS:
         return None
     curve, off = found
     features = CurveRows(robot, frame, curve, ("across-1", "across-2"))

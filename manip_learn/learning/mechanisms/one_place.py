@@ -76,7 +76,10 @@ def misfit(fit: PlaceFit) -> tuple[float, float]:
     scale, (r, K) = Scale.of([group]), group.reduced
     zeros, left = zeros_of([group], scale.variance)
     e, parts = (r.reshape(-1) + K @ zeros).reshape(r.shape), [paths.part(i) for i in range(len(paths.starts))]
-    x = paths.p - paths.p.mean(axis=0)
+    # on the mechanism, for places as they are contain the residual that they shall foretell
+    off = np.einsum("nij,nj->ni", fit.weights.back, fit.residuals)
+    x = paths.p - np.einsum("nij,nj->ni", np.linalg.pinv((fit.weights.back @ fit.weights.twist)[:, :, :3], 1e-6), off)
+    x -= x.mean(axis=0)
     x /= np.abs(x).max()
     powers = [np.prod(x[:, list(axes)], axis=1) for n in (2, 3) for axes in combinations_with_replacement(range(3), n)]
     held = [k for k, name in enumerate(names_of(fit.kind)) if QUANTITIES[name].unit == "m"]
