@@ -389,7 +389,9 @@ class JointOffsets:
         weight = np.exp(log_weight - log_weight.max())
         drawn = tau2[rng.choice(len(taus), n, p=weight / weight.sum())]
         shrink = drawn / (sigma2 + lam * drawn)  # posterior variance over sigma^2
-        delta = shrink * self.pattern + np.sqrt(shrink * sigma2) * rng.standard_normal((n, len(lam)))
+        # drawn along the joints, so that rounding, which chooses among directions that are alike, does not matter
+        normal = rng.standard_normal((n, len(self.directions))) @ self.directions
+        delta = shrink * self.pattern + np.sqrt(shrink * sigma2) * normal
         return delta @ self.directions.T
 
 

@@ -298,7 +298,7 @@ class PlaceFit:
         alone = dataclasses.replace(self, residuals=residuals)
         covariance, freedom, alike = alone.noise
         values, vectors = np.linalg.eigh(covariance)
-        drawn = rng.standard_normal((DRAWS, len(values))) @ (vectors * np.sqrt(values.clip(0.0))).T
+        drawn = rng.standard_normal((DRAWS, len(values))) @ (vectors * np.sqrt(values.clip(0.0))) @ vectors.T
         if np.isfinite(freedom):
             drawn /= np.sqrt(rng.chisquare(freedom, DRAWS) / freedom)[:, None]
         offsets = dataclasses.replace(offsets, variance=alike * alone.variance, expected=arm.zeros)
