@@ -142,6 +142,11 @@ class ArmPhysics:
         return float(self._data.qpos[-1])
 
     @property
+    def place(self) -> Float[np.ndarray, " 3"]:
+        """Where the hand is [m], base frame."""
+        return self._data.site_xpos[self._tip]
+
+    @property
     def force(self) -> Float[np.ndarray, " 3"]:
         """Force of the hand on what it holds [N], base frame."""
         data = self._data
