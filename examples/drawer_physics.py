@@ -25,7 +25,7 @@ from make_recordings.mechanisms import Mechanism, Slide
 from matplotlib.figure import Figure
 from numpy.typing import ArrayLike
 
-from manip_learn.drivers.mujoco import MuJoCoDriver
+from manip_learn.drivers.mujoco import STICKS, MuJoCoDriver
 
 PERIOD, TIMESTEP = 0.001, 0.0005  # of the servo's commands, of the physics [s]
 LATENCY = 0.002  # from a measurement to the command that it leads to [s], half of it on each way
@@ -100,6 +100,8 @@ class ArmPhysics:
         if isinstance(mechanism, Slide):
             model.dof_frictionloss[-1] = DRAWER_FRICTION
         self._slides, self._sticks = float(model.dof_frictionloss[-1]), sticks
+        if sticks is not None:
+            model.dof_solimp[-1], model.dof_frictionloss[-1] = STICKS, sticks
         if jammed_at is not None:
             model.jnt_limited[-1], model.jnt_range[-1] = True, (-1.0, jammed_at)
             model.jnt_solref[-1], model.jnt_solimp[-1] = (0.02, 1.0), STIFF_SOLIMP  # wood gives way a little

@@ -15,6 +15,7 @@ from numpy.typing import ArrayLike
 from manip_learn.control.following import STIFFNESS
 from manip_learn.errors import ConfigurationError, MissingExtraError
 
+STICKS = (0.9999, 0.99999, 0.001, 0.5, 2.0)  # MuJoCo's solimp of dry friction: by its default joints creep under it
 STABLE = 3.0  # time steps in a radian of a servo's own oscillation at the least: an explicit spring needs half of that
 
 
@@ -115,6 +116,7 @@ class MuJoCoDriver:
         model.dof_armature[self._u] = np.maximum(model.dof_armature[self._u], least)
         self._known_friction = model.dof_frictionloss[self._u].copy()
         model.dof_frictionloss[self._u] += self._friction
+        model.dof_solimp[np.array(self._u)[self._friction > 0.0]] = STICKS
         mujoco.mj_forward(model, self.data)
         self._damping = 2.0 * np.sqrt(self._stiffness * self._inertia().diagonal())
         self._rate = self._ahead = np.zeros(n)  # last commanded velocities, and efforts for accelerations

@@ -16,7 +16,7 @@ import numpy as np
 from jaxtyping import Float
 
 from manip_learn.atomic_write import has_no_room
-from manip_learn.control.cycle import Clock, ComputerClock, OrderlyEnd, hold_still, quiet_collector
+from manip_learn.control.cycle import Clock, ComputerClock, OrderlyEnd, quiet_collector
 from manip_learn.control.driver import Driver
 from manip_learn.errors import ConfigurationError, OutputError, counted
 from manip_learn.linalg import finite
@@ -128,7 +128,7 @@ def record(
         raise ConfigurationError("a simulated driver needs wait(), in which a period passes without a command")
     clock = clock or ComputerClock()
     session = _Session(driver, folder, name, by, motions, shown, began)
-    with OrderlyEnd(session.end, PATIENCE, clock) as ending:
+    with OrderlyEnd(driver, session.end, PATIENCE, clock) as ending:
         try:
             with ending.waiting():
                 session.released(release)
@@ -137,8 +137,8 @@ def record(
         except KeyboardInterrupt:  # in the driver or in who is told of samples
             session.end("Ctrl-C")
         finally:
-            session.close(ending)
-    return session.record()
+            session.finish()
+    return session.record(ending.failed)
 
 
 class _Sample(NamedTuple):
@@ -265,7 +265,7 @@ class _Session:
         rested = sample.time - before[0].time > RESTS - LATE * period and not self._moved(RESTS)
         failed = self._file is not None and self._file.error is not None
         if failed or (pressed if self._by == "key" else rested):
-            self._finish()
+            self.finish()
 
     def _moved(self, within: float) -> bool:
         """Whether a joint has moved in a time before now [s]."""
@@ -300,7 +300,7 @@ class _Session:
         self._file.add(",".join(map(repr, numbers.tolist())) + "\n")
         self._samples += 1
 
-    def _finish(self) -> None:
+    def finish(self) -> None:
         """The file is complete."""
         if self._file is None:
             return
@@ -313,16 +313,9 @@ class _Session:
         if self._motions is not None and len(self._files) >= self._motions:
             self.end(f"{counted(self._motions, 'motion')} recorded")
 
-    def close(self, ending: OrderlyEnd) -> None:
-        """Complete the file, and have the arm hold itself."""
-        try:
-            self._finish()
-        finally:
-            if failed := hold_still(self._driver, ending):
-                self._notes.append(failed)
-
-    def record(self) -> RecordedFiles:
-        """The files and numbers so far."""
+    def record(self, failed: str) -> RecordedFiles:
+        """The files and numbers so far, and what went wrong when the arm was to hold itself."""
+        self._notes += [failed] if failed else []
         numbers = self._samples, self._lost, self._gap
         return RecordedFiles(
             tuple(self._files), *numbers, self._ended, self._ordered, tuple(self._notes), self._names or ()
