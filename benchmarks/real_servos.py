@@ -204,6 +204,7 @@ FAULTS: dict[str, dict[str, Any]] = {
     "friction 3 N m": {"friction": 3.0},
     "friction 6 N m": {"friction": 6.0},
     "play 2 mrad": {"play": 0.002},
+    "play 10 mrad, 200 N m/rad": {"play": 0.010, "stiffness": 200.0},
     "play 10 mrad": {"play": 0.010},
     "20 ms late": {"latency": 0.020},
     "60 ms late": {"latency": 0.060},

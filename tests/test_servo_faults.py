@@ -53,7 +53,7 @@ def test_a_following_error_trips_until_reset(robot_of: RobotOf) -> None:
     assert {c.status for c in commands} == {FOLLOWING_ERROR}
     assert not np.any([c.velocity for c in commands])
     loop.reset()
-    assert np.linalg.norm(Arm(loop, q).calls(800)[-1].velocity) > 0.01
+    assert max(np.linalg.norm(command.velocity) for command in Arm(loop, q).calls(800)) > 0.05
 
 
 def test_reset_after_a_trip_ramps_back(robot_of: RobotOf) -> None:
@@ -129,7 +129,7 @@ def test_distances_mean_forces(robot_of: RobotOf) -> None:
         following = FollowingError(robot, Contact(stiffness=STIFFNESS), None, DT, np.full(7, 10.0), tip)
         away = J.T @ np.array(force) / STIFFNESS
         for _ in range(40):
-            following.compare(q, q + away, 0.0, lambda _q: along_x)
+            following.compare(q, q + away, None, lambda _q: along_x)
         assert bool(following.tripped) == trips, (force, following.tripped)
         pushed = np.array(force) + [0.0, 0.0, min(19.62, max(0.0, -force[2]))]
         if not trips:

@@ -27,6 +27,7 @@ GRAVITY = 9.81  # [m/s2]
 # [rad or m] what stays of a servo's error where friction, play and noise have been measured: 0.5 N m at 2,000 N m/rad
 RESOLUTION = 2.5e-4
 RINGING = 0.1  # [s] for which a servo feels an acceleration: three times sqrt(2 kg m2 / 2,000 N m/rad)
+NONE = np.zeros(3)
 ROUNDING = 1e-12  # [rad or m] of sums of steps
 LOOK_BACK = 0.01  # [s] over which the rise of a force is looked at, and by which it is carried on at the least
 FARTHEST = 3.0  # times of that by which it is carried on at the most: noise grows with it
@@ -39,7 +40,7 @@ QUIET = 9.0
 # and what a blocked arm is pressed with that starts at such a speed
 LATE = 16.0
 NOISY = 1.0 / 3.0  # share of `held` that noise may be; more readings are averaged until it is
-KNOWN = 0.5  # share by which friction is known: it depends on load and speed, and presses the hand itself
+KNOWN = 0.7  # share by which friction is known: it depends on load and speed, and presses the hand itself
 POSTURES = 200  # for the levers of a robot whose posture is not known
 
 
@@ -193,7 +194,6 @@ class FollowingError:
 
     Attributes:
         limit: shape (nv,) [rad or m].
-        largest: Largest distance of a joint in the newest comparison, beyond what being late explains [rad or m].
         distance: shape (nv,), measured less commanded.
         force: shape (3,), on the hand, in the base frame [N]; 0 where the user has given limits.
         tripped: Why the arm is to be stopped, in words; empty where it is not.
@@ -234,31 +234,46 @@ class FollowingError:
         """Begin anew."""
         nv = self._robot.nv
         self.servos.forget()
-        self.largest, self.force, self.tripped = 0.0, np.zeros(3), ""
+        self.force, self.tripped = np.zeros(3), ""
         self.distance = np.zeros(nv)
         self.resolution = 0.0 if isinstance(self.contact.resolution, str) else float(self.contact.resolution)
         self._said, self._untold = False, int(self.contact.stiffness is None and self._frame is not None)
         self.notes = [self._distances()] if self._untold else []
         self._found = np.zeros((math.ceil(LOOK_BACK / self._dt) + 1, nv))  # excesses, one row a period
-        self._ways, self._row, self._rows = np.zeros_like(self._found), 0, 0
+        self._row, self._rows = 0, 0
+        self._change, self._lasted = np.zeros(nv), 0.0  # of the velocity since that of inertia was looked at
         self._velocity = np.zeros(nv)
         self._least, self._most = np.zeros(nv), np.zeros(nv)  # by which servos lately gave way to inertia
+        self._inertia = np.full(nv, -ROUNDING), np.full(nv, ROUNDING)
         self._weight = 0.0  # [N]
         self._pushed = np.zeros(nv)  # how far the force on the hand pushes the joints [rad or m]
         self._going, self._carried = 0.0, 0.0  # for how long the hand has been moving [s], and what that takes [N]
 
     def moved(self, q: Float[np.ndarray, " n"], time: float, velocity: Float[np.ndarray, " nv"]) -> None:
         """Take note of a step of the commanded posture: the posture before it, how long it took [s], its velocity."""
-        if self.servos.moved(time * velocity, time):
+        step = velocity - self._velocity
+        over = self.servos.moved(time * velocity, time, bool(velocity.dot(velocity) > 0.0))
+        if over:
             self._row, self._rows = (self._row + 1) % len(self._found), self._rows + 1
-            self._ways[self._row] = self.servos.way
+        self._velocity = velocity
         if self._frame is None or time <= 0.0:
             return
         # a servo gives way to M a as a spring and a damper do: by no more than lately, and for a while after
-        now = self._robot.inertial_effort(q, (velocity - self._velocity) / time) / self._inertial
-        lately = math.exp(-time / RINGING)
+        self._change, self._lasted = self._change + step, self._lasted + time
+        if not (over and self.servos.has_looked):
+            return
+        now = 0.0
+        if self._change.dot(self._change) > 0.0:
+            now = self._robot.inertial_effort(q, self._change / self._lasted) / self._inertial
+        lately = math.exp(-self._lasted / RINGING)
         self._least, self._most = np.minimum(lately * self._least, now), np.maximum(lately * self._most, now)
-        self._velocity = velocity.copy()
+        self._inertia = -self._most - ROUNDING, ROUNDING - self._least
+        self._change, self._lasted = np.zeros_like(velocity), 0.0
+
+    @property
+    def largest(self) -> float:
+        """Largest distance of a joint in the newest comparison, beyond what being late explains [rad or m]."""
+        return float(np.abs(self.servos.raw).max(initial=0.0))
 
     def _distances(self) -> str:
         joint = int(np.argmax(self.limit))
@@ -317,7 +332,7 @@ class FollowingError:
         self,
         commanded: Float[np.ndarray, " n"],
         measured: Float[np.ndarray, " n"],
-        correction: Float[np.ndarray, " nv"] | float = 0.0,
+        correction: Float[np.ndarray, " nv"] | None = None,
         driven: Directions | None = None,
     ) -> None:
         """Compare two postures, the newest commanded and the newest measured one.
@@ -326,10 +341,8 @@ class FollowingError:
         the motions of the joints that the task drives, at a posture.
         """
         self.distance = self._robot.difference(commanded, measured)
-        excess = self.servos.excess(self.distance - correction)
-        low, high = -self._most - ROUNDING, ROUNDING - self._least
-        excess = excess - np.minimum(np.maximum(excess, low), high)  # what inertia explains
-        self.largest = float(np.abs(self.servos.raw).max(initial=0.0))
+        excess = self.servos.excess(self.distance - correction if correction is not None else self.distance)
+        excess = excess - np.minimum(np.maximum(excess, self._inertia[0]), self._inertia[1])
         self._found[self._row] = excess
         if self._frame is None:
             if np.any(np.abs(excess) > self.limit):
@@ -337,14 +350,14 @@ class FollowingError:
             return
         if self.servos.is_known and not self._said:
             self._tell(measured)
-        self.force = np.zeros(3)
+        self.force = NONE
         if self.tripped:
             return
         if not self.servos.is_known and np.any(np.abs(self.distance) > LATE * self.limit):
             self.tripped = "the arm has not begun to move: it is blocked or switched off, or give Contact(latency=...)"
             return
         if excess.dot(excess) <= RESOLUTION * RESOLUTION:  # no force can be larger than `held` then
-            self._going = min(GOING, self._going + self._dt) if self._velocity.any() else 0.0
+            self._going = min(GOING, self._going + self._dt)
             return
         self._judge(measured, excess, driven)
 
@@ -354,7 +367,7 @@ class FollowingError:
         C = self._robot.jacobian(measured, self._frame)[:3] / self._stiffness
         look = math.ceil(LOOK_BACK / dt)
         ago = min(self._rows, look)
-        rise, step = excess - self._found[self._row - ago], self._ways[self._row] - self._ways[self._row - ago]
+        rise, step = excess - self._found[self._row - ago], self.servos.gone(ago)
         gone = float(step.dot(step))
         taken = -float(rise.dot(step)) / gone if gone > 0.0 else 0.0  # share of the way that the servos have taken in
         # it rises until what is measured is seen, and, ever more slowly, until the arm stands

@@ -466,7 +466,8 @@ class ServoLoop:
             self._reference = self._output = measured
             return self._braked(Status.FOLLOWING_ERROR, period)
         if self._waited == 0.0:  # a state that is not new says nothing of the commands since
-            self._following.compare(self._output, measured, self._correction, self._driven)
+            correction = self._correction if self._correction_rate else None
+            self._following.compare(self._output, measured, correction, self._driven)
         if self._following.tripped:
             # the average would go on pressing for its own length
             self._reference, self._velocity = self._output, self._sent

@@ -6,7 +6,7 @@ import math
 from typing import final
 
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Bool, Float
 
 LATEST = 0.2  # [s] by which an arm may follow late: servoJ of a UR looks ahead by as much, and nothing takes longer
 # samples of that motion after which lateness and friction may be known, and after which they are what they seem to be
@@ -22,6 +22,7 @@ STILL = 2e-4  # [rad or m] within which a joint may not have moved, whatever its
 NOISES = 6.0  # standard deviations that noise does not reach in a run of hours
 PACE = 0.002  # [s] by which joints follow more or less late than each other: dampers of 4 N m s/rad at 2,000 N m/rad
 ROUNDING = 1e-12  # [rad or m] of sums of steps
+OFTEN = 0.004  # [s] between two looks at what changes slowly
 AROUND = 0.25  # share of the delay by which it may be other than it was
 DRAWS = 20.0  # variance of the third difference of independent noise, over its own: 1 + 9 + 9 + 1
 
@@ -60,12 +61,12 @@ class Servos:
 
     def __init__(self, nv: int, dt: float, latency: float | None, hidden: Float[np.ndarray, " nv"]):
         self._dt, self._given, self._hidden = dt, latency, hidden
-        self._size = math.ceil(((LATEST if latency is None else latency) + PACE) / dt - 1e-9) + 3
-        self._pace = max(1, round(PACE / dt))
+        self._size = math.ceil(((LATEST if latency is None else latency) + max(PACE, OFTEN)) / dt - 1e-9) + 3
+        self._pace, self._often = max(1, round(PACE / dt)), max(1, round(OFTEN / dt))
         self._own = PACE / dt if hidden.any() else 0.0  # periods
         self._stride = max(1, round(APART / dt))
         lags = np.arange(0.0, LATEST + 0.5 * APART, max(APART, dt))
-        self._lags = np.unique(np.minimum(np.round(lags / dt).astype(np.int64), self._size - 2 - self._pace))
+        self._lags = np.unique(np.minimum(np.round(lags / dt).astype(np.int64), self._size - 2 - max(self._pace, self._often)))
         # until the noise is known, the mean of some periods at 1 kHz
         self._smoothing = dt / (dt + 0.004) if hidden.any() else 1.0
         self._nv = nv
@@ -79,12 +80,12 @@ class Servos:
         # ways of the commanded posture since the beginning, one row a period, twice so that the newest are in one piece
         self._ways, self._row, self._since = np.zeros((2 * self._size, nv)), 0, 0.0
         self.way = np.zeros(nv)
-        self._window = 0, self._size - 2 - self._pace
+        self._window = 0, self._size - 2 - max(self._pace, self._often)
         self._at = 0  # periods by which the arm seems to be late now
         self._excess = np.zeros(nv)
         self.seen, self._all_seen = np.zeros(nv, dtype=bool), False
         self.friction = np.zeros(nv)
-        self.sees, self.raw, self.range = self.seen, np.zeros(nv), (np.zeros(nv), np.zeros(nv))
+        self.raw, self.range, self._newest = np.zeros(nv), (np.zeros(nv), np.zeros(nv)), np.zeros(nv)
         # x as friction would have it, the sense in which a joint went when it was measured, and its least lag then
         self._place, self._sense, self._least = np.zeros(nv), np.zeros(nv), np.zeros(nv)
         self._first, self._rests = np.zeros(nv), 0  # where the arm is at rest, the mean of so many readings
@@ -92,7 +93,7 @@ class Servos:
         self._samples: list[tuple[np.ndarray, np.ndarray, np.ndarray]] = []
         self.moving, self._counted = 0.0, 0
 
-    def moved(self, step: Float[np.ndarray, " nv"], time: float) -> bool:
+    def moved(self, step: Float[np.ndarray, " nv"], time: float, moves: bool) -> bool:
         """Take note of a step of the commanded posture [rad or m] and how long it took [s]; whether a period is over.
 
         A call that came early takes a part of the step before back, which the arm may have made.
@@ -102,11 +103,20 @@ class Servos:
         over = self._since > 0.99 * self._dt or time < 0.0
         if over:
             self._since, self._row = 0.0, (self._row + 1) % self._size
-            if step.any():
+            if moves:
                 self.moving += self._dt
                 self._counted += 1
         self._ways[self._row] = self._ways[self._row + self._size] = self.way
         return over
+
+    @property
+    def has_looked(self) -> bool:
+        """Whether this period is one in which what changes slowly is looked at, all of it in the same."""
+        return self._row % self._often == 1 % self._often
+
+    def gone(self, periods: int) -> Float[np.ndarray, " nv"]:
+        """How far the commanded posture has moved in the last periods [rad or m]."""
+        return self.way - self._ways[self._row + self._size - min(periods, self._size - 1)]
 
     @property
     def moved_lately(self) -> Float[np.ndarray, " nv"]:
@@ -130,27 +140,39 @@ class Servos:
             self._look(y, sent[nearest])
         else:
             c = self._ways[newest - self._at]
-            path = self._ways[newest - least] - self._ways[newest - most]
-            own = np.abs(path) * self._share + ROUNDING  # each joint follows at a pace of its own
-            # a joint that goes on as it did when friction was measured is behind by as much
-            self._place = np.minimum(np.maximum(self._place, c - self.width), c + self.width)
-            goes = (c - self._place) * self._sense > 0.99 * self.width
-            low, high = goes * self._nearer[0] - self.width - own, self.width + own - goes * self._nearer[1]
-            if not self._all_seen:
-                reach = np.minimum(np.abs(c), self.width) + own
-                low, high = np.where(self.seen, low, -reach), np.where(self.seen, high, reach)
-                self._look(y, c)
             raw = y - c
+            if self._row % self._often == 0:
+                self._look_again(y, c)
+            low, high, path, square = self._bounds
             excess = raw - np.minimum(np.maximum(raw, low), high)
-            square = float(path.dot(path))
             if square > 0.0:  # the delay is known to within that path
                 share = min(max(float(excess.dot(path)) / square, -0.5), 0.5)
-                raw = raw - share * path
-                excess = raw - np.minimum(np.maximum(raw, low), high)
-        self.raw, self.range = raw, (low, high)
-        self.sees = self.seen if self._all_seen else self.seen | (high < STILL) | (excess != 0.0)
+                if share != 0.0:
+                    raw = raw - share * path
+                    excess = raw - np.minimum(np.maximum(raw, low), high)
+        self.raw, self.range, self._newest = raw, (low, high), excess
         self._excess = self._excess + self._smoothing * (excess - self._excess)
         return self._excess
+
+    @property
+    def sees(self) -> Bool[np.ndarray, " nv"]:
+        """See the class."""
+        return self.seen if self._all_seen else self.seen | (self.range[1] < STILL) | (self._newest != 0.0)
+
+    def _look_again(self, y: np.ndarray, c: np.ndarray) -> None:
+        """Between which distances there is no force, and the path within which the delay is known."""
+        newest, (least, most) = self._row + self._size, self._window
+        path = self._ways[newest - least] - self._ways[newest - most]
+        own = np.abs(path) * self._share + ROUNDING  # each joint follows at a pace of its own
+        self._place = np.minimum(np.maximum(self._place, c - self.width), c + self.width)
+        # a joint that goes on as it did when friction was measured is behind by as much
+        goes = (c - self._place) * self._sense > 0.99 * self.width
+        low, high = goes * self._nearer[0] - self.width, self.width - goes * self._nearer[1]
+        if not self._all_seen:
+            self._look(y, c)
+            reach = np.minimum(np.abs(c) + np.abs(c - self._ways[newest - self._at - self._often]), self.width)
+            low, high = np.where(self.seen, low, -reach), np.where(self.seen, high, reach)
+        self._bounds = low - own, high + own, path, float(path.dot(path))
 
     def _look(self, y: np.ndarray, c: np.ndarray) -> None:
         """Learn noise, widths and the delay from a reading."""
@@ -240,6 +262,7 @@ class Servos:
         nearer = self.width + self._least
         self._nearer = np.where(self._sense < 0.0, nearer, 0.0), np.where(self._sense > 0.0, nearer, 0.0)
         self._place = self._ways[self._row + self._size - self._at].copy()
+        self._bounds = -self.width, self.width, np.zeros(self._nv), 0.0
 
     def smooth(self, periods: float) -> None:
         """Take the mean of about so many readings."""
