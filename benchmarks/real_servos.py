@@ -1,6 +1,7 @@
-"""A drawer, a door and a table done by arms whose servos have friction, play and delays; what stops them, what must not.
+"""A drawer, a door and a table done by arms whose servos have friction, play and delays: what stops them, and what not.
 
-    python benchmarks/real_servos.py [--seed 900] [--postures 2] [--arms panda,ur5,xarm7] [--parts exact,wrong,jam,air,hit] [--out FILE.md]
+    python benchmarks/real_servos.py [--seed 900] [--postures 2] [--arms panda,ur5,xarm7] [--out FILE.md]
+    python benchmarks/real_servos.py --parts exact,wrong,jam,air,hit [--only "friction|play"]
 
 MuJoCo, position servos at 1 kHz, encoder noise of 0.1 mrad; the hand holds the handle by a ball joint. Each row of a
 table is a fault, on every arm from two postures that are drawn. "Exact" is what was learnt exactly: a row counts the
@@ -32,6 +33,9 @@ WAY, TURN, RADIUS = 0.15, 0.6, 0.35  # [m], [rad], [m]
 SPEED, STIFFNESS = 0.06, 2000.0  # [m/s], [N m/rad]
 RESTS = 1.2  # [s] watched after the end
 KINDS = ("drawer", "door", "table")
+# how an arm follows in free air: late by, and with a first-order lag of [s]
+AIR = ("at once", 0.0, 0.0), ("34 ms late", 0.034, 0.0), ("60 ms late", 0.06, 0.0), ("lag of 50 ms", 0.002, 0.05)
+AIR_RUNS = 100
 SHARE = 0.1  # smallest singular value of the rows held and driven, over a whole way, of a posture that counts
 
 
@@ -83,7 +87,6 @@ class Outcome:
         ended: Why the run ended.
         forces: shape (T, 2), across the way and all of it, of the hand on what it holds [N].
         trip: Period in which the loop found the arm blocked; None where it did not.
-        true: Force when that was found [N].
     """
 
     way: float
@@ -171,7 +174,7 @@ def done(
     seed: int = 7,
     **servos: Any,
 ) -> Outcome:
-    """One way of one arm: with an axis or a hinge that was learnt wrongly, settings of the contact, faults of servos."""
+    """One way of one arm: with an axis or a hinge that was learnt wrongly, settings of the contact, bad servos."""
     controller = case.controller(case.axis if axis is None else axis, case.point if point is None else point, speed)
     stiffness = servos.pop("stiffness", STIFFNESS)
     arm = ArmPhysics(case.name, case.q, case.thing, stiffness, np.random.default_rng(seed), **servos)
@@ -192,10 +195,6 @@ def done(
 
 def loop_of(controller: ml.ResolvedRateController, contact: dict[str, Any]) -> ml.ServoLoop:
     """The loop of a run."""
-    if not hasattr(ml, "Contact"):
-        return ml.ServoLoop(
-            controller, PERIOD, **({} if contact["stiffness"] is None else {"stiffness": contact["stiffness"]})
-        )
     return ml.ServoLoop(controller, PERIOD, contact=ml.Contact(**contact))
 
 
@@ -276,7 +275,8 @@ def wrong(found: list[Case]) -> list[str]:
             trips = sum(o.trip is not None for o in outcomes)
             left = max(o.after(0.5) for o in outcomes)
             lines.append(
-                f"| {name} | {servos} | {trips} of {len(outcomes)} | {np.median(across):.0f}, {max(across):.0f} | {left:.1f} |"
+                f"| {name} | {servos} | {trips} of {len(outcomes)} | {np.median(across):.0f}, {max(across):.0f} "
+                f"| {left:.1f} |"
             )
     return lines
 
@@ -284,7 +284,8 @@ def wrong(found: list[Case]) -> list[str]:
 def jam(found: list[Case]) -> list[str]:
     """A drawer that is stuck half way: how hard it is hit, for how long, and what is left."""
     lines = [
-        "| speed [m/s] | driven [N] | trips | largest, median and worst [N] | over 30 N, median and worst [ms] | after 1 s, worst [N] |",
+        "| speed [m/s] | driven [N] | trips | largest, median and worst [N] | over 30 N, median and worst [ms] "
+        "| after 1 s, worst [N] |",
         "|---|---|---|---|---|---|",
     ]
     for speed, driven in ((0.06, 60.0), (0.06, 15.0), (0.25, 60.0)):
@@ -302,20 +303,108 @@ def jam(found: list[Case]) -> list[str]:
     return lines
 
 
+def air(found: list[Case]) -> list[str]:
+    """Ten seconds in free air, of an arm that follows late: how many are stopped, and how late it is said to follow."""
+    lines = ["| follows | runs | stopped | said, median [ms] |", "|---|---|---|---|"]
+    for name, late, lag in AIR:
+        stopped, said = 0, []
+        for number in range(AIR_RUNS):
+            case, rng = found[number % len(found)], np.random.default_rng([number, 5])
+            robot, q, dt = case.arm.robot, case.q, 0.002
+            rows = ml.Constraint(np.eye(3), ml.FrameJacobian(robot, case.arm.tip.name, "xyz"))
+            place, size = robot.position(q, case.arm.tip.name), rng.uniform(0.02, 0.1, 3)
+            rate = rng.uniform(0.3, 2.0, 3)
+            task = ml.Track(lambda t, p=place, s=size, w=rate: p + s * (1.0 - np.cos(w * t)), gain=2.0)
+            loop = ml.ServoLoop(ml.ResolvedRateController(rows, task, ml.ManipulabilityAscent(rows)), dt)
+            loop.reset(q)
+            sent, arm = [q] * (round(late / dt) + 1), q.copy()
+            for k in range(round(10.0 / dt)):
+                arm = arm + (sent[-1 - round(late / dt)] - arm) * (1.0 if lag == 0.0 else dt / (lag + dt))
+                status = loop.update(arm + rng.normal(0.0, 1e-4, robot.nv), k * dt).status
+                sent.append(loop.position)
+                if status == "following-error":
+                    stopped += 1
+                    print(name, number, loop.stopped_by, file=sys.stderr, flush=True)
+                    break
+            said += [float(note.split()[3]) for note in loop.notes if note.startswith("the arm follows")]
+        lines.append(f"| {name} | {AIR_RUNS} | {stopped} | {np.median(said) if said else 0.0:.0f} |")
+    return lines
+
+
+def hit(found: list[Case]) -> list[str]:
+    """A person pushes for 0.4 s: what trips, what gives way, and what comes back."""
+    lines = [
+        "| pushed | force [N] | trips | gives way, median [mm] | off after 1 s, median [mm] |",
+        "|---|---|---|---|---|",
+    ]
+    for what in ("free hand", "hand on a drawer, across", "hand on a drawer, against the way", "elbow"):
+        for force in (20.0, 40.0, 80.0):
+            trips, ways, left = 0, [], []
+            for case in found:
+                if case.kind == "drawer":
+                    tripped, way, off = pushed(case, what, force)
+                    trips, ways, left = trips + tripped, [*ways, way], [*left, off]
+            lines.append(
+                f"| {what} | {force:.0f} | {trips} of {len(ways)} | {np.median(ways):.1f} | {np.median(left):.1f} |"
+            )
+            print(lines[-1], file=sys.stderr, flush=True)
+    return lines
+
+
+def pushed(case: Case, what: str, force: float) -> tuple[bool, float, float]:
+    """Whether the loop trips, how far the hand gives way, and how far off it is a second after the push [mm]."""
+    free, robot, tip = what in ("free hand", "elbow"), case.arm.robot, case.arm.tip.name
+    aside = np.linalg.svd(case.axis[None])[2][1]
+    way = -case.axis if "against" in what else aside
+    begins = 1.2  # [s] in full motion
+
+    def push(t: float) -> tuple[np.ndarray, int]:
+        joint = 3 if what == "elbow" else -1
+        return (force * way if begins <= t < begins + 0.4 else np.zeros(3)), joint
+
+    controller = case.controller(case.axis, case.point, SPEED)
+    if free:  # a motion to a point
+        rows = ml.Constraint(np.eye(3), ml.FrameJacobian(robot, tip, "xyz"))
+        task = ml.PointAttractor(robot.position(case.q, tip) + WAY * case.axis, gain=1.0, max_speed=SPEED)
+        controller = ml.ResolvedRateController(rows, task, ml.ManipulabilityAscent(rows))
+    places = {}
+    for name, given in (("with", push), ("without", None)):
+        thing = None if free else case.thing
+        arm = ArmPhysics(case.name, case.q, thing, STIFFNESS, np.random.default_rng(7), push=given)
+        loop = loop_of(controller, {"stiffness": STIFFNESS})
+        loop.reset(case.q)
+        seen, tripped = [], False
+        for k in range(round((begins + 1.4) / PERIOD)):
+            tripped = loop.update(arm.read()[0], PERIOD * k).status == "following-error" or tripped
+            arm.command(loop.position)
+            seen.append(arm.place.copy())
+        places[name] = np.array(seen), tripped
+    off = 1e3 * np.linalg.norm(places["with"][0] - places["without"][0], axis=1)
+    at = round(begins / PERIOD)
+    return places["with"][1], float(off[at : at + 400].max()), float(off[-1])
+
+
 def say(what: str, case: Case, outcome: Outcome) -> None:
     """Progress, one line a run."""
     across, most = outcome.forces.max(axis=0)
     where = "whole" if outcome.trip is None else f"tripped after {PERIOD * outcome.trip:.2f} s"
-    after = f"{outcome.after(0.5):.1f} N after 0.5 s, {outcome.after(1.0):.1f} after 1 s, {outcome.above(30.0):.0f} ms over 30 N"
+    after = f"{outcome.after(0.5):.1f} N after 0.5 s, {outcome.above(30.0):.0f} ms over 30 N"
     print(
-        f"{what}; {case.name} {case.kind}: way {outcome.way:.3f}, {where}; across {across:.0f} N, in all {most:.0f} N, {after}; "
+        f"{what}; {case.name} {case.kind}: way {outcome.way:.3f}, {where}; across {across:.0f} N, in all {most:.0f} N; "
+        f"{after}; "
         f"{outcome.ended}",
         file=sys.stderr,
         flush=True,
     )
 
 
-PARTS: dict[str, Callable[[list[Case]], list[str]]] = {"exact": exact, "wrong": wrong, "jam": jam}
+PARTS: dict[str, Callable[[list[Case]], list[str]]] = {
+    "exact": exact,
+    "wrong": wrong,
+    "jam": jam,
+    "air": air,
+    "hit": hit,
+}
 
 
 def main() -> None:
