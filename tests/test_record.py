@@ -372,7 +372,7 @@ class Stalling:
 
 @pytest.mark.parametrize("stall", [0.5, 1.6, 3.0])
 def test_a_stall_is_said_as_long_as_it_was(stall: float, tmp_path: Path):
-    """A reading that takes long leaves a hole of that length, to 20 %, and as many samples are lost; recording goes on."""
+    """A reading that takes long leaves a hole of that length, to 20 %, and as many samples are lost; it goes on."""
     arm = Stalling(stall)
     done = record(arm, tmp_path, duration=2.0 + stall, clock=arm)  # type: ignore[arg-type]
     assert done.ordered and done.longest_gap == pytest.approx(stall, rel=0.2)

@@ -336,7 +336,7 @@ def test_wrong_settings_are_refused(robot_of: RobotOf) -> None:
     """Before the arm moves, with an error of the library's own that names the setting."""
     law = law_of(robot_of("sawyer"), "sawyer")
     wrong: dict[str, list] = {
-        "dt": [0.0, np.nan, "fast", True], "stale_after": [-1.0, 0.0], 
+        "dt": [0.0, np.nan, "fast", True], "stale_after": [-1.0, 0.0],
         "acceleration_limit": [0.0, [1.0]], "jerk_limit": [-1.0, 1e-9], "correction_time": [0.0, np.inf, "fast"],
         "following_error_limit": [[0.1, 0.1], np.nan, 0.0],
     }  # fmt: skip

@@ -69,12 +69,12 @@ class GivenUp(KeyboardInterrupt):
 class OrderlyEnd:
     """However a cycle ends, the arm holds itself: by a signal, an exception, or with the interpreter.
 
-    Ctrl-C, SIGTERM and SIGHUP (a stopped container, a closed terminal) ask the cycle to end, wherever it is. They come to
-    the main thread; a cycle in another one, which would be killed with a daemon thread, is asked where the interpreter
-    ends, and waited for. A program that was started to ignore SIGTERM or SIGHUP, as by nohup, goes on ignoring it. After
-    one of these two, once the cycle has ended, the program's own handler is called; where there is none, the program
-    ends by `SystemExit` with 128 and the number of the signal. What cannot be caught (kill -9, a loss of power) needs a
-    watchdog in the driver or in the arm.
+    Ctrl-C, SIGTERM and SIGHUP (a stopped container, a closed terminal) ask the cycle to end, wherever it is. They come
+    to the main thread; a cycle in another one, which would be killed with a daemon thread, is asked when the
+    interpreter ends, and waited for. A program that was started to ignore SIGTERM or SIGHUP, as by nohup, goes on
+    ignoring it. After one of these two, once the cycle has ended, the program's own handler is called; where there is
+    none, the program ends by `SystemExit` with 128 and the number of the signal. What cannot be caught (kill -9, a loss
+    of power) needs a watchdog in the driver or in the arm.
 
     Args:
         driver: Its `hold()`, where it has one, is called at the end.

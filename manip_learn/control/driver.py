@@ -96,8 +96,8 @@ def run(
     """Run a servo loop on an arm: read, update, command, once per period.
 
     However it ends, the arm first brakes within its limits and then stands: after the duration, by a signal, where the
-    driver or `until` raises or the driver returns what is no posture, where the arm is blocked and has let go, where the
-    period changes or cannot be held, and where the interpreter ends while it runs in a thread. Unless that was the
+    driver or `until` raises or the driver returns what is no posture, where the arm is blocked and has let go, where
+    the period changes or cannot be held, and when the interpreter ends while it runs in a thread. Unless that was the
     duration or the caller's reason, the driver's `hold()` is then called, if it has one. A reading that is wrong once
     brakes the arm and does not end the run. Python's garbage collector rests meanwhile.
 

@@ -6,7 +6,7 @@ import logging
 import math
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Literal, final
+from typing import Any, Literal, final
 
 import numpy as np
 from jaxtyping import Float
@@ -80,12 +80,12 @@ class Contact:
     def __post_init__(self) -> None:
         """Refuse numbers that are none."""
         for name in ("held", "driven", "latency", "resolution"):
-            value = getattr(self, name)
+            value: Any = getattr(self, name)
             measured = name in ("latency", "resolution")
             if measured and isinstance(value, str) and value == "auto":
                 continue
             good = isinstance(value, int | float | np.number) and not isinstance(value, bool)
-            if not (good and 0.0 <= value < math.inf and (value > 0.0 or measured)):
+            if not (good and 0.0 <= float(value) < math.inf and (value or measured)):
                 unit, auto = "seconds" if name == "latency" else "newtons", ' or "auto"' if measured else ""
                 raise ConfigurationError(f"{name} must be a positive number of {unit}{auto}, got {value!r}")
 
@@ -217,15 +217,15 @@ class FollowingError:
         self._stiffness = _per_joint("stiffness", told, robot)
         # links that are slower on servos softer than they are taken for give way by more: ten times at 200 N m/rad
         self._inertial = self._stiffness if contact.stiffness is not None else 0.1 * self._stiffness
-        self._frame = None
+        self._by_force, self._frame = limit is None, robot.frame(frame or default_tip(robot))
         if limit is None:
-            self._frame = tip = robot.frame(frame or default_tip(robot))
+            tip = self._frame
             # the longest lever of the tip on any joint [m]; at least 1 where a joint is prismatic
             reach = max(float(np.linalg.norm(robot.jacobian(q, tip)[:3], axis=0).max()) for q in _postures(robot))
             limit = contact.held * reach / self._stiffness
         self.limit = _per_joint("following_error_limit", limit, robot)
         latency = None if isinstance(contact.latency, str) else float(contact.latency)
-        hidden = 0.0 if self._frame is None else HIDDEN
+        hidden = 0.0 if not self._by_force else HIDDEN
         self.servos = Servos(robot.nv, dt, latency, hidden / self._stiffness)
         self._damping = (RESOLUTION / contact.held) ** 2 * np.eye(3)
         self.forget()
@@ -237,7 +237,7 @@ class FollowingError:
         self.force, self.tripped = np.zeros(3), ""
         self.distance = np.zeros(nv)
         self.resolution = 0.0 if isinstance(self.contact.resolution, str) else float(self.contact.resolution)
-        self._said, self._untold = False, int(self.contact.stiffness is None and self._frame is not None)
+        self._said, self._untold = False, int(self.contact.stiffness is None and self._by_force)
         self.notes = [self._distances()] if self._untold else []
         self._found = np.zeros((math.ceil(LOOK_BACK / self._dt) + 1, nv))  # excesses, one row a period
         self._row, self._rows = 0, 0
@@ -256,7 +256,7 @@ class FollowingError:
         if over:
             self._row, self._rows = (self._row + 1) % len(self._found), self._rows + 1
         self._velocity = velocity
-        if self._frame is None or time <= 0.0:
+        if not self._by_force or time <= 0.0:
             return
         # a servo gives way to M a as a spring and a damper do: by no more than lately, and for a while after
         self._change, self._lasted = self._change + step, self._lasted + time
@@ -279,8 +279,9 @@ class FollowingError:
         joint = int(np.argmax(self.limit))
         return (
             f"the stiffness of the servos is not told: the arm is stopped by distances, at the latest where joint "
-            f"{self._robot.joint_names[joint]} is {1e3 * self.limit[joint]:.2g} mrad off, which is {self.contact.held:g} N on "
-            f"the hand for {STIFFNESS:g} N m/rad and ten times as much for ten times that: give Contact(stiffness=...)"
+            f"{self._robot.joint_names[joint]} is {1e3 * self.limit[joint]:.2g} mrad off. On servos of {STIFFNESS:g} "
+            f"N m/rad that is {self.contact.held:g} N on the hand, on servos ten times as stiff ten times as much: "
+            "give Contact(stiffness=...)"
         )
 
     def relief(self) -> Float[np.ndarray, " nv"]:
@@ -300,7 +301,7 @@ class FollowingError:
 
     def left(self, q: Float[np.ndarray, " n"]) -> float:
         """Force on the hand that is left in a measured posture, beyond what friction holds [N]."""
-        if self._frame is None:
+        if not self._by_force:
             return 0.0
         away = np.sign(self.distance) * np.maximum(np.abs(self.distance) - self.servos.friction, 0.0)
         C = self._robot.jacobian(q, self._frame)[:3] / self._stiffness
@@ -337,14 +338,14 @@ class FollowingError:
     ) -> None:
         """Compare two postures, the newest commanded and the newest measured one.
 
-        A correction [rad or m] that the servos were sent beside the commanded posture loads them as well. `driven` gives
-        the motions of the joints that the task drives, at a posture.
+        A correction [rad or m] that the servos were sent beside the commanded posture loads them as well. `driven`
+        gives the motions of the joints that the task drives, at a posture.
         """
         self.distance = self._robot.difference(commanded, measured)
         excess = self.servos.excess(self.distance - correction if correction is not None else self.distance)
         excess = excess - np.minimum(np.maximum(excess, self._inertia[0]), self._inertia[1])
         self._found[self._row] = excess
-        if self._frame is None:
+        if not self._by_force:
             if np.any(np.abs(excess) > self.limit):
                 self.tripped = self.tripped or "a joint is farther away than following_error_limit"
             return
@@ -362,7 +363,7 @@ class FollowingError:
         self._judge(measured, excess, driven)
 
     def _judge(self, measured: np.ndarray, excess: np.ndarray, driven: Directions | None) -> None:
-        """Find the force on the hand, as it will be when a brake that is ordered now takes effect, and whether to stop."""
+        """Find the force on the hand, as it will be when a brake takes effect that is ordered now, and judge it."""
         contact, dt = self.contact, self._dt
         C = self._robot.jacobian(measured, self._frame)[:3] / self._stiffness
         look = math.ceil(LOOK_BACK / dt)
@@ -409,8 +410,8 @@ class FollowingError:
             side = min(side, math.sqrt(across.dot(across)))
         if side > held:
             self.tripped = (
-                f"{side:.0f} N across what is driven, of {held:.0f} allowed (Contact.held): what was learnt lies elsewhere, "
-                "or something is in the way"
+                f"{side:.0f} N across what is driven, of {held:.0f} allowed (Contact.held): what was learnt lies "
+                "elsewhere, or something is in the way"
             )
         elif way > most:
             self.tripped = (
@@ -418,8 +419,8 @@ class FollowingError:
             )
         elif taken > 0.8 and self._going > BRIEFLY and way > self._carried + held:
             self.tripped = (
-                f"{way:.0f} N along what is driven, which was moving with {self._carried:.0f} and has stopped: look what "
-                "blocks it"
+                f"{way:.0f} N along what is driven, which was moving with {self._carried:.0f} and has stopped: look "
+                "what blocks it"
             )
 
     def _force_of(self, excess: np.ndarray, C: np.ndarray) -> tuple[Float[np.ndarray, " 3"], Float[np.ndarray, " nv"]]:
@@ -448,13 +449,13 @@ class FollowingError:
             self.notes.append(f"the arm follows {1e3 * servos.late:.0f} ms late")
         if friction > contact.held:
             self.notes.append(
-                f"friction and play of the joints take up to {friction:.0f} N on the hand: forces from {least:.0f} N on are "
-                f"seen"
+                f"friction and play of the joints take up to {friction:.0f} N on the hand: forces from {least:.0f} N "
+                "on are seen"
             )
         if self.resolution > contact.held:
             self.notes.append(
-                f"held={contact.held:g} N cannot be kept: from friction, play and noise, {self.resolution:.0f} N can be "
-                "told, and at that the arm is stopped"
+                f"held={contact.held:g} N cannot be kept: from friction, play and noise, {self.resolution:.0f} N can "
+                "be told, and at that the arm is stopped"
             )
         for note in self.notes[self._untold :]:
             _LOGGER.warning(note)

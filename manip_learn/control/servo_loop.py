@@ -33,6 +33,7 @@ ROUNDING = 1e-6  # share of a period
 JITTER = 0.01  # share of the period by which calls may be early or late without being told from regular ones
 LONGEST = 5.0  # [s] an average over more delays the arm by seconds: the limits are meant otherwise
 UNLOADING_RATE = 25.0  # [1/s] rate at which an arm that was blocked lets go: from 60 N to 3 N in 0.12 s
+RELOOK, NEAR = 0.01, 5e-4  # [s] beside its delay after which an arm that lets go is looked at again, [rad or m]
 SETTLED = 0.05  # [s] after which an arm that was let go stands
 LEFT = 3.0  # [N] that may be left on the hand then
 RENEWALS = 10  # times that an arm goes on letting go where more is left
@@ -224,8 +225,8 @@ class ServoLoop:
         jerk_limit: shape (nv,) [rad/s3 or m/s3], in force, or None.
         dt: [s].
         measured: shape (n,), the newest measured posture that was one; None before the first.
-        refused: Number of readings since `reset` that no joint can have moved to so fast. The arm brakes meanwhile; from
-            `stale_after` on they are believed.
+        refused: Number of readings since `reset` that no joint can have moved to so fast. The arm brakes meanwhile;
+            from `stale_after` on they are believed.
         lets_go: Whether the arm is letting go of what blocked it.
         stopped_by: What last stopped the arm, in words; None where nothing has.
 
@@ -496,7 +497,8 @@ class ServoLoop:
         if np.all(np.abs(step) <= fastest):
             return ""
         j = int((np.abs(step) / fastest).argmax())
-        words = f"joint {self.robot.joint_names[j]} was read {step[j]:+.3g} rad or m from where it was {1e3 * since:.3g} ms before"
+        name, unit = self.robot.joint_names[j], self.robot.joint_units[j]
+        words = f"joint {name} was read {step[j]:+.3g} {unit} from where it was {1e3 * since:.3g} ms before"
         if np.all(np.abs(np.sort(self.measured) - np.sort(measured)) <= np.sort(fastest)):
             return f"{words}: the joints come in another order"
         turns = round(float(step[j]) / (2.0 * math.pi))
@@ -674,14 +676,18 @@ class ServoLoop:
             )
         left = self.robot.difference(commanded, self._relief)
         farthest = float(np.abs(left).max(initial=0.0))
-        if farthest < ARRIVED and not self._velocity.any():
-            self._rested += held
+        self._rested += held
+        arrived = farthest < ARRIVED and not self._velocity.any()
+        if arrived:
             if self._rested > following.servos.delay + SETTLED:
                 self.lets_go = self._renewed < RENEWALS and following.left(measured) > LEFT
             if not self.lets_go or self._rested <= following.servos.delay + SETTLED:
                 return self._braked(Status.FOLLOWING_ERROR, held)
-            self._relief = self._let_go(commanded)
-            self._renewed, self._rested = self._renewed + 1, 0.0
+            self._renewed += 1
+        # the first measurements were those of an arm in motion; what is near is noise
+        again = farthest > NEAR and not self._renewed and self._rested > following.servos.delay + RELOOK
+        if arrived or again:
+            self._relief, self._rested = self._let_go(commanded), 0.0
             left = self.robot.difference(commanded, self._relief)
             farthest = float(np.abs(left).max(initial=0.0))
         wish = left * min(1.0 / held, max(UNLOADING_RATE, SLOWEST / max(farthest, ARRIVED)))

@@ -35,10 +35,10 @@ class Servos:
 
         width = F / k + b / 2    of    c(t - late),
 
-    and nowhere else unless something pushes it. The delay is the same for all joints, so that a posture that is late lies
-    on the path that was sent. Until it is known it may be any up to `LATEST`; it is then the one for which the distances
-    left vary least along the first motion, and what is left with it is the width. Until then the width of a joint is how
-    far it was sent before it was first seen to move, `hidden` at most.
+    and nowhere else unless something pushes it. The delay is the same for all joints, so that a posture that is late
+    lies on the path that was sent. Until it is known it may be any up to `LATEST`; it is then the one for which the
+    distances left vary least along the first motion, and what is left with it is the width. Until then the width of a
+    joint is how far it was sent before it was first seen to move, and half as much again, `hidden` at most.
 
     Args:
         nv: Number of joints.
@@ -54,8 +54,8 @@ class Servos:
         raw: shape (nv,), how far the arm is from the posture that it seems to follow, and
         range: between which bounds of it there is no force, of the newest reading [rad or m].
         noise: shape (nv,), standard deviation of the encoders [rad or m].
-        sees: shape (nv,), joints whose excess says something of forces: they were seen to move, or were not sent far, or
-            are farther away than friction takes.
+        sees: shape (nv,), joints whose excess says something of forces: they were seen to move, or were not sent far,
+            or are farther away than friction takes.
         is_known: Whether the first motion has told what it can.
     """
 
@@ -66,7 +66,8 @@ class Servos:
         self._own = PACE / dt if hidden.any() else 0.0  # periods
         self._stride = max(1, round(APART / dt))
         lags = np.arange(0.0, LATEST + 0.5 * APART, max(APART, dt))
-        self._lags = np.unique(np.minimum(np.round(lags / dt).astype(np.int64), self._size - 2 - max(self._pace, self._often)))
+        self._longest = self._size - 2 - max(self._pace, self._often)  # periods back that there are rows for
+        self._lags = np.unique(np.minimum(np.round(lags / dt).astype(np.int64), self._longest))
         # until the noise is known, the mean of some periods at 1 kHz
         self._smoothing = dt / (dt + 0.004) if hidden.any() else 1.0
         self._nv = nv
@@ -80,7 +81,7 @@ class Servos:
         # ways of the commanded posture since the beginning, one row a period, twice so that the newest are in one piece
         self._ways, self._row, self._since = np.zeros((2 * self._size, nv)), 0, 0.0
         self.way = np.zeros(nv)
-        self._window = 0, self._size - 2 - max(self._pace, self._often)
+        self._window = 0, self._longest
         self._at = 0  # periods by which the arm seems to be late now
         self._excess = np.zeros(nv)
         self.seen, self._all_seen = np.zeros(nv, dtype=bool), False
