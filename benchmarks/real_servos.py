@@ -35,7 +35,7 @@ RESTS = 1.2  # [s] watched after the end
 KINDS = ("drawer", "door", "table")
 # how an arm follows in free air: late by, and with a first-order lag of [s]
 AIR = ("at once", 0.0, 0.0), ("34 ms late", 0.034, 0.0), ("60 ms late", 0.06, 0.0), ("lag of 50 ms", 0.002, 0.05)
-AIR_RUNS = 100
+AIR_RUNS = 25
 SHARE = 0.1  # smallest singular value of the rows held and driven, over a whole way, of a posture that counts
 
 
