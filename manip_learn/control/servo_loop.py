@@ -404,8 +404,9 @@ class ServoLoop:
 
     @property
     def notes(self) -> tuple[str, ...]:
-        """What is known of the arm's servos, in sentences: how late it follows, which forces can be seen."""
-        return tuple(self._following.notes)
+        """What is known of the arm and of the motion, in sentences: how late it follows, which forces are seen."""
+        jumps = self.controller.jumps if isinstance(self.controller, FollowMotion) else ()
+        return (*self._following.notes, *jumps)
 
     @property
     def position(self) -> Float[np.ndarray, " n"] | None:
