@@ -402,3 +402,22 @@ def test_reset_begins_the_task_again(robot_of: RobotOf) -> None:
         for k in range(1500):
             q = robot.integrate(q, DT * loop.update(q, k * DT).velocity)
         assert np.linalg.norm(robot.position(q, "right_hand") - at) == pytest.approx(0.05, abs=1e-3)
+
+
+def test_wrong_units_are_named(robot_of: RobotOf) -> None:
+    """Degrees and milliseconds stop the arm, with what was read and what it is to be; so does a full turn too much."""
+    robot = robot_of("sawyer")
+    loop = ml.ServoLoop(law_of(robot, "sawyer"))
+    assert loop.update(np.degrees(start_of(robot)), 0.0).status is INVALID
+    assert loop.stopped_by is not None and "in degrees? It is to be in radians" in loop.stopped_by
+    loop.reset(start_of(robot))
+    statuses = [loop.update(start_of(robot), 1.0 * k).status for k in range(5)]
+    assert statuses[1:] == [STALE] * 4
+    assert loop.stopped_by is not None and "went on by 1, in milliseconds? It is to be in seconds" in loop.stopped_by
+    arm = Arm(ml.ServoLoop(law_of(robot, "sawyer")), start_of(robot))
+    arm.calls(50)
+    turned = arm.q + 2.0 * np.pi * np.eye(7)[5]
+    assert arm.call(turned).status is INVALID and arm.loop.refused == 1
+    assert arm.loop.stopped_by is not None and f"joint {robot.joint_names[5]} was read +6.28 rad" in arm.loop.stopped_by
+    assert "1 full turn: the driver counts" in arm.loop.stopped_by
+    assert arm.call().status not in (INVALID, FOLLOWING_ERROR)

@@ -117,7 +117,8 @@ def run(
         loop: The loop; its `dt` is the driver's period.
         driver: The arm, see `Driver`.
         duration: Time after which the arm brakes [s]; None goes on until Ctrl-C.
-        until: Asked in each cycle: a reason in words, once there is one, after which the arm brakes.
+        until: Asked in each cycle: a reason in words, once there is one, after which the arm brakes. What it raises is
+            raised when the arm stands.
         clock: Where the time comes from, for an arm whose time is not the computer's. That of a driver which is
             `simulated` is the number of commands.
 
@@ -127,7 +128,6 @@ def run(
     Raises:
         ConfigurationError: The driver's period is not the loop's, its joints are not the robot's, or the duration is
             no time.
-        BaseException: What `until` raises, once the arm stands.
     """
     if duration is not None and not 0.0 <= duration < math.inf:
         raise ConfigurationError(f"duration must be a number of seconds, got {duration!r}")

@@ -22,6 +22,7 @@ from manip_learn.control.law_sequence import LawSequence, constraint_of, frame_o
 from manip_learn.control.limits import Bounds, Limits, bound_changes, farthest_positions, stopping_speed
 from manip_learn.control.tasks import PointAttractor, Task
 from manip_learn.errors import ConfigurationError, counted
+from manip_learn.linalg import finite
 from manip_learn.robot.robot import Robot
 
 _LOGGER = logging.getLogger("manip_learn")
@@ -42,6 +43,7 @@ SLOWEST, ARRIVED = 1e-3, 1e-9
 LONGEST_TIME = 1e15  # [s] a larger number is no time: its steps are longer than a period
 # [rad or m] that a reading may be off beside twice what a joint can move meanwhile; [rad] by which a turn is one
 TWICE, JUMP, TURN = 2.0, 0.05, 0.1
+MILLI = 0.1  # within which a time is a thousand times a period, decades
 STANDING = (Status.INVALID_INPUT, Status.STALE, Status.FOLLOWING_ERROR, Status.STOPPED)
 
 
@@ -330,6 +332,7 @@ class ServoLoop:
         self.refused, self._refused = 0, 0.0
         self._time = -math.inf  # of the newest state
         self._earlier = math.nan  # of a state that was refused, being older than the newest
+        self._since = 0.0  # from the state before to the newest [s]
         self._ahead = 0.0  # time by which the commanded posture has moved on since the newest state
         self._behind = 0.0  # time by which the clock of a task that waits for the arm is behind
         self._waited = 0.0  # periods since the newest state
@@ -449,7 +452,8 @@ class ServoLoop:
         if measured is None or not time >= self._time:
             self._earlier = time if measured is not None and time < self._time else math.nan
             self._waited += self.dt
-            self.stopped_by = f"no posture: {q!r:.200}" if measured is None else f"no time: {t!r:.40}"
+            self.stopped_by = f"no time: {t!r:.40}" if measured is not None else f"no posture: {q!r:.200}"
+            self.stopped_by += "" if measured is not None else self._in_degrees(q)
             return self._braked(Status.INVALID_INPUT)
         if self._refused <= self.stale_after and (jump := self._jump(measured, time)):
             self._refused += self.dt
@@ -476,6 +480,8 @@ class ServoLoop:
             return self._unloading(self._output, measured, period)
         if held is None or self._waited > self.stale_after:
             self.stopped_by = f"no new state for more than {1e3 * self.stale_after:g} ms"
+            if abs(math.log10(max(self._since, 1e-9) / self.dt) - 3.0) < MILLI:
+                self.stopped_by += f"; the time went on by {self._since:g}, in milliseconds? It is to be in seconds"
             return self._braked(Status.STALE, period)
         if self._correction_rate and self._waited == 0.0:
             slow = min(1.0, self._correction_rate * held) * self._following.distance
@@ -485,6 +491,14 @@ class ServoLoop:
         if self._waited > 0.0 and self._last is not None:
             return self._held(self._last)
         return self._sent_on(self._command(self._reference, self._clock(time), held), held)
+
+    def _in_degrees(self, q: Any) -> str:
+        """A hint, where numbers that are no posture would be one in degrees."""
+        values = finite(q, self.robot.nv)
+        if values is None:
+            return ""
+        x, low, high = np.radians(values), self.robot.position_lower - JUMP, self.robot.position_upper + JUMP
+        return "; in degrees? It is to be in radians" if np.all((x >= low) & (x <= high)) else ""
 
     def _jump(self, measured: np.ndarray, time: float) -> str:
         """How a joint has moved since the last reading that none can move so fast, in words; empty where it has not."""
@@ -545,6 +559,7 @@ class ServoLoop:
         That is the period, and less if the state comes earlier: what a late call has left out is not made up for.
         """
         since, ahead = time - self._time, self._ahead
+        self._since = since if math.isfinite(since) else 0.0
         if since <= 0.0:
             self._waited += self.dt
             return self.dt
