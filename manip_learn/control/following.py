@@ -59,7 +59,8 @@ class Contact:
     much it follows late, the noise of its encoders, and the friction and the play of its joints.
 
     Attributes:
-        held: Force on the hand across what is driven, at which the arm is stopped [N]. A tenth of what ISO/TS 15066
+        held: Force on the hand across what is driven, at which the arm is stopped [N], beside a fifth of the force
+            along it, by which directions and joints may be other than they are taken for. A tenth of what ISO/TS 15066
             lets a robot press a hand with: the force goes on rising while the arm brakes.
         driven: The same along rows that the task drives (`Task.driven_rows`) [N]. What has been moving and stops is
             blocked already at `held` more than it took.
