@@ -112,8 +112,8 @@ def test_a_limit_of_ones_own_counts_joint_by_joint(robot_of: RobotOf) -> None:
 
 
 def test_distances_mean_forces(robot_of: RobotOf) -> None:
-    """Across what is driven, a push of 14 N at the hand is no reason to stop, 16 N is; along it 58 N and 62 N. Beside 50 N
-    along it 16.5 N across are none, 27 N are.
+    """Across what is driven, a push of 14 N at the hand is no reason to stop, 16 N is; along it 58 N and 62 N.
+    Beside 50 N along it, 16.5 N across are no reason, 27 N are.
 
     Down to 2 kg of weight are no push at all. The force that is told is the one that explains how far the servos gave
     way, less what friction and encoders leave.
@@ -125,7 +125,8 @@ def test_distances_mean_forces(robot_of: RobotOf) -> None:
     for force, trips in (
         ([14.0, 0.0, 0.0], False), ([58.0, 0.0, 0.0], False), ([62.0, 0.0, 0.0], True), ([0.0, 14.0, 0.0], False),
         ([0.0, -16.5, 0.0], True), ([0.0, 0.0, 16.5], True), ([0.0, 0.0, -19.6], False),
-        ([0.0, 0.0, -19.6 - 17.0], True), ([14.0, 0.0, -19.6], False), ([50.0, 16.5, 0.0], False), ([50.0, 27.0, 0.0], True),
+        ([0.0, 0.0, -19.6 - 17.0], True), ([14.0, 0.0, -19.6], False),
+        ([50.0, 16.5, 0.0], False), ([50.0, 27.0, 0.0], True),
     ):  # fmt: skip
         following = FollowingError(robot, Contact(stiffness=STIFFNESS), None, DT, np.full(7, 10.0), tip)
         away = J.T @ np.array(force) / STIFFNESS
