@@ -214,7 +214,7 @@ def side_forces(bench: Bench) -> str:
         for stiffness in (400.0, 2000.0):
             task, q = bench.motion(keep_orientation=True), np.array(SCENES["sawyer"].start)
             controller = ml.ResolvedRateController(bench.constraint, task, bench.policy(policy, task.constraint))
-            loop = ml.ServoLoop(controller, PERIOD, latency=0.003)
+            loop = ml.ServoLoop(controller, PERIOD, contact=ml.Contact(latency=0.003))
             loop.reset(q)
             handle = bench.robot.position(q, bench.features.frame)
             held = drawer(handle, bench.outward)

@@ -190,7 +190,9 @@ def in_physics(starts: int, seed: int) -> str:
                 name, plan.hold, rail, STIFFNESS, np.random.default_rng(number), start=one.robot.positions(one.start)
             )
             allowed = ml.following_error_limit(one.robot, force=FORCE, stiffness=STIFFNESS)
-            loop = ml.ServoLoop(plan.controller, PERIOD, latency=0.003, following_error_limit=allowed)
+            loop = ml.ServoLoop(
+                plan.controller, PERIOD, contact=ml.Contact(latency=0.003), following_error_limit=allowed
+            )
             loop.reset(one.start)
             force, sequence = [], loop.controller
             for _ in range(round((plan.rollout.time[-1] + 1.0) / PERIOD)):

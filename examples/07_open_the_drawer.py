@@ -31,7 +31,12 @@ def open_drawer(constraint: ml.Constraint, grasp: np.ndarray, stiffness: float) 
     assert robot is not None  # rows of a frame have one
     limit = ml.following_error_limit(robot, ALLOWED_FORCE, stiffness, q=grasp, constraint=constraint)
     loop = ml.ServoLoop(  # gentle on what the hand holds
-        controller, PERIOD, acceleration_limit=3.0, jerk_limit=30.0, following_error_limit=limit, latency=0.003
+        controller,
+        PERIOD,
+        acceleration_limit=3.0,
+        jerk_limit=30.0,
+        following_error_limit=limit,
+        contact=ml.Contact(latency=0.003),
     )
     loop.reset(grasp)  # where the servos hold the arm, not where a noisy encoder sees it
     chest = drawer(robot.position(grasp, FRAME), true_axis(RECORDINGS))

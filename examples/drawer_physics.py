@@ -1,9 +1,8 @@
 """An arm under position control with its hand on a drawer or a door, in MuJoCo's rigid-body dynamics: a driver.
 
-Each joint has a position servo: a spring of stated stiffness to the commanded position, critically damped against its
-rate, by the drive's own sensors. Commands and measurements travel for 1 ms each. The grip is a ball joint between hand
-and handle (MuJoCo's equality `connect`); its constraint force is what the hand does to the drawer. No constraint matrix
-takes part.
+The arm is a `MuJoCoDriver` whose servos are no better than those of a real arm: dry friction, play, encoder steps and
+noise, a delay, and drives that know of none of it. The grip is a ball joint between hand and handle (MuJoCo's equality
+`connect`); its constraint force is what the hand does to the drawer. No constraint matrix takes part.
 """
 
 # pyright: reportAttributeAccessIssue=false
@@ -12,10 +11,9 @@ from __future__ import annotations
 
 import json
 import math
-from collections import deque
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from pathlib import Path
-from typing import final
+from typing import Any, final
 
 import matplotlib
 import mujoco
@@ -25,11 +23,15 @@ from make_recordings.arms import load_arm
 from make_recordings.guided_model import STIFF_SOLIMP, guided_model
 from make_recordings.mechanisms import Mechanism, Slide
 from matplotlib.figure import Figure
+from numpy.typing import ArrayLike
+
+from manip_learn.drivers.mujoco import STICKS, MuJoCoDriver
 
 PERIOD, TIMESTEP = 0.001, 0.0005  # of the servo's commands, of the physics [s]
 LATENCY = 0.002  # from a measurement to the command that it leads to [s], half of it on each way
 ENCODER_NOISE = 1e-4  # [rad]
 DRAWER_FRICTION = 1.0  # [N], beside 4 N s/m; the joints have 0.1 to 0.5 N m and 1 to 4 N m s/rad
+SLIDES = 0.005  # [m/s or rad/s] from which on a drawer or a door no longer sticks
 GRIP = "grip_0"
 CLOSING = 0.4  # [s] in which a gripper that closes on a handle grows firm
 THIN = 10  # periods per point of the plot
@@ -49,11 +51,17 @@ class ArmPhysics:
         robot_name: One of `make_recordings.arms.ROBOTS`.
         grasp: shape (nv,), posture with the hand on the handle [rad].
         mechanism: What the hand holds (see `make_recordings.mechanisms`), e.g. what `drawer` gives; None for nothing.
-        stiffness: Of every joint's servo [N m/rad].
+        stiffness: shape (nv,) or a number, of the servos [N m/rad].
         rng: Source of the encoder noise.
-        latency: From a measurement to the command that it leads to, a multiple of two periods [s]; half on each way.
+        latency: From a command to the measurement that shows it, a multiple of the period [s]; half on each way.
+        friction: shape (nv,) or a number, of the joints, beside what they have [N m].
+        play: shape (nv,) or a number, of the gears [rad].
+        step: shape (nv,) or a number, of the encoders [rad].
+        noise: Standard deviation of the encoders [rad].
+        sticks: Force or torque at which a drawer or a door begins to move [N or N m]; None: as it slides.
         jammed_at: Way at which a drawer is stuck [m]; None for nowhere.
         payload: Mass that hangs from the hand, and that the drives know nothing of [kg].
+        push: Force on the tip and on the body of a joint at a time [s]: `(force (3,), joint number or -1 for the tip)`.
         start: shape (nv,), posture before the hand takes hold [rad]; None for `grasp`, the hand on the handle.
     """
 
@@ -65,12 +73,18 @@ class ArmPhysics:
         robot_name: str,
         grasp: Float[np.ndarray, " nv"],
         mechanism: Mechanism | None,
-        stiffness: float,
+        stiffness: ArrayLike,
         rng: np.random.Generator,
         *,
         latency: float = LATENCY,
+        friction: ArrayLike = 0.0,
+        play: ArrayLike = 0.0,
+        step: ArrayLike = 0.0,
+        noise: float = ENCODER_NOISE,
+        sticks: float | None = None,
         jammed_at: float | None = None,
         payload: float = 0.0,
+        push: Callable[[float], tuple[np.ndarray, int]] | None = None,
         start: Float[np.ndarray, " nv"] | None = None,
     ):
         arm = load_arm(robot_name)
@@ -78,7 +92,6 @@ class ArmPhysics:
         held = [] if mechanism is None else [mechanism]
         self._model = model = guided_model(arm, held, [handle] * len(held), friction=1.0)
         model.opt.timestep = TIMESTEP
-        self._n, self._rng, self._stiffness = len(grasp), rng, stiffness
         self._mechanism, self._tip = mechanism, model.site("tip").id
         self._grip = model.equality(GRIP).id if held else -1
         if held:
@@ -86,25 +99,26 @@ class ArmPhysics:
             model.body_ipos[-1] = 0.0  # the handle's mass is at the handle
         if isinstance(mechanism, Slide):
             model.dof_frictionloss[-1] = DRAWER_FRICTION
+        self._slides, self._sticks = float(model.dof_frictionloss[-1]), sticks
+        if sticks is not None:
+            model.dof_solimp[-1], model.dof_frictionloss[-1] = STICKS, sticks
         if jammed_at is not None:
             model.jnt_limited[-1], model.jnt_range[-1] = True, (-1.0, jammed_at)
             model.jnt_solref[-1], model.jnt_solimp[-1] = (0.02, 1.0), STIFF_SOLIMP  # wood gives way a little
-        self._weight = np.array([0.0, 0.0, -9.81 * payload])
-        self._data = mujoco.MjData(model)
-        mujoco.mj_setConst(model, self._data)
+        self._weight, self._push = np.array([0.0, 0.0, -9.81 * payload]), push
         self._closed = -math.inf  # when the gripper began to close [s]
-        first = grasp if start is None else start
-        self._data.qpos[: self._n] = first
+        first, names = grasp if start is None else start, [model.joint(i).name for i in range(len(grasp))]
+        self._driver = MuJoCoDriver(
+            model, names, first, period=PERIOD, stiffness=stiffness, friction=friction, play=play, delay=latency,
+            step=step, feedforward=False, hand=self._pulled, noise=noise, rng=rng,
+        )  # fmt: skip
+        self._data = self._driver.data
+        mujoco.mj_setConst(model, self._data)
+        self._data.qpos[: len(grasp)] = first
         if start is None:
             self.take_hold()
         mujoco.mj_forward(model, self._data)
-        inertia = np.zeros((model.nv, model.nv))
-        mujoco.mj_fullM(model, self._data, inertia)
-        self._damping = 2.0 * np.sqrt(stiffness * np.diag(inertia)[: self._n])
-        late = round(0.5 * latency / PERIOD)
-        self._measured = deque([self._encoders() for _ in range(late + 1)], late + 1)
         self.history: list[tuple[float, float]] = []  # way [m or rad] and side force [N] after each period
-        self._sent = deque([first.copy() for _ in range(late + 2)], late + 2)
 
     def take_hold(self) -> None:
         """Close the grip on the handle, where the hand is there."""
@@ -130,6 +144,11 @@ class ArmPhysics:
         return float(self._data.qpos[-1])
 
     @property
+    def place(self) -> Float[np.ndarray, " 3"]:
+        """Where the hand is [m], base frame."""
+        return self._data.site_xpos[self._tip]
+
+    @property
     def force(self) -> Float[np.ndarray, " 3"]:
         """Force of the hand on what it holds [N], base frame."""
         data = self._data
@@ -146,36 +165,36 @@ class ArmPhysics:
 
     def read(self) -> tuple[Float[np.ndarray, " nv"], None, None]:
         """Newest state that has arrived: joint positions [rad] with encoder noise; no rates, no efforts."""
-        return self._measured[0], None, None
+        return self._driver.read()[0], None, None
 
     def command(self, q: Float[np.ndarray, " nv"], u: Float[np.ndarray, " nv"] | None = None) -> None:
         """Command the servos and let one period pass.
 
         Args:
-            q: shape (nv,), commanded joint positions [rad]; they arrive late.
-            u: Not used: these are position servos.
+            q: Where the arm should be at the end of the period [rad].
+            u: Not used; position servos take q.
         """
-        data, n = self._data, self._n
-        self._sent.append(q)
-        start, end = self._sent[0], self._sent[1]
-        rate, steps = (end - start) / PERIOD, round(PERIOD / TIMESTEP)
         if self._grip >= 0:
             left = max(0.0, 1.0 - (self.time - self._closed) / CLOSING)
             self._model.eq_solref[self._grip, 0] = 2.0 * TIMESTEP + 0.5 * CLOSING * left
-        pull = np.zeros((3, self._model.nv))
-        for k in range(steps):
-            goal = start + (k / steps) * (end - start)  # drives interpolate between commands
-            at, moving = data.qpos[:n], data.qvel[:n]
-            mujoco.mj_jacSite(self._model, data, pull, None, self._tip)
-            data.qfrc_applied[:n] = (
-                self._stiffness * (goal - at) + self._damping * (rate - moving) + (self._weight @ pull)[:n]
-            )
-            mujoco.mj_step(self._model, data)
-        self._measured.append(self._encoders())
+        self._driver.command(q, np.zeros_like(q))
         self.history.append((self.way, self.side_force))
 
-    def _encoders(self) -> Float[np.ndarray, " nv"]:
-        return self._data.qpos[: self._n] + self._rng.normal(0.0, ENCODER_NOISE, self._n)
+    def _pulled(self, model: Any, data: Any) -> None:
+        """What else acts on the arm and on what it holds: the payload, a push, and friction that is larger at rest."""
+        pull, force = np.zeros((3, model.nv)), self._weight
+        mujoco.mj_jacSite(model, data, pull, None, self._tip)
+        if self._push is not None:
+            pushed, joint = self._push(data.time)
+            if joint < 0:
+                force = force + pushed
+            else:
+                at = np.zeros((3, model.nv))
+                mujoco.mj_jacBody(model, data, at, None, model.joint(joint).bodyid[0])
+                data.qfrc_applied[:] += pushed @ at
+        data.qfrc_applied[:] += force @ pull
+        if self._sticks is not None:
+            model.dof_frictionloss[-1] = self._slides if abs(data.qvel[-1]) > SLIDES else self._sticks
 
 
 def drawer(handle: Float[np.ndarray, " 3"], axis: Float[np.ndarray, " 3"]) -> Slide:

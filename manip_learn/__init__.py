@@ -38,7 +38,7 @@ if TYPE_CHECKING:
     from manip_learn.control.controller import ResolvedRateController
     from manip_learn.control.driver import Driver, RunRecord, run
     from manip_learn.control.follow_motion import FollowMotion
-    from manip_learn.control.following import following_error_limit
+    from manip_learn.control.following import Contact, following_error_limit
     from manip_learn.control.limits import Limits
     from manip_learn.control.policies import (
         JointAttractor,
@@ -103,7 +103,7 @@ _NAMES = {
     "control.command": "Command Controller Status",
     "control.controller": "ResolvedRateController",
     "control.limits": "Limits",
-    "control.following": "following_error_limit",
+    "control.following": "Contact following_error_limit",
     "control.follow_motion": "FollowMotion",
     "control.policies": "JointAttractor JointLimitAvoidance ManipulabilityAscent NullSpacePolicy "
     "PenalisedManipulabilityAscent SelfCollisionAvoidance WeightedPolicies ZeroPolicy",
@@ -133,7 +133,7 @@ _REMOVED = {
     "optimise_path": "ml.plan chooses posture and motion of a whole way; ManipulabilityAscent climbs on the spot",
 }
 _HOMES = {name: module for module, names in _NAMES.items() for name in names.split()}
-__all__ = ["Box", "CentreOfMass", "Command", "Constraint", "ConstraintLearner", "Controller", "CurveRows"]
+__all__ = ["Box", "CentreOfMass", "Command", "Constraint", "ConstraintLearner", "Contact", "Controller", "CurveRows"]
 __all__ += ["CustomFeatures", "Cylinder", "Demonstrations", "Driver", "FeatureMap", "FollowMotion", "FrameJacobian"]
 __all__ += ["FreeDirection", "GraspCone", "Hold", "JointAttractor", "JointLimitAvoidance", "LeRobotDriver"]
 __all__ += ["LeRobotMotor", "Limits", "LiveViewer", "ManipLearnError", "ManipulabilityAscent", "Mechanism"]

@@ -418,3 +418,69 @@ def test_a_reason_of_the_caller_ends_a_run(planar3: ml.Robot) -> None:
     done = ml.run(loop_of(planar3), arm, until=lambda: "seen enough" if len(arm.sent) > 50 else "")
     assert done.ended == "seen enough" and done.ordered
     assert 50 < done.cycles < 400 and not arm.sent[-1].any()
+
+
+class Held(Arm):
+    """Notes where it was told to hold itself."""
+
+    held = 0
+
+    def hold(self) -> None:
+        """How many commands had come."""
+        self.held = len(self.sent)
+
+
+@pytest.mark.parametrize("error", [ValueError("of the caller"), SystemExit(3), KeyboardInterrupt()])
+def test_what_a_callback_raises_is_raised_when_the_arm_stands(error: BaseException, planar3: ml.Robot) -> None:
+    """The arm brakes within its limits, the last command is zero, it holds itself, and then the error goes on."""
+    arm, loop = Held(), loop_of(planar3)
+
+    def until() -> str:
+        if len(arm.sent) > 50:
+            raise error
+        return ""
+
+    with pytest.raises(type(error)):
+        ml.run(loop, arm, until=until)
+    changes = np.abs(np.diff(arm.sent, axis=0, prepend=np.zeros((1, 3))))
+    assert np.all(changes <= loop.acceleration_limit * DT * (1.0 + 1e-9)) and np.abs(arm.sent[50]).max() > 0.1
+    assert not arm.sent[-1].any() and arm.held == len(arm.sent)
+
+
+@pytest.mark.parametrize("fault", ["raises", "stale", "signal", ""])
+def test_an_arm_holds_itself_unless_the_run_was_over(fault: str, planar3: ml.Robot) -> None:
+    """`hold` comes after the last command wherever a run ends that was to go on."""
+    arm = Held(fault)
+    ml.run(loop_of(planar3), arm, 1.0)
+    assert arm.held == (len(arm.sent) if fault else 0)
+
+
+IN_A_THREAD = """
+import threading, time
+import numpy as np
+import manip_learn as ml
+
+class Arm:
+    period, q = 0.005, np.array([0.3, 0.8, 0.4])
+    def read(self):
+        return self.q, None, None
+    def command(self, q, u):
+        self.q = q
+        print("sent", *u, flush=True)
+    def hold(self):
+        print("held", flush=True)
+
+robot = ml.load_robot("planar3")
+rows = ml.Constraint([[0, 1]], ml.FrameJacobian(robot, "tip", axes="x y"))
+loop = ml.ServoLoop(ml.ResolvedRateController(rows, ml.PointAttractor([1.0, 1.5])), 0.005, stale_after=5.0)
+threading.Thread(target=lambda: ml.run(loop, Arm()), daemon=True).start()
+time.sleep(1.0)
+"""
+
+
+def test_the_end_of_the_interpreter_waits_for_the_arm() -> None:
+    """A run in a daemon thread brakes and holds the arm before the interpreter ends it."""
+    done = subprocess.run([sys.executable, "-c", IN_A_THREAD], capture_output=True, text=True, timeout=60, check=True)
+    lines = done.stdout.splitlines()
+    sent = np.array([[float(x) for x in line.split()[1:]] for line in lines if line.startswith("sent")])
+    assert lines[-1] == "held" and not sent[-1].any() and np.abs(sent).max() > 0.05

@@ -191,3 +191,15 @@ def test_stopping_speed_arrives_at_rest():
         while u > 0.0:
             way, u = way - dt * u, u - acceleration * dt
         assert abs(way) < 1e-9
+
+
+def test_jumps_are_told() -> None:
+    """A joint that steps faster than its limit is named with how far and when; an even motion has nothing to tell."""
+    robot = load_robot("planar3")
+    time = np.linspace(0.0, 2.0, 41)
+    q = np.outer(0.1 * time, np.ones(3))
+    assert FollowMotion(robot, Trajectory(time, q)).jumps == ()
+    q[20:, 1] += 0.8
+    loop = ServoLoop(FollowMotion(robot, Trajectory(time, q)), dt=0.01)
+    (note,) = [note for note in loop.notes if "jumps" in note]
+    assert note.startswith(f"joint {robot.joint_names[1]} of the motion jumps 1 time, at most by 0.805 rad at 0.95 s")

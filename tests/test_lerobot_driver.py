@@ -33,10 +33,15 @@ class Arm:
         self.observation_features: dict[str, Any] = {**self.action_features, "front": (480, 640, 3)}
         self.config, self.calibration = SimpleNamespace(use_degrees=True), {}
         self.torque: list[Any] = []
+        self.order: list[str] = []  # of what changes the motors
         self.bus: Any = SimpleNamespace(
-            enable_torque=lambda motors: self.torque.append(("on", motors)),
-            disable_torque=lambda motors: self.torque.append(("off", motors)),
+            enable_torque=lambda motors: self._switched("on", motors),
+            disable_torque=lambda motors: self._switched("off", motors),
         )
+
+    def _switched(self, how: str, motors: Any) -> None:
+        self.torque.append((how, motors))
+        self.order.append(how)
 
     def get_observation(self) -> dict[str, Any]:
         """Positions, and a picture that nobody needs."""
@@ -46,6 +51,7 @@ class Arm:
     def send_action(self, action: dict[str, Any]) -> dict[str, Any]:
         """Goes there at once."""
         self.sent.append(dict(action))
+        self.order.append("goals")
         self.values |= {key.removesuffix(".pos"): value for key, value in action.items() if key.endswith(".pos")}
         return action
 
@@ -300,6 +306,7 @@ def test_release_and_hold(planar3: ml.Robot) -> None:
     driver.hold()
     joints = ["joint1", "joint2", "joint3"]
     assert arm.torque == [("off", joints), ("on", joints)]
+    assert arm.order == ["off", "goals", "on"]  # torque before goals would throw the arm to where it was sent before
     assert arm.sent[-1]["joint1.pos"] == 12.0 and arm.sent[-1]["gripper.pos"] == 37.5
     arm.bus, done = None, []
     with pytest.raises(ConfigurationError, match=r"no disable_torque\(\).*lerobot-teleoperate"):

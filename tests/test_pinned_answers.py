@@ -225,7 +225,7 @@ def a_servo_loop(name: str, folder: Path) -> dict[str, Any]:
     for k in range(160):
         t += 0.01 * (1.0 if k % 7 else rng.uniform(0.2, 3.0))
         lost = k in (40, 41)
-        measured = None if lost else (q if loop.position is None else loop.position) + 1e-4 * max(0, k - 60) * (k < 90)
+        measured = None if lost else (q if loop.position is None else loop.position) + 1e-3 * max(0, k - 60) * (k < 90)
         if k == 120:
             loop.stop()
         if k == 140:

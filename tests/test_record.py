@@ -346,3 +346,52 @@ def test_a_late_driver_is_counted(tmp_path: Path):
     done = record(slow, tmp_path, duration=1.5, clock=slow)  # type: ignore[arg-type]
     assert done.lost == 9 and done.longest_gap == pytest.approx(0.104)
     assert "9 samples lost" in done.sentence and os.path.getsize(done.files[0]) > 100
+
+
+class Stalling:
+    """An arm on a clock, of which one reading takes long, or is what no arm can have gone to."""
+
+    joint_names, period = NAMES, 0.01
+
+    def __init__(self, stall: float = 0.0, wrong: float = 0.0):
+        self.stall, self.wrong, self.n, self.time = stall, wrong, 0, 50.0
+
+    def now(self):
+        return self.time
+
+    def wait_until(self, moment):
+        self.time = max(self.time, moment)
+
+    def read(self):
+        self.n += 1
+        if self.n == 60:
+            self.time += self.stall
+        off = self.wrong if self.n in (80, 120) else 0.0
+        return 0.5 * np.ones(3) * (self.time - 50.0) + off, None, None
+
+
+@pytest.mark.parametrize("stall", [0.5, 1.6, 3.0])
+def test_a_stall_is_said_as_long_as_it_was(stall: float, tmp_path: Path):
+    """A reading that takes long leaves a hole of that length, to 20 %, and as many samples are lost; it goes on."""
+    arm = Stalling(stall)
+    done = record(arm, tmp_path, duration=2.0 + stall, clock=arm)  # type: ignore[arg-type]
+    assert done.ordered and done.longest_gap == pytest.approx(stall, rel=0.2)
+    assert done.lost == pytest.approx(100.0 * stall, rel=0.2)
+    times = np.array(rows(done.files[0]))[:, 0]
+    assert np.max(np.diff(times)) == pytest.approx(done.longest_gap)
+
+
+def test_a_sample_that_no_arm_can_reach_is_lost(tmp_path: Path):
+    """Zeros, or a turn, between two samples of a slow motion are not written down, and are counted as lost."""
+    arm = Stalling(wrong=1.0)
+    done = record(arm, tmp_path, duration=2.0, clock=arm)  # type: ignore[arg-type]
+    table = np.array(rows(done.files[0]))
+    assert done.lost == 2 and np.allclose(np.diff(table[:, 1]) / np.diff(table[:, 0]), 0.5)
+
+
+@pytest.mark.parametrize("name", ["../drawer", "a/b", "", ".."])
+def test_a_name_stays_in_its_folder(name: str, tmp_path: Path):
+    """A name that leads elsewhere is refused before anything is made."""
+    with pytest.raises(OutputError, match="without a folder"):
+        record(Arm([]), tmp_path / "demos", name, duration=1.0)
+    assert not (tmp_path / "demos").exists()

@@ -19,7 +19,7 @@ from servo_cases import (
 )  # fmt: skip
 
 import manip_learn as ml
-from manip_learn.control.following import STIFFNESS, FollowingError, following_error_limit
+from manip_learn.control.following import STIFFNESS, Contact, FollowingError, following_error_limit
 from manip_learn.errors import ConfigurationError, ManipLearnError
 from manip_learn.robot.tips import default_tip
 
@@ -28,7 +28,8 @@ FOLLOWING_ERROR = ml.Status.FOLLOWING_ERROR
 
 def tripped(robot: ml.Robot, **settings: object) -> tuple[Arm, ml.Command]:
     """An arm that is blocked where it starts, and the command of the period in which the loop finds out."""
-    arm = Arm(ml.ServoLoop(law_of(robot, "sawyer", 3.0), **settings), start_of(robot))
+    contact = ml.Contact(latency=0.01, stiffness=2000.0)
+    arm = Arm(ml.ServoLoop(law_of(robot, "sawyer", 3.0), contact=contact, **settings), start_of(robot))
     for _ in range(2000):
         command = arm.call(start_of(robot))
         if command.status is FOLLOWING_ERROR:
@@ -41,8 +42,8 @@ def test_a_following_error_trips_until_reset(robot_of: RobotOf) -> None:
     robot = robot_of("sawyer")
     (arm, command), q = tripped(robot), start_of(robot)
     loop = arm.loop
-    # 15 N on servos of 2,000 N m/rad: less than 13 N m in any joint
-    assert 5e-4 < command.following_error < 0.0065
+    # 15 N on servos of 2,000 N m/rad: less than 13 N m in any joint, beside 15 N m of friction that it might have
+    assert 5e-4 < command.following_error < 0.0065 + 0.0075
     assert loop.stopped_by is not None and loop.stopped_by.startswith("row ") and " mm off" in loop.stopped_by
     assert {c.status for c in arm.calls(2000, q)} == {FOLLOWING_ERROR}
     assert np.all(arm.last == 0.0) and loop.position is not None
@@ -52,7 +53,7 @@ def test_a_following_error_trips_until_reset(robot_of: RobotOf) -> None:
     assert {c.status for c in commands} == {FOLLOWING_ERROR}
     assert not np.any([c.velocity for c in commands])
     loop.reset()
-    assert np.linalg.norm(Arm(loop, q).calls(800)[-1].velocity) > 0.01
+    assert max(np.linalg.norm(command.velocity) for command in Arm(loop, q).calls(800)) > 0.05
 
 
 def test_reset_after_a_trip_ramps_back(robot_of: RobotOf) -> None:
@@ -60,6 +61,7 @@ def test_reset_after_a_trip_ramps_back(robot_of: RobotOf) -> None:
     robot = robot_of("sawyer")
     (arm, _), q = tripped(robot), start_of(robot)
     arm.calls(300, q)
+    q = q + 0.02  # somebody has pushed the arm away
     loop, places = arm.loop, [arm.loop.position]
     far = np.max(np.abs(robot.difference(places[0], q)))
     loop.reset()
@@ -73,7 +75,7 @@ def test_reset_after_a_trip_ramps_back(robot_of: RobotOf) -> None:
             break
         assert np.all(command.velocity == 0.0)
     speeds = np.diff(np.array([places[0], *places]), axis=0)[:-1] / DT
-    assert far > 1e-4 and i < 590  # what letting go has left
+    assert far > 0.01 and i < 590
     assert np.all(np.abs(speeds) <= robot.velocity_limit * ROUNDING)
     assert np.all(np.abs(np.diff(speeds, axis=0)) <= loop.acceleration_limit * DT * (1.0 + 1e-6))
     np.testing.assert_allclose(places[-2], q, rtol=0, atol=1e-5)
@@ -97,7 +99,10 @@ def test_a_limit_of_ones_own_counts_joint_by_joint(robot_of: RobotOf) -> None:
     robot = robot_of("sawyer")
     limit = np.linspace(0.01, 0.07, 7)
     for j in range(7):
-        loop, q = ml.ServoLoop(law_of(robot, "sawyer"), following_error_limit=limit, latency=0.0), start_of(robot)
+        loop, q = (
+            ml.ServoLoop(law_of(robot, "sawyer"), following_error_limit=limit, contact=ml.Contact(latency=0.0)),
+            start_of(robot),
+        )
         loop.reset(q)
         loop.stop()
         off = np.eye(7)[j] * limit[j]
@@ -107,44 +112,53 @@ def test_a_limit_of_ones_own_counts_joint_by_joint(robot_of: RobotOf) -> None:
 
 
 def test_distances_mean_forces(robot_of: RobotOf) -> None:
-    """A push of 14 N at the hand is no reason to stop, 16 N is; down to 2 kg of weight are no push at all.
+    """Across what is driven, a push of 14 N at the hand is no reason to stop, 16 N is; along it 58 N and 62 N.
+    Beside 50 N along it, 16.5 N across are no reason, 27 N are.
 
-    The force that is told is the one that explains how far the servos gave way, less what friction and encoders leave.
+    Down to 2 kg of weight are no push at all. The force that is told is the one that explains how far the servos gave
+    way, less what friction and encoders leave.
     """
     robot = robot_of("sawyer")
     q, tip = start_of(robot), default_tip(robot)
     J = robot.jacobian(q, tip)[:3]
+    along_x = np.linalg.pinv(J)[:, :1].T
     for force, trips in (
-        ([14.0, 0.0, 0.0], False), ([16.5, 0.0, 0.0], True), ([0.0, -16.5, 0.0], True), ([0.0, 0.0, 16.5], True),
-        ([0.0, 0.0, -19.6], False), ([0.0, 0.0, -19.6 - 17.0], True), ([14.0, 0.0, -19.6], False),
+        ([14.0, 0.0, 0.0], False), ([58.0, 0.0, 0.0], False), ([62.0, 0.0, 0.0], True), ([0.0, 14.0, 0.0], False),
+        ([0.0, -16.5, 0.0], True), ([0.0, 0.0, 16.5], True), ([0.0, 0.0, -19.6], False),
+        ([0.0, 0.0, -19.6 - 17.0], True), ([14.0, 0.0, -19.6], False),
+        ([50.0, 16.5, 0.0], False), ([50.0, 27.0, 0.0], True),
     ):  # fmt: skip
-        following = FollowingError(robot, None, 0.0, DT, STIFFNESS, tip)
+        following = FollowingError(robot, Contact(stiffness=STIFFNESS), None, DT, np.full(7, 10.0), tip)
         away = J.T @ np.array(force) / STIFFNESS
-        following.compare(q, q + away)
-        assert following.tripped == trips, force
+        for _ in range(40):
+            following.compare(q, q + away, None, lambda _q: along_x)
+        assert bool(following.tripped) == trips, (force, following.tripped)
         pushed = np.array(force) + [0.0, 0.0, min(19.62, max(0.0, -force[2]))]
-        assert following.force == pytest.approx(np.linalg.norm(pushed), abs=0.6), force
-        assert following.largest == pytest.approx(np.abs(away).max())
+        if not trips:
+            np.testing.assert_allclose(following.force, pushed, atol=0.6, err_msg=str(force))
+        assert following.largest == pytest.approx(np.abs(away).max(), rel=1e-3) or trips
         np.testing.assert_allclose(following.distance, away, atol=1e-12)
 
 
 def test_what_lags_is_no_error(robot_of: RobotOf) -> None:
-    """A measurement may belong to any posture commanded within the latency; a friction's worth more lets go."""
+    """A measurement may belong to any posture commanded within the latency, all joints to the same one."""
     robot = robot_of("sawyer")
-    following, q = FollowingError(robot, 0.02, 0.01, DT), start_of(robot)
+    following = FollowingError(robot, Contact(latency=0.01), 0.02, DT, np.full(7, 10.0))
+    q = start_of(robot)
     speed, places = np.linspace(0.5, 1.1, 7), [q]
     for _ in range(40):
         following.moved(places[-1], DT, speed)
         places.append(places[-1] + DT * speed)
     for lag, excess in ((0, 0.0), (5, 0.0), (10, 0.0), (15, 0.005), (20, 0.010)):
-        following.compare(places[-1], places[-1 - lag])
-        np.testing.assert_allclose(-following.excess, excess * speed, rtol=0, atol=1.01 * DT * speed.max())
+        for _ in range(40):
+            following.compare(places[-1], places[-1 - lag])
+        np.testing.assert_allclose(following.largest, excess * speed.max(), rtol=0, atol=1.01 * DT * speed.max())
     assert not following.tripped
-    way = following.relief()  # 20 ms at most, of the limits and of what was commanded within the latency
-    most = 0.02 + np.minimum(0.01, 0.02) * speed + DT * speed
-    assert np.all(np.abs(way) <= most * 1.1) and np.all(way < 0.0)
-    np.testing.assert_allclose(way, -0.02 * speed * (1.0 + 2.5e-4 / (0.02 * speed + 2.5e-4)), rtol=1e-9)
-    following.compare(places[-1], places[-1] - 0.031)
+    for _ in range(40):
+        following.compare(places[-1], places[-1] - 0.01 * np.eye(7)[6])  # this joint alone is late by 9 ms
+    assert following.largest > 0.005
+    for _ in range(40):
+        following.compare(places[-1], places[-1] - 0.035)
     assert following.tripped
     following.forget()
     assert not following.tripped and following.largest == 0.0
@@ -195,7 +209,7 @@ def test_a_correction_makes_up_for_a_payload(robot_of: RobotOf) -> None:
 
 
 STOPPED, STALE, INVALID = ml.Status.STOPPED, ml.Status.STALE, ml.Status.INVALID_INPUT
-WRONG = "an encoder that jumped by half a radian"
+WRONG, AGAIN = "an encoder that jumped by half a radian", "and has stayed there"
 # settings of the loop, and what happens in order: a call of the loop, or for how many periods something is measured at
 # some time, and the statuses that come of it; a status that is none of these is one of motion
 FAULTS: dict[str, tuple[dict, list]] = {
@@ -206,16 +220,25 @@ FAULTS: dict[str, tuple[dict, list]] = {
     "bad input, again and again": ({}, [(51, SAME, SAME, None), (49, None, SAME, INVALID)] * 4),
     "infinite acceleration": (
         {"acceleration_limit": np.inf},
-        [(50, SAME, SAME, None), (1, None, SAME, INVALID), (1500, WRONG, SAME, FOLLOWING_ERROR)],
+        [
+            (50, SAME, SAME, None),
+            (1, None, SAME, INVALID),
+            (100, WRONG, SAME, INVALID),
+            (1400, AGAIN, SAME, FOLLOWING_ERROR),
+        ],
     ),
     "one stamp from the future": (
         {},
         [(20, SAME, SAME, None), (1, SAME, 1e6, STALE), (1, SAME, SAME, INVALID), (110, SAME, SAME, None)],
     ),
-    "a wrong measurement": ({}, [(400, SAME, SAME, None), (3000, WRONG, SAME, FOLLOWING_ERROR)]),
+    "a wrong measurement": (
+        {},
+        [(400, SAME, SAME, None), (100, WRONG, SAME, INVALID), (3000, AGAIN, SAME, FOLLOWING_ERROR)],
+    ),
+    "one wrong measurement": ({}, [(400, SAME, SAME, None), (1, WRONG, SAME, INVALID), (110, SAME, SAME, None)] * 3),
     "a wrong measurement under a jerk limit": (
         {"acceleration_limit": 3.0, "jerk_limit": 30.0},
-        [(400, SAME, SAME, None), (3000, WRONG, SAME, FOLLOWING_ERROR)],
+        [(400, SAME, SAME, None), (100, WRONG, SAME, INVALID), (3000, AGAIN, SAME, FOLLOWING_ERROR)],
     ),
 }
 
@@ -225,14 +248,15 @@ def test_faults_brake_the_arm_and_are_named(fault: str, robot_of: RobotOf) -> No
     """Within every limit (see `Arm`) to rest, nowhere near a wrong measurement; where the reason goes, it goes on."""
     settings, steps = FAULTS[fault]
     robot = robot_of("sawyer")
-    arm = Arm(ml.ServoLoop(law_of(robot, "sawyer", 2.0), **settings), start_of(robot))
+    arm, wrong = Arm(ml.ServoLoop(law_of(robot, "sawyer", 2.0), **settings), start_of(robot)), None
     for step in steps:
         if isinstance(step, str):
             getattr(arm.loop, step)()
             continue
         periods, measured, time, status = step
         at, fastest = arm.q, np.max(np.abs(arm.last))
-        commands = arm.calls(periods, at + 0.5 if measured is WRONG else measured, time)
+        wrong = at + 0.5 if measured is WRONG else wrong
+        commands = arm.calls(periods, wrong if measured in (WRONG, AGAIN) else measured, time)
         if status is None:
             assert commands[-1].status not in (STOPPED, STALE, INVALID, FOLLOWING_ERROR)
             assert np.linalg.norm(arm.last) > (0.05 if periods > 100 else 0.0)
@@ -242,8 +266,8 @@ def test_faults_brake_the_arm_and_are_named(fault: str, robot_of: RobotOf) -> No
         hardest = np.min(arm.loop.acceleration_limit)
         if np.isinf(hardest) or periods * DT * hardest > fastest:
             assert periods < 300 or speeds[-1] == 0.0
-        if "jerk_limit" in settings:  # the average does not go on pressing: what is left is the slow way back
-            assert fastest > 0.1 and speeds[int(np.ceil(fastest / hardest / DT))] < 0.1
+        if "jerk_limit" in settings and status is FOLLOWING_ERROR:  # the average does not go on pressing
+            assert fastest > 0.1 and speeds[1500] < 0.01
         if status is FOLLOWING_ERROR and np.isfinite(hardest):
             assert np.max(np.abs(arm.loop.position - at)) < 0.02 + 0.02 * fastest + fastest**2 / hardest
 
@@ -314,7 +338,7 @@ def test_wrong_settings_are_refused(robot_of: RobotOf) -> None:
     """Before the arm moves, with an error of the library's own that names the setting."""
     law = law_of(robot_of("sawyer"), "sawyer")
     wrong: dict[str, list] = {
-        "dt": [0.0, np.nan, "fast", True], "stale_after": [-1.0, 0.0], "latency": [-0.1], "stiffness": [0.0, [1.0]],
+        "dt": [0.0, np.nan, "fast", True], "stale_after": [-1.0, 0.0],
         "acceleration_limit": [0.0, [1.0]], "jerk_limit": [-1.0, 1e-9], "correction_time": [0.0, np.inf, "fast"],
         "following_error_limit": [[0.1, 0.1], np.nan, 0.0],
     }  # fmt: skip
@@ -324,7 +348,21 @@ def test_wrong_settings_are_refused(robot_of: RobotOf) -> None:
                 ml.ServoLoop(law, **{name: value})
     with pytest.raises(ConfigurationError, match="jerk"):
         ml.ServoLoop(law, acceleration_limit=np.inf, jerk_limit=10.0)
-    ml.ServoLoop(law, latency=0.0)
+    with pytest.raises(ConfigurationError, match="stale after 0.1 s and the period is 0.2 s"):
+        ml.ServoLoop(law, dt=0.2)
+    for name, values in {
+        "held": [0.0, np.inf, "much"],
+        "driven": [-1.0],
+        "latency": [-0.1, "never"],
+        "resolution": [np.nan],
+    }.items():
+        for value in values:
+            with pytest.raises(ConfigurationError, match=name):
+                ml.Contact(**{name: value})
+    for value in (0.0, [1.0]):
+        with pytest.raises(ConfigurationError, match="stiffness"):
+            ml.ServoLoop(law, contact=ml.Contact(stiffness=value))
+    ml.ServoLoop(law, contact=ml.Contact(latency=0.0))
 
 
 def test_step_raises_what_update_hides(robot_of: RobotOf) -> None:
@@ -366,3 +404,22 @@ def test_reset_begins_the_task_again(robot_of: RobotOf) -> None:
         for k in range(1500):
             q = robot.integrate(q, DT * loop.update(q, k * DT).velocity)
         assert np.linalg.norm(robot.position(q, "right_hand") - at) == pytest.approx(0.05, abs=1e-3)
+
+
+def test_wrong_units_are_named(robot_of: RobotOf) -> None:
+    """Degrees and milliseconds stop the arm, with what was read and what it is to be; so does a full turn too much."""
+    robot = robot_of("sawyer")
+    loop = ml.ServoLoop(law_of(robot, "sawyer"))
+    assert loop.update(np.degrees(start_of(robot)), 0.0).status is INVALID
+    assert loop.stopped_by is not None and "in degrees? It is to be in radians" in loop.stopped_by
+    loop.reset(start_of(robot))
+    statuses = [loop.update(start_of(robot), 1.0 * k).status for k in range(5)]
+    assert statuses[1:] == [STALE] * 4
+    assert loop.stopped_by is not None and "went on by 1, in milliseconds? It is to be in seconds" in loop.stopped_by
+    arm = Arm(ml.ServoLoop(law_of(robot, "sawyer")), start_of(robot))
+    arm.calls(50)
+    turned = arm.q + 2.0 * np.pi * np.eye(7)[5]
+    assert arm.call(turned).status is INVALID and arm.loop.refused == 1
+    assert arm.loop.stopped_by is not None and f"joint {robot.joint_names[5]} was read +6.28 rad" in arm.loop.stopped_by
+    assert "1 full turn: the driver counts" in arm.loop.stopped_by
+    assert arm.call().status not in (INVALID, FOLLOWING_ERROR)

@@ -62,8 +62,6 @@ def record_motions(options: RecordOptions, progress: Progress) -> Recorded:
     """
     if options.by not in get_args(By):
         raise ConfigurationError(f"--by must be motion or key, not {options.by!r}")
-    if not options.name or Path(options.name).name != options.name:
-        raise OutputError(f"--name must be the beginning of a file name, got {options.name!r}")
     driver = driver_of(options.driver)
     robot = _robot_of(options, driver)
     told = {"file": "", "since": 0.0, "files": 0, "said": 0.0}

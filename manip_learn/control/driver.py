@@ -12,7 +12,7 @@ import numpy as np
 from jaxtyping import Float
 
 from manip_learn.control.command import Command, Status
-from manip_learn.control.cycle import Clock, ComputerClock, GivenUp, OrderlyEnd, hold_still, quiet_collector
+from manip_learn.control.cycle import Clock, ComputerClock, GivenUp, OrderlyEnd, quiet_collector
 from manip_learn.control.rollout import Rollout
 from manip_learn.control.servo_loop import ServoLoop
 from manip_learn.control.simulation import guided
@@ -96,16 +96,19 @@ def run(
     """Run a servo loop on an arm: read, update, command, once per period.
 
     However it ends, the arm first brakes within its limits and then stands: after the duration, by a signal, where the
-    driver raises or returns what is no posture, where the arm is blocked and has let go, where the period changes or
-    cannot be held. A reading that is wrong once brakes the arm and does not end the run. Python's garbage collector
-    rests meanwhile.
+    driver or `until` raises or the driver returns what is no posture, where the arm is blocked and has let go, where
+    the period changes or cannot be held, and when the interpreter ends while it runs in a thread. Unless that was the
+    duration or the caller's reason, the driver's `hold()` is then called, if it has one. A reading that is wrong once
+    brakes the arm and does not end the run. Python's garbage collector rests meanwhile.
 
-    The signals are Ctrl-C, SIGTERM and SIGHUP (a stopped container, a closed terminal); once the arm stands, the
-    driver's `hold()` is called, if it has one. After Ctrl-C the run returns. After the other two the program ends, by
-    `SystemExit` with 128 and the number of the signal; where it has a handler of its own for the signal, that is called
-    and the run returns. A call of the driver that blocks is waited for. A signal gives it up where it has taken longer
-    than the loop's `stale_after`, and Ctrl-C also when pressed again: after `read()` the arm brakes without being read,
-    after `command()` nothing more is sent.
+    The signals are Ctrl-C, SIGTERM and SIGHUP (a stopped container, a closed terminal). After Ctrl-C the run returns.
+    After the other two the program ends, by `SystemExit` with 128 and the number of the signal; where it has a handler
+    of its own for the signal, that is called and the run returns. A call of the driver that blocks is waited for. A
+    signal gives it up where it has taken longer than the loop's `stale_after`, and Ctrl-C also when pressed again:
+    after `read()` the arm brakes without being read, after `command()` nothing more is sent.
+
+    Nothing catches kill -9, a crash of the interpreter or a loss of power: a driver should have a watchdog of its own,
+    which brakes the arm where no command has come for some periods, as those of UR, Franka and xArm have.
 
     The loop begins anew, from the commanded posture where `loop.reset(q)` has given one, otherwise from the first
     measured one.
@@ -114,7 +117,8 @@ def run(
         loop: The loop; its `dt` is the driver's period.
         driver: The arm, see `Driver`.
         duration: Time after which the arm brakes [s]; None goes on until Ctrl-C.
-        until: Asked in each cycle: a reason in words, once there is one, after which the arm brakes.
+        until: Asked in each cycle: a reason in words, once there is one, after which the arm brakes. What it raises is
+            raised when the arm stands.
         clock: Where the time comes from, for an arm whose time is not the computer's. That of a driver which is
             `simulated` is the number of commands.
 
@@ -135,10 +139,15 @@ def run(
     clock = clock or ComputerClock()
     cycle = _Cycle(loop, driver, clock)
     loop.reset(loop.position)
-    with OrderlyEnd(lambda reason: cycle.stop(reason, True), loop.stale_after, clock) as ending, quiet_collector():
+    for note in loop.notes:
+        _LOGGER.warning(note)
+    ending = OrderlyEnd(driver, lambda reason: cycle.stop(reason, True), loop.stale_after, clock)
+    with ending, quiet_collector():
         cycle.run(math.inf if duration is None else duration, until or (lambda: ""), ending)
         if not cycle.ordered:
             _LOGGER.warning("the arm was stopped: %s", cycle.reason)
+    if ending.failed:
+        cycle.reason, cycle.ordered = f"{cycle.reason}; {ending.failed}", False
     return cycle.record()
 
 
@@ -157,6 +166,7 @@ class _Cycle:
         self.reason, self.ordered = "", False
         self._told: str | None = None  # of the gripper
         self._blocked: set[str] = set()  # what did not return and is called no more
+        self._raised: BaseException | None = None  # by the caller's own code
 
     def stop(self, reason: str, ordered: bool = False) -> None:
         """Brake, and end when the arm stands; the first reason counts."""
@@ -187,8 +197,7 @@ class _Cycle:
                 self.stop(f"the driver's period changed from {1e3 * period:g} to {1e3 * self._driver.period:g} ms")
             if t >= duration - 0.5 * period:
                 self.stop(f"the {duration:g} s were over", True)
-            if reason := until():
-                self.stop(reason, True)
+            self._ask(until)
             command = loop.update(self._read(ending), t)
             self._send(command, ending)
             self._tell(ending)
@@ -202,10 +211,21 @@ class _Cycle:
             last = min(last, t + LONGEST_STOP) if self.reason else math.inf
             if t >= last or "command()" in self._blocked or self._stands(command):
                 break
-        # a driver that does not return from one call is not asked for another
-        if ending.asked and not self._blocked and (failed := hold_still(self._driver, ending)):
-            self.reason, self.ordered = f"{self.reason}; {failed}", False
+        ending.holds = (ending.asked or not self.ordered) and not self._blocked
         loop.start()
+        if self._raised is not None:
+            raise self._raised
+
+    def _ask(self, until: Callable[[], str]) -> None:
+        """Whether the caller has a reason to end; what he raises is one, and is raised when the arm stands."""
+        if self._raised is not None:
+            return
+        try:
+            if reason := until():
+                self.stop(reason, True)
+        except BaseException as error:  # whatever it is, SystemExit too: an arm in motion must brake
+            self._raised = error
+            self.stop(f"{type(error).__name__}: {error}")
 
     def _read(self, ending: OrderlyEnd) -> Any:
         """The measured posture in the robot's order; None where there is none."""
@@ -215,14 +235,16 @@ class _Cycle:
             with ending.waiting():
                 q, _, _ = self._driver.read()
             return self._joints.measured(q)
-        except (Exception, KeyboardInterrupt) as error:  # whatever a driver raises, an arm in motion must brake
+        except BaseException as error:  # whatever a driver raises, an arm in motion must brake
             self._failed("read()", error)
         return None
 
     def _failed(self, call: str, error: BaseException) -> None:
-        """A call of the driver did not return."""
+        """A call of the driver did not return; what ends the program does so when the arm stands."""
         if not isinstance(error, KeyboardInterrupt):
             self.stop(f"the driver's {call} failed: {type(error).__name__}: {error}")
+            if not isinstance(error, Exception):
+                self._raised = error
             return
         self.stop("Ctrl-C", True)
         if isinstance(error, GivenUp):
@@ -240,7 +262,7 @@ class _Cycle:
             x, u = self._joints.sent(x, self._joints.rest), self._joints.sent(command.velocity, 0.0)
             with ending.waiting():
                 self._driver.command(x, u)
-        except (Exception, KeyboardInterrupt) as error:  # likewise
+        except BaseException as error:  # likewise
             self._failed("command()", error)
 
     def _tell(self, ending: OrderlyEnd) -> None:
@@ -254,16 +276,18 @@ class _Cycle:
         try:
             with ending.waiting():
                 gripper(word)
-        except (Exception, KeyboardInterrupt) as error:  # likewise
+        except BaseException as error:  # likewise
             self._failed("gripper()", error)
 
     def _stands(self, command: Command) -> bool:
         """Whether the arm stands for a reason to end; gives the reason where it is the loop's."""
-        if command.velocity.any():
+        if command.velocity.any() or self._loop.lets_go:
             return False
         if not self.reason and command.status in (Status.INVALID_INPUT, Status.STALE):
             if self.cycles * self._driver.period < self._loop.stale_after:
                 return False  # a driver that is not ready yet
+            if 0.0 < self._loop.silent < self._loop.stale_after:
+                return False  # one wrong reading
             self.stop(self._loop.stopped_by or f"the loop stands: {command.status}")
         return bool(self.reason)
 

@@ -14,7 +14,7 @@ from manip_learn.control.command import Command, Status, slowed_by
 from manip_learn.control.law import nearest_within
 from manip_learn.control.limits import RETURN_SPEED, Limits, stopping_speed
 from manip_learn.control.rollout import Rollout
-from manip_learn.errors import ConfigurationError
+from manip_learn.errors import ConfigurationError, counted
 from manip_learn.recordings.trajectory import Trajectory
 from manip_learn.robot.robot import Robot
 
@@ -43,6 +43,8 @@ class FollowMotion:
 
     Attributes:
         duration: Of the motion [s].
+        jumps: Steps that a joint could only make faster than its limit, in sentences; a `ServoLoop` has them in its
+            `notes`.
         delay: How much longer than in the recording it has taken so far, the way to the first posture left out [s]; a
             loop follows with a copy within its own limits, so ask `loop.controller.delay`.
 
@@ -67,6 +69,7 @@ class FollowMotion:
         self.limits = Limits(robot) if limits is None else limits
         self._knots = _knots_of(robot, motion, self.limits.velocity)
         self.duration = float(self._knots.time[-1])
+        self.jumps = _jumps_of(robot, self._knots)
         self.reset()
 
     def with_limits(self, limits: Limits, ahead: float = 0.0) -> FollowMotion:
@@ -197,6 +200,20 @@ class _Knots(NamedTuple):
         x = x0 + h * m0 * w + w * w * (3.0 * rise - bend + w * (bend - 2.0 * rise))
         m = m0 + w * (2.0 * (3.0 * rise - bend) + 3.0 * w * (bend - 2.0 * rise)) / h
         return np.where(tangent, x0 + m0 * (s + ahead - begin), x), np.where(tangent, m0, m)
+
+
+def _jumps_of(robot: Robot, knots: _Knots) -> tuple[str, ...]:
+    """The largest jump of each joint, and how many there are."""
+    sentences = []
+    steps = np.abs(np.diff(knots.x, axis=0)) * knots.jumps[:-1]
+    for j in np.flatnonzero(knots.jumps.any(axis=0)).tolist():
+        k = int(steps[:, j].argmax())
+        sentences.append(
+            f"joint {robot.joint_names[j]} of the motion jumps {counted(int(knots.jumps[:, j].sum()), 'time')}, at "
+            f"most by {steps[k, j]:.3g} {robot.joint_units[j]} at {knots.time[k]:.3g} s: it catches up as fast as its "
+            "limits let it"
+        )
+    return tuple(sentences)
 
 
 def _knots_of(robot: Robot, motion: Trajectory | Rollout, fastest: Float[np.ndarray, " nv"]) -> _Knots:

@@ -2,8 +2,11 @@
 
 from __future__ import annotations
 
+import logging
 import math
-from typing import final
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any, Literal, final
 
 import numpy as np
 from jaxtyping import Float
@@ -11,24 +14,88 @@ from numpy.typing import ArrayLike
 
 from manip_learn.constraint.constraint import Constraint
 from manip_learn.constraint.features.feature_map import sum_in_words
-from manip_learn.errors import ConfigurationError
+from manip_learn.control.servos import HIDDEN, Servos
+from manip_learn.errors import ConfigurationError, counted
 from manip_learn.robot.robot import Robot
 from manip_learn.robot.tips import default_tip
 
-FORCE = 15.0  # [N] a tenth of what ISO/TS 15066 lets a robot press a hand with, for what rises while the arm brakes
+_LOGGER = logging.getLogger("manip_learn")
 STIFFNESS = 2000.0  # [N m/rad or N/m] of a stiff position servo of an arm that works beside people
-PAYLOAD = 2.0  # [kg] weight that the hand may carry without the drives' knowing
+# [kg] weight that the hand may carry without the drives' knowing, and [s] of motion after which it is known
+PAYLOAD, WEIGHED = 2.0, 0.25
 GRAVITY = 9.81  # [m/s2]
-# [rad or m] what dry friction (0.5 N m at 2,000 N m/rad) and encoders leave of a servo's error
+# [rad or m] what stays of a servo's error where friction, play and noise have been measured: 0.5 N m at 2,000 N m/rad
 RESOLUTION = 2.5e-4
 RINGING = 0.1  # [s] for which a servo feels an acceleration: three times sqrt(2 kg m2 / 2,000 N m/rad)
+NONE = np.zeros(3)
 ROUNDING = 1e-12  # [rad or m] of sums of steps
+LOOK_BACK = 0.01  # [s] over which the rise of a force is looked at, and by which it is carried on at the least
+FARTHEST = 3.0  # times of that by which it is carried on at the most: noise grows with it
+# [s] of motion after which a hand goes, and for which that is remembered: stick and slip take turns faster
+BRIEFLY, GOING = 0.1, 0.5
+CARRYING = 0.2  # [s] in which what a motion takes is known
+# standard deviations of the force that count as noise, carried on as it is: four, times the square root of five
+QUIET = 9.0
+# times the limit of distances by which an arm may be behind until it is known how late it follows: 0.2 s at 0.5 rad/s,
+# and what a blocked arm is pressed with that starts at such a speed
+LATE = 16.0
+NOISY = 1.0 / 3.0  # share of `held` that noise may be; more readings are averaged until it is
+# share of a force along the way that may seem to be across it: joints differ, directions are known to 10 degrees
+LEAKS = 0.2
+KNOWN = 0.7  # share by which friction is known: it depends on load and speed, and presses the hand itself
 POSTURES = 200  # for the levers of a robot whose posture is not known
+
+
+@final
+@dataclass(frozen=True)
+class Contact:
+    """What a `ServoLoop` makes of the distance between where an arm is and where it was sent: forces on the hand.
+
+    A force that loads the hand makes the position servos give way. The loop finds the force that explains best by how
+    much they do, and stops the arm where it is too large. A row of the constraint that is *held* takes no force in a
+    task that is done right; along a row that is *driven* the force is the task, e.g. of a drawer that sticks.
+
+    What is no force is measured in the first half second in which the arm moves, and told in `ServoLoop.notes`: by how
+    much it follows late, the noise of its encoders, and the friction and the play of its joints.
+
+    Attributes:
+        held: Force on the hand across what is driven, at which the arm is stopped [N], beside a fifth of the force
+            along it, by which directions and joints may be other than they are taken for. A tenth of what ISO/TS 15066
+            lets a robot press a hand with: the force goes on rising while the arm brakes.
+        driven: The same along rows that the task drives (`Task.driven_rows`) [N]. What has been moving and stops is
+            blocked already at `held` more than it took.
+        latency: Time by which the arm follows late at the most [s]; "auto" measures it, up to 0.2 s.
+        resolution: Force that cannot be told from friction, play and noise [N]; "auto" measures it. The arm is stopped
+            at no less.
+        stiffness: shape (nv,) or a number, of the arm's position servos [N m/rad or N/m]. None, not known: the limits
+            are then distances, those of servos of 2,000, as a warning says.
+
+    Raises:
+        ConfigurationError: A number that is not positive.
+    """
+
+    held: float = 15.0
+    driven: float = 60.0
+    latency: float | Literal["auto"] = "auto"
+    resolution: float | Literal["auto"] = "auto"
+    stiffness: ArrayLike | None = None
+
+    def __post_init__(self) -> None:
+        """Refuse numbers that are none."""
+        for name in ("held", "driven", "latency", "resolution"):
+            value: Any = getattr(self, name)
+            measured = name in ("latency", "resolution")
+            if measured and isinstance(value, str) and value == "auto":
+                continue
+            good = isinstance(value, int | float | np.number) and not isinstance(value, bool)
+            if not (good and 0.0 <= float(value) < math.inf and (value or measured)):
+                unit, auto = "seconds" if name == "latency" else "newtons", ' or "auto"' if measured else ""
+                raise ConfigurationError(f"{name} must be a positive number of {unit}{auto}, got {value!r}")
 
 
 def following_error_limit(
     robot: Robot,
-    force: float = FORCE,
+    force: float = 15.0,
     stiffness: ArrayLike = STIFFNESS,
     *,
     frame: str | None = None,
@@ -99,32 +166,41 @@ def _per_joint(what: str, values: ArrayLike, robot: Robot) -> Float[np.ndarray, 
     return np.array(np.broadcast_to(array, (robot.nv,)))
 
 
+Directions = Callable[[Float[np.ndarray, " n"]], Float[np.ndarray, "k nv"]]
+
+
+def _span(ways: Float[np.ndarray, "3 k"]) -> Float[np.ndarray, "3 d"]:
+    """Orthonormal directions of motions of the hand."""
+    U, sigma, _ = np.linalg.svd(ways, full_matrices=False)
+    return U[:, sigma > 0.01 * max(float(sigma.max(initial=0.0)), 1e-6)]
+
+
 @final
 class FollowingError:
-    """Distance between the commanded and the measured posture, beyond what a late measurement explains.
+    """Distance between the commanded and the measured posture, and the force on the hand that explains it.
 
-    Without a limit of the user's own, the force on the hand is what counts: the one that explains the distance best,
+    Of the distance, what late servos with friction and play explain is no force (`Servos`), nor what the inertia of the
+    links does, nor a weight of up to `PAYLOAD`. The force is the one that explains the rest best,
 
-        f = (C C^T + (RESOLUTION / force)^2)^-1 C e,    C = J(q) / stiffness
+        f = (C C^T + (RESOLUTION / held)^2)^-1 C e,    C = J(q) / stiffness.
 
-    without the weight of up to `PAYLOAD`. What touches the arm elsewhere trips where it loads a joint as `FORCE` would
-    at the arm's longest lever.
+    Along what is driven it may be `driven`, across it `held`. What touches the arm elsewhere leaves distances that no
+    force on the hand explains: they trip where they load a joint as `held` would at the arm's longest lever.
 
     Args:
         robot: The robot.
-        limit: shape (nv,) or a number [rad or m]; None for the force.
-        latency: Time by which a measurement may lag behind the command that it is compared with [s].
+        contact: What counts as a force, and which force is too large.
+        limit: shape (nv,) or a number [rad or m], distances of joints that count in place of forces; None for forces.
         dt: Period [s].
-        stiffness: shape (nv,) or a number [N m/rad or N/m], of the servos.
+        acceleration: shape (nv,), with which the arm brakes [rad/s2 or m/s2].
         frame: Name of the tip's frame.
 
     Attributes:
         limit: shape (nv,) [rad or m].
-        largest: Largest distance of a joint in the newest comparison [rad or m].
         distance: shape (nv,), measured less commanded.
-        excess: shape (nv,), what the latency does not explain of it.
-        force: Force on the hand that explains them [N], 0 where the user has given limits.
-        tripped: Whether a joint has ever been farther away than its limit, or the force larger than `FORCE`.
+        force: shape (3,), on the hand, in the base frame [N]; 0 where the user has given limits.
+        tripped: Why the arm is to be stopped, in words; empty where it is not.
+        servos: What is known of them.
 
     Raises:
         ConfigurationError: A limit or a stiffness that is not positive or has the wrong size.
@@ -133,109 +209,256 @@ class FollowingError:
     def __init__(
         self,
         robot: Robot,
+        contact: Contact,
         limit: ArrayLike | None,
-        latency: float,
         dt: float,
-        stiffness: ArrayLike = STIFFNESS,
+        acceleration: Float[np.ndarray, " nv"],
         frame: str | None = None,
     ):
-        self._stiffness = _per_joint("stiffness", stiffness, robot)
-        self._frame = None
+        self.contact, self._robot, self._dt, self._acceleration = contact, robot, dt, acceleration
+        told = STIFFNESS if contact.stiffness is None else contact.stiffness
+        self._stiffness = _per_joint("stiffness", told, robot)
+        # links that are slower on servos softer than they are taken for give way by more: ten times at 200 N m/rad
+        self._inertial = self._stiffness if contact.stiffness is not None else 0.1 * self._stiffness
+        self._by_force, self._frame = limit is None, robot.frame(frame or default_tip(robot))
         if limit is None:
-            self._frame = tip = robot.frame(frame or default_tip(robot))
+            tip = self._frame
             # the longest lever of the tip on any joint [m]; at least 1 where a joint is prismatic
             reach = max(float(np.linalg.norm(robot.jacobian(q, tip)[:3], axis=0).max()) for q in _postures(robot))
-            limit = FORCE * reach / self._stiffness
+            limit = contact.held * reach / self._stiffness
         self.limit = _per_joint("following_error_limit", limit, robot)
-        self._dt, self._rows = dt, math.ceil(latency / dt - 1e-9) + 2
-        self._robot = robot
-        self._damping = (RESOLUTION / FORCE) ** 2 * np.eye(3)
+        latency = None if isinstance(contact.latency, str) else float(contact.latency)
+        hidden = 0.0 if not self._by_force else HIDDEN
+        self.servos = Servos(robot.nv, dt, latency, hidden / self._stiffness)
+        self._damping = (RESOLUTION / contact.held) ** 2 * np.eye(3)
         self.forget()
 
     def forget(self) -> None:
         """Begin anew."""
         nv = self._robot.nv
-        self.largest, self.force, self.tripped = 0.0, 0.0, False
-        self.distance = self.excess = np.zeros(nv)
-        # one row per period within the latency: ways of the commanded posture since the beginning, and what was found
-        self._ways, self._found, self._row = np.zeros((self._rows, nv)), np.full((self._rows, nv), np.nan), 0
-        self._way, self._since = np.zeros(nv), 0.0  # the newest, and the time since the row began [s]
+        self.servos.forget()
+        self.force, self.tripped = np.zeros(3), ""
+        self.distance = np.zeros(nv)
+        self.resolution = 0.0 if isinstance(self.contact.resolution, str) else float(self.contact.resolution)
+        self._said, self._untold = False, int(self.contact.stiffness is None and self._by_force)
+        self.notes = [self._distances()] if self._untold else []
+        self._found = np.zeros((math.ceil(LOOK_BACK / self._dt) + 1, nv))  # excesses, one row a period
+        self._row, self._rows = 0, 0
+        self._change, self._lasted = np.zeros(nv), 0.0  # of the velocity since that of inertia was looked at
         self._velocity = np.zeros(nv)
         self._least, self._most = np.zeros(nv), np.zeros(nv)  # by which servos lately gave way to inertia
+        self._inertia = np.full(nv, -ROUNDING), np.full(nv, ROUNDING)
+        self._weight = 0.0  # [N]
+        self._pushed = np.zeros(nv)  # how far the force on the hand pushes the joints [rad or m]
+        self._going, self._carried = 0.0, 0.0  # for how long the hand has been moving [s], and what that takes [N]
 
     def moved(self, q: Float[np.ndarray, " n"], time: float, velocity: Float[np.ndarray, " nv"]) -> None:
         """Take note of a step of the commanded posture: the posture before it, how long it took [s], its velocity."""
-        self._way = self._way + time * velocity
-        self._since += time
-        # a call that came early takes a part of the step before back, which the arm may have made
-        if self._since > 0.99 * self._dt or time < 0.0:
-            self._since, self._row = 0.0, (self._row + 1) % self._rows
-            self._found[self._row] = self.excess
-        self._ways[self._row] = self._way
-        if self._frame is None or time <= 0.0:
+        step = velocity - self._velocity
+        over = self.servos.moved(time * velocity, time, bool(velocity.dot(velocity) > 0.0))
+        if over:
+            self._row, self._rows = (self._row + 1) % len(self._found), self._rows + 1
+        self._velocity = velocity
+        if not self._by_force or time <= 0.0:
             return
         # a servo gives way to M a as a spring and a damper do: by no more than lately, and for a while after
-        now = self._robot.inertial_effort(q, (velocity - self._velocity) / time) / self._stiffness
-        lately = math.exp(-time / RINGING)
+        self._change, self._lasted = self._change + step, self._lasted + time
+        if not (over and self.servos.has_looked):
+            return
+        now = 0.0
+        if self._change.dot(self._change) > 0.0:
+            now = self._robot.inertial_effort(q, self._change / self._lasted) / self._inertial
+        lately = math.exp(-self._lasted / RINGING)
         self._least, self._most = np.minimum(lately * self._least, now), np.maximum(lately * self._most, now)
-        self._velocity = velocity.copy()
+        self._inertia = -self._most - ROUNDING, ROUNDING - self._least
+        self._change, self._lasted = np.zeros_like(velocity), 0.0
+
+    @property
+    def largest(self) -> float:
+        """Largest distance of a joint in the newest comparison, beyond what being late explains [rad or m]."""
+        return float(np.abs(self.servos.raw).max(initial=0.0))
+
+    def _distances(self) -> str:
+        joint = int(np.argmax(self.limit))
+        return (
+            f"the stiffness of the servos is not told: the arm is stopped by distances, at the latest where joint "
+            f"{self._robot.joint_names[joint]} is {1e3 * self.limit[joint]:.2g} mrad off. On servos of {STIFFNESS:g} "
+            f"N m/rad that is {self.contact.held:g} N on the hand, on servos ten times as stiff ten times as much: "
+            "give Contact(stiffness=...)"
+        )
 
     def relief(self) -> Float[np.ndarray, " nv"]:
         """Way to a commanded posture at which the servos no longer press, shape (nv,) [rad or m].
 
-        To where the arm was measured, and by what dry friction would go on holding; by no more than the limits and
-        what was commanded within the latency, in case the measurement was wrong.
+        To where the arm was measured, and on in the sense of the force by what friction would go on holding.
         """
-        most = self.limit + np.abs(self._ways - self._way).max(axis=0)
-        way = np.clip(self.distance, -most, most)
-        return way * (1.0 + RESOLUTION / (np.abs(way) + RESOLUTION))
+        return self.distance + self.servos.friction * self._pushed / (np.abs(self._pushed) + RESOLUTION)
+
+    def farthest(self) -> Float[np.ndarray, " nv"]:
+        """By how much it makes sense to let go, shape (nv,) [rad or m]: the measurement may be wrong.
+
+        What the largest force makes of the limits, friction, and what was commanded within the delay.
+        """
+        forces = max(1.0, self.contact.driven / self.contact.held)
+        return forces * self.limit + self.servos.moved_lately + self.servos.width
+
+    def left(self, q: Float[np.ndarray, " n"]) -> float:
+        """Force on the hand that is left in a measured posture, beyond what friction holds [N]."""
+        if not self._by_force:
+            return 0.0
+        away = np.sign(self.distance) * np.maximum(np.abs(self.distance) - self.servos.friction, 0.0)
+        C = self._robot.jacobian(q, self._frame)[:3] / self._stiffness
+        f = self._force_of(away, C)[0]
+        self._pushed = f.dot(C)
+        return float(np.linalg.norm(f))
 
     def sentence(self, constraint: Constraint | None, q: Float[np.ndarray, " n"]) -> str:
-        """What was blocked and by how much: the row of the constraint, if it is known, and the joint."""
+        """What was blocked and by how much: the row of the constraint, if it is known, the joint, and what to do."""
         j = int(np.abs(self.distance).argmax())
         kind = next(block.kind for block in self._robot.blocks if block.v.start <= j < block.v.stop)
         unit = "mm" if kind == "prismatic" else "mrad"
         words = f"joint {self._robot.joint_names[j]} is {1e3 * self.distance[j]:+.2g} {unit} from where it was sent"
-        if constraint is not None:
+        turns = round(float(self.distance[j]) / (2.0 * math.pi))
+        if turns and kind != "prismatic" and abs(self.distance[j] - 2.0 * math.pi * turns) < math.radians(5.0):
+            words += (
+                f", which is {counted(abs(turns), 'full turn')}: the driver counts that joint's angle in other turns"
+            )
+        elif constraint is not None:
             off = constraint(q) @ self.distance
             i = int(np.abs(off).argmax())
             row = constraint.selection[i]
             unit = "mrad" if constraint.features.row_units[int(np.abs(row).argmax())].startswith("rad") else "mm"
             parts = sum_in_words(row, constraint.features.row_names, "+.2g", 0.05)
             words = f"row {i + 1} of the constraint ({parts}) is {1e3 * off[i]:+.2g} {unit} off, {words}"
-        return words if self._frame is None else f"{words}, as under {self.force:.0f} N on the hand"
+        return f"{words}; {self.tripped}" if self.tripped else words
 
     def compare(
         self,
         commanded: Float[np.ndarray, " n"],
         measured: Float[np.ndarray, " n"],
-        correction: Float[np.ndarray, " nv"] | float = 0.0,
+        correction: Float[np.ndarray, " nv"] | None = None,
+        driven: Directions | None = None,
     ) -> None:
         """Compare two postures, the newest commanded and the newest measured one.
 
-        A correction [rad or m] that the servos were sent beside the commanded posture loads them as well.
+        A correction [rad or m] that the servos were sent beside the commanded posture loads them as well. `driven`
+        gives the motions of the joints that the task drives, at a posture.
         """
         self.distance = self._robot.difference(commanded, measured)
-        excess = self.distance - correction
-        # the measurement may belong to any of the postures within the latency
-        back = self._ways - self._way
-        low, high = back.min(axis=0) - self._most - ROUNDING, back.max(axis=0) - self._least + ROUNDING
-        self.excess = excess = excess - np.minimum(np.maximum(excess, low), high)
-        self.largest = float(np.abs(excess).max(initial=0.0))
+        excess = self.servos.excess(self.distance - correction if correction is not None else self.distance)
+        excess = excess - np.minimum(np.maximum(excess, self._inertia[0]), self._inertia[1])
         self._found[self._row] = excess
-        if self._frame is None:
-            self.tripped = self.tripped or bool(np.any(np.abs(excess) > self.limit))
+        if not self._by_force:
+            if np.any(np.abs(excess) > self.limit):
+                self.tripped = self.tripped or "a joint is farther away than following_error_limit"
             return
-        before = self._found[(self._row + 1) % self._rows]
-        if before[0] == before[0]:  # what it will be when a brake, ordered now, takes effect
-            excess = 2.0 * excess - before
-        self.force = 0.0
-        if excess.dot(excess) <= 4.0 * RESOLUTION * RESOLUTION:  # no force can be larger than `FORCE` then
+        if self.servos.is_known and not self._said:
+            self._tell(measured)
+        self.force = NONE
+        if self.tripped:
             return
+        if not self.servos.is_known and np.any(np.abs(self.distance) > LATE * self.limit):
+            self.tripped = "the arm has not begun to move: it is blocked or switched off, or give Contact(latency=...)"
+            return
+        if excess.dot(excess) <= RESOLUTION * RESOLUTION:  # no force can be larger than `held` then
+            self._going = min(GOING, self._going + self._dt)
+            return
+        self._judge(measured, excess, driven)
+
+    def _judge(self, measured: np.ndarray, excess: np.ndarray, driven: Directions | None) -> None:
+        """Find the force on the hand, as it will be when a brake takes effect that is ordered now, and judge it."""
+        contact, dt = self.contact, self._dt
         C = self._robot.jacobian(measured, self._frame)[:3] / self._stiffness
-        f = np.linalg.solve(C.dot(C.T) + self._damping, C.dot(excess))
+        look = math.ceil(LOOK_BACK / dt)
+        ago = min(self._rows, look)
+        rise, step = excess - self._found[self._row - ago], self.servos.gone(ago)
+        gone = float(step.dot(step))
+        taken = -float(rise.dot(step)) / gone if gone > 0.0 else 0.0  # share of the way that the servos have taken in
+        # it rises until what is measured is seen, and, ever more slowly, until the arm stands
+        ahead = self.servos.delay + 0.5 * float(np.max(np.abs(self._velocity) / self._acceleration))
+        rise *= min(max(ahead / (look * dt), 1.0), FARTHEST)
+        self.force, beside = self._force_of(excess + rise, C)
+        self._pushed = self.force.dot(C)
+        force = math.sqrt(self.force.dot(self.force))
+        if not self._velocity.any():
+            self._going = 0.0
+        elif taken < 0.5:
+            self._going = min(GOING, self._going + dt)
+            self._carried += min(1.0, dt / CARRYING) * (force - self._carried)
+        else:
+            self._going = max(0.0, self._going - dt)
+        held, most = max(contact.held, self.resolution), max(contact.driven, self.resolution)
+        if np.any(np.abs(beside) > self.limit):
+            j = int((np.abs(beside) / self.limit).argmax())
+            load = abs(float(beside[j] * self._stiffness[j]))
+            name = self._robot.joint_names[j]
+            self.tripped = (
+                f"joint {name} is pushed by {load:.0f} N m beside what the hand is: look what touches the arm"
+            )
+        if force <= held:
+            return
+        ways = np.zeros((3, 0))
+        if driven is not None:
+            ways = _span(self._robot.jacobian(measured, self._frame)[:3] @ driven(measured).T)
+        along = ways.T.dot(self.force)
+        way, side = math.sqrt(along.dot(along)), math.sqrt(max(0.0, force * force - along.dot(along)))
+        if side > held and len(along):
+            # friction takes what it takes of what is left beside the force along the way, as small as that may be
+            pulls = ways.T.dot(C)
+            all_of_it = self.servos.raw + rise
+            rest = all_of_it - np.linalg.lstsq(pulls.T, all_of_it)[0].dot(pulls)
+            rest -= np.minimum(np.maximum(rest, self.servos.range[0]), self.servos.range[1])
+            across = self._force_of(rest, C)[0]
+            across = across - ways.dot(ways.T.dot(across))
+            side = min(side, math.sqrt(across.dot(across)))
+        if side > held + LEAKS * way:
+            self.tripped = (
+                f"{side:.0f} N across what is driven, of {held:.0f} allowed (Contact.held): what was learnt lies "
+                "elsewhere, or something is in the way"
+            )
+        elif way > most:
+            self.tripped = (
+                f"{way:.0f} N along what is driven, of {most:.0f} allowed (Contact.driven): it is locked, or allow more"
+            )
+        elif taken > 0.8 and self._going > BRIEFLY and way > self._carried + held:
+            self.tripped = (
+                f"{way:.0f} N along what is driven, which was moving with {self._carried:.0f} and has stopped: look "
+                "what blocks it"
+            )
+
+    def _force_of(self, excess: np.ndarray, C: np.ndarray) -> tuple[Float[np.ndarray, " 3"], Float[np.ndarray, " nv"]]:
+        """The force on the hand that explains distances, less a weight, and what is left of them."""
+        seen = C * self.servos.sees
+        f = np.linalg.solve(seen.dot(C.T) + self._damping, seen.dot(excess))
+        beside = (excess - f.dot(C)) * self.servos.sees
         weight = min(max(0.0, -f[2]), GRAVITY * PAYLOAD)
-        f[2] += weight
-        self.force = math.sqrt(f.dot(f))
-        if self.force > FORCE or np.any(np.abs(excess + weight * C[2]) > self.limit):
-            self.tripped = True
+        if self.servos.moving <= WEIGHED:
+            self._weight = max(self._weight, weight)
+        f[2] += min(weight, self._weight)
+        return f, beside
+
+    def _tell(self, q: np.ndarray) -> None:
+        """Say what the first motion has shown of the servos, and how small a force can still be seen."""
+        servos, contact, self._said = self.servos, self.contact, True
+        C = self._robot.jacobian(q, self._frame)[:3] / self._stiffness
+        G = np.linalg.solve(C.dot(C.T) + self._damping, C)  # of the force by the distances
+        noise, friction = (float(np.linalg.norm(G * x)) for x in (servos.noise, servos.width * servos.seen))
+        periods = max(1.0, 0.5 * (QUIET * noise / (NOISY * contact.held)) ** 2)
+        servos.smooth(periods)
+        least = max(KNOWN * friction, QUIET * noise / math.sqrt(2.0 * periods))
+        if isinstance(contact.resolution, str):
+            self.resolution = least
+        if servos.late is not None and servos.late > LOOK_BACK:
+            self.notes.append(f"the arm follows {1e3 * servos.late:.0f} ms late")
+        if friction > contact.held:
+            self.notes.append(
+                f"friction and play of the joints take up to {friction:.0f} N on the hand: forces from {least:.0f} N "
+                "on are seen"
+            )
+        if self.resolution > contact.held:
+            self.notes.append(
+                f"held={contact.held:g} N cannot be kept: from friction, play and noise, {self.resolution:.0f} N can "
+                "be told, and at that the arm is stopped"
+            )
+        for note in self.notes[self._untold :]:
+            _LOGGER.warning(note)

@@ -12,15 +12,17 @@ from jaxtyping import Float
 from numpy.typing import ArrayLike
 
 from manip_learn.constraint.constraint import Constraint
+from manip_learn.constraint.small_matrices import row_inverse
 from manip_learn.control.command import Command, Controller, Status
 from manip_learn.control.controller import ResolvedRateController
 from manip_learn.control.follow_motion import FollowMotion
-from manip_learn.control.following import STIFFNESS, FollowingError
+from manip_learn.control.following import Contact, FollowingError
 from manip_learn.control.law import next_slide
 from manip_learn.control.law_sequence import LawSequence, constraint_of, frame_of, law_of, task_of
 from manip_learn.control.limits import Bounds, Limits, bound_changes, farthest_positions, stopping_speed
 from manip_learn.control.tasks import PointAttractor, Task
-from manip_learn.errors import ConfigurationError
+from manip_learn.errors import ConfigurationError, counted
+from manip_learn.linalg import finite
 from manip_learn.robot.robot import Robot
 
 _LOGGER = logging.getLogger("manip_learn")
@@ -31,11 +33,17 @@ REGULAR = 1.25
 ROUNDING = 1e-6  # share of a period
 JITTER = 0.01  # share of the period by which calls may be early or late without being told from regular ones
 LONGEST = 5.0  # [s] an average over more delays the arm by seconds: the limits are meant otherwise
-LATENCY = 0.01  # [s] time by which a measurement may lag behind the command that it is compared with
-UNLOADING_RATE = 5.0  # [1/s] rate at which an arm that was blocked lets go: from 30 N to 5 N in 0.4 s
+UNLOADING_RATE = 25.0  # [1/s] rate at which an arm that was blocked lets go: from 60 N to 3 N in 0.12 s
+RELOOK, NEAR = 0.01, 5e-4  # [s] beside its delay after which an arm that lets go is looked at again, [rad or m]
+SETTLED = 0.05  # [s] after which an arm that was let go stands
+LEFT = 3.0  # [N] that may be left on the hand then
+RENEWALS = 10  # times that an arm goes on letting go where more is left
 # [rad/s or m/s] speed below which it does not fall on the way, and [rad or m] distance at which it has arrived
 SLOWEST, ARRIVED = 1e-3, 1e-9
 LONGEST_TIME = 1e15  # [s] a larger number is no time: its steps are longer than a period
+# [rad or m] that a reading may be off beside twice what a joint can move meanwhile; [rad] by which a turn is one
+TWICE, JUMP, TURN = 2.0, 0.05, 0.1
+MILLI = 0.1  # within which a time is a thousand times a period, decades
 STANDING = (Status.INVALID_INPUT, Status.STALE, Status.FOLLOWING_ERROR, Status.STOPPED)
 
 
@@ -206,16 +214,12 @@ class ServoLoop:
         jerk_limit: shape (nv,) or a number [rad/s3 or m/s3]; by default those of the controller's `Limits`, or none.
             The commands are averaged over 2 max_j(a_j / jerk_j), which delays them by half of that time.
         stale_after: Time without a new state after which the arm brakes [s].
+        contact: Which forces on the hand stop the arm, and what is known of its servos (`Contact`).
         following_error_limit: shape (nv,) or a number [rad or m]: how far a joint may be from where it was commanded,
-            e.g. what `manip_learn.following_error_limit` gives. By default what counts is a force of 15 N on the hand,
-            as the distances mean it on servos of this `stiffness`, beside a weight of up to 2 kg and the inertia that
-            the robot's description states (see `FollowingError`). The force goes on rising while the arm brakes.
-        stiffness: shape (nv,) or a number [N m/rad or N/m], of the arm's position servos. On stiffer ones the forces
-            are as much larger; on softer ones the loop stops too early.
+            e.g. what `manip_learn.following_error_limit` gives, in place of the forces of `contact`.
         correction_time: Time [s] in which `position` comes to make up for what servos give way to steadily, as to a
             payload that their drives do not know; None for never. By no more than the limits of the following error,
             while the arm moves or holds.
-        latency: Time by which a measurement may lag behind the command that it is compared with [s].
         robot: Whose limits count; the controller's own by default.
 
     Attributes:
@@ -223,6 +227,9 @@ class ServoLoop:
         jerk_limit: shape (nv,) [rad/s3 or m/s3], in force, or None.
         dt: [s].
         measured: shape (n,), the newest measured posture that was one; None before the first.
+        refused: Number of readings since `reset` that no joint can have moved to so fast. The arm brakes meanwhile;
+            from `stale_after` on they are believed.
+        lets_go: Whether the arm is letting go of what blocked it.
         stopped_by: What last stopped the arm, in words; None where nothing has.
 
     Raises:
@@ -249,15 +256,18 @@ class ServoLoop:
         jerk_limit: ArrayLike | None = None,
         stale_after: float = 0.1,
         *,
+        contact: Contact | None = None,
         following_error_limit: ArrayLike | None = None,
-        stiffness: ArrayLike = STIFFNESS,
         correction_time: float | None = None,
-        latency: float = LATENCY,
         robot: Robot | None = None,
     ):
-        for name, value in (("dt", dt), ("stale_after", stale_after), ("latency", latency)):
-            if not (_is_number(value) and 0.0 <= value < math.inf and (value > 0.0 or name == "latency")):
+        for name, value in (("dt", dt), ("stale_after", stale_after)):
+            if not (_is_number(value) and 0.0 < value < math.inf):
                 raise ConfigurationError(f"{name} must be a positive number of seconds, got {value!r}")
+        if not dt < stale_after:
+            raise ConfigurationError(
+                f"a state is stale after {stale_after:g} s and the period is {dt:g} s: give stale_after={3.0 * dt:g}"
+            )
         own = robot or getattr(controller, "robot", None)
         if not isinstance(own, Robot):
             raise ConfigurationError("the controller has no robot whose limits count: ServoLoop(..., robot=robot)")
@@ -277,8 +287,11 @@ class ServoLoop:
             self.controller = controller.with_limits(self.limits, lag)
         elif isinstance(controller, ResolvedRateController | LawSequence):
             self.controller = controller.with_limits(self.limits)
-        frame = frame_of(controller)
-        self._following = FollowingError(self.robot, following_error_limit, float(latency), self.dt, stiffness, frame)
+        self.contact = contact or Contact()
+        # an arm that presses brakes and lets go as hard as it can, however gently it was to move
+        self._hard = self.limits.with_rates(np.maximum(self.limits.acceleration, Limits(own).acceleration), None)
+        acceleration, frame = self._hard.acceleration, frame_of(controller)
+        self._following = FollowingError(own, self.contact, following_error_limit, self.dt, acceleration, frame)
         if not (correction_time is None or (_is_number(correction_time) and 0.0 < correction_time < math.inf)):
             raise ConfigurationError(f"correction_time must be a positive number of seconds, got {correction_time!r}")
         self._correction_rate = 0.0 if correction_time is None else 1.0 / float(correction_time)
@@ -314,13 +327,17 @@ class ServoLoop:
         self._relief: np.ndarray | None = None  # posture to go to after a following error
         self._correction = np.zeros(nv)  # what `position` adds to the commanded posture
         self.measured, self.stopped_by = None, None
+        # readings that no joint can have moved to, for how long they have come, and what was said of the last one
+        self._jumped = "", -math.inf
+        self.refused, self._refused = 0, 0.0
         self._time = -math.inf  # of the newest state
         self._earlier = math.nan  # of a state that was refused, being older than the newest
+        self._since = 0.0  # from the state before to the newest [s]
         self._ahead = 0.0  # time by which the commanded posture has moved on since the newest state
         self._behind = 0.0  # time by which the clock of a task that waits for the arm is behind
         self._waited = 0.0  # periods since the newest state
         self._runs_on = False  # whether the arm goes on between late calls, as a velocity servo does
-        self._stopping = False
+        self._stopping = self.lets_go = False
         self._slide = 0.0
         self._last: Command | None = None
         if isinstance(self.controller, LawSequence | FollowMotion):
@@ -384,6 +401,17 @@ class ServoLoop:
         self._keeps_limits, self._slide, self._behind = True, 0.0, 0.0
 
     @property
+    def silent(self) -> float:
+        """Time in which no state has come that was one and new [s]."""
+        return self._waited
+
+    @property
+    def notes(self) -> tuple[str, ...]:
+        """What is known of the arm and of the motion, in sentences: how late it follows, which forces are seen."""
+        jumps = self.controller.jumps if isinstance(self.controller, FollowMotion) else ()
+        return (*self._following.notes, *jumps)
+
+    @property
     def position(self) -> Float[np.ndarray, " n"] | None:
         """The commanded posture at the end of the period, for a position servo; None before the first state.
 
@@ -424,8 +452,16 @@ class ServoLoop:
         if measured is None or not time >= self._time:
             self._earlier = time if measured is not None and time < self._time else math.nan
             self._waited += self.dt
-            self.stopped_by = f"no posture: {q!r:.200}" if measured is None else f"no time: {t!r:.40}"
+            self.stopped_by = f"no time: {t!r:.40}" if measured is not None else f"no posture: {q!r:.200}"
+            self.stopped_by += "" if measured is not None else self._in_degrees(q)
             return self._braked(Status.INVALID_INPUT)
+        if self._refused <= self.stale_after and (jump := self._jump(measured, time)):
+            self._refused += self.dt
+            self._waited += self.dt
+            self.refused, self.stopped_by = self.refused + 1, jump
+            self._jumped = jump, time
+            return self._braked(Status.INVALID_INPUT)
+        self._refused = 0.0
         self.measured = measured
         held = self._accept_time(time, measured)
         period = self.dt if held is None else held
@@ -436,13 +472,16 @@ class ServoLoop:
             self._reference = self._output = measured
             return self._braked(Status.FOLLOWING_ERROR, period)
         if self._waited == 0.0:  # a state that is not new says nothing of the commands since
-            self._following.compare(self._output, measured, self._correction)
+            correction = self._correction if self._correction_rate else None
+            self._following.compare(self._output, measured, correction, self._driven)
         if self._following.tripped:
             # the average would go on pressing for its own length
             self._reference, self._velocity = self._output, self._sent
             return self._unloading(self._output, measured, period)
         if held is None or self._waited > self.stale_after:
             self.stopped_by = f"no new state for more than {1e3 * self.stale_after:g} ms"
+            if abs(math.log10(max(self._since, 1e-9) / self.dt) - 3.0) < MILLI:
+                self.stopped_by += f"; the time went on by {self._since:g}, in milliseconds? It is to be in seconds"
             return self._braked(Status.STALE, period)
         if self._correction_rate and self._waited == 0.0:
             slow = min(1.0, self._correction_rate * held) * self._following.distance
@@ -452,6 +491,35 @@ class ServoLoop:
         if self._waited > 0.0 and self._last is not None:
             return self._held(self._last)
         return self._sent_on(self._command(self._reference, self._clock(time), held), held)
+
+    def _in_degrees(self, q: Any) -> str:
+        """A hint, where numbers that are no posture would be one in degrees."""
+        values = finite(q, self.robot.nv)
+        if values is None:
+            return ""
+        x, low, high = np.radians(values), self.robot.position_lower - JUMP, self.robot.position_upper + JUMP
+        return "; in degrees? It is to be in radians" if np.all((x >= low) & (x <= high)) else ""
+
+    def _jump(self, measured: np.ndarray, time: float) -> str:
+        """How a joint has moved since the last reading that none can move so fast, in words; empty where it has not."""
+        if self.measured is None:
+            return ""
+        away = measured - self.measured
+        if away.dot(away) < JUMP * JUMP:
+            return ""
+        step, since = self.robot.difference(self.measured, measured), max(self.dt, time - self._time)
+        fastest = TWICE * self.robot.velocity_limit * since + JUMP
+        if np.all(np.abs(step) <= fastest):
+            return ""
+        j = int((np.abs(step) / fastest).argmax())
+        name, unit = self.robot.joint_names[j], self.robot.joint_units[j]
+        words = f"joint {name} was read {step[j]:+.3g} {unit} from where it was {1e3 * since:.3g} ms before"
+        if np.all(np.abs(np.sort(self.measured) - np.sort(measured)) <= np.sort(fastest)):
+            return f"{words}: the joints come in another order"
+        turns = round(float(step[j]) / (2.0 * math.pi))
+        if turns and abs(step[j] - 2.0 * math.pi * turns) < TURN:
+            words += f", {counted(abs(turns), 'full turn')}: the driver counts its angle in other turns"
+        return words
 
     def _held(self, last: Command) -> Command:
         """Nothing new: the last command, as long as that stays within the limits."""
@@ -491,6 +559,7 @@ class ServoLoop:
         That is the period, and less if the state comes earlier: what a late call has left out is not made up for.
         """
         since, ahead = time - self._time, self._ahead
+        self._since = since if math.isfinite(since) else 0.0
         if since <= 0.0:
             self._waited += self.dt
             return self.dt
@@ -609,19 +678,59 @@ class ServoLoop:
         return u
 
     def _unloading(self, commanded: np.ndarray, measured: np.ndarray, held: float) -> Command:
-        """The arm lets go of what blocks it: it goes slowly to where it was measured when that was found."""
+        """The arm lets go of what blocks it: it goes to where it was measured when that was found, and on until it has.
+
+        What it was pressed by comes back with the arm, so that the first measurement does not say how far to go.
+        """
+        following = self._following
         if self._relief is None:
-            self._relief = self.robot.integrate(commanded, self._following.relief())
-            self.stopped_by = self._following.sentence(constraint_of(self.controller), measured)
+            self._pressed, self._renewed, self._rested = (commanded, following.farthest()), 0, 0.0
+            self._relief, self.lets_go = self._let_go(commanded), True
+            words = following.sentence(constraint_of(self.controller), measured)
+            self.stopped_by = (
+                f"{self._jumped[0]}; {words}" if self._time - self._jumped[1] <= self.stale_after else words
+            )
         left = self.robot.difference(commanded, self._relief)
         farthest = float(np.abs(left).max(initial=0.0))
-        if farthest < ARRIVED and not self._velocity.any():
-            return self._braked(Status.FOLLOWING_ERROR, held)
+        self._rested += held
+        arrived = farthest < ARRIVED and not self._velocity.any()
+        if arrived:
+            if self._rested > following.servos.delay + SETTLED:
+                self.lets_go = self._renewed < RENEWALS and following.left(measured) > LEFT
+            if not self.lets_go or self._rested <= following.servos.delay + SETTLED:
+                return self._braked(Status.FOLLOWING_ERROR, held)
+            self._renewed += 1
+        # the first measurements were those of an arm in motion; what is near is noise
+        again = farthest > NEAR and not self._renewed and self._rested > following.servos.delay + RELOOK
+        if arrived or again:
+            self._relief, self._rested = self._let_go(commanded), 0.0
+            left = self.robot.difference(commanded, self._relief)
+            farthest = float(np.abs(left).max(initial=0.0))
         wish = left * min(1.0 / held, max(UNLOADING_RATE, SLOWEST / max(farthest, ARRIVED)))
-        bounds = self._bounds(commanded, held)
+        bounds = self._hard.bounds(commanded, held, self._velocity)
         return self._beside_the_law(
-            self.limits.towards(wish, self._velocity, bounds, held), Status.FOLLOWING_ERROR, held
+            self._hard.towards(wish, self._velocity, bounds, held), Status.FOLLOWING_ERROR, held
         )
+
+    def _let_go(self, commanded: np.ndarray) -> np.ndarray:
+        """A posture at which the arm presses less, not far from where it pressed."""
+        place, most = self._pressed
+        gone = self.robot.difference(place, commanded) + self._following.relief()
+        way = np.clip(gone, -most, most)
+        if np.any(way != gone):  # no force takes an arm so far: what is measured is wrong
+            self._renewed = RENEWALS
+        return np.array(self.robot.integrate(place, way))
+
+    def _driven(self, q: Float[np.ndarray, " n"]) -> Float[np.ndarray, "k nv"]:
+        """Motions of the joints along which the task drives the arm; a motion of the joints themselves drives all."""
+        law, nv = law_of(self.controller), self.robot.nv
+        if isinstance(self.controller, FollowMotion):
+            return np.eye(nv)
+        if law is None or self._last is None:
+            return np.zeros((0, nv))
+        A = law.constraint(q)
+        inverse = row_inverse(A)
+        return law.task.driven_rows(law.constraint).dot(np.linalg.pinv(A).T if inverse is None else inverse[0])
 
     def _beside_the_law(self, u: np.ndarray, status: Status, held: float) -> Command:
         last, zero = self._last, np.zeros(self.robot.nv)

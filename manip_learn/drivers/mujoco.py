@@ -4,6 +4,7 @@
 # (the compiled parts of MuJoCo have no complete stubs)
 from __future__ import annotations
 
+from collections import deque
 from collections.abc import Callable, Sequence
 from typing import Any, final
 
@@ -14,6 +15,7 @@ from numpy.typing import ArrayLike
 from manip_learn.control.following import STIFFNESS
 from manip_learn.errors import ConfigurationError, MissingExtraError
 
+STICKS = (0.9999, 0.99999, 0.001, 0.5, 2.0)  # MuJoCo's solimp of dry friction: by its default joints creep under it
 STABLE = 3.0  # time steps in a radian of a servo's own oscillation at the least: an explicit spring needs half of that
 
 
@@ -21,18 +23,28 @@ STABLE = 3.0  # time steps in a radian of a servo's own oscillation at the least
 class MuJoCoDriver:
     """Joints of a MuJoCo model with position servos, as a `Driver`; its clock is that of the simulation.
 
-    Each joint has a spring to the commanded position, critically damped against the commanded velocity, and carries its
-    own weight, friction and inertia. Actuators that the model has on these joints are switched off; joints whose rotors
-    are lighter than the servo can move at this time step get as much inertia (0.07 kg m2 for 2,000 N m/rad at 2 ms,
-    that of a common drive). After `release` the joints are free but for friction, and `hand` may push them; `hold` has
-    the servos hold the arm where it is then.
+    Each joint has a spring to the commanded position, critically damped against the commanded velocity, and the drives
+    carry the arm's weight, friction and inertia. Actuators that the model has on these joints are switched off; joints
+    whose rotors are lighter than the servo can move at this time step get as much inertia (0.07 kg m2 for 2,000 N m/rad
+    at 2 ms, that of a common drive). After `release` the joints are free but for friction, and `hand` may push them;
+    `hold` has the servos hold the arm where it is then.
+
+    By default the servos are ideal. `friction`, `play`, `delay`, `step`, `noise` and `feedforward=False` make them as
+    those of real arms are.
 
     Args:
         model: A `mujoco.MjModel`; the driver keeps it and changes it.
         joint_names: Joints of the arm, as the model calls them.
         q: shape (n,), first positions [rad or m].
         period: Between two commands [s]; None for one time step of the model.
-        stiffness: Of the servos [N m/rad or N/m].
+        stiffness: shape (n,) or a number, of the servos [N m/rad or N/m].
+        friction: shape (n,) or a number: dry friction beside the model's own, which the drives know nothing of [N m or
+            N].
+        play: shape (n,) or a number: how far a joint turns to and fro without its motor, which exerts nothing
+            meanwhile but what carries the weight [rad or m].
+        delay: From a command to the reading that shows it, a multiple of the period; half on each way [s].
+        step: shape (n,) or a number, of the encoders [rad or m].
+        feedforward: Whether the drives add what inertia, dampers and the model's own friction will take.
         hand: Called before each step of the physics with model and data: what else acts on the arm, e.g. a person's
             hand that adds to `data.qfrc_applied`.
         noise: Standard deviation of the encoders [rad or m].
@@ -43,8 +55,8 @@ class MuJoCoDriver:
         data: Its state, `mujoco.MjData`.
 
     Raises:
-        ConfigurationError: A joint that the model lacks, or that is not a hinge or a slide, or a period that is no
-            multiple of the time step.
+        ConfigurationError: A joint that the model lacks, or that is not a hinge or a slide, a period that is no
+            multiple of the time step, or a delay that is none of the period.
         MissingExtraError: MuJoCo is not installed.
     """
 
@@ -57,7 +69,12 @@ class MuJoCoDriver:
         q: ArrayLike,
         *,
         period: float | None = None,
-        stiffness: float = STIFFNESS,
+        stiffness: ArrayLike = STIFFNESS,
+        friction: ArrayLike = 0.0,
+        play: ArrayLike = 0.0,
+        delay: float = 0.0,
+        step: ArrayLike = 0.0,
+        feedforward: bool = True,
         hand: Callable[[Any, Any], object] | None = None,
         noise: float = 0.0,
         rng: np.random.Generator | None = None,
@@ -87,29 +104,51 @@ class MuJoCoDriver:
         )
         model.actuator_gainprm[on_joints] = model.actuator_biasprm[on_joints] = 0.0
         self.data.qpos[self._q] = self._goal = np.array(q, dtype=np.float64)
-        self._stiffness = float(stiffness)
+        n, periods = len(joints), round(delay / self.period)
+        if periods < 0 or abs(periods * self.period - delay) > 1e-9:
+            raise ConfigurationError(
+                f"the delay must be a multiple of the period of {1e3 * self.period:g} ms, got {1e3 * delay:g} ms"
+            )
+        self._stiffness, self._friction, self._play, self._encoder_step = (
+            np.array(np.broadcast_to(np.asarray(x, dtype=np.float64), (n,))) for x in (stiffness, friction, play, step)
+        )
         least = self._stiffness * (STABLE * model.opt.timestep) ** 2
         model.dof_armature[self._u] = np.maximum(model.dof_armature[self._u], least)
+        self._known_friction = model.dof_frictionloss[self._u].copy()
+        model.dof_frictionloss[self._u] += self._friction
+        model.dof_solimp[np.array(self._u)[self._friction > 0.0]] = STICKS
         mujoco.mj_forward(model, self.data)
         self._damping = 2.0 * np.sqrt(self._stiffness * self._inertia().diagonal())
-        self._rate = self._ahead = np.zeros(len(joints))  # last commanded velocities, and efforts for accelerations
-        self._hand, self._noise, self._rng = hand, float(noise), rng
-        self._holds, self._effort = True, np.zeros(len(joints))
+        self._rate = self._ahead = np.zeros(n)  # last commanded velocities, and efforts for accelerations
+        self._hand, self._noise, self._rng, self._feedforward = hand, float(noise), rng, feedforward
+        self._holds, self._effort = True, np.zeros(n)
+        self._sent = deque([self._goal] * (periods // 2 + 1), periods // 2 + 1)  # commands on their way, oldest first
+        back = periods - periods // 2
+        self._seen = deque([self._state() for _ in range(back + 1)], back + 1)
 
     def read(self) -> tuple[Float[np.ndarray, " n"], Float[np.ndarray, " n"], Float[np.ndarray, " n"]]:
         """Joint positions with the noise of their encoders, velocities, and what the servos exert."""
+        return self._seen[0]
+
+    def _state(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """What the encoders see now, velocities and efforts."""
         q = self.data.qpos[self._q]
         if self._rng is not None:
             q = q + self._rng.normal(0.0, self._noise, len(q))
+        step = self._encoder_step
+        q = np.where(step > 0.0, step * np.round(q / np.where(step > 0.0, step, 1.0)), q)
         return q, self.data.qvel[self._u].copy(), self._effort.copy()
 
     def command(self, q: Float[np.ndarray, " n"], u: Float[np.ndarray, " n"]) -> None:
         """Send the servos to positions, and let one period pass."""
-        start, self._goal = self._goal, np.array(q, dtype=np.float64)
+        self._sent.append(np.array(q, dtype=np.float64))
+        start, self._goal = self._goal, self._sent[0]
         rate = (self._goal - start) / self.period
-        self._ahead, self._rate = self._inertia() @ ((rate - self._rate) / self.period), rate
+        self._ahead = self._inertia() @ ((rate - self._rate) / self.period) if self._feedforward else self._ahead
+        self._rate = rate
         for k in range(self._steps):  # where the arm is to be at the beginning of each step, as its state is then
             self._step(start + (k / self._steps) * (self._goal - start), rate)
+        self._seen.append(self._state())
 
     @property
     def goal(self) -> Float[np.ndarray, " n"]:
@@ -118,9 +157,10 @@ class MuJoCoDriver:
 
     def wait(self) -> None:
         """Let one period pass without a command: the servos hold, or the arm is guided."""
-        self._rate = self._ahead = np.zeros(len(self._u))
+        self._stand(self._goal)
         for _ in range(self._steps):
-            self._step(self._goal, np.zeros_like(self._goal))
+            self._step(self._goal, self._rate)
+        self._seen.append(self._state())
 
     def release(self) -> None:
         """Let the joints move freely, so that a hand can guide the arm."""
@@ -128,8 +168,13 @@ class MuJoCoDriver:
 
     def hold(self) -> None:
         """Hold the arm where it is."""
-        self._holds, self._goal = True, self.data.qpos[self._q].copy()
-        self._rate = self._ahead = np.zeros(len(self._u))
+        self._holds = True
+        self._stand(self.data.qpos[self._q].copy())
+
+    def _stand(self, goal: np.ndarray) -> None:
+        """Nothing is on its way but this goal."""
+        self._goal, self._rate, self._ahead = goal, np.zeros(len(goal)), np.zeros(len(goal))
+        self._sent.extend([goal] * len(self._sent))
 
     def _inertia(self) -> Float[np.ndarray, "n n"]:
         """Of the arm's joints, the rotors' included [kg m2 or kg]."""
@@ -142,9 +187,12 @@ class MuJoCoDriver:
         self._mujoco.mj_step1(self.model, data)
         self._effort = data.qfrc_bias[joints] - data.qfrc_gravcomp[joints]
         if self._holds:
-            spring = self._stiffness * (goal - data.qpos[self._q]) + self._damping * (rate - data.qvel[joints])
-            friction = self.model.dof_frictionloss[joints] * np.sign(rate) - data.qfrc_passive[joints]
-            self._effort = data.qfrc_bias[joints] + friction + spring + self._ahead
+            away = goal - data.qpos[self._q]
+            held = np.maximum(np.abs(away) - 0.5 * self._play, 0.0)
+            spring = self._stiffness * np.copysign(held, away) + self._damping * (rate - data.qvel[joints])
+            self._effort = data.qfrc_bias[joints] + np.where((held > 0.0) | (self._play == 0.0), spring, 0.0)
+            if self._feedforward:
+                self._effort += self._known_friction * np.sign(rate) - data.qfrc_passive[joints] + self._ahead
         data.qfrc_applied[:] = 0.0
         data.qfrc_applied[joints] = self._effort
         if self._hand is not None:

@@ -16,7 +16,7 @@ import numpy as np
 from jaxtyping import Float
 
 from manip_learn.atomic_write import has_no_room
-from manip_learn.control.cycle import Clock, ComputerClock, OrderlyEnd, hold_still, quiet_collector
+from manip_learn.control.cycle import Clock, ComputerClock, OrderlyEnd, quiet_collector
 from manip_learn.control.driver import Driver
 from manip_learn.errors import ConfigurationError, OutputError, counted
 from manip_learn.linalg import finite
@@ -31,6 +31,7 @@ FLUSHED = 0.02  # [s] between two writes: what a killed program loses
 SYNCED = 1.0  # [s] between two waits for the disk itself: what a power cut loses
 SILENT = 1.0  # [s] without a posture after which recording ends
 PATIENCE = 0.5  # [s] in a period after which a signal gives up what the driver, or who is told of the sample, does
+JUMP, FASTEST = 0.1, 20.0  # [rad or m], [rad/s or m/s] by which a joint is elsewhere that no hand has moved there
 LATE = 1.5  # periods from one sample to the next from which on one was lost
 By = Literal["motion", "key"]
 Key = Literal["", "start or stop", "end"]
@@ -115,9 +116,11 @@ def record(
 
     Raises:
         ConfigurationError: Neither the driver nor its readings name the joints; or a simulated driver without `wait`.
-        OutputError: The folder cannot be made or written to.
+        OutputError: The folder cannot be made or written to, or the name leads out of it.
     """
     folder = Path(out).expanduser()
+    if name in ("", "..") or Path(name).name != name or "\0" in name:
+        raise OutputError(f"the name must be the beginning of a file name, without a folder, got {name!r}")
     try:
         folder.mkdir(parents=True, exist_ok=True)
     except OSError as error:
@@ -128,7 +131,7 @@ def record(
         raise ConfigurationError("a simulated driver needs wait(), in which a period passes without a command")
     clock = clock or ComputerClock()
     session = _Session(driver, folder, name, by, motions, shown, began)
-    with OrderlyEnd(session.end, PATIENCE, clock) as ending:
+    with OrderlyEnd(driver, session.end, PATIENCE, clock) as ending:
         try:
             with ending.waiting():
                 session.released(release)
@@ -137,8 +140,8 @@ def record(
         except KeyboardInterrupt:  # in the driver or in who is told of samples
             session.end("Ctrl-C")
         finally:
-            session.close(ending)
-    return session.record()
+            session.finish()
+    return session.record(ending.failed)
 
 
 class _Sample(NamedTuple):
@@ -171,6 +174,10 @@ class _Session:
         self._before: deque[_Sample] = deque()  # the last seconds, whether they are recorded or not
         self._file: _GrowingFile | None = None
         self._files: list[Path] = []
+        # the newest and when it came [s], and one since then that no arm can have gone to unless the next is there too
+        self._good: tuple[_Sample, float] | None = None
+        self._doubted: tuple[_Sample, float] | None = None
+        self._written = 0.0  # when a sample was last written down [s]
         self._samples = self._lost = 0
         self._gap = 0.0
         self._notes: list[str] = []
@@ -201,16 +208,18 @@ class _Session:
             t = k * period if simulated else clock.now() - start
             with ending.waiting():
                 sample = self._read(t)
-                heard = heard if sample is None else t
-                if t - heard > SILENT:
+                now = t if simulated else clock.now() - start  # reading may have taken long
+                heard = heard if sample is None else now
+                if now - heard > SILENT:
                     self.end(f"the driver has given no posture for {SILENT:g} s", False)
                 pressed = key()
                 if pressed == "end":
                     self.end("ended by key")
                 if t >= duration:
                     self.end(f"the {duration:g} s were over")
-                if sample is not None:
-                    self._take(sample, pressed == "start or stop")
+                for one in self._believed(sample, now):
+                    self._take(one, pressed == "start or stop")
+                    pressed = ""
                 if simulated and not self._ended:
                     driver.wait()  # type: ignore[attr-defined]
             if self._ended:
@@ -233,7 +242,21 @@ class _Session:
         if self._names is None:
             raise ConfigurationError("the driver names no joints: give it joint_names, or read() a mapping from names")
         columns = [self._column(values) for values in (q, u, effort)]
-        return None if columns[0] is None else _Sample(t, columns[0], *columns[1:])
+        if columns[0] is None:
+            return None
+        return _Sample(t, columns[0], *columns[1:])
+
+    def _believed(self, sample: _Sample | None, now: float) -> list[_Sample]:
+        """A sample that came at a time [s]: at once, or with the next one where no arm can have gone there so fast."""
+        if sample is None:
+            return []
+        doubted, self._doubted = self._doubted, None
+        follows = doubted is not None and _reachable(doubted, sample, now)
+        if self._good is None or follows or _reachable(self._good, sample, now):
+            self._good = sample, now
+            return [doubted[0], sample] if doubted is not None and follows else [sample]
+        self._doubted = sample, now
+        return []
 
     def _column(self, values: Any) -> Float[np.ndarray, " n"] | None:
         """Numbers of all joints in order; None where there are none, or some are not finite."""
@@ -258,14 +281,11 @@ class _Session:
     def _go_on(self, sample: _Sample, pressed: bool) -> None:
         """Write a sample down; the file is complete by key, after a rest, or where it has no room."""
         before, period = self._before, self._driver.period
-        gap = sample.time - before[-2].time if len(before) > 1 else 0.0
-        self._gap = max(self._gap, gap)
-        self._lost += round(gap / period) - 1 if gap > LATE * period else 0
         self._write(sample)
         rested = sample.time - before[0].time > RESTS - LATE * period and not self._moved(RESTS)
         failed = self._file is not None and self._file.error is not None
         if failed or (pressed if self._by == "key" else rested):
-            self._finish()
+            self.finish()
 
     def _moved(self, within: float) -> bool:
         """Whether a joint has moved in a time before now [s]."""
@@ -288,6 +308,7 @@ class _Session:
         self._with_velocities, self._with_efforts = sample.u is not None, sample.effort is not None
         self._files.append(self._file.path)
         self._began(self._file.path)
+        self._written = first[0].time
         for one in first:
             self._write(one)
 
@@ -296,11 +317,14 @@ class _Session:
         if self._file is None or any(values is None for values in wanted):
             self._lost += 1
             return
+        gap, period = sample.time - self._written, self._driver.period
+        self._gap = max(self._gap, gap)
+        self._lost += round(gap / period) - 1 if gap > LATE * period else 0
         numbers = np.concatenate([[sample.time], *(values for values in wanted if values is not None)])
         self._file.add(",".join(map(repr, numbers.tolist())) + "\n")
-        self._samples += 1
+        self._samples, self._written = self._samples + 1, sample.time
 
-    def _finish(self) -> None:
+    def finish(self) -> None:
         """The file is complete."""
         if self._file is None:
             return
@@ -313,20 +337,19 @@ class _Session:
         if self._motions is not None and len(self._files) >= self._motions:
             self.end(f"{counted(self._motions, 'motion')} recorded")
 
-    def close(self, ending: OrderlyEnd) -> None:
-        """Complete the file, and have the arm hold itself."""
-        try:
-            self._finish()
-        finally:
-            if failed := hold_still(self._driver, ending):
-                self._notes.append(failed)
-
-    def record(self) -> RecordedFiles:
-        """The files and numbers so far."""
+    def record(self, failed: str) -> RecordedFiles:
+        """The files and numbers so far, and what went wrong when the arm was to hold itself."""
+        self._notes += [failed] if failed else []
         numbers = self._samples, self._lost, self._gap
         return RecordedFiles(
             tuple(self._files), *numbers, self._ended, self._ordered, tuple(self._notes), self._names or ()
         )
+
+
+def _reachable(earlier: tuple[_Sample, float], sample: _Sample, now: float) -> bool:
+    """Whether an arm can have gone from an earlier sample, which came at a time [s], to one that comes now."""
+    far = float(np.max(np.abs(sample.q - earlier[0].q), initial=0.0))
+    return far <= JUMP + FASTEST * (now - earlier[1])
 
 
 @final

@@ -1,0 +1,275 @@
+"""What position servos do to a posture that is sent: they follow late, with friction, play and noisy encoders."""
+
+from __future__ import annotations
+
+import math
+from typing import final
+
+import numpy as np
+from jaxtyping import Bool, Float
+
+LATEST = 0.2  # [s] by which an arm may follow late: servoJ of a UR looks ahead by as much, and nothing takes longer
+# samples of that motion after which lateness and friction may be known, and after which they are what they seem to be
+SOONEST, LATEST_SAMPLE = 16, 50
+APART = 0.01  # [s] between two samples of that motion, and between the delays that are tried
+WIDER = 0.5  # share by which a width may be more than was seen when its joint began to move
+KNOWN = 0.25  # and than was seen in the first motion
+FEWEST = 8  # samples of a joint that count
+# [N m or N] by which dry friction, of large arms, and together with play may hide what loads a joint: more is a force
+DRY, HIDDEN = 6.0, 15.0
+ENCODER = 1e-4  # [rad or m] standard deviation of the encoders until it is known
+STILL = 2e-4  # [rad or m] within which a joint may not have moved, whatever its encoder says
+NOISES = 6.0  # standard deviations that noise does not reach in a run of hours
+PACE = 0.002  # [s] by which joints follow more or less late than each other: dampers of 4 N m s/rad at 2,000 N m/rad
+ROUNDING = 1e-12  # [rad or m] of sums of steps
+OFTEN = 0.004  # [s] between two looks at what changes slowly
+AROUND = 0.25  # share of the delay by which it may be other than it was
+DRAWS = 20.0  # variance of the third difference of independent noise, over its own: 1 + 9 + 9 + 1
+
+
+@final
+class Servos:
+    """Where the servos may have brought the arm; what is beyond that is a force.
+
+    A servo of stiffness k whose joint has the dry friction F, and whose gears have the play b, brings it to within
+
+        width = F / k + b / 2    of    c(t - late),
+
+    and nowhere else unless something pushes it. The delay is the same for all joints, so that a posture that is late
+    lies on the path that was sent. Until it is known it may be any up to `LATEST`; it is then the one for which the
+    distances left vary least along the first motion, and what is left with it is the width. Until then the width of a
+    joint is how far it was sent before it was first seen to move, and half as much again, `hidden` at most.
+
+    Args:
+        nv: Number of joints.
+        dt: Period [s].
+        latency: By how much the arm may follow late [s]; None where that is measured.
+        hidden: shape (nv,), largest widths [rad or m]; 0 where friction counts as a distance like any other.
+
+    Attributes:
+        late: Delay that was measured [s], or None.
+        width: shape (nv,) [rad or m].
+        seen: shape (nv,), joints that were seen to move.
+        friction: shape (nv,), by how much a joint was behind when it was measured, the median [rad or m].
+        raw: shape (nv,), how far the arm is from the posture that it seems to follow, and
+        range: between which bounds of it there is no force, of the newest reading [rad or m].
+        noise: shape (nv,), standard deviation of the encoders [rad or m].
+        sees: shape (nv,), joints whose excess says something of forces: they were seen to move, or were not sent far,
+            or are farther away than friction takes.
+        is_known: Whether the first motion has told what it can.
+    """
+
+    def __init__(self, nv: int, dt: float, latency: float | None, hidden: Float[np.ndarray, " nv"]):
+        self._dt, self._given, self._hidden = dt, latency, hidden
+        self._size = math.ceil(((LATEST if latency is None else latency) + max(PACE, OFTEN)) / dt - 1e-9) + 3
+        self._pace, self._often = max(1, round(PACE / dt)), max(1, round(OFTEN / dt))
+        self._own = PACE / dt if hidden.any() else 0.0  # periods
+        self._stride = max(1, round(APART / dt))
+        lags = np.arange(0.0, LATEST + 0.5 * APART, max(APART, dt))
+        self._longest = self._size - 2 - max(self._pace, self._often)  # periods back that there are rows for
+        self._lags = np.unique(np.minimum(np.round(lags / dt).astype(np.int64), self._longest))
+        # until the noise is known, the mean of some periods at 1 kHz
+        self._smoothing = dt / (dt + 0.004) if hidden.any() else 1.0
+        self._nv = nv
+        self.forget()
+
+    def forget(self) -> None:
+        """Begin anew, from a posture at rest."""
+        nv = self._nv
+        self.late, self.noise, self.is_known = None, np.full(nv, ENCODER), False
+        self.width = self._hidden.copy()
+        # ways of the commanded posture since the beginning, one row a period, twice so that the newest are in one piece
+        self._ways, self._row, self._since = np.zeros((2 * self._size, nv)), 0, 0.0
+        self.way = np.zeros(nv)
+        self._window = 0, self._longest
+        self._at = 0  # periods by which the arm seems to be late now
+        self._excess = np.zeros(nv)
+        self.seen, self._all_seen = np.zeros(nv, dtype=bool), False
+        self.friction = np.zeros(nv)
+        self.raw, self.range, self._newest = np.zeros(nv), (np.zeros(nv), np.zeros(nv)), np.zeros(nv)
+        # x as friction would have it, the sense in which a joint went when it was measured, and its least lag then
+        self._place, self._sense, self._least = np.zeros(nv), np.zeros(nv), np.zeros(nv)
+        self._first, self._rests = np.zeros(nv), 0  # where the arm is at rest, the mean of so many readings
+        self._past, self._square = [], np.full(nv, ENCODER**2)
+        self._samples: list[tuple[np.ndarray, np.ndarray, np.ndarray]] = []
+        self.moving, self._counted = 0.0, 0
+
+    def moved(self, step: Float[np.ndarray, " nv"], time: float, moves: bool) -> bool:
+        """Take note of a step of the commanded posture [rad or m] and how long it took [s]; whether a period is over.
+
+        A call that came early takes a part of the step before back, which the arm may have made.
+        """
+        self.way = self.way + step
+        self._since += time
+        over = self._since > 0.99 * self._dt or time < 0.0
+        if over:
+            self._since, self._row = 0.0, (self._row + 1) % self._size
+            if moves:
+                self.moving += self._dt
+                self._counted += 1
+        self._ways[self._row] = self._ways[self._row + self._size] = self.way
+        return over
+
+    @property
+    def has_looked(self) -> bool:
+        """Whether this period is one in which what changes slowly is looked at, all of it in the same."""
+        return self._row % self._often == 1 % self._often
+
+    def gone(self, periods: int) -> Float[np.ndarray, " nv"]:
+        """How far the commanded posture has moved in the last periods [rad or m]."""
+        return self.way - self._ways[self._row + self._size - min(periods, self._size - 1)]
+
+    @property
+    def moved_lately(self) -> Float[np.ndarray, " nv"]:
+        """How far the commanded posture has moved within the longest delay that there may be."""
+        newest = self._row + self._size
+        return np.abs(self._ways[newest - self._window[1] : newest + 1] - self.way).max(axis=0)
+
+    def excess(self, distance: Float[np.ndarray, " nv"]) -> Float[np.ndarray, " nv"]:
+        """How far the arm is from where the servos may have brought it, by how far it is from where it was sent."""
+        y, newest, (least, most) = self.way + distance, self._row + self._size, self._window
+        if not self.is_known:
+            sent = self._ways[newest - most : newest - least + 1][::-1]  # newest first
+            # a joint that was not seen to move is behind by no more than it was sent
+            high = np.where(self.seen, self.width, np.minimum(np.abs(sent).max(axis=0), self.width))
+            raw = y - sent
+            high = high + np.abs(self.way - self._ways[newest - self._pace]) * (self._own / self._pace) + ROUNDING
+            low = -high
+            away = raw - np.minimum(np.maximum(raw, low), high)
+            nearest = int(np.einsum("ij,ij->i", away, away).argmin())
+            raw, excess, self._at = raw[nearest], away[nearest], least + nearest
+            self._look(y, sent[nearest])
+        else:
+            c = self._ways[newest - self._at]
+            raw = y - c
+            if self._row % self._often == 0:
+                self._look_again(y, c)
+            low, high, path, square = self._bounds
+            excess = raw - np.minimum(np.maximum(raw, low), high)
+            if square > 0.0:  # the delay is known to within that path
+                share = min(max(float(excess.dot(path)) / square, -0.5), 0.5)
+                if share != 0.0:
+                    raw = raw - share * path
+                    excess = raw - np.minimum(np.maximum(raw, low), high)
+        self.raw, self.range, self._newest = raw, (low, high), excess
+        self._excess = self._excess + self._smoothing * (excess - self._excess)
+        return self._excess
+
+    @property
+    def sees(self) -> Bool[np.ndarray, " nv"]:
+        """See the class."""
+        return self.seen if self._all_seen else self.seen | (self.range[1] < STILL) | (self._newest != 0.0)
+
+    def _look_again(self, y: np.ndarray, c: np.ndarray) -> None:
+        """Between which distances there is no force, and the path within which the delay is known."""
+        newest, (least, most) = self._row + self._size, self._window
+        path = self._ways[newest - least] - self._ways[newest - most]
+        own = np.abs(path) * self._share + ROUNDING  # each joint follows at a pace of its own
+        self._place = np.minimum(np.maximum(self._place, c - self.width), c + self.width)
+        # a joint that goes on as it did when friction was measured is behind by as much
+        goes = (c - self._place) * self._sense > 0.99 * self.width
+        low, high = goes * self._nearer[0] - self.width, self.width - goes * self._nearer[1]
+        if not self._all_seen:
+            self._look(y, c)
+            reach = np.minimum(np.abs(c) + np.abs(c - self._ways[newest - self._at - self._often]), self.width)
+            low, high = np.where(self.seen, low, -reach), np.where(self.seen, high, reach)
+        self._bounds = low - own, high + own, path, float(path.dot(path))
+
+    def _look(self, y: np.ndarray, c: np.ndarray) -> None:
+        """Learn noise, widths and the delay from a reading."""
+        if not self.moving:
+            self._rests += 1
+            self._first = self._first + (y - self._first) / self._rests
+        if not self.is_known:
+            past = self._past
+            if len(past) == 3:
+                change = y - past[0] + 3.0 * (past[1] - past[2])
+                self._square = self._square + 0.02 * (change * change / DRAWS - self._square)
+                self.noise = np.sqrt(self._square)
+                del past[0]
+            past.append(y)
+        gone = (y - self._first) * np.sign(c)
+        new = ~self.seen & (gone > NOISES * self.noise + STILL) & (np.abs(c) > STILL)
+        if new.any():
+            self.friction = np.where(new, np.minimum(np.abs(c) - gone, self._hidden).clip(0.0), self.friction)
+            self.width = np.where(new, np.minimum((1.0 + WIDER) * self.friction, self._hidden), self.width)
+            # what is more than friction is play, within which the other joints take each to and fro
+            if np.any(new & (self.friction > DRY / HIDDEN * self._hidden + STILL)):
+                self.width = self._hidden.copy()
+            self.seen = self.seen | new
+            self._all_seen = bool(self.seen.all())
+        if self.is_known:
+            return
+        if self._counted >= self._stride and self.seen.any():
+            self._counted = 0
+            self._samples.append((y - self._first, self._ways[self._row + self._size - self._lags], self.seen))
+            if len(self._samples) >= SOONEST and len(self._samples) % 4 == 0:
+                self._fit()
+
+    def _fit(self) -> None:
+        """The delay for which what is left varies least, and the widths with it."""
+        y, sent, seen = (np.array(part[-LATEST_SAMPLE:]) for part in zip(*self._samples, strict=True))
+        step = np.sign(sent[:, :-1] - sent[:, 1:])
+        sense = step[:, :1]
+        counts = np.all(step * sense >= 0.0, axis=1) & (sense[:, 0] != 0.0) & seen  # of a joint that never turned
+        counts &= counts.sum(axis=0) >= FEWEST
+        n, noise = counts.sum(axis=0), float(np.mean(self._square))
+        if not n.any():
+            return
+        behind = sense * (sent[:, :-1] - y[:, None]) * counts[:, None]
+        left = np.sum((behind - behind.sum(axis=0) / np.maximum(n, 1)) ** 2 * counts[:, None], axis=(0, 2)) / n.sum()
+        best = int(left.argmin())
+        beside = min(left[max(best - 2, 0)] if best > 1 else np.inf, left[best + 2] if best + 2 < len(left) else np.inf)
+        told = beside - left[best] > noise + (0.5 * STILL) ** 2 and left[best] < (3.0 * math.sqrt(noise) + STILL) ** 2
+        if not (told or len(self._samples) >= LATEST_SAMPLE):
+            return
+        place = float(best)
+        if 0 < best < len(left) - 1:  # the parabola through three of them
+            before, least, after = left[best - 1 : best + 2].tolist()
+            bend = before - 2.0 * least + after
+            place += 0.5 * (before - after) / bend if bend > 0.0 else 0.0
+        share, at = math.modf(place)
+        pace = self._own / float(self._lags[int(at) + 1] - self._lags[int(at)])
+        between = (1.0 - share) * sent[:, int(at)] + share * sent[:, int(at) + 1]
+        moves = (step[:, int(at)] != 0.0) & seen
+        for j in np.flatnonzero(moves.sum(axis=0) >= FEWEST).tolist():
+            rows = moves[:, j]
+            own = np.abs(sent[:, int(at), j] - sent[:, int(at) + 1, j]) * pace
+            lag = (step[:, int(at), j] * (between - y)[:, j])[rows]
+            lag = np.sign(lag) * np.maximum(np.abs(lag) - own[rows], 0.0)
+            least, self.friction[j], most = np.quantile(lag, (0.05, 0.5, 0.95)).tolist()
+            self.width[j] = min(max(most, -least, 0.0) * (1.0 + KNOWN) + self.noise[j], self._hidden[j])
+            turns = np.unique(step[rows, int(at), j])
+            self._sense[j] = turns[0] if len(turns) == 1 and most < DRY / HIDDEN * self._hidden[j] else 0.0
+            self._least[j] = max(least * (1.0 - KNOWN) - self.noise[j], -self.width[j])
+        self.friction = np.clip(self.friction, 0.0, self._hidden)
+        if np.any(self.seen & (self.width > (1.0 + KNOWN) * DRY / HIDDEN * self._hidden)):
+            self.width = np.minimum(np.max(self.width * self.seen), self._hidden)
+        self._settle(float(np.interp(place, np.arange(len(self._lags)), self._lags)))
+
+    def _settle(self, lag: float) -> None:
+        """The first motion has told what it can, the delay in periods among it."""
+        self.is_known = True
+        self._samples.clear()
+        self._past.clear()
+        if self._given is None:
+            around = math.ceil(AROUND * lag) + 1
+            self._at, self.late = round(lag), lag * self._dt
+            self._window = max(0, self._at - around), min(self._window[1], self._at + around)
+        else:
+            self._at = sum(self._window) // 2
+        least, most = self._window
+        self._share = self._own / (most - least)
+        nearer = self.width + self._least
+        self._nearer = np.where(self._sense < 0.0, nearer, 0.0), np.where(self._sense > 0.0, nearer, 0.0)
+        self._place = self._ways[self._row + self._size - self._at].copy()
+        self._bounds = -self.width, self.width, np.zeros(self._nv), 0.0
+
+    def smooth(self, periods: float) -> None:
+        """Take the mean of about so many readings."""
+        self._smoothing = 1.0 / max(1.0, periods)
+
+    @property
+    def delay(self) -> float:
+        """Of the excess behind what it is by now [s], the smoothing included."""
+        return self._at * self._dt + (1.0 / self._smoothing - 1.0) * self._dt
