@@ -156,3 +156,11 @@ def test_a_stiffness_that_is_not_told_is_said() -> None:
     loop = ml.ServoLoop(ml.ResolvedRateController(rows), DT)
     assert "the stiffness of the servos is not told" in loop.notes[0] and "mrad off" in loop.notes[0]
     assert way().notes == ()
+
+
+@pytest.mark.parametrize("name", ["latency", "stiffness"])
+def test_arguments_that_are_given_elsewhere_now_say_where(name: str) -> None:
+    """One line of advice, with the value that was given."""
+    rows = ml.Constraint(np.eye(3), ml.FrameJacobian(ROBOT, FRAME, "xyz"))
+    with pytest.raises(TypeError, match=rf"'{name}': give contact=Contact\({name}=0.5\)"):
+        ml.ServoLoop(ml.ResolvedRateController(rows), DT, **{name: 0.5})

@@ -234,6 +234,7 @@ class ServoLoop:
 
     Raises:
         ConfigurationError: A setting that is not positive, or a controller that has no robot where none is given.
+        TypeError: An argument that there is not; of `latency` and `stiffness` it says where they are given now.
 
     Example:
         >>> import manip_learn as ml
@@ -260,7 +261,11 @@ class ServoLoop:
         following_error_limit: ArrayLike | None = None,
         correction_time: float | None = None,
         robot: Robot | None = None,
+        **removed: Any,
     ):
+        for name, value in removed.items():
+            told = f": give contact=Contact({name}={value!r})" if name in ("latency", "stiffness") else ""
+            raise TypeError(f"ServoLoop has no argument {name!r}{told}")
         for name, value in (("dt", dt), ("stale_after", stale_after)):
             if not (_is_number(value) and 0.0 < value < math.inf):
                 raise ConfigurationError(f"{name} must be a positive number of seconds, got {value!r}")
