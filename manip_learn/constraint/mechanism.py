@@ -360,6 +360,11 @@ class Mechanism:
         return f"{name}{self.place}; {self.turns}"
 
     @property
+    def noun(self) -> str:
+        """Its type, or `"curve"`: in sentences."""
+        return CURVE if self.name == CURVE else self.type
+
+    @property
     def place(self) -> str:
         """Its axis, centre, pitch and distance in words, in the robot's base frame; empty for an orientation."""
         if self.axis is None and self.grip == "firm" and self.type in ("line", "hinge", "screw"):

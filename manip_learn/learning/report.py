@@ -304,7 +304,7 @@ class LearningReport:
     def mechanism_in_words(self) -> str:
         """What holds the hand, without the place if the sentence tells it; empty if nothing was found."""
         m = self.mechanism
-        return "" if m is None else f"{m.type}; {m.turns}" if self._is_told else m.sentence
+        return "" if m is None else f"{m.noun}; {m.turns}" if self._is_told else m.sentence
 
     @property
     def _is_told(self) -> bool:

@@ -199,7 +199,7 @@ def _name(number: int, step: Step, skill: Skill) -> str:
     if step.kind == "reach":
         return "retreat"
     mechanism = None if step.constraint is None else step.constraint.mechanism
-    what = "way" if mechanism is None else mechanism.type
+    what = "way" if mechanism is None else mechanism.noun
     ways = [s for s in skill.steps[: number + 1] if s.kind == "way"]
     return f"{what} {len(ways)}" if sum(s.kind == "way" for s in skill.steps) > 1 else what
 
