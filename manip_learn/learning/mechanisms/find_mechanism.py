@@ -180,7 +180,9 @@ def find_mechanism(
         return MechanismFit(None, None, None, {}, why)
     start, rival = _straight_or_bent(fit_place(paths.chosen(members), *read))
     groups = groups_of(start.paths, start.kind, start.place)
-    if len(groups) > 1:
+    shared = [len(group.members) for group in groups if len(group.members) > 1]
+    # beside one place that most share, single trajectories are no places of their own: their ends may have left it
+    if len(groups) > 1 and not (len(shared) == 1 and 2 * shared[0] > len(members)):
         places = tuple(tuple(numbers[members[i]] for i in group.members) for group in groups)
         why = f"a {start.kind.type} holds the hand in each recording, but not the same: they are {apart(groups)} apart"
         return MechanismFit(None, None, None, {}, why, (why,), places=places)
