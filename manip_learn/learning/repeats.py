@@ -253,8 +253,15 @@ def _repeats(paths: Sequence[_Path]) -> dict[int, tuple[int, float]]:
     pairs = sorted((int(i), j) for j, path in enumerate(paths) for i in path.near(probes) if i != j)
     lies = {(i, j): d for i, j in pairs if (d := paths[i].distance_from(paths[j])) is not None}
     found: dict[int, tuple[int, float]] = {}
+
+    def stays(j: int) -> int:
+        while j in found:
+            j = found[j][0]
+        return j
+
     for (i, j), distance in lies.items():
-        if i not in found and (j < i or (j, i) not in lies):  # of two that repeat each other the first stays
+        # of two that repeat each other the first stays, and one of several that do so in a circle
+        if i not in found and (j < i or (j, i) not in lies) and stays(j) != i:
             found[i] = j, distance
     for i in found:
         while found[i][0] in found:
