@@ -325,24 +325,7 @@ def test_command_records_and_says_what_was_shown(tmp_path: Path, capsys):
 
 def test_a_late_driver_is_counted(tmp_path: Path):
     """Periods in which no sample came are counted as lost, and the longest gap is told."""
-
-    class Slow:
-        joint_names, period = NAMES, 0.01
-        n, time = 0, 50.0
-
-        def now(self):
-            return self.time
-
-        def wait_until(self, moment):
-            self.time = max(self.time, moment)
-
-        def read(self):
-            self.n += 1
-            if self.n == 60:
-                self.time += 0.104
-            return np.ones(3) * (self.time - 50.0), None, None
-
-    slow = Slow()
+    slow = Stalling(stall=0.104)
     done = record(slow, tmp_path, duration=1.5, clock=slow)  # type: ignore[arg-type]
     assert done.lost == 9 and done.longest_gap == pytest.approx(0.104)
     assert "9 samples lost" in done.sentence and os.path.getsize(done.files[0]) > 100

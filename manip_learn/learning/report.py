@@ -337,7 +337,7 @@ def build_report(
     best, evidence, found = answer.candidate, answer.evidence, answer.mechanism
     samples, estimate, warnings = best.samples, best.estimate, list(best.warnings)
     features, mechanism = samples.features, found and found.mechanism
-    selection = samples.selection(estimate.whitened_selection)
+    selection = answer.selection
     uncertainty, mu_uncertainty = uncertainty_of(samples, estimate, best.rng, arm)
     uncertainty_deg = total_deg(uncertainty)
     if isinstance(features, MechanismRows | CurveRows) and len(selection) == features.n_rows:

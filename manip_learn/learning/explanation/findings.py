@@ -507,13 +507,9 @@ def _findings(everything: Part, explanation: Explanation, contacts: Sequence[Str
         apart += [s for s in stretches if s not in members]
         elsewhere = [s for other in found if other is not stretches for s in other]
         odd |= disagreeing(view, rows, table, stretches, agrees, elsewhere)
-        pieces = pieces_of(table, members)[1]
         parts.append(
             dataclasses.replace(
-                everything,
-                demonstrations=Demonstrations(pieces.recordings, everything.demonstrations.notes),
-                table=pieces,
-                stretches=members,
+                everything.of(members),
                 feature_maps=(view.features,),
                 found=view.motion.selection(rows),
                 firm=len(rows) if is_firm(table, view, explanation.hypotheses[k], members) else 0,

@@ -8,7 +8,7 @@ from scipy.interpolate import make_lsq_spline
 
 from manip_learn.constraint.features.curve_rows import Curve
 from manip_learn.errors import FeatureError
-from manip_learn.learning.mechanisms.place_fit import correlations
+from manip_learn.learning.mechanisms.place_fit import alike
 from manip_learn.learning.mechanisms.quantities import TipPaths
 
 CUBIC = 3  # degree of the spline: its curvature is continuous
@@ -24,7 +24,7 @@ def fit_curve(paths: TipPaths) -> tuple[Curve, Float[np.ndarray, "N 3"]] | None:
     """The curve next to the places of the hand, and where from it they are [m], each judged by the curve of the other
     trajectories; None where there are fewer than three of these, or where the hand stays at one place.
     """
-    parts = [paths.part(i) for i in range(len(paths.starts))]
+    parts = paths.parts
     if len(parts) < 3:
         return None
     best: tuple[Curve, np.ndarray] | None = None
@@ -47,8 +47,11 @@ def fit_curve(paths: TipPaths) -> tuple[Curve, Float[np.ndarray, "N 3"]] | None:
 
 def gain_in_nats(variance: float, off: Float[np.ndarray, "N 3"], paths: TipPaths) -> float:
     """Of a curve over something that leaves this variance in each direction that it holds [m^2]."""
-    alike = 1.0 + 2.0 * sum(correlations(off, [paths.part(i) for i in range(len(paths.starts))]))
-    return len(off) / alike * float(np.log((variance + LEAST_OFF**2) / (variance_of(off) + LEAST_OFF**2)))
+    return (
+        len(off)
+        / alike(off, paths.parts)
+        * float(np.log((variance + LEAST_OFF**2) / (variance_of(off) + LEAST_OFF**2)))
+    )
 
 
 def variance_of(off: Float[np.ndarray, "N 3"]) -> float:

@@ -21,7 +21,7 @@ from manip_learn.constraint.mechanism import MechanismKind
 from manip_learn.learning.explanation.explain import LEAST_GAIN_NATS
 from manip_learn.learning.mechanisms.place_fit import (
     PlaceFit,
-    correlations,
+    alike,
     fit_place,
     names_of,
     scaled_inverse,
@@ -75,7 +75,7 @@ def misfit(fit: PlaceFit) -> tuple[float, float]:
     group, paths = Group((), fit), fit.paths
     scale, (r, K) = Scale.of([group]), group.reduced
     zeros, left = zeros_of([group], scale.variance)
-    e, parts = (r.reshape(-1) + K @ zeros).reshape(r.shape), [paths.part(i) for i in range(len(paths.starts))]
+    e, parts = (r.reshape(-1) + K @ zeros).reshape(r.shape), paths.parts
     # on the mechanism, for places as they are contain the residual that they shall foretell
     off = np.einsum("nij,nj->ni", fit.weights.back, fit.residuals)
     x = paths.p - np.einsum("nij,nj->ni", np.linalg.pinv((fit.weights.back @ fit.weights.twist)[:, :, :3], 1e-6), off)
@@ -96,7 +96,7 @@ def misfit(fit: PlaceFit) -> tuple[float, float]:
             for p, own, mine in zip(parts, products, along, strict=True)
         ]
     )
-    n, floor = scale.samples / (1.0 + 2.0 * sum(correlations(foretold, parts))), scale.samples * LEAST_RESIDUAL**2
+    n, floor = scale.samples / alike(foretold, parts), scale.samples * LEAST_RESIDUAL**2
     gain = 0.5 * n * np.log((left + floor) / (float(np.sum(foretold**2)) + floor))
     return float(gain), left / max(fit.cost, np.finfo(np.float64).tiny)
 
@@ -160,8 +160,7 @@ class Scale:
             r, K = g.reduced
             left.append(r + (K @ zeros).reshape(r.shape))
             parts.append(slice(start, start := start + len(r)))
-        alike = 1.0 + 2.0 * sum(correlations(np.concatenate(left), parts))
-        return Scale(samples / alike, samples, cost / samples + LEAST_RESIDUAL**2)
+        return Scale(samples / alike(np.concatenate(left), parts), samples, cost / samples + LEAST_RESIDUAL**2)
 
     def gain(self, fewer: Sequence[Group], more: Sequence[Group]) -> float:
         """Of more places over fewer [nats]."""

@@ -175,7 +175,7 @@ class PlaceFit:
     @cached_property
     def clusters(self) -> list[slice]:
         """Samples of each trajectory; of quarters of them where there are fewer than three."""
-        parts = [self.paths.part(i) for i in range(len(self.paths.starts))]
+        parts = self.paths.parts
         if len(parts) >= 3:
             return parts
         edges = [np.unique(np.linspace(p.start, p.stop, 5).round().astype(int)).tolist() for p in parts]
@@ -399,6 +399,11 @@ def correlations(residuals: Float[np.ndarray, "N d"], parts: Sequence[slice]) ->
             break
         out.append(share)
     return out
+
+
+def alike(residuals: Float[np.ndarray, "N d"], parts: Sequence[slice]) -> float:
+    """By how much neighbours that are alike make a variance larger: so many samples tell as much as one would alone."""
+    return 1.0 + 2.0 * sum(correlations(residuals, parts))
 
 
 def tangents(kind: MechanismKind, place: Place) -> Float[np.ndarray, "7 m"]:

@@ -97,6 +97,11 @@ class TipPaths:
         p, R, J = (np.concatenate([getattr(self, what), getattr(other, what)]) for what in ("p", "R", "J"))
         return TipPaths(p, R, J, np.concatenate([self.starts, len(self.p) + other.starts]))
 
+    @cached_property
+    def parts(self) -> list[slice]:
+        """Rows of each trajectory."""
+        return [self.part(i) for i in range(len(self.starts))]
+
     def part(self, number: int) -> slice:
         """Rows of one trajectory."""
         return slice(int(self.starts[number]), int(self.starts[number] + self.counts[number]))
