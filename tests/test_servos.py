@@ -114,9 +114,34 @@ def test_a_force_counts_by_its_row(force: list[float], trips: bool, late: float)
     words = gone(loop, arm, 0.6, lambda t: np.array(force) * min(1.0, (t - 1.0) / 0.3))
     assert ("following-error" in words) == trips, loop.stopped_by
     if trips:
-        name = "Contact.driven" if force[1] else "Contact.held"
+        name = "along what is driven" if force[1] else "Contact.held"
         assert loop.stopped_by is not None and loop.stopped_by.startswith("row ")
         assert late or name in loop.stopped_by
+
+
+def test_a_rail_that_sticks_is_learnt_rightly() -> None:
+    """A drawer that moves at 50 N only is pulled out: its rail is pressed aside by an arm that is not equally stiff in
+    all directions, and the hand is on its way for all that.
+    """
+    loop, arm = way(), Servos()
+    rail = np.array([0.0, 1.0, 0.0])
+    place, most, aside = ROBOT.position(START, FRAME), 50.0, 0.0
+    for _ in range(round(3.0 / DT)):
+        J = ROBOT.jacobian(arm.sent[-1], FRAME)[:3]
+        yields = J @ J.T / STIFFNESS
+        away = place - ROBOT.position(arm.sent[-1], FRAME)
+        force = np.linalg.solve(yields, away)
+        if abs(force @ rail) > most:  # it slides until less is left
+            slid = np.linalg.solve(yields, rail) @ rail
+            place = place + (np.sign(force @ rail) * most - force @ rail) / slid * rail
+            force = np.linalg.solve(yields, place - ROBOT.position(arm.sent[-1], FRAME))
+        aside = max(aside, float(np.linalg.norm(force - force @ rail * rail)))
+        status = loop.update(arm.read(force), DT * len(arm.sent)).status
+        assert status != "following-error", loop.stopped_by
+        assert loop.position is not None
+        arm.sent.append(loop.position)
+    assert aside > 15.0  # more than is allowed across a way
+    assert (place - ROBOT.position(START, FRAME)) @ rail > 0.18
 
 
 def test_a_push_gives_way_and_comes_back() -> None:

@@ -33,6 +33,7 @@ LOOK_BACK = 0.01  # [s] over which the rise of a force is looked at, and by whic
 FARTHEST = 3.0  # times of that by which it is carried on at the most: noise grows with it
 # [s] of motion after which a hand goes, and for which that is remembered: stick and slip take turns faster
 BRIEFLY, GOING = 0.1, 0.5
+STOPPED = 0.8  # share of the way sent that a hand lacks which stands; one that lacks more was pushed back
 CARRYING = 0.2  # [s] in which what a motion takes is known
 # standard deviations of the force that count as noise, carried on as it is: four, times the square root of five
 QUIET = 9.0
@@ -242,7 +243,7 @@ class FollowingError:
         self.resolution = 0.0 if isinstance(self.contact.resolution, str) else float(self.contact.resolution)
         self._said, self._untold = False, int(self.contact.stiffness is None and self._by_force)
         self.notes = [self._distances()] if self._untold else []
-        self._found = np.zeros((math.ceil(LOOK_BACK / self._dt) + 1, nv))  # excesses, one row a period
+        self._found = np.zeros((2, math.ceil(LOOK_BACK / self._dt) + 1, nv))  # excesses and distances of the periods
         self._row, self._rows = 0, 0
         self._change, self._lasted = np.zeros(nv), 0.0  # of the velocity since that of inertia was looked at
         self._velocity = np.zeros(nv)
@@ -257,7 +258,7 @@ class FollowingError:
         step = velocity - self._velocity
         over = self.servos.moved(time * velocity, time, bool(velocity.dot(velocity) > 0.0))
         if over:
-            self._row, self._rows = (self._row + 1) % len(self._found), self._rows + 1
+            self._row, self._rows = (self._row + 1) % self._found.shape[1], self._rows + 1
         self._velocity = velocity
         if not self._by_force or time <= 0.0:
             return
@@ -347,7 +348,7 @@ class FollowingError:
         self.distance = self._robot.difference(commanded, measured)
         excess = self.servos.excess(self.distance - correction if correction is not None else self.distance)
         excess = excess - np.minimum(np.maximum(excess, self._inertia[0]), self._inertia[1])
-        self._found[self._row] = excess
+        self._found[:, self._row] = excess, self.distance
         if not self._by_force:
             if np.any(np.abs(excess) > self.limit):
                 self.tripped = self.tripped or "a joint is farther away than following_error_limit"
@@ -361,19 +362,29 @@ class FollowingError:
             self.tripped = "the arm has not begun to move: it is blocked or switched off, or give Contact(latency=...)"
             return
         if excess.dot(excess) <= RESOLUTION * RESOLUTION:  # no force can be larger than `held` then
-            self._going = min(GOING, self._going + self._dt)
+            gone, most = self.servos.gone(round(BRIEFLY / self._dt)), self.servos.range[1]
+            if self.servos.is_known and gone.dot(gone) > 4.0 * (
+                RESOLUTION * RESOLUTION + most.dot(most)
+            ):  # farther than can stay unseen
+                self._going = min(GOING, self._going + self._dt)
             return
         self._judge(measured, excess, driven)
 
     def _judge(self, measured: np.ndarray, excess: np.ndarray, driven: Directions | None) -> None:
         """Find the force on the hand, as it will be when a brake takes effect that is ordered now, and judge it."""
         contact, dt = self.contact, self._dt
-        C = self._robot.jacobian(measured, self._frame)[:3] / self._stiffness
+        J = self._robot.jacobian(measured, self._frame)[:3]
+        C = J / self._stiffness
         look = math.ceil(LOOK_BACK / dt)
         ago = min(self._rows, look)
-        rise, step = excess - self._found[self._row - ago], self.servos.gone(ago)
+        rise = excess - self._found[0, self._row - ago]
+        sent = self.servos.gone(ago)
+        step = J.dot(sent)
         gone = float(step.dot(step))
-        taken = -float(rise.dot(step)) / gone if gone > 0.0 else 0.0  # share of the way that the servos have taken in
+        # by more than noise, and not behind by a delay that is not known yet
+        goes = self.servos.is_known and gone > 0.0 and float(sent.dot(sent)) > RESOLUTION * RESOLUTION
+        lacks = J.dot(self._found[1, self._row - ago] - self.distance)
+        taken = float(lacks.dot(step)) / gone if goes else math.nan  # share of its way that the hand lacks
         # it rises until what is measured is seen, and, ever more slowly, until the arm stands
         ahead = self.servos.delay + 0.5 * float(np.max(np.abs(self._velocity) / self._acceleration))
         rise *= min(max(ahead / (look * dt), 1.0), FARTHEST)
@@ -399,18 +410,15 @@ class FollowingError:
             return
         ways = np.zeros((3, 0))
         if driven is not None:
-            ways = _span(self._robot.jacobian(measured, self._frame)[:3] @ driven(measured).T)
+            ways = _span(J @ driven(measured).T)
         along = ways.T.dot(self.force)
         way, side = math.sqrt(along.dot(along)), math.sqrt(max(0.0, force * force - along.dot(along)))
         if side > held and len(along):
-            # friction takes what it takes of what is left beside the force along the way, as small as that may be
-            pulls = ways.T.dot(C)
-            all_of_it = self.servos.raw + rise
-            rest = all_of_it - np.linalg.lstsq(pulls.T, all_of_it)[0].dot(pulls)
-            rest -= np.minimum(np.maximum(rest, self.servos.range[0]), self.servos.range[1])
-            across = self._force_of(rest, C)[0]
-            across = across - ways.dot(ways.T.dot(across))
-            side = min(side, math.sqrt(across.dot(across)))
+            # on its way a hand presses a rail by what the arm is not equally stiff in all directions: nothing is wrong
+            aside = np.linalg.svd(ways.T)[2][len(along) :]
+            off = aside.dot(J).dot(self.servos.raw + rise)  # by which the hand is off its way [m]
+            yields = aside.dot(C).dot(J.T).dot(aside.T) + ROUNDING * np.eye(len(off))
+            side = min(side, float(np.linalg.norm(np.linalg.solve(yields, off))))
         if side > held + LEAKS * way:
             self.tripped = (
                 f"{side:.0f} N across what is driven, of {held:.0f} allowed (Contact.held): what was learnt lies "
@@ -420,7 +428,7 @@ class FollowingError:
             self.tripped = (
                 f"{way:.0f} N along what is driven, of {most:.0f} allowed (Contact.driven): it is locked, or allow more"
             )
-        elif taken > 0.8 and self._going > BRIEFLY and way > self._carried + held:
+        elif STOPPED < taken < 1.0 / STOPPED and self._going > BRIEFLY and way > self._carried + held:
             self.tripped = (
                 f"{way:.0f} N along what is driven, which was moving with {self._carried:.0f} and has stopped: look "
                 "what blocks it"
