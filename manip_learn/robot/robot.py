@@ -489,6 +489,14 @@ class Robot:
         effort = upper.dot(a) + a.dot(upper) - M.diagonal() * a
         return effort if lift is None else lift.T @ effort
 
+    def weight_effort(self, q: ArrayLike) -> Float[np.ndarray, " nv"]:
+        """What the joints must exert to carry the links at rest, of a base that stands upright [N m or N].
+
+        Zero for a description without masses.
+        """
+        effort = pin.computeGeneralizedGravity(self._model, self._data, self.pinocchio_configuration(q))
+        return effort.copy() if self._coupling is None else self._coupling.lift.T @ effort
+
     def hand_inertia(self, q: ArrayLike, frame: FrameLike) -> Float[np.ndarray, "6 6"] | None:
         """(J M(q)^-1 J^T)^-1, the inertia that a frame's origin has for forces and moments along the axes of the base.
 
