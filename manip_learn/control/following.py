@@ -434,7 +434,7 @@ class FollowingError:
         seen = C * self.servos.sees
         f = np.linalg.solve(seen.dot(C.T) + self._damping, seen.dot(excess))
         beside = (excess - f.dot(C)) * self.servos.sees
-        weight = min(max(0.0, -f[2]), GRAVITY * PAYLOAD)
+        weight = min(max(0.0, -f[2]), GRAVITY * max(PAYLOAD, self._robot.payload))
         if self.servos.moving <= WEIGHED:
             self._weight = max(self._weight, weight)
         f[2] += min(weight, self._weight)
