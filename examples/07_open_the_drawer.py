@@ -2,17 +2,17 @@
 # requires-python = ">=3.11"
 # dependencies = ["manip-learn[robots,physics,experiments]"]
 # ///
-"""Open the drawer that was taught, with a simulated arm: position servos, latency, encoder noise, friction.
+"""Open the drawer that was taught, with a simulated arm that is used: friction, play, encoder steps and noise, a delay.
 
 Once with the learnt axis, and once with an axis 5 degrees beside it: the drawer does not yield, the servos give way,
-and the following error stops the arm before the side force is large. The physics is in drawer_physics.py (MuJoCo).
+and the loop stops the arm before the side force is large. The physics is in drawer_physics.py (MuJoCo).
 """
 
 import argparse
 from pathlib import Path
 
 import numpy as np
-from drawer_physics import PERIOD, ArmPhysics, draw, drawer, true_axis
+from drawer_physics import PERIOD, USED, ArmPhysics, draw, drawer, true_axis
 from scipy.spatial.transform import Rotation
 
 import manip_learn as ml
@@ -20,30 +20,21 @@ import manip_learn as ml
 RECORDINGS = Path(__file__).parent / "data" / "panda_drawer_whole"
 FRAME, FINGERS = "panda_hand_tcp", ("panda_finger_joint1", "panda_finger_joint2")
 WAY, SPEED = 0.18, 0.06  # [m], [m/s]
-ALLOWED_FORCE = 15.0  # side force at which the arm is to stop [N]
 
 
 def open_drawer(constraint: ml.Constraint, grasp: np.ndarray, stiffness: float) -> tuple[ml.RunRecord, np.ndarray]:
-    """What the arm did, and per period: way [m], side force [N], following error and its limit [rad]."""
+    """What the arm did, and per period: way [m], side force [N], following error [rad], whether it was stopped."""
     task, climb = ml.FreeDirection(constraint, WAY, SPEED), ml.ManipulabilityAscent(constraint, gain=1.0)
     controller = ml.ResolvedRateController(constraint, task=task, null_policy=climb)
     robot = constraint.robot
     assert robot is not None  # rows of a frame have one
-    limit = ml.following_error_limit(robot, ALLOWED_FORCE, stiffness, q=grasp, constraint=constraint)
-    loop = ml.ServoLoop(  # gentle on what the hand holds
-        controller,
-        PERIOD,
-        acceleration_limit=3.0,
-        jerk_limit=30.0,
-        following_error_limit=limit,
-        contact=ml.Contact(latency=0.003),
-    )
+    loop = ml.ServoLoop(controller, PERIOD, contact=ml.Contact(stiffness=stiffness))
     loop.reset(grasp)  # where the servos hold the arm, not where a noisy encoder sees it
     chest = drawer(robot.position(grasp, FRAME), true_axis(RECORDINGS))
-    physics = ArmPhysics("panda", grasp, chest, stiffness, np.random.default_rng(7))
+    physics = ArmPhysics("panda", grasp, chest, stiffness, np.random.default_rng(7), **USED)
     record = ml.run(loop, physics, task.duration + 0.5)
-    error = np.asarray(record.rollout.following_error)
-    signals = np.column_stack([physics.history, error, np.full(len(error), limit[0])])
+    stopped = [status is ml.Status.FOLLOWING_ERROR for status in record.rollout.status]
+    signals = np.column_stack([physics.history, np.asarray(record.rollout.following_error), stopped])
     return record, signals
 
 
@@ -66,10 +57,10 @@ def main() -> None:
     opened = {}
     for name, constraint in {"learnt axis": learnt, "axis 5 degrees off": wrong}.items():
         opened[name] = record, signals = open_drawer(constraint, grasp, arguments.stiffness)
-        way, force, error, limit = signals.T
-        tripped = "".join(f", {f:.1f} N where that stopped the arm" for f in force[error > limit][:1])
+        way, force, error, stopped = signals.T
+        tripped = "".join(f", {f:.1f} N where the loop stopped the arm" for f in force[stopped > 0.0][:1])
         print(f"{name}: {1e3 * way[-1]:.1f} of {1e3 * WAY:.0f} mm opened; {record.ended}")
-        print(f"  following error up to {1e3 * error.max():.2f} mrad, limit {1e3 * limit[0]:.2f} mrad")
+        print(f"  following error up to {1e3 * error.max():.2f} mrad")
         print(f"  side force up to {force.max():.1f} N{tripped}, {force[-1]:.1f} N at the end")
     rollouts = {name: record.rollout for name, (record, _) in opened.items()}
     page = ml.replay(robot, rollouts, html="open_the_drawer.html", open_browser=not arguments.headless)

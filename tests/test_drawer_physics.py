@@ -35,21 +35,23 @@ def across(axis: np.ndarray) -> ml.Constraint:
 
 
 def test_the_drawer_opens(example):
-    """With the right axis, 178 of 180 mm or more are opened with at most 2 N of side force, and the arm rests."""
+    """With the right axis, 178 of 180 mm or more are opened, and the arm rests.
+
+    Its own friction and play press the hand, which the drives do not know of: 21 N at the most.
+    """
     constraint = across(example["true_axis"](example["RECORDINGS"]))
     record, signals = example["open_drawer"](constraint, GRASP, STIFFNESS)
     rollout = record.rollout
-    way, force, error, limit = signals.T
-    assert 0.178 <= way[-1] <= 0.182
-    assert force.max() <= 2.0
-    assert np.all(error < limit)
+    assert 0.178 <= signals[-1, 0] <= 0.182
+    assert signals[:, 1].max() <= 25.0
+    assert not signals[:, 3].any()
     assert rollout.status[-1] == "stopped"
     assert np.all(rollout.u[-1] == 0.0)
 
 
 @pytest.mark.parametrize("turn", [0.25 * np.pi, 1.5 * np.pi])
-def test_the_following_error_stops_the_arm(example, turn):
-    """With an axis 5 degrees off, the following error stops the arm, and side force never comes to 30 N."""
+def test_the_loop_stops_the_arm(example, turn):
+    """With an axis 5 degrees off, the loop stops the arm, and side force never comes to 30 N."""
     axis = example["true_axis"](example["RECORDINGS"])
     aside = np.linalg.svd(axis[None])[2][1:]
     wrong = axis + np.tan(np.deg2rad(5.0)) * (np.cos(turn) * aside[0] + np.sin(turn) * aside[1])
@@ -79,7 +81,7 @@ def test_the_grip_force_is_that_of_the_drawer(example):
     assert physics.force @ axis == pytest.approx(1.0 + 4.0 * speed, rel=0.05)
 
 
-LATENCY, PERIOD, WAY, SPEED = 0.004, 0.001, 0.18, 0.06  # [s], [s], [m], [m/s]
+PERIOD, WAY, SPEED = 0.001, 0.18, 0.06  # [s], [m], [m/s]
 
 
 def pulled(example: dict[str, Any], constraint: ml.Constraint, mechanism: Any, **options: Any) -> tuple[Any, Any]:
@@ -89,11 +91,11 @@ def pulled(example: dict[str, Any], constraint: ml.Constraint, mechanism: Any, *
 
 
 def driven(example: dict[str, Any], controller: Any, mechanism: Any, seconds: float, **options: Any) -> tuple[Any, Any]:
-    """The same for any controller; 1.1 s more for what comes after a stop."""
+    """The same for any controller, on a used arm; 1.1 s more for what comes after a stop."""
     loop = ml.ServoLoop(controller, PERIOD)
     loop.reset(GRASP)
     rng = np.random.default_rng(7)
-    arm = example["ArmPhysics"]("panda", GRASP, mechanism, STIFFNESS, rng, latency=LATENCY, **options)
+    arm = example["ArmPhysics"]("panda", GRASP, mechanism, STIFFNESS, rng, **example["USED"], **options)
     record = ml.run(loop, arm, seconds)
     held = loop.position
     for _ in range(1100):
@@ -131,13 +133,15 @@ def test_by_default_the_right_axis_opens(example):
 def test_by_default_a_jammed_drawer_is_let_go(example):
     """At 60 mm/s into a stop: 20 N come from the arm's momentum and its drives' dampers before anything can be seen.
 
-    30 N cannot be kept there at that speed; measured 40 N, and 1,022 N with a limit of 0.1 rad.
+    30 N cannot be kept there at that speed; measured 40 N of an ideal arm, 50 N of a used one that follows 10 ms late,
+    and 1,022 N with a limit of 0.1 rad. It is over 30 N for 70 ms at the most.
     """
     axis = example["true_axis"](example["RECORDINGS"])
     chest = example["drawer"](handle(), axis)
     record, signals = pulled(example, across(axis), chest, jammed_at=0.09)
     assert signals[-1, 0] == pytest.approx(0.09, abs=1e-3)
-    stopped_gently(record, signals, 45.0)
+    stopped_gently(record, signals, 55.0)
+    assert np.count_nonzero(signals[:, 1] > 30.0) <= 70
 
 
 def test_by_default_a_payload_and_fast_motion_do_not_stop_the_arm(example):

@@ -140,6 +140,36 @@ def test_distances_mean_forces(robot_of: RobotOf) -> None:
         np.testing.assert_allclose(following.distance, away, atol=1e-12)
 
 
+def test_a_payload_that_is_told_is_no_push(robot_of: RobotOf) -> None:
+    """The weight of 5 kg trips the loop of an arm that is not told; inertia and weight include a payload."""
+    robot = robot_of("sawyer")
+    q, tip, centre = start_of(robot), default_tip(robot), [0.0, 0.0, 0.05]
+    loaded = robot.with_payload(5.0, tip, centre)
+    pose, step = robot.pose(q, tip), 1e-6
+    J = np.array(
+        [
+            ((p := robot.pose(q + step * e, tip))[:3, :3] @ centre + p[:3, 3] - pose[:3, :3] @ centre - pose[:3, 3])
+            / step
+            for e in np.eye(7)
+        ]
+    ).T
+    np.testing.assert_allclose(
+        loaded.weight_effort(q) - robot.weight_effort(q), J.T @ [0.0, 0.0, 5.0 * 9.81], atol=1e-3
+    )
+    a = np.linspace(-1.0, 2.0, 7)
+    np.testing.assert_allclose(loaded.inertial_effort(q, a) - robot.inertial_effort(q, a), 5.0 * J.T @ J @ a, atol=1e-3)
+    assert loaded.with_payload(1.0, tip).mass == pytest.approx(robot.mass + 1.0) and robot.payload == 0.0
+    away = robot.jacobian(q, tip)[:3].T @ [0.0, 0.0, -5.0 * 9.81] / STIFFNESS
+    for arm, trips in ((robot, True), (loaded, False)):
+        following = FollowingError(arm, Contact(stiffness=STIFFNESS), None, DT, np.full(7, 10.0), tip)
+        for _ in range(40):
+            following.compare(q, q + away)
+        assert bool(following.tripped) == trips
+    for mass, place in ((-1.0, centre), (np.nan, centre), (1.0, [0.0, np.inf, 0.0]), (1.0, 0.05)):
+        with pytest.raises(ConfigurationError, match="a payload has a mass"):
+            robot.with_payload(mass, tip, place)
+
+
 def test_what_lags_is_no_error(robot_of: RobotOf) -> None:
     """A measurement may belong to any posture commanded within the latency, all joints to the same one."""
     robot = robot_of("sawyer")

@@ -146,3 +146,41 @@ def test_rows_moved_on_purpose_have_a_target(common):
     else:
         with pytest.raises(TargetError, match="different targets"):
             ml.motion(learner.constraint_)
+
+
+def test_the_force_that_a_way_took_limits_the_next():
+    """From efforts that carry the arm's weight as well; a way that a hand guided, or other units, say no force.
+
+    `Contact` allows one and a half times that force along the way, `held` at the least, and 60 N where it is not known.
+    """
+    robot, tip, demos, (thing,), _ = recordings(("drawer",), "panda", 4100)
+    features, demos = ml.FrameJacobian(robot, tip, "xyz"), demos[:5]
+    way = thing.place(np.array([[0.1]]))[0] - thing.place(np.array([[0.0]]))[0]
+    way = way / np.linalg.norm(way)
+
+    def forces(push: float, friction: float = 0.0, weight: float = 1.0) -> tuple[ml.Constraint, float | None]:
+        taught = []
+        for t in demos:
+            slope = np.sign(np.gradient(t.q, t.time, axis=0))
+            effort = [
+                weight * robot.weight_effort(q) + robot.jacobian(q, tip)[:3].T @ (push * way) + friction * s
+                for q, s in zip(t.q, slope, strict=True)
+            ]
+            taught.append(ml.Trajectory(t.time, t.q, None, t.joint_names, t.name, effort=effort))
+        constraint = ml.ConstraintLearner(features).fit(taught).constraint_
+        assert constraint.shown is not None
+        return constraint, constraint.shown.force
+
+    def allowed(constraint: ml.Constraint, contact: ml.Contact | None = None) -> object:
+        controller = ml.ResolvedRateController(constraint, ml.motion(constraint))
+        return ml.ServoLoop(controller, contact=contact).contact.driven
+
+    constraint, force = forces(40.0)
+    assert force == pytest.approx(40.0, rel=0.02)
+    assert constraint.shown is not None and "It took up to 40 N" in constraint.shown.sentence
+    again = ml.Shown.from_dict(json.loads(json.dumps(constraint.shown.to_dict())))
+    assert again is not None and again.force == force
+    assert allowed(constraint) == pytest.approx(60.0, rel=0.02)
+    assert allowed(constraint, ml.Contact(held=80.0)) == 80.0 and allowed(constraint, ml.Contact(driven=20.0)) == 20.0
+    for unknown, said in (forces(0.0, friction=0.5), forces(40.0, weight=0.1)):
+        assert said is None and allowed(unknown) == "auto"

@@ -22,6 +22,7 @@ from manip_learn.constraint.features.weighed_velocity import WeighedVelocity
 from manip_learn.constraint.mechanism import Mechanism
 from manip_learn.errors import counted
 from manip_learn.linalg import complement_rows
+from manip_learn.recordings.trajectory import Trajectory, evenly
 from manip_learn.robot.batch.batch_kinematics import batch_kinematics
 from manip_learn.robot.rotations import angles_between, rotation_matrix
 
@@ -35,6 +36,10 @@ STARTED = 0.02  # share of the way that a hand has gone when its motion has begu
 PATH_POINTS = 400  # kept of a path: a millimetre apart on a wipe of 0.4 m
 LEAST_SMOOTHED = 8  # samples of a path, from which a cubic spline has something to smooth
 ONE_SIDED = 0.5  # share of all ways by which one side must exceed the other for it to be the way shown
+EFFORTS = 200  # samples of a contact whose efforts are looked at
+CARRIED = 0.3  # share by which efforts may miss the weight that they carry: payloads, friction, the force itself
+LEAST_FORCE = 10.0  # [N] which the friction of an arm that a hand guides does not look like
+SEEN = 0.02  # of the largest singular value of the hand's motion: in directions below, efforts say nothing of a force
 PURE = 0.995  # share of a free direction that is translation: a learnt one leaks by its uncertainty, 0.1 at most
 
 
@@ -247,6 +252,8 @@ class Shown:
         turned: Largest angle of a hand from that where the other contacts began [rad].
         one_way: Whether the recordings agree on a sense; always True of paths on a surface.
         coordinates: The free coordinates.
+        force: What the hand exerted along them at the most, the median over the contacts [N]; None where no efforts
+            were recorded, or where they show no such force, as those of an arm that a hand has guided.
     """
 
     unit: Unit
@@ -268,6 +275,7 @@ class Shown:
     turned: float
     one_way: bool
     coordinates: FreeCoordinates
+    force: float | None = None
 
     @property
     def is_way(self) -> bool:
@@ -291,11 +299,12 @@ class Shown:
         digits = 2 if self.unit == "m" else 0
         far, low, high = (f"{size * x:.{digits}f}" for x in (self.extent, self.least, self.most))
         range_ = "" if low == high else f" ({low} to {high})"
+        took = "" if self.force is None else f" It took up to {self.force:.2g} N."
         if not self.is_way:
-            return f"{where}, and went up to {far} {unit}{range_} from there on a path of {self.time[-1]:.1f} s."
+            return f"{where}, and went up to {far} {unit}{range_} from there on a path of {self.time[-1]:.1f} s.{took}"
         back = ", and back" if self.back else ""
         back += "" if self.one_way else "; not all went the same way"
-        return f"{where}, moved {far} {unit}{range_} at about {size * self.speed:.2g} {unit}/s{back}."
+        return f"{where}, moved {far} {unit}{range_} at about {size * self.speed:.2g} {unit}/s{back}.{took}"
 
     def __repr__(self) -> str:
         return f"Shown({self.sentence})"
@@ -314,7 +323,7 @@ class Shown:
 
     def to_dict(self) -> dict[str, Any]:
         """Plain numbers and lists, for a constraint file."""
-        content = {name: getattr(self, name) for name in _NUMBERS}
+        content = {name: getattr(self, name) for name in (*_NUMBERS, "force")}
         for name in _ARRAYS:
             value = getattr(self, name)
             content[name] = None if value is None else np.round(value, 6).tolist()
@@ -336,7 +345,7 @@ class Shown:
             free |= {name: np.array(free[name], dtype=np.float64) for name in ("axes", "point")}
             if "curve" in free:
                 free["curve"] = Curve(free["curve"])
-            return Shown(**values, coordinates=FreeCoordinates(**free))
+            return Shown(**values, coordinates=FreeCoordinates(**free), force=content.get("force"))
         except (KeyError, TypeError, ValueError):
             return None
 
@@ -350,7 +359,7 @@ def shown_by(
     features: FeatureMap,
     selection: Float[np.ndarray, "s p"],
     mechanism: Mechanism | None,
-    contacts: Sequence[tuple[Float[np.ndarray, " T"], Float[np.ndarray, "T n"]]],
+    contacts: Sequence[Trajectory],
 ) -> Shown | None:
     """What contacts with one constraint show along its free directions; None where the place of no frame is free.
 
@@ -358,10 +367,10 @@ def shown_by(
         features: Phi.
         selection: Lambda.
         mechanism: What the rows hold, where that has a name.
-        contacts: (time [s], configurations) of each contact, from where it began.
+        contacts: Each contact, from where it began.
     """
-    contacts = [(time, q) for time, q in contacts if len(time) > 1]
-    poses = [poses_of(features, q) for _, q in contacts]
+    contacts = [contact for contact in contacts if len(contact) > 1]
+    poses = [poses_of(features, contact.q) for contact in contacts]
     if not poses or any(p is None for p in poses):
         return None
     motions: list[np.ndarray] = [p for p in poses if p is not None]
@@ -379,7 +388,7 @@ def shown_by(
     extents = np.array([float(np.linalg.norm(w[i])) for w, i in zip(ways, farthest, strict=True)])
     if not np.all(np.isfinite(extents)) or float(np.median(extents)) <= 0.0:
         return None
-    times = [time - time[0] for time, _ in contacts]
+    times = [contact.time - contact.time[0] for contact in contacts]
     seconds = np.array([_duration(t, w, i, free.is_way) for t, w, i in zip(times, ways, farthest, strict=True)])
     lengths = extents if free.is_way else np.array([np.linalg.norm(np.diff(w, axis=0), axis=1).sum() for w in ways])
     begins = np.array([p[0, :3, 3] for p in motions])
@@ -411,7 +420,35 @@ def shown_by(
         float(np.max(angles_between(motions[typical][0, :3, :3], np.array([p[0, :3, :3] for p in motions])))),
         one_way,
         free,
+        _force(features, free, contacts),
     )
+
+
+def _force(features: FeatureMap, free: FreeCoordinates, contacts: Sequence[Trajectory]) -> float | None:
+    """The largest force along free coordinates, by the efforts beside what carries the links; see `Shown.force`.
+
+    The force on the hand is the one that explains the rest best, joint friction included. One in twenty samples may
+    exceed it. Efforts that are not in newton metres, or leave weights out, say nothing, and neither do forces that are
+    larger across what is free.
+    """
+    if not isinstance(features, FrameJacobian | WeighedVelocity) or features.robot.nq != features.robot.nv:
+        return None
+    robot, frame, largest = features.robot, features.frame, list[Float[np.ndarray, " 2"]]()
+    for contact in contacts:
+        if contact.effort is None:
+            return None
+        chosen, forces = evenly(len(contact), EFFORTS), []
+        weights = np.array([robot.weight_effort(q) for q in contact.q[chosen]])
+        carried = float(np.sum(weights * contact.effort[chosen])), float(np.sum(weights**2))
+        if not abs(carried[0] - carried[1]) < CARRIED * carried[1]:
+            return None
+        for q, rest in zip(contact.q[chosen], contact.effort[chosen] - weights, strict=True):
+            force = np.linalg.pinv(robot.jacobian(q, frame).T, rcond=SEEN)[:3] @ rest
+            along = free.directions(robot.position(q, frame)) @ force
+            forces.append((np.linalg.norm(along), math.sqrt(max(0.0, float(force @ force - along @ along)))))
+        largest.append(np.quantile(forces, 0.95, axis=0))
+    along, across = np.median(largest, axis=0).tolist()
+    return along if along > max(across, LEAST_FORCE) else None
 
 
 def _duration(time: Float[np.ndarray, " T"], way: Float[np.ndarray, "T k"], farthest: int, is_way: bool) -> float:

@@ -14,8 +14,9 @@ from jaxtyping import Float
 from manip_learn.control.command import Command, Status
 from manip_learn.control.cycle import Clock, ComputerClock, GivenUp, OrderlyEnd, quiet_collector
 from manip_learn.control.rollout import Rollout
-from manip_learn.control.servo_loop import ServoLoop
+from manip_learn.control.servo_loop import MILLI, ServoLoop
 from manip_learn.control.simulation import guided
+from manip_learn.control.witness import Witness
 from manip_learn.errors import ConfigurationError
 from manip_learn.robot.identity import RobotIdentity
 from manip_learn.robot.robot import Robot
@@ -157,7 +158,7 @@ class _Cycle:
 
     def __init__(self, loop: ServoLoop, driver: Driver, clock: Clock):
         self._loop, self._driver, self._clock = loop, driver, clock
-        self._joints = _Joints(loop.robot, driver)
+        self._joints, self._witness = _Joints(loop.robot, driver), Witness(loop.robot)
         self._simulated = bool(getattr(driver, "simulated", False))
         self._samples: list[tuple[float, np.ndarray, Command]] = []
         self._stride = 1
@@ -178,6 +179,7 @@ class _Cycle:
         """Until the arm stands after a reason to stop."""
         period, loop, clock = self._driver.period, self._loop, self._clock
         start = due = clock.now()
+        began = ComputerClock.now()
         lately, last = 0.0, math.inf
         while True:
             if self._simulated:
@@ -192,21 +194,30 @@ class _Cycle:
             lately += (missed / (missed + 1.0) - lately) * min(1.0, (missed + 1.0) * period / SLOW_AFTER)
             due += period * (missed + 1)  # a period that was missed is not made up for
             if lately > 0.5 * (1.0 - math.exp(-1.0)):
-                self.stop(f"the period of {1e3 * period:g} ms cannot be held: cycles begin {1e3 * late:.2g} ms late")
+                passed = clock.now() - start, ComputerClock.now() - began
+                wrong = f"the period of {1e3 * period:g} ms cannot be held: cycles begin {1e3 * late:.2g} ms late"
+                if abs(math.log10(passed[0] / passed[1]) - 3.0) < MILLI:
+                    wrong += f"; the clock went on by {passed[0]:.3g} in {passed[1]:.1g} s: it is to count seconds"
+                self.stop(wrong)
             if self._driver.period != period:
                 self.stop(f"the driver's period changed from {1e3 * period:g} to {1e3 * self._driver.period:g} ms")
             if t >= duration - 0.5 * period:
                 self.stop(f"the {duration:g} s were over", True)
             self._ask(until)
-            command = loop.update(self._read(ending), t)
+            q = self._read(ending)
+            command = loop.update(q, t)
+            if not self.reason and (wrong := self._witness.refuses(q, command.status is Status.FOLLOWING_ERROR)):
+                self.stop(wrong)
+                break  # whatever is sent to such a driver, the arm goes elsewhere: it is only held
             self._send(command, ending)
+            self._witness.note(loop.measured, loop.position)
             self._tell(ending)
             self._note(t, command)
             if command.status is Status.FOLLOWING_ERROR:
                 past = [q for _, q, _ in self._samples[-int(max(3, 0.02 / (self._stride * period))) :]]
                 frozen = len(past) > 2 and all(np.array_equal(q, past[-1]) for q in past)
                 why = "the driver has gone on returning the same posture, or the arm is off: " if frozen else ""
-                self.stop(why + (loop.stopped_by or "the arm is blocked"))
+                self._stopped(why + (loop.stopped_by or "the arm is blocked"))
             self.cycles += 1
             last = min(last, t + LONGEST_STOP) if self.reason else math.inf
             if t >= last or "command()" in self._blocked or self._stands(command):
@@ -288,8 +299,13 @@ class _Cycle:
                 return False  # a driver that is not ready yet
             if 0.0 < self._loop.silent < self._loop.stale_after:
                 return False  # one wrong reading
-            self.stop(self._loop.stopped_by or f"the loop stands: {command.status}")
+            self._stopped(self._loop.stopped_by or f"the loop stands: {command.status}")
         return bool(self.reason)
+
+    def _stopped(self, why: str) -> None:
+        """The loop has stopped the arm, which may be the driver's fault."""
+        mixed_up = "" if self.reason else self._witness.words()
+        self.stop(f"{mixed_up}; {why}" if mixed_up else why)
 
     def _note(self, t: float, command: Command) -> None:
         if self.cycles % self._stride:

@@ -23,6 +23,7 @@ _LOGGER = logging.getLogger("manip_learn")
 STIFFNESS = 2000.0  # [N m/rad or N/m] of a stiff position servo of an arm that works beside people
 # [kg] weight that the hand may carry without the drives' knowing, and [s] of motion after which it is known
 PAYLOAD, WEIGHED = 2.0, 0.25
+DRIVEN = 60.0  # [N] along what is driven, where nothing is known of it
 GRAVITY = 9.81  # [m/s2]
 # [rad or m] what stays of a servo's error where friction, play and noise have been measured: 0.5 N m at 2,000 N m/rad
 RESOLUTION = 2.5e-4
@@ -63,8 +64,9 @@ class Contact:
         held: Force on the hand across what is driven, at which the arm is stopped [N], beside a fifth of the force
             along it, by which directions and joints may be other than they are taken for. A tenth of what ISO/TS 15066
             lets a robot press a hand with: the force goes on rising while the arm brakes.
-        driven: The same along rows that the task drives (`Task.driven_rows`) [N]. What has been moving and stops is
-            blocked already at `held` more than it took.
+        driven: The same along rows that the task drives (`Task.driven_rows`) [N]; "auto" takes 1.5 times what it took
+            when it was taught, where efforts were recorded (`Shown.force`), `held` at the least, and else 60 N. What
+            has been moving and stops is blocked already at `held` more than it took.
         latency: Time by which the arm follows late at the most [s]; "auto" measures it, up to 0.2 s.
         resolution: Force that cannot be told from friction, play and noise [N]; "auto" measures it. The arm is stopped
             at no less.
@@ -76,7 +78,7 @@ class Contact:
     """
 
     held: float = 15.0
-    driven: float = 60.0
+    driven: float | Literal["auto"] = "auto"
     latency: float | Literal["auto"] = "auto"
     resolution: float | Literal["auto"] = "auto"
     stiffness: ArrayLike | None = None
@@ -86,11 +88,11 @@ class Contact:
         for name in ("held", "driven", "latency", "resolution"):
             value: Any = getattr(self, name)
             measured = name in ("latency", "resolution")
-            if measured and isinstance(value, str) and value == "auto":
+            if name != "held" and isinstance(value, str) and value == "auto":
                 continue
             good = isinstance(value, int | float | np.number) and not isinstance(value, bool)
             if not (good and 0.0 <= float(value) < math.inf and (value or measured)):
-                unit, auto = "seconds" if name == "latency" else "newtons", ' or "auto"' if measured else ""
+                unit, auto = "seconds" if name == "latency" else "newtons", "" if name == "held" else ' or "auto"'
                 raise ConfigurationError(f"{name} must be a positive number of {unit}{auto}, got {value!r}")
 
 
@@ -217,6 +219,7 @@ class FollowingError:
         frame: str | None = None,
     ):
         self.contact, self._robot, self._dt, self._acceleration = contact, robot, dt, acceleration
+        self._driven = DRIVEN if isinstance(contact.driven, str) else float(contact.driven)
         told = STIFFNESS if contact.stiffness is None else contact.stiffness
         self._stiffness = _per_joint("stiffness", told, robot)
         # links that are slower on servos softer than they are taken for give way by more: ten times at 200 N m/rad
@@ -300,7 +303,7 @@ class FollowingError:
 
         What the largest force makes of the limits, friction, and what was commanded within the delay.
         """
-        forces = max(1.0, self.contact.driven / self.contact.held)
+        forces = max(1.0, self._driven / self.contact.held)
         return forces * self.limit + self.servos.moved_lately + self.servos.width
 
     def left(self, q: Float[np.ndarray, " n"]) -> float:
@@ -398,7 +401,7 @@ class FollowingError:
             self._carried += min(1.0, dt / CARRYING) * (force - self._carried)
         else:
             self._going = max(0.0, self._going - dt)
-        held, most = max(contact.held, self.resolution), max(contact.driven, self.resolution)
+        held, most = max(contact.held, self.resolution), max(self._driven, self.resolution)
         if np.any(np.abs(beside) > self.limit):
             j = int((np.abs(beside) / self.limit).argmax())
             load = abs(float(beside[j] * self._stiffness[j]))
@@ -439,7 +442,7 @@ class FollowingError:
         seen = C * self.servos.sees
         f = np.linalg.solve(seen.dot(C.T) + self._damping, seen.dot(excess))
         beside = (excess - f.dot(C)) * self.servos.sees
-        weight = min(max(0.0, -f[2]), GRAVITY * PAYLOAD)
+        weight = min(max(0.0, -f[2]), GRAVITY * max(PAYLOAD, self._robot.payload))
         if self.servos.moving <= WEIGHED:
             self._weight = max(self._weight, weight)
         f[2] += min(weight, self._weight)

@@ -235,6 +235,14 @@ def constraint_of(controller: Controller) -> Constraint | None:
     return None if law is None else law.constraint
 
 
+def taught_force(controller: Controller) -> float | None:
+    """The largest force that the ways of a controller took when they were taught [N]; None where one is not known."""
+    laws = controller.laws if isinstance(controller, LawSequence) else (law_of(controller),)
+    forces = [law.learnt.shown.force for law in laws if law is not None and law.learnt.shown is not None]
+    known = [force for force in forces if force is not None]
+    return max(known) if known and len(known) == len(forces) else None
+
+
 def frame_of(controller: Controller) -> str | None:
     """The frame that a controller's constraint holds; None where it has none."""
     frame = getattr(getattr(constraint_of(controller), "features", None), "frame", None)

@@ -5,6 +5,7 @@ from __future__ import annotations
 import logging
 import math
 from collections import deque
+from dataclasses import replace
 from typing import Any, NamedTuple, final
 
 import numpy as np
@@ -18,7 +19,7 @@ from manip_learn.control.controller import ResolvedRateController
 from manip_learn.control.follow_motion import FollowMotion
 from manip_learn.control.following import Contact, FollowingError
 from manip_learn.control.law import next_slide
-from manip_learn.control.law_sequence import LawSequence, constraint_of, frame_of, law_of, task_of
+from manip_learn.control.law_sequence import LawSequence, constraint_of, frame_of, law_of, task_of, taught_force
 from manip_learn.control.limits import Bounds, Limits, bound_changes, farthest_positions, stopping_speed
 from manip_learn.control.tasks import PointAttractor, Task
 from manip_learn.errors import ConfigurationError, counted
@@ -43,6 +44,7 @@ SLOWEST, ARRIVED = 1e-3, 1e-9
 LONGEST_TIME = 1e15  # [s] a larger number is no time: its steps are longer than a period
 # [rad or m] that a reading may be off beside twice what a joint can move meanwhile; [rad] by which a turn is one
 TWICE, JUMP, TURN = 2.0, 0.05, 0.1
+BEYOND_TAUGHT = 1.5  # times the force that a way took when it was taught: it may stick more another time
 MILLI = 0.1  # within which a time is a thousand times a period, decades
 STANDING = (Status.INVALID_INPUT, Status.STALE, Status.FOLLOWING_ERROR, Status.STOPPED)
 
@@ -292,7 +294,9 @@ class ServoLoop:
             self.controller = controller.with_limits(self.limits, lag)
         elif isinstance(controller, ResolvedRateController | LawSequence):
             self.controller = controller.with_limits(self.limits)
-        self.contact = contact or Contact()
+        self.contact = contact = contact or Contact()
+        if contact.driven == "auto" and (force := taught_force(controller)) is not None:
+            self.contact = replace(contact, driven=max(contact.held, BEYOND_TAUGHT * force))
         # an arm that presses brakes and lets go as hard as it can, however gently it was to move
         self._hard = self.limits.with_rates(np.maximum(self.limits.acceleration, Limits(own).acceleration), None)
         acceleration, frame = self._hard.acceleration, frame_of(controller)

@@ -13,6 +13,7 @@ from manip_learn.errors import NotIdentifiableError, RecordingError, advice, cou
 from manip_learn.learning.samples import STILL_ENERGY, Samples
 from manip_learn.recordings.demonstrations import Demonstrations
 from manip_learn.recordings.earned_velocities import FEWEST, position_noise
+from manip_learn.recordings.holes import MOVED
 from manip_learn.robot.tips import likely_tips
 
 # ratio to the usual speed, or distance from the middle, beyond which a sample is a fault of the recording. Set by hand
@@ -25,7 +26,6 @@ REST_SPEED = 0.02
 BEYOND_NOISE = 12.0
 # postures closer together than this share of their size are one and the same
 SAME = 1e-9
-MOVED = 0.02  # [rad or m] within a recording: more than encoders, belts and a held pose leave of a joint at rest
 
 
 def energy_shares(energy: Float[np.ndarray, " nv"]) -> Float[np.ndarray, " nv"]:

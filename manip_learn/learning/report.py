@@ -396,8 +396,8 @@ def build_report(
     provenance["postures"] = np.round(samples.q[kept], 5).tolist()
     provenance["posture_trajectories"] = samples.trajectory[kept].tolist()
     if kind == "motion-constrained":
-        contacts = [(t.time, t.q) for t in answer.part.demonstrations]
-        shown = shown_by(features, selection, Constraint(selection, features, provenance).mechanism, contacts)
+        mechanism = Constraint(selection, features, provenance).mechanism
+        shown = shown_by(features, selection, mechanism, answer.part.demonstrations)
         provenance["shown"] = None if shown is None else shown.to_dict()
     else:
         recordings = [(t.q, t.u) for t in answer.part.demonstrations if t.u is not None]

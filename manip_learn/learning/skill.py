@@ -48,8 +48,7 @@ def skill_of(constraints: Sequence[Constraint], answers: Sequence[Answer]) -> Sk
         constraint, pieces = constraints[number], [contacts[place].piece for contacts in chosen.values()]
         shown = constraint.shown
         if usual.count(number) > 1:
-            times_and_postures = [(piece.time, piece.q) for piece in pieces]
-            shown = shown_by(constraint.features, constraint.selection, constraint.mechanism, times_and_postures)
+            shown = shown_by(constraint.features, constraint.selection, constraint.mechanism, pieces)
         grip = _gripping(answers, chosen, place)
         steps.append(_reach(constraint, grips))
         way = Step("way", constraint, shown)

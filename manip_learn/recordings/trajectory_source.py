@@ -19,6 +19,7 @@ from manip_learn.recordings.data_frame import DataFrame, frames_as_files
 from manip_learn.recordings.demonstrations import Demonstrations
 from manip_learn.recordings.earned_velocities import Velocities, judged_in_turn
 from manip_learn.recordings.format_words import DATASET_HEADER
+from manip_learn.recordings.holes import split_at_holes, stalled
 from manip_learn.recordings.load_demonstrations import (
     Paths,
     ReadOptions,
@@ -180,7 +181,11 @@ class CheckedSource(TrajectorySource):
         """A motion as it is, or arrays and tables checked like a file; they may fall into several."""
         name, robot = f"motion {number}", self.robot
         if isinstance(entry, Trajectory):
-            yield entry
+            stalls = stalled(entry.time, entry.q)
+            entry = entry.part(np.delete(np.arange(len(entry)), stalls)) if stalls.size else entry
+            parts, said = split_at_holes(entry, robot)
+            found += [(entry.name, note) for note in said]
+            yield from parts
         elif robot is not None and isinstance(entry, DataFrame):
             request = ReadRequest(robot, velocities=self.velocities)
             with frames_as_files([entry], number) as files:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import copy
 import math
 import threading
 from collections.abc import Mapping, Sequence
@@ -15,6 +16,7 @@ from jaxtyping import Float
 from numpy.typing import ArrayLike
 
 from manip_learn.errors import ConfigurationError, UnknownNameError, printable
+from manip_learn.linalg import finite
 from manip_learn.robot import html_card
 from manip_learn.robot.frame_kinematics import FrameKinematics, centre_of_mass_derivative, columns_to_joints, is_plain
 from manip_learn.robot.joints import KINDS, Coupling, Frame, FrameLike, JointBlock, Mimic, full_coupling, joint_limits
@@ -53,6 +55,7 @@ class Robot:
         description: Text of the URDF as it was read, xacro expanded; None if there was none.
         locked: Joints that are held still, and where [rad or m].
         objects: Names of things that are no part of the robot and whose pose is recorded: floating joints.
+        payload: What its hand carries, see `with_payload` [kg].
 
     Example:
         >>> import manip_learn as ml
@@ -78,7 +81,7 @@ class Robot:
         locked: Mapping[str, float] | None = None,
         objects: Sequence[str] = (),
     ):
-        self._model = model
+        self._model, self._bare, self.payload = model, model, 0.0
         self.name: str = name or model.name
         self.source = source
         self.package_dirs = tuple(package_dirs)
@@ -488,6 +491,38 @@ class Robot:
         upper = M * _upper_triangle(model.nv)
         effort = upper.dot(a) + a.dot(upper) - M.diagonal() * a
         return effort if lift is None else lift.T @ effort
+
+    def with_payload(self, mass: float, frame: FrameLike, centre: ArrayLike = (0.0, 0.0, 0.0)) -> Robot:
+        """This robot with a mass in its hand, which its inertia and its weight then include.
+
+        Args:
+            mass: What the hand carries [kg]; a payload that it carries already is put down.
+            frame: Of the hand.
+            centre: shape (3,), centre of the mass in that frame [m].
+
+        Raises:
+            ConfigurationError: A mass that is negative or not finite, or a centre that is not three finite numbers.
+            UnknownNameError: No such frame; lists near matches.
+        """
+        place = finite(centre, 3)
+        if not 0.0 <= mass < math.inf or place is None:
+            raise ConfigurationError(
+                f"a payload has a mass of 0 kg or more, and a centre of three numbers [m]; got {mass!r} and {centre!r}"
+            )
+        other = copy.copy(self)
+        other._model, other.payload, other._bare = self._bare.copy(), float(mass), self._bare
+        known = self._bare.frames[self.frame(frame).index]
+        load = pin.Inertia(float(mass), known.placement.act(place), np.zeros((3, 3)))
+        other._model.inertias[known.parentJoint] = other._model.inertias[known.parentJoint] + load
+        return other
+
+    def weight_effort(self, q: ArrayLike) -> Float[np.ndarray, " nv"]:
+        """What the joints must exert to carry the links at rest, of a base that stands upright [N m or N].
+
+        Zero for a description without masses.
+        """
+        effort = pin.computeGeneralizedGravity(self._model, self._data, self.pinocchio_configuration(q))
+        return effort.copy() if self._coupling is None else self._coupling.lift.T @ effort
 
     def hand_inertia(self, q: ArrayLike, frame: FrameLike) -> Float[np.ndarray, "6 6"] | None:
         """(J M(q)^-1 J^T)^-1, the inertia that a frame's origin has for forces and moments along the axes of the base.

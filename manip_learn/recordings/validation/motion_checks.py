@@ -184,6 +184,20 @@ def _other_guess(robot: Robot, q: Float[np.ndarray, " T"], i: int) -> str | None
     return None
 
 
+def far_outside(robot: Robot, q: Float[np.ndarray, " nv"]) -> str:
+    """How far a posture is outside the limits, in words, and what it may be; nothing where no joint is far outside."""
+    beyond, angular = _excess(robot, q[None]), angular_coordinates(robot)
+    far = beyond > np.where(angular, FAR_ANGLE, FAR_LENGTH)
+    if not np.any(far):
+        return ""
+    i = int(np.argmax(beyond))
+    limits = f"[{robot.position_lower[i]:.4g}, {robot.position_upper[i]:.4g}] {robot.joint_units[i]}"
+    guess = _other_guess(robot, q[None, i], i) or "another unit or order of the joints, or another robot?"
+    if np.any(far & angular) and not np.any(_excess(robot, np.where(angular, np.radians(q), q)[None]) > FAR_LENGTH):
+        guess = "in degrees? It is to be in radians"
+    return f"joint {robot.joint_names[i]} was read at {q[i]:.4g}, its limits are {limits}: {guess}"
+
+
 def _refuse_far(motion: Motion, i: int) -> None:
     robot, q = motion.robot, motion.q
     lower, upper = robot.position_lower[i], robot.position_upper[i]

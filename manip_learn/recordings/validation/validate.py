@@ -8,9 +8,10 @@ import numpy as np
 from jaxtyping import Float, Int
 
 from manip_learn.errors import advice, counted, named
-from manip_learn.recordings.clock import between, evenly_spread, in_order, pieces
+from manip_learn.recordings.clock import between, evenly_spread, in_order
 from manip_learn.recordings.demonstrations import Demonstrations
 from manip_learn.recordings.earned_velocities import NO_MEASUREMENT
+from manip_learn.recordings.holes import split_at_holes, stalled
 from manip_learn.recordings.readers.read_request import RATE, ReadRequest
 from manip_learn.recordings.readers.recording import Recording
 from manip_learn.recordings.trajectory import Trajectory
@@ -66,7 +67,7 @@ def _of_one_sender(
     time: Float[np.ndarray, " T"],
     q: Float[np.ndarray, "T nv"],
     u: Float[np.ndarray, "T nv"] | None,
-) -> tuple[tuple[Trajectory, ...], list[str]]:
+) -> tuple[list[Trajectory], list[str]]:
     """Trajectories of samples whose stamps do not lead back, and notes."""
     robot, notes = request.robot, list[str]()
     if time[-1] <= time[0]:
@@ -84,8 +85,9 @@ def _of_one_sender(
         posture = f"; the joints jump to {', '.join(f'{x:.3g}' for x in q[failed[0]])}" if samples is failed else ""
         where = recording.place(int(samples[0]))
         notes.append(f"{counted(samples.size, what)} left out (first: {where}{posture})")
-    if left_out:
-        keep = np.delete(np.arange(len(time)), np.concatenate(list(left_out.values())))
+    stalls = stalled(time, q)  # which the note on holes names
+    if left_out or stalls.size:
+        keep = np.delete(np.arange(len(time)), np.concatenate([*left_out.values(), stalls]))
         recording, time, q, u = _kept(recording, keep), time[keep], q[keep], None if u is None else u[keep]
     q, said = _unwrapped(robot, q)
     notes += said
@@ -102,7 +104,8 @@ def _of_one_sender(
     whole = Trajectory(
         time, q, u, robot.joint_names, recording.name, effort=recording.efforts, judged=recording.trusted
     )
-    return _split(recording, whole, notes), notes
+    parts, said = split_at_holes(whole, robot)
+    return parts, [*notes, *said]
 
 
 def _refuse_not_finite(recording: Recording) -> None:
@@ -205,22 +208,3 @@ def _unwrapped(robot: Robot, q: Float[np.ndarray, "T nv"]) -> tuple[Float[np.nda
         names = [robot.joint_names[i] for i in wrapped]
         notes.append(f"full turns added where the angle wraps (the posture is the same): {named('joint', names)}")
     return q, notes
-
-
-def _split(recording: Recording, whole: Trajectory, notes: list[str]) -> tuple[Trajectory, ...]:
-    """The stretches between gaps, which are added to the notes."""
-    time = whole.time
-    parts, gaps = pieces(time)
-    if not gaps.size:
-        return (whole,)
-    long_parts = [p for p in parts if p.stop - p.start >= 2]
-    shown = ", ".join(f"{time[g + 1] - time[g]:.3g} s after {recording.place(int(g))}" for g in gaps[:SHOWN])
-    notes.append(
-        f"split at {counted(gaps.size, 'gap')} longer than ten steps ({shown}{', ...' if gaps.size > SHOWN else ''})"
-    )
-    if len(long_parts) < len(parts):
-        notes.append(f"left out between gaps: {counted(len(parts) - len(long_parts), 'lone sample')}")
-    if not long_parts:
-        raise recording.refusal("too-short", "the samples are so far apart that no two belong together")
-    n = len(long_parts)
-    return tuple(whole.part(p, f"{recording.name} part {k} of {n}") for k, p in enumerate(long_parts, 1))

@@ -1,0 +1,88 @@
+"""Holes in recordings: how long nothing came is said, and what was done meanwhile is not taken for a motion."""
+
+from __future__ import annotations
+
+import re
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import manip_learn as ml
+from manip_learn.recordings.trajectory_source import recordings_given
+
+TIME = np.arange(0.0, 8.0, 0.01)
+
+
+@pytest.fixture(scope="module")
+def arm() -> ml.Robot:
+    """Three joints."""
+    return ml.load_robot("planar3")
+
+
+def motion(time: np.ndarray = TIME) -> np.ndarray:
+    """Rest for a second, and a motion of six seconds of all joints."""
+    s = np.clip((time - 1.0) / 6.0, 0.0, 1.0)
+    return np.outer(s - np.sin(2.0 * np.pi * s) / (2.0 * np.pi), [1.2, -0.9, 0.7]) + 0.3
+
+
+def recording(kind: str, seconds: float) -> ml.Trajectory:
+    """A driver that gave nothing from 3 s on, or went on giving the same."""
+    lost = (TIME > 3.0) & (TIME < 3.0 + seconds - 0.005)
+    q = motion()
+    if kind == "gap":
+        return ml.Trajectory(TIME[~lost], q[~lost], joint_names=("q1", "q2", "q3"), name="shown")
+    q[lost] = q[np.flatnonzero(lost)[0] - 1]
+    return ml.Trajectory(TIME, q, joint_names=("q1", "q2", "q3"), name="shown")
+
+
+def notes_of(given: ml.Trajectory, arm: ml.Robot, folder: Path | None) -> tuple[list[str], list[ml.Trajectory]]:
+    """What is said of a recording by who reads its file, or by who is given it."""
+    given = given.with_joint_names(arm.joint_names)
+    if folder is None:
+        read = recordings_given(given, arm, arm.nv)
+        assert isinstance(read, ml.Demonstrations)
+    else:
+        header = ",".join(["time", *arm.joint_names])
+        rows = np.column_stack([given.time, given.q])
+        np.savetxt(folder / "shown.csv", rows, "%.12g", ",", header=header, comments="")
+        read = ml.load_demonstrations(folder / "shown.csv", arm)
+    return list(read.notes), list(read)
+
+
+@pytest.mark.parametrize("from_file", [True, False])
+@pytest.mark.parametrize("kind", ["gap", "stall"])
+@pytest.mark.parametrize("seconds", [0.08, 0.5, 1.6, 3.0])
+def test_a_hole_is_said_as_long_as_it_was(
+    kind: str, seconds: float, from_file: bool, arm: ml.Robot, tmp_path: Path
+) -> None:
+    """One sentence names recording, time, length and effect, and no speed is learnt that the arm never had."""
+    notes, read = notes_of(recording(kind, seconds), arm, tmp_path if from_file else None)
+    (note,) = [n for n in notes if "no new posture" in n]
+    said = re.search(r"for ([\d.]+) s from ([\d.]+) s on, while (\S+) moved by ([\d.]+) rad", note)
+    assert note.startswith("shown") and said is not None, note
+    assert float(said[1]) == pytest.approx(seconds, rel=0.2) and float(said[2]) == pytest.approx(3.0, abs=0.05)
+    far = motion(np.array([3.0 + seconds]))[0, 0] - motion(np.array([3.0]))[0, 0]
+    assert said[3] == arm.joint_names[0] and float(said[4]) == pytest.approx(far, rel=0.2)
+    assert len(read) == (2 if seconds > 0.1 else 1)
+    fastest = max(float(np.abs(np.diff(t.q, axis=0) / np.diff(t.time)[:, None]).max()) for t in read)
+    assert fastest < 1.1 * np.abs(np.diff(motion(), axis=0)).max() / 0.01
+
+
+def test_what_is_no_hole_is_not_named(arm: ml.Robot) -> None:
+    """A rest, samples that come twice from a slower encoder, and uneven samples are how arms are recorded."""
+    rest = motion(np.where(TIME > 4.0, np.maximum(TIME - 2.0, 4.0), TIME))
+    rng = np.random.default_rng(1)
+    uneven = np.cumsum(0.01 * rng.choice([1.0, 6.0], p=[0.8, 0.2], size=400))
+    slower, seldom = motion(TIME // 0.05 * 0.05), slice(None, None, 10)
+    cases = (
+        (TIME, rest),
+        (TIME[seldom], rest[seldom]),
+        (TIME, np.round(rest, 3)),
+        (TIME, slower),
+        (uneven, motion(uneven)),
+    )
+    for time, q in cases:
+        notes, read = notes_of(ml.Trajectory(time, q, joint_names=("q1", "q2", "q3")), arm, None)
+        assert not any("no new posture" in n for n in notes), notes
+        assert len(read) == 1 and len(read[0]) == len(time)
