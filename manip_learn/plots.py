@@ -136,7 +136,7 @@ def evidence(report: LearningReport, ax: Axes | None = None) -> Axes:
     ax.set(xlabel=f"strength (1: as by chance; dotted: {BELIEVED_STRENGTH:g}, believed)", ylabel="row")
     ax.set_yticks(number, [f"{n}: {row.state}" for n, row in zip(number, rows, strict=True)])
     ax.invert_yaxis()
-    ax.margins(x=0.2)
+    ax.set_xlim(1.0, 30.0 * max(BELIEVED_STRENGTH, *(row.strength for row in rows)))  # room for the words
     return ax
 
 
