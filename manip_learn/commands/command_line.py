@@ -122,7 +122,9 @@ def refuse_to_replace(outputs: Sequence[tuple[str, Path]], inputs: Iterable[str 
 
 def _files_behind(text: str) -> Iterator[Path]:
     """The file or folder that an argument stands for, and what is read of a folder."""
-    path = Path(text)
+    from manip_learn.recordings.readers.recording_files import recording_files, recording_path
+
+    path = recording_path(text)
     if not path.exists() and ".py:" in text:
         path = Path(text.rpartition(":")[0])
     if not path.exists():
@@ -134,8 +136,6 @@ def _files_behind(text: str) -> Iterator[Path]:
             return
     yield path
     if path.is_dir():
-        from manip_learn.recordings.readers.recording_files import recording_files
-
         try:
             inside = [file.path for file in recording_files(path)[0]]
         except RecordingError:

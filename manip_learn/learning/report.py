@@ -264,6 +264,10 @@ class LearningReport:
             html_card.sentence(self.sentence),
             html_card.warnings(self.warnings),
             html_card.facts(self._facts()),
+            html_card.bars(
+                [(f"{'held' if i < self.n_constraints else 'free'}, {x:.2g}", x) for i, x in enumerate(self.levels)],
+                "how much the recordings move along each direction, by powers of ten",
+            ),
             html_card.folded(
                 "Gap for each number of rows",
                 html_card.table(("rows", "gap"), [(n, float(gap)) for n, gap in self.gap_table.items()]),

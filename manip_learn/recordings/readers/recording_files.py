@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import importlib
+import importlib.resources
 import os
 import zipfile
 from collections.abc import Iterable, Iterator, Sequence
@@ -151,6 +152,18 @@ class RecordingFile:
         return importlib.import_module(self.format.module).read(self.path, request)
 
 
+def shipped_recordings() -> Path:
+    """Folder of the recordings that come with this package, in an installed wheel or in a checkout."""
+    installed = Path(str(importlib.resources.files("manip_learn"))) / "_recordings"
+    return installed if installed.is_dir() else Path(__file__).resolve().parents[3] / "examples" / "data"
+
+
+def recording_path(name: str | os.PathLike[str]) -> Path:
+    """A file or a folder; where there is none of that name, the recordings of that name that come with this package."""
+    path, shipped = Path(name), shipped_recordings() / name
+    return shipped if shipped.exists() and not path.exists() else path
+
+
 def recording_files(
     paths: str | os.PathLike[str] | Iterable[str | os.PathLike[str]],
 ) -> tuple[list[RecordingFile], list[str]]:
@@ -170,7 +183,7 @@ def recording_files(
     for name in given:
         if not isinstance(name, str | os.PathLike) or not os.fspath(name):
             raise RecordingError(f"recordings are given as paths, got {name!r}", code="option")
-        path = Path(name)
+        path = recording_path(name)
         files += _in_folder(path, notes) if path.is_dir() else [RecordingFile(path, recognise(path))]
     unique: dict[str, RecordingFile] = {}
     for file in files:
