@@ -141,9 +141,7 @@ def main(folder: Path) -> None:
             save(fewer, folder / f"{picture.name}.png", MOST_BYTES)
         alone = f"document.head.append(Object.assign(document.createElement('style'), {{ textContent: {ONLY_ARM!r} }}))"
         for name, address in write_arms(Path(scratch)).items():
-            image = photograph(
-                browser, Picture(name, name, [alone, click("[data-view=iso]")], False, *ARM_WINDOW), address
-            ).convert("RGB")
+            image = photograph(browser, Picture(name, name, [alone], False, *ARM_WINDOW), address).convert("RGB")
             save(image.resize(ARM_SIZE, Image.Resampling.LANCZOS), folder / "arms" / f"{name}.webp", MOST_ARM_BYTES)
         browser.close()
 
