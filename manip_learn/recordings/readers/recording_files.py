@@ -68,7 +68,12 @@ REFUSED_MAGIC: tuple[tuple[bytes | tuple[bytes, ...], str, str], ...] = (
     (b"#ROSBAG V1", "old-bag", "is a ROS bag of version 1: convert it with `rosbag fix`"),
     ((b"\x89PNG", b"\xff\xd8\xff"), "not-a-recording", "is an image"),
     (b"<", "not-a-recording", "looks like XML or HTML: a table with 'time' and joint names is needed"),
-    ((b"{", b"["), "not-a-recording", "looks like JSON: a table with 'time' and joint names is needed"),
+    (
+        (b"{", b"["),
+        "not-a-recording",
+        "looks like JSON: a table with 'time' and joint names is needed; `replay --constraint` and `export --to` take "
+        "what `learn --out` wrote",
+    ),
 )
 
 
