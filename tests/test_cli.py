@@ -280,7 +280,7 @@ def test_robots_and_version(run):
     assert listed["planar3"]["joints"] == ["joint1", "joint2", "joint3"]
     assert [r["name"] for r in answer["robots"][:5]] == ["fr3", "planar3", "sawyer", "ur10e", "ur5e"]
     code, out, err = run("robots")
-    assert code == 0 and "sawyer" in out and "7 joints" in out
+    assert code == 0 and "sawyer (7)" in out and "manip_learn[descriptions]" in out
     code, out, err = run("--version")
     assert (code, err) == (0, "") and out.startswith("manip-learn ")
 

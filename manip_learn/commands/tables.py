@@ -283,14 +283,31 @@ def print_repeated(console: Console, repeated: Repeated) -> None:
     say_end(console, done.notes, repeated.out, repeated.page)
 
 
+# origin of a robot -> what is said of it, the extra that brings it, and arms of it
+ORIGINS = (
+    ("package", "with the package", "", ""),
+    ("extra", "with the extra robots, without a net", "robots", "panda, xarm7, so101, ur5 and 60 more"),
+    (
+        "net",
+        "with the extra descriptions, fetched from the net when first named",
+        "descriptions",
+        "xarm6, lite6 and more",
+    ),
+)
+
+
 def print_robots(console: Console, listed: KnownRobots) -> None:
-    """Names and numbers of joints, those of the package first."""
-    for robot in listed.robots:
-        joints = f"{counted(len(robot.joints), 'joint')}" if not robot.refused else "refused: see `manip-learn inspect`"
-        origin = "" if robot.origin == "package" else "  (extra robots)"
-        say(console, f"{robot.name:24} {joints}{origin}")
-    if not listed.extra:
-        say(console, "more with: pip install 'manip_learn[robots]'")
+    """Names and numbers of joints, by where the robots come from, and what brings more of them."""
+    for origin, title, extra, arms in ORIGINS:
+        robots = listed.of(origin)
+        if not robots:
+            say(console, f"more with: pip install 'manip_learn[{extra}]' ({arms})")
+            continue
+        said = [
+            f"{r.name} ({'refused' if r.refused else len(r.joints)})" if origin != "net" else r.name for r in robots
+        ]
+        say(console, f"{title} (and how many joints they have):" if origin == "package" else f"{title}:", style="bold")
+        say(console, ", ".join(said))
 
 
 def print_robot(console: Console, inspected: Inspected) -> None:
