@@ -78,7 +78,7 @@ def find_robot(name: str) -> Path:
     others = [
         n
         for n in near
-        if NUMBER.findall(n) != NUMBER.findall(name) and SERIES.findall(n)[:1] == SERIES.findall(name)[:1]
+        if NUMBER.findall(n) != NUMBER.findall(name) and SERIES.findall(n)[:1] == SERIES.findall(name.lower())[:1]
     ]
     where = "the list of robots (or give the path of a .urdf file)"
     raise UnknownNameError("robot", name, known, where, others=others)
