@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import hashlib
 import importlib
 import importlib.resources
 import os
@@ -154,7 +155,14 @@ class RecordingFile:
         header = file_header(self.path) if self.path.is_dir() else None
         if header is not None:
             check_robot(self.path, header, request.robot)
-        return importlib.import_module(self.format.module).read(self.path, request)
+        read = importlib.import_module(self.format.module).read(self.path, request)
+        if not self.path.is_file():
+            yield from read
+            return
+        with self.path.open("rb") as file:
+            digest = hashlib.file_digest(file, "sha256").hexdigest()
+        for recording in read:
+            yield replace(recording, sha256=digest)
 
 
 def shipped_recordings() -> Path:
