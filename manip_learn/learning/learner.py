@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import inspect
 import math
 import time
 from collections.abc import Sequence
@@ -29,6 +30,7 @@ from manip_learn.learning.checks import check_fastest, refuse_noise, refuse_stil
 from manip_learn.learning.choosing import MOST_SAMPLES, Choice, choose_from, few_of
 from manip_learn.learning.explanation.evidence import SWITCH_NATS, BeforeSmoothing
 from manip_learn.learning.explanation.findings import Findings, Part, find
+from manip_learn.learning.origin import made
 from manip_learn.learning.recombination import BELIEVED_STRENGTH
 from manip_learn.learning.repeats import IndependentRecordings
 from manip_learn.learning.report import LearningReport, RecordingOverview, advise, build_report
@@ -293,7 +295,8 @@ class ConstraintLearner:
                 raise why from refusal
             overview = RecordingOverview.of(answers, findings, recordings)
             names = demonstrations.joint_names
-            learnt = [build_report(answer, overview, names, arm, started) for answer in answers]
+            origin = made(given, self._settings)
+            learnt = [build_report(answer, overview, names, arm, started, origin) for answer in answers]
             self.constraints_, self.reports_ = zip(*learnt, strict=True)
             self.constraint_, self.report_ = learnt[0]
             self.skill_ = skill_of(self.constraints_, answers)
@@ -309,6 +312,12 @@ class ConstraintLearner:
             mechanisms=self.mechanism == "auto" and self.n_constraints is None,
             strength=self.strength,
         )
+
+    @property
+    def _settings(self) -> dict[str, Any]:
+        """Arguments of the constructor, as they can be written down; the features stand in the constraint itself."""
+        names = [name for name in inspect.signature(type(self)).parameters if name != "features"]
+        return {name: getattr(self, name) for name in names}
 
     @property
     def _empty(self) -> Choice:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import dataclasses
 import math
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any, NamedTuple, final
 
@@ -332,8 +332,11 @@ def build_report(
     joint_names: tuple[str, ...],
     arm: ArmErrors,
     started: float,
+    made: Mapping[str, Any],
 ) -> tuple[Constraint, LearningReport]:
     """The constraint, and the evidence for it; the fit started when the clock `time.perf_counter` was at `started`.
+
+    The constraint's provenance says what it was `made` from.
 
     Raises:
         NotIdentifiableError: A joint estimate that is known too badly for an answer.
@@ -396,6 +399,7 @@ def build_report(
         mu_uncertainty=mu_uncertainty,
     )
     provenance = {key: value for key, value in report.to_dict().items() if key in PROVENANCE}
+    provenance["made"] = dict(made)
     kept = evenly(len(samples), KEPT_POSTURES)
     provenance["postures"] = np.round(samples.q[kept], 5).tolist()
     provenance["posture_trajectories"] = samples.trajectory[kept].tolist()

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import hashlib
 import importlib
 import importlib.resources
 import os
@@ -68,7 +69,12 @@ REFUSED_MAGIC: tuple[tuple[bytes | tuple[bytes, ...], str, str], ...] = (
     (b"#ROSBAG V1", "old-bag", "is a ROS bag of version 1: convert it with `rosbag fix`"),
     ((b"\x89PNG", b"\xff\xd8\xff"), "not-a-recording", "is an image"),
     (b"<", "not-a-recording", "looks like XML or HTML: a table with 'time' and joint names is needed"),
-    ((b"{", b"["), "not-a-recording", "looks like JSON: a table with 'time' and joint names is needed"),
+    (
+        (b"{", b"["),
+        "not-a-recording",
+        "looks like JSON: a table with 'time' and joint names is needed; `replay --constraint` and `export --to` take "
+        "what `learn --out` wrote",
+    ),
 )
 
 
@@ -149,7 +155,14 @@ class RecordingFile:
         header = file_header(self.path) if self.path.is_dir() else None
         if header is not None:
             check_robot(self.path, header, request.robot)
-        return importlib.import_module(self.format.module).read(self.path, request)
+        read = importlib.import_module(self.format.module).read(self.path, request)
+        if not self.path.is_file():
+            yield from read
+            return
+        with self.path.open("rb") as file:
+            digest = hashlib.file_digest(file, "sha256").hexdigest()
+        for recording in read:
+            yield replace(recording, sha256=digest)
 
 
 def shipped_recordings() -> Path:

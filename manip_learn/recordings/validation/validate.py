@@ -100,7 +100,14 @@ def _of_one_sender(
     if u is not None and not recording.trusted:
         refuse_degrees_beside(motion, u)
     whole = Trajectory(
-        time, q, u, robot.joint_names, recording.name, effort=recording.efforts, judged=recording.trusted
+        time,
+        q,
+        u,
+        robot.joint_names,
+        recording.name,
+        effort=recording.efforts,
+        judged=recording.trusted,
+        sha256=recording.sha256,
     )
     return _split(recording, whole, notes), notes
 
