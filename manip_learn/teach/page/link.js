@@ -23,6 +23,11 @@ class TeachLink {
     };
   }
 
+  close() {
+    this.source.close();
+    this.setOpen(false);
+  }
+
   setOpen(open) {
     if (open === this.open) return;
     this.open = open;
