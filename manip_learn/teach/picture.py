@@ -245,7 +245,7 @@ def answer_content(content: Mapping[str, Any]) -> dict[str, Any]:
         **answer,
         "line": answer["sentence"]
         if kind is None
-        else f"{kind}{'.' if uncertain is None else f'; its direction is known to {uncertain:.2g} degrees.'}",
+        else f"{kind}{'.' if uncertain is None else f'; known to {uncertain:.2g}°.'}",
         "next": "It is known well enough: let the arm do it."
         if sure
         else "It is known well enough; read the warnings before you let the arm do it."

@@ -406,7 +406,7 @@ class TeachingSession:
         if len(self._recordings) < FEW:
             self._refused(f"From fewer than {FEW} recordings what is held cannot be told from how a person moves.")
             return
-        files = [str(one.path) for one in self._recordings]
+        files, self._learnt_from = [str(one.path) for one in self._recordings], list(self._recordings)
         self._worker.ask("learn", files=files, handles=self._stations, out=str(self._constraint_file))
         self._progress = {"step": "reading", "share": 0.0}
         self._say("Learning from " + counted(len(self._recordings), "recording") + ".")
@@ -458,7 +458,7 @@ class TeachingSession:
         for one in self._recordings:
             one.phases = [phase[1:] for phase in content["phases"] if names.get(phase[0]) is one]
             one.odd = odd.get(one.path.name, "")
-        self._answer, self._learnt_from = answer_content(content), list(self._recordings)
+        self._answer = answer_content(content)
         self._ways = TaughtWay.all_of(skill)
         self._rows = self._way.task().constraint if self._way is not None else None
         self._say(self._answer["next"])

@@ -95,12 +95,12 @@ class Panel {
   }
 
   showActions(state) {
-    const { doing, recording, recordings: { length }, way, progress } = state, next = this.nextOf(state), idle = doing === "idle";
+    const { doing, recording, recordings: { length }, unlearnt, way, progress } = state, next = this.nextOf(state), idle = doing === "idle";
     const words = {
-      record: recording ? `Stop (${recording.seconds.toFixed(1)} s)` : length < ENOUGH ? `Record ${length + 1} of ${ENOUGH}` : "Record another one",
+      record: recording ? `Stop (${recording.seconds.toFixed(1)} s)` : next === "record" && length < ENOUGH ? `Record ${length + 1} of ${ENOUGH}` : "Record another one",
       learn: doing === "learning" ? "Learning …" : `Learn from ${counted(length, "motion")}`, run: this.drives ? "Stop" : "Let the arm do it",
     };
-    const seen = { record: recording || idle, learn: doing === "learning" || (idle && length >= FEW), run: this.drives || (idle && way), home: idle };
+    const seen = { record: recording || idle, learn: doing === "learning" || (idle && length >= FEW && unlearnt > 0), run: this.drives || (idle && way), home: idle };
     for (const [id, visible] of Object.entries(seen)) {
       const button = get(id);
       button.hidden = !visible;
