@@ -502,7 +502,7 @@ def test_files_go_home_and_come_in(program, page):
     page.locator("[data-take=csv]").click()
     until(page, lambda: program.last("take") == {"do": "take", "what": "csv"}, "not asked for")
     with page.expect_download() as download:
-        program.say(files=[{"name": "recordings_csv.zip", "says": "two motions <1>"}])
+        program.say(files=[{"name": "recordings_csv.zip", "says": "two motions <1>", "number": 1}])
     assert download.value.suggested_filename == "recordings_csv.zip"
     assert "two motions <1>" in page.locator("#files").inner_text()
     assert "/kept/here" in page.locator("#keep").inner_text()
@@ -557,7 +557,7 @@ def test_the_next_step_and_the_cards(program, page):
         (shown, "Learn from 5 motions", "show"),
         ({**shown, "doing": "learning"}, "Learning …", "show"),
         ({"recordings": five, "answer": REFUSAL}, "Record another one", "learn"),
-        ({**learnt, "unlearnt": 1}, "Learn from 5 motions", "do"),
+        ({**learnt, "unlearnt": 1}, "Learn from 5 motions", "show"),
         (learnt, "Let the arm do it", "do"),
         ({**learnt, "doing": "running"}, "Stop", "do"),
         ({**learnt, "run": done}, "Reset the arm", "do"),
@@ -716,7 +716,7 @@ def test_nothing_keeps_readers_out(desk):
     program.say(leader=page.evaluate("manipLearnTeach.id"))
     page.evaluate(base.AXE_SCRIPT)
     truth = {"sentence": "so it is", "errors": [["angle", "0.3"]], "lines": []}
-    more = {"files": [{"name": "a.csv", "says": "motions"}], "progress": {"step": "Reading", "share": 0.4}}
+    more = {"files": [{"name": "a.csv", "says": "motions", "number": 1}], "progress": {"step": "Reading", "share": 0.4}}
     program.say(**LEARNT, **more, truth=truth, wrong=True, said="That did not work.")
     program.pose(START, marks=MARKS, near=0)
     wait_until(page, "document.querySelectorAll('#files a').length === 1")

@@ -101,7 +101,7 @@ class TeachingSession:
         self._mode: Callable[[], None] | None = None
         self._doing, self._sentence, self._wrong = "idle", "", False
         self._ended, self._stop, self._seq, self._number = False, False, 0, 0
-        self._number_of_ghosts = 0
+        self._number_of_ghosts = self._files_written = 0
         self._put: dict[str, str] = {}
         self._looked = self._began = 0.0
         self._acts = self._buttons()
@@ -345,7 +345,7 @@ class TeachingSession:
         self._progress: dict[str, Any] | None = None
         self._outcome: dict[str, Any] | None = None
         self._planned: dict[str, Any] | None = None
-        self._files: dict[str, tuple[Path, str]] = {}
+        self._files: dict[str, tuple[Path, str, int]] = {}
         self._truth_shown = False
         self._loop: ServoLoop | None = None
         self._number += 1
@@ -438,8 +438,9 @@ class TeachingSession:
         elif job == "plan":
             self._planned = answer
         elif job == "take":
-            self._files |= {name: (Path(path), says) for name, path, says in answer}
-            self._shows.offer({name: path for name, (path, _) in self._files.items()})
+            self._files_written += 1
+            self._files |= {name: (Path(path), says, self._files_written) for name, path, says in answer}
+            self._shows.offer({name: path for name, (path, *_) in self._files.items()})
             self._say("Ready to take home: " + ", ".join(name for name, *_ in answer) + ".")
         else:
             self._show_ghosts(job, answer["rollouts"])
@@ -667,7 +668,7 @@ class TeachingSession:
                 "truth": truth_content(arm.scene, self.constraint) if self._truth_shown else None,
                 "way": None if way is None else way.to_dict(),
                 "run": self._outcome,
-                "files": [{"name": name, "says": says} for name, (_, says) in self._files.items()],
+                "files": [{"name": name, "says": says, "number": n} for name, (_, says, n) in self._files.items()],
                 "keep": str(self.folder),
             },
         )

@@ -68,7 +68,7 @@ class Hand {
   // A drag beside the hand turns the view, which is told to those who have not pulled yet.
   watchView(event) {
     const before = this.pointing.toEye();
-    const over = () => { this.turnedView = !this.teach.pulled && this.pointing.toEye().angleTo(before) > TOLD; };
+    const over = () => { this.turnedView = this.pointing.toEye().angleTo(before) > TOLD; this.hint(); };
     window.addEventListener("pointerup", over, { once: true });
   }
 

@@ -80,7 +80,7 @@ class Panel {
     this.showRecordings(state);
     this.showLearning(state);
     this.showRun(state);
-    this.take.set(state.files || [], state.keep, Boolean(state.progress));
+    this.take.set(state.files || [], state.keep);
     this.showSteps(state);
   }
 
