@@ -34,7 +34,8 @@ SLOW = 0.05  # of the answer to a pull [s]
 STATE = {
     "leader": None, "doing": "idle", "said": "Take the arm by its hand.", "wrong": False, "recordings": [],
     "scenes": [{"kind": "drawer", "title": "A drawer"}, {"kind": "door", "title": "A door"}], "recording": None,
-    "progress": None, "answer": None, "truth": None, "way": None, "unlearnt": 0, "run": None, "files": [], "keep": "/kept/here",
+    "progress": None, "answer": None, "truth": None, "way": None, "unlearnt": 0, "run": None, "files": [],
+    "keep": "/kept/here",
 }  # fmt: skip
 RECORDINGS = [
     {"name": HOSTILE, "seconds": 4.2, "samples": 420, "odd": "", "phases": [[0, 2, -1], [2, 4.2, 0]], "kept": True},
@@ -96,8 +97,8 @@ class Program:
         self.q = q
         values = joint_tracks(self.robot, kinematic_tree(self.robot), np.array([q]))[0].tolist()
         calm = {"time": 1.0, "held": [False], "near": None, "hand": None, "weak": None, "mu": 0.2, "marks": None,
-                "limit": [], "touches": [], "opening": [0.0], "rate": 1000, "seq": self.last("pull").get("seq", 0), "trail": False,
-                "furniture": [[*self.handle, 1, 0, 0, 0]]}  # fmt: skip
+                "limit": [], "touches": [], "opening": [0.0], "rate": 1000, "seq": self.last("pull").get("seq", 0),
+                "trail": False, "furniture": [[*self.handle, 1, 0, 0, 0]]}  # fmt: skip
         self.put("pose", calm | {"values": values} | more)
 
     def all(self, do):
@@ -595,9 +596,9 @@ def test_a_drawer_is_a_target_of_a_drag(program, page):
 
 
 def test_the_tour_is_a_line_of_the_panel_and_an_end_is_told(chromium, robot_of):
-    """It says the first step that was not done, in one line while the arm is pulled, and takes no key; skipped, it stays
-    away. A drag that turns the view before the first pull is explained. When the program is gone the page says so,
-    everything is disabled; and once it has ended, that it has.
+    """It says the first step that was not done, in one line while the arm is pulled, and takes no key; skipped, it
+    stays away. A drag that turns the view before the first pull is explained. When the program is gone the page says
+    so, and everything is disabled.
     """
     program = Program(robot_of("planar3"))
     with opened_page(chromium, program, DESKTOP, before="window.errors = 1") as page:
@@ -681,8 +682,8 @@ def test_a_second_finger_turns_the_hand(phone):
 
 
 def test_ghosts_are_played_beside_the_arm(program, page):
-    """Each has a button that hides it, a bar for the room that it has left, its curve, and says how it ended; at the end
-    they stay, the one that failed with its centimetres in the picture.
+    """Each has a button that hides it, a bar for the room that it has left, its curve, and says how it ended; at the
+    end they stay, the one that failed with its centimetres in the picture.
     """
     times = np.linspace(0.0, 1.0, 5)
     ways = joint_tracks(program.robot, kinematic_tree(program.robot), START + times[:, None] * [0.3, 0.0, 0.1])
@@ -691,7 +692,7 @@ def test_ghosts_are_played_beside_the_arm(program, page):
     program.say(**LEARNT)
     program.put("ghosts", {"number": 1, "kind": "compare", "rollouts": [
         ghost | {"name": HOSTILE, "colour": "#0072b2", "colourName": "blue"},
-        ghost | {"name": "without", "ended": "9.3 of 20.0 cm", "colour": "#d55e00", "colourName": "vermilion"}]})  # fmt: skip
+        ghost | {"name": "without", "ended": "9.3 of 20.0 cm", "colour": "#d55e00", "colourName": "red"}]})  # fmt: skip
     wait_until(page, "document.querySelectorAll('#ghost-ends button').length === 2")
     assert page.locator("#ghost-ends button").first.inner_text() == HOSTILE
     wait_until(page, "document.querySelectorAll('#chart polyline').length === 2")

@@ -63,8 +63,8 @@ KINDS = {
     "zip": "application/zip",
 }
 # what a browser asks in our place, once we are gone; it forgets us when it has said so
-AFTERWARDS = b"""const page = '<!DOCTYPE html><meta charset="utf-8"><title>The program has ended</title><p>The program has ended. \
-Start it again, and open its new page.';
+AFTERWARDS = b"""const page = '<!DOCTYPE html><meta charset="utf-8"><title>Ended</title>\
+<p>The program has ended. Start it again, and open its new page.';
 async function ended() {
   await self.registration.unregister();
   return new Response(page, { headers: { "Content-Type": "text/html" } });

@@ -227,7 +227,7 @@ def compare(
         ghosts = _simulated(robot, with_it | without, taught, q)
         if not ghosts[0]["failed"]:
             return {"rollouts": ghosts, "sentence": f"Without the learnt manipulability: {ghosts[1]['ended']}."}
-    none = f"Of the {counted(len(bad), 'worst start')} none was found from which it does the task and doing without fails."
+    none = f"Of the {counted(len(bad), 'worst start')} none was found from which only doing without fails."
     return {"rollouts": _simulated(robot, with_it | without, taught, bad[0]), "sentence": none}
 
 

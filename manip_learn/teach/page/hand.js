@@ -67,8 +67,8 @@ class Hand {
 
   // A drag beside the hand turns the view, which is told to those who have not pulled yet.
   watchView(event) {
-    const before = this.pointing.toEye();
-    const over = () => { this.turnedView = this.pointing.toEye().angleTo(before) > TOLD; this.hint(); };
+    const { camera } = this.stage, before = camera.quaternion.clone();
+    const over = () => { this.turnedView = camera.quaternion.angleTo(before) > TOLD; this.hint(); };
     window.addEventListener("pointerup", over, { once: true });
   }
 
