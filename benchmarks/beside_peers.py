@@ -1,6 +1,6 @@
 """Our law, in Python and compiled, beside its peers in one run: time of a step in five states, and what it achieves.
 
-    python benchmarks/beside_peers.py [--robots sawyer ur5] [--tasks 30] [--rounds 30] [--out FILE.md]
+    python benchmarks/beside_peers.py [--robots sawyer ur5] [--tasks 30] [--rounds 30] [--out docs/figures]
 
 Times are ratios to the bare step (Pinocchio's Jacobian, NumPy's pseudo-inverse, the product with the null space) at the
 same postures: processor time, best over best of rounds in which all peers take turns, the median over the arms.
@@ -24,7 +24,8 @@ import control_states as states
 import numpy as np
 from controller_cases import ALL, Tasks, plain_robot, tasks_of, write
 from controller_scores import Scores
-from peer_controllers import DT, DURATION, GAIN, SCRIPTS, TASK_GAIN, interpreter, run, tell
+from peer_controllers import DT, DURATION, GAIN, SCRIPTS, TASK_GAIN, interpreter, run
+from table_file import put
 
 import manip_learn as ml
 
@@ -36,7 +37,10 @@ PEERS = ("pinocchio", "manip_learn", "placo", "oink", "mink", "pink", "drake", "
 BARE = "bare"
 POSTURES = 24  # of a state
 ARRIVED = 0.001  # [m]
-EXCEEDED = 0.001  # share of a velocity limit, or [rad] beyond a position limit, from which on a run counts
+TIMES = ("rows", "arm", "method", "state", "of a bare step", "lowest arm", "highest arm", "postures without an answer")
+ENDS = ("rows", "method", "arrived within 1 mm", "end error, median [mm]", "three quarters below [mm]", "worst [mm]")
+EXCESS = ("largest excess of velocity [% of the limit]", "of position [mrad]", "steps without an answer")
+Row = tuple[object, ...]
 
 
 class Peer:
@@ -120,37 +124,30 @@ def times(peers: dict[str, Peer], files: dict[tuple[int, str, str], Path], round
     return {key: (value / bare[key[:3]], failed[key]) for key, value in seconds.items()}
 
 
-def time_table(found: Found, s: int, arms: list[str]) -> str:
-    """Medians over the arms, their range in brackets."""
-    lines = [f"| {KINDS[s]}, {', '.join(arms)} | " + " | ".join(STATES) + " |", "|---" * (len(STATES) + 1) + "|"]
-    for method in dict.fromkeys(method for rows, _, _, method in found if rows == s):
-        cells = []
+def time_rows(found: Found, s: int, name: str, arms: list[str]) -> list[Row]:
+    """A line for each method and state: the median over the arms, and their range."""
+    rows: list[Row] = []
+    for method in dict.fromkeys(method for number, _, _, method in found if number == s):
         for state in STATES:
             own = [found[key] for arm in arms if (key := (s, arm, state, method)) in found]
-            ratios, failed = [ratio for ratio, _ in own], sum(number for _, number in own)
-            missing = f", {failed} of {POSTURES * len(own)} without an answer" if failed else ""
-            spread = f" ({min(ratios):.2g} to {max(ratios):.2g}{missing})" if len(own) > 1 or failed else ""
-            cells.append(f"{np.median(ratios):.2g}{spread}" if own else "")
-        lines.append(f"| {method} | {' | '.join(cells)} |")
-    return "\n".join(lines)
+            if own:
+                ratios = [ratio for ratio, _ in own]
+                spread = (f"{x:.2g}" for x in (np.median(ratios), min(ratios), max(ratios)))
+                rows.append((KINDS[s], name, method, state, *spread, sum(number for _, number in own)))
+    return rows
 
 
-def rollout_table(results: dict[str, list[Scores]], s: int) -> str:
+def rollout_rows(results: dict[str, list[Scores]], s: int) -> list[Row]:
     """What each method achieved, all arms together."""
-    lines = [
-        f"| {KINDS[s]} | arrived (1 mm) | end error, median [mm] | three quarters below | worst | runs beyond velocity "
-        "limits | largest, % of the limit | runs beyond position limits | largest [mrad] | steps without an answer |",
-        "|---" * 10 + "|",
-    ]
+    rows: list[Row] = []
     for method, own in results.items():
         miss = 1e3 * np.array([x.miss for x in own])
-        speed, place = np.array([x.over_velocity for x in own]), np.array([x.over_position for x in own])
-        quarter = np.quantile(miss, 0.75)
-        cells = [f"{np.sum(miss < 1e3 * ARRIVED)} of {len(own)}", f"{np.median(miss):.2g}", f"{quarter:.2g}"]
-        cells += [f"{miss.max():.0f}", f"{np.sum(speed > EXCEEDED)}", f"{100 * speed.max():.2g}"]
-        cells += [f"{np.sum(place > EXCEEDED)}", f"{1e3 * place.max():.2g}", str(sum(x.failed for x in own))]
-        lines.append(f"| {method} | {' | '.join(cells)} |")
-    return "\n".join(lines)
+        ends = f"{np.median(miss):.2g}", f"{np.quantile(miss, 0.75):.2g}", f"{miss.max():.0f}"
+        speed, place = max(x.over_velocity for x in own), max(x.over_position for x in own)
+        arrived = f"{np.sum(miss < 1e3 * ARRIVED)} of {len(own)}"
+        excess = f"{100 * speed:.2g}", f"{1e3 * place:.2g}"
+        rows.append((KINDS[s], method, arrived, *ends, *excess, sum(x.failed for x in own)))
+    return rows
 
 
 def rollouts(
@@ -180,7 +177,7 @@ def main() -> None:
     parser.add_argument("--peers", nargs="+", default=list(PEERS), choices=list(PEERS))
     parser.add_argument("--tasks", type=int, default=30, help="rollouts per robot and kind of rows; 0: none")
     parser.add_argument("--rounds", type=int, default=30)
-    parser.add_argument("--out", type=Path)
+    parser.add_argument("--out", type=Path, help="folder of the tables; they are printed where none is given")
     options = parser.parse_args()
     pythons: dict[str, str] = {}
     peers: dict[str, Peer] = {}
@@ -197,15 +194,17 @@ def main() -> None:
         found = times(peers, state_files(Path(folder), options.robots), options.rounds)
         for peer in peers.values():
             peer.close()
-        parts += [time_table(found, s, options.robots) for s in KINDS]
-        parts += [time_table(found, s, [arm]) for s in KINDS for arm in options.robots]
+        groups = {"all": options.robots} | {arm: [arm] for arm in options.robots}
+        rows = [row for name, arms in groups.items() for s in KINDS for row in time_rows(found, s, name, arms)]
+        put(TIMES, rows, options.out and options.out / "speed_peers.csv")
         if options.tasks:
             able = {name: python for name, python in pythons.items() if name in peers}
             reached = rollouts(able, Path(folder), options.robots, options.tasks, skipped)
-            parts += [rollout_table(reached[s], s) for s in KINDS]
+            rows = [row for s in KINDS for row in rollout_rows(reached[s], s)]
+            put((*ENDS, *EXCESS), rows, options.out and options.out / "speed_rollouts.csv")
     parts += [f"SKIPPED {peer}: {reason}" for peer, reason in skipped.items()]
     parts.append(f"load {os.getloadavg()[0]:.1f} at last")
-    tell(parts, options.out)
+    print("\n".join(parts), file=sys.stderr)
 
 
 if __name__ == "__main__":

@@ -1,10 +1,10 @@
 """The law where it is hardest: ways that begin near a singularity, firm grips, targets and ways out of reach.
 
-    python benchmarks/near_singular_ways.py [--runs docs/figures/law.csv] [--page docs/figures_law.md] [--workers 1]
-        [--before docs/figures/law_before.csv]
+    python benchmarks/near_singular_ways.py [--runs docs/figures/law.csv] [--workers 1]
 
-One line of `--runs` is one start with one policy. The page is made of them, beside those of an earlier law that the
-same program has measured (`--before`). Fifteen minutes of one core without other load.
+One line of `--runs` is one start with one policy. `docs/figures/law_before.csv` has the same runs of an earlier law,
+which scaled the task and its null-space motion by one factor each and damped held rows as driven ones. Fifteen minutes
+of one core without other load.
 """
 
 from __future__ import annotations
@@ -14,16 +14,15 @@ import tempfile
 from collections.abc import Callable, Iterable
 from concurrent.futures import ProcessPoolExecutor
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import controller_cases
 import numpy as np
 from closed_loops import PERIODS, singular_starts
 from controller_scores import scores
-from near_singular_page import Run, page_of, read
 from table_file import put
 from when_cases import ARMS, PAUSE, TASKS, Case, cases_of, exists, posture, robot_of
-from when_runs import STRAY, run
+from when_runs import run
 
 import manip_learn as ml
 from manip_learn.control.way import simulate_way
@@ -36,6 +35,24 @@ XARM = (3.302, -1.7578, 0.2082, 3.0665, 5.0783, 1.7292, 0.1807)  # [rad] of the 
 POINTS, SECONDS = 12, 8.0  # targets out of reach of each arm, and how long each is driven to [s]
 SPEED, BEYOND, TAIL = 0.25, 2.2, 1.0  # [m/s] of ways out of reach, their length in reaches, last seconds looked at [s]
 STILL = 1e-3  # [rad/s] below which a joint does not count as turning to and fro
+
+
+class Run(NamedTuple):
+    """The outcome of one start with one policy.
+
+    `good` is a way that was done, a target out of reach without chatter, or a singularity that was left; `off` is how
+    far the hand was off its mechanism [mm], and `why` says what stopped it.
+    """
+
+    part: str
+    seed: int
+    arm: str
+    task: str
+    number: int
+    policy: str
+    good: bool
+    off: float
+    why: str
 
 
 def way(part: str, seed: int, arm: str, task: str, number: int, policy: str) -> Run:
@@ -165,12 +182,9 @@ def done_job(job: tuple[Callable[..., Any], tuple[Any, ...]]) -> list[Run]:
 
 
 def main() -> None:
-    """Measure, and write the runs and the page."""
+    """Measure, and write the runs."""
     parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
     parser.add_argument("--runs", type=Path, default=Path("docs/figures/law.csv"))
-    parser.add_argument("--before", type=Path, default=Path("docs/figures/law_before.csv"))
-    parser.add_argument("--page", type=Path, help="file for the page; default: none is written")
-    parser.add_argument("--law", default="", help="words for the page: which law was measured")
     parser.add_argument("--workers", type=int, default=1)
     given = parser.parse_args()
     runs: list[Run] = []
@@ -178,8 +192,6 @@ def main() -> None:
         for some in pool.map(done_job, jobs()):
             runs += some
             put(Run._fields, runs, given.runs)  # what is done so far stays if the rest is interrupted
-    if given.page is not None:
-        given.page.write_text(page_of(read(given.before), runs, STRAY, given.law), encoding="utf-8")
 
 
 if __name__ == "__main__":

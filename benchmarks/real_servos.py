@@ -1,6 +1,6 @@
 """A drawer, a door and a table done by arms whose servos have friction, play and delays: what stops them, and what not.
 
-    python benchmarks/real_servos.py [--seed 900] [--postures 2] [--arms panda,ur5,xarm7] [--out FILE.md]
+    python benchmarks/real_servos.py [--seed 900] [--postures 2] [--arms panda,ur5,xarm7] [--out docs/figures]
     python benchmarks/real_servos.py --parts exact,wrong,jam,air,hit [--only "friction|play"]
 
 MuJoCo, position servos at 1 kHz, encoder noise of 0.1 mrad; the hand holds the handle by a ball joint. Each row of a
@@ -28,6 +28,9 @@ sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "examples"))
 from drawer_physics import PERIOD, ArmPhysics, drawer
 from make_recordings.arms import Arm, load_arm
 from make_recordings.mechanisms import Axle, Mechanism, Plane
+from table_file import put
+
+Row = tuple[object, ...]
 
 WAY, TURN, RADIUS = 0.15, 0.6, 0.35  # [m], [rad], [m]
 SPEED, STIFFNESS = 0.06, 2000.0  # [m/s], [N m/rad]
@@ -222,9 +225,9 @@ FAULTS: dict[str, dict[str, Any]] = {
 }  # fmt: skip
 
 
-def exact(found: list[Case]) -> list[str]:
+def exact(found: list[Case]) -> list[Row]:
     """What was learnt exactly, with each fault: how many ways were gone to the end, and the force across them."""
-    lines = ["| servos | whole ways | trips | across the way, median and largest [N] |", "|---|---|---|---|"]
+    rows: list[Row] = [("servos", "whole ways", "trips", "across the way, median and largest [N]")]
     for name, fault in FAULTS.items():
         outcomes = []
         for case in found:
@@ -233,16 +236,16 @@ def exact(found: list[Case]) -> list[str]:
                 given["sticks"] *= RADIUS
             outcomes.append(done(case, **given))
             say(name, case, outcomes[-1])
-        lines.append(exact_line(name, outcomes))
-    return lines
+        rows.append(exact_row(name, outcomes))
+    return rows
 
 
-def exact_line(name: str, outcomes: list[Outcome]) -> str:
+def exact_row(name: str, outcomes: list[Outcome]) -> Row:
     """A row of that table."""
     across = [o.forces[:, 0].max() for o in outcomes]
     whole = sum(o.trip is None and abs(o.way - 1.0) < 0.1 for o in outcomes)
     trips = sum(o.trip is not None for o in outcomes)
-    return f"| {name} | {whole} of {len(outcomes)} | {trips} | {np.median(across):.0f}, {max(across):.0f} |"
+    return name, f"{whole} of {len(outcomes)}", trips, f"{np.median(across):.0f}, {max(across):.0f}"
 
 
 def turned(axis: np.ndarray, degrees: float, about: float) -> np.ndarray:
@@ -252,12 +255,9 @@ def turned(axis: np.ndarray, degrees: float, about: float) -> np.ndarray:
     return wrong / np.linalg.norm(wrong)
 
 
-def wrong(found: list[Case]) -> list[str]:
+def wrong(found: list[Case]) -> list[Row]:
     """What was learnt wrongly: how hard it is pressed across the way, and what is left half a second after the trip."""
-    lines = [
-        "| learnt | servos | trips | across, median and largest [N] | after 0.5 s, largest [N] |",
-        "|---|---|---|---|---|",
-    ]
+    rows: list[Row] = [("learnt", "servos", "trips", "across, median and largest [N]", "after 0.5 s, largest [N]")]
     errors = {"3 degrees off": 3.0, "8 degrees off": 8.0, "hinge 30 mm off": 0.03}
     for servos, fault in {"ideal": {}, "friction 3 N m": {"friction": 3.0}, "20 ms late": {"latency": 0.02}}.items():
         for name, size in errors.items():
@@ -274,20 +274,15 @@ def wrong(found: list[Case]) -> list[str]:
             across = [o.forces[:, 0].max() for o in outcomes]
             trips = sum(o.trip is not None for o in outcomes)
             left = max(o.after(0.5) for o in outcomes)
-            lines.append(
-                f"| {name} | {servos} | {trips} of {len(outcomes)} | {np.median(across):.0f}, {max(across):.0f} "
-                f"| {left:.1f} |"
-            )
-    return lines
+            pressed = f"{np.median(across):.0f}, {max(across):.0f}"
+            rows.append((name, servos, f"{trips} of {len(outcomes)}", pressed, f"{left:.1f}"))
+    return rows
 
 
-def jam(found: list[Case]) -> list[str]:
+def jam(found: list[Case]) -> list[Row]:
     """A drawer that is stuck half way: how hard it is hit, for how long, and what is left."""
-    lines = [
-        "| speed [m/s] | driven [N] | trips | largest, median and worst [N] | over 30 N, median and worst [ms] "
-        "| after 1 s, worst [N] |",
-        "|---|---|---|---|---|---|",
-    ]
+    forces = ("largest, median and worst [N]", "over 30 N, median and worst [ms]", "after 1 s, worst [N]")
+    rows: list[Row] = [("speed [m/s]", "driven [N]", "trips", *forces)]
     for speed, driven in ((0.06, 60.0), (0.06, 15.0), (0.25, 60.0)):
         outcomes = []
         for case in found:
@@ -296,16 +291,15 @@ def jam(found: list[Case]) -> list[str]:
                 say(f"jam at {speed}, {driven:.0f} N", case, outcomes[-1])
         most, over = [o.forces[:, 1].max() for o in outcomes], [o.above(30.0) for o in outcomes]
         trips = sum(o.trip is not None for o in outcomes)
-        lines.append(
-            f"| {speed:g} | {driven:.0f} | {trips} of {len(outcomes)} | {np.median(most):.0f}, {max(most):.0f} "
-            f"| {np.median(over):.0f}, {max(over):.0f} | {max(o.after(1.0) for o in outcomes):.1f} |"
-        )
-    return lines
+        spreads = (f"{np.median(some):.0f}, {max(some):.0f}" for some in (most, over))
+        left = max(o.after(1.0) for o in outcomes)
+        rows.append((f"{speed:g}", f"{driven:.0f}", f"{trips} of {len(outcomes)}", *spreads, f"{left:.1f}"))
+    return rows
 
 
-def air(found: list[Case]) -> list[str]:
+def air(found: list[Case]) -> list[Row]:
     """Ten seconds in free air, of an arm that follows late: how many are stopped, and how late it is said to follow."""
-    lines = ["| follows | runs | stopped | said, median [ms] |", "|---|---|---|---|"]
+    table: list[Row] = [("follows", "runs", "stopped", "said, median [ms]")]
     for name, late, lag in AIR:
         stopped, said = 0, []
         for number in range(AIR_RUNS):
@@ -327,16 +321,13 @@ def air(found: list[Case]) -> list[str]:
                     print(name, number, loop.stopped_by, file=sys.stderr, flush=True)
                     break
             said += [float(note.split()[3]) for note in loop.notes if note.startswith("the arm follows")]
-        lines.append(f"| {name} | {AIR_RUNS} | {stopped} | {np.median(said) if said else 0.0:.0f} |")
-    return lines
+        table.append((name, AIR_RUNS, stopped, f"{np.median(said) if said else 0.0:.0f}"))
+    return table
 
 
-def hit(found: list[Case]) -> list[str]:
+def hit(found: list[Case]) -> list[Row]:
     """A person pushes for 0.4 s: what trips, what gives way, and what comes back."""
-    lines = [
-        "| pushed | force [N] | trips | gives way, median [mm] | off after 1 s, median [mm] |",
-        "|---|---|---|---|---|",
-    ]
+    rows: list[Row] = [("pushed", "force [N]", "trips", "gives way, median [mm]", "off after 1 s, median [mm]")]
     for what in ("free hand", "hand on a drawer, across", "hand on a drawer, against the way", "elbow"):
         for force in (20.0, 40.0, 80.0):
             trips, ways, left = 0, [], []
@@ -344,11 +335,10 @@ def hit(found: list[Case]) -> list[str]:
                 if case.kind == "drawer":
                     tripped, way, off = pushed(case, what, force)
                     trips, ways, left = trips + tripped, [*ways, way], [*left, off]
-            lines.append(
-                f"| {what} | {force:.0f} | {trips} of {len(ways)} | {np.median(ways):.1f} | {np.median(left):.1f} |"
-            )
-            print(lines[-1], file=sys.stderr, flush=True)
-    return lines
+            medians = (f"{np.median(some):.1f}" for some in (ways, left))
+            rows.append((what, f"{force:.0f}", f"{trips} of {len(ways)}", *medians))
+            print(*rows[-1], file=sys.stderr, flush=True)
+    return rows
 
 
 def pushed(case: Case, what: str, force: float) -> tuple[bool, float, float]:
@@ -398,12 +388,13 @@ def say(what: str, case: Case, outcome: Outcome) -> None:
     )
 
 
-PARTS: dict[str, Callable[[list[Case]], list[str]]] = {
-    "exact": exact,
-    "wrong": wrong,
-    "jam": jam,
-    "air": air,
-    "hit": hit,
+# the name of a part -> the table that it makes, and the file of that table
+PARTS: dict[str, tuple[Callable[[list[Case]], list[Row]], str]] = {
+    "exact": (exact, "servos_faults.csv"),
+    "wrong": (wrong, "servos_wrong.csv"),
+    "jam": (jam, "servos_jams.csv"),
+    "air": (air, "servos_air.csv"),
+    "hit": (hit, "servos_pushes.csv"),
 }
 
 
@@ -415,16 +406,16 @@ def main() -> None:
     parser.add_argument("--arms", default="panda,ur5,xarm7")
     parser.add_argument("--parts", default=",".join(PARTS))
     parser.add_argument("--only", default="", help="faults whose names match this pattern")
-    parser.add_argument("--out", type=Path)
+    parser.add_argument("--out", type=Path, help="folder of the tables; they are printed where none is given")
     given = parser.parse_args()
     logging.getLogger("manip_learn").setLevel(logging.ERROR)
     for name in [name for name in FAULTS if not re.search(given.only, name)]:
         del FAULTS[name]
     found = cases(given.arms.split(","), given.postures, given.seed)
-    text = "\n\n".join("\n".join(PARTS[part](found)) for part in given.parts.split(","))
-    print(text)
-    if given.out:
-        given.out.write_text(text + "\n")
+    for part in given.parts.split(","):
+        table, file = PARTS[part]
+        head, *rows = table(found)
+        put(head, rows, given.out and given.out / file)
 
 
 if __name__ == "__main__":

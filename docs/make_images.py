@@ -1,6 +1,7 @@
-"""Write the pictures of the replay that the documentation shows: `python docs/make_images.py [FOLDER]`.
+"""Write the pictures of the replay and of arms that the documentation shows: `python docs/make_images.py [FOLDER]`.
 
-Needs a Chromium, Playwright and Pillow. The pages are those of the command line, from the shipped recordings.
+Needs a Chromium, Playwright, Pillow and the extra `robots`. The pages of the replay are those of the command line, from
+the shipped recordings.
 """
 
 from __future__ import annotations
@@ -15,14 +16,31 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import NamedTuple
 
+import numpy as np
 from PIL import Image
 from playwright.sync_api import Browser, sync_playwright
 
+import manip_learn as ml
 from manip_learn.cli import main as manip_learn
 from manip_learn.commands.demo import shipped_recordings
 
 FLAGS = ["--no-sandbox", "--disable-gpu", "--enable-unsafe-swiftshader"]
-MOST_BYTES = 200_000
+MOST_BYTES, MOST_ARM_BYTES = 200_000, 30_000
+ARM_WINDOW, ARM_SIZE = (640, 520), (320, 260)  # [px] of the page, which is made smaller to smooth its edges
+UR, FRANKA = (40, -85, 95, -100, -90, 0), (25, -30, 0, -125, 0, 105, 45)
+ARMS = {  # [deg] a posture in which the arm can be told
+    "planar3": (20, 50, -75),
+    "sawyer": (-25, -35, 5, 85, 5, 30, 100),
+    "panda": FRANKA,
+    "fr3": FRANKA,
+    "ur5e": UR,
+    "ur10e": UR,
+    "ur5": UR,
+    "ur10": UR,
+    "xarm7": (25, -20, 0, 70, 0, 90, 0),
+    "so101": (20, -35, 35, 35, 0, 20),
+}
+ONLY_ARM = "header, #panel, #transport, #legend, #notes { display: none !important } #stage { grid-row: 1 / -1 }"
 
 
 class Picture(NamedTuple):
@@ -78,8 +96,21 @@ def write_pages(folder: Path) -> dict[str, str]:
     return {name: page.as_uri() for name, page in pages.items()}
 
 
-def photograph(browser: Browser, picture: Picture, address: str) -> bytes:
-    """The window as a PNG."""
+def write_arms(folder: Path) -> dict[str, str]:
+    """Name -> address of a page in which nothing but an arm is seen."""
+    pages = {}
+    for name, degrees in ARMS.items():
+        robot = ml.load_robot(name)
+        q = robot.neutral()
+        q[: len(degrees)] = np.deg2rad(degrees)
+        still = ml.Trajectory(np.array([0.0, 1.0]), np.array([q, q]))
+        page = ml.replay(robot, {name: still}, folder / f"{name}.html").html
+        pages[name] = page.as_uri()
+    return pages
+
+
+def photograph(browser: Browser, picture: Picture, address: str) -> Image.Image:
+    """The window."""
     size = {"width": picture.width, "height": picture.height}
     context = browser.new_context(viewport=size, color_scheme="dark" if picture.dark else "light")  # type: ignore[arg-type]
     page = context.new_page()
@@ -92,7 +123,7 @@ def photograph(browser: Browser, picture: Picture, address: str) -> bytes:
     page.wait_for_timeout(800)
     content = page.screenshot()
     context.close()
-    return content
+    return Image.open(io.BytesIO(content))
 
 
 def main(folder: Path) -> None:
@@ -105,15 +136,24 @@ def main(folder: Path) -> None:
         pages = write_pages(Path(scratch))
         browser = playwright.chromium.launch(executable_path=chromium, args=FLAGS)
         for picture in PICTURES:
-            image = Image.open(io.BytesIO(photograph(browser, picture, pages[picture.page])))
-            path = folder / f"{picture.name}.png"
-            fewer = image.convert("RGB").quantize(256, Image.Quantize.MAXCOVERAGE, 4, dither=Image.Dither.NONE)
-            fewer.save(path, optimize=True)
-            size = path.stat().st_size
-            print(f"{path}: {size:,} bytes")
-            if size > MOST_BYTES:
-                raise SystemExit(f"{path} has {size:,} bytes, {MOST_BYTES:,} are allowed: make the window smaller")
+            image = photograph(browser, picture, pages[picture.page]).convert("RGB")
+            fewer = image.quantize(256, Image.Quantize.MAXCOVERAGE, 4, dither=Image.Dither.NONE)
+            save(fewer, folder / f"{picture.name}.png", MOST_BYTES)
+        alone = f"document.head.append(Object.assign(document.createElement('style'), {{ textContent: {ONLY_ARM!r} }}))"
+        for name, address in write_arms(Path(scratch)).items():
+            image = photograph(browser, Picture(name, name, [alone], False, *ARM_WINDOW), address).convert("RGB")
+            save(image.resize(ARM_SIZE, Image.Resampling.LANCZOS), folder / "arms" / f"{name}.webp", MOST_ARM_BYTES)
         browser.close()
+
+
+def save(image: Image.Image, path: Path, most: int) -> None:
+    """Write a picture that is small enough."""
+    path.parent.mkdir(parents=True, exist_ok=True)
+    image.save(path, optimize=True, quality=86, method=6)
+    size = path.stat().st_size
+    print(f"{path}: {size:,} bytes")
+    if size > most:
+        raise SystemExit(f"{path} has {size:,} bytes, {most:,} are allowed: make the window smaller")
 
 
 if __name__ == "__main__":

@@ -2,17 +2,14 @@
 # requires-python = ">=3.11"
 # dependencies = ["manip-learn"]
 # ///
-"""From recordings to a replay in the browser in a few lines.
+"""From recordings to an arm that does the task again, and a replay in the browser.
 
 The replay is one HTML file that needs no server and no network.
 """
 
 import argparse
-from pathlib import Path
 
 import manip_learn as ml
-
-RECORDINGS = Path(__file__).parent / "data"
 
 
 def main() -> None:
@@ -20,30 +17,23 @@ def main() -> None:
     parser.add_argument("--headless", action="store_true", help="write the file, but do not open it")
     arguments = parser.parse_args()
 
-    robot = ml.load_robot("sawyer")
-    demos = ml.load_demonstrations(RECORDINGS / "sawyer_drawer", robot)
-    features = ml.FrameJacobian(robot, frame="right_gripper_tip", axes="xyz", reference="world")
+    robot = ml.load_robot("sawyer")  # or your URDF
+    demos = ml.load_demonstrations("sawyer_drawer", robot)  # or your CSV files, ROS bags, LeRobot data
+    features = ml.FrameJacobian(robot, frame="right_gripper_tip")
     learner = ml.ConstraintLearner(features).fit(demos)
     print(learner.report_)
-    constraint = learner.constraint_
-    constraint.save("drawer.json")
 
     start = [1.2, -1.57, 0, 0, 0, 0, 0]
-    task = ml.motion(constraint, along=0.3, direction=[-1, -0.5, 0])  # the hand goes to the drawer and opens it
-    controller = ml.ResolvedRateController(constraint, task=task, null_policy=task.ascent())
-    rollout = ml.simulate(robot, controller, start, duration=task.duration_from(start), dt=0.01)
-    plain = ml.ResolvedRateController(constraint, task=task)
-    without = ml.simulate(robot, plain, start, duration=task.duration_from(start), dt=0.01)
+    again = ml.repeat(learner.skill_, start)  # takes hold where the recordings did, and goes as far
+    print(again)
 
-    climbing = rollout
+    # the same way without a plan: the hand goes straight to the handle, in whatever posture that gives
+    task = ml.motion(learner.constraint_)
+    controller = ml.ResolvedRateController(learner.constraint_, task, task.ascent())
+    climbing = ml.simulate(robot, controller, start, duration=task.duration_from(start), dt=0.01)
 
-    plan = ml.plan(constraint, task, start, seed=0)
-    print(plan)  # what limits it; plan.others says why other postures are worse
-    rollout = ml.simulate(robot, plan.controller, start, duration=plan.rollout.time[-1], dt=0.01)
-
-    shown = {"plan": plan.rollout, "climbing": climbing, "plain": without}
+    shown = {"repeat": again.rollout, "climbing": climbing}
     page = ml.replay(robot, shown, html="replay.html", open_browser=not arguments.headless)
-    print(f"plan: {rollout.status_counts}")
     print(f"{page.html}: {page.bytes / 1e6:.1f} MB")
 
 

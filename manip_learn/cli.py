@@ -26,6 +26,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     if argv is not None:
         return _run(list(argv))
     signal.signal(signal.SIGINT, _interrupt)
+    sys.stdout = sys.stdout or open(os.devnull, "w")  # None where a shell has closed it: nobody wants the answer
     sys.unraisablehook = _unraisable
     sys.exit(_run(sys.argv[1:]))
 

@@ -220,9 +220,9 @@ class UnknownNameError(ManipLearnError):
 
 def closest_names(name: str, known: Iterable[str], n: int = 4) -> list[str]:
     """Names of `known` that look like `name`: by similarity, then by containing it."""
-    known = list(known)
-    near = difflib.get_close_matches(name, known, n=n, cutoff=0.55)
-    lowered = name.lower()
+    known, lowered = list(known), name.lower()
+    by_letters = {k.lower(): k for k in known}
+    near = [by_letters[k] for k in difflib.get_close_matches(lowered, by_letters, n=n, cutoff=0.55)]
     near += [k for k in known if lowered and (lowered in k.lower() or k.lower() in lowered) and k not in near]
     return near[:n]
 

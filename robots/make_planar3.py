@@ -9,8 +9,7 @@ from xml.sax.saxutils import quoteattr
 
 # nearly two turns each way [rad], beyond 4 pi a limit looks like degrees; half a turn per second; [N m]
 TURN = 'lower="-12.5" upper="12.5" velocity="3.1416" effort="100"'
-COLOURS = (("steel", "0.27 0.31 0.36"), ("orange", "0.93 0.49 0.13"), ("blue", "0.16 0.47 0.71"))
-COLOURS += (("green", "0.2 0.63 0.4"), ("tip", "0.8 0.15 0.17"))
+COLOURS = (("steel", "0.27 0.31 0.36"), ("orange", "0.93 0.49 0.13"), ("tip", "0.8 0.15 0.17"))
 NO_TURN = 'rpy="0 0 0"'
 
 
@@ -51,7 +50,7 @@ def planar_arm_urdf(
             "  </joint>",
             f'  <link name="link{i}">',
             inertial(length / 2, length, (length, width, 0.7 * width)),  # 1 kg per metre
-            visual(length / 2, beam, COLOURS[1 + (i - 1) % 3][0]),
+            visual(length / 2, beam, "orange"),
             hub,
             "  </link>",
         ]

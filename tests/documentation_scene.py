@@ -3,12 +3,15 @@
 from __future__ import annotations
 
 import shutil
+import sys
 from functools import cache
 from pathlib import Path
 from types import ModuleType, SimpleNamespace
 from typing import Any
 
 import numpy as np
+import pytest
+from documentation_blocks import blocks
 from task_sets import arm as arm_named
 from task_sets import generated, sawyer_drawer
 from vendor_fakes import FAKES, Joints
@@ -19,7 +22,8 @@ from manip_learn.cli import main
 ROOT = Path(__file__).resolve().parents[1]
 DRAWER = ROOT / "examples" / "data" / "sawyer_drawer"
 TIP = "right_gripper_tip"
-ARMS = {"ur": "ur5", "franka": "panda", "xarm": "xarm7", "ros2_control": "ur5"}  # that a page is about
+# that a page is about
+ARMS = {"ur": "ur5", "ur5e_in_ten_minutes": "ur5e", "franka": "panda", "xarm": "xarm7", "ros2_control": "ur5"}
 RTDE = [f"actual_{kind}_{i}" for kind in ("q", "qd") for i in range(6)]  # columns of its recordings
 
 
@@ -90,7 +94,22 @@ def vendors(page: str) -> dict[str, ModuleType]:
     """The vendor's packages, around an arm at the beginning of the page's first recording."""
     if page not in ARMS:
         return {}
-    return FAKES[page](Joints(arm_named(ARMS[page]).joint_names, recorded(page)[0][1][0].copy()))
+    vendor = page.partition("5e_")[0]
+    fakes = FAKES[vendor](Joints(arm_named(ARMS[page]).joint_names, recorded(page)[0][1][0].copy()))
+    return fakes if vendor == page else {**fakes, "ur_arm": driver_of_the_page("ur", fakes)}
+
+
+def driver_of_the_page(page: str, fakes: dict[str, ModuleType]) -> ModuleType:
+    """The driver that a page shows, as the file that another page tells to save."""
+    module = ModuleType("ur_arm")
+    module.__dict__["np"] = np
+    with pytest.MonkeyPatch.context() as patch:
+        for name, fake in fakes.items():
+            patch.setitem(sys.modules, name, fake)
+        driver = next(b for b in blocks(ROOT / "docs" / f"{page}.md") if b.language == "python")
+        exec(compile(driver.text, page, "exec"), module.__dict__)
+    module.__dict__["my_arm"] = lambda: module.__dict__["URArm"]("192.168.56.101")
+    return module
 
 
 def write_recordings_of_arm(folder: Path, page: str) -> None:
@@ -98,7 +117,7 @@ def write_recordings_of_arm(folder: Path, page: str) -> None:
     names = arm_named(ARMS[page]).joint_names
     for number, (time, q) in enumerate(recorded(page)):
         header, rows = ["time", *names], np.column_stack([time, q])
-        if page == "ur":
+        if page.startswith("ur"):
             header, rows = ["timestamp", *RTDE], np.column_stack([rows, np.gradient(q, time, axis=0)])
         table = folder / f"drawer_{number}.csv"
         np.savetxt(table, rows, "%.9g", ",", header=",".join(header), comments="")

@@ -10,6 +10,33 @@ import pytest
 
 DOCS = Path(__file__).resolve().parents[1] / "docs"
 GOOD = '<h1 id="top">A</h1><a href="b.html#there">b</a><a href="#top">up</a><a href="https://example.org">site</a>'
+# who asks what, the page that this person would open, and the words that answer it
+QUESTIONS = (
+    ("a person without robotics", "Do I need a robot?", "teach", "No robot is needed"),
+    ("a person without robotics", "What does it find out?", "the_idea", "which directions the task allows"),
+    (
+        "an engineer with recordings",
+        "What do I need for my own arm?",
+        "your_own_arm",
+        "five to eight recordings of joint positions",
+    ),
+    (
+        "an engineer with recordings",
+        "Which file can it read?",
+        "recordings",
+        "a column `time` [s] and one column per joint",
+    ),
+    ("an engineer with recordings", "Can I trust the answer?", "reading_the_report", "is the **gap** 10 or more"),
+    ("an engineer with recordings", "How does the arm do it again?", "control", "ml.repeat(learner.skill_, q0)"),
+    ("a PhD student", "How do I use a policy of my own?", "your_own_null_space_policy", "null_policy = lambda q:"),
+    ("a PhD student", "How do I get the paper's numbers?", "reproduction", "manip-learn reproduce all"),
+    ("a technician with a UR5e", "Was it tried on a real arm?", "ur5e_in_ten_minutes", "**Tried in simulation only**"),
+    ("a technician with a UR5e", "Which library drives it?", "ur", "`ml.run` over RTDE"),
+    ("an operator", "Why did the arm stop?", "troubleshooting", "the arm stops, status `following-error`"),
+    ("an operator", "Does it keep clear of the table?", "world", "keeps 5 mm clear"),
+)
+SCREEN = 150  # words that a screen of 1280 x 800 shows at least
+PICTURE = 80  # words whose place a picture takes
 OTHER = '<p id="there"><img src="picture.png"></p><link rel="canonical" href="https://example.org/b.html">'
 
 
@@ -81,6 +108,15 @@ def test_links_of_markdown_files_have_targets(check, tmp_path):
 def test_links_of_the_markdown_files_here(check):
     """README, CONTRIBUTING and the pages beside recordings and robots link to what exists."""
     assert list(check.faults_of_markdown(check.ROOT)) == []
+
+
+@pytest.mark.parametrize(("person", "question", "page", "answer"), QUESTIONS, ids=lambda text: text[:12])
+def test_questions_are_answered_on_the_first_screen(person, question, page, answer):
+    """Whoever opens the page with this question reads the answer without scrolling."""
+    before, found, _ = (DOCS / f"{page}.md").read_text(encoding="utf-8").partition(answer)
+    assert found, f"{person} asks {question!r}: {page}.md does not say {answer!r}"
+    pictures = before.count("![") + before.count("{image}")
+    assert len(before.split()) + PICTURE * pictures < SCREEN, f"{person} asks {question!r} and has to scroll"
 
 
 def test_each_figure_is_drawn_from_its_table(tmp_path):

@@ -82,6 +82,79 @@ def test_without_the_data_package(monkeypatch):
         example_robots.cache_clear()
 
 
+XACRO = '<robot xmlns:xacro="http://www.ros.org/wiki/xacro" name="r"><xacro:arg name="kind" default="six"/>' + (
+    '<link name="a"/><link name="$(arg kind)"/><joint name="j" type="revolute"><parent link="a"/>'
+    '<child link="$(arg kind)"/><limit lower="-1" upper="1" velocity="1" effort="1"/></joint></robot>'
+)
+
+
+@pytest.fixture
+def fetching(tmp_path, monkeypatch) -> Path:
+    """A stand-in for robot_descriptions, whose modules fetch a robot when they are imported."""
+    package = tmp_path / "robot_descriptions"
+    package.mkdir()
+    (tmp_path / "git").mkdir()
+    (tmp_path / "git" / "exc.py").write_text("class GitError(Exception): pass\n")
+    (package / "arm.urdf").write_text(ARM)
+    (package / "six.urdf.xacro").write_text(XACRO)
+    paths = f"print('Cloning')\nREPOSITORY_PATH = {str(package)!r}\n"
+    for name, text in {
+        "__init__": "",
+        "_cache": "raise RuntimeError",
+        "own_description": f"{paths}URDF_PATH = {str(package / 'arm.urdf')!r}\n",
+        "own_mj_description": "raise RuntimeError",
+        "xarm6_description": f"{paths}XACRO_PATH = {str(package / 'six.urdf.xacro')!r}\n"
+        "XACRO_ARGS = {'kind': 'tip'}\n",
+        "offline_description": "from git.exc import GitError\nraise GitError('could not resolve host')\n",
+    }.items():
+        (package / f"{name}.py").write_text(text)
+    monkeypatch.syspath_prepend(str(tmp_path))
+    monkeypatch.setitem(catalogue.VARIANTS, "lite6", ("xarm6", {"kind": "lite"}))
+    catalogue.fetched_names.cache_clear()
+    yield package
+    monkeypatch.undo()
+    catalogue.fetched_names.cache_clear()
+    for name in [n for n in sys.modules if n.partition(".")[0] in ("robot_descriptions", "git")]:
+        del sys.modules[name]
+
+
+def test_robots_are_fetched_by_name(fetching, capsys):
+    """A URDF as it is, a xacro file expanded once with its arguments; each is known by its name again; nothing but
+    what was asked for is fetched, and standard output stays clean.
+    """
+    assert catalogue.fetched_names() == {"own", "xarm6", "lite6", "offline"} <= set(robot_names())
+    assert load_robot("own").joint_names == ("shoulder", "elbow")
+    for name, tip in (("xarm6", "tip"), ("lite6", "lite"), ("xArm-6", "tip")):
+        robot = load_robot(name)
+        assert tip in robot.frame_names and catalogue.known_as(robot.source) == name.lower().replace("-", "")
+    (fetching / "six.urdf.xacro").unlink()  # not expanded again
+    assert "lite" in load_robot("lite6").frame_names and capsys.readouterr().out == ""
+
+
+def test_a_robot_that_cannot_be_fetched(fetching, monkeypatch):
+    """One sentence says that the net is needed once; without the package, which extra brings the arm."""
+    with pytest.raises(RobotError, match="offline is fetched from the net when it is first named, and cannot be"):
+        load_robot("offline")
+    monkeypatch.setattr(catalogue, "fetched_names", frozenset)
+    for name in ("xarm6", "Lite 6"):
+        with pytest.raises(MissingExtraError, match=r"manip_learn\[descriptions\]"):
+            load_robot(name)
+
+
+def test_a_name_is_known_however_it_is_written():
+    """Capitals, hyphens and spaces do not count; another number is another arm."""
+    for written, name in (
+        ("UR5e", "ur5e"),
+        ("SO-101", "so101"),
+        ("xArm7", "xarm7"),
+        ("xarm 7", "xarm7"),
+        ("FR3", "fr3"),
+    ):
+        assert find_robot(written) == find_robot(name)
+    with pytest.raises(UnknownNameError, match="not the same arm"):
+        find_robot("UR99")
+
+
 def test_shipped_robots_are_found_in_a_wheel(tmp_path, monkeypatch):
     """Installed, the robots lie inside the package; in a checkout beside it."""
     assert catalogue.shipped_folder() == Path(__file__).resolve().parents[1] / "robots"

@@ -4,13 +4,15 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+import trimesh
 from conftest import URDFS
 from test_playback import unpacked, waving
 
-from manip_learn.playback.appearance import appearance, decimated
+from manip_learn.playback.appearance import appearance
 from manip_learn.playback.kinematic_tree import kinematic_tree
 from manip_learn.playback.recorded_motion import recorded_motion
 from manip_learn.playback.scene_data import scene_data
+from manip_learn.playback.simple_meshes import decimated
 from manip_learn.robot.loading import load_robot
 from manip_learn.robot.visuals.meshes import Mesh
 
@@ -57,25 +59,46 @@ def test_edges_stay_sharp_and_round_things_smooth():
     assert volume(cube_out) == pytest.approx(1.0)
 
 
-def test_robots_without_shapes_get_a_figure(robot_of):
-    """A robot without visuals has a body at every joint, and something that reaches to its tip."""
-    for name in ("one", "gantry", "wrist", "tree", "humanoid", "rover"):
-        tree = kinematic_tree(robot_of(name))
-        looks = appearance(robot_of(name), tree)
-        assert {s.joint for s in looks.shapes} == set(range(len(tree))), name
-        assert any(s.kind == "cone" for s in looks.shapes) and not looks.meshes, name
-        assert all(np.isfinite(s.pose).all() and min(s.size) > 0.0 for s in looks.shapes), name
+@pytest.mark.parametrize("name", ["one", "gantry", "wrist", "tree", "humanoid", "rover", "sawyer", "ur5e", "fr3"])
+def test_robots_without_meshes_get_shells(robot_of, name):
+    """Closed shells lead from each joint to those that it carries, and something is drawn at every joint."""
+    robot = robot_of(name)
+    tree = kinematic_tree(robot)
+    looks = appearance(robot, tree)
+    assert {s.joint for s in looks.shapes} == set(range(len(tree)))
+    assert all(np.isfinite(s.pose).all() for s in looks.shapes) and len(looks.meshes) > 0
+    for mesh in looks.meshes:
+        sides = np.concatenate([mesh.faces[:, [0, 1]], mesh.faces[:, [1, 2]], mesh.faces[:, [2, 0]]])
+        assert sorted(map(tuple, sides)) == sorted(map(tuple, sides[:, ::-1])) and volume(mesh) > 0.0
+    for child in tree[1:]:
+        at = child.placement[:3, 3]
+        if np.linalg.norm(at) > 0.05:
+            assert trimesh.Trimesh(*solid_of(looks, child.parent)).contains([at])[0], child.name
 
 
-def test_own_shapes_are_used_and_rods_stay_inside(robot_of):
-    """Arms are drawn as their URDF says, without notes; rods between their shapes are slimmer than these."""
-    for name in ("sawyer", "planar3"):
-        looks = appearance(robot_of(name), kinematic_tree(robot_of(name)))
-        own, rods = ([s for s in looks.shapes if (s.kind == "cone") is rod] for rod in (False, True))
-        assert looks.notes == () and {s.kind for s in own} <= {"box", "sphere", "cylinder"} and len(own) >= 7, name
-        for rod in rods:
-            assert max(rod.size[:2]) < min([s.half_extent().min() for s in own if s.joint == rod.joint], default=np.inf)
-    assert len(rods) == 3
+def solid_of(looks, joint):
+    """Vertices and faces of a joint's shell."""
+    mesh = next(looks.meshes[s.mesh] for s in looks.shapes if s.joint == joint and s.mesh is not None)
+    return mesh.vertices, mesh.faces
+
+
+def test_shells_take_the_thickness_of_what_they_stand_for(robot_of):
+    """A link of the shipped Sawyer is as thick as its cylinder; head and jaws, which no bone goes through, stay."""
+    looks = appearance(robot_of("sawyer"), kinematic_tree(robot_of("sawyer")))
+    forearm = solid_of(looks, 3)[0]
+    middle = forearm[np.abs(forearm[:, 2] - 0.13) < 0.03]
+    np.testing.assert_allclose(np.hypot(middle[:, 0], middle[:, 1]), 0.06, atol=0.004)
+    assert [s.size for s in looks.shapes if s.kind == "box"].count((0.02, 0.26, 0.16)) == 1
+    assert len([s for s in looks.shapes if s.kind == "box" and s.joint == 7]) == 2
+
+
+def test_chassis_and_wheels_are_drawn_as_they_are(tmp_path):
+    """Own shapes that are no slender links keep their form, wherever the bones of joints run."""
+    chassis = '<visual><geometry><box size="0.6 0.4 0.3"/></geometry></visual>'
+    path = tmp_path / "cart.urdf"
+    path.write_text(URDFS["gantry"].replace('<link name="link2">', f'<link name="link2">{chassis}'), encoding="utf-8")
+    robot = load_robot(path)
+    assert (0.6, 0.4, 0.3) in [s.size for s in appearance(robot, kinematic_tree(robot)).shapes]
 
 
 def test_meshes_are_packed(robot_of):

@@ -29,7 +29,7 @@ from manip_learn.robot.tips import default_tip  # noqa: E402
 from manip_learn.teach.arm import STRONGEST, TeachingArm  # noqa: E402
 from manip_learn.teach.files import HOMES, Lesson  # noqa: E402
 from manip_learn.teach.scene import TITLES, place_scene  # noqa: E402
-from manip_learn.teach.session import LEFT, TeachingSession  # noqa: E402
+from manip_learn.teach.session import TeachingSession  # noqa: E402
 from manip_learn.teach.way import TaughtWay, held_by_handles  # noqa: E402
 
 pytestmark = pytest.mark.timeout(400)  # a busy machine takes four times as long as an idle one
@@ -212,7 +212,9 @@ def test_a_person_who_pushes_is_noticed_and_the_way_can_be_changed(sawyer, tmp_p
     assert seen["target"] == pytest.approx(0.6, abs=0.02)
     assert not seen["tripped"]["ordered"] and "from where it was sent" in seen["tripped"]["ended"]
     named = [one["name"] for one in person.slots["ghosts"]["rollouts"]]
-    assert named == ["with the learnt manipulability", "without"]
+    assert named == ["with", "without"]
+    assert person.slots["ghosts"]["rollouts"][1]["failed"] and not person.slots["ghosts"]["rollouts"][0]["failed"]
+    assert "Without the learnt manipulability" in person.state["said"]
 
 
 def test_recordings_are_renamed_deleted_replayed_and_dropped(sawyer, tmp_path, robot_of):
@@ -248,6 +250,39 @@ def test_recordings_are_renamed_deleted_replayed_and_dropped(sawyer, tmp_path, r
     assert kept == sorted(path.name for path in session.files) and "planar.csv" not in kept
 
 
+def test_a_recording_that_took_hold_of_nothing_is_not_kept(sawyer, tmp_path):
+    """Free motion beside a drawer is not kept, in words that say why; what waits to be learnt is counted."""
+    seen: list[int] = []
+
+    def script(person: Person) -> Iterator[Any]:
+        yield from person.demonstrate()
+        seen.append(person.state["unlearnt"])
+        yield from person.press(do="record")
+        person.other_hand()
+        at = person.session.arm.place
+        yield from person.drag(lambda s: at + [0.0, 0.0, 0.1 * s], 1.0)
+        yield from person.press(do="release")
+        yield from person.press(do="record")
+        yield from person.wait_for(lambda: person.state["wrong"])
+
+    person, session = taught(sawyer, "drawer", 16, tmp_path, script)
+    assert "took hold of nothing" in person.state["said"]
+    assert seen == [1] and len(session.files) == len(list(tmp_path.rglob("*.csv"))) == 1
+
+
+def test_furniture_is_felt(sawyer, tmp_path):
+    """An arm that is pulled into the furniture is stopped by it, and the page is told where it touches."""
+    rng = np.random.default_rng(3)
+    arm = TeachingArm(place_scene("drawer", sawyer, TIP, rng), rng, in_real_time=False)
+    body = arm.scene.handles[0].pose[:3, 3] - 0.3 * arm.scene.handles[0].axis
+    assert arm.touches == []
+    for _ in range(400):
+        arm.pull("right_j5", [0.0, 0.0, 0.0], body)
+        arm.wait()
+    assert arm.touches and np.all(np.isfinite(arm.q))
+    assert min(np.linalg.norm(np.array(arm.touches) - body, axis=1)) < 0.5
+
+
 def test_a_hand_out_of_reach_and_odd_messages_do_no_harm(sawyer, tmp_path):
     """A hand dragged five metres away pulls no stronger than a person, the arm stays within its limits and comes to
     rest; what is no number or no command is refused, and the physics go on.
@@ -262,6 +297,10 @@ def test_a_hand_out_of_reach_and_odd_messages_do_no_harm(sawyer, tmp_path):
         for odd in (
             {"do": "pull", "to": [np.nan, 0.0, 0.0], "seq": 2},
             {"do": "pull", "to": [1.0, 2.0], "seq": 2},
+            {"do": "pull", "to": [1e308, 0.0, 0.0], "seq": 2},
+            {"do": "pull", "to": [0.0, 0.0, 0.0], "turn": [1e308, 0.0, 0.0], "seq": 2},
+            {"do": "pull", "link": "right_j3", "at": [0.0, -1e308, 0.0], "to": [0.0, 0.0, 0.0], "seq": 2},
+            {"do": "scene", "kind": ["drawer"]},
             {"do": "pull", "to": [0.0, 0.0, 0.0], "turn": [np.inf, 0.0, 0.0]},
             {"do": "pull"},
             {"do": "pull", "link": "no such link", "at": [0, 0, 0], "to": [0, 0, 0]},
@@ -284,11 +323,12 @@ def test_a_hand_out_of_reach_and_odd_messages_do_no_harm(sawyer, tmp_path):
     json.dumps(person.pose, allow_nan=False)
 
 
-def test_one_page_leads_another_may_take_over_and_without_any_the_session_ends(sawyer, tmp_path):
+def test_one_page_leads_another_may_take_over_and_without_any_the_session_ends(sawyer, tmp_path, monkeypatch):
     """The first page's hand counts; a second one's does not until it takes the arm; a page that is loading counts as
-    one; the session ends a second after the last is gone, and what was being recorded is kept.
+    one; the session ends some time after the last is gone, what was being recorded is kept, and pages are told.
     """
-    session = TeachingSession(sawyer, TIP, tmp_path, "drawer", 1, person := Person(1), in_real_time=True)
+    monkeypatch.setattr("manip_learn.teach.session.LEFT", left := 1.0)
+    session = TeachingSession(sawyer, TIP, tmp_path, "free", 1, person := Person(1), in_real_time=True)
     pull = {"do": "pull", "to": (session.arm.place + 0.1).tolist(), "seq": 7}
 
     def script() -> Iterator[Any]:
@@ -309,7 +349,7 @@ def test_one_page_leads_another_may_take_over_and_without_any_the_session_ends(s
         yield from person.wait(0.3)
         assert person.state["leader"] == "a"
         session.hear({"pages": [], "loading": 1})
-        yield from person.wait(LEFT + 0.3)
+        yield from person.wait(left + 0.3)
         session.hear({"pages": [], "loading": 0})
         while True:
             yield None
@@ -317,7 +357,7 @@ def test_one_page_leads_another_may_take_over_and_without_any_the_session_ends(s
     person.session, person.script = session, script()
     session.run()
     (kept,) = tmp_path.rglob("*.csv")
-    assert len(kept.read_text().splitlines()) > 100
+    assert len(kept.read_text().splitlines()) > 100 and person.slots["ended"]
     assert not [child for child in multiprocessing.active_children() if child.name == "teaching"]
 
 

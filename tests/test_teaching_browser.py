@@ -39,9 +39,10 @@ def tab(chromium, address):
 def test_a_lesson(chromium, tmp_path):
     """A drawer is opened by the mouse, with an unsteady hand and pauses, a few times; Learn finds its direction within
     half a degree of the truth, Run opens it, the constraint goes home, and all is there when the page is loaded again.
+    A page that is loaded after the end says that the program has ended.
     """
     pytest.importorskip("mujoco", reason="NO MUJOCO: TEACHING IS NOT TESTED")
-    with program(tmp_path, "sawyer", "--seed", str(SEED)) as (_, address), tab(chromium, address) as page:
+    with program(tmp_path, "sawyer", "--seed", str(SEED)) as (child, address), tab(chromium, address) as page:
         person = MousePerson(page, seed=1)
         out = np.array(person.teach("scene.furniture[0].fixed.pose")).reshape(4, 4)[:3, 1]
         for _ in range(RECORDINGS):
@@ -52,6 +53,7 @@ def test_a_lesson(chromium, tmp_path):
         wait_until(page, "manipLearnTeach.state.answer !== null")
         assert not person.teach("state.answer.refused"), person.teach("state.said")
         assert "degrees off" not in page.locator("#teach").inner_text()  # the truth is not told unasked
+        page.locator("#step-learn > summary").click()
         page.locator("#truth").click()
         wait_until(page, "document.querySelector('#truth-words table') !== null")
         error = re.search(r"([-0-9.e]+) degrees off", page.locator("#truth-words table").inner_text())
@@ -61,11 +63,16 @@ def test_a_lesson(chromium, tmp_path):
         assert person.teach("state.run.ordered"), person.teach("state.said")
         # the pose comes apart from the state, and later on a busy machine
         wait_until(page, "Math.abs(manipLearnTeach.pose.opening[0] - manipLearnTeach.state.run.wanted) < 0.01")
+        page.locator("#step-take summary").click()
         with page.expect_download() as download:
             page.locator("[data-take=constraint]").click()
         assert download.value.suggested_filename == "constraint.json"
-        sentence = page.locator("#answer .headline").inner_text()
+        sentence = page.locator("#answer .headline").text_content()
         page.reload()
         wait_until(page, "window.manipLearnReady && manipLearnTeach.allowed && manipLearnTeach.state.answer !== null")
         assert page.locator("#recordings li").count() == RECORDINGS
-        assert page.locator("#answer .headline").inner_text() == sentence
+        assert page.locator("#answer .headline").text_content() == sentence
+        child.terminate()
+        child.wait(20)
+        page.reload()
+        assert "The program has ended" in page.locator("body").inner_text()

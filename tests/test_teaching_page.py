@@ -34,7 +34,8 @@ SLOW = 0.05  # of the answer to a pull [s]
 STATE = {
     "leader": None, "doing": "idle", "said": "Take the arm by its hand.", "wrong": False, "recordings": [],
     "scenes": [{"kind": "drawer", "title": "A drawer"}, {"kind": "door", "title": "A door"}], "recording": None,
-    "progress": None, "answer": None, "truth": None, "way": None, "run": None, "files": [], "keep": "/kept/here",
+    "progress": None, "answer": None, "truth": None, "way": None, "unlearnt": 0, "run": None, "files": [],
+    "keep": "/kept/here",
 }  # fmt: skip
 RECORDINGS = [
     {"name": HOSTILE, "seconds": 4.2, "samples": 420, "odd": "", "phases": [[0, 2, -1], [2, 4.2, 0]], "kept": True},
@@ -73,7 +74,7 @@ class Program:
         leaf = [[0, -0.03, 0, 0.28, 0.02, 0.18, "front"], [0, 0, 0, 0.1, 0.02, 0.02, "handle"]]
         self.put("scene", {
             "number": 1, "kind": "drawer", "title": "A drawer", "task": f"open it {HOSTILE}", "notes": ["no masses"],
-            "handles": [{"name": "drawer", "unit": "m", "at": handle, "firm": True}],
+            "handles": [{"name": "drawer", "unit": "m", "at": handle, "firm": True, "move": "Pull it open"}],
             "furniture": [{"fixed": {"pose": shut.ravel().tolist(), "boxes": body}, "moving": {"boxes": leaf}}],
         })  # fmt: skip
         self.handle = handle
@@ -96,8 +97,8 @@ class Program:
         self.q = q
         values = joint_tracks(self.robot, kinematic_tree(self.robot), np.array([q]))[0].tolist()
         calm = {"time": 1.0, "held": [False], "near": None, "hand": None, "weak": None, "mu": 0.2, "marks": None,
-                "limit": [], "opening": [0.0], "rate": 1000, "seq": self.last("pull").get("seq", 0), "trail": False,
-                "furniture": [[*self.handle, 1, 0, 0, 0]]}  # fmt: skip
+                "limit": [], "touches": [], "opening": [0.0], "rate": 1000, "seq": self.last("pull").get("seq", 0),
+                "trail": False, "furniture": [[*self.handle, 1, 0, 0, 0]]}  # fmt: skip
         self.put("pose", calm | {"values": values} | more)
 
     def all(self, do):
@@ -254,6 +255,11 @@ def drag(page, by, keys=(), steps=8):
     for key in keys:
         page.keyboard.down(key)
     page.mouse.move(x + by[0], y + by[1], steps=steps)
+
+
+def unfold(page, step):
+    """Open a card."""
+    page.locator(f"#step-{step}:not([inert])").evaluate("card => { card.open = true; }")
 
 
 def looks_drawn(page):
@@ -413,18 +419,24 @@ def test_a_hand_over_a_handle_comes_to_its_depth(program, page):
 def test_names_and_answers_are_text(program, page):
     """Recordings, their oddities, the answer and the truth are shown as they were said, markup in them too."""
     truth = {"sentence": HOSTILE, "errors": [["angle", "0.3 degrees"]], "lines": ANSWER["mechanism"]["lines"]}
+    assert HOSTILE in page.locator("#headline").inner_text()
     program.say(**LEARNT, truth=truth)
     weak = {"direction": [0, 1, 0], "share": 0.05}
-    program.pose(START, marks=MARKS, held=[True], opening=[0.123], weak=weak, limit=["joint2"])
+    touches = [program.robot.pose(START, program.robot.frame("link1"))[:3, 3].tolist()]
+    program.pose(START, marks=MARKS, held=[True], opening=[0.123], weak=weak, limit=["joint2"], touches=touches)
     wait_until(page, "document.querySelectorAll('#recordings li').length === 2")
     names = page.evaluate("[...document.querySelectorAll('#recordings input')].map(box => box.value)")
     assert names == [HOSTILE, "second"]
+    unfold(page, "show")
     assert "odd: leaves the line" in page.locator("#recordings").inner_text()
+    unfold(page, "learn")
     page.locator("#answer summary").click()
     words = page.locator("#answer").inner_text()
     for part in (ANSWER["sentence"], ANSWER["evidence"], "within 0.3 degrees", "310", "recordings are few", HOSTILE):
         assert part in words
-    assert HOSTILE in page.locator("#truth-words").inner_text() and HOSTILE in page.locator("#task").inner_text()
+    assert HOSTILE in page.locator("#truth-words").inner_text()
+    assert page.locator("#headline").inner_text() == ANSWER["sentence"]
+    assert page.locator("#holding").inner_text() == "Holding the drawer. Pull it open. To let go:"
     assert page.locator("#teach img").count() == 0
     wait_until(page, "document.getElementById('labels').innerText.includes('hardly move this way')")
     labels = page.locator("#labels").inner_text()
@@ -434,6 +446,7 @@ def test_names_and_answers_are_text(program, page):
         "free to move",
         "the truth",
         "line that was learnt",
+        "the arm touches this",
     ):
         assert label in labels
 
@@ -444,6 +457,7 @@ def test_what_the_person_does_is_posted(program, page):
     program.say(**LEARNT)
     program.pose(START, marks=MARKS)
     wait_until(page, "manipLearnTeach.goalOnScreen()")
+    unfold(page, "show")
     page.locator("#recordings input").nth(1).fill("opened twice")
     page.keyboard.press("Enter")
     page.locator("#recordings button", has_text="Replay").nth(1).click()
@@ -474,8 +488,8 @@ def test_what_the_person_does_is_posted(program, page):
         assert expected in said, expected
     assert not program.all("pull")
     program.say(way=None)
-    wait_until(page, "document.getElementById('do-hint').checkVisibility()")
-    assert "no way to go" in page.locator("#do-hint").inner_text()
+    wait_until(page, "document.getElementById('no-way').checkVisibility()")
+    assert "no way to go" in page.locator("#no-way").inner_text()
     program.say(answer=REFUSAL)
     page.locator("#offer").click()
     until(page, lambda: program.last("scene") == {"do": "scene", "kind": "door"}, "the offer is not taken")
@@ -485,10 +499,11 @@ def test_what_the_person_does_is_posted(program, page):
 def test_files_go_home_and_come_in(program, page):
     """A file is downloaded once it is there; one that is dropped is posted, if it is a CSV that is not too long."""
     program.say(**LEARNT)
+    unfold(page, "take")
     page.locator("[data-take=csv]").click()
     until(page, lambda: program.last("take") == {"do": "take", "what": "csv"}, "not asked for")
     with page.expect_download() as download:
-        program.say(files=[{"name": "recordings_csv.zip", "says": "two motions <1>"}])
+        program.say(files=[{"name": "recordings_csv.zip", "says": "two motions <1>", "number": 1}])
     assert download.value.suggested_filename == "recordings_csv.zip"
     assert "two motions <1>" in page.locator("#files").inner_text()
     assert "/kept/here" in page.locator("#keep").inner_text()
@@ -522,26 +537,104 @@ def test_another_tab_has_the_arm(program, page):
     wait_until(page, "manipLearnTeach.allowed && !document.getElementById('banner').checkVisibility()")
 
 
-def test_the_tour_and_a_lost_connection(chromium, robot_of):
-    """Five steps, by buttons or arrows, with the focus on Next; skipped, it stays away. When the program is gone the
-    page says so, and everything is disabled.
+def next_button(page):
+    """What the large button says."""
+    return page.locator("#actions .next").inner_text().split("\n")[0].strip()
+
+
+def test_the_next_step_and_the_cards(program, page):
+    """One button is large: record, stop, learn, let the arm do it, reset; the card at hand is open, the others are a
+    line, and the answer stands above the arm. A key that the page knows works whatever has the focus.
+    """
+    record = {"name": "recording", "seconds": 1.2}
+    five = [RECORDINGS[1] | {"name": f"motion {k}"} for k in range(5)]
+    done = {"policy": "zero", "done": 0.2, "wanted": 0.2, "ended": "all of the way is done", "ordered": True}
+    shown = {"recordings": five, "unlearnt": 5}
+    learnt = {**LEARNT, "recordings": five, "answer": ANSWER | {"line": "It slides."}}
+    for state, button, step in (
+        ({}, "Record 1 of 5", "show"),
+        ({"doing": "recording", "recording": record}, "Stop (1.2 s)", "show"),
+        ({"recordings": five[:3], "unlearnt": 3}, "Record 4 of 5", "show"),
+        (shown, "Learn from 5 motions", "show"),
+        ({**shown, "doing": "learning"}, "Learning …", "show"),
+        ({"recordings": five, "answer": REFUSAL}, "Record another one", "learn"),
+        ({**learnt, "unlearnt": 1}, "Learn from 5 motions", "show"),
+        (learnt, "Let the arm do it", "do"),
+        ({**learnt, "doing": "running"}, "Stop", "do"),
+        ({**learnt, "run": done}, "Reset the arm", "do"),
+    ):
+        program.state = STATE
+        program.say(leader=page.evaluate("manipLearnTeach.id"), said=button, **state)
+        wait_until(page, f"document.getElementById('said').textContent === {button!r}")
+        assert next_button(page) == button
+        assert page.evaluate("[...document.querySelectorAll('.step[open]')].map(s => s.id)") == [f"step-{step}"]
+    assert page.locator("#headline").inner_text() == "It slides."
+    assert "20.0 cm of 20.0 cm" in page.locator("#step-do summary").inner_text()
+    page.locator("#home").focus()
+    page.keyboard.press("r")
+    until(page, lambda: program.all("record"), "R does nothing while a button has the focus")
+
+
+def test_a_drawer_is_a_target_of_a_drag(program, page):
+    """Who presses on the drawer pulls the hand to its handle, and goes on pulling when the pointer is lifted, until the
+    gripper holds it; who turns the view by a drag beside the arm before the first pull is told how to move the hand.
+    """
+    program.pose(FARTHER)
+    wait_until(page, f"Math.abs(manipLearnTeach.pose.values[0] - {FARTHER[0]}) < 1e-12")
+    looks_drawn(page)
+    x, y = page.evaluate("p => manipLearnTeach.screenOf(p)", list(program.handle)).values()
+    page.mouse.move(x + 3, y + 2)
+    page.mouse.down()
+    page.mouse.move(x + 60, y + 2, steps=3)
+    beats = iter(range(1000))
+    until(page, lambda: comes(program, next(beats)), "the hand does not come to the handle")
+    page.mouse.up()
+    until(page, lambda: comes(program, next(beats)), "the hand does not stay")
+    assert not program.all("release")
+    program.pose(START, held=[True])
+    until(page, lambda: program.all("release"), "the hand is not let go once the gripper holds the handle")
+
+
+def test_the_tour_is_a_line_of_the_panel_and_an_end_is_told(chromium, robot_of):
+    """It says the first step that was not done, in one line while the arm is pulled, and takes no key; skipped, it
+    stays away. A drag that turns the view before the first pull is explained. When the program is gone the page says
+    so, and everything is disabled.
     """
     program = Program(robot_of("planar3"))
     with opened_page(chromium, program, DESKTOP, before="window.errors = 1") as page:
+        tour = page.locator("#tour")
         wait_until(page, "document.getElementById('tour').checkVisibility()")
-        assert page.evaluate("document.activeElement.id") == "tour-next"
-        titles = []
-        for _ in range(5):
-            titles.append(page.locator("#tour-title").inner_text())
-            page.keyboard.press("ArrowRight")
-        assert titles == ["Take the hand", "Open the drawer", "Record five", "Learn", "Run"]
-        page.keyboard.press("Escape")
-        assert not page.locator("#tour").is_visible()
+        assert "1 of 5: Take the hand" in tour.inner_text()
+        scene = page.locator("#scene").bounding_box()
+        page.mouse.move(scene["x"] + 20, scene["y"] + 40)
+        page.mouse.down()
+        page.mouse.move(scene["x"] + 220, scene["y"] + 40, steps=6)
+        page.mouse.up()
+        wait_until(page, "document.getElementById('hand-hint').checkVisibility()")
+        assert "That turned the view" in page.locator("#hand-hint").inner_text()
+        drag(page, (20, 0))
+        until(page, lambda: "2 of 5" in tour.inner_text(), "the first step is not done by a pull")
+        assert page.evaluate("document.getElementById('tour').classList.contains('brief')")
+        page.mouse.up()
+        page.locator("#tour-skip").focus()
+        page.keyboard.press("r")
+        until(page, lambda: program.all("record"), "the tour takes R")
+        page.locator("#tour-skip").click()
+        until(page, lambda: not tour.is_visible(), "the tour stays")
         assert page.evaluate("sessionStorage.getItem('manip-learn-tour')") == "seen"
         program.gone = True
         wait_until(page, "document.getElementById('banner').checkVisibility()")
         assert "connection to the program is lost" in page.locator("#banner").inner_text()
         assert page.locator("#record").is_disabled() and not page.evaluate("manipLearnTeach.allowed")
+
+
+def test_a_program_that_ends_says_so(chromium, robot_of):
+    """Its page then says that it has ended, and not that the line is lost."""
+    program = Program(robot_of("planar3"))
+    with opened_page(chromium, program, DESKTOP) as page:
+        program.put("ended", True)
+        wait_until(page, "document.getElementById('banner').checkVisibility()")
+        assert "The program has ended" in page.locator("#banner").inner_text()
 
 
 @pytest.fixture(scope="module")
@@ -589,26 +682,29 @@ def test_a_second_finger_turns_the_hand(phone):
 
 
 def test_ghosts_are_played_beside_the_arm(program, page):
-    """They have a legend that hides each, their manipulability, and say how they ended."""
+    """Each has a button that hides it, a bar for the room that it has left, its curve, and says how it ended; at the
+    end they stay, the one that failed with its centimetres in the picture.
+    """
     times = np.linspace(0.0, 1.0, 5)
     ways = joint_tracks(program.robot, kinematic_tree(program.robot), START + times[:, None] * [0.3, 0.0, 0.1])
     numbers = {"keyTimes": times, "tracks": ways, "curveTimes": times, "curve": 0.1 + times}
-    ghost = {"duration": 1.0, "ended": "opened by 10 cm"} | {name: packed(x, "<f8") for name, x in numbers.items()}
+    ghost = {"duration": 1.0, "ended": "20.0 of 20.0 cm"} | {name: packed(x, "<f8") for name, x in numbers.items()}
     program.say(**LEARNT)
-    program.put("ghosts", {"number": 1, "kind": "policies", "rollouts": [
+    program.put("ghosts", {"number": 1, "kind": "compare", "rollouts": [
         ghost | {"name": HOSTILE, "colour": "#0072b2", "colourName": "blue"},
-        ghost | {"name": "zero", "colour": "#d55e00", "colourName": "vermilion"}]})  # fmt: skip
-    wait_until(page, "document.querySelectorAll('#ghost-legend .rollout').length === 2")
-    wait_until(page, "document.querySelector('#ghost-legend .mu').textContent.includes('0.1')")
-    assert page.locator("#ghost-legend .name").first.inner_text() == HOSTILE
-    assert page.locator("#ghost-chart polyline").count() == 2
-    page.locator("#ghost-legend .eye").first.click()
-    assert page.locator("#ghost-chart polyline").count() == 1
-    assert "zero: opened by 10 cm" in page.locator("#ghost-ends").evaluate("list => list.textContent")
+        ghost | {"name": "without", "ended": "9.3 of 20.0 cm", "colour": "#d55e00", "colourName": "red"}]})  # fmt: skip
+    wait_until(page, "document.querySelectorAll('#ghost-ends button').length === 2")
+    assert page.locator("#ghost-ends button").first.inner_text() == HOSTILE
+    wait_until(page, "document.querySelectorAll('#chart polyline').length === 2")
+    wait_until(page, "document.getElementById('labels').innerText.includes('without: 9.3 of 20.0 cm')")
+    assert page.locator("#ghost-ends meter").first.evaluate("bar => bar.value") == pytest.approx(1.0)
+    page.locator("#ghost-ends button").last.click()
+    wait_until(page, "!document.getElementById('labels').innerText.includes('without: 9.3')")
+    assert "9.3 of 20.0 cm" in page.locator("#ghost-ends").inner_text()
     page.locator("#no-ghosts").click()
     until(page, lambda: program.last("ghosts") == {"do": "ghosts", "show": False}, "not removed")
     program.put("ghosts", None)
-    wait_until(page, "!document.getElementById('ghost-legend').checkVisibility()")
+    wait_until(page, "!document.getElementById('ghost-ends').checkVisibility()")
 
 
 def test_nothing_keeps_readers_out(desk):
@@ -621,11 +717,11 @@ def test_nothing_keeps_readers_out(desk):
     program.say(leader=page.evaluate("manipLearnTeach.id"))
     page.evaluate(base.AXE_SCRIPT)
     truth = {"sentence": "so it is", "errors": [["angle", "0.3"]], "lines": []}
-    more = {"files": [{"name": "a.csv", "says": "motions"}], "progress": {"step": "Reading", "share": 0.4}}
+    more = {"files": [{"name": "a.csv", "says": "motions", "number": 1}], "progress": {"step": "Reading", "share": 0.4}}
     program.say(**LEARNT, **more, truth=truth, wrong=True, said="That did not work.")
     program.pose(START, marks=MARKS, near=0)
     wait_until(page, "document.querySelectorAll('#files a').length === 1")
-    page.evaluate("for (const list of document.querySelectorAll('.more')) list.open = true")
+    page.evaluate("for (const list of document.querySelectorAll('.more, .step')) list.open = true")
     for scheme in ("light", "dark"):
         page.emulate_media(color_scheme=scheme)
         looks_drawn(page)

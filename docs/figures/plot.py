@@ -28,7 +28,9 @@ def main() -> None:
     matplotlib.rcParams.update({"axes.facecolor": "none", "axes.edgecolor": INK, "axes.labelcolor": INK})
     matplotlib.rcParams.update({"axes.titlecolor": INK, "text.color": INK, "xtick.color": INK, "ytick.color": INK})
     matplotlib.rcParams.update({"grid.color": INK})
-    for draw in (when_it_helps, whole_recordings, opening_drawers, planned_ways, planned_worlds, control):
+    learning = (whole_recordings, uncertainty)
+    controlling = (opening_drawers, when_it_helps, law, planned_ways, control, servos, speed, method)
+    for draw in (*learning, *controlling):
         figure = draw()
         figure.savefig(HERE / f"{draw.__name__}.svg", transparent=True, metadata={"Date": None})
 
@@ -141,36 +143,6 @@ def planned_ways() -> Figure:
     return figure
 
 
-def planned_worlds() -> Figure:
-    """Starts that are planned, by arm, and how near the plans come to each kind of thing."""
-    rows = read("planned_worlds")
-    worlds, arms = ("scene", "assumed"), list(dict.fromkeys(r["arm"] for r in rows))
-    figure = Figure(figsize=(WIDTH, 3.2), layout="constrained")
-    left, right = figure.subplots(1, 2)
-    kinds = ["nearest obstacle [mm]", "nearest own link [mm]", "hand to what it holds [mm]", "leaf [mm]"]
-    for shift, world, colour in zip((-0.2, 0.2), worlds, ("blue", "purple"), strict=True):
-        part = [r for r in rows if r["world"] == world]
-        done = [sum(r["outcome"] == "plan" for r in part if r["arm"] == arm) for arm in arms]
-        bars = left.barh([y + shift for y in range(len(arms))], done, 0.35, color=COLOURS[colour])
-        left.bar_label(bars, padding=2)
-        for y, kind in enumerate(kinds):
-            near = [float(r[kind]) for r in part if r[kind]]
-            right.plot([min(x, 60.0) for x in near], [y + shift] * len(near), "|", color=COLOURS[colour])
-        right.plot([], [], "|", color=COLOURS[colour], label={"scene": "given as a scene", "assumed": "assumed"}[world])
-    starts = sum(r["arm"] == arms[0] and r["world"] == "scene" for r in rows)
-    left.set_xlim(0, 1.15 * starts)
-    right.axvline(5.0, color=INK, linewidth=0.8)
-    tidy(left, arms, "planned", f"of {starts} starts")
-    tidy(
-        right,
-        [k.removesuffix(" [mm]") for k in kinds],
-        "least distance of each plan",
-        "[mm], at most 60; 5 is promised",
-    )
-    figure.legend(loc="outside upper center", ncols=2, frameon=False)
-    return figure
-
-
 def control() -> Figure:
     """The controller beside others: least manipulability, deviation and runs that reach their target."""
     rows = read("control_peers")
@@ -187,6 +159,108 @@ def control() -> Figure:
     tidy(reached, labels, "within 1 cm of the target", "runs of 144 [%]")
     tidy(least, labels, "least μ over that of the\npseudo-inverse", "median and quartiles")
     tidy(off, labels, "deviation from the way", "[mm], median and quartiles")
+    return figure
+
+
+def law() -> Figure:
+    """Ways done near singularities, and how far the hand strayed at most, by the law before and by this one."""
+    policies = {"none": "no null-space motion", "learnt": "ascent of μ"}
+    cases = [(part, policy) for part in ("way", "firm grip") for policy in policies]
+    figure = Figure(figsize=(WIDTH, 2.2), layout="constrained")
+    done, off = figure.subplots(1, 2, sharey=True)
+    for name, colour, shift in (("law_before", "purple", -0.2), ("law", "blue", 0.2)):
+        for y, (part, policy) in enumerate(cases):
+            wanted = ("41000", part, policy)
+            rows = [r for r in read(name) if (r["seed"], r["part"], r["policy"]) == wanted and r["task"] != "reach"]
+            share = 100.0 * sum(r["good"] == "True" for r in rows) / len(rows)
+            label = {"law_before": "before", "law": "now"}[name] if y == 0 else None
+            done.barh(y + shift, share, 0.35, color=COLOURS[colour], label=label)
+            off.plot(sorted(float(r["off"]) for r in rows), [y + shift] * len(rows), "|", color=COLOURS[colour])
+    off.axvline(2.0, color=INK, linewidth=0.8)
+    off.set_xscale("log")
+    tidy(done, [f"{part}s, {policies[policy]}" for part, policy in cases], "ways done", "[%]")
+    tidy(
+        off,
+        [f"{part}s, {policies[policy]}" for part, policy in cases],
+        "strayed by",
+        "[mm] of each way; 2 counts as lost",
+    )
+    figure.legend(loc="outside upper center", ncols=2, frameon=False)
+    return figure
+
+
+def servos() -> Figure:
+    """Force across the way with each fault of the servos, the median and the largest."""
+    rows = read("servos_faults")
+    figure = Figure(figsize=(WIDTH, 4.0), layout="constrained")
+    axes = figure.subplots()
+    for y, r in enumerate(rows):
+        median, largest = map(float, r["across the way, median and largest [N]"].split(", "))
+        whole = r["whole ways"].split()
+        colour = COLOURS["blue" if whole[0] == whole[-1] else "vermilion"]
+        axes.plot([median, largest], [y, y], color=colour, linewidth=2)
+        axes.plot(median, y, "o", color=colour)
+    for label, colour in (("all ways gone to the end", "blue"), ("one or two of nine stopped", "vermilion")):
+        axes.plot([], [], "o-", color=COLOURS[colour], label=label)
+    tidy(axes, [r["servos"] for r in rows], "", "force of the hand across its way [N], median and largest of nine ways")
+    figure.legend(loc="outside upper center", ncols=2, frameon=False)
+    return figure
+
+
+def speed() -> Figure:
+    """One control step of each library, in five states."""
+    rows = [r for r in read("speed_peers") if r["rows"].startswith("x, y") and r["arm"] == "all"]
+    methods, states = (list(dict.fromkeys(r[key] for r in rows)) for key in ("method", "state"))
+    figure = Figure(figsize=(WIDTH, 4.6), layout="constrained")
+    axes = figure.subplots()
+    for state, mark in zip(states, "o^sDv", strict=True):
+        part = {r["method"]: float(r["of a bare step"]) for r in rows if r["state"] == state}
+        for ours, colour in ((True, "blue"), (False, "purple")):
+            names = [m for m in part if m.startswith("ours") == ours]
+            places = [methods.index(m) for m in names]
+            axes.plot([part[m] for m in names], places, mark, color=COLOURS[colour], markersize=5, fillstyle="none")
+        axes.plot([], [], mark, color=INK, fillstyle="none", label=state)
+    axes.axvline(1.0, color=INK, linewidth=0.8)
+    axes.set_xscale("log")
+    tidy(axes, methods, "", "time of a step for x, y and z of the tip; 1 is the bare step")
+    figure.legend(loc="outside upper center", ncols=5, frameon=False)
+    return figure
+
+
+def uncertainty() -> Figure:
+    """How often the true rows lie within the stated angle."""
+    # higher rates were measured with shorter windows for velocities than those of today
+    rows = [r for r in read("uncertainty_null_space") if r["rate"] in ("50 Hz", "100 Hz")]
+    kinds = [key for key in rows[0] if key not in ("noise", "rate")]
+    figure = Figure(figsize=(WIDTH, 2.0), layout="constrained")
+    for axes, kind in zip(figure.subplots(1, len(kinds), sharey=True), kinds, strict=True):
+        for y, r in enumerate(rows):
+            shares = [float(x) for x in r[kind].split("%")[0].split(",")]
+            for share, size, shift in zip(shares, (3, 5, 7), (-0.15, 0.0, 0.15), strict=True):
+                axes.plot(share, y + shift, "o", color=COLOURS["blue"], markersize=size, fillstyle="none")
+        axes.axvspan(60.0, 76.0, color=INK, alpha=0.2, linewidth=0)
+        axes.set_xlim(40.0, 100.0)
+        tidy(axes, [f"{r['noise']}, {r['rate']}" for r in rows], kind, "inside [%]")
+    return figure
+
+
+def method() -> Figure:
+    """What is left of 1/σ near a singularity: of driven rows, of held ones, and exactly."""
+    threshold, damping, held = 0.05, 0.05, 0.1  # the defaults of the controller
+    sigma = [0.0005 * k for k in range(1, 201)]
+    figure = Figure(figsize=(WIDTH, 2.6), layout="constrained")
+    axes = figure.subplots()
+    axes.plot(sigma, [1.0 / x for x in sigma], color=INK, linewidth=1, label="exact, 1/σ")
+    for share, colour, label in ((held, "green", "held rows"), (1.0, "blue", "driven rows")):
+        left = [max(0.0, 1.0 - (x / threshold) ** 2) * damping * share for x in sigma]
+        values = [x / (x**2 + y**2) for x, y in zip(sigma, left, strict=True)]
+        axes.plot(sigma, values, color=COLOURS[colour], label=label)
+    axes.axvline(threshold, color=INK, linewidth=0.8, linestyle=":")
+    axes.set_ylim(0.0, 110.0)
+    axes.set_xlabel("smallest singular value σ of A; dotted: the threshold")
+    axes.set_ylabel("joint speed for\na task velocity of 1")
+    axes.spines[["top", "right"]].set_visible(False)
+    axes.legend(frameon=False)
     return figure
 
 

@@ -16,13 +16,14 @@ SPEED_SHARE = 0.9
 LOWEST, NARROWEST = 0.03, 0.18  # tip above the floor, and from the column of the base [m]
 
 # robot: tip, posture in front of the base with the elbow up [rad]
-_ARMS = {
+ARMS = {
     "panda": ("panda_hand_tcp", (0.0, -0.5, 0.0, -2.0, 0.0, 1.7, 0.8)),
     "xarm7": ("link_eef", (0.0, -0.2, 0.0, 1.3, 0.0, 1.4, 0.0)),
     "ur5": ("tool0", (0.0, -1.3, 1.7, -1.9, -1.4, 0.0)),
     "sawyer": ("right_hand", (0.0, -0.9, 0.0, 1.7, 0.0, 0.8, 3.3161)),
+    "ur5e": ("tool0", (0.0, -1.3, 1.7, -1.9, -1.4, 0.0)),
 }
-ROBOTS = tuple(_ARMS)
+ROBOTS = tuple(ARMS)[:4]  # of sets that are drawn over all arms
 LOCKED = {"panda": ("panda_finger_joint1", "panda_finger_joint2")}
 
 
@@ -77,14 +78,14 @@ class Arm:
 
 @cache
 def load_arm(name: str) -> Arm:
-    """The arm of that name; one of `ROBOTS`.
+    """The arm of that name; one of `ARMS`.
 
     Raises:
         ValueError: No arm of that name.
     """
-    if name not in _ARMS:
-        raise ValueError(f"no arm {name!r}; there are {', '.join(ROBOTS)}")
-    tip, ready = _ARMS[name]
+    if name not in ARMS:
+        raise ValueError(f"no arm {name!r}; there are {', '.join(ARMS)}")
+    tip, ready = ARMS[name]
     robot = load_robot(name, locked=LOCKED.get(name, ()))
     posture = np.array(ready)
     posture.setflags(write=False)

@@ -20,7 +20,7 @@ import numpy as np
 from jaxtyping import Float
 from scipy.spatial.transform import Rotation
 
-from make_recordings.arms import ROBOTS, Arm, load_arm
+from make_recordings.arms import ARMS, Arm, load_arm
 from make_recordings.furniture import comfortable
 from make_recordings.hand_motion import RATE
 from make_recordings.kinds import FREE, KINDS, TASKS
@@ -51,7 +51,7 @@ def make_set(
 
     Args:
         kind: One of `KINDS`.
-        robot: One of `ROBOTS`.
+        robot: One of `ARMS`.
         seed: Everything is drawn from it; the noise is drawn apart, the motion is the same without it.
         n_demonstrations: At least 1.
         noise: Standard deviation of the encoders [rad].
@@ -82,7 +82,7 @@ def record_set(
     if n_demonstrations < 1:
         raise ValueError(f"{n_demonstrations} demonstrations: at least 1 is needed")
     arm = load_arm(robot)
-    key = [seed, zlib.crc32(kind.encode()), ROBOTS.index(robot)]
+    key = [seed, zlib.crc32(kind.encode()), tuple(ARMS).index(robot)]
     for draw in range(DRAWS):
         try:
             tapes, mechanisms, other = draw_one(kind, arm, [*key, draw], n_demonstrations, whole)

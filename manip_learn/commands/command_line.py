@@ -4,13 +4,15 @@ from __future__ import annotations
 
 import dataclasses
 import inspect
+import textwrap
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import contextmanager
 from contextvars import ContextVar
 from pathlib import Path
-from typing import Any, get_type_hints
+from typing import Annotated, Any, get_type_hints
 
-from typer.core import TyperCommand
+from typer import Context, Option, echo
+from typer.core import TyperCommand, TyperGroup
 
 from manip_learn.atomic_write import check_folder
 from manip_learn.errors import ManipLearnError, OutputError, RecordingError
@@ -19,9 +21,10 @@ PROGRAM = "manip-learn"
 HEADINGS = {"learn": "Learning", "control": "Task"}  # of a command's own options
 HEADINGS_AFTER = ("Plan", "Controller", "Reading recordings", "Robot", "Output")
 CONTROLLER = {"policy", "rest", "gain", "task_gain", "inverse", "duration", "dt"}
+HELP_ALL = "help_all"
 WRITTEN = {"out", "html", "csv"}
 READ = {"robot", "driver", "constraint", "task", "recordings", "rollouts", "files"}  # arguments that may name a file
-OUTPUT = {*WRITTEN, "open_browser", "browser", "explain", "as_json", "help"}
+OUTPUT = {*WRITTEN, "open_browser", "browser", "explain", "as_json", "help", HELP_ALL}
 _WORDS: ContextVar[tuple[str, ...]] = ContextVar("typed words", default=())
 
 
@@ -31,7 +34,7 @@ def parsed_by(options: type, run: Callable[[Any], None]) -> Callable[..., None]:
     A field that is itself a dataclass is a set of options: its fields stand in its place, under its `HEADING`.
 
     Args:
-        options: A dataclass; the first paragraph of its docstring is the help of the command.
+        options: A dataclass; the first paragraph of its docstring is the help of the command, the second an example.
         run: Takes an object of it.
     """
     own = _parameters(options)
@@ -39,15 +42,30 @@ def parsed_by(options: type, run: Callable[[Any], None]) -> Callable[..., None]:
     flags = {name: _parameters(kind) for name, kind in sets.items()}
 
     def with_options(**given: Any) -> None:
+        given.pop(HELP_ALL)
         made = {name: sets[name](**{flag: given.pop(flag) for flag in of}) for name, of in flags.items()}
         run(options(**given, **made))
 
     merged = [q for name, p in own.items() for q in flags.get(name, {name: p}).values()]
-    with_options.__doc__ = (inspect.getdoc(options) or "").partition("\n\n")[0]
+    merged.append(inspect.Parameter(HELP_ALL, inspect.Parameter.KEYWORD_ONLY, default=False, annotation=HelpAll))
+    with_options.__doc__, _, example = (inspect.getdoc(options) or "").partition("\n\n")
     with_options.__annotations__ = {}
+    first = next((names for name in sets for names in [list(own)[: list(own).index(name)]]), [q.name for q in merged])
     headings = {flag: sets[name].HEADING for name, of in flags.items() for flag in of}
-    vars(with_options).update(__signature__=inspect.Signature(merged), headings=headings)
+    told = {"headings": headings, "first": {*first, "help", HELP_ALL}, "example": example.strip()}
+    vars(with_options).update(__signature__=inspect.Signature(merged), **told)
     return with_options
+
+
+def _explain_all(context: Context, asked: bool) -> None:
+    """Print the help with all options, if it was asked for."""
+    if asked and not context.resilient_parsing:
+        context.meta[HELP_ALL] = True
+        echo(context.get_help())
+        context.exit()
+
+
+HelpAll = Annotated[bool, Option("--help-all", is_eager=True, callback=_explain_all, help="Explain all options.")]
 
 
 def _parameters(options: Any) -> dict[str, inspect.Parameter]:
@@ -66,22 +84,34 @@ def _parameters(options: Any) -> dict[str, inspect.Parameter]:
 class GroupedCommand(TyperCommand):
     """A command whose options are listed under headings, and which looks where it is to write before it works."""
 
+    def format_help(self, ctx: Any, formatter: Any) -> None:
+        """An example that works, then the rest."""
+        words = textwrap.wrap(vars(self.callback)["example"], formatter.width - 11, break_on_hyphens=False)
+        formatter.write("Example: " + " \\\n    ".join(words) + "\n\n")
+        super().format_help(ctx, formatter)
+
     def format_options(self, ctx: Any, formatter: Any) -> None:
-        """Arguments, then options of the command, the controller, of reading, of the robot, and of the output."""
-        own = HEADINGS.get(self.name or "", "Options")
-        named = (
-            dict.fromkeys(OUTPUT, "Output") | dict.fromkeys(CONTROLLER, "Controller") | vars(self.callback)["headings"]
-        )
+        """Arguments, and the options that a beginner needs; under `--help-all` all of them, by what they are about."""
+        own, told = HEADINGS.get(self.name or "", "Options"), vars(self.callback)
+        named = dict.fromkeys(OUTPUT, "Output") | dict.fromkeys(CONTROLLER, "Controller") | told["headings"]
         sections: dict[str, list[Any]] = {title: [] for title in ("Arguments", own, *HEADINGS_AFTER)}
+        others = []
         for parameter in self.get_params(ctx):
             record = parameter.get_help_record(ctx)
-            if record is not None:
-                heading = named.get(parameter.name or "", own)
-                sections["Arguments" if parameter.param_type_name == "argument" else heading].append(record)
+            if record is not None and parameter.param_type_name == "argument":
+                sections["Arguments"].append(record)
+            elif record is not None and (HELP_ALL in ctx.meta or parameter.name in told["first"]):
+                sections[named.get(parameter.name or "", own)].append(record)
+            elif record is not None:
+                others.append(parameter.opts[0])
         for heading, records in sections.items():
             if records:
                 with formatter.section(heading):
                     formatter.write_dl(records)
+        if others:
+            formatter.write_paragraph()
+            said = f"--help-all explains also {', '.join(others)}"
+            formatter.write(textwrap.fill(said, formatter.width, break_on_hyphens=False) + "\n")
 
     def invoke(self, ctx: Any) -> object:
         """Run the command."""
@@ -93,6 +123,15 @@ class GroupedCommand(TyperCommand):
         adds = self.name == "export" and ctx.params.get("to") == "json"
         refuse_to_replace(written, [path for name, (_, path) in given.items() if name in READ and path and not adds])
         return super().invoke(ctx)
+
+
+class Program(TyperGroup):
+    """The program, whose help begins with an example as well."""
+
+    def format_help(self, ctx: Any, formatter: Any) -> None:
+        """What to try first, then the rest."""
+        formatter.write(f"Example: {PROGRAM} demo\n\n")
+        super().format_help(ctx, formatter)
 
 
 def refuse_to_replace(outputs: Sequence[tuple[str, Path]], inputs: Iterable[str | Path | Sequence[str]]) -> None:
@@ -122,7 +161,9 @@ def refuse_to_replace(outputs: Sequence[tuple[str, Path]], inputs: Iterable[str 
 
 def _files_behind(text: str) -> Iterator[Path]:
     """The file or folder that an argument stands for, and what is read of a folder."""
-    path = Path(text)
+    from manip_learn.recordings.readers.recording_files import recording_files, recording_path
+
+    path = recording_path(text)
     if not path.exists() and ".py:" in text:
         path = Path(text.rpartition(":")[0])
     if not path.exists():
@@ -134,8 +175,6 @@ def _files_behind(text: str) -> Iterator[Path]:
             return
     yield path
     if path.is_dir():
-        from manip_learn.recordings.readers.recording_files import recording_files
-
         try:
             inside = [file.path for file in recording_files(path)[0]]
         except RecordingError:

@@ -185,7 +185,7 @@ def control(options: ControlOptions, progress: Progress | None = None) -> Contro
     named_way = options.along is not None or options.turn is not None
     if target is not None and named_way:
         raise TargetError("--target names the point, --along and --turn the way: give one of them")
-    moves = named_way or (target is None and constraint.shown is not None)
+    moves = named_way or (target is None and (constraint.shown is not None or direction is not None))
     if options.rows not in ROWS:
         raise TargetError(f"--rows must be {' or '.join(ROWS)}, not {options.rows!r}")
     if options.planned.plan and (

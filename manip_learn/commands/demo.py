@@ -18,9 +18,9 @@ from manip_learn.control.tasks import PointAttractor, Task, motion
 from manip_learn.control.tasks.motion import null_policy
 from manip_learn.control.way import WayDone, simulate_way
 from manip_learn.errors import UnknownNameError
-from manip_learn.experiments.sawyer import shipped_recordings
 from manip_learn.planning.plan import Plan
 from manip_learn.playback import ReplayResult, replay
+from manip_learn.recordings.readers.recording_files import shipped_recordings
 from manip_learn.recordings.trajectory_source import Progress
 from manip_learn.robot import load_robot
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import shlex
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -12,7 +13,9 @@ from manip_learn.commands.loading import cluster_client, load_for_files
 from manip_learn.commands.options import LearnOptions
 from manip_learn.constraint.constraint import Constraint
 from manip_learn.constraint.features import FeatureMap, FrameJacobian, RelativeFrameJacobian
+from manip_learn.constraint.selection_in_words import looks
 from manip_learn.control.tasks import motion
+from manip_learn.control.tasks.driven_motion import way_in_words
 from manip_learn.errors import FeatureError, ManipLearnError, RecordingError, UnknownNameError
 from manip_learn.learning import ConstraintLearner, LearningReport
 from manip_learn.learning.learner import ESTIMATORS, Switch
@@ -55,11 +58,20 @@ class Learnt:
         return self.reports[0]
 
     @property
+    def headline(self) -> str:
+        """What it is and how far it moved, in words; empty where nothing has a name, or nothing moved along it."""
+        found, shown = self.report.mechanism, self.constraint.shown
+        if found is None or shown is None:
+            return ""
+        words = looks(found)
+        return f"{words[0].upper()}{words[1:]}, moved {way_in_words(shown.extent, shown.unit)} when it was shown."
+
+    @property
     def following(self) -> str | None:
-        """The command to type next, which does what was shown; None if nothing was written, or nothing is free."""
+        """The command to type next: it does what was shown, or writes what was learnt; None if nothing is free."""
         constraint, meant = self.constraint, self.constraint.intention
         if self.out is None:
-            return None
+            return shlex.join([*typed_command(), "--out", "task.json"]) if typed_command() else None
         flags = " --html run.html"
         if meant is not None and not meant.common:
             flags = f" --rows held --target {','.join(f'{x:.3g}' for x in meant.targets[0])}"
@@ -69,7 +81,8 @@ class Learnt:
             except ManipLearnError:
                 return None
             flags = f" --along 0.1{flags}"
-        return f"manip-learn {'repeat' if len(self.constraints) > 1 else 'control'} {self.robot} {self.out}{flags}"
+        does, file = "repeat" if len(self.constraints) > 1 else "control", shlex.quote(str(self.out))
+        return f"manip-learn {does} {shlex.quote(self.robot)} {file}{flags}"
 
     def to_dict(self) -> dict[str, Any]:
         """The JSON answer: the keys of the best supported constraint, and all constraints as a list."""

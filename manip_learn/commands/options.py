@@ -1,7 +1,9 @@
 """All arguments and options of the command line, each written once: parser, help and the commands read them here.
 
-A command is a frozen dataclass. Each field is an argument or an option of that name, unless it is a set of options that
-several commands share: then the fields of the set stand in its place. Only what a shell needs for `--help` is imported.
+A command is a frozen dataclass. The second paragraph of its docstring is an example that works. Each field is an
+argument or an option of that name, unless it is a set of options that several commands share: then the fields of the
+set stand in its place. `--help` explains the options before the first set, which a beginner needs, and `--help-all`
+all of them. Only what a shell needs for `--help` is imported.
 """
 
 from __future__ import annotations
@@ -65,7 +67,7 @@ Start = Annotated[
     str | None, Option(help="Joint positions [rad], e.g. 0.1,-0.5,0; default: the first posture that was shown.")
 ]
 Dask = Annotated[str | None, Option(help="Scheduler address, or local: work on a dask cluster.")]
-Explain = Annotated[bool, Option("--explain", help="Explain the terms under the tables at length.")]
+Explain = Annotated[bool, Option("--explain", help="Say what the words in the tables mean.")]
 Json = Annotated[bool, Option("--json", help="Print one JSON document and nothing else.")]
 
 
@@ -197,7 +199,10 @@ class PlanOptions:
 @final
 @dataclass(frozen=True)
 class RobotsOptions:
-    """List the robots that can be named, with their joints."""
+    """List the robots that can be named, with their joints.
+
+    manip-learn robots
+    """
 
     as_json: Json = False
 
@@ -205,7 +210,10 @@ class RobotsOptions:
 @final
 @dataclass(frozen=True)
 class DemoOptions:
-    """Learn from shipped recordings, compare three policies, write the replay."""
+    """Learn from shipped recordings, compare three policies, write the replay.
+
+    manip-learn demo
+    """
 
     robot: Annotated[str, Option(help="sawyer or planar3.")] = "sawyer"
     out: Annotated[Path, Option(help="Folder for the results.")] = Path("demo_out")
@@ -217,7 +225,10 @@ class DemoOptions:
 @final
 @dataclass(frozen=True)
 class InspectOptions:
-    """Show joints, frames, limits and warnings of a robot."""
+    """Show joints, frames, limits and warnings of a robot.
+
+    manip-learn inspect ur5e
+    """
 
     robot: RobotName
     loading: RobotOptions = RobotOptions()
@@ -227,20 +238,23 @@ class InspectOptions:
 @final
 @dataclass(frozen=True)
 class LearnOptions:
-    """Learn a constraint from recordings and report it."""
+    """Learn a constraint from recordings and report it.
+
+    manip-learn learn sawyer sawyer_drawer --frame right_gripper_tip --out task.json
+    """
 
     robot: RobotName
     recordings: Recordings
     frame: Annotated[str | None, Option(help="The frame that was guided, e.g. the tool's tip.")] = None
-    relative_to: Annotated[str | None, Option(help="Frame, e.g. an object, from which it is seen.")] = None
     axes: Annotated[str, Option(help="xyz, pose, planar, rotation, or any of 'x y z rx ry rz'.")] = "xyz"
-    reference: Annotated[str, Option(help="world, local, or auto (the larger gap).")] = "auto"
-    constraints: Annotated[int | None, Option(help="Number of constraints; default: from the data.")] = None
-    estimator: Annotated[str, Option(help="auto, null-space, joint or separate.")] = "auto"
     out: Annotated[Path | None, Option(help="Constraint file to write (JSON).")] = None
     html: Annotated[Path | None, Option(help="Replay of the recordings to write, with their phases.")] = None
     loading: RobotOptions = RobotOptions()
     reading: ReadingOptions = ReadingOptions()
+    relative_to: Annotated[str | None, Option(help="Frame, e.g. an object, from which it is seen.")] = None
+    reference: Annotated[str, Option(help="world, local, or auto (the larger gap).")] = "auto"
+    constraints: Annotated[int | None, Option(help="Number of constraints; default: from the data.")] = None
+    estimator: Annotated[str, Option(help="auto, null-space, joint or separate.")] = "auto"
     phases: Annotated[
         str, Option(help="auto: find the stretches in which a constraint holds; off: take recordings as a whole.")
     ] = "auto"
@@ -264,7 +278,10 @@ class LearnOptions:
 @final
 @dataclass(frozen=True)
 class AuditOptions:
-    """Judge recorded episodes by a constraint: rank them, and name those to leave out."""
+    """Judge recorded episodes by a constraint: rank them, and name those to leave out.
+
+    manip-learn audit sawyer task.json sawyer_drawer
+    """
 
     robot: RobotName
     constraint: ConstraintFile
@@ -280,7 +297,10 @@ class AuditOptions:
 @final
 @dataclass(frozen=True)
 class ControlOptions:
-    """Do the task that was learnt: along what is free, or to a point, clear of the task's singularities."""
+    """Do the task that was learnt: along what is free, or to a point, clear of the task's singularities.
+
+    manip-learn control sawyer task.json --along 0.2 --out run.npz
+    """
 
     robot: RobotName
     constraint: ConstraintFile
@@ -291,13 +311,17 @@ class ControlOptions:
     turn: Annotated[
         float | None, Option(help="Angle about a hinge, a screw or a ball [degrees], positive as it was shown.")
     ] = None
+    target: Annotated[str | None, Option(help="Point to go to, one value per axis [m or rad].")] = None
+    out: Annotated[Path | None, Option(help="Rollout file to write: .npz, .csv or .mcap (for ROS).")] = None
+    html: Annotated[Path | None, Option(help="Replay to write.")] = None
+    planned: PlanOptions = PlanOptions()
+    loading: RobotOptions = RobotOptions()
     direction: Annotated[
         str | None, Option(help="Direction of the way, where several are free: x,y,z; or shown, or back.")
     ] = None
     beyond_shown: Annotated[bool, Option("--beyond-shown", help="Allow a way farther than was shown.")] = False
     speed: Annotated[float | None, Option(help="Speed of the hand [m/s], or of a turn [degrees/s].")] = None
     keep_orientation: Annotated[bool, Option("--keep-orientation", help="Keep the orientation of the hand.")] = False
-    target: Annotated[str | None, Option(help="Point to go to, one value per axis [m or rad].")] = None
     rows: Annotated[str, Option(help="all: go to the target; held: its held rows only (the paper).")] = "all"
     policy: Annotated[str, Option(help="manipulability, zero or attractor.")] = "manipulability"
     rest: Annotated[str | None, Option(help="Rest posture of the attractor [rad].")] = None
@@ -308,10 +332,6 @@ class ControlOptions:
     inverse: Annotated[str, Option(help="damped, exact or truncated.")] = "damped"
     tolerance: Annotated[float, Option(help="Distance to the target that counts as reached [m or rad].")] = 0.01
     check: Annotated[bool, Option("--check", help="Write nothing and refuse if it gets less far.")] = False
-    out: Annotated[Path | None, Option(help="Rollout file to write: .npz, .csv or .mcap (for ROS).")] = None
-    html: Annotated[Path | None, Option(help="Replay to write.")] = None
-    planned: PlanOptions = PlanOptions()
-    loading: RobotOptions = RobotOptions()
     explain: Explain = False
     as_json: Json = False
 
@@ -319,7 +339,10 @@ class ControlOptions:
 @final
 @dataclass(frozen=True)
 class RepeatOptions:
-    """Do again all that the recordings show: take hold, go the way, let go, the next one, and retreat."""
+    """Do again all that the recordings show: take hold, go the way, let go, the next one, and retreat.
+
+    manip-learn repeat sawyer task.json --html run.html
+    """
 
     robot: RobotName
     task: Annotated[str, Argument(metavar="TASK", help="Written by `learn --out`.")]
@@ -328,24 +351,32 @@ class RepeatOptions:
         str | None,
         Option(help="The fixtures stand elsewhere: x,y,z[,rx,ry,rz] (m, degrees about the base's axes)."),
     ] = None
-    scene: SceneFile = None
-    seed: Annotated[int, Option(help="Random seed of the plans.")] = 0
     out: Annotated[Path | None, Option(help="Rollout file to write: .npz, .csv or .mcap (for ROS).")] = None
     html: Annotated[Path | None, Option(help="Replay to write.")] = None
     loading: RobotOptions = RobotOptions()
+    scene: SceneFile = None
+    seed: Annotated[int, Option(help="Random seed of the plans.")] = 0
     as_json: Json = False
 
 
 @final
 @dataclass(frozen=True)
 class ReplayOptions:
-    """Write a browser replay with the manipulability plot: one file, no server, no network."""
+    """Write a browser replay with the manipulability plot: one file, no server, no network.
 
-    robot: RobotName
-    rollouts: Annotated[list[str], Argument(metavar="ROLLOUT...", help="Written by `control --out`; or recordings.")]
+    manip-learn replay run.npz --open
+    """
+
+    files: Annotated[
+        list[str],
+        Argument(
+            metavar="[ROBOT] FILE...",
+            help="Rollouts of `control --out`, which know their robot; or a robot and recordings.",
+            autocompletion=robot_completions,
+        ),
+    ]
     html: Annotated[Path, Option(help="File to write.")] = Path("replay.html")
     open_browser: Annotated[bool, Option("--open", help="Open it in the browser.")] = False
-    tip: Annotated[str | None, Option(help="Frame whose path is drawn.")] = None
     constraint: Annotated[
         Path | None,
         Option(
@@ -354,13 +385,17 @@ class ReplayOptions:
     ] = None
     loading: RobotOptions = RobotOptions()
     reading: ReadingOptions = ReadingOptions()
+    tip: Annotated[str | None, Option(help="Frame whose path is drawn.")] = None
     as_json: Json = False
 
 
 @final
 @dataclass(frozen=True)
 class ExportOptions:
-    """Write recordings or rollouts in other formats, or a learnt task for a controller of force or stiffness."""
+    """Write recordings or rollouts in other formats, or a learnt task for a controller of force or stiffness.
+
+    manip-learn export sawyer run.npz --out run.csv
+    """
 
     robot: RobotName
     files: Annotated[
@@ -389,7 +424,10 @@ class ExportOptions:
 @final
 @dataclass(frozen=True)
 class RecordOptions:
-    """Record motions that are shown by hand, a file each, and say what can be learnt from them."""
+    """Record motions that are shown by hand, a file each, and say what can be learnt from them.
+
+    manip-learn record my_arm.py:driver --robot ur5e --frame tool0
+    """
 
     driver: Annotated[
         str, Argument(metavar="DRIVER", help="FILE.py:NAME or package.module:NAME: a driver, or what makes one.")
@@ -400,21 +438,21 @@ class RecordOptions:
         None
     )
     frame: Annotated[str | None, Option(help="The frame that is guided, e.g. the tool's tip.")] = None
-    by: Annotated[str, Option(help="motion: from motion to rest; key: Enter begins and ends, q leaves.")] = "motion"
     motions: Annotated[int | None, Option(help="Number of motions to record; default: until Ctrl-C.")] = None
+    loading: RobotOptions = RobotOptions()
+    by: Annotated[str, Option(help="motion: from motion to rest; key: Enter begins and ends, q leaves.")] = "motion"
     duration: Annotated[float | None, Option(help="Longest time to wait for all of them [s].")] = None
     no_release: Annotated[bool, Option("--no-release", help="Leave the arm's torque on.")] = False
     no_browser: Annotated[bool, Option("--no-browser", help="Do not open the live picture.")] = False
-    loading: RobotOptions = RobotOptions()
     as_json: Json = False
 
 
 @final
 @dataclass(frozen=True)
 class TeachOptions:
-    """Teach an arm in the browser: take it by the hand, show it a task, see what it understood, watch it do it.
+    """Teach a simulated arm in the browser: take it by the hand, show it a task, watch it do it.
 
-    The arm and what stands around it are simulated (MuJoCo).
+    manip-learn teach
     """
 
     robot: Annotated[str, Argument(metavar="ROBOT", help="Which robot to teach.", autocompletion=robot_completions)] = (
@@ -432,7 +470,10 @@ class TeachOptions:
 @final
 @dataclass(frozen=True)
 class ReproduceOptions:
-    """Run the experiments of "Learning Singularity Avoidance", and compare with the printed numbers."""
+    """Run the experiments of "Learning Singularity Avoidance", and compare with the printed numbers.
+
+    manip-learn reproduce table --trials 2
+    """
 
     experiment: Annotated[str, Argument(help="table, rmse, singular-start, near-singular-start, sawyer or all.")]
     trials: Annotated[int, Option(help="Number of repetitions; the paper has 50.")] = 50

@@ -12,7 +12,7 @@ import typer
 from typer.main import get_command
 
 from manip_learn.commands import options
-from manip_learn.commands.command_line import PROGRAM, GroupedCommand, parsed_by
+from manip_learn.commands.command_line import PROGRAM, GroupedCommand, Program, parsed_by
 from manip_learn.commands.output import console, for_json, progress
 
 
@@ -68,7 +68,7 @@ REMOVED_COMMANDS = {"warm-up": "nothing is compiled any more: leave the command 
 app = typer.Typer(
     name=PROGRAM,
     help="Learn which directions a demonstrated task constrains, and keep the arm away from its singularities.",
-    epilog="Start with: manip-learn demo",
+    cls=Program,
     add_completion=True,
     pretty_exceptions_enable=False,
     rich_markup_mode=None,

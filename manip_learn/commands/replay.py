@@ -22,11 +22,13 @@ from manip_learn.playback.replay_page import without_flags
 from manip_learn.recordings import load_demonstrations
 from manip_learn.recordings.load_demonstrations import numbers_read
 from manip_learn.recordings.readers.read_request import flag_of
+from manip_learn.recordings.readers.recording_files import recording_path
 from manip_learn.recordings.readers.saved_reader import file_header
 from manip_learn.recordings.trajectory import Trajectory
 from manip_learn.recordings.trajectory_source import Progress
 from manip_learn.robot.robot import Robot
 
+DESCRIPTIONS = (".urdf", ".xml", ".mjcf", ".xacro")  # endings of files of robots
 # flags with the number of their values; `learn` has no use for them
 ONLY_REPLAY = {"--html": 1, "--tip": 1, "--constraint": 1, "--open": 0, "--json": 0}
 
@@ -45,13 +47,12 @@ def replay(options: ReplayOptions, progress: Progress | None = None) -> ReplayRe
     """
     if progress is not None:
         progress("writing the replay", 0.0)
-    if not options.rollouts:
-        raise RecordingError("name at least one rollout file; `manip-learn control ... --out rollout.npz` writes one")
+    name, files = named_robot(options.files)
     learnt: dict[str, Any] = {}
     constraint = None
     tip = options.tip
     if options.constraint is not None:
-        robot = robot_of_constraint(options.robot, str(options.constraint), options.loading)
+        robot = robot_of_constraint(name, str(options.constraint), options.loading)
         constraint = Constraint.load(options.constraint, robot)
         learnt = constraint.provenance
         if not isinstance(learnt.get("mechanism") or {}, Mapping):
@@ -61,22 +62,43 @@ def replay(options: ReplayOptions, progress: Progress | None = None) -> ReplayRe
             )
         tip = tip or getattr(constraint.features, "frame", None)
     else:
-        robot = load_for_files(options.robot, options.rollouts, options.loading)
+        robot = load_for_files(name, files, options.loading)
     keywords = options.reading.keywords()
-    read = named_motions(options.rollouts, robot, keywords)
+    read = named_motions(files, robot, keywords)
     return write_replay(
         robot,
         read.motions,
         options.html,
         tip=tip,
         open_browser=options.open_browser,
-        phases=phases_from_json(learnt.get("phases") or []),
+        phases=phases_from_json((learnt.get("phases") if read.recordings else None) or []),
         mechanism=learnt.get("mechanism") or None,
         notes=read.notes,
         constraint=constraint,
         report=learnt or None,
         choice=_choice(robot, constraint, read, keywords) if read.recordings and not read.rollouts else None,
     )
+
+
+def named_robot(words: list[str]) -> tuple[str, list[str]]:
+    """The robot and the files, of the words of a command line: what a rollout was made with, or the first word.
+
+    Raises:
+        RecordingError: Files that do not know their robot, and none is named; or a robot alone.
+    """
+    first = Path(words[0])
+    header = file_header(first) if first.is_file() else None
+    if header is not None and header.robot is not None:
+        return header.robot.source or header.robot.name, words
+    if len(words) > 1:
+        return words[0], words[1:]
+    if first.exists() and first.suffix not in DESCRIPTIONS:
+        raise RecordingError(
+            f"{first} does not say which robot it is of: name the robot before it, `manip-learn replay ROBOT ...`"
+        )
+    if first.suffix and not first.exists():
+        raise RecordingError(f"{first}: there is no such file: check the path", code="missing", path=first)
+    raise RecordingError("name at least one rollout file; `manip-learn control ... --out run.npz` writes one")
 
 
 def _choice(
@@ -126,7 +148,7 @@ def named_motions(files: list[str], robot: Robot, keywords: Mapping[str, Any]) -
     Raises:
         RecordingError: A file that is missing, that is neither, or of another robot; options that no file can use.
     """
-    rollouts = [file for file in files if _is_rollout(Path(file))]
+    rollouts = [file for file in files if _is_rollout(recording_path(file))]
     recordings = [file for file in files if file not in rollouts]
     if keywords and not recordings:
         asked = ", ".join(flag_of(name) for name in keywords)

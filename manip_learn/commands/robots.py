@@ -10,7 +10,7 @@ from typing import Any, final
 from manip_learn.commands.options import InspectOptions, RobotsOptions
 from manip_learn.errors import ManipLearnError
 from manip_learn.recordings.trajectory_source import Progress
-from manip_learn.robot.description.catalogue import SHIPPED, example_robots, find_robot, robot_names
+from manip_learn.robot.description.catalogue import SHIPPED, example_robots, fetched_names, find_robot
 from manip_learn.robot.description.text import read_description
 from manip_learn.robot.description.validation import validate_urdf
 from manip_learn.robot.robot_summary import RobotSummary, summarise, with_cross_check
@@ -23,46 +23,43 @@ class KnownRobot:
 
     Attributes:
         name: As `load_robot` takes it.
-        origin: `package`, or `extra` for those of the extra `robots`.
-        joints: Joints that move on their own; empty where the description is refused.
+        origin: `package`; `extra`, of the extra `robots`; `net`, fetched by the extra `descriptions`.
+        joints: Joints that move on their own; empty where the description is refused, or is not fetched to be listed.
         refused: Why it cannot be loaded; empty where it can.
     """
 
     name: str
     origin: str
-    joints: tuple[str, ...]
+    joints: tuple[str, ...] = ()
     refused: str = ""
 
 
 @final
 @dataclass(frozen=True)
 class KnownRobots:
-    """All of them, those of the package first.
-
-    Attributes:
-        robots: In the order of their names.
-        extra: Whether the extra `robots` is installed.
-    """
+    """All of them, those of the package first, then those that are there without a net."""
 
     robots: tuple[KnownRobot, ...]
-    extra: bool
+
+    def of(self, origin: str) -> tuple[KnownRobot, ...]:
+        """Those of one origin."""
+        return tuple(robot for robot in self.robots if robot.origin == origin)
 
     def to_dict(self) -> dict[str, Any]:
         """The JSON answer."""
-        return {
-            "robots": [vars(r) | {"refused": r.refused or None} for r in self.robots],
-            "extra_installed": self.extra,
-        }
+        robots = [vars(r) | {"refused": r.refused or None} for r in self.robots]
+        return {"robots": robots, "extra_installed": bool(self.of("extra"))}
 
 
 def known_robots(options: RobotsOptions, progress: Progress | None = None) -> KnownRobots:
     """Every robot that has a name here and now, with its joints."""
-    names = sorted(robot_names(), key=lambda name: (name not in SHIPPED, name))
-    return KnownRobots(tuple(_described(name) for name in names), bool(example_robots()))
+    extra = sorted(example_robots())
+    net = [KnownRobot(name, "net") for name in sorted(fetched_names().difference(SHIPPED, extra))]
+    here = [*(_described(n, "package") for n in sorted(SHIPPED)), *(_described(n, "extra") for n in extra)]
+    return KnownRobots((*here, *net))
 
 
-def _described(name: str) -> KnownRobot:
-    origin = "package" if name in SHIPPED else "extra"
+def _described(name: str, origin: str) -> KnownRobot:
     path = find_robot(name)
     try:
         checked = validate_urdf(read_description(path), path, ())

@@ -35,94 +35,40 @@ AUDIT_TERMS = ("score", "sigma", "broken", "mm, deg", "margin", "speed", "jerk",
 # what an audit shows of an episode, in order; on a narrow terminal the last ones of the second row are left out
 SHOWN_ORDER = ("score", "sigma", "broken", "mm", "deg", "margin", "speed", "jerk", "rest", "s")
 MEASURES = ("score", "broken", "margin", "mm", "sigma", "speed", "rest", "deg", "jerk", "s")
-# term -> a few words, and a paragraph
-WORDS: dict[str, tuple[str, str]] = {
-    "row": (
-        "a combination of velocities that the task holds",
-        "Each row of Lambda is one combination of velocities that the task holds: a drawer holds two of x, y, z. The "
-        "directions that are left are free.",
-    ),
-    "gap": (
-        "weakest free direction over strongest held one; 10 is clear, below 3 none",
-        "Directions of the motion are put in order of how much they are used. The gap is the ratio between the first "
-        "one that is free and the last one that is held. Noise and softness make it smaller; 10 and above is clear, "
-        "3 to 10 is weak. The joint estimator compares what fits with one row fewer leave unexplained; there 1.5 says "
-        "something.",
-    ),
-    "left out": (
-        "tested on recordings that were not learnt from; 0 % is best",
-        "The constraint is learnt again without some of the recordings and asked about those. What it does not explain "
-        "of their motion is noise, softness, or a constraint that is not theirs.",
-    ),
-    "uncertainty": (
-        "68 % of repetitions with other recordings stay within it",
-        "The recordings are drawn again with repetition and learnt from, many times (bootstrap), and the arm is taken "
-        "to be off by as much as --zeros and --links say, as far as the recordings do not tell. It says how much the "
-        "answer depends on these, not whether the recordings are of the right task.",
-    ),
-    "strength": (
-        "growth of a row's motion when joints are exchanged; 1 or less: free",
-        "Joints are exchanged between recordings, so that nothing is held any more (recombination test). A row that "
-        "the world holds then moves far more; a row that nobody tried does not. Strength is the ratio, p the chance "
-        "of it.",
-    ),
-    "mu": (
-        "manipulability of the task, 0 at its singularity; compare policies only",
-        "The volume of velocities along the held rows that joint velocities of length 1 reach: the product of the "
-        "singular values of A(q). At 0 the arm cannot follow the task in some direction.",
-    ),
-    "off": (
-        "how far the hand strayed from the line, plane or circle",
-        "The held rows, integrated: a drawer pushes back as soon as the hand leaves its line. Near a singularity the "
-        "arm cannot follow in every direction, and the hand strays.",
-    ),
-    "fastest": (
-        "fastest joint, of its speed limit",
-        "Of all joints and moments of the motion, the largest share of a velocity limit. At 100 % the arm was as fast "
-        "as it may be and the hand had to wait for it.",
-    ),
-    "margin of a way": (
-        "least share of the arm's own limits that it leaves",
-        "Of the joints' ranges, of their speeds, and of the speed that the weakest direction could have: the smallest "
-        "of all along the way. A plan chooses the posture in which the hand takes hold by it.",
-    ),
-    "least mu": (
-        "smallest manipulability on the way, 0 at a singularity",
-        "The product of the singular values of A(q), the rows that the task holds and the direction that it drives. "
-        "The smaller it is, the faster the joints must move for the same motion of the hand.",
-    ),
-    "error": (
-        "distance to the target at the end, along the rows driven [m or rad]",
-        "All directions that the target names are driven, and the tip goes to the point. With --rows held those that "
-        "the constraint leaves free do not count, and the tip may end elsewhere along them.",
-    ),
-    "peak": ("the fastest joint [rad/s or m/s]", "The largest speed of any joint during the motion."),
-    "unhindered": (
-        "share of the steps that no limit and no singularity changed",
-        "Steps with the status ok: the command is what the control law asks for. In the others joint limits, speed "
-        "limits, acceleration limits or a singularity slowed, bent or stopped it; replay shows where.",
-    ),
-    "score": (
-        "how unusual the episode is; left out above the threshold below",
-        "Root of the sum of squares of all z-scores that are worse than usual. Episodes are compared with the median "
-        "of those given, so it says nothing if most of them are of another task.",
-    ),
-    "sigma": (
-        "smallest singular value of the task; 0 at its singularity",
-        "The least speed along the held rows for joint velocities of length 1, at the worst posture of the episode.",
-    ),
-    "broken": (
-        "share of the motion along held rows; 0 % is best",
-        "What A(q) u leaves of the joint velocities: noise gives some tenths of a percent, another task much more.",
-    ),
-    "mm, deg": ("extent of that motion", "How far the tip went along rows that are held, in positions and rotations."),
-    "margin": (
-        "room to the nearest joint limit, of the joint's range",
-        "Negative beyond the limit; 50 % is the middle of the range.",
-    ),
-    "speed": ("fastest joint, of its limit", "Above 100 % the recording is faster than the description allows."),
-    "jerk": ("roughness [rad/s3]", "Root mean square of the third derivative, less what noise contributes."),
-    "rest": ("share of the time at rest", "No joint is faster than 0.02 rad/s."),
+# what the tables say in a word, in the order in which it is explained
+WORDS = {
+    "row": "One combination of velocities that the task holds: a drawer holds two of x, y, z. The directions that are "
+    "left are free.",
+    "gap": "How much more the weakest free direction is used than the strongest held one; 10 and above is clear, below "
+    "3 says nothing. Noise and softness make it smaller. With the joint estimator 1.5 says something.",
+    "left out": "The constraint is learnt again without some of the recordings and asked about those: 0 % is best.",
+    "uncertainty": "In 68 % of repetitions with other recordings the answer stays within it. The arm is taken to be "
+    "off by as much as --zeros and --links say, as far as the recordings do not tell. It does not say whether they "
+    "show the right task.",
+    "strength": "How much more a row moves when joints are exchanged between recordings, so that nothing is held any "
+    "more (recombination test); 1 or less: it is free. p is the chance of that.",
+    "mu": "Manipulability of the task: the volume of velocities along the held rows that joint velocities of length 1 "
+    "reach. At 0, its singularity, the arm cannot follow in some direction. Compare it between policies only.",
+    "off": "How far the hand strayed from the line, plane or circle; a drawer pushes back.",
+    "fastest": "The fastest joint, of its speed limit. At 100 % the hand had to wait for it.",
+    "margin of a way": "The least share that the way leaves of the joints' ranges, of their speeds, and of the speed "
+    "that the weakest direction could have. A plan chooses the posture in which the hand takes hold by it.",
+    "least mu": "The smallest manipulability of what the task holds and drives; the smaller, the faster the joints "
+    "must move.",
+    "error": "Distance to the target at the end, along the rows driven [m or rad]. With --rows held the tip may end "
+    "elsewhere along those that the constraint leaves free.",
+    "peak": "The largest speed of any joint [rad/s or m/s].",
+    "unhindered": "Share of the steps that no limit and no singularity changed (status ok); the replay shows where the "
+    "others are.",
+    "score": "How unusual the episode is: the root of the sum of squares of all z-scores that are worse than usual. "
+    "Episodes are compared with the median of those given, so it says nothing if most of them are of another task.",
+    "sigma": "Smallest singular value of the task at the worst posture; 0 at its singularity.",
+    "broken": "Share of the motion along held rows: noise gives some tenths of a percent, another task much more.",
+    "mm, deg": "How far the tip went along rows that are held.",
+    "margin": "Room to the nearest joint limit: 50 % is the middle of the range; negative beyond the limit.",
+    "speed": "The fastest joint, of its limit; above 100 % the recording is faster than the description allows.",
+    "jerk": "Roughness [rad/s3]: root mean square of the third derivative, less what noise contributes.",
+    "rest": "Share of the time in which no joint is faster than 0.02 rad/s.",
 }
 
 
@@ -137,10 +83,13 @@ def say(console: Console, *sentences: str, style: str = "", whole: bool = False)
         console.print(text(sentence, style), highlight=False, soft_wrap=whole)
 
 
-def say_file(console: Console, what: str, file: Path | None, size: int | None = None) -> None:
-    """Print where something was written, if it was, and how large it is [bytes]."""
-    if file is not None:
-        say(console, f"{what}: {file}" + ("" if size is None else f" ({size / 1e6:.1f} MB)"), whole=True)
+def say_end(
+    console: Console, notes: Iterable[str] = (), out: Path | None = None, page: ReplayResult | None = None
+) -> None:
+    """Print what is to be noted, and where something was written, if it was."""
+    say(console, *(f"note: {note}" for note in notes), style="dim")
+    say(console, *([] if out is None else [f"written: {out}"]), whole=True)
+    say(console, *([] if page is None else [f"replay: {page.html} ({page.bytes / 1e6:.1f} MB)"]), whole=True)
 
 
 def table_of(
@@ -162,16 +111,12 @@ def table_of(
     return table
 
 
-def print_words(console: Console, terms: Sequence[str], explain: bool) -> None:
-    """Explain terms: one line each in short, or a paragraph each."""
-    for term in terms:
-        short, long = WORDS[term]
-        if explain:
-            console.print(Text.assemble((term, "bold"), f": {short[0].upper()}{short[1:]}. {long}"), highlight=False)
-        else:
-            say(console, f"{term}: {short}", style="dim")
+def print_words(console: Console, terms: Iterable[str], explain: bool) -> None:
+    """Explain terms, once; or say how to have them explained."""
     if not explain:
-        say(console, "--explain says more", style="dim")
+        say(console, "--explain says what the words mean", style="dim")
+    for term in terms if explain else ():
+        console.print(Text.assemble((term, "bold"), f": {WORDS[term]}"), highlight=False)
 
 
 def rollout_table(rollouts: dict[str, Controlled], width: int) -> Table:
@@ -241,18 +186,18 @@ def _measure(name: str, e: EpisodeAudit) -> str:
     return f"{value:{form}}{unit}" if math.isfinite(value) else "-"
 
 
-def print_learnt(console: Console, learnt: Learnt, explain: bool = False) -> None:
-    """The sentence, the evidence, the warnings."""
+def print_learnt(console: Console, learnt: Learnt, explain: bool = False, more: Sequence[str] = ()) -> None:
+    """The sentence, the evidence, the warnings; with `explain` its terms and more."""
     from manip_learn.learning.report import RecordingOverview
 
     report = learnt.report
-    say(console, report.sentence, style="bold")
+    say(console, *([learnt.headline] if learnt.headline else []), style="bold")
+    say(console, report.sentence, style="" if learnt.headline else "bold")
     facts = [(called, said, term) for called, said, term in _learnt_facts(learnt) if said]
     grid = Table(show_header=False, box=None, padding=(0, 2, 0, 0))
     for called, said, _ in facts:
         grid.add_row(called, text(said))
     console.print(grid)
-    print_words(console, [term for *_, term in facts if term], explain)
     say(console, *(f"constraint {n}: {other.sentence}" for n, other in enumerate(learnt.reports[1:], start=2)))
     say(console, *RecordingOverview(report.phases).sentences())
     many = len(learnt.constraints) > 1
@@ -260,12 +205,10 @@ def print_learnt(console: Console, learnt: Learnt, explain: bool = False) -> Non
         (f"constraint {n}: " if many else "", c.shown or c.intention) for n, c in enumerate(learnt.constraints, start=1)
     ]
     say(console, *(where + what.sentence for where, what in shown if what is not None))
-    say(console, *(f"note: {note}" for note in (*learnt.notes, *report.notes)), style="dim")
     say(console, *(f"warning: {warning}" for warning in report.warnings), style="yellow")
-    say_file(console, "written", learnt.out)
-    if learnt.page is not None:
-        say_file(console, "replay", learnt.page.html, learnt.page.bytes)
-    if learnt.following is not None:
+    say_end(console, (*learnt.notes, *report.notes), learnt.out, learnt.page)
+    print_words(console, [term for *_, term in facts if term] + list(more), explain)
+    if learnt.following is not None and not more:
         say(console, f"next: {learnt.following}", whole=True)
 
 
@@ -299,17 +242,16 @@ def _learnt_facts(learnt: Learnt) -> list[tuple[str, str | None, str]]:
 
 def print_demo(console: Console, demo: Demo, explain: bool = False) -> None:
     """What was learnt, the comparison, and where the replay is."""
-    print_learnt(console, demo.learnt, explain)
+    ways = any(r.way is not None for r in demo.rollouts.values())
+    print_learnt(console, demo.learnt, explain, WAY_TERMS if ways else ROLLOUT_TERMS)
     say(console, "", demo.story)
     console.print(rollout_table(demo.rollouts, console.width))
-    ways = [r for r in demo.rollouts.values() if r.way is not None]
-    print_words(console, WAY_TERMS if ways else ROLLOUT_TERMS, explain)
     for name, controlled in demo.rollouts.items():
         if controlled.plan is not None:
             say(console, f"{name}: {controlled.plan.sentence}")
         if controlled.way is not None and controlled.way.stopped_by is not None:
             say(console, f"{name}: stopped by {controlled.way.stopped_by}", style="yellow")
-    say_file(console, "replay", demo.page.html, demo.page.bytes)
+    say_end(console, page=demo.page)
 
 
 def print_repeated(console: Console, repeated: Repeated) -> None:
@@ -338,20 +280,34 @@ def print_repeated(console: Console, repeated: Repeated) -> None:
         *(f"{step.name}: stopped by {step.stopped_by}" for step in done.steps if step.stopped_by),
         style="yellow",
     )
-    say(console, *(f"note: {note}" for note in done.notes), style="dim")
-    say_file(console, "written", repeated.out)
-    if repeated.page is not None:
-        say_file(console, "replay", repeated.page.html, repeated.page.bytes)
+    say_end(console, done.notes, repeated.out, repeated.page)
+
+
+# origin of a robot -> what is said of it, the extra that brings it, and arms of it
+ORIGINS = (
+    ("package", "with the package", "", ""),
+    ("extra", "with the extra robots, without a net", "robots", "panda, xarm7, so101, ur5 and 60 more"),
+    (
+        "net",
+        "with the extra descriptions, fetched from the net when first named",
+        "descriptions",
+        "xarm6, lite6 and more",
+    ),
+)
 
 
 def print_robots(console: Console, listed: KnownRobots) -> None:
-    """Names and numbers of joints, those of the package first."""
-    for robot in listed.robots:
-        joints = f"{counted(len(robot.joints), 'joint')}" if not robot.refused else "refused: see `manip-learn inspect`"
-        origin = "" if robot.origin == "package" else "  (extra robots)"
-        say(console, f"{robot.name:24} {joints}{origin}")
-    if not listed.extra:
-        say(console, "more with: pip install 'manip_learn[robots]'")
+    """Names and numbers of joints, by where the robots come from, and what brings more of them."""
+    for origin, title, extra, arms in ORIGINS:
+        robots = listed.of(origin)
+        if not robots:
+            say(console, f"more with: pip install 'manip_learn[{extra}]' ({arms})")
+            continue
+        said = [
+            f"{r.name} ({'refused' if r.refused else len(r.joints)})" if origin != "net" else r.name for r in robots
+        ]
+        say(console, f"{title} (and how many joints they have):" if origin == "package" else f"{title}:", style="bold")
+        say(console, ", ".join(said))
 
 
 def print_robot(console: Console, inspected: Inspected) -> None:
@@ -392,7 +348,6 @@ def print_controlled(console: Console, controlled: Controlled, explain: bool = F
     if controlled.hold is not None:
         say(console, f"the hand took hold at {_at(controlled.hold)}")
     console.print(rollout_table({"rollout": controlled}, console.width))
-    print_words(console, ROLLOUT_TERMS if controlled.way is None else WAY_TERMS, explain)
     plan = controlled.plan
     if plan is not None:
         say(console, f"plan: {plan.sentence}")
@@ -405,10 +360,8 @@ def print_controlled(console: Console, controlled: Controlled, explain: bool = F
     counts = controlled.rollout.status_counts
     say(console, f"steps: {', '.join(f'{status} {n}' for status, n in counts.items())}")
     say(console, *_obstacles(controlled), style="yellow")
-    say(console, *(f"note: {note}" for note in controlled.notes), style="dim")
-    say_file(console, "written", controlled.out)
-    if controlled.page is not None:
-        say_file(console, "replay", controlled.page.html, controlled.page.bytes)
+    print_words(console, ROLLOUT_TERMS if controlled.way is None else WAY_TERMS, explain)
+    say_end(console, controlled.notes, controlled.out, controlled.page)
 
 
 def _at(place: Sequence[float]) -> str:
@@ -456,21 +409,19 @@ def print_audit(console: Console, audited: Audited, explain: bool = False) -> No
         say(console, f"not shown for want of width: {', '.join(hidden)} (--csv FILE has all)")
     if len(report.episodes) > most:
         say(console, f"and {len(report.episodes) - most} better episodes (--csv FILE lists all)")
-    print_words(console, [t for t in AUDIT_TERMS if t.split(",")[0] not in hidden], explain)
     threshold = f"robust z above {report.threshold:.1f}" if math.isfinite(report.threshold) else "too few to tell"
     left_out = f"leave out {len(report.leave_out)} of {counted(len(report.episodes), 'episode')}"
     console.print(Text.assemble((left_out, "bold"), f" ({threshold})"), highlight=False)
     for e in report.leave_out:
         reasons = Text.assemble(text(e.episode, "red"), text(f": {'; '.join(e.reasons)}"))
         console.print(reasons, highlight=False, soft_wrap=True)
-    say(console, *(f"note: {note}" for note in report.notes), style="dim")
-    say_file(console, "written", audited.out)
+    print_words(console, [t for t in AUDIT_TERMS if t.split(",")[0] not in hidden], explain)
+    say_end(console, report.notes, audited.out)
 
 
 def print_replayed(console: Console, page: ReplayResult) -> None:
     """What was noticed, the file and its size."""
-    say(console, *(f"note: {note}" for note in page.notes))
-    say_file(console, "replay", page.html, page.bytes)
+    say_end(console, page.notes, page=page)
 
 
 def print_reproduction(console: Console, reproduction: Reproduction) -> None:
@@ -478,15 +429,14 @@ def print_reproduction(console: Console, reproduction: Reproduction) -> None:
     for part, page in reproduction.pages.items():
         console.rule(part)
         console.print(Markdown(page))
-    say_file(console, "written", reproduction.out)
+    say_end(console, out=reproduction.out)
 
 
 def print_recorded(console: Console, answer: Recorded) -> None:
     """The files, whether samples were lost, and what the recordings show."""
-    for file in answer.recorded.files:
-        say_file(console, "recorded", file)
+    say(console, *(f"recorded: {file}" for file in answer.recorded.files), whole=True)
     say(console, answer.recorded.sentence)
-    say(console, *(f"note: {note}" for note in answer.recorded.notes), style="dim")
+    say_end(console, answer.recorded.notes)
     if answer.sentence:
         say(console, answer.sentence, style="bold")
     say(console, answer.advice, whole=True)
@@ -494,20 +444,16 @@ def print_recorded(console: Console, answer: Recorded) -> None:
 
 def print_taught(console: Console, answer: Taught) -> None:
     """The last answer, and the folder of all of it."""
-    say(console, *(f"note: {note}" for note in answer.notes), style="dim")
-    if answer.sentence:
-        say(console, answer.sentence, style="bold")
-    if answer.recordings:
-        say_file(console, f"{counted(len(answer.recordings), 'recording')} kept in", answer.folder)
-    else:
-        say(console, "nothing was recorded")
+    say_end(console, answer.notes)
+    say(console, *([answer.sentence] if answer.sentence else []), style="bold")
+    kept = f"{counted(len(answer.recordings), 'recording')} kept in: {answer.folder}"
+    say(console, kept if answer.recordings else "nothing was recorded", whole=True)
 
 
 def print_exported(console: Console, exported: Exported) -> None:
     """What was written, and what was noticed."""
     say(console, *(f"note: {note}" for note in exported.notes), whole=True)
-    for file in exported.files:
-        say_file(console, exported.format, file)
+    say(console, *(f"{exported.format}: {file}" for file in exported.files), whole=True)
     if exported.trajectories:
         say(console, f"{counted(exported.trajectories, 'trajectory')}, {counted(exported.samples, 'sample')}")
 

@@ -6,7 +6,7 @@ import secrets
 import signal
 import sys
 import threading
-import webbrowser
+import time
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
@@ -24,6 +24,7 @@ if TYPE_CHECKING:
     from manip_learn.teach.session import TeachingSession
 
 STARTS = 20.0  # [s] in which the server starts: a busy machine takes a few
+FAREWELL = 0.2  # [s] in which open pages hear that the program has ended
 
 
 @final
@@ -83,9 +84,10 @@ def teach(options: TeachOptions, progress: Progress) -> Taught:
         if options.no_browser:
             print(f"the page: {server.url}", file=sys.stderr, flush=True)
         else:
-            webbrowser.open(server.url)
+            server.open_in_browser()
         with _signals(session):
             session.run()
+        time.sleep(FAREWELL)
     finally:
         server.close()
     return Taught(session.folder, session.files, session.sentence, session.notes)

@@ -22,7 +22,7 @@ from manip_learn.constraint.intention import Intention
 from manip_learn.constraint.mechanism import TURNING, Mechanism, named_rows, on_twist, read_mechanism
 from manip_learn.constraint.shown import Shown
 from manip_learn.constraint.task_frame import TaskFrame, task_frame
-from manip_learn.errors import DAMAGE, ConstraintError, ConstraintMismatchError, ManipLearnError, spoken
+from manip_learn.errors import DAMAGE, ConstraintError, ConstraintMismatchError, ManipLearnError, an, spoken
 from manip_learn.linalg import along_axes, finite, manipulability_of, orthonormal_rows
 from manip_learn.robot import html_card
 from manip_learn.robot.robot import Robot
@@ -68,7 +68,7 @@ class Constraint:
         notes: What loading it from a file had to say, in sentences: joints that were locked, or are locked elsewhere.
 
     Raises:
-        ConstraintError: Wrong size, not finite, no row left, or dependent rows.
+        ConstraintError: Wrong size, not finite, no row left, dependent rows, or arguments in another order.
 
     Example:
         >>> import manip_learn as ml
@@ -366,6 +366,10 @@ class Constraint:
 
 
 def _orthonormal(selection: ArrayLike, features: FeatureMap) -> np.ndarray:
+    if not isinstance(features, FeatureMap):
+        raise ConstraintError(
+            f"call Constraint(selection, features): got {an(selection)} and {an(features)}, in this order"
+        )
     try:
         matrix = np.array(selection, dtype=np.float64)
     except (TypeError, ValueError, OverflowError) as error:
@@ -408,7 +412,9 @@ def read_constraint_file(path: Path) -> dict[str, Any]:
     try:
         return json.loads(path.read_bytes())
     except (ValueError, RecursionError) as error:
-        raise ConstraintMismatchError(f"{path} is not a constraint file: it is not JSON ({error})") from error
+        raise ConstraintMismatchError(
+            f"{path} is not a constraint file, it is not JSON: name the file that `learn --out` or save() wrote"
+        ) from error
     except OSError as error:
         raise ConstraintMismatchError(f"cannot read {path}: {error.strerror}") from error
 

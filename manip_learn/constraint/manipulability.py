@@ -21,7 +21,7 @@ from numpy.typing import ArrayLike
 from manip_learn.constraint.constraint import Constraint
 from manip_learn.constraint.features.feature_map import Vjp
 from manip_learn.constraint.small_matrices import svd
-from manip_learn.errors import ConstraintError
+from manip_learn.errors import ConstraintError, an
 from manip_learn.linalg import EPS, manipulability_of
 from manip_learn.robot.limit_potential import limit_weights
 from manip_learn.robot.robot import Robot
@@ -37,6 +37,7 @@ def manipulability(constraint: Constraint, q: ArrayLike) -> float:
 
     Raises:
         ConfigurationError: q has the wrong size or is not finite.
+        ConstraintError: The arguments are in another order.
 
     Example:
         >>> import manip_learn as ml
@@ -46,7 +47,18 @@ def manipulability(constraint: Constraint, q: ArrayLike) -> float:
         >>> round(ml.manipulability(constraint, [0.0, 0.0, 0.0]), 2)  # stretched along x: the task is singular
         0.0
     """
-    return constraint.manipulability(q)
+    return in_order(constraint, q).manipulability(q)
+
+
+def in_order(constraint: Constraint, q: ArrayLike) -> Constraint:
+    """The constraint, if it is one.
+
+    Raises:
+        ConstraintError: Something else stands in its place, e.g. the posture.
+    """
+    if not isinstance(constraint, Constraint):
+        raise ConstraintError(f"the constraint comes first, then the posture: got {an(constraint)} and {an(q)}")
+    return constraint
 
 
 def manipulability_gradient(constraint: Constraint, q: ArrayLike) -> Float[np.ndarray, " nv"]:
@@ -59,8 +71,9 @@ def manipulability_gradient(constraint: Constraint, q: ArrayLike) -> Float[np.nd
 
     Raises:
         ConfigurationError: q has the wrong size or is not finite.
+        ConstraintError: The arguments are in another order.
     """
-    A, vjp = constraint.value_and_vjp(q)
+    A, vjp = in_order(constraint, q).value_and_vjp(q)
     return gradient_from(A.shape, svd(A), vjp)[1]
 
 
@@ -72,8 +85,9 @@ def log_manipulability_gradient(constraint: Constraint, q: ArrayLike) -> Float[n
 
     Raises:
         ConfigurationError: q has the wrong size or is not finite.
+        ConstraintError: The arguments are in another order.
     """
-    A, vjp = constraint.value_and_vjp(q)
+    A, vjp = in_order(constraint, q).value_and_vjp(q)
     mu, gradient, floor = gradient_from(A.shape, svd(A), vjp)
     return gradient / max(mu, floor, np.finfo(np.float64).tiny)
 
@@ -162,9 +176,9 @@ def penalised_manipulability(constraint: Constraint, q: ArrayLike) -> float:
 
     Raises:
         ConfigurationError: q has the wrong size or is not finite.
-        ConstraintError: The constraint's features have no robot.
+        ConstraintError: The constraint's features have no robot, or the arguments are in another order.
     """
-    return manipulability_of(constraint(q) * limit_weights(limited_robot(constraint), q)[0])
+    return manipulability_of(constraint(q) * limit_weights(limited_robot(in_order(constraint, q)), q)[0])
 
 
 def penalised_manipulability_gradient(constraint: Constraint, q: ArrayLike) -> Float[np.ndarray, " nv"]:
@@ -172,7 +186,7 @@ def penalised_manipulability_gradient(constraint: Constraint, q: ArrayLike) -> F
 
     Raises:
         ConfigurationError: q has the wrong size or is not finite.
-        ConstraintError: The constraint's features have no robot.
+        ConstraintError: The constraint's features have no robot, or the arguments are in another order.
     """
     A, vjp = penalised_value_and_vjp(constraint, q)
     return gradient_from(A.shape, svd(A), vjp)[1]
@@ -183,7 +197,7 @@ def log_penalised_manipulability_gradient(constraint: Constraint, q: ArrayLike) 
 
     Raises:
         ConfigurationError: q has the wrong size or is not finite.
-        ConstraintError: The constraint's features have no robot.
+        ConstraintError: The constraint's features have no robot, or the arguments are in another order.
     """
     A, vjp = penalised_value_and_vjp(constraint, q)
     mu, gradient, floor = gradient_from(A.shape, svd(A), vjp)
@@ -195,9 +209,9 @@ def penalised_value_and_vjp(constraint: Constraint, q: ArrayLike) -> tuple[Float
 
     Raises:
         ConfigurationError: q has the wrong size or is not finite.
-        ConstraintError: The constraint's features have no robot.
+        ConstraintError: The constraint's features have no robot, or the arguments are in another order.
     """
-    w, slope = limit_weights(limited_robot(constraint), q)
+    w, slope = limit_weights(limited_robot(in_order(constraint, q)), q)
     A, vjp = constraint.value_and_vjp(q)
     A_slope = A * slope
 

@@ -15,7 +15,7 @@ from jaxtyping import Bool, Float
 from numpy.typing import ArrayLike
 
 from manip_learn.constraint.constraint import Constraint
-from manip_learn.constraint.manipulability import SINGULAR_RATIO, gradient_of
+from manip_learn.constraint.manipulability import SINGULAR_RATIO, gradient_of, in_order
 from manip_learn.robot.batch.postures import checked_postures
 
 LEAST_LENGTH_RATIO = 1e-3  # shortest orthogonalised row over longest row of A; below it the SVD takes over
@@ -50,8 +50,9 @@ def manipulability_batch(constraint: Constraint, q: ArrayLike) -> Manipulability
 
     Raises:
         ConfigurationError: Wrong size or not finite; names the first bad row and joint.
+        ConstraintError: The arguments are in another order.
     """
-    features = constraint.features
+    features = in_order(constraint, q).features
     postures = np.asarray(q, dtype=np.float64)
     n = postures.shape[0] if postures.ndim else 0
     out = ManipulabilityBatch(np.zeros(n), np.zeros((n, constraint.nv)), np.zeros(n))

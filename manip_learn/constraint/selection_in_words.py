@@ -92,7 +92,7 @@ def describe(
     sentences = [f"{subject} {_freedom(free[:, used], names, features, held, mechanism)}."]
     told = said_by_rows(mechanism, features.row_names, getattr(features, "reference", None), free)
     if mechanism is not None:
-        words = LOOKS[CURVE if mechanism.name == CURVE else mechanism.type]
+        words = looks(mechanism)
         if not told and mechanism.place:
             words += f", {mechanism.place}"
         if mechanism.orientation != "free" and not set(ROTATIONS) & set(names):
@@ -103,6 +103,11 @@ def describe(
     if known:
         sentences.append(f"{known[0].upper()}{known[1:]}.")
     return " ".join(sentences)
+
+
+def looks(mechanism: Mechanism) -> str:
+    """A mechanism by what people know: `"a straight line (a drawer)"`."""
+    return LOOKS[CURVE if mechanism.name == CURVE else mechanism.type]
 
 
 def said_by_rows(

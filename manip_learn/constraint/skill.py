@@ -63,9 +63,8 @@ class Skill:
 
     Example:
         >>> import manip_learn as ml
-        >>> from manip_learn.commands.demo import shipped_recordings  # stands for a folder of your own
         >>> robot = ml.load_robot("sawyer")
-        >>> demos = ml.load_demonstrations(shipped_recordings() / "sawyer_drawer", robot)[:6]
+        >>> demos = ml.load_demonstrations("sawyer_drawer", robot)[:6]  # or a folder of your own
         >>> learner = ml.ConstraintLearner(ml.FrameJacobian(robot, "right_gripper_tip", axes="xyz")).fit(demos)
         >>> [step.kind for step in learner.skill_.steps]
         ['reach', 'way']

@@ -368,7 +368,8 @@ def check_inside(robot: Robot, positions: Float[np.ndarray, " nv"]) -> None:
         i = int(np.argmax(outside))
         raise TargetError(
             f"the start puts joint {robot.joint_names[i]!r} at {positions[i]:.4g}, outside its limits "
-            f"{robot.position_lower[i]:.4g} .. {robot.position_upper[i]:.4g} (are these degrees?)"
+            f"{robot.position_lower[i]:.4g} .. {robot.position_upper[i]:.4g} {robot.joint_units[i]}: give positions in "
+            f"{robot.joint_units[i]}, not in degrees or mm"
         )
 
 

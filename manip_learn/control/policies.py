@@ -23,7 +23,7 @@ from manip_learn.constraint.manipulability import (
     penalised_value_and_vjp,
 )
 from manip_learn.constraint.small_matrices import row_inverse, svd
-from manip_learn.errors import ConfigurationError, ConstraintError, TargetError
+from manip_learn.errors import ConfigurationError, ConstraintError, TargetError, an
 from manip_learn.linalg import unit
 from manip_learn.robot.collision import SelfCollision
 from manip_learn.robot.frame_kinematics import vjps
@@ -261,7 +261,7 @@ class ManipulabilityAscent(SampledPolicy):
             left more slowly, and a hand is pulled less off what holds it where a spare joint meets its limit.
 
     Raises:
-        ConstraintError: `max_speed` is not positive.
+        ConstraintError: `max_speed` is not positive, or no constraint was given.
 
     Example:
         >>> import manip_learn as ml
@@ -281,6 +281,8 @@ class ManipulabilityAscent(SampledPolicy):
         logarithmic: bool = True,
         max_speed: float | None = 10.0,
     ):
+        if not isinstance(constraint, Constraint):
+            raise ConstraintError(f"call ManipulabilityAscent(constraint), got {an(constraint)}")
         if max_speed is not None and not max_speed > 0.0:
             raise ConstraintError(f"max_speed must be positive [rad/s], or None for no bound, got {max_speed!r}")
         self.constraint = constraint

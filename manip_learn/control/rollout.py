@@ -16,6 +16,7 @@ from manip_learn.constraint.constraint import Constraint
 from manip_learn.constraint.manipulability import manipulability
 from manip_learn.control.command import Status
 from manip_learn.errors import FeatureError, RecordingError, printable, spoken
+from manip_learn.recordings.data_frame import TRAJECTORY, PandasFrame, frame_of
 from manip_learn.recordings.readers.saved_reader import read_saved
 from manip_learn.recordings.saved_motion import FileHeader, SavedMotion, check_robot
 from manip_learn.recordings.trajectory import Trajectory
@@ -92,6 +93,11 @@ class Rollout:
         return int(self.time.shape[0])
 
     @property
+    def mu(self) -> Float[np.ndarray, " T"]:
+        """The manipulability, by its letter."""
+        return self.manipulability
+
+    @property
     def status_counts(self) -> dict[str, int]:
         """How often each status occurred."""
         return {str(s): self.status.count(s) for s in dict.fromkeys(self.status)}
@@ -100,7 +106,9 @@ class Rollout:
         return f"Rollout({'; '.join(f'{name} {value}' for name, value in self._facts() if value is not None)})"
 
     def _repr_html_(self) -> str:
-        return html_card.card("Rollout", html_card.facts(self._facts()))
+        least = f"μ over time, {np.nanmin(self.mu):.3g} at the least" if np.any(np.isfinite(self.mu)) else ""
+        picture = html_card.curve(self.time.tolist(), self.mu.tolist(), least)
+        return html_card.card("Rollout", html_card.facts(self._facts()), picture)
 
     def _facts(self) -> list[tuple[str, str | None]]:
         """Name -> value in words; None where there is nothing to say."""
@@ -120,6 +128,17 @@ class Rollout:
     def trajectory(self, name: str = "rollout") -> Trajectory:
         """The motion as a demonstration, so that it can be learnt from again."""
         return Trajectory(self.time, self.q, self.u, self.joint_names, name, judged=True)
+
+    def to_frame(self) -> PandasFrame:
+        """One row per sample: `time`, joint positions and velocities by name, `mu`, `task_error` and `status`.
+
+        Raises:
+            RecordingError: Postures that are no joint positions (nq differs from nv) have no column names.
+            MissingExtraError: pandas is not installed.
+        """
+        table: Any = frame_of([self.trajectory()])
+        told = {"mu": self.mu, "task_error": self.task_error, "status": list(map(str, self.status))}
+        return table.drop(columns=TRAJECTORY).assign(**told)
 
     def until(self, end: float) -> Rollout:
         """The samples up to a time [s]."""

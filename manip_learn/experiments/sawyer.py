@@ -9,11 +9,9 @@ recordings with replacement (a bootstrap resample), and those that were not draw
 
 from __future__ import annotations
 
-import importlib.resources
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cache
-from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal, final, get_args
 
 import numpy as np
@@ -100,14 +98,7 @@ def turned_recordings(along_x: bool, points: int | None, folder: str = KIND) -> 
 
 @cache
 def _recordings(name: str) -> Demonstrations:
-    files = sorted((shipped_recordings() / name).glob("*.csv"))
-    return with_velocities(load_demonstrations(files, sawyer_arm(), velocities="recorded"), sawyer_arm())
-
-
-def shipped_recordings() -> Path:
-    """Folder of the recordings that come with this package, in an installed wheel or in a checkout."""
-    installed = Path(str(importlib.resources.files("manip_learn"))) / "_recordings"
-    return installed if installed.is_dir() else Path(__file__).resolve().parents[2] / "examples" / "data"
+    return with_velocities(load_demonstrations(name, sawyer_arm(), velocities="recorded"), sawyer_arm())
 
 
 @final

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import inspect
 import math
 import time
 from collections.abc import Sequence
@@ -21,6 +22,7 @@ from manip_learn.errors import (
     NumberOfConstraintsError,
     RecordingError,
     an,
+    listed,
 )
 from manip_learn.learning.answer import EstimatorName, LearnerSettings, find_answers
 from manip_learn.learning.arm_errors import ArmErrors
@@ -28,6 +30,7 @@ from manip_learn.learning.checks import check_fastest, refuse_noise, refuse_stil
 from manip_learn.learning.choosing import MOST_SAMPLES, Choice, choose_from, few_of
 from manip_learn.learning.explanation.evidence import SWITCH_NATS, BeforeSmoothing
 from manip_learn.learning.explanation.findings import Findings, Part, find
+from manip_learn.learning.origin import made
 from manip_learn.learning.recombination import BELIEVED_STRENGTH
 from manip_learn.learning.repeats import IndependentRecordings
 from manip_learn.learning.report import LearningReport, RecordingOverview, advise, build_report
@@ -37,6 +40,7 @@ from manip_learn.recordings.demonstrations import Demonstrations
 from manip_learn.recordings.earned_velocities import Velocities, used_and_derived
 from manip_learn.recordings.trajectory_source import CheckedSource, Given, Progress, check_joints, recordings_given
 from manip_learn.recordings.velocities import VelocityMethod, with_velocities
+from manip_learn.robot import html_card
 from manip_learn.robot.robot import Robot
 
 ESTIMATORS = ("auto", "joint", "null-space", "separate")
@@ -93,9 +97,8 @@ class ConstraintLearner:
     Example:
         >>> import numpy as np
         >>> import manip_learn as ml
-        >>> from manip_learn.commands.demo import shipped_recordings  # stands for a folder of your own
         >>> robot = ml.load_robot("sawyer")
-        >>> demos = ml.load_demonstrations(shipped_recordings() / "sawyer_drawer", robot)[:6]
+        >>> demos = ml.load_demonstrations("sawyer_drawer", robot)[:6]  # or a folder of your own
         >>> features = ml.FrameJacobian(robot, "right_gripper_tip", axes="xyz")
         >>> learner = ml.ConstraintLearner(features).fit(demos)
         >>> learner.report_.n_constraints, learner.report_.gap > 10.0  # two directions are held, clearly
@@ -173,7 +176,9 @@ class ConstraintLearner:
         self._feature_maps = candidates
         self._kept: Choice | None = None
 
-    def fit(self, demonstrations: Given, *, client: Any = None, progress: Progress | None = None) -> ConstraintLearner:
+    def fit(
+        self, demonstrations: Given, *others: object, client: Any = None, progress: Progress | None = None
+    ) -> ConstraintLearner:
         """Learn from demonstrations; a second fit forgets the first.
 
         At most 16,384 samples are learnt from. Of more, that many are chosen evenly while they are read, so that
@@ -184,6 +189,7 @@ class ConstraintLearner:
                 joint in the robot's order [s, rad or m]; or a data frame of pandas; or a list of these; or an iterable
                 of motions, which is read once; or a `TrajectorySource`, e.g. `manip_learn.RecordingSource` for files
                 larger than memory.
+            others: Nothing: `fit(q, u)`, as other libraries have it, is answered with what to write.
             client: A `dask.distributed.Client` whose workers read the parts of a source and choose from them; the
                 answer does not depend on their number. What is in memory needs none.
             progress: Called with what is being done and the share of it that is done.
@@ -195,6 +201,13 @@ class ConstraintLearner:
         """
         self._forget()
         self._kept = None
+        if others:  # fit(X, y), as other libraries have it
+            raise RecordingError(
+                f"fit takes all recordings as one argument: got {listed(map(an, (demonstrations, *others)))}; "
+                "write fit((time, q, u)) for the arrays of one recording, fit([(time, q, u), ...]) for several, time "
+                "in seconds",
+                code="type",
+            )
         given = self._given(demonstrations)
         if not isinstance(given, Demonstrations):
             given = choose_from(given, self._empty, client, progress).demonstrations()
@@ -282,7 +295,8 @@ class ConstraintLearner:
                 raise why from refusal
             overview = RecordingOverview.of(answers, findings, recordings)
             names = demonstrations.joint_names
-            learnt = [build_report(answer, overview, names, arm, started) for answer in answers]
+            origin = made(given, self._settings)
+            learnt = [build_report(answer, overview, names, arm, started, origin) for answer in answers]
             self.constraints_, self.reports_ = zip(*learnt, strict=True)
             self.constraint_, self.report_ = learnt[0]
             self.skill_ = skill_of(self.constraints_, answers)
@@ -298,6 +312,12 @@ class ConstraintLearner:
             mechanisms=self.mechanism == "auto" and self.n_constraints is None,
             strength=self.strength,
         )
+
+    @property
+    def _settings(self) -> dict[str, Any]:
+        """Arguments of the constructor, as they can be written down; the features stand in the constraint itself."""
+        names = [name for name in inspect.signature(type(self)).parameters if name != "features"]
+        return {name: getattr(self, name) for name in names}
 
     @property
     def _empty(self) -> Choice:
@@ -321,3 +341,11 @@ class ConstraintLearner:
 
     def __repr__(self) -> str:
         return f"ConstraintLearner({self.features!r}, n_constraints={self.n_constraints}, estimator={self.estimator!r})"
+
+    def _repr_html_(self) -> str:
+        report = vars(self).get("report_")
+        return (
+            html_card.card("Nothing is learnt yet", html_card.sentence(repr(self)))
+            if report is None
+            else report._repr_html_()
+        )

@@ -5,7 +5,7 @@ from __future__ import annotations
 import dataclasses
 import math
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any, NamedTuple, final
 
@@ -264,6 +264,10 @@ class LearningReport:
             html_card.sentence(self.sentence),
             html_card.warnings(self.warnings),
             html_card.facts(self._facts()),
+            html_card.bars(
+                [(f"{'held' if i < self.n_constraints else 'free'}, {x:.2g}", x) for i, x in enumerate(self.levels)],
+                "how much the recordings move along each direction, by powers of ten",
+            ),
             html_card.folded(
                 "Gap for each number of rows",
                 html_card.table(("rows", "gap"), [(n, float(gap)) for n, gap in self.gap_table.items()]),
@@ -328,8 +332,11 @@ def build_report(
     joint_names: tuple[str, ...],
     arm: ArmErrors,
     started: float,
+    made: Mapping[str, Any],
 ) -> tuple[Constraint, LearningReport]:
     """The constraint, and the evidence for it; the fit started when the clock `time.perf_counter` was at `started`.
+
+    The constraint's provenance says what it was `made` from.
 
     Raises:
         NotIdentifiableError: A joint estimate that is known too badly for an answer.
@@ -392,6 +399,7 @@ def build_report(
         mu_uncertainty=mu_uncertainty,
     )
     provenance = {key: value for key, value in report.to_dict().items() if key in PROVENANCE}
+    provenance["made"] = dict(made)
     kept = evenly(len(samples), KEPT_POSTURES)
     provenance["postures"] = np.round(samples.q[kept], 5).tolist()
     provenance["posture_trajectories"] = samples.trajectory[kept].tolist()

@@ -147,9 +147,8 @@ def repeat(
 
     Example:
         >>> import manip_learn as ml
-        >>> from manip_learn.commands.demo import shipped_recordings  # stands for a folder of your own
         >>> robot = ml.load_robot("sawyer")
-        >>> demos = ml.load_demonstrations(shipped_recordings() / "sawyer_drawer", robot)[:6]
+        >>> demos = ml.load_demonstrations("sawyer_drawer", robot)[:6]  # or a folder of your own
         >>> learner = ml.ConstraintLearner(ml.FrameJacobian(robot, "right_gripper_tip", axes="xyz")).fit(demos)
         >>> again = ml.repeat(learner.skill_, demos[0].q[0])
         >>> again.is_done, [step.kind for step in again.steps]

@@ -1,34 +1,37 @@
-"""Robot -> what is drawn: its own shapes and meshes, or a plain figure of tubes and discs; each rides on one joint.
-
-Meshes are made small enough for a page, and smooth where the surface is smooth.
-"""
+"""Robot -> what is drawn: its own shapes and meshes, or shells made from its kinematics; each rides on one joint."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Literal, final
 
 import numpy as np
 import pinocchio as pin
-from jaxtyping import Float, Int
+from jaxtyping import Float
 
 from manip_learn.playback.kinematic_tree import TreeJoint
+from manip_learn.playback.shells import Body, barrel, rod, shell
+from manip_learn.playback.simple_meshes import decimated
+from manip_learn.robot.description.mjcf import turn_z_to
 from manip_learn.robot.robot import Robot
-from manip_learn.robot.visuals.figure import SHORTEST, TUBE, link_ends, link_radii
+from manip_learn.robot.visuals.figure import Bone, bones, link_radii
 from manip_learn.robot.visuals.meshes import Mesh
 from manip_learn.robot.visuals.visual_shapes import Visual, said_once, visual_shapes
 
-ShapeKind = Literal["box", "sphere", "cylinder", "cone", "disc", "mesh"]
+ShapeKind = Literal["box", "sphere", "cylinder", "disc", "mesh"]
 Colour = tuple[float, float, float, float]
 
 # red, green, blue and opacity
 PLAIN: Colour = (0.80, 0.83, 0.86, 1.0)
-DARK: Colour = (0.27, 0.31, 0.36, 1.0)  # joints, beside links in the plain colour
+DARK: Colour = (0.27, 0.31, 0.36, 1.0)  # caps of joints, beside links in the plain colour
 MAX_TRIANGLES = 60_000  # about 0.9 MB in the page
-CREASE = np.cos(np.deg2rad(38.0))  # edges that turn by more stay sharp: twelve-sided cylinders look round
-MAX_STEPS = 18  # halvings at most; ten bring the range within 1 per cent
-ROD = 0.8  # share of the slimmest shape's half width
+FATTEST = 2.0  # own shapes that a shell takes the place of, in radii that the kinematics would give them
+STRAIGHT = 0.9  # cosine between a bone and an axis that runs along it
+# of a joint, in radii of its bones: barrel (radius, half length), and what stands out of its ends: a ring, a cap in it
+BARREL, RING, CAP = (1.2, 1.25), (1.08, 1.37), (0.9, 1.45)
+BAND = (1.12, 0.17)  # a ring around a bone, and
+SEAM = 1.15  # how far it stands from the corner of two bones: beside the one that goes on
 
 
 @final
@@ -39,8 +42,8 @@ class Shape:
     Attributes:
         joint: Index in the kinematic tree of the joint that carries it; 0 is the world.
         kind: What it is.
-        size: [m]: box (x, y, z); sphere (radius); cylinder and disc (radius, length); cone (radius at the bottom,
-            radius at the top, length); mesh: none. All are centred at their origin, round ones stand along z.
+        size: [m]: box (x, y, z); sphere (radius); cylinder and disc (radius, length); mesh: none. All are centred at
+            their origin, round ones stand along z.
         pose: shape (4, 4), from the shape to the joint's frame [m].
         colour: Red, green, blue, opacity, 0 to 1.
         accent: True if it takes the colour of its rollout.
@@ -64,8 +67,7 @@ class Shape:
             return np.full(3, s[0])
         if self.kind == "mesh":
             return np.zeros(3)
-        radius = max(s[:-1])
-        return np.array([radius, radius, s[-1] / 2.0])
+        return np.array([s[0], s[0], s[1] / 2.0])
 
 
 @final
@@ -84,176 +86,85 @@ class Appearance:
     notes: tuple[str, ...] = ()
 
 
-def decimated(meshes: list[Mesh], triangles: int) -> tuple[list[Mesh], int, int]:
-    """Simplify meshes until all of them together have at most so many triangles.
+def shells(
+    robot: Robot, tree: tuple[TreeJoint, ...], own: Sequence[Shape], only: set[int] | None = None
+) -> tuple[list[Shape], list[Mesh]]:
+    """Shells around the bones of each link, with rings where it turns, and the own shapes that no shell stands for.
 
-    Large meshes give up more than small ones, and no mesh becomes so coarse that it cannot be recognised as long as
-    the budget allows it.
-
-    Returns:
-        The meshes, their triangles before and after.
-    """
-    clean = []
-    for m in meshes:  # vertices in one place become one: STL files repeat each of them six times
-        span = float(np.ptp(m.vertices, axis=0).max())
-        steps = np.rint((m.vertices - m.vertices.min(axis=0)) / max(span * 1e-6, 1e-12)).astype(np.int64)
-        _, first, index = np.unique(steps, axis=0, return_index=True, return_inverse=True)
-        clean.append(_cleaned(m.vertices[first], index.reshape(-1)[m.faces]))
-    counts = np.array([len(m.faces) for m in clean], dtype=np.float64)
-    before = int(counts.sum())
-    if before > triangles:
-        # one cap for all, such that the sum fits
-        low, high = 0.0, float(counts.max())
-        for _ in range(60):
-            cap = 0.5 * (low + high)
-            low, high = (cap, high) if np.minimum(counts, cap).sum() <= triangles else (low, cap)
-        shares = np.minimum(counts, max(low, 12.0))
-        clean = [m if len(m.faces) <= s else _clustered(m, int(s)) for m, s in zip(clean, shares, strict=True)]
-    after = sum(len(m.faces) for m in clean)
-    # vertices split along sharp edges, so that normals averaged at vertices are right on both sides
-    for i, mesh in enumerate(clean):
-        pairs = np.column_stack([mesh.faces.reshape(-1), _smooth_groups(mesh.vertices, mesh.faces)])
-        unique, index = np.unique(pairs, axis=0, return_inverse=True)
-        clean[i] = Mesh(mesh.vertices[unique[:, 0]], index.reshape(-1, 3))
-    return clean, before, after
-
-
-def _cleaned(vertices: np.ndarray, triangles: np.ndarray) -> Mesh:
-    """Without triangles that have two corners in one place or that occur twice, and without unused vertices."""
-    a, b, c = triangles.T
-    triangles = triangles[(a != b) & (b != c) & (c != a)]
-    _, first = np.unique(np.sort(triangles, axis=1), axis=0, return_index=True)
-    triangles = triangles[np.sort(first)]
-    used, index = np.unique(triangles, return_inverse=True)
-    return Mesh(vertices[used], index.reshape(-1, 3))
-
-
-def _clustered(mesh: Mesh, target: int) -> Mesh:
-    """Vertices in one cell of a grid become one; the finest grid that meets the target."""
-    span = float(np.ptp(mesh.vertices, axis=0).max())
-    low, high = 2.0, 4096.0  # cells along the longest side, coarse enough and too fine
-    best = _on_grid(mesh, span / low)
-    for _ in range(MAX_STEPS):
-        cells = float(np.sqrt(low * high))
-        candidate = _on_grid(mesh, span / cells)
-        if len(candidate.faces) <= target:
-            low, best = cells, candidate
-        else:
-            high = cells
-        if high / low < 1.01:
-            break
-    return best
-
-
-def _on_grid(mesh: Mesh, cell: float) -> Mesh:
-    steps = np.floor((mesh.vertices - mesh.vertices.min(axis=0)) / cell).astype(np.int64)
-    _, index, count = np.unique(steps, axis=0, return_inverse=True, return_counts=True)
-    index = index.reshape(-1)
-    middle = np.column_stack([np.bincount(index, mesh.vertices[:, k], len(count)) / count for k in range(3)])
-    return _cleaned(middle, index[mesh.faces])
-
-
-def _smooth_groups(vertices: Float[np.ndarray, "V 3"], triangles: Int[np.ndarray, "F 3"]) -> Int[np.ndarray, " C"]:
-    """A group for each corner of each triangle: corners at one vertex share it if smooth edges lead from one to the
-    other.
-    """
-    from scipy.sparse import coo_array
-    from scipy.sparse.csgraph import connected_components
-
-    edges = vertices[triangles]
-    normals = np.cross(edges[:, 1] - edges[:, 0], edges[:, 2] - edges[:, 0])
-    normals /= np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), 1e-300)
-    n = len(triangles)
-    start, end = triangles.reshape(-1), np.roll(triangles, -1, axis=1).reshape(-1)
-    face = np.repeat(np.arange(n), 3)
-    here = np.arange(3 * n)  # corner where the edge starts
-    there = here.reshape(-1, 3)[:, [1, 2, 0]].reshape(-1)  # corner where it ends
-    order = np.lexsort((np.maximum(start, end), np.minimum(start, end)))
-    low, high = np.minimum(start, end)[order], np.maximum(start, end)[order]
-    same = np.flatnonzero((low[1:] == low[:-1]) & (high[1:] == high[:-1]))
-    one, two = order[same], order[same + 1]
-    smooth = np.einsum("ij,ij->i", normals[face[one]], normals[face[two]]) > CREASE
-    one, two = one[smooth], two[smooth]
-    opposite = start[one] == end[two]  # neighbours run along their edge in opposite directions, if both look outward
-    joined = [
-        (here[one], np.where(opposite, there[two], here[two])),
-        (there[one], np.where(opposite, here[two], there[two])),
-    ]
-    rows, columns = np.concatenate([j[0] for j in joined]), np.concatenate([j[1] for j in joined])
-    graph = coo_array((np.ones(len(rows), dtype=np.int8), (rows, columns)), shape=(3 * n, 3 * n))
-    return connected_components(graph, directed=False)[1]
-
-
-def stick_figure(robot: Robot, tree: tuple[TreeJoint, ...], only: set[int] | None = None) -> tuple[Shape, ...]:
-    """Shapes made from the kinematics alone.
+    A shell takes the place of own shapes that a bone goes through, as long as they are no fatter than links are; it
+    takes their thickness and their colour.
 
     Args:
         robot: The robot.
         tree: Its joints.
+        own: Plain shapes of its description.
         only: Joints whose shapes are made; None for all.
     """
-    radius, ends = link_radii(robot.pinocchio_model), link_ends(robot.pinocchio_model)
-    shapes: list[Shape] = []
-    for i, joint in enumerate(tree):
-        if only is not None and i not in only:
-            continue
-        shapes.append(_hub(i, joint, float(radius[i])))
-        for child in (c for c in range(1, len(tree)) if tree[c].parent == i):
-            shapes += _tube(i, tree[child].placement[:3, 3], float(radius[i]), float(radius[child]))
-        for point in ends.get(i, np.zeros((0, 3))):
-            shapes += _tube(i, point, float(radius[i]), 0.7 * float(radius[i]))
-            shapes.append(Shape(i, "sphere", (0.95 * float(radius[i]),), pin.SE3(np.eye(3), point).homogeneous, DARK))
-    return tuple(shapes)
-
-
-def rods(robot: Robot, tree: tuple[TreeJoint, ...], shapes: Sequence[Shape]) -> tuple[Shape, ...]:
-    """Slim rods from joint to joint and to the ends, hidden where the shapes of a joint enclose them.
-
-    Args:
-        robot: The robot.
-        tree: Its joints.
-        shapes: What the rods connect; a rod is slimmer than the slimmest shape on its joint.
-    """
-    radius, ends = link_radii(robot.pinocchio_model), link_ends(robot.pinocchio_model)
-    made: list[Shape] = []
+    model, within = robot.pinocchio_model, np.linspace(0.0, 1.0, 9)[:, None]
+    usual = link_radii(model)
+    radius, colours, kept, hands = usual.copy(), [PLAIN] * len(tree), list(own), dict[int, np.ndarray]()
     for i in range(len(tree)):
-        slim = min([float(radius[i]), *(ROD * float(s.half_extent().min()) for s in shapes if s.joint == i)])
-        targets = [tree[c].placement[:3, 3] for c in range(1, len(tree)) if tree[c].parent == i]
-        for point in [*targets, *ends.get(i, np.zeros((0, 3)))]:
-            made += _tube(i, point, slim, slim, DARK)
-    return tuple(made)
+        line = [a + within * (b - a) for a, b in (b.ends for b in bones(model, usual) if b.joint == i)]
+        stood_for = [s for s in own if s.joint == i and line and _is_limb(s, np.concatenate(line), FATTEST * usual[i])]
+        if stood_for:
+            radius[i] = np.mean([np.sort(s.half_extent())[1] for s in stood_for])
+            colours[i] = stood_for[0].colour
+            kept = [s for s in kept if s not in stood_for]
+            hands[i] = max((s.pose[:3, 3] for s in stood_for), key=lambda at: float(np.linalg.norm(at)))
+    drawn = bones(model, radius)
+    shapes, meshes = list[Shape](), list[Mesh]()
+    for i, joint in enumerate(tree):
+        limb = [b for b in drawn if b.joint == i]
+        if len(limb) == 1 and not limb[0].child and i in hands and any(s.joint == i for s in kept):
+            limb = [limb[0]._replace(ends=np.array([limb[0].ends[0], hands[i]]))]  # what is kept goes on from there
+        bodies = [rod(b.ends, b.radii) for b in limb]
+        if i:
+            hub, rings = _hub(i, joint, float(radius[i]), [b for b in drawn if b.child == i], limb)
+            bodies += hub
+            shapes += rings
+        elif not any(s.joint == 0 for s in kept):
+            shapes.append(Shape(0, "disc", (1.7 * radius[0], 0.5 * radius[0]), np.eye(4), DARK))
+        if bodies and (only is None or i in only):
+            shapes.append(Shape(i, "mesh", (), np.eye(4), colours[i], mesh=len(meshes)))
+            meshes.append(shell(bodies))
+    return [s for s in (*shapes, *kept) if only is None or s.joint in only], meshes
 
 
-def z_to(direction: Float[np.ndarray, " 3"]) -> Float[np.ndarray, "3 3"]:
-    """A rotation that takes the z axis to a unit vector."""
-    helper = np.eye(3)[int(np.argmin(np.abs(direction)))]
-    x = np.cross(helper, direction)
-    x /= np.linalg.norm(x)
-    return np.column_stack([x, np.cross(direction, x), direction])
+def _is_limb(shape: Shape, line: Float[np.ndarray, "P 3"], fattest: float) -> bool:
+    """True if a shape is slender enough and some of these points are in the box around it."""
+    half = shape.half_extent()
+    local = (line - shape.pose[:3, 3]) @ shape.pose[:3, :3]
+    return bool(np.sort(half)[1] <= fattest and (np.abs(local) <= half).all(axis=1).any())
 
 
-def _hub(i: int, joint: TreeJoint, radius: float) -> Shape:
-    """What is drawn where a joint is: a pedestal for the world."""
-    if i == 0:
-        return Shape(0, "disc", (2.1 * radius, 0.9 * radius), np.eye(4), DARK)
+def _hub(
+    i: int, joint: TreeJoint, r: float, coming: Sequence[Bone], going: Sequence[Bone]
+) -> tuple[list[Body], list[Shape]]:
+    """What is drawn where a joint is: bodies of its shell, and other shapes."""
     if joint.motion not in ("revolute", "prismatic"):
-        return Shape(i, "sphere", (1.3 * radius,), np.eye(4), DARK, accent=True)
-    pose = pin.SE3(z_to(joint.axis), np.zeros(3)).homogeneous
-    if joint.motion == "revolute":
-        return Shape(i, "disc", (1.3 * radius, 2.5 * radius), pose, DARK, accent=True)
-    return Shape(i, "box", (2.1 * radius, 2.1 * radius, 2.6 * radius), pose, DARK, accent=True)
-
-
-def _tube(i: int, end: np.ndarray, bottom: float, top: float, colour: Colour = PLAIN) -> list[Shape]:
-    length = float(np.linalg.norm(end))
-    if length < SHORTEST * bottom:
-        return []
-    pose = pin.SE3(z_to(end / length), end / 2.0).homogeneous
-    return [Shape(i, "cone", (TUBE * bottom, TUBE * top, length), pose, colour)]
+        return [], [Shape(i, "sphere", (1.3 * r,), np.eye(4), DARK, accent=True)]
+    pose = pin.SE3(turn_z_to(joint.axis), np.zeros(3)).homogeneous
+    if joint.motion == "prismatic":
+        return [], [Shape(i, "box", (2.1 * r, 2.1 * r, 2.6 * r), pose, DARK, accent=True)]
+    # how far bones run along the axis on either side: that of the parent below, its own above
+    before = joint.placement[:3, :3].T @ np.diff(coming[-1].ends, axis=0)[0] if coming else np.zeros(3)
+    after = np.diff(going[0].ends, axis=0)[0] if going else np.zeros(3)
+    below, above = (
+        x if abs(x := float(v @ joint.axis)) > STRAIGHT * np.linalg.norm(v) else 0.0 for v in (before, after)
+    )
+    if not below and not above:  # bones run across it
+        drum = [
+            Shape(i, "disc", (a * r, 2.0 * b * r), pose, DARK, accent=is_ring)
+            for is_ring, (a, b) in ((True, RING), (False, CAP))
+        ]
+        return [barrel(pose, BARREL[0] * r, BARREL[1] * r)], drum
+    along = 0.0 if below and above else above or -below
+    pose[:3, 3] = np.sign(along) * min(SEAM * r, abs(along)) * joint.axis
+    return [], [Shape(i, "disc", (BAND[0] * r, 2.0 * BAND[1] * r), pose, DARK, accent=True)]
 
 
 def appearance(robot: Robot, tree: tuple[TreeJoint, ...], max_triangles: int = MAX_TRIANGLES) -> Appearance:
-    """The robot's own shapes; where it has none that can be used, plain ones made from its kinematics.
+    """The robot's own meshes, and the shapes beside them; shells where it has none that can be used.
 
     Args:
         robot: The robot.
@@ -271,14 +182,13 @@ def appearance(robot: Robot, tree: tuple[TreeJoint, ...], max_triangles: int = M
         shown = ", ".join(names[:4]) + (f" and {len(names) - 4} more" if len(names) > 4 else "")
         notes.append(f"Plain shapes stand in for {shown}: {reason}.")
     plain_joints = {v.joint for v in faults} - {v.joint for v in own}
-    if not own:
-        return Appearance(stick_figure(robot, tree), notes=tuple(notes))
     shapes, meshes, mesh_notes = _own_shapes(own, max_triangles)
     if not meshes:
-        # boxes and cylinders rarely touch each other: slim rods show what holds them together
-        shapes += rods(robot, tree, shapes)
-    if plain_joints:
-        shapes += stick_figure(robot, tree, plain_joints)
+        shapes, meshes = shells(robot, tree, shapes)
+    elif plain_joints:
+        plain, made = shells(robot, tree, (), plain_joints)
+        shapes += [replace(s, mesh=s.mesh + len(meshes)) if s.mesh is not None else s for s in plain]
+        meshes += made
     return Appearance(tuple(shapes), tuple(meshes), tuple(notes + mesh_notes))
 
 

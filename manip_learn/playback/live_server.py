@@ -62,6 +62,17 @@ KINDS = {
     "txt": TEXT,
     "zip": "application/zip",
 }
+# what a browser asks in our place, once we are gone; it forgets us when it has said so
+AFTERWARDS = b"""const page = '<!DOCTYPE html><meta charset="utf-8"><title>Ended</title>\
+<p>The program has ended. Start it again, and open its new page.';
+async function ended() {
+  await self.registration.unregister();
+  return new Response(page, { headers: { "Content-Type": "text/html" } });
+}
+self.addEventListener("fetch", (event) => {
+  if (event.request.mode === "navigate") event.respondWith(fetch(event.request).catch(ended));
+});
+"""
 
 
 class Refusal(Exception):
@@ -273,6 +284,8 @@ class LiveServer:
         if rest == "events":
             page = self._id(request) if request.query or self._hears else ""
             await self._stream(page, reader, writer)
+        elif rest == "afterwards.js":
+            await self._send(writer, 200, AFTERWARDS, "text/javascript; charset=utf-8")
         elif rest.startswith("files/"):
             await self._send_file(unquote(rest.removeprefix("files/")), writer)
         elif rest == "" and request.path.endswith("/") and not request.query:

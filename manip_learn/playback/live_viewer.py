@@ -17,6 +17,7 @@ import weakref
 import webbrowser
 from collections.abc import Callable, Iterator, Mapping
 from pathlib import Path
+from tempfile import TemporaryDirectory
 from types import TracebackType
 from typing import IO, Any, final
 
@@ -83,6 +84,7 @@ class LiveProcess:
         self._failed: set[tuple[object, ...]] = set()  # where functions of the program did
         self._wake = threading.Event()
         self._closed = threading.Event()
+        self._way_in: TemporaryDirectory[str] | None = None
         pipes: dict[str, Any] = {"stdin": subprocess.PIPE, "stdout": subprocess.PIPE, "stderr": subprocess.DEVNULL}
         try:  # in a session of its own: Ctrl-C is for the program, which then closes us
             self._process = subprocess.Popen([sys.executable, "-I", str(SERVER)], **pipes, start_new_session=True)
@@ -128,9 +130,25 @@ class LiveProcess:
         line = json.dumps({name: str(path.absolute()) for name, path in files.items()})
         self.put(lambda: line, "files")
 
+    def open_in_browser(self) -> None:
+        """Show the page.
+
+        A browser is given a file that leads to it and that only this user may read: all users see its command line.
+        """
+        self._way_in = TemporaryDirectory(prefix="manip_learn_")
+        file = Path(self._way_in.name) / "page.html"
+        file.write_text(
+            f'<!DOCTYPE html><meta charset="utf-8"><title>manip_learn</title><meta http-equiv="refresh" '
+            f'content="0; url={self.url}"><a href="{self.url}">The page</a>',
+            encoding="utf-8",
+        )
+        webbrowser.open(file.as_uri())
+
     def close(self) -> None:
         """End the server and the threads; calling it twice is allowed."""
         self._closed.set()
+        if self._way_in is not None:
+            self._way_in.cleanup()
         self._wake.set()
         here, pipes = threading.current_thread(), (self._process.stdin, self._process.stdout)
         for thread, pipe in zip((self._feeder, self._listener), pipes, strict=True):
@@ -273,7 +291,7 @@ class LiveViewer:
         self._start = clock.monotonic()
         self._finalizer = weakref.finalize(self, self._process.close)
         if open_browser:
-            webbrowser.open(self.url)
+            self._process.open_in_browser()
 
     @property
     def url(self) -> str:

@@ -165,5 +165,4 @@ def _body(shape: Shape, mesh: Mesh | None, colour: list[int]) -> Any:
     if shape.kind in ("box", "sphere"):
         kind = rr.Boxes3D if shape.kind == "box" else rr.Ellipsoids3D
         return kind(half_sizes=[shape.half_extent()], **solid)
-    # Rerun has no cones: a cylinder as thick as the middle of one
-    return rr.Cylinders3D(lengths=[shape.size[-1]], radii=[float(np.mean(shape.size[:-1]))], **solid)
+    return rr.Cylinders3D(lengths=[shape.size[1]], radii=[shape.size[0]], **solid)

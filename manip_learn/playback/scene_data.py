@@ -136,7 +136,6 @@ def _rollout(motion: RecordedMotion, colour: tuple[str, str]) -> dict[str, Any]:
     numbers = {kind.label: k for k, kind in enumerate(own)}
     described: dict[str, Any] = {
         "name": motion.name,
-        "colourName": colour[0],
         "colour": colour[1],
         "duration": motion.duration,
         # float64: an angle of many turns must still be right to a nanoradian

@@ -96,7 +96,8 @@ def load_demonstrations(paths: Paths | Tables, robot: Robot, **options: Unpack[R
     joints by name. Nothing is changed silently: `.notes` of the result reports what was left out, split or converted.
 
     Args:
-        paths: A file, a folder of recordings of one format, or several of them; or a data frame of pandas with the
+        paths: A file, a folder of recordings of one format, or several of them; the name of recordings that come with
+            this package, e.g. `"sawyer_drawer"`; or a data frame of pandas with the
             columns of a CSV file, or several (a column `trajectory` divides a frame).
         robot: The robot whose joints are read; joints that the recordings lack must be locked in it.
         **options: See `ReadOptions`.
@@ -107,9 +108,8 @@ def load_demonstrations(paths: Paths | Tables, robot: Robot, **options: Unpack[R
 
     Example:
         >>> import manip_learn as ml
-        >>> from manip_learn.commands.demo import shipped_recordings  # stands for a folder of your own
         >>> robot = ml.load_robot("planar3")
-        >>> demos = ml.load_demonstrations(shipped_recordings() / "planar3_reach", robot)
+        >>> demos = ml.load_demonstrations("planar3_reach", robot)  # or a folder of your own
         >>> len(demos), demos[0].q.shape  # recordings; samples and joints of the first
         (20, (40, 3))
     """

@@ -28,6 +28,7 @@ class Trajectory:
         name: Where it came from, for messages.
         effort: shape (T, nv), what the motors exert, gravity and friction included [N m or N], by keyword; None if it
             was not recorded. Nothing is learnt from it.
+        sha256: By keyword; the SHA-256 of the file that it was read from, empty for what was not read from one.
         judged: By keyword; True where u has been compared with the positions, or is to be taken as it is.
 
     Raises:
@@ -50,6 +51,7 @@ class Trajectory:
     name: str = field(default="trajectory")
     effort: Float[np.ndarray, "T nv"] | None = field(default=None, kw_only=True)
     judged: bool = field(default=False, kw_only=True)
+    sha256: str = field(default="", kw_only=True)
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "joint_names", tuple(self.joint_names))
@@ -109,7 +111,8 @@ class Trajectory:
 
     def __reduce__(self):
         # through the constructor: a pickled array comes back writeable
-        return _rebuilt, (self.time, self.q, self.joint_names, self.name, self.beside, self.judged)
+        kept = self.beside | {"judged": self.judged, "sha256": self.sha256}
+        return _rebuilt, (self.time, self.q, self.joint_names, self.name, kept)
 
     def __len__(self) -> int:
         return int(self.time.shape[0])
@@ -168,11 +171,9 @@ class Trajectory:
         return replace(self, time=self.time[samples], q=self.q[samples], name=name or self.name, **cut)
 
 
-def _rebuilt(
-    time: Any, q: Any, joint_names: tuple[str, ...], name: str, beside: dict[str, Any], judged: bool
-) -> Trajectory:
+def _rebuilt(time: Any, q: Any, joint_names: tuple[str, ...], name: str, kept: dict[str, Any]) -> Trajectory:
     """A trajectory from a pickle."""
-    return Trajectory(time, q, joint_names=joint_names, name=name, judged=judged, **beside)
+    return Trajectory(time, q, joint_names=joint_names, name=name, **kept)
 
 
 def subsample(trajectory: Trajectory, n_samples: int) -> Trajectory:

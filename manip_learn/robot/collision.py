@@ -25,7 +25,7 @@ from manip_learn.errors import RobotError, UnknownNameError
 from manip_learn.robot.description.mjcf import turn_z_to
 from manip_learn.robot.description.urdf import as_matrix
 from manip_learn.robot.robot import Robot
-from manip_learn.robot.visuals.figure import SHORTEST, TUBE, link_ends, link_radii
+from manip_learn.robot.visuals.figure import bones, link_radii
 from manip_learn.robot.visuals.meshes import Mesh, find_mesh, mesh_roots, read_meshes
 from manip_learn.robot.visuals.visual_shapes import MeshElement, Solid, VisualElement, visual_elements
 
@@ -228,17 +228,13 @@ def _solid(solid: Solid) -> tuple[Any, Float[np.ndarray, " 3"], float]:
 
 def _capsules(robot: Robot) -> tuple[CollisionShape, ...]:
     model, out = robot.pinocchio_model, list[CollisionShape]()
-    ends, radii = link_ends(model), link_radii(model)
-    for i in range(model.njoints):
-        name = next((f.name for f in model.frames if f.parentJoint == i and f.type == pin.FrameType.BODY), "")
-        children = [model.jointPlacements[c].translation for c in range(1, model.njoints) if model.parents[c] == i]
-        radius = float(TUBE * radii[i])
-        for end in [*children, *ends.get(i, ())] if name else []:
-            length = float(np.linalg.norm(end))
-            if length >= SHORTEST * radii[i]:
-                placement = pin.SE3(turn_z_to(end / length), 0.5 * end).homogeneous
-                geometry = coal.Capsule(radius, length)
-                out.append(CollisionShape(name, i, placement, geometry, radius + 0.5 * length))
+    for bone in bones(model, link_radii(model)):
+        joint, (start, end), radius = bone.joint, bone.ends, max(bone.radii)
+        name = next((f.name for f in model.frames if f.parentJoint == joint and f.type == pin.FrameType.BODY), "")
+        length = float(np.linalg.norm(end - start))
+        if name:
+            placement = pin.SE3(turn_z_to((end - start) / length), 0.5 * (start + end)).homogeneous
+            out.append(CollisionShape(name, joint, placement, coal.Capsule(radius, length), radius + 0.5 * length))
     return tuple(out)
 
 

@@ -6,12 +6,14 @@ that shows something, because every room above has objects to show.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterable, Sequence
 from html import escape as escape_markup
 
 from manip_learn.errors import printable
 
 MOST_ROWS = 12  # of a table
+WIDTH, HEIGHT, LINE = 320, 64, 16  # [px] of a picture, of a curve in it, of a bar
 _CELL = "text-align:left;padding:1px 12px 1px 0;border:0;background:none"
 
 
@@ -53,6 +55,46 @@ def table(header: Sequence[str], rows: Sequence[Sequence[object]]) -> str:
 def facts(pairs: Iterable[tuple[str, object]]) -> str:
     """A table of names and values; None is left out."""
     return table(("", ""), [(name, value) for name, value in pairs if value is not None])
+
+
+def curve(x: Sequence[float], y: Sequence[float], label: str) -> str:
+    """A small curve above zero, in the colour of the text; values that are not finite are gaps."""
+    high, first, span = max(filter(math.isfinite, y), default=0.0), min(x, default=0.0), 1e-12
+    span = max(max(x, default=0.0) - first, span)
+    if high <= 0.0:
+        return ""
+    step = max(1, len(x) // WIDTH)
+    points = [
+        f"{WIDTH * (a - first) / span:.1f},{HEIGHT * (1.0 - b / high):.1f}" if math.isfinite(b) else " "
+        for a, b in zip(x[::step], y[::step], strict=True)
+    ]
+    parts = [f'<polyline points="{p}"/>' for p in " ".join(points).split("   ") if p.strip()]
+    ground = f'<path opacity=".4" stroke-width="1" d="M0 {HEIGHT}h{WIDTH}"/>'
+    return _picture(ground + "".join(parts), HEIGHT, label)
+
+
+def bars(values: Sequence[tuple[str, float]], label: str) -> str:
+    """A bar with its name for each positive value, on a scale by powers of ten that begins a tenth below the least."""
+    known = [(name, math.log10(value)) for name, value in values if value > 0.0 and math.isfinite(value)]
+    if not known:
+        return ""
+    low, high = min(v for _, v in known) - 1.0, max(v for _, v in known)
+    lines = [
+        f'<path stroke-width="8" d="M0 {LINE * (i + 0.5)}h{0.6 * WIDTH * (v - low) / (high - low):.1f}"/>'
+        f'<text x="{0.6 * WIDTH * (v - low) / (high - low) + 6:.1f}" y="{LINE * (i + 0.5) + 4}" fill="currentColor"'
+        f' stroke="none" font-size="11">{escape(name)}</text>'
+        for i, (name, v) in enumerate(known)
+    ]
+    return _picture("".join(lines), LINE * len(known), label)
+
+
+def _picture(inner: str, height: int, label: str) -> str:
+    """Shapes as a picture with its title below, which is what a screen reader says."""
+    return (
+        f'<svg role="img" aria-label="{escape(label)}" width="{WIDTH}" height="{height + 4}" viewBox="0 -2 {WIDTH} '
+        f'{height + 4}" fill="none" stroke="currentColor" stroke-width="1.5" style="display:block;margin-top:6px">'
+        f"{inner}</svg>{sentence(label)}"
+    )
 
 
 def folded(summary: str, inner: str) -> str:

@@ -9,6 +9,8 @@ from pathlib import Path
 from typing import Any, final
 
 from manip_learn.errors import RecordingError, advice, spoken
+from manip_learn.robot.description.catalogue import known_as
+from manip_learn.robot.loading import load_robot
 from manip_learn.robot.robot import Robot
 
 MOST_LISTED = 8  # names that a sentence lists: those of an arm
@@ -26,6 +28,7 @@ class RobotIdentity:
         joint_names: One name per degree of freedom.
         locked: Joints that are held still, and where [rad or m]; as `load_robot(..., locked=...)` takes them.
         objects: Names of things whose pose is recorded; as `load_robot(..., objects=...)` takes them.
+        source: The name or the file that `load_robot` found it by; empty where that is not known.
     """
 
     name: str
@@ -34,13 +37,23 @@ class RobotIdentity:
     joint_names: tuple[str, ...]
     locked: Mapping[str, float] = field(default_factory=dict)
     objects: tuple[str, ...] = ()
+    source: str = field(default="", compare=False)
 
     @staticmethod
     def of(robot: Robot) -> RobotIdentity:
         """That of a loaded robot."""
+        source = known_as(robot.source) or str(robot.source or "")
         return RobotIdentity(
-            robot.name, robot.fingerprint, robot.nq, robot.joint_names, dict(robot.locked), robot.objects
+            robot.name, robot.fingerprint, robot.nq, robot.joint_names, dict(robot.locked), robot.objects, source
         )
+
+    def load(self) -> Robot:
+        """The robot once more, with the same joints locked.
+
+        Raises:
+            ManipLearnError: Its file is gone, or nothing of its name is known here.
+        """
+        return load_robot(self.source or self.name, locked=self.locked, objects=self.objects)
 
     def to_dict(self) -> dict[str, Any]:
         """For JSON."""
@@ -68,6 +81,7 @@ class RobotIdentity:
             names_from(content.get("joint_names"), "the robot's joint_names"),
             {_text("locked joint", name): _position(name, value) for name, value in locked.items()},
             names_from(content.get("objects", []), "the robot's objects"),
+            _text("source", content.get("source", "")),
         )
 
     def differences(self, robot: Robot) -> tuple[str, ...]:

@@ -419,6 +419,8 @@ class Robot:
         """
         return self.frame_kinematics(frame).pose(q)
 
+    forward_kinematics = pose  # its other name, under which it is looked for
+
     def position(self, q: ArrayLike, frame: FrameLike) -> Float[np.ndarray, " 3"]:
         """Origin of the frame in the robot's base [m]: the last column of `pose`.
 

@@ -237,6 +237,11 @@ class TeachingArm:
         """Where a handle is [m]."""
         return self.data.site_xpos[self._sites[number]].copy()
 
+    @property
+    def touches(self) -> list[list[float]]:
+        """Where links of the arm touch the furniture [m]."""
+        return [contact.pos.tolist() for contact in self.data.contact[: self.data.ncon] if contact.dist < 0.0]
+
     def opening(self, number: int) -> float:
         """How far a handle has been moved [m or rad]; of a plane along its first direction."""
         return float(self.data.qpos[self._ways[number]])

@@ -19,15 +19,26 @@ from manip_learn.playback.live_viewer import live_page
 from manip_learn.playback.page_writer import REPLAY, packed
 from manip_learn.robot.robot import Robot
 from manip_learn.teach.arm import TeachingArm
-from manip_learn.teach.scene import TASKS, TITLES, Handle, TeachingScene
+from manip_learn.teach.scene import MOVES, TASKS, TITLES, Handle, TeachingScene
 
 WEAK = 0.2  # least over largest singular value of the tip's translation, below which the weak direction is drawn
 AT_LIMIT = 0.01  # [rad or m] from a joint's limit at which the arm feels it
 ENOUGH = 5  # recordings that a person is asked for
+MOST_TOUCHES = 3  # places at a time where the arm is said to touch: an edge gives a dozen
 SEEN = 20  # random postures that show in how many directions the tip can move
 
+# type of a mechanism -> the answer in a line
+LINES = {
+    "line": "The hand slides along a straight line, like a drawer",
+    "hinge": "The hand turns about an axis, like a door",
+    "screw": "The hand turns about an axis and moves along it, like a screw",
+    "plane": "The hand stays on a plane, like a table",
+    "ball": "The hand turns about a point",
+    "curve": "The hand follows a curve",
+}
+
 FOLDER = Path(__file__).with_name("page")
-NOT_TAUGHT_WITH = ("shown.js", "recording_choice.js", "live.js", "main.js")  # of a replay's program
+NOT_TAUGHT_WITH = ("shown.js", "recording_choice.js", "legend.js", "live.js", "main.js")  # of a replay's program
 TEACH = replace(
     REPLAY,
     mode="teach",
@@ -108,6 +119,7 @@ class TeachingPicture:
             "marks": None if constraint is None else self._marks(constraint, q, place),
             "limit": [name for name, gap in zip(robot.joint_names, gaps, strict=True) if gap < AT_LIMIT],
             "opening": [arm.opening(k) for k in handles],
+            "touches": arm.touches[:MOST_TOUCHES],
             "rate": round(arm.rate),
         }
 
@@ -140,6 +152,7 @@ def scene_content(scene: TeachingScene, number: int) -> dict[str, Any]:
                 "unit": "rad" if handle.turns else "m",
                 "at": handle.pose[:3, 3].tolist(),
                 "firm": handle.firm,
+                "move": MOVES[handle.type],
             }
             for handle in scene.handles
         ],
@@ -205,6 +218,7 @@ def refusal_content(why: str, recordings: int, handles: bool) -> dict[str, Any]:
     another = handles or few
     return {
         "sentence": "This was not understood." if few else "Nothing holds the hand, as far as can be seen.",
+        "line": "",
         "refused": True,
         "evidence": why,
         **dict.fromkeys(("facts", "rows", "warnings", "odd", "phaseKinds"), []),
@@ -225,8 +239,13 @@ def answer_content(content: Mapping[str, Any]) -> dict[str, Any]:
     uncertain, limit = content["uncertainty"], 1.0  # [degrees] to which a direction is to be known: 9 mm at 0.5 m
     known = uncertain is not None and uncertain <= limit
     sure = known and not content["warned"]
+    answer = content["answer"]
+    kind = LINES.get((answer["mechanism"] or {}).get("type"))
     return {
-        **content["answer"],
+        **answer,
+        "line": answer["sentence"]
+        if kind is None
+        else f"{kind}{'.' if uncertain is None else f'; known to {uncertain:.2g}°.'}",
         "next": "It is known well enough: let the arm do it."
         if sure
         else "It is known well enough; read the warnings before you let the arm do it."

@@ -57,6 +57,8 @@ TASKS: dict[Kind, str] = {
     "two": "Open and shut the drawer, let go, then open and shut the door, all in one recording.",
     "free": "Move the hand about as you like: there is nothing to learn here.",
 }
+# type of a handle -> what to do with it
+MOVES = {"line": "Pull it open", "hinge": "Swing it open", "plane": "Wipe to and fro", "screw": "Turn it"}
 
 TIMESTEP = 0.002  # [s], 500 steps a second
 STIFF, SOFT = 2.0 * TIMESTEP, 0.12  # [s] in which a grip settles: the firmest that the time step allows, and at first
@@ -356,7 +358,13 @@ class _Reach:
 
 
 def posture_at(
-    robot: Robot, tip: str, q: Float[np.ndarray, " nv"], wanted: Float[np.ndarray, "4 4"], firm: bool, rank: int = 6
+    robot: Robot,
+    tip: str,
+    q: Float[np.ndarray, " nv"],
+    wanted: Float[np.ndarray, "4 4"],
+    firm: bool,
+    rank: int = 6,
+    weakest: float = WEAKEST,
 ) -> Float[np.ndarray, " nv"] | None:
     """The next posture with the tip at a pose, by Newton steps; None where that is singular or out of reach.
 
@@ -367,13 +375,14 @@ def posture_at(
         wanted: Pose of the tip in the base [m].
         firm: Whether the hand is turned as well; else its place alone counts.
         rank: Number of directions in which the tip can move at all: three for an arm in a plane.
+        weakest: Least singular value of the tip's rows that is taken [m/rad].
     """
     for _ in range(NEWTON_STEPS):
         pose, J = robot.pose(q, tip), robot.jacobian(q, tip)
         error = pose_error(pose, wanted, own_axes=False)[: 6 if firm else 3]
         if np.linalg.norm(error) < ON_PATH:
             sizes = np.linalg.svd(J[: len(error)], compute_uv=False)
-            return q if sizes[min(len(sizes), len(error), rank) - 1] > WEAKEST else None
+            return q if sizes[min(len(sizes), len(error), rank) - 1] >= weakest else None
         step = np.linalg.pinv(J[: len(error)], rcond=1e-3) @ error
         q = q + step * min(1.0, LARGEST_STEP / max(float(np.linalg.norm(step)), 1e-12))
     return None

@@ -6,7 +6,8 @@ import json
 import queue
 import re
 import time
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any, Protocol, final
 
@@ -39,18 +40,14 @@ from manip_learn.teach.picture import (
     scene_content,
     truth_content,
 )
-from manip_learn.teach.scene import (
-    TASKS,
-    TITLES,
-    Kind,
-    place_scene,
-)
+from manip_learn.teach.scene import MOVES, TITLES, Kind, place_scene
 from manip_learn.teach.way import ARRIVES, TaughtRecording, TaughtWay, handle_near
 from manip_learn.teach.worker import TeachingWorker, ghost
 
-LEFT = 1.0  # [s] without a page after which the program ends: loading a page again asks for it within a tenth of that
+LEFT = 30.0  # [s] without a page after which the program ends: who pressed Back by mistake comes back in less
 SAID = 0.1  # [s] between two looks at the state as a whole
 FEW = 3  # recordings below which no evidence can be had
+FARTHEST = 100.0  # [m or rad] that a page may ask for: no arm reaches so far, and its square is still a number
 STAYS = 0.3  # [s] at the end of a way before a run counts as done
 YIELDS, GENTLY = 45.0, 2.0  # [N] at the hand on which the arm lets go, and [rad/s2] with which it moves by itself
 SLOWER = 3.0  # times, and seconds, that a run may take beyond what its way needs: a person may push against it
@@ -104,7 +101,7 @@ class TeachingSession:
         self._mode: Callable[[], None] | None = None
         self._doing, self._sentence, self._wrong = "idle", "", False
         self._ended, self._stop, self._seq, self._number = False, False, 0, 0
-        self._number_of_ghosts = 0
+        self._number_of_ghosts = self._files_written = 0
         self._put: dict[str, str] = {}
         self._looked = self._began = 0.0
         self._acts = self._buttons()
@@ -155,12 +152,21 @@ class TeachingSession:
                     while self._mode is None and not self._ended:
                         self.arm.wait()
                     continue
-                try:
+                with self._refusals():
                     mode()
-                except ManipLearnError as refusal:
-                    self._say(str(refusal), wrong=True)
         finally:
+            self._show("ended", True)
             self._worker.close()
+
+    @contextmanager
+    def _refusals(self) -> Iterator[None]:
+        """What is refused within it is said on the page."""
+        try:
+            yield
+        except ManipLearnError as refusal:
+            self._say(str(refusal), wrong=True)
+        except (KeyError, TypeError, ValueError, OverflowError, OSError) as error:
+            self._say(f"The page asked in a way that is not understood: {error}", wrong=True)
 
     def _period(self) -> None:
         """Between two periods of the physics."""
@@ -172,6 +178,7 @@ class TeachingSession:
                 self._finish()
             else:
                 self._obey(str(heard.get("page", "")), heard.get("said"))
+        self._touched |= self.arm.held is not None
         if time.monotonic() - self._left > LEFT:
             self._finish()
         for kind, what in self._worker.heard():
@@ -213,12 +220,8 @@ class TeachingSession:
         act = self._acts.get(str(do))
         if act is None or (page != self._leader and self._pages):
             return
-        try:
+        with self._refusals():
             act(said)
-        except ManipLearnError as refusal:
-            self._say(str(refusal), wrong=True)
-        except (KeyError, TypeError, ValueError, OSError) as error:
-            self._say(f"the page asked for {do!r} in a way that is not understood: {error}", wrong=True)
 
     def _buttons(self) -> dict[str, Callable[[Mapping[str, Any]], None]]:
         return {
@@ -268,7 +271,7 @@ class TeachingSession:
 
     def _gripped(self) -> None:
         handle = self.arm.scene.handles[self.arm.held or 0]
-        self._say(f"The gripper holds the {handle.name}. G, or the button, opens it.")
+        self._say(f"Holding the {handle.name}. {MOVES[handle.type]}.")
 
     def _start_or_stop(self) -> None:
         if self._doing == "recording":
@@ -335,12 +338,14 @@ class TeachingSession:
         self.constraint: Constraint | None = None
         self._rows: Constraint | None = None
         self._recordings: list[TaughtRecording] = []
+        self._learnt_from: list[TaughtRecording] = []
+        self._touched = False
         self._answer: dict[str, Any] | None = None
         self._ways: list[TaughtWay] = []
         self._progress: dict[str, Any] | None = None
         self._outcome: dict[str, Any] | None = None
         self._planned: dict[str, Any] | None = None
-        self._files: dict[str, tuple[Path, str]] = {}
+        self._files: dict[str, tuple[Path, str, int]] = {}
         self._truth_shown = False
         self._loop: ServoLoop | None = None
         self._number += 1
@@ -348,7 +353,7 @@ class TeachingSession:
         while self.folder.exists():
             self._number += 1
             self.folder = self.keep / f"{self._number:02d}_{kind}"
-        self._say(TASKS[kind])
+        self._say("")
         self._show("scene", scene_content(scene, self._number))
         self._show("ghosts", None)
 
@@ -357,13 +362,14 @@ class TeachingSession:
         self._doing = "moving"
         self.arm.shut()
         self._follow(np.array([0.0, 1.0]), np.array([self.arm.scene.start, self.arm.scene.start]))
+        self._outcome = None
         self._say("Everything is as it was at first.")
 
     # ---- show -----------------------------------------------------------------------------------------------------
 
     def _record(self) -> None:
         """Record until the person stops; the file grows as it goes."""
-        self._doing, self._began = "recording", self.arm.time
+        self._doing, self._began, self._touched = "recording", self.arm.time, self.arm.held is not None
         self.arm.close_again()
         started = [False]
 
@@ -375,11 +381,15 @@ class TeachingSession:
                 return "start or stop"
             return ""
 
-        self._say("Recording: take the hand, and show the task.")
+        self._say("Recording: show the task, then press Stop.")
         done = record(self.arm, self.folder, "shown", by="key", motions=1, key=key)
         self._ended |= done.ended == "Ctrl-C"
         if not done.files or done.samples < 2:
             self._say("Nothing was recorded.", wrong=True)
+            return
+        if self.arm.scene.handles and not self._touched:
+            done.files[0].unlink()
+            self._say("The gripper took hold of nothing, so this was not kept. Record again.", wrong=True)
             return
         read = load_demonstrations([str(done.files[0])], self.robot)[0]
         self._recordings.append(TaughtRecording(done.files[0], read.q, read.time))
@@ -396,7 +406,7 @@ class TeachingSession:
         if len(self._recordings) < FEW:
             self._refused(f"From fewer than {FEW} recordings what is held cannot be told from how a person moves.")
             return
-        files = [str(one.path) for one in self._recordings]
+        files, self._learnt_from = [str(one.path) for one in self._recordings], list(self._recordings)
         self._worker.ask("learn", files=files, handles=self._stations, out=str(self._constraint_file))
         self._progress = {"step": "reading", "share": 0.0}
         self._say("Learning from " + counted(len(self._recordings), "recording") + ".")
@@ -428,12 +438,13 @@ class TeachingSession:
         elif job == "plan":
             self._planned = answer
         elif job == "take":
-            self._files |= {name: (Path(path), says) for name, path, says in answer}
-            self._shows.offer({name: path for name, (path, _) in self._files.items()})
+            self._files_written += 1
+            self._files |= {name: (Path(path), says, self._files_written) for name, path, says in answer}
+            self._shows.offer({name: path for name, (path, *_) in self._files.items()})
             self._say("Ready to take home: " + ", ".join(name for name, *_ in answer) + ".")
         else:
-            self._show_ghosts(job, answer)
-            self._say("; ".join(f"{one['name']}: {one['ended']}" for one in answer) + ".")
+            self._show_ghosts(job, answer["rollouts"])
+            self._say(answer["sentence"])
 
     def _refused(self, why: str) -> None:
         self._answer = refusal_content(why, len(self._recordings), bool(self.arm.scene.handles))
@@ -526,7 +537,7 @@ class TeachingSession:
             self._say(f"The hand did not come to the handle: {ended}.", wrong=ended != BY_HAND)
             return False
         if not self.arm.grip(True):
-            self._say("The hand did not come to the handle: press Home, and try again.", wrong=True)
+            self._say("The hand did not come to the handle: reset the arm, and try again.", wrong=True)
             return False
         closing = self.arm.time + 2.0 * STAYS
         while self.arm.time < closing and not self._stop:
@@ -650,13 +661,14 @@ class TeachingSession:
                 "wrong": self._wrong,
                 "scenes": [{"kind": kind, "title": title} for kind, title in TITLES.items()],
                 "recordings": [one.to_dict() for one in self._recordings],
+                "unlearnt": sum(one not in self._learnt_from for one in self._recordings),
                 "recording": recording,
                 "progress": self._progress,
                 "answer": self._answer,
                 "truth": truth_content(arm.scene, self.constraint) if self._truth_shown else None,
                 "way": None if way is None else way.to_dict(),
                 "run": self._outcome,
-                "files": [{"name": name, "says": says} for name, (_, says) in self._files.items()],
+                "files": [{"name": name, "says": says, "number": n} for name, (_, says, n) in self._files.items()],
                 "keep": str(self.folder),
             },
         )
@@ -666,8 +678,8 @@ def _three(values: object) -> Float[np.ndarray, " 3"]:
     """A vector that a page has sent.
 
     Raises:
-        ValueError: Not three finite numbers.
+        ValueError: Not three finite numbers, or one that is too large.
     """
-    if (vector := finite(values, 3)) is None:
-        raise ValueError(f"three finite numbers are needed, not {values!r:.60}")
+    if (vector := finite(values, 3)) is None or np.max(np.abs(vector)) > FARTHEST:
+        raise ValueError(f"three numbers up to {FARTHEST:g} are needed, not {values!r:.60}")
     return vector

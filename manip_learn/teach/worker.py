@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from manip_learn.constraint.shown import Shown
-from manip_learn.errors import ManipLearnError, OutputError
+from manip_learn.errors import ManipLearnError, OutputError, counted
 from manip_learn.recordings.trajectory_source import Progress
 from manip_learn.robot.robot import Robot
 from manip_learn.teach.scene import posture_at
@@ -25,7 +25,7 @@ PARENT_CHECK_SECONDS = 0.5  # between two looks for the parent
 STOP_SECONDS = 1.0  # for the process to end by itself
 GENTLE = 10  # steps of niceness: on one core the physics go first
 MOST_KEYS = 400  # key frames of a ghost: 60 a second for seven seconds
-BAD_POSTURES = 60  # of which the worst is taken: more change little, each takes a millisecond
+BAD_POSTURES, TRIED = 400, 24  # at random, a millisecond each; the worst of them are simulated, 0.2 s each
 
 
 @final
@@ -195,28 +195,40 @@ def _drawn(robot: Robot, tip: str, mechanism: Any, demos: Any, phases: Any, show
 
 def policies(
     robot: Robot, tip: str, said: Progress, *, file: str, way: Mapping[str, Any], start: ArrayLike
-) -> list[dict[str, Any]]:
+) -> dict[str, Any]:
     """Three null-space policies from a posture, as ghosts."""
     names = ("manipulability", "attractor", "zero")  # the recommended one first
     taught = TaughtWay.asked_for(file, robot, way)
-    return _simulated(robot, said, taught, np.asarray(start), dict(zip(names, names, strict=True)))
+    ghosts = _simulated(robot, dict(zip(names, names, strict=True)), taught, np.asarray(start))
+    return {"rollouts": ghosts, "sentence": "The three policies start from the same posture."}
 
 
 def compare(
     robot: Robot, tip: str, said: Progress, *, file: str, way: Mapping[str, Any], start: ArrayLike
-) -> list[dict[str, Any]]:
-    """With and without the learnt manipulability, from the worst of many postures at the handle, as ghosts."""
+) -> dict[str, Any]:
+    """With and without the learnt manipulability, as ghosts, from a posture in which doing without fails.
+
+    Of many random postures at the handle the worst ones are tried, by their manipulability; they may be singular.
+    """
     from manip_learn.constraint.manipulability import manipulability
 
     taught, place = TaughtWay.asked_for(file, robot, way), np.eye(4)
     place[:3, :3], place[:3, 3] = taught.shown.orientation, taught.shown.begin
     rows, rng = taught.task().constraint, np.random.default_rng(0)
     drawn = (robot.positions(robot.random_configuration(rng)) for _ in range(BAD_POSTURES))
-    found = [q for d in drawn if (q := posture_at(robot, tip, d, place, firm=False)) is not None]
+    found = [q for d in drawn if (q := posture_at(robot, tip, d, place, firm=False, weakest=0.0)) is not None]
     inside = [q for q in found if np.all((robot.position_lower < q) & (q < robot.position_upper))]
-    bad = min([*inside, np.asarray(start, dtype=np.float64)], key=lambda q: manipulability(rows, q))
-    named = {"with the learnt manipulability": "manipulability", "without": "zero"}
-    return _simulated(robot, said, taught, bad, named)
+    bad = sorted([*inside, np.asarray(start, dtype=np.float64)], key=lambda q: manipulability(rows, q))[:TRIED]
+    with_it, without = {"with": "manipulability"}, {"without": "zero"}
+    for k, q in enumerate(bad):
+        said("looking for a start that matters", k / len(bad))
+        if not _simulated(robot, without, taught, q)[0]["failed"]:
+            continue
+        ghosts = _simulated(robot, with_it | without, taught, q)
+        if not ghosts[0]["failed"]:
+            return {"rollouts": ghosts, "sentence": f"Without the learnt manipulability: {ghosts[1]['ended']}."}
+    none = f"Of the {counted(len(bad), 'worst start')} none was found from which only doing without fails."
+    return {"rollouts": _simulated(robot, with_it | without, taught, bad[0]), "sentence": none}
 
 
 def plan(
@@ -230,9 +242,7 @@ def plan(
     return {"time": found.approach.time, "q": found.approach.q, "sentence": found.sentence}
 
 
-def _simulated(
-    robot: Robot, said: Progress, way: TaughtWay, start: np.ndarray, named: Mapping[str, str]
-) -> list[dict[str, Any]]:
+def _simulated(robot: Robot, named: Mapping[str, str], way: TaughtWay, start: np.ndarray) -> list[dict[str, Any]]:
     """Rollouts of some policies, as the page plays them."""
     from manip_learn.control.controller import ResolvedRateController
     from manip_learn.control.tasks.motion import null_policy
@@ -241,16 +251,14 @@ def _simulated(
 
     ghosts = []
     colours_of = rollout_colours(["the arm itself", *named], {})[1:]
-    for k, ((name, policy), colours) in enumerate(zip(named.items(), colours_of, strict=True)):
-        said(f"moving with the {policy} policy", k / len(named))
+    for (name, policy), colours in zip(named.items(), colours_of, strict=True):
         task = way.task()
         chosen = null_policy(policy, task, task.learnt, robot, None, start)
         controller = ResolvedRateController(task.learnt, task, chosen, dt=STEP)
         rollout, done = simulate_way(robot, controller, start, STEP)
-        says = f"{'all' if done.is_done else f'{done.done:.3g} of {done.wanted:.3g} {done.unit}'} done"
-        ended = says + (f": stopped by {done.stopped_by}" if done.stopped_by else "")
-        curve = rollout.manipulability
-        ghosts.append(ghost(robot, name, colours, rollout.time, rollout.q, curve, ended))
+        ended = way.in_words(done.done) + (f", stopped by {done.stopped_by}" if done.stopped_by else "")
+        made = ghost(robot, name, colours, rollout.time, rollout.q, rollout.manipulability, ended)
+        ghosts.append({**made, "failed": not done.is_done})
     return ghosts
 
 

@@ -286,7 +286,7 @@ def _direction(
     if given is None or not given.any():
         raise TargetError(
             f"the direction must be {p} finite numbers ({', '.join(features.row_names)}) that are not all zero, "
-            f"got {direction!r}"
+            f"or 'shown' or 'back', got {direction!r}"
         )
     moved = free.T @ (free @ given)
     if np.linalg.norm(moved) < FREE * np.linalg.norm(given):

@@ -441,6 +441,8 @@ def motion(
     shown, known = constraint.shown, constraint.mechanism
     word = direction if isinstance(direction, str) and direction in ("shown", "back") else None
     again = along is None and turn is None
+    if again and isinstance(direction, str) and word is None:
+        raise TargetError(f"the direction is {direction!r}, it must be 'shown', as the recordings went, or 'back'")
     if again and (meant := constraint.intention) is not None:
         if not meant.common:
             raise TargetError(

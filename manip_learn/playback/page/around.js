@@ -47,8 +47,8 @@ class AroundThing {
     this.group.matrixWorldNeedsUpdate = true;
   }
 
-  // "front (assumed), 0.025 m from right_l5": at the nearest
-  get words() { return `${this.name}${this.assumed ? " (assumed)" : ""}${this.nearest == null ? "" : `, ${this.nearest.toFixed(3)} m from ${this.link}`}`; }
+  // "front (assumed), 0.03 m from right_l5": at the nearest
+  get words() { return `${this.name}${this.assumed ? " (assumed)" : ""}${this.nearest == null ? "" : `, ${this.nearest.toFixed(2)} m from ${this.link}`}`; }
 
   at() { return this.top.clone().applyMatrix4(this.group.matrix); }
 }

@@ -200,19 +200,19 @@ class Chart {
     this.readOut();
   }
 
-  // The values at the cursor, or where the mouse is: beside it, where the curves are not.
+  // The values where the mouse is: beside it, where the curves are not.
   readOut() {
-    if (!this.readout || this.time === undefined || !this.onSeek) return;
-    const t = this.hover ?? this.time, shown = [...this.curves].sort((a, b) => b.solid - a.solid).slice(0, MOST_READ);
+    if (!this.readout) return;
+    const t = this.hover, shown = [...this.curves].sort((a, b) => b.solid - a.solid).slice(0, MOST_READ);
     this.readout.replaceChildren();
-    if (!shown.length) return;
+    if (t === undefined || !shown.length) return;
     const x = this.x(t), values = shown.map((r) => curveValue(r, Math.min(t, r.duration))), n = values.length;
-    const flat = this.bottom - this.top < 24 + READ_ROW * n, rows = values.map((value, i) => readOf(shown[i], t, value, flat)), cell = 36 + 7.4 * Math.max(...rows.map((row) => row.length)); // side by side where the curves are low
+    const flat = this.bottom - this.top < 24 + READ_ROW * n, rows = values.map((value, i) => `${readable(value)} ${shortName(shown[i].name)}`), cell = 36 + 7.4 * Math.max(...rows.map((row) => row.length)); // side by side where the curves are low
     const wide = flat ? 58 + cell * n : Math.max(cell + 8, 68), high = flat ? 22 : 22 + READ_ROW * n;
     const left = x + 12 + wide > this.right ? Math.max(x - 12 - wide, 0) : x + 12, middle = values.reduce((sum, v) => sum + this.y(v), 0) / n;
     const top = middle > (this.top + this.bottom) / 2 ? this.top + 1 : this.bottom - high - 3;
     svg("rect", { x: left, y: top, width: wide, height: high, rx: 6 }, this.readout);
-    if (this.hover !== undefined) svg("line", { x1: x, x2: x, y1: this.top, y2: this.bottom }, this.readout);
+    svg("line", { x1: x, x2: x, y1: this.top, y2: this.bottom }, this.readout);
     svg("text", { x: left + 9, y: top + 15 }, this.readout).textContent = `${t.toFixed(2)} s`;
     rows.forEach((row, i) => {
       const from = left + 9 + (flat ? 50 + cell * i : 0), y = top + 15 + (flat ? 0 : READ_ROW * (i + 1));
@@ -231,12 +231,6 @@ class Chart {
     if (colouring.mode === "fit") phases.splice(0, Infinity, ...fitKey());
     return [...[...known, ...words].map((word) => this.statusStyle(word)), ...phases.map(({ colour, label, mark, ink }) => ({ colour, say: label, mark, ink }))];
   }
-}
-
-// A value, and the rollout's own phase where there is room for its word.
-function readOf(rollout, t, value, flat) {
-  const phase = rollout.hasOwnPhases && !flat && phaseAt(rollout, t);
-  return phase ? `${readable(value)} ${shortName(phase.label)}` : readable(value);
 }
 
 // What the picture shows, for those who cannot see it.

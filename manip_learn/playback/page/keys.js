@@ -17,6 +17,7 @@ function wireKeys(actions) {
     action(event);
   });
   document.addEventListener("pointerdown", (event) => { if (!list.contains(event.target)) list.open = false; });
+  document.addEventListener("click", () => { if (document.activeElement.tagName !== "SELECT") releaseFocus(document.activeElement); });
 }
 
 function lookFrom(show, view) {

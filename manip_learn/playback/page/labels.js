@@ -1,6 +1,8 @@
 // Words beside what is drawn in the scene; they stand in a column, with lines to what they mean.
 
-const LABEL = { aside: 44, apart: 21, edge: 6 }; // [px]
+// [px]; a pixel of line is as bad as so many that are hidden; the place where they stand costs that share of what it
+// would elsewhere; and the share of a label that may hide something
+const LABEL = { aside: 44, apart: 21, edge: 6, line: 4, stays: 0.7, most: 0.5 };
 const MECHANISM_WORDS = { line: "line that was learnt", hinge: "axis that was learnt", screw: "axis that was learnt", plane: "plane that was learnt", ball: "ball that was learnt" };
 
 class Labels {
@@ -36,20 +38,50 @@ class Labels {
     this.arrange(shown.sort((a, b) => a.y - b.y), w, h);
   }
 
-  // In one column, on the side of the hand where the robot does not stand.
+  // What is seen of the robot and of furniture [px]: all that casts a shadow.
+  things(w, h) {
+    const found = [];
+    this.stage.world.traverseVisible((mesh) => {
+      if (!mesh.isMesh || !mesh.castShadow) return;
+      if (!mesh.geometry.boundingBox) mesh.geometry.computeBoundingBox();
+      const { min, max } = mesh.geometry.boundingBox, xs = [], ys = [];
+      for (let k = 0; k < 8; k++) {
+        const corner = new THREE.Vector3(k & 1 ? min.x : max.x, k & 2 ? min.y : max.y, k & 4 ? min.z : max.z).applyMatrix4(mesh.matrixWorld).project(this.stage.camera);
+        xs.push((0.5 + 0.5 * corner.x) * w);
+        ys.push((0.5 - 0.5 * corner.y) * h);
+      }
+      found.push({ left: Math.min(...xs), right: Math.max(...xs), top: Math.min(...ys), bottom: Math.max(...ys) });
+    });
+    return found;
+  }
+
+  // In one column where it hides least of the robot and of furniture: beside the marks, beside all that is seen, or at an
+  // edge; at the height of the marks, at the top or at the bottom. It stays where it is until another place is far better.
   arrange(shown, w, h) {
     if (!shown.length) return;
-    const base = this.stage.onScreen(new THREE.Vector3()), xs = shown.map(({ x }) => x), legend = get("legend"), widest = Math.max(...shown.map(({ element }) => element.offsetWidth));
-    const room = Math.min(...xs) - LABEL.aside - widest - (getComputedStyle(legend).position === "absolute" ? legend.offsetLeft + legend.offsetWidth : 0);
-    const right = room < 0 || !base || base.x <= (Math.min(...xs) + Math.max(...xs)) / 2;
-    const edge = right ? Math.max(...xs) + LABEL.aside : Math.min(...xs) - LABEL.aside, rows = [];
-    for (const { y } of shown) rows.push(Math.max(y, (rows[rows.length - 1] ?? -Infinity) + LABEL.apart));
-    const lift = rows.reduce((sum, y, i) => sum + y - shown[i].y, 0) / rows.length, low = h - LABEL.apart;
-    const up = Math.max(Math.min(lift, rows[0] - LABEL.apart), rows[rows.length - 1] - low);
+    const { aside, apart, edge } = LABEL, legend = get("legend"), n = shown.length, things = this.things(w, h), xs = shown.map(({ x }) => x);
+    const widths = shown.map(({ element }) => element.offsetWidth), wide = Math.max(...widths), narrow = Math.min(...widths);
+    const least = edge + (getComputedStyle(legend).position === "absolute" ? legend.offsetLeft + legend.offsetWidth : 0);
+    // each label begins at a column on the right of what is meant, or ends at one on the left of it, as far as it has room
+    const columns = [Math.max(...xs) + aside, Math.max(...things.map(({ right }) => right)) + edge, w - edge - wide].map((x) => ({ x, right: true }));
+    columns.push(...[Math.min(...xs) - aside, Math.min(...things.map(({ left }) => left)) - edge, least + wide].map((x) => ({ x, right: false })));
+    const rows = [];
+    for (const { y } of shown) rows.push(Math.max(y, (rows[rows.length - 1] ?? -Infinity) + apart));
+    const lift = rows.reduce((sum, y, i) => sum + y - shown[i].y, 0) / n, up = Math.max(Math.min(lift, rows[0] - apart), rows[n - 1] - h + apart);
+    const heights = [rows.map((y) => y - up), rows.map((_, i) => apart * (i + 0.75)), rows.map((_, i) => h - apart * (n - i - 0.25))];
+    const places = columns.flatMap(({ x, right }, c) => heights.map((ys, r) => {
+      const lefts = widths.map((width) => Math.max(Math.min(right ? x : x - width, w - edge - width), edge)), beside = right ? x + narrow <= w - edge : x - narrow >= least;
+      const hides = widths.map((width, i) => things.reduce((sum, t) => sum + Math.max(0, Math.min(t.right, lefts[i] + width) - Math.max(t.left, lefts[i])) * Math.max(0, Math.min(t.bottom, ys[i] + apart / 2) - Math.max(t.top, ys[i] - apart / 2)), 0));
+      const cost = shown.reduce((sum, at, i) => sum + hides[i] + LABEL.line * Math.hypot(at.x - (right ? lefts[i] : lefts[i] + widths[i]), at.y - ys[i]), 0);
+      return { name: `${c}${r}`, lefts, ys, right, hides, cost: beside ? cost * (this.column === `${c}${r}` ? LABEL.stays : 1) : Infinity };
+    }));
+    const best = places.reduce((a, b) => (b.cost < a.cost ? b : a));
+    this.column = best.name;
     shown.forEach(({ element, line, x, y }, i) => {
-      const wide = element.offsetWidth, left = Math.min(Math.max(right ? edge : edge - wide, LABEL.edge), w - wide - LABEL.edge), at = rows[i] - up;
-      element.style.transform = `translate(${left.toFixed(1)}px, ${(at - LABEL.apart / 2).toFixed(1)}px)`;
-      for (const [name, value] of Object.entries({ x1: x, y1: y, x2: right ? left : left + wide, y2: at })) line.setAttribute(name, value.toFixed(1));
+      const left = best.lefts[i], at = best.ys[i], inTheWay = best.hides[i] > LABEL.most * widths[i] * apart; // the legend and the card Show say it too
+      element.style.visibility = line.style.visibility = inTheWay ? "hidden" : "";
+      element.style.transform = `translate(${left.toFixed(1)}px, ${(at - apart / 2).toFixed(1)}px)`;
+      for (const [name, value] of Object.entries({ x1: x, y1: y, x2: best.right ? left : left + widths[i], y2: at })) line.setAttribute(name, value.toFixed(1));
     });
   }
 }

@@ -7,7 +7,7 @@ class Legend {
       const mark = document.createElement("i"), name = document.createElement("span"), state = document.createElement("span"), mu = document.createElement("div");
       Object.assign(eye, { type: "button", className: "eye", title: "Show or hide" });
       eye.setAttribute("aria-label", `Show ${rollout.name}`);
-      Object.assign(pick, { type: "button", className: "pick", title: `${rollout.name} (${rollout.colourName}): draw this one solid` });
+      Object.assign(pick, { type: "button", className: "pick", title: `${rollout.name}: draw this one solid` });
       name.className = "name"; state.className = "state"; mu.className = "mu";
       name.textContent = rollout.name;
       if (rollout.odd) name.append(Object.assign(document.createElement("span"), { className: "odd", textContent: " odd", title: rollout.odd }));
@@ -41,7 +41,7 @@ class Legend {
       pick.setAttribute("aria-pressed", String(rollout.solid));
       const ended = t > rollout.duration + 1e-9, word = statusAt(rollout, t), phase = phaseAt(rollout, t);
       row.style.setProperty("--colour", hasPhaseColours(rollout) ? (phase || NO_PHASE).colour : rollout.colour);
-      state.textContent = [!hasPhaseColours(rollout) && rollout.colourName, phase && phase.label, openInWords(rollout, t), word && sayStatus(word), ended && `ended at ${rollout.duration.toFixed(2)} s`].filter(Boolean).join(" · ");
+      state.textContent = [phase && phase.label, openInWords(rollout, t), word && sayStatus(word), ended && `ended at ${rollout.duration.toFixed(2)} s`].filter(Boolean).join(" · ");
       if (rollout.curve.length) {
         const value = document.createElement("small");
         value.textContent = "μ";

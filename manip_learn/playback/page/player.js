@@ -14,9 +14,11 @@ function icon(button, name) {
 
 const get = (id) => document.getElementById(id);
 
-function readable(mu) {
-  if (mu === 0) return "0";
-  return Math.abs(mu) >= 1e-3 && Math.abs(mu) < 1e4 ? mu.toPrecision(3) : mu.toExponential(1);
+// Two digits, and no fewer before the point.
+function readable(x) {
+  const size = Math.abs(x);
+  if (size === 0) return "0";
+  return size < 1e-3 || size >= 1e4 ? x.toExponential(1) : size < 10 ? x.toPrecision(2) : x.toFixed(0);
 }
 
 function prepare(rollout, index, phaseKinds) {
@@ -137,12 +139,12 @@ class Player {
     this.chart.onDrawn = () => this.tracks.draw();
     show.onRecolour = () => { this.fillColourKey(); this.arrangePanel(); this.drawSlider(); this.update(); };
     this.wireTransport();
-    this.setLoop(!matchMedia("(prefers-reduced-motion: reduce)").matches); // where motion is unwelcome, once is enough
     wireKeys(this.keyActions());
     this.fillColourKey();
     this.arrangePanel();
     this.drawSlider();
-    this.seek(0);
+    this.moveTo(0);
+    if (!matchMedia("(prefers-reduced-motion: reduce)").matches) this.play(); // once
     requestAnimationFrame((now) => this.frame(now));
   }
 

@@ -54,10 +54,7 @@ function shapeGeometry(shape, meshes) {
   if (shape.kind === "box") return new THREE.BoxGeometry(s[0], s[1], s[2]);
   if (shape.kind === "sphere") return new THREE.SphereGeometry(s[0], 36, 24);
   if (shape.kind === "mesh") return meshes[shape.mesh];
-  let geometry;
-  if (shape.kind === "cone") geometry = new THREE.CylinderGeometry(s[1], s[0], s[2], 36, 1);
-  else if (shape.kind === "disc") geometry = disc(s[0], s[1]);
-  else geometry = new THREE.CylinderGeometry(s[0], s[0], s[1], 40, 1);
+  const geometry = shape.kind === "disc" ? disc(s[0], s[1]) : new THREE.CylinderGeometry(s[0], s[0], s[1], 40, 1);
   return geometry.rotateX(Math.PI / 2); // three.js cylinders stand along y, URDF's along z
 }
 

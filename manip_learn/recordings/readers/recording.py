@@ -40,6 +40,7 @@ class Recording:
         notes: What the reader noticed or did.
         effort_names: One joint name per column of `efforts`.
         efforts: shape (T, e) [N m or N], or None.
+        sha256: Of the file; empty for a folder.
     """
 
     path: Path
@@ -56,6 +57,7 @@ class Recording:
     notes: tuple[str, ...] = ()
     effort_names: tuple[str, ...] = ()
     efforts: Float[np.ndarray, "T e"] | None = None
+    sha256: str = ""
 
     @staticmethod
     def of(

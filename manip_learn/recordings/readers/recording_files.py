@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import hashlib
 import importlib
+import importlib.resources
 import os
 import zipfile
 from collections.abc import Iterable, Iterator, Sequence
@@ -67,7 +69,12 @@ REFUSED_MAGIC: tuple[tuple[bytes | tuple[bytes, ...], str, str], ...] = (
     (b"#ROSBAG V1", "old-bag", "is a ROS bag of version 1: convert it with `rosbag fix`"),
     ((b"\x89PNG", b"\xff\xd8\xff"), "not-a-recording", "is an image"),
     (b"<", "not-a-recording", "looks like XML or HTML: a table with 'time' and joint names is needed"),
-    ((b"{", b"["), "not-a-recording", "looks like JSON: a table with 'time' and joint names is needed"),
+    (
+        (b"{", b"["),
+        "not-a-recording",
+        "looks like JSON: a table with 'time' and joint names is needed; `replay --constraint` and `export --to` take "
+        "what `learn --out` wrote",
+    ),
 )
 
 
@@ -148,7 +155,26 @@ class RecordingFile:
         header = file_header(self.path) if self.path.is_dir() else None
         if header is not None:
             check_robot(self.path, header, request.robot)
-        return importlib.import_module(self.format.module).read(self.path, request)
+        read = importlib.import_module(self.format.module).read(self.path, request)
+        if not self.path.is_file():
+            yield from read
+            return
+        with self.path.open("rb") as file:
+            digest = hashlib.file_digest(file, "sha256").hexdigest()
+        for recording in read:
+            yield replace(recording, sha256=digest)
+
+
+def shipped_recordings() -> Path:
+    """Folder of the recordings that come with this package, in an installed wheel or in a checkout."""
+    installed = Path(str(importlib.resources.files("manip_learn"))) / "_recordings"
+    return installed if installed.is_dir() else Path(__file__).resolve().parents[3] / "examples" / "data"
+
+
+def recording_path(name: str | os.PathLike[str]) -> Path:
+    """A file or a folder; where there is none of that name, the recordings of that name that come with this package."""
+    path, shipped = Path(name), shipped_recordings() / name
+    return shipped if shipped.exists() and not path.exists() else path
 
 
 def recording_files(
@@ -170,7 +196,7 @@ def recording_files(
     for name in given:
         if not isinstance(name, str | os.PathLike) or not os.fspath(name):
             raise RecordingError(f"recordings are given as paths, got {name!r}", code="option")
-        path = Path(name)
+        path = recording_path(name)
         files += _in_folder(path, notes) if path.is_dir() else [RecordingFile(path, recognise(path))]
     unique: dict[str, RecordingFile] = {}
     for file in files:

@@ -102,7 +102,14 @@ def _of_one_sender(
     if u is not None and not recording.trusted:
         refuse_degrees_beside(motion, u)
     whole = Trajectory(
-        time, q, u, robot.joint_names, recording.name, effort=recording.efforts, judged=recording.trusted
+        time,
+        q,
+        u,
+        robot.joint_names,
+        recording.name,
+        effort=recording.efforts,
+        judged=recording.trusted,
+        sha256=recording.sha256,
     )
     parts, said = split_at_holes(whole, robot)
     return parts, [*notes, *said]

@@ -2,17 +2,28 @@
 
 from __future__ import annotations
 
+import contextlib
 import csv
 import functools
 import importlib.metadata
 import importlib.resources
+import pkgutil
 import re
+import sys
+from collections.abc import Mapping
+from importlib.util import find_spec
 from pathlib import Path, PurePosixPath
 
-from manip_learn.errors import MissingExtraError, UnknownNameError, closest_names
+from manip_learn.atomic_write import write_atomically
+from manip_learn.errors import MissingExtraError, RobotError, UnknownNameError, closest_names
+from manip_learn.robot.description.xacro_expansion import expanded_xacro
 
 DATA_PACKAGE = "example-robot-data"
 SHIPPED = ("planar3", "sawyer", "fr3", "ur5e", "ur10e")
+FETCHING = "robot_descriptions"  # a package that clones descriptions from the net when they are first asked for
+EXPANDED = ".manip_learn.urdf"  # ending of what its xacro files are expanded to, beside them
+# arms that it has as a variant of another: name -> that one, and the arguments of its xacro file
+VARIANTS: dict[str, tuple[str, Mapping[str, str]]] = {"lite6": ("xarm6", {"robot_type": "lite"})}
 
 SERIES, NUMBER = re.compile(r"[a-z]+"), re.compile(r"\d+[a-z]?")  # ur and 5e in ur5e
 
@@ -39,12 +50,18 @@ SHORT_NAMES = {
 
 
 def find_robot(name: str) -> Path:
-    """File of a robot by its name: one that is shipped, else one of example-robot-data.
+    """File of a robot by its name: one that is shipped, else of example-robot-data, else fetched from the net.
+
+    Capitals, hyphens and spaces do not count: `SO-101` is `so101`.
 
     Raises:
         UnknownNameError: No such robot; lists near matches.
-        MissingExtraError: The robot is not shipped and example-robot-data is not installed.
+        MissingExtraError: The robot is in a package that is not installed.
+        RobotError: It cannot be fetched.
     """
+    known, fetched = robot_names(), fetched_names()
+    if name not in known:
+        name = next((other for other in known if _letters(other) == _letters(name)), name)
     if name in SHIPPED:
         return shipped_folder() / f"{name}.urdf"
     catalogue = example_robots()
@@ -52,13 +69,16 @@ def find_robot(name: str) -> Path:
         return catalogue[name]
     if not catalogue and name in SHORT_NAMES.keys() | {"panda", "xarm7", "kinova", "z1", "so100", "so101", "baxter"}:
         raise MissingExtraError(f"the robot {name!r}", "robots")
-    known = robot_names()
+    if name in fetched:
+        return _fetched(name)
+    if not fetched and _letters(name) in ("xarm6", *VARIANTS):
+        raise MissingExtraError(f"the robot {name!r}", "descriptions")
     # a letter more, or another number, is another arm and no typing error
     near = closest_names(name, known) if NUMBER.search(name) else []
     others = [
         n
         for n in near
-        if NUMBER.findall(n) != NUMBER.findall(name) and SERIES.findall(n)[:1] == SERIES.findall(name)[:1]
+        if NUMBER.findall(n) != NUMBER.findall(name) and SERIES.findall(n)[:1] == SERIES.findall(name.lower())[:1]
     ]
     where = "the list of robots (or give the path of a .urdf file)"
     raise UnknownNameError("robot", name, known, where, others=others)
@@ -66,13 +86,58 @@ def find_robot(name: str) -> Path:
 
 def robot_names() -> tuple[str, ...]:
     """Every name that `load_robot` knows here and now."""
-    return tuple(sorted({*SHIPPED, *example_robots()}))
+    return tuple(sorted({*SHIPPED, *example_robots(), *fetched_names()}))
+
+
+@functools.cache
+def fetched_names() -> frozenset[str]:
+    """Names of the robots that robot_descriptions fetches; empty if it is not installed."""
+    package = find_spec(FETCHING)
+    places = None if package is None else package.submodule_search_locations
+    modules = [module.name for module in pkgutil.iter_modules(places)] if places else []
+    names = {m.removesuffix("_description") for m in modules if re.fullmatch(r"[^_].*(?<!_mj)_description", m)}
+    return frozenset(names | {name for name, (other, _) in VARIANTS.items() if other in names})
+
+
+def _fetched(name: str) -> Path:
+    """The file of a robot that is fetched; later calls find it in the package's cache, without the net.
+
+    Raises:
+        RobotError: It cannot be fetched.
+        MissingExtraError: It has to be expanded, and xacrodoc is not installed.
+    """
+    from git.exc import GitError  # robot_descriptions depends on it
+
+    other, arguments = VARIANTS.get(name, (name, {}))
+    try:
+        with contextlib.redirect_stdout(sys.stderr):  # it tells what it clones
+            found = vars(importlib.import_module(f"{FETCHING}.{other}_description"))
+    except (ImportError, OSError, GitError) as error:
+        raise RobotError(
+            f"{name} is fetched from the net when it is first named, and cannot be: {type(error).__name__}; connect "
+            "this machine once, or give the path of a URDF file",
+            code="missing",
+        ) from error
+    if "URDF_PATH" in found:
+        return Path(found["URDF_PATH"])
+    source = Path(found["XACRO_PATH"])
+    file = source.with_name(name + EXPANDED)
+    if not file.exists():
+        values = {**found.get("XACRO_ARGS", {}), **arguments}
+        write_atomically(file, expanded_xacro(source, values, [Path(found["REPOSITORY_PATH"])]))
+    return file
+
+
+def _letters(name: str) -> str:
+    return re.sub(r"[\W_]", "", name.lower())
 
 
 def known_as(source: Path | None) -> str | None:
     """The shortest name by which `load_robot` finds this file; None for a file of one's own."""
     if source is not None and source.parent == shipped_folder() and source.stem in SHIPPED:
         return source.stem
+    if source is not None and source.name.endswith(EXPANDED):
+        return source.name.removesuffix(EXPANDED)
     return min((name for name, path in example_robots().items() if path == source), key=len, default=None)
 
 

@@ -291,7 +291,7 @@ def _not_xml(error: ExpatError, content: bytes, log: Diagnostics) -> RobotError:
     elif reason == errors.XML_ERROR_UNDEFINED_ENTITY:
         code, fix = "entity", "entities other than &lt; &gt; &amp; &quot; &apos; are not read; write the value out"
     elif not content.lstrip(b"\xef\xbb\xbf \t\r\n").startswith((b"<", b"\xff\xfe", b"\xfe\xff")):
-        fix = "a URDF file begins with '<'; is this the right file?"
+        fix = "a URDF file begins with '<'; name the robot here, its name or its file, and other files after it"
     elif reason == errors.XML_ERROR_NO_ELEMENTS:
         fix = "the file ends before the description does; is it cut off?"
     else:

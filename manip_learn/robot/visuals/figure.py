@@ -1,25 +1,76 @@
-"""The figure that stands in for a robot without shapes: how thick its tubes are, and where the last ones end."""
+"""The figure that stands in for a robot without shapes: bones from joint to joint, and how thick they are.
+
+A bone leaves a joint along its axis and comes to the next one along that one's, as the links of arms do.
+"""
 
 from __future__ import annotations
+
+from typing import NamedTuple, final
 
 import numpy as np
 import pinocchio as pin
 from jaxtyping import Float
 
-TUBE_RADIUS = 0.032  # share of the reach
-TAPER = 0.55  # radius at the last joint, share of that at the base
-TUBE = 0.8  # thickness of the tubes, share of those radii
-SHORTEST = 0.2  # length from which there is a tube, share of those radii
+from manip_learn.robot.joints import motion_along
+
+THICK = 0.043  # radius at the base, share of the reach, as of arms that are sold
+TAPER = 0.55  # radius at the last joint, share of the radius at the base
+TIP = 0.8  # radius at the end, share of the radius at the last joint
+SHORTEST = 0.2  # length from which there is a bone, share of its radius
 
 
-def link_ends(model: pin.Model) -> dict[int, Float[np.ndarray, "E 3"]]:
+@final
+class Bone(NamedTuple):
+    """A straight piece of a link, in the frame of the joint that carries it.
+
+    Attributes:
+        joint: Pinocchio id of that joint; 0 is the world.
+        child: Pinocchio id of the joint that the link leads to; 0 for the end of an arm.
+        ends: shape (2, 3), from that joint's side [m].
+        radii: At both ends [m].
+    """
+
+    joint: int
+    child: int
+    ends: Float[np.ndarray, "2 3"]
+    radii: tuple[float, float]
+
+
+def bones(model: pin.Model, radius: Float[np.ndarray, " J"]) -> tuple[Bone, ...]:
+    """The bones of all links, those of one link one after the other.
+
+    Args:
+        model: The robot.
+        radius: At each joint [m].
+    """
+    data, found = model.createData(), list[Bone]()
+    pin.forwardKinematics(model, data, pin.neutral(model), np.zeros(model.nv))
+    turned = [motion_along(data.joints[j].S) if j else None for j in range(model.njoints)]
+    axes = [along[1] if along else np.zeros(3) for along in turned]
+    axes[0] = np.array([0.0, 0.0, 1.0])  # what stands on the floor rises first
+    targets = [(int(model.parents[c]), c, model.jointPlacements[c]) for c in range(1, model.njoints)]
+    targets += [(i, 0, pin.SE3(np.eye(3), end)) for i, end in link_ends(model).items()]
+    for i, child, place in targets:
+        end, last = place.translation, place.rotation @ axes[child] * bool(child)
+        first = axes[i] * (end @ axes[i])
+        path = [np.zeros(3)]
+        for corner in (first, end - last * ((end - first) @ last), end):
+            if np.linalg.norm(corner - path[-1]) > SHORTEST * radius[i]:
+                path.append(corner)
+        path[1:] = [*path[1:-1], end][: len(path) - 1]  # what is short at the end belongs to the piece before it
+        thick = np.linspace(radius[i], radius[child] if child else TIP * radius[i], len(path))
+        found += [Bone(i, child, np.array(path[k : k + 2]), (thick[k], thick[k + 1])) for k in range(len(path) - 1)]
+    return tuple(sorted(found, key=lambda bone: bone.joint))
+
+
+def link_ends(model: pin.Model) -> dict[int, Float[np.ndarray, " 3"]]:
     """For joints that carry no other joint: the farthest fixed link on each [m], in the joint's frame."""
     inner = set(model.parents[1:])
     ends: dict[int, np.ndarray] = {}
     for i in range(1, model.njoints):
         points = [f.placement.translation for f in model.frames if f.parentJoint == i and f.type == pin.FrameType.BODY]
         if i not in inner and points:
-            ends[i] = np.array([max(points, key=lambda p: float(np.linalg.norm(p)))])
+            ends[i] = max(points, key=lambda p: float(np.linalg.norm(p)))
     return ends
 
 
@@ -29,6 +80,6 @@ def link_radii(model: pin.Model) -> Float[np.ndarray, " J"]:
     for i in range(1, model.njoints):
         depth[i] = depth[model.parents[i]] + 1
         reach[i] = reach[model.parents[i]] + float(np.linalg.norm(model.jointPlacements[i].translation))
-    tips = [reach[i] + float(np.linalg.norm(p, axis=1).max()) for i, p in link_ends(model).items()]
+    tips = [reach[i] + float(np.linalg.norm(p)) for i, p in link_ends(model).items()]
     scale = max([float(reach.max()), *tips, 1e-3])
-    return TUBE_RADIUS * scale * (1.0 - (1.0 - TAPER) * depth / max(int(depth.max()), 1))
+    return THICK * scale * (1.0 - (1.0 - TAPER) * depth / max(int(depth.max()), 1))

@@ -102,6 +102,15 @@ class TeachFurniture {
     stage.look(stage.view);
   }
 
+  // Number of the piece whose handle, or whose part that moves, the pointer is over; -1 for none.
+  under(event, pointing) {
+    const gaps = this.pieces.map((piece) => pointing.far(event, piece.handleAt())), near = gaps.indexOf(Math.min(...gaps));
+    if (near >= 0 && gaps[near] < MAGNET) return near;
+    pointing.cast(event);
+    const [hit] = pointing.caster.intersectObjects(this.pieces.map(({ group }) => group), true);
+    return hit ? this.pieces.findIndex(({ leaf }) => { let part = hit.object; while (part && part !== leaf) part = part.parent; return part === leaf; }) : -1;
+  }
+
   // How far a handle is moved, and whether it can be gripped.
   words(i, pose, scene) {
     const { name, unit } = scene.handles[i], value = pose.opening[i] ?? 0, several = scene.handles.length > 1;

@@ -6,6 +6,7 @@ const STEP = 0.01, TURN_STEP = Math.PI / 60; // [m] of the pull and [rad] of the
 const MAGNET = 26; // [px] around a handle within which a hand that is drawn over it also comes to its depth
 const GLIDE = 0.4; // [m/s] at which a pull goes to a handle by itself: as fast as a person reaches for something near
 const FELT = 0.01; // [m] of a handle's motion that show which way it goes
+const TOLD = 0.25; // [rad] that the view was turned by who may have meant the hand
 const AT_VIEWER = 0.85; // cosine of the angle between a way and the view from which on a drag can hardly follow it
 
 class Hand {
@@ -32,12 +33,12 @@ class Hand {
       return;
     }
     if (!this.teach.allowed || event.button !== 0 || this.cameraTurns(event)) return;
-    const goal = this.teach.goal.at(event), on = goal || this.pointing.onArm(event);
-    if (!on) return;
+    const goal = this.teach.goal.at(event), on = goal || this.pointing.onArm(event) || this.onFurniture(event);
+    if (!on) return this.watchView(event);
     stop(event);
+    this.letGo();
     this.stage.element.focus({ preventScroll: true });
     this.stage.element.setPointerCapture(event.pointerId);
-    this.setByKeys(false);
     this.take({ ...on, goal: Boolean(goal), pointer: event.pointerId, event, drag: new Drag(this.pointing, event, on.place), started: event.clientX });
   }
 
@@ -45,7 +46,7 @@ class Hand {
   cameraTurns(event) {
     if (event.pointerType !== "touch") return false;
     if (event.isPrimary) this.fingers = new Set();
-    return (this.fingers ??= new Set()).size > 0 || (!this.teach.goal.at(event) && !this.pointing.onArm(event) && Boolean(this.fingers.add(event.pointerId)));
+    return (this.fingers ??= new Set()).size > 0 || (!this.teach.goal.at(event) && !this.pointing.onArm(event) && !this.onFurniture(event) && Boolean(this.fingers.add(event.pointerId)));
   }
 
   take(held) {
@@ -55,6 +56,20 @@ class Hand {
     if (held.goal) return;
     this.timer = setInterval(() => this.say(), REPEAT);
     this.say();
+  }
+
+  // What can be moved is taken by the hand, which comes to its handle first.
+  onFurniture(event) {
+    const number = this.teach.furniture.under(event, this.pointing), place = this.teach.instance.tipPosition();
+    if (number < 0 || (this.holds >= 0 && number !== this.holds)) return null;
+    return { link: null, joint: null, at: null, place, ...(this.holds >= 0 ? {} : { toHandle: number, called: true }) };
+  }
+
+  // A drag beside the hand turns the view, which is told to those who have not pulled yet.
+  watchView(event) {
+    const { camera } = this.stage, before = camera.quaternion.clone();
+    const over = () => { this.turnedView = camera.quaternion.angleTo(before) > TOLD; this.hint(); };
+    window.addEventListener("pointerup", over, { once: true });
   }
 
   // A second finger turns the hand by its turn about the first.
@@ -78,7 +93,7 @@ class Hand {
     else {
       if (held.wasTurning) held.drag.anchor(held.event, this.axis);
       held.drag.move(event);
-      this.setMagnet(this.handleUnder(event), event);
+      if (!held.called) this.setMagnet(this.handleUnder(event), event);
       if (held.toHandle === null) held.to = held.drag.place.clone();
     }
     if (event.pointerId === held.pointer) Object.assign(held, { wasTurning: event.shiftKey, event });
@@ -94,7 +109,8 @@ class Hand {
     if (event.pointerId === held.other) held.other = undefined;
     if (event.pointerId !== held.pointer) return;
     if (event.type === "pointerup") stop(event);
-    this.letGo();
+    if (held.called && held.toHandle !== null) held.drag = null; // the hand comes all the same
+    else this.letGo();
   }
 
   letGo() {
@@ -128,7 +144,7 @@ class Hand {
     const now = performance.now();
     if (event.buttons || event.pointerType === "touch" || now < (this.looked ?? 0) + 60) return; // a ray through many triangles takes a while
     this.looked = now;
-    const over = this.teach.allowed && (this.teach.goal.at(event) || this.pointing.onArm(event));
+    const over = this.teach.allowed && (this.teach.goal.at(event) || this.pointing.onArm(event) || this.onFurniture(event));
     this.stage.element.classList.toggle("over-arm", Boolean(over));
   }
 
@@ -194,7 +210,8 @@ class Hand {
     const { held } = this, place = this.teach.handlePlaces()[held.toHandle];
     if (!place || this.holds >= 0) {
       if (held.drag) this.setMagnet(null, held.event);
-      held.toHandle = null;
+      else if (held.called) return this.letGo();
+      Object.assign(held, { toHandle: null, called: false });
       return;
     }
     const away = place.clone().sub(held.to), most = GLIDE * Math.min(Math.max(pose.time - (this.glided ?? pose.time), 0.005), 0.1);
@@ -205,7 +222,7 @@ class Hand {
 
   // What to do next, beside the hand.
   hint() {
-    const { held, teach } = this, words = !held || held.goal ? "" : held.toHandle !== null ? "let it come: the gripper closes by itself" : this.freed !== null && teach.pose.near === this.freed ? "G closes the gripper again" : this.isFirm() && Math.abs(held.turn) < 1e-9 && !held.spin ? "held firmly: shift turns the hand with it" : held.drag && !this.axis && this.isHardToSee() ? "it moves towards you or away: turn the view, or hold x, y or z" : "";
+    const { held, teach } = this, words = !held ? (this.turnedView && !teach.pulled ? "That turned the view. To move the hand, drag the ring; Fit shows everything." : "") : held.goal ? "" : held.toHandle !== null ? "let it come: the gripper closes by itself" : this.freed !== null && teach.pose.near === this.freed ? `${TOUCH.matches ? "Grip" : "G"} closes the gripper again` : this.isFirm() && Math.abs(held.turn) < 1e-9 && !held.spin ? `held firmly: ${TOUCH.matches ? "a second finger" : "shift"} turns the hand with it` : held.drag && !this.axis && this.isHardToSee() ? `it moves towards you or away: turn the view${TOUCH.matches ? "" : ", or hold x, y or z"}` : "";
     if (words === this.hinted) return;
     this.hinted = words;
     get("hand-hint").textContent = words;

@@ -1,14 +1,14 @@
-// The panel: the steps from a scene to what is taken home, as the program's state fills them.
+// The panel: the next step, and the cards from a scene to what is taken home, as the program's state fills them.
 
-const WAY_STEPS = { m: { factor: 100, unit: "cm", digits: 1 }, rad: { factor: 180 / Math.PI, unit: "°", digits: 0 } };
+const WAY_STEPS = { m: { factor: 100, unit: " cm", digits: 1 }, rad: { factor: 180 / Math.PI, unit: "°", digits: 0 } };
 const DOING = { idle: "ready", recording: "recording", replaying: "replaying", learning: "learning", planning: "planning", running: "running", moving: "moving" };
 const FREE_HANDS = ["idle", "recording"]; // the program does nothing by itself
-
+const FEW = 3, ENOUGH = 5; // recordings without which nothing can be learnt, and that a person is asked for, as the program has them
 const NO_WAY = "There is no way to go yet: in no recording does the gripper take hold of something and move it by 2 cm, or by 3°. Record one that does, and learn again.";
 
 class Panel {
   constructor(teach) {
-    Object.assign(this, { teach, say: (said) => teach.say(said), state: null });
+    Object.assign(this, { teach, say: (said) => teach.say(said), state: null, best: 0 });
     this.recordings = new RecordingList(get("recordings"), this.say);
     this.answer = new Answer(get("answer"), this.say);
     this.take = new Take(teach);
@@ -17,23 +17,19 @@ class Panel {
 
   wire() {
     const on = (id, action) => get(id).addEventListener("click", action), { say } = this;
-    get("scene-kind").addEventListener("change", (event) => { say({ do: "scene", kind: event.target.value }); releaseFocus(event.target); });
+    get("scene-kind").addEventListener("change", (event) => say({ do: "scene", kind: event.target.value }));
     on("another", () => say({ do: "scene", kind: get("scene-kind").value }));
-    on("home", () => say({ do: "home" }));
-    on("record", () => this.record());
-    on("learn", () => this.learn());
+    for (const id of ["home", "policies", "compare"]) on(id, () => say({ do: id }));
+    for (const id of ["record", "learn", "run", "grip"]) on(id, () => this[id]());
     on("truth", () => say({ do: "truth", show: !this.state.truth }));
-    on("run", () => this.run());
-    on("grip", () => this.grip());
     for (const button of document.querySelectorAll("[data-disturb]")) button.addEventListener("click", () => say({ do: "disturb", what: button.dataset.disturb }));
-    on("policies", () => say({ do: "policies" }));
-    on("compare", () => say({ do: "compare" }));
     on("no-ghosts", () => say({ do: "ghosts", show: false }));
+    on("again", () => this.teach.ghosts && this.teach.ghosts.play());
     on("lead", () => this.teach.link.say({ do: "lead" }));
     get("way").addEventListener("input", () => { this.sayWay(); this.teach.sayOften({ do: "way", value: Number(get("way").value) }); });
-    get("policy").addEventListener("change", (event) => releaseFocus(event.target));
     // what is typed, and the keys of sliders and boxes, are not those of the page
     get("teach").addEventListener("keydown", (event) => { if (isText(event.target) || (event.key === " " && event.target.matches("input"))) event.stopPropagation(); });
+    for (const kind of ["click", "change"]) document.addEventListener(kind, ({ target }) => { const one = target.closest?.("button, select, summary"); if (one) releaseFocus(one); });
   }
 
   // ---- what keys and buttons do ----
@@ -44,13 +40,13 @@ class Panel {
 
   learn() { if (this.can("learn")) this.say({ do: "learn" }); }
 
-  grip() { if (this.can("grip")) this.say({ do: "grip", closed: !this.teach.isHeld }); }
+  grip() { if (this.teach.allowed) this.say({ do: "grip", closed: !this.teach.isHeld }); }
 
   run() {
-    if (this.busy) { if (this.teach.allowed) this.say({ do: "stop" }); return; }
+    if (this.drives) { if (this.teach.allowed) this.say({ do: "stop" }); return; }
     if (!this.can("run")) return;
     const { way } = this.state, value = Number(get("way").value);
-    this.say({ do: "run", policy: get("policy").value, ...(way ? { [way.unit === "rad" ? "turn" : "along"]: value } : {}), plan: get("plan").checked });
+    this.say({ do: "run", policy: get("policy").value, [way.unit === "rad" ? "turn" : "along"]: value, plan: get("plan").checked });
   }
 
   // ---- what the program says ----
@@ -58,9 +54,10 @@ class Panel {
   // The program moves the arm by itself, or thinks.
   get busy() { return Boolean(this.state) && !FREE_HANDS.includes(this.state.doing); }
 
-  setScene({ kind, title, task }) {
-    this.kind = kind;
-    get("task").textContent = task || title || "";
+  get drives() { return this.busy && this.state.doing !== "learning"; }
+
+  setScene({ kind, title, handles }) {
+    Object.assign(this, { kind, title, handles, best: 0 });
     this.setKinds();
   }
 
@@ -69,60 +66,77 @@ class Panel {
     if (said !== this.scenesSaid) select.replaceChildren(...scenes.map(({ kind, title }) => Object.assign(document.createElement("option"), { value: kind, textContent: title })));
     if (said !== this.scenesSaid || this.kind !== this.shownKind) select.value = this.kind ?? select.value;
     Object.assign(this, { scenesSaid: said, shownKind: this.kind });
+    const name = this.handles && this.handles.length === 1 ? this.handles[0].name : "scene";
+    get("another").textContent = `New ${name}`;
   }
 
   setState(state) {
+    if (Boolean(state.answer) !== Boolean(this.state && this.state.answer)) this.best = 0; // μ is that of other rows
     this.state = state;
     get("said").textContent = state.said || "";
     get("said").classList.toggle("lost", Boolean(state.wrong));
     this.setKinds();
-    this.showRecording(state);
+    this.showActions(state);
+    this.showRecordings(state);
     this.showLearning(state);
     this.showRun(state);
-    this.take.set(state.files || [], state.keep, Boolean(state.progress));
+    this.take.set(state.files || [], state.keep);
     this.showSteps(state);
   }
 
-  showRecording({ recording, recordings, answer, doing }) {
-    get("record").classList.toggle("on", Boolean(recording));
-    get("record-words").textContent = recording ? `Stop (${recording.seconds.toFixed(1)} s)` : recordings.length ? "Record another one" : "Record";
-    get("record").disabled = this.busy;
-    get("show-hint").hidden = recordings.length >= 5;
-    get("show-hint").textContent = recordings.length ? `${recordings.length} of 5: show it again, a little differently.` : "Press record, take the hand and do the task. Five motions are a good number, each a little different.";
-    this.recordings.set(recordings, answer && answer.phaseKinds, this.busy || doing === "recording");
-    for (const id of ["another", "home", "scene-kind"]) get(id).disabled = doing === "recording" || doing === "learning";
+  // ---- the next step ----
+
+  nextOf({ doing, recordings, unlearnt, answer, way, run }) {
+    if (this.drives) return "run";
+    if (doing === "recording") return "record";
+    if (doing === "learning") return "learn";
+    if (way && !unlearnt) return run && run.ended && run.ordered ? "home" : "run";
+    return unlearnt && recordings.length >= (answer ? FEW : ENOUGH) ? "learn" : "record";
   }
 
-  showLearning({ doing, recordings, progress, answer, truth }) {
-    get("learn").disabled = doing !== "idle" || !recordings.length;
-    get("learn").firstChild.textContent = recordings.length ? `Learn from ${counted(recordings.length, "motion")}` : "Learn";
-    get("progress").hidden = !progress;
-    if (progress) {
-      get("progress-words").textContent = `${progress.step} …`;
-      get("progress").querySelector("progress").value = progress.share;
+  showActions(state) {
+    const { doing, recording, recordings: { length }, unlearnt, way, progress } = state, next = this.nextOf(state), idle = doing === "idle";
+    const words = {
+      record: recording ? `Stop (${recording.seconds.toFixed(1)} s)` : next === "record" && length < ENOUGH ? `Record ${length + 1} of ${ENOUGH}` : "Record another one",
+      learn: doing === "learning" ? "Learning …" : `Learn from ${counted(length, "motion")}`, run: this.drives ? "Stop" : "Let the arm do it",
+    };
+    const seen = { record: recording || idle, learn: doing === "learning" || (idle && length >= FEW && unlearnt > 0), run: this.drives || (idle && way), home: idle };
+    for (const [id, visible] of Object.entries(seen)) {
+      const button = get(id);
+      button.hidden = !visible;
+      button.classList.toggle("next", id === next);
+      if (words[id]) button.querySelector("span:not(.dot)").textContent = words[id];
     }
+    get("record").classList.toggle("on", Boolean(recording));
+    get("run").classList.toggle("on", this.drives);
+    get("learn").disabled = doing === "learning";
+    get("progress").hidden = !progress;
+    if (!progress) return;
+    get("progress-words").textContent = `${progress.step} …`;
+    get("progress").querySelector("progress").value = progress.share;
+  }
+
+  // ---- the cards ----
+
+  showRecordings({ recordings, answer, doing }) {
+    get("show-hint").hidden = recordings.length >= ENOUGH;
+    this.recordings.set(recordings, answer && answer.phaseKinds, this.busy || doing === "recording");
+    for (const id of ["another", "scene-kind"]) get(id).disabled = doing === "recording" || doing === "learning";
+  }
+
+  showLearning({ answer, truth }) {
     this.answer.set(answer);
+    get("headline").textContent = get("headline").title = (answer && (answer.line || answer.sentence)) || (this.teach.scene && this.teach.scene.task) || "";
     get("truth-box").hidden = !answer;
     get("truth").setAttribute("aria-pressed", String(Boolean(truth)));
     get("truth").textContent = truth ? "Hide the truth" : "Show the truth";
     fillTruth(get("truth-words"), truth);
   }
 
-  showRun({ doing, way, run, answer }) {
-    const { busy } = this, acts = answer && !answer.refused;
-    get("run").classList.toggle("on", busy && doing !== "learning");
-    get("run-words").textContent = busy && doing !== "learning" ? `Stop ${doing === "moving" ? "" : DOING[doing] || doing}`.trim() : "Run";
-    get("run").disabled = doing === "recording" || doing === "learning" || (!acts && !busy);
-    for (const id of ["policies", "compare", "no-ghosts"]) get(id).disabled = busy;
+  showRun({ doing, way }) {
+    for (const id of ["policies", "compare", "no-ghosts"]) get(id).disabled = this.busy;
     for (const button of document.querySelectorAll("[data-disturb]")) button.disabled = doing !== "running";
-    get("way-field").hidden = !way;
     if (way) this.setWay(way);
-    get("run-state").textContent = run ? run.ended || this.running(run, way) : "";
-  }
-
-  running({ policy, done, wanted }, way) {
-    const unit = way ? way.unit : "m", words = (x) => (Number.isFinite(x) ? openingInWords(x, unit) : "");
-    return `${policy}: ${[words(done), words(wanted)].filter(Boolean).join(" of ")}`;
   }
 
   setWay({ unit, low, high, value }) {
@@ -135,26 +149,40 @@ class Panel {
   }
 
   sayWay() {
-    const { factor, unit, digits } = WAY_STEPS[this.wayUnit], text = `${(factor * Number(get("way").value)).toFixed(digits)}${unit === "°" ? "°" : ` ${unit}`}`;
+    const { factor, unit, digits } = WAY_STEPS[this.wayUnit], text = `${(factor * Number(get("way").value)).toFixed(digits)}${unit}`;
     get("way-value").textContent = text;
     get("way").setAttribute("aria-valuetext", text);
   }
 
-  // Steps that cannot be taken yet say why; the next one stands out.
-  showSteps({ recordings, answer, files, run, way }) {
-    const shown = recordings.length > 0, learnt = Boolean(answer) && !answer.refused;
-    const open = { scene: true, show: true, learn: shown || Boolean(answer), do: learnt && Boolean(way), take: shown || learnt || (files || []).length > 0 };
-    const now = !shown ? "show" : !answer || answer.refused ? (recordings.length < 2 ? "show" : "learn") : !way ? "show" : run && run.ended && run.ordered !== false ? "take" : "do";
-    get("do-hint").textContent = learnt ? NO_WAY : "Learn something first.";
-    for (const [name, usable] of Object.entries(open)) {
-      get(`step-${name}`).classList.toggle("later", !usable);
-      get(`step-${name}`).classList.toggle("now", name === now);
+  // Each card in a line; the one that is at hand is open, until another one is.
+  showSteps(state) {
+    const { doing, recordings, answer, way, run } = state, shown = recordings.length > 0, learnt = Boolean(answer) && !answer.refused;
+    const unit = way ? way.unit : "m", done = run && Number.isFinite(run.wanted) ? `${openingInWords(run.done, unit)} of ${openingInWords(run.wanted, unit)}` : "";
+    const short = {
+      scene: this.title || "", show: shown ? counted(recordings.length, "motion") : "", learn: !answer ? "after five motions" : learnt ? answer.line : "not understood yet",
+      do: way ? done : learnt ? "no way to go yet" : "after learning", take: shown ? "" : "after the first motion",
+    };
+    const next = this.nextOf(state), now = way && (next === "run" || next === "home") ? "do" : answer && next === "record" && doing === "idle" ? "learn" : "show";
+    for (const [name, words] of Object.entries(short)) {
+      const step = get(`step-${name}`);
+      step.querySelector(".short").textContent = words;
+      step.inert = { learn: !answer, do: !way, take: !shown }[name] || false;
+      step.classList.toggle("now", name === now);
+      if (step.inert || this.now !== now) step.open = name === now && !step.inert;
     }
+    if (this.now !== now) get(`step-${now}`).scrollIntoView({ block: "nearest" });
+    this.now = now;
+    get("no-way").textContent = learnt && !way ? NO_WAY : "";
   }
 
-  setPose({ near }) {
-    const held = this.teach.isHeld;
-    get("grip-words").textContent = held ? "Let go of the handle" : "Grip";
-    get("grip").classList.toggle("ready", !held && near !== null && near !== undefined);
+  setPose({ near, mu }) {
+    const held = this.teach.isHeld, handle = held && this.handles[this.teach.pose.held.indexOf(true)];
+    get("grip-words").textContent = held ? "Let go" : "Grip";
+    get("grip").hidden = !held && !Number.isFinite(near);
+    get("holding").hidden = !held;
+    const words = handle ? `Holding the ${handle.name}. ${handle.move}. To let go:` : "";
+    if (get("holding").textContent !== words) get("holding").textContent = words;
+    this.best = Math.max(this.best, mu || 0);
+    get("room").value = this.best ? mu / this.best : 0;
   }
 }

@@ -1,35 +1,24 @@
 // What can be taken home, and what is brought along.
 
 const MOST_DROPPED = 10 * 1024 * 1024; // [bytes] of a recording
-const SETTLED = 1500, GIVEN_UP = 60000; // [ms] after which a file that was there already is taken, and none is awaited any more
-// what is asked for -> its name
-const TAKEN = { constraint: "constraint.json", csv: "recordings_csv.zip", lerobot: "recordings_lerobot.zip", replay: "replay.html", script: "taught.py" };
 
 class Take {
   constructor(teach) {
-    Object.assign(this, { teach, root: teach.link.root, link: teach.link, files: [], asked: [] });
-    for (const button of document.querySelectorAll("[data-take]")) button.addEventListener("click", () => this.ask(button.dataset.take));
+    Object.assign(this, { teach, root: teach.link.root, link: teach.link, waits: false });
+    for (const button of document.querySelectorAll("[data-take]")) button.addEventListener("click", () => { this.waits = true; this.link.say({ do: "take", what: button.dataset.take }); });
     get("csv").addEventListener("change", () => { this.bring(get("csv").files[0]); get("csv").value = ""; });
     this.wireDrop();
   }
 
-  ask(what) {
-    const before = new Set(this.files.map((file) => file.name));
-    this.asked.push({ what, before, when: performance.now() });
-    this.link.say({ do: "take", what });
-    setTimeout(() => this.match(), SETTLED + 10);
-  }
-
-  set(files, keep, writing) {
-    this.writing = writing;
-    const said = JSON.stringify(files);
-    if (said !== this.filesSaid) {
-      this.filesSaid = said;
-      this.files = files;
-      get("files").replaceChildren(...files.map((file) => this.row(file)));
-    }
+  // What was written since it was asked for is downloaded.
+  set(files, keep) {
+    const newest = Math.max(0, ...files.map(({ number }) => number)), { newest: before, waits } = this;
     get("keep").textContent = keep ? `Everything is kept in ${keep}` : "";
-    this.match();
+    if (newest === before) return;
+    this.newest = newest;
+    get("files").replaceChildren(...files.map((file) => this.row(file)));
+    this.waits = false;
+    if (waits) for (const { name, number } of files) if (number > before) this.download(name);
   }
 
   address(name) { return `${this.root}files/${encodeURIComponent(name)}`; }
@@ -38,16 +27,6 @@ class Take {
     const item = document.createElement("li"), link = Object.assign(document.createElement("a"), { href: this.address(name), download: name, textContent: name });
     item.append(link, says ? ` ${says}` : "");
     return item;
-  }
-
-  // A file that was not there before; one that was there once nothing is written any more.
-  match() {
-    this.asked = this.asked.filter(({ what, before, when }) => {
-      const age = performance.now() - when, late = age > SETTLED;
-      const name = TAKEN[what], there = this.files.some((file) => file.name === name), written = !before.has(name) || (late && !this.writing);
-      if (there && written) this.download(name);
-      return !(there && written) && age < GIVEN_UP;
-    });
   }
 
   download(name) {

@@ -7,11 +7,9 @@ const MARK_SHARE = 0.7; // of the size of the scene, which encloses all that the
 const MOST_LABELLED = 3; // limits and handles at a time
 const WORDS_GAP = 200; // [ms] between two readings of the time in the headline
 
-const PHONE = matchMedia("(max-width: 620px), (max-height: 460px)"); // as in teach.css
-
 // All of a pose that can be seen, to a hundredth of a millimetre or a thousandth of a degree.
-function inPicture({ values, furniture, held, near, hand, weak, marks, limit, trail }) {
-  return JSON.stringify([values, furniture, held, near, hand, weak, marks, limit, trail], (_, x) => (typeof x === "number" ? Math.round(1e5 * x) : x));
+function inPicture({ values, furniture, held, near, hand, weak, marks, limit, touches, trail }) {
+  return JSON.stringify([values, furniture, held, near, hand, weak, marks, limit, touches, trail], (_, x) => (typeof x === "number" ? Math.round(1e5 * x) : x));
 }
 
 class Teach {
@@ -23,7 +21,7 @@ class Teach {
     this.arrange();
     this.tour = new Tour(this);
     this.link = new TeachLink(data.events.slice(0, -"events".length), {
-      pose: (pose) => this.receive(pose), scene: (scene) => this.setScene(scene), state: (state) => this.setState(state), ghosts: (ghosts) => this.setGhosts(ghosts),
+      ended: () => { this.ended = true; this.link.close(); }, pose: (pose) => this.receive(pose), scene: (scene) => this.setScene(scene), state: (state) => this.setState(state), ghosts: (ghosts) => this.setGhosts(ghosts),
     }, () => this.allow(), (words) => this.tell(words, true));
     this.panel = new Panel(this);
     if (this.stage) this.addDrawing(software);
@@ -34,25 +32,13 @@ class Teach {
     requestAnimationFrame((now) => this.frame(now));
   }
 
-  // Two charts beside each other: the arm, and its ghosts.
   arrange() {
-    const charts = Object.assign(document.createElement("div"), { id: "charts" }), ghosts = Object.assign(document.createElement("div"), { id: "ghost-chart", hidden: true });
-    ghosts.setAttribute("role", "img");
-    get("chart").before(charts);
-    charts.append(get("chart"), ghosts);
-    get("panel").hidden = true;
+    get("step-do").append(get("panel")); // of what is of interest while the arm does it
     get("log").title = "Logarithmic scale";
     get("scene").after(get("hand-bar"), get("drop-here"));
-    const placeLegend = () => (PHONE.matches ? get("ghost-ends") : get("hand-bar")).before(get("legend")); // it would hide the arm
-    PHONE.addEventListener("change", placeLegend);
-    placeLegend();
     get("keys").querySelector("dl").replaceChildren(get("teach-keys").content.cloneNode(true));
     get("scene").setAttribute("aria-label", "The arm in three dimensions: drag it, or press H and move its hand by the arrow keys; otherwise arrow keys turn the view, plus and minus zoom");
     this.chart = new Chart(get("chart"), this.show.rollouts, LIVE_SECONDS, null);
-    this.legendBox = document.createElement("div");
-    get("legend").append(this.legendBox);
-    this.legend = new Legend(this.legendBox, this.show.rollouts, { onShow: (r, v) => this.show.show(r, v), onSolid: (r) => this.show.show(r, !r.visible) });
-    for (const { pick } of this.legend.rows) pick.title = "Show or hide the arm";
   }
 
   addDrawing(software) {
@@ -65,14 +51,14 @@ class Teach {
     this.trail = new TipTrail(instance, size, () => this.rollout.colour);
     this.limits = new LimitTint(instance);
     this.lines = new Lines(stage);
-    this.ghosts = new Ghosts(this);
     stage.world.add(this.marks.group, this.spring.group, this.goal.group, this.trail.mesh, this.lines.group);
-    this.ring = Object.assign(document.createElement("div"), { id: "tip-ring" });
-    this.ring.setAttribute("aria-hidden", "true");
-    stage.element.append(this.ring);
+    this.rings = [0, 1].map(() => Object.assign(document.createElement("div"), { className: "ring" }));
+    for (const ring of this.rings) ring.setAttribute("aria-hidden", "true");
+    stage.element.append(...this.rings);
     this.labels = this.label();
-    stage.onRendered = () => { this.labels.place(); this.placeRing(); };
+    stage.onRendered = () => { this.labels.place(); this.placeRings(); };
     this.quality = new Quality(stage, instance, software);
+    this.ghosts = new Ghosts(this);
     this.show.onRecolour = () => { this.quality.plain(instance); this.limits.again(); };
     this.hand = new Hand(this);
   }
@@ -86,6 +72,7 @@ class Teach {
     labels.add("--scene-ink", () => (this.lines.ends.learnt ? MECHANISM_WORDS[this.state.answer.mechanism.type] || "learnt" : ""), () => this.lines.ends.learnt);
     labels.add("--truth", () => (this.lines.ends.truth ? "the truth" : ""), () => this.lines.ends.truth);
     for (let i = 0; i < MOST_LABELLED; i++) {
+      labels.add("--weak", now(({ touches }) => (touches[i] ? "the arm touches this" : "")), () => new THREE.Vector3(...this.pose.touches[i]));
       labels.add("--weak", now(({ limit }) => (limit[i] ? `${limit[i]} is at its limit` : "")), () => this.limits.at(this.pose.limit[i]));
       labels.add("--scene-ink", now((pose) => (this.furniture.pieces[i] ? this.furniture.words(i, pose, this.scene) : "")), () => this.furniture.pieces[i].handleAt());
     }
@@ -109,6 +96,7 @@ class Teach {
       h: once(() => this.hand && this.hand.turnByKeys()), n: once(() => this.hand && this.hand.toNearest()), " ": once(() => this.panel.run()),
     });
     get("by-keys").addEventListener("click", () => this.hand && this.hand.turnByKeys());
+    window.addEventListener("beforeunload", (event) => { if (this.allowed && this.state.unlearnt) event.preventDefault(); });
   }
 
   // ---- who may ----
@@ -127,10 +115,10 @@ class Teach {
     document.body.classList.toggle("apart", !allowed);
     get("lead").hidden = lost;
     get("banner").hidden = lost ? !this.wasOpen : this.leads;
-    const words = lost ? "The connection to the program is lost. Is it still running? This page comes back by itself." : "Another tab has the arm.";
+    const words = this.ended ? "The program has ended. Start it again, and open its new page." : lost ? "The connection to the program is lost. Is it still running? This page comes back by itself." : "Another tab has the arm.";
     if (get("banner").querySelector("p").textContent !== words) get("banner").querySelector("p").textContent = words;
     this.wasOpen ||= !lost;
-    if (lost && this.wasOpen) this.head("no connection to the program", true);
+    if (lost && this.wasOpen) this.head(this.ended ? "the program has ended" : "no connection to the program", true);
     if (!allowed && this.hand) this.hand.letGo();
   }
 
@@ -183,7 +171,6 @@ class Teach {
     const isNew = !this.scene || this.scene.number !== scene.number;
     this.scene = scene;
     this.panel.setScene(scene);
-    if (isNew && !this.tour.box.hidden) this.tour.sayStep();
     this.setNotes(scene.notes || []);
     if (!this.stage) return;
     this.furniture.setScene(scene);
@@ -230,7 +217,6 @@ class Teach {
     }
     if (this.pose && this.isNew) this.hasDrawn(this.pose);
     this.drawWords(now);
-    if (this.pose && this.allowed) this.tour.offer();
     this.tour.frame();
     requestAnimationFrame((next) => this.frame(next));
   }
@@ -267,41 +253,40 @@ class Teach {
   drawWords(now) {
     if (now < (this.worded ?? 0) + WORDS_GAP || !this.pose) return;
     this.worded = now;
-    const { weak, limit, rate, time } = this.pose;
-    if (this.link.open) this.head(`${(this.state && DOING[this.state.doing]) || "live"} · ${time.toFixed(1)} s${rate ? ` · ${Math.round(rate)} steps/s` : ""}`, false);
-    const words = [weak && "The hand can hardly move this way.", ...limit.map((name) => `${name} is at its limit.`)].filter(Boolean).join(" ");
+    const { weak, limit, touches, rate } = this.pose, doing = this.state && this.state.doing;
+    if (this.link.open) this.head(`${DOING[doing] || "live"}${doing === "running" ? ` · ${Math.round(rate)} steps/s` : ""}`, false);
+    const words = [weak && "The hand can hardly move this way.", touches.length && "The arm touches the furniture.", ...limit.map((name) => `${name} is at its limit.`)].filter(Boolean).join(" ");
     if (words !== this.warned) this.tell(words);
     this.warned = words;
-    if (!this.changed) return;
-    this.changed = false;
-    get("panel").hidden = false;
-    this.chart.start = Math.max(0, this.rollout.duration - LIVE_SECONDS);
-    this.chart.draw();
-    this.chart.setTime(this.rollout.duration);
-    this.legend.setTime(this.rollout.duration);
+    if (this.changed && get("step-do").open && !(this.ghosts && this.ghosts.rollouts.length)) this.drawChart();
   }
 
-  placeRing() {
-    const at = this.stage.onScreen(this.instance.tipPosition());
-    this.ring.hidden = !at || !this.allowed || Boolean(this.hand.held);
-    if (at) this.ring.style.transform = `translate(${at.x.toFixed(1)}px, ${at.y.toFixed(1)}px)`;
+  // The manipulability of the ghosts, or else of the arm lately.
+  drawChart() {
+    this.changed = false;
+    const { rollout, chart } = this, ghosts = (this.ghosts && this.ghosts.rollouts) || [], last = rollout.duration;
+    if (ghosts.length) Object.assign(chart, { rollouts: ghosts, duration: this.ghosts.duration, start: 0 });
+    else Object.assign(chart, { rollouts: this.show.rollouts, duration: LIVE_SECONDS, start: Math.max(0, last - LIVE_SECONDS) });
+    chart.draw();
+    chart.setTime(ghosts.length ? this.ghosts.time : last);
+  }
+
+  // Around the tip, and around the handle until something has been moved.
+  placeRings() {
+    const rests = this.allowed && !this.hand.held && !this.isHeld, [piece] = this.furniture.pieces;
+    [rests && this.instance.tipPosition(), rests && this.pulled && !this.moved && piece && piece.handleAt()].forEach((place, i) => {
+      const at = place && this.stage.onScreen(place);
+      this.rings[i].hidden = !at;
+      if (at) this.rings[i].style.transform = `translate(${at.x.toFixed(1)}px, ${at.y.toFixed(1)}px)`;
+    });
   }
 
   // ---- where things are on the page ----
 
   screenOf(point) { return this.pointing.onPage(new THREE.Vector3(...point)); }
 
-  boxAround(place) {
-    const at = place && this.stage && this.pointing.onPage(place);
-    return at && { x: at.x - TIP_RING, y: at.y - TIP_RING, width: 2 * TIP_RING, height: 2 * TIP_RING, round: true };
-  }
-
   // Of each handle, in the robot's base.
   handlePlaces() { return this.pose ? this.pose.furniture.map(([x, y, z]) => new THREE.Vector3(x, y, z)) : []; }
-
-  ringBox() { return this.boxAround(this.instance.tipPosition()); }
-
-  handleBox() { return this.furniture && this.furniture.pieces.length ? this.boxAround(this.furniture.pieces[0].handleAt()) : null; }
 }
 
 function startTeaching() {

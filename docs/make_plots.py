@@ -1,0 +1,34 @@
+"""Draw the pictures of the pages that plot, by the code on these pages: `python docs/make_plots.py [FOLDER]`.
+
+Needs the extra `plots`.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import re
+import sys
+from pathlib import Path
+
+DOCS = Path(__file__).resolve().parent
+PAGES = ("plots", "your_own_null_space_policy")
+
+
+def main(folder: Path = DOCS / "images") -> None:
+    """Run the Python of each page in the folder of the pictures, and keep the pictures alone."""
+    import matplotlib
+
+    matplotlib.use("Agg")
+    for page in PAGES:
+        before, names = set(folder.iterdir()), dict[str, object]()
+        text = (DOCS / f"{page}.md").read_text(encoding="utf-8")
+        with contextlib.chdir(folder):
+            for block in re.findall(r"^```python\n(.*?)^```", text, re.MULTILINE | re.DOTALL):
+                exec(compile(block, page, "exec"), names)
+        for file in set(folder.iterdir()) - before:
+            if file.suffix != ".png":
+                file.unlink()
+
+
+if __name__ == "__main__":
+    main(*map(Path, sys.argv[1:]))

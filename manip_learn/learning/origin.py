@@ -1,0 +1,80 @@
+"""Where an answer comes from: the version of the library, the day, the recordings, the settings."""
+
+from __future__ import annotations
+
+import functools
+import hashlib
+import importlib.metadata
+import json
+import subprocess
+from collections.abc import Mapping
+from datetime import UTC, datetime
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from manip_learn.recordings.demonstrations import Demonstrations, distinct_names
+from manip_learn.recordings.trajectory import Trajectory
+
+PACKAGE = "manip-learn"
+
+
+def made(demonstrations: Demonstrations, settings: Mapping[str, Any]) -> dict[str, Any]:
+    """What `provenance["made"]` says of an answer.
+
+    Args:
+        demonstrations: All that were given.
+        settings: The learner's.
+    """
+    names = distinct_names(demonstrations)
+    return {
+        "version": version(),
+        "date": datetime.now(UTC).isoformat(timespec="seconds"),
+        "recordings": [{"name": n, "sha256": checksum(t)} for n, t in zip(names, demonstrations, strict=True)],
+        "settings": {name: _plain(value) for name, value in settings.items()},
+    }
+
+
+def _plain(value: Any) -> Any:
+    """A setting as JSON has it."""
+    number = value.item() if isinstance(value, np.generic) else value
+    return number if number is None or isinstance(number, str | int | float) else str(number)
+
+
+def checksum(trajectory: Trajectory) -> str:
+    """SHA-256 of the file that a trajectory was read from; of its numbers, where it was not read from one."""
+    if trajectory.sha256:
+        return trajectory.sha256
+    numbers = (trajectory.time, trajectory.q, *trajectory.beside.values())
+    return hashlib.sha256(b"".join(array.astype("<f8").tobytes() for array in numbers)).hexdigest()
+
+
+@functools.cache
+def version() -> str:
+    """The version of the library, with the commit where it is known: `"0.1.0+d8918b7f"`, `-dirty` if changed since."""
+    try:
+        package = importlib.metadata.distribution(PACKAGE)
+    except importlib.metadata.PackageNotFoundError:  # a folder on the path
+        number, commit = "unknown", ""
+    else:
+        number = package.version
+        commit = json.loads(package.read_text("direct_url.json") or "{}").get("vcs_info", {}).get("commit_id", "")[:8]
+    root = Path(__file__).resolve().parents[2]
+    if (root / ".git").exists():
+        asked = [
+            "git",
+            "--no-optional-locks",
+            "-C",
+            str(root),
+            "describe",
+            "--always",
+            "--abbrev=8",
+            "--exclude=*",
+            "--dirty",
+        ]
+        try:
+            commit = subprocess.run(asked, capture_output=True, text=True, timeout=5.0, check=True).stdout.strip()
+        except (OSError, subprocess.SubprocessError):  # no git here, or a checkout of somebody else
+            pass
+    return f"{number}+{commit}" if commit else number
