@@ -366,9 +366,8 @@ class FollowingError:
             return
         if excess.dot(excess) <= RESOLUTION * RESOLUTION:  # no force can be larger than `held` then
             gone, most = self.servos.gone(round(BRIEFLY / self._dt)), self.servos.range[1]
-            if self.servos.is_known and gone.dot(gone) > 4.0 * (
-                RESOLUTION * RESOLUTION + most.dot(most)
-            ):  # farther than can stay unseen
+            hides = 4.0 * (RESOLUTION * RESOLUTION + most.dot(most))  # a way that may stay unseen, squared
+            if self.servos.is_known and gone.dot(gone) > hides:
                 self._going = min(GOING, self._going + self._dt)
             return
         self._judge(measured, excess, driven)
