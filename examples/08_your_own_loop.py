@@ -8,6 +8,7 @@
 """
 
 import argparse
+from collections import deque
 from pathlib import Path
 
 import numpy as np
@@ -17,22 +18,27 @@ import manip_learn as ml
 RECORDINGS = Path(__file__).parent / "data" / "sawyer_drawer"
 
 
+LATE, FRICTION, STEP, NOISE = 10, 5e-4, 1e-4, 1e-5  # [periods], [rad] by which a servo gives way to it, [rad], [rad]
+
+
 class Arm:
-    """An arm that goes to the positions it is sent, as position servos do, with a little noise of its encoders."""
+    """An arm that goes to the positions it is sent as real ones do: late, with friction, read in steps with noise."""
 
     period = 0.002  # [s]
 
     def __init__(self, q: dict[str, float]) -> None:
         self.joint_names = tuple(q)  # in the driver's own order: `run` maps from and to it
         self._q, self._rng = np.array(list(q.values())), np.random.default_rng(0)
+        self._sent = deque([self._q], LATE)
 
     def read(self) -> tuple[np.ndarray, None, None]:
         """Joint positions [rad], velocities and efforts; None for what there is not."""
-        return self._q + 1e-6 * self._rng.standard_normal(self._q.size), None, None
+        return STEP * np.round((self._q + NOISE * self._rng.standard_normal(self._q.size)) / STEP), None, None
 
     def command(self, q: np.ndarray, u: np.ndarray) -> None:
         """Go to joint positions [rad]; a driver that takes velocities has them in u [rad/s]."""
-        self._q = q.copy()
+        self._sent.append(q.copy())
+        self._q = np.clip(self._q, self._sent[0] - FRICTION, self._sent[0] + FRICTION)
 
 
 def main() -> None:

@@ -69,11 +69,15 @@ class Person:
 
 def test_shown_by_hand_recorded_learnt_and_done(scene, tmp_path: Path):
     """A person opens the drawer five times by hand; the recordings, read again, give the drawer's axis to 0.5 degrees,
-    and the arm then opens it by 15 cm by itself, without a following error.
+    and the arm then opens it by 15 cm by itself, without a following error, with friction, play, encoder steps and a
+    delay in its joints.
     """
     names = [scene.joint(i).name for i in range(7)]
     person, rng = Person(scene, 3), np.random.default_rng(4)
-    driver = MuJoCoDriver(scene, names, GRASP, period=0.01, hand=person, noise=1e-4, rng=rng)
+    driver = MuJoCoDriver(
+        scene, names, GRASP, period=0.01, hand=person, noise=1e-4, rng=rng, friction=0.5, play=1e-3, delay=0.02,
+        step=1e-4, feedforward=False,
+    )  # fmt: skip
     driver.data.eq_active[0] = 1
     robot = ml.load_robot("panda", locked=FINGERS)
     driver.joint_names = robot.joint_names  # the scene numbers its joints
