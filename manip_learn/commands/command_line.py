@@ -4,11 +4,12 @@ from __future__ import annotations
 
 import dataclasses
 import inspect
+import re
 import textwrap
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import contextmanager
 from contextvars import ContextVar
-from pathlib import Path
+from pathlib import Path, PurePosixPath
 from typing import Annotated, Any, get_type_hints
 
 from typer import Context, Option, echo
@@ -142,7 +143,8 @@ def refuse_to_replace(outputs: Sequence[tuple[str, Path]], inputs: Iterable[str 
         inputs: Files, folders of recordings, names of robots, drivers as FILE.py:NAME, or lists of these.
 
     Raises:
-        OutputError: An output is an input, a recording in a folder that is an input, or the same as another output.
+        OutputError: An output is an input, a recording in a folder that is an input, a file that an input names (a mesh
+            of a robot), or the same as another output.
     """
     places = {path.expanduser().resolve(): flag for flag, path in reversed(outputs)}
     for flag, path in outputs:
@@ -155,8 +157,18 @@ def refuse_to_replace(outputs: Sequence[tuple[str, Path]], inputs: Iterable[str 
         for text in [one] if isinstance(one, str | Path) else one:
             for source in _files_behind(str(text)):
                 for flag, path in there:
-                    if path.samefile(source):
+                    if path.samefile(source) or path.resolve().name in _named_in(source):
                         raise OutputError(f"{flag} {path} would replace an input, {source}: name another file")
+
+
+def _named_in(source: Path) -> set[str]:
+    """Names, without folders, of the meshes and other files that a robot's description names."""
+    from manip_learn.robot.loading import SUFFIXES
+
+    if source.suffix not in SUFFIXES:
+        return set()
+    named = re.findall(r"""\bfile(?:name)?\s*=\s*["']([^"']+)""", source.read_text(encoding="utf-8", errors="replace"))
+    return {PurePosixPath(name).name for name in named}
 
 
 def _files_behind(text: str) -> Iterator[Path]:
