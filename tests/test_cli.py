@@ -375,8 +375,8 @@ def test_help_has_headings(run, monkeypatch):
         code, out, _ = run("learn", "--help-all")
         assert others.split() and all(f"  {flag} " in out for flag in others.replace(",", "").split())
         headings = [line for line in out.splitlines() if line.endswith(":") and line[0] != " "]
-        assert headings == ["Arguments:", "Learning:", "Reading recordings:", "Robot:", "Output:"] and code == 0
-        places = [out.index(f"  {flag} ") for flag in ("--axes", "--units", "--lock", "--json")]
+        assert headings == ["Arguments:", "Options:", "Robot:", "Reading recordings:", "Output:"] and code == 0
+        places = [out.index(f"  {flag} ") for flag in ("--axes", "--lock", "--units", "--json")]
         assert places == sorted(places) and max(map(len, out.splitlines())) <= columns
 
 

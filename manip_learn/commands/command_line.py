@@ -19,9 +19,6 @@ from manip_learn.atomic_write import check_folder
 from manip_learn.errors import ManipLearnError, OutputError, RecordingError
 
 PROGRAM = "manip-learn"
-HEADINGS = {"learn": "Learning", "control": "Task"}  # of a command's own options
-HEADINGS_AFTER = ("Plan", "Controller", "Reading recordings", "Robot", "Output")
-CONTROLLER = {"policy", "rest", "gain", "task_gain", "inverse", "duration", "dt"}
 HELP_ALL = "help_all"
 WRITTEN = {"out", "html", "csv"}
 READ = {"robot", "driver", "constraint", "task", "recordings", "rollouts", "files"}  # arguments that may name a file
@@ -93,16 +90,16 @@ class GroupedCommand(TyperCommand):
 
     def format_options(self, ctx: Any, formatter: Any) -> None:
         """Arguments, and the options that a beginner needs; under `--help-all` all of them, by what they are about."""
-        own, told = HEADINGS.get(self.name or "", "Options"), vars(self.callback)
-        named = dict.fromkeys(OUTPUT, "Output") | dict.fromkeys(CONTROLLER, "Controller") | told["headings"]
-        sections: dict[str, list[Any]] = {title: [] for title in ("Arguments", own, *HEADINGS_AFTER)}
-        others = []
+        told, others = vars(self.callback), []
+        named = dict.fromkeys(OUTPUT, "Output") | told["headings"]
+        titles = ("Arguments", "Options", *told["headings"].values(), "Output")
+        sections: dict[str, list[Any]] = {title: [] for title in titles}
         for parameter in self.get_params(ctx):
             record = parameter.get_help_record(ctx)
             if record is not None and parameter.param_type_name == "argument":
                 sections["Arguments"].append(record)
             elif record is not None and (HELP_ALL in ctx.meta or parameter.name in told["first"]):
-                sections[named.get(parameter.name or "", own)].append(record)
+                sections[named.get(parameter.name or "", "Options")].append(record)
             elif record is not None:
                 others.append(parameter.opts[0])
         for heading, records in sections.items():

@@ -23,6 +23,7 @@ from manip_learn.errors import (
     RecordingError,
     an,
     listed,
+    spoken,
 )
 from manip_learn.learning.answer import EstimatorName, LearnerSettings, find_answers
 from manip_learn.learning.arm_errors import ArmErrors
@@ -133,9 +134,10 @@ class ConstraintLearner:
     ):
         for name, value in (("phases", phases), ("mechanism", mechanism)):
             if value not in SWITCHES:
-                raise FeatureError(f"{name} must be 'auto' or 'off', not {value!r}")
+                raise FeatureError(f"{spoken(name, f'--{name}')} must be 'auto' or 'off', not {value!r}")
         if estimator not in ESTIMATORS:
-            raise FeatureError(f"estimator must be one of {', '.join(ESTIMATORS)}, not {estimator!r}")
+            known = ", ".join(ESTIMATORS)
+            raise FeatureError(f"{spoken('estimator', '--estimator')} must be one of {known}, not {estimator!r}")
         self.features = features
         self.n_constraints = n_constraints
         self.estimator: EstimatorName = estimator
