@@ -9,7 +9,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, final
 
 from manip_learn.commands.command_line import typed_command
-from manip_learn.commands.loading import choose_frame, cluster_client, load_for_files
+from manip_learn.commands.guided_frame import choose_frame
+from manip_learn.commands.loading import cluster_client, load_for_files
 from manip_learn.commands.options import LearnOptions
 from manip_learn.constraint.constraint import Constraint
 from manip_learn.constraint.features import FeatureMap, FrameJacobian, RelativeFrameJacobian

@@ -16,7 +16,6 @@ from manip_learn.control.limits import check_inside
 from manip_learn.errors import (
     DAMAGE,
     ConstraintMismatchError,
-    ManipLearnError,
     RecordingError,
     UnknownNameError,
     named,
@@ -26,9 +25,6 @@ from manip_learn.recordings.readers.recording_files import recording_files
 from manip_learn.recordings.readers.saved_reader import file_header
 from manip_learn.recordings.saved_motion import FileHeader
 from manip_learn.robot import Robot
-from manip_learn.robot.tips import distance_to_last_joint, likely_tips
-
-SHOWN = 6  # likely tips that a refusal lists
 
 if TYPE_CHECKING:
     from manip_learn.planning.plan import Around
@@ -41,28 +37,6 @@ def cluster_client(dask: str | None) -> AbstractContextManager[Any]:
     from manip_learn.learning.cluster import dask_client
 
     return dask_client(dask)
-
-
-def choose_frame(robot: Robot, frame: str | None) -> str:
-    """The frame that was named, checked; or the only likely tip.
-
-    Raises:
-        UnknownNameError: No such frame.
-        ManipLearnError: None was named and there is more than one candidate.
-    """
-    tips = likely_tips(robot)
-    if frame is None and len(tips) == 1:
-        return tips[0]
-    if frame in robot.frame_names:
-        return robot.frame(frame).name
-    shown = ", ".join(f"{tip} ({distance_to_last_joint(robot, tip):.3g} m from its last joint)" for tip in tips[:SHOWN])
-    shown = f"likely tips: {shown or 'none'}; `manip-learn inspect` lists all frames"
-    if frame is not None:
-        raise UnknownNameError("frame", frame, robot.frame_names, f"robot {robot.name!r}", f"; {shown}")
-    raise ManipLearnError(
-        f"which frame of {robot.name!r} was guided? Name it, e.g. --frame {tips[0] if tips else 'NAME'}; {shown}",
-        code="frame",
-    )
 
 
 def load_for_files(name: str, files: Sequence[str], loading: RobotOptions) -> Robot:

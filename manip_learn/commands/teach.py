@@ -13,7 +13,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, cast, final
 
-from manip_learn.commands.loading import choose_frame
+from manip_learn.commands.guided_frame import choose_frame
 from manip_learn.commands.options import TeachOptions
 from manip_learn.errors import OutputError
 from manip_learn.recordings.trajectory_source import Progress
@@ -52,7 +52,7 @@ def teach(options: TeachOptions, progress: Progress) -> Taught:
     """Serve the page until it is closed.
 
     Raises:
-        ConfigurationError: No tip, or a robot that cannot be taught in simulation.
+        ManipLearnError: No tip or several, or a robot that cannot be taught in simulation.
         MissingExtraError: MuJoCo is not installed.
         OutputError: The server does not start, or the folder cannot be written to.
     """

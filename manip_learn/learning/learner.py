@@ -21,9 +21,9 @@ from manip_learn.errors import (
     NotIdentifiableError,
     NumberOfConstraintsError,
     RecordingError,
+    advice,
     an,
     listed,
-    spoken,
 )
 from manip_learn.learning.answer import EstimatorName, LearnerSettings, find_answers
 from manip_learn.learning.arm_errors import ArmErrors
@@ -134,10 +134,11 @@ class ConstraintLearner:
     ):
         for name, value in (("phases", phases), ("mechanism", mechanism)):
             if value not in SWITCHES:
-                raise FeatureError(f"{spoken(name, f'--{name}')} must be 'auto' or 'off', not {value!r}")
+                asked = advice("{}", name, f"--{name}") or name
+                raise FeatureError(f"{asked} must be 'auto' or 'off', not {value!r}")
         if estimator not in ESTIMATORS:
-            known = ", ".join(ESTIMATORS)
-            raise FeatureError(f"{spoken('estimator', '--estimator')} must be one of {known}, not {estimator!r}")
+            asked = advice("{}", "estimator", "--estimator") or "estimator"
+            raise FeatureError(f"{asked} must be one of {', '.join(ESTIMATORS)}, not {estimator!r}")
         self.features = features
         self.n_constraints = n_constraints
         self.estimator: EstimatorName = estimator
