@@ -89,8 +89,8 @@ def gap(report: LearningReport, ax: Axes | None = None) -> Axes:
         for rows, colour, name in ((slice(s), HELD, "held"), (slice(s, None), FREE, "free")):
             ax.plot(number[rows], report.levels[rows], "o", color=colour, label=name)
         above = report.levels[s] if s < len(report.levels) else 1.0  # of a motion as strong in all joints
-        ends = {"xy": (s + 0.5, above), "xytext": (s + 0.5, report.levels[s - 1])}
-        ax.annotate("", **ends, arrowprops={"arrowstyle": "<->", "color": COLOURS["grey"]})
+        ends = (s + 0.5, above), (s + 0.5, report.levels[s - 1])
+        ax.annotate("", *ends, arrowprops={"arrowstyle": "<->", "color": COLOURS["grey"]})
         middle = float(np.sqrt(above * report.levels[s - 1]))
         ax.annotate(f" {said}\n ({CLEAR_GAP:g} is clear)", (s + 0.5, middle), va="center", fontsize="small")
         ax.set(xlabel="direction, least moved first", ylabel="motion (1: as strong in all joints)", xticks=number)

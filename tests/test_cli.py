@@ -326,8 +326,9 @@ REPLACING = [
 def test_no_output_replaces_an_input(run, tmp_path, name, flag, read):
     """Every command refuses to write over what it reads, by any spelling, link or hard link, and touches nothing."""
     (tmp_path / "folder").mkdir()
-    for file in {*INPUTS.values(), "folder/rec_02.csv"}:
+    for file in {*INPUTS.values(), "folder/rec_02.csv", "folder/base.stl"}:
         Path(file).write_text(f"time,j1\n0.0,{len(file)}\n")
+    Path("arm.urdf").write_text('<robot><mesh filename="package://arm/folder/base.stl"/></robot>')
     line = [name]
     for parameter in program.commands[name].params:
         if parameter.name in INPUTS:
@@ -339,6 +340,8 @@ def test_no_output_replaces_an_input(run, tmp_path, name, flag, read):
     spellings = [(line, out) for out in (source, f"folder/../{source}", str(tmp_path / source), "link", "hard")]
     if source == "rec_01.csv":
         spellings.append(([word if word != source else "folder" for word in line], "folder/rec_02.csv"))
+    if source == "arm.urdf":  # its mesh
+        spellings.append((line, "folder/base.stl"))
     before = {path: path.read_bytes() for path in tmp_path.rglob("*") if path.is_file()}
     for words, out in spellings:
         code, printed, err = run(*words, flag, out)
@@ -372,8 +375,8 @@ def test_help_has_headings(run, monkeypatch):
         code, out, _ = run("learn", "--help-all")
         assert others.split() and all(f"  {flag} " in out for flag in others.replace(",", "").split())
         headings = [line for line in out.splitlines() if line.endswith(":") and line[0] != " "]
-        assert headings == ["Arguments:", "Learning:", "Reading recordings:", "Robot:", "Output:"] and code == 0
-        places = [out.index(f"  {flag} ") for flag in ("--axes", "--units", "--lock", "--json")]
+        assert headings == ["Arguments:", "Options:", "Robot:", "Reading recordings:", "Output:"] and code == 0
+        places = [out.index(f"  {flag} ") for flag in ("--axes", "--lock", "--units", "--json")]
         assert places == sorted(places) and max(map(len, out.splitlines())) <= columns
 
 
@@ -417,7 +420,7 @@ def test_a_rollout_is_shown_by_its_name_alone(run, learnt):
         (["nothing.npz"], "no such file"),
         (["sawyer"], "at least one rollout"),
         ([DRAWER[0]], "name the robot before it"),
-        ([learnt[1], "--constraint", learnt[1]], "`learn --out`"),
+        ([learnt[1], "--constraint", learnt[1]], "`manip-learn learn --out FILE`"),
     ):
         code, _, err = run("replay", *words)
         assert code == 2 and said in err, err

@@ -16,7 +16,7 @@ from xml.sax.saxutils import escape
 import numpy as np
 import pytest
 
-from manip_learn.commands.learn import choose_frame
+from manip_learn.commands.guided_frame import choose_frame
 from manip_learn.constraint.constraint import Constraint
 from manip_learn.constraint.features import FrameJacobian
 from manip_learn.control.controller import ResolvedRateController

@@ -4,11 +4,12 @@ from __future__ import annotations
 
 import dataclasses
 import inspect
+import re
 import textwrap
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import contextmanager
 from contextvars import ContextVar
-from pathlib import Path
+from pathlib import Path, PurePosixPath
 from typing import Annotated, Any, get_type_hints
 
 from typer import Context, Option, echo
@@ -18,9 +19,6 @@ from manip_learn.atomic_write import check_folder
 from manip_learn.errors import ManipLearnError, OutputError, RecordingError
 
 PROGRAM = "manip-learn"
-HEADINGS = {"learn": "Learning", "control": "Task"}  # of a command's own options
-HEADINGS_AFTER = ("Plan", "Controller", "Reading recordings", "Robot", "Output")
-CONTROLLER = {"policy", "rest", "gain", "task_gain", "inverse", "duration", "dt"}
 HELP_ALL = "help_all"
 WRITTEN = {"out", "html", "csv"}
 READ = {"robot", "driver", "constraint", "task", "recordings", "rollouts", "files"}  # arguments that may name a file
@@ -92,16 +90,16 @@ class GroupedCommand(TyperCommand):
 
     def format_options(self, ctx: Any, formatter: Any) -> None:
         """Arguments, and the options that a beginner needs; under `--help-all` all of them, by what they are about."""
-        own, told = HEADINGS.get(self.name or "", "Options"), vars(self.callback)
-        named = dict.fromkeys(OUTPUT, "Output") | dict.fromkeys(CONTROLLER, "Controller") | told["headings"]
-        sections: dict[str, list[Any]] = {title: [] for title in ("Arguments", own, *HEADINGS_AFTER)}
-        others = []
+        told, others = vars(self.callback), []
+        named = dict.fromkeys(OUTPUT, "Output") | told["headings"]
+        titles = ("Arguments", "Options", *told["headings"].values(), "Output")
+        sections: dict[str, list[Any]] = {title: [] for title in titles}
         for parameter in self.get_params(ctx):
             record = parameter.get_help_record(ctx)
             if record is not None and parameter.param_type_name == "argument":
                 sections["Arguments"].append(record)
             elif record is not None and (HELP_ALL in ctx.meta or parameter.name in told["first"]):
-                sections[named.get(parameter.name or "", own)].append(record)
+                sections[named.get(parameter.name or "", "Options")].append(record)
             elif record is not None:
                 others.append(parameter.opts[0])
         for heading, records in sections.items():
@@ -142,7 +140,8 @@ def refuse_to_replace(outputs: Sequence[tuple[str, Path]], inputs: Iterable[str 
         inputs: Files, folders of recordings, names of robots, drivers as FILE.py:NAME, or lists of these.
 
     Raises:
-        OutputError: An output is an input, a recording in a folder that is an input, or the same as another output.
+        OutputError: An output is an input, a recording in a folder that is an input, a file that an input names (a mesh
+            of a robot), or the same as another output.
     """
     places = {path.expanduser().resolve(): flag for flag, path in reversed(outputs)}
     for flag, path in outputs:
@@ -155,8 +154,18 @@ def refuse_to_replace(outputs: Sequence[tuple[str, Path]], inputs: Iterable[str 
         for text in [one] if isinstance(one, str | Path) else one:
             for source in _files_behind(str(text)):
                 for flag, path in there:
-                    if path.samefile(source):
+                    if path.samefile(source) or path.resolve().name in _named_in(source):
                         raise OutputError(f"{flag} {path} would replace an input, {source}: name another file")
+
+
+def _named_in(source: Path) -> set[str]:
+    """Names, without folders, of the meshes and other files that a robot's description names."""
+    from manip_learn.robot.loading import SUFFIXES
+
+    if source.suffix not in SUFFIXES:
+        return set()
+    named = re.findall(r"""\bfile(?:name)?\s*=\s*["']([^"']+)""", source.read_text(encoding="utf-8", errors="replace"))
+    return {PurePosixPath(name).name for name in named}
 
 
 def _files_behind(text: str) -> Iterator[Path]:

@@ -6,9 +6,10 @@ import shlex
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, final, get_args
+from typing import TYPE_CHECKING, Any, final
 
 from manip_learn.commands.command_line import typed_command
+from manip_learn.commands.guided_frame import choose_frame
 from manip_learn.commands.loading import cluster_client, load_for_files
 from manip_learn.commands.options import LearnOptions
 from manip_learn.constraint.constraint import Constraint
@@ -16,21 +17,18 @@ from manip_learn.constraint.features import FeatureMap, FrameJacobian, RelativeF
 from manip_learn.constraint.selection_in_words import looks
 from manip_learn.control.tasks import motion
 from manip_learn.control.tasks.driven_motion import way_in_words
-from manip_learn.errors import FeatureError, ManipLearnError, RecordingError, UnknownNameError
+from manip_learn.errors import FeatureError, ManipLearnError, RecordingError
 from manip_learn.learning import ConstraintLearner, LearningReport
-from manip_learn.learning.learner import ESTIMATORS, Switch
 from manip_learn.learning.recombination import BELIEVED_STRENGTH
 from manip_learn.recordings import load_demonstrations
 from manip_learn.recordings.demonstrations import Demonstrations, distinct_names
 from manip_learn.recordings.load_demonstrations import numbers_read
 from manip_learn.recordings.trajectory_source import Progress, RecordingSource
 from manip_learn.robot.robot import Reference, Robot
-from manip_learn.robot.tips import distance_to_last_joint, likely_tips
 
 if TYPE_CHECKING:
     from manip_learn.playback import ReplayResult
 
-SHOWN = 6  # likely tips that a refusal lists
 REFERENCES: dict[str, tuple[Reference, ...]] = {"world": ("world",), "local": ("local",), "auto": ("world", "local")}
 
 
@@ -131,9 +129,9 @@ def learn(options: LearnOptions, progress: Progress | None = None) -> Learnt:
     learner = ConstraintLearner(
         candidates,
         options.constraints,
-        _one_of(ESTIMATORS, "--estimator", options.estimator),
-        phases=_one_of(get_args(Switch), "--phases", options.phases),
-        mechanism=_one_of(get_args(Switch), "--mechanism", options.mechanism),
+        options.estimator,  # type: ignore[arg-type]  # the learner checks these words
+        phases=options.phases,  # type: ignore[arg-type]
+        mechanism=options.mechanism,  # type: ignore[arg-type]
         seed=options.seed,
         strength=BELIEVED_STRENGTH if options.strength is None else options.strength,
         habits=options.habits,
@@ -148,28 +146,6 @@ def learn(options: LearnOptions, progress: Progress | None = None) -> Learnt:
         numbers = numbers_read(options.recordings, robot, **options.reading.keywords())
         page = _replay_of_recordings(robot, demos, learner, options.html, frame, numbers)
     return Learnt(learner.constraints_, learner.reports_, frame, written, tuple(notes), page, options.robot)
-
-
-def choose_frame(robot: Robot, frame: str | None) -> str:
-    """The frame that was named, checked; or the only likely tip.
-
-    Raises:
-        UnknownNameError: No such frame.
-        ManipLearnError: None was named and there is more than one candidate.
-    """
-    tips = likely_tips(robot)
-    if frame is None and len(tips) == 1:
-        return tips[0]
-    if frame in robot.frame_names:
-        return robot.frame(frame).name
-    shown = ", ".join(f"{tip} ({distance_to_last_joint(robot, tip):.3g} m from its last joint)" for tip in tips[:SHOWN])
-    shown = f"likely tips: {shown or 'none'}; `manip-learn inspect` lists all frames"
-    if frame is not None:
-        raise UnknownNameError("frame", frame, robot.frame_names, f"robot {robot.name!r}", f"; {shown}")
-    raise ManipLearnError(
-        f"which frame of {robot.name!r} was guided? Name it, e.g. --frame {tips[0] if tips else 'NAME'}; {shown}",
-        code="frame",
-    )
 
 
 def load_to_learn(options: LearnOptions) -> tuple[Robot, Demonstrations | RecordingSource, str, list[str]]:
@@ -239,10 +215,3 @@ def _replay_of_recordings(
         report=report,
         choice=RecordingChoice.of(typed_command(), tuple(named), numbers),
     )
-
-
-def _one_of(known: Sequence[str], option: str, value: str) -> Any:
-    if value in known:
-        return value
-    choices = " or ".join(known) if len(known) == 2 else f"one of {', '.join(known)}"
-    raise FeatureError(f"{option} must be {choices}, not {value!r}")

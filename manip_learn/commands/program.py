@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Iterator
 from dataclasses import dataclass
 from importlib import import_module
 from typing import Annotated, Any, final
@@ -24,44 +23,41 @@ class Command:
     Attributes:
         name: As it is typed.
         options: Dataclass of its arguments and options; its docstring is the help.
-        work: File in `commands` and function that does the work: options and progress -> an answer with `to_dict`, or
-            an iterator of answers, each of which says more than the one before.
-        printers: Functions in `commands.tables` that print the answers.
+        work: File in `commands` and function that does the work: options and progress -> an answer with `to_dict`.
+        printer: Function in `commands.tables` that prints the answer.
     """
 
     name: str
     options: type
     work: str
-    printers: tuple[str, ...]
+    printer: str
 
     def __call__(self, given: Any) -> None:
-        """Do the work, and print the answers; under --json the last one alone."""
+        """Do the work, and print the answer."""
         file, function = self.work.split(".")
         work = getattr(import_module(f"manip_learn.commands.{file}"), function)
         with progress(given.as_json) as report:
-            answers = work(given, report)
-        explain = {"explain": given.explain} if "explain" in vars(given) else {}
-        each = answers if isinstance(answers, Iterator) else [answers]
-        for last, printer in zip(each, self.printers, strict=True):
-            if not given.as_json:  # at once: what follows may take long
-                getattr(import_module("manip_learn.commands.tables"), printer)(console(), last, **explain)
+            answer = work(given, report)
         if given.as_json:
-            print(json.dumps(for_json(last.to_dict()), indent=2, allow_nan=False))
+            print(json.dumps(for_json(answer.to_dict()), indent=2, allow_nan=False))
+        else:
+            explain = {"explain": given.explain} if "explain" in vars(given) else {}
+            getattr(import_module("manip_learn.commands.tables"), self.printer)(console(), answer, **explain)
 
 
 COMMANDS = (
-    Command("robots", options.RobotsOptions, "robots.known_robots", ("print_robots",)),
-    Command("demo", options.DemoOptions, "demo.demo", ("print_demo",)),
-    Command("inspect", options.InspectOptions, "robots.inspect", ("print_robot", "print_cross_check")),
-    Command("record", options.RecordOptions, "record.record_motions", ("print_recorded",)),
-    Command("teach", options.TeachOptions, "teach.teach", ("print_taught",)),
-    Command("learn", options.LearnOptions, "learn.learn", ("print_learnt",)),
-    Command("audit", options.AuditOptions, "audit.audit", ("print_audit",)),
-    Command("control", options.ControlOptions, "control.control", ("print_controlled",)),
-    Command("repeat", options.RepeatOptions, "repeat.repeat_skill", ("print_repeated",)),
-    Command("replay", options.ReplayOptions, "replay.replay", ("print_replayed",)),
-    Command("export", options.ExportOptions, "export.export", ("print_exported",)),
-    Command("reproduce", options.ReproduceOptions, "reproduce.reproduce", ("print_reproduction",)),
+    Command("robots", options.RobotsOptions, "robots.known_robots", "print_robots"),
+    Command("demo", options.DemoOptions, "demo.demo", "print_demo"),
+    Command("inspect", options.InspectOptions, "robots.inspect", "print_robot"),
+    Command("record", options.RecordOptions, "record.record_motions", "print_recorded"),
+    Command("teach", options.TeachOptions, "teach.teach", "print_taught"),
+    Command("learn", options.LearnOptions, "learn.learn", "print_learnt"),
+    Command("audit", options.AuditOptions, "audit.audit", "print_audit"),
+    Command("control", options.ControlOptions, "control.control", "print_controlled"),
+    Command("repeat", options.RepeatOptions, "repeat.repeat_skill", "print_repeated"),
+    Command("replay", options.ReplayOptions, "replay.replay", "print_replayed"),
+    Command("export", options.ExportOptions, "export.export", "print_exported"),
+    Command("reproduce", options.ReproduceOptions, "reproduce.reproduce", "print_reproduction"),
 )
 # commands of 0.1 that are gone, and what to do instead; until 0.3
 REMOVED_COMMANDS = {"warm-up": "nothing is compiled any more: leave the command out"}

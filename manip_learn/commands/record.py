@@ -14,6 +14,7 @@ from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any, final, get_args
 
+from manip_learn.commands.guided_frame import choose_frame
 from manip_learn.commands.loading import load_for_joints
 from manip_learn.commands.options import RecordOptions
 from manip_learn.constraint.features.frame_jacobian import FrameJacobian
@@ -25,7 +26,6 @@ from manip_learn.recordings import load_demonstrations
 from manip_learn.recordings.format_words import EFFORT_SUFFIX, VELOCITY_SUFFIX
 from manip_learn.recordings.trajectory_source import Progress
 from manip_learn.robot import Robot
-from manip_learn.robot.tips import likely_tips
 
 SAID = 0.1  # [s] between two words on the state
 ENOUGH = 1.0  # [degrees] to which a direction is to be known: at 0.5 m that is 9 mm, more than a gripper gives way
@@ -108,14 +108,12 @@ def _learnt(options: RecordOptions, robot: Robot | None, done: RecordedFiles, pr
         return "", f"no joint moved by {MOVES:g} rad within {LOOK:g} s: guide the arm while this runs, or use --by key"
     if robot is None:
         return "", f"say --robot ROBOT to see the arm, or: manip-learn learn ROBOT {pattern}"
-    tips = [options.frame] if options.frame is not None else likely_tips(robot)
-    if len(tips) != 1:
-        return "", f"say with --frame which frame was guided: {', '.join(tips)}"
-    rows = [FrameJacobian(robot, tips[0], "xyz", reference) for reference in ("world", "local")]
     files = sorted(str(file) for file in options.out.glob(f"{options.name}_*.csv"))
     others = [name for name in done.joint_names if name not in robot.joint_names]
     columns = [name + suffix for name in others for suffix in ("", VELOCITY_SUFFIX, EFFORT_SUFFIX)]
     try:
+        tip = choose_frame(robot, options.frame)
+        rows = [FrameJacobian(robot, tip, "xyz", reference) for reference in ("world", "local")]
         demos = load_demonstrations(files, robot, ignore_columns=columns)
         report = ConstraintLearner(rows).fit(demos, progress=progress).report_
     except ManipLearnError as refusal:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import Any, final
 
@@ -85,14 +84,7 @@ class Inspected:
         return content
 
 
-def inspect(options: InspectOptions, progress: Progress | None = None) -> Iterator[Inspected]:
-    """Load a robot and look at it.
-
-    Yields:
-        What is known at once, and that with the independent check of forward kinematics: the library that checks it
-        takes longer to load than the robot.
-    """
+def inspect(options: InspectOptions, progress: Progress | None = None) -> Inspected:
+    """Load a robot and look at it, and check its forward kinematics by another library."""
     robot = options.loading.load(options.robot)
-    summary = summarise(robot)
-    yield Inspected(summary)
-    yield Inspected(with_cross_check(summary, robot))
+    return Inspected(with_cross_check(summarise(robot), robot))

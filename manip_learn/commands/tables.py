@@ -329,15 +329,9 @@ def print_robot(console: Console, inspected: Inspected) -> None:
     say(console, *(f"mimic: {m.joint} = {m.multiplier:g} {m.leader} + {m.offset:g}" for m in summary.mimics))
     say(console, *(f"locked: {name} at {position:g}" for name, position in summary.locked.items()))
     say(console, f"frames: {', '.join(summary.frames)}")
-
-
-def print_cross_check(console: Console, inspected: Inspected) -> None:
-    """What another reader of the URDF makes of it, after `print_robot`."""
-    check = inspected.summary.cross_check
+    check = summary.cross_check
     if check is not None and check.agrees:
         say(console, f"forward kinematics: agrees with yourdfpy to {check.largest_difference:.1e}")
-    else:
-        say(console, *(f"warning: {warning}" for warning in inspected.summary.warnings[-1:]), style="yellow")
 
 
 def print_controlled(console: Console, controlled: Controlled, explain: bool = False) -> None:

@@ -13,12 +13,12 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, cast, final
 
+from manip_learn.commands.guided_frame import choose_frame
 from manip_learn.commands.options import TeachOptions
-from manip_learn.errors import ConfigurationError, OutputError
+from manip_learn.errors import OutputError
 from manip_learn.recordings.trajectory_source import Progress
 from manip_learn.robot import Robot
 from manip_learn.robot.description.catalogue import known_as
-from manip_learn.robot.tips import likely_tips
 
 if TYPE_CHECKING:
     from manip_learn.teach.session import TeachingSession
@@ -53,7 +53,7 @@ def teach(options: TeachOptions, progress: Progress) -> Taught:
     """Serve the page until it is closed.
 
     Raises:
-        ConfigurationError: No tip, or a robot that cannot be taught in simulation.
+        ManipLearnError: No tip or several, or a robot that cannot be taught in simulation.
         MissingExtraError: MuJoCo is not installed.
         OutputError: The server does not start, or the folder cannot be written to.
     """
@@ -96,11 +96,7 @@ def teach(options: TeachOptions, progress: Progress) -> Taught:
 def _arm(options: TeachOptions) -> tuple[Robot, str]:
     """The robot with the joints locked that do not move its tip, and that tip."""
     robot = options.loading.load(options.robot)
-    tips = [robot.frame(options.frame).name] if options.frame is not None else list(likely_tips(robot))
-    if len(tips) != 1:
-        shown = ", ".join(tips[:6]) or "none of its frames looks like a tip"
-        raise ConfigurationError(f"say with --frame which frame of {robot.name!r} takes hold: {shown}")
-    tip = tips[0]
+    tip = choose_frame(robot, options.frame)
     idle = [name for name in robot.joint_names if not robot.moves(name, tip)]
     if idle:
         robot = options.loading.load(options.robot, {**robot.locked, **dict.fromkeys(idle)})

@@ -413,7 +413,7 @@ def read_constraint_file(path: Path) -> dict[str, Any]:
         return json.loads(path.read_bytes())
     except (ValueError, RecursionError) as error:
         raise ConstraintMismatchError(
-            f"{path} is not a constraint file, it is not JSON: name the file that `learn --out` or save() wrote"
+            f"{path} is not a constraint file, it is not JSON: name what `manip-learn learn --out FILE` or save() wrote"
         ) from error
     except OSError as error:
         raise ConstraintMismatchError(f"cannot read {path}: {error.strerror}") from error

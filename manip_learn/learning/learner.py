@@ -21,6 +21,7 @@ from manip_learn.errors import (
     NotIdentifiableError,
     NumberOfConstraintsError,
     RecordingError,
+    advice,
     an,
     listed,
 )
@@ -133,9 +134,11 @@ class ConstraintLearner:
     ):
         for name, value in (("phases", phases), ("mechanism", mechanism)):
             if value not in SWITCHES:
-                raise FeatureError(f"{name} must be 'auto' or 'off', not {value!r}")
+                asked = advice("{}", name, f"--{name}") or name
+                raise FeatureError(f"{asked} must be 'auto' or 'off', not {value!r}")
         if estimator not in ESTIMATORS:
-            raise FeatureError(f"estimator must be one of {', '.join(ESTIMATORS)}, not {estimator!r}")
+            asked = advice("{}", "estimator", "--estimator") or "estimator"
+            raise FeatureError(f"{asked} must be one of {', '.join(ESTIMATORS)}, not {estimator!r}")
         self.features = features
         self.n_constraints = n_constraints
         self.estimator: EstimatorName = estimator

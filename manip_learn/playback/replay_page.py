@@ -303,6 +303,8 @@ def replay(
     data = scene_data(robot, tree, looks, tip_name, motions, chosen_colours, all_notes, kinds, drawings)
     evidence = evidence_of(learnt) if learnt else None
     data["evidence"] = evidence
+    origins = (g.constraint.provenance.get("made") for g in guided.values() if g.constraint is not None)
+    data["made"] = next(filter(None, origins), None)
     data["done"] = [row for motion in motions for row in _done(motion, named[motion.name], len(named) > 1)]
     recorded = all(isinstance(r, Trajectory) for r in named.values())
     data["choice"] = (

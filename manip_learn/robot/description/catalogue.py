@@ -106,7 +106,7 @@ def _fetched(name: str) -> Path:
         RobotError: It cannot be fetched.
         MissingExtraError: It has to be expanded, and xacrodoc is not installed.
     """
-    from git.exc import GitError  # robot_descriptions depends on it
+    from git.exc import GitError  # type: ignore[import-not-found]  # of GitPython, which robot_descriptions needs
 
     other, arguments = VARIANTS.get(name, (name, {}))
     try:

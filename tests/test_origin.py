@@ -1,0 +1,74 @@
+"""Where an answer comes from can be read off everything that is made of it."""
+
+from __future__ import annotations
+
+import hashlib
+import re
+import subprocess
+from datetime import UTC, datetime, timedelta
+from pathlib import Path
+
+import numpy as np
+import pytest
+from test_playback import data_in
+
+import manip_learn as ml
+from manip_learn.learning import origin
+
+ROOT = Path(__file__).resolve().parents[1]
+FILES = sorted((ROOT / "examples" / "data" / "sawyer_drawer").glob("*.csv"))[:3]
+
+
+@pytest.fixture(scope="module")
+def learner() -> ml.ConstraintLearner:
+    """The drawer, from three files, with settings of its own."""
+    robot = ml.load_robot("sawyer")
+    features = ml.FrameJacobian(robot, "right_gripper_tip", axes="xyz")
+    learner = ml.ConstraintLearner(features, zeros=0.2, seed=np.int64(4))  # type: ignore[arg-type]
+    return learner.fit(ml.load_demonstrations(FILES, robot))
+
+
+def test_a_constraint_says_what_made_it(learner, tmp_path):
+    """Version, date, each recording with the SHA-256 of its file, and the settings; the file keeps them."""
+    loaded = ml.Constraint.load(learner.skill_.save(tmp_path / "task.json"), learner.constraint_.robot)
+    made = loaded.provenance["made"]
+    digests = {file.name: hashlib.sha256(file.read_bytes()).hexdigest() for file in FILES}
+    assert {entry["name"]: entry["sha256"] for entry in made["recordings"]} == digests
+    assert timedelta(0) <= datetime.now(UTC) - datetime.fromisoformat(made["date"]) < timedelta(hours=1)
+    assert made["version"].startswith(origin.version()) and re.match(r"\d+\.\d+\.\d+", made["version"])
+    assert made["settings"]["zeros"] == 0.2 and made["settings"]["seed"] == 4
+    assert made["settings"]["estimator"] == "auto" and "features" not in made["settings"]
+
+
+def test_what_is_made_of_it_carries_it(learner, tmp_path):
+    """A rollout, a plan and a page."""
+    constraint = learner.constraint_
+    made, start = constraint.provenance["made"], constraint.provenance["postures"][0]
+    task = ml.motion(constraint)
+    run = ml.simulate(constraint.robot, ml.ResolvedRateController(constraint, task), start, duration=0.05)
+    kept = ml.Rollout.load(run.save(tmp_path / "run.npz"))
+    planned = ml.plan(constraint, task, start, seed=0)
+    for rollout in (kept, planned.rollout):
+        assert rollout.constraint is not None and rollout.constraint["provenance"]["made"] == made
+    ml.replay(constraint.robot, {"run": kept}, tmp_path / "run.html", open_browser=False)
+    assert data_in(tmp_path / "run.html")["made"] == made
+
+
+def test_numbers_have_a_checksum_too(learner):
+    """Arrays, and parts of a recording: the numbers count for the first, the file for the second."""
+    robot = learner.constraint_.robot
+    (demo,) = ml.load_demonstrations(FILES[0], robot)
+    assert origin.checksum(demo[0.1:0.5]) == hashlib.sha256(FILES[0].read_bytes()).hexdigest()
+    array = ml.Trajectory(demo.time, demo.q)
+    other = ml.Trajectory(demo.time, demo.q + 1e-9)
+    assert origin.checksum(array) == origin.checksum(ml.Trajectory(demo.time.copy(), demo.q.copy()))
+    assert len({origin.checksum(t) for t in (demo, array, other)}) == 3
+
+
+def test_a_checkout_names_its_commit():
+    """The commit that is checked out, or that it was changed since; without a checkout the number alone."""
+    if not (ROOT / ".git").exists():
+        pytest.skip("no checkout")
+    head = subprocess.run(["git", "-C", ROOT, "rev-parse", "HEAD"], capture_output=True, text=True).stdout
+    said = origin.version().partition("+")[2].removesuffix("-dirty")
+    assert said and head.startswith(said)
