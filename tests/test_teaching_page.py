@@ -701,6 +701,9 @@ def test_ghosts_are_played_beside_the_arm(program, page):
     page.locator("#ghost-ends button").last.click()
     wait_until(page, "!document.getElementById('labels').innerText.includes('without: 9.3')")
     assert "9.3 of 20.0 cm" in page.locator("#ghost-ends").inner_text()
+    program.put("ghosts", {"number": 2, "kind": "replay", "rollouts": [
+        ghost | {"name": "motion", "ended": "", "curve": "", "curveTimes": "", "colour": "#d55e00"}]})  # fmt: skip
+    wait_until(page, "document.querySelectorAll('#ghost-ends button').length === 1")
     page.locator("#no-ghosts").click()
     until(page, lambda: program.last("ghosts") == {"do": "ghosts", "show": False}, "not removed")
     program.put("ghosts", None)
