@@ -13,6 +13,8 @@ import sys
 import textwrap
 import threading
 import time
+import webbrowser
+from pathlib import Path
 from urllib.parse import quote, urlsplit
 
 import numpy as np
@@ -149,6 +151,18 @@ def test_dead_server_does_not_stop_the_program(viewer):
     viewer.close()
     viewer.close()
     viewer.show(np.zeros(3))
+
+
+def test_the_address_is_in_no_command_line(robot_of, monkeypatch):
+    """The browser is given a file that only this user can read and that leads to the page; it goes with the viewer."""
+    opened: list[str] = []
+    monkeypatch.setattr(webbrowser, "open", opened.append)
+    with LiveViewer(robot_of("planar3")) as viewer:
+        (file,) = (Path(urlsplit(one).path) for one in opened)
+        token = urlsplit(viewer.url).path.strip("/")
+        assert viewer.url in file.read_text() and token not in opened[0]
+        assert file.parent.stat().st_mode & 0o077 == 0
+    assert not file.parent.exists()
 
 
 def test_bad_postures_are_refused(viewer):

@@ -107,7 +107,8 @@ def errors_of(person: Person) -> dict[str, float]:
 @pytest.mark.parametrize("kind", ["drawer", "loose-door", "screw"])
 def test_a_task_shown_by_hand_is_understood_and_done(sawyer, tmp_path, kind):
     """Five unsteady demonstrations give the axis to 0.5 degrees, a door's and a screw's to 1 degree and 5 mm; the arm
-    then goes to the handle and does all of the way by itself, and what it moved is moved so far.
+    then goes to the handle and does all of the way by itself, and what it moved is moved so far. For the drawer a start
+    is found from which doing without the learnt manipulability fails, with its centimetres.
     """
     moved: list[float] = []
 
@@ -116,6 +117,9 @@ def test_a_task_shown_by_hand_is_understood_and_done(sawyer, tmp_path, kind):
         yield from done(person, do="home")
         yield from done(person, do="run", policy="manipulability")
         moved.append(person.pose["opening"][0])
+        if kind == "drawer":
+            yield from person.press(do="compare")
+            yield from person.wait_for(lambda: person.slots["ghosts"] is not None, 1e5)
 
     person, session = taught(sawyer, kind, 11, tmp_path, script)
     answer, off = person.state["answer"], errors_of(person)
@@ -126,6 +130,9 @@ def test_a_task_shown_by_hand_is_understood_and_done(sawyer, tmp_path, kind):
     assert abs(moved[0]) == pytest.approx(ran["done"], rel=0.05)
     assert all(one["phases"] for one in person.state["recordings"])
     assert person.state["keep"] == str(session.folder) and (session.folder / "constraint.json").exists()
+    if kind == "drawer":
+        with_it, without = person.slots["ghosts"]["rollouts"]
+        assert (with_it["failed"], without["failed"]) == (False, True) and " cm, stopped by " in without["ended"]
 
 
 def test_nothing_is_claimed_in_free_space_and_two_recordings_are_too_few(sawyer, tmp_path):
@@ -213,8 +220,7 @@ def test_a_person_who_pushes_is_noticed_and_the_way_can_be_changed(sawyer, tmp_p
     assert not seen["tripped"]["ordered"] and "from where it was sent" in seen["tripped"]["ended"]
     named = [one["name"] for one in person.slots["ghosts"]["rollouts"]]
     assert named == ["with", "without"]
-    assert person.slots["ghosts"]["rollouts"][1]["failed"] and not person.slots["ghosts"]["rollouts"][0]["failed"]
-    assert "Without the learnt manipulability" in person.state["said"]
+    assert "Without the learnt manipulability" in person.state["said"] or "none was found" in person.state["said"]
 
 
 def test_recordings_are_renamed_deleted_replayed_and_dropped(sawyer, tmp_path, robot_of):

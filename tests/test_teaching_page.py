@@ -147,11 +147,12 @@ class Program:
             handler.end_headers()
             self.stream(handler, page)
         else:
-            body = self.page if path == f"/{TOKEN}/" else b"a file"
+            body = self.page if path == f"/{TOKEN}/" else b"" if path.endswith(".js") else b"a file"
+            kind = "text/html" if body is self.page else "text/csv" if body else "text/javascript"
             handler.send_response(200)
-            handler.send_header("Content-Type", "text/html; charset=utf-8" if body is self.page else "text/csv")
+            handler.send_header("Content-Type", f"{kind}; charset=utf-8")
             handler.send_header("Content-Length", str(len(body)))
-            if body is not self.page:
+            if kind == "text/csv":
                 handler.send_header("Content-Disposition", "attachment")
             handler.end_headers()
             handler.wfile.write(body)
@@ -613,6 +614,7 @@ def test_the_tour_is_a_line_of_the_panel_and_an_end_is_told(chromium, robot_of):
         wait_until(page, "document.getElementById('hand-hint').checkVisibility()")
         assert "That turned the view" in page.locator("#hand-hint").inner_text()
         drag(page, (20, 0))
+        program.pose(FARTHER)
         until(page, lambda: "2 of 5" in tour.inner_text(), "the first step is not done by a pull")
         assert page.evaluate("document.getElementById('tour').classList.contains('brief')")
         page.mouse.up()
@@ -701,6 +703,9 @@ def test_ghosts_are_played_beside_the_arm(program, page):
     page.locator("#ghost-ends button").last.click()
     wait_until(page, "!document.getElementById('labels').innerText.includes('without: 9.3')")
     assert "9.3 of 20.0 cm" in page.locator("#ghost-ends").inner_text()
+    program.put("ghosts", {"number": 2, "kind": "replay", "rollouts": [
+        ghost | {"name": "motion", "ended": "", "curve": "", "curveTimes": "", "colour": "#d55e00"}]})  # fmt: skip
+    wait_until(page, "document.querySelectorAll('#ghost-ends button').length === 1")
     page.locator("#no-ghosts").click()
     until(page, lambda: program.last("ghosts") == {"do": "ghosts", "show": False}, "not removed")
     program.put("ghosts", None)

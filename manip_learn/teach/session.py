@@ -6,10 +6,9 @@ import json
 import queue
 import re
 import time
-from collections.abc import Callable, Iterator, Mapping
-from contextlib import contextmanager
+from collections.abc import Callable, Mapping
 from pathlib import Path
-from typing import Any, Protocol, final
+from typing import Any, Protocol, cast, final
 
 import numpy as np
 from jaxtyping import Float
@@ -152,21 +151,13 @@ class TeachingSession:
                     while self._mode is None and not self._ended:
                         self.arm.wait()
                     continue
-                with self._refusals():
+                try:
                     mode()
+                except ManipLearnError as refusal:
+                    self._say(str(refusal), wrong=True)
         finally:
             self._show("ended", True)
             self._worker.close()
-
-    @contextmanager
-    def _refusals(self) -> Iterator[None]:
-        """What is refused within it is said on the page."""
-        try:
-            yield
-        except ManipLearnError as refusal:
-            self._say(str(refusal), wrong=True)
-        except (KeyError, TypeError, ValueError, OverflowError, OSError) as error:
-            self._say(f"The page asked in a way that is not understood: {error}", wrong=True)
 
     def _period(self) -> None:
         """Between two periods of the physics."""
@@ -220,15 +211,19 @@ class TeachingSession:
         act = self._acts.get(str(do))
         if act is None or (page != self._leader and self._pages):
             return
-        with self._refusals():
+        try:
             act(said)
+        except ManipLearnError as refusal:
+            self._say(str(refusal), wrong=True)
+        except (KeyError, TypeError, ValueError, OSError) as error:
+            self._say(f"The page asked for {do!r} in a way that is not understood: {error}", wrong=True)
 
     def _buttons(self) -> dict[str, Callable[[Mapping[str, Any]], None]]:
         return {
             "pull": self._pull,
             "release": lambda _: self.arm.let_go(),
             "grip": self._grip,
-            "scene": lambda said: self._begin(lambda: self._place(said["kind"])),
+            "scene": lambda said: self._begin(lambda kind=str(said["kind"]): self._place(cast(Kind, kind))),
             "home": lambda _: self._begin(self._home),
             "record": lambda _: self._start_or_stop(),
             "rename": self._rename,
@@ -237,7 +232,7 @@ class TeachingSession:
             "ghosts": lambda _: self._show("ghosts", None),
             "learn": lambda _: self._learn(),
             "truth": lambda said: setattr(self, "_truth_shown", bool(said["show"])),
-            "run": lambda said: self._begin(lambda: self._run(said)),
+            "run": self._start,
             "way": self._set_way,
             "target": self._target,
             "disturb": lambda said: self.arm.disturb("elbow" if said["what"] == "elbow" else "hand", self._rng),
@@ -494,17 +489,20 @@ class TeachingSession:
         """The way that the slider changes: the first one."""
         return self._ways[0] if self._ways else None
 
-    def _run(self, said: Mapping[str, Any]) -> None:
-        """Every way in the order shown: take hold where it was shown, and go as far under the learnt constraint."""
+    def _start(self, said: Mapping[str, Any]) -> None:
         if self._way is None:
             self._say("There is no way to do yet: learn from recordings that hold something and move it.", wrong=True)
             return
         self._way.set(float(said.get("along", said.get("turn", self._way.value))))
-        policy = str(said.get("policy", "manipulability"))
+        policy, planned = str(said.get("policy", "manipulability")), bool(said.get("plan"))
+        self._begin(lambda: self._run(policy, planned))
+
+    def _run(self, policy: str, planned: bool) -> None:
+        """Every way in the order shown: take hold where it was shown, and go as far under the learnt constraint."""
         for way in self._ways:
             if way.number > 0:
                 self.arm.grip(False)  # what the way before moved
-            if self.arm.held is None and not self._take_hold(way, policy, bool(said.get("plan"))):
+            if self.arm.held is None and not self._take_hold(way, policy, planned):
                 return
             if way.shown.is_way and abs(way.value - way.at(self.arm.place)) < ARRIVES[way.unit]:
                 self._say("The hand is there already: move the slider.")

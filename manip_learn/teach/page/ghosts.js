@@ -15,6 +15,8 @@ class Ghosts {
     DARK.addEventListener("change", () => { for (const { instance } of this.rollouts) { instance.setSolid(false); teach.quality.plain(instance); } });
   }
 
+  get curves() { return this.rollouts.some(({ curve }) => curve.length); }
+
   // Where it ended, once it has.
   words(ghost) { return ghost && ghost.visible && ghost.ended && this.time >= ghost.duration ? `${ghost.name}: ${ghost.ended}` : ""; }
 
@@ -35,7 +37,8 @@ class Ghosts {
     this.most = Math.max(...this.rollouts.flatMap((r) => [...r.curve]));
     this.rows = this.rollouts.map((rollout) => this.row(rollout));
     get("ghost-ends").replaceChildren(...this.rows.map(({ item }) => item));
-    get("ghost-buttons").hidden = !this.rollouts.length;
+    get("ghosts").hidden = !this.rollouts.length;
+    get("ghosts").scrollIntoView({ block: "nearest" });
     this.play();
   }
 
@@ -65,7 +68,7 @@ class Ghosts {
   setTime(t) {
     this.time = t;
     for (const rollout of this.rollouts) rollout.instance.setValues(this.teach.show.valuesAt(rollout, t));
-    for (const { room, rollout } of this.rows) room.value = curveValue(rollout, t) / this.most;
+    for (const { room, rollout } of this.rows) if (rollout.curve.length) room.value = curveValue(rollout, t) / this.most;
     this.teach.stage.sortGhosts(this.rollouts.filter((r) => r.visible).map((r) => r.instance));
     this.teach.stage.dirty();
   }
@@ -75,6 +78,6 @@ class Ghosts {
     const elapsed = this.last === undefined ? 0 : Math.min((now - this.last) / 1000, 0.25);
     this.last = now;
     this.setTime(Math.min(this.time + elapsed, this.duration));
-    this.teach.chart.setTime(this.time);
+    if (this.curves) this.teach.chart.setTime(this.time);
   }
 }

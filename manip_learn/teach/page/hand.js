@@ -214,6 +214,10 @@ class Hand {
       Object.assign(held, { toHandle: null, called: false });
       return;
     }
+    if (held.called && !held.asked && pose.near === held.toHandle) { // also where it was opened a moment ago
+      held.asked = true;
+      this.teach.panel.grip();
+    }
     const away = place.clone().sub(held.to), most = GLIDE * Math.min(Math.max(pose.time - (this.glided ?? pose.time), 0.005), 0.1);
     this.glided = pose.time;
     held.to.add(away.clampLength(0, most));

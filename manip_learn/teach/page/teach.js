@@ -258,17 +258,17 @@ class Teach {
     const words = [weak && "The hand can hardly move this way.", touches.length && "The arm touches the furniture.", ...limit.map((name) => `${name} is at its limit.`)].filter(Boolean).join(" ");
     if (words !== this.warned) this.tell(words);
     this.warned = words;
-    if (this.changed && get("step-do").open && !(this.ghosts && this.ghosts.rollouts.length)) this.drawChart();
+    if (this.changed && get("step-do").open && !(this.ghosts && this.ghosts.curves)) this.drawChart();
   }
 
   // The manipulability of the ghosts, or else of the arm lately.
   drawChart() {
     this.changed = false;
-    const { rollout, chart } = this, ghosts = (this.ghosts && this.ghosts.rollouts) || [], last = rollout.duration;
-    if (ghosts.length) Object.assign(chart, { rollouts: ghosts, duration: this.ghosts.duration, start: 0 });
+    const { rollout, chart } = this, curves = this.ghosts && this.ghosts.curves, last = rollout.duration;
+    if (curves) Object.assign(chart, { rollouts: this.ghosts.rollouts, duration: this.ghosts.duration, start: 0 });
     else Object.assign(chart, { rollouts: this.show.rollouts, duration: LIVE_SECONDS, start: Math.max(0, last - LIVE_SECONDS) });
     chart.draw();
-    chart.setTime(ghosts.length ? this.ghosts.time : last);
+    chart.setTime(curves ? this.ghosts.time : last);
   }
 
   // Around the tip, and around the handle until something has been moved.
