@@ -167,6 +167,7 @@ def test_time_obeys_keys_speed_and_curve(robot_of, address, opened):
     ):
         page.keyboard.press(key)
         assert now() == pytest.approx(expected, abs=1e-9), key
+    page.keyboard.press("Home")
     for playing in (True, False):
         page.keyboard.press("Space")
         assert page.evaluate("manipLearn.playing") is playing
@@ -205,9 +206,10 @@ def test_it_plays_once_and_keys_work_after_clicks(address, opened):
         before = still.evaluate("manipLearn.time")
         still.keyboard.press("ArrowRight")
         assert still.evaluate("manipLearn.time") > before, button
-        for playing in (True, False):
-            still.keyboard.press("Space")
-            assert still.evaluate("manipLearn.playing") is playing, button
+        still.keyboard.press("Home")
+        still.keyboard.press("Space")
+        assert still.evaluate("manipLearn.playing"), button
+        still.evaluate("manipLearn.seek(0)")
     said = still.locator("body").inner_text()
     assert "plan" in said and not any(colour in said for colour in COLOURS)
 
@@ -443,7 +445,7 @@ def test_tracks_marks_and_cards_are_switched(drawer, rollout, address, opened):
     )
     assert len(cursors) == 3 and max(cursors) - min(cursors) < 1e-6
     sigma = page.evaluate("manipLearn.trackValues(manipLearn.time).singular.a")["σ1"]
-    assert float(page.locator("#tracks .value span").first.inner_text()) == pytest.approx(sigma, rel=1e-2)
+    assert float(page.locator("#tracks .value span").first.inner_text()) == float(f"{sigma:.2g}")
     page.locator("#track-choice summary").click()
     page.locator("[data-track=first]").uncheck()
     assert not page.locator("#chart").is_visible() and page.locator("#tracks .track").count() == 2
