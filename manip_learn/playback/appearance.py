@@ -26,7 +26,8 @@ Colour = tuple[float, float, float, float]
 PLAIN: Colour = (0.80, 0.83, 0.86, 1.0)
 DARK: Colour = (0.27, 0.31, 0.36, 1.0)  # caps of joints, beside links in the plain colour
 MAX_TRIANGLES = 60_000  # about 0.9 MB in the page
-FATTEST = 2.0  # own shapes that a shell takes the place of, in radii that the kinematics would give them
+# own shapes that a shell takes the place of: their largest half width in radii that the kinematics gives, and the share
+FATTEST, SLIMMEST = 2.0, 1.0 / 3.0  # of these that a thin one counts as, so that the grid of a shell finds it
 STRAIGHT = 0.9  # cosine between a bone and an axis that runs along it
 # of a joint, in radii of its bones: barrel (radius, half length), and what stands out of its ends: a ring, a cap in it
 BARREL, RING, CAP = (1.2, 1.25), (1.08, 1.37), (0.9, 1.45)
@@ -107,7 +108,7 @@ def shells(
         line = [a + within * (b - a) for a, b in (b.ends for b in bones(model, usual) if b.joint == i)]
         stood_for = [s for s in own if s.joint == i and line and _is_limb(s, np.concatenate(line), FATTEST * usual[i])]
         if stood_for:
-            radius[i] = np.mean([np.sort(s.half_extent())[1] for s in stood_for])
+            radius[i] = max(np.mean([np.sort(s.half_extent())[1] for s in stood_for]), SLIMMEST * usual[i])
             colours[i] = stood_for[0].colour
             kept = [s for s in kept if s not in stood_for]
             hands[i] = max((s.pose[:3, 3] for s in stood_for), key=lambda at: float(np.linalg.norm(at)))

@@ -15,12 +15,13 @@ from manip_learn.robot.visuals.meshes import Mesh
 
 Points = Float[np.ndarray, "P 3"]
 Distance = Callable[[Points], Float[np.ndarray, " P"]]  # [m], negative inside
-CELLS = 4.5  # of the grid in the slimmest radius: rounds of 28 corners
+CELLS = 4.0  # of the grid in the slimmest radius: rounds of 25 corners
 FILLET = 0.6  # reach of the fillets where bodies meet, share of the slimmest radius
 ROUNDED = 0.35  # radius of the edges of barrels, share of their radius
-MOST_CELLS = 200  # along the longest side, of links that are long and slim
+MOST_CELLS = 240  # along the longest side, of links that are long and slim
 BLOCK = 6  # cells along the side of a block that is asked about as a whole
-NEWTON_STEPS = 4  # from the middle of a cell, half a cell away, to the surface
+STEPS = 3  # of Newton's method, from the middle of a cell, half a cell away, to the surface
+SPREADS = 2  # further ones, before each of which the vertices are spread evenly
 
 
 @final
@@ -91,12 +92,6 @@ def shell(bodies: Sequence[Body]) -> Mesh:
     crossed = np.any(corners, axis=0) & ~np.all(corners, axis=0)
     number = np.full(crossed.shape, -1)
     number[crossed] = np.arange(crossed.sum())
-    vertices = low + cell * (np.argwhere(crossed) + 0.5)
-    aside = 0.05 * cell * np.eye(3)
-    for _ in range(NEWTON_STEPS):
-        slope = np.column_stack([distance(vertices + d) - distance(vertices - d) for d in aside]) / (0.1 * cell)
-        step = distance(vertices) / np.maximum(np.einsum("ij,ij->i", slope, slope), 0.25)  # 1, and less in an edge
-        vertices = vertices - np.clip(step[:, None] * slope, -0.5 * cell, 0.5 * cell)
     faces = []
     for axis in range(3):  # around each edge of the grid that goes through the surface are four cells
         here, there = (np.take(inside, range(k, n[axis] + k), axis) for k in (0, 1))
@@ -105,7 +100,21 @@ def shell(bodies: Sequence[Body]) -> Mesh:
         leaves = here[tuple(edges.T)][:, None]
         quads = np.where(leaves, np.column_stack([a, b, c, d]), np.column_stack([a, d, c, b]))
         faces += [quads[:, [0, 1, 2]], quads[:, [0, 2, 3]]]
-    return Mesh(vertices, np.concatenate(faces))
+    triangles = np.concatenate(faces)
+    vertices, aside = low + cell * (np.argwhere(crossed) + 0.5), 0.05 * cell * np.eye(3)
+    for k in range(STEPS + SPREADS):  # Newton's method takes them to the surface
+        vertices = vertices if k < STEPS else _spread(vertices, triangles)
+        slope = np.column_stack([distance(vertices + d) - distance(vertices - d) for d in aside]) / (0.1 * cell)
+        step = distance(vertices) / np.maximum(np.einsum("ij,ij->i", slope, slope), 0.25)  # 1, and less in an edge
+        vertices = vertices - np.clip(step[:, None] * slope, -0.5 * cell, 0.5 * cell)
+    return Mesh(vertices, triangles)
+
+
+def _spread(vertices: Points, triangles: Int[np.ndarray, "F 3"]) -> Points:
+    """Each vertex in the middle of its neighbours: light on evenly spaced ones shows no pattern."""
+    start, end = triangles.reshape(-1), np.roll(triangles, -1, axis=1).reshape(-1)
+    count = np.bincount(start, minlength=len(vertices))[:, None]
+    return np.column_stack([np.bincount(start, vertices[end, k], len(vertices)) for k in range(3)]) / count
 
 
 def _inside(distance: Distance, low: Float[np.ndarray, " 3"], cell: float, count: Int[np.ndarray, " 3"]) -> np.ndarray:

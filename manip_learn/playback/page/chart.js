@@ -50,8 +50,29 @@ function wireSeek(element, seek) {
   element.addEventListener("pointerup", (event) => { if (from && across(event) + down(event) < TAP) seek(event); from = null; });
 }
 
-class Chart {
+// Whole powers of ten around values, at most twelve of them.
+function decades(low, high) {
+  return [Math.pow(10, Math.floor(Math.log10(Math.max(low, 1e-12 * high)))), Math.pow(10, Math.ceil(Math.log10(high) + 1e-9))];
+}
+
+// Values between `top` and `bottom` [px], over the range from the lowest to the highest, or over its powers of ten.
+class ValueAxis {
+  y(value) {
+    const [low, high] = this.range, of = (v) => (this.logarithmic ? Math.log10(Math.max(v, low)) : v);
+    return this.bottom - ((of(value) - of(low)) / (of(high) - of(low))) * (this.bottom - this.top);
+  }
+
+  ticks(most) {
+    if (!this.logarithmic) return niceTicks(...this.range, most);
+    const [low, high] = this.range.map((v) => Math.round(Math.log10(v))), every = Math.max(1, Math.ceil((high - low) / most)), found = [];
+    for (let k = low; k <= high; k += every) found.push(Math.pow(10, k));
+    return found;
+  }
+}
+
+class Chart extends ValueAxis {
   constructor(element, rollouts, duration, onSeek) {
+    super();
     Object.assign(this, { element, rollouts, duration, onSeek, logarithmic: false, start: 0 });
     this.styles = new Map();
     new ResizeObserver(() => this.draw()).observe(element);
@@ -81,11 +102,6 @@ class Chart {
 
   x(t) { return this.left + ((t - this.start) / Math.max(this.duration, 1e-9)) * (this.right - this.left); }
 
-  y(value) {
-    const [low, high] = this.range, of = (v) => (this.logarithmic ? Math.log10(Math.max(v, low)) : v);
-    return this.bottom - ((of(value) - of(low)) / (of(high) - of(low))) * (this.bottom - this.top);
-  }
-
   findRange(curves) {
     let high = 0, low = Infinity, least = Infinity;
     for (const { curve } of curves)
@@ -95,17 +111,7 @@ class Chart {
         if (v > 0 && v < low) low = v;
       }
     if (high <= 0) return [Math.min(least, 0), 1];
-    if (!this.logarithmic) return [Math.min(least, 0), 1.06 * high];
-    low = Math.max(low, 1e-12 * high);
-    return [Math.pow(10, Math.floor(Math.log10(low))), Math.pow(10, Math.ceil(Math.log10(high) + 1e-9))];
-  }
-
-  ticksY() {
-    if (!this.logarithmic) return niceTicks(...this.range, Math.max(2, (this.bottom - this.top) / 30));
-    const [low, high] = this.range.map(Math.log10), every = Math.max(1, Math.ceil((high - low) / Math.max(2, (this.bottom - this.top) / 24)));
-    const ticks = [];
-    for (let k = Math.round(low); k <= high + 1e-9; k += every) ticks.push(Math.pow(10, k));
-    return ticks;
+    return this.logarithmic ? decades(low, high) : [Math.min(least, 0), 1.06 * high];
   }
 
   draw() {
@@ -153,7 +159,7 @@ class Chart {
 
   drawAxes(root, h, below) {
     const bare = !this.curves.length && this.bottom < 10;
-    for (const v of bare ? [] : this.ticksY()) {
+    for (const v of bare ? [] : this.ticks(Math.max(2, (this.bottom - this.top) / 30))) {
       const y = this.y(v);
       svg("line", { x1: this.left, x2: this.right, y1: y, y2: y, stroke: "var(--grid)" }, root);
       svg("text", { x: this.left - 8, y: y + 4, "text-anchor": "end" }, root).textContent = short(v);

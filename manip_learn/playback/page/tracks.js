@@ -105,8 +105,9 @@ class Tracks {
   }
 }
 
-class TrackRow {
+class TrackRow extends ValueAxis {
   constructor(kind, rollouts, chart, named) {
+    super();
     Object.assign(this, { kind, rollouts, chart, form: TRACKS[kind] });
     this.curves = rollouts.flatMap((r) => r.byKind.get(kind).curves.map((curve, k) => ({ curve, rollout: r, k, own: this.form.of === "all" })));
     this.unit = rollouts.length ? rollouts[0].byKind.get(kind).unit.replace("limit", "") : "";
@@ -152,28 +153,11 @@ class TrackRow {
         if (v > 0 && v < least) least = v;
       }
     if (!(high > -Infinity)) return [0, 1];
-    if (this.logarithmic && high > 0) {
-      least = Math.max(least, 1e-12 * high);
-      return [Math.pow(10, Math.floor(Math.log10(least))), Math.pow(10, Math.ceil(Math.log10(high) + 1e-9))];
-    }
+    if (this.logarithmic && high > 0) return decades(least, high);
     if (low > 0 && this.form.low === undefined) low = 0;
     high = Math.max(high, this.form.least || 0);
     const room = 0.06 * (high - low || Math.abs(high) || 1);
     return [low < (this.form.low ?? 0) || this.form.limits ? low - room : low, high + room];
-  }
-
-  y(value) {
-    const [low, high] = this.range, of = (v) => (this.logarithmic ? Math.log10(Math.max(v, low)) : v);
-    return this.bottom - ((of(value) - of(low)) / (of(high) - of(low))) * (this.bottom - this.top);
-  }
-
-  ticks() {
-    if (this.form.limits) return this.form.limits[0] < 0 ? [-1, 0, 1] : [0, 0.5, 1];
-    const [low, high] = this.range;
-    if (!this.logarithmic) return niceTicks(low, high, 3);
-    const from = Math.round(Math.log10(low)), to = Math.round(Math.log10(high)), every = Math.max(1, Math.ceil((to - from) / 3)), found = [];
-    for (let k = from; k <= to; k += every) found.push(Math.pow(10, k));
-    return found;
   }
 
   draw() {
@@ -182,7 +166,7 @@ class TrackRow {
     const { left, right } = this.chart.edges(w);
     Object.assign(this, { top: 6, bottom: TRACK_HEIGHT - 8, range: this.findRange() });
     const root = svg("svg", { width: w, height: TRACK_HEIGHT, "aria-hidden": "true" });
-    for (const v of this.ticks()) {
+    for (const v of this.form.limits ? (this.form.limits[0] < 0 ? [-1, 0, 1] : [0, 0.5, 1]) : this.ticks(3)) {
       const y = this.y(v), limit = (this.form.limits || []).includes(v);
       svg("line", { x1: left, x2: right, y1: y, y2: y, class: limit ? "limit" : "grid" }, root);
       svg("text", { x: left - 8, y: y + 4, "text-anchor": "end" }, root).textContent = this.form.percent ? `${Math.round(100 * v)} %` : short(v);
