@@ -102,6 +102,9 @@ def run(
     duration or the caller's reason, the driver's `hold()` is then called, if it has one. A reading that is wrong once
     brakes the arm and does not end the run. Python's garbage collector rests meanwhile.
 
+    A driver that reads other joints, units or senses than it commands is told by its arm: a first reading outside the
+    limits, or an arm that goes off while it is sent to where it is, ends the run at once, and nothing more is sent.
+
     The signals are Ctrl-C, SIGTERM and SIGHUP (a stopped container, a closed terminal). After Ctrl-C the run returns.
     After the other two the program ends, by `SystemExit` with 128 and the number of the signal; where it has a handler
     of its own for the signal, that is called and the run returns. A call of the driver that blocks is waited for. A

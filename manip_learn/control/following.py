@@ -385,12 +385,12 @@ class FollowingError:
         gone = float(step.dot(step))
         # by more than noise, and not behind by a delay that is not known yet
         goes = self.servos.is_known and gone > 0.0 and float(sent.dot(sent)) > RESOLUTION * RESOLUTION
-        lacks = J.dot(self._found[1, self._row - ago] - self.distance)
-        taken = float(lacks.dot(step)) / gone if goes else math.nan  # share of its way that the hand lacks
+        gains = self.distance - self._found[1, self._row - ago]
+        taken = -float(J.dot(gains).dot(step)) / gone if goes else math.nan  # share of its way that the hand lacks
         # it rises until what is measured is seen, and, ever more slowly, until the arm stands
         ahead = self.servos.delay + 0.5 * float(np.max(np.abs(self._velocity) / self._acceleration))
-        rise *= min(max(ahead / (look * dt), 1.0), FARTHEST)
-        self.force, beside = self._force_of(excess + rise, C)
+        further = min(max(ahead / (look * dt), 1.0), FARTHEST)
+        self.force, beside = self._force_of(excess + further * rise, C)
         self._pushed = self.force.dot(C)
         force = math.sqrt(self.force.dot(self.force))
         if not self._velocity.any():
@@ -418,7 +418,7 @@ class FollowingError:
         if side > held and len(along):
             # on its way a hand presses a rail by what the arm is not equally stiff in all directions: nothing is wrong
             aside = np.linalg.svd(ways.T)[2][len(along) :]
-            off = aside.dot(J).dot(self.servos.raw + rise)  # by which the hand is off its way [m]
+            off = aside.dot(J).dot(self.servos.raw + further * gains)  # by which the hand is off its way [m]
             yields = aside.dot(C).dot(J.T).dot(aside.T) + ROUNDING * np.eye(len(off))
             side = min(side, float(np.linalg.norm(np.linalg.solve(yields, off))))
         if side > held + LEAKS * way:

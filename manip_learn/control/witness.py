@@ -98,4 +98,5 @@ class Witness:
             said += [f"{names[i]} moves the other way round" for i, j in pairs if both[i, j] < 0.0]
             said += [f"{scale:.3g} times as far as it is sent, as if in {unit} on one way"] if unit else []
             found = "; ".join(said)
-        return f"the arm moves otherwise than it is sent ({found}): the driver mixes up its joints" if found else ""
+        look = "look how the driver orders its joints, and in which units and senses"
+        return f"the arm moves otherwise than it is sent ({found}): {look}" if found else ""
