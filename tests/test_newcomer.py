@@ -47,6 +47,9 @@ WRITTEN: dict[str, tuple[Callable[[Hands], object], str]] = {
     "fit of a file's name": (lambda h: h.learner.fit("demo.csv"), "load_demonstrations('demo.csv', robot)"),
     "the robot in place of features": (lambda h: ml.ConstraintLearner(h.robot), "FrameJacobian(robot, frame="),
     "the answer before it is there": (lambda h: h.learner.constraint_, "call learner.fit(demonstrations) first"),
+    "the frame before the robot": (lambda h: ml.FrameJacobian("tip", h.robot), "FrameJacobian(robot, frame)"),
+    "the robot before the files": (lambda h: ml.load_demonstrations(h.robot, "demo.csv"), "(paths, robot)"),
+    "the length before the constraint": (lambda h: ml.motion(0.1, h.constraint), "motion(constraint, along="),
     "a policy that takes nothing": (
         lambda h: ml.ResolvedRateController(h.constraint, null_policy=lambda: 0),
         "write lambda q: ...",

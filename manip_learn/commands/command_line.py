@@ -9,6 +9,7 @@ import textwrap
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import contextmanager
 from contextvars import ContextVar
+from itertools import takewhile
 from pathlib import Path, PurePosixPath
 from typing import Annotated, Any, get_type_hints
 
@@ -48,7 +49,7 @@ def parsed_by(options: type, run: Callable[[Any], None]) -> Callable[..., None]:
     merged.append(inspect.Parameter(HELP_ALL, inspect.Parameter.KEYWORD_ONLY, default=False, annotation=HelpAll))
     with_options.__doc__, _, example = (inspect.getdoc(options) or "").partition("\n\n")
     with_options.__annotations__ = {}
-    first = next((names for name in sets for names in [list(own)[: list(own).index(name)]]), [q.name for q in merged])
+    first = takewhile(lambda name: name not in sets, own)
     headings = {flag: sets[name].HEADING for name, of in flags.items() for flag in of}
     told = {"headings": headings, "first": {*first, "help", HELP_ALL}, "example": example.strip()}
     vars(with_options).update(__signature__=inspect.Signature(merged), **told)

@@ -61,7 +61,9 @@ def vector(option: str, text: str | None) -> list[float] | None:
 RobotName = Annotated[
     str, Argument(metavar="ROBOT", help="A name (see `robots`) or a URDF file.", autocompletion=robot_completions)
 ]
-Recordings = Annotated[list[str], Argument(metavar="RECORDING...", help="Files, or a folder of them.")]
+Recordings = Annotated[
+    list[str], Argument(metavar="RECORDING...", help="Files, a folder of them, or shipped ones such as sawyer_drawer.")
+]
 ConstraintFile = Annotated[str, Argument(metavar="CONSTRAINT.JSON", help="Written by `learn --out`.")]
 Start = Annotated[
     str | None, Option(help="Joint positions [rad], e.g. 0.1,-0.5,0; default: the first posture that was shown.")

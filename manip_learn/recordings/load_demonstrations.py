@@ -9,7 +9,7 @@ from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import replace
 from typing import Literal, TypedDict, Unpack
 
-from manip_learn.errors import RecordingError, advice, closest_names, printable
+from manip_learn.errors import RecordingError, advice, an, closest_names, printable
 from manip_learn.recordings.data_frame import DataFrame, frames_as_files
 from manip_learn.recordings.demonstrations import Demonstrations
 from manip_learn.recordings.earned_velocities import Velocities, judged_in_turn
@@ -186,6 +186,8 @@ def folded(said: Iterable[tuple[str, str]], robot: Robot | None) -> list[str]:
 
 
 def _request(robot: Robot, options: ReadOptions) -> ReadRequest:
+    if not isinstance(robot, Robot):
+        raise RecordingError(f"call load_demonstrations(paths, robot): got {an(robot)} as the robot", code="type")
     fields = dict(options)
     degrees = fields.pop("degrees", False)
     unknown = sorted(set(fields) - set(ReadOptions.__annotations__))

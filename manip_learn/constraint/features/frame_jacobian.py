@@ -24,7 +24,7 @@ from jaxtyping import Float
 from numpy.typing import ArrayLike
 
 from manip_learn.constraint.features.feature_map import FeatureMap, Vjp, Weigh, parsed_rows
-from manip_learn.errors import FeatureError, TargetError
+from manip_learn.errors import FeatureError, TargetError, an
 from manip_learn.robot.batch.batch_kinematics import batch_kinematics
 from manip_learn.robot.robot import Reference, Robot
 from manip_learn.robot.rotations import left_jacobian, left_jacobian_inverse, rotation_matrix, rotation_vector, skew
@@ -289,6 +289,8 @@ class FrameJacobian(PoseRows):
     """
 
     def __init__(self, robot: Robot, frame: str, axes: str | Sequence[str] = "xyz", reference: Reference = "world"):
+        if not isinstance(robot, Robot):
+            raise FeatureError(f"call FrameJacobian(robot, frame): got {an(robot)} and {an(frame)}, in this order")
         if reference not in ("world", "local"):
             raise FeatureError(f"reference must be 'world' or 'local', not {reference!r}")
         super().__init__(robot, axes)

@@ -37,7 +37,7 @@ from manip_learn.control.tasks.driven_motion import (
 from manip_learn.control.tasks.motion_profile import MotionProfile, PathProfile
 from manip_learn.control.tasks.point_attractor import PointAttractor, Task
 from manip_learn.control.tasks.shown_places import ShownPlaces, shown_sense
-from manip_learn.errors import ConstraintError, ManipLearnError, TargetError, advice
+from manip_learn.errors import ConstraintError, ManipLearnError, TargetError, advice, an
 from manip_learn.linalg import finite
 from manip_learn.robot.robot import Robot
 
@@ -438,6 +438,8 @@ def motion(
     >>> ml.motion(drawer, along=0.3)
     FreeDirection(distance=0.3 m, speed=0.1 m/s)
     """
+    if not isinstance(constraint, Constraint):
+        raise TargetError(f"call motion(constraint, along=... | turn=...): got {an(constraint)} in its place")
     shown, known = constraint.shown, constraint.mechanism
     word = direction if isinstance(direction, str) and direction in ("shown", "back") else None
     again = along is None and turn is None
