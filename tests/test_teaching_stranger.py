@@ -36,8 +36,8 @@ class Stranger:
         return self.page.evaluate(f"manipLearnTeach.{what}")
 
     def until(self, what):
-        """Wait until something is so."""
-        wait_until(self.page, what)
+        """Wait until something is so; learning on a busy machine takes minutes."""
+        wait_until(self.page, what, 300.0)
 
     def press(self, name):
         """Press the large button, which says this and is wholly on the screen, with nothing over it."""

@@ -240,7 +240,7 @@ def answer_content(content: Mapping[str, Any]) -> dict[str, Any]:
     known = uncertain is not None and uncertain <= limit
     sure = known and not content["warned"]
     answer = content["answer"]
-    kind = LINES.get((answer["mechanism"] or {}).get("type"))
+    kind = LINES.get((answer["mechanism"] or {}).get("type", ""))
     return {
         **answer,
         "line": answer["sentence"]
