@@ -103,9 +103,10 @@ def shells(
     """
     model, within = robot.pinocchio_model, np.linspace(0.0, 1.0, 9)[:, None]
     usual = link_radii(model)
+    usually = bones(model, usual)
     radius, colours, kept, hands = usual.copy(), [PLAIN] * len(tree), list(own), dict[int, np.ndarray]()
     for i in range(len(tree)):
-        line = [a + within * (b - a) for a, b in (b.ends for b in bones(model, usual) if b.joint == i)]
+        line = [a + within * (b - a) for a, b in (b.ends for b in usually if b.joint == i)]
         stood_for = [s for s in own if s.joint == i and line and _is_limb(s, np.concatenate(line), FATTEST * usual[i])]
         if stood_for:
             radius[i] = max(np.mean([np.sort(s.half_extent())[1] for s in stood_for]), SLIMMEST * usual[i])

@@ -1,13 +1,13 @@
 // Words beside what is drawn in the scene; they stand in a column, with lines to what they mean.
 
-// [px]; a pixel of line is as bad as so many that are hidden; the place where they stand costs that share of what it
-// would elsewhere; and the share of a label that may hide something
-const LABEL = { aside: 44, apart: 21, edge: 6, line: 4, stays: 0.7, most: 0.5 };
+// [px]; a pixel of line is as bad as so many that are hidden; the place where they stand costs that share of what it would
+const LABEL = { aside: 44, apart: 21, edge: 6, line: 4, stays: 0.7 };
 const MECHANISM_WORDS = { line: "line that was learnt", hinge: "axis that was learnt", screw: "axis that was learnt", plane: "plane that was learnt", ball: "ball that was learnt" };
 
 class Labels {
-  constructor(stage) {
-    this.stage = stage;
+  // most: the share of a label that may hide something; one that has no better place is left out.
+  constructor(stage, most = Infinity) {
+    Object.assign(this, { stage, most });
     this.items = [];
     this.box = Object.assign(document.createElement("div"), { id: "labels" });
     this.box.setAttribute("aria-hidden", "true"); // the legend, the slider and the card Show say the same
@@ -78,7 +78,7 @@ class Labels {
     const best = places.reduce((a, b) => (b.cost < a.cost ? b : a));
     this.column = best.name;
     shown.forEach(({ element, line, x, y }, i) => {
-      const left = best.lefts[i], at = best.ys[i], inTheWay = best.hides[i] > LABEL.most * widths[i] * apart; // the legend and the card Show say it too
+      const left = best.lefts[i], at = best.ys[i], inTheWay = best.hides[i] > this.most * widths[i] * apart;
       element.style.visibility = line.style.visibility = inTheWay ? "hidden" : "";
       element.style.transform = `translate(${left.toFixed(1)}px, ${(at - apart / 2).toFixed(1)}px)`;
       for (const [name, value] of Object.entries({ x1: x, y1: y, x2: best.right ? left : left + widths[i], y2: at })) line.setAttribute(name, value.toFixed(1));
@@ -88,7 +88,8 @@ class Labels {
 
 // What the solid rollout's marks are, how far its drawer is open, and which line was learnt.
 function labelScene(show, on) {
-  const labels = new Labels(show.stage), drawn = () => (show.solid.visible && show.solid.drawn) || null;
+  // half: the legend and the card Show say it too
+  const labels = new Labels(show.stage, 0.5), drawn = () => (show.solid.visible && show.solid.drawn) || null;
   const mark = (name, ink, say) => labels.add(ink, () => (on[name] && drawn() && drawn().holds ? say(drawn()) : ""), () => drawn().anchors()[ink]);
   mark("constraint", "--free", (d) => (d.drawn.free.length ? "free to move" : "free to turn"));
   mark("constraint", "--held", (d) => (d.drawn.held.length ? "held" : "may not turn"));
