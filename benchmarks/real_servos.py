@@ -415,7 +415,7 @@ def main() -> None:
     for part in given.parts.split(","):
         table, file = PARTS[part]
         head, *rows = table(found)
-        put(head, rows, given.out and given.out / file)
+        put([str(word) for word in head], rows, given.out and given.out / file)
 
 
 if __name__ == "__main__":
