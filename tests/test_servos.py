@@ -76,6 +76,7 @@ def gone(loop: ml.ServoLoop, arm: Servos, seconds: float, force: object = 0.0) -
         ({"width": 0.003}, None),
         ({"width": 0.003, "late": 0.04}, 40.0),
         ({"noise": 2e-4}, None),
+        ({"late": 0.190}, 190.0),
     ],
 )
 def test_what_servos_do_is_no_force(servos: dict[str, float], said: float | None) -> None:
@@ -86,6 +87,13 @@ def test_what_servos_do_is_no_force(servos: dict[str, float], said: float | None
     assert "following-error" not in gone(loop, Servos(**servos), 4.0), loop.stopped_by
     notes = [float(note.split()[3]) for note in loop.notes if note.startswith("the arm follows")]
     assert notes == ([] if said is None else [pytest.approx(said, abs=8.0)])
+
+
+@pytest.mark.parametrize("late", [0.0, 0.05])
+def test_a_latency_that_is_told_is_the_most(late: float) -> None:
+    """An arm that follows at once, or less late than was told, goes its way."""
+    loop = way(latency=0.15)
+    assert "following-error" not in gone(loop, Servos(late=late), 4.0), loop.stopped_by
 
 
 def test_friction_hides_forces_and_says_which() -> None:

@@ -43,7 +43,7 @@ class Servos:
     Args:
         nv: Number of joints.
         dt: Period [s].
-        latency: By how much the arm may follow late [s]; None where that is measured.
+        latency: By how much the arm may follow late at the most [s]; None for `LATEST`.
         hidden: shape (nv,), largest widths [rad or m]; 0 where friction counts as a distance like any other.
 
     Attributes:
@@ -60,7 +60,7 @@ class Servos:
     """
 
     def __init__(self, nv: int, dt: float, latency: float | None, hidden: Float[np.ndarray, " nv"]):
-        self._dt, self._given, self._hidden = dt, latency, hidden
+        self._dt, self._hidden = dt, hidden
         self._size = math.ceil(((LATEST if latency is None else latency) + max(PACE, OFTEN)) / dt - 1e-9) + 3
         self._pace, self._often = max(1, round(PACE / dt)), max(1, round(OFTEN / dt))
         self._own = PACE / dt if hidden.any() else 0.0  # periods
@@ -228,18 +228,19 @@ class Servos:
             before, least, after = left[best - 1 : best + 2].tolist()
             bend = before - 2.0 * least + after
             place += 0.5 * (before - after) / bend if bend > 0.0 else 0.0
-        share, at = math.modf(place)
-        pace = self._own / float(self._lags[int(at) + 1] - self._lags[int(at)])
-        between = (1.0 - share) * sent[:, int(at)] + share * sent[:, int(at) + 1]
-        moves = (step[:, int(at)] != 0.0) & seen
+        at = min(int(place), len(self._lags) - 2)
+        share = place - at
+        pace = self._own / float(self._lags[at + 1] - self._lags[at])
+        between = (1.0 - share) * sent[:, at] + share * sent[:, at + 1]
+        moves = (step[:, at] != 0.0) & seen
         for j in np.flatnonzero(moves.sum(axis=0) >= FEWEST).tolist():
             rows = moves[:, j]
-            own = np.abs(sent[:, int(at), j] - sent[:, int(at) + 1, j]) * pace
-            lag = (step[:, int(at), j] * (between - y)[:, j])[rows]
+            own = np.abs(sent[:, at, j] - sent[:, at + 1, j]) * pace
+            lag = (step[:, at, j] * (between - y)[:, j])[rows]
             lag = np.sign(lag) * np.maximum(np.abs(lag) - own[rows], 0.0)
             least, self.friction[j], most = np.quantile(lag, (0.05, 0.5, 0.95)).tolist()
             self.width[j] = min(max(most, -least, 0.0) * (1.0 + KNOWN) + self.noise[j], self._hidden[j])
-            turns = np.unique(step[rows, int(at), j])
+            turns = np.unique(step[rows, at, j])
             self._sense[j] = turns[0] if len(turns) == 1 and most < DRY / HIDDEN * self._hidden[j] else 0.0
             self._least[j] = max(least * (1.0 - KNOWN) - self.noise[j], -self.width[j])
         self.friction = np.clip(self.friction, 0.0, self._hidden)
@@ -252,12 +253,9 @@ class Servos:
         self.is_known = True
         self._samples.clear()
         self._past.clear()
-        if self._given is None:
-            around = math.ceil(AROUND * lag) + 1
-            self._at, self.late = round(lag), lag * self._dt
-            self._window = max(0, self._at - around), min(self._window[1], self._at + around)
-        else:
-            self._at = sum(self._window) // 2
+        around = math.ceil(AROUND * lag) + 1
+        self._at, self.late = round(lag), lag * self._dt
+        self._window = max(0, self._at - around), min(self._window[1], self._at + around)
         least, most = self._window
         self._share = self._own / (most - least)
         nearer = self.width + self._least
