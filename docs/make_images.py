@@ -136,7 +136,7 @@ def main(folder: Path) -> None:
         browser = playwright.chromium.launch(executable_path=chromium, args=FLAGS)
         for picture in PICTURES:
             image = photograph(browser, picture, pages[picture.page]).convert("RGB")
-            fewer = image.quantize(128, Image.Quantize.MAXCOVERAGE, 4, dither=Image.Dither.NONE)
+            fewer = image.quantize(112, Image.Quantize.MAXCOVERAGE, 4, dither=Image.Dither.NONE)
             save(fewer, folder / f"{picture.name}.png", MOST_BYTES)
         alone = f"document.head.append(Object.assign(document.createElement('style'), {{ textContent: {ONLY_ARM!r} }}))"
         for name, address in write_arms(Path(scratch)).items():

@@ -221,7 +221,8 @@ def test_labels_stay_beside_the_arm_and_the_drawer(opening, address, opened):
         for t in (0.0, 0.6, 1.2):
             seek(page, t)
             wait_until(page, "document.querySelectorAll('#labels span:not([hidden])').length === 6")
-            boxes = [label.bounding_box() for label in page.locator("#labels span:visible").all()]
+            shown = page.locator("#labels span:visible")
+            boxes = shown.evaluate_all("all => all.map((label) => label.getBoundingClientRect().toJSON())")
             assert len(boxes) == 6 or width == 390
             lines = page.locator("#labels line").evaluate_all(
                 "all => all.map(l => [l.x1, l.y1].map(v => v.baseVal.value))"

@@ -155,7 +155,7 @@ def test_keys_are_listed_and_leave_the_focus_alone(plain, opened):
     assert page.evaluate("[document.activeElement.id, document.activeElement.value]") == ["speed", "2"]
     page.evaluate("manipLearn.seek(1)")
     said = page.locator("#scrub").get_attribute("aria-valuetext")
-    assert said == "1.00 s of 5.00 s, ok, manipulability 0.540"
+    assert said == "1.00 s of 5.00 s, ok, manipulability 0.54"
     least = page.locator("#chart").get_attribute("aria-label")
     assert "number 0: lowest manipulability" in least and "at 1.57 s" in least
 
