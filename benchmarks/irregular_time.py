@@ -70,7 +70,7 @@ def run(name: str, robot: ml.Robot, tip: str, cycles: int, jerk: float | None) -
     t, gap, shortest, sure = 0.0, PERIOD, PERIOD, 1  # calls in order before this one
 
     def note(kind: str, excess: np.ndarray) -> None:
-        worst[kind] = max(worst[kind], float(np.max(excess)))
+        worst[kind] = float(np.maximum(worst[kind], np.max(excess)))  # NaN, too
 
     for _ in range(cycles):
         if rng.random() < 1e-3:

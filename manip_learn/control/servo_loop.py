@@ -24,6 +24,7 @@ from manip_learn.control.limits import Bounds, Limits, bound_changes, farthest_p
 from manip_learn.control.tasks import PointAttractor, Task
 from manip_learn.errors import ConfigurationError, counted
 from manip_learn.linalg import finite
+from manip_learn.recordings.validation.motion_checks import far_outside
 from manip_learn.robot.robot import Robot
 
 _LOGGER = logging.getLogger("manip_learn")
@@ -462,7 +463,8 @@ class ServoLoop:
             self._earlier = time if measured is not None and time < self._time else math.nan
             self._waited += self.dt
             self.stopped_by = f"no time: {t!r:.40}" if measured is not None else f"no posture: {q!r:.200}"
-            self.stopped_by += "" if measured is not None else self._in_degrees(q)
+            if measured is None and (x := finite(q, self.robot.nv)) is not None and (far := far_outside(self.robot, x)):
+                self.stopped_by += f"; {far}"
             return self._braked(Status.INVALID_INPUT)
         if self._refused <= self.stale_after and (jump := self._jump(measured, time)):
             self._refused += self.dt
@@ -500,14 +502,6 @@ class ServoLoop:
         if self._waited > 0.0 and self._last is not None:
             return self._held(self._last)
         return self._sent_on(self._command(self._reference, self._clock(time), held), held)
-
-    def _in_degrees(self, q: Any) -> str:
-        """A hint, where numbers that are no posture would be one in degrees."""
-        values = finite(q, self.robot.nv)
-        if values is None:
-            return ""
-        x, low, high = np.radians(values), self.robot.position_lower - JUMP, self.robot.position_upper + JUMP
-        return "; in degrees? It is to be in radians" if np.all((x >= low) & (x <= high)) else ""
 
     def _jump(self, measured: np.ndarray, time: float) -> str:
         """How a joint has moved since the last reading that none can move so fast, in words; empty where it has not."""
