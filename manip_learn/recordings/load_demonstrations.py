@@ -97,8 +97,8 @@ def load_demonstrations(paths: Paths | Tables, robot: Robot, **options: Unpack[R
 
     Args:
         paths: A file, a folder of recordings of one format, or several of them; the name of recordings that come with
-            this package, e.g. `"sawyer_drawer"`; or a data frame of pandas with the
-            columns of a CSV file, or several (a column `trajectory` divides a frame).
+            this package, e.g. `"sawyer_drawer"`; or a data frame of pandas with the columns of a CSV file, or several
+            (a column `trajectory` divides a frame).
         robot: The robot whose joints are read; joints that the recordings lack must be locked in it.
         **options: See `ReadOptions`.
 

@@ -278,7 +278,7 @@ class FrameJacobian(PoseRows):
 
     Raises:
         UnknownNameError: No such frame; lists near matches.
-        FeatureError: Unknown axes or reference.
+        FeatureError: Unknown axes or reference, or arguments in another order.
 
     Example:
         >>> import manip_learn as ml
