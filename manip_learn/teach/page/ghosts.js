@@ -50,7 +50,7 @@ class Ghosts {
     button.setAttribute("aria-pressed", "true");
     room.setAttribute("aria-label", `Room left to ${rollout.name}`);
     room.hidden = !rollout.curve.length;
-    item.append(button, room, rollout.ended);
+    item.append(button, room, Object.assign(document.createElement("span"), { textContent: rollout.ended }));
     button.addEventListener("click", () => {
       rollout.visible = rollout.instance.root.visible = !rollout.visible;
       button.setAttribute("aria-pressed", String(rollout.visible));

@@ -112,7 +112,6 @@ class Teach {
     if (!this.panel) return;
     const lost = !this.link.open, { allowed } = this;
     get("controls").disabled = get("grip").disabled = get("by-keys").disabled = !allowed;
-    document.body.classList.toggle("apart", !allowed);
     get("lead").hidden = lost;
     get("banner").hidden = lost ? !this.wasOpen : this.leads;
     const words = this.ended ? "The program has ended. Start it again, and open its new page." : lost ? "The connection to the program is lost. Is it still running? This page comes back by itself." : "Another tab has the arm.";
