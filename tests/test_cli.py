@@ -537,7 +537,7 @@ sys.exit(main())
 
 def test_ctrl_c_leaves_no_traceback_from_the_first_moment_on():
     """At whichever import `main` is when it is interrupted: exit code 130, and at most one word."""
-    for moment in (1, 8, 20, 45, 80, 120, 170, 230, 300, 400, 520):
+    for moment in (1, 8, 20, 45, 80, 120, 170, 230, 300, 360, 420):
         command = [sys.executable, "-c", INTERRUPTED_AT, str(moment), "inspect", "planar3"]
         done = subprocess.run(command, capture_output=True, text=True, timeout=60)
         assert done.returncode == 130 and done.stderr.strip() in ("", "interrupted"), (moment, done.stderr)

@@ -61,7 +61,7 @@ TYPED: dict[str, tuple[str, str]] = {
     "and with nothing else named": ("control planar3 held.json --direction out", "'shown', as the recordings went, or"),
     "a replay of recordings without their robot": ("replay demo_01.csv", "name the robot before it"),
     "a replay of what is not there": ("replay run.npz", "check the path"),
-    "a constraint in place of a rollout": ("replay planar3 held.json", "`manip-learn replay --constraint FILE`"),
+    "a constraint in place of a rollout": ("replay planar3 held.json", "`manip-learn replay`"),
     "the file before the robot": ("control held.json planar3", "name the robot here"),
     "a recording in place of a constraint": ("control planar3 demo_01.csv", "`manip-learn learn --out FILE`"),
     "degrees": ("control planar3 held.json --start 17,46,23 --along 0.1", "give positions in rad, not in degrees"),

@@ -98,7 +98,8 @@ def test_failed_reads_are_left_out(planar3: Robot, rng: np.random.Generator) -> 
                 told.n_samples == 1000 - n
                 and f"{n} failed reads left out (first: line {failed[0] + 2}; " in told.notes[0]
             )
-    kept = load_demonstrations(table(q, np.arange(300, 500), 0.05 + q[300]), planar3)
+    rested = np.concatenate([q[:300], np.repeat(q[300:301], 200, axis=0), q[301:801]])
+    kept = load_demonstrations(table(rested, np.empty(0, dtype=int), 0.0), planar3)
     assert kept.n_samples == 1000 and kept.notes == ()
 
 

@@ -212,4 +212,4 @@ def test_the_command_line_tells_phases_and_mechanisms(capsys: pytest.CaptureFixt
     assert main([*arguments, "--from", "1000"]) == 2
     assert "no sample lies between 1000 s" in capsys.readouterr().err
     assert main([*arguments, "--mechanism", "maybe"]) == 2
-    assert "--mechanism must be auto or off" in capsys.readouterr().err
+    assert "--mechanism must be 'auto' or 'off'" in capsys.readouterr().err

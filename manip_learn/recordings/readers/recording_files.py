@@ -72,8 +72,8 @@ REFUSED_MAGIC: tuple[tuple[bytes | tuple[bytes, ...], str, str], ...] = (
     (
         (b"{", b"["),
         "not-a-recording",
-        "looks like JSON: a table with 'time' and joint names is needed; what `manip-learn learn --out FILE` wrote "
-        "is for `manip-learn replay --constraint FILE` and `manip-learn export --to FORMAT`",
+        "looks like JSON: a table with 'time' and joint names is needed; what `manip-learn learn` wrote "
+        "is for `manip-learn replay` and `manip-learn export`",
     ),
 )
 
