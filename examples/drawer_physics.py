@@ -36,7 +36,7 @@ SLIDES = 0.005  # [m/s or rad/s] from which on a drawer or a door no longer stic
 GRIP = "grip_0"
 # of a used arm in good order, beside the noise: friction [N m] and play [rad] of its joints, steps of its encoders
 # [rad], and from a command to the measurement that shows it [s]
-USED = {"friction": 1.0, "play": 1e-3, "step": 1e-4, "latency": 0.010}
+USED: dict[str, Any] = {"friction": 1.0, "play": 1e-3, "step": 1e-4, "latency": 0.010}
 CLOSING = 0.4  # [s] in which a gripper that closes on a handle grows firm
 THIN = 10  # periods per point of the plot
 

@@ -298,7 +298,7 @@ class TeachingSession:
 
     def _replay(self, said: Mapping[str, Any]) -> None:
         one = self._shown_by(said["name"])
-        made = ghost(self.robot, one.path.stem, ("vermilion", COLOURS["vermilion"]), one.time, one.q)
+        made = ghost(self.robot, one.path.stem, COLOURS["vermilion"], one.time, one.q)
         self._show_ghosts("replay", [made])
 
     def _drop(self, said: Mapping[str, Any]) -> None:

@@ -251,26 +251,26 @@ def _simulated(robot: Robot, named: Mapping[str, str], way: TaughtWay, start: np
 
     ghosts = []
     colours_of = rollout_colours(["the arm itself", *named], {})[1:]
-    for (name, policy), colours in zip(named.items(), colours_of, strict=True):
+    for (name, policy), (_, colour) in zip(named.items(), colours_of, strict=True):
         task = way.task()
         chosen = null_policy(policy, task, task.learnt, robot, None, start)
         controller = ResolvedRateController(task.learnt, task, chosen, dt=STEP)
         rollout, done = simulate_way(robot, controller, start, STEP)
         ended = way.in_words(done.done) + (f", stopped by {done.stopped_by}" if done.stopped_by else "")
-        made = ghost(robot, name, colours, rollout.time, rollout.q, rollout.manipulability, ended)
+        made = ghost(robot, name, colour, rollout.time, rollout.q, rollout.manipulability, ended)
         ghosts.append({**made, "failed": not done.is_done})
     return ghosts
 
 
 def ghost(
-    robot: Robot, name: str, colours: tuple[str, str], time: Any, q: Any, curve: Any = None, ended: str = ""
+    robot: Robot, name: str, colour: str, time: Any, q: Any, curve: Any = None, ended: str = ""
 ) -> dict[str, Any]:
     """A motion as the page plays it beside the arm.
 
     Args:
         robot: The robot.
         name: In the legend.
-        colours: Name and hexadecimal value.
+        colour: Hexadecimal value.
         time: shape (T,) [s].
         q: shape (T, nv), postures.
         curve: shape (T,), manipulability, or None.
@@ -285,8 +285,7 @@ def ghost(
     mu = np.zeros(0) if curve is None else np.asarray(curve)[kept]
     return {
         "name": name,
-        "colourName": colours[0],
-        "colour": colours[1],
+        "colour": colour,
         "duration": float(times[-1]),
         "keyTimes": packed(times, "<f8"),
         "tracks": packed(joint_tracks(robot, kinematic_tree(robot), np.asarray(q)[kept]), "<f8"),
