@@ -179,7 +179,7 @@ class Panel {
     const held = this.teach.isHeld, handle = held && this.handles[this.teach.pose.held.indexOf(true)];
     get("grip-words").textContent = held ? "Let go" : "Grip";
     get("grip").hidden = !held && !Number.isFinite(near);
-    get("holding").hidden = !held;
+    get("holding").hidden = !held || this.drives; // the arm that drives does the pulling
     const words = handle ? `Holding the ${handle.name}. ${handle.move}. To let go:` : "";
     if (get("holding").textContent !== words) get("holding").textContent = words;
     this.best = Math.max(this.best, mu || 0);
