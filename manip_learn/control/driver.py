@@ -14,7 +14,7 @@ from jaxtyping import Float
 from manip_learn.control.command import Command, Status
 from manip_learn.control.cycle import Clock, ComputerClock, GivenUp, OrderlyEnd, quiet_collector
 from manip_learn.control.rollout import Rollout
-from manip_learn.control.servo_loop import MILLI, ServoLoop
+from manip_learn.control.servo_loop import ServoLoop, in_milliseconds
 from manip_learn.control.simulation import guided
 from manip_learn.control.witness import Witness
 from manip_learn.errors import ConfigurationError
@@ -199,7 +199,7 @@ class _Cycle:
             if lately > 0.5 * (1.0 - math.exp(-1.0)):
                 passed = clock.now() - start, ComputerClock.now() - began
                 wrong = f"the period of {1e3 * period:g} ms cannot be held: cycles begin {1e3 * late:.2g} ms late"
-                if abs(math.log10(passed[0] / passed[1]) - 3.0) < MILLI:
+                if in_milliseconds(*passed):
                     wrong += f"; the clock went on by {passed[0]:.3g} in {passed[1]:.1g} s: it is to count seconds"
                 self.stop(wrong)
             if self._driver.period != period:

@@ -379,14 +379,8 @@ class FollowingError:
         C = J / self._stiffness
         look = math.ceil(LOOK_BACK / dt)
         ago = min(self._rows, look)
-        rise = excess - self._found[0, self._row - ago]
-        sent = self.servos.gone(ago)
-        step = J.dot(sent)
-        gone = float(step.dot(step))
-        # by more than noise, and not behind by a delay that is not known yet
-        goes = self.servos.is_known and gone > 0.0 and float(sent.dot(sent)) > RESOLUTION * RESOLUTION
-        gains = self.distance - self._found[1, self._row - ago]
-        taken = -float(J.dot(gains).dot(step)) / gone if goes else math.nan  # share of its way that the hand lacks
+        rise, gains = excess - self._found[0, self._row - ago], self.distance - self._found[1, self._row - ago]
+        taken = self._taken(J, self.servos.gone(ago), gains)
         # it rises until what is measured is seen, and, ever more slowly, until the arm stands
         ahead = self.servos.delay + 0.5 * float(np.max(np.abs(self._velocity) / self._acceleration))
         further = min(max(ahead / (look * dt), 1.0), FARTHEST)
@@ -435,6 +429,17 @@ class FollowingError:
                 f"{way:.0f} N along what is driven, which was moving with {self._carried:.0f} and has stopped: look "
                 "what blocks it"
             )
+
+    def _taken(self, J: np.ndarray, sent: np.ndarray, gains: np.ndarray) -> float:
+        """Share of its way that the hand lacks, by how far the joints were sent and how much their distances grew.
+
+        NaN where it was sent by no more than noise, or may be behind by a delay that is not known yet.
+        """
+        step = J.dot(sent)
+        gone = float(step.dot(step))
+        if not (self.servos.is_known and gone > 0.0 and float(sent.dot(sent)) > RESOLUTION * RESOLUTION):
+            return math.nan
+        return -float(J.dot(gains).dot(step)) / gone
 
     def _force_of(self, excess: np.ndarray, C: np.ndarray) -> tuple[Float[np.ndarray, " 3"], Float[np.ndarray, " nv"]]:
         """The force on the hand that explains distances, less a weight, and what is left of them."""

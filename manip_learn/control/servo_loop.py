@@ -46,7 +46,7 @@ LONGEST_TIME = 1e15  # [s] a larger number is no time: its steps are longer than
 # [rad or m] that a reading may be off beside twice what a joint can move meanwhile; [rad] by which a turn is one
 TWICE, JUMP, TURN = 2.0, 0.05, 0.1
 BEYOND_TAUGHT = 1.5  # times the force that a way took when it was taught: it may stick more another time
-MILLI = 0.1  # within which a time is a thousand times a period, decades
+MILLI = 0.1  # within which a time is a thousand times another, decades
 STANDING = (Status.INVALID_INPUT, Status.STALE, Status.FOLLOWING_ERROR, Status.STOPPED)
 
 
@@ -54,6 +54,11 @@ def _is_number(value: Any) -> bool:
     """Whether a value is a real number; True, text, arrays and durations are none."""
     kinds = (int, float, np.integer, np.floating)
     return isinstance(value, kinds) and not isinstance(value, bool | np.timedelta64)
+
+
+def in_milliseconds(time: float, seconds: float) -> bool:
+    """Whether a time seems to count milliseconds, by how many seconds it was."""
+    return time > 0.0 and abs(math.log10(time / seconds) - 3.0) < MILLI
 
 
 @final
@@ -491,7 +496,7 @@ class ServoLoop:
             return self._unloading(self._output, measured, period)
         if held is None or self._waited > self.stale_after:
             self.stopped_by = f"no new state for more than {1e3 * self.stale_after:g} ms"
-            if abs(math.log10(max(self._since, 1e-9) / self.dt) - 3.0) < MILLI:
+            if in_milliseconds(self._since, self.dt):
                 self.stopped_by += f"; the time went on by {self._since:g}, in milliseconds? It is to be in seconds"
             return self._braked(Status.STALE, period)
         if self._correction_rate and self._waited == 0.0:

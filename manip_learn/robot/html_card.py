@@ -59,8 +59,8 @@ def facts(pairs: Iterable[tuple[str, object]]) -> str:
 
 def curve(x: Sequence[float], y: Sequence[float], label: str) -> str:
     """A small curve above zero, in the colour of the text; values that are not finite are gaps."""
-    high, first, span = max(filter(math.isfinite, y), default=0.0), min(x, default=0.0), 1e-12
-    span = max(max(x, default=0.0) - first, span)
+    high, first = max(filter(math.isfinite, y), default=0.0), min(x, default=0.0)
+    span = max(max(x, default=0.0) - first, 1e-12)  # of a single moment, too
     if high <= 0.0:
         return ""
     step = max(1, len(x) // WIDTH)
