@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import math
 
 import numpy as np
 import pytest
@@ -156,7 +157,8 @@ def test_contradicting_files_are_refused(robot_of, features, tmp_path):
             Constraint.load(path, robot_of("sawyer"))
         assert str(refused.value).startswith(str(path))
     digits = [[round(x, 11) for x in row] for row in rows]  # written with fewer digits
-    path.write_text(json.dumps(good | {"selection": digits}))
+    unsigned = {key: value for key, value in good.items() if key != "sha256"}
+    path.write_text(json.dumps(unsigned | {"selection": digits}))
     np.testing.assert_allclose(Constraint.load(path, robot_of("sawyer")).selection, rows, atol=1e-10)
     door = MechanismRows(robot_of("sawyer"), "right_hand", "radial axial")
     content = json.loads(Constraint([[1.0, 0.0]], door).save(path).read_text())
@@ -164,6 +166,25 @@ def test_contradicting_files_are_refused(robot_of, features, tmp_path):
         path.write_text(json.dumps(content | {"features": content["features"] | change}))
         with case(change), pytest.raises(ConstraintMismatchError, match="c.json"):
             Constraint.load(path, robot_of("sawyer"))
+
+
+def test_a_file_changed_by_hand_is_told(robot_of, features, tmp_path):
+    """A turned row, another place and other postures are refused, and taken once the signature is deleted as the
+    sentence says; a file that another program wrote again, in another order and with 1 for 1.0, is the same.
+    """
+    robot, path = robot_of("sawyer"), tmp_path / "c.json"
+    constraint = Constraint([[0, 0, 1.0, 0, 0, 0]], features, {"postures": [[0.1] * 7], "shown": {"extent": 0.3}})
+    good = json.loads(constraint.save(path).read_text())
+    turned = [[0.0, math.sin(1e-3), math.cos(1e-3), 0.0, 0.0, 0.0]]
+    for change in ({"selection": turned}, {"provenance": good["provenance"] | {"shown": {"extent": 0.31}}}):
+        path.write_text(json.dumps(good | change))
+        with case(change), pytest.raises(ConstraintMismatchError, match='changed after .* delete the entry "sha256"'):
+            Constraint.load(path, robot)
+        path.write_text(json.dumps({key: value for key, value in (good | change).items() if key != "sha256"}))
+        assert Constraint.load(path, robot).n_constraints == 1
+    whole = [[int(x) for x in row] for row in good["selection"]]
+    path.write_text(json.dumps(dict(reversed((good | {"selection": whole}).items()))))
+    np.testing.assert_array_equal(Constraint.load(path, robot).selection, constraint.selection)
 
 
 def test_joints_locked_elsewhere_are_said(tmp_path):

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import hashlib
 import json
 from collections.abc import Iterable, Mapping
 from pathlib import Path
@@ -29,6 +30,8 @@ from manip_learn.robot.robot import Robot
 
 FORMAT = "manip_learn.constraint"
 SCHEMA = 1
+SIGNATURE = "sha256"  # entry of a file: the SHA-256 of those that say what an arm does; the robot is compared anyway
+SIGNED = ("features", "selection", "provenance", "skill")
 NOT_EXACT = 1e-9  # of an entry of Lambda: rows written with ten digits are taken
 
 
@@ -279,7 +282,7 @@ class Constraint:
                 "locked": dict(robot.locked),
                 "objects": list(robot.objects),
             }
-        return {
+        content = {
             "format": FORMAT,
             "schema": SCHEMA,
             "robot": described,
@@ -290,6 +293,7 @@ class Constraint:
             "selection": self.selection.tolist(),
             "provenance": self.provenance,
         }
+        return signed(content)
 
     def save(self, path: str | Path) -> Path:
         """Write a JSON file, whole or not at all.
@@ -312,8 +316,9 @@ class Constraint:
                 are the same is then yours to know, and `notes` of the constraint say which joints are locked elsewhere.
 
         Raises:
-            ConstraintMismatchError: Another robot, another schema, no constraint file at all, or rows that contradict
-                what the file says of them: their number, names, units, or that they are orthonormal.
+            ConstraintMismatchError: Another robot, another schema, no constraint file at all, rows that contradict
+                what the file says of them (their number, names, units, or that they are orthonormal), or a file that
+                was changed after it was saved.
         """
         return Constraint.from_dict(read_constraint_file(Path(path)), robot, source=str(path), same_urdf=same_urdf)
 
@@ -337,9 +342,14 @@ class Constraint:
             constraint = Constraint(content["selection"], features, content.get("provenance"))
             _check_rows(content, constraint)
         except DAMAGE as error:
-            raise ConstraintMismatchError(f"{source}: the file is damaged ({error!r}); save it again") from error
+            raise damaged(source, error) from error
         except ManipLearnError as error:
             raise ConstraintMismatchError(f"{source}: {error}") from error
+        if SIGNATURE in content and content[SIGNATURE] != signed(content)[SIGNATURE]:
+            raise ConstraintMismatchError(
+                f"{source} was changed after it was saved: its contents do not have the SHA-256 that it states. Learn "
+                f'it again or fetch the original; if the change is meant, delete the entry "{SIGNATURE}"'
+            )
         then = content["robot"].get("locked", robot.locked)
         if then != robot.locked:
             said = f"the constraint was made with {_in_words(then)}, the robot has {_in_words(robot.locked)}"
@@ -398,6 +408,33 @@ def _orthonormal(selection: ArrayLike, features: FeatureMap) -> np.ndarray:
     if np.max(np.abs(matrix @ matrix.T - np.eye(matrix.shape[0]))) < 1e-14:
         return matrix  # kept to the last bit: paper-mode truncation depends on it
     return orthonormal_rows(matrix)
+
+
+def signed(content: Mapping[str, Any]) -> dict[str, Any]:
+    """The content of a constraint file with the SHA-256 of its entries `SIGNED`, by which a later change is noticed."""
+    digest = hashlib.sha256()
+    for key in SIGNED:
+        if key in content:
+            digest.update(_canonical(content[key]).encode())
+    return {**content, SIGNATURE: digest.hexdigest()}
+
+
+def _canonical(value: Any) -> str:
+    """JSON as text that stays when another program writes it again: in another order, 1 for 1.0, or a last bit off."""
+    match value:
+        case Mapping():
+            return "{" + ",".join(f"{key}:{_canonical(value[key])}" for key in sorted(value)) + "}"
+        case list() | tuple():
+            return "[" + ",".join(map(_canonical, value)) + "]"
+        case int() | float() if not isinstance(value, bool):
+            return format(float(value) + 0.0, ".12g")  # of 16 digits; + 0.0, for -0 is 0
+    return repr(value)
+
+
+def damaged(source: str, error: BaseException) -> ConstraintMismatchError:
+    """The refusal of a file whose reading raised an error."""
+    said = f"it lacks {error}" if isinstance(error, KeyError) else " ".join(str(error).split()) or "it ends too early"
+    return ConstraintMismatchError(f"{source} is damaged: {said}. Fetch the original, or learn it again")
 
 
 def read_constraint_file(path: Path) -> dict[str, Any]:

@@ -12,9 +12,9 @@ import numpy as np
 from jaxtyping import Float
 
 from manip_learn.atomic_write import write_atomically
-from manip_learn.constraint.constraint import Constraint, read_constraint_file
+from manip_learn.constraint.constraint import Constraint, damaged, read_constraint_file, signed
 from manip_learn.constraint.shown import Shown
-from manip_learn.errors import DAMAGE, ConstraintMismatchError, counted
+from manip_learn.errors import DAMAGE, counted
 from manip_learn.robot.robot import Robot
 
 StepKind = Literal["reach", "way"]
@@ -115,7 +115,8 @@ class Skill:
             for step in self.steps
         ]
         others = [c.to_dict() for c in self.constraints[1:]]
-        return self.constraints[0].to_dict() | {"skill": {"others": others, "steps": steps, "notes": list(self.notes)}}
+        skill = {"others": others, "steps": steps, "notes": list(self.notes)}
+        return signed(self.constraints[0].to_dict() | {"skill": skill})
 
     def save(self, path: str | Path) -> Path:
         """Write a JSON file, whole or not at all; `Constraint.load` of it gives the first constraint.
@@ -136,7 +137,7 @@ class Skill:
             same_urdf: As for `Constraint.load`.
 
         Raises:
-            ConstraintMismatchError: Another robot, another schema, a damaged file, or no skill at all.
+            ConstraintMismatchError: Another robot, another schema, a damaged or a changed file, or no skill at all.
         """
         content, source = read_constraint_file(Path(path)), str(path)
         first = Constraint.from_dict(content, robot, source=source, same_urdf=same_urdf)
@@ -149,7 +150,7 @@ class Skill:
             steps = tuple(_step(entry, constraints) for entry in saved["steps"])
             return Skill(constraints, steps, tuple(map(str, saved.get("notes", ()))))
         except DAMAGE as error:
-            raise ConstraintMismatchError(f"{source}: the file is damaged ({error!r}); learn it again") from error
+            raise damaged(source, error) from error
 
 
 def _step(entry: Mapping[str, Any], constraints: tuple[Constraint, ...]) -> Step:

@@ -24,6 +24,7 @@ from manip_learn.constraint.constraint import Constraint
 from manip_learn.constraint.features.frame_jacobian import AXES, pose_coordinates
 from manip_learn.constraint.task_frame import TaskFrame
 from manip_learn.errors import ConstraintError, printable
+from manip_learn.recordings.format_words import yaml_text
 from manip_learn.robot.robot import Robot
 from manip_learn.robot.rotations import rotation_matrix
 
@@ -148,7 +149,7 @@ def urscript(constraint: Constraint, q: ArrayLike) -> str:
     reason = [f"# {line}" for line in textwrap.wrap(REASON, 100)]
     first = [i for i, state in enumerate(frame.axes) if state == "free"][:1]  # a first move: 5 cm or 10 degrees
     return "\n".join([*_comments(frame), *reason, ""]) + PROGRAM.format(
-        name="manip_learn_" + re.sub(r"\W+", "_", frame.frame),
+        name="manip_learn_" + re.sub(r"[^A-Za-z0-9]+", "_", frame.frame),
         frame=frame.frame,
         tcp="" if tcp is None else f"  set_tcp({_pose(pose_coordinates(tcp))})\n",
         at=_pose(in_hand if frame.turns == "hand" else arguments["task_frame"]),
@@ -237,9 +238,7 @@ def moveit_constraints(constraint: Constraint, q: ArrayLike) -> str:
         tolerances = {f"absolute_{n}_axis_tolerance": w for n, w in zip("xyz", wide.tolist(), strict=True)}
         kept = {"orientation": _message(frame.hand)["orientation"], "parameterization": ROTATION_VECTOR}
         content["orientation_constraints"].append(about | kept | tolerances)
-    text = json.dumps(content, indent=1, allow_nan=False)
-    # 1e-05 alone would be a word in YAML 1.1
-    return "\n".join([*_comments(frame), re.sub(r"(?<![\d.])(\d+)e", r"\1.0e", text), ""])
+    return "\n".join([*_comments(frame), yaml_text(content, indent=1), ""])
 
 
 def _boxes(frame: TaskFrame) -> tuple[list[Float[np.ndarray, "4 4"]], list[float]]:

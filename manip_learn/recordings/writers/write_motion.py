@@ -5,7 +5,6 @@ from __future__ import annotations
 import io
 import json
 import os
-import re
 from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any
@@ -14,7 +13,7 @@ import numpy as np
 
 from manip_learn.atomic_write import write_atomically
 from manip_learn.errors import OutputError
-from manip_learn.recordings.format_words import MARK
+from manip_learn.recordings.format_words import MARK, yaml_text
 from manip_learn.recordings.saved_motion import PREFIX, SavedMotion, column_groups, column_line
 from manip_learn.recordings.writers.mcap_writer import mcap_bytes, nanoseconds
 
@@ -63,16 +62,11 @@ def joint_trajectory_bytes(motion: SavedMotion) -> bytes:
     for i, time in enumerate(times):
         point: dict[str, Any] = {name: array[i].tolist() for name, array in known.items() if array is not None}
         point["time_from_start"] = dict(zip(("sec", "nanosec"), divmod(time, 1_000_000_000), strict=True))
-        lines.append(f"  {_yaml(point)}{',' if i + 1 < len(times) else ''}")
+        try:
+            lines.append(f"  {yaml_text(point)}{',' if i + 1 < len(times) else ''}")
+        except ValueError as error:
+            raise OutputError(f"a JointTrajectory can hold finite numbers only ({error})") from error
     return "\n".join([*lines, " ]}", ""]).encode()
-
-
-def _yaml(content: object) -> str:
-    """JSON that is YAML 1.1 too, in which 1e-05 would be a word; numbers are read as the same float64."""
-    try:
-        return re.sub(r"(?<![\d.])(\d+)e", r"\1.0e", json.dumps(content, allow_nan=False))
-    except ValueError as error:
-        raise OutputError(f"a JointTrajectory can hold finite numbers only ({error})") from error
 
 
 WRITERS: Mapping[str, Callable[[SavedMotion], bytes]] = {".npz": npz_bytes, ".csv": csv_bytes, ".mcap": mcap_bytes}
