@@ -1,0 +1,235 @@
+"""What is written for other programs means there what it means here, whatever the names of links and joints."""
+
+from __future__ import annotations
+
+import math
+import re
+from typing import Any
+from xml.sax.saxutils import quoteattr
+
+import numpy as np
+import pytest
+from case import case
+from numpy.typing import ArrayLike
+from scipy.spatial.transform import Rotation
+
+import manip_learn as ml
+from manip_learn.constraint.features import MechanismRows
+from manip_learn.control.interop.force_control import moveit_constraints, urscript
+
+# words that run, end a line, or turn into numbers where they are pasted into a program or a table
+EVIL = "2e5 tip'\" : {no}] # \\ end"
+JOINTS = ("no", "1e5", "~", "a 'b\"", "2e3: x", "off")
+OFFSETS = ("0 0 0.16", "0 0.13 0.1", "0 -0.1 0.42", "0.02 0 0.39", "0 0.1 0.02", "0 0.03 0.09")
+AXES = ("0 0 1", "0 1 0", "0 1 0", "0 1 0", "0 0 1", "0 1 0")
+
+
+def hostile_arm(folder: Any) -> ml.Robot:
+    """Six joints between `base` and `tool0`, both apart from the root and the hand; names as nobody should choose."""
+    chain = ["base", *(f"link {i} {EVIL}" for i in range(6))]
+    links = ["root", *chain, "tool0", EVIL]
+    joints = [
+        f'<joint name={quoteattr(name)} type="revolute"><parent link={quoteattr(a)}/><child link={quoteattr(b)}/>'
+        f'<origin xyz="{xyz}" rpy="0 0 0.1"/><axis xyz="{axis}"/>'
+        '<limit lower="-3" upper="3" velocity="2" effort="50"/></joint>'
+        for name, a, b, xyz, axis in zip(JOINTS, chain[:-1], chain[1:], OFFSETS, AXES, strict=True)
+    ]
+    joints += [
+        f'<joint name="fixed {i}" type="fixed"><parent link={quoteattr(a)}/><child link={quoteattr(b)}/>'
+        f'<origin xyz="{xyz}" rpy="{rpy}"/></joint>'
+        for i, (a, b, xyz, rpy) in enumerate(
+            [
+                ("root", "base", "0.1 -0.2 0.3", "0 0 0.7"),
+                (chain[-1], "tool0", "0 0.08 0.02", "-1.57 0 0"),
+                ("tool0", EVIL, "0.03 0.02 0.11", "0.2 0.3 -0.4"),
+            ]
+        )
+    ]
+    named = "".join(f"<link name={quoteattr(name)}/>" for name in links)
+    path = folder / "arm.urdf"
+    path.write_text(f"<robot name={quoteattr(EVIL)}>{named}{''.join(joints)}</robot>", encoding="utf-8")
+    return ml.load_robot(path)
+
+
+@pytest.fixture(scope="module")
+def robot(tmp_path_factory) -> ml.Robot:
+    return hostile_arm(tmp_path_factory.mktemp("hostile"))
+
+
+def postures(robot: ml.Robot, n: int) -> np.ndarray:
+    rng = np.random.default_rng(11)
+    return np.array([0.4 * robot.random_configuration(rng) + 0.3 for _ in range(n)])
+
+
+def matrix(pose: ArrayLike) -> np.ndarray:
+    """Position and rotation vector -> homogeneous matrix."""
+    out, numbers = np.eye(4), np.asarray(pose, dtype=float)
+    out[:3, :3], out[:3, 3] = Rotation.from_rotvec(numbers[3:]).as_matrix(), numbers[:3]
+    return out
+
+
+def pose(T: np.ndarray) -> list[float]:
+    """The reverse."""
+    return [*T[:3, 3], *Rotation.from_matrix(T[:3, :3]).as_rotvec()]
+
+
+class Poses:
+    """`p[x, y, z, rx, ry, rz]` of URScript."""
+
+    def __getitem__(self, numbers: tuple[float, ...]) -> list[float]:
+        return list(map(float, numbers))
+
+
+class Program:
+    """An evaluator of those lines of URScript that compute poses: assignments, functions that return, no arm."""
+
+    def __init__(self, text: str):
+        self.lines = [line.split("#")[0].strip() for line in text.splitlines()]
+        self.tcp, self.flange = np.eye(4), np.eye(4)
+        self.known: dict[str, Any] = {
+            "p": Poses(),
+            "pose_trans": lambda a, b: pose(matrix(a) @ matrix(b)),
+            "pose_inv": lambda a: pose(np.linalg.inv(matrix(a))),
+            "atan2": math.atan2,
+            "get_actual_tcp_pose": lambda: pose(self.flange @ self.tcp),
+        }
+        for i, line in enumerate(self.lines):
+            if found := re.fullmatch(r"def (\w+)\((\w+(?:, \w+)*)\):", line):
+                body = self.lines[i + 1 : self.lines.index("end", i)]
+                self.known[found[1]] = lambda *given, body=body, names=found[2].split(", "): self.returned(
+                    body, dict(zip(names, given, strict=True))
+                )
+            elif found := re.fullmatch(r"set_tcp\((.*)\)", line):
+                self.tcp = matrix(self.value(found[1]))
+            elif found := re.fullmatch(r"global (\w+) = ([p\[].*)", line):
+                self.known[found[1]] = self.value(found[2])
+
+    def value(self, text: str, local: dict[str, Any] | None = None) -> Any:
+        return eval(text, self.known | (local or {}))
+
+    def returned(self, body: list[str], local: dict[str, Any]) -> Any:
+        for line in body:
+            name, _, text = line.partition(" = ")
+            if line.startswith("return "):
+                return self.value(line.removeprefix("return "), local)
+            local[name] = self.value(text, local)
+        raise AssertionError(f"no return in {body}")
+
+    @property
+    def force_frame(self) -> np.ndarray:
+        (called,) = (line for line in self.lines if line.startswith("force_mode("))
+        found = re.fullmatch(r"force_mode\((.*), selection, push, 2, limits\)", called)
+        assert found is not None
+        return matrix(self.value(found[1]))
+
+
+def test_urscript_computes_the_task_frame(robot):
+    """Evaluated line by line: the TCP that is set is the hand, and where the hand goes the force frame is the task's,
+    in the controller's base; each state of an axis stands in its place.
+    """
+    hinge = MechanismRows(robot, EVIL, "radial axial", axis=(0.1, 0.0, 1.0), point=(0.5, 0.2, 0.1))
+    constraints = {
+        "no": ml.Constraint([[0.2, 0.1, 0.9]], ml.FrameJacobian(robot, EVIL, "xyz")),
+        "hand": ml.Constraint(np.eye(6)[[2, 3, 4]], ml.FrameJacobian(robot, EVIL, "pose", "local")),
+        "axis": ml.Constraint(np.eye(2), hinge),
+    }
+    ways = postures(robot, 4)
+    for turns, constraint in constraints.items():
+        program = Program(urscript(constraint, ways[0]))
+        for q in ways:
+            base, frame = np.linalg.inv(robot.pose(q, "base")), constraint.task_frame(q)
+            program.flange = base @ robot.pose(q, "tool0")
+            with case(turns, q.tolist()):
+                hand = matrix(program.known["get_actual_tcp_pose"]())
+                np.testing.assert_allclose(hand, base @ robot.pose(q, EVIL), atol=1e-7)
+                now, wanted = program.force_frame, base @ frame.pose
+                np.testing.assert_allclose(now[:3, :3], wanted[:3, :3], atol=1e-6)
+                if turns == "axis":  # the origin may be anywhere on the axis
+                    assert np.linalg.norm(np.cross(now[:3, 3] - wanted[:3, 3], wanted[:3, 2])) < 1e-6
+                else:
+                    np.testing.assert_allclose(now[:3, 3], wanted[:3, 3], atol=1e-6)
+                assert program.known["selection"] == [int(held) for held in frame.along("held")]
+                for held, limit in zip(program.known["selection"], program.known["limits"], strict=True):
+                    assert limit == (0.25 if held else 0.01)
+    text = urscript(constraints["no"], ways[0])
+    code = [line for line in text.splitlines() if not line.strip().startswith("#")]
+    assert "tip" not in "".join(code).replace("manip_learn_2e5_tip_no_end", ""), "a name of the robot in the program"
+    opened = len(re.findall(r"^ *(?:def|thread|while) .*:$", text, re.MULTILINE))
+    assert opened == len(re.findall(r"^ *end$", text, re.MULTILINE)) == 5
+
+
+def yaml_of(text: str) -> Any:
+    """Read as ROS reads it, by YAML 1.1, in which no, off and ~ are no words and 1e-05 is no number."""
+    reader = pytest.importorskip("ruamel.yaml", reason="the extra 'ros' is not installed").YAML(typ="safe", pure=True)
+    reader.version = (1, 1)
+    return reader.load(text)
+
+
+def allowed(content: Any, robot: ml.Robot, q: np.ndarray) -> bool:
+    """Whether a posture keeps path constraints, as MoveIt measures: boxes around a point, a rotation vector."""
+    for kept in content["position_constraints"]:
+        offset = [kept["target_point_offset"][k] for k in "xyz"]
+        point = (robot.pose(q, kept["link_name"]) @ [*offset, 1.0])[:3]
+        region = kept["constraint_region"]
+        inside = []
+        for shape, place in zip(region["primitives"], region["primitive_poses"], strict=True):
+            turn = Rotation.from_quat([place["orientation"][k] for k in "xyzw"])
+            apart = turn.inv().apply(point - [place["position"][k] for k in "xyz"])
+            inside.append(np.all(np.abs(apart) <= 0.5 * np.array(shape["dimensions"]) + 1e-9))
+        if not any(inside):
+            return False
+    for kept in content["orientation_constraints"]:
+        wanted = Rotation.from_quat([kept["orientation"][k] for k in "xyzw"])
+        off = (wanted.inv() * Rotation.from_matrix(robot.pose(q, kept["link_name"])[:3, :3])).as_rotvec()
+        if np.any(np.abs(off) > [kept[f"absolute_{k}_axis_tolerance"] for k in "xyz"]):
+            return False
+    return True
+
+
+def test_moveit_allows_the_way_and_little_else(robot):
+    """The arm goes along what each constraint leaves free: all its postures keep what is written, and none does that
+    is 3 cm or 6 degrees off along a held row.
+    """
+    start = postures(robot, 1)[0]
+    p = robot.position(start, EVIL)
+    hinge = MechanismRows(robot, EVIL, "radial axial", axis=(0.0, 0.0, 1.0), point=p - [0.3, 0.1, 0.0])
+    constraints = {
+        "a line": ml.Constraint(np.eye(3)[1:], ml.FrameJacobian(robot, EVIL, "xyz")),
+        "a firm line": ml.Constraint(np.eye(6)[1:], ml.FrameJacobian(robot, EVIL, "pose")),
+        "a hinge": ml.Constraint(np.eye(2), hinge),
+    }
+    for name, constraint in constraints.items():
+        content = yaml_of(moveit_constraints(constraint, start))
+        assert {kept["link_name"] for kinds in list(content.values())[1:] for kept in kinds} == {EVIL}
+        motion = ml.motion(constraint, turn=0.4) if name == "a hinge" else ml.motion(constraint, along=0.08)
+        run = ml.simulate(robot, ml.ResolvedRateController(constraint, motion), start, duration=2.0, dt=0.05)
+        assert np.ptp(run.q, axis=0).max() > 0.05
+        for q in run.q[::5]:
+            with case(name, q.tolist()):
+                assert allowed(content, robot, q)
+                A = constraint(q)
+                for row in range(constraint.n_constraints):
+                    angle = constraint.features.row_names[int(np.argmax(np.abs(constraint.selection[row])))][0] == "r"
+                    off = math.radians(6.0) if angle and name != "a hinge" else 0.03
+                    assert not allowed(content, robot, q + np.linalg.pinv(A)[:, row] * off)
+
+
+def test_a_bag_read_by_another_reader(robot, tmp_path):
+    """The MCAP library gives joint names, positions, velocities, efforts and stamps of each message as they were."""
+    reader = pytest.importorskip("mcap_ros2.reader", reason="mcap-ros2-support is not installed")
+    rng = np.random.default_rng(5)
+    time = np.cumsum(rng.uniform(0.005, 0.02, 40)) + 3.0
+    q, u, effort = rng.normal(size=(3, 40, 6))
+    trajectory = ml.Trajectory(time, q, u, robot.joint_names, effort=effort)
+    from manip_learn.recordings.saved_motion import motion_of_trajectory
+    from manip_learn.recordings.writers.write_motion import write_motion
+
+    path = write_motion(tmp_path / "run.mcap", motion_of_trajectory(trajectory, robot))
+    messages = list(reader.read_ros2_messages(str(path)))
+    assert len(messages) == 40 and {m.channel.topic for m in messages} == {"/joint_states"}
+    assert all(tuple(m.ros_msg.name) == robot.joint_names == JOINTS for m in messages)
+    for name, numbers in {"position": q, "velocity": u, "effort": effort}.items():
+        np.testing.assert_array_equal([getattr(m.ros_msg, name) for m in messages], numbers)
+    stamps = [m.ros_msg.header.stamp.sec + 1e-9 * m.ros_msg.header.stamp.nanosec for m in messages]
+    np.testing.assert_allclose(stamps, time, atol=1e-9)
+    assert [m.log_time_ns for m in messages] == [round(1e9 * stamp) for stamp in stamps]
