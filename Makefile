@@ -26,12 +26,12 @@ QUICK := $(addprefix tests/test_,$(addsuffix .py,public_api cli control_step mjc
 	npz_reader robomimic_reader rosbag_reader))
 
 .DEFAULT_GOAL := help
-.PHONY: help demo test lint types check fast lowest package lerobot docs links bench fuzz proofs mutants vulnerabilities format \
+.PHONY: help demo test lint types check fast lowest package dist parts lerobot docs links bench fuzz proofs mutants vulnerabilities format \
 	clean distclean
 
 help:
 	@sed -n '1,4s/^# \{0,1\}//p' Makefile
-	@echo "Also: make lint, types, fast, format, docs, links, lowest, package, lerobot, bench, fuzz, proofs, mutants, vulnerabilities, clean, distclean"
+	@echo "Also: make lint, types, fast, format, docs, links, lowest, package, dist, parts, lerobot, bench, fuzz, proofs, mutants, vulnerabilities, clean, distclean"
 
 # ---- installing -------------------------------------------------------------------------------------------------
 
@@ -124,6 +124,20 @@ package: $(VENV)/dev
 	"$$folder/venv/bin/python" -m pip --disable-pip-version-check install --quiet --no-compile "$$wheel[robots,recordings,xacro]" \
 		'nbclient>=0.10' 'ipykernel>=6.29' && \
 	env -u PYTHONPATH "$$folder/venv/bin/python" "$(CURDIR)/tests/first_hour/hour.py" "$$folder/hour"
+
+# both packages as a release has them, each built twice from nothing: the same commit gives the same bytes
+dist: $(VENV)/dev
+	rm -rf dist build/again && mkdir -p dist build/again
+	export SOURCE_DATE_EPOCH=$$(git log -1 --pretty=%ct) PYTHONHASHSEED=0 && for out in dist build/again; do \
+		$(BIN)/python -m build --outdir $$out . && $(BIN)/python -m build --outdir $$out fast || exit 1; done
+	for file in dist/*; do cmp "$$file" "build/again/$$(basename "$$file")" || exit 1; done
+	cd dist && sha256sum * >SHA256SUMS && cat SHA256SUMS
+
+# every package that an installation without extras brings, as CycloneDX
+parts: $(VENV)/made
+	$(PIP) install --quiet 'cyclonedx-bom>=7'
+	rm -rf build/plain && $(BIN)/python -m venv build/plain && build/plain/bin/python -m pip install --quiet .
+	mkdir -p dist && $(BIN)/cyclonedx-py environment build/plain/bin/python --pyproject pyproject.toml --of JSON -o dist/manip_learn.cdx.json
 
 # driver and teleoperator against the real lerobot, with arms that are not there; its PyTorch makes that 6 GB
 lerobot: $(LEROBOT)/made
