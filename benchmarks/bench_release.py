@@ -84,6 +84,8 @@ def workers() -> Iterator[dict[str, Worker]]:
         tree = Path(folder) / "release"
         git("worktree", "add", "--detach", str(tree), revision)
         running = {"release": Worker(tree), "this": Worker(ROOT), "twin": Worker(ROOT)}
+        if not git("tag", "--merged", "HEAD"):
+            print("\nthere is no release yet: a commit stands in its place")
         print(f"\ncompared with {revision} ({git('log', '-1', '--format=%h %cs %s', revision)})")
         try:
             yield running
