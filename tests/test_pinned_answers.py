@@ -44,7 +44,7 @@ LOOSE, LOOSE_RTOL = re.compile(r"uncertain|±|known to"), 0.1
 LOOSE_LINE = re.compile(rf"^.*(?:{LOOSE.pattern}).*$", re.MULTILINE)
 # times, sizes and places, and the largest of differences that are rounding: no results
 NO_RESULT = re.compile(
-    r"^date$|seconds|bytes|version|fingerprint|made_with|created|command|source|largest_difference|^link$"
+    r"^date$|sha256|seconds|bytes|version|fingerprint|made_with|created|command|source|largest_difference|^link$"
 )
 SPACES = ("selection", "free_directions")  # whose basis is any
 NUMBER = re.compile(r"(?<![\w.])[-+]?\d+(?:\.\d+)?(?:e[-+]?\d+)?")
