@@ -229,8 +229,8 @@ def reaching(seed: int):
 @pytest.mark.parametrize(
     ("make", "settings"),
     [
-        (held_arm, {"estimator": "null-space", "zeros": 0.0}),
-        (reaching, {"estimator": "joint", "policy_model": "affine"}),
+        (held_arm, {"estimator": "null-space", "zeros": 0.0, "phases": "off", "mechanism": "off"}),
+        pytest.param(reaching, {"estimator": "joint", "policy_model": "affine"}, marks=pytest.mark.slow),
     ],
     ids=["held arm", "reaching"],
 )

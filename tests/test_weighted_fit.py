@@ -95,7 +95,7 @@ def test_weights_make_the_place_better(robot_of):
     robot, (path, shared) = robot_of("panda"), KINDS["hinge"]
     exact = [t.q for t in demonstrate(robot, TIP, MIDDLE, path, np.random.default_rng(5), grip=0.5, noise=0.0)]
     rng, squares = np.random.default_rng(12), []
-    for _ in range(15):
+    for _ in range(SETS):
         noisy = [q + rng.normal(0.0, NOISE, q.shape) for q in exact]
         fits = [fitted(robot, "hinge", noisy, shared, equal=equal) for equal in (True, False)]
         squares.append([np.sum(np.cross(AXIS, fit.place.axis) ** 2) for fit in fits])
