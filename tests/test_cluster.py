@@ -7,7 +7,7 @@ import json
 import os
 import signal
 import sys
-import time
+import threading
 
 import numpy as np
 import pytest
@@ -26,7 +26,7 @@ pytest.importorskip("distributed", reason="the extra 'dask' is not installed")
 from distributed import Client
 
 TWO = orthonormal_rows(np.array([[1.0, 0.2, 0.3], [-0.3, 0.9, 0.2]]))
-HELD = {"n_constraints": 2, "estimator": "null-space"}
+HELD = {"n_constraints": 2, "estimator": "null-space", "most_samples": 3000}
 # the cluster's own clean-up of sockets and processes is not ours to judge
 pytestmark = [pytest.mark.filterwarnings("ignore::ResourceWarning"), pytest.mark.timeout(300)]
 
@@ -46,9 +46,9 @@ def client():
 
 @pytest.fixture(scope="module")
 def folder(features, tmp_path_factory):
-    """Two hundred files without velocities, more samples than are learnt from."""
+    """Forty files without velocities, more samples than are learnt from."""
     path = tmp_path_factory.mktemp("fleet")
-    for i, t in enumerate(motions(features, TWO, np.random.default_rng(5), 200, noise=0.02, held=True)):
+    for i, t in enumerate(motions(features, TWO, np.random.default_rng(5), 40, noise=0.02, held=True)):
         np.savez(path / f"demo_{i:03d}.npz", time=t.time, q=t.q, joint_names=np.array(t.joint_names))
     return path
 
@@ -56,23 +56,10 @@ def folder(features, tmp_path_factory):
 @pytest.fixture
 def source(features, folder, monkeypatch):
     """The same in many parts."""
-    monkeypatch.setattr(trajectory_source, "PART_BYTES", 50_000)
+    monkeypatch.setattr(trajectory_source, "PART_BYTES", 12_000)
     source = ml.RecordingSource(folder, features.robot)
-    assert source.n_parts > 20
+    assert source.n_parts > 10
     return source
-
-
-def wait_for(condition):
-    """What the scheduler does a moment later."""
-    deadline = time.monotonic() + 20.0
-    while not condition() and time.monotonic() < deadline:
-        time.sleep(0.05)
-    assert condition()
-
-
-def held_keys(client):
-    """Our results that workers still hold."""
-    return [key for keys in client.has_what().values() for key in keys if "manip-learn" in str(key)]
 
 
 def test_workers_change_nothing(client, features, source):
@@ -80,7 +67,7 @@ def test_workers_change_nothing(client, features, source):
     progress is told, and nothing is held by the workers afterwards.
     """
     here = ml.ConstraintLearner(features, **HELD).fit(source)
-    assert any("chosen evenly out of 20,000 of 200" in note for note in here.report_.notes)
+    assert any("chosen evenly out of 4,000 of 40" in note for note in here.report_.notes)
     victims = list(client.run(os.getpid).values())
     told: dict[str, list[float]] = {}
 
@@ -96,15 +83,17 @@ def test_workers_change_nothing(client, features, source):
     assert there.report_.uncertainty_deg == here.report_.uncertainty_deg
     assert there.report_.notes == here.report_.notes
     assert told["reading"] == sorted(told["reading"]) and told["reading"][-1] == 1.0
-    wait_for(lambda: not held_keys(client))
+    deadline = threading.Event()
+    while any("manip-learn" in str(key) for keys in client.has_what().values() for key in keys):
+        assert not deadline.wait(0.05)  # the scheduler lets go a moment later; the test's own limit ends it
 
 
-def test_what_fits_comes_back_as_it_was_recorded(client, features, folder):
-    """Few files: the answer of the same files in memory, whose velocities are derived there."""
-    files = sorted(folder.iterdir())[:20]
-    loaded = ml.ConstraintLearner(features, **HELD).fit(ml.load_demonstrations(files, features.robot))
-    read = ml.ConstraintLearner(features, **HELD).fit(ml.RecordingSource(files, features.robot), client=client)
-    np.testing.assert_array_equal(read.constraint_.selection, loaded.constraint_.selection)
+def test_the_audit_reads_there_too(client, features, folder):
+    """Measured by workers, episodes have the scores that they have here."""
+    source, drawer = ml.RecordingSource(sorted(folder.iterdir())[:9], features.robot), ml.Constraint(TWO, features)
+    here, there = (ml.audit_episodes(drawer, source, client=reader).episodes for reader in (None, client))
+    assert [(e.number, e.reasons) for e in here] == [(e.number, e.reasons) for e in there]
+    np.testing.assert_allclose([e.score for e in here], [e.score for e in there], rtol=1e-9)
 
 
 def test_only_this_machine_can_reach_the_cluster(client):

@@ -46,16 +46,14 @@ def found(made: Recordings, **options: Any) -> Findings:
 
 def test_a_cut_recording_is_one_stretch():
     """Recordings that hold nothing but the contact: one part, every recording as a whole, none of them odd."""
-    for kind in ("drawer", "table", "door"):
-        made = recordings(kind, "xarm7", 2021, 8, whole=False)
-        result = found(made)
-        assert len(result.parts) == 1 and not result.odd and not result.free, kind
-        spans = [(s.trajectory, s.start, s.end) for s in result.parts[0].stretches]
-        assert spans == [(i, t.time[0], t.time[-1]) for i, t in enumerate(made[1])], kind
+    made = recordings("door", "xarm7", 2021, 8, whole=False)
+    result = found(made)
+    assert len(result.parts) == 1 and not result.odd and not result.free
+    spans = [(s.trajectory, s.start, s.end) for s in result.parts[0].stretches]
+    assert spans == [(i, t.time[0], t.time[-1]) for i, t in enumerate(made[1])]
 
 
-@pytest.mark.parametrize("seed", [2021, 2022])
-@pytest.mark.parametrize("kind", ["drawer_other_direction", "drawer_slip"])
+@pytest.mark.parametrize(("kind", "seed"), [("drawer_other_direction", 2021), ("drawer_slip", 2022)])
 def test_odd_ones_are_named_with_numbers_and_units(kind: str, seed: int):
     """Another drawer, or a grip that slips: exactly these recordings, with the reason, and both rows are kept."""
     made = recordings(kind, "panda", seed, 8, whole=False)
@@ -68,7 +66,7 @@ def test_odd_ones_are_named_with_numbers_and_units(kind: str, seed: int):
     assert np.degrees(row_space_angle(result.parts[0].found, true_rows(made[2], 0))) < 0.2
 
 
-@pytest.mark.parametrize(("kind", "degrees"), [("table", 2.0), ("table", 10.0), ("drawer", 2.0), ("drawer", 20.0)])
+@pytest.mark.parametrize(("kind", "degrees"), [("table", 2.0), ("drawer", 20.0)])
 def test_two_that_nearly_coincide_are_told_apart(kind: str, degrees: float):
     """Four recordings of one table or drawer and four of another, some degrees apart: each has its own rows."""
     features, first, truth = recordings(kind, "panda", 2023, 8, whole=False)
@@ -80,10 +78,9 @@ def test_two_that_nearly_coincide_are_told_apart(kind: str, degrees: float):
         assert np.degrees(row_space_angle(part.found, true_rows(truth if 0 in numbers else other, 0))) < 0.1
 
 
-@pytest.mark.parametrize("kind", ["table", "drawer"])
-def test_one_is_not_divided(kind: str):
-    """Sixteen recordings of one table or drawer with bad encoders are one constraint."""
-    features, trajectories, _ = recordings(kind, "ur5", 2024, 16, whole=False)
+def test_one_is_not_divided():
+    """Sixteen recordings of one table with bad encoders are one constraint."""
+    features, trajectories, _ = recordings("table", "ur5", 2024, 16, whole=False)
     rng = np.random.default_rng(1)
     noisy = [
         derive_velocities(
@@ -94,6 +91,7 @@ def test_one_is_not_divided(kind: str):
     assert len(found((features, noisy, {})).parts) == 1
 
 
+@pytest.mark.slow
 def test_memory_grows_with_the_samples_alone():
     """Three times as many whole recordings need at most three times as much: 4.7 times where each contact that one
     recording alone may show is weighed on the samples of all.
@@ -108,19 +106,7 @@ def test_memory_grows_with_the_samples_alone():
     assert peaks[1] < 3.0 * peaks[0], peaks
 
 
-def test_noise_that_differs_among_recordings_is_not_odd():
-    """A recording from a noisier encoder obeys the constraint as well as its noise allows."""
-    features, trajectories, _ = recordings("drawer", "panda", 2023, 4, whole=False)
-    rng = np.random.default_rng(3)
-    noisy = [
-        Trajectory(t.time, t.q, np.asarray(t.u) + sigma * rng.normal(size=t.q.shape), t.joint_names, t.name)
-        for t, sigma in zip(trajectories, (0.0, 0.003, 0.01, 0.001), strict=True)
-    ]
-    assert not found((features, noisy, {})).odd
-
-
-@pytest.mark.parametrize("share", [0.5, 0.9])
-def test_a_stretch_that_slips_is_odd(share: float):
+def test_a_stretch_that_slips_is_odd():
     """It has left the rows that the others hold still, wherever in it."""
     features = ml.CustomFeatures(lambda q: np.eye(2), ("x", "y"), 2)
     time = np.linspace(0.0, 2.0, 201)
@@ -130,20 +116,17 @@ def test_a_stretch_that_slips_is_odd(share: float):
         return Trajectory(time, q, np.gradient(q, time, axis=0))
 
     members = [moved(1e-5 * np.sin(9.0 * time + k)) for k in range(4)]
-    slipping = moved(0.02 / (1.0 + np.exp(-(time - 2.0 * share) / 0.01)))
+    slipping = moved(0.02 / (1.0 + np.exp(-(time - 1.8) / 0.01)))
     motion = RowMotion.collect(features, [*members, slipping])
     rows = np.linalg.qr(motion.whitening @ np.array([[0.0], [1.0]]))[0].T
     agrees = agreeing(motion, rows, [Stretch(i, 0.0, 2.0) for i in range(5)])
     assert agrees.tolist() == [True] * 4 + [False]
 
 
-@pytest.mark.parametrize(("robot", "seed", "n"), [("ur5", 2102, 4), ("xarm7", 3005, 8)])
-def test_a_tether_is_learnt_from_whole_recordings(robot: str, seed: int, n: int):
-    """Type, centre and radius within 0.5 mm, one row; the second one's sphere is so large that parts of it pass for a
-    soft plane.
-    """
-    _, made, truth = recordings("tether", robot, seed, n)
-    learner = learnt(robot, truth["tip"], made)
+def test_a_tether_is_learnt_from_whole_recordings():
+    """Type, centre and radius within 0.5 mm, one row; the sphere is so large that parts of it pass for a soft plane."""
+    _, made, truth = recordings("tether", "xarm7", 3005, 8)
+    learner = learnt("xarm7", truth["tip"], made)
     report, true = learner.report_, truth["mechanisms"][0]
     assert report.mechanism is not None
     assert report.mechanism.type == "ball"
@@ -257,7 +240,7 @@ def test_no_sequence_of_states_is_better(rng: np.random.Generator) -> None:
         borders = sum((a > 0) + (b > 0) for a, b in itertools.pairwise((0, *sequence, 0)) if a != b)
         return float(gain - 0.5 * switch * borders)
 
-    for k, seed in itertools.product((1, 2), range(12)):
+    for k, seed in itertools.product((1, 2), range(4)):
         values = np.random.default_rng(seed).normal(0.0, 1.0, (n, k))
         best = max(worth(each, values) for each in itertools.product(range(k + 1), repeat=n))
         assert worth(tuple(states_of(values, first, switch).tolist()), values) == pytest.approx(best)

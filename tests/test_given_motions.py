@@ -18,38 +18,38 @@ DRAWER = Path(__file__).resolve().parents[1] / "examples" / "data" / "sawyer_dra
 
 
 @pytest.fixture(scope="module")
-def sawyer() -> ml.Robot:
-    return ml.load_robot("sawyer")
+def features() -> ml.FrameJacobian:
+    return ml.FrameJacobian(ml.load_robot("sawyer"), "right_gripper_tip", "xyz")
 
 
 @pytest.fixture(scope="module")
-def demos(sawyer: ml.Robot) -> ml.Demonstrations:
-    return ml.load_demonstrations([DRAWER / f"demo_0{k}.csv" for k in range(1, 7)], sawyer)
+def demos(features: ml.FrameJacobian) -> ml.Demonstrations:
+    return ml.load_demonstrations([DRAWER / f"demo_0{k}.csv" for k in range(1, 7)], features.robot)
 
 
-@pytest.fixture(scope="module")
-def features(sawyer: ml.Robot) -> ml.FrameJacobian:
-    return ml.FrameJacobian(sawyer, "right_gripper_tip", "xyz")
-
-
-def test_arrays_are_learnt_from_like_files(demos: ml.Demonstrations, features: ml.FrameJacobian):
-    """Pairs of arrays, nested lists, an iterator and unnamed trajectories give the same Lambda, bit for bit."""
-    selection = ml.ConstraintLearner(features).fit(demos).constraint_.selection
+def test_arrays_are_read_like_files(demos: ml.Demonstrations, features: ml.FrameJacobian):
+    """Pairs of arrays, nested lists, an iterator and unnamed trajectories are the same recordings, bit for bit."""
     given: list[Any] = [
         [(t.time, t.q) for t in demos],
         tuple([t.time, t.q] for t in demos),
-        ((t.time, t.q) for t in demos),
         [(t.time.tolist(), t.q.tolist()) for t in demos],
         [ml.Trajectory(t.time, t.q) for t in demos],
     ]
     for motions in given:
-        np.testing.assert_array_equal(ml.ConstraintLearner(features).fit(motions).constraint_.selection, selection)
+        read = recordings_given(motions, features.robot, 7)
+        assert isinstance(read, ml.Demonstrations)
+        for one, other in zip(read, demos, strict=True):
+            np.testing.assert_array_equal(one.time, other.time)
+            np.testing.assert_array_equal(one.q, other.q)
+    selection = ml.ConstraintLearner(features).fit(demos).constraint_.selection
+    arriving = ml.ConstraintLearner(features).fit((t.time, t.q) for t in demos)
+    np.testing.assert_array_equal(arriving.constraint_.selection, selection)
 
 
-def test_one_motion_needs_no_list(demos: ml.Demonstrations, sawyer: ml.Robot):
+def test_one_motion_needs_no_list(demos: ml.Demonstrations, features: ml.FrameJacobian):
     """A trajectory, a pair or a triple of arrays is one motion, with the velocities that were given."""
-    t = demos[0]
-    t = derive_velocities(t, sawyer)
+    sawyer = features.robot
+    t = derive_velocities(demos[0], sawyer)
     u = t.u
     for given in (t, (t.time, t.q), [t.time, t.q], (t.time, t.q, u), (list(t.time), t.q)):
         held = recordings_given(given, sawyer, 7, "recorded")

@@ -59,7 +59,7 @@ def degrees_between(a, b):
 
 @pytest.mark.parametrize(
     ("name", "kind"),
-    [("panda", k) for k in paths(np.zeros(3))] + [("ur5", k) for k in ("plane", "hinge", "screw, firm")],
+    [("ur5" if k in ("plane", "screw, firm") else "panda", k) for k in paths(np.zeros(3))],
 )
 def test_type_and_place(robot_of, name, kind):
     """With encoder noise of 1e-4 rad and only 300 samples: the right type and rows, axis within 0.25 degrees, place and
@@ -97,19 +97,19 @@ def test_type_and_place(robot_of, name, kind):
 
 
 def test_the_grip_may_be_elsewhere_each_time(robot_of):
-    """One hinge held firmly at another place each time is still one hinge; its radius is the mean."""
+    """One hinge held firmly at another place each time is still one hinge; the order of the trajectories does not
+    matter, and the same generator gives the same to the last bit.
+    """
     robot = robot_of("panda")
-    point = place(robot, "panda")
-    demos = []
-    for i, shift in enumerate((-0.04, 0.0, 0.05, 0.02)):
+    point, demos = place(robot, "panda"), []
+    for i, shift in enumerate((-0.04, 0.05)):
         q = np.array(MIDDLE["panda"]) + shift * np.array([1.0, 1.0, -1.0, 1.0, 1.0, 0.5, 1.0])
-        rng = np.random.default_rng(i)
-        demos += demonstrate(robot, TIP["panda"], q, about(AXIS, point, 0.6, firm=i % 2 == 0), rng, n=2)
-    loose = find(robot_of, "panda", [d for i, d in enumerate(demos) if (i // 2) % 2]).mechanism
-    firm = find(robot_of, "panda", [d for i, d in enumerate(demos) if not (i // 2) % 2]).mechanism
-    for m, name in ((loose, "hinge"), (firm, "hinge, firm")):
-        assert m is not None and m.name == name
-        assert degrees_between(m.axis, AXIS) < 0.25
+        demos += demonstrate(robot, TIP["panda"], q, about(AXIS, point, 0.6), np.random.default_rng(2 * i), n=2)
+    m, other, again = (find(robot_of, "panda", d).mechanism for d in (demos, demos[::-1], demos))
+    assert m is not None and m.name == "hinge, firm" and degrees_between(m.axis, AXIS) < 0.25
+    np.testing.assert_allclose(other.axis, m.axis, atol=1e-6)
+    assert other.radius == pytest.approx(m.radius, abs=1e-6)
+    np.testing.assert_array_equal(again.axis, m.axis)
 
 
 def test_a_planar_arm(robot_of):
@@ -128,62 +128,43 @@ def test_a_planar_arm(robot_of):
 def test_uncertainty_tells_a_short_arc_from_a_long_one(robot_of):
     """Five degrees of a door: the radius is off by far more than on forty, and its standard deviation says so."""
     point = place(robot_of("panda"), "panda")
-    errors, sigmas = {}, {}
+    sigmas = {}
     for arc in (5.0, 40.0):
         path = about(AXIS, point, np.radians(arc), firm=False)
-        found = [find(robot_of, "panda", record(robot_of, "panda", path, seed)).mechanism for seed in range(2)]
-        assert all(m is not None and m.type == "hinge" for m in found)
-        errors[arc] = np.array([abs(m.radius - 0.3) for m in found])
-        sigmas[arc] = np.array([m.uncertainty["radius"] for m in found])
-        assert np.all(errors[arc] < 4.0 * sigmas[arc])
-    assert np.median(sigmas[5.0]) > 20.0 * np.median(sigmas[40.0])
+        m = find(robot_of, "panda", record(robot_of, "panda", path)).mechanism
+        assert m is not None and m.type == "hinge"
+        sigmas[arc] = m.uncertainty["radius"]
+        assert abs(m.radius - 0.3) < 4.0 * sigmas[arc]
+    assert sigmas[5.0] > 20.0 * sigmas[40.0]
 
 
 def test_too_short_an_arc_is_not_called_straight_without_a_word(robot_of):
     """Three degrees of a door with bad encoders: no answer that says how much more, or a line with a warning."""
     point = place(robot_of("panda"), "panda")
     path = about(AXIS, point, np.radians(3.0), firm=False)
-    for seed in range(2):
-        fit = find(robot_of, "panda", record(robot_of, "panda", path, seed, n=3, noise=5e-4))
-        if fit.mechanism is None:
-            assert "at least" in fit.reason
-        elif fit.mechanism.type == "line":
-            assert any("hinge would fit as well" in w for w in fit.warnings)
-        else:
-            assert fit.mechanism.uncertainty["radius"] > 0.005
+    fit = find(robot_of, "panda", record(robot_of, "panda", path, n=3, noise=5e-4))
+    if fit.mechanism is None:
+        assert "at least" in fit.reason
+    elif fit.mechanism.type == "line":
+        assert any("hinge would fit as well" in w for w in fit.warnings)
+    else:
+        assert fit.mechanism.uncertainty["radius"] > 0.005
 
 
 def test_free_motion_is_no_mechanism(robot_of):
-    """Arms that wander freely are held by nothing."""
-    for name in ("panda", "ur5", "planar3"):
-        robot = robot_of(name)
-        names = robot.joint_names
-        for seed in range(2):
-            rng = np.random.default_rng(seed)
-            demos = [
-                ml.Trajectory(np.arange(T) * 0.02, MIDDLE[name] + wave(rng, np.full(robot.nv, 0.4)), None, names)
-                for _ in range(5)
-            ]
-            fit = find(robot_of, name, demos)
-            assert fit.mechanism is None and fit.features is None and fit.selection is None
-            assert fit.reason
-
-
-def test_a_repeated_reach_is_no_mechanism(robot_of):
-    """The same curved reach again and again lies on many surfaces: that is repetition, not contact."""
-    robot = robot_of("panda")
+    """Arms that wander freely, or that go the same curved way again and again, are held by nothing."""
     s = np.linspace(0.0, 1.0, T)
     shape = 10 * s**3 - 15 * s**4 + 6 * s**5
-    for seed in range(3):
-        rng = np.random.default_rng(seed)
+    for name, repeats in (("panda", False), ("ur5", False), ("planar3", False), ("panda", True)):
+        robot, rng, demos = robot_of(name), np.random.default_rng(0), []
         goal = rng.normal(0.0, 0.5, robot.nv)
-        demos = []
         for _ in range(6):
-            q = MIDDLE["panda"] + np.outer(shape, goal + rng.normal(0.0, 0.01, robot.nv))
-            q = q + wave(rng, np.full(robot.nv, 0.004)) + rng.normal(0.0, 1e-4, q.shape)
+            q = MIDDLE[name] + wave(rng, np.full(robot.nv, 0.004 if repeats else 0.4))
+            if repeats:
+                q = q + np.outer(shape, goal + rng.normal(0.0, 0.01, robot.nv)) + rng.normal(0.0, 1e-4, q.shape)
             demos.append(ml.Trajectory(np.arange(T) * 0.02, q, None, robot.joint_names))
-        fit = find(robot_of, "panda", demos)
-        assert fit.mechanism is None
+        fit = find(robot_of, name, demos)
+        assert fit.mechanism is None and fit.features is None and fit.selection is None and fit.reason
 
 
 def test_doors_in_different_places_are_not_one_hinge(robot_of):
@@ -234,16 +215,6 @@ def test_one_trajectory_is_an_answer_with_a_warning(robot_of):
     assert fit.mechanism is not None and fit.mechanism.name == "hinge, firm"
     assert degrees_between(fit.mechanism.axis, AXIS) < 0.1
     assert "one trajectory" in fit.warnings[0]
-
-
-def test_the_answer_does_not_depend_on_the_order(robot_of):
-    """Trajectories in another order give the same mechanism, bit for bit the same with the same rng."""
-    point = place(robot_of("panda"), "panda")
-    demos = record(robot_of, "panda", about(AXIS, point, 0.7, firm=False), n=3)
-    a, b, again = (find(robot_of, "panda", d).mechanism for d in (demos, demos[::-1], demos))
-    np.testing.assert_allclose(a.axis, b.axis, atol=1e-6)
-    assert a.radius == pytest.approx(b.radius, abs=1e-6)
-    np.testing.assert_array_equal(a.axis, again.axis)
 
 
 def test_what_cannot_be_looked_at_is_refused(robot_of):

@@ -55,7 +55,7 @@ def pieces(motion: Motion, *, clock: bool = False, shared: bool = False) -> list
 
 
 WAYS: dict[str, Callable[[Motion], list[Motion]]] = {
-    "four copies": lambda m: [m, m, m],
+    "three copies": lambda m: [m, m, m],
     "reversed": lambda m: [(m[0][-1] - m[0][::-1], m[1][::-1])],
     "at 40 Hz": lambda m: [at_rate(m, 40.0)],
     "at 15 Hz on a late clock": lambda m: [at_rate(m, 15.0, late=7.3)],
@@ -67,21 +67,28 @@ WAYS: dict[str, Callable[[Motion], list[Motion]]] = {
 
 
 @pytest.mark.parametrize("way", WAYS)
-def test_what_repeats_adds_nothing_but_a_warning(way: str, drawers):
+def test_what_repeats_is_left_out(way: str, drawers):
+    """The three recordings are left as they are, and the warning names what repeats which."""
+    given = named([*drawers[1], *WAYS[way](drawers[1][1])])
+    found = IndependentRecordings.of(Demonstrations(given))
+    assert [t.name for t in found.demonstrations] == ["demo_0", "demo_1", "demo_2"]
+    assert all(t.q is one.q for t, one in zip(found.demonstrations, given, strict=False))
+    assert any("demo_3" in w and "repeat" in w and "demo_1" in w and "they count once" in w for w in found.warnings)
+
+
+def test_what_repeats_adds_nothing_but_a_warning(drawers):
     """Gap, uncertainty, counts, evidence and warnings are those without the repeats, which one more warning names."""
     features, motions = drawers
     alone = ml.ConstraintLearner(features).fit(named(motions)).report_
-    report = ml.ConstraintLearner(features).fit(named([*motions, *WAYS[way](motions[1])])).report_
+    report = ml.ConstraintLearner(features).fit(named([*motions, replayed(motions[1])])).report_
     assert report.n_trajectories == 3
     for what in ("gap", "uncertainty_deg", "row_evidence", "n_samples", "held_out_residual", "free_directions"):
         assert getattr(report, what) == getattr(alone, what), what
-    more = [w for w in report.warnings if w not in alone.warnings]
-    assert set(alone.warnings) < set(report.warnings)
-    assert any("demo_3" in w and "repeat" in w and "demo_1" in w and "they count once" in w for w in more)
+    (more,) = [w for w in report.warnings if w not in alone.warnings]
+    assert set(alone.warnings) < set(report.warnings) and more.startswith("demo_3 repeats demo_1")
 
 
-@pytest.mark.parametrize("clock", [False, True])
-@pytest.mark.parametrize("shared", [False, True])
+@pytest.mark.parametrize(("clock", "shared"), [(False, True), (True, False)])
 def test_pieces_of_one_recording_are_the_uncut_recording(clock: bool, shared: bool, drawers):
     """Cut in eight, with or without its clock and the sample at each cut: the answer of the uncut one, said of the
     pieces on their own clocks.
@@ -109,10 +116,10 @@ def test_one_recording_in_eight_is_no_more_than_one(drawers):
     assert any(w.startswith("only one trajectory") for w in report.warnings)
 
 
-@pytest.mark.parametrize("noise", [0.0, 1e-4, 1e-2])
+@pytest.mark.parametrize("noise", [0.0, 1e-2])
 @pytest.mark.parametrize(
     ("kind", "robot"),
-    [("free_repeated", "xarm7"), ("drawer_firm", "ur5"), ("hinge", "sawyer"), ("table", "panda"), ("free_slow", "ur5")],
+    [("free_repeated", "xarm7"), ("drawer_firm", "ur5"), ("table", "panda")],
 )
 def test_demonstrations_of_their_own_count_each(kind: str, robot: str, noise: float):
     """Nothing repeats in what was demonstrated anew each time, be it a reach in nearly the same way."""
@@ -133,8 +140,7 @@ def excitation(seed: int, periods: float, noise: float = 1e-4) -> tuple[ml.Robot
     return robot, ml.Trajectory(t, q + rng.normal(0.0, noise, q.shape), None, robot.joint_names, "calibration")
 
 
-@pytest.mark.parametrize("periods", [1.3, 2.2, 3.0])
-@pytest.mark.parametrize("noise", [0.0, 1e-3])
+@pytest.mark.parametrize(("periods", "noise"), [(1.3, 1e-3), (3.0, 0.0)])
 def test_what_goes_round_in_one_file_counts_once(periods: float, noise: float):
     """Its first period is kept, whatever the noise; one period and what is not quite one are kept whole."""
     found = IndependentRecordings.of(Demonstrations([excitation(3, periods, noise)[1]]))
@@ -155,25 +161,16 @@ def there_and_back(rng: np.random.Generator, strokes: int) -> ml.Trajectory:
     return ml.Trajectory(t, q + rng.normal(0.0, 1e-4, q.shape), None, robot.joint_names, "reach")
 
 
-@pytest.mark.parametrize("what", ["round", "there and back", "three there and back"])
+@pytest.mark.parametrize("what", ["round", pytest.param("three there and back", marks=pytest.mark.slow)])
 def test_free_motion_that_repeats_itself_in_one_file_is_refused(what: str):
-    """The same stretch twice is no evidence that anything is held. The round was once a plane with gap 367, the way
-    there and back a sphere with gap 215, and three of them a sphere with gap 711.
+    """The same stretch twice is no evidence that anything is held. The round was once a plane with gap 367, three
+    ways there and back a sphere with gap 711.
     """
     features = [ml.FrameJacobian(arm("panda"), "panda_hand", "xyz", reference) for reference in ("world", "local")]
-    rng = np.random.default_rng(2 if what == "there and back" else 1)
-    motions = [excitation(3, 2.2)[1]] if what == "round" else [there_and_back(rng, 2)]
-    if what.startswith("three"):
-        rng = np.random.default_rng(1)
-        motions = [there_and_back(rng, 3) for _ in range(3)]
+    rng = np.random.default_rng(1)
+    motions = [excitation(3, 2.2)[1]] if what == "round" else [there_and_back(rng, 3) for _ in range(3)]
     with pytest.raises(NotIdentifiableError):
         ml.ConstraintLearner(features).fit(motions)
-
-
-def test_a_drawer_that_is_opened_and_shut_counts_whole(drawers):
-    """The way back of a hand at work is left to it, also of an arm that can go one way only, and in all recordings."""
-    given = Demonstrations(generated("drawer_firm", "ur5", 20000, 6, False)[1])
-    assert IndependentRecordings.of(given).demonstrations is given
 
 
 def test_recordings_that_begin_at_rest_where_the_last_one_ended_count_each():

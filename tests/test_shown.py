@@ -77,10 +77,9 @@ def test_positive_is_the_way_shown():
     """A drawer opens by a positive way and is shut by a negative one, which ends where contacts began."""
     robot, tip, learner, thing, ways = shown_set("drawer", "panda")
     constraint, start = learner.constraint_, np.array(HOME["panda"])
-    _, places, _ = done(constraint, ml.motion(constraint, along=0.1), start, tip)
-    assert (places[-1] - places[0]) @ thing.axis == pytest.approx(0.1, abs=2e-3)
-    _, places, _ = done(constraint, ml.motion(constraint, along=-0.1), start, tip)
-    assert (places[-1] - places[0]) @ thing.axis == pytest.approx(-0.1, abs=2e-3)
+    for along in (0.1, -0.1):
+        _, places, _ = done(constraint, ml.motion(constraint, along=along), start, tip)
+        assert (places[-1] - places[0]) @ thing.axis == pytest.approx(along, abs=2e-3)
     assert np.linalg.norm(places[-1] - thing.hold) < 3e-3
     back = ml.motion(constraint, direction="back")
     assert np.sign(back.wanted) == -np.sign(ml.motion(constraint).wanted)

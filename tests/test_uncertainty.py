@@ -13,7 +13,6 @@ from task_sets import arm, generated
 from manip_learn.constraint.constraint import Constraint
 from manip_learn.constraint.features import CustomFeatures, FrameJacobian
 from manip_learn.constraint.features.mechanism_rows import MechanismRows, PlaceRows
-from manip_learn.errors import FeatureError
 from manip_learn.learning import ConstraintLearner
 from manip_learn.learning.arm_errors import changes_by_links
 from manip_learn.learning.estimators.null_space import estimate_null_space
@@ -25,8 +24,6 @@ from manip_learn.learning.uncertainty import (
     PARTS,
     POLICY,
     JointOffsets,
-    angle_within_deg,
-    bootstrap_errors,
     in_words,
     influences,
     uncertainty_of,
@@ -63,21 +60,7 @@ def ratios(offset: float, sets: int, **settings) -> tuple[np.ndarray, np.ndarray
     return np.array(angles), np.array(mu)
 
 
-class ThreeRows:
-    """Samples in whitened coordinates that are those of the features."""
-
-    whitening = np.eye(3)
-
-    def selection(self, whitened):
-        return whitened
-
-
-def test_joint_offsets_are_part_of_the_stated_angle():
-    """Offsets of 2e-3 rad: the truth is inside in at least 60 % of 25 sets; the bootstrap alone says 25 to 35 %."""
-    assert np.mean(ratios(2e-3, 25, zeros=0.0)[0] <= 1.0) >= 0.6
-
-
-@pytest.mark.parametrize("zeros", [0.1, 1.0])
+@pytest.mark.parametrize("zeros", [0.1, pytest.param(1.0, marks=pytest.mark.slow)])
 def test_an_arm_as_far_off_as_was_said_is_within_what_is_stated(zeros: float):
     """Zeros off by what the learner was told: angle and mu within what is stated in two of three of 20 sets, within
     twice that in nine of ten, and not by stating everything: the median is no less than a third of it.
@@ -89,18 +72,17 @@ def test_an_arm_as_far_off_as_was_said_is_within_what_is_stated(zeros: float):
 
 def test_a_doors_mu_is_within_what_is_stated():
     """Zeros off by 0.3 degrees, as the learner was told: within twice what is stated, and that is no more than 20 %."""
-    for seed in (2031, 2032, 2033):
-        truth, made = generated("door", "panda", seed, 5, whole=False)
-        robot, door = arm("panda"), truth["mechanisms"][0]
-        delta = np.radians(0.3) * np.random.default_rng(seed).standard_normal(robot.nv)
-        demos = [Trajectory(t.time, t.q + delta, None, robot.joint_names, t.name) for t in made]
-        learner = ConstraintLearner(FrameJacobian(robot, truth["tip"]), zeros=0.3, links=0.0).fit(demos)
-        rows = MechanismRows(robot, truth["tip"], "radial axial", axis=door["axis"], point=door["point"])
-        true, few = Constraint(np.eye(2), rows), np.concatenate([t.q for t in made])[::29]
-        assert learner.report_.n_constraints == 2 and learner.report_.mechanism.type == "hinge"
-        off = [learner.constraint_.manipulability(q + delta) / true.manipulability(q) - 1.0 for q in few]
-        assert np.median(np.abs(off)) < 2.0 * learner.report_.mu_uncertainty < 0.2
-        assert ", mu to " in learner.report_.known_to()
+    truth, made = generated("door", "panda", 2031, 5, whole=False)
+    robot, door = arm("panda"), truth["mechanisms"][0]
+    delta = np.radians(0.3) * np.random.default_rng(2031).standard_normal(robot.nv)
+    demos = [Trajectory(t.time, t.q + delta, None, robot.joint_names, t.name) for t in made]
+    learner = ConstraintLearner(FrameJacobian(robot, truth["tip"]), zeros=0.3, links=0.0).fit(demos)
+    rows = MechanismRows(robot, truth["tip"], "radial axial", axis=door["axis"], point=door["point"])
+    true, few = Constraint(np.eye(2), rows), np.concatenate([t.q for t in made])[::29]
+    assert learner.report_.n_constraints == 2 and learner.report_.mechanism.type == "hinge"
+    off = [learner.constraint_.manipulability(q + delta) / true.manipulability(q) - 1.0 for q in few]
+    assert np.median(np.abs(off)) < 2.0 * learner.report_.mu_uncertainty < 0.2
+    assert ", mu to " in learner.report_.known_to()
 
 
 def test_what_no_residual_shows_is_as_large_as_was_said():
@@ -117,28 +99,14 @@ def test_what_no_residual_shows_is_as_large_as_was_said():
     assert mu[1] == pytest.approx(mu[0], rel=1e-6)
 
 
-def test_exact_recordings_of_an_arm_as_described_state_no_zeros():
-    """With zeros=0 nothing is left over to tell errors of the arm from; with a prior they are as was said."""
+def test_what_is_thought_of_the_arm_is_stated():
+    """Without noise and zeros nothing is left over to tell errors of the arm from; with a prior they are as was said,
+    and wider by half with links that are ten times as far off, which are not thought of without zeros.
+    """
     demos, truth, _ = held(12, 0.0, noise=0.0)
-    assert learnt(demos, truth, zeros=0.0).report_.uncertainty[JOINT_ZEROS] is None
-    assert learnt(demos, truth, zeros=0.1).report_.uncertainty[JOINT_ZEROS] > 0.05
-
-
-def test_links_widen_what_is_stated():
-    """Ten times the millimetres and milliradians make it half as wide again; without zeros they are not thought of."""
-    demos, truth, _ = held(13, 0.0)
+    assert learnt(demos, truth, zeros=0.0, links=5.0).report_.uncertainty[JOINT_ZEROS] is None
     wide = [learnt(demos, truth, zeros=0.1, links=links).report_.uncertainty[JOINT_ZEROS] for links in (0.0, 0.5, 5.0)]
-    assert wide[0] <= 1.05 * wide[1] and 1.5 * wide[1] < wide[2]
-    exact = [learnt(demos, truth, zeros=0.0, links=links).report_.uncertainty for links in (0.0, 5.0)]
-    assert exact[0] == exact[1]
-
-
-@pytest.mark.parametrize("setting", ["zeros", "links"])
-@pytest.mark.parametrize("value", [-0.1, float("nan"), "1", True])
-def test_a_prior_is_a_size(setting: str, value):
-    """Neither negative nor words."""
-    with pytest.raises(FeatureError, match=f"{setting} must be a finite number"):
-        ConstraintLearner(arm_features(), **{setting: value})
+    assert 0.05 < wide[0] <= 1.05 * wide[1] and 1.5 * wide[1] < wide[2]
 
 
 PLACE = {"axis": [0.3, 0.4, 0.5], "point": [0.2, 0.1, 0.0]}
@@ -197,7 +165,7 @@ def test_the_error_of_lambda_is_linear_in_the_offsets():
 @pytest.mark.parametrize("motions", [5, 60])
 def test_noise_alone_is_no_offset_however_much_is_recorded(motions):
     """The pattern stays within what chance makes of it: with the noise of u in K it is 10 standard errors and more."""
-    for seed in range(4):
+    for seed in range(2):
         demos, truth, _ = held(200 + seed, 0.0, motions=motions)
         samples = Samples.collect(truth.features, demos)
         estimate = estimate_null_space(samples, 2)
@@ -209,16 +177,6 @@ def test_noise_alone_is_no_offset_however_much_is_recorded(motions):
         parts, _ = uncertainty_of(samples, estimate, np.random.default_rng(seed))
         zeros, scatter = parts[JOINT_ZEROS], parts[NOISE]
         assert zeros is not None and scatter is not None and zeros < 0.3 * scatter
-
-
-def test_a_turn_of_the_base_shows_nowhere():
-    """An offset of the first joint, whose axis is vertical, leaves no pattern at any noise: Lambda takes all of it."""
-    demos, truth, _ = held(7, 0.0, noise=0.05, motions=30)
-    samples = Samples.collect(truth.features, demos)
-    offsets = JointOffsets.of(samples, estimate_null_space(samples, 2).whitened_selection)
-    assert offsets is not None
-    assert offsets.directions[0] ** 2 @ offsets.curvatures < 1e-12 * offsets.curvatures[-1]
-    assert np.linalg.norm(offsets.response[:, 0]) > 0.1
 
 
 def test_the_report_states_the_parts():
@@ -271,18 +229,14 @@ def reaching(seed: int):
 @pytest.mark.parametrize(
     ("make", "settings"),
     [
-        (held_arm, {"estimator": "null-space", "zeros": 0.0}),
-        (reaching, {"estimator": "joint", "policy_model": "affine"}),
+        (held_arm, {"estimator": "null-space", "zeros": 0.0, "phases": "off", "mechanism": "off"}),
+        pytest.param(reaching, {"estimator": "joint", "policy_model": "affine"}, marks=pytest.mark.slow),
     ],
     ids=["held arm", "reaching"],
 )
-@pytest.mark.parametrize("sets", [24, pytest.param(30, marks=pytest.mark.slow)])
-def test_the_true_angle_lies_inside_about_two_times_in_three(make, settings, sets):
-    """Over many noisy data sets the true angle is below the reported 68 % angle in 50 to 85 % of them.
-
-    Two dozen tell an angle that is stated far too small or too large; 30, the proof, run with `make proofs`.
-    """
-    inside, ratios = 0, []
+def test_the_true_angle_lies_inside_about_two_times_in_three(make, settings):
+    """Over two dozen noisy data sets the true angle is below the reported 68 % angle in 50 to 85 % of them."""
+    inside, ratios, sets = 0, [], 24
     for seed in range(sets):
         demos, truth = make(7000 + seed)
         learner = ConstraintLearner(truth.features, n_constraints=2, **settings).fit(demos)
@@ -291,21 +245,6 @@ def test_the_true_angle_lies_inside_about_two_times_in_three(make, settings, set
         ratios.append(angle / reported)
     assert 0.5 <= inside / sets <= 0.85
     assert np.quantile(ratios, 0.95) < 3.0
-
-
-class TwoRows(ThreeRows):
-    """The least that `angle_within_deg` asks of samples."""
-
-    whitening = np.eye(2)
-
-
-def stated(gradients, quantile: float) -> float:
-    """The angle [deg] of one row in a plane, for trajectories with these gradients and equal Hessians."""
-    hessians = np.full((len(gradients), 1, 1), 1e4)
-    rng = np.random.default_rng(8)
-    # the row is turned by steps of 1e-4 and less, where the angle is the step
-    steps = bootstrap_errors(np.eye(2)[:1], gradients[:, None], hessians, rng, 20_000)
-    return angle_within_deg(TwoRows(), np.eye(2)[:1], steps, quantile)
 
 
 @pytest.mark.parametrize("rank", [3, 80])

@@ -62,45 +62,26 @@ def rolled(u: np.ndarray, q: np.ndarray, t: np.ndarray, rng: np.random.Generator
 # what is recorded in place of the velocity, and whether one joint alone is at fault
 VELOCITIES: dict[str, Velocity] = {
     "not a number": missing(2.0),
-    "some not a number": missing(0.01),
     "of one joint not a number": of_one(missing(2.0)),
-    "infinite": lambda u, q, t, rng: np.full_like(u, np.inf),
     "zero": lambda u, q, t, rng: 0.0 * u,
     "of one joint zero": of_one(lambda u, q, t, rng: 0.0 * u),
-    "constant": lambda u, q, t, rng: 0.0 * u + 0.1,
-    "of one joint constant": of_one(lambda u, q, t, rng: 0.0 * u - 0.3),
     "copied from the position": lambda u, q, t, rng: q.copy(),
-    "of one joint copied": of_one(lambda u, q, t, rng: q),
     "the step and not the rate": lambda u, q, t, rng: u * DT,
-    "in degrees": lambda u, q, t, rng: np.degrees(u),
     "of one joint in degrees": of_one(lambda u, q, t, rng: np.degrees(u)),
     "in counts": of_one(lambda u, q, t, rng: np.round(u * 4096 / 2 / np.pi)),
-    "in revolutions per minute": of_one(lambda u, q, t, rng: u * 60 / 2 / np.pi),
     "5 percent too large": of_one(lambda u, q, t, rng: 1.05 * u),
-    "half": lambda u, q, t, rng: 0.5 * u,
     "of the neighbour": of_one(rolled),
-    "of all neighbours": rolled,
-    "absolute": lambda u, q, t, rng: np.abs(u),
-    "of one joint absolute": of_one(lambda u, q, t, rng: np.abs(u)),
     "clipped": lambda u, q, t, rng: np.clip(u, -0.3, 0.3),
-    "of one joint clipped": of_one(lambda u, q, t, rng: np.clip(u, -0.2, 0.2)),
     "of the opposite sign": lambda u, q, t, rng: -u,
     "of one joint of the opposite sign": of_one(lambda u, q, t, rng: -u),
-    "filtered by 30 ms": filtered(0.03),
-    "filtered by 150 ms": filtered(0.15),
     "of one joint filtered": of_one(filtered(0.1)),
-    "late by 10 ms": late(0.01),
     "late by 30 ms": late(0.03),
     "late by 150 ms": late(0.15),
     "of one joint late": of_one(late(0.08)),
-    "early by 30 ms": late(-0.03),
-    "0.05 rad/s off": of_one(lambda u, q, t, rng: u + 0.05),
     "0.01 rad/s off": of_one(lambda u, q, t, rng: u - 0.01),
     "drifting": of_one(lambda u, q, t, rng: u + 0.1 * ((t - t[0]) / (t[-1] - t[0]))[:, None]),
-    "noisy": lambda u, q, t, rng: u + 0.1 * rng.standard_normal(u.shape),
     "of one joint noisy": of_one(lambda u, q, t, rng: u + 0.1 * rng.standard_normal(u.shape)),
     "differences of the positions": lambda u, q, t, rng: np.gradient(q, t, axis=0),
-    "backward differences": lambda u, q, t, rng: np.diff(q, axis=0, prepend=2.0 * q[:1] - q[1:2]) / DT,
     "coarse": lambda u, q, t, rng: np.round(u, 1),
     "held for ten samples": lambda u, q, t, rng: u[np.arange(len(u)) // 10 * 10],
     "one sample wild": lambda u, q, t, rng: u + 50.0 * (np.arange(len(u)) == 150)[:, None],
@@ -138,18 +119,15 @@ def some_late(t: np.ndarray, rng: np.random.Generator) -> np.ndarray:
 
 
 TIMES: dict[str, Stamps] = {
-    **{f"bunches of {n}": bunches(n) for n in (2, 3, 5, 10, 30, 100)},
-    **{f"bunches of {n}, 0.1 ms apart": bunches(n, 1e-4) for n in (2, 10, 50)},
+    **{f"bunches of {n}": bunches(n) for n in (2, 5, 30, 100)},
+    "bunches of 10, 0.1 ms apart": bunches(10, 1e-4),
     "bunches of many sizes": random_bunches,
-    **{f"grains of {size:g} s": grains(size) for size in (0.001, 0.003, 0.004, 0.016, 0.1, 0.5, 1.0)},
+    **{f"grains of {size:g} s": grains(size) for size in (0.001, 0.004, 0.1, 1.0)},
     "since 1970 in grains of 0.1 s": lambda t, rng: 1.7e9 + np.floor(t / 0.1 + 1e-9) * 0.1,
-    "milliseconds": lambda t, rng: 1e3 * t,
     "milliseconds since 1970": lambda t, rng: 1.7e12 + np.round(1e3 * t),
-    "microseconds since 1970": lambda t, rng: 1.7e15 + np.round(1e6 * t),
     "stalled once": stalled,
     "single stamps late": some_late,
     "set back by 0.4 s": lambda t, rng: t - 0.4 * (np.arange(len(t)) >= 130),
-    "set back by 20 ms": lambda t, rng: t - 0.02 * (np.arange(len(t)) >= 130),
     "begun again at 0": lambda t, rng: t - t[150] * (np.arange(len(t)) >= 150),
     "set back twice": lambda t, rng: t - 0.5 * (np.arange(len(t)) >= 100) - 1.0 * (np.arange(len(t)) >= 220),
     "past midnight": lambda t, rng: (86399.0 + t) % 86400.0,
@@ -157,16 +135,11 @@ TIMES: dict[str, Stamps] = {
 
 
 @cache
-def motions(arm: str, seed: int) -> tuple[ml.FrameJacobian, tuple[ml.Trajectory, ...], ml.Constraint]:
+def motions(arm: str) -> tuple[ml.FrameJacobian, tuple[ml.Trajectory, ...], ml.Constraint]:
     """Six motions along what is held by one row of a planar arm, or by two of a spatial one, with encoder noise."""
-    rng = np.random.default_rng(seed)
-    if arm == "planar3":
-        features, rows = planar_features(), np.eye(3)[:1]
-    elif arm == "sawyer":
-        features, rows = arm_features(), oblique(2, 3, rng)
-    else:
-        robot = ml.load_robot("panda", locked=("panda_finger_joint1",))
-        features, rows = ml.FrameJacobian(robot, "panda_hand_tcp", "xyz"), oblique(2, 3, rng)
+    rng = np.random.default_rng(SEED)
+    features = planar_features() if arm == "planar3" else arm_features()
+    rows = np.eye(3)[:1] if arm == "planar3" else oblique(2, 3, rng)
     exact, truth = guided_motions(features, rows, rng, 6, SAMPLES, DT)
     noisy = (replace(t, q=t.q + NOISE * rng.standard_normal(t.q.shape)) for t in exact)
     return features, tuple(noisy), truth
@@ -180,42 +153,37 @@ def error(features: ml.FrameJacobian, truth: ml.Constraint, given: Any, **option
     return angle_deg(learner.fit(given).constraint_, truth)
 
 
-@cache
-def from_positions(arm: str, seed: int) -> float:
-    """The same from the positions alone, at their true times."""
-    features, exact, truth = motions(arm, seed)
-    return error(features, truth, [(t.time, t.q) for t in exact])
-
-
-def faulty(arm: str, seed: int, fault: str) -> list[ml.Trajectory]:
+def faulty(arm: str, fault: str) -> list[ml.Trajectory]:
     """Motions with something else for their velocities."""
-    rng = np.random.default_rng(seed + 1)
-    return [replace(t, u=VELOCITIES[fault](t.u, t.q, t.time, rng)) for t in motions(arm, seed)[1]]
+    rng = np.random.default_rng(SEED + 1)
+    return [replace(t, u=VELOCITIES[fault](t.u, t.q, t.time, rng)) for t in motions(arm)[1]]
 
 
 @pytest.mark.parametrize("fault", VELOCITIES)
-def test_velocities_that_contradict_the_positions_are_derived(fault: str) -> None:
-    """The answer is that of the positions alone, and a note names the joint at fault with the figures."""
+def test_velocities_that_contradict_the_positions_are_not_used(fault: str) -> None:
+    """The positions alone are left, as they were, and a note names the joint at fault with the figures."""
     arm = ("planar3", "sawyer")[len(fault) % 2]
-    features, _, truth = motions(arm, SEED)
-    given = recordings_given(faulty(arm, SEED, fault), features.robot, features.nv)
-    assert isinstance(given, ml.Demonstrations)
-    assert all(t.u is None for t in given) and 1 <= len(given.notes) <= len(given)
+    features, exact, _ = motions(arm)
+    given = recordings_given(faulty(arm, fault), features.robot, features.nv)
+    assert isinstance(given, ml.Demonstrations) and 1 <= len(given.notes) <= len(given)
+    for one, true in zip(given, exact, strict=True):
+        assert one.u is None
+        np.testing.assert_array_equal(one.q, true.q)
+        np.testing.assert_array_equal(one.time, true.time)
     alone = VELOCITIES[fault].__qualname__.startswith("of_one")
     for note in given.notes:
         assert any(name in note for name in features.robot.joint_names) and "derived from the positions" in note
         assert not alone or f"velocity of {features.robot.joint_names[JOINT]} " in note
         assert " is not a number in " in note or (" apart after " in note and "rad/s off where" in note)
-    assert error(features, truth, faulty(arm, SEED, fault)) <= 3.0 * from_positions(arm, SEED)
 
 
 def test_one_recording_at_fault_is_named() -> None:
     """Those of all are derived, and the notes tell the recordings at fault from the others."""
-    features, exact, _ = motions("sawyer", SEED)
+    features, exact, _ = motions("sawyer")
     for fault in ("of one joint zero", "late by 150 ms", "of one joint in degrees", "drifting"):
         with case(fault):
             given = [replace(t, name=f"demo_{i}") for i, t in enumerate(exact)]
-            given[4] = replace(faulty("sawyer", SEED, fault)[4], name="demo_4")
+            given[4] = replace(faulty("sawyer", fault)[4], name="demo_4")
             read = recordings_given(given, features.robot, features.nv)
             assert isinstance(read, ml.Demonstrations) and all(t.u is None for t in read)
             (one,) = (note for note in read.notes if note.startswith("demo_4: "))
@@ -226,12 +194,10 @@ def test_one_recording_at_fault_is_named() -> None:
 
 @pytest.mark.parametrize("fault", TIMES)
 def test_times_that_contradict_the_positions_are_spread(fault: str) -> None:
-    """The answer is as good as with the true times, and a note says what was done."""
-    arm = ("planar3", "sawyer")[len(fault) % 2]
-    features, exact, truth = motions(arm, SEED)
+    """Even steps as in truth, which leave the rows that are learnt as they are, and a note says what was done."""
+    features, exact, _ = motions(("planar3", "sawyer")[len(fault) % 2])
     rng = np.random.default_rng(SEED)
-    given = [(TIMES[fault](t.time, rng), t.q) for t in exact]
-    read = recordings_given(given, features.robot, features.nv)
+    read = recordings_given([(TIMES[fault](t.time, rng), t.q) for t in exact], features.robot, features.nv)
     assert isinstance(read, ml.Demonstrations) and len(read) == len(exact)
     told = ("spread", "read as m", "set back", "came late", "out of order")
     assert fault == "grains of 0.001 s" or all(any(word in note for word in told) for note in read.notes) and read.notes
@@ -239,20 +205,16 @@ def test_times_that_contradict_the_positions_are_spread(fault: str) -> None:
         np.testing.assert_array_equal(one.q, true.q)
         steps = np.diff(one.time)
         assert np.ptp(steps) < 1e-3 * np.mean(steps)
-    assert error(features, truth, given) <= 3.0 * from_positions(arm, SEED)
 
 
 def test_where_recorded_velocities_are_better_they_are_used() -> None:
     """Exact ones beside coarse encoders, few digits, noise and few samples are kept, and the answer gains by it."""
-    features, exact, truth = motions("sawyer", SEED)
+    features, exact, truth = motions("sawyer")
     quantum = 2.0 * np.pi / 4096
     rng = np.random.default_rng(SEED)
     for name, (change, step) in {
-        "as recorded": (lambda q: q, 1),
         "12 bit": (lambda q: np.round(q / quantum) * quantum, 1),
-        "3 digits": (lambda q: np.round(q, 3), 1),
         "noise of 1 mrad": (lambda q: q + 1e-3 * rng.standard_normal(q.shape), 1),
-        "33 Hz": (lambda q: q, 3),
         "33 Hz and 12 bit": (lambda q: np.round(q / quantum) * quantum, 3),
         "12.5 Hz": (lambda q: q, 8),
     }.items():
@@ -266,8 +228,8 @@ def test_where_recorded_velocities_are_better_they_are_used() -> None:
 
 def test_what_is_asked_for_is_done(tmp_path: Path) -> None:
     """`"derive"` and `"recorded"` overrule the judgement, in files and in memory; the learner keeps what was read."""
-    features, exact, truth = motions("planar3", SEED)
-    wrong = faulty("planar3", SEED, "of one joint of the opposite sign")
+    features, exact, truth = motions("planar3")
+    wrong = faulty("planar3", "of one joint of the opposite sign")
     for number, t in enumerate(wrong):
         np.savez(tmp_path / f"{number}.npz", time=t.time, q=t.q, u=np.asarray(t.u), joint_names=t.joint_names)
     robot = features.robot
@@ -275,17 +237,17 @@ def test_what_is_asked_for_is_done(tmp_path: Path) -> None:
     assert not demos["auto"].has_velocities and not demos["derive"].has_velocities
     assert "as asked" in demos["derive"].notes[0] and " and 5 more" in demos["auto"].notes[0]
     np.testing.assert_array_equal(demos["recorded"][0].u, wrong[0].u)
-    good = from_positions("planar3", SEED)
+    good = error(features, truth, [(t.time, t.q) for t in exact])
     assert error(features, truth, demos["auto"]) == error(features, truth, wrong, velocities="derive") == good
     bad = error(features, truth, demos["recorded"])
     assert bad == error(features, truth, wrong, velocities="recorded") > 100.0 * good
     with pytest.raises(RecordingError, match="is not a number"):
-        recordings_given(faulty("planar3", SEED, "not a number"), robot, 3, "recorded")
+        recordings_given(faulty("planar3", "not a number"), robot, 3, "recorded")
 
 
 def test_a_pause_stays_a_gap_among_bunches() -> None:
     """Where the arm has moved on, or stood still for long, no count of samples makes up for the time."""
-    features, exact, _ = motions("planar3", SEED)
+    features, exact, _ = motions("planar3")
     t = exact[0]
     for stamps in (t.time, bunches(5)(t.time, np.random.default_rng(0))):
         keep = np.r_[0:100, 160:300]
@@ -296,7 +258,7 @@ def test_a_pause_stays_a_gap_among_bunches() -> None:
 
 def test_uneven_sampling_is_believed() -> None:
     """Dropped samples and random times are what they say: the positions follow them."""
-    features, exact, _ = motions("sawyer", SEED)
+    features, exact, _ = motions("sawyer")
     rng = np.random.default_rng(SEED)
     for t in exact:
         keep = np.sort(rng.choice(SAMPLES, 200, replace=False))
@@ -310,7 +272,7 @@ def test_uneven_sampling_is_believed() -> None:
 
 def test_positions_that_are_noise_are_no_motion() -> None:
     """Where no joint moves farther than its encoder's noise nothing is learnt; one recording that moves is not that."""
-    features, exact, _ = motions("planar3", SEED)
+    features, exact, _ = motions("planar3")
     rng = np.random.default_rng(SEED)
     still = [ml.Trajectory(t.time, t.q[:1] + 1e-4 * rng.normal(size=t.q.shape)) for t in exact]
     with pytest.raises(NotIdentifiableError, match="farther than the noise of its positions") as refused:

@@ -12,11 +12,7 @@ from scipy.spatial.transform import Rotation
 import manip_learn as ml
 from manip_learn.constraint.mechanism import MECHANISM_KINDS, MechanismKind
 from manip_learn.learning.mechanisms.place_fit import fit_place, tangents
-from manip_learn.learning.mechanisms.quantities import (
-    QUANTITIES,
-    Place,
-    TipPaths,
-)
+from manip_learn.learning.mechanisms.quantities import QUANTITIES, Place, TipPaths
 
 AXIS = np.array([0.2, -0.3, 0.93]) / np.linalg.norm([0.2, -0.3, 0.93])
 POINT = np.array([0.55, 0.25, 0.35])
@@ -28,6 +24,7 @@ KINDS = {
     "screw, firm": (about(AXIS, POINT, 0.8, pitch=0.04), ()),
 }
 SETS, NOISE = 60, 1e-3
+QUICK = (("screw, firm", False), ("hinge", True))  # the others run with `make proofs`
 # the angle by which a hand has turned depends on the axis, and so does the base across it: the slopes leave both out
 LOOSE = ("screw-in-hand", "across-line")
 
@@ -58,8 +55,14 @@ def errors_of(kind, fit, radius):
     return out
 
 
-@pytest.mark.parametrize("smoothed", [False, True], ids=["as recorded", "smoothed"])
-@pytest.mark.parametrize("kind", KINDS)
+@pytest.mark.parametrize(
+    ("kind", "smoothed"),
+    [
+        pytest.param(kind, smoothed, marks=() if (kind, smoothed) in QUICK else pytest.mark.slow)
+        for kind in KINDS
+        for smoothed in (False, True)
+    ],
+)
 def test_what_is_stated_holds_in_two_cases_of_three(robot_of, kind, smoothed):
     """Over 60 draws of the encoders' noise, white or shared by neighbours, each parameter is within what is stated in
     52 to 88 % of them (70 % and three standard errors), and its median error is no less than a third of that; the
@@ -114,27 +117,23 @@ def test_slopes_of_the_held_quantities(robot_of, name):
         off = J @ T - (ends[0] - ends[1]) / (2.0 * h)  # up to a constant of the trajectory, which the fit takes off
         np.testing.assert_allclose(off - off.mean(axis=0), 0.0, atol=0.1 if name in LOOSE else 1e-6)
     slopes = quantity.by_twist(paths, place, J)
-    for k in (1, 4):  # the last sample that moves by itself, the others as they are
-        for i in range(6):
-            v, w = (h * np.eye(6)[i][:3], h * np.eye(6)[i][3:])
+    for k in (1, 4):  # one sample that moves by itself, the others as they are
+        for i, step in enumerate(h * np.eye(6)):
             moved = []
             for sign in (1.0, -1.0):
                 p, turned = paths.p.copy(), R.copy()
-                p[k] += sign * v
-                turned[k] = Rotation.from_rotvec(sign * w).as_matrix() @ R[k]
+                p[k] += sign * step[:3]
+                turned[k] = Rotation.from_rotvec(sign * step[3:]).as_matrix() @ R[k]
                 moved.append(quantity.evaluate(dataclasses.replace(paths, p=p, R=turned), place)[0][k])
-            numeric = (moved[0] - moved[1]) / (2.0 * h)
-            if name == "orientation":  # the mean that it is measured from moves along by a sixth
-                numeric = numeric * 6.0 / 5.0
-                np.testing.assert_allclose(slopes[k][:, i], numeric, atol=0.1)
-            elif name == "screw-in-hand" and i >= 3:
-                # the angle about the axis is that of the turn's part about it: exact for turns about the axis alone
-                np.testing.assert_allclose(slopes[k][:, i], numeric, atol=0.04)
-            else:
-                np.testing.assert_allclose(slopes[k][:, i], numeric, atol=1e-6)
+            # the mean that an orientation is measured from moves along by a sixth; the angle of a screw is that of the
+            # turn's part about its axis: exact for turns about the axis alone
+            scale, off = {"orientation": (1.2, 0.1), "screw-in-hand": (1.0, 0.04 if i >= 3 else 1e-6)}.get(
+                name, (1.0, 1e-6)
+            )
+            np.testing.assert_allclose(slopes[k][:, i], scale * (moved[0] - moved[1]) / (2.0 * h), atol=off)
 
 
-@pytest.mark.parametrize("kind", ["hinge", "ball"])
+@pytest.mark.parametrize("kind", ["hinge", pytest.param("ball", marks=pytest.mark.slow)])
 def test_offsets_of_the_joints_are_part_of_what_is_stated(robot_of, kind):
     """Zeros of the joints that are off by 2e-3 rad, with encoders that hardly make noise: axis and point are within
     what is stated in at least 45 % of 30 draws (60 % less two standard errors); without offsets what is stated is less
@@ -161,7 +160,7 @@ def test_the_learner_fits_the_place_to_what_was_recorded(robot_of):
     robot = robot_of("panda")
     demos = demonstrate(robot, TIP, MIDDLE, KINDS["hinge"][0], np.random.default_rng(9), noise=5e-4)
     learner = ml.ConstraintLearner(ml.FrameJacobian(robot, TIP, "xyz"), zeros=0.0).fit(demos)
-    fits = [ml.find_mechanism(robot, TIP, demos, np.random.default_rng(seed)).mechanism for seed in range(6)]
+    fits = [ml.find_mechanism(robot, TIP, demos, np.random.default_rng(seed)).mechanism for seed in range(3)]
     direct, stated = fits[0], np.mean([fit.uncertainty["radius"] for fit in fits])
     found = learner.report_.mechanism
     # [m] the fits start from rows that were found otherwise; smoothed recordings would move the place by 0.5 mm

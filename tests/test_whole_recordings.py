@@ -91,7 +91,7 @@ def test_a_contact_in_one_recording_only_is_named_and_not_learnt():
     ("robot", "seed"),
     [
         pytest.param("panda", 4000, id="recombined recordings must not keep the door of one of them"),
-        pytest.param("xarm7", 4001, id="a door that is found as a tether"),
+        pytest.param("xarm7", 4001, id="a door that is found as a tether", marks=pytest.mark.slow),
     ],
 )
 def test_the_drawer_of_one_recording_is_named_beside_the_door_of_all(robot: str, seed: int):
@@ -139,7 +139,10 @@ def test_another_drawer_among_the_recordings_is_named():
     assert any("do not agree" in warning for warning in learner.report_.warnings)
 
 
-@pytest.mark.parametrize("kind", ["free", "free_repeated", "free_sticking", "free_slow"])
+@pytest.mark.parametrize(
+    "kind",
+    ["free_repeated", "free_slow", *(pytest.param(kind, marks=pytest.mark.slow) for kind in ("free", "free_sticking"))],
+)
 def test_free_motion_is_no_constraint(kind: str):
     """Reaches, a reach that is repeated, sticking joints and slow motion are refused, with what to do."""
     truth, demos = generated(kind, "xarm7", 1500, 6)
@@ -167,12 +170,11 @@ def test_constraints_that_replace_each_other_do_not_keep_the_search_going():
     assert {odd.trajectory for odd in report.odd_trajectories} == {f"demo_{i}" for i in truth["contaminated"]}
 
 
-@pytest.mark.parametrize("seed", [1100, 1104])
-def test_a_door_that_hardly_turns_is_answered_with_the_width_of_what_is_not_known(seed: int):
+def test_a_door_that_hardly_turns_is_answered_with_the_width_of_what_is_not_known():
     """Turned by five degrees, a door is a hinge whose place is known to centimetres, and the report says how far to
     turn it.
     """
-    truth, demos = generated("door", "xarm7", seed, 6, whole=False)
+    truth, demos = generated("door", "xarm7", 1100, 6, whole=False)
     robot, (true,) = arm("xarm7"), truth["mechanisms"]
     tip, axis, point = robot.frame(truth["tip"]), np.array(true["axis"]), np.array(true["point"])
     short = []
@@ -206,9 +208,6 @@ def test_the_command_line_tells_phases_and_mechanisms(capsys: pytest.CaptureFixt
     assert [c["n_constraints"] for c in answer["constraints"]] == [2]
     assert {"trajectory", "start", "end", "constraint", "reason"} == set(answer["phases"][0])
     assert {p["constraint"] for p in answer["phases"]} == {0, None}
-    assert main(arguments) == 0
-    out = " ".join(capsys.readouterr().out.split())
-    assert "constraint 1 is held from" in out and "free motion in" in out
     assert main([*arguments, "--from", "1000"]) == 2
     assert "no sample lies between 1000 s" in capsys.readouterr().err
     assert main([*arguments, "--mechanism", "maybe"]) == 2

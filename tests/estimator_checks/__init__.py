@@ -1,1 +1,0 @@
-"""What every estimator of a constraint must do with good, bad and odd demonstrations."""
