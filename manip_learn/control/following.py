@@ -340,16 +340,14 @@ class FollowingError:
         self,
         commanded: Float[np.ndarray, " n"],
         measured: Float[np.ndarray, " n"],
-        correction: Float[np.ndarray, " nv"] | None = None,
         driven: Directions | None = None,
     ) -> None:
         """Compare two postures, the newest commanded and the newest measured one.
 
-        A correction [rad or m] that the servos were sent beside the commanded posture loads them as well. `driven`
-        gives the motions of the joints that the task drives, at a posture.
+        `driven` gives the motions of the joints that the task drives, at a posture.
         """
         self.distance = self._robot.difference(commanded, measured)
-        excess = self.servos.excess(self.distance - correction if correction is not None else self.distance)
+        excess = self.servos.excess(self.distance)
         excess = excess - np.minimum(np.maximum(excess, self._inertia[0]), self._inertia[1])
         self._found[:, self._row] = excess, self.distance
         if not self._by_force:

@@ -225,9 +225,6 @@ class ServoLoop:
         contact: Which forces on the hand stop the arm, and what is known of its servos (`Contact`).
         following_error_limit: shape (nv,) or a number [rad or m]: how far a joint may be from where it was commanded,
             e.g. what `manip_learn.following_error_limit` gives, in place of the forces of `contact`.
-        correction_time: Time [s] in which `position` comes to make up for what servos give way to steadily, as to a
-            payload that their drives do not know; None for never. By no more than the limits of the following error,
-            while the arm moves or holds.
         robot: Whose limits count; the controller's own by default.
 
     Attributes:
@@ -267,7 +264,6 @@ class ServoLoop:
         *,
         contact: Contact | None = None,
         following_error_limit: ArrayLike | None = None,
-        correction_time: float | None = None,
         robot: Robot | None = None,
         **removed: Any,
     ):
@@ -307,9 +303,6 @@ class ServoLoop:
         self._hard = self.limits.with_rates(np.maximum(self.limits.acceleration, Limits(own).acceleration), None)
         acceleration, frame = self._hard.acceleration, frame_of(controller)
         self._following = FollowingError(own, self.contact, following_error_limit, self.dt, acceleration, frame)
-        if not (correction_time is None or (_is_number(correction_time) and 0.0 < correction_time < math.inf)):
-            raise ConfigurationError(f"correction_time must be a positive number of seconds, got {correction_time!r}")
-        self._correction_rate = 0.0 if correction_time is None else 1.0 / float(correction_time)
         self._impossible = farthest_positions(self.robot)
         self._period = Period(self.dt)
         self._slowed = 1.0, self.limits  # a share of the acceleration, and the limits with it
@@ -340,7 +333,6 @@ class ServoLoop:
         self._average.forget()
         self._following.forget()
         self._relief: np.ndarray | None = None  # posture to go to after a following error
-        self._correction = np.zeros(nv)  # what `position` adds to the commanded posture
         self.measured, self.stopped_by = None, None
         # readings that no joint can have moved to, for how long they have come, and what was said of the last one
         self._jumped = "", -math.inf
@@ -435,9 +427,7 @@ class ServoLoop:
         """
         if self._return is not None:
             return self._return.posture.copy()
-        if self._output is None or not self._correction.any():
-            return None if self._output is None else self._output.copy()
-        return np.array(self.robot.integrate(self._output, self._correction))
+        return None if self._output is None else self._output.copy()
 
     def update(self, q: Any, t: Any) -> Command:
         """The command of the next period. Never raises.
@@ -488,8 +478,7 @@ class ServoLoop:
             self._reference = self._output = measured
             return self._braked(Status.FOLLOWING_ERROR, period)
         if self._waited == 0.0:  # a state that is not new says nothing of the commands since
-            correction = self._correction if self._correction_rate else None
-            self._following.compare(self._output, measured, correction, self._driven)
+            self._following.compare(self._output, measured, self._driven)
         if self._following.tripped:
             # the average would go on pressing for its own length
             self._reference, self._velocity = self._output, self._sent
@@ -499,13 +488,17 @@ class ServoLoop:
             if in_milliseconds(self._since, self.dt):
                 self.stopped_by += f"; the time went on by {self._since:g}, in milliseconds? It is to be in seconds"
             return self._braked(Status.STALE, period)
-        if self._correction_rate and self._waited == 0.0:
-            slow = min(1.0, self._correction_rate * held) * self._following.distance
-            self._correction = np.clip(self._correction - slow, -self._following.limit, self._following.limit)
         if self._stopping:
             return self._braked(Status.STOPPED, period)
         if self._waited > 0.0 and self._last is not None:
-            return self._held(self._last)
+            last = self._last  # goes on, as long as that stays within the limits
+            if last.status in STANDING:
+                return self._braked(last.status)
+            bounds = self._bounds(self._reference, self.dt)
+            if bounds.admit(self._velocity):
+                return self._sent_on(last._replace(velocity=self._velocity))
+            slower = np.clip(self._velocity, bounds.low, bounds.high)
+            return self._sent_on(last._replace(velocity=slower, status=Status.POSITION_LIMITED))
         return self._sent_on(self._command(self._reference, self._clock(time), held), held)
 
     def _jump(self, measured: np.ndarray, time: float) -> str:
@@ -528,17 +521,6 @@ class ServoLoop:
         if turns and abs(step[j] - 2.0 * math.pi * turns) < TURN:
             words += f", {counted(abs(turns), 'full turn')}: the driver counts its angle in other turns"
         return words
-
-    def _held(self, last: Command) -> Command:
-        """Nothing new: the last command, as long as that stays within the limits."""
-        if last.status in STANDING:
-            return self._braked(last.status)
-        if self._reference is not None:
-            bounds = self._bounds(self._reference, self.dt)
-            if not bounds.admit(self._velocity):
-                slower = np.clip(self._velocity, bounds.low, bounds.high)
-                return self._sent_on(last._replace(velocity=slower, status=Status.POSITION_LIMITED))
-        return self._sent_on(last._replace(velocity=self._velocity))
 
     def _posture(self, q: Any) -> Float[np.ndarray, " n"] | None:
         """The posture as an array of its own; None if it is none."""
@@ -582,7 +564,12 @@ class ServoLoop:
         moved = 0.0
         if abs(late) > JITTER * self.dt:  # periods of another length than the one for which the command counted
             # an early call takes back no more than it goes on by: the posture never moves against the velocity
-            followed = self._followed(late, measured)
+            followed, square = 0.0, float(self._sent.dot(self._sent))
+            if self._output is not None and square > 0.0 and not self._following.tripped:
+                # the share of the motion that the last velocity makes in this time which the arm has made: a velocity
+                # servo goes on moving until the next command comes, a position servo stands where it was sent
+                away = self.robot.difference(self._output, measured)
+                followed = min(1.0, max(0.0, float(away.dot(self._sent)) / (late * square)))
             self._runs_on = self._runs_on or (late > 0.0 and followed > 0.5)
             moved = max(late, -since) * followed
             self._advance(moved, self._sent)
@@ -592,18 +579,6 @@ class ServoLoop:
         elif abs(late) > JITTER * self.dt:
             self._behind += late - moved
         return self._period.step(since)
-
-    def _followed(self, late: float, measured: np.ndarray) -> float:
-        """Which share of the motion that the last velocity makes in a time the arm has made [0, 1].
-
-        A velocity servo goes on moving until the next command comes; a position servo stands where it was sent. While a
-        blocked arm lets go, it is not the arm that moves towards where it was measured.
-        """
-        square = float(self._sent.dot(self._sent))
-        if self._output is None or square == 0.0 or self._following.tripped:
-            return 0.0
-        along = float(self.robot.difference(self._output, measured).dot(self._sent)) / (late * square)
-        return min(1.0, max(0.0, along))
 
     def _clock(self, time: float) -> float:
         """Time for the controller: that of the state, less that for which a task that waits for the arm has waited."""
