@@ -88,10 +88,10 @@ def out_of_reach(name: str, gain: float, seed: int) -> tuple[ml.ResolvedRateCont
     return law, posture(robot, rng)
 
 
-@pytest.mark.parametrize(("name", "seed"), [("ur5", 1), ("planar3", 1), ("sawyer", 3)])
-def test_a_target_out_of_reach_ends_the_motion_quietly(name: str, seed: int) -> None:
+@pytest.mark.parametrize("name", ["ur5", "planar3", "sawyer"])
+def test_a_target_out_of_reach_ends_the_motion_quietly(name: str) -> None:
     """Nothing turns to and fro, the arm slows down, and the status says that it does not get there."""
-    law, q = out_of_reach(name, 3.0, seed)
+    law, q = out_of_reach(name, 3.0, 1)
     done = run(law, q, 4000)
     assert chatter(done.u) <= 1 and chatter(done.u[3000:]) == 0  # a swing that is braked may turn round twice
     assert np.max(np.abs(done.u[-100:])) < 0.25 * np.max(np.abs(done.u))

@@ -198,13 +198,6 @@ def test_joints_in_m_are_not_in_degrees() -> None:
     np.testing.assert_allclose(driver_of(arm, panda).read()[0][-1], 0.75 * panda.position_upper[-1])
 
 
-def test_locked_joints_need_no_motor() -> None:
-    """The gripper's joint is locked and its motor held: five motors move five joints."""
-    so101 = ml.load_robot("so101", locked=("gripper",))
-    arm = Arm(np.zeros(5), (*so101.joint_names, "gripper"))
-    assert driver_of(arm, so101).read()[0].shape == (5,)
-
-
 @pytest.mark.parametrize("calibrated", [False, True])
 def test_nothing_outside_the_ranges_is_sent(calibrated: bool, planar3: ml.Robot) -> None:
     """A motion that leaves the limits, or the calibrated range, ends with a sentence; the arm stands where it was."""

@@ -81,19 +81,6 @@ def test_bounds_are_those_of_the_docstring(robot_of: RobotOf, rng: np.random.Gen
             assert bounds.outside == pytest.approx(max(0.0, -distance), abs=1e-12)
 
 
-def test_a_joint_reaches_its_limit_and_rests(robot_of: RobotOf) -> None:
-    """Braking ends at the limit, not before it, and without a jump of the velocity."""
-    robot = robot_of("sawyer")
-    limits, dt = Limits(robot), 0.001
-    q, u, fastest = np.zeros(7), np.zeros(7), 0.0
-    for _ in range(6000):
-        following = np.array(limits.bounds(q, dt, u).high)
-        fastest = max(fastest, float(np.max(np.abs(following - u) / dt / limits.acceleration)))
-        q, u = q + dt * following, following
-    np.testing.assert_allclose(q, robot.position_upper, rtol=0, atol=1e-6)
-    assert np.max(np.abs(u)) < 1e-6 and fastest <= 1.0 + 1e-12
-
-
 def test_a_joint_outside_returns(robot_of: RobotOf) -> None:
     """From outside, at rest or still moving out, the joint brakes at its acceleration limit and comes back."""
     robot = robot_of("sawyer")
