@@ -172,12 +172,6 @@ def _per_joint(what: str, values: ArrayLike, robot: Robot) -> Float[np.ndarray, 
 Directions = Callable[[Float[np.ndarray, " n"]], Float[np.ndarray, "k nv"]]
 
 
-def _span(ways: Float[np.ndarray, "3 k"]) -> Float[np.ndarray, "3 d"]:
-    """Orthonormal directions of motions of the hand."""
-    U, sigma, _ = np.linalg.svd(ways, full_matrices=False)
-    return U[:, sigma > 0.01 * max(float(sigma.max(initial=0.0)), 1e-6)]
-
-
 @final
 class FollowingError:
     """Distance between the commanded and the measured posture, and the force on the hand that explains it.
@@ -245,7 +239,15 @@ class FollowingError:
         self.distance = np.zeros(nv)
         self.resolution = 0.0 if isinstance(self.contact.resolution, str) else float(self.contact.resolution)
         self._said, self._untold = False, int(self.contact.stiffness is None and self._by_force)
-        self.notes = [self._distances()] if self._untold else []
+        self.notes: list[str] = []
+        if self._untold:
+            joint = int(np.argmax(self.limit))
+            self.notes.append(
+                f"the stiffness of the servos is not told: the arm is stopped by distances, at the latest where joint "
+                f"{self._robot.joint_names[joint]} is {1e3 * self.limit[joint]:.2g} mrad off. On servos of "
+                f"{STIFFNESS:g} N m/rad that is {self.contact.held:g} N on the hand, on servos ten times as stiff ten "
+                "times as much: give Contact(stiffness=...)"
+            )
         self._found = np.zeros((2, math.ceil(LOOK_BACK / self._dt) + 1, nv))  # excesses and distances of the periods
         self._row, self._rows = 0, 0
         self._change, self._lasted = np.zeros(nv), 0.0  # of the velocity since that of inertia was looked at
@@ -281,15 +283,6 @@ class FollowingError:
     def largest(self) -> float:
         """Largest distance of a joint in the newest comparison, beyond what being late explains [rad or m]."""
         return float(np.abs(self.servos.raw).max(initial=0.0))
-
-    def _distances(self) -> str:
-        joint = int(np.argmax(self.limit))
-        return (
-            f"the stiffness of the servos is not told: the arm is stopped by distances, at the latest where joint "
-            f"{self._robot.joint_names[joint]} is {1e3 * self.limit[joint]:.2g} mrad off. On servos of {STIFFNESS:g} "
-            f"N m/rad that is {self.contact.held:g} N on the hand, on servos ten times as stiff ten times as much: "
-            "give Contact(stiffness=...)"
-        )
 
     def relief(self) -> Float[np.ndarray, " nv"]:
         """Way to a commanded posture at which the servos no longer press, shape (nv,) [rad or m].
@@ -404,7 +397,8 @@ class FollowingError:
             return
         ways = np.zeros((3, 0))
         if driven is not None:
-            ways = _span(J @ driven(measured).T)
+            U, sigma, _ = np.linalg.svd(J @ driven(measured).T, full_matrices=False)
+            ways = U[:, sigma > 0.01 * max(float(sigma.max(initial=0.0)), 1e-6)]
         along = ways.T.dot(self.force)
         way, side = math.sqrt(along.dot(along)), math.sqrt(max(0.0, force * force - along.dot(along)))
         if side > held and len(along):

@@ -547,8 +547,14 @@ class PolicyFunction(NullSpacePolicy):
 
     def __init__(self, function: Callable[..., ArrayLike]):
         self.function = function
-        takes = inspect.signature(function)
-        one, two = (_fits(takes, number) for number in (1, 2))
+        takes, fits = inspect.signature(function), []
+        for number in (1, 2):
+            try:
+                takes.bind(*range(number))
+                fits.append(True)
+            except TypeError:
+                fits.append(False)
+        one, two = fits
         if not (one or two):
             raise ConfigurationError(
                 f"a null-space policy is a function of q, or of q and t; this one takes {takes}: write lambda q: ... "
@@ -566,15 +572,6 @@ class PolicyFunction(NullSpacePolicy):
 
     def __repr__(self) -> str:
         return f"PolicyFunction({getattr(self.function, '__name__', self.function)!s})"
-
-
-def _fits(takes: inspect.Signature, number: int) -> bool:
-    """Whether a function may be called with so many arguments."""
-    try:
-        takes.bind(*range(number))
-    except TypeError:
-        return False
-    return True
 
 
 def policy_of(policy: NullSpacePolicy | Callable[..., ArrayLike]) -> NullSpacePolicy:

@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 from typing import Any, final
 
 import numpy as np
-from jaxtyping import Float, Int
+from jaxtyping import Float
 
 from manip_learn.control.command import Status
 from manip_learn.control.controller import ResolvedRateController
@@ -125,7 +125,7 @@ def simulate_way(
     length = nominal + SLACK if duration is None else duration
     while True:
         rollout = simulate(robot, controller, q0, length, dt, progress=progress)
-        places = places_of(task, rollout)
+        places = _places_of(task, rollout)
         end = _end(task, rollout.time[len(rollout) - len(places) :], places)
         if end is not None or duration is not None or length >= LONGEST * nominal:
             break
@@ -137,7 +137,7 @@ def simulate_way(
     return replace(rollout, ways=(done.to_dict(),)), done
 
 
-def places_of(task: FreeDirection, rollout: Rollout) -> Float[np.ndarray, " k"]:
+def _places_of(task: FreeDirection, rollout: Rollout) -> Float[np.ndarray, " k"]:
     """How far the way had come at each sample since it began [m or rad]; those before are not among them."""
     begins = task.way_begins
     first = len(rollout) if begins is None else int(np.searchsorted(rollout.time, begins - 1e-9))
@@ -148,25 +148,21 @@ def places_of(task: FreeDirection, rollout: Rollout) -> Float[np.ndarray, " k"]:
     return places
 
 
-def _there(task: FreeDirection, places: Float[np.ndarray, " k"]) -> Int[np.ndarray, " n"]:
-    """The places at which the whole way was done."""
-    return np.flatnonzero(np.abs(places - task.wanted) <= DONE[task.unit])
-
-
 def _end(task: FreeDirection, time: Float[np.ndarray, " k"], places: Float[np.ndarray, " k"]) -> float | None:
     """When the way was done, or stood still for good, and a moment beyond [s]; None if it goes on."""
-    there = _there(task, places)
+    done = DONE[task.unit]
+    there = np.flatnonzero(np.abs(places - task.wanted) <= done)
     if len(there):
         return float(time[there[0]]) + AT_REST
     before = np.interp(time - STANDING, time, places) if len(time) else places
-    behind = np.abs(places - [task.meant(t) for t in time.tolist()]) > DONE[task.unit]  # and not at rest as shown
-    still = np.flatnonzero((np.abs(places - before) < DONE[task.unit]) & (time >= time[:1] + STANDING) & behind)
+    behind = np.abs(places - [task.meant(t) for t in time.tolist()]) > done  # and not at rest as shown
+    still = np.flatnonzero((np.abs(places - before) < done) & (time >= time[:1] + STANDING) & behind)
     return float(time[still[0]]) if len(still) else None
 
 
 def _way_done(task: FreeDirection, rollout: Rollout, places: Float[np.ndarray, " k"], robot: Robot) -> WayDone:
     """What became of the way."""
-    first, there = len(rollout) - len(places), _there(task, places)
+    first, there = len(rollout) - len(places), np.flatnonzero(np.abs(places - task.wanted) <= DONE[task.unit])
     done = float(places[-1]) if len(places) else 0.0
     shares = np.max(np.abs(rollout.u) / robot.velocity_limit, axis=0)
     fastest = int(np.argmax(shares))
@@ -177,7 +173,7 @@ def _way_done(task: FreeDirection, rollout: Rollout, places: Float[np.ndarray, "
         task.unit,
         float(rollout.time[first]) if len(places) else None,
         float(rollout.time[first + there[0]] - rollout.time[first]) if is_done else None,
-        farthest_off(task, rollout, places),
+        max((task.deviation(q, s) for q, s in zip(rollout.q[first:], places, strict=True)), default=0.0),
         float(np.min(rollout.manipulability[min(first, len(rollout) - 1) :])),
         (robot.joint_names[fastest], float(shares[fastest])),
         None if is_done else _reason(task, rollout, robot),
@@ -191,18 +187,6 @@ def joint_at_limit(robot: Robot, positions: Float[np.ndarray, " nv"]) -> str | N
             if abs(positions[i] - limit) < AT_LIMIT:
                 return f"joint {name!r} at its {side} limit of {limit:.4g} {robot.joint_units[i]}"
     return None
-
-
-def farthest_off(task: FreeDirection, rollout: Rollout, places: Float[np.ndarray, " k"]) -> float:
-    """Largest distance of the hand from what holds it on the way [m or rad]; 0 if it did not come to the way.
-
-    Args:
-        task: The way.
-        rollout: Its rollout.
-        places: How far the way had come, at the last samples.
-    """
-    first = len(rollout) - len(places)
-    return max((task.deviation(q, s) for q, s in zip(rollout.q[first:], places, strict=True)), default=0.0)
 
 
 def _reason(task: FreeDirection, rollout: Rollout, robot: Robot) -> str:
