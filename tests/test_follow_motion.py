@@ -7,7 +7,7 @@ import pytest
 from case import case
 
 from manip_learn.control.follow_motion import FollowMotion
-from manip_learn.control.limits import Limits, stopping_speed
+from manip_learn.control.limits import Limits
 from manip_learn.control.servo_loop import ServoLoop
 from manip_learn.control.simulation import simulate
 from manip_learn.errors import ConfigurationError
@@ -56,15 +56,15 @@ def tip_distance(robot: Robot, tip: str, played: np.ndarray, wanted: np.ndarray)
 
 
 def test_many_jumps(panda):
-    """With 25 jumps of 0.2 rad all limits are kept, nothing is delayed, and the tip is within 5 mm of the recording but
+    """With 12 jumps of 0.2 rad all limits are kept, nothing is delayed, and the tip is within 5 mm of the recording but
     for 0.3 s after each jump; with jerk limits, whose average takes 0.11 s longer, but for 0.45 s.
     """
     rng = np.random.default_rng(7)
-    motion, at = with_jumps(swaying(panda, rng, 40.0), rng, 25, 0.2)
+    motion, at = with_jumps(swaying(panda, rng, 20.0), rng, 12, 0.2)
     for jerk, allowed in ((None, 0.3), (200.0, 0.45)):
         with case(jerk):
             loop = ServoLoop(FollowMotion(panda, motion, Limits(panda, jerk=jerk)), DT)
-            played = simulate(panda, loop, motion.q[0], 40.0, DT)
+            played = simulate(panda, loop, motion.q[0], 20.0, DT)
             off = tip_distance(panda, "panda_hand_tcp", played.q, motion.q)
             time = played.time[: len(off)]
             calm = ~np.any((time[:, None] >= at - (jerk is not None) * 0.06) & (time[:, None] < at + allowed), axis=1)
@@ -203,17 +203,6 @@ def test_what_is_no_motion_is_refused(panda):
     motion = Trajectory([0.0, 1.0], np.zeros((2, 7)), None, panda.joint_names)
     with pytest.raises(ConfigurationError, match="needs the period"):
         FollowMotion(panda, motion)(panda.neutral())
-
-
-def test_stopping_speed_arrives_at_rest():
-    """From that speed, one acceleration less in each step, a joint comes to rest just where it should."""
-    rng = np.random.default_rng(0)
-    for _ in range(200):
-        distance, acceleration, dt = rng.uniform(0.0, 2.0), rng.uniform(0.1, 20.0), rng.choice([0.001, 0.01, 0.04])
-        way, u = distance, float(stopping_speed(np.array([distance]), np.array([acceleration]), dt)[0])
-        while u > 0.0:
-            way, u = way - dt * u, u - acceleration * dt
-        assert abs(way) < 1e-9
 
 
 def test_jumps_are_told() -> None:

@@ -113,19 +113,6 @@ def test_the_loop_says_what_is_in_the_way(robot_of: RobotOf) -> None:
     assert loop.stopped_by == f"{pair.links[0]} 5 mm from the box"
 
 
-def test_where_nothing_is_near_nothing_changes(robot_of: RobotOf) -> None:
-    """Every command is the same to the last bit."""
-    robot = arm_of("ur5", robot_of)
-    q = np.array(STARTS["ur5"])
-    far, goal = standing("box", np.array([0.0, 0.0, 3.0])), robot.position(q, "tool0") + [0.05, 0.1, 0.0]
-    free, kept = (
-        ml.simulate(robot, to_a_point(robot, "tool0", goal, limits), q, 1.0, 0.01)
-        for limits in (True, ml.Limits(robot, clear_of=far))
-    )
-    np.testing.assert_array_equal(free.u, kept.u)
-    assert free.status == kept.status
-
-
 def test_a_start_within_the_clearance_may_leave(robot_of: RobotOf) -> None:
     """It comes no nearer, and goes where the way leads away."""
     robot = arm_of("ur5", robot_of)

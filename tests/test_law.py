@@ -261,14 +261,13 @@ def test_where_damping_begins_nothing_jumps(kind: str, limits: bool, robot_of: R
         assert left_at_the_steepest(command, s) < 1e-5
 
 
-@pytest.mark.parametrize("sense", [1.0, -1.0])
-def test_a_wrist_that_turns_over_pulls_no_hand_off_its_hinge(sense: float, robot_of: RobotOf) -> None:
+def test_a_wrist_that_turns_over_pulls_no_hand_off_its_hinge(robot_of: RobotOf) -> None:
     """A firm grip turns 3 degrees beside a wrist singularity: joints at full speed could not follow the hinge."""
     robot, q = robot_of("ur5"), np.array([-3.427, -2.081, -1.065, 1.104, -3.128, 4.212])
     centre, axis = np.array([-0.012, 0.0, 0.049]), np.array([0.0, 1.0, 0.0])  # in the hand
     twist = np.concatenate((np.cross(centre, axis), axis))
     rows = ml.Constraint(np.linalg.svd(twist[None])[2][1:], ml.FrameJacobian(robot, "tool0", "pose", "local"))
-    task = ml.FreeDirection(rows, sense * 2.5, 1.0, unit="rad")
+    task = ml.FreeDirection(rows, 2.5, 1.0, unit="rad")
     rollout = ml.simulate(robot, ml.ResolvedRateController(rows, task), q, 4.0, DT)
     start, off = robot.pose(q, "tool0"), []
     for posture in rollout.q:
@@ -276,25 +275,18 @@ def test_a_wrist_that_turns_over_pulls_no_hand_off_its_hinge(sense: float, robot
         moved = pose[:3, :3] @ centre + pose[:3, 3] - start[:3, :3] @ centre - start[:3, 3]
         off.append(np.linalg.norm(moved) + np.linalg.norm(pose[:3, 1] - start[:3, 1]))
     assert max(off) < 1.5e-3  # [m and rad]
-    assert task.progress(rollout.q[-1]) == pytest.approx(sense * 2.5, abs=4e-3)
+    assert task.progress(rollout.q[-1]) == pytest.approx(2.5, abs=4e-3)
     assert ml.Status.ACCELERATION_LIMITED in rollout.status
 
 
-@pytest.mark.parametrize("grip", ["loose", "firm rows of the mechanism", "firm in the hand's own frame"])
-def test_a_way_that_was_stopped_goes_on_from_where_the_hand_is(grip: str, robot_of: RobotOf) -> None:
+@pytest.mark.parametrize("names", ["radial axial", "turn-1 turn-2 slide-1 slide-2 slide"])
+def test_a_way_that_was_stopped_goes_on_from_where_the_hand_is(names: str, robot_of: RobotOf) -> None:
     """A hand that stood for seconds goes on no faster than it was asked to, and stays on the mechanism."""
     robot, q, speed = robot_of("panda"), np.array([0.0, -0.3, 0.0, -2.0, 0.0, 1.8, 0.7]), 0.3
     pose = robot.pose(q, "panda_hand_tcp")
     axis, point = np.array([0.0, 0.0, 1.0]), pose[:3, 3] + [0.1, 0.25, 0.0]
-    if grip == "firm in the hand's own frame":
-        a, c = pose[:3, :3].T @ axis, pose[:3, :3].T @ (point - pose[:3, 3])
-        twist = np.concatenate((np.cross(c, a), a))  # of the hand that turns about the axis: v = a x (0 - c)
-        features = ml.FrameJacobian(robot, "panda_hand_tcp", "pose", "local")
-        rows = ml.Constraint(np.linalg.svd(twist[None])[2][1:], features)
-    else:
-        names = "radial axial" if grip == "loose" else "turn-1 turn-2 slide-1 slide-2 slide"
-        features = MechanismRows(robot, "panda_hand_tcp", names, axis=axis, point=point)
-        rows = ml.Constraint(np.eye(features.n_rows), features)
+    features = MechanismRows(robot, "panda_hand_tcp", names, axis=axis, point=point)
+    rows = ml.Constraint(np.eye(features.n_rows), features)
     task = ml.FreeDirection(rows, 0.7, speed, unit="rad")
     law, t, u = ml.ResolvedRateController(rows, task, task.ascent(), dt=DT), 0.0, np.zeros(robot.nv)
     radius, height = float(np.linalg.norm((pose[:3, 3] - point)[:2])), float(pose[2, 3])
@@ -330,19 +322,6 @@ def test_no_command_exceeds_a_bound(name: str, robot_of: RobotOf, rng: np.random
             command = law(posture, 0.0, dt, previous, slide)
             assert np.all(np.isfinite(command.velocity))
             assert excess(command.velocity, law.limits.bounds(posture, dt, previous)) <= 1e-9
-
-
-@pytest.mark.parametrize("bend", [-0.1, -1e-3, 1e-5, 1e-2, 0.1])
-def test_the_way_out_of_a_singularity_raises_mu(bend: float, robot_of: RobotOf) -> None:
-    """Beside a singularity the whole null-space motion climbs, to whichever side the arm is bent; at it, too."""
-    robot = robot_of("planar3")
-    rows = ml.Constraint(np.eye(2), ml.FrameJacobian(robot, "tip", "x y"))
-    law = ml.ResolvedRateController(rows, None, ManipulabilityAscent(rows), dt=0.001)
-    for q in (np.array([0.4, bend, 0.0]), np.array([0.4, 0.0, 0.0])):
-        u = law(q).velocity
-        assert np.linalg.norm(u) > 1e-4
-        there = q + 1e-3 * min(1.0, abs(bend)) * u / np.linalg.norm(u)
-        assert ml.manipulability(rows, there) > ml.manipulability(rows, q)
 
 
 def test_more_rows_than_joints_are_no_error(robot_of: RobotOf) -> None:

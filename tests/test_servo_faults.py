@@ -255,17 +255,6 @@ def test_faults_brake_the_arm_and_are_named(fault: str, robot_of: RobotOf) -> No
             assert np.max(np.abs(arm.loop.position - at)) < 0.02 + 0.02 * fastest + fastest**2 / hardest
 
 
-def test_loops_share_nothing(robot_of: RobotOf) -> None:
-    """Two loops round one controller: interleaved they do what each does alone."""
-    robot = robot_of("sawyer")
-    law, q = law_of(robot, "sawyer"), start_of(robot)
-    alone = [command.velocity for command in Arm(ml.ServoLoop(law), q).calls(200)]
-    first, second = Arm(ml.ServoLoop(law), q), Arm(ml.ServoLoop(law, acceleration_limit=1.0, jerk_limit=100.0), q + 0.1)
-    together = [(first.call().velocity, second.call())[0] for _ in range(200)]
-    np.testing.assert_array_equal(together, alone)
-    assert law.limits is not None and law.limits.jerk is None and law.limits.acceleration[0] != 1.0
-
-
 @pytest.mark.parametrize("own", [False, True])
 def test_commands_belong_to_the_caller(own: bool, robot_of: RobotOf) -> None:
     """Writing into a command, a posture or a position changes no later one, and later updates change no command."""
@@ -346,20 +335,6 @@ def test_between_two_states_in_order_there_may_be_none(robot_of: RobotOf) -> Non
         loop.update(q, 200.0 + k * DT)
     words = [str(loop.update(q, t).status) for t in (1.0, 1.0 + 1.01 * far, 1.0 + 1.99 * far)]
     assert words[:2] == ["invalid-input"] * 2 and words[2] != "invalid-input"
-
-
-def test_reset_begins_the_task_again(robot_of: RobotOf) -> None:
-    """After `reset` a motion along a free direction starts where the arm is then, not where it was."""
-    robot = robot_of("sawyer")
-    constraint = ml.Constraint(np.eye(3)[:2], ml.FrameJacobian(robot, "right_hand"))
-    loop = ml.ServoLoop(ml.ResolvedRateController(constraint, ml.FreeDirection(constraint, 0.05, 0.2)))
-    q = start_of(robot)
-    for _ in range(2):
-        loop.reset(q)
-        at = robot.position(q, "right_hand")
-        for k in range(1500):
-            q = robot.integrate(q, DT * loop.update(q, k * DT).velocity)
-        assert np.linalg.norm(robot.position(q, "right_hand") - at) == pytest.approx(0.05, abs=1e-3)
 
 
 def test_wrong_units_are_named(robot_of: RobotOf) -> None:

@@ -10,7 +10,6 @@ from servo_cases import DT, Arm, Constantly, RobotOf, law_of, start_of
 
 import manip_learn as ml
 from manip_learn.control.servo_loop import Return
-from manip_learn.errors import ConfigurationError, TargetError
 
 ROUNDING = 1.0 + 1e-6
 
@@ -91,23 +90,6 @@ def test_random_stamps_of_a_velocity_servo(seed: int, jerk: float | None, robot_
     assert -0.02 < nearest <= 1e-9
 
 
-@pytest.mark.parametrize(("servo", "gap"), [("position", 0.09), ("velocity", 0.02), ("velocity", 0.09)])
-def test_after_a_gap_nothing_steps(servo: str, gap: float, robot_of: RobotOf) -> None:
-    """After 20 to 90 ms without a call, velocity and posture go on from where the arm is by a dt's worth each call."""
-    robot = robot_of("sawyer")
-    loop = ml.ServoLoop(law_of(robot, "sawyer", 2.0))
-    before = Arm(loop, start_of(robot)).calls(150)[-1].velocity
-    q = loop.position
-    assert np.max(np.abs(before)) > 0.3
-    if servo == "velocity":
-        q = robot.integrate(q, gap * before)
-    for k in range(50):
-        command = loop.update(q, 150 * DT + gap + k * DT)
-        assert np.all(np.abs(command.velocity - before) <= loop.acceleration_limit * DT * ROUNDING)
-        assert np.all(np.abs(robot.difference(q, loop.position)) <= robot.velocity_limit * DT * ROUNDING)
-        q, before = loop.position, command.velocity
-
-
 def test_the_way_back_is_the_fastest_that_stops(robot_of: RobotOf) -> None:
     """Straight, with the acceleration limits up to half way and down again, or at the velocity limit in between."""
     robot = robot_of("planar3")
@@ -141,7 +123,7 @@ def test_braking_keeps_position_limits(robot_of: RobotOf) -> None:
     arm.calls(400)
     assert np.all(arm.last == 0.0)
     loop.start()
-    for _ in range(4000):
+    for _ in range(2500):
         before = robot.position_upper[0] - arm.q[0]
         arm.call()
         assert outside(robot, arm.q) <= 1e-9
@@ -161,7 +143,7 @@ def test_the_task_changes_in_motion(robot_of: RobotOf) -> None:
         600: lambda: loop.set_task(ml.PointAttractor(here - 0.1, gain=3.0)),
         900: lambda: loop.set_constraint(one),
     }
-    for k in range(4000):
+    for k in range(2500):
         changes.get(k, lambda: None)()
         u = loop.update(q, k * DT).velocity
         assert np.all(np.abs(u - before) <= loop.acceleration_limit * DT * (1.0 + 1e-9))
@@ -169,28 +151,6 @@ def test_the_task_changes_in_motion(robot_of: RobotOf) -> None:
         q, before = robot.integrate(q, DT * u), u
     assert loop.controller.robot is robot and loop.task_error(q) < 1e-3
     assert one.features.coordinates(q)[0] == pytest.approx(here[0] - 0.1, abs=1e-3)
-
-
-def test_writes_that_cannot_be_obeyed_are_refused(robot_of: RobotOf) -> None:
-    """A target that is written, or does not fit, or a task of another robot: an error, and the motion goes on."""
-    robot = robot_of("sawyer")
-    law = law_of(robot, "sawyer")
-    loop = ml.ServoLoop(law)
-    last = Arm(loop, start_of(robot)).calls(100)[-1]
-    for name in ("target", "gain", "max_speed", "driven"):
-        with pytest.raises(TargetError, match="set_target"):
-            setattr(law.task, name, 1.0)
-    with pytest.raises(TargetError):
-        loop.set_target([0.0, 0.0, 0.0, 0.0, 0.0])
-    with pytest.raises(ConfigurationError, match="another robot"):
-        loop.set_constraint(ml.Constraint(np.eye(3), ml.FrameJacobian(robot_of("panda"), "panda_hand")))
-    with pytest.raises(ConfigurationError, match="PointAttractor"):
-        other = ml.ServoLoop(ml.ResolvedRateController(law.constraint))
-        other.set_target([0.0, 0.0, 0.0])
-    with pytest.raises(ConfigurationError, match="PointAttractor"):
-        ml.ServoLoop(fast(robot, 0)).set_target([0.0, 0.0, 0.0])
-    q = loop.position
-    assert np.linalg.norm(loop.update(q, 0.1).velocity - last.velocity) < 0.1
 
 
 def test_a_motion_waits_while_the_arm_stands(robot_of: RobotOf) -> None:

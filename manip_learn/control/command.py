@@ -178,15 +178,6 @@ def next_posture(
         q (+) dt/6 (k1 + 2 k2 + 2 k3 + k4),  k2 = u(q (+) dt/2 k1),  k3 = u(q (+) dt/2 k2),  k4 = u(q (+) dt k3)
 
     The order is 4 where the tangent coordinates commute (all joints but floating bases), and 2 otherwise.
-
-    Args:
-        robot: The robot, for (+) on its configuration manifold; None where positions simply add up.
-        controller: u(q, t).
-        q: Posture at time t.
-        t: Time [s].
-        dt: Step [s].
-        method: `"euler"` or `"rk4"`.
-        velocity: k1 = u(q, t) [rad/s or m/s].
     """
 
     def moved(step: np.ndarray) -> np.ndarray:

@@ -21,7 +21,7 @@ from manip_learn.errors import ConfigurationError
 from manip_learn.robot.identity import RobotIdentity
 from manip_learn.robot.robot import Robot
 
-LATE = 0.5  # share of a period by which a cycle begins late to be counted
+_LATE = 0.5  # share of a period by which a cycle begins late to be counted
 SAMPLES = 100_000  # of a record at most: a longer run keeps every second, fourth, ... cycle
 LONGEST_STOP = 10.0  # [s] for braking and letting go, after which a run ends in any case
 SLOW_AFTER = 1.0  # [s] in which more than half of the periods were missed: the period cannot be held
@@ -192,7 +192,7 @@ class _Cycle:
                 t = clock.now() - start
                 late = t + start - due
             self.longest_delay = max(self.longest_delay, late)
-            self.overruns += late > LATE * period
+            self.overruns += late > _LATE * period
             missed = int(max(0.0, late) / period)
             lately += (missed / (missed + 1.0) - lately) * min(1.0, (missed + 1.0) * period / SLOW_AFTER)
             due += period * (missed + 1)  # a period that was missed is not made up for

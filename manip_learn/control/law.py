@@ -26,7 +26,7 @@ from manip_learn.linalg import Inverse, inverse_singular_values, unit
 from manip_learn.robot.frame_kinematics import vjps
 
 # lambda of held rows over that of driven ones: where a direction is lost, what holds the hand gives way last
-HELD = 0.1
+_HELD = 0.1
 # [m or 1] what a unit of velocity of the rows costs within bounds, where one [rad/s] of the policy's costs 1. At a
 # singular value of 0.3 the held rows and the task's direction give way by 1e-7 of what the policy asks for, the speed
 # along that direction by 1e-4; of the speed that bounds take from the task, 1e-3 goes beside its direction
@@ -41,7 +41,7 @@ STABLE_SLOPE = 0.5
 # square of the sine between rows of the program that depend on each other. Those that do not are 1e-8 apart at the
 # least of the metric: with DAQP's own tolerance walls were given up that the bounds leave room for
 DEPENDENT = 1e-14
-ROUNDING = 1e-9  # [rad/s or m/s] by how much rounding may; a joint that the task moves by less does not slow it down
+_ROUNDING = 1e-9  # [rad/s or m/s] by how much rounding may; a joint that the task moves by less does not slow it down
 # [s] for which a task stalls until the arm slides along what blocks it, and goes on until its direction is kept again
 SLIDING_AFTER, KEEPING_AFTER = 0.5, 1.0
 GOING_ON = 0.5  # share of the velocity asked for from which a task goes on
@@ -49,7 +49,7 @@ GOING_ON = 0.5  # share of the velocity asked for from which a task goes on
 AT_GOAL = 1e-6  # [m/s or rad/s] a task that asks for less than this has reached its goal
 # [m or rad] by which a hand may leave what holds it while the joints brake: half of what counts as straying on a way.
 # With twice as much 3 of 90 near-singular firm grips stray, by up to 3.4 mm, and 2 with this, by 2.1 mm
-ASIDE = 1e-3
+_ASIDE = 1e-3
 
 
 @final
@@ -116,11 +116,7 @@ class Desired(NamedTuple):
     ) -> Command:
         """The command where bounds change the law.
 
-        Args:
-            bounds: Of the joints.
-            wish: u*.
-            u: What is left of it.
-            cause: The limit that counts where no joint is at a bound; -1 for the approach to a singularity.
+        u is what is left of `wish`, `cause` the limit that counts where no joint is at a bound, -1 for a singularity.
         """
         X, escape = self.basis, self.escape
         null_part = u - (self.A.dot(u).dot(X) if escape is None else X.dot(u).dot(X))  # in the null space of A
@@ -158,7 +154,7 @@ class Law:
     on the driven ones, the velocity before bounds is
 
         u* = argmin |A u - b|^2_{1 / Lambda^2} + |u - w|^2 = w + A^T (A A^T + Lambda^2)^-1 (b - A w),
-        Lambda^2 = share^2 lambda^2 (P + HELD^2 (1 - P)),    share = 1 - (sigma / threshold)^2, 0 above the threshold.
+        Lambda^2 = share^2 lambda^2 (P + h^2 (1 - P)),    h = 0.1,    share = 1 - (sigma / threshold)^2, 0 above the threshold.
 
     Where the smallest singular value sigma of A is above the threshold, Lambda is 0 and u* is equation (2), exactly.
     Below it, a direction whose singular value is less than Lambda no longer holds the motion, and w moves it: that is
@@ -299,7 +295,7 @@ class Law:
             w = limits.freer_sense(q, w)  # mu rises in both directions there: a limit in one is no reason to stay
         square = self._damping(q, (U, sigma, Vt), b, dt, vjp)
         D = self.task.driven_rows(self.constraint)
-        Lambda2 = share * share * square * (HELD * HELD * unit(s) + (1.0 - HELD * HELD) * D.T.dot(D))
+        Lambda2 = share * share * square * (_HELD * _HELD * unit(s) + (1.0 - _HELD * _HELD) * D.T.dot(D))
         _, Y, failed = dposv(rows.dot(rows.T) + Lambda2, rows)
         if failed:  # A = 0
             Y = np.zeros((s, nv))
@@ -443,7 +439,7 @@ def _slowed_drive(
     drive = law.task if len(D) == len(law.b) else D.T.dot(D.dot(law.b)).dot(law.gain)
     rest, fastest = wish - drive, float((np.abs(drive) / limits.velocity).max())
     if fastest > 1.0:  # as far as what else moves leaves no room for it
-        moved = np.abs(drive) > ROUNDING
+        moved = np.abs(drive) > _ROUNDING
         left = (limits.velocity - np.sign(drive) * rest)[moved] / np.abs(drive)[moved]
         drive = drive * min(1.0, max(1.0 / fastest, float(left.min())))
     if barrier is not None:
@@ -461,7 +457,7 @@ def _may_leave(A: Float[np.ndarray, "s nv"], square: float, limits: Limits) -> b
     """
     flat = A.reshape(-1)
     bend = math.sqrt(A.shape[1] * float(flat.dot(flat))) * square
-    return bend * square > 8.0 * ASIDE * limits.weakest**2
+    return bend * square > 8.0 * _ASIDE * limits.weakest**2
 
 
 def _braking_share(
@@ -480,7 +476,7 @@ def _braking_share(
         e(u) = |(1 - P) dA[u] u| T^2 / 8,    P the projector on the rows that are driven.
 
     Where the curve that holds the hand turns faster than the joints can, as while a wrist turns over, the hand would
-    leave it. With the share e(u*), of power 4 in the speed, is at most ASIDE; and where the motion that there is
+    leave it. With the share e(u*), of power 4 in the speed, is at most _ASIDE; and where the motion that there is
     exceeds it, the task waits in proportion.
     """
     _, vjp = constraint.value_and_vjp(q)
@@ -490,8 +486,8 @@ def _braking_share(
         bend = bend - D.T.dot(D.dot(bend))
         time = limits.stopping_time(u)
         aside = 0.125 * time * time * math.sqrt(bend.dot(bend))
-        if aside > ASIDE:
-            share = min(share, (ASIDE / aside) ** power)
+        if aside > _ASIDE:
+            share = min(share, (_ASIDE / aside) ** power)
     return share
 
 
@@ -503,11 +499,7 @@ def nearest_within(
     With R^T R = 1 + W^T W it is solved for z = R (u - wish): the metric itself, whose condition is the square of that
     of R, would cost eight digits.
 
-    Args:
-        wish: Velocity before bounds [rad/s or m/s].
-        W: Any rows.
-        bounds: Of the joints, which have precedence.
-        barrier: (G, least), or None.
+    The bounds have precedence over the barrier.
     """
     nv = len(wish)
     one, zeros, _ = _constants(nv, nv)
@@ -524,7 +516,7 @@ def nearest_within(
         if flag == 1:
             u = wish + inverse.dot(z)
             within = np.clip(u, lowest, highest)
-            if float(np.abs(within - u).max()) <= ROUNDING:
+            if float(np.abs(within - u).max()) <= _ROUNDING:
                 return within
     return np.clip(wish, lowest, highest)
 

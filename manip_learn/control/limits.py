@@ -34,12 +34,12 @@ AT_BOUND = 1e-7  # share of a bound within which a velocity counts as being at i
 APPROACH_RATE = 20.0
 BRAKING_SHARE = 0.5  # of the joints' acceleration that braking before a wall uses; the rest keeps the task on its way
 CROSSING_SPEED = 5e-4  # [rad/s] speed at which a singularity may be crossed
-ROUNDED = 1e-12  # [m/s] by how much the solution of a program may approach a wall too fast: rounding of a speed of 1
-FASTEST = 1e6  # [rad/s or m/s] speed of a joint without a velocity limit: braking distances stay finite
+_ROUNDED = 1e-12  # [m/s] by how much the solution of a program may approach a wall too fast: rounding of a speed of 1
+_FASTEST = 1e6  # [rad/s or m/s] speed of a joint without a velocity limit: braking distances stay finite
 GIVEN_UP = 1e-6  # [m/s] by which a solution breaks its rows where these are left out
-MOST_ROWS = 12  # rounds in which a speed was too large; in practice one to four
+_MOST_ROWS = 12  # rounds in which a speed was too large; in practice one to four
 # [rad or m] no joint is farther beyond its limits than encoders count a turn too much, and none without is so far away
-TURN, LARGEST_POSITION = 2.0 * math.pi, 1e6
+_TURN, LARGEST_POSITION = 2.0 * math.pi, 1e6
 
 
 def approach_rate(
@@ -49,11 +49,8 @@ def approach_rate(
 
         rate = min(kappa x, sqrt(2 a x)),   a = BRAKING_SHARE |g| min_j (a_j / |n_j|),   n = g / |g|
 
-    Args:
-        distance: x, e.g. the smallest singular value of A, or of a frame from a wall [m].
-        slope: g, its gradient.
-        acceleration: Acceleration limits a_j [rad/s2 or m/s2].
-        dt: Time for which a velocity is held [s].
+    x is e.g. the smallest singular value of A or the distance of a frame from a wall, g its gradient, a_j the
+    acceleration limits of the joints.
     """
     parts = slope.tolist()
     largest = max(map(truediv, map(abs, parts), acceleration.tolist()))
@@ -70,12 +67,6 @@ def approach_bound(
     That of `approach_rate`, and |grad sigma| CROSSING_SPEED. A task whose target is out of reach presses the arm
     against a singularity (a stretched elbow), with joint velocities that grow as 1 / sigma until they flip from
     step to step; with the bound it comes to rest there.
-
-    Args:
-        smallest: sigma, the smallest singular value of A.
-        slope: Its gradient.
-        acceleration: Acceleration limits [rad/s2 or m/s2].
-        dt: Time for which a velocity is held [s].
     """
     length = math.hypot(*slope.tolist())
     if length == 0.0:
@@ -165,14 +156,7 @@ class TipLimits:
         acceleration: Float[np.ndarray, " nv"],
         previous: Float[np.ndarray, " nv"] | None,
     ) -> Tips:
-        """The frames at a posture.
-
-        Args:
-            q: Posture.
-            dt: Time for which the next velocity is held [s].
-            acceleration: Of the joints [rad/s2 or m/s2].
-            previous: Velocity commanded in the step before [rad/s or m/s]; None bounds no acceleration.
-        """
+        """The frames at a posture."""
         jacobians = [self._robot.jacobian(q, frame)[:3] for frame in self.frames]
         clear = self.clear_at(q, dt, acceleration, previous)
         if not self.walls.size:
@@ -219,10 +203,7 @@ class TipLimits:
 
         None where it breaks nothing.
 
-        Args:
-            tips: At this posture.
-            u: Joint velocity [rad/s or m/s].
-            slack: By how much a wall may be approached too fast [m/s].
+        A wall may be approached too fast by `slack` [m/s].
         """
         broken = tips.G.dot(u) < tips.least - slack
         rows, least = list(tips.G[broken]), tips.least[broken].tolist()
@@ -251,17 +232,10 @@ class TipLimits:
         barrier: Barrier | None,
         solve: Callable[[Barrier | None], Float[np.ndarray, " nv"]],
     ) -> Float[np.ndarray, " nv"]:
-        """The solution of the program with the rows that it needs.
-
-        Args:
-            tips: At this posture.
-            wish: Velocity before limits.
-            barrier: Rows of the program that are there already.
-            solve: Rows -> solution.
-        """
+        """The solution of the program with the rows that it needs."""
         u, found = wish, None
-        for _ in range(MOST_ROWS):
-            broken = self.rows(tips, u, ROUNDED)
+        for _ in range(_MOST_ROWS):
+            broken = self.rows(tips, u, _ROUNDED)
             if broken is None and found is not None:
                 break
             if broken is not None:
@@ -299,7 +273,7 @@ class _Approach(NamedTuple):
     def of(velocity: float, acceleration: float, dt: float) -> _Approach:
         acceleration = BRAKING_SHARE * acceleration
         rate = min(APPROACH_RATE, 0.5 / dt)
-        v = min(velocity, FASTEST)
+        v = min(velocity, _FASTEST)
         fastest = RETURN_SPEED * v
         if not math.isfinite(acceleration):  # stops at once
             return _Approach(v / rate, rate, math.inf, 0.0, 0.0, 0.0, fastest)
@@ -333,7 +307,7 @@ def stopping_speed(
 
 def farthest_positions(robot: Robot) -> Float[np.ndarray, " nv"] | float:
     """Positions that no joint is at, however its encoder counts: a turn beyond the farther limit [rad or m]."""
-    farthest = np.maximum(np.abs(robot.position_lower), np.abs(robot.position_upper)) + TURN
+    farthest = np.maximum(np.abs(robot.position_lower), np.abs(robot.position_upper)) + _TURN
     return farthest if robot.nq == robot.nv and bool(np.all(np.isfinite(farthest))) else LARGEST_POSITION
 
 
@@ -527,7 +501,7 @@ class Limits:
             return self._latest
         joints = [_Approach.of(v, a, dt) for v, a in zip(*self._columns[2:], strict=True)]
         free = np.array([approach.free for approach in joints])
-        quick = float(np.min(free / np.minimum(self.velocity, FASTEST), initial=math.inf))
+        quick = float(np.min(free / np.minimum(self.velocity, _FASTEST), initial=math.inf))
         self._latest = found = _Approaches(
             dt, joints, (self.lower + free).tolist(), (self.upper - free).tolist(), quick
         )
@@ -536,10 +510,8 @@ class Limits:
     def bounds(self, q: Float[np.ndarray, " n"], dt: float, previous: Float[np.ndarray, " nv"] | None) -> Bounds:
         """Bounds on the velocity of the next dt.
 
-        Args:
-            q: Posture, checked: a configuration or joint positions.
-            dt: Time that the next velocity is held [s].
-            previous: Velocity commanded in the step before [rad/s or m/s]; None bounds no acceleration.
+        The posture is checked already. Without a velocity that was commanded in the step before [rad/s or m/s] no
+        acceleration is bounded.
         """
         approaches = self._approaches(dt)
         x = q if q.shape[0] == self.robot.nv else self.robot.positions(q)
@@ -601,11 +573,7 @@ class Limits:
 
         |grad sigma| is about as large as A itself.
 
-        Args:
-            square: |u|^2.
-            size: |A|^2.
-            smallest: Smallest singular value of A.
-            dt: Time for which the velocity is held [s].
+        `square` is |u|^2, `size` |A|^2.
         """
         rate = min(APPROACH_RATE, 0.5 / dt) * smallest
         return square * size >= min(2.0 * BRAKING_SHARE * self.weakest * math.sqrt(size) * smallest, rate * rate)

@@ -19,7 +19,7 @@ from manip_learn.control.controller import ResolvedRateController
 from manip_learn.control.follow_motion import FollowMotion
 from manip_learn.control.following import Contact, FollowingError
 from manip_learn.control.law import next_slide
-from manip_learn.control.law_sequence import LawSequence, constraint_of, frame_of, law_of, task_of, taught_force
+from manip_learn.control.law_sequence import LawSequence, constraint_of, held_frame, law_of, task_of, taught_force
 from manip_learn.control.limits import Bounds, Limits, bound_changes, farthest_positions, stopping_speed
 from manip_learn.control.tasks import PointAttractor, Task
 from manip_learn.errors import ConfigurationError, counted
@@ -29,22 +29,22 @@ from manip_learn.robot.robot import Robot
 
 _LOGGER = logging.getLogger("manip_learn")
 # calls whose periods are compared, and how many of them are enough at the start
-COMPARED, ENOUGH = 100, 3
+_COMPARED, _ENOUGH = 100, 3
 # largest over smallest period of calls that count as regular, and over dt of a period that is not dt
 REGULAR = 1.25
-ROUNDING = 1e-6  # share of a period
+_ROUNDING = 1e-6  # share of a period
 JITTER = 0.01  # share of the period by which calls may be early or late without being told from regular ones
-LONGEST = 5.0  # [s] an average over more delays the arm by seconds: the limits are meant otherwise
+_LONGEST = 5.0  # [s] an average over more delays the arm by seconds: the limits are meant otherwise
 UNLOADING_RATE = 25.0  # [1/s] rate at which an arm that was blocked lets go: from 60 N to 3 N in 0.12 s
-RELOOK, NEAR = 0.01, 5e-4  # [s] beside its delay after which an arm that lets go is looked at again, [rad or m]
-SETTLED = 0.05  # [s] after which an arm that was let go stands
-LEFT = 3.0  # [N] that may be left on the hand then
+RELOOK, _NEAR = 0.01, 5e-4  # [s] beside its delay after which an arm that lets go is looked at again, [rad or m]
+_SETTLED = 0.05  # [s] after which an arm that was let go stands
+_LEFT = 3.0  # [N] that may be left on the hand then
 RENEWALS = 10  # times that an arm goes on letting go where more is left
 # [rad/s or m/s] speed below which it does not fall on the way, and [rad or m] distance at which it has arrived
-SLOWEST, ARRIVED = 1e-3, 1e-9
+_SLOWEST, _ARRIVED = 1e-3, 1e-9
 LONGEST_TIME = 1e15  # [s] a larger number is no time: its steps are longer than a period
 # [rad or m] that a reading may be off beside twice what a joint can move meanwhile; [rad] by which a turn is one
-TWICE, JUMP, TURN = 2.0, 0.05, 0.1
+TWICE, _JUMP, _TURN = 2.0, 0.05, 0.1
 BEYOND_TAUGHT = 1.5  # times the force that a way took when it was taught: it may stick more another time
 MILLI = 0.1  # within which a time is a thousand times another, decades
 STANDING = (Status.INVALID_INPUT, Status.STALE, Status.FOLLOWING_ERROR, Status.STOPPED)
@@ -76,24 +76,20 @@ class Period:
     def __init__(self, dt: float):
         self.dt, self._said = dt, False
         self.usual, self.longest = dt, dt
-        self._seen: deque[float] = deque(maxlen=COMPARED)
+        self._seen: deque[float] = deque(maxlen=_COMPARED)
 
     def step(self, since: float) -> float:
-        """The time for which the next command counts, at most that since the last one.
-
-        Args:
-            since: Time from the last state to this one [s].
-        """
+        """The time for which the next command counts, at most that since the last one."""
         self._seen.append(since)
         dt = self.dt
-        if dt * (1.0 - ROUNDING) <= since <= REGULAR * dt and self.longest == self.usual == dt:
+        if dt * (1.0 - _ROUNDING) <= since <= REGULAR * dt and self.longest == self.usual == dt:
             return dt
         shortest, longest = min(self._seen), max(self._seen)
-        regular = len(self._seen) >= ENOUGH and longest <= REGULAR * shortest
+        regular = len(self._seen) >= _ENOUGH and longest <= REGULAR * shortest
         if regular and not shortest <= dt * REGULAR:
             dt = shortest
         mean = sum(self._seen) / len(self._seen)
-        told = self._said or not (regular or len(self._seen) == COMPARED)
+        told = self._said or not (regular or len(self._seen) == _COMPARED)
         if not (told or self.dt / REGULAR <= mean <= REGULAR * self.dt):
             self._said = True
             _LOGGER.warning(
@@ -102,7 +98,7 @@ class Period:
                 *(1e3 * x for x in (self.dt, mean, shortest, longest)),
             )
         self.usual, self.longest = dt, longest if longest > REGULAR * dt else dt
-        return dt if since >= dt * (1.0 - ROUNDING) else since
+        return dt if since >= dt * (1.0 - _ROUNDING) else since
 
 
 @final
@@ -155,15 +151,15 @@ class MovingAverage:
         averages: Whether that is more than one.
 
     Raises:
-        ConfigurationError: A jerk limit without acceleration limits, or so small that it needs `LONGEST` or more.
+        ConfigurationError: A jerk limit without acceleration limits, or so small that it needs `_LONGEST` or more.
     """
 
     def __init__(self, limits: Limits, dt: float):
         needed = 0.0 if limits.jerk is None else float(np.max(2.0 * limits.acceleration / limits.jerk))
-        if not needed <= LONGEST:
+        if not needed <= _LONGEST:
             raise ConfigurationError(
                 f"the jerk limits need an average over {needed:g} s, 2 acceleration / jerk: "
-                f"lower the acceleration limits, or raise the jerk limits, to {LONGEST:g} s or less"
+                f"lower the acceleration limits, or raise the jerk limits, to {_LONGEST:g} s or less"
             )
         length = max(1, math.ceil(needed / dt - 1e-9))
         self.time, self.averages = length * dt, length > 1
@@ -301,7 +297,7 @@ class ServoLoop:
             self.contact = replace(contact, driven=max(contact.held, BEYOND_TAUGHT * force))
         # an arm that presses brakes and lets go as hard as it can, however gently it was to move
         self._hard = self.limits.with_rates(np.maximum(self.limits.acceleration, Limits(own).acceleration), None)
-        acceleration, frame = self._hard.acceleration, frame_of(controller)
+        acceleration, frame = self._hard.acceleration, held_frame(controller)
         self._following = FollowingError(own, self.contact, following_error_limit, self.dt, acceleration, frame)
         self._impossible = farthest_positions(self.robot)
         self._period = Period(self.dt)
@@ -506,10 +502,10 @@ class ServoLoop:
         if self.measured is None:
             return ""
         away = measured - self.measured
-        if away.dot(away) < JUMP * JUMP:
+        if away.dot(away) < _JUMP * _JUMP:
             return ""
         step, since = self.robot.difference(self.measured, measured), max(self.dt, time - self._time)
-        fastest = TWICE * self.robot.velocity_limit * since + JUMP
+        fastest = TWICE * self.robot.velocity_limit * since + _JUMP
         if np.all(np.abs(step) <= fastest):
             return ""
         j = int((np.abs(step) / fastest).argmax())
@@ -518,7 +514,7 @@ class ServoLoop:
         if np.all(np.abs(np.sort(self.measured) - np.sort(measured)) <= np.sort(fastest)):
             return f"{words}: the joints come in another order"
         turns = round(float(step[j]) / (2.0 * math.pi))
-        if turns and abs(step[j] - 2.0 * math.pi * turns) < TURN:
+        if turns and abs(step[j] - 2.0 * math.pi * turns) < _TURN:
             words += f", {counted(abs(turns), 'full turn')}: the driver counts its angle in other turns"
         return words
 
@@ -676,20 +672,20 @@ class ServoLoop:
         left = self.robot.difference(commanded, self._relief)
         farthest = float(np.abs(left).max(initial=0.0))
         self._rested += held
-        arrived = farthest < ARRIVED and not self._velocity.any()
+        arrived = farthest < _ARRIVED and not self._velocity.any()
         if arrived:
-            if self._rested > following.servos.delay + SETTLED:
-                self.lets_go = self._renewed < RENEWALS and following.left(measured) > LEFT
-            if not self.lets_go or self._rested <= following.servos.delay + SETTLED:
+            if self._rested > following.servos.delay + _SETTLED:
+                self.lets_go = self._renewed < RENEWALS and following.left(measured) > _LEFT
+            if not self.lets_go or self._rested <= following.servos.delay + _SETTLED:
                 return self._braked(Status.FOLLOWING_ERROR, held)
             self._renewed += 1
         # the first measurements were those of an arm in motion; what is near is noise
-        again = farthest > NEAR and not self._renewed and self._rested > following.servos.delay + RELOOK
+        again = farthest > _NEAR and not self._renewed and self._rested > following.servos.delay + RELOOK
         if arrived or again:
             self._relief, self._rested = self._let_go(commanded), 0.0
             left = self.robot.difference(commanded, self._relief)
             farthest = float(np.abs(left).max(initial=0.0))
-        wish = left * min(1.0 / held, max(UNLOADING_RATE, SLOWEST / max(farthest, ARRIVED)))
+        wish = left * min(1.0 / held, max(UNLOADING_RATE, _SLOWEST / max(farthest, _ARRIVED)))
         bounds = self._hard.bounds(commanded, held, self._velocity)
         return self._beside_the_law(
             self._hard.towards(wish, self._velocity, bounds, held), Status.FOLLOWING_ERROR, held

@@ -21,12 +21,12 @@ from manip_learn.robot.robot import Robot
 
 # [m or rad] that a hand may be off what holds it: the play of a drawer's rails; 5 mm press with 18 N on a stiff arm
 STRAY = 2e-3
-AT_LIMIT = 2e-3  # [rad or m] a joint this near to its position limit stands at it: braking is exponential in the end
+_AT_LIMIT = 2e-3  # [rad or m] a joint this near to its position limit stands at it: braking is exponential in the end
 SLACK = 1.5  # [s] beyond the time that the way takes where nothing slows it down
-STANDING = 2.0  # [s] without progress after which the arm counts as stopped: a singular start is left within one
+_STANDING = 2.0  # [s] without progress after which the arm counts as stopped: a singular start is left within one
 AT_REST = 0.3  # [s] that a motion is shown after its end
 FROM_THE_BASE = 0.5  # cosine of the angle between the way and the direction from the base, from which on it leads away
-LONGEST = 4.0  # times the time that the way takes where nothing slows it down: then it counts as stopped
+_LONGEST = 4.0  # times the time that the way takes where nothing slows it down: then it counts as stopped
 
 
 @final
@@ -83,12 +83,7 @@ class WayDone:
 
 
 def leads_away(handle: Float[np.ndarray, " 3"], way: Float[np.ndarray, " 3"]) -> bool:
-    """Whether a hand goes away from the robot's base: it pushes a drawer in, for chests face who opens them.
-
-    Args:
-        handle: Where the hand is, in the base frame [m].
-        way: Its way from there, of any length.
-    """
+    """Whether a hand goes away from the robot's base: it pushes a drawer in, for chests face who opens them."""
     out = handle * [1.0, 1.0, 0.0]
     return bool(way @ out > FROM_THE_BASE * np.linalg.norm(way) * np.linalg.norm(out))
 
@@ -127,9 +122,9 @@ def simulate_way(
         rollout = simulate(robot, controller, q0, length, dt, progress=progress)
         places = _places_of(task, rollout)
         end = _end(task, rollout.time[len(rollout) - len(places) :], places)
-        if end is not None or duration is not None or length >= LONGEST * nominal:
+        if end is not None or duration is not None or length >= _LONGEST * nominal:
             break
-        length = min(2.0 * length, LONGEST * nominal)
+        length = min(2.0 * length, _LONGEST * nominal)
     if end is not None and duration is None:
         cut = rollout.until(end)
         rollout, places = cut, places[: len(places) - (len(rollout) - len(cut))]
@@ -154,9 +149,9 @@ def _end(task: FreeDirection, time: Float[np.ndarray, " k"], places: Float[np.nd
     there = np.flatnonzero(np.abs(places - task.wanted) <= done)
     if len(there):
         return float(time[there[0]]) + AT_REST
-    before = np.interp(time - STANDING, time, places) if len(time) else places
+    before = np.interp(time - _STANDING, time, places) if len(time) else places
     behind = np.abs(places - [task.meant(t) for t in time.tolist()]) > done  # and not at rest as shown
-    still = np.flatnonzero((np.abs(places - before) < done) & (time >= time[:1] + STANDING) & behind)
+    still = np.flatnonzero((np.abs(places - before) < done) & (time >= time[:1] + _STANDING) & behind)
     return float(time[still[0]]) if len(still) else None
 
 
@@ -184,7 +179,7 @@ def joint_at_limit(robot: Robot, positions: Float[np.ndarray, " nv"]) -> str | N
     """The first joint that stands at a position limit, in words; None if none does."""
     for i, name in enumerate(robot.joint_names):
         for side, limit in (("lower", robot.position_lower[i]), ("upper", robot.position_upper[i])):
-            if abs(positions[i] - limit) < AT_LIMIT:
+            if abs(positions[i] - limit) < _AT_LIMIT:
                 return f"joint {name!r} at its {side} limit of {limit:.4g} {robot.joint_units[i]}"
     return None
 

@@ -15,7 +15,7 @@ from manip_learn.errors import ConfigurationError, counted, listed, named
 from manip_learn.recordings.readers.read_request import Units
 from manip_learn.robot.robot import Robot
 
-ROUNDING = 1e-6  # [rad or m] by which a joint at its limit may be beyond it: what conversions there and back leave
+_ROUNDING = 1e-6  # [rad or m] by which a joint at its limit may be beyond it: what conversions there and back leave
 CUT = 1e-4  # in a motor's own unit: LeRobot's own bound, from which on it says that it has cut an action
 # what LeRobot's buses call the units of a motor (MotorNormMode) -> lowest and highest value, NaN where it has none
 _RANGES = {
@@ -328,7 +328,7 @@ class _Scale:
         Raises:
             ConfigurationError: It is outside the bounds.
         """
-        value, rounding = self.centre + (float(position) - self.zero) / self.per_unit, ROUNDING / abs(self.per_unit)
+        value, rounding = self.centre + (float(position) - self.zero) / self.per_unit, _ROUNDING / abs(self.per_unit)
         for low, high, what in self.bounds:
             if not low - rounding <= value <= high + rounding or not math.isfinite(value):
                 raise ConfigurationError(

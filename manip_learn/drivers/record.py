@@ -30,9 +30,9 @@ RESTS = 1.5  # [s] in which an arm whose motion is over does not move by that mu
 FLUSHED = 0.02  # [s] between two writes: what a killed program loses
 SYNCED = 1.0  # [s] between two waits for the disk itself: what a power cut loses
 SILENT = 1.0  # [s] without a posture after which recording ends
-PATIENCE = 0.5  # [s] in a period after which a signal gives up what the driver, or who is told of the sample, does
-JUMP, FASTEST = 0.1, 20.0  # [rad or m], [rad/s or m/s] by which a joint is elsewhere that no hand has moved there
-LATE = 1.5  # periods from one sample to the next from which on one was lost
+_PATIENCE = 0.5  # [s] in a period after which a signal gives up what the driver, or who is told of the sample, does
+_JUMP, _FASTEST = 0.1, 20.0  # [rad or m], [rad/s or m/s] by which a joint is elsewhere that no hand has moved there
+_LATE = 1.5  # periods from one sample to the next from which on one was lost
 By = Literal["motion", "key"]
 Key = Literal["", "start or stop", "end"]
 
@@ -131,7 +131,7 @@ def record(
         raise ConfigurationError("a simulated driver needs wait(), in which a period passes without a command")
     clock = clock or ComputerClock()
     session = _Session(driver, folder, name, by, motions, shown, began)
-    with OrderlyEnd(driver, session.end, PATIENCE, clock) as ending:
+    with OrderlyEnd(driver, session.end, _PATIENCE, clock) as ending:
         try:
             with ending.waiting():
                 session.released(release)
@@ -267,7 +267,7 @@ class _Session:
             before.popleft()
         if file is not None:
             self._write(sample)
-            rested = sample.time - before[0].time > RESTS - LATE * self._driver.period and not self._moved(RESTS)
+            rested = sample.time - before[0].time > RESTS - _LATE * self._driver.period and not self._moved(RESTS)
             if file.error is not None or (pressed if self._by == "key" else rested):
                 self.finish()
         elif pressed if self._by == "key" else self._moved(LOOK):
@@ -306,7 +306,7 @@ class _Session:
             return
         gap, period = sample.time - self._written, self._driver.period
         self._gap = max(self._gap, gap)
-        self._lost += round(gap / period) - 1 if gap > LATE * period else 0
+        self._lost += round(gap / period) - 1 if gap > _LATE * period else 0
         numbers = np.concatenate([[sample.time], *(values for values in wanted if values is not None)])
         self._file.add(",".join(map(repr, numbers.tolist())) + "\n")
         self._samples, self._written = self._samples + 1, sample.time
@@ -336,17 +336,12 @@ class _Session:
 def _reachable(earlier: tuple[_Sample, float], sample: _Sample, now: float) -> bool:
     """Whether an arm can have gone from an earlier sample, which came at a time [s], to one that comes now."""
     far = float(np.max(np.abs(sample.q - earlier[0].q), initial=0.0))
-    return far <= JUMP + FASTEST * (now - earlier[1])
+    return far <= _JUMP + _FASTEST * (now - earlier[1])
 
 
 @final
 class _GrowingFile:
     """Lines that a thread of its own appends to a new file, whole lines only.
-
-    Args:
-        folder: Where.
-        name: `NAME_01.csv`, or the next number that is free.
-        header: First line.
 
     Attributes:
         path: The file.
