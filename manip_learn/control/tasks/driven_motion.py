@@ -267,7 +267,7 @@ def _direction(
     if direction is None:
         basis = along_axes(free)
         if len(free) > 1:
-            words = "; ".join(_in_words(row, features.row_names) for row in basis)
+            words = "; ".join(direction_in_words(row, features.row_names) for row in basis)
             raise ConstraintError(
                 f"the constraint leaves {len(free)} directions free ({words}): say along which one to move"
                 + advice(" with {}", "direction=", "--direction " + ",".join(f"{c:.3g}" for c in basis[0]))
@@ -284,12 +284,12 @@ def _direction(
         )
     moved = free.T @ (free @ given)
     if np.linalg.norm(moved) < _FREE * np.linalg.norm(given):
-        words = "; ".join(_in_words(row, features.row_names) for row in along_axes(free))
+        words = "; ".join(direction_in_words(row, features.row_names) for row in along_axes(free))
         raise TargetError(f"the constraint holds the direction {given.tolist()}; free is {words}")
     return moved / np.linalg.norm(moved)
 
 
-def _in_words(row: Float[np.ndarray, " p"], names: tuple[str, ...]) -> str:
+def direction_in_words(row: Float[np.ndarray, " p"], names: tuple[str, ...]) -> str:
     """A direction as a sum of rows, e.g. "+0.6 x +0.8 y"."""
     return sum_in_words(row, names, "+.3g", 1e-3)
 
