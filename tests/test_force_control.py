@@ -57,7 +57,7 @@ def test_stiffness_is_compliant_where_the_environment_holds(ur5):
     q = posture(ur5)
     for rows in ("radial axial", FIRM):
         with case(rows):
-            constraint, J = hinge(ur5, rows), ur5.jacobian(q, "tool0")
+            constraint = hinge(ur5, rows)
             made = impedance(constraint, q)
             K, D = np.array(made["stiffness"]), np.array(made["damping"])
             for M in (K, D):
@@ -77,7 +77,6 @@ def test_stiffness_is_compliant_where_the_environment_holds(ur5):
             values, V = np.linalg.eigh(M)
             back = V / np.sqrt(values) @ V.T
             assert np.allclose((0.5 * back @ D @ back) @ (0.5 * back @ D @ back), back @ K @ back, rtol=1e-6)
-            assert np.linalg.matrix_rank(J) == 6
 
 
 def test_hand_inertia_is_that_of_the_dynamics(ur5):

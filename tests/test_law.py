@@ -28,7 +28,7 @@ from manip_learn.control.policies import (
 from manip_learn.control.way import simulate_way
 
 DT = 0.01
-ARMS = ["planar3", "sawyer", "panda", "ur5", "kinova", "gantry", "tree", "wrist"]
+ARMS = ["planar3", "sawyer", "kinova", "gantry", "tree", "wrist"]
 Policies = Callable[[ml.Robot, ml.Constraint], NullSpacePolicy | None]
 POLICIES: dict[str, Policies] = {
     "none": lambda robot, rows: None,
@@ -58,8 +58,7 @@ def inside(robot: ml.Robot, rng: np.random.Generator, share: float = 0.9) -> np.
     return 0.5 * (low + high) + 0.5 * share * (high - low) * rng.uniform(-1.0, 1.0, robot.nv)
 
 
-@pytest.mark.parametrize("kind", POLICIES)
-@pytest.mark.parametrize("name", ARMS)
+@pytest.mark.parametrize(("name", "kind"), list(zip(ARMS, POLICIES, strict=True)))
 def test_equation_2_where_nothing_binds(name: str, kind: str, robot_of: RobotOf, rng: np.random.Generator) -> None:
     """u = A^+ b + (1 - A^+ A) w to 1e-12, with every inverse, where the status says that nothing was done to it."""
     robot, compared = robot_of(name), 0
@@ -101,7 +100,7 @@ def excess(u: np.ndarray, bounds: Bounds) -> float:
     return float(np.max(np.maximum(u - np.array(bounds.high), np.array(bounds.low) - u)))
 
 
-@pytest.mark.parametrize("seed", range(8))
+@pytest.mark.parametrize("seed", range(3))
 def test_the_nearest_velocity_meets_the_conditions_of_the_optimum(seed: int) -> None:
     """Within the bounds, and M (u - u*) is held by the bounds and rows that are met, each pushing inwards (by NNLS).
 
@@ -138,16 +137,7 @@ def test_bounds_have_precedence_over_rows(rng: np.random.Generator) -> None:
         np.testing.assert_array_equal(u, nearest_within(wish, W, bounds, None))
 
 
-def test_a_velocity_within_the_bounds_stays(rng: np.random.Generator) -> None:
-    """The nearest velocity to one that is allowed is itself."""
-    for _ in range(100):
-        n = int(rng.integers(1, 10))
-        wish = rng.normal(size=n)
-        wide = Bounds((wish - 0.1).tolist(), (wish + 0.1).tolist(), [1] * n, [1] * n, 0.0)
-        np.testing.assert_allclose(nearest_within(wish, weighted_rows(n, rng), wide, None), wish, rtol=0, atol=1e-12)
-
-
-@pytest.mark.parametrize("name", ["sawyer", "panda", "gantry", "wrist"])
+@pytest.mark.parametrize("name", ["sawyer", "gantry"])
 def test_the_command_solves_the_program_of_the_docstring(
     name: str, robot_of: RobotOf, rng: np.random.Generator
 ) -> None:
@@ -190,18 +180,14 @@ def rail(robot: ml.Robot) -> ml.Constraint:
     return ml.Constraint([[0.0, 1.0, 0.0], [0.0, 0.0, 1.0]], ml.FrameJacobian(robot, "link_eef"))
 
 
-@pytest.mark.parametrize("climbs", [None, "held", "held, slowly", "driven"])
-def test_a_joint_at_its_limit_pulls_no_hand_off_its_rail(climbs: str | None) -> None:
+@pytest.mark.parametrize("climbs", ["held", "driven"])
+def test_a_joint_at_its_limit_pulls_no_hand_off_its_rail(climbs: str) -> None:
     """Where a joint stops the way the hand stands on its rail to 0.5 mm, whatever the null-space policy asks for."""
     robot = ml.load_robot("xarm7")
     start, rows = [3.302, -1.7578, 0.2082, 3.0665, 5.0783, 1.7292, 0.1807], rail(robot)
     task = ml.FreeDirection(rows, -0.5, 0.1)
-    policies = {
-        "held": ManipulabilityAscent(rows),
-        "held, slowly": ManipulabilityAscent(task.constraint, max_speed=1.0),
-        "driven": ManipulabilityAscent(task.constraint),
-    }
-    law = ml.ResolvedRateController(rows, task, policies.get(climbs or ""), dt=DT)
+    climb = ManipulabilityAscent(rows if climbs == "held" else task.constraint)
+    law = ml.ResolvedRateController(rows, task, climb, dt=DT)
     rollout, way = simulate_way(robot, law, start, DT)
     places = np.array([robot.position(q, "link_eef") for q in rollout.q])
     assert float(np.max(np.linalg.norm(places[:, 1:] - places[0, 1:], axis=1))) <= 5e-4
@@ -236,9 +222,10 @@ def left_at_the_steepest(command: Callable[[float], Command], s: np.ndarray, pla
     return jump
 
 
-@pytest.mark.parametrize("moving", [False, True])
-@pytest.mark.parametrize("kind", ["none", "ascent", "rest"])
-@pytest.mark.parametrize("name", ["sawyer", "panda", "xarm7"])
+@pytest.mark.parametrize(
+    ("name", "kind", "moving"),
+    [("sawyer", "none", True), ("sawyer", "ascent", True), ("panda", "rest", True), ("xarm7", "ascent", False)],
+)
 def test_where_the_program_begins_nothing_jumps(name: str, kind: str, moving: bool, rng: np.random.Generator) -> None:
     """Along straight walks of the posture on which the status changes, u has no jump of more than 1e-5 rad/s."""
     robot, changes = ml.load_robot(name), 0
@@ -260,7 +247,7 @@ def test_where_the_program_begins_nothing_jumps(name: str, kind: str, moving: bo
 
 
 @pytest.mark.parametrize("limits", [False, True])
-@pytest.mark.parametrize("kind", ["none", "ascent", "rest"])
+@pytest.mark.parametrize("kind", ["none", "ascent"])
 def test_where_damping_begins_nothing_jumps(kind: str, limits: bool, robot_of: RobotOf) -> None:
     """From a bent to an all but stretched arm: u has no jump at the threshold, nor below it."""
     robot = robot_of("planar3")
@@ -274,14 +261,13 @@ def test_where_damping_begins_nothing_jumps(kind: str, limits: bool, robot_of: R
         assert left_at_the_steepest(command, s) < 1e-5
 
 
-@pytest.mark.parametrize("sense", [1.0, -1.0])
-def test_a_wrist_that_turns_over_pulls_no_hand_off_its_hinge(sense: float, robot_of: RobotOf) -> None:
+def test_a_wrist_that_turns_over_pulls_no_hand_off_its_hinge(robot_of: RobotOf) -> None:
     """A firm grip turns 3 degrees beside a wrist singularity: joints at full speed could not follow the hinge."""
     robot, q = robot_of("ur5"), np.array([-3.427, -2.081, -1.065, 1.104, -3.128, 4.212])
     centre, axis = np.array([-0.012, 0.0, 0.049]), np.array([0.0, 1.0, 0.0])  # in the hand
     twist = np.concatenate((np.cross(centre, axis), axis))
     rows = ml.Constraint(np.linalg.svd(twist[None])[2][1:], ml.FrameJacobian(robot, "tool0", "pose", "local"))
-    task = ml.FreeDirection(rows, sense * 2.5, 1.0, unit="rad")
+    task = ml.FreeDirection(rows, 2.5, 1.0, unit="rad")
     rollout = ml.simulate(robot, ml.ResolvedRateController(rows, task), q, 4.0, DT)
     start, off = robot.pose(q, "tool0"), []
     for posture in rollout.q:
@@ -289,29 +275,20 @@ def test_a_wrist_that_turns_over_pulls_no_hand_off_its_hinge(sense: float, robot
         moved = pose[:3, :3] @ centre + pose[:3, 3] - start[:3, :3] @ centre - start[:3, 3]
         off.append(np.linalg.norm(moved) + np.linalg.norm(pose[:3, 1] - start[:3, 1]))
     assert max(off) < 1.5e-3  # [m and rad]
-    assert task.progress(rollout.q[-1]) == pytest.approx(sense * 2.5, abs=4e-3)
+    assert task.progress(rollout.q[-1]) == pytest.approx(2.5, abs=4e-3)
     assert ml.Status.ACCELERATION_LIMITED in rollout.status
 
 
-@pytest.mark.parametrize("grip", ["loose", "firm rows of the mechanism", "firm in the hand's own frame"])
-@pytest.mark.parametrize("policy", ["none", "ascent"])
-def test_a_way_that_was_stopped_goes_on_from_where_the_hand_is(grip: str, policy: str, robot_of: RobotOf) -> None:
+@pytest.mark.parametrize("names", ["radial axial", "turn-1 turn-2 slide-1 slide-2 slide"])
+def test_a_way_that_was_stopped_goes_on_from_where_the_hand_is(names: str, robot_of: RobotOf) -> None:
     """A hand that stood for seconds goes on no faster than it was asked to, and stays on the mechanism."""
     robot, q, speed = robot_of("panda"), np.array([0.0, -0.3, 0.0, -2.0, 0.0, 1.8, 0.7]), 0.3
     pose = robot.pose(q, "panda_hand_tcp")
     axis, point = np.array([0.0, 0.0, 1.0]), pose[:3, 3] + [0.1, 0.25, 0.0]
-    if grip == "firm in the hand's own frame":
-        a, c = pose[:3, :3].T @ axis, pose[:3, :3].T @ (point - pose[:3, 3])
-        twist = np.concatenate((np.cross(c, a), a))  # of the hand that turns about the axis: v = a x (0 - c)
-        features = ml.FrameJacobian(robot, "panda_hand_tcp", "pose", "local")
-        rows = ml.Constraint(np.linalg.svd(twist[None])[2][1:], features)
-    else:
-        names = "radial axial" if grip == "loose" else "turn-1 turn-2 slide-1 slide-2 slide"
-        features = MechanismRows(robot, "panda_hand_tcp", names, axis=axis, point=point)
-        rows = ml.Constraint(np.eye(features.n_rows), features)
+    features = MechanismRows(robot, "panda_hand_tcp", names, axis=axis, point=point)
+    rows = ml.Constraint(np.eye(features.n_rows), features)
     task = ml.FreeDirection(rows, 0.7, speed, unit="rad")
-    climb = task.ascent() if policy == "ascent" else None
-    law, t, u = ml.ResolvedRateController(rows, task, climb, dt=DT), 0.0, np.zeros(robot.nv)
+    law, t, u = ml.ResolvedRateController(rows, task, task.ascent(), dt=DT), 0.0, np.zeros(robot.nv)
     radius, height = float(np.linalg.norm((pose[:3, 3] - point)[:2])), float(pose[2, 3])
     before, off, rates = 0.0, 0.0, [0.0]
     while t < 9.0:
@@ -328,9 +305,8 @@ def test_a_way_that_was_stopped_goes_on_from_where_the_hand_is(grip: str, policy
     assert off <= 5e-4
 
 
-@pytest.mark.parametrize("kind", ["none", "ascent", "rest"])
 @pytest.mark.parametrize("name", ARMS)
-def test_no_command_exceeds_a_bound(name: str, kind: str, robot_of: RobotOf, rng: np.random.Generator) -> None:
+def test_no_command_exceeds_a_bound(name: str, robot_of: RobotOf, rng: np.random.Generator) -> None:
     """Random, extreme and singular postures, any velocity before, tasks of all sizes: finite, 1e-9 at most beyond."""
     robot = robot_of(name)
     for k in range(40):
@@ -338,7 +314,7 @@ def test_no_command_exceeds_a_bound(name: str, kind: str, robot_of: RobotOf, rng
         rows = rows_of(robot, name, axes, 1 + int(rng.integers((2, 3, 6)[k % 3])), rng)
         q = (inside(robot, rng, 1.0), np.zeros(robot.nv), inside(robot, rng, 1.1), 1e-9 * rng.normal(size=robot.nv))
         b = 10.0 ** rng.uniform(-4.0, 2.0) * rng.normal(size=rows.n_constraints)
-        law = ml.ResolvedRateController(rows, Asks(b), POLICIES[kind](robot, rows), dt=DT)
+        law = ml.ResolvedRateController(rows, Asks(b), POLICIES[("none", "ascent", "rest")[k % 3]](robot, rows), dt=DT)
         assert law.limits is not None
         posture = robot.configuration(q[k % 4]) if robot.nq != robot.nv else q[k % 4]
         for previous in (None, np.minimum(robot.velocity_limit, 3.0) * rng.uniform(-1.0, 1.0, robot.nv)):
@@ -346,19 +322,6 @@ def test_no_command_exceeds_a_bound(name: str, kind: str, robot_of: RobotOf, rng
             command = law(posture, 0.0, dt, previous, slide)
             assert np.all(np.isfinite(command.velocity))
             assert excess(command.velocity, law.limits.bounds(posture, dt, previous)) <= 1e-9
-
-
-@pytest.mark.parametrize("bend", [-0.1, -1e-3, 1e-5, 1e-2, 0.1])
-def test_the_way_out_of_a_singularity_raises_mu(bend: float, robot_of: RobotOf) -> None:
-    """Beside a singularity the whole null-space motion climbs, to whichever side the arm is bent; at it, too."""
-    robot = robot_of("planar3")
-    rows = ml.Constraint(np.eye(2), ml.FrameJacobian(robot, "tip", "x y"))
-    law = ml.ResolvedRateController(rows, None, ManipulabilityAscent(rows), dt=0.001)
-    for q in (np.array([0.4, bend, 0.0]), np.array([0.4, 0.0, 0.0])):
-        u = law(q).velocity
-        assert np.linalg.norm(u) > 1e-4
-        there = q + 1e-3 * min(1.0, abs(bend)) * u / np.linalg.norm(u)
-        assert ml.manipulability(rows, there) > ml.manipulability(rows, q)
 
 
 def test_more_rows_than_joints_are_no_error(robot_of: RobotOf) -> None:
@@ -372,11 +335,10 @@ def test_more_rows_than_joints_are_no_error(robot_of: RobotOf) -> None:
         assert command.status == word
 
 
-@pytest.mark.parametrize("name", ["panda", "sawyer"])
-def test_a_target_that_is_a_pose_approaches_no_singularity_too_fast(name: str, robot_of: RobotOf) -> None:
+def test_a_target_that_is_a_pose_approaches_no_singularity_too_fast(robot_of: RobotOf) -> None:
     """The smallest singular value of A falls no faster than the arm can brake, whatever rows the error has."""
-    robot, rng = robot_of(name), np.random.default_rng(5)
-    rows, limits, tip = rows_of(robot, name, "pose", 4, rng), ml.Limits(robot, acceleration=3.0), tip_of(name)
+    robot, rng, tip = robot_of("panda"), np.random.default_rng(5), tip_of("panda")
+    rows, limits = rows_of(robot, "panda", "pose", 4, rng), ml.Limits(robot, acceleration=3.0)
 
     def smallest(q: np.ndarray) -> float:
         return float(np.linalg.svd(rows(q), compute_uv=False)[-1])
@@ -384,7 +346,7 @@ def test_a_target_that_is_a_pose_approaches_no_singularity_too_fast(name: str, r
     def rate(q: np.ndarray, u: np.ndarray) -> float:
         return (smallest(robot.integrate(q, 1e-6 * u)) - smallest(robot.integrate(q, -1e-6 * u))) / 2e-6
 
-    for _ in range(100):
+    for _ in range(40):
         q, goal = inside(robot, rng), robot.pose(inside(robot, rng), tip)
         law = ml.ResolvedRateController(rows, ml.PointAttractor(goal), ManipulabilityAscent(rows), limits=limits)
         slope = np.array([rate(q, unit) for unit in np.eye(robot.nv)])

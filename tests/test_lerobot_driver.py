@@ -198,13 +198,6 @@ def test_joints_in_m_are_not_in_degrees() -> None:
     np.testing.assert_allclose(driver_of(arm, panda).read()[0][-1], 0.75 * panda.position_upper[-1])
 
 
-def test_locked_joints_need_no_motor() -> None:
-    """The gripper's joint is locked and its motor held: five motors move five joints."""
-    so101 = ml.load_robot("so101", locked=("gripper",))
-    arm = Arm(np.zeros(5), (*so101.joint_names, "gripper"))
-    assert driver_of(arm, so101).read()[0].shape == (5,)
-
-
 @pytest.mark.parametrize("calibrated", [False, True])
 def test_nothing_outside_the_ranges_is_sent(calibrated: bool, planar3: ml.Robot) -> None:
     """A motion that leaves the limits, or the calibrated range, ends with a sentence; the arm stands where it was."""
@@ -345,18 +338,6 @@ def test_an_arm_that_blocks(call: str, planar3: ml.Robot) -> None:
     assert np.abs(np.diff(sent, axis=0)).max() > 0.05 * PERIOD
     if call == "get_observation":
         assert not record.rollout.u[-1].any() and np.abs(sent[-1] - sent[-2]).max() < 1e-9
-
-
-def test_two_interrupts_get_out_of_an_arm_that_answers_nothing(planar3: ml.Robot) -> None:
-    """Neither call returns: the first Ctrl-C gives up reading, the second one sending, and the run is over."""
-    arm, hands = Arm(), Hands()
-    loop, driver = loop_of(planar3), driver_of(arm, planar3)
-    loop.reset(driver.read()[0])
-    arm.get_observation = arm.send_action = lambda *_: interrupted(hands, 0.2)  # type: ignore[method-assign]
-    record = ml.run(loop, driver, 2.0, clock=hands)
-    for call in ("read()", "command()"):
-        assert f"the driver's {call} had not returned for 0.2" in record.ended
-    assert not record.ordered and record.cycles == 1
 
 
 def test_a_second_interrupt_waits_for_nothing(planar3: ml.Robot) -> None:

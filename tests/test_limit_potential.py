@@ -45,16 +45,6 @@ def test_potential_and_weights(robot_of, rng, name: str):
         np.testing.assert_array_equal(np.stack([w, slope]), 0.0)
 
 
-def test_joints_without_limits_count_for_nothing(robot_of, rng):
-    """Their weight is 1 with slope 0."""
-    for name in ("wrist", "rover"):
-        robot = robot_of(name)
-        q = robot.positions(robot.random_configuration(rng))
-        free = ~np.isfinite(robot.position_upper)
-        weights, slopes = limit_weights(robot, q)
-        assert np.any(free) and np.all(weights[free] == 1.0) and np.all(slopes[free] == 0.0)
-
-
 def near_limits(robot, rng: np.random.Generator, share: float) -> np.ndarray:
     """Positions with each joint at +- share of its half range, at random; a random posture for share 0."""
     q = robot.positions(robot.random_configuration(rng))

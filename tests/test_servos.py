@@ -71,9 +71,7 @@ def gone(loop: ml.ServoLoop, arm: Servos, seconds: float, force: object = 0.0) -
     [
         ({}, None),
         ({"late": 0.034}, 34.0),
-        ({"late": 0.150}, 150.0),
         ({"late": 0.004, "lag": 0.05}, 54.0),
-        ({"width": 0.003}, None),
         ({"width": 0.003, "late": 0.04}, 40.0),
         ({"noise": 2e-4}, None),
         ({"late": 0.190}, 190.0),
@@ -89,13 +87,12 @@ def test_what_servos_do_is_no_force(servos: dict[str, float], said: float | None
     assert notes == ([] if said is None else [pytest.approx(said, abs=8.0)])
 
 
-@pytest.mark.parametrize("late", [0.0, 0.05])
-def test_a_latency_that_is_told_is_the_most(late: float) -> None:
-    """An arm that starts fast and follows at once, or less late than was told, goes its way."""
+def test_a_latency_that_is_told_is_the_most() -> None:
+    """An arm that starts fast and is less late than was told goes its way."""
     rows = ml.Constraint(np.eye(3), ml.FrameJacobian(ROBOT, FRAME, "xyz"))
     goal = ROBOT.position(START, FRAME) + [0.0, 0.2, 0.1]
     controller = ml.ResolvedRateController(rows, ml.PointAttractor(goal, gain=5.0))
-    loop, arm = ml.ServoLoop(controller, DT, contact=ml.Contact(latency=0.15, stiffness=STIFFNESS)), Servos(late=late)
+    loop, arm = ml.ServoLoop(controller, DT, contact=ml.Contact(latency=0.15, stiffness=STIFFNESS)), Servos(late=0.05)
     loop.reset(START)
     assert "following-error" not in gone(loop, arm, 3.0), loop.stopped_by
     assert np.linalg.norm(ROBOT.position(arm.q, FRAME) - goal) < 1e-3
@@ -112,12 +109,11 @@ def test_friction_hides_forces_and_says_which() -> None:
     assert not [note for note in loop.notes if "cannot be kept" in note]
 
 
-@pytest.mark.parametrize("late", [0.0, 0.04])
 @pytest.mark.parametrize(
-    ("force", "trips"),
+    ("force", "trips", "late"),
     [
-        ([10.0, 0.0, 0.0], False), ([25.0, 0.0, 0.0], True), ([0.0, 0.0, 25.0], True), ([0.0, -45.0, 0.0], False),
-        ([0.0, -80.0, 0.0], True),
+        ([10.0, 0.0, 0.0], False, 0.04), ([25.0, 0.0, 0.0], True, 0.0), ([0.0, 0.0, 25.0], True, 0.04),
+        ([0.0, -45.0, 0.0], False, 0.0), ([0.0, -80.0, 0.0], True, 0.0),
     ],
 )  # fmt: skip
 def test_a_force_counts_by_its_row(force: list[float], trips: bool, late: float) -> None:

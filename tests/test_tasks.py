@@ -10,7 +10,7 @@ from manip_learn.constraint.features import CustomFeatures, FrameJacobian, Mecha
 from manip_learn.control.controller import ResolvedRateController
 from manip_learn.control.policies import ManipulabilityAscent
 from manip_learn.control.servo_loop import ServoLoop
-from manip_learn.control.tasks import Hold, PointAttractor, Track
+from manip_learn.control.tasks import PointAttractor, Track
 from manip_learn.errors import FeatureError, TargetError
 from manip_learn.robot.rotations import rotation_matrix
 
@@ -18,14 +18,6 @@ from manip_learn.robot.rotations import rotation_matrix
 @pytest.fixture
 def constraint(robot_of, rng) -> Constraint:
     return Constraint(rng.standard_normal((2, 3)), FrameJacobian(robot_of("sawyer"), "right_hand"))
-
-
-def test_hold(constraint, rng):
-    """b = 0, and nothing left to go."""
-    q = rng.standard_normal(7)
-    np.testing.assert_array_equal(Hold().velocity(constraint, q, 1.0), np.zeros(2))
-    assert Hold().error(constraint, q, 1.0) == 0.0
-    assert repr(Hold()) == "Hold()"
 
 
 def test_three_forms_of_a_target(constraint, robot_of, rng):
@@ -52,15 +44,6 @@ def test_rotation_targets(robot_of, rng):
         for _ in range(300):
             x = x + 0.03 * np.linalg.pinv(full(x), rcond=0.02) @ task.velocity(full, x, 0.0)
         assert task.error(full, x, 0.0) < 0.02 * before
-
-
-def test_max_speed(constraint, rng):
-    """Far away the speed is the largest allowed, and the direction stays."""
-    q = rng.uniform(-1, 1, 7)
-    free, bounded = PointAttractor([5.0, 5.0, 5.0]), PointAttractor([5.0, 5.0, 5.0], max_speed=0.1)
-    b, slow = free.velocity(constraint, q, 0.0), bounded.velocity(constraint, q, 0.0)
-    assert np.linalg.norm(slow) == pytest.approx(0.1)
-    np.testing.assert_allclose(slow / 0.1, b / np.linalg.norm(b))
 
 
 def test_track_with_feed_forward_does_not_lag(constraint, rng):

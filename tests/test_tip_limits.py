@@ -27,8 +27,7 @@ def speeds(robot: ml.Robot, controller: ml.Controller, q: np.ndarray, frames: tu
     return np.array(rows)
 
 
-@pytest.mark.parametrize("frames", [(TIP,), (TIP, "right_l4")])
-@pytest.mark.parametrize("axes", ["xyz", "pose"])
+@pytest.mark.parametrize(("axes", "frames"), [("xyz", (TIP,)), ("pose", (TIP, "right_l4"))])
 def test_no_frame_is_faster(axes: str, frames: tuple[str, ...], robot_of: RobotOf, rng: np.random.Generator) -> None:
     """Far targets with a large gain: the tip moves at its limit and never beyond it; without a limit far beyond it."""
     robot = robot_of("sawyer")
@@ -44,20 +43,6 @@ def test_no_frame_is_faster(axes: str, frames: tuple[str, ...], robot_of: RobotO
         assert held.max() <= SPEED + 1e-9
         assert held.max() >= 0.99 * SPEED
         assert speeds(robot, ml.ResolvedRateController(constraint, task, climb), q, frames).max() > 1.5 * SPEED
-
-
-def test_where_it_does_not_bind_nothing_changes(robot_of: RobotOf) -> None:
-    """A limit that is not reached leaves every command as it is."""
-    robot = robot_of("sawyer")
-    constraint = ml.Constraint(np.eye(3)[:2], ml.FrameJacobian(robot, TIP, "xyz"))
-    q = np.array([0.3, -0.6, 0.2, 0.9, 0.1, 0.5, 0.0])
-    task, climb = ml.PointAttractor(robot.position(q, TIP) + 0.05), ml.ManipulabilityAscent(constraint)
-    free, held = (
-        ml.simulate(robot, ml.ResolvedRateController(constraint, task, climb, limits=limits), q, 1.0)
-        for limits in (True, ml.Limits(robot, tip_speed=50.0))
-    )
-    np.testing.assert_array_equal(free.u, held.u)
-    assert free.status == held.status
 
 
 def test_the_direction_of_the_task_is_kept(robot_of: RobotOf) -> None:
@@ -129,11 +114,11 @@ def test_rounding_at_a_wall_asks_for_no_more_programs(robot_of: RobotOf, monkeyp
         return nearest_within(*arguments)
 
     monkeypatch.setattr("manip_learn.control.law.nearest_within", counted)
-    for k in range(1500):
+    for k in range(800):
         before, last = programs, loop.update(q, 0.001 * k)
         q = robot.integrate(q, 0.001 * last.velocity)
         assert programs - before <= 4, k
-    assert last.progress < 0.03 and programs > 500
+    assert last.progress < 0.03 and programs > 250
 
 
 def test_an_oblique_wall_and_a_start_beyond_it(robot_of: RobotOf) -> None:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import time
 from collections.abc import Callable
 from typing import Any
 
@@ -10,7 +9,7 @@ import numpy as np
 import pytest
 
 import manip_learn as ml
-from manip_learn.errors import ConfigurationError
+from manip_learn.control import driver
 
 DT, FAST = 0.002, 3.0  # [s], [rad/s] with which a position servo goes where it is sent
 START = np.array([0.3, -0.6, 0.1, 1.4, 0.2, 0.8, 0.4])
@@ -61,27 +60,26 @@ def loop() -> ml.ServoLoop:
     return ml.ServoLoop(ml.ResolvedRateController(ml.Constraint(np.eye(3), place), ml.PointAttractor(target)), DT)
 
 
-@pytest.mark.parametrize("servo", ["position", "velocity"])
+AWAY = "the driver reads other joints, units or senses than it commands"
+
+
 @pytest.mark.parametrize(
-    ("way", "change", "said"),
+    ("servo", "way", "change", "said"),
     [
-        ("read", np.degrees, "right_j3 was read at 80.21, its limits are [-3.044, 3.044] rad: in degrees?"),
-        ("command", np.radians, "0.0175 times as far as it is sent, as if in degrees"),
-        ("read", turned, "right_j2 moves as right_j1 is sent"),
-        ("command", turned, "right_j2 moves as right_j1 is sent"),
-        ("read", flipped, "(right_j1 moves the other way round)"),
-        ("command", flipped, "(right_j1 moves the other way round)"),
+        ("position", "read", np.degrees, "right_j3 was read at 80.21, its limits are [-3.044, 3.044] rad: in degrees?"),
+        ("velocity", "command", np.radians, "0.0175 times as far as it is sent, as if in degrees"),
+        ("velocity", "read", turned, "right_j2 moves as right_j1 is sent"),
+        ("position", "command", turned, AWAY),
+        ("position", "read", flipped, AWAY),
+        ("velocity", "command", flipped, "(right_j1 moves the other way round)"),
     ],
 )
-def test_a_driver_that_mixes_up_its_joints(way: str, change: Map, said: str, servo: str, loop: ml.ServoLoop) -> None:
+def test_a_driver_that_mixes_up_its_joints(servo: str, way: str, change: Map, said: str, loop: ml.ServoLoop) -> None:
     """A position servo that leaves where it was sent is held at once; a path that another order explains is named."""
     arm = Arm(*((change, None) if way == "read" else (None, change)), servo == "velocity")
     record = ml.run(loop, arm, 5.0)
     assert not record.ordered and arm.held == 1
-    if servo == "position" and change is not np.degrees:
-        said = "the driver reads other joints, units or senses than it commands"
-        assert arm.farthest < 0.07
-    assert said in record.ended
+    assert said in record.ended and (arm.farthest < 0.07 or servo == "velocity")
 
 
 @pytest.mark.parametrize("is_velocity_servo", [False, True])
@@ -90,24 +88,19 @@ def test_a_driver_in_order_is_believed(is_velocity_servo: bool, loop: ml.ServoLo
     assert ml.run(loop, Arm(None, None, is_velocity_servo), 1.0).ordered
 
 
-def test_a_clock_in_milliseconds(loop: ml.ServoLoop) -> None:
+def test_a_clock_in_milliseconds(loop: ml.ServoLoop, monkeypatch: pytest.MonkeyPatch) -> None:
     """The clock of a run that counts in milliseconds ends it with both times."""
+    seconds = [50.0]
+    monkeypatch.setattr(driver.ComputerClock, "now", staticmethod(lambda: seconds[0]))
 
     class Milliseconds:
         def now(self) -> float:
-            return 1e3 * time.perf_counter()
+            return 1e3 * seconds[0]
 
         def wait_until(self, moment: float) -> None:
-            while self.now() < moment:
-                pass
+            seconds[0] = max(seconds[0] + 1e-4, 1e-3 * moment)
 
     arm = Arm(None, None, False)
     arm.simulated = False
     record = ml.run(loop, arm, 1000.0, clock=Milliseconds())
     assert not record.ordered and "it is to count seconds" in record.ended
-
-
-def test_a_period_longer_than_what_is_stale_is_refused(loop: ml.ServoLoop) -> None:
-    """When the loop is made, with both numbers."""
-    with pytest.raises(ConfigurationError, match=r"stale after 0\.1 s and the period is 0\.2 s"):
-        ml.ServoLoop(loop.controller, dt=0.2)

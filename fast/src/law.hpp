@@ -220,7 +220,7 @@ struct Law {
     return bounded(ws, R, basis, rank, asked, tip_cause, lost, weak, out);
   }
 
-  // ---- what slows the law down, as slowing.py has it ----
+  // ---- what slows the law down, as law.py has it ----
 
   bool may_leave(const double* A, double square) const {
     double bend = std::sqrt(n * dot(A, A, s * n)) * square;

@@ -18,7 +18,7 @@ from manip_learn.control.controller import ResolvedRateController
 from manip_learn.control.rollout import Rollout
 from manip_learn.control.simulation import simulate
 from manip_learn.control.tasks import FreeDirection, Hold, PointAttractor, Task, motion
-from manip_learn.control.tasks.driven_motion import in_words
+from manip_learn.control.tasks.driven_motion import direction_in_words
 from manip_learn.control.tasks.motion import motion_to, null_policy
 from manip_learn.control.way import WayDone, leads_away, simulate_way
 from manip_learn.errors import TargetError
@@ -338,5 +338,5 @@ def aim_of(constraint: Constraint, task: PointAttractor, rollout: Rollout) -> Ai
     if np.count_nonzero(whole) == len(free):  # the free directions are axes of the target
         ignored = tuple(name for name, counts in zip(features.row_names, whole, strict=True) if counts)
     else:
-        ignored = tuple(in_words(row, features.row_names) for row in free)
+        ignored = tuple(direction_in_words(row, features.row_names) for row in free)
     return Aim(distance, size, off, ignored, 0.0)

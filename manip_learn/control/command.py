@@ -178,24 +178,15 @@ def next_posture(
         q (+) dt/6 (k1 + 2 k2 + 2 k3 + k4),  k2 = u(q (+) dt/2 k1),  k3 = u(q (+) dt/2 k2),  k4 = u(q (+) dt k3)
 
     The order is 4 where the tangent coordinates commute (all joints but floating bases), and 2 otherwise.
-
-    Args:
-        robot: The robot, for (+) on its configuration manifold; None where positions simply add up.
-        controller: u(q, t).
-        q: Posture at time t.
-        t: Time [s].
-        dt: Step [s].
-        method: `"euler"` or `"rk4"`.
-        velocity: k1 = u(q, t) [rad/s or m/s].
     """
+
+    def moved(step: np.ndarray) -> np.ndarray:
+        return q + step if robot is None else robot.integrate(q, step)
+
     if method == "euler":
-        return _moved(robot, q, dt * velocity)
+        return moved(dt * velocity)
     k1 = velocity
-    k2 = controller(_moved(robot, q, 0.5 * dt * k1), t + 0.5 * dt, dt).velocity
-    k3 = controller(_moved(robot, q, 0.5 * dt * k2), t + 0.5 * dt, dt).velocity
-    k4 = controller(_moved(robot, q, dt * k3), t + dt, dt).velocity
-    return _moved(robot, q, dt / 6.0 * (k1 + 2.0 * k2 + 2.0 * k3 + k4))
-
-
-def _moved(robot: Robot | None, q: np.ndarray, step: np.ndarray) -> np.ndarray:
-    return q + step if robot is None else robot.integrate(q, step)
+    k2 = controller(moved(0.5 * dt * k1), t + 0.5 * dt, dt).velocity
+    k3 = controller(moved(0.5 * dt * k2), t + 0.5 * dt, dt).velocity
+    k4 = controller(moved(dt * k3), t + dt, dt).velocity
+    return moved(dt / 6.0 * (k1 + 2.0 * k2 + 2.0 * k3 + k4))

@@ -136,7 +136,10 @@ class ResolvedRateController:
         if native is not None and (command := native.step(q, dt, previous, slide)) is not None:
             return command
         if not (self._features_check and type(q) is np.ndarray and is_plain(q)):
-            q = self._checked_posture(q)
+            if self.robot is not None:
+                q = self.robot.checked_posture(q)
+            elif not np.all(np.isfinite(q := np.asarray(q, dtype=np.float64))):
+                raise ConfigurationError(f"the posture is not finite: {q.tolist()}")
         slide = slide if self.task.slides else 0.0
         if native is None or (command := native.command(q, t, dt, previous, slide)) is None:
             return self._law.command(q, t, dt, self.limits, previous, slide)
@@ -184,14 +187,6 @@ class ResolvedRateController:
                 raise ConstraintError("the limits belong to another robot than the constraint's")
             return limits
         return Limits(self.robot) if limits and self.robot is not None else None
-
-    def _checked_posture(self, q: ArrayLike) -> np.ndarray:
-        if self.robot is not None:
-            return self.robot.checked_posture(q)
-        vector = np.asarray(q, dtype=np.float64)
-        if not np.all(np.isfinite(vector)):
-            raise ConfigurationError(f"the posture is not finite: {vector.tolist()}")
-        return vector
 
     def __repr__(self) -> str:
         return (

@@ -21,7 +21,7 @@ from manip_learn.errors import ConfigurationError
 from manip_learn.robot.identity import RobotIdentity
 from manip_learn.robot.robot import Robot
 
-LATE = 0.5  # share of a period by which a cycle begins late to be counted
+_LATE = 0.5  # share of a period by which a cycle begins late to be counted
 SAMPLES = 100_000  # of a record at most: a longer run keeps every second, fourth, ... cycle
 LONGEST_STOP = 10.0  # [s] for braking and letting go, after which a run ends in any case
 SLOW_AFTER = 1.0  # [s] in which more than half of the periods were missed: the period cannot be held
@@ -192,7 +192,7 @@ class _Cycle:
                 t = clock.now() - start
                 late = t + start - due
             self.longest_delay = max(self.longest_delay, late)
-            self.overruns += late > LATE * period
+            self.overruns += late > _LATE * period
             missed = int(max(0.0, late) / period)
             lately += (missed / (missed + 1.0) - lately) * min(1.0, (missed + 1.0) * period / SLOW_AFTER)
             due += period * (missed + 1)  # a period that was missed is not made up for
@@ -206,15 +206,21 @@ class _Cycle:
                 self.stop(f"the driver's period changed from {1e3 * period:g} to {1e3 * self._driver.period:g} ms")
             if t >= duration - 0.5 * period:
                 self.stop(f"the {duration:g} s were over", True)
-            self._ask(until)
-            q = self._read(ending)
+            if self._raised is None:
+                try:
+                    if reason := until():
+                        self.stop(reason, True)
+                except BaseException as error:  # whatever it is, SystemExit too: an arm in motion must brake
+                    self._raised = error
+                    self.stop(f"{type(error).__name__}: {error}")
+            q = self._asked("read()", ending, self._read)
             command = loop.update(q, t)
             if not self.reason and (wrong := self._witness.refuses(q, command.status is Status.FOLLOWING_ERROR)):
                 self.stop(wrong)
                 break  # whatever is sent to such a driver, the arm goes elsewhere: it is only held
-            self._send(command, ending)
-            self._witness.note(loop.measured, loop.position)
-            self._tell(ending)
+            if (sent := loop.position) is not None:
+                self._send(sent, command, ending)
+            self._witness.note(loop.measured, sent)
             self._note(t, command)
             if command.status is Status.FOLLOWING_ERROR:
                 past = [q for _, q, _ in self._samples[-int(max(3, 0.02 / (self._stride * period))) :]]
@@ -230,68 +236,40 @@ class _Cycle:
         if self._raised is not None:
             raise self._raised
 
-    def _ask(self, until: Callable[[], str]) -> None:
-        """Whether the caller has a reason to end; what he raises is one, and is raised when the arm stands."""
-        if self._raised is not None:
-            return
-        try:
-            if reason := until():
-                self.stop(reason, True)
-        except BaseException as error:  # whatever it is, SystemExit too: an arm in motion must brake
-            self._raised = error
-            self.stop(f"{type(error).__name__}: {error}")
-
-    def _read(self, ending: OrderlyEnd) -> Any:
-        """The measured posture in the robot's order; None where there is none."""
-        if "read()" in self._blocked:
+    def _asked(self, call: str, ending: OrderlyEnd, function: Callable[[], Any]) -> Any:
+        """What the driver answers; None where a call does not return or raises, for an arm in motion must brake."""
+        if call in self._blocked:
             return None
         try:
             with ending.waiting():
-                q, _, _ = self._driver.read()
-            return self._joints.measured(q)
-        except BaseException as error:  # whatever a driver raises, an arm in motion must brake
-            self._failed("read()", error)
-        return None
-
-    def _failed(self, call: str, error: BaseException) -> None:
-        """A call of the driver did not return; what ends the program does so when the arm stands."""
-        if not isinstance(error, KeyboardInterrupt):
+                return function()
+        except KeyboardInterrupt as error:
+            self.stop("Ctrl-C", True)
+            if isinstance(error, GivenUp):
+                self._blocked.add(call)
+                taken = f"{error.args[0]:.2g} s"
+                self.reason, self.ordered = f"{self.reason}; the driver's {call} had not returned for {taken}", False
+        except BaseException as error:  # whatever it is; what ends the program does so when the arm stands
             self.stop(f"the driver's {call} failed: {type(error).__name__}: {error}")
             if not isinstance(error, Exception):
                 self._raised = error
-            return
-        self.stop("Ctrl-C", True)
-        if isinstance(error, GivenUp):
-            self._blocked.add(call)
-            taken = f"{error.args[0]:.2g} s"
-            self.reason, self.ordered = f"{self.reason}; the driver's {call} had not returned for {taken}", False
+        return None
 
-    def _send(self, command: Command, ending: OrderlyEnd) -> None:
-        q = self._loop.position
-        if q is None:
-            return
-        robot = self._loop.robot
-        try:
-            x = q if q.shape[0] == robot.nv else robot.positions(q)
-            x, u = self._joints.sent(x, self._joints.rest), self._joints.sent(command.velocity, 0.0)
-            with ending.waiting():
-                self._driver.command(x, u)
-        except BaseException as error:  # likewise
-            self._failed("command()", error)
+    def _send(self, q: np.ndarray, command: Command, ending: OrderlyEnd) -> None:
+        """The commanded posture and velocity to the driver, and a new word to its gripper, once."""
+        robot, driver, joints = self._loop.robot, self._driver, self._joints
+        x = q if q.shape[0] == robot.nv else robot.positions(q)
+        x, u = joints.sent(x, joints.rest), joints.sent(command.velocity, 0.0)
+        self._asked("command()", ending, lambda: driver.command(x, u))
+        word, gripper = getattr(self._loop.controller, "gripper", None), getattr(driver, "gripper", None)
+        if word != self._told and not self.reason:
+            self._told = word
+            if word is not None and gripper is not None:
+                self._asked("gripper()", ending, lambda: gripper(word))
 
-    def _tell(self, ending: OrderlyEnd) -> None:
-        """Tell a gripper what to do, once."""
-        word, gripper = getattr(self._loop.controller, "gripper", None), getattr(self._driver, "gripper", None)
-        if word == self._told or self.reason:
-            return
-        self._told = word
-        if word is None or gripper is None:
-            return
-        try:
-            with ending.waiting():
-                gripper(word)
-        except BaseException as error:  # likewise
-            self._failed("gripper()", error)
+    def _read(self) -> Any:
+        q, _, _ = self._driver.read()
+        return self._joints.measured(q)
 
     def _stands(self, command: Command) -> bool:
         """Whether the arm stands for a reason to end; gives the reason where it is the loop's."""

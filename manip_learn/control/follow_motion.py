@@ -94,13 +94,6 @@ class FollowMotion:
     ) -> Command:
         """The velocity for the next dt.
 
-        Args:
-            q: Posture.
-            t: Time [s].
-            dt: How long the velocity is held [s]; needed.
-            previous: Velocity of the step before [rad/s or m/s]; None bounds no acceleration.
-            slide: Not used.
-
         Raises:
             ConfigurationError: No dt.
         """

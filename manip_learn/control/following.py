@@ -23,15 +23,15 @@ _LOGGER = logging.getLogger("manip_learn")
 STIFFNESS = 2000.0  # [N m/rad or N/m] of a stiff position servo of an arm that works beside people
 # [kg] weight that the hand may carry without the drives' knowing, and [s] of motion after which it is known
 PAYLOAD, WEIGHED = 2.0, 0.25
-DRIVEN = 60.0  # [N] along what is driven, where nothing is known of it
+_DRIVEN = 60.0  # [N] along what is driven, where nothing is known of it
 GRAVITY = 9.81  # [m/s2]
 # [rad or m] what stays of a servo's error where friction, play and noise have been measured: 0.5 N m at 2,000 N m/rad
 RESOLUTION = 2.5e-4
 RINGING = 0.1  # [s] for which a servo feels an acceleration: three times sqrt(2 kg m2 / 2,000 N m/rad)
 NONE = np.zeros(3)
-ROUNDING = 1e-12  # [rad or m] of sums of steps
+_ROUNDING = 1e-12  # [rad or m] of sums of steps
 LOOK_BACK = 0.01  # [s] over which the rise of a force is looked at, and by which it is carried on at the least
-FARTHEST = 3.0  # times of that by which it is carried on at the most: noise grows with it
+_FARTHEST = 3.0  # times of that by which it is carried on at the most: noise grows with it
 # [s] of motion after which a hand goes, and for which that is remembered: stick and slip take turns faster
 BRIEFLY, GOING = 0.1, 0.5
 STOPPED = 0.8  # share of the way sent that a hand lacks which stands; one that lacks more was pushed back
@@ -40,12 +40,12 @@ CARRYING = 0.2  # [s] in which what a motion takes is known
 QUIET = 9.0
 # times the limit of distances by which an arm may be behind until it is known how late it follows: 0.2 s at 0.5 rad/s,
 # and what a blocked arm is pressed with that starts at such a speed
-LATE = 16.0
-NOISY = 1.0 / 3.0  # share of `held` that noise may be; more readings are averaged until it is
+_LATE = 16.0
+_NOISY = 1.0 / 3.0  # share of `held` that noise may be; more readings are averaged until it is
 # share of a force along the way that may seem to be across it: joints differ, directions are known to 10 degrees
 LEAKS = 0.2
-KNOWN = 0.7  # share by which friction is known: it depends on load and speed, and presses the hand itself
-POSTURES = 200  # for the levers of a robot whose posture is not known
+_KNOWN = 0.7  # share by which friction is known: it depends on load and speed, and presses the hand itself
+_POSTURES = 200  # for the levers of a robot whose posture is not known
 
 
 @final
@@ -148,7 +148,7 @@ def following_error_limit(
 
 def _postures(robot: Robot) -> list[Float[np.ndarray, " nq"]]:
     rng = np.random.default_rng(0)
-    return [robot.random_configuration(rng) for _ in range(POSTURES)]
+    return [robot.random_configuration(rng) for _ in range(_POSTURES)]
 
 
 def _directions(size: int) -> Float[np.ndarray, "n size"]:
@@ -170,12 +170,6 @@ def _per_joint(what: str, values: ArrayLike, robot: Robot) -> Float[np.ndarray, 
 
 
 Directions = Callable[[Float[np.ndarray, " n"]], Float[np.ndarray, "k nv"]]
-
-
-def _span(ways: Float[np.ndarray, "3 k"]) -> Float[np.ndarray, "3 d"]:
-    """Orthonormal directions of motions of the hand."""
-    U, sigma, _ = np.linalg.svd(ways, full_matrices=False)
-    return U[:, sigma > 0.01 * max(float(sigma.max(initial=0.0)), 1e-6)]
 
 
 @final
@@ -219,7 +213,7 @@ class FollowingError:
         frame: str | None = None,
     ):
         self.contact, self._robot, self._dt, self._acceleration = contact, robot, dt, acceleration
-        self._driven = DRIVEN if isinstance(contact.driven, str) else float(contact.driven)
+        self._driven = _DRIVEN if isinstance(contact.driven, str) else float(contact.driven)
         told = STIFFNESS if contact.stiffness is None else contact.stiffness
         self._stiffness = _per_joint("stiffness", told, robot)
         # links that are slower on servos softer than they are taken for give way by more: ten times at 200 N m/rad
@@ -245,13 +239,21 @@ class FollowingError:
         self.distance = np.zeros(nv)
         self.resolution = 0.0 if isinstance(self.contact.resolution, str) else float(self.contact.resolution)
         self._said, self._untold = False, int(self.contact.stiffness is None and self._by_force)
-        self.notes = [self._distances()] if self._untold else []
+        self.notes: list[str] = []
+        if self._untold:
+            joint = int(np.argmax(self.limit))
+            self.notes.append(
+                f"the stiffness of the servos is not told: the arm is stopped by distances, at the latest where joint "
+                f"{self._robot.joint_names[joint]} is {1e3 * self.limit[joint]:.2g} mrad off. On servos of "
+                f"{STIFFNESS:g} N m/rad that is {self.contact.held:g} N on the hand, on servos ten times as stiff ten "
+                "times as much: give Contact(stiffness=...)"
+            )
         self._found = np.zeros((2, math.ceil(LOOK_BACK / self._dt) + 1, nv))  # excesses and distances of the periods
         self._row, self._rows = 0, 0
         self._change, self._lasted = np.zeros(nv), 0.0  # of the velocity since that of inertia was looked at
         self._velocity = np.zeros(nv)
         self._least, self._most = np.zeros(nv), np.zeros(nv)  # by which servos lately gave way to inertia
-        self._inertia = np.full(nv, -ROUNDING), np.full(nv, ROUNDING)
+        self._inertia = np.full(nv, -_ROUNDING), np.full(nv, _ROUNDING)
         self._weight = 0.0  # [N]
         self._pushed = np.zeros(nv)  # how far the force on the hand pushes the joints [rad or m]
         self._going, self._carried = 0.0, 0.0  # for how long the hand has been moving [s], and what that takes [N]
@@ -274,22 +276,13 @@ class FollowingError:
             now = self._robot.inertial_effort(q, self._change / self._lasted) / self._inertial
         lately = math.exp(-self._lasted / RINGING)
         self._least, self._most = np.minimum(lately * self._least, now), np.maximum(lately * self._most, now)
-        self._inertia = -self._most - ROUNDING, ROUNDING - self._least
+        self._inertia = -self._most - _ROUNDING, _ROUNDING - self._least
         self._change, self._lasted = np.zeros_like(velocity), 0.0
 
     @property
     def largest(self) -> float:
         """Largest distance of a joint in the newest comparison, beyond what being late explains [rad or m]."""
         return float(np.abs(self.servos.raw).max(initial=0.0))
-
-    def _distances(self) -> str:
-        joint = int(np.argmax(self.limit))
-        return (
-            f"the stiffness of the servos is not told: the arm is stopped by distances, at the latest where joint "
-            f"{self._robot.joint_names[joint]} is {1e3 * self.limit[joint]:.2g} mrad off. On servos of {STIFFNESS:g} "
-            f"N m/rad that is {self.contact.held:g} N on the hand, on servos ten times as stiff ten times as much: "
-            "give Contact(stiffness=...)"
-        )
 
     def relief(self) -> Float[np.ndarray, " nv"]:
         """Way to a commanded posture at which the servos no longer press, shape (nv,) [rad or m].
@@ -340,16 +333,14 @@ class FollowingError:
         self,
         commanded: Float[np.ndarray, " n"],
         measured: Float[np.ndarray, " n"],
-        correction: Float[np.ndarray, " nv"] | None = None,
         driven: Directions | None = None,
     ) -> None:
         """Compare two postures, the newest commanded and the newest measured one.
 
-        A correction [rad or m] that the servos were sent beside the commanded posture loads them as well. `driven`
-        gives the motions of the joints that the task drives, at a posture.
+        `driven` gives the motions of the joints that the task drives, at a posture.
         """
         self.distance = self._robot.difference(commanded, measured)
-        excess = self.servos.excess(self.distance - correction if correction is not None else self.distance)
+        excess = self.servos.excess(self.distance)
         excess = excess - np.minimum(np.maximum(excess, self._inertia[0]), self._inertia[1])
         self._found[:, self._row] = excess, self.distance
         if not self._by_force:
@@ -361,7 +352,7 @@ class FollowingError:
         self.force = NONE
         if self.tripped:
             return
-        if not self.servos.is_known and np.any(np.abs(self.distance) > LATE * self.limit):
+        if not self.servos.is_known and np.any(np.abs(self.distance) > _LATE * self.limit):
             self.tripped = "the arm has not begun to move: it is blocked or switched off, or give Contact(latency=...)"
             return
         if excess.dot(excess) <= RESOLUTION * RESOLUTION:  # no force can be larger than `held` then
@@ -383,7 +374,7 @@ class FollowingError:
         taken = self._taken(J, self.servos.gone(ago), gains)
         # it rises until what is measured is seen, and, ever more slowly, until the arm stands
         ahead = self.servos.delay + 0.5 * float(np.max(np.abs(self._velocity) / self._acceleration))
-        further = min(max(ahead / (look * dt), 1.0), FARTHEST)
+        further = min(max(ahead / (look * dt), 1.0), _FARTHEST)
         self.force, beside = self._force_of(excess + further * rise, C)
         self._pushed = self.force.dot(C)
         force = math.sqrt(self.force.dot(self.force))
@@ -406,14 +397,15 @@ class FollowingError:
             return
         ways = np.zeros((3, 0))
         if driven is not None:
-            ways = _span(J @ driven(measured).T)
+            U, sigma, _ = np.linalg.svd(J @ driven(measured).T, full_matrices=False)
+            ways = U[:, sigma > 0.01 * max(float(sigma.max(initial=0.0)), 1e-6)]
         along = ways.T.dot(self.force)
         way, side = math.sqrt(along.dot(along)), math.sqrt(max(0.0, force * force - along.dot(along)))
         if side > held and len(along):
             # on its way a hand presses a rail by what the arm is not equally stiff in all directions: nothing is wrong
             aside = np.linalg.svd(ways.T)[2][len(along) :]
             off = aside.dot(J).dot(self.servos.raw + further * gains)  # by which the hand is off its way [m]
-            yields = aside.dot(C).dot(J.T).dot(aside.T) + ROUNDING * np.eye(len(off))
+            yields = aside.dot(C).dot(J.T).dot(aside.T) + _ROUNDING * np.eye(len(off))
             side = min(side, float(np.linalg.norm(np.linalg.solve(yields, off))))
         if side > held + LEAKS * way:
             self.tripped = (
@@ -458,9 +450,9 @@ class FollowingError:
         C = self._robot.jacobian(q, self._frame)[:3] / self._stiffness
         G = np.linalg.solve(C.dot(C.T) + self._damping, C)  # of the force by the distances
         noise, friction = (float(np.linalg.norm(G * x)) for x in (servos.noise, servos.width * servos.seen))
-        periods = max(1.0, 0.5 * (QUIET * noise / (NOISY * contact.held)) ** 2)
+        periods = max(1.0, 0.5 * (QUIET * noise / (_NOISY * contact.held)) ** 2)
         servos.smooth(periods)
-        least = max(KNOWN * friction, QUIET * noise / math.sqrt(2.0 * periods))
+        least = max(_KNOWN * friction, QUIET * noise / math.sqrt(2.0 * periods))
         if isinstance(contact.resolution, str):
             self.resolution = least
         if servos.late is not None and servos.late > LOOK_BACK:

@@ -22,8 +22,8 @@ CLEARANCE = 0.005
 AIMED, FUNNEL = 2e-5, 0.02
 # of the time until the arm stands; one that brakes as hard as it can stands at half of it
 LOOKED_AT = 0.25, 0.5, 1.0
-ROUNDED = 1e-9  # [m] of Coal's distances
-AT_REST = 1e-3  # [m] beyond the clearance: what is farther away has slowed the arm down, and does not stop it
+_ROUNDED = 1e-9  # [m] of Coal's distances
+_AT_REST = 1e-3  # [m] beyond the clearance: what is farther away has slowed the arm down, and does not stop it
 
 
 class Standing(Protocol):
@@ -94,12 +94,7 @@ class KeptClear:
     ) -> Barrier | None:
         """What must hold of v so that no pair is too near where it leads; None if u itself leads nowhere near.
 
-        Args:
-            q: Posture.
-            u: Velocity [rad/s or m/s].
-            dt: Time for which it is held [s].
-            longest: Time after which the arm stands [s].
-            slope: Gradient of that by the velocity.
+        The arm stands after `longest` [s], whose gradient by the velocity is `slope`.
         """
         (posture, here, known), levers, clearance = self._known, self.pairs.levers, self.clearance
         if not np.array_equal(posture, q):
@@ -116,7 +111,7 @@ class KeptClear:
             there = self.pairs.closer_than(self._robot.integrate(q, time * u), clearance, only=close) if close else ()
             for pair in there:
                 allowed = min(clearance, float(here[pair.number]))
-                if pair.distance >= allowed - ROUNDED:
+                if pair.distance >= allowed - _ROUNDED:
                     continue
                 nearest = min(nearest or (math.inf, pair.links), (float(here[pair.number]), pair.links))
                 at = time
@@ -140,7 +135,7 @@ class KeptClear:
 
     def words(self) -> str | None:
         """Which two things were the nearest ones and how near, if that stops the arm."""
-        if self._nearest is None or self._nearest[0] > self.clearance + AT_REST:
+        if self._nearest is None or self._nearest[0] > self.clearance + _AT_REST:
             return None
         distance, (link, other) = self._nearest
         the = "the " if other in {obstacle.name for obstacle in self.pairs.obstacles} else ""

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from functools import cache
 from math import isfinite
-from typing import Any, final
+from typing import Any, NamedTuple, final
 
 import daqp
 import numpy as np
@@ -17,18 +17,16 @@ from manip_learn.constraint.constraint import Constraint
 from manip_learn.constraint.features.feature_map import Vjp
 from manip_learn.constraint.manipulability import SINGULAR_RATIO, smallest_gradient
 from manip_learn.constraint.small_matrices import row_inverse, svd
-from manip_learn.control.command import ACCELERATION, Command
-from manip_learn.control.desired import AT_GOAL, Desired
+from manip_learn.control.command import ACCELERATION, SCALED_BELOW, Command, status_of
 from manip_learn.control.limits import FINE, Barrier, Bounds, Limits, approach_bound
 from manip_learn.control.policies import SEED_SPEED, ManipulabilityAscent, NullSpacePolicy, SampledPolicy
-from manip_learn.control.slowing import braking_share, may_leave, slowed_drive
 from manip_learn.control.tasks import Task
 from manip_learn.errors import ConfigurationError, TargetError, advice
 from manip_learn.linalg import Inverse, inverse_singular_values, unit
 from manip_learn.robot.frame_kinematics import vjps
 
 # lambda of held rows over that of driven ones: where a direction is lost, what holds the hand gives way last
-HELD = 0.1
+_HELD = 0.1
 # [m or 1] what a unit of velocity of the rows costs within bounds, where one [rad/s] of the policy's costs 1. At a
 # singular value of 0.3 the held rows and the task's direction give way by 1e-7 of what the policy asks for, the speed
 # along that direction by 1e-4; of the speed that bounds take from the task, 1e-3 goes beside its direction
@@ -43,10 +41,109 @@ STABLE_SLOPE = 0.5
 # square of the sine between rows of the program that depend on each other. Those that do not are 1e-8 apart at the
 # least of the metric: with DAQP's own tolerance walls were given up that the bounds leave room for
 DEPENDENT = 1e-14
-ROUNDING = 1e-9  # [rad/s or m/s] by how much rounding may
+_ROUNDING = 1e-9  # [rad/s or m/s] by how much rounding may; a joint that the task moves by less does not slow it down
 # [s] for which a task stalls until the arm slides along what blocks it, and goes on until its direction is kept again
 SLIDING_AFTER, KEEPING_AFTER = 0.5, 1.0
 GOING_ON = 0.5  # share of the velocity asked for from which a task goes on
+
+AT_GOAL = 1e-6  # [m/s or rad/s] a task that asks for less than this has reached its goal
+# [m or rad] by which a hand may leave what holds it while the joints brake: half of what counts as straying on a way.
+# With twice as much 3 of 90 near-singular firm grips stray, by up to 3.4 mm, and 2 with this, by 2.1 mm
+_ASIDE = 1e-3
+
+
+@final
+class Desired(NamedTuple):
+    """The law at one posture before bounds, and what the program needs of it.
+
+    Attributes:
+        A: Rows whose velocity is b: those of the constraint, or of the error (see `Task.error_jacobian`).
+        b: Wanted of them.
+        task: A^# b.
+        null: The policy's part in the null space of A.
+        escape: The policy's part along directions that are nearly lost; None away from singularities.
+        mu: Manipulability of the constraint.
+        smallest: Its smallest singular value.
+        basis: X (s, nv) with X A^T = 1 where A is well conditioned, or an orthonormal basis of its rows.
+        gain: Y (s, nv), so that A^# b = Y^T b.
+        is_damped: Whether a smallest singular value of the constraint below the threshold damps the law.
+        damping: lambda of the driven rows; 0 away from singularities.
+    """
+
+    A: Float[np.ndarray, "s nv"]
+    b: Float[np.ndarray, " s"]
+    task: Float[np.ndarray, " nv"]
+    null: Float[np.ndarray, " nv"]
+    escape: Float[np.ndarray, " nv"] | None
+    mu: float
+    smallest: float
+    basis: Float[np.ndarray, "s nv"]
+    gain: Float[np.ndarray, "s nv"]
+    is_damped: bool = False
+    damping: float = 0.0
+
+    @property
+    def is_lost(self) -> bool:
+        """Whether A loses a direction: at a singularity, or with more rows than joints that b does not fit."""
+        s, nv = self.A.shape
+        if self.escape is None:
+            return False
+        if s > nv:
+            return self.progress(self.task) < SCALED_BELOW
+        return self.smallest <= SINGULAR_RATIO * float(np.abs(self.A).max())
+
+    @property
+    def velocity(self) -> Float[np.ndarray, " nv"]:
+        """u*, the sum of its parts [rad/s or m/s]."""
+        regular = self.task + self.null
+        return regular if self.escape is None else regular + self.escape
+
+    def progress(self, u: Float[np.ndarray, " nv"]) -> float:
+        """Velocity along b over the velocity asked for, b^T A u / |b|^2; 1 where nothing is asked for."""
+        square = float(self.b.dot(self.b))
+        return float(self.b.dot(self.A.dot(u))) / square if square > AT_GOAL * AT_GOAL else 1.0
+
+    def as_wished(self, u: Float[np.ndarray, " nv"], outside: float) -> Command:
+        """The command u* where no bound changes it; the farthest joint is so far beyond its limit [rad or m]."""
+        progress = 1.0 if self.escape is None else self.progress(u)
+        status = status_of(progress, outside, self.is_lost, self.is_damped)
+        return Command(
+            *(u, status, self.mu, self.b, self.task, self.null, 1.0, 1.0, self.smallest, self.escape, progress, outside)
+        )
+
+    def within(
+        self, bounds: Bounds, wish: Float[np.ndarray, " nv"], u: Float[np.ndarray, " nv"], cause: int
+    ) -> Command:
+        """The command where bounds change the law.
+
+        u is what is left of `wish`, `cause` the limit that counts where no joint is at a bound, -1 for a singularity.
+        """
+        X, escape = self.basis, self.escape
+        null_part = u - (self.A.dot(u).dot(X) if escape is None else X.dot(u).dot(X))  # in the null space of A
+        task_part = u - null_part
+        if escape is not None:
+            share = float(u.dot(escape)) / max(float(escape.dot(escape)), 1e-300)
+            escape = escape * min(1.0, max(0.0, share))
+            task_part = task_part - escape
+        square = float(self.null.dot(self.null))
+        asks = square > AT_GOAL**2  # what rounding leaves of a policy that asks for nothing is not scaled
+        null_scale = min(1.0, max(0.0, float(self.null.dot(null_part)) / square)) if asks else 1.0
+        progress = self.progress(u)
+        before = 1.0 if self.escape is None else self.progress(self.task)
+        scale = min(1.0, max(0.0, progress / before)) if before > 0.0 else 1.0
+        joint, limit = bounds.binding(u, wish)
+        status = status_of(
+            *(progress, bounds.outside, self.is_lost, self.is_damped),
+            changed=True,
+            scale=scale,
+            cause=cause if joint < 0 else limit,
+            fits=bounds.excess(self.task) <= FINE,
+        )
+        return Command(
+            *(u, status, self.mu, self.b, task_part, null_part, scale, null_scale, self.smallest, escape, progress),
+            outside=bounds.outside,
+            limiting_joint=joint,
+        )
 
 
 @final
@@ -57,7 +154,7 @@ class Law:
     on the driven ones, the velocity before bounds is
 
         u* = argmin |A u - b|^2_{1 / Lambda^2} + |u - w|^2 = w + A^T (A A^T + Lambda^2)^-1 (b - A w),
-        Lambda^2 = share^2 lambda^2 (P + HELD^2 (1 - P)),    share = 1 - (sigma / threshold)^2, 0 above the threshold.
+        Lambda^2 = share^2 lambda^2 (P + h^2 (1 - P)),    h = 0.1,    share = 1 - (sigma / threshold)^2, 0 above the threshold.
 
     Where the smallest singular value sigma of A is above the threshold, Lambda is 0 and u* is equation (2), exactly.
     Below it, a direction whose singular value is less than Lambda no longer holds the motion, and w moves it: that is
@@ -66,7 +163,7 @@ class Law:
 
     If u* is within the bounds it is the command. If not, the part of u* that drives the task is slowed down to the
     velocity limits, to the approach of a singularity, and until the joints can brake with the hand on what holds it
-    (see `slowing`): null-space motion makes no room for that. The command is the point within the bounds that is
+    (see `_braking_share`): null-space motion makes no room for that. The command is the point within the bounds that is
     nearest to what u* then is:
 
         min  |(1 - d d^T) A (u - u*)|^2 / ACROSS^2 + |d^T A (u - u*)|^2 / ALONG^2 + |u - u*|^2
@@ -190,10 +287,15 @@ class Law:
         V = V[sigma > SINGULAR_RATIO * sigma[0]]  # of what is lost, rounding alone says where it was
         least = float(sigma[-1]) if s <= nv else 0.0
         share = max(0.0, 1.0 - (least / self.threshold) ** 2)
-        w = self._with_seed(q, w, smallest, limits)
+        # w, at SEED_SPEED at least beside a singularity, where policies that climb out of it vanish
+        speed, seed = math.sqrt(w.dot(w)), SEED_SPEED * (1.0 - smallest / (SEED_SHARE * self.threshold))
+        if 0.0 < speed < seed:
+            w = w * (seed / speed)
+        if self.ascends and limits is not None and smallest <= SINGULAR_RATIO:
+            w = limits.freer_sense(q, w)  # mu rises in both directions there: a limit in one is no reason to stay
         square = self._damping(q, (U, sigma, Vt), b, dt, vjp)
         D = self.task.driven_rows(self.constraint)
-        Lambda2 = share * share * square * (HELD * HELD * unit(s) + (1.0 - HELD * HELD) * D.T.dot(D))
+        Lambda2 = share * share * square * (_HELD * _HELD * unit(s) + (1.0 - _HELD * _HELD) * D.T.dot(D))
         _, Y, failed = dposv(rows.dot(rows.T) + Lambda2, rows)
         if failed:  # A = 0
             Y = np.zeros((s, nv))
@@ -241,17 +343,6 @@ class Law:
         stable = dt / STABLE_SLOPE * math.sqrt(flat.dot(flat))
         return square + pressing * max(0.0, stable - square)
 
-    def _with_seed(self, q: np.ndarray, w: np.ndarray, smallest: float, limits: Limits | None) -> np.ndarray:
-        """w, at SEED_SPEED at least beside a singularity, where policies that climb out of it vanish.
-
-        At the singularity itself mu rises in both directions: a limit in one of them is no reason to stay.
-        """
-        speed, seed = math.sqrt(w.dot(w)), SEED_SPEED * (1.0 - smallest / (SEED_SHARE * self.threshold))
-        if 0.0 < speed < seed:
-            w = w * (seed / speed)
-        at = self._ascent is not None and smallest <= SINGULAR_RATIO
-        return limits.freer_sense(q, w) if at and limits is not None else w
-
     # ---- within bounds ----------------------------------------------------------------------------------------------
 
     def command(
@@ -270,7 +361,7 @@ class Law:
             return law.as_wished(wish, 0.0)
         far = previous is None and limits.far(q, dt, wish)
         slope = self._approach(q, dt, law, wish, limits)
-        fast = previous is not None and may_leave(law.A, max(wish.dot(wish), previous.dot(previous)), limits)
+        fast = previous is not None and _may_leave(law.A, max(wish.dot(wish), previous.dot(previous)), limits)
         tip = limits.tip
         if far and slope is None and tip is None:
             return law.as_wished(wish, 0.0)
@@ -286,9 +377,9 @@ class Law:
         if fits and not fast:
             return law.as_wished(bounds.nearest(wish), bounds.outside)
         D = self.task.driven_rows(self.constraint)
-        rest, drive = slowed_drive(law, D, limits, barrier)
+        rest, drive = _slowed_drive(law, D, limits, barrier)
         if previous is not None and fast and 0 < len(D) < len(law.b):
-            share = braking_share(self.constraint, q, D, rest + drive, previous, limits)
+            share = _braking_share(self.constraint, q, D, rest + drive, previous, limits)
             if share < 1.0:
                 fits, cause, drive = False, ACCELERATION if cause < 0 else cause, share * drive
         if fits:
@@ -337,6 +428,69 @@ class Law:
         return smallest_gradient(svd(A), vjp)
 
 
+def _slowed_drive(
+    law: Desired, D: Float[np.ndarray, "d s"], limits: Limits, barrier: Barrier | None
+) -> tuple[Float[np.ndarray, " nv"], Float[np.ndarray, " nv"]]:
+    """The rest of u*, and its part that drives the task, slowed down to velocity limits and a singularity's approach.
+
+    Motion in the null space makes no room for more. D are the rows that are driven.
+    """
+    wish = law.velocity
+    drive = law.task if len(D) == len(law.b) else D.T.dot(D.dot(law.b)).dot(law.gain)
+    rest, fastest = wish - drive, float((np.abs(drive) / limits.velocity).max())
+    if fastest > 1.0:  # as far as what else moves leaves no room for it
+        moved = np.abs(drive) > _ROUNDING
+        left = (limits.velocity - np.sign(drive) * rest)[moved] / np.abs(drive)[moved]
+        drive = drive * min(1.0, max(1.0 / fastest, float(left.min())))
+    if barrier is not None:
+        slope, least = barrier[0][0], float(barrier[1][0])
+        toward = -float(slope.dot(drive))
+        if toward > 0.0:
+            drive = drive * min(1.0, max(0.0, (float(slope.dot(rest)) - least) / toward))
+    return rest, drive
+
+
+def _may_leave(A: Float[np.ndarray, "s nv"], square: float, limits: Limits) -> bool:
+    """Whether braking from a velocity may lead the hand off what holds it, so that a closer look is due.
+
+    |dA[u] u| is at most about |A| |u| sum_j |u_j|, and `square` is |u|^2.
+    """
+    flat = A.reshape(-1)
+    bend = math.sqrt(A.shape[1] * float(flat.dot(flat))) * square
+    return bend * square > 8.0 * _ASIDE * limits.weakest**2
+
+
+def _braking_share(
+    constraint: Constraint,
+    q: Float[np.ndarray, " n"],
+    D: Float[np.ndarray, "d s"],
+    wish: Float[np.ndarray, " nv"],
+    previous: Float[np.ndarray, " nv"],
+    limits: Limits,
+) -> float:
+    """The share of its speed at which the task is driven, so that the joints can brake with the hand on what holds it.
+
+    All joints that brake together, each as hard as it can beside the slowest, move straight on by T u / 2,
+    T = max_j |u_j| / a_j, while the rows that are held turn away by
+
+        e(u) = |(1 - P) dA[u] u| T^2 / 8,    P the projector on the rows that are driven.
+
+    Where the curve that holds the hand turns faster than the joints can, as while a wrist turns over, the hand would
+    leave it. With the share e(u*), of power 4 in the speed, is at most _ASIDE; and where the motion that there is
+    exceeds it, the task waits in proportion.
+    """
+    _, vjp = constraint.value_and_vjp(q)
+    s, share = constraint.n_constraints, 1.0
+    for u, power in ((wish, 0.25), (previous, 1.0)):
+        bend = vjps(vjp, np.kron(unit(s), u), s).dot(u)
+        bend = bend - D.T.dot(D.dot(bend))
+        time = limits.stopping_time(u)
+        aside = 0.125 * time * time * math.sqrt(bend.dot(bend))
+        if aside > _ASIDE:
+            share = min(share, (_ASIDE / aside) ** power)
+    return share
+
+
 def nearest_within(
     wish: Float[np.ndarray, " nv"], W: Float[np.ndarray, "s nv"], bounds: Bounds, barrier: Barrier | None
 ) -> Float[np.ndarray, " nv"]:
@@ -345,13 +499,10 @@ def nearest_within(
     With R^T R = 1 + W^T W it is solved for z = R (u - wish): the metric itself, whose condition is the square of that
     of R, would cost eight digits.
 
-    Args:
-        wish: Velocity before bounds [rad/s or m/s].
-        W: Any rows.
-        bounds: Of the joints, which have precedence.
-        barrier: (G, least), or None.
+    The bounds have precedence over the barrier.
     """
-    nv, one = len(wish), _one(len(wish))
+    nv = len(wish)
+    one, zeros, _ = _constants(nv, nv)
     lowest, highest = np.array(bounds.low), np.array(bounds.high)
     inverse = dtrtrs(dgeqrf(np.concatenate((one, W)))[0][:nv], one)[0]  # R^-1
     for barred in (barrier, None) if barrier is not None else (None,):
@@ -360,29 +511,20 @@ def nearest_within(
             rows = np.concatenate((inverse, barred[0].dot(inverse)))
             least = np.concatenate((least, barred[1] - barred[0].dot(wish)))
             most = np.concatenate((most, np.full(len(barred[0]), np.inf)))
-        sense = _inequalities(len(most))
-        z, _, flag, _ = daqp.solve(one, _zeros(nv), rows, most, least, sense, primal_tol=FINE, sing_tol=DEPENDENT)
+        sense = _constants(nv, len(most))[2]
+        z, _, flag, _ = daqp.solve(one, zeros, rows, most, least, sense, primal_tol=FINE, sing_tol=DEPENDENT)
         if flag == 1:
             u = wish + inverse.dot(z)
             within = np.clip(u, lowest, highest)
-            if float(np.abs(within - u).max()) <= ROUNDING:
+            if float(np.abs(within - u).max()) <= _ROUNDING:
                 return within
     return np.clip(wish, lowest, highest)
 
 
 @cache
-def _one(size: int) -> np.ndarray:
-    return np.eye(size)  # DAQP takes no array that may not be written to
-
-
-@cache
-def _zeros(size: int) -> np.ndarray:
-    return np.zeros(size)
-
-
-@cache
-def _inequalities(size: int) -> np.ndarray:
-    return np.zeros(size, dtype=np.int32)
+def _constants(nv: int, rows: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Identity, zeros and inequalities for DAQP, which takes no array that may not be written to."""
+    return np.eye(nv), np.zeros(nv), np.zeros(rows, dtype=np.int32)
 
 
 def next_slide(slide: float, stalls: bool, progress: float, dt: float) -> float:

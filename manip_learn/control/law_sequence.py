@@ -22,9 +22,9 @@ from manip_learn.control.tasks.motion_profile import MotionProfile
 from manip_learn.errors import ConfigurationError
 from manip_learn.robot.robot import Robot
 
-RAMP = 0.5  # [s] from rest to the speed, as that of a way
+_RAMP = 0.5  # [s] from rest to the speed, as that of a way
 CLOSING = 0.5  # [s] that a gripper takes to close or to open
-SETTLING = 1.0  # [s] after which the way begins anyhow, with what encoder noise leaves
+_SETTLING = 1.0  # [s] after which the way begins anyhow, with what encoder noise leaves
 
 
 def every_joint(robot: Robot) -> Constraint:
@@ -75,7 +75,7 @@ class JointMotion(Task):
         times = np.max(np.abs(steps) / most, axis=1, initial=0.0)  # [s] at full speed
         moves = times > 0.0
         self._starts, self._steps = table[:-1][moves], steps[moves]
-        self._profiles = [MotionProfile(1.0, 1.0 / time, RAMP) for time in times[moves].tolist()]
+        self._profiles = [MotionProfile(1.0, 1.0 / time, _RAMP) for time in times[moves].tolist()]
         self._ends = np.cumsum([profile.duration for profile in self._profiles])
         self._last = table[-1]
         self.reset()
@@ -177,7 +177,7 @@ class LawSequence:
         task = self.current.task
         if isinstance(task, JointMotion):
             late = since - task.duration
-            return late >= 0.0 and (late >= SETTLING or self.current.task_error(q) < ARRIVED)
+            return late >= 0.0 and (late >= _SETTLING or self.current.task_error(q) < ARRIVED)
         return isinstance(task, FreeDirection) and task.is_over(q, since)
 
     def __call__(
@@ -243,7 +243,7 @@ def taught_force(controller: Controller) -> float | None:
     return max(known) if known and len(known) == len(forces) else None
 
 
-def frame_of(controller: Controller) -> str | None:
+def held_frame(controller: Controller) -> str | None:
     """The frame that a controller's constraint holds; None where it has none."""
     frame = getattr(getattr(constraint_of(controller), "features", None), "frame", None)
     return None if frame is None else frame.name

@@ -34,12 +34,12 @@ AT_BOUND = 1e-7  # share of a bound within which a velocity counts as being at i
 APPROACH_RATE = 20.0
 BRAKING_SHARE = 0.5  # of the joints' acceleration that braking before a wall uses; the rest keeps the task on its way
 CROSSING_SPEED = 5e-4  # [rad/s] speed at which a singularity may be crossed
-ROUNDED = 1e-12  # [m/s] by how much the solution of a program may approach a wall too fast: rounding of a speed of 1
-FASTEST = 1e6  # [rad/s or m/s] speed of a joint without a velocity limit: braking distances stay finite
+_ROUNDED = 1e-12  # [m/s] by how much the solution of a program may approach a wall too fast: rounding of a speed of 1
+_FASTEST = 1e6  # [rad/s or m/s] speed of a joint without a velocity limit: braking distances stay finite
 GIVEN_UP = 1e-6  # [m/s] by which a solution breaks its rows where these are left out
-MOST_ROWS = 12  # rounds in which a speed was too large; in practice one to four
+_MOST_ROWS = 12  # rounds in which a speed was too large; in practice one to four
 # [rad or m] no joint is farther beyond its limits than encoders count a turn too much, and none without is so far away
-TURN, LARGEST_POSITION = 2.0 * math.pi, 1e6
+_TURN, LARGEST_POSITION = 2.0 * math.pi, 1e6
 
 
 def approach_rate(
@@ -49,11 +49,8 @@ def approach_rate(
 
         rate = min(kappa x, sqrt(2 a x)),   a = BRAKING_SHARE |g| min_j (a_j / |n_j|),   n = g / |g|
 
-    Args:
-        distance: x, e.g. the smallest singular value of A, or of a frame from a wall [m].
-        slope: g, its gradient.
-        acceleration: Acceleration limits a_j [rad/s2 or m/s2].
-        dt: Time for which a velocity is held [s].
+    x is e.g. the smallest singular value of A or the distance of a frame from a wall, g its gradient, a_j the
+    acceleration limits of the joints.
     """
     parts = slope.tolist()
     largest = max(map(truediv, map(abs, parts), acceleration.tolist()))
@@ -70,12 +67,6 @@ def approach_bound(
     That of `approach_rate`, and |grad sigma| CROSSING_SPEED. A task whose target is out of reach presses the arm
     against a singularity (a stretched elbow), with joint velocities that grow as 1 / sigma until they flip from
     step to step; with the bound it comes to rest there.
-
-    Args:
-        smallest: sigma, the smallest singular value of A.
-        slope: Its gradient.
-        acceleration: Acceleration limits [rad/s2 or m/s2].
-        dt: Time for which a velocity is held [s].
     """
     length = math.hypot(*slope.tolist())
     if length == 0.0:
@@ -114,11 +105,13 @@ class TipLimits:
     Args:
         robot: The robot.
         speed: [m/s]; None for no limit.
+        box: shape (2, 3), lowest and highest x, y, z of the frames' origins [m], -inf and inf where there is none.
         walls: shape (w, 4), rows (n, d), n of any length but 0 in the base frame, d [m] times that length.
         frames: Name or names; None for the robot's likeliest tip.
+        clear: What the links keep clear of.
 
     Raises:
-        ConfigurationError: A speed that is not positive, walls that are none.
+        ConfigurationError: A speed that is not positive, a box without room, or walls that are none.
         UnknownNameError: No such frame.
     """
 
@@ -126,13 +119,25 @@ class TipLimits:
         self,
         robot: Robot,
         speed: float | None,
-        walls: ArrayLike,
+        box: ArrayLike | None,
+        walls: ArrayLike | None,
         frames: str | Sequence[str] | None = None,
         clear: KeptClear | None = None,
     ):
         if speed is not None and not (isinstance(speed, int | float) and 0.0 < speed < math.inf):
             raise ConfigurationError(f"tip_speed must be a positive number of metres per second, got {speed!r}")
-        rows = np.array(walls, dtype=np.float64).reshape(-1, 4)
+        rows = np.empty((0, 4)) if walls is None else np.array(walls, dtype=np.float64)
+        if rows.ndim != 2 or rows.shape[1] != 4:
+            raise ConfigurationError(f"walls must be rows (nx, ny, nz, d) with n^T p <= d, got shape {rows.shape}")
+        if box is not None:
+            sides, unit = np.array(box, dtype=np.float64), np.eye(3)
+            if sides.shape != (2, 3) or not np.all(sides[0] < sides[1]):
+                raise ConfigurationError(
+                    "a box is two rows, lowest and highest x, y, z [m], the first below the second; "
+                    f"got {sides.tolist()}"
+                )
+            faces = np.vstack((np.column_stack((-unit, -sides[0])), np.column_stack((unit, sides[1]))))
+            rows = np.vstack((faces[np.isfinite(faces[:, 3])], rows))
         lengths = np.linalg.norm(rows[:, :3], axis=1)
         if not (np.all(np.isfinite(rows)) and np.all(lengths > 0.0)):
             raise ConfigurationError(f"walls must be rows (nx, ny, nz, d) with n^T p <= d, got {rows.tolist()}")
@@ -151,14 +156,7 @@ class TipLimits:
         acceleration: Float[np.ndarray, " nv"],
         previous: Float[np.ndarray, " nv"] | None,
     ) -> Tips:
-        """The frames at a posture.
-
-        Args:
-            q: Posture.
-            dt: Time for which the next velocity is held [s].
-            acceleration: Of the joints [rad/s2 or m/s2].
-            previous: Velocity commanded in the step before [rad/s or m/s]; None bounds no acceleration.
-        """
+        """The frames at a posture."""
         jacobians = [self._robot.jacobian(q, frame)[:3] for frame in self.frames]
         clear = self.clear_at(q, dt, acceleration, previous)
         if not self.walls.size:
@@ -205,10 +203,7 @@ class TipLimits:
 
         None where it breaks nothing.
 
-        Args:
-            tips: At this posture.
-            u: Joint velocity [rad/s or m/s].
-            slack: By how much a wall may be approached too fast [m/s].
+        A wall may be approached too fast by `slack` [m/s].
         """
         broken = tips.G.dot(u) < tips.least - slack
         rows, least = list(tips.G[broken]), tips.least[broken].tolist()
@@ -237,17 +232,10 @@ class TipLimits:
         barrier: Barrier | None,
         solve: Callable[[Barrier | None], Float[np.ndarray, " nv"]],
     ) -> Float[np.ndarray, " nv"]:
-        """The solution of the program with the rows that it needs.
-
-        Args:
-            tips: At this posture.
-            wish: Velocity before limits.
-            barrier: Rows of the program that are there already.
-            solve: Rows -> solution.
-        """
+        """The solution of the program with the rows that it needs."""
         u, found = wish, None
-        for _ in range(MOST_ROWS):
-            broken = self.rows(tips, u, ROUNDED)
+        for _ in range(_MOST_ROWS):
+            broken = self.rows(tips, u, _ROUNDED)
             if broken is None and found is not None:
                 break
             if broken is not None:
@@ -259,43 +247,18 @@ class TipLimits:
         return solve(barrier) if found is None else found
 
 
-def walls_of(box: ArrayLike | None, walls: ArrayLike | None) -> Float[np.ndarray, "w 4"]:
-    """Walls as rows (n, d) with n^T p <= d, those of a box before the others.
-
-    Args:
-        box: shape (2, 3), lowest and highest x, y, z [m]; -inf and inf for none.
-        walls: shape (w, 4).
-
-    Raises:
-        ConfigurationError: Numbers of another shape, or a box without room.
-    """
-    rows = np.empty((0, 4)) if walls is None else np.array(walls, dtype=np.float64)
-    if rows.ndim != 2 or rows.shape[1] != 4:
-        raise ConfigurationError(f"walls must be rows (nx, ny, nz, d) with n^T p <= d, got shape {rows.shape}")
-    if box is None:
-        return rows
-    sides = np.array(box, dtype=np.float64)
-    if sides.shape != (2, 3) or not np.all(sides[0] < sides[1]):
-        raise ConfigurationError(
-            f"a box is two rows, lowest and highest x, y, z [m], the first below the second; got {sides.tolist()}"
-        )
-    unit = np.eye(3)
-    faces = np.vstack((np.column_stack((-unit, -sides[0])), np.column_stack((unit, sides[1]))))
-    return np.vstack((faces[np.isfinite(faces[:, 3])], rows))
-
-
 @final
-class Approach(NamedTuple):
-    """How fast one joint may approach a position limit, see `Limits`.
+class _Approach(NamedTuple):
+    """How fast one joint may approach a position limit, brake(d) of `Limits`, value and slope continuous at d1.
 
     Attributes:
         free: Distance from which every speed is allowed.
-        rate: kappa.
-        linear: d1, where the exponential approach begins.
+        rate: kappa, of the exponential approach [1/s].
+        linear: d1, up to which the approach is exponential.
         offset: d0.
         twice: 2 a.
         half: a dt / 2.
-        fastest: Speed of return from outside.
+        fastest: Speed at which a joint outside returns.
     """
 
     free: float
@@ -306,37 +269,28 @@ class Approach(NamedTuple):
     half: float
     fastest: float
 
+    @staticmethod
+    def of(velocity: float, acceleration: float, dt: float) -> _Approach:
+        acceleration = BRAKING_SHARE * acceleration
+        rate = min(APPROACH_RATE, 0.5 / dt)
+        v = min(velocity, _FASTEST)
+        fastest = RETURN_SPEED * v
+        if not math.isfinite(acceleration):  # stops at once
+            return _Approach(v / rate, rate, math.inf, 0.0, 0.0, 0.0, fastest)
+        twice, half = 2.0 * acceleration, 0.5 * acceleration * dt
+        joined = acceleration / rate - half  # speed at d1
+        linear = joined / rate
+        offset = linear - joined * (joined + acceleration * dt) / twice
+        free = v / rate if v <= joined else offset + v * (v + acceleration * dt) / twice
+        return _Approach(free, rate, linear, offset, twice, half, fastest)
 
-def approach_of(velocity: float, acceleration: float, dt: float) -> Approach:
-    """The constants of a joint: value and slope of brake(d) are continuous at d1."""
-    acceleration = BRAKING_SHARE * acceleration
-    rate = min(APPROACH_RATE, 0.5 / dt)
-    v = min(velocity, FASTEST)
-    fastest = RETURN_SPEED * v
-    if not math.isfinite(acceleration):  # stops at once
-        return Approach(v / rate, rate, math.inf, 0.0, 0.0, 0.0, fastest)
-    twice, half = 2.0 * acceleration, 0.5 * acceleration * dt
-    joined = acceleration / rate - half  # speed at d1
-    linear = joined / rate
-    offset = linear - joined * (joined + acceleration * dt) / twice
-    free = v / rate if v <= joined else offset + v * (v + acceleration * dt) / twice
-    return Approach(free, rate, linear, offset, twice, half, fastest)
-
-
-def approach_speed(approach: Approach, distance: float, together: float) -> float:
-    """brake(d), at most d / T; negative outside, where the joint returns.
-
-    Args:
-        approach: Of the joint.
-        distance: d from its limit [rad or m].
-        together: T, in which all joints can stop [s].
-    """
-    if distance <= approach.linear:
-        speed = max(approach.rate * distance, -approach.fastest)
-    else:
-        half = approach.half
-        speed = math.sqrt(half * half + approach.twice * (distance - approach.offset)) - half
-    return min(speed, distance / together) if together > 0.0 and distance > 0.0 else speed
+    def speed(self, distance: float, together: float) -> float:
+        """brake(d), at most d / T; negative outside, where the joint returns."""
+        if distance <= self.linear:
+            speed = max(self.rate * distance, -self.fastest)
+        else:
+            speed = math.sqrt(self.half * self.half + self.twice * (distance - self.offset)) - self.half
+        return min(speed, distance / together) if together > 0.0 and distance > 0.0 else speed
 
 
 def stopping_speed(
@@ -353,7 +307,7 @@ def stopping_speed(
 
 def farthest_positions(robot: Robot) -> Float[np.ndarray, " nv"] | float:
     """Positions that no joint is at, however its encoder counts: a turn beyond the farther limit [rad or m]."""
-    farthest = np.maximum(np.abs(robot.position_lower), np.abs(robot.position_upper)) + TURN
+    farthest = np.maximum(np.abs(robot.position_lower), np.abs(robot.position_upper)) + _TURN
     return farthest if robot.nq == robot.nv and bool(np.all(np.isfinite(farthest))) else LARGEST_POSITION
 
 
@@ -420,18 +374,13 @@ class Bounds(NamedTuple):
 
 @final
 class _Approaches(NamedTuple):
-    """How fast the joints may approach their limits in steps of dt.
+    """How fast the joints may approach their limits in steps of dt [s].
 
-    Attributes:
-        dt: [s].
-        joints: Of each joint.
-        low: Lowest positions from which on all speeds are allowed to joints that wait for no others.
-        high: Highest ones.
-        quick: Time in which others may stop for that [s].
+    From `low` to `high` all speeds are allowed to joints that wait for no others, which may stop in `quick` [s].
     """
 
     dt: float
-    joints: list[Approach]
+    joints: list[_Approach]
     low: list[float]
     high: list[float]
     quick: float
@@ -517,7 +466,7 @@ class Limits:
         self.tip = None
         clear = None if clear_of is None else KeptClear(robot, clear_of, clearance)
         if not (tip_speed is None and tip_box is None and tip_walls is None and clear is None):
-            self.tip = TipLimits(robot, tip_speed, walls_of(tip_box, tip_walls), frames, clear)
+            self.tip = TipLimits(robot, tip_speed, tip_box, tip_walls, frames, clear)
         self.position, self.margin = bool(position), float(margin)
         infinite = np.full(robot.nv, np.inf)
         self.lower = robot.position_lower + margin if position else -infinite
@@ -550,9 +499,9 @@ class Limits:
     def _approaches(self, dt: float) -> _Approaches:
         if dt == self._latest.dt:
             return self._latest
-        joints = [approach_of(v, a, dt) for v, a in zip(*self._columns[2:], strict=True)]
+        joints = [_Approach.of(v, a, dt) for v, a in zip(*self._columns[2:], strict=True)]
         free = np.array([approach.free for approach in joints])
-        quick = float(np.min(free / np.minimum(self.velocity, FASTEST), initial=math.inf))
+        quick = float(np.min(free / np.minimum(self.velocity, _FASTEST), initial=math.inf))
         self._latest = found = _Approaches(
             dt, joints, (self.lower + free).tolist(), (self.upper - free).tolist(), quick
         )
@@ -561,10 +510,8 @@ class Limits:
     def bounds(self, q: Float[np.ndarray, " n"], dt: float, previous: Float[np.ndarray, " nv"] | None) -> Bounds:
         """Bounds on the velocity of the next dt.
 
-        Args:
-            q: Posture, checked: a configuration or joint positions.
-            dt: Time that the next velocity is held [s].
-            previous: Velocity commanded in the step before [rad/s or m/s]; None bounds no acceleration.
+        The posture is checked already. Without a velocity that was commanded in the step before [rad/s or m/s] no
+        acceleration is bounded.
         """
         approaches = self._approaches(dt)
         x = q if q.shape[0] == self.robot.nv else self.robot.positions(q)
@@ -577,9 +524,9 @@ class Limits:
             if bottom <= y <= top and together <= approaches.quick:  # far from its limits
                 continue
             below, above, approach = y - lower[j], upper[j] - y, approaches.joints[j]
-            if (fastest := approach_speed(approach, above, together)) < high[j]:
+            if (fastest := approach.speed(above, together)) < high[j]:
                 high[j], high_cause[j] = fastest, POSITION
-            if (fastest := approach_speed(approach, below, together)) < speeds[j]:
+            if (fastest := approach.speed(below, together)) < speeds[j]:
                 low[j], low_cause[j] = -fastest, POSITION
             if below < 0.0 or above < 0.0:
                 outside = max(outside, -below, -above)
@@ -626,11 +573,7 @@ class Limits:
 
         |grad sigma| is about as large as A itself.
 
-        Args:
-            square: |u|^2.
-            size: |A|^2.
-            smallest: Smallest singular value of A.
-            dt: Time for which the velocity is held [s].
+        `square` is |u|^2, `size` |A|^2.
         """
         rate = min(APPROACH_RATE, 0.5 / dt) * smallest
         return square * size >= min(2.0 * BRAKING_SHARE * self.weakest * math.sqrt(size) * smallest, rate * rate)

@@ -38,7 +38,7 @@ SEED_SPEED = 5e-4  # [rad/s] speed at which an exact singularity is left, where 
 # a singularity turn to and fro now and then
 GROWTH = 1.25
 LEAST_ROOM = 1e-4  # of a joint's range, below which a joint counts as at its limit: its slope stays finite
-SAME = 1e-9  # share by which rates may differ that count as equal
+_SAME = 1e-9  # share by which rates may differ that count as equal
 LARGEST_RATE = 1.0  # [1/s] half ranges a second that a joint moves at most, for joints whose range is short
 
 
@@ -341,13 +341,7 @@ class ManipulabilityAscent(SampledPolicy):
         return SEED_SPEED if self.max_speed is None else min(self.max_speed, SEED_SPEED)
 
     def bounded(self, slope: Float[np.ndarray, " nv"], smallest: float, dt: float) -> Float[np.ndarray, " nv"]:
-        """gain * grad log mu, shortened to the bound.
-
-        Args:
-            slope: grad log mu.
-            smallest: Smallest singular value of A.
-            dt: Time for which the velocity is held [s].
-        """
+        """gain * grad log mu, shortened to the bound."""
         if self.max_speed is None:
             return slope * self.gain
         steepness = math.sqrt(slope.dot(slope))
@@ -472,11 +466,6 @@ class WeightedPolicies(SampledPolicy):
     def __call__(self, q: ArrayLike, t: float = 0.0, dt: float = 0.01) -> Float[np.ndarray, " nv"]:
         """Weighted sum of the policies' velocities [rad/s or m/s].
 
-        Args:
-            q: Posture: a configuration or joint positions.
-            t: Time [s].
-            dt: Time for which the velocity is held [s].
-
         Raises:
             ConfigurationError: q has the wrong size or is not finite.
             TargetError: The policies belong to different numbers of joints.
@@ -528,9 +517,9 @@ def steepest_ascent(decomposition: tuple[np.ndarray, np.ndarray, np.ndarray], vj
         squares, vectors, _ = dsyev(M.T.dot(M))
         Z = unit(M.shape[1])
     # of directions along which it grows as fast, as at the saddle of a planar arm, that of the first joint with most
-    fastest = vectors[:, squares >= squares[-1] * (1.0 - SAME)].T.dot(Z)
+    fastest = vectors[:, squares >= squares[-1] * (1.0 - _SAME)].T.dot(Z)
     shares = (fastest * fastest).sum(axis=0)
-    joint = int(np.argmax(shares >= shares.max() - SAME))
+    joint = int(np.argmax(shares >= shares.max() - _SAME))
     return fastest[:, joint].dot(fastest) / math.sqrt(shares[joint])
 
 
@@ -547,8 +536,14 @@ class PolicyFunction(NullSpacePolicy):
 
     def __init__(self, function: Callable[..., ArrayLike]):
         self.function = function
-        takes = inspect.signature(function)
-        one, two = (_fits(takes, number) for number in (1, 2))
+        takes, fits = inspect.signature(function), []
+        for number in (1, 2):
+            try:
+                takes.bind(*range(number))
+                fits.append(True)
+            except TypeError:
+                fits.append(False)
+        one, two = fits
         if not (one or two):
             raise ConfigurationError(
                 f"a null-space policy is a function of q, or of q and t; this one takes {takes}: write lambda q: ... "
@@ -566,15 +561,6 @@ class PolicyFunction(NullSpacePolicy):
 
     def __repr__(self) -> str:
         return f"PolicyFunction({getattr(self.function, '__name__', self.function)!s})"
-
-
-def _fits(takes: inspect.Signature, number: int) -> bool:
-    """Whether a function may be called with so many arguments."""
-    try:
-        takes.bind(*range(number))
-    except TypeError:
-        return False
-    return True
 
 
 def policy_of(policy: NullSpacePolicy | Callable[..., ArrayLike]) -> NullSpacePolicy:

@@ -19,7 +19,7 @@ from manip_learn.control.controller import ResolvedRateController
 from manip_learn.control.follow_motion import FollowMotion
 from manip_learn.control.following import Contact, FollowingError
 from manip_learn.control.law import next_slide
-from manip_learn.control.law_sequence import LawSequence, constraint_of, frame_of, law_of, task_of, taught_force
+from manip_learn.control.law_sequence import LawSequence, constraint_of, held_frame, law_of, task_of, taught_force
 from manip_learn.control.limits import Bounds, Limits, bound_changes, farthest_positions, stopping_speed
 from manip_learn.control.tasks import PointAttractor, Task
 from manip_learn.errors import ConfigurationError, counted
@@ -29,22 +29,22 @@ from manip_learn.robot.robot import Robot
 
 _LOGGER = logging.getLogger("manip_learn")
 # calls whose periods are compared, and how many of them are enough at the start
-COMPARED, ENOUGH = 100, 3
+_COMPARED, _ENOUGH = 100, 3
 # largest over smallest period of calls that count as regular, and over dt of a period that is not dt
 REGULAR = 1.25
-ROUNDING = 1e-6  # share of a period
+_ROUNDING = 1e-6  # share of a period
 JITTER = 0.01  # share of the period by which calls may be early or late without being told from regular ones
-LONGEST = 5.0  # [s] an average over more delays the arm by seconds: the limits are meant otherwise
+_LONGEST = 5.0  # [s] an average over more delays the arm by seconds: the limits are meant otherwise
 UNLOADING_RATE = 25.0  # [1/s] rate at which an arm that was blocked lets go: from 60 N to 3 N in 0.12 s
-RELOOK, NEAR = 0.01, 5e-4  # [s] beside its delay after which an arm that lets go is looked at again, [rad or m]
-SETTLED = 0.05  # [s] after which an arm that was let go stands
-LEFT = 3.0  # [N] that may be left on the hand then
+RELOOK, _NEAR = 0.01, 5e-4  # [s] beside its delay after which an arm that lets go is looked at again, [rad or m]
+_SETTLED = 0.05  # [s] after which an arm that was let go stands
+_LEFT = 3.0  # [N] that may be left on the hand then
 RENEWALS = 10  # times that an arm goes on letting go where more is left
 # [rad/s or m/s] speed below which it does not fall on the way, and [rad or m] distance at which it has arrived
-SLOWEST, ARRIVED = 1e-3, 1e-9
+_SLOWEST, _ARRIVED = 1e-3, 1e-9
 LONGEST_TIME = 1e15  # [s] a larger number is no time: its steps are longer than a period
 # [rad or m] that a reading may be off beside twice what a joint can move meanwhile; [rad] by which a turn is one
-TWICE, JUMP, TURN = 2.0, 0.05, 0.1
+TWICE, _JUMP, _TURN = 2.0, 0.05, 0.1
 BEYOND_TAUGHT = 1.5  # times the force that a way took when it was taught: it may stick more another time
 MILLI = 0.1  # within which a time is a thousand times another, decades
 STANDING = (Status.INVALID_INPUT, Status.STALE, Status.FOLLOWING_ERROR, Status.STOPPED)
@@ -76,24 +76,20 @@ class Period:
     def __init__(self, dt: float):
         self.dt, self._said = dt, False
         self.usual, self.longest = dt, dt
-        self._seen: deque[float] = deque(maxlen=COMPARED)
+        self._seen: deque[float] = deque(maxlen=_COMPARED)
 
     def step(self, since: float) -> float:
-        """The time for which the next command counts, at most that since the last one.
-
-        Args:
-            since: Time from the last state to this one [s].
-        """
+        """The time for which the next command counts, at most that since the last one."""
         self._seen.append(since)
         dt = self.dt
-        if dt * (1.0 - ROUNDING) <= since <= REGULAR * dt and self.longest == self.usual == dt:
+        if dt * (1.0 - _ROUNDING) <= since <= REGULAR * dt and self.longest == self.usual == dt:
             return dt
         shortest, longest = min(self._seen), max(self._seen)
-        regular = len(self._seen) >= ENOUGH and longest <= REGULAR * shortest
+        regular = len(self._seen) >= _ENOUGH and longest <= REGULAR * shortest
         if regular and not shortest <= dt * REGULAR:
             dt = shortest
         mean = sum(self._seen) / len(self._seen)
-        told = self._said or not (regular or len(self._seen) == COMPARED)
+        told = self._said or not (regular or len(self._seen) == _COMPARED)
         if not (told or self.dt / REGULAR <= mean <= REGULAR * self.dt):
             self._said = True
             _LOGGER.warning(
@@ -102,7 +98,7 @@ class Period:
                 *(1e3 * x for x in (self.dt, mean, shortest, longest)),
             )
         self.usual, self.longest = dt, longest if longest > REGULAR * dt else dt
-        return dt if since >= dt * (1.0 - ROUNDING) else since
+        return dt if since >= dt * (1.0 - _ROUNDING) else since
 
 
 @final
@@ -155,15 +151,15 @@ class MovingAverage:
         averages: Whether that is more than one.
 
     Raises:
-        ConfigurationError: A jerk limit without acceleration limits, or so small that it needs `LONGEST` or more.
+        ConfigurationError: A jerk limit without acceleration limits, or so small that it needs `_LONGEST` or more.
     """
 
     def __init__(self, limits: Limits, dt: float):
         needed = 0.0 if limits.jerk is None else float(np.max(2.0 * limits.acceleration / limits.jerk))
-        if not needed <= LONGEST:
+        if not needed <= _LONGEST:
             raise ConfigurationError(
                 f"the jerk limits need an average over {needed:g} s, 2 acceleration / jerk: "
-                f"lower the acceleration limits, or raise the jerk limits, to {LONGEST:g} s or less"
+                f"lower the acceleration limits, or raise the jerk limits, to {_LONGEST:g} s or less"
             )
         length = max(1, math.ceil(needed / dt - 1e-9))
         self.time, self.averages = length * dt, length > 1
@@ -225,9 +221,6 @@ class ServoLoop:
         contact: Which forces on the hand stop the arm, and what is known of its servos (`Contact`).
         following_error_limit: shape (nv,) or a number [rad or m]: how far a joint may be from where it was commanded,
             e.g. what `manip_learn.following_error_limit` gives, in place of the forces of `contact`.
-        correction_time: Time [s] in which `position` comes to make up for what servos give way to steadily, as to a
-            payload that their drives do not know; None for never. By no more than the limits of the following error,
-            while the arm moves or holds.
         robot: Whose limits count; the controller's own by default.
 
     Attributes:
@@ -267,7 +260,6 @@ class ServoLoop:
         *,
         contact: Contact | None = None,
         following_error_limit: ArrayLike | None = None,
-        correction_time: float | None = None,
         robot: Robot | None = None,
         **removed: Any,
     ):
@@ -305,11 +297,8 @@ class ServoLoop:
             self.contact = replace(contact, driven=max(contact.held, BEYOND_TAUGHT * force))
         # an arm that presses brakes and lets go as hard as it can, however gently it was to move
         self._hard = self.limits.with_rates(np.maximum(self.limits.acceleration, Limits(own).acceleration), None)
-        acceleration, frame = self._hard.acceleration, frame_of(controller)
+        acceleration, frame = self._hard.acceleration, held_frame(controller)
         self._following = FollowingError(own, self.contact, following_error_limit, self.dt, acceleration, frame)
-        if not (correction_time is None or (_is_number(correction_time) and 0.0 < correction_time < math.inf)):
-            raise ConfigurationError(f"correction_time must be a positive number of seconds, got {correction_time!r}")
-        self._correction_rate = 0.0 if correction_time is None else 1.0 / float(correction_time)
         self._impossible = farthest_positions(self.robot)
         self._period = Period(self.dt)
         self._slowed = 1.0, self.limits  # a share of the acceleration, and the limits with it
@@ -340,7 +329,6 @@ class ServoLoop:
         self._average.forget()
         self._following.forget()
         self._relief: np.ndarray | None = None  # posture to go to after a following error
-        self._correction = np.zeros(nv)  # what `position` adds to the commanded posture
         self.measured, self.stopped_by = None, None
         # readings that no joint can have moved to, for how long they have come, and what was said of the last one
         self._jumped = "", -math.inf
@@ -435,9 +423,7 @@ class ServoLoop:
         """
         if self._return is not None:
             return self._return.posture.copy()
-        if self._output is None or not self._correction.any():
-            return None if self._output is None else self._output.copy()
-        return np.array(self.robot.integrate(self._output, self._correction))
+        return None if self._output is None else self._output.copy()
 
     def update(self, q: Any, t: Any) -> Command:
         """The command of the next period. Never raises.
@@ -488,8 +474,7 @@ class ServoLoop:
             self._reference = self._output = measured
             return self._braked(Status.FOLLOWING_ERROR, period)
         if self._waited == 0.0:  # a state that is not new says nothing of the commands since
-            correction = self._correction if self._correction_rate else None
-            self._following.compare(self._output, measured, correction, self._driven)
+            self._following.compare(self._output, measured, self._driven)
         if self._following.tripped:
             # the average would go on pressing for its own length
             self._reference, self._velocity = self._output, self._sent
@@ -499,13 +484,17 @@ class ServoLoop:
             if in_milliseconds(self._since, self.dt):
                 self.stopped_by += f"; the time went on by {self._since:g}, in milliseconds? It is to be in seconds"
             return self._braked(Status.STALE, period)
-        if self._correction_rate and self._waited == 0.0:
-            slow = min(1.0, self._correction_rate * held) * self._following.distance
-            self._correction = np.clip(self._correction - slow, -self._following.limit, self._following.limit)
         if self._stopping:
             return self._braked(Status.STOPPED, period)
         if self._waited > 0.0 and self._last is not None:
-            return self._held(self._last)
+            last = self._last  # goes on, as long as that stays within the limits
+            if last.status in STANDING:
+                return self._braked(last.status)
+            bounds = self._bounds(self._reference, self.dt)
+            if bounds.admit(self._velocity):
+                return self._sent_on(last._replace(velocity=self._velocity))
+            slower = np.clip(self._velocity, bounds.low, bounds.high)
+            return self._sent_on(last._replace(velocity=slower, status=Status.POSITION_LIMITED))
         return self._sent_on(self._command(self._reference, self._clock(time), held), held)
 
     def _jump(self, measured: np.ndarray, time: float) -> str:
@@ -513,10 +502,10 @@ class ServoLoop:
         if self.measured is None:
             return ""
         away = measured - self.measured
-        if away.dot(away) < JUMP * JUMP:
+        if away.dot(away) < _JUMP * _JUMP:
             return ""
         step, since = self.robot.difference(self.measured, measured), max(self.dt, time - self._time)
-        fastest = TWICE * self.robot.velocity_limit * since + JUMP
+        fastest = TWICE * self.robot.velocity_limit * since + _JUMP
         if np.all(np.abs(step) <= fastest):
             return ""
         j = int((np.abs(step) / fastest).argmax())
@@ -525,20 +514,9 @@ class ServoLoop:
         if np.all(np.abs(np.sort(self.measured) - np.sort(measured)) <= np.sort(fastest)):
             return f"{words}: the joints come in another order"
         turns = round(float(step[j]) / (2.0 * math.pi))
-        if turns and abs(step[j] - 2.0 * math.pi * turns) < TURN:
+        if turns and abs(step[j] - 2.0 * math.pi * turns) < _TURN:
             words += f", {counted(abs(turns), 'full turn')}: the driver counts its angle in other turns"
         return words
-
-    def _held(self, last: Command) -> Command:
-        """Nothing new: the last command, as long as that stays within the limits."""
-        if last.status in STANDING:
-            return self._braked(last.status)
-        if self._reference is not None:
-            bounds = self._bounds(self._reference, self.dt)
-            if not bounds.admit(self._velocity):
-                slower = np.clip(self._velocity, bounds.low, bounds.high)
-                return self._sent_on(last._replace(velocity=slower, status=Status.POSITION_LIMITED))
-        return self._sent_on(last._replace(velocity=self._velocity))
 
     def _posture(self, q: Any) -> Float[np.ndarray, " n"] | None:
         """The posture as an array of its own; None if it is none."""
@@ -582,7 +560,12 @@ class ServoLoop:
         moved = 0.0
         if abs(late) > JITTER * self.dt:  # periods of another length than the one for which the command counted
             # an early call takes back no more than it goes on by: the posture never moves against the velocity
-            followed = self._followed(late, measured)
+            followed, square = 0.0, float(self._sent.dot(self._sent))
+            if self._output is not None and square > 0.0 and not self._following.tripped:
+                # the share of the motion that the last velocity makes in this time which the arm has made: a velocity
+                # servo goes on moving until the next command comes, a position servo stands where it was sent
+                away = self.robot.difference(self._output, measured)
+                followed = min(1.0, max(0.0, float(away.dot(self._sent)) / (late * square)))
             self._runs_on = self._runs_on or (late > 0.0 and followed > 0.5)
             moved = max(late, -since) * followed
             self._advance(moved, self._sent)
@@ -592,18 +575,6 @@ class ServoLoop:
         elif abs(late) > JITTER * self.dt:
             self._behind += late - moved
         return self._period.step(since)
-
-    def _followed(self, late: float, measured: np.ndarray) -> float:
-        """Which share of the motion that the last velocity makes in a time the arm has made [0, 1].
-
-        A velocity servo goes on moving until the next command comes; a position servo stands where it was sent. While a
-        blocked arm lets go, it is not the arm that moves towards where it was measured.
-        """
-        square = float(self._sent.dot(self._sent))
-        if self._output is None or square == 0.0 or self._following.tripped:
-            return 0.0
-        along = float(self.robot.difference(self._output, measured).dot(self._sent)) / (late * square)
-        return min(1.0, max(0.0, along))
 
     def _clock(self, time: float) -> float:
         """Time for the controller: that of the state, less that for which a task that waits for the arm has waited."""
@@ -701,20 +672,20 @@ class ServoLoop:
         left = self.robot.difference(commanded, self._relief)
         farthest = float(np.abs(left).max(initial=0.0))
         self._rested += held
-        arrived = farthest < ARRIVED and not self._velocity.any()
+        arrived = farthest < _ARRIVED and not self._velocity.any()
         if arrived:
-            if self._rested > following.servos.delay + SETTLED:
-                self.lets_go = self._renewed < RENEWALS and following.left(measured) > LEFT
-            if not self.lets_go or self._rested <= following.servos.delay + SETTLED:
+            if self._rested > following.servos.delay + _SETTLED:
+                self.lets_go = self._renewed < RENEWALS and following.left(measured) > _LEFT
+            if not self.lets_go or self._rested <= following.servos.delay + _SETTLED:
                 return self._braked(Status.FOLLOWING_ERROR, held)
             self._renewed += 1
         # the first measurements were those of an arm in motion; what is near is noise
-        again = farthest > NEAR and not self._renewed and self._rested > following.servos.delay + RELOOK
+        again = farthest > _NEAR and not self._renewed and self._rested > following.servos.delay + RELOOK
         if arrived or again:
             self._relief, self._rested = self._let_go(commanded), 0.0
             left = self.robot.difference(commanded, self._relief)
             farthest = float(np.abs(left).max(initial=0.0))
-        wish = left * min(1.0 / held, max(UNLOADING_RATE, SLOWEST / max(farthest, ARRIVED)))
+        wish = left * min(1.0 / held, max(UNLOADING_RATE, _SLOWEST / max(farthest, _ARRIVED)))
         bounds = self._hard.bounds(commanded, held, self._velocity)
         return self._beside_the_law(
             self._hard.towards(wish, self._velocity, bounds, held), Status.FOLLOWING_ERROR, held

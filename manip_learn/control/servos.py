@@ -11,20 +11,20 @@ from jaxtyping import Bool, Float
 LATEST = 0.2  # [s] by which an arm may follow late: servoJ of a UR looks ahead by as much, and nothing takes longer
 # samples of that motion after which lateness and friction may be known, and after which they are what they seem to be
 SOONEST, LATEST_SAMPLE = 16, 50
-APART = 0.01  # [s] between two samples of that motion, and between the delays that are tried
-WIDER = 0.5  # share by which a width may be more than was seen when its joint began to move
-KNOWN = 0.25  # and than was seen in the first motion
-FEWEST = 8  # samples of a joint that count
+_APART = 0.01  # [s] between two samples of that motion, and between the delays that are tried
+_WIDER = 0.5  # share by which a width may be more than was seen when its joint began to move
+_KNOWN = 0.25  # and than was seen in the first motion
+_FEWEST = 8  # samples of a joint that count
 # [N m or N] by which dry friction, of large arms, and together with play may hide what loads a joint: more is a force
 DRY, HIDDEN = 6.0, 15.0
 ENCODER = 1e-4  # [rad or m] standard deviation of the encoders until it is known
-STILL = 2e-4  # [rad or m] within which a joint may not have moved, whatever its encoder says
+_STILL = 2e-4  # [rad or m] within which a joint may not have moved, whatever its encoder says
 NOISES = 6.0  # standard deviations that noise does not reach in a run of hours
 PACE = 0.002  # [s] by which joints follow more or less late than each other: dampers of 4 N m s/rad at 2,000 N m/rad
-ROUNDING = 1e-12  # [rad or m] of sums of steps
+_ROUNDING = 1e-12  # [rad or m] of sums of steps
 OFTEN = 0.004  # [s] between two looks at what changes slowly
 AROUND = 0.25  # share of the delay by which it may be other than it was
-DRAWS = 20.0  # variance of the third difference of independent noise, over its own: 1 + 9 + 9 + 1
+_DRAWS = 20.0  # variance of the third difference of independent noise, over its own: 1 + 9 + 9 + 1
 
 
 @final
@@ -64,8 +64,8 @@ class Servos:
         self._size = math.ceil(((LATEST if latency is None else latency) + max(PACE, OFTEN)) / dt - 1e-9) + 3
         self._pace, self._often = max(1, round(PACE / dt)), max(1, round(OFTEN / dt))
         self._own = PACE / dt if hidden.any() else 0.0  # periods
-        self._stride = max(1, round(APART / dt))
-        lags = np.arange(0.0, LATEST + 0.5 * APART, max(APART, dt))
+        self._stride = max(1, round(_APART / dt))
+        lags = np.arange(0.0, LATEST + 0.5 * _APART, max(_APART, dt))
         self._longest = self._size - 2 - max(self._pace, self._often)  # periods back that there are rows for
         self._lags = np.unique(np.minimum(np.round(lags / dt).astype(np.int64), self._longest))
         # until the noise is known, the mean of some periods at 1 kHz
@@ -133,7 +133,7 @@ class Servos:
             # a joint that was not seen to move is behind by no more than it was sent
             high = np.where(self.seen, self.width, np.minimum(np.abs(sent).max(axis=0), self.width))
             raw = y - sent
-            high = high + np.abs(self.way - self._ways[newest - self._pace]) * (self._own / self._pace) + ROUNDING
+            high = high + np.abs(self.way - self._ways[newest - self._pace]) * (self._own / self._pace) + _ROUNDING
             low = -high
             away = raw - np.minimum(np.maximum(raw, low), high)
             nearest = int(np.einsum("ij,ij->i", away, away).argmin())
@@ -158,13 +158,13 @@ class Servos:
     @property
     def sees(self) -> Bool[np.ndarray, " nv"]:
         """See the class."""
-        return self.seen if self._all_seen else self.seen | (self.range[1] < STILL) | (self._newest != 0.0)
+        return self.seen if self._all_seen else self.seen | (self.range[1] < _STILL) | (self._newest != 0.0)
 
     def _look_again(self, y: np.ndarray, c: np.ndarray) -> None:
         """Between which distances there is no force, and the path within which the delay is known."""
         newest, (least, most) = self._row + self._size, self._window
         path = self._ways[newest - least] - self._ways[newest - most]
-        own = np.abs(path) * self._share + ROUNDING  # each joint follows at a pace of its own
+        own = np.abs(path) * self._share + _ROUNDING  # each joint follows at a pace of its own
         self._place = np.minimum(np.maximum(self._place, c - self.width), c + self.width)
         # a joint that goes on as it did when friction was measured is behind by as much
         goes = (c - self._place) * self._sense > 0.99 * self.width
@@ -184,17 +184,17 @@ class Servos:
             past = self._past
             if len(past) == 3:
                 change = y - past[0] + 3.0 * (past[1] - past[2])
-                self._square = self._square + 0.02 * (change * change / DRAWS - self._square)
+                self._square = self._square + 0.02 * (change * change / _DRAWS - self._square)
                 self.noise = np.sqrt(self._square)
                 del past[0]
             past.append(y)
         gone = (y - self._first) * np.sign(c)
-        new = ~self.seen & (gone > NOISES * self.noise + STILL) & (np.abs(c) > STILL)
+        new = ~self.seen & (gone > NOISES * self.noise + _STILL) & (np.abs(c) > _STILL)
         if new.any():
             self.friction = np.where(new, np.minimum(np.abs(c) - gone, self._hidden).clip(0.0), self.friction)
-            self.width = np.where(new, np.minimum((1.0 + WIDER) * self.friction, self._hidden), self.width)
+            self.width = np.where(new, np.minimum((1.0 + _WIDER) * self.friction, self._hidden), self.width)
             # what is more than friction is play, within which the other joints take each to and fro
-            if np.any(new & (self.friction > DRY / HIDDEN * self._hidden + STILL)):
+            if np.any(new & (self.friction > DRY / HIDDEN * self._hidden + _STILL)):
                 self.width = self._hidden.copy()
             self.seen = self.seen | new
             self._all_seen = bool(self.seen.all())
@@ -212,7 +212,7 @@ class Servos:
         step = np.sign(sent[:, :-1] - sent[:, 1:])
         sense = step[:, :1]
         counts = np.all(step * sense >= 0.0, axis=1) & (sense[:, 0] != 0.0) & seen  # of a joint that never turned
-        counts &= counts.sum(axis=0) >= FEWEST
+        counts &= counts.sum(axis=0) >= _FEWEST
         n, noise = counts.sum(axis=0), float(np.mean(self._square))
         if not n.any():
             return
@@ -220,7 +220,7 @@ class Servos:
         left = np.sum((behind - behind.sum(axis=0) / np.maximum(n, 1)) ** 2 * counts[:, None], axis=(0, 2)) / n.sum()
         best = int(left.argmin())
         beside = min(left[max(best - 2, 0)] if best > 1 else np.inf, left[best + 2] if best + 2 < len(left) else np.inf)
-        told = beside - left[best] > noise + (0.5 * STILL) ** 2 and left[best] < (3.0 * math.sqrt(noise) + STILL) ** 2
+        told = beside - left[best] > noise + (0.5 * _STILL) ** 2 and left[best] < (3.0 * math.sqrt(noise) + _STILL) ** 2
         if not (told or len(self._samples) >= LATEST_SAMPLE):
             return
         place = float(best)
@@ -233,18 +233,18 @@ class Servos:
         pace = self._own / float(self._lags[at + 1] - self._lags[at])
         between = (1.0 - share) * sent[:, at] + share * sent[:, at + 1]
         moves = (step[:, at] != 0.0) & seen
-        for j in np.flatnonzero(moves.sum(axis=0) >= FEWEST).tolist():
+        for j in np.flatnonzero(moves.sum(axis=0) >= _FEWEST).tolist():
             rows = moves[:, j]
             own = np.abs(sent[:, at, j] - sent[:, at + 1, j]) * pace
             lag = (step[:, at, j] * (between - y)[:, j])[rows]
             lag = np.sign(lag) * np.maximum(np.abs(lag) - own[rows], 0.0)
             least, self.friction[j], most = np.quantile(lag, (0.05, 0.5, 0.95)).tolist()
-            self.width[j] = min(max(most, -least, 0.0) * (1.0 + KNOWN) + self.noise[j], self._hidden[j])
+            self.width[j] = min(max(most, -least, 0.0) * (1.0 + _KNOWN) + self.noise[j], self._hidden[j])
             turns = np.unique(step[rows, at, j])
             self._sense[j] = turns[0] if len(turns) == 1 and most < DRY / HIDDEN * self._hidden[j] else 0.0
-            self._least[j] = max(least * (1.0 - KNOWN) - self.noise[j], -self.width[j])
+            self._least[j] = max(least * (1.0 - _KNOWN) - self.noise[j], -self.width[j])
         self.friction = np.clip(self.friction, 0.0, self._hidden)
-        if np.any(self.seen & (self.width > (1.0 + KNOWN) * DRY / HIDDEN * self._hidden)):
+        if np.any(self.seen & (self.width > (1.0 + _KNOWN) * DRY / HIDDEN * self._hidden)):
             self.width = np.minimum(np.max(self.width * self.seen), self._hidden)
         self._settle(float(np.interp(place, np.arange(len(self._lags)), self._lags)))
 

@@ -12,7 +12,7 @@ from numpy.typing import ArrayLike
 from manip_learn.constraint.constraint import Constraint
 from manip_learn.control.command import Command, Controller, Method, TaskController, next_posture
 from manip_learn.control.controller import ResolvedRateController
-from manip_learn.control.law_sequence import constraint_of, frame_of, law_of, task_of
+from manip_learn.control.law_sequence import constraint_of, held_frame, law_of, task_of
 from manip_learn.control.rollout import Rollout, written_constraint
 from manip_learn.control.servo_loop import ServoLoop
 from manip_learn.errors import ConfigurationError, an
@@ -22,7 +22,7 @@ from manip_learn.robot.identity import RobotIdentity
 from manip_learn.robot.robot import Robot
 
 # rollouts of a table that are made together: more hold memory twice, fewer leave cores idle at the end of each block
-STARTS = 256
+_STARTS = 256
 
 
 @overload
@@ -107,8 +107,8 @@ def simulate(
     if table:
         # names the row before any work is done
         starts, rollouts = np.asarray(q0) if robot is None else checked_postures(robot, np.asarray(q0)), []
-        for first in range(0, len(starts), STARTS):
-            block = starts[first : first + STARTS]
+        for first in range(0, len(starts), _STARTS):
+            block = starts[first : first + _STARTS]
             for start, found in zip(block, _compiled(robot, controller, method, block, dt, steps, None), strict=True):
                 rollouts.append(found or simulate(robot, controller, start, steps * dt, dt, method))
                 report("simulating", len(rollouts) / len(starts))
@@ -176,4 +176,4 @@ def guided(controller: Controller | ServoLoop) -> dict[str, Any]:
     task, constraint = task_of(law), constraint_of(law)
     if task is None or constraint is None:
         return {}
-    return {"frame": frame_of(law) or "", "target": task.goal(), "constraint": written_constraint(constraint)}
+    return {"frame": held_frame(law) or "", "target": task.goal(), "constraint": written_constraint(constraint)}

@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 from typing import Any, final
 
 import numpy as np
-from jaxtyping import Float, Int
+from jaxtyping import Float
 
 from manip_learn.control.command import Status
 from manip_learn.control.controller import ResolvedRateController
@@ -21,12 +21,12 @@ from manip_learn.robot.robot import Robot
 
 # [m or rad] that a hand may be off what holds it: the play of a drawer's rails; 5 mm press with 18 N on a stiff arm
 STRAY = 2e-3
-AT_LIMIT = 2e-3  # [rad or m] a joint this near to its position limit stands at it: braking is exponential in the end
+_AT_LIMIT = 2e-3  # [rad or m] a joint this near to its position limit stands at it: braking is exponential in the end
 SLACK = 1.5  # [s] beyond the time that the way takes where nothing slows it down
-STANDING = 2.0  # [s] without progress after which the arm counts as stopped: a singular start is left within one
+_STANDING = 2.0  # [s] without progress after which the arm counts as stopped: a singular start is left within one
 AT_REST = 0.3  # [s] that a motion is shown after its end
 FROM_THE_BASE = 0.5  # cosine of the angle between the way and the direction from the base, from which on it leads away
-LONGEST = 4.0  # times the time that the way takes where nothing slows it down: then it counts as stopped
+_LONGEST = 4.0  # times the time that the way takes where nothing slows it down: then it counts as stopped
 
 
 @final
@@ -83,12 +83,7 @@ class WayDone:
 
 
 def leads_away(handle: Float[np.ndarray, " 3"], way: Float[np.ndarray, " 3"]) -> bool:
-    """Whether a hand goes away from the robot's base: it pushes a drawer in, for chests face who opens them.
-
-    Args:
-        handle: Where the hand is, in the base frame [m].
-        way: Its way from there, of any length.
-    """
+    """Whether a hand goes away from the robot's base: it pushes a drawer in, for chests face who opens them."""
     out = handle * [1.0, 1.0, 0.0]
     return bool(way @ out > FROM_THE_BASE * np.linalg.norm(way) * np.linalg.norm(out))
 
@@ -125,11 +120,11 @@ def simulate_way(
     length = nominal + SLACK if duration is None else duration
     while True:
         rollout = simulate(robot, controller, q0, length, dt, progress=progress)
-        places = places_of(task, rollout)
+        places = _places_of(task, rollout)
         end = _end(task, rollout.time[len(rollout) - len(places) :], places)
-        if end is not None or duration is not None or length >= LONGEST * nominal:
+        if end is not None or duration is not None or length >= _LONGEST * nominal:
             break
-        length = min(2.0 * length, LONGEST * nominal)
+        length = min(2.0 * length, _LONGEST * nominal)
     if end is not None and duration is None:
         cut = rollout.until(end)
         rollout, places = cut, places[: len(places) - (len(rollout) - len(cut))]
@@ -137,7 +132,7 @@ def simulate_way(
     return replace(rollout, ways=(done.to_dict(),)), done
 
 
-def places_of(task: FreeDirection, rollout: Rollout) -> Float[np.ndarray, " k"]:
+def _places_of(task: FreeDirection, rollout: Rollout) -> Float[np.ndarray, " k"]:
     """How far the way had come at each sample since it began [m or rad]; those before are not among them."""
     begins = task.way_begins
     first = len(rollout) if begins is None else int(np.searchsorted(rollout.time, begins - 1e-9))
@@ -148,25 +143,21 @@ def places_of(task: FreeDirection, rollout: Rollout) -> Float[np.ndarray, " k"]:
     return places
 
 
-def _there(task: FreeDirection, places: Float[np.ndarray, " k"]) -> Int[np.ndarray, " n"]:
-    """The places at which the whole way was done."""
-    return np.flatnonzero(np.abs(places - task.wanted) <= DONE[task.unit])
-
-
 def _end(task: FreeDirection, time: Float[np.ndarray, " k"], places: Float[np.ndarray, " k"]) -> float | None:
     """When the way was done, or stood still for good, and a moment beyond [s]; None if it goes on."""
-    there = _there(task, places)
+    done = DONE[task.unit]
+    there = np.flatnonzero(np.abs(places - task.wanted) <= done)
     if len(there):
         return float(time[there[0]]) + AT_REST
-    before = np.interp(time - STANDING, time, places) if len(time) else places
-    behind = np.abs(places - [task.meant(t) for t in time.tolist()]) > DONE[task.unit]  # and not at rest as shown
-    still = np.flatnonzero((np.abs(places - before) < DONE[task.unit]) & (time >= time[:1] + STANDING) & behind)
+    before = np.interp(time - _STANDING, time, places) if len(time) else places
+    behind = np.abs(places - [task.meant(t) for t in time.tolist()]) > done  # and not at rest as shown
+    still = np.flatnonzero((np.abs(places - before) < done) & (time >= time[:1] + _STANDING) & behind)
     return float(time[still[0]]) if len(still) else None
 
 
 def _way_done(task: FreeDirection, rollout: Rollout, places: Float[np.ndarray, " k"], robot: Robot) -> WayDone:
     """What became of the way."""
-    first, there = len(rollout) - len(places), _there(task, places)
+    first, there = len(rollout) - len(places), np.flatnonzero(np.abs(places - task.wanted) <= DONE[task.unit])
     done = float(places[-1]) if len(places) else 0.0
     shares = np.max(np.abs(rollout.u) / robot.velocity_limit, axis=0)
     fastest = int(np.argmax(shares))
@@ -177,7 +168,7 @@ def _way_done(task: FreeDirection, rollout: Rollout, places: Float[np.ndarray, "
         task.unit,
         float(rollout.time[first]) if len(places) else None,
         float(rollout.time[first + there[0]] - rollout.time[first]) if is_done else None,
-        farthest_off(task, rollout, places),
+        max((task.deviation(q, s) for q, s in zip(rollout.q[first:], places, strict=True)), default=0.0),
         float(np.min(rollout.manipulability[min(first, len(rollout) - 1) :])),
         (robot.joint_names[fastest], float(shares[fastest])),
         None if is_done else _reason(task, rollout, robot),
@@ -188,21 +179,9 @@ def joint_at_limit(robot: Robot, positions: Float[np.ndarray, " nv"]) -> str | N
     """The first joint that stands at a position limit, in words; None if none does."""
     for i, name in enumerate(robot.joint_names):
         for side, limit in (("lower", robot.position_lower[i]), ("upper", robot.position_upper[i])):
-            if abs(positions[i] - limit) < AT_LIMIT:
+            if abs(positions[i] - limit) < _AT_LIMIT:
                 return f"joint {name!r} at its {side} limit of {limit:.4g} {robot.joint_units[i]}"
     return None
-
-
-def farthest_off(task: FreeDirection, rollout: Rollout, places: Float[np.ndarray, " k"]) -> float:
-    """Largest distance of the hand from what holds it on the way [m or rad]; 0 if it did not come to the way.
-
-    Args:
-        task: The way.
-        rollout: Its rollout.
-        places: How far the way had come, at the last samples.
-    """
-    first = len(rollout) - len(places)
-    return max((task.deviation(q, s) for q, s in zip(rollout.q[first:], places, strict=True)), default=0.0)
 
 
 def _reason(task: FreeDirection, rollout: Rollout, robot: Robot) -> str:

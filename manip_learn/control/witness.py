@@ -15,12 +15,15 @@ from manip_learn.robot.robot import Robot
 
 # [rad or m] by which no arm goes off that is sent to where it is: brakes that open, a payload and a push of 20 N give a
 # few hundredths at most
-AWAY = 0.05
-STILL, AHEAD = 0.02, 4.0  # [rad or m] by which it is sent then, and times as far as that for it to have gone by itself
-KEPT = 512  # readings of a run: of a longer one every second, fourth, ...
-EXPLAINED = 0.1  # share of what is left of a motion as it stands that is left of it where it is explained
-TIE = 1e-3  # share of that by which an explanation that exchanges joints must be better than one that does not
-SCALES = {1.0: "", math.degrees(1.0): "degrees", math.radians(1.0): "degrees", 1e3: "mm", 1e-3: "mm"}
+_AWAY = 0.05
+_STILL, _AHEAD = (
+    0.02,
+    4.0,
+)  # [rad or m] by which it is sent then, and times as far as that for it to have gone by itself
+_KEPT = 512  # readings of a run: of a longer one every second, fourth, ...
+_EXPLAINED = 0.1  # share of what is left of a motion as it stands that is left of it where it is explained
+_TIE = 1e-3  # share of that by which an explanation that exchanges joints must be better than one that does not
+_SCALES = {1.0: "", math.degrees(1.0): "degrees", math.radians(1.0): "degrees", 1e3: "mm", 1e-3: "mm"}
 
 
 @final
@@ -29,9 +32,6 @@ class Witness:
 
     The arm of a driver that reads joints in another order than it commands them, or in another unit or sense, goes off
     as soon as it is sent to where it was read, or a joint moves as another one is sent.
-
-    Args:
-        robot: Whose joints they are.
     """
 
     def __init__(self, robot: Robot):
@@ -43,9 +43,7 @@ class Witness:
     def refuses(self, q: Any, tripped: bool) -> str:
         """Why the first reading is none of this arm, or why a later one says that the driver is wrong; or nothing.
 
-        Args:
-            q: What was read.
-            tripped: Whether the arm is too far from where it was sent.
+        `tripped` says whether the arm is too far from where it was sent.
         """
         x = finite(q, self._robot.nv)
         if x is None:
@@ -55,7 +53,7 @@ class Witness:
         first, start = self._rows[0]
         away, went = np.abs(x - first), float(np.abs(self._sent - start).max())
         j = int(away.argmax())
-        goes = went < STILL and away[j] > max(0.0 if tripped else AWAY, AHEAD * went)
+        goes = went < _STILL and away[j] > max(0.0 if tripped else _AWAY, _AHEAD * went)
         self._off = self._off + 1 if goes else 0
         if not goes or (self._off < 2 and not tripped):  # one reading may be wrong
             return ""
@@ -74,7 +72,7 @@ class Witness:
         if x is None or before is None or len(before) != n:
             return
         self._rows.append((x, before))
-        if len(self._rows) > KEPT:
+        if len(self._rows) > _KEPT:
             self._rows, self._every = self._rows[::2], 2 * self._every
 
     def words(self) -> str:
@@ -83,9 +81,9 @@ class Witness:
             return ""
         read, sent = (np.array(part) - np.mean(part, axis=0) for part in zip(*self._rows, strict=True))
         own, found = np.sum(read**2, axis=0), ""
-        best = EXPLAINED**2 * float(np.sum((read - sent) ** 2))
-        names, apart = self._robot.joint_names, TIE * best * (1.0 - np.eye(len(own)))
-        for scale, unit in SCALES.items():
+        best = _EXPLAINED**2 * float(np.sum((read - sent) ** 2))
+        names, apart = self._robot.joint_names, _TIE * best * (1.0 - np.eye(len(own)))
+        for scale, unit in _SCALES.items():
             # what each joint leaves of each path that was sent, in either sense
             both, theirs = scale * read.T @ sent, np.sum((scale * sent) ** 2, axis=0)
             left = np.maximum(own[:, None] + theirs - 2.0 * np.abs(both), 0.0)

@@ -15,7 +15,7 @@ from manip_learn.errors import ConfigurationError, counted, listed, named
 from manip_learn.recordings.readers.read_request import Units
 from manip_learn.robot.robot import Robot
 
-ROUNDING = 1e-6  # [rad or m] by which a joint at its limit may be beyond it: what conversions there and back leave
+_ROUNDING = 1e-6  # [rad or m] by which a joint at its limit may be beyond it: what conversions there and back leave
 CUT = 1e-4  # in a motor's own unit: LeRobot's own bound, from which on it says that it has cut an action
 # what LeRobot's buses call the units of a motor (MotorNormMode) -> lowest and highest value, NaN where it has none
 _RANGES = {
@@ -131,23 +131,19 @@ class LeRobotDriver:
             raise ConfigurationError(f"{self._name} is not connected: call its connect() before")
         self.period, self.joint_names = period, robot.joint_names
         self._others = (others,) if isinstance(others, str) else tuple(others)
-        self._motors, self._still = self._features()
+        keys = arm.action_features
+        self._motors = tuple(key.removesuffix(".pos") for key in keys if key.endswith(".pos"))
+        self._still = {key: 0.0 for key in keys if not key.endswith(".pos")}  # goes with them: no speed and no torque
+        if wrong := [key for key in self._still if not key.endswith((".vel", ".torque"))]:
+            raise ConfigurationError(
+                f"{self._name} takes {listed(wrong)}: only positions of motors (.pos) are known here"
+            )
+        if unseen := [motor for motor in self._motors if f"{motor}.pos" not in arm.observation_features]:
+            raise ConfigurationError(f"{self._name} does not observe the position of {named('motor', unseen)}")
         assigned = self._assigned(robot, dict(motors or {}))
         self._scales = [_scale(arm, robot, *assigned[joint], units) for joint in self.joint_names]
         self._held: dict[str, float] | None = None
         self.cut, self._largest_cut, self._cut_motor = 0, 0.0, ""
-
-    def _features(self) -> tuple[tuple[str, ...], dict[str, float]]:
-        """Motors that take positions, and the action that goes with them: no speed and no torque."""
-        motors = tuple(key.removesuffix(".pos") for key in self._arm.action_features if key.endswith(".pos"))
-        rest = [key for key in self._arm.action_features if not key.endswith(".pos")]
-        if wrong := [key for key in rest if not key.endswith((".vel", ".torque"))]:
-            raise ConfigurationError(
-                f"{self._name} takes {listed(wrong)}: only positions of motors (.pos) are known here"
-            )
-        if unseen := [motor for motor in motors if f"{motor}.pos" not in self._arm.observation_features]:
-            raise ConfigurationError(f"{self._name} does not observe the position of {named('motor', unseen)}")
-        return motors, dict.fromkeys(rest, 0.0)
 
     def _assigned(self, robot: Robot, given: dict[str, str | LeRobotMotor]) -> dict[str, tuple[str, LeRobotMotor]]:
         """Joint -> its motor, by name and as described."""
@@ -332,7 +328,7 @@ class _Scale:
         Raises:
             ConfigurationError: It is outside the bounds.
         """
-        value, rounding = self.centre + (float(position) - self.zero) / self.per_unit, ROUNDING / abs(self.per_unit)
+        value, rounding = self.centre + (float(position) - self.zero) / self.per_unit, _ROUNDING / abs(self.per_unit)
         for low, high, what in self.bounds:
             if not low - rounding <= value <= high + rounding or not math.isfinite(value):
                 raise ConfigurationError(
@@ -348,8 +344,13 @@ def _scale(arm: Any, robot: Robot, motor: str, described: LeRobotMotor, units: U
     unit = _unit(arm, motor, units)
     joint = robot.joint_index(described.joint)
     lower, upper = float(robot.position_lower[joint]), float(robot.position_upper[joint])
-    calibrated, zero = _calibrated_range(arm, motor), described.zero
-    low, high = _RANGES[unit]
+    (low, high), zero = _RANGES[unit], described.zero
+    calibration = (getattr(arm, "calibration", None) or {}).get(motor)
+    resolutions = getattr(getattr(arm, "bus", None), "model_resolution_table", None) or {}
+    steps = resolutions.get(getattr(_on_bus(arm, motor), "model", None))
+    calibrated = None  # [rad] how far the motor turns: one turn is the last step less the first, as LeRobot counts it
+    if calibration is not None and steps is not None:
+        calibrated = 2.0 * math.pi * (calibration.range_max - calibration.range_min) / (steps - 1)
     if unit in _RAD:
         if robot.joint_units[joint] != "rad":
             raise ConfigurationError(
@@ -402,17 +403,6 @@ def _on_bus(arm: Any, motor: str) -> Any:
     """LeRobot's description of a motor; None for arms without a bus of LeRobot's."""
     motors = getattr(getattr(arm, "bus", None), "motors", None)
     return motors.get(motor) if isinstance(motors, Mapping) else None
-
-
-def _calibrated_range(arm: Any, motor: str) -> float | None:
-    """How far a calibrated motor turns [rad]; None where there is no calibration, or no encoder steps in it."""
-    calibration = (getattr(arm, "calibration", None) or {}).get(motor)
-    resolutions = getattr(getattr(arm, "bus", None), "model_resolution_table", None) or {}
-    steps = resolutions.get(getattr(_on_bus(arm, motor), "model", None))
-    if calibration is None or steps is None:
-        return None
-    # one turn is the last step less the first, as LeRobot counts it
-    return 2.0 * math.pi * (calibration.range_max - calibration.range_min) / (steps - 1)
 
 
 def _number(value: Any) -> float:

@@ -10,7 +10,7 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from itertools import count
 from pathlib import Path
-from typing import Any, Literal, NamedTuple, final
+from typing import Literal, NamedTuple, final
 
 import numpy as np
 from jaxtyping import Float
@@ -30,9 +30,9 @@ RESTS = 1.5  # [s] in which an arm whose motion is over does not move by that mu
 FLUSHED = 0.02  # [s] between two writes: what a killed program loses
 SYNCED = 1.0  # [s] between two waits for the disk itself: what a power cut loses
 SILENT = 1.0  # [s] without a posture after which recording ends
-PATIENCE = 0.5  # [s] in a period after which a signal gives up what the driver, or who is told of the sample, does
-JUMP, FASTEST = 0.1, 20.0  # [rad or m], [rad/s or m/s] by which a joint is elsewhere that no hand has moved there
-LATE = 1.5  # periods from one sample to the next from which on one was lost
+_PATIENCE = 0.5  # [s] in a period after which a signal gives up what the driver, or who is told of the sample, does
+_JUMP, _FASTEST = 0.1, 20.0  # [rad or m], [rad/s or m/s] by which a joint is elsewhere that no hand has moved there
+_LATE = 1.5  # periods from one sample to the next from which on one was lost
 By = Literal["motion", "key"]
 Key = Literal["", "start or stop", "end"]
 
@@ -131,7 +131,7 @@ def record(
         raise ConfigurationError("a simulated driver needs wait(), in which a period passes without a command")
     clock = clock or ComputerClock()
     session = _Session(driver, folder, name, by, motions, shown, began)
-    with OrderlyEnd(driver, session.end, PATIENCE, clock) as ending:
+    with OrderlyEnd(driver, session.end, _PATIENCE, clock) as ending:
         try:
             with ending.waiting():
                 session.released(release)
@@ -241,10 +241,11 @@ class _Session:
             self._names = tuple(q)
         if self._names is None:
             raise ConfigurationError("the driver names no joints: give it joint_names, or read() a mapping from names")
-        columns = [self._column(values) for values in (q, u, effort)]
-        if columns[0] is None:
-            return None
-        return _Sample(t, columns[0], *columns[1:])
+        columns, names = [], self._names
+        for values in (q, u, effort):  # None where there are none, or some are not finite
+            values = [values.get(name, np.nan) for name in names] if isinstance(values, Mapping) else values  # noqa: PLW2901
+            columns.append(finite(values, len(names)))
+        return None if columns[0] is None else _Sample(t, *columns)
 
     def _believed(self, sample: _Sample | None, now: float) -> list[_Sample]:
         """A sample that came at a time [s]: at once, or with the next one where no arm can have gone there so fast."""
@@ -258,34 +259,20 @@ class _Session:
         self._doubted = sample, now
         return []
 
-    def _column(self, values: Any) -> Float[np.ndarray, " n"] | None:
-        """Numbers of all joints in order; None where there are none, or some are not finite."""
-        names = self._names or ()
-        if isinstance(values, Mapping):
-            values = [values.get(name, np.nan) for name in names]
-        return finite(values, len(names))
-
     def _take(self, sample: _Sample, pressed: bool) -> None:
-        """Begin, go on with or end a file."""
-        before = self._before
+        """Begin, go on with or end a file: it is complete by key, after a rest, or where it has no room."""
+        before, file = self._before, self._file
         before.append(sample)
         while before[-1].time - before[0].time > RESTS:
             before.popleft()
-        recorded = self._file is not None
-        if recorded:
-            self._go_on(sample, pressed)
+        if file is not None:
+            self._write(sample)
+            rested = sample.time - before[0].time > RESTS - _LATE * self._driver.period and not self._moved(RESTS)
+            if file.error is not None or (pressed if self._by == "key" else rested):
+                self.finish()
         elif pressed if self._by == "key" else self._moved(LOOK):
             self._begin([s for s in before if sample.time - s.time <= LOOK])
-        self._shown(dict(zip(self._names or (), sample.q.tolist(), strict=True)), recorded)
-
-    def _go_on(self, sample: _Sample, pressed: bool) -> None:
-        """Write a sample down; the file is complete by key, after a rest, or where it has no room."""
-        before, period = self._before, self._driver.period
-        self._write(sample)
-        rested = sample.time - before[0].time > RESTS - LATE * period and not self._moved(RESTS)
-        failed = self._file is not None and self._file.error is not None
-        if failed or (pressed if self._by == "key" else rested):
-            self.finish()
+        self._shown(dict(zip(self._names or (), sample.q.tolist(), strict=True)), file is not None)
 
     def _moved(self, within: float) -> bool:
         """Whether a joint has moved in a time before now [s]."""
@@ -319,7 +306,7 @@ class _Session:
             return
         gap, period = sample.time - self._written, self._driver.period
         self._gap = max(self._gap, gap)
-        self._lost += round(gap / period) - 1 if gap > LATE * period else 0
+        self._lost += round(gap / period) - 1 if gap > _LATE * period else 0
         numbers = np.concatenate([[sample.time], *(values for values in wanted if values is not None)])
         self._file.add(",".join(map(repr, numbers.tolist())) + "\n")
         self._samples, self._written = self._samples + 1, sample.time
@@ -349,17 +336,12 @@ class _Session:
 def _reachable(earlier: tuple[_Sample, float], sample: _Sample, now: float) -> bool:
     """Whether an arm can have gone from an earlier sample, which came at a time [s], to one that comes now."""
     far = float(np.max(np.abs(sample.q - earlier[0].q), initial=0.0))
-    return far <= JUMP + FASTEST * (now - earlier[1])
+    return far <= _JUMP + _FASTEST * (now - earlier[1])
 
 
 @final
 class _GrowingFile:
     """Lines that a thread of its own appends to a new file, whole lines only.
-
-    Args:
-        folder: Where.
-        name: `NAME_01.csv`, or the next number that is free.
-        header: First line.
 
     Attributes:
         path: The file.
@@ -397,7 +379,11 @@ class _GrowingFile:
         try:
             while True:
                 last = self._closing.wait(FLUSHED)
-                self._flush()
+                lines = [self._waiting.popleft() for _ in range(len(self._waiting))]
+                content, done, begun = "".join(lines).encode(), 0, self._whole
+                while done < len(content):
+                    done += os.write(self._file, content[done:])
+                    self._whole = begun + content.rfind(b"\n", 0, done) + 1
                 if last or time.monotonic() - synced > SYNCED:
                     os.fsync(self._file)
                     synced = time.monotonic()
@@ -409,10 +395,3 @@ class _GrowingFile:
             os.ftruncate(self._file, self._whole)
         finally:
             os.close(self._file)
-
-    def _flush(self) -> None:
-        lines = [self._waiting.popleft() for _ in range(len(self._waiting))]
-        content, done, begun = "".join(lines).encode(), 0, self._whole
-        while done < len(content):
-            done += os.write(self._file, content[done:])
-            self._whole = begun + content.rfind(b"\n", 0, done) + 1

@@ -47,16 +47,16 @@ COMPLIANT = (100.0, 5.0)
 # samplers need some room; three uncertainties at the end of the task where that is more
 TOLERANCE = (0.005, math.radians(2.0))
 EXTENT = 1.0  # [m] to either side of the hand along free axes: more than a table-top arm does in one task
-BOX, ROTATION_VECTOR = 1, 1  # of shape_msgs/SolidPrimitive and moveit_msgs/OrientationConstraint
+BOX, _ROTATION_VECTOR = 1, 1  # of shape_msgs/SolidPrimitive and moveit_msgs/OrientationConstraint
 
 # ---- URScript: force_mode(task_frame, selection_vector, wrench, type, limits), type 2: the frame as given ------------
 
 # [m/s and rad/s] of compliant axes: the reduced speed of ISO 10218-1, and a turn that moves a tip at 1 m as fast
-FASTEST = 0.25
+_FASTEST = 0.25
 # [m and rad] by which the other axes may be off their way; it and the next two are the defaults of ur_msgs/SetForceMode
 DEVIATION = 0.01
-DAMPING, GAIN = 0.025, 0.5  # share of the robot's own damping, and factor on its own gain
-PROGRAM = """\
+_DAMPING, _GAIN = 0.025, 0.5  # share of the robot's own damping, and factor on its own gain
+_PROGRAM = """\
 # The robot's TCP must be {frame!r}. zero_ftsensor and the gain's scaling: e-Series and later, not CB3.
 def {name}():
 {tcp}  global at = {at}
@@ -130,7 +130,7 @@ def force_mode(constraint: Constraint, q: ArrayLike) -> dict[str, Any]:
         "selection_vector": [int(compliant) for compliant in held],
         "wrench": [0.0] * 6,
         "type": 2,
-        "limits": [FASTEST if compliant else DEVIATION for compliant in held],
+        "limits": [_FASTEST if compliant else DEVIATION for compliant in held],
     }
 
 
@@ -148,7 +148,7 @@ def urscript(constraint: Constraint, q: ArrayLike) -> str:
     in_hand = pose_coordinates(np.linalg.inv(frame.hand) @ frame.pose)
     reason = [f"# {line}" for line in textwrap.wrap(REASON, 100)]
     first = [i for i, state in enumerate(frame.axes) if state == "free"][:1]  # a first move: 5 cm or 10 degrees
-    return "\n".join([*_comments(frame), *reason, ""]) + PROGRAM.format(
+    return "\n".join([*_comments(frame), *reason, ""]) + _PROGRAM.format(
         name="manip_learn_" + re.sub(r"[^A-Za-z0-9]+", "_", frame.frame),
         frame=frame.frame,
         tcp="" if tcp is None else f"  set_tcp({_pose(pose_coordinates(tcp))})\n",
@@ -156,8 +156,8 @@ def urscript(constraint: Constraint, q: ArrayLike) -> str:
         selection=_list(arguments["selection_vector"]),
         limits=_list(arguments["limits"]),
         now=_FOLLOWS[frame.turns],
-        damping=DAMPING,
-        gain=GAIN,
+        damping=_DAMPING,
+        gain=_GAIN,
         step=_list([(0.05 if i < 3 else math.radians(10.0)) if i in first else 0.0 for i in range(6)], "p"),
     )
 
@@ -236,7 +236,7 @@ def moveit_constraints(constraint: Constraint, q: ArrayLike) -> str:
         free = of_link[:3, :3] @ frame.pose[:3, :3][:, np.array(frame.along("free"))[3:]]
         wide = np.minimum(TOLERANCE[1] + math.pi * np.linalg.norm(free, axis=1), math.pi)
         tolerances = {f"absolute_{n}_axis_tolerance": w for n, w in zip("xyz", wide.tolist(), strict=True)}
-        kept = {"orientation": _message(frame.hand)["orientation"], "parameterization": ROTATION_VECTOR}
+        kept = {"orientation": _message(frame.hand)["orientation"], "parameterization": _ROTATION_VECTOR}
         content["orientation_constraints"].append(about | kept | tolerances)
     return "\n".join([*_comments(frame), yaml_text(content, indent=1), ""])
 

@@ -26,12 +26,12 @@ Origin = Float[np.ndarray, "..."]  # a pose (4, 4), or coordinates of the featur
 # an error along p rows [m or rad], its rate per unit rate of the distance at a frame that stands still, what makes
 # velocities of the features of the rates of coordinates, and E of `Task.error_jacobian`, None where that is A(q)
 MovingError = tuple[np.ndarray, np.ndarray, np.ndarray | float, np.ndarray | None]
-BESIDE = 0.02  # [m] along a path from where a hand should be, within which it is: some strokes of a wipe cross nearer
-AHEAD = 0.1  # of its distance along a path, by which a place must be nearer to the hand to be the one where it is
-FREE = 0.1  # share of a direction that must be free for it to be meant
+_BESIDE = 0.02  # [m] along a path from where a hand should be, within which it is: some strokes of a wipe cross nearer
+_AHEAD = 0.1  # of its distance along a path, by which a place must be nearer to the hand to be the one where it is
+_FREE = 0.1  # share of a direction that must be free for it to be meant
 # share of a direction that is translation, or rotation: a learnt one leaks by its uncertainty, 0.1 at most
-PURE = 0.995
-DRIVEN = {  # what may be driven, in words
+_PURE = 0.995
+_DRIVEN = {  # what may be driven, in words
     "turn": "turn (about the axis, with the hand) [rad]",
     "slide": "slide (along the axis) [m]",
     "tangential": "tangential (around the axis) [rad]",
@@ -118,13 +118,7 @@ class DrivenMotion(ABC):
         return float(driven.dot(error)) / float(driven.dot(driven))
 
     def placed(self, here: Origin, place: Float[np.ndarray, " 3"], orientation: np.ndarray | None = None) -> Origin:
-        """The origin of a hand at another place [m], turned as here where no orientation is given.
-
-        Args:
-            here: Origin of where the hand is.
-            place: In the base frame.
-            orientation: shape (3, 3).
-        """
+        """The origin of a hand at another place [m], turned as here where no orientation is given."""
         out = here.copy()
         if out.ndim == 1:
             names = self.constraint.features.row_names
@@ -264,7 +258,7 @@ def _direction(
     if unit is not None and direction is None:
         wanted = free[:, angular if unit == "rad" else ~angular]
         U, sigma, _ = np.linalg.svd(wanted)
-        pure = U.T[: int(np.count_nonzero(sigma > PURE))] @ free  # a learnt Lambda leaks a little of the other
+        pure = U.T[: int(np.count_nonzero(sigma > _PURE))] @ free  # a learnt Lambda leaks a little of the other
         # a single twist that does both, of a hinge or a screw in the hand's axes, counts as what it mostly is
         free = free if not len(pure) and len(free) == 1 and np.sum(wanted**2) > 0.5 else pure
         if not len(free):
@@ -273,7 +267,7 @@ def _direction(
     if direction is None:
         basis = along_axes(free)
         if len(free) > 1:
-            words = "; ".join(in_words(row, features.row_names) for row in basis)
+            words = "; ".join(direction_in_words(row, features.row_names) for row in basis)
             raise ConstraintError(
                 f"the constraint leaves {len(free)} directions free ({words}): say along which one to move"
                 + advice(" with {}", "direction=", "--direction " + ",".join(f"{c:.3g}" for c in basis[0]))
@@ -289,13 +283,13 @@ def _direction(
             f"or 'shown' or 'back', got {direction!r}"
         )
     moved = free.T @ (free @ given)
-    if np.linalg.norm(moved) < FREE * np.linalg.norm(given):
-        words = "; ".join(in_words(row, features.row_names) for row in along_axes(free))
+    if np.linalg.norm(moved) < _FREE * np.linalg.norm(given):
+        words = "; ".join(direction_in_words(row, features.row_names) for row in along_axes(free))
         raise TargetError(f"the constraint holds the direction {given.tolist()}; free is {words}")
     return moved / np.linalg.norm(moved)
 
 
-def in_words(row: Float[np.ndarray, " p"], names: tuple[str, ...]) -> str:
+def direction_in_words(row: Float[np.ndarray, " p"], names: tuple[str, ...]) -> str:
     """A direction as a sum of rows, e.g. "+0.6 x +0.8 y"."""
     return sum_in_words(row, names, "+.3g", 1e-3)
 
@@ -467,8 +461,8 @@ def _hand(start: np.ndarray, pose: np.ndarray, g: Place, near: float) -> dict[st
 def _chosen(held: tuple[str, ...], firm: bool, direction: ArrayLike | str | None, unit: Unit | None) -> str:
     taken = {*held, "slide" if "screw" in held else "", "axial" if "helical" in held else ""}
     names = ("turn", "slide") if firm else ("tangential", "axial", "radial")
-    free = [name for name in names if name not in taken and (unit is None or f"[{unit}]" in DRIVEN[name])]
-    words = "; ".join(DRIVEN[name] for name in free)
+    free = [name for name in names if name not in taken and (unit is None or f"[{unit}]" in _DRIVEN[name])]
+    words = "; ".join(_DRIVEN[name] for name in free)
     if not free:
         how = {"m": "move along", "rad": "turn about", None: "move along"}[unit]
         raise ConstraintError(f"the mechanism's rows {' '.join(held)} leave nothing free to {how}")
@@ -487,11 +481,6 @@ def _chosen(held: tuple[str, ...], firm: bool, direction: ArrayLike | str | None
 @final
 class CurveMotion(DrivenMotion):
     """The hand goes along a curve, as far off it as where it began, and keeps its orientation where that is held.
-
-    Args:
-        constraint: The learnt constraint, of rows across a curve, and of rotations.
-        direction: None: there is one way.
-        unit: `"m"`, or None.
 
     Raises:
         ConstraintError: A turn is asked for.
@@ -550,10 +539,6 @@ class PathMotion(DrivenMotion):
     """The hand's place goes along a path that was shown on a surface; what the constraint holds of it stays held.
 
     The rows are the hand's velocity along the base's axes, and those of its rotation that are held.
-
-    Args:
-        constraint: The learnt constraint.
-        shown: What was shown along it.
 
     Raises:
         ConstraintError: Features that are not rows of one frame in the base.
@@ -627,11 +612,11 @@ class PathMotion(DrivenMotion):
 
     def progress(self, origin: Origin, q: ArrayLike, near: float) -> float:
         """The place of the path next to the hand, of those less than 2 cm along it from `near`: it may cross itself."""
-        some = np.flatnonzero(np.abs(self._ways - near) <= BESIDE)
+        some = np.flatnonzero(np.abs(self._ways - near) <= _BESIDE)
         if not len(some):
             return super().progress(origin, q, near)
         hand = self.origin(q)[:3, 3]
-        off = np.linalg.norm(self._points[some] - hand, axis=1) + AHEAD * np.abs(self._ways[some] - near)
+        off = np.linalg.norm(self._points[some] - hand, axis=1) + _AHEAD * np.abs(self._ways[some] - near)
         return super().progress(origin, q, float(self._ways[some[int(np.argmin(off))]]))
 
     def error(self, origin: Origin, q: ArrayLike, distance: float) -> Float[np.ndarray, " p"]:

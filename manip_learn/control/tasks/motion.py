@@ -44,14 +44,14 @@ from manip_learn.robot.robot import Robot
 HAND_SPEED = 0.1  # [m/s] of the hand where none is asked for: a drawer of 0.3 m in 3.5 s, less than half of ISO 10218-1
 TURN_SPEED = 0.5  # [rad/s] at most, of a hand near the axis: 0.1 m/s at 0.2 m
 # what a mechanism allows; the others (a cylinder, a held orientation) slide and turn
-SLIDES, TURNS = ("line", "plane"), ("hinge", "screw", "ball")
+SLIDES, _TURNS = ("line", "plane"), ("hinge", "screw", "ball")
 DONE = {"m": 1e-3, "rad": math.radians(0.2)}  # what may be missing of a way that is done: a millimetre, 0.2 degrees
-RAMP = 0.5  # [s] from rest to the speed: 0.1 m/s with 0.3 m/s2 at most
+_RAMP = 0.5  # [s] from rest to the speed: 0.1 m/s with 0.3 m/s2 at most
 # what a way may be longer than what was shown: the play of a drawer's rails, and two tenths of a degree
 BEYOND = {"m": 2e-3, "rad": math.radians(0.2)}
 APPROACH_SPEED = 0.25  # [m/s] of a hand on its way to the mechanism: the reduced speed of ISO 10218-1 beside people
-SETTLING = 0.5  # [s] at most until the hand is there after its way to the mechanism: e^-5 of a lag, at gain 10 /s
-NOISY = 2e-3  # [m] what counts as there after that: measured postures with noise of 1e-3 rad come no nearer
+_SETTLING = 0.5  # [s] at most until the hand is there after its way to the mechanism: e^-5 of a lag, at gain 10 /s
+_NOISY = 2e-3  # [m] what counts as there after that: measured postures with noise of 1e-3 rad come no nearer
 TAKEN = 2e-4  # [m] the hand is at the mechanism: a tenth of the 2 mm that it may be off it, twice the encoders' noise
 
 
@@ -200,7 +200,7 @@ class FreeDirection(Task):
     def duration_from(self, q: ArrayLike) -> float:
         """How long the motion takes from posture q where no limit slows it down [s]."""
         far = self.hold(q)
-        to_hold = 0.0 if far <= TAKEN else MotionProfile(far, APPROACH_SPEED, self._profile.ramp).duration + SETTLING
+        to_hold = 0.0 if far <= TAKEN else MotionProfile(far, APPROACH_SPEED, self._profile.ramp).duration + _SETTLING
         return self.pause + self._profile.duration + to_hold
 
     def table(
@@ -225,9 +225,6 @@ class FreeDirection(Task):
 
         The rows that are held do not say how well the hand can move along the way: the manipulability of these alone
         may rise while the driven direction is being lost.
-
-        Args:
-            gain: As for `RoomAscent`.
         """
         return RoomAscent(self.constraint, self._profile.speed, gain)
 
@@ -341,7 +338,7 @@ class FreeDirection(Task):
         if self.way_begins is None and self._start is not None and self._approach is not None:
             gone, _ = self._approach.at(t - begun)
             late = t - begun - self._approach.duration  # [s]
-            near = TAKEN if late < SETTLING else NOISY
+            near = TAKEN if late < _SETTLING else _NOISY
             if late < 0.0 or self._apart(self._motion.origin(q), origin) > near:
                 share = min(gone / self._approach.distance, 1.0)
                 return between(self._start, origin, share), 0.0, 0.0
@@ -464,8 +461,8 @@ def motion(
     if again and shown is not None:
         unit, amount = shown.unit, shown.extent
         if speed is None:
-            speed = amount / max(shown.seconds - RAMP, RAMP)
-    elif known is not None and known.type in (TURNS if unit == "m" else SLIDES):
+            speed = amount / max(shown.seconds - _RAMP, _RAMP)
+    elif known is not None and known.type in (_TURNS if unit == "m" else SLIDES):
         does, fits = (
             ("turns and does not slide", advice(": use {}", "turn= [rad]", "--turn DEGREES"))
             if unit == "m"
@@ -480,7 +477,7 @@ def motion(
         amount,  # type: ignore[arg-type]  # one of them was given
         speed,
         direction=None if word is not None else direction,
-        ramp=RAMP,
+        ramp=_RAMP,
         unit=unit,
         straight=True,
         keep_orientation=keep_orientation,

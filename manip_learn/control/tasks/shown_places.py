@@ -32,10 +32,7 @@ def _shown_postures(constraint: Constraint) -> Float[np.ndarray, "n m"] | None:
 def shown_sense(shown: Shown | None, motion: DrivenMotion, *, of_most: bool = False) -> float:
     """1 where a task was shown to the positive side of a motion, -1 to the other; 0 if the recordings do not say.
 
-    Args:
-        shown: What was shown.
-        motion: The motion.
-        of_most: Where recordings went to both sides, the side of most of them counts.
+    With `of_most`, the side of most recordings counts where they went to both.
     """
     if shown is None or not shown.is_way or not (shown.one_way or of_most) or shown.unit != motion.unit:
         return 0.0
@@ -107,10 +104,6 @@ class ShownPlaces:
         That is where contacts began, of a way back its end; of a hand that is on the mechanism already its own,
         unless it begins anew. Where contacts began at different places, it is the nearest one from which the way stays
         within what was shown.
-
-        Args:
-            here: Origin of the motion where the hand is.
-            distance: Of the way [m or rad].
         """
         motion = self.motion
         if self.hold is not None:
