@@ -109,6 +109,19 @@ def test_a_missing_mesh_becomes_a_plain_shape(tmp_path):
     assert list(missing) == ["package://gone/a.stl"] and not found
 
 
+def test_what_cannot_be_drawn_has_a_fault(tmp_path):
+    """No geometry, an unknown shape, a size that is not finite, no address: the link is there, with the reason."""
+    for visual, words in (
+        ("<visual/>", "geometry"),
+        ("<visual><geometry><cone/></geometry></visual>", "cone"),
+        ('<visual><geometry><box size="nan 1 1"/></geometry></visual>', "finite"),
+        ('<visual><geometry><mesh filename=""/></geometry></visual>', "file"),
+        ('<visual><geometry><mesh filename="."/></geometry></visual>', "extension"),
+    ):
+        (shape,) = visual_shapes(arm_with(tmp_path, visual))
+        assert shape.shape is None and shape.link == "tip" and words in shape.fault
+
+
 def test_links_without_shapes_say_so(tmp_path):
     """A robot without visuals has a fault at each link, on the joint that carries it."""
     path = tmp_path / "arm.urdf"
