@@ -156,7 +156,7 @@ def test_rows_are_rates(robot_of: RobotOf, rng: np.random.Generator, name: str):
             np.testing.assert_allclose(custom.derivative(q), exact, rtol=0, atol=1e-8)
 
 
-@pytest.mark.parametrize("name", ROBOTS)
+@pytest.mark.parametrize("name", ["one", "gantry", "wrist", "humanoid", "tree", "mimic", "planar3", "ur5", "panda"])
 def test_manipulability_gradients(robot_of: RobotOf, rng: np.random.Generator, name: str):
     """grad mu, grad log mu and grad mu_w of dense random rows of every feature map are right to 1e-6; mu and its
     gradient are the same in bulk and in every orthonormal basis of the rows.

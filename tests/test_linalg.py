@@ -66,13 +66,6 @@ def test_exact_inverse_inverts_however_small(rng):
     np.testing.assert_array_equal(finite((1, 2.5, 3), 3), [1.0, 2.5, 3.0])
 
 
-def test_zero_matrix_has_a_zero_inverse():
-    """Nothing is divided by zero: the inverse of 0 is 0 in every sense, also without rows or columns."""
-    for inverse in ("exact", "truncated"):
-        np.testing.assert_array_equal(pseudo_inverse(np.zeros((2, 4)), inverse), np.zeros((4, 2)))
-    assert inverse_singular_values(np.zeros(0), (0, 4)).shape == (0,)
-
-
 def test_matlab_tolerance():
     """The tolerance is max(size(A)) * eps(norm(A)), eps in Matlab's sense of the spacing of doubles."""
     assert matlab_tolerance(np.array([1.0, 0.1]), (2, 3)) == 3 * EPS
@@ -104,15 +97,6 @@ def test_unknown_inverse_is_refused():
     """A misspelt inverse is an error, not the exact one."""
     with pytest.raises(ValueError, match="'exact' or 'truncated'"):
         pseudo_inverse(np.eye(2), "damp")  # type: ignore[arg-type]
-
-
-def test_complement_and_basis(rng):
-    """A row basis and the complement of the row space are orthonormal together, also for dependent rows."""
-    M = rng.normal(size=(2, 5))
-    for rows in (M, np.vstack([M, M[0] + M[1], np.zeros(5)])):
-        both = np.vstack([row_basis(rows), complement_rows(rows)])
-        assert row_basis(rows).shape == (2, 5)
-        np.testing.assert_allclose(both @ both.T, np.eye(5), rtol=0, atol=1e-13)
 
 
 def test_principal_angles_of_every_size():

@@ -120,13 +120,7 @@ def test_what_cannot_be_drawn_has_a_fault(tmp_path):
     ):
         (shape,) = visual_shapes(arm_with(tmp_path, visual))
         assert shape.shape is None and shape.link == "tip" and words in shape.fault
-
-
-def test_links_without_shapes_say_so(tmp_path):
-    """A robot without visuals has a fault at each link, on the joint that carries it."""
-    path = tmp_path / "arm.urdf"
-    path.write_text(ARM, encoding="utf-8")
-    visuals = {v.link: v for v in visual_shapes(load_robot(path))}
+    visuals = {v.link: v for v in visual_shapes(arm_with(tmp_path, ""))}
     assert {link: v.joint for link, v in visuals.items()} == {"base": 0, "upper": 1, "tip": 2}
     assert all(v.shape is None and v.fault == "the robot has no visuals" for v in visuals.values())
 

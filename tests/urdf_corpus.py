@@ -294,6 +294,7 @@ def mimic_cases() -> list[Case]:
         ("huge factor", "mimic-multiplier", following('<mimic joint="shoulder" multiplier="1e9"/>')),
         ("itself", "mimic-cycle", following('<mimic joint="elbow"/>')),
         ("each other", "mimic-cycle", following(plain, '<mimic joint="elbow"/>')),
+        ("a huge factor in two steps", "mimic-multiplier", mimic_chain((0, 1, 2)).replace(b"-0.5", b"1e5")),
         ("unknown joint", "mimic-unknown", following('<mimic joint="sholder"/>')),
         ("no joint named", "mimic-leader", following("<mimic/>")),
         ("two mimics", "element-twice", following(plain + plain)),
