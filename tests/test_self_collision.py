@@ -71,9 +71,9 @@ def test_gradient(robot_of, collision_of, name: str):
         if near.distance <= 1e-3:
             continue
         every = sorted(p.distance for p in collision.closer_than(q, 10.0))
-        assert near.distance == pytest.approx(every[0], abs=1e-12)
+        assert near.distance == pytest.approx(every[0], abs=1e-9)
         in_range = [distance for distance in every if distance <= 0.1]
-        assert sorted(p.distance for p in collision.closer_than(q, 0.1)) == pytest.approx(in_range, abs=1e-12)
+        assert sorted(p.distance for p in collision.closer_than(q, 0.1)) == pytest.approx(in_range, abs=1e-9)
         expected = central_difference(lambda x: collision.nearest(x).distance, robot, q)
         wrong = float(np.linalg.norm(near.gradient - expected))
         checked, jumps = checked + 1, jumps + (wrong > 1e-5)
