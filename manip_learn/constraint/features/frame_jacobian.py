@@ -23,7 +23,7 @@ import numpy as np
 from jaxtyping import Float
 from numpy.typing import ArrayLike
 
-from manip_learn.constraint.features.feature_map import FeatureMap, Vjp, Weigh, parsed_rows
+from manip_learn.constraint.features.feature_map import FeatureMap, Vjp, parsed_rows
 from manip_learn.errors import FeatureError, TargetError, an
 from manip_learn.robot.batch.batch_kinematics import batch_kinematics
 from manip_learn.robot.robot import Reference, Robot
@@ -339,10 +339,6 @@ class FrameJacobian(PoseRows):
         """Phi and dPhi/dq at n postures, in bulk; arguments and errors as for `batch`."""
         kinematics = batch_kinematics(self.robot, self.frame)
         return kinematics.jacobian_and_derivative(q, self.reference, self._row_numbers)
-
-    def batch_vjp(self, q: ArrayLike, weigh: Weigh) -> Float[np.ndarray, "n nv"]:
-        """sum_ij weights_ij dPhi_ij / dq_k at n postures without forming dPhi/dq (see `FeatureMap`)."""
-        return batch_kinematics(self.robot, self.frame).vjp(q, weigh, self.reference, self._row_numbers)
 
     def pose(self, q: ArrayLike) -> Float[np.ndarray, "4 4"]:
         """Pose of the frame in the robot's base."""
