@@ -81,7 +81,11 @@ def load_robot(
         >>> robot.nv, robot.joint_names[0]
         (7, 'right_j0')
     """
-    path = _path(name)
+    if isinstance(name, str) and not name.strip():
+        raise RobotError("no robot is named; give a name such as 'panda' or the path of a URDF file", code="missing")
+    path = _expanded(name)
+    if isinstance(name, str) and path.suffix not in SUFFIXES and os.sep not in name:
+        path = path if "\0" not in name and path.is_file() else find_robot(name)
     given = [package_dirs] if isinstance(package_dirs, str | os.PathLike) else package_dirs
     folders = tuple(_expanded(d) for d in given)
     for folder in folders:
@@ -125,7 +129,11 @@ def robot_from_text(
             name of a link or joint.
         UnknownNameError: A locked joint that does not exist.
     """
-    if _is_mjcf(content):
+    rest = content.lstrip(b"\xef\xbb\xbf \t\r\n")  # up to the first element
+    for begin, end in ((b"<?", b"?>"), *((b"<!--", b"-->"),) * 100):
+        if rest.startswith(begin):
+            rest = rest.partition(end)[2].lstrip()
+    if rest.startswith(b"<mujoco"):
         validated, content = validate_mjcf(content, path, names_of(locked))
     else:
         validated = validate_urdf(content, path, names_of(locked))
@@ -157,29 +165,11 @@ def robot_from_text(
     )
 
 
-def _path(name: str | os.PathLike[str]) -> Path:
-    if isinstance(name, str) and not name.strip():
-        raise RobotError("no robot is named; give a name such as 'panda' or the path of a URDF file", code="missing")
-    path = _expanded(name)
-    if not isinstance(name, str) or path.suffix in SUFFIXES or os.sep in name:
-        return path
-    return path if "\0" not in name and path.is_file() else find_robot(name)
-
-
 def _expanded(name: str | os.PathLike[str]) -> Path:
     try:
         return Path(name).expanduser()
     except RuntimeError as error:  # ~user without a home directory here
         raise RobotError(f"{os.fspath(name)}: {error}; write the path out", code="missing", path=Path(name)) from error
-
-
-def _is_mjcf(content: bytes) -> bool:
-    """Whether the first element is <mujoco>."""
-    rest = content.lstrip(b"\xef\xbb\xbf \t\r\n")
-    for begin, end in ((b"<?", b"?>"), *((b"<!--", b"-->"),) * 100):
-        if rest.startswith(begin):
-            rest = rest.partition(end)[2].lstrip()
-    return rest.startswith(b"<mujoco")
 
 
 def _fingerprint(
