@@ -75,11 +75,8 @@ def find_robot(name: str) -> Path:
         raise MissingExtraError(f"the robot {name!r}", "descriptions")
     # a letter more, or another number, is another arm and no typing error
     near = closest_names(name, known) if NUMBER.search(name) else []
-    others = [
-        n
-        for n in near
-        if NUMBER.findall(n) != NUMBER.findall(name) and SERIES.findall(n)[:1] == SERIES.findall(name.lower())[:1]
-    ]
+    series = SERIES.findall(name.lower())[:1]
+    others = [n for n in near if NUMBER.findall(n) != NUMBER.findall(name) and SERIES.findall(n)[:1] == series]
     where = "the list of robots (or give the path of a .urdf file)"
     raise UnknownNameError("robot", name, known, where, others=others)
 
@@ -154,7 +151,9 @@ def example_robots() -> dict[str, Path]:
         package = importlib.metadata.distribution(DATA_PACKAGE)
     except importlib.metadata.PackageNotFoundError:
         return {}
-    names = {name: PurePosixPath(name).parts for name in _urdf_files(package)}
+    # off the record: `Distribution.files` makes paths of a thousand meshes first
+    rows = csv.reader(line for line in (package.read_text("RECORD") or "").splitlines() if ".urdf" in line)
+    names = {row[0]: PurePosixPath(row[0]).parts for row in rows if row[0].endswith(".urdf")}
     files = {"/".join(p[p.index("robots") + 1 :] if "robots" in p else p[-1:]): name for name, p in names.items()}
     stems: dict[str, list[str]] = {}
     for key in files:
@@ -162,18 +161,6 @@ def example_robots() -> dict[str, Path]:
     chosen = {stem: keys[0] for stem, keys in stems.items() if len(keys) == 1}
     chosen |= {short: key for short, key in SHORT_NAMES.items() if key in files}
     return {name: Path(str(package.locate_file(files[key]))) for name, key in chosen.items()}
-
-
-def _urdf_files(package: importlib.metadata.Distribution) -> list[str]:
-    """Its .urdf files; read off the record, since `Distribution.files` makes paths of a thousand meshes first."""
-    record = package.read_text("RECORD")
-    if record is None:
-        return [str(f) for f in package.files or [] if f.suffix == ".urdf"]
-    return [
-        row[0]
-        for row in csv.reader(line for line in record.splitlines() if ".urdf" in line)
-        if row[0].endswith(".urdf")
-    ]
 
 
 def example_package_dir() -> Path | None:

@@ -211,8 +211,14 @@ class _Reader:
     def _body(self, body: XmlNode, name: str, parent: str, childclass: str) -> None:
         T = pose_of(body, self.units)
         nodes = [c for c in body.children if c.tag in ("joint", "freejoint")]
-        inertial = body.first("inertial")
-        link = UrdfLink(name, body.line, None if inertial is None else self._inertial(inertial))
+        link = UrdfLink(name, body.line, None)
+        if (inertial := body.first("inertial")) is not None:
+            pose, mass = as_pose(pose_of(inertial, self.units)), inertial.number("mass", 0.0)
+            if mass < 0.0:
+                raise inertial.refusal("mass", f"its mass is {mass} kg; 0 or more is expected; write the true mass")
+            diagonal = inertial.vector("diaginertia", 3) or (0.0,) * 3
+            xx, yy, zz, xy, xz, yz = inertial.vector("fullinertia", 6) or (*diagonal, 0.0, 0.0, 0.0)
+            link, self.has_mass = replace(link, inertial=UrdfInertial(pose, mass, (xx, xy, xz, yy, yz, zz))), True
         if not nodes:
             self._fixed(f"{name}_fixed", parent, name, T, body.line)
         for i, node in enumerate(nodes):
@@ -270,17 +276,6 @@ class _Reader:
         frame = f"{name}_site" if name in {entry.name for entry in self.links} else name
         self.links.append(UrdfLink(frame, site.line, None))
         self._fixed(f"{frame}__fixed", link, frame, pose_of(site, self.units), site.line)
-
-    def _inertial(self, node: XmlNode) -> UrdfInertial:
-        pose, mass = as_pose(pose_of(node, self.units)), node.number("mass", 0.0)
-        if mass < 0.0:
-            raise node.refusal("mass", f"its mass is {mass} kg; 0 or more is expected; write the true mass")
-        self.has_mass = True
-        xx, yy, zz, xy, xz, yz = node.vector("fullinertia", 6) or (
-            *(node.vector("diaginertia", 3) or (0.0,) * 3),
-            *(0.0,) * 3,
-        )
-        return UrdfInertial(pose, mass, (xx, xy, xz, yy, yz, zz))
 
     def _visual(self, geom: XmlNode) -> str:
         """The shape as URDF text; empty for what is not drawn (planes, fields, collision groups) or not readable.

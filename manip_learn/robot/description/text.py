@@ -233,55 +233,44 @@ def parse_xml(content: bytes, path: Path) -> XmlNode:
     log = Diagnostics(path)
     if not content.strip():
         raise log.refusal("empty", None, "the file is empty; a robot description is expected")
-    builder = _Builder(log)
+    parser, nodes, stack = xml.parsers.expat.ParserCreate(), list[XmlNode](), list[XmlNode]()
+
+    def refusal(code: str, sentence: str) -> RobotError:
+        return log.refusal(code, parser.CurrentLineNumber, sentence)
+
+    def start(tag: str, attributes: dict[str, str]) -> None:
+        if len(nodes) >= MAX_ELEMENTS:
+            raise refusal("xml-too-large", f"more than {MAX_ELEMENTS} XML elements; split the file")
+        if len(stack) >= MAX_NESTING:
+            sentence = f"XML elements are nested deeper than {MAX_NESTING} levels; URDF needs 6"
+            raise refusal("xml-too-deep", sentence)
+        long = next((key for key, value in attributes.items() if len(value) > MAX_ATTRIBUTE), None)
+        if long is not None:
+            seen = f"attribute {shortened(long)!r} of <{shortened(tag)}> has {len(attributes[long])} characters"
+            raise refusal("xml-too-large", f"{seen}, at most {MAX_ATTRIBUTE} are read")
+        where, name = stack[-1].where if stack else "the robot", attributes.get("name")
+        if tag in NAMED and name:
+            where = f"{tag} {shortened(name)!r}"
+        node = XmlNode(tag, attributes, parser.CurrentLineNumber, where, log)
+        if stack:
+            stack[-1].children.append(node)
+        nodes.append(node)
+        stack.append(node)
+
+    def doctype(*_: object) -> None:
+        sentence = "a <!DOCTYPE> is not read, since it can define entities; delete it and write the values out"
+        raise refusal("doctype", sentence)
+
+    parser.StartElementHandler, parser.StartDoctypeDeclHandler = start, doctype
+    parser.EndElementHandler = lambda tag: stack.pop()
     try:
-        builder.parser.Parse(content, True)
+        parser.Parse(content, True)
     except ExpatError as error:
         raise _not_xml(error, content, log) from error
     except (LookupError, ValueError) as error:  # an encoding that Python does not know, or cannot use
         sentence = f"its XML declaration names an encoding that cannot be read ({error}); save it as UTF-8"
-        raise builder.refusal("encoding", sentence) from error
-    return builder.root
-
-
-class _Builder:
-    def __init__(self, log: Diagnostics):
-        self.log = log
-        self.count = 0
-        self.stack: list[XmlNode] = []
-        self.parser = xml.parsers.expat.ParserCreate()
-        self.parser.StartElementHandler = self._start
-        self.parser.EndElementHandler = lambda tag: self.stack.pop()
-        self.parser.StartDoctypeDeclHandler = self._doctype
-
-    def _start(self, tag: str, attributes: dict[str, str]) -> None:
-        self.count += 1
-        if self.count > MAX_ELEMENTS:
-            raise self.refusal("xml-too-large", f"more than {MAX_ELEMENTS} XML elements; split the file")
-        if len(self.stack) >= MAX_NESTING:
-            sentence = f"XML elements are nested deeper than {MAX_NESTING} levels; URDF needs 6"
-            raise self.refusal("xml-too-deep", sentence)
-        long = next((key for key, value in attributes.items() if len(value) > MAX_ATTRIBUTE), None)
-        if long is not None:
-            seen = f"attribute {shortened(long)!r} of <{shortened(tag)}> has {len(attributes[long])} characters"
-            raise self.refusal("xml-too-large", f"{seen}, at most {MAX_ATTRIBUTE} are read")
-        where, name = self.stack[-1].where if self.stack else "the robot", attributes.get("name")
-        if tag in NAMED and name:
-            where = f"{tag} {shortened(name)!r}"
-        node = XmlNode(tag, attributes, self.parser.CurrentLineNumber, where, self.log)
-        if self.stack:
-            self.stack[-1].children.append(node)
-        else:
-            self.root = node
-        self.stack.append(node)
-
-    def _doctype(self, *_: object) -> None:
-        sentence = "a <!DOCTYPE> is not read, since it can define entities; delete it and write the values out"
-        raise self.refusal("doctype", sentence)
-
-    def refusal(self, code: str, sentence: str) -> RobotError:
-        """The error to raise about the line that is being read."""
-        return self.log.refusal(code, self.parser.CurrentLineNumber, sentence)
+        raise refusal("encoding", sentence) from error
+    return nodes[0]
 
 
 def _not_xml(error: ExpatError, content: bytes, log: Diagnostics) -> RobotError:
