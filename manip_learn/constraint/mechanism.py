@@ -69,9 +69,7 @@ MIXED = 0.2
 FARTHEST_START = 5.0
 Z = np.array([0.0, 0.0, 1.0])  # the axis of what has none
 Grip = Literal["loose", "firm"]
-# rows of translation and of rotation stand apart where each is held to this share, or free to it: a row of a learnt
-# Lambda leaks by its uncertainty, 1e-2 at 0.6 degrees, and a row that mixes the two for good does so by 0.3 and more
-CLEAR_SHARE = 0.1
+CLEAR_SHARE = 0.1  # a row of `MechanismRows` is held, or free, to this share: see `MIXED`
 # [m/rad] a travel below this is that of a hinge: a tenth of the flattest thread in use (M6, 1 mm a turn, 0.16 mm/rad)
 LEAST_PITCH = 1.6e-5
 # the axis that the learner fitted belongs to these rows if it is nearer to theirs than this: 1 degree
@@ -433,9 +431,15 @@ def read_mechanism(
     read, fitted, angle = None, learnt.get("mechanism"), learnt.get("uncertainty_deg")
     spread = math.radians(angle) if isinstance(angle, int | float) else 0.0
     if isinstance(features, MechanismRows):
-        read = _of_mechanism_rows(selection, features)
+        shares = np.einsum("sp,sp->p", selection, selection)
+        held = {name for name, share in zip(features.row_names, shares, strict=True) if share > 0.5}
+        kind = next((k for k in MECHANISM_KINDS if set(k.rows) == held), None)
+        if kind is not None and not np.any(np.abs(shares - np.round(shares)) > CLEAR_SHARE):
+            read = _of_kind(kind, features.geometry, features.radius)
     elif isinstance(features, CurveRows):
-        read = _of_curve_rows(selection, features)
+        along = np.array([not name.startswith("across") for name in features.row_names])
+        if len(selection) == 2 and not np.any(np.abs(selection[:, along]) > CLEAR_SHARE):
+            read = Mechanism("other", name=CURVE)
     elif isinstance(features, PlaceRows):
         read = _of_place_rows(selection, features, learnt.get("postures"), spread)
     elif isinstance(features, FrameJacobian | RelativeFrameJacobian):
@@ -450,21 +454,6 @@ def read_mechanism(
     if same and known.axis is not None and read.axis is not None:
         same = known.axis.shape == (3,) and abs(float(known.axis @ read.axis)) > SAME_AXIS * np.linalg.norm(known.axis)
     return known if same else read
-
-
-def _of_mechanism_rows(selection: np.ndarray, features: MechanismRows) -> Mechanism | None:
-    shares = np.einsum("sp,sp->p", selection, selection)
-    if np.any(np.abs(shares - np.round(shares)) > CLEAR_SHARE):
-        return None
-    held = {name for name, share in zip(features.row_names, shares, strict=True) if share > 0.5}
-    kind = next((k for k in MECHANISM_KINDS if set(k.rows) == held), None)
-    return None if kind is None else _of_kind(kind, features.geometry, features.radius)
-
-
-def _of_curve_rows(selection: np.ndarray, features: CurveRows) -> Mechanism | None:
-    along = np.array([not name.startswith("across") for name in features.row_names])
-    held = len(selection) == 2 and not np.any(np.abs(selection[:, along]) > CLEAR_SHARE)
-    return Mechanism("other", name=CURVE) if held else None
 
 
 def _of_place_rows(selection: np.ndarray, features: PlaceRows, postures: Any, spread: float) -> Mechanism | None:
