@@ -63,20 +63,6 @@ def test_chunks_leave_no_seam(robot_of: RobotOf, rng: np.random.Generator) -> No
                 np.testing.assert_allclose(dPhi[i], features.derivative(q[i]), rtol=0, atol=TOLERANCE)
 
 
-def test_configurations_and_joint_positions_are_both_taken(robot_of: RobotOf, rng: np.random.Generator) -> None:
-    """Continuous joints as (cos, sin), of any length, or as angles with full turns."""
-    robot = robot_of("wrist")
-    q = positions(robot, rng, 6)
-    features = FrameJacobian(robot, "tip", "pose")
-    expected = features.batch(q)
-    configurations = np.stack([robot.configuration(x) for x in q])
-    np.testing.assert_allclose(features.batch(configurations), expected, rtol=0, atol=TOLERANCE)
-    first = robot.blocks[0].q
-    configurations[:, first] *= 1.7
-    np.testing.assert_allclose(features.batch(configurations), expected, rtol=0, atol=TOLERANCE)
-    np.testing.assert_allclose(features.batch(q + [2 * np.pi, 0, -4 * np.pi, 0]), expected, rtol=0, atol=TOLERANCE)
-
-
 def test_nearly_parallel_axes_lose_nothing() -> None:
     """Axes tilted by 1e-9 .. 1e-3 rad against each other stay accurate (Denavit and Hartenberg's form would not)."""
     from conftest import chain_urdf

@@ -103,14 +103,3 @@ def test_a_robot_without_joints_has_its_frames(tmp_path: Path) -> None:
     np.testing.assert_array_equal(robot.position(q, "top"), [0.1, 0.2, 0.3])
     assert robot.jacobian(q, "top").shape == (6, 0)
     assert [x.shape for x in robot.jacobian_and_derivative(q, "top", "local")] == [(6, 0), (6, 0, 0)]
-
-
-def test_a_changed_array_is_another_posture(robot_of: RobotOf) -> None:
-    """A posture is known by its numbers, not by the array that holds them."""
-    robot = robot_of("sawyer")
-    q = np.full(robot.nv, 0.3)
-    before = robot.position(q, "right_hand")
-    q[1] += 0.2
-    after = robot.position(q, "right_hand")
-    np.testing.assert_array_equal(after, robot.pose(q.copy(), "right_hand")[:3, 3])
-    assert np.linalg.norm(after - before) > 0.01

@@ -62,16 +62,11 @@ def test_exact_inverse_inverts_however_small(rng):
         None,
     ):
         assert finite(values, 3) is None
-    np.testing.assert_array_equal(finite((1, 2.5, 3), 3), [1.0, 2.5, 3.0])
-
-
-def test_matlab_tolerance():
-    """The tolerance is max(size(A)) * eps(norm(A)), eps in Matlab's sense of the spacing of doubles."""
-    assert matlab_tolerance(np.array([1.0, 0.1]), (2, 3)) == 3 * EPS
-    assert matlab_tolerance(np.array([3.0, 0.1]), (2, 3)) == 3 * 2 * EPS
-    assert matlab_tolerance(np.array([]), (0, 3)) >= 0.0
     assert [rank_of(np.array([1.0, x]), (2, 3)) for x in (3 * EPS, 3.1 * EPS, 0.0)] == [1, 2, 1]
     assert rank_of(np.array([]), (0, 3)) == rank_of(np.zeros(2), (2, 3)) == 0
+    with pytest.raises(ValueError, match="'exact' or 'truncated'"):
+        pseudo_inverse(np.eye(2), "damp")  # type: ignore[arg-type]
+    np.testing.assert_array_equal(finite((1, 2.5, 3), 3), [1.0, 2.5, 3.0])
 
 
 def test_row_inverse_of_one_matrix(rng):
@@ -90,12 +85,6 @@ def test_row_inverse_of_one_matrix(rng):
             assert (U.shape, Vt.shape) == ((s, s), (7, 7))
             np.testing.assert_allclose((U * values) @ Vt[:s], A, rtol=0, atol=1e-13)
     assert row_inverse(np.ones((3, 2))) is None and row_inverse(np.zeros((1, 3))) is None
-
-
-def test_unknown_inverse_is_refused():
-    """A misspelt inverse is an error, not the exact one."""
-    with pytest.raises(ValueError, match="'exact' or 'truncated'"):
-        pseudo_inverse(np.eye(2), "damp")  # type: ignore[arg-type]
 
 
 def test_angles_of_every_size():

@@ -13,7 +13,7 @@ from urdf_corpus import dae, stl
 
 import manip_learn as ml
 from manip_learn.cli import main
-from manip_learn.errors import NotIdentifiableError, RobotError, UnknownNameError
+from manip_learn.errors import NotIdentifiableError, UnknownNameError
 from manip_learn.robot import Robot, load_robot
 from manip_learn.robot.tips import likely_tips
 from manip_learn.robot.visuals.meshes import Mesh, read_meshes
@@ -97,18 +97,6 @@ def test_the_narrower_limits_of_a_safety_controller_are_used(safety, limits, is_
     robot = load_robot(described(tmp_path / "a.urdf", ["b", "l"], joint("j", "b", "l", more)))
     assert (float(robot.position_lower[0]), float(robot.position_upper[0])) == limits
     assert any("safety_controller allows" in w for w in robot.warnings) == is_told
-
-
-def test_arguments_of_a_xacro_file_are_listed_where_one_is_missing(tmp_path: Path) -> None:
-    """The refusal names them, and how one is given."""
-    pytest.importorskip("xacrodoc", reason="the extra 'xacro' is not installed")
-    path = tmp_path / "a.xacro"
-    args = '<xacro:arg name="length" default="0.3"/><xacro:arg name="mass" default="1"/>'
-    space = 'xmlns:xacro="http://www.ros.org/wiki/xacro"'
-    path.write_text(f'<robot name="made" {space}>{args}<link name="$(arg side)_base"/></robot>')
-    with pytest.raises(RobotError, match="has the arguments length, mass, side: give one with xacro={NAME: VALUE}"):
-        load_robot(path, xacro=True)
-    assert load_robot(path, xacro={"side": "left"}).nv == 0
 
 
 def test_an_arm_of_another_series_is_not_offered() -> None:
