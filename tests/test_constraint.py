@@ -52,7 +52,7 @@ def test_unusable_selections(features):
 
 
 def test_residual_is_a_share_of_speed(rng):
-    """A motion at a given angle to what the constraint allows has the sine of that angle, not its square; none is refused."""
+    """A motion at a given angle to what the constraint allows has the sine of that angle; no motion is refused."""
     demos, truth = guided_motions(arm_features(), oblique(2, 3, rng), rng, 2, 10)
     assert truth.residual(demos) < 1e-12
     for angle in (0.01, 1.2, 0.5 * np.pi):

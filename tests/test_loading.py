@@ -144,7 +144,7 @@ def test_a_robot_that_cannot_be_fetched(fetching, monkeypatch):
 
 
 def test_shipped_robots_are_found_in_a_wheel(tmp_path, monkeypatch):
-    """Capitals, hyphens and spaces do not count. Installed, the robots lie inside the package; in a checkout beside it; short names fit the robot data."""
+    """Capitals, hyphens and spaces do not count. Installed, the robots lie inside the package, else beside it."""
     assert set(catalogue.SHORT_NAMES) <= set(example_robots())
     for written, name in {"UR5e": "ur5e", "SO-101": "so101", "xarm 7": "xarm7"}.items():
         assert find_robot(written) == find_robot(name)
