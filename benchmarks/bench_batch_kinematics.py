@@ -1,7 +1,7 @@
 """Many postures at once, over a bare loop of Pinocchio's `computeFrameJacobian` (7 joints, all six rows).
 
-Promises: Jacobians no slower than the loop; mu and its gradient a quarter as fast. Beside them growth curves over postures
-and joints.
+Promises: Jacobians no slower than the loop; mu and its gradient a quarter as fast. Beside them growth curves over
+postures and joints.
 """
 
 from __future__ import annotations

@@ -12,7 +12,7 @@ from conftest import TIPS, URDFS, tip_of
 
 from manip_learn.constraint.features import FrameJacobian
 from manip_learn.errors import ConfigurationError
-from manip_learn.robot.batch.batch_kinematics import CHUNK, batch_kinematics
+from manip_learn.robot.batch.batch_kinematics import POSTURE_CHUNK, batch_kinematics
 from manip_learn.robot.robot import Robot
 
 RobotOf = Callable[[str], Robot]
@@ -50,7 +50,7 @@ def test_arms_do_not_need_the_loop(robot_of: RobotOf) -> None:
 
 def test_chunks_leave_no_seam(robot_of: RobotOf, rng: np.random.Generator) -> None:
     """Any number of postures, including zero: each row is the result of its own posture."""
-    for n in [0, 1, CHUNK - 1, CHUNK, CHUNK + 1, 2 * CHUNK + 3]:
+    for n in [0, 1, POSTURE_CHUNK - 1, POSTURE_CHUNK, POSTURE_CHUNK + 1, 2 * POSTURE_CHUNK + 3]:
         with case(n):
             robot = robot_of("sawyer")
             q = rng.uniform(-2.0, 2.0, (n, robot.nv))

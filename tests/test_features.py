@@ -22,7 +22,7 @@ from manip_learn.constraint.features import (
     Stacked,
 )
 from manip_learn.constraint.features.frame_jacobian import AXES, parse_axes
-from manip_learn.constraint.features.mechanism_rows import FIELDS, PlaceRows
+from manip_learn.constraint.features.mechanism_rows import ROW_UNITS, PlaceRows
 from manip_learn.constraint.manipulability import manipulability, manipulability_gradient
 from manip_learn.control.controller import ResolvedRateController
 from manip_learn.control.simulation import simulate
@@ -205,7 +205,7 @@ def test_rows_of_a_mechanism_in_numbers(panda, rng):
     J, p = panda.jacobian(q, TCP), panda.position(q, TCP)
     a, c = np.array(PLACE["axis"]) / np.linalg.norm(PLACE["axis"]), np.array(PLACE["point"])
     for radius in (None, 0.3):
-        features = MechanismRows(panda, TCP, tuple(FIELDS), **PLACE, radius=radius)
+        features = MechanismRows(panda, TCP, tuple(ROW_UNITS), **PLACE, radius=radius)
         first, second = features.geometry.across
         np.testing.assert_allclose(np.linalg.det([first, second, a]), 1.0, rtol=1e-12)  # a right-handed base
         d = p - c

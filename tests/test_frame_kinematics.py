@@ -12,7 +12,7 @@ from case import case
 from conftest import tip_of
 
 from manip_learn.robot import load_robot
-from manip_learn.robot.frame_kinematics import REFERENCES, FrameKinematics, vjps
+from manip_learn.robot.frame_kinematics import PINOCCHIO_REFERENCES, FrameKinematics, vjps
 from manip_learn.robot.robot import Robot
 
 RobotOf = Callable[[str], Robot]
@@ -37,7 +37,7 @@ def test_the_joints_that_carry_a_frame_are_enough(name: str, robot_of: RobotOf, 
                     q = robot.random_configuration(rng)
                     for posture in (q, robot.positions(q)):
                         full = robot.pinocchio_configuration(posture)
-                        J = pin.computeFrameJacobian(model, data, full, index, REFERENCES[reference]).reshape(
+                        J = pin.computeFrameJacobian(model, data, full, index, PINOCCHIO_REFERENCES[reference]).reshape(
                             6, model.nv
                         )
                         if robot.coupling is not None:

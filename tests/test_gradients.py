@@ -20,7 +20,7 @@ from manip_learn.constraint.features import (
     RelativeFrameJacobian,
     Stacked,
 )
-from manip_learn.constraint.features.mechanism_rows import FIELDS, PlaceRows
+from manip_learn.constraint.features.mechanism_rows import ROW_UNITS, PlaceRows
 from manip_learn.constraint.manipulability import (
     gradient_of,
     log_manipulability_gradient,
@@ -81,7 +81,7 @@ def feature_maps(robot: Robot, tip: str, q: np.ndarray) -> Iterator[FeatureMap]:
     yield FrameJacobian(robot, other, "planar")
     yield from (CentreOfMass(robot, axes) for axes in ("xyz", "z y"))
     yield from (RelativeFrameJacobian(robot, tip, other, axes) for axes in ("pose", "y rz"))
-    yield from (MechanismRows(robot, tip, tuple(FIELDS), **ABOUT, radius=radius) for radius in (None, 0.3))
+    yield from (MechanismRows(robot, tip, tuple(ROW_UNITS), **ABOUT, radius=radius) for radius in (None, 0.3))
     yield from (PlaceRows(robot, tip, form, (0.1, 0.2, 0.5)) for form in ("point and rotation", "twist", "surface"))
     yield Stacked(
         [FrameJacobian(robot, tip, "x rz", "local"), CentreOfMass(robot, "z"), FrameJacobian(robot, tip, "y")]

@@ -15,10 +15,10 @@ from jaxtyping import Bool, Float
 from numpy.typing import ArrayLike
 
 from manip_learn.constraint.constraint import Constraint
-from manip_learn.constraint.manipulability import gradient_of, in_order
+from manip_learn.constraint.manipulability import constraint_first, gradient_of
 from manip_learn.robot.batch.postures import checked_postures
 
-CHUNK = 512  # postures whose dA/dq are held at a time
+GRADIENT_CHUNK = 512  # postures whose dA/dq are held at a time
 LEAST_LENGTH_RATIO = 1e-3  # shortest orthogonalised row over longest row of A; below it the SVD takes over
 
 
@@ -53,14 +53,14 @@ def manipulability_batch(constraint: Constraint, q: ArrayLike) -> Manipulability
         ConfigurationError: Wrong size or not finite; names the first bad row and joint.
         ConstraintError: The arguments are in another order.
     """
-    features = in_order(constraint, q).features
+    features = constraint_first(constraint, q).features
     postures = np.asarray(q, dtype=np.float64)
     if constraint.robot is not None:
         checked_postures(constraint.robot, postures)  # here, where a row's number is that of the caller
     n, s, nv = len(postures), constraint.n_constraints, constraint.nv
     out = ManipulabilityBatch(np.zeros(n), np.zeros((n, nv)), np.zeros(n))
-    for start in range(0, n if s <= nv else 0, CHUNK):
-        part = slice(start, start + CHUNK)
+    for start in range(0, n if s <= nv else 0, GRADIENT_CHUNK):
+        part = slice(start, start + GRADIENT_CHUNK)
         Phi, dPhi = features.batch_with_derivative(postures[part])
         A = constraint.selection @ Phi
         X, out.mu[part], is_ill = row_inverses(A.transpose(1, 2, 0))

@@ -128,7 +128,7 @@ class MechanismKind:
 MECHANISM_KINDS: tuple[MechanismKind, ...] = tuple(
     MechanismKind(*row[:3], *(tuple(words.split()) for words in row[3:])) for row in _TABLE
 )
-KINDS = {kind.name: kind for kind in MECHANISM_KINDS}
+KIND_BY_NAME = {kind.name: kind for kind in MECHANISM_KINDS}
 
 
 Read = tuple[MechanismKind, Place]
@@ -217,9 +217,9 @@ def of_point_rows(
     else:
         along = distances[1] * normals[0] - distances[0] * normals[1]
         name, place = "hinge", Place(_unit(along), middle - distances @ normals / float(distances @ distances))
-    found = KINDS.get({0: name, 2: f"{name}, turning", 3: f"{name}, not turning"}[turns])
+    found = KIND_BY_NAME.get({0: name, 2: f"{name}, turning", 3: f"{name}, not turning"}[turns])
     if held == 0:
-        found = {2: KINDS["direction"], 3: KINDS["orientation"]}.get(turns)
+        found = {2: KIND_BY_NAME["direction"], 3: KIND_BY_NAME["orientation"]}.get(turns)
     turned = aligned and axis is not None and held and abs(float(axis @ place.axis)) < 1.0 - MIXED
     return None if found is None or turned else (found, place)
 
@@ -239,27 +239,27 @@ def of_twists(free: Float[np.ndarray, "k 6"], middle: Float[np.ndarray, " 3"]) -
     spun, slides = U.T[:turns] @ free, (U.T[turns:] @ free)[:, :3]
     match turns, len(free):
         case 0, 1:
-            return KINDS["line, not turning"], Place(_unit(free[0, :3]), middle)
+            return KIND_BY_NAME["line, not turning"], Place(_unit(free[0, :3]), middle)
         case 0, 2:
-            return KINDS["plane, not turning"], Place(_unit(np.cross(*slides)), middle)
+            return KIND_BY_NAME["plane, not turning"], Place(_unit(np.cross(*slides)), middle)
         case 0, 3:
-            return KINDS["orientation"], Place(Z, middle)
+            return KIND_BY_NAME["orientation"], Place(Z, middle)
         case 1, (1 | 2):
             across = spun[0, :3] / (spun[0, 3:] @ axis)
             foot = middle + np.cross(axis, across)
             if len(slides) == 0:
-                return KINDS["screw, firm"], Place(axis, foot, float(across @ axis))
+                return KIND_BY_NAME["screw, firm"], Place(axis, foot, float(across @ axis))
             if np.linalg.norm(np.cross(slides[0], axis)) < MIXED * np.linalg.norm(slides[0]):
-                return KINDS["sleeve, firm"], Place(axis, foot)
+                return KIND_BY_NAME["sleeve, firm"], Place(axis, foot)
         case 1, 3 if np.max(np.abs(slides @ axis)) < MIXED:
-            return KINDS["plane, turning"], Place(axis, middle)
+            return KIND_BY_NAME["plane, turning"], Place(axis, middle)
         case 1, 4:
-            return KINDS["direction"], Place(axis, middle)
+            return KIND_BY_NAME["direction"], Place(axis, middle)
         case 3, 3:  # v_i = w_i x (m - c) for all three
             away = np.linalg.lstsq(np.concatenate([skew(x) for x in spun[:, 3:]]), spun[:, :3].reshape(-1), rcond=None)[
                 0
             ]
-            return KINDS["ball, firm"], Place(Z, middle - away)
+            return KIND_BY_NAME["ball, firm"], Place(Z, middle - away)
     return None
 
 
@@ -280,14 +280,14 @@ def _of_surface(
     axis, size = vectors[:, order[0]], 0.5 * float(one + other)
     point = middle - (foot - (foot @ axis) * axis) / size
     if len(selection) == 1:
-        return KINDS["cylinder"], Place(axis, point)
+        return KIND_BY_NAME["cylinder"], Place(axis, point)
     if len(selection) != 2 or sizes[0] < MIXED:
         return None
     # the other row is that of rho^2 a - h a x (p - c)
     T = np.tensordot(U[:, 0], B, axes=1)
     turn = 0.5 * np.array([T[2, 1] - T[1, 2], T[0, 2] - T[2, 0], T[1, 0] - T[0, 1]])
     square = float(np.mean(np.sum(np.cross(p - point, axis) ** 2, axis=1)))
-    return KINDS["screw"], Place(axis, point, square * float(turn @ axis) / float(U[:, 0] @ n @ axis))
+    return KIND_BY_NAME["screw"], Place(axis, point, square * float(turn @ axis) / float(U[:, 0] @ n @ axis))
 
 
 def _unit(x: Float[np.ndarray, " 3"]) -> Float[np.ndarray, " 3"]:
@@ -490,7 +490,7 @@ def named_rows(
     mechanism: Mechanism | None, features: FeatureMap, selection: Float[np.ndarray, "s p"]
 ) -> tuple[FeatureMap, Float[np.ndarray, "s r"]]:
     """Phi and Lambda of rows that are named after the mechanism, in the place of those of `PlaceRows`."""
-    kind = None if mechanism is None else KINDS.get(mechanism.name)
+    kind = None if mechanism is None else KIND_BY_NAME.get(mechanism.name)
     if mechanism is None or kind is None or not isinstance(features, PlaceRows):
         return features, selection
     axis = Z if mechanism.axis is None else mechanism.axis
@@ -533,4 +533,4 @@ def _hinge_or_screw(read: Read, hand: Float[np.ndarray, " 3"], spread: float) ->
     radius = float(np.linalg.norm(place.point - hand))
     if kind.name != "screw, firm" or abs(place.pitch) >= max(LEAST_PITCH, 3.0 * spread * math.hypot(1.0, radius)):
         return read
-    return KINDS["hinge, firm"], place
+    return KIND_BY_NAME["hinge, firm"], place

@@ -27,7 +27,7 @@ from manip_learn.robot.batch.batch_kinematics import batch_kinematics
 from manip_learn.robot.rotations import angles_between, rotation_matrix
 
 Unit = Literal["m", "rad"]
-Kind = Literal["straight", "around", "sleeve", "ball", "curve"]
+FreeKind = Literal["straight", "around", "sleeve", "ball", "curve"]
 # [m] contacts that begin within this distance of their middle begin at one place: a person finds a handle again to a
 # millimetre or two, a hand that is put down on a table does not
 SAME_PLACE = 3e-3
@@ -39,8 +39,8 @@ ONE_SIDED = 0.5  # share of all ways by which one side must exceed the other for
 EFFORTS = 200  # samples of a contact whose efforts are looked at
 CARRIED = 0.3  # share by which efforts may miss the weight that they carry: payloads, friction, the force itself
 LEAST_FORCE = 10.0  # [N] which the friction of an arm that a hand guides does not look like
-SEEN = 0.02  # of the largest singular value of the hand's motion: in directions below, efforts say nothing of a force
-PURE = 0.995  # share of a free direction that is translation: a learnt one leaks by its uncertainty, 0.1 at most
+LEAST_SEEN = 0.02  # of the largest singular value of the hand's motion: in directions below, efforts tell no force
+PURE_SHARE = 0.995  # share of a free direction that is translation: a learnt one leaks by its uncertainty, 0.1 at most
 
 
 @final
@@ -61,7 +61,7 @@ class FreeCoordinates:
         curve: Of a hand that follows one, in the sense in which the way counts.
     """
 
-    kind: Kind
+    kind: FreeKind
     unit: Unit
     axes: Float[np.ndarray, "k 3"]
     point: Float[np.ndarray, " 3"]
@@ -202,7 +202,7 @@ def free_coordinates(
         rows = complement_rows(selection)
         if len(rows) and linear.any():
             U, sigma, _ = np.linalg.svd(rows[:, linear])
-            pure = U.T[: int(np.count_nonzero(sigma > PURE))] @ rows
+            pure = U.T[: int(np.count_nonzero(sigma > PURE_SHARE))] @ rows
             axes = np.zeros((len(pure), 3))
             for column, name in zip(pure.T, features.row_names, strict=True):
                 if name in AXES[:3]:
@@ -428,7 +428,7 @@ def _force(features: FeatureMap, free: FreeCoordinates, contacts: Sequence[Traje
         if not abs(carried[0] - carried[1]) < CARRIED * carried[1]:
             return None
         for q, rest in zip(contact.q[chosen], contact.effort[chosen] - weights, strict=True):
-            force = np.linalg.pinv(robot.jacobian(q, frame).T, rcond=SEEN)[:3] @ rest
+            force = np.linalg.pinv(robot.jacobian(q, frame).T, rcond=LEAST_SEEN)[:3] @ rest
             along = free.directions(robot.position(q, frame)) @ force
             forces.append((np.linalg.norm(along), math.sqrt(max(0.0, float(force @ force - along @ along)))))
         largest.append(np.quantile(forces, 0.95, axis=0))

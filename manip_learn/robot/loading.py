@@ -19,8 +19,8 @@ from manip_learn.robot.description.catalogue import find_robot
 from manip_learn.robot.description.mjcf import validate_mjcf
 from manip_learn.robot.description.text import read_description
 from manip_learn.robot.description.urdf import (
-    LARGE,
-    MAX_NAME,
+    HUGE,
+    LONGEST_NAME,
     RESERVED,
     Pose,
     UrdfFile,
@@ -38,7 +38,7 @@ from manip_learn.robot.robot import Robot
 
 Base = Literal["fixed", "floating", "planar"]
 Locked = Sequence[str] | Mapping[str, float | None]
-SUFFIXES = (".urdf", ".xml", ".xacro", ".mjcf")
+DESCRIPTION_SUFFIXES = (".urdf", ".xml", ".xacro", ".mjcf")
 BASES = {"floating": pin.JointModelFreeFlyer, "planar": pin.JointModelPlanar}
 # numbers of a description, between quotes or spaces
 DECIMAL = re.compile(r'(?<=["\s])-?\d+(\.\d+)?(e[+-]?\d+)?(?=["\s])')
@@ -84,7 +84,7 @@ def load_robot(
     if isinstance(name, str) and not name.strip():
         raise RobotError("no robot is named; give a name such as 'panda' or the path of a URDF file", code="missing")
     path = _expanded(name)
-    if isinstance(name, str) and path.suffix not in SUFFIXES and os.sep not in name:
+    if isinstance(name, str) and path.suffix not in DESCRIPTION_SUFFIXES and os.sep not in name:
         path = path if "\0" not in name and path.is_file() else find_robot(name)
     given = [package_dirs] if isinstance(package_dirs, str | os.PathLike) else package_dirs
     folders = tuple(_expanded(d) for d in given)
@@ -134,9 +134,9 @@ def robot_from_text(
         if rest.startswith(begin):
             rest = rest.partition(end)[2].lstrip()
     if rest.startswith(b"<mujoco"):
-        validated, content = validate_mjcf(content, path, names_of(locked))
+        validated, content = validate_mjcf(content, path, locked_names(locked))
     else:
-        validated = validate_urdf(content, path, names_of(locked))
+        validated = validate_urdf(content, path, locked_names(locked))
     urdf = with_objects(validated.urdf, objects)
     if root_joint is not None and any(j.name == "root_joint" for j in urdf.joints):
         sentence = f"{path}: a joint is called 'root_joint', the name of the moving base; rename it"
@@ -148,9 +148,13 @@ def robot_from_text(
     except (ValueError, RuntimeError) as error:
         said = str(error)[:500]
         raise RobotError(f"{path}: Pinocchio refuses the robot: {said}", code="pinocchio", path=path) from error
-    for limit, beyond in (("lowerPositionLimit", -LARGE), ("upperPositionLimit", LARGE), ("velocityLimit", LARGE)):
+    for limit, beyond in (
+        ("lowerPositionLimit", -HUGE),
+        ("upperPositionLimit", HUGE),
+        ("velocityLimit", HUGE),
+    ):
         values = np.array(getattr(model, limit))
-        setattr(model, limit, np.where(np.abs(values) >= LARGE, math.copysign(math.inf, beyond), values))
+        setattr(model, limit, np.where(np.abs(values) >= HUGE, math.copysign(math.inf, beyond), values))
     return Robot(
         model,
         name=urdf.name,
@@ -186,7 +190,7 @@ def _fingerprint(
     return hashlib.sha256(text.encode()).hexdigest()
 
 
-def names_of(locked: Locked) -> tuple[str, ...]:
+def locked_names(locked: Locked) -> tuple[str, ...]:
     """The names in what a caller passed as `locked`; a single string counts as one name."""
     return (locked,) if isinstance(locked, str) else tuple(str(n) for n in locked)
 
@@ -203,7 +207,7 @@ def locked_positions(urdf: UrdfFile, mimics: Mimics, locked: Locked) -> dict[str
         UnknownNameError: A name that is no joint.
         RobotError: Codes `locked-follower`, `locked-position`.
     """
-    asked = {name: (locked.get(name) if isinstance(locked, Mapping) else None) for name in names_of(locked)}
+    asked = {name: (locked.get(name) if isinstance(locked, Mapping) else None) for name in locked_names(locked)}
     by_name = {j.name: j for j in urdf.joints}
     leader_of = {m.joint: m.leader for m in mimics.followers}
     still = dict(mimics.resting)
@@ -271,7 +275,7 @@ def object_names(objects: Sequence[str] | str) -> tuple[str, ...]:
     """
     names = (objects,) if isinstance(objects, str) else tuple(objects)
     for i, name in enumerate(names):
-        usable = isinstance(name, str) and name.strip() == name and 0 < len(name) <= MAX_NAME and name.isprintable()
+        usable = isinstance(name, str) and name.strip() == name and 0 < len(name) <= LONGEST_NAME and name.isprintable()
         if not usable or name in RESERVED:
             raise RobotError(f"objects: {name!r} cannot be the name of an object", code="object-name")
         if name in names[:i]:

@@ -19,7 +19,16 @@ from manip_learn.errors import ConfigurationError, UnknownNameError, printable
 from manip_learn.linalg import finite
 from manip_learn.robot import html_card
 from manip_learn.robot.frame_kinematics import FrameKinematics, centre_of_mass_derivative, columns_to_joints, is_plain
-from manip_learn.robot.joints import KINDS, Coupling, Frame, FrameLike, JointBlock, Mimic, full_coupling, joint_limits
+from manip_learn.robot.joints import (
+    PINOCCHIO_KINDS,
+    Coupling,
+    Frame,
+    FrameLike,
+    JointBlock,
+    Mimic,
+    full_coupling,
+    joint_limits,
+)
 
 Reference = Literal["world", "local"]
 MOST_NAMES = 14  # of joints that a `repr` shows
@@ -115,7 +124,7 @@ class Robot:
             joint, name = model.joints[index], model.names[index]
             if name in followers or joint.nv == 0:
                 continue
-            kind = next(kind for begin, kind in KINDS if joint.shortname().startswith(begin))
+            kind = next(kind for begin, kind in PINOCCHIO_KINDS if joint.shortname().startswith(begin))
             own = slice(nq, nq + joint.nq), slice(nv, nv + joint.nv)
             of_model = slice(joint.idx_q, joint.idx_q + joint.nq), slice(joint.idx_v, joint.idx_v + joint.nv)
             blocks.append(JointBlock(name, kind, index, *own, *of_model))

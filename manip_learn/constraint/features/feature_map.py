@@ -13,7 +13,7 @@ from numpy.typing import ArrayLike
 
 from manip_learn.errors import FeatureError, TargetError
 
-NEGLIGIBLE = 5e-3  # entries of a unit vector below it are printed as 0: half of the last of two digits
+NEGLIGIBLE_ENTRY = 5e-3  # entries of a unit vector below it are printed as 0: half of the last of two digits
 # vector-Jacobian product of A(q): weights (s, nv) -> sum_ij weights_ij dA_ij / dq_k
 Vjp = Callable[[Float[np.ndarray, "s nv"]], Float[np.ndarray, " nv"]]
 
@@ -157,7 +157,7 @@ def parsed_rows(
 
 def row_in_words(row: Float[np.ndarray, " p"], names: Sequence[str]) -> str:
     """A combination of rows: the name of the only one that counts, else all entries, e.g. `(0.91, 0.42, 0.00)`."""
-    counts = np.abs(row) >= NEGLIGIBLE
+    counts = np.abs(row) >= NEGLIGIBLE_ENTRY
     if np.count_nonzero(counts) == 1:
         return names[int(np.argmax(counts))]
     return "(" + ", ".join(f"{c + 0.0:.2f}" for c in np.where(counts, row, 0.0)) + ")"

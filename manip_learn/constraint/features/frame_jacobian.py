@@ -29,8 +29,8 @@ from manip_learn.robot.batch.batch_kinematics import batch_kinematics
 from manip_learn.robot.robot import Reference, Robot
 from manip_learn.robot.rotations import left_jacobian, left_jacobian_inverse, rotation_matrix, rotation_vector, skew
 
-EXACT = 1e-12  # a matrix that is orthonormal to this is taken as it is
-NEARLY = 1e-3  # printed with few digits: made orthonormal; beyond this it is no rotation
+EXACT_ROTATION = 1e-12  # a matrix that is orthonormal to this is taken as it is
+NEARLY_ROTATION = 1e-3  # printed with few digits: made orthonormal; beyond this it is no rotation
 AXES = ("x", "y", "z", "rx", "ry", "rz")
 NAMED_AXES = {"xyz": ("x", "y", "z"), "pose": AXES, "planar": ("x", "y", "rz"), "rotation": ("rx", "ry", "rz")}
 
@@ -49,9 +49,9 @@ def goal_rotation(R: Float[np.ndarray, "3 3"]) -> Float[np.ndarray, "3 3"]:
     (a, b, c), (d, e, f), (g, h, i) = R.tolist()  # in plain numbers: a moving goal is looked at in every step
     squares = (a * a + b * b + c * c - 1.0, d * d + e * e + f * f - 1.0, g * g + h * h + i * i - 1.0)
     off = max(map(abs, (*squares, a * d + b * e + c * f, a * g + b * h + c * i, d * g + e * h + f * i)))
-    if not off < NEARLY or a * (e * i - f * h) + b * (f * g - d * i) + c * (d * h - e * g) < 0.0:
+    if not off < NEARLY_ROTATION or a * (e * i - f * h) + b * (f * g - d * i) + c * (d * h - e * g) < 0.0:
         raise TargetError(f"the upper left 3 x 3 part of the pose is not a rotation matrix: {R.tolist()}")
-    if off < EXACT:
+    if off < EXACT_ROTATION:
         return R
     from scipy.spatial.transform import Rotation
 

@@ -17,7 +17,7 @@ from manip_learn.constraint.features.relative_frame_jacobian import RelativeFram
 from manip_learn.errors import ConstraintMismatchError, FeatureError
 from manip_learn.robot.robot import Robot
 
-STEP = 1e-5  # central differences: truncation h^2 meets rounding eps / h
+DIFFERENCE_STEP = 1e-5  # central differences: truncation h^2 meets rounding eps / h
 
 
 @final
@@ -129,8 +129,8 @@ class CustomFeatures(FeatureMap):
         out = np.empty(shape)
         for k in range(self.nv):
             step = np.zeros(self.nv)
-            step[k] = STEP
-            out[:, :, k] = (self(self._moved(state, step)) - self(self._moved(state, -step))) / (2 * STEP)
+            step[k] = DIFFERENCE_STEP
+            out[:, :, k] = (self(self._moved(state, step)) - self(self._moved(state, -step))) / (2 * DIFFERENCE_STEP)
         return out
 
     def coordinates(self, q: ArrayLike) -> Float[np.ndarray, " p"]:

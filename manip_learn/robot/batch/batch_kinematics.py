@@ -27,7 +27,7 @@ from manip_learn.robot.batch.postures import checked_postures, positions_of
 from manip_learn.robot.joints import CarryingJoints, Frame, carrying_joints, motion_along
 from manip_learn.robot.robot import Reference, Robot
 
-CHUNK = 1024  # postures: the columns of a 7-joint chain then stay in a second-level cache of 1 MB
+POSTURE_CHUNK = 1024  # postures: the columns of a 7-joint chain then stay in a second-level cache of 1 MB
 DERIVATIVE_CHUNK = 256  # dJ/dq has as many numbers for each column as the chain has joints
 ALL_ROWS = (0, 1, 2, 3, 4, 5)  # of a twist
 AFTER = ((1, 2), (2, 0), (0, 1))  # (a x b)_r = a_i b_j - a_j b_i with i, j = AFTER[r]
@@ -83,7 +83,7 @@ class BatchKinematics:
         if not self.fast:
             return self._looped(postures, reference, rows)[0]
         J = np.zeros((len(rows), nv, len(postures)))
-        for part, v, w in self._motions(postures, reference, CHUNK):
+        for part, v, w in self._motions(postures, reference, POSTURE_CHUNK):
             J[..., part] = self._public(np.concatenate([v, w])[list(rows)], 1)
         return J.transpose(2, 0, 1)
 
@@ -117,7 +117,7 @@ class BatchKinematics:
             for i, posture in enumerate(postures):
                 out[i] = self._robot.pose(posture, self._frame)
             return out
-        for part in _chunks(len(postures), CHUNK):
+        for part in _chunks(len(postures), POSTURE_CHUNK):
             _, _, (x, y, z), p = chain.sweep(self._positions(postures[part]))
             out[part, :3, 3] = p.T
             for j, turn in enumerate(chain.tool_rotation.T):

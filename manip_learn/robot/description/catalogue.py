@@ -25,7 +25,7 @@ EXPANDED = ".manip_learn.urdf"  # ending of what its xacro files are expanded to
 # arms that it has as a variant of another: name -> that one, and the arguments of its xacro file
 VARIANTS: dict[str, tuple[str, Mapping[str, str]]] = {"lite6": ("xarm6", {"robot_type": "lite"})}
 
-SERIES, NUMBER = re.compile(r"[a-z]+"), re.compile(r"\d+[a-z]?")  # ur and 5e in ur5e
+MODEL_SERIES, MODEL_NUMBER = re.compile(r"[a-z]+"), re.compile(r"\d+[a-z]?")  # ur and 5e in ur5e
 
 # Names that are not, or not only, the stem of a file.
 SHORT_NAMES = {
@@ -74,9 +74,13 @@ def find_robot(name: str) -> Path:
     if not fetched and _letters(name) in ("xarm6", *VARIANTS):
         raise MissingExtraError(f"the robot {name!r}", "descriptions")
     # a letter more, or another number, is another arm and no typing error
-    near = closest_names(name, known) if NUMBER.search(name) else []
-    series = SERIES.findall(name.lower())[:1]
-    others = [n for n in near if NUMBER.findall(n) != NUMBER.findall(name) and SERIES.findall(n)[:1] == series]
+    near = closest_names(name, known) if MODEL_NUMBER.search(name) else []
+    series = MODEL_SERIES.findall(name.lower())[:1]
+    others = [
+        n
+        for n in near
+        if MODEL_NUMBER.findall(n) != MODEL_NUMBER.findall(name) and MODEL_SERIES.findall(n)[:1] == series
+    ]
     where = "the list of robots (or give the path of a .urdf file)"
     raise UnknownNameError("robot", name, known, where, others=others)
 

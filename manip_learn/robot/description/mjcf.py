@@ -20,7 +20,7 @@ from jaxtyping import Float
 from manip_learn.errors import RobotError
 from manip_learn.robot.description.text import XmlNode, parse_xml, shortened
 from manip_learn.robot.description.urdf import (
-    Matrix,
+    Matrix4,
     Pose,
     UrdfInertial,
     UrdfJoint,
@@ -107,7 +107,7 @@ def read_units(root: XmlNode) -> MjcfUnits:
     return MjcfUnits(factor, eulerseq, settings.get("autolimits", "true") != "false", meshdir)
 
 
-def pose_of(node: XmlNode, units: MjcfUnits) -> Matrix:
+def pose_of(node: XmlNode, units: MjcfUnits) -> Matrix4:
     """Pose of an element relative to the body around it [m].
 
     Raises:
@@ -236,7 +236,9 @@ class _Reader:
             parent = child
         self.links.append(link)
 
-    def _joint(self, node: XmlNode, name: str, parent: str, child: str, T: Matrix, anchor: tuple[float, ...]) -> Matrix:
+    def _joint(
+        self, node: XmlNode, name: str, parent: str, child: str, T: Matrix4, anchor: tuple[float, ...]
+    ) -> Matrix4:
         """Add a joint; returns the pose of what follows relative to its child."""
         kind = node.attributes.get("type", "hinge")
         if node.tag == "freejoint" or kind == "free":
@@ -266,7 +268,7 @@ class _Reader:
         self.ref[name] = ref
         return back
 
-    def _fixed(self, name: str, parent: str, child: str, T: Matrix, line: int) -> None:
+    def _fixed(self, name: str, parent: str, child: str, T: Matrix4, line: int) -> None:
         self.joints.append(UrdfJoint(name, line, "fixed", parent, child, as_pose(T), X, None, None))
 
     def _site(self, site: XmlNode, link: str) -> None:
@@ -300,7 +302,7 @@ class _Reader:
         rgba = "" if colour is None else f'<material name=""><color rgba="{spaced(colour)}"/></material>'
         return f"<visual name={quoteattr(name)}>{origin_text(as_pose(T))}<geometry>{shape}</geometry>{rgba}</visual>"
 
-    def _shape(self, geom: XmlNode) -> tuple[str, Matrix]:
+    def _shape(self, geom: XmlNode) -> tuple[str, Matrix4]:
         T = pose_of(geom, self.units)
         kind = geom.attributes.get("type", "mesh" if "mesh" in geom.attributes else "sphere")
         if kind == "mesh":

@@ -19,15 +19,15 @@ from xml.parsers.expat import ExpatError, errors
 
 from manip_learn.errors import RobotError, advice, closest_names, counted
 
-SHOWN = 4  # names that a sentence lists
+NAMES_SHOWN = 4  # names that a sentence lists
 MAX_WARNINGS = 100  # nobody reads more
 MAX_BYTES = 10_000_000  # of a description; the largest of example-robot-data has 0.2
 MAX_ELEMENTS = 200_000  # of one file, so that memory and time stay small
 MAX_NESTING = 60  # URDF needs 6, nested bodies of MJCF one a joint
 MAX_ATTRIBUTE = 100_000  # [characters] no robot needs more than a few hundred
 # no two ways to read the same digits: else a long number with a typing error takes minutes
-NUMBER = re.compile(r"[+-]?(\d+(\.\d*)?|\.\d+)([eE][+-]?\d+)?", re.ASCII)
-LARGEST = 1e100  # squares and products of what is larger overflow
+NUMBER_TEXT = re.compile(r"[+-]?(\d+(\.\d*)?|\.\d+)([eE][+-]?\d+)?", re.ASCII)
+LARGEST_READ = 1e100  # squares and products of what is larger overflow
 NAMED = ("link", "joint", "body", "site")  # elements that messages speak of by name
 
 
@@ -70,8 +70,8 @@ class Diagnostics:
 
 def quoted(names: Sequence[str]) -> str:
     """The first few names in quotes, with the number of those left out."""
-    text = ", ".join(repr(shortened(n)) for n in names[:SHOWN])
-    return f"{text} and {len(names) - SHOWN} more" if len(names) > SHOWN else text
+    text = ", ".join(repr(shortened(n)) for n in names[:NAMES_SHOWN])
+    return f"{text} and {len(names) - NAMES_SHOWN} more" if len(names) > NAMES_SHOWN else text
 
 
 def shortened(text: str, length: int = 80) -> str:
@@ -128,7 +128,7 @@ def read_description(path: Path) -> bytes:
             fix = "check the path and its permissions"
             code, sentence = "unreadable", f"{path}: cannot be read ({error.strerror}); {fix}"
         else:
-            inside = ", ".join(sorted(p.name for p in path.glob("*.urdf"))[:SHOWN]) if path.is_dir() else ""
+            inside = ", ".join(sorted(p.name for p in path.glob("*.urdf"))[:NAMES_SHOWN]) if path.is_dir() else ""
             hint = f"it is a folder; name a file in it, e.g. {inside}" if inside else "name a URDF file"
             code, sentence = "not-a-file", f"{path}: not a regular file; {hint}"
         raise RobotError(sentence, code=code, path=path) from error
@@ -202,11 +202,11 @@ class XmlNode:
 
     def _parsed(self, text: str, attribute: str) -> float:
         seen = f'{self.tag} {attribute}="{shortened(text)}"'
-        if NUMBER.fullmatch(text):
+        if NUMBER_TEXT.fullmatch(text):
             value = float(text)
-            if math.isfinite(value) and abs(value) <= LARGEST:
+            if math.isfinite(value) and abs(value) <= LARGEST_READ:
                 return value
-            raise self.refusal("not-finite", f"{seen}; at most {LARGEST:g} is expected; write the true value")
+            raise self.refusal("not-finite", f"{seen}; at most {LARGEST_READ:g} is expected; write the true value")
         if "${" in text:
             fix = "name the file *.xacro" + advice(" and load it with {}", "xacro=True", "--xacro")
             raise self.refusal("xacro-expression", f"{seen}; a number is expected; this is xacro, not URDF: {fix}")

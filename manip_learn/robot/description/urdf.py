@@ -20,7 +20,7 @@ ZERO: Vector = (0.0, 0.0, 0.0)
 X: Vector = (1.0, 0.0, 0.0)
 # of each type of joint
 DEGREES_OF_FREEDOM = {"fixed": 0, "revolute": 1, "continuous": 1, "prismatic": 1, "planar": 3, "floating": 6}
-Matrix = Float[np.ndarray, "4 4"]
+Matrix4 = Float[np.ndarray, "4 4"]
 KNOWN_ATTRIBUTES = {
     "origin": {"xyz", "rpy"},
     "axis": {"xyz"},
@@ -32,14 +32,14 @@ KNOWN_ATTRIBUTES = {
 JOINT_CHILDREN = {"origin", "parent", "child", "axis", "limit", "dynamics", "mimic", "safety_controller", "calibration"}
 LINK_CHILDREN = {"inertial", "visual", "collision", "contact", "self_collision_checking", "sensor", "verbose"}
 INERTIAL_CHILDREN = {"origin", "mass", "inertia"}
-MAX_NAME = 200  # [characters] longer ones make no readable sentence
+LONGEST_NAME = 200  # [characters] longer ones make no readable sentence
 RESERVED = ("universe",)
-FARTHEST = 1e6  # [m] beyond it poses keep less than 1e-9 m
+FARTHEST_PLACE = 1e6  # [m] beyond it poses keep less than 1e-9 m
 FULL_TURN = 2.0 * math.pi + 1e-3  # [rad] files round
 AXIS_NORMS = (1e-3, 1e3)  # of lengths outside the direction may be noise
 INERTIA = ("ixx", "ixy", "ixz", "iyy", "iyz", "izz")
 UNLIMITED = 1_000.0  # [rad or m] larger limits mean "no limit" in practice
-LARGE = 1e300  # what C++ reads as a number and no joint reaches
+HUGE = 1e300  # what C++ reads as a number and no joint reaches
 
 
 @final
@@ -133,7 +133,7 @@ class UrdfFile:
     root: str
 
 
-def as_pose(T: Matrix) -> Pose:
+def as_pose(T: Matrix4) -> Pose:
     """xyz and roll, pitch, yaw of a homogeneous matrix."""
     x, y, z = (float(c) for c in T[:3, 3])
     R = T[:3, :3]
@@ -146,7 +146,7 @@ def as_pose(T: Matrix) -> Pose:
     return Pose((x, y, z), (roll, pitch, yaw))
 
 
-def as_matrix(pose: Pose) -> Matrix:
+def as_matrix(pose: Pose) -> Matrix4:
     """Homogeneous matrix of xyz and roll, pitch, yaw."""
     T = np.eye(4)
     T[:3, :3], T[:3, 3] = pin.rpy.rpyToMatrix(*pose.rpy), pose.xyz
@@ -249,8 +249,11 @@ def read_name(node: XmlNode) -> str:
     code = sentence = None
     if not name.strip():
         code, sentence = "missing", 'it has no name; a name is expected; add name="..."'
-    elif len(name) > MAX_NAME:
-        code, sentence = "long", f"its name has {len(name)} characters; at most {MAX_NAME} are expected; shorten it"
+    elif len(name) > LONGEST_NAME:
+        code, sentence = (
+            "long",
+            f"its name has {len(name)} characters; at most {LONGEST_NAME} are expected; shorten it",
+        )
     elif not name.isprintable():
         code, sentence = "unprintable", f"its name {name!r} holds unprintable characters; rename it"
     elif name in RESERVED:
@@ -277,9 +280,9 @@ def near_vector(node: XmlNode, attribute: str) -> Vector:
         RobotError: Codes `number`, `not-finite`, `vector-size`, `far-away`.
     """
     x, y, z = node.vector(attribute, 3) or ZERO
-    if max(abs(x), abs(y), abs(z)) > FARTHEST:
+    if max(abs(x), abs(y), abs(z)) > FARTHEST_PLACE:
         seen = f"its {node.tag} {attribute} is {(x, y, z)} m"
-        raise node.refusal("far-away", f"{seen}; at most {FARTHEST:g} m is expected; check the unit")
+        raise node.refusal("far-away", f"{seen}; at most {FARTHEST_PLACE:g} m is expected; check the unit")
     return (x, y, z)
 
 
@@ -380,10 +383,10 @@ def _limit_text(joint: UrdfJoint) -> str:
     if joint.type not in ("revolute", "prismatic", "continuous"):
         return ""
     limit = joint.limit or UrdfLimit(joint.line, None, None, None, None)
-    lower = -LARGE if limit.lower is None or abs(limit.lower) > UNLIMITED else limit.lower
-    upper = LARGE if limit.upper is None or abs(limit.upper) > UNLIMITED else limit.upper
+    lower = -HUGE if limit.lower is None or abs(limit.lower) > UNLIMITED else limit.lower
+    upper = HUGE if limit.upper is None or abs(limit.upper) > UNLIMITED else limit.upper
     if lower >= upper:  # of a locked joint, else validation would have refused it
-        lower, upper = -LARGE, LARGE
-    velocity = LARGE if limit.velocity is None or limit.velocity <= 0.0 else min(limit.velocity, LARGE)
-    effort = LARGE if limit.effort is None or limit.effort < 0.0 else limit.effort
+        lower, upper = -HUGE, HUGE
+    velocity = HUGE if limit.velocity is None or limit.velocity <= 0.0 else min(limit.velocity, HUGE)
+    effort = HUGE if limit.effort is None or limit.effort < 0.0 else limit.effort
     return f'<limit lower="{lower!r}" upper="{upper!r}" velocity="{velocity!r}" effort="{effort!r}"/>'

@@ -11,7 +11,7 @@ from typing import final
 from manip_learn.errors import advice, closest_names
 from manip_learn.robot.description.text import Diagnostics, XmlNode, meant, parse_xml, quoted, shortened
 from manip_learn.robot.description.urdf import (
-    MAX_NAME,
+    LONGEST_NAME,
     UNLIMITED,
     UrdfFile,
     UrdfJoint,
@@ -215,7 +215,7 @@ def check_root(root: XmlNode) -> None:
 def robot_name(root: XmlNode, attribute: str = "name") -> str:
     """The name of a robot, or that of its file, with a warning, where it has none that can be printed."""
     name = root.attributes.get(attribute, "").strip()
-    if not name or not name.isprintable() or len(name) > MAX_NAME:
+    if not name or not name.isprintable() or len(name) > LONGEST_NAME:
         reason = "has no name" if not name else f"has the unusable name {shortened(name)!r}"
         name = "".join(c for c in root.log.path.stem if c.isprintable()) or "robot"
         root.log.warn(root.line, f"the robot {reason}; it is called {quoted([name])} after its file")
