@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import json
 from itertools import product
 
@@ -136,6 +137,19 @@ def test_states_its_doubt(panda):
             assert np.all(frame.uncertainty[3:] == np.pi / 2)
     by_hand = Constraint([[0, 0, 1]], FrameJacobian(panda, "panda_hand_tcp", "xyz")).task_frame(panda.neutral())
     assert not by_hand.uncertainty[:3].any()
+
+
+def test_stated_angles_are_in_radians(panda):
+    """What the learner states in degrees, of Lambda, or of a fitted axis and its place as seen by the hand."""
+    table = Constraint([[0, 0, 1]], FrameJacobian(panda, "panda_hand_tcp"), {"uncertainty_deg": 0.3})
+    stated = table.task_frame(panda.neutral()).uncertainty
+    np.testing.assert_allclose(stated, [*[np.radians(0.3)] * 3, *[np.pi / 2] * 3], rtol=1e-12)
+    features = MechanismRows(panda, "panda_hand_tcp", "radial axial", axis=AXIS, point=POINT)
+    fitted = Constraint(np.eye(2), features).mechanism
+    fitted = dataclasses.replace(fitted, uncertainty={"axis": 0.5, "point": 2e-3})
+    door = Constraint(np.eye(2), features, {"mechanism": fitted.to_dict()}).task_frame(panda.neutral())
+    across = np.hypot(np.radians(0.5), np.arctan(2e-3 / np.linalg.norm(door.hand[:3, 3] - door.pose[:3, 3])))
+    np.testing.assert_allclose(door.uncertainty[:3], [across, across, np.radians(0.5)], rtol=1e-9)
 
 
 def test_as_plain_numbers(panda):
