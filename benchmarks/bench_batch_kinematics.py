@@ -1,7 +1,7 @@
 """Many postures at once, over a bare loop of Pinocchio's `computeFrameJacobian` (7 joints, all six rows).
 
-Promises: Jacobians no slower than the loop; mu and its gradient half as fast. Beside them growth curves over postures
-and joints.
+Promises: Jacobians no slower than the loop; mu and its gradient a quarter as fast. Beside them growth curves over
+postures and joints.
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ pytestmark = [pytest.mark.bench, pytest.mark.timeout(600)]
 N = 8192
 planar_arm_urdf = runpy.run_path(str(Path(__file__).resolve().parents[1] / "robots/make_planar3.py"))["planar_arm_urdf"]
 # at least so many times the rate of the bare loop
-PROMISED = {"numpy": 1.0, "mu and gradient, numpy": 0.5}
+PROMISED = {"numpy": 1.0, "mu and gradient, numpy": 0.25}
 
 
 @pytest.fixture(scope="module")

@@ -123,29 +123,15 @@ def whitener(S: Float[np.ndarray, "n n"], least: float = 1e-12) -> Float[np.ndar
     return (vectors[:, kept] / np.sqrt(values[kept])).T * scale
 
 
-def principal_angles(M1: Float[np.ndarray, "s p"], M2: Float[np.ndarray, "k p"]) -> Float[np.ndarray, " m"]:
-    """Principal angles [rad] between two row spaces, largest first, accurate for tiny angles too.
+def row_space_angle(M1: Float[np.ndarray, "s p"], M2: Float[np.ndarray, "k p"]) -> float:
+    """Largest principal angle [rad] between two row spaces, accurate for tiny angles too; pi/2 if dimensions differ.
 
     Rows may depend on each other or be zero: they add nothing to the space.
     """
-    Q1 = row_basis(M1)
-    Q2 = row_basis(M2)
-    if Q1.shape[0] < Q2.shape[0]:
-        Q1, Q2 = Q2, Q1
-    cosines = np.linalg.svd(Q2 @ Q1.T, compute_uv=False)
-    # arccos loses half the digits near 0: take those from the sines of what lies outside Q1
-    sines = np.linalg.svd(Q2 - (Q2 @ Q1.T) @ Q1, compute_uv=False)
-    cosines = np.clip(np.sort(cosines), 0.0, 1.0)
-    sines = np.clip(np.sort(sines)[::-1], 0.0, 1.0)[: cosines.size]
-    return np.where(cosines > 0.7, np.arcsin(sines), np.arccos(cosines))
-
-
-def row_space_angle(M1: Float[np.ndarray, "s p"], M2: Float[np.ndarray, "k p"]) -> float:
-    """Largest principal angle [rad] between two row spaces; pi/2 if their dimensions differ."""
     Q1, Q2 = row_basis(M1), row_basis(M2)
     if Q1.shape != Q2.shape:
         return float(np.pi / 2)
-    return float(np.max(principal_angles(Q1, Q2), initial=0.0))
+    return float(row_space_angles(Q1[None], Q2)[0]) if len(Q1) else 0.0
 
 
 def row_space_angles(stack: Float[np.ndarray, "n s p"], M: Float[np.ndarray, "s p"]) -> Float[np.ndarray, " n"]:
@@ -217,14 +203,11 @@ def one_thread() -> AbstractContextManager[Any]:
     return _libraries("scipy.linalg" in sys.modules).limit(limits=1, user_api="blas")
 
 
-def inverse_triangles(R: Float[np.ndarray, "n s s"]) -> Float[np.ndarray, "n s s"]:
-    """Inverses of stacked upper triangles; zero where a sample's constraint loses rank, so that it has no say."""
-    beside = np.ascontiguousarray(R.transpose(1, 2, 0))  # no call for each of them
-    return np.ascontiguousarray(inverse_triangles_beside(beside).transpose(2, 0, 1))
-
-
 def inverse_triangles_beside(work: Float[np.ndarray, "s s n"]) -> Float[np.ndarray, "s s n"]:
-    """`inverse_triangles` with the matrices side by side in the last axis, as `row_bases` has them."""
+    """Inverses of upper triangles that lie side by side in the last axis, as `row_bases` has them.
+
+    Zero where a sample's constraint loses rank, so that it has no say.
+    """
     s = len(work)
     if s == 0:
         return np.zeros(work.shape)

@@ -12,7 +12,7 @@ from conftest import TIPS, URDFS, tip_of
 
 from manip_learn.constraint.features import FrameJacobian
 from manip_learn.errors import ConfigurationError
-from manip_learn.robot.batch.batch_kinematics import CHUNK, batch_kinematics
+from manip_learn.robot.batch.batch_kinematics import POSTURE_CHUNK, batch_kinematics
 from manip_learn.robot.robot import Robot
 
 RobotOf = Callable[[str], Robot]
@@ -50,7 +50,7 @@ def test_arms_do_not_need_the_loop(robot_of: RobotOf) -> None:
 
 def test_chunks_leave_no_seam(robot_of: RobotOf, rng: np.random.Generator) -> None:
     """Any number of postures, including zero: each row is the result of its own posture."""
-    for n in [0, 1, CHUNK - 1, CHUNK, CHUNK + 1, 2 * CHUNK + 3]:
+    for n in [0, 1, POSTURE_CHUNK - 1, POSTURE_CHUNK, POSTURE_CHUNK + 1, 2 * POSTURE_CHUNK + 3]:
         with case(n):
             robot = robot_of("sawyer")
             q = rng.uniform(-2.0, 2.0, (n, robot.nv))
@@ -61,20 +61,6 @@ def test_chunks_leave_no_seam(robot_of: RobotOf, rng: np.random.Generator) -> No
             for i in {0, n // 2, n - 1} if n else ():
                 np.testing.assert_allclose(features.batch(q)[i], features(q[i]), rtol=0, atol=TOLERANCE)
                 np.testing.assert_allclose(dPhi[i], features.derivative(q[i]), rtol=0, atol=TOLERANCE)
-
-
-def test_configurations_and_joint_positions_are_both_taken(robot_of: RobotOf, rng: np.random.Generator) -> None:
-    """Continuous joints as (cos, sin), of any length, or as angles with full turns."""
-    robot = robot_of("wrist")
-    q = positions(robot, rng, 6)
-    features = FrameJacobian(robot, "tip", "pose")
-    expected = features.batch(q)
-    configurations = np.stack([robot.configuration(x) for x in q])
-    np.testing.assert_allclose(features.batch(configurations), expected, rtol=0, atol=TOLERANCE)
-    first = robot.blocks[0].q
-    configurations[:, first] *= 1.7
-    np.testing.assert_allclose(features.batch(configurations), expected, rtol=0, atol=TOLERANCE)
-    np.testing.assert_allclose(features.batch(q + [2 * np.pi, 0, -4 * np.pi, 0]), expected, rtol=0, atol=TOLERANCE)
 
 
 def test_nearly_parallel_axes_lose_nothing() -> None:

@@ -11,7 +11,16 @@ from case import case
 from generated_motions import arm_features, guided_motions, oblique
 
 from manip_learn.constraint.constraint import Constraint
-from manip_learn.constraint.features import CentreOfMass, CustomFeatures, FrameJacobian, MechanismRows, Stacked
+from manip_learn.constraint.features import (
+    CentreOfMass,
+    CurveRows,
+    CustomFeatures,
+    FrameJacobian,
+    MechanismRows,
+    RelativeFrameJacobian,
+    Stacked,
+)
+from manip_learn.constraint.features.mechanism_rows import PlaceRows
 from manip_learn.errors import ConstraintError, ConstraintMismatchError, FeatureError
 from manip_learn.recordings.trajectory import Trajectory
 from manip_learn.robot.loading import load_robot
@@ -35,17 +44,6 @@ def test_rows_are_orthonormal_and_span_the_same(features, rng):
         S[0, 0] = 1.0
 
 
-def test_value_and_derivative(features, rng):
-    """A = Lambda Phi and its derivative; A has the shape (s, nv)."""
-    constraint = Constraint(rng.standard_normal((2, 6)), features)
-    q = rng.uniform(-1, 1, 7)
-    np.testing.assert_allclose(constraint(q), constraint.selection @ features(q), rtol=0, atol=1e-14)
-    np.testing.assert_allclose(
-        constraint.derivative(q), np.einsum("sp,pij->sij", constraint.selection, features.derivative(q)), atol=1e-13
-    )
-    assert (constraint.n_constraints, constraint.nv) == (2, 7)
-
-
 def test_unusable_selections(features):
     """Zero, dependent, too narrow, NaN, empty, ragged, text and a cube: refused with a reason."""
     bad = (np.zeros((2, 6)), np.ones((2, 6)), np.eye(5), [[np.nan] * 6], [], [[1, 2], [3]], "x", np.ones((2, 2, 6)))
@@ -54,22 +52,11 @@ def test_unusable_selections(features):
             Constraint(selection, features)
 
 
-def test_residual(rng):
-    """0 for motions that obey, near 1 for motions along the rows, NaN for none of them."""
+def test_residual_is_a_share_of_speed(rng):
+    """A motion at a given angle to what the constraint allows has the sine of that angle; no motion is refused."""
     demos, truth = guided_motions(arm_features(), oblique(2, 3, rng), rng, 2, 10)
     assert truth.residual(demos) < 1e-12
-    along = [Trajectory(t.time, t.q, [np.ones(2) @ truth(q) for q in t.q], t.joint_names) for t in demos]
-    assert truth.residual(along) == pytest.approx(1.0)
-    with pytest.raises(ConstraintError, match="nothing moves"):
-        truth.residual([Trajectory(t.time, t.q, 0.0 * t.u, t.joint_names) for t in demos])
-    with pytest.raises(ConstraintError, match="no velocities"):
-        truth.residual([Trajectory(t.time, t.q, None, t.joint_names) for t in demos])
-
-
-def test_residual_is_a_share_of_speed(rng):
-    """A motion at a given angle to what the constraint allows has the sine of that angle, not its square."""
-    demos, truth = guided_motions(arm_features(), oblique(2, 3, rng), rng, 2, 10)
-    for angle in (0.01, 0.3, 1.2):
+    for angle in (0.01, 1.2, 0.5 * np.pi):
         tilted = []
         for t in demos:
             across = np.array([np.array([0.3, -0.8]) @ truth(q) for q in t.q])
@@ -77,13 +64,24 @@ def test_residual_is_a_share_of_speed(rng):
             u = np.cos(angle) * t.u + np.sin(angle) * across
             tilted.append(Trajectory(t.time, t.q, u, t.joint_names))
         assert truth.residual(tilted) == pytest.approx(np.sin(angle), rel=1e-9)
+    for u, words in ((lambda t: 0.0 * t.u, "nothing moves"), (lambda t: None, "no velocities")):
+        with pytest.raises(ConstraintError, match=words):
+            truth.residual([Trajectory(t.time, t.q, u(t), t.joint_names) for t in demos])
 
 
 def test_files_come_back(robot_of, rng, tmp_path):
     """Every kind of features goes through a file: the same A to the last bit, and how it was learnt."""
     robot = robot_of("wrist")
     frame, mass = FrameJacobian(robot, "tip", "x rz", "local"), CentreOfMass(robot, "z y")
-    for features in (frame, mass, Stacked([frame, mass])):
+    seen, place = (
+        RelativeFrameJacobian(robot, "tip", "joint0", "y rx"),
+        {"axis": (0.3, -0.5, 0.8), "point": (0.4, 0.2, 0)},
+    )
+    rail = CurveRows(robot, "tip", np.random.default_rng(0).normal(size=(5, 3)), ("across-1", "along", "rz"))
+    doors = [MechanismRows(robot, "tip", "radial axial turn", **place, radius=radius) for radius in (None, 0.25)]
+    screw = MechanismRows(robot, "tip", "helical slide-1 screw", **place, pitch=0.07)
+    places = [PlaceRows(robot, "tip", form, (0.1, 0.2, 0.5)) for form in ("point", "twist", "surface")]
+    for features in (frame, mass, Stacked([frame, mass]), seen, rail, *doors, screw, *places):
         constraint = Constraint(rng.standard_normal((2, features.n_rows)), features, {"estimator": "joint", "gap": 9.5})
         loaded = Constraint.load(constraint.save(tmp_path / "c.json"), robot)
         q = robot.random_configuration(rng)

@@ -12,7 +12,7 @@ from case import case
 import manip_learn as ml
 from manip_learn.constraint.features import FrameJacobian, MechanismRows, RelativeFrameJacobian
 from manip_learn.constraint.features.mechanism_rows import AT_A_DISTANCE, Place, PlaceForm, PlaceRows, mechanism_weights
-from manip_learn.constraint.features.weighed_velocity import ON_AXIS, PlaceWeights
+from manip_learn.constraint.features.weighed_velocity import PlaceWeights
 from manip_learn.constraint.mechanism import MECHANISM_KINDS
 
 TIP = "right_gripper_tip"
@@ -183,38 +183,6 @@ def test_every_mechanism_is_a_constant_lambda(robot_of, rng, tmp_path) -> None:
             named = constraint.about_its_mechanism()
             sigma = np.linalg.svd(np.concatenate([constraint(q), named(q)]), compute_uv=False)
             assert np.count_nonzero(sigma > 1e-7) == np.linalg.matrix_rank(constraint(q), 1e-7)  # the same rows there
-
-
-def test_mu_keeps_its_meaning_at_the_radius(robot_of, rng) -> None:
-    """A door of known radius has the mu, and the rows, that the door at any distance has, where the hand is on it.
-
-    Elsewhere the rows of a known radius are longer or shorter by distance / radius, and that is all: what they hold and
-    leave free is the same but for the helix, which is one of that radius.
-    """
-    robot, options = robot_of("sawyer"), {"axis": AXIS, "point": PLACE.point, "pitch": PLACE.pitch}
-    for rows, share in product(
-        ("radial axial", "spherical", "radial", "radial helical", "tangential"), (1.0, 0.8, 1.5)
-    ):
-        with case(rows, share):
-            q = robot.random_configuration(rng)
-            d = robot.position(q, robot.frame(TIP)) - PLACE.point
-            rho = float(np.linalg.norm(d if rows == "spherical" else d - AXIS * (AXIS @ d)))
-            free = MechanismRows(robot, TIP, rows, **options)
-            fixed = MechanismRows(robot, TIP, rows, **options, radius=share * rho)
-            at, other = (ml.manipulability(ml.Constraint(np.eye(free.n_rows), f), q) for f in (free, fixed))
-            # a row of unit length fades within 1e-5 m of the axis, at any distance by a little
-            s, h, e = rho**2, PLACE.pitch, ON_AXIS**2
-            fades = {"axial": 1.0, "helical": np.sqrt(s * (s + h * h) / ((s + e) * (s + h * h + e)))}
-            faded = np.array([fades.get(name, np.sqrt(s / (s + e))) for name in free.row_names])
-            if share == 1.0:
-                assert other * np.prod(faded) == pytest.approx(at, rel=1e-12)
-                np.testing.assert_allclose(fixed(q) * faded[:, None], free(q), atol=1e-13)
-            elif "helical" not in rows:
-                assert other * np.prod(faded) == pytest.approx(at / share, rel=1e-12)
-                assert np.linalg.matrix_rank(np.concatenate([fixed(q), free(q)]), 1e-7) == free.n_rows
-            if rows not in ("radial helical", "tangential"):  # distances are distances, whatever the radius
-                np.testing.assert_array_equal(fixed.coordinates(q), free.coordinates(q))
-                np.testing.assert_array_equal(fixed.coordinates_jacobian(q), free(q))
 
 
 @pytest.mark.parametrize("keep", [False, True])

@@ -1,4 +1,4 @@
-"""Feature maps: rows, coordinates, targets, and what they refuse. Their derivatives are in test_gradients.py."""
+"""Feature maps: what their rows are called and mean, targets, and what they refuse (derivatives: test_gradients.py)."""
 
 from __future__ import annotations
 
@@ -9,16 +9,37 @@ import pytest
 from case import case
 from conftest import tip_of
 from scipy.spatial.transform import Rotation
+from test_gradients import bent_rail, central_difference
 
-from manip_learn.constraint.features import CentreOfMass, CustomFeatures, FrameJacobian, Stacked
+from manip_learn.constraint.constraint import Constraint
+from manip_learn.constraint.features import (
+    CentreOfMass,
+    CurveRows,
+    CustomFeatures,
+    FrameJacobian,
+    MechanismRows,
+    RelativeFrameJacobian,
+    Stacked,
+)
 from manip_learn.constraint.features.frame_jacobian import AXES, parse_axes
-from manip_learn.errors import FeatureError, TargetError, UnknownNameError
+from manip_learn.constraint.features.mechanism_rows import ROW_UNITS, PlaceRows
+from manip_learn.constraint.manipulability import manipulability, manipulability_gradient
+from manip_learn.control.controller import ResolvedRateController
+from manip_learn.control.simulation import simulate
+from manip_learn.control.tasks import Hold, PointAttractor, motion
+from manip_learn.errors import ConstraintError, FeatureError, ManipLearnError, TargetError, UnknownNameError
+
+TCP = "panda_hand_tcp"
+PLACE = {"axis": (0.3, -0.5, 0.8), "point": (0.4, 0.2, 0.3), "pitch": 0.07}
+
+
+@pytest.fixture
+def panda(robot_of):
+    return robot_of("panda")
 
 
 def test_axes():
-    """Named sets, words in any order, commas and sequences all mean the rows that they say; others are refused, and the
-    valid ones are listed.
-    """
+    """Named sets, words in any order, commas and sequences all mean the rows that they say."""
     known = {
         "xyz": ("x", "y", "z"),
         "pose": AXES,
@@ -31,39 +52,103 @@ def test_axes():
     }
     assert {axes: parse_axes(axes) for axes in known} == known
     assert parse_axes(["x"]) == ("x",)
-    for axes in ("", "  ", "xy", "x w", "x x", "XYZ", [], ["x", ""], "0 1"):
-        with case(repr(axes)), pytest.raises(FeatureError, match="x y z rx ry rz"):
-            parse_axes(axes)
 
 
-def test_rows_are_those_of_the_full_jacobian(robot_of, rng):
+def test_what_is_refused(robot_of, panda):
+    """Unknown axes, frames, references and rows, places that are none, functions of the wrong shape, targets of another
+    size: each with what was wrong, and near names or the valid ones.
+    """
+    sawyer, flat = robot_of("sawyer"), robot_of("planar3")
+    hand, mass = FrameJacobian(panda, TCP), CentreOfMass(panda)
+    seen = RelativeFrameJacobian(sawyer, "right_hand", "right_l3", "x")
+    rail = CurveRows(panda, TCP, np.eye(4, 3))
+
+    def custom(value):
+        return CustomFeatures(lambda q: value, ("f",), nv=2)
+
+    refused = [
+        *(
+            (lambda axes=axes: parse_axes(axes), FeatureError, "x y z rx ry rz")
+            for axes in ("", "  ", "xy", "x w", "x x")
+        ),
+        *(
+            (lambda axes=axes: parse_axes(axes), FeatureError, "x y z rx ry rz")
+            for axes in ("XYZ", [], ["x", ""], "0 1")
+        ),
+        (lambda: FrameJacobian(panda, "panda_hand_tpc"), UnknownNameError, "'panda_hand_tcp'"),
+        (lambda: FrameJacobian(panda, TCP, reference="base"), FeatureError, "'world' or 'local'"),
+        (lambda: CentreOfMass(panda, "planar"), FeatureError, "x y z only"),
+        (lambda: Stacked([]), FeatureError, "one robot"),
+        (lambda: Stacked([FrameJacobian(flat, "tip"), hand]), FeatureError, "one robot"),
+        (lambda: Stacked([FrameJacobian(sawyer, "right_hand"), hand]), FeatureError, "share one robot"),
+        (lambda: RelativeFrameJacobian(sawyer, "right_hand", "rihgt_l3"), UnknownNameError, "right_l3"),
+        (lambda: RelativeFrameJacobian(sawyer, "right_hand", "right_hand"), FeatureError, "relative to itself"),
+        (lambda: RelativeFrameJacobian(sawyer, "right_hand", "right_l3", "x w"), FeatureError, "x y z"),
+        (lambda: MechanismRows(panda, TCP, "radia"), FeatureError, "unknown row"),
+        (lambda: MechanismRows(panda, TCP, "radial radial"), FeatureError, "twice"),
+        (lambda: MechanismRows(panda, TCP, ""), FeatureError, "no row"),
+        (lambda: MechanismRows(panda, TCP, "axial", axis=(0, 0, 0)), FeatureError, "no direction"),
+        (lambda: MechanismRows(panda, TCP, "axial", point=(0, np.nan, 0)), FeatureError, "finite"),
+        (lambda: MechanismRows(panda, TCP, "axial", pitch=np.inf), FeatureError, "pitch"),
+        *(
+            (lambda r=r: MechanismRows(panda, TCP, "radial", radius=r), FeatureError, "radius")
+            for r in (0.0, np.nan, np.inf)
+        ),
+        (lambda: MechanismRows(panda, TCP, "tangential").coordinates(panda.neutral()), FeatureError, "coordinates"),
+        (lambda: PlaceRows(panda, TCP, "line", (0, 0, 0)), FeatureError, "form must be"),
+        (lambda: PlaceRows(panda, TCP, "point", (0, 0)), FeatureError, "middle"),
+        (lambda: PlaceRows(panda, TCP, "point", (0, 0, np.nan)), FeatureError, "middle"),
+        *(
+            (lambda p=p: CurveRows(panda, TCP, p), FeatureError, "curve")
+            for p in (np.zeros((3, 3)), np.zeros((5, 3)), np.full((5, 3), np.nan))
+        ),
+        (lambda: rail.with_rows(("up",)), FeatureError, "unknown row 'up'"),
+        (lambda: motion(Constraint(np.eye(2, 3), rail), turn=0.2), ConstraintError, "does not turn"),
+        (lambda: motion(Constraint(np.eye(2, 3), rail), along=0.1, direction=(1, 0, 0)), TargetError, "forth"),
+        *(
+            (lambda v=v: custom(v)([0.0, 0.0]), FeatureError, "must have shape")
+            for v in (np.zeros((2, 2)), np.zeros(2))
+        ),
+        (lambda: custom([[np.nan, 0]])([0.0, 0.0]), FeatureError, "not fin"),
+        (lambda: custom([[1.0, 0.0]]).coordinates([0.0, 0.0]), FeatureError, "no task coordinates"),
+        (lambda: custom([[1.0, 0.0]]).describe(), FeatureError, "cannot be saved"),
+        (lambda: CustomFeatures(lambda q: q, ("f",)), FeatureError, "nv="),
+        (lambda: CustomFeatures(lambda q: q, (), nv=2), FeatureError, "row name"),
+        *(
+            (lambda f=f, t=t: f.error_to(t, np.zeros(7)), TargetError, "x, y, z")
+            for f in (hand, mass)
+            for t in ([1.0], [1.0, 2.0, 3.0, 4.0], [1.0, np.nan, 2.0], 1.0, [[1.0, 2.0, 3.0]], np.zeros((6, 6)))
+        ),
+        (lambda: seen.error_to([1.0, 2.0], np.zeros(7)), TargetError, "1 finite"),
+        (lambda: Stacked([hand, mass]).error_to([0.1, 0.2], np.zeros(7)), TargetError, "6 finite"),
+        (
+            lambda: FrameJacobian(panda, TCP, "x z", "local").error_to([0.1, 0.2], np.zeros(7)),
+            TargetError,
+            "4 x 4 pose",
+        ),
+    ]
+    for number, (call, error, words) in enumerate(refused):
+        with case(number, words), pytest.raises(error, match=words) as caught:
+            call()
+        assert isinstance(caught.value, ManipLearnError)
+
+
+def test_rows_are_those_of_the_full_jacobian(panda, rng):
     """Each row is the row of that name of the six-row Jacobian, in the order asked for."""
-    robot = robot_of("panda")
-    q = robot.random_configuration(rng)
+    q = panda.random_configuration(rng)
     for axes, reference in product(("xyz", "planar", "rz x", "z"), ("world", "local")):
         with case(axes, reference):
-            full = FrameJacobian(robot, "panda_hand_tcp", "pose", reference)
-            some = FrameJacobian(robot, "panda_hand_tcp", axes, reference)
+            full, some = (FrameJacobian(panda, TCP, names, reference) for names in ("pose", axes))
             rows = [AXES.index(n) for n in some.row_names]
-            assert some(q).shape == (len(rows), robot.nv)
             np.testing.assert_array_equal(some(q), full(q)[rows])
             np.testing.assert_array_equal(some.derivative(q), full.derivative(q)[rows])
             assert some.row_units == tuple("rad/s" if n.startswith("r") else "m/s" for n in some.row_names)
 
 
-def test_unknown_frame_and_reference(robot_of):
-    """A misspelt frame lists near ones; a misspelt reference lists both."""
-    robot = robot_of("panda")
-    with pytest.raises(UnknownNameError, match="'panda_hand_tcp'"):
-        FrameJacobian(robot, "panda_hand_tpc")
-    with pytest.raises(FeatureError, match="'world' or 'local'"):
-        FrameJacobian(robot, "panda_hand_tcp", reference="base")  # type: ignore[arg-type]
-    with pytest.raises(FeatureError, match="x y z only"):
-        CentreOfMass(robot, "planar")
-
-
 def test_error_to_a_pose(robot_of, rng):
-    """The displacement vanishes at the target, and following it (r' = error) leads there from half a radian away."""
+    """The displacement vanishes at the target, and following it (r' = error) leads there from half a radian away; six
+    numbers, position and rotation vector, mean the same as the 4 x 4 pose.
+    """
     robot = robot_of("ur5")
     goal = robot.configuration([0.3, -1.0, 1.2, -0.4, 1.0, 0.2])
     for axes, reference in product(("xyz", "pose", "rotation"), ("world", "local")):
@@ -72,21 +157,13 @@ def test_error_to_a_pose(robot_of, rng):
             pose = robot.pose(goal, features.frame)
             np.testing.assert_allclose(features.error_to(pose, goal), 0.0, rtol=0, atol=1e-12)
             q = robot.integrate(goal, 0.2 * rng.normal(size=robot.nv))
+            numbers = np.concatenate([pose[:3, 3], Rotation.from_matrix(pose[:3, :3]).as_rotvec()])
+            if axes == "pose":
+                np.testing.assert_allclose(features.coordinates(goal), numbers, rtol=0, atol=1e-12)
+                np.testing.assert_allclose(features.error_to(numbers, q), features.error_to(pose, q), atol=1e-10)
             for _ in range(30):
                 q = robot.integrate(q, 0.5 * np.linalg.pinv(features(q)) @ features.error_to(pose, q))
             assert np.linalg.norm(features.error_to(pose, q)) < 1e-6
-
-
-def test_error_to_numbers_agrees_with_error_to_a_pose(robot_of, rng):
-    """Position and rotation vector as six numbers mean the same as the 4 x 4 pose."""
-    robot = robot_of("panda")
-    q, goal = robot.random_configuration(rng), robot.random_configuration(rng)
-    for reference in ("world", "local"):
-        features = FrameJacobian(robot, "panda_hand_tcp", "pose", reference)
-        pose = robot.pose(goal, features.frame)
-        numbers = np.concatenate([pose[:3, 3], Rotation.from_matrix(pose[:3, :3]).as_rotvec()])
-        np.testing.assert_allclose(features.coordinates(goal), numbers, rtol=0, atol=1e-12)
-        np.testing.assert_allclose(features.error_to(numbers, q), features.error_to(pose, q), rtol=0, atol=1e-10)
 
 
 def test_error_to_turns_the_short_way(robot_of):
@@ -98,42 +175,14 @@ def test_error_to_turns_the_short_way(robot_of):
     np.testing.assert_allclose(features.error_to(target, q), [0, 0, 6.0 - 2.0 * np.pi], rtol=0, atol=1e-12)
 
 
-def test_wrong_targets(robot_of):
-    """A target of another size, or one that is not finite, is refused, and the rows are listed; in the frame's own axes
-    some of x y z do not determine a displacement: refused with the ways out.
-    """
-    robot = robot_of("panda")
-    bad = ([1.0], [1.0, 2.0, 3.0, 4.0], [1.0, np.nan, 2.0], 1.0, [[1.0, 2.0, 3.0]], np.zeros((6, 6)))
-    for features, target in product((FrameJacobian(robot, "panda_hand_tcp"), CentreOfMass(robot)), bad):
-        with case(features, target), pytest.raises(TargetError, match="x, y, z"):
-            features.error_to(target, np.zeros(7))
-    with pytest.raises(TargetError, match="4 x 4 pose"):
-        FrameJacobian(robot, "panda_hand_tcp", "x z", "local").error_to([0.1, 0.2], np.zeros(7))
-
-
-def test_stacked(robot_of, rng):
+def test_stacked(panda, rng):
     """Rows come in the parts' order with names that tell them apart; targets are cut up the same way."""
-    robot = robot_of("panda")
-    parts = [FrameJacobian(robot, "panda_hand_tcp", "x y"), CentreOfMass(robot, "z")]
-    stacked = Stacked(parts)
-    q = robot.random_configuration(rng)
+    parts = [FrameJacobian(panda, TCP, "x y"), CentreOfMass(panda, "z")]
+    stacked, q = Stacked(parts), panda.random_configuration(rng)
     assert stacked.row_names == ("0.x", "0.y", "1.z")
-    assert stacked.n_rows == 3
     np.testing.assert_array_equal(stacked(q), np.vstack([p(q) for p in parts]))
     expected = np.concatenate([parts[0].error_to([0.1, 0.2], q), parts[1].error_to([0.3], q)])
     np.testing.assert_array_equal(stacked.error_to([0.1, 0.2, 0.3], q), expected)
-    with pytest.raises(TargetError):
-        stacked.error_to([0.1, 0.2], q)
-
-
-def test_stacked_refuses(robot_of):
-    """Nothing to stack, or parts of two robots, are refused."""
-    with pytest.raises(FeatureError):
-        Stacked([])
-    with pytest.raises(FeatureError, match="one robot"):
-        Stacked([FrameJacobian(robot_of("planar3"), "tip"), FrameJacobian(robot_of("panda"), "panda_hand_tcp")])
-    with pytest.raises(FeatureError, match="share one robot"):
-        Stacked([FrameJacobian(robot_of("sawyer"), "right_hand"), FrameJacobian(robot_of("panda"), "panda_hand_tcp")])
 
 
 def test_custom_features_without_a_robot():
@@ -147,24 +196,111 @@ def test_custom_features_without_a_robot():
     np.testing.assert_allclose(features.derivative([0.3, 0.7]), exact, rtol=0, atol=1e-9)
     given = CustomFeatures(function, ("f",), nv=2, derivative=lambda q: exact)
     np.testing.assert_array_equal(given.derivative([0.3, 0.7]), exact)
-    np.testing.assert_allclose(features.coordinates([3.0, 4.0]), [25.0])
     np.testing.assert_allclose(features.error_to([26.0], [3.0, 4.0]), [1.0])
-    with pytest.raises(FeatureError, match="no task coordinates"):
-        given.coordinates([0.0, 0.0])
-    with pytest.raises(FeatureError, match="cannot be saved"):
-        features.describe()
 
 
-def test_custom_features_are_checked():
-    """A function with the wrong shape, or with NaN, is caught where it enters; so are maps without a size or names."""
-    for wrong, words in (
-        (np.zeros((2, 2)), "must have shape"),
-        (np.zeros(2), "must have shape"),
-        ([[np.nan, 0]], "not fin"),
+def test_rows_of_a_mechanism_in_numbers(panda, rng):
+    """Each row is the velocity that its name says, in numbers; with a radius those of that distance."""
+    h, q = PLACE["pitch"], panda.random_configuration(rng)
+    J, p = panda.jacobian(q, TCP), panda.position(q, TCP)
+    a, c = np.array(PLACE["axis"]) / np.linalg.norm(PLACE["axis"]), np.array(PLACE["point"])
+    for radius in (None, 0.3):
+        features = MechanismRows(panda, TCP, tuple(ROW_UNITS), **PLACE, radius=radius)
+        first, second = features.geometry.across
+        np.testing.assert_allclose(np.linalg.det([first, second, a]), 1.0, rtol=1e-12)  # a right-handed base
+        d = p - c
+        x = d - (a @ d) * a
+        rho, far = (np.linalg.norm(x), np.linalg.norm(d)) if radius is None else (radius, radius)
+        at_c = J[:3] + np.cross(J[3:].T, c - p).T  # of the hand's point that is at c
+        wanted = {
+            "radial": x / rho @ J[:3],
+            "tangential": np.cross(a, x) / rho @ J[:3],
+            "axial": a @ J[:3],
+            "helical": (rho**2 * a - h * np.cross(a, x)) / (rho * np.hypot(rho, h)) @ J[:3],
+            "spherical": d / far @ J[:3],
+            "turn-1": first @ J[3:],
+            "turn-2": second @ J[3:],
+            "turn": a @ J[3:],
+            "slide-1": first @ at_c,
+            "slide-2": second @ at_c,
+            "slide": a @ at_c,
+            "screw": a @ at_c - h * a @ J[3:],
+        }
+        units = ["rad/s" if name.startswith("turn") else "m/s" for name in features.row_names]
+        assert set(wanted) == set(features.row_names) and list(features.row_units) == units
+        for name, row in zip(features.row_names, features(q), strict=True):
+            np.testing.assert_allclose(row, wanted[name], rtol=0, atol=1e-8, err_msg=f"{name}, radius {radius}")
+
+
+def test_rows_of_a_place_in_numbers(panda, rng):
+    """v, the rate of half the squared distance, w; the velocity of the hand's point at m; products (p - m)_i v_j."""
+    m, q = np.array([0.3, -0.2, 0.6]), panda.random_configuration(rng)
+    J, d = panda.jacobian(q, TCP), panda.position(q, TCP) - m
+    v, w, place, turn = J[:3], J[3:], ("m/s",) * 3, ("rad/s",) * 3
+    forms = {
+        "point": ([*v, d @ v], "x y z distance", (*place, "m^2/s")),
+        "point and rotation": ([*v, d @ v, *w], "x y z distance rx ry rz", (*place, "m^2/s", *turn)),
+        "twist": ([*(v + np.cross(d, w.T).T), *w], "x y z rx ry rz", (*place, *turn)),
+        "surface": ([*v, *np.kron(d[:, None], v)], "x y z xx xy xz yx yy yz zx zy zz", (*place, *("m^2/s",) * 9)),
+    }
+    for form, (rows, names, units) in forms.items():
+        features = PlaceRows(panda, TCP, form, m)
+        np.testing.assert_allclose(features(q), rows, rtol=0, atol=1e-12, err_msg=form)
+        assert (features.row_names, features.row_units) == (tuple(names.split()), units)
+
+
+def test_finite_on_the_axis(panda, rng):
+    """On the axis, in the centre and close by everything stays finite, and mu vanishes only there."""
+    q = panda.random_configuration(rng)
+    p = panda.position(q, TCP)
+    for rows, off in product(("radial axial", "helical radial", "spherical", "tangential"), (0, 1e-12, 1e-6, 1e-4)):
+        with case(rows, off):
+            point = p + off * np.array([1.0, 0.6, 0.0])
+            features = MechanismRows(panda, TCP, rows, axis=PLACE["axis"], point=point)
+            constraint = Constraint(np.eye(features.n_rows), features)
+            assert np.all(np.isfinite(features.derivative(q)))
+            assert np.all(np.isfinite(manipulability_gradient(constraint, q)))
+            assert np.all(np.isfinite(ResolvedRateController(constraint, task=Hold())(q).velocity))
+            assert (manipulability(constraint, q) < 1e-6) == (off < 1e-9)
+
+
+def test_targets_are_come_to(robot_of, panda):
+    """Distances from a door's axis and along it, of known radius, and places seen from another arm."""
+    q = panda.configuration([0.1, -0.3, -0.1, -2.0, 0.1, 1.8, 0.7])
+    features = MechanismRows(panda, TCP, "radial axial", **PLACE, radius=0.3)
+    expected = central_difference(features.coordinates, panda, q)
+    np.testing.assert_allclose(features.coordinates_jacobian(q), expected, atol=1e-8)
+    tree = robot_of("tree")
+    seen = RelativeFrameJacobian(tree, "tip", "arm_b", "x y z")
+    rows = np.array([[1.0, 0.2, 0.0], [0.0, 0.0, 1.0]])
+    start = tree.random_configuration(np.random.default_rng(20191103))
+    for constraint, begin, step in (
+        (Constraint(np.eye(2), features), q, [0.05, -0.04]),
+        (Constraint(rows, seen), start, [0.02, 0.0, 0.01]),
     ):
-        with pytest.raises(FeatureError, match=words):
-            CustomFeatures(lambda q, value=wrong: value, ("f",), nv=2)([0.0, 0.0])
-    with pytest.raises(FeatureError, match="nv="):
-        CustomFeatures(lambda q: q, ("f",))
-    with pytest.raises(FeatureError, match="row name"):
-        CustomFeatures(lambda q: q, (), nv=2)
+        f = constraint.features
+        goal = f.coordinates(begin) + step
+        controller = ResolvedRateController(constraint, PointAttractor(goal, 4.0))
+        rollout = simulate(f.robot, controller, begin, 3.0, 0.01)
+        assert np.max(np.abs(constraint.selection @ f.error_to(goal, rollout.q[-1]))) < 1e-4
+
+
+def test_a_hand_is_led_along_a_curve_and_back_wherever_it_stands(robot_of, tmp_path):
+    """The way is as long as asked for, and the hand stays as near to the curve; saved and moved ones, too."""
+    robot = robot_of("sawyer")
+    q = np.random.default_rng(1).uniform(-1.0, 1.0, robot.nv)
+    path = Constraint(np.eye(2), bent_rail(robot, "right_gripper_tip", q, "across-1 across-2")).save(
+        tmp_path / "c.json"
+    )
+    constraint = Constraint.load(path, robot)
+    assert constraint.mechanism is not None and constraint.mechanism.name == "curve"
+    shift = np.eye(4)
+    shift[:3, 3] = 0.01, 0.0, 0.02
+    moved = constraint.moved(shift)
+    for held, way in ((constraint, 0.05), (moved, -0.05)):
+        task = motion(held, along=way)
+        rollout = simulate(robot, ResolvedRateController(held, task), q, duration=task.duration + 1.0, dt=0.02)
+        assert task.progress(rollout.q[-1]) == pytest.approx(way, abs=1e-4)
+        off = np.array([held.features.coordinates(row) for row in rollout.q])
+        assert np.abs(off - off[0]).max() < 5e-4
+    assert moved.features.coordinates(q) != pytest.approx(constraint.features.coordinates(q), abs=1e-3)

@@ -3,16 +3,16 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
-from itertools import product
 
 import numpy as np
 import pytest
 from case import case
-from conftest import LOCKED, TIPS, URDFS, tip_of
+from conftest import TIPS, URDFS, tip_of
 
 from manip_learn.constraint.constraint import Constraint
 from manip_learn.constraint.features import (
     CentreOfMass,
+    CurveRows,
     CustomFeatures,
     FeatureMap,
     FrameJacobian,
@@ -20,20 +20,22 @@ from manip_learn.constraint.features import (
     RelativeFrameJacobian,
     Stacked,
 )
-from manip_learn.constraint.features.mechanism_rows import FIELDS, PlaceRows
+from manip_learn.constraint.features.mechanism_rows import ROW_UNITS, PlaceRows
 from manip_learn.constraint.manipulability import (
     gradient_of,
     log_manipulability_gradient,
+    log_penalised_manipulability_gradient,
     manipulability,
     manipulability_gradient,
+    penalised_manipulability,
+    penalised_manipulability_gradient,
     smallest_gradient,
 )
+from manip_learn.constraint.manipulability_batch import manipulability_batch
 from manip_learn.robot.robot import Robot
 
 H = 1e-5
 ROBOTS = [*URDFS, *TIPS]
-AXES = ["xyz", "pose", "planar", "x", "x rz", "ry z"]
-REFERENCES = ["world", "local"]
 ABOUT = {"axis": (0.3, -0.5, 0.8), "point": (0.4, 0.2, 0.3), "pitch": 0.07}
 RobotOf = Callable[[str], Robot]
 
@@ -48,16 +50,15 @@ def central_difference(f: Callable[[np.ndarray], np.ndarray | float], robot: Rob
     return np.stack(columns, axis=-1)
 
 
-def postures(robot: Robot, rng: np.random.Generator) -> list[np.ndarray]:
-    """Two at random, and two where arms are singular: stretched (all joints zero) and one elbow only bent."""
+def relative_error(got: np.ndarray, expected: np.ndarray) -> float:
+    return float(np.linalg.norm(got - expected) / np.linalg.norm(expected))
+
+
+def postures(robot: Robot, rng: np.random.Generator) -> np.ndarray:
+    """One at random, and two where arms are singular: stretched (all joints zero) and one elbow only bent."""
     zero, bent = np.zeros(robot.nv), np.zeros(robot.nv)
     bent[robot.nv // 2] = 0.9
-    return [
-        robot.random_configuration(rng),
-        robot.random_configuration(rng),
-        robot.configuration(zero),
-        robot.configuration(bent),
-    ]
+    return np.stack([robot.random_configuration(rng), robot.configuration(zero), robot.configuration(bent)])
 
 
 def other_frame(robot: Robot) -> str:
@@ -65,26 +66,37 @@ def other_frame(robot: Robot) -> str:
     return "arm_b" if robot.name == "tree" else robot.frame_names[len(robot.frame_names) // 2]
 
 
-def feature_maps(robot: Robot, tip: str) -> Iterator[FeatureMap]:
-    """Each kind of features that has derivatives of its own."""
+def bent_rail(robot: Robot, frame: str, q: np.ndarray, rows: str = "across-1 across-2 along") -> CurveRows:
+    """Rows along a curve that passes the hand at a centimetre."""
+    t = np.linspace(-1.0, 1.0, 12)
+    shape = np.column_stack([0.2 * t, 0.1 * np.sin(2.0 * t) + 0.01, 0.1 * t**2])
+    return CurveRows(robot, frame, robot.position(q, frame) + shape, rows)
+
+
+def feature_maps(robot: Robot, tip: str, q: np.ndarray) -> Iterator[FeatureMap]:
+    """Each kind of features that has derivatives of its own; a curve's rows beside a posture."""
     other = other_frame(robot)
-    for frame, axes, reference in product((tip, other), AXES, REFERENCES):
-        yield FrameJacobian(robot, frame, axes, reference)
-    yield from (CentreOfMass(robot, axes) for axes in ("xyz", "x", "z y"))
-    yield from (RelativeFrameJacobian(robot, tip, other, axes) for axes in ("pose", "x", "y rz"))
-    yield from (MechanismRows(robot, tip, tuple(FIELDS), **ABOUT, radius=radius) for radius in (None, 0.3))
+    for reference in ("world", "local"):
+        yield from (FrameJacobian(robot, tip, axes, reference) for axes in ("xyz", "pose", "ry x"))
+    yield FrameJacobian(robot, other, "planar")
+    yield from (CentreOfMass(robot, axes) for axes in ("xyz", "z y"))
+    yield from (RelativeFrameJacobian(robot, tip, other, axes) for axes in ("pose", "y rz"))
+    yield from (MechanismRows(robot, tip, tuple(ROW_UNITS), **ABOUT, radius=radius) for radius in (None, 0.3))
     yield from (PlaceRows(robot, tip, form, (0.1, 0.2, 0.5)) for form in ("point and rotation", "twist", "surface"))
-    mixed = FrameJacobian(robot, tip, "x rz", "local"), CentreOfMass(robot, "z"), FrameJacobian(robot, tip, "y")
-    yield Stacked(mixed)
+    yield Stacked(
+        [FrameJacobian(robot, tip, "x rz", "local"), CentreOfMass(robot, "z"), FrameJacobian(robot, tip, "y")]
+    )
+    yield bent_rail(robot, tip, q, "rx across-2 along across-1")
 
 
 @pytest.mark.parametrize("name", ROBOTS)
 def test_every_feature_map(robot_of: RobotOf, rng: np.random.Generator, name: str):
     """dPhi/dq is right at random and at singular postures, and every other way to the same numbers gives them."""
     robot = robot_of(name)
-    q = np.stack(postures(robot, rng))
-    for features in feature_maps(robot, tip_of(name)):
+    every = postures(robot, rng)
+    for features in feature_maps(robot, tip_of(name), every[0]):
         with case(features):
+            q = every[:1] if isinstance(features, CurveRows) else every  # elsewhere the nearest place is not one
             Phi, dPhi = (np.stack([f(x) for x in q]) for f in (features, features.derivative))
             expected = np.stack([central_difference(features, robot, x) for x in q])
             scale = max(1.0, float(np.max(np.abs(expected))))
@@ -99,22 +111,21 @@ def test_every_feature_map(robot_of: RobotOf, rng: np.random.Generator, name: st
             np.testing.assert_allclose(slopes, dPhi, rtol=0, atol=1e-11 * scale)
             positions = np.stack([robot.positions(x) for x in q])
             np.testing.assert_allclose(features.batch(positions), Phi, rtol=0, atol=1e-12 * scale)
-            weights, wanted = rng.normal(size=Phi.shape), np.empty((len(q), robot.nv))
-            selection = np.linalg.qr(rng.normal(size=(features.n_rows, min(4, features.n_rows))))[0].T
+            constraint = Constraint(rng.normal(size=(min(4, features.n_rows), features.n_rows)), features)
             for i, x in enumerate(q):
-                A, vjp = features.value_and_vjp(x, features.padded(selection))
-                np.testing.assert_allclose(A, selection @ Phi[i], rtol=0, atol=1e-13 * scale)
-                sought = np.einsum("ij,ijk->k", selection.T @ A, dPhi[i])
-                np.testing.assert_allclose(vjp(A), sought, rtol=0, atol=1e-11 * scale**2)
-                wanted[i] = np.einsum("ij,ijk->k", weights[i], dPhi[i])
-            got = features.batch_vjp(q, lambda _, part, w=weights: w[part].transpose(1, 2, 0))
-            np.testing.assert_allclose(got, wanted, rtol=0, atol=1e-10 * scale)
+                A, vjp = constraint.value_and_vjp(x)
+                for value in (A, constraint(x)):
+                    np.testing.assert_allclose(value, constraint.selection @ Phi[i], rtol=0, atol=1e-13 * scale)
+                dA = np.einsum("sp,pij->sij", constraint.selection, dPhi[i])
+                np.testing.assert_allclose(constraint.derivative(x), dA, rtol=0, atol=1e-11 * scale)
+                np.testing.assert_allclose(vjp(A), np.einsum("ij,ijk->k", A, dA), rtol=0, atol=1e-11 * scale**2)
 
 
 @pytest.mark.parametrize("name", ROBOTS)
 def test_rows_are_rates(robot_of: RobotOf, rng: np.random.Generator, name: str):
     """Rows are the rate of the frame's origin and orientation in the base, in itself, and as another frame sees it;
-    those of the centre of mass that of its place. Without a derivative of the user's own, differences come within 1e-8.
+    those of the centre of mass that of its place, those of a curve that of the distances and the length along it.
+    Without a derivative of the user's own, differences come within 1e-8.
     """
     robot = robot_of(name)
     frame, other = robot.frame(tip_of(name)), robot.frame(other_frame(robot))
@@ -135,62 +146,68 @@ def test_rows_are_rates(robot_of: RobotOf, rng: np.random.Generator, name: str):
             seen = twist(lambda x: np.linalg.inv(robot.pose(x, other)) @ robot.pose(x, frame), q)
             np.testing.assert_allclose(relative(q), seen, rtol=0, atol=1e-8)
             np.testing.assert_allclose(mass(q), central_difference(mass.coordinates, robot, q), rtol=0, atol=1e-8)
+            rail = bent_rail(robot, frame.name, q)
+            np.testing.assert_allclose(rail(q), central_difference(rail.coordinates, robot, q), rtol=0, atol=2e-6)
             exact = FrameJacobian(robot, frame.name, "x y").derivative(q)
             np.testing.assert_allclose(custom.derivative(q), exact, rtol=0, atol=1e-8)
 
 
-def relative_error(got: np.ndarray, expected: np.ndarray) -> float:
-    return float(np.linalg.norm(got - expected) / np.linalg.norm(expected))
-
-
-@pytest.mark.parametrize("name", ROBOTS)
-def test_manipulability_gradient(robot_of: RobotOf, rng: np.random.Generator, name: str):
-    """grad mu and grad log mu of dense random constraints are right to 1e-6, for every number of rows."""
-    for axes, reference in product(AXES, REFERENCES):
-        checked = check_manipulability_gradient(robot_of(name), rng, name, axes, reference)
-        assert checked > 0 or structurally_singular(name, axes), f"{axes} in {reference} axes: nothing was compared"
-
-
-def check_manipulability_gradient(robot: Robot, rng: np.random.Generator, name: str, axes: str, reference: str) -> int:
-    """Number of gradients that were compared with differences."""
-    features = FrameJacobian(robot, tip_of(name), axes, reference)
-    words, checked = f"{axes} in {reference} axes", 0
-    for s in range(1, min(features.n_rows, robot.nv) + 1):
-        constraint = Constraint(rng.normal(size=(s, features.n_rows)), features)
-        for _ in range(3):
-            q = robot.random_configuration(rng)
-            sigma = np.linalg.svd(constraint(q), compute_uv=False)
-            if sigma[-1] <= 1e-3 * sigma[0]:  # differences lose their digits near the tip of the cone
-                continue
-            gradient = manipulability_gradient(constraint, q)
-            expected = central_difference(lambda x, c=constraint: manipulability(c, x), robot, q)
-            if np.linalg.norm(expected) < 1e-6 * np.prod(sigma):  # mu is constant
-                np.testing.assert_allclose(gradient, expected, rtol=0, atol=1e-9, err_msg=words)
-                checked += 1
-                continue
-            assert relative_error(gradient, expected) <= 1e-6, words
-            checked += 1
-            if np.linalg.norm(expected) * H > 1e-3 * np.prod(sigma):  # log mu is too curved for differences
-                continue
-            in_logs = central_difference(lambda x, c=constraint: np.log(manipulability(c, x)), robot, q)
-            assert relative_error(log_manipulability_gradient(constraint, q), in_logs) <= 1e-6, words
-    return checked
-
-
-def structurally_singular(name: str, axes: str) -> bool:
-    """A planar arm neither moves along z nor turns about x or y: those rows are zero at every posture."""
-    return name == "planar3" and axes == "ry z"
+@pytest.mark.parametrize("name", ["one", "gantry", "wrist", "humanoid", "tree", "mimic", "planar3", "ur5", "panda"])
+def test_manipulability_gradients(robot_of: RobotOf, rng: np.random.Generator, name: str):
+    """grad mu, grad log mu and grad mu_w of dense random rows of every feature map are right to 1e-6; mu and its
+    gradient are the same in bulk and in every orthonormal basis of the rows.
+    """
+    robot, compared = robot_of(name), 0
+    middle = np.stack([robot.configuration(0.5 * robot.positions(robot.random_configuration(rng))) for _ in range(2)])
+    for features in feature_maps(robot, tip_of(name), middle[0]):
+        for s in {1, min(features.n_rows, robot.nv, 3)}:
+            constraint = Constraint(rng.normal(size=(s, features.n_rows)), features)
+            turned = Constraint(np.linalg.qr(rng.normal(size=(s, s)))[0] @ constraint.selection, features)
+            q = middle[:1] if isinstance(features, CurveRows) else middle
+            batch = manipulability_batch(constraint, q)
+            for i, x in enumerate(q):
+                with case(constraint, i):
+                    mu, gradient = manipulability(constraint, x), manipulability_gradient(constraint, x)
+                    log = log_manipulability_gradient(constraint, x)
+                    scale = max(float(np.max(np.abs(gradient))), mu, 1e-6)
+                    assert abs(batch.mu[i] - mu) <= max(1e-10 * mu, 1e-15)  # to the rounding of entries of size 1
+                    np.testing.assert_allclose(batch.gradient[i], gradient, rtol=0, atol=1e-9 * scale)
+                    sigma = np.linalg.svd(constraint(x), compute_uv=False)
+                    if sigma[-1] <= max(
+                        1e-2 * sigma[0], 1e-4
+                    ):  # differences lose their digits near the tip of the cone
+                        continue
+                    assert mu == pytest.approx(float(np.prod(sigma)), rel=1e-9)
+                    assert manipulability(turned, x) == pytest.approx(mu, rel=1e-10)
+                    np.testing.assert_allclose(manipulability_gradient(turned, x), gradient, rtol=0, atol=1e-9 * scale)
+                    np.testing.assert_allclose(batch.log_gradient[i], log, rtol=1e-9, atol=1e-9 * scale / mu)
+                    expected = central_difference(lambda y, c=constraint: manipulability(c, y), robot, x)
+                    np.testing.assert_allclose(gradient, expected, rtol=0, atol=1e-6 * scale)
+                    np.testing.assert_allclose(log, gradient / mu, rtol=1e-12)
+                    weighed = penalised_manipulability(constraint, x)
+                    assert weighed <= mu * (1.0 + 1e-12)
+                    slope = penalised_manipulability_gradient(constraint, x)
+                    expected = central_difference(lambda y, c=constraint: penalised_manipulability(c, y), robot, x)
+                    size = max(float(np.max(np.abs(slope))), mu)
+                    np.testing.assert_allclose(slope, expected, rtol=0, atol=1e-5 * size)
+                    log = log_penalised_manipulability_gradient(constraint, x)
+                    np.testing.assert_allclose(log, slope / weighed, rtol=1e-12)
+                    compared += 1
+    assert compared > 15
 
 
 def test_more_rows_than_joints(robot_of: RobotOf, rng: np.random.Generator):
-    """With more rows than joints mu is 0 everywhere, and so is its gradient."""
+    """With more rows than joints mu is 0 everywhere, and so is its gradient, of one posture and of many."""
     for name in ("one", "planar3", "gantry", "wrist", "mimic"):
-        robot = robot_of(name)
-        constraint = Constraint(np.eye(6), FrameJacobian(robot, tip_of(name), "pose"))
-        q = robot.random_configuration(rng)
-        assert manipulability(constraint, q) == 0.0, name
-        np.testing.assert_array_equal(manipulability_gradient(constraint, q), np.zeros(robot.nv), err_msg=name)
-        np.testing.assert_array_equal(log_manipulability_gradient(constraint, q), np.zeros(robot.nv), err_msg=name)
+        with case(name):
+            robot = robot_of(name)
+            constraint = Constraint(np.eye(6), FrameJacobian(robot, tip_of(name), "pose"))
+            q, none = robot.random_configuration(rng), np.zeros(robot.nv)
+            assert manipulability(constraint, q) == 0.0
+            np.testing.assert_array_equal(manipulability_gradient(constraint, q), none)
+            np.testing.assert_array_equal(log_manipulability_gradient(constraint, q), none)
+            batch = manipulability_batch(constraint, np.stack([q, q]))
+            assert not batch.mu.any() and not batch.gradient.any() and batch.gradient.shape == (2, robot.nv)
 
 
 # Each is exactly singular with its rank short by one: robot, axes, selection (None: all rows; "blocked": one row that
@@ -286,17 +303,6 @@ def test_gradient_keeps_its_digits_near_the_cone(robot_of: RobotOf):
     got = manipulability_gradient(constraint, np.array([q1, q2, q3]))
     assert manipulability(constraint, np.array([q1, q2, q3])) == pytest.approx(mu, rel=1e-6)
     np.testing.assert_allclose(got, expected, rtol=0, atol=1e-6 * np.linalg.norm(expected))
-
-
-def test_the_robots_cover_what_they_should(robot_of: RobotOf):
-    """The matrix above holds nv = 1, 3, 6 and 7, prismatic, continuous and mimic joints, floating and planar bases."""
-    robots = {name: robot_of(name) for name in ROBOTS}
-    assert {1, 3, 6, 7} <= {r.nv for r in robots.values()}
-    kinds = {b.kind for r in robots.values() for b in r.blocks}
-    assert {"revolute", "prismatic", "continuous", "floating", "planar"} <= kinds
-    assert any(r.mimics for r in robots.values())
-    assert any(r.nq != r.nv for r in robots.values())
-    assert set(LOCKED) <= set(ROBOTS)
 
 
 @pytest.mark.parametrize("name", ["planar3", "panda", "gantry"])

@@ -1,18 +1,17 @@
-"""Manipulability: definition, units, and what it is at singularities (its gradient: test_gradients.py).
-
-And the one that falls towards the joint limits: definition, exact gradient, finite everywhere.
-"""
+"""Manipulability at singularities, at joint limits, and of many postures at once (gradients: test_gradients.py)."""
 
 from __future__ import annotations
 
+from itertools import product
+
 import numpy as np
 import pytest
+from case import case
 from conftest import tip_of
-from test_gradients import central_difference, other_frame, relative_error
 from test_limit_potential import near_limits
 
 from manip_learn.constraint.constraint import Constraint
-from manip_learn.constraint.features import CentreOfMass, CustomFeatures, FrameJacobian, RelativeFrameJacobian, Stacked
+from manip_learn.constraint.features import CustomFeatures, FrameJacobian
 from manip_learn.constraint.manipulability import (
     log_manipulability_gradient,
     log_penalised_manipulability_gradient,
@@ -21,26 +20,11 @@ from manip_learn.constraint.manipulability import (
     penalised_manipulability,
     penalised_manipulability_gradient,
 )
+from manip_learn.constraint.manipulability_batch import manipulability_batch
 from manip_learn.control.policies import PenalisedManipulabilityAscent
-from manip_learn.errors import ConstraintError
-from manip_learn.linalg import manipulability_of
+from manip_learn.errors import ConfigurationError, ConstraintError
+from manip_learn.linalg import EPS, manipulability_of
 from manip_learn.robot.limit_potential import limit_weights
-
-
-def test_definition(robot_of, rng):
-    """mu = sqrt(det(A A^T)), the same in every orthonormal basis of the rows."""
-    robot = robot_of("sawyer")
-    features = FrameJacobian(robot, "right_hand", "pose")
-    for s in range(1, 7):
-        constraint = Constraint(rng.standard_normal((s, 6)), features)
-        turned = Constraint(np.linalg.qr(rng.standard_normal((s, s)))[0] @ constraint.selection, features)
-        q = robot.random_configuration(rng)
-        A = constraint(q)
-        assert manipulability(constraint, q) == pytest.approx(np.sqrt(np.linalg.det(A @ A.T)), rel=1e-9)
-        assert manipulability(turned, q) == pytest.approx(manipulability(constraint, q), rel=1e-11)
-        gradient = manipulability_gradient(constraint, q)
-        np.testing.assert_allclose(manipulability_gradient(turned, q), gradient, rtol=0, atol=1e-9)
-        assert manipulability_of(A) == manipulability(constraint, q) == constraint.manipulability(q)
 
 
 def test_singular_is_zero_never_nan(robot_of):
@@ -51,78 +35,30 @@ def test_singular_is_zero_never_nan(robot_of):
     nothing = Constraint([[1.0]], CustomFeatures(lambda q: np.zeros((1, 2)), "a", 2))
     for constraint, q in ((stretched, np.zeros(3)), (crowded, np.ones(2)), (nothing, np.ones(2))):
         assert 0.0 <= manipulability(constraint, q) < 1e-14
+        assert manipulability(constraint, q) == constraint.manipulability(q) == manipulability_of(constraint(q))
         for gradient in (manipulability_gradient, log_manipulability_gradient):
             assert np.all(np.isfinite(gradient(constraint, q)))
 
 
-def test_log_gradient_is_free_of_units(rng):
-    """Rows in other units multiply mu and leave grad log mu alone."""
-    metres = CustomFeatures(lambda q: np.array([[np.cos(q[0]), q[1], 1.0], [q[2], np.sin(q[1]), q[0]]]), "ab", 3)
-    millimetres = CustomFeatures(lambda q: 1000.0 * metres(q), "ab", 3)
-    q = rng.standard_normal(3)
-    one, other = Constraint(np.eye(2), metres), Constraint(np.eye(2), millimetres)
-    assert manipulability(other, q) == pytest.approx(1e6 * manipulability(one, q))
-    np.testing.assert_allclose(
-        log_manipulability_gradient(other, q), log_manipulability_gradient(one, q), rtol=0, atol=1e-6
-    )
-
-
-# nv = 1, 3, 5, 6, 7, joints without limits, and a mimic joint
-LIMITED = ["one", "planar3", "gantry", "wrist", "mimic", "ur5", "sawyer"]
-
-
-def feature_maps(robot, name: str) -> list:
-    """Frame rows in both references, the centre of mass, a relative frame, a stack, and a map in Python."""
-    frame, halfway = tip_of(name), other_frame(robot)
-    return [
-        FrameJacobian(robot, frame, "xyz"),
-        FrameJacobian(robot, frame, "pose", "local"),
-        CentreOfMass(robot),
-        RelativeFrameJacobian(robot, frame, halfway, "xyz"),
-        Stacked([FrameJacobian(robot, frame, "xyz"), FrameJacobian(robot, halfway, "rx rz")]),
-        CustomFeatures(lambda q: robot.jacobian(q, frame)[:2], ("x", "y"), robot=robot),
-    ]
-
-
-@pytest.mark.parametrize("name", LIMITED)
-def test_penalised_gradient(robot_of, rng, name: str):
-    """grad mu_w and grad log mu_w are right to 1e-5 for random rows of each feature map, near limits too, and finite
-    at limits, outside them and stretched out.
-    """
-    robot, checked = robot_of(name), 0
-    for features in feature_maps(robot, name):
-        for s in range(1, min(3, features.n_rows, robot.nv) + 1):
-            constraint = Constraint(rng.normal(size=(s, features.n_rows)), features)
-            for share in (0.0, 0.6, 0.95):
-                q = near_limits(robot, rng, share)
-                A = constraint(q) * limit_weights(robot, q)[0]
-                sigma = np.linalg.svd(A, compute_uv=False)
-                if sigma[-1] <= 1e-2 * sigma[0]:
-                    continue
-                mu = penalised_manipulability(constraint, q)
-                assert mu == pytest.approx(np.sqrt(np.linalg.det(A @ A.T)), rel=1e-9)
-                assert mu <= manipulability(constraint, q) * (1.0 + 1e-12)
-                expected = central_difference(lambda x, c=constraint: penalised_manipulability(c, x), robot, q)
-                assert relative_error(penalised_manipulability_gradient(constraint, q), expected) <= 1e-5
-                log = log_penalised_manipulability_gradient(constraint, q)
-                assert relative_error(log, expected / mu) <= 1e-5
-                checked += 1
-    assert checked > 8
-    # at all limits, outside them, stretched out, and with one joint at its limit: no NaN, no infinity
+@pytest.mark.parametrize("name", ["planar3", "wrist", "mimic"])
+def test_at_and_beyond_limits_all_is_finite(robot_of, rng, name: str):
+    """At all limits, outside them, stretched out, and with one joint at its limit: no NaN, at most mu."""
+    robot = robot_of(name)
     upper = np.where(np.isfinite(robot.position_upper), robot.position_upper, 0.3)
     one_at_limit = 0.5 * near_limits(robot, rng, 0.5)
     one_at_limit[0] = upper[0]
-    for features in feature_maps(robot, name):
-        for s in range(1, features.n_rows + 1):
-            constraint = Constraint(np.eye(features.n_rows)[:s], features)
-            policy = PenalisedManipulabilityAscent(constraint)
-            for q in (upper, upper + 0.5, np.zeros(robot.nv), one_at_limit):
+    for axes, reference in (("xyz", "world"), ("pose", "local")):
+        features = FrameJacobian(robot, tip_of(name), axes, reference)
+        for s, q in product(range(1, features.n_rows + 1), (upper, upper + 0.5, np.zeros(robot.nv), one_at_limit)):
+            with case(axes, s, q):
+                constraint = Constraint(np.eye(features.n_rows)[:s], features)
                 # a volume of entries of size 1 is known to their rounding, where it should be zero
                 most = manipulability(constraint, q) * (1.0 + 1e-9) + 1e-15
                 assert 0.0 <= penalised_manipulability(constraint, q) <= most
                 assert np.all(np.isfinite(penalised_manipulability_gradient(constraint, q)))
                 assert np.all(np.isfinite(log_penalised_manipulability_gradient(constraint, q)))
-                assert np.all(np.isfinite(policy(q))) and np.linalg.norm(policy(q)) <= 4.0 * (1.0 + 1e-9)
+                asked = PenalisedManipulabilityAscent(constraint)(q)
+                assert np.all(np.isfinite(asked)) and np.linalg.norm(asked) <= 4.0 * (1.0 + 1e-9)
 
 
 def test_a_joint_at_its_limit_does_not_count(robot_of):
@@ -164,3 +100,42 @@ def test_ascent_climbs_it_and_leaves_a_limit(robot_of, rng):
     policy = PenalisedManipulabilityAscent(slides, 2.0)
     assert policy(q)[0] < 0.0 and policy(-q)[0] > 0.0
     assert "gain=2" in repr(policy)
+
+
+def test_many_postures_at_and_near_singularities(robot_of):
+    """The gradient in bulk is that of the single posture, ever closer to the singularity and on it, where it is the
+    steepest ascent, in the middle of good postures too.
+    """
+    for (name, axes), distance in product((("planar3", "x y"), ("sawyer", "xyz")), (1e-1, 1e-3, 1e-5, 1e-8, 1e-11)):
+        with case(name, axes, distance):
+            robot = robot_of(name)
+            q = np.full((3, robot.nv), distance) * np.array([[1.0], [0.5], [-1.0]])
+            q[:, 0] = [0.3, -0.4, 1.0]
+            features = FrameJacobian(robot, tip_of(name), axes)
+            constraint = Constraint(np.eye(features.n_rows), features)
+            expected = np.array([manipulability_gradient(constraint, x) for x in q])
+            scale = np.max(np.abs(expected), axis=1, keepdims=True)
+            np.testing.assert_allclose(
+                manipulability_batch(constraint, q).gradient / scale, expected / scale, atol=1e-9
+            )
+    constraint = Constraint(np.eye(2), FrameJacobian(robot_of("planar3"), "tip", "x y"))
+    q = np.array([[0.3, 0.7, -0.4], [0.5, 0.0, 0.0], [1.0, -0.3, 0.9], [0.2, 0.0, np.pi]])
+    batch = manipulability_batch(constraint, q)
+    for i, x in enumerate(q):
+        np.testing.assert_allclose(batch.gradient[i], manipulability_gradient(constraint, x), rtol=0, atol=1e-10)
+        expected = log_manipulability_gradient(constraint, x)
+        np.testing.assert_allclose(batch.log_gradient[i], expected, rtol=0, atol=1e-6 * np.max(np.abs(expected)))
+    sigma = np.linalg.svd(constraint(q[1]), compute_uv=False)
+    np.testing.assert_allclose(batch.floor, [0.0, 64.0 * EPS * sigma[0] ** 2, 0.0, batch.floor[3]], rtol=1e-9)
+    assert batch.mu[1] < 1e-15 and np.linalg.norm(batch.gradient[1]) > 0.1
+
+
+def test_sizes_and_bad_numbers(robot_of):
+    """No posture gives an empty table; the row of a bad posture is its row in the table."""
+    constraint = Constraint(np.eye(3), FrameJacobian(robot_of("sawyer"), "right_hand"))
+    assert manipulability_batch(constraint, np.zeros((0, 7))).gradient.shape == (0, 7)
+    q = np.zeros((9000, 7))
+    q[7000, 3] = np.nan
+    for evaluate in (lambda: manipulability_batch(constraint, q), lambda: constraint.features.batch(q)):
+        with pytest.raises(ConfigurationError, match="row 7000"):
+            evaluate()

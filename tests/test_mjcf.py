@@ -110,6 +110,8 @@ def test_linear_couplings_become_mimic_joints(tmp_path, rng):
     assert (mimic.joint, mimic.leader, mimic.multiplier) == ("k", "j", -2.0)
     assert mimic.offset == pytest.approx(0.1 + 0.3 + 2 * 0.2)
     assert robot.nv == 1
+    held = load(tmp_path, mjcf(body("a", "", JOINT + SECOND)), locked={"k": 0.4})
+    assert (held.nv, held.locked) == (1, {"k": 0.4}) and held.fingerprint != robot.fingerprint
     assert cross_check(robot, rng).agrees
 
 
@@ -158,15 +160,6 @@ def test_what_cannot_be_kept_is_refused(tmp_path):
             assert caught.value.code == code
             assert caught.value.line is not None
             assert str(tmp_path) in str(caught.value)
-
-
-def test_locking_and_fingerprint(tmp_path):
-    """Joints of an MJCF file are locked by name, and the fingerprint knows."""
-    text = mjcf(body("a", "", JOINT + SECOND))
-    free, held = load(tmp_path, text), load(tmp_path, text, locked={"k": 0.4})
-    assert (free.nv, held.nv) == (2, 1)
-    assert held.locked == {"k": 0.4}
-    assert free.fingerprint != held.fingerprint
 
 
 def test_an_mjcf_file_is_known_by_its_content(tmp_path):

@@ -16,7 +16,6 @@ import manip_learn as ml
 from manip_learn.cli import main
 from manip_learn.errors import ConstraintMismatchError, RecordingError, RobotError
 from manip_learn.recordings.trajectory import Trajectory
-from manip_learn.recordings.velocities import continuous_rotation_vectors
 from manip_learn.robot import Robot, load_robot
 from manip_learn.robot.tips import default_tip
 
@@ -56,12 +55,12 @@ def smooth(rng: np.random.Generator, time: np.ndarray, n: int, size: float) -> n
 
 
 def held_relative(
-    features: ml.RelativeFrameJacobian, free: np.ndarray, rng: np.random.Generator, n: int = 6
+    features: ml.RelativeFrameJacobian, free: np.ndarray, rng: np.random.Generator, n: int = 4
 ) -> list[Trajectory]:
     """Motions whose relative twist lies in the columns of `free`, with everything else moving as it likes."""
     robot, trajectories = features.robot, []
     for k in range(n):
-        time = np.arange(300) * 0.01
+        time = np.arange(200) * 0.015
         push, slide = smooth(rng, time, robot.nv, 0.5), smooth(rng, time, max(free.shape[1], 1), 0.3)
         q = [robot.random_configuration(rng)]
         for _ in range(3):  # a posture in the middle of the limits
@@ -69,34 +68,29 @@ def held_relative(
         for i in range(len(time) - 1):
             u = np.zeros(robot.nv)
             for _ in range(2):  # the second time at the middle of the step
-                Phi = features(robot.integrate(q[i], 0.005 * u))
+                Phi = features(robot.integrate(q[i], 0.0075 * u))
                 wanted = free @ slide[i, : free.shape[1]]
                 u = push[i] + np.linalg.pinv(Phi) @ (wanted - Phi @ push[i])
-            q.append(robot.integrate(q[i], 0.01 * u))
+            q.append(robot.integrate(q[i], 0.015 * u))
         positions = np.array([robot.positions(row) for row in q])
         trajectories.append(Trajectory(time, positions, None, robot.joint_names, f"motion {k}"))
     return trajectories
 
 
 def test_an_object_is_a_floating_joint_on_the_root_link(robot: Robot) -> None:
-    """Six more coordinates without limits; the pose of its frame is what the six numbers say."""
+    """Six more coordinates without limits, no tip; the pose of its frame is what the six numbers say."""
     plain = load_robot("sawyer")
     assert robot.objects == ("box",) and plain.objects == ()
     assert robot.nv == plain.nv + 6 and set(robot.joint_names) == {*plain.joint_names, *BOX}
     columns = [robot.joint_names.index(n) for n in BOX]
     assert np.all(np.isinf(robot.position_lower[columns])) and np.all(np.isinf(robot.position_upper[columns]))
     assert np.all(np.isinf(robot.velocity_limit[columns]))
+    assert ml.likely_tips(robot) == ml.likely_tips(plain) and default_tip(robot) == default_tip(plain)
     x = np.zeros(robot.nv)
     x[columns] = 0.4, -0.2, 0.3, 0.1, 0.7, -0.5
     pose = robot.pose(x, "box")
     np.testing.assert_allclose(pose[:3, 3], x[columns][:3], atol=1e-12)
     np.testing.assert_allclose(pose[:3, :3], Rotation.from_rotvec(x[columns][3:]).as_matrix(), atol=1e-12)
-
-
-def test_an_object_is_no_tip(robot: Robot) -> None:
-    """What `learn` and `replay` take for the tip of the arm does not change."""
-    plain = load_robot("sawyer")
-    assert ml.likely_tips(robot) == ml.likely_tips(plain) and default_tip(robot) == default_tip(plain)
 
 
 def test_names_that_cannot_be_used() -> None:
@@ -160,15 +154,6 @@ def test_a_constant_twist_is_found_exactly(robot: Robot) -> None:
     derived = ml.derive_velocities(Trajectory(time, x, None, robot.joint_names), robot)
     assert derived.u is not None
     np.testing.assert_allclose(derived.u[:, columns], np.tile(v, (len(derived), 1)), atol=1e-4)
-
-
-def test_rotation_vectors_are_continuous(rng: np.random.Generator) -> None:
-    """Through half a turn the rotation stays the same and the vector does not jump."""
-    angle = np.linspace(0.0, 5.5, 200)
-    axis = np.array([0.6, 0.0, 0.8])
-    wrapped = Rotation.from_rotvec(angle[:, None] * axis).as_rotvec()
-    assert np.max(np.abs(np.diff(wrapped, axis=0))) > 1.0
-    np.testing.assert_allclose(continuous_rotation_vectors(wrapped), angle[:, None] * axis, atol=1e-9)
 
 
 def write(path: Path, names: list[str], columns: np.ndarray, time: np.ndarray) -> Path:
@@ -241,21 +226,6 @@ def test_recorded_joint_velocities_give_way_to_derived_ones(robot: Robot, tmp_pa
     assert demos[0].u is None and any("recorded velocities are not used" in note for note in demos.notes)
 
 
-def test_a_tool_held_on_a_moving_box(robot: Robot) -> None:
-    """All rows of the relative twist are held but those that are free, while tool and box both move in the world."""
-    for free in [(), (0, 5)]:
-        with case(free):
-            features = ml.RelativeFrameJacobian(robot, TIP, "box", "pose")
-            directions = np.eye(6)[:, list(free)]
-            demos = held_relative(features, directions, np.random.default_rng(5))
-            learner = ml.ConstraintLearner(features, 6 - len(free) if not free else None, estimator="null-space").fit(
-                demos
-            )
-            constraint = learner.constraint_
-            assert constraint.n_constraints == 6 - len(free)
-            assert np.max(np.abs(constraint.selection @ directions), initial=0.0) < 2e-3
-
-
 def test_two_arms_carry_one_object(two_arms: Robot) -> None:
     """Two tips of one robot: their relative twist is held but for a hinge between them, whatever the object does."""
     features = ml.RelativeFrameJacobian(two_arms, "left_tip", "right_tip", "pose")
@@ -278,7 +248,7 @@ def test_command_line(robot: Robot, tmp_path: Path, capsys: pytest.CaptureFixtur
     assert main([*words, "--axes", "pose", "--estimator", "null-space", "--out", file, "--json"]) == 0
     assert json.loads(capsys.readouterr().out)["n_constraints"] == 5
     assert main(["audit", "sawyer", file, str(folder), "--json"]) == 0
-    assert json.loads(capsys.readouterr().out)["n_episodes"] == 6
+    assert json.loads(capsys.readouterr().out)["n_episodes"] == 4
     assert main(["audit", "sawyer", file, str(folder), "--object", "cup"]) == 2
     assert "'cup'" in capsys.readouterr().err
     assert main(["inspect", "sawyer", "--object", "box", "--json"]) == 0

@@ -53,23 +53,3 @@ def test_forward_kinematics_is_the_textbook_formula() -> None:
                 moments = np.linalg.eigvalsh(inertia.inertia)
                 assert inertia.mass > 0.0 and moments[0] > 0.0
                 assert moments[0] + moments[1] >= moments[2] * (1 - 1e-6)
-
-
-def test_limits_allow_the_papers_starts_and_do_not_look_like_degrees() -> None:
-    """Full turns each way lie well inside the limits, which stay below 4 pi."""
-    model = pin.buildModelFromXML(planar_arm_urdf())
-    assert np.all((model.upperPositionLimit > np.deg2rad(700.0)) & (model.upperPositionLimit < 4 * np.pi))
-    assert np.all(model.lowerPositionLimit == -model.upperPositionLimit)
-    assert np.all(model.velocityLimit > 0.0) and np.all(model.effortLimit > 0.0)
-
-
-def test_a_prismatic_joint_slides_its_link_along_itself() -> None:
-    """Prismatic joints lengthen the arm along the link's own x axis."""
-    model = pin.buildModelFromXML(planar_arm_urdf((0.5, 0.4, 0.3), "rpr", [2]))
-    data = model.createData()
-    q = np.array([0.3, 0.2, -0.8])
-    pin.framesForwardKinematics(model, data, q)
-    first, last = q[0], q[0] + q[2]
-    expected = 1.1 * np.array([np.cos(first), np.sin(first)]) + 0.3 * np.array([np.cos(last), np.sin(last)])
-    np.testing.assert_allclose(data.oMf[model.getFrameId("tip")].translation[:2], expected, atol=1e-14)
-    assert model.upperPositionLimit[1] == 0.4 and model.lowerPositionLimit[1] == 0.0

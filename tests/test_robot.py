@@ -66,16 +66,8 @@ def test_wrong_postures_are_refused(robot_of):
             robot = robot_of(name)
             frame = robot.frame(tip_of(name))
             n = robot.nv
-            bad = [
-                np.zeros(n + 7),
-                [],
-                np.full(n, np.nan),
-                np.full(robot.nq, np.inf),
-                ["x"] * n,
-                None,
-                np.zeros((n, 2)),
-                {},
-            ]
+            bad: list = [np.zeros(n + 7), [], np.full(n, np.nan), np.full(robot.nq, np.inf), np.zeros((n, 2))]
+            bad += [["x"] * n, None, {}]
             for q in bad:
                 for ask in (robot.configuration, robot.positions):
                     with pytest.raises(ConfigurationError):
@@ -89,17 +81,14 @@ def test_wrong_postures_are_refused(robot_of):
                     robot.integrate(np.zeros(n), q)
                 with pytest.raises(ConfigurationError):
                     robot.difference(np.zeros(n), q)
-
-
-def test_refusals_name_the_joint(robot_of):
-    """The sentence names the joint that is not finite, in postures and in velocities."""
-    robot = robot_of("gantry")
-    with pytest.raises(ConfigurationError, match="'joint2' is nan"):
-        robot.configuration([0, 0, np.nan, 0, 0])
-    with pytest.raises(ConfigurationError, match="'joint3' is inf"):
-        robot.velocity([0, 0, 0, np.inf, 0])
-    with pytest.raises(ConfigurationError, match="'joint1' is nan"):
-        robot.velocity([1e300, np.nan, 0, 0, 0])
+    gantry = robot_of("gantry")
+    for ask, wrong, said in (
+        (gantry.configuration, [0, 0, np.nan, 0, 0], "'joint2' is nan"),
+        (gantry.velocity, [0, 0, 0, np.inf, 0], "'joint3' is inf"),
+        (gantry.velocity, [1e300, np.nan, 0, 0, 0], "'joint1' is nan"),
+    ):
+        with pytest.raises(ConfigurationError, match=said):
+            ask(wrong)
 
 
 def test_configurations_without_direction_are_refused(robot_of):
@@ -166,7 +155,7 @@ def test_many_threads(robot_of, rng):
     wrong: list[int] = []
 
     def work(i: int) -> None:
-        for _ in range(300):
+        for _ in range(100):
             if not np.array_equal(robot.jacobian_and_derivative(postures[i], frame)[1], expected[i]):
                 wrong.append(i)
 
@@ -263,29 +252,5 @@ def test_frames_and_joints_of_one_name(tmp_path):
     assert robot.joint_units == ("rad", "rad")
     rover, humanoid = load_robot(path, base="planar"), load_robot(path, base="floating", objects="box")
     assert rover.joint_units == ("m", "m", "rad", "rad", "rad")
-    assert humanoid.joint_units == (
-        "m",
-        "m",
-        "m",
-        "rad",
-        "rad",
-        "rad",
-        *("m", "m", "m", "rad", "rad", "rad"),
-        "rad",
-        "rad",
-    )
+    assert humanoid.joint_units == (*(("m",) * 3 + ("rad",) * 3) * 2, "rad", "rad")
     assert [n for n in humanoid.joint_names if "box" in n] == [f"box.{c}" for c in ("x", "y", "z", "rx", "ry", "rz")]
-
-
-def test_a_step_leads_where_the_difference_says(robot_of, rng):
-    """Configurations and joint positions, continuous joints and moving bases: each in its own kind of vector."""
-    for name in ("wrist", "humanoid", "rover", "mimic", "planar3"):
-        robot = robot_of(name)
-        q, step = robot.random_configuration(rng), rng.uniform(-0.4, 0.4, robot.nv)
-        there = robot.integrate(q, step)
-        assert there.shape == (robot.nq,)
-        np.testing.assert_allclose(robot.difference(q, there), step, atol=1e-12, err_msg=name)
-        positions = robot.positions(q)
-        by_positions = robot.integrate(positions, step)
-        assert by_positions.shape == (robot.nv,)
-        np.testing.assert_allclose(robot.configuration(by_positions), there, atol=1e-12, err_msg=name)

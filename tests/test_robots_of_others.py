@@ -13,7 +13,7 @@ from urdf_corpus import dae, stl
 
 import manip_learn as ml
 from manip_learn.cli import main
-from manip_learn.errors import NotIdentifiableError, RobotError, UnknownNameError
+from manip_learn.errors import NotIdentifiableError, UnknownNameError
 from manip_learn.robot import Robot, load_robot
 from manip_learn.robot.tips import likely_tips
 from manip_learn.robot.visuals.meshes import Mesh, read_meshes
@@ -99,18 +99,6 @@ def test_the_narrower_limits_of_a_safety_controller_are_used(safety, limits, is_
     assert any("safety_controller allows" in w for w in robot.warnings) == is_told
 
 
-def test_arguments_of_a_xacro_file_are_listed_where_one_is_missing(tmp_path: Path) -> None:
-    """The refusal names them, and how one is given."""
-    pytest.importorskip("xacrodoc", reason="the extra 'xacro' is not installed")
-    path = tmp_path / "a.xacro"
-    args = '<xacro:arg name="length" default="0.3"/><xacro:arg name="mass" default="1"/>'
-    space = 'xmlns:xacro="http://www.ros.org/wiki/xacro"'
-    path.write_text(f'<robot name="made" {space}>{args}<link name="$(arg side)_base"/></robot>')
-    with pytest.raises(RobotError, match="has the arguments length, mass, side: give one with xacro={NAME: VALUE}"):
-        load_robot(path, xacro=True)
-    assert load_robot(path, xacro={"side": "left"}).nv == 0
-
-
 def test_an_arm_of_another_series_is_not_offered() -> None:
     """The names of shipped arms are those of their makers; a name beside them is another arm, and no typing error."""
     # by hand from the makers' Denavit-Hartenberg parameters, all joints at zero
@@ -144,15 +132,10 @@ def gripper(path: Path) -> Robot:
     return load_robot(described(path, links, *joints))
 
 
-def test_what_the_grippers_motor_moves_is_no_tip(tmp_path: Path) -> None:
-    """The frame between the fingers is the tip, though the propeller has one joint more above it."""
-    assert "gripper_prop_link" not in likely_tips(gripper(tmp_path / "a.urdf"))
-    assert likely_tips(gripper(tmp_path / "a.urdf"))[0] == "ee_gripper_link"
-
-
 def test_inspect_says_first_what_one_must_know(tmp_path: Path, capsys) -> None:
     """Tip, the joints that move it and those that do not, limits that were narrowed or lack: within 20 lines."""
-    gripper(tmp_path / "a.urdf")
+    tips = likely_tips(gripper(tmp_path / "a.urdf"))  # the propeller has one joint more above it
+    assert "gripper_prop_link" not in tips and tips[0] == "ee_gripper_link"
     assert main(["inspect", str(tmp_path / "a.urdf")]) == 0
     said = capsys.readouterr().out.replace("\n", " ")
     for words in (

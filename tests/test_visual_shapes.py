@@ -99,21 +99,24 @@ def test_scale_and_mirror(tmp_path):
     assert min(normals) > 0
 
 
-def test_a_missing_mesh_becomes_a_plain_shape(tmp_path):
-    """The link has one fault, with the reason; the address is named."""
+def test_what_cannot_be_drawn_has_a_fault(tmp_path):
+    """No geometry, an unknown shape, a size that is not finite, no address: the link is there, with the reason."""
+    for visual, words in (
+        ("<visual/>", "geometry"),
+        ("<visual><geometry><cone/></geometry></visual>", "cone"),
+        ('<visual><geometry><box size="nan 1 1"/></geometry></visual>', "finite"),
+        ('<visual><geometry><mesh filename=""/></geometry></visual>', "file"),
+        ('<visual><geometry><mesh filename="."/></geometry></visual>', "extension"),
+    ):
+        (shape,) = visual_shapes(arm_with(tmp_path, visual))
+        assert shape.shape is None and shape.link == "tip" and words in shape.fault
     mesh = '<visual><geometry><mesh filename="package://gone/a.stl"/></geometry></visual>'
     robot = arm_with(tmp_path, mesh + mesh)
-    (shape,) = visual_shapes(robot)
+    (shape,) = visual_shapes(robot)  # told once
     assert shape.shape is None and "package_dirs" in shape.fault
     found, missing = resolve_meshes(robot)
     assert list(missing) == ["package://gone/a.stl"] and not found
-
-
-def test_links_without_shapes_say_so(tmp_path):
-    """A robot without visuals has a fault at each link, on the joint that carries it."""
-    path = tmp_path / "arm.urdf"
-    path.write_text(ARM, encoding="utf-8")
-    visuals = {v.link: v for v in visual_shapes(load_robot(path))}
+    visuals = {v.link: v for v in visual_shapes(arm_with(tmp_path, ""))}
     assert {link: v.joint for link, v in visuals.items()} == {"base": 0, "upper": 1, "tip": 2}
     assert all(v.shape is None and v.fault == "the robot has no visuals" for v in visuals.values())
 

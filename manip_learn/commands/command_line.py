@@ -161,9 +161,9 @@ def refuse_to_replace(outputs: Sequence[tuple[str, Path]], inputs: Iterable[str 
 
 def _named_in(source: Path) -> set[str]:
     """Names, without folders, of the meshes and other files that a robot's description names."""
-    from manip_learn.robot.loading import SUFFIXES
+    from manip_learn.robot.loading import DESCRIPTION_SUFFIXES
 
-    if source.suffix not in SUFFIXES:
+    if source.suffix not in DESCRIPTION_SUFFIXES:
         return set()
     named = re.findall(r"""\bfile(?:name)?\s*=\s*["']([^"']+)""", source.read_text(encoding="utf-8", errors="replace"))
     return {PurePosixPath(name).name for name in named}

@@ -26,7 +26,7 @@ from manip_learn.recordings.readers.recording_files import recording_path
 from manip_learn.recordings.readers.saved_reader import file_header
 from manip_learn.recordings.trajectory import Trajectory
 from manip_learn.recordings.trajectory_source import Progress
-from manip_learn.robot.loading import SUFFIXES
+from manip_learn.robot.loading import DESCRIPTION_SUFFIXES
 from manip_learn.robot.robot import Robot
 
 # flags with the number of their values; `learn` has no use for them
@@ -92,7 +92,7 @@ def named_robot(words: list[str]) -> tuple[str, list[str]]:
         return header.robot.source or header.robot.name, words
     if len(words) > 1:
         return words[0], words[1:]
-    if first.exists() and first.suffix not in SUFFIXES:
+    if first.exists() and first.suffix not in DESCRIPTION_SUFFIXES:
         raise RecordingError(
             f"{first} does not say which robot it is of: name the robot before it, `manip-learn replay ROBOT ...`"
         )

@@ -16,7 +16,7 @@ from manip_learn.errors import FeatureError
 UNEXPLAINED = 0.1
 # spread of the targets over the mean distance at which recordings began, up to which they are one target
 ONE_TARGET = 0.1
-MOST_SAMPLES = 2000  # two numbers a row are fitted: more samples cost time and tell nothing new
+FITTED_SAMPLES = 2000  # two numbers a row are fitted: more samples cost time and tell nothing new
 
 
 @final
@@ -78,7 +78,7 @@ def intention_of(
         selection: Lambda.
         recordings: Configurations and velocities of each recording.
     """
-    step = max(1, sum(len(q) for q, _ in recordings) // MOST_SAMPLES)
+    step = max(1, sum(len(q) for q, _ in recordings) // FITTED_SAMPLES)
     means, places, rates = [], [], []
     try:
         for q, u in recordings:

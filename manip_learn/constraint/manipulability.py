@@ -47,10 +47,10 @@ def manipulability(constraint: Constraint, q: ArrayLike) -> float:
         >>> round(ml.manipulability(constraint, [0.0, 0.0, 0.0]), 2)  # stretched along x: the task is singular
         0.0
     """
-    return in_order(constraint, q).manipulability(q)
+    return constraint_first(constraint, q).manipulability(q)
 
 
-def in_order(constraint: Constraint, q: ArrayLike) -> Constraint:
+def constraint_first(constraint: Constraint, q: ArrayLike) -> Constraint:
     """The constraint, if it is one.
 
     Raises:
@@ -73,7 +73,7 @@ def manipulability_gradient(constraint: Constraint, q: ArrayLike) -> Float[np.nd
         ConfigurationError: q has the wrong size or is not finite.
         ConstraintError: The arguments are in another order.
     """
-    A, vjp = in_order(constraint, q).value_and_vjp(q)
+    A, vjp = constraint_first(constraint, q).value_and_vjp(q)
     return gradient_from(A.shape, svd(A), vjp)[1]
 
 
@@ -87,7 +87,7 @@ def log_manipulability_gradient(constraint: Constraint, q: ArrayLike) -> Float[n
         ConfigurationError: q has the wrong size or is not finite.
         ConstraintError: The arguments are in another order.
     """
-    A, vjp = in_order(constraint, q).value_and_vjp(q)
+    A, vjp = constraint_first(constraint, q).value_and_vjp(q)
     mu, gradient, floor = gradient_from(A.shape, svd(A), vjp)
     return gradient / max(mu, floor, np.finfo(np.float64).tiny)
 
@@ -178,7 +178,7 @@ def penalised_manipulability(constraint: Constraint, q: ArrayLike) -> float:
         ConfigurationError: q has the wrong size or is not finite.
         ConstraintError: The constraint's features have no robot, or the arguments are in another order.
     """
-    return manipulability_of(constraint(q) * limit_weights(limited_robot(in_order(constraint, q)), q)[0])
+    return manipulability_of(constraint(q) * limit_weights(limited_robot(constraint_first(constraint, q)), q)[0])
 
 
 def penalised_manipulability_gradient(constraint: Constraint, q: ArrayLike) -> Float[np.ndarray, " nv"]:
@@ -211,7 +211,7 @@ def penalised_value_and_vjp(constraint: Constraint, q: ArrayLike) -> tuple[Float
         ConfigurationError: q has the wrong size or is not finite.
         ConstraintError: The constraint's features have no robot, or the arguments are in another order.
     """
-    w, slope = limit_weights(limited_robot(in_order(constraint, q)), q)
+    w, slope = limit_weights(limited_robot(constraint_first(constraint, q)), q)
     A, vjp = constraint.value_and_vjp(q)
     A_slope = A * slope
 

@@ -15,9 +15,10 @@ from jaxtyping import Bool, Float
 from numpy.typing import ArrayLike
 
 from manip_learn.constraint.constraint import Constraint
-from manip_learn.constraint.manipulability import SINGULAR_RATIO, gradient_of, in_order
+from manip_learn.constraint.manipulability import constraint_first, gradient_of
 from manip_learn.robot.batch.postures import checked_postures
 
+GRADIENT_CHUNK = 512  # postures whose dA/dq are held at a time
 LEAST_LENGTH_RATIO = 1e-3  # shortest orthogonalised row over longest row of A; below it the SVD takes over
 
 
@@ -52,29 +53,22 @@ def manipulability_batch(constraint: Constraint, q: ArrayLike) -> Manipulability
         ConfigurationError: Wrong size or not finite; names the first bad row and joint.
         ConstraintError: The arguments are in another order.
     """
-    features = in_order(constraint, q).features
+    features = constraint_first(constraint, q).features
     postures = np.asarray(q, dtype=np.float64)
-    n = postures.shape[0] if postures.ndim else 0
-    out = ManipulabilityBatch(np.zeros(n), np.zeros((n, constraint.nv)), np.zeros(n))
-    if constraint.n_constraints > constraint.nv:
-        features.batch(postures[:1])  # for its checks
-        return out
-    robot = constraint.robot
-    if robot is not None:
-        checked_postures(robot, postures)  # here, where a row's number is that of the caller
-    ill = np.zeros(n, dtype=bool)
-
-    def weigh(Phi: np.ndarray, part: slice) -> np.ndarray:
-        A = np.tensordot(constraint.selection, Phi, axes=1)
-        X, out.mu[part], ill[part] = row_inverses(A)
-        return np.tensordot(constraint.selection.T, X * out.mu[part], axes=1)
-
-    out.gradient[:] = features.batch_vjp(postures, weigh)
-    bad = np.flatnonzero(ill)
-    if bad.size:
-        Phi, dPhi = features.batch_with_derivative(postures[bad])
-        dA = np.einsum("sp,npjk->nsjk", constraint.selection, dPhi, optimize=True)
-        out.mu[bad], out.gradient[bad], out.floor[bad] = _through_svd(constraint.selection @ Phi, dA)
+    if constraint.robot is not None:
+        checked_postures(constraint.robot, postures)  # here, where a row's number is that of the caller
+    n, s, nv = len(postures), constraint.n_constraints, constraint.nv
+    out = ManipulabilityBatch(np.zeros(n), np.zeros((n, nv)), np.zeros(n))
+    for start in range(0, n if s <= nv else 0, GRADIENT_CHUNK):
+        part = slice(start, start + GRADIENT_CHUNK)
+        Phi, dPhi = features.batch_with_derivative(postures[part])
+        A = constraint.selection @ Phi
+        X, out.mu[part], is_ill = row_inverses(A.transpose(1, 2, 0))
+        weights = np.tensordot(constraint.selection.T, X * out.mu[part], axes=1)
+        out.gradient[part] = np.einsum("ijn,nijk->nk", weights, dPhi)
+        for i in np.flatnonzero(is_ill):
+            dA = np.tensordot(constraint.selection, dPhi[i], axes=1)
+            out.mu[start + i], out.gradient[start + i], out.floor[start + i] = gradient_of(A[i], dA)
     return out
 
 
@@ -102,14 +96,3 @@ def row_inverses(
             Q[i] -= L[j, i] * Q[j]
         Q[i] /= safe[i]
     return Q, mu, ill
-
-
-def _through_svd(A: np.ndarray, dA: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    U, sigma, Vt = np.linalg.svd(A, full_matrices=False)
-    s = sigma.shape[1]
-    others = np.stack([np.prod(np.delete(sigma, i, axis=1), axis=1) for i in range(s)], axis=1)
-    mu, floor = others[:, 0] * sigma[:, 0], SINGULAR_RATIO * sigma[:, 0] * others[:, -1]
-    gradient = np.einsum("nij,nijk->nk", (U * others[:, None, :]) @ Vt, dA)
-    for i in np.flatnonzero(sigma[:, -1] <= SINGULAR_RATIO * sigma[:, 0]):
-        mu[i], gradient[i], floor[i] = gradient_of(A[i], dA[i])
-    return mu, gradient, floor

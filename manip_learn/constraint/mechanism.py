@@ -69,9 +69,7 @@ MIXED = 0.2
 FARTHEST_START = 5.0
 Z = np.array([0.0, 0.0, 1.0])  # the axis of what has none
 Grip = Literal["loose", "firm"]
-# rows of translation and of rotation stand apart where each is held to this share, or free to it: a row of a learnt
-# Lambda leaks by its uncertainty, 1e-2 at 0.6 degrees, and a row that mixes the two for good does so by 0.3 and more
-CLEAR_SHARE = 0.1
+CLEAR_SHARE = 0.1  # a row of `MechanismRows` is held, or free, to this share: see `MIXED`
 # [m/rad] a travel below this is that of a hinge: a tenth of the flattest thread in use (M6, 1 mm a turn, 0.16 mm/rad)
 LEAST_PITCH = 1.6e-5
 # the axis that the learner fitted belongs to these rows if it is nearer to theirs than this: 1 degree
@@ -130,7 +128,7 @@ class MechanismKind:
 MECHANISM_KINDS: tuple[MechanismKind, ...] = tuple(
     MechanismKind(*row[:3], *(tuple(words.split()) for words in row[3:])) for row in _TABLE
 )
-KINDS = {kind.name: kind for kind in MECHANISM_KINDS}
+KIND_BY_NAME = {kind.name: kind for kind in MECHANISM_KINDS}
 
 
 Read = tuple[MechanismKind, Place]
@@ -219,9 +217,9 @@ def of_point_rows(
     else:
         along = distances[1] * normals[0] - distances[0] * normals[1]
         name, place = "hinge", Place(_unit(along), middle - distances @ normals / float(distances @ distances))
-    found = KINDS.get({0: name, 2: f"{name}, turning", 3: f"{name}, not turning"}[turns])
+    found = KIND_BY_NAME.get({0: name, 2: f"{name}, turning", 3: f"{name}, not turning"}[turns])
     if held == 0:
-        found = {2: KINDS["direction"], 3: KINDS["orientation"]}.get(turns)
+        found = {2: KIND_BY_NAME["direction"], 3: KIND_BY_NAME["orientation"]}.get(turns)
     turned = aligned and axis is not None and held and abs(float(axis @ place.axis)) < 1.0 - MIXED
     return None if found is None or turned else (found, place)
 
@@ -241,27 +239,27 @@ def of_twists(free: Float[np.ndarray, "k 6"], middle: Float[np.ndarray, " 3"]) -
     spun, slides = U.T[:turns] @ free, (U.T[turns:] @ free)[:, :3]
     match turns, len(free):
         case 0, 1:
-            return KINDS["line, not turning"], Place(_unit(free[0, :3]), middle)
+            return KIND_BY_NAME["line, not turning"], Place(_unit(free[0, :3]), middle)
         case 0, 2:
-            return KINDS["plane, not turning"], Place(_unit(np.cross(*slides)), middle)
+            return KIND_BY_NAME["plane, not turning"], Place(_unit(np.cross(*slides)), middle)
         case 0, 3:
-            return KINDS["orientation"], Place(Z, middle)
+            return KIND_BY_NAME["orientation"], Place(Z, middle)
         case 1, (1 | 2):
             across = spun[0, :3] / (spun[0, 3:] @ axis)
             foot = middle + np.cross(axis, across)
             if len(slides) == 0:
-                return KINDS["screw, firm"], Place(axis, foot, float(across @ axis))
+                return KIND_BY_NAME["screw, firm"], Place(axis, foot, float(across @ axis))
             if np.linalg.norm(np.cross(slides[0], axis)) < MIXED * np.linalg.norm(slides[0]):
-                return KINDS["sleeve, firm"], Place(axis, foot)
+                return KIND_BY_NAME["sleeve, firm"], Place(axis, foot)
         case 1, 3 if np.max(np.abs(slides @ axis)) < MIXED:
-            return KINDS["plane, turning"], Place(axis, middle)
+            return KIND_BY_NAME["plane, turning"], Place(axis, middle)
         case 1, 4:
-            return KINDS["direction"], Place(axis, middle)
+            return KIND_BY_NAME["direction"], Place(axis, middle)
         case 3, 3:  # v_i = w_i x (m - c) for all three
             away = np.linalg.lstsq(np.concatenate([skew(x) for x in spun[:, 3:]]), spun[:, :3].reshape(-1), rcond=None)[
                 0
             ]
-            return KINDS["ball, firm"], Place(Z, middle - away)
+            return KIND_BY_NAME["ball, firm"], Place(Z, middle - away)
     return None
 
 
@@ -282,14 +280,14 @@ def _of_surface(
     axis, size = vectors[:, order[0]], 0.5 * float(one + other)
     point = middle - (foot - (foot @ axis) * axis) / size
     if len(selection) == 1:
-        return KINDS["cylinder"], Place(axis, point)
+        return KIND_BY_NAME["cylinder"], Place(axis, point)
     if len(selection) != 2 or sizes[0] < MIXED:
         return None
     # the other row is that of rho^2 a - h a x (p - c)
     T = np.tensordot(U[:, 0], B, axes=1)
     turn = 0.5 * np.array([T[2, 1] - T[1, 2], T[0, 2] - T[2, 0], T[1, 0] - T[0, 1]])
     square = float(np.mean(np.sum(np.cross(p - point, axis) ** 2, axis=1)))
-    return KINDS["screw"], Place(axis, point, square * float(turn @ axis) / float(U[:, 0] @ n @ axis))
+    return KIND_BY_NAME["screw"], Place(axis, point, square * float(turn @ axis) / float(U[:, 0] @ n @ axis))
 
 
 def _unit(x: Float[np.ndarray, " 3"]) -> Float[np.ndarray, " 3"]:
@@ -433,9 +431,15 @@ def read_mechanism(
     read, fitted, angle = None, learnt.get("mechanism"), learnt.get("uncertainty_deg")
     spread = math.radians(angle) if isinstance(angle, int | float) else 0.0
     if isinstance(features, MechanismRows):
-        read = _of_mechanism_rows(selection, features)
+        shares = np.einsum("sp,sp->p", selection, selection)
+        held = {name for name, share in zip(features.row_names, shares, strict=True) if share > 0.5}
+        kind = next((k for k in MECHANISM_KINDS if set(k.rows) == held), None)
+        if kind is not None and not np.any(np.abs(shares - np.round(shares)) > CLEAR_SHARE):
+            read = _of_kind(kind, features.geometry, features.radius)
     elif isinstance(features, CurveRows):
-        read = _of_curve_rows(selection, features)
+        along = np.array([not name.startswith("across") for name in features.row_names])
+        if len(selection) == 2 and not np.any(np.abs(selection[:, along]) > CLEAR_SHARE):
+            read = Mechanism("other", name=CURVE)
     elif isinstance(features, PlaceRows):
         read = _of_place_rows(selection, features, learnt.get("postures"), spread)
     elif isinstance(features, FrameJacobian | RelativeFrameJacobian):
@@ -450,21 +454,6 @@ def read_mechanism(
     if same and known.axis is not None and read.axis is not None:
         same = known.axis.shape == (3,) and abs(float(known.axis @ read.axis)) > SAME_AXIS * np.linalg.norm(known.axis)
     return known if same else read
-
-
-def _of_mechanism_rows(selection: np.ndarray, features: MechanismRows) -> Mechanism | None:
-    shares = np.einsum("sp,sp->p", selection, selection)
-    if np.any(np.abs(shares - np.round(shares)) > CLEAR_SHARE):
-        return None
-    held = {name for name, share in zip(features.row_names, shares, strict=True) if share > 0.5}
-    kind = next((k for k in MECHANISM_KINDS if set(k.rows) == held), None)
-    return None if kind is None else _of_kind(kind, features.geometry, features.radius)
-
-
-def _of_curve_rows(selection: np.ndarray, features: CurveRows) -> Mechanism | None:
-    along = np.array([not name.startswith("across") for name in features.row_names])
-    held = len(selection) == 2 and not np.any(np.abs(selection[:, along]) > CLEAR_SHARE)
-    return Mechanism("other", name=CURVE) if held else None
 
 
 def _of_place_rows(selection: np.ndarray, features: PlaceRows, postures: Any, spread: float) -> Mechanism | None:
@@ -501,7 +490,7 @@ def named_rows(
     mechanism: Mechanism | None, features: FeatureMap, selection: Float[np.ndarray, "s p"]
 ) -> tuple[FeatureMap, Float[np.ndarray, "s r"]]:
     """Phi and Lambda of rows that are named after the mechanism, in the place of those of `PlaceRows`."""
-    kind = None if mechanism is None else KINDS.get(mechanism.name)
+    kind = None if mechanism is None else KIND_BY_NAME.get(mechanism.name)
     if mechanism is None or kind is None or not isinstance(features, PlaceRows):
         return features, selection
     axis = Z if mechanism.axis is None else mechanism.axis
@@ -544,4 +533,4 @@ def _hinge_or_screw(read: Read, hand: Float[np.ndarray, " 3"], spread: float) ->
     radius = float(np.linalg.norm(place.point - hand))
     if kind.name != "screw, firm" or abs(place.pitch) >= max(LEAST_PITCH, 3.0 * spread * math.hypot(1.0, radius)):
         return read
-    return KINDS["hinge, firm"], place
+    return KIND_BY_NAME["hinge, firm"], place

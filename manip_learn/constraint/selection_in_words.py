@@ -8,7 +8,7 @@ import numpy as np
 from jaxtyping import Bool, Float
 
 from manip_learn.constraint.features.curve_rows import CurveRows
-from manip_learn.constraint.features.feature_map import NEGLIGIBLE, FeatureMap, row_in_words
+from manip_learn.constraint.features.feature_map import NEGLIGIBLE_ENTRY, FeatureMap, row_in_words
 from manip_learn.constraint.features.frame_jacobian import AXES as TWIST
 from manip_learn.constraint.features.frame_jacobian import FrameJacobian
 from manip_learn.constraint.features.mechanism_rows import MechanismRows
@@ -161,7 +161,7 @@ def _freedom(
     if not isinstance(features, FrameJacobian | RelativeFrameJacobian | CentreOfMass):
         ways = listed([row_in_words(row, names) for row in free]) if len(free) else ""
         return f"is free along {ways} in ({', '.join(names)}) and {held} in every other way" if ways else f"is {held}"
-    small = np.where(np.abs(free) < NEGLIGIBLE, 0.0, free)
+    small = np.where(np.abs(free) < NEGLIGIBLE_ENTRY, 0.0, free)
     parts = {verb: [_entries(row, names, rows) for row in small] for verb, (_, rows, *_) in VERBS.items()}
     if any(np.any(move) and np.any(turn) for move, turn in zip(*parts.values(), strict=True)):
         ways = []  # each direction, with the proportion if it has both kinds

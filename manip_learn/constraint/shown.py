@@ -27,7 +27,7 @@ from manip_learn.robot.batch.batch_kinematics import batch_kinematics
 from manip_learn.robot.rotations import angles_between, rotation_matrix
 
 Unit = Literal["m", "rad"]
-Kind = Literal["straight", "around", "sleeve", "ball", "curve"]
+FreeKind = Literal["straight", "around", "sleeve", "ball", "curve"]
 # [m] contacts that begin within this distance of their middle begin at one place: a person finds a handle again to a
 # millimetre or two, a hand that is put down on a table does not
 SAME_PLACE = 3e-3
@@ -39,8 +39,8 @@ ONE_SIDED = 0.5  # share of all ways by which one side must exceed the other for
 EFFORTS = 200  # samples of a contact whose efforts are looked at
 CARRIED = 0.3  # share by which efforts may miss the weight that they carry: payloads, friction, the force itself
 LEAST_FORCE = 10.0  # [N] which the friction of an arm that a hand guides does not look like
-SEEN = 0.02  # of the largest singular value of the hand's motion: in directions below, efforts say nothing of a force
-PURE = 0.995  # share of a free direction that is translation: a learnt one leaks by its uncertainty, 0.1 at most
+LEAST_SEEN = 0.02  # of the largest singular value of the hand's motion: in directions below, efforts tell no force
+PURE_SHARE = 0.995  # share of a free direction that is translation: a learnt one leaks by its uncertainty, 0.1 at most
 
 
 @final
@@ -61,7 +61,7 @@ class FreeCoordinates:
         curve: Of a hand that follows one, in the sense in which the way counts.
     """
 
-    kind: Kind
+    kind: FreeKind
     unit: Unit
     axes: Float[np.ndarray, "k 3"]
     point: Float[np.ndarray, " 3"]
@@ -84,7 +84,11 @@ class FreeCoordinates:
             s = self.curve.nearest(p)
             return (s - s[0])[:, None]
         if self.kind == "ball":
-            return self._rotations(p)
+            # rotation vectors that take the first place about the centre to the others on the shortest way
+            d = (p - self.point) / np.linalg.norm(p - self.point, axis=1, keepdims=True)
+            cross, cosine = np.cross(d[0], d), d @ d[0]
+            sine = np.linalg.norm(cross, axis=1)
+            return np.arctan2(sine, cosine)[:, None] * cross / np.maximum(sine, 1e-300)[:, None]
         axis, d = self.axes[0], p - self.point
         x = d - np.outer(d @ axis, axis)
         if self.by_hand:
@@ -98,14 +102,6 @@ class FreeCoordinates:
         if self.kind == "around":
             return angle[:, None]
         return np.column_stack([self.radius * angle, (d - d[0]) @ axis])
-
-    def _rotations(self, p: Float[np.ndarray, "T 3"]) -> Float[np.ndarray, "T 3"]:
-        """Rotation vectors that take the first place about the centre to the others on the shortest way."""
-        d = p - self.point
-        d = d / np.linalg.norm(d, axis=1, keepdims=True)
-        cross, cosine = np.cross(d[0], d), d @ d[0]
-        sine = np.linalg.norm(cross, axis=1)
-        return np.arctan2(sine, cosine)[:, None] * cross / np.maximum(sine, 1e-300)[:, None]
 
     def place(self, begin: Float[np.ndarray, " 3"], coordinates: Float[np.ndarray, " k"]) -> Float[np.ndarray, " 3"]:
         """Where a hand that began at a place is after these coordinates [m]."""
@@ -192,38 +188,27 @@ def free_coordinates(
             return FreeCoordinates("sleeve", "m", axes, point, radius=radius, by_hand=by_hand)
     if mechanism is not None and kind == "ball" and mechanism.point is not None:
         return FreeCoordinates("ball", "rad", np.eye(3), np.asarray(mechanism.point, dtype=np.float64))
-    axes = _directions(features, selection, mechanism, contacts)
-    return None if axes is None or not len(axes) else FreeCoordinates("straight", "m", axes, np.zeros(3))
-
-
-def _directions(
-    features: FeatureMap,
-    selection: Float[np.ndarray, "s p"],
-    mechanism: Mechanism | None,
-    contacts: Sequence[Float[np.ndarray, "_ 4 4"]],
-) -> Float[np.ndarray, "k 3"] | None:
-    """Fixed directions along which the place is free."""
-    kind = "" if mechanism is None else mechanism.type
-    if kind == "held-orientation":
-        return np.eye(3)
+    # else fixed directions along which the place is free
+    axes = np.eye(3) if kind == "held-orientation" else np.zeros((0, 3))
     if mechanism is not None and kind in ("line", "plane"):
         if mechanism.axis is not None:
             axis = np.asarray(mechanism.axis, dtype=np.float64)
-            return axis[None] if kind == "line" else across(axis)
-        # fixed to the hand: its directions are those in which the hand did move
-        places = np.concatenate([c[:, :3, 3] - c[:, :3, 3].mean(axis=0) for c in contacts])
-        return np.linalg.svd(places, full_matrices=False)[2][: 1 if kind == "line" else 2]
-    if not isinstance(features, FrameJacobian) or features.reference != "world":
-        return None
-    linear = np.array([name in AXES[:3] for name in features.row_names])
-    free = complement_rows(selection)
-    U, sigma, _ = np.linalg.svd(free[:, linear]) if len(free) and linear.any() else (np.eye(0), np.zeros(0), None)
-    pure = U.T[: int(np.count_nonzero(sigma > PURE))] @ free if len(sigma) else np.zeros((0, len(linear)))
-    axes = np.zeros((len(pure), 3))
-    for column, name in zip(pure.T, features.row_names, strict=True):
-        if name in AXES[:3]:
-            axes[:, AXES.index(name)] = column
-    return axes / np.linalg.norm(axes, axis=1, keepdims=True) if len(axes) else None
+            axes = axis[None] if kind == "line" else across(axis)
+        else:  # fixed to the hand: its directions are those in which the hand did move
+            places = np.concatenate([c[:, :3, 3] - c[:, :3, 3].mean(axis=0) for c in contacts])
+            axes = np.linalg.svd(places, full_matrices=False)[2][: 1 if kind == "line" else 2]
+    elif kind != "held-orientation" and isinstance(features, FrameJacobian) and features.reference == "world":
+        linear = np.array([name in AXES[:3] for name in features.row_names])
+        rows = complement_rows(selection)
+        if len(rows) and linear.any():
+            U, sigma, _ = np.linalg.svd(rows[:, linear])
+            pure = U.T[: int(np.count_nonzero(sigma > PURE_SHARE))] @ rows
+            axes = np.zeros((len(pure), 3))
+            for column, name in zip(pure.T, features.row_names, strict=True):
+                if name in AXES[:3]:
+                    axes[:, AXES.index(name)] = column
+            axes /= np.linalg.norm(axes, axis=1, keepdims=True)
+    return FreeCoordinates("straight", "m", axes, np.zeros(3)) if len(axes) else None
 
 
 @final
@@ -443,7 +428,7 @@ def _force(features: FeatureMap, free: FreeCoordinates, contacts: Sequence[Traje
         if not abs(carried[0] - carried[1]) < CARRIED * carried[1]:
             return None
         for q, rest in zip(contact.q[chosen], contact.effort[chosen] - weights, strict=True):
-            force = np.linalg.pinv(robot.jacobian(q, frame).T, rcond=SEEN)[:3] @ rest
+            force = np.linalg.pinv(robot.jacobian(q, frame).T, rcond=LEAST_SEEN)[:3] @ rest
             along = free.directions(robot.position(q, frame)) @ force
             forces.append((np.linalg.norm(along), math.sqrt(max(0.0, float(force @ force - along @ along)))))
         largest.append(np.quantile(forces, 0.95, axis=0))

@@ -31,9 +31,9 @@ Turns = Literal["no", "hand", "axis", "other frame"]
 UNKNOWN = 0.5 * math.pi  # [rad] an axis of which nothing is known may be any
 # weight of held moments beside held forces, 1: the sums of what an axis may hold, 0, 0.5, 1 and 1.5, all differ ...
 MOMENTS = 0.5
-SAME = 0.25  # ... by twice this
+SAME_HOLD = 0.25  # ... by twice this
 # share of a wish that must lie in the space that is left: of three base axes one always does by 0.5 or more
-SEEN = 0.4
+LEAST_WISH = 0.4
 
 
 @final
@@ -211,7 +211,7 @@ def _axes(S: Float[np.ndarray, "3 3"], wishes: Sequence[Float[np.ndarray, " 3"]]
     values, vectors = np.linalg.eigh(S)
     spaces = [[vectors[:, 0]]]
     for before, value, vector in zip(values, values[1:], vectors.T[1:], strict=False):
-        if value - before > SAME:
+        if value - before > SAME_HOLD:
             spaces.append([])
         spaces[-1].append(vector)
     left = [np.array(space) for space in spaces]
@@ -223,7 +223,7 @@ def _axes(S: Float[np.ndarray, "3 3"], wishes: Sequence[Float[np.ndarray, " 3"]]
         within = [B.T @ (B @ wish) for B in left]
         best = max(range(len(within)), key=lambda i: float(np.linalg.norm(within[i])))
         length = float(np.linalg.norm(within[best]))
-        if length < SEEN * size:
+        if length < LEAST_WISH * size:
             continue
         e = within[best] / length
         found.append(e)

@@ -23,7 +23,7 @@ from jaxtyping import Float
 from manip_learn.constraint.mechanism import Mechanism
 from manip_learn.planning.scene import Scene
 from manip_learn.planning.stations import Stations
-from manip_learn.robot.collision import LARGE, Obstacle, collision_shapes, known_shapes, obstacles_of
+from manip_learn.robot.collision import LARGE_BLOCK, Obstacle, collision_shapes, known_shapes, obstacles_of
 from manip_learn.robot.joints import Frame
 from manip_learn.robot.robot import Robot
 from manip_learn.robot.visuals.visual_shapes import Solid
@@ -182,8 +182,8 @@ def half_space(name: str, point: np.ndarray, normal: np.ndarray, may_touch: froz
     placement = np.eye(4)
     placement[:3, :3] = np.column_stack([*np.linalg.svd(normal[None])[2][1:], normal])
     placement[:3, 0] *= np.sign(np.linalg.det(placement[:3, :3]))
-    placement[:3, 3] = point - LARGE * normal
-    return obstacles_of(name, placement, Solid("box", (2.0 * LARGE,) * 3), may_touch)[0]
+    placement[:3, 3] = point - LARGE_BLOCK * normal
+    return obstacles_of(name, placement, Solid("box", (2.0 * LARGE_BLOCK,) * 3), may_touch)[0]
 
 
 @lru_cache(maxsize=8)

@@ -32,15 +32,15 @@ from manip_learn.robot.visuals.visual_shapes import MeshElement, Solid, VisualEl
 Shapes = Literal["collision", "visual", "links"]
 Moved = Mapping[str, Float[np.ndarray, "4 4"]]
 # postures that are looked at for links that can touch: every 0.2 rad of two joints that turn once
-SAMPLES = 1000
+SAMPLED_POSTURES = 1000
 # [m] depth that may come from convex hulls, which are larger than the links
-SLACK = 0.01
+HULL_SLACK = 0.01
 # [m] of Coal's iterations; with its own of 1e-6, gradients between cylinders and boxes are 0.1 off
-TOLERANCE = 1e-12
-MARGIN = 0.001  # [m] beyond a distance, up to which Coal looks closely whether shapes are nearer than it
-MAX_ITERATIONS = 1000  # of the distance of two shapes, which ends by itself before
+COAL_TOLERANCE = 1e-12
+LOOK_CLOSELY = 0.001  # [m] beyond a distance, up to which Coal looks closely whether shapes are nearer than it
+MOST_ITERATIONS = 1000  # of the distance of two shapes, which ends by itself before
 MOST_PARTS = 30  # of a mesh that are looked at one by one: a cabinet with doors and handles
-LARGE = 10.0  # [m] half the edge of a block whose face is a floor or a front: no arm reaches around it
+LARGE_BLOCK = 10.0  # [m] half the edge of a block whose face is a floor or a front: no arm reaches around it
 FLAT = 1e-9  # volume over that of a cube as long: a sheet, which has no inside
 
 
@@ -100,7 +100,7 @@ class Obstacle:
         """
         shape, half, placement = self.geometry, self.half.tolist(), self.placement.copy()
         described: dict[str, Any] = {"kind": "box", "size": [2.0 * x for x in half]}
-        if min(half) >= LARGE:
+        if min(half) >= LARGE_BLOCK:
             described = {"kind": "face"}
             placement[:3, 3] += half[2] * placement[:3, 2]
         elif isinstance(shape, coal.Sphere):
@@ -300,9 +300,9 @@ class SelfCollision:
     round shapes overlap, the direction is that of an approximate depth.
 
     Left out are links that are joined to each other by one joint or rigidly; those that touch at the posture `free`;
-    and those that are joined by two joints and overlap by more than `SLACK` at none of `SAMPLES` postures: they stay
-    near each other whatever the arm does. Of a link that a joint moves and an obstacle nothing is left out but what the
-    obstacle lets touch it. One instance can be used from many threads.
+    and those that are joined by two joints and overlap by more than `HULL_SLACK` at none of `SAMPLED_POSTURES`
+    postures: they stay near each other whatever the arm does. Of a link that a joint moves and an obstacle nothing is
+    left out but what the obstacle lets touch it. One instance can be used from many threads.
 
     Args:
         robot: The robot, with its meshes where its shapes are meshes.
@@ -372,7 +372,7 @@ class SelfCollision:
                 turns, slide = joint.shortname().startswith("JointModelR"), ends[joint.idx_q : joint.idx_q + joint.nq]
                 out[k, joint.idx_v : joint.idx_v + joint.nv] = length if turns else max(1.0, length)
                 length += float(np.linalg.norm(model.jointPlacements[j].translation))
-                length += 0.0 if turns else float(np.minimum(slide, LARGE).sum())
+                length += 0.0 if turns else float(np.minimum(slide, LARGE_BLOCK).sum())
         a, b = np.array(self._pairs, dtype=np.intp).reshape(-1, 2).T
         levers = np.where((out[a] > 0.0) & (out[b] > 0.0), 0.0, out[a] + out[b])  # what carries both changes nothing
         return levers if robot.coupling is None else levers @ np.abs(robot.coupling.lift)
@@ -392,7 +392,7 @@ class SelfCollision:
         data, geometry_data = self._own_data()
         if getattr(self._local, "margin", None) != distance:
             for request in geometry_data.collisionRequests:
-                request.security_margin, request.break_distance = distance, distance + MARGIN
+                request.security_margin, request.break_distance = distance, distance + LOOK_CLOSELY
             self._local.margin = distance
         posture = self.robot.pinocchio_configuration(q)
         pin.updateGeometryPlacements(self._model, data, self._geometry, geometry_data, posture)
@@ -542,11 +542,11 @@ class SelfCollision:
         self._pair_up([pair for pair in kept if pair in close])
         apart = {self._links(*pair) for pair in self._pairs}
         rng = np.random.default_rng(0)  # the same pairs every time
-        for _ in range(SAMPLES):
+        for _ in range(SAMPLED_POSTURES):
             data, geometry_data, far = self._placed(self.robot.random_configuration(rng))
-            for k in np.flatnonzero(far <= -SLACK).tolist():
+            for k in np.flatnonzero(far <= -HULL_SLACK).tolist():
                 links = self._links(*self._pairs[k])
-                if links in apart and pin.computeDistance(self._geometry, geometry_data, k).min_distance <= -SLACK:
+                if links in apart and pin.computeDistance(self._geometry, geometry_data, k).min_distance <= -HULL_SLACK:
                     apart.discard(links)
         return apart
 
@@ -556,7 +556,7 @@ class SelfCollision:
         around = list(enumerate(self.obstacles, n))
         met = [(a, b) for a, s in enumerate(self._shapes) if s.joint for b, o in around if s.link not in o.may_touch]
         self._pairs, met_things = [*pairs, *met], [self.obstacles[b - n] for _, b in met]
-        self.faces = {b for b, o in around if min(o.half) >= LARGE}
+        self.faces = {b for b, o in around if min(o.half) >= LARGE_BLOCK}
         self._closed = {b: o.closed for b, o in around if o.closed is not None}
         world = [CollisionShape(o.name, 0, o.placement, o.geometry, 0.0) for o in self.obstacles]
         self._solids = [*self._shapes, *world]
@@ -585,7 +585,7 @@ class SelfCollision:
         except AttributeError:
             geometry_data = pin.GeometryData(self._geometry)
             for request in geometry_data.distanceRequests:
-                request.gjk_tolerance, request.gjk_max_iterations = TOLERANCE, MAX_ITERATIONS
+                request.gjk_tolerance, request.gjk_max_iterations = COAL_TOLERANCE, MOST_ITERATIONS
             self._local.data = self._model.createData(), geometry_data
             return self._local.data
 

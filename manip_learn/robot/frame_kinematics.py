@@ -18,7 +18,7 @@ from jaxtyping import Float, Int
 
 from manip_learn.robot.joints import CarryingJoints, Frame, carrying_joints
 
-REFERENCES = {"world": pin.ReferenceFrame.LOCAL_WORLD_ALIGNED, "local": pin.ReferenceFrame.LOCAL}
+PINOCCHIO_REFERENCES = {"world": pin.ReferenceFrame.LOCAL_WORLD_ALIGNED, "local": pin.ReferenceFrame.LOCAL}
 DOUBLE = np.dtype(np.float64)  # of this machine's byte order
 
 
@@ -85,7 +85,7 @@ def pinocchio_order_is_known(model: pin.Model) -> bool:
     index = int(np.argmax([len(model.supports[frame.parentJoint]) for frame in model.frames]))  # the deepest
     joint_of_column = columns_to_joints(model)
     pin.computeJointKinematicHessians(model, data, q)
-    for name, reference in REFERENCES.items():
+    for name, reference in PINOCCHIO_REFERENCES.items():
         J = pin.computeFrameJacobian(model, data, q, index, reference).reshape(6, model.nv)
         H = pin.getFrameKinematicHessian(model, data, index, reference)
         if H.size != 6 * model.nv**2:
@@ -281,7 +281,7 @@ class FrameKinematics:
         last, checked = self._pass(), self._robot.checked_posture(q)
         last.posture, last.has_derivatives = None, False
         x = self._configuration(checked)
-        J = pin.computeFrameJacobian(self.model, last.data, x, self._index, REFERENCES[reference])
+        J = pin.computeFrameJacobian(self.model, last.data, x, self._index, PINOCCHIO_REFERENCES[reference])
         if reference == "world":  # which places the frame, too
             last.posture = checked.tobytes()
         return J if J.ndim == 2 else J.reshape(6, 1)  # nv == 1
@@ -296,13 +296,13 @@ class FrameKinematics:
         last = self._pass()
         if not (last.has_derivatives and type(q) is np.ndarray and q.tobytes() == last.posture):
             last = self._differentiated(q)
-        J = pin.getFrameJacobian(self.model, last.data, self._index, REFERENCES[reference])
+        J = pin.getFrameJacobian(self.model, last.data, self._index, PINOCCHIO_REFERENCES[reference])
         return self._public(J if J.ndim == 2 else J.reshape(6, 1))
 
     def _derived(self, q: Any, reference: str) -> tuple[Float[np.ndarray, "6 n"], Float[np.ndarray, "n m"]]:
         """J of the model's joints, and dJ/dq as it lies in Pinocchio's memory: entry [k, 6 i + j] is dJ_ji / dq_k."""
         if self._fast_hessian:
-            model, data, ref = self.model, self._differentiated(q).data, REFERENCES[reference]
+            model, data, ref = self.model, self._differentiated(q).data, PINOCCHIO_REFERENCES[reference]
             J = pin.getFrameJacobian(model, data, self._index, ref)
             by_joint = pin.getFrameKinematicHessian(model, data, self._index, ref)
             return J if J.ndim == 2 else J.reshape(6, 1), by_joint.reshape(self._hessian_shape)  # nv == 1

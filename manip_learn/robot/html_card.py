@@ -12,7 +12,7 @@ from html import escape as escape_markup
 
 from manip_learn.errors import printable
 
-MOST_ROWS = 12  # of a table
+MOST_TABLE_ROWS = 12  # of a table
 WIDTH, HEIGHT, LINE = 320, 64, 16  # [px] of a picture, of a curve in it, of a bar
 _CELL = "text-align:left;padding:1px 12px 1px 0;border:0;background:none"
 
@@ -44,9 +44,15 @@ def table(header: Sequence[str], rows: Sequence[Sequence[object]]) -> str:
     if not rows:
         return ""
     head = "".join(f'<th scope="col" style="{_CELL};opacity:.75">{escape(name)}</th>' for name in header)
-    cells = [[f'<td style="{_CELL}">{escape(_text(value))}</td>' for value in row] for row in rows[:MOST_ROWS]]
-    body = "".join(f"<tr>{''.join(row)}</tr>" for row in cells)
-    more = f"<p style='margin:0;opacity:.75'>and {len(rows) - MOST_ROWS} more</p>" if len(rows) > MOST_ROWS else ""
+    body = ""
+    for row in rows[:MOST_TABLE_ROWS]:
+        texts = (
+            f"{value:.4g}" if isinstance(value, float) else f"{value:,}" if type(value) is int else str(value)
+            for value in row
+        )
+        body += "<tr>" + "".join(f'<td style="{_CELL}">{escape(text)}</td>' for text in texts) + "</tr>"
+    left = len(rows) - MOST_TABLE_ROWS
+    more = f"<p style='margin:0;opacity:.75'>and {left} more</p>" if left > 0 else ""
     thead = f"<thead><tr>{head}</tr></thead>" if any(header) else ""
     style = "border-collapse:collapse;margin:4px 0;font-size:13px"
     return f'<table style="{style}">{thead}<tbody>{body}</tbody></table>{more}'
@@ -100,9 +106,3 @@ def _picture(inner: str, height: int, label: str) -> str:
 def folded(summary: str, inner: str) -> str:
     """Parts that are shown when the reader asks for them."""
     return f"<details><summary>{escape(summary)}</summary>{inner}</details>" if inner else ""
-
-
-def _text(value: object) -> str:
-    if isinstance(value, float):
-        return f"{value:.4g}"
-    return f"{value:,}" if isinstance(value, int) and not isinstance(value, bool) else str(value)

@@ -74,12 +74,16 @@ class RobotIdentity:
             raise ValueError(f"the locked joints must be an object, they are {type(locked).__name__}")
         if not isinstance(nq, int) or isinstance(nq, bool) or not 0 <= nq < 100_000:
             raise ValueError(f"the robot's nq must be a number, it is {nq!r:.40}")
+        for name, value in locked.items():
+            is_number = isinstance(value, int | float) and not isinstance(value, bool)
+            if not is_number or not math.isfinite(value):
+                raise ValueError(f"joint {name!r} is locked at {value!r:.40}, a finite number is needed")
         return RobotIdentity(
             _text("name", content.get("name")),
             _text("fingerprint", content.get("fingerprint")),
             nq,
             names_from(content.get("joint_names"), "the robot's joint_names"),
-            {_text("locked joint", name): _position(name, value) for name, value in locked.items()},
+            {_text("locked joint", name): float(value) for name, value in locked.items()},
             names_from(content.get("objects", []), "the robot's objects"),
             _text("source", content.get("source", "")),
         )
@@ -93,16 +97,13 @@ class RobotIdentity:
             mine, theirs = self.locked, other.locked
             changed = [j for j in dict.fromkeys([*mine, *theirs]) if mine.get(j) != theirs.get(j)]
             parts = [f"{j!r} is {_held(mine.get(j))}, not {_held(theirs.get(j))}" for j in changed[:MOST_LISTED]]
-            found.append(
-                "; ".join(parts) + (f" and {len(changed) - MOST_LISTED} more" if len(changed) > MOST_LISTED else "")
-            )
+            more = f" and {len(changed) - MOST_LISTED} more" if len(changed) > MOST_LISTED else ""
+            found.append("; ".join(parts) + more)
         if self.objects != other.objects:
             found.append(f"its objects are {_listed(self.objects)}, not {_listed(other.objects)}")
         if not found and self.fingerprint != other.fingerprint:
-            found.append(
-                f"the description has changed (kinematics or masses; hash {self.fingerprint[:12]!r}, not "
-                f"{other.fingerprint[:12]!r})"
-            )
+            hashes = f"hash {self.fingerprint[:12]!r}, not {other.fingerprint[:12]!r}"
+            found.append(f"the description has changed (kinematics or masses; {hashes})")
         return tuple(found)
 
     def refuse_another(self, robot: Robot, where: str, path: Path | None = None) -> None:
@@ -146,19 +147,10 @@ def _text(what: str, value: object) -> str:
     return value
 
 
-def _position(name: str, value: object) -> float:
-    number = float(value) if isinstance(value, int | float) and not isinstance(value, bool) else math.nan
-    if not math.isfinite(number):
-        raise ValueError(f"joint {name!r} is locked at {value!r:.40}, a finite number is needed")
-    return number
-
-
 def _held(position: float | None) -> str:
     return "free to move" if position is None else f"locked at {position:.6g}"
 
 
 def _listed(names: tuple[str, ...]) -> str:
-    shown = ", ".join(names[:MOST_LISTED]) + (
-        f" and {len(names) - MOST_LISTED} more" if len(names) > MOST_LISTED else ""
-    )
-    return shown or "none"
+    more = f" and {len(names) - MOST_LISTED} more" if len(names) > MOST_LISTED else ""
+    return ", ".join(names[:MOST_LISTED]) + more or "none"

@@ -18,7 +18,7 @@ COORDINATE_SUFFIXES: dict[str, tuple[str, ...]] = {
     "planar": (".x", ".y", ".rz"),
 }
 # of Pinocchio's short names by how they begin, the first that fits
-KINDS: tuple[tuple[str, JointKind], ...] = (
+PINOCCHIO_KINDS: tuple[tuple[str, JointKind], ...] = (
     ("JointModelRUB", "continuous"),
     ("JointModelRevoluteUnbounded", "continuous"),
     ("JointModelR", "revolute"),

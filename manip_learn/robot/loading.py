@@ -19,8 +19,8 @@ from manip_learn.robot.description.catalogue import find_robot
 from manip_learn.robot.description.mjcf import validate_mjcf
 from manip_learn.robot.description.text import read_description
 from manip_learn.robot.description.urdf import (
-    LARGE,
-    MAX_NAME,
+    HUGE,
+    LONGEST_NAME,
     RESERVED,
     Pose,
     UrdfFile,
@@ -38,7 +38,7 @@ from manip_learn.robot.robot import Robot
 
 Base = Literal["fixed", "floating", "planar"]
 Locked = Sequence[str] | Mapping[str, float | None]
-SUFFIXES = (".urdf", ".xml", ".xacro", ".mjcf")
+DESCRIPTION_SUFFIXES = (".urdf", ".xml", ".xacro", ".mjcf")
 BASES = {"floating": pin.JointModelFreeFlyer, "planar": pin.JointModelPlanar}
 # numbers of a description, between quotes or spaces
 DECIMAL = re.compile(r'(?<=["\s])-?\d+(\.\d+)?(e[+-]?\d+)?(?=["\s])')
@@ -81,7 +81,11 @@ def load_robot(
         >>> robot.nv, robot.joint_names[0]
         (7, 'right_j0')
     """
-    path = _path(name)
+    if isinstance(name, str) and not name.strip():
+        raise RobotError("no robot is named; give a name such as 'panda' or the path of a URDF file", code="missing")
+    path = _expanded(name)
+    if isinstance(name, str) and path.suffix not in DESCRIPTION_SUFFIXES and os.sep not in name:
+        path = path if "\0" not in name and path.is_file() else find_robot(name)
     given = [package_dirs] if isinstance(package_dirs, str | os.PathLike) else package_dirs
     folders = tuple(_expanded(d) for d in given)
     for folder in folders:
@@ -125,10 +129,14 @@ def robot_from_text(
             name of a link or joint.
         UnknownNameError: A locked joint that does not exist.
     """
-    if _is_mjcf(content):
-        validated, content = validate_mjcf(content, path, names_of(locked))
+    rest = content.lstrip(b"\xef\xbb\xbf \t\r\n")  # up to the first element
+    for begin, end in ((b"<?", b"?>"), *((b"<!--", b"-->"),) * 100):
+        if rest.startswith(begin):
+            rest = rest.partition(end)[2].lstrip()
+    if rest.startswith(b"<mujoco"):
+        validated, content = validate_mjcf(content, path, locked_names(locked))
     else:
-        validated = validate_urdf(content, path, names_of(locked))
+        validated = validate_urdf(content, path, locked_names(locked))
     urdf = with_objects(validated.urdf, objects)
     if root_joint is not None and any(j.name == "root_joint" for j in urdf.joints):
         sentence = f"{path}: a joint is called 'root_joint', the name of the moving base; rename it"
@@ -140,9 +148,13 @@ def robot_from_text(
     except (ValueError, RuntimeError) as error:
         said = str(error)[:500]
         raise RobotError(f"{path}: Pinocchio refuses the robot: {said}", code="pinocchio", path=path) from error
-    for limit, beyond in (("lowerPositionLimit", -LARGE), ("upperPositionLimit", LARGE), ("velocityLimit", LARGE)):
+    for limit, beyond in (
+        ("lowerPositionLimit", -HUGE),
+        ("upperPositionLimit", HUGE),
+        ("velocityLimit", HUGE),
+    ):
         values = np.array(getattr(model, limit))
-        setattr(model, limit, np.where(np.abs(values) >= LARGE, math.copysign(math.inf, beyond), values))
+        setattr(model, limit, np.where(np.abs(values) >= HUGE, math.copysign(math.inf, beyond), values))
     return Robot(
         model,
         name=urdf.name,
@@ -157,29 +169,11 @@ def robot_from_text(
     )
 
 
-def _path(name: str | os.PathLike[str]) -> Path:
-    if isinstance(name, str) and not name.strip():
-        raise RobotError("no robot is named; give a name such as 'panda' or the path of a URDF file", code="missing")
-    path = _expanded(name)
-    if not isinstance(name, str) or path.suffix in SUFFIXES or os.sep in name:
-        return path
-    return path if "\0" not in name and path.is_file() else find_robot(name)
-
-
 def _expanded(name: str | os.PathLike[str]) -> Path:
     try:
         return Path(name).expanduser()
     except RuntimeError as error:  # ~user without a home directory here
         raise RobotError(f"{os.fspath(name)}: {error}; write the path out", code="missing", path=Path(name)) from error
-
-
-def _is_mjcf(content: bytes) -> bool:
-    """Whether the first element is <mujoco>."""
-    rest = content.lstrip(b"\xef\xbb\xbf \t\r\n")
-    for begin, end in ((b"<?", b"?>"), *((b"<!--", b"-->"),) * 100):
-        if rest.startswith(begin):
-            rest = rest.partition(end)[2].lstrip()
-    return rest.startswith(b"<mujoco")
 
 
 def _fingerprint(
@@ -196,7 +190,7 @@ def _fingerprint(
     return hashlib.sha256(text.encode()).hexdigest()
 
 
-def names_of(locked: Locked) -> tuple[str, ...]:
+def locked_names(locked: Locked) -> tuple[str, ...]:
     """The names in what a caller passed as `locked`; a single string counts as one name."""
     return (locked,) if isinstance(locked, str) else tuple(str(n) for n in locked)
 
@@ -213,7 +207,7 @@ def locked_positions(urdf: UrdfFile, mimics: Mimics, locked: Locked) -> dict[str
         UnknownNameError: A name that is no joint.
         RobotError: Codes `locked-follower`, `locked-position`.
     """
-    asked = {name: (locked.get(name) if isinstance(locked, Mapping) else None) for name in names_of(locked)}
+    asked = {name: (locked.get(name) if isinstance(locked, Mapping) else None) for name in locked_names(locked)}
     by_name = {j.name: j for j in urdf.joints}
     leader_of = {m.joint: m.leader for m in mimics.followers}
     still = dict(mimics.resting)
@@ -281,7 +275,7 @@ def object_names(objects: Sequence[str] | str) -> tuple[str, ...]:
     """
     names = (objects,) if isinstance(objects, str) else tuple(objects)
     for i, name in enumerate(names):
-        usable = isinstance(name, str) and name.strip() == name and 0 < len(name) <= MAX_NAME and name.isprintable()
+        usable = isinstance(name, str) and name.strip() == name and 0 < len(name) <= LONGEST_NAME and name.isprintable()
         if not usable or name in RESERVED:
             raise RobotError(f"objects: {name!r} cannot be the name of an object", code="object-name")
         if name in names[:i]:

@@ -22,7 +22,7 @@ from manip_learn.robot.robot import Robot
 
 BASE = "l000"  # the link that stands still
 # corners of a solid about the ball of radius 1: its faces are 0.8866 away where its corners are at 1
-CORNERS = np.array([np.divide(d, 0.8866 * np.linalg.norm(d)) for d in product((-1, 0, 1), repeat=3) if any(d)])
+BALL_CORNERS = np.array([np.divide(d, 0.8866 * np.linalg.norm(d)) for d in product((-1, 0, 1), repeat=3) if any(d)])
 
 
 def joint_name(index: int) -> str:
@@ -102,7 +102,9 @@ def _link(name: str, thing: Any, larger: float, folder: Path) -> str:
 
 def _mesh(shape: Any, larger: float, file: Path) -> tuple[str, str]:
     if convex := isinstance(shape, coal.ConvexBase):
-        hull = ConvexHull((np.array(shape.points())[:, None] + larger * CORNERS[: 26 if larger else 1]).reshape(-1, 3))
+        hull = ConvexHull(
+            (np.array(shape.points())[:, None] + larger * BALL_CORNERS[: 26 if larger else 1]).reshape(-1, 3)
+        )
         points, faces = hull.points[hull.vertices], np.searchsorted(hull.vertices, hull.simplices)
     else:
         corners = [shape.tri_indices(k) for k in range(shape.num_tris)]

@@ -19,7 +19,16 @@ from manip_learn.errors import ConfigurationError, UnknownNameError, printable
 from manip_learn.linalg import finite
 from manip_learn.robot import html_card
 from manip_learn.robot.frame_kinematics import FrameKinematics, centre_of_mass_derivative, columns_to_joints, is_plain
-from manip_learn.robot.joints import KINDS, Coupling, Frame, FrameLike, JointBlock, Mimic, full_coupling, joint_limits
+from manip_learn.robot.joints import (
+    PINOCCHIO_KINDS,
+    Coupling,
+    Frame,
+    FrameLike,
+    JointBlock,
+    Mimic,
+    full_coupling,
+    joint_limits,
+)
 
 Reference = Literal["world", "local"]
 MOST_NAMES = 14  # of joints that a `repr` shows
@@ -94,7 +103,12 @@ class Robot:
         limits, said = joint_limits(model, self.blocks, self.mimics)
         self.position_lower, self.position_upper, self.velocity_limit = limits
         self.warnings = tuple(map(printable, (*warnings, *said)))
-        self._build_frames()
+        self._frames: dict[str, Frame] = {}
+        for index, f in enumerate(model.frames):
+            # a link and a joint may share a name: the link is meant
+            if f.name != "universe" and (f.name not in self._frames or f.type == pin.FrameType.BODY):
+                self._frames[f.name] = Frame(f.name, index, int(f.parentJoint))
+        self.frame_names: tuple[str, ...] = tuple(self._frames)
         self._columns_to_joints = columns_to_joints(model)
         self._frame_kinematics: dict[int, FrameKinematics] = {}
         self._local = threading.local()
@@ -110,17 +124,10 @@ class Robot:
             joint, name = model.joints[index], model.names[index]
             if name in followers or joint.nv == 0:
                 continue
-            blocks.append(
-                JointBlock(
-                    name=name,
-                    kind=next(kind for begin, kind in KINDS if joint.shortname().startswith(begin)),
-                    index=index,
-                    q=slice(nq, nq + joint.nq),
-                    v=slice(nv, nv + joint.nv),
-                    pin_q=slice(joint.idx_q, joint.idx_q + joint.nq),
-                    pin_v=slice(joint.idx_v, joint.idx_v + joint.nv),
-                )
-            )
+            kind = next(kind for begin, kind in PINOCCHIO_KINDS if joint.shortname().startswith(begin))
+            own = slice(nq, nq + joint.nq), slice(nv, nv + joint.nv)
+            of_model = slice(joint.idx_q, joint.idx_q + joint.nq), slice(joint.idx_v, joint.idx_v + joint.nv)
+            blocks.append(JointBlock(name, kind, index, *own, *of_model))
             nq, nv = nq + joint.nq, nv + joint.nv
         self.blocks = tuple(blocks)
         self.nq, self.nv, self._shape = nq, nv, (nv,)
@@ -133,17 +140,6 @@ class Robot:
         self._plain = nq == nv == model.nq and self._coupling is None
         self.positions_add_up = all(b.kind not in ("floating", "planar", "other") for b in blocks)
         self._unit_blocks = tuple(b for b in blocks if b.kind in ("continuous", "floating", "planar"))
-
-    def _build_frames(self) -> None:
-        frames: dict[str, Frame] = {}
-        for index, f in enumerate(self._model.frames):
-            if f.name == "universe":
-                continue
-            # a link and a joint may share a name: the link is meant
-            if f.name not in frames or f.type == pin.FrameType.BODY:
-                frames[f.name] = Frame(f.name, index, int(f.parentJoint))
-        self._frames = frames
-        self.frame_names: tuple[str, ...] = tuple(frames)
 
     # ---- names ----------------------------------------------------------------------------------------------------
 
@@ -177,17 +173,12 @@ class Robot:
     def reach(self, frame: FrameLike) -> float:
         """A distance from the base that no place of a frame exceeds [m]: its links, laid end to end."""
         known, model = self.frame(frame), self._model
-        chain = [j for j in model.supports[known.parent_joint] if j]
-        links = [model.jointPlacements[j].translation for j in chain] + [
-            model.frames[known.index].placement.translation
-        ]
-        ends = np.maximum(np.abs(self.position_lower), np.abs(self.position_upper))
-        slides = [
-            e
-            for e, u, n in zip(ends, self.joint_units, self.joint_names, strict=True)
-            if u == "m" and self.moves(n, known)
-        ]
-        return float(np.sum(np.linalg.norm(links, axis=1)) + sum(slides))
+        links = [model.jointPlacements[j].translation for j in model.supports[known.parent_joint] if j]
+        links.append(model.frames[known.index].placement.translation)
+        ends = np.maximum(np.abs(self.position_lower), np.abs(self.position_upper)).tolist()
+        joints = zip(self.joint_names, self.joint_units, ends, strict=True)
+        slides = sum(end for name, unit, end in joints if unit == "m" and self.moves(name, known))
+        return float(np.sum(np.linalg.norm(links, axis=1)) + slides)
 
     def moves(self, joint: str, frame: FrameLike) -> bool:
         """Whether a joint, or one that mimics it, lies between the base and a frame.
@@ -197,11 +188,9 @@ class Robot:
         """
         index = self.joint_index(joint)
         block = next(b for b in self.blocks if b.v.start <= index < b.v.stop)
-        leaders = {block.name}
-        followers = {m.joint for m in self.mimics if m.leader in leaders}
+        movers = {block.name, *(m.joint for m in self.mimics if m.leader == block.name)}
         model = self._model
-        chain = {model.names[j] for j in model.supports[self.frame(frame).parent_joint]}
-        return bool((leaders | followers) & chain)
+        return any(model.names[j] in movers for j in model.supports[self.frame(frame).parent_joint])
 
     # ---- configurations -------------------------------------------------------------------------------------------
 
@@ -211,12 +200,23 @@ class Robot:
         Raises:
             ConfigurationError: Wrong size, NaN, infinity, or a (cos, sin) or quaternion of length zero.
         """
-        q = self.checked_posture(q)
+        vector = self.checked_posture(q)
         if self.nq == self.nv:
-            return q
-        if q.shape[0] == self.nv:
-            return self._configuration_from_positions(q)
-        return self._normalised(q)
+            return vector
+        if vector.shape[0] == self.nq:
+            return self._normalised(vector)
+        out = np.empty(self.nq)
+        for b in self.blocks:
+            x = vector[b.v]
+            if b.kind == "continuous":
+                out[b.q] = np.cos(x[0]), np.sin(x[0])
+            elif b.kind == "planar":
+                out[b.q] = x[0], x[1], np.cos(x[2]), np.sin(x[2])
+            elif b.kind == "floating":
+                out[b.q] = np.concatenate([x[:3], pin.Quaternion(pin.exp3(x[3:])).coeffs()])
+            else:
+                out[b.q] = x
+        return out
 
     def checked_posture(self, q: ArrayLike) -> Float[np.ndarray, " n"]:
         """A posture as it is, configuration or joint positions, once its size and its numbers have been checked.
@@ -255,20 +255,6 @@ class Robot:
             q[part] /= norm
         return q
 
-    def _configuration_from_positions(self, positions: np.ndarray) -> np.ndarray:
-        q = np.empty(self.nq)
-        for b in self.blocks:
-            x = positions[b.v]
-            if b.kind == "continuous":
-                q[b.q] = np.cos(x[0]), np.sin(x[0])
-            elif b.kind == "planar":
-                q[b.q] = x[0], x[1], np.cos(x[2]), np.sin(x[2])
-            elif b.kind == "floating":
-                q[b.q] = np.concatenate([x[:3], pin.Quaternion(pin.exp3(x[3:])).coeffs()])
-            else:
-                q[b.q] = x
-        return q
-
     def positions(self, q: ArrayLike) -> Float[np.ndarray, " nv"]:
         """Joint positions (nv) [rad or m] of a posture; continuous joints in (-pi, pi], orientations as rotation
         vectors. Joint positions are handed back as they are, with their full turns.
@@ -297,11 +283,9 @@ class Robot:
         """A posture inside the limits: zero where that is allowed, else the middle of the range."""
         positions = np.zeros(self.nv)
         outside = (self.position_lower > 0.0) | (self.position_upper < 0.0)
-        middle = 0.5 * (self.position_lower[outside] + self.position_upper[outside])
-        # a joint limited on one side only stands at that limit
-        nearest = np.where(
-            self.position_lower[outside] > 0.0, self.position_lower[outside], self.position_upper[outside]
-        )
+        lower, upper = self.position_lower[outside], self.position_upper[outside]
+        middle = 0.5 * (lower + upper)
+        nearest = np.where(lower > 0.0, lower, upper)  # a joint limited on one side only stands at that limit
         positions[outside] = np.where(np.isfinite(middle), middle, nearest)
         return self.configuration(positions)
 
@@ -326,17 +310,14 @@ class Robot:
         step = self.velocity(v)
         if vector.shape[0] == self.nv and self.positions_add_up:
             return vector + step
-        out = self._integrate_configuration(self.configuration(vector), step)
-        return self.positions(out) if vector.shape[0] == self.nv else out
-
-    def _integrate_configuration(self, q: np.ndarray, v: np.ndarray) -> np.ndarray:
+        lifted = step if self._coupling is None else self._coupling.lift @ step
+        configuration = self.configuration(vector)
         if self._plain:
-            return q + v
-        lifted = v if self._coupling is None else self._coupling.lift @ v
-        full = pin.integrate(self._model, self._expanded(q), lifted)
-        if self._coupling is None:
-            return full
-        return np.concatenate([full[b.pin_q] for b in self.blocks]) if self.blocks else full[:0]
+            out = configuration + step
+        else:
+            full = pin.integrate(self._model, self._expanded(configuration), lifted)
+            out = full if self._coupling is None else np.concatenate([full[:0], *(full[b.pin_q] for b in self.blocks)])
+        return self.positions(out) if vector.shape[0] == self.nv else out
 
     def difference(self, q0: ArrayLike, q1: ArrayLike) -> Float[np.ndarray, " nv"]:
         """Tangent vector (nv) that leads from q0 to q1 along the shortest path.
@@ -550,11 +531,9 @@ class Robot:
     def _repr_html_(self) -> str:
         kinds = [block.kind for block in self.blocks for _ in block.units]
         limits = (self.position_lower, self.position_upper, self.velocity_limit)
+        joints = zip(self.joint_names, kinds, self.joint_units, *limits, strict=True)
         rows = [
-            (name, kind, f"{low:.4g} to {high:.4g} {unit}", f"{fastest:.4g} {unit}/s")
-            for name, kind, unit, low, high, fastest in zip(
-                self.joint_names, kinds, self.joint_units, *limits, strict=True
-            )
+            (n, kind, f"{low:.4g} to {high:.4g} {u}", f"{fast:.4g} {u}/s") for n, kind, u, low, high, fast in joints
         ]
         held = "; ".join(f"{name} at {value:.4g}" for name, value in self.locked.items())
         return html_card.card(

@@ -10,7 +10,7 @@ import pinocchio as pin
 from manip_learn.robot.robot import Robot
 
 # By priority: the first kind that occurs at the end of a chain decides.
-KINDS = (
+TIP_NAMES = (
     re.compile(r"(^|_|-)(tcp|tool_?cent(er|re)_?point|pinch(_site)?|grasp(ing)?(_?(frame|link|point|target))?)($|_|-)"),
     re.compile(
         r"(^|_|-)(tool_?0?|tip|ee|eef|eff|end_?_?effector|endeff|tool_?(link|frame|tip))($|_|-)|attachment_site"
@@ -24,7 +24,7 @@ NOT_A_TIP = re.compile(
 
 
 # joints of a gripper's own motor: what they move opens and closes, and does not go where the hand goes
-GRIPS = re.compile(r"gripper|finger|thumb|knuckle|jaw|claw")
+GRIPPER_JOINTS = re.compile(r"gripper|finger|thumb|knuckle|jaw|claw")
 
 
 def likely_tips(robot: Robot) -> tuple[str, ...]:
@@ -36,11 +36,11 @@ def likely_tips(robot: Robot) -> tuple[str, ...]:
     """
     movers = _joints_above(robot)
     names = robot.pinocchio_model.names
-    grips = {i for i in range(robot.pinocchio_model.njoints) if GRIPS.search(names[i].lower())}
+    grips = {i for i in range(robot.pinocchio_model.njoints) if GRIPPER_JOINTS.search(names[i].lower())}
     moving = [n for n, joints in movers.items() if joints and not NOT_A_TIP.search(n.lower())]
     moving = [n for n in moving if not movers[n] & grips] or moving
     candidates: list[str] = []
-    for kind in KINDS:
+    for kind in TIP_NAMES:
         # a frame between two finger tips is better than one of them
         candidates = candidates or [n for n in moving if kind.search(n.lower()) and "finger" not in n.lower()]
     if not candidates:

@@ -18,9 +18,9 @@ from manip_learn.errors import FeatureError
 from manip_learn.robot.robot import Robot
 
 # names of the rows: velocities across and along the curve, then angular ones
-ROWS = ("across-1", "across-2", "along", *AXES[3:])
-FINE = 12  # places of the frame from one point to the next: its error falls with the fourth power of their distance
-COARSE = 3  # places from one point to the next, from the nearest of which the nearest of all is looked for
+CURVE_ROWS = ("across-1", "across-2", "along", *AXES[3:])
+FRAME_PLACES = 12  # of the frame from one point to the next: its error falls with the fourth power of their distance
+COARSE_PLACES = 3  # places from one point to the next, from the nearest of which the nearest of all is looked for
 NEAREST_STEPS = 6  # of Newton's method from there: each doubles the digits
 # share of the radius of curvature that a hand may be off the curve before the nearest place is no longer told
 WITHIN = 0.95
@@ -72,7 +72,7 @@ class Curve:
     @cached_property
     def _frames(self) -> CubicSpline:
         """Two unit vectors across the curve, by its length, shape (2, 3)."""
-        s = np.linspace(0.0, self.length, FINE * (len(self.points) - 1) + 1)
+        s = np.linspace(0.0, self.length, FRAME_PLACES * (len(self.points) - 1) + 1)
         places, tangents = self.at(s), self.at(s, 1)
         tangents /= np.linalg.norm(tangents, axis=1, keepdims=True)
         across = np.linalg.svd(tangents[:1])[2][1:]
@@ -92,7 +92,7 @@ class Curve:
 
     def nearest(self, p: Float[np.ndarray, "n 3"]) -> Float[np.ndarray, " n"]:
         """Length at which the curve comes nearest to places [m]; beyond its ends that of the straight lines there."""
-        some = np.linspace(0.0, self.length, COARSE * (len(self.points) - 1) + 1)
+        some = np.linspace(0.0, self.length, COARSE_PLACES * (len(self.points) - 1) + 1)
         places, step = self.at(some), some[1]
         s = some[np.argmin(np.sum(places**2, axis=1) - 2.0 * p @ places.T, axis=1)]
         for _ in range(NEAREST_STEPS):
@@ -152,12 +152,12 @@ class CurveRows(WeighedVelocity):
     padded = FeatureMap.padded
     value_and_vjp = FeatureMap.value_and_vjp
 
-    def __init__(self, robot: Robot, frame: str, points: ArrayLike | Curve, rows: str | Sequence[str] = ROWS[:3]):
+    def __init__(self, robot: Robot, frame: str, points: ArrayLike | Curve, rows: str | Sequence[str] = CURVE_ROWS[:3]):
         super().__init__(robot, frame)
-        self.row_names = parsed_rows(rows, ROWS, "row")
+        self.row_names = parsed_rows(rows, CURVE_ROWS, "row")
         self.row_units = tuple("rad/s" if name in AXES else "m/s" for name in self.row_names)
         self.curve = points if isinstance(points, Curve) else Curve(points)
-        self._rows = [ROWS.index(name) for name in self.row_names]
+        self._rows = [CURVE_ROWS.index(name) for name in self.row_names]
 
     def with_rows(self, rows: Sequence[str]) -> CurveRows:
         """Other rows of the same curve."""
@@ -173,7 +173,7 @@ class CurveRows(WeighedVelocity):
         along = c1 / D[:, None]
         by_length = 3.0 * np.sum(c1 * c2, axis=1) - np.sum(c3 * away, axis=1)
         dD = np.where(far, 2.0 * np.sum(c1 * c2, axis=1), by_length)[:, None] * along - np.where(far[:, None], 0.0, c2)
-        W, dW = np.zeros((len(p), len(ROWS), 6)), np.zeros((len(p), len(ROWS), 6, 3))
+        W, dW = np.zeros((len(p), len(CURVE_ROWS), 6)), np.zeros((len(p), len(CURVE_ROWS), 6, 3))
         W[:, 3:, 3:] = np.eye(3)
         W[:, :2, :3], W[:, 2, :3] = self.curve.frame(s), along
         dW[:, :2, :3] = self.curve.frame(s, 1)[..., None] * along[:, None, None]

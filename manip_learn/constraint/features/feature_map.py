@@ -13,11 +13,9 @@ from numpy.typing import ArrayLike
 
 from manip_learn.errors import FeatureError, TargetError
 
-NEGLIGIBLE = 5e-3  # entries of a unit vector below it are printed as 0: half of the last of two digits
-CHUNK = 512  # configurations whose dPhi/dq are held at a time
+NEGLIGIBLE_ENTRY = 5e-3  # entries of a unit vector below it are printed as 0: half of the last of two digits
 # vector-Jacobian product of A(q): weights (s, nv) -> sum_ij weights_ij dA_ij / dq_k
 Vjp = Callable[[Float[np.ndarray, "s nv"]], Float[np.ndarray, " nv"]]
-Weigh = Callable[[Float[np.ndarray, "p nv m"], slice], Float[np.ndarray, "p nv m"]]
 
 
 class FeatureMap(ABC):
@@ -78,21 +76,6 @@ class FeatureMap(ABC):
         for i, row in enumerate(rows):
             Phi[i], dPhi[i] = self.value_and_derivative(row)
         return Phi, dPhi
-
-    def batch_vjp(self, q: ArrayLike, weigh: Weigh) -> Float[np.ndarray, "n nv"]:
-        """sum_ij weights_ij dPhi_ij / dq_k at n configurations, with weights made from Phi, in bounded memory.
-
-        Args:
-            q: Configurations, one a row.
-            weigh: (Phi, which rows of q) -> weights, both (p, nv, m) with the m configurations last.
-        """
-        rows = np.asarray(q, dtype=np.float64)
-        out = np.zeros((len(rows), self.nv))
-        for start in range(0, len(rows), CHUNK):
-            part = slice(start, min(start + CHUNK, len(rows)))
-            Phi, dPhi = self.batch_with_derivative(rows[part])
-            out[part] = np.einsum("ijn,nijk->nk", weigh(Phi.transpose(1, 2, 0), part), dPhi)
-        return out
 
     def coordinates(self, q: ArrayLike) -> Float[np.ndarray, " p"]:
         """Task coordinates r(q) whose rate is Phi(q) u, or `coordinates_jacobian(q)` u where that is given.
@@ -174,7 +157,7 @@ def parsed_rows(
 
 def row_in_words(row: Float[np.ndarray, " p"], names: Sequence[str]) -> str:
     """A combination of rows: the name of the only one that counts, else all entries, e.g. `(0.91, 0.42, 0.00)`."""
-    counts = np.abs(row) >= NEGLIGIBLE
+    counts = np.abs(row) >= NEGLIGIBLE_ENTRY
     if np.count_nonzero(counts) == 1:
         return names[int(np.argmax(counts))]
     return "(" + ", ".join(f"{c + 0.0:.2f}" for c in np.where(counts, row, 0.0)) + ")"

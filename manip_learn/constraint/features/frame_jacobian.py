@@ -23,14 +23,14 @@ import numpy as np
 from jaxtyping import Float
 from numpy.typing import ArrayLike
 
-from manip_learn.constraint.features.feature_map import FeatureMap, Vjp, Weigh, parsed_rows
+from manip_learn.constraint.features.feature_map import FeatureMap, Vjp, parsed_rows
 from manip_learn.errors import FeatureError, TargetError, an
 from manip_learn.robot.batch.batch_kinematics import batch_kinematics
 from manip_learn.robot.robot import Reference, Robot
 from manip_learn.robot.rotations import left_jacobian, left_jacobian_inverse, rotation_matrix, rotation_vector, skew
 
-EXACT = 1e-12  # a matrix that is orthonormal to this is taken as it is
-NEARLY = 1e-3  # printed with few digits: made orthonormal; beyond this it is no rotation
+EXACT_ROTATION = 1e-12  # a matrix that is orthonormal to this is taken as it is
+NEARLY_ROTATION = 1e-3  # printed with few digits: made orthonormal; beyond this it is no rotation
 AXES = ("x", "y", "z", "rx", "ry", "rz")
 NAMED_AXES = {"xyz": ("x", "y", "z"), "pose": AXES, "planar": ("x", "y", "rz"), "rotation": ("rx", "ry", "rz")}
 
@@ -49,9 +49,9 @@ def goal_rotation(R: Float[np.ndarray, "3 3"]) -> Float[np.ndarray, "3 3"]:
     (a, b, c), (d, e, f), (g, h, i) = R.tolist()  # in plain numbers: a moving goal is looked at in every step
     squares = (a * a + b * b + c * c - 1.0, d * d + e * e + f * f - 1.0, g * g + h * h + i * i - 1.0)
     off = max(map(abs, (*squares, a * d + b * e + c * f, a * g + b * h + c * i, d * g + e * h + f * i)))
-    if not off < NEARLY or a * (e * i - f * h) + b * (f * g - d * i) + c * (d * h - e * g) < 0.0:
+    if not off < NEARLY_ROTATION or a * (e * i - f * h) + b * (f * g - d * i) + c * (d * h - e * g) < 0.0:
         raise TargetError(f"the upper left 3 x 3 part of the pose is not a rotation matrix: {R.tolist()}")
-    if off < EXACT:
+    if off < EXACT_ROTATION:
         return R
     from scipy.spatial.transform import Rotation
 
@@ -80,26 +80,6 @@ def placement_error(
     else:
         out[:3], out[3:] = goal - position, turn
     return out
-
-
-def carried_goal(
-    here: Float[np.ndarray, " 3"], goal: Float[np.ndarray, " 3"], given: list[int], turn: Float[np.ndarray, " 3"]
-) -> Float[np.ndarray, "3 3"]:
-    """G with d/dt e_rot = -(Jr^-1(e_rot) - G) w, where the goal has those numbers of a rotation vector that are given
-    and takes the others from the frame, so that it turns while the frame turns.
-
-    dr/dt = Jl^-1(r) w, the goal's vector moves with the part of it that is not given, and
-    G = Jl^-1(e_rot) Jl(r*) F Jl^-1(r), F = diag(0 where given, else 1).
-
-    Args:
-        here: r, the rotation vector of the frame in the base [rad].
-        goal: r* [rad].
-        given: Which of its three numbers are given.
-        turn: e_rot.
-    """
-    F = np.eye(3)
-    F[given] = 0.0
-    return left_jacobian_inverse(turn) @ left_jacobian(goal) @ F @ left_jacobian_inverse(here)
 
 
 def parse_axes(axes: str | Sequence[str]) -> tuple[str, ...]:
@@ -200,7 +180,12 @@ class PoseRows(FeatureMap):
         M = left_jacobian_inverse(error[3:] if self.own_axes else -error[3:])
         given = [i - 3 for i in self._row_numbers if i >= 3]
         if numbers is not None and 0 < len(given) < 3:
-            M -= carried_goal(rotation_vector(R), numbers[3:], given, error[3:])
+            # the goal's other numbers are the frame's, so that it turns while the frame turns: dr/dt = Jl^-1(r) w moves
+            # the part of the goal's vector that is not given, by F, and so e_rot by Jl^-1(e_rot) Jl(r*) F Jl^-1(r) w
+            F = np.eye(3)
+            F[given] = 0.0
+            carried = left_jacobian_inverse(error[3:]) @ left_jacobian(numbers[3:]) @ F
+            M -= carried @ left_jacobian_inverse(rotation_vector(R))
         if self.own_axes:
             J[:3] -= skew(error[:3]).dot(J[3:])
         J[3:] = M.dot(J[3:])
@@ -226,40 +211,29 @@ class PoseRows(FeatureMap):
         self, goal: np.ndarray, q: ArrayLike
     ) -> tuple[Float[np.ndarray, " 6"], Float[np.ndarray, " 6"] | None, Float[np.ndarray, "3 3"]]:
         """All six rows of the error, the goal's numbers where it was given as numbers, and the frame's rotation."""
-        position, rotation = self.placement(q)
-        place, turn, numbers = self._goal(goal, position, rotation)
-        return placement_error(position, rotation, place, turn, self.own_axes), numbers, rotation
-
-    def _goal(
-        self, goal: np.ndarray, position: np.ndarray, rotation: np.ndarray
-    ) -> tuple[Float[np.ndarray, " 3"], Float[np.ndarray, "3 3"], Float[np.ndarray, " 6"] | None]:
-        """Place and rotation of the target, and its six numbers where it was given as numbers."""
+        (position, rotation), numbers = self.placement(q), None
         if goal is self._known_goal[0]:
-            return self._known_goal[1], self._known_goal[2], None
-        if goal.shape == (4, 4) and math.isfinite(sum(goal.reshape(-1).tolist())):
+            place, turn = self._known_goal[1:]
+        elif goal.shape == (4, 4) and math.isfinite(sum(goal.reshape(-1).tolist())):
             place, turn = goal[:3, 3].copy(), goal_rotation(goal[:3, :3])
             if not goal.flags.writeable:  # a task's own, checked once
                 self._known_goal = (goal, place, turn)
-            return place, turn, None
-        numbers = self._completed(goal, np.concatenate([position, rotation_vector(rotation)]))
-        return numbers[:3], rotation_matrix(numbers[3:]), numbers
-
-    def _completed(self, goal: np.ndarray, here: np.ndarray) -> np.ndarray:
-        if goal.shape != (self.n_rows,) or not np.all(np.isfinite(goal)):
+        elif goal.shape != (self.n_rows,) or not np.all(np.isfinite(goal)):
             raise TargetError(
                 f"the target must be {self.n_rows} finite numbers ({', '.join(self.row_names)}) or a 4 x 4 pose"
                 f"{self._where}, got {'shape ' + str(goal.shape) if goal.size > 6 else goal.tolist()}"
             )
-        if self.own_axes:
-            for triple in (AXES[:3], AXES[3:]):
+        else:
+            for triple in (AXES[:3], AXES[3:]) if self.own_axes else ():
                 if 0 < len(set(triple) & set(self.row_names)) < 3:
                     raise TargetError(
                         f"a target for the rows {' '.join(self.row_names)} in the frame's own axes is not determined: "
                         f"use all of {' '.join(triple)}, or give a 4 x 4 pose"
                     )
-        full = here.copy()
-        full[self._rows] = goal
-        return full
+            numbers = np.concatenate([position, rotation_vector(rotation)])
+            numbers[self._rows] = goal
+            place, turn = numbers[:3], rotation_matrix(numbers[3:])
+        return placement_error(position, rotation, place, turn, self.own_axes), numbers, rotation
 
 
 @final
@@ -339,10 +313,6 @@ class FrameJacobian(PoseRows):
         """Phi and dPhi/dq at n postures, in bulk; arguments and errors as for `batch`."""
         kinematics = batch_kinematics(self.robot, self.frame)
         return kinematics.jacobian_and_derivative(q, self.reference, self._row_numbers)
-
-    def batch_vjp(self, q: ArrayLike, weigh: Weigh) -> Float[np.ndarray, "n nv"]:
-        """sum_ij weights_ij dPhi_ij / dq_k at n postures without forming dPhi/dq (see `FeatureMap`)."""
-        return batch_kinematics(self.robot, self.frame).vjp(q, weigh, self.reference, self._row_numbers)
 
     def pose(self, q: ArrayLike) -> Float[np.ndarray, "4 4"]:
         """Pose of the frame in the robot's base."""

@@ -26,7 +26,7 @@ from manip_learn.robot.robot import Robot
 from manip_learn.robot.rotations import skew
 
 # Units are those of the row times a joint velocity.
-FIELDS: dict[str, str] = {
+ROW_UNITS: dict[str, str] = {
     **dict.fromkeys(("radial", "tangential", "axial", "helical", "spherical"), "m/s"),
     **dict.fromkeys(("turn-1", "turn-2", "turn"), "rad/s"),
     **dict.fromkeys(("slide-1", "slide-2", "slide", "screw"), "m/s"),
@@ -172,8 +172,8 @@ class MechanismRows(WeighedVelocity):
         radius: float | None = None,
     ):
         super().__init__(robot, frame)
-        self.row_names = parsed_rows(rows, FIELDS, "row")
-        self.row_units = tuple(FIELDS[n] for n in self.row_names)
+        self.row_names = parsed_rows(rows, ROW_UNITS, "row")
+        self.row_units = tuple(ROW_UNITS[n] for n in self.row_names)
         direction, place = _vector(axis, "axis"), _vector(point, "point")
         if not np.linalg.norm(direction) > 0.0:
             raise FeatureError("the axis has no direction: its three numbers are zero")

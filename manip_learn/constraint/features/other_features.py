@@ -17,7 +17,7 @@ from manip_learn.constraint.features.relative_frame_jacobian import RelativeFram
 from manip_learn.errors import ConstraintMismatchError, FeatureError
 from manip_learn.robot.robot import Robot
 
-STEP = 1e-5  # central differences: truncation h^2 meets rounding eps / h
+DIFFERENCE_STEP = 1e-5  # central differences: truncation h^2 meets rounding eps / h
 
 
 @final
@@ -129,8 +129,8 @@ class CustomFeatures(FeatureMap):
         out = np.empty(shape)
         for k in range(self.nv):
             step = np.zeros(self.nv)
-            step[k] = STEP
-            out[:, :, k] = (self(self._moved(state, step)) - self(self._moved(state, -step))) / (2 * STEP)
+            step[k] = DIFFERENCE_STEP
+            out[:, :, k] = (self(self._moved(state, step)) - self(self._moved(state, -step))) / (2 * DIFFERENCE_STEP)
         return out
 
     def coordinates(self, q: ArrayLike) -> Float[np.ndarray, " p"]:
@@ -195,19 +195,9 @@ class Stacked(FeatureMap):
         """dPhi/dq: the parts' derivatives in order."""
         return np.concatenate([part.derivative(q) for part in self.parts])
 
-    def value_and_derivative(self, q: ArrayLike) -> tuple[Float[np.ndarray, "p nv"], Float[np.ndarray, "p nv nv"]]:
-        """Phi(q) and dPhi/dq of all parts."""
-        values, derivatives = zip(*(part.value_and_derivative(q) for part in self.parts), strict=True)
-        return np.concatenate(values), np.concatenate(derivatives)
-
     def batch(self, q: ArrayLike) -> Float[np.ndarray, "n p nv"]:
         """Phi at many configurations, each part in its own fast way."""
         return np.concatenate([part.batch(q) for part in self.parts], axis=1)
-
-    def batch_with_derivative(self, q: ArrayLike) -> tuple[Float[np.ndarray, "n p nv"], Float[np.ndarray, "n p nv nv"]]:
-        """Phi and dPhi/dq at many configurations, each part in its own fast way."""
-        values, derivatives = zip(*(part.batch_with_derivative(q) for part in self.parts), strict=True)
-        return np.concatenate(values, axis=1), np.concatenate(derivatives, axis=1)
 
     def coordinates(self, q: ArrayLike) -> Float[np.ndarray, " p"]:
         """Task coordinates of all parts."""
@@ -256,7 +246,25 @@ def described_features(described: dict[str, Any], robot: Robot) -> FeatureMap:
         ConstraintMismatchError: A kind of features that this version does not know.
         FeatureError: Settings that this robot does not have, out of range, or that contradict each other.
     """
-    features = _described(described, robot)
+    match described["kind"]:
+        case "frame-jacobian":
+            features = FrameJacobian(robot, described["frame"], described["axes"], described["reference"])
+        case "relative-frame-jacobian":
+            features = RelativeFrameJacobian(robot, described["frame"], described["relative_to"], described["axes"])
+        case "centre-of-mass":
+            features = CentreOfMass(robot, " ".join(described["axes"]))
+        case "mechanism-rows":
+            place = {name: described[name] for name in ("axis", "point", "pitch")}
+            rows, radius = described["rows"], described.get("radius")
+            features = MechanismRows(robot, described["frame"], rows, **place, radius=radius)
+        case "curve-rows":
+            features = CurveRows(robot, described["frame"], described["points"], described["rows"])
+        case "place-rows":
+            features = PlaceRows(robot, described["frame"], described["form"], described["middle"])
+        case "stacked":
+            features = Stacked([described_features(part, robot) for part in described["parts"]])
+        case kind:
+            raise ConstraintMismatchError(f"unknown kind of features {kind!r}: this file comes from a newer version")
     own = features.describe()
     for key in ("rows", "units"):
         if key in described and described[key] != own[key]:
@@ -264,23 +272,3 @@ def described_features(described: dict[str, Any], robot: Robot) -> FeatureMap:
                 f"the {key} of {features!r} are {own[key]}, the file says {described[key]}: it is damaged"
             )
     return features
-
-
-def _described(described: dict[str, Any], robot: Robot) -> FeatureMap:
-    kind = described["kind"]
-    if kind == "frame-jacobian":
-        return FrameJacobian(robot, described["frame"], described["axes"], described["reference"])
-    if kind == "relative-frame-jacobian":
-        return RelativeFrameJacobian(robot, described["frame"], described["relative_to"], described["axes"])
-    if kind == "centre-of-mass":
-        return CentreOfMass(robot, " ".join(described["axes"]))
-    if kind == "mechanism-rows":
-        place = {name: described[name] for name in ("axis", "point", "pitch")}
-        return MechanismRows(robot, described["frame"], described["rows"], **place, radius=described.get("radius"))
-    if kind == "curve-rows":
-        return CurveRows(robot, described["frame"], described["points"], described["rows"])
-    if kind == "place-rows":
-        return PlaceRows(robot, described["frame"], described["form"], described["middle"])
-    if kind == "stacked":
-        return Stacked([described_features(part, robot) for part in described["parts"]])
-    raise ConstraintMismatchError(f"unknown kind of features {kind!r}: this file comes from a newer version")

@@ -10,7 +10,7 @@ import numpy as np
 from jaxtyping import Float
 from numpy.typing import ArrayLike
 
-from manip_learn.constraint.features.feature_map import FeatureMap, Vjp, Weigh
+from manip_learn.constraint.features.feature_map import FeatureMap, Vjp
 from manip_learn.robot.batch.batch_kinematics import batch_kinematics
 from manip_learn.robot.joints import Frame
 from manip_learn.robot.robot import Robot
@@ -150,21 +150,6 @@ class WeighedVelocity(FeatureMap):
         n, nv = len(W), self.nv
         turned = (W @ H.reshape(n, 6, nv * nv)).reshape(n, self.n_rows, nv, nv)
         return W @ J, turned + J.transpose(0, 2, 1)[:, None] @ (dW @ J[:, None, :3])
-
-    def batch_vjp(self, q: ArrayLike, weigh: Weigh) -> Float[np.ndarray, "n nv"]:
-        """sum_ij weights_ij dPhi_ij / dq_k at n postures without forming dPhi/dq (see `FeatureMap`)."""
-        W, dW = self._batch_weights(q)
-        by_place = np.zeros((len(W), self.nv))
-
-        def weigh_twist(J: np.ndarray, part: slice) -> np.ndarray:
-            # (6, nv, m) with the postures last: the weights of Phi become weights of J, and the rest is kept aside
-            J_n = J.transpose(2, 0, 1)
-            weights_n = weigh((W[part] @ J_n).transpose(1, 2, 0), part).transpose(2, 0, 1)
-            along = weights_n @ J_n.transpose(0, 2, 1)
-            by_place[part] = np.einsum("nim,nimd,ndk->nk", along, dW[part], J_n[:, :3], optimize=True)
-            return (W[part].transpose(0, 2, 1) @ weights_n).transpose(1, 2, 0)
-
-        return batch_kinematics(self.robot, self.frame).vjp(q, weigh_twist, "world") + by_place
 
     def _weights_at(self, q: ArrayLike) -> tuple[np.ndarray, np.ndarray]:
         W, dW = self.weights(self.robot.position(q, self.frame)[None])

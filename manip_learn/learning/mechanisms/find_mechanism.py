@@ -15,7 +15,7 @@ from manip_learn.constraint.features.frame_jacobian import FrameJacobian
 from manip_learn.constraint.features.mechanism_rows import PlaceForm, PlaceRows
 from manip_learn.constraint.mechanism import (
     CURVE,
-    KINDS,
+    KIND_BY_NAME,
     MECHANISM_KINDS,
     Mechanism,
     MechanismKind,
@@ -342,7 +342,7 @@ def _other_form(read: PlaceFit, name: str) -> PlaceFit:
 
 def _other_forms(read: PlaceFit, name: str) -> list[PlaceFit]:
     """Fitted from the same axis, or from the direction, the normal and the circle of the path."""
-    kind, paths, place = KINDS[name], read.paths, read.place
+    kind, paths, place = KIND_BY_NAME[name], read.paths, read.place
     x = paths.centred(paths.p)
     spread, middle = np.linalg.eigh(x.T @ x)[1].T, paths.p.mean(axis=0)
     starts = [Place(place.axis, place.point)]

@@ -25,7 +25,7 @@ EXPANDED = ".manip_learn.urdf"  # ending of what its xacro files are expanded to
 # arms that it has as a variant of another: name -> that one, and the arguments of its xacro file
 VARIANTS: dict[str, tuple[str, Mapping[str, str]]] = {"lite6": ("xarm6", {"robot_type": "lite"})}
 
-SERIES, NUMBER = re.compile(r"[a-z]+"), re.compile(r"\d+[a-z]?")  # ur and 5e in ur5e
+MODEL_SERIES, MODEL_NUMBER = re.compile(r"[a-z]+"), re.compile(r"\d+[a-z]?")  # ur and 5e in ur5e
 
 # Names that are not, or not only, the stem of a file.
 SHORT_NAMES = {
@@ -74,11 +74,12 @@ def find_robot(name: str) -> Path:
     if not fetched and _letters(name) in ("xarm6", *VARIANTS):
         raise MissingExtraError(f"the robot {name!r}", "descriptions")
     # a letter more, or another number, is another arm and no typing error
-    near = closest_names(name, known) if NUMBER.search(name) else []
+    near = closest_names(name, known) if MODEL_NUMBER.search(name) else []
+    series = MODEL_SERIES.findall(name.lower())[:1]
     others = [
         n
         for n in near
-        if NUMBER.findall(n) != NUMBER.findall(name) and SERIES.findall(n)[:1] == SERIES.findall(name.lower())[:1]
+        if MODEL_NUMBER.findall(n) != MODEL_NUMBER.findall(name) and MODEL_SERIES.findall(n)[:1] == series
     ]
     where = "the list of robots (or give the path of a .urdf file)"
     raise UnknownNameError("robot", name, known, where, others=others)
@@ -154,7 +155,9 @@ def example_robots() -> dict[str, Path]:
         package = importlib.metadata.distribution(DATA_PACKAGE)
     except importlib.metadata.PackageNotFoundError:
         return {}
-    names = {name: PurePosixPath(name).parts for name in _urdf_files(package)}
+    # off the record: `Distribution.files` makes paths of a thousand meshes first
+    rows = csv.reader(line for line in (package.read_text("RECORD") or "").splitlines() if ".urdf" in line)
+    names = {row[0]: PurePosixPath(row[0]).parts for row in rows if row[0].endswith(".urdf")}
     files = {"/".join(p[p.index("robots") + 1 :] if "robots" in p else p[-1:]): name for name, p in names.items()}
     stems: dict[str, list[str]] = {}
     for key in files:
@@ -162,18 +165,6 @@ def example_robots() -> dict[str, Path]:
     chosen = {stem: keys[0] for stem, keys in stems.items() if len(keys) == 1}
     chosen |= {short: key for short, key in SHORT_NAMES.items() if key in files}
     return {name: Path(str(package.locate_file(files[key]))) for name, key in chosen.items()}
-
-
-def _urdf_files(package: importlib.metadata.Distribution) -> list[str]:
-    """Its .urdf files; read off the record, since `Distribution.files` makes paths of a thousand meshes first."""
-    record = package.read_text("RECORD")
-    if record is None:
-        return [str(f) for f in package.files or [] if f.suffix == ".urdf"]
-    return [
-        row[0]
-        for row in csv.reader(line for line in record.splitlines() if ".urdf" in line)
-        if row[0].endswith(".urdf")
-    ]
 
 
 def example_package_dir() -> Path | None:

@@ -20,7 +20,7 @@ from jaxtyping import Float
 from manip_learn.errors import RobotError
 from manip_learn.robot.description.text import XmlNode, parse_xml, shortened
 from manip_learn.robot.description.urdf import (
-    Matrix,
+    Matrix4,
     Pose,
     UrdfInertial,
     UrdfJoint,
@@ -107,7 +107,7 @@ def read_units(root: XmlNode) -> MjcfUnits:
     return MjcfUnits(factor, eulerseq, settings.get("autolimits", "true") != "false", meshdir)
 
 
-def pose_of(node: XmlNode, units: MjcfUnits) -> Matrix:
+def pose_of(node: XmlNode, units: MjcfUnits) -> Matrix4:
     """Pose of an element relative to the body around it [m].
 
     Raises:
@@ -211,8 +211,14 @@ class _Reader:
     def _body(self, body: XmlNode, name: str, parent: str, childclass: str) -> None:
         T = pose_of(body, self.units)
         nodes = [c for c in body.children if c.tag in ("joint", "freejoint")]
-        inertial = body.first("inertial")
-        link = UrdfLink(name, body.line, None if inertial is None else self._inertial(inertial))
+        link = UrdfLink(name, body.line, None)
+        if (inertial := body.first("inertial")) is not None:
+            pose, mass = as_pose(pose_of(inertial, self.units)), inertial.number("mass", 0.0)
+            if mass < 0.0:
+                raise inertial.refusal("mass", f"its mass is {mass} kg; 0 or more is expected; write the true mass")
+            diagonal = inertial.vector("diaginertia", 3) or (0.0,) * 3
+            xx, yy, zz, xy, xz, yz = inertial.vector("fullinertia", 6) or (*diagonal, 0.0, 0.0, 0.0)
+            link, self.has_mass = replace(link, inertial=UrdfInertial(pose, mass, (xx, xy, xz, yy, yz, zz))), True
         if not nodes:
             self._fixed(f"{name}_fixed", parent, name, T, body.line)
         for i, node in enumerate(nodes):
@@ -230,7 +236,9 @@ class _Reader:
             parent = child
         self.links.append(link)
 
-    def _joint(self, node: XmlNode, name: str, parent: str, child: str, T: Matrix, anchor: tuple[float, ...]) -> Matrix:
+    def _joint(
+        self, node: XmlNode, name: str, parent: str, child: str, T: Matrix4, anchor: tuple[float, ...]
+    ) -> Matrix4:
         """Add a joint; returns the pose of what follows relative to its child."""
         kind = node.attributes.get("type", "hinge")
         if node.tag == "freejoint" or kind == "free":
@@ -260,7 +268,7 @@ class _Reader:
         self.ref[name] = ref
         return back
 
-    def _fixed(self, name: str, parent: str, child: str, T: Matrix, line: int) -> None:
+    def _fixed(self, name: str, parent: str, child: str, T: Matrix4, line: int) -> None:
         self.joints.append(UrdfJoint(name, line, "fixed", parent, child, as_pose(T), X, None, None))
 
     def _site(self, site: XmlNode, link: str) -> None:
@@ -270,17 +278,6 @@ class _Reader:
         frame = f"{name}_site" if name in {entry.name for entry in self.links} else name
         self.links.append(UrdfLink(frame, site.line, None))
         self._fixed(f"{frame}__fixed", link, frame, pose_of(site, self.units), site.line)
-
-    def _inertial(self, node: XmlNode) -> UrdfInertial:
-        pose, mass = as_pose(pose_of(node, self.units)), node.number("mass", 0.0)
-        if mass < 0.0:
-            raise node.refusal("mass", f"its mass is {mass} kg; 0 or more is expected; write the true mass")
-        self.has_mass = True
-        xx, yy, zz, xy, xz, yz = node.vector("fullinertia", 6) or (
-            *(node.vector("diaginertia", 3) or (0.0,) * 3),
-            *(0.0,) * 3,
-        )
-        return UrdfInertial(pose, mass, (xx, xy, xz, yy, yz, zz))
 
     def _visual(self, geom: XmlNode) -> str:
         """The shape as URDF text; empty for what is not drawn (planes, fields, collision groups) or not readable.
@@ -305,7 +302,7 @@ class _Reader:
         rgba = "" if colour is None else f'<material name=""><color rgba="{spaced(colour)}"/></material>'
         return f"<visual name={quoteattr(name)}>{origin_text(as_pose(T))}<geometry>{shape}</geometry>{rgba}</visual>"
 
-    def _shape(self, geom: XmlNode) -> tuple[str, Matrix]:
+    def _shape(self, geom: XmlNode) -> tuple[str, Matrix4]:
         T = pose_of(geom, self.units)
         kind = geom.attributes.get("type", "mesh" if "mesh" in geom.attributes else "sphere")
         if kind == "mesh":

@@ -19,15 +19,15 @@ from xml.parsers.expat import ExpatError, errors
 
 from manip_learn.errors import RobotError, advice, closest_names, counted
 
-SHOWN = 4  # names that a sentence lists
+NAMES_SHOWN = 4  # names that a sentence lists
 MAX_WARNINGS = 100  # nobody reads more
 MAX_BYTES = 10_000_000  # of a description; the largest of example-robot-data has 0.2
 MAX_ELEMENTS = 200_000  # of one file, so that memory and time stay small
 MAX_NESTING = 60  # URDF needs 6, nested bodies of MJCF one a joint
 MAX_ATTRIBUTE = 100_000  # [characters] no robot needs more than a few hundred
 # no two ways to read the same digits: else a long number with a typing error takes minutes
-NUMBER = re.compile(r"[+-]?(\d+(\.\d*)?|\.\d+)([eE][+-]?\d+)?", re.ASCII)
-LARGEST = 1e100  # squares and products of what is larger overflow
+NUMBER_TEXT = re.compile(r"[+-]?(\d+(\.\d*)?|\.\d+)([eE][+-]?\d+)?", re.ASCII)
+LARGEST_READ = 1e100  # squares and products of what is larger overflow
 NAMED = ("link", "joint", "body", "site")  # elements that messages speak of by name
 
 
@@ -70,8 +70,8 @@ class Diagnostics:
 
 def quoted(names: Sequence[str]) -> str:
     """The first few names in quotes, with the number of those left out."""
-    text = ", ".join(repr(shortened(n)) for n in names[:SHOWN])
-    return f"{text} and {len(names) - SHOWN} more" if len(names) > SHOWN else text
+    text = ", ".join(repr(shortened(n)) for n in names[:NAMES_SHOWN])
+    return f"{text} and {len(names) - NAMES_SHOWN} more" if len(names) > NAMES_SHOWN else text
 
 
 def shortened(text: str, length: int = 80) -> str:
@@ -128,7 +128,7 @@ def read_description(path: Path) -> bytes:
             fix = "check the path and its permissions"
             code, sentence = "unreadable", f"{path}: cannot be read ({error.strerror}); {fix}"
         else:
-            inside = ", ".join(sorted(p.name for p in path.glob("*.urdf"))[:SHOWN]) if path.is_dir() else ""
+            inside = ", ".join(sorted(p.name for p in path.glob("*.urdf"))[:NAMES_SHOWN]) if path.is_dir() else ""
             hint = f"it is a folder; name a file in it, e.g. {inside}" if inside else "name a URDF file"
             code, sentence = "not-a-file", f"{path}: not a regular file; {hint}"
         raise RobotError(sentence, code=code, path=path) from error
@@ -202,11 +202,11 @@ class XmlNode:
 
     def _parsed(self, text: str, attribute: str) -> float:
         seen = f'{self.tag} {attribute}="{shortened(text)}"'
-        if NUMBER.fullmatch(text):
+        if NUMBER_TEXT.fullmatch(text):
             value = float(text)
-            if math.isfinite(value) and abs(value) <= LARGEST:
+            if math.isfinite(value) and abs(value) <= LARGEST_READ:
                 return value
-            raise self.refusal("not-finite", f"{seen}; at most {LARGEST:g} is expected; write the true value")
+            raise self.refusal("not-finite", f"{seen}; at most {LARGEST_READ:g} is expected; write the true value")
         if "${" in text:
             fix = "name the file *.xacro" + advice(" and load it with {}", "xacro=True", "--xacro")
             raise self.refusal("xacro-expression", f"{seen}; a number is expected; this is xacro, not URDF: {fix}")
@@ -233,55 +233,44 @@ def parse_xml(content: bytes, path: Path) -> XmlNode:
     log = Diagnostics(path)
     if not content.strip():
         raise log.refusal("empty", None, "the file is empty; a robot description is expected")
-    builder = _Builder(log)
+    parser, nodes, stack = xml.parsers.expat.ParserCreate(), list[XmlNode](), list[XmlNode]()
+
+    def refusal(code: str, sentence: str) -> RobotError:
+        return log.refusal(code, parser.CurrentLineNumber, sentence)
+
+    def start(tag: str, attributes: dict[str, str]) -> None:
+        if len(nodes) >= MAX_ELEMENTS:
+            raise refusal("xml-too-large", f"more than {MAX_ELEMENTS} XML elements; split the file")
+        if len(stack) >= MAX_NESTING:
+            sentence = f"XML elements are nested deeper than {MAX_NESTING} levels; URDF needs 6"
+            raise refusal("xml-too-deep", sentence)
+        long = next((key for key, value in attributes.items() if len(value) > MAX_ATTRIBUTE), None)
+        if long is not None:
+            seen = f"attribute {shortened(long)!r} of <{shortened(tag)}> has {len(attributes[long])} characters"
+            raise refusal("xml-too-large", f"{seen}, at most {MAX_ATTRIBUTE} are read")
+        where, name = stack[-1].where if stack else "the robot", attributes.get("name")
+        if tag in NAMED and name:
+            where = f"{tag} {shortened(name)!r}"
+        node = XmlNode(tag, attributes, parser.CurrentLineNumber, where, log)
+        if stack:
+            stack[-1].children.append(node)
+        nodes.append(node)
+        stack.append(node)
+
+    def doctype(*_: object) -> None:
+        sentence = "a <!DOCTYPE> is not read, since it can define entities; delete it and write the values out"
+        raise refusal("doctype", sentence)
+
+    parser.StartElementHandler, parser.StartDoctypeDeclHandler = start, doctype
+    parser.EndElementHandler = lambda tag: stack.pop()
     try:
-        builder.parser.Parse(content, True)
+        parser.Parse(content, True)
     except ExpatError as error:
         raise _not_xml(error, content, log) from error
     except (LookupError, ValueError) as error:  # an encoding that Python does not know, or cannot use
         sentence = f"its XML declaration names an encoding that cannot be read ({error}); save it as UTF-8"
-        raise builder.refusal("encoding", sentence) from error
-    return builder.root
-
-
-class _Builder:
-    def __init__(self, log: Diagnostics):
-        self.log = log
-        self.count = 0
-        self.stack: list[XmlNode] = []
-        self.parser = xml.parsers.expat.ParserCreate()
-        self.parser.StartElementHandler = self._start
-        self.parser.EndElementHandler = lambda tag: self.stack.pop()
-        self.parser.StartDoctypeDeclHandler = self._doctype
-
-    def _start(self, tag: str, attributes: dict[str, str]) -> None:
-        self.count += 1
-        if self.count > MAX_ELEMENTS:
-            raise self.refusal("xml-too-large", f"more than {MAX_ELEMENTS} XML elements; split the file")
-        if len(self.stack) >= MAX_NESTING:
-            sentence = f"XML elements are nested deeper than {MAX_NESTING} levels; URDF needs 6"
-            raise self.refusal("xml-too-deep", sentence)
-        long = next((key for key, value in attributes.items() if len(value) > MAX_ATTRIBUTE), None)
-        if long is not None:
-            seen = f"attribute {shortened(long)!r} of <{shortened(tag)}> has {len(attributes[long])} characters"
-            raise self.refusal("xml-too-large", f"{seen}, at most {MAX_ATTRIBUTE} are read")
-        where, name = self.stack[-1].where if self.stack else "the robot", attributes.get("name")
-        if tag in NAMED and name:
-            where = f"{tag} {shortened(name)!r}"
-        node = XmlNode(tag, attributes, self.parser.CurrentLineNumber, where, self.log)
-        if self.stack:
-            self.stack[-1].children.append(node)
-        else:
-            self.root = node
-        self.stack.append(node)
-
-    def _doctype(self, *_: object) -> None:
-        sentence = "a <!DOCTYPE> is not read, since it can define entities; delete it and write the values out"
-        raise self.refusal("doctype", sentence)
-
-    def refusal(self, code: str, sentence: str) -> RobotError:
-        """The error to raise about the line that is being read."""
-        return self.log.refusal(code, self.parser.CurrentLineNumber, sentence)
+        raise refusal("encoding", sentence) from error
+    return nodes[0]
 
 
 def _not_xml(error: ExpatError, content: bytes, log: Diagnostics) -> RobotError:

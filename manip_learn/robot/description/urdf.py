@@ -20,7 +20,7 @@ ZERO: Vector = (0.0, 0.0, 0.0)
 X: Vector = (1.0, 0.0, 0.0)
 # of each type of joint
 DEGREES_OF_FREEDOM = {"fixed": 0, "revolute": 1, "continuous": 1, "prismatic": 1, "planar": 3, "floating": 6}
-Matrix = Float[np.ndarray, "4 4"]
+Matrix4 = Float[np.ndarray, "4 4"]
 KNOWN_ATTRIBUTES = {
     "origin": {"xyz", "rpy"},
     "axis": {"xyz"},
@@ -32,14 +32,14 @@ KNOWN_ATTRIBUTES = {
 JOINT_CHILDREN = {"origin", "parent", "child", "axis", "limit", "dynamics", "mimic", "safety_controller", "calibration"}
 LINK_CHILDREN = {"inertial", "visual", "collision", "contact", "self_collision_checking", "sensor", "verbose"}
 INERTIAL_CHILDREN = {"origin", "mass", "inertia"}
-MAX_NAME = 200  # [characters] longer ones make no readable sentence
+LONGEST_NAME = 200  # [characters] longer ones make no readable sentence
 RESERVED = ("universe",)
-FARTHEST = 1e6  # [m] beyond it poses keep less than 1e-9 m
+FARTHEST_PLACE = 1e6  # [m] beyond it poses keep less than 1e-9 m
 FULL_TURN = 2.0 * math.pi + 1e-3  # [rad] files round
 AXIS_NORMS = (1e-3, 1e3)  # of lengths outside the direction may be noise
 INERTIA = ("ixx", "ixy", "ixz", "iyy", "iyz", "izz")
 UNLIMITED = 1_000.0  # [rad or m] larger limits mean "no limit" in practice
-LARGE = 1e300  # what C++ reads as a number and no joint reaches
+HUGE = 1e300  # what C++ reads as a number and no joint reaches
 
 
 @final
@@ -133,7 +133,7 @@ class UrdfFile:
     root: str
 
 
-def as_pose(T: Matrix) -> Pose:
+def as_pose(T: Matrix4) -> Pose:
     """xyz and roll, pitch, yaw of a homogeneous matrix."""
     x, y, z = (float(c) for c in T[:3, 3])
     R = T[:3, :3]
@@ -146,7 +146,7 @@ def as_pose(T: Matrix) -> Pose:
     return Pose((x, y, z), (roll, pitch, yaw))
 
 
-def as_matrix(pose: Pose) -> Matrix:
+def as_matrix(pose: Pose) -> Matrix4:
     """Homogeneous matrix of xyz and roll, pitch, yaw."""
     T = np.eye(4)
     T[:3, :3], T[:3, 3] = pin.rpy.rpyToMatrix(*pose.rpy), pose.xyz
@@ -162,7 +162,22 @@ def read_link(node: XmlNode) -> UrdfLink:
     name = read_name(node)
     _warn_unknown_children(node, LINK_CHILDREN)
     inertial = _only(node, "inertial")
-    return UrdfLink(name, node.line, None if inertial is None else _inertial(inertial))
+    if inertial is None:
+        return UrdfLink(name, node.line, None)
+    _warn_unknown_children(inertial, INERTIAL_CHILDREN)
+    mass_node, inertia = _only(inertial, "mass"), _only(inertial, "inertia")
+    mass = None if mass_node is None else mass_node.number("value")
+    if mass is None:
+        inertial.warn("its <inertial> gives no mass; 0 kg is taken")
+    elif mass < 0.0:
+        where = mass_node or inertial
+        raise where.refusal("mass", f"its mass is {mass} kg; 0 or more is expected; write the true mass")
+    entries = [0.0 if inertia is None else inertia.number(key, 0.0) for key in INERTIA]
+    xx, xy, xz, yy, yz, zz = entries
+    smallest = float(np.linalg.eigvalsh([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]])[0])
+    if inertia is not None and smallest < -1e-9 * max(1.0, *map(abs, entries)):
+        inertia.warn(f"its inertia is not positive ({smallest:.3g} kg m^2); unused here")
+    return UrdfLink(name, node.line, UrdfInertial(_pose(inertial), mass or 0.0, tuple(entries)))
 
 
 def read_joint(node: XmlNode) -> UrdfJoint:
@@ -179,22 +194,36 @@ def read_joint(node: XmlNode) -> UrdfJoint:
         near = closest_names(kind.strip().lower(), DEGREES_OF_FREEDOM)
         fix = f"did you mean {near[0]!r}?" if near else "correct the type"
         raise node.refusal("joint-type", f"{seen}; one of {', '.join(DEGREES_OF_FREEDOM)} is expected; {fix}")
-    limit, mimic = _only(node, "limit"), _only(node, "mimic")
-    numbers = None if limit is None else [limit.number(key) for key in ("lower", "upper", "velocity", "effort")]
-    return UrdfJoint(
-        name=name,
-        line=node.line,
-        type=kind,
-        parent=_link_of(node, "parent"),
-        child=_link_of(node, "child"),
-        pose=_pose(node),
-        axis=_axis(node, kind),
-        limit=None if limit is None or numbers is None else _safe(node, UrdfLimit(limit.line, *numbers)),
-        mimic=None if mimic is None else _mimic(mimic),
-    )
+    limits, limit = _only(node, "limit"), None
+    follows, mimic = _only(node, "mimic"), None
+    if limits is not None:
+        limit = UrdfLimit(limits.line, *(limits.number(key) for key in ("lower", "upper", "velocity", "effort")))
+    parent, child, pose = _link_of(node, "parent"), _link_of(node, "child"), _pose(node)
+    axis, xyz = _only(node, "axis"), X
+    given = None if axis is None else axis.vector("xyz", 3)
+    if kind == "planar":
+        xyz = (0.0, 0.0, 1.0)
+        if given is None or not np.allclose(given, xyz, rtol=0.0, atol=1e-9):
+            seen = "it has no axis, which means 1 0 0" if given is None else f"its axis is {given}"
+            sentence = f"{seen}; a planar joint needs 0 0 1; turn the joint's origin instead"
+            raise (axis or node).refusal("planar-axis", sentence)
+    elif kind not in ("fixed", "floating"):
+        if axis is None or given is None:
+            node.warn("it has no axis; 1 0 0 is taken, which is the default of URDF")
+        else:
+            xyz = unit_axis(given, axis)
+    if limit is not None:
+        limit = _narrowed(node, limit)
+    if follows is not None:
+        leader = follows.attributes.get("joint", "")
+        if not leader:
+            fix = 'add joint="..." to <mimic>, or delete it'
+            raise follows.refusal("mimic-leader", f"its <mimic> names no joint; one is expected; {fix}")
+        mimic = UrdfMimic(follows.line, leader, follows.number("multiplier", 1.0), follows.number("offset", 0.0))
+    return UrdfJoint(name, node.line, kind, parent, child, pose, xyz, limit, mimic)
 
 
-def _safe(node: XmlNode, limit: UrdfLimit) -> UrdfLimit:
+def _narrowed(node: XmlNode, limit: UrdfLimit) -> UrdfLimit:
     """The limit, or the narrower one at which the safety controller of the arm's driver stops a joint."""
     safety = _only(node, "safety_controller")
     low, high = (None if safety is None else safety.number(f"soft_{n}_limit") for n in ("lower", "upper"))
@@ -220,8 +249,11 @@ def read_name(node: XmlNode) -> str:
     code = sentence = None
     if not name.strip():
         code, sentence = "missing", 'it has no name; a name is expected; add name="..."'
-    elif len(name) > MAX_NAME:
-        code, sentence = "long", f"its name has {len(name)} characters; at most {MAX_NAME} are expected; shorten it"
+    elif len(name) > LONGEST_NAME:
+        code, sentence = (
+            "long",
+            f"its name has {len(name)} characters; at most {LONGEST_NAME} are expected; shorten it",
+        )
     elif not name.isprintable():
         code, sentence = "unprintable", f"its name {name!r} holds unprintable characters; rename it"
     elif name in RESERVED:
@@ -248,9 +280,9 @@ def near_vector(node: XmlNode, attribute: str) -> Vector:
         RobotError: Codes `number`, `not-finite`, `vector-size`, `far-away`.
     """
     x, y, z = node.vector(attribute, 3) or ZERO
-    if max(abs(x), abs(y), abs(z)) > FARTHEST:
+    if max(abs(x), abs(y), abs(z)) > FARTHEST_PLACE:
         seen = f"its {node.tag} {attribute} is {(x, y, z)} m"
-        raise node.refusal("far-away", f"{seen}; at most {FARTHEST:g} m is expected; check the unit")
+        raise node.refusal("far-away", f"{seen}; at most {FARTHEST_PLACE:g} m is expected; check the unit")
     return (x, y, z)
 
 
@@ -262,23 +294,6 @@ def _pose(node: XmlNode) -> Pose:
     if max(abs(roll), abs(pitch), abs(yaw)) > FULL_TURN:
         origin.warn(f"origin rpy is {(roll, pitch, yaw)}, more than a full turn: degrees in place of radians?")
     return Pose(near_vector(origin, "xyz"), (roll, pitch, yaw))
-
-
-def _axis(node: XmlNode, joint_type: str) -> Vector:
-    axis = _only(node, "axis")
-    xyz = None if axis is None else axis.vector("xyz", 3)
-    if joint_type in ("fixed", "floating"):
-        return X
-    if joint_type == "planar":
-        if xyz is None or not np.allclose(xyz, (0.0, 0.0, 1.0), rtol=0.0, atol=1e-9):
-            seen = "it has no axis, which means 1 0 0" if xyz is None else f"its axis is {xyz}"
-            sentence = f"{seen}; a planar joint needs 0 0 1; turn the joint's origin instead"
-            raise (axis or node).refusal("planar-axis", sentence)
-        return (0.0, 0.0, 1.0)
-    if axis is None or xyz is None:
-        node.warn("it has no axis; 1 0 0 is taken, which is the default of URDF")
-        return X
-    return unit_axis(xyz, axis)
 
 
 def unit_axis(xyz: tuple[float, ...], axis: XmlNode) -> Vector:
@@ -298,30 +313,6 @@ def unit_axis(xyz: tuple[float, ...], axis: XmlNode) -> Vector:
         axis.warn(f"its axis {xyz} has length {norm:.4g}; only the direction is used")
     x, y, z = (c / norm + 0.0 for c in xyz)
     return (x, y, z)
-
-
-def _mimic(node: XmlNode) -> UrdfMimic:
-    leader = node.attributes.get("joint", "")
-    if not leader:
-        fix = 'add joint="..." to <mimic>, or delete it'
-        raise node.refusal("mimic-leader", f"its <mimic> names no joint; one is expected; {fix}")
-    return UrdfMimic(node.line, leader, node.number("multiplier", 1.0), node.number("offset", 0.0))
-
-
-def _inertial(node: XmlNode) -> UrdfInertial:
-    _warn_unknown_children(node, INERTIAL_CHILDREN)
-    mass_node, inertia = _only(node, "mass"), _only(node, "inertia")
-    mass = None if mass_node is None else mass_node.number("value")
-    if mass is None:
-        node.warn("its <inertial> gives no mass; 0 kg is taken")
-    elif mass < 0.0:
-        raise (mass_node or node).refusal("mass", f"its mass is {mass} kg; 0 or more is expected; write the true mass")
-    entries = [0.0 if inertia is None else inertia.number(key, 0.0) for key in INERTIA]
-    xx, xy, xz, yy, yz, zz = entries
-    smallest = float(np.linalg.eigvalsh([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]])[0])
-    if inertia is not None and smallest < -1e-9 * max(1.0, *map(abs, entries)):
-        inertia.warn(f"its inertia is not positive ({smallest:.3g} kg m^2); unused here")
-    return UrdfInertial(_pose(node), mass or 0.0, tuple(entries))
 
 
 def _only(node: XmlNode, tag: str) -> XmlNode | None:
@@ -392,10 +383,10 @@ def _limit_text(joint: UrdfJoint) -> str:
     if joint.type not in ("revolute", "prismatic", "continuous"):
         return ""
     limit = joint.limit or UrdfLimit(joint.line, None, None, None, None)
-    lower = -LARGE if limit.lower is None or abs(limit.lower) > UNLIMITED else limit.lower
-    upper = LARGE if limit.upper is None or abs(limit.upper) > UNLIMITED else limit.upper
+    lower = -HUGE if limit.lower is None or abs(limit.lower) > UNLIMITED else limit.lower
+    upper = HUGE if limit.upper is None or abs(limit.upper) > UNLIMITED else limit.upper
     if lower >= upper:  # of a locked joint, else validation would have refused it
-        lower, upper = -LARGE, LARGE
-    velocity = LARGE if limit.velocity is None or limit.velocity <= 0.0 else min(limit.velocity, LARGE)
-    effort = LARGE if limit.effort is None or limit.effort < 0.0 else limit.effort
+        lower, upper = -HUGE, HUGE
+    velocity = HUGE if limit.velocity is None or limit.velocity <= 0.0 else min(limit.velocity, HUGE)
+    effort = HUGE if limit.effort is None or limit.effort < 0.0 else limit.effort
     return f'<limit lower="{lower!r}" upper="{upper!r}" velocity="{velocity!r}" effort="{effort!r}"/>'

@@ -11,7 +11,7 @@ from typing import final
 from manip_learn.errors import advice, closest_names
 from manip_learn.robot.description.text import Diagnostics, XmlNode, meant, parse_xml, quoted, shortened
 from manip_learn.robot.description.urdf import (
-    MAX_NAME,
+    LONGEST_NAME,
     UNLIMITED,
     UrdfFile,
     UrdfJoint,
@@ -154,8 +154,7 @@ def validate_urdf(content: bytes, path: Path, locked: Collection[str] = ()) -> V
     """
     root = parse_xml(content, path)
     check_root(root)
-    links = tuple(read_link(node) for node in _counted(root, "link"))
-    joints = tuple(read_joint(node) for node in _counted(root, "joint"))
+    links, joints = tuple(map(read_link, root.all("link"))), tuple(map(read_joint, root.all("joint")))
     return validate_parts(robot_name(root), links, joints, locked, root.log)
 
 
@@ -213,22 +212,10 @@ def check_root(root: XmlNode) -> None:
         root.log.warn(line, f"<{shortened(tag)}> is ignored{hint}")
 
 
-def _counted(root: XmlNode, tag: str) -> list[XmlNode]:
-    nodes = root.all(tag)
-    if len(nodes) > MAX_LINKS:
-        raise nodes[MAX_LINKS].log.refusal(f"too-many-{tag}s", nodes[MAX_LINKS].line, too_many(len(nodes), tag))
-    return nodes
-
-
-def too_many(n: int, tag: str) -> str:
-    """The refusal of a robot with too many links or joints, in words."""
-    return f"the robot has {n} <{tag}> elements; at most {MAX_LINKS} work; leave out what the arm does not need"
-
-
 def robot_name(root: XmlNode, attribute: str = "name") -> str:
     """The name of a robot, or that of its file, with a warning, where it has none that can be printed."""
     name = root.attributes.get(attribute, "").strip()
-    if not name or not name.isprintable() or len(name) > MAX_NAME:
+    if not name or not name.isprintable() or len(name) > LONGEST_NAME:
         reason = "has no name" if not name else f"has the unusable name {shortened(name)!r}"
         name = "".join(c for c in root.log.path.stem if c.isprintable()) or "robot"
         root.log.warn(root.line, f"the robot {reason}; it is called {quoted([name])} after its file")
@@ -245,8 +232,11 @@ def root_of_tree(links: Sequence[UrdfLink], joints: Sequence[UrdfJoint], log: Di
     if not links:
         sentence = "the robot has no <link>; at least one is expected; is it a xacro file, or cut off?"
         raise log.refusal("no-links", 1, sentence)
-    if len(links) > MAX_LINKS:
-        raise log.refusal("too-many-links", links[MAX_LINKS].line, too_many(len(links), "link"))
+    for elements, tag in ((links, "link"), (joints, "joint")):
+        if len(elements) > MAX_LINKS:
+            fix = f"at most {MAX_LINKS} work; leave out what the arm does not need"
+            sentence = f"the robot has {len(elements)} <{tag}> elements; {fix}"
+            raise log.refusal(f"too-many-{tag}s", elements[MAX_LINKS].line, sentence)
     nv = sum(j.nv for j in joints)
     if nv > MAX_NV:
         sentence = f'the robot has {nv} degrees of freedom; at most {MAX_NV} work; make unused joints type="fixed"'
@@ -260,24 +250,7 @@ def root_of_tree(links: Sequence[UrdfLink], joints: Sequence[UrdfJoint], log: Di
                 )
                 raise log.refusal(f"duplicate-{kind}", e.line, f"{kind} {e.name!r}: {sentence}")
             first[e.name] = e.line
-    _check_ends(links, joints, log)
-    children = {j.child for j in joints}
-    roots = [link for link in links if link.name not in children]
-    if not roots:
-        fix = f"remove the joint that closes the loop, e.g. {joints[-1].name!r}"
-        sentence = f"every link is the child of a joint, so they form a loop; one without a parent is expected; {fix}"
-        raise log.refusal("no-root", joints[0].line, sentence)
-    if len(roots) > 1:
-        fix = f"join {roots[1].name!r} to the rest by a joint, or delete it"
-        sentence = f"the links {quoted([r.name for r in roots])} have no parent; one such link is expected; {fix}"
-        raise log.refusal("many-roots", roots[1].line, sentence)
-    _check_reach(roots[0], links, joints, log)
-    return roots[0].name
-
-
-def _check_ends(links: Sequence[UrdfLink], joints: Sequence[UrdfJoint], log: Diagnostics) -> None:
-    names = {link.name for link in links}
-    parent_joint: dict[str, str] = {}
+    names, parent_joint = {link.name for link in links}, dict[str, str]()
     for j in joints:
         for role, link in (("parent", j.parent), ("child", j.child)):
             if link not in names:
@@ -293,6 +266,17 @@ def _check_ends(links: Sequence[UrdfLink], joints: Sequence[UrdfJoint], log: Dia
             sentence = f"joint {j.name!r}: {seen}; one parent per link is expected; {fix}"
             raise log.refusal("two-parents", j.line, sentence)
         parent_joint[j.child] = j.name
+    roots = [link for link in links if link.name not in parent_joint]
+    if not roots:
+        fix = f"remove the joint that closes the loop, e.g. {joints[-1].name!r}"
+        sentence = f"every link is the child of a joint, so they form a loop; one without a parent is expected; {fix}"
+        raise log.refusal("no-root", joints[0].line, sentence)
+    if len(roots) > 1:
+        fix = f"join {roots[1].name!r} to the rest by a joint, or delete it"
+        sentence = f"the links {quoted([r.name for r in roots])} have no parent; one such link is expected; {fix}"
+        raise log.refusal("many-roots", roots[1].line, sentence)
+    _check_reach(roots[0], links, joints, log)
+    return roots[0].name
 
 
 def _check_reach(root: UrdfLink, links: Sequence[UrdfLink], joints: Sequence[UrdfJoint], log: Diagnostics) -> None:

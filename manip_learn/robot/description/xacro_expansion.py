@@ -18,8 +18,8 @@ from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
 
-SECONDS = 20  # of processor time for one file; the largest robots take 3
-MEMORY = 1_000_000_000  # [bytes] of the process; the libraries alone take 100 MB
+EXPANSION_SECONDS = 20  # of processor time for one file; the largest robots take 3
+EXPANSION_MEMORY = 1_000_000_000  # [bytes] of the process; the libraries alone take 100 MB
 
 
 def expanded_xacro(path: Path, asked: bool | Mapping[str, str], package_dirs: Sequence[Path] = ()) -> bytes:
@@ -53,10 +53,19 @@ def expanded_xacro(path: Path, asked: bool | Mapping[str, str], package_dirs: Se
         raise MissingExtraError(f"the xacro file {path}", "xacro")
     packages = {p.name: str(p.absolute()) for d in package_dirs for p in d.iterdir() if p.is_dir()}
     texts = {name: str(value) for name, value in values.items()}
-    answer = _asked_of_child({"path": str(path.absolute()), "values": texts, "packages": packages, "most": MAX_BYTES})
-    if "limit" in answer:
-        limits = f"its expressions may take {SECONDS} s and {MEMORY // 1_000_000_000} GB"
-        raise refusal("xacro-failed", f"xacro could not be expanded: {answer['limit']}; {limits}")
+    job = {"path": str(path.absolute()), "values": texts, "packages": packages, "most": MAX_BYTES}
+    job |= {"search": [p or os.getcwd() for p in sys.path], "seconds": EXPANSION_SECONDS}
+    command = [sys.executable, "-I", __file__, json.dumps(job)]
+    try:  # ten seconds on the clock for one of processor time, on slow disks and busy machines
+        done = subprocess.run(command, capture_output=True, cwd=path.absolute().parent, timeout=10 * EXPANSION_SECONDS)
+    except subprocess.TimeoutExpired:
+        done = None
+    if done is None or done.returncode != 0:
+        is_late = done is None or (os.name == "posix" and done.returncode == -signal.SIGXCPU)
+        seen = f"it took more than {EXPANSION_SECONDS} s" if is_late else "it crashed or ran out of memory"
+        limits = f"its expressions may take {EXPANSION_SECONDS} s and {EXPANSION_MEMORY // 1_000_000_000} GB"
+        raise refusal("xacro-failed", f"xacro could not be expanded: {seen}; {limits}")
+    answer = json.loads(done.stdout)
     if "fault" in answer:
         folder = "name the folder that contains the package with {}"
         fix = advice(f", or {folder}", "package_dirs=[...]", "--package-dir FOLDER") or ", or set ROS_PACKAGE_PATH"
@@ -70,21 +79,6 @@ def expanded_xacro(path: Path, asked: bool | Mapping[str, str], package_dirs: Se
         shown = ", ".join(map(repr, closest_names(unknown[0], answer["declared"]) or answer["declared"])) or "none"
         raise refusal("xacro-arg", f"the xacro file has no argument {unknown[0]!r}; it has {shown}")
     return answer["text"].encode()
-
-
-def _asked_of_child(job: dict[str, Any]) -> dict[str, Any]:
-    """What the process says: the `text` and the arguments that are `declared`; or a `limit`, a `fault`."""
-    job |= {"search": [p or os.getcwd() for p in sys.path], "seconds": SECONDS}
-    command = [sys.executable, "-I", __file__, json.dumps(job)]
-    late = {"limit": f"it took more than {SECONDS} s"}
-    try:  # ten seconds on the clock for one of processor time, on slow disks and busy machines
-        done = subprocess.run(command, capture_output=True, cwd=Path(job["path"]).parent, timeout=10 * SECONDS)
-    except subprocess.TimeoutExpired:
-        return late
-    if done.returncode == 0:
-        return json.loads(done.stdout)
-    is_late = os.name == "posix" and done.returncode == -signal.SIGXCPU
-    return late if is_late else {"limit": "it crashed or ran out of memory"}
 
 
 def _expand(job: dict[str, Any]) -> dict[str, Any]:
@@ -126,7 +120,7 @@ def _limit_self(seconds: float) -> None:
         import resource
 
         cpu = math.ceil(time.process_time() + seconds)
-        limits = {resource.RLIMIT_AS: MEMORY, resource.RLIMIT_CPU: cpu, resource.RLIMIT_CORE: 0}
+        limits = {resource.RLIMIT_AS: EXPANSION_MEMORY, resource.RLIMIT_CPU: cpu, resource.RLIMIT_CORE: 0}
         for kind, value in limits.items():
             hard = resource.getrlimit(kind)[1]
             with contextlib.suppress(ValueError, OSError):

@@ -16,7 +16,7 @@ from manip_learn.robot.joints import motion_along
 THICK = 0.043  # radius at the base, share of the reach, as of arms that are sold
 TAPER = 0.55  # radius at the last joint, share of the radius at the base
 TIP = 0.8  # radius at the end, share of the radius at the last joint
-SHORTEST = 0.2  # length from which there is a bone, share of its radius
+SHORTEST_BONE = 0.2  # length from which there is a bone, share of its radius
 
 
 @final
@@ -55,7 +55,7 @@ def bones(model: pin.Model, radius: Float[np.ndarray, " J"]) -> tuple[Bone, ...]
         first = axes[i] * (end @ axes[i])
         path = [np.zeros(3)]
         for corner in (first, end - last * ((end - first) @ last), end):
-            if np.linalg.norm(corner - path[-1]) > SHORTEST * radius[i]:
+            if np.linalg.norm(corner - path[-1]) > SHORTEST_BONE * radius[i]:
                 path.append(corner)
         path[1:] = [*path[1:-1], end][: len(path) - 1]  # what is short at the end belongs to the piece before it
         thick = np.linspace(radius[i], radius[child] if child else TIP * radius[i], len(path))

@@ -12,7 +12,7 @@ import os
 import re
 import struct
 from collections import Counter
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, NamedTuple, final
@@ -28,6 +28,7 @@ from manip_learn.robot.description.text import read_regular_file
 Colour = tuple[float, float, float, float]
 Piece = tuple[np.ndarray, np.ndarray, Colour | None]  # corners, triangles
 
+MESH_KINDS = (".stl", ".obj", ".dae")
 MAX_MESH_BYTES = 50_000_000  # of a file: a million triangles of STL
 MAX_FACES = 2_000_000  # of a mesh: 0.1 GB as triangles
 MAX_NODES = 20_000  # of a COLLADA scene, each counted as often as it is used
@@ -178,10 +179,14 @@ def read_meshes(paths: Sequence[Path]) -> dict[Path, Mesh | RobotError]:
 
 def _read(path: Path) -> Mesh:
     kind = path.suffix.lower()
-    if kind not in CHECKS:
-        raise _refusal(path, "mesh-kind", f"{kind or 'no extension'!r} is not one of {', '.join(CHECKS)}")
-    content = _content(path)
-    CHECKS[kind](content, path)
+    if kind not in MESH_KINDS:
+        raise _refusal(path, "mesh-kind", f"{kind or 'no extension'!r} is not one of {', '.join(MESH_KINDS)}")
+    try:
+        content = read_regular_file(path, MAX_MESH_BYTES)
+    except (OSError, ValueError) as error:
+        code = {errno.EFBIG: "mesh-size", errno.ENXIO: "mesh-kind"}.get(getattr(error, "errno", 0), "mesh-missing")
+        raise _refusal(path, code, str(error)) from error
+    _check(kind, content, path)
     try:
         pieces = _collada_pieces(content) if kind == ".dae" else _pieces(content, kind)
         vertices, faces, painted, n = [], [], Counter[Colour](), 0
@@ -255,45 +260,27 @@ def _diffuse(effect: Any) -> Colour | None:
     return (rgba[0], rgba[1], rgba[2], 1.0)
 
 
-def _content(path: Path) -> bytes:
-    try:
-        content = read_regular_file(path, MAX_MESH_BYTES)
-    except (OSError, ValueError) as error:
-        code = {errno.EFBIG: "mesh-size", errno.ENXIO: "mesh-kind"}.get(getattr(error, "errno", 0), "mesh-missing")
-        raise _refusal(path, code, str(error)) from error
+def _check(kind: str, content: bytes, path: Path) -> None:
+    """Refuse what claims to hold more than it does, or something else than its ending says."""
+    head, reason = content[:HEAD], ""
     if not content:
-        raise _refusal(path, "mesh-content", "it is empty")
-    return content
-
-
-def _check_stl(content: bytes, path: Path) -> None:
-    size = 84 + 50 * struct.unpack_from("<I", content, 80)[0] if len(content) >= 84 else 0
-    head = content[:HEAD]
-    is_text = head.lstrip().startswith(b"solid") and b"facet" in head and b"\0" not in head
-    if not is_text and (len(content) != size or size == 84):
-        raise _refusal(path, "mesh-content", "its size does not fit the number of triangles it states")
-
-
-def _check_obj(content: bytes, path: Path) -> None:
-    if b"\0" in content or not re.search(rb"^[ \t]*v[ \t]", content, re.MULTILINE):
-        raise _refusal(path, "mesh-content", "it has no OBJ vertices")
-
-
-def _check_dae(content: bytes, path: Path) -> None:
-    text = content.lstrip(b"\xef\xbb\xbf \t\r\n")
+        reason = "it is empty"
+    elif kind == ".stl":
+        size = 84 + 50 * struct.unpack_from("<I", content, 80)[0] if len(content) >= 84 else 0
+        is_text = head.lstrip().startswith(b"solid") and b"facet" in head and b"\0" not in head
+        if not is_text and (len(content) != size or size == 84):
+            reason = "its size does not fit the number of triangles it states"
+    elif kind == ".obj":
+        if b"\0" in content or not re.search(rb"^[ \t]*v[ \t]", content, re.MULTILINE):
+            reason = "it has no OBJ vertices"
     # the parser would unpack a ZIP file, whatever it begins with; none is without zeros
-    if not text.startswith(b"<") or b"<COLLADA" not in content[:HEAD] or b"\0" in content:
-        raise _refusal(path, "mesh-content", "it is no COLLADA document")
-    if b"<!DOCTYPE" in content or b"<!ENTITY" in content:
-        raise _refusal(path, "mesh-content", "it has a <!DOCTYPE>")
+    elif not content.lstrip(b"\xef\xbb\xbf \t\r\n").startswith(b"<") or b"<COLLADA" not in head or b"\0" in content:
+        reason = "it is no COLLADA document"
+    elif b"<!DOCTYPE" in content or b"<!ENTITY" in content:
+        reason = "it has a <!DOCTYPE>"
+    if reason:
+        raise _refusal(path, "mesh-content", reason)
 
 
 def _refusal(path: Path, code: str, reason: str) -> RobotError:
     return RobotError(f"mesh {path}: {reason}", code=code, path=path)
-
-
-CHECKS: dict[str, Callable[[bytes, Path], None]] = {
-    ".stl": _check_stl,
-    ".obj": _check_obj,
-    ".dae": _check_dae,
-}

@@ -98,32 +98,24 @@ def visual_elements(content: bytes, path: Path, tag: Tag = "visual") -> list[Vis
     found: list[VisualElement] = []
     for link in root.all("link"):
         name = link.attributes.get("name", "")
-        found += [_element(name, visual, colours) for visual in link.all(tag)[: MAX_VISUALS - len(found)]]
+        for node in link.all(tag)[: MAX_VISUALS - len(found)]:
+            pose, geometry, fault = Pose(), None, ""
+            try:
+                if (origin := node.first("origin")) is not None:
+                    x, y, z = origin.vector("xyz", 3) or ZERO
+                    roll, pitch, yaw = origin.vector("rpy", 3) or ZERO
+                    if max(abs(x), abs(y), abs(z)) > LARGEST_SIZE:
+                        raise _unusable(origin, f"its {origin.tag} is {max(abs(x), abs(y), abs(z)):g} m away")
+                    pose = Pose((x, y, z), (roll, pitch, yaw))
+                geometry = _geometry(node)
+            except RobotError as error:
+                fault = str(error)
+            material, colour = node.first("material"), None
+            if material is not None:
+                colour = _colour(material) or colours.get(material.attributes.get("name", ""))
+            own = node.attributes.get("name", "")
+            found.append(VisualElement(name, node.line, pose, geometry, colour, fault, own))
     return found
-
-
-def _element(link: str, node: XmlNode, colours: dict[str, Colour]) -> VisualElement:
-    pose, geometry, fault = Pose(), None, ""
-    try:
-        pose = _pose(node)
-        geometry = _geometry(node)
-    except RobotError as error:
-        fault = str(error)
-    material, colour = node.first("material"), None
-    if material is not None:
-        colour = _colour(material) or colours.get(material.attributes.get("name", ""))
-    return VisualElement(link, node.line, pose, geometry, colour, fault, node.attributes.get("name", ""))
-
-
-def _pose(node: XmlNode) -> Pose:
-    origin = node.first("origin")
-    if origin is None:
-        return Pose()
-    x, y, z = origin.vector("xyz", 3) or ZERO
-    roll, pitch, yaw = origin.vector("rpy", 3) or ZERO
-    if max(abs(x), abs(y), abs(z)) > LARGEST_SIZE:
-        raise _unusable(origin, f"its {node.tag} is {max(abs(x), abs(y), abs(z)):g} m away")
-    return Pose((x, y, z), (roll, pitch, yaw))
 
 
 def _geometry(node: XmlNode) -> Solid | MeshElement:
