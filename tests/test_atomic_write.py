@@ -139,7 +139,6 @@ def test_every_file_that_has_no_room_gets_a_sentence(tmp_path):
     rollout.save(tmp_path / "run.csv")
     written = {
         "c.json": f"learn planar3 {DATA}/planar3_reach --frame tip --axes planar --out c.json",
-        "l.html": f"learn planar3 {DATA}/planar3_reach --frame tip --axes planar --html l.html",
         **{f"r{e}": f"control planar3 line.json --duration 0.1 --out r{e}" for e in (".npz", ".csv", ".mcap")},
         "p.html": "replay planar3 run.npz --html p.html",
         "a.csv": "audit planar3 line.json run.csv --csv a.csv",

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import os
 import re
 import shlex
 import shutil
@@ -210,9 +211,6 @@ def test_bad_input_gives_one_sentence(run, learnt):
         assert f"{option} must be" in err and value in err and "n_constraints" not in err
 
 
-CSV = "time,joint1,joint2,joint3\n"
-
-
 def test_our_own_failure_is_no_traceback(run, monkeypatch):
     """An internal error gives exit code 1 and one sentence."""
 
@@ -224,13 +222,6 @@ def test_our_own_failure_is_no_traceback(run, monkeypatch):
     assert (code, out) == (1, "")
     assert "internal error" in err
     assert "Traceback" not in err
-
-
-def test_module_runs_as_a_program():
-    """`python -m manip_learn` is the same program."""
-    done = subprocess.run([sys.executable, "-m", "manip_learn", "--help"], capture_output=True, text=True, timeout=60)
-    assert done.returncode == 0
-    assert "reproduce" in done.stdout
 
 
 def test_refusals_are_json_too(run, tmp_path):
@@ -287,7 +278,7 @@ def test_robots_and_version(run):
 
 def test_a_reader_that_leaves_is_no_error():
     """`| head -1`: nothing on standard error but what the command has to say, and no failure of its own."""
-    for words in ("robots", "inspect sawyer", "inspect sawyer --json", "learn --help", "learn --json"):
+    for words in ("inspect sawyer", "learn --help", "learn --json"):
         command = [sys.executable, "-u", "-m", "manip_learn", *words.split()]
         with subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True) as done:
             assert done.stdout is not None and done.stderr is not None
@@ -479,23 +470,16 @@ def test_no_name_controls_the_terminal(run, tmp_path):
     commands = [
         (0, "inspect", arm),
         (2, "inspect", "evil.urdf"),
-        (2, "inspect", f"{EVIL}.urdf"),
-        (0, "learn", arm, *shown, *tip, *how, "--out", held, "--html", f"l{EVIL}.html"),
+        (0, "learn", arm, *shown, *tip, *how, "--out", held),
         (2, "learn", arm, f"odd{EVIL}.csv", *tip),
-        (2, "learn", arm, f"gone{EVIL}.csv", *tip),
-        (2, "learn", arm, *shown, "--frame", f"link2{EVIL}"),
         (2, "learn", arm, *shown, *tip, "--lock", f"joint2{EVIL}"),
         (2, "learn", arm, *shown, *tip, "--rename", f"a{EVIL}=b{EVIL}"),
         (2, f"lern{EVIL}", arm),
         (2, "inspect", arm, f"--x{EVIL}"),
         (0, "control", arm, held, "--target", "0,0.5,0", "--duration", "1", "--out", f"run{EVIL}.csv"),
-        (2, "control", arm, f"odd{EVIL}.csv"),
         (2, "control", arm, held, "--policy", EVIL),
-        (0, "replay", arm, f"run{EVIL}.csv", "--html", f"p{EVIL}.html"),
-        (0, "replay", arm, *shown, "--constraint", held, "--html", f"p{EVIL}.html"),
-        (2, "replay", "sawyer", f"run{EVIL}.csv"),
+        (0, "replay", arm, f"run{EVIL}.csv", "--constraint", held, "--html", f"p{EVIL}.html"),
         (0, "audit", arm, held, *shown, "--csv", f"a{EVIL}.csv"),
-        (2, "audit", arm, held, f"odd{EVIL}.csv"),
         (0, "export", arm, *shown, "--to", "csv", "--out", f"exported{EVIL}"),
         (2, "export", arm, *shown, "--to", EVIL, "--out", "x"),
     ]
@@ -518,6 +502,18 @@ def sentences(content, key=""):
     return [content] if isinstance(content, str) and key in SENTENCES else []
 
 
+@pytest.mark.parametrize("shell", ["bash", "fish"])
+def test_a_shell_is_offered_names_and_flags(shell, tmp_path):
+    """A robot by its first letters, a flag of the command."""
+    for line, expected in (("inspect saw", "sawyer"), ("learn sawyer --col", "--columns")):
+        line, environment = f"manip-learn {line}", dict(os.environ, _MANIP_LEARN_COMPLETE=f"complete_{shell}")
+        environment |= {"PYTHONPATH": os.pathsep.join(sys.path), "COMP_WORDS": line, "COMP_CWORD": str(line.count(" "))}
+        environment |= {"_TYPER_COMPLETE_ARGS": line, "_TYPER_COMPLETE_FISH_ACTION": "get-args"}
+        command = [sys.executable, "-m", "manip_learn"]
+        done = subprocess.run(command, env=environment, cwd=tmp_path, capture_output=True, text=True, timeout=60)
+        assert done.stderr == "" and expected in done.stdout.split()
+
+
 INTERRUPTED_AT = """
 import os, re, signal, sys
 left, sys.argv = int(sys.argv[1]), ["manip-learn", *sys.argv[2:]]
@@ -537,7 +533,7 @@ sys.exit(main())
 
 def test_ctrl_c_leaves_no_traceback_from_the_first_moment_on():
     """At whichever import `main` is when it is interrupted: exit code 130, and at most one word."""
-    for moment in (1, 8, 20, 45, 80, 120, 170, 230, 300, 360, 420):
+    for moment in (1, 20, 120, 300):
         command = [sys.executable, "-c", INTERRUPTED_AT, str(moment), "inspect", "planar3"]
         done = subprocess.run(command, capture_output=True, text=True, timeout=60)
         assert done.returncode == 130 and done.stderr.strip() in ("", "interrupted"), (moment, done.stderr)

@@ -126,7 +126,7 @@ def test_what_does_not_fit_is_refused(run, file):
 
 
 def test_a_target_is_the_point(run, file):
-    """The tip goes to the point; with --rows held, the paper's law, to the line through it, and the words say so."""
+    """The tip goes to the point, across what is held too, and with --rows held to the line through it; words say so."""
     constraint, _ = learnt("drawer")
     q0 = np.array(constraint.provenance["postures"][0])
     free = np.linalg.svd(constraint.selection)[2][2]
@@ -142,12 +142,6 @@ def test_a_target_is_the_point(run, file):
     assert answer["reached"] is False and answer["final_error"] < 0.01 < answer["tip_to_target"]
     _code, out, _err = run("control", *file("drawer"), *typed, "--rows", "held", "--policy", "zero")
     assert out.startswith("on the line, 0.1 m from the point") and "--rows held leaves" in out
-
-
-def test_a_target_off_the_line_is_told(run, file):
-    """A point across what the recordings show to be blocked: the hand goes there, and a sentence says so."""
-    constraint, _ = learnt("drawer")
-    q0 = np.array(constraint.provenance["postures"][0])
     point = constraint.robot.position(q0, constraint.features.frame) + 0.05 * constraint.selection[0]
     typed = ("--start", ",".join(map(str, q0)), "--target", ",".join(map(str, point)))
     _code, out, _err = run("control", *file("drawer"), *typed)
@@ -201,8 +195,6 @@ def test_a_hand_whose_joint_meets_its_limit_stays_on_the_line(run, shown):
         answer = json.loads(out)
         assert code == 0 and answer["deviation"] <= 2e-3
         assert answer["reached"] or answer["stopped_by"]
-        code, out, _err = run("control", "sawyer", shown, *way, f"--policy={policy}")
-        assert code == 0 and answer["sentence"] in out and (answer["stopped_by"] or "") in out
     code, out, _err = run("control", "sawyer", shown, *way, "--plan")
     assert code == 0 and out.startswith("opened 0.300 of 0.300 m")
     assert " mm from what holds it" not in out
@@ -224,8 +216,6 @@ def test_the_demo_opens_the_drawer(run):
         answer["fastest_joint"]["share_of_limit"] for name, answer in rollouts.items() if name != "plan"
     )
     assert planned["plan"]["margin"] > 0.3 and len(planned["plan"]["hold"]) == 7
-    code, out, _err = run("demo", "--no-browser")
-    assert "opened" in out and "reached" not in out
 
 
 def test_a_plan_on_the_command_line(run, shown):

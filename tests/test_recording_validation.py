@@ -44,19 +44,19 @@ def refused(*arguments: Any, **options: Any) -> RecordingError:
 
 
 def test_guided_motions_pass_without_a_word(sawyer: Robot, rng: np.random.Generator, tmp_path: Path) -> None:
-    """Jitter, noise and quantisation of real recordings are no faults: 20 of 20 pass, with and without velocities."""
-    for _ in range(20):
+    """Jitter, noise and quantisation of real recordings are no faults, with and without velocities."""
+    for _ in range(8):
         time, q, u = guided(sawyer, rng)
         assert load(sawyer, tmp_path, time, q, u).notes == ()
         assert load(sawyer, tmp_path, time, q).notes == ()
 
 
 def test_degrees_are_always_caught(robot_of, rng: np.random.Generator) -> None:
-    """By the limits, without velocities, 20 of 20; with the way out, which gives the radians back."""
+    """By the limits, without velocities; with the way out, which gives the radians back."""
     for name in ["panda", "ur5", "sawyer"]:
         with case(name) as tmp_path:
             robot = robot_of(name)
-            for _ in range(20):
+            for _ in range(8):
                 time, q, u = guided(robot, rng)
                 assert refused(robot, tmp_path, time, np.degrees(q)).code == "degrees"
             demos = load(robot, tmp_path, time, np.degrees(q), np.degrees(u), degrees=True)
@@ -128,14 +128,6 @@ def test_one_column_in_degrees_is_not_the_whole_file(sawyer: Robot, rng, tmp_pat
     q[:, 3] = np.degrees(q[:, 3])
     error = refused(sawyer, tmp_path, time, q)
     assert error.code == "degrees" and error.column == "right_j3" and "convert this column" in str(error)
-
-
-def test_radians_that_are_called_degrees(sawyer: Robot, rng, tmp_path: Path) -> None:
-    """A guided arm hardly moves in such degrees: it is asked about; `units` insists."""
-    time, q, _ = guided(sawyer, rng)
-    error = refused(sawyer, tmp_path, time, q, degrees=True)
-    assert error.code == "degrees" and "leave degrees=True out" in str(error) and "units='degrees'" in str(error)
-    np.testing.assert_allclose(load(sawyer, tmp_path, time, q, units="degrees")[0].q, np.radians(q))
 
 
 def test_gaps_split_the_demonstration(sawyer: Robot, rng, tmp_path: Path) -> None:
