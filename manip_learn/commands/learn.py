@@ -117,7 +117,13 @@ def learn(options: LearnOptions, progress: Progress | None = None) -> Learnt:
     if options.reference not in REFERENCES:
         raise FeatureError(f"--reference must be world, local or auto, not {options.reference!r}")
     if options.dask is not None:
-        _refuse_beside_dask(options)
+        in_memory = {"--html": options.html, "--from": options.start, "--until": options.until}
+        for option, value in in_memory.items():
+            if value is not None:
+                instead = "cut the files first" if option in ("--from", "--until") else "give one of the two"
+                raise RecordingError(
+                    f"{option} works on recordings in memory, not with --dask: {instead}", code="option"
+                )
     if progress is not None:
         progress("reading", 0.0)
     robot, demos, frame, notes = load_to_learn(options)
@@ -183,14 +189,6 @@ def load_to_learn(options: LearnOptions) -> tuple[Robot, Demonstrations | Record
             notes.append(
                 f"joint {joint!r} is not recorded and does not move {' or '.join(map(repr, frames))}: it was locked"
             )
-
-
-def _refuse_beside_dask(options: LearnOptions) -> None:
-    in_memory = {"--html": options.html, "--from": options.start, "--until": options.until}
-    for option, value in in_memory.items():
-        if value is not None:
-            instead = "cut the files first" if option in ("--from", "--until") else "give one of the two"
-            raise RecordingError(f"{option} works on recordings in memory, not with --dask: {instead}", code="option")
 
 
 def _replay_of_recordings(

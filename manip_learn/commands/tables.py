@@ -353,18 +353,6 @@ def print_controlled(console: Console, controlled: Controlled, explain: bool = F
         say(console, *plan.notes, style="yellow")
     counts = controlled.rollout.status_counts
     say(console, f"steps: {', '.join(f'{status} {n}' for status, n in counts.items())}")
-    say(console, *_obstacles(controlled), style="yellow")
-    print_words(console, ROLLOUT_TERMS if controlled.way is None else WAY_TERMS, explain)
-    say_end(console, controlled.notes, controlled.out, controlled.page)
-
-
-def _at(place: Sequence[float]) -> str:
-    """A place in the base frame, in words."""
-    return f"({', '.join(f'{x:.3f}' for x in place)}) m"
-
-
-def _obstacles(controlled: Controlled) -> list[str]:
-    """What kept a rollout from its goal, or should make one careful, in sentences."""
     way, aim, out = controlled.way, controlled.aim, []
     if way is not None and way.stopped_by is not None:
         out.append(f"stopped by {way.stopped_by}")
@@ -390,7 +378,14 @@ def _obstacles(controlled: Controlled) -> list[str]:
             f"{controlled.final_error:.3g} left after {controlled.rollout.time[-1]:g} s, still moving: try a longer "
             "--duration"
         )
-    return out
+    say(console, *out, style="yellow")
+    print_words(console, ROLLOUT_TERMS if controlled.way is None else WAY_TERMS, explain)
+    say_end(console, controlled.notes, controlled.out, controlled.page)
+
+
+def _at(place: Sequence[float]) -> str:
+    """A place in the base frame, in words."""
+    return f"({', '.join(f'{x:.3f}' for x in place)}) m"
 
 
 def print_audit(console: Console, audited: Audited, explain: bool = False) -> None:

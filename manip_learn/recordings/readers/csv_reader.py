@@ -11,7 +11,7 @@ from dataclasses import dataclass
 from datetime import UTC, datetime
 from functools import partial
 from pathlib import Path
-from typing import NoReturn, final
+from typing import final
 
 import numpy as np
 from jaxtyping import Float
@@ -210,7 +210,18 @@ def _table(
         form = {"delimiter": dialect.delimiter, "comments": None, "quotechar": '"'}
         return np.loadtxt(itertools.chain([first], lines), usecols=usecols, ndmin=2, **form)
     except ValueError as error:
-        _explain(path, dialect, used, request, error)
+        for number, line in _numbered_lines(path, dialect):
+            fields = _fields(line, dialect.delimiter)
+            i = next((i for i in used if not NUMBER.fullmatch(fields[i]) and seconds_of(fields[i]) is None), None)
+            if i is None:
+                continue
+            what, name = repr(fields[i][:40]) if fields[i] else "an empty field", dialect.columns[i]
+            leave = ""
+            if name not in ("time", *request.robot.joint_names) and not request.columns:
+                leave = advice("; if it is no joint's: {}", "columns='{joint}'", "--columns '{joint}'")
+            text = f"{what} where a number is needed: correct the row or remove it{leave}"
+            raise refusal(path, "not-a-number", text, line=number, column=name) from error
+        raise refusal(path, "not-a-number", f"the numbers cannot be read: {reason(error)}") from error
 
 
 def _numbered_lines(path: Path, dialect: CsvDialect) -> Iterator[tuple[int, str]]:
@@ -256,22 +267,6 @@ def _checked_lines(path: Path, dialect: CsvDialect, clock: int | None) -> Iterat
             parts[clock] = "?" if seconds is None else repr(seconds)
             line = (delimiter or " ").join(parts)
         yield line
-
-
-def _explain(path: Path, dialect: CsvDialect, used: list[int], request: ReadRequest, cause: ValueError) -> NoReturn:
-    """Raise the error that names the field which NumPy's parser refused."""
-    for number, line in _numbered_lines(path, dialect):
-        fields = _fields(line, dialect.delimiter)
-        i = next((i for i in used if not NUMBER.fullmatch(fields[i]) and seconds_of(fields[i]) is None), None)
-        if i is None:
-            continue
-        what, name = repr(fields[i][:40]) if fields[i] else "an empty field", dialect.columns[i]
-        leave = ""
-        if name not in ("time", *request.robot.joint_names) and not request.columns:
-            leave = advice("; if it is no joint's: {}", "columns='{joint}'", "--columns '{joint}'")
-        text = f"{what} where a number is needed: correct the row or remove it{leave}"
-        raise refusal(path, "not-a-number", text, line=number, column=name) from cause
-    raise refusal(path, "not-a-number", f"the numbers cannot be read: {reason(cause)}") from cause
 
 
 def _line_of(path: Path, dialect: CsvDialect, sample: int) -> int:

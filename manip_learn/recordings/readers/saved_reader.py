@@ -50,7 +50,17 @@ def file_header(path: Path) -> FileHeader | None:
         with path.open(encoding="utf-8-sig", errors="replace") as file:  # bytes that are no text: other characters
             start = file.read(len(JSON_LINES))
             if start.startswith("PK"):
-                return _npz_header(path)
+                with zipfile.ZipFile(path) as zipped:
+                    if "format.npy" not in zipped.namelist():
+                        return None
+                arrays, _ = stored_arrays(path, (), TEXTS)
+                named = texts_of(path, "format", arrays["format"], 0)[0] if arrays["format"].shape == () else ""
+                if not named.startswith(PREFIX):
+                    return None
+                if "header" not in arrays:
+                    said = "an early version wrote it without its robot, which is not read any more: simulate it again"
+                    raise refusal(path, "not-a-rollout", said)
+                return FileHeader.from_json(texts_of(path, "header", arrays["header"], 0)[0])
             if start.startswith(JSON_LINES):
                 raise refusal(path, "not-a-rollout", "JSON lines are not read any more; .npz and .csv are, bit for bit")
             is_ours = start.startswith(MARK)
@@ -94,20 +104,6 @@ def _refusing_damage(path: Path) -> Iterator[None]:
         raise RecordingError(f"rollout file {path} does not exist", code="missing", path=path) from error
     except DAMAGE as error:
         raise refusal(path, "damaged", f"the file cannot be read ({reason(error)}): copy or save it again") from error
-
-
-def _npz_header(path: Path) -> FileHeader | None:
-    with zipfile.ZipFile(path) as zipped:
-        if "format.npy" not in zipped.namelist():
-            return None
-    arrays, _ = stored_arrays(path, (), TEXTS)
-    named = texts_of(path, "format", arrays["format"], 0)[0] if arrays["format"].shape == () else ""
-    if not named.startswith(PREFIX):
-        return None
-    if "header" not in arrays:
-        said = "an early version wrote this file without its robot, which is not read any more: simulate it again"
-        raise refusal(path, "not-a-rollout", said)
-    return FileHeader.from_json(texts_of(path, "header", arrays["header"], 0)[0])
 
 
 def _of_archive(path: Path, header: FileHeader) -> dict[str, np.ndarray]:

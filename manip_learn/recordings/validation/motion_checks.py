@@ -99,7 +99,25 @@ def time_in_seconds(
 def check_motion(motion: Motion) -> list[str]:
     """Notes on a motion."""
     _refuse_two_publishers(motion)
-    return _check_limits(motion)
+    robot, recording, angular = motion.robot, motion.recording, motion.angular
+    beyond = _excess(robot, motion.q)
+    far = beyond > np.where(angular, FAR_ANGLE, FAR_LENGTH)
+    notes = _fast_notes(robot, motion.time, motion.q)
+    if motion.request.units is None and not recording.trusted:
+        _refuse_degrees(motion, far, bool(notes))
+    refuses = motion.request.outside_limits == "refuse" and not recording.trusted
+    if np.any(far) and refuses:
+        _refuse_far(motion, int(np.argmax(np.where(far, beyond, 0.0))))
+    slight = np.flatnonzero(beyond > NOTABLE)
+    if slight.size:
+        worst = int(np.argmax(beyond))
+        notes.append(
+            f"beyond their limits: {counted(slight.size, 'joint')}, {robot.joint_names[worst]!r} the farthest: by "
+            f"{beyond[worst]:.3g} {'rad' if angular[worst] else 'm'}"
+        )
+    if refuses:
+        _refuse_jumps(motion)
+    return notes
 
 
 def refuse_degrees_beside(motion: Motion, u: Float[np.ndarray, "T nv"]) -> None:
@@ -122,29 +140,6 @@ def _excess(robot: Robot, q: Float[np.ndarray, "T nv"]) -> Float[np.ndarray, " n
     """How far each joint gets beyond its limits [rad or m]; 0 within."""
     below, above = robot.position_lower - q.min(axis=0), q.max(axis=0) - robot.position_upper
     return np.maximum(np.maximum(below, above), 0.0)
-
-
-def _check_limits(motion: Motion) -> list[str]:
-    """Notes on positions slightly outside the limits and odd speeds; degrees, far positions and jumps are refused."""
-    robot, recording, angular = motion.robot, motion.recording, motion.angular
-    beyond = _excess(robot, motion.q)
-    far = beyond > np.where(angular, FAR_ANGLE, FAR_LENGTH)
-    notes = _fast_notes(robot, motion.time, motion.q)
-    if motion.request.units is None and not recording.trusted:
-        _refuse_degrees(motion, far, bool(notes))
-    refuses = motion.request.outside_limits == "refuse" and not recording.trusted
-    if np.any(far) and refuses:
-        _refuse_far(motion, int(np.argmax(np.where(far, beyond, 0.0))))
-    slight = np.flatnonzero(beyond > NOTABLE)
-    if slight.size:
-        worst = int(np.argmax(beyond))
-        notes.append(
-            f"beyond their limits: {counted(slight.size, 'joint')}, {robot.joint_names[worst]!r} the farthest: by "
-            f"{beyond[worst]:.3g} {'rad' if angular[worst] else 'm'}"
-        )
-    if refuses:
-        _refuse_jumps(motion)
-    return notes
 
 
 def _refuse_degrees(motion: Motion, far: Bool[np.ndarray, " nv"], fast: bool) -> None:

@@ -51,7 +51,18 @@ def write_lerobot(folder: Path, motions: Sequence[SavedMotion]) -> Path:
     write_atomically(folder / "data" / FILE, _parquet(table))
     write_atomically(folder / "meta" / "episodes" / FILE, _parquet(_episodes(motions)))
     tasks = pa.table({"task_index": pa.array([0], pa.int64()), "task": [TASK]})
-    write_atomically(folder / "meta" / "tasks.parquet", _parquet(_indexed(tasks, "task")))
+    described = {
+        "index_columns": ["task"],
+        "column_indexes": [],
+        "columns": [
+            {"name": n, "field_name": n, "pandas_type": kind, "numpy_type": dtype, "metadata": None}
+            for n, kind, dtype in (("task_index", "int64", "int64"), ("task", "unicode", "object"))
+        ],
+        "pandas_version": "2.0.0",
+    }
+    write_atomically(
+        folder / "meta" / "tasks.parquet", _parquet(tasks.replace_schema_metadata({"pandas": json.dumps(described)}))
+    )
     write_atomically(folder / "meta" / "stats.json", json.dumps(_statistics(table), indent=2))
     write_atomically(folder / "meta" / "info.json", json.dumps(_info(motions, fps, table), indent=2))
     write_atomically(folder / DATASET_HEADER, motions[0].header.to_json() + "\n")
@@ -129,20 +140,6 @@ def _info(motions: Sequence[SavedMotion], fps: float, table: Any) -> dict[str, A
         "video_path": None,
         "features": features,
     }
-
-
-def _indexed(table: Any, column: str) -> Any:
-    """The table with a column marked as the index that pandas shows, as LeRobot looks tasks up by it."""
-    described = {
-        "index_columns": [column],
-        "column_indexes": [],
-        "columns": [
-            {"name": n, "field_name": n, "pandas_type": kind, "numpy_type": dtype, "metadata": None}
-            for n, kind, dtype in (("task_index", "int64", "int64"), ("task", "unicode", "object"))
-        ],
-        "pandas_version": "2.0.0",
-    }
-    return table.replace_schema_metadata({"pandas": json.dumps(described)})
 
 
 def _parquet(table: Any) -> bytes:
