@@ -145,7 +145,7 @@ def test_every_file_that_has_no_room_gets_a_sentence(tmp_path):
         **{f"x{e}": f"export planar3 run.npz --out x{e}" for e in (".mcap", ".csv", ".yaml", ".rrd")},
         "set/": "export planar3 run.npz --to lerobot --out set",
         "demo/": "demo --robot planar3 --out demo --no-browser",
-        "table": "reproduce table --trials 1 --out table",
+        "figures": "reproduce singular-start --out figures",
     }
     for extra, files in {"rerun": ["x.rrd"], "pyarrow": ["set/"]}.items():
         if importlib.util.find_spec(extra) is None:

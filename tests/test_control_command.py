@@ -88,8 +88,6 @@ def test_the_words_say_how_far(run, file):
     assert out.startswith("opened 30.0 of 30.0 degrees")
     _code, out, _err = run("control", *file("table"), "--along", "0.1", "--direction", "0,1,0")
     assert out.startswith("moved 0.100 of 0.100 m")
-    code, out, _err = run("control", *file("drawer"), "--along", "3", "--beyond-shown")
-    assert code == 0 and "of 3.000 m" in out and "stopped by " in out and "opened 3.000" not in out
 
 
 def test_a_way_that_is_too_long_is_refused_before_anything_is_written(run, file):
@@ -174,7 +172,7 @@ def test_nothing_named_does_what_was_shown(run, shown, tmp_path):
     [
         ("planar3", "planar3_reach", ("--frame", "tip", "--axes", "planar")),  # on purpose, to different targets
         ("sawyer", "sawyer_door", ("--frame", "right_gripper_tip")),  # in the hand's own axes, which do not say how far
-        ("xarm7", "xarm7_drawer_then_table", ("--frame", "link_eef")),  # two tasks
+        pytest.param("xarm7", "xarm7_drawer_then_table", ("--frame", "link_eef"), marks=pytest.mark.slow),  # two tasks
     ],
 )
 def test_the_line_to_type_next_works(run, robot, recordings, options):
@@ -187,7 +185,7 @@ def test_the_line_to_type_next_works(run, robot, recordings, options):
 
 
 def test_a_hand_whose_joint_meets_its_limit_stays_on_the_line(run, shown):
-    """It stands within 2 mm of what holds it, and a sentence says what stops it; a plan takes hold elsewhere."""
+    """It stands within 2 mm of what holds it, and a sentence says what stops it."""
     start = "0.0689,-1.6728,2.8072,-1.9042,2.4714,-0.0381,4.6725"
     way = ("--along", "0.3", "--direction=-1,-0.5,0", "--keep-orientation", "--start", start)
     for policy in ("zero", "manipulability"):
@@ -195,9 +193,6 @@ def test_a_hand_whose_joint_meets_its_limit_stays_on_the_line(run, shown):
         answer = json.loads(out)
         assert code == 0 and answer["deviation"] <= 2e-3
         assert answer["reached"] or answer["stopped_by"]
-    code, out, _err = run("control", "sawyer", shown, *way, "--plan")
-    assert code == 0 and out.startswith("opened 0.300 of 0.300 m")
-    assert " mm from what holds it" not in out
 
 
 def test_the_demo_opens_the_drawer(run):
@@ -221,13 +216,11 @@ def test_the_demo_opens_the_drawer(run):
 def test_a_plan_on_the_command_line(run, shown):
     """Its answer says what limits it; what does not go with a plan, or cannot be planned, is a sentence and code 2."""
     way = ("control", "sawyer", shown, "--along", "0.2", "--direction", "shown")
-    code, out, _err = run(*way, "--plan", "--out", "run.npz", "--json")
-    answer = json.loads(out)
-    assert code == 0 and answer["sentence"] == "opened 0.200 of 0.200 m" and 0.0 < answer["plan"]["margin"] < 1.0
+    code, out, _err = run(*way, "--plan", "--explain", "--out", "run.npz")
+    assert code == 0 and out.startswith("opened 0.200 of 0.200 m")
+    assert "plan: take hold" in out and "instead, margin" in out and " mm from what holds it" not in out
     rollout = ml.Rollout.load("run.npz", ml.load_robot("sawyer"))
-    assert [name for name, _, _ in rollout.phases] == ["approach", "way"]
-    code, out, _err = run(*way, "--plan", "--explain")
-    assert code == 0 and "plan: take hold" in out and "instead, margin" in out
+    assert [name for name, _, _ in rollout.phases] == ["approach", "way"] and 0.0 < rollout.ways[0]["margin"] < 1.0
     for more, words in (
         (("--plan", "--policy", "zero"), "leave --policy"),
         (("--grasp-turns", "2"), "go with --plan"),
@@ -238,10 +231,6 @@ def test_a_plan_on_the_command_line(run, shown):
         assert code == 2 and words in err and "Traceback" not in err
     code, _out, err = run("control", "sawyer", shown, "--along", "0.9", "--plan")
     assert code == 2 and "longer than what was shown" in err
-    code, out, err = run("control", "sawyer", shown, "--along", "0.9", "--plan", "--beyond-shown", "--json")
-    error = json.loads(out)["error"]
-    assert code == 2 and error["code"] == "no-plan" and 0.0 < error["largest"] < 0.9 and len(error["posture"]) == 7
-    assert error["stopped_by"] in error["message"]
     code, out, _err = run("control", "sawyer", shown, "--json")
     assert code == 0 and json.loads(out)["wanted"] == pytest.approx(
         ml.Constraint.load(shown, ml.load_robot("sawyer")).shown.extent

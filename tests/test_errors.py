@@ -10,6 +10,7 @@ import unicodedata
 from contextlib import nullcontext
 from pathlib import Path
 
+import numpy as np
 from hypothesis import given, strategies
 
 from manip_learn import errors
@@ -60,6 +61,8 @@ def test_unknown_names_help():
     assert "right_gripper_tip" in closest_names("TIP", known) and closest_names("", known) == []
     error = MissingExtraError("reading ROS bags", "ros")
     assert error.extra == "ros" and "pip install 'manip_learn[ros]'" in str(error)
+    facts = errors.NoPlanError("no", largest=0.2, posture=np.zeros(2), stopped_by="a limit").facts()
+    assert facts == {"largest": 0.2, "posture": [0.0, 0.0], "stopped_by": "a limit", "helps": ()}
 
 
 def said(node: ast.expr) -> str:

@@ -43,26 +43,21 @@ def read(path: Path, request: ReadRequest) -> Iterator[Recording]:
 
     leaves: dict[str, Any] = {}
     with refusing_damage(path, MatReadError):
-        _refuse_bomb(path)
+        content, at, total, most = path.read_bytes(), HEADER_BYTES, 0, most_bytes(path.stat().st_size)
+        order = "little" if content[HEADER_BYTES - 2 : HEADER_BYTES] == b"IM" else "big"
+        while at + 8 <= len(content):
+            kind, size = (int.from_bytes(content[at + k : at + k + 4], order) for k in (0, 4))
+            if kind == COMPRESSED:
+                total += len(zlib.decompressobj().decompress(content[at + 8 : at + 8 + size], most + 1))
+            if total > most:
+                raise bomb(path, f"its {len(content):,} bytes unpack to more than {most:,}")
+            at += 8 + size
         with warnings.catch_warnings(action="ignore"):  # of variables that cannot be read or occur twice
             content = loadmat(path, simplify_cells=True)
         for name, value in content.items():
             if not name.startswith("__"):
                 _flatten(name, value, leaves)
     yield from recordings(path, list(leaves), lambda roles: {r: leaves[n] for r, n in roles.items()}, request)
-
-
-def _refuse_bomb(path: Path) -> None:
-    """Refuse packed elements that unpack to far too much."""
-    content, at, total, most = path.read_bytes(), HEADER_BYTES, 0, most_bytes(path.stat().st_size)
-    order = "little" if content[HEADER_BYTES - 2 : HEADER_BYTES] == b"IM" else "big"
-    while at + 8 <= len(content):
-        kind, size = (int.from_bytes(content[at + k : at + k + 4], order) for k in (0, 4))
-        if kind == COMPRESSED:
-            total += len(zlib.decompressobj().decompress(content[at + 8 : at + 8 + size], most + 1))
-        if total > most:
-            raise bomb(path, f"its {len(content):,} bytes unpack to more than {most:,}")
-        at += 8 + size
 
 
 def _flatten(name: str, value: Any, leaves: dict[str, Any]) -> None:

@@ -116,7 +116,21 @@ def check_motion(motion: Motion) -> list[str]:
             f"{beyond[worst]:.3g} {'rad' if angular[worst] else 'm'}"
         )
     if refuses:
-        _refuse_jumps(motion)
+        robot, q = motion.robot, motion.q
+        change, steps = np.abs(np.diff(q, axis=0)), np.diff(motion.time)
+        limit = np.where(np.isfinite(robot.velocity_limit), 10 * robot.velocity_limit, 50.0)
+        # a rotation vector may jump where its rotation does not, close to a full turn
+        jump = motion.angular & ~object_coordinates(robot) & (change > np.pi / 2) & (change > limit * steps[:, None])
+        if np.any(jump):
+            sample, i = (int(k) for k in np.argwhere(jump)[0])
+            turn = abs(change[sample, i] - 2 * np.pi) < 0.5
+            cause = "it wraps around a full turn, which this limited joint cannot" if turn else "a faulty sample?"
+            text = (
+                f"the joint jumps from {q[sample, i]:.4g} to {q[sample + 1, i]:.4g} rad within {steps[sample]:.3g} s: "
+                f"{cause} "
+                "Correct the file (a real break in the recording: put the parts into files of their own)"
+            )
+            raise motion.recording.refusal("jump", text, sample=sample + 1, column=robot.joint_names[i])
     return notes
 
 
@@ -230,24 +244,6 @@ def _fast_notes(robot: Robot, time: Float[np.ndarray, " T"], q: Float[np.ndarray
         f"joint {robot.joint_names[i]!r} moves at {typical[i]:.3g}, its limit is {robot.velocity_limit[i]:.3g}: "
         "check the unit of time"
     ]
-
-
-def _refuse_jumps(motion: Motion) -> None:
-    robot, q = motion.robot, motion.q
-    change, steps = np.abs(np.diff(q, axis=0)), np.diff(motion.time)
-    limit = np.where(np.isfinite(robot.velocity_limit), 10 * robot.velocity_limit, 50.0)
-    # a rotation vector may jump where its rotation does not, close to a full turn
-    jump = motion.angular & ~object_coordinates(robot) & (change > np.pi / 2) & (change > limit * steps[:, None])
-    if np.any(jump):
-        sample, i = (int(k) for k in np.argwhere(jump)[0])
-        turn = abs(change[sample, i] - 2 * np.pi) < 0.5
-        cause = "it wraps around a full turn, which this limited joint cannot" if turn else "a faulty sample?"
-        text = (
-            f"the joint jumps from {q[sample, i]:.4g} to {q[sample + 1, i]:.4g} rad within {steps[sample]:.3g} s: "
-            f"{cause} "
-            "Correct the file (a real break in the recording: put the parts into files of their own)"
-        )
-        raise motion.recording.refusal("jump", text, sample=sample + 1, column=robot.joint_names[i])
 
 
 def _refuse_two_publishers(motion: Motion) -> None:

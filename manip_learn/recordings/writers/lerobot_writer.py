@@ -46,7 +46,20 @@ def write_lerobot(folder: Path, motions: Sequence[SavedMotion]) -> Path:
     for what, name in (("velocities", "u"), ("efforts", "effort")):
         if len({name in m.arrays for m in motions}) > 1:
             raise OutputError(f"some trajectories have {what} and others not: export them to data sets of their own")
-    table = _samples(motions)
+    lengths, times = [len(m) for m in motions], [m.arrays["time"] for m in motions]
+    columns: dict[str, Any] = {}
+    for feature, name in FEATURES.items():
+        if name in motions[0].arrays:
+            table = np.concatenate([m.arrays[name] for m in motions])
+            columns[feature] = pa.FixedSizeListArray.from_arrays(pa.array(table.ravel()), table.shape[1])
+    numbers = {
+        "timestamp": np.concatenate([time - time[0] for time in times]),
+        "frame_index": np.concatenate(list(map(np.arange, lengths))),
+        "episode_index": np.repeat(np.arange(len(motions)), lengths),
+        "index": np.arange(sum(lengths)),
+        "task_index": np.zeros(sum(lengths), dtype=np.int64),
+    }
+    table = pa.table(columns | numbers)
     fps = samples_per_second([m.arrays["time"] for m in motions])
     write_atomically(folder / "data" / FILE, _parquet(table))
     write_atomically(folder / "meta" / "episodes" / FILE, _parquet(_episodes(motions)))
@@ -63,27 +76,18 @@ def write_lerobot(folder: Path, motions: Sequence[SavedMotion]) -> Path:
     write_atomically(
         folder / "meta" / "tasks.parquet", _parquet(tasks.replace_schema_metadata({"pandas": json.dumps(described)}))
     )
-    write_atomically(folder / "meta" / "stats.json", json.dumps(_statistics(table), indent=2))
+    found = {}
+    for name in table.column_names:
+        column = table.column(name).combine_chunks()
+        is_vector = pa.types.is_fixed_size_list(column.type)
+        flat = column.flatten() if is_vector else column
+        values = flat.to_numpy(zero_copy_only=False).reshape(len(column), -1).astype(np.float64)
+        parts = {"min": values.min(0), "max": values.max(0), "mean": values.mean(0), "std": values.std(0)}
+        found[name] = {key: part.tolist() for key, part in parts.items()} | {"count": [len(values)]}
+    write_atomically(folder / "meta" / "stats.json", json.dumps(found, indent=2))
     write_atomically(folder / "meta" / "info.json", json.dumps(_info(motions, fps, table), indent=2))
     write_atomically(folder / DATASET_HEADER, motions[0].header.to_json() + "\n")
     return folder.resolve()
-
-
-def _samples(motions: Sequence[SavedMotion]) -> Any:
-    lengths, times = [len(m) for m in motions], [m.arrays["time"] for m in motions]
-    columns: dict[str, Any] = {}
-    for feature, name in FEATURES.items():
-        if name in motions[0].arrays:
-            table = np.concatenate([m.arrays[name] for m in motions])
-            columns[feature] = pa.FixedSizeListArray.from_arrays(pa.array(table.ravel()), table.shape[1])
-    numbers = {
-        "timestamp": np.concatenate([time - time[0] for time in times]),
-        "frame_index": np.concatenate(list(map(np.arange, lengths))),
-        "episode_index": np.repeat(np.arange(len(motions)), lengths),
-        "index": np.arange(sum(lengths)),
-        "task_index": np.zeros(sum(lengths), dtype=np.int64),
-    }
-    return pa.table(columns | numbers)
 
 
 def _episodes(motions: Sequence[SavedMotion]) -> Any:
@@ -104,18 +108,6 @@ def samples_per_second(times: Sequence[np.ndarray]) -> float:
     step = float(np.median(np.concatenate(list(map(np.diff, times)))))
     rate = 1.0 / step
     return round(rate) if abs(rate - round(rate)) < 1e-3 * rate and rate >= 1.0 else rate
-
-
-def _statistics(table: Any) -> dict[str, Any]:
-    found = {}
-    for name in table.column_names:
-        column = table.column(name).combine_chunks()
-        is_vector = pa.types.is_fixed_size_list(column.type)
-        flat = column.flatten() if is_vector else column
-        values = flat.to_numpy(zero_copy_only=False).reshape(len(column), -1).astype(np.float64)
-        parts = {"min": values.min(0), "max": values.max(0), "mean": values.mean(0), "std": values.std(0)}
-        found[name] = {key: part.tolist() for key, part in parts.items()} | {"count": [len(values)]}
-    return found
 
 
 def _info(motions: Sequence[SavedMotion], fps: float, table: Any) -> dict[str, Any]:
