@@ -55,11 +55,6 @@ def bracketed() -> str:
     return table(header, TIME, *Q.T, *U.T, 1.0)
 
 
-def numbered() -> str:
-    """`q1` .. `q3`."""
-    return table(["t", "q1", "q2", "q3"], TIME, *Q.T)
-
-
 def rostopic() -> str:
     """`rostopic echo -p /joint_states`: the joints are named in columns of text, in the publisher's order."""
     order = [2, 0, 1]
@@ -87,41 +82,28 @@ def pandas_dump() -> str:
     return table(["", "timestamp", *JOINTS, "gripper_width", "label"], list(range(len(TIME))), TIME, *Q.T, 0.08, "pick")
 
 
-def pandas_milliseconds() -> str:
-    """Row numbers that were read back, and a time with its unit."""
-    return table(["Unnamed: 0", "time_ms", *JOINTS], list(range(len(TIME))), 1e3 * TIME, *Q.T)
-
-
-# format -> how it is written, flags, what a note says
+# format -> how it is written, patterns of its columns, what a note says
 FORMATS: dict[str, tuple[Callable[[], str], list[str], str]] = {
     "PlotJuggler": (plotjuggler, [], "'/joint_states/{joint}/position' and '/joint_states/{joint}/velocity'"),
     "position.<joint>": (position_joint, [], "'position.{joint}' and 'velocity.{joint}'"),
-    "q[i], dq[i]": (bracketed, ["--columns", "q[{index}]", "--columns", "dq[{index}]"], "q[0] as joint1"),
-    "q1 .. q7": (numbered, ["--columns", "q{index}"], "q3 as joint3"),
+    "q[i], dq[i]": (bracketed, ["q[{index}]", "dq[{index}]"], "q[0] as joint1"),
     "pandas": (
         pandas_dump,
-        ["--columns", "{joint}"],
+        ["{joint}"],
         "not used: column 1 (without a name), gripper_width, label",
     ),
-    "pandas, milliseconds": (pandas_milliseconds, [], "'time_ms', in milliseconds"),
 }
 WITH_VELOCITY = ("PlotJuggler", "position.<joint>", "q[i], dq[i]")
-
-
-def keywords(flags: list[str]) -> dict[str, object]:
-    """The same in Python."""
-    return {"columns": flags[1::2]} if flags else {}
 
 
 def test_the_table_is_read(planar3: Robot) -> None:
     """Positions, velocities and stamps come back in the robot's order and in s; the note says what was read."""
     for name in FORMATS:
         with case(name) as tmp_path:
-            write, flags, said = FORMATS[name]
-            assert sum(f.startswith("--") for f in flags) <= 2
+            write, columns, said = FORMATS[name]
             path = tmp_path / "demo.csv"
             path.write_text(write())
-            demos = load_demonstrations(path, planar3, **keywords(flags))
+            demos = load_demonstrations(path, planar3, columns=columns)
             np.testing.assert_array_equal(demos[0].q, Q)
             np.testing.assert_allclose(demos[0].time - demos[0].time[0], TIME, atol=1e-6)
             if name in WITH_VELOCITY:
