@@ -4,8 +4,6 @@ from __future__ import annotations
 
 import json
 import os
-import re
-import shlex
 import shutil
 import subprocess
 import sys
@@ -120,17 +118,6 @@ def test_learn_writes_a_replay_of_the_recordings(run):
     assert code == 2 and "--html" in err
 
 
-def test_inspect_answers(run):
-    """Joints with their limits, frames, warnings, and the comparison with yourdfpy."""
-    code, out, err = run("inspect", "sawyer", "--json")
-    answer = json.loads(out)
-    assert code == 0, err
-    assert (answer["name"], answer["nq"], answer["nv"]) == ("sawyer", 7, 7)
-    assert [j["name"] for j in answer["joints"]] == [f"right_j{i}" for i in range(7)]
-    assert "right_gripper_tip" in answer["frames"]
-    assert answer["warnings"] == []
-
-
 def test_demo_answers(run):
     """The main job on the small robot: constraint, three rollouts that arrive, and the replay."""
     code, out, err = run("demo", "--robot", "planar3", "--out", "here", "--no-browser", "--json")
@@ -211,6 +198,24 @@ def test_bad_input_gives_one_sentence(run, learnt):
         assert f"{option} must be" in err and value in err and "n_constraints" not in err
 
 
+def test_robots_are_listed_and_looked_at(run):
+    """The names that can be given, with their joints; frames, limits and warnings of one; and the version."""
+    code, out, err = run("robots", "--json")
+    answer = json.loads(out)
+    assert (code, err) == (0, "")
+    assert {r["name"]: r for r in answer["robots"]}["planar3"]["joints"] == ["joint1", "joint2", "joint3"]
+    assert [r["name"] for r in answer["robots"][:5]] == ["fr3", "planar3", "sawyer", "ur10e", "ur5e"]
+    code, out, err = run("robots")
+    assert code == 0 and "sawyer (7)" in out and "manip_learn[descriptions]" in out
+    code, out, err = run("inspect", "sawyer", "--json")
+    answer = json.loads(out)
+    assert (code, answer["name"], answer["nq"], answer["nv"], answer["warnings"]) == (0, "sawyer", 7, 7, [])
+    assert [j["name"] for j in answer["joints"]] == [f"right_j{i}" for i in range(7)]
+    assert "right_gripper_tip" in answer["frames"]
+    code, out, err = run("--version")
+    assert (code, err) == (0, "") and out.startswith("manip-learn ")
+
+
 def test_our_own_failure_is_no_traceback(run, monkeypatch):
     """An internal error gives exit code 1 and one sentence."""
 
@@ -224,27 +229,14 @@ def test_our_own_failure_is_no_traceback(run, monkeypatch):
     assert "Traceback" not in err
 
 
-def test_refusals_are_json_too(run, tmp_path):
+def test_refusals_are_json_too(run):
     """Under --json a refusal is one document on standard output, with its code; the sentence goes to standard error."""
-    cases = {
-        "unknown-name": ("inspect", "swayer"),
-        "missing-file": ("learn", "sawyer", "nowhere.csv"),
-        "usage": ("learn",),
-        "frame": ("learn", "two.urdf", "demo.csv"),
-    }
-    joint = (
-        '<joint name="{0}" type="revolute"><parent link="base"/><child link="{0}_tool0"/><axis xyz="0 0 1"/>'
-        '<limit lower="-1" upper="1" velocity="1" effort="1"/></joint><link name="{0}_tool0"/>'
-    )
-    arms = "".join(joint.format(side) for side in ("left", "right"))
-    Path("two.urdf").write_text(f'<robot name="two"><link name="base"/>{arms}</robot>')
-    Path("demo.csv").write_text("time,left,right\n0,0,0\n1,0.1,0.1\n2,0.2,0.1\n")
+    cases = {"unknown-name": "inspect swayer", "missing-file": "learn sawyer nowhere.csv", "usage": "learn"}
     for code, words in cases.items():
-        exit_code, out, err = run(*words, "--json")
+        exit_code, out, err = run(*words.split(), "--json")
         error = json.loads(out)["error"]
-        assert (exit_code, error["code"]) == (2, code)
-        assert err == f"manip-learn: {error['message']}\n"
-    assert json.loads(run("inspect", "swayer", "--json")[1])["error"]["near"] == ["sawyer"]
+        assert (exit_code, error["code"]) == (2, code) and err == f"manip-learn: {error['message']}\n"
+        assert error.get("near") == (["sawyer"] if code == "unknown-name" else None)
 
 
 def test_a_refusal_to_learn_holds_its_evidence(run):
@@ -260,20 +252,6 @@ def test_a_refusal_to_learn_holds_its_evidence(run):
     assert code == 2 and error["code"] in ("weak-gap", "no-evidence")
     assert set(error["gaps"]) == {"1", "2"} and all(gap > 0 for gap in error["gaps"].values())
     assert error["advice"] and all(text in error["message"] for text in error["advice"])
-
-
-def test_robots_and_version(run):
-    """The names that can be given, with their joints, and the version."""
-    code, out, err = run("robots", "--json")
-    answer = json.loads(out)
-    assert (code, err) == (0, "")
-    listed = {r["name"]: r for r in answer["robots"]}
-    assert listed["planar3"]["joints"] == ["joint1", "joint2", "joint3"]
-    assert [r["name"] for r in answer["robots"][:5]] == ["fr3", "planar3", "sawyer", "ur10e", "ur5e"]
-    code, out, err = run("robots")
-    assert code == 0 and "sawyer (7)" in out and "manip_learn[descriptions]" in out
-    code, out, err = run("--version")
-    assert (code, err) == (0, "") and out.startswith("manip-learn ")
 
 
 def test_a_reader_that_leaves_is_no_error():
@@ -416,17 +394,6 @@ def test_a_rollout_is_shown_by_its_name_alone(run, learnt):
     ):
         code, _, err = run("replay", *words)
         assert code == 2 and said in err, err
-
-
-def test_learning_ends_with_the_next_command(run, capsys):
-    """Metres and a thing that people know come first; the last line can be typed, and so can the one after it."""
-    _, out, _ = run("learn", "sawyer", *DRAWER, *FRAME)
-    assert re.match(r"A straight line \(a drawer\), moved 0\.\d+ m when it was shown\.\n", out)
-    for _ in range(2):
-        words = shlex.split(out.splitlines()[-1].removeprefix("next: manip-learn "))
-        code, out, err = run(*words)
-        assert code == 0, err
-    assert Path("task.json").is_file() and Path("run.html").is_file()
 
 
 def test_exported_files_are_named_after_their_recordings(run):

@@ -88,6 +88,7 @@ def learnt() -> Learnt:
 def test_learning_explains_its_words(learnt: Learnt) -> None:
     """A number has its scale beside it, and --explain says what the words mean, each once."""
     text = " ".join(printed(60, print_learnt, learnt).split())
+    assert text.startswith("A straight line (a drawer), moved 0.")
     report, held = learnt.report, [row for row in learnt.report.row_evidence if row.state == "held"]
     strengths = " and ".join(f"{row.strength:.3g}" for row in held)
     for fact in (

@@ -64,23 +64,17 @@ def test_a_way_is_done_as_far_as_was_asked(run, file):
         assert abs(answer["done"] - answer["wanted"]) < (1e-3 if answer["unit"] == "m" else 0.2), name
         assert 0.0 <= answer["deviation"] < 2e-3 and answer["fastest_joint"]["share_of_limit"] <= 1.0, name
         assert answer["seconds"] > 0.0 and Path(answer["out"]) == Path(f"{name}.npz").resolve()
-        rollout = ml.Rollout.load(answer["out"])
-        numbers = [
-            rollout.manipulability.min(),
-            rollout.manipulability.mean(),
-            np.abs(rollout.u).max(),
-            rollout.time[-1],
-        ]
+        r = ml.Rollout.load(answer["out"])
+        numbers = [r.manipulability.min(), r.manipulability.mean(), np.abs(r.u).max(), r.time[-1]]
         keys = ("min_manipulability", "mean_manipulability", "max_velocity", "duration")
-        assert [answer[key] for key in keys] == numbers and answer["status_counts"] == rollout.status_counts, name
+        assert [answer[key] for key in keys] == numbers and answer["status_counts"] == r.status_counts, name
 
 
 def test_the_words_say_how_far(run, file):
     """The first words are those of a person: opened, or pushed in by a hand that goes away from the base; how far."""
     code, out, _err = run("control", *file("drawer"), "--along", "0.15")
-    assert code == 0 and out.startswith(
-        "pushed in 0.150 of 0.150 m start: the first posture in which the task was shown"
-    )
+    said = "pushed in 0.150 of 0.150 m start: the first posture in which the task was shown"
+    assert code == 0 and out.startswith(said)
     assert "note: as when the constraint was made: panda_finger_joint1 = 0, panda_finger_joint2 = 0 locked" in out
     _code, out, _err = run("control", *file("drawer"), "--along", "-0.1")
     assert out.startswith("opened 0.100 of 0.100 m")
@@ -149,12 +143,10 @@ def test_a_target_is_the_point(run, file):
 def test_a_door_goes_to_a_point(run, file):
     """A point beside a hinge is an angle: the handle comes as near to it as its circle allows."""
     constraint, _ = learnt("door")
-    rollout_end = np.array(constraint.provenance["postures"][20])
-    point = constraint.robot.position(rollout_end, constraint.features.frame)
-    start = constraint.provenance["postures"][0]
-    _code, out, err = run(
-        "control", *file("door"), "--start", ",".join(map(str, start)), "--target", ",".join(map(str, point)), "--json"
-    )
+    start, *_, near = constraint.provenance["postures"][:21]
+    point = constraint.robot.position(np.array(near), constraint.features.frame)
+    typed = [f"--{k}={','.join(map(str, numbers))}" for k, numbers in (("start", start), ("target", point))]
+    _code, out, err = run("control", *file("door"), *typed, "--json")
     answer = json.loads(out)
     assert err == "" and answer["stopped_by"] is None and answer["unit"] == "deg"
 
