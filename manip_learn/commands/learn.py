@@ -65,6 +65,12 @@ class Learnt:
         return f"{words[0].upper()}{words[1:]}, moved {way_in_words(shown.extent, shown.unit)} when it was shown."
 
     @property
+    def sentence(self) -> str:
+        """What can move and how sure that is; what it looks like only where the headline does not say so."""
+        found, told = self.report.mechanism, self.report.sentence
+        return told if found is None or not self.headline else told.replace(f" It looks like {looks(found)}.", "")
+
+    @property
     def following(self) -> str | None:
         """The command to type next: it does what was shown, or writes what was learnt; None if nothing is free."""
         constraint, meant = self.constraint, self.constraint.intention

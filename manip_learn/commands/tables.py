@@ -192,7 +192,7 @@ def print_learnt(console: Console, learnt: Learnt, explain: bool = False, more: 
 
     report = learnt.report
     say(console, *([learnt.headline] if learnt.headline else []), style="bold")
-    say(console, report.sentence, style="" if learnt.headline else "bold")
+    say(console, learnt.sentence, style="" if learnt.headline else "bold")
     facts = [(called, said, term) for called, said, term in _learnt_facts(learnt) if said]
     grid = Table(show_header=False, box=None, padding=(0, 2, 0, 0))
     for called, said, _ in facts:
