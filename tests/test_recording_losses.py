@@ -29,7 +29,7 @@ from manip_learn.errors import RecordingError
 from manip_learn.recordings import RecordingSource, load_demonstrations
 from manip_learn.recordings.saved_motion import motion_of_trajectory
 from manip_learn.recordings.trajectory import Trajectory
-from manip_learn.recordings.writers.mcap_writer import mcap_bytes
+from manip_learn.recordings.writers.write_motion import mcap_bytes
 from manip_learn.robot import Robot, load_robot
 
 CHUNK, STATISTICS = 6, 11  # kinds of records in an MCAP file

@@ -21,8 +21,7 @@ from manip_learn.errors import OutputError, counted
 from manip_learn.recordings import load_demonstrations
 from manip_learn.recordings.saved_motion import SavedMotion, motion_of_trajectory
 from manip_learn.recordings.trajectory_source import Progress
-from manip_learn.recordings.writers.mcap_writer import mcap_bytes
-from manip_learn.recordings.writers.write_motion import csv_bytes, joint_trajectory_bytes
+from manip_learn.recordings.writers.write_motion import csv_bytes, joint_trajectory_bytes, mcap_bytes
 
 LEROBOT, RERUN = "lerobot", "rrd"
 # name on the command line -> endings, and the writer of one motion

@@ -58,8 +58,8 @@ def file_header(path: Path) -> FileHeader | None:
                 if not named.startswith(PREFIX):
                     return None
                 if "header" not in arrays:
-                    said = "an early version wrote it without its robot, which is not read any more: simulate it again"
-                    raise refusal(path, "not-a-rollout", said)
+                    said = "an early version wrote this file without its robot, which is not read any more: "
+                    raise refusal(path, "not-a-rollout", said + "simulate it again")
                 return FileHeader.from_json(texts_of(path, "header", arrays["header"], 0)[0])
             if start.startswith(JSON_LINES):
                 raise refusal(path, "not-a-rollout", "JSON lines are not read any more; .npz and .csv are, bit for bit")
