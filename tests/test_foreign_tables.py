@@ -87,11 +87,7 @@ FORMATS: dict[str, tuple[Callable[[], str], list[str], str]] = {
     "PlotJuggler": (plotjuggler, [], "'/joint_states/{joint}/position' and '/joint_states/{joint}/velocity'"),
     "position.<joint>": (position_joint, [], "'position.{joint}' and 'velocity.{joint}'"),
     "q[i], dq[i]": (bracketed, ["q[{index}]", "dq[{index}]"], "q[0] as joint1"),
-    "pandas": (
-        pandas_dump,
-        ["{joint}"],
-        "not used: column 1 (without a name), gripper_width, label",
-    ),
+    "pandas": (pandas_dump, ["{joint}"], "not used: column 1 (without a name), gripper_width, label"),
 }
 WITH_VELOCITY = ("PlotJuggler", "position.<joint>", "q[i], dq[i]")
 

@@ -24,11 +24,7 @@ SHORT, SHORT_AND_CLEAN = 8, 24
 WINDOWS_AT_A_TIME = 2048  # relative rotations in memory
 
 
-def derive_velocities(
-    trajectory: Trajectory,
-    robot: Robot,
-    method: VelocityMethod = "auto",
-) -> Trajectory:
+def derive_velocities(trajectory: Trajectory, robot: Robot, method: VelocityMethod = "auto") -> Trajectory:
     """A motion with velocities, at the configurations where they are best determined.
 
     Forward differences are not offered: on smooth motion at 50 Hz they put the learnt manipulability off by its own
@@ -117,10 +113,7 @@ def _smoothed(trajectories: Sequence[Trajectory], x: Float[np.ndarray, "e T nv"]
 
 
 def _with_bodies(
-    trajectory: Trajectory,
-    robot: Robot,
-    x: Float[np.ndarray, "T nv"],
-    bodies: Sequence[JointBlock],
+    trajectory: Trajectory, robot: Robot, x: Float[np.ndarray, "T nv"], bodies: Sequence[JointBlock]
 ) -> Trajectory:
     """Joints and floating bodies, each with the window that its own noise asks for; as long as the widest allows."""
     from scipy.spatial.transform import Rotation

@@ -16,7 +16,7 @@ from typing import Any, final
 
 import numpy as np
 
-from manip_learn.errors import RecordingError, advice, closest_names, counted
+from manip_learn.errors import advice, closest_names, counted
 from manip_learn.recordings.readers.limits import bomb, most_bytes
 from manip_learn.recordings.readers.name_patterns import named_in
 from manip_learn.recordings.readers.quantities import ROLES, array_roles, find_time
@@ -26,6 +26,7 @@ from manip_learn.recordings.saved_motion import joint_positions
 
 NUMBERS = ("time", "q", "u", "effort")
 SHOWN = 8  # names in a sentence
+LIKELY = re.compile(r"joint|state|pos|angle|theta|meas", re.IGNORECASE)  # in names of what may be joint positions
 MOST_ARRAYS = 100_000  # of one file, which are listed before any is read
 HEADER_BYTES, COMPRESSED = 128, 15  # of a MATLAB file: before its first element; the type of a packed one
 
@@ -91,7 +92,12 @@ def recordings(path: Path, names: Sequence[str], load: Load, request: ReadReques
     """
     groups = array_groups(path, names, request)
     if not groups:
-        raise _missing(path, [n.rpartition("/")[2] for n in names])
+        there = [n.rpartition("/")[2] for n in names]
+        likely = [n for n in there if n not in ROLES and LIKELY.search(n)]
+        name = (closest_names("q", there)[:1] or likely or ["NAME"])[0]
+        what = f"if {name!r} is meant" if name != "NAME" else "the one with joint positions is read with"
+        hint = advice(f"; {what}: {{}}", *rename_words({name: "q"}))
+        raise refusal(path, "missing-array", f"there is no array 'q'; there is {first_names(there)}{hint}")
     for name, group in groups.items():
         yield group_recording(path, f"{path.name} {name}" if len(groups) > 1 else path.name, group, load, request)
 
@@ -141,14 +147,6 @@ def array_groups(path: Path, names: Sequence[str], request: ReadRequest) -> dict
         if "q" in roles:
             found[group] = ArrayGroup(roles, tuple(notes))
     return found
-
-
-def _missing(path: Path, there: Sequence[str]) -> RecordingError:
-    likely = [n for n in there if n not in ROLES and re.search(r"joint|state|pos|angle|theta|meas", n, re.IGNORECASE)]
-    name = (closest_names("q", there)[:1] or likely or ["NAME"])[0]
-    what = f"if {name!r} is meant" if name != "NAME" else "the one with joint positions is read with"
-    hint = advice(f"; {what}: {{}}", *rename_words({name: "q"}))
-    return refusal(path, "missing-array", f"there is no array 'q'; there is {first_names(there)}{hint}")
 
 
 def group_recording(path: Path, title: str, group: ArrayGroup, load: Load, request: ReadRequest) -> Recording:

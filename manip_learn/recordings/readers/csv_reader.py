@@ -44,7 +44,10 @@ def read(path: Path, request: ReadRequest) -> Iterator[Recording]:
     table = _table(path, dialect, used, request, clock)
     notes = [f"the header was read from the comment in line {dialect.header_line}"] if dialect.commented_header else []
     notes += columns.notes
-    if _is_cut_off(path):
+    with path.open("rb") as file:
+        file.seek(-min(path.stat().st_size, LONGEST_TEXT), os.SEEK_END)
+        last = file.read().replace(b"\r", b"\n").rpartition(b"\n")[2]
+    if not _is_skipped(last.decode("ascii", errors="replace")):  # within a line of numbers, as a file that was cut off
         left_out = "the last line has no line end and was left out, for its last number may be cut off"
         if len(table) < 2:
             raise refusal(path, "too-short", f"{left_out}; {len(table)} row is left, at least 2 are needed")
@@ -139,15 +142,6 @@ def text_lines(path: Path) -> Iterator[tuple[int, str]]:
     except UnicodeError as error:
         said = f"this is not UTF-8 text ({reason(error)}): save the table as plain UTF-8 text"
         raise refusal(path, "encoding", said) from error
-
-
-def _is_cut_off(path: Path) -> bool:
-    """True if the file ends within a line of numbers, as one that was cut off."""
-    with path.open("rb") as file:
-        file.seek(-min(path.stat().st_size, LONGEST_TEXT), os.SEEK_END)
-        end = file.read()
-    last = end.replace(b"\r", b"\n").rpartition(b"\n")[2]
-    return not _is_skipped(last.decode("ascii", errors="replace"))
 
 
 def sniff_dialect(path: Path, request: ReadRequest | None = None) -> CsvDialect:

@@ -13,13 +13,7 @@ from typing import Any, Literal, final
 import numpy as np
 
 from manip_learn.errors import MissingExtraError, advice, closest_names, counted
-from manip_learn.recordings.readers.limits import (
-    FEWEST_SAMPLE_BYTES,
-    bomb,
-    metadata_text,
-    most_bytes,
-    refuse_lost,
-)
+from manip_learn.recordings.readers.limits import FEWEST_SAMPLE_BYTES, bomb, metadata_text, most_bytes, refuse_lost
 from manip_learn.recordings.readers.quantities import POSITIONS, arrays_of
 from manip_learn.recordings.readers.read_request import first_names
 from manip_learn.recordings.readers.recording import check_regular, natural_order, reason, refusal, refusing_damage
@@ -41,10 +35,7 @@ def opened_parquet(file: Path) -> Iterator[Any]:
     except ImportError as error:
         raise MissingExtraError("reading LeRobot data", "lerobot") from error
     check_regular(file)
-    with (
-        refusing_damage(file, pa.ArrowException),
-        pq.ParquetFile(file, page_checksum_verification=True) as parquet,
-    ):
+    with refusing_damage(file, pa.ArrowException), pq.ParquetFile(file, page_checksum_verification=True) as parquet:
         rows, size = parquet.metadata.num_rows, file.stat().st_size
         # the library's column metadata would tell more, but asking for it aborts the process if the file is damaged
         if FEWEST_SAMPLE_BYTES * rows > most_bytes(size):

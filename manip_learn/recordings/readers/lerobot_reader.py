@@ -202,7 +202,8 @@ def _numbers(file: Path, batch: Any, name: str) -> np.ndarray:
     if array.null_count:
         raise refusal(file, "not-finite", f"{counted(array.null_count, 'sample')} of {name!r} are missing")
     if _is_list(array.type):
-        widths = {array.type.list_size} if pa.types.is_fixed_size_list(array.type) else _widths(array)
+        is_fixed = pa.types.is_fixed_size_list(array.type)
+        widths = {array.type.list_size} if is_fixed else set(np.diff(array.offsets.to_numpy()).tolist())
         if len(widths) > 1:
             raise refusal(file, "ragged", f"the samples of {name!r} have {min(widths)} to {max(widths)} entries")
         shape = (batch.num_rows, max(widths, default=0))
@@ -213,7 +214,3 @@ def _numbers(file: Path, batch: Any, name: str) -> np.ndarray:
     if not (pa.types.is_integer(array.type) or pa.types.is_floating(array.type)):
         raise refusal(file, "not-a-number", f"{name!r} holds {array.type}, numbers are needed")
     return float_array(array.to_numpy(zero_copy_only=False)).reshape(shape)
-
-
-def _widths(array: Any) -> set[int]:
-    return set(np.unique(np.diff(array.offsets.to_numpy())).tolist())

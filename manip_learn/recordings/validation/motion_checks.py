@@ -59,10 +59,7 @@ class Motion:
 
 
 def time_in_seconds(
-    recording: Recording,
-    request: ReadRequest,
-    q: Float[np.ndarray, "T nv"],
-    u: Float[np.ndarray, "T nv"] | None,
+    recording: Recording, request: ReadRequest, q: Float[np.ndarray, "T nv"], u: Float[np.ndarray, "T nv"] | None
 ) -> tuple[Float[np.ndarray, " T"], list[str]]:
     """Times [s] of positions [rad or m], and a note if they are not the stamps of the file.
 
