@@ -101,7 +101,7 @@ def test_replay_shows_what_was_learnt(run, learnt):
 
 
 def test_learn_writes_a_replay_of_the_recordings(run):
-    """`--html` plays every recording, with the phases that are in the answer; it does not go with --dask."""
+    """`--html` plays every recording, with the phases that are in the answer."""
     whole = DATA / "panda_drawer_whole"
     code, out, err = run("learn", "panda", whole, "--frame", "panda_hand_tcp", "--html", "a.html", "--json")
     assert (code, err) == (0, "")
@@ -114,8 +114,6 @@ def test_learn_writes_a_replay_of_the_recordings(run):
         expected = [[p["start"], p["end"], -1 if p["constraint"] is None else p["constraint"]] for p in told]
         np.testing.assert_allclose(bands, expected)
     assert data["mechanisms"][0]["type"] == "line" and data["mechanisms"][0]["lines"]
-    code, _, err = run("learn", "panda", whole, "--frame", "panda_hand_tcp", "--html", "a.html", "--dask", "local")
-    assert code == 2 and "--html" in err
 
 
 def test_demo_answers(run):

@@ -62,6 +62,26 @@ def test_whole_seconds_are_no_row_numbers(planar3: Robot, tmp_path: Path) -> Non
     assert demos.notes == ("b.csv: columns not used: column 1 (without a name)",)
 
 
+def test_stamps_are_read_in_the_unit_of_their_name_or_as_a_clock(planar3: Robot) -> None:
+    """Milliseconds, dates and times of day, in every dialect, are seconds in the end."""
+    seconds = 3723.5 + TABLE[:, 0]  # 1:02:03.5
+    clock = [f"{int(t // 3600)}:{int(t // 60 % 60):02d}:{t % 60:06.3f}" for t in seconds]
+    for name, delimiter, stamps in (
+        ("time_ms", ",", [f"{1e3 * t:.9g}" for t in seconds]),
+        ("time", ",", clock),
+        ("stamp", "  ", clock),
+        ("time", ";", [c.replace(".", ",") for c in clock]),
+        ("timestamp", ",", [f"2026-01-02T0{c}" for c in clock]),
+    ):
+        with case(name, delimiter, stamps[0]) as tmp_path:
+            mark = "," if delimiter == ";" else "."
+            header, *rows = csv(TABLE[:, 1:], ",".join([*planar3.joint_names]), delimiter, mark).splitlines()
+            lines = [f"{name}{delimiter}{header}", *(s + delimiter + row for s, row in zip(stamps, rows, strict=True))]
+            (demo,) = load_demonstrations(written(tmp_path / "a.csv", "\n".join([*lines, ""])), planar3)
+            np.testing.assert_allclose(demo.time - demo.time[0], TABLE[:, 0], atol=2e-6)
+            np.testing.assert_allclose(demo.q, TABLE[:, 1:], rtol=1e-8)
+
+
 def test_ignored_columns_may_hold_anything(planar3: Robot, tmp_path: Path) -> None:
     """An ignored column may contain text; rows must still have all fields."""
     rows = csv(TABLE).splitlines()

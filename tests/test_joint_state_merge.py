@@ -102,7 +102,9 @@ def test_columns_follow_their_joints():
 
 
 def test_a_late_message_is_told_from_a_clock_that_was_set_back():
-    """After a late message the next stamp is where it would have been; after a clock was set back it is not."""
+    """After a late message the next stamp is where it would have been, after a clock was set back it is not; what is in
+    no order is refused.
+    """
     arrival = START + np.arange(40) * 10 * MS
     q = np.column_stack([np.arange(40.0), -np.arange(40.0)])
     late = np.array([*range(20), 22, 20, 21, *range(23, 40)])
@@ -114,6 +116,9 @@ def test_a_late_message_is_told_from_a_clock_that_was_set_back():
     np.testing.assert_array_equal(one.stamps, arrival)
     np.testing.assert_array_equal(one.q, q)
     assert "set back by 0.3 s" in notes[0]
+    with pytest.raises(RecordingError, match="the stamps of /arm are in no order; pass rate=") as caught:
+        stream(np.random.default_rng(0).permutation(every(10, 0, 1990)), every(10, 0, 1990)).in_order()
+    assert caught.value.code == "time-order"
 
 
 def test_a_joint_is_read_from_one_topic():

@@ -92,7 +92,7 @@ def test_trajectories_come_one_by_one(planar3: Robot, folder: Path) -> None:
 
 def test_missing_libraries_name_the_extra(monkeypatch: pytest.MonkeyPatch) -> None:
     """Without the library: one sentence with the pip command, not an ImportError."""
-    readers = "manip_learn.recordings.readers."
+    readers = "manip_learn.recordings."
     real, missing = builtins.__import__, ""
 
     def absent(name, *arguments, **keywords):
@@ -100,8 +100,12 @@ def test_missing_libraries_name_the_extra(monkeypatch: pytest.MonkeyPatch) -> No
             raise ImportError(f"No module named {name!r}")
         return real(name, *arguments, **keywords)
 
-    extras = {"rosbags": ("bag_file", "ros"), "lz4": ("bag_file", "ros"), "pyarrow": ("lerobot_reader", "lerobot")}
-    for missing, (reader, extra) in (extras | {"h5py": ("hdf5_reader", "robomimic")}).items():
+    for missing, reader, extra in (
+        ("rosbags", "readers.bag_file", "ros"),
+        ("lz4", "readers.bag_file", "ros"),
+        ("pyarrow", "writers.lerobot_writer", "lerobot"),
+        ("h5py", "readers.hdf5_reader", "robomimic"),
+    ):
         with case(missing), monkeypatch.context() as patch:
             patch.setattr(builtins, "__import__", absent)
             for name in [n for n in sys.modules if n.startswith(readers)]:

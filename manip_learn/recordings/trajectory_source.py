@@ -28,7 +28,7 @@ from manip_learn.recordings.load_demonstrations import (
     read_recordings,
     validated,
 )
-from manip_learn.recordings.readers.lerobot_dataset import episode_number, open_dataset, separate_files
+from manip_learn.recordings.readers.lerobot_reader import episode_number, open_dataset, separate_files
 from manip_learn.recordings.readers.name_patterns import helpful_renaming
 from manip_learn.recordings.readers.read_request import ReadRequest
 from manip_learn.recordings.readers.recording import Recording

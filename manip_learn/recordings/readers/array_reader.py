@@ -17,11 +17,18 @@ from typing import Any, final
 import numpy as np
 
 from manip_learn.errors import advice, closest_names, counted
-from manip_learn.recordings.readers.limits import bomb, most_bytes
 from manip_learn.recordings.readers.name_patterns import named_in
 from manip_learn.recordings.readers.quantities import ROLES, array_roles, find_time
 from manip_learn.recordings.readers.read_request import RATE, ReadRequest, first_names, names_advice, rename_words
-from manip_learn.recordings.readers.recording import Recording, float_array, natural_order, refusal, refusing_damage
+from manip_learn.recordings.readers.recording import (
+    Recording,
+    bomb,
+    float_array,
+    most_bytes,
+    natural_order,
+    refusal,
+    refusing_damage,
+)
 from manip_learn.recordings.saved_motion import joint_positions
 
 NUMBERS = ("time", "q", "u", "effort")

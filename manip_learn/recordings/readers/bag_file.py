@@ -19,8 +19,7 @@ from typing import Any, final
 
 from manip_learn.errors import DAMAGE, MissingExtraError
 from manip_learn.recordings.format_words import JOINT_STATE
-from manip_learn.recordings.readers.limits import bomb, metadata_text, most_bytes
-from manip_learn.recordings.readers.recording import check_regular, reason, refusal
+from manip_learn.recordings.readers.recording import bomb, check_regular, metadata_text, most_bytes, reason, refusal
 
 try:
     import apsw

@@ -17,11 +17,10 @@ import numpy as np
 from jaxtyping import Float
 
 from manip_learn.errors import advice
-from manip_learn.recordings.readers.limits import LONGEST_TEXT, check_columns
 from manip_learn.recordings.readers.name_patterns import named_in
 from manip_learn.recordings.readers.quantities import MESSAGES, table_columns
 from manip_learn.recordings.readers.read_request import SECONDS, ReadRequest, names_advice
-from manip_learn.recordings.readers.recording import Recording, reason, refusal
+from manip_learn.recordings.readers.recording import LONGEST_TEXT, Recording, check_columns, reason, refusal
 
 COMMENT_MARKS = ("#", "%")
 NUMBER = re.compile(r"[+-]?(\d+([.,]\d*)?|[.,]\d+)([eE][+-]?\d+)?|[+-]?(nan|inf(inity)?)", re.IGNORECASE)

@@ -15,7 +15,7 @@ from typing import final
 from manip_learn.errors import RecordingError, counted
 from manip_learn.recordings.format_words import MARK
 from manip_learn.recordings.readers.csv_reader import sniff_dialect
-from manip_learn.recordings.readers.lerobot_dataset import episode_numbers
+from manip_learn.recordings.readers.lerobot_reader import episode_numbers
 from manip_learn.recordings.readers.read_request import ReadRequest
 from manip_learn.recordings.readers.recording import Recording, check_regular, natural_order, reason, refusal
 from manip_learn.recordings.readers.saved_reader import JSON_LINES, file_header

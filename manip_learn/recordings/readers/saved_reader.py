@@ -13,10 +13,9 @@ import numpy as np
 from manip_learn.errors import DAMAGE, RecordingError
 from manip_learn.recordings.format_words import DATASET_HEADER, MARK
 from manip_learn.recordings.readers.csv_reader import text_lines
-from manip_learn.recordings.readers.limits import LONGEST_TEXT
 from manip_learn.recordings.readers.npz_reader import stored_arrays, texts_of
 from manip_learn.recordings.readers.read_request import ReadRequest
-from manip_learn.recordings.readers.recording import Recording, float_array, reason, refusal
+from manip_learn.recordings.readers.recording import LONGEST_TEXT, Recording, float_array, reason, refusal
 from manip_learn.recordings.saved_motion import (
     CURVES,
     PREFIX,

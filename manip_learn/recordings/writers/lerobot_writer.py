@@ -17,7 +17,7 @@ import numpy as np
 from manip_learn.atomic_write import write_atomically
 from manip_learn.errors import MissingExtraError, OutputError
 from manip_learn.recordings.format_words import DATASET_HEADER
-from manip_learn.recordings.readers.lerobot_dataset import EFFORT, STATE, VELOCITY
+from manip_learn.recordings.readers.lerobot_reader import EFFORT, STATE, VELOCITY
 from manip_learn.recordings.saved_motion import SavedMotion
 
 try:
