@@ -191,13 +191,7 @@ class UnknownNameError(ManipLearnError):
     code = "unknown-name"
 
     def __init__(
-        self,
-        kind: str,
-        name: str,
-        known: Iterable[str],
-        where: str = "",
-        more: str = "",
-        others: Iterable[str] = (),
+        self, kind: str, name: str, known: Iterable[str], where: str = "", more: str = "", others: Iterable[str] = ()
     ):
         """An error about a name; `others` are names that look alike and are known to be of another thing."""
         names, unlike = sorted({str(n) for n in known}), [str(n) for n in others]

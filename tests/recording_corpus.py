@@ -1,6 +1,4 @@
-"""Writes a corpus of malformed and unusual recordings, each with its expected verdict.
-
-    python tests/recording_corpus.py FOLDER
+"""A corpus of malformed and unusual recordings, each with its expected verdict.
 
 All of them pretend to be recordings of `planar3` (joint1, joint2, joint3).
 """
@@ -12,7 +10,6 @@ import importlib
 import io
 import json
 import pickle
-import sys
 import warnings
 import zipfile
 from collections.abc import Callable
@@ -391,16 +388,3 @@ def parquet_bomb(path: Path) -> None:
 
 CHAPTERS = (text_cases, number_cases, other_kind_cases, archive_cases, stub_cases, claim_cases)
 CASES = [case for chapter in CHAPTERS for case in chapter()]
-
-
-def write_corpus(target: Path) -> None:
-    """Write all files of the corpus, and a table of their verdicts."""
-    target.mkdir(parents=True, exist_ok=True)
-    for case in CASES:
-        case.write(target / case.name)
-    (target / "VERDICTS.txt").write_text("\n".join(f"{c.name}\t{c.verdict}" for c in CASES) + "\n", encoding="utf-8")
-
-
-if __name__ == "__main__":
-    write_corpus(Path(sys.argv[1]))
-    print(f"{len(CASES)} files in {sys.argv[1]}")

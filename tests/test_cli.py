@@ -3,8 +3,7 @@
 from __future__ import annotations
 
 import json
-import re
-import shlex
+import os
 import shutil
 import subprocess
 import sys
@@ -102,7 +101,7 @@ def test_replay_shows_what_was_learnt(run, learnt):
 
 
 def test_learn_writes_a_replay_of_the_recordings(run):
-    """`--html` plays every recording, with the phases that are in the answer; it does not go with --dask."""
+    """`--html` plays every recording, with the phases that are in the answer."""
     whole = DATA / "panda_drawer_whole"
     code, out, err = run("learn", "panda", whole, "--frame", "panda_hand_tcp", "--html", "a.html", "--json")
     assert (code, err) == (0, "")
@@ -115,19 +114,6 @@ def test_learn_writes_a_replay_of_the_recordings(run):
         expected = [[p["start"], p["end"], -1 if p["constraint"] is None else p["constraint"]] for p in told]
         np.testing.assert_allclose(bands, expected)
     assert data["mechanisms"][0]["type"] == "line" and data["mechanisms"][0]["lines"]
-    code, _, err = run("learn", "panda", whole, "--frame", "panda_hand_tcp", "--html", "a.html", "--dask", "local")
-    assert code == 2 and "--html" in err
-
-
-def test_inspect_answers(run):
-    """Joints with their limits, frames, warnings, and the comparison with yourdfpy."""
-    code, out, err = run("inspect", "sawyer", "--json")
-    answer = json.loads(out)
-    assert code == 0, err
-    assert (answer["name"], answer["nq"], answer["nv"]) == ("sawyer", 7, 7)
-    assert [j["name"] for j in answer["joints"]] == [f"right_j{i}" for i in range(7)]
-    assert "right_gripper_tip" in answer["frames"]
-    assert answer["warnings"] == []
 
 
 def test_demo_answers(run):
@@ -210,7 +196,22 @@ def test_bad_input_gives_one_sentence(run, learnt):
         assert f"{option} must be" in err and value in err and "n_constraints" not in err
 
 
-CSV = "time,joint1,joint2,joint3\n"
+def test_robots_are_listed_and_looked_at(run):
+    """The names that can be given, with their joints; frames, limits and warnings of one; and the version."""
+    code, out, err = run("robots", "--json")
+    answer = json.loads(out)
+    assert (code, err) == (0, "")
+    assert {r["name"]: r for r in answer["robots"]}["planar3"]["joints"] == ["joint1", "joint2", "joint3"]
+    assert [r["name"] for r in answer["robots"][:5]] == ["fr3", "planar3", "sawyer", "ur10e", "ur5e"]
+    code, out, err = run("robots")
+    assert code == 0 and "sawyer (7)" in out and "manip_learn[descriptions]" in out
+    code, out, err = run("inspect", "sawyer", "--json")
+    answer = json.loads(out)
+    assert (code, answer["name"], answer["nq"], answer["nv"], answer["warnings"]) == (0, "sawyer", 7, 7, [])
+    assert [j["name"] for j in answer["joints"]] == [f"right_j{i}" for i in range(7)]
+    assert "right_gripper_tip" in answer["frames"]
+    code, out, err = run("--version")
+    assert (code, err) == (0, "") and out.startswith("manip-learn ")
 
 
 def test_our_own_failure_is_no_traceback(run, monkeypatch):
@@ -226,34 +227,14 @@ def test_our_own_failure_is_no_traceback(run, monkeypatch):
     assert "Traceback" not in err
 
 
-def test_module_runs_as_a_program():
-    """`python -m manip_learn` is the same program."""
-    done = subprocess.run([sys.executable, "-m", "manip_learn", "--help"], capture_output=True, text=True, timeout=60)
-    assert done.returncode == 0
-    assert "reproduce" in done.stdout
-
-
-def test_refusals_are_json_too(run, tmp_path):
+def test_refusals_are_json_too(run):
     """Under --json a refusal is one document on standard output, with its code; the sentence goes to standard error."""
-    cases = {
-        "unknown-name": ("inspect", "swayer"),
-        "missing-file": ("learn", "sawyer", "nowhere.csv"),
-        "usage": ("learn",),
-        "frame": ("learn", "two.urdf", "demo.csv"),
-    }
-    joint = (
-        '<joint name="{0}" type="revolute"><parent link="base"/><child link="{0}_tool0"/><axis xyz="0 0 1"/>'
-        '<limit lower="-1" upper="1" velocity="1" effort="1"/></joint><link name="{0}_tool0"/>'
-    )
-    arms = "".join(joint.format(side) for side in ("left", "right"))
-    Path("two.urdf").write_text(f'<robot name="two"><link name="base"/>{arms}</robot>')
-    Path("demo.csv").write_text("time,left,right\n0,0,0\n1,0.1,0.1\n2,0.2,0.1\n")
+    cases = {"unknown-name": "inspect swayer", "missing-file": "learn sawyer nowhere.csv", "usage": "learn"}
     for code, words in cases.items():
-        exit_code, out, err = run(*words, "--json")
+        exit_code, out, err = run(*words.split(), "--json")
         error = json.loads(out)["error"]
-        assert (exit_code, error["code"]) == (2, code)
-        assert err == f"manip-learn: {error['message']}\n"
-    assert json.loads(run("inspect", "swayer", "--json")[1])["error"]["near"] == ["sawyer"]
+        assert (exit_code, error["code"]) == (2, code) and err == f"manip-learn: {error['message']}\n"
+        assert error.get("near") == (["sawyer"] if code == "unknown-name" else None)
 
 
 def test_a_refusal_to_learn_holds_its_evidence(run):
@@ -271,23 +252,9 @@ def test_a_refusal_to_learn_holds_its_evidence(run):
     assert error["advice"] and all(text in error["message"] for text in error["advice"])
 
 
-def test_robots_and_version(run):
-    """The names that can be given, with their joints, and the version."""
-    code, out, err = run("robots", "--json")
-    answer = json.loads(out)
-    assert (code, err) == (0, "")
-    listed = {r["name"]: r for r in answer["robots"]}
-    assert listed["planar3"]["joints"] == ["joint1", "joint2", "joint3"]
-    assert [r["name"] for r in answer["robots"][:5]] == ["fr3", "planar3", "sawyer", "ur10e", "ur5e"]
-    code, out, err = run("robots")
-    assert code == 0 and "sawyer (7)" in out and "manip_learn[descriptions]" in out
-    code, out, err = run("--version")
-    assert (code, err) == (0, "") and out.startswith("manip-learn ")
-
-
 def test_a_reader_that_leaves_is_no_error():
     """`| head -1`: nothing on standard error but what the command has to say, and no failure of its own."""
-    for words in ("robots", "inspect sawyer", "inspect sawyer --json", "learn --help", "learn --json"):
+    for words in ("inspect sawyer", "learn --help", "learn --json"):
         command = [sys.executable, "-u", "-m", "manip_learn", *words.split()]
         with subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True) as done:
             assert done.stdout is not None and done.stderr is not None
@@ -395,8 +362,9 @@ def test_every_help_begins_with_an_example(run):
 
 @pytest.mark.timeout(300)
 def test_the_examples_work(run, monkeypatch):
-    """One after the other in an empty folder; the page and the arm that are to be there are stand-ins."""
+    """One after the other in an empty folder; the page, the arm and the experiments, which take long, are stand-ins."""
     monkeypatch.setattr("webbrowser.open", lambda _address: True)
+    monkeypatch.setattr("manip_learn.commands.reproduce.run_experiments", lambda *_given, **_more: {})
     Path("my_arm.py").write_text(
         "class Driver:\n"
         "    period, joint_names, time = 0.01, ('shoulder_pan_joint',), 0.0\n"
@@ -424,17 +392,6 @@ def test_a_rollout_is_shown_by_its_name_alone(run, learnt):
     ):
         code, _, err = run("replay", *words)
         assert code == 2 and said in err, err
-
-
-def test_learning_ends_with_the_next_command(run, capsys):
-    """Metres and a thing that people know come first; the last line can be typed, and so can the one after it."""
-    _, out, _ = run("learn", "sawyer", *DRAWER, *FRAME)
-    assert re.match(r"A straight line \(a drawer\), moved 0\.\d+ m when it was shown\.\n", out)
-    for _ in range(2):
-        words = shlex.split(out.splitlines()[-1].removeprefix("next: manip-learn "))
-        code, out, err = run(*words)
-        assert code == 0, err
-    assert Path("task.json").is_file() and Path("run.html").is_file()
 
 
 def test_exported_files_are_named_after_their_recordings(run):
@@ -479,23 +436,16 @@ def test_no_name_controls_the_terminal(run, tmp_path):
     commands = [
         (0, "inspect", arm),
         (2, "inspect", "evil.urdf"),
-        (2, "inspect", f"{EVIL}.urdf"),
-        (0, "learn", arm, *shown, *tip, *how, "--out", held, "--html", f"l{EVIL}.html"),
+        (0, "learn", arm, *shown, *tip, *how, "--out", held),
         (2, "learn", arm, f"odd{EVIL}.csv", *tip),
-        (2, "learn", arm, f"gone{EVIL}.csv", *tip),
-        (2, "learn", arm, *shown, "--frame", f"link2{EVIL}"),
         (2, "learn", arm, *shown, *tip, "--lock", f"joint2{EVIL}"),
         (2, "learn", arm, *shown, *tip, "--rename", f"a{EVIL}=b{EVIL}"),
         (2, f"lern{EVIL}", arm),
         (2, "inspect", arm, f"--x{EVIL}"),
         (0, "control", arm, held, "--target", "0,0.5,0", "--duration", "1", "--out", f"run{EVIL}.csv"),
-        (2, "control", arm, f"odd{EVIL}.csv"),
         (2, "control", arm, held, "--policy", EVIL),
-        (0, "replay", arm, f"run{EVIL}.csv", "--html", f"p{EVIL}.html"),
-        (0, "replay", arm, *shown, "--constraint", held, "--html", f"p{EVIL}.html"),
-        (2, "replay", "sawyer", f"run{EVIL}.csv"),
+        (0, "replay", arm, f"run{EVIL}.csv", "--constraint", held, "--html", f"p{EVIL}.html"),
         (0, "audit", arm, held, *shown, "--csv", f"a{EVIL}.csv"),
-        (2, "audit", arm, held, f"odd{EVIL}.csv"),
         (0, "export", arm, *shown, "--to", "csv", "--out", f"exported{EVIL}"),
         (2, "export", arm, *shown, "--to", EVIL, "--out", "x"),
     ]
@@ -518,6 +468,18 @@ def sentences(content, key=""):
     return [content] if isinstance(content, str) and key in SENTENCES else []
 
 
+@pytest.mark.parametrize("shell", ["bash", "fish"])
+def test_a_shell_is_offered_names_and_flags(shell, tmp_path):
+    """A robot by its first letters, a flag of the command."""
+    for line, expected in (("inspect saw", "sawyer"), ("learn sawyer --col", "--columns")):
+        line, environment = f"manip-learn {line}", dict(os.environ, _MANIP_LEARN_COMPLETE=f"complete_{shell}")
+        environment |= {"PYTHONPATH": os.pathsep.join(sys.path), "COMP_WORDS": line, "COMP_CWORD": str(line.count(" "))}
+        environment |= {"_TYPER_COMPLETE_ARGS": line, "_TYPER_COMPLETE_FISH_ACTION": "get-args"}
+        command = [sys.executable, "-m", "manip_learn"]
+        done = subprocess.run(command, env=environment, cwd=tmp_path, capture_output=True, text=True, timeout=60)
+        assert done.stderr == "" and expected in done.stdout.split()
+
+
 INTERRUPTED_AT = """
 import os, re, signal, sys
 left, sys.argv = int(sys.argv[1]), ["manip-learn", *sys.argv[2:]]
@@ -537,7 +499,7 @@ sys.exit(main())
 
 def test_ctrl_c_leaves_no_traceback_from_the_first_moment_on():
     """At whichever import `main` is when it is interrupted: exit code 130, and at most one word."""
-    for moment in (1, 8, 20, 45, 80, 120, 170, 230, 300, 360, 420):
+    for moment in (1, 20, 120, 300):
         command = [sys.executable, "-c", INTERRUPTED_AT, str(moment), "inspect", "planar3"]
         done = subprocess.run(command, capture_output=True, text=True, timeout=60)
         assert done.returncode == 130 and done.stderr.strip() in ("", "interrupted"), (moment, done.stderr)

@@ -12,7 +12,6 @@ import pytest
 from rich.console import Console
 from test_cli import DRAWER, FRAME
 
-from manip_learn.cli import main
 from manip_learn.commands.control import Aim, Controlled
 from manip_learn.commands.learn import Learnt, learn
 from manip_learn.commands.options import LearnOptions
@@ -89,6 +88,7 @@ def learnt() -> Learnt:
 def test_learning_explains_its_words(learnt: Learnt) -> None:
     """A number has its scale beside it, and --explain says what the words mean, each once."""
     text = " ".join(printed(60, print_learnt, learnt).split())
+    assert text.startswith("A straight line (a drawer), moved 0.")
     report, held = learnt.report, [row for row in learnt.report.row_evidence if row.state == "held"]
     strengths = " and ".join(f"{row.strength:.3g}" for row in held)
     for fact in (
@@ -114,16 +114,6 @@ def test_an_axis_that_nothing_determines_has_no_angle(learnt: Learnt) -> None:
     report = dataclasses.replace(learnt.report, mechanism=lost, uncertainty_deg=None)
     text = printed(100, print_learnt, dataclasses.replace(learnt, reports=(report, *learnt.reports[1:])))
     assert "direction not determined" in text and "1.6e+03" not in text and "1600" not in text
-
-
-def test_explain_is_a_flag(tmp_path, capsys, monkeypatch) -> None:
-    """As it is typed."""
-    monkeypatch.chdir(tmp_path)
-    arm = load_robot("planar3")
-    Constraint([[0.0, 1.0]], FrameJacobian(arm, "tip", "x y", "world")).save(tmp_path / "line.json")
-    words = ["control", "planar3", "line.json", "--start", "0.1,0.5,0.5", "--duration", "0.1"]
-    assert main([*words, "--explain"]) == 0
-    assert WORDS["unhindered"] in " ".join(capsys.readouterr().out.split())
 
 
 def test_units_are_printed_with_their_numbers(controlled: Controlled) -> None:

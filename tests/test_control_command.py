@@ -8,6 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from test_motion import LEARNT, learnt, screw
+from test_playback import data_in
 
 import manip_learn as ml
 from manip_learn.cli import main
@@ -64,23 +65,17 @@ def test_a_way_is_done_as_far_as_was_asked(run, file):
         assert abs(answer["done"] - answer["wanted"]) < (1e-3 if answer["unit"] == "m" else 0.2), name
         assert 0.0 <= answer["deviation"] < 2e-3 and answer["fastest_joint"]["share_of_limit"] <= 1.0, name
         assert answer["seconds"] > 0.0 and Path(answer["out"]) == Path(f"{name}.npz").resolve()
-        rollout = ml.Rollout.load(answer["out"])
-        numbers = [
-            rollout.manipulability.min(),
-            rollout.manipulability.mean(),
-            np.abs(rollout.u).max(),
-            rollout.time[-1],
-        ]
+        r = ml.Rollout.load(answer["out"])
+        numbers = [r.manipulability.min(), r.manipulability.mean(), np.abs(r.u).max(), r.time[-1]]
         keys = ("min_manipulability", "mean_manipulability", "max_velocity", "duration")
-        assert [answer[key] for key in keys] == numbers and answer["status_counts"] == rollout.status_counts, name
+        assert [answer[key] for key in keys] == numbers and answer["status_counts"] == r.status_counts, name
 
 
 def test_the_words_say_how_far(run, file):
     """The first words are those of a person: opened, or pushed in by a hand that goes away from the base; how far."""
     code, out, _err = run("control", *file("drawer"), "--along", "0.15")
-    assert code == 0 and out.startswith(
-        "pushed in 0.150 of 0.150 m start: the first posture in which the task was shown"
-    )
+    said = "pushed in 0.150 of 0.150 m start: the first posture in which the task was shown"
+    assert code == 0 and out.startswith(said)
     assert "note: as when the constraint was made: panda_finger_joint1 = 0, panda_finger_joint2 = 0 locked" in out
     _code, out, _err = run("control", *file("drawer"), "--along", "-0.1")
     assert out.startswith("opened 0.100 of 0.100 m")
@@ -88,8 +83,6 @@ def test_the_words_say_how_far(run, file):
     assert out.startswith("opened 30.0 of 30.0 degrees")
     _code, out, _err = run("control", *file("table"), "--along", "0.1", "--direction", "0,1,0")
     assert out.startswith("moved 0.100 of 0.100 m")
-    code, out, _err = run("control", *file("drawer"), "--along", "3", "--beyond-shown")
-    assert code == 0 and "of 3.000 m" in out and "stopped by " in out and "opened 3.000" not in out
 
 
 def test_a_way_that_is_too_long_is_refused_before_anything_is_written(run, file):
@@ -126,7 +119,7 @@ def test_what_does_not_fit_is_refused(run, file):
 
 
 def test_a_target_is_the_point(run, file):
-    """The tip goes to the point; with --rows held, the paper's law, to the line through it, and the words say so."""
+    """The tip goes to the point, across what is held too, and with --rows held to the line through it; words say so."""
     constraint, _ = learnt("drawer")
     q0 = np.array(constraint.provenance["postures"][0])
     free = np.linalg.svd(constraint.selection)[2][2]
@@ -142,12 +135,6 @@ def test_a_target_is_the_point(run, file):
     assert answer["reached"] is False and answer["final_error"] < 0.01 < answer["tip_to_target"]
     _code, out, _err = run("control", *file("drawer"), *typed, "--rows", "held", "--policy", "zero")
     assert out.startswith("on the line, 0.1 m from the point") and "--rows held leaves" in out
-
-
-def test_a_target_off_the_line_is_told(run, file):
-    """A point across what the recordings show to be blocked: the hand goes there, and a sentence says so."""
-    constraint, _ = learnt("drawer")
-    q0 = np.array(constraint.provenance["postures"][0])
     point = constraint.robot.position(q0, constraint.features.frame) + 0.05 * constraint.selection[0]
     typed = ("--start", ",".join(map(str, q0)), "--target", ",".join(map(str, point)))
     _code, out, _err = run("control", *file("drawer"), *typed)
@@ -157,12 +144,10 @@ def test_a_target_off_the_line_is_told(run, file):
 def test_a_door_goes_to_a_point(run, file):
     """A point beside a hinge is an angle: the handle comes as near to it as its circle allows."""
     constraint, _ = learnt("door")
-    rollout_end = np.array(constraint.provenance["postures"][20])
-    point = constraint.robot.position(rollout_end, constraint.features.frame)
-    start = constraint.provenance["postures"][0]
-    _code, out, err = run(
-        "control", *file("door"), "--start", ",".join(map(str, start)), "--target", ",".join(map(str, point)), "--json"
-    )
+    start, *_, near = constraint.provenance["postures"][:21]
+    point = constraint.robot.position(np.array(near), constraint.features.frame)
+    typed = [f"--{k}={','.join(map(str, numbers))}" for k, numbers in (("start", start), ("target", point))]
+    _code, out, err = run("control", *file("door"), *typed, "--json")
     answer = json.loads(out)
     assert err == "" and answer["stopped_by"] is None and answer["unit"] == "deg"
 
@@ -172,7 +157,7 @@ def test_nothing_named_does_what_was_shown(run, shown, tmp_path):
     start, page = "1.2,-1.57,0,0,0,0,0", tmp_path / "run.html"
     code, out, _err = run("control", "sawyer", shown, "--start", start, "--html", str(page))
     assert code == 0 and out.startswith("opened 0.2") and "took hold at (" in out and "margin" in out
-    assert page.stat().st_size > 1e5 and str(page.name) in out
+    assert data_in(page)["rollouts"] and str(page.name) in out
 
 
 @pytest.mark.parametrize(
@@ -180,7 +165,7 @@ def test_nothing_named_does_what_was_shown(run, shown, tmp_path):
     [
         ("planar3", "planar3_reach", ("--frame", "tip", "--axes", "planar")),  # on purpose, to different targets
         ("sawyer", "sawyer_door", ("--frame", "right_gripper_tip")),  # in the hand's own axes, which do not say how far
-        ("xarm7", "xarm7_drawer_then_table", ("--frame", "link_eef")),  # two tasks
+        pytest.param("xarm7", "xarm7_drawer_then_table", ("--frame", "link_eef"), marks=pytest.mark.slow),  # two tasks
     ],
 )
 def test_the_line_to_type_next_works(run, robot, recordings, options):
@@ -193,7 +178,7 @@ def test_the_line_to_type_next_works(run, robot, recordings, options):
 
 
 def test_a_hand_whose_joint_meets_its_limit_stays_on_the_line(run, shown):
-    """It stands within 2 mm of what holds it, and a sentence says what stops it; a plan takes hold elsewhere."""
+    """It stands within 2 mm of what holds it, and a sentence says what stops it."""
     start = "0.0689,-1.6728,2.8072,-1.9042,2.4714,-0.0381,4.6725"
     way = ("--along", "0.3", "--direction=-1,-0.5,0", "--keep-orientation", "--start", start)
     for policy in ("zero", "manipulability"):
@@ -201,11 +186,6 @@ def test_a_hand_whose_joint_meets_its_limit_stays_on_the_line(run, shown):
         answer = json.loads(out)
         assert code == 0 and answer["deviation"] <= 2e-3
         assert answer["reached"] or answer["stopped_by"]
-        code, out, _err = run("control", "sawyer", shown, *way, f"--policy={policy}")
-        assert code == 0 and answer["sentence"] in out and (answer["stopped_by"] or "") in out
-    code, out, _err = run("control", "sawyer", shown, *way, "--plan")
-    assert code == 0 and out.startswith("opened 0.300 of 0.300 m")
-    assert " mm from what holds it" not in out
 
 
 def test_the_demo_opens_the_drawer(run):
@@ -224,20 +204,16 @@ def test_the_demo_opens_the_drawer(run):
         answer["fastest_joint"]["share_of_limit"] for name, answer in rollouts.items() if name != "plan"
     )
     assert planned["plan"]["margin"] > 0.3 and len(planned["plan"]["hold"]) == 7
-    code, out, _err = run("demo", "--no-browser")
-    assert "opened" in out and "reached" not in out
 
 
 def test_a_plan_on_the_command_line(run, shown):
     """Its answer says what limits it; what does not go with a plan, or cannot be planned, is a sentence and code 2."""
     way = ("control", "sawyer", shown, "--along", "0.2", "--direction", "shown")
-    code, out, _err = run(*way, "--plan", "--out", "run.npz", "--json")
-    answer = json.loads(out)
-    assert code == 0 and answer["sentence"] == "opened 0.200 of 0.200 m" and 0.0 < answer["plan"]["margin"] < 1.0
+    code, out, _err = run(*way, "--plan", "--explain", "--out", "run.npz")
+    assert code == 0 and out.startswith("opened 0.200 of 0.200 m")
+    assert "plan: take hold" in out and "instead, margin" in out and " mm from what holds it" not in out
     rollout = ml.Rollout.load("run.npz", ml.load_robot("sawyer"))
-    assert [name for name, _, _ in rollout.phases] == ["approach", "way"]
-    code, out, _err = run(*way, "--plan", "--explain")
-    assert code == 0 and "plan: take hold" in out and "instead, margin" in out
+    assert [name for name, _, _ in rollout.phases] == ["approach", "way"] and 0.0 < rollout.ways[0]["margin"] < 1.0
     for more, words in (
         (("--plan", "--policy", "zero"), "leave --policy"),
         (("--grasp-turns", "2"), "go with --plan"),
@@ -248,10 +224,6 @@ def test_a_plan_on_the_command_line(run, shown):
         assert code == 2 and words in err and "Traceback" not in err
     code, _out, err = run("control", "sawyer", shown, "--along", "0.9", "--plan")
     assert code == 2 and "longer than what was shown" in err
-    code, out, err = run("control", "sawyer", shown, "--along", "0.9", "--plan", "--beyond-shown", "--json")
-    error = json.loads(out)["error"]
-    assert code == 2 and error["code"] == "no-plan" and 0.0 < error["largest"] < 0.9 and len(error["posture"]) == 7
-    assert error["stopped_by"] in error["message"]
     code, out, _err = run("control", "sawyer", shown, "--json")
     assert code == 0 and json.loads(out)["wanted"] == pytest.approx(
         ml.Constraint.load(shown, ml.load_robot("sawyer")).shown.extent

@@ -15,8 +15,7 @@ from manip_learn.recordings.demonstrations import Demonstrations
 from manip_learn.recordings.saved_motion import motion_of_trajectory
 from manip_learn.recordings.trajectory import Trajectory, subsample
 from manip_learn.recordings.velocities import derive_velocities
-from manip_learn.recordings.writers.mcap_writer import mcap_bytes
-from manip_learn.recordings.writers.write_motion import csv_bytes, joint_trajectory_bytes, npz_bytes
+from manip_learn.recordings.writers.write_motion import csv_bytes, joint_trajectory_bytes, mcap_bytes, npz_bytes
 from manip_learn.robot import load_robot
 
 T, ROBOT = 80, load_robot("planar3")

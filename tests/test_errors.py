@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import ast
 import inspect
 import logging
 import pickle
@@ -10,6 +9,7 @@ import unicodedata
 from contextlib import nullcontext
 from pathlib import Path
 
+import numpy as np
 from hypothesis import given, strategies
 
 from manip_learn import errors
@@ -60,22 +60,8 @@ def test_unknown_names_help():
     assert "right_gripper_tip" in closest_names("TIP", known) and closest_names("", known) == []
     error = MissingExtraError("reading ROS bags", "ros")
     assert error.extra == "ros" and "pip install 'manip_learn[ros]'" in str(error)
-
-
-def said(node: ast.expr) -> str:
-    """The text of a message, with a letter for what is filled in."""
-    match node:
-        case ast.Constant(value=str(text)):
-            return text
-        case ast.JoinedStr(values=parts):
-            return "".join(map(said, parts))
-        case ast.BinOp(left=left, right=right):
-            return said(left) + said(right)
-        case ast.IfExp(body=body):
-            return said(body)
-        case ast.Call(args=arguments, func=ast.Name(id="advice" | "spoken")):
-            return said(arguments[0])
-    return "x"
+    facts = errors.NoPlanError("no", largest=0.2, posture=np.zeros(2), stopped_by="a limit").facts()
+    assert facts == {"largest": 0.2, "posture": [0.0, 0.0], "stopped_by": "a limit", "helps": ()}
 
 
 def test_numbers_come_with_their_noun():

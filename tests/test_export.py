@@ -16,8 +16,7 @@ from manip_learn.errors import OutputError
 from manip_learn.recordings import load_demonstrations
 from manip_learn.recordings.saved_motion import motion_of_trajectory
 from manip_learn.recordings.trajectory import Trajectory
-from manip_learn.recordings.writers.mcap_writer import nanoseconds
-from manip_learn.recordings.writers.write_motion import joint_trajectory_bytes
+from manip_learn.recordings.writers.write_motion import joint_trajectory_bytes, nanoseconds
 from manip_learn.robot import Robot, load_robot
 
 RECORDING = "time,j1,j2,j3,j1_velocity,j2_velocity,j3_velocity\n"

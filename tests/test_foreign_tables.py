@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import re
-import shlex
 from collections.abc import Callable
 from pathlib import Path
 
@@ -11,10 +9,9 @@ import numpy as np
 from case import case
 from recording_corpus import refusal
 
-from manip_learn.cli import main
 from manip_learn.errors import RecordingError
 from manip_learn.recordings import load_demonstrations
-from manip_learn.robot import Robot, load_robot
+from manip_learn.robot import Robot
 
 EPOCH = 1_722_000_000.25
 TIME = np.arange(60) * 0.02
@@ -58,11 +55,6 @@ def bracketed() -> str:
     return table(header, TIME, *Q.T, *U.T, 1.0)
 
 
-def numbered() -> str:
-    """`q1` .. `q3`."""
-    return table(["t", "q1", "q2", "q3"], TIME, *Q.T)
-
-
 def rostopic() -> str:
     """`rostopic echo -p /joint_states`: the joints are named in columns of text, in the publisher's order."""
     order = [2, 0, 1]
@@ -90,41 +82,24 @@ def pandas_dump() -> str:
     return table(["", "timestamp", *JOINTS, "gripper_width", "label"], list(range(len(TIME))), TIME, *Q.T, 0.08, "pick")
 
 
-def pandas_milliseconds() -> str:
-    """Row numbers that were read back, and a time with its unit."""
-    return table(["Unnamed: 0", "time_ms", *JOINTS], list(range(len(TIME))), 1e3 * TIME, *Q.T)
-
-
-# format -> how it is written, flags, what a note says
+# format -> how it is written, patterns of its columns, what a note says
 FORMATS: dict[str, tuple[Callable[[], str], list[str], str]] = {
     "PlotJuggler": (plotjuggler, [], "'/joint_states/{joint}/position' and '/joint_states/{joint}/velocity'"),
     "position.<joint>": (position_joint, [], "'position.{joint}' and 'velocity.{joint}'"),
-    "q[i], dq[i]": (bracketed, ["--columns", "q[{index}]", "--columns", "dq[{index}]"], "q[0] as joint1"),
-    "q1 .. q7": (numbered, ["--columns", "q{index}"], "q3 as joint3"),
-    "pandas": (
-        pandas_dump,
-        ["--columns", "{joint}"],
-        "not used: column 1 (without a name), gripper_width, label",
-    ),
-    "pandas, milliseconds": (pandas_milliseconds, [], "'time_ms', in milliseconds"),
+    "q[i], dq[i]": (bracketed, ["q[{index}]", "dq[{index}]"], "q[0] as joint1"),
+    "pandas": (pandas_dump, ["{joint}"], "not used: column 1 (without a name), gripper_width, label"),
 }
 WITH_VELOCITY = ("PlotJuggler", "position.<joint>", "q[i], dq[i]")
-
-
-def keywords(flags: list[str]) -> dict[str, object]:
-    """The same in Python."""
-    return {"columns": flags[1::2]} if flags else {}
 
 
 def test_the_table_is_read(planar3: Robot) -> None:
     """Positions, velocities and stamps come back in the robot's order and in s; the note says what was read."""
     for name in FORMATS:
         with case(name) as tmp_path:
-            write, flags, said = FORMATS[name]
-            assert sum(f.startswith("--") for f in flags) <= 2
+            write, columns, said = FORMATS[name]
             path = tmp_path / "demo.csv"
             path.write_text(write())
-            demos = load_demonstrations(path, planar3, **keywords(flags))
+            demos = load_demonstrations(path, planar3, columns=columns)
             np.testing.assert_array_equal(demos[0].q, Q)
             np.testing.assert_allclose(demos[0].time - demos[0].time[0], TIME, atol=1e-6)
             if name in WITH_VELOCITY:
@@ -132,22 +107,6 @@ def test_the_table_is_read(planar3: Robot) -> None:
             else:
                 assert demos[0].u is None
             assert any(said in note for note in demos.notes), demos.notes
-
-
-def test_the_error_prints_the_flags_to_type(capsys) -> None:
-    """Without flags the command refuses, and what it advises, typed as it stands, reads the table."""
-    for name in [n for n in FORMATS if FORMATS[n][1]]:
-        with case(name) as tmp_path:
-            path = tmp_path / "demo.csv"
-            path.write_text(FORMATS[name][0]())
-            words = ["export", "planar3", str(path), "--out", str(tmp_path / "out.csv")]
-            assert main(words) == 2
-            said = capsys.readouterr().err
-            flags = re.findall(r"--columns '[^']+'", said)
-            assert flags, said
-            assert main([*words, *shlex.split(" ".join(flags))]) == 0, capsys.readouterr().err
-            written = load_demonstrations(tmp_path / "out.csv", load_robot("planar3"))
-            np.testing.assert_array_equal(written[0].q, Q)
 
 
 def refused(path: Path, robot: Robot, text: str, **options: object) -> RecordingError:
@@ -192,25 +151,6 @@ def test_tables_of_messages_are_refused(planar3: Robot, tmp_path: Path) -> None:
         for options in ({}, {"columns": "position_{index}"}):
             error = refused(tmp_path / "demo.csv", planar3, write(), **options)
             assert error.code == "messages" and "give the bag itself" in str(error)
-
-
-def test_a_stated_unit_is_not_asked_for_again(planar3: Robot, tmp_path: Path) -> None:
-    """A plain `timestamp` whose size is that of milliseconds since 1970 is read as such, with a note."""
-    text = table(["timestamp", *JOINTS], 1e3 * (EPOCH + TIME), *Q.T)
-    path = tmp_path / "demo.csv"
-    path.write_text(text)
-    demos = load_demonstrations(path, planar3)
-    np.testing.assert_allclose(demos[0].time - demos[0].time[0], TIME - TIME[0], atol=1e-6)
-    assert any("read as milliseconds" in note for note in demos.notes)
-
-
-def test_a_column_close_to_a_joint_is_still_a_mistake(planar3: Robot, tmp_path: Path) -> None:
-    """Where columns are called as the joints, a surplus one is refused; one flag leaves all of them out."""
-    text = table(["time", *JOINTS, "joint11", "joint12"], TIME, *Q.T, *U.T[:2])
-    error = refused(tmp_path / "demo.csv", planar3, text)
-    assert error.code == "unknown-column" and "columns='{joint}'" in str(error)
-    demos = load_demonstrations(tmp_path / "demo.csv", planar3, columns="{joint}")
-    assert any("joint11, joint12" in note for note in demos.notes)
 
 
 # beside the columns of positions: how others are called -> velocities are read, efforts are read, what a note says

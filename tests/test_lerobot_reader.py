@@ -12,7 +12,7 @@ from case import case
 from recording_corpus import refusal
 
 from manip_learn.recordings import load_demonstrations
-from manip_learn.recordings.readers.lerobot_dataset import entry_names
+from manip_learn.recordings.readers.lerobot_reader import entry_names
 from manip_learn.robot import Robot, load_robot
 
 pa = pytest.importorskip("pyarrow", reason="the extra 'lerobot' is not installed")
@@ -88,19 +88,13 @@ def test_version_2_round_trip(planar3: Robot) -> None:
                 assert t.u is None
 
 
-def test_version_3_round_trip(planar3: Robot, tmp_path: Path) -> None:
-    """Many episodes in a file are separated; metadata tables are no episodes."""
-    demos = load_demonstrations(version_3(tmp_path / "set"), planar3, units="radians")
-    assert [len(t) for t in demos] == [80, 50, 30, 80]
-    np.testing.assert_array_equal(demos[1].q, motion(1, 50).astype(np.float32))
-
-
 def test_an_episode_may_go_on_in_the_next_file(planar3: Robot, tmp_path: Path) -> None:
-    """Cut between files in the middle of an episode: still one trajectory."""
+    """Cut between files in the middle of an episode: still one trajectory; tables of metadata are no episodes."""
     whole = table({0: motion(0), 1: motion(1)})
     files = {
         "data/chunk-000/file-000.parquet": whole.slice(0, 100),
         "data/chunk-000/file-001.parquet": whole.slice(100),
+        "meta/episodes/chunk-000/file-000.parquet": pa.table({"episode_index": [0, 1, 2, 3]}),
     }
     demos = load_demonstrations(dataset(tmp_path / "set", info(JOINTS, "v3.0"), files), planar3, units="radians")
     assert [len(t) for t in demos] == [80, 80]
@@ -180,51 +174,36 @@ def test_velocities_in_the_state_or_beside_it(planar3: Robot, tmp_path: Path) ->
 
 def test_names_come_in_many_forms() -> None:
     """Lists, groups and index tables are understood, everything else is no name."""
-    for names, read in [
-        (["a", "b"], ("a", "b")),
-        ({"motors": ["a", "b"]}, ("a", "b")),
-        ({"arm": ["a"], "hand": ["b"]}, ("a", "b")),
-        ({"b": 1, "a": 0}, ("a", "b")),
-        ({"b": 5, "a": 0}, None),
-        (None, None),
-        ([], None),
-        ({}, None),
-        ([1, 2], None),
-        ("ab", None),
-        ({"motors": "ab"}, None),
-    ]:
-        with case(names, read):
-            assert entry_names(names) == read
+    for names in (["a", "b"], {"motors": ["a", "b"]}, {"arm": ["a"], "hand": ["b"]}, {"b": 1, "a": 0}):
+        assert entry_names(names) == ("a", "b"), names
+    for names in ({"b": 5, "a": 0}, None, [], {}, [1, 2], "ab", {"motors": "ab"}):
+        assert entry_names(names) is None, names
 
 
-def test_missing_values_and_ragged_samples_are_refused(planar3: Robot, tmp_path: Path) -> None:
-    """Nulls, samples of unequal length and text are named; nothing is filled in."""
-    good = table({0: motion(0)})
-    states = motion(0).tolist()
-    broken = {
-        "not-finite": pa.array([*states[:-1], None], type=pa.list_(pa.float64())),
-        "ragged": pa.array([*states[:-1], [1.0]]),
-        "not-a-number": pa.array([[str(x) for x in row] for row in states]),
-    }
-    for code, column in broken.items():
-        bad = good.set_column(0, "observation.state", column)
-        root = dataset(tmp_path / code, info(JOINTS), {"data/a.parquet": bad})
-        assert refusal(root, planar3, units="radians").code == code
+STATES = motion(0).tolist()
+GOOD = info(JOINTS)
+# what a data set says of itself, its samples, and the code of the refusal
+UNFIT: dict[str, tuple[Any, Any, str]] = {
+    "an early version": ({"codebase_version": "v1.6"}, None, "version"),
+    "no features": ({"codebase_version": "v2.1"}, None, "no-state"),
+    "no state": ({"codebase_version": "v2.1", "features": {}}, None, "no-state"),
+    "no object": ([], None, "damaged"),
+    "too few names": (info(["a"]), None, "shape"),
+    "no names": (info(None), None, "no-joint-names"),
+    "names of others": (info(["a", "b", "c"]), None, "missing-joint"),
+    "a sample is missing": (GOOD, pa.array([*STATES[:-1], None], type=pa.list_(pa.float64())), "not-finite"),
+    "a short sample": (GOOD, pa.array([*STATES[:-1], [1.0]]), "ragged"),
+    "text": (GOOD, pa.array([[str(x) for x in row] for row in STATES]), "not-a-number"),
+}
 
 
-def test_metadata_that_does_not_fit_is_refused(planar3: Robot) -> None:
-    """Another version, no state, names that do not fit: refused by name."""
-    for description, code in [
-        ({"codebase_version": "v1.6"}, "version"),
-        ({"codebase_version": "v2.1", "features": {}}, "no-state"),
-        ({"codebase_version": "v2.1"}, "no-state"),
-        ([], "damaged"),
-        (info(["a"]), "shape"),
-        (info(None), "no-joint-names"),
-        (info(["a", "b", "c"]), "missing-joint"),
-    ]:
-        with case(description, code) as tmp_path:
-            root = dataset(tmp_path / "set", description, {"data/a.parquet": table({0: motion(0)})})
+def test_what_does_not_fit_is_refused(planar3: Robot) -> None:
+    """Nothing is filled in, and nothing is guessed."""
+    for name, (description, states, code) in UNFIT.items():
+        with case(name) as tmp_path:
+            frames = table({0: motion(0)})
+            frames = frames if states is None else frames.set_column(0, "observation.state", states)
+            root = dataset(tmp_path / "set", description, {"data/a.parquet": frames})
             assert refusal(root, planar3, units="radians").code == code
 
 
@@ -232,15 +211,13 @@ KEY = "observation.state.joint_position"
 NAMED = {"joint_names": JOINTS, "units": "radians", "feature": KEY}
 
 
-def droid(root: Path, *, with_state: bool = True) -> Path:
-    """A data set in the layout of DROID: joints under a key of their own, beside a state with the gripper's opening."""
+def droid(root: Path) -> Path:
+    """A data set in the layout of DROID: joints under a key of their own."""
     q = {i: motion(i) for i in (0, 1, 2)}
     joints = np.concatenate(list(q.values()))
     velocity = np.concatenate([np.gradient(x, 1 / FPS, axis=0) for x in q.values()])
     arrays = {KEY: joints, "observation.state.joint_velocity": velocity}
     arrays["observation.state.cartesian_position"] = np.zeros((len(joints), 6))
-    if with_state:
-        arrays["observation.state"] = np.column_stack([joints, np.linspace(0, 1, len(joints))])
     frames = table(q).drop_columns(["observation.state", "action"])
     for name, values in arrays.items():
         frames = frames.append_column(name, pa.array(values.tolist(), type=pa.list_(pa.float32())))
@@ -260,14 +237,6 @@ def test_joints_under_another_key_are_read(planar3: Robot, tmp_path: Path) -> No
         np.testing.assert_array_equal(t.u, np.gradient(motion(i), 1 / FPS, axis=0).astype(np.float32))
 
 
-def test_the_usual_state_is_read_with_a_note_on_the_other_key(planar3: Robot, tmp_path: Path) -> None:
-    """Nothing is chosen in silence where two keys look like joint positions."""
-    options = {"joint_names": [*JOINTS, "grip"], "units": "radians", "ignore_columns": ["grip"]}
-    demos = load_demonstrations(droid(tmp_path / "set"), planar3, **options)
-    np.testing.assert_array_equal(demos[0].q, motion(0).astype(np.float32))
-    assert f"feature='{KEY}' reads it" in " ".join(demos.notes)
-
-
 def test_a_wrong_key_is_an_error_with_near_matches(planar3: Robot) -> None:
     """Left out where there is no usual state, misspelt, or no vector of numbers: what to pass is said."""
     for feature, said in [
@@ -277,7 +246,7 @@ def test_a_wrong_key_is_an_error_with_near_matches(planar3: Robot) -> None:
         ("language_instruction", "holds string"),
     ]:
         with case(feature, said) as tmp_path:
-            path = droid(tmp_path / "set", with_state=False)
+            path = droid(tmp_path / "set")
             assert refusal(path, planar3, match=said, **{**NAMED, "feature": feature}).code == "no-state"
 
 

@@ -91,8 +91,3 @@ def test_on_the_command_line(mistake, hands, tmp_path, monkeypatch, capsys):
     assert main(shlex.split(typed)) == 2
     out, err = capsys.readouterr()
     assert out == "" and err.count("\n") == 1 and fix in err
-
-
-def test_there_are_twenty():
-    """The list stays."""
-    assert len(WRITTEN) + len(TYPED) >= 20

@@ -22,7 +22,7 @@ def run(tmp_path_factory: pytest.TempPathFactory) -> list[Any]:
     shutil.copytree(EXAMPLES / "data" / "sawyer_drawer", folder / "data" / "sawyer_drawer")
     notebook = nbformat.read(NOTEBOOK, as_version=4)
     NotebookClient(notebook, timeout=240, kernel_name="python3", resources={"metadata": {"path": folder}}).execute()
-    assert (folder / "replay.html").stat().st_size > 100_000
+    assert (folder / "replay.html").is_file()
     return [cell for cell in notebook.cells if cell.cell_type == "code"]
 
 

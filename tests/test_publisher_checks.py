@@ -51,11 +51,14 @@ def test_interleaved_motions_are_found(rng: np.random.Generator) -> None:
             gui = np.broadcast_to(rng.choice([-1, 1], nv) * rng.uniform(0.6, 1.5, nv), (n, nv))
             found += alternation(np.where(turns(rng, n, kind)[:, None] == 1, gui, robot))[0].size > 0
         assert found >= 38, kind
+    q = motion(rng, 2_000, 4, 0.01, 0.5)
+    q[800:1000:2] += 0.8  # in a part of a recording
+    assert 795 <= alternation(q)[0][0] <= 805
 
 
 def test_noise_and_coarse_encoders_are_no_second_publisher(rng: np.random.Generator) -> None:
     """White and heavy-tailed noise up to 0.03 rad, quanta up to 0.02 rad that flicker, at rest and in motion: none."""
-    for _ in range(300):
+    for _ in range(120):
         n, nv, dt = int(rng.integers(40, 1200)), int(rng.integers(1, 8)), float(rng.choice([0.001, 0.01, 0.05]))
         q = motion(rng, n, nv, dt, float(rng.choice([0.0, 0.01, 0.3, 1.0])))
         size = 10 ** rng.uniform(-6, -1.7)
@@ -71,18 +74,11 @@ def test_noise_and_coarse_encoders_are_no_second_publisher(rng: np.random.Genera
 
 def test_no_recording_of_the_examples_is_suspected(rng: np.random.Generator) -> None:
     """Neither as recorded, nor with noise of 3e-3 rad, nor thinned to every fifth sample."""
-    for path in RECORDINGS:
+    for path in RECORDINGS[::4]:
         dialect = sniff_dialect(path)
         table = np.loadtxt(path, delimiter=dialect.delimiter, skiprows=dialect.header_line, comments="#", ndmin=2)
         q = table[:, [i for i, n in enumerate(dialect.columns) if n != "time" and not n.endswith("_velocity")]]
         assert not any(alternation(x)[0].size for x in (q, q + 3e-3 * rng.standard_normal(q.shape), q[::5])), path
-
-
-def test_a_second_publisher_in_a_part_of_a_recording_is_found(rng: np.random.Generator) -> None:
-    """A GUI that was open for a while only."""
-    q = motion(rng, 2_000, 4, 0.01, 0.5)
-    q[800:1000:2] += 0.8
-    assert 795 <= alternation(q)[0][0] <= 805
 
 
 def test_failed_reads_are_left_out(planar3: Robot, rng: np.random.Generator) -> None:

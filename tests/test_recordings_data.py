@@ -10,7 +10,6 @@ import numpy as np
 import pytest
 from case import case
 from jaxtyping import Float
-from scipy.signal import savgol_filter
 
 from manip_learn.robot import Robot, load_robot
 
@@ -18,7 +17,6 @@ EXAMPLES = Path(__file__).resolve().parents[1] / "examples"
 DATA = EXAMPLES / "data"
 MADE_WITH = "4.0.0"  # MuJoCo; other versions give other last digits
 DRAWER_AXIS = np.array([np.cos(np.deg2rad(25.0)), np.sin(np.deg2rad(25.0)), 0.0])
-DOOR_TWIST = np.array([0.0855, 0.0554, 0.3142, 0.5860, 0.6848, -0.2802])
 FOLDERS = {"sawyer_drawer": ("sawyer", 50), "sawyer_door": ("sawyer", 8), "planar3_reach": ("planar3", 20)}
 
 
@@ -29,27 +27,6 @@ def files_of(folder: str) -> list[Path]:
 def read(path: Path) -> tuple[list[str], Float[np.ndarray, "T columns"]]:
     header = path.read_text(encoding="utf-8").split("\n", 1)[0].split(",")
     return header, np.loadtxt(path, delimiter=",", skiprows=1)
-
-
-def spread_of_motion(robot: Robot, frame: str, paths: list[Path], reference: str, rows: int) -> tuple:
-    """Singular values of the frame's motion, largest first, and its directions as columns."""
-    tip, window = robot.frame(frame), 21
-    M = np.zeros((rows, rows))
-    for path in paths:
-        q = read(path)[1][:, 1:]
-        u = savgol_filter(q, window, 3, deriv=1, delta=0.01, axis=0)
-        smooth = savgol_filter(q, window, 3, axis=0)
-        for k in range(window // 2, len(q) - window // 2):
-            motion = robot.jacobian(smooth[k], tip, reference)[:rows] @ u[k]
-            M += np.outer(motion, motion)
-    values, directions = np.linalg.eigh(M)
-    return np.sqrt(np.maximum(values, 0.0))[::-1], directions[:, ::-1]
-
-
-def angle_between(a: np.ndarray, b: np.ndarray) -> float:
-    """Angle of two lines [deg]."""
-    cosine = abs(float(a @ b)) / (np.linalg.norm(a) * np.linalg.norm(b))
-    return float(np.rad2deg(np.arccos(min(cosine, 1.0))))
 
 
 @pytest.fixture(scope="module")
@@ -82,42 +59,6 @@ def test_files_are_complete_and_name_the_robots_joints() -> None:
                 np.testing.assert_allclose(np.diff(rows[:, 0]), rows[1, 0], atol=1e-12)
                 q = rows[:, 1 : robot.nv + 1]
                 assert np.all(q > robot.position_lower) and np.all(q < robot.position_upper)
-
-
-def test_the_recordings_stay_small() -> None:
-    """All files together stay below 2.7 MB, since they are shipped in the wheel; 0.5 of it are the hard drawers."""
-    assert sum(p.stat().st_size for p in DATA.rglob("*.csv")) < 2.7e6
-
-
-def test_physics_recordings_last_three_to_four_seconds_at_100_hz_without_velocities() -> None:
-    """Positions only, 100 Hz, 3 to 4 s, and noise of an encoder's size in every joint."""
-    for folder in ["sawyer_drawer", "sawyer_door"]:
-        with case(folder):
-            for path in files_of(folder):
-                header, rows = read(path)
-                assert len(header) == 8
-                assert rows[1, 0] == 0.01 and 3.0 <= rows[-1, 0] <= 4.0
-                noise = np.std(rows[:, 1:] - savgol_filter(rows[:, 1:], 11, 3, axis=0), axis=0)
-                assert np.all((noise > 6e-5) & (noise < 1.6e-4))
-
-
-def test_the_drawer_leaves_one_direction_and_it_is_the_truth(sawyer: Robot) -> None:
-    """Two translational rows hold at right_gripper_tip in the base frame; the free direction is within 0.1 degrees."""
-    values, directions = spread_of_motion(sawyer, "right_gripper_tip", files_of("sawyer_drawer"), "world", 3)
-    assert values[0] / values[1] > 100.0 and values[1] / values[2] < 2.0
-    assert angle_between(directions[:, 0], DRAWER_AXIS) < 0.01
-
-
-def test_the_door_is_constant_in_the_tools_frame_only(sawyer: Robot) -> None:
-    """One free direction in the local reference, with and without rotations; no clear gap in the world reference."""
-    for rows, truth in [(3, DOOR_TWIST[:3]), (6, DOOR_TWIST)]:
-        with case(rows, truth):
-            paths = files_of("sawyer_door")
-            local, directions = spread_of_motion(sawyer, "right_gripper_tip", paths, "local", rows)
-            world, _ = spread_of_motion(sawyer, "right_gripper_tip", paths, "world", rows)
-            assert local[0] / local[1] > 100.0
-            assert angle_between(directions[:, 0], truth) < 0.1
-            assert np.all(world[:-1] / world[1:] < 10.0)
 
 
 def test_planar_reaching_obeys_its_law() -> None:

@@ -1,182 +1,166 @@
-"""A remedy works when it is obeyed: what a refusal says is done to the file that caused it, which is then read, or the
+"""A remedy works when it is obeyed: the flags that a refusal names are typed, and the recording is then read, or the
 next sentence is another one.
 """
 
 from __future__ import annotations
 
-import ast
-import gzip
 import json
-import re
-import shutil
-import zipfile
+import os
 from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
+import numpy as np
+import pyarrow as pa
 import pytest
-from case import case
-from library_source import library
-from obeying import advised, said
-from recording_corpus import CHAPTERS, GOOD, archive_cases, number_cases, other_kind_cases, text_cases
-from refused_recordings import CASES
+from obeying import advised
+from recording_corpus import GOOD, JOINTS, TABLE, TIME, VELOCITIES, Q, csv, npz, text
+from test_lerobot_reader import dataset, info, motion, version_2
+from test_lerobot_reader import table as frames
+from test_robomimic_reader import write
+from test_rosbag_reader import ROS2, START, STEPS, Writer2, all_in_one, write_bag
 
 from manip_learn.cli import main
 
-# of the corpus: what no advice can save says what is needed, and these are its words
-NEEDED = re.compile(
-    r"needed|save (it|the|again)|copy or save|is not read|more than|at most|are not opened|given|unpack it|correct|"
-    r"again|no recorded motion|keep one|is left|write all|convert|leave|remove|of no known kind|check the path|"
-    r"cannot|are left",
-    re.IGNORECASE,
-)
-# what only a program in Python can do wrong
-IN_PYTHON = {*("type", "span", "samples", "method", "missing", "joint-names", "duplicate-joint", "no-velocities")}
-IN_PYTHON |= {"not-a-rollout"}
-# words of a sentence -> what is done to the file that it is about
-DEEDS: dict[str, Callable[[Path, str], Path]] = {}
+Build = Callable[[Path], Path]
+RADIANS = ("--units", "radians")
+STATES = motion(0).tolist()
+QPOS = {"dtype": "float32", "shape": [3], "names": list(JOINTS)}
+HEADER = ",".join(("time", *JOINTS))
 
 
-def deed(words: str) -> Callable[[Callable[[Path, str], Path]], Callable[[Path, str], Path]]:
-    """Registers what is done where a sentence has these words."""
-
-    def register(action: Callable[[Path, str], Path]) -> Callable[[Path, str], Path]:
-        DEEDS[words] = action
-        return action
-
-    return register
+def one(name: str, write_it: Callable[[Path], Any]) -> Build:
+    """A file of this name."""
+    return lambda folder: (write_it(folder / name), folder / name)[1]
 
 
-@deed("the row or remove it")
-@deed("remove them")
-@deed("remove the outlier")
-def without_the_line(path: Path, sentence: str) -> Path:
-    """The line that the sentence names, and those of `line 9, line 12, ...`, are taken out."""
-    numbers = {int(n) for n in re.findall(rf"{re.escape(path.name)}:(\d+)", sentence)}
-    numbers |= {int(n) for n in re.findall(r"line (\d+)", sentence)}
-    lines = path.read_text(encoding="utf-8").split("\n")
-    assert numbers and max(numbers) <= len(lines), sentence
-    path.write_text("\n".join(line for i, line in enumerate(lines, 1) if i not in numbers), encoding="utf-8")
-    return path
+def columns(header: str, *parts: np.ndarray) -> Build:
+    return one("a.csv", text(csv(np.column_stack(parts), header)))
 
 
-@deed("sort the rows")
-def sorted_rows(path: Path, sentence: str) -> Path:
-    """By their time; rows of one stamp are of recordings that were joined, of which the first is kept."""
-    header, *rows = path.read_text(encoding="utf-8").rstrip("\n").split("\n")
-    by_time = {float(row.split(",")[0]): row for row in reversed(rows)}
-    path.write_text("\n".join([header, *(by_time[t] for t in sorted(by_time)), ""]), encoding="utf-8")
-    return path
+def bag(*streams: list[Any]) -> Build:
+    messages = sorted((m for stream in streams for m in stream), key=lambda m: m[1])
+    return lambda folder: write_bag(folder / "bag", "mcap", messages)
 
 
-@deed("save the table as plain UTF-8 text")
-def in_utf8(path: Path, sentence: str) -> Path:
-    """As an editor does it."""
-    content = path.read_bytes()
-    text = content.decode("utf-16") if content.startswith((b"\xff\xfe", b"\xfe\xff")) else content.decode("latin-1")
-    path.write_text("".join(c for c in text if c.isascii()), encoding="utf-8")
-    return path
+def chatter(folder: Path) -> Path:
+    with Writer2(folder / "bag", version=9) as writer:
+        connection = writer.add_connection("/chatter", "std_msgs/msg/String", typestore=ROS2)
+        message = ROS2.types["std_msgs/msg/String"]("hello")
+        writer.write(connection, 1, ROS2.serialize_cdr(message, "std_msgs/msg/String"))
+    return folder / "bag"
 
 
-@deed("compressed with gzip: unpack it first")
-def unpacked(path: Path, sentence: str) -> Path:
-    """By gunzip."""
-    path.with_suffix("").write_bytes(gzip.decompress(path.read_bytes()))
-    return path.with_suffix("")
+def some(positions: slice, later: int = 0) -> list[Any]:
+    """Messages about some of the joints only, so many nanoseconds later."""
+    stamps = [START + int(s) + later for s in STEPS]
+    return [("/joint_states", s, (s, JOINTS[positions], Q[0][positions], ())) for s in stamps]
 
 
-@deed("this zip archive holds no NumPy arrays")
-def unzipped(path: Path, sentence: str) -> Path:
-    """The first file in it."""
-    with zipfile.ZipFile(path) as archive:
-        archive.extract(archive.namelist()[0], path.parent)
-        return path.parent / archive.namelist()[0]
+def shuffled(folder: Path) -> Path:
+    """Stamps in no order at all, received in one."""
+    order = np.random.default_rng(0).permutation(len(STEPS))
+    parts: list[Any] = [(t, START + int(STEPS[k]), c) for k, (t, _, c) in zip(order, all_in_one(), strict=True)]
+    return write_bag(folder / "bag", "mcap", parts)
 
 
-@deed("run `git lfs pull`")
-@deed("copy or save it again")
-@deed("save it again")
-def replaced(path: Path, sentence: str) -> Path:
-    """By a good file of the same name."""
-    path.write_text(GOOD, encoding="utf-8")
-    return path
+def changing_names() -> list[Any]:
+    return [(t, r, (s, (f"x{k}", *n[1:]), q)) for k, (t, r, (s, n, q, *_)) in enumerate(all_in_one() * 2)]
 
 
-def obey(path: Path, words: list[str], sentence: str) -> tuple[Path, list[str]] | None:
-    """The file and the options after obeying a sentence; None where it leaves nothing to do."""
-    ways = [way for way in advised(sentence) if way[0] not in words]
-    if ways:
-        return path, [*words, *ways[0]]
-    action = next((DEEDS[key] for key in DEEDS if key in sentence), None)
-    return None if action is None else (action(path, sentence), words)
+def lerobot(described: Any = None, drop: tuple[str, ...] = (), **more: Any) -> Build:
+    """A data set of one episode, with more columns or fewer."""
+    files = {"data/episode_000000.parquet": frames({0: motion(0)}, **more).drop_columns(list(drop))}
+    return lambda folder: dataset(folder / "set", info(list(JOINTS)) if described is None else described, files)
 
 
-@pytest.mark.parametrize(
-    "chapter", [text_cases, number_cases, other_kind_cases, archive_cases], ids=lambda c: c.__name__
-)
-def test_what_a_refusal_says_helps(chapter, capsys) -> None:
-    """For every refused file of the corpus: obeyed, no sentence comes twice; without advice it says what is needed."""
-    read = 0
-    for entry in chapter():
-        if entry.verdict in ("accept", "note", "velocity-order"):  # columns that were exchanged only their owner knows
-            continue
-        with case(entry.name, entry.verdict) as folder:
-            path, heard = folder / entry.name, list[str]()
-            entry.write(path)
-            words = ["--degrees"] if entry.options.get("degrees") else []
-            words += ["--units", entry.options["units"]] if "units" in entry.options else []
-            while refused := said(["export", "planar3", str(path), "--out", str(folder / "out.csv"), *words], capsys):
-                if refused in heard and "convert" in refused:  # what is to be converted, only its owner knows
-                    break
-                assert refused not in heard, f"{words}: heard again: {refused}"
-                heard.append(refused)
-                step = obey(path, words, refused) if len(heard) < 4 else None
-                if step is None:
-                    assert NEEDED.search(refused), refused
-                    break
-                path, words = step
-            else:
-                read += 1
-    assert read > 0
+def without_a_file(folder: Path) -> Path:
+    root = version_2(folder / "set", list(JOINTS))
+    (root / "data/chunk-000/episode_000010.parquet").unlink()
+    described = root / "meta/info.json"
+    described.write_text(json.dumps({**json.loads(described.read_text()), "total_episodes": 4}))
+    return root
 
 
-def codes_of_recordings() -> set[str]:
-    """Codes with which recordings are refused, as the source names them."""
-    calls = [n for s in library() if s.top == "recordings" for n in ast.walk(s.tree) if isinstance(n, ast.Call)]
-    said = [k.value for call in calls for k in call.keywords if k.arg == "code"]
-    said += [a for call in calls if ast.unparse(call.func).endswith("refusal") for a in call.args[:2]]
-    return {a.value for a in said if isinstance(a, ast.Constant) and re.fullmatch("[a-z-]{2,20}", str(a.value))}
+# what is wrong -> the code of its refusal, how it is written, what is typed beside the path
+REFUSED: dict[str, tuple[str, Build, tuple[str, ...]]] = {
+    "a table without a header": ("no-header", one("a.csv", text(csv(TABLE).partition("\n")[2])), ()),
+    "a table without stamps": ("no-time", columns(",".join(JOINTS), Q), ()),
+    "a stamp by an odd name": ("no-time", columns("zeit," + ",".join(JOINTS), TABLE), ()),
+    "numbered columns": ("numbered-columns", columns("time,q_0,q_1,q_2", TABLE), ()),
+    "several patterns": (
+        "columns", columns("time,a.joint1,a.joint2,a.joint3,b.joint1,b.joint2,b.joint3", TIME, Q, Q), ()
+    ),
+    "a column of something else": ("unknown-column", columns(HEADER + ",force", TABLE, TIME), ()),
+    "a misspelt joint": ("missing-joint", columns("time,joint1,joint2,joint_3", TABLE), ()),
+    "a joint that stood still": ("missing-joint", columns("time,joint1,joint2", TABLE[:, :3]), ()),
+    "one stamp for all": ("too-short", columns(HEADER, 0.0 * TIME, Q), ()),
+    "degrees": ("degrees", columns(HEADER, TIME, np.degrees(Q)), ()),
+    "far outside the limits": ("outside-limits", columns(HEADER, TIME, Q + [0.0, 900.0, 0.0]), ()),
+    "an archive without stamps": ("no-time", one("a.npz", npz(q=Q, joint_names=np.array(JOINTS))), ()),
+    "an archive without names": ("no-joint-names", one("a.npz", npz(time=TIME, q=Q)), ()),
+    "an archive of another name": (
+        "missing-array", one("a.npz", npz(time=TIME, measured=Q, joint_names=np.array(JOINTS))), ()
+    ),
+    "too few names": ("shape", one("a.npz", npz(time=TIME, q=Q)), ("--joint-names", "joint1,joint2")),
+    "several topics": ("ambiguous-topic", bag(all_in_one(topic="/real"), all_in_one(topic="/command")), ()),
+    "names that change": ("unsteady-names", bag(changing_names(), all_in_one(topic="/real")), ()),
+    "no order in a bag": ("time-order", shuffled, ()),
+    "no units": ("units", lerobot(), ()),
+    "no names of motors": ("no-joint-names", lerobot(info(None)), RADIANS),
+    "another feature": (
+        "no-state",
+        lerobot({"codebase_version": "v2.1", "fps": 50, "features": {"qpos": QPOS}}, qpos=pa.array(STATES)),
+        RADIANS,
+    ),
+    "stamps against fps": ("fps", lerobot(timestamp=pa.array(np.arange(80) / 30.0)), RADIANS),
+    "no rate": ("no-time", lerobot({**info(list(JOINTS)), "fps": None}, drop=("timestamp",)), RADIANS),
+    "a file is missing": ("lost-samples", without_a_file, RADIANS),
+    "no names in HDF5": ("no-joint-names", one("a.hdf5", write), ()),
+    "no rate in HDF5": (
+        "no-time", one("a.hdf5", lambda path: write(path, env_args=None)), ("--joint-names", ",".join(JOINTS))
+    ),
+}  # fmt: skip
+# what no flag mends -> the code, how it is written, what is typed, and what the sentence says instead
+TO_DO: dict[str, tuple[str, Build, tuple[str, ...], str]] = {
+    "velocities only": (
+        "no-positions", columns("time" + VELOCITIES, TABLE), (), "record positions too"
+    ),
+    "no overlap": (
+        "no-overlap", bag(some(slice(0, 2)), some(slice(2, 3), later=60_000_000_000)), (), "record them together"
+    ),
+    "no joint states": ("no-joint-states", chatter, (), "record /joint_states"),
+    "radians called degrees": ("degrees", one("a.csv", text(GOOD)), ("--degrees",), "leave --degrees out"),
+    "a link to itself": ("unreadable", one("a.csv", lambda path: path.symlink_to(path)), (), "cannot be opened"),
+    "a pipe": ("not-a-file", one("a.csv", lambda path: os.mkfifo(path)), (), "give a rollout or a recording"),
+}  # fmt: skip
 
 
-def test_every_reason_has_a_remedy() -> None:
-    """A recording is refused for no reason that is missing in these tables."""
-    shown = {entry.code for entry in CASES.values()} | {entry.verdict for chapter in CHAPTERS for entry in chapter()}
-    assert codes_of_recordings() <= shown | IN_PYTHON
+def refusal(path: Path, out: Path, words: list[str], capsys) -> dict[str, str]:
+    """The error of `export`, or nothing."""
+    code = main(["export", "planar3", str(path), "--to", "csv", "--out", str(out), *words, "--json"])
+    assert code in (0, 2)
+    return json.loads(capsys.readouterr().out).get("error", {})
 
 
-@pytest.mark.parametrize("name", CASES)
-def test_the_remedy_of_each_reason_works(name: str, tmp_path: Path, capsys) -> None:
-    """The flags in a sentence are typed, or the file is mended as it says; it is then read, or the next is another."""
-    entry, words = CASES[name], list(CASES[name].words)
-    path, heard = entry.bad(tmp_path), list[str]()
-
-    def export() -> dict[str, str]:
-        out = tmp_path / f"out {len(heard)}"
-        code = main(["export", "planar3", str(path), "--to", "csv", "--out", str(out), *words, "--json"])
-        assert code in (0, 2)
-        return json.loads(capsys.readouterr().out).get("error", {})
-
-    while error := export():
+@pytest.mark.parametrize("name", REFUSED)
+def test_the_flags_in_a_sentence_mend_what_is_wrong(name: str, tmp_path: Path, capsys) -> None:
+    """No sentence is heard twice, and after three at the most the recording is read."""
+    code, build, given = REFUSED[name]
+    path, words, heard = build(tmp_path), list(given), list[str]()
+    while error := refusal(path, tmp_path / "out", words, capsys):
         assert error["message"] not in heard, f"{words}: heard again: {error['message']}"
-        assert heard or error["code"] == entry.code, error
+        assert heard or error["code"] == code, error
         heard.append(error["message"])
-        assert len(heard) < 4, heard
-        if entry.good is not None:
-            assert entry.says in error["message"], error
-            for old in tmp_path.iterdir():
-                shutil.rmtree(old) if old.is_dir() else old.unlink()
-            path, words = entry.good(tmp_path), [w for w in words if w not in entry.undone]
-        else:
-            ways = advised(error["message"])
-            assert ways, error
-            words += ways[0]
+        ways = advised(error["message"])
+        assert ways and len(heard) < 4, heard
+        words += ways[0]
     assert heard
+
+
+@pytest.mark.parametrize("name", TO_DO)
+def test_what_no_flag_mends_says_what_to_do(name: str, tmp_path: Path, capsys) -> None:
+    """In the sentence that refuses it."""
+    code, build, words, says = TO_DO[name]
+    error = refusal(build(tmp_path), tmp_path / "out", list(words), capsys)
+    assert error["code"] == code and says in error["message"], error

@@ -80,13 +80,6 @@ def test_what_else_is_in_a_demonstration(planar3: Robot, tmp_path: Path) -> None
     np.testing.assert_array_equal(demo.q, Q + 0.1)
 
 
-def test_names_must_be_given(planar3: Robot, tmp_path: Path) -> None:
-    """The file has none; the refusal proposes the robot's."""
-    error = refusal(write(tmp_path / "a.hdf5"), planar3, joint_names=None)
-    assert error.code == "no-joint-names" and "'joint1', 'joint2', 'joint3'" in str(error)
-    assert refusal(tmp_path / "a.hdf5", planar3, joint_names=["joint1", "joint2"]).code == "shape"
-
-
 def test_the_rate_must_be_known(planar3: Robot) -> None:
     """Without a usable control_freq the rate must be given."""
     for env_args in [None, "{}", "not json", json.dumps({"env_kwargs": {"control_freq": 0}}), "[" * 5000]:
@@ -169,19 +162,3 @@ def test_data_that_do_not_fit_are_refused(planar3: Robot) -> None:
                     del obs["robot0_joint_vel"]
                 change(obs)
             assert refusal(path, planar3).code == code
-
-
-def test_other_hdf5_files_are_named_as_such(planar3: Robot, tmp_path: Path) -> None:
-    """HDF5 of another layout is read by the names of its arrays; without any of positions it says what is there."""
-    with h5py.File(tmp_path / "a.hdf5", "w") as file:
-        file["images"] = np.zeros(3)
-    error = refusal(tmp_path / "a.hdf5", planar3)
-    assert error.code == "missing-array" and "images" in str(error)
-    with h5py.File(tmp_path / "b.hdf5", "w") as file:
-        file["data/demo_0/states"] = np.zeros((5, 3))
-        file["data"].attrs["env_args"] = ENV_ARGS
-    error = refusal(tmp_path / "b.hdf5", planar3)
-    assert error.code == "no-state" and "dataset_states_to_obs" in str(error)
-    with h5py.File(tmp_path / "c.hdf5", "w") as file:
-        file["data/episode"] = np.zeros((5, 3))
-    assert refusal(tmp_path / "c.hdf5", planar3).code == "missing-array"

@@ -203,7 +203,10 @@ def control(options: ControlOptions, progress: Progress | None = None) -> Contro
         if isinstance(task, FreeDirection):
             rollout, way = simulate_way(robot, law, q0, options.dt, options.duration, progress=progress)
         else:
-            enough = _long_enough(law.task_error(q0), options.tolerance, options.task_gain)
+            error = law.task_error(q0)
+            # an attraction leaves e^(-gain t) of the way: half a tolerance of it
+            far = max(2.0 * error / options.tolerance, 1.0) if options.tolerance > 0.0 else 1.0
+            enough = max(5.0, math.log(far) / options.task_gain if options.task_gain > 0.0 else 5.0)  # [s]
             length = enough if options.duration is None else options.duration
             rollout = simulate(robot, law, q0, length, options.dt, progress=progress)
     aim = aim_of(constraint, task, rollout) if isinstance(task, PointAttractor) else None
@@ -286,12 +289,6 @@ def follow(
     )
     begins = float(found.approach.time[-1]) + (found.outcome.begins or 0.0)
     return found, found.rollout, replace(found.outcome, begins=begins)
-
-
-def _long_enough(error: float, tolerance: float, gain: float) -> float:
-    """How long an attraction takes to leave half a tolerance of a distance, five seconds at least [s]."""
-    far = 2.0 * error / tolerance if tolerance > 0.0 else 1.0  # it leaves e^(-gain t) of the way
-    return max(5.0, math.log(max(far, 1.0)) / gain if gain > 0.0 else 5.0)
 
 
 def _beginning(rollout: Rollout, way: WayDone | None) -> int:

@@ -21,8 +21,7 @@ from manip_learn.errors import OutputError, counted
 from manip_learn.recordings import load_demonstrations
 from manip_learn.recordings.saved_motion import SavedMotion, motion_of_trajectory
 from manip_learn.recordings.trajectory_source import Progress
-from manip_learn.recordings.writers.mcap_writer import mcap_bytes
-from manip_learn.recordings.writers.write_motion import csv_bytes, joint_trajectory_bytes
+from manip_learn.recordings.writers.write_motion import csv_bytes, joint_trajectory_bytes, mcap_bytes
 
 LEROBOT, RERUN = "lerobot", "rrd"
 # name on the command line -> endings, and the writer of one motion
@@ -69,7 +68,18 @@ def export(options: ExportOptions, progress: Progress | None = None) -> Exported
     out, keywords = options.out, options.reading.keywords()
     if options.to is not None and options.to in TASK_WRITERS:
         return _export_task(options, TASK_WRITERS[options.to])
-    kind = _format(out, options.to)
+    suffixes = {name: endings for name, (endings, _) in FORMATS.items()} | {RERUN: (".rrd",)}
+    by_ending = next((name for name, endings in suffixes.items() if out.suffix.lower() in endings), None)
+    kind = options.to or by_ending or LEROBOT
+    if kind not in (*suffixes, LEROBOT):
+        raise OutputError(f"--to must be one of {', '.join([*suffixes, LEROBOT, *TASK_WRITERS])}, not {options.to!r}")
+    if kind == RERUN and by_ending is None:
+        raise OutputError(f"cannot write a Rerun recording to {str(out)!r}: name one file for all, --out NAME.rrd")
+    if (options.to is None and by_ending is None and out.suffix) or (by_ending is not None and kind != by_ending):
+        raise OutputError(
+            f"cannot write {str(out)!r} as {kind}: the ending says the format, .mcap, .csv, .rrd, .yaml or .json; "
+            "LeRobot data and several files are written to a folder (a name without ending)"
+        )
     robot = load_for_files(options.robot, options.files, options.loading)
     if kind == RERUN:  # all of them in one file, rollouts with their curves
         from manip_learn.commands.replay import named_motions
@@ -121,19 +131,3 @@ def _export_task(options: ExportOptions, text_of: Callable[[Constraint, ArrayLik
     file = write_atomically(options.out, text)
     notes = [*constraint.notes, f"task frame: {frame.sentence}{where and f', {where} (--at takes another)'}"]
     return Exported(str(options.to), (file,), 0, 0, tuple(notes))
-
-
-def _format(out: Path, to: str | None) -> str:
-    suffixes = {name: endings for name, (endings, _) in FORMATS.items()} | {RERUN: (".rrd",)}
-    by_ending = next((name for name, endings in suffixes.items() if out.suffix.lower() in endings), None)
-    kind = to or by_ending or LEROBOT
-    if kind not in (*suffixes, LEROBOT):
-        raise OutputError(f"--to must be one of {', '.join([*suffixes, LEROBOT, *TASK_WRITERS])}, not {to!r}")
-    if kind == RERUN and by_ending is None:
-        raise OutputError(f"cannot write a Rerun recording to {str(out)!r}: name one file for all, --out NAME.rrd")
-    if (to is None and by_ending is None and out.suffix) or (by_ending is not None and kind != by_ending):
-        raise OutputError(
-            f"cannot write {str(out)!r} as {kind}: the ending says the format, .mcap, .csv, .rrd, .yaml or .json; "
-            "LeRobot data and several files are written to a folder (a name without ending)"
-        )
-    return kind

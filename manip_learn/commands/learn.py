@@ -65,6 +65,12 @@ class Learnt:
         return f"{words[0].upper()}{words[1:]}, moved {way_in_words(shown.extent, shown.unit)} when it was shown."
 
     @property
+    def sentence(self) -> str:
+        """What can move and how sure that is; what it looks like only where the headline does not say so."""
+        found, told = self.report.mechanism, self.report.sentence
+        return told if found is None or not self.headline else told.replace(f" It looks like {looks(found)}.", "")
+
+    @property
     def following(self) -> str | None:
         """The command to type next: it does what was shown, or writes what was learnt; None if nothing is free."""
         constraint, meant = self.constraint, self.constraint.intention
@@ -117,7 +123,13 @@ def learn(options: LearnOptions, progress: Progress | None = None) -> Learnt:
     if options.reference not in REFERENCES:
         raise FeatureError(f"--reference must be world, local or auto, not {options.reference!r}")
     if options.dask is not None:
-        _refuse_beside_dask(options)
+        in_memory = {"--html": options.html, "--from": options.start, "--until": options.until}
+        for option, value in in_memory.items():
+            if value is not None:
+                instead = "cut the files first" if option in ("--from", "--until") else "give one of the two"
+                raise RecordingError(
+                    f"{option} works on recordings in memory, not with --dask: {instead}", code="option"
+                )
     if progress is not None:
         progress("reading", 0.0)
     robot, demos, frame, notes = load_to_learn(options)
@@ -183,14 +195,6 @@ def load_to_learn(options: LearnOptions) -> tuple[Robot, Demonstrations | Record
             notes.append(
                 f"joint {joint!r} is not recorded and does not move {' or '.join(map(repr, frames))}: it was locked"
             )
-
-
-def _refuse_beside_dask(options: LearnOptions) -> None:
-    in_memory = {"--html": options.html, "--from": options.start, "--until": options.until}
-    for option, value in in_memory.items():
-        if value is not None:
-            instead = "cut the files first" if option in ("--from", "--until") else "give one of the two"
-            raise RecordingError(f"{option} works on recordings in memory, not with --dask: {instead}", code="option")
 
 
 def _replay_of_recordings(

@@ -13,13 +13,7 @@ import numpy as np
 from manip_learn.commands.options import RobotOptions
 from manip_learn.constraint.constraint import Constraint
 from manip_learn.control.limits import check_inside
-from manip_learn.errors import (
-    DAMAGE,
-    ConstraintMismatchError,
-    RecordingError,
-    UnknownNameError,
-    named,
-)
+from manip_learn.errors import DAMAGE, ConstraintMismatchError, RecordingError, UnknownNameError, named
 from manip_learn.recordings.readers.read_request import unmoved_joint_names
 from manip_learn.recordings.readers.recording_files import recording_files
 from manip_learn.recordings.readers.saved_reader import file_header

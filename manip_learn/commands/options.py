@@ -350,8 +350,7 @@ class RepeatOptions:
     task: Annotated[str, Argument(metavar="TASK", help="Written by `learn --out`.")]
     start: Start = None
     moved: Annotated[
-        str | None,
-        Option(help="The fixtures stand elsewhere: x,y,z[,rx,ry,rz] (m, degrees about the base's axes)."),
+        str | None, Option(help="The fixtures stand elsewhere: x,y,z[,rx,ry,rz] (m, degrees about the base's axes).")
     ] = None
     out: Annotated[Path | None, Option(help="Rollout file to write: .npz, .csv or .mcap (for ROS).")] = None
     html: Annotated[Path | None, Option(help="Replay to write.")] = None
@@ -380,10 +379,7 @@ class ReplayOptions:
     html: Annotated[Path, Option(help="File to write.")] = Path("replay.html")
     open_browser: Annotated[bool, Option("--open", help="Open it in the browser.")] = False
     constraint: Annotated[
-        Path | None,
-        Option(
-            help="Constraint file: show the phases and the mechanism that were learnt with it.",
-        ),
+        Path | None, Option(help="Constraint file: show the phases and the mechanism that were learnt with it.")
     ] = None
     loading: RobotOptions = RobotOptions()
     reading: ReadingOptions = ReadingOptions()

@@ -18,7 +18,7 @@ if TYPE_CHECKING:
 
 # keys of sentences, for people; what other keys hold is for programs, which need names and paths as they are
 SENTENCES = {"message", "sentence", "notes", "warnings", "advice", "evidence", "reason", "reasons", "refused"} | {
-    *("stopped_by", "why", "helps", "hint", "story"),
+    *("stopped_by", "why", "helps", "hint", "story")
 }
 
 

@@ -192,7 +192,7 @@ def print_learnt(console: Console, learnt: Learnt, explain: bool = False, more: 
 
     report = learnt.report
     say(console, *([learnt.headline] if learnt.headline else []), style="bold")
-    say(console, report.sentence, style="" if learnt.headline else "bold")
+    say(console, learnt.sentence, style="" if learnt.headline else "bold")
     facts = [(called, said, term) for called, said, term in _learnt_facts(learnt) if said]
     grid = Table(show_header=False, box=None, padding=(0, 2, 0, 0))
     for called, said, _ in facts:
@@ -353,18 +353,6 @@ def print_controlled(console: Console, controlled: Controlled, explain: bool = F
         say(console, *plan.notes, style="yellow")
     counts = controlled.rollout.status_counts
     say(console, f"steps: {', '.join(f'{status} {n}' for status, n in counts.items())}")
-    say(console, *_obstacles(controlled), style="yellow")
-    print_words(console, ROLLOUT_TERMS if controlled.way is None else WAY_TERMS, explain)
-    say_end(console, controlled.notes, controlled.out, controlled.page)
-
-
-def _at(place: Sequence[float]) -> str:
-    """A place in the base frame, in words."""
-    return f"({', '.join(f'{x:.3f}' for x in place)}) m"
-
-
-def _obstacles(controlled: Controlled) -> list[str]:
-    """What kept a rollout from its goal, or should make one careful, in sentences."""
     way, aim, out = controlled.way, controlled.aim, []
     if way is not None and way.stopped_by is not None:
         out.append(f"stopped by {way.stopped_by}")
@@ -390,7 +378,14 @@ def _obstacles(controlled: Controlled) -> list[str]:
             f"{controlled.final_error:.3g} left after {controlled.rollout.time[-1]:g} s, still moving: try a longer "
             "--duration"
         )
-    return out
+    say(console, *out, style="yellow")
+    print_words(console, ROLLOUT_TERMS if controlled.way is None else WAY_TERMS, explain)
+    say_end(console, controlled.notes, controlled.out, controlled.page)
+
+
+def _at(place: Sequence[float]) -> str:
+    """A place in the base frame, in words."""
+    return f"({', '.join(f'{x:.3f}' for x in place)}) m"
 
 
 def print_audit(console: Console, audited: Audited, explain: bool = False) -> None:

@@ -17,7 +17,6 @@ from manip_learn.commands.guided_frame import choose_frame
 from manip_learn.commands.options import TeachOptions
 from manip_learn.errors import OutputError
 from manip_learn.recordings.trajectory_source import Progress
-from manip_learn.robot import Robot
 from manip_learn.robot.description.catalogue import known_as
 
 if TYPE_CHECKING:
@@ -65,7 +64,11 @@ def teach(options: TeachOptions, progress: Progress) -> Taught:
 
     progress("preparing the scene", 0.0)
     physics()
-    robot, tip = _arm(options)
+    robot = options.loading.load(options.robot)
+    tip = choose_frame(robot, options.frame)
+    idle = [name for name in robot.joint_names if not robot.moves(name, tip)]
+    if idle:
+        robot = options.loading.load(options.robot, {**robot.locked, **dict.fromkeys(idle)})
     if options.out.exists() and not options.out.is_dir():
         raise OutputError(f"--out {options.out} is a file: name a folder")
     name = known_as(robot.source) or robot.name or "robot"
@@ -91,16 +94,6 @@ def teach(options: TeachOptions, progress: Progress) -> Taught:
     finally:
         server.close()
     return Taught(session.folder, session.files, session.sentence, session.notes)
-
-
-def _arm(options: TeachOptions) -> tuple[Robot, str]:
-    """The robot with the joints locked that do not move its tip, and that tip."""
-    robot = options.loading.load(options.robot)
-    tip = choose_frame(robot, options.frame)
-    idle = [name for name in robot.joint_names if not robot.moves(name, tip)]
-    if idle:
-        robot = options.loading.load(options.robot, {**robot.locked, **dict.fromkeys(idle)})
-    return robot, tip
 
 
 @contextmanager

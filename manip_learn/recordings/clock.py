@@ -146,7 +146,14 @@ def evenly_spread(time: Float[np.ndarray, " T"], q: Float[np.ndarray, "T n"]) ->
     grain = _grain(steps[inside], step) if step > 0.0 else mean
     if not (np.min(steps[inside]) < SHORT * step or grain >= COARSE * step):
         return time, ""
-    spread = _by_count(time, np.flatnonzero(gaps), step)
+    spread, bounds = np.empty(n), [0, *(np.flatnonzero(gaps) + 1).tolist(), n]
+    for a, b in zip(bounds, bounds[1:], strict=False):  # even times within each stretch, from the changes of its stamps
+        own = time[a:b]
+        begins = 1 + np.flatnonzero(np.diff(own) > 0.5 * step)
+        anchor, rate = (int(begins[0]) if begins.size else 0), step
+        if len(begins) > 1:
+            rate = (own[begins[-1]] - own[begins[0]]) / (begins[-1] - begins[0])
+        spread[a:b] = own[anchor] + rate * (np.arange(b - a) - anchor)
     if np.min(np.diff(spread)) <= 0.0 or not _taken_evenly(steps, q, step, inside, always=always):
         return time, ""
     short, apart = np.count_nonzero(steps < SHORT * step), usual_step(np.diff(spread))
@@ -177,21 +184,6 @@ def _gaps(steps: Float[np.ndarray, " n"], usual: float) -> tuple[Bool[np.ndarray
     bounds = np.concatenate([[-1], long, [len(steps)]])
     runs = np.maximum(np.diff(bounds)[:-1], np.diff(bounds)[1:])
     return out, steps[long] / runs
-
-
-def _by_count(time: Float[np.ndarray, " T"], gaps: Int[np.ndarray, " gaps"], step: float) -> Float[np.ndarray, " T"]:
-    """Even times within each stretch between gaps, from the changes of its stamps."""
-    out = np.empty(len(time))
-    bounds = [0, *(gaps + 1).tolist(), len(time)]
-    for a, b in zip(bounds, bounds[1:], strict=False):
-        own = time[a:b]
-        begins = 1 + np.flatnonzero(np.diff(own) > 0.5 * step)
-        rate = step
-        if len(begins) > 1:
-            rate = (own[begins[-1]] - own[begins[0]]) / (begins[-1] - begins[0])
-        anchor = int(begins[0]) if begins.size else 0
-        out[a:b] = own[anchor] + rate * (np.arange(b - a) - anchor)
-    return out
 
 
 def _taken_evenly(

@@ -124,7 +124,36 @@ def open_recordings(
     paths: Paths, robot: Robot, options: ReadOptions
 ) -> tuple[list[RecordingFile], ReadRequest, list[str]]:
     """Files to read, how they are read, and what was noticed."""
-    request = _request(robot, options)
+    if not isinstance(robot, Robot):
+        raise RecordingError(f"call load_demonstrations(paths, robot): got {an(robot)} as the robot", code="type")
+    fields = dict(options)
+    degrees = fields.pop("degrees", False)
+    unknown = sorted(set(fields) - set(ReadOptions.__annotations__))
+    if unknown:
+        text = f"there is no option {unknown[0]!r}; there are {', '.join(sorted(ReadOptions.__annotations__))}"
+        raise RecordingError(text, code="option")
+    fields["units_insisted"] = fields.get("units") is not None
+    if degrees:
+        if fields.get("units") not in (None, "degrees"):
+            python, flags = f"degrees=True and units={fields['units']!r}", f"--degrees and --units {fields['units']}"
+            raise RecordingError(advice("{} contradict each other: give one", python, flags), code="option")
+        fields["units"] = "degrees"
+    if fields.get("episodes") is not None:
+        fields["episodes"] = EpisodeSelection.of(fields["episodes"])  # type: ignore[arg-type]
+    request = ReadRequest(robot=robot, **fields)  # type: ignore[arg-type]
+    robot = request.robot
+    joints = [*robot.joint_names, *unmoved_joint_names(robot)]
+    poses = [name + suffix for name in robot.objects for suffix in POSE_SUFFIXES]
+    for old, new in request.new_names.items():
+        ends = () if new in joints else ENDS  # a column such as `joint1_velocity` is about its joint
+        base = next((new.removesuffix(s) for s in ends if new.endswith(s)), new)
+        head, pattern, tail = new.partition(JOINT)
+        fits = any(j.startswith(head) and j.endswith(tail) for j in joints) if pattern else False
+        if not fits and base not in (*joints, *poses, *ARRAYS):
+            near = closest_names(base, joints) or joints
+            which = f"{'did you mean' if near != joints else 'it has'} {', '.join(map(repr, near[:12]))}, or 'time'"
+            text = f"robot {robot.name!r} has no joint {new!r}; {which}"
+            raise RecordingError(advice("{}: ", *rename_words({old: new})) + text, code="option")
     files, said = recording_files(paths)
     files, request, note = select_episodes(files, request)
     return files, request, [printable(sentence) for sentence in (*said, note) if sentence]
@@ -183,45 +212,6 @@ def folded(said: Iterable[tuple[str, str]], robot: Robot | None) -> list[str]:
         alike = "" if all(other == text for _, other in found) else " with other figures"
         out.append(printable(f"{name}{f' and {len(found) - 1} more{alike}' if len(found) > 1 else ''}: {text}"))
     return out
-
-
-def _request(robot: Robot, options: ReadOptions) -> ReadRequest:
-    if not isinstance(robot, Robot):
-        raise RecordingError(f"call load_demonstrations(paths, robot): got {an(robot)} as the robot", code="type")
-    fields = dict(options)
-    degrees = fields.pop("degrees", False)
-    unknown = sorted(set(fields) - set(ReadOptions.__annotations__))
-    if unknown:
-        text = f"there is no option {unknown[0]!r}; there are {', '.join(sorted(ReadOptions.__annotations__))}"
-        raise RecordingError(text, code="option")
-    fields["units_insisted"] = fields.get("units") is not None
-    if degrees:
-        if fields.get("units") not in (None, "degrees"):
-            python, flags = f"degrees=True and units={fields['units']!r}", f"--degrees and --units {fields['units']}"
-            raise RecordingError(advice("{} contradict each other: give one", python, flags), code="option")
-        fields["units"] = "degrees"
-    if fields.get("episodes") is not None:
-        fields["episodes"] = EpisodeSelection.of(fields["episodes"])  # type: ignore[arg-type]
-    request = ReadRequest(robot=robot, **fields)  # type: ignore[arg-type]
-    _check_new_names(request)
-    return request
-
-
-def _check_new_names(request: ReadRequest) -> None:
-    """Refuse renaming to what the robot does not have: the column would be left out as one of no joint."""
-    robot = request.robot
-    joints = [*robot.joint_names, *unmoved_joint_names(robot)]
-    poses = [name + suffix for name in robot.objects for suffix in POSE_SUFFIXES]
-    for old, new in request.new_names.items():
-        ends = () if new in joints else ENDS  # a column such as `joint1_velocity` is about its joint
-        base = next((new.removesuffix(s) for s in ends if new.endswith(s)), new)
-        head, pattern, tail = new.partition(JOINT)
-        fits = any(j.startswith(head) and j.endswith(tail) for j in joints) if pattern else False
-        if not fits and base not in (*joints, *poses, *ARRAYS):
-            near = closest_names(base, joints) or joints
-            which = f"{'did you mean' if near != joints else 'it has'} {', '.join(map(repr, near[:12]))}, or 'time'"
-            text = f"robot {robot.name!r} has no joint {new!r}; {which}"
-            raise RecordingError(advice("{}: ", *rename_words({old: new})) + text, code="option")
 
 
 def numbers_read(paths: Paths, robot: Robot, **options: Unpack[ReadOptions]) -> tuple[int, ...]:

@@ -44,16 +44,9 @@ def local_fit(
         windows = np.lib.stride_tricks.sliding_window_view(x, W, axis=0)  # (N, nv, W)
         value, slope = np.einsum("ndw,njw->dnj", weights[:, :2], windows, optimize=True)
         return value, slope
-    return _solved_windows(time, np.ascontiguousarray(x), half_width, degree)
-
-
-def _solved_windows(
-    time: Float[np.ndarray, " T"], x: Float[np.ndarray, "T nv"], half_width: int, degree: int
-) -> tuple[Float[np.ndarray, "N nv"], Float[np.ndarray, "N nv"]]:
-    """`local_fit` by each window's own normal equations, a few windows at a time: no weights are kept."""
-    W = 2 * half_width + 1
+    # each window has its own equations, a few windows at a time: no weights are kept
     offsets = np.lib.stride_tricks.sliding_window_view(time, W)
-    windows = np.lib.stride_tricks.sliding_window_view(x, W, axis=0).transpose(0, 2, 1)  # (N, W, nv)
+    windows = np.lib.stride_tricks.sliding_window_view(np.ascontiguousarray(x), W, axis=0).transpose(0, 2, 1)
     value, slope = np.empty((2, len(offsets), x.shape[1]))
     at_once = max(1, BLOCK_NUMBERS // (W * (degree + 1)))
     for first in range(0, len(offsets), at_once):
@@ -159,9 +152,7 @@ def half_widths_of(time: Float[np.ndarray, " T"]) -> tuple[int, ...]:
 
 
 def best_windows(
-    time: Float[np.ndarray, " T"],
-    x: Float[np.ndarray, "e T nv"],
-    longest: int | None = None,
+    time: Float[np.ndarray, " T"], x: Float[np.ndarray, "e T nv"], longest: int | None = None
 ) -> list[tuple[int, int]]:
     """Half width [samples] and degree whose slope has the smallest estimated error, all joints together.
 

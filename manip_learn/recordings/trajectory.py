@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field, replace
+from functools import partial
 from typing import Any, final
 
 import numpy as np
@@ -112,7 +113,7 @@ class Trajectory:
     def __reduce__(self):
         # through the constructor: a pickled array comes back writeable
         kept = self.beside | {"judged": self.judged, "sha256": self.sha256}
-        return _rebuilt, (self.time, self.q, self.joint_names, self.name, kept)
+        return partial(Trajectory, joint_names=self.joint_names, name=self.name, **kept), (self.time, self.q)
 
     def __len__(self) -> int:
         return int(self.time.shape[0])
@@ -169,11 +170,6 @@ class Trajectory:
         """The chosen samples as a trajectory of their own."""
         cut = {what: array[samples] for what, array in self.beside.items()}
         return replace(self, time=self.time[samples], q=self.q[samples], name=name or self.name, **cut)
-
-
-def _rebuilt(time: Any, q: Any, joint_names: tuple[str, ...], name: str, kept: dict[str, Any]) -> Trajectory:
-    """A trajectory from a pickle."""
-    return Trajectory(time, q, joint_names=joint_names, name=name, **kept)
 
 
 def subsample(trajectory: Trajectory, n_samples: int) -> Trajectory:

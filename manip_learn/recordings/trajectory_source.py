@@ -28,7 +28,7 @@ from manip_learn.recordings.load_demonstrations import (
     read_recordings,
     validated,
 )
-from manip_learn.recordings.readers.lerobot_dataset import episode_number, open_dataset, separate_files
+from manip_learn.recordings.readers.lerobot_reader import episode_number, open_dataset, separate_files
 from manip_learn.recordings.readers.name_patterns import helpful_renaming
 from manip_learn.recordings.readers.read_request import ReadRequest
 from manip_learn.recordings.readers.recording import Recording
@@ -197,7 +197,12 @@ class CheckedSource(TrajectorySource):
         elif robot is None:
             yield Trajectory(*entry, name=name)
         else:
-            stamps = _stamps(entry[0], name)  # they are checked like those of a file
+            try:  # they are checked like those of a file
+                stamps = np.asarray(entry[0], dtype=np.float64)
+            except (TypeError, ValueError) as error:
+                raise RecordingError(f"{name}: time must be numbers: {error}", code="not-a-number") from error
+            if stamps.ndim != 1:
+                raise RecordingError(f"{name}: time must have 1 dimension, got shape {stamps.shape}", code="shape")
             motion = Trajectory(np.arange(float(len(stamps))), *entry[1:], name=name)
             width, names = motion.q.shape[1], robot.joint_names
             if width == robot.nq != robot.nv:
@@ -208,16 +213,6 @@ class CheckedSource(TrajectorySource):
                 raise RecordingError(f"{text}: one column per joint is needed, in this order", code="shape")
             recording = Recording.of(Path(name), name, stamps, names, motion.q, motion.u, None)
             yield from validated([recording], ReadRequest(robot, velocities=self.velocities), found)
-
-
-def _stamps(time: ArrayLike, name: str) -> np.ndarray:
-    try:
-        stamps = np.asarray(time, dtype=np.float64)
-    except (TypeError, ValueError) as error:
-        raise RecordingError(f"{name}: time must be numbers: {error}", code="not-a-number") from error
-    if stamps.ndim != 1:
-        raise RecordingError(f"{name}: time must have 1 dimension, got shape {stamps.shape}", code="shape")
-    return stamps
 
 
 def recordings_given(

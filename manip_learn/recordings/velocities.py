@@ -24,11 +24,7 @@ SHORT, SHORT_AND_CLEAN = 8, 24
 WINDOWS_AT_A_TIME = 2048  # relative rotations in memory
 
 
-def derive_velocities(
-    trajectory: Trajectory,
-    robot: Robot,
-    method: VelocityMethod = "auto",
-) -> Trajectory:
+def derive_velocities(trajectory: Trajectory, robot: Robot, method: VelocityMethod = "auto") -> Trajectory:
     """A motion with velocities, at the configurations where they are best determined.
 
     Forward differences are not offered: on smooth motion at 50 Hz they put the learnt manipulability off by its own
@@ -76,7 +72,11 @@ def derive_together(
             short = T < SHORT or (T < SHORT_AND_CLEAN and x is not None and is_clean(t.time, x))
             how = "midpoint" if short else "smooth"
         if x is None or (how == "midpoint" and bodies):  # a planar base: differences on the manifold only
-            derived[i] = _manifold_midpoints(t, robot)
+            dt = np.diff(t.time)
+            steps = np.array([robot.difference(a, b) for a, b in zip(t.q[:-1], t.q[1:], strict=True)])
+            middles = np.array([robot.integrate(q, 0.5 * step) for q, step in zip(t.q[:-1], steps, strict=True)])
+            time, names, measured = t.time[:-1] + 0.5 * dt, t.joint_names, _measured(t, _between)
+            derived[i] = Trajectory(time, middles, steps / dt[:, None], names, t.name, **measured)
         else:
             alike.setdefault((how, t.time.tobytes()), {})[i] = x
     for (how, _), some in alike.items():
@@ -113,10 +113,7 @@ def _smoothed(trajectories: Sequence[Trajectory], x: Float[np.ndarray, "e T nv"]
 
 
 def _with_bodies(
-    trajectory: Trajectory,
-    robot: Robot,
-    x: Float[np.ndarray, "T nv"],
-    bodies: Sequence[JointBlock],
+    trajectory: Trajectory, robot: Robot, x: Float[np.ndarray, "T nv"], bodies: Sequence[JointBlock]
 ) -> Trajectory:
     """Joints and floating bodies, each with the window that its own noise asks for; as long as the widest allows."""
     from scipy.spatial.transform import Rotation
@@ -164,16 +161,13 @@ def with_velocities(
     if robot is None:
         raise RecordingError("trajectories without velocities need a robot: give features of one", code="no-velocities")
     derived = [t if t.u is not None else derive_velocities(t, robot, method) for t in demonstrations]
-    return Demonstrations(derived, (*demonstrations.notes, _note(demonstrations, derived)))
-
-
-def _note(before: Sequence[Trajectory], after: Sequence[Trajectory]) -> str:
-    lost = sum(len(t) for t in before) - sum(len(t) for t in after)
-    total, n = sum(len(t) for t in before), sum(t.u is None for t in before)
-    return (
+    lost = sum(len(t) for t in demonstrations) - sum(len(t) for t in derived)
+    total, n = sum(len(t) for t in demonstrations), sum(t.u is None for t in demonstrations)
+    note = (
         f"velocities of {counted(n, 'recording')} derived from the positions; {lost:,} of {total:,} samples left out "
-        "at the ends, where they are poorly determined"
     )
+    note += "at the ends, where they are poorly determined"
+    return Demonstrations(derived, (*demonstrations.notes, note))
 
 
 def positions_along(trajectory: Trajectory, robot: Robot) -> Float[np.ndarray, "T nv"] | None:
@@ -198,14 +192,6 @@ def is_clean(time: np.ndarray, x: np.ndarray) -> bool:
     steps = np.diff(x, axis=0)
     motion = float(np.sum(np.mean(steps**2, axis=0)))
     return float(np.sum(noise_variance(time, x))) <= CLEAN_SHARE**2 * motion
-
-
-def _manifold_midpoints(trajectory: Trajectory, robot: Robot) -> Trajectory:
-    dt = np.diff(trajectory.time)
-    steps = np.array([robot.difference(a, b) for a, b in zip(trajectory.q[:-1], trajectory.q[1:], strict=True)])
-    middles = np.array([robot.integrate(q, 0.5 * step) for q, step in zip(trajectory.q[:-1], steps, strict=True)])
-    time, names, measured = trajectory.time[:-1] + 0.5 * dt, trajectory.joint_names, _measured(trajectory, _between)
-    return Trajectory(time, middles, steps / dt[:, None], names, trajectory.name, **measured)
 
 
 def _measured(trajectory: Trajectory, cut: Callable[[np.ndarray], np.ndarray]) -> dict[str, Any]:
@@ -250,18 +236,13 @@ def smooth_pose(
 
     smooth = rotation[half_width : half_width + n] * Rotation.from_rotvec(v)
     linear = smooth.inv().apply(dp)
-    return np.hstack([p, smooth.as_rotvec()]), np.hstack([linear, _right_jacobian(v, dv)])
-
-
-def _right_jacobian(v: Float[np.ndarray, "N 3"], dv: Float[np.ndarray, "N 3"]) -> Float[np.ndarray, "N 3"]:
-    """J_r(v) dv = dv - (1 - cos a)/a^2 v x dv + (a - sin a)/a^3 v x (v x dv), a = |v|."""
     a = np.linalg.norm(v, axis=1, keepdims=True)
     small = a < 1e-4  # where the quotients lose their digits
     safe = np.where(small, 1.0, a)
     first = np.where(small, 0.5, (1.0 - np.cos(safe)) / safe**2)
     second = np.where(small, 1.0 / 6.0, (safe - np.sin(safe)) / safe**3)
     once = np.cross(v, dv)
-    return dv - first * once + second * np.cross(v, once)
+    return np.hstack([p, smooth.as_rotvec()]), np.hstack([linear, (dv - first * once + second * np.cross(v, once))])
 
 
 def continuous_rotation_vectors(vectors: Float[np.ndarray, "T 3"]) -> Float[np.ndarray, "T 3"]:

@@ -16,16 +16,24 @@ from typing import Any, final
 
 import numpy as np
 
-from manip_learn.errors import RecordingError, advice, closest_names, counted
-from manip_learn.recordings.readers.limits import bomb, most_bytes
+from manip_learn.errors import advice, closest_names, counted
 from manip_learn.recordings.readers.name_patterns import named_in
 from manip_learn.recordings.readers.quantities import ROLES, array_roles, find_time
 from manip_learn.recordings.readers.read_request import RATE, ReadRequest, first_names, names_advice, rename_words
-from manip_learn.recordings.readers.recording import Recording, float_array, natural_order, refusal, refusing_damage
+from manip_learn.recordings.readers.recording import (
+    Recording,
+    bomb,
+    float_array,
+    most_bytes,
+    natural_order,
+    refusal,
+    refusing_damage,
+)
 from manip_learn.recordings.saved_motion import joint_positions
 
 NUMBERS = ("time", "q", "u", "effort")
 SHOWN = 8  # names in a sentence
+LIKELY = re.compile(r"joint|state|pos|angle|theta|meas", re.IGNORECASE)  # in names of what may be joint positions
 MOST_ARRAYS = 100_000  # of one file, which are listed before any is read
 HEADER_BYTES, COMPRESSED = 128, 15  # of a MATLAB file: before its first element; the type of a packed one
 
@@ -43,26 +51,21 @@ def read(path: Path, request: ReadRequest) -> Iterator[Recording]:
 
     leaves: dict[str, Any] = {}
     with refusing_damage(path, MatReadError):
-        _refuse_bomb(path)
+        content, at, total, most = path.read_bytes(), HEADER_BYTES, 0, most_bytes(path.stat().st_size)
+        order = "little" if content[HEADER_BYTES - 2 : HEADER_BYTES] == b"IM" else "big"
+        while at + 8 <= len(content):
+            kind, size = (int.from_bytes(content[at + k : at + k + 4], order) for k in (0, 4))
+            if kind == COMPRESSED:
+                total += len(zlib.decompressobj().decompress(content[at + 8 : at + 8 + size], most + 1))
+            if total > most:
+                raise bomb(path, f"its {len(content):,} bytes unpack to more than {most:,}")
+            at += 8 + size
         with warnings.catch_warnings(action="ignore"):  # of variables that cannot be read or occur twice
             content = loadmat(path, simplify_cells=True)
         for name, value in content.items():
             if not name.startswith("__"):
                 _flatten(name, value, leaves)
     yield from recordings(path, list(leaves), lambda roles: {r: leaves[n] for r, n in roles.items()}, request)
-
-
-def _refuse_bomb(path: Path) -> None:
-    """Refuse packed elements that unpack to far too much."""
-    content, at, total, most = path.read_bytes(), HEADER_BYTES, 0, most_bytes(path.stat().st_size)
-    order = "little" if content[HEADER_BYTES - 2 : HEADER_BYTES] == b"IM" else "big"
-    while at + 8 <= len(content):
-        kind, size = (int.from_bytes(content[at + k : at + k + 4], order) for k in (0, 4))
-        if kind == COMPRESSED:
-            total += len(zlib.decompressobj().decompress(content[at + 8 : at + 8 + size], most + 1))
-        if total > most:
-            raise bomb(path, f"its {len(content):,} bytes unpack to more than {most:,}")
-        at += 8 + size
 
 
 def _flatten(name: str, value: Any, leaves: dict[str, Any]) -> None:
@@ -96,7 +99,12 @@ def recordings(path: Path, names: Sequence[str], load: Load, request: ReadReques
     """
     groups = array_groups(path, names, request)
     if not groups:
-        raise _missing(path, [n.rpartition("/")[2] for n in names])
+        there = [n.rpartition("/")[2] for n in names]
+        likely = [n for n in there if n not in ROLES and LIKELY.search(n)]
+        name = (closest_names("q", there)[:1] or likely or ["NAME"])[0]
+        what = f"if {name!r} is meant" if name != "NAME" else "the one with joint positions is read with"
+        hint = advice(f"; {what}: {{}}", *rename_words({name: "q"}))
+        raise refusal(path, "missing-array", f"there is no array 'q'; there is {first_names(there)}{hint}")
     for name, group in groups.items():
         yield group_recording(path, f"{path.name} {name}" if len(groups) > 1 else path.name, group, load, request)
 
@@ -146,14 +154,6 @@ def array_groups(path: Path, names: Sequence[str], request: ReadRequest) -> dict
         if "q" in roles:
             found[group] = ArrayGroup(roles, tuple(notes))
     return found
-
-
-def _missing(path: Path, there: Sequence[str]) -> RecordingError:
-    likely = [n for n in there if n not in ROLES and re.search(r"joint|state|pos|angle|theta|meas", n, re.IGNORECASE)]
-    name = (closest_names("q", there)[:1] or likely or ["NAME"])[0]
-    what = f"if {name!r} is meant" if name != "NAME" else "the one with joint positions is read with"
-    hint = advice(f"; {what}: {{}}", *rename_words({name: "q"}))
-    return refusal(path, "missing-array", f"there is no array 'q'; there is {first_names(there)}{hint}")
 
 
 def group_recording(path: Path, title: str, group: ArrayGroup, load: Load, request: ReadRequest) -> Recording:

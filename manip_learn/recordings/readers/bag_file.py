@@ -19,8 +19,7 @@ from typing import Any, final
 
 from manip_learn.errors import DAMAGE, MissingExtraError
 from manip_learn.recordings.format_words import JOINT_STATE
-from manip_learn.recordings.readers.limits import bomb, metadata_text, most_bytes
-from manip_learn.recordings.readers.recording import check_regular, reason, refusal
+from manip_learn.recordings.readers.recording import bomb, check_regular, metadata_text, most_bytes, reason, refusal
 
 try:
     import apsw
@@ -130,7 +129,17 @@ def _opened(path: Path, stack: contextlib.ExitStack) -> BagFile:
     stack.callback(reader.close)
     stated = Counter[str]()
     if is_ros1:
-        _bound_blocks(path, reader)
+        tools = {bz2.decompress: bz2.BZ2Decompressor, lz4.frame.decompress: lz4.frame.LZ4FrameDecompressor}
+
+        def bounded(tool: Callable[[], Any], packed: bytes) -> bytes:
+            content = tool().decompress(packed, max_length=most_bytes(len(packed)) + 1)
+            _refuse_size(path, len(content), len(packed))
+            return content
+
+        for position, chunk in reader.chunks.items():
+            if chunk.decompressor in tools:
+                tool: Any = functools.partial(bounded, tools[chunk.decompressor])
+                reader.chunks[position] = chunk._replace(decompressor=tool)
         names = {c.id: c.topic for c in reader.connections}
         for number, n in (pair for info in reader.chunk_infos for pair in info.connection_counts.items()):
             stated[names.get(number, f"connection {number}")] += n
@@ -156,21 +165,6 @@ def _opened(path: Path, stack: contextlib.ExitStack) -> BagFile:
         said = f"of {storage.metadata.message_count} messages that the bag states {stated.total()} are of its topics"
         raise refusal(path, "lost-messages", f"{said}: {LOST}")
     return BagFile(path, parts, stated, storage.metadata.compression_mode == "message")
-
-
-def _bound_blocks(path: Path, reader: Any) -> None:
-    """Let the library unpack the blocks of a bag of ROS 1 within bounds only."""
-    tools = {bz2.decompress: bz2.BZ2Decompressor, lz4.frame.decompress: lz4.frame.LZ4FrameDecompressor}
-
-    def bounded(tool: Callable[[], Any], packed: bytes) -> bytes:
-        content = tool().decompress(packed, max_length=most_bytes(len(packed)) + 1)
-        _refuse_size(path, len(content), len(packed))
-        return content
-
-    for position, chunk in reader.chunks.items():
-        if chunk.decompressor in tools:
-            tool: Any = functools.partial(bounded, tools[chunk.decompressor])
-            reader.chunks[position] = chunk._replace(decompressor=tool)
 
 
 def _refuse_size(path: Path, unpacked: int, packed: int) -> None:

@@ -11,17 +11,16 @@ from dataclasses import dataclass
 from datetime import UTC, datetime
 from functools import partial
 from pathlib import Path
-from typing import NoReturn, final
+from typing import final
 
 import numpy as np
 from jaxtyping import Float
 
 from manip_learn.errors import advice
-from manip_learn.recordings.readers.limits import LONGEST_TEXT, check_columns
 from manip_learn.recordings.readers.name_patterns import named_in
 from manip_learn.recordings.readers.quantities import MESSAGES, table_columns
 from manip_learn.recordings.readers.read_request import SECONDS, ReadRequest, names_advice
-from manip_learn.recordings.readers.recording import Recording, reason, refusal
+from manip_learn.recordings.readers.recording import LONGEST_TEXT, Recording, check_columns, reason, refusal
 
 COMMENT_MARKS = ("#", "%")
 NUMBER = re.compile(r"[+-]?(\d+([.,]\d*)?|[.,]\d+)([eE][+-]?\d+)?|[+-]?(nan|inf(inity)?)", re.IGNORECASE)
@@ -44,7 +43,10 @@ def read(path: Path, request: ReadRequest) -> Iterator[Recording]:
     table = _table(path, dialect, used, request, clock)
     notes = [f"the header was read from the comment in line {dialect.header_line}"] if dialect.commented_header else []
     notes += columns.notes
-    if _is_cut_off(path):
+    with path.open("rb") as file:
+        file.seek(-min(path.stat().st_size, LONGEST_TEXT), os.SEEK_END)
+        last = file.read().replace(b"\r", b"\n").rpartition(b"\n")[2]
+    if not _is_skipped(last.decode("ascii", errors="replace")):  # within a line of numbers, as a file that was cut off
         left_out = "the last line has no line end and was left out, for its last number may be cut off"
         if len(table) < 2:
             raise refusal(path, "too-short", f"{left_out}; {len(table)} row is left, at least 2 are needed")
@@ -141,15 +143,6 @@ def text_lines(path: Path) -> Iterator[tuple[int, str]]:
         raise refusal(path, "encoding", said) from error
 
 
-def _is_cut_off(path: Path) -> bool:
-    """True if the file ends within a line of numbers, as one that was cut off."""
-    with path.open("rb") as file:
-        file.seek(-min(path.stat().st_size, LONGEST_TEXT), os.SEEK_END)
-        end = file.read()
-    last = end.replace(b"\r", b"\n").rpartition(b"\n")[2]
-    return not _is_skipped(last.decode("ascii", errors="replace"))
-
-
 def sniff_dialect(path: Path, request: ReadRequest | None = None) -> CsvDialect:
     """Dialect of a text table, from its header, or with the names of the request if it has none.
 
@@ -210,7 +203,18 @@ def _table(
         form = {"delimiter": dialect.delimiter, "comments": None, "quotechar": '"'}
         return np.loadtxt(itertools.chain([first], lines), usecols=usecols, ndmin=2, **form)
     except ValueError as error:
-        _explain(path, dialect, used, request, error)
+        for number, line in _numbered_lines(path, dialect):
+            fields = _fields(line, dialect.delimiter)
+            i = next((i for i in used if not NUMBER.fullmatch(fields[i]) and seconds_of(fields[i]) is None), None)
+            if i is None:
+                continue
+            what, name = repr(fields[i][:40]) if fields[i] else "an empty field", dialect.columns[i]
+            leave = ""
+            if name not in ("time", *request.robot.joint_names) and not request.columns:
+                leave = advice("; if it is no joint's: {}", "columns='{joint}'", "--columns '{joint}'")
+            text = f"{what} where a number is needed: correct the row or remove it{leave}"
+            raise refusal(path, "not-a-number", text, line=number, column=name) from error
+        raise refusal(path, "not-a-number", f"the numbers cannot be read: {reason(error)}") from error
 
 
 def _numbered_lines(path: Path, dialect: CsvDialect) -> Iterator[tuple[int, str]]:
@@ -256,22 +260,6 @@ def _checked_lines(path: Path, dialect: CsvDialect, clock: int | None) -> Iterat
             parts[clock] = "?" if seconds is None else repr(seconds)
             line = (delimiter or " ").join(parts)
         yield line
-
-
-def _explain(path: Path, dialect: CsvDialect, used: list[int], request: ReadRequest, cause: ValueError) -> NoReturn:
-    """Raise the error that names the field which NumPy's parser refused."""
-    for number, line in _numbered_lines(path, dialect):
-        fields = _fields(line, dialect.delimiter)
-        i = next((i for i in used if not NUMBER.fullmatch(fields[i]) and seconds_of(fields[i]) is None), None)
-        if i is None:
-            continue
-        what, name = repr(fields[i][:40]) if fields[i] else "an empty field", dialect.columns[i]
-        leave = ""
-        if name not in ("time", *request.robot.joint_names) and not request.columns:
-            leave = advice("; if it is no joint's: {}", "columns='{joint}'", "--columns '{joint}'")
-        text = f"{what} where a number is needed: correct the row or remove it{leave}"
-        raise refusal(path, "not-a-number", text, line=number, column=name) from cause
-    raise refusal(path, "not-a-number", f"the numbers cannot be read: {reason(cause)}") from cause
 
 
 def _line_of(path: Path, dialect: CsvDialect, sample: int) -> int:

@@ -17,16 +17,20 @@ import numpy as np
 from jaxtyping import Float
 
 from manip_learn.errors import MissingExtraError, RecordingError
-from manip_learn.recordings.readers.array_reader import (
-    MOST_ARRAYS,
-    NUMBERS,
-    array_groups,
-    group_recording,
-    recordings,
-)
-from manip_learn.recordings.readers.limits import LARGEST_ARRAYS, bomb, check_columns, most_bytes, refuse_lost
+from manip_learn.recordings.readers.array_reader import MOST_ARRAYS, NUMBERS, array_groups, group_recording, recordings
 from manip_learn.recordings.readers.read_request import ReadRequest, first_names
-from manip_learn.recordings.readers.recording import Recording, float_array, natural_order, refusal, refusing_damage
+from manip_learn.recordings.readers.recording import (
+    LARGEST_ARRAYS,
+    Recording,
+    bomb,
+    check_columns,
+    float_array,
+    most_bytes,
+    natural_order,
+    refusal,
+    refuse_lost,
+    refusing_damage,
+)
 
 try:
     import h5py

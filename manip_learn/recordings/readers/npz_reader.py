@@ -13,9 +13,17 @@ from typing import IO, Any
 import numpy as np
 
 from manip_learn.recordings.readers.array_reader import recordings
-from manip_learn.recordings.readers.limits import LARGEST_ARRAYS, LONGEST_TEXT, bomb, check_columns, most_bytes
 from manip_learn.recordings.readers.read_request import ReadRequest
-from manip_learn.recordings.readers.recording import Recording, refusal, refusing_damage
+from manip_learn.recordings.readers.recording import (
+    LARGEST_ARRAYS,
+    LONGEST_TEXT,
+    Recording,
+    bomb,
+    check_columns,
+    most_bytes,
+    refusal,
+    refusing_damage,
+)
 
 BARE = b"\x93NUMPY"  # how a single array begins, without an archive around
 

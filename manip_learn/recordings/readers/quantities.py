@@ -124,7 +124,16 @@ def table_columns(header: Sequence[str], first_row: Sequence[str], request: Read
     stamps, times = find_time(names)
     time = stamps[0] if len(stamps) == 1 else None
     if time is None and request.rate is None:
-        raise _no_time(header, names, [str(names[i]) for i in stamps])
+        choices = [str(names[i]) for i in stamps]
+        near = choices or closest_names("time", [n for n in names if n])[:1] or [n for n in names[:1] if n == ""]
+        flags = [advice("{}", f"rename={{{n!r}: 'time'}}", f"--rename {n}=time") for n in near]
+        hint = ""
+        if choices and all(flags):
+            hint = f"; several could be it, choose one: {' or '.join(flags)}"
+        elif near and all(flags):
+            hint = f"; if {near[0] or 'the first column, which has no name,'!r} is meant, pass {flags[0]} or rename it"
+        hint += advice("; without time stamps, pass {}", *RATE)
+        raise PatternError(f"there is no column 'time' among {first_names(header, 8)}{hint}", "no-time")
     for pattern, columns in numbered_families(names).items():
         if "name" in pattern.lower() and {first_row[i] for i in columns if i < len(first_row)} & {*moving, *still}:
             raise PatternError(MESSAGES, "messages")
@@ -285,15 +294,3 @@ def find_time(names: Sequence[str | None]) -> tuple[list[int], list[int]]:
         if len(found) == 1:
             return found, known
     return known, known
-
-
-def _no_time(header: Sequence[str], names: Sequence[str | None], choices: list[str]) -> PatternError:
-    near = choices or closest_names("time", [n for n in names if n])[:1] or [n for n in names[:1] if n == ""]
-    flags = [advice("{}", f"rename={{{n!r}: 'time'}}", f"--rename {n}=time") for n in near]
-    hint = ""
-    if choices and all(flags):
-        hint = f"; several could be it, choose one: {' or '.join(flags)}"
-    elif near and all(flags):
-        hint = f"; if {near[0] or 'the first column, which has no name,'!r} is meant, pass {flags[0]} or rename it"
-    hint += advice("; without time stamps, pass {}", *RATE)
-    return PatternError(f"there is no column 'time' among {first_names(header, 8)}{hint}", "no-time")

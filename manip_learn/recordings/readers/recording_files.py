@@ -15,7 +15,7 @@ from typing import final
 from manip_learn.errors import RecordingError, counted
 from manip_learn.recordings.format_words import MARK
 from manip_learn.recordings.readers.csv_reader import sniff_dialect
-from manip_learn.recordings.readers.lerobot_dataset import episode_numbers
+from manip_learn.recordings.readers.lerobot_reader import episode_numbers
 from manip_learn.recordings.readers.read_request import ReadRequest
 from manip_learn.recordings.readers.recording import Recording, check_regular, natural_order, reason, refusal
 from manip_learn.recordings.readers.saved_reader import JSON_LINES, file_header
@@ -90,7 +90,19 @@ def recognise(path: Path) -> FileFormat:
     if not head.strip():
         raise refusal(path, "empty", "the file is empty: copy it again, or record again")
     if head.startswith(b"PK\x03\x04"):
-        return _archive(path)
+        try:
+            with zipfile.ZipFile(path) as archive:
+                names = archive.namelist()
+        except (zipfile.BadZipFile, OSError, ValueError, NotImplementedError) as error:
+            raise refusal(
+                path, "damaged", f"the archive is damaged ({reason(error)}): copy or save it again"
+            ) from error
+        if any(n.endswith(".npy") for n in names):
+            return SAVED if "format.npy" in names and file_header(path) is not None else NPZ
+        if any(n.startswith("xl/") for n in names):
+            raise refusal(path, "excel", "this is an Excel workbook: save the sheet as CSV")
+        there = ", ".join(names[:4])
+        raise refusal(path, "compressed", f"this zip archive holds no NumPy arrays (it has {there}): unpack it first")
     if head.removeprefix(b"\xef\xbb\xbf").startswith((MARK.encode(), JSON_LINES.encode())) and file_header(path):
         return SAVED
     start = head.lstrip(b"\xef\xbb\xbf \t\r\n")
@@ -105,20 +117,6 @@ def recognise(path: Path) -> FileFormat:
         text = f"the content is binary and of no known kind (starts with {head[:8]!r}); known are {kinds}"
         raise refusal(path, "unknown-format", text)
     return CSV
-
-
-def _archive(path: Path) -> FileFormat:
-    try:
-        with zipfile.ZipFile(path) as archive:
-            names = archive.namelist()
-    except (zipfile.BadZipFile, OSError, ValueError, NotImplementedError) as error:
-        raise refusal(path, "damaged", f"the archive is damaged ({reason(error)}): copy or save it again") from error
-    if any(n.endswith(".npy") for n in names):
-        return SAVED if "format.npy" in names and file_header(path) is not None else NPZ
-    if any(n.startswith("xl/") for n in names):
-        raise refusal(path, "excel", "this is an Excel workbook: save the sheet as CSV")
-    there = ", ".join(names[:4])
-    raise refusal(path, "compressed", f"this zip archive holds no NumPy arrays (it has {there}): unpack it first")
 
 
 def folder_format(path: Path) -> FileFormat | None:

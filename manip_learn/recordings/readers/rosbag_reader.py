@@ -16,9 +16,8 @@ from manip_learn.errors import RecordingError, advice, closest_names, counted
 from manip_learn.recordings.clock import GAP_FACTOR, in_order
 from manip_learn.recordings.format_words import JOINT_STATE
 from manip_learn.recordings.readers.bag_file import BagFile, open_bag
-from manip_learn.recordings.readers.limits import MOST_NAME_LISTS, check_columns
 from manip_learn.recordings.readers.read_request import RATE, ReadRequest, first_names
-from manip_learn.recordings.readers.recording import Recording, refusal
+from manip_learn.recordings.readers.recording import MOST_NAME_LISTS, Recording, check_columns, refusal
 
 USUAL_TOPIC = "/joint_states"
 ARRAYS = {"q": "position", "u": "velocity", "effort": "effort"}  # of messages, and how they call them

@@ -13,10 +13,9 @@ import numpy as np
 from manip_learn.errors import DAMAGE, RecordingError
 from manip_learn.recordings.format_words import DATASET_HEADER, MARK
 from manip_learn.recordings.readers.csv_reader import text_lines
-from manip_learn.recordings.readers.limits import LONGEST_TEXT
 from manip_learn.recordings.readers.npz_reader import stored_arrays, texts_of
 from manip_learn.recordings.readers.read_request import ReadRequest
-from manip_learn.recordings.readers.recording import Recording, float_array, reason, refusal
+from manip_learn.recordings.readers.recording import LONGEST_TEXT, Recording, float_array, reason, refusal
 from manip_learn.recordings.saved_motion import (
     CURVES,
     PREFIX,
@@ -50,7 +49,17 @@ def file_header(path: Path) -> FileHeader | None:
         with path.open(encoding="utf-8-sig", errors="replace") as file:  # bytes that are no text: other characters
             start = file.read(len(JSON_LINES))
             if start.startswith("PK"):
-                return _npz_header(path)
+                with zipfile.ZipFile(path) as zipped:
+                    if "format.npy" not in zipped.namelist():
+                        return None
+                arrays, _ = stored_arrays(path, (), TEXTS)
+                named = texts_of(path, "format", arrays["format"], 0)[0] if arrays["format"].shape == () else ""
+                if not named.startswith(PREFIX):
+                    return None
+                if "header" not in arrays:
+                    said = "an early version wrote this file without its robot, which is not read any more: "
+                    raise refusal(path, "not-a-rollout", said + "simulate it again")
+                return FileHeader.from_json(texts_of(path, "header", arrays["header"], 0)[0])
             if start.startswith(JSON_LINES):
                 raise refusal(path, "not-a-rollout", "JSON lines are not read any more; .npz and .csv are, bit for bit")
             is_ours = start.startswith(MARK)
@@ -94,20 +103,6 @@ def _refusing_damage(path: Path) -> Iterator[None]:
         raise RecordingError(f"rollout file {path} does not exist", code="missing", path=path) from error
     except DAMAGE as error:
         raise refusal(path, "damaged", f"the file cannot be read ({reason(error)}): copy or save it again") from error
-
-
-def _npz_header(path: Path) -> FileHeader | None:
-    with zipfile.ZipFile(path) as zipped:
-        if "format.npy" not in zipped.namelist():
-            return None
-    arrays, _ = stored_arrays(path, (), TEXTS)
-    named = texts_of(path, "format", arrays["format"], 0)[0] if arrays["format"].shape == () else ""
-    if not named.startswith(PREFIX):
-        return None
-    if "header" not in arrays:
-        said = "an early version wrote this file without its robot, which is not read any more: simulate it again"
-        raise refusal(path, "not-a-rollout", said)
-    return FileHeader.from_json(texts_of(path, "header", arrays["header"], 0)[0])
 
 
 def _of_archive(path: Path, header: FileHeader) -> dict[str, np.ndarray]:

@@ -59,10 +59,7 @@ class Motion:
 
 
 def time_in_seconds(
-    recording: Recording,
-    request: ReadRequest,
-    q: Float[np.ndarray, "T nv"],
-    u: Float[np.ndarray, "T nv"] | None,
+    recording: Recording, request: ReadRequest, q: Float[np.ndarray, "T nv"], u: Float[np.ndarray, "T nv"] | None
 ) -> tuple[Float[np.ndarray, " T"], list[str]]:
     """Times [s] of positions [rad or m], and a note if they are not the stamps of the file.
 
@@ -99,7 +96,39 @@ def time_in_seconds(
 def check_motion(motion: Motion) -> list[str]:
     """Notes on a motion."""
     _refuse_two_publishers(motion)
-    return _check_limits(motion)
+    robot, recording, angular = motion.robot, motion.recording, motion.angular
+    beyond = _excess(robot, motion.q)
+    far = beyond > np.where(angular, FAR_ANGLE, FAR_LENGTH)
+    notes = _fast_notes(robot, motion.time, motion.q)
+    if motion.request.units is None and not recording.trusted:
+        _refuse_degrees(motion, far, bool(notes))
+    refuses = motion.request.outside_limits == "refuse" and not recording.trusted
+    if np.any(far) and refuses:
+        _refuse_far(motion, int(np.argmax(np.where(far, beyond, 0.0))))
+    slight = np.flatnonzero(beyond > NOTABLE)
+    if slight.size:
+        worst = int(np.argmax(beyond))
+        notes.append(
+            f"beyond their limits: {counted(slight.size, 'joint')}, {robot.joint_names[worst]!r} the farthest: by "
+            f"{beyond[worst]:.3g} {'rad' if angular[worst] else 'm'}"
+        )
+    if refuses:
+        robot, q = motion.robot, motion.q
+        change, steps = np.abs(np.diff(q, axis=0)), np.diff(motion.time)
+        limit = np.where(np.isfinite(robot.velocity_limit), 10 * robot.velocity_limit, 50.0)
+        # a rotation vector may jump where its rotation does not, close to a full turn
+        jump = motion.angular & ~object_coordinates(robot) & (change > np.pi / 2) & (change > limit * steps[:, None])
+        if np.any(jump):
+            sample, i = (int(k) for k in np.argwhere(jump)[0])
+            turn = abs(change[sample, i] - 2 * np.pi) < 0.5
+            cause = "it wraps around a full turn, which this limited joint cannot" if turn else "a faulty sample?"
+            text = (
+                f"the joint jumps from {q[sample, i]:.4g} to {q[sample + 1, i]:.4g} rad within {steps[sample]:.3g} s: "
+                f"{cause} "
+                "Correct the file (a real break in the recording: put the parts into files of their own)"
+            )
+            raise motion.recording.refusal("jump", text, sample=sample + 1, column=robot.joint_names[i])
+    return notes
 
 
 def refuse_degrees_beside(motion: Motion, u: Float[np.ndarray, "T nv"]) -> None:
@@ -122,29 +151,6 @@ def _excess(robot: Robot, q: Float[np.ndarray, "T nv"]) -> Float[np.ndarray, " n
     """How far each joint gets beyond its limits [rad or m]; 0 within."""
     below, above = robot.position_lower - q.min(axis=0), q.max(axis=0) - robot.position_upper
     return np.maximum(np.maximum(below, above), 0.0)
-
-
-def _check_limits(motion: Motion) -> list[str]:
-    """Notes on positions slightly outside the limits and odd speeds; degrees, far positions and jumps are refused."""
-    robot, recording, angular = motion.robot, motion.recording, motion.angular
-    beyond = _excess(robot, motion.q)
-    far = beyond > np.where(angular, FAR_ANGLE, FAR_LENGTH)
-    notes = _fast_notes(robot, motion.time, motion.q)
-    if motion.request.units is None and not recording.trusted:
-        _refuse_degrees(motion, far, bool(notes))
-    refuses = motion.request.outside_limits == "refuse" and not recording.trusted
-    if np.any(far) and refuses:
-        _refuse_far(motion, int(np.argmax(np.where(far, beyond, 0.0))))
-    slight = np.flatnonzero(beyond > NOTABLE)
-    if slight.size:
-        worst = int(np.argmax(beyond))
-        notes.append(
-            f"beyond their limits: {counted(slight.size, 'joint')}, {robot.joint_names[worst]!r} the farthest: by "
-            f"{beyond[worst]:.3g} {'rad' if angular[worst] else 'm'}"
-        )
-    if refuses:
-        _refuse_jumps(motion)
-    return notes
 
 
 def _refuse_degrees(motion: Motion, far: Bool[np.ndarray, " nv"], fast: bool) -> None:
@@ -235,24 +241,6 @@ def _fast_notes(robot: Robot, time: Float[np.ndarray, " T"], q: Float[np.ndarray
         f"joint {robot.joint_names[i]!r} moves at {typical[i]:.3g}, its limit is {robot.velocity_limit[i]:.3g}: "
         "check the unit of time"
     ]
-
-
-def _refuse_jumps(motion: Motion) -> None:
-    robot, q = motion.robot, motion.q
-    change, steps = np.abs(np.diff(q, axis=0)), np.diff(motion.time)
-    limit = np.where(np.isfinite(robot.velocity_limit), 10 * robot.velocity_limit, 50.0)
-    # a rotation vector may jump where its rotation does not, close to a full turn
-    jump = motion.angular & ~object_coordinates(robot) & (change > np.pi / 2) & (change > limit * steps[:, None])
-    if np.any(jump):
-        sample, i = (int(k) for k in np.argwhere(jump)[0])
-        turn = abs(change[sample, i] - 2 * np.pi) < 0.5
-        cause = "it wraps around a full turn, which this limited joint cannot" if turn else "a faulty sample?"
-        text = (
-            f"the joint jumps from {q[sample, i]:.4g} to {q[sample + 1, i]:.4g} rad within {steps[sample]:.3g} s: "
-            f"{cause} "
-            "Correct the file (a real break in the recording: put the parts into files of their own)"
-        )
-        raise motion.recording.refusal("jump", text, sample=sample + 1, column=robot.joint_names[i])
 
 
 def _refuse_two_publishers(motion: Motion) -> None:

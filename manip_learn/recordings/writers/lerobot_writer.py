@@ -17,7 +17,7 @@ import numpy as np
 from manip_learn.atomic_write import write_atomically
 from manip_learn.errors import MissingExtraError, OutputError
 from manip_learn.recordings.format_words import DATASET_HEADER
-from manip_learn.recordings.readers.lerobot_dataset import EFFORT, STATE, VELOCITY
+from manip_learn.recordings.readers.lerobot_reader import EFFORT, STATE, VELOCITY
 from manip_learn.recordings.saved_motion import SavedMotion
 
 try:
@@ -46,19 +46,6 @@ def write_lerobot(folder: Path, motions: Sequence[SavedMotion]) -> Path:
     for what, name in (("velocities", "u"), ("efforts", "effort")):
         if len({name in m.arrays for m in motions}) > 1:
             raise OutputError(f"some trajectories have {what} and others not: export them to data sets of their own")
-    table = _samples(motions)
-    fps = samples_per_second([m.arrays["time"] for m in motions])
-    write_atomically(folder / "data" / FILE, _parquet(table))
-    write_atomically(folder / "meta" / "episodes" / FILE, _parquet(_episodes(motions)))
-    tasks = pa.table({"task_index": pa.array([0], pa.int64()), "task": [TASK]})
-    write_atomically(folder / "meta" / "tasks.parquet", _parquet(_indexed(tasks, "task")))
-    write_atomically(folder / "meta" / "stats.json", json.dumps(_statistics(table), indent=2))
-    write_atomically(folder / "meta" / "info.json", json.dumps(_info(motions, fps, table), indent=2))
-    write_atomically(folder / DATASET_HEADER, motions[0].header.to_json() + "\n")
-    return folder.resolve()
-
-
-def _samples(motions: Sequence[SavedMotion]) -> Any:
     lengths, times = [len(m) for m in motions], [m.arrays["time"] for m in motions]
     columns: dict[str, Any] = {}
     for feature, name in FEATURES.items():
@@ -72,7 +59,35 @@ def _samples(motions: Sequence[SavedMotion]) -> Any:
         "index": np.arange(sum(lengths)),
         "task_index": np.zeros(sum(lengths), dtype=np.int64),
     }
-    return pa.table(columns | numbers)
+    table = pa.table(columns | numbers)
+    fps = samples_per_second([m.arrays["time"] for m in motions])
+    write_atomically(folder / "data" / FILE, _parquet(table))
+    write_atomically(folder / "meta" / "episodes" / FILE, _parquet(_episodes(motions)))
+    tasks = pa.table({"task_index": pa.array([0], pa.int64()), "task": [TASK]})
+    described = {
+        "index_columns": ["task"],
+        "column_indexes": [],
+        "columns": [
+            {"name": n, "field_name": n, "pandas_type": kind, "numpy_type": dtype, "metadata": None}
+            for n, kind, dtype in (("task_index", "int64", "int64"), ("task", "unicode", "object"))
+        ],
+        "pandas_version": "2.0.0",
+    }
+    write_atomically(
+        folder / "meta" / "tasks.parquet", _parquet(tasks.replace_schema_metadata({"pandas": json.dumps(described)}))
+    )
+    found = {}
+    for name in table.column_names:
+        column = table.column(name).combine_chunks()
+        is_vector = pa.types.is_fixed_size_list(column.type)
+        flat = column.flatten() if is_vector else column
+        values = flat.to_numpy(zero_copy_only=False).reshape(len(column), -1).astype(np.float64)
+        parts = {"min": values.min(0), "max": values.max(0), "mean": values.mean(0), "std": values.std(0)}
+        found[name] = {key: part.tolist() for key, part in parts.items()} | {"count": [len(values)]}
+    write_atomically(folder / "meta" / "stats.json", json.dumps(found, indent=2))
+    write_atomically(folder / "meta" / "info.json", json.dumps(_info(motions, fps, table), indent=2))
+    write_atomically(folder / DATASET_HEADER, motions[0].header.to_json() + "\n")
+    return folder.resolve()
 
 
 def _episodes(motions: Sequence[SavedMotion]) -> Any:
@@ -93,18 +108,6 @@ def samples_per_second(times: Sequence[np.ndarray]) -> float:
     step = float(np.median(np.concatenate(list(map(np.diff, times)))))
     rate = 1.0 / step
     return round(rate) if abs(rate - round(rate)) < 1e-3 * rate and rate >= 1.0 else rate
-
-
-def _statistics(table: Any) -> dict[str, Any]:
-    found = {}
-    for name in table.column_names:
-        column = table.column(name).combine_chunks()
-        is_vector = pa.types.is_fixed_size_list(column.type)
-        flat = column.flatten() if is_vector else column
-        values = flat.to_numpy(zero_copy_only=False).reshape(len(column), -1).astype(np.float64)
-        parts = {"min": values.min(0), "max": values.max(0), "mean": values.mean(0), "std": values.std(0)}
-        found[name] = {key: part.tolist() for key, part in parts.items()} | {"count": [len(values)]}
-    return found
 
 
 def _info(motions: Sequence[SavedMotion], fps: float, table: Any) -> dict[str, Any]:
@@ -129,20 +132,6 @@ def _info(motions: Sequence[SavedMotion], fps: float, table: Any) -> dict[str, A
         "video_path": None,
         "features": features,
     }
-
-
-def _indexed(table: Any, column: str) -> Any:
-    """The table with a column marked as the index that pandas shows, as LeRobot looks tasks up by it."""
-    described = {
-        "index_columns": [column],
-        "column_indexes": [],
-        "columns": [
-            {"name": n, "field_name": n, "pandas_type": kind, "numpy_type": dtype, "metadata": None}
-            for n, kind, dtype in (("task_index", "int64", "int64"), ("task", "unicode", "object"))
-        ],
-        "pandas_version": "2.0.0",
-    }
-    return table.replace_schema_metadata({"pandas": json.dumps(described)})
 
 
 def _parquet(table: Any) -> bytes:

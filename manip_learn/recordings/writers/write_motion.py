@@ -5,19 +5,23 @@ from __future__ import annotations
 import io
 import json
 import os
+import tempfile
 from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+from jaxtyping import Float, Int
 
 from manip_learn.atomic_write import write_atomically
-from manip_learn.errors import OutputError
-from manip_learn.recordings.format_words import MARK, yaml_text
+from manip_learn.errors import MissingExtraError, OutputError
+from manip_learn.recordings.format_words import JOINT_STATE, MARK, yaml_text
 from manip_learn.recordings.saved_motion import PREFIX, SavedMotion, column_groups, column_line
-from manip_learn.recordings.writers.mcap_writer import mcap_bytes, nanoseconds
+from manip_learn.recordings.trajectory import BESIDE
 
 TYPE = "trajectory_msgs/msg/JointTrajectory"
+SECOND = 1_000_000_000  # [ns]; a stamp of zero means "not set" in ROS: motions that start at zero start at one second
+LAST_STAMP = 2**31 * SECOND  # [ns] seconds are int32 in ROS
 
 
 def csv_bytes(motion: SavedMotion) -> bytes:
@@ -41,6 +45,65 @@ def npz_bytes(motion: SavedMotion) -> bytes:
     return stream.getvalue()
 
 
+def mcap_bytes(motion: SavedMotion) -> bytes:
+    """An MCAP bag of JointState messages for ROS 2.
+
+    Raises:
+        OutputError: Times that stamps of whole nanoseconds cannot tell apart, or no room for temporary files.
+        MissingExtraError: The extra `ros` is not installed.
+    """
+    try:
+        from rosbags.rosbag2 import StoragePlugin
+        from rosbags.rosbag2.writer import Writer
+        from rosbags.typesys import Stores, get_typestore
+    except ImportError as error:
+        raise MissingExtraError("writing MCAP", "ros") from error
+    stamps = nanoseconds(motion.arrays["time"], from_first=False)
+    if stamps.size and stamps[0] == 0:
+        stamps = stamps + SECOND
+    store: Any = get_typestore(Stores.ROS2_HUMBLE)
+    types, names, nothing = store.types, list(motion.header.joint_names), np.empty(0)
+    known = (motion.arrays.get(name) for name in ("q", *BESIDE))  # configurations are no positions of joints
+    arrays = [None if x is None or x.shape[1] != len(names) else np.ascontiguousarray(x) for x in known]
+    try:
+        with tempfile.TemporaryDirectory() as folder:
+            with Writer(Path(folder) / "bag", version=9, storage_plugin=StoragePlugin.MCAP) as writer:
+                joints = writer.add_connection("/joint_states", JOINT_STATE, typestore=store)
+                for i, stamp in enumerate(stamps.tolist()):
+                    time = types["builtin_interfaces/msg/Time"](*divmod(stamp, SECOND))
+                    numbers = [nothing if x is None else x[i] for x in arrays]
+                    state = types[JOINT_STATE](types["std_msgs/msg/Header"](time, ""), names, *numbers)
+                    writer.write(joints, stamp, store.serialize_cdr(state, JOINT_STATE))
+            return (Path(folder) / "bag" / "bag.mcap").read_bytes()
+    except OSError as error:
+        text = f"cannot write the bag in {tempfile.gettempdir()}: {error.strerror}; make room, or set TMPDIR"
+        raise OutputError(text) from error
+
+
+def nanoseconds(time: Float[np.ndarray, " T"], *, from_first: bool) -> Int[np.ndarray, " T"]:
+    """Times as whole nanoseconds.
+
+    Args:
+        time: [s].
+        from_first: Count from the first sample; otherwise from zero, or from the first sample where a stamp could not
+            hold that.
+
+    Raises:
+        OutputError: Two samples are less than a nanosecond apart, or the motion is longer than a stamp can say.
+    """
+    if not np.all(np.isfinite(time)):
+        raise OutputError("the motion has times that are not finite: they cannot be written as stamps")
+    start = float(time[0]) if time.size else 0.0
+    relative = from_first or start < 0.0 or float(np.max(time, initial=0.0)) * 1e9 >= LAST_STAMP
+    stamps = np.rint((time - start if relative else time) * 1e9)
+    if np.any(np.diff(stamps) <= 0) or np.max(stamps, initial=0.0) >= LAST_STAMP:
+        raise OutputError(
+            "the times cannot be written as stamps of whole nanoseconds: they must increase by a nanosecond or more, "
+            "over less than 68 years; write NPZ or CSV"
+        )
+    return stamps.astype(np.int64)
+
+
 def joint_trajectory_bytes(motion: SavedMotion) -> bytes:
     """The text, UTF-8.
 
@@ -59,14 +122,15 @@ def joint_trajectory_bytes(motion: SavedMotion) -> bytes:
         ' "points": [',
     ]
     known = {"positions": motion.arrays["q"], "velocities": motion.arrays.get("u")}
+    points = []
     for i, time in enumerate(times):
         point: dict[str, Any] = {name: array[i].tolist() for name, array in known.items() if array is not None}
-        point["time_from_start"] = dict(zip(("sec", "nanosec"), divmod(time, 1_000_000_000), strict=True))
+        point["time_from_start"] = dict(zip(("sec", "nanosec"), divmod(time, SECOND), strict=True))
         try:
-            lines.append(f"  {yaml_text(point)}{',' if i + 1 < len(times) else ''}")
+            points.append(f"  {yaml_text(point)}")
         except ValueError as error:
             raise OutputError(f"a JointTrajectory can hold finite numbers only ({error})") from error
-    return "\n".join([*lines, " ]}", ""]).encode()
+    return "\n".join([*lines, ",\n".join(points), " ]}", ""]).encode()
 
 
 WRITERS: Mapping[str, Callable[[SavedMotion], bytes]] = {".npz": npz_bytes, ".csv": csv_bytes, ".mcap": mcap_bytes}
