@@ -5,14 +5,12 @@ from __future__ import annotations
 import base64
 import json
 import re
-import shlex
 from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
 
-from manip_learn.cli import main
 from manip_learn.commands.demo import shipped_recordings
 from manip_learn.constraint.constraint import Constraint
 from manip_learn.constraint.features import FrameJacobian, MechanismRows, RelativeFrameJacobian
@@ -23,11 +21,10 @@ from manip_learn.control.simulation import simulate
 from manip_learn.control.tasks import PointAttractor
 from manip_learn.errors import ConstraintMismatchError, TargetError
 from manip_learn.learning import ConstraintLearner
-from manip_learn.playback import RecordingChoice, replay
+from manip_learn.playback import replay
 from manip_learn.playback.constraint_marks import held_directions
 from manip_learn.playback.replay_page import evidence_of
 from manip_learn.recordings import load_demonstrations
-from manip_learn.recordings.load_demonstrations import numbers_read
 from manip_learn.recordings.trajectory import Trajectory
 from manip_learn.recordings.velocities import derive_velocities
 
@@ -228,13 +225,6 @@ def test_the_target_is_where_the_task_wants_the_tip(robot_of, drawer, rollout, t
             target(saved, target=wrong)
 
 
-def test_the_first_view_has_room_for_the_marks(robot_of, rollout, tmp_path):
-    """What the camera frames encloses the disc and the arrows at the tip, wherever the tip comes."""
-    data = data_in(replay(robot_of("sawyer"), {"a": rollout}, tmp_path / "a.html").html)
-    low, high = np.array(data["bounds"])
-    path = numbers(data["rollouts"][0]["path"]).reshape(-1, 3)
-    arrow = 0.9 * 0.085 * np.linalg.norm(high - low)
-    assert np.all(path - arrow >= low - 1e-6) and np.all(path + arrow <= high + 1e-6)
 
 
 def test_a_rollout_shows_its_own_constraint_and_mechanism(robot_of, drawer, rollout, tmp_path):
@@ -248,7 +238,7 @@ def test_a_rollout_shows_its_own_constraint_and_mechanism(robot_of, drawer, roll
     data = data_in(replay(robot, {"a": moved}, tmp_path / "a.html").html)
     assert data["mechanisms"][0]["type"] == "line"
     assert data["evidence"]["headline"] == "moves freely" and data["evidence"]["facts"][0][:2] == ["Gap", "12"]
-    assert data["robot"]["tip"] == "right_gripper_tip" and data["choice"] is None
+    assert data["robot"]["tip"] == "right_gripper_tip"
     bare = data_in(replay(robot, {"a": replace(moved, constraint=None)}, tmp_path / "b.html").html)
     assert bare["mechanisms"] == bare["rollouts"][0]["marks"] == [] and bare["evidence"] is None
 
@@ -302,35 +292,8 @@ def test_a_learnt_constraint_keeps_its_evidence(robot_of, tmp_path):
     assert evidence_of(kept) == evidence_of(learner.report_) | {"notes": []}
 
 
-def test_the_choice_knows_the_numbers_of_files(robot_of):
-    """Places among all files, natural order, also where some were selected; typed selections are replaced."""
-    robot = robot_of("sawyer")
-    folder = shipped_recordings() / "sawyer_door"
-    assert numbers_read([folder], robot) == tuple(range(8))
-    assert numbers_read([folder], robot, episodes="2:4,6") == (2, 3, 6)
-    words = ("manip-learn", "learn", "my arm.urdf", "--episodes", "1:3", "--episodes=2", "x.csv")
-    choice = RecordingChoice.of(words, ("a", "b"), (4, 6)).to_dict(["a", "b"], [["b", "odd"], ["c", "gone"]])
-    assert choice["command"] == "manip-learn learn 'my arm.urdf' x.csv"
-    assert choice["episodes"] == [4, 6] and choice["odd"] == {"b": "odd"}
-    split = RecordingChoice.of(words, ("a", "b", "c"), (0, 1)).to_dict(["a", "b", "c"], [])
-    assert split["command"] == "" and split["episodes"] == []
 
 
-def test_the_command_of_the_page_does_what_it_says(tmp_path, monkeypatch, capsys):
-    """Run with the numbers of three recordings, the command line of the page learns from just these three."""
-    monkeypatch.chdir(tmp_path)
-    folder = str(shipped_recordings() / "sawyer_door")
-    frame = ["--frame", "right_gripper_tip"]
-    assert main(["learn", "sawyer", folder, *frame, "--episodes", "1:7", "--html", "page.html"]) == 0
-    data = data_in(tmp_path / "page.html")
-    choice, names = data["choice"], [r["name"] for r in data["rollouts"]]
-    assert choice["episodes"] == [1, 2, 3, 4, 5, 6]
-    command = f"{choice['command']} {choice['flag']} {choice['episodes'][0]},{choice['episodes'][3]}:6 --json"
-    capsys.readouterr()
-    words = shlex.split(command)
-    assert words[0] == "manip-learn" and main(words[1:]) == 0
-    assert json.loads(capsys.readouterr().out)["n_trajectories"] == 3
-    assert [r["name"] for r in data_in(tmp_path / "page.html")["rollouts"]] == [names[0], names[3], names[4]]
 
 
 def test_what_was_measured_is_drawn(robot_of, tmp_path):

@@ -61,7 +61,7 @@ REPLAY = PageKind(
         FOLDER / f"{name}.js"
         for name in (
             *("scene", "stage", "fit", "phases", "chart", "sheets", "tracks"),
-            *("constraint_marks", "furniture", "around", "labels", "shown", "evidence", "recording_choice"),
+            *("constraint_marks", "furniture", "around", "labels", "shown", "evidence"),
             *("keys", "legend", "player", "live", "main"),
         )
     ),

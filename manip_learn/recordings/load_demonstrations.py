@@ -28,7 +28,6 @@ from manip_learn.recordings.readers.read_request import (
 from manip_learn.recordings.readers.recording import Recording
 from manip_learn.recordings.readers.recording_files import (
     RecordingFile,
-    known_episodes,
     recording_files,
     select_episodes,
 )
@@ -222,13 +221,3 @@ def _check_new_names(request: ReadRequest) -> None:
             which = f"{'did you mean' if near != joints else 'it has'} {', '.join(map(repr, near[:12]))}, or 'time'"
             text = f"robot {robot.name!r} has no joint {new!r}; {which}"
             raise RecordingError(advice("{}: ", *rename_words({old: new})) + text, code="option")
-
-
-def numbers_read(paths: Paths, robot: Robot, **options: Unpack[ReadOptions]) -> tuple[int, ...]:
-    """Numbers of the recordings that `load_demonstrations` reads, in its order, counted as `episodes` counts them.
-
-    Of a LeRobot data set they are numbers of episodes; else places among all files. Files that hold several recordings
-    have one number for all.
-    """
-    files, request, _ = open_recordings(paths, robot, options)
-    return tuple(known_episodes(files) if request.chosen is None else sorted(request.chosen))
