@@ -8,7 +8,6 @@ from dataclasses import dataclass
 
 import pytest
 from numpy.random import Generator
-from threadpoolctl import threadpool_limits
 
 from manip_learn.errors import ExperimentError, OutputError, UnknownNameError
 from manip_learn.experiments import EXPERIMENTS, reproduce, table
@@ -49,26 +48,6 @@ def test_number_of_workers_does_not_change_numbers():
     case = LearningCase(Setup("x y", trajectories=20), ("joint-affine", "separate"))
     one, two = (TrialRunner(workers=w).map("few", learning_trial, [case], 3, seed=1)[0] for w in (1, 2))
     assert [[{**t[n], "seconds": 0} for n in t] for t in one] == [[{**t[n], "seconds": 0} for n in t] for t in two]
-
-
-def test_threads_of_linear_algebra_do_not_change_numbers():
-    """The last digit is the same whatever number of threads BLAS was given."""
-    case = LearningCase(Setup("x rz"), ("joint-rbf",))
-    outcomes = []
-    for threads in (1, 2):
-        with threadpool_limits(limits=threads):
-            outcomes.append(TrialRunner(workers=1).map("blas", learning_trial, [case], 1, seed=3)[0][0]["joint-rbf"])
-    assert {**outcomes[0], "seconds": 0} == {**outcomes[1], "seconds": 0}
-
-
-def test_progress_counts_to_the_total():
-    """Progress is reported with the experiment's name and the completed fraction of all trials, and ends at 1."""
-    seen: list[tuple[str, float]] = []
-    runner = TrialRunner(workers=1, progress=lambda title, fraction: seen.append((title, fraction)), total=24)
-    for experiment in ("dice", "coins"):
-        runner.map(experiment, throw, [Dice(6)], 12, seed=0)
-    assert [title for title, _ in seen] == ["dice"] * 12 + ["coins"] * 12
-    assert [round(24 * fraction) for _, fraction in seen] == [*range(1, 25)]
 
 
 def test_what_is_asked_for_is_checked_before_anything_is_written(tmp_path):

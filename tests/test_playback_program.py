@@ -84,8 +84,6 @@ def test_places_on_the_chart(run):
     assert run("d.y(0.01)", "d.y(1)", "d.y(100)", "d.y(0)", given=given) == pytest.approx([108, 58, 8, 108])
 
 
-
-
 PHASED = """const kinds = ["first", "second", "free"].map((label) => ({ label }));
     const phased = { hasPhases: true, duration: 4, phases: [[0.5, 1, -1], [1, 3, 0], [3.5, 4, 1]], status: [] };
     phased.bands = bandsOf(phased, kinds);"""
@@ -162,5 +160,3 @@ def test_tracks_and_tables_are_read_between_their_rows(run, rng):
         np.testing.assert_allclose(values, np.linalg.eigvalsh(matrix)[::-1], atol=1e-12)
         np.testing.assert_allclose(V @ V.T, np.eye(3), atol=1e-12)
         np.testing.assert_allclose(V.T @ np.diag(values) @ V, matrix, atol=1e-12)
-
-

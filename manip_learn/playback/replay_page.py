@@ -211,7 +211,11 @@ def replay(
     """
     named = named_recordings(rollouts)
     guided = {name: guidance_of(robot, name, r, constraint, target) for name, r in named.items()}
-    learnt = _learnt(report, guided)
+    if report is not None:
+        learnt = report if isinstance(report, Mapping) else report.to_dict()
+    else:  # of the first constraint shown
+        kept = (g.constraint.provenance for g in guided.values() if g.constraint is not None)
+        learnt = next((provenance for provenance in kept if provenance), {})
     if not phases:
         own = phases_from_json(learnt.get("phases") or ())
         phases = tuple(p for p in own if isinstance(named.get(p[0]), Trajectory))
@@ -313,14 +317,6 @@ def _drawings(
                 places = np.concatenate([opened.pose[None, :3, 3], *ends])
         drawn.append(mechanism_drawing(described, places, shown))
     return tuple(drawn)
-
-
-def _learnt(report: LearningReport | Mapping[str, Any] | None, guided: Mapping[str, Guidance]) -> Mapping[str, Any]:
-    """The report as a dictionary; that of the first constraint shown if none was given, empty if there is none."""
-    if report is not None:
-        return report if isinstance(report, Mapping) else report.to_dict()
-    kept = (g.constraint.provenance for g in guided.values() if g.constraint is not None)
-    return next((provenance for provenance in kept if provenance), {})
 
 
 def shown_tip(robot: Robot, tip: str | None, named: Mapping[str, Recording], guided: Mapping[str, Guidance]) -> str:
