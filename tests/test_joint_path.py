@@ -65,13 +65,13 @@ def sawyer() -> ml.Robot:
     return ml.load_robot("sawyer")
 
 
-@pytest.mark.parametrize("name", ["sawyer", "panda", "kinova", 2, 4])
+@pytest.mark.parametrize("name", ["sawyer", "panda", "kinova", 2, 5])
 def test_paths_are_clear_and_repeated(roboplan, name, tmp_path: Path):
     """Shapes of every kind, mimic, continuous and sliding joints, trees, and robots whose links are capsules."""
     robot = random_tree(np.random.default_rng(name), tmp_path) if isinstance(name, int) else ml.load_robot(name)
     limits, obstacles, found = Limits(robot), around(robot), 0
     known = links_of(robot)[0].with_obstacles(obstacles)
-    for number, (start, goal, clear) in zip(range(2), blocked(robot, 1, obstacles), strict=False):
+    for number, (start, goal, clear) in zip(range(3), blocked(robot, 1, obstacles), strict=False):
         path = joint_path(robot, start, goal, limits, clear, number)
         if path is None:
             continue

@@ -16,6 +16,7 @@ from manip_learn.control.limits import Limits
 from manip_learn.planning.clearance import self_collision
 from manip_learn.planning.search import soft_margin
 from manip_learn.planning.stations import Stations, margins_of
+from manip_learn.robot.collision import SelfCollision
 from manip_learn.robot.rotations import rotation_matrix
 
 PANDA_TIP = "panda_hand_tcp"
@@ -241,15 +242,41 @@ def test_a_way_beyond_the_reach_says_how_much_of_it_can_be_done(panda: ml.Robot)
     assert beyond > 0.85  # a Panda's hand reaches 0.855 m from its shoulder
 
 
-def test_a_grip_or_a_base_that_would_help_is_named(panda: ml.Robot) -> None:
-    """A base placement that is near enough is found."""
+def test_a_hand_that_may_turn_is_named_where_it_would_help(panda: ml.Robot) -> None:
+    """Held as it is, the hand does not come so far to the side."""
     rail = line(panda, PANDA_TIP, (0.0, 1.0, 0.0))
-    motion = ml.motion(rail, along=0.75, keep_orientation=True)
     with pytest.raises(ml.NoPlanError) as refused:
-        ml.plan(rail, motion, READY, base_within=0.6, **FEW)
-    helps = " ".join(refused.value.helps)
-    assert "base moved by" in helps
-    assert refused.value.posture is None or refused.value.posture.shape == (7,)
+        ml.plan(rail, ml.motion(rail, along=0.75, keep_orientation=True), READY, **FEW)
+    assert refused.value.helps == ("a hand that may turn on the way could do it",)
+
+
+def test_nothing_touches_between_the_stations_of_a_way(tmp_path: Path) -> None:
+    """A bead that thin links meet between two stations of a long way, and at none of them, is kept clear of."""
+    joints = [("revolute", "0 0 1", place, "0 0 0") for place in ("0 0 0", "1 0 0", "1 0 0")]
+    rod = '<origin xyz="0.5 0 0" rpy="0 1.570796 0"/><geometry><cylinder radius="0.002" length="1"/></geometry>'
+    text = chain_urdf("thin", joints).replace('lower="-2" upper="2"', 'lower="-3" upper="3"')
+    for i in range(3):
+        text = text.replace(f'<link name="link{i}">', f'<link name="link{i}"><collision>{rod}</collision>')
+    (tmp_path / "thin.urdf").write_text(text)
+    robot, start = ml.load_robot(tmp_path / "thin.urdf"), np.array([0.9, -1.2, -0.6])
+    held = ml.Constraint([[0, 1]], ml.FrameJacobian(robot, "tip", "x y"))
+    motion = ml.motion(held, along=-1.6)
+    way = ml.plan(held, motion, start, scene=None, **FEW).way
+    stations = Stations.of(motion, start, Limits(robot))
+    times = way.time[-1] - stations.time[-1] + stations.time
+    middle = way.q[np.searchsorted(way.time, 0.5 * (times[40] + times[41]))]
+    bead = ml.Sphere(0.001, (robot.pose(middle, "link2") @ [0.9, 0.0, 0.0, 1.0])[:3], "bead")
+    scene = ml.Scene(spheres=[bead])
+    touching = SelfCollision(robot, obstacles=scene.obstacles(robot))
+    at_stations = way.q[np.minimum(np.searchsorted(way.time, times), len(way) - 1)]
+    assert all(touching.closer_than(q, 0.0) for q in [middle])
+    assert not any(touching.closer_than(q, 0.005) for q in at_stations)
+    try:
+        found = ml.plan(held, motion, start, scene=scene, **FEW)
+    except ml.NoPlanError as refused:
+        assert "bead" in refused.stopped_by
+    else:
+        assert not any(touching.closer_than(q, 0.0) for q in (*found.approach.q, *found.way.q))
 
 
 def test_bad_starts_and_ways_are_refused_in_a_sentence(panda: ml.Robot, sawyer: ml.Robot) -> None:
