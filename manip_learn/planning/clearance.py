@@ -206,6 +206,11 @@ class Clearance:
 @lru_cache(maxsize=8)
 def levers_of(robot: Robot) -> Float[np.ndarray, " nv"]:
     """How far a point of a link moves at most per joint motion: a joint that turns, to the arm's end [m]; else 1."""
-    model, reach = robot.pinocchio_model, max(map(robot.reach, robot.frame_names))
-    before = [sum(np.linalg.norm(model.jointPlacements[j].translation) for j in chain) for chain in model.supports]
-    return np.array([reach - before[b.index] if unit == "rad" else 1.0 for b in robot.blocks for unit in b.units])
+    model, slides = robot.pinocchio_model, np.array(robot.joint_units) != "rad"
+    lengths = np.linalg.norm([place.translation for place in model.jointPlacements], axis=1)
+    ends = np.maximum(np.abs(robot.position_lower), np.abs(robot.position_upper))
+    for block in robot.blocks:  # a base that floats goes where it likes, and its arm with it
+        lengths[block.index] += np.sum(ends[block.v][slides[block.v] & np.isfinite(ends[block.v])])
+    before = np.array([np.sum(lengths[list(chain)]) for chain in model.supports])
+    reach = max(before[f.parentJoint] + float(np.linalg.norm(f.placement.translation)) for f in model.frames)
+    return np.where(slides, 1.0, [reach - before[block.index] for block in robot.blocks for _ in block.units])
