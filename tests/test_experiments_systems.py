@@ -21,9 +21,7 @@ from manip_learn.experiments.paper_setup import (
     planar_arm,
     planar_features,
     tip,
-    true_constraint,
 )
-from manip_learn.experiments.sawyer import HARD, KIND, sawyer_arm, turned_recordings
 from manip_learn.experiments.table import ESTIMATORS, SAID, LearningCase, learning_trial
 
 pytestmark = pytest.mark.timeout(400)  # fixtures of half a minute, which others on the machine may stretch
@@ -138,44 +136,6 @@ def test_figure_2_is_judged_over_starts_that_differ_by_rounding(near_singular, s
     for policy in ("zero", "manipulability"):
         assert rounding[policy]["reached"] == rounding[policy]["settled"] == 1.0
     assert rounding["attractor"]["settled"] == 0.0 and rounding["attractor"]["least_late_speed"] > 1e6
-
-
-def test_our_controller_stays_within_limits(singular, near_singular, rng):
-    """From the same starts, exact and perturbed, ours reaches the target and never exceeds the arm's speed."""
-    for result in (singular, near_singular):
-        for q in np.array(result.setting.start) + 0.01 * rng.standard_normal((2, 3)):
-            beside = result.setting.rollout("manipulability", true_constraint("x y"), 0.02, q, product=True)
-            assert np.max(np.abs(beside.u)) <= 3.1416 * (1 + 1e-9) and beside.task_error[-1] < 0.05
-        assert result.product["manipulability"].task_error[-1] < 0.05
-
-
-def test_turned_drawer_opens_along_an_axis():
-    """In the turned recordings the grip moves along x, or along y, and nowhere else."""
-    frame = sawyer_arm().frame("right_gripper_tip")
-    for along_x, axis in ((True, 0), (False, 1)):
-        demos = turned_recordings(along_x, 10, KIND)
-        assert len(demos) == 50 and len(demos[0]) == 10
-        places = np.array([sawyer_arm().pose(q, frame)[:3, 3] for q in demos[0].q])
-        spread = np.ptp(places, axis=0)
-        assert spread[axis] > 0.05
-        assert np.max(np.delete(spread, axis)) < 1e-3
-
-
-def test_hard_recordings_are_hard():
-    """The grip strays by millimetres, samples come at 20 Hz, and the recorded velocities are late by 50 ms or more."""
-    frame = sawyer_arm().frame("right_gripper_tip")
-    demos = turned_recordings(True, None, HARD)
-    assert len(demos) == 50
-    astray, lags = [], []
-    for t in list(demos)[:10]:
-        assert_allclose(np.diff(t.time), 0.05, atol=1e-9)
-        places = np.array([sawyer_arm().pose(q, frame)[:3, 3] for q in t.q])
-        astray.append(np.sqrt(np.mean(np.var(places[:, 1:], axis=0))))
-        speed, joint = np.gradient(t.q, t.time, axis=0), int(np.argmax(np.ptp(t.q, axis=0)))
-        match = [np.corrcoef(speed[5:-5, joint], t.u[5 + k : len(t) - 5 + k, joint])[0, 1] for k in range(4)]
-        lags.append(int(np.argmax(match)))
-    assert 5e-4 < np.median(astray) < 3e-3
-    assert np.median(lags) in (1, 2)
 
 
 @pytest.mark.parametrize(

@@ -499,26 +499,6 @@ def test_a_plan_beside_other_rollouts(robot_of, opening, tmp_path, opened):
     assert len(set(colours)) == 3
 
 
-def test_marks_are_those_of_the_phase(robot_of, drawer, rollout, tmp_path, opened):
-    """In the phase of a constraint its own marks are at the tip; each phase is named by its mechanism."""
-    axes = {"line": [0.91, 0.42, 0], "plane": [0, 0, 1]}
-    line, plane = ({"type": t, "axis": a, "point": [0.5, 0.2, 0.4], "sentence": f"a {t}"} for t, a in axes.items())
-    constraints = (
-        Constraint(drawer.selection, drawer.features, {"mechanism": line}),
-        Constraint([[0, 0, 1]], drawer.features, {"mechanism": plane}),
-    )
-    more = {"constraint": constraints, "phases": [("a", 0.1, 0.4, 0), ("a", 0.5, 0.9, 1)], "mechanism": line}
-    result = replay(robot_of("sawyer"), {"a": rollout.trajectory("a")}, tmp_path / "a.html", **more)
-    page = opened(result.html.as_uri())
-    for t, free, held in ((0.2, 1, 2), (0.7, 2, 1)):
-        seek(page, t)
-        marks = page.evaluate("manipLearn.marks('a', manipLearn.time)")
-        assert (len(marks["free"]), len(marks["held"])) == (free, held)
-    assert page.locator("#mechanism").inner_text().split("\n") == ["1: a line", "2: a plane"]
-    key = page.locator("#status-key").inner_text()
-    assert "constraint 1: line" in key and "constraint 2: plane" in key
-
-
 # ---- on a phone, and for screen readers ----------------------------------------
 
 PHONE_WIDTH = 390  # [px]

@@ -237,22 +237,3 @@ def test_evidence_in_words():
         ["Gap", "1e+03", "how clearly the data ask for this number of rows: 1.5 and above is clear"],
         ["Learnt from", "1 sample", "of 2 recordings; estimator: joint"],
     ]
-
-
-def test_what_was_measured_is_drawn(robot_of, tmp_path):
-    """Efforts over the largest of each joint, zeros where one has none."""
-    robot = robot_of("sawyer")
-    time = np.linspace(0.0, 2.0, 101)
-    effort = np.column_stack([np.sin(3.0 * time) * 2.0**k for k in range(robot.nv)])
-    effort[:, 2] = 0.0
-    q = START + 0.1 * np.sin(time)[:, None]
-    demo = Trajectory(time, q, None, robot.joint_names, effort=effort)
-    bare = Trajectory(time, q, None, robot.joint_names)
-    page, without = data_in(replay(robot, {"a": demo, "b": bare}, tmp_path / "a.html").html)["rollouts"]
-    shown = curves_of(page, "effort")
-    assert list(shown) == list(robot.joint_names)
-    for name, (times, values) in shown.items():
-        largest = np.max(np.abs(effort[:, robot.joint_index(name)])) or 1.0
-        np.testing.assert_allclose(values, effort[:, robot.joint_index(name)] / largest, atol=1e-6)
-        np.testing.assert_allclose(times, time, atol=1e-12)
-    assert "effort" not in {t["kind"] for t in without["measures"]["tracks"]}

@@ -567,26 +567,6 @@ def test_the_next_step_and_the_cards(program, page):
     until(page, lambda: program.all("record"), "R does nothing while a button has the focus")
 
 
-def test_a_drawer_is_a_target_of_a_drag(program, page):
-    """Who presses on the drawer pulls the hand to its handle, and goes on pulling when the pointer is lifted, until the
-    gripper holds it; who turns the view by a drag beside the arm before the first pull is told how to move the hand.
-    """
-    program.pose(FARTHER)
-    wait_until(page, f"Math.abs(manipLearnTeach.pose.values[0] - {FARTHER[0]}) < 1e-12")
-    looks_drawn(page)
-    x, y = page.evaluate("p => manipLearnTeach.screenOf(p)", list(program.handle)).values()
-    page.mouse.move(x + 3, y + 2)
-    page.mouse.down()
-    page.mouse.move(x + 60, y + 2, steps=3)
-    beats = iter(range(1000))
-    until(page, lambda: comes(program, next(beats)), "the hand does not come to the handle")
-    page.mouse.up()
-    until(page, lambda: comes(program, next(beats)), "the hand does not stay")
-    assert not program.all("release")
-    program.pose(START, held=[True])
-    until(page, lambda: program.all("release"), "the hand is not let go once the gripper holds the handle")
-
-
 def test_the_tour_is_a_line_of_the_panel_and_an_end_is_told(chromium, robot_of):
     """It says the first step that was not done, in one line while the arm is pulled, and takes no key; skipped, it
     stays away. A drag that turns the view before the first pull is explained. When the program is gone the page says
