@@ -70,7 +70,7 @@ PICTURES = (
     Picture("replay_drawer", "drawer", ["manipLearn.seek(6.6)", *TRACKS], height=960),
     Picture("replay_learn", "learn", ["manipLearn.seek(11)"]),
     Picture("replay_hinge", "hinge", ["manipLearn.seek(1.6)", SHOW_ELLIPSOID]),
-    Picture("replay_recordings", "mixed", ["manipLearn.seek(5.2)", FIT, opened("choice")], width=1440),
+    Picture("replay_recordings", "mixed", ["manipLearn.seek(5.2)", FIT], width=1440),
     Picture("replay_evidence", "mixed", ["manipLearn.seek(5.2)", opened("evidence")], width=1440),
     Picture("replay_dark", "drawer", ["manipLearn.seek(6.6)", TRACKS[0]], dark=True),
     Picture("replay_phone", "hinge", ["manipLearn.seek(1.6)"], width=390, height=844),

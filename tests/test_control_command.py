@@ -217,7 +217,6 @@ def test_a_plan_on_the_command_line(run, shown):
     for more, words in (
         (("--plan", "--policy", "zero"), "leave --policy"),
         (("--grasp-turns", "2"), "go with --plan"),
-        (("--plan", "--base-within", "-1"), "0 m or more"),
         (("--plan", "--grasp-angle", "-3"), "from 0 to pi"),
     ):
         code, _out, err = run(*way, *more)

@@ -6,13 +6,16 @@ import csv
 import json
 from dataclasses import dataclass
 
+import numpy as np
 import pytest
 from numpy.random import Generator
-from threadpoolctl import threadpool_limits
+from numpy.testing import assert_allclose
 
+from manip_learn.constraint.features import FrameJacobian
 from manip_learn.errors import ExperimentError, OutputError, UnknownNameError
 from manip_learn.experiments import EXPERIMENTS, reproduce, table
 from manip_learn.experiments.experiment_result import markdown_table, mean_and_sd, number, share, summary
+from manip_learn.experiments.metrics import manipulability_along, mie, nmie, policy_rmse, scale_free_nmie
 from manip_learn.experiments.paper_setup import PAPER_NMIE, SELECTIONS, Setup
 from manip_learn.experiments.reproduce import write_result
 from manip_learn.experiments.table import LearningCase, learning_trial
@@ -49,26 +52,6 @@ def test_number_of_workers_does_not_change_numbers():
     case = LearningCase(Setup("x y", trajectories=20), ("joint-affine", "separate"))
     one, two = (TrialRunner(workers=w).map("few", learning_trial, [case], 3, seed=1)[0] for w in (1, 2))
     assert [[{**t[n], "seconds": 0} for n in t] for t in one] == [[{**t[n], "seconds": 0} for n in t] for t in two]
-
-
-def test_threads_of_linear_algebra_do_not_change_numbers():
-    """The last digit is the same whatever number of threads BLAS was given."""
-    case = LearningCase(Setup("x rz"), ("joint-rbf",))
-    outcomes = []
-    for threads in (1, 2):
-        with threadpool_limits(limits=threads):
-            outcomes.append(TrialRunner(workers=1).map("blas", learning_trial, [case], 1, seed=3)[0][0]["joint-rbf"])
-    assert {**outcomes[0], "seconds": 0} == {**outcomes[1], "seconds": 0}
-
-
-def test_progress_counts_to_the_total():
-    """Progress is reported with the experiment's name and the completed fraction of all trials, and ends at 1."""
-    seen: list[tuple[str, float]] = []
-    runner = TrialRunner(workers=1, progress=lambda title, fraction: seen.append((title, fraction)), total=24)
-    for experiment in ("dice", "coins"):
-        runner.map(experiment, throw, [Dice(6)], 12, seed=0)
-    assert [title for title, _ in seen] == ["dice"] * 12 + ["coins"] * 12
-    assert [round(24 * fraction) for _, fraction in seen] == [*range(1, 25)]
 
 
 def test_what_is_asked_for_is_checked_before_anything_is_written(tmp_path):
@@ -145,3 +128,36 @@ def test_statistics_and_numbers_for_tables():
     words |= {1.0: "1", -0.5: "-0.5", 9.96: "10", 1000.0: "1.0e+03", 999.0: "999", 0.00999: "1.0e-02"}
     assert [number(value) for value in words] == list(words.values())
     assert markdown_table(["a", "b"], [[1, 2]]) == "| a | b |\n|---|---|\n| 1 | 2 |"
+
+
+def test_errors_are_as_defined(robot_of, rng):
+    """MIE, NMIE and its scale-free form on given postures, from mu = sqrt(det(A A^T)) written out."""
+    robot = robot_of("sawyer")
+    features = FrameJacobian(robot, "right_hand")
+    true, learnt = rng.standard_normal((2, 2, 3))
+    q = np.array([robot.random_configuration(rng) for _ in range(30)])
+    mu, other = (
+        np.array([np.sqrt(np.linalg.det(Lambda @ features(x) @ features(x).T @ Lambda.T)) for x in q])
+        for Lambda in (true, learnt)
+    )
+    assert_allclose(manipulability_along(features, true, q), mu, rtol=1e-9)
+    assert mie(mu, other) == pytest.approx(np.mean((mu - other) ** 2))
+    assert nmie(mu, other) == pytest.approx(np.mean((mu - other) ** 2) / np.var(mu))
+    scales = np.linspace(0.1, 10.0, 20001)
+    best = min(np.mean((mu[:, None] - other[:, None] * scales) ** 2, axis=0))
+    assert scale_free_nmie(mu, other) == pytest.approx(best / np.var(mu), rel=1e-3)
+
+
+def test_a_learnt_constraint_without_manipulability_has_the_error_of_zero():
+    """mu~ = 0 everywhere has no best factor: the scale-free error is that of zero, not NaN."""
+    mu = np.array([1.0, 2.0, 4.0])
+    assert scale_free_nmie(mu, np.zeros(3)) == pytest.approx(np.mean(mu**2) / np.var(mu))
+
+
+def test_policy_rmse():
+    """Root of the mean squared distance of two policies: summed over the joints, averaged over the time."""
+    pi = np.array([[[1.0, 0.0], [0.0, 1.0]], [[3.0, 0.0], [0.0, 4.0]]])
+    assert_allclose(policy_rmse(pi, np.zeros_like(pi)), [1.0, np.sqrt(12.5)])
+    assert_allclose(policy_rmse(pi[1:], pi[:1]), [np.sqrt((2.0**2 + 3.0**2) / 2)])
+    longer = np.concatenate([pi, pi], axis=1)
+    assert_allclose(policy_rmse(longer, np.zeros_like(longer)), [1.0, np.sqrt(12.5)])

@@ -52,20 +52,6 @@ def test_tracks_are_forward_kinematics(robot_of, rng):
                 np.testing.assert_allclose(pose, placed.homogeneous, atol=1e-12, err_msg=name)
 
 
-def test_joints_move_by_one_number_the_short_way(robot_of):
-    """Turning and sliding joints are one number, so that links stay attached; one that passes half a turn goes on."""
-    for joint in (j for name in ROBOTS for j in kinematic_tree(robot_of(name))):
-        assert joint.axis.shape == (3,) and np.linalg.norm(joint.axis) == pytest.approx(float(joint.width == 1))
-    motions = {name: [j.motion for j in kinematic_tree(robot_of(name))[1:]] for name in ("gantry", "wrist", "humanoid")}
-    assert motions["gantry"] == ["prismatic"] * 2 + ["revolute"] * 2 + ["prismatic"]
-    assert motions["wrist"] == ["revolute"] * 4 and motions["humanoid"][0] == "free"
-    robot = robot_of("wrist")
-    positions = np.zeros((31, robot.nv))
-    positions[:, 0] = np.linspace(2.0, 5.0, 31)
-    tracks = joint_tracks(robot, kinematic_tree(robot), np.array([robot.configuration(p) for p in positions]))
-    np.testing.assert_allclose(np.diff(tracks[:, 0]), 0.1, atol=1e-12)
-
-
 def test_key_frames_are_few_and_keep_the_ends():
     """At most 60 key frames a second and 18,000 in all; slow recordings keep every sample; first and last stay."""
     for rate, seconds, most in ((1000.0, 10.0, 602), (100.0, 10.0, 602), (30.0, 10.0, 301), (100.0, 900.0, 18_001)):

@@ -12,14 +12,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from manip_learn.recordings.readers.read_request import EpisodeSelection
-
-FILES = ("fit.js", "phases.js", "chart.js", "tracks.js", "constraint_marks.js", "recording_choice.js", "player.js")
+FILES = ("fit.js", "phases.js", "chart.js", "tracks.js", "constraint_marks.js", "player.js")
 # what the browser brings; the functions under test draw nothing
 BROWSER = "const MeshCat = { THREE: {} }, document = { getElementById: () => null }, requestAnimationFrame = () => {};"
-TIMES = [0.0, 0.5, 2.0, 2.25]
-CURVE = [1.0, 0.2, 0.8, 0.0]
-TRACKS = [[0.0, 10.0], [1.0, -10.0], [4.0, 20.0], [3.0, 0.0]]
 
 
 @pytest.fixture(scope="module")
@@ -87,19 +82,6 @@ def test_places_on_the_chart(run):
     given += "const d = at(58, 258, 8, 108, { duration: 4, logarithmic: true, range: [0.01, 100] });"
     assert run("c.x(2)", "c.x(3)", "c.x(6)", "c.y(0)", "c.y(0.5)", "c.y(2)", given=given) == [58, 108, 258, 108, 83, 8]
     assert run("d.y(0.01)", "d.y(1)", "d.y(100)", "d.y(0)", given=given) == pytest.approx([108, 58, 8, 108])
-
-
-def test_the_axis_holds_every_value(run):
-    """The range begins at 0 or below and ends above the highest; by decades whole decades, also above the highest."""
-    given = CHART + "const c = at(0, 1, 0, 1, {}), d = at(0, 1, 0, 1, { logarithmic: true });"
-    given += "const many = [{ curve: [0.5, 2] }, { curve: [-0.25, 0, 1] }];"
-    plain, decades, nothing, tiny = run(
-        "c.findRange(many)", "d.findRange(many)", "c.findRange([])", "d.findRange([{ curve: [1, 1e-30] }])", given=given
-    )
-    assert plain == [-0.25, pytest.approx(2.12)] and nothing == [0, 1]
-    assert decades == pytest.approx([0.1, 10.0])
-    assert np.log10(tiny) == pytest.approx([-12.0, 1.0])
-    assert run("c.findRange([{ curve: [0.5, 2] }])[0]", given=given) == [0]
 
 
 PHASED = """const kinds = ["first", "second", "free"].map((label) => ({ label }));
@@ -178,12 +160,3 @@ def test_tracks_and_tables_are_read_between_their_rows(run, rng):
         np.testing.assert_allclose(values, np.linalg.eigvalsh(matrix)[::-1], atol=1e-12)
         np.testing.assert_allclose(V @ V.T, np.eye(3), atol=1e-12)
         np.testing.assert_allclose(V.T @ np.diag(values) @ V, matrix, atol=1e-12)
-
-
-def test_numbers_become_ranges_as_episodes_are_counted(run):
-    """Neighbours become half-open ranges, others stand alone; the order does not matter."""
-    cases = {"[0, 1, 2, 5]": "0:3,5", "[7, 3, 4]": "3:5,7", "[9]": "9", "[]": "", "[0, 2, 4]": "0,2,4"}
-    assert run(*(f"asRanges({numbers})" for numbers in cases)) == list(cases.values())
-    for text in ("0:3,5", "3:5,7", "9"):
-        known = EpisodeSelection.of(text).of_known(range(10), "here")
-        assert run(f"asRanges({sorted(known)})") == [text]

@@ -101,13 +101,6 @@ def test_the_evidence_has_a_row_for_each_row(ax):
         plots.evidence(dataclasses.replace(report(), row_evidence=()), ax)
 
 
-def test_what_is_no_report_is_told(ax):
-    """The learner is not its report, nor is a rollout."""
-    for draw in (plots.gap, plots.evidence):
-        with pytest.raises(ManipLearnError, match="learner.report_, not a ConstraintLearner"):
-            draw(sawyer_drawer()[2], ax)
-
-
 def test_new_axes_need_matplotlib(monkeypatch, runs):
     """Without axes there are new ones; without matplotlib, one sentence that says what to install."""
     plt.close(plots.manipulability(runs).figure)
@@ -152,11 +145,3 @@ def test_a_rollout_knows_its_robot(tmp_path, runs):
     with pytest.raises(ManipLearnError, match=r"own\.urdf"):
         kept.robot.load()
     plt.close(plots.manipulability(kept).figure)  # without what was shown
-
-
-def test_a_curve_has_gaps_where_nothing_is_known():
-    """Numbers that are not finite break the curve, and nothing but them is no picture."""
-    from manip_learn.robot import html_card
-
-    assert html_card.curve([0.0, 1.0, 2.0, 3.0], [1.0, 1.0, float("nan"), 1.0], "x").count("<polyline") == 2
-    assert html_card.curve([0.0, 1.0], [float("nan")] * 2, "x") == "" == html_card.bars([("a", 0.0)], "x")

@@ -5,15 +5,12 @@ from __future__ import annotations
 import base64
 import json
 import re
-import shlex
 from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
 
-from manip_learn.cli import main
-from manip_learn.commands.demo import shipped_recordings
 from manip_learn.constraint.constraint import Constraint
 from manip_learn.constraint.features import FrameJacobian, MechanismRows, RelativeFrameJacobian
 from manip_learn.control.controller import ResolvedRateController
@@ -21,13 +18,10 @@ from manip_learn.control.policies import ManipulabilityAscent
 from manip_learn.control.rollout import Rollout
 from manip_learn.control.simulation import simulate
 from manip_learn.control.tasks import PointAttractor
-from manip_learn.errors import ConstraintMismatchError, TargetError
-from manip_learn.learning import ConstraintLearner
-from manip_learn.playback import RecordingChoice, replay
+from manip_learn.errors import TargetError
+from manip_learn.playback import replay
 from manip_learn.playback.constraint_marks import held_directions
 from manip_learn.playback.replay_page import evidence_of
-from manip_learn.recordings import load_demonstrations
-from manip_learn.recordings.load_demonstrations import numbers_read
 from manip_learn.recordings.trajectory import Trajectory
 from manip_learn.recordings.velocities import derive_velocities
 
@@ -70,37 +64,6 @@ def rollout(robot_of, drawer) -> Rollout:
     """One second towards a target."""
     controller = ResolvedRateController(drawer, PointAttractor(TARGET), ManipulabilityAscent(drawer))
     return simulate(robot_of("sawyer"), controller, START, 1.0, 0.01)
-
-
-def test_joints_without_limits_are_named(robot_of, tmp_path):
-    """A joint that has no range is left out of that track, and the page says which."""
-    robot = robot_of("wrist")
-    time = 0.1 * np.arange(4.0)
-    q = np.array([robot.neutral()] * 4)
-    motion = Trajectory(time, q, np.zeros((4, robot.nv)), robot.joint_names, "still")
-    page = data_in(replay(robot, motion, tmp_path / "a.html").html)["rollouts"][0]
-    finite = np.isfinite(robot.position_lower) & np.isfinite(robot.position_upper)
-    tracks = {t["kind"]: t for t in page["measures"]["tracks"]}
-    assert tracks["position"]["without"] == [n for n, f in zip(robot.joint_names, finite, strict=True) if not f] != []
-
-
-def test_the_fit_of_recordings_is_that_of_the_constraint(robot_of, drawer, rollout, tmp_path):
-    """|A+ A u| / |u| of each moving sample; over all samples it is `Constraint.residual`; at rest there is a gap."""
-    robot = robot_of("sawyer")
-    u = rollout.u.copy()
-    u[:5] = 0.0
-    demo = Trajectory(rollout.time + 3.0, rollout.q, u, robot.joint_names, "demo")
-    page = data_in(replay(robot, {"demo": demo}, tmp_path / "a.html", constraint=drawer).html)["rollouts"][0]
-    ((_, shares),) = curves_of(page, "fit").values()
-    assert np.all(np.isnan(shares[:5]))
-    speed = np.linalg.norm(u, axis=1)
-    moving = speed > 0.1 * np.sqrt(np.mean(speed**2))
-    expected = [
-        np.linalg.norm(np.linalg.pinv(drawer(q)) @ drawer(q) @ v) / np.linalg.norm(v)
-        for q, v in zip(rollout.q[moving], u[moving], strict=True)
-    ]
-    np.testing.assert_allclose(shares[moving], expected, rtol=1e-6)
-    assert page["fitShare"] == pytest.approx(drawer.residual([demo]), rel=1e-12)
 
 
 def test_the_fit_is_that_of_each_phase(robot_of, drawer, rollout, tmp_path):
@@ -228,15 +191,6 @@ def test_the_target_is_where_the_task_wants_the_tip(robot_of, drawer, rollout, t
             target(saved, target=wrong)
 
 
-def test_the_first_view_has_room_for_the_marks(robot_of, rollout, tmp_path):
-    """What the camera frames encloses the disc and the arrows at the tip, wherever the tip comes."""
-    data = data_in(replay(robot_of("sawyer"), {"a": rollout}, tmp_path / "a.html").html)
-    low, high = np.array(data["bounds"])
-    path = numbers(data["rollouts"][0]["path"]).reshape(-1, 3)
-    arrow = 0.9 * 0.085 * np.linalg.norm(high - low)
-    assert np.all(path - arrow >= low - 1e-6) and np.all(path + arrow <= high + 1e-6)
-
-
 def test_a_rollout_shows_its_own_constraint_and_mechanism(robot_of, drawer, rollout, tmp_path):
     """Also from its file; the evidence that its constraint keeps is in the page, and its frame is drawn."""
     robot = robot_of("sawyer")
@@ -248,17 +202,9 @@ def test_a_rollout_shows_its_own_constraint_and_mechanism(robot_of, drawer, roll
     data = data_in(replay(robot, {"a": moved}, tmp_path / "a.html").html)
     assert data["mechanisms"][0]["type"] == "line"
     assert data["evidence"]["headline"] == "moves freely" and data["evidence"]["facts"][0][:2] == ["Gap", "12"]
-    assert data["robot"]["tip"] == "right_gripper_tip" and data["choice"] is None
+    assert data["robot"]["tip"] == "right_gripper_tip"
     bare = data_in(replay(robot, {"a": replace(moved, constraint=None)}, tmp_path / "b.html").html)
     assert bare["mechanisms"] == bare["rollouts"][0]["marks"] == [] and bare["evidence"] is None
-
-
-def test_constraints_of_other_robots_are_refused(robot_of, drawer, rollout, tmp_path):
-    """A constraint of another robot names both."""
-    planar = robot_of("planar3")
-    still = Trajectory([0.0, 1.0], np.zeros((2, 3)), None, planar.joint_names, "still")
-    with pytest.raises(ConstraintMismatchError, match="'sawyer'.*'planar3'"):
-        replay(planar, still, tmp_path / "a.html", constraint=drawer)
 
 
 def test_evidence_in_words():
@@ -291,62 +237,3 @@ def test_evidence_in_words():
         ["Gap", "1e+03", "how clearly the data ask for this number of rows: 1.5 and above is clear"],
         ["Learnt from", "1 sample", "of 2 recordings; estimator: joint"],
     ]
-
-
-def test_a_learnt_constraint_keeps_its_evidence(robot_of, tmp_path):
-    """What a constraint file holds is enough for the evidence that the report itself gives, but for its notes."""
-    robot = robot_of("sawyer")
-    demos = load_demonstrations(sorted((shipped_recordings() / "sawyer_drawer").glob("*.csv"))[:6], robot)
-    learner = ConstraintLearner(FrameJacobian(robot, "right_gripper_tip", "xyz")).fit(demos)
-    kept = Constraint.load(learner.constraint_.save(tmp_path / "c.json"), robot).provenance
-    assert evidence_of(kept) == evidence_of(learner.report_) | {"notes": []}
-
-
-def test_the_choice_knows_the_numbers_of_files(robot_of):
-    """Places among all files, natural order, also where some were selected; typed selections are replaced."""
-    robot = robot_of("sawyer")
-    folder = shipped_recordings() / "sawyer_door"
-    assert numbers_read([folder], robot) == tuple(range(8))
-    assert numbers_read([folder], robot, episodes="2:4,6") == (2, 3, 6)
-    words = ("manip-learn", "learn", "my arm.urdf", "--episodes", "1:3", "--episodes=2", "x.csv")
-    choice = RecordingChoice.of(words, ("a", "b"), (4, 6)).to_dict(["a", "b"], [["b", "odd"], ["c", "gone"]])
-    assert choice["command"] == "manip-learn learn 'my arm.urdf' x.csv"
-    assert choice["episodes"] == [4, 6] and choice["odd"] == {"b": "odd"}
-    split = RecordingChoice.of(words, ("a", "b", "c"), (0, 1)).to_dict(["a", "b", "c"], [])
-    assert split["command"] == "" and split["episodes"] == []
-
-
-def test_the_command_of_the_page_does_what_it_says(tmp_path, monkeypatch, capsys):
-    """Run with the numbers of three recordings, the command line of the page learns from just these three."""
-    monkeypatch.chdir(tmp_path)
-    folder = str(shipped_recordings() / "sawyer_door")
-    frame = ["--frame", "right_gripper_tip"]
-    assert main(["learn", "sawyer", folder, *frame, "--episodes", "1:7", "--html", "page.html"]) == 0
-    data = data_in(tmp_path / "page.html")
-    choice, names = data["choice"], [r["name"] for r in data["rollouts"]]
-    assert choice["episodes"] == [1, 2, 3, 4, 5, 6]
-    command = f"{choice['command']} {choice['flag']} {choice['episodes'][0]},{choice['episodes'][3]}:6 --json"
-    capsys.readouterr()
-    words = shlex.split(command)
-    assert words[0] == "manip-learn" and main(words[1:]) == 0
-    assert json.loads(capsys.readouterr().out)["n_trajectories"] == 3
-    assert [r["name"] for r in data_in(tmp_path / "page.html")["rollouts"]] == [names[0], names[3], names[4]]
-
-
-def test_what_was_measured_is_drawn(robot_of, tmp_path):
-    """Efforts over the largest of each joint, zeros where one has none."""
-    robot = robot_of("sawyer")
-    time = np.linspace(0.0, 2.0, 101)
-    effort = np.column_stack([np.sin(3.0 * time) * 2.0**k for k in range(robot.nv)])
-    effort[:, 2] = 0.0
-    q = START + 0.1 * np.sin(time)[:, None]
-    demo = Trajectory(time, q, None, robot.joint_names, effort=effort)
-    bare = Trajectory(time, q, None, robot.joint_names)
-    page, without = data_in(replay(robot, {"a": demo, "b": bare}, tmp_path / "a.html").html)["rollouts"]
-    shown = curves_of(page, "effort")
-    assert list(shown) == list(robot.joint_names)
-    for name, (times, values) in shown.items():
-        largest = np.max(np.abs(effort[:, robot.joint_index(name)])) or 1.0
-        np.testing.assert_allclose(values, effort[:, robot.joint_index(name)] / largest, atol=1e-6)
-        np.testing.assert_allclose(times, time, atol=1e-12)
-    assert "effort" not in {t["kind"] for t in without["measures"]["tracks"]}

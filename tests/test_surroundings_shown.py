@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import json
-import re
 from pathlib import Path
 
 import numpy as np
@@ -51,23 +49,6 @@ def test_a_rollout_carries_what_stands_around(planned: ml.Plan, sawyer: ml.Robot
     file.write_text(file.read_text().replace('"kind": "sphere"', '"kind": "cloud"'))
     with pytest.raises(RecordingError):
         ml.Rollout.load(file, sawyer)
-
-
-def test_the_page_has_what_stands_around(planned: ml.Plan, sawyer: ml.Robot, tmp_path: Path):
-    """Each thing with its place; a page of a rollout that keeps clear of nothing has none."""
-    page = ml.replay(sawyer, planned.rollout, tmp_path / "a.html", open_browser=False).html.read_text()
-    found = re.search(r'<script type="application/json" id="data">(.*?)</script>', page, re.S)
-    assert found is not None
-    things = {thing["name"]: thing for thing in json.loads(found[1])["rollouts"][0]["around"]}
-    assert set(things) == {"floor", "box", "ball", "post", "wedge"}
-    assert np.reshape(things["ball"]["pose"], (4, 4))[:3, 3] == pytest.approx([0.3, -0.9, 0.2])
-
-
-def test_two_motions_among_the_same_things_have_them_once(planned: ml.Plan):
-    """Of each the nearest is kept."""
-    rollout = planned.rollout
-    twice = rollout.followed_by(rollout)
-    assert sorted(t["name"] for t in twice.around) == sorted(t["name"] for t in rollout.around)
 
 
 @pytest.mark.parametrize("kind", ["drawer", "door", "table"])

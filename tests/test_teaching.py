@@ -22,7 +22,7 @@ from teaching_person import Person
 
 import manip_learn as ml
 from manip_learn.constraint.skill import one_way
-from manip_learn.errors import ConfigurationError, MissingExtraError
+from manip_learn.errors import ConfigurationError
 
 pytest.importorskip("mujoco")
 from manip_learn.robot.tips import default_tip  # noqa: E402
@@ -276,19 +276,6 @@ def test_a_recording_that_took_hold_of_nothing_is_not_kept(sawyer, tmp_path):
     assert seen == [1] and len(session.files) == len(list(tmp_path.rglob("*.csv"))) == 1
 
 
-def test_furniture_is_felt(sawyer, tmp_path):
-    """An arm that is pulled into the furniture is stopped by it, and the page is told where it touches."""
-    rng = np.random.default_rng(3)
-    arm = TeachingArm(place_scene("drawer", sawyer, TIP, rng), rng, in_real_time=False)
-    body = arm.scene.handles[0].pose[:3, 3] - 0.3 * arm.scene.handles[0].axis
-    assert arm.touches == []
-    for _ in range(400):
-        arm.pull("right_j5", [0.0, 0.0, 0.0], body)
-        arm.wait()
-    assert arm.touches and np.all(np.isfinite(arm.q))
-    assert min(np.linalg.norm(np.array(arm.touches) - body, axis=1)) < 0.5
-
-
 def test_a_hand_out_of_reach_and_odd_messages_do_no_harm(sawyer, tmp_path):
     """A hand dragged five metres away pulls no stronger than a person, the arm stays within its limits and comes to
     rest; what is no number or no command is refused, and the physics go on.
@@ -412,14 +399,6 @@ def test_a_robot_without_masses_and_limits_is_taught_with_defaults_that_are_told
     path.write_text(NO_LIMITS.replace('name="b" type="continuous"', 'name="b" type="floating"'))
     with pytest.raises(ConfigurationError, match="'b' does neither; lock it"):
         place_scene("drawer", ml.load_robot(str(path)), "tip", np.random.default_rng(0))
-
-
-def test_without_mujoco_the_extra_is_named(sawyer, tmp_path, monkeypatch):
-    """One sentence says what to install, and no process is left behind."""
-    monkeypatch.setitem(sys.modules, "mujoco", None)
-    with pytest.raises(MissingExtraError, match=r"manip_learn\[physics\]"):
-        TeachingSession(sawyer, TIP, tmp_path, "drawer", 1, Person(1))
-    assert not [child for child in multiprocessing.active_children() if child.name == "teaching"]
 
 
 @pytest.mark.slow

@@ -39,10 +39,9 @@ def tab(chromium, address):
 def test_a_lesson(chromium, tmp_path):
     """A drawer is opened by the mouse, with an unsteady hand and pauses, a few times; Learn finds its direction within
     half a degree of the truth, Run opens it, the constraint goes home, and all is there when the page is loaded again.
-    A page that is loaded after the end says that the program has ended.
     """
     pytest.importorskip("mujoco", reason="NO MUJOCO: TEACHING IS NOT TESTED")
-    with program(tmp_path, "sawyer", "--seed", str(SEED)) as (child, address), tab(chromium, address) as page:
+    with program(tmp_path, "sawyer", "--seed", str(SEED)) as (_, address), tab(chromium, address) as page:
         person = MousePerson(page, seed=1)
         out = np.array(person.teach("scene.furniture[0].fixed.pose")).reshape(4, 4)[:3, 1]
         for _ in range(RECORDINGS):
@@ -72,7 +71,3 @@ def test_a_lesson(chromium, tmp_path):
         wait_until(page, "window.manipLearnReady && manipLearnTeach.allowed && manipLearnTeach.state.answer !== null")
         assert page.locator("#recordings li").count() == RECORDINGS
         assert page.locator("#answer .headline").text_content() == sentence
-        child.terminate()
-        child.wait(20)
-        page.reload()
-        assert "The program has ended" in page.locator("body").inner_text()

@@ -283,7 +283,6 @@ def follow(
         options.seed,
         grasp=grasp,
         scene=scene_of(options.scene, constraint.robot),
-        base_within=options.base_within,
         dt=dt,
         progress=progress,
     )

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import shlex
-from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, final
@@ -22,7 +21,6 @@ from manip_learn.learning import ConstraintLearner, LearningReport
 from manip_learn.learning.recombination import BELIEVED_STRENGTH
 from manip_learn.recordings import load_demonstrations
 from manip_learn.recordings.demonstrations import Demonstrations, distinct_names
-from manip_learn.recordings.load_demonstrations import numbers_read
 from manip_learn.recordings.trajectory_source import Progress, RecordingSource
 from manip_learn.robot.robot import Reference, Robot
 
@@ -155,8 +153,7 @@ def learn(options: LearnOptions, progress: Progress | None = None) -> Learnt:
     written = learner.skill_.save(options.out) if options.out is not None else None
     page = None
     if options.html is not None and isinstance(demos, Demonstrations):
-        numbers = numbers_read(options.recordings, robot, **options.reading.keywords())
-        page = _replay_of_recordings(robot, demos, learner, options.html, frame, numbers)
+        page = _replay_of_recordings(robot, demos, learner, options.html, frame)
     return Learnt(learner.constraints_, learner.reports_, frame, written, tuple(notes), page, options.robot)
 
 
@@ -198,10 +195,10 @@ def load_to_learn(options: LearnOptions) -> tuple[Robot, Demonstrations | Record
 
 
 def _replay_of_recordings(
-    robot: Robot, recordings: Demonstrations, learner: ConstraintLearner, html: Path, frame: str, numbers: Sequence[int]
+    robot: Robot, recordings: Demonstrations, learner: ConstraintLearner, html: Path, frame: str
 ) -> ReplayResult:
-    """Write a page that plays the recordings, with what was learnt; numbers as `--episodes` counts them."""
-    from manip_learn.playback import RecordingChoice, replay
+    """Write a page that plays the recordings, with what was learnt."""
+    from manip_learn.playback import replay
 
     report = learner.report_
     odd = [f"{name} does not agree with the others: {reason}" for name, reason in report.odd_trajectories]
@@ -217,5 +214,4 @@ def _replay_of_recordings(
         notes=odd,
         constraint=learner.constraints_ or None,
         report=report,
-        choice=RecordingChoice.of(typed_command(), tuple(named), numbers),
     )

@@ -188,14 +188,13 @@ class PlanOptions:
     grasp_turns: Annotated[
         int | None, Option(help="Number of turns about that axis that grip alike; 2: a gripper, 0: a knob.")
     ] = None
-    base_within: Annotated[float, Option(help="Without a plan, try the base elsewhere, up to this far [m].")] = 0.0
     scene: SceneFile = None
 
     def __post_init__(self) -> None:
         """Refuse options of a plan without `--plan`."""
-        given = (self.seed, self.grasp_angle, self.grasp_turns, self.base_within, self.scene)
-        if not self.plan and given != (0, None, None, 0.0, None):
-            raise TargetError("--seed, --grasp-angle, --grasp-turns, --base-within and --scene go with --plan")
+        given = (self.seed, self.grasp_angle, self.grasp_turns, self.scene)
+        if not self.plan and given != (0, None, None, None):
+            raise TargetError("--seed, --grasp-angle, --grasp-turns and --scene go with --plan")
 
 
 @final

@@ -2,25 +2,21 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass
 from itertools import chain, count
 from pathlib import Path
 from typing import Any, final
 
-from manip_learn.commands.command_line import typed_command
 from manip_learn.commands.loading import load_for_files, robot_of_constraint
 from manip_learn.commands.options import ReplayOptions
 from manip_learn.constraint.constraint import Constraint
-from manip_learn.constraint.features import FrameJacobian
 from manip_learn.control.rollout import Rollout
 from manip_learn.errors import ConstraintMismatchError, RecordingError
-from manip_learn.playback import RecordingChoice, ReplayResult
+from manip_learn.playback import ReplayResult
 from manip_learn.playback import replay as write_replay
 from manip_learn.playback.phase_bands import phases_from_json
-from manip_learn.playback.replay_page import without_flags
 from manip_learn.recordings import load_demonstrations
-from manip_learn.recordings.load_demonstrations import numbers_read
 from manip_learn.recordings.readers.read_request import flag_of
 from manip_learn.recordings.readers.recording_files import recording_path
 from manip_learn.recordings.readers.saved_reader import file_header
@@ -28,9 +24,6 @@ from manip_learn.recordings.trajectory import Trajectory
 from manip_learn.recordings.trajectory_source import Progress
 from manip_learn.robot.loading import DESCRIPTION_SUFFIXES
 from manip_learn.robot.robot import Robot
-
-# flags with the number of their values; `learn` has no use for them
-ONLY_REPLAY = {"--html": 1, "--tip": 1, "--constraint": 1, "--open": 0, "--json": 0}
 
 
 def replay(options: ReplayOptions, progress: Progress | None = None) -> ReplayResult:
@@ -63,8 +56,7 @@ def replay(options: ReplayOptions, progress: Progress | None = None) -> ReplayRe
         tip = tip or getattr(constraint.features, "frame", None)
     else:
         robot = load_for_files(name, files, options.loading)
-    keywords = options.reading.keywords()
-    read = named_motions(files, robot, keywords)
+    read = named_motions(files, robot, options.reading.keywords())
     return write_replay(
         robot,
         read.motions,
@@ -76,7 +68,6 @@ def replay(options: ReplayOptions, progress: Progress | None = None) -> ReplayRe
         notes=read.notes,
         constraint=constraint,
         report=learnt or None,
-        choice=_choice(robot, constraint, read, keywords) if read.recordings and not read.rollouts else None,
     )
 
 
@@ -99,24 +90,6 @@ def named_robot(words: list[str]) -> tuple[str, list[str]]:
     if first.suffix and not first.exists():
         raise RecordingError(f"{first}: there is no such file: check the path", code="missing", path=first)
     raise RecordingError("name at least one rollout file; `manip-learn control ... --out run.npz` writes one")
-
-
-def _choice(
-    robot: Robot, constraint: Constraint | None, read: NamedMotions, keywords: Mapping[str, Any]
-) -> RecordingChoice | None:
-    """The command line that learns from these recordings again; None without a constraint that says how."""
-    features = None if constraint is None else constraint.features
-    if not isinstance(features, FrameJacobian):
-        return None
-    command = learning_command(features.frame.name, features.row_names, features.reference)
-    return RecordingChoice.of(command, tuple(read.motions), numbers_read(read.recordings, robot, **keywords))
-
-
-def learning_command(frame: str, axes: Sequence[str], reference: str) -> tuple[str, ...]:
-    """The command line that learns with such features from what `replay` was given; empty if called from Python."""
-    words = ["learn" if i == 1 and word == "replay" else word for i, word in enumerate(typed_command())]
-    more = ("--frame", frame, "--axes", " ".join(axes), "--reference", reference) if words else ()
-    return (*without_flags(words, ONLY_REPLAY), *more)
 
 
 @final

@@ -345,8 +345,8 @@ def print_controlled(console: Console, controlled: Controlled, explain: bool = F
     plan = controlled.plan
     if plan is not None:
         say(console, f"plan: {plan.sentence}")
-        if plan.obstacles:
-            say(console, f"  clear of: {', '.join(dict.fromkeys(o.name for o in plan.obstacles))}")
+        if plan.around.names:
+            say(console, f"  clear of: {', '.join(plan.around.names)}")
         if explain:
             say(console, *(f"  instead, margin {other.margin:.0%}: {other.why}" for other in plan.others[:3]))
             say(console, f"  of {counted(plan.candidates, 'posture')} that take hold")

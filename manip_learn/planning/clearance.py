@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import copy
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from functools import lru_cache
 from typing import Any, final
 
@@ -17,7 +17,6 @@ from manip_learn.robot.robot import Robot
 
 ROUNDED = 1e-3  # [m] behind the hand that takes hold there is this much more room than it takes: it shakes a little
 DEEPER = 4  # times that what the hand is in is moved out of its way: its faces are met one after the other
-STEP = 0.02  # [rad or m] between checks: a hand at 0.25 m moves by the clearance
 NEAR = 0.3  # [m] up to which a plan says how near it comes to what stands around: farther away nobody asks
 MOST_TRIANGLES = 10_000  # of all that stands around, in a rollout: 0.3 MB of text
 Posture = Float[np.ndarray, " nv"]
@@ -64,7 +63,16 @@ class Clearance:
             )
         self.links = found.with_obstacles(around.obstacles, self._own)
         self._start, self._around, self._behind = start, around, AWAY
-        self._make_room(self._pairs(start, 0, 0.0))
+        touching = sorted(self._pairs(start, 0, 0.0), key=lambda pair: -pair.distance)
+        for name in sorted(
+            around.assumed & {pair.links[1] for pair in touching}
+        ):  # it gives way to links that are in it
+            inside = {pair.links[0]: CLEARANCE - pair.distance for pair in touching if pair.links[1] == name}
+            self._around = self._around.with_room(name, inside)
+            links, are = " and ".join(map(repr, inside)), "are" if len(inside) > 1 else "is"
+            gives = f"that is {max(inside.values()):.3f} m lower" if name == FLOOR else "it may pass through"
+            self.notes.append(f"at the start {links} {are} in what was taken for the {name}: {gives}")
+        self.links = self.links.with_obstacles(self._around.obstacles, self._own)
         near = [pair for pair in self._pairs(start, 0, 2.0 * CLEARANCE) if pair.distance >= 0.0]
         self._near = {pair.links: 0.5 * pair.distance for pair in reversed(near)}
         self.least = min([CLEARANCE, *self._near.values()])
@@ -165,36 +173,44 @@ class Clearance:
 
     def of_line(self, a: Posture, b: Posture, station: int = 0) -> bool:
         """Whether the straight joint motion between two postures is clear, the middle looked at first."""
-        between = _line(a, b)[1:-1]
+        between = self._line(a, b)[1:-1]
         half = (len(between) + 1) // 2
         return all(self(q, station) for _, q in sorted(enumerate(between, 1), key=lambda one: abs(one[0] - half)))
 
     def in_line(self, a: Posture, b: Posture) -> tuple[str, str] | None:
         """The first two things that touch on the straight joint motion between two postures."""
-        pairs = map(self.touching, _line(a, b))
+        pairs = map(self.touching, self._line(a, b))
         return next((pair.links for pair in pairs if pair is not None), None)
 
-    def of_way(self, path: Float[np.ndarray, "k nv"]) -> bool:
-        """Whether a way is clear, one posture a station, with the straight motions between them."""
-        nodes = all(self(q, k) for k, q in enumerate(path))
-        return nodes and all(self.of_line(a, b, k) for k, (a, b) in enumerate(zip(path, path[1:], strict=False), 1))
+    def of_way(self, path: Float[np.ndarray, "k nv"], stations: Sequence[int] | None = None) -> bool:
+        """Whether a way is clear, with the straight motions between its postures.
+
+        Args:
+            path: Joint positions.
+            stations: Where on the way each is; None for one posture a station.
+        """
+        at = range(len(path)) if stations is None else stations
+        return all(map(self, path, at)) and all(map(self.of_line, path[:-1], path[1:], at[1:]))
 
     def _pairs(self, q: Posture, station: int, distance: float) -> list[Proximity]:
         return self.links.closer_than(self._robot.configuration(q), distance, self._around.at(station, self._behind))
 
-    def _make_room(self, touching: list[Proximity]) -> None:
-        """Let what was assumed give way to links that are in it."""
-        by_depth = sorted(touching, key=lambda pair: -pair.distance)
-        for name in sorted(self._around.assumed & {pair.links[1] for pair in touching}):
-            inside = {pair.links[0]: CLEARANCE - pair.distance for pair in by_depth if pair.links[1] == name}
-            self._around = self._around.with_room(name, inside)
-            links, are = " and ".join(map(repr, inside)), "are" if len(inside) > 1 else "is"
-            gives = f"that is {max(inside.values()):.3f} m lower" if name == FLOOR else "it may pass through"
-            self.notes.append(f"at the start {links} {are} in what was taken for the {name}: {gives}")
-        self.links = self.links.with_obstacles(self._around.obstacles, self._own)
+    def _line(self, a: Posture, b: Posture) -> list[Posture]:
+        """Postures of the straight joint motion from one to another, so near each other that no point of a link moves
+        by more than twice the clearance in between: what touches there is too near at one of the two.
+        """
+        n = max(1, int(np.ceil(np.abs(b - a) @ levers_of(self._robot) / (2.0 * CLEARANCE))))
+        return [a + i / n * (b - a) for i in range(n + 1)]
 
 
-def _line(a: Posture, b: Posture) -> list[Posture]:
-    """Postures of the straight joint motion from one to another."""
-    n = max(1, int(np.ceil(np.max(np.abs(b - a)) / STEP)))
-    return [a + i / n * (b - a) for i in range(n + 1)]
+@lru_cache(maxsize=8)
+def levers_of(robot: Robot) -> Float[np.ndarray, " nv"]:
+    """How far a point of a link moves at most per joint motion: a joint that turns, to the arm's end [m]; else 1."""
+    model, slides = robot.pinocchio_model, np.array(robot.joint_units) != "rad"
+    lengths = np.linalg.norm([place.translation for place in model.jointPlacements], axis=1)
+    ends = np.maximum(np.abs(robot.position_lower), np.abs(robot.position_upper))
+    for block in robot.blocks:  # a base that floats goes where it likes, and its arm with it
+        lengths[block.index] += np.sum(ends[block.v][slides[block.v] & np.isfinite(ends[block.v])])
+    before = np.array([np.sum(lengths[list(chain)]) for chain in model.supports])
+    reach = max(before[f.parentJoint] + float(np.linalg.norm(f.placement.translation)) for f in model.frames)
+    return np.where(slides, 1.0, [reach - before[block.index] for block in robot.blocks for _ in block.units])

@@ -46,7 +46,7 @@ from manip_learn.planning.surroundings import Surroundings, surroundings_of
 from manip_learn.recordings.trajectory_source import Progress
 from manip_learn.robot import html_card
 from manip_learn.robot.batch.postures import unwound
-from manip_learn.robot.collision import Obstacle, SelfCollision
+from manip_learn.robot.collision import SelfCollision
 from manip_learn.robot.robot import Robot
 
 CANDIDATES = 384  # seeds: with 2,000 the best margin of a drawer rises by less than 0.01 (docs/figures_control.md)
@@ -58,7 +58,6 @@ TRIED = 8  # choices that are simulated, best margin first
 VAIN = 3  # searches for an approach that find none, half a second each: then straight ones only
 OTHERS = 4  # choices of which a plan says why they are worse
 SPARE = 1.1  # times the time that the fastest joint needs: its speed also takes deviations back
-PLACES, SENSES = 3, 8  # of the base: distances, and directions in the plane
 LESS = 0.9  # of a way that did not come true is tried next
 LEAST_SHARE = 0.01  # of the whole way: less is no part of it
 LOOKED = 20  # of marches in whose way something is, for what would help
@@ -118,11 +117,6 @@ class Plan:
     around: Surroundings = Surroundings()
 
     @property
-    def obstacles(self) -> tuple[Obstacle, ...]:
-        """What approach and way keep clear of, where it is before the way."""
-        return self.around.shown
-
-    @property
     def rollout(self) -> Rollout:
         """Approach and way, one after the other; its phases are the approach, the hold and the way."""
         return self.approach.followed_by(self.way)
@@ -178,7 +172,6 @@ def plan(
     limits: Limits | None = None,
     collision: SelfCollision | bool = True,
     scene: Around = "assumed",
-    base_within: float = 0.0,
     dt: float = 0.01,
     progress: Progress | None = None,
 ) -> Plan:
@@ -204,7 +197,6 @@ def plan(
         scene: What stands around; None for nothing. By default the floor under the base and the front of what is
             opened, pushed or wiped are assumed, but where the arm is in them at the start
             (`manip_learn.planning.surroundings` says how).
-        base_within: Where there is no plan, base placements up to this distance are tried [m].
         dt: Step of the simulation [s].
         progress: As for `simulate`.
 
@@ -225,11 +217,8 @@ def plan(
         >>> bool(plan.outcome.is_done), plan.way.q.shape[1]
         (True, 7)
     """
-    if candidates < LEAST_CANDIDATES or not (np.isfinite(base_within) and base_within >= 0.0):
-        raise ConfigurationError(
-            f"a plan needs {LEAST_CANDIDATES} candidates or more, and a base_within of 0 m or more: "
-            f"got {candidates!r} and {base_within!r}"
-        )
+    if candidates < LEAST_CANDIDATES:
+        raise ConfigurationError(f"a plan needs {LEAST_CANDIDATES} candidates or more, got {candidates!r}")
     said = progress or (lambda _title, _share: None)
     problem = _Problem(constraint, motion, start, seed, grasp, limits, collision, scene, dt)
     problem.check()
@@ -248,7 +237,7 @@ def plan(
         raise problem.missing
     if found is None:
         said("looking for what would help", 0.6)
-        raise problem.refusal(marches, candidates, base_within)
+        raise problem.refusal(marches, candidates)
     said("planned", 1.0)
     return found
 
@@ -379,21 +368,18 @@ class _Problem:
             )
         self.positions = robot.positions(self.start)
         self.stations = Stations.of(self.motion, self.start, self.limits)
-        self.clear = Clearance(robot, collision, self._around(scene), self.positions)
+        around = Surroundings()
+        if scene is not None:
+            if not isinstance(scene, Scene) and scene != "assumed":
+                raise ConfigurationError(
+                    f"a scene is a Scene, None for nothing, or left out to be assumed, not {an(scene)}"
+                )
+            features: Any = self.rows.features
+            mechanism = constraint.mechanism if getattr(features, "relative_to", None) is None else None
+            given = None if scene == "assumed" else scene
+            around = surroundings_of(given, robot, features.frame, self.stations, mechanism)
+        self.clear = Clearance(robot, collision, around, self.positions)
         self.notes = tuple(self.clear.notes)
-
-    def _around(self, scene: Around) -> Surroundings:
-        """What stands around."""
-        if scene is None:
-            return Surroundings()
-        if not isinstance(scene, Scene) and scene != "assumed":
-            raise ConfigurationError(
-                f"a scene is a Scene, None for nothing, or left out to be assumed, not {an(scene)}"
-            )
-        features: Any = self.rows.features
-        mechanism = self.constraint.mechanism if getattr(features, "relative_to", None) is None else None
-        given = None if scene == "assumed" else scene
-        return surroundings_of(given, self.robot, features.frame, self.stations, mechanism)
 
     def check(self) -> None:
         """Refuse a start, a way or a grasp that cannot be."""
@@ -465,7 +451,7 @@ class _Problem:
             path, to_hold, approach = reached
             law = self._law(self.motion, self.stations.time, path)
             way, outcome = simulate_way(self.robot, law, approach.q[-1], self.dt)
-            if outcome.is_done and not outcome.strays:
+            if outcome.is_done and not outcome.strays and self._stays_clear(way, outcome, clear):
                 others = []  # why the best of them are worse
                 for other in [c for c in choices.tolist() if c != march][:OTHERS]:
                     margins = margins_of(self.stations, marches.q[other])
@@ -475,26 +461,31 @@ class _Problem:
                 return self._plan(sequence, path[0], approach, way, margins, outcome, tuple(others), len(choices))
         return None
 
+    def _stays_clear(self, way: Rollout, outcome: WayDone, clear: Clearance) -> bool:
+        """Whether a way is clear as it was simulated: it bends between its stations."""
+        times = (outcome.begins or 0.0) + self.stations.time * ((outcome.seconds or 0.0) / self.stations.time[-1])
+        stations = np.minimum(np.searchsorted(times, way.time), len(times) - 1)
+        return clear.of_way(unwound(self.robot, way.q), stations.tolist())
+
     def _relaxed(
         self, march: Postures, grasp: Float[np.ndarray, "3 3"], clear: Clearance, is_as_shown: bool
     ) -> Postures | None:
         """The postures of a march, relaxed where that is clear and right too; None where something is in its way."""
 
         def right(way: Postures) -> bool:
-            as_shown = not is_as_shown or bool(self.stations.takes_hold_as_shown(way[:1])[0])
-            return as_shown and self._is_in_cone(way) and clear.of_way(way)
+            stations = self.stations
+            if is_as_shown and not stations.takes_hold_as_shown(way[:1])[0]:
+                return False
+            if self.grasp is not None:
+                toward = stations.turns[: len(way)] @ self.grasp.toward(stations.grasp)
+                if not np.all(self.grasp.holds(stations.hand.pose(way)[:, :3, :3], toward)):
+                    return False
+            return clear.of_way(way)
 
         if not right(march):
             return None
         better = relaxed(self.stations, march, grasp)
         return better if right(better) else march
-
-    def _is_in_cone(self, way: Postures) -> bool:
-        if self.grasp is None:
-            return True
-        stations = self.stations
-        toward = stations.turns[: len(way)] @ self.grasp.toward(stations.grasp)
-        return bool(np.all(self.grasp.holds(stations.hand.pose(way)[:, :3, :3], toward)))
 
     def _reached(self, path: Postures, clear: Clearance) -> tuple[Postures, ResolvedRateController, Rollout] | None:
         """A path, the law that leads to it and its rollout; by whole turns of joints where the limits leave several.
@@ -559,7 +550,7 @@ class _Problem:
             time = outcome.begins + self.stations.time * (outcome.seconds or 0.0) / self.stations.time[-1]
             path = np.array([np.interp(time, way.time, column) for column in joints.T]).T
             margins = margins_of(self.stations, path)
-            wanted = margins.margin >= least and clear.of_way(path)
+            wanted = margins.margin >= least and self._stays_clear(way, outcome, clear)
             reached = self._approach(self.positions, clear) if wanted else None
             if reached is None:
                 continue
@@ -596,21 +587,21 @@ class _Problem:
 
     # ---- where there is no plan -----------------------------------------------------------------------------------
 
-    def refusal(self, marches: Marches, candidates: int, base_within: float) -> NoPlanError:
-        """How much of the way can be done, what stops it, and what would help.
-
-        Args:
-            marches: All that were compared.
-            candidates: As for `plan`.
-            base_within: As for `plan`.
-        """
+    def refusal(self, marches: Marches, candidates: int) -> NoPlanError:
+        """How much of the way can be done, what stops it, and what would help, from all marches compared."""
         takes_hold = marches.q[np.isfinite(marches.least[:, 0]), 0]
         clear = marches.where(self.clear.holding(takes_hold))
         last, end = clear.reached, len(self.stations) - 1
         pair, helps = self._in_the_way(marches) if last < marches.reached == end else (None, ())
         if self.unreached is not None and last == end:
             pair = self.unreached
-        helps = (*helps, *self._helps(candidates, base_within))
+        if self.stations.holds_orientation:
+            end_of = self.marches(candidates // 2, self.stations.free_to_turn())
+            if end_of.reached == end:
+                helps += ("a hand that may turn on the way could do it",)
+            said = "a hand that takes hold turned about its z axis could do it (grasp=GraspCone(turns=None))"
+            if self.grasp is None and self.marches(candidates // 2, grasp=GraspCone(turns=None)).reached == end:
+                helps += (said,)
         more = "".join(f"; {sentence}" for sentence in helps)
         if marches.reached < 0:
             low, high = self.stations.span
@@ -699,23 +690,3 @@ class _Problem:
         what, d = ("move along", (x, y, z)) if moves else ("turn about", (rx, ry, rz))
         words = ", ".join(f"{c:.2f}" for c in np.array(d) / np.linalg.norm(d))
         return f"a singularity: the hand can hardly {what} ({words}) there (singular value {sigma[-1]:.2g})"
-
-    def _helps(self, candidates: int, base_within: float) -> tuple[str, ...]:
-        """Other grasps and other places of the base from which the whole way could be done."""
-        out = []
-
-        def does(stations: Stations, grasp: GraspCone | None = None) -> bool:
-            return self.marches(candidates // 2, stations, grasp).reached == len(stations) - 1
-
-        if self.stations.holds_orientation:
-            if does(self.stations.free_to_turn()):
-                out.append("a hand that may turn on the way could do it")
-            if self.grasp is None and does(self.stations, GraspCone(turns=None)):
-                out.append("a hand that takes hold turned about its z axis could do it (grasp=GraspCone(turns=None))")
-        for radius in base_within * np.arange(1, PLACES + 1) / PLACES if base_within > 0.0 else ():
-            for angle in 2.0 * np.pi * np.arange(SENSES) / SENSES:
-                shift = radius * np.array([np.cos(angle), np.sin(angle), 0.0])
-                if does(self.stations.seen_from(shift)):
-                    out.append(f"the base moved by ({shift[0]:.2f}, {shift[1]:.2f}) m could do it")
-                    return tuple(out)
-        return tuple(out)

@@ -189,10 +189,6 @@ class Stations:
         turns[:1] = 0.0
         return Rotation.from_rotvec(turns).as_matrix() @ typical
 
-    def seen_from(self, shift: Float[np.ndarray, " 3"]) -> Stations:
-        """This way, seen from a base that was moved by a shift [m]."""
-        return replace(self, places=self.places - shift)
-
     def matrices(self, q: Postures, station: Int[np.ndarray, " n"]) -> Float[np.ndarray, "n s nv"]:
         """A(q) of the rows held and driven."""
         return self.rows[station] @ self.hand.jacobian(q)

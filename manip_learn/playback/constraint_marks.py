@@ -14,7 +14,7 @@ from manip_learn.constraint.features import FrameJacobian, MechanismRows, Relati
 from manip_learn.constraint.features.frame_jacobian import AXES
 from manip_learn.constraint.features.weighed_velocity import WeighedVelocity
 from manip_learn.linalg import null_basis, row_basis
-from manip_learn.playback.guided_motion import Guidance, MotionSamples
+from manip_learn.playback.guided_motion import MotionSamples
 from manip_learn.playback.page_writer import packed, unpacked
 from manip_learn.recordings.trajectory import evenly
 from manip_learn.robot.batch.batch_kinematics import batch_kinematics
@@ -23,7 +23,6 @@ from manip_learn.robot.robot import Robot
 
 COUPLED = 0.1  # part of a learnt unit row that turns, up to which it counts as one that only moves, and the other way
 EXACT = 1e-6  # the same of a mechanism's rows
-MOST_PLACES, LEAST_PLACES = 12_000, 60  # of all ellipsoids of a page, and of one motion
 SIX = np.triu_indices(3)  # xx xy xz yy yz zz of a symmetric matrix
 ROUND = (1.0, 2.0, 5.0)
 
@@ -108,29 +107,18 @@ def _projector(columns: Float[np.ndarray, "3 k"]) -> Float[np.ndarray, "3 3"]:
     return U @ U.T
 
 
-def places_per_motion(n: int) -> int:
-    """At how many times the ellipsoid of each of n motions is known."""
-    return max(LEAST_PLACES, MOST_PLACES // max(n, 1))
-
-
 def constraint_marks(
-    robot: Robot, samples: MotionSamples, guidance: Guidance, most: int
-) -> list[dict[str, Any] | None]:
-    """The marks of each constraint of one motion; None for one that is not of a single frame.
+    robot: Robot, samples: MotionSamples, constraint: Constraint, goal: np.ndarray | None, most: int
+) -> dict[str, Any] | None:
+    """The marks of a constraint along a motion; None for one that is not of a single frame.
 
     Args:
         robot: Whose tip it is.
         samples: The motion.
-        guidance: Its constraints and its target.
-        most: See `places_per_motion`.
+        constraint: One that guides it.
+        goal: Where its task was to arrive, as `Task.goal` says it; None if that is not known.
+        most: At how many times the ellipsoid is known at most.
     """
-    each = most // max(len(guidance.constraints), 1)
-    return [_marks(robot, samples, constraint, guidance.target, each) for constraint in guidance.constraints]
-
-
-def _marks(
-    robot: Robot, samples: MotionSamples, constraint: Constraint, goal: np.ndarray | None, most: int
-) -> dict[str, Any] | None:
     n, learnt = constraint.provenance.get("n_constraints"), constraint
     if isinstance(n, int) and 0 < n < constraint.n_constraints:  # a task's rows follow those that were learnt
         learnt = Constraint(constraint.selection[:n], constraint.features, constraint.provenance)

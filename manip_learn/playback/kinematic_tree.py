@@ -43,29 +43,19 @@ class TreeJoint:
 
 def kinematic_tree(robot: Robot) -> tuple[TreeJoint, ...]:
     """The joints of a robot, parents first; entry 0 is the world."""
-    model = robot.pinocchio_model
-    world = TreeJoint("", 0, np.eye(4), "fixed", np.zeros(3))
-    joints = [world]
+    model, tree = robot.pinocchio_model, [TreeJoint("", 0, np.eye(4), "fixed", np.zeros(3))]
     for i in range(1, model.njoints):
-        motion, axis = _motion(model.joints[i])
-        joints.append(
-            TreeJoint(model.names[i], int(model.parents[i]), model.jointPlacements[i].homogeneous, motion, axis)
-        )
-    return tuple(joints)
-
-
-def _motion(joint: pin.JointModel) -> tuple[Motion, np.ndarray]:
-    """How a joint moves, read off its motion subspace, so that every kind of one-axis joint is covered."""
-    if joint.nv != 1:
-        return "free", np.zeros(3)
-    data = joint.createData()
-    q = np.zeros(joint.idx_q + joint.nq)  # a shorter vector would be read past its end
-    q[joint.idx_q] = 1.0
-    joint.calc(data, q)
-    along = motion_along(data.S)
-    if along is None or not np.isclose(np.linalg.norm(along[1]), 1.0):
-        return "free", np.zeros(3)
-    return ("revolute" if along[0] == "R" else "prismatic"), along[1]
+        joint, motion, axis = model.joints[i], "free", np.zeros(3)
+        if joint.nv == 1:  # read off its motion subspace, so that every kind of one-axis joint is covered
+            data, q = joint.createData(), np.zeros(joint.idx_q + joint.nq)  # a shorter q would be read past its end
+            q[joint.idx_q] = 1.0
+            joint.calc(data, q)
+            along = motion_along(data.S)
+            if along is not None and np.isclose(np.linalg.norm(along[1]), 1.0):
+                motion, axis = ("revolute" if along[0] == "R" else "prismatic"), along[1]
+        placement = model.jointPlacements[i].homogeneous
+        tree.append(TreeJoint(model.names[i], int(model.parents[i]), placement, motion, axis))
+    return tuple(tree)
 
 
 def joint_tracks(
@@ -85,20 +75,15 @@ def joint_tracks(
         joint = model.joints[i]
         part = full[:, joint.idx_q : joint.idx_q + joint.nq] if i else full[:, :0]
         if node.motion == "free":
-            columns.append(_poses(joint, part))
+            data, poses, q = joint.createData(), np.empty((len(part), 7)), np.zeros(joint.idx_q + joint.nq)
+            for k, values in enumerate(part):
+                q[joint.idx_q :] = values
+                joint.calc(data, q)
+                poses[k] = pin.SE3ToXYZQUAT(data.M)
+                if k and poses[k, 3:] @ poses[k - 1, 3:] < 0.0:  # q and -q turn alike: keep the signs continuous
+                    poses[k, 3:] *= -1.0
+            columns.append(poses)
         elif node.width == 1:
             angle = part[:, :1] if joint.nq == 1 else np.unwrap(np.arctan2(part[:, 1:2], part[:, 0:1]), axis=0)
             columns.append(angle)
     return np.concatenate(columns, axis=1) if columns else np.zeros((len(full), 0))
-
-
-def _poses(joint: pin.JointModel, part: Float[np.ndarray, "K k"]) -> Float[np.ndarray, "K 7"]:
-    data, poses = joint.createData(), np.empty((len(part), 7))
-    q = np.zeros(joint.idx_q + joint.nq)
-    for k, values in enumerate(part):
-        q[joint.idx_q :] = values
-        joint.calc(data, q)
-        poses[k] = pin.SE3ToXYZQUAT(data.M)
-        if k and poses[k, 3:] @ poses[k - 1, 3:] < 0.0:  # q and -q turn alike: keep the signs continuous
-            poses[k, 3:] *= -1.0
-    return poses

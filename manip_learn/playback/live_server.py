@@ -3,76 +3,43 @@
 It reads from stdin one line of JSON (`{"page": number of bytes, "token": text, "hears": bool}`), the page, and then
 lines `SLOT JSON`, of which the newest of each slot counts. On 127.0.0.1 it serves the page, a stream of the newest
 slots, and the files of the slot `files`. To stdout it writes `{"port": number}`, and if it hears, a line for each thing
-that a page says (`{"page": its id, "said": {...}}`) and for each change of `{"pages": [ids], "loading": number}`. It
-ends when stdin closes or its parent is gone. One thread serves all connections, so that none of them can hold up
-another, however slowly it asks, says or reads.
+that a page says (`{"page": its id, "said": {...}}`) and for each change of `{"pages": [ids]}`. It ends when stdin
+closes or its parent is gone. Each connection has a thread of its own and a limit of time for whatever it does.
 """
 
 from __future__ import annotations
 
-import asyncio
 import json
 import os
 import re
-import stat
+import select
+import shutil
 import sys
 import threading
 import time
-from collections import deque
-from collections.abc import Callable
-from http import HTTPStatus
-from typing import BinaryIO, NamedTuple
+from collections.abc import Callable, Mapping
+from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
+from types import MappingProxyType
 from urllib.parse import quote, unquote
 
 HOST = "127.0.0.1"
-REQUEST_SECONDS = 3.0  # in which a request must be complete: a browser on the same machine needs milliseconds
-READER_SECONDS = 5.0  # a browser that does not take an event, or the page, for this long is dropped
-HEARTBEAT_SECONDS = 2.0
-# between two things that a page says: a minute spares the browser a new connection while a hand rests, and costs
-# nothing, since whoever is idle for longest makes room; browsers give an idle connection up after two to five minutes
-IDLE_SECONDS = 60.0
-LOADING_SECONDS = 10.0  # from a page to its stream: a slow machine builds the scene in 2; later, the page was left
-PARENT_CHECK_SECONDS = 1.0
-MAX_UNASKED = 150  # connections without a complete request; one more, and the oldest is closed
-MAX_STREAMS = 50  # browsers at a time
-# connections that say something: a browser opens 6 to one server. One more, and the one idle for longest is closed. All
-# three limits together are fewer files than the 256 that macOS lets a process open
-MAX_SAYING = 30
-MAX_REQUEST = 16_384  # [bytes] of a request with its headers: browsers send below 2,000
-MAX_SAID = 16 * 2**20  # [bytes] of a body: recordings are dropped on the page, and hold the streams up for 0.4 s
-PIECE = 2**18  # [bytes] of a file at a time: enough for full speed, and below a millisecond of one thread
-STREAM_QUERY = re.compile(r"page=([A-Za-z0-9-]{1,64})")
-HEADERS = (
-    "Cache-Control: no-store",
-    "X-Content-Type-Options: nosniff",
-    "X-Frame-Options: DENY",
-    "Referrer-Policy: no-referrer",
-    "Cross-Origin-Resource-Policy: same-origin",
-)
-LAST = ("Connection: close",)
-STAYS = ("Connection: keep-alive", f"Keep-Alive: timeout={IDLE_SECONDS:.0f}")
-TEXT = "text/plain; charset=utf-8"
-KINDS = {
-    "csv": "text/csv; charset=utf-8",
-    "gz": "application/gzip",
-    "html": "text/html; charset=utf-8",
-    "json": "application/json",
-    "npz": "application/zip",
-    "py": "text/x-python; charset=utf-8",
-    "txt": TEXT,
-    "zip": "application/zip",
+SLOWEST = 5.0  # [s] that a browser may take for an event, the page or a part of its request, before it is dropped
+HEARTBEAT = 2.0  # [s] between signs of life of a stream where nothing moves
+LOOKS = 0.1  # [s] between two looks whether the browser of a stream has left
+PARENT_CHECK = 1.0  # [s] between two looks for the parent
+MOST_STREAMS = 50  # browsers at a time
+MOST_SAID = 16 * 2**20  # [bytes] of a body: recordings are dropped on the page
+PAGE_ID = re.compile(r"page=([A-Za-z0-9-]{1,64})")
+HEADERS = {
+    "Cache-Control": "no-store",
+    "X-Content-Type-Options": "nosniff",
+    "X-Frame-Options": "DENY",
+    "Referrer-Policy": "no-referrer",
+    "Cross-Origin-Resource-Policy": "same-origin",
 }
-# what a browser asks in our place, once we are gone; it forgets us when it has said so
-AFTERWARDS = b"""const page = '<!DOCTYPE html><meta charset="utf-8"><title>Ended</title>\
-<p>The program has ended. Start it again, and open its new page.';
-async function ended() {
-  await self.registration.unregister();
-  return new Response(page, { headers: { "Content-Type": "text/html" } });
-}
-self.addEventListener("fetch", (event) => {
-  if (event.request.mode === "navigate") event.respondWith(fetch(event.request).catch(ended));
-});
-"""
+TEXT, HTML = "text/plain; charset=utf-8", "text/html; charset=utf-8"
+KINDS = {"csv": "text/csv; charset=utf-8", "html": HTML, "json": "application/json", "py": TEXT, "txt": TEXT}
+KINDS |= {"npz": "application/zip", "zip": "application/zip"}
 
 
 class Refusal(Exception):
@@ -80,371 +47,216 @@ class Refusal(Exception):
 
     def __init__(self, code: int, says: str):
         super().__init__(says)
-        self.code, self.says = code, says
+        self.code = code
 
 
-class Request(NamedTuple):
-    """The head of a request."""
-
-    method: str
-    path: str
-    query: str
-    version: str
-    headers: list[tuple[str, str]]
-
-    def of(self, name: str) -> str | None:
-        """A header's value, the last one if there are more."""
-        return dict(self.headers).get(name)
-
-
-def parsed(head: bytes) -> Request:
-    """A request's head, taken apart; odd ones too."""
-    first, *lines = head.decode("latin-1").split("\r\n")
-    method, _, rest = first.partition(" ")
-    target, _, version = rest.partition(" ")
-    path, _, query = target.partition("?")
-    headers = [(name.strip().lower(), value.strip()) for name, _, value in (line.partition(":") for line in lines)]
-    return Request(method, path, query, version, headers)
-
-
-def object_line(body: bytes) -> bytes:
-    """A JSON object on one line; ValueError if it is none, or has a number that is not finite."""
-    try:
-        said = json.loads(body.decode("utf-8"))
-        line = json.dumps(said, allow_nan=False).encode()
-    except RecursionError as error:
-        raise ValueError("nested too deeply") from error
-    if not isinstance(said, dict):
-        raise ValueError("no object")
-    return line
-
-
-def opened(path: str) -> tuple[BinaryIO, int]:
-    """A regular file and its size [bytes]."""
-    file = open(path, "rb")
-    state = os.fstat(file.fileno())
-    if not stat.S_ISREG(state.st_mode):
-        file.close()
-        raise OSError(f"{path} is no regular file")
-    return file, state.st_size
-
-
-class Program(asyncio.BaseProtocol):
-    """The program's end of our stdout."""
-
-    def __init__(self) -> None:
-        self._pipe: asyncio.WriteTransport | None = None
-        self._free = asyncio.Event()  # it has taken all that was written
-
-    def connection_made(self, transport: asyncio.BaseTransport) -> None:
-        """Write to this pipe from now on."""
-        if isinstance(transport, asyncio.WriteTransport):
-            transport.set_write_buffer_limits(0)
-            self._pipe = transport
-            self._free.set()
-
-    def pause_writing(self) -> None:
-        """Something of a line is left here."""
-        self._free.clear()
-
-    def resume_writing(self) -> None:
-        """Nothing is left here."""
-        self._free.set()
-
-    async def tell(self, line: Callable[[], bytes]) -> None:
-        """Write a line, made once the program has taken those before."""
-        await self._free.wait()
-        if self._pipe is not None:
-            self._pipe.write(line() + b"\n")
-
-
-class LiveServer:
+class LiveServer(ThreadingHTTPServer):
     """Serves one page, one stream of slots and some files to browsers on this machine; slow readers skip lines."""
 
+    daemon_threads = True
+    request_queue_size = 128  # connections that wait for a thread
+
     def __init__(self, page: bytes, token: str, hears: bool):
-        self._page, self._token, self._hears = page, token, hears
-        self._own: dict[str, set[str]] = {}  # what a header must say, if it is there
-        self._slots: dict[str, tuple[int, bytes]] = {}  # each with the number of its change, the newest last
-        self._number, self._changed = 0, asyncio.Event()
-        self._files: dict[str, str] = {}
-        self._unasked: dict[asyncio.StreamWriter, None] = {}  # oldest first
-        self._saying: dict[asyncio.StreamWriter, None] = {}  # the one that has said nothing for longest first
-        self._streams: dict[asyncio.StreamWriter, str] = {}  # page of each, oldest first
-        self._known: set[str] = set()  # pages that have had a stream: they come back without being fetched
-        self._loading: deque[asyncio.TimerHandle] = (
-            deque()
-        )  # of the pages fetched whose stream is not open, oldest first
-        self._moved = asyncio.Event()  # something about pages that the program has not been told
-        self._program = Program()
-
-    async def start(self) -> int:
-        """Listen; the port."""
-        server = await asyncio.start_server(self._serve, HOST, 0, limit=MAX_REQUEST, backlog=MAX_UNASKED)
-        port = server.sockets[0].getsockname()[1]
-        hosts = {f"{HOST}:{port}", f"localhost:{port}"}
+        super().__init__((HOST, 0), Answer)
+        self.page, self.token, self.hears = page, token, hears
+        hosts = {f"{HOST}:{self.server_port}", f"localhost:{self.server_port}"}
         # a web site whose name was made to point at this machine sends its own name, another page its own origin
-        self._own = {"host": hosts, "origin": {f"http://{host}" for host in hosts}}
-        return port
-
-    async def tell(self, pipe: BinaryIO) -> None:
-        """Tell the program through a pipe which pages there are, and what they say."""
-        await asyncio.get_running_loop().connect_write_pipe(lambda: self._program, pipe)
-        while True:
-            await self._moved.wait()
-            await self._program.tell(self._pages)  # one line, however often pages come and go meanwhile
-
-    def _pages(self) -> bytes:
-        self._moved.clear()
-        pages = list(dict.fromkeys(page for page in self._streams.values() if page))
-        return json.dumps({"pages": pages, "loading": len(self._loading)}).encode()
+        self.own = {"host": hosts, "origin": {f"http://{host}" for host in hosts}}
+        self.slots: dict[str, tuple[int, bytes]] = {}  # each with the number of its change, the newest last
+        self.number, self.changed = 0, threading.Condition()
+        self.files: dict[str, str] = {}
+        self.streams: list[str] = []  # page of each, oldest first
+        self.moved = threading.Event()  # something about streams that the program has not been told
+        self.speaking = threading.Lock()  # of stdout
 
     def put(self, slot: str, line: bytes) -> None:
         """Replace the content of a slot."""
         if slot == "files":
-            self._files = json.loads(line)
+            self.files = json.loads(line)
             return
-        self._number += 1
-        self._slots.pop(slot, None)
-        name = b"" if slot == "message" else b"event: " + slot.encode() + b"\n"
-        self._slots[slot] = self._number, name + b"data: " + line + b"\n\n"
-        self._changed.set()
-        self._changed = asyncio.Event()
+        with self.changed:
+            self.number += 1
+            self.slots.pop(slot, None)
+            name = b"" if slot == "message" else b"event: " + slot.encode() + b"\n"
+            self.slots[slot] = self.number, name + b"data: " + line + b"\n\n"
+            self.changed.notify_all()
 
-    async def _serve(self, reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
-        """One connection: its requests, their answers, its end."""
-        writer.transport.set_write_buffer_limits(0)  # drained is what has been taken
-        self._enter(self._unasked, MAX_UNASKED, writer)
+    def tell(self, line: bytes, patience: float = -1.0) -> None:
+        """Write a line to the program; a busy one is waited for, at most so long [s].
+
+        Raises:
+            Refusal: It has not taken the lines before.
+        """
+        if not self.speaking.acquire(timeout=patience):
+            raise Refusal(503, "the program is busy: say it again later")
         try:
-            async with asyncio.timeout(REQUEST_SECONDS):
-                asked = await reader.readuntil(b"\r\n\r\n")
-            while await self._answer(parsed(asked), reader, writer):
-                asked = await self._next_head(reader)
-            writer.close()
-            async with asyncio.timeout(READER_SECONDS):
-                await writer.wait_closed()
-        except (TimeoutError, OSError, asyncio.IncompleteReadError, asyncio.LimitOverrunError):
-            pass  # browsers that leave, and whoever is too slow or asks for too much, are no error
+            sys.stdout.buffer.write(line + b"\n")
+            sys.stdout.buffer.flush()
         finally:
-            self._unasked.pop(writer, None)
-            self._saying.pop(writer, None)
-            writer.transport.abort()
+            self.speaking.release()
 
-    def _enter(self, group: dict[asyncio.StreamWriter, None], most: int, writer: asyncio.StreamWriter) -> None:
-        """Count a connection as the newest of one group, alone; whoever is one too many is closed."""
-        self._unasked.pop(writer, None)
-        self._saying.pop(writer, None)
-        group[writer] = None
-        if len(group) > most:
-            oldest = next(iter(group))
-            del group[oldest]
-            oldest.transport.abort()
+    def tell_pages(self) -> None:
+        """Tell the program which pages there are, whenever that changes."""
+        told: list[str] = []
+        while True:
+            self.moved.wait()
+            self.moved.clear()
+            pages = list(dict.fromkeys(self.streams))
+            if pages != told:
+                self.tell(json.dumps({"pages": pages}).encode())
+            told = pages
 
-    async def _next_head(self, reader: asyncio.StreamReader) -> bytes:
-        """The head of a further request on a connection, which may be idle before it begins, but not within it."""
-        async with asyncio.timeout(IDLE_SECONDS) as clock:
-            first = await reader.readexactly(1)
-            clock.reschedule(asyncio.get_running_loop().time() + REQUEST_SECONDS)
-            return first + await reader.readuntil(b"\r\n\r\n")
+    def handle_error(self, request: object, client_address: object) -> None:
+        """Browsers that leave, and whoever is too slow, are no error."""
 
-    async def _answer(self, request: Request, reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> bool:
-        """Answer a request if it was made under this machine's own name; whether the connection stays."""
-        try:
-            self._check(request)
-            if request.method == "POST":
-                await self._hear(request, reader, writer)
-                stays = request.version == "HTTP/1.1" and "close" not in (request.of("connection") or "").lower()
-                await self._write(writer, head(204, *(STAYS if stays else LAST)))
-                await asyncio.sleep(0)  # a client that has sent many at once waits for the others, too
-                return stays
-            self._unasked.pop(writer, None)
-            self._saying.pop(writer, None)
-            await self._give(request, reader, writer)
-        except Refusal as refusal:
-            await self._send(writer, refusal.code, f"{refusal.says}\n".encode())
-            if request.method == "POST":
-                await self._let_finish(reader, writer)
-        return False
 
-    def _check(self, request: Request) -> None:
-        """Refuse bad requests, methods that are not served, and other sites."""
-        if not request.version.startswith("HTTP/1."):
-            raise Refusal(400, "not a request")
-        if request.method != "GET" and not (self._hears and request.method == "POST"):
-            raise Refusal(501, "only GET and POST are served" if self._hears else "only GET is served")
-        if request.of("host") is None or any(v not in self._own.get(name, {v}) for name, v in request.headers):
-            raise Refusal(403, "this address is served under 127.0.0.1 only")
-        if request.method == "POST" and request.of("origin") is None:
-            raise Refusal(403, "only a page of this address may say something: Origin is missing")
+class Answer(BaseHTTPRequestHandler):
+    """The requests of one connection."""
 
-    async def _give(self, request: Request, reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
+    protocol_version, timeout = "HTTP/1.1", SLOWEST
+    server: LiveServer
+
+    def do_GET(self) -> None:
         """The page, the stream or a file."""
-        room, _, rest = request.path[1:].partition("/")
-        if room != self._token:
+        self._answer(self._give)
+
+    def do_POST(self) -> None:
+        """What a page says."""
+        self._answer(self._hear)
+
+    def log_message(self, format: str, *args: object) -> None:
+        """Nobody reads it."""
+
+    def _answer(self, give: Callable[[str, str], None]) -> None:
+        """Answer a request if it was made under this machine's own name."""
+        path, _, query = self.path.partition("?")
+        try:
+            names = [(name.lower(), value) for name, value in self.headers.items()]
+            if self.headers["Host"] is None or any(v not in self.server.own.get(name, {v}) for name, v in names):
+                raise Refusal(403, "this address is served under 127.0.0.1 only")
+            give(path, query)
+        except Refusal as refusal:
+            self.close_connection = True
+            self._send(refusal.code, f"{refusal}\n".encode())
+
+    def _give(self, path: str, query: str) -> None:
+        room, _, rest = path[1:].partition("/")
+        if room != self.server.token:
             raise Refusal(404, "not found")
         if rest == "events":
-            page = self._id(request) if request.query or self._hears else ""
-            await self._stream(page, reader, writer)
-        elif rest == "afterwards.js":
-            await self._send(writer, 200, AFTERWARDS, "text/javascript; charset=utf-8")
+            self._stream(self._page(query) if query or self.server.hears else "")
         elif rest.startswith("files/"):
-            await self._send_file(unquote(rest.removeprefix("files/")), writer)
-        elif rest == "" and request.path.endswith("/") and not request.query:
-            self._loading.append(asyncio.get_running_loop().call_later(LOADING_SECONDS, self._given_up))
-            self._moved.set()
-            await self._send(writer, 200, self._page, "text/html; charset=utf-8")
+            self._send_file(unquote(rest.removeprefix("files/")))
+        elif rest == "" and path.endswith("/") and not query:
+            self._send(200, self.server.page, HTML)
         else:
             raise Refusal(404, "not found")
 
-    def _given_up(self) -> None:
-        """The oldest page that was fetched will open no stream any more."""
-        self._loading.popleft()
-        self._moved.set()
-
-    def _id(self, request: Request) -> str:
-        """The page that asks."""
-        found = STREAM_QUERY.fullmatch(request.query)
+    def _page(self, query: str) -> str:
+        """Id of the page that asks."""
+        found = PAGE_ID.fullmatch(query)
         if found is None:
             raise Refusal(400, "which page? page=ID is missing, of at most 64 letters, digits and hyphens")
         return found[1]
 
-    async def _hear(self, request: Request, reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
-        """Pass on what a page says."""
-        if request.path != f"/{self._token}/said":
+    def _hear(self, path: str, query: str) -> None:
+        if not self.server.hears:
+            raise Refusal(501, "only GET is served")
+        if self.headers["Origin"] is None:
+            raise Refusal(403, "only a page of this address may say something: Origin is missing")
+        if path != f"/{self.server.token}/said":
             raise Refusal(404, "not found")
-        page, length = self._id(request), said_length(request)
-        self._enter(self._saying, MAX_SAYING, writer)
-        async with asyncio.timeout(REQUEST_SECONDS):
-            body = await reader.readexactly(length)
+        if self.headers.get_content_type() != "application/json" or self.headers["Content-Type"] is None:
+            raise Refusal(415, "say it as application/json")
+        page, length = self._page(query), self.headers["Content-Length"] or ""
+        if self.headers["Transfer-Encoding"] is not None or not (length.isascii() and length.isdigit()):
+            raise Refusal(411, "say its length: one Content-Length is needed")
+        if len(length) > len(str(MOST_SAID)) or int(length) > MOST_SAID:
+            raise Refusal(413, f"too long: at most {MOST_SAID} bytes are taken")
         try:
-            line = object_line(body)
-            whole = b'{"page": "' + page.encode() + b'", "said": ' + line + b"}"
-            async with asyncio.timeout(READER_SECONDS):  # it waits for a busy program, and nobody else does
-                await self._program.tell(lambda: whole)
-        except ValueError as error:
+            said = json.loads(self.rfile.read(int(length)).decode("utf-8"))
+            line = json.dumps({"page": page, "said": said}, allow_nan=False).encode()
+        except (ValueError, RecursionError) as error:
             raise Refusal(400, "a JSON object of finite numbers is needed") from error
-        except TimeoutError as error:
-            raise Refusal(503, "the program is busy: say it again later") from error
-        self._enter(self._saying, MAX_SAYING, writer)
+        if not isinstance(said, dict):
+            raise Refusal(400, "a JSON object of finite numbers is needed")
+        self.server.tell(line, SLOWEST)
+        self._head(204)
 
-    async def _stream(self, page: str, reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
-        """Events until the browser leaves, which its end of the connection tells at once."""
-        if len(self._streams) >= MAX_STREAMS:
+    def _stream(self, page: str) -> None:
+        """The newest of each slot that has changed, with a sign of life where nothing moves, until the browser leaves,
+        which its end of the connection tells.
+        """
+        server, seen, alive = self.server, 0, time.monotonic()
+        if len(server.streams) >= MOST_STREAMS:
             raise Refusal(503, "too many browsers look at this page")
-        if page not in self._known and self._loading:
-            self._loading.popleft().cancel()
-        self._known.add(page)
-        self._streams[writer] = page
-        self._moved.set()
-        tasks = [asyncio.create_task(self._send_events(writer)), asyncio.create_task(reader.read(1))]
+        server.streams.append(page)
+        server.moved.set()
+        self.close_connection = True
         try:
-            await asyncio.wait(tasks, return_when=asyncio.FIRST_COMPLETED)
+            self._head(200, "text/event-stream")
+            while not select.select([self.connection], [], [], 0.0)[0]:
+                with server.changed:
+                    if server.number == seen:
+                        server.changed.wait(LOOKS)
+                    news = [event for number, event in server.slots.values() if number > seen]
+                    seen = server.number
+                if not news and time.monotonic() > alive + HEARTBEAT:
+                    news = [b": still here\n\n"]
+                if news:
+                    self.wfile.write(b"".join(news))
+                    alive = time.monotonic()
         finally:
-            del self._streams[writer]
-            self._moved.set()
-            writer.transport.abort()
-            for task in tasks:
-                task.cancel()
-            await asyncio.gather(*tasks, return_exceptions=True)
+            server.streams.remove(page)
+            server.moved.set()
 
-    async def _send_events(self, writer: asyncio.StreamWriter) -> None:
-        """The newest of each slot that has changed, with a sign of life where nothing moves."""
-        await self._send(writer, 200, None, "text/event-stream")
-        seen = 0
-        while True:
-            if seen == self._number:
-                try:
-                    async with asyncio.timeout(HEARTBEAT_SECONDS):
-                        await self._changed.wait()
-                except TimeoutError:
-                    await self._write(writer, b": still here\n\n")
-                    continue
-            news = [event for number, event in self._slots.values() if number > seen]
-            seen = self._number
-            await self._write(writer, b"".join(news))
-
-    async def _send_file(self, name: str, writer: asyncio.StreamWriter) -> None:
+    def _send_file(self, name: str) -> None:
         """A file that was offered under this name, to be kept."""
-        try:
-            file, size = await asyncio.to_thread(opened, self._files[name])
-        except (KeyError, OSError) as error:
-            raise Refusal(404, "not found") from error
-        with file:
+        path = self.server.files.get(name, "")
+        if not os.path.isfile(path):
+            raise Refusal(404, "not found")
+        with open(path, "rb") as file:
+            kept = f"attachment; filename*=UTF-8''{quote(name, safe='')}"
             kind = KINDS.get(name.rpartition(".")[2].lower(), "application/octet-stream")
-            kept = f"Content-Disposition: attachment; filename*=UTF-8''{quote(name, safe='')}"
-            await self._send(writer, 200, None, kind, f"Content-Length: {size}", kept)
-            while size:
-                piece = await asyncio.to_thread(file.read, min(size, PIECE))
-                if not piece:
-                    raise OSError(f"{name} was cut while it was sent")
-                await self._write(writer, piece)
-                size -= len(piece)
+            size = os.fstat(file.fileno()).st_size
+            self._head(200, kind, {"Content-Length": str(size), "Content-Disposition": kept})
+            shutil.copyfileobj(file, self.wfile)
 
-    async def _let_finish(self, reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
-        """Take the rest of a refused request, without which a browser would not see why; not for long."""
-        self._enter(self._unasked, MAX_UNASKED, writer)
-        writer.write_eof()
-        async with asyncio.timeout(REQUEST_SECONDS):
-            while await reader.read(MAX_REQUEST):
-                pass
+    def _send(self, code: int, body: bytes, kind: str = TEXT) -> None:
+        """A whole answer."""
+        self._head(code, kind, {"Content-Length": str(len(body))})
+        self.wfile.write(body)
 
-    async def _send(
-        self, writer: asyncio.StreamWriter, code: int, body: bytes | None, kind: str = TEXT, *more: str
-    ) -> None:
-        """A whole answer, or its head alone if there is no body."""
-        size = () if body is None else (f"Content-Length: {len(body)}",)
-        await self._write(writer, head(code, f"Content-Type: {kind}", *size, *more, *LAST) + (body or b""))
-
-    async def _write(self, writer: asyncio.StreamWriter, data: bytes) -> None:
-        writer.write(data)
-        async with asyncio.timeout(READER_SECONDS):
-            await writer.drain()
-
-
-def head(code: int, *lines: str) -> bytes:
-    """The head of an answer."""
-    return "\r\n".join((f"HTTP/1.1 {code} {HTTPStatus(code).phrase}", *lines, *HEADERS, "", "")).encode()
-
-
-def said_length(request: Request) -> int:
-    """How long the JSON is that follows [bytes]."""
-    if (request.of("content-type") or "").partition(";")[0].strip().lower() != "application/json":
-        raise Refusal(415, "say it as application/json")
-    lengths = {value for name, value in request.headers if name == "content-length"}
-    length = lengths.pop() if len(lengths) == 1 else ""
-    if request.of("transfer-encoding") is not None or not (length.isascii() and length.isdigit()):
-        raise Refusal(411, "say its length: one Content-Length is needed")
-    if len(length) > len(str(MAX_SAID)) or int(length) > MAX_SAID:
-        raise Refusal(413, f"too long: at most {MAX_SAID} bytes are taken")
-    return int(length)
+    def _head(self, code: int, kind: str = "", more: Mapping[str, str] = MappingProxyType({})) -> None:
+        """The head of an answer."""
+        self.send_response_only(code)
+        ends = {"Connection": "close"} if self.close_connection else {}
+        kinds = {"Content-Type": kind} if kind else {}
+        for name, value in (kinds | dict(more) | HEADERS | ends).items():
+            self.send_header(name, value)
+        self.end_headers()
 
 
 def end_with_parent(parent: int) -> None:
     """End this process when its parent is gone, even if another process keeps our stdin open."""
     while os.getppid() == parent:
-        time.sleep(PARENT_CHECK_SECONDS)
+        time.sleep(PARENT_CHECK)
     os._exit(0)
 
 
-async def main() -> None:
+def main() -> None:
     """Serve until stdin closes."""
-    threading.Thread(target=end_with_parent, args=(os.getppid(),), daemon=True).start()
     header = json.loads(sys.stdin.buffer.readline())
     server = LiveServer(sys.stdin.buffer.read(header["page"]), header["token"], header["hears"])
-    sys.stdout.write(json.dumps({"port": await server.start()}) + "\n")
-    sys.stdout.flush()
-    loop = asyncio.get_running_loop()
-
-    def feed() -> None:
-        for line in sys.stdin.buffer:
-            slot, _, said = line.strip().partition(b" ")
-            loop.call_soon_threadsafe(server.put, slot.decode(), said)
-        os._exit(0)  # without waiting for browsers
-
-    tasks = [asyncio.to_thread(feed)]
-    if header["hears"]:
-        tasks.append(server.tell(sys.stdout.buffer))
-    await asyncio.gather(*tasks)
+    server.tell(json.dumps({"port": server.server_port}).encode())
+    works = [(end_with_parent, (os.getppid(),)), (server.serve_forever, ())]
+    for work, given in [*works, *([(server.tell_pages, ())] if header["hears"] else [])]:
+        threading.Thread(target=work, args=given, daemon=True).start()
+    for line in sys.stdin.buffer:
+        slot, _, said = line.strip().partition(b" ")
+        server.put(slot.decode(), said)
+    os._exit(0)  # without waiting for browsers
 
 
 if __name__ == "__main__":
-    asyncio.run(main())
+    main()

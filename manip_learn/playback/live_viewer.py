@@ -58,10 +58,9 @@ class LiveProcess:
         make_page: Token -> the page to serve.
         timeout: How long the server may take to start [s].
         heard: Called in a thread of its own, for one line after the other, with `{"page": id, "said": {...}}` for what
-            a page has posted, and with `{"pages": [ids], "loading": number}` whenever one comes or goes: the ids of
-            the pages that are open, oldest first, and how many were fetched within the last 10 s and are not open
-            yet. It is not called once `close` has returned, unless one call takes longer than 2 s. None for pages
-            that say nothing.
+            a page has posted, and with `{"pages": [ids]}` whenever one comes or goes: the ids of the pages that are
+            open, oldest first. It is not called once `close` has returned, unless one call takes longer than 2 s. None
+            for pages that say nothing.
         frames_per_second: Messages of a slot that are written in a second at most; None for as many as a screen shows.
 
     Raises:

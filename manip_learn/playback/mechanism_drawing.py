@@ -147,26 +147,27 @@ def mechanism_drawing(
         return MechanismDrawing(kind, sentence, tuple(circles))
     if kind == "ball" or axis is None or point is None:
         return MechanismDrawing(kind, sentence, ())
-    if kind == "plane":
-        patch = _patch(axis, point, held)
+    if kind == "plane":  # a rectangle, its sides along the widest and the narrowest spread of the motion
+        basis = np.array(_across(axis))
+        flat = (held - point) @ basis.T
+        turn = np.linalg.svd(flat - flat.mean(axis=0), full_matrices=False)[2] if len(flat) > 2 else np.eye(2)
+        sides = turn @ basis
+        within = (held - point) @ sides.T
+        low, high = within.min(axis=0), within.max(axis=0)
+        margin = _margin(float((high - low).max()))
+        (x, y), (right, top) = low - margin, high + margin
+        patch = point + np.array([[x, y], [right, y], [right, top], [x, top]]) @ sides
         return MechanismDrawing(kind, sentence, (np.vstack([patch, patch[:1]]),), (patch,))
-    return MechanismDrawing(kind, sentence, tuple(_along_axis(kind, axis, point, geometry, held)))
-
-
-def _along_axis(
-    kind: str, axis: np.ndarray, point: np.ndarray, geometry: Geometry, held: np.ndarray
-) -> list[np.ndarray]:
-    """The axis, and around it the circle of a hinge, the helix of a screw, the two rims of a cylinder."""
     along = (held - point) @ axis
     low, high, radius = float(along.min()), float(along.max()), geometry.radius
     reach = _margin(high - low) + 0.3 * radius
     lines = [np.array([point + (low - reach) * axis, point + (high + reach) * axis])]
-    if kind == "line" or not radius:
-        return lines
-    if kind == "screw" and geometry.pitch:
-        return [*lines, _helix(axis, point, radius, geometry.pitch, low, high, held)]
-    heights = (low, high) if kind == "other" else (0.5 * (low + high),)
-    return [*lines, *(_circle(point + h * axis, axis, radius) for h in heights)]
+    if kind == "screw" and geometry.pitch and radius:
+        lines.append(_helix(axis, point, radius, geometry.pitch, low, high, held))
+    elif kind != "line" and radius:  # the circle of a hinge, the two rims of a cylinder
+        heights = (low, high) if kind == "other" else (0.5 * (low + high),)
+        lines += [_circle(point + h * axis, axis, radius) for h in heights]
+    return MechanismDrawing(kind, sentence, tuple(lines))
 
 
 def _circle(centre: np.ndarray, axis: np.ndarray, radius: float) -> Float[np.ndarray, "n 3"]:
@@ -187,20 +188,6 @@ def _helix(
     start = low - float(arm @ axis)  # along the axis, from the first point held to the lowest
     turned = (angle + phase + start / pitch)[:, None]
     return point + radius * (np.cos(turned) * first + np.sin(turned) * second) + np.outer(low + pitch * angle, axis)
-
-
-def _patch(normal: np.ndarray, point: np.ndarray, held: np.ndarray) -> Float[np.ndarray, "4 3"]:
-    """A rectangle in the plane, its sides along the widest and the narrowest spread of the motion."""
-    basis = np.array(_across(normal))
-    flat = (held - point) @ basis.T
-    turn = np.linalg.svd(flat - flat.mean(axis=0), full_matrices=False)[2] if len(flat) > 2 else np.eye(2)
-    sides = turn @ basis
-    within = (held - point) @ sides.T
-    low, high = within.min(axis=0), within.max(axis=0)
-    margin = _margin(float((high - low).max()))
-    low, high = low - margin, high + margin
-    corners = np.array([[low[0], low[1]], [high[0], low[1]], [high[0], high[1]], [low[0], high[1]]])
-    return point + corners @ sides
 
 
 def _across(axis: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -328,7 +315,17 @@ def furniture_of(
     centre = point if kind != "drawer" else None
     along, across, lever = _coordinates(axis, centre, pitch, path)
     spans = [slice(*np.searchsorted(times, (a - ROUNDING, b + ROUNDING))) for a, b in ways or ()]
-    found = _stretch(lever * along, across) if ways is None else _way(lever * along, across, spans)
+    if ways is None:
+        found = _stretch(lever * along, across)
+    elif not spans or len(along[spans[0]]) < 2:
+        found = None
+    else:  # it begins where it is shut
+        first, off = spans[0].start, across[spans[0]]
+        k = int(np.argmin(np.linalg.norm(off - np.median(off, axis=0), axis=1)))
+        begin, end = (first + n for n in _run(off, off[k], k))
+        moved = lever * (along[begin:end] - along[begin])
+        far = float(moved[np.argmax(np.abs(moved))])
+        found = None if abs(far) < LEAST_TRAVEL else (begin, end, first + k, float(np.sign(far)))
     held, least = np.zeros(len(along), dtype=bool), 0.0
     if shown is not None and shown.hold is not None:
         handle, sense, least = shown.hold, float(np.sign(axis @ shown.coordinates.axes[0])) or 1.0, shown.most
@@ -408,22 +405,6 @@ def _stretch(along: Float[np.ndarray, " T"], across: Float[np.ndarray, "T k"]) -
     # a hand that comes along the axis has not taken hold yet; one that opens twice has shut it before
     begin = int(np.flatnonzero(run <= run[: last + 1].min() + 0.1 * ON_IT)[0])
     return start + begin, end, k, sense
-
-
-def _way(
-    along: Float[np.ndarray, " T"], across: Float[np.ndarray, "T k"], spans: Sequence[slice]
-) -> tuple[int, int, int, float] | None:
-    """As `_stretch`, of a motion that is known to hold the mechanism in some spans, and to begin where it is shut."""
-    if not spans or len(along[spans[0]]) < 2:
-        return None
-    first, along, across = spans[0].start, along[spans[0]], across[spans[0]]
-    k = int(np.argmin(np.linalg.norm(across - np.median(across, axis=0), axis=1)))
-    start, end = _run(across, across[k], k)
-    moved = along[start:end] - along[start]
-    far = float(moved[np.argmax(np.abs(moved))])
-    if abs(far) < LEAST_TRAVEL:
-        return None
-    return first + start, first + end, first + k, float(np.sign(far))
 
 
 def _run(across: Float[np.ndarray, "T k"], centre: Float[np.ndarray, " k"], k: int) -> tuple[int, int]:

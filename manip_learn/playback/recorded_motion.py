@@ -106,7 +106,10 @@ def tracks_of(
         _of_limits(robot, "position", samples.time, places, bounded),
     ]
     if isinstance(recording, Trajectory):
-        tracks += _measured(recording, recording.joint_names or robot.joint_names, samples.time)
+        if recording.effort is not None:  # each over its largest, since those at the base dwarf the others
+            largest, joints = np.max(np.abs(recording.effort), axis=0), recording.joint_names or robot.joint_names
+            shares = zip(joints, (recording.effort / np.where(largest > 0.0, largest, 1.0)).T, strict=True)
+            tracks.append(Track("effort", tuple(Curve(name, samples.time, share) for name, share in shares)))
     if isinstance(recording, Rollout):
         features = None if guidance.constraint is None else guidance.constraint.features
         units = "" if features is None else " or ".join(sorted({u.removesuffix("/s") for u in features.row_units}))
@@ -114,16 +117,6 @@ def tracks_of(
         joint_unit = " or ".join(sorted(set(robot.joint_units), reverse=True))
         tracks.append(_error("following-error", samples, recording.following_error, joint_unit))
     return tuple(t for t in tracks if t is not None and t.curves)
-
-
-def _measured(recording: Trajectory, joints: Sequence[str], time: Float[np.ndarray, " T"]) -> list[Track]:
-    """Efforts, each over its largest, since those at the base dwarf the others."""
-    tracks = []
-    if recording.effort is not None:
-        largest = np.max(np.abs(recording.effort), axis=0)
-        shares = recording.effort / np.where(largest > 0.0, largest, 1.0)
-        tracks.append(Track("effort", tuple(Curve(n, time, c) for n, c in zip(joints, shares.T, strict=True))))
-    return tracks
 
 
 def _fit(samples: MotionSamples, guidance: Guidance, phases: Sequence[PhaseBand]) -> Track | None:
@@ -333,7 +326,8 @@ def recorded_motion(
         curve_times, curve = time[chosen], curve[chosen]
     own = own_bands(name, getattr(recording, "phases", ()))
     if isinstance(recording, Rollout) and len(recording.ways) > 1:
-        own = tuple(replace(band, constraint=_number_of(recording, band)) for band in own)
+        ways = {way.get("name"): k for k, way in reversed(list(enumerate(recording.ways)))}  # by the name of a step
+        own = tuple(replace(band, constraint=ways.get((band.name or "").rpartition(": ")[0])) for band in own)
     own = _within(own, first_time, float(time[-1]))
     bands = _within(phases, first_time, float(time[-1])) or own
     tracks = joint_tracks(robot, tree, q[keys])
@@ -368,12 +362,6 @@ def recorded_motion(
     )
 
 
-def _number_of(rollout: Rollout, band: PhaseBand) -> int | None:
-    """Number of the way to which a phase of its own belongs, by the name before its part."""
-    whose = (band.name or "").rpartition(": ")[0]
-    return next((k for k, way in enumerate(rollout.ways) if way.get("name") == whose), None)
-
-
 def _opened(
     recording: Rollout | Trajectory,
     guidance: Guidance,
@@ -389,8 +377,11 @@ def _opened(
     for k in range(max(len(guidance.constraints), 1)):
         shown = guidance.constraints[k].shown if guidance.constraints else None
         known = guidance.mechanism(k) or (mechanism if k == 0 else None)
-        if isinstance(recording, Rollout):
-            held = _held(recording, bands, k, first_time)
+        if isinstance(recording, Rollout):  # as its phases or its ways tell
+            held = [(band.start, band.end) for band in bands if band.part == WAY and band.constraint in (None, k)]
+            if not any(band.part == WAY or band.part in LEADING for band in bands):
+                begins = [way["begins"] for way in recording.ways[k : k + 1] if way["begins"] is not None]
+                held = [(begin - first_time, np.inf) for begin in begins] if recording.ways else None
         elif shown is None or shown.hold is None:
             continue
         else:
@@ -401,15 +392,6 @@ def _opened(
         elif held is not None:  # the same thing in a later step
             found[again] = (*found[again][:2], [*(found[again][2] or []), *held])
     return found
-
-
-def _held(rollout: Rollout, bands: Sequence[PhaseBand], k: int, first_time: float) -> list[tuple[float, float]] | None:
-    """When the hand has hold of mechanism k, as the rollout's phases or its ways tell; None where they do not."""
-    ways = [(band.start, band.end) for band in bands if band.part == WAY and band.constraint in (None, k)]
-    if any(band.part == WAY or band.part in LEADING for band in bands):
-        return ways
-    begins = [way["begins"] - first_time for way in rollout.ways[k : k + 1] if way["begins"] is not None]
-    return [(begin, np.inf) for begin in begins] if rollout.ways else None
 
 
 def _within(phases: tuple[PhaseBand, ...], first_time: float, duration: float) -> tuple[PhaseBand, ...]:

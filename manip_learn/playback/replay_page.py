@@ -5,11 +5,10 @@ from __future__ import annotations
 import math
 import os
 import re
-import shlex
 import tempfile
 import webbrowser
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from html import escape
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, final
@@ -49,7 +48,6 @@ STATES = {
     "free": "free",
     "untried": "not tried: nothing moved along it",
 }
-FLAG = "--episodes"
 Recording = Rollout | Trajectory
 MAX_GHOSTS = 12  # as in page/scene.js
 
@@ -127,63 +125,6 @@ def _number(value: object) -> float | None:
 
 @final
 @dataclass(frozen=True)
-class RecordingChoice:
-    """What the page needs to write the command line for a choice.
-
-    Attributes:
-        command: Words of the command line that read the recordings; empty if there was none.
-        episodes: Recording -> its number as `--episodes` counts; recordings without one cannot be chosen by it.
-    """
-
-    command: tuple[str, ...] = ()
-    episodes: Mapping[str, int] = field(default_factory=dict)
-
-    @staticmethod
-    def of(command: Sequence[str], names: Sequence[str], numbers: Sequence[int]) -> RecordingChoice:
-        """For recordings that were read one from each number; of files that hold several, none can be left out alone.
-
-        Args:
-            command: Words of the command line.
-            names: Of the recordings, in the order in which they were read.
-            numbers: See `numbers_read`.
-        """
-        if len(names) != len(numbers):
-            return RecordingChoice()
-        return RecordingChoice(tuple(command), dict(zip(names, numbers, strict=True)))
-
-    def to_dict(self, names: Sequence[str], odd: Sequence[Sequence[str]]) -> dict[str, Any]:
-        """For the page.
-
-        Args:
-            names: Of the recordings that are shown.
-            odd: Names and reasons of those that do not agree with the others.
-        """
-        numbers = [self.episodes.get(name) for name in names]
-        complete = bool(self.command) and all(n is not None for n in numbers)
-        return {
-            "command": shlex.join(without_flags(self.command, {FLAG: 1})) if complete else "",
-            "flag": FLAG,
-            "episodes": numbers if complete else [],
-            "odd": {name: reason for name, reason in odd if name in names},
-        }
-
-
-def without_flags(words: Sequence[str], flags: Mapping[str, int]) -> list[str]:
-    """The words of a command line without some flags, of which each has so many values: `--flag=value` is one word."""
-    kept, skip = [], 0
-    for word in words:
-        name, equals, _ = word.partition("=")
-        if skip:
-            skip -= 1
-        elif name in flags:
-            skip = 0 if equals else flags[name]
-        else:
-            kept.append(word)
-    return kept
-
-
-@final
-@dataclass(frozen=True)
 class ReplayResult:
     """What `replay` wrote.
 
@@ -223,7 +164,6 @@ def replay(
     constraint: Constraint | Sequence[Constraint] | None = None,
     report: LearningReport | Mapping[str, Any] | None = None,
     target: ArrayLike | None = None,
-    choice: RecordingChoice | None = None,
 ) -> ReplayResult:
     """Write one HTML file that plays rollouts of a robot, without a server and without a network.
 
@@ -250,7 +190,6 @@ def replay(
         report: `report_` of the learner, or what a constraint keeps of it (`constraint.provenance`): the evidence in
             words; phases and mechanism are taken from it where they are not given.
         target: Where the task was to arrive, as `PointAttractor` takes it; rollouts that `simulate` made keep theirs.
-        choice: The command line that reads the recordings, so that the page can say how some are left out.
 
     Raises:
         ConstraintMismatchError: A constraint of another robot.
@@ -272,7 +211,11 @@ def replay(
     """
     named = named_recordings(rollouts)
     guided = {name: guidance_of(robot, name, r, constraint, target) for name, r in named.items()}
-    learnt = _learnt(report, guided)
+    if report is not None:
+        learnt = report if isinstance(report, Mapping) else report.to_dict()
+    else:  # of the first constraint shown
+        kept = (g.constraint.provenance for g in guided.values() if g.constraint is not None)
+        learnt = next((provenance for provenance in kept if provenance), {})
     if not phases:
         own = phases_from_json(learnt.get("phases") or ())
         phases = tuple(p for p in own if isinstance(named.get(p[0]), Trajectory))
@@ -306,10 +249,7 @@ def replay(
     origins = (g.constraint.provenance.get("made") for g in guided.values() if g.constraint is not None)
     data["made"] = next(filter(None, origins), None)
     data["done"] = [row for motion in motions for row in _done(motion, named[motion.name], len(named) > 1)]
-    recorded = all(isinstance(r, Trajectory) for r in named.values())
-    data["choice"] = (
-        (choice or RecordingChoice()).to_dict(list(named), evidence["odd"] if evidence else ()) if recorded else None
-    )
+    data["odd"] = {name: why for name, why in evidence["odd"] if name in named} if evidence else {}
     content = page(data, robot=known_as(robot.source) or robot.name or "robot", subtitle=title).encode("utf-8")
     if html is None:
         try:
@@ -377,14 +317,6 @@ def _drawings(
                 places = np.concatenate([opened.pose[None, :3, 3], *ends])
         drawn.append(mechanism_drawing(described, places, shown))
     return tuple(drawn)
-
-
-def _learnt(report: LearningReport | Mapping[str, Any] | None, guided: Mapping[str, Guidance]) -> Mapping[str, Any]:
-    """The report as a dictionary; that of the first constraint shown if none was given, empty if there is none."""
-    if report is not None:
-        return report if isinstance(report, Mapping) else report.to_dict()
-    kept = (g.constraint.provenance for g in guided.values() if g.constraint is not None)
-    return next((provenance for provenance in kept if provenance), {})
 
 
 def shown_tip(robot: Robot, tip: str | None, named: Mapping[str, Recording], guided: Mapping[str, Guidance]) -> str:

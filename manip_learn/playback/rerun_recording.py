@@ -12,14 +12,13 @@ import pinocchio as pin
 
 from manip_learn.atomic_write import write_atomically
 from manip_learn.errors import MissingExtraError, OutputError
-from manip_learn.playback.appearance import Shape, appearance
+from manip_learn.playback.appearance import appearance
 from manip_learn.playback.guided_motion import MotionSamples, guidance_of, motion_samples
 from manip_learn.playback.kinematic_tree import kinematic_tree
 from manip_learn.playback.palette import rgb_of, rollout_colours
 from manip_learn.playback.recorded_motion import status_changes
 from manip_learn.playback.replay_page import Recording, named_recordings, shown_tip
 from manip_learn.robot.robot import Robot
-from manip_learn.robot.visuals.meshes import Mesh
 
 if TYPE_CHECKING:
     import rerun as rr
@@ -106,6 +105,7 @@ def _add_robot(
 ) -> None:
     """Poses of the joints in the base over time, and what each joint carries; all of it in one colour if tinted."""
     import rerun as rr
+    import trimesh
 
     model, looks = robot.pinocchio_model, appearance(robot, kinematic_tree(robot))
     data = model.createData()
@@ -123,7 +123,17 @@ def _add_robot(
         placement = pin.SE3ToXYZQUAT(pin.SE3(shape.pose))
         pose = rr.Transform3D(translation=placement[:3], quaternion=placement[3:])
         mesh = None if shape.mesh is None else looks.meshes[shape.mesh]
-        _add(stream, [*paths[shape.joint], f"shape_{k}"], pose, _body(shape, mesh, colour))
+        solid: dict[str, Any] = {"colors": [colour], "fill_mode": "solid"}
+        if mesh is not None:  # without normals Rerun shades nothing
+            normals = trimesh.Trimesh(mesh.vertices, mesh.faces, process=False).vertex_normals
+            placed = {"vertex_positions": mesh.vertices, "triangle_indices": mesh.faces, "vertex_normals": normals}
+            body = rr.Mesh3D(**placed, albedo_factor=colour)
+        elif shape.kind in ("box", "sphere"):
+            kind = rr.Boxes3D if shape.kind == "box" else rr.Ellipsoids3D
+            body = kind(half_sizes=[shape.half_extent()], **solid)
+        else:
+            body = rr.Cylinders3D(lengths=[shape.size[1]], radii=[shape.size[0]], **solid)
+        _add(stream, [*paths[shape.joint], f"shape_{k}"], pose, body)
 
 
 def _add_curves(
@@ -150,19 +160,3 @@ def _add_curves(
     if changes:
         columns = rr.TextLog.columns(text=[word for _, word in changes])
         _add(stream, [name, "status"], columns, time=np.array([time for time, _ in changes]))
-
-
-def _body(shape: Shape, mesh: Mesh | None, colour: list[int]) -> Any:
-    import rerun as rr
-    import trimesh
-
-    if mesh is not None:
-        # without normals Rerun shades nothing
-        normals = trimesh.Trimesh(mesh.vertices, mesh.faces, process=False).vertex_normals
-        placed = {"vertex_positions": mesh.vertices, "triangle_indices": mesh.faces, "vertex_normals": normals}
-        return rr.Mesh3D(**placed, albedo_factor=colour)
-    solid: dict[str, Any] = {"colors": [colour], "fill_mode": "solid"}
-    if shape.kind in ("box", "sphere"):
-        kind = rr.Boxes3D if shape.kind == "box" else rr.Ellipsoids3D
-        return kind(half_sizes=[shape.half_extent()], **solid)
-    return rr.Cylinders3D(lengths=[shape.size[1]], radii=[shape.size[0]], **solid)

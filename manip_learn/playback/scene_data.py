@@ -10,7 +10,7 @@ import pinocchio as pin
 from jaxtyping import Float
 
 from manip_learn.playback.appearance import Appearance
-from manip_learn.playback.constraint_marks import constraint_marks, ellipsoid_scale, places_per_motion
+from manip_learn.playback.constraint_marks import constraint_marks, ellipsoid_scale
 from manip_learn.playback.kinematic_tree import TreeJoint
 from manip_learn.playback.mechanism_drawing import CORNERS, MechanismDrawing, facing
 from manip_learn.playback.page_writer import packed
@@ -21,6 +21,7 @@ from manip_learn.robot.visuals.meshes import Mesh
 
 MAX_POSTURES_FOR_BOUNDS = 120  # of all motions, around which the camera stands
 OUTLINE_DIRECTIONS = 240  # over the sphere, 13 degrees apart
+MOST_PLACES, LEAST_PLACES = 12_000, 60  # of all ellipsoids of a page, and of one motion
 ELLIPSOID = 0.08  # longest semi-axis relative to the scene
 ASIDE = np.deg2rad(62.0)  # the camera from what it looks at
 NEAR = 0.25  # of the motion's extent: how far around it the picture reaches for what stands there
@@ -55,18 +56,40 @@ def scene_data(
     near = [corner for some in around for thing in some for corner in thing.pop("corners")]
     cloud = np.concatenate([cloud, np.clip(np.reshape(near, (-1, 3)), low - NEAR * size, high + NEAR * size)])
     low, high = cloud.min(axis=0), cloud.max(axis=0)
-    most, places = points_per_curve([m.measures for m in motions]), places_per_motion(len(motions))
-    marks: list[list[dict[str, Any] | None]] = [
-        [] if m.samples is None else constraint_marks(robot, m.samples, m.guidance, places) for m in motions
-    ]
+    most, marks = points_per_curve([m.measures for m in motions]), list[list[dict[str, Any] | None]]()
+    for m in motions:
+        each, target = m.guidance.constraints, m.guidance.target
+        places = max(LEAST_PLACES, MOST_PLACES // len(motions)) // max(len(each), 1)
+        marks.append([constraint_marks(robot, m.samples, c, target, places) for c in each if m.samples is not None])
     size = float(np.linalg.norm(high - low))
+    # the points that stick out farthest in directions all over the sphere: what the camera must frame
+    k = np.arange(OUTLINE_DIRECTIONS) + 0.5
+    height, turn = 1.0 - 2.0 * k / OUTLINE_DIRECTIONS, np.pi * (1.0 + 5.0**0.5) * k
+    ring = np.sqrt(1.0 - height**2)
+    outermost = np.unique(np.argmax(cloud @ np.array([ring * np.cos(turn), ring * np.sin(turn), height]), axis=0))
+    # an arm all of whose motion is in the horizontal plane is seen from above
+    rotation, is_flat, frames = [np.eye(3)], True, robot.pinocchio_model.frames
+    for joint in tree[1:]:
+        rotation.append(rotation[joint.parent] @ joint.placement[:3, :3])
+        upright = abs(float((rotation[-1] @ joint.axis)[2]))
+        is_flat &= joint.motion != "free" and abs(upright - (joint.motion == "revolute")) <= 1e-6
     return {
-        "robot": _robot(robot, tree, looks, tip),
+        "robot": {
+            "tip": tip,
+            "joints": [vars(j) | {"placement": _rows(j.placement), "axis": j.axis.tolist()} for j in tree],
+            "links": [
+                {"name": name, "joint": f.parent_joint, "placement": _rows(frames[f.index].placement.homogeneous)}
+                for name, f in ((name, robot.frame(name)) for name in robot.frame_names)
+                if frames[f.index].type == pin.FrameType.BODY or name == tip
+            ],
+            "shapes": [vars(s) | {"pose": _rows(s.pose)} for s in looks.shapes],
+            "meshes": [_mesh(m) for m in looks.meshes],
+        },
         "bounds": [low.tolist(), high.tolist()],
-        "outline": _outermost(cloud).round(5).tolist(),
+        "outline": cloud[outermost].round(5).tolist(),
         "azimuth": _azimuth(motions),
         "floor": float(min(low[2], 0.0)),
-        "view": "top" if _is_seen_from_above(tree) else "iso",
+        "view": "top" if is_flat and len(tree) > 1 else "iso",
         "rollouts": [
             _rollout(m, c) | {"measures": track_data(m.measures, most), "marks": mark, "around": things}
             for m, c, mark, things in zip(motions, colours, marks, around, strict=True)
@@ -99,22 +122,6 @@ def _thing(thing: Mapping[str, Any], low: Float[np.ndarray, " 3"], high: Float[n
 
 def _rows(pose: Float[np.ndarray, "4 4"]) -> list[float]:
     return [float(x) for x in pose.ravel()]
-
-
-def _robot(robot: Robot, tree: tuple[TreeJoint, ...], looks: Appearance, tip: str) -> dict[str, Any]:
-    frames = robot.pinocchio_model.frames
-    links = [(name, robot.frame(name)) for name in robot.frame_names]
-    return {
-        "tip": tip,
-        "joints": [vars(j) | {"placement": _rows(j.placement), "axis": j.axis.tolist()} for j in tree],
-        "links": [
-            {"name": name, "joint": f.parent_joint, "placement": _rows(frames[f.index].placement.homogeneous)}
-            for name, f in links
-            if frames[f.index].type == pin.FrameType.BODY or name == tip
-        ],
-        "shapes": [vars(s) | {"pose": _rows(s.pose)} for s in looks.shapes],
-        "meshes": [_mesh(m) for m in looks.meshes],
-    }
 
 
 def _mesh(mesh: Mesh) -> dict[str, Any]:
@@ -176,15 +183,6 @@ def _drawn_points(robot: Robot, looks: Appearance, motions: Sequence[RecordedMot
     return np.concatenate([p for p in points if len(p)])
 
 
-def _outermost(cloud: Float[np.ndarray, "C 3"]) -> Float[np.ndarray, "D 3"]:
-    """The points that stick out farthest in directions all over the sphere: what the camera must frame."""
-    k = np.arange(OUTLINE_DIRECTIONS) + 0.5
-    height, turn = 1.0 - 2.0 * k / OUTLINE_DIRECTIONS, np.pi * (1.0 + 5.0**0.5) * k
-    ring = np.sqrt(1.0 - height**2)
-    directions = np.column_stack([ring * np.cos(turn), ring * np.sin(turn), height])
-    return cloud[np.unique(np.argmax(cloud @ directions.T, axis=0))]
-
-
 def _azimuth(motions: Sequence[RecordedMotion]) -> float:
     """Where the camera stands [rad]: beside the arm and a little before it, or before the front that is opened."""
     x, y, _ = np.concatenate([m.path for m in motions]).mean(axis=0)
@@ -206,14 +204,3 @@ def _corners(looks: Appearance, joint: int) -> Float[np.ndarray, "C 3"]:
         box = (low + high) / 2.0 + CORNERS * (high - low)
         points.append(box @ shape.pose[:3, :3].T + shape.pose[:3, 3])
     return np.concatenate(points)
-
-
-def _is_seen_from_above(tree: tuple[TreeJoint, ...]) -> bool:
-    """True if everything moves in the horizontal plane: turns about the vertical, slides along the floor."""
-    rotation = [np.eye(3)]
-    for joint in tree[1:]:
-        rotation.append(rotation[joint.parent] @ joint.placement[:3, :3])
-        upright = abs(float((rotation[-1] @ joint.axis)[2]))
-        if joint.motion == "free" or abs(upright - (joint.motion == "revolute")) > 1e-6:
-            return False
-    return len(tree) > 1

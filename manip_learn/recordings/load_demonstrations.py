@@ -28,7 +28,6 @@ from manip_learn.recordings.readers.read_request import (
 from manip_learn.recordings.readers.recording import Recording
 from manip_learn.recordings.readers.recording_files import (
     RecordingFile,
-    known_episodes,
     recording_files,
     select_episodes,
 )
@@ -212,13 +211,3 @@ def folded(said: Iterable[tuple[str, str]], robot: Robot | None) -> list[str]:
         alike = "" if all(other == text for _, other in found) else " with other figures"
         out.append(printable(f"{name}{f' and {len(found) - 1} more{alike}' if len(found) > 1 else ''}: {text}"))
     return out
-
-
-def numbers_read(paths: Paths, robot: Robot, **options: Unpack[ReadOptions]) -> tuple[int, ...]:
-    """Numbers of the recordings that `load_demonstrations` reads, in its order, counted as `episodes` counts them.
-
-    Of a LeRobot data set they are numbers of episodes; else places among all files. Files that hold several recordings
-    have one number for all.
-    """
-    files, request, _ = open_recordings(paths, robot, options)
-    return tuple(known_episodes(files) if request.chosen is None else sorted(request.chosen))

@@ -38,7 +38,7 @@ LINES = {
 }
 
 FOLDER = Path(__file__).with_name("page")
-NOT_TAUGHT_WITH = ("shown.js", "recording_choice.js", "legend.js", "live.js", "main.js")  # of a replay's program
+NOT_TAUGHT_WITH = ("shown.js", "legend.js", "live.js", "main.js")  # of a replay's program
 TEACH = replace(
     REPLAY,
     mode="teach",

@@ -164,7 +164,7 @@ class TeachingSession:
         while not self._heard.empty():
             heard = self._heard.get()
             if "pages" in heard:
-                self._pages_are(heard["pages"], heard.get("loading", 0))
+                self._pages_are(heard["pages"])
             elif "end" in heard:
                 self._finish()
             else:
@@ -185,13 +185,13 @@ class TeachingSession:
     def _finish(self) -> None:
         self._ended = self._stop = True
 
-    def _pages_are(self, pages: list[str], loading: int) -> None:
+    def _pages_are(self, pages: list[str]) -> None:
         self._pages, self._opened = pages, self._opened or bool(pages)
         if self._leader not in pages:
             if self._leader and self.arm.hand.pull is not None:
                 self.arm.let_go()
             self._leader = pages[0] if pages else ""
-        if pages or loading:
+        if pages:
             self._left = np.inf
         elif self._opened:
             self._left = min(self._left, time.monotonic())

@@ -16,7 +16,6 @@ function fillCards(show, data, player) {
   show.shown = new Shown(data, show);
   fillDone(data.done);
   fillEvidence(data.evidence);
-  if (data.choice && show.rollouts.length > 1) new RecordingChoice(data.choice, show, (rollout, visible) => player.showRollout(rollout, visible));
   player.arrangePanel();
 }
 

@@ -37,7 +37,7 @@ class Show {
     this.rollouts = data.rollouts.map((r, i) => prepare(r, i, data.phaseKinds));
     for (const rollout of this.rollouts) {
       rollout.fit = fitOf(rollout);
-      rollout.odd = data.choice && data.choice.odd[rollout.name];
+      rollout.odd = (data.odd ?? {})[rollout.name];
     }
     this.duration = Math.max(...this.rollouts.map((r) => r.duration));
     this.time = 0;
