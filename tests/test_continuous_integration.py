@@ -21,17 +21,43 @@ def read(name: str) -> dict[str, Any]:
 
 
 def test_the_workflow_runs_what_a_developer_runs():
-    """One job calls `.ci/run`, with the history that its check of the changelog needs and the pull request's base."""
+    """One job calls `.ci/run` on the lowest Python, with the history that its check of the changelog needs and the pull
+    request's base; others test the newest Python and macOS, and look up vulnerabilities.
+    """
     workflow = read(".github/workflows/ci.yml")
     assert set(workflow["on"]) == {"push", "pull_request"} and workflow["permissions"] == {"contents": "read"}
-    (job,) = workflow["jobs"].values()
-    checkout, python, run = job["steps"]
-    assert checkout["uses"].startswith("actions/checkout@") and checkout["with"]["fetch-depth"] == 0
+    checkout, python, run = workflow["jobs"]["everything"]["steps"]
+    assert checkout["with"]["fetch-depth"] == 0
     lowest = re.search(r'requires-python = ">=([\d.]+)', (ROOT / "pyproject.toml").read_text(encoding="utf-8"))
-    assert lowest is not None and python["with"]["python-version"] == lowest[1] and job["runs-on"] == "ubuntu-latest"
+    assert lowest is not None and python["with"]["python-version"] == lowest[1]
     assert run["run"] == ".ci/run" and os.access(ROOT / run["run"], os.X_OK)
     assert run["env"] == {"BASE": "${{ github.event.pull_request.base.sha }}"}
     assert '"${BASE:-}"' in (ROOT / ".ci" / "run").read_text(encoding="utf-8")
+    others = workflow["jobs"]["tests"]["strategy"]["matrix"]["include"]
+    assert {(job["os"], job["python"]) for job in others} == {("ubuntu-latest", "3.13"), ("macos-latest", "3.13")}
+    assert workflow["jobs"]["vulnerabilities"]["steps"][-1] == {"run": "make vulnerabilities"}
+
+
+def test_actions_are_pinned():
+    """Each by its commit: a tag of others may move."""
+    for name in ("ci", "release"):
+        jobs = read(f".github/workflows/{name}.yml")["jobs"].values()
+        used = [step["uses"] for job in jobs for step in job["steps"] if "uses" in step]
+        assert used and all(re.fullmatch(r"[\w-]+/[\w-]+@[0-9a-f]{40}", action) for action in used)
+
+
+def test_versions_agree():
+    """The library, the compiled law, the citation and the changelog are of one release."""
+    found = [
+        re.search(pattern, (ROOT / file).read_text(encoding="utf-8"), re.MULTILINE)
+        for file, pattern in (
+            ("pyproject.toml", r'^version = "(.*)"'),
+            ("fast/pyproject.toml", r'^version = "(.*)"'),
+            ("CITATION.cff", r"^version: (.*)"),
+            ("CHANGELOG.md", r"^## \[(\d.*)\] - "),
+        )
+    ]
+    assert len({match[1] for match in found if match}) == 1 and all(found)
 
 
 def test_every_benchmark_is_listed():

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 import re
+from functools import partial
 from typing import Any
 from xml.sax.saxutils import quoteattr
 
@@ -96,9 +97,7 @@ class Program:
         for i, line in enumerate(self.lines):
             if found := re.fullmatch(r"def (\w+)\((\w+(?:, \w+)*)\):", line):
                 body = self.lines[i + 1 : self.lines.index("end", i)]
-                self.known[found[1]] = lambda *given, body=body, names=found[2].split(", "): self.returned(
-                    body, dict(zip(names, given, strict=True))
-                )
+                self.known[found[1]] = partial(self.returned, body, found[2].split(", "))
             elif found := re.fullmatch(r"set_tcp\((.*)\)", line):
                 self.tcp = matrix(self.value(found[1]))
             elif found := re.fullmatch(r"global (\w+) = ([p\[].*)", line):
@@ -107,7 +106,8 @@ class Program:
     def value(self, text: str, local: dict[str, Any] | None = None) -> Any:
         return eval(text, self.known | (local or {}))
 
-    def returned(self, body: list[str], local: dict[str, Any]) -> Any:
+    def returned(self, body: list[str], names: list[str], *given: Any) -> Any:
+        local = dict(zip(names, given, strict=True))
         for line in body:
             name, _, text = line.partition(" = ")
             if line.startswith("return "):

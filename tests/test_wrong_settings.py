@@ -1,4 +1,4 @@
-"""Wrong settings of an engineer: each is refused, told, without effect, or in the documented list of what none can tell."""
+"""Wrong settings of an engineer: each is refused, told, without effect, or documented as one that none can tell."""
 
 from __future__ import annotations
 
@@ -43,7 +43,12 @@ QUICK: list[tuple[str, Change, list[str], str]] = [
     ("--degrees for radians", as_it_is, ["--degrees"], "degrees"),
     ("one joint in degrees", lambda q, i: q * [1, 1, 1, 1, 1, 57.29578], [], "degrees"),
     ("the base as the frame", as_it_is, ["--frame", "base_link"], "zero-features"),
-    ("the arm is another, with other joints", as_it_is, ["--robot", "sawyer", "--frame", "right_hand"], "missing-joint"),
+    (
+        "the arm is another, with other joints",
+        as_it_is,
+        ["--robot", "sawyer", "--frame", "right_hand"],
+        "missing-joint",
+    ),
 ]
 SLOW: list[tuple[str, Change, list[str], str]] = [
     ("nothing", as_it_is, [], "right"),
