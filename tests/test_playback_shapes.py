@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+import trimesh
 from conftest import URDFS
 from test_playback import unpacked, waving
 
@@ -50,17 +51,54 @@ def test_budget_is_kept_and_shape_too():
     assert decimated([large], 10**6)[1:] == (before - 12, before - 12)
 
 
-@pytest.mark.parametrize("name", ["one", "gantry", "tree", "humanoid", "rover", "sawyer"])
-def test_robots_without_meshes_get_figures(robot_of, name):
-    """Something is drawn at every joint; where the robot has no shapes, rods lead from each joint to the next ones."""
+def test_edges_stay_sharp_and_round_things_smooth():
+    """A cube's corners are split into three vertices, a smooth sphere's vertices are shared."""
+    (cube_out, ball_out), _, _ = decimated([cube(), ball()], 10**6)
+    assert len(cube_out.vertices) == 24
+    assert len(ball_out.vertices) < 0.51 * len(ball_out.faces) + 10
+    assert volume(cube_out) == pytest.approx(1.0)
+
+
+@pytest.mark.parametrize("name", ["one", "gantry", "wrist", "tree", "humanoid", "rover", "sawyer", "ur5e", "fr3"])
+def test_robots_without_meshes_get_shells(robot_of, name):
+    """Closed shells lead from each joint to those that it carries, and something is drawn at every joint."""
     robot = robot_of(name)
     tree = kinematic_tree(robot)
     looks = appearance(robot, tree)
-    assert {s.joint for s in looks.shapes} == set(range(len(tree))) and looks.meshes == ()
-    assert all(np.isfinite(s.pose).all() and min(s.size) > 0.0 for s in looks.shapes)
-    for child in tree[2:] if name != "sawyer" else ():
-        at, mine = child.placement[:3, 3], [s for s in looks.shapes if s.joint == child.parent]
-        assert np.linalg.norm(at) < 0.05 or any(np.allclose(s.pose[:3, 3], at) for s in mine if s.kind == "sphere")
+    assert {s.joint for s in looks.shapes} == set(range(len(tree)))
+    assert all(np.isfinite(s.pose).all() for s in looks.shapes) and len(looks.meshes) > 0
+    for mesh in looks.meshes:
+        sides = np.concatenate([mesh.faces[:, [0, 1]], mesh.faces[:, [1, 2]], mesh.faces[:, [2, 0]]])
+        assert sorted(map(tuple, sides)) == sorted(map(tuple, sides[:, ::-1])) and volume(mesh) > 0.0
+    for child in tree[1:]:
+        at = child.placement[:3, 3]
+        if np.linalg.norm(at) > 0.05:
+            assert trimesh.Trimesh(*solid_of(looks, child.parent)).contains([at])[0], child.name
+
+
+def solid_of(looks, joint):
+    """Vertices and faces of a joint's shell."""
+    mesh = next(looks.meshes[s.mesh] for s in looks.shapes if s.joint == joint and s.mesh is not None)
+    return mesh.vertices, mesh.faces
+
+
+def test_shells_take_the_thickness_of_what_they_stand_for(robot_of):
+    """A link of the shipped Sawyer is as thick as its cylinder; head and jaws, which no bone goes through, stay."""
+    looks = appearance(robot_of("sawyer"), kinematic_tree(robot_of("sawyer")))
+    forearm = solid_of(looks, 3)[0]
+    middle = forearm[np.abs(forearm[:, 2] - 0.13) < 0.03]
+    np.testing.assert_allclose(np.hypot(middle[:, 0], middle[:, 1]), 0.06, atol=0.004)
+    assert [s.size for s in looks.shapes if s.kind == "box"].count((0.02, 0.26, 0.16)) == 1
+    assert len([s for s in looks.shapes if s.kind == "box" and s.joint == 7]) == 2
+
+
+def test_chassis_and_wheels_are_drawn_as_they_are(tmp_path):
+    """Own shapes that are no slender links keep their form, wherever the bones of joints run."""
+    chassis = '<visual><geometry><box size="0.6 0.4 0.3"/></geometry></visual>'
+    path = tmp_path / "cart.urdf"
+    path.write_text(URDFS["gantry"].replace('<link name="link2">', f'<link name="link2">{chassis}'), encoding="utf-8")
+    robot = load_robot(path)
+    assert (0.6, 0.4, 0.3) in [s.size for s in appearance(robot, kinematic_tree(robot)).shapes]
 
 
 def test_meshes_are_packed(robot_of):

@@ -1,8 +1,9 @@
-"""Robot -> what is drawn: its own shapes and meshes, or a figure made from its kinematics; each rides on one joint."""
+"""Robot -> what is drawn: its own shapes and meshes, or shells made from its kinematics; each rides on one joint."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
 from typing import Literal, final
 
 import numpy as np
@@ -10,12 +11,13 @@ import pinocchio as pin
 from jaxtyping import Float
 
 from manip_learn.playback.kinematic_tree import TreeJoint
+from manip_learn.playback.shells import Body, barrel, rod, shell
 from manip_learn.playback.simple_meshes import decimated
 from manip_learn.robot.description.mjcf import turn_z_to
 from manip_learn.robot.robot import Robot
-from manip_learn.robot.visuals.figure import bones, link_radii
+from manip_learn.robot.visuals.figure import Bone, bones, link_radii
 from manip_learn.robot.visuals.meshes import Mesh
-from manip_learn.robot.visuals.visual_shapes import said_once, visual_shapes
+from manip_learn.robot.visuals.visual_shapes import Visual, said_once, visual_shapes
 
 ShapeKind = Literal["box", "sphere", "cylinder", "disc", "mesh"]
 Colour = tuple[float, float, float, float]
@@ -24,12 +26,13 @@ Colour = tuple[float, float, float, float]
 PLAIN: Colour = (0.80, 0.83, 0.86, 1.0)
 DARK: Colour = (0.27, 0.31, 0.36, 1.0)  # caps of joints, beside links in the plain colour
 MAX_TRIANGLES = 60_000  # about 0.9 MB in the page
-# what stands where a joint is, in radii of the bones there
-JOINTS: dict[str, tuple[ShapeKind, tuple[float, ...]]] = {
-    "revolute": ("disc", (1.2, 2.4)),
-    "prismatic": ("box", (2.1, 2.1, 2.6)),
-    "free": ("sphere", (1.3,)),
-}
+# own shapes that a shell takes the place of: their largest half width in radii that the kinematics gives, and the share
+FATTEST, SLIMMEST = 2.0, 1.0 / 3.0  # of these that a thin one counts as, so that the grid of a shell finds it
+STRAIGHT = 0.9  # cosine between a bone and an axis that runs along it
+# of a joint, in radii of its bones: barrel (radius, half length), and what stands out of its ends: a ring, a cap in it
+BARREL, RING, CAP = (1.2, 1.25), (1.08, 1.37), (0.9, 1.45)
+BAND = (1.12, 0.17)  # a ring around a bone, and
+SEAM = 1.15  # how far it stands from the corner of two bones: beside the one that goes on
 
 
 @final
@@ -84,35 +87,86 @@ class Appearance:
     notes: tuple[str, ...] = ()
 
 
-def figure(robot: Robot, tree: tuple[TreeJoint, ...], bare: set[int]) -> list[Shape]:
-    """Rods along the bones of joints that have no shapes of their own, balls where they meet, a ring at each joint.
+def shells(
+    robot: Robot, tree: tuple[TreeJoint, ...], own: Sequence[Shape], only: set[int] | None = None
+) -> tuple[list[Shape], list[Mesh]]:
+    """Shells around the bones of each link, with rings where it turns, and the own shapes that no shell stands for.
+
+    A shell takes the place of own shapes that a bone goes through, as long as they are no fatter than links are; it
+    takes their thickness and their colour.
 
     Args:
         robot: The robot.
         tree: Its joints.
-        bare: Joints without shapes of their own; the rings are on all.
+        own: Plain shapes of its description.
+        only: Joints whose shapes are made; None for all.
     """
-    model, shapes = robot.pinocchio_model, list[Shape]()
-    radius = link_radii(model)
-    for bone in (b for b in bones(model, radius) if b.joint in bare):
-        along, middle = np.diff(bone.ends, axis=0)[0], bone.ends.mean(axis=0)
-        length = float(np.linalg.norm(along))
-        pose = pin.SE3(turn_z_to(along / length), middle).homogeneous
-        shapes.append(Shape(bone.joint, "cylinder", (float(np.mean(bone.radii)), length), pose))
-        for end, thick in zip(bone.ends, bone.radii, strict=True):
-            shapes.append(Shape(bone.joint, "sphere", (thick,), pin.SE3(np.eye(3), end).homogeneous))
-    if 0 in bare:
-        shapes.append(Shape(0, "disc", (1.7 * radius[0], 0.5 * radius[0]), np.eye(4), DARK))
-    for i, joint in enumerate(tree[1:], 1):
-        r, turned = float(radius[i]), np.eye(3) if joint.motion == "free" else turn_z_to(joint.axis)
-        kind, size = JOINTS[joint.motion]
-        pose = pin.SE3(turned, np.zeros(3)).homogeneous
-        shapes.append(Shape(i, kind, tuple(r * share for share in size), pose, DARK, accent=True))
-    return shapes
+    model, within = robot.pinocchio_model, np.linspace(0.0, 1.0, 9)[:, None]
+    usual = link_radii(model)
+    usually = bones(model, usual)
+    radius, colours, kept, hands = usual.copy(), [PLAIN] * len(tree), list(own), dict[int, np.ndarray]()
+    for i in range(len(tree)):
+        line = [a + within * (b - a) for a, b in (b.ends for b in usually if b.joint == i)]
+        stood_for = [s for s in own if s.joint == i and line and _is_limb(s, np.concatenate(line), FATTEST * usual[i])]
+        if stood_for:
+            radius[i] = max(np.mean([np.sort(s.half_extent())[1] for s in stood_for]), SLIMMEST * usual[i])
+            colours[i] = stood_for[0].colour
+            kept = [s for s in kept if s not in stood_for]
+            hands[i] = max((s.pose[:3, 3] for s in stood_for), key=lambda at: float(np.linalg.norm(at)))
+    drawn = bones(model, radius)
+    shapes, meshes = list[Shape](), list[Mesh]()
+    for i, joint in enumerate(tree):
+        limb = [b for b in drawn if b.joint == i]
+        if len(limb) == 1 and not limb[0].child and i in hands and any(s.joint == i for s in kept):
+            limb = [limb[0]._replace(ends=np.array([limb[0].ends[0], hands[i]]))]  # what is kept goes on from there
+        bodies = [rod(b.ends, b.radii) for b in limb]
+        if i:
+            hub, rings = _hub(i, joint, float(radius[i]), [b for b in drawn if b.child == i], limb)
+            bodies += hub
+            shapes += rings
+        elif not any(s.joint == 0 for s in kept):
+            shapes.append(Shape(0, "disc", (1.7 * radius[0], 0.5 * radius[0]), np.eye(4), DARK))
+        if bodies and (only is None or i in only):
+            shapes.append(Shape(i, "mesh", (), np.eye(4), colours[i], mesh=len(meshes)))
+            meshes.append(shell(bodies))
+    return [s for s in (*shapes, *kept) if only is None or s.joint in only], meshes
+
+
+def _is_limb(shape: Shape, line: Float[np.ndarray, "P 3"], fattest: float) -> bool:
+    """True if a shape is slender enough and some of these points are in the box around it."""
+    half = shape.half_extent()
+    local = (line - shape.pose[:3, 3]) @ shape.pose[:3, :3]
+    return bool(np.sort(half)[1] <= fattest and (np.abs(local) <= half).all(axis=1).any())
+
+
+def _hub(
+    i: int, joint: TreeJoint, r: float, coming: Sequence[Bone], going: Sequence[Bone]
+) -> tuple[list[Body], list[Shape]]:
+    """What is drawn where a joint is: bodies of its shell, and other shapes."""
+    if joint.motion not in ("revolute", "prismatic"):
+        return [], [Shape(i, "sphere", (1.3 * r,), np.eye(4), DARK, accent=True)]
+    pose = pin.SE3(turn_z_to(joint.axis), np.zeros(3)).homogeneous
+    if joint.motion == "prismatic":
+        return [], [Shape(i, "box", (2.1 * r, 2.1 * r, 2.6 * r), pose, DARK, accent=True)]
+    # how far bones run along the axis on either side: that of the parent below, its own above
+    before = joint.placement[:3, :3].T @ np.diff(coming[-1].ends, axis=0)[0] if coming else np.zeros(3)
+    after = np.diff(going[0].ends, axis=0)[0] if going else np.zeros(3)
+    below, above = (
+        x if abs(x := float(v @ joint.axis)) > STRAIGHT * np.linalg.norm(v) else 0.0 for v in (before, after)
+    )
+    if not below and not above:  # bones run across it
+        drum = [
+            Shape(i, "disc", (a * r, 2.0 * b * r), pose, DARK, accent=is_ring)
+            for is_ring, (a, b) in ((True, RING), (False, CAP))
+        ]
+        return [barrel(pose, BARREL[0] * r, BARREL[1] * r)], drum
+    along = 0.0 if below and above else above or -below
+    pose[:3, 3] = np.sign(along) * min(SEAM * r, abs(along)) * joint.axis
+    return [], [Shape(i, "disc", (BAND[0] * r, 2.0 * BAND[1] * r), pose, DARK, accent=True)]
 
 
 def appearance(robot: Robot, tree: tuple[TreeJoint, ...], max_triangles: int = MAX_TRIANGLES) -> Appearance:
-    """The robot's own meshes, and the shapes beside them; a figure where it has none that can be used.
+    """The robot's own meshes, and the shapes beside them; shells where it has none that can be used.
 
     Args:
         robot: The robot.
@@ -129,8 +183,22 @@ def appearance(robot: Robot, tree: tuple[TreeJoint, ...], max_triangles: int = M
         names = list(concerned)
         shown = ", ".join(names[:4]) + (f" and {len(names) - 4} more" if len(names) > 4 else "")
         notes.append(f"Plain shapes stand in for {shown}: {reason}.")
-    shapes, meshes, known = list[Shape](), list[Mesh](), dict[int, int]()  # a finger's mesh is often used twice
-    for v in own:
+    plain_joints = {v.joint for v in faults} - {v.joint for v in own}
+    shapes, meshes, mesh_notes = _own_shapes(own, max_triangles)
+    if not meshes:
+        shapes, meshes = shells(robot, tree, shapes)
+    elif plain_joints:
+        plain, made = shells(robot, tree, (), plain_joints)
+        shapes += [replace(s, mesh=s.mesh + len(meshes)) if s.mesh is not None else s for s in plain]
+        meshes += made
+    return Appearance(tuple(shapes), tuple(meshes), tuple(notes + mesh_notes))
+
+
+def _own_shapes(visuals: list[Visual], max_triangles: int) -> tuple[list[Shape], list[Mesh], list[str]]:
+    shapes: list[Shape] = []
+    known: dict[int, int] = {}  # a finger's mesh is often used twice
+    meshes: list[Mesh] = []
+    for v in visuals:
         match v.shape:
             case Mesh():
                 if id(v.shape) not in known:
@@ -145,9 +213,7 @@ def appearance(robot: Robot, tree: tuple[TreeJoint, ...], max_triangles: int = M
             case ("box" | "sphere" | "cylinder" as kind, size):
                 shapes.append(Shape(v.joint, kind, size, v.placement, v.colour))
     meshes, before, after = decimated(meshes, max_triangles)
+    notes = []
     if after < before:
         notes.append(f"The meshes were simplified from {before:,} to {after:,} triangles to keep the page small.")
-    drawn = {s.joint for s in shapes}
-    bare = set(range(len(tree))) - drawn if not meshes else {v.joint for v in faults} - drawn
-    shapes += [s for s in figure(robot, tree, bare) if not meshes or s.joint in bare]
-    return Appearance(tuple(shapes), tuple(meshes), tuple(notes))
+    return shapes, meshes, notes

@@ -41,6 +41,18 @@ TEXT, HTML = "text/plain; charset=utf-8", "text/html; charset=utf-8"
 KINDS = {"csv": "text/csv; charset=utf-8", "html": HTML, "json": "application/json", "py": TEXT, "txt": TEXT}
 KINDS |= {"npz": "application/zip", "zip": "application/zip"}
 
+# what a browser asks in our place, once we are gone; it forgets us when it has said so
+AFTERWARDS = b"""const page = '<!DOCTYPE html><meta charset="utf-8"><title>Ended</title>\
+<p>The program has ended. Start it again, and open its new page.';
+async function ended() {
+  await self.registration.unregister();
+  return new Response(page, { headers: { "Content-Type": "text/html" } });
+}
+self.addEventListener("fetch", (event) => {
+  if (event.request.mode === "navigate") event.respondWith(fetch(event.request).catch(ended));
+});
+"""
+
 
 class Refusal(Exception):
     """An answer that gives nothing: its code, and why."""
@@ -145,6 +157,8 @@ class Answer(BaseHTTPRequestHandler):
             raise Refusal(404, "not found")
         if rest == "events":
             self._stream(self._page(query) if query or self.server.hears else "")
+        elif rest == "afterwards.js":
+            self._send(200, AFTERWARDS, "text/javascript; charset=utf-8")
         elif rest.startswith("files/"):
             self._send_file(unquote(rest.removeprefix("files/")))
         elif rest == "" and path.endswith("/") and not query:

@@ -90,6 +90,7 @@ def page(data: dict[str, Any], *, robot: str, subtitle: str, kind: PageKind = RE
     # meshcat's viewer makes style elements, hence unsafe-inline for styles
     rules = ["default-src 'none'", f"script-src {hashes}", "style-src 'unsafe-inline'", "img-src data: blob:"]
     listens = "connect-src 'none'" if kind.mode == "replay" else "connect-src 'self'"
+    rules += ["worker-src 'self'"] if kind.mode == "teach" else []
     rules += [listens, "base-uri 'none'", "form-action 'none'"]
     parts = {
         "policy": "; ".join(rules),

@@ -10,6 +10,7 @@ class TeachLink {
   constructor(root, slots, onOpen, onRefused) {
     Object.assign(this, { root, slots, onOpen, onRefused, open: false, seq: 0, hand: [], sent: new Map(), latencies: [], spoken: Promise.resolve() });
     this.listen();
+    if (navigator.serviceWorker) navigator.serviceWorker.register(`${root}afterwards.js`).catch(() => {}); // it says that the program has ended to who comes later
   }
 
   listen() {
