@@ -25,7 +25,7 @@ from make_recordings import kinematic_sets
 from make_recordings.arms import ROBOTS, load_arm
 
 import manip_learn as ml
-from manip_learn.learning.estimators.null_space import estimate_null_space
+from manip_learn.learning.estimate import estimate_null_space
 from manip_learn.learning.samples import Samples
 from manip_learn.learning.uncertainty import NOISE, total_deg, uncertainty_of
 from manip_learn.recordings.demonstrations import Demonstrations

@@ -33,18 +33,24 @@ def short(_: Valley, step: np.ndarray, H: np.ndarray) -> bool:
     return float(step @ H @ step) < 1e-24
 
 
+def descent(start: tuple[float, ...], most: int = 200, **stops) -> tuple[Valley, list[float], list[float]]:
+    """Where it ends, the costs of the points from which steps were tried, and the lengths of these."""
+    costs, lengths = [], []
+
+    def moved(point: Valley, step: np.ndarray) -> Valley:
+        costs.append(point.cost)
+        lengths.append(float(np.linalg.norm(step)))
+        return point.moved(step)
+
+    return descend(Valley(np.array(start)), moved, most, **{"settled": short, **stops}), costs, lengths
+
+
 @pytest.mark.parametrize("start", [(-1.2, 1.0, 3.0), (4.0, -3.0, 0.0), (0.0, 0.0, 0.0)])
 def test_it_ends_in_the_optimum(start):
     """From afar too, where a whole step would cost more; no cost is higher than the one before, and what no residual
     depends on stays where it is.
     """
-    costs = []
-
-    def moved(point: Valley, step: np.ndarray) -> Valley:
-        costs.append(point.cost)
-        return point.moved(step)
-
-    end = descend(Valley(np.array(start)), moved, 200, settled=short)
+    end, costs, _ = descent(start)
     np.testing.assert_allclose(end.x, [1.0, 1.0, start[2]], atol=1e-10)
     assert np.all(np.diff(costs) <= 0.0) and len(costs) < 200
 
@@ -53,22 +59,13 @@ def test_it_stops_where_it_is_told_to():
     """After so many steps; where a step gains too little; at a point that ends it; before a step too short to be taken;
     and after one short enough to be the last.
     """
-    start, steps = Valley(np.array([-1.2, 1.0, 0.0])), []
-
-    def moved(point: Valley, step: np.ndarray) -> Valley:
-        steps.append(step)
-        return point.moved(step)
-
-    def tried(most: int = 200, **stops) -> tuple[Valley, int]:
-        steps.clear()
-        return descend(start, moved, most, **{"settled": short, **stops}), len(steps)
-
-    assert tried(0) == (start, 0)
-    assert tried(3)[1] == 3
-    end, usual = tried()
-    assert tried(gain=1.0)[0].cost < start.cost and tried(gain=1.0)[1] < usual
-    assert tried(stop=lambda point: point.cost < 4.0)[0].cost > 1e-3
-    assert tried(settled=lambda *_: True) == (start, 0)
-    last, fewer = tried(tolerance=1e-3, settled=lambda *_: False)
+    start = (-1.2, 1.0, 0.0)
+    first, usual = Valley(np.array(start)).cost, len(descent(start)[1])
+    assert descent(start, 0)[0].cost == first and len(descent(start, 3)[1]) == 3
+    soon, tried, _ = descent(start, gain=1.0)
+    assert soon.cost < first and len(tried) < usual
+    assert descent(start, stop=lambda point: point.cost < 4.0)[0].cost > 1e-3
+    assert descent(start, settled=lambda *_: True)[0].cost == first
+    last, tried, lengths = descent(start, tolerance=1e-3, settled=lambda *_: False)
     np.testing.assert_allclose(last.x, [1.0, 1.0, 0.0], atol=1e-6)
-    assert fewer <= usual and np.linalg.norm(steps[-1]) < 1e-3 <= np.linalg.norm(steps[-2])
+    assert len(tried) <= usual and lengths[-1] < 1e-3 <= lengths[-2]

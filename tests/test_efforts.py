@@ -43,12 +43,19 @@ def test_efforts_are_checked_as_velocities_are():
 
 
 def test_cuts_keep_them():
-    """A span of time, chosen samples, velocities derived: the efforts of the samples that are left."""
+    """A span of time, chosen samples, velocities derived: the efforts of the samples that are left; of an even choice
+    both ends, and all where they are few.
+    """
     t = trajectory(np.gradient(Q, TIME, axis=0))
     np.testing.assert_array_equal(t[0.2:0.4].effort, EFFORT[20:41])
     np.testing.assert_array_equal(t.part(np.array([3, 5])).effort, EFFORT[[3, 5]])
     np.testing.assert_array_equal(t.with_joint_names(("a", "b", "c")).effort, EFFORT)
-    for cut in (subsample(t, 9), derive_velocities(trajectory(), ROBOT)):
+    few = subsample(t, 9)
+    assert (len(few), few.time[0], few.time[-1]) == (9, TIME[0], TIME[-1])
+    assert subsample(t, 1000) is t and len(subsample(t, 1)) == 1
+    with pytest.raises(RecordingError, match="positive"):
+        subsample(t, 0)
+    for cut in (few, derive_velocities(trajectory(), ROBOT)):
         places = np.searchsorted(TIME, cut.time - 1e-6)
         np.testing.assert_array_equal(cut.effort, EFFORT[places])
     halfway = derive_velocities(trajectory(), ROBOT, "midpoint")
@@ -81,22 +88,17 @@ def test_a_trajectory_for_a_controller_has_none():
 
 
 def test_tables_say_it_in_several_ways():
-    """By name, in whatever order the columns stand."""
+    """By name, in whatever order the columns stand, also of programs that record a command, which was not measured."""
     for pattern in ["{}_effort", "effort_{}", "effort.{}", "tau_{}", "{}_torque", "tau/{}"]:
         with case(pattern) as tmp_path:
             names = [*NAMES, *(pattern.format(j) for j in NAMES[::-1])]
             write_table(tmp_path / "demo.csv", names, np.hstack([Q, EFFORT[:, ::-1]]))
             (t,) = load_demonstrations(tmp_path / "demo.csv", ROBOT)
             np.testing.assert_array_equal(t.effort, EFFORT)
-
-
-def test_tables_of_other_programs(tmp_path: Path):
-    """Columns that contain the names of the joints, and those of a command, which were not measured."""
-    kinds = [("position", Q), ("desired_effort", 0.0 * Q), ("effort", EFFORT)]
-    names = [f"/joint_states/{j}/{kind}" for kind, _ in kinds for j in NAMES]
-    write_table(tmp_path / "demo.csv", names, np.hstack([values for _, values in kinds]))
-    (t,) = load_demonstrations(tmp_path / "demo.csv", ROBOT)
-    np.testing.assert_array_equal(t.effort, EFFORT)
+    with case("position, desired effort and effort") as tmp_path:
+        names = [f"/joint_states/{j}/{kind}" for kind in ("position", "desired_effort", "effort") for j in NAMES]
+        write_table(tmp_path / "demo.csv", names, np.hstack([Q, 0.0 * Q, EFFORT]))
+        np.testing.assert_array_equal(load_demonstrations(tmp_path / "demo.csv", ROBOT)[0].effort, EFFORT)
 
 
 def test_locked_joints_are_dropped_and_half_a_set_is_not_used(tmp_path: Path):

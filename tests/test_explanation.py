@@ -29,7 +29,6 @@ from manip_learn.learning.explanation.findings import Findings, Part, agreeing, 
 from manip_learn.learning.explanation.row_motion import (
     RowMotion,
     broken_energy,
-    joints_at_once,
 )
 from manip_learn.linalg import complement_rows, row_space_angle
 from manip_learn.recordings.demonstrations import Demonstrations
@@ -252,11 +251,3 @@ def test_no_sequence_of_states_is_better(rng: np.random.Generator) -> None:
     two = np.concatenate([rng.normal(size=(5, 1)), rng.normal(size=(7, 1))])  # of two lengths: each as if alone
     apart = [held_by(part, np.array([0, len(part)]), switch) for part in (two[:5], two[5:])]
     np.testing.assert_array_equal(held_by(two, np.array([0, 5, 12]), switch), np.concatenate(apart))
-
-
-def test_joints_that_move_at_once():
-    """One for a joint alone, as many as there are for equal ones, whatever the pace."""
-    pace = np.linspace(1.0, 2.0, 50)[:, None]
-    assert joints_at_once(pace * [1.0, 0.0, 0.0], 1e-8) == pytest.approx(1.0)
-    assert joints_at_once(pace * [1.0, -1.0, 1.0], 1e-8) == pytest.approx(3.0)
-    assert joints_at_once(np.full((50, 3), 1e-5), 1e-8) == 0.0

@@ -154,20 +154,6 @@ def test_it_is_shut_until_the_way_begins():
             np.testing.assert_allclose(piece.moved(np.zeros((1, 3)), piece.opening[i])[0], path[i], atol=1e-9)
 
 
-def test_a_second_way_shuts_it_again():
-    """Out in the first way, left alone between them, and shut in the second; another line is not its own."""
-    times = 0.01 * np.arange(5 * N)
-    out, back = place("line", np.linspace(0.0, -0.3, N)), place("line", np.linspace(-0.3, 0.0, N))
-    aside = out[-1] + np.outer(np.sin(np.pi * np.linspace(0.0, 1.0, N)), [0.0, 0.4, 0.2])
-    path = np.concatenate([out, aside, back, aside, out + [0.0, 0.3, 0.0]])
-    ways = [(float(times[k * N]), float(times[(k + 1) * N - 1])) for k in (0, 2, 4)]
-    piece = furniture_of(MECHANISMS["line"], times, path, ways)
-    assert piece is not None
-    opening = np.linspace(0.0, 0.3, N)
-    expected = [opening, np.full(N, 0.3), opening[::-1], np.zeros(2 * N)]
-    np.testing.assert_allclose(piece.opening, np.concatenate(expected), atol=1e-12)
-
-
 def test_the_phases_of_a_rollout_say_when_it_moves(robot_of):
     """Phases of a plan tell its way, those with other names tell nothing, and a plan without its way opens nothing."""
     robot = robot_of("sawyer")
@@ -182,10 +168,7 @@ def test_the_phases_of_a_rollout_say_when_it_moves(robot_of):
     assert track.curves[0].values[-1] == pytest.approx(way, abs=1e-4) == pytest.approx(0.12, abs=2e-3)
     recording = rollout.trajectory("a")
     assert recorded_motion(robot, tree, tip, "a", recording, mechanism=MECHANISMS["line"]).furniture == ()
-    for names, opens_at in (
-        *((("approach", "hold", "way"), 0.6), (("out", "on", "further"), 0.0)),
-        (("approach", "approach", "hold"), None),
-    ):
+    for names, opens_at in ((("approach", "hold", "way"), 0.6), (("approach", "approach", "hold"), None)):
         spans = list(zip(names, (0.0, 0.4, 0.6), (0.4, 0.6, 1.3), strict=True))
         later = replace(rollout, time=rollout.time + 7.0, phases=tuple((n, 7.0 + a, 7.0 + b) for n, a, b in spans))
         motion = recorded_motion(robot, tree, tip, "a", later, mechanism=MECHANISMS["line"])

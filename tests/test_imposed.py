@@ -13,7 +13,7 @@ from generated_motions import PLANAR_ROWS, arm_features, oblique, paper_motions
 from manip_learn.errors import NotIdentifiableError
 from manip_learn.experiments.paper_setup import Setup, demonstrate, noise_deviations, planar_features
 from manip_learn.learning import ConstraintLearner
-from manip_learn.learning.estimators.estimate import Estimate, GapTable
+from manip_learn.learning.estimate import Estimate, GapTable
 from manip_learn.learning.imposed import (
     ExactPolicy,
     Posterior,

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from generated_motions import arm_features, guided_motions, oblique
 
-from manip_learn.learning.estimators.null_space import (
+from manip_learn.learning.estimate import (
     held_out_share,
     levels,
     trajectory_moments,

@@ -81,9 +81,13 @@ def test_chance_finds_a_row_as_rarely_as_its_p_value_says():
 
 @pytest.mark.parametrize("s", [1, 2])
 def test_held_rows_are_counted_and_clear(s):
-    """Five noisy demonstrations of a contact give the right number of rows, without a warning."""
-    features, trajectories = held_motions(s, 0)
-    found = evidence(features, trajectories)
+    """Five noisy demonstrations of a contact give the right number of rows, and those of the selection."""
+    features, rng = arm_features(), np.random.default_rng(0)
+    selection = oblique(s, 3, rng)
+    found = evidence(features, list(guided_motions(features, selection, rng, 5, 100, noise=0.02)[0]))
+    rows = found.directions[:s]
+    np.testing.assert_allclose(rows @ rows.T, np.eye(s), atol=1e-12)
+    assert np.linalg.norm(rows - rows @ selection.T @ selection) < 0.04
     assert (found.n_rows, found.verdict) == (s, "clear"), found
     assert found.states == ("held",) * s + ("free",) * (3 - s)
 
@@ -108,25 +112,18 @@ def test_the_verdict_is_that_of_its_numbers():
     paid = of_numbers((10.0, 6.0, 0.9), (0.1, 0.15, 0.1), choices=100.0)
     assert paid.lower[1] == pytest.approx(6.0 * np.exp(-3.7190 * 0.15), rel=1e-4)
     assert (paid.n_rows, paid.verdict) == (2, "weak")
-    assert of_numbers((10.0, 2.0, 0.9), (0.1, 0.1, 0.1)).n_rows == 1  # 1.58 with confidence
-    assert of_numbers((1.4, 3.0, 0.9), (0.0, 0.0, 0.0)).n_rows == 2  # the first has the least of what noise there is
-    assert of_numbers((1.2, 9.0, 0.9), (0.0, 0.0, 0.0)).n_rows == 0
-    assert of_numbers((9.0, 9.0, 0.9), (0.0, 0.0, 0.0), (0.005, 0.011, 0.5)).n_rows == 1
+    for strengths, spread, options, n_rows in (
+        ((10.0, 2.0, 0.9), 0.1, {}, 1),  # 1.58 with confidence
+        ((1.4, 3.0, 0.9), 0.0, {}, 2),  # the first has the least of what noise there is
+        ((1.2, 9.0, 0.9), 0.0, {}, 0),
+        ((9.0, 9.0, 0.9), 0.0, {"p_values": (0.005, 0.011, 0.5)}, 1),
+        ((9.0, 8.0, 0.9), 0.0, {"believed": 8.5}, 1),
+    ):
+        assert of_numbers(strengths, (spread,) * 3, **options).n_rows == n_rows
     assert of_numbers((3.0, 2.5, 0.9), (0.0, 0.0, 0.0)).verdict == "weak"
-    assert of_numbers((9.0, 8.0, 0.9), (0.0, 0.0, 0.0), believed=8.5).n_rows == 1
     softly = of_numbers((9.0, 1.2, 2.0), (0.0, 0.0, 0.0), levels=(0.01, 0.1, 1.0))
     assert softly.states == ("held", "untried", "unclear")
     assert of_numbers((9.0, 1.0, 0.9), (0.0,) * 3, levels=(0.01, 0.2, 1.0)).states == ("held", "free", "free")
-
-
-def test_the_rows_found_are_those_that_are_held():
-    """The directions are those of the selection that the motion was made with, in the features' own units."""
-    features, rng = arm_features(), np.random.default_rng(3)
-    selection = oblique(2, 3, rng)
-    demos, _ = guided_motions(features, selection, rng, 5, 100, noise=0.01)
-    found = evidence(features, list(demos)).directions[:2]
-    np.testing.assert_allclose(found @ found.T, np.eye(2), atol=1e-12)
-    assert np.linalg.norm(found - found @ selection.T @ selection) < 0.02
 
 
 def test_a_repeated_reach_is_untried_not_held():

@@ -17,7 +17,7 @@ from manip_learn.control.way import simulate_way
 from manip_learn.errors import ConstraintError, TargetError
 
 HOME = {"panda": (0.2, -0.4, 0.1, -2.1, 0.1, 1.8, 0.6), "sawyer": (0.1, -0.8, 0.1, 1.6, 0.1, 0.9, 3.2)}
-SETS = (("drawer", "panda"), ("lid", "sawyer"), ("table", "panda"))
+SETS = (("lid", "sawyer"), ("table", "panda"))
 
 
 @cache

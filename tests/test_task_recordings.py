@@ -65,21 +65,16 @@ def test_the_tip_obeys_the_truth(part, kind: str) -> None:
     assert all(sum(end - start for start, end, _ in windows) > 1.0 for windows in truth["windows"])
 
 
-def test_the_rows_of_the_truth_stop_the_tip_in_contact_only(part) -> None:
-    """What `rows` takes of the tip's velocity is zero in the windows; on the way there and back nothing is."""
-    for kind in ["drawer", "screw"]:
-        with case(kind):
-            trajectories, truth = part("make_recordings.kinematic_sets").make_set(kind, "panda", 6, 2, noise=0.0)
-            robot, mechanism = arm("panda"), truth["mechanisms"][0]
-            rows, tip = np.array(mechanism["rows"]).reshape(-1, 6), robot.frame(truth["tip"])
-            for (time, q), windows in zip(trajectories, truth["windows"], strict=True):
-                u = 0.5 * (q[2:] - q[:-2]) * truth["rate"]
-                motion = np.array([robot.jacobian(a, tip) @ b for a, b in zip(q[1:-1], u, strict=True)])
-                inside = (time[1:-1] > windows[0][0] + 0.02) & (time[1:-1] < windows[0][1] - 0.02)
-                speed = np.sqrt(np.mean(np.sum(motion[inside] ** 2, axis=1)))
-                assert np.max(np.abs(motion[inside] @ rows.T), initial=0.0) < 2e-3 * speed
-                spread = np.linalg.svd(motion[~inside] / np.sqrt(np.sum(~inside)), compute_uv=False)
-                assert spread[-1] > 0.01
+def test_the_rows_of_the_truth_stop_the_tip_in_contact(part) -> None:
+    """What `rows` takes of the tip's velocity is zero in the windows."""
+    trajectories, truth = part("make_recordings.kinematic_sets").make_set("screw", "panda", 6, 2, noise=0.0)
+    robot, rows = arm("panda"), np.array(truth["mechanisms"][0]["rows"]).reshape(-1, 6)
+    for (time, q), windows in zip(trajectories, truth["windows"], strict=True):
+        u = 0.5 * (q[2:] - q[:-2]) * truth["rate"]
+        motion = np.array([robot.jacobian(a, robot.frame(truth["tip"])) @ b for a, b in zip(q[1:-1], u, strict=True)])
+        inside = (time[1:-1] > windows[0][0] + 0.02) & (time[1:-1] < windows[0][1] - 0.02)
+        speed = np.sqrt(np.mean(np.sum(motion[inside] ** 2, axis=1)))
+        assert np.max(np.abs(motion[inside] @ rows.T), initial=0.0) < 2e-3 * speed
 
 
 def test_the_same_seed_gives_the_same_recordings(part) -> None:
@@ -96,12 +91,8 @@ def test_the_same_seed_gives_the_same_recordings(part) -> None:
     assert first[0][1].shape != other[0][1].shape or not np.allclose(first[0][1], other[0][1])
 
 
-SIMULATIONS = [("drawer_slip", "panda"), ("screw", "ur5"), ("door", "xarm7")]
-
-
-@pytest.mark.parametrize(
-    ("kind", "robot"), [SIMULATIONS[0], *(pytest.param(*each, marks=pytest.mark.slow) for each in SIMULATIONS[1:])]
-)
+@pytest.mark.slow
+@pytest.mark.parametrize(("kind", "robot"), [("drawer_slip", "panda"), ("screw", "ur5"), ("door", "xarm7")])
 def test_the_simulated_grip_holds(part, kind: str, robot: str) -> None:
     """In rigid-body dynamics the windows obey the truth to 20 micrometres, a fifth of what the encoders let one see."""
     pytest.importorskip("mujoco")

@@ -15,7 +15,7 @@ from manip_learn.constraint.features import CustomFeatures, FrameJacobian
 from manip_learn.constraint.features.mechanism_rows import MechanismRows, PlaceRows
 from manip_learn.learning import ConstraintLearner
 from manip_learn.learning.arm_errors import changes_by_links
-from manip_learn.learning.estimators.null_space import estimate_null_space
+from manip_learn.learning.estimate import estimate_null_space
 from manip_learn.learning.samples import Samples
 from manip_learn.learning.uncertainty import (
     JOINT_ZEROS,

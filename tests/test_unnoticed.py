@@ -112,7 +112,7 @@ def test_a_factor_on_velocities_or_time_turns_nothing(arm, tmp_path):
     recorded = changed(1.0, 1.0)
     assert "does not integrate to its position" in recorded.notes[0] and not recorded.has_velocities  # 60 ms late
     rows = learnt(arm, recorded).constraint_.selection
-    for velocities, time in ((1.9, 1.0), (2.2, 1.0), (1.0, 10.0), (0.4, 1.0), (-1.0, 1.0)):
+    for velocities, time in ((1.9, 1.0), (1.0, 10.0), (-1.0, 1.0)):
         demos = changed(velocities, time)
         assert "does not integrate to its position" in demos.notes[0]
         assert row_space_angle(learnt(arm, demos).constraint_.selection, rows) < 1e-6

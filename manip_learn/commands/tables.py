@@ -214,7 +214,7 @@ def print_learnt(console: Console, learnt: Learnt, explain: bool = False, more: 
 
 def _learnt_facts(learnt: Learnt) -> list[tuple[str, str | None, str]]:
     """What each fact is called, the fact or nothing, and the term that explains it."""
-    from manip_learn.learning.estimators.estimate import CLEAR_GAP
+    from manip_learn.learning.estimate import CLEAR_GAP
 
     report = learnt.report
     rank = f"{CLEAR_GAP:g} is clear" if report.gap >= CLEAR_GAP else f"weak: {CLEAR_GAP:g} is clear"

@@ -40,7 +40,7 @@ from manip_learn.experiments.paper_setup import (
     planar_features,
 )
 from manip_learn.experiments.trial_runner import of_trials
-from manip_learn.learning.estimators.null_space import fit_null_space, levels
+from manip_learn.learning.estimate import fit_null_space, levels
 from manip_learn.learning.imposed import estimate_imposed
 from manip_learn.learning.learner import ConstraintLearner
 from manip_learn.learning.samples import Samples

@@ -22,23 +22,26 @@ from manip_learn.constraint.features.mechanism_rows import MechanismRows, PlaceR
 from manip_learn.errors import NotIdentifiableError, advice, counted, listed, number_if_known
 from manip_learn.learning.arm_errors import AS_DESCRIBED, ArmErrors
 from manip_learn.learning.checks import check_samples
-from manip_learn.learning.estimators.estimate import (
+from manip_learn.learning.estimate import (
     CLEAR_GAP,
     EQUALLY_GOOD,
     EXPLAINED,
     SOFT_ENERGY,
     Estimate,
+    estimate_null_space,
     gaps_of_levels,
+    levels,
 )
-from manip_learn.learning.estimators.null_space import estimate_null_space, levels
 from manip_learn.learning.explanation.evidence import CHANGE_SECONDS, Stretch
 from manip_learn.learning.explanation.findings import DISAGREES, LONGEST_SLIP_SECONDS, NEARLY_SAME_DEG, Findings, Part
+from manip_learn.learning.imposed import estimate_imposed, held_nats
 from manip_learn.learning.mechanisms.find_mechanism import BLIND, MechanismFit, find_curve, find_mechanism
 from manip_learn.learning.mechanisms.one_place import at_one_place
 from manip_learn.learning.recombination import BELIEVED_STRENGTH, RowEvidence, recombination_test
 from manip_learn.learning.repeats import once_each
 from manip_learn.learning.samples import Samples
-from manip_learn.linalg import one_thread, row_space_angle
+from manip_learn.learning.separate import estimate_separate
+from manip_learn.linalg import row_space_angle
 from manip_learn.recordings.demonstrations import Demonstrations
 from manip_learn.recordings.trajectory import evenly
 
@@ -118,18 +121,15 @@ def learn_best(feature_maps: Sequence[FeatureMap], part: Part, settings: Learner
         except NotIdentifiableError as error:
             refusals.append(error)
             continue
-        if best is None or _is_better(estimate, best.estimate):
+        if best is not None and estimate.name == best.estimate.name == "joint":  # the same velocities
+            better = estimate.nats > best.estimate.nats + SURER_NATS
+        else:
+            better = best is None or estimate.gap > EQUALLY_GOOD * best.estimate.gap
+        if better:
             best = Candidate(samples, estimate, tuple(warnings), rng)
     if best is None:
         raise refusals[0]
     return best
-
-
-def _is_better(estimate: Estimate, other: Estimate) -> bool:
-    """By the likelihood of the same velocities, where both impose their rows; else by the gap."""
-    if estimate.name == other.name == "joint":
-        return estimate.nats > other.nats + SURER_NATS
-    return estimate.gap > EQUALLY_GOOD * other.gap
 
 
 def _estimate(samples: Samples, settings: LearnerSettings, rng: np.random.Generator, rival_is_held: bool) -> Estimate:
@@ -141,10 +141,7 @@ def _estimate(samples: Samples, settings: LearnerSettings, rng: np.random.Genera
     if settings.estimator == "joint":
         return _joint(samples, settings, rng)
     if settings.estimator == "separate":
-        from manip_learn.learning.separate import estimate_separate
-
-        with one_thread():
-            return estimate_separate(samples, settings.n_constraints, rng)
+        return estimate_separate(samples, settings.n_constraints, rng)
     held = estimate_null_space(samples, settings.n_constraints)
     if settings.estimator == "null-space" or held.is_held or rival_is_held or samples.n_trajectories < 2:
         return held
@@ -152,25 +149,14 @@ def _estimate(samples: Samples, settings: LearnerSettings, rng: np.random.Genera
         joint = _joint(samples, settings, rng, EXPLAINED)
     except NotIdentifiableError:
         return held  # no policy predicts this motion: the evidence is how little some directions are used
-    from manip_learn.learning.imposed import held_nats
-
     return joint if joint.nats > held_nats(samples, held.whitened_selection) else held
 
 
 def _joint(
     samples: Samples, settings: LearnerSettings, rng: np.random.Generator, unexplained: float = np.inf
 ) -> Estimate:
-    """The joint estimate, if the motion is rich enough for one.
-
-    Raises:
-        NotIdentifiableError: It is not, or no policy model leaves less than this share unexplained.
-    """
-    # imported here: only this estimator needs SciPy
-    from manip_learn.learning.imposed import estimate_imposed
-
     try:
-        with one_thread():
-            return estimate_imposed(samples, settings.n_constraints, rng, settings.policy_model, unexplained)
+        return estimate_imposed(samples, settings.n_constraints, rng, settings.policy_model, unexplained)
     except np.linalg.LinAlgError as error:
         raise NotIdentifiableError(
             "the motion is too short, or too much the same in all recordings, for a model of the null-space policy: "
@@ -394,21 +380,15 @@ def _by_place(parts: Sequence[Part], settings: LearnerSettings) -> tuple[list[_L
             )
             out.append(_Located(part, there and dataclasses.replace(there, warnings=(moved,)), example))
         else:
-            same = next((x for x in out if found is not None and x.example is None and _is_same(x, part, found)), None)
-            if same is None:
+            for one in [x for x in out if x.example is None and _same_rows(x.part, part)]:
+                if at_one_place(one.mechanism and one.mechanism.fit, found and found.fit):
+                    # apart for an arm that is not quite its description
+                    out.remove(one)
+                    waiting.insert(0, _with_own_rows(part.of((*one.part.stretches, *part.stretches))))
+                    break
+            else:
                 out.append(_Located(part, found))
-            else:  # apart for an arm that is not quite its description
-                out.remove(same)
-                waiting.insert(0, _with_own_rows(part.of((*same.part.stretches, *part.stretches))))
     return _as_one_curve(out), alone
-
-
-def _is_same(located: _Located, part: Part, found: MechanismFit) -> bool:
-    """Whether one place of a mechanism explains the stretches of two parts, in different recordings."""
-    known = located.mechanism
-    if known is None or known.fit is None or found.fit is None or not _same_rows(located.part, part):
-        return False
-    return at_one_place(known.fit, found.fit)
 
 
 def _as_one_curve(located: list[_Located]) -> list[_Located]:
@@ -426,7 +406,12 @@ def _as_one_curve(located: list[_Located]) -> list[_Located]:
         else:
             runs[-1] = Stretch(s.trajectory, last.start, max(last.end, s.end)), parts | {id(x)}
     longest = {run.trajectory: run for run, parts in sorted(runs, key=lambda r: r[0].duration) if len(parts) > 1}
-    inside = [x for x in located if all(_within(s, longest) for s in x.part.stretches) and x.mechanism is not None]
+    inside = [
+        x
+        for x in located
+        if x.mechanism is not None
+        and all(s.trajectory in longest and s.shared(longest[s.trajectory]) == s.duration for s in x.part.stretches)
+    ]
     if len(inside) < 2 or (source := inside[0].part.source) is None:
         return located
     whole = inside[0].part.of(tuple(longest.values()))
@@ -441,11 +426,6 @@ def _as_one_curve(located: list[_Located]) -> list[_Located]:
     if found is None:
         return located
     return [_Located(whole, found), *(x for x in located if x not in inside)]
-
-
-def _within(stretch: Stretch, runs: dict[int, Stretch]) -> bool:
-    run = runs.get(stretch.trajectory)
-    return run is not None and run.start <= stretch.start and stretch.end <= run.end
 
 
 def _same_rows(one: Part, other: Part) -> bool:

@@ -69,8 +69,16 @@ def changes_by_links(
     place = np.full(robot.nv, -1)
     for block in robot.blocks:
         place[block.v] = behind.get(block.index, -1)
-    V = J @ u
-    W, turned = _rows_of_twist(features, pose)
+    V, turned = J @ u, isinstance(features, FrameJacobian) and features.reference != "world"
+    # W with Phi u = W V, V along the base's axes
+    if isinstance(features, WeighedVelocity):
+        W = features.weights(pose[:, :3, 3])[0]
+    else:
+        W = np.array([np.eye(6)[AXES.index(name)] for name in features.row_names])[None].repeat(n, axis=0)
+        if turned:
+            back = np.zeros((n, 6, 6))
+            back[:, :3, :3] = back[:, 3:, 3:] = pose[:, :3, :3].transpose(0, 2, 1)
+            W = W @ back
     out = np.zeros((n, p, k, len(twists), 6))
     for link, E in enumerate(twists):
         own = place > link
@@ -86,17 +94,3 @@ def changes_by_links(
             dW = features.weights(pose[:, :3, 3])[1]
             out[:, :, :, link] += np.einsum("npix,nxe,nik->npke", dW, E[:, :3], V, optimize=True)
     return out.reshape(n, p, k, -1)
-
-
-def _rows_of_twist(
-    features: FrameJacobian | WeighedVelocity, pose: Float[np.ndarray, "n 4 4"]
-) -> tuple[Float[np.ndarray, "n p 6"], bool]:
-    """W with Phi u = W V, V along the base's axes, and whether its axes are the frame's own."""
-    if isinstance(features, WeighedVelocity):
-        return features.weights(pose[:, :3, 3])[0], False
-    rows = np.array([np.eye(6)[AXES.index(name)] for name in features.row_names])
-    if features.reference == "world":
-        return np.broadcast_to(rows, (len(pose), *rows.shape)), False
-    back = np.zeros((len(pose), 6, 6))
-    back[:, :3, :3] = back[:, 3:, 3:] = pose[:, :3, :3].transpose(0, 2, 1)
-    return rows @ back, True

@@ -382,25 +382,6 @@ def audit_episodes(
     if len(rows) < FEWEST_EPISODES:
         few, needed = counted(len(rows), "episode"), FEWEST_EPISODES
         notes.append(f"too few to say which are odd: {few}, at least {needed} are needed")
-    return _judged(rows, imposed, false_alarms, tuple(dict.fromkeys(notes)))
-
-
-def measured(
-    number: int, source: TrajectorySource, constraint: Constraint, velocities: VelocityMethod | Velocities
-) -> tuple[list[EpisodeAudit], list[str]]:
-    """The episodes of a part of a source, and notes of its reader: what a worker does.
-
-    Raises:
-        RecordingError: Another robot's joints, or velocities that cannot be derived.
-    """
-    notes: list[str] = []
-    with one_thread():
-        episodes = source.part(number, notes)
-        how = used_and_derived(velocities)[1]
-        return [measure(constraint, episode, i, how) for i, episode in enumerate(episodes)], notes
-
-
-def _judged(rows: list[EpisodeAudit], imposed: bool, false_alarms: float, notes: tuple[str, ...]) -> AuditReport:
     criteria = [c for c in CRITERIA if not (imposed and c.needs_rest)]
     values = np.array([[c.badness(row) for c in criteria] for row in rows])
     defined = np.any(np.isfinite(values), axis=0)
@@ -418,7 +399,22 @@ def _judged(rows: list[EpisodeAudit], imposed: bool, false_alarms: float, notes:
         score = float(np.sqrt(np.sum(np.maximum(scores, 0.0) ** 2)))
         judged.append(dataclasses.replace(row, score=score, reasons=reasons))
     judged.sort(key=lambda row: (not row.leave_out, -row.score, row.number))
-    return AuditReport(tuple(judged), tuple(c.name for c in criteria), threshold, notes)
+    return AuditReport(tuple(judged), tuple(c.name for c in criteria), threshold, tuple(dict.fromkeys(notes)))
+
+
+def measured(
+    number: int, source: TrajectorySource, constraint: Constraint, velocities: VelocityMethod | Velocities
+) -> tuple[list[EpisodeAudit], list[str]]:
+    """The episodes of a part of a source, and notes of its reader: what a worker does.
+
+    Raises:
+        RecordingError: Another robot's joints, or velocities that cannot be derived.
+    """
+    notes: list[str] = []
+    with one_thread():
+        episodes = source.part(number, notes)
+        how = used_and_derived(velocities)[1]
+        return [measure(constraint, episode, i, how) for i, episode in enumerate(episodes)], notes
 
 
 def robust_z(values: Float[np.ndarray, "n k"], least_spread: Float[np.ndarray, " k"]) -> Float[np.ndarray, "n k"]:

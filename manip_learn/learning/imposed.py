@@ -46,7 +46,7 @@ from scipy.spatial import cKDTree
 
 from manip_learn.errors import NotIdentifiableError
 from manip_learn.learning.descent import descend
-from manip_learn.learning.estimators.estimate import Estimate, GapTable, PolicyPrior
+from manip_learn.learning.estimate import Estimate, GapTable, PolicyPrior
 from manip_learn.learning.samples import CUBIC, Samples, in_blocks, rows_beside, runs
 from manip_learn.linalg import complement_rows, inverse_triangles_beside, orthonormal_rows, row_bases, turned
 
@@ -805,9 +805,17 @@ def estimate_imposed(
     regressors = Regressors.of(samples, list(grades.values()))
     if is_noisy:
         fit = _with_its_noise(descended(Posterior(samples, regressors, chosen.Lambda)), floor)
-        nats, name = fit.nats(floor), _said(list(grades), fit.determined)
+        # of the general prior, the largest degree of which the data determine a parameter, and the waves
+        used = [name for name, number in zip(grades, fit.determined, strict=False) if number >= 1.0]
+        said = [name for name in used if name in POLYNOMIALS][-1:] + [name for name in used if name not in POLYNOMIALS]
+        nats, name = fit.nats(floor), "+".join(said) or next(iter(grades))
     else:
-        name, fit = without_noise(samples if own else few, chosen.Lambda, _exact_models(few, grades, policy_model))
+        models = [(next(iter(grades)), list(grades.values()))]
+        if policy_model == "auto":  # those that may describe a policy exactly, fewest parameters first
+            sizes = {name: n_columns(few, some) for name, some in MODELS.items() if name not in ("constant", OWN)}
+            names = [name for name in sorted(sizes, key=lambda name: sizes[name]) if sizes[name] <= MOST_COLUMNS]
+            models = [(name, [GRADES[one] for one in MODELS[name]]) for name in names]
+        name, fit = without_noise(samples if own else few, chosen.Lambda, models)
         nats = Posterior(samples, regressors, fit.Lambda).nats(floor)
     name = name if policy_model in ("auto", "rbf") else policy_model
     gradients, hessians = fit.scores()
@@ -850,22 +858,6 @@ def _with_its_noise(fit: Posterior, floor: float) -> Posterior:
     return fit
 
 
-def _exact_models(samples: Samples, grades: dict[str, Grade], policy_model: str) -> list[tuple[str, list[Grade]]]:
-    """Models that may describe a policy exactly, fewest parameters first."""
-    if policy_model != "auto":
-        return [(next(iter(grades)), list(grades.values()))]
-    sizes = {name: n_columns(samples, some) for name, some in MODELS.items() if name not in ("constant", OWN)}
-    names = [name for name in sorted(sizes, key=lambda name: sizes[name]) if sizes[name] <= MOST_COLUMNS]
-    return [(name, [GRADES[one] for one in MODELS[name]]) for name in names]
-
-
-def _said(names: Sequence[str], determined: Float[np.ndarray, " g"]) -> str:
-    """Of the general prior, the largest degree of which the data determine a parameter, and the waves."""
-    used = [name for name, number in zip(names, determined, strict=False) if number >= 1.0]
-    degrees = [name for name in used if name in POLYNOMIALS][-1:]
-    return "+".join(degrees + [name for name in used if name not in POLYNOMIALS]) or names[0]
-
-
 def without_noise(
     samples: Samples, Lambda: Float[np.ndarray, "s r"], models: Iterable[tuple[str, Sequence[Grade]]]
 ) -> tuple[str, ExactPolicy]:
@@ -895,7 +887,16 @@ def refuse_what_cannot_show_it(samples: Samples, n_constraints: int | None) -> N
             "different starts to different targets",
             code="one-trajectory",
         )
-    if _repeat_one_motion(samples):
+    # whether all trajectories lie on the path of the longest one, whatever their time, direction and rate
+    paths = [samples.q[part] for _, part in runs(samples.trajectory)]
+    extents = [float(np.sum(np.var(path, axis=0))) ** 0.5 for path in paths]
+    longest, most = paths[int(np.argmax(extents))], SAME_PATH * max(extents)
+    # with postures added between its samples, until none are farther apart than that [rad]
+    along = np.append(0.0, np.cumsum(np.linalg.norm(np.diff(longest, axis=0), axis=1)))
+    n = min(int(along[-1] / most) + 1, MOST_POSTURES) if most > 0.0 else 0
+    places = np.union1d(along, np.linspace(0.0, along[-1], n + 1))
+    tree = cKDTree(np.column_stack([np.interp(places, along, column) for column in longest.T]))
+    if all(float(np.mean(tree.query(path)[0] ** 2)) <= most**2 for path in paths):
         raise NotIdentifiableError(
             f"the {samples.n_trajectories} recordings repeat one motion: like a single one they cannot show which part "
             "of it is steered on purpose; record motions that differ, from other starts to other targets",
@@ -907,17 +908,3 @@ def refuse_what_cannot_show_it(samples: Samples, n_constraints: int | None) -> N
             "joints: record more trajectories, or name fewer axes",
             code="too-few-samples",
         )
-
-
-def _repeat_one_motion(samples: Samples) -> bool:
-    """Whether all trajectories lie on the path of the longest one, whatever their time, direction and rate."""
-    paths = [samples.q[part] for _, part in runs(samples.trajectory)]
-    extents = [float(np.sum(np.var(path, axis=0))) ** 0.5 for path in paths]
-    most = SAME_PATH * max(extents)
-    longest = paths[int(np.argmax(extents))]
-    # with postures added between its samples, until none are farther apart than that [rad]
-    along = np.append(0.0, np.cumsum(np.linalg.norm(np.diff(longest, axis=0), axis=1)))
-    n = min(int(along[-1] / most) + 1, MOST_POSTURES) if most > 0.0 else 0
-    places = np.union1d(along, np.linspace(0.0, along[-1], n + 1))
-    tree = cKDTree(np.column_stack([np.interp(places, along, column) for column in longest.T]))
-    return all(float(np.mean(tree.query(path)[0] ** 2)) <= most**2 for path in paths)

@@ -15,6 +15,7 @@ from jaxtyping import Float, Int
 
 from manip_learn.constraint.features.feature_map import FeatureMap
 from manip_learn.errors import RecordingError, counted, listed
+from manip_learn.learning.estimate import Verdict
 from manip_learn.learning.samples import whitening
 from manip_learn.recordings.trajectory import Trajectory
 
@@ -38,7 +39,6 @@ PHASE_JOINT_SHARE = 0.3
 # [s] that one bin of the phase should cover, and the least number of bins. Set by hand
 BIN_SECONDS, FEWEST_BINS = 0.25, 4
 
-Verdict = Literal["clear", "weak", "none"]
 RowState = Literal["held", "unclear", "free", "untried"]
 
 # standard errors by which a verdict must stand off for the next draw of recombinations to give the same one: 99 %
@@ -360,7 +360,11 @@ def recombination_test(
     parts = np.stack([_parts(path, W @ P, paths, donors) for path, P in zip(paths, Phi, strict=True)])
     energy = np.mean([np.mean(p.weight[:, None] * p.bin_steps() ** 2) for p in paths])
     (recorded,) = moments_of_motion(parts, np.broadcast_to(np.arange(len(paths)), (1, features.nv, len(paths))))
-    moments, held_out = recorded.mean(axis=0)[None], np.sqrt(_held_out_squares(recorded) / energy)
+    moments, held_out, n = recorded.mean(axis=0)[None], np.zeros(recorded.shape[1]), len(recorded)
+    if n > 1:  # a few strokes leave some direction unused by chance; the next stroke uses it
+        others = np.linalg.eigh((recorded.sum(axis=0) - recorded) / (n - 1))[1]
+        squares = np.mean(np.einsum("dis,dij,djs->ds", others, recorded, others), axis=0)
+        held_out = np.sqrt(np.maximum(squares, 0.0) / energy)
     while True:
         n = max(RECOMBINATIONS, 4 * (len(moments) - 1))
         size = (n - len(moments) + 1, features.nv, len(paths))  # the donor of each joint of each trajectory
@@ -369,7 +373,12 @@ def recombination_test(
         # a few at a time: their motion is a large array
         few = np.array_split(order, -(-len(order) // MOMENTS_AT_ONCE))
         moments = np.concatenate([moments, *(moments_of_motion(parts, some).mean(axis=1) for some in few)])
-        squares, directions = _squared_levels(moments)
+        # row s is looked for outside rows 1 .. s-1 of the recorded motion, in all motions alike: of a recombined one
+        # the s-th smallest level would not do, for once row 1 has grown the next free row takes its place
+        directions = np.linalg.eigh(moments[0])[1].T
+        turned = directions @ moments @ directions.T
+        least = [np.linalg.eigvalsh(turned[:, s:, s:])[:, 0] for s in range(len(directions))]
+        squares = np.maximum(np.stack(least, axis=1), 0.0)
         levels = np.maximum(np.sqrt(squares / energy), LEVEL_FLOOR)
         ratios = levels[1:] / np.maximum(held_out, levels[0])
         evidence = RowEvidence(
@@ -408,27 +417,3 @@ def moments_of_motion(
     for v in range(1, arrangements.shape[1]):
         motion += parts[each, :, v, arrangements[:, v]]
     return motion.transpose(0, 1, 3, 2) @ motion / parts.shape[1]
-
-
-def _squared_levels(moments: Float[np.ndarray, "m r r"]) -> tuple[Float[np.ndarray, "m r"], Float[np.ndarray, "r r"]]:
-    """Squared level of each row in the recorded (first) and the recombined motions, and the rows of the recorded one.
-
-    Row s is looked for outside rows 1 .. s-1 of the recorded motion, in all motions alike. The s-th smallest level of
-    a recombined motion would not do: once row 1 has grown, the next free row takes its place and seems to grow as well.
-    """
-    rows = np.linalg.eigh(moments[0])[1].T
-    turned = rows @ moments @ rows.T
-    squares = np.stack([np.linalg.eigvalsh(turned[:, s:, s:])[:, 0] for s in range(len(rows))], axis=1)
-    return np.maximum(squares, 0.0), rows
-
-
-def _held_out_squares(moments: Float[np.ndarray, "d r r"]) -> Float[np.ndarray, " r"]:
-    """Squared level of each row in each trajectory, the row being that of all other trajectories: mean.
-
-    A few strokes leave some direction unused by chance; the next stroke uses it.
-    """
-    n = len(moments)
-    if n < 2:
-        return np.zeros(moments.shape[1])
-    rows = np.linalg.eigh((moments.sum(axis=0) - moments) / (n - 1))[1]
-    return np.maximum(np.mean(np.einsum("dis,dij,djs->ds", rows, moments, rows), axis=0), 0.0)

@@ -33,7 +33,7 @@ from manip_learn.errors import (
 from manip_learn.learning.answer import Answer
 from manip_learn.learning.arm_errors import ArmErrors
 from manip_learn.learning.checks import REST_SPEED, energy_shares
-from manip_learn.learning.estimators.estimate import CLEAR_GAP
+from manip_learn.learning.estimate import CLEAR_GAP
 from manip_learn.learning.explanation.findings import IN_ONE_ONLY, Findings, Part, held_throughout
 from manip_learn.learning.recombination import FEWEST_TRAJECTORIES, RowSupport
 from manip_learn.learning.repeats import IndependentRecordings

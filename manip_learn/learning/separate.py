@@ -18,8 +18,7 @@ from jaxtyping import Float
 from scipy.linalg import LinAlgError, cho_factor, cho_solve
 
 from manip_learn.errors import NotIdentifiableError, advice
-from manip_learn.learning.estimators.estimate import Estimate
-from manip_learn.learning.estimators.null_space import estimate_null_space
+from manip_learn.learning.estimate import Estimate, estimate_null_space
 from manip_learn.learning.imposed import radial
 from manip_learn.learning.samples import STILL_ENERGY, Samples
 

@@ -43,8 +43,7 @@ from manip_learn.constraint.features.feature_map import FeatureMap
 from manip_learn.constraint.features.mechanism_rows import MechanismRows
 from manip_learn.errors import NotIdentifiableError, error_in_words, listed
 from manip_learn.learning.arm_errors import AS_DESCRIBED, ArmErrors, changes_by_links
-from manip_learn.learning.estimators.estimate import RESIDUAL_RATIO, Estimate, PolicyPrior
-from manip_learn.learning.estimators.null_space import split
+from manip_learn.learning.estimate import RESIDUAL_RATIO, Estimate, PolicyPrior, split
 from manip_learn.learning.samples import Samples, rows_beside, runs
 from manip_learn.linalg import complement_rows, row_space_angles, whitener
 from manip_learn.recordings.trajectory import evenly
@@ -92,7 +91,14 @@ def uncertainty_of(
         NotIdentifiableError: A joint estimate that is known too badly for an answer.
     """
     whitened, prior = estimate.whitened_selection, estimate.prior
-    power = 1.0 if _differ(estimate, samples.energy) else 0.5
+    power = 0.5
+    if estimate.name == "null-space" and not estimate.is_held:
+        # whether single trajectories differ by more than noise makes them, as of a thing that gives way
+        white = (
+            estimate.gradients @ whitener(estimate.hessians.sum(axis=0)).T
+        )  # each of variance sigma^2 by noise alone
+        sigma2 = estimate.unexplained * samples.energy / estimate.n_rows
+        power = 1.0 if np.sum(white**2) > RESIDUAL_RATIO**2 * sigma2 * white.shape[1] else 0.5
     noise = bootstrap_errors(whitened, estimate.gradients, estimate.hessians, rng, prior=prior, power=power)
     if noise is None:
         return dict.fromkeys(PARTS), None
@@ -108,15 +114,6 @@ def uncertainty_of(
     check_uncertainty(estimate, total_deg(parts))
     moved = np.sum([np.resize(e, (DRAWS, e.shape[1])) for e in errors.values() if e is not None], axis=0)
     return parts, _mu_within(samples, whitened, moved, delta, arm)
-
-
-def _differ(estimate: Estimate, energy: float) -> bool:
-    """Whether the rows of single trajectories differ by more than noise makes them, as of a thing that gives way."""
-    if estimate.name != "null-space" or estimate.is_held:
-        return False
-    white = estimate.gradients @ whitener(estimate.hessians.sum(axis=0)).T  # each of variance sigma^2 by noise alone
-    noise = estimate.unexplained * energy / estimate.n_rows
-    return bool(np.sum(white**2) > RESIDUAL_RATIO**2 * noise * white.shape[1])
 
 
 def _mu_within(
@@ -349,8 +346,18 @@ class JointOffsets:
         s, r = whitened_selection.shape
         if s == r or samples.q.shape[1] != samples.nv:
             return None
+        # e, J and K of all samples, row by row; K of the links, too, as many times that of the zeros as the ratio is
         few = samples.thinned(MOST_SAMPLES)
-        e, J, K = _linearised(few, whitened_selection, arm.ratio)
+        both = np.concatenate([whitened_selection, complement_rows(whitened_selection)])
+        rows = np.concatenate([rows_beside(both, block.Phi) for block in few.blocks()], axis=2)
+        along, null, back = split(rows[:s], np.ascontiguousarray(few.u.T))
+        moved = np.einsum("npvk,vn->npk", few.features.batch_with_derivative(few.q)[1], null, optimize=True)
+        if arm.ratio:
+            by_links = changes_by_links(few.features, few.q, null.T[:, :, None])[:, :, 0]
+            moved = np.concatenate([moved, arm.ratio * by_links], axis=2)
+        dA_null, e = (whitened_selection @ few.whitening) @ moved, along.T.reshape(-1)
+        J = np.einsum("sin,kn->nisk", back, np.einsum("kvn,vn->kn", rows[s:], null)).reshape(len(e), -1)
+        K = np.einsum("sin,nsk->nik", back, dA_null, optimize=True).reshape(len(e), -1)
         exact = float(e @ e) <= 1e-20 * len(few) * samples.energy
         if len(e) <= J.shape[1] + K.shape[1] or (exact and not arm.zeros):
             return None
@@ -409,20 +416,3 @@ def variance_of(e: Float[np.ndarray, " k"], M: Float[np.ndarray, "k d"], traject
     hessians = np.array([M[part].T @ M[part] for part in parts])
     moves = influences(gradients, hessians)
     return max(white, float(np.einsum("gi,ij,gj->", moves, hessians.sum(axis=0), moves)) / M.shape[1])
-
-
-def _linearised(samples: Samples, Lambda: np.ndarray, ratio: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """e, J and K of all samples, row by row; K of the links, too, as many times that of the zeros as the ratio is."""
-    n, s = len(samples), len(Lambda)
-    both, u = np.concatenate([Lambda, complement_rows(Lambda)]), np.ascontiguousarray(samples.u.T)
-    rows = np.concatenate([rows_beside(both, block.Phi) for block in samples.blocks()], axis=2)
-    along, null, back = split(rows[:s], u)
-    _, dPhi = samples.features.batch_with_derivative(samples.q)
-    moved = np.einsum("npvk,vn->npk", dPhi, null, optimize=True)
-    if ratio:
-        by_links = changes_by_links(samples.features, samples.q, null.T[:, :, None])[:, :, 0]
-        moved = np.concatenate([moved, ratio * by_links], axis=2)
-    dA_null = (Lambda @ samples.whitening) @ moved
-    J = np.einsum("sin,kn->nisk", back, np.einsum("kvn,vn->kn", rows[s:], null))
-    K = np.einsum("sin,nsk->nik", back, dA_null, optimize=True)
-    return along.T.reshape(-1), J.reshape(n * s, -1), K.reshape(n * s, -1)

@@ -444,25 +444,21 @@ def _lone_contacts(explanation: Explanation, believed: _Recombination) -> list[S
         h = max(firm, key=lambda h: h.support)
         alone = Explanation(views, (*explanation.hypotheses, h), explanation.switch)
         stretches = stretches_of(views[0].motion, alone.fine_states(), len(alone.hypotheses))
-        worthy = [dataclasses.replace(s, trajectory=i) for s in stretches if _worth(alone, s) > LEAST_GAIN_NATS]
-        out += [s for s in worthy if believed.of_one(explanation.views[h.view], h, s)]
+        values = alone.values[:, -1] - alone.others(len(alone.hypotheses) - 1)
+        for s in stretches:
+            # without the part of it that gains most, less its price and that of the change into it and out of it
+            inside, edges = covered(alone.thin, [s]), _parts_of(s.start, s.end)[1:-1]
+            gains = np.bincount(np.searchsorted(edges, alone.thin.time[inside]), values[inside])
+            worth = dataclasses.replace(h, gains=gains).worth(s.duration) - alone.switch
+            there = dataclasses.replace(s, trajectory=i)
+            if worth > LEAST_GAIN_NATS and believed.of_one(explanation.views[h.view], h, there):
+                out.append(there)
     return out
 
 
 def _parts_of(start: float, end: float) -> Float[np.ndarray, " k"]:
     """Edges of the parts of a stretch that stand for recordings: one more than the fewest can be spared [s]."""
     return np.linspace(start, end, FEWEST_TRAJECTORIES + 2)
-
-
-def _worth(alone: Explanation, stretch: Stretch) -> float:
-    """Gain of the last hypothesis in a stretch, without the part of it that gains most, less its price and that of the
-    change into it and out of it [nats].
-    """
-    thin, k = alone.thin, len(alone.hypotheses) - 1
-    inside = covered(thin, [stretch])
-    part = np.searchsorted(_parts_of(stretch.start, stretch.end)[1:-1], thin.time[inside])
-    gains = np.bincount(part, (alone.values[:, k] - alone.others(k))[inside])
-    return dataclasses.replace(alone.hypotheses[k], gains=gains).worth(stretch.duration) - alone.switch
 
 
 def _without_passages(explanation: Explanation, states: Int[np.ndarray, " n"]) -> Int[np.ndarray, " n"]:

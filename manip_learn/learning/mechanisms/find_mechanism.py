@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import final
@@ -28,9 +29,9 @@ from manip_learn.learning.arm_errors import AS_DESCRIBED, ArmErrors
 from manip_learn.learning.explanation.evidence import stretches_of, ways_to_choose
 from manip_learn.learning.explanation.explain import LEAST_GAIN_NATS, Hypothesis, explain
 from manip_learn.learning.explanation.row_motion import View, kinds_tried, views_of
-from manip_learn.learning.mechanisms.fit_curve import fit_curve, gain_in_nats, variance_of
+from manip_learn.learning.mechanisms.fit_curve import fit_curve, gain_in_nats, variance_across
 from manip_learn.learning.mechanisms.one_place import apart, groups_of, likelier, misfit
-from manip_learn.learning.mechanisms.place_fit import PlaceErrors, PlaceFit, fit_place
+from manip_learn.learning.mechanisms.place_fit import LEAST_RESIDUAL, PlaceErrors, PlaceFit, fit_place
 from manip_learn.learning.mechanisms.quantities import QUANTITIES, Place, TipPaths, angles_about, thinned, turn_about
 from manip_learn.learning.recombination import BELIEVED_STRENGTH, recombination_test
 from manip_learn.learning.samples import BEYOND_CHANCE, STANDARD_ERRORS
@@ -51,8 +52,6 @@ LEAST_BEND_M = 5e-5
 POOR_RADIUS, POOR_AXIS_DEG = 0.2, 5.0
 # uncertainty of the radius, relative, that is worth a warning; a third of it is aimed at. Set by hand
 WIDE_RADIUS = 0.015
-# residuals below these do not count as better: what hardware holds. Set by hand
-SMALLEST_RESIDUAL = {"m": 2e-5, "rad": 4e-5}
 # [m] by which a hand must leave a mechanism in the same way each time before it is said. Set by hand
 LEAST_SAID_M = 1e-3
 # a quantity is the same for all trajectories if its residual grows by less than this ratio. Set by hand
@@ -157,27 +156,9 @@ def find_mechanism(
     if max(np.ptp(paths.p, axis=0).max(), np.abs(paths.turns).max()) < 1e-3:
         raise NotIdentifiableError("the hand does not move in these trajectories", code="no-motion")
     moved = list(with_velocities(Demonstrations(chosen, ()), robot))
-    known = None if held is None else read_kind(*held, views_of([held[0]], moved, scan_only=True)[0].immovable, paths.p)
-    read, members, repeated = known, tuple(range(len(moved))), ""
-    if known is None:
-        read, members, repeated = _read(robot, tip, moved, paths, rng, strength)
-        if held is not None and read is not None and 2 * len(members) <= len(moved):
-            # where rows are known to be held in all of them, what holds in so few is not what holds them
-            few = f"a {read[0].name} holds the hand in {len(members)} of {len(moved)} recordings only"
-            return MechanismFit(None, None, None, {}, few)
-    elif held is not None and not any(unit.startswith("rad") for unit in held[0].row_units):
-        bent, _ = _straight_or_bent(fit_place(paths, *known))
-        loose = known if bent.kind is known[0] else (bent.kind, bent.place)
-        read = _gripped(loose, robot, tip, moved, paths, rng, strength)
-    if read is None:
-        why = "no line, plane, hinge, ball, screw, cylinder or orientation holds the hand"
-        if repeated:
-            why = (
-                f"the path looks like a {repeated}, but exchanging the joints between the trajectories hardly "
-                "changes that: nothing shows a contact that all of them share. Learn from them one by one, or "
-                "record from other postures and with other grips"
-            )
-        return MechanismFit(None, None, None, {}, why)
+    read, members = _kind(robot, tip, moved, paths, rng, held, strength)
+    if isinstance(read, str):
+        return MechanismFit(None, None, None, {}, read)
     start, rival = _straight_or_bent(fit_place(paths.chosen(members), *read))
     groups = groups_of(start.paths, start.kind, start.place)
     shared = [len(group.members) for group in groups if len(group.members) > 1]
@@ -186,14 +167,20 @@ def find_mechanism(
         places = tuple(tuple(numbers[members[i]] for i in group.members) for group in groups)
         why = f"a {start.kind.type} holds the hand in each recording, but not the same: they are {apart(groups)} apart"
         return MechanismFit(None, None, None, {}, why, (why,), places=places)
-    bent, (gain, left) = "", misfit(start)
-    if gain > LEAST_GAIN_NATS and (other := _of_another_shape(start)) is not None:
-        start, rival, (gain, left) = other, "", misfit(other)
-    place = sum(QUANTITIES[name].rank for name in start.kind.holds if QUANTITIES[name].unit == "m")
-    variance = left * _rest(start) / max(place, 1)
-    last = chosen if recorded is None else [recorded[i] for i in numbers]
+    gain, left = misfit(start)
     if gain > LEAST_GAIN_NATS:
-        curve = find_curve(robot, tip.name, [last[i] for i in members], variance)
+        # of another kind that holds as many directions
+        kind, other = start.kind, start
+        for k in MECHANISM_KINDS:
+            if k.orientation == kind.orientation == "free" and k.n_rows == kind.n_rows and k is not kind:
+                other = min(other, *_other_forms(start, k.name), key=_rest)
+        if other is not start and likelier(other, start) > LEAST_GAIN_NATS:
+            start, rival, (gain, left) = other, "", misfit(other)
+    place = sum(QUANTITIES[name].rank for name in start.kind.holds if QUANTITIES[name].unit == "m")
+    variance, bent = left * _rest(start) / max(place, 1), ""
+    last = [chosen[k] if recorded is None else recorded[numbers[k]] for k in members]
+    if gain > LEAST_GAIN_NATS:
+        curve = find_curve(robot, tip.name, last, variance)
         if curve is not None:
             return curve
         if variance > LEAST_SAID_M**2:
@@ -201,28 +188,112 @@ def find_mechanism(
                 f"the hand leaves the {start.kind.type} that fits best by {1e3 * np.sqrt(variance):.2g} mm in the same "
                 "way in all recordings: what holds it has another shape, and is near to this one only there"
             )
-    each = max(LEAST, MOST // len(members))
-    postures = [thinned(_postures(robot, last[i]), each) for i in members]
-    fine = TipPaths.of(robot, tip, postures)
-    fit = _with_shared(fit_place(fine, start.kind, start.place))
+    odd = tuple(i for i in range(len(trajectories)) if i not in {numbers[k] for k in members})
+    postures = [thinned(_postures(robot, t), max(LEAST, MOST // len(last))) for t in last]
+    found = dataclasses.replace(_placed(robot, tip, postures, start, rng, arm), odd=odd, variance=variance)
+    if found.reason:
+        return found
+    lone = "one trajectory only: a repeated motion cannot be told from a contact" if len(last) == 1 else ""
+    warnings = (*filter(None, (lone, bent, rival)), *found.warnings)
+    return dataclasses.replace(found, warnings=warnings, rival=rival, fit=start)
+
+
+def _kind(
+    robot: Robot,
+    tip: Frame,
+    moved: Sequence[Trajectory],
+    paths: TipPaths,
+    rng: np.random.Generator,
+    held: Held | None,
+    strength: float,
+) -> tuple[Read | str, tuple[int, ...]]:
+    """The mechanism whose rows are held, or those that explain most, and which trajectories they explain; or why it is
+    none, in words.
+    """
+    if held is not None:
+        immovable = views_of([held[0]], moved, scan_only=True)[0].immovable
+        known = read_kind(*held, immovable, paths.p)
+        if known is not None and not any(unit.startswith("rad") for unit in held[0].row_units):
+            bent, _ = _straight_or_bent(fit_place(paths, *known))
+            known = known if bent.kind is known[0] else (bent.kind, bent.place)
+            known = _gripped(known, robot, tip, moved, paths, rng, strength)
+        if known is not None:
+            return known, tuple(range(len(moved)))
+    middle = paths.p.mean(axis=0)
+    maps = [FrameJacobian(robot, tip.name, "pose"), *(PlaceRows(robot, tip.name, form, middle) for form in FORMS)]
+    views, seed, repeated = views_of(maps, moved, scan_only=True), int(rng.integers(2**32)), list[str]()
+
+    def believed(view: View, h: Hypothesis, shown: Bool[np.ndarray, " n"]) -> bool:
+        read = read_kind(view.features, view.motion.selection(h.rows), view.immovable, paths.p)
+        if read is None or len(moved) == 1:
+            return read is not None
+        choices = kinds_tried(views) * ways_to_choose(view.thin, stretches_of(view.thin, shown.astype(int), 1))
+        pieces, draws = [moved[i] for i in np.unique(view.thin.trajectory[shown])], np.random.default_rng(seed)
+        if recombination_test(view.features, pieces, draws, choices, strength).n_rows >= h.n_rows:
+            return True
+        repeated.append(read[0].name)
+        return False
+
+    found = explain(views, believed, np.inf)
+    read, members = None, tuple[int, ...]()
+    if found.hypotheses:
+        k = int(np.argmax(found.supports))
+        h, view = found.hypotheses[k], found.views[found.hypotheses[k].view]
+        read = read_kind(view.features, view.motion.selection(h.rows), view.immovable, paths.p)
+        members = tuple(np.unique(found.thin.trajectory[found.states == k + 1]).tolist())
+    if read is None and repeated:
+        return (
+            f"the path looks like a {repeated[0]}, but exchanging the joints between the trajectories hardly "
+            "changes that: nothing shows a contact that all of them share. Learn from them one by one, or "
+            "record from other postures and with other grips"
+        ), ()
+    if read is None:
+        return "no line, plane, hinge, ball, screw, cylinder or orientation holds the hand", ()
+    if held is not None and 2 * len(members) <= len(moved):
+        # where rows are known to be held in all of them, what holds in so few is not what holds them
+        return f"a {read[0].name} holds the hand in {len(members)} of {len(moved)} recordings only", ()
+    return read, members
+
+
+def _placed(
+    robot: Robot,
+    tip: Frame,
+    postures: Sequence[Float[np.ndarray, "_ nv"]],
+    start: PlaceFit,
+    rng: np.random.Generator,
+    arm: ArmErrors,
+) -> MechanismFit:
+    """The mechanism at its place, fitted to these postures, with the errors of that; or why it is known too badly."""
+    fit = fit_place(TipPaths.of(robot, tip, postures), start.kind, start.place)
+    # with as many quantities as the data allow the same for all trajectories: better determined
+    names = tuple(n for n in fit.kind.holds if n in ("radius", "height", "distance", "across-line"))
+    for shared in (names, *((n,) for n in names if len(names) > 1)) if names else ():
+        tied, is_lost = fit_place(fit.paths, fit.kind, fit.place, shared, fit.weights), False
+        for name in fit.kind.holds:
+            after, before = (np.hypot(f.held_out[name], LEAST_RESIDUAL[QUANTITIES[name].unit]) for f in (tied, fit))
+            is_lost |= bool(np.any(after > SHARED_LOSS * before))
+        if not is_lost:
+            fit = tied
+            break
     errors = fit.errors(rng)
     mechanism = _described(fit, errors)
-    held_out = {
-        unit: max(float(fit.held_out[n].max()) for n in fit.kind.holds if QUANTITIES[n].unit == unit)
-        for unit in {QUANTITIES[n].unit for n in fit.kind.holds}
-    }
+    units = {n: QUANTITIES[n].unit for n in fit.kind.holds}
+    held_out = {u: max(float(fit.held_out[n].max()) for n in units if units[n] == u) for u in set(units.values())}
     features, selection = _constraint(robot, tip.name, fit, mechanism.radius, postures)
-    odd = tuple(i for i in range(len(trajectories)) if i not in {numbers[k] for k in members})
     poor, wide = doubts_of_place(mechanism)
+    if poor:
+        return MechanismFit(None, None, None, held_out, poor, (poor,))
     if arm.zeros:
-        on, q = _on_the_mechanism(robot, tip, postures, fit)
+        # at the nearest postures on the mechanism: at those that were recorded, errors of the arm that no motion shows
+        # would look like the residual (links that are all longer by a share make all distances longer by it)
+        q, on, edges = np.concatenate(postures), fit, np.cumsum([len(one) for one in postures])[:-1]
+        for _ in range(ONTO):
+            q = q - np.einsum("ndv,nd->nv", on.weights.noise, on.residuals)
+            on = PlaceFit.at(TipPaths.of(robot, tip, np.split(q, edges)), fit.kind, fit.place, fit.shared)
         errors = fit.errors(rng, arm, on, link_twists(robot, tip, q) if arm.ratio else None)
         mechanism = _described(fit, errors)
-    if poor:
-        return MechanismFit(None, None, None, held_out, poor, (poor,), odd, variance=variance)
-    lone = ("one trajectory only: a repeated motion cannot be told from a contact",) if len(postures) == 1 else ()
-    warnings = (*lone, *filter(None, (bent, rival, wide)))
-    return MechanismFit(mechanism, features, selection, held_out, "", warnings, odd, rival, errors, variance, start)
+    warnings = (wide,) if wide else ()
+    return MechanismFit(mechanism, features, selection, held_out, "", warnings, errors=errors)
 
 
 def find_curve(
@@ -242,18 +313,9 @@ def find_curve(
         return None
     curve, off = found
     features = CurveRows(robot, frame, curve, ("across-1", "across-2"))
-    size = float(np.sqrt(variance_of(off)))
+    size = float(np.sqrt(variance_across(off)))
     mechanism = Mechanism("other", name=CURVE, uncertainty={"point": size})
     return MechanismFit(mechanism, features, np.eye(2), {"m": size}, variance=variance)
-
-
-def _of_another_shape(fit: PlaceFit) -> PlaceFit | None:
-    """The mechanism of another kind that holds as many directions and fits much better, if there is one."""
-    kind, best = fit.kind, fit
-    for other in MECHANISM_KINDS:
-        if other.orientation == kind.orientation == "free" and other.n_rows == kind.n_rows and other is not kind:
-            best = min(best, *_other_forms(fit, other.name), key=_rest)
-    return best if best is not fit and likelier(best, fit) > LEAST_GAIN_NATS else None
 
 
 def _postures(robot: Robot, trajectory: Trajectory) -> Float[np.ndarray, "T nv"]:
@@ -283,39 +345,6 @@ def _gripped(
         if evidence.n_rows >= len(selection) > 0:
             return kind, fit.place
     return read
-
-
-def _read(
-    robot: Robot, tip: Frame, moved: Sequence[Trajectory], paths: TipPaths, rng: np.random.Generator, least: float
-) -> tuple[Read | None, tuple[int, ...], str]:
-    """What the rows say that explain most, the trajectories that they explain, and the first mechanism whose rows are
-    held by the way of moving and not by a contact that all share.
-    """
-    middle = paths.p.mean(axis=0)
-    maps = [FrameJacobian(robot, tip.name, "pose"), *(PlaceRows(robot, tip.name, form, middle) for form in FORMS)]
-    repeated = list[str]()
-
-    def believed(view: View, h: Hypothesis, held: Bool[np.ndarray, " n"]) -> bool:
-        read = read_kind(view.features, view.motion.selection(h.rows), view.immovable, paths.p)
-        if read is None or len(moved) == 1:
-            return read is not None
-        shown = np.unique(view.thin.trajectory[held])
-        choices = kinds_tried(views) * ways_to_choose(view.thin, stretches_of(view.thin, held.astype(int), 1))
-        pieces, draws = [moved[i] for i in shown], np.random.default_rng(seed)
-        if recombination_test(view.features, pieces, draws, choices, least).n_rows >= h.n_rows:
-            return True
-        repeated.append(read[0].name)
-        return False
-
-    views, seed = views_of(maps, moved, scan_only=True), int(rng.integers(2**32))
-    found = explain(views, believed, np.inf)
-    if not found.hypotheses:
-        return None, (), "".join(repeated[:1])
-    k = int(np.argmax(found.supports))
-    h, view = found.hypotheses[k], found.views[found.hypotheses[k].view]
-    read = read_kind(view.features, view.motion.selection(h.rows), view.immovable, paths.p)
-    members = np.unique(found.thin.trajectory[found.states == k + 1])
-    return read, tuple(members.tolist()), "".join(repeated[:1])
 
 
 def _straight_or_bent(read: PlaceFit) -> tuple[PlaceFit, str]:
@@ -393,34 +422,6 @@ def rival_of(bent: PlaceFit, straight: PlaceFit) -> str:
         f"a {bent.kind.name} would fit as well, with more than {1.0 / curvature:.2g} m of radius: the motion is "
         f"too short to tell it from a {straight.kind.name}; move it farther"
     )
-
-
-def _with_shared(fit: PlaceFit) -> PlaceFit:
-    """The fit with as many quantities as the data allow the same for all trajectories: better determined."""
-    names = tuple(n for n in fit.kind.holds if n in ("radius", "height", "distance", "across-line"))
-    for shared in (names, *((n,) for n in names if len(names) > 1)) if names else ():
-        tied, is_lost = fit_place(fit.paths, fit.kind, fit.place, shared, fit.weights), False
-        for name in fit.kind.holds:
-            after, before = (np.hypot(f.held_out[name], SMALLEST_RESIDUAL[QUANTITIES[name].unit]) for f in (tied, fit))
-            is_lost |= bool(np.any(after > SHARED_LOSS * before))
-        if not is_lost:
-            return tied
-    return fit
-
-
-def _on_the_mechanism(
-    robot: Robot, tip: Frame, postures: Sequence[Float[np.ndarray, "_ nv"]], fit: PlaceFit
-) -> tuple[PlaceFit, Float[np.ndarray, "N nv"]]:
-    """The fit at the nearest postures on the mechanism, and these.
-
-    At those that were recorded, errors of the arm that no motion shows would look like the residual: links that are
-    all longer by a share make all distances longer by it, and what is left of them, too.
-    """
-    q, on, edges = np.concatenate(postures), fit, np.cumsum([len(one) for one in postures])[:-1]
-    for _ in range(ONTO):
-        q = q - np.einsum("ndv,nd->nv", on.weights.noise, on.residuals)
-        on = PlaceFit.at(TipPaths.of(robot, tip, np.split(q, edges)), fit.kind, fit.place, fit.shared)
-    return on, q
 
 
 def _described(fit: PlaceFit, errors: PlaceErrors) -> Mechanism:

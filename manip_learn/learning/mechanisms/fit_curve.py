@@ -8,7 +8,7 @@ from scipy.interpolate import make_lsq_spline
 
 from manip_learn.constraint.features.curve_rows import Curve
 from manip_learn.errors import FeatureError
-from manip_learn.learning.mechanisms.place_fit import alike
+from manip_learn.learning.mechanisms.place_fit import LEAST_RESIDUAL, alike
 from manip_learn.learning.mechanisms.quantities import TipPaths
 
 CUBIC = 3  # degree of the spline: its curvature is continuous
@@ -16,8 +16,6 @@ PIECES = (2, 4, 8, 16, 32)  # of the spline that is fitted: as many as foretell 
 ROUNDS = 5  # of fitting, each to the places on the curve that are next to the samples
 POINTS = 4  # of the curve in each piece of the spline
 FIRST = 8  # points of the curve that the fit begins with
-# [m] smaller distances from a curve are no difference: rails are no better. Set by hand
-LEAST_OFF = 2e-5
 
 
 def fit_curve(paths: TipPaths) -> tuple[Curve, Float[np.ndarray, "N 3"]] | None:
@@ -29,7 +27,11 @@ def fit_curve(paths: TipPaths) -> tuple[Curve, Float[np.ndarray, "N 3"]] | None:
         return None
     best: tuple[Curve, np.ndarray] | None = None
     try:
-        curve = Curve(_way(paths.p[max(parts, key=lambda part: float(np.ptp(paths.p[part], axis=0).sum()))]))
+        p = paths.p[max(parts, key=lambda part: float(np.ptp(paths.p[part], axis=0).sum()))]
+        # from its beginning to its farthest place, without what it goes back meanwhile
+        away = np.linalg.norm(p - p[0], axis=1)
+        onward = np.unique(np.maximum.accumulate(away[: int(np.argmax(away)) + 1]), return_index=True)[1]
+        curve = Curve(p[onward][np.linspace(0, len(onward) - 1, min(FIRST, len(onward))).round().astype(int)])
         for pieces in PIECES:
             for _ in range(ROUNDS):
                 curve = _through(curve, paths.p, pieces)
@@ -47,23 +49,13 @@ def fit_curve(paths: TipPaths) -> tuple[Curve, Float[np.ndarray, "N 3"]] | None:
 
 def gain_in_nats(variance: float, off: Float[np.ndarray, "N 3"], paths: TipPaths) -> float:
     """Of a curve over something that leaves this variance in each direction that it holds [m^2]."""
-    return (
-        len(off)
-        / alike(off, paths.parts)
-        * float(np.log((variance + LEAST_OFF**2) / (variance_of(off) + LEAST_OFF**2)))
-    )
+    least = LEAST_RESIDUAL["m"] ** 2
+    return len(off) / alike(off, paths.parts) * float(np.log((variance + least) / (variance_across(off) + least)))
 
 
-def variance_of(off: Float[np.ndarray, "N 3"]) -> float:
+def variance_across(off: Float[np.ndarray, "N 3"]) -> float:
     """Mean square in one of the two directions across a curve [m^2]."""
     return 0.5 * float(np.mean(np.sum(off**2, axis=1)))
-
-
-def _way(p: Float[np.ndarray, "T 3"]) -> Float[np.ndarray, "k 3"]:
-    """Points of a path from its beginning to its farthest place, without what it goes back meanwhile."""
-    away = np.linalg.norm(p - p[0], axis=1)
-    onward = np.unique(np.maximum.accumulate(away[: int(np.argmax(away)) + 1]), return_index=True)[1]
-    return p[onward][np.linspace(0, len(onward) - 1, min(FIRST, len(onward))).round().astype(int)]
 
 
 def _through(curve: Curve, p: Float[np.ndarray, "n 3"], pieces: int) -> Curve:

@@ -1,1 +1,0 @@
-"""Estimators of Lambda, and the number of its rows."""
