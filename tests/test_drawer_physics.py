@@ -124,32 +124,6 @@ def test_by_default_a_payload_and_fast_motion_do_not_stop_the_arm(example):
         assert record.ordered, record.ended
 
 
-def test_by_default_wiping_does_not_stop_the_arm(example):
-    """Circles on a table whose normal was learnt 0.3 degrees off."""
-    from make_recordings.mechanisms import Plane
-
-    normal = np.array([np.sin(np.deg2rad(0.3)), 0.0, np.cos(np.deg2rad(0.3))])
-    robot = across(normal).robot
-    assert robot is not None
-    along = np.linalg.svd(normal[None])[2][1:]
-    constraint = ml.Constraint(np.vstack([normal, along]), ml.FrameJacobian(robot, FRAME, axes="xyz"))
-
-    middle = handle()
-
-    def place(t: float) -> np.ndarray:
-        return middle + 0.1 * (np.sin(t) * along[0] + (np.cos(t) - 1.0) * along[1])
-
-    def rate(t: float) -> np.ndarray:
-        return 0.1 * (np.cos(t) * along[0] - np.sin(t) * along[1])
-
-    controller = ml.ResolvedRateController(
-        constraint, ml.Track(place, rate, gain=3.0), ml.ManipulabilityAscent(constraint)
-    )
-    table = Plane(middle, np.empty((0, 3)), np.array([0.3, 0.3]), np.array([0.0, 0.0, 1.0]))
-    record, _ = driven(example, controller, table, 6.5)
-    assert record.ordered, record.ended
-
-
 def handle() -> np.ndarray:
     """Where the hand takes hold [m]."""
     robot = across(np.eye(3)[0]).robot

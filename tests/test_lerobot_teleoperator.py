@@ -103,12 +103,3 @@ def test_the_arm_stands_where_an_action_would_leave_the_limits(
     assert [r.getMessage() for r in caplog.records if "motor joint1 is not sent to" in r.getMessage()] == [
         r.getMessage() for r in caplog.records
     ] and len(caplog.records) == 1
-
-
-def test_feedback_is_where_the_arm_is(package: Any, drawer: dict[str, Any]) -> None:
-    """A program that hands observations over closes the loop."""
-    teleop = package.ManipLearn(package.ManipLearnConfig(**drawer))
-    teleop.connect()
-    teleop.send_feedback({"joint1.pos": 17.5, "front": None})
-    assert teleop.get_observation()["joint1.pos"] == 17.5
-    assert teleop.get_action()["joint1.pos"] == pytest.approx(17.5, abs=2.0)

@@ -174,16 +174,3 @@ def test_singularities_are_left_with_several_objectives(robot_of):
         start = np.zeros(robot.nv)
         rollout = ml.simulate(robot, ml.ResolvedRateController(constraint, None, policy), start, 2.0, DT)
         assert ml.manipulability(constraint, start) < 1e-9 and rollout.manipulability[-1] > 0.01
-
-
-def test_limits_are_kept_at_a_distance(robot_of):
-    """From a posture near its limits, a held task ends further away from them with the avoidance than without."""
-    robot = robot_of("sawyer")
-    constraint = ml.Constraint([[1.0, 0.0, 0.0]], ml.FrameJacobian(robot, "right_hand", "xyz"))
-    middle, half = 0.5 * (robot.position_lower + robot.position_upper), 0.5 * robot.position_upper
-    start = middle + 1.8 * (half - 0.5 * middle)
-    rooms = []
-    for policy in (None, JointLimitAvoidance(robot)):
-        q = ml.simulate(robot, ml.ResolvedRateController(constraint, None, policy), start, 5.0, DT).q[-1]
-        rooms.append(np.min(np.minimum(robot.position_upper - q, q - robot.position_lower)))
-    assert rooms[1] > rooms[0] + 0.1

@@ -153,21 +153,6 @@ def test_a_rail_that_sticks_is_learnt_rightly() -> None:
     assert (place - ROBOT.position(START, FRAME)) @ rail > 0.18
 
 
-def test_a_push_gives_way_and_comes_back() -> None:
-    """20 N on a hand that goes to a point in free air do not stop it, and it arrives."""
-    rows = ml.Constraint(np.eye(3), ml.FrameJacobian(ROBOT, FRAME, "xyz"))
-    goal = ROBOT.position(START, FRAME) + [0.0, 0.15, 0.0]
-    controller = ml.ResolvedRateController(rows, ml.PointAttractor(goal, gain=3.0, max_speed=0.1))
-    loop, arm = ml.ServoLoop(controller, DT, contact=ml.Contact(stiffness=STIFFNESS)), Servos()
-    loop.reset(START)
-    gone(loop, arm, 1.0)
-    before = arm.q.copy()
-    words = gone(loop, arm, 0.4, np.array([20.0, 0.0, 0.0]))
-    assert np.max(np.abs(arm.q - before)) > 1e-3
-    assert "following-error" not in words + gone(loop, arm, 3.0)
-    assert np.linalg.norm(ROBOT.position(arm.q, FRAME) - goal) < 1e-3
-
-
 def test_a_blocked_arm_lets_go() -> None:
     """An arm that is held fast in motion is stopped with less than 60 N, and is then not pressed on."""
     loop, arm = way(), Servos(late=0.004)

@@ -80,41 +80,31 @@ def test_a_target_that_moves_counts_over_the_step(constraint, rng):
     np.testing.assert_allclose(known.velocity(constraint, q, 0.0), 3.0 * pull, atol=1e-12)
 
 
-def circle(t: float) -> np.ndarray:
-    """0.1 m of radius, 0.5 m/s."""
-    return 0.1 * np.array([np.sin(5.0 * t), np.cos(5.0 * t) - 1.0, 0.0])
-
-
 def line(t: float) -> np.ndarray:
     """There and back, 0.2 m, up to 0.5 m/s."""
     return 0.1 * np.array([0.0, 1.0 - np.cos(5.0 * t), 0.0])
 
 
-@pytest.mark.parametrize(("axes", "way"), [("xyz", circle), ("pose", line)])
-def test_a_moving_target_is_followed(robot_of, axes, way):
-    """At 1 kHz the tip is within 0.2 mm of a target that moves at 0.5 m/s, with the orientation turning or free."""
+def test_a_moving_target_is_followed(robot_of):
+    """At 1 kHz the tip is within 0.2 mm of a target that moves at 0.5 m/s, with its orientation turning."""
     robot, frame, q = robot_of("panda"), "panda_hand_tcp", np.array([0.0, -0.5, 0.0, -2.0, 0.0, 1.6, 0.8])
     q = robot.checked_posture(np.concatenate((q, robot.positions(robot.neutral())[7:])))
     start = robot.pose(q, frame)
 
     def goal(t: float) -> np.ndarray:
         late = t - 0.3 if t > 0.6 else t * t / 1.2  # speeds up for 0.6 s
-        if axes == "xyz":
-            return start[:3, 3] + way(late)
         turn = rotation_matrix(np.array([0.0, 0.0, 0.4 * np.sin(2.0 * late)]))
         pose = np.eye(4)
-        pose[:3, :3], pose[:3, 3] = turn @ start[:3, :3], start[:3, 3] + way(late)
+        pose[:3, :3], pose[:3, 3] = turn @ start[:3, :3], start[:3, 3] + line(late)
         return pose
 
-    features = FrameJacobian(robot, frame, axes)
+    features = FrameJacobian(robot, frame, "pose")
     rows = Constraint(np.eye(features.n_rows), features)
     loop = ServoLoop(ResolvedRateController(rows, Track(goal, gain=5.0), ManipulabilityAscent(rows)), 0.001)
-    for k in range(2500):
+    for k in range(1500):
         loop.update(q, 0.001 * k)
         q = loop.position
-        aim = goal(0.001 * (k + 1))
-        place = aim if axes == "xyz" else aim[:3, 3]
-        assert np.linalg.norm(robot.position(q, frame) - place) < 2e-4
+        assert np.linalg.norm(robot.position(q, frame) - goal(0.001 * (k + 1))[:3, 3]) < 2e-4
 
 
 def test_bad_targets(constraint, rng):

@@ -3,14 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import Any
 
 import numpy as np
 import pytest
 from servo_cases import Constantly
 
 import manip_learn as ml
-from manip_learn.control.law import nearest_within
 from manip_learn.errors import ConfigurationError, UnknownNameError
 
 TIP, SPEED, DT = "right_gripper_tip", 0.25, 0.002
@@ -95,30 +93,6 @@ def test_the_tip_stays_in_its_box(gain: float, ways: np.ndarray, robot_of: Robot
         assert -2e-3 < beyond < 1e-4
         assert np.linalg.norm(robot.jacobian(q, TIP)[:3] @ command.velocity) < 5e-3
         assert ml.Status.POSITION_LIMITED in words
-
-
-def test_rounding_at_a_wall_asks_for_no_more_programs(robot_of: RobotOf, monkeypatch: pytest.MonkeyPatch) -> None:
-    """A hand that is pressed against a wall, where the solution breaks it by 1e-16, costs few programs a step."""
-    monkeypatch.setenv("MANIP_LEARN_ENGINE", "python")  # whose programs can be counted
-    robot, programs = robot_of("sawyer"), 0
-    q = np.array([0.3, -0.6, 0.1, 1.4, 0.2, 0.8, 0.4])
-    place = robot.position(q, TIP)
-    walls = [[1.0, 0.0, 0.0, place[0] + 0.05], [0.0, 0.0, -1.0, 2.0]]
-    rows = ml.Constraint(np.eye(3), ml.FrameJacobian(robot, TIP, "xyz"))
-    task, limits = ml.PointAttractor(place + [0.15, 0.1, -0.1]), ml.Limits(robot, tip_walls=walls)
-    loop = ml.ServoLoop(ml.ResolvedRateController(rows, task, ml.ManipulabilityAscent(rows), limits=limits), 0.001)
-
-    def counted(*arguments: Any) -> np.ndarray:
-        nonlocal programs
-        programs += 1
-        return nearest_within(*arguments)
-
-    monkeypatch.setattr("manip_learn.control.law.nearest_within", counted)
-    for k in range(800):
-        before, last = programs, loop.update(q, 0.001 * k)
-        q = robot.integrate(q, 0.001 * last.velocity)
-        assert programs - before <= 4, k
-    assert last.progress < 0.03 and programs > 250
 
 
 def test_an_oblique_wall_and_a_start_beyond_it(robot_of: RobotOf) -> None:

@@ -117,9 +117,15 @@ class OrderlyEnd:
         return self
 
     def __exit__(self, kind: type[BaseException] | None, *_: object) -> None:
+        hold = getattr(self._driver, "hold", None) if self.holds or kind is not None else None
         try:
-            if self.holds or kind is not None:
-                self.failed = self._hold()
+            if hold is not None:
+                with self.waiting():
+                    hold()
+        except GivenUp as error:
+            self.failed = f"the driver's hold() had not returned for {error.args[0]:.2g} s"
+        except Exception as error:  # whatever a driver raises, what was recorded is kept
+            self.failed = f"the driver's hold() failed: {type(error).__name__}: {error}"
         finally:
             self._over.set()
             atexit.unregister(self._interpreter_ends)
@@ -131,20 +137,6 @@ class OrderlyEnd:
         if not callable(handler):
             raise SystemExit(128 + self._ends_by)  # as a shell says it
         handler(self._ends_by, None)
-
-    def _hold(self) -> str:
-        """Have the arm hold itself where its driver can do that; returns what went wrong, in words, or nothing."""
-        hold = getattr(self._driver, "hold", None)
-        if hold is None:
-            return ""
-        try:
-            with self.waiting():
-                hold()
-        except GivenUp as error:
-            return f"the driver's hold() had not returned for {error.args[0]:.2g} s"
-        except Exception as error:  # whatever a driver raises, what was recorded is kept
-            return f"the driver's hold() failed: {type(error).__name__}: {error}"
-        return ""
 
     def _interpreter_ends(self) -> None:
         """The main thread is over: brake, before this thread is killed."""

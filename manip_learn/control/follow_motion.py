@@ -69,7 +69,16 @@ class FollowMotion:
         self.limits = Limits(robot) if limits is None else limits
         self._knots = _knots_of(robot, motion, self.limits.velocity)
         self.duration = float(self._knots.time[-1])
-        self.jumps = _jumps_of(robot, self._knots)
+        x, jumps, sentences = self._knots.x, self._knots.jumps, []
+        steps = np.abs(np.diff(x, axis=0)) * jumps[:-1]
+        for j in np.flatnonzero(jumps.any(axis=0)).tolist():
+            k = int(steps[:, j].argmax())
+            sentences.append(
+                f"joint {robot.joint_names[j]} of the motion jumps {counted(int(jumps[:, j].sum()), 'time')}, at most "
+                f"by {steps[k, j]:.3g} {robot.joint_units[j]} at {self._knots.time[k]:.3g} s: it catches up as fast as "
+                "its limits let it"
+            )
+        self.jumps = tuple(sentences)
         self.reset()
 
     def with_limits(self, limits: Limits, ahead: float = 0.0) -> FollowMotion:
@@ -193,20 +202,6 @@ class _Knots(NamedTuple):
         x = x0 + h * m0 * w + w * w * (3.0 * rise - bend + w * (bend - 2.0 * rise))
         m = m0 + w * (2.0 * (3.0 * rise - bend) + 3.0 * w * (bend - 2.0 * rise)) / h
         return np.where(tangent, x0 + m0 * (s + ahead - begin), x), np.where(tangent, m0, m)
-
-
-def _jumps_of(robot: Robot, knots: _Knots) -> tuple[str, ...]:
-    """The largest jump of each joint, and how many there are."""
-    sentences = []
-    steps = np.abs(np.diff(knots.x, axis=0)) * knots.jumps[:-1]
-    for j in np.flatnonzero(knots.jumps.any(axis=0)).tolist():
-        k = int(steps[:, j].argmax())
-        sentences.append(
-            f"joint {robot.joint_names[j]} of the motion jumps {counted(int(knots.jumps[:, j].sum()), 'time')}, at "
-            f"most by {steps[k, j]:.3g} {robot.joint_units[j]} at {knots.time[k]:.3g} s: it catches up as fast as its "
-            "limits let it"
-        )
-    return tuple(sentences)
 
 
 def _knots_of(robot: Robot, motion: Trajectory | Rollout, fastest: Float[np.ndarray, " nv"]) -> _Knots:

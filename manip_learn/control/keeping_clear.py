@@ -35,7 +35,7 @@ class Standing(Protocol):
 
 
 @lru_cache(maxsize=8)
-def hulls_of(robot: Robot, shapes: Shapes) -> SelfCollision:
+def _hulls_of(robot: Robot, shapes: Shapes) -> SelfCollision:
     """The pairs of a robot's links."""
     return SelfCollision(robot, shapes=shapes)
 
@@ -68,7 +68,7 @@ class KeptClear:
     def __init__(self, robot: Robot, around: SelfCollision | Standing, clearance: float):
         if not isinstance(around, SelfCollision):
             shapes = known_shapes(robot)  # capsules along links overlap where these are joined
-            around = hulls_of(robot, shapes).with_obstacles(around.obstacles(robot), own=shapes != "links")
+            around = _hulls_of(robot, shapes).with_obstacles(around.obstacles(robot), own=shapes != "links")
         if around.robot is not robot:
             raise ConfigurationError(
                 f"clear_of is of another {around.robot.name!r}; give pairs of the robot of the limits"

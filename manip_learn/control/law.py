@@ -154,7 +154,8 @@ class Law:
     on the driven ones, the velocity before bounds is
 
         u* = argmin |A u - b|^2_{1 / Lambda^2} + |u - w|^2 = w + A^T (A A^T + Lambda^2)^-1 (b - A w),
-        Lambda^2 = share^2 lambda^2 (P + h^2 (1 - P)),    h = 0.1,    share = 1 - (sigma / threshold)^2, at least 0.
+        Lambda^2 = share^2 lambda^2 (P + h^2 (1 - P)),    share = 1 - (sigma / threshold)^2, 0 above the threshold,
+        h = 0.1.
 
     Where the smallest singular value sigma of A is above the threshold, Lambda is 0 and u* is equation (2), exactly.
     Below it, a direction whose singular value is less than Lambda no longer holds the motion, and w moves it: that is

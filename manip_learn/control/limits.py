@@ -467,7 +467,6 @@ class Limits:
         clear = None if clear_of is None else KeptClear(robot, clear_of, clearance)
         if not (tip_speed is None and tip_box is None and tip_walls is None and clear is None):
             self.tip = TipLimits(robot, tip_speed, tip_box, tip_walls, frames, clear)
-        self.position, self.margin = bool(position), float(margin)
         infinite = np.full(robot.nv, np.inf)
         self.lower = robot.position_lower + margin if position else -infinite
         self.upper = robot.position_upper - margin if position else infinite

@@ -81,12 +81,7 @@ class ZeroPolicy(NullSpacePolicy):
         return "ZeroPolicy()"
 
 
-def positive(name: str, value: float) -> float:
-    """A setting that must be a positive number.
-
-    Raises:
-        ConfigurationError: It is not.
-    """
+def _positive(name: str, value: float) -> float:
     if not (math.isfinite(value) and value > 0.0):
         raise ConfigurationError(f"{name} must be a positive number, got {value!r}")
     return float(value)
@@ -160,8 +155,8 @@ class JointLimitAvoidance(NullSpacePolicy):
 
     def __init__(self, robot: Robot, gain: float = 0.1, *, max_speed: float = 0.5):
         self.robot = robot
-        self.gain = positive("gain", gain)
-        self.max_speed = positive("max_speed", max_speed)
+        self.gain = _positive("gain", gain)
+        self.max_speed = _positive("max_speed", max_speed)
         limited = has_range(robot)
         width = np.where(limited, ranges(robot), 0.0)
         self._strength = self.gain * width
@@ -210,9 +205,9 @@ class SelfCollisionAvoidance(NullSpacePolicy):
     def __init__(
         self, robot: Robot | SelfCollision, distance: float = 0.1, gain: float = 10.0, *, max_speed: float = 2.0
     ):
-        self.distance = positive("distance", distance)
-        self.gain = positive("gain", gain)
-        self.max_speed = positive("max_speed", max_speed)
+        self.distance = _positive("distance", distance)
+        self.gain = _positive("gain", gain)
+        self.max_speed = _positive("max_speed", max_speed)
         self.collision = robot if isinstance(robot, SelfCollision) else SelfCollision(robot)
 
     def __call__(self, q: ArrayLike, t: float = 0.0) -> Float[np.ndarray, " nv"]:
@@ -411,7 +406,7 @@ class RoomAscent(SampledPolicy):
         self, constraint: Constraint, speed: float, gain: float = ASCENT_GAIN, *, max_speed: float | None = 10.0
     ):
         robot = limited_robot(constraint)
-        self.constraint, self.speed = constraint, positive("speed", speed)
+        self.constraint, self.speed = constraint, _positive("speed", speed)
         self._ascent = ManipulabilityAscent(constraint, gain, max_speed=max_speed)
         self.gain, self.max_speed = self._ascent.gain, self._ascent.max_speed
         slowest = float(np.min(robot.velocity_limit))
@@ -444,9 +439,6 @@ class RoomAscent(SampledPolicy):
 class WeightedPolicies(SampledPolicy):
     """pi = sum_i w_i pi_i: several objectives in one null space, their compromise set by the weights.
 
-    Where one of them is a `ManipulabilityAscent` of the controller's own constraint, singularities are left as they are
-    with that policy alone.
-
     Args:
         policies: pi_i.
         weights: w_i >= 0, one a policy; 1 each by default.
@@ -478,16 +470,6 @@ class WeightedPolicies(SampledPolicy):
             sizes = ", ".join(str(part.size) for part in parts)
             raise TargetError(f"the policies of a weighted sum return {sizes} velocities: they belong to one robot")
         return np.sum(parts, axis=0)
-
-    def climbs(self, constraint: Constraint) -> bool:
-        """Whether a bounded `ManipulabilityAscent` of this very constraint has a weight, here or in a sum within."""
-        for w, policy in zip(self.weights, self.policies, strict=True):
-            if w > 0.0 and isinstance(policy, ManipulabilityAscent):
-                if policy.constraint is constraint and policy.max_speed is not None:
-                    return True
-            elif w > 0.0 and isinstance(policy, WeightedPolicies) and policy.climbs(constraint):
-                return True
-        return False
 
     def __repr__(self) -> str:
         terms = " + ".join(f"{w:g} {policy!r}" for w, policy in zip(self.weights, self.policies, strict=True))

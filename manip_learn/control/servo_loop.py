@@ -228,8 +228,6 @@ class ServoLoop:
         jerk_limit: shape (nv,) [rad/s3 or m/s3], in force, or None.
         dt: [s].
         measured: shape (n,), the newest measured posture that was one; None before the first.
-        refused: Number of readings since `reset` that no joint can have moved to so fast. The arm brakes meanwhile;
-            from `stale_after` on they are believed.
         lets_go: Whether the arm is letting go of what blocked it.
         stopped_by: What last stopped the arm, in words; None where nothing has.
 
@@ -265,6 +263,7 @@ class ServoLoop:
     ):
         for name, value in removed.items():
             told = f": give contact=Contact({name}={value!r})" if name in ("latency", "stiffness") else ""
+            told = ": load the robot with its payload, robot.with_payload(...)" if name == "correction_time" else told
             raise TypeError(f"ServoLoop has no argument {name!r}{told}")
         for name, value in (("dt", dt), ("stale_after", stale_after)):
             if not (_is_number(value) and 0.0 < value < math.inf):
@@ -330,9 +329,9 @@ class ServoLoop:
         self._following.forget()
         self._relief: np.ndarray | None = None  # posture to go to after a following error
         self.measured, self.stopped_by = None, None
-        # readings that no joint can have moved to, for how long they have come, and what was said of the last one
-        self._jumped = "", -math.inf
-        self.refused, self._refused = 0, 0.0
+        # for how long readings have come that no joint can have moved to, and what was said of the last one: from
+        # `stale_after` on they are believed
+        self._refused, self._jumped = 0.0, ("", -math.inf)
         self._time = -math.inf  # of the newest state
         self._earlier = math.nan  # of a state that was refused, being older than the newest
         self._since = 0.0  # from the state before to the newest [s]
@@ -460,8 +459,7 @@ class ServoLoop:
         if self._refused <= self.stale_after and (jump := self._jump(measured, time)):
             self._refused += self.dt
             self._waited += self.dt
-            self.refused, self.stopped_by = self.refused + 1, jump
-            self._jumped = jump, time
+            self.stopped_by, self._jumped = jump, (jump, time)
             return self._braked(Status.INVALID_INPUT)
         self._refused = 0.0
         self.measured = measured

@@ -207,7 +207,7 @@ class Servos:
                 self._fit()
 
     def _fit(self) -> None:
-        """The delay for which what is left varies least, and the widths with it."""
+        """The delay for which what is left varies least, and the widths with it: all that the first motion can tell."""
         y, sent, seen = (np.array(part[-LATEST_SAMPLE:]) for part in zip(*self._samples, strict=True))
         step = np.sign(sent[:, :-1] - sent[:, 1:])
         sense = step[:, :1]
@@ -246,18 +246,13 @@ class Servos:
         self.friction = np.clip(self.friction, 0.0, self._hidden)
         if np.any(self.seen & (self.width > (1.0 + _KNOWN) * DRY / HIDDEN * self._hidden)):
             self.width = np.minimum(np.max(self.width * self.seen), self._hidden)
-        self._settle(float(np.interp(place, np.arange(len(self._lags)), self._lags)))
-
-    def _settle(self, lag: float) -> None:
-        """The first motion has told what it can, the delay in periods among it."""
-        self.is_known = True
+        lag = float(np.interp(place, np.arange(len(self._lags)), self._lags))  # periods
+        self.is_known, around = True, math.ceil(AROUND * lag) + 1
         self._samples.clear()
         self._past.clear()
-        around = math.ceil(AROUND * lag) + 1
         self._at, self.late = round(lag), lag * self._dt
         self._window = max(0, self._at - around), min(self._window[1], self._at + around)
-        least, most = self._window
-        self._share = self._own / (most - least)
+        self._share = self._own / (self._window[1] - self._window[0])
         nearer = self.width + self._least
         self._nearer = np.where(self._sense < 0.0, nearer, 0.0), np.where(self._sense > 0.0, nearer, 0.0)
         self._place = self._ways[self._row + self._size - self._at].copy()

@@ -406,17 +406,13 @@ class MechanismMotion(DrivenMotion):
 
     def moving_error(self, origin: Origin, q: ArrayLike, distance: float) -> MovingError:
         """As for `DrivenMotion`; `tangential` is a speed, its coordinate an angle."""
-        now, names = self._coordinates(origin, q, distance), self._rows.row_names
+        pose, g, names = self.origin(q), self._rows.geometry, self._rows.row_names
+        # only what is driven goes beyond half a turn: angles are next to the distance
+        turned, around = (distance if self._driven == name else 0.0 for name in ("turn", "tangential"))
+        now = place_about(origin[:3, 3] - g.point, pose[:3, 3] - g.point, g, around)
+        now |= _hand(origin, pose, g, turned) if self._turns else {}
         scale = np.array([now["distance from the axis"] if name == "tangential" else 1.0 for name in names])
         return distance * self._last_row - np.array([now[name] for name in names]), self._last_row, scale, None
-
-    def _coordinates(self, origin: np.ndarray, q: ArrayLike, near: float) -> dict[str, float]:
-        """The coordinate of each row, less its value at the start; angles next to `near`."""
-        pose, g = self.origin(q), self._rows.geometry
-        # only what is driven goes beyond half a turn
-        turned, around = (near if self._driven == name else 0.0 for name in ("turn", "tangential"))
-        out = place_about(origin[:3, 3] - g.point, pose[:3, 3] - g.point, g, around)
-        return out | _hand(origin, pose, g, turned) if self._turns else out
 
 
 def place_about(d0: np.ndarray, d: np.ndarray, g: Place, near: float) -> dict[str, float]:

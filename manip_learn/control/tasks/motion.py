@@ -232,12 +232,6 @@ class FreeDirection(Task):
         """This motion by another distance [m or rad], from a start of its own."""
         return self._with_profile(self._profile.over(_number("distance", distance, positive=False)))
 
-    def counted_back(self) -> FreeDirection:
-        """The other way, which counts as positive (see `counts`)."""
-        other = self.with_distance(-self.wanted)
-        other.counts = -self.counts
-        return other
-
     def slowed(self, times: float) -> FreeDirection:
         """This motion slowed down by a factor, from a start of its own."""
         return self._with_profile(self._profile.slowed(times))
@@ -247,12 +241,6 @@ class FreeDirection(Task):
         other._profile = profile
         other.reset()
         return other
-
-    @property
-    def longest_shown(self) -> float | None:
-        """How far apart along the motion the places are at which the task was shown [m or rad]; None if not known."""
-        shown = self.learnt.shown
-        return shown.span if shown is not None and shown.is_way and shown.unit == self.unit else None
 
     def progress(self, q: ArrayLike) -> float:
         """How far the way has come at posture q [m or rad]; 0 before it began, unless `start` was given."""
@@ -486,7 +474,7 @@ def motion(
         as_shown=again,
     )
     if not beyond_shown:
-        check_shown(task)
+        _check_shown(task)
     if direction is not None and word is None:
         return task
     return _as_shown(task, word, of_most=again)
@@ -502,19 +490,18 @@ def _as_shown(task: FreeDirection, word: str | None, *, of_most: bool) -> FreeDi
             "the recordings do not say which way is the one shown: they went to both sides of where they began, or the "
             "constraint was not learnt by this version; leave the direction out, and choose the sign"
         )
-    sense = -sense if word == "back" else sense
-    return task if sense > 0.0 else task.counted_back()
+    if (sense > 0.0) != (word == "back"):
+        return task
+    other = task.with_distance(-task.wanted)  # the other way, which counts as positive
+    other.counts = -task.counts
+    return other
 
 
-def check_shown(task: FreeDirection) -> None:
-    """Refuse a way that is longer than what was shown, or than the arm can go.
-
-    Raises:
-        TargetError: It is; says both.
-    """
-    shown, wanted = task.longest_shown, abs(task.wanted)
-    if shown is not None and wanted > shown + BEYOND[task.unit]:
-        far, most = (way_in_words(way, task.unit) for way in (wanted, shown))
+def _check_shown(task: FreeDirection) -> None:
+    """Refuse a way that is longer than the places are apart at which it was shown, or than the arm can go."""
+    shown, wanted = task.learnt.shown, abs(task.wanted)
+    if shown is not None and shown.is_way and shown.unit == task.unit and wanted > shown.span + BEYOND[task.unit]:
+        far, most = (way_in_words(way, task.unit) for way in (wanted, shown.span))
         raise TargetError(
             f"the way of {far} is longer than what was shown ({most}): ask for no more"
             + advice(", or allow it with {}", "beyond_shown=True", "--beyond-shown")

@@ -20,15 +20,6 @@ GRIP = 0.02
 HAND_LEVER = 0.2  # [m] between a hand and what it turns, so that an approach of 0.25 m/s turns by 1.25 rad/s at most
 
 
-def _shown_postures(constraint: Constraint) -> Float[np.ndarray, "n m"] | None:
-    """Postures in which a constraint was shown, as far as it keeps them; None if it keeps none of its robot."""
-    robot, shown = constraint.robot, constraint.provenance.get("postures")
-    if robot is None or not shown:
-        return None
-    postures = np.array(shown, dtype=np.float64)
-    return postures if postures.ndim == 2 and postures.shape[1] in (robot.nq, robot.nv) else None
-
-
 def shown_sense(shown: Shown | None, motion: DrivenMotion, *, of_most: bool = False) -> float:
     """1 where a task was shown to the positive side of a motion, -1 to the other; 0 if the recordings do not say.
 
@@ -76,10 +67,11 @@ class ShownPlaces:
         A hand that is fixed to the mechanism carries the mechanism's place with it: of a firm grip a place is known
         where all contacts began at one.
         """
-        mechanism, postures, shown = constraint.mechanism, _shown_postures(constraint), constraint.shown
+        mechanism, robot, shown, postures = constraint.mechanism, constraint.robot, constraint.shown, None
         free = mechanism is not None and mechanism.grip == "loose" and mechanism.orientation == "free"
-        if not free:
-            postures = None
+        if free and robot is not None and (kept := constraint.provenance.get("postures")):
+            postures = np.array(kept, dtype=np.float64)
+            postures = postures if postures.ndim == 2 and postures.shape[1] in (robot.nq, robot.nv) else None
         hold, points = None, np.zeros((0, 3))
         if shown is not None and (shown.hold is not None or postures is None or isinstance(motion, PathMotion)):
             hold, points = shown.begin, shown.points
