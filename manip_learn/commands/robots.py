@@ -64,7 +64,7 @@ def _described(name: str, origin: str) -> KnownRobot:
         checked = validate_urdf(read_description(path), path, ())
     except ManipLearnError as error:
         return KnownRobot(name, origin, (), str(error))
-    followers = {m.joint for m in checked.mimics.followers}
+    followers = {m.joint for m in checked.followers}
     moving = [j.name for j in checked.urdf.joints if j.type != "fixed" and j.name not in followers]
     return KnownRobot(name, origin, tuple(moving))
 

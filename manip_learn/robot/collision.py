@@ -131,7 +131,15 @@ def collision_shapes(robot: Robot, tag: Shapes = "collision") -> tuple[Collision
             and those of meshes.
     """
     if tag == "links":
-        return _capsules(robot)
+        model, out = robot.pinocchio_model, list[CollisionShape]()
+        for bone in bones(model, link_radii(model)):
+            joint, (start, end), radius = bone.joint, bone.ends, max(bone.radii)
+            name = next((f.name for f in model.frames if f.parentJoint == joint and f.type == pin.FrameType.BODY), "")
+            length = float(np.linalg.norm(end - start))
+            if name:
+                placement = pin.SE3(turn_z_to((end - start) / length), 0.5 * (start + end)).homogeneous
+                out.append(CollisionShape(name, joint, placement, coal.Capsule(radius, length), radius + 0.5 * length))
+        return tuple(out)
     path = robot.source or Path(robot.name)
     elements = visual_elements(robot.description, path, tag) if robot.description is not None else []
     if not elements:
@@ -224,18 +232,6 @@ def _solid(solid: Solid) -> tuple[Any, Float[np.ndarray, " 3"], float]:
         return coal.Cylinder(*solid.size), np.array([radius, radius, half_length]), float(np.hypot(radius, half_length))
     far = radius + half_length
     return coal.Capsule(*solid.size), np.array([radius, radius, far]), far
-
-
-def _capsules(robot: Robot) -> tuple[CollisionShape, ...]:
-    model, out = robot.pinocchio_model, list[CollisionShape]()
-    for bone in bones(model, link_radii(model)):
-        joint, (start, end), radius = bone.joint, bone.ends, max(bone.radii)
-        name = next((f.name for f in model.frames if f.parentJoint == joint and f.type == pin.FrameType.BODY), "")
-        length = float(np.linalg.norm(end - start))
-        if name:
-            placement = pin.SE3(turn_z_to((end - start) / length), 0.5 * (start + end)).homogeneous
-            out.append(CollisionShape(name, joint, placement, coal.Capsule(radius, length), radius + 0.5 * length))
-    return tuple(out)
 
 
 def _shape(robot: Robot, element: VisualElement, meshes: Mapping[str, Any]) -> CollisionShape:
@@ -337,7 +333,17 @@ class SelfCollision:
         self._pair_up(self._pairs_joined_by(range(2, self._model.njoints)))
         touching = {p.links for p in self.closer_than(robot.neutral() if free is None else free, 0.0)}
         self._pair_up(kept := [pair for pair in self._pairs if self._links(*pair) not in touching])
-        apart = self._always_apart()
+        # links with two joints between them that do not touch at any of the sampled postures
+        close = set(self._pairs_joined_by(range(2, 3)))
+        self._pair_up([pair for pair in kept if pair in close])
+        apart = {self._links(*pair) for pair in self._pairs}
+        rng = np.random.default_rng(0)  # the same pairs every time
+        for _ in range(SAMPLED_POSTURES):
+            _, geometry_data, far = self._placed(robot.random_configuration(rng))
+            for k in np.flatnonzero(far <= -HULL_SLACK).tolist():
+                links = self._links(*self._pairs[k])
+                if links in apart and pin.computeDistance(self._geometry, geometry_data, k).min_distance <= -HULL_SLACK:
+                    apart.discard(links)
         kept = [pair for pair in kept if self._links(*pair) not in apart]
         self.link_pairs = tuple(dict.fromkeys(self._links(*pair) for pair in kept))
         self._pair_up(kept, obstacles)
@@ -400,9 +406,15 @@ class SelfCollision:
             for k in self._numbers(name)[0]:
                 geometry_data.oMg[k] = pin.SE3(placement)
         if pin.computeCollisions(self._geometry, geometry_data, self._hulls):
-            near = (k for k, found in enumerate(geometry_data.collisionResults) if found.isCollision())
-            if self._hulls or any(self._is_near(k, geometry_data, distance) for k in near):
-                return False
+            for k, found in enumerate(geometry_data.collisionResults):
+                if not found.isCollision():
+                    continue
+                meshes = [] if self._hulls else self._meshes(k, geometry_data)
+                # that triangles cut each other is told in no time
+                if not meshes or coal.collide(*meshes, coal.CollisionRequest(), coal.CollisionResult()):
+                    return False
+                if coal.distance(*meshes, coal.DistanceRequest(), coal.DistanceResult()) <= distance:
+                    return False
         return not (self._closed and self.closer_than(q, distance, moved))  # within a mesh nothing touches
 
     def closer_than(
@@ -460,13 +472,6 @@ class SelfCollision:
             coal.distance(*meshes, coal.DistanceRequest(), result := coal.DistanceResult())
             return result, float(result.min_distance)
         return result, distance
-
-    def _is_near(self, k: int, geometry_data: Any, distance: float) -> bool:
-        """Whether a pair whose hulls are near is so by its triangles; that they cut each other is told in no time."""
-        meshes = self._meshes(k, geometry_data)
-        if not meshes or coal.collide(*meshes, coal.CollisionRequest(), coal.CollisionResult()):
-            return True
-        return coal.distance(*meshes, coal.DistanceRequest(), coal.DistanceResult()) <= distance
 
     def _meshes(self, k: int, geometry_data: Any) -> list[Any]:
         """A pair and its places for Coal, by their triangles; nothing where hulls are all that counts."""
@@ -535,20 +540,6 @@ class SelfCollision:
         joints = [supports[shape.joint] for shape in self._shapes]
         every = combinations(range(len(joints)), 2)
         return [(a, b) for a, b in every if len(joints[a] ^ joints[b]) in numbers]
-
-    def _always_apart(self) -> set[tuple[str, str]]:
-        """Links with two joints between them that do not touch at any of the sampled postures."""
-        kept, close = self._pairs, set(self._pairs_joined_by(range(2, 3)))
-        self._pair_up([pair for pair in kept if pair in close])
-        apart = {self._links(*pair) for pair in self._pairs}
-        rng = np.random.default_rng(0)  # the same pairs every time
-        for _ in range(SAMPLED_POSTURES):
-            data, geometry_data, far = self._placed(self.robot.random_configuration(rng))
-            for k in np.flatnonzero(far <= -HULL_SLACK).tolist():
-                links = self._links(*self._pairs[k])
-                if links in apart and pin.computeDistance(self._geometry, geometry_data, k).min_distance <= -HULL_SLACK:
-                    apart.discard(links)
-        return apart
 
     def _pair_up(self, pairs: list[tuple[int, int]], obstacles: Sequence[Obstacle] = ()) -> None:
         """Take these pairs of shapes, and each obstacle with every link that moves and must not touch it."""

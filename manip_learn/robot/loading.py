@@ -31,7 +31,7 @@ from manip_learn.robot.description.urdf import (
     as_pose,
     kinematic_urdf,
 )
-from manip_learn.robot.description.validation import Mimics, validate_urdf
+from manip_learn.robot.description.validation import ValidatedRobot, validate_urdf
 from manip_learn.robot.description.xacro_expansion import expanded_xacro
 from manip_learn.robot.joints import COORDINATE_SUFFIXES, Mimic
 from manip_learn.robot.robot import Robot
@@ -141,7 +141,7 @@ def robot_from_text(
     if root_joint is not None and any(j.name == "root_joint" for j in urdf.joints):
         sentence = f"{path}: a joint is called 'root_joint', the name of the moving base; rename it"
         raise RobotError(sentence, code="name-reserved", path=path)
-    still = locked_positions(urdf, validated.mimics, locked)
+    still = locked_positions(validated, urdf, locked)
     text = kinematic_urdf(with_fixed(urdf, still))
     try:
         model = pin.buildModelFromXML(text) if root_joint is None else pin.buildModelFromXML(text, root_joint)
@@ -161,8 +161,8 @@ def robot_from_text(
         source=path.absolute(),  # meshes are looked up later, perhaps from another folder
         description=content,
         package_dirs=[d.absolute() for d in package_dirs],
-        fingerprint=_fingerprint(urdf, still, validated.mimics.followers, root_joint),
-        mimics=[m for m in validated.mimics.followers if m.joint not in still],
+        fingerprint=_fingerprint(urdf, still, validated.followers, root_joint),
+        mimics=[m for m in validated.followers if m.joint not in still],
         locked=still,
         objects=objects,
         warnings=validated.warnings,
@@ -195,7 +195,7 @@ def locked_names(locked: Locked) -> tuple[str, ...]:
     return (locked,) if isinstance(locked, str) else tuple(str(n) for n in locked)
 
 
-def locked_positions(urdf: UrdfFile, mimics: Mimics, locked: Locked) -> dict[str, float]:
+def locked_positions(validated: ValidatedRobot, urdf: UrdfFile, locked: Locked) -> dict[str, float]:
     """Position of every joint that stands still: locked ones, their followers, and followers of fixed joints.
 
     A joint locked by name alone stands at zero, or at the limit nearest to zero.
@@ -209,8 +209,8 @@ def locked_positions(urdf: UrdfFile, mimics: Mimics, locked: Locked) -> dict[str
     """
     asked = {name: (locked.get(name) if isinstance(locked, Mapping) else None) for name in locked_names(locked)}
     by_name = {j.name: j for j in urdf.joints}
-    leader_of = {m.joint: m.leader for m in mimics.followers}
-    still = dict(mimics.resting)
+    leader_of = {m.joint: m.leader for m in validated.followers}
+    still = dict(validated.resting)
     for name, value in asked.items():
         if name not in by_name:
             raise UnknownNameError("joint", name, by_name, f"robot {urdf.name!r}")
@@ -220,7 +220,7 @@ def locked_positions(urdf: UrdfFile, mimics: Mimics, locked: Locked) -> dict[str
     if alone is not None:
         sentence = f"joint {alone!r} cannot be locked alone: it follows {leader_of[alone]!r}; lock that joint"
         raise RobotError(sentence, code="locked-follower")
-    for m in mimics.followers:
+    for m in validated.followers:
         if m.leader in still:
             still[m.joint] = m.multiplier * still[m.leader] + m.offset
     return {j.name: still[j.name] for j in urdf.joints if j.name in still}

@@ -167,31 +167,26 @@ def cross_check(robot: Robot, rng: np.random.Generator, n: int = 10) -> CrossChe
     logger = logging.getLogger("yourdfpy.urdf")  # its warnings concern meshes and mimics, which validation has handled
     before, logger.disabled = logger.disabled, True
     try:
-        return _compared(_read_by(yourdfpy, robot.description), robot, rng, n)
+        bare = {"build_scene_graph": False, "build_collision_scene_graph": False, "load_meshes": False}
+        parsed = yourdfpy.URDF.load(io.BytesIO(robot.description), **bare).robot
+        for link in parsed.links:
+            link.visuals, link.collisions = [], []
+        joints = {j.name: j for j in parsed.joints}
+        for j in (j for j in parsed.joints if j.mimic is not None):
+            if j.mimic.joint not in joints:  # else validation would have failed: it is locked
+                j.mimic = None
+                continue
+            # yourdfpy takes a mimic of a mimic for a mimic of a joint at rest: shorten the chains for it
+            while (leader := joints[j.mimic.joint]).mimic is not None and leader.type != "fixed":
+                j.mimic.offset += j.mimic.multiplier * leader.mimic.offset
+                j.mimic.multiplier *= leader.mimic.multiplier
+                j.mimic.joint = leader.mimic.joint
+        return _compared(yourdfpy.URDF(robot=parsed, **(bare | {"build_scene_graph": True})), robot, rng, n)
     except (ValueError, KeyError, TypeError, AttributeError, IndexError, yourdfpy.urdf.URDFError) as error:
         said = f"({type(error).__name__}: {str(error)[:200]})"
         raise RobotError(f"yourdfpy cannot read robot {robot.name!r} {said}", code="cross-check") from error
     finally:
         logger.disabled = before
-
-
-def _read_by(yourdfpy: Any, description: bytes) -> Any:
-    """The `yourdfpy.URDF` of a description, without its shapes."""
-    bare = {"build_scene_graph": False, "build_collision_scene_graph": False, "load_meshes": False}
-    parsed = yourdfpy.URDF.load(io.BytesIO(description), **bare).robot
-    for link in parsed.links:
-        link.visuals, link.collisions = [], []
-    joints = {j.name: j for j in parsed.joints}
-    for j in (j for j in parsed.joints if j.mimic is not None):
-        if j.mimic.joint not in joints:  # else validation would have failed: it is locked
-            j.mimic = None
-            continue
-        # yourdfpy takes a mimic of a mimic for a mimic of a joint at rest: shorten the chains for it
-        while (leader := joints[j.mimic.joint]).mimic is not None and leader.type != "fixed":
-            j.mimic.offset += j.mimic.multiplier * leader.mimic.offset
-            j.mimic.multiplier *= leader.mimic.multiplier
-            j.mimic.joint = leader.mimic.joint
-    return yourdfpy.URDF(robot=parsed, **(bare | {"build_scene_graph": True}))
 
 
 def _compared(other: Any, robot: Robot, rng: np.random.Generator, n: int) -> CrossCheck:

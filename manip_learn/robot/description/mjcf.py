@@ -52,18 +52,20 @@ Attributes = dict[str, dict[str, str]]
 def read_defaults(root: XmlNode) -> dict[str, Attributes]:
     """Default attributes of each class, inheritance done: class -> tag -> attributes; the outermost is `main`."""
     classes: dict[str, Attributes] = {MAIN: {}}
+
+    def read(node: XmlNode, inherited: Attributes, name: str) -> None:
+        own = {tag: dict(values) for tag, values in inherited.items()}
+        for child in node.children:
+            if child.tag in DEFAULTED:
+                own[child.tag] = own.get(child.tag, {}) | child.attributes
+        classes[name] = own
+        for inner in node.all("default"):
+            read(inner, own, inner.attributes.get("class", ""))
+
     for top in root.all("default"):
-        pending: list[tuple[XmlNode, Attributes, str]] = [(top, classes[MAIN], top.attributes.get("class", MAIN))]
-        while pending:
-            node, inherited, name = pending.pop()
-            own = {tag: dict(values) for tag, values in inherited.items()}
-            for child in node.children:
-                if child.tag in DEFAULTED:
-                    own[child.tag] = own.get(child.tag, {}) | child.attributes
-            classes[name] = own
-            if node is top:
-                classes[MAIN] = own
-            pending += [(c, own, c.attributes.get("class", "")) for c in node.all("default")]
+        name = top.attributes.get("class", MAIN)
+        read(top, classes[MAIN], name)
+        classes[MAIN] = classes[name]
     return classes
 
 

@@ -30,27 +30,19 @@ MAX_IGNORED = 20  # unknown elements that are named in warnings
 LARGEST_LIMIT = 4.0 * math.pi  # [rad] no arm turns more than twice each way
 
 
-@final
-@dataclass(frozen=True)
-class Mimics:
-    """Mimic joints, each followed to its independent leader.
-
-    Attributes:
-        followers: Each with an independent, moving leader, however long the chain was.
-        resting: Position of each mimic joint whose chain ends at a fixed joint [rad or m].
-    """
-
-    followers: tuple[Mimic, ...]
-    resting: dict[str, float]
-
-
-def resolve_mimics(joints: tuple[UrdfJoint, ...], alone: frozenset[str], log: Diagnostics) -> Mimics:
+def resolve_mimics(
+    joints: tuple[UrdfJoint, ...], alone: frozenset[str], log: Diagnostics
+) -> tuple[tuple[Mimic, ...], dict[str, float]]:
     """Follow every chain of mimics to its end, in whatever order the joints come.
 
     Args:
         joints: All joints.
         alone: Joints that are locked by name: what they follow does not matter.
         log: For warnings and refusals.
+
+    Returns:
+        Mimic joints with independent, moving leaders, however long the chains were; and the position of each whose
+        chain ends at a fixed joint [rad or m].
 
     Raises:
         RobotError: Codes `mimic-unknown`, `mimic-cycle`, `mimic-type`, `mimic-multiplier`.
@@ -76,7 +68,7 @@ def resolve_mimics(joints: tuple[UrdfJoint, ...], alone: frozenset[str], log: Di
         elif leader.type == "continuous" and multiplier != round(multiplier):
             jumps = "it jumps where the leader passes half a turn, unless postures are given as joint positions"
             log.warn(line, f"{follows} by the factor {multiplier:g}: {jumps}")
-    return Mimics(tuple(followers), resting)
+    return tuple(followers), resting
 
 
 def _leads(joint: UrdfJoint, alone: frozenset[str], by_name: dict[str, UrdfJoint]) -> bool:
@@ -132,12 +124,14 @@ class ValidatedRobot:
 
     Attributes:
         urdf: Links and joints.
-        mimics: Mimic joints, resolved.
+        followers: Mimic joints, each with an independent, moving leader.
+        resting: Position of each mimic joint that follows a fixed joint in the end [rad or m].
         warnings: What is odd but harmless, in sentences.
     """
 
     urdf: UrdfFile
-    mimics: Mimics
+    followers: tuple[Mimic, ...]
+    resting: dict[str, float]
     warnings: tuple[str, ...]
 
 
@@ -163,8 +157,8 @@ def validate_parts(
 ) -> ValidatedRobot:
     """Check links and joints, from whatever format, against each other."""
     urdf = UrdfFile(name, links, joints, root_of_tree(links, joints, log))
-    mimics = resolve_mimics(joints, frozenset(locked), log)
-    still = {*locked, *mimics.resting, *(m.joint for m in mimics.followers if m.leader in locked)}
+    followers, resting = resolve_mimics(joints, frozenset(locked), log)
+    still = {*locked, *resting, *(m.joint for m in followers if m.leader in locked)}
     for joint in joints:
         if joint.name in still or joint.type not in ("revolute", "prismatic", "continuous"):
             continue
@@ -180,7 +174,7 @@ def validate_parts(
             log.warn(limit.line, f"{where}: its velocity limit of {stated} is taken for none stated: it is not limited")
     if not any(j.nv for j in joints):
         log.warn(None, "no joint moves")
-    return ValidatedRobot(urdf, mimics, log.warnings)
+    return ValidatedRobot(urdf, followers, resting, log.warnings)
 
 
 def check_root(root: XmlNode) -> None:
