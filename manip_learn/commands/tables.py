@@ -187,12 +187,34 @@ def audit_table(episodes: Sequence[EpisodeAudit], width: int) -> tuple[Table, tu
 
 def print_learnt(console: Console, learnt: Learnt, explain: bool = False, more: Sequence[str] = ()) -> None:
     """The sentence, the evidence, the warnings; with `explain` its terms and more."""
+    from manip_learn.learning.estimators.estimate import CLEAR_GAP
     from manip_learn.learning.report import RecordingOverview
 
     report = learnt.report
     say(console, *([learnt.headline] if learnt.headline else []), style="bold")
     say(console, learnt.sentence, style="" if learnt.headline else "bold")
-    facts = [(called, said, term) for called, said, term in _learnt_facts(learnt) if said]
+    rank = f"{CLEAR_GAP:g} is clear" if report.gap >= CLEAR_GAP else f"weak: {CLEAR_GAP:g} is clear"
+    gap = f"{report.gap:,.0f}" if report.gap >= 10 else f"{report.gap:.2g}"
+    held = [row for row in report.row_evidence if row.state == "held"]
+    strengths = listed(f"{row.strength:.3g}" for row in held) if held else "none"
+    p_value = f", p = {max(row.p_value for row in held):.2g}" if held else ""
+    left_out = report.held_out_residual
+    share = f"{100 * left_out:.2g} %" if left_out >= 1e-5 else "less than 0.001 %"
+    rows = "held rows" if report.kind == "motion-constrained" else "steered rows"
+    source = f"{counted(report.n_samples, 'sample')} of {counted(report.n_trajectories, 'recording')}"
+    facts = [
+        ("estimator", f"{report.estimator} ({report.kind})", ""),
+        ("reference", report.reference, ""),
+        ("policy model", report.policy_model, ""),
+        (rows, learnt.constraint.rows_in_words(), "row"),
+        ("number of rows", f"{report.n_constraints} of {len(report.row_names)}, gap {gap} ({rank})", "gap"),
+        ("left out", f"{share} of the motion unexplained" if math.isfinite(left_out) else "", "left out"),
+        ("uncertainty", report.known_to(), "uncertainty"),
+        ("evidence", f"strength {strengths}{p_value} (recombination test)" if report.row_evidence else "", "strength"),
+        ("mechanism", report.mechanism_in_words(), ""),
+        ("learnt from", f"{source} in {report.seconds:.2g} s", ""),
+    ]
+    facts = [(called, said, term) for called, said, term in facts if said]  # what it is called, and what explains it
     grid = Table(show_header=False, box=None, padding=(0, 2, 0, 0))
     for called, said, _ in facts:
         grid.add_row(called, text(said))
@@ -209,34 +231,6 @@ def print_learnt(console: Console, learnt: Learnt, explain: bool = False, more: 
     print_words(console, [term for *_, term in facts if term] + list(more), explain)
     if learnt.following is not None and not more:
         say(console, f"next: {learnt.following}", whole=True)
-
-
-def _learnt_facts(learnt: Learnt) -> list[tuple[str, str | None, str]]:
-    """What each fact is called, the fact or nothing, and the term that explains it."""
-    from manip_learn.learning.estimators.estimate import CLEAR_GAP
-
-    report = learnt.report
-    rank = f"{CLEAR_GAP:g} is clear" if report.gap >= CLEAR_GAP else f"weak: {CLEAR_GAP:g} is clear"
-    gap = f"{report.gap:,.0f}" if report.gap >= 10 else f"{report.gap:.2g}"
-    held = [row for row in report.row_evidence if row.state == "held"]
-    strengths = listed(f"{row.strength:.3g}" for row in held) if held else "none"
-    p_value = f", p = {max(row.p_value for row in held):.2g}" if held else ""
-    left_out = report.held_out_residual
-    share = f"{100 * left_out:.2g} %" if left_out >= 1e-5 else "less than 0.001 %"
-    rows = "held rows" if report.kind == "motion-constrained" else "steered rows"
-    source = f"{counted(report.n_samples, 'sample')} of {counted(report.n_trajectories, 'recording')}"
-    return [
-        ("estimator", f"{report.estimator} ({report.kind})", ""),
-        ("reference", report.reference, ""),
-        ("policy model", report.policy_model, ""),
-        (rows, learnt.constraint.rows_in_words(), "row"),
-        ("number of rows", f"{report.n_constraints} of {len(report.row_names)}, gap {gap} ({rank})", "gap"),
-        ("left out", f"{share} of the motion unexplained" if math.isfinite(left_out) else "", "left out"),
-        ("uncertainty", report.known_to(), "uncertainty"),
-        ("evidence", f"strength {strengths}{p_value} (recombination test)" if report.row_evidence else "", "strength"),
-        ("mechanism", report.mechanism_in_words(), ""),
-        ("learnt from", f"{source} in {report.seconds:.2g} s", ""),
-    ]
 
 
 def print_demo(console: Console, demo: Demo, explain: bool = False) -> None:
