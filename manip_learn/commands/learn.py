@@ -65,10 +65,10 @@ class Learnt:
         return f"{words[0].upper()}{words[1:]}, moved {way_in_words(shown.extent, shown.unit)} when it was shown."
 
     @property
-    def sentence(self) -> str:
+    def sentences(self) -> list[str]:
         """What can move and how sure that is; what it looks like only where the headline does not say so."""
         found, told = self.report.mechanism, self.report.sentence
-        return told if found is None or not self.headline else told.replace(f" It looks like {looks(found)}.", "")
+        return told.split(f" It looks like {looks(found)}. ") if found is not None and self.headline else [told]
 
     @property
     def following(self) -> str | None:

@@ -192,7 +192,7 @@ def print_learnt(console: Console, learnt: Learnt, explain: bool = False, more: 
 
     report = learnt.report
     say(console, *([learnt.headline] if learnt.headline else []), style="bold")
-    say(console, learnt.sentence, style="" if learnt.headline else "bold")
+    say(console, *learnt.sentences, style="" if learnt.headline else "bold")
     rank = f"{CLEAR_GAP:g} is clear" if report.gap >= CLEAR_GAP else f"weak: {CLEAR_GAP:g} is clear"
     gap = f"{report.gap:,.0f}" if report.gap >= 10 else f"{report.gap:.2g}"
     held = [row for row in report.row_evidence if row.state == "held"]
