@@ -51,6 +51,7 @@ def repeat_skill(options: RepeatOptions, progress: Progress | None = None) -> Re
 
     Raises:
         NoPlanError: A step that cannot be done; nothing is written.
+        TargetError: `--moved` has neither 3 nor 6 numbers.
         ManipLearnError: Anything that is wrong with the robot, the file, the numbers or the output.
     """
     robot = robot_of_constraint(options.robot, options.task, options.loading)

@@ -123,7 +123,11 @@ def load_demonstrations(paths: Paths | Tables, robot: Robot, **options: Unpack[R
 def open_recordings(
     paths: Paths, robot: Robot, options: ReadOptions
 ) -> tuple[list[RecordingFile], ReadRequest, list[str]]:
-    """Files to read, how they are read, and what was noticed."""
+    """Files to read, how they are read, and what was noticed.
+
+    Raises:
+        RecordingError: No robot, an option that is none, a joint to rename to that the robot does not have, no files.
+    """
     if not isinstance(robot, Robot):
         raise RecordingError(f"call load_demonstrations(paths, robot): got {an(robot)} as the robot", code="type")
     fields = dict(options)
