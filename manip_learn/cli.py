@@ -50,7 +50,7 @@ def _unraisable(lost: Any) -> None:
 
 def _run(arguments: list[str]) -> int:
     global _phase
-    from manip_learn.commands.command_line import PROGRAM, flags_of, typed
+    from manip_learn.commands.command_line import PROGRAM_NAME, flags_of, typed
     from manip_learn.commands.output import refuse
     from manip_learn.commands.program import REMOVED_COMMANDS, program
     from manip_learn.errors import advice_for_command
@@ -61,13 +61,13 @@ def _run(arguments: list[str]) -> int:
         )
 
     if arguments and arguments[0] in REMOVED_COMMANDS:
-        sentence = f"{arguments[0]} has been removed from {PROGRAM}: {REMOVED_COMMANDS[arguments[0]]}"
+        sentence = f"{arguments[0]} has been removed from {PROGRAM_NAME}: {REMOVED_COMMANDS[arguments[0]]}"
         return refuse(sentence, "--json" in arguments, "usage")
 
     def work() -> Any:
         global _phase
         _phase = "working"
-        return program.main(arguments, prog_name=PROGRAM, standalone_mode=False)
+        return program.main(arguments, prog_name=PROGRAM_NAME, standalone_mode=False)
 
     with advice_for_command(flags_of(program, arguments)), typed(arguments):
         code = _exit_code(work, "--json" in arguments)
@@ -80,7 +80,7 @@ def _exit_code(command: Callable[[], Any], as_json: bool) -> int:
     import typer
     from typer._click.exceptions import UsageError  # of click's errors typer itself exports children alone
 
-    from manip_learn.commands.command_line import PROGRAM
+    from manip_learn.commands.command_line import PROGRAM_NAME
     from manip_learn.commands.output import nobody_reads, refuse, refused_by_system
     from manip_learn.errors import ManipLearnError
 
@@ -91,7 +91,7 @@ def _exit_code(command: Callable[[], Any], as_json: bool) -> int:
         return refuse(str(error), as_json, error.code, error.facts())
     except UsageError as error:
         context = getattr(error, "ctx", None)
-        where = f"{PROGRAM} {context.info_name}" if context and context.parent else PROGRAM
+        where = f"{PROGRAM_NAME} {context.info_name}" if context and context.parent else PROGRAM_NAME
         return refuse(f"{error.format_message().rstrip('.')}: see `{where} --help`", as_json, "usage")
     except (typer.Abort, KeyboardInterrupt):
         print("interrupted", file=sys.stderr)

@@ -17,8 +17,8 @@ from manip_learn.commands.learn import Learnt, learn
 from manip_learn.commands.options import LearnOptions
 from manip_learn.commands.tables import (
     AUDIT_TERMS,
+    MEASURES,
     ROLLOUT_TERMS,
-    SHOWN_ORDER,
     WORDS,
     audit_table,
     print_controlled,
@@ -74,7 +74,7 @@ def test_an_audit_is_readable() -> None:
         text = printed(width, lambda console, t: console.print(t), table)
         assert "\u2026" not in text and max(map(len, text.splitlines())) <= width
         header = text.splitlines()[0].split()
-        assert header == ["episode", *(name for name in SHOWN_ORDER if name not in hidden)]
+        assert header == ["episode", *(name for name in MEASURES if name not in hidden)]
     assert not hidden
     assert all(term in WORDS for term in AUDIT_TERMS)
 

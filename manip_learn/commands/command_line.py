@@ -19,7 +19,7 @@ from typer.core import TyperCommand, TyperGroup
 from manip_learn.atomic_write import check_folder
 from manip_learn.errors import ManipLearnError, OutputError, RecordingError
 
-PROGRAM = "manip-learn"
+PROGRAM_NAME = "manip-learn"
 HELP_ALL = "help_all"
 WRITTEN = {"out", "html", "csv"}
 READ = {"robot", "driver", "constraint", "task", "recordings", "rollouts", "files"}  # arguments that may name a file
@@ -124,12 +124,12 @@ class GroupedCommand(TyperCommand):
         return super().invoke(ctx)
 
 
-class Program(TyperGroup):
+class ProgramHelp(TyperGroup):
     """The program, whose help begins with an example as well."""
 
     def format_help(self, ctx: Any, formatter: Any) -> None:
         """What to try first, then the rest."""
-        formatter.write(f"Example: {PROGRAM} demo\n\n")
+        formatter.write(f"Example: {PROGRAM_NAME} demo\n\n")
         super().format_help(ctx, formatter)
 
 
@@ -202,7 +202,7 @@ def flags_of(program: Any, arguments: Sequence[str]) -> set[str]:
 @contextmanager
 def typed(arguments: Sequence[str]) -> Iterator[None]:
     """Within it, `typed_command` knows the arguments."""
-    token = _WORDS.set((PROGRAM, *arguments))
+    token = _WORDS.set((PROGRAM_NAME, *arguments))
     try:
         yield
     finally:

@@ -32,9 +32,9 @@ from manip_learn.robot.robot import Robot
 if TYPE_CHECKING:
     from manip_learn.playback import ReplayResult
 
-ROWS = ("all", "held")
+_ROWS = ("all", "held")
 # curve or surface that the held rows keep the hand on
-PLACES = {"line": "line", "plane": "plane", "hinge": "circle", "ball": "sphere", "screw": "helix", "other": "cylinder"}
+_PLACES = {"line": "line", "plane": "plane", "hinge": "circle", "ball": "sphere", "screw": "helix", "other": "cylinder"}
 
 
 @final
@@ -96,7 +96,7 @@ class Controlled:
     def of(constraint: Constraint, rollout: Rollout, tolerance: float, way: WayDone | None, **more: Any) -> Controlled:
         """A rollout of a constraint, with the words for what the hand moves on and what it did there."""
         known = constraint.mechanism
-        place, verb = "" if known is None else PLACES.get(known.type, ""), verb_of(constraint, rollout, way)
+        place, verb = "" if known is None else _PLACES.get(known.type, ""), verb_of(constraint, rollout, way)
         words: dict[str, Any] = {"out": None, "place": place, "verb": verb, "notes": constraint.notes, **more}
         robot, frame = constraint.robot, getattr(constraint.features, "frame", None)
         if way is not None and way.begins is not None and robot is not None and frame is not None:
@@ -186,8 +186,8 @@ def control(options: ControlOptions, progress: Progress | None = None) -> Contro
     if target is not None and named_way:
         raise TargetError("--target names the point, --along and --turn the way: give one of them")
     moves = named_way or (target is None and (constraint.shown is not None or direction is not None))
-    if options.rows not in ROWS:
-        raise TargetError(f"--rows must be {' or '.join(ROWS)}, not {options.rows!r}")
+    if options.rows not in _ROWS:
+        raise TargetError(f"--rows must be {' or '.join(_ROWS)}, not {options.rows!r}")
     if options.planned.plan and (
         options.policy != "manipulability" or rest or options.duration is not None or options.inverse != "damped"
     ):

@@ -24,13 +24,13 @@ from manip_learn.recordings.readers.recording_files import shipped_recordings
 from manip_learn.recordings.trajectory_source import Progress
 from manip_learn.robot import load_robot
 
-DT, TOLERANCE = 0.01, 0.01  # [s], as the shipped recordings; [m or rad] of a target that counts as reached
+DT, _TOLERANCE = 0.01, 0.01  # [s], as the shipped recordings; [m or rad] of a target that counts as reached
 PAUSE = 0.5  # [s] at the handle, as a gripper takes to close
 
 
 @final
 @dataclass(frozen=True)
-class Scene:
+class DemoScene:
     """One demo: recordings, and a start that is nearly singular for the learnt task.
 
     Attributes:
@@ -63,7 +63,7 @@ class Scene:
 
 
 SCENES = {
-    "sawyer": Scene(
+    "sawyer": DemoScene(
         recordings="sawyer_drawer",
         frame="right_gripper_tip",
         axes="xyz",
@@ -74,7 +74,7 @@ SCENES = {
         start=(0.2182, -1.531, 2.8207, -2.0815, -1.6476, -0.02, 2.0608),
         rest=(-0.13, -0.974, 0.386, 2.142, -0.372, -1.105, 3.227),  # the mean recorded posture
     ),
-    "planar3": Scene(
+    "planar3": DemoScene(
         recordings="planar3_reach",
         frame="tip",
         axes="planar",
@@ -125,7 +125,7 @@ def demo(options: DemoOptions, progress: Progress | None = None) -> Demo:
     def keep(name: str, rollout: Rollout, task: Task, way: WayDone | None = None, found: Plan | None = None) -> None:
         rollout, margin = with_margin(rollout, task, way, found, robot)
         saved = rollout.save(out / f"{name}.npz")
-        done[name] = Controlled.of(constraint, rollout, TOLERANCE, way, out=saved, plan=found, margin=margin)
+        done[name] = Controlled.of(constraint, rollout, _TOLERANCE, way, out=saved, plan=found, margin=margin)
 
     if scene.target is None:
         said("planning in which posture to take hold", 0.5)

@@ -23,9 +23,9 @@ from manip_learn.recordings.saved_motion import SavedMotion, motion_of_trajector
 from manip_learn.recordings.trajectory_source import Progress
 from manip_learn.recordings.writers.write_motion import csv_bytes, joint_trajectory_bytes, mcap_bytes
 
-LEROBOT, RERUN = "lerobot", "rrd"
+_LEROBOT, RERUN = "lerobot", "rrd"
 # name on the command line -> endings, and the writer of one motion
-FORMATS: dict[str, tuple[tuple[str, ...], Callable[[SavedMotion], bytes]]] = {
+_FORMATS: dict[str, tuple[tuple[str, ...], Callable[[SavedMotion], bytes]]] = {
     "mcap": ((".mcap",), mcap_bytes),
     "csv": ((".csv",), csv_bytes),
     "trajectory": ((".yaml", ".yml", ".json"), joint_trajectory_bytes),
@@ -68,11 +68,11 @@ def export(options: ExportOptions, progress: Progress | None = None) -> Exported
     out, keywords = options.out, options.reading.keywords()
     if options.to is not None and options.to in TASK_WRITERS:
         return _export_task(options, TASK_WRITERS[options.to])
-    suffixes = {name: endings for name, (endings, _) in FORMATS.items()} | {RERUN: (".rrd",)}
+    suffixes = {name: endings for name, (endings, _) in _FORMATS.items()} | {RERUN: (".rrd",)}
     by_ending = next((name for name, endings in suffixes.items() if out.suffix.lower() in endings), None)
-    kind = options.to or by_ending or LEROBOT
-    if kind not in (*suffixes, LEROBOT):
-        raise OutputError(f"--to must be one of {', '.join([*suffixes, LEROBOT, *TASK_WRITERS])}, not {options.to!r}")
+    kind = options.to or by_ending or _LEROBOT
+    if kind not in (*suffixes, _LEROBOT):
+        raise OutputError(f"--to must be one of {', '.join([*suffixes, _LEROBOT, *TASK_WRITERS])}, not {options.to!r}")
     if kind == RERUN and by_ending is None:
         raise OutputError(f"cannot write a Rerun recording to {str(out)!r}: name one file for all, --out NAME.rrd")
     if (options.to is None and by_ending is None and out.suffix) or (by_ending is not None and kind != by_ending):
@@ -90,12 +90,12 @@ def export(options: ExportOptions, progress: Progress | None = None) -> Exported
         return Exported(RERUN, (write_rerun(robot, read.motions, out),), len(read.motions), samples, tuple(read.notes))
     demonstrations = load_demonstrations(options.files, robot, **keywords)
     motions = [motion_of_trajectory(t, robot) for t in demonstrations]
-    if kind == LEROBOT:
+    if kind == _LEROBOT:
         from manip_learn.recordings.writers.lerobot_writer import write_lerobot
 
         files = (write_lerobot(out, motions),)
     else:
-        endings, content_of = FORMATS[kind]
+        endings, content_of = _FORMATS[kind]
         is_file = out.suffix.lower() in endings
         if is_file and len(motions) > 1:
             raise OutputError(

@@ -6,7 +6,7 @@ from manip_learn.errors import ManipLearnError, UnknownNameError
 from manip_learn.robot import Robot
 from manip_learn.robot.tips import distance_to_last_joint, likely_tips
 
-SHOWN = 6  # likely tips that a refusal lists
+_SHOWN = 6  # likely tips that a refusal lists
 
 
 def choose_frame(robot: Robot, frame: str | None) -> str:
@@ -21,7 +21,9 @@ def choose_frame(robot: Robot, frame: str | None) -> str:
         return tips[0]
     if frame in robot.frame_names:
         return robot.frame(frame).name
-    shown = ", ".join(f"{tip} ({distance_to_last_joint(robot, tip):.3g} m from its last joint)" for tip in tips[:SHOWN])
+    shown = ", ".join(
+        f"{tip} ({distance_to_last_joint(robot, tip):.3g} m from its last joint)" for tip in tips[:_SHOWN]
+    )
     shown = f"likely tips: {shown or 'none'}; `manip-learn inspect` lists all frames"
     if frame is not None:
         raise UnknownNameError("frame", frame, robot.frame_names, f"robot {robot.name!r}", f"; {shown}")

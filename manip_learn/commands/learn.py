@@ -27,7 +27,7 @@ from manip_learn.robot.robot import Reference, Robot
 if TYPE_CHECKING:
     from manip_learn.playback import ReplayResult
 
-REFERENCES: dict[str, tuple[Reference, ...]] = {"world": ("world",), "local": ("local",), "auto": ("world", "local")}
+_REFERENCES: dict[str, tuple[Reference, ...]] = {"world": ("world",), "local": ("local",), "auto": ("world", "local")}
 
 
 @final
@@ -63,10 +63,10 @@ class Learnt:
         return f"{words[0].upper()}{words[1:]}, moved {way_in_words(shown.extent, shown.unit)} when it was shown."
 
     @property
-    def sentence(self) -> str:
+    def sentences(self) -> list[str]:
         """What can move and how sure that is; what it looks like only where the headline does not say so."""
         found, told = self.report.mechanism, self.report.sentence
-        return told if found is None or not self.headline else told.replace(f" It looks like {looks(found)}.", "")
+        return told.split(f" It looks like {looks(found)}. ") if found is not None and self.headline else [told]
 
     @property
     def following(self) -> str | None:
@@ -118,7 +118,7 @@ def learn(options: LearnOptions, progress: Progress | None = None) -> Learnt:
         RecordingError: An option that works on recordings in memory, together with `dask`.
         ManipLearnError: Anything else that is wrong with the robot, the recordings, the settings or the output.
     """
-    if options.reference not in REFERENCES:
+    if options.reference not in _REFERENCES:
         raise FeatureError(f"--reference must be world, local or auto, not {options.reference!r}")
     if options.dask is not None:
         in_memory = {"--html": options.html, "--from": options.start, "--until": options.until}
@@ -133,7 +133,9 @@ def learn(options: LearnOptions, progress: Progress | None = None) -> Learnt:
     robot, demos, frame, notes = load_to_learn(options)
     if isinstance(demos, Demonstrations) and (options.start is not None or options.until is not None):
         demos = Demonstrations([t[options.start : options.until] for t in demos], demos.notes)
-    candidates: list[FeatureMap] = [FrameJacobian(robot, frame, options.axes, r) for r in REFERENCES[options.reference]]
+    candidates: list[FeatureMap] = [
+        FrameJacobian(robot, frame, options.axes, r) for r in _REFERENCES[options.reference]
+    ]
     if options.relative_to is not None:
         candidates = [RelativeFrameJacobian(robot, frame, options.relative_to, options.axes)]
     learner = ConstraintLearner(

@@ -11,13 +11,13 @@ import typer
 from typer.main import get_command
 
 from manip_learn.commands import options
-from manip_learn.commands.command_line import PROGRAM, GroupedCommand, Program, parsed_by
+from manip_learn.commands.command_line import PROGRAM_NAME, GroupedCommand, ProgramHelp, parsed_by
 from manip_learn.commands.output import console, for_json, progress
 
 
 @final
 @dataclass(frozen=True)
-class Command:
+class _Command:
     """One command.
 
     Attributes:
@@ -46,25 +46,25 @@ class Command:
 
 
 COMMANDS = (
-    Command("robots", options.RobotsOptions, "robots.known_robots", "print_robots"),
-    Command("demo", options.DemoOptions, "demo.demo", "print_demo"),
-    Command("inspect", options.InspectOptions, "robots.inspect", "print_robot"),
-    Command("record", options.RecordOptions, "record.record_motions", "print_recorded"),
-    Command("teach", options.TeachOptions, "teach.teach", "print_taught"),
-    Command("learn", options.LearnOptions, "learn.learn", "print_learnt"),
-    Command("audit", options.AuditOptions, "audit.audit", "print_audit"),
-    Command("control", options.ControlOptions, "control.control", "print_controlled"),
-    Command("repeat", options.RepeatOptions, "repeat.repeat_skill", "print_repeated"),
-    Command("replay", options.ReplayOptions, "replay.replay", "print_replayed"),
-    Command("export", options.ExportOptions, "export.export", "print_exported"),
-    Command("reproduce", options.ReproduceOptions, "reproduce.reproduce", "print_reproduction"),
+    _Command("robots", options.RobotsOptions, "robots.known_robots", "print_robots"),
+    _Command("demo", options.DemoOptions, "demo.demo", "print_demo"),
+    _Command("inspect", options.InspectOptions, "robots.inspect", "print_robot"),
+    _Command("record", options.RecordOptions, "record.record_motions", "print_recorded"),
+    _Command("teach", options.TeachOptions, "teach.teach", "print_taught"),
+    _Command("learn", options.LearnOptions, "learn.learn", "print_learnt"),
+    _Command("audit", options.AuditOptions, "audit.audit", "print_audit"),
+    _Command("control", options.ControlOptions, "control.control", "print_controlled"),
+    _Command("repeat", options.RepeatOptions, "repeat.repeat_skill", "print_repeated"),
+    _Command("replay", options.ReplayOptions, "replay.replay", "print_replayed"),
+    _Command("export", options.ExportOptions, "export.export", "print_exported"),
+    _Command("reproduce", options.ReproduceOptions, "reproduce.reproduce", "print_reproduction"),
 )
 # commands of 0.1 that are gone, and what to do instead; until 0.3
 REMOVED_COMMANDS = {"warm-up": "nothing is compiled any more: leave the command out"}
 app = typer.Typer(
-    name=PROGRAM,
+    name=PROGRAM_NAME,
     help="Learn which directions a demonstrated task constrains, and keep the arm away from its singularities.",
-    cls=Program,
+    cls=ProgramHelp,
     add_completion=True,
     pretty_exceptions_enable=False,
     rich_markup_mode=None,
@@ -78,7 +78,7 @@ def print_version(asked: bool) -> None:
     if asked:
         from importlib.metadata import version
 
-        typer.echo(f"{PROGRAM} {version(PROGRAM)}")
+        typer.echo(f"{PROGRAM_NAME} {version(PROGRAM_NAME)}")
         raise typer.Exit
 
 

@@ -8,7 +8,6 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, final
 
 import numpy as np
-from jaxtyping import Float
 from scipy.spatial.transform import Rotation
 
 from manip_learn.commands.loading import robot_of_constraint, scene_of, start_posture
@@ -52,15 +51,22 @@ def repeat_skill(options: RepeatOptions, progress: Progress | None = None) -> Re
 
     Raises:
         NoPlanError: A step that cannot be done; nothing is written.
+        TargetError: `--moved` has neither 3 nor 6 numbers.
         ManipLearnError: Anything that is wrong with the robot, the file, the numbers or the output.
     """
     robot = robot_of_constraint(options.robot, options.task, options.loading)
     skill = Skill.load(options.task, robot)
     start, moved = vector("--start", options.start), vector("--moved", options.moved)
     q0, whence = start_posture(robot, skill.constraints[0], start, True)
-    transform = None if moved is None else _rigid_motion(moved)
+    T = None
+    if moved is not None:  # x, y, z [m], and rotations about the base's x, y and z axes, one after the other [degrees]
+        if len(moved) not in (3, 6):
+            text = "--moved takes 3 numbers, x,y,z [m], or 6 with rx,ry,rz [degrees about the base's axes]: got "
+            raise TargetError(f"{text}{len(moved)}")
+        T, turns = np.eye(4), [math.radians(a) for a in (*moved[3:], 0.0, 0.0, 0.0)[:3]]
+        T[:3, 3], T[:3, :3] = moved[:3], Rotation.from_euler("xyz", turns).as_matrix()
     around = scene_of(options.scene, robot)
-    done = repeat(skill, q0, transform, scene=around, seed=options.seed, progress=progress)
+    done = repeat(skill, q0, T, scene=around, seed=options.seed, progress=progress)
     out = None if options.out is None else done.rollout.save(options.out)
     page = None
     if options.html is not None:
@@ -68,15 +74,3 @@ def repeat_skill(options: RepeatOptions, progress: Progress | None = None) -> Re
 
         page = replay(robot, {"repeat": done.rollout}, options.html, open_browser=False)
     return Repeated(done, whence, out, page)
-
-
-def _rigid_motion(moved: list[float]) -> Float[np.ndarray, "4 4"]:
-    """x, y, z [m] and rotations about the base's x, y and z axes, one after the other [degrees]."""
-    if len(moved) not in (3, 6):
-        raise TargetError(
-            f"--moved takes 3 numbers, x,y,z [m], or 6 with rx,ry,rz [degrees about the base's axes]: got {len(moved)}"
-        )
-    T = np.eye(4)
-    T[:3, 3] = moved[:3]
-    T[:3, :3] = Rotation.from_euler("xyz", [math.radians(a) for a in (*moved[3:], 0.0, 0.0, 0.0)[:3]]).as_matrix()
-    return T

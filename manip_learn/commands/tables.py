@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Container, Iterable, Sequence
+from collections.abc import Callable, Container, Iterable, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -32,9 +32,19 @@ if TYPE_CHECKING:
 WAY_TERMS = ("off", "fastest", "margin of a way", "least mu")
 ROLLOUT_TERMS = ("error", "mu", "peak", "unhindered")
 AUDIT_TERMS = ("score", "sigma", "broken", "mm, deg", "margin", "speed", "jerk", "rest")
-# what an audit shows of an episode, in order; on a narrow terminal the last ones of the second row are left out
-SHOWN_ORDER = ("score", "sigma", "broken", "mm", "deg", "margin", "speed", "jerk", "rest", "s")
-MEASURES = ("score", "broken", "margin", "mm", "sigma", "speed", "rest", "deg", "jerk", "s")
+# what an audit shows of an episode, in order -> which of them go first where there is no room for all, and its cell
+MEASURES: dict[str, tuple[int, Callable[[EpisodeAudit], float], str]] = {
+    "score": (0, lambda e: e.score, ".1f"),
+    "sigma": (4, lambda e: e.sigma_min, ".3f"),
+    "broken": (1, lambda e: e.residual, ".1%"),
+    "mm": (3, lambda e: e.displacement_mm, ".1f"),
+    "deg": (7, lambda e: e.displacement_deg, ".1f"),
+    "margin": (2, lambda e: e.limit_margin, ".0%"),
+    "speed": (5, lambda e: e.peak_speed, ".0%"),
+    "jerk": (8, lambda e: e.jerk_rms, ".1f"),
+    "rest": (6, lambda e: e.rest_share, ".0%"),
+    "s": (9, lambda e: e.duration, ".1f"),
+}
 # what the tables say in a word, in the order in which it is explained
 WORDS = {
     "row": "One combination of velocities that the task holds: a drawer holds two of x, y, z. The directions that are "
@@ -155,45 +165,56 @@ def _measures(controlled: Controlled) -> dict[str, str | Text]:
 
 def audit_table(episodes: Sequence[EpisodeAudit], width: int) -> tuple[Table, tuple[str, ...]]:
     """Episodes with as many measures as fit, and the names of those that do not."""
-    cells = {name: [_measure(name, e) for e in episodes] for name in SHOWN_ORDER}
+    values = {name: list(map(value, episodes)) for name, (_, value, _) in MEASURES.items()}
+    cells = {  # "12.3 %", not "12.3%"
+        name: [f"{x:{MEASURES[name][2]}}".replace("%", " %") if math.isfinite(x) else "-" for x in column]
+        for name, column in values.items()
+    }
     room = width - max([len("episode"), *(len(printable(e.episode)) for e in episodes)])
-    fitting: list[str] = []
-    for name in MEASURES:
+    shown = list[str]()
+    for name in sorted(MEASURES, key=lambda n: MEASURES[n][0]):
         room -= 2 + max(len(name), *(len(c) for c in cells[name]), 0)
         if room < 0:
             break
-        fitting.append(name)
-    shown = [name for name in SHOWN_ORDER if name in fitting]
+        shown.append(name)
+    fitting = shown
+    shown, hidden = ([n for n in MEASURES if (n in fitting) is fits] for fits in (True, False))
     lines = zip([e.episode for e in episodes], *(cells[name] for name in shown), strict=True)
     rows = [[text(cell, "red" if e.leave_out else "") for cell in row] for e, row in zip(episodes, lines, strict=True)]
     style = {"header_style": "bold", "box": SIMPLE_HEAD, "padding": (0, 1, 0, 0), "show_edge": False}
-    return table_of(["episode", *shown], rows, **style), tuple(name for name in SHOWN_ORDER if name not in fitting)
-
-
-def _measure(name: str, e: EpisodeAudit) -> str:
-    value, form, unit = {
-        "score": (e.score, ".1f", ""),
-        "sigma": (e.sigma_min, ".3f", ""),
-        "broken": (100 * e.residual, ".1f", " %"),
-        "mm": (e.displacement_mm, ".1f", ""),
-        "deg": (e.displacement_deg, ".1f", ""),
-        "margin": (100 * e.limit_margin, ".0f", " %"),
-        "speed": (100 * e.peak_speed, ".0f", " %"),
-        "jerk": (e.jerk_rms, ".1f", ""),
-        "rest": (100 * e.rest_share, ".0f", " %"),
-        "s": (e.duration, ".1f", ""),
-    }[name]
-    return f"{value:{form}}{unit}" if math.isfinite(value) else "-"
+    return table_of(["episode", *shown], rows, **style), tuple(hidden)
 
 
 def print_learnt(console: Console, learnt: Learnt, explain: bool = False, more: Sequence[str] = ()) -> None:
     """The sentence, the evidence, the warnings; with `explain` its terms and more."""
+    from manip_learn.learning.estimate import CLEAR_GAP
     from manip_learn.learning.report import RecordingOverview
 
     report = learnt.report
     say(console, *([learnt.headline] if learnt.headline else []), style="bold")
-    say(console, learnt.sentence, style="" if learnt.headline else "bold")
-    facts = [(called, said, term) for called, said, term in _learnt_facts(learnt) if said]
+    say(console, *learnt.sentences, style="" if learnt.headline else "bold")
+    rank = f"{CLEAR_GAP:g} is clear" if report.gap >= CLEAR_GAP else f"weak: {CLEAR_GAP:g} is clear"
+    gap = f"{report.gap:,.0f}" if report.gap >= 10 else f"{report.gap:.2g}"
+    held = [row for row in report.row_evidence if row.state == "held"]
+    strengths = listed(f"{row.strength:.3g}" for row in held) if held else "none"
+    p_value = f", p = {max(row.p_value for row in held):.2g}" if held else ""
+    left_out = report.held_out_residual
+    share = f"{100 * left_out:.2g} %" if left_out >= 1e-5 else "less than 0.001 %"
+    rows = "held rows" if report.kind == "motion-constrained" else "steered rows"
+    source = f"{counted(report.n_samples, 'sample')} of {counted(report.n_trajectories, 'recording')}"
+    facts = [
+        ("estimator", f"{report.estimator} ({report.kind})", ""),
+        ("reference", report.reference, ""),
+        ("policy model", report.policy_model, ""),
+        (rows, learnt.constraint.rows_in_words(), "row"),
+        ("number of rows", f"{report.n_constraints} of {len(report.row_names)}, gap {gap} ({rank})", "gap"),
+        ("left out", f"{share} of the motion unexplained" if math.isfinite(left_out) else "", "left out"),
+        ("uncertainty", report.known_to(), "uncertainty"),
+        ("evidence", f"strength {strengths}{p_value} (recombination test)" if report.row_evidence else "", "strength"),
+        ("mechanism", report.mechanism_in_words(), ""),
+        ("learnt from", f"{source} in {report.seconds:.2g} s", ""),
+    ]
+    facts = [(called, said, term) for called, said, term in facts if said]  # what it is called, and what explains it
     grid = Table(show_header=False, box=None, padding=(0, 2, 0, 0))
     for called, said, _ in facts:
         grid.add_row(called, text(said))
@@ -210,34 +231,6 @@ def print_learnt(console: Console, learnt: Learnt, explain: bool = False, more: 
     print_words(console, [term for *_, term in facts if term] + list(more), explain)
     if learnt.following is not None and not more:
         say(console, f"next: {learnt.following}", whole=True)
-
-
-def _learnt_facts(learnt: Learnt) -> list[tuple[str, str | None, str]]:
-    """What each fact is called, the fact or nothing, and the term that explains it."""
-    from manip_learn.learning.estimate import CLEAR_GAP
-
-    report = learnt.report
-    rank = f"{CLEAR_GAP:g} is clear" if report.gap >= CLEAR_GAP else f"weak: {CLEAR_GAP:g} is clear"
-    gap = f"{report.gap:,.0f}" if report.gap >= 10 else f"{report.gap:.2g}"
-    held = [row for row in report.row_evidence if row.state == "held"]
-    strengths = listed(f"{row.strength:.3g}" for row in held) if held else "none"
-    p_value = f", p = {max(row.p_value for row in held):.2g}" if held else ""
-    left_out = report.held_out_residual
-    share = f"{100 * left_out:.2g} %" if left_out >= 1e-5 else "less than 0.001 %"
-    rows = "held rows" if report.kind == "motion-constrained" else "steered rows"
-    source = f"{counted(report.n_samples, 'sample')} of {counted(report.n_trajectories, 'recording')}"
-    return [
-        ("estimator", f"{report.estimator} ({report.kind})", ""),
-        ("reference", report.reference, ""),
-        ("policy model", report.policy_model, ""),
-        (rows, learnt.constraint.rows_in_words(), "row"),
-        ("number of rows", f"{report.n_constraints} of {len(report.row_names)}, gap {gap} ({rank})", "gap"),
-        ("left out", f"{share} of the motion unexplained" if math.isfinite(left_out) else "", "left out"),
-        ("uncertainty", report.known_to(), "uncertainty"),
-        ("evidence", f"strength {strengths}{p_value} (recombination test)" if report.row_evidence else "", "strength"),
-        ("mechanism", report.mechanism_in_words(), ""),
-        ("learnt from", f"{source} in {report.seconds:.2g} s", ""),
-    ]
 
 
 def print_demo(console: Console, demo: Demo, explain: bool = False) -> None:

@@ -22,7 +22,7 @@ from manip_learn.robot.description.catalogue import known_as
 if TYPE_CHECKING:
     from manip_learn.teach.session import TeachingSession
 
-STARTS = 20.0  # [s] in which the server starts: a busy machine takes a few
+_STARTS = 20.0  # [s] in which the server starts: a busy machine takes a few
 FAREWELL = 0.2  # [s] in which open pages hear that the program has ended
 
 
@@ -79,7 +79,7 @@ def teach(options: TeachOptions, progress: Progress) -> Taught:
             session.hear(message)
 
     seed = secrets.randbits(32) if options.seed is None else options.seed
-    server = LiveProcess(lambda token: teaching_page(robot, name, token), STARTS, heard, 1.0 / PERIOD)
+    server = LiveProcess(lambda token: teaching_page(robot, name, token), _STARTS, heard, 1.0 / PERIOD)
     try:
         session = TeachingSession(robot, tip, options.out, cast(Kind, options.scene), seed, server)
         listeners.append(session)

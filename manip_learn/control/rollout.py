@@ -16,7 +16,7 @@ from manip_learn.constraint.constraint import Constraint, signed
 from manip_learn.constraint.manipulability import manipulability
 from manip_learn.control.command import Status
 from manip_learn.errors import FeatureError, RecordingError, printable, spoken
-from manip_learn.recordings.data_frame import TRAJECTORY, PandasFrame, frame_of
+from manip_learn.recordings.data_frame import TRAJECTORY, PandasFrame, pandas_frame_of
 from manip_learn.recordings.readers.saved_reader import read_saved
 from manip_learn.recordings.saved_motion import FileHeader, SavedMotion, check_robot
 from manip_learn.recordings.trajectory import Trajectory
@@ -136,7 +136,7 @@ class Rollout:
             RecordingError: Postures that are no joint positions (nq differs from nv) have no column names.
             MissingExtraError: pandas is not installed.
         """
-        table: Any = frame_of([self.trajectory()])
+        table: Any = pandas_frame_of([self.trajectory()])
         told = {"mu": self.mu, "task_error": self.task_error, "status": list(map(str, self.status))}
         return table.drop(columns=TRAJECTORY).assign(**told)
 

@@ -12,7 +12,7 @@ from manip_learn.constraint.features.frame_jacobian import FrameJacobian
 from manip_learn.errors import NotIdentifiableError, RecordingError, advice, counted, named
 from manip_learn.learning.samples import STILL_ENERGY, Samples
 from manip_learn.recordings.demonstrations import Demonstrations
-from manip_learn.recordings.earned_velocities import FEWEST, position_noise
+from manip_learn.recordings.earned_velocities import FEWEST_JUDGED, position_noise
 from manip_learn.recordings.holes import MOVED
 from manip_learn.robot.tips import likely_tips
 
@@ -63,7 +63,7 @@ def refuse_noise(recorded: Demonstrations) -> None:
     """
     found = []
     for t in recorded:
-        if len(t) < FEWEST:
+        if len(t) < FEWEST_JUDGED:
             return
         moved, noise = np.ptp(t.q, axis=0), np.sqrt(position_noise(t.time, t.q))
         j = int(np.argmax(moved / noise))

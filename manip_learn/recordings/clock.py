@@ -10,14 +10,15 @@ from jaxtyping import Bool, Float, Int
 from manip_learn.errors import advice, counted
 
 GAP_FACTOR = 10.0  # times the usual step: a break in a recording
-FEW = 2  # gaps of a recording that stopped and went on; more, and more than one in 200 samples, are how stamps come
-SHORT = 0.1  # of the usual step: stamped almost at once
-COARSE = 0.05  # of the usual step: stamps that are multiples of so much or more are rounded
-FEWEST = 8  # samples whose stamps are doubted
-NEAR = 10  # messages within which a late one is followed by one that is where it would have been
+# gaps of a recording that stopped and went on; more, and more than one in 200 samples, are how stamps come
+FEW_GAPS = 2
+_SHORT = 0.1  # of the usual step: stamped almost at once
+_COARSE = 0.05  # of the usual step: stamps that are multiples of so much or more are rounded
+FEWEST_STAMPS = 8  # samples whose stamps are doubted
+_NEAR = 10  # messages within which a late one is followed by one that is where it would have been
 SENDERS = 10  # changes between two clocks, at least; one that was set back changes once
 TOO_MANY = 0.2  # of the steps lead back: the rows are in no order
-JUMP = 10.0  # times a usual step of the positions: another motion begins
+_JUMP = 10.0  # times a usual step of the positions: another motion begins
 
 
 class Run(NamedTuple):
@@ -41,7 +42,7 @@ def pieces(time: Float[np.ndarray, " T"]) -> tuple[list[slice], Int[np.ndarray, 
     return [slice(a, b) for a, b in zip(bounds, bounds[1:], strict=False)], gaps
 
 
-def in_order(
+def senders_in_order(
     time: Float[np.ndarray, " T"], q: Float[np.ndarray, "T n"], arrival: Float[np.ndarray, " T"] | None = None
 ) -> tuple[list[Run], list[str]]:
     """Samples as they arrived -> those of each sender in the order of their times, and notes.
@@ -71,7 +72,7 @@ def in_order(
         runs, notes = [], [f"two senders, whose clocks are {apart:.3g} s apart, were told apart by their stamps"]
         for of_one in (~ahead, ahead):
             own = np.flatnonzero(of_one)
-            found, said = in_order(time[own], q[own], None if arrival is None else arrival[own])
+            found, said = senders_in_order(time[own], q[own], None if arrival is None else arrival[own])
             runs += [Run(own[run.samples], run.time) for run in found]
             notes += said
         return runs, notes
@@ -83,15 +84,15 @@ def in_order(
     typical = np.quantile(np.linalg.norm(np.diff(q, axis=0), axis=1), 0.95)
     for k in back.tolist():
         lost = float(expected[k] - steps[k])
-        first = max(0, k - NEAR)
-        excess = (steps - expected)[first : k + 1 + NEAR]
+        first = max(0, k - _NEAR)
+        excess = (steps - expected)[first : k + 1 + _NEAR]
         made_good = first + np.flatnonzero((excess > 0.4 * lost) & (excess < 1.6 * lost))
         if made_good.size:
             j = int(made_good[np.argmin(np.abs(made_good - k))])
             late[min(j, k) + 1 : max(j, k) + 1] = True
             continue
         size = float(np.linalg.norm(q[k + 1] - q[k]))
-        another = size > JUMP * typical and size > 0.02  # [rad or m], more than noise
+        another = size > _JUMP * typical and size > 0.02  # [rad or m], more than noise
         moved[k + 1 :] += lost + (100.0 * step if another else 0.0)
         what = "another motion begins" if another else "as if it had gone on"
         notes.append(f"the clock was set back by {lost:.3g} s after {time[k]:.9g} s: {what}")
@@ -131,20 +132,20 @@ def evenly_spread(time: Float[np.ndarray, " T"], q: Float[np.ndarray, "T n"]) ->
         q: Positions.
     """
     n, steps = len(time), np.diff(time)
-    if n < FEWEST or time[-1] <= time[0]:
+    if n < FEWEST_STAMPS or time[-1] <= time[0]:
         return time, ""
     mean, usual = (time[-1] - time[0]) / (n - 1), usual_step(steps)
     grain = _grain(steps, mean)
-    if not (np.min(steps) < SHORT * mean or grain >= COARSE * mean):
+    if not (np.min(steps) < _SHORT * mean or grain >= _COARSE * mean):
         return time, ""
     gaps, rates = _gaps(steps, usual)
-    always = bool(np.count_nonzero(gaps) > max(FEW, n / 200.0))
+    always = bool(np.count_nonzero(gaps) > max(FEW_GAPS, n / 200.0))
     if always:  # no gaps, but how the stamps come
         gaps, _ = _gaps(steps, usual_step(rates))
     inside = ~gaps
     step = float(np.sum(steps[inside]) / max(np.count_nonzero(inside), 1))
     grain = _grain(steps[inside], step) if step > 0.0 else mean
-    if not (np.min(steps[inside]) < SHORT * step or grain >= COARSE * step):
+    if not (np.min(steps[inside]) < _SHORT * step or grain >= _COARSE * step):
         return time, ""
     spread, bounds = np.empty(n), [0, *(np.flatnonzero(gaps) + 1).tolist(), n]
     for a, b in zip(bounds, bounds[1:], strict=False):  # even times within each stretch, from the changes of its stamps
@@ -156,9 +157,9 @@ def evenly_spread(time: Float[np.ndarray, " T"], q: Float[np.ndarray, "T n"]) ->
         spread[a:b] = own[anchor] + rate * (np.arange(b - a) - anchor)
     if np.min(np.diff(spread)) <= 0.0 or not _taken_evenly(steps, q, step, inside, always=always):
         return time, ""
-    short, apart = np.count_nonzero(steps < SHORT * step), usual_step(np.diff(spread))
+    short, apart = np.count_nonzero(steps < _SHORT * step), usual_step(np.diff(spread))
     what = f"{short:,} of {n - 1:,} steps between stamps are under a tenth of the usual one"
-    if grain >= COARSE * step and not short:
+    if grain >= _COARSE * step and not short:
         what = f"the stamps are multiples of {grain:.3g} s"
     how = advice(" ({} overrules them)", "rate=", "--rate")
     return spread, f"{what}: samples are spread evenly over the time they took, {apart:.3g} s apart{how}"
@@ -209,7 +210,7 @@ def _taken_evenly(
     return bool(abs(np.log(max(ratio, 1e-9))) < 0.5 * np.log(by_stamps) and (not always or 0.3 < overall < 3.0))
 
 
-def between(time: Float[np.ndarray, " T"]) -> Float[np.ndarray, " T"]:
+def spread_repeats(time: Float[np.ndarray, " T"]) -> Float[np.ndarray, " T"]:
     """Repeated stamps spread up to the next one."""
     first = np.concatenate([[True], np.diff(time) > 0.0])
     begins = np.flatnonzero(first)

@@ -46,7 +46,7 @@ else:
     PandasFrame = DataFrame
 
 
-def frame_of(trajectories: Sequence[Trajectory]) -> PandasFrame:
+def pandas_frame_of(trajectories: Sequence[Trajectory]) -> PandasFrame:
     """See `Demonstrations.to_frame`.
 
     Raises:

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from typing import final, overload
 
 from manip_learn.errors import RecordingError, counted, printable
-from manip_learn.recordings.data_frame import PandasFrame, frame_of
+from manip_learn.recordings.data_frame import PandasFrame, pandas_frame_of
 from manip_learn.recordings.trajectory import Trajectory
 from manip_learn.robot import html_card
 
@@ -75,7 +75,7 @@ class Demonstrations(Sequence[Trajectory]):
             RecordingError: Postures that are no joint positions (nq differs from nv) have no column names.
             MissingExtraError: pandas is not installed.
         """
-        return frame_of(self.trajectories)
+        return pandas_frame_of(self.trajectories)
 
     @property
     def n_samples(self) -> int:

@@ -24,21 +24,21 @@ from manip_learn.robot.robot import Robot
 
 Velocities = Literal["auto", "derive", "recorded"]
 
-FEWEST = 8  # samples of a stretch without gaps that can be judged
-LONGEST, MOST = 4096, 4  # samples in a stretch, and stretches, that are judged: any fault shows in so many
+FEWEST_JUDGED = 8  # samples of a stretch without gaps that can be judged
+_LONGEST, _MOST = 4096, 4  # samples in a stretch, and stretches, that are judged: any fault shows in so many
 # share of the largest step by which a velocity that was held over each step may miss the next position: 6 digits
-HELD = 1e-6
-ROUNDED = 1.5  # quanta by which two rounded positions and a rounded velocity may miss each other
+_HELD = 1e-6
+_ROUNDED = 1.5  # quanta by which two rounded positions and a rounded velocity may miss each other
 # The noise of the positions is known within a factor of 2; beyond it counts what is also beyond chance: the mean of n
 # squares exceeds its estimate by 3 sqrt(2 / n) in 1 of 700 cases
-KNOWN, CHANCE = 2.0, 3.0
+_KNOWN, CHANCE = 2.0, 3.0
 # Shares of the speed below which an error of recorded velocities does not matter: what integration leaves; and of fewer
 # samples than leave room for windows, whose midpoints are off by up to half a step, what no noise explains
-FINE, COARSE = 1e-4, 0.3
-GRID = 0.01  # share of a quantum by which values may miss its multiples
+_FINE, _COARSE = 1e-4, 0.3
+_GRID = 0.01  # share of a quantum by which values may miss its multiples
 NO_MEASUREMENT = 1e50  # a finite number whose square would overflow
 
-Stretch = tuple[np.ndarray, np.ndarray, np.ndarray]  # time, positions, velocities
+_Stretch = tuple[np.ndarray, np.ndarray, np.ndarray]  # time, positions, velocities
 
 
 def used_and_derived(choice: VelocityMethod | Velocities) -> tuple[Velocities, VelocityMethod]:
@@ -48,7 +48,7 @@ def used_and_derived(choice: VelocityMethod | Velocities) -> tuple[Velocities, V
     return choice, "auto"
 
 
-class Verdict(NamedTuple):
+class _Verdict(NamedTuple):
     """Errors at the time scale at which recorded velocities are worst beside derived ones, shape (n,) each.
 
     Attributes:
@@ -146,7 +146,7 @@ def _faults(trajectories: Mapping[int, Trajectory], robot: Robot) -> dict[int, s
     """
     floating = {i for b in robot.blocks if b.kind == "floating" for i in range(b.v.start, b.v.stop)}
     joints = [i for i in range(robot.nv) if i not in floating]
-    stretches: dict[int, list[Stretch]] = {}
+    stretches: dict[int, list[_Stretch]] = {}
     for i, t in trajectories.items():
         x, u = positions_along(t, robot), np.asarray(t.u)
         if x is not None and joints and u.shape[1] == robot.nv:
@@ -166,7 +166,7 @@ def _faults(trajectories: Mapping[int, Trajectory], robot: Robot) -> dict[int, s
     return {i: _in_words(found, stretches[i], names, units) for i, found in alone.items()}
 
 
-def _in_words(verdict: Verdict, stretches: Sequence[Stretch], names: Sequence[str], units: Sequence[str]) -> str:
+def _in_words(verdict: _Verdict, stretches: Sequence[_Stretch], names: Sequence[str], units: Sequence[str]) -> str:
     """Which joints are to blame, how far the worst is from its positions after how long, and both errors."""
     worst = verdict.joints
     j, apart, after = worst[0], 0.0, 0.0
@@ -184,11 +184,11 @@ def _in_words(verdict: Verdict, stretches: Sequence[Stretch], names: Sequence[st
 
 def _stretches(time: Float[np.ndarray, " T"]) -> list[slice]:
     """Stretches without gaps that are judged, evenly chosen of many."""
-    if len(time) < FEWEST:
+    if len(time) < FEWEST_JUDGED:
         return []
-    parts = [(k, min(k + LONGEST, p.stop)) for p in pieces(time)[0] for k in range(p.start, p.stop, LONGEST)]
-    long = [slice(a, b) for a, b in parts if b - a >= FEWEST]
-    return [long[i] for i in evenly(len(long), MOST)]
+    parts = [(k, min(k + _LONGEST, p.stop)) for p in pieces(time)[0] for k in range(p.start, p.stop, _LONGEST)]
+    long = [slice(a, b) for a, b in parts if b - a >= FEWEST_JUDGED]
+    return [long[i] for i in evenly(len(long), _MOST)]
 
 
 def _held(
@@ -200,7 +200,7 @@ def _held(
     """
     steps = np.diff(x, axis=0)
     missed = np.max(np.abs(steps - u[:-1] * np.diff(time)[:, None]), axis=0, initial=0.0)
-    held = missed <= HELD * np.max(np.abs(steps), axis=0, initial=0.0) + ROUNDED * _quantum(x)
+    held = missed <= _HELD * np.max(np.abs(steps), axis=0, initial=0.0) + _ROUNDED * _quantum(x)
     return held & (np.any(u[-1] != u[-2]) and np.any(u[-1]))
 
 
@@ -236,10 +236,10 @@ def _is_multiple(x: np.ndarray, step: float) -> bool:
     """Whether all numbers are multiples of a step, as far as their last digits can tell."""
     multiples = x / step
     missed, largest = np.max(np.abs(multiples - np.round(multiples))), np.max(np.abs(multiples))
-    return bool(largest < 1e10 and missed < GRID)
+    return bool(largest < 1e10 and missed < _GRID)
 
 
-def _judged(stretches: Sequence[Stretch], held: Bool[np.ndarray, " n"]) -> Verdict:
+def _judged(stretches: Sequence[_Stretch], held: Bool[np.ndarray, " n"]) -> _Verdict:
     """Recorded beside derived velocities, at the time scale at which the recorded ones do worst."""
     noises = [position_noise(t, x) for t, x, _ in stretches]
     steps = [(t[-1] - t[0]) / (len(t) - 1) for t, _, _ in stretches]
@@ -256,13 +256,13 @@ def _judged(stretches: Sequence[Stretch], held: Bool[np.ndarray, " n"]) -> Verdi
         w = 2**k
         long = [rest for rest in rests if len(rest) > w]
         apart = np.mean(np.concatenate([rest[w:] - rest[:-w] for rest in long]) ** 2, axis=0)
-        by_chance = KNOWN + CHANCE * np.sqrt(2.0 / max(sum(len(rest) / w for rest in long), 1.0))
+        by_chance = _KNOWN + CHANCE * np.sqrt(2.0 / max(sum(len(rest) / w for rest in long), 1.0))
         errors[w] = np.where(apart > 2.0 * noise * by_chance, apart - 2.0 * noise, 0.0) / w**2
     moved = [np.mean(np.sum(np.diff(x, axis=0) ** 2, axis=1)) for _, x, _ in stretches]
     speed = float(np.sqrt(np.mean(np.array(moved) / np.square(steps))))
-    share = FINE if max(map(len, rests)) >= SHORT_AND_CLEAN else COARSE
+    share = _FINE if max(map(len, rests)) >= SHORT_AND_CLEAN else _COARSE
     verdicts = [
-        Verdict(np.sqrt(np.where(held, 0.0, e)), np.sqrt(derived) * min(1.0, width / max(w, 1)), share * speed)
+        _Verdict(np.sqrt(np.where(held, 0.0, e)), np.sqrt(derived) * min(1.0, width / max(w, 1)), share * speed)
         for w, e in errors.items()
     ]
     return max(verdicts, key=lambda v: float(np.sum(v.recorded**2) / max(np.sum(v.derived**2) + v.least**2, 1e-300)))

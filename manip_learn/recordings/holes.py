@@ -6,15 +6,15 @@ import numpy as np
 from jaxtyping import Float, Int
 
 from manip_learn.errors import RecordingError, counted
-from manip_learn.recordings.clock import FEW, FEWEST, pieces, usual_step
+from manip_learn.recordings.clock import FEW_GAPS, FEWEST_STAMPS, pieces, usual_step
 from manip_learn.recordings.trajectory import Trajectory
 from manip_learn.robot.robot import Robot
 
 # usual steps without a new posture that are a hole; above ten the recording is split there
 SEVERAL = 4.0
 MOVED = 0.02  # [rad or m]: more than encoders, belts and a held pose leave of a joint at rest
-BESIDE, FARTHER = 3, 3.0  # steps on either side, and times of the largest of them that an arm moves in a hole
-SHOWN = 5  # holes in a sentence
+_BESIDE, FARTHER = 3, 3.0  # steps on either side, and times of the largest of them that an arm moves in a hole
+_SHOWN = 5  # holes in a sentence
 
 
 def stalled(time: Float[np.ndarray, " T"], q: Float[np.ndarray, "T n"]) -> Int[np.ndarray, " k"]:
@@ -24,13 +24,13 @@ def stalled(time: Float[np.ndarray, " T"], q: Float[np.ndarray, "T n"]) -> Int[n
     """
     new = np.append(True, np.any(q[1:] != q[:-1], axis=1))
     at = np.flatnonzero(new)
-    if len(at) == len(time) or len(at) < FEWEST:
+    if len(at) == len(time) or len(at) < FEWEST_STAMPS:
         return np.empty(0, dtype=int)
     steps, size = np.diff(time[at]), np.abs(np.diff(q[at], axis=0)).max(axis=1)
     long = np.flatnonzero((steps > SEVERAL * usual_step(steps)) & (size > MOVED))
-    around = [np.delete(size[max(0, k - BESIDE) : k + BESIDE + 1], min(k, BESIDE)).max() for k in long]
+    around = [np.delete(size[max(0, k - _BESIDE) : k + _BESIDE + 1], min(k, _BESIDE)).max() for k in long]
     long = long[size[long] > FARTHER * np.array(around)]
-    if len(long) > max(FEW, len(time) / 200.0):  # this is how the samples come
+    if len(long) > max(FEW_GAPS, len(time) / 200.0):  # this is how the samples come
         return np.empty(0, dtype=int)
     return np.concatenate(
         [np.empty(0, dtype=int), *(np.arange(a + 1, b) for a, b in zip(at[long], at[long + 1], strict=True))]
@@ -59,12 +59,12 @@ def split_at_holes(whole: Trajectory, robot: Robot | None) -> tuple[list[Traject
     steps, far = np.diff(time), np.abs(np.diff(whole.q, axis=0))
     short = np.flatnonzero((steps > SEVERAL * usual_step(steps)) & (far.max(axis=1, initial=0.0) > MOVED))
     short = np.setdiff1d(short, gaps)
-    if len(short) > max(FEW, len(time) / 200.0):  # this is how the samples come
+    if len(short) > max(FEW_GAPS, len(time) / 200.0):  # this is how the samples come
         short = short[:0]
 
     def in_words(holes: Int[np.ndarray, " k"]) -> str:
         words = []
-        for g in holes[:SHOWN].tolist():
+        for g in holes[:_SHOWN].tolist():
             j = int(far[g].argmax())
             did = "the arm stood"
             if far[g, j] > MOVED:
@@ -72,7 +72,7 @@ def split_at_holes(whole: Trajectory, robot: Robot | None) -> tuple[list[Traject
                 if robot is not None and robot.nv == far.shape[1]:
                     did = f"{robot.joint_names[j]} moved by {far[g, j]:.2g} {robot.joint_units[j]}"
             words.append(f"for {steps[g]:.3g} s from {time[g] - time[0]:.3g} s on, while {did}")
-        more = f", and {counted(len(holes) - SHOWN, 'hole')} more" if len(holes) > SHOWN else ""
+        more = f", and {counted(len(holes) - _SHOWN, 'hole')} more" if len(holes) > _SHOWN else ""
         return f"no new posture came {'; '.join(words)}{more}"
 
     notes = []

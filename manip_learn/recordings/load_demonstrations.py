@@ -37,10 +37,10 @@ from manip_learn.recordings.validation.validate import validate
 from manip_learn.robot import Robot
 
 # of an NPZ archive; `time` is a column of any recording
-ARRAYS = ("time", "q", "u", "effort", "joint_names", "format")
+_ARRAYS = ("time", "q", "u", "effort", "joint_names", "format")
 POSE_SUFFIXES = (".x", ".y", ".z", *ROTATION_VECTOR, *QUATERNION)
 
-NUMBER = re.compile(r"\d[\d.,]*(e[-+]?\d+)?")
+_NUMBER = re.compile(r"\d[\d.,]*(e[-+]?\d+)?")
 
 Paths = str | os.PathLike[str] | Iterable[str | os.PathLike[str]]
 Tables = DataFrame | Sequence[DataFrame]
@@ -125,7 +125,7 @@ def open_recordings(
     """Files to read, how they are read, and what was noticed.
 
     Raises:
-        RecordingError: Options that do not exist or contradict each other, or files that do not exist.
+        RecordingError: No robot, an option that is none, a joint to rename to that the robot does not have, no files.
     """
     if not isinstance(robot, Robot):
         raise RecordingError(f"call load_demonstrations(paths, robot): got {an(robot)} as the robot", code="type")
@@ -152,7 +152,7 @@ def open_recordings(
         base = next((new.removesuffix(s) for s in ends if new.endswith(s)), new)
         head, pattern, tail = new.partition(JOINT)
         fits = any(j.startswith(head) and j.endswith(tail) for j in joints) if pattern else False
-        if not fits and base not in (*joints, *poses, *ARRAYS):
+        if not fits and base not in (*joints, *poses, *_ARRAYS):
             near = closest_names(base, joints) or joints
             which = f"{'did you mean' if near != joints else 'it has'} {', '.join(map(repr, near[:12]))}, or 'time'"
             text = f"robot {robot.name!r} has no joint {new!r}; {which}"
@@ -183,7 +183,7 @@ def read_recordings(
         raise RecordingError(f"there is no demonstration in {', '.join(str(f.path) for f in files)}", code="empty")
     every = itertools.chain([first], trajectories)
     yield from judged_in_turn(every, request.robot, request.velocities, said, together=together)
-    notes += folded(said, request.robot)
+    notes += folded_notes(said, request.robot)
     notes += request.unmatched()
 
 
@@ -197,7 +197,7 @@ def validated(
         yield from checked
 
 
-def folded(said: Iterable[tuple[str, str]], robot: Robot | None) -> list[str]:
+def folded_notes(said: Iterable[tuple[str, str]], robot: Robot | None) -> list[str]:
     """Notes with the names of their recordings: the same finding in fifty of them is reported once, with the figures of
     the first.
     """
@@ -206,7 +206,7 @@ def folded(said: Iterable[tuple[str, str]], robot: Robot | None) -> list[str]:
     for name, note in said:
         text = note
         if note.startswith("velocity of "):  # in which joints and numbers may differ
-            text = NUMBER.sub("#", re.sub(rf"(?<!\w)({names})(?!\w)", "#", note))
+            text = _NUMBER.sub("#", re.sub(rf"(?<!\w)({names})(?!\w)", "#", note))
             text = re.sub(r"#((, | and )#)+| \(# likewise\)", "#", text)
         by_text.setdefault(text, []).append((name, note))
     out = []

@@ -9,9 +9,9 @@ from jaxtyping import Float
 
 # half widths of the smoothing window [samples] and degrees of its polynomial among which "auto" chooses
 HALF_WIDTHS = (2, 3, 5, 7, 10, 15, 20, 30)
-# the same where samples are so close that 30 of them are less than LONGEST; 1 kHz at most, for the time it takes
-WIDER = (45, 60, 75, 100, 125, 150, 200, 250, 300)
-LONGEST = 0.3  # half width [s]: what 30 samples are at 100 Hz, a polynomial of degree 5 follows people's motion so long
+# the same where samples are so close that 30 of them are less than _LONGEST; 1 kHz at most, for the time it takes
+_WIDER = (45, 60, 75, 100, 125, 150, 200, 250, 300)
+_LONGEST = 0.3  # half width [s]: 30 samples at 100 Hz, for which a polynomial of degree 5 follows people's motion
 DEGREES = (2, 3, 5)
 # Noise averages out over the samples of the recordings, bias does not. Where wider windows are among the choice, noise
 # is weak in all that come near the best, and bias is what several recordings have in common: 100 windows, as in ten
@@ -21,14 +21,14 @@ BIAS_WEIGHT, FAST_BIAS_WEIGHT = 4.0, 100.0
 # share of a step by which time stamps may be off an even grid
 EVEN = 1e-9
 # windows among which degree and width are compared, spread over the trajectory
-COMPARED = 150
+_COMPARED = 150
 # weights [numbers] and stamps of one recording that are kept for the next one that is sampled alike
 KEPT_NUMBERS, KEPT_STAMPS = 20_000, 5_000
 # numbers that are worked on at once where each window has its own equations: 4 MB
 BLOCK_NUMBERS = 500_000
 JERK_HALF_WIDTHS = (3, 4, 5, 7, 10, 15, 20, 30, 45)  # [samples]
 CLEAR_JERK = 5.0  # times the jerk that noise alone would leave: its peak is then that of the motion
-CUBIC = 3
+_CUBIC = 3
 
 # step of evenly spaced stamps [s], or all stamps as bytes
 Grid = float | bytes
@@ -148,7 +148,7 @@ def _trial(
 def half_widths_of(time: Float[np.ndarray, " T"]) -> tuple[int, ...]:
     """Half widths [samples] among which to choose at some times [s]."""
     step = float(time[-1] - time[0]) / max(len(time) - 1, 1)
-    return (*HALF_WIDTHS, *(m for m in WIDER if m * step <= LONGEST * (1.0 + EVEN)))
+    return (*HALF_WIDTHS, *(m for m in _WIDER if m * step <= _LONGEST * (1.0 + EVEN)))
 
 
 def best_windows(
@@ -174,7 +174,7 @@ def best_windows(
         usable = tuple(degree for degree in DEGREES if degree + 3 <= 2 * m + 1)
         if not usable:
             continue
-        stride = max(1, (len(time) - 2 * m) // COMPARED)
+        stride = max(1, (len(time) - 2 * m) // _COMPARED)
         windows = np.lib.stride_tricks.sliding_window_view(beside, 2 * m + 1, axis=1)[:, ::stride]
         trial = _trial if _is_short(grid) else _trial.__wrapped__
         richer, own, spread = trial(grid, m, usable, stride if isinstance(grid, bytes) else 1)
@@ -198,7 +198,7 @@ def slope_variance(
 ) -> Float[np.ndarray, " nv"]:
     """Mean square error of the slopes that `local_fit` finds, from positions with noise of these variances."""
     grid, m = _grid(time), half_width
-    stride = max(1, (len(time) - 2 * m) // COMPARED)
+    stride = max(1, (len(time) - 2 * m) // _COMPARED)
     windows = np.lib.stride_tricks.sliding_window_view(x, 2 * m + 1, axis=0)[::stride]
     trial = _trial if _is_short(grid) else _trial.__wrapped__
     richer, own, spread = trial(grid, m, (degree,), stride if isinstance(grid, bytes) else 1)
@@ -243,7 +243,7 @@ def jerk(time: Float[np.ndarray, " T"], x: Float[np.ndarray, "T nv"]) -> tuple[f
             break
         stamps = np.lib.stride_tricks.sliding_window_view(time, 2 * half_width + 1)
         longest = np.max(np.abs(stamps - stamps[:, half_width : half_width + 1]), axis=1)
-        third = local_weights(time, half_width, CUBIC)[:, CUBIC] * (6.0 / longest**3)[:, None]  # weights [1/s^3]
+        third = local_weights(time, half_width, _CUBIC)[:, _CUBIC] * (6.0 / longest**3)[:, None]  # weights [1/s^3]
         windows = np.lib.stride_tricks.sliding_window_view(x, 2 * half_width + 1, axis=0)
         squared = np.sum(np.einsum("nw,njw->nj", third, windows) ** 2, axis=1)
         noise = np.sum(third**2, axis=1) * variance

@@ -21,10 +21,10 @@ from manip_learn.recordings.trajectory import Trajectory
 from manip_learn.robot import Robot
 from manip_learn.robot.identity import RobotIdentity, names_from
 
-Kind = Literal["rollout", "recording"]
+_Kind = Literal["rollout", "recording"]
 PREFIX = "manip_learn."
-CURVES = ("u", "effort", "manipulability", "task_error", "following_error")  # what a motion may have beside q
-SCHEMA = 2
+ROLLOUT_CURVES = ("u", "effort", "manipulability", "task_error", "following_error")  # what a motion may have beside q
+_SCHEMA = 2
 SIZES = {"face": 0, "sphere": 1, "cylinder": 2, "box": 3, "mesh": 0}  # numbers of the things that stood around
 UNKNOWN_ROBOT = (
     "the file does not say which robot and which locked joints it was made with: only the names of the joints were "
@@ -44,7 +44,7 @@ def _is_thing(thing: Any) -> bool:
 
 # what a header may say beside its format, its joints and its robot -> whether a value is right, and how that is called
 Check = Callable[[Any], bool]
-FIELDS: dict[str, tuple[Check, str]] = {
+_FIELDS: dict[str, tuple[Check, str]] = {
     "frame": (lambda name: isinstance(name, str), "a name"),
     "nq": (lambda n: type(n) is int, "a whole number"),
     "target": (lambda x: np.ndim(x) in (1, 2) and finite(x, *np.shape(x)) is not None, "finite numbers"),
@@ -83,7 +83,7 @@ class FileHeader:
         samples: Number of samples that were written; None for a LeRobot data set, which counts them itself.
     """
 
-    kind: Kind
+    kind: _Kind
     joint_names: tuple[str, ...]
     robot: RobotIdentity | None
     frame: str = ""
@@ -100,13 +100,13 @@ class FileHeader:
         """One line, with the number of samples that follow."""
         content: dict[str, Any] = {
             "format": PREFIX + self.kind,
-            "schema": SCHEMA,
+            "schema": _SCHEMA,
             "joint_names": list(self.joint_names),
             "nq": self.nq,
             "frame": self.frame,
             "robot": None if self.robot is None else self.robot.to_dict(),
         }
-        later = {name: getattr(self, name) or None for name in FIELDS if name not in content} | {"samples": samples}
+        later = {name: getattr(self, name) or None for name in _FIELDS if name not in content} | {"samples": samples}
         return json.dumps(content | {n: value for n, value in later.items() if value is not None}, allow_nan=False)
 
     @staticmethod
@@ -120,11 +120,11 @@ class FileHeader:
         named = content.get("format") if isinstance(content, Mapping) else None
         if named not in (PREFIX + "rollout", PREFIX + "recording"):
             raise ValueError(f"the header must have the format {PREFIX}rollout or {PREFIX}recording, not {named!r:.40}")
-        if content.get("schema") != SCHEMA:
-            raise ValueError(f"the file has schema {content.get('schema')!r:.40}, this version reads {SCHEMA}")
-        said = {name: content[name] for name in FIELDS if content.get(name) is not None}
+        if content.get("schema") != _SCHEMA:
+            raise ValueError(f"the file has schema {content.get('schema')!r:.40}, this version reads {_SCHEMA}")
+        said = {name: content[name] for name in _FIELDS if content.get(name) is not None}
         for name, value in said.items():
-            fits, wanted = FIELDS[name]
+            fits, wanted = _FIELDS[name]
             try:
                 is_right = fits(value)
             except DAMAGE:

@@ -11,7 +11,7 @@ from jaxtyping import Float, Int
 
 from manip_learn.errors import RecordingError, counted, printable
 
-BESIDE = ("u", "effort")  # what a trajectory may have beside its positions
+BESIDE_POSITIONS = ("u", "effort")  # what a trajectory may have beside its positions
 
 
 @final
@@ -57,7 +57,7 @@ class Trajectory:
     def __post_init__(self) -> None:
         object.__setattr__(self, "joint_names", tuple(self.joint_names))
         object.__setattr__(self, "name", printable(self.name))  # of a file, whose maker may have written anything
-        for what in ("time", "q", *BESIDE):
+        for what in ("time", "q", *BESIDE_POSITIONS):
             given = getattr(self, what)
             if what in ("time", "q") or given is not None:
                 object.__setattr__(self, what, self._array(what, given, 1 if what == "time" else 2))
@@ -128,7 +128,7 @@ class Trajectory:
     @property
     def beside(self) -> dict[str, Any]:
         """The arrays beside the positions, by their names: of `u` and `effort` those that are there."""
-        return {name: array for name in BESIDE if (array := getattr(self, name)) is not None}
+        return {name: array for name in BESIDE_POSITIONS if (array := getattr(self, name)) is not None}
 
     @property
     def duration(self) -> float:

@@ -23,7 +23,7 @@ from manip_learn.recordings.holes import split_at_holes, stalled
 from manip_learn.recordings.load_demonstrations import (
     Paths,
     ReadOptions,
-    folded,
+    folded_notes,
     open_recordings,
     read_recordings,
     validated,
@@ -40,7 +40,7 @@ PART_BYTES = 1_000_000  # of files that make a part: small ones share a task, an
 
 # times (T,) [s], positions (T, n) [rad or m], and velocities (T, nv) where they are known
 Arrays = tuple[ArrayLike, ArrayLike] | tuple[ArrayLike, ArrayLike, ArrayLike]
-Motion = Trajectory | Arrays | DataFrame
+_Motion = Trajectory | Arrays | DataFrame
 # called with what is being done and the share of it that is done, between 0 and 1
 Progress = Callable[[str, float], None]
 
@@ -133,7 +133,7 @@ def _in_parts(files: list[RecordingFile]) -> list[list[RecordingFile]]:
     return parts
 
 
-Given = TrajectorySource | Motion | Iterable[Motion]
+Given = TrajectorySource | _Motion | Iterable[_Motion]
 
 
 @final
@@ -148,7 +148,7 @@ class CheckedSource(TrajectorySource):
         velocities: Which recorded ones are kept, see `earned`.
     """
 
-    given: TrajectorySource | Iterable[Motion]
+    given: TrajectorySource | Iterable[_Motion]
     robot: Robot | None
     nv: int
     velocities: Velocities = "auto"
@@ -167,7 +167,7 @@ class CheckedSource(TrajectorySource):
         motions = (motion for i, entry in enumerate(entries, 1) for motion in self._motions(entry, i, found))
         named = map(self._named, motions)
         yield from judged_in_turn(named, self.robot, self.velocities, found, together=together)
-        said += folded(found, self.robot)
+        said += folded_notes(found, self.robot)
 
     def _named(self, motion: Trajectory) -> Trajectory:
         """A motion with the names of the joints of the features, which must be its own if it has names."""
@@ -233,7 +233,7 @@ def recordings_given(
         RecordingError: Motions that do not fit, or that a file would be refused for; postures without time.
     """
     if isinstance(given, Trajectory | DataFrame) or _is_motion(given):
-        given = cast("Sequence[Motion]", [given])
+        given = cast("Sequence[_Motion]", [given])
     wrong = ""
     if isinstance(given, np.ndarray):
         wrong = f"an array of shape {given.shape} alone is no motion, for its times are not known: give (time, q), or "
@@ -245,7 +245,7 @@ def recordings_given(
         wrong = f"demonstrations must be trajectories or a source of them, got {type(given).__name__}"
     if wrong:
         raise RecordingError(wrong, code="type")
-    source = CheckedSource(cast("TrajectorySource | Iterable[Motion]", given), robot, nv, velocities)
+    source = CheckedSource(cast("TrajectorySource | Iterable[_Motion]", given), robot, nv, velocities)
     if not isinstance(given, Sequence):
         return source
     notes = list(given.notes) if isinstance(given, Demonstrations) else []

@@ -20,7 +20,7 @@ VelocityMethod = Literal["auto", "midpoint", "smooth"]
 # noise below this share of the motion's own step is what printing to 7 digits leaves: no smoothing needed
 CLEAN_SHARE = 1e-3
 # fewer samples leave no room for a window, or, if they are clean, for one that beats midpoints
-SHORT, SHORT_AND_CLEAN = 8, 24
+_SHORT, SHORT_AND_CLEAN = 8, 24
 WINDOWS_AT_A_TIME = 2048  # relative rotations in memory
 
 
@@ -69,7 +69,7 @@ def derive_together(
             raise RecordingError(text, code="too-short")
         x, how = positions_along(t, robot), method
         if how == "auto":
-            short = T < SHORT or (T < SHORT_AND_CLEAN and x is not None and is_clean(t.time, x))
+            short = T < _SHORT or (T < SHORT_AND_CLEAN and x is not None and is_clean(t.time, x))
             how = "midpoint" if short else "smooth"
         if x is None or (how == "midpoint" and bodies):  # a planar base: differences on the manifold only
             dt = np.diff(t.time)

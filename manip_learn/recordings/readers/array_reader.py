@@ -32,7 +32,7 @@ from manip_learn.recordings.readers.recording import (
 from manip_learn.recordings.saved_motion import joint_positions
 
 NUMBERS = ("time", "q", "u", "effort")
-SHOWN = 8  # names in a sentence
+_SHOWN = 8  # names in a sentence
 LIKELY = re.compile(r"joint|state|pos|angle|theta|meas", re.IGNORECASE)  # in names of what may be joint positions
 MOST_ARRAYS = 100_000  # of one file, which are listed before any is read
 HEADER_BYTES, COMPRESSED = 128, 15  # of a MATLAB file: before its first element; the type of a packed one
@@ -147,8 +147,8 @@ def array_groups(path: Path, names: Sequence[str], request: ReadRequest) -> dict
             stamps, _ = find_time(list(groups.get(outer, ())))
             roles |= {"time": list(groups[outer].values())[stamps[0]]} if len(stamps) == 1 else {}
         unused = [called for called, name in groups[group].items() if name not in roles.values()]
-        more = ", ..." if len(unused) > SHOWN else ""
-        notes = [f"arrays not used: {', '.join(unused[:SHOWN])}{more}"] if unused else []
+        more = ", ..." if len(unused) > _SHOWN else ""
+        notes = [f"arrays not used: {', '.join(unused[:_SHOWN])}{more}"] if unused else []
         guessed = [f"{role} from {last[name]!r}" for role, name in roles.items() if role not in groups[group]]
         notes += [f"read by the words in their names: {', '.join(guessed)}"] if guessed else []
         if "q" in roles:

@@ -19,7 +19,7 @@ from typing import Any, final
 
 from manip_learn.errors import DAMAGE, MissingExtraError
 from manip_learn.recordings.format_words import JOINT_STATE
-from manip_learn.recordings.readers.recording import bomb, check_regular, metadata_text, most_bytes, reason, refusal
+from manip_learn.recordings.readers.recording import bomb, check_regular, metadata_text, most_bytes, reason_of, refusal
 
 try:
     import apsw
@@ -39,7 +39,7 @@ BAG_DAMAGE = (
     *(rosbag1.ReaderError, rosbag2.ReaderError, SerdeError, YAMLError, apsw.Error, zstd.ZstdError),
     *(AssertionError, *DAMAGE),
 )
-LOST = "the bag is damaged or a part of it is missing; copy it again, or run `ros2 bag reindex` to use what is left"
+_LOST = "the bag is damaged or a part of it is missing; copy it again, or run `ros2 bag reindex` to use what is left"
 
 
 @final
@@ -81,7 +81,7 @@ class BagFile:
                 yield c.topic, stamp, deserialised(zstd.decompress(raw) if self.packed else raw, c.msgtype)
         for topic in topics:
             if self.stated and found[topic] != (n := self.stated[topic]):
-                said = f"{found[topic]} messages of {topic} are there, the bag states {n}: {LOST}"
+                said = f"{found[topic]} messages of {topic} are there, the bag states {n}: {_LOST}"
                 raise refusal(self.path, "lost-messages", said)
 
 
@@ -103,7 +103,7 @@ def open_bag(path: Path) -> Iterator[BagFile]:
             yield _opened(path, stack)
     except BAG_DAMAGE as error:
         parts = sorted(p for p in path.iterdir() if p.suffix in (".mcap", ".db3")) if path.is_dir() else []
-        text = f"the bag cannot be read ({reason(error)}): repair it (`rosbag reindex`, `ros2 bag reindex`, "
+        text = f"the bag cannot be read ({reason_of(error)}): repair it (`rosbag reindex`, `ros2 bag reindex`, "
         text += "`mcap recover`) or record it again"  # or files were renamed, or the metadata are those of others
         text += f", or give {parts[0]} itself" if parts else ""
         raise refusal(path, "damaged", text) from error
@@ -163,7 +163,7 @@ def _opened(path: Path, stack: contextlib.ExitStack) -> BagFile:
         stated[c.topic] += c.msgcount
     if stated.total() != storage.metadata.message_count:
         said = f"of {storage.metadata.message_count} messages that the bag states {stated.total()} are of its topics"
-        raise refusal(path, "lost-messages", f"{said}: {LOST}")
+        raise refusal(path, "lost-messages", f"{said}: {_LOST}")
     return BagFile(path, parts, stated, storage.metadata.compression_mode == "message")
 
 

@@ -19,11 +19,11 @@ from jaxtyping import Float
 from manip_learn.errors import advice
 from manip_learn.recordings.readers.name_patterns import named_in
 from manip_learn.recordings.readers.quantities import MESSAGES, table_columns
-from manip_learn.recordings.readers.read_request import SECONDS, ReadRequest, names_advice
-from manip_learn.recordings.readers.recording import LONGEST_TEXT, Recording, check_columns, reason, refusal
+from manip_learn.recordings.readers.read_request import SECONDS_OF, ReadRequest, names_advice
+from manip_learn.recordings.readers.recording import LONGEST_TEXT, Recording, check_columns, reason_of, refusal
 
 COMMENT_MARKS = ("#", "%")
-NUMBER = re.compile(r"[+-]?(\d+([.,]\d*)?|[.,]\d+)([eE][+-]?\d+)?|[+-]?(nan|inf(inity)?)", re.IGNORECASE)
+_NUMBER = re.compile(r"[+-]?(\d+([.,]\d*)?|[.,]\d+)([eE][+-]?\d+)?|[+-]?(nan|inf(inity)?)", re.IGNORECASE)
 TIME_OF_DAY = re.compile(r"(\d{1,3}):([0-5]?\d):([0-5]?\d(?:[.,]\d*)?)")
 DELIMITER_WORDS = {",": "comma", ";": "semicolon", "\t": "tab", None: "white space"}
 
@@ -57,7 +57,7 @@ def read(path: Path, request: ReadRequest) -> Iterator[Recording]:
         time = table[:, used.index(columns.time)]
     in_seconds = unit is not None and request.time_unit is None  # by its name, unless the caller says another unit
     if unit is not None and in_seconds:
-        time = time * SECONDS[unit]
+        time = time * SECONDS_OF[unit]
     parts = (columns.positions, columns.velocities, columns.efforts)
     q, u, effort = (table[:, [used.index(i) for i in part]] for part in parts)
     yield Recording(
@@ -139,7 +139,7 @@ def text_lines(path: Path) -> Iterator[tuple[int, str]]:
                     raise refusal(path, "line-too-long", f"{said} needed", line=number)
                 yield number, line
     except UnicodeError as error:
-        said = f"this is not UTF-8 text ({reason(error)}): save the table as plain UTF-8 text"
+        said = f"this is not UTF-8 text ({reason_of(error)}): save the table as plain UTF-8 text"
         raise refusal(path, "encoding", said) from error
 
 
@@ -167,11 +167,11 @@ def _dialect(path: Path, number: int, lines: list[str], comment: str, request: R
     fields = _fields(line, delimiter)
     if comment.startswith("%time,"):  # of `rostopic echo -p`, whose header begins like a comment
         raise refusal(path, "messages", MESSAGES, line=number - 1)
-    if not all(NUMBER.fullmatch(f) for f in fields):
+    if not all(_NUMBER.fullmatch(f) for f in fields):
         return CsvDialect(delimiter, _unnamed(fields, rows, delimiter), number)
     text = comment.strip().lstrip("".join(COMMENT_MARKS)).strip()
     commented = _fields(text, _delimiter(text)) if text else []
-    if len(commented) == len(fields) and not all(NUMBER.fullmatch(n) for n in commented):
+    if len(commented) == len(fields) and not all(_NUMBER.fullmatch(n) for n in commented):
         return CsvDialect(delimiter, tuple(commented), number - 1, commented_header=True)
     if request is None or request.joint_names is None:
         needed = "a header is needed: 'time' and one joint name per column, since columns are matched by name"
@@ -205,7 +205,7 @@ def _table(
     except ValueError as error:
         for number, line in _numbered_lines(path, dialect):
             fields = _fields(line, dialect.delimiter)
-            i = next((i for i in used if not NUMBER.fullmatch(fields[i]) and seconds_of(fields[i]) is None), None)
+            i = next((i for i in used if not _NUMBER.fullmatch(fields[i]) and seconds_of(fields[i]) is None), None)
             if i is None:
                 continue
             what, name = repr(fields[i][:40]) if fields[i] else "an empty field", dialect.columns[i]
@@ -214,7 +214,7 @@ def _table(
                 leave = advice("; if it is no joint's: {}", "columns='{joint}'", "--columns '{joint}'")
             text = f"{what} where a number is needed: correct the row or remove it{leave}"
             raise refusal(path, "not-a-number", text, line=number, column=name) from error
-        raise refusal(path, "not-a-number", f"the numbers cannot be read: {reason(error)}") from error
+        raise refusal(path, "not-a-number", f"the numbers cannot be read: {reason_of(error)}") from error
 
 
 def _numbered_lines(path: Path, dialect: CsvDialect) -> Iterator[tuple[int, str]]:
@@ -230,7 +230,7 @@ def seconds_of(stamp: str) -> float | None:
         hours, minutes, seconds = (float(part.replace(",", ".")) for part in day.groups())
         return 3600.0 * hours + 60.0 * minutes + seconds
     try:
-        date = None if NUMBER.fullmatch(stamp) else datetime.fromisoformat(stamp)
+        date = None if _NUMBER.fullmatch(stamp) else datetime.fromisoformat(stamp)
     except ValueError:
         return None
     return None if date is None else (date if date.tzinfo else date.replace(tzinfo=UTC)).timestamp()

@@ -30,7 +30,7 @@ from manip_learn.recordings.readers.recording import (
     metadata_text,
     most_bytes,
     natural_order,
-    reason,
+    reason_of,
     refusal,
     refuse_lost,
     refusing_damage,
@@ -295,7 +295,7 @@ def open_dataset(path: Path) -> LeRobotDataset:
     try:
         info = json.loads(metadata_text(info_path))
     except (ValueError, RecursionError) as error:
-        raise refusal(info_path, "damaged", f"not valid JSON: {reason(error)}", in_full=True) from error
+        raise refusal(info_path, "damaged", f"not valid JSON: {reason_of(error)}", in_full=True) from error
     if not isinstance(info, dict):
         raise refusal(info_path, "damaged", f"an object is needed, this is {type(info).__name__}", in_full=True)
     version, features, fps = (info.get(name) for name in ("codebase_version", "features", "fps"))

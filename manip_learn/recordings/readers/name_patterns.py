@@ -14,11 +14,11 @@ from manip_learn.recordings.format_words import ENDS
 from manip_learn.recordings.readers.recording import refusal
 
 JOINT, INDEX = "{joint}", "{index}"
-SHOWN = 8  # names in a sentence
+_SHOWN = 8  # names in a sentence
 NUMBERED = re.compile(r"(?P<head>.*?)(?P<number>\d+)(?P<tail>\D*)")
 SIDES = ({"left", "l", "lh", "larm"}, {"right", "r", "rh", "rarm"})  # words that say which of two arms is meant
 UNTELLING = {*SIDES[0], *SIDES[1], "joint", "link", "motor", "k"}  # words that do not tell one joint from another
-ALIKE = 0.65  # of the letters of two names, below which they are not the same word misspelt
+_ALIKE = 0.65  # of the letters of two names, below which they are not the same word misspelt
 MOST_COMPARED = 300  # names of a file in which a joint is sought letter by letter; an arm has ten
 
 
@@ -78,7 +78,7 @@ def shown(names: Sequence[str | None], wanted: str = "") -> str:
     """The names that look like the wanted one, else the first of all."""
     all_names = [n for n in names if n]
     listed = closest_names(wanted, all_names) if wanted else []
-    listed = listed or all_names[:SHOWN]
+    listed = listed or all_names[:_SHOWN]
     return ", ".join(map(repr, listed)) + (" ..." if len(all_names) > len(listed) else "")
 
 
@@ -199,7 +199,7 @@ def _nearest_pairs(recorded: Sequence[str], missing: Sequence[str]) -> dict[str,
             ratios.append(difflib.SequenceMatcher(None, one, other, autojunk=False).ratio() if one and other else 0.0)
         return max(ratios)
 
-    like = {(n, j): value for n in recorded for j in missing if (value := likeness(n, j)) >= ALIKE}
+    like = {(n, j): value for n in recorded for j in missing if (value := likeness(n, j)) >= _ALIKE}
     best = {key: max(v for k, v in like.items() if k[at] == key) for at in (0, 1) for key in {k[at] for k in like}}
     found = [k for k, value in like.items() if value == best[k[0]] == best[k[1]]]
     once = [k for k in found if sum(k[0] == o[0] or k[1] == o[1] for o in found) == 1]

@@ -33,7 +33,7 @@ from manip_learn.robot import Robot, load_robot
 from manip_learn.robot.description.catalogue import SHIPPED
 
 # quantity -> words that say it; the first that has one of its words is meant
-WORDS: dict[str, set[str]] = {
+_WORDS: dict[str, set[str]] = {
     "other": {
         *("ext", "external"),  # an estimate of what the world exerts, without gravity and friction
         *("current", "acceleration", "acc", "accel", "qdd", "ddq"),
@@ -49,7 +49,7 @@ WORDS: dict[str, set[str]] = {
     "position": {"position", "positions", "pos", "q", "qpos", "angle", "angles", "theta", "rad"},
 }
 PLOTJUGGLER = "__time"  # the axis of its tables [s]
-PLAIN = re.compile(
+_PLAIN = re.compile(
     r"(time|times|t|timestamps?|stamp|secs?|seconds|elapsed([_ ]time)?|relative[_ ]time|ros[_ ]?time|unix[_ ]?time"
     r"|epoch|date[_ /]?time|recv_?time|receive[_ ]time|publish[_ ]time|(.*[./])?header[./]stamp)"
 )
@@ -62,7 +62,7 @@ POSITIONS = re.compile(r"(joint_?pos(ition)?s?|qpos)$", re.IGNORECASE)
 POSES = re.compile(r"eef|(^|_)ee(_|$)|tcp|cart|gripper|finger|hand|object|camera|cos|sin|quat", re.IGNORECASE)
 ROLES = {"time": "time", "q": "position", "u": "velocity", "effort": "effort", "joint_names": "names"}  # of arrays
 MESSAGES = "this is a table of the messages in a ROS bag (rostopic echo -p, bagpy): give the bag itself, it is read"
-SHOWN = 6  # names in a sentence
+_SHOWN = 6  # names in a sentence
 
 
 def kind_of(name: str) -> str:
@@ -70,7 +70,7 @@ def kind_of(name: str) -> str:
     if re.search(r"(rad|deg)/s", name.lower()):
         return "velocity"
     words = set(re.findall(r"[a-z]+", re.sub(r"\{\w+\}", " ", name.lower())))
-    kinds = [kind for kind, known in WORDS.items() if words & known]
+    kinds = [kind for kind, known in _WORDS.items() if words & known]
     return "other" if {"command", "effort"} <= set(kinds) else next(iter(kinds), "")  # such efforts are not measured
 
 
@@ -151,8 +151,8 @@ def table_columns(header: Sequence[str], first_row: Sequence[str], request: Read
         if names[i] in [names[k] for k in used if k < i]:
             raise PatternError(f"two columns are called {names[i]!r}: keep one", "duplicate-column")
     rest = [i for i, n in enumerate(names) if n is not None and i not in used]
-    words = [header[i] or f"column {i + 1} (without a name)" for i in rest[:SHOWN]]
-    more = f" and {len(rest) - SHOWN} more" if len(rest) > SHOWN else ""
+    words = [header[i] or f"column {i + 1} (without a name)" for i in rest[:_SHOWN]]
+    more = f" and {len(rest) - _SHOWN} more" if len(rest) > _SHOWN else ""
     notes += [f"columns not used: {', '.join(words)}{more}"] if rest else []
     return replace(found, notes=tuple(notes))
 
@@ -267,7 +267,7 @@ def array_roles(names: Sequence[str]) -> dict[str, str]:
     for role, kind in ROLES.items():
         there = [] if role in roles else arrays_of(kind, free)
         if len(there) > 1 and role == "q":
-            flags = " or ".join(advice("{}", *rename_words({n: "q"})) or n for n in there[:SHOWN])
+            flags = " or ".join(advice("{}", *rename_words({n: "q"})) or n for n in there[:_SHOWN])
             raise PatternError(f"several arrays could be joint positions: say which: {flags}", "missing-array")
         roles |= {role: there[0]} if len(there) == 1 else {}
     return roles
@@ -286,7 +286,7 @@ def find_time(names: Sequence[str | None]) -> tuple[list[int], list[int]]:
     A column `time` is it, or PlotJuggler's, or a message's stamp.
     """
     lowered = ["" if n is None else n.strip().lower() for n in names]
-    known = [i for i, n in enumerate(lowered) if n == PLOTJUGGLER or PLAIN.fullmatch(n) or WITH_UNIT.fullmatch(n)]
+    known = [i for i, n in enumerate(lowered) if n == PLOTJUGGLER or _PLAIN.fullmatch(n) or WITH_UNIT.fullmatch(n)]
     if "time" in names:
         return [names.index("time")], [i for i in known if names[i] != "time"]
     for ends in (PLOTJUGGLER, ("header.stamp", "header/stamp")):

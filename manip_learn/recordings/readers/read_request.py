@@ -25,7 +25,7 @@ TimeUnit = Literal["s", "ms", "us", "ns"]
 OutsideLimits = Literal["refuse", "note"]
 
 RATE = ("rate=<samples per second>", "--rate <samples per second>")  # how the option is written
-SECONDS: dict[str, float] = {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9}  # of one unit
+SECONDS_OF: dict[str, float] = {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9}  # of one unit
 UNIT_WORDS = {"s": "seconds", "ms": "milliseconds", "us": "microseconds", "ns": "nanoseconds"}
 FLAGS = {"ignore_columns": "--ignore-column", "topics": "--topic"}  # of options that are called otherwise in Python
 CHOICES = {"units": Units, "time_unit": TimeUnit, "velocities": Velocities, "outside_limits": OutsideLimits}

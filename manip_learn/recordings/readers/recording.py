@@ -18,13 +18,13 @@ from jaxtyping import Float
 
 from manip_learn.errors import DAMAGE, RecordingError
 
-LONGEST = 160  # characters of a foreign text: two lines of a terminal
+_LONGEST = 160  # characters of a foreign text: two lines of a terminal
 POINTER = b"version https://git-lfs"  # how the text begins that Git LFS leaves in place of a file
 # bytes that are never too many, and times that what is in a file may be larger than it: motions pack 1 to 20 times
 ALWAYS_FINE, BOMB_RATIO = 50_000_000, 200
 LARGEST_ARRAYS = 16_000_000_000  # bytes of all arrays of one recording, which are in memory together
 FEWEST_SAMPLE_BYTES = 16  # of a sample: a stamp and a few joints
-MOST_COLUMNS = 10_000  # of a table, an array or a message: a hundred robots
+_MOST_COLUMNS = 10_000  # of a table, an array or a message: a hundred robots
 LONGEST_TEXT = 1_000_000  # characters of a line of a table, or of one text in an archive
 LARGEST_METADATA = 10_000_000  # bytes of a JSON or YAML file, which lists features or topics but no samples
 DEEPEST = 100  # brackets within each other in such a file; beyond, parsers take quadratic time or run out of stack
@@ -142,14 +142,14 @@ def refusing_damage(path: Path, *more: type[Exception]) -> Iterator[None]:
     try:
         yield
     except (*more, *DAMAGE) as error:
-        said = f"the file is damaged ({reason(error)}): download, copy or save it again"
+        said = f"the file is damaged ({reason_of(error)}): download, copy or save it again"
         raise refusal(path, "damaged", said) from error
 
 
-def reason(error: BaseException) -> str:
+def reason_of(error: BaseException) -> str:
     """Its message without line breaks; the name of its class if it has none."""
     text = " ".join(str(error).split()) or type(error).__name__
-    return text if len(text) <= LONGEST else text[: LONGEST - 3] + "..."
+    return text if len(text) <= _LONGEST else text[: _LONGEST - 3] + "..."
 
 
 def float_array(values: np.ndarray) -> Float[np.ndarray, "..."]:
@@ -183,7 +183,7 @@ def check_regular(path: Path) -> None:
     except FileNotFoundError as error:
         raise refusal(path, "missing-file", "there is no such file: check the path", in_full=True) from error
     except (OSError, ValueError) as error:
-        raise refusal(path, "unreadable", f"cannot be opened: {reason(error)}", in_full=True) from error
+        raise refusal(path, "unreadable", f"cannot be opened: {reason_of(error)}", in_full=True) from error
 
 
 def most_bytes(packed: int) -> int:
@@ -215,8 +215,8 @@ def check_columns(path: Path, what: str, n: int) -> None:
     Raises:
         RecordingError: Code `too-large`.
     """
-    if n > MOST_COLUMNS:
-        raise refusal(path, "too-large", f"{what} has {n:,} columns, at most {MOST_COLUMNS:,} are read")
+    if n > _MOST_COLUMNS:
+        raise refusal(path, "too-large", f"{what} has {n:,} columns, at most {_MOST_COLUMNS:,} are read")
 
 
 def metadata_text(path: Path) -> str:
@@ -232,7 +232,7 @@ def metadata_text(path: Path) -> str:
     try:
         text = path.read_text(encoding="utf-8")
     except (ValueError, OSError) as error:
-        raise refusal(path, "damaged", f"it cannot be read as text: {reason(error)}", in_full=True) from error
+        raise refusal(path, "damaged", f"it cannot be read as text: {reason_of(error)}", in_full=True) from error
     depths = itertools.accumulate(1 if mark in "[{" else -1 for mark in re.findall(r"[][{}]", text))
     if any(depth > DEEPEST for depth in depths):
         raise refusal(path, "damaged", f"more than {DEEPEST} brackets are open within each other", in_full=True)

@@ -17,7 +17,7 @@ from manip_learn.recordings.format_words import MARK
 from manip_learn.recordings.readers.csv_reader import sniff_dialect
 from manip_learn.recordings.readers.lerobot_reader import episode_numbers
 from manip_learn.recordings.readers.read_request import ReadRequest
-from manip_learn.recordings.readers.recording import Recording, check_regular, natural_order, reason, refusal
+from manip_learn.recordings.readers.recording import Recording, check_regular, natural_order, reason_of, refusal
 from manip_learn.recordings.readers.saved_reader import JSON_LINES, file_header
 from manip_learn.recordings.saved_motion import check_robot
 
@@ -40,9 +40,9 @@ LEROBOT = FileFormat("LeRobot data", READERS + "lerobot_reader")
 MATLAB = FileFormat("MATLAB files", READERS + "array_reader")
 ROBOMIMIC = FileFormat("HDF5 (robomimic)", READERS + "hdf5_reader")
 SAVED = FileFormat("files of manip_learn", READERS + "saved_reader")
-FORMATS = (CSV, NPZ, ROSBAG, LEROBOT, ROBOMIMIC, MATLAB)
+_FORMATS = (CSV, NPZ, ROSBAG, LEROBOT, ROBOMIMIC, MATLAB)
 
-SUFFIXES = (".csv", ".tsv", ".npz", ".bag", ".db3", ".mcap", ".parquet", ".hdf5", ".h5")  # of recordings
+_SUFFIXES = (".csv", ".tsv", ".npz", ".bag", ".db3", ".mcap", ".parquet", ".hdf5", ".h5")  # of recordings
 MAGIC: dict[tuple[bytes, ...], FileFormat] = {
     (b"#ROSBAG V2", b"SQLite format 3\x00", b"\x89MCAP0\r\n"): ROSBAG,
     (b"PAR1",): LEROBOT,
@@ -95,7 +95,7 @@ def recognise(path: Path) -> FileFormat:
                 names = archive.namelist()
         except (zipfile.BadZipFile, OSError, ValueError, NotImplementedError) as error:
             raise refusal(
-                path, "damaged", f"the archive is damaged ({reason(error)}): copy or save it again"
+                path, "damaged", f"the archive is damaged ({reason_of(error)}): copy or save it again"
             ) from error
         if any(n.endswith(".npy") for n in names):
             return SAVED if "format.npy" in names and file_header(path) is not None else NPZ
@@ -113,7 +113,7 @@ def recognise(path: Path) -> FileFormat:
         if start.startswith(sign):
             raise refusal(path, code, f"this {sentence}")
     if b"\x00" in head and not head.startswith((b"\xff\xfe", b"\xfe\xff")):  # UTF-16 is told by its reader
-        kinds = ", ".join(f.title for f in FORMATS)
+        kinds = ", ".join(f.title for f in _FORMATS)
         text = f"the content is binary and of no known kind (starts with {head[:8]!r}); known are {kinds}"
         raise refusal(path, "unknown-format", text)
     return CSV
@@ -214,12 +214,12 @@ def _in_folder(folder: Path, notes: list[str]) -> list[RecordingFile]:
     try:
         names = sorted((p.name for p in folder.iterdir() if not p.name.startswith(".")), key=natural_order)
     except OSError as error:
-        raise refusal(folder, "unreadable", f"cannot be listed: {reason(error)}", in_full=True) from error
+        raise refusal(folder, "unreadable", f"cannot be listed: {reason_of(error)}", in_full=True) from error
     for path in (folder / name for name in names):
         try:
             known = folder_format(path) if path.is_dir() else recognise(path)
         except RecordingError as error:
-            if path.suffix.lower() in SUFFIXES:
+            if path.suffix.lower() in _SUFFIXES:
                 raise  # it is called like a recording: skipping it silently would hide a broken one
             known, why = None, why or f"; {error}"
         if known is not None and (known is not CSV or looks_like_table(path)):

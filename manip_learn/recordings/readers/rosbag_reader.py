@@ -13,14 +13,14 @@ import numpy as np
 from jaxtyping import Float, Int
 
 from manip_learn.errors import RecordingError, advice, closest_names, counted
-from manip_learn.recordings.clock import GAP_FACTOR, in_order
+from manip_learn.recordings.clock import GAP_FACTOR, senders_in_order
 from manip_learn.recordings.format_words import JOINT_STATE
 from manip_learn.recordings.readers.bag_file import BagFile, open_bag
 from manip_learn.recordings.readers.read_request import RATE, ReadRequest, first_names
 from manip_learn.recordings.readers.recording import MOST_NAME_LISTS, Recording, check_columns, refusal
 
 USUAL_TOPIC = "/joint_states"
-ARRAYS = {"q": "position", "u": "velocity", "effort": "effort"}  # of messages, and how they call them
+_ARRAYS = {"q": "position", "u": "velocity", "effort": "effort"}  # of messages, and how they call them
 PLURAL = {"position": "positions", "velocity": "velocities", "effort": "efforts"}
 OTHER_CLOCK = 1_000_000_000  # [ns] by which the clocks of two hosts differ; no message is under way for so long
 
@@ -134,7 +134,7 @@ class JointStates:
 
     def each(self, change: Callable[[np.ndarray], np.ndarray]) -> dict[str, Any]:
         """Its arrays, each changed where it is there."""
-        return {name: None if (x := getattr(self, name)) is None else change(x) for name in ARRAYS}
+        return {name: None if (x := getattr(self, name)) is None else change(x) for name in _ARRAYS}
 
     @property
     def clock(self) -> int:
@@ -156,7 +156,7 @@ class JointStates:
         # differences first: nanoseconds since 1970 do not fit into float64
         time = (stamps - first)[by_arrival].astype(np.float64) * 1e-9
         arrival = (self.received - self.received.min())[by_arrival].astype(np.float64) * 1e-9
-        runs, said = in_order(time, self.q[by_arrival], arrival)
+        runs, said = senders_in_order(time, self.q[by_arrival], arrival)
         if not runs:
             text = f"the stamps of {self.topic} are in no order" + advice("; pass {}", *RATE)
             raise RecordingError(text, code="time-order")
@@ -191,7 +191,7 @@ def _streams(bag: BagFile, topics: tuple[str, ...]) -> tuple[list[JointStates], 
         sent, arrived, *columns = tables[topic, names]
         sent.append(message.header.stamp.sec * 1_000_000_000 + message.header.stamp.nanosec)
         arrived.append(received)
-        for values, what in zip(columns, ARRAYS.values(), strict=True):
+        for values, what in zip(columns, _ARRAYS.values(), strict=True):
             numbers = getattr(message, what)
             if len(numbers) == len(names):
                 values.frombytes(np.ascontiguousarray(numbers, dtype=np.float64).tobytes())
@@ -201,13 +201,13 @@ def _streams(bag: BagFile, topics: tuple[str, ...]) -> tuple[list[JointStates], 
     streams = []
     for (topic, names), (sent, arrived, *columns) in tables.items():
         T, n = len(sent), len(names)
-        for what, values in zip(ARRAYS.values(), columns, strict=True):
+        for what, values in zip(_ARRAYS.values(), columns, strict=True):
             if 0 < len(values) < T * n:
                 some = f"{T - len(values) // n} of {T} messages of {topic} have no {PLURAL[what]}"
                 notes.append(f"{some}, so those of the others are not used")
         stamps, received = (np.array(x, dtype=np.int64) for x in (sent, arrived))
         full = (np.array(x).reshape(T, n) if len(x) == T * n else None for x in columns)
-        known: dict[str, Any] = dict(zip(ARRAYS, full, strict=True))
+        known: dict[str, Any] = dict(zip(_ARRAYS, full, strict=True))
         streams.append(JointStates(topic, names, stamps, **known, received=received))
     return streams, speeds, notes
 
@@ -290,7 +290,7 @@ def joint_groups(streams: list[JointStates], chosen: dict[str, str]) -> tuple[li
 
 def _combined(streams: list[JointStates], combine: Callable[[Any], np.ndarray], samples: np.ndarray) -> dict[str, Any]:
     """Some samples of the arrays of several streams as one each, of which all of them have it."""
-    arrays = {name: [getattr(s, name) for s in streams] for name in ARRAYS}
+    arrays = {name: [getattr(s, name) for s in streams] for name in _ARRAYS}
     return {name: None if any(x is None for x in some) else combine(some)[samples] for name, some in arrays.items()}
 
 

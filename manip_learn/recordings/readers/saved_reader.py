@@ -15,10 +15,10 @@ from manip_learn.recordings.format_words import DATASET_HEADER, MARK
 from manip_learn.recordings.readers.csv_reader import text_lines
 from manip_learn.recordings.readers.npz_reader import stored_arrays, texts_of
 from manip_learn.recordings.readers.read_request import ReadRequest
-from manip_learn.recordings.readers.recording import LONGEST_TEXT, Recording, float_array, reason, refusal
+from manip_learn.recordings.readers.recording import LONGEST_TEXT, Recording, float_array, reason_of, refusal
 from manip_learn.recordings.saved_motion import (
-    CURVES,
     PREFIX,
+    ROLLOUT_CURVES,
     FileHeader,
     SavedMotion,
     check_robot,
@@ -27,9 +27,9 @@ from manip_learn.recordings.saved_motion import (
     column_line,
     joint_positions,
 )
-from manip_learn.recordings.trajectory import BESIDE
+from manip_learn.recordings.trajectory import BESIDE_POSITIONS
 
-ARRAYS = ("time", "q", *CURVES)
+_ARRAYS = ("time", "q", *ROLLOUT_CURVES)
 TEXTS = ("format", "header", "status", "joint_names")
 JSON_LINES = '{"format": "manip_learn.'  # how they began
 
@@ -90,7 +90,7 @@ def read(path: Path, request: ReadRequest) -> Iterator[Recording]:
     motion = read_saved(path)
     names = request.renamed(*motion.header.joint_names)
     q = joint_positions(path, motion.arrays["q"], names, request.robot)
-    beside = (motion.arrays.get(name) for name in BESIDE)
+    beside = (motion.arrays.get(name) for name in BESIDE_POSITIONS)
     own = {"in_seconds": True, "trusted": True, "notes": notes}
     yield Recording.of(path, path.name, motion.arrays["time"], names, q, *beside, **own)
 
@@ -102,16 +102,18 @@ def _refusing_damage(path: Path) -> Iterator[None]:
     except FileNotFoundError as error:
         raise RecordingError(f"rollout file {path} does not exist", code="missing", path=path) from error
     except DAMAGE as error:
-        raise refusal(path, "damaged", f"the file cannot be read ({reason(error)}): copy or save it again") from error
+        raise refusal(
+            path, "damaged", f"the file cannot be read ({reason_of(error)}): copy or save it again"
+        ) from error
 
 
 def _of_archive(path: Path, header: FileHeader) -> dict[str, np.ndarray]:
     """The arrays of an archive."""
-    stored, _ = stored_arrays(path, ARRAYS, TEXTS)
+    stored, _ = stored_arrays(path, _ARRAYS, TEXTS)
     if "joint_names" in stored and texts_of(path, "joint_names", stored["joint_names"]) != header.joint_names:
         raise refusal(path, "damaged", "its joint_names are not those of its header: save it again")
     words = {"status": np.array(texts_of(path, "status", stored["status"]))} if "status" in stored else {}
-    return {name: float_array(stored[name]) for name in ARRAYS if name in stored} | words
+    return {name: float_array(stored[name]) for name in _ARRAYS if name in stored} | words
 
 
 def _of_table(path: Path, header: FileHeader) -> dict[str, np.ndarray]:
@@ -121,7 +123,7 @@ def _of_table(path: Path, header: FileHeader) -> dict[str, np.ndarray]:
     number, columns = next(lines, (2, ""))
     if columns.startswith("# "):  # in a table, these would be the names of the columns
         raise refusal(path, "not-a-rollout", "a JointTrajectory is written for controllers only: read .npz or .csv")
-    choices = (c for n in (1, 0, 2) for c in itertools.combinations(BESIDE, n))
+    choices = (c for n in (1, 0, 2) for c in itertools.combinations(BESIDE_POSITIONS, n))
     possible = [column_groups(header, beside) for beside in choices]
     groups = next((g for g in possible if column_line(g) == columns), None)
     if groups is None:
@@ -145,5 +147,5 @@ def _of_table(path: Path, header: FileHeader) -> dict[str, np.ndarray]:
             raise refusal(path, "not-a-number", text, line=number) from error
         status += fields[n:]
     parts = np.split(np.reshape(rows, (len(rows), n)), ends[:-1], axis=1)
-    arrays = {k: x if k in ("q", *BESIDE) else x.ravel() for k, x in zip(groups, parts, strict=True)}
+    arrays = {k: x if k in ("q", *BESIDE_POSITIONS) else x.ravel() for k, x in zip(groups, parts, strict=True)}
     return arrays | ({"status": np.array(status, dtype=str)} if "status" in groups else {})

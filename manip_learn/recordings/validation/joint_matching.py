@@ -19,9 +19,9 @@ from manip_learn.recordings.velocities import continuous_rotation_vectors
 from manip_learn.robot import Robot
 
 QUATERNION, ROTATION_VECTOR = (".qx", ".qy", ".qz", ".qw"), (".rx", ".ry", ".rz")
-SHOWN = 12  # columns that a sentence says how to leave out
+_SHOWN = 12  # columns that a sentence says how to leave out
 UNIT = 0.05  # by which the length of a recorded quaternion may differ from 1
-STILL = 0.02  # [rad or m] that a joint which does not move by itself may be recorded off its place: more is no noise
+_STILL = 0.02  # [rad or m] that a joint which does not move by itself may be recorded off its place: more is no noise
 
 
 def object_coordinates(robot: Robot) -> Bool[np.ndarray, " nv"]:
@@ -159,7 +159,7 @@ def _surplus_notes(recording: Recording, robot: Robot, strict: bool) -> list[str
     unknown = list(dict.fromkeys(unknown))
     if unknown and strict:
         flags = " ".join(f"--ignore-column {shlex.quote(name)}" for name in unknown)
-        ways = [advice("; or pass {}", f"ignore_columns={unknown}", flags)] if len(unknown) <= SHOWN else []
+        ways = [advice("; or pass {}", f"ignore_columns={unknown}", flags)] if len(unknown) <= _SHOWN else []
         if recording.line_of is not None:  # patterns are for text tables
             others = "; {} reads the joints and leaves all else out"
             ways.append(advice(others, "columns='{joint}'", "--columns '{joint}'"))
@@ -178,7 +178,7 @@ def _surplus_notes(recording: Recording, robot: Robot, strict: bool) -> list[str
             leader = recording.positions[:, at.get(mimic.leader, at[name])]
             off = values - mimic.multiplier * leader - mimic.offset if mimic.leader in at else 0.0 * values
         worst = float(np.max(np.abs(off[np.isfinite(off)]), initial=0.0))
-        more = f", though {though.format(f'{worst:.3g}')}" if worst > STILL else ""
+        more = f", though {though.format(f'{worst:.3g}')}" if worst > _STILL else ""
         notes.append(f"{note}, its column is not used{more}")
     return notes
 

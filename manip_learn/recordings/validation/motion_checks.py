@@ -10,7 +10,7 @@ from jaxtyping import Bool, Float, Int
 
 from manip_learn.errors import advice, counted
 from manip_learn.recordings.clock import usual_step
-from manip_learn.recordings.readers.read_request import SECONDS, UNIT_WORDS, ReadRequest
+from manip_learn.recordings.readers.read_request import SECONDS_OF, UNIT_WORDS, ReadRequest
 from manip_learn.recordings.readers.recording import Recording
 from manip_learn.recordings.validation.joint_matching import angular_coordinates, object_coordinates
 from manip_learn.robot import Robot
@@ -18,12 +18,12 @@ from manip_learn.robot import Robot
 # a stamp of the years 1973 to 5138 in each unit; seconds end where milliseconds begin
 EPOCHS = (("ns", 1e17), ("us", 1e14), ("ms", 1e11))
 SLOW, LONG = 0.02, 1.0  # [rad/s], [s]: no arm is shown a motion so slowly with a sample so seldom
-NOTABLE = 1e-6  # [rad or m] beyond a limit
+_NOTABLE = 1e-6  # [rad or m] beyond a limit
 FAR_ANGLE, FAR_LENGTH = 0.1, 0.05  # [rad], [m]: a few degrees are calibration, more is another fault
-FAST = 3.0  # times the velocity limit
+_FAST = 3.0  # times the velocity limit
 # the share by which velocities in rad/s and positions in degrees may miss the ratio of their units, and the least
 # squared correlation of what they say, over all joints
-UNIT_OFF, ALIKE = 0.2, 0.8
+UNIT_OFF, _ALIKE = 0.2, 0.8
 # of two motions in turn: samples within which each is heard again, the fewest jumps between them, and the least size of
 # a jump [rad or m], which quanta of a coarse encoder on all joints together do not reach
 LAGS, FEWEST_JUMPS, SMALLEST = 20, 10, 0.1
@@ -32,7 +32,7 @@ SELDOM = 0.05  # of the samples, at most, are failed reads; a second publisher's
 
 @final
 @dataclass(frozen=True, eq=False)
-class Motion:
+class MotionInFile:
     """A recorded motion in the robot's joints and in SI units, and where it comes from.
 
     Attributes:
@@ -75,7 +75,7 @@ def time_in_seconds(
         return time, []
     if request.time_unit is not None:
         request.uses.use("time_unit")
-        return time * SECONDS[request.time_unit], []
+        return time * SECONDS_OF[request.time_unit], []
     largest = float(np.max(np.abs(time)))
     unit, evidence = next((u for u, start in EPOCHS if largest > start), None), f"the stamps reach {largest:.6g}"
     steps = np.abs(np.diff(time))
@@ -83,17 +83,17 @@ def time_in_seconds(
     if unit is None and step >= LONG:
         with np.errstate(over="ignore", divide="ignore", invalid="ignore"):  # stamps may differ by next to nothing
             speed = float(np.nanmax(np.percentile(np.abs(np.diff(q, axis=0)) / steps[:, None], 99, axis=0)))
-        believed = u is not None and np.percentile(np.abs(np.nan_to_num(u)), 99) < FAST * SLOW and np.any(u)
+        believed = u is not None and np.percentile(np.abs(np.nan_to_num(u)), 99) < _FAST * SLOW and np.any(u)
         if 0.0 < speed < SLOW and not believed:
             unit = "ms" if step <= 1e3 else "us" if step <= 1e6 else "ns"
             evidence = f"samples are {step:.6g} apart and no joint would be faster than {speed:.2g} rad/s"
     if unit is None:
         return time, []
     how = advice(" ({} if they are seconds)", "time_unit='s'", "--time-unit s")
-    return time * SECONDS[unit], [f"the time stamps were read as {UNIT_WORDS[unit]}, for {evidence}{how}"]
+    return time * SECONDS_OF[unit], [f"the time stamps were read as {UNIT_WORDS[unit]}, for {evidence}{how}"]
 
 
-def check_motion(motion: Motion) -> list[str]:
+def check_motion(motion: MotionInFile) -> list[str]:
     """Notes on a motion."""
     _refuse_two_publishers(motion)
     robot, recording, angular = motion.robot, motion.recording, motion.angular
@@ -105,7 +105,7 @@ def check_motion(motion: Motion) -> list[str]:
     refuses = motion.request.outside_limits == "refuse" and not recording.trusted
     if np.any(far) and refuses:
         _refuse_far(motion, int(np.argmax(np.where(far, beyond, 0.0))))
-    slight = np.flatnonzero(beyond > NOTABLE)
+    slight = np.flatnonzero(beyond > _NOTABLE)
     if slight.size:
         worst = int(np.argmax(beyond))
         notes.append(
@@ -131,7 +131,7 @@ def check_motion(motion: Motion) -> list[str]:
     return notes
 
 
-def refuse_degrees_beside(motion: Motion, u: Float[np.ndarray, "T nv"]) -> None:
+def refuse_degrees_beside(motion: MotionInFile, u: Float[np.ndarray, "T nv"]) -> None:
     """Refuse positions that move by as many degrees as their recorded velocities say in radians."""
     if motion.request.units is not None or motion.request.velocities != "auto":
         return
@@ -139,7 +139,7 @@ def refuse_degrees_beside(motion: Motion, u: Float[np.ndarray, "T nv"]) -> None:
     said = (0.5 * (u[1:] + u[:-1]) * np.diff(motion.time)[:, None])[:, motion.angular]
     with np.errstate(all="ignore"):  # velocities that are not numbers, or have none, say nothing
         both, own, other = np.sum(steps * said), np.sum(steps**2), np.sum(said**2)
-        alike = abs(np.degrees(both / own) - 1.0) < UNIT_OFF and both**2 > ALIKE * own * other
+        alike = abs(np.degrees(both / own) - 1.0) < UNIT_OFF and both**2 > _ALIKE * own * other
     if alike:
         python, flag = "velocities='derive'", "--velocities derive"
         text = f"positions look like degrees: the recorded velocities are {both / own:.3g} of their speed, in radians "
@@ -153,7 +153,7 @@ def _excess(robot: Robot, q: Float[np.ndarray, "T nv"]) -> Float[np.ndarray, " n
     return np.maximum(np.maximum(below, above), 0.0)
 
 
-def _refuse_degrees(motion: Motion, far: Bool[np.ndarray, " nv"], fast: bool) -> None:
+def _refuse_degrees(motion: MotionInFile, far: Bool[np.ndarray, " nv"], fast: bool) -> None:
     robot, angular, q = motion.robot, motion.angular, motion.q
     largest = np.abs(q).max(axis=0)
     unlimited = angular & ~np.isfinite(robot.position_lower) & ~np.isfinite(robot.position_upper)
@@ -204,7 +204,7 @@ def far_outside(robot: Robot, q: Float[np.ndarray, " nv"]) -> str:
     return f"joint {robot.joint_names[i]} was read at {q[i]:.4g}, its limits are {limits}: {guess}"
 
 
-def _refuse_far(motion: Motion, i: int) -> None:
+def _refuse_far(motion: MotionInFile, i: int) -> None:
     robot, q = motion.robot, motion.q
     lower, upper = robot.position_lower[i], robot.position_upper[i]
     outside = np.maximum(lower - q[:, i], q[:, i] - upper)
@@ -230,10 +230,10 @@ def _fast_notes(robot: Robot, time: Float[np.ndarray, " T"], q: Float[np.ndarray
     width = int(np.clip(time.shape[0] // 20, 1, 10))
     with np.errstate(over="ignore"):  # stamps may differ by next to nothing
         speed = np.abs(q[width:] - q[:-width]) / (time[width:] - time[:-width])[:, None]
-    if np.all(speed.max(axis=0) <= FAST * robot.velocity_limit):
+    if np.all(speed.max(axis=0) <= _FAST * robot.velocity_limit):
         return []
     typical = np.percentile(speed, 95, axis=0)
-    fast = typical > FAST * robot.velocity_limit
+    fast = typical > _FAST * robot.velocity_limit
     if not np.any(fast):
         return []
     i = int(np.argmax(np.where(fast, typical / robot.velocity_limit, 0.0)))
@@ -243,7 +243,7 @@ def _fast_notes(robot: Robot, time: Float[np.ndarray, " T"], q: Float[np.ndarray
     ]
 
 
-def _refuse_two_publishers(motion: Motion) -> None:
+def _refuse_two_publishers(motion: MotionInFile) -> None:
     """Refuse positions that alternate, regularly or not, between two motions."""
     jumps, usual = alternation(motion.q)
     if motion.recording.trusted or not jumps.size:

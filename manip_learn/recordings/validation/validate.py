@@ -8,7 +8,7 @@ import numpy as np
 from jaxtyping import Float, Int
 
 from manip_learn.errors import advice, counted, named
-from manip_learn.recordings.clock import between, evenly_spread, in_order
+from manip_learn.recordings.clock import evenly_spread, senders_in_order, spread_repeats
 from manip_learn.recordings.demonstrations import Demonstrations
 from manip_learn.recordings.earned_velocities import NO_MEASUREMENT
 from manip_learn.recordings.holes import split_at_holes, stalled
@@ -17,7 +17,7 @@ from manip_learn.recordings.readers.recording import Recording
 from manip_learn.recordings.trajectory import Trajectory
 from manip_learn.recordings.validation.joint_matching import angular_coordinates, match_joints, object_coordinates
 from manip_learn.recordings.validation.motion_checks import (
-    Motion,
+    MotionInFile,
     check_motion,
     failed_reads,
     refuse_degrees_beside,
@@ -26,7 +26,7 @@ from manip_learn.recordings.validation.motion_checks import (
 from manip_learn.recordings.velocities import continuous_rotation_vectors
 from manip_learn.robot import Robot
 
-SHOWN = 5  # places in a sentence
+_SHOWN = 5  # places in a sentence
 # [rad]: a guided arm stays within a turn of its zeros and travels less than half a turn; in degrees that were nothing
 RADIANS, TRAVEL = 2.0 * np.pi, np.pi
 
@@ -43,7 +43,7 @@ def validate(recording: Recording, request: ReadRequest) -> Demonstrations:
     notes += said
     time, said = time_in_seconds(recording, request, q, u)
     notes += said
-    runs, said = in_order(time, q)
+    runs, said = senders_in_order(time, q)
     notes += said
     if not runs:
         i = int(np.argmax(np.diff(time) < 0.0))
@@ -95,9 +95,9 @@ def _of_one_sender(
     notes += [note] if note else []
     if np.any(np.diff(time) <= 0.0):
         n = np.count_nonzero(np.diff(time) <= 0.0)
-        time = between(time)
+        time = spread_repeats(time)
         notes.append(f"{counted(n, 'stamp')} repeated with other positions: spread up to the next stamp")
-    motion = Motion(recording, request, time, q)
+    motion = MotionInFile(recording, request, time, q)
     notes += check_motion(motion)
     if u is not None and not recording.trusted:
         refuse_degrees_beside(motion, u)
@@ -121,7 +121,7 @@ def _refuse_not_finite(recording: Recording) -> None:
     rows = np.flatnonzero(bad)
     if not rows.size:
         return
-    places = ", ".join(recording.place(int(r)) for r in rows[:SHOWN]) + (", ..." if rows.size > SHOWN else "")
+    places = ", ".join(recording.place(int(r)) for r in rows[:_SHOWN]) + (", ..." if rows.size > _SHOWN else "")
     row = int(rows[0])
     for values, columns in parts:
         wrong = np.flatnonzero(~(np.abs(values[row]) < NO_MEASUREMENT))

@@ -17,7 +17,7 @@ from manip_learn.atomic_write import write_atomically
 from manip_learn.errors import MissingExtraError, OutputError
 from manip_learn.recordings.format_words import JOINT_STATE, MARK, yaml_text
 from manip_learn.recordings.saved_motion import PREFIX, SavedMotion, column_groups, column_line
-from manip_learn.recordings.trajectory import BESIDE
+from manip_learn.recordings.trajectory import BESIDE_POSITIONS
 
 TYPE = "trajectory_msgs/msg/JointTrajectory"
 SECOND = 1_000_000_000  # [ns]; a stamp of zero means "not set" in ROS: motions that start at zero start at one second
@@ -63,7 +63,7 @@ def mcap_bytes(motion: SavedMotion) -> bytes:
         stamps = stamps + SECOND
     store: Any = get_typestore(Stores.ROS2_HUMBLE)
     types, names, nothing = store.types, list(motion.header.joint_names), np.empty(0)
-    known = (motion.arrays.get(name) for name in ("q", *BESIDE))  # configurations are no positions of joints
+    known = (motion.arrays.get(name) for name in ("q", *BESIDE_POSITIONS))  # configurations are no positions of joints
     arrays = [None if x is None or x.shape[1] != len(names) else np.ascontiguousarray(x) for x in known]
     try:
         with tempfile.TemporaryDirectory() as folder:
@@ -133,7 +133,7 @@ def joint_trajectory_bytes(motion: SavedMotion) -> bytes:
     return "\n".join([*lines, ",\n".join(points), " ]}", ""]).encode()
 
 
-WRITERS: Mapping[str, Callable[[SavedMotion], bytes]] = {".npz": npz_bytes, ".csv": csv_bytes, ".mcap": mcap_bytes}
+_WRITERS: Mapping[str, Callable[[SavedMotion], bytes]] = {".npz": npz_bytes, ".csv": csv_bytes, ".mcap": mcap_bytes}
 ELSEWHERE = {  # endings that are refused with what to do
     ".rrd": "a Rerun recording shows the robot too; use manip_learn.playback.write_rerun(robot, rollouts, path), or "
     "`manip-learn export ROBOT FILE... --out x.rrd`",
@@ -152,11 +152,11 @@ def write_motion(path: str | os.PathLike[str], motion: SavedMotion) -> Path:
     """
     suffix = Path(path).suffix.lower()
     refused = f"cannot write {os.fspath(path)!r}: "
-    if suffix not in WRITERS:
-        usual = f"the ending says the format, and it is {suffix or 'missing'!r}; use one of {', '.join(WRITERS)}"
+    if suffix not in _WRITERS:
+        usual = f"the ending says the format, and it is {suffix or 'missing'!r}; use one of {', '.join(_WRITERS)}"
         raise OutputError(refused + ELSEWHERE.get(suffix, usual))
     try:
-        content = WRITERS[suffix](motion)
+        content = _WRITERS[suffix](motion)
     except UnicodeEncodeError as error:
         raise OutputError(f"{refused}a name in it is no text ({error})") from error
     return write_atomically(path, content)
