@@ -95,19 +95,6 @@ def test_it_stands_where_it_was_shown(kind, way, sense):
         assert piece.pushed_from == pytest.approx(shut)
 
 
-def test_a_hand_that_is_followed_moves_its_handle():
-    """A live hand takes the handle along from where it is, whichever way; one that is elsewhere leaves it."""
-    for kind, way, sense in WAYS:
-        piece = furniture_of(
-            MECHANISMS[kind], np.zeros(1), np.array([[5.0, 5.0, 5.0]]), [], as_shown(kind, sense * way)
-        )
-        assert piece is not None and piece.opening[0] == 0.0
-        opening = piece.followed(place(kind, np.array([sense * 0.5 * way]))[0], 0.0)
-        assert opening == 0.0  # the handle is not there
-        for along in np.linspace(0.0, way, 400):
-            opening = piece.followed(place(kind, np.array([sense * along]))[0], opening)
-            assert opening == pytest.approx(along, abs=1e-6), kind
-        assert piece.followed(np.array([5.0, 5.0, 5.0]), opening) == opening
 
 
 def test_the_chest_stands_away_from_the_base():

@@ -57,7 +57,6 @@ class Setup:
         noise: Standard deviation of the noise on the action, relative to the root mean square of each joint's action.
         policy: Null-space policy: the paper's attractor; a sinusoid of the posture; none; or an attractor to each
             demonstrator's own rest posture.
-        length: Length of a link [m]; 0.01 and 100 stand for other units.
     """
 
     rows: str = "x y"
@@ -65,7 +64,6 @@ class Setup:
     points: int = 10
     noise: float = 0.0
     policy: PolicyName = "attractor"
-    length: float = 1.0
 
     @property
     def selection(self) -> Float[np.ndarray, "s 3"]:
@@ -86,10 +84,10 @@ def planar_features() -> FrameJacobian:
     return FrameJacobian(planar_arm(), "tip", AXES)
 
 
-def tip(q: Float[np.ndarray, "n 3"], length: float = 1.0) -> Float[np.ndarray, "n 3"]:
+def tip(q: Float[np.ndarray, "n 3"]) -> Float[np.ndarray, "n 3"]:
     """x, y [m] and heading theta [rad] of the tip; theta counts turns."""
     angles = np.cumsum(q, axis=1)
-    return np.column_stack([length * np.cos(angles).sum(1), length * np.sin(angles).sum(1), angles[:, -1]])
+    return np.column_stack([np.cos(angles).sum(1), np.sin(angles).sum(1), angles[:, -1]])
 
 
 def draw_starts(n: int, rng: np.random.Generator) -> Float[np.ndarray, "n 3"]:
@@ -97,14 +95,14 @@ def draw_starts(n: int, rng: np.random.Generator) -> Float[np.ndarray, "n 3"]:
     return rng.uniform(START_LOW, START_HIGH, size=(n, 3))
 
 
-def draw_targets(n: int, rng: np.random.Generator, length: float = 1.0) -> Float[np.ndarray, "n 3"]:
+def draw_targets(n: int, rng: np.random.Generator) -> Float[np.ndarray, "n 3"]:
     """Targets r* that the tip can reach with their heading: the wrist within two links (3 % are drawn again)."""
     out = np.empty((0, 3))
     while len(out) < n:
         tries = rng.uniform(TARGET_LOW, TARGET_HIGH, size=(2 * n, 3))
         wrist = tries[:, :2] - np.column_stack([np.cos(tries[:, 2]), np.sin(tries[:, 2])])
         out = np.concatenate([out, tries[np.linalg.norm(wrist, axis=1) <= 2.0]])
-    return out[:n] * [length, length, 1.0]
+    return out[:n]
 
 
 def constrained_motion(
@@ -144,12 +142,12 @@ def recorded(
 def demonstrate(setup: Setup, Lambda: Float[np.ndarray, "s 3"], rng: np.random.Generator) -> Demonstrations:
     """Reaching demonstrations with u = A^+ b + N pi, all trajectories stepped at once."""
     n = setup.trajectories
-    start, targets = draw_starts(n, rng), draw_targets(n, rng, setup.length)
+    start, targets = draw_starts(n, rng), draw_targets(n, rng)
     rest = REST if setup.policy != "own" else REST + rng.uniform(-0.5, 0.5, size=(n, 3))
 
     def law(q: np.ndarray) -> np.ndarray:
-        b = np.einsum("sp,np->ns", Lambda, targets - tip(q, setup.length))
-        return constrained_motion(Lambda @ jacobian(q, setup.length), b, null_policy(setup.policy, q, rest))
+        b = np.einsum("sp,np->ns", Lambda, targets - tip(q))
+        return constrained_motion(Lambda @ planar_features().batch(q), b, null_policy(setup.policy, q, rest))
 
     clean = recorded(STEP, *euler_steps(law, start, setup.points), planar_arm().joint_names, "trajectory")
     return with_noise(clean, setup.noise, rng)
@@ -162,11 +160,6 @@ def null_policy(name: PolicyName, q: Float[np.ndarray, "n 3"], rest: np.ndarray)
     if name == "sinusoidal":
         return np.column_stack([np.sin(q[:, 1]), np.cos(q[:, 0]) * np.sin(q[:, 2]), -np.sin(q[:, 0] + q[:, 2])])
     return rest - q
-
-
-def jacobian(q: Float[np.ndarray, "n 3"], length: float = 1.0) -> Float[np.ndarray, "n 3 3"]:
-    """Phi at many postures, for any length of the links."""
-    return planar_features().batch(q) * np.array([length, length, 1.0])[:, None]
 
 
 def null_parts(

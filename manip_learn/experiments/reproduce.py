@@ -66,7 +66,16 @@ def reproduce(
         OutputError: The folder cannot be made or written.
         MissingExtraError: joblib or matplotlib is not installed.
     """
-    _check(name, trials, seed, workers)
+    if name not in EXPERIMENTS:
+        raise UnknownNameError("experiment", name, EXPERIMENTS)
+    for what, given, least, most, remedy in (
+        ("number of trials", trials, 1, MAX_TRIALS, "the paper has 50"),
+        ("seed", seed, 0, np.inf, "0 is the usual one"),
+        ("number of workers", 1 if workers is None else workers, 1, np.inf, "leave it out for all cores"),
+    ):
+        if isinstance(given, bool) or not isinstance(given, int) or not least <= given <= most:
+            end = f"to {most:.0f}" if np.isfinite(most) else "up"
+            raise ExperimentError(f"the {what} must be a whole number from {least} {end}, got {given!r}; {remedy}")
     folder = None if out is None else Path(out).expanduser().resolve()
     if folder is not None:
         try:
@@ -104,16 +113,3 @@ def write_result(part: str, result: ExperimentResult, folder: Path, settings: di
     for name, figure in result.figures().items():
         paths += save_figure(figure, folder, name)
     return paths
-
-
-def _check(name: str, trials: int, seed: int, workers: int | None) -> None:
-    if name not in EXPERIMENTS:
-        raise UnknownNameError("experiment", name, EXPERIMENTS)
-    if isinstance(trials, bool) or not isinstance(trials, int) or not 1 <= trials <= MAX_TRIALS:
-        raise ExperimentError(
-            f"the number of trials must be a whole number from 1 to {MAX_TRIALS}, got {trials!r}; the paper has 50"
-        )
-    if isinstance(seed, bool) or not isinstance(seed, int) or seed < 0:
-        raise ExperimentError(f"the seed must be a whole number of 0 or more, got {seed!r}")
-    if workers is not None and (isinstance(workers, bool) or not isinstance(workers, int) or workers < 1):
-        raise ExperimentError(f"the number of workers must be 1 or more, got {workers!r}; leave it out for all cores")

@@ -18,7 +18,7 @@ from manip_learn.control.rollout import Rollout
 from manip_learn.control.simulation import simulate
 from manip_learn.control.tasks.point_attractor import PointAttractor
 from manip_learn.experiments.experiment_result import INK, ExperimentResult, markdown_table, new_figure, number
-from manip_learn.experiments.paper_setup import Setup, demonstrate, planar_arm, planar_features, true_constraint
+from manip_learn.experiments.paper_setup import Setup, demonstrate, planar_arm, true_constraint
 from manip_learn.experiments.table import ESTIMATORS, SAID
 from manip_learn.experiments.trial_runner import Experiment, TrialRunner
 from manip_learn.linalg import matlab_tolerance
@@ -215,13 +215,6 @@ def numbers_of(rollout: Rollout) -> Numbers:
     }
 
 
-def _learnt(rng: np.random.Generator) -> Constraint:
-    setup = Setup("x y")
-    Lambda = setup.selection
-    demos = demonstrate(setup, Lambda, rng)
-    return Constraint(ESTIMATORS[LEARNT](planar_features(), demos, Lambda, rng)[0], planar_features())
-
-
 def compare(
     setting: BadStart, judged: Callable[[Laws, dict[str, list[Numbers]]], list[Claim]]
 ) -> Experiment[StartResult]:
@@ -233,7 +226,9 @@ def compare(
     """
 
     def run(_trials: int, rng: np.random.Generator, _runner: TrialRunner | None = None) -> StartResult:
-        learnt = _learnt(rng)
+        true, setup = true_constraint("x y"), Setup("x y")
+        demos = demonstrate(setup, true.selection, rng)
+        learnt = Constraint(ESTIMATORS[LEARNT](true.features, demos, true.selection, rng)[0], true.features)
         paper_law = {dt: {p: setting.rollout(p, learnt, dt) for p in POLICIES} for dt in STEPS}
         product = {p: setting.rollout(p, learnt, STEPS[0], product=True) for p in POLICIES}
         rounding: dict[str, list[Numbers]] = {}

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import os
 import zlib
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import asdict, dataclass
 from typing import Any, Generic, TypeVar, final
 
@@ -50,23 +50,21 @@ class TrialRunner:
             MissingExtraError: joblib is not installed.
         """
         work = [(experiment, trial, one, number, seed) for one in settings for number in range(trials)]
-        outcomes = []
+        outcomes: list[dict[str, Any]] = []
+        made: Iterable[Any] = (_outcome(*one) for one in work)
+        if self.workers > 1 and len(work) > 1:
+            try:
+                import joblib
+            except ImportError as error:
+                raise MissingExtraError("spreading trials over the cores", "experiments") from error
+            made = joblib.Parallel(self.workers, return_as="generator")(joblib.delayed(_outcome)(*one) for one in work)
         with one_thread():  # here too: threads of this process share the setting
-            for outcome in self._run(work):
+            for outcome in made:
                 outcomes.append(outcome)
                 self.done += 1
                 if self.progress is not None:
                     self.progress(experiment, self.done / max(self.total, self.done))
         return [outcomes[i * trials : (i + 1) * trials] for i in range(len(settings))]
-
-    def _run(self, work: list[tuple[str, Trial, Any, int, int]]) -> Iterator[dict[str, Any]]:
-        if self.workers == 1 or len(work) == 1:
-            return (_outcome(*one) for one in work)
-        try:
-            import joblib
-        except ImportError as error:
-            raise MissingExtraError("spreading trials over the cores", "experiments") from error
-        return joblib.Parallel(self.workers, return_as="generator")(joblib.delayed(_outcome)(*one) for one in work)
 
 
 def _outcome(experiment: str, trial: Trial, settings: Any, number: int, seed: int) -> dict[str, Any]:

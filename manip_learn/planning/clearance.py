@@ -69,9 +69,9 @@ class Clearance:
         ):  # it gives way to links that are in it
             inside = {pair.links[0]: CLEARANCE - pair.distance for pair in touching if pair.links[1] == name}
             self._around = self._around.with_room(name, inside)
-            links, are = " and ".join(map(repr, inside)), "are" if len(inside) > 1 else "is"
+            who, are = " and ".join(map(repr, inside)), "are" if len(inside) > 1 else "is"
             gives = f"that is {max(inside.values()):.3f} m lower" if name == FLOOR else "it may pass through"
-            self.notes.append(f"at the start {links} {are} in what was taken for the {name}: {gives}")
+            self.notes.append(f"at the start {who} {are} in what was taken for the {name}: {gives}")
         self.links = self.links.with_obstacles(self._around.obstacles, self._own)
         near = [pair for pair in self._pairs(start, 0, 2.0 * CLEARANCE) if pair.distance >= 0.0]
         self._near = {pair.links: 0.5 * pair.distance for pair in reversed(near)}

@@ -24,11 +24,9 @@ from typing import IO, Any, final
 import numpy as np
 from numpy.typing import ArrayLike
 
-from manip_learn.constraint.constraint import Constraint
 from manip_learn.errors import ConfigurationError, OutputError
 from manip_learn.playback.appearance import appearance
 from manip_learn.playback.kinematic_tree import TreeJoint, joint_tracks, kinematic_tree
-from manip_learn.playback.mechanism_drawing import Furniture, furniture_of
 from manip_learn.playback.page_writer import LIVE, PageKind, page
 from manip_learn.playback.palette import rollout_colours
 from manip_learn.playback.recorded_motion import RecordedMotion
@@ -61,7 +59,6 @@ class LiveProcess:
             a page has posted, and with `{"pages": [ids]}` whenever one comes or goes: the ids of the pages that are
             open, oldest first. It is not called once `close` has returned, unless one call takes longer than 2 s. None
             for pages that say nothing.
-        frames_per_second: Messages of a slot that are written in a second at most; None for as many as a screen shows.
 
     Raises:
         OutputError: The server does not start.
@@ -72,9 +69,7 @@ class LiveProcess:
         make_page: Callable[[str], bytes],
         timeout: float,
         heard: Callable[[Mapping[str, Any]], object] | None = None,
-        frames_per_second: float | None = None,
     ):
-        self._interval = 1.0 / (FRAMES_PER_SECOND if frames_per_second is None else frames_per_second)
         token = secrets.token_urlsafe(18)
         self._page = make_page(token)
         self._newest: dict[str, Callable[[], str]] = {}  # by slot, in the order in which they were put
@@ -89,15 +84,23 @@ class LiveProcess:
             self._process = subprocess.Popen([sys.executable, "-I", str(SERVER)], **pipes, start_new_session=True)
         except OSError as error:
             raise OutputError(f"the live view's server cannot be started: {error}") from error
+        stdin, stdout = self._process.stdin, self._process.stdout
+        if stdin is None or stdout is None:
+            raise OutputError("the live view's server has no pipe to hear and answer through")
         header = {"page": len(self._page), "token": token, "hears": heard is not None}
-        self._feeder = threading.Thread(target=self._feed, args=(header,), name="live view", daemon=True)
+        self._feeder = threading.Thread(target=self._feed, args=(stdin, header), name="live view", daemon=True)
         self._feeder.start()
         self._listener: threading.Thread | None = None
         try:
-            port = self._read_port(timeout)
-        except OutputError:
+            with selectors.DefaultSelector() as selector:
+                selector.register(stdout, selectors.EVENT_READ)
+                port = int(json.loads(stdout.readline() if selector.select(timeout) else b"")["port"])
+        except (ValueError, KeyError) as error:
             self.close()
-            raise
+            raise OutputError(
+                f"the live view's server did not start within {timeout:g} s: is there room for another process, and "
+                "may it listen on 127.0.0.1?"
+            ) from error
         self.url = f"http://127.0.0.1:{port}/{token}/"
         if heard is not None:
             self._listener = threading.Thread(target=self._listen, args=(heard,), name="live view hears", daemon=True)
@@ -165,21 +168,6 @@ class LiveProcess:
                 self._process.kill()
                 self._process.wait()
 
-    def _read_port(self, timeout: float) -> int:
-        stdout = self._process.stdout
-        if stdout is None:
-            raise OutputError("the live view's server has no pipe to answer through")
-        with selectors.DefaultSelector() as selector:
-            selector.register(stdout, selectors.EVENT_READ)
-            line = stdout.readline() if selector.select(timeout) else b""
-        try:
-            return int(json.loads(line)["port"])
-        except (ValueError, KeyError) as error:
-            raise OutputError(
-                f"the live view's server did not start within {timeout:g} s: is there room for another process, and "
-                "may it listen on 127.0.0.1?"
-            ) from error
-
     def _listen(self, heard: Callable[[Mapping[str, Any]], object]) -> None:
         """Hand on each line of the server until it ends."""
         with contextlib.suppress(OSError, ValueError):  # the pipe was closed
@@ -190,11 +178,8 @@ class LiveProcess:
                 with self._logged("what a page said", line[:LOGGED].decode()):
                     heard(said)
 
-    def _feed(self, header: Mapping[str, object]) -> None:
+    def _feed(self, pipe: IO[bytes], header: Mapping[str, object]) -> None:
         """Write messages as they come, until the process is closed or the server ends."""
-        pipe = self._process.stdin
-        if pipe is None:
-            return
         try:
             pipe.write(json.dumps(header).encode() + b"\n" + self._page)
             pipe.flush()
@@ -213,7 +198,7 @@ class LiveProcess:
                 slot = next(iter(self._newest), None)
                 if slot is None:
                     break
-                now, interval = clock.monotonic(), self._interval
+                now, interval = clock.monotonic(), 1.0 / FRAMES_PER_SECOND
                 due = self._due.get(slot, now)
                 if due > now:
                     return due - now  # later ones wait, too: a page may rely on their order
@@ -259,7 +244,6 @@ class LiveViewer:
         title: Name in the legend.
         open_browser: Show the page now; it is at `url` in any case.
         timeout: How long the server may take to start [s].
-        constraint: What was learnt: a drawer, a door or a crank stands where it was shown, and goes with the hand.
 
     Raises:
         OutputError: The server does not start.
@@ -272,21 +256,11 @@ class LiveViewer:
         title: str = "",
         open_browser: bool = True,
         timeout: float = 10.0,
-        constraint: Constraint | None = None,
     ):
         self._robot = robot
         self._tree = kinematic_tree(robot)
         name = title or known_as(robot.source) or robot.name or "robot"
-        self._hand, self._piece, self._opening = (
-            getattr(getattr(constraint, "features", None), "frame", None),
-            None,
-            0.0,
-        )
-        if constraint is not None and constraint.shown is not None and constraint.shown.hold is not None:
-            mechanism, shown = constraint.provenance.get("mechanism"), constraint.shown
-            self._piece = furniture_of(mechanism, np.zeros(1), shown.begin[None], [], shown)
-        pieces = () if self._piece is None else (self._piece,)
-        self._process = LiveProcess(lambda token: live_page(robot, self._tree, name, token, furniture=pieces), timeout)
+        self._process = LiveProcess(lambda token: live_page(robot, self._tree, name, token), timeout)
         self._start = clock.monotonic()
         self._finalizer = weakref.finalize(self, self._process.close)
         if open_browser:
@@ -318,14 +292,11 @@ class LiveViewer:
         mu = None if manipulability is None else float(manipulability)
         if not math.isfinite(now) or (mu is not None and not math.isfinite(mu)):
             raise ConfigurationError(f"manipulability {mu} at time {now}: finite numbers are needed")
-        robot, tree, piece = self._robot, self._tree, self._piece
-        if piece is not None and self._hand is not None:
-            self._opening = piece.followed(robot.position(posture, self._hand), self._opening)
-        more = {} if piece is None else {"opening": [self._opening]}
+        robot, tree = self._robot, self._tree
 
         def message() -> str:
             values = joint_tracks(robot, tree, posture[None])[0]
-            return json.dumps({"time": now, "values": values.tolist(), "mu": mu, **more}, allow_nan=False)
+            return json.dumps({"time": now, "values": values.tolist(), "mu": mu}, allow_nan=False)
 
         self._process.put(message)
 
@@ -348,7 +319,6 @@ def live_page(
     name: str,
     token: str,
     kind: PageKind = LIVE,
-    furniture: tuple[Furniture, ...] = (),
 ) -> bytes:
     """HTML of a page that follows a robot.
 
@@ -358,7 +328,6 @@ def live_page(
         name: Headline.
         token: Of the address under which it is served.
         kind: What the page is made of.
-        furniture: What the hand may move.
 
     Raises:
         OutputError: Meshcat's viewer is missing.
@@ -378,7 +347,6 @@ def live_page(
         curve=none,
         status=(),
         duration=0.0,
-        furniture=furniture,
     )
     looks = appearance(robot, tree)
     data = scene_data(robot, tree, looks, tip, [still], rollout_colours([name], {}), looks.notes)

@@ -232,22 +232,6 @@ class Furniture:
         """Of the opening."""
         return "m" if self.kind == "drawer" else "rad"
 
-    def followed(self, hand: Float[np.ndarray, " 3"], opening: float) -> float:
-        """How far it is open when the hand has come to a place [m]; as it was where the handle is elsewhere.
-
-        Args:
-            hand: In the base frame [m].
-            opening: How far it was open [m or rad].
-        """
-        if np.linalg.norm(self.moved(np.zeros((1, 3)), opening)[0] - hand) > HANDLE_NEAR:
-            return opening
-        local = self.pose[:3, :3].T @ (hand - self.pose[:3, 3])
-        if self.kind == "drawer":
-            return max(float(self.pushed_from - local[1] if self.pushed_from else local[1]), 0.0)
-        (x, y, _), arm = -self.pivot, local - self.pivot
-        angle = float(np.arctan2(x * arm[1] - y * arm[0], x * arm[0] + y * arm[1]))
-        return max(angle + TURN * round((opening - angle) / TURN), 0.0)
-
     def moved(self, points: Float[np.ndarray, "n 3"], opening: float) -> Float[np.ndarray, "n 3"]:
         """Points of the moving part in the base frame [m], when the hand has moved it so far [m or rad]."""
         if self.kind == "drawer":

@@ -39,9 +39,8 @@ class Live {
     get("subtitle").classList.toggle("lost", lost);
   }
 
-  receive({ time, values, mu, opening = [] }) {
+  receive({ time, values, mu }) {
     this.rollout.instance.setValues(values);
-    this.rollout.pieces.forEach((piece, k) => piece.setOpening(opening[k] ?? 0));
     this.show.time = time;
     this.addTail(time);
     if (mu !== null) this.addValue(time, mu);
