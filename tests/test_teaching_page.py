@@ -176,17 +176,18 @@ def served(program):
 
 
 @contextmanager
-def opened_page(chromium, program, size, forgiving=False):
+def opened_page(chromium, program, size, phone=False, before=""):
     """The program's page, the arm drawn; what goes wrong in it, or wants the network, fails at last."""
     trouble = []
-    context = chromium.new_context(viewport={"width": size[0], "height": size[1]})
+    context = chromium.new_context(viewport={"width": size[0], "height": size[1]}, has_touch=phone, is_mobile=phone)
     page = context.new_page()
     with served(program) as address:
         page.on("pageerror", lambda error: trouble.append(str(error)))
-        page.on("console", lambda m: trouble.append(m.text) if m.type == "error" and not forgiving else None)
+        page.on("console", lambda m: trouble.append(m.text) if m.type == "error" and not before else None)
         page.on(
             "request", lambda r: trouble.append(r.url) if not r.url.startswith((address, "data:", "blob:")) else None
         )
+        page.add_init_script(before or "sessionStorage.setItem('manip-learn-tour', 'seen')")
         page.goto(address)
         wait_until(page, "window.manipLearnReady && manipLearnTeach.allowed && manipLearnTeach.pose !== null")
         yield page
@@ -566,10 +567,16 @@ def test_the_next_step_and_the_cards(program, page):
     until(page, lambda: program.all("record"), "R does nothing while a button has the focus")
 
 
-def test_a_drag_beside_the_hand_is_explained_and_an_end_is_told(chromium, robot_of):
-    """Who turns the view before the first pull is told how to move the hand; then the program has ended."""
+def test_the_tour_is_a_line_of_the_panel_and_an_end_is_told(chromium, robot_of):
+    """It says the first step that was not done, in one line while the arm is pulled, and takes no key; skipped, it
+    stays away. A drag that turns the view before the first pull is explained. When the program is gone the page says
+    so, and everything is disabled.
+    """
     program = Program(robot_of("planar3"))
-    with opened_page(chromium, program, DESKTOP) as page:
+    with opened_page(chromium, program, DESKTOP, before="window.errors = 1") as page:
+        tour = page.locator("#tour")
+        wait_until(page, "document.getElementById('tour').checkVisibility()")
+        assert "1 of 5: Take the hand" in tour.inner_text()
         scene = page.locator("#scene").bounding_box()
         page.mouse.move(scene["x"] + 20, scene["y"] + 40)
         page.mouse.down()
@@ -577,6 +584,17 @@ def test_a_drag_beside_the_hand_is_explained_and_an_end_is_told(chromium, robot_
         page.mouse.up()
         wait_until(page, "document.getElementById('hand-hint').checkVisibility()")
         assert "That turned the view" in page.locator("#hand-hint").inner_text()
+        drag(page, (20, 0))
+        program.pose(FARTHER)
+        until(page, lambda: "2 of 5" in tour.inner_text(), "the first step is not done by a pull")
+        assert page.evaluate("document.getElementById('tour').classList.contains('brief')")
+        page.mouse.up()
+        page.locator("#tour-skip").focus()
+        page.keyboard.press("r")
+        until(page, lambda: program.all("record"), "the tour takes R")
+        page.locator("#tour-skip").click()
+        until(page, lambda: not tour.is_visible(), "the tour stays")
+        assert page.evaluate("sessionStorage.getItem('manip-learn-tour')") == "seen"
         program.put("ended", True)
         wait_until(page, "document.getElementById('banner').innerText.includes('The program has ended')")
 
@@ -584,7 +602,7 @@ def test_a_drag_beside_the_hand_is_explained_and_an_end_is_told(chromium, robot_
 def test_a_line_that_is_lost_is_told(chromium, robot_of):
     """Everything is disabled until the program is there again."""
     program = Program(robot_of("planar3"))
-    with opened_page(chromium, program, DESKTOP, forgiving=True) as page:
+    with opened_page(chromium, program, DESKTOP, before="window.errors = 1") as page:
         program.gone = True
         wait_until(page, "document.getElementById('banner').checkVisibility()")
         assert "connection to the program is lost" in page.locator("#banner").inner_text()

@@ -49,7 +49,7 @@ TEACH = replace(
             FOLDER / f"{name}.js"
             for name in (
                 *("quality", "link", "pointing", "hand", "furniture", "drawing", "recordings", "answer", "ghosts"),
-                *("take", "panel", "teach"),
+                *("take", "panel", "tour", "teach"),
             )
         ),
     ),

@@ -19,6 +19,7 @@ class Teach {
     this.values = { times: [], mu: [] };
     Object.assign(this.rollout, { curveTimes: this.values.times, curve: this.values.mu });
     this.arrange();
+    this.tour = new Tour(this);
     this.link = new TeachLink(data.events.slice(0, -"events".length), {
       ended: () => { this.ended = true; this.link.close(); }, pose: (pose) => this.receive(pose), scene: (scene) => this.setScene(scene), state: (state) => this.setState(state), ghosts: (ghosts) => this.setGhosts(ghosts),
     }, () => this.allow(), (words) => this.tell(words, true));
@@ -215,6 +216,7 @@ class Teach {
     }
     if (this.pose && this.isNew) this.hasDrawn(this.pose);
     this.drawWords(now);
+    this.tour.frame();
     requestAnimationFrame((next) => this.frame(next));
   }
 
