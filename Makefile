@@ -21,7 +21,7 @@ export PYTHONDONTWRITEBYTECODE :=
 PYTEST := OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1 $(BIN)/python -m pytest
 
 # what touches other libraries: files in and out, robots, the command line; pytest refuses a missing file
-QUICK := $(addprefix tests/test_,$(addsuffix .py,public_api cli control_step mjcf loading load_demonstrations \
+QUICK := $(addprefix tests/test_,$(addsuffix .py,public_api cli controller mjcf loading load_demonstrations \
 	playback meshes rollout_file linalg examples csv_reader lerobot_reader \
 	npz_reader robomimic_reader rosbag_reader))
 
