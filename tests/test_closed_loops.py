@@ -141,17 +141,6 @@ def test_exact_singularities_are_left(name: str, reaching: bool) -> None:
         assert np.max(done.sigma) >= 0.01 and chatter(done.u[100:]) == 0, (constraint.selection, done.sigma[-1])
 
 
-@pytest.mark.parametrize(("name", "dt"), [("planar3", 0.01), ("ur5", 0.01), ("xarm7", 0.02), ("sawyer", 0.02)])
-def test_exact_singularities_are_left_at_any_period(name: str, dt: float) -> None:
-    """Holding still, one second leads out with long periods, too."""
-    for constraint, q in singular_cases(name):
-        robot = constraint.robot
-        assert robot is not None
-        law = ml.ResolvedRateController(constraint, null_policy=ml.ManipulabilityAscent(constraint))
-        rollout = ml.simulate(robot, law, q, 1.0, dt)
-        assert max(np.linalg.svd(constraint(x), compute_uv=False)[-1] for x in rollout.q) >= 0.01
-
-
 def test_a_singularity_at_a_joint_limit_is_left() -> None:
     """Folded at the upper end of a joint: what leads out and the null-space motion turn to the free side together."""
     robot = arm("planar3")

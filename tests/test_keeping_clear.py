@@ -132,21 +132,6 @@ def test_a_start_within_the_clearance_may_leave(robot_of: RobotOf) -> None:
         assert (run.task_error[-1] < 1e-2) == arrives
 
 
-def test_joint_limits_beside_a_thing(robot_of: RobotOf) -> None:
-    """Joint limits and acceleration limits are kept to the last digit where rows and bounds meet."""
-    robot = arm_of("planar3", robot_of)
-    q = np.array(STARTS["planar3"])
-    place = robot.position(q, "tip")
-    goal, pairs = 0.3 * place[:2], pairs_of(robot, standing("ball", 0.65 * place + [0.1, 0.0, 0.0]))
-    free = ml.simulate(robot, to_a_point(robot, "tip", goal, True), q, 2.5, 0.005)
-    widest = 0.5 * (np.abs(q).max() + np.abs(free.q).max())  # from where the free motion goes on
-    limits = ml.Limits(robot, margin=float(robot.position_upper[1] - widest), clear_of=pairs)
-    assert np.abs(free.q).max() > widest + 0.05
-    run = ml.simulate(robot, to_a_point(robot, "tip", goal, limits), q, 2.5, 0.005)
-    assert np.all(run.q <= limits.upper + 1e-9) and np.all(run.q >= limits.lower - 1e-9)
-    assert min(distance(pairs, x) for x in run.q) > CLEARANCE - SLACK
-
-
 def test_a_controller_of_the_users_own_is_stopped(robot_of: RobotOf) -> None:
     """The loop brakes what would touch, within its acceleration limits."""
     robot = arm_of("planar3", robot_of)

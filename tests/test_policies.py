@@ -163,14 +163,3 @@ def test_weighted_sum(robot_of, rng):
             WeightedPolicies(policies, weights)
     with pytest.raises(TargetError, match="7, 3"):
         WeightedPolicies([a, ZeroPolicy(3)])(q)
-
-
-def test_singularities_are_left_with_several_objectives(robot_of):
-    """From exactly stretched postures, mu grows within a second although other objectives share the null space."""
-    for name, frame in (("planar3", "tip"), ("ur5", "tool0")):
-        robot = robot_of(name)
-        constraint = ml.Constraint(np.eye(2), ml.FrameJacobian(robot, frame, "x y" if name == "planar3" else "z rx"))
-        policy = WeightedPolicies([ManipulabilityAscent(constraint), JointLimitAvoidance(robot)], [1.0, 0.3])
-        start = np.zeros(robot.nv)
-        rollout = ml.simulate(robot, ml.ResolvedRateController(constraint, None, policy), start, 2.0, DT)
-        assert ml.manipulability(constraint, start) < 1e-9 and rollout.manipulability[-1] > 0.01

@@ -126,7 +126,7 @@ def test_what_the_user_wrote_may_fail(part: str, robot_of: RobotOf) -> None:
     """A task, policy or controller that raises or gives nonsense in motion: a braked stop, and on when it is well."""
     robot = robot_of("sawyer")
     law, ill = law_of(robot, "sawyer"), [False]
-    for fault in (ZeroDivisionError("task"), MemoryError(), np.full(7, np.nan), np.zeros(11), "text"):
+    for fault in (ZeroDivisionError("task"), np.full(7, np.nan), "text"):
 
         def spoiled(good: object, fault: object = fault) -> object:
             if ill[0] and isinstance(fault, Exception):
@@ -148,8 +148,8 @@ def test_what_the_user_wrote_may_fail(part: str, robot_of: RobotOf) -> None:
             "controller": own,
         }[part]
         arm = Arm(ml.ServoLoop(controller, robot=robot), start_of(robot))
-        for k in range(500):
-            ill[0] = 150 <= k < 350
+        for k in range(320):
+            ill[0] = 120 <= k < 220
             assert (arm.call().status is INVALID) == ill[0], fault
-            assert k != 349 or np.all(arm.last == 0.0)
+            assert k != 219 or np.all(arm.last == 0.0)
         assert np.linalg.norm(arm.last) > 0.05

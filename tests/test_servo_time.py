@@ -9,7 +9,6 @@ import pytest
 from servo_cases import DT, Arm, Constantly, RobotOf, law_of, start_of
 
 import manip_learn as ml
-from manip_learn.control.servo_loop import Return
 
 ROUNDING = 1.0 + 1e-6
 
@@ -88,22 +87,6 @@ def test_random_stamps_of_a_velocity_servo(seed: int, jerk: float | None, robot_
         q, t, before = robot.integrate(q, gap * u), t + gap, u
         nearest = max(nearest, outside(robot, q))
     assert -0.02 < nearest <= 1e-9
-
-
-def test_the_way_back_is_the_fastest_that_stops(robot_of: RobotOf) -> None:
-    """Straight, with the acceleration limits up to half way and down again, or at the velocity limit in between."""
-    robot = robot_of("planar3")
-    for velocity, seconds in ((100.0, 2.0 * np.sqrt(0.5 / 2.0)), (0.25, 0.5 / 0.25 + 0.25 / 2.0)):
-        limits = ml.Limits(robot, velocity=velocity, acceleration=2.0, position=False)
-        way, end, places = Return(limits, np.zeros(3)), np.array([0.5, -0.25, 0.0]), [np.zeros(3)]
-        while (way := way.step(end, DT)) is not None:
-            places.append(way.posture)
-        speeds = np.diff(places, axis=0) / DT
-        assert len(speeds) * DT == pytest.approx(seconds, rel=0.01)
-        np.testing.assert_allclose(speeds[:, 1], -0.5 * speeds[:, 0], rtol=0, atol=1e-12)
-        assert speeds.max() <= velocity * ROUNDING
-        assert np.abs(np.diff(speeds, axis=0, prepend=0.0)).max() <= 2.0 * DT * ROUNDING
-        np.testing.assert_allclose(places[-1], end, rtol=0, atol=2e-6)
 
 
 def test_braking_keeps_position_limits(robot_of: RobotOf) -> None:

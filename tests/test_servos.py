@@ -109,25 +109,6 @@ def test_friction_hides_forces_and_says_which() -> None:
     assert not [note for note in loop.notes if "cannot be kept" in note]
 
 
-@pytest.mark.parametrize(
-    ("force", "trips", "late"),
-    [
-        ([10.0, 0.0, 0.0], False, 0.04), ([25.0, 0.0, 0.0], True, 0.0), ([0.0, 0.0, 25.0], True, 0.04),
-        ([0.0, -45.0, 0.0], False, 0.0), ([0.0, -80.0, 0.0], True, 0.0),
-    ],
-)  # fmt: skip
-def test_a_force_counts_by_its_row(force: list[float], trips: bool, late: float) -> None:
-    """In motion 25 N across the way stop the arm and 10 N do not; along it 80 N do and 45 N, growing slowly, do not."""
-    loop, arm = way(), Servos(late=late)
-    gone(loop, arm, 1.0)
-    words = gone(loop, arm, 0.6, lambda t: np.array(force) * min(1.0, (t - 1.0) / 0.3))
-    assert ("following-error" in words) == trips, loop.stopped_by
-    if trips:
-        name = "along what is driven" if force[1] else "Contact.held"
-        assert loop.stopped_by is not None and loop.stopped_by.startswith("row ")
-        assert late or name in loop.stopped_by
-
-
 def test_a_rail_that_sticks_is_learnt_rightly() -> None:
     """A drawer that moves at 50 N only is pulled out: its rail is pressed aside by an arm that is not equally stiff in
     all directions, and the hand is on its way for all that.

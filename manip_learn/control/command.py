@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from enum import StrEnum
-from typing import Literal, NamedTuple, Protocol, final, runtime_checkable
+from typing import Literal, NamedTuple, Protocol, final
 
 import numpy as np
 from jaxtyping import Float
@@ -149,15 +149,6 @@ class Controller(Protocol):
 
     def __call__(self, q: Float[np.ndarray, " n"], t: float = 0.0, dt: float | None = None) -> Command:
         """The command at posture q and time t [s], held for dt [s]."""
-        ...
-
-
-@runtime_checkable
-class TaskController(Controller, Protocol):
-    """A controller that knows how far its task is from its goal."""
-
-    def task_error(self, q: Float[np.ndarray, " n"], t: float = 0.0) -> float:
-        """Distance to the task's goal along the constrained rows [m or rad]."""
         ...
 
 

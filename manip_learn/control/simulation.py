@@ -10,7 +10,7 @@ from jaxtyping import Float
 from numpy.typing import ArrayLike
 
 from manip_learn.constraint.constraint import Constraint
-from manip_learn.control.command import Command, Controller, Method, TaskController, next_posture
+from manip_learn.control.command import Command, Controller, Method, next_posture
 from manip_learn.control.controller import ResolvedRateController
 from manip_learn.control.law_sequence import constraint_of, held_frame, law_of, task_of
 from manip_learn.control.rollout import Rollout, written_constraint
@@ -116,7 +116,7 @@ def simulate(
     q = np.array(q0, dtype=np.float64) if robot is None else np.array(robot.checked_posture(q0))
     if (whole := _compiled(robot, controller, method, q[None], dt, steps, progress)[0]) is not None:
         return whole
-    task_error = controller.task_error if isinstance(controller, TaskController | ServoLoop) else None
+    task_error = getattr(controller, "task_error", None)
     command_at = _loop_of(controller, q, dt, method)
     postures, errors = np.empty((steps + 1, q.shape[0])), np.full(steps + 1, np.nan)
     commands: list[Command] = []

@@ -6,7 +6,7 @@ import logging
 import math
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
-from typing import Any, Literal, Protocol, final, get_args
+from typing import Any, Literal, final, get_args
 
 import numpy as np
 from jaxtyping import Float
@@ -26,33 +26,6 @@ _RANGES = {
 }
 _RAD = {"degrees": math.pi / 180.0, "radians": 1.0}  # [rad] per unit; the others' depend on the motor's range
 _LOGGER = logging.getLogger("manip_learn")
-
-
-class LeRobotArm(Protocol):
-    """What `LeRobotDriver` asks of a LeRobot `Robot`."""
-
-    @property
-    def observation_features(self) -> dict:
-        """Names of what it observes."""
-        ...
-
-    @property
-    def action_features(self) -> dict:
-        """Names of what it takes."""
-        ...
-
-    @property
-    def is_connected(self) -> bool:
-        """Whether its motors answer."""
-        ...
-
-    def get_observation(self) -> dict[str, Any]:
-        """Positions of the motors, as `"<motor>.pos"`, and whatever else it observes."""
-        ...
-
-    def send_action(self, action: dict[str, Any]) -> dict[str, Any]:
-        """Go to positions; returns those that it has really sent."""
-        ...
 
 
 @final
@@ -96,7 +69,8 @@ class LeRobotDriver:
     read from `"<motor>.vel"` of motors in degrees. Action features `.vel` and `.torque` are sent 0.
 
     Args:
-        arm: A connected LeRobot `Robot`.
+        arm: A connected LeRobot `Robot`: of it `observation_features`, `action_features`, `is_connected`,
+            `get_observation` and `send_action` are asked.
         robot: The robot whose joints it moves; locked joints need no motor.
         period: Between two commands [s].
         motors: Motor -> its joint, or a `LeRobotMotor`. A motor that is not named moves the joint of its name.
@@ -117,7 +91,7 @@ class LeRobotDriver:
 
     def __init__(
         self,
-        arm: LeRobotArm,
+        arm: Any,
         robot: Robot,
         period: float,
         motors: Mapping[str, str | LeRobotMotor] | None = None,
