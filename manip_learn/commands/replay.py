@@ -33,7 +33,7 @@ from manip_learn.robot.robot import Robot
 ONLY_REPLAY = {"--html": 1, "--tip": 1, "--constraint": 1, "--open": 0, "--json": 0}
 
 
-def replay(options: ReplayOptions, progress: Progress | None = None) -> ReplayResult:
+def replay_files(options: ReplayOptions, progress: Progress | None = None) -> ReplayResult:
     """Write a replay of rollouts (of `control`) or of recordings.
 
     The joints are locked that were locked when the rollouts were made. With a constraint file, the phases and the
