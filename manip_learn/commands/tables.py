@@ -377,7 +377,6 @@ def print_controlled(console: Console, controlled: Controlled, explain: bool = F
 
 
 def _at(place: Sequence[float]) -> str:
-    """A place in the base frame, in words."""
     return f"({', '.join(f'{x:.3f}' for x in place)}) m"
 
 

@@ -168,7 +168,6 @@ def _opened(path: Path, stack: contextlib.ExitStack) -> BagFile:
 
 
 def _refuse_size(path: Path, unpacked: int, packed: int) -> None:
-    """Refuse a block that unpacks to far more than its size."""
     if unpacked > most_bytes(packed):
         raise bomb(path, f"a block of {packed:,} bytes claims to unpack to {unpacked:,}")
 
