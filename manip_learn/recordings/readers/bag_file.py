@@ -129,6 +129,7 @@ def _opened(path: Path, stack: contextlib.ExitStack) -> BagFile:
     stack.callback(reader.close)
     stated = Counter[str]()
     if is_ros1:
+        # the library unpacks its blocks within bounds only
         tools = {bz2.decompress: bz2.BZ2Decompressor, lz4.frame.decompress: lz4.frame.LZ4FrameDecompressor}
 
         def bounded(tool: Callable[[], Any], packed: bytes) -> bytes:
