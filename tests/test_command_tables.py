@@ -13,7 +13,7 @@ from rich.console import Console
 from test_cli import DRAWER, FRAME
 
 from manip_learn.commands.control import Aim, Controlled
-from manip_learn.commands.learn import Learnt, learn
+from manip_learn.commands.learn import LearntTask, learn_task
 from manip_learn.commands.options import LearnOptions
 from manip_learn.commands.tables import (
     AUDIT_TERMS,
@@ -80,12 +80,12 @@ def test_an_audit_is_readable() -> None:
 
 
 @pytest.fixture(scope="module")
-def learnt() -> Learnt:
+def learnt() -> LearntTask:
     """The drawer."""
-    return learn(LearnOptions("sawyer", list(DRAWER), frame=FRAME[1]))
+    return learn_task(LearnOptions("sawyer", list(DRAWER), frame=FRAME[1]))
 
 
-def test_learning_explains_its_words(learnt: Learnt) -> None:
+def test_learning_explains_its_words(learnt: LearntTask) -> None:
     """A number has its scale beside it, and --explain says what the words mean, each once."""
     text = " ".join(printed(60, print_learnt, learnt).split())
     assert text.startswith("A straight line (a drawer), moved 0.")
@@ -106,7 +106,7 @@ def test_learning_explains_its_words(learnt: Learnt) -> None:
         assert at_length.count(f"{term}: {WORDS[term]}") == 1 and WORDS[term] not in text
 
 
-def test_an_axis_that_nothing_determines_has_no_angle(learnt: Learnt) -> None:
+def test_an_axis_that_nothing_determines_has_no_angle(learnt: LearntTask) -> None:
     """An uncertainty beyond any angle is said in words: +- 1,600 degrees means nothing to a reader."""
     found = learnt.report.mechanism
     assert found is not None and "direction known to 0.1" in printed(100, print_learnt, learnt)

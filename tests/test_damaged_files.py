@@ -17,13 +17,10 @@ from manip_learn.constraint.constraint import Constraint
 from manip_learn.constraint.features import FrameJacobian
 from manip_learn.control.rollout import Rollout
 from manip_learn.errors import ManipLearnError, RecordingError
-from manip_learn.recordings import load_demonstrations
 from manip_learn.robot import Robot, load_robot
 from manip_learn.robot.identity import RobotIdentity
 
-LONG = os.environ.get("HYPOTHESIS_PROFILE") == "fuzz"
-TRIALS = {"npz": 4000, "csv": 1000, "constraint": 2000} if LONG else {}
-FEW, FEW_PAGES = 80, 8
+TRIALS = 2000 if os.environ.get("HYPOTHESIS_PROFILE") == "fuzz" else 8
 T = 12
 # values that a damaged or forged JSON file may hold
 VALUES = (None, True, -1, 10**400, 1e308, "", "x", [], [1], {}, {"a": 1}, [[1, 2], [3]], "\ud800", float("inf"))
@@ -83,32 +80,6 @@ def forged(content: object, rng: np.random.Generator) -> object:
 
 
 @pytest.mark.fuzz
-@pytest.mark.parametrize("suffix", ["npz", "csv"])
-def test_damaged_rollouts(suffix: str, robot: Robot, rollout: Rollout, tmp_path: Path, rng, capsys) -> None:
-    """80 damages of each format (5,000 with `make fuzz`): read or refused by both loaders and by `replay`."""
-    content = rollout.save(tmp_path / f"whole.{suffix}").read_bytes()
-    if suffix == "npz":  # half of them not packed, so that damage reaches the numbers
-        plain = tmp_path / "plain.npz"
-        with np.load(tmp_path / "whole.npz") as arrays:
-            np.savez(plain, **arrays)
-        contents = [content, plain.read_bytes()]
-    else:
-        contents = [content]
-    path, refused = tmp_path / "damaged", 0
-    for i in range(TRIALS.get(suffix, FEW)):
-        path.write_bytes(mutant(contents[i % len(contents)], rng))
-        for use in (lambda: Rollout.load_with_notes(path, robot), lambda: load_demonstrations(path, robot)):
-            try:
-                use()
-            except RecordingError as error:
-                refused += 1
-                assert "\n" not in str(error)
-    assert main(["replay", "planar3", str(path), "--html", str(tmp_path / "page.html")]) in (0, 2)
-    assert "internal error" not in capsys.readouterr().err
-    assert refused > 0
-
-
-@pytest.mark.fuzz
 @pytest.mark.filterwarnings("ignore:overflow:RuntimeWarning")  # of forged numbers such as 1e308
 def test_damaged_constraints(robot: Robot, rollout: Rollout, tmp_path: Path, rng, capsys) -> None:
     """Bytes and values changed in a constraint file, from its robot to its mechanism: one sentence, code 2."""
@@ -123,7 +94,7 @@ def test_damaged_constraints(robot: Robot, rollout: Rollout, tmp_path: Path, rng
     content = path.read_bytes()
     assert main(["replay", "planar3", str(run), "--constraint", str(path), "--html", str(tmp_path / "p.html")]) == 0
     codes = set()
-    for i in range(TRIALS.get("constraint", FEW_PAGES)):
+    for i in range(TRIALS):
         if i % 2:
             path.write_bytes(mutant(content, rng))
         else:

@@ -32,7 +32,6 @@ from manip_learn.recordings.trajectory import Trajectory
 from manip_learn.recordings.writers.write_motion import mcap_bytes
 from manip_learn.robot import Robot, load_robot
 
-CHUNK, STATISTICS = 6, 11  # kinds of records in an MCAP file
 MUTANTS = 5000 if os.environ.get("HYPOTHESIS_PROFILE") == "fuzz" else 60
 OPTIONS: dict[str, dict[str, Any]] = {
     "parquet": {"units": "radians", "joint_names": JOINTS},
@@ -152,15 +151,6 @@ def test_a_bag_of_many_chunks_and_topics_is_whole(planar3: Robot) -> None:
                 assert load_demonstrations(path, planar3).n_samples == 200
 
 
-def last_records(content: bytes) -> dict[int, int]:
-    """Kind of record of an MCAP file -> where the content of the last one begins."""
-    found, at = {}, 8
-    while at < len(content) - 8:
-        kind, length = struct.unpack_from("<BQ", content, at)
-        found[kind], at = at + 9, at + 9 + length
-    return found
-
-
 def test_the_attributes_of_robomimic_are_believed(planar3: Robot) -> None:
     """A file with fewer samples or demonstrations than its attributes state is refused."""
     for where, attribute in [("data", "total"), ("data/demo_1", "num_samples"), ("data", "num_demos")]:
@@ -226,24 +216,12 @@ def test_every_fault_of_an_mcap_file_is_refused(planar3: Robot, tmp_path: Path) 
     good, path = mcap_bytes(motion_of_trajectory(Trajectory(TIME, Q, U, JOINTS, "demo"), planar3)), tmp_path / "d.mcap"
     path.write_bytes(good)
     assert load_demonstrations(path, planar3).n_samples == 60
-    records = last_records(good)
-    chunk, statistics = records[CHUNK], records[STATISTICS]
-
-    def changed(place: int, form: str, value: int) -> bytes:
-        content = bytearray(good)
-        struct.pack_into(form, content, place, value)
-        return bytes(content)
-
+    counted = struct.pack("<HQ", 1, 60)  # messages of a channel, in the statistics
     faults = {
-        "File end magic is invalid": good[: chunk - 9] + b"xxxxxxxx",
+        "File end magic is invalid": good[: len(good) // 2] + b"xxxxxxxx",
         "the bag cannot be read": good + b"xyz",
-        "of 61 messages that the bag states 60 are of its topics": changed(statistics, "<Q", 61),
-        "60 messages of /joint_states are there, the bag states 59": changed(statistics, "<Q", 59).replace(
-            struct.pack("<HQ", 1, 60), struct.pack("<HQ", 1, 59)
-        ),
-        "of 60 messages that the bag states 0 are of its topics": good.replace(
-            struct.pack("<HQ", 1, 60), struct.pack("<HQ", 7, 60)
-        ),
+        "of 60 messages that the bag states 59 are of its topics": good.replace(counted, struct.pack("<HQ", 1, 59)),
+        "of 60 messages that the bag states 0 are of its topics": good.replace(counted, struct.pack("<HQ", 7, 60)),
     }
     for words, content in faults.items():
         with case(words):

@@ -61,22 +61,6 @@ def test_files_are_complete_and_name_the_robots_joints() -> None:
                 assert np.all(q > robot.position_lower) and np.all(q < robot.position_upper)
 
 
-def test_planar_reaching_obeys_its_law() -> None:
-    """Along each file tip + tip velocity is one point, the target, and the files' targets differ."""
-    robot = load_robot("planar3")
-    tip, targets = robot.frame("tip"), []
-    for path in files_of("planar3_reach"):
-        header, rows = read(path)
-        assert header[4:] == [f"{name}_velocity" for name in robot.joint_names] and len(rows) == 40
-        q, u = rows[:, 1:4], rows[:, 4:]
-        points = np.array(
-            [robot.pose(a, tip)[:2, 3] + (robot.jacobian(a, tip) @ b)[:2] for a, b in zip(q, u, strict=True)]
-        )
-        np.testing.assert_allclose(points, np.broadcast_to(points[0], points.shape), atol=1e-6)
-        targets.append(points[0])
-    assert np.all(np.std(targets, axis=0) > 0.3)
-
-
 def test_the_script_writes_the_planar_files_again(example, tmp_path: Path) -> None:
     """Same seed, same numbers, but for the last digit."""
     example("record_planar_reaching").main([str(tmp_path)])

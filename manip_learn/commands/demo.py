@@ -8,7 +8,7 @@ from typing import Any, final
 import numpy as np
 
 from manip_learn.commands.control import Controlled, follow, with_margin
-from manip_learn.commands.learn import Learnt, learn
+from manip_learn.commands.learn import LearntTask, learn_task
 from manip_learn.commands.options import DemoOptions, LearnOptions, PlanOptions
 from manip_learn.constraint.constraint import Constraint
 from manip_learn.control.controller import ResolvedRateController
@@ -92,7 +92,7 @@ SCENES = {
 class Demo:
     """All results of the demo."""
 
-    learnt: Learnt
+    learnt: LearntTask
     rollouts: dict[str, Controlled]
     page: ReplayResult
     story: str = ""
@@ -119,7 +119,7 @@ def demo(options: DemoOptions, progress: Progress | None = None) -> Demo:
     scene, out, said = SCENES[options.robot], options.out, progress or (lambda _step, _share: None)
     said("learning from the recordings", 0.0)
     shipped, file = str(shipped_recordings() / scene.recordings), out / "constraint.json"
-    learnt = learn(LearnOptions(options.robot, [shipped], frame=scene.frame, axes=scene.axes, out=file))
+    learnt = learn_task(LearnOptions(options.robot, [shipped], frame=scene.frame, axes=scene.axes, out=file))
     robot, constraint, done = load_robot(options.robot), learnt.constraint, dict[str, Controlled]()
 
     def keep(name: str, rollout: Rollout, task: Task, way: WayDone | None = None, found: Plan | None = None) -> None:

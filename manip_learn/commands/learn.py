@@ -32,7 +32,7 @@ _REFERENCES: dict[str, tuple[Reference, ...]] = {"world": ("world",), "local": (
 
 @final
 @dataclass(frozen=True)
-class Learnt:
+class LearntTask:
     """What was learnt, and where it was written."""
 
     constraints: tuple[Constraint, ...]
@@ -108,7 +108,7 @@ def _described(constraint: Constraint, report: LearningReport) -> dict[str, Any]
     }
 
 
-def learn(options: LearnOptions, progress: Progress | None = None) -> Learnt:
+def learn_task(options: LearnOptions, progress: Progress | None = None) -> LearntTask:
     """Learn a constraint from recordings; write it, and a replay of the recordings, to files if they are named.
 
     With `relative_to` the velocity of the frame is seen from that other one, in its axes; `reference` does not count.
@@ -156,7 +156,7 @@ def learn(options: LearnOptions, progress: Progress | None = None) -> Learnt:
     page = None
     if options.html is not None and isinstance(demos, Demonstrations):
         page = _replay_of_recordings(robot, demos, learner, options.html, frame)
-    return Learnt(learner.constraints_, learner.reports_, frame, written, tuple(notes), page, options.robot)
+    return LearntTask(learner.constraints_, learner.reports_, frame, written, tuple(notes), page, options.robot)
 
 
 def load_to_learn(options: LearnOptions) -> tuple[Robot, Demonstrations | RecordingSource, str, list[str]]:

@@ -51,13 +51,13 @@ COMMANDS = (
     _Command("inspect", options.InspectOptions, "robots.inspect", "print_robot"),
     _Command("record", options.RecordOptions, "record.record_motions", "print_recorded"),
     _Command("teach", options.TeachOptions, "teach.teach", "print_taught"),
-    _Command("learn", options.LearnOptions, "learn.learn", "print_learnt"),
+    _Command("learn", options.LearnOptions, "learn.learn_task", "print_learnt"),
     _Command("audit", options.AuditOptions, "audit.audit", "print_audit"),
     _Command("control", options.ControlOptions, "control.control", "print_controlled"),
     _Command("repeat", options.RepeatOptions, "repeat.repeat_skill", "print_repeated"),
-    _Command("replay", options.ReplayOptions, "replay.replay", "print_replayed"),
+    _Command("replay", options.ReplayOptions, "replay.replay_files", "print_replayed"),
     _Command("export", options.ExportOptions, "export.export", "print_exported"),
-    _Command("reproduce", options.ReproduceOptions, "reproduce.reproduce", "print_reproduction"),
+    _Command("reproduce", options.ReproduceOptions, "reproduce.reproduce_paper", "print_reproduction"),
 )
 # commands of 0.1 that are gone, and what to do instead; until 0.3
 REMOVED_COMMANDS = {"warm-up": "nothing is compiled any more: leave the command out"}

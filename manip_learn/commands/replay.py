@@ -26,7 +26,7 @@ from manip_learn.robot.loading import DESCRIPTION_SUFFIXES
 from manip_learn.robot.robot import Robot
 
 
-def replay(options: ReplayOptions, progress: Progress | None = None) -> ReplayResult:
+def replay_files(options: ReplayOptions, progress: Progress | None = None) -> ReplayResult:
     """Write a replay of rollouts (of `control`) or of recordings.
 
     The joints are locked that were locked when the rollouts were made. With a constraint file, the phases and the

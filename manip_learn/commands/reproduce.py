@@ -25,7 +25,7 @@ class Reproduction:
         return self.numbers
 
 
-def reproduce(options: ReproduceOptions, progress: Progress | None = None) -> Reproduction:
+def reproduce_paper(options: ReproduceOptions, progress: Progress | None = None) -> Reproduction:
     """Run one experiment, or all."""
     pages: dict[str, str] = {}
     numbers = run_experiments(

@@ -20,7 +20,7 @@ if TYPE_CHECKING:
     from manip_learn.commands.control import Controlled
     from manip_learn.commands.demo import Demo
     from manip_learn.commands.export import Exported
-    from manip_learn.commands.learn import Learnt
+    from manip_learn.commands.learn import LearntTask
     from manip_learn.commands.record import Recorded
     from manip_learn.commands.repeat import Repeated
     from manip_learn.commands.reproduce import Reproduction
@@ -185,7 +185,7 @@ def audit_table(episodes: Sequence[EpisodeAudit], width: int) -> tuple[Table, tu
     return table_of(["episode", *shown], rows, **style), tuple(hidden)
 
 
-def print_learnt(console: Console, learnt: Learnt, explain: bool = False, more: Sequence[str] = ()) -> None:
+def print_learnt(console: Console, learnt: LearntTask, explain: bool = False, more: Sequence[str] = ()) -> None:
     """The sentence, the evidence, the warnings; with `explain` its terms and more."""
     from manip_learn.learning.estimate import CLEAR_GAP
     from manip_learn.learning.report import RecordingOverview
@@ -377,7 +377,6 @@ def print_controlled(console: Console, controlled: Controlled, explain: bool = F
 
 
 def _at(place: Sequence[float]) -> str:
-    """A place in the base frame, in words."""
     return f"({', '.join(f'{x:.3f}' for x in place)}) m"
 
 

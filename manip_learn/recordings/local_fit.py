@@ -115,7 +115,6 @@ def _solved_weights(offset: Float[np.ndarray, "m W"], degree: int) -> Float[np.n
 
 
 def _powers(x: Float[np.ndarray, "m W"], degree: int) -> Float[np.ndarray, "m d W"]:
-    """x^0, x^1, ... x^degree."""
     powers = np.empty((len(x), degree + 1, x.shape[1]))
     powers[:, 0] = 1.0
     for d in range(1, degree + 1):

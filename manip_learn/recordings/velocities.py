@@ -200,7 +200,6 @@ def _measured(trajectory: Trajectory, cut: Callable[[np.ndarray], np.ndarray]) -
 
 
 def _between(values: np.ndarray) -> np.ndarray:
-    """Halfway between neighbouring samples."""
     return 0.5 * (values[1:] + values[:-1])
 
 

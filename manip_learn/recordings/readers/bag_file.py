@@ -129,6 +129,7 @@ def _opened(path: Path, stack: contextlib.ExitStack) -> BagFile:
     stack.callback(reader.close)
     stated = Counter[str]()
     if is_ros1:
+        # the library unpacks its blocks within bounds only
         tools = {bz2.decompress: bz2.BZ2Decompressor, lz4.frame.decompress: lz4.frame.LZ4FrameDecompressor}
 
         def bounded(tool: Callable[[], Any], packed: bytes) -> bytes:
@@ -168,7 +169,6 @@ def _opened(path: Path, stack: contextlib.ExitStack) -> BagFile:
 
 
 def _refuse_size(path: Path, unpacked: int, packed: int) -> None:
-    """Refuse a block that unpacks to far more than its size."""
     if unpacked > most_bytes(packed):
         raise bomb(path, f"a block of {packed:,} bytes claims to unpack to {unpacked:,}")
 

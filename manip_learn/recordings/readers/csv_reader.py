@@ -120,7 +120,6 @@ def _unnamed(columns: list[str], rows: list[str], delimiter: str | None) -> tupl
 
 
 def _is_skipped(line: str) -> bool:
-    """True for blank lines and comment lines."""
     start = line.lstrip()
     return not start or start.startswith(COMMENT_MARKS)
 

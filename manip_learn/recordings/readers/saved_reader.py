@@ -108,7 +108,6 @@ def _refusing_damage(path: Path) -> Iterator[None]:
 
 
 def _of_archive(path: Path, header: FileHeader) -> dict[str, np.ndarray]:
-    """The arrays of an archive."""
     stored, _ = stored_arrays(path, _ARRAYS, TEXTS)
     if "joint_names" in stored and texts_of(path, "joint_names", stored["joint_names"]) != header.joint_names:
         raise refusal(path, "damaged", "its joint_names are not those of its header: save it again")
