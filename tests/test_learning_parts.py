@@ -18,7 +18,8 @@ from manip_learn.learning import ConstraintLearner
 from manip_learn.learning.answer import Answer, Candidate, doubts_of_estimate
 from manip_learn.learning.checks import check_fastest, check_postures, check_samples
 from manip_learn.learning.estimate import Estimate, GapTable, fit_null_space, gaps_of_levels, levels
-from manip_learn.learning.imposed import Regressors, monomials, without_noise
+from manip_learn.learning.imposed import without_noise
+from manip_learn.learning.policy import Regressors, monomials
 from manip_learn.learning.recombination import RowEvidence
 from manip_learn.learning.samples import Samples
 from manip_learn.linalg import orthonormal_rows, row_space_angle

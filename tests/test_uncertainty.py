@@ -24,8 +24,8 @@ from manip_learn.learning.uncertainty import (
     PARTS,
     POLICY,
     JointOffsets,
-    in_words,
     influences,
+    parts_in_words,
     uncertainty_of,
 )
 from manip_learn.recordings.demonstrations import Demonstrations
@@ -213,7 +213,7 @@ def test_one_trajectory_has_no_parts():
     assert report.uncertainty == dict.fromkeys(PARTS) and report.uncertainty_deg is None
     assert report.mu_uncertainty is None
     parts = {NOISE: 0.01, JOINT_ZEROS: 0.02, POLICY: None}
-    assert in_words(parts, "local") == "noise 0.01 degrees, joint zeros 0.02 degrees"
+    assert parts_in_words(parts, "local") == "noise 0.01 degrees, joint zeros 0.02 degrees"
 
 
 def held_arm(seed: int):

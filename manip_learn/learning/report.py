@@ -38,7 +38,14 @@ from manip_learn.learning.explanation.findings import IN_ONE_ONLY, Findings, Par
 from manip_learn.learning.recombination import FEWEST_TRAJECTORIES, RowSupport
 from manip_learn.learning.repeats import IndependentRecordings
 from manip_learn.learning.samples import STILL_ENERGY
-from manip_learn.learning.uncertainty import PARTS, Uncertainty, in_words, mu_within_place, total_deg, uncertainty_of
+from manip_learn.learning.uncertainty import (
+    PARTS,
+    Uncertainty,
+    mu_within_place,
+    parts_in_words,
+    total_deg,
+    uncertainty_of,
+)
 from manip_learn.recordings.demonstrations import Demonstrations, distinct_names
 from manip_learn.recordings.trajectory import evenly
 from manip_learn.robot import html_card
@@ -303,7 +310,7 @@ class LearningReport:
         """The uncertainty in words, as in the sentence: which quantity is known how well; empty if none is."""
         said = known_to(self.uncertainty_deg, self.mechanism, self._is_told)
         mu = "" if self.mu_uncertainty is None else f", mu to {error_in_words(100.0 * self.mu_uncertainty, '%')}"
-        return f"{said}{mu} (68 %, {in_words(self.uncertainty, self.reference)})" if said else ""
+        return f"{said}{mu} (68 %, {parts_in_words(self.uncertainty, self.reference)})" if said else ""
 
     def mechanism_in_words(self) -> str:
         """What holds the hand, without the place if the sentence tells it; empty if nothing was found."""

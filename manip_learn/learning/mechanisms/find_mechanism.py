@@ -30,7 +30,7 @@ from manip_learn.learning.explanation.evidence import stretches_of, ways_to_choo
 from manip_learn.learning.explanation.explain import LEAST_GAIN_NATS, Hypothesis, explain
 from manip_learn.learning.explanation.row_motion import View, kinds_tried, views_of
 from manip_learn.learning.mechanisms.fit_curve import fit_curve, gain_in_nats, variance_across
-from manip_learn.learning.mechanisms.one_place import apart, groups_of, likelier, misfit
+from manip_learn.learning.mechanisms.one_place import groups_of, how_far_apart, likelier, misfit
 from manip_learn.learning.mechanisms.place_fit import LEAST_RESIDUAL, PlaceErrors, PlaceFit, fit_place
 from manip_learn.learning.mechanisms.quantities import QUANTITIES, Place, TipPaths, angles_about, thinned, turn_about
 from manip_learn.learning.recombination import BELIEVED_STRENGTH, recombination_test
@@ -165,7 +165,7 @@ def find_mechanism(
     # beside one place that most share, single trajectories are no places of their own: their ends may have left it
     if len(groups) > 1 and not (len(shared) == 1 and 2 * shared[0] > len(members)):
         places = tuple(tuple(numbers[members[i]] for i in group.members) for group in groups)
-        why = f"a {start.kind.type} holds the hand in each recording, but not the same: they are {apart(groups)} apart"
+        why = f"a {start.kind.type} holds the hand in each recording, but not the same: they are {how_far_apart(groups)} apart"
         return MechanismFit(None, None, None, {}, why, (why,), places=places)
     gain, left = misfit(start)
     if gain > LEAST_GAIN_NATS:
