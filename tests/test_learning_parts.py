@@ -117,22 +117,19 @@ def test_null_space_fit_from_random_starts():
     assert sum(row_space_angle(other.whitened_selection, best.whitened_selection) < 1e-6 for other in others) >= 10
 
 
-def test_joint_fit_is_an_optimum(reaching):
+def test_the_exact_policys_fit_is_an_optimum(reaching):
     """No small rotation of Lambda lowers the cost, with the policy refitted; the gradients sum to zero."""
     samples, truth = reaching
-    affine = [monomials(0), monomials(1)]
-    _, fit = without_noise(
-        samples, orthonormal_rows(truth.selection @ np.linalg.pinv(samples.whitening)), [("", affine)]
-    )
-    rng = np.random.default_rng(4)
+    affine, rng = [monomials(0), monomials(1)], np.random.default_rng(4)
+    start = orthonormal_rows(truth.selection @ np.linalg.pinv(samples.whitening))
+    _, fit = without_noise(samples, start, [("", affine)])
     for _ in range(5):
         turned = orthonormal_rows(fit.Lambda + 1e-3 * rng.standard_normal(fit.Lambda.shape))
         assert type(fit)(samples, Regressors.of(samples, affine), turned).cost > fit.cost
     gradients, hessians = fit.scores()
     assert np.max(np.abs(gradients.sum(axis=0))) < 1e-3 * np.max(np.linalg.norm(gradients, axis=1))
     # the policy's part is orthonormal and already eliminated from Lambda's
-    m = len(fit.Lambda) * (samples.n_rows - len(fit.Lambda))
-    total, k = hessians.sum(axis=0), hessians.shape[1] - m
+    k, total = hessians.shape[1] - len(fit.Lambda) * (samples.n_rows - len(fit.Lambda)), hessians.sum(axis=0)
     np.testing.assert_allclose(total[:k, :k], np.eye(k), atol=1e-4)
     assert np.max(np.abs(total[:k, k:])) < 1e-3 * np.sqrt(np.max(np.diag(total)[k:]))
 

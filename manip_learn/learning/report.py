@@ -452,7 +452,13 @@ def advise(
         *([f"move {named('joint', still)} too, or lock what shall hardly move{locked}"] if still else []),
         *([slow] if speed < REST_SPEED else []),
     ]
-    facts = [*recordings.warnings, *_places(findings, recordings)]
+    # where something seems held, or nearly so: each recording with its times
+    given, times = distinct_names(recordings.given), dict[str, list[str]]()
+    for place in (p for s in findings.held or findings.refused for p in recordings.places(s)):
+        times.setdefault(given[place.trajectory], []).append(f"{place.start:.1f} to {place.end:.1f} s")
+    what = "what seems held" if findings.held else "the likeliest contact, if anything was touched"
+    spans = ", ".join(f"{name} {listed(of_one)}" for name, of_one in times.items())
+    facts = [*recordings.warnings, *([f"{what}: {spans}"] if spans else [])]
     if not causes and refusal.code == "weak-gap":  # what usually helps
         causes, facts = ["record more varied motions, try other axes or the other reference" + number_if_known(2)], []
     return _advised(refusal, causes, facts if causes else ())
@@ -483,16 +489,6 @@ def _several_phases(findings: Findings, demonstrations: Demonstrations, phases: 
     how = advice(" ({})", "trajectory[start:until]", "--from and --until")
     unconfirmed = ", for no stretch of them obeys a constraint that several confirm, as in free motion"
     return ["cut the recordings to the contact" + how + unconfirmed]
-
-
-def _places(findings: Findings, recordings: IndependentRecordings) -> list[str]:
-    """Where something seems held, or nearly so: each recording with its times."""
-    names, times = distinct_names(recordings.given), dict[str, list[str]]()
-    for place in (p for s in findings.held or findings.refused for p in recordings.places(s)):
-        times.setdefault(names[place.trajectory], []).append(f"{place.start:.1f} to {place.end:.1f} s")
-    spans = ", ".join(f"{name} {listed(of_one)}" for name, of_one in times.items())
-    what = "what seems held" if findings.held else "the likeliest contact, if anything was touched"
-    return [f"{what}: {spans}"] if spans else []
 
 
 def _other_rows(everything: Part, fits: Callable[[FeatureMap], bool]) -> list[str]:

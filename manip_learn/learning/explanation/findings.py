@@ -310,35 +310,25 @@ def find(
         return nothing  # no row moves, or a single one: nothing to compare it with
     believed = _Recombination(table, kinds_tried(views), int(rng.integers(2**32)), strength)
     explanation = explain(views, believed, switch)
-    elsewhere = _elsewhere(feature_maps, table, explanation)
-    if elsewhere:  # what disagrees in this reference is no other task
-        return dataclasses.replace(nothing, warnings=elsewhere, elsewhere=True)
+    frames = [f for f in feature_maps if isinstance(f, FrameJacobian)]
+    asked, hypotheses = {f.reference for f in frames}, enumerate(explanation.hypotheses, start=1)
+    firm = any(h.scale.share <= FIRM_SHARE and np.all(explanation.states == k) for k, h in hypotheses)
+    if len(asked) == 1 and not firm:
+        # do rows in the other reference, which was not asked for, explain all recordings better?
+        other: Reference = "local" if "world" in asked else "world"
+        there = held_throughout([FrameJacobian(f.robot, f.frame.name, f.row_names, other) for f in frames], table)
+        if there is not None and there.explained.sum() >= explanation.explained.sum() + LEAST_GAIN_NATS:
+            said = (
+                f"in the {asked.pop()} reference no constraint fits all recordings, in the {other} one does: the rows "
+                f"are held there (reference {other!r})"
+            )  # what disagrees in this reference is no other task
+            return dataclasses.replace(nothing, warnings=(said,), elsewhere=True)
     contacts = _lone_contacts(explanation, believed) if switch < np.inf and len(table.recordings) > 1 else []
     if not explanation.hypotheses:
         alone = tuple((s, IN_ONE_ONLY) for s in contacts)
         nearest = Explanation(explanation.views, explanation.refused[:1], explanation.switch)
         return dataclasses.replace(nothing, unlearnt=alone, refused=stretches_of(nearest.thin, nearest.states, 1))
     return _findings(everything, explanation, contacts)
-
-
-def _elsewhere(feature_maps: Sequence[FeatureMap], table: Table, explanation: Explanation) -> tuple[str, ...]:
-    """A warning if rows in the other reference, which was not asked for, explain all recordings better."""
-    tried = {f.reference for f in feature_maps if isinstance(f, FrameJacobian)}
-    states = explanation.states
-    firm = (h.scale.share <= FIRM_SHARE and np.all(states == k) for k, h in enumerate(explanation.hypotheses, start=1))
-    if len(tried) != 1 or any(firm):
-        return ()
-    other: Reference = "local" if "world" in tried else "world"
-    maps = [
-        FrameJacobian(f.robot, f.frame.name, f.row_names, other) for f in feature_maps if isinstance(f, FrameJacobian)
-    ]
-    there = held_throughout(maps, table)
-    if there is None or there.explained.sum() < explanation.explained.sum() + LEAST_GAIN_NATS:
-        return ()
-    return (
-        f"in the {tried.pop()} reference no constraint fits all recordings, in the {other} one does: the rows are held "
-        f"there (reference {other!r})",
-    )
 
 
 def held_throughout(feature_maps: Sequence[FeatureMap], table: Table) -> Explanation | None:
