@@ -14,17 +14,8 @@ from manip_learn.errors import NotIdentifiableError
 from manip_learn.experiments.paper_setup import Setup, demonstrate, noise_deviations, planar_features
 from manip_learn.learning import ConstraintLearner
 from manip_learn.learning.estimate import Estimate, GapTable
-from manip_learn.learning.imposed import (
-    ExactPolicy,
-    Posterior,
-    Projections,
-    Regressors,
-    descended,
-    estimate_imposed,
-    monomials,
-    parts_of,
-    whitened,
-)
+from manip_learn.learning.imposed import descended, estimate_imposed, whitened
+from manip_learn.learning.policy import ExactPolicy, Posterior, Projections, Regressors, monomials, parts_of
 from manip_learn.learning.samples import Samples
 from manip_learn.learning.uncertainty import check_uncertainty
 from manip_learn.linalg import complement_rows, orthonormal_rows, row_space_angle

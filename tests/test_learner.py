@@ -48,7 +48,7 @@ def free_direction_error(learner: ConstraintLearner, truth: np.ndarray) -> float
 
 
 @pytest.mark.parametrize(
-    ("rows", "policy_model", "allowed"),
+    ("rows", "model", "allowed"),
     [("xy", "auto", 1e-25), ("x-theta", "rbf", 1e-10), ("y-theta", "affine", 1e-25)],
 )
 def test_the_papers_setup(rows: str, model: str, allowed: float):

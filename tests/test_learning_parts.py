@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import json
+import math
 
 import numpy as np
 import pytest
@@ -17,8 +18,17 @@ from manip_learn.errors import NotIdentifiableError, RecordingError
 from manip_learn.learning import ConstraintLearner
 from manip_learn.learning.answer import Answer, Candidate, doubts_of_estimate
 from manip_learn.learning.checks import check_fastest, check_postures, check_samples
-from manip_learn.learning.estimate import Estimate, GapTable, fit_null_space, gaps_of_levels, levels
-from manip_learn.learning.imposed import Regressors, monomials, without_noise
+from manip_learn.learning.estimate import (
+    Estimate,
+    GapTable,
+    fit_null_space,
+    gaps_of_levels,
+    held_out_share,
+    levels,
+    trajectory_moments,
+)
+from manip_learn.learning.imposed import without_noise
+from manip_learn.learning.policy import Regressors, monomials
 from manip_learn.learning.recombination import RowEvidence
 from manip_learn.learning.samples import Samples
 from manip_learn.linalg import orthonormal_rows, row_space_angle
@@ -116,22 +126,65 @@ def test_null_space_fit_from_random_starts():
     assert sum(row_space_angle(other.whitened_selection, best.whitened_selection) < 1e-6 for other in others) >= 10
 
 
-def test_joint_fit_is_an_optimum(reaching):
+def held_samples(n_trajectories: int, n_samples: int = 8) -> Samples:
+    """Motions of an arm with two held rows, and noise."""
+    rng = np.random.default_rng([4, n_trajectories])
+    demos, truth = guided_motions(arm_features(), oblique(2, 3, rng), rng, n_trajectories, n_samples, 0.05, noise=0.1)
+    return Samples.collect(truth.features, demos)
+
+
+def each_of(samples: Samples):
+    """(Phi, u, trajectory) of each sample."""
+    for block in samples.blocks():
+        yield from zip(block.Phi, block.u, block.trajectory.tolist(), strict=True)
+
+
+def moments_of(samples: Samples, chosen) -> np.ndarray:
+    """sum Phi u u^T Phi^T over the samples of chosen trajectories."""
+    return sum(np.outer(Phi @ u, Phi @ u) for Phi, u, t in each_of(samples) if t in chosen)
+
+
+@pytest.mark.parametrize("n", [2, 12])
+def test_the_held_out_share_is_that_of_trajectories_that_were_not_seen(n):
+    """Each trajectory is judged by the constraint of the others; beyond ten of them there are ten folds."""
+    samples = held_samples(n)
+    folds = [{t for t in range(n) if t % min(n, 10) == fold} for fold in range(min(n, 10))]
+    broken = energy = 0.0
+    for fold in folds:
+        Lambda = np.linalg.eigh(moments_of(samples, set(range(n)) - fold))[1][:, :2].T
+        for Phi, u, t in each_of(samples):
+            if t in fold:
+                A = Lambda @ Phi
+                broken += float(u @ np.linalg.pinv(A) @ A @ u)
+                energy += float(u @ u)
+    assert held_out_share(samples, 2, trajectory_moments(samples)) == pytest.approx(broken / energy, rel=1e-9)
+
+
+def test_levels_are_relative_to_a_motion_of_all_joints():
+    """Ten times as fast, a motion has the same levels; they are root mean squares along whitened directions."""
+    samples = held_samples(4)
+    sizes, directions = levels(samples)
+    faster, _ = levels(dataclasses.replace(samples, u=10.0 * samples.u))
+    np.testing.assert_allclose(faster, sizes, rtol=1e-9)
+    energy = np.mean([u @ u for _, u, _ in each_of(samples)])
+    for size, direction in zip(sizes, directions, strict=True):
+        square = np.mean([(direction @ Phi @ u) ** 2 for Phi, u, _ in each_of(samples)])
+        assert size == pytest.approx(math.sqrt(samples.nv * square / energy), rel=1e-9)
+
+
+def test_the_exact_policys_fit_is_an_optimum(reaching):
     """No small rotation of Lambda lowers the cost, with the policy refitted; the gradients sum to zero."""
     samples, truth = reaching
-    affine = [monomials(0), monomials(1)]
-    _, fit = without_noise(
-        samples, orthonormal_rows(truth.selection @ np.linalg.pinv(samples.whitening)), [("", affine)]
-    )
-    rng = np.random.default_rng(4)
+    affine, rng = [monomials(0), monomials(1)], np.random.default_rng(4)
+    start = orthonormal_rows(truth.selection @ np.linalg.pinv(samples.whitening))
+    _, fit = without_noise(samples, start, [("", affine)])
     for _ in range(5):
         turned = orthonormal_rows(fit.Lambda + 1e-3 * rng.standard_normal(fit.Lambda.shape))
         assert type(fit)(samples, Regressors.of(samples, affine), turned).cost > fit.cost
     gradients, hessians = fit.scores()
     assert np.max(np.abs(gradients.sum(axis=0))) < 1e-3 * np.max(np.linalg.norm(gradients, axis=1))
     # the policy's part is orthonormal and already eliminated from Lambda's
-    m = len(fit.Lambda) * (samples.n_rows - len(fit.Lambda))
-    total, k = hessians.sum(axis=0), hessians.shape[1] - m
+    k, total = hessians.shape[1] - len(fit.Lambda) * (samples.n_rows - len(fit.Lambda)), hessians.sum(axis=0)
     np.testing.assert_allclose(total[:k, :k], np.eye(k), atol=1e-4)
     assert np.max(np.abs(total[:k, k:])) < 1e-3 * np.sqrt(np.max(np.diag(total)[k:]))
 

@@ -87,6 +87,7 @@ def test_two_doors_in_equal_parts_are_two_hinges(whole: bool):
         assert away_from_axis(report, truth if mine == halves[0] else other) < 1e-3
 
 
+@pytest.mark.slow
 def test_pairs_that_share_a_direction_are_no_answer():
     """Free motion in which one joint moves at a time: whatever two of six recordings share, nothing is held."""
     truth, demos = generated("free_one_joint", "xarm7", 7017, 6, True)

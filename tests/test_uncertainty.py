@@ -12,7 +12,7 @@ from task_sets import arm, generated
 
 from manip_learn.constraint.constraint import Constraint
 from manip_learn.constraint.features import CustomFeatures, FrameJacobian
-from manip_learn.constraint.features.mechanism_rows import MechanismRows, PlaceRows
+from manip_learn.constraint.features.mechanism_rows import MechanismRows
 from manip_learn.learning import ConstraintLearner
 from manip_learn.learning.arm_errors import changes_by_links
 from manip_learn.learning.estimate import estimate_null_space
@@ -24,8 +24,8 @@ from manip_learn.learning.uncertainty import (
     PARTS,
     POLICY,
     JointOffsets,
-    in_words,
     influences,
+    parts_in_words,
     uncertainty_of,
 )
 from manip_learn.recordings.demonstrations import Demonstrations
@@ -111,9 +111,7 @@ def test_what_is_thought_of_the_arm_is_stated():
 
 PLACE = {"axis": [0.3, 0.4, 0.5], "point": [0.2, 0.1, 0.0]}
 ROWS = {
-    "base": lambda robot: FrameJacobian(robot, "right_gripper_tip", "pose"),
     "tool": lambda robot: FrameJacobian(robot, "right_gripper_tip", "pose", "local"),
-    "place": lambda robot: PlaceRows(robot, "right_gripper_tip", "point and rotation", [0.1, 0.2, 0.3]),
     "hinge": lambda robot: MechanismRows(robot, "right_gripper_tip", "radial axial turn slide", **PLACE),
 }
 
@@ -213,7 +211,7 @@ def test_one_trajectory_has_no_parts():
     assert report.uncertainty == dict.fromkeys(PARTS) and report.uncertainty_deg is None
     assert report.mu_uncertainty is None
     parts = {NOISE: 0.01, JOINT_ZEROS: 0.02, POLICY: None}
-    assert in_words(parts, "local") == "noise 0.01 degrees, joint zeros 0.02 degrees"
+    assert parts_in_words(parts, "local") == "noise 0.01 degrees, joint zeros 0.02 degrees"
 
 
 def held_arm(seed: int):

@@ -34,9 +34,10 @@ from manip_learn.learning.estimate import (
 )
 from manip_learn.learning.explanation.evidence import CHANGE_SECONDS, Stretch
 from manip_learn.learning.explanation.findings import DISAGREES, LONGEST_SLIP_SECONDS, NEARLY_SAME_DEG, Findings, Part
-from manip_learn.learning.imposed import estimate_imposed, held_nats
+from manip_learn.learning.imposed import estimate_imposed
 from manip_learn.learning.mechanisms.find_mechanism import BLIND, MechanismFit, find_curve, find_mechanism
 from manip_learn.learning.mechanisms.one_place import at_one_place
+from manip_learn.learning.policy import held_nats
 from manip_learn.learning.recombination import BELIEVED_STRENGTH, RowEvidence, recombination_test
 from manip_learn.learning.repeats import once_each
 from manip_learn.learning.samples import Samples

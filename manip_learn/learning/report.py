@@ -38,7 +38,14 @@ from manip_learn.learning.explanation.findings import IN_ONE_ONLY, Findings, Par
 from manip_learn.learning.recombination import FEWEST_TRAJECTORIES, RowSupport
 from manip_learn.learning.repeats import IndependentRecordings
 from manip_learn.learning.samples import STILL_ENERGY
-from manip_learn.learning.uncertainty import PARTS, Uncertainty, in_words, mu_within_place, total_deg, uncertainty_of
+from manip_learn.learning.uncertainty import (
+    PARTS,
+    Uncertainty,
+    mu_within_place,
+    parts_in_words,
+    total_deg,
+    uncertainty_of,
+)
 from manip_learn.recordings.demonstrations import Demonstrations, distinct_names
 from manip_learn.recordings.trajectory import evenly
 from manip_learn.robot import html_card
@@ -303,7 +310,7 @@ class LearningReport:
         """The uncertainty in words, as in the sentence: which quantity is known how well; empty if none is."""
         said = known_to(self.uncertainty_deg, self.mechanism, self._is_told)
         mu = "" if self.mu_uncertainty is None else f", mu to {error_in_words(100.0 * self.mu_uncertainty, '%')}"
-        return f"{said}{mu} (68 %, {in_words(self.uncertainty, self.reference)})" if said else ""
+        return f"{said}{mu} (68 %, {parts_in_words(self.uncertainty, self.reference)})" if said else ""
 
     def mechanism_in_words(self) -> str:
         """What holds the hand, without the place if the sentence tells it; empty if nothing was found."""
@@ -445,7 +452,13 @@ def advise(
         *([f"move {named('joint', still)} too, or lock what shall hardly move{locked}"] if still else []),
         *([slow] if speed < REST_SPEED else []),
     ]
-    facts = [*recordings.warnings, *_places(findings, recordings)]
+    # where something seems held, or nearly so: each recording with its times
+    given, times = distinct_names(recordings.given), dict[str, list[str]]()
+    for place in (p for s in findings.held or findings.refused for p in recordings.places(s)):
+        times.setdefault(given[place.trajectory], []).append(f"{place.start:.1f} to {place.end:.1f} s")
+    what = "what seems held" if findings.held else "the likeliest contact, if anything was touched"
+    spans = ", ".join(f"{name} {listed(of_one)}" for name, of_one in times.items())
+    facts = [*recordings.warnings, *([f"{what}: {spans}"] if spans else [])]
     if not causes and refusal.code == "weak-gap":  # what usually helps
         causes, facts = ["record more varied motions, try other axes or the other reference" + number_if_known(2)], []
     return _advised(refusal, causes, facts if causes else ())
@@ -476,16 +489,6 @@ def _several_phases(findings: Findings, demonstrations: Demonstrations, phases: 
     how = advice(" ({})", "trajectory[start:until]", "--from and --until")
     unconfirmed = ", for no stretch of them obeys a constraint that several confirm, as in free motion"
     return ["cut the recordings to the contact" + how + unconfirmed]
-
-
-def _places(findings: Findings, recordings: IndependentRecordings) -> list[str]:
-    """Where something seems held, or nearly so: each recording with its times."""
-    names, times = distinct_names(recordings.given), dict[str, list[str]]()
-    for place in (p for s in findings.held or findings.refused for p in recordings.places(s)):
-        times.setdefault(names[place.trajectory], []).append(f"{place.start:.1f} to {place.end:.1f} s")
-    spans = ", ".join(f"{name} {listed(of_one)}" for name, of_one in times.items())
-    what = "what seems held" if findings.held else "the likeliest contact, if anything was touched"
-    return [f"{what}: {spans}"] if spans else []
 
 
 def _other_rows(everything: Part, fits: Callable[[FeatureMap], bool]) -> list[str]:

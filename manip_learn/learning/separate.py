@@ -19,7 +19,7 @@ from scipy.linalg import LinAlgError, cho_factor, cho_solve
 
 from manip_learn.errors import NotIdentifiableError, advice
 from manip_learn.learning.estimate import Estimate, estimate_null_space
-from manip_learn.learning.imposed import radial
+from manip_learn.learning.policy import radial
 from manip_learn.learning.samples import STILL_ENERGY, Samples
 
 # centres of the radial policy models, at least and at most. Set by hand

@@ -194,7 +194,7 @@ def check_uncertainty(estimate: Estimate, uncertainty_deg: float | None) -> None
         )
 
 
-def in_words(parts: Uncertainty, reference: str | None) -> str:
+def parts_in_words(parts: Uncertainty, reference: str | None) -> str:
     """What a stated angle is made of, and what no recording shows of it: `"noise 0.002 degrees; not included: ..."`.
 
     No part is there where a mechanism's numbers alone are stated, with the joints' zeros among them. Rows in axes of

@@ -180,7 +180,7 @@ def _padded(values: Float[np.ndarray, "n h"], first: Int[np.ndarray, " m"]) -> F
     return out
 
 
-def runs(states: Int[np.ndarray, " n"], first: Int[np.ndarray, " m"]) -> list[tuple[int, int, int]]:
+def state_runs(states: Int[np.ndarray, " n"], first: Int[np.ndarray, " m"]) -> list[tuple[int, int, int]]:
     """Stretches of one state: (state, first sample, sample after the last), free ones included."""
     cuts = np.flatnonzero(np.diff(states)) + 1
     edges = np.unique(np.concatenate([cuts, first]))
@@ -217,7 +217,7 @@ def stretches_of(motion: RowMotion, states: Int[np.ndarray, " n"], state: int) -
     but this state there.
     """
     moving, out = motion.moving, list[Stretch]()
-    for found, a, b in runs(states, motion.first):
+    for found, a, b in state_runs(states, motion.first):
         inside = np.flatnonzero(moving[a:b]) if found == state else np.zeros(0, dtype=np.int64)
         if not len(inside):
             continue

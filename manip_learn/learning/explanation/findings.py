@@ -25,8 +25,8 @@ from manip_learn.learning.explanation.evidence import (
     Stretch,
     covered,
     pieces_of,
-    runs,
     sharpened,
+    state_runs,
     stretches_of,
     uncovered,
     ways_to_choose,
@@ -158,14 +158,14 @@ def disagreeing(
             if gap.duration > LONGEST_SLIP_SECONDS or any(gap.shared(s) > 0.0 for s in elsewhere):
                 continue
             if _drift(motion, rows, gap)[0] > SLIP_FACTOR * held and _extent(way_along(between, *own)) > LEAST_SLIP:
-                why = reason(between, [trajectories[s.trajectory][s.start : s.end] for s in members], *own)
+                why = how_it_differs(between, [trajectories[s.trajectory][s.start : s.end] for s in members], *own)
                 out[i] = f"its contact is interrupted from {a.end:.2f} s to {b.start:.2f} s, as by a slip: {why}"
                 break
     shown = {s.trajectory for s in stretches}
     if len(shown) >= max(2.0, SHOWN_BY_SHARE * len(trajectories)):
         whole = pieces_of(table, stretches)[1].recordings
         for i in sorted(set(range(len(trajectories))) - shown):
-            why = reason(trajectories[i], whole, *own)
+            why = how_it_differs(trajectories[i], whole, *own)
             out[i] = f"what {len(shown)} of the others hold still is not seen in it; {why}"
     whole = pieces_of(table, members)[1].recordings
     left, pieces = pieces_of(table, odd)
@@ -173,11 +173,11 @@ def disagreeing(
         time, way = piece.time, way_along(piece, *own)
         later = np.minimum(np.searchsorted(time, time + 0.1), len(time) - 1)  # a tenth of a second
         fastest = time[np.argmax(np.linalg.norm(way[later] - way, axis=1))]
-        out[s.trajectory] = f"{reason(piece, whole, *own)}, fastest at {fastest:.2f} s"
+        out[s.trajectory] = f"{how_it_differs(piece, whole, *own)}, fastest at {fastest:.2f} s"
     return out
 
 
-def reason(
+def how_it_differs(
     t: Trajectory, members: Sequence[Trajectory], features: FeatureMap, selection: Float[np.ndarray, "s p"]
 ) -> str:
     """One sentence: how far it moves along the direction that the others hold still, and how far they do."""
@@ -310,35 +310,25 @@ def find(
         return nothing  # no row moves, or a single one: nothing to compare it with
     believed = _Recombination(table, kinds_tried(views), int(rng.integers(2**32)), strength)
     explanation = explain(views, believed, switch)
-    elsewhere = _elsewhere(feature_maps, table, explanation)
-    if elsewhere:  # what disagrees in this reference is no other task
-        return dataclasses.replace(nothing, warnings=elsewhere, elsewhere=True)
+    frames = [f for f in feature_maps if isinstance(f, FrameJacobian)]
+    asked, hypotheses = {f.reference for f in frames}, enumerate(explanation.hypotheses, start=1)
+    firm = any(h.scale.share <= FIRM_SHARE and np.all(explanation.states == k) for k, h in hypotheses)
+    if len(asked) == 1 and not firm:
+        # do rows in the other reference, which was not asked for, explain all recordings better?
+        other: Reference = "local" if "world" in asked else "world"
+        there = held_throughout([FrameJacobian(f.robot, f.frame.name, f.row_names, other) for f in frames], table)
+        if there is not None and there.explained.sum() >= explanation.explained.sum() + LEAST_GAIN_NATS:
+            said = (
+                f"in the {asked.pop()} reference no constraint fits all recordings, in the {other} one does: the rows "
+                f"are held there (reference {other!r})"
+            )  # what disagrees in this reference is no other task
+            return dataclasses.replace(nothing, warnings=(said,), elsewhere=True)
     contacts = _lone_contacts(explanation, believed) if switch < np.inf and len(table.recordings) > 1 else []
     if not explanation.hypotheses:
         alone = tuple((s, IN_ONE_ONLY) for s in contacts)
         nearest = Explanation(explanation.views, explanation.refused[:1], explanation.switch)
         return dataclasses.replace(nothing, unlearnt=alone, refused=stretches_of(nearest.thin, nearest.states, 1))
     return _findings(everything, explanation, contacts)
-
-
-def _elsewhere(feature_maps: Sequence[FeatureMap], table: Table, explanation: Explanation) -> tuple[str, ...]:
-    """A warning if rows in the other reference, which was not asked for, explain all recordings better."""
-    tried = {f.reference for f in feature_maps if isinstance(f, FrameJacobian)}
-    states = explanation.states
-    firm = (h.scale.share <= FIRM_SHARE and np.all(states == k) for k, h in enumerate(explanation.hypotheses, start=1))
-    if len(tried) != 1 or any(firm):
-        return ()
-    other: Reference = "local" if "world" in tried else "world"
-    maps = [
-        FrameJacobian(f.robot, f.frame.name, f.row_names, other) for f in feature_maps if isinstance(f, FrameJacobian)
-    ]
-    there = held_throughout(maps, table)
-    if there is None or there.explained.sum() < explanation.explained.sum() + LEAST_GAIN_NATS:
-        return ()
-    return (
-        f"in the {tried.pop()} reference no constraint fits all recordings, in the {other} one does: the rows are held "
-        f"there (reference {other!r})",
-    )
 
 
 def held_throughout(feature_maps: Sequence[FeatureMap], table: Table) -> Explanation | None:
@@ -468,7 +458,7 @@ def _without_passages(explanation: Explanation, states: Int[np.ndarray, " n"]) -
     """
     motion, out = explanation.views[0].motion, states.copy()
     length = np.linalg.norm(motion.rates, axis=1) * motion.weight
-    spans = runs(states, motion.first)
+    spans = state_runs(states, motion.first)
     for (k, a, b), (j, c, d) in [*pairwise(spans), *pairwise(spans[::-1])]:
         beside = motion.trajectory[a] == motion.trajectory[c] and k > 0 and j > 0
         if beside and np.sum(length[a:b]) < SHORT_STRETCH_RATIO * np.sum(length[c:d]):

@@ -19,7 +19,6 @@ from manip_learn.constraint.mechanism import (
     KIND_BY_NAME,
     MECHANISM_KINDS,
     Mechanism,
-    MechanismKind,
     Read,
     read_kind,
     rows_of,
@@ -30,7 +29,7 @@ from manip_learn.learning.explanation.evidence import stretches_of, ways_to_choo
 from manip_learn.learning.explanation.explain import LEAST_GAIN_NATS, Hypothesis, explain
 from manip_learn.learning.explanation.row_motion import View, kinds_tried, views_of
 from manip_learn.learning.mechanisms.fit_curve import fit_curve, gain_in_nats, variance_across
-from manip_learn.learning.mechanisms.one_place import apart, groups_of, likelier, misfit
+from manip_learn.learning.mechanisms.one_place import groups_of, how_far_apart, likelier, misfit
 from manip_learn.learning.mechanisms.place_fit import LEAST_RESIDUAL, PlaceErrors, PlaceFit, fit_place
 from manip_learn.learning.mechanisms.quantities import QUANTITIES, Place, TipPaths, angles_about, thinned, turn_about
 from manip_learn.learning.recombination import BELIEVED_STRENGTH, recombination_test
@@ -165,7 +164,8 @@ def find_mechanism(
     # beside one place that most share, single trajectories are no places of their own: their ends may have left it
     if len(groups) > 1 and not (len(shared) == 1 and 2 * shared[0] > len(members)):
         places = tuple(tuple(numbers[members[i]] for i in group.members) for group in groups)
-        why = f"a {start.kind.type} holds the hand in each recording, but not the same: they are {apart(groups)} apart"
+        distance = how_far_apart(groups)
+        why = f"a {start.kind.type} holds the hand in each recording, but not the same: they are {distance} apart"
         return MechanismFit(None, None, None, {}, why, (why,), places=places)
     gain, left = misfit(start)
     if gain > LEAST_GAIN_NATS:
@@ -427,6 +427,17 @@ def rival_of(bent: PlaceFit, straight: PlaceFit) -> str:
 def _described(fit: PlaceFit, errors: PlaceErrors) -> Mechanism:
     """The mechanism of a fit, with the uncertainty of each parameter."""
     kind, place, known, uncertainty = fit.kind, fit.place.as_told(), set(fit.kind.unknowns), fit.stated(errors)
+    # how far the hand goes about the axis or the centre [rad]
+    arc, paths = None, fit.paths
+    carried = kind.orientation == "carried" and "axis" in known
+    if carried or "point-across" in known:
+        angle = turn_about(paths, place.axis) if carried else angles_about(paths, place)
+        arc = float(max(np.ptp(angle[part]) for part in paths.parts))
+    elif "point" in known:
+        d = paths.p - place.point
+        d /= np.linalg.norm(d, axis=1, keepdims=True)
+        mean = d.mean(axis=0) / np.linalg.norm(d.mean(axis=0))
+        arc = float(2.0 * np.arccos(np.clip(d @ mean, -1.0, 1.0)).max())
     if "axis" in known:
         uncertainty["axis"] = float(np.degrees(uncertainty["axis"]))
     return Mechanism(
@@ -438,25 +449,9 @@ def _described(fit: PlaceFit, errors: PlaceErrors) -> Mechanism:
         "loose" if kind.orientation == "free" else "firm",
         kind.orientation,
         uncertainty,
-        _arc(fit.paths, fit.kind, place),
+        arc,
         kind.name,
     )
-
-
-def _arc(paths: TipPaths, kind: MechanismKind, place: Place) -> float | None:
-    """How far the hand goes about the axis or the centre [rad]; None where there is none."""
-    if kind.orientation == "carried" and "axis" in kind.unknowns:
-        angle = turn_about(paths, place.axis)
-    elif "point-across" in kind.unknowns:
-        angle = angles_about(paths, place)
-    elif "point" in kind.unknowns:
-        d = paths.p - place.point
-        d /= np.linalg.norm(d, axis=1, keepdims=True)
-        mean = d.mean(axis=0) / np.linalg.norm(d.mean(axis=0))
-        return float(2.0 * np.arccos(np.clip(d @ mean, -1.0, 1.0)).max())
-    else:
-        return None
-    return float(max(np.ptp(angle[paths.part(i)]) for i in range(len(paths.starts))))
 
 
 def doubts_of_place(mechanism: Mechanism) -> tuple[str, str]:

@@ -181,7 +181,7 @@ def at_one_place(one: PlaceFit | None, other: PlaceFit | None) -> bool:
     return Scale.of(groups).gain([joined], groups) < LEAST_GAIN_NATS
 
 
-def apart(groups: Sequence[Group]) -> str:
+def how_far_apart(groups: Sequence[Group]) -> str:
     """By how much the places of groups differ at most, in words."""
     places, unknowns, said = [g.fit.place for g in groups], groups[0].fit.kind.unknowns, []
     pairs = list(combinations(places, 2))
