@@ -2,19 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from itertools import product
-
 import numpy as np
 import pytest
-from conftest import tip_of
 from random_arms import Asks
 
 from manip_learn.constraint import small_matrices
 from manip_learn.constraint.constraint import Constraint
 from manip_learn.constraint.features import CustomFeatures, FrameJacobian
 from manip_learn.constraint.small_matrices import svd
-from manip_learn.control.command import Command
 from manip_learn.control.controller import ResolvedRateController
 from manip_learn.control.policies import JointAttractor, ManipulabilityAscent
 from manip_learn.control.simulation import simulate
@@ -134,52 +129,6 @@ def test_a_task_that_is_not_finite_is_named(limits: bool, robot_of):
                     controller(q)
         task.b = np.array([1, 0, 0])
         assert controller(np.linspace(-0.5, 0.7, 7)).task_velocity.dtype == np.float64
-
-
-def rounded_otherwise(rng: np.random.Generator) -> Callable[[np.ndarray], tuple[np.ndarray, ...]]:
-    """The decomposition with other last bits, as another processor's kernels give it: zeros become 1e-17, too."""
-
-    def decompose(A: np.ndarray) -> tuple[np.ndarray, ...]:
-        factors = (x * (1.0 + 2e-16 * rng.integers(-1, 2, x.shape)) + 1e-17 * rng.normal(size=x.shape) for x in svd(A))
-        U, sigma, Vt = factors
-        return U, np.abs(sigma), Vt
-
-    return decompose
-
-
-def test_cholesky_and_svd_give_the_same_command(robot_of, monkeypatch: pytest.MonkeyPatch) -> None:
-    """The short cut of the common case does not show, whatever the last bits of the decomposition are."""
-    law, commands = "manip_learn.control.law", list[list[Command]]()
-    for kind in range(3):
-        if kind == 1:
-            monkeypatch.setattr(f"{law}.row_inverse", lambda A: None)
-            monkeypatch.setattr(f"{law}.svd", rounded_otherwise(np.random.default_rng(1)))
-        if kind == 2:
-            monkeypatch.setattr(f"{law}.svd", rounded_otherwise(np.random.default_rng(2)))
-        rng, here = np.random.default_rng(5), []
-        for name, axes in product(("planar3", "sawyer", "kinova", "gantry"), ("x y", "xyz", "pose")):
-            robot = robot_of(name)
-            features = FrameJacobian(robot, tip_of(name), axes)
-            for s in range(1, min(features.n_rows, robot.nv - 1, 4) + 1):
-                constraint = Constraint(np.linalg.qr(rng.normal(size=(features.n_rows, s)))[0].T, features)
-                for inverse in ("damped", "exact"):
-                    q = robot.random_configuration(rng)
-                    target = features.coordinates(robot.random_configuration(rng))
-                    policy = ManipulabilityAscent(constraint, 0.3, logarithmic=bool(s % 2))
-                    if np.linalg.cond(constraint(q)) < 1e6:  # beyond it A^+ b itself is rounding
-                        here.append(ResolvedRateController(constraint, PointAttractor(target), policy, inverse)(q))
-        commands.append(here)
-    assert len(commands[0]) > 50
-    for others in commands[1:]:
-        for a, b in zip(commands[0], others, strict=True):
-            # A is known to 1e-16: where it is small as a whole, so is what A^+ can be known to
-            scale = max(1.0, float(np.max(np.abs(a.velocity)))) * max(
-                1.0, 0.01 / max(a.smallest_singular_value, 1e-300)
-            )
-            for part in ("velocity", "task_velocity", "task_part", "null_part"):
-                np.testing.assert_allclose(getattr(a, part), getattr(b, part), rtol=0, atol=1e-12 * scale)
-            assert a.manipulability == pytest.approx(b.manipulability, rel=1e-11, abs=1e-12)
-            assert a.status == b.status
 
 
 def test_svd_survives_a_failing_lapack(monkeypatch: pytest.MonkeyPatch, rng: np.random.Generator) -> None:

@@ -305,25 +305,6 @@ def test_a_way_that_was_stopped_goes_on_from_where_the_hand_is(names: str, robot
     assert off <= 5e-4
 
 
-@pytest.mark.parametrize("name", ARMS)
-def test_no_command_exceeds_a_bound(name: str, robot_of: RobotOf, rng: np.random.Generator) -> None:
-    """Random, extreme and singular postures, any velocity before, tasks of all sizes: finite, 1e-9 at most beyond."""
-    robot = robot_of(name)
-    for k in range(40):
-        axes = ("x y", "xyz", "pose")[k % 3]
-        rows = rows_of(robot, name, axes, 1 + int(rng.integers((2, 3, 6)[k % 3])), rng)
-        q = (inside(robot, rng, 1.0), np.zeros(robot.nv), inside(robot, rng, 1.1), 1e-9 * rng.normal(size=robot.nv))
-        b = 10.0 ** rng.uniform(-4.0, 2.0) * rng.normal(size=rows.n_constraints)
-        law = ml.ResolvedRateController(rows, Asks(b), POLICIES[("none", "ascent", "rest")[k % 3]](robot, rows), dt=DT)
-        assert law.limits is not None
-        posture = robot.configuration(q[k % 4]) if robot.nq != robot.nv else q[k % 4]
-        for previous in (None, np.minimum(robot.velocity_limit, 3.0) * rng.uniform(-1.0, 1.0, robot.nv)):
-            dt, slide = 10.0 ** rng.uniform(-3.0, -1.0), float(rng.choice([0.0, 0.5, 1.0]))
-            command = law(posture, 0.0, dt, previous, slide)
-            assert np.all(np.isfinite(command.velocity))
-            assert excess(command.velocity, law.limits.bounds(posture, dt, previous)) <= 1e-9
-
-
 def test_more_rows_than_joints_are_no_error(robot_of: RobotOf) -> None:
     """Every posture is singular then: the command is finite, within limits, and says so where b does not fit."""
     rows = ml.Constraint(np.eye(6)[:4], ml.FrameJacobian(robot_of("planar3"), "tip", "pose"))

@@ -111,6 +111,16 @@ def test_units_signs_and_zeros(mode: str, planar3: ml.Robot) -> None:
     np.testing.assert_allclose([arm.sent[-1][f"joint{i}.pos"] for i in (1, 2, 3)], values, atol=1e-12)
 
 
+def test_motors_are_matched_by_name(planar3: ml.Robot) -> None:
+    """LeRobot may list them in any order."""
+    arm = Arm(motors=("gripper", "joint3", "joint1", "joint2"))
+    arm.values = {"joint1": 10.0, "gripper": 5.0, "joint3": 30.0, "joint2": 20.0}
+    driver = driver_of(arm, planar3)
+    np.testing.assert_allclose(driver.read()[0], np.radians([10.0, 20.0, 30.0]))
+    driver.command(np.radians([11.0, 21.0, 31.0]), np.zeros(3))
+    assert arm.sent[-1] == pytest.approx({"joint1.pos": 11.0, "joint2.pos": 21.0, "joint3.pos": 31.0, "gripper.pos": 5})
+
+
 def test_a_gripper_among_the_others_shuts_and_opens(planar3: ml.Robot) -> None:
     """0 is shut and 100 open, as LeRobot calibrates it; other motors stay where they were."""
     arm = in_units(Arm(), "degrees")

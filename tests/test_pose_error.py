@@ -101,30 +101,6 @@ def test_rows_are_those_of_the_constraint_on_the_target(robot_of: RobotOf, rng: 
         assert PointAttractor(target).error_jacobian(Constraint(np.eye(len(target)), features), q, 0.0) is None
 
 
-@pytest.mark.parametrize("view", VIEWS)
-def test_errors_decay_as_asked_and_null_motion_leaves_them_alone(
-    robot_of: RobotOf, rng: np.random.Generator, view: str
-) -> None:
-    """With u = E^+ b + N pi, any pi, d/dt error = -gain error to 1e-6, for rows that mix positions and rotations too;
-    with the rows of the constraint it is not, by far, where only some of the rotations are held.
-    """
-    for axes in ("pose", "x y rz", "rx ry", "rotation"):
-        features, worst_of_constraint = features_of(robot_of("panda"), axes, view), 0.0
-        for _ in range(4):
-            s = max(1, features.n_rows - 2)
-            constraint = Constraint(np.linalg.qr(rng.normal(size=(features.n_rows, s)))[0].T, features)
-            q, pi = rng.uniform(-1.0, 1.0, (2, 7))
-            task = PointAttractor(turned(features, q, 2.6, rng), gain=2.0)
-            b, error = task.velocity(constraint, q, 0.0), lambda x, c=constraint, t=task: t.displacement(c, x)
-            faults = []
-            for A in (task.error_jacobian(constraint, q, 0.0), constraint(q)):
-                u = np.linalg.pinv(A) @ (b - A @ pi) + pi
-                faults.append(np.linalg.norm(rate(error, q, u) + 2.0 * error(q)) / np.linalg.norm(error(q)))
-            assert faults[0] < 1e-6, axes
-            worst_of_constraint = max(worst_of_constraint, faults[1])
-        assert worst_of_constraint > 0.1, axes
-
-
 def test_poses_that_are_none(robot_of: RobotOf, rng: np.random.Generator) -> None:
     """A matrix that is no rotation is refused with a sentence; one written with few digits is taken."""
     features = features_of(robot_of("panda"), "pose", "world")

@@ -32,20 +32,6 @@ def test_three_forms_of_a_target(constraint, robot_of, rng):
         assert task.error(constraint, q, 0.0) == pytest.approx(np.linalg.norm(expected))
 
 
-def test_rotation_targets(robot_of, rng):
-    """Following b of a full pose turns the tool to the target, in both references."""
-    robot = robot_of("sawyer")
-    q, goal = rng.uniform(-0.5, 0.5, 7) + 0.3, rng.uniform(-0.5, 0.5, 7)
-    for reference in ("world", "local"):
-        features = FrameJacobian(robot, "right_hand", "pose", reference)
-        full = Constraint(np.eye(6), features)
-        task, x = PointAttractor(robot.pose(goal, features.frame)), q.copy()
-        before = task.error(full, x, 0.0)
-        for _ in range(300):
-            x = x + 0.03 * np.linalg.pinv(full(x), rcond=0.02) @ task.velocity(full, x, 0.0)
-        assert task.error(full, x, 0.0) < 0.02 * before
-
-
 def test_track_with_feed_forward_does_not_lag(constraint, rng):
     """On the target its own velocity is all that is asked for; beside it the pull is added."""
     q = rng.uniform(-1, 1, 7)

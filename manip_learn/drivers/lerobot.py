@@ -106,7 +106,7 @@ class LeRobotDriver:
         self.period, self.joint_names = period, robot.joint_names
         self._others = (others,) if isinstance(others, str) else tuple(others)
         keys = arm.action_features
-        self._motors = tuple(key.removesuffix(".pos") for key in keys if key.endswith(".pos"))
+        self._motors: tuple[str, ...] = tuple(key.removesuffix(".pos") for key in keys if key.endswith(".pos"))
         self._still = {key: 0.0 for key in keys if not key.endswith(".pos")}  # goes with them: no speed and no torque
         if wrong := [key for key in self._still if not key.endswith((".vel", ".torque"))]:
             raise ConfigurationError(
