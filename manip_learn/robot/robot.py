@@ -25,6 +25,7 @@ from manip_learn.robot.joints import (
     Frame,
     FrameLike,
     JointBlock,
+    JointKind,
     Mimic,
     full_coupling,
     joint_limits,
@@ -124,10 +125,10 @@ class Robot:
             joint, name = model.joints[index], model.names[index]
             if name in followers or joint.nv == 0:
                 continue
-            kind = next(kind for begin, kind in PINOCCHIO_KINDS if joint.shortname().startswith(begin))
+            kinds: list[JointKind] = [kind for begin, kind in PINOCCHIO_KINDS if joint.shortname().startswith(begin)]
             own = slice(nq, nq + joint.nq), slice(nv, nv + joint.nv)
             of_model = slice(joint.idx_q, joint.idx_q + joint.nq), slice(joint.idx_v, joint.idx_v + joint.nv)
-            blocks.append(JointBlock(name, kind, index, *own, *of_model))
+            blocks.append(JointBlock(name, kinds[0], index, *own, *of_model))
             nq, nv = nq + joint.nq, nv + joint.nv
         self.blocks = tuple(blocks)
         self.nq, self.nv, self._shape = nq, nv, (nv,)

@@ -137,16 +137,18 @@ class BatchKinematics:
         self, postures: Float[np.ndarray, "n width"], reference: Reference, chunk: int
     ) -> Iterator[tuple[slice, Float[np.ndarray, "3 j m"], Float[np.ndarray, "3 j m"]]]:
         """Linear and angular columns of the chain's joints, chunk by chunk."""
-        for part in _chunks(len(postures), chunk) if self._chain is not None else ():
+        if (chain := self._chain) is None:
+            return
+        for part in _chunks(len(postures), chunk):
             x = self._positions(postures[part])
             if reference == "world":
-                w, origin, _, tip = self._chain.sweep(x)
+                w, origin, _, tip = chain.sweep(x)
                 lever = tip[:, None] - origin
             else:  # seen from the frame, whose origin is then the zero
-                w, origin, *_ = self._chain.reversed().sweep(-x[::-1])
+                w, origin, *_ = chain.reversed().sweep(-x[::-1])
                 w, lever = w[:, ::-1].copy(), -origin[:, ::-1]
             v = np.stack([w[i] * lever[j] - w[j] * lever[i] for i, j in AFTER])
-            v[:, self._chain.slides], w[:, self._chain.slides] = w[:, self._chain.slides], 0.0
+            v[:, chain.slides], w[:, chain.slides] = w[:, chain.slides], 0.0
             yield part, v, w
 
     def _public(self, values: Float[np.ndarray, "..."], axis: int) -> Float[np.ndarray, "..."]:
