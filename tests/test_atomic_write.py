@@ -144,7 +144,6 @@ def test_every_file_that_has_no_room_gets_a_sentence(tmp_path):
         "a.csv": "audit planar3 line.json run.csv --csv a.csv",
         **{f"x{e}": f"export planar3 run.npz --out x{e}" for e in (".mcap", ".csv", ".yaml", ".rrd")},
         "set/": "export planar3 run.npz --to lerobot --out set",
-        "demo/": "demo --robot planar3 --out demo --no-browser",
         "figures": "reproduce singular-start --out figures",
     }
     for extra, file in {"rerun": "x.rrd", "pyarrow": "set/"}.items():

@@ -116,15 +116,12 @@ def test_learn_writes_a_replay_of_the_recordings(run):
     assert data["mechanisms"][0]["type"] == "line" and data["mechanisms"][0]["lines"]
 
 
-def test_demo_answers(run):
-    """The main job on the small robot: constraint, three rollouts that arrive, and the replay."""
-    code, out, err = run("demo", "--robot", "planar3", "--out", "here", "--no-browser", "--json")
-    answer = json.loads(out)
+def test_the_demo_of_the_small_robot(run):
+    """The main job: what was learnt, three policies side by side, and the replay."""
+    code, out, err = run("demo", "--robot", "planar3", "--out", "here", "--no-browser")
     assert code == 0, err
-    assert answer["constraint"]["n_constraints"] == 2
-    assert set(answer["rollouts"]) == {"manipulability", "attractor", "zero"}
-    assert all(r["reached"] for r in answer["rollouts"].values())
-    assert Path(answer["html"]).is_file()
+    assert all(f"  {policy} " in out for policy in ("manipulability", "attractor", "zero")) and "min mu" in out
+    assert len(data_in(Path("here/replay.html"))["rollouts"]) == 3
 
 
 def test_unrecorded_fingers_are_locked(run, tmp_path):
@@ -373,7 +370,7 @@ def test_the_examples_work(run, monkeypatch):
     )
     for name in IN_ORDER:
         more = {"record": ["--duration", "0.1", "--no-browser"]}.get(name, [])
-        if name == "teach":  # serves a page until it is closed: the test of the page does so
+        if name in ("demo", "teach"):  # have tests of their own; the page of `teach` is served until it is closed
             continue
         code, _, err = run(*EXAMPLES[name], *more)
         assert code == 0, (name, err)

@@ -191,8 +191,10 @@ def test_a_hand_whose_joint_meets_its_limit_stays_on_the_line(run, shown):
 def test_the_demo_opens_the_drawer(run):
     """A plan and every policy open it as far as was shown, to 1 mm; the plan keeps the largest margin."""
     code, out, _err = run("demo", "--no-browser", "--json")
-    rollouts = json.loads(out)["rollouts"]
+    answer = json.loads(out)
+    rollouts = answer["rollouts"]
     assert code == 0 and list(rollouts) == ["plan", "manipulability", "attractor", "zero"]
+    assert answer["constraint"]["n_constraints"] == 2 and data_in(Path(answer["html"]))["rollouts"]
     for answer in rollouts.values():
         assert abs(answer["wanted"] - 0.232) < 1e-3  # the median that was shown
         assert abs(answer["done"] - answer["wanted"]) < 1e-3 and answer["seconds"] < 5.0 and answer["margin"] > 0.0

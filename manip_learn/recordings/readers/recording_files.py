@@ -17,7 +17,14 @@ from manip_learn.recordings.format_words import MARK
 from manip_learn.recordings.readers.csv_reader import sniff_dialect
 from manip_learn.recordings.readers.lerobot_reader import episode_numbers
 from manip_learn.recordings.readers.read_request import ReadRequest
-from manip_learn.recordings.readers.recording import Recording, check_regular, natural_order, reason_of, refusal
+from manip_learn.recordings.readers.recording import (
+    Recording,
+    check_regular,
+    natural_order,
+    reason_of,
+    refusal,
+    refusing_damage,
+)
 from manip_learn.recordings.readers.saved_reader import JSON_LINES, file_header
 from manip_learn.recordings.saved_motion import check_robot
 
@@ -90,13 +97,8 @@ def recognise(path: Path) -> FileFormat:
     if not head.strip():
         raise refusal(path, "empty", "the file is empty: copy it again, or record again")
     if head.startswith(b"PK\x03\x04"):
-        try:
-            with zipfile.ZipFile(path) as archive:
-                names = archive.namelist()
-        except (zipfile.BadZipFile, OSError, ValueError, NotImplementedError) as error:
-            raise refusal(
-                path, "damaged", f"the archive is damaged ({reason_of(error)}): copy or save it again"
-            ) from error
+        with refusing_damage(path), zipfile.ZipFile(path) as archive:
+            names = archive.namelist()
         if any(n.endswith(".npy") for n in names):
             return SAVED if "format.npy" in names and file_header(path) is not None else NPZ
         if any(n.startswith("xl/") for n in names):

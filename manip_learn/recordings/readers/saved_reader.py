@@ -5,17 +5,16 @@ from __future__ import annotations
 import itertools
 import zipfile
 from collections.abc import Iterator
-from contextlib import contextmanager
 from pathlib import Path
 
 import numpy as np
 
-from manip_learn.errors import DAMAGE, RecordingError
+from manip_learn.errors import RecordingError
 from manip_learn.recordings.format_words import DATASET_HEADER, MARK
 from manip_learn.recordings.readers.csv_reader import text_lines
 from manip_learn.recordings.readers.npz_reader import stored_arrays, texts_of
 from manip_learn.recordings.readers.read_request import ReadRequest
-from manip_learn.recordings.readers.recording import LONGEST_TEXT, Recording, float_array, reason_of, refusal
+from manip_learn.recordings.readers.recording import LONGEST_TEXT, Recording, float_array, refusal, refusing_damage
 from manip_learn.recordings.saved_motion import (
     PREFIX,
     ROLLOUT_CURVES,
@@ -40,7 +39,7 @@ def file_header(path: Path) -> FileHeader | None:
     Raises:
         RecordingError: The header is damaged, or of a newer version.
     """
-    with _refusing_damage(path):
+    with refusing_damage(path):
         if path.is_dir():
             inner = path / DATASET_HEADER
             return FileHeader.from_json(inner.read_bytes()) if inner.is_file() else None
@@ -72,7 +71,9 @@ def read_saved(path: Path) -> SavedMotion:
     Raises:
         RecordingError: No such file, a damaged one, or one of another kind.
     """
-    with _refusing_damage(path):
+    if not path.exists():
+        raise RecordingError(f"rollout file {path} does not exist", code="missing", path=path)
+    with refusing_damage(path):
         header = file_header(path)
         if header is None:
             said = "no rollout; `manip-learn control ... --out FILE.npz` writes one (.npz and .csv are read back)"
@@ -93,18 +94,6 @@ def read(path: Path, request: ReadRequest) -> Iterator[Recording]:
     beside = (motion.arrays.get(name) for name in BESIDE_POSITIONS)
     own = {"in_seconds": True, "trusted": True, "notes": notes}
     yield Recording.of(path, path.name, motion.arrays["time"], names, q, *beside, **own)
-
-
-@contextmanager
-def _refusing_damage(path: Path) -> Iterator[None]:
-    try:
-        yield
-    except FileNotFoundError as error:
-        raise RecordingError(f"rollout file {path} does not exist", code="missing", path=path) from error
-    except DAMAGE as error:
-        raise refusal(
-            path, "damaged", f"the file cannot be read ({reason_of(error)}): copy or save it again"
-        ) from error
 
 
 def _of_archive(path: Path, header: FileHeader) -> dict[str, np.ndarray]:
