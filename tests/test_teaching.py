@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 import multiprocessing
-import os
 import subprocess
 import sys
 import zipfile
@@ -104,11 +103,10 @@ def errors_of(person: Person) -> dict[str, float]:
     return {name: float(said.split()[0]) for name, said in person.state["truth"]["errors"] if name != "kind"}
 
 
-@pytest.mark.parametrize("kind", ["drawer", "loose-door", "screw"])
+@pytest.mark.parametrize("kind", ["loose-door", pytest.param("screw", marks=pytest.mark.slow)])
 def test_a_task_shown_by_hand_is_understood_and_done(sawyer, tmp_path, kind):
-    """Five unsteady demonstrations give the axis to 0.5 degrees, a door's and a screw's to 1 degree and 5 mm; the arm
-    then goes to the handle and does all of the way by itself, and what it moved is moved so far. For the drawer a start
-    is found from which doing without the learnt manipulability fails, with its centimetres.
+    """Five unsteady demonstrations give the axis to 1 degree and 5 mm; the arm then goes to the handle and does all of
+    the way by itself, and what it moved is moved so far.
     """
     moved: list[float] = []
 
@@ -117,76 +115,30 @@ def test_a_task_shown_by_hand_is_understood_and_done(sawyer, tmp_path, kind):
         yield from done(person, do="home")
         yield from done(person, do="run", policy="manipulability")
         moved.append(person.pose["opening"][0])
-        if kind == "drawer":
-            yield from person.press(do="compare")
-            yield from person.wait_for(lambda: person.slots["ghosts"] is not None, 1e5)
 
     person, session = taught(sawyer, kind, 11, tmp_path, script)
     answer, off = person.state["answer"], errors_of(person)
     assert not answer["refused"] and answer["mechanism"]["type"] == session.arm.scene.handles[0].type
-    assert off["axis"] < (0.5 if kind == "drawer" else 1.0) and off.get("place", 0.0) < 5.0
+    assert off["axis"] < 1.0 and off["place"] < 5.0
     ran = person.state["run"]
     assert ran["ordered"] and ran["done"] == pytest.approx(ran["wanted"], rel=0.02), person.said[-3:]
     assert abs(moved[0]) == pytest.approx(ran["done"], rel=0.05)
     assert all(one["phases"] for one in person.state["recordings"])
-    assert person.state["keep"] == str(session.folder) and (session.folder / "constraint.json").exists()
-    if kind == "drawer":
-        with_it, without = person.slots["ghosts"]["rollouts"]
-        assert (with_it["failed"], without["failed"]) == (False, True) and " cm, stopped by " in without["ended"]
 
 
-def test_nothing_is_claimed_in_free_space_and_two_recordings_are_too_few(sawyer, tmp_path):
-    """Free motion is refused, in words that say what to show next, with a button that the page offers for it; after too
-    few recordings the button records.
-    """
-    person, _ = taught(sawyer, "free", 5, tmp_path / "free", lambda person: lesson(person, 5))
-    answer = person.state["answer"]
-    assert answer["refused"] and "Nothing" in answer["sentence"] and answer["offer"]["said"]["do"] == "scene"
-    assert person.state["way"] is None and person.state["truth"]["sentence"].startswith("In truth nothing")
-
-    person, _ = taught(sawyer, "free", 6, tmp_path / "few", lambda person: lesson(person, 1))
-    answer = person.state["answer"]
-    assert answer["refused"] and "4 times more" in answer["next"] and answer["offer"]["said"] == {"do": "record"}
+HOMES_OF = {"constraint.json", "recordings_csv.zip", "recordings_lerobot.zip", "replay.html", "taught.py"}
 
 
-def test_what_is_taken_home_works(sawyer, tmp_path):
-    """Constraint, recordings as CSV and as a LeRobot data set, the replay, and a script of the same steps that runs."""
-    homes = ("constraint", "csv", "lerobot", "replay", "script")
-
-    def script(person: Person) -> Iterator[Any]:
-        yield from person.press(do="take", what="replay")
-        yield from person.wait_for(lambda: "nothing to take home" in person.state["said"])
-        yield from lesson(person, 5)
-        for what in homes:
-            known = len(person.state["files"])
-            yield from person.press(do="take", what=what)
-            yield from person.wait_for(lambda known=known: len(person.state["files"]) > known, 1e5)
-
-    person, session = taught(sawyer, "drawer", 12, tmp_path, script)
-    names = {"constraint.json", "recordings_csv.zip", "recordings_lerobot.zip", "replay.html", "taught.py"}
-    assert set(person.files) == {one["name"] for one in person.state["files"]} == names
-    assert ml.Constraint.load(person.files["constraint.json"], sawyer).mechanism.type == "line"
-    with zipfile.ZipFile(person.files["recordings_csv.zip"]) as archive:
-        archive.extractall(tmp_path / "csv")
-    assert len(ml.load_demonstrations([str(p) for p in sorted((tmp_path / "csv").glob("*.csv"))], sawyer)) == 5
-    with zipfile.ZipFile(person.files["recordings_lerobot.zip"]) as archive:
-        archive.extractall(tmp_path / "set")
-    assert len(ml.load_demonstrations([str(tmp_path / "set" / "lerobot")], sawyer)) == 5
-    assert person.files["replay.html"].stat().st_size > 500_000
-    again = subprocess.run(
-        [sys.executable, "taught.py"], cwd=session.folder, capture_output=True, text=True, env={**os.environ}
-    )
-    assert again.returncode == 0, again.stderr
-    assert (session.folder / "again.html").exists() and "drawer" in again.stdout
-
-
-def test_a_person_who_pushes_is_noticed_and_the_way_can_be_changed(sawyer, tmp_path):
-    """While the arm opens the drawer the slider moves its goal; a dragged target too; who pulls hard at the hand stops
-    it, and the page says why; ghosts of three policies and of both from a bad posture arrive.
+def test_a_drawer_from_the_first_recording_to_what_is_taken_home(sawyer, tmp_path):
+    """Its axis is known to 0.5 degrees. While the arm opens it the slider moves its goal; a dragged target too; who
+    pulls hard at the hand stops it, and the page says why. A start is found from which doing without the learnt
+    manipulability fails, with its centimetres. Constraint, recordings, replay and a script that runs go home.
     """
     seen: dict[str, Any] = {}
 
     def script(person: Person) -> Iterator[Any]:
+        yield from person.press(do="take", what="replay")
+        yield from person.wait_for(lambda: "nothing to take home" in person.state["said"])
         yield from lesson(person, 5)
         yield from done(person, do="home")
         high = person.state["way"]["high"]
@@ -209,18 +161,47 @@ def test_a_person_who_pushes_is_noticed_and_the_way_can_be_changed(sawyer, tmp_p
         yield from person.press(do="release")
         yield from person.wait_for(lambda: person.state["doing"] == "idle", 30.0)
         seen["tripped"] = person.state["run"]
-        for job, number in (("policies", 3), ("compare", 2)):
+        for job in ("policies", "compare"):
             yield from person.press(do=job)
             yield from person.wait_for(lambda job=job: (person.slots.get("ghosts") or {}).get("kind") == job, 1e5)
-            assert len(person.slots["ghosts"]["rollouts"]) == number
+            seen[job] = person.slots["ghosts"]["rollouts"]
+        for what in ("constraint", "csv", "lerobot", "replay", "script"):
+            known = len(person.state["files"])
+            yield from person.press(do="take", what=what)
+            yield from person.wait_for(lambda known=known: len(person.state["files"]) > known, 1e5)
 
-    person, _ = taught(sawyer, "drawer", 13, tmp_path, script)
-    assert seen["shorter"] == pytest.approx(0.3, abs=0.02)
-    assert seen["target"] == pytest.approx(0.6, abs=0.02)
+    person, session = taught(sawyer, "drawer", 11, tmp_path, script)
+    assert not person.state["answer"]["refused"] and errors_of(person)["axis"] < 0.5
+    assert person.state["keep"] == str(session.folder) and (session.folder / "constraint.json").exists()
+    assert seen["shorter"] == pytest.approx(0.3, abs=0.02) and seen["target"] == pytest.approx(0.6, abs=0.02)
     assert not seen["tripped"]["ordered"] and "from where it was sent" in seen["tripped"]["ended"]
-    named = [one["name"] for one in person.slots["ghosts"]["rollouts"]]
-    assert named == ["with", "without"]
-    assert "Without the learnt manipulability" in person.state["said"] or "none was found" in person.state["said"]
+    with_it, without = seen["compare"]
+    assert (with_it["failed"], without["failed"]) == (False, True) and " cm, stopped by " in without["ended"]
+    assert len(seen["policies"]) == 3
+    assert set(person.files) == {one["name"] for one in person.state["files"]} == HOMES_OF
+    assert ml.Constraint.load(person.files["constraint.json"], sawyer).mechanism.type == "line"
+    for name, found in (("recordings_csv.zip", "*.csv"), ("recordings_lerobot.zip", "lerobot")):
+        with zipfile.ZipFile(person.files[name]) as archive:
+            archive.extractall(tmp_path / name)
+        assert len(ml.load_demonstrations([str(p) for p in sorted((tmp_path / name).glob(found))], sawyer)) == 5
+    assert person.files["replay.html"].stat().st_size > 500_000
+    again = subprocess.run([sys.executable, "taught.py"], cwd=session.folder, capture_output=True, text=True)
+    assert again.returncode == 0, again.stderr
+    assert (session.folder / "again.html").exists() and "drawer" in again.stdout
+
+
+def test_nothing_is_claimed_in_free_space_and_two_recordings_are_too_few(sawyer, tmp_path):
+    """Free motion is refused, in words that say what to show next, with a button that the page offers for it; after too
+    few recordings the button records.
+    """
+    person, _ = taught(sawyer, "free", 5, tmp_path / "free", lambda person: lesson(person, 5))
+    answer = person.state["answer"]
+    assert answer["refused"] and "Nothing" in answer["sentence"] and answer["offer"]["said"]["do"] == "scene"
+    assert person.state["way"] is None and person.state["truth"]["sentence"].startswith("In truth nothing")
+
+    person, _ = taught(sawyer, "free", 6, tmp_path / "few", lambda person: lesson(person, 1))
+    answer = person.state["answer"]
+    assert answer["refused"] and "4 times more" in answer["next"] and answer["offer"]["said"] == {"do": "record"}
 
 
 def test_recordings_are_renamed_deleted_replayed_and_dropped(sawyer, tmp_path, robot_of):
@@ -354,7 +335,7 @@ def test_one_page_leads_another_may_take_over_and_without_any_the_session_ends(s
     assert not [child for child in multiprocessing.active_children() if child.name == "teaching"]
 
 
-@pytest.mark.parametrize("name", ["planar3", "panda", "ur5"])
+@pytest.mark.parametrize("name", ["planar3", "panda"])
 def test_scenes_are_within_reach_of_other_robots(robot_of, name):
     """For each kind of scene that an arm can do at all, it is at its start without a jump, rests there, and the hand
     can be taken to the first handle; a kind that it cannot do is refused in a sentence.

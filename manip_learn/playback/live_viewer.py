@@ -59,6 +59,7 @@ class LiveProcess:
             a page has posted, and with `{"pages": [ids]}` whenever one comes or goes: the ids of the pages that are
             open, oldest first. It is not called once `close` has returned, unless one call takes longer than 2 s. None
             for pages that say nothing.
+        frames_per_second: Messages of a slot that are written in a second at most, as many as a screen shows.
 
     Raises:
         OutputError: The server does not start.
@@ -69,7 +70,9 @@ class LiveProcess:
         make_page: Callable[[str], bytes],
         timeout: float,
         heard: Callable[[Mapping[str, Any]], object] | None = None,
+        frames_per_second: float = FRAMES_PER_SECOND,
     ):
+        self._interval = 1.0 / frames_per_second
         token = secrets.token_urlsafe(18)
         self._page = make_page(token)
         self._newest: dict[str, Callable[[], str]] = {}  # by slot, in the order in which they were put
@@ -198,7 +201,7 @@ class LiveProcess:
                 slot = next(iter(self._newest), None)
                 if slot is None:
                     break
-                now, interval = clock.monotonic(), 1.0 / FRAMES_PER_SECOND
+                now, interval = clock.monotonic(), self._interval
                 due = self._due.get(slot, now)
                 if due > now:
                     return due - now  # later ones wait, too: a page may rely on their order
