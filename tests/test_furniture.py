@@ -95,8 +95,6 @@ def test_it_stands_where_it_was_shown(kind, way, sense):
         assert piece.pushed_from == pytest.approx(shut)
 
 
-
-
 def test_the_chest_stands_away_from_the_base():
     """A hand that comes towards the base pulls its drawer open; one that goes away pushes an open one shut."""
     for way, open_at_first, open_at_last in ((-0.3, 0.0, 0.3), (0.3, 0.3, 0.0)):
