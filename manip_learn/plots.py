@@ -21,7 +21,7 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
 HELD, FREE = COLOURS["blue"], COLOURS["vermilion"]
-MARKS = "xv^s+*<>dpPXD"  # one for each status that is not ok
+_MARKS = "xv^s+*<>dpPXD"  # one for each status that is not ok
 
 
 def manipulability(rollouts: Rollout | Sequence[Rollout] | Mapping[str, Rollout], ax: Axes | None = None) -> Axes:
@@ -53,9 +53,9 @@ def manipulability(rollouts: Rollout | Sequence[Rollout] | Mapping[str, Rollout]
         before = (Status.OK, *rollout.status[:-1])
         for status in seen:
             at = [i for i, pair in enumerate(zip(before, rollout.status, strict=True)) if pair[0] != status == pair[1]]
-            ax.plot(rollout.time[at], rollout.mu[at], MARKS[seen.index(status)], color=colour, markersize=5)
+            ax.plot(rollout.time[at], rollout.mu[at], _MARKS[seen.index(status)], color=colour, markersize=5)
     for status in seen:  # once each, whatever the colour of its rollout
-        ax.plot([], [], MARKS[seen.index(status)], color=COLOURS["grey"], markersize=5, label=str(status))
+        ax.plot([], [], _MARKS[seen.index(status)], color=COLOURS["grey"], markersize=5, label=str(status))
     band = _mu_shown(next(iter(named.values())))
     if band is not None:
         ax.axhspan(*band, color=COLOURS["grey"], alpha=0.15, linewidth=0, label="as shown")

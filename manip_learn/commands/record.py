@@ -27,8 +27,8 @@ from manip_learn.recordings.format_words import EFFORT_SUFFIX, VELOCITY_SUFFIX
 from manip_learn.recordings.trajectory_source import Progress
 from manip_learn.robot import Robot
 
-SAID = 0.1  # [s] between two words on the state
-ENOUGH = 1.0  # [degrees] to which a direction is to be known: at 0.5 m that is 9 mm, more than a gripper gives way
+_SAID = 0.1  # [s] between two words on the state
+_ENOUGH = 1.0  # [degrees] to which a direction is to be known: at 0.5 m that is 9 mm, more than a gripper gives way
 
 
 @final
@@ -77,7 +77,7 @@ def record_motions(options: RecordOptions, progress: Progress) -> Recorded:
         def shown(q: Mapping[str, float], recorded: bool) -> None:
             show(q)
             now = time.monotonic()
-            if now - told["said"] > SAID:
+            if now - told["said"] > _SAID:
                 told["said"] = now
                 waits = "waiting for a motion" if options.by == "motion" else "Enter begins, q ends"
                 doing = f"recording {told['file']}, {now - told['since']:.1f} s" if recorded else waits
@@ -120,8 +120,8 @@ def _learnt(options: RecordOptions, robot: Robot | None, done: RecordedFiles, pr
         return "", f"not enough yet: {refusal}"
     if report.warnings:
         return report.sentence, f"show it once more, from another posture: {report.warnings[0]}"
-    if report.uncertainty_deg is None or report.uncertainty_deg > ENOUGH:
-        return report.sentence, f"show it once more, from another posture, until it is known to {ENOUGH:g} degree"
+    if report.uncertainty_deg is None or report.uncertainty_deg > _ENOUGH:
+        return report.sentence, f"show it once more, from another posture, until it is known to {_ENOUGH:g} degree"
     return report.sentence, f"enough: manip-learn learn {options.robot} {pattern} --out {options.name}.json"
 
 

@@ -28,14 +28,14 @@ from manip_learn.linalg import along_axes, finite, manipulability_of, orthonorma
 from manip_learn.robot import html_card
 from manip_learn.robot.robot import Robot
 
-FORMAT = "manip_learn.constraint"
+_FORMAT = "manip_learn.constraint"
 SCHEMA = 1
 SIGNATURE = "sha256"  # entry of a file: the SHA-256 of those that say what an arm does; the robot is compared anyway
 SIGNED = ("features", "selection", "provenance", "skill")
 NOT_EXACT = 1e-9  # of an entry of Lambda: rows written with ten digits are taken
 
 
-class Motion(Protocol):
+class _Motion(Protocol):
     """What `Constraint.residual` needs of a trajectory."""
 
     @property
@@ -243,7 +243,7 @@ class Constraint:
         """A(q) and its vector-Jacobian product, weights (s, nv) -> sum_ij weights_ij dA_ij / dq_k, without dA/dq."""
         return self.features.value_and_vjp(q, self._padded)
 
-    def residual(self, demonstrations: Iterable[Motion]) -> float:
+    def residual(self, demonstrations: Iterable[_Motion]) -> float:
         """Fraction of the motion that breaks A(q) u = 0: sqrt(sum |A^+ A u|^2 / sum |u|^2), 0 to 1.
 
         Only says something for motion-constrained recordings (b = 0).
@@ -283,7 +283,7 @@ class Constraint:
                 "objects": list(robot.objects),
             }
         content = {
-            "format": FORMAT,
+            "format": _FORMAT,
             "schema": SCHEMA,
             "robot": described,
             "features": self.features.describe(),
@@ -331,8 +331,8 @@ class Constraint:
         Raises:
             ConstraintMismatchError: Another robot, another schema, or no constraint at all.
         """
-        if not isinstance(content, Mapping) or content.get("format") != FORMAT:
-            raise ConstraintMismatchError(f'{source} is not a constraint file: it lacks "format": "{FORMAT}"')
+        if not isinstance(content, Mapping) or content.get("format") != _FORMAT:
+            raise ConstraintMismatchError(f'{source} is not a constraint file: it lacks "format": "{_FORMAT}"')
         if content.get("schema") != SCHEMA:
             seen = f"{source} has schema {content.get('schema')!r}, this version reads {SCHEMA}"
             raise ConstraintMismatchError(f"{seen}: learn the constraint again")

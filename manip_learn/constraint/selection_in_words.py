@@ -19,13 +19,13 @@ from manip_learn.constraint.mechanism import CURVE, Mechanism, in_words
 from manip_learn.errors import error_in_words, listed
 from manip_learn.linalg import along_axes, null_basis
 
-AXES, ROTATIONS = TWIST[:3], TWIST[3:]  # linear and angular rows
+_AXES, ROTATIONS = TWIST[:3], TWIST[3:]  # linear and angular rows
 # verb -> preposition, rows, all of them in words, and all but one direction
 VERBS = {
-    "move": ("along", AXES, "in every direction", "across it"),
+    "move": ("along", _AXES, "in every direction", "across it"),
     "turn": ("about", ROTATIONS, "about every axis", "about every other axis"),
 }
-LOOKS = {
+_LOOKS = {
     "line": "a straight line (a drawer)",
     "plane": "a plane (a table)",
     "hinge": "a hinge (a door)",
@@ -98,7 +98,9 @@ def describe(
         if mechanism.orientation != "free" and not set(ROTATIONS) & set(names):
             words += f"; {mechanism.turns}"
         other = not told and mechanism.type in FREE_MOVES and getattr(features, "reference", None) == "world"
-        sentences.append(f"{'The path alone looks' if other and set(AXES) <= set(names) else 'It looks'} like {words}.")
+        sentences.append(
+            f"{'The path alone looks' if other and set(_AXES) <= set(names) else 'It looks'} like {words}."
+        )
     known = known_to(uncertainty_deg, mechanism, told)
     if known:
         sentences.append(f"{known[0].upper()}{known[1:]}.")
@@ -107,7 +109,7 @@ def describe(
 
 def looks(mechanism: Mechanism) -> str:
     """A mechanism by what people know: `"a straight line (a drawer)"`."""
-    return LOOKS[CURVE if mechanism.name == CURVE else mechanism.type]
+    return _LOOKS[CURVE if mechanism.name == CURVE else mechanism.type]
 
 
 def said_by_rows(
@@ -123,8 +125,8 @@ def said_by_rows(
     """
     if mechanism is None or reference is None:
         return mechanism is not None
-    moves = sum(bool(np.any(_entries(row, names, AXES))) for row in free)
-    return reference == "world" and set(AXES) <= set(names) and moves == FREE_MOVES.get(mechanism.type)
+    moves = sum(bool(np.any(_entries(row, names, _AXES))) for row in free)
+    return reference == "world" and set(_AXES) <= set(names) and moves == FREE_MOVES.get(mechanism.type)
 
 
 def known_to(uncertainty_deg: float | None, mechanism: Mechanism | None = None, told: bool = False) -> str:
@@ -170,7 +172,7 @@ def _freedom(
                 ways.append(f"move along {in_words(move)} while turning about {in_words(turn)}")
             else:
                 verb, row = ("move along", move) if np.any(move) else ("turn about", turn)
-                ways.append(f"{verb} {row_in_words(row, AXES)}")
+                ways.append(f"{verb} {row_in_words(row, _AXES)}")
         return f"can {listed(ways)}, and is {held} in every other way"
     known = {verb: np.array([n in names for n in rows]) for verb, (_, rows, *_) in VERBS.items()}
     clauses = [_clause(verb, [x for x in parts[verb] if np.any(x)], known[verb], held) for verb in VERBS]
@@ -200,4 +202,4 @@ def _clause(verb: str, free: list[np.ndarray], known: Bool[np.ndarray, " 3"], he
 
 def _directions(vectors: Iterable[np.ndarray]) -> str:
     """Each with all of its entries, or as the one axis: `"(0.91, 0.42, 0.00) and z"`."""
-    return listed(row_in_words(v, AXES) for v in vectors)
+    return listed(row_in_words(v, _AXES) for v in vectors)

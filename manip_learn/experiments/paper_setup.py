@@ -25,9 +25,9 @@ from manip_learn.robot.robot import Robot
 
 STEP = 0.02  # [s]
 REST = np.deg2rad([10.0, -10.0, 10.0])  # psi*, where the null-space policy leads [rad]
-START_LOW, START_HIGH = np.deg2rad([0.0, 90.0, 0.0]), np.deg2rad([10.0, 100.0, 10.0])
+_START_LOW, _START_HIGH = np.deg2rad([0.0, 90.0, 0.0]), np.deg2rad([10.0, 100.0, 10.0])
 TARGET_LOW, TARGET_HIGH = np.array([-1.0, 0.0, 0.0]), np.array([1.0, 2.0, np.pi])  # x, y [m], theta [rad]
-AXES: str = "x y rz"
+_AXES: str = "x y rz"
 SELECTIONS = ("x y", "x rz", "y rz")
 
 # NMIE of the learnt manipulability, mean and s.d. of 50 trials, as printed (ambiguous by a factor of 1e-3)
@@ -68,7 +68,7 @@ class Setup:
     @property
     def selection(self) -> Float[np.ndarray, "s 3"]:
         """True Lambda, orthonormal rows."""
-        names: list[str] = list(AXES.split())
+        names: list[str] = list(_AXES.split())
         return np.eye(3)[[names.index(name) for name in self.rows.split()]]
 
 
@@ -81,7 +81,7 @@ def planar_arm() -> Robot:
 @cache
 def planar_features() -> FrameJacobian:
     """Phi: rows x, y [m/s] and theta [rad/s] of the tip."""
-    return FrameJacobian(planar_arm(), "tip", AXES)
+    return FrameJacobian(planar_arm(), "tip", _AXES)
 
 
 def tip(q: Float[np.ndarray, "n 3"]) -> Float[np.ndarray, "n 3"]:
@@ -92,7 +92,7 @@ def tip(q: Float[np.ndarray, "n 3"]) -> Float[np.ndarray, "n 3"]:
 
 def draw_starts(n: int, rng: np.random.Generator) -> Float[np.ndarray, "n 3"]:
     """Start postures [rad]."""
-    return rng.uniform(START_LOW, START_HIGH, size=(n, 3))
+    return rng.uniform(_START_LOW, _START_HIGH, size=(n, 3))
 
 
 def draw_targets(n: int, rng: np.random.Generator) -> Float[np.ndarray, "n 3"]:
@@ -147,13 +147,13 @@ def demonstrate(setup: Setup, Lambda: Float[np.ndarray, "s 3"], rng: np.random.G
 
     def law(q: np.ndarray) -> np.ndarray:
         b = np.einsum("sp,np->ns", Lambda, targets - tip(q))
-        return constrained_motion(Lambda @ planar_features().batch(q), b, null_policy(setup.policy, q, rest))
+        return constrained_motion(Lambda @ planar_features().batch(q), b, _null_policy(setup.policy, q, rest))
 
     clean = recorded(STEP, *euler_steps(law, start, setup.points), planar_arm().joint_names, "trajectory")
     return with_noise(clean, setup.noise, rng)
 
 
-def null_policy(name: PolicyName, q: Float[np.ndarray, "n 3"], rest: np.ndarray) -> Float[np.ndarray, "n 3"]:
+def _null_policy(name: PolicyName, q: Float[np.ndarray, "n 3"], rest: np.ndarray) -> Float[np.ndarray, "n 3"]:
     """pi(q) [rad/s]."""
     if name == "zero":
         return np.zeros_like(q)

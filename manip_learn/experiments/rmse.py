@@ -46,13 +46,13 @@ if TYPE_CHECKING:
 
 ESTIMATORS = ("joint-affine", "joint-rbf", "separate")
 # comparison -> words for tables; all with the root mean square over 100 points of the length of the difference
-KINDS = {
+_KINDS = {
     "two_policies": "policies of two trajectories [rad/s]",
     "two_postures": "postures of two trajectories [rad]",
     "one_trajectory": "policies along one trajectory [rad/s]",
 }
 PRINTED_FOR = "x y"  # the constraint that the paper tested
-ROLLOUTS, POINTS = 20, 100
+_ROLLOUTS, _POINTS = 20, 100
 
 
 @final
@@ -64,7 +64,7 @@ class RmseCase:
 
 
 def rmse_trial(case: RmseCase, rng: np.random.Generator) -> dict[str, Any]:
-    """Estimator -> each of `KINDS` -> RMSE of each of 20 rollouts of 100 points; `size` of the true policy.
+    """Estimator -> each of `_KINDS` -> RMSE of each of 20 rollouts of 100 points; `size` of the true policy.
 
     pi_mu = grad mu, equation (13), with the true Lambda and with the learnt one; the task part has the true Lambda in
     both, so that the policies alone make the difference.
@@ -73,7 +73,7 @@ def rmse_trial(case: RmseCase, rng: np.random.Generator) -> dict[str, Any]:
     Lambda = setup.selection
     demos = demonstrate(setup, Lambda, rng)
     true = Constraint(Lambda, planar_features())
-    starts, targets = draw_starts(ROLLOUTS, rng), draw_targets(ROLLOUTS, rng)
+    starts, targets = draw_starts(_ROLLOUTS, rng), draw_targets(_ROLLOUTS, rng)
     q, pi = climbing_rollouts(true, starts, targets)
     out: dict[str, Any] = {}
     for name in ESTIMATORS:
@@ -105,7 +105,7 @@ def climbing_rollouts(
         A = constraint.selection @ constraint.features.batch(q)
         return constrained_motion(A, b, manipulability_batch(climbed or constraint, q).gradient)
 
-    postures, _ = euler_steps(law, q, POINTS)
+    postures, _ = euler_steps(law, q, _POINTS)
     return postures, climb_along(climbed or constraint, postures)
 
 
@@ -124,7 +124,7 @@ class RmseResult(TrialsResult):
     def to_dict(self) -> dict[str, Any]:
         """Paper and ours, over all rollouts; `policy_size` is the root mean square of the true policy."""
         ours = {
-            rows: {name: {kind: summary(self._values(rows, name, kind)) for kind in KINDS} for name in ESTIMATORS}
+            rows: {name: {kind: summary(self._values(rows, name, kind)) for kind in _KINDS} for name in ESTIMATORS}
             | {"policy_size": float(np.mean([t["size"] for t in trials]))}
             for rows, trials in self.outcomes.items()
         }
@@ -138,10 +138,10 @@ class RmseResult(TrialsResult):
                 said = f"{PAPER_RMSE['mean']:.3e} +- {PAPER_RMSE['sd']:.3e}"
                 lines.append([said_rows(rows), "**paper, as printed**", said, "", "", ""])
             for name in ESTIMATORS:
-                first, *others = (mean_and_sd(block[name][kind]) for kind in KINDS)
+                first, *others = (mean_and_sd(block[name][kind]) for kind in _KINDS)
                 worst = number(block[name]["two_policies"]["worst"])
                 lines.append([said_rows(rows), SAID[name], first, worst, *others])
-        first, *others = KINDS.values()
+        first, *others = _KINDS.values()
         return markdown_table(["rows", "way to learn", first, "... worst", *others], lines)
 
     def figures(self) -> dict[str, Figure]:
@@ -150,7 +150,7 @@ class RmseResult(TrialsResult):
             [
                 Panel(
                     {SAID[name]: self._values(rows, name, kind) for name in ESTIMATORS},
-                    f"RMSE, {KINDS[kind]}".replace(" [", "\n["),
+                    f"RMSE, {_KINDS[kind]}".replace(" [", "\n["),
                     f"constrained rows {said_rows(rows)}" if kind == "two_policies" else "",
                     PAPER_RMSE["mean"] if (rows, kind) == (PRINTED_FOR, "two_policies") else None,
                 )

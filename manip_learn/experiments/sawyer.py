@@ -60,9 +60,9 @@ if TYPE_CHECKING:
 
 # the paper's numbers: the pose that the null-space policy leads to [rad], and the starts
 DEFAULT_POSE = np.deg2rad([-100.0, 30.0, -100.0, 40.0, -60.0, -70.0, 250.0])
-START_LOW, START_HIGH = np.deg2rad([0.0, 90.0] * 3 + [0.0]), np.deg2rad([10.0, 100.0] * 3 + [10.0])  # [rad]
-STEP, DEMONSTRATIONS, POINTS = 0.01, 50, 10  # [s]
-ROLLOUTS, ROLLOUT_POINTS = 20, 100  # that the RMSE is taken over, samples of each
+_START_LOW, _START_HIGH = np.deg2rad([0.0, 90.0] * 3 + [0.0]), np.deg2rad([10.0, 100.0] * 3 + [10.0])  # [rad]
+_STEP, DEMONSTRATIONS, _POINTS = 0.01, 50, 10  # [s]
+_ROLLOUTS, ROLLOUT_POINTS = 20, 100  # that the RMSE is taken over, samples of each
 FRAME = "right_gripper_tip"
 KIND, HARD = "sawyer_drawer", "sawyer_drawer_hard"
 Source = Literal["model", "kind physics", "hard physics"]
@@ -127,7 +127,7 @@ class SawyerCase:
 CASES = {
     BETWEEN.join((case.said, case.reading, case.direction)): case
     for source in get_args(Source)
-    for points in ((POINTS,) if source == "model" else (POINTS, None))
+    for points in ((_POINTS,) if source == "model" else (_POINTS, None))
     for reading in ("constrained row", "free direction")
     for direction in ("x", "y")
     for case in [SawyerCase(source, points, reading, direction)]
@@ -153,7 +153,7 @@ def sawyer_trial(case: SawyerCase, rng: Generator) -> dict[str, Any]:
         return {"refused": error.code, "rows_true": len(Lambda)}
     learnt, report = learner.constraint_, learner.report_
     damping = 0.05  # [m] of the inverse: targets may be out of reach
-    climbed, _ = steps(true, lambda q: manipulability_batch(true, q).gradient, ROLLOUTS, ROLLOUT_POINTS, damping, rng)
+    climbed, _ = steps(true, lambda q: manipulability_batch(true, q).gradient, _ROLLOUTS, ROLLOUT_POINTS, damping, rng)
     q = np.concatenate([t.q for t in demos])
     mu, other = manipulability_batch(true, q).mu, manipulability_batch(learnt, q).mu
     other_test = manipulability_batch(learnt, test).mu
@@ -207,20 +207,20 @@ def steps(
     true: Constraint, policy: Callable[[np.ndarray], np.ndarray], n: int, points: int, damping: float, rng: Generator
 ) -> tuple[Float[np.ndarray, "n T 7"], Float[np.ndarray, "n T 7"]]:
     """Postures and velocities of n motions from random starts to random targets, b = Lambda (r* - r), at 100 Hz."""
-    start = rng.uniform(START_LOW, START_HIGH, size=(n, 7))
+    start = rng.uniform(_START_LOW, _START_HIGH, size=(n, 7))
     targets = rng.uniform(-1.0, 1.0, size=(n, true.features.n_rows))
 
     def law(q: np.ndarray) -> np.ndarray:
         b = (targets - places(true.features, q)) @ true.selection.T
         return constrained_motion(true.selection @ true.features.batch(q), b, policy(q), damping)
 
-    return euler_steps(law, start, points, STEP)
+    return euler_steps(law, start, points, _STEP)
 
 
 def simulated(true: Constraint, rng: Generator) -> Demonstrations:
     """50 demonstrations of 10 points at 100 Hz: b = r* - r on the constrained rows, pi = default pose - q."""
-    q, u = steps(true, lambda q: DEFAULT_POSE - q, DEMONSTRATIONS, POINTS, 0.0, rng)
-    return recorded(STEP, q, u, sawyer_arm().joint_names, "demonstration")
+    q, u = steps(true, lambda q: DEFAULT_POSE - q, DEMONSTRATIONS, _POINTS, 0.0, rng)
+    return recorded(_STEP, q, u, sawyer_arm().joint_names, "demonstration")
 
 
 @final

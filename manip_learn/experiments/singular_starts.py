@@ -33,8 +33,8 @@ DURATION = 5.0  # [s]
 STEPS = (0.02, 0.01)  # the paper's 50 Hz, and half of it [s]
 REACHED = 0.05  # [m]
 POLICIES = ("zero", "attractor", "manipulability")
-LEARNT = "joint-affine"  # how Lambda is learnt, from 100 of the paper's demonstrations
-SETTLED = 100.0  # joint speed after the first second above which the arm still leaps [rad/s]
+_LEARNT = "joint-affine"  # how Lambda is learnt, from 100 of the paper's demonstrations
+_SETTLED = 100.0  # joint speed after the first second above which the arm still leaps [rad/s]
 
 
 @final
@@ -160,7 +160,7 @@ class StartResult(ExperimentResult):
             "rounding": {
                 policy: {
                     "reached": float(np.mean([r["final_error"] < REACHED for r in runs])),
-                    "settled": float(np.mean([r["late_speed"] < SETTLED for r in runs])),
+                    "settled": float(np.mean([r["late_speed"] < _SETTLED for r in runs])),
                     "least_late_speed": min(r["late_speed"] for r in runs),
                     "n": len(runs),
                 }
@@ -188,7 +188,7 @@ class StartResult(ExperimentResult):
         return "\n\n".join(
             [
                 markdown_table(["whose", "claim", "measured here", "holds as printed"], claims),
-                f"Lambda of the manipulability policy: learnt by *{SAID[LEARNT]}* from 100 demonstrations; the task "
+                f"Lambda of the manipulability policy: learnt by *{SAID[_LEARNT]}* from 100 demonstrations; the task "
                 "part uses the true one.",
                 markdown_table(["law", "final error [m]", "smallest mu after step 3", speed], lines),
             ]
@@ -215,7 +215,7 @@ def numbers_of(rollout: Rollout) -> Numbers:
     }
 
 
-def compare(
+def _compare(
     setting: BadStart, judged: Callable[[Laws, dict[str, list[Numbers]]], list[Claim]]
 ) -> Experiment[StartResult]:
     """The comparison from one start: three policies at 50 and 100 Hz, and our controller.
@@ -228,7 +228,7 @@ def compare(
     def run(_trials: int, rng: np.random.Generator, _runner: TrialRunner | None = None) -> StartResult:
         true, setup = true_constraint("x y"), Setup("x y")
         demos = demonstrate(setup, true.selection, rng)
-        learnt = Constraint(ESTIMATORS[LEARNT](true.features, demos, true.selection, rng)[0], true.features)
+        learnt = Constraint(ESTIMATORS[_LEARNT](true.features, demos, true.selection, rng)[0], true.features)
         paper_law = {dt: {p: setting.rollout(p, learnt, dt) for p in POLICIES} for dt in STEPS}
         product = {p: setting.rollout(p, learnt, STEPS[0], product=True) for p in POLICIES}
         rounding: dict[str, list[Numbers]] = {}
@@ -297,7 +297,7 @@ def near_singular_claims(paper_law: Laws, rounding: dict[str, list[Numbers]]) ->
     after = np.abs(rollouts["zero"].q[1])
     others = 10.0 ** np.ceil(np.log10(after[[0, 2]].max()) + 1)
     n = len(rounding["zero"])
-    rest = {p: sum(r["final_error"] < REACHED and r["late_speed"] < SETTLED for r in rounding[p]) for p in rounding}
+    rest = {p: sum(r["final_error"] < REACHED and r["late_speed"] < _SETTLED for r in rounding[p]) for p in rounding}
     slow = min(r["late_speed"] for r in rounding["attractor"])
     first = {p: float(np.max(np.abs(r.u[0]))) for p, r in rollouts.items()}
     other = replace(NEAR_SINGULAR, target=(1.0, 1.0)).law("zero", true_constraint("x y"))(NEAR_SINGULAR.start)
@@ -311,7 +311,7 @@ def near_singular_claims(paper_law: Laws, rounding: dict[str, list[Numbers]]) ->
          rest["zero"] == n and rest["manipulability"] == n),
         ("Figure 2: the attractor is highly unstable", "paper",
          f"beyond 1e{np.floor(np.log10(slow)):.0f} rad/s at some time after the first second from all {n}, at rest "
-         f"on the target from {rest['attractor']}: chaotic", slow > SETTLED and rest["attractor"] == 0),
+         f"on the target from {rest['attractor']}: chaotic", slow > _SETTLED and rest["attractor"] == 0),
         ("The manipulability policy avoids the first leap, which is A^+ b alone", "check",
          ", ".join(f"{p} {v:.1e}" for p, v in first.items()) + " rad/s", first["manipulability"] < 1e3),
         ("The leap does not depend on r*, which is not stated", "check",
@@ -321,7 +321,7 @@ def near_singular_claims(paper_law: Laws, rounding: dict[str, list[Numbers]]) ->
     return [Claim(*claim) for claim in claims]
 
 
-FROM_SINGULAR, FROM_NEAR_SINGULAR = compare(SINGULAR, singular_claims), compare(NEAR_SINGULAR, near_singular_claims)
+FROM_SINGULAR, FROM_NEAR_SINGULAR = _compare(SINGULAR, singular_claims), _compare(NEAR_SINGULAR, near_singular_claims)
 
 
 def draw_columns(columns: Mapping[str, Sequence[Rollout]], target: tuple[float, float]) -> Figure:

@@ -17,7 +17,7 @@ from manip_learn.recordings.trajectory_source import Progress
 
 # a trial takes frozen settings and a generator, and returns plain numbers, strings, lists and dictionaries
 Trial = Callable[[Any, np.random.Generator], dict[str, Any]]
-Result = TypeVar("Result", bound=ExperimentResult)
+_Result = TypeVar("_Result", bound=ExperimentResult)
 
 
 @final
@@ -76,7 +76,7 @@ def _outcome(experiment: str, trial: Trial, settings: Any, number: int, seed: in
 
 @final
 @dataclass(frozen=True)
-class Experiment(Generic[Result]):
+class Experiment(Generic[_Result]):
     """A part of the reproduction.
 
     Attributes:
@@ -84,13 +84,13 @@ class Experiment(Generic[Result]):
         size: Trials that the user asks for -> trials that are reported as progress.
     """
 
-    run: Callable[..., Result]
+    run: Callable[..., _Result]
     size: Callable[[int], int]
 
 
 def of_trials(
-    name: str, trial: Trial, cases: Mapping[str, Any], result: Callable[..., Result], share: float = 1.0
-) -> Experiment[Result]:
+    name: str, trial: Trial, cases: Mapping[str, Any], result: Callable[..., _Result], share: float = 1.0
+) -> Experiment[_Result]:
     """An experiment that runs each of its cases in independent trials.
 
     Args:
@@ -104,7 +104,7 @@ def of_trials(
     def count(trials: int) -> int:
         return max(1, round(share * trials))
 
-    def run(trials: int, rng: np.random.Generator, runner: TrialRunner | None = None) -> Result:
+    def run(trials: int, rng: np.random.Generator, runner: TrialRunner | None = None) -> _Result:
         runner = runner or TrialRunner(workers=1)
         outcomes = runner.map(name, trial, list(cases.values()), count(trials), int(rng.integers(2**53)))
         return result(dict(zip(cases, outcomes, strict=True)))

@@ -52,7 +52,7 @@ EstimatorName = Literal["auto", "joint", "null-space", "separate"]
 # wrong; of right ones none is
 CONTRADICTED = 2.0
 SURER_NATS = 5.0  # odds of 150 to 1, from which other features are more likely than the first by more than chance
-KEPT = "kept, not shown to be held"
+_KEPT = "kept, not shown to be held"
 # trajectories beyond this number add nothing to a mechanism but time
 MOST_PATHS = 16
 # rows of a mechanism that concern the position of the frame alone, for features without rotations
@@ -313,7 +313,7 @@ def find_answers(findings: Findings, everything: Part, settings: LearnerSettings
             + advice("; {} learns them too", "habits=True", "--habits")
         )
     unlearnt = (*findings.unlearnt, *((s, DISAGREES) for s in apart))
-    unlearnt += tuple((s, KEPT) for a in habits for s in a.part.stretches)
+    unlearnt += tuple((s, _KEPT) for a in habits for s in a.part.stretches)
     answers = [a for a in answers if a not in habits]
     parts = (*(a.part for a in answers), *(part for part, _ in refused))
     warnings = (*findings.warnings, *_several(answers), *said)

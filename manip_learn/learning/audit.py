@@ -40,7 +40,7 @@ FEWEST_EPISODES = 5
 LOG_SPREAD, SHARE_SPREAD = 0.1, 0.05
 # values below which differences do not matter: the smallest singular value that is told from zero; a share of the
 # motion, [mm], [deg], a share of the velocity limit, [rad/s^3], [s]. Set by hand
-NEGLIGIBLE = {
+_NEGLIGIBLE = {
     "singularity": 1e-6,
     "violation": 0.01,
     "displacement": 1.0,
@@ -50,7 +50,7 @@ NEGLIGIBLE = {
     "duration": 1e-3,
 }
 
-CHUNK = 4096  # samples whose Phi are held at a time
+_CHUNK = 4096  # samples whose Phi are held at a time
 NOTABLE = 1e-6  # [rad or m, and of a speed limit] beyond a limit
 
 # a z-score by the median absolute deviation has the tails of a Student's t with 0.37 n + 0.25 degrees of freedom: 0.37
@@ -175,8 +175,8 @@ def _along(
     selection = constraint.selection
     sigma, mu, broken = (np.empty(len(q)) for _ in range(3))
     held = np.empty((len(q), selection.shape[1]))
-    for start in range(0, len(q), CHUNK):
-        part = slice(start, start + CHUNK)
+    for start in range(0, len(q), _CHUNK):
+        part = slice(start, start + _CHUNK)
         A = np.einsum("sp,npv->nsv", selection, constraint.features.batch(q[part]), optimize=True)
         _, singular, Vt = np.linalg.svd(A, full_matrices=False)
         sigma[part], mu[part] = singular[:, -1], np.prod(singular, axis=1)
@@ -239,7 +239,7 @@ class Criterion(NamedTuple):
     """One way in which an episode can be worse than the others; its z-score is one-sided.
 
     Attributes:
-        name: Key in the JSON document; measures named in `NEGLIGIBLE` are compared by their logarithms.
+        name: Key in the JSON document; measures named in `_NEGLIGIBLE` are compared by their logarithms.
         measure: Attribute of `EpisodeAudit`.
         words: What is wrong, with the measure and the joint to be filled in.
         factor: Of the measure in words.
@@ -259,8 +259,8 @@ class Criterion(NamedTuple):
     def badness(self, episode: EpisodeAudit) -> float:
         """A number that grows as the episode gets worse; differences below what is negligible do not matter."""
         value = getattr(episode, self.measure)
-        if self.name in NEGLIGIBLE:
-            value = math.log(max(value, NEGLIGIBLE[self.name])) if not math.isnan(value) else math.nan
+        if self.name in _NEGLIGIBLE:
+            value = math.log(max(value, _NEGLIGIBLE[self.name])) if not math.isnan(value) else math.nan
         return -value if self.is_bad == "low" else value
 
     def sentence(self, episode: EpisodeAudit) -> str:
@@ -269,11 +269,11 @@ class Criterion(NamedTuple):
         return self.words.format(self.factor * getattr(episode, self.measure), joint=joint)
 
 
-NEAR = "comes close to the task's singularity (smallest singular value {:.3g})"
+_NEAR = "comes close to the task's singularity (smallest singular value {:.3g})"
 LIMIT = "joint {joint!r} gets within {:.2g} % of its range to a limit"
 FAST = "joint {joint!r} reaches {:.3g} % of its velocity limit"
 CRITERIA = (
-    Criterion("singularity", "sigma_min", NEAR, is_bad="low"),
+    Criterion("singularity", "sigma_min", _NEAR, is_bad="low"),
     Criterion("violation", "residual", "violates the constraint with {:.2g} % of its motion", 100.0, needs_rest=True),
     Criterion("displacement", "displacement_mm", "moves {:.3g} mm along directions that are held", needs_rest=True),
     Criterion("rotation", "displacement_deg", "turns {:.3g} degrees about axes that are held", needs_rest=True),
@@ -386,7 +386,9 @@ def audit_episodes(
     values = np.array([[c.badness(row) for c in criteria] for row in rows])
     defined = np.any(np.isfinite(values), axis=0)
     criteria = [c for c, there in zip(criteria, defined, strict=True) if there]
-    z = robust_z(values[:, defined], np.array([LOG_SPREAD if c.name in NEGLIGIBLE else SHARE_SPREAD for c in criteria]))
+    z = robust_z(
+        values[:, defined], np.array([LOG_SPREAD if c.name in _NEGLIGIBLE else SHARE_SPREAD for c in criteria])
+    )
     z = np.where([c.is_bad == "both" for c in criteria], np.abs(z), z)
     threshold = outlier_threshold(len(z), z.shape[1], false_alarms)
     judged = []

@@ -25,7 +25,7 @@ REST_SPEED = 0.02
 # standard deviations between the least and the largest of a million numbers by chance, and some more
 BEYOND_NOISE = 12.0
 # postures closer together than this share of their size are one and the same
-SAME = 1e-9
+_SAME = 1e-9
 
 
 def energy_shares(energy: Float[np.ndarray, " nv"]) -> Float[np.ndarray, " nv"]:
@@ -135,7 +135,7 @@ def check_postures(samples: Samples) -> None:
     middle = np.median(samples.q, axis=0)
     distance = np.linalg.norm(samples.q - middle, axis=1)
     farthest = int(np.argmax(distance))
-    if distance[farthest] <= SAME * (1.0 + float(np.linalg.norm(middle))):
+    if distance[farthest] <= _SAME * (1.0 + float(np.linalg.norm(middle))):
         raise NotIdentifiableError(
             "the posture never changes although the velocities are not zero: give each sample the posture that it was "
             "recorded at",

@@ -11,7 +11,7 @@ from typing import Any, TypeVar
 from manip_learn.errors import ManipLearnError, MissingExtraError
 from manip_learn.recordings.trajectory_source import Progress, TrajectorySource
 
-Result = TypeVar("Result")
+_Result = TypeVar("_Result")
 
 LOOPBACK = "127.0.0.1"  # dask's own defaults would listen on all networks
 PATIENCE = "10s"  # for a scheduler that is elsewhere
@@ -77,13 +77,13 @@ async def _greet(address: str) -> None:
 
 
 def each_part(
-    function: Callable[..., Result],
+    function: Callable[..., _Result],
     source: TrajectorySource,
     client: Any,
     progress: Progress | None,
     title: str,
     **arguments: Any,
-) -> Iterator[Result]:
+) -> Iterator[_Result]:
     """function(number of a part, source=source, **arguments) of each part, in their order.
 
     The function is pure, so that a lost worker's share is done again by another. Without a client this process reads.

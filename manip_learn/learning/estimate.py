@@ -29,11 +29,11 @@ EQUALLY_GOOD = 1.1
 # posture in it. Set by hand
 EXPLAINED = 0.3
 
-MAX_ITERATIONS = 50  # of Gauss-Newton, which ends by itself before
+_MAX_ITERATIONS = 50  # of Gauss-Newton, which ends by itself before
 MAX_FOLDS = 10  # parts that are left out in turn
 SAME_COST = 1e-13  # a relative rise of the cost below this is rounding: the step counts as no gain
 # length of the last step [rad on the Grassmann manifold], and the relative gain that is none: both are rounding
-SHORTEST, GAIN = 1e-14, 1e-12
+_SHORTEST, GAIN = 1e-14, 1e-12
 
 Verdict = Literal["clear", "weak", "none"]
 
@@ -223,7 +223,7 @@ def trajectory_moments(samples: Samples) -> Float[np.ndarray, "g r r"]:
 
 
 def fit_null_space(
-    samples: Samples, start: Float[np.ndarray, "s r"], max_iterations: int = MAX_ITERATIONS
+    samples: Samples, start: Float[np.ndarray, "s r"], max_iterations: int = _MAX_ITERATIONS
 ) -> NullSpaceFit:
     """Gauss-Newton on the Grassmann manifold for equation (10), E = sum w^T A^+ A w, from a start.
 
@@ -236,7 +236,7 @@ def fit_null_space(
         _fit_at(samples, orthonormal_rows(start)),
         lambda here, B: _fit_at(samples, turned(here.whitened_selection, B)),
         max_iterations if 0 < s < r else 0,
-        tolerance=SHORTEST,
+        tolerance=_SHORTEST,
         gain=GAIN,
         rise=SAME_COST,
     )

@@ -70,15 +70,15 @@ PREDICTS = 1.2
 # variance over that of the noise up to which a fit leaves noise alone: 22 % in amplitude. Set by hand
 ABOVE_NOISE = 1.5
 # share of the motion below which a residual is no noise, and least squares answer; and that is rounding
-NO_NOISE, ROUNDING = 1e-8, 1e-24
+NO_NOISE, _ROUNDING = 1e-8, 1e-24
 VANISHING = 1e-16  # share of the energy that is rounding where nothing moves in the null space
-SETTLED = 1e-6  # squared length of the last step in standard errors
-LOOK_STEPS, STEPS = 6, 40  # of a first look at a start, and of a descent
+_SETTLED = 1e-6  # squared length of the last step in standard errors
+LOOK_STEPS, _STEPS = 6, 40  # of a first look at a start, and of a descent
 RICHER = 0.5  # of what a smaller model leaves without noise, that a richer one may leave to be taken
 EXACT_STEPS = 30  # of the descent by least squares, which ends by itself before
 RANDOM_STARTS, SUBSPACES = 3, 4  # starts where no closed-form one leads to the noise; within the rows that were found
 # a rest posture for each trajectory makes the cost bumpy: many starts on a few trajectories and samples
-FEW, FEW_SAMPLES, MANY_STARTS = 16, 600, 40
+_FEW, FEW_SAMPLES, MANY_STARTS = 16, 600, 40
 OWN_SHARE = 1e-6  # of what is noise enough elsewhere
 COVARIANCES = 2  # of the noise, each by the residual of a fit with the one before
 # largest variance of a joint's noise over the least below which equal weights cost a few per cent at most
@@ -246,11 +246,11 @@ class Search:
         return best
 
 
-def descended(here: Posterior, steps: int = STEPS) -> Posterior:
+def descended(here: Posterior, steps: int = _STEPS) -> Posterior:
     """The most likely Lambda from here."""
     s, r = here.Lambda.shape
     steps = steps if 0 < s < r else 0
-    return descend(here, Posterior.moved, steps, settled=lambda _, step, H: float(step @ H @ step) < SETTLED)
+    return descend(here, Posterior.moved, steps, settled=lambda _, step, H: float(step @ H @ step) < _SETTLED)
 
 
 def estimate_imposed(
@@ -331,7 +331,7 @@ def estimate_imposed(
 
 
 def _few(samples: Samples) -> Samples:
-    return samples.subset(samples.trajectory < FEW).thinned(FEW_SAMPLES)
+    return samples.subset(samples.trajectory < _FEW).thinned(FEW_SAMPLES)
 
 
 def _rest_apart(samples: Samples, Lambda: Float[np.ndarray, "s r"], grades: dict[str, Grade]) -> bool:
@@ -365,7 +365,7 @@ def without_noise(
         here = ExactPolicy(samples, Regressors.of(samples, grades), Lambda)
         here = descend(here, ExactPolicy.moved, EXACT_STEPS if 0 < s < r else 0, tolerance=1e-13, gain=1e-9)
         best = (name, here) if best is None or here.cost < RICHER * best[1].cost else best
-        if here.cost <= ROUNDING * len(samples) * samples.energy:
+        if here.cost <= _ROUNDING * len(samples) * samples.energy:
             break
     if best is None:
         raise ValueError("there is no model")

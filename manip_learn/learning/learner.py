@@ -44,10 +44,10 @@ from manip_learn.recordings.velocities import VelocityMethod, with_velocities
 from manip_learn.robot import html_card
 from manip_learn.robot.robot import Robot
 
-ESTIMATORS = ("auto", "joint", "null-space", "separate")
+_ESTIMATORS = ("auto", "joint", "null-space", "separate")
 Switch = Literal["auto", "off"]
 SWITCHES = ("auto", "off")
-LEARNT = ("constraint_", "constraints_", "report_", "reports_", "skill_")  # there after `fit` only
+_LEARNT = ("constraint_", "constraints_", "report_", "reports_", "skill_")  # there after `fit` only
 
 
 @final
@@ -136,9 +136,9 @@ class ConstraintLearner:
             if value not in SWITCHES:
                 asked = advice("{}", name, f"--{name}") or name
                 raise FeatureError(f"{asked} must be 'auto' or 'off', not {value!r}")
-        if estimator not in ESTIMATORS:
+        if estimator not in _ESTIMATORS:
             asked = advice("{}", "estimator", "--estimator") or "estimator"
-            raise FeatureError(f"{asked} must be one of {', '.join(ESTIMATORS)}, not {estimator!r}")
+            raise FeatureError(f"{asked} must be one of {', '.join(_ESTIMATORS)}, not {estimator!r}")
         self.features = features
         self.n_constraints = n_constraints
         self.estimator: EstimatorName = estimator
@@ -333,13 +333,13 @@ class ConstraintLearner:
     if not TYPE_CHECKING:  # else every name would be an attribute
 
         def __getattr__(self, name: str) -> Any:
-            if name in LEARNT:
+            if name in _LEARNT:
                 raise NotFittedError(name)
             raise AttributeError(f"{type(self).__name__} has no attribute {name!r}", name=name, obj=self)
 
     def _forget(self) -> None:
         """A fit that refuses must not leave the answer to other demonstrations behind."""
-        for learnt in LEARNT:
+        for learnt in _LEARNT:
             vars(self).pop(learnt, None)
 
     def __repr__(self) -> str:

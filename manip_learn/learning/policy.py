@@ -27,7 +27,8 @@ OWN = "affine-offset"  # affine, and a rest posture of each trajectory
 GENERAL = ("constant", "affine", "harmonic1", "quadratic", "cubic", "harmonic2")
 RADIAL_CENTRES = 32  # of the radial policy. Set by hand
 MOST_COLUMNS = 400  # parameters of the policy: the time of a step grows with their cube
-CHUNK, KEEP_LIMIT = 1024, 10_000_000  # samples whose products of regressors are made at a time; kept products [numbers]
+# samples whose products of regressors are made at a time; products that are kept [numbers]
+_CHUNK, KEEP_LIMIT = 1024, 10_000_000
 MAX_BLOCKS = 100  # more trajectories than this are taken in blocks: a Hessian of each, for Theta too, is kept
 # share of the root mean square of u that is noise enough to tell hypotheses apart: what is resolved below it is how
 # well features approximate the policy, and with more rows they come closer. Set by hand
@@ -36,9 +37,9 @@ RESOLVED_SHARE = 1e-3
 LEAST, FIRST_NOISE, FIRST_SPREAD = 1e-12, 0.1, 4.0
 FIRST_UPDATES, UPDATES = 4, 2  # of the variances before the first step, and after each
 # number of parameters of a grade below which it is dropped; and least that counts
-SPENT, DETERMINED = 0.1, 1e-6
-FLOOR = 1e-13  # share of each curvature added, so that directions without data stay where they are
-RANK = 1e-13  # of the largest singular value: rounding of some hundred columns
+_SPENT, DETERMINED = 0.1, 1e-6
+_FLOOR = 1e-13  # share of each curvature added, so that directions without data stay where they are
+_RANK = 1e-13  # of the largest singular value: rounding of some hundred columns
 
 Grade = Callable[[Samples], Float[np.ndarray, "n k"]]
 SomeSamples = slice | Int[np.ndarray, " k"]  # some samples
@@ -172,8 +173,8 @@ class Regressors:
         """Products of all pairs of regressors, some samples at a time; kept for the next pass where they are few."""
         n, k = self.values.shape
         keep, rows = n * k * (k + 1) // 2 <= KEEP_LIMIT, np.ascontiguousarray(self.values.T)
-        for i, start in enumerate(range(0, n, CHUNK)):
-            part = slice(start, start + CHUNK)
+        for i, start in enumerate(range(0, n, _CHUNK)):
+            part = slice(start, start + _CHUNK)
             if i < len(self._kept):
                 yield part, self._kept[i]
                 continue
@@ -216,7 +217,7 @@ class Solver:
     def __init__(self, H: Float[np.ndarray, "c c"]):
         self._scale = 1.0 / np.sqrt(np.maximum(np.diag(H), np.finfo(np.float64).tiny))
         scaled = self._scale[:, None] * H * self._scale
-        for floor in (FLOOR, 1e3 * FLOOR, 1e6 * FLOOR):
+        for floor in (_FLOOR, 1e3 * _FLOOR, 1e6 * _FLOOR):
             self._factor, failed = dpotrf(scaled + floor * np.eye(len(H)), lower=1, clean=0)
             if not failed:
                 return  # else rounding has eaten a direction without curvature
@@ -295,7 +296,7 @@ class ExactPolicy:
         beta, N = regressors.values, self.at.N
         Q, R = np.linalg.qr(np.einsum("nk,nvw->nvkw", beta, N).reshape(N.shape[0] * N.shape[1], -1))
         U, sigma, Vt = np.linalg.svd(R)
-        kept = sigma > RANK * sigma[0]
+        kept = sigma > _RANK * sigma[0]
         self._basis = Q @ U[:, kept]
         null_part = self.at.project(samples.u).reshape(-1)
         theta = Vt[kept].T @ (self._basis.T @ null_part / sigma[kept])
@@ -330,7 +331,7 @@ class ExactPolicy:
         total = 0.0
         for rows, own in self._blocks(parts):
             rest = np.eye(own.shape[1]) - own.T @ own
-            left = self._e[rows] + own @ np.linalg.lstsq(rest, own.T @ self._e[rows], rcond=RANK)[0]
+            left = self._e[rows] + own @ np.linalg.lstsq(rest, own.T @ self._e[rows], rcond=_RANK)[0]
             total += float(left @ left)
         return total / len(self.samples)
 
@@ -411,7 +412,7 @@ class Posterior:
 
     def moved(self, step: Float[np.ndarray, " m"]) -> Posterior:
         """After a step, settled from the variances here."""
-        enough = min(SPENT, float(self.determined.max()))  # the last grade stays, whatever little it explains
+        enough = min(_SPENT, float(self.determined.max()))  # the last grade stays, whatever little it explains
         kept = (self.determined >= enough)[self.regressors.grades]
         regressors = self.regressors if np.all(kept) else self.regressors.only(kept)
         return Posterior(self.samples, regressors, turned(self.Lambda, step), self)

@@ -45,7 +45,7 @@ RowState = Literal["held", "unclear", "free", "untried"]
 SURE = NormalDist().inv_cdf(0.995)
 MOST_BINS = 24  # of the phase
 # points of a trajectory at which Phi is evaluated, at most
-MOST_POINTS = 240
+_MOST_POINTS = 240
 NODES_PER_BIN = 4  # of a path, between which it is straight
 # exchanges of joints: twice the least for a p-value of ROW_CHANCE, and the most, where fewer leave the verdict open
 RECOMBINATIONS = 2 * round(1.0 / ROW_CHANCE) - 1
@@ -301,7 +301,7 @@ def _path(trajectory: Trajectory, scale: Float[np.ndarray, " nv"], n_bins: int) 
     steps = np.diff(np.stack([np.interp(nodes, time, way[:, j]) for j in range(u.shape[1])], axis=1), axis=0) / length
     seconds = np.diff(nodes[::NODES_PER_BIN])
     weight = 1.0 / np.maximum(seconds, 1e-12 * (time[-1] - time[0]))
-    chosen = np.unique(np.linspace(0, len(time) - 1, min(len(time), MOST_POINTS)).round().astype(np.int64))
+    chosen = np.unique(np.linspace(0, len(time) - 1, min(len(time), _MOST_POINTS)).round().astype(np.int64))
     at = phase[chosen]
     edges = np.concatenate([[0.0], 0.5 * (at[1:] + at[:-1]), [1.0]])
     bins = np.minimum((at * n_bins).astype(np.int64), n_bins - 1)

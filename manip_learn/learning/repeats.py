@@ -64,7 +64,7 @@ NEAREST = 8  # samples of a path that are looked at around each of them: more th
 HEADING_SHARE = 0.025  # of a path, before and after a sample, over which it is told where it goes
 WAY_PARTS = 50  # of a recording, whose mean postures tell the length of its way
 # samples on either side of a seam that a cubic is fitted to, and how many times less than a recording's samples
-SEAM, SEAM_SHARE = (3, 10), 16
+_SEAM, SEAM_SHARE = (3, 10), 16
 
 
 @final
@@ -300,15 +300,15 @@ def _seams(paths: Sequence[_Path]) -> list[tuple[int, int, bool]]:
     """Where recordings touch and go on smoothly, the likeliest first: the numbers of the one before and the one after,
     and whether a motion was cut there, or one clock goes on.
     """
-    long = [i for i, path in enumerate(paths) if len(path.way) > 2 * SEAM[0]]  # one is left after a shared sample
+    long = [i for i, path in enumerate(paths) if len(path.way) > 2 * _SEAM[0]]  # one is left after a shared sample
     starts, told = np.array([paths[i].trajectory.q[0] for i in long]), max(path.extent for path in paths)
     seams = []
     for before in long:
         a = paths[before].trajectory
-        step = np.mean(np.linalg.norm(np.diff(a.q[-SEAM[0] - 1 :], axis=0), axis=1))
+        step = np.mean(np.linalg.norm(np.diff(a.q[-_SEAM[0] - 1 :], axis=0), axis=1))
         for after in (long[k] for k in np.flatnonzero(np.linalg.norm(starts - a.q[-1], axis=1) <= SEAM_STEPS * step)):
             b = paths[after].trajectory
-            half, later = int(np.clip(min(len(a), len(b)) // SEAM_SHARE, *SEAM)), b.q[_shared(a, b) :]
+            half, later = int(np.clip(min(len(a), len(b)) // SEAM_SHARE, *_SEAM)), b.q[_shared(a, b) :]
             seam = np.concatenate([a.q[-half:], later[:half]])
             left = float(_left_by_cubics(seam, 2 * half)[0])
             usual = max(float(np.max(_left_by_cubics(q, 2 * half))) for q in (a.q, later))

@@ -51,7 +51,7 @@ from manip_learn.recordings.trajectory import evenly
 from manip_learn.robot import html_card
 
 # recordings from which on nothing is said of their number: what several do by chance, five hardly do
-ENOUGH = 5
+_ENOUGH = 5
 SPANS_SHOWN = 6  # of each constraint, in words
 NO_ANSWER = "what several recordings show here could not be learnt"
 MOST_NOTES = 20  # lines, one screen
@@ -68,7 +68,7 @@ ADVICES_SAID = 2  # in the sentence, the likeliest ones; more would hide them
 ADVISED = ("weak-gap", "no-evidence", "no-freedom")
 
 
-class Phase(NamedTuple):
+class _Phase(NamedTuple):
     """A stretch of a recording.
 
     Attributes:
@@ -108,7 +108,7 @@ class RecordingOverview:
         warnings: Doubts about the findings.
     """
 
-    phases: tuple[Phase, ...] = ()
+    phases: tuple[_Phase, ...] = ()
     odd_trajectories: tuple[OddTrajectory, ...] = ()
     warnings: tuple[str, ...] = ()
 
@@ -122,7 +122,7 @@ class RecordingOverview:
         phases = []
         for s, constraint, why in sorted([*held, *beside], key=lambda x: (x[0].trajectory, x[0].start)):
             reason = why if constraint is None else ""
-            phases += [Phase(given[p.trajectory], p.start, p.end, constraint, reason) for p in recordings.places(s)]
+            phases += [_Phase(given[p.trajectory], p.start, p.end, constraint, reason) for p in recordings.places(s)]
         odd = dict(findings.odd)
         warnings = [*findings.warnings, *lone_contacts(findings, recordings)]
         if odd:
@@ -239,7 +239,7 @@ class LearningReport:
     warnings: tuple[str, ...]
     row_evidence: tuple[RowSupport, ...] = ()
     evidence: str = ""
-    phases: tuple[Phase, ...] = ()
+    phases: tuple[_Phase, ...] = ()
     odd_trajectories: tuple[OddTrajectory, ...] = ()
     mechanism: Mechanism | None = None
     uncertainty: Uncertainty = field(default_factory=lambda: dict.fromkeys(PARTS))
@@ -363,9 +363,9 @@ def build_report(
     unused = [n for n, u in zip(features.row_names, used, strict=True) if not u]
     if unused:
         warnings.append(f"always zero for this robot and frame, so left out: {listed(unused)}")
-    if (n := len(answer.part.demonstrations)) < ENOUGH:
+    if (n := len(answer.part.demonstrations)) < _ENOUGH:
         count = "one trajectory" if n == 1 else f"{n} trajectories"
-        warnings.append(f"only {count}: evidence from so few is thin; record {ENOUGH} or more")
+        warnings.append(f"only {count}: evidence from so few is thin; record {_ENOUGH} or more")
     notes = tuple(dict.fromkeys(map(printable, answer.part.demonstrations.notes)))
     if len(notes) > MOST_NOTES:  # of thousands of files, not thousands of sentences
         notes = (*notes[:MOST_NOTES], f"and {len(notes) - MOST_NOTES} more notes of this kind")

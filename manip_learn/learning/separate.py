@@ -25,7 +25,7 @@ from manip_learn.learning.samples import STILL_ENERGY, Samples
 # centres of the radial policy models, at least and at most. Set by hand
 FEWEST_CENTRES, MOST_CENTRES = 4, 96
 SAMPLES_PER_CENTRE = 10  # a rule of thumb of regression
-MAX_ITERATIONS = 200  # of each of the stages
+_MAX_ITERATIONS = 200  # of each of the stages
 # directions of the regressors' space below this share of the strongest take no part; from coarse to fine, for the
 # descent from the regression alone ends in a poor minimum now and then
 STAGES = (1e-6, 1e-8, 1e-10)
@@ -58,7 +58,7 @@ def separate(beta: Float[np.ndarray, "n k"], u: Float[np.ndarray, "n nv"]) -> tu
 def _descend(basis: np.ndarray, weights: np.ndarray, u: np.ndarray, no_gain: float) -> tuple[np.ndarray, float]:
     residual, J = residual_and_jacobian(basis, weights, u)
     cost, damping, stalled = float(residual @ residual), 1e-3, 0
-    for _ in range(MAX_ITERATIONS):
+    for _ in range(_MAX_ITERATIONS):
         if stalled == STALLED or cost == 0.0:
             break
         H, g = J.T @ J, J.T @ residual

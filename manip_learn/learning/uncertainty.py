@@ -62,7 +62,7 @@ NOISE, JOINT_ZEROS, POLICY = PARTS = ("noise", "joint zeros", "policy")
 Uncertainty = dict[str, float | None]
 
 # draws of an error whose quantile is stated: uncertain by 5 %
-DRAWS = 1000
+_DRAWS = 1000
 # postures at which the error of mu is looked at, and singular values of A below which it is none [share of the largest]
 MU_POSTURES, MU_SINGULAR = 48, 1e-6
 PLACE_STEP = 1e-6  # [m, rad] of the differences along a place
@@ -70,9 +70,9 @@ PLACE_STEP = 1e-6  # [m, rad] of the differences along a place
 # that direction is bounded
 LEVERAGE_FLOOR = 1e-3
 # steps of Lanczos' method after which all eigenvectors cost no more, and what is rounding in them
-MOST_STEPS, SPENT = 64, 1e-14
+MOST_STEPS, _SPENT = 64, 1e-14
 TAU_STEPS = 60  # of four and a half decades: 19 per cent each
-MOST_SAMPLES = 5000  # enough to see offsets
+_MOST_SAMPLES = 5000  # enough to see offsets
 LEAST_VARIANCE = 1e-200  # of a residual: none at all is a limit, not a division by zero
 UNSEEN = 1e-12  # share of |K|^2 below which the curvature of a combination of offsets shows nowhere
 
@@ -104,15 +104,15 @@ def uncertainty_of(
         return dict.fromkeys(PARTS), None
     s, r = whitened.shape
     offsets = JointOffsets.of(samples, whitened, arm) if estimate.name == "null-space" else None
-    delta = None if offsets is None else offsets.draws(DRAWS, rng)
+    delta = None if offsets is None else offsets.draws(_DRAWS, rng)
     errors = {
         NOISE: noise,
         JOINT_ZEROS: None if offsets is None or delta is None else delta @ offsets.response.T,
-        POLICY: None if prior is None else prior.errors(estimate.hessians, s * (r - s), DRAWS, rng),
+        POLICY: None if prior is None else prior.errors(estimate.hessians, s * (r - s), _DRAWS, rng),
     }
     parts = {part: None if e is None else angle_within_deg(samples, whitened, e) for part, e in errors.items()}
     check_uncertainty(estimate, total_deg(parts))
-    moved = np.sum([np.resize(e, (DRAWS, e.shape[1])) for e in errors.values() if e is not None], axis=0)
+    moved = np.sum([np.resize(e, (_DRAWS, e.shape[1])) for e in errors.values() if e is not None], axis=0)
     return parts, _mu_within(samples, whitened, moved, delta, arm)
 
 
@@ -297,10 +297,10 @@ def _without_leverage(
         for _ in range(2):  # once more, against the loss of orthogonality
             next_one -= (basis[: j + 1] @ next_one) @ basis[: j + 1]
         length = float(np.linalg.norm(next_one))
-        if length <= SPENT or j % 4 == 3:
+        if length <= _SPENT or j % 4 == 3:
             now = np.zeros(most)
             now[: j + 1] = _by_eigenvectors(T[: j + 1, : j + 1], np.eye(j + 1)[0], power)
-            if length <= SPENT or np.linalg.norm(now - before) <= SPENT * np.linalg.norm(now):
+            if length <= _SPENT or np.linalg.norm(now - before) <= _SPENT * np.linalg.norm(now):
                 return size * (now[: j + 1] @ basis[: j + 1])
             before = now
         if j + 1 < most:
@@ -347,7 +347,7 @@ class JointOffsets:
         if s == r or samples.q.shape[1] != samples.nv:
             return None
         # e, J and K of all samples, row by row; K of the links, too, as many times that of the zeros as the ratio is
-        few = samples.thinned(MOST_SAMPLES)
+        few = samples.thinned(_MOST_SAMPLES)
         both = np.concatenate([whitened_selection, complement_rows(whitened_selection)])
         rows = np.concatenate([rows_beside(both, block.Phi) for block in few.blocks()], axis=2)
         along, null, back = split(rows[:s], np.ascontiguousarray(few.u.T))

@@ -15,9 +15,9 @@ from manip_learn.planning.surroundings import AWAY, BEHIND, FLOOR, LAST, Surroun
 from manip_learn.robot.collision import Obstacle, Proximity, SelfCollision, known_shapes
 from manip_learn.robot.robot import Robot
 
-ROUNDED = 1e-3  # [m] behind the hand that takes hold there is this much more room than it takes: it shakes a little
+_ROUNDED = 1e-3  # [m] behind the hand that takes hold there is this much more room than it takes: it shakes a little
 DEEPER = 4  # times that what the hand is in is moved out of its way: its faces are met one after the other
-NEAR = 0.3  # [m] up to which a plan says how near it comes to what stands around: farther away nobody asks
+_NEAR = 0.3  # [m] up to which a plan says how near it comes to what stands around: farther away nobody asks
 MOST_TRIANGLES = 10_000  # of all that stands around, in a rollout: 0.3 MB of text
 Posture = Float[np.ndarray, " nv"]
 
@@ -100,7 +100,7 @@ class Clearance:
         """
         nearest = dict[str, Proximity]()
         for q, station in path:
-            for pair in self._pairs(q, station, NEAR):
+            for pair in self._pairs(q, station, _NEAR):
                 if (known := nearest.get(pair.links[1])) is None or pair.distance < known.distance:
                     nearest[pair.links[1]] = pair
         now, later, out = self._around.at(0), self._around.at(LAST), list[dict[str, Any]]()
@@ -133,7 +133,7 @@ class Clearance:
         other._behind = {name: np.zeros(3) for name in names.values()}
         if not names:
             return other
-        room = CLEARANCE + ROUNDED
+        room = CLEARANCE + _ROUNDED
 
         def met(q: Posture) -> list[Proximity]:
             return [pair for pair in other._pairs(q, 0, room) if pair.links[1] in names]

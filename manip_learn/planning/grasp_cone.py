@@ -15,7 +15,7 @@ from manip_learn.linalg import finite
 from manip_learn.robot.rotations import rotation_matrix
 
 SPINS = 24  # of a hand that may turn about its axis by any angle: every 15 degrees
-ROUNDING = 1e-6  # of a cosine: a hand whose axis stands still counts as inside a cone of no width
+_ROUNDING = 1e-6  # of a cosine: a hand whose axis stands still counts as inside a cone of no width
 TILTS = 48  # of a hand whose axis may tilt
 
 
@@ -94,14 +94,14 @@ class GraspCone:
     ) -> Bool[np.ndarray, " n"]:
         """Which hands have their axis in the cone about a direction each."""
         cosine = np.sum((orientations @ np.asarray(self.axis)) * toward, axis=1)
-        return cosine >= np.cos(self.angle) - ROUNDING
+        return cosine >= np.cos(self.angle) - _ROUNDING
 
 
 def _least_turn(a: Float[np.ndarray, " 3"], b: Float[np.ndarray, " 3"]) -> Float[np.ndarray, "3 3"]:
     """The rotation by the least angle from one unit vector to another; one of them where they are opposite."""
     axis, cosine = np.cross(a, b), float(a @ b)
     sine = float(np.linalg.norm(axis))
-    if sine < ROUNDING:
+    if sine < _ROUNDING:
         axis, sine = np.linalg.svd(a[None])[2][1], 1.0
         return rotation_matrix((0.0 if cosine > 0.0 else np.pi) * axis)
     return rotation_matrix(np.arctan2(sine, cosine) / sine * axis)

@@ -33,9 +33,9 @@ COARSE = 0.05  # [rad or m] between RoboPlan's checks, all joints together; thos
 SECONDS = 2.0  # of a search that adds no nodes, as from a start that is shut in: no number of nodes ends it
 SEEDS = 3  # searches in each copy
 GROWN = (1.0, 0.4, 2.0)  # times the clearance: less where start or goal has no more, more where paths come too near
-ROUNDING = 1e-9  # [rad or m] beyond limits: start and goal may stand at them
+_ROUNDING = 1e-9  # [rad or m] beyond limits: start and goal may stand at them
 COPIES = 8  # that are kept, of a few megabytes each
-TURN = 2.0 * np.pi  # [rad] one turn, and the room to both sides of a joint that turns without end
+_TURN = 2.0 * np.pi  # [rad] one turn, and the room to both sides of a joint that turns without end
 _LOCK, _LOG = threading.Lock(), logging.getLogger(__name__)  # a copy is for one thread at a time
 
 
@@ -64,7 +64,7 @@ def joint_path(
         return [start, goal]
     why = "every path that was found comes too near to something on the way"
     endless = (np.array(robot.joint_units) == "rad") & ~np.isfinite(limits.lower) & ~np.isfinite(limits.upper)
-    turns = np.where(endless, TURN * np.round(0.5 * (start + goal) / TURN), 0.0)
+    turns = np.where(endless, _TURN * np.round(0.5 * (start + goal) / _TURN), 0.0)
     differ, supports = start != goal, robot.pinocchio_model.supports
     below = {j for block in robot.blocks if np.any(differ[block.v]) for j in supports[block.index]}
     carry = differ | np.array([block.index in below for block in robot.blocks for _ in block.units])
@@ -134,11 +134,11 @@ def _copied(
         together.append((one, two))
     named = {f"s{first + k:03}": k for k in range(len(obstacles))}
     boxes = {n: (k, size) for n, k in named.items() if n in sizes and (size := box_size(obstacles[k].geometry))}
-    low = np.where(np.isfinite(limits.lower), limits.lower, np.minimum(limits.upper - 2.0 * TURN, -TURN))
-    high = np.where(np.isfinite(limits.upper), limits.upper, np.maximum(limits.lower + 2.0 * TURN, TURN))
+    low = np.where(np.isfinite(limits.lower), limits.lower, np.minimum(limits.upper - 2.0 * _TURN, -_TURN))
+    high = np.where(np.isfinite(limits.upper), limits.upper, np.maximum(limits.lower + 2.0 * _TURN, _TURN))
     with tempfile.TemporaryDirectory(prefix="manip_learn_") as folder:
         fixed = {name: solid for name, solid in sizes.items() if name not in boxes}
-        text = plain_urdf(limits.robot, low - ROUNDING, high + ROUNDING, fixed, Path(folder))
+        text = plain_urdf(limits.robot, low - _ROUNDING, high + _ROUNDING, fixed, Path(folder))
         scene = core.Scene("copy", core.loadUrdfSceneDescriptionFromXml(text))
     for name, (k, size) in boxes.items():  # which may be elsewhere at the next call, as a door's leaf
         scene.addBoxGeometry(name, BASE, core.Box(*size), np.asfortranarray(obstacles[k].placement), np.ones(4))

@@ -49,26 +49,26 @@ from manip_learn.robot.batch.postures import unwound
 from manip_learn.robot.collision import SelfCollision
 from manip_learn.robot.robot import Robot
 
-CANDIDATES = 384  # seeds: with 2,000 the best margin of a drawer rises by less than 0.01 (docs/figures_control.md)
+_CANDIDATES = 384  # seeds: with 2,000 the best margin of a drawer rises by less than 0.01 (docs/figures_control.md)
 LEAST_CANDIDATES = 8  # three stations, three kinds of pull, and the start
 FOLLOWING = 5.0  # [1/s] pull back to the planned postures, half as hard as the task's own feedback
 APPROACH_SHARE = 0.25  # of the velocity limits, on the way to the posture of hold: beside people, as ISO 10218-1
 AGAIN = 4  # times the seeds before a plan is refused
-TRIED = 8  # choices that are simulated, best margin first
+_TRIED = 8  # choices that are simulated, best margin first
 VAIN = 3  # searches for an approach that find none, half a second each: then straight ones only
 OTHERS = 4  # choices of which a plan says why they are worse
 SPARE = 1.1  # times the time that the fastest joint needs: its speed also takes deviations back
 LESS = 0.9  # of a way that did not come true is tried next
 LEAST_SHARE = 0.01  # of the whole way: less is no part of it
 LOOKED = 20  # of marches in whose way something is, for what would help
-SEEN = 60  # postures of an approach of which a plan says how near they come to what stands around
-TURN = 2.0 * np.pi
+_SEEN = 60  # postures of an approach of which a plan says how near they come to what stands around
+_TURN = 2.0 * np.pi
 Around = Scene | Literal["assumed"] | None
 
 
 @final
 @dataclass(frozen=True, eq=False)
-class Choice:
+class _Choice:
     """A posture in which the hand could take hold, and what becomes of the way from there.
 
     Attributes:
@@ -110,7 +110,7 @@ class Plan:
     margin: float
     margins: Margins
     outcome: WayDone
-    others: tuple[Choice, ...]
+    others: tuple[_Choice, ...]
     controller: LawSequence
     candidates: int
     notes: tuple[str, ...] = ()
@@ -168,7 +168,7 @@ def plan(
     seed: int = 0,
     *,
     grasp: GraspCone | None = None,
-    candidates: int = CANDIDATES,
+    candidates: int = _CANDIDATES,
     limits: Limits | None = None,
     collision: SelfCollision | bool = True,
     scene: Around = "assumed",
@@ -442,7 +442,7 @@ class _Problem:
             path = self._relaxed(marches.q[march], marches.grasp[march], clear, is_as_shown)
             if path is None:
                 continue
-            if (tried := tried + 1) > TRIED:
+            if (tried := tried + 1) > _TRIED:
                 break
             said("simulating the best of them", 0.3 + 0.08 * tried)
             reached = self._reached(path, clear)
@@ -456,7 +456,7 @@ class _Problem:
                 for other in [c for c in choices.tolist() if c != march][:OTHERS]:
                     margins = margins_of(self.stations, marches.q[other])
                     why = margins.limited_by(self.motion.unit)
-                    others.append(Choice(marches.q[other, 0], margins.margin, why))
+                    others.append(_Choice(marches.q[other, 0], margins.margin, why))
                 margins, sequence = margins_of(self.stations, path), LawSequence(to_hold, law)
                 return self._plan(sequence, path[0], approach, way, margins, outcome, tuple(others), len(choices))
         return None
@@ -493,7 +493,9 @@ class _Problem:
         The nearest turns come first where they leave the limits no less room, else that path as it is.
         """
         robot = self.robot
-        shift = np.where(np.array(robot.joint_units) == "rad", TURN * np.round((self.positions - path[0]) / TURN), 0.0)
+        shift = np.where(
+            np.array(robot.joint_units) == "rad", _TURN * np.round((self.positions - path[0]) / _TURN), 0.0
+        )
         moved = path + shift
         shift[np.any((moved < robot.position_lower) | (moved > robot.position_upper), axis=0)] = 0.0
         ways = [path, path + shift] if np.any(shift) else [path]
@@ -558,7 +560,7 @@ class _Problem:
             stands = self._plan(sequence, self.positions, reached[1], way, margins, outcome, (), 0)
             if found is None:
                 return stands
-            others = [Choice(found.hold, found.margin, found.margins.limited_by(self.motion.unit)), *found.others]
+            others = [_Choice(found.hold, found.margin, found.margins.limited_by(self.motion.unit)), *found.others]
             apart = [other for other in others if np.max(np.abs(other.posture - self.positions)) > APART]
             return replace(stands, others=tuple(apart[:OTHERS]), candidates=found.candidates)
         return None
@@ -571,14 +573,14 @@ class _Problem:
         way: Rollout,
         margins: Margins,
         outcome: WayDone,
-        others: tuple[Choice, ...],
+        others: tuple[_Choice, ...],
         compared: int,
     ) -> Plan:
         held, end = outcome.begins or 0.0, float(way.time[-1])
         approach = replace(approach, phases=(("approach", 0.0, float(approach.time[-1])),))
         done = ({**outcome.to_dict(), "margin": margins.margin},)
         way = replace(way, phases=(*((("hold", 0.0, held),) if held else ()), ("way", held, end)), ways=done)
-        path = [(q, 0) for q in approach.q[:: len(approach) // SEEN + 1]]
+        path = [(q, 0) for q in approach.q[:: len(approach) // _SEEN + 1]]
         times = held + self.stations.time * ((outcome.seconds or end) / self.stations.time[-1])
         path += [(q, k) for k, q in enumerate(way.q[np.minimum(np.searchsorted(way.time, times), len(way) - 1)])]
         way = replace(way, around=self.clear.plain((self.robot.positions(q), k) for q, k in path))

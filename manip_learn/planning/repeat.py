@@ -29,7 +29,7 @@ from manip_learn.planning.surroundings import FRONT, LEAF, Surroundings
 from manip_learn.recordings.trajectory_source import Progress
 from manip_learn.robot.robot import Robot
 
-NEAR = 1e-3  # [m] a hand this near to where it is to go is there
+_NEAR = 1e-3  # [m] a hand this near to where it is to go is there
 
 
 @final
@@ -172,7 +172,7 @@ def repeat(
     for number, step in enumerate(skill.steps):
         name = _name(number, step, skill)
         said(name, number / len(skill.steps))
-        parts: list[Part] = []
+        parts: list[_Part] = []
         if step.kind == "reach" and step.gripper is not None:
             parts = [_grip(step, name, q, robot, limits, dt, 0.0 if whole is None else whole.manipulability[-1])]
             q = parts[-1].rollout.q[-1]
@@ -203,7 +203,7 @@ def _name(number: int, step: Step, skill: Skill) -> str:
     return f"{what} {len(ways)}" if sum(s.kind == "way" for s in skill.steps) > 1 else what
 
 
-class Part(NamedTuple):
+class _Part(NamedTuple):
     """A law, its rollout, and what became of the steps that end with it."""
 
     law: ResolvedRateController
@@ -214,7 +214,7 @@ class Part(NamedTuple):
 
 def _grip(
     step: Step, name: str, q: Float[np.ndarray, " n"], robot: Robot, limits: Limits, dt: float, mu: float
-) -> Part:
+) -> _Part:
     """The gripper closes or opens; the arm stands meanwhile, and joints of fingers go where they went."""
     positions, fingers = robot.positions(q), dict(step.fingers)
     goal = np.array([fingers.get(joint, x) for joint, x in zip(robot.joint_names, positions, strict=True)])
@@ -222,12 +222,12 @@ def _grip(
     law = ResolvedRateController(every_joint(robot), task, limits=limits, dt=dt)
     rollout = simulate(robot, law, q, task.duration, dt)
     rollout = replace(rollout, manipulability=np.full(len(rollout), mu))
-    return Part(law, replace(rollout, phases=((f"{name}: {step.gripper}", 0.0, float(rollout.time[-1])),)))
+    return _Part(law, replace(rollout, phases=((f"{name}: {step.gripper}", 0.0, float(rollout.time[-1])),)))
 
 
 def _way(
     step: Step, name: str, q: Float[np.ndarray, " n"], scene: Around, seed: int, limits: Limits, dt: float
-) -> tuple[list[Part], Surroundings]:
+) -> tuple[list[_Part], Surroundings]:
     """Take hold and go along what was learnt, as it was shown in this step; and what stands around."""
     constraint = step.as_shown
     if constraint is None or constraint.robot is None:
@@ -263,7 +263,7 @@ def _way(
         q, fingers = motion_along.q.copy(), [robot.joint_index(joint) for joint in step.fingers]
         q[:, fingers] = grips[0].rollout.q[-1, fingers]
         motion_along = replace(motion_along, q=q)
-    parts = [Part(to_hold, approach, (reach,), found.notes), *grips, Part(along, motion_along, (way,))]
+    parts = [_Part(to_hold, approach, (reach,), found.notes), *grips, _Part(along, motion_along, (way,))]
     return parts, found.around.afterwards
 
 
@@ -287,13 +287,13 @@ def _retreat(
     seed: int,
     limits: Limits,
     dt: float,
-) -> list[Part]:
+) -> list[_Part]:
     """The hand goes straight to where the recordings ended, or the joints around what is in the way of that."""
     last = next(s.constraint for s in reversed(skill.steps) if s.constraint is not None)
     robot, frame = limits.robot, last.features.frame.name  # type: ignore[attr-defined]  # a place is known of a frame's rows
     away = np.asarray(step.place) - robot.position(q, frame)
     far = float(np.linalg.norm(away))
-    if far <= NEAR:
+    if far <= _NEAR:
         return []  # it is there
     line = Constraint(complement_rows(away[None] / far), FrameJacobian(robot, frame))
     task = FreeDirection(line, far, APPROACH_SPEED, direction=away)
@@ -317,7 +317,7 @@ def _retreat(
     end = robot.position(rollout.q[-1], frame)
     off = float(np.linalg.norm(end - np.asarray(step.place)))
     rollout = replace(rollout, phases=((name, 0.0, float(rollout.time[-1])),), ways=())
-    return [Part(law, rollout, (StepDone("reach", far, done, "m", off, None, None, fastest, end, name),), notes)]
+    return [_Part(law, rollout, (StepDone("reach", far, done, "m", off, None, None, fastest, end, name),), notes)]
 
 
 def _rigid(moved: ArrayLike) -> Float[np.ndarray, "4 4"]:

@@ -28,10 +28,10 @@ from manip_learn.robot.robot import Robot
 from manip_learn.robot.visuals import meshes as triangles
 from manip_learn.robot.visuals.visual_shapes import MeshElement, Solid, visual_elements
 
-FORMAT = "manip_learn.scene"
+_FORMAT = "manip_learn.scene"
 LARGEST = 20.0  # [m] of a thing, and of its place along an axis: a hall; what is larger is in millimetres
 LARGEST_REACHES = 10.0  # reaches of a robot: a thing in a file for it that is larger may be in millimetres
-ROUNDING = 1e-6  # of the entries of a rotation: files have seven digits
+_ROUNDING = 1e-6  # of the entries of a rotation: files have seven digits
 CLOSE = 0.01  # [m] from the origin of the base: what the arm is screwed to
 
 
@@ -137,7 +137,7 @@ class Mesh(Thing):
     scale: ArrayLike = 1.0
 
 
-KINDS: dict[str, type[Thing]] = {"boxes": Box, "spheres": Sphere, "cylinders": Cylinder, "meshes": Mesh}
+_KINDS: dict[str, type[Thing]] = {"boxes": Box, "spheres": Sphere, "cylinders": Cylinder, "meshes": Mesh}
 
 
 @final
@@ -171,7 +171,7 @@ class Scene:
         if self.floor is not None and (finite(self.floor) is None or abs(self.floor) > 0.5 * LARGEST):
             wanted = f"a height of at most {0.5 * LARGEST:g} m from the base is expected; correct it"
             raise SceneError(f"floor is {self.floor!r}; {wanted}")
-        for field, kind in KINDS.items():
+        for field, kind in _KINDS.items():
             object.__setattr__(self, field, tuple(getattr(self, field)))
             if other := [thing for thing in getattr(self, field) if type(thing) is not kind]:
                 raise SceneError(f"{field} hold {other[0]!r}; each must be a {kind.__name__}")
@@ -260,12 +260,12 @@ class Scene:
         Raises:
             OutputError: It cannot be written.
         """
-        text = json.dumps({"format": FORMAT} | self.to_dict(), indent=2) + "\n"
+        text = json.dumps({"format": _FORMAT} | self.to_dict(), indent=2) + "\n"
         return write_atomically(path, re.sub(r"\s+(?=[^\[\]{}]*\])", " ", text))  # a row of numbers is one line
 
     def to_dict(self) -> dict[str, Any]:
         """What a scene file holds, see `load`, with whole paths of mesh files."""
-        things = {field: [_plain(thing) for thing in getattr(self, field)] for field in KINDS}
+        things = {field: [_plain(thing) for thing in getattr(self, field)] for field in _KINDS}
         floor = {} if self.floor is None else {"floor": float(self.floor)}
         return floor | {field: all_ for field, all_ in things.items() if all_} | {"handled": list(self.handled)}
 
@@ -277,7 +277,7 @@ class Scene:
 
     def __repr__(self) -> str:
         said = [] if self.floor is None else [f"floor at {self.floor:g} m"]
-        for field, kind in KINDS.items():
+        for field, kind in _KINDS.items():
             names = [thing.name for thing in getattr(self, field)]
             said += [f"{counted(len(names), kind.__name__.lower())} ({', '.join(names)})"] if names else []
         return f"Scene: {', '.join(said) or 'nothing'}"
@@ -305,7 +305,7 @@ def _made(kind: Any, given: Any, where: str, file: Path) -> Any:
             raise UnknownNameError("key", key, known, f"{where} of {file}")
     if missing := [repr(name) for name, needed in known.items() if needed and name not in values]:
         raise SceneError(f"{where} lacks {named('key', missing)}; give a value")
-    for field, thing in KINDS.items() if kind is Scene else ():
+    for field, thing in _KINDS.items() if kind is Scene else ():
         values[field] = [_made(thing, v, f"{field}[{i}]", file) for i, v in enumerate(values.get(field, ()))]
     if isinstance(source := values.get("source"), str):
         values["source"] = file.parent / Path(source).expanduser()
@@ -323,7 +323,7 @@ def _described(content: bytes, file: Path) -> Scene:
         raise SceneError(f"{named('joint', moving)} can move; {wanted}")
     robot = robot_from_text(content, file)
     touched, seen = (visual_elements(content, file, tag) for tag in ("collision", "visual"))
-    links, names, things = {e.link for e in touched}, Counter[str](), {field: list[Any]() for field in KINDS}
+    links, names, things = {e.link for e in touched}, Counter[str](), {field: list[Any]() for field in _KINDS}
     for e in [*touched, *(e for e in seen if e.link not in links)]:
         pose = robot.pinocchio_model.frames[robot.frame(e.link).index].placement.homogeneous @ as_matrix(e.pose)
         name = e.name or e.link
@@ -379,7 +379,7 @@ def _pose(given: ArrayLike, where: str) -> Float[np.ndarray, "4 4"]:
         raise SceneError(f"{where}: its place is {given!r}; {wanted}; correct it")
     R = T[:3, :3]
     off = float(max(np.abs(R.T @ R - np.eye(3)).max(), np.abs(T[3] - [0.0, 0.0, 0.0, 1.0]).max()))
-    if off > ROUNDING or np.linalg.det(R) < 0.0:
-        seen = "mirrors" if off <= ROUNDING else f"is not rigid, by {off:.2g}"
+    if off > _ROUNDING or np.linalg.det(R) < 0.0:
+        seen = "mirrors" if off <= _ROUNDING else f"is not rigid, by {off:.2g}"
         raise SceneError(f"{where}: its pose {seen}; a rotation and a place are expected; give a scale apart from it")
     return T

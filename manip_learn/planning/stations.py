@@ -55,7 +55,7 @@ Postures = Float[np.ndarray, "n nv"]
 
 @final
 @dataclass(frozen=True)
-class Hand:
+class _Hand:
     """Poses and Jacobians of a frame at many postures, in the base frame or as another frame sees it.
 
     Attributes:
@@ -69,7 +69,7 @@ class Hand:
     derivative: Callable[[Postures], tuple[Float[np.ndarray, "n 6 nv"], Float[np.ndarray, "n 6 nv nv"]]]
 
     @staticmethod
-    def of(features: FeatureMap) -> Hand:
+    def of(features: FeatureMap) -> _Hand:
         """The frame of some features.
 
         Raises:
@@ -77,10 +77,10 @@ class Hand:
         """
         if isinstance(features, FrameJacobian | WeighedVelocity):
             kinematics = batch_kinematics(features.robot, features.frame)
-            return Hand(kinematics.pose, kinematics.jacobian, kinematics.jacobian_and_derivative)
+            return _Hand(kinematics.pose, kinematics.jacobian, kinematics.jacobian_and_derivative)
         if isinstance(features, RelativeFrameJacobian):
             every = RelativeFrameJacobian(features.robot, features.frame.name, features.relative_to.name)
-            return Hand(lambda q: np.array([every.pose(x) for x in q]), every.batch, every.batch_with_derivative)
+            return _Hand(lambda q: np.array([every.pose(x) for x in q]), every.batch, every.batch_with_derivative)
         raise FeatureError(f"a way is planned for the rows of a frame, not for {features!r}")
 
 
@@ -111,7 +111,7 @@ class Stations:
     rows: Float[np.ndarray, "L s 6"]
     needs: Float[np.ndarray, "L s"]
     grasp: Float[np.ndarray, "3 3"]
-    hand: Hand
+    hand: _Hand
     moving: Bool[np.ndarray, " nv"]
     grip: tuple[Float[np.ndarray, "3 3"], float] | None = None
 
@@ -128,7 +128,7 @@ class Stations:
             FeatureError: The rows are not those of a frame.
         """
         features = motion.constraint.features
-        hand = Hand.of(features)
+        hand = _Hand.of(features)
         time, distance, ends = motion.table(start, PERIOD, FEWEST, MOST)
         goals = np.array(ends)
         if goals.ndim == 2:  # a motion of the hand's place: what it does not say is as at the start

@@ -29,14 +29,14 @@ from manip_learn.robot.robot import Robot
 from manip_learn.robot.visuals.visual_shapes import Solid
 
 FLOOR, FRONT, LEAF, BEHIND = "floor", "front", "leaf", " behind the hand"
-HANDLE = 0.025  # [m] that the flattest usual handles stand out of their front
+_HANDLE = 0.025  # [m] that the flattest usual handles stand out of their front
 SLANTED = 0.3  # of a hand's lever that must point out of a front to tell its side: 17 degrees from lying along it
 BEGUN = 1e-3  # [m] of a way from which on its direction counts
-TALL, THICK = 0.6, 0.018  # [m] of a leaf: a door of a kitchen, of the usual board
+TALL, _THICK = 0.6, 0.018  # [m] of a leaf: a door of a kitchen, of the usual board
 EDGE = 0.05  # [m] of the leaf at the hinge that is not looked at, the frame of the door; and beyond its handle
 LAST = 10**9  # a station behind all of them: the last one
 FAR_AWAY = np.array([0.0, 0.0, -100.0])  # [m] of what no hand shall meet
-Pose = Float[np.ndarray, "4 4"]
+_Pose = Float[np.ndarray, "4 4"]
 AWAY: Mapping[str, Float[np.ndarray, " 3"]] = MappingProxyType({})
 
 
@@ -82,7 +82,7 @@ class Surroundings:
         twins = (replace(o, name=o.name + BEHIND, may_touch=others) for o in held)
         return replace(self, obstacles=(*self.obstacles, *twins))
 
-    def at(self, station: int, behind: Mapping[str, Float[np.ndarray, " 3"]] = AWAY) -> dict[str, Pose]:
+    def at(self, station: int, behind: Mapping[str, Float[np.ndarray, " 3"]] = AWAY) -> dict[str, _Pose]:
         """Where what moves is at a station.
 
         Args:
@@ -129,7 +129,7 @@ class Surroundings:
         return replace(self, obstacles=tuple(found))
 
 
-def _shifted(placement: Pose, depth: float) -> Pose:
+def _shifted(placement: _Pose, depth: float) -> _Pose:
     """A block farther away along its face's normal [m]."""
     out = placement.copy()
     out[:3, 3] -= depth * out[:3, 2]
@@ -153,7 +153,7 @@ def surroundings_of(
     assumed = {FLOOR} if scene is None else set[str]()
     normal = None if mechanism is None else _normal(robot, frame, stations, mechanism)
     if normal is not None and mechanism is not None and scene is None:
-        face = stations.places[0] - (0.0 if mechanism.type == "plane" else HANDLE) * normal
+        face = stations.places[0] - (0.0 if mechanism.type == "plane" else _HANDLE) * normal
         obstacles.append(half_space(FRONT, face, normal, hand))
         sinks = np.maximum(0.0, (stations.places[0] - stations.places) @ normal)
         assumed.add(FRONT)
@@ -240,9 +240,9 @@ def _leaf(
     poses = np.repeat(np.eye(4)[None], len(stations), axis=0)
     out = float(np.sign(np.cross(axis, arms[0]) @ normal))  # of the handle, from its leaf
     for pose, arm, height in zip(poses, arms, heights, strict=True):
-        behind = out * HANDLE * np.cross(axis, arm / reach)
+        behind = out * _HANDLE * np.cross(axis, arm / reach)
         x = (arm - behind) / np.linalg.norm(arm - behind)
         y = np.cross(axis, x)
         pose[:3, :3] = np.column_stack([x, y, axis])
-        pose[:3, 3] = point + height * axis + (0.5 * reach + EDGE) * x - out * 0.5 * THICK * y
-    return Solid("box", (reach, THICK, TALL)), poses
+        pose[:3, 3] = point + height * axis + (0.5 * reach + EDGE) * x - out * 0.5 * _THICK * y
+    return Solid("box", (reach, _THICK, TALL)), poses

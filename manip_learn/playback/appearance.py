@@ -20,11 +20,11 @@ from manip_learn.robot.visuals.meshes import Mesh
 from manip_learn.robot.visuals.visual_shapes import Visual, said_once, visual_shapes
 
 ShapeKind = Literal["box", "sphere", "cylinder", "disc", "mesh"]
-Colour = tuple[float, float, float, float]
+_Colour = tuple[float, float, float, float]
 
 # red, green, blue and opacity
-PLAIN: Colour = (0.80, 0.83, 0.86, 1.0)
-DARK: Colour = (0.27, 0.31, 0.36, 1.0)  # caps of joints, beside links in the plain colour
+PLAIN: _Colour = (0.80, 0.83, 0.86, 1.0)
+DARK: _Colour = (0.27, 0.31, 0.36, 1.0)  # caps of joints, beside links in the plain colour
 MAX_TRIANGLES = 60_000  # about 0.9 MB in the page
 # own shapes that a shell takes the place of: their largest half width in radii that the kinematics gives, and the share
 FATTEST, SLIMMEST = 2.0, 1.0 / 3.0  # of these that a thin one counts as, so that the grid of a shell finds it
@@ -32,7 +32,7 @@ STRAIGHT = 0.9  # cosine between a bone and an axis that runs along it
 # of a joint, in radii of its bones: barrel (radius, half length), and what stands out of its ends: a ring, a cap in it
 BARREL, RING, CAP = (1.2, 1.25), (1.08, 1.37), (0.9, 1.45)
 BAND = (1.12, 0.17)  # a ring around a bone, and
-SEAM = 1.15  # how far it stands from the corner of two bones: beside the one that goes on
+_SEAM = 1.15  # how far it stands from the corner of two bones: beside the one that goes on
 
 
 @final
@@ -55,7 +55,7 @@ class Shape:
     kind: ShapeKind
     size: tuple[float, ...]
     pose: Float[np.ndarray, "4 4"]
-    colour: Colour = PLAIN
+    colour: _Colour = PLAIN
     accent: bool = False
     mesh: int | None = None
 
@@ -161,7 +161,7 @@ def _hub(
         ]
         return [barrel(pose, BARREL[0] * r, BARREL[1] * r)], drum
     along = 0.0 if below and above else above or -below
-    pose[:3, 3] = np.sign(along) * min(SEAM * r, abs(along)) * joint.axis
+    pose[:3, 3] = np.sign(along) * min(_SEAM * r, abs(along)) * joint.axis
     return [], [Shape(i, "disc", (BAND[0] * r, 2.0 * BAND[1] * r), pose, DARK, accent=True)]
 
 

@@ -12,7 +12,7 @@ from jaxtyping import Float
 from manip_learn.robot.joints import motion_along
 from manip_learn.robot.robot import Robot
 
-Motion = Literal["fixed", "revolute", "prismatic", "free"]
+_Motion = Literal["fixed", "revolute", "prismatic", "free"]
 
 
 @final
@@ -32,7 +32,7 @@ class TreeJoint:
     name: str
     parent: int
     placement: Float[np.ndarray, "4 4"]
-    motion: Motion
+    motion: _Motion
     axis: Float[np.ndarray, " 3"]
 
     @property

@@ -23,9 +23,9 @@ from types import MappingProxyType
 from urllib.parse import quote, unquote
 
 HOST = "127.0.0.1"
-SLOWEST = 5.0  # [s] that a browser may take for an event, the page or a part of its request, before it is dropped
+_SLOWEST = 5.0  # [s] that a browser may take for an event, the page or a part of its request, before it is dropped
 HEARTBEAT = 2.0  # [s] between signs of life of a stream where nothing moves
-LOOKS = 0.1  # [s] between two looks whether the browser of a stream has left
+_LOOKS = 0.1  # [s] between two looks whether the browser of a stream has left
 PARENT_CHECK = 1.0  # [s] between two looks for the parent
 MOST_STREAMS = 50  # browsers at a time
 MOST_SAID = 16 * 2**20  # [bytes] of a body: recordings are dropped on the page
@@ -38,8 +38,8 @@ HEADERS = {
     "Cross-Origin-Resource-Policy": "same-origin",
 }
 TEXT, HTML = "text/plain; charset=utf-8", "text/html; charset=utf-8"
-KINDS = {"csv": "text/csv; charset=utf-8", "html": HTML, "json": "application/json", "py": TEXT, "txt": TEXT}
-KINDS |= {"npz": "application/zip", "zip": "application/zip"}
+_KINDS = {"csv": "text/csv; charset=utf-8", "html": HTML, "json": "application/json", "py": TEXT, "txt": TEXT}
+_KINDS |= {"npz": "application/zip", "zip": "application/zip"}
 
 # what a browser asks in our place, once we are gone; it forgets us when it has said so
 AFTERWARDS = b"""const page = '<!DOCTYPE html><meta charset="utf-8"><title>Ended</title>\
@@ -69,7 +69,7 @@ class LiveServer(ThreadingHTTPServer):
     request_queue_size = 128  # connections that wait for a thread
 
     def __init__(self, page: bytes, token: str, hears: bool):
-        super().__init__((HOST, 0), Answer)
+        super().__init__((HOST, 0), _Answer)
         self.page, self.token, self.hears = page, token, hears
         hosts = {f"{HOST}:{self.server_port}", f"localhost:{self.server_port}"}
         # a web site whose name was made to point at this machine sends its own name, another page its own origin
@@ -122,10 +122,10 @@ class LiveServer(ThreadingHTTPServer):
         """Browsers that leave, and whoever is too slow, are no error."""
 
 
-class Answer(BaseHTTPRequestHandler):
+class _Answer(BaseHTTPRequestHandler):
     """The requests of one connection."""
 
-    protocol_version, timeout = "HTTP/1.1", SLOWEST
+    protocol_version, timeout = "HTTP/1.1", _SLOWEST
     server: LiveServer
 
     def do_GET(self) -> None:
@@ -194,7 +194,7 @@ class Answer(BaseHTTPRequestHandler):
             raise Refusal(400, "a JSON object of finite numbers is needed") from error
         if not isinstance(said, dict):
             raise Refusal(400, "a JSON object of finite numbers is needed")
-        self.server.tell(line, SLOWEST)
+        self.server.tell(line, _SLOWEST)
         self._head(204)
 
     def _stream(self, page: str) -> None:
@@ -212,7 +212,7 @@ class Answer(BaseHTTPRequestHandler):
             while not select.select([self.connection], [], [], 0.0)[0]:
                 with server.changed:
                     if server.number == seen:
-                        server.changed.wait(LOOKS)
+                        server.changed.wait(_LOOKS)
                     news = [event for number, event in server.slots.values() if number > seen]
                     seen = server.number
                 if not news and time.monotonic() > alive + HEARTBEAT:
@@ -231,7 +231,7 @@ class Answer(BaseHTTPRequestHandler):
             raise Refusal(404, "not found")
         with open(path, "rb") as file:
             kept = f"attachment; filename*=UTF-8''{quote(name, safe='')}"
-            kind = KINDS.get(name.rpartition(".")[2].lower(), "application/octet-stream")
+            kind = _KINDS.get(name.rpartition(".")[2].lower(), "application/octet-stream")
             size = os.fstat(file.fileno()).st_size
             self._head(200, kind, {"Content-Length": str(size), "Content-Disposition": kept})
             shutil.copyfileobj(file, self.wfile)

@@ -37,7 +37,7 @@ from manip_learn.robot.tips import default_tip
 
 SERVER = Path(__file__).with_name("live_server.py")
 FRAMES_PER_SECOND = 60.0  # as most screens
-STOP_SECONDS = 2.0  # for a thread or process to end by itself
+_STOP_SECONDS = 2.0  # for a thread or process to end by itself
 POSTURES_FOR_CAMERA = 119  # at random, beside the one at rest
 LOGGED = 200  # [bytes] of a line at which the program failed: a recording that was dropped is megabytes
 _LOGGER = logging.getLogger("manip_learn")
@@ -158,15 +158,15 @@ class LiveProcess:
         here, pipes = threading.current_thread(), (self._process.stdin, self._process.stdout)
         for thread, pipe in zip((self._feeder, self._listener), pipes, strict=True):
             if thread is not None and thread is not here:
-                thread.join(STOP_SECONDS)
+                thread.join(_STOP_SECONDS)
                 if thread is self._feeder and thread.is_alive():  # it is blocked in a write
                     self._process.kill()
-                    thread.join(STOP_SECONDS)
+                    thread.join(_STOP_SECONDS)
             if pipe is not None:
                 with contextlib.suppress(OSError):
                     pipe.close()
             try:
-                self._process.wait(STOP_SECONDS)
+                self._process.wait(_STOP_SECONDS)
             except subprocess.TimeoutExpired:
                 self._process.kill()
                 self._process.wait()

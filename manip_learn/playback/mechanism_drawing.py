@@ -26,19 +26,19 @@ MARGIN = 0.25  # how far lines and patches reach beyond the motion, relative to 
 LEAST_MARGIN = 0.06  # [m]
 MAX_TURNS = 12.0  # of a screw that is drawn
 MAX_NUMBER = 1e9  # [m] what is farther away cannot be drawn
-MAX_TEXT = 400
+_MAX_TEXT = 400
 CORNERS = np.array(list(product((-0.5, 0.5), repeat=3)))  # of a cube with sides of 1
-TURN = 2.0 * np.pi
+_TURN = 2.0 * np.pi
 HANDLE_NEAR = 0.02  # [m] off the line or circle of a handle up to which a hand that is said to hold it does
 FARTHEST_DOOR = np.deg2rad(110.0)  # a leaf opens no farther in front of its cupboard: what does is a crank
 ON_IT = 0.005  # [m] off its line or circle up to which a hand still moves it: the play of a handle in closed fingers
 LEAST_TRAVEL = 0.02  # [m] less than this is a controller that settles, not a drawer that is pulled
-CANDIDATES = 200  # places along the path where the line may be
+_CANDIDATES = 200  # places along the path where the line may be
 BOARD, STANDOFF = 0.016, 0.045  # thickness of a board, and of the hand in front of it [m]
-ROUNDING = 1e-9  # [s] of times
+_ROUNDING = 1e-9  # [s] of times
 UPRIGHT = 0.98  # cosine of the tilt up to which a chest stands on the floor
-KINDS: dict[str, Literal["drawer", "door", "crank"]] = {"line": "drawer", "hinge": "door", "screw": "crank"}
-FRONT, BODY, HANDLE = "front", "body", "handle"
+_KINDS: dict[str, Literal["drawer", "door", "crank"]] = {"line": "drawer", "hinge": "door", "screw": "crank"}
+_FRONT, BODY, HANDLE = "front", "body", "handle"
 Box = tuple[float, float, float, float, float, float, str]
 
 
@@ -138,8 +138,8 @@ def mechanism_drawing(
         return replace(plain, shown=shown.sentence, way=shown.points, hold=shown.hold is not None)
     described = mechanism if isinstance(mechanism, Mapping | None) else mechanism.to_dict()
     described = described or {}
-    kind = str(described.get("type") or "mechanism")[:MAX_TEXT]
-    sentence = str(described.get("sentence") or kind)[:MAX_TEXT]
+    kind = str(described.get("type") or "mechanism")[:_MAX_TEXT]
+    sentence = str(described.get("sentence") or kind)[:_MAX_TEXT]
     geometry = Geometry.of(described)
     axis, point = geometry.axis, geometry.point
     if kind == "ball" and point is not None and geometry.radius:
@@ -288,9 +288,9 @@ def furniture_of(
     Raises:
         RecordingError: A mechanism with numbers of a wrong size or not finite.
     """
-    if not mechanism or mechanism.get("type") not in KINDS or not len(path):
+    if not mechanism or mechanism.get("type") not in _KINDS or not len(path):
         return None
-    geometry, kind = Geometry.of(mechanism), KINDS[mechanism["type"]]
+    geometry, kind = Geometry.of(mechanism), _KINDS[mechanism["type"]]
     axis, point, pitch = geometry.axis, geometry.point, geometry.pitch
     if axis is None or (kind != "drawer" and point is None):
         return None
@@ -298,7 +298,7 @@ def furniture_of(
         kind = "crank"
     centre = point if kind != "drawer" else None
     along, across, lever = _coordinates(axis, centre, pitch, path)
-    spans = [slice(*np.searchsorted(times, (a - ROUNDING, b + ROUNDING))) for a, b in ways or ()]
+    spans = [slice(*np.searchsorted(times, (a - _ROUNDING, b + _ROUNDING))) for a, b in ways or ()]
     if ways is None:
         found = _stretch(lever * along, across)
     elif not spans or len(along[spans[0]]) < 2:
@@ -318,10 +318,10 @@ def furniture_of(
             spans = [slice(found[0], found[1])]
         if centre is not None and spans and spans[0].start < len(along):  # which turn it is
             first = spans[0].start
-            turns = -sense * np.floor(sense * (along[first] - shut[0]) / TURN + 0.25)
+            turns = -sense * np.floor(sense * (along[first] - shut[0]) / _TURN + 0.25)
             if pitch:
-                turns = np.round((across[first, 1] - circle[0, 1]) / (TURN * pitch))
-            along, across = along + TURN * turns, across - [0.0, TURN * turns * pitch]
+                turns = np.round((across[first, 1] - circle[0, 1]) / (_TURN * pitch))
+            along, across = along + _TURN * turns, across - [0.0, _TURN * turns * pitch]
         for span in spans:
             held[span] = np.linalg.norm(across[span] - circle, axis=1) <= HANDLE_NEAR
         begin = int(np.argmax(held))
@@ -375,7 +375,7 @@ def _stretch(along: Float[np.ndarray, " T"], across: Float[np.ndarray, "T k"]) -
         along: Where the hand is along the mechanism [m].
         across: What is constant while the hand is on one line or circle [m].
     """
-    ways = [(_sweep(along, *_run(across, across[k], k)), k) for k in evenly(len(along), CANDIDATES)]
+    ways = [(_sweep(along, *_run(across, across[k], k)), k) for k in evenly(len(along), _CANDIDATES)]
     k = max(ways, key=lambda way: way[0][0])[1]
     start, end = _run(across, across[k], k)
     for _ in range(2):  # a place at the rim of the line is on it too: from there to its middle
@@ -442,7 +442,7 @@ def drawer_boxes(travel: float, pose: Float[np.ndarray, "4 4"]) -> tuple[tuple[B
     sides = (-0.5 * (inner - BOARD), 0.5 * (inner - BOARD))
     moving = (
         *_handle(0.36 * width),
-        (0.0, face - 0.5 * BOARD, 0.0, width, BOARD, height, FRONT),
+        (0.0, face - 0.5 * BOARD, 0.0, width, BOARD, height, _FRONT),
         (0.0, face - 0.5 * depth, low, inner, depth - BOARD, BOARD, BODY),
         *((x, face - 0.5 * depth, 0.0, BOARD, depth - BOARD, 0.8 * height, BODY) for x in sides),
         (0.0, face - depth, 0.0, inner, BOARD, 0.8 * height, BODY),
@@ -456,7 +456,7 @@ def drawer_boxes(travel: float, pose: Float[np.ndarray, "4 4"]) -> tuple[tuple[B
         chest += ((0.0, back, -0.5 * height - BOARD - 0.5 * below, width + 2.0 * BOARD, depth + BOARD, below, BODY),)
         for k in range(n):
             z = -0.5 * height - BOARD - (k + 0.5) * step
-            chest += ((0.0, face - 0.5 * BOARD, z, width, BOARD, step - 0.6 * BOARD, FRONT), *_handle(0.36 * width, z))
+            chest += ((0.0, face - 0.5 * BOARD, z, width, BOARD, step - 0.6 * BOARD, _FRONT), *_handle(0.36 * width, z))
     return chest, moving
 
 
@@ -466,7 +466,7 @@ def door_boxes(pivot: Float[np.ndarray, " 3"]) -> tuple[tuple[Box, ...], tuple[B
     right, half = -0.18 * left + 0.03, float(np.clip(-0.7 * left, 0.14, 0.4))
     bar = 0.35 * half
     feet = ((0.0, 0.5 * face, z * 0.8 * bar, 0.01, -face, 0.01, HANDLE) for z in (-1.0, 1.0))
-    leaf = (0.5 * (left + right), face - 0.5 * BOARD, 0.0, right - left, BOARD, 2.0 * half, FRONT)
+    leaf = (0.5 * (left + right), face - 0.5 * BOARD, 0.0, right - left, BOARD, 2.0 * half, _FRONT)
     case = _case(left, right, -half, half, 0.05 - 0.5 * left, face - BOARD)
     hinge = (left, face, 0.0, 0.016, 0.016, 2.0 * half, HANDLE)
     return (*case, hinge), (leaf, (0.0, 0.0, 0.0, 0.014, 0.014, 2.0 * bar, HANDLE), *feet)
@@ -474,7 +474,7 @@ def door_boxes(pivot: Float[np.ndarray, " 3"]) -> tuple[tuple[Box, ...], tuple[B
 
 def crank_boxes(radius: float) -> tuple[tuple[Box, ...], tuple[Box, ...]]:
     """A crank on its spindle."""
-    arm = (-0.5 * radius, 0.0, -0.03, radius + 0.02, 0.02, 0.015, FRONT)
+    arm = (-0.5 * radius, 0.0, -0.03, radius + 0.02, 0.02, 0.015, _FRONT)
     spindle = (-radius, 0.0, -0.08, 0.025, 0.025, 0.12, BODY)
     return (spindle,), (arm, (0.0, 0.0, 0.0, 0.02, 0.02, 0.06, HANDLE))
 

@@ -17,7 +17,7 @@ import numpy as np
 
 from manip_learn.errors import OutputError
 
-FOLDER = Path(__file__).with_name("page")
+_FOLDER = Path(__file__).with_name("page")
 
 
 def packed(array: np.ndarray, dtype: str) -> str:
@@ -56,9 +56,9 @@ class PageKind:
 
 REPLAY = PageKind(
     "replay",
-    (FOLDER / "style.css", FOLDER / "tracks.css"),
+    (_FOLDER / "style.css", _FOLDER / "tracks.css"),
     tuple(
-        FOLDER / f"{name}.js"
+        _FOLDER / f"{name}.js"
         for name in (
             *("scene", "stage", "fit", "phases", "chart", "sheets", "tracks"),
             *("constraint_marks", "furniture", "around", "labels", "shown", "evidence"),
@@ -105,7 +105,7 @@ def page(data: dict[str, Any], *, robot: str, subtitle: str, kind: PageKind = RE
         "viewer": viewer,
         "program": program,
     }
-    return re.sub(r"\{\{(\w+)\}\}", lambda match: parts[match[1]], _content(FOLDER / "page.html"))
+    return re.sub(r"\{\{(\w+)\}\}", lambda match: parts[match[1]], _content(_FOLDER / "page.html"))
 
 
 def json_in_html(data: object) -> str:

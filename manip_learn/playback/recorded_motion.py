@@ -27,10 +27,10 @@ from manip_learn.robot.batch.postures import positions_of
 from manip_learn.robot.joints import Frame
 from manip_learn.robot.robot import Robot
 
-AT_REST = 0.1  # share of the root mean square speed of a motion below which it says nothing of a constraint
-MOST_POINTS = 100_000  # of all curves of a page, 8 bytes each
+_AT_REST = 0.1  # share of the root mean square speed of a motion below which it says nothing of a constraint
+_MOST_POINTS = 100_000  # of all curves of a page, 8 bytes each
 MOST_OF_A_CURVE, LEAST_OF_A_CURVE = 2000, 60
-NEGLIGIBLE = 1e-10  # singular values relative to the largest
+_NEGLIGIBLE = 1e-10  # singular values relative to the largest
 KEY_FRAMES_PER_SECOND = 60.0  # as most screens
 MAX_KEY_FRAMES = 18_000  # 30 a second in ten minutes
 MAX_CURVE_POINTS = 2000
@@ -40,7 +40,7 @@ UNGUIDED = Guidance()
 
 @final
 @dataclass(frozen=True, eq=False)
-class Curve:
+class _Curve:
     """One curve of a track.
 
     Attributes:
@@ -56,7 +56,7 @@ class Curve:
 
 @final
 @dataclass(frozen=True, eq=False)
-class Track:
+class _Track:
     """Curves that share an axis.
 
     Attributes:
@@ -68,7 +68,7 @@ class Track:
     """
 
     kind: str
-    curves: tuple[Curve, ...]
+    curves: tuple[_Curve, ...]
     unit: str = ""
     without: tuple[str, ...] = ()
 
@@ -79,7 +79,7 @@ def tracks_of(
     samples: MotionSamples,
     guidance: Guidance,
     phases: Sequence[PhaseBand] = (),
-) -> tuple[Track, ...]:
+) -> tuple[_Track, ...]:
     """All that is known of a motion over time, but for the manipulability and the status.
 
     Args:
@@ -95,11 +95,11 @@ def tracks_of(
     shares = samples.u / np.where(limited, fastest, 1.0)
     # 0 at the lower limit of a joint, 1 at the upper one
     places = (positions_of(robot, samples.q) - low) / np.where(bounded, high - low, 1.0)
-    tracks: list[Track | None] = []
+    tracks: list[_Track | None] = []
     if guidance.constraint is not None:  # singular values of A(q), largest first
         A = guidance.constraint.selection @ guidance.constraint.features.batch(samples.q)
         sigma = np.linalg.svd(A, compute_uv=False).T
-        tracks.append(Track("singular", tuple(Curve(f"σ{k + 1}", samples.time, s) for k, s in enumerate(sigma))))
+        tracks.append(_Track("singular", tuple(_Curve(f"σ{k + 1}", samples.time, s) for k, s in enumerate(sigma))))
     tracks += [
         _fit(samples, guidance, phases) if isinstance(recording, Trajectory) else None,
         _of_limits(robot, "velocity", samples.velocity_time, shares, limited),
@@ -109,7 +109,7 @@ def tracks_of(
         if recording.effort is not None:  # each over its largest, since those at the base dwarf the others
             largest, joints = np.max(np.abs(recording.effort), axis=0), recording.joint_names or robot.joint_names
             shares = zip(joints, (recording.effort / np.where(largest > 0.0, largest, 1.0)).T, strict=True)
-            tracks.append(Track("effort", tuple(Curve(name, samples.time, share) for name, share in shares)))
+            tracks.append(_Track("effort", tuple(_Curve(name, samples.time, share) for name, share in shares)))
     if isinstance(recording, Rollout):
         features = None if guidance.constraint is None else guidance.constraint.features
         units = "" if features is None else " or ".join(sorted({u.removesuffix("/s") for u in features.row_units}))
@@ -119,16 +119,16 @@ def tracks_of(
     return tuple(t for t in tracks if t is not None and t.curves)
 
 
-def _fit(samples: MotionSamples, guidance: Guidance, phases: Sequence[PhaseBand]) -> Track | None:
+def _fit(samples: MotionSamples, guidance: Guidance, phases: Sequence[PhaseBand]) -> _Track | None:
     """|A^+ A u| / |u|: the share of the motion that breaks the constraint; a gap where the arm is at rest."""
     if not guidance.holds or not samples.u.size:
         return None
     shares = np.full(samples.velocity_time.size, np.nan)
     speed = np.linalg.norm(samples.u, axis=1)
-    moving = speed > AT_REST * np.sqrt(np.mean(speed**2))
+    moving = speed > _AT_REST * np.sqrt(np.mean(speed**2))
     for rows, broken in _broken(samples, guidance, np.where(moving, guidance.at(samples.velocity_time, phases), -1)):
         shares[rows] = np.linalg.norm(broken, axis=1) / speed[rows]
-    return Track("fit", (Curve("share", samples.velocity_time, shares),))
+    return _Track("fit", (_Curve("share", samples.velocity_time, shares),))
 
 
 def broken_share(samples: MotionSamples, guidance: Guidance, phases: Sequence[PhaseBand]) -> float | None:
@@ -162,36 +162,36 @@ def broken_motion(
     """A^+ A u of each sample: the part of its velocity that A(q) u = 0 does not allow."""
     A = constraint.selection @ constraint.features.batch(q)
     _, sigma, V = np.linalg.svd(A, full_matrices=False)
-    V = V * (sigma > NEGLIGIBLE * np.maximum(sigma[:, :1], 1e-300))[:, :, None]
+    V = V * (sigma > _NEGLIGIBLE * np.maximum(sigma[:, :1], 1e-300))[:, :, None]
     return np.einsum("tkj,tk->tj", V, np.einsum("tkj,tj->tk", V, u))
 
 
 def _of_limits(
     robot: Robot, kind: str, times: Float[np.ndarray, " T"], values: Float[np.ndarray, "T nv"], known: np.ndarray
-) -> Track:
+) -> _Track:
     """Of each joint whose limits are known a curve of its share of them."""
     joints = list(zip(robot.joint_names, known, values.T, strict=True)) if len(values) else []
-    curves = tuple(Curve(name, times, column) for name, is_known, column in joints if is_known)
-    return Track(kind, curves, "limit", tuple(name for name, is_known, _ in joints if not is_known))
+    curves = tuple(_Curve(name, times, column) for name, is_known, column in joints if is_known)
+    return _Track(kind, curves, "limit", tuple(name for name, is_known, _ in joints if not is_known))
 
 
-def _error(kind: str, samples: MotionSamples, values: Float[np.ndarray, " T"] | None, unit: str) -> Track | None:
+def _error(kind: str, samples: MotionSamples, values: Float[np.ndarray, " T"] | None, unit: str) -> _Track | None:
     if values is None or values.shape != samples.time.shape or not np.any(np.isfinite(values)):
         return None
-    return Track(kind, (Curve("", samples.time, np.where(np.isfinite(values), values, np.nan)),), unit)
+    return _Track(kind, (_Curve("", samples.time, np.where(np.isfinite(values), values, np.nan)),), unit)
 
 
-def points_per_curve(tracks: Sequence[Sequence[Track]]) -> int:
+def points_per_curve(tracks: Sequence[Sequence[_Track]]) -> int:
     """How many points each curve of a page may have.
 
     Args:
         tracks: Those of each motion.
     """
     n = sum(len(track.curves) for some in tracks for track in some)
-    return int(np.clip(MOST_POINTS // max(n, 1), LEAST_OF_A_CURVE, MOST_OF_A_CURVE))
+    return int(np.clip(_MOST_POINTS // max(n, 1), LEAST_OF_A_CURVE, MOST_OF_A_CURVE))
 
 
-def track_data(tracks: Sequence[Track], most: int) -> dict[str, Any]:
+def track_data(tracks: Sequence[_Track], most: int) -> dict[str, Any]:
     """The tracks of one motion.
 
     Curves that keep all of their samples share their times, in float64; those that do not have times of their own,
@@ -203,7 +203,7 @@ def track_data(tracks: Sequence[Track], most: int) -> dict[str, Any]:
     """
     clocks: list[np.ndarray] = []
 
-    def curve_data(curve: Curve) -> dict[str, Any]:
+    def curve_data(curve: _Curve) -> dict[str, Any]:
         kept = extremes(curve.values, most)
         described: dict[str, Any] = {"name": curve.name, "values": packed(curve.values[kept], "<f4")}
         if kept.size < curve.values.size:
@@ -278,7 +278,7 @@ class RecordedMotion:
     duration: float
     first_time: float = 0.0
     phases: tuple[PhaseBand, ...] = ()
-    measures: tuple[Track, ...] = ()
+    measures: tuple[_Track, ...] = ()
     samples: MotionSamples | None = None
     guidance: Guidance = UNGUIDED
     fit_share: float | None = None
@@ -338,8 +338,8 @@ def recorded_motion(
         piece = furniture_of(known, path_times, path, held, shown)
         pieces += [] if piece is None else [piece]
     for kind, unit in (("turning", "rad"), ("opening", "m")):
-        moved = tuple(Curve("", path_times, piece.opening) for piece in pieces if piece.unit == unit)
-        measures = (Track(kind, moved, unit), *measures) if moved else measures
+        moved = tuple(_Curve("", path_times, piece.opening) for piece in pieces if piece.unit == unit)
+        measures = (_Track(kind, moved, unit), *measures) if moved else measures
     return RecordedMotion(
         name=name,
         key_times=time[keys],

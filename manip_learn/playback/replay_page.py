@@ -40,7 +40,7 @@ from manip_learn.robot.tips import default_tip
 if TYPE_CHECKING:
     from manip_learn.learning.report import LearningReport
 
-MAX_TEXT = 2000  # characters of a text in a card
+_MAX_TEXT = 2000  # characters of a text in a card
 MOST_ROWS = 60  # of a table in a card
 STATES = {
     "held": "held",
@@ -115,7 +115,7 @@ def _texts(value: object) -> list[str]:
 
 
 def _text(value: object) -> str:
-    return "" if value is None else str(value)[:MAX_TEXT]
+    return "" if value is None else str(value)[:_MAX_TEXT]
 
 
 def _number(value: object) -> float | None:

@@ -24,10 +24,10 @@ OUTLINE_DIRECTIONS = 240  # over the sphere, 13 degrees apart
 MOST_PLACES, LEAST_PLACES = 12_000, 60  # of all ellipsoids of a page, and of one motion
 ELLIPSOID = 0.08  # longest semi-axis relative to the scene
 ASIDE = np.deg2rad(62.0)  # the camera from what it looks at
-NEAR = 0.25  # of the motion's extent: how far around it the picture reaches for what stands there
+_NEAR = 0.25  # of the motion's extent: how far around it the picture reaches for what stands there
 FLOOR_REACH = 3.0  # edge of a floor in extents of the motion: to the rim of the picture
 PATCH = 0.6  # [m] of a front that has no end: as wide as a cupboard
-MARKS = 0.085  # half length of an arrow relative to the scene, as in page/constraint_marks.js
+_MARKS = 0.085  # half length of an arrow relative to the scene, as in page/constraint_marks.js
 
 
 def scene_data(
@@ -45,7 +45,7 @@ def scene_data(
     drawn = [line for m in mechanisms if m for line in (*m.lines, m.way)]
     cloud = np.concatenate([_drawn_points(robot, looks, motions), *drawn])
     # and where the marks at the tip reach to, along its path
-    reach = MARKS * float(np.linalg.norm(np.ptp(cloud, axis=0)))
+    reach = _MARKS * float(np.linalg.norm(np.ptp(cloud, axis=0)))
     paths = [m.path[:: max(1, len(m.path) // MAX_POSTURES_FOR_BOUNDS)] for m in motions if m.guidance.constraints]
     marked = [path + reach * side for path in paths for side in (*np.eye(3), *-np.eye(3))]
     cloud = np.concatenate([cloud, *(piece.corners() for m in motions for piece in m.furniture), *marked])
@@ -54,7 +54,7 @@ def scene_data(
     around = [[_thing(thing, low, high) for thing in m.around] for m in motions]
     # of what stands around as much is framed as is near the motion
     near = [corner for some in around for thing in some for corner in thing.pop("corners")]
-    cloud = np.concatenate([cloud, np.clip(np.reshape(near, (-1, 3)), low - NEAR * size, high + NEAR * size)])
+    cloud = np.concatenate([cloud, np.clip(np.reshape(near, (-1, 3)), low - _NEAR * size, high + _NEAR * size)])
     low, high = cloud.min(axis=0), cloud.max(axis=0)
     most, marks = points_per_curve([m.measures for m in motions]), list[list[dict[str, Any] | None]]()
     for m in motions:

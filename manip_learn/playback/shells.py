@@ -17,10 +17,10 @@ Points = Float[np.ndarray, "P 3"]
 Distance = Callable[[Points], Float[np.ndarray, " P"]]  # [m], negative inside
 CELLS = 4.0  # of the grid in the slimmest radius: rounds of 25 corners
 FILLET = 0.6  # reach of the fillets where bodies meet, share of the slimmest radius
-ROUNDED = 0.35  # radius of the edges of barrels, share of their radius
+_ROUNDED = 0.35  # radius of the edges of barrels, share of their radius
 MOST_CELLS = 240  # along the longest side, of links that are long and slim
-BLOCK = 6  # cells along the side of a block that is asked about as a whole
-STEPS = 3  # of Newton's method, from the middle of a cell, half a cell away, to the surface
+_BLOCK = 6  # cells along the side of a block that is asked about as a whole
+_STEPS = 3  # of Newton's method, from the middle of a cell, half a cell away, to the surface
 SPREADS = 2  # further ones, before each of which the vertices are spread evenly
 
 
@@ -54,7 +54,7 @@ def rod(ends: Float[np.ndarray, "2 3"], radii: tuple[float, float]) -> Body:
 
 def barrel(pose: Float[np.ndarray, "4 4"], radius: float, half: float) -> Body:
     """A cylinder along the z axis of its pose with rounded edges, of this radius and half length [m]."""
-    edge = ROUNDED * min(radius, half)
+    edge = _ROUNDED * min(radius, half)
     reach = np.abs(pose[:3, :3]) @ np.array([radius, radius, half])
 
     def distance(points: Points) -> Float[np.ndarray, " P"]:
@@ -102,8 +102,8 @@ def shell(bodies: Sequence[Body]) -> Mesh:
         faces += [quads[:, [0, 1, 2]], quads[:, [0, 2, 3]]]
     triangles = np.concatenate(faces)
     vertices, aside = low + cell * (np.argwhere(crossed) + 0.5), 0.05 * cell * np.eye(3)
-    for k in range(STEPS + SPREADS):  # Newton's method takes them to the surface
-        vertices = vertices if k < STEPS else _spread(vertices, triangles)
+    for k in range(_STEPS + SPREADS):  # Newton's method takes them to the surface
+        vertices = vertices if k < _STEPS else _spread(vertices, triangles)
         slope = np.column_stack([distance(vertices + d) - distance(vertices - d) for d in aside]) / (0.1 * cell)
         step = distance(vertices) / np.maximum(np.einsum("ij,ij->i", slope, slope), 0.25)  # 1, and less in an edge
         vertices = vertices - np.clip(step[:, None] * slope, -0.5 * cell, 0.5 * cell)
@@ -119,13 +119,13 @@ def _spread(vertices: Points, triangles: Int[np.ndarray, "F 3"]) -> Points:
 
 def _inside(distance: Distance, low: Float[np.ndarray, " 3"], cell: float, count: Int[np.ndarray, " 3"]) -> np.ndarray:
     """Which nodes of a grid are inside; where a whole block of them is far from the surface, all are as its middle."""
-    blocks = -(-count // BLOCK)
-    middle = low + cell * (BLOCK * np.argwhere(np.ones(blocks)) + (BLOCK - 1) / 2.0)
+    blocks = -(-count // _BLOCK)
+    middle = low + cell * (_BLOCK * np.argwhere(np.ones(blocks)) + (_BLOCK - 1) / 2.0)
     far = distance(middle)
     inside = (far < 0.0).reshape(blocks)
     for axis in range(3):
-        inside = np.repeat(inside, BLOCK, axis)
-    near = np.argwhere((np.abs(far) < BLOCK * cell).reshape(blocks))  # half a block's diagonal is 0.87 of its side
-    nodes = (BLOCK * near[:, None, :] + np.array(list(np.ndindex(BLOCK, BLOCK, BLOCK)))).reshape(-1, 3)
+        inside = np.repeat(inside, _BLOCK, axis)
+    near = np.argwhere((np.abs(far) < _BLOCK * cell).reshape(blocks))  # half a block's diagonal is 0.87 of its side
+    nodes = (_BLOCK * near[:, None, :] + np.array(list(np.ndindex(_BLOCK, _BLOCK, _BLOCK)))).reshape(-1, 3)
     inside[tuple(nodes.T)] = distance(low + cell * nodes) < 0.0
     return inside

@@ -26,14 +26,14 @@ from manip_learn.teach.scene import (
 )
 
 PERIOD = 0.01  # [s] between two readings, as cobots report at 100 Hz and more
-NOISE = 1e-4  # [rad or m] of the encoders: 16 bits a turn
+_NOISE = 1e-4  # [rad or m] of the encoders: 16 bits a turn
 SPRING, DASHPOT = 900.0, 30.0  # a hand that guides [N/m], [N s/m]: 1 cm off is 9 N
 STRONGEST = 60.0  # [N] that a person pulls with for a while, standing
 WRIST_SPRING, WRIST_DASHPOT = 15.0, 0.5  # a hand that turns [N m/rad], [N m s/rad]
 TWISTS = 6.0  # [N m] that a wrist turns with
 STEADY = 0.02  # [s] in which a hand comes to where it is meant to be: between two pictures of 60 Hz it does not jump
 LOST = 0.6  # [s] after which a pull that nobody repeats is over: pages repeat it every 0.2 s
-SLOWEST = 0.25  # [s] that the physics may be late before they let the time go: a computer that slept does not catch up
+_SLOWEST = 0.25  # [s] that the physics may be late before they let the time go: a computer that slept does not catch up
 BUMP, BUMPED = 25.0, 0.3  # [N m], [s] of somebody who bumps into the arm
 LATELY = 0.02  # share of the newest period in their mean: half a second of them count
 
@@ -59,7 +59,7 @@ class Pull:
 
 
 @final
-class Hand:
+class _Hand:
     """The force of a hand on the arm: a spring to where it is meant to be, no stronger than a person.
 
     Attributes:
@@ -142,9 +142,9 @@ class TeachingArm:
         self.scene, self.period, self.joint_names = scene, PERIOD, scene.robot.joint_names
         self._shown, self._waits = shown or (lambda: None), in_real_time
         model: Any = scene_model(scene)
-        self.hand = Hand(model)
+        self.hand = _Hand(model)
         self._arm = MuJoCoDriver(
-            model, self.joint_names, scene.start, period=PERIOD, hand=self.hand, noise=NOISE, rng=rng
+            model, self.joint_names, scene.start, period=PERIOD, hand=self.hand, noise=_NOISE, rng=rng
         )
         self.model, self.data = model, self._arm.data
         self._tip = model.site("tip").id
@@ -195,7 +195,7 @@ class TeachingArm:
         self._due += self.period
         if (left := self._due - time.perf_counter()) > 0.0:
             time.sleep(left)
-        elif -left > SLOWEST:
+        elif -left > _SLOWEST:
             self._due = time.perf_counter()
         now = time.perf_counter()
         self._each += LATELY * (now - self._before - self._each)

@@ -25,7 +25,7 @@ WEAK = 0.2  # least over largest singular value of the tip's translation, below 
 AT_LIMIT = 0.01  # [rad or m] from a joint's limit at which the arm feels it
 ENOUGH = 5  # recordings that a person is asked for
 MOST_TOUCHES = 3  # places at a time where the arm is said to touch: an edge gives a dozen
-SEEN = 20  # random postures that show in how many directions the tip can move
+_SEEN = 20  # random postures that show in how many directions the tip can move
 
 # type of a mechanism -> the answer in a line
 LINES = {
@@ -37,23 +37,23 @@ LINES = {
     "curve": "The hand follows a curve",
 }
 
-FOLDER = Path(__file__).with_name("page")
+_FOLDER = Path(__file__).with_name("page")
 NOT_TAUGHT_WITH = ("shown.js", "legend.js", "live.js", "main.js")  # of a replay's program
 TEACH = replace(
     REPLAY,
     mode="teach",
-    style=(*REPLAY.style, FOLDER / "teach.css"),
+    style=(*REPLAY.style, _FOLDER / "teach.css"),
     program=(
         *(file for file in REPLAY.program if file.name not in NOT_TAUGHT_WITH),
         *(
-            FOLDER / f"{name}.js"
+            _FOLDER / f"{name}.js"
             for name in (
                 *("quality", "link", "pointing", "hand", "furniture", "drawing", "recordings", "answer", "ghosts"),
                 *("take", "panel", "tour", "teach"),
             )
         ),
     ),
-    markup=FOLDER / "teach.html",
+    markup=_FOLDER / "teach.html",
 )
 
 
@@ -83,7 +83,7 @@ class TeachingPicture:
     def __init__(self, robot: Robot, tip: str):
         self._robot, self._tip, self._tree = robot, tip, kinematic_tree(robot)
         rng = np.random.default_rng(0)
-        drawn = (robot.random_configuration(rng) for _ in range(SEEN))
+        drawn = (robot.random_configuration(rng) for _ in range(_SEEN))
         # directions in which the tip can move at all: two for an arm in a plane
         self._rank = int(np.linalg.matrix_rank(np.hstack([robot.jacobian(q, tip)[:3] for q in drawn]), tol=1e-9))
 

@@ -71,7 +71,7 @@ UPPER, FORE, WRIST = (4.0, 0.5, 0.10), (3.0, 0.3, 0.10), (1.0, 0.1, 0.02)
 SLIDING = (40.0, 4.0, 2.0)  # likewise of a sliding joint [N s/m], [N], [kg]
 LEAST_MASS, LEAST_INERTIA = 0.05, 1e-4  # [kg], [kg m2] where a description has none: lighter links need a shorter step
 REACHES = 0.03  # [m] from the handle within which the gripper can close: the opening of a common gripper
-AWAY = 0.16  # [m] from the handle to where the hand begins, so that a recording has a way to it
+_AWAY = 0.16  # [m] from the handle to where the hand begins, so that a recording has a way to it
 ON_PATH = 1e-4  # [m or rad] to which a posture is on the mechanism's path: below what encoders tell
 WEAKEST = 0.075  # least singular value of the tip's rows [m/rad] that counts as away from a singularity
 NEWTON_STEPS, LARGEST_STEP = 12, 0.3  # to a place, and of all joints together [rad]: linearised they are near enough
@@ -293,7 +293,7 @@ class _Reach:
         if way is None:
             return None
         begin = pose.copy()
-        begin[:3, 3] += AWAY * away
+        begin[:3, 3] += _AWAY * away
         start = posture_at(self._robot, self._tip, q, begin, False, self._rank)
         if start is None or self._margin_of(start) < 0.0:
             return None

@@ -44,13 +44,13 @@ from manip_learn.teach.way import ARRIVES, TaughtRecording, TaughtWay, handle_ne
 from manip_learn.teach.worker import TeachingWorker, ghost
 
 LEFT = 30.0  # [s] without a page after which the program ends: who pressed Back by mistake comes back in less
-SAID = 0.1  # [s] between two looks at the state as a whole
-FEW = 3  # recordings below which no evidence can be had
+_SAID = 0.1  # [s] between two looks at the state as a whole
+_FEW = 3  # recordings below which no evidence can be had
 FARTHEST = 100.0  # [m or rad] that a page may ask for: no arm reaches so far, and its square is still a number
 STAYS = 0.3  # [s] at the end of a way before a run counts as done
 YIELDS, GENTLY = 45.0, 2.0  # [N] at the hand on which the arm lets go, and [rad/s2] with which it moves by itself
 SLOWER = 3.0  # times, and seconds, that a run may take beyond what its way needs: a person may push against it
-NEAR = 0.01  # [rad or m] from a posture at which the arm is there
+_NEAR = 0.01  # [rad or m] from a posture at which the arm is there
 THERE, BY_HAND = "there", "stopped by hand"  # why a motion ended
 NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9 ._-]{0,60}")
 
@@ -178,7 +178,7 @@ class TeachingSession:
             self._gripped()
         self._show_pose()
         now = time.monotonic()
-        if now - self._looked > SAID or not self._real:
+        if now - self._looked > _SAID or not self._real:
             self._looked = now
             self._show_state()
 
@@ -398,8 +398,8 @@ class TeachingSession:
         if not self._recordings:
             self._say("There is nothing to learn from: record the task first.", wrong=True)
             return
-        if len(self._recordings) < FEW:
-            self._refused(f"From fewer than {FEW} recordings what is held cannot be told from how a person moves.")
+        if len(self._recordings) < _FEW:
+            self._refused(f"From fewer than {_FEW} recordings what is held cannot be told from how a person moves.")
             return
         files, self._learnt_from = [str(one.path) for one in self._recordings], list(self._recordings)
         self._worker.ask("learn", files=files, handles=self._stations, out=str(self._constraint_file))
@@ -471,7 +471,7 @@ class TeachingSession:
         def over() -> str:
             if self._stop:
                 return BY_HAND
-            near = float(np.max(np.abs(self.robot.difference(self.arm.q, goal)))) < NEAR
+            near = float(np.max(np.abs(self.robot.difference(self.arm.q, goal)))) < _NEAR
             rested[0] = rested[0] + PERIOD if near else 0.0
             return THERE if rested[0] > STAYS else "" if until is None else until()
 

@@ -20,7 +20,7 @@ from manip_learn.robot.robot import Robot
 from manip_learn.teach.scene import REACHES
 
 STEP = 0.01  # [s] of a simulation, as the arm's period
-SHORTEST = {"m": 0.02, "rad": 0.05}  # [m or rad] a way that was shown and is worth doing again
+_SHORTEST = {"m": 0.02, "rad": 0.05}  # [m or rad] a way that was shown and is worth doing again
 ARRIVES = {"m": 2e-3, "rad": 4e-3}  # [m or rad] of a way that is done
 
 
@@ -132,7 +132,7 @@ class TaughtWay:
         for step in skill.steps:
             constraint = step.as_shown if step.kind == "way" else None
             shown = None if constraint is None else constraint.shown
-            if constraint is not None and shown is not None and shown.extent > SHORTEST[shown.unit]:
+            if constraint is not None and shown is not None and shown.extent > _SHORTEST[shown.unit]:
                 ways.append(TaughtWay(constraint, len(ways), abs(motion(constraint).wanted)))
         return ways
 
@@ -160,7 +160,7 @@ class TaughtWay:
 
     def to_dict(self) -> dict[str, Any]:
         """For the page's slider."""
-        return {"unit": self.unit, "low": SHORTEST[self.unit], "high": self.high, "value": self.value}
+        return {"unit": self.unit, "low": _SHORTEST[self.unit], "high": self.high, "value": self.value}
 
     def asked(self) -> dict[str, Any]:
         """As the worker takes it."""
@@ -174,7 +174,7 @@ class TaughtWay:
         """
         if not math.isfinite(value):
             raise ValueError("the way must be a finite number")
-        self.value = min(max(value, SHORTEST[self.unit]), self.high)
+        self.value = min(max(value, _SHORTEST[self.unit]), self.high)
 
     def task(self, place: ArrayLike | None = None) -> FreeDirection:
         """Go where it was shown to take hold, or where the handle is now [m], and what is left of the way."""
@@ -182,7 +182,7 @@ class TaughtWay:
         begin = shown.begin if place is None else np.asarray(place, dtype=np.float64)
         task = motion(self.constraint.showing(replace(shown, hold=begin, begin=begin)), beyond_shown=True)
         left = self.value - (self.at(begin) if shown.is_way else 0.0)
-        return task.with_distance(math.copysign(max(left, SHORTEST[self.unit]), task.wanted))
+        return task.with_distance(math.copysign(max(left, _SHORTEST[self.unit]), task.wanted))
 
     def rest(self, q: Float[np.ndarray, " nv"]) -> FreeDirection:
         """What is left of the way from a posture; a path on a surface is begun again."""

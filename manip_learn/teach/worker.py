@@ -22,10 +22,10 @@ from manip_learn.teach.scene import posture_at
 from manip_learn.teach.way import STEP, TaughtWay, held_by_handles
 
 PARENT_CHECK_SECONDS = 0.5  # between two looks for the parent
-STOP_SECONDS = 1.0  # for the process to end by itself
+_STOP_SECONDS = 1.0  # for the process to end by itself
 GENTLE = 10  # steps of niceness: on one core the physics go first
 MOST_KEYS = 400  # key frames of a ghost: 60 a second for seven seconds
-BAD_POSTURES, TRIED = 400, 24  # at random, a millisecond each; the worst of them are simulated, 0.2 s each
+BAD_POSTURES, _TRIED = 400, 24  # at random, a millisecond each; the worst of them are simulated, 0.2 s each
 
 
 @final
@@ -85,7 +85,7 @@ class TeachingWorker:
     def close(self) -> None:
         """End the process, whatever it does."""
         self._process.terminate()
-        self._process.join(STOP_SECONDS)
+        self._process.join(_STOP_SECONDS)
         if self._process.is_alive():
             self._process.kill()
             self._process.join()
@@ -203,7 +203,7 @@ def policies(
     return {"rollouts": ghosts, "sentence": "The three policies start from the same posture."}
 
 
-def compare(
+def _compare(
     robot: Robot, tip: str, said: Progress, *, file: str, way: Mapping[str, Any], start: ArrayLike
 ) -> dict[str, Any]:
     """With and without the learnt manipulability, as ghosts, from a posture in which doing without fails.
@@ -218,7 +218,7 @@ def compare(
     drawn = (robot.positions(robot.random_configuration(rng)) for _ in range(BAD_POSTURES))
     found = [q for d in drawn if (q := posture_at(robot, tip, d, place, firm=False, weakest=0.0)) is not None]
     inside = [q for q in found if np.all((robot.position_lower < q) & (q < robot.position_upper))]
-    bad = sorted([*inside, np.asarray(start, dtype=np.float64)], key=lambda q: manipulability(rows, q))[:TRIED]
+    bad = sorted([*inside, np.asarray(start, dtype=np.float64)], key=lambda q: manipulability(rows, q))[:_TRIED]
     with_it, without = {"with": "manipulability"}, {"without": "zero"}
     for k, q in enumerate(bad):
         said("looking for a start that matters", k / len(bad))
@@ -231,7 +231,7 @@ def compare(
     return {"rollouts": _simulated(robot, with_it | without, taught, bad[0]), "sentence": none}
 
 
-def plan(
+def _plan(
     robot: Robot, tip: str, said: Progress, *, file: str, way: Mapping[str, Any], start: ArrayLike, place: ArrayLike
 ) -> dict[str, Any]:
     """The posture in which to take hold, and the way of the joints to it: times [s] and postures."""
@@ -321,7 +321,7 @@ def take(robot: Robot, tip: str, said: Progress, *, what: str, **lesson: Any) ->
 JOBS: dict[str, Callable[..., Any]] = {
     "learn": learn,
     "policies": policies,
-    "compare": compare,
-    "plan": plan,
+    "compare": _compare,
+    "plan": _plan,
     "take": take,
 }

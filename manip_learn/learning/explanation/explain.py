@@ -43,9 +43,9 @@ MOST_PAIRED = 60  # windows that are taken in pairs
 # recordings, and pairs of them, that are taken at most: more propose the same rows again
 MOST_ALONE, MOST_PAIRS = 16, 24
 # windows, and pairs of them, that propose s rows, those with the clearest gaps
-MOST = 100
+_MOST = 100
 # rows closer together than this are one proposal [rad]
-SAME = np.radians(3.0)
+_SAME = np.radians(3.0)
 
 # keeps what does not move at all positive definite
 TINY = 1e-200
@@ -55,7 +55,7 @@ MOST_TESTED = 6
 # scales with which proposals are compared: rows of a window are off by degrees, those of a recording hardly
 FIRST_SCALES = (HeldScale(2.0, 0.1), HeldScale(2.0, 0.01))
 # proposals of each view and number of rows that are fitted, the turns of a fit, and the turns of all together
-KEPT, TURNS, SETTLING = 4, 4, 4
+_KEPT, TURNS, SETTLING = 4, 4, 4
 # numbers of the evidence of samples for hypotheses that are held in memory at a time: 16 MB, and as much again a few
 # times over on the way
 AT_ONCE = 2**21
@@ -97,7 +97,7 @@ def proposed(
     out: dict[int, list[np.ndarray]] = {s: [] for s in range(1, largest + 1)}
     wholes = [part for k in range(int(states.max(initial=0)) + 1) for part in _recordings(motion, states == k)]
     windows = [] if whole else _windows(motion, states == 0)
-    for parts, most in ((wholes, None), (windows, MOST)):
+    for parts, most in ((wholes, None), (windows, _MOST)):
         if not sum(len(part.M) for part in parts):
             continue
         sizes, directions = least_used(Moments(*map(np.concatenate, zip(*parts, strict=True))))
@@ -115,7 +115,7 @@ def distinct(rows: Float[np.ndarray, "h s r"], most: int | None = None) -> list[
     h, s, r = rows.shape
     projectors = (rows.transpose(0, 2, 1) @ rows).reshape(h, r * r)
     # tr(P1 P2) is the sum of the squared cosines of the principal angles
-    apart = s - projectors @ projectors.T > np.sin(SAME) ** 2
+    apart = s - projectors @ projectors.T > np.sin(_SAME) ** 2
     left, kept = np.arange(h), list[int]()
     while len(left) and (most is None or len(kept) < most):
         kept.append(int(left[0]))
@@ -187,7 +187,7 @@ def _window_moments(motion: RowMotion, lengths: Sequence[float]) -> Moments:
     return Moments(M, S, noise, np.concatenate(numbers))
 
 
-Key = TypeVar("Key", bound=Hashable)
+_Key = TypeVar("_Key", bound=Hashable)
 
 
 @final
@@ -390,7 +390,7 @@ def candidates(now: Explanation) -> list[Hypothesis]:
     for _, numbers in _grouped((h.view, h.n_rows) for h in tried):
         order = sorted((i for i in numbers if supports[i] > 0.0), key=lambda i: -supports[i])
         rows = np.stack([tried[i].rows for i in order]) if order else np.zeros((0, 1, 1))
-        chosen += [tried[order[i]] for i in distinct(rows, KEPT)]
+        chosen += [tried[order[i]] for i in distinct(rows, _KEPT)]
     return _fitted(now.views, chosen, baseline, now.switch)
 
 
@@ -459,9 +459,9 @@ def _evidence_of(
     return values
 
 
-def _grouped(keys: Iterable[Key]) -> list[tuple[Key, list[int]]]:
+def _grouped(keys: Iterable[_Key]) -> list[tuple[_Key, list[int]]]:
     """Places of the same key: what is the same for all of them is computed once."""
-    out: dict[Key, list[int]] = {}
+    out: dict[_Key, list[int]] = {}
     for i, key in enumerate(keys):
         out.setdefault(key, []).append(i)
     return list(out.items())
@@ -509,4 +509,4 @@ def _scaled(
 
 
 def _similar(first: Hypothesis, second: Hypothesis) -> bool:
-    return first.view == second.view and row_space_angle(first.rows, second.rows) < SAME
+    return first.view == second.view and row_space_angle(first.rows, second.rows) < _SAME

@@ -73,7 +73,7 @@ FIRM_ALONE_SHARE = 0.01
 FIRM_GAP = 40.0
 # share of the way along the rows, before a contact, by which its place may differ between recordings. Set by hand
 SAME_PLACE_SHARE = 0.02
-STEPS = 20  # of an integral along the joints' straight way
+_STEPS = 20  # of an integral along the joints' straight way
 # [deg] rows closer together than this are nearly the same. Set by hand
 NEARLY_SAME_DEG = 5.0
 # [robust standard deviations of the logarithm] by which a drift must exceed the usual one to be odd. Set by hand
@@ -411,7 +411,7 @@ def is_firm(table: Table, view: View, h: Hypothesis, stretches: Sequence[Stretch
         came.append(_extent(way))
         recording = table.recordings[x.trajectory]
         middles.append(recording.q[np.searchsorted(recording.time, 0.5 * (x.start + x.end))])
-    shares = (np.arange(STEPS) + 0.5) / STEPS
+    shares = (np.arange(_STEPS) + 0.5) / _STEPS
     off = []
     for q in middles[1:]:  # along the rows, on the straight way between the joints' positions
         between = view.features.batch(middles[0] + shares[:, None] * (q - middles[0]))

@@ -24,11 +24,11 @@ OVER_NOISE = 4.0
 # samples a second that are enough to judge a hypothesis; boundaries are found on all samples
 SCAN_RATE = 25.0
 # eigenvalues of Phi Phi^T at one posture below this are none: rows that depend on the others there
-RANK = 1e-8
+_RANK = 1e-8
 # attributes of `RowMotion` with a value for each sample
 OF_SAMPLES = ("time", "weight", "trajectory", "rates", "gram", "free", "noise")
 # postures of each recording whose mean place becomes the middle of the rows: it conditions the numbers only
-FEW = 50
+_FEW = 50
 
 
 @final
@@ -82,7 +82,7 @@ class RowMotion:
             regular = own + 1e-9 * np.trace(own, axis1=1, axis2=2)[:, None, None] * np.eye(r)
             used = np.einsum("npv,npv->nv", white, np.linalg.solve(regular, white))
             free[part] = np.sum(used * u**2, axis=1)
-        rank = int(np.median(np.linalg.matrix_rank(gram[:: max(1, n // 50)], RANK, hermitian=True)))
+        rank = int(np.median(np.linalg.matrix_rank(gram[:: max(1, n // 50)], _RANK, hermitian=True)))
         ends = np.stack([table.time[table.first[:-1]], table.time[table.first[1:] - 1]], axis=1)
         noise, of_table = table.noise[table.trajectory], (table.time, table.weight, table.trajectory, table.first)
         return RowMotion(*of_table, rates, gram, free / rank, noise, samples.whitening, rank, ends)
@@ -224,7 +224,7 @@ def mechanism_features(feature_maps: Sequence[FeatureMap], trajectories: Sequenc
     if not frames:
         return []
     robot, frame = frames[0].robot, frames[0].frame
-    few = np.concatenate([t.q[:: max(1, len(t) // FEW)] for t in trajectories])
+    few = np.concatenate([t.q[:: max(1, len(t) // _FEW)] for t in trajectories])
     middle = batch_kinematics(robot, frame).pose(few)[:, :3, 3].mean(axis=0)
     whole = set(frames[0].row_names) == set(AXES)
     forms: tuple[PlaceForm, ...] = ("point and rotation", "twist") if whole else ("point",)

@@ -56,8 +56,8 @@ LEAST_SAID_M = 1e-3
 # a quantity is the same for all trajectories if its residual grows by less than this ratio. Set by hand
 SHARED_LOSS = 1.15
 
-SAMPLES = 60  # of each trajectory in the first fit of a place
-MOST, LEAST = 4000, 60  # of all trajectories in the last fit, and of each
+_SAMPLES = 60  # of each trajectory in the first fit of a place
+_MOST, _LEAST = 4000, 60  # of all trajectories in the last fit, and of each
 ONTO = 3  # steps onto a mechanism: each squares what is left, 1 mm of half a metre
 BLIND = 1e-6  # rows of Phi below this are ones that the arm cannot move
 FORMS: tuple[PlaceForm, ...] = ("point and rotation", "twist", "surface")
@@ -151,7 +151,7 @@ def find_mechanism(
     if not numbers:
         raise NotIdentifiableError("no trajectory has ten samples: there is no path to look at", code="too-short")
     chosen, _ = earned([trajectories[i] for i in numbers], robot)
-    paths = TipPaths.of(robot, tip, [thinned(_postures(robot, t), SAMPLES) for t in chosen])
+    paths = TipPaths.of(robot, tip, [thinned(_postures(robot, t), _SAMPLES) for t in chosen])
     if max(np.ptp(paths.p, axis=0).max(), np.abs(paths.turns).max()) < 1e-3:
         raise NotIdentifiableError("the hand does not move in these trajectories", code="no-motion")
     moved = list(with_velocities(Demonstrations(chosen, ()), robot))
@@ -189,7 +189,7 @@ def find_mechanism(
                 "way in all recordings: what holds it has another shape, and is near to this one only there"
             )
     odd = tuple(i for i in range(len(trajectories)) if i not in {numbers[k] for k in members})
-    postures = [thinned(_postures(robot, t), max(LEAST, MOST // len(last))) for t in last]
+    postures = [thinned(_postures(robot, t), max(_LEAST, _MOST // len(last))) for t in last]
     found = dataclasses.replace(_placed(robot, tip, postures, start, rng, arm), odd=odd, variance=variance)
     if found.reason:
         return found
@@ -303,7 +303,7 @@ def find_curve(
     each direction that they hold [m^2], in that share of the time; else nothing holds. The trajectories are as
     recorded: smoothing costs the ends.
     """
-    paths = TipPaths.of(robot, robot.frame(frame), [thinned(_postures(robot, t), SAMPLES) for t in trajectories])
+    paths = TipPaths.of(robot, robot.frame(frame), [thinned(_postures(robot, t), _SAMPLES) for t in trajectories])
     found = fit_curve(paths)
     if found is None:
         return None

@@ -11,10 +11,10 @@ from manip_learn.errors import FeatureError
 from manip_learn.learning.mechanisms.place_fit import LEAST_RESIDUAL, alike
 from manip_learn.learning.mechanisms.quantities import TipPaths
 
-CUBIC = 3  # degree of the spline: its curvature is continuous
+_CUBIC = 3  # degree of the spline: its curvature is continuous
 PIECES = (2, 4, 8, 16, 32)  # of the spline that is fitted: as many as foretell the other trajectories best
-ROUNDS = 5  # of fitting, each to the places on the curve that are next to the samples
-POINTS = 4  # of the curve in each piece of the spline
+_ROUNDS = 5  # of fitting, each to the places on the curve that are next to the samples
+_POINTS = 4  # of the curve in each piece of the spline
 FIRST = 8  # points of the curve that the fit begins with
 
 
@@ -33,7 +33,7 @@ def fit_curve(paths: TipPaths) -> tuple[Curve, Float[np.ndarray, "N 3"]] | None:
         onward = np.unique(np.maximum.accumulate(away[: int(np.argmax(away)) + 1]), return_index=True)[1]
         curve = Curve(p[onward][np.linspace(0, len(onward) - 1, min(FIRST, len(onward))).round().astype(int)])
         for pieces in PIECES:
-            for _ in range(ROUNDS):
+            for _ in range(_ROUNDS):
                 curve = _through(curve, paths.p, pieces)
             off = np.empty_like(paths.p)
             for part in parts:
@@ -64,5 +64,5 @@ def _through(curve: Curve, p: Float[np.ndarray, "n 3"], pieces: int) -> Curve:
     order = np.argsort(s)
     s, p = s[order], p[order]
     inside = np.quantile(s, np.arange(1, pieces) / pieces)
-    knots = np.concatenate([np.full(CUBIC + 1, s[0]), inside, np.full(CUBIC + 1, s[-1])])
-    return Curve(make_lsq_spline(s, p, knots, CUBIC)(np.linspace(s[0], s[-1], POINTS * pieces + 1)))
+    knots = np.concatenate([np.full(_CUBIC + 1, s[0]), inside, np.full(_CUBIC + 1, s[-1])])
+    return Curve(make_lsq_spline(s, p, knots, _CUBIC)(np.linspace(s[0], s[-1], _POINTS * pieces + 1)))

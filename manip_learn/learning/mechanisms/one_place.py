@@ -32,7 +32,7 @@ from manip_learn.learning.mechanisms.quantities import QUANTITIES, Place, TipPat
 
 # [rad] standard deviation of the zeros that may explain a difference: that of arms of hobby servos, the worst there are
 WORST_ZEROS = np.radians(1.0)
-LEAST = LEAST_RESIDUAL["rad"]  # of the joints: less is no difference between places
+_LEAST = LEAST_RESIDUAL["rad"]  # of the joints: less is no difference between places
 
 
 @final
@@ -96,7 +96,7 @@ def misfit(fit: PlaceFit) -> tuple[float, float]:
             for p, own, mine in zip(parts, products, along, strict=True)
         ]
     )
-    n, floor = scale.samples / alike(foretold, parts), scale.samples * LEAST**2
+    n, floor = scale.samples / alike(foretold, parts), scale.samples * _LEAST**2
     gain = 0.5 * n * np.log((left + floor) / (float(np.sum(foretold**2)) + floor))
     return float(gain), left / max(fit.cost, np.finfo(np.float64).tiny)
 
@@ -153,18 +153,18 @@ class Scale:
     def of(each: Sequence[Group]) -> Scale:
         """As it is beside a place of their own."""
         samples = sum(g.fit.weights.n_residuals - g.fit.constants.size for g in each)
-        variance = sum(g.sums[2] for g in each) / samples + LEAST**2
+        variance = sum(g.sums[2] for g in each) / samples + _LEAST**2
         zeros, cost = zeros_of(each, variance)
         left, parts, start = [], [], 0
         for g in each:
             r, K = g.reduced
             left.append(r + (K @ zeros).reshape(r.shape))
             parts.append(slice(start, start := start + len(r)))
-        return Scale(samples / alike(np.concatenate(left), parts), samples, cost / samples + LEAST**2)
+        return Scale(samples / alike(np.concatenate(left), parts), samples, cost / samples + _LEAST**2)
 
     def gain(self, fewer: Sequence[Group], more: Sequence[Group]) -> float:
         """Of more places over fewer [nats]."""
-        costs = [zeros_of(groups, self.variance)[1] + self.samples * LEAST**2 for groups in (fewer, more)]
+        costs = [zeros_of(groups, self.variance)[1] + self.samples * _LEAST**2 for groups in (fewer, more)]
         numbers = sum(g.fit.m for g in more) - sum(g.fit.m for g in fewer)
         return 0.5 * self.independent * np.log(costs[0] / costs[1]) - 0.5 * numbers * np.log(max(self.independent, 2.0))
 

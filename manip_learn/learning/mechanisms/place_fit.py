@@ -50,13 +50,13 @@ STATED_SHARE_OF_PLACES = 0.683
 # residuals below these are no difference: rails, tables and encoders are no better. Set by hand
 LEAST_RESIDUAL = {"m": 2e-5, "rad": 4e-5}
 
-ITERATIONS, ROUNDS = 25, 2  # weights are those of the place where a round of steps begins
-SETTLED = 1e-6  # squared length of the last step in standard errors
+ITERATIONS, _ROUNDS = 25, 2  # weights are those of the place where a round of steps begins
+_SETTLED = 1e-6  # squared length of the last step in standard errors
 ASTRAY = 10.0  # [m] a centre that far away is not coming back
 UNDETERMINED = 1e-12  # curvatures below this share of the largest are none
-LEVERAGE_FLOOR = 1e-6
+_LEVERAGE_FLOOR = 1e-6
 LONGEST = 100  # samples over which neighbours may share their noise
-DRAWS = 1000
+_DRAWS = 1000
 
 
 @final
@@ -198,7 +198,7 @@ class PlaceFit:
         gradients, H = self.scores
         total, u = H.sum(axis=0), self.slopes.shape[2]
         size = np.maximum(np.sqrt(np.diag(total)), 1e-150)  # an unknown that the data do not move stays where it is
-        rest = (total - H) / np.outer(size, size) + LEVERAGE_FLOOR * np.eye(u)
+        rest = (total - H) / np.outer(size, size) + _LEVERAGE_FLOOR * np.eye(u)
         steps = np.linalg.solve(rest, (gradients / size)[:, :, None])[:, :, 0] / size
         left = [self.residuals[c] + self.slopes[c] @ step for c, step in zip(self.clusters, steps, strict=True)]
         out, held, column = (self.weights.back @ np.concatenate(left)[:, :, None])[:, :, 0], {}, 0
@@ -300,11 +300,11 @@ class PlaceFit:
         alone = dataclasses.replace(self, residuals=residuals)
         covariance, freedom, alike = alone.noise
         values, vectors = np.linalg.eigh(covariance)
-        drawn = rng.standard_normal((DRAWS, len(values))) @ (vectors * np.sqrt(values.clip(0.0))) @ vectors.T
+        drawn = rng.standard_normal((_DRAWS, len(values))) @ (vectors * np.sqrt(values.clip(0.0))) @ vectors.T
         if np.isfinite(freedom):
-            drawn /= np.sqrt(rng.chisquare(freedom, DRAWS) / freedom)[:, None]
+            drawn /= np.sqrt(rng.chisquare(freedom, _DRAWS) / freedom)[:, None]
         offsets = dataclasses.replace(offsets, variance=alike * alone.variance, expected=arm.zeros)
-        by_the_arm = offsets.draws(DRAWS, rng)
+        by_the_arm = offsets.draws(_DRAWS, rng)
         drawn += by_the_arm @ offsets.response.T
         numbers = drawn[:, : self.m] @ tangents(self.kind, self.place).T
         numbers[:, :3] *= np.sign(self.place.as_told().axis @ self.place.axis)
@@ -374,14 +374,14 @@ def fit_place(
     are found along with the place.
     """
     middle, place = paths.p.mean(axis=0), start
-    for _ in range(ROUNDS if weights is None else 1):
+    for _ in range(_ROUNDS if weights is None else 1):
         if "point" not in kind.unknowns:
             place = Place(place.axis, place.point + ((middle - place.point) @ place.axis) * place.axis, place.pitch)
         here = descend(
             PlaceFit.at(paths, kind, place, shared, weights),
             PlaceFit.moved,
             ITERATIONS if kind.unknowns else 0,
-            settled=lambda fit, step, H: bool(step @ H @ step <= SETTLED * fit.variance),
+            settled=lambda fit, step, H: bool(step @ H @ step <= _SETTLED * fit.variance),
             stop=lambda fit: bool(np.linalg.norm(fit.place.point - middle) > ASTRAY),
         )
         place = here.place

@@ -13,7 +13,7 @@ from jaxtyping import Float
 
 from manip_learn.robot.joints import motion_along
 
-THICK = 0.043  # radius at the base, share of the reach, as of arms that are sold
+_THICK = 0.043  # radius at the base, share of the reach, as of arms that are sold
 TAPER = 0.55  # radius at the last joint, share of the radius at the base
 TIP = 0.8  # radius at the end, share of the radius at the last joint
 SHORTEST_BONE = 0.2  # length from which there is a bone, share of its radius
@@ -82,4 +82,4 @@ def link_radii(model: pin.Model) -> Float[np.ndarray, " J"]:
         reach[i] = reach[model.parents[i]] + float(np.linalg.norm(model.jointPlacements[i].translation))
     tips = [reach[i] + float(np.linalg.norm(p)) for i, p in link_ends(model).items()]
     scale = max([float(reach.max()), *tips, 1e-3])
-    return THICK * scale * (1.0 - (1.0 - TAPER) * depth / max(int(depth.max()), 1))
+    return _THICK * scale * (1.0 - (1.0 - TAPER) * depth / max(int(depth.max()), 1))
