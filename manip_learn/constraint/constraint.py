@@ -30,8 +30,7 @@ from manip_learn.robot.robot import Robot
 
 _FORMAT = "manip_learn.constraint"
 SCHEMA = 1
-SIGNATURE = "sha256"  # entry of a file: the SHA-256 of those that say what an arm does; the robot is compared anyway
-SIGNED = ("features", "selection", "provenance", "skill")
+SIGNATURE = "sha256"  # entry of a file: the SHA-256 of what says where an arm goes
 NOT_EXACT = 1e-9  # of an entry of Lambda: rows written with ten digits are taken
 
 
@@ -411,11 +410,12 @@ def _orthonormal(selection: ArrayLike, features: FeatureMap) -> np.ndarray:
 
 
 def signed(content: Mapping[str, Any]) -> dict[str, Any]:
-    """The content of a constraint file with the SHA-256 of its entries `SIGNED`, by which a later change is noticed."""
-    digest = hashlib.sha256()
-    for key in SIGNED:
-        if key in content:
-            digest.update(_canonical(content[key]).encode())
+    """The content of a constraint file with the SHA-256 of its rows, what was shown along them, and the steps of a skill:
+    a later change of these is noticed, one of what is only told, such as the phases, does not count.
+    """
+    shown = (content.get("provenance") or {}).get("shown")
+    moving = (content.get("features"), content.get("selection"), shown, content.get("skill"))
+    digest = hashlib.sha256(_canonical(moving).encode())
     return {**content, SIGNATURE: digest.hexdigest()}
 
 
