@@ -410,7 +410,7 @@ def _orthonormal(selection: ArrayLike, features: FeatureMap) -> np.ndarray:
 
 
 def signed(content: Mapping[str, Any]) -> dict[str, Any]:
-    """The content of a constraint file with the SHA-256 of its rows, what was shown along them, and the steps of a skill:
+    """The content of a constraint file with the SHA-256 of its rows, of what was shown, and of the steps of a skill:
     a later change of these is noticed, one of what is only told, such as the phases, does not count.
     """
     shown = (content.get("provenance") or {}).get("shown")
