@@ -7,7 +7,6 @@ const MAGNET = 26; // [px] around a handle within which a hand that is drawn ove
 const GLIDE = 0.4; // [m/s] at which a pull goes to a handle by itself: as fast as a person reaches for something near
 const FELT = 0.01; // [m] of a handle's motion that show which way it goes
 const TOLD = 0.25; // [rad] that the view was turned by who may have meant the hand
-const TOUCH = matchMedia("(pointer: coarse)");
 const AT_VIEWER = 0.85; // cosine of the angle between a way and the view from which on a drag can hardly follow it
 
 class Hand {
