@@ -48,4 +48,4 @@ def test_each_kind_of_fault_is_made():
 def test_the_nearest_test_files_come_first():
     """Those that bear the file's name, then those that import it and least else."""
     assert nearest_tests("manip_learn/linalg.py")[0] == "tests/test_linalg.py"
-    assert "tests/test_metrics.py" in nearest_tests("manip_learn/experiments/metrics.py")
+    assert "tests/test_experiments.py" in nearest_tests("manip_learn/experiments/metrics.py")

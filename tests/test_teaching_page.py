@@ -138,8 +138,8 @@ class Program:
             handler.end_headers()
             self.stream(handler, page)
         else:
-            body = self.page if path == f"/{TOKEN}/" else b"a file"
-            kind = "text/html" if body is self.page else "text/csv"
+            body = self.page if path == f"/{TOKEN}/" else b"" if path.endswith(".js") else b"a file"
+            kind = "text/html" if body is self.page else "text/csv" if body else "text/javascript"
             handler.send_response(200)
             handler.send_header("Content-Type", f"{kind}; charset=utf-8")
             handler.send_header("Content-Length", str(len(body)))
