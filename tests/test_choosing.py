@@ -180,6 +180,7 @@ def test_a_recording_that_repeats_another_counts_once(features, held, arriving):
     np.testing.assert_array_equal(twice.constraint_.selection, once.constraint_.selection)
 
 
+@pytest.mark.slow
 def test_memory_does_not_grow(features, held):
     """Five times as many samples need no more memory."""
 

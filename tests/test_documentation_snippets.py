@@ -30,7 +30,14 @@ def is_runnable(block: Block) -> bool:
 WITH_SNIPPETS = [page for page in PAGES if any(map(is_runnable, blocks(page)))]
 
 
-@pytest.mark.parametrize("page", WITH_SNIPPETS, ids=lambda p: p.stem)
+# pages that learn many times
+LONG = ("how_to_choose", "uncut_recordings")
+
+
+@pytest.mark.parametrize(
+    "page",
+    [pytest.param(page, marks=[pytest.mark.slow] * (page.stem in LONG), id=page.stem) for page in WITH_SNIPPETS],
+)
 @pytest.mark.timeout(300)
 def test_snippets_run(page, tmp_path, monkeypatch, capsys):
     """The blocks of a page run in their order, share their names and files, and print what the page shows."""

@@ -109,6 +109,7 @@ def test_singular_start_is_the_papers_picture(singular):
     assert numbers["attractor, dt 0.02 s"]["min_manipulability"] == pytest.approx(0.0831, abs=1e-3)
 
 
+@pytest.mark.slow
 def test_near_singular_start_is_not(near_singular):
     """The leap of 6e11 rad/s happens in joint 2 only, whatever the policy; what Figure 2 shows of the policies holds.
 

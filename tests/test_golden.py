@@ -7,9 +7,12 @@ import subprocess
 import sys
 from pathlib import Path
 
+import pytest
+
 ROOT = Path(__file__).resolve().parents[1]
 
 
+@pytest.mark.slow
 def test_results_are_those_that_were_written_down():
     """Learning, kinematics, commands, rollouts and the command line give the stored numbers."""
     # another Python, as a user's: here the library was imported with its shapes checked, several times as slow

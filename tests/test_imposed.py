@@ -31,7 +31,7 @@ from efficiency import measure, motion_of, noisy  # noqa: E402
     [
         pytest.param("planar3", "quadratic", 0.01, (100, 10), 5, marks=pytest.mark.slow),
         pytest.param("planar3", "fast-sinusoidal", 0.001, (100, 10), 5, marks=pytest.mark.slow),
-        ("sawyer", "sinusoidal", 0.01, (50, 10), 2),
+        pytest.param("sawyer", "sinusoidal", 0.01, (50, 10), 2, marks=pytest.mark.slow),
     ],
 )
 def test_close_to_the_cramer_rao_bound(arm, policy, noise, size, sets):
@@ -172,6 +172,7 @@ def test_an_uncertainty_beyond_thirty_degrees_is_no_answer():
     check_uncertainty(dataclasses.replace(estimate, name="null-space"), 31.0)
 
 
+@pytest.mark.slow
 def test_ten_long_trajectories_of_an_arm():
     """Two rows are commanded and a third is not answered, although the policy is curved and trajectories are few."""
     rng = np.random.default_rng([3, 0])

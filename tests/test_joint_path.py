@@ -65,7 +65,7 @@ def sawyer() -> ml.Robot:
     return ml.load_robot("sawyer")
 
 
-@pytest.mark.parametrize("name", ["sawyer", "panda", "kinova", 2, 5])
+@pytest.mark.parametrize("name", ["sawyer", "panda", pytest.param("kinova", marks=pytest.mark.slow), 2, 5])
 def test_paths_are_clear_and_repeated(roboplan, name, tmp_path: Path):
     """Shapes of every kind, mimic, continuous and sliding joints, trees, and robots whose links are capsules."""
     robot = random_tree(np.random.default_rng(name), tmp_path) if isinstance(name, int) else ml.load_robot(name)

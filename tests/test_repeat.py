@@ -49,6 +49,7 @@ def test_a_skill_has_its_steps_in_order(tmp_path: Path):
     assert [step.kind for step in alone.steps] == ["reach", "way"]
 
 
+@pytest.mark.slow
 def test_a_wipe_that_begins_straight_is_no_drawer():
     """A table and then a lid: two constraints in this order, and the wipe begins where the hand was put down."""
     robot, tip, demos, things, _ = recordings(("table", "lid"), "panda", 61000)
@@ -118,7 +119,7 @@ class Arm:
         self.told.append((word, self.robot.position(self.q, self.tip)))
 
 
-@pytest.mark.parametrize("by", ["position", "effort"])
+@pytest.mark.parametrize("by", [pytest.param("position", marks=pytest.mark.slow), "effort"])
 def test_a_gripper_closes_at_the_handle_and_opens_at_the_end_of_the_way(by: str, tmp_path: Path):
     """Learnt from the finger's joint or its effort; the driver is told where the hand is there; the finger goes too."""
     _, tip, demos, (thing,), _ = recordings(("drawer",), "panda", 70000)

@@ -62,7 +62,8 @@ def test_nothing_to_separate_is_refused(rng):
         estimate_separate(samples, 2, rng)
 
 
-@pytest.mark.parametrize("rows", ["x rz", *(pytest.param(rows, marks=pytest.mark.slow) for rows in ("x y", "y rz"))])
+@pytest.mark.slow
+@pytest.mark.parametrize("rows", ["x rz", "x y", "y rz"])
 def test_demonstrators_with_postures_of_their_own(rng, rows):
     """Each demonstrator has another rest posture: told so or not, the learner finds the exact rows and their number.
 

@@ -103,7 +103,7 @@ def errors_of(person: Person) -> dict[str, float]:
     return {name: float(said.split()[0]) for name, said in person.state["truth"]["errors"] if name != "kind"}
 
 
-@pytest.mark.parametrize("kind", ["loose-door", pytest.param("screw", marks=pytest.mark.slow)])
+@pytest.mark.parametrize("kind", [pytest.param(k, marks=pytest.mark.slow) for k in ("loose-door", "screw")])
 def test_a_task_shown_by_hand_is_understood_and_done(sawyer, tmp_path, kind):
     """Five unsteady demonstrations give the axis to 1 degree and 5 mm; the arm then goes to the handle and does all of
     the way by itself, and what it moved is moved so far.
@@ -190,6 +190,7 @@ def test_a_drawer_from_the_first_recording_to_what_is_taken_home(sawyer, tmp_pat
     assert (session.folder / "again.html").exists() and "drawer" in again.stdout
 
 
+@pytest.mark.slow
 def test_nothing_is_claimed_in_free_space_and_two_recordings_are_too_few(sawyer, tmp_path):
     """Free motion is refused, in words that say what to show next, with a button that the page offers for it; after too
     few recordings the button records.
