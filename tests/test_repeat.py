@@ -190,9 +190,11 @@ def test_the_command_line(tmp_path: Path, capsys: pytest.CaptureFixture[str]):
     said = capsys.readouterr().out
     assert "took hold at the same place" in said and f"next: manip-learn repeat panda {task}" in said
     start = ",".join(map(str, HOME))
-    assert main(["repeat", "panda", str(task), "--start", start, "--json", *lock]) == 0
-    answer = json.loads(capsys.readouterr().out)
-    assert answer["done"] is True
+    run = tmp_path / "run.npz"
+    assert main(["repeat", "panda", str(task), "--start", start, "--json", "--out", str(run), *lock]) == 0
+    answer, rollout = json.loads(capsys.readouterr().out), ml.Rollout.load(run)
+    assert answer["done"] is True and answer["duration"] == rollout.time[-1]
+    assert answer["min_manipulability"] == rollout.manipulability.min()
     assert [set(step) >= {"kind", "wanted", "done", "deviation", "stopped_by"} for step in answer["steps"]] == [
         True
     ] * 5
