@@ -192,12 +192,14 @@ def main() -> int:
             (shutil.copytree if (ROOT / name).is_dir() else shutil.copy)(ROOT / name, project / name)
         for file, fault in (chosen[i] for i in rng.permutation(len(chosen))):
             tests, path = nearest_tests(file), project / file
+            if time.monotonic() > end or not tests:
+                continue
             if file not in seconds:
                 before = time.monotonic()
                 seconds[file] = time.monotonic() - before if passes(project, tests, 3600.0) else np.inf
                 if not np.isfinite(seconds[file]):
                     print(f"{file} is left out: {' '.join(tests)} fail without any fault", file=sys.stderr)
-            if time.monotonic() > end or not tests or not np.isfinite(seconds[file]):
+            if not np.isfinite(seconds[file]):
                 continue
             tried += 1
             original = path.read_text(encoding="utf-8")
