@@ -6,6 +6,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from test_playback import data_in
 
 import manip_learn as ml
 from manip_learn.errors import RecordingError
@@ -49,6 +50,16 @@ def test_a_rollout_carries_what_stands_around(planned: ml.Plan, sawyer: ml.Robot
     file.write_text(file.read_text().replace('"kind": "sphere"', '"kind": "cloud"'))
     with pytest.raises(RecordingError):
         ml.Rollout.load(file, sawyer)
+
+
+def test_a_page_draws_what_stands_around(planned: ml.Plan, sawyer: ml.Robot, tmp_path: Path):
+    """Each thing with its kind, size and place, and the mesh with its own."""
+    ml.replay(sawyer, {"plan": planned.rollout}, tmp_path / "a.html", open_browser=False)
+    things = {thing["name"]: thing for thing in data_in(tmp_path / "a.html")["rollouts"][0]["around"]}
+    assert things["box"]["size"] == [0.3, 0.2, 0.1] and things["post"]["size"] == [0.05, 0.4]
+    places = {name: np.reshape(thing["pose"], (4, 4))[:3, 3].tolist() for name, thing in things.items()}
+    assert places["box"] == [0.3, 0.9, 0.2] and places["ball"] == [0.3, -0.9, 0.2]
+    assert [name for name, thing in things.items() if thing["mesh"]] == ["wedge"]
 
 
 @pytest.mark.parametrize("kind", ["drawer", "door", "table"])
