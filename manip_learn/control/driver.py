@@ -24,7 +24,7 @@ from manip_learn.robot.identity import RobotIdentity
 from manip_learn.robot.robot import Robot
 
 _LATE = 0.5  # share of a period by which a cycle begins late to be counted
-_SAMPLES = 100_000  # of a record at most: a longer run keeps every second, fourth, ... cycle
+SAMPLES = 100_000  # of a record at most: a longer run keeps every second, fourth, ... cycle
 LONGEST_STOP = 10.0  # [s] for braking and letting go, after which a run ends in any case
 SLOW_AFTER = 1.0  # [s] in which more than half of the periods were missed: the period cannot be held
 # [rad or m] by which no arm goes off that is sent to where it is: brakes that open, a payload and a push of 20 N give a
@@ -305,7 +305,7 @@ class _Cycle:
         q = self._loop.measured
         if q is not None:
             self._samples.append((t, q, command))
-        if len(self._samples) > _SAMPLES:
+        if len(self._samples) > SAMPLES:
             self._samples, self._stride = self._samples[::2], 2 * self._stride
 
     def record(self) -> RunRecord:

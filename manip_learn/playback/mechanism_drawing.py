@@ -288,7 +288,7 @@ def furniture_of(
     Raises:
         RecordingError: A mechanism with numbers of a wrong size or not finite.
     """
-    if not mechanism or mechanism.get("type") not in _KINDS or not len(path):
+    if not mechanism or str(mechanism.get("type")) not in _KINDS or not len(path):
         return None
     geometry, kind = Geometry.of(mechanism), _KINDS[mechanism["type"]]
     axis, point, pitch = geometry.axis, geometry.point, geometry.pitch
