@@ -25,6 +25,7 @@ from manip_learn.constraint.shown import Shown
 from manip_learn.constraint.task_frame import TaskFrame, task_frame
 from manip_learn.errors import DAMAGE, ConstraintError, ConstraintMismatchError, ManipLearnError, an, spoken
 from manip_learn.linalg import along_axes, finite, manipulability_of, orthonormal_rows
+from manip_learn.recordings.readers.recording import reason_of
 from manip_learn.robot import html_card
 from manip_learn.robot.robot import Robot
 
@@ -433,7 +434,7 @@ def _canonical(value: Any) -> str:
 
 def damaged(source: str, error: BaseException) -> ConstraintMismatchError:
     """The refusal of a file whose reading raised an error."""
-    said = f"it lacks {error}" if isinstance(error, KeyError) else " ".join(str(error).split()) or "it ends too early"
+    said = f"it lacks {error}" if isinstance(error, KeyError) else reason_of(error)
     return ConstraintMismatchError(f"{source} is damaged: {said}. Fetch the original, or learn it again")
 
 

@@ -12,7 +12,7 @@ from typing import Any, final
 import numpy as np
 from jaxtyping import Float
 
-from manip_learn.constraint.constraint import Constraint, signed
+from manip_learn.constraint.constraint import Constraint
 from manip_learn.constraint.manipulability import manipulability
 from manip_learn.control.command import Status
 from manip_learn.errors import FeatureError, RecordingError, printable, spoken
@@ -268,7 +268,7 @@ def written_constraint(constraint: Constraint) -> Mapping[str, Any] | None:
     """A constraint as a rollout keeps it; None if its features, or what it came from, cannot be written."""
     provenance = {k: v for k, v in constraint.provenance.items() if k not in ("phases", "odd_trajectories")}
     try:
-        content = signed(constraint.to_dict() | {"provenance": provenance})
+        content = constraint.to_dict() | {"provenance": provenance}
         json.dumps(provenance, allow_nan=False)
     except (FeatureError, TypeError, ValueError):  # Python functions; an entry of the user's own
         return None

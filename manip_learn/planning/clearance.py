@@ -64,9 +64,8 @@ class Clearance:
         self.links = found.with_obstacles(around.obstacles, self._own)
         self._start, self._around, self._behind = start, around, AWAY
         touching = sorted(self._pairs(start, 0, 0.0), key=lambda pair: -pair.distance)
-        for name in sorted(
-            around.assumed & {pair.links[1] for pair in touching}
-        ):  # it gives way to links that are in it
+        in_the_way = around.assumed & {pair.links[1] for pair in touching}
+        for name in sorted(in_the_way):  # it gives way to links that are in it
             inside = {pair.links[0]: CLEARANCE - pair.distance for pair in touching if pair.links[1] == name}
             self._around = self._around.with_room(name, inside)
             who, are = " and ".join(map(repr, inside)), "are" if len(inside) > 1 else "is"
