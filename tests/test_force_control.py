@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import re
 from pathlib import Path
 
 import numpy as np
@@ -42,12 +41,6 @@ def posture(robot) -> np.ndarray:
 def hinge(robot, rows: str) -> Constraint:
     features = MechanismRows(robot, "tool0", rows, axis=AXIS, point=POINT)
     return Constraint(np.eye(features.n_rows), features)
-
-
-def numbers(name: str, text: str) -> np.ndarray:
-    found = re.search(rf"global {name} = p?\[([^\]]*)\]", text)
-    assert found is not None
-    return np.array([float(x) for x in found[1].split(",")])
 
 
 def test_stiffness_is_compliant_where_the_environment_holds(ur5):
@@ -89,49 +82,6 @@ def test_hand_inertia_is_that_of_the_dynamics(ur5):
     inertia = ur5.hand_inertia(q, "tool0")
     assert inertia is not None  # its least share, 1e-3 1/kg for each of 4 N, is added to the acceleration
     assert np.allclose(np.linalg.solve(inertia, wrench), acceleration, atol=4e-3)
-
-
-def test_urscript_frame_follows_the_hand(ur5):
-    """The script's frame, computed as the controller computes it, is the task frame of wherever the hand is; poses are
-    in the controller's base; held axes are compliant with a speed, others keep to a deviation.
-    """
-    rng = np.random.default_rng(5)
-    cases = {
-        "axis": hinge(ur5, "radial axial"),
-        "no": Constraint([[0.2, 0.1, 0.9]], FrameJacobian(ur5, "tool0", "xyz")),
-        "hand": Constraint(np.eye(6)[[2, 3, 4]], FrameJacobian(ur5, "tool0", "pose", "local")),
-    }
-    for turns, constraint in cases.items():
-        with case(turns):
-            text = urscript(constraint, posture(ur5))
-            pose = numbers("at", text)
-            at = np.eye(4)
-            at[:3, 3], at[:3, :3] = pose[:3], Rotation.from_rotvec(pose[3:]).as_matrix()
-            for q in [posture(ur5), ur5.random_configuration(rng)]:
-                base = np.linalg.inv(ur5.pose(q, "base"))
-                tcp, frame = base @ ur5.pose(q, "tool0"), constraint.task_frame(q)
-                if turns == "hand":
-                    now = tcp @ at
-                elif turns == "axis":
-                    out, turn = np.linalg.inv(at) @ tcp, np.eye(4)
-                    turn[:3, :3] = Rotation.from_euler("z", np.arctan2(out[1, 3], out[0, 3])).as_matrix()
-                    now = at @ turn
-                else:
-                    now = at.copy()
-                    now[:3, 3] = tcp[:3, 3]
-                wanted = base @ frame.pose
-                assert np.allclose(now[:3, :3], wanted[:3, :3], atol=1e-7)
-                if turns != "axis":  # about an axis the origin may be anywhere on it
-                    assert np.allclose(now[:3, 3], wanted[:3, 3], atol=1e-7)
-                given = force_mode(constraint, q)
-                assert np.allclose(given["task_frame"][:3], wanted[:3, 3])
-                assert np.allclose(Rotation.from_rotvec(given["task_frame"][3:]).as_matrix(), wanted[:3, :3])
-            held = np.array(constraint.task_frame(posture(ur5)).along("held"))
-            assert np.array_equal(force_mode(constraint, posture(ur5))["selection_vector"], held)
-            assert np.array_equal(numbers("selection", text), held)
-            assert np.array_equal(numbers("limits", text), np.where(held, 0.25, 0.01))
-            opened = len(re.findall(r"^ *(?:def|thread|while) .*:$", text, re.M))
-            assert opened == len(re.findall(r"^ *end$", text, re.M)) == 5
 
 
 def test_moveit_regions_hold_the_way_and_little_else(ur5):

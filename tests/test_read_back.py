@@ -16,7 +16,7 @@ from scipy.spatial.transform import Rotation
 
 import manip_learn as ml
 from manip_learn.constraint.features import MechanismRows
-from manip_learn.control.interop.force_control import moveit_constraints, urscript
+from manip_learn.control.interop.force_control import force_mode, moveit_constraints, urscript
 
 # words that run, end a line, or turn into numbers where they are pasted into a program or a table
 EVIL = "2e5 tip'\" : {no}] # \\ end"
@@ -148,7 +148,9 @@ def test_urscript_computes_the_task_frame(robot):
                     assert np.linalg.norm(np.cross(now[:3, 3] - wanted[:3, 3], wanted[:3, 2])) < 1e-6
                 else:
                     np.testing.assert_allclose(now[:3, 3], wanted[:3, 3], atol=1e-6)
-                assert program.known["selection"] == [int(held) for held in frame.along("held")]
+                given = force_mode(constraint, q)
+                np.testing.assert_allclose(matrix(given["task_frame"]), wanted, atol=1e-7)
+                assert program.known["selection"] == given["selection_vector"] == [int(h) for h in frame.along("held")]
                 for held, limit in zip(program.known["selection"], program.known["limits"], strict=True):
                     assert limit == (0.25 if held else 0.01)
     text = urscript(constraints["no"], ways[0])

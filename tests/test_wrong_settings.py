@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 from collections.abc import Callable
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 import pytest
@@ -36,59 +36,57 @@ def as_it_is(q: np.ndarray, i: int) -> np.ndarray:
     return q
 
 
-# what is wrong, positions, further words of the command, and what becomes of it: a code, `right` (no effect),
-# `told` (a warning, fewer rows, or a larger stated angle than 0.5 degrees), or the words of the documented list
-QUICK: list[tuple[str, Change, list[str], str]] = [
-    ("degrees in the file", lambda q, i: np.degrees(q), [], "degrees"),
-    ("--degrees for radians", as_it_is, ["--degrees"], "degrees"),
-    ("one joint in degrees", lambda q, i: q * [1, 1, 1, 1, 1, 57.29578], [], "degrees"),
-    ("the base as the frame", as_it_is, ["--frame", "base_link"], "zero-features"),
-    (
-        "the arm is another, with other joints",
-        as_it_is,
-        ["--robot", "sawyer", "--frame", "right_hand"],
-        "missing-joint",
-    ),
+class Setting(NamedTuple):
+    """What is wrong, and what becomes of it: a code, `right` (no effect), `told` (a warning, fewer rows, or a larger
+    stated angle than 0.5 degrees), or the words of the documented list.
+    """
+
+    name: str
+    wanted: str
+    change: Change = as_it_is
+    options: tuple[str, ...] = ()
+    robot: str = ROBOT
+    frame: str = TIP
+    clock: float = 1.0  # seconds that the file has for each
+
+
+QUICK = [
+    Setting("degrees in the file", "degrees", lambda q, i: np.degrees(q)),
+    Setting("--degrees for radians", "degrees", options=("--degrees",)),
+    Setting("one joint in degrees", "degrees", lambda q, i: q * [1, 1, 1, 1, 1, 57.29578]),
+    Setting("the base as the frame", "zero-features", frame="base_link"),
+    Setting("another arm", "missing-joint", robot="sawyer", frame="right_hand"),
 ]
-SLOW: list[tuple[str, Change, list[str], str]] = [
-    ("nothing", as_it_is, [], "right"),
-    ("a clock ten times too slow", as_it_is, ["--clock", "10"], "stamps in another unit"),
-    ("order, joints 1 and 3", swapped(0, 2), [], "told"),
-    ("order, joints 2 and 3", swapped(1, 2), [], "told"),
-    ("order, the last two", swapped(4, 5), [], "weak-gap"),
-    ("order, reversed", lambda q, i: q[:, ::-1], [], "weak-gap"),
-    ("order, in half of the files", swapped(4, 5, 3), [], "told"),
-    ("a link of the wrist as the frame", as_it_is, ["--frame", "wrist_1_link"], "weak-gap"),
-    ("the flange as the frame, held firmly", as_it_is, ["--frame", "wrist_3_link"], "right"),
-    ("a UR5 for a UR5e", as_it_is, ["--robot", "ur5"], "told"),
-    ("a UR10e for a UR5e", as_it_is, ["--robot", "ur10e"], "told"),
-    ("joint 1 mirrored", mirrored(0), [], "told"),
-    ("joint 2 mirrored", mirrored(1), [], "weak-gap"),
-    ("the last joint mirrored", mirrored(5), [], "right"),
-    ("zero of joint 1 off by 90 degrees", moved(0, np.pi / 2), [], "the first joint's zero"),
-    ("zero of joint 2 off by 90 degrees", moved(1, np.pi / 2), [], "told"),
-    ("zero of joint 4 off by 5 degrees", moved(3, np.radians(5.0)), [], "told"),
-    ("the base turned between two days", moved(0, 0.5, 3), [], "told"),
+SLOW = [
+    Setting("nothing", "right"),
+    Setting("a clock ten times too slow", "stamps in another unit", clock=10.0),
+    Setting("order, joints 1 and 3", "told", swapped(0, 2)),
+    Setting("order, joints 2 and 3", "told", swapped(1, 2)),
+    Setting("order, the last two", "weak-gap", swapped(4, 5)),
+    Setting("order, reversed", "weak-gap", lambda q, i: q[:, ::-1]),
+    Setting("order, in half of the files", "told", swapped(4, 5, 3)),
+    Setting("a link of the wrist as the frame", "weak-gap", frame="wrist_1_link"),
+    Setting("the flange as the frame, held firmly", "right", frame="wrist_3_link"),
+    Setting("a UR5 for a UR5e", "told", robot="ur5"),
+    Setting("a UR10e for a UR5e", "told", robot="ur10e"),
+    Setting("joint 1 mirrored", "told", mirrored(0)),
+    Setting("joint 2 mirrored", "weak-gap", mirrored(1)),
+    Setting("the last joint mirrored", "right", mirrored(5)),
+    Setting("zero of joint 1 off by 90 degrees", "the first joint's zero", moved(0, np.pi / 2)),
+    Setting("zero of joint 2 off by 90 degrees", "told", moved(1, np.pi / 2)),
+    Setting("zero of joint 4 off by 5 degrees", "told", moved(3, np.radians(5.0))),
+    Setting("the base turned between two days", "told", moved(0, 0.5, 3)),
 ]
 
 
-def outcome(folder: Path, change: Change, words: list[str], capsys: Any) -> tuple[str, str]:
+def outcome(setting: Setting, folder: Path, capsys: Any) -> tuple[str, str]:
     """The code of a refusal, or `right`, `told` or `silent`; and what the command said."""
     truth, demos = generated("drawer", ROBOT, SEED, 6)
-    words = list(words)
-    robot, clock = ROBOT, 1.0
-    if "--robot" in words:
-        robot = words.pop(words.index("--robot") + 1)
-        words.remove("--robot")
-    if "--clock" in words:
-        clock = float(words.pop(words.index("--clock") + 1))
-        words.remove("--clock")
     header = ",".join(["time", *arm(ROBOT).joint_names])
     for i, demo in enumerate(demos):
-        table = np.column_stack([clock * demo.time, change(np.array(demo.q), i)])
+        table = np.column_stack([setting.clock * demo.time, setting.change(np.array(demo.q), i)])
         np.savetxt(folder / f"demo_{i}.csv", table, delimiter=",", header=header, comments="")
-    frame = [] if "--frame" in words else ["--frame", TIP]
-    code = main(["learn", robot, str(folder), *frame, *words, "--json"])
+    code = main(["learn", setting.robot, str(folder), "--frame", setting.frame, *setting.options, "--json"])
     answer = json.loads(capsys.readouterr().out)
     if code:
         assert code == 2
@@ -102,23 +100,22 @@ def outcome(folder: Path, change: Change, words: list[str], capsys: Any) -> tupl
     return "told" if told else "silent", str(answer)
 
 
-def check(case: tuple[str, Change, list[str], str], folder: Path, capsys: Any) -> None:
-    name, change, words, wanted = case
-    seen, said = outcome(folder, change, words, capsys)
-    if " " in wanted:
-        assert wanted in DOCUMENTED and seen in ("right", "silent"), f"{name}: {seen}: {said}"
+def check(setting: Setting, folder: Path, capsys: Any) -> None:
+    seen, said = outcome(setting, folder, capsys)
+    if " " in setting.wanted:
+        assert setting.wanted in DOCUMENTED and seen in ("right", "silent"), f"{setting.name}: {seen}: {said}"
     else:
-        assert seen == wanted, f"{name}: {said}"
+        assert seen == setting.wanted, f"{setting.name}: {said}"
 
 
-@pytest.mark.parametrize("case", QUICK, ids=[case[0] for case in QUICK])
-def test_wrong_settings_are_refused(case, tmp_path, capsys):
+@pytest.mark.parametrize("setting", QUICK, ids=lambda setting: setting.name)
+def test_wrong_settings_are_refused(setting, tmp_path, capsys):
     """Units, frame and arm, before anything is learnt."""
-    check(case, tmp_path, capsys)
+    check(setting, tmp_path, capsys)
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("case", SLOW, ids=[case[0] for case in SLOW])
-def test_wrong_settings_are_told(case, tmp_path, capsys):
+@pytest.mark.parametrize("setting", SLOW, ids=lambda setting: setting.name)
+def test_wrong_settings_are_told(setting, tmp_path, capsys):
     """Order, variant of the arm, mirrored joints, zeros, two set-ups: the answer says so, or the documentation does."""
-    check(case, tmp_path, capsys)
+    check(setting, tmp_path, capsys)
