@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 from collections.abc import Callable, Sequence
+from functools import partial
 from typing import Any, final
 
 import numpy as np
@@ -53,10 +54,11 @@ class NativeLaw:
         """As `Law.command`, q checked; None where that has to do it."""
         law, constraint, plain = self._law, self._law.constraint, np.ascontiguousarray
         rows, task, policy = self._unknown
-        robot, A, rates, b, E, D, w = constraint.robot, None, None, None, None, None, None
+        robot, A, rates, bend, b, E, D, w = constraint.robot, None, None, None, None, None, None, None
         x = q if robot is None else robot.positions(q)
         if rows:
             A, rates = plain(constraint(q), np.float64), _Rates(constraint, q)
+            bend = partial(law.bend, q, dt, A)
         if task:
             b, E = law.task_velocity(q, t, dt)
             D = plain(law.task.driven_rows(constraint), np.float64)
@@ -66,7 +68,7 @@ class NativeLaw:
         clear = None
         if self._clears is not None and self._limits is not None:
             clear = self._clears.clear_at(q, dt, self._limits.acceleration, previous)
-        return self._engine.command(plain(x), dt, previous, slide, b, E, D, w, A, rates, clear)
+        return self._engine.command(plain(x), dt, previous, slide, b, E, D, w, A, rates, bend, clear)
 
     def rollouts(
         self, controller: ResolvedRateController, starts: np.ndarray, dt: float, steps: int, progress: Progress | None

@@ -6,9 +6,10 @@
 #include "program.hpp"
 
 constexpr double HELD = 0.1, ACROSS = 1e-4, ALONG = 3e-3, ESCAPE_WIDTH = 0.6, ESCAPE_SPEED = 0.2, SEED_SHARE = 6e-4;
-constexpr double ASIDE = 1e-3, STABLE_SLOPE = 0.5, AT_GOAL = 1e-6, SLIDING_AFTER = 0.5, KEEPING_AFTER = 1.0, GOING_ON = 0.5;
+constexpr double ASIDE = 1e-3, STABLE_SLOPE = 0.5, AT_GOAL = 1e-6;
+constexpr double SLIDING_AFTER = 0.1, KEEPING_AFTER = 1.0, SLIDING_BELOW = 0.5, GOING_ON = 0.9, MOST_SLIDE = 0.1, NEARBY = 2e-3;
 constexpr double ROUNDING = 1e-9, STALLED_BELOW = 0.02, SCALED_BELOW = 0.999;
-constexpr int LAW_VERSION = 2;  // as in engine.py: it grows whenever a number of the law changes
+constexpr int LAW_VERSION = 3;  // as in engine.py: it grows whenever a number of the law changes
 // in the order of `Status`
 enum Status { OUTSIDE_LIMITS = 4, SINGULAR, STALLED, POSITION_LIMITED, VELOCITY_LIMITED, ACCELERATION_LIMITED, DAMPED,
               REROUTED, NULL_SCALED, OK };
@@ -86,17 +87,18 @@ struct Given {
   const double *A = nullptr, *b = nullptr, *E = nullptr, *D = nullptr, *w = nullptr;
   int driven = 0;
   const Vjp* rates = nullptr;
+  const Vjp* bend = nullptr;  // u (nv) -> c (s), where the engine does not know the rows
   const Cuts* clear = nullptr;
 };
 
 struct Outcome {
-  double velocity[MAX], b[MAX], task[MAX], null[MAX], escape[MAX], mu, smallest, task_scale, null_scale, progress, outside;
+  double velocity[MAX], b[MAX], bend[MAX], task[MAX], null[MAX], escape[MAX], mu, smallest, task_scale, null_scale, progress, outside;
   bool near;  // to a singularity, where there is an escape part
   int s, status, joint;
 };
 
 struct Workspace {
-  Rows::At here;
+  Rows::At here, ahead;
   Twists J;
   double A[MAX * MAX], E[MAX * MAX], D[MAX * MAX], Y[MAX * MAX], W[MAX * MAX], G[MAX * MAX], w[MAX], slope[MAX];
   RowInverse own, other;
@@ -163,6 +165,14 @@ struct Law {
     }
     double wish[MAX], asked[MAX], drive[MAX], rest[MAX];
     for (int j = 0; j < n; j++) wish[j] = out.task[j] + out.null[j] + (out.near ? out.escape[j] : 0.0);
+    std::fill(out.bend, out.bend + s, 0.0);
+    if (limits.given && previous) {  // an arm in motion
+      limits.bounds(q, dt, approach, previous, ws.bounds);
+      straighten(ws, q, dt, A, wish, given, out);
+      double less[MAX];
+      across(out.bend, Y, s, n, less);
+      for (int j = 0; j < n; j++) out.task[j] -= less[j], wish[j] -= less[j];
+    }
     for (int j = 0; j < n; j++)
       if (!std::isfinite(wish[j])) return false;
     out.joint = -1, out.outside = 0.0, out.task_scale = out.null_scale = 1.0;
@@ -173,7 +183,7 @@ struct Law {
     bool closer = approaches(ws, R, wish, dt, *vjp, svd_of_A, out.smallest);
     bool fast = previous && may_leave(R, std::max(dot(wish, wish, n), dot(previous, previous, n)));
     if (far && !closer && !has_tip) return as_wished(R, wish, lost, weak, out);
-    limits.bounds(q, dt, approach, previous, ws.bounds);
+    if (!previous) limits.bounds(q, dt, approach, previous, ws.bounds);
     out.outside = ws.bounds.outside, ws.barrier.number = 0;
     double bound = closer ? approach_bound(out.smallest, ws.slope, limits.acceleration.data(), n, dt) : INF;
     if (bound < INF) ws.barrier.append(ws.slope, -bound, n);
@@ -189,7 +199,7 @@ struct Law {
     if (fits_all && !fast) return ws.bounds.clip(wish, n, wish), as_wished(R, wish, lost, weak, out);
     // the part that drives is slowed down to what null-space motion makes no room for
     std::copy(wish, wish + n, asked);
-    if (driven == s) std::copy(out.task, out.task + n, drive);
+    if (driven == s) across(b, Y, s, n, drive);
     else {
       double along[MAX], parts[MAX] = {};
       times(D, b, driven, s, along), across(along, D, driven, s, parts), across(parts, Y, s, n, drive);
@@ -245,6 +255,25 @@ struct Law {
   }
 
   // ---- before bounds ----
+
+  // c of b - c, see `Law._straightened`
+  void straighten(Workspace& ws, const double* q, double dt, const double* A, const double* wish, const Given& given,
+                  Outcome& out) const {
+    double u[MAX], x[MAX];
+    ws.bounds.clip(wish, n, u);
+    double speed = std::sqrt(dot(u, u, n));
+    if (!(speed > 0.0)) return;
+    if (given.bend) (*given.bend)(u, out.bend);
+    else {
+      for (int j = 0; j < n; j++) x[j] = q[j] + 0.5 * dt * u[j];
+      rows.at(x, n, ws.ahead, ws.W);
+      for (int i = 0; i < s * n; i++) ws.W[i] -= A[i];
+      times(ws.W, u, s, n, out.bend);
+    }
+    double size = std::sqrt(dot(out.bend, out.bend, s)), most = 0.5 * STABLE_SLOPE * out.smallest * speed;
+    if (size > most)
+      for (int i = 0; i < s; i++) out.bend[i] *= most / size;
+  }
 
   const Svd& near_singularity(Workspace& ws, const double* q, const double* A, const double* R, const double* D,
                               int driven, double dt, const Vjp& vjp, LazySvd& svd_of_A, Outcome& out,
@@ -385,16 +414,17 @@ struct Law {
 
   // ---- what was done ----
 
-  double progress(const double* A, const double* b, const double* u) const {
+  double progress(const double* A, const Outcome& out, const double* u) const {
+    const double* b = out.b;
     double square = dot(b, b, s), moved[MAX];
     if (!(square > AT_GOAL * AT_GOAL)) return 1.0;
-    times(A, u, s, n, moved);
+    times(A, u, s, n, moved), add(moved, 1.0, out.bend, s);
     return dot(b, moved, s) / square;
   }
 
   bool is_lost(const double* A, const Outcome& out) const {
     if (!out.near) return false;
-    if (s > n) return progress(A, out.b, out.task) < SCALED_BELOW;
+    if (s > n) return progress(A, out, out.task) < SCALED_BELOW;
     double largest = 0.0;
     for (int i = 0; i < s * n; i++) largest = std::max(largest, std::abs(A[i]));
     return out.smallest <= SINGULAR_RATIO * largest;
@@ -411,7 +441,7 @@ struct Law {
 
   bool as_wished(const double* A, const double* wish, bool lost, bool weak, Outcome& out) const {
     std::copy(wish, wish + n, out.velocity);
-    out.progress = out.near ? progress(A, out.b, wish) : 1.0;
+    out.progress = out.near ? progress(A, out, wish) : 1.0;
     out.status = status_of(out, lost, weak, false, 1.0, -1, true);
     return true;
   }
@@ -421,7 +451,7 @@ struct Law {
     const double* u = out.velocity;
     double moved[MAX], null[MAX], task[MAX];
     bool fits = ws.bounds.admit(out.task, n);
-    double before = out.near ? progress(A, out.b, out.task) : 1.0, square = dot(out.null, out.null, n);
+    double before = out.near ? progress(A, out, out.task) : 1.0, square = dot(out.null, out.null, n);
     if (out.near) times(basis, u, rank, n, moved);
     else times(A, u, s, n, moved);
     across(moved, basis, rank, n, null);
@@ -434,7 +464,7 @@ struct Law {
     auto held = [](double x) { return std::min(1.0, std::max(0.0, x)); };
     out.null_scale = square > AT_GOAL * AT_GOAL ? held(dot(out.null, null, n) / square) : 1.0;
     std::copy(null, null + n, out.null), std::copy(task, task + n, out.task);
-    out.progress = progress(A, out.b, u);
+    out.progress = progress(A, out, u);
     out.task_scale = before > 0.0 ? held(out.progress / before) : 1.0;
     int cause;
     ws.bounds.binding(u, asked, n, out.joint, cause);
@@ -445,6 +475,8 @@ struct Law {
 
 // as `next_slide`
 inline double next_slide(double slide, const Outcome& out, double dt) {
-  if (out.status == STALLED) return std::min(1.0, slide + dt / SLIDING_AFTER);
-  return out.progress > GOING_ON ? std::max(0.0, slide - dt / KEEPING_AFTER) : slide;
+  if (std::sqrt(dot(out.b, out.b, out.s)) <= NEARBY || out.progress > GOING_ON)
+    return std::max(0.0, slide - MOST_SLIDE * dt / KEEPING_AFTER);
+  bool slows = out.progress < SLIDING_BELOW && SINGULAR <= out.status && out.status <= POSITION_LIMITED;
+  return slows ? std::min(MOST_SLIDE, slide + MOST_SLIDE * dt / SLIDING_AFTER) : slide;
 }

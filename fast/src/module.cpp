@@ -139,7 +139,7 @@ class Engine {
 
   // None where Python has to do the step: input that is none, or a case that the engine leaves to it
   nb::object command(nb::handle q, double dt, nb::handle previous, double slide, nb::handle b, nb::handle E, nb::handle D,
-                     nb::handle w, nb::handle A, nb::handle rates, nb::handle clear) {
+                     nb::handle w, nb::handle A, nb::handle rates, nb::handle bend, nb::handle clear) {
     int n = law.n, s = law.s;
     const double *posture = numbers_of(q, n, 1), *before = numbers_of(previous, n, 1);
     if (!posture || (!previous.is_none() && !before)) return nb::none();
@@ -164,7 +164,13 @@ class Engine {
       if (!gradient) throw nb::value_error("a vector-Jacobian product of another size");
       std::copy(gradient, gradient + n, out);
     };
-    if (!law.known) given.rates = &callback;
+    Vjp bent = [&bend, n, s](const double* u, double* out) {
+      nb::object answer = bend(nb::steal(array_of(u, n)));
+      const double* c = numbers_of(answer, s);
+      if (!c) throw nb::value_error("a bend of another size");
+      std::copy(c, c + s, out);
+    };
+    if (!law.known) given.rates = &callback, given.bend = &bent;
     Cuts cuts = [&clear, n](const double* u, Barrier& rows) {
       nb::object answer = clear(nb::steal(array_of(u, n)));
       if (answer.is_none()) return;
@@ -264,7 +270,8 @@ NB_MODULE(_engine, m) {
   nb::class_<Engine>(m, "Engine")
       .def(nb::init<const nb::dict&, nb::object, nb::list>())
       .def("command", &Engine::command, nb::arg().none(), nb::arg(), nb::arg().none(), nb::arg(), nb::arg().none(),
-           nb::arg().none(), nb::arg().none(), nb::arg().none(), nb::arg().none(), nb::arg().none(), nb::arg().none())
+           nb::arg().none(), nb::arg().none(), nb::arg().none(), nb::arg().none(), nb::arg().none(), nb::arg().none(),
+           nb::arg().none())
       .def("step", &Engine::step, nb::arg().none(), nb::arg(), nb::arg().none(), nb::arg())
       .def("roll", &Engine::roll);
 }

@@ -16,7 +16,7 @@ from manip_learn.control.law import Law
 from manip_learn.control.limits import Limits
 
 _LOGGER = logging.getLogger("manip_learn")
-LAW_VERSION = 2  # of the numbers that the law gives: fast/src/law.hpp has the same
+LAW_VERSION = 3  # of the numbers that the law gives: fast/src/law.hpp has the same
 
 
 @cache

@@ -17,7 +17,7 @@ from manip_learn.constraint.constraint import Constraint
 from manip_learn.constraint.features.feature_map import Vjp
 from manip_learn.constraint.manipulability import SINGULAR_RATIO, smallest_gradient
 from manip_learn.constraint.small_matrices import row_inverse, svd
-from manip_learn.control.command import ACCELERATION, SCALED_BELOW, Command, status_of
+from manip_learn.control.command import ACCELERATION, SCALED_BELOW, Command, Status, status_of
 from manip_learn.control.limits import FINE, Barrier, Bounds, Limits, approach_bound
 from manip_learn.control.policies import SEED_SPEED, ManipulabilityAscent, NullSpacePolicy, SampledPolicy
 from manip_learn.control.tasks import Task
@@ -42,9 +42,11 @@ STABLE_SLOPE = 0.5
 # least of the metric: with DAQP's own tolerance walls were given up that the bounds leave room for
 DEPENDENT = 1e-14
 _ROUNDING = 1e-9  # [rad/s or m/s] by how much rounding may; a joint that the task moves by less does not slow it down
-# [s] for which a task stalls until the arm slides along what blocks it, and goes on until its direction is kept again
-SLIDING_AFTER, KEEPING_AFTER = 0.5, 1.0
-GOING_ON = 0.5  # share of the velocity asked for from which a task goes on
+# [s] in which a task that a position limit or a singularity slows down gives up its direction, and keeps it again
+SLIDING_AFTER, KEEPING_AFTER = 0.1, 1.0
+SLIDING_BELOW, GOING_ON = 0.5, 0.9  # shares of the velocity asked for below which it does, and from which it goes on
+MOST_SLIDE = 0.1  # of it: the policy must not lead the hand where its task does not
+NEARBY = 2e-3  # [m/s or rad/s] a task that asks for less has all but arrived: what stops it is the policy
 
 AT_GOAL = 1e-6  # [m/s or rad/s] a task that asks for less than this has reached its goal
 # [m or rad] by which a hand may leave what holds it while the joints brake: half of what counts as straying on a way.
@@ -68,6 +70,8 @@ class Desired(NamedTuple):
         gain: Y (s, nv), so that A^# b = Y^T b.
         is_damped: Whether a smallest singular value of the constraint below the threshold damps the law.
         damping: lambda of the driven rows; 0 away from singularities.
+        bend: c, by which the rows' mean velocity over the step exceeds A u; A u = b - c is wanted.
+        own: Rows of the constraint, where A has those of the error; else None.
     """
 
     A: Float[np.ndarray, "s nv"]
@@ -81,6 +85,8 @@ class Desired(NamedTuple):
     gain: Float[np.ndarray, "s nv"]
     is_damped: bool = False
     damping: float = 0.0
+    bend: Float[np.ndarray, " s"] | float = 0.0
+    own: Float[np.ndarray, "s nv"] | None = None
 
     @property
     def is_lost(self) -> bool:
@@ -99,9 +105,9 @@ class Desired(NamedTuple):
         return regular if self.escape is None else regular + self.escape
 
     def progress(self, u: Float[np.ndarray, " nv"]) -> float:
-        """Velocity along b over the velocity asked for, b^T A u / |b|^2; 1 where nothing is asked for."""
+        """Velocity along b over the velocity asked for, b^T (A u + c) / |b|^2; 1 where nothing is asked for."""
         square = float(self.b.dot(self.b))
-        return float(self.b.dot(self.A.dot(u))) / square if square > AT_GOAL * AT_GOAL else 1.0
+        return float(self.b.dot(self.A.dot(u) + self.bend)) / square if square > AT_GOAL * AT_GOAL else 1.0
 
     def as_wished(self, u: Float[np.ndarray, " nv"], outside: float) -> Command:
         """The command u* where no bound changes it; the farthest joint is so far beyond its limit [rad or m]."""
@@ -161,6 +167,11 @@ class Law:
     Below it, a direction whose singular value is less than Lambda no longer holds the motion, and w moves it: that is
     damping and the way out of the singularity in one. (The policy's part along such directions is at most ESCAPE_SPEED,
     and fades towards ESCAPE_WIDTH.)
+
+    For an arm in motion b is the mean velocity of the rows over the step, so that an explicit step of dt stays on the
+    path that the task asks for: b - c takes the place of b, with u = u* brought within the bounds of the joints and
+
+        c = (A(q + dt/2 u) - A(q)) u,    |c| <= STABLE_SLOPE sigma |u| / 2.
 
     If u* is within the bounds it is the command. If not, the part of u* that drives the task is slowed down to the
     velocity limits, to the approach of a singularity, and until the joints can brake with the hand on what holds it
@@ -232,9 +243,30 @@ class Law:
         inverse = own if E is None else row_inverse(E)
         rows = A if E is None else E
         if own is None or inverse is None or (self.inverse == "damped" and min(own[2], inverse[2]) < self.threshold):
-            return self._near_singularity(q, A, rows, b, w, dt, limits, vjp)
-        X = inverse[0]
-        return Desired(rows, b, b.dot(X), w - rows.dot(w).dot(X), None, own[1], own[2], X, X)
+            law = self._near_singularity(q, A, rows, b, w, dt, limits, vjp)
+        else:
+            X = inverse[0]
+            law = Desired(rows, b, b.dot(X), w - rows.dot(w).dot(X), None, own[1], own[2], X, X)
+        return law if E is None else law._replace(own=A)
+
+    def bend(self, q: np.ndarray, dt: float, A: np.ndarray, u: np.ndarray) -> Float[np.ndarray, " s"]:
+        """Return c = (A(q + dt/2 u) - A(q)) u: mean velocity of the rows over a step, beyond A u, in their units."""
+        robot, step = self.constraint.robot, 0.5 * dt * u
+        return (self.constraint(q + step if robot is None else robot.integrate(q, step)) - A).dot(u)
+
+    def _straightened(self, law: Desired, q: np.ndarray, dt: float, bounds: Bounds) -> Desired:
+        """Return the law with b as the mean velocity of the rows over the step, see the class.
+
+        Without c a step ends dt^2/2 dA[u] u off the path. Its bound keeps the change of the velocity near a singularity
+        below a quarter of u.
+        """
+        u = bounds.nearest(law.velocity)
+        if not u.any():
+            return law
+        c = self.bend(q, dt, law.A if law.own is None else law.own, u)
+        size, most = math.sqrt(c.dot(c)), 0.5 * STABLE_SLOPE * law.smallest * math.sqrt(u.dot(u))
+        c = c if size <= most else c * (most / size)
+        return law._replace(task=law.task - c.dot(law.gain), bend=c)
 
     def task_velocity(
         self, q: np.ndarray, t: float, dt: float
@@ -356,7 +388,10 @@ class Law:
         slide: float,
     ) -> Command:
         """The command at a posture; arguments and errors as for `ResolvedRateController`."""
-        law = self.desired(q, t, dt, limits)
+        law, bounds = self.desired(q, t, dt, limits), None
+        if limits is not None and previous is not None:  # an arm in motion
+            bounds = limits.bounds(q, dt, previous)
+            law = self._straightened(law, q, dt, bounds)
         wish = law.velocity
         if limits is None:
             return law.as_wished(wish, 0.0)
@@ -366,7 +401,7 @@ class Law:
         tip = limits.tip
         if far and slope is None and tip is None:
             return law.as_wished(wish, 0.0)
-        bounds, barrier = limits.bounds(q, dt, previous), None
+        bounds, barrier = bounds or limits.bounds(q, dt, None), None
         if slope is not None and (bound := approach_bound(law.smallest, slope, limits.acceleration, dt)) < math.inf:
             barrier = slope[None], np.array([-bound])
         tips = None if tip is None else tip.at(q, dt, limits.acceleration, previous)
@@ -437,7 +472,7 @@ def _slowed_drive(
     Motion in the null space makes no room for more. D are the rows that are driven.
     """
     wish = law.velocity
-    drive = law.task if len(D) == len(law.b) else D.T.dot(D.dot(law.b)).dot(law.gain)
+    drive = (law.b if len(D) == len(law.b) else D.T.dot(D.dot(law.b))).dot(law.gain)
     rest, fastest = wish - drive, float((np.abs(drive) / limits.velocity).max())
     if fastest > 1.0:  # as far as what else moves leaves no room for it
         moved = np.abs(drive) > _ROUNDING
@@ -528,11 +563,16 @@ def _constants(nv: int, rows: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     return np.eye(nv), np.zeros(nv), np.zeros(rows, dtype=np.int32)
 
 
-def next_slide(slide: float, stalls: bool, progress: float, dt: float) -> float:
-    """`slide` after a command that was held for dt [s]: it grows while the task stalls, and falls when it goes on."""
-    if stalls:
-        return min(1.0, slide + dt / SLIDING_AFTER)
-    return max(0.0, slide - dt / KEEPING_AFTER) if progress > GOING_ON else slide
+def next_slide(slide: float, command: Command, dt: float) -> float:
+    """`slide` after a command that was held for dt [s]: it grows while limits keep the task from going straight on."""
+    asked = math.sqrt(command.task_velocity.dot(command.task_velocity))
+    if asked <= NEARBY or command.progress > GOING_ON:
+        return max(0.0, slide - MOST_SLIDE * dt / KEEPING_AFTER)
+    slows = command.progress < SLIDING_BELOW and command.status in _SLIDING
+    return min(MOST_SLIDE, slide + MOST_SLIDE * dt / SLIDING_AFTER) if slows else slide
+
+
+_SLIDING = (Status.SINGULAR, Status.STALLED, Status.POSITION_LIMITED)
 
 
 def _checked(vector: ArrayLike, size: int, what: str) -> Any:

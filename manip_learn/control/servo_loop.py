@@ -616,7 +616,7 @@ class ServoLoop:
         """The controller's command, within the limits."""
         if self._keeps_limits:
             command = self.controller(q, time, held, self._velocity, self._slide)  # type: ignore[call-arg]
-            self._slide = next_slide(self._slide, command.status is Status.STALLED, command.progress, held)
+            self._slide = next_slide(self._slide, command, held)
             if self._period.longest == self._period.usual or (bounds := self._bounds(q, held)).admit(command.velocity):
                 return command
             return _held_back(command, np.clip(command.velocity, bounds.low, bounds.high))
