@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import os
 from collections.abc import Callable, Sequence
-from functools import partial
 from typing import Any, final
 
 import numpy as np
@@ -58,7 +57,7 @@ class NativeLaw:
         x = q if robot is None else robot.positions(q)
         if rows:
             A, rates = plain(constraint(q), np.float64), _Rates(constraint, q)
-            bend = partial(law.bend, q, dt, A)
+            bend = None if previous is None else plain(law.bend(q, dt, A, previous), np.float64)
         if task:
             b, E = law.task_velocity(q, t, dt)
             D = plain(law.task.driven_rows(constraint), np.float64)

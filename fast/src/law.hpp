@@ -84,10 +84,9 @@ struct Task {
 
 // what Python has computed for a step; null where the engine does
 struct Given {
-  const double *A = nullptr, *b = nullptr, *E = nullptr, *D = nullptr, *w = nullptr;
+  const double *A = nullptr, *b = nullptr, *E = nullptr, *D = nullptr, *w = nullptr, *bend = nullptr;
   int driven = 0;
   const Vjp* rates = nullptr;
-  const Vjp* bend = nullptr;  // u (nv) -> c (s), where the engine does not know the rows
   const Cuts* clear = nullptr;
 };
 
@@ -166,9 +165,8 @@ struct Law {
     double wish[MAX], asked[MAX], drive[MAX], rest[MAX];
     for (int j = 0; j < n; j++) wish[j] = out.task[j] + out.null[j] + (out.near ? out.escape[j] : 0.0);
     std::fill(out.bend, out.bend + s, 0.0);
-    if (limits.given && previous) {  // an arm in motion
-      limits.bounds(q, dt, approach, previous, ws.bounds);
-      straighten(ws, q, dt, A, wish, given, out);
+    if (limits.given && previous) {
+      straighten(ws, q, dt, A, previous, given, out);
       double less[MAX];
       across(out.bend, Y, s, n, less);
       for (int j = 0; j < n; j++) out.task[j] -= less[j], wish[j] -= less[j];
@@ -183,7 +181,7 @@ struct Law {
     bool closer = approaches(ws, R, wish, dt, *vjp, svd_of_A, out.smallest);
     bool fast = previous && may_leave(R, std::max(dot(wish, wish, n), dot(previous, previous, n)));
     if (far && !closer && !has_tip) return as_wished(R, wish, lost, weak, out);
-    if (!previous) limits.bounds(q, dt, approach, previous, ws.bounds);
+    limits.bounds(q, dt, approach, previous, ws.bounds);
     out.outside = ws.bounds.outside, ws.barrier.number = 0;
     double bound = closer ? approach_bound(out.smallest, ws.slope, limits.acceleration.data(), n, dt) : INF;
     if (bound < INF) ws.barrier.append(ws.slope, -bound, n);
@@ -257,13 +255,11 @@ struct Law {
   // ---- before bounds ----
 
   // c of b - c, see `Law._straightened`
-  void straighten(Workspace& ws, const double* q, double dt, const double* A, const double* wish, const Given& given,
+  void straighten(Workspace& ws, const double* q, double dt, const double* A, const double* u, const Given& given,
                   Outcome& out) const {
-    double u[MAX], x[MAX];
-    ws.bounds.clip(wish, n, u);
-    double speed = std::sqrt(dot(u, u, n));
-    if (!(speed > 0.0)) return;
-    if (given.bend) (*given.bend)(u, out.bend);
+    double x[MAX], speed = std::sqrt(dot(u, u, n));
+    if (speed == 0.0) return;
+    if (given.bend) std::copy(given.bend, given.bend + s, out.bend);
     else {
       for (int j = 0; j < n; j++) x[j] = q[j] + 0.5 * dt * u[j];
       rows.at(x, n, ws.ahead, ws.W);

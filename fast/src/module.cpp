@@ -145,6 +145,7 @@ class Engine {
     if (!posture || (!previous.is_none() && !before)) return nb::none();
     Given given;
     given.b = numbers_of(b, s), given.E = numbers_of(E, s * n), given.w = numbers_of(w, n);
+    given.bend = numbers_of(bend, s);
     given.A = numbers_of(A, s * n);
     if (!D.is_none()) {
       given.driven = PyArray_Check(D.ptr()) ? PyArray_SIZE((PyArrayObject*)D.ptr()) / s : 0;
@@ -152,7 +153,8 @@ class Engine {
       if (given.driven && !given.D) return nb::none();
     }
     bool missing = (!b.is_none() && !given.b) || (!E.is_none() && !given.E) || (!w.is_none() && !given.w) ||
-                   (!law.known && !given.A) || (law.task.kind == Task::GIVEN && !given.b) || (!law.has_policy && !given.w);
+                   (!law.known && (!given.A || (before && !given.bend))) ||
+                   (law.task.kind == Task::GIVEN && !given.b) || (!law.has_policy && !given.w);
     if (missing) return nb::none();
     Vjp callback = [&rates, n, s](const double* W, double* out) {
       npy_intp shape[2] = {s, n};
@@ -164,13 +166,7 @@ class Engine {
       if (!gradient) throw nb::value_error("a vector-Jacobian product of another size");
       std::copy(gradient, gradient + n, out);
     };
-    Vjp bent = [&bend, n, s](const double* u, double* out) {
-      nb::object answer = bend(nb::steal(array_of(u, n)));
-      const double* c = numbers_of(answer, s);
-      if (!c) throw nb::value_error("a bend of another size");
-      std::copy(c, c + s, out);
-    };
-    if (!law.known) given.rates = &callback, given.bend = &bent;
+    if (!law.known) given.rates = &callback;
     Cuts cuts = [&clear, n](const double* u, Barrier& rows) {
       nb::object answer = clear(nb::steal(array_of(u, n)));
       if (answer.is_none()) return;

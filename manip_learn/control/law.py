@@ -169,9 +169,9 @@ class Law:
     and fades towards ESCAPE_WIDTH.)
 
     For an arm in motion b is the mean velocity of the rows over the step, so that an explicit step of dt stays on the
-    path that the task asks for: b - c takes the place of b, with u = u* brought within the bounds of the joints and
+    path that the task asks for: b - c takes the place of b, with the velocity v of the step before and
 
-        c = (A(q + dt/2 u) - A(q)) u,    |c| <= STABLE_SLOPE sigma |u| / 2.
+        c = (A(q + dt/2 v) - A(q)) v,    |c| <= STABLE_SLOPE sigma |v| / 2.
 
     If u* is within the bounds it is the command. If not, the part of u* that drives the task is slowed down to the
     velocity limits, to the approach of a singularity, and until the joints can brake with the hand on what holds it
@@ -252,19 +252,19 @@ class Law:
     def bend(self, q: np.ndarray, dt: float, A: np.ndarray, u: np.ndarray) -> Float[np.ndarray, " s"]:
         """Return c = (A(q + dt/2 u) - A(q)) u: mean velocity of the rows over a step, beyond A u, in their units."""
         robot, step = self.constraint.robot, 0.5 * dt * u
-        return (self.constraint(q + step if robot is None else robot.integrate(q, step)) - A).dot(u)
+        plain = robot is None or (robot.positions_add_up and len(q) == len(u))
+        return (self.constraint(q + step if plain or robot is None else robot.integrate(q, step)) - A).dot(u)
 
-    def _straightened(self, law: Desired, q: np.ndarray, dt: float, bounds: Bounds) -> Desired:
+    def _straightened(self, law: Desired, q: np.ndarray, dt: float, u: np.ndarray) -> Desired:
         """Return the law with b as the mean velocity of the rows over the step, see the class.
 
-        Without c a step ends dt^2/2 dA[u] u off the path. Its bound keeps the change of the velocity near a singularity
-        below a quarter of u.
+        The next u changes with the last one by at most 2 |c| / (sigma |u|) of that: the bound of c lets it settle.
         """
-        u = bounds.nearest(law.velocity)
-        if not u.any():
+        speed = math.sqrt(u.dot(u))
+        if speed == 0.0:
             return law
         c = self.bend(q, dt, law.A if law.own is None else law.own, u)
-        size, most = math.sqrt(c.dot(c)), 0.5 * STABLE_SLOPE * law.smallest * math.sqrt(u.dot(u))
+        size, most = math.sqrt(c.dot(c)), 0.5 * STABLE_SLOPE * law.smallest * speed
         c = c if size <= most else c * (most / size)
         return law._replace(task=law.task - c.dot(law.gain), bend=c)
 
@@ -388,10 +388,9 @@ class Law:
         slide: float,
     ) -> Command:
         """The command at a posture; arguments and errors as for `ResolvedRateController`."""
-        law, bounds = self.desired(q, t, dt, limits), None
-        if limits is not None and previous is not None:  # an arm in motion
-            bounds = limits.bounds(q, dt, previous)
-            law = self._straightened(law, q, dt, bounds)
+        law = self.desired(q, t, dt, limits)
+        if limits is not None and previous is not None:
+            law = self._straightened(law, q, dt, previous)
         wish = law.velocity
         if limits is None:
             return law.as_wished(wish, 0.0)
@@ -401,7 +400,7 @@ class Law:
         tip = limits.tip
         if far and slope is None and tip is None:
             return law.as_wished(wish, 0.0)
-        bounds, barrier = bounds or limits.bounds(q, dt, None), None
+        bounds, barrier = limits.bounds(q, dt, previous), None
         if slope is not None and (bound := approach_bound(law.smallest, slope, limits.acceleration, dt)) < math.inf:
             barrier = slope[None], np.array([-bound])
         tips = None if tip is None else tip.at(q, dt, limits.acceleration, previous)

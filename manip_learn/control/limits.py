@@ -357,7 +357,9 @@ class Bounds(NamedTuple):
 
     def nearest(self, velocity: Float[np.ndarray, " nv"]) -> Float[np.ndarray, " nv"]:
         """The velocity within the bounds that is nearest to one, each joint by itself; itself if it is within."""
-        return velocity if self.admit(velocity) else np.clip(velocity, self.low, self.high)
+        if self.admit(velocity):
+            return velocity
+        return np.array(list(map(min, map(max, velocity.tolist(), self.low), self.high)))
 
     def binding(self, velocity: Float[np.ndarray, " nv"], desired: Float[np.ndarray, " nv"]) -> tuple[int, int]:
         """The joint at a bound whose desired velocity exceeds it most, and the limit that sets it; (-1, -1) if none."""
