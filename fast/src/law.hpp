@@ -7,7 +7,8 @@
 
 constexpr double HELD = 0.1, ACROSS = 1e-4, ALONG = 3e-3, ESCAPE_WIDTH = 0.6, ESCAPE_SPEED = 0.2, SEED_SHARE = 6e-4;
 constexpr double ASIDE = 1e-3, STABLE_SLOPE = 0.5, AT_GOAL = 1e-6;
-constexpr double SLIDING_AFTER = 0.1, KEEPING_AFTER = 1.0, SLIDING_BELOW = 0.5, GOING_ON = 0.9, MOST_SLIDE = 0.1, NEARBY = 2e-3;
+constexpr double SOME = 0.1, SLIDING_AFTER = 0.1, STALLED_AFTER = 0.25, KEEPING_AFTER = 1.0, NEARBY = 2e-3;
+constexpr double SLIDING_BELOW = 0.5, GOING_ON = 0.9;
 constexpr double ROUNDING = 1e-9, STALLED_BELOW = 0.02, SCALED_BELOW = 0.999;
 constexpr int LAW_VERSION = 3;  // as in engine.py: it grows whenever a number of the law changes
 // in the order of `Status`
@@ -472,7 +473,8 @@ struct Law {
 // as `next_slide`
 inline double next_slide(double slide, const Outcome& out, double dt) {
   if (std::sqrt(dot(out.b, out.b, out.s)) <= NEARBY || out.progress > GOING_ON)
-    return std::max(0.0, slide - MOST_SLIDE * dt / KEEPING_AFTER);
+    return std::max(0.0, slide - std::max(SOME, slide) * dt / KEEPING_AFTER);
   bool slows = out.progress < SLIDING_BELOW && SINGULAR <= out.status && out.status <= POSITION_LIMITED;
-  return slows ? std::min(MOST_SLIDE, slide + MOST_SLIDE * dt / SLIDING_AFTER) : slide;
+  if (slows && slide < SOME) return std::min(SOME, slide + SOME * dt / SLIDING_AFTER);
+  return out.status == STALLED ? std::min(1.0, slide + dt / STALLED_AFTER) : slide;
 }

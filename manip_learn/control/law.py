@@ -42,11 +42,13 @@ STABLE_SLOPE = 0.5
 # least of the metric: with DAQP's own tolerance walls were given up that the bounds leave room for
 DEPENDENT = 1e-14
 _ROUNDING = 1e-9  # [rad/s or m/s] by how much rounding may; a joint that the task moves by less does not slow it down
-# [s] in which a task that a position limit or a singularity slows down gives up its direction, and keeps it again
-SLIDING_AFTER, KEEPING_AFTER = 0.1, 1.0
-SLIDING_BELOW, GOING_ON = 0.5, 0.9  # shares of the velocity asked for below which it does, and from which it goes on
-MOST_SLIDE = 0.1  # of it: the policy must not lead the hand where its task does not
-NEARBY = 2e-3  # [m/s or rad/s] a task that asks for less has all but arrived: what stops it is the policy
+# [s] in which a task that a limit or a singularity slows down gives up some of its direction, one that stalls all of it
+# (out of reach the joints would turn to and fro), and in which the direction is kept again
+SLIDING_AFTER, STALLED_AFTER, KEEPING_AFTER = 0.1, 0.25, 1.0
+SOME = 0.1  # share of the direction that is given up early
+# share of the velocity asked for below which a task counts as slowed down, and above which it goes on
+SLIDING_BELOW, GOING_ON = 0.5, 0.9
+NEARBY = 2e-3  # [m/s or rad/s] a task that asks for less has all but arrived: the policy must not lead the hand off
 
 AT_GOAL = 1e-6  # [m/s or rad/s] a task that asks for less than this has reached its goal
 # [m or rad] by which a hand may leave what holds it while the joints brake: half of what counts as straying on a way.
@@ -566,12 +568,13 @@ def next_slide(slide: float, command: Command, dt: float) -> float:
     """`slide` after a command that was held for dt [s]: it grows while limits keep the task from going straight on."""
     asked = math.sqrt(command.task_velocity.dot(command.task_velocity))
     if asked <= NEARBY or command.progress > GOING_ON:
-        return max(0.0, slide - MOST_SLIDE * dt / KEEPING_AFTER)
-    slows = command.progress < SLIDING_BELOW and command.status in _SLIDING
-    return min(MOST_SLIDE, slide + MOST_SLIDE * dt / SLIDING_AFTER) if slows else slide
+        return max(0.0, slide - max(SOME, slide) * dt / KEEPING_AFTER)
+    if slide < SOME and command.progress < SLIDING_BELOW and command.status in _SLOWING:
+        return min(SOME, slide + SOME * dt / SLIDING_AFTER)
+    return min(1.0, slide + dt / STALLED_AFTER) if command.status is Status.STALLED else slide
 
 
-_SLIDING = (Status.SINGULAR, Status.STALLED, Status.POSITION_LIMITED)
+_SLOWING = (Status.SINGULAR, Status.STALLED, Status.POSITION_LIMITED)
 
 
 def _checked(vector: ArrayLike, size: int, what: str) -> Any:
