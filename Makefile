@@ -146,6 +146,7 @@ lerobot: $(LEROBOT)/made
 docs: $(VENV)/docs
 	$(BIN)/sphinx-build -W --keep-going -b html docs docs/_build/html
 	$(BIN)/python docs/check_pages.py docs/_build/html
+	$(BIN)/python docs/list_figures.py
 	@echo "docs/_build/html/index.html"
 
 # links to other sites, which `make docs` does not follow: needs the network
