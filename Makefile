@@ -25,13 +25,25 @@ QUICK := $(addprefix tests/test_,$(addsuffix .py,public_api cli controller mjcf 
 	playback meshes rollout_file linalg examples csv_reader lerobot_reader \
 	npz_reader robomimic_reader rosbag_reader))
 
+# what adds up many numbers: other processors' sums differ in the last bits, so these are run with OpenBLAS's kernels for
+# others too. A name that this machine's OpenBLAS does not have (as on ARM) is another kernel or its own, with a warning
+NUMERICAL := $(addprefix tests/test_,$(addsuffix .py,axioms batch_kinematics closed_loops constraint \
+	constraint_mechanism control_properties controller descent experiments_pinned features follow_motion \
+	frame_choice frame_kinematics free_direction gradients imposed law learning_parts limit_potential limits \
+	linalg manipulability mechanism mimic motion native_engine pinned_answers places planar_arm policies \
+	pose_error recombination robot rotations task_frame tasks tip_limits uncertainty velocities weighted_fit \
+	witness))
+KERNELS ?= Haswell Zen Prescott Nehalem Sandybridge
+# which no processor of today chooses by itself: without AVX and FMA
+OTHER_KERNEL ?= Prescott
+
 .DEFAULT_GOAL := help
-.PHONY: help demo test lint types check fast lowest package dist parts lerobot docs links bench fuzz proofs mutants vulnerabilities format \
+.PHONY: help demo test lint types check kernels fast lowest package dist parts lerobot docs links bench fuzz proofs mutants vulnerabilities format \
 	clean distclean
 
 help:
 	@sed -n '1,4s/^# \{0,1\}//p' Makefile
-	@echo "Also: make lint, types, fast, format, docs, links, lowest, package, dist, parts, lerobot, bench, fuzz, proofs, mutants, vulnerabilities, clean, distclean"
+	@echo "Also: make lint, types, kernels, fast, format, docs, links, lowest, package, dist, parts, lerobot, bench, fuzz, proofs, mutants, vulnerabilities, clean, distclean"
 
 # ---- installing -------------------------------------------------------------------------------------------------
 
@@ -95,10 +107,21 @@ lint: $(VENV)/first
 types: $(VENV)/dev
 	$(BIN)/pyright
 
-# all tests with the compiled law where it could be built, and those of the law without it
+# all tests with the compiled law where it could be built, those of the law without it, and the numerical ones as on
+# another processor
 check: $(VENV)/dev $(VENV)/fast
 	$(PYTEST) -n 2 --dist worksteal --benchmark-disable $(ARGS)
 	MANIP_LEARN_ENGINE=python $(PYTEST) -n 2 --dist worksteal --benchmark-disable -q tests/test_law.py
+	OPENBLAS_CORETYPE=$(OTHER_KERNEL) $(PYTEST) -n 2 --dist worksteal --benchmark-disable -q $(NUMERICAL)
+
+# the numerical tests, and the results that were written down, as on other processors
+kernels: $(VENV)/dev $(VENV)/fast
+	@for kernel in $(KERNELS); do export OPENBLAS_CORETYPE=$$kernel OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1 && \
+		$(BIN)/python -c "import numpy, scipy.linalg, threadpoolctl as t; \
+		print('==', '$$kernel:', *{x.get('architecture') for x in t.threadpool_info()}, flush=True)" && \
+		$(BIN)/python tests/golden/make_golden.py --check && \
+		$(PYTEST) -n 2 --dist worksteal --benchmark-disable -q $(NUMERICAL) $(ARGS) || failed="$$failed $$kernel"; done; \
+		test -z "$$failed" || { echo "NOT GREEN WITH$$failed" >&2; exit 1; }
 
 format: $(VENV)/first
 	$(BIN)/ruff check --fix .
@@ -146,6 +169,7 @@ lerobot: $(LEROBOT)/made
 docs: $(VENV)/docs
 	$(BIN)/sphinx-build -W --keep-going -b html docs docs/_build/html
 	$(BIN)/python docs/check_pages.py docs/_build/html
+	$(BIN)/python docs/list_figures.py
 	@echo "docs/_build/html/index.html"
 
 # links to other sites, which `make docs` does not follow: needs the network

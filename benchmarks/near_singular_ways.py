@@ -1,10 +1,10 @@
 """The law where it is hardest: ways that begin near a singularity, firm grips, targets and ways out of reach.
 
-    python benchmarks/near_singular_ways.py [--runs docs/figures/law.csv] [--workers 1]
+    python benchmarks/near_singular_ways.py --short docs/figures/near_singular_ways.csv
+    python benchmarks/near_singular_ways.py [--runs FILE.csv] [--workers 1]
 
-One line of `--runs` is one start with one policy. `docs/figures/law_before.csv` has the same runs of an earlier law,
-which scaled the task and its null-space motion by one factor each and damped held rows as driven ones. Fifteen minutes
-of one core without other load.
+The first, a minute of one core without other load, is what the ascent of a way brings to three arms. Of the second one
+line is one start with one policy; a quarter of an hour.
 """
 
 from __future__ import annotations
@@ -27,6 +27,9 @@ from when_runs import run
 import manip_learn as ml
 from manip_learn.control.way import simulate_way
 
+SHORT_ARMS, SHORT_TASKS = ("panda", "sawyer", "xarm7"), ("drawer 0.3 m", "door 60 deg", "wipe 0.4 x 0.3 m")
+SHORT_STARTS = 3  # of each arm and task, with either hand
+SHORT = ("the hand", "policy", "ways done", "farthest off [mm]", "least μ over that without policy, median, quartiles")
 SEEDS = (41_000, 87_000)  # the law was tuned on the starts of the first one
 STARTS = 2  # of each arm and task
 DT = 0.01  # [s]
@@ -93,6 +96,21 @@ def firm(case: Case, policy: str) -> tuple[bool, float, str]:
 def climbing(policy: str, task: ml.FreeDirection) -> ml.NullSpacePolicy | None:
     """A null-space policy for a way by its name."""
     return {"none": None, "learnt": ml.ManipulabilityAscent(task.constraint), "ascent": task.ascent()}[policy]
+
+
+def short() -> list[tuple[str, str, str, float, str]]:
+    """54 starts of three arms: ways done, how far the hand was off [mm], and the least μ over that without policy."""
+    lines = []
+    for grip, hand in (("free", "may turn"), ("held", "keeps its orientation")):
+        cells = [(arm, task) for arm in SHORT_ARMS for task in SHORT_TASKS]
+        cases = [case for cell in cells for case in cases_of(*cell, grip, "near", SHORT_STARTS, SEEDS[1])]
+        scores = {policy: [run(case, policy, DT) for case in cases] for policy in ("none", "ascent")}
+        for policy, found in scores.items():
+            ratios = [now.least / rest.least for now, rest in zip(found, scores["none"], strict=True)]
+            least = ", ".join(f"{x:.2f}" for x in np.quantile(ratios, [0.5, 0.25, 0.75]))
+            off = round(1e3 * max(score.deviation for score in found), 2)
+            lines.append((hand, policy, f"{sum(score.done for score in found)} of {len(cases)}", off, least))
+    return lines
 
 
 def smallest_case(policy: str) -> Run:
@@ -184,9 +202,13 @@ def done_job(job: tuple[Callable[..., Any], tuple[Any, ...]]) -> list[Run]:
 def main() -> None:
     """Measure, and write the runs."""
     parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
-    parser.add_argument("--runs", type=Path, default=Path("docs/figures/law.csv"))
+    parser.add_argument("--runs", type=Path, default=Path("near_singular_ways.csv"))
+    parser.add_argument("--short", type=Path, help="write the short table here, and nothing else")
     parser.add_argument("--workers", type=int, default=1)
     given = parser.parse_args()
+    if given.short is not None:
+        put(SHORT, short(), given.short)
+        return
     runs: list[Run] = []
     with ProcessPoolExecutor(given.workers) as pool:
         for some in pool.map(done_job, jobs()):

@@ -6,7 +6,7 @@ limits: anywhere along the self-motion, or brought along it to within SINGULAR o
 driven. A drawer counts as opened if the hand came the whole way and was never farther than 2 mm off its line: it
 would have to bend the rail, or let go.
 
-    python benchmarks/opening_drawers.py [--starts 200] [--seed 20000] [--out docs/figures/opening_drawers.csv]
+    python benchmarks/opening_drawers.py [--starts 200] [--seed 20000] [--out FILE.csv]
     python benchmarks/opening_drawers.py --chest [--starts 60] [--seed 31]   # all three drawers, one after the other
     python benchmarks/opening_drawers.py --physics     # side force on the rail, from the demo's start (MuJoCo)
 """

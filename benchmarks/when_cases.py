@@ -23,7 +23,7 @@ from manip_learn.control.tasks.motion_profile import MotionProfile
 from manip_learn.robot.loading import robot_from_text
 
 MIDDLE = 0.55  # of the reach: between too near to fold the arm and too far to reach
-HEIGHTS = (0.2, 0.35, 0.5)  # [m] of handles: those of the three drawers in docs/figures_control.md
+HEIGHTS = (0.2, 0.35, 0.5)  # [m] of handles: those of the recorded drawers (examples/data/README.md)
 ASIDE = 0.2  # [m] at most, of a handle to the left or right of the arm
 DOOR, VALVE, PITCH = 0.35, 0.05, 0.02 / (2.0 * math.pi)  # [m] radius of a door and of a valve, [m/rad] 20 mm a turn
 TABLE = (0.4, 0.3)  # [m] of a table that is wiped: a stroke across, and one towards the arm

@@ -1,6 +1,6 @@
 """When does the manipulability of the task, or a plan, help? Six arms, seven tasks, nine policies and peers, one table.
 
-    python benchmarks/when_it_helps.py [--out docs/figures/when_it_helps.csv] [--starts 50] [--seed 41000] [--workers 2]
+    python benchmarks/when_it_helps.py [--out FILE.csv] [--starts 50] [--seed 41000] [--workers 2]
         [--arms panda so101] [--tasks reach "door 60 deg"] [--policies none learnt] [--few 10] [--plans 10]
         [--cache FOLDER] [--json FILE] [--python pink=/path/to/python]
 

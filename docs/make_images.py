@@ -29,14 +29,9 @@ SLOWEST = 240_000.0  # [ms] for a page on a machine that has more to do
 ARM_WINDOW, ARM_SIZE = (640, 520), (320, 260)  # [px] of the page, which is made smaller to smooth its edges
 UR, FRANKA = (40, -85, 95, -100, -90, 0), (25, -30, 0, -125, 0, 105, 45)
 ARMS = {  # [deg] a posture in which the arm can be told
-    "planar3": (20, 50, -75),
     "sawyer": (-25, -35, 5, 85, 5, 30, 100),
     "panda": FRANKA,
-    "fr3": FRANKA,
     "ur5e": UR,
-    "ur10e": UR,
-    "ur5": UR,
-    "ur10": UR,
     "xarm7": (25, -20, 0, 70, 0, 90, 0),
     "so101": (20, -35, 35, 35, 0, 20),
 }
@@ -64,28 +59,24 @@ def opened(card: str) -> str:
     return f"document.getElementById({card!r}).open = true"
 
 
-SHOW_ELLIPSOID, FIT = click("[data-shown=ellipsoid]"), click("[name=colours][value=fit]")
+FIT = click("[name=colours][value=fit]")
 TRACKS = [click(f"[data-track={kind}]") for kind in ("singular", "velocity")]
 PICTURES = (
     Picture("replay_drawer", "drawer", ["manipLearn.seek(6.6)", *TRACKS], height=960),
     Picture("replay_learn", "learn", ["manipLearn.seek(11)"]),
-    Picture("replay_hinge", "hinge", ["manipLearn.seek(1.6)", SHOW_ELLIPSOID]),
     Picture("replay_recordings", "mixed", ["manipLearn.seek(5.2)", FIT], width=1440),
     Picture("replay_evidence", "mixed", ["manipLearn.seek(5.2)", opened("evidence")], width=1440),
-    Picture("replay_dark", "drawer", ["manipLearn.seek(6.6)", TRACKS[0]], dark=True),
-    Picture("replay_phone", "hinge", ["manipLearn.seek(1.6)"], width=390, height=844),
 )
 
 
 def write_pages(folder: Path) -> dict[str, str]:
     """Name -> address of the pages, written by the command line as its user types it."""
-    for name in ("ur5_loose_door", "panda_drawer_mixed", "xarm7_drawer_then_table"):
+    for name in ("panda_drawer_mixed", "xarm7_drawer_then_table"):
         shutil.copytree(shipped_recordings() / name, folder / name)
     fingers = "--lock panda_finger_joint1 --lock panda_finger_joint2"
     commands = {
         "drawer": "demo --no-browser --out .",
         "learn": "learn xarm7 xarm7_drawer_then_table --frame link_eef --html learn.html",
-        "hinge": "learn ur5 ur5_loose_door --frame tool0 --html hinge.html",
         "mixed": f"learn panda panda_drawer_mixed --frame panda_hand_tcp {fingers} --html mixed.html",
     }
     with contextlib.chdir(folder):

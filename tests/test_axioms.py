@@ -7,6 +7,7 @@ import pytest
 from conftest import TIPS, URDFS, tip_of
 from hypothesis import given
 from hypothesis import strategies as st
+from rounding import rounding
 
 from manip_learn.linalg import (
     Inverse,
@@ -48,23 +49,23 @@ def constraint_matrices(draw: st.DrawFn, smallest: float = 1e-16) -> tuple[np.nd
 @given(constraint_matrices())
 @pytest.mark.fuzz
 def test_null_projector_and_inverse(draw):
-    """N = N^T to the last bit, N^2 = N, A N = 0 and trace N = nv - rank, however near A is to a singularity.
+    """N = N^T, N^2 = N, A N = 0 and trace N = nv - rank, however near A is to a singularity.
 
     The exact inverse X satisfies A X A = A, X A X = X, and A X and X A are symmetric, to the conditioning of A; away
     from singularities N = I - X A, and task and null-space parts are orthogonal.
     """
     A, sigma = draw
-    N, X = null_projector(A), pseudo_inverse(A)
+    N, X, known = null_projector(A), pseudo_inverse(A), rounding(4 * A.shape[1] ** 2)
     computed = np.linalg.svd(A, compute_uv=False)
     tolerance = matlab_tolerance(computed, A.shape)
-    np.testing.assert_array_equal(N, N.T)
-    np.testing.assert_allclose(N @ N, N, rtol=0, atol=1e-14)
-    np.testing.assert_allclose(A @ N, 0.0, rtol=0, atol=1e-14 * sigma[0])
+    np.testing.assert_allclose(N, N.T, rtol=0, atol=known)
+    np.testing.assert_allclose(N @ N, N, rtol=0, atol=known)
+    np.testing.assert_allclose(A @ N, 0.0, rtol=0, atol=known * sigma[0])
     rank = A.shape[1] - np.trace(N)
-    assert rank == pytest.approx(round(rank), abs=1e-13)
+    assert rank == pytest.approx(round(rank), abs=A.shape[1] * known)
     # two ways to compute singular values may fall on two sides of the tolerance
     assert np.count_nonzero(computed > 2.0 * tolerance) <= round(rank) <= np.count_nonzero(computed > 0.5 * tolerance)
-    slack = 1e-14 * float(computed[0] / max(computed[-1], 1e-16 * computed[0]))
+    slack = known * float(computed[0] / max(computed[-1], 1e-16 * computed[0]))
     np.testing.assert_allclose(A @ X @ A, A, rtol=0, atol=slack * sigma[0])
     np.testing.assert_allclose(X @ A @ X, X, rtol=0, atol=slack * np.max(np.abs(X)))
     np.testing.assert_allclose(A @ X, (A @ X).T, rtol=0, atol=slack)
@@ -82,12 +83,12 @@ def test_only_the_row_space_counts(draw, seed):
     s = A.shape[0]
     rng = np.random.default_rng(seed)
     G = np.linalg.qr(rng.normal(size=(s, s)))[0] * rng.uniform(0.5, 2.0, s)
-    condition = sigma[0] / sigma[-1]
-    np.testing.assert_allclose(null_projector(G @ A), null_projector(A), rtol=0, atol=1e-13 * condition)
-    assert row_space_angle(G @ A, A) <= 1e-13 * condition
+    known = rounding(4 * A.shape[1] ** 2, sigma[0] / sigma[-1], 2.0 / 0.5)  # by the conditions of A and of the mixing
+    np.testing.assert_allclose(null_projector(G @ A), null_projector(A), rtol=0, atol=known)
+    assert row_space_angle(G @ A, A) <= known
     Q = orthonormal_rows(A)
-    np.testing.assert_allclose(Q @ Q.T, np.eye(s), rtol=0, atol=1e-13)
-    assert row_space_angle(Q, A) <= 1e-13 * condition
+    np.testing.assert_allclose(Q @ Q.T, np.eye(s), rtol=0, atol=rounding(4 * A.shape[1] ** 2))
+    assert row_space_angle(Q, A) <= known
 
 
 @given(st.integers(2, 7), st.integers(1, 6), st.floats(-15.0, 0.0), st.integers(0, 2**32 - 1))
@@ -101,8 +102,9 @@ def test_principal_angles_of_turned_spaces(p, s, exponent, seed):
     turned = basis[:s].copy()
     turned[0] = np.cos(angle) * basis[0] + np.sin(angle) * basis[s]
     mixed = rng.normal(size=(s, s)) + 3.0 * np.eye(s)
+    known = rounding(4 * p * p, np.linalg.cond(mixed))
     for one, other in ((mixed @ basis[:s], turned), (turned, mixed @ basis[:s])):
-        assert row_space_angle(one, other) == pytest.approx(angle, abs=1e-13 + 1e-9 * angle)
+        assert row_space_angle(one, other) == pytest.approx(angle, abs=known + 1e-9 * angle)
 
 
 @pytest.mark.parametrize("name", ROBOTS)
@@ -115,9 +117,10 @@ def test_postures(robot_of, rng, name):
         q, v = robot.random_configuration(rng), scale * rng.uniform(-1.0, 1.0, robot.nv)
         positions = robot.positions(q)
         assert (q.shape, positions.shape) == ((robot.nq,), (robot.nv,))
-        np.testing.assert_allclose(robot.configuration(positions), q, rtol=0, atol=1e-14)
-        np.testing.assert_allclose(robot.positions(robot.configuration(positions)), positions, rtol=0, atol=1e-14)
-        np.testing.assert_allclose(robot.configuration(q), q, rtol=0, atol=1e-15)
+        known, back = rounding(8, q), robot.positions(robot.configuration(positions))
+        np.testing.assert_allclose(robot.configuration(positions), q, rtol=0, atol=known)
+        np.testing.assert_allclose(back, positions, rtol=0, atol=known)
+        np.testing.assert_allclose(robot.configuration(q), q, rtol=0, atol=known)
         for posture in (q, positions):
             moved = robot.integrate(posture, v)
             assert moved.shape == posture.shape
@@ -128,9 +131,11 @@ def test_postures(robot_of, rng, name):
         turned = positions.copy()
         for block in robot.blocks:
             turned[block.v] += 2.0 * np.pi * (block.kind == "continuous")
-        np.testing.assert_allclose(robot.pose(turned, frame), robot.pose(q, frame), rtol=0, atol=1e-14)
-        np.testing.assert_allclose(robot.jacobian(turned, frame), robot.jacobian(q, frame), rtol=0, atol=1e-14)
-        np.testing.assert_allclose(robot.difference(q, turned), 0.0, rtol=0, atol=1e-14)
+        J = robot.jacobian(q, frame)
+        known = rounding(8 * robot.nv, turned, 1.0 + np.linalg.norm(J))  # angles of this size, and levers like J's
+        np.testing.assert_allclose(robot.pose(turned, frame), robot.pose(q, frame), rtol=0, atol=known)
+        np.testing.assert_allclose(robot.jacobian(turned, frame), J, rtol=0, atol=known)
+        np.testing.assert_allclose(robot.difference(q, turned), 0.0, rtol=0, atol=rounding(8, turned))
 
 
 def test_shortest_way_round(robot_of):

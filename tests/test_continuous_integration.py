@@ -4,9 +4,11 @@ from __future__ import annotations
 
 import os
 import re
+import runpy
 from pathlib import Path
 from typing import Any
 
+import pytest
 from ruamel.yaml import YAML
 
 ROOT = Path(__file__).resolve().parents[1]
@@ -77,3 +79,59 @@ def test_every_benchmark_has_cases_beside_the_release(monkeypatch):
 
     promises = {p.stem.removeprefix("bench_") for p in BENCHMARKS.glob("bench_*.py")} - {"release"}
     assert set(CASES) == promises and all(CASES.values())
+
+
+ROOMS = runpy.run_path(str(ROOT / ".ci" / "rooms"))
+SOURCES = {
+    "a.py": (
+        '"""What it\nholds."""\n\n# why\nX = """\nno docstring"""\n\n\ndef f():\n    """Is."""\n    return X  # it\n',
+        4,
+    ),
+    "b.js": ("/* what\nit is */\nlet a = 1; // one\n\n// why\na += 1;\n", 2),
+    "c.min.js": ("a;\n", 0),
+    "vendor/d.js": ("a;\n", 0),
+    "build/e.hpp": ("a;\n", 0),
+    "f.css": ("a {\n}\n", 2),
+    "g.md": ("words\n", 0),
+}
+# lines now, at the release, and agreed -> whether that is too many
+GROWN = {
+    "above its budget, as it was": (500, 500, 300, False),
+    "above its budget, mended": (540, 500, 300, False),
+    "above its budget, and a new ability": (541, 500, 300, True),
+    "rebuilt": (300, 500, 300, False),
+    "within its budget": (300, 250, 300, False),
+    "just at its budget, and grown": (301, 300, 300, True),
+    "within its budget, and grown back": (301, 250, 300, True),
+}
+
+
+@pytest.mark.parametrize("name", SOURCES)
+def test_lines_of_code_are_counted_without_sentences(tmp_path: Path, name: str):
+    """Docstrings, comments, blank lines, and libraries of others are free."""
+    (tmp_path / name).parent.mkdir(exist_ok=True)
+    (tmp_path / name).write_text(SOURCES[name][0], encoding="utf-8")
+    assert ROOMS["code_lines"](tmp_path, ".", (".py", ".js", ".css", ".hpp")) == SOURCES[name][1]
+
+
+def test_a_room_that_has_grown_is_an_error(tmp_path: Path):
+    """One that was above its budget may only be mended, one that was within it stays within it; the next release starts
+    from what is there.
+    """
+    (table := tmp_path / ".ci" / "rooms.csv").parent.mkdir()
+    for why, (now, release, budget, grown) in GROWN.items():
+        (tmp_path / "a.py").write_text("a\n" * now, encoding="utf-8")
+        table.write_text(f"room,endings,release,budget\n.,.py,{release},{budget}\n", encoding="utf-8")
+        assert ROOMS["main"](tmp_path, []) == grown, why
+    assert [ROOMS["most_lines"](500, 300, rooms) for rooms in (1, 12)] == [540, 980]  # tests mend twelve
+    ROOMS["main"](tmp_path, ["--release"])
+    assert table.read_text(encoding="utf-8") == "room,endings,release,budget\n.,.py,301,300\n"
+
+
+def test_every_room_has_a_budget():
+    """Every folder of the library has a line in `.ci/rooms.csv`, and what was agreed for all is the sum."""
+    rows = [line.split(",") for line in (ROOT / ".ci" / "rooms.csv").read_text(encoding="utf-8").splitlines()]
+    budgets = {room: int(budget) for room, endings, _, budget in rows if endings == ".py"}
+    rooms = {f"manip_learn/{p.parent.name}" for p in (ROOT / "manip_learn").glob("*/__init__.py")} | {"manip_learn/*"}
+    assert {room for room in budgets if room.startswith("manip_learn/")} == rooms
+    assert budgets["manip_learn"] == sum(budgets[room] for room in rooms)

@@ -11,30 +11,20 @@ import pytest
 DOCS = Path(__file__).resolve().parents[1] / "docs"
 GOOD = '<h1 id="top">A</h1><a href="b.html#there">b</a><a href="#top">up</a><a href="https://example.org">site</a>'
 # who asks what, the page that this person would open, and the words that answer it
-QUESTIONS = (
-    ("a person without robotics", "Do I need a robot?", "teach", "No robot is needed"),
-    ("a person without robotics", "What does it find out?", "the_idea", "which directions the task allows"),
-    (
-        "an engineer with recordings",
-        "What do I need for my own arm?",
-        "your_own_arm",
-        "five to eight recordings of joint positions",
-    ),
-    (
-        "an engineer with recordings",
-        "Which file can it read?",
-        "recordings",
-        "a column `time` [s] and one column per joint",
-    ),
-    ("an engineer with recordings", "Can I trust the answer?", "reading_the_report", "is the **gap** 10 or more"),
-    ("an engineer with recordings", "How does the arm do it again?", "control", "ml.repeat(learner.skill_, q0)"),
-    ("a PhD student", "How do I use a policy of my own?", "your_own_null_space_policy", "null_policy = lambda q:"),
-    ("a PhD student", "How do I get the paper's numbers?", "reproduction", "manip-learn reproduce all"),
-    ("a technician with a UR5e", "Was it tried on a real arm?", "ur5e_in_ten_minutes", "**Tried in simulation only**"),
-    ("a technician with a UR5e", "Which library drives it?", "ur", "`ml.run` over RTDE"),
-    ("an operator", "Why did the arm stop?", "troubleshooting", "the arm stops, status `following-error`"),
-    ("an operator", "Does it keep clear of the table?", "world", "keeps 5 mm clear"),
-)
+QUESTIONS = """\
+a person without robotics | Do I need a robot? | teach | No robot is needed
+a person without robotics | What does it find out? | the_idea | which directions the task allows
+an engineer with recordings | What do I need for my own arm? | your_own_arm | eight recordings of joint positions
+an engineer with recordings | Which file can it read? | recordings | a column `time` [s] and one column per joint
+an engineer with recordings | Can I trust the answer? | reading_the_report | is the **gap** 10 or more
+an engineer with recordings | How does the arm do it again? | control | ml.repeat(learner.skill_, q0)
+a PhD student | How do I use a policy of my own? | your_own_null_space_policy | null_policy = lambda q:
+a PhD student | How do I get the paper's numbers? | reproduction | manip-learn reproduce all
+a technician with a UR5e | Was it tried on a real arm? | ur5e_in_ten_minutes | **Tried in simulation only**
+a technician with a UR5e | Which library drives it? | ur | `ml.run` over RTDE
+an operator | Why did the arm stop? | troubleshooting | the arm stops, status `following-error`
+an operator | Does it keep clear of the table? | world | keeps 5 mm clear
+"""
 SCREEN = 150  # words that a screen of 1280 x 800 shows at least
 PICTURE = 80  # words whose place a picture takes
 OTHER = '<p id="there"><img src="picture.png"></p><link rel="canonical" href="https://example.org/b.html">'
@@ -110,9 +100,10 @@ def test_links_of_the_markdown_files_here(check):
     assert list(check.faults_of_markdown(check.ROOT)) == []
 
 
-@pytest.mark.parametrize(("person", "question", "page", "answer"), QUESTIONS, ids=lambda text: text[:12])
-def test_questions_are_answered_on_the_first_screen(person, question, page, answer):
+@pytest.mark.parametrize("asked", QUESTIONS.splitlines())
+def test_questions_are_answered_on_the_first_screen(asked):
     """Whoever opens the page with this question reads the answer without scrolling."""
+    person, question, page, answer = asked.split(" | ")
     before, found, _ = (DOCS / f"{page}.md").read_text(encoding="utf-8").partition(answer)
     assert found, f"{person} asks {question!r}: {page}.md does not say {answer!r}"
     pictures = before.count("![") + before.count("{image}")
@@ -128,3 +119,20 @@ def test_each_figure_is_drawn_from_its_table(tmp_path):
         (tmp_path / table.name).symlink_to(table)
     plot.main()
     assert {p.name for p in tmp_path.glob("*.svg")} == {p.name for p in tables.glob("*.svg")}
+
+
+def test_each_figure_says_where_it_comes_from(tmp_path, capsys):
+    """Those of the project do; a table or picture without commit, day and command, or on no page, is named."""
+    figures = script(DOCS / "list_figures.py")
+    assert list(figures.faults_of_figures()) == []
+    (tmp_path / "docs").mkdir()
+    for name in ("a.csv", "b.svg", "c.png"):
+        (tmp_path / "docs" / name).write_text("", encoding="utf-8")
+    text = "# A\n{download}`a <a.csv>`, Measured at `0123abcd`, 2026-01-02, with `make a`.\n## B\n![b](b.svg)\n"
+    words = "## D\n| a | b |\n|---|---|\n| 1 | as 2 |\n## C\n| a | b |\n|---|---|\n| x | 2.5 % |\n"
+    (tmp_path / "docs" / "page.md").write_text(text + words, encoding="utf-8")
+    (tmp_path / "README.md").write_text("", encoding="utf-8")
+    faults = [fault.split(": ")[:-1] for fault in figures.faults_of_figures(tmp_path)]
+    page = "docs/page.md"
+    assert faults == [[page, "B", "b.svg"], [page, "C", "a table"], ["docs/c.png", "no page shows it"]]
+    assert f"{page}: A: a.csv: 0123abcd 2026-01-02 make a" in capsys.readouterr().out

@@ -15,6 +15,7 @@ from typing import Any
 
 import numpy as np
 from numpy.testing import assert_allclose
+from rounding import rounding
 
 from manip_learn.constraint.constraint import Constraint
 from manip_learn.control.simulation import simulate
@@ -37,9 +38,11 @@ from manip_learn.recordings.demonstrations import Demonstrations
 
 PATH = Path(__file__).resolve().parent / "golden" / "experiments.json"
 BESIDE = (0.1, -0.2, 0.15)  # [rad]
-# the paper's separation of task and null space divides by what is small: OpenBLAS's kernels SkylakeX and Haswell differ
-# by 1.7e-11 in it
-LOOSER = {"table/separate": 1e-9}
+# (start of a place, relative, absolute tolerance). The separation of task and null space ends where five steps gain
+# less than a millionth of the cost each: its error, of which the cost is the square, is known to 0.2 %, and the square
+# to half a percent. Each of the 501 steps of a rollout adds the rounding of its factorisation, which the damping of
+# 0.05 raises by 20 at most, to angles of up to a turn
+LOOSER = (("table/separate", 5e-3, 1e-12), ("starts/", 1e-12, rounding(501 * 4 * 2 * 3, 2.0 * np.pi, 20.0)))
 
 
 def ends(demos: Demonstrations) -> list[Any]:
@@ -109,14 +112,14 @@ def computed() -> dict[str, Any]:
 
 
 def assert_same(found: Any, expected: Any, where: str = "") -> None:
-    """The same structure, and the same numbers to 1e-12."""
+    """The same structure, and the same numbers, to 1e-12 but for those of `LOOSER`."""
     if isinstance(expected, dict):
         assert set(found) == set(expected), where
         for key in expected:
             assert_same(found[key], expected[key], f"{where}/{key}".strip("/"))
     else:
-        tolerance = LOOSER.get(where, 1e-12)
-        assert_allclose(found, expected, rtol=tolerance, atol=tolerance, err_msg=where)
+        rtol, atol = next(((r, a) for start, r, a in LOOSER if where.startswith(start)), (1e-12, 1e-12))
+        assert_allclose(found, expected, rtol=rtol, atol=atol, err_msg=where)
 
 
 def test_numbers_stay():

@@ -9,6 +9,7 @@ import sys
 import numpy as np
 import pytest
 from case import case
+from rounding import rounding
 from test_axioms import pseudo_inverse
 
 from manip_learn.constraint.small_matrices import row_inverse, svd
@@ -83,26 +84,27 @@ def test_row_inverse_of_one_matrix(rng):
                 assert (volume, smallest) == (pytest.approx(np.prod(sigma)), pytest.approx(np.min(sigma)))
             U, values, Vt = svd(A)
             assert (U.shape, Vt.shape) == ((s, s), (7, 7))
-            np.testing.assert_allclose((U * values) @ Vt[:s], A, rtol=0, atol=1e-13)
+            np.testing.assert_allclose((U * values) @ Vt[:s], A, rtol=0, atol=rounding(4 * A.size, A))
     assert row_inverse(np.ones((3, 2))) is None and row_inverse(np.zeros((1, 3))) is None
 
 
 def test_angles_of_every_size():
-    """An angle of 1e-16 is measured as well as one of 1 radian: no digits are lost to the arc cosine."""
+    """Angles of 1e-16 to 1 radian are known to the rounding of the rows: no digits are lost to the arc cosine."""
     for angle in 10.0 ** -np.arange(17):
         M1 = np.array([[1.0, 0.0, 0.0, 0.0], [0.0, 0.0, 0.0, 2.0]])
         M2 = np.array([[np.cos(angle), np.sin(angle), 0.0, 0.0]])
         M2 = np.vstack([M2, 3.0 * M2 + [0.0, 0.0, 0.0, 5.0]])  # same space, other rows
-        assert row_space_angle(M2, M1) == pytest.approx(angle, rel=1e-9, abs=1e-15)
-        assert row_space_angles(M2[None], row_basis(M1))[0] == pytest.approx(angle, rel=1e-9, abs=1e-15)
+        known = rounding(4 * M2.size, np.linalg.cond(M2))
+        assert row_space_angle(M2, M1) == pytest.approx(angle, rel=1e-9, abs=known)
+        assert row_space_angles(M2[None], row_basis(M1))[0] == pytest.approx(angle, rel=1e-9, abs=known)
 
 
 def test_angles_see_no_rows_that_add_nothing():
     """Zero and repeated rows (the paper prints Lambda with a zero row) neither hide nor make an angle."""
     xy, yz = np.diag([1.0, 1.0, 0.0]), np.diag([0.0, 1.0, 1.0])
     assert row_space_angle(xy, yz) == pytest.approx(np.pi / 2)
-    assert row_space_angle(xy, np.eye(3)[:2]) < 1e-15
-    assert row_space_angle(np.eye(3)[[0, 0]], np.eye(3)[:1]) < 1e-15
+    assert row_space_angle(xy, np.eye(3)[:2]) < rounding(4 * 9)
+    assert row_space_angle(np.eye(3)[[0, 0]], np.eye(3)[:1]) < rounding(4 * 9)
     assert row_space_angle(np.eye(3)[[0, 0]], np.eye(3)[:2]) == np.pi / 2
     assert row_space_angle(np.zeros((2, 3)), np.zeros((1, 3))) == 0.0
 
@@ -146,17 +148,21 @@ def test_batch_row_spaces(rng):
             A = rng.normal(size=(30, s, nv))
             A[3, :1], A[4, -1:], A[7] = 0.0, A[4, :1], 0.0
             Q, R = batch_row_spaces(A)
+            longest = max(1.0, *np.linalg.norm(A, axis=(1, 2)))
+            known = rounding(4 * nv * nv, longest)
+            sigma = np.linalg.svd(np.delete(A, [3, 4, 7], axis=0), compute_uv=False)  # of independent rows
+            turned = rounding(4 * nv * nv, longest, np.max(sigma[:, :1] / sigma[:, -1:], initial=1.0))
             unit = np.broadcast_to(np.eye(nv), (30, nv, nv))
-            np.testing.assert_allclose(Q.transpose(0, 2, 1) @ Q, unit, rtol=0, atol=1e-13)
-            np.testing.assert_allclose(Q[:, :, :s] @ R, A.transpose(0, 2, 1), rtol=0, atol=1e-13)
-            np.testing.assert_allclose(A @ Q[:, :, s:], 0.0, rtol=0, atol=1e-13)
+            np.testing.assert_allclose(Q.transpose(0, 2, 1) @ Q, unit, rtol=0, atol=known)
+            np.testing.assert_allclose(Q[:, :, :s] @ R, A.transpose(0, 2, 1), rtol=0, atol=known)
+            np.testing.assert_allclose(A @ Q[:, :, s:], 0.0, rtol=0, atol=known)
             np.testing.assert_array_equal(R, np.triu(R))
             thin_Q, thin_R = (x.transpose(2, 0, 1) for x in row_bases(A.transpose(2, 1, 0)))
             others = np.arange(30) != 4  # of dependent rows rounding decides what is added
-            np.testing.assert_allclose(thin_Q[others], Q[others, :, :s], rtol=0, atol=1e-13)
-            np.testing.assert_allclose(thin_R[others], R[others], rtol=0, atol=1e-13)
-            np.testing.assert_allclose(thin_Q @ thin_R, A.transpose(0, 2, 1), rtol=0, atol=1e-13)
-            np.testing.assert_allclose(thin_Q.transpose(0, 2, 1) @ thin_Q, unit[:, :s, :s], rtol=0, atol=1e-13)
+            np.testing.assert_allclose(thin_Q[others], Q[others, :, :s], rtol=0, atol=turned)
+            np.testing.assert_allclose(thin_R[others], R[others], rtol=0, atol=turned)
+            np.testing.assert_allclose(thin_Q @ thin_R, A.transpose(0, 2, 1), rtol=0, atol=known)
+            np.testing.assert_allclose(thin_Q.transpose(0, 2, 1) @ thin_Q, unit[:, :s, :s], rtol=0, atol=turned)
 
 
 def test_samples_that_lose_rank_have_no_say(rng):

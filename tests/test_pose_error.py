@@ -7,6 +7,7 @@ from collections.abc import Callable
 import numpy as np
 import pytest
 from case import case
+from rounding import rounding
 
 from manip_learn.constraint.constraint import Constraint
 from manip_learn.constraint.features import CentreOfMass, FeatureMap, FrameJacobian, RelativeFrameJacobian
@@ -93,7 +94,7 @@ def test_rows_are_those_of_the_constraint_on_the_target(robot_of: RobotOf, rng: 
         for axes in AXES[:1] + AXES[2:]:
             features = features_of(robot, axes, view)
             E = features.error_jacobian(pose_of(features, q), q)
-            np.testing.assert_allclose(E, features(q), rtol=0, atol=1e-14)
+            np.testing.assert_allclose(E, features(q), rtol=0, atol=rounding(8 * robot.nv, E))
     for features in (features_of(robot, "x z", "world"), CentreOfMass(robot)):
         target = np.zeros(features.n_rows)
         assert features.error_jacobian(target, q) is None

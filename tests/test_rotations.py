@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 from case import case
+from rounding import rounding
 from scipy.spatial.transform import Rotation
 
 from manip_learn.robot.rotations import (
@@ -18,19 +19,20 @@ ANGLES = [0.0, 1e-300, 1e-12, 1e-6, 0.1, 1.0, 3.0, np.pi - 1e-2, np.pi - 1e-6, n
 
 
 def test_there_and_back(rng: np.random.Generator) -> None:
-    """Both ways to 1e-14 at every angle, up to the sign at half a turn."""
+    """Both ways to rounding at every angle, up to the sign at half a turn."""
     for angle in ANGLES:
         with case(angle):
             axes = [*np.eye(3), *-np.eye(3), *rng.normal(size=(50, 3))]
             for axis in axes:
                 vector = angle * axis / np.linalg.norm(axis)
                 R = Rotation.from_rotvec(vector).as_matrix()
-                np.testing.assert_allclose(rotation_matrix(vector), R, rtol=0, atol=1e-15)
+                known = rounding(16, max(1.0, angle))  # products and sums on either way, of an angle of this size
+                np.testing.assert_allclose(rotation_matrix(vector), R, rtol=0, atol=known)
                 got = rotation_vector(R)
                 if angle > np.pi - 1e-9 and got @ vector < 0.0:
                     got = -got
-                np.testing.assert_allclose(got, vector, rtol=0, atol=2e-15)
-                assert np.linalg.norm(got) <= np.pi + 1e-15
+                np.testing.assert_allclose(got, vector, rtol=0, atol=known)
+                assert np.linalg.norm(got) <= np.pi + known
 
 
 def test_many_at_once(rng: np.random.Generator) -> None:
@@ -38,7 +40,8 @@ def test_many_at_once(rng: np.random.Generator) -> None:
     axes = np.concatenate([np.eye(3), -np.eye(3), rng.normal(size=(50, 3))])
     vectors = np.concatenate([angle * axes / np.linalg.norm(axes, axis=1, keepdims=True) for angle in ANGLES])
     R = Rotation.from_rotvec(vectors).as_matrix()
-    np.testing.assert_allclose(rotation_vectors(R), [rotation_vector(one) for one in R], rtol=0, atol=1e-15)
+    one_by_one, known = [rotation_vector(one) for one in R], rounding(16, np.pi)
+    np.testing.assert_allclose(rotation_vectors(R), one_by_one, rtol=0, atol=known)
     assert rotation_vectors(np.zeros((0, 3, 3))).shape == (0, 3)
 
 
@@ -49,8 +52,8 @@ def test_jacobians(rng: np.random.Generator) -> None:
             for axis in rng.normal(size=(10, 3)):
                 r = angle * axis / np.linalg.norm(axis)
                 J, inverse, h = left_jacobian(r), left_jacobian_inverse(r), 1e-5
-                np.testing.assert_allclose(J @ inverse, np.eye(3), rtol=0, atol=1e-14)
-                np.testing.assert_allclose(inverse @ r, r, rtol=0, atol=1e-14)
+                np.testing.assert_allclose(J @ inverse, np.eye(3), rtol=0, atol=rounding(24, J, inverse))
+                np.testing.assert_allclose(inverse @ r, r, rtol=0, atol=rounding(24, inverse, r))
                 for rate in np.eye(3):
                     turned = rotation_matrix(r + h * rate) @ rotation_matrix(r - h * rate).T
                     np.testing.assert_allclose(J @ rate, rotation_vector(turned) / (2.0 * h), rtol=0, atol=1e-9)

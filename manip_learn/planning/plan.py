@@ -49,7 +49,7 @@ from manip_learn.robot.batch.postures import unwound
 from manip_learn.robot.collision import SelfCollision
 from manip_learn.robot.robot import Robot
 
-_CANDIDATES = 384  # seeds: with 2,000 the best margin of a drawer rises by less than 0.01 (docs/figures_control.md)
+_CANDIDATES = 384  # seeds: with 2,000 the best margin of a drawer rises by less than 0.01 (benchmarks/planned_ways.py)
 LEAST_CANDIDATES = 8  # three stations, three kinds of pull, and the start
 FOLLOWING = 5.0  # [1/s] pull back to the planned postures, half as hard as the task's own feedback
 APPROACH_SHARE = 0.25  # of the velocity limits, on the way to the posture of hold: beside people, as ISO 10218-1
