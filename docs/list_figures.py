@@ -67,7 +67,7 @@ def number_tables(text: str) -> Iterator[int]:
 def figures_of(page: Path, root: Path = ROOT) -> Iterator[Figure]:
     """The figures of a page, in their order."""
     for heading, text in sections(page.read_text(encoding="utf-8")):
-        origins = [(m.start(), m.groups()) for m in ORIGIN.finditer(text)]
+        origins = [(m.start(), (m[1], m[2], m[3])) for m in ORIGIN.finditer(text)]
         shown = [(m.start(), m[0]) for m in FILE.finditer(text) if (page.parent / m[0]).is_file()]
         for place, name in sorted([*shown, *((start, "a table") for start in number_tables(text))]):
             below = [origin for start, origin in origins if start > place]
