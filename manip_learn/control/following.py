@@ -25,6 +25,7 @@ STIFFNESS = 2000.0  # [N m/rad or N/m] of a stiff position servo of an arm that 
 PAYLOAD, WEIGHED = 2.0, 0.25
 _DRIVEN = 60.0  # [N] along what is driven, where nothing is known of it
 GRAVITY = 9.81  # [m/s2]
+_DOWN = 0.8  # share of a force that points down where it is a weight
 # [rad or m] what stays of a servo's error where friction, play and noise have been measured: 0.5 N m at 2,000 N m/rad
 RESOLUTION = 2.5e-4
 RINGING = 0.1  # [s] for which a servo feels an acceleration: three times sqrt(2 kg m2 / 2,000 N m/rad)
@@ -197,6 +198,8 @@ class FollowingError:
         distance: shape (nv,), measured less commanded.
         force: shape (3,), on the hand, in the base frame [N]; 0 where the user has given limits.
         tripped: Why the arm is to be stopped, in words; empty where it is not.
+        load: shape (nv,), distance at which the arm stands with nothing in its way, under a weight or by its friction.
+        sinks: True if the force that stopped the arm points down, as a weight does.
         servos: What is known of them.
 
     Raises:
@@ -236,7 +239,7 @@ class FollowingError:
         nv = self._robot.nv
         self.servos.forget()
         self.force, self.tripped = np.zeros(3), ""
-        self.distance = np.zeros(nv)
+        self.distance, self.load, self.sinks = np.zeros(nv), np.zeros(nv), False
         self.resolution = 0.0 if isinstance(self.contact.resolution, str) else float(self.contact.resolution)
         self._said, self._untold = False, int(self.contact.stiffness is None and self._by_force)
         self.notes: list[str] = []
@@ -287,9 +290,11 @@ class FollowingError:
     def relief(self) -> Float[np.ndarray, " nv"]:
         """Way to a commanded posture at which the servos no longer press, shape (nv,) [rad or m].
 
-        To where the arm was measured, and on in the sense of the force by what friction would go on holding.
+        To where the arm was measured, less its load (a weight presses nothing), and on in the sense of the force by
+        what friction would go on holding.
         """
-        return self.distance + self.servos.friction * self._pushed / (np.abs(self._pushed) + RESOLUTION)
+        held = self.servos.friction * self._pushed / (np.abs(self._pushed) + RESOLUTION)
+        return self.distance - self.load + held
 
     def farthest(self) -> Float[np.ndarray, " nv"]:
         """By how much it makes sense to let go, shape (nv,) [rad or m]: the measurement may be wrong.
@@ -303,11 +308,34 @@ class FollowingError:
         """Force on the hand that is left in a measured posture, beyond what friction holds [N]."""
         if not self._by_force:
             return 0.0
-        away = np.sign(self.distance) * np.maximum(np.abs(self.distance) - self.servos.friction, 0.0)
+        off = self.distance - self.load
+        away = np.sign(off) * np.maximum(np.abs(off) - self.servos.friction, 0.0)
         C = self._robot.jacobian(q, self._frame)[:3] / self._stiffness
         f = self._force_of(away, C)[0]
         self._pushed = f.dot(C)
         return float(np.linalg.norm(f))
+
+    def carry(self, off: Float[np.ndarray, " nv"], q: Float[np.ndarray, " n"]) -> str:
+        """Take distances [rad or m] at a posture as the arm's load unless a contact explains them.
+
+        Returns:
+            Words on a payload that the drives do not know of; empty if there is none.
+        """
+        C = self._robot.jacobian(q, self._frame)[:3] / self._stiffness
+        f = np.linalg.solve(C.dot(C.T) + self._damping, C.dot(off))
+        force = self.force if self.force.any() else f
+        weighs, self.sinks = (bool(-x[2] > _DOWN * math.sqrt(x.dot(x))) for x in (f, force))
+        if weighs or f.dot(f) <= self.contact.held**2:
+            self.load = off
+        if not (weighs and self.sinks and -f[2] > GRAVITY * max(PAYLOAD, self._robot.payload)):
+            return ""
+        self._pushed = np.zeros_like(off)
+        mass = "..." if self.contact.stiffness is None else f"{-f[2] / GRAVITY:.2g}"
+        about = "" if self.contact.stiffness is None else f" of about {mass} kg"
+        return (
+            f"; that looks like a payload{about}, which the drives do not know of: load the robot with it, "
+            f"robot.with_payload({mass}, {self._frame.name!r})"
+        )
 
     def sentence(self, constraint: Constraint | None, q: Float[np.ndarray, " n"]) -> str:
         """What was blocked and by how much: the row of the constraint, if it is known, the joint, and what to do."""

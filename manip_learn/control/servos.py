@@ -111,6 +111,11 @@ class Servos:
         return over
 
     @property
+    def at_rest(self) -> Float[np.ndarray, " nv"]:
+        """How far the joints were from where they were sent before they moved, shape (nv,) [rad or m]."""
+        return self._first if self._rests else np.zeros(self._nv)
+
+    @property
     def has_looked(self) -> bool:
         """Whether this period is one in which what changes slowly is looked at, all of it in the same."""
         return self._row % self._often == 1 % self._often
