@@ -179,6 +179,9 @@ class _Cycle:
         self.cycles = self.overruns = 0
         self.longest_delay = 0.0
         self.reason, self.ordered = "", False
+        # what the loop last said of an arm that is blocked, and the reason that this was made
+        self._words: str | None = None
+        self._cause = ""
         self._told: str | None = None  # of the gripper
         self._blocked: set[str] = set()  # what did not return and is called no more
         self._raised: BaseException | None = None  # by the caller's own code
@@ -233,11 +236,15 @@ class _Cycle:
                 self._send(sent, command, ending)
             self._witness.note(loop.measured, sent)
             self._note(t, command)
-            if command.status is Status.FOLLOWING_ERROR:
+            if command.status is Status.FOLLOWING_ERROR and self._words != loop.stopped_by:
+                self._words = loop.stopped_by
                 past = [q for _, q, _ in self._samples[-int(max(3, 0.02 / (self._stride * period))) :]]
                 frozen = len(past) > 2 and all(np.array_equal(q, past[-1]) for q in past)
                 why = "the driver has gone on returning the same posture, or the arm is off: " if frozen else ""
-                self._stopped(why + (loop.stopped_by or "the arm is blocked"))
+                if not self.reason or self.reason == self._cause:  # more readings tell more of it
+                    self.reason = ""
+                    self._stopped(why + (loop.stopped_by or "the arm is blocked"))
+                    self._cause = self.reason
             self.cycles += 1
             last = min(last, t + LONGEST_STOP) if self.reason else math.inf
             if t >= last or "command()" in self._blocked or self._stands(command):

@@ -170,6 +170,9 @@ def _per_joint(what: str, values: ArrayLike, robot: Robot) -> Float[np.ndarray, 
     return np.array(np.broadcast_to(array, (robot.nv,)))
 
 
+# shares of the commanded speed above which an arm is not slow, below which the first motion says so, and below which it
+# may stand
+_SLOW, _SURELY, _CREEPS = 0.95, 0.75, 0.15
 Directions = Callable[[Float[np.ndarray, " n"]], Float[np.ndarray, "k nv"]]
 
 
@@ -355,6 +358,11 @@ class FollowingError:
             unit = "mrad" if constraint.features.row_units[int(np.abs(row).argmax())].startswith("rad") else "mm"
             parts = sum_in_words(row, constraint.features.row_names, "+.2g", 0.05)
             words = f"row {i + 1} of the constraint ({parts}) is {1e3 * off[i]:+.2g} {unit} off, {words}"
+        share, stands = self.servos.pace()
+        if self._by_force and _CREEPS < share < _SLOW:
+            return f"{words}; {_slow(share)}"
+        if stands:
+            words += "; no joint moves any more: look at brakes, control mode and emergency stop"
         return f"{words}; {self.tripped}" if self.tripped else words
 
     def compare(
@@ -378,7 +386,7 @@ class FollowingError:
         if self.servos.is_known and not self._said:
             self._tell(measured)
         self.force = NONE
-        if self.tripped:
+        if self.tripped or self.servos.repeats:
             return
         if not self.servos.is_known and np.any(np.abs(self.distance) > _LATE * self.limit):
             self.tripped = "the arm has not begun to move: it is blocked or switched off, or give Contact(latency=...)"
@@ -477,23 +485,43 @@ class FollowingError:
         servos, contact, self._said = self.servos, self.contact, True
         C = self._robot.jacobian(q, self._frame)[:3] / self._stiffness
         G = np.linalg.solve(C.dot(C.T) + self._damping, C)  # of the force by the distances
-        noise, friction = (float(np.linalg.norm(G * x)) for x in (servos.noise, servos.width * servos.seen))
+        # what was sent from one new reading to the next is no friction
+        dry = np.maximum(servos.width - np.abs(servos.gone(round(servos.every - 1.0))), 0.0) * servos.seen
+        noise, width, friction = (float(np.linalg.norm(G * x)) for x in (servos.noise, servos.width * servos.seen, dry))
         periods = max(1.0, 0.5 * (QUIET * noise / (_NOISY * contact.held)) ** 2)
         servos.smooth(periods)
-        least = max(_KNOWN * friction, QUIET * noise / math.sqrt(2.0 * periods))
+        least = max(_KNOWN * width, QUIET * noise / math.sqrt(2.0 * periods))
         if isinstance(contact.resolution, str):
             self.resolution = least
-        if servos.late is not None and servos.late > LOOK_BACK:
+        share, cause = servos.pace()[0], "friction, play and noise"
+        if servos.every >= 2.0:
+            cause = "readings that come late"
+            self.notes.append(
+                f"readings change every {1e3 * self._dt * servos.every:.0f} ms, the loop runs at {1e3 * self._dt:g} ms: "
+                "forces are seen that much later"
+            )
+        if _CREEPS < share < _SURELY:
+            cause = "an arm that is slower than it is sent"
+            self.notes.append(_slow(share))
+        elif servos.late is not None and servos.late > LOOK_BACK:
             self.notes.append(f"the arm follows {1e3 * servos.late:.0f} ms late")
-        if friction > contact.held:
+        if friction > contact.held and not _CREEPS < share < _SURELY:
             self.notes.append(
                 f"friction and play of the joints take up to {friction:.0f} N on the hand: forces from {least:.0f} N "
                 "on are seen"
             )
         if self.resolution > contact.held:
             self.notes.append(
-                f"held={contact.held:g} N cannot be kept: from friction, play and noise, {self.resolution:.0f} N can "
-                "be told, and at that the arm is stopped"
+                f"held={contact.held:g} N cannot be kept: from {cause}, {self.resolution:.0f} N can be told, and at "
+                "that the arm is stopped"
             )
         for note in self.notes[self._untold :]:
             _LOGGER.warning(note)
+
+
+def _slow(share: float) -> str:
+    """Return words on an arm that goes along its path at a share of the commanded speed."""
+    return (
+        f"the arm follows the path that is sent at about {share:.0%} of its speed: speed slider, override, or a limit of "
+        "its controller"
+    )

@@ -669,14 +669,15 @@ class ServoLoop:
         following = self._following
         if self._relief is None:
             self._pressed, self._renewed, self._rested = (commanded, measured, following.farthest()), 0, 0.0
-            words = following.sentence(constraint_of(self.controller), measured)
-            words += following.carry(following.servos.at_rest, measured)
-            self._relief, self.lets_go = self._let_go(commanded), True
-            self.stopped_by = (
-                f"{self._jumped[0]}; {words}" if self._time - self._jumped[1] <= self.stale_after else words
-            )
+            self._moved, self._payload = self._velocity, following.carry(following.servos.at_rest, measured)
+            self._relief, self.lets_go, self._brakes = self._let_go(commanded), True, True
+            self._name_cause(measured)
+        elif self._brakes and float(self._velocity.dot(self._moved)) > 0.0:  # each reading tells more of the cause
+            self._name_cause(measured)
         elif not self._renewed and self._comes_along(commanded, measured):
             self._relief, self._renewed, self._hangs = commanded, RENEWALS, True
+        else:
+            self._brakes = False
         left = self.robot.difference(commanded, self._relief)
         farthest = float(np.abs(left).max(initial=0.0))
         self._rested += held
@@ -701,6 +702,11 @@ class ServoLoop:
         return self._beside_the_law(
             self._hard.towards(wish, self._velocity, bounds, held), Status.FOLLOWING_ERROR, held
         )
+
+    def _name_cause(self, measured: np.ndarray) -> None:
+        """Say what stopped the arm."""
+        words = self._following.sentence(constraint_of(self.controller), measured) + self._payload
+        self.stopped_by = f"{self._jumped[0]}; {words}" if self._time - self._jumped[1] <= self.stale_after else words
 
     def _let_go(self, commanded: np.ndarray) -> np.ndarray:
         """A posture at which the arm presses less, not far from where it pressed."""
