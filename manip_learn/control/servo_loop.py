@@ -415,6 +415,11 @@ class ServoLoop:
         return self._waited
 
     @property
+    def yields(self) -> Float[np.ndarray, " nv"]:
+        """By how much servos give way to the largest force that is allowed, shape (nv,) [rad or m]."""
+        return self._following.farthest()
+
+    @property
     def notes(self) -> tuple[str, ...]:
         """What is known of the arm and of the motion, in sentences: how late it follows, which forces are seen."""
         jumps = self.controller.jumps if isinstance(self.controller, FollowMotion) else ()
