@@ -346,6 +346,7 @@ class ServoLoop:
         self._behind = 0.0  # time by which the clock of a task that waits for the arm is behind
         self._waited = 0.0  # periods since the newest state
         self._runs_on = False  # whether the arm goes on between late calls, as a velocity servo does
+        self._alone = self._output is None  # a posture starts from the first reading, and no other has been near it
         self._stopping = self.lets_go = self._hangs = False
         self._slide = 0.0
         self._last: Command | None = None
@@ -469,11 +470,16 @@ class ServoLoop:
                 self.stopped_by += f"; {far}"
             return self._braked(Status.INVALID_INPUT)
         if self._refused <= self.stale_after and (jump := self._jump(measured, time)):
+            if self._alone:  # a first reading that the second one is not near: nothing starts from it
+                stopping = self._stopping
+                self.reset()
+                self._stopping, self._time = stopping, time
+                self.measured = self._reference = self._output = measured
             self._refused += self.dt
             self._waited += self.dt
             self.stopped_by, self._jumped = jump, (jump, time)
             return self._braked(Status.INVALID_INPUT)
-        self._refused = 0.0
+        self._refused, self._alone = 0.0, self._alone and self.measured is None
         self.measured = measured
         held = self._accept_time(time, measured)
         period = self.dt if held is None else held
