@@ -115,10 +115,10 @@ def run(
     duration or the caller's reason, the driver's `hold()` is then called, if it has one. A reading that is wrong once
     brakes the arm and does not end the run. Python's garbage collector rests meanwhile.
 
-    Nothing is sent before two readings in turn agree to 0.05 rad or m, and the arm is as near to where the motion of a
-    plan, a repetition or a `FollowMotion` starts (else to where the loop was reset to, or farther off by what its servos
-    give way): a driver may read zeros, or an old posture, until its first state has come. That is waited for for a
-    second; then the run ends with the joint and both figures. Without a start of its own, a driver that goes on reading
+    Nothing is sent before two readings in turn agree to 0.05 rad or m and lie as near to the start of a plan, of a
+    repetition or of a `FollowMotion` (else to where the loop was reset to, or farther off by what its servos give way):
+    a driver may read zeros, or an old posture, until its first state has come. A second is given for that; then the run
+    ends with the joint and both figures. Without a start of its own, a driver that goes on reading
     zeros cannot be told from an arm that is there: read None until there is a state.
 
     A driver that reads other joints, units or senses than it commands is told by its arm: a first reading outside the
@@ -188,9 +188,7 @@ class _Cycle:
         self.cycles = self.overruns = 0
         self.longest_delay = 0.0
         self.reason, self.ordered = "", False
-        # what the loop last said of an arm that is blocked, and the reason that this was made
-        self._words: str | None = None
-        self._cause = ""
+        self._words = ""  # of an arm that is blocked
         self._told: str | None = None  # of the gripper
         self._continuous = np.zeros(loop.robot.nv)
         for block in loop.robot.blocks:
@@ -258,15 +256,14 @@ class _Cycle:
                 self._send(sent, command, ending)
             self._witness.note(loop.measured, sent)
             self._note(t, command)
-            if command.status is Status.FOLLOWING_ERROR and self._words != loop.stopped_by:
-                self._words = loop.stopped_by
+            if command.status is Status.FOLLOWING_ERROR:
                 past = [q for _, q, _ in self._samples[-int(max(3, 0.02 / (self._stride * period))) :]]
                 frozen = len(past) > 2 and all(np.array_equal(q, past[-1]) for q in past)
                 why = "the driver has gone on returning the same posture, or the arm is off: " if frozen else ""
-                if not self.reason or self.reason == self._cause:  # more readings tell more of it
-                    self.reason = ""
-                    self._stopped(why + (loop.stopped_by or "the arm is blocked"))
-                    self._cause = self.reason
+                words = loop.stopped_by or "the arm is blocked"
+                self._stopped(why + words)
+                self.reason = self.reason.replace(self._words or words, words)  # more readings tell more of it
+                self._words = words
             self.cycles += 1
             last = min(last, t + LONGEST_STOP) if self.reason else math.inf
             if t >= last or "command()" in self._blocked or self._stands(command):
@@ -386,15 +383,15 @@ class _FirstReadings:
         self.place, self.number = robot.positions(x), self.number + 1
         for place, within, words in (
             (self._start, self._within, "where the motion starts: bring the arm there, or start from where it stands"),
-            (before, np.full(robot.nv, _AWAY), "a period before: the arm moves"),
+            (before, _AWAY * np.ones(robot.nv), "a period before: the arm moves"),
         ):
-            away = np.full(robot.nv, math.nan) if place is None else np.abs(robot.difference(place, x))
-            if np.any(away > within):
-                j, unit = int((away / within).argmax()), robot.joint_units[int((away / within).argmax())]
-                was, now = float(robot.positions(place)[j]), float(robot.positions(x)[j])
+            away = np.zeros(robot.nv) if place is None else np.abs(robot.difference(place, x)) / within
+            j = int(away.argmax())
+            if place is not None and away[j] > 1.0:
+                was, now, unit = robot.positions(place)[j], self.place[j], robot.joint_units[j]
                 return (
-                    f"nothing was sent: joint {robot.joint_names[j]} reads {now:.3g} {unit}, and {was:.3g} {unit} {words}; "
-                    "or the driver has no state yet, and is to read None"
+                    f"nothing was sent: joint {robot.joint_names[j]} reads {now:.3g} {unit}, and {was:.3g} {unit} "
+                    f"{words}; or the driver has no state yet, and is to read None"
                 )
         self.agree = before is not None
         return "" if self.agree else "one reading alone"

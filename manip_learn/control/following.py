@@ -25,6 +25,7 @@ STIFFNESS = 2000.0  # [N m/rad or N/m] of a stiff position servo of an arm that 
 PAYLOAD, WEIGHED = 2.0, 0.25
 _DRIVEN = 60.0  # [N] along what is driven, where nothing is known of it
 GRAVITY = 9.81  # [m/s2]
+LEFT = 3.0  # [N] that may be left on the hand of an arm that has let go
 _DOWN = 0.8  # share of a force that points down where it is a weight
 # [rad or m] what stays of a servo's error where friction, play and noise have been measured: 0.5 N m at 2,000 N m/rad
 RESOLUTION = 2.5e-4
@@ -201,7 +202,7 @@ class FollowingError:
         distance: shape (nv,), measured less commanded.
         force: shape (3,), on the hand, in the base frame [N]; 0 where the user has given limits.
         tripped: Why the arm is to be stopped, in words; empty where it is not.
-        load: shape (nv,), distance at which the arm stands with nothing in its way, under a weight or by its friction.
+        load: shape (nv,), distance at which a weight keeps the arm, with nothing in its way [rad or m].
         sinks: True if the force that stopped the arm points down, as a weight does.
         servos: What is known of them.
 
@@ -319,24 +320,23 @@ class FollowingError:
         return float(np.linalg.norm(f))
 
     def carry(self, off: Float[np.ndarray, " nv"], q: Float[np.ndarray, " n"]) -> str:
-        """Take distances [rad or m] at a posture as the arm's load unless a contact explains them.
+        """Take distances [rad or m] at a posture as the arm's load if a weight explains them.
 
         Returns:
             Words on a payload that the drives do not know of; empty if there is none.
         """
         C = self._robot.jacobian(q, self._frame)[:3] / self._stiffness
         f = np.linalg.solve(C.dot(C.T) + self._damping, C.dot(off))
-        force = self.force if self.force.any() else f
-        weighs, self.sinks = (bool(-x[2] > _DOWN * math.sqrt(x.dot(x))) for x in (f, force))
-        if weighs or f.dot(f) <= self.contact.held**2:
-            self.load = off
+        weighs, self.sinks = (
+            -x[2] > max(LEFT, _DOWN * math.sqrt(x.dot(x))) for x in (f, self.force if self.force.any() else f)
+        )
+        self.load = off if weighs else np.zeros_like(off)
         if not (weighs and self.sinks and -f[2] > GRAVITY * max(PAYLOAD, self._robot.payload)):
             return ""
         self._pushed = np.zeros_like(off)
         mass = "..." if self.contact.stiffness is None else f"{-f[2] / GRAVITY:.2g}"
-        about = "" if self.contact.stiffness is None else f" of about {mass} kg"
         return (
-            f"; that looks like a payload{about}, which the drives do not know of: load the robot with it, "
+            f"; that looks like a payload of about {mass} kg, which the drives do not know of: load the robot with it, "
             f"robot.with_payload({mass}, {self._frame.name!r})"
         )
 
@@ -494,18 +494,15 @@ class FollowingError:
         if isinstance(contact.resolution, str):
             self.resolution = least
         share, cause = servos.pace()[0], "friction, play and noise"
-        if servos.every >= 2.0:
-            cause = "readings that come late"
-            self.notes.append(
-                f"readings change every {1e3 * self._dt * servos.every:.0f} ms, the loop runs at {1e3 * self._dt:g} ms: "
-                "forces are seen that much later"
-            )
-        if _CREEPS < share < _SURELY:
+        if slow := _CREEPS < share < _SURELY:
             cause = "an arm that is slower than it is sent"
             self.notes.append(_slow(share))
         elif servos.late is not None and servos.late > LOOK_BACK:
             self.notes.append(f"the arm follows {1e3 * servos.late:.0f} ms late")
-        if friction > contact.held and not _CREEPS < share < _SURELY:
+        if servos.every >= 2.0:
+            cause, ms = "readings that come late", 1e3 * self._dt
+            self.notes.append(f"readings change every {servos.every * ms:.0f} ms, the loop runs at {ms:g} ms")
+        if friction > contact.held and not slow:
             self.notes.append(
                 f"friction and play of the joints take up to {friction:.0f} N on the hand: forces from {least:.0f} N "
                 "on are seen"
@@ -522,6 +519,5 @@ class FollowingError:
 def _slow(share: float) -> str:
     """Return words on an arm that goes along its path at a share of the commanded speed."""
     return (
-        f"the arm follows the path that is sent at about {share:.0%} of its speed: speed slider, override, or a limit of "
-        "its controller"
+        f"the arm follows the sent path at about {share:.0%} of its speed: speed slider, override or a limit of its own"
     )

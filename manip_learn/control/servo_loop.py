@@ -17,7 +17,7 @@ from manip_learn.constraint.small_matrices import row_inverse
 from manip_learn.control.command import Command, Controller, Status
 from manip_learn.control.controller import ResolvedRateController
 from manip_learn.control.follow_motion import FollowMotion
-from manip_learn.control.following import Contact, FollowingError
+from manip_learn.control.following import LEFT, Contact, FollowingError
 from manip_learn.control.law import next_slide
 from manip_learn.control.law_sequence import LawSequence, constraint_of, held_frame, law_of, task_of, taught_force
 from manip_learn.control.limits import Bounds, Limits, bound_changes, farthest_positions, stopping_speed
@@ -38,7 +38,6 @@ _LONGEST = 5.0  # [s] an average over more delays the arm by seconds: the limits
 UNLOADING_RATE = 25.0  # [1/s] rate at which an arm that was blocked lets go: from 60 N to 3 N in 0.12 s
 RELOOK, _NEAR = 0.01, 5e-4  # [s] beside its delay after which an arm that lets go is looked at again, [rad or m]
 _SETTLED = 0.05  # [s] after which an arm that was let go stands
-_LEFT = 3.0  # [N] that may be left on the hand then
 RENEWALS = 10  # times that an arm goes on letting go where more is left
 # [rad or m] of letting go after which it shows, and share of it by which an arm that carries a weight comes along
 _SHOWS, _FOLLOWS = 2e-3, 0.9
@@ -695,7 +694,7 @@ class ServoLoop:
         arrived = farthest < _ARRIVED and not self._velocity.any()
         if arrived:
             if self._rested > following.servos.delay + _SETTLED:
-                self.lets_go = self._renewed < RENEWALS and following.left(measured) > _LEFT
+                self.lets_go = self._renewed < RENEWALS and following.left(measured) > LEFT
                 if self._hangs:  # the weight has come to rest
                     self.stopped_by = f"{self.stopped_by}{following.carry(following.distance, measured)}"
                     self._hangs = False
