@@ -190,9 +190,8 @@ class _Cycle:
         self.reason, self.ordered = "", False
         self._words = ""  # of an arm that is blocked
         self._told: str | None = None  # of the gripper
-        self._continuous = np.zeros(loop.robot.nv)
-        for block in loop.robot.blocks:
-            self._continuous[block.v] = block.kind == "continuous"
+        blocks = loop.robot.blocks
+        self._continuous = np.concatenate([np.full(b.v.stop - b.v.start, b.kind == "continuous") for b in blocks])
         self._blocked: set[str] = set()  # what did not return and is called no more
         self._raised: BaseException | None = None  # by the caller's own code
 
@@ -238,15 +237,10 @@ class _Cycle:
                     self._raised = error
                     self.stop(f"{type(error).__name__}: {error}")
             q = self._asked("read()", ending, self._read)
-            if doubt := self._first.doubt(q):  # nothing is sent before a reading is believed
-                wrong = self._witness.refuses(q, False)
-                if wrong or self._first.number * period > PATIENCE:
-                    self.stop(wrong or doubt)
+            if self._doubts(q, ending):  # nothing is sent before a reading is believed
                 if self.reason:
                     break
-                if self._simulated:
-                    self._asked("wait()", ending, getattr(self._driver, "wait", lambda: None))
-                start, self._joints.rest = due, 0.0
+                start = due
                 continue
             command = loop.update(q, t)
             if not self.reason and (wrong := self._witness.refuses(q, command.status is Status.FOLLOWING_ERROR)):
@@ -272,6 +266,18 @@ class _Cycle:
         loop.start()
         if self._raised is not None:
             raise self._raised
+
+    def _doubts(self, q: Any, ending: OrderlyEnd) -> bool:
+        """Return True if a first reading is not believed yet; that may take a second."""
+        if not (doubt := self._first.doubt(q)):
+            return False
+        wrong = self._witness.refuses(q, False)
+        if wrong or self._first.number * self._driver.period > PATIENCE:
+            self.stop(wrong or doubt)
+        elif self._simulated:
+            self._asked("wait()", ending, getattr(self._driver, "wait", lambda: None))
+        self._joints.rest = 0.0
+        return True
 
     def _asked(self, call: str, ending: OrderlyEnd, function: Callable[[], Any]) -> Any:
         """What the driver answers; None where a call does not return or raises, for an arm in motion must brake."""

@@ -680,14 +680,14 @@ class ServoLoop:
         if self._relief is None:
             self._pressed, self._renewed, self._rested = (commanded, measured, following.farthest()), 0, 0.0
             self._moved, self._payload = self._velocity, following.carry(following.servos.at_rest, measured)
-            self._relief, self.lets_go, self._brakes = self._let_go(commanded), True, True
+            self._relief, self.lets_go = self._let_go(commanded), True
             self._name_cause(measured)
-        elif self._brakes and float(self._velocity.dot(self._moved)) > 0.0:  # each reading tells more of the cause
+        elif float(self._velocity.dot(self._moved)) > 0.0:  # it brakes, and each reading tells more of the cause
             self._name_cause(measured)
         elif not self._renewed and self._comes_along(commanded, measured):
             self._relief, self._renewed, self._hangs = commanded, RENEWALS, True
         else:
-            self._brakes = False
+            self._moved = np.zeros_like(self._moved)
         left = self.robot.difference(commanded, self._relief)
         farthest = float(np.abs(left).max(initial=0.0))
         self._rested += held

@@ -62,6 +62,7 @@ class Servos:
         sees: shape (nv,), joints whose excess says something of forces: they were seen to move, or were not sent far,
             or are farther away than friction takes.
         is_known: Whether the first motion has told what it can.
+        at_rest: shape (nv,), how far the joints were from where they were sent before they moved [rad or m].
         every: Periods from one new reading to the next, as the first motion showed; 1 if each is new.
     """
 
@@ -97,7 +98,7 @@ class Servos:
         self.raw, self.range, self._newest = np.zeros(nv), (np.zeros(nv), np.zeros(nv)), np.zeros(nv)
         # x as friction would have it, the sense in which a joint went when it was measured, and its least lag then
         self._place, self._sense, self._least = np.zeros(nv), np.zeros(nv), np.zeros(nv)
-        self._first, self._rests = np.zeros(nv), 0  # where the arm is at rest, the mean of so many readings
+        self.at_rest, self._rests = np.zeros(nv), 0  # where the arm is at rest, the mean of so many readings
         self._past, self._square = [], np.full(nv, ENCODER**2)
         self._samples: list[tuple[np.ndarray, np.ndarray, np.ndarray]] = []
         self.moving, self._counted = 0.0, 0
@@ -121,11 +122,6 @@ class Servos:
         self._ways[self._row] = self._ways[self._row + self._size] = self.way
         self._reads[self._row] = self._reads[self._row + self._size] = self._read
         return over
-
-    @property
-    def at_rest(self) -> Float[np.ndarray, " nv"]:
-        """How far the joints were from where they were sent before they moved, shape (nv,) [rad or m]."""
-        return self._first if self._rests else np.zeros(self._nv)
 
     @property
     def has_looked(self) -> bool:
@@ -193,7 +189,7 @@ class Servos:
         steps = np.array(self._steps)
         self._quiet = _QUIET * float(np.median(steps)) + _ROUNDING
         new = np.flatnonzero(steps > self._quiet)
-        if len(new) > 2 and float(steps[new].sum()) > 0.5 * float(np.linalg.norm(self._read - self._first)):
+        if len(new) > 2 and float(steps[new].sum()) > 0.5 * float(np.linalg.norm(self._read - self.at_rest)):
             self.every = float(new[-1] - new[0]) / (len(new) - 1)
         self._steps.clear()
 
@@ -221,7 +217,7 @@ class Servos:
         """Learn noise, widths and the delay from a reading."""
         if not self.moving:
             self._rests += 1
-            self._first = self._first + (y - self._first) / self._rests
+            self.at_rest = self.at_rest + (y - self.at_rest) / self._rests
         if not self.is_known:
             past = self._past
             if len(past) == 3:
@@ -230,7 +226,7 @@ class Servos:
                 self.noise = np.sqrt(self._square)
                 del past[0]
             past.append(y)
-        gone = (y - self._first) * np.sign(c)
+        gone = (y - self.at_rest) * np.sign(c)
         new = ~self.seen & (gone > NOISES * self.noise + _STILL) & (np.abs(c) > _STILL)
         if new.any():
             self.friction = np.where(new, np.minimum(np.abs(c) - gone, self._hidden).clip(0.0), self.friction)
@@ -244,7 +240,7 @@ class Servos:
             return
         if self._counted >= self._stride and self.seen.any():
             self._counted = 0
-            self._samples.append((y - self._first, self._ways[self._row + self._size - self._lags], self.seen))
+            self._samples.append((y - self.at_rest, self._ways[self._row + self._size - self._lags], self.seen))
             if len(self._samples) >= SOONEST and len(self._samples) % 4 == 0:
                 self._fit()
 
