@@ -38,7 +38,7 @@ def simulate(
 def simulate(
     robot: Robot | None,
     controller: Controller,
-    q0: Sequence[Start],
+    q0: Sequence[Sequence[float]],
     duration: float = ...,
     dt: float = ...,
     **options: Any,
