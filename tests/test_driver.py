@@ -15,6 +15,7 @@ import pytest
 
 import manip_learn as ml
 from manip_learn.control import driver
+from manip_learn.control.law_sequence import JointMotion, LawSequence, every_joint
 from manip_learn.errors import ConfigurationError
 
 DT, BEFORE = 0.005, 40  # [s], cycles before something goes wrong
@@ -217,7 +218,7 @@ class Timed(Arm):
 def test_the_period_is_held_and_late_cycles_are_counted(planar3: ml.Robot) -> None:
     """0.5 s are 0.5 s of the clock; after a cycle of 3.5 periods, those that were missed are not made up for."""
     hands = Hands()
-    record = ml.run(loop_of(planar3, 0.02), Timed(hands, {10: 0.07}), 0.5, clock=hands)
+    record = ml.run(loop_of(planar3, 0.02), Timed(hands, {11: 0.07}), 0.5, clock=hands)
     assert record.ordered and record.overruns == 1 and record.longest_delay == pytest.approx(0.05)
     np.testing.assert_allclose(np.diff(record.rollout.time)[:14], [*[0.02] * 10, 0.07, 0.01, 0.02, 0.02])
     assert 0.49 < hands.time - 1000.0 < 0.9
@@ -374,6 +375,115 @@ def test_a_driver_that_is_not_ready_yet_is_waited_for(planar3: ml.Robot) -> None
     record = ml.run(loop_of(planar3), Mute(), 2.0)
     assert not record.ordered and record.ended == "no posture: None" and record.cycles == round(0.1 / DT)
     assert len(record.rollout) == 0 and "late" in repr(record)
+
+
+class Late(Arm):
+    """An arm at `START` whose driver gives something else until its first state has come."""
+
+    def __init__(self, first: Any, readings: float, joint_names: tuple[str, ...] | None = None):
+        super().__init__(joint_names=joint_names)
+        self.first, self.readings, self.farthest = first, readings, 0.0
+
+    def read(self) -> Any:
+        """What it gives instead, or the posture."""
+        self.reads += 1
+        return (self.first if self.reads <= self.readings else self.q), None, None
+
+    def command(self, q: np.ndarray, u: np.ndarray) -> None:
+        """Go there at once, unless that is far away."""
+        self.farthest = max(self.farthest, float(np.abs(q - self.q).max()))
+        super().command(q, u)
+
+
+def played(robot: ml.Robot, start: np.ndarray = START) -> ml.ServoLoop:
+    """A recorded motion, which starts at a posture."""
+    return ml.ServoLoop(ml.FollowMotion(robot, ml.Trajectory([0.0, 2.0], [start, start + 0.3])), DT)
+
+
+def planned(robot: ml.Robot, start: np.ndarray = START) -> ml.ServoLoop:
+    """A motion of the joints and then one along the constraint, as of a plan."""
+    rows = ml.Constraint([[0, 1]], ml.FrameJacobian(robot, "tip", axes="x y"))
+    there = ml.ResolvedRateController(every_joint(robot), JointMotion(robot, [start, start + 0.1], 1.0))
+    on = ml.ResolvedRateController(rows, ml.motion(rows, along=0.1))
+    return ml.ServoLoop(LawSequence(there, on), DT)
+
+
+def from_anywhere(robot: ml.Robot, start: np.ndarray = START) -> ml.ServoLoop:
+    """A motion that starts where the arm is."""
+    return loop_of(robot)
+
+
+@pytest.mark.parametrize(
+    ("make", "first", "readings"),
+    [
+        *[(make, np.zeros(3), n) for make in (played, planned) for n in (1, 10, 100)],
+        *[(make, START + [0.0, 0.2, 0.0], 10) for make in (played, planned)],
+        *[(make, np.full(3, np.nan), 5) for make in (played, planned, from_anywhere)],
+        (from_anywhere, np.zeros(3), 1),
+        (from_anywhere, START - 0.2, 1),
+    ],
+)
+def test_nothing_is_sent_to_where_the_arm_is_not(make: Any, first: Any, readings: int, planar3: ml.Robot) -> None:
+    """Zeros, an old posture or no numbers come before the first state: it is waited for, and then the arm moves."""
+    arm = Late(first, readings)
+    record = ml.run(make(planar3), arm, 0.5)
+    assert record.ordered and arm.farthest < 0.02 and np.abs(arm.sent).max() > 0.01
+    np.testing.assert_array_equal(record.rollout.q[0], START)
+
+
+@pytest.mark.parametrize("make", [played, planned])
+@pytest.mark.parametrize("off", [0.2, -1.0, 0.06])
+def test_an_arm_that_is_not_where_its_motion_starts_is_refused(make: Any, off: float, planar3: ml.Robot) -> None:
+    """Nothing is ever sent; the reason names the joint and both figures. From nearer by, the motion begins at once."""
+    start = START + [0.0, off, 0.0]
+    arm = Late(START, 0)
+    record = ml.run(make(planar3, start), arm, 5.0)
+    assert not record.ordered and not arm.sent and arm.held == 0 and arm.reads * DT < 1.5
+    assert planar3.joint_names[1] in record.ended and "reads 0.8 rad" in record.ended
+    assert f"{start[1]:.3g} rad where the motion starts" in record.ended
+    near = Late(START + [0.0, 0.04, 0.0], 0)
+    near.q = START + [0.0, 0.04, 0.0]
+    assert ml.run(make(planar3), near, 0.2).ordered and near.reads - len(near.sent) == 1
+
+
+def test_a_loop_that_was_stopped_elsewhere_sends_nothing(planar3: ml.Robot) -> None:
+    """A second run of an arm that was moved by hand meanwhile is refused; one of an arm that stands there goes on."""
+    arm, loop = Late(START, 0), loop_of(planar3)
+    ml.run(loop, arm, 0.3)
+    assert ml.run(loop, arm, 0.1).ordered
+    sent, arm.q = len(arm.sent), arm.q + 0.3
+    record = ml.run(loop, arm, 0.1)
+    assert "nothing was sent" in record.ended and len(arm.sent) == sent
+
+
+def test_a_true_zero_start_runs_at_once(planar3: ml.Robot) -> None:
+    """Two readings are enough, also where the motion's own start is zero."""
+    for make in (played, planned, from_anywhere):
+        arm = Late(None, 0)
+        arm.q = np.zeros(3)
+        assert ml.run(make(planar3, np.zeros(3)), arm, 0.3).ordered and arm.reads - len(arm.sent) == 1
+
+
+def test_first_readings_of_other_joints(robot_of: Any) -> None:
+    """A turn more of a continuous joint is no distance; figures of prismatic joints are metres; a gripper is sent where
+    it was measured with the first state, in the driver's order.
+    """
+    robot = robot_of("rover")
+    start = 0.1 * np.arange(robot.nv)
+    turns = 2.0 * np.pi * np.array([b.kind == "continuous" for b in robot.blocks for _ in range(b.v.stop - b.v.start)])
+    motion = ml.Trajectory([0.0, 1.0], [start, start + 0.1])
+    names = (*robot.joint_names[::-1], "gripper")
+
+    class Reversed(Late):
+        def command(self, q: np.ndarray, u: np.ndarray) -> None:
+            assert q[-1] == 0.7
+            super().command(q, u)
+
+    for off, said in ((turns, "0.2 s were over"), (0.06 * (np.array(robot.joint_units) == "m"), " m where the motion")):
+        arm = Reversed(np.zeros(len(names)), 3, joint_names=names)
+        arm.q = np.append((start + off)[::-1], 0.7)
+        record = ml.run(ml.ServoLoop(ml.FollowMotion(robot, motion), DT), arm, 0.2)
+        assert said in record.ended and bool(arm.sent) == record.ordered
 
 
 def test_a_driver_of_other_sizes(planar3: ml.Robot) -> None:

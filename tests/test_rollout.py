@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from itertools import product
 
 import numpy as np
 import pytest
@@ -35,37 +34,37 @@ class Swaying(PointAttractor):
 
 
 def test_order_of_convergence(robot_of):
-    """Halving the step divides the error by 2^order, with continuous joints and with a target that moves, too."""
+    """Halving the step halves the error, with continuous joints and with a target that moves, too."""
     q0 = {name: np.linspace(0.2, 1.1, robot_of(name).nv) for name in ("planar3", "wrist")}
     cases = (
         ("planar3", PointAttractor([0.5, 1.2])),
         ("wrist", PointAttractor([0.4, 0.5])),
         ("planar3", Swaying(np.zeros(2))),
     )
-    for (name, task), (method, order) in product(cases, (("euler", 1), ("rk4", 4))):
+    for name, task in cases:
         robot = robot_of(name)
         rows = Constraint(np.eye(2), FrameJacobian(robot, tip_of(name), "x y"))
         controller = ResolvedRateController(rows, task, ManipulabilityAscent(rows), "exact", limits=False)
         steps = (0.05, 0.025, 0.0125, 0.003125)
-        ends = [simulate(robot, controller, q0[name], 0.8, dt, method).q[-1] for dt in steps]
+        ends = [simulate(robot, controller, q0[name], 0.8, dt).q[-1] for dt in steps]
         errors = [np.linalg.norm(robot.difference(ends[-1], end)) for end in ends[:3]]
-        assert np.log2(errors[0] / errors[1]) > order - 0.4, (name, task, method)
-        assert np.log2(errors[1] / errors[2]) > order - 0.4, (name, task, method)
+        assert np.log2(errors[0] / errors[1]) > 0.6, (name, task)
+        assert np.log2(errors[1] / errors[2]) > 0.6, (name, task)
 
 
 def test_every_kind_of_robot(robot_of, rng):
     """Floating and planar bases and continuous joints: configurations stay valid, the task's error goes down."""
-    for name, method in product(("humanoid", "rover", "kinova"), ("euler", "rk4")):
+    for name in ("humanoid", "rover", "kinova"):
         robot = robot_of(name)
         features = FrameJacobian(robot, tip_of(name))
         q0 = robot.random_configuration(rng)
         task = PointAttractor(features.coordinates(q0) + 0.05)
         controller = ResolvedRateController(Constraint(np.eye(3)[:2], features), task)
-        rollout = simulate(robot, controller, q0, 1.0, 0.05, method)
+        rollout = simulate(robot, controller, q0, 1.0, 0.05)
         assert rollout.q.shape == (21, robot.nq)
         for q in rollout.q:
             np.testing.assert_allclose(robot.configuration(q), q, rtol=0, atol=1e-12)
-        assert rollout.task_error[-1] < 0.5 * rollout.task_error[0], (name, method)
+        assert rollout.task_error[-1] < 0.5 * rollout.task_error[0], name
 
 
 def test_number_of_samples(robot_of):
@@ -140,10 +139,10 @@ def test_parts_of_rollouts(robot_of):
 
 
 def test_bad_arguments(robot_of):
-    """Steps that are not positive, unknown methods, and starts of the wrong size or with NaN: refused."""
+    """Steps that are not positive, and starts of the wrong size or with NaN: refused."""
     robot = robot_of("planar3")
     controller = reaching(robot, "tip", "x y", [1.0, 1.0])
-    for settings in ({"dt": 0.0}, {"dt": np.nan}, {"duration": -1.0}, {"duration": np.inf}, {"method": "heun"}):
+    for settings in ({"dt": 0.0}, {"dt": np.nan}, {"duration": -1.0}, {"duration": np.inf}):
         with pytest.raises(ConfigurationError):
             simulate(robot, controller, np.ones(3), **settings)
     for q0 in (np.ones(2), [np.nan, 0.0, 0.0]):
@@ -164,12 +163,11 @@ def test_a_controller_of_your_own(robot_of):
         def __call__(self, q, t=0.0, dt=None):
             return controller(q, t)
 
-    for method in ("euler", "rk4"):
-        expected = simulate(robot, controller, q0, 0.05, 0.01, method)
-        got = simulate(robot, Mine(), q0, duration=0.05, dt=0.01, method=method)
-        np.testing.assert_array_equal(got.q, expected.q)
-        np.testing.assert_array_equal(got.manipulability, expected.manipulability)
-        assert got.status == expected.status and np.all(np.isnan(got.task_error))
+    expected = simulate(robot, controller, q0, 0.05, 0.01)
+    got = simulate(robot, Mine(), q0, duration=0.05, dt=0.01)
+    np.testing.assert_array_equal(got.q, expected.q)
+    np.testing.assert_array_equal(got.manipulability, expected.manipulability)
+    assert got.status == expected.status and np.all(np.isnan(got.task_error))
     table = simulate(robot, Mine(), np.stack([q0, q0]), 0.05, 0.01)
     assert len(table) == 2 and all(np.isnan(r.task_error).all() for r in table)
 
@@ -187,8 +185,8 @@ def test_what_a_simulated_loop_tells(robot_of):
         assert rollout.frame == "tip" and rollout.robot is not None and rollout.robot.name == "planar3"
         np.testing.assert_array_equal(rollout.target, [1.0, 1.2])
         np.testing.assert_array_equal(rollout.constraint["selection"], controller.constraint.selection)
-    with pytest.raises(ConfigurationError, match="euler"):
-        simulate(robot, ServoLoop(controller, 0.01), [0.3, 0.8, 0.4], 0.2, 0.01, "rk4")
+    with pytest.raises(TypeError, match="rk4.*: each command is held for its step, give a smaller dt"):
+        simulate(robot, controller, [0.3, 0.8, 0.4], 0.2, 0.01, method="rk4")
 
 
 def test_progress_is_reported_with_a_title(robot_of):
@@ -202,10 +200,8 @@ def test_progress_is_reported_with_a_title(robot_of):
         assert seen[-1] == ("simulating", 1.0) and [f for _, f in seen] == sorted(f for _, f in seen)
 
 
-@pytest.mark.parametrize(
-    ("name", "method"), [("planar3", "euler"), ("wrist", "rk4"), ("humanoid", "euler"), ("vector", "rk4")]
-)
-def test_many_starts_are_single_starts(name: str, method: str, robot_of, rng) -> None:
+@pytest.mark.parametrize("name", ["planar3", "wrist", "humanoid", "vector"])
+def test_many_starts_are_single_starts(name: str, robot_of, rng) -> None:
     """What one start leaves behind in a controller is not seen by the next: every rollout is that of its start alone.
 
     Configurations come back as configurations, floating bases and plain vectors too.
@@ -223,15 +219,14 @@ def test_many_starts_are_single_starts(name: str, method: str, robot_of, rng) ->
             ResolvedRateController(oblique, PointAttractor(target), ManipulabilityAscent(oblique, 0.3)),
             ResolvedRateController(oblique, track, JointAttractor(rest, 1.0, robot), limits=False),
         ]
-        if method == "euler":
-            controllers.append(ResolvedRateController(oblique, FreeDirection(oblique, 0.1, 0.5)))
-            controllers.append(ServoLoop(controllers[0], 0.02))
+        controllers.append(ResolvedRateController(oblique, FreeDirection(oblique, 0.1, 0.5)))
+        controllers.append(ServoLoop(controllers[0], 0.02))
         starts = np.stack([robot.random_configuration(rng) for _ in range(3)])
     for controller in controllers:
-        many = simulate(robot, controller, starts, 0.4, 0.02, method)
+        many = simulate(robot, controller, starts, 0.4, 0.02)
         assert len(many) == len(starts)
         for start, got in zip(starts, many, strict=True):
-            alone = simulate(robot, controller, start, 0.4, 0.02, method)
+            alone = simulate(robot, controller, start, 0.4, 0.02)
             np.testing.assert_array_equal(got.q[0], start)
             for what in ("time", "q", "u", "manipulability", "task_error"):
                 np.testing.assert_array_equal(getattr(got, what), getattr(alone, what), err_msg=what)

@@ -78,6 +78,27 @@ def test_reset_after_a_trip_ramps_back(robot_of: RobotOf) -> None:
     np.testing.assert_allclose(places[-2], q, rtol=0, atol=1e-5)
 
 
+@pytest.mark.parametrize("first", [0.0, 1.0])
+def test_a_first_reading_that_is_wrong_moves_nothing(first: float, robot_of: RobotOf) -> None:
+    """Zeros, or an old posture, once before the first state: `position` is where the arm is from the second reading on,
+    the arm stands until two readings agree, and then it moves; a loop that was stopped stays stopped.
+    """
+    robot = robot_of("sawyer")
+    loop, q = ml.ServoLoop(law_of(robot, "sawyer")), start_of(robot)
+    loop.update(np.full(7, first), 0.0)
+    loop.stop()
+    command = loop.update(q, DT)
+    assert command.status is ml.Status.INVALID_INPUT and not command.velocity.any()
+    np.testing.assert_array_equal(loop.position, q)
+    assert loop.stopped_by is not None and "was read" in loop.stopped_by
+    assert loop.update(q, 2 * DT).status is ml.Status.STOPPED
+    loop.start()
+    for k in range(3, 500):
+        command = loop.update(loop.position, k * DT)
+        assert np.max(np.abs(loop.position - q)) < 1.0 and command.status is not FOLLOWING_ERROR
+    assert np.linalg.norm(command.velocity) > 0.05
+
+
 def test_a_posture_that_no_arm_can_have_is_none(robot_of: RobotOf) -> None:
     """Finite numbers turns beyond all limits start no motion; a turn too much, as encoders count, is a posture."""
     robot = robot_of("sawyer")

@@ -3,14 +3,10 @@
 from __future__ import annotations
 
 from enum import StrEnum
-from typing import Literal, NamedTuple, Protocol, final
+from typing import NamedTuple, Protocol, final
 
 import numpy as np
 from jaxtyping import Float
-
-from manip_learn.robot.robot import Robot
-
-Method = Literal["euler", "rk4"]
 
 
 @final
@@ -150,34 +146,3 @@ class Controller(Protocol):
     def __call__(self, q: Float[np.ndarray, " n"], t: float = 0.0, dt: float | None = None) -> Command:
         """The command at posture q and time t [s], held for dt [s]."""
         ...
-
-
-def next_posture(
-    robot: Robot | None,
-    controller: Controller,
-    q: Float[np.ndarray, " n"],
-    t: float,
-    dt: float,
-    method: Method,
-    velocity: Float[np.ndarray, " nv"],
-) -> Float[np.ndarray, " n"]:
-    """The posture at time t + dt, from the one at time t.
-
-    Euler: q (+) dt k1. The classic Runge-Kutta scheme in Munthe-Kaas form (Munthe-Kaas, 1998), with stages that are
-    tangent displacements from q:
-
-        q (+) dt/6 (k1 + 2 k2 + 2 k3 + k4),  k2 = u(q (+) dt/2 k1),  k3 = u(q (+) dt/2 k2),  k4 = u(q (+) dt k3)
-
-    The order is 4 where the tangent coordinates commute (all joints but floating bases), and 2 otherwise.
-    """
-
-    def moved(step: np.ndarray) -> np.ndarray:
-        return q + step if robot is None else robot.integrate(q, step)
-
-    if method == "euler":
-        return moved(dt * velocity)
-    k1 = velocity
-    k2 = controller(moved(0.5 * dt * k1), t + 0.5 * dt, dt).velocity
-    k3 = controller(moved(0.5 * dt * k2), t + 0.5 * dt, dt).velocity
-    k4 = controller(moved(dt * k3), t + dt, dt).velocity
-    return moved(dt / 6.0 * (k1 + 2.0 * k2 + 2.0 * k3 + k4))

@@ -14,6 +14,7 @@ from scipy.optimize import linear_sum_assignment
 
 from manip_learn.control.command import Command, Status
 from manip_learn.control.cycle import Clock, ComputerClock, GivenUp, OrderlyEnd, quiet_collector
+from manip_learn.control.law_sequence import start_of
 from manip_learn.control.rollout import Rollout
 from manip_learn.control.servo_loop import ServoLoop, in_milliseconds
 from manip_learn.control.simulation import guided
@@ -28,8 +29,9 @@ SAMPLES = 100_000  # of a record at most: a longer run keeps every second, fourt
 LONGEST_STOP = 10.0  # [s] for braking and letting go, after which a run ends in any case
 SLOW_AFTER = 1.0  # [s] in which more than half of the periods were missed: the period cannot be held
 # [rad or m] by which no arm goes off that is sent to where it is: brakes that open, a payload and a push of 20 N give a
-# few hundredths at most
+# few hundredths at most; and by which first readings may differ, from each other and from where a motion starts
 _AWAY = 0.05
+PATIENCE = 1.0  # [s] for which it is waited for first readings that agree
 # [rad or m] by which it is sent then, and times as far as that for it to have gone by itself
 _STILL, _AHEAD = 0.02, 4.0
 _KEPT = 512  # readings of a run: of a longer one every second, fourth, ...
@@ -113,6 +115,12 @@ def run(
     duration or the caller's reason, the driver's `hold()` is then called, if it has one. A reading that is wrong once
     brakes the arm and does not end the run. Python's garbage collector rests meanwhile.
 
+    Nothing is sent before two readings in turn agree to 0.05 rad or m and lie as near to the start of a plan, of a
+    repetition or of a `FollowMotion` (else to where the loop was reset to, or farther off by what its servos give way):
+    a driver may read zeros, or an old posture, until its first state has come. A second is given for that; then the run
+    ends with the joint and both figures. Without a start of its own, a driver that goes on reading
+    zeros cannot be told from an arm that is there: read None until there is a state.
+
     A driver that reads other joints, units or senses than it commands is told by its arm: a first reading outside the
     limits, or an arm that goes off while it is sent to where it is, ends the run at once, and nothing more is sent.
 
@@ -173,13 +181,17 @@ class _Cycle:
     def __init__(self, loop: ServoLoop, driver: Driver, clock: Clock):
         self._loop, self._driver, self._clock = loop, driver, clock
         self._joints, self._witness = _Joints(loop.robot, driver), _Witness(loop.robot)
+        self._first = _FirstReadings(loop)
         self._simulated = bool(getattr(driver, "simulated", False))
         self._samples: list[tuple[float, np.ndarray, Command]] = []
         self._stride = 1
         self.cycles = self.overruns = 0
         self.longest_delay = 0.0
         self.reason, self.ordered = "", False
+        self._words = ""  # of an arm that is blocked
         self._told: str | None = None  # of the gripper
+        blocks = loop.robot.blocks
+        self._continuous = np.concatenate([np.full(b.v.stop - b.v.start, b.kind == "continuous") for b in blocks])
         self._blocked: set[str] = set()  # what did not return and is called no more
         self._raised: BaseException | None = None  # by the caller's own code
 
@@ -225,11 +237,16 @@ class _Cycle:
                     self._raised = error
                     self.stop(f"{type(error).__name__}: {error}")
             q = self._asked("read()", ending, self._read)
+            if self._doubts(q, ending):  # nothing is sent before a reading is believed
+                if self.reason:
+                    break
+                start = due
+                continue
             command = loop.update(q, t)
             if not self.reason and (wrong := self._witness.refuses(q, command.status is Status.FOLLOWING_ERROR)):
                 self.stop(wrong)
                 break  # whatever is sent to such a driver, the arm goes elsewhere: it is only held
-            if (sent := loop.position) is not None:
+            if (sent := loop.position) is not None and self._first.agree:
                 self._send(sent, command, ending)
             self._witness.note(loop.measured, sent)
             self._note(t, command)
@@ -237,7 +254,10 @@ class _Cycle:
                 past = [q for _, q, _ in self._samples[-int(max(3, 0.02 / (self._stride * period))) :]]
                 frozen = len(past) > 2 and all(np.array_equal(q, past[-1]) for q in past)
                 why = "the driver has gone on returning the same posture, or the arm is off: " if frozen else ""
-                self._stopped(why + (loop.stopped_by or "the arm is blocked"))
+                words = loop.stopped_by or "the arm is blocked"
+                self._stopped(why + words)
+                self.reason = self.reason.replace(self._words or words, words)  # more readings tell more of it
+                self._words = words
             self.cycles += 1
             last = min(last, t + LONGEST_STOP) if self.reason else math.inf
             if t >= last or "command()" in self._blocked or self._stands(command):
@@ -246,6 +266,18 @@ class _Cycle:
         loop.start()
         if self._raised is not None:
             raise self._raised
+
+    def _doubts(self, q: Any, ending: OrderlyEnd) -> bool:
+        """Return True if a first reading is not believed yet; that may take a second."""
+        if not (doubt := self._first.doubt(q)):
+            return False
+        wrong = self._witness.refuses(q, False)
+        if wrong or self._first.number * self._driver.period > PATIENCE:
+            self.stop(wrong or doubt)
+        elif self._simulated:
+            self._asked("wait()", ending, getattr(self._driver, "wait", lambda: None))
+        self._joints.rest = 0.0
+        return True
 
     def _asked(self, call: str, ending: OrderlyEnd, function: Callable[[], Any]) -> Any:
         """What the driver answers; None where a call does not return or raises, for an arm in motion must brake."""
@@ -269,7 +301,9 @@ class _Cycle:
     def _send(self, q: np.ndarray, command: Command, ending: OrderlyEnd) -> None:
         """The commanded posture and velocity to the driver, and a new word to its gripper, once."""
         robot, driver, joints = self._loop.robot, self._driver, self._joints
-        x = q if q.shape[0] == robot.nv else robot.positions(q)
+        x = robot.positions(q)
+        turns = np.round((self._first.place - x) / (2.0 * math.pi)) * self._continuous
+        x = self._first.place = x + 2.0 * math.pi * turns  # in the turns that the driver counts
         x, u = joints.sent(x, joints.rest), joints.sent(command.velocity, 0.0)
         self._asked("command()", ending, lambda: driver.command(x, u))
         word, gripper = getattr(self._loop.controller, "gripper", None), getattr(driver, "gripper", None)
@@ -325,6 +359,48 @@ class _Cycle:
             **guided(loop),
         )
         return RunRecord(rollout, self.cycles, self.overruns, self.longest_delay, self.reason, self.ordered)
+
+
+@final
+class _FirstReadings:
+    """Readings before anything is sent: a driver that has no state yet may give zeros, or its last posture.
+
+    Args:
+        loop: The arm must be where its motion starts, or where it was reset to.
+
+    Attributes:
+        agree: True once two readings in turn agree, with each other and with that.
+        number: Number of readings until then.
+        place: shape (nv,), joint positions of the newest, and later those that were sent last.
+    """
+
+    def __init__(self, loop: ServoLoop):
+        own, self._robot = start_of(loop.controller), loop.robot
+        self._start, self.place = loop.position if own is None else own, np.zeros(loop.robot.nv)
+        self._within = np.maximum(_AWAY, loop.yields) if own is None else np.full(loop.robot.nv, _AWAY)
+        self.agree, self.number = False, 0
+
+    def doubt(self, q: Any) -> str:
+        """Return why a reading is not believed yet, in words; empty if it is, or if it is not a posture."""
+        robot, before = self._robot, self.place if self.number else None
+        x = finite(q, robot.nv) if (full := finite(q, robot.nq)) is None else full
+        if self.agree or x is None:
+            return ""
+        self.place, self.number = robot.positions(x), self.number + 1
+        for place, within, words in (
+            (self._start, self._within, "where the motion starts: bring the arm there, or start from where it stands"),
+            (before, _AWAY * np.ones(robot.nv), "a period before: the arm moves"),
+        ):
+            away = np.zeros(robot.nv) if place is None else np.abs(robot.difference(place, x)) / within
+            j = int(away.argmax())
+            if place is not None and away[j] > 1.0:
+                was, now, unit = robot.positions(place)[j], self.place[j], robot.joint_units[j]
+                return (
+                    f"nothing was sent: joint {robot.joint_names[j]} reads {now:.3g} {unit}, and {was:.3g} {unit} "
+                    f"{words}; or the driver has no state yet, and is to read None"
+                )
+        self.agree = before is not None
+        return "" if self.agree else "one reading alone"
 
 
 @final

@@ -25,6 +25,8 @@ STIFFNESS = 2000.0  # [N m/rad or N/m] of a stiff position servo of an arm that 
 PAYLOAD, WEIGHED = 2.0, 0.25
 _DRIVEN = 60.0  # [N] along what is driven, where nothing is known of it
 GRAVITY = 9.81  # [m/s2]
+LEFT = 3.0  # [N] that may be left on the hand of an arm that has let go
+_DOWN = 0.8  # share of a force that points down where it is a weight
 # [rad or m] what stays of a servo's error where friction, play and noise have been measured: 0.5 N m at 2,000 N m/rad
 RESOLUTION = 2.5e-4
 RINGING = 0.1  # [s] for which a servo feels an acceleration: three times sqrt(2 kg m2 / 2,000 N m/rad)
@@ -169,6 +171,9 @@ def _per_joint(what: str, values: ArrayLike, robot: Robot) -> Float[np.ndarray, 
     return np.array(np.broadcast_to(array, (robot.nv,)))
 
 
+# shares of the commanded speed above which an arm is not slow, below which the first motion says so, and below which it
+# may stand
+_SLOW, _SURELY, _CREEPS = 0.95, 0.75, 0.15
 Directions = Callable[[Float[np.ndarray, " n"]], Float[np.ndarray, "k nv"]]
 
 
@@ -197,6 +202,8 @@ class FollowingError:
         distance: shape (nv,), measured less commanded.
         force: shape (3,), on the hand, in the base frame [N]; 0 where the user has given limits.
         tripped: Why the arm is to be stopped, in words; empty where it is not.
+        load: shape (nv,), distance at which a weight keeps the arm, with nothing in its way [rad or m].
+        sinks: True if the force that stopped the arm points down, as a weight does.
         servos: What is known of them.
 
     Raises:
@@ -236,7 +243,7 @@ class FollowingError:
         nv = self._robot.nv
         self.servos.forget()
         self.force, self.tripped = np.zeros(3), ""
-        self.distance = np.zeros(nv)
+        self.distance, self.load, self.sinks = np.zeros(nv), np.zeros(nv), False
         self.resolution = 0.0 if isinstance(self.contact.resolution, str) else float(self.contact.resolution)
         self._said, self._untold = False, int(self.contact.stiffness is None and self._by_force)
         self.notes: list[str] = []
@@ -287,9 +294,11 @@ class FollowingError:
     def relief(self) -> Float[np.ndarray, " nv"]:
         """Way to a commanded posture at which the servos no longer press, shape (nv,) [rad or m].
 
-        To where the arm was measured, and on in the sense of the force by what friction would go on holding.
+        To where the arm was measured, less its load (a weight presses nothing), and on in the sense of the force by
+        what friction would go on holding.
         """
-        return self.distance + self.servos.friction * self._pushed / (np.abs(self._pushed) + RESOLUTION)
+        held = self.servos.friction * self._pushed / (np.abs(self._pushed) + RESOLUTION)
+        return self.distance - self.load + held
 
     def farthest(self) -> Float[np.ndarray, " nv"]:
         """By how much it makes sense to let go, shape (nv,) [rad or m]: the measurement may be wrong.
@@ -303,11 +312,33 @@ class FollowingError:
         """Force on the hand that is left in a measured posture, beyond what friction holds [N]."""
         if not self._by_force:
             return 0.0
-        away = np.sign(self.distance) * np.maximum(np.abs(self.distance) - self.servos.friction, 0.0)
+        off = self.distance - self.load
+        away = np.sign(off) * np.maximum(np.abs(off) - self.servos.friction, 0.0)
         C = self._robot.jacobian(q, self._frame)[:3] / self._stiffness
         f = self._force_of(away, C)[0]
         self._pushed = f.dot(C)
         return float(np.linalg.norm(f))
+
+    def carry(self, off: Float[np.ndarray, " nv"], q: Float[np.ndarray, " n"]) -> str:
+        """Take distances [rad or m] at a posture as the arm's load if a weight explains them.
+
+        Returns:
+            Words on a payload that the drives do not know of; empty if there is none.
+        """
+        C = self._robot.jacobian(q, self._frame)[:3] / self._stiffness
+        f = np.linalg.solve(C.dot(C.T) + self._damping, C.dot(off))
+        weighs, self.sinks = (
+            -x[2] > max(LEFT, _DOWN * math.sqrt(x.dot(x))) for x in (f, self.force if self.force.any() else f)
+        )
+        self.load = off if weighs else np.zeros_like(off)
+        if not (weighs and self.sinks and -f[2] > GRAVITY * max(PAYLOAD, self._robot.payload)):
+            return ""
+        self._pushed = np.zeros_like(off)
+        mass = "..." if self.contact.stiffness is None else f"{-f[2] / GRAVITY:.2g}"
+        return (
+            f"; that looks like a payload of about {mass} kg, which the drives do not know of: load the robot with it, "
+            f"robot.with_payload({mass}, {self._frame.name!r})"
+        )
 
     def sentence(self, constraint: Constraint | None, q: Float[np.ndarray, " n"]) -> str:
         """What was blocked and by how much: the row of the constraint, if it is known, the joint, and what to do."""
@@ -327,6 +358,11 @@ class FollowingError:
             unit = "mrad" if constraint.features.row_units[int(np.abs(row).argmax())].startswith("rad") else "mm"
             parts = sum_in_words(row, constraint.features.row_names, "+.2g", 0.05)
             words = f"row {i + 1} of the constraint ({parts}) is {1e3 * off[i]:+.2g} {unit} off, {words}"
+        share, stands = self.servos.pace()
+        if self._by_force and _CREEPS < share < _SLOW:
+            return f"{words}; {_slow(share)}"
+        if stands:
+            words += "; no joint moves any more: look at brakes, control mode and emergency stop"
         return f"{words}; {self.tripped}" if self.tripped else words
 
     def compare(
@@ -350,7 +386,7 @@ class FollowingError:
         if self.servos.is_known and not self._said:
             self._tell(measured)
         self.force = NONE
-        if self.tripped:
+        if self.tripped or self.servos.repeats:
             return
         if not self.servos.is_known and np.any(np.abs(self.distance) > _LATE * self.limit):
             self.tripped = "the arm has not begun to move: it is blocked or switched off, or give Contact(latency=...)"
@@ -449,23 +485,39 @@ class FollowingError:
         servos, contact, self._said = self.servos, self.contact, True
         C = self._robot.jacobian(q, self._frame)[:3] / self._stiffness
         G = np.linalg.solve(C.dot(C.T) + self._damping, C)  # of the force by the distances
-        noise, friction = (float(np.linalg.norm(G * x)) for x in (servos.noise, servos.width * servos.seen))
+        # what was sent from one new reading to the next is no friction
+        dry = np.maximum(servos.width - np.abs(servos.gone(round(servos.every - 1.0))), 0.0) * servos.seen
+        noise, width, friction = (float(np.linalg.norm(G * x)) for x in (servos.noise, servos.width * servos.seen, dry))
         periods = max(1.0, 0.5 * (QUIET * noise / (_NOISY * contact.held)) ** 2)
         servos.smooth(periods)
-        least = max(_KNOWN * friction, QUIET * noise / math.sqrt(2.0 * periods))
+        least = max(_KNOWN * width, QUIET * noise / math.sqrt(2.0 * periods))
         if isinstance(contact.resolution, str):
             self.resolution = least
-        if servos.late is not None and servos.late > LOOK_BACK:
+        share, cause = servos.pace()[0], "friction, play and noise"
+        if slow := _CREEPS < share < _SURELY:
+            cause = "an arm that is slower than it is sent"
+            self.notes.append(_slow(share))
+        elif servos.late is not None and servos.late > LOOK_BACK:
             self.notes.append(f"the arm follows {1e3 * servos.late:.0f} ms late")
-        if friction > contact.held:
+        if servos.every >= 2.0:
+            cause, ms = "readings that come late", 1e3 * self._dt
+            self.notes.append(f"readings change every {servos.every * ms:.0f} ms, the loop runs at {ms:g} ms")
+        if friction > contact.held and not slow:
             self.notes.append(
                 f"friction and play of the joints take up to {friction:.0f} N on the hand: forces from {least:.0f} N "
                 "on are seen"
             )
         if self.resolution > contact.held:
             self.notes.append(
-                f"held={contact.held:g} N cannot be kept: from friction, play and noise, {self.resolution:.0f} N can "
-                "be told, and at that the arm is stopped"
+                f"held={contact.held:g} N cannot be kept: from {cause}, {self.resolution:.0f} N can be told, and at "
+                "that the arm is stopped"
             )
         for note in self.notes[self._untold :]:
             _LOGGER.warning(note)
+
+
+def _slow(share: float) -> str:
+    """Return words on an arm that goes along its path at a share of the commanded speed."""
+    return (
+        f"the arm follows the sent path at about {share:.0%} of its speed: speed slider, override or a limit of its own"
+    )

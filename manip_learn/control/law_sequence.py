@@ -15,7 +15,7 @@ from manip_learn.constraint.manipulability import manipulability
 from manip_learn.constraint.skill import Gripping
 from manip_learn.control.command import Command, Controller
 from manip_learn.control.controller import ResolvedRateController
-from manip_learn.control.follow_motion import ARRIVED
+from manip_learn.control.follow_motion import ARRIVED, FollowMotion
 from manip_learn.control.limits import Limits
 from manip_learn.control.tasks import FreeDirection, Task
 from manip_learn.control.tasks.motion_profile import MotionProfile
@@ -48,6 +48,9 @@ class JointMotion(Task):
         gain: Rate at which deviations are taken back [1/s].
         gripper: What a gripper does meanwhile, `"close"` or `"open"`, for which it has half a second at least.
 
+    Attributes:
+        start: shape (nv,), the first posture [rad or m].
+
     Raises:
         ConfigurationError: Postures that are not finite or of another size, or speeds that are not positive.
     """
@@ -77,7 +80,7 @@ class JointMotion(Task):
         self._starts, self._steps = table[:-1][moves], steps[moves]
         self._profiles = [MotionProfile(1.0, 1.0 / time, _RAMP) for time in times[moves].tolist()]
         self._ends = np.cumsum([profile.duration for profile in self._profiles])
-        self._last = table[-1]
+        self.start, self._last = table[0], table[-1]
         self.reset()
 
     @property
@@ -227,6 +230,14 @@ def task_of(controller: Controller) -> Task | None:
     """The task of a controller of the library; None for a controller of another kind."""
     law = law_of(controller)
     return None if law is None else law.task
+
+
+def start_of(controller: Controller) -> Float[np.ndarray, " nv"] | None:
+    """Return the posture [rad or m] at which a controller's own motion starts; None if it starts anywhere."""
+    if isinstance(controller, FollowMotion):
+        return controller.at(0.0)
+    first = controller.laws[0] if isinstance(controller, LawSequence) else law_of(controller)
+    return first.task.start if first is not None and isinstance(first.task, JointMotion) else None
 
 
 def constraint_of(controller: Controller) -> Constraint | None:

@@ -17,7 +17,7 @@ from manip_learn.constraint.small_matrices import row_inverse
 from manip_learn.control.command import Command, Controller, Status
 from manip_learn.control.controller import ResolvedRateController
 from manip_learn.control.follow_motion import FollowMotion
-from manip_learn.control.following import Contact, FollowingError
+from manip_learn.control.following import LEFT, Contact, FollowingError
 from manip_learn.control.law import next_slide
 from manip_learn.control.law_sequence import LawSequence, constraint_of, held_frame, law_of, task_of, taught_force
 from manip_learn.control.limits import Bounds, Limits, bound_changes, farthest_positions, stopping_speed
@@ -38,8 +38,9 @@ _LONGEST = 5.0  # [s] an average over more delays the arm by seconds: the limits
 UNLOADING_RATE = 25.0  # [1/s] rate at which an arm that was blocked lets go: from 60 N to 3 N in 0.12 s
 RELOOK, _NEAR = 0.01, 5e-4  # [s] beside its delay after which an arm that lets go is looked at again, [rad or m]
 _SETTLED = 0.05  # [s] after which an arm that was let go stands
-_LEFT = 3.0  # [N] that may be left on the hand then
 RENEWALS = 10  # times that an arm goes on letting go where more is left
+# [rad or m] of letting go after which it shows, and share of it by which an arm that carries a weight comes along
+_SHOWS, _FOLLOWS = 2e-3, 0.9
 # [rad/s or m/s] speed below which it does not fall on the way, and [rad or m] distance at which it has arrived
 _SLOWEST, _ARRIVED = 1e-3, 1e-9
 LONGEST_TIME = 1e15  # [s] a larger number is no time: its steps are longer than a period
@@ -108,11 +109,15 @@ class Return(NamedTuple):
     Attributes:
         limits: The limits.
         posture: Where a position servo is sent.
+        load: Distance at which a weight keeps the arm from where it is sent [rad or m].
+        goal: Where it goes: where the arm was first measured, less its load; a newer reading has other noise.
         speed: Share of the acceleration limits, times s, with which it moves [s].
     """
 
     limits: Limits
     posture: Float[np.ndarray, " n"]
+    load: Float[np.ndarray, " nv"]
+    goal: Float[np.ndarray, " n"] | None = None
     speed: float = 0.0
 
     def step(self, measured: Float[np.ndarray, " n"], dt: float) -> Return | None:
@@ -122,7 +127,8 @@ class Return(NamedTuple):
         (`stopping_speed`).
         """
         limits = self.limits
-        away = limits.robot.difference(self.posture, measured)
+        goal = limits.robot.integrate(measured, -self.load) if self.goal is None else self.goal
+        away = limits.robot.difference(self.posture, goal)
         acceleration = np.minimum(limits.acceleration, 1e6)
         far = float(np.max(np.abs(away) / acceleration))  # [s^2] at unit acceleration
         if far <= 0.5 * dt * dt:
@@ -132,7 +138,7 @@ class Return(NamedTuple):
         stopping = float(stopping_speed(np.array([far]), np.ones(1), dt)[0])
         speed = min(self.speed + dt, stopping, fastest, far / dt)
         posture = limits.robot.integrate(self.posture, dt * speed * direction)
-        return Return(limits, posture, speed)
+        return self._replace(posture=posture, goal=goal, speed=speed)
 
 
 @final
@@ -321,7 +327,7 @@ class ServoLoop:
         # a position servo holds the arm there still
         if q is not None or self._following.tripped:
             sent = None if q is not None else self.position
-            self._return = None if sent is None else Return(self.limits, sent)
+            self._return = None if sent is None else Return(self.limits, sent, self._following.load)
         # where the controller is, and where the arm is sent: the same but for the average
         self._reference = self._output = None if q is None else np.array(self.robot.checked_posture(q))
         self._velocity, self._sent = np.zeros(nv), np.zeros(nv)
@@ -339,7 +345,8 @@ class ServoLoop:
         self._behind = 0.0  # time by which the clock of a task that waits for the arm is behind
         self._waited = 0.0  # periods since the newest state
         self._runs_on = False  # whether the arm goes on between late calls, as a velocity servo does
-        self._stopping = self.lets_go = False
+        self._alone = self._output is None  # a posture starts from the first reading, and no other has been near it
+        self._stopping = self.lets_go = self._hangs = False
         self._slide = 0.0
         self._last: Command | None = None
         if isinstance(self.controller, LawSequence | FollowMotion):
@@ -408,6 +415,11 @@ class ServoLoop:
         return self._waited
 
     @property
+    def yields(self) -> Float[np.ndarray, " nv"]:
+        """By how much servos give way to the largest force that is allowed, shape (nv,) [rad or m]."""
+        return self._following.farthest()
+
+    @property
     def notes(self) -> tuple[str, ...]:
         """What is known of the arm and of the motion, in sentences: how late it follows, which forces are seen."""
         jumps = self.controller.jumps if isinstance(self.controller, FollowMotion) else ()
@@ -457,19 +469,24 @@ class ServoLoop:
                 self.stopped_by += f"; {far}"
             return self._braked(Status.INVALID_INPUT)
         if self._refused <= self.stale_after and (jump := self._jump(measured, time)):
+            if self._alone:  # a first reading that the second one is not near: nothing starts from it
+                stopping = self._stopping
+                self.reset()
+                self._stopping, self._time = stopping, time
+                self.measured = self._reference = self._output = measured
             self._refused += self.dt
             self._waited += self.dt
             self.stopped_by, self._jumped = jump, (jump, time)
             return self._braked(Status.INVALID_INPUT)
-        self._refused = 0.0
+        self._refused, self._alone = 0.0, self._alone and self.measured is None
         self.measured = measured
         held = self._accept_time(time, measured)
         period = self.dt if held is None else held
         if self._reference is None or self._output is None:
             self._reference = self._output = measured
         if self._return is not None:
-            self._return = self._return.step(measured, period)
-            self._reference = self._output = measured
+            sent, self._return = self._return.posture, self._return.step(measured, period)
+            self._reference = self._output = sent
             return self._braked(Status.FOLLOWING_ERROR, period)
         if self._waited == 0.0:  # a state that is not new says nothing of the commands since
             self._following.compare(self._output, measured, self._driven)
@@ -661,19 +678,26 @@ class ServoLoop:
         """
         following = self._following
         if self._relief is None:
-            self._pressed, self._renewed, self._rested = (commanded, following.farthest()), 0, 0.0
+            self._pressed, self._renewed, self._rested = (commanded, measured, following.farthest()), 0, 0.0
+            self._moved, self._payload = self._velocity, following.carry(following.servos.at_rest, measured)
             self._relief, self.lets_go = self._let_go(commanded), True
-            words = following.sentence(constraint_of(self.controller), measured)
-            self.stopped_by = (
-                f"{self._jumped[0]}; {words}" if self._time - self._jumped[1] <= self.stale_after else words
-            )
+            self._name_cause(measured)
+        elif float(self._velocity.dot(self._moved)) > 0.0:  # it brakes, and each reading tells more of the cause
+            self._name_cause(measured)
+        elif not self._renewed and self._comes_along(commanded, measured):
+            self._relief, self._renewed, self._hangs = commanded, RENEWALS, True
+        else:
+            self._moved = np.zeros_like(self._moved)
         left = self.robot.difference(commanded, self._relief)
         farthest = float(np.abs(left).max(initial=0.0))
         self._rested += held
         arrived = farthest < _ARRIVED and not self._velocity.any()
         if arrived:
             if self._rested > following.servos.delay + _SETTLED:
-                self.lets_go = self._renewed < RENEWALS and following.left(measured) > _LEFT
+                self.lets_go = self._renewed < RENEWALS and following.left(measured) > LEFT
+                if self._hangs:  # the weight has come to rest
+                    self.stopped_by = f"{self.stopped_by}{following.carry(following.distance, measured)}"
+                    self._hangs = False
             if not self.lets_go or self._rested <= following.servos.delay + _SETTLED:
                 return self._braked(Status.FOLLOWING_ERROR, held)
             self._renewed += 1
@@ -689,14 +713,27 @@ class ServoLoop:
             self._hard.towards(wish, self._velocity, bounds, held), Status.FOLLOWING_ERROR, held
         )
 
+    def _name_cause(self, measured: np.ndarray) -> None:
+        """Say what stopped the arm."""
+        words = self._following.sentence(constraint_of(self.controller), measured) + self._payload
+        self.stopped_by = f"{self._jumped[0]}; {words}" if self._time - self._jumped[1] <= self.stale_after else words
+
     def _let_go(self, commanded: np.ndarray) -> np.ndarray:
         """A posture at which the arm presses less, not far from where it pressed."""
-        place, most = self._pressed
+        place, _, most = self._pressed
         gone = self.robot.difference(place, commanded) + self._following.relief()
         way = np.clip(gone, -most, most)
         if np.any(way != gone):  # no force takes an arm so far: what is measured is wrong
             self._renewed = RENEWALS
         return np.array(self.robot.integrate(place, way))
+
+    def _comes_along(self, commanded: np.ndarray, measured: np.ndarray) -> bool:
+        """True if an arm that is pulled down sinks as far as it lets go: a weight pulls it, and nothing blocks it."""
+        place, pressed, _ = self._pressed
+        following, servos = self._following, self._following.servos
+        gone = self.robot.difference(place, commanded) - servos.gone(round(servos.delay / self.dt))
+        came, square = self.robot.difference(pressed, measured), float(gone.dot(gone))
+        return following.sinks and square > _SHOWS * _SHOWS and float(came.dot(gone)) > _FOLLOWS * square
 
     def _driven(self, q: Float[np.ndarray, " n"]) -> Float[np.ndarray, "k nv"]:
         """Motions of the joints along which the task drives the arm; a motion of the joints themselves drives all."""

@@ -24,6 +24,11 @@ PACE = 0.002  # [s] by which joints follow more or less late than each other: da
 _ROUNDING = 1e-12  # [rad or m] of sums of steps
 OFTEN = 0.004  # [s] between two looks at what changes slowly
 AROUND = 0.25  # share of the delay by which it may be other than it was
+# periods by which an arm is later than it was from which it shows why, and whether it is about to stand
+_FEW, _MANY = 3, 12
+_QUIET = 5.0  # times the median step between readings above which a step is that of a new one
+_STOPS = 0.7  # share of its speed before below which an arm is about to stand
+_ON_PATH = 0.2  # share of the distance by which an arm is late that it may be off the path that was sent
 _DRAWS = 20.0  # variance of the third difference of independent noise, over its own: 1 + 9 + 9 + 1
 
 
@@ -57,16 +62,20 @@ class Servos:
         sees: shape (nv,), joints whose excess says something of forces: they were seen to move, or were not sent far,
             or are farther away than friction takes.
         is_known: Whether the first motion has told what it can.
+        at_rest: shape (nv,), how far the joints were from where they were sent before they moved [rad or m].
+        every: Periods from one new reading to the next, as the first motion showed; 1 if each is new.
     """
 
     def __init__(self, nv: int, dt: float, latency: float | None, hidden: Float[np.ndarray, " nv"]):
         self._dt, self._hidden = dt, hidden
-        self._size = math.ceil(((LATEST if latency is None else latency) + max(PACE, OFTEN)) / dt - 1e-9) + 3
         self._pace, self._often = max(1, round(PACE / dt)), max(1, round(OFTEN / dt))
+        # periods back that are tried, and that there are rows for
+        self._longest = math.ceil(((LATEST if latency is None else latency) + max(PACE, OFTEN)) / dt - 1e-9) + 1
+        self._longest -= max(self._pace, self._often)
+        self._size = self._longest + 2 + max(self._pace, self._often, round(2.0 * LATEST / dt))
         self._own = PACE / dt if hidden.any() else 0.0  # periods
         self._stride = max(1, round(_APART / dt))
         lags = np.arange(0.0, LATEST + 0.5 * _APART, max(_APART, dt))
-        self._longest = self._size - 2 - max(self._pace, self._often)  # periods back that there are rows for
         self._lags = np.unique(np.minimum(np.round(lags / dt).astype(np.int64), self._longest))
         # until the noise is known, the mean of some periods at 1 kHz
         self._smoothing = dt / (dt + 0.004) if hidden.any() else 1.0
@@ -80,7 +89,7 @@ class Servos:
         self.width = self._hidden.copy()
         # ways of the commanded posture since the beginning, one row a period, twice so that the newest are in one piece
         self._ways, self._row, self._since = np.zeros((2 * self._size, nv)), 0, 0.0
-        self.way = np.zeros(nv)
+        self.way, self._read, self._reads = np.zeros(nv), np.zeros(nv), np.zeros_like(self._ways)  # likewise
         self._window = 0, self._longest
         self._at = 0  # periods by which the arm seems to be late now
         self._excess = np.zeros(nv)
@@ -89,10 +98,13 @@ class Servos:
         self.raw, self.range, self._newest = np.zeros(nv), (np.zeros(nv), np.zeros(nv)), np.zeros(nv)
         # x as friction would have it, the sense in which a joint went when it was measured, and its least lag then
         self._place, self._sense, self._least = np.zeros(nv), np.zeros(nv), np.zeros(nv)
-        self._first, self._rests = np.zeros(nv), 0  # where the arm is at rest, the mean of so many readings
+        self.at_rest, self._rests = np.zeros(nv), 0  # where the arm is at rest, the mean of so many readings
         self._past, self._square = [], np.full(nv, ENCODER**2)
         self._samples: list[tuple[np.ndarray, np.ndarray, np.ndarray]] = []
         self.moving, self._counted = 0.0, 0
+        # periods since a reading was another than the one before, and the largest step between two that are the same
+        self._same, self._quiet, self.every = 0, -1.0, 1.0
+        self._steps: list[float] = []  # from reading to reading, in the first motion
 
     def moved(self, step: Float[np.ndarray, " nv"], time: float, moves: bool) -> bool:
         """Take note of a step of the commanded posture [rad or m] and how long it took [s]; whether a period is over.
@@ -108,6 +120,7 @@ class Servos:
                 self.moving += self._dt
                 self._counted += 1
         self._ways[self._row] = self._ways[self._row + self._size] = self.way
+        self._reads[self._row] = self._reads[self._row + self._size] = self._read
         return over
 
     @property
@@ -128,6 +141,8 @@ class Servos:
     def excess(self, distance: Float[np.ndarray, " nv"]) -> Float[np.ndarray, " nv"]:
         """How far the arm is from where the servos may have brought it, by how far it is from where it was sent."""
         y, newest, (least, most) = self.way + distance, self._row + self._size, self._window
+        self._count(y)
+        self._read = self._reads[self._row] = self._reads[newest] = y
         if not self.is_known:
             sent = self._ways[newest - most : newest - least + 1][::-1]  # newest first
             # a joint that was not seen to move is behind by no more than it was sent
@@ -156,6 +171,29 @@ class Servos:
         return self._excess
 
     @property
+    def repeats(self) -> bool:
+        """True if the newest reading is an old one, because readings come more slowly than they are asked for."""
+        return 0 < self._same < 1.5 * self.every - 1.0
+
+    def _count(self, y: np.ndarray) -> None:
+        """Count how often a reading is another than the one before."""
+        if self.is_known and self.every == 1.0 or not self.moving:
+            return
+        step = float(np.linalg.norm(y - self._read))
+        self._same = self._same + 1 if step <= self._quiet else 0
+        if not self.is_known:
+            self._steps.append(step)
+
+    def _find_readings(self) -> None:
+        """Find how often readings are new: then steps are far larger than between, and make up the motion."""
+        steps = np.array(self._steps)
+        self._quiet = _QUIET * float(np.median(steps)) + _ROUNDING
+        new = np.flatnonzero(steps > self._quiet)
+        if len(new) > 2 and float(steps[new].sum()) > 0.5 * float(np.linalg.norm(self._read - self.at_rest)):
+            self.every = float(new[-1] - new[0]) / (len(new) - 1)
+        self._steps.clear()
+
+    @property
     def sees(self) -> Bool[np.ndarray, " nv"]:
         """See the class."""
         return self.seen if self._all_seen else self.seen | (self.range[1] < _STILL) | (self._newest != 0.0)
@@ -179,7 +217,7 @@ class Servos:
         """Learn noise, widths and the delay from a reading."""
         if not self.moving:
             self._rests += 1
-            self._first = self._first + (y - self._first) / self._rests
+            self.at_rest = self.at_rest + (y - self.at_rest) / self._rests
         if not self.is_known:
             past = self._past
             if len(past) == 3:
@@ -188,7 +226,7 @@ class Servos:
                 self.noise = np.sqrt(self._square)
                 del past[0]
             past.append(y)
-        gone = (y - self._first) * np.sign(c)
+        gone = (y - self.at_rest) * np.sign(c)
         new = ~self.seen & (gone > NOISES * self.noise + _STILL) & (np.abs(c) > _STILL)
         if new.any():
             self.friction = np.where(new, np.minimum(np.abs(c) - gone, self._hidden).clip(0.0), self.friction)
@@ -202,7 +240,7 @@ class Servos:
             return
         if self._counted >= self._stride and self.seen.any():
             self._counted = 0
-            self._samples.append((y - self._first, self._ways[self._row + self._size - self._lags], self.seen))
+            self._samples.append((y - self.at_rest, self._ways[self._row + self._size - self._lags], self.seen))
             if len(self._samples) >= SOONEST and len(self._samples) % 4 == 0:
                 self._fit()
 
@@ -223,11 +261,7 @@ class Servos:
         told = beside - left[best] > noise + (0.5 * _STILL) ** 2 and left[best] < (3.0 * math.sqrt(noise) + _STILL) ** 2
         if not (told or len(self._samples) >= LATEST_SAMPLE):
             return
-        place = float(best)
-        if 0 < best < len(left) - 1:  # the parabola through three of them
-            before, least, after = left[best - 1 : best + 2].tolist()
-            bend = before - 2.0 * least + after
-            place += 0.5 * (before - after) / bend if bend > 0.0 else 0.0
+        place = _lowest(left, best)[0]
         at = min(int(place), len(self._lags) - 2)
         share = place - at
         pace = self._own / float(self._lags[at + 1] - self._lags[at])
@@ -248,6 +282,7 @@ class Servos:
             self.width = np.minimum(np.max(self.width * self.seen), self._hidden)
         lag = float(np.interp(place, np.arange(len(self._lags)), self._lags))  # periods
         self.is_known, around = True, math.ceil(AROUND * lag) + 1
+        self._find_readings()
         self._samples.clear()
         self._past.clear()
         self._at, self.late = round(lag), lag * self._dt
@@ -262,7 +297,45 @@ class Servos:
         """Take the mean of about so many readings."""
         self._smoothing = 1.0 / max(1.0, periods)
 
+    def pace(self) -> tuple[float, bool]:
+        """Return how an arm goes that is later than it was.
+
+        Returns:
+            Share of the commanded speed at which it goes along the path that was sent, NaN if it does not; and whether
+            no joint moves any more.
+        """
+        late, off = self._behind(0)
+        newest, later = self._row + self._size, int(late - (self._window[1] if self.is_known else self._at))
+        away = self._reads[newest] - self.at_rest - self._ways[newest - self._at]
+        if later < _FEW or off > _ON_PATH * _ON_PATH * float(away.dot(away)):
+            return math.nan, False
+        # for so long an arm that stands has stood, and an arm that is slow has been slow all along
+        reads, few, half = self._reads[newest - later : newest + 1], 1 + later // 4, later // 2
+        moved = np.abs(np.mean(reads[-few:], axis=0) - np.mean(reads[:few], axis=0))
+        stands = bool(np.all(moved < NOISES * self.noise / math.sqrt(few)))
+        before, then = self._behind(half)[0], self._behind(later)[0]
+        first, second = 1.0 - (before - then) / (later - half), 1.0 - (late - before) / half
+        stops = later >= _MANY and second < _STOPS * first  # as filtered readings do
+        return (math.nan if stops else 1.0 - (late - then) / later), stands
+
+    def _behind(self, ago: int) -> tuple[float, float]:
+        """Periods by which a reading is behind the path that was sent, and its squared distance from that path."""
+        newest = self._row + self._size - ago
+        away = self._ways[newest + ago - self._size + 1 : newest + 1][::-1] - (self._reads[newest] - self.at_rest)
+        square = np.einsum("ij,ij->i", away, away)
+        return _lowest(square, int(square.argmin()))
+
     @property
     def delay(self) -> float:
         """Of the excess behind what it is by now [s], the smoothing included."""
         return self._at * self._dt + (1.0 / self._smoothing - 1.0) * self._dt
+
+
+def _lowest(values: Float[np.ndarray, " n"], least: int) -> tuple[float, float]:
+    """Return where the parabola through the least of some values and its neighbours is lowest, and its value there."""
+    if not 0 < least < len(values) - 1:
+        return float(least), float(values[least])
+    before, value, after = values[least - 1 : least + 2].tolist()
+    bend = before - 2.0 * value + after
+    step = 0.5 * (before - after) / bend if bend > 0.0 else 0.0
+    return least + step, value - 0.25 * (before - after) * step

@@ -10,7 +10,7 @@ from jaxtyping import Float
 from numpy.typing import ArrayLike
 
 from manip_learn.constraint.constraint import Constraint
-from manip_learn.control.command import Command, Controller, Method, next_posture
+from manip_learn.control.command import Command, Controller
 from manip_learn.control.controller import ResolvedRateController
 from manip_learn.control.law_sequence import constraint_of, held_frame, law_of, task_of
 from manip_learn.control.rollout import Rollout, written_constraint
@@ -25,16 +25,12 @@ from manip_learn.robot.robot import Robot
 _STARTS = 256
 
 
+Start = Sequence[float] | Float[np.ndarray, " n"]
+
+
 @overload
 def simulate(
-    robot: Robot | None,
-    controller: Controller,
-    q0: Sequence[float] | Float[np.ndarray, " n"],
-    duration: float = ...,
-    dt: float = ...,
-    method: Method = ...,
-    *,
-    progress: Progress | None = ...,
+    robot: Robot | None, controller: Controller, q0: Start, duration: float = ..., dt: float = ..., **options: Any
 ) -> Rollout: ...
 
 
@@ -45,9 +41,7 @@ def simulate(
     q0: Sequence[Sequence[float]],
     duration: float = ...,
     dt: float = ...,
-    method: Method = ...,
-    *,
-    progress: Progress | None = ...,
+    **options: Any,
 ) -> tuple[Rollout, ...]: ...
 
 
@@ -57,11 +51,11 @@ def simulate(
     q0: ArrayLike,
     duration: float = 5.0,
     dt: float = 0.01,
-    method: Method = "euler",
     *,
     progress: Progress | None = None,
+    **removed: Any,
 ) -> Rollout | tuple[Rollout, ...]:
-    """Integrate the controller on the configuration manifold.
+    """Integrate the controller on the configuration manifold, each command held for a step.
 
     Args:
         robot: The robot; None for a system whose state is a plain vector.
@@ -69,9 +63,8 @@ def simulate(
         q0: Start posture; the rollout's postures are the same kind of vector. Or a table of starts, one per row.
         duration: [s].
         dt: Step [s].
-        method: `"euler"` holds each command for a step, as a real arm's interface does; `"rk4"` approximates the
-            continuous system.
         progress: Called with a title and the completed fraction, 0 to 1.
+        **removed: `method`, which there was until 0.3.
 
     Returns:
         A `Rollout` of round(duration / dt) + 1 samples, the start included; for a table of starts a tuple of them, one
@@ -80,6 +73,7 @@ def simulate(
     Raises:
         ConfigurationError: The arguments are in another order; the start has the wrong size or is not finite; a step
             or duration that is not positive.
+        TypeError: An argument that there is not.
 
     Example:
         >>> import manip_learn as ml
@@ -100,8 +94,8 @@ def simulate(
         )
     if not (np.isfinite(dt) and dt > 0.0 and np.isfinite(duration) and duration >= 0.0):
         raise ConfigurationError(f"duration and dt must be positive numbers of seconds, got {duration!r} and {dt!r}")
-    if method not in ("euler", "rk4"):
-        raise ConfigurationError(f"method must be 'euler' or 'rk4', not {method!r}")
+    if removed and removed != {"method": "euler"}:
+        raise TypeError(f"simulate has no {removed}: each command is held for its step, give a smaller dt")
     steps = round(duration / dt)
     report, table = progress or (lambda title, fraction: None), np.ndim(q0) == 2
     if table:
@@ -109,15 +103,15 @@ def simulate(
         starts, rollouts = np.asarray(q0) if robot is None else checked_postures(robot, np.asarray(q0)), []
         for first in range(0, len(starts), _STARTS):
             block = starts[first : first + _STARTS]
-            for start, found in zip(block, _compiled(robot, controller, method, block, dt, steps, None), strict=True):
-                rollouts.append(found or simulate(robot, controller, start, steps * dt, dt, method))
+            for start, found in zip(block, _compiled(robot, controller, block, dt, steps, None), strict=True):
+                rollouts.append(found or simulate(robot, controller, start, steps * dt, dt))
                 report("simulating", len(rollouts) / len(starts))
         return tuple(rollouts)
     q = np.array(q0, dtype=np.float64) if robot is None else np.array(robot.checked_posture(q0))
-    if (whole := _compiled(robot, controller, method, q[None], dt, steps, progress)[0]) is not None:
+    if (whole := _compiled(robot, controller, q[None], dt, steps, progress)[0]) is not None:
         return whole
     task_error = getattr(controller, "task_error", None)
-    command_at = _loop_of(controller, q, dt, method)
+    command_at = _loop_of(controller, q, dt)
     postures, errors = np.empty((steps + 1, q.shape[0])), np.full(steps + 1, np.nan)
     commands: list[Command] = []
     for i in range(steps + 1):
@@ -128,7 +122,7 @@ def simulate(
         if task_error is not None:
             errors[i] = task_error(q, t)
         if i < steps:
-            q = next_posture(robot, controller, q, t, dt, method, command.velocity)
+            q = q + dt * command.velocity if robot is None else robot.integrate(q, dt * command.velocity)
         report("simulating", (i + 1) / (steps + 1))
     u = np.array([c.velocity for c in commands])
     return Rollout(
@@ -146,26 +140,24 @@ def simulate(
 
 
 def _compiled(
-    robot: Robot | None, controller: Controller | ServoLoop, method: Method, starts: np.ndarray, *run: Any
+    robot: Robot | None, controller: Controller | ServoLoop, starts: np.ndarray, *run: Any
 ) -> Sequence[Rollout | None]:
     """Whole rollouts by the compiled law; None where single steps are needed."""
-    if not (isinstance(controller, ResolvedRateController) and method == "euler" and controller.robot is robot):
+    if not (isinstance(controller, ResolvedRateController) and controller.robot is robot):
         return (None,) * len(starts)
     native = controller.native
     return (None,) * len(starts) if native is None else native.rollouts(controller, starts, *run)
 
 
 def _loop_of(
-    controller: Controller | ServoLoop, start: np.ndarray, dt: float, method: Method
+    controller: Controller | ServoLoop, start: np.ndarray, dt: float
 ) -> Callable[[np.ndarray, float], Command]:
     """The rule of one step: a servo loop, the library's controllers in one of their own, others as they are."""
     if isinstance(controller, ServoLoop):
-        if method != "euler":
-            raise ConfigurationError("a ServoLoop holds each command for its period: simulate it with method='euler'")
         controller.reset(start)
         return controller.update
     law = law_of(controller)
-    if method == "euler" and law is not None and law.limits is not None:
+    if law is not None and law.limits is not None:
         return ServoLoop(controller, dt, stale_after=max(0.1, 10.0 * dt)).step
     return lambda q, t: controller(q, t, dt)
 

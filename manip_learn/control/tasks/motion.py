@@ -152,6 +152,14 @@ class FreeDirection(Task):
             motion_of = MechanismMotion if isinstance(held.features, MechanismRows) else StraightMotion
             self._motion = path or motion_of(held, direction, unit, straight)
         self.constraint = self._motion.constraint
+        if keep_orientation and (robot := constraint.robot) is not None:
+            A = self.constraint(robot.random_configuration(np.random.default_rng(0)))
+            b = self.constraint.selection.dot(self._motion.driven_at(0.0))
+            if np.linalg.norm(A.dot(np.linalg.lstsq(A, b)[0]) - b) > 1e-6 * np.linalg.norm(b):
+                raise ConstraintError(
+                    f"{robot.nv} joints cannot move along this and keep the orientation of the hand, {len(A)} rows: "
+                    "leave out --keep-orientation (keep_orientation=True)"
+                )
         self.unit: Unit = self._motion.unit
         self._n_held = constraint.n_constraints
         self.pause = _number("pause", pause, positive=True) if pause else 0.0
