@@ -368,7 +368,8 @@ class _Problem:
             )
         self.positions = robot.positions(self.start)
         self.stations, self.notes = Stations.of(self.motion, self.start, self.limits), ()
-        if (tip := self.limits.tip) is not None and (times := self.stations.tip_speed / tip.pace) > 1.0:
+        tip = self.limits.tip
+        if tip is not None and (times := self.stations.tip_speed / tip.pace) > 1.01:  # a pace leaves 2 %
             self._take_longer(times, f"{tip.speed:.3g} m/s at the tip")
         around = Surroundings()
         if scene is not None:
