@@ -21,6 +21,7 @@ from manip_learn.commands.program import program
 from manip_learn.control.rollout import Rollout
 
 DATA = Path(__file__).resolve().parents[1] / "examples" / "data"
+ROBOTS = DATA.parents[1] / "robots"
 DRAWER = sorted(map(str, (DATA / "sawyer_drawer").glob("*.csv")))[:6]
 FRAME = ("--frame", "right_gripper_tip")
 
@@ -60,6 +61,36 @@ def test_learn_answers_with_one_json_document(run):
     (free,) = answer["free_directions"]
     truth = [np.cos(np.radians(25)), np.sin(np.radians(25)), 0.0]
     assert np.degrees(np.arccos(min(1.0, abs(np.dot(free, truth))))) < 0.1
+
+
+def test_the_next_line_does_the_task_when_it_is_pasted(run, tmp_path):
+    """Robot, file and options as they were given, quoted for a shell; without --out the line says where it goes."""
+    arm = Path("my arm") / "the sawyer.urdf.xacro"
+    arm.parent.mkdir()
+    described = (ROBOTS / "sawyer.urdf").read_text(encoding="utf-8")
+    colour = (
+        '<xacro:arg name="called" default="pink"/><material name="$(arg called)"><color rgba="1 1 1 1"/></material>'
+    )
+    named = f'<robot xmlns:xacro="http://www.ros.org/wiki/xacro" name="sawyer">{colour}'
+    arm.write_text(described.replace('<robot name="sawyer">', named), encoding="utf-8")
+    given = ("--package-dir", "my arm", "--xacro-arg", "called=light pink")
+    code, out, err = run("learn", arm, *DRAWER, *FRAME, *given)
+    assert (code, err) == (0, "")
+    shell = tmp_path / "bin" / "manip-learn"
+    shell.parent.mkdir()
+    shell.write_text(f'#!/bin/sh\nexec "{sys.executable}" -m manip_learn "$@"\n', encoding="utf-8")
+    shell.chmod(0o755)
+    environment = os.environ | {"PATH": f"{shell.parent}{os.pathsep}{os.environ['PATH']}"}
+
+    def paste(said: str) -> str:
+        (line,) = (line.removeprefix("next: ") for line in said.splitlines() if line.startswith("next: "))
+        done = subprocess.run(["sh", "-c", line], env=environment, capture_output=True, text=True, timeout=100)
+        assert (done.returncode, done.stderr) == (0, ""), line
+        return done.stdout
+
+    again = paste(out)
+    assert "written: " in again
+    assert "1 way done as shown" in paste(again) and Path("run.html").exists()
 
 
 def test_control_answers(run, learnt):
@@ -117,11 +148,14 @@ def test_learn_writes_a_replay_of_the_recordings(run):
 
 
 def test_the_demo_of_the_small_robot(run):
-    """The main job: what was learnt, three policies side by side, and the replay."""
+    """The main job: what was learnt, the policies that its help names side by side, and the replay."""
     code, out, err = run("demo", "--robot", "planar3", "--out", "here", "--no-browser")
     assert code == 0, err
     assert all(f"  {policy} " in out for policy in ("manipulability", "attractor", "zero")) and "min mu" in out
-    assert len(data_in(Path("here/replay.html"))["rollouts"]) == 3
+    _, said, _ = run("demo", "--help")
+    named = " ".join(said.split()).partition(" policies ")[2].partition(" in a replay")[0]
+    shown = [rollout["name"] for rollout in data_in(Path("here/replay.html"))["rollouts"]]
+    assert named.replace(" and ", ", ").split(", ") == shown
 
 
 def test_unrecorded_fingers_are_locked(run, tmp_path):

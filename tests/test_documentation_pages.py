@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import csv
 import importlib.util
+import re
 from pathlib import Path
 from types import ModuleType
 
@@ -20,7 +22,7 @@ an engineer with recordings | Can I trust the answer? | reading_the_report | is 
 an engineer with recordings | How does the arm do it again? | control | ml.repeat(learner.skill_, q0)
 a PhD student | How do I use a policy of my own? | your_own_null_space_policy | null_policy = lambda q:
 a PhD student | How do I get the paper's numbers? | reproduction | manip-learn reproduce all
-a technician with a UR5e | Was it tried on a real arm? | ur5e_in_ten_minutes | **Tried in simulation only**
+a technician with a UR5e | Was it tried on a real arm? | ur5e_in_ten_minutes | **No real arm was run**
 a technician with a UR5e | Which library drives it? | ur | `ml.run` over RTDE
 an operator | Why did the arm stop? | troubleshooting | the arm stops, status `following-error`
 an operator | Does it keep clear of the table? | world | keeps 5 mm clear
@@ -136,3 +138,36 @@ def test_each_figure_says_where_it_comes_from(tmp_path, capsys):
     page = "docs/page.md"
     assert faults == [[page, "B", "b.svg"], [page, "C", "a table"], ["docs/c.png", "no page shows it"]]
     assert f"{page}: A: a.csv: 0123abcd 2026-01-02 make a" in capsys.readouterr().out
+
+
+ARM_PAGES = (
+    "franka",
+    "lerobot",
+    "mujoco",
+    "ros2_control",
+    "ur",
+    "ur5e_in_ten_minutes",
+    "xarm",
+    "your_own_arm",
+    "control",
+)
+
+
+@pytest.mark.parametrize("page", [*(DOCS / f"{name}.md" for name in ARM_PAGES), DOCS.parent / "SECURITY.md"], ids=str)
+def test_a_detected_force_is_told_from_what_is_measured(page):
+    """15 N across is what a loop detects; what then presses, as the tables have it, stands in a sentence of its own."""
+    with (DOCS / "figures" / "servos_jams.csv").open(encoding="utf-8") as file:
+        rows = {row["speed [m/s]"]: row for row in csv.DictReader(file) if row["driven [N]"] == "60"}
+    text = " ".join(page.read_text(encoding="utf-8").split())
+    detects = [sentence for sentence in re.split(r"(?<=[a-z])[.:] ", text) if "15 N across the way" in sentence]
+    assert detects and all("detects" in sentence and "88 N" not in sentence for sentence in detects)
+    for speed in ("0.06", "0.25"):
+        median, worst = rows[speed]["largest, median and worst [N]"].split(", ")
+        assert re.search(rf"{median} N \({worst}( at worst)?\) at {speed} m/s", text), (page, speed)
+
+
+@pytest.mark.parametrize("page", ["lerobot", "ros2_control", "ur", "ur5e_in_ten_minutes", "xarm"])
+def test_a_stand_in_is_not_called_a_simulation(page):
+    """What goes at once where it is sent has no dynamics: the page says so at its head."""
+    head = " ".join((DOCS / f"{page}.md").read_text(encoding="utf-8").partition("\n## ")[0].split())
+    assert "without dynamics" in head and "ried only in simulation" not in head and "in simulation only" not in head

@@ -99,12 +99,13 @@ def test_fixtures_that_stand_elsewhere():
 
 
 class Arm:
-    """An arm that goes where it is sent, and notes where the hand was when its gripper was told something."""
+    """An arm that goes where it is sent, and notes the way of the hand, and where its gripper was told something."""
 
     simulated, period = True, 0.01
 
     def __init__(self, robot: ml.Robot, tip: str, q: np.ndarray):
         self.robot, self.tip, self.q, self.told = robot, tip, q, list[tuple[str, np.ndarray]]()
+        self.places = [robot.position(q, tip)]
 
     def read(self) -> tuple[np.ndarray, None, None]:
         """Where it is."""
@@ -113,6 +114,7 @@ class Arm:
     def command(self, q: np.ndarray, u: np.ndarray) -> None:
         """Go there."""
         self.q = np.array(q)
+        self.places.append(self.robot.position(q, self.tip))
 
     def gripper(self, word: str) -> None:
         """Note it."""
@@ -141,7 +143,8 @@ def test_a_gripper_closes_at_the_handle_and_opens_at_the_end_of_the_way(by: str,
     start = guided[0].q[0]
     again = ml.repeat(skill, start)
     phases = {name: (a, b) for name, a, b in again.rollout.phases}
-    assert [name.split(": ")[-1] for name in phases] == ["approach", "close", "hold", "way", "open", "retreat"]
+    names = [name.split(": ")[-1] for name in phases]  # a hand that has come to the handle need not settle
+    assert [name for name in names if name != "hold"] == ["approach", "close", "way", "open", "retreat"]
     if by == "position":
         inside = (again.rollout.time > phases["line: way"][0]) & (again.rollout.time < phases["line: way"][1])
         assert_allclose(again.rollout.q[inside, -1], 0.012, atol=1e-3)
@@ -160,6 +163,93 @@ def again_end(again: ml.Repetition, tip: str) -> np.ndarray:
     robot = again.skill.robot
     assert robot is not None
     return robot.position(again.rollout.q[int(np.searchsorted(again.rollout.time, end - 1e-9))], tip)
+
+
+@cache
+def fast_drawer() -> tuple[ml.Robot, str, ml.Skill, np.ndarray]:
+    """A drawer that was opened at more than 0.25 m/s."""
+    robot, tip = ml.load_robot("sawyer"), "right_gripper_tip"
+    demos = ml.load_demonstrations("sawyer_drawer", robot)[:6]
+    return robot, tip, ml.ConstraintLearner(ml.FrameJacobian(robot, tip)).fit(demos).skill_, demos[0].q[0]
+
+
+def speeds(robot: ml.Robot, tip: str, rollout: ml.Rollout) -> np.ndarray:
+    """Speed of the tip over each step [m/s]."""
+    places = np.array([robot.position(q, tip) for q in rollout.q])
+    return np.linalg.norm(np.diff(places, axis=0), axis=1) / np.diff(rollout.time)
+
+
+def way_seconds(again: ml.Repetition) -> list[float]:
+    """How long each way took."""
+    return [way["seconds"] for way in again.rollout.ways]
+
+
+@pytest.mark.parametrize(
+    ("given", "most"),
+    [
+        pytest.param({}, 0.25, id="by default"),
+        pytest.param({"tip_speed": 0.1}, 0.1, id="a number"),
+        pytest.param({"tip_speed": 0.5, "slow": 0.08}, 0.08, id="limits that are lower", marks=pytest.mark.slow),
+    ],
+)
+def test_no_step_is_faster_than_asked(given: dict[str, float], most: float):
+    """Approach, ways, reach and retreat, as simulated and as a loop sends it; what is done stays the same."""
+    robot, tip, learner, things, _, _ = two_tasks()
+    slow = given.get("slow")
+    limits = None if slow is None else ml.Limits(robot, tip_speed=slow, frames=tip)
+    again = ml.repeat(learner.skill_, HOME, limits=limits, tip_speed=given.get("tip_speed", 0.25))
+    assert ml.repeat.__kwdefaults__["tip_speed"] == 0.25
+    fast = speeds(robot, tip, again.rollout)
+    assert 0.9 * most < fast.max() <= most and again.tip_speed == pytest.approx(fast.max(), rel=1e-9)
+    assert again.tip_path == pytest.approx(float(np.sum(fast * np.diff(again.rollout.time))), rel=1e-9)
+    assert again.is_done
+    for step in again.steps:
+        assert step.done == pytest.approx(step.wanted, abs=2e-3) and step.deviation < 2e-3
+    arm = Arm(robot, tip, np.array(HOME))
+    ml.run(ml.ServoLoop(again.controller, dt=arm.period), arm, again.rollout.time[-1] + 1.0)
+    sent = np.linalg.norm(np.diff(arm.places, axis=0), axis=1) / arm.period
+    assert 0.9 * most < sent.max() <= most
+    assert np.linalg.norm(arm.places[-1] - robot.position(again.rollout.q[-1], tip)) < 2e-3
+    assert f"{again.rollout.time[-1]:.3g} s" in repr(again) and f"at most {fast.max():.2g} m/s" in repr(again)
+
+
+def test_as_fast_as_was_shown_is_faster_only_where_that_is_asked_for():
+    """By default 0.25 m/s, and the note has both times; "shown" has the time that was shown; None limits nothing."""
+    robot, tip, skill, start = fast_drawer()
+    made = {speed: ml.repeat(skill, start, tip_speed=speed) for speed in (0.25, 0.05, "shown", None)}
+    fastest = {speed: speeds(robot, tip, again.rollout).max() for speed, again in made.items()}
+    shown = skill.steps[-1].shown
+    assert shown is not None and shown.speed > 0.2
+    for speed in (0.25, 0.05):
+        seconds = way_seconds(made[speed])[0]
+        (note,) = made[speed].notes
+        assert fastest[speed] <= speed and seconds > 1.1 * shown.seconds
+        assert note.startswith(f"{speed} m/s at the tip: {shown.extent:.3g} m takes ")
+        slow, before = (float(x) for x in note.partition("takes ")[2].removesuffix(" s").split(" s instead of "))
+        assert slow == pytest.approx(seconds, rel=0.15) and before == pytest.approx(shown.seconds, rel=0.02)
+    assert fastest["shown"] > 0.3 and not made["shown"].notes
+    assert way_seconds(made["shown"])[0] == pytest.approx(shown.seconds, rel=0.15)
+    assert fastest[None] >= fastest["shown"]
+    assert {round(again.steps[-1].done, 3) for again in made.values()} == {round(shown.extent, 3)}
+
+
+@pytest.mark.parametrize("speed", [0.0, -0.1, np.nan, np.inf, "fast", "0.1", [0.1]])
+def test_a_tip_speed_that_is_none_is_refused(speed: object):
+    """With what was given and what is wanted; before anything is planned."""
+    _, _, skill, start = fast_drawer()
+    with pytest.raises(ml.ManipLearnError, match=r"tip_speed is .* positive number .* 0\.25, 'shown', or None") as told:
+        ml.repeat(skill, start, tip_speed=speed)  # type: ignore[arg-type]
+    assert repr(speed) in str(told.value)
+
+
+def test_a_tip_speed_that_the_arm_cannot_reach_is_noted():
+    """No duration was given that it could miss: the motion is made, and the note has both speeds."""
+    _, _, skill, start = fast_drawer()
+    again = ml.repeat(skill, start, tip_speed=50.0)
+    assert again.is_done
+    (note,) = again.notes
+    least = float(note.removesuffix(" m/s at most").rpartition(" ")[2])
+    assert note.startswith("50 m/s at the tip is more than the arm can do") and again.tip_speed < least < 50.0
 
 
 def test_what_cannot_be_done_is_refused_by_its_step():
@@ -188,7 +278,9 @@ def test_the_command_line(tmp_path: Path, capsys: pytest.CaptureFixture[str]):
     lock = ["--lock", "panda_finger_joint1", "--lock", "panda_finger_joint2"]
     assert main(["learn", "panda", str(folder), "--frame", tip, "--out", str(task), *lock]) == 0
     said = capsys.readouterr().out
-    assert "took hold at the same place" in said and f"next: manip-learn repeat panda {task}" in said
+    assert (
+        "took hold at the same place" in said and f"next: manip-learn repeat panda {task} {' '.join(lock)} --" in said
+    )
     start = ",".join(map(str, HOME))
     run = tmp_path / "run.npz"
     assert main(["repeat", "panda", str(task), "--start", start, "--json", "--out", str(run), *lock]) == 0
@@ -202,3 +294,11 @@ def test_the_command_line(tmp_path: Path, capsys: pytest.CaptureFixture[str]):
     assert "step 'line 1'" in capsys.readouterr().err
     assert main(["repeat", "panda", str(task), "--moved", "1,2", *lock]) == 2
     assert "--moved takes 3 numbers" in capsys.readouterr().err
+    for speed, most in (("0.1", 0.1), ("none", np.inf)):
+        assert main(["repeat", "panda", str(task), "--start", start, "--json", "--tip-speed", speed, *lock]) == 0
+        slower = json.loads(capsys.readouterr().out)
+        assert set(slower) == set(answer) and slower["done"] is True and slower["tip_speed"] <= most
+        assert slower["duration"] > answer["duration"] or speed == "none"
+    assert answer["tip_speed"] <= 0.25 and answer["tip_path"] > 0.5
+    assert main(["repeat", "panda", str(task), "--tip-speed", "quick", *lock]) == 2
+    assert "--tip-speed is 'quick': it must be a positive number" in capsys.readouterr().err

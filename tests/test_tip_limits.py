@@ -9,6 +9,7 @@ import pytest
 from servo_cases import Constantly
 
 import manip_learn as ml
+from manip_learn.control.law_sequence import JointMotion, every_joint
 from manip_learn.errors import ConfigurationError, UnknownNameError
 
 TIP, SPEED, DT = "right_gripper_tip", 0.25, 0.002
@@ -107,6 +108,40 @@ def test_an_oblique_wall_and_a_start_beyond_it(robot_of: RobotOf) -> None:
     rollout = ml.simulate(robot, controller, q, 1.5, 0.002)
     behind = [(n @ robot.position(x, TIP) - wall[3]) / np.linalg.norm(n) for x in rollout.q]
     assert behind[0] == pytest.approx(0.02) and abs(behind[-1]) < 1e-3
+
+
+def test_a_motion_of_the_joints_takes_the_time_that_the_tip_needs(robot_of: RobotOf, rng: np.random.Generator) -> None:
+    """From posture to posture the tip keeps its speed and the joints their straight lines, which are clear."""
+    robot = robot_of("sawyer")
+    knots = np.cumsum([[0.3, -0.6, 0.2, 0.9, 0.1, 0.5, 0.0], *rng.uniform(-0.3, 0.3, (2, 7))], axis=0)
+    limits = ml.Limits(robot).with_tip_speed(0.1, [TIP])
+    task = JointMotion(limits, knots)
+    law = ml.ResolvedRateController(every_joint(robot), task, limits=limits)
+    rollout = ml.simulate(robot, law, knots[0], task.duration + 0.1, 0.01)
+    places = np.array([robot.position(q, TIP) for q in rollout.q])
+    assert 0.09 < np.linalg.norm(np.diff(places, axis=0), axis=1).max() / 0.01 <= 0.1
+    away = np.full(len(rollout), np.inf)  # from the straight lines
+    for a, d in zip(knots[:-1], np.diff(knots, axis=0), strict=True):
+        share = np.clip((rollout.q - a) @ d / (d @ d), 0.0, 1.0)
+        away = np.minimum(away, np.linalg.norm(rollout.q - a - share[:, None] * d, axis=1))
+    assert away.max() < 1e-3 and np.linalg.norm(rollout.q[-1] - knots[-1]) < 1e-3
+    assert JointMotion(ml.Limits(robot), knots).duration < 0.5 * task.duration
+
+
+def test_a_speed_for_frames_beside_the_limits_that_there_are(robot_of: RobotOf) -> None:
+    """The lower speed counts, for the frames of both; walls, rates and what is kept clear of stay."""
+    robot = robot_of("sawyer")
+    own = ml.Limits(robot, tip_speed=0.2, tip_walls=[[0.0, 0.0, 2.0, 1.0]], jerk=50.0, frames="right_l4")
+    for speed, least in ((0.1, 0.1), (0.4, 0.2)):
+        both = own.with_tip_speed(speed, [TIP])
+        assert both.tip is not None and own.tip is not None and own.tip.speed == 0.2
+        assert both.tip.speed == least and [frame.name for frame in both.tip.frames] == ["right_l4", TIP]
+        np.testing.assert_array_equal(both.tip.walls, own.tip.walls)
+        np.testing.assert_array_equal(both.jerk, own.jerk)
+    with pytest.raises(ConfigurationError, match="tip_speed"):
+        own.with_tip_speed(0.0, [TIP])
+    with pytest.raises(UnknownNameError):
+        own.with_tip_speed(0.1, ["nowhere"])
 
 
 def test_bad_arguments(robot_of: RobotOf) -> None:

@@ -276,16 +276,8 @@ def follow(
     if options.grasp_angle is not None or options.grasp_turns is not None:
         turns = 1 if options.grasp_turns is None else options.grasp_turns or None
         grasp = GraspCone(angle=math.radians(options.grasp_angle or 0.0), turns=turns)
-    found = plan(
-        constraint,
-        task,
-        q0,
-        options.seed,
-        grasp=grasp,
-        scene=scene_of(options.scene, constraint.robot),
-        dt=dt,
-        progress=progress,
-    )
+    around = scene_of(options.scene, constraint.robot)
+    found = plan(constraint, task, q0, options.seed, grasp=grasp, scene=around, dt=dt, progress=progress)
     begins = float(found.approach.time[-1]) + (found.outcome.begins or 0.0)
     return found, found.rollout, replace(found.outcome, begins=begins)
 

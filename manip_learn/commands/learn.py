@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, final
 
-from manip_learn.commands.command_line import typed_command
+from manip_learn.commands.command_line import PROGRAM_NAME, typed_command
 from manip_learn.commands.guided_frame import choose_frame
 from manip_learn.commands.loading import cluster_client, load_for_files
 from manip_learn.commands.options import LearnOptions
@@ -40,8 +40,8 @@ class LearntTask:
     frame: str
     out: Path | None
     notes: tuple[str, ...]
-    page: ReplayResult | None = None
-    robot: str = "ROBOT"
+    page: ReplayResult | None
+    options: LearnOptions
 
     @property
     def constraint(self) -> Constraint:
@@ -74,17 +74,17 @@ class LearntTask:
         constraint, meant = self.constraint, self.constraint.intention
         if self.out is None:
             return shlex.join([*typed_command(), "--out", "task.json"]) if typed_command() else None
-        flags = " --html run.html"
+        does, flags = "repeat" if meant is None else "control", ["--html", "run.html"]
         if meant is not None and not meant.common:
-            flags = f" --rows held --target {','.join(f'{x:.3g}' for x in meant.targets[0])}"
+            flags = ["--rows", "held", "--target", ",".join(f"{x:.3g}" for x in meant.targets[0])]
         elif constraint.shown is None and meant is None:
             try:
                 motion(constraint, along=0.1)
             except ManipLearnError:
                 return None
-            flags = f" --along 0.1{flags}"
-        does, file = "repeat" if len(self.constraints) > 1 else "control", shlex.quote(str(self.out))
-        return f"manip-learn {does} {shlex.quote(self.robot)} {file}{flags}"
+            does, flags = "control", ["--along", "0.1", *flags]
+        options = self.options
+        return shlex.join([PROGRAM_NAME, does, options.robot, str(self.out), *options.loading.words, *flags])
 
     def to_dict(self) -> dict[str, Any]:
         """The JSON answer: the keys of the best supported constraint, and all constraints as a list."""
@@ -156,7 +156,7 @@ def learn_task(options: LearnOptions, progress: Progress | None = None) -> Learn
     page = None
     if options.html is not None and isinstance(demos, Demonstrations):
         page = _replay_of_recordings(robot, demos, learner, options.html, frame)
-    return LearntTask(learner.constraints_, learner.reports_, frame, written, tuple(notes), page, options.robot)
+    return LearntTask(learner.constraints_, learner.reports_, frame, written, tuple(notes), page, options)
 
 
 def load_to_learn(options: LearnOptions) -> tuple[Robot, Demonstrations | RecordingSource, str, list[str]]:

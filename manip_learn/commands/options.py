@@ -97,6 +97,18 @@ class RobotOptions:
     def _xacro_values(self) -> dict[str, str]:
         return dict(pair("--xacro-arg", "NAME=VALUE", text, may_be_empty=True) for text in self.xacro_arg or ())
 
+    @property
+    def words(self) -> list[str]:
+        """The options that were given, as they are typed."""
+        given = {
+            "lock": self.lock,
+            "package-dir": self.package_dir,
+            "object": self.objects,
+            "xacro-arg": self.xacro_arg,
+        }
+        typed = [word for name, values in given.items() for value in values or () for word in (f"--{name}", value)]
+        return [*typed, *(["--xacro"] if self.xacro else [])]
+
     def load(
         self,
         name: str,
@@ -211,7 +223,7 @@ class RobotsOptions:
 @final
 @dataclass(frozen=True)
 class DemoOptions:
-    """Learn from shipped recordings, compare three policies, write the replay.
+    """Learn from shipped recordings, compare a plan and the policies manipulability, attractor and zero in a replay.
 
     manip-learn demo
     """
@@ -351,6 +363,9 @@ class RepeatOptions:
     moved: Annotated[
         str | None, Option(help="The fixtures stand elsewhere: x,y,z[,rx,ry,rz] (m, degrees about the base's axes).")
     ] = None
+    tip_speed: Annotated[
+        str, Option(help="Largest speed of the tip [m/s]; shown: as it was shown, however fast; none: no limit.")
+    ] = "0.25"
     out: Annotated[Path | None, Option(help="Rollout file to write: .npz, .csv or .mcap (for ROS).")] = None
     html: Annotated[Path | None, Option(help="Replay to write.")] = None
     loading: RobotOptions = RobotOptions()

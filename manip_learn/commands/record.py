@@ -6,6 +6,7 @@ import importlib
 import importlib.util
 import os
 import select
+import shlex
 import sys
 import time
 from collections.abc import Callable, Iterator, Mapping
@@ -103,7 +104,7 @@ def record_motions(options: RecordOptions, progress: Progress) -> Recorded:
 
 def _learnt(options: RecordOptions, robot: Robot | None, done: RecordedFiles, progress: Progress) -> tuple[str, str]:
     """What all recordings of that name show, and what to do next."""
-    pattern = f"{options.out / options.name}_*.csv"
+    pattern = f"{shlex.quote(str(options.out / options.name))}_*.csv"
     if not done.files:
         return "", f"no joint moved by {MOVES:g} rad within {LOOK:g} s: guide the arm while this runs, or use --by key"
     if robot is None:
@@ -122,7 +123,8 @@ def _learnt(options: RecordOptions, robot: Robot | None, done: RecordedFiles, pr
         return report.sentence, f"show it once more, from another posture: {report.warnings[0]}"
     if report.uncertainty_deg is None or report.uncertainty_deg > _ENOUGH:
         return report.sentence, f"show it once more, from another posture, until it is known to {_ENOUGH:g} degree"
-    return report.sentence, f"enough: manip-learn learn {options.robot} {pattern} --out {options.name}.json"
+    words = shlex.join(["--frame", tip, *options.loading.words, "--out", f"{options.name}.json"])
+    return report.sentence, f"enough: manip-learn learn {shlex.quote(str(options.robot))} {pattern} {words}"
 
 
 def _robot_of(options: RecordOptions, driver: Driver) -> Robot | None:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, final
+from typing import TYPE_CHECKING, Any, cast, final
 
 import numpy as np
 from scipy.spatial.transform import Rotation
@@ -14,7 +14,7 @@ from manip_learn.commands.loading import robot_of_constraint, scene_of, start_po
 from manip_learn.commands.options import RepeatOptions, vector
 from manip_learn.constraint.skill import Skill
 from manip_learn.errors import TargetError
-from manip_learn.planning.repeat import Repetition, repeat
+from manip_learn.planning.repeat import Repetition, TipSpeed, repeat
 from manip_learn.recordings.trajectory_source import Progress
 
 if TYPE_CHECKING:
@@ -39,6 +39,8 @@ class Repeated:
             "steps": [step.to_dict() for step in self.repetition.steps],
             "min_manipulability": float(np.min(rollout.manipulability)),
             "duration": float(rollout.time[-1]),
+            "tip_path": self.repetition.tip_path,
+            "tip_speed": self.repetition.tip_speed,
             "phases": [list(phase) for phase in rollout.phases],
             "notes": list(self.repetition.notes),
             "out": None if self.out is None else str(self.out),
@@ -52,6 +54,7 @@ def repeat_skill(options: RepeatOptions, progress: Progress | None = None) -> Re
     Raises:
         NoPlanError: A step that cannot be done; nothing is written.
         TargetError: `--moved` has neither 3 nor 6 numbers.
+        ConfigurationError: `--tip-speed` is not positive, or another word.
         ManipLearnError: Anything that is wrong with the robot, the file, the numbers or the output.
     """
     robot = robot_of_constraint(options.robot, options.task, options.loading)
@@ -65,8 +68,8 @@ def repeat_skill(options: RepeatOptions, progress: Progress | None = None) -> Re
             raise TargetError(f"{text}{len(moved)}")
         T, turns = np.eye(4), [math.radians(a) for a in (*moved[3:], 0.0, 0.0, 0.0)[:3]]
         T[:3, 3], T[:3, :3] = moved[:3], Rotation.from_euler("xyz", turns).as_matrix()
-    around = scene_of(options.scene, robot)
-    done = repeat(skill, q0, T, scene=around, seed=options.seed, progress=progress)
+    around, speed = scene_of(options.scene, robot), _tip_speed(options.tip_speed)
+    done = repeat(skill, q0, T, scene=around, seed=options.seed, tip_speed=speed, progress=progress)
     out = None if options.out is None else done.rollout.save(options.out)
     page = None
     if options.html is not None:
@@ -74,3 +77,11 @@ def repeat_skill(options: RepeatOptions, progress: Progress | None = None) -> Re
 
         page = replay(robot, {"repeat": done.rollout}, options.html, open_browser=False)
     return Repeated(done, whence, out, page)
+
+
+def _tip_speed(text: str) -> TipSpeed:
+    """Return the number, None for `none`, or the word: `repeat` refuses all others."""
+    try:
+        return None if text == "none" else float(text)
+    except ValueError:
+        return cast(TipSpeed, text)

@@ -252,12 +252,8 @@ def print_repeated(console: Console, repeated: Repeated) -> None:
     from manip_learn.control.tasks.driven_motion import way_in_words
 
     done = repeated.repetition
-    ways = [step for step in done.steps if step.kind == "way"]
-    say(
-        console,
-        f"{counted(len(ways), 'way')} done as shown" if done.is_done else "not all of it was done",
-        style="bold",
-    )
+    ways = counted(sum(step.kind == "way" for step in done.steps), "way")
+    say(console, f"{ways} done as shown" if done.is_done else "not all of it was done", style="bold")
     if repeated.whence:
         say(console, f"start: {repeated.whence} (another: --start)")
     table = Table("step", "done", "of", "off", "fastest", "margin", box=SIMPLE_HEAD, pad_edge=False)
@@ -267,12 +263,10 @@ def print_repeated(console: Console, repeated: Repeated) -> None:
         margin = "" if step.margin is None else f"{100 * step.margin:.0f} %"
         table.add_row(text(step.name), far, wanted, off, f"{100 * step.fastest:.0f} %", margin)
     console.print(table)
+    say(console, done.pace)
     say(console, *(f"{step.name}: at {_at(step.place.tolist())}" for step in done.steps if step.kind == "reach"))
-    say(
-        console,
-        *(f"{step.name}: stopped by {step.stopped_by}" for step in done.steps if step.stopped_by),
-        style="yellow",
-    )
+    stopped = (f"{step.name}: stopped by {step.stopped_by}" for step in done.steps if step.stopped_by)
+    say(console, *stopped, style="yellow")
     say_end(console, done.notes, repeated.out, repeated.page)
 
 

@@ -122,10 +122,7 @@ class FollowMotion:
         if started:
             # the clock runs slower for the motion within the limits of the joints, all of the wish within the tip's
             most, tip = float(np.max(np.abs(rate) / self.limits.velocity, initial=0.0)), self.limits.tip
-            if tip is not None and math.isfinite(tip.speed):
-                speeds = [np.linalg.norm(self.robot.jacobian(q, frame)[:3].dot(wish)) for frame in tip.frames]
-                most = max(most, max(map(float, speeds)) / tip.speed)
-            self._rate = 1.0 / max(1.0, most)
+            self._rate = 1.0 / max(1.0, most, 0.0 if tip is None else tip.fastest(q, wish) / tip.speed)
             if self._rate < 1.0:
                 wish, rate = self._wish(q, dt)
         fastest = self.limits.velocity * (1.0 if started else RETURN_SPEED)

@@ -39,43 +39,37 @@ class JointMotion(Task):
     """b = dq*/dt + gain (q*(t) - q): straight from posture to posture, at rest in each of them.
 
     It begins with the first call, as a `FreeDirection` does; a call at or before that time after later ones is a new
-    run.
+    run. Each leg takes the time that its slowest joint needs, and the tip where its speed is limited.
 
     Args:
-        robot: The robot.
+        limits: Of the robot's joints and tip.
         postures: shape (k, nv), joint positions [rad or m], the start first.
-        speed: shape (nv,), largest speed of each joint [rad/s or m/s].
-        gain: Rate at which deviations are taken back [1/s].
+        share: Of the joints' velocity limits that is used at most.
         gripper: What a gripper does meanwhile, `"close"` or `"open"`, for which it has half a second at least.
 
     Attributes:
         start: shape (nv,), the first posture [rad or m].
 
     Raises:
-        ConfigurationError: Postures that are not finite or of another size, or speeds that are not positive.
+        ConfigurationError: Postures that are not finite or of another size.
     """
 
     slides = False
     waits = True
+    gain = 10.0  # [1/s] rate at which deviations are taken back, as of a way
 
-    def __init__(
-        self,
-        robot: Robot,
-        postures: ArrayLike,
-        speed: ArrayLike,
-        gain: float = 10.0,
-        gripper: Gripping | None = None,
-    ):
-        table = np.array(postures, dtype=np.float64)
-        most = np.broadcast_to(np.asarray(speed, dtype=np.float64), (robot.nv,))
+    def __init__(self, limits: Limits, postures: ArrayLike, share: float = 1.0, gripper: Gripping | None = None):
+        robot, table = limits.robot, np.array(postures, dtype=np.float64)
         if table.ndim != 2 or table.shape[1] != robot.nv or not len(table) or not np.all(np.isfinite(table)):
             raise ConfigurationError(f"the path must be postures of {robot.nv} finite joint positions, one a row")
-        if not np.all(most > 0.0):
-            raise ConfigurationError(f"the speeds of the joints must be positive, got {most.tolist()}")
-        self._robot, self.gain = robot, float(gain)
+        self._robot = robot
         self.gripper: Gripping | None = gripper
         steps = np.diff(table, axis=0)
-        times = np.max(np.abs(steps) / most, axis=1, initial=0.0)  # [s] at full speed
+        times = np.max(np.abs(steps) / (share * limits.velocity), axis=1, initial=0.0)  # [s] at full speed
+        if (tip := limits.tip) is not None:
+            shares, legs = np.linspace(0.0, 1.0, 33), zip(table, steps, strict=False)  # the law keeps what is between
+            fastest = [max(tip.fastest(robot.configuration(q + s * d), d) for s in shares) for q, d in legs]
+            times = np.maximum(times, np.array(fastest) / tip.pace)
         moves = times > 0.0
         self._starts, self._steps = table[:-1][moves], steps[moves]
         self._profiles = [MotionProfile(1.0, 1.0 / time, _RAMP) for time in times[moves].tolist()]

@@ -267,7 +267,7 @@ def moved_to(
     path = joint_path(robot, robot.positions(start), goal, limits, clear, seed)
     if path is None:
         return None
-    task = JointMotion(robot, path, APPROACH_SHARE * limits.velocity)
+    task = JointMotion(limits, path, APPROACH_SHARE)
     law = ResolvedRateController(every_joint(robot), task, limits=limits, dt=dt)
     rollout = simulate(robot, law, start, task.duration + 1.0, dt)
     arrived = np.flatnonzero((rollout.task_error < ARRIVED) & (rollout.time >= task.duration))
@@ -367,7 +367,10 @@ class _Problem:
                 ": state it in the robot's description, or pass limits=Limits(robot, velocity=...)"
             )
         self.positions = robot.positions(self.start)
-        self.stations = Stations.of(self.motion, self.start, self.limits)
+        self.stations, self.notes = Stations.of(self.motion, self.start, self.limits), ()
+        tip = self.limits.tip
+        if tip is not None and (times := self.stations.tip_speed / tip.pace) > 1.01:  # a pace leaves 2 %
+            self._take_longer(times, f"{tip.speed:.3g} m/s at the tip")
         around = Surroundings()
         if scene is not None:
             if not isinstance(scene, Scene) and scene != "assumed":
@@ -379,7 +382,7 @@ class _Problem:
             given = None if scene == "assumed" else scene
             around = surroundings_of(given, robot, features.frame, self.stations, mechanism)
         self.clear = Clearance(robot, collision, around, self.positions)
-        self.notes = tuple(self.clear.notes)
+        self.notes = (*self.clear.notes, *self.notes)
 
     def check(self) -> None:
         """Refuse a start, a way or a grasp that cannot be."""
@@ -410,11 +413,15 @@ class _Problem:
         margin = float(np.max(marches.along[:, -1], initial=-np.inf))
         if not -np.inf < margin < -TIE:
             return False
-        times = SPARE * (1.0 - margin)
-        self.motion = self.motion.slowed(times)
-        self.stations = Stations.of(self.motion, self.start, self.limits)
-        self.notes = (*self.notes, f"the joints are too slow for it: the way takes {times:.2g} times its time")
+        self._take_longer(SPARE * (1.0 - margin), "the joints are too slow for it")
         return True
+
+    def _take_longer(self, times: float, why: str) -> None:
+        """Slow the way down by a factor, and note why and how long it takes."""
+        before, self.motion = self.motion.duration, self.motion.slowed(times)
+        self.stations = Stations.of(self.motion, self.start, self.limits)
+        far = way_in_words(self.motion.wanted, self.motion.unit)
+        self.notes = (*self.notes, f"{why}: {far} takes {self.motion.duration:.3g} s instead of {before:.3g} s")
 
     def best(self, marches: Marches, said: Progress) -> Plan | None:
         """The plan with the largest margin that comes true in simulation; None if none does.

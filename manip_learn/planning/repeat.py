@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from typing import Any, NamedTuple, final
+from typing import Any, Literal, NamedTuple, final
 
 import numpy as np
 from jaxtyping import Float
@@ -21,14 +21,17 @@ from manip_learn.control.simulation import simulate
 from manip_learn.control.tasks.driven_motion import way_in_words
 from manip_learn.control.tasks.motion import APPROACH_SPEED, FreeDirection, motion
 from manip_learn.control.way import simulate_way
-from manip_learn.errors import ConfigurationError, NoPlanError, TargetError, an
+from manip_learn.errors import ConfigurationError, NoPlanError, TargetError, an, spoken
 from manip_learn.linalg import complement_rows, finite
 from manip_learn.planning.clearance import Clearance
 from manip_learn.planning.plan import Around, moved_to, plan
+from manip_learn.planning.stations import Stations
 from manip_learn.planning.surroundings import FRONT, LEAF, Surroundings
 from manip_learn.recordings.trajectory_source import Progress
-from manip_learn.robot.robot import Robot
+from manip_learn.robot.batch.batch_kinematics import batch_kinematics
 
+_ROOM = 1.05  # times the speed of a way that was shown, with what `TipLimits.pace` leaves out
+TipSpeed = float | Literal["shown"] | None
 _NEAR = 1e-3  # [m] a hand this near to where it is to go is there
 
 
@@ -64,18 +67,8 @@ class StepDone:
     def to_dict(self) -> dict[str, Any]:
         """The JSON answer: lengths in m, angles in degrees."""
         size = 1.0 if self.unit == "m" else float(np.degrees(1.0))
-        return {
-            "kind": self.kind,
-            "name": self.name,
-            "wanted": size * self.wanted,
-            "done": size * self.done,
-            "unit": "m" if self.unit == "m" else "deg",
-            "deviation": self.deviation,
-            "margin": self.margin,
-            "fastest": self.fastest,
-            "place": self.place.tolist(),
-            "stopped_by": self.stopped_by,
-        }
+        in_words = {"unit": "m" if self.unit == "m" else "deg", "place": self.place.tolist()}
+        return vars(self) | in_words | {"wanted": size * self.wanted, "done": size * self.done}
 
 
 @final
@@ -88,6 +81,8 @@ class Repetition:
         rollout: The whole motion, as simulated; its phases are named after the steps.
         steps: What became of each.
         controller: Does it, in `simulate`, in a `ServoLoop` and in `run`, from the start.
+        tip_path: Length of the path of the tip, the frame that the skill holds [m].
+        tip_speed: Largest speed of the tip over any step of the rollout [m/s].
         notes: What to know of it, in sentences.
     """
 
@@ -95,6 +90,8 @@ class Repetition:
     rollout: Rollout
     steps: tuple[StepDone, ...]
     controller: LawSequence
+    tip_path: float
+    tip_speed: float
     notes: tuple[str, ...] = ()
 
     @property
@@ -103,7 +100,12 @@ class Repetition:
         return all(step.stopped_by is None for step in self.steps)
 
     def __repr__(self) -> str:
-        return "\n".join(f"{i + 1}. {_said(step)}" for i, step in enumerate(self.steps))
+        return "\n".join([*(f"{i + 1}. {_said(step)}" for i, step in enumerate(self.steps)), self.pace])
+
+    @property
+    def pace(self) -> str:
+        """How long all of it takes, how far the tip goes, and how fast at most, in words."""
+        return f"{self.rollout.time[-1]:.3g} s, {self.tip_path:.3g} m of the tip, at most {self.tip_speed:.2g} m/s"
 
 
 def _said(step: StepDone) -> str:
@@ -121,13 +123,14 @@ def repeat(
     seed: int = 0,
     limits: Limits | None = None,
     dt: float = 0.01,
+    tip_speed: TipSpeed = APPROACH_SPEED,
     progress: Progress | None = None,
 ) -> Repetition:
     """Do again what the recordings show, from any start: every step in the order in which it was shown.
 
     Each way is planned (see `plan`): the hand takes hold where the contacts began, in the posture that leaves most room
-    for the way, and goes as far as was shown, or along the path that was shown, in the time that was shown. After the
-    last way the hand goes where the recordings ended.
+    for the way, and goes as far as was shown, or along the path that was shown, in the time that was shown, or longer
+    where the tip would be faster than `tip_speed`. After the last way the hand goes where the recordings ended.
 
     Args:
         skill: As learnt (`ConstraintLearner.skill_`) or loaded; a constraint stands for its one way.
@@ -137,13 +140,21 @@ def repeat(
         seed: Of the random postures: the same seed gives the same motion.
         limits: Of the joints; the robot's own by default.
         dt: Step of the simulation [s].
+        tip_speed: Largest speed of the tip in every step, of approach, way and retreat [m/s]; the tip is the frame that
+            the skill holds. No way is faster than it was shown. `"shown"`: that of the fastest way as it was shown, and
+            the default where that is more. None: no limit but those of the joints. The lower one counts where `limits`
+            have a speed, too.
         progress: As for `simulate`.
+
+    Returns:
+        The motion, the outcome of each step, the controller that does it, and notes: of a way that takes longer than it
+        was shown with both times, of a tip speed that the arm cannot reach with both speeds.
 
     Raises:
         NoPlanError: A step that cannot be done; says which, what stops it and what would help. Nothing is returned of
             the steps before it.
         TargetError: A start outside the limits, a motion of the fixtures that is not rigid, nothing to do again.
-        ConfigurationError: No skill, or a start of another size.
+        ConfigurationError: No skill, a start of another size, or a tip speed that is not positive.
 
     Example:
         >>> import manip_learn as ml
@@ -153,6 +164,8 @@ def repeat(
         >>> again = ml.repeat(learner.skill_, demos[0].q[0])
         >>> again.is_done, [step.kind for step in again.steps]
         (True, ['reach', 'way'])
+        >>> again.tip_speed <= 0.25  # [m/s]
+        True
     """
     if isinstance(skill, Constraint):
         skill = one_way(skill)
@@ -164,7 +177,8 @@ def repeat(
     if moved is not None:
         skill = skill.moved(_rigid(moved))
     q, said = robot.checked_posture(start), progress or (lambda _title, _share: None)
-    limits = limits or Limits(robot)
+    limits = _limited(limits or Limits(robot), tip_speed, skill, q)
+    asked = _Asked(limits, dt, seed, scene)
     laws: list[ResolvedRateController] = []
     done: list[StepDone] = []
     whole: Rollout | None = None
@@ -174,12 +188,12 @@ def repeat(
         said(name, number / len(skill.steps))
         parts: list[_Part] = []
         if step.kind == "reach" and step.gripper is not None:
-            parts = [_grip(step, name, q, robot, limits, dt, 0.0 if whole is None else whole.manipulability[-1])]
+            parts = [_grip(step, name, q, asked, 0.0 if whole is None else whole.manipulability[-1])]
             q = parts[-1].rollout.q[-1]
         if step.kind == "way":
-            parts, around = [*parts, *(found := _way(step, name, q, scene, seed, limits, dt))[0]], found[1]
+            parts, around = [*parts, *(found := _way(step, name, q, asked))[0]], found[1]
         elif step.place is not None:  # to a way its plan goes
-            parts += _retreat(skill, step, name, q, around, seed, limits, dt)
+            parts += _retreat(skill, step, name, q, around, asked)
         for part in parts:
             laws.append(part.law)
             done += part.done
@@ -191,7 +205,34 @@ def repeat(
     said("done", 1.0)
     guide = next((way["constraint"] for way in whole.ways), whole.constraint)
     whole = replace(whole, constraint=guide, target=None)  # not those of its last part
-    return Repetition(skill, whole, tuple(done), LawSequence(*laws), tuple(notes))
+    tip = batch_kinematics(robot, skill.constraints[0].features.frame)  # type: ignore[attr-defined]  # a plan has looked
+    far = np.linalg.norm(np.diff(tip.pose(whole.q)[:, :3, 3], axis=0), axis=1)
+    most = float(np.max(np.linalg.norm(tip.jacobian(whole.q, rows=range(3)), axis=1) @ limits.velocity))
+    if isinstance(tip_speed, int | float) and tip_speed > most:
+        notes.append(f"{tip_speed:g} m/s at the tip is more than the arm can do on this motion, {most:.2g} m/s at most")
+    fastest = float(np.max(far / np.diff(whole.time)))
+    return Repetition(skill, whole, tuple(done), LawSequence(*laws), float(np.sum(far)), fastest, tuple(notes))
+
+
+def _limited(limits: Limits, tip_speed: TipSpeed, skill: Skill, q: Float[np.ndarray, " n"]) -> Limits:
+    """Return limits with the speed of the tip that is asked for, at a start q.
+
+    Raises:
+        ConfigurationError: A speed that is not positive, or another word.
+    """
+    if tip_speed is None:
+        return limits
+    speed = APPROACH_SPEED if tip_speed == "shown" else tip_speed
+    if not (isinstance(speed, int | float) and 0.0 < speed < np.inf):
+        wanted = f"a positive number of metres per second such as {APPROACH_SPEED}"
+        words = spoken("'shown', or None for no limit", "shown, or none for no limit")
+        raise ConfigurationError(f"{spoken('tip_speed', '--tip-speed')} is {tip_speed!r}: it must be {wanted}, {words}")
+    if tip_speed == "shown":
+        ways = (motion(way) for step in skill.steps if step.kind == "way" and (way := step.as_shown) is not None)
+        stations = (Stations.of(way, q, limits) for way in ways if isinstance(way, FreeDirection))
+        speed = max([speed, *(_ROOM * each.tip_speed for each in stations)])
+    frames = (getattr(constraint.features, "frame", None) for constraint in skill.constraints)
+    return limits.with_tip_speed(speed, [frame.name for frame in frames if frame is not None])
 
 
 def _name(number: int, step: Step, skill: Skill) -> str:
@@ -212,26 +253,34 @@ class _Part(NamedTuple):
     notes: tuple[str, ...] = ()
 
 
-def _grip(
-    step: Step, name: str, q: Float[np.ndarray, " n"], robot: Robot, limits: Limits, dt: float, mu: float
-) -> _Part:
+class _Asked(NamedTuple):
+    """What holds for every step, as of `repeat`."""
+
+    limits: Limits
+    dt: float
+    seed: int
+    scene: Around
+
+
+def _grip(step: Step, name: str, q: Float[np.ndarray, " n"], asked: _Asked, mu: float) -> _Part:
     """The gripper closes or opens; the arm stands meanwhile, and joints of fingers go where they went."""
+    limits, dt, *_ = asked
+    robot = limits.robot
     positions, fingers = robot.positions(q), dict(step.fingers)
     goal = np.array([fingers.get(joint, x) for joint, x in zip(robot.joint_names, positions, strict=True)])
-    task = JointMotion(robot, [positions, goal], limits.velocity, gripper=step.gripper)
+    task = JointMotion(limits, [positions, goal], gripper=step.gripper)
     law = ResolvedRateController(every_joint(robot), task, limits=limits, dt=dt)
     rollout = simulate(robot, law, q, task.duration, dt)
     rollout = replace(rollout, manipulability=np.full(len(rollout), mu))
     return _Part(law, replace(rollout, phases=((f"{name}: {step.gripper}", 0.0, float(rollout.time[-1])),)))
 
 
-def _way(
-    step: Step, name: str, q: Float[np.ndarray, " n"], scene: Around, seed: int, limits: Limits, dt: float
-) -> tuple[list[_Part], Surroundings]:
+def _way(step: Step, name: str, q: Float[np.ndarray, " n"], asked: _Asked) -> tuple[list[_Part], Surroundings]:
     """Take hold and go along what was learnt, as it was shown in this step; and what stands around."""
     constraint = step.as_shown
     if constraint is None or constraint.robot is None:
         raise TargetError(f"step {name!r}: no constraint to go along")
+    limits, dt, seed, scene = asked
     try:
         found = plan(constraint, motion(constraint), q, seed, scene=scene, limits=limits, dt=dt)
     except NoPlanError as refusal:
@@ -241,25 +290,15 @@ def _way(
         ) from refusal
     robot, frame = found.robot, constraint.features.frame.name  # type: ignore[attr-defined]  # a plan has looked
     hold, end = (robot.position(x, frame) for x in (found.approach.q[-1], found.way.q[-1]))
-    far, outcome = float(np.linalg.norm(hold - robot.position(q, frame))), found.outcome
+    far, came = float(np.linalg.norm(hold - robot.position(q, frame))), found.outcome
     fast = float(np.max(np.abs(found.approach.u) / robot.velocity_limit))
     reach = StepDone("reach", far, far, "m", 0.0, None, None, fast, hold, f"take hold for {name}")
-    way = StepDone(
-        "way",
-        abs(outcome.wanted),
-        abs(outcome.done),
-        outcome.unit,
-        outcome.deviation,
-        found.margin,
-        outcome.stopped_by,
-        outcome.fastest[1],
-        end,
-        name,
-    )
+    numbers = abs(came.wanted), abs(came.done), came.unit, came.deviation, found.margin
+    way = StepDone("way", *numbers, came.stopped_by, came.fastest[1], end, name)
     to_hold, along = found.controller.laws
     approach, motion_along, grips = _named(found.approach, name), _named(found.way, name), []
     if step.gripper is not None:
-        grips = [_grip(step, name, approach.q[-1], robot, limits, dt, float(motion_along.manipulability[0]))]
+        grips = [_grip(step, name, approach.q[-1], asked, float(motion_along.manipulability[0]))]
         q, fingers = motion_along.q.copy(), [robot.joint_index(joint) for joint in step.fingers]
         q[:, fingers] = grips[0].rollout.q[-1, fingers]
         motion_along = replace(motion_along, q=q)
@@ -279,16 +318,10 @@ def _named(rollout: Rollout, name: str) -> Rollout:
 
 
 def _retreat(
-    skill: Skill,
-    step: Step,
-    name: str,
-    q: Float[np.ndarray, " n"],
-    around: Surroundings,
-    seed: int,
-    limits: Limits,
-    dt: float,
+    skill: Skill, step: Step, name: str, q: Float[np.ndarray, " n"], around: Surroundings, asked: _Asked
 ) -> list[_Part]:
     """The hand goes straight to where the recordings ended, or the joints around what is in the way of that."""
+    limits, dt, seed, _ = asked
     last = next(s.constraint for s in reversed(skill.steps) if s.constraint is not None)
     robot, frame = limits.robot, last.features.frame.name  # type: ignore[attr-defined]  # a place is known of a frame's rows
     away = np.asarray(step.place) - robot.position(q, frame)
@@ -296,25 +329,25 @@ def _retreat(
     if far <= _NEAR:
         return []  # it is there
     line = Constraint(complement_rows(away[None] / far), FrameJacobian(robot, frame))
-    task = FreeDirection(line, far, APPROACH_SPEED, direction=away)
+    speed = min(APPROACH_SPEED, np.inf if limits.tip is None else limits.tip.pace)
+    task = FreeDirection(line, far, speed, direction=away)
     law = ResolvedRateController(line, task, task.ascent(), limits=limits, dt=dt)
     rollout, outcome = simulate_way(robot, law, q, dt)
     if not outcome.is_done:
         raise NoPlanError(f"step {name!r}: the hand does not get to where the recordings ended: {outcome.stopped_by}")
     clear = Clearance(robot, True, around, robot.positions(q))
-    done, fastest = abs(outcome.done), outcome.fastest[1]
+    done = abs(outcome.done)
     touching = next((pair for x in rollout.q if (pair := clear.touching(robot.positions(x))) is not None), None)
     notes: tuple[str, ...] = ()
     if touching is not None:
         goal, between = robot.positions(rollout.q[-1]), " and ".join(touching.links)
         if (moved := moved_to(goal, q, limits, clear, seed, dt) if clear(goal) else None) is not None:
             law, rollout = moved
-            fastest = float(np.max(np.abs(rollout.u) / robot.velocity_limit))
         elif touching.links[1] in around.assumed:
             notes = (f"on the {name} {between} would touch, if that is where it was assumed to be: name a scene",)
         else:
             raise NoPlanError(f"step {name!r}: {between} would touch on the way to where the recordings ended")
-    end = robot.position(rollout.q[-1], frame)
+    end, fastest = robot.position(rollout.q[-1], frame), float(np.max(np.abs(rollout.u) / robot.velocity_limit))
     off = float(np.linalg.norm(end - np.asarray(step.place)))
     rollout = replace(rollout, phases=((name, 0.0, float(rollout.time[-1])),), ways=())
     return [_Part(law, rollout, (StepDone("reach", far, done, "m", off, None, None, fastest, end, name),), notes)]
@@ -322,8 +355,7 @@ def _retreat(
 
 def _rigid(moved: ArrayLike) -> Float[np.ndarray, "4 4"]:
     T = finite(moved, 4, 4)
-    turned = None if T is None else T[:3, :3]
-    if T is None or turned is None or np.max(np.abs(turned @ turned.T - np.eye(3))) > 1e-6 or np.linalg.det(turned) < 0:
+    if T is None or np.max(np.abs((R := T[:3, :3]) @ R.T - np.eye(3))) > 1e-6 or np.linalg.det(R) < 0:
         raise TargetError(
             "moved must be a rigid motion: four rows [R t; 0 0 0 1] of finite numbers, R a rotation, got "
             f"{np.array2string(np.asarray(moved), precision=3) if np.size(moved) <= 16 else an(moved)}"

@@ -151,6 +151,11 @@ class Stations:
         return len(self.time)
 
     @property
+    def tip_speed(self) -> float:
+        """Largest speed of the hand's origin on the way [m/s]."""
+        return float(np.max(np.linalg.norm(np.diff(self.places, axis=0), axis=1) / np.diff(self.time)))
+
+    @property
     def holds_orientation(self) -> bool:
         """Whether a row weighs a rotation of the hand."""
         return bool(np.any(np.abs(self.rows[:, :, 3:]) > 1e-9))

@@ -40,7 +40,7 @@ from manip_learn.teach.picture import (
     truth_content,
 )
 from manip_learn.teach.scene import MOVES, TITLES, Kind, place_scene
-from manip_learn.teach.way import ARRIVES, TaughtRecording, TaughtWay, handle_near
+from manip_learn.teach.way import ARRIVES, TaughtRecording, TaughtWay, handle_near, limits_of
 from manip_learn.teach.worker import TeachingWorker, ghost
 
 LEFT = 30.0  # [s] without a page after which the program ends: who pressed Back by mistake comes back in less
@@ -90,6 +90,7 @@ class TeachingSession:
         self, robot: Robot, tip: str, keep: Path, kind: Kind, seed: int, shows: Shows, *, in_real_time: bool = True
     ):
         self.robot, self.tip, self.keep = robot, tip, keep
+        self._limits = limits_of(robot, tip)
         self._shows, self._real = shows, in_real_time
         self._rng = np.random.default_rng(seed)
         self._heard: queue.SimpleQueue[Mapping[str, Any]] = queue.SimpleQueue()
@@ -464,8 +465,8 @@ class TeachingSession:
     def _follow(self, times: np.ndarray, postures: np.ndarray, until: Callable[[], str] | None = None) -> str:
         """Follow a motion of the joints; why it ended."""
         self.arm.hold()
-        motion = FollowMotion(self.robot, Trajectory(times, postures, joint_names=self.robot.joint_names))
-        loop = self._loop_of(motion)
+        motion = Trajectory(times, postures, joint_names=self.robot.joint_names)
+        loop = self._loop_of(FollowMotion(self.robot, motion, self._limits))
         goal, rested = postures[-1], [0.0]
 
         def over() -> str:
@@ -546,7 +547,7 @@ class TeachingSession:
         from manip_learn.control.tasks.motion import null_policy
 
         chosen = null_policy(policy, task, task.learnt, self.robot, None, self.arm.scene.start)
-        return ResolvedRateController(task.learnt, task, chosen, dt=PERIOD)
+        return ResolvedRateController(task.learnt, task, chosen, dt=PERIOD, limits=self._limits)
 
     def _change_posture(self, way: TaughtWay, place: Float[np.ndarray, " 3"]) -> str:
         """To the handle, in the posture from which the whole way can be done; why that ended."""

@@ -15,7 +15,9 @@ from numpy.typing import ArrayLike
 from manip_learn.constraint.constraint import Constraint
 from manip_learn.constraint.shown import Shown, Unit
 from manip_learn.constraint.skill import Skill
+from manip_learn.control.limits import Limits
 from manip_learn.control.tasks import FreeDirection, motion
+from manip_learn.control.tasks.motion import APPROACH_SPEED
 from manip_learn.robot.robot import Robot
 from manip_learn.teach.scene import REACHES
 
@@ -53,6 +55,11 @@ class TaughtRecording:
             "odd": self.odd,
             "phases": [[start - first, end - first, k] for start, end, k in self.phases],
         }
+
+
+def limits_of(robot: Robot, tip: str) -> Limits:
+    """Return the limits of everything that the arm does by itself: as `repeat` has them by default."""
+    return Limits(robot, tip_speed=APPROACH_SPEED, frames=tip)
 
 
 def handle_near(place: Float[np.ndarray, " 3"], handles: Sequence[Float[np.ndarray, "n 3"]]) -> int | None:
@@ -191,6 +198,12 @@ class TaughtWay:
         left = self.value - self.at(self.place(q))
         along, turn = (left, None) if self.unit == "m" else (None, left)
         return motion(self.constraint, along, turn, beyond_shown=True)
+
+    @property
+    def limits(self) -> Limits:
+        """Those of the arm that goes it."""
+        features = cast(Any, self.constraint.features)
+        return limits_of(features.robot, features.frame.name)
 
     def place(self, q: Float[np.ndarray, " nv"]) -> Float[np.ndarray, " 3"]:
         """Where the hand is at a posture [m]."""

@@ -237,8 +237,9 @@ def _plan(
     """The posture in which to take hold, and the way of the joints to it: times [s] and postures."""
     from manip_learn.planning.plan import plan as planned
 
-    task = TaughtWay.asked_for(file, robot, way).task(place)
-    found = planned(task.learnt, task, start, progress=said)
+    taught = TaughtWay.asked_for(file, robot, way)
+    task = taught.task(place)
+    found = planned(task.learnt, task, start, limits=taught.limits, progress=said)
     return {"time": found.approach.time, "q": found.approach.q, "sentence": found.sentence}
 
 
@@ -254,7 +255,7 @@ def _simulated(robot: Robot, named: Mapping[str, str], way: TaughtWay, start: np
     for (name, policy), (_, colour) in zip(named.items(), colours_of, strict=True):
         task = way.task()
         chosen = null_policy(policy, task, task.learnt, robot, None, start)
-        controller = ResolvedRateController(task.learnt, task, chosen, dt=STEP)
+        controller = ResolvedRateController(task.learnt, task, chosen, dt=STEP, limits=way.limits)
         rollout, done = simulate_way(robot, controller, start, STEP)
         ended = way.in_words(done.done) + (f", stopped by {done.stopped_by}" if done.stopped_by else "")
         made = ghost(robot, name, colour, rollout.time, rollout.q, rollout.manipulability, ended)
