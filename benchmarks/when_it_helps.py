@@ -39,7 +39,6 @@ TITLES = {
     "none": "no null-space motion",
     "learnt": "μ, held and driven",
     "held": "μ, held only",
-    "penalised": "penalised μ",
     "limits": "joint limits",
     "plan": "plan",
     "pink": "Pink, its μ",

@@ -19,7 +19,7 @@ from manip_learn.planning.clearance import self_collision
 
 GAIN, DURATION, THERE = 2.0, 5.0, 1e-3  # [1/s] and [s] of reaching, and what may be missing of it [m or rad]
 SCRIPTS = Path(__file__).resolve().parent / "peers"
-OWN = ("none", "learnt", "held", "penalised", "limits")
+OWN = ("none", "learnt", "held", "limits")
 SLOW = ("plan",)  # what takes seconds a start
 PEERS = ("pink", "mink", "placo")
 POLICIES = (*OWN, *SLOW, *PEERS)
@@ -54,7 +54,6 @@ def policy_of(name: str, case: Case, task: ml.FreeDirection | None) -> ml.NullSp
         "learnt": lambda: ml.ManipulabilityAscent(rows),
         "ascent": lambda: ml.ManipulabilityAscent(rows) if task is None else task.ascent(),
         "held": lambda: ml.ManipulabilityAscent(case.held()),
-        "penalised": lambda: ml.PenalisedManipulabilityAscent(rows),
         "limits": lambda: ml.JointLimitAvoidance(case.constraint.robot),
     }
     return None if name == "none" else made[name]()

@@ -23,11 +23,8 @@ if TYPE_CHECKING:
     )
     from manip_learn.constraint.manipulability import (
         log_manipulability_gradient,
-        log_penalised_manipulability_gradient,
         manipulability,
         manipulability_gradient,
-        penalised_manipulability,
-        penalised_manipulability_gradient,
     )
     from manip_learn.constraint.manipulability_batch import manipulability_batch
     from manip_learn.constraint.mechanism import Mechanism
@@ -45,8 +42,6 @@ if TYPE_CHECKING:
         JointLimitAvoidance,
         ManipulabilityAscent,
         NullSpacePolicy,
-        PenalisedManipulabilityAscent,
-        SelfCollisionAvoidance,
         WeightedPolicies,
         ZeroPolicy,
     )
@@ -94,8 +89,7 @@ _NAMES = {
     "constraint.task_frame": "TaskFrame",
     "constraint.features": "CentreOfMass CurveRows CustomFeatures FeatureMap "
     "FrameJacobian MechanismRows RelativeFrameJacobian Stacked",
-    "constraint.manipulability": "log_manipulability_gradient log_penalised_manipulability_gradient manipulability "
-    "manipulability_gradient penalised_manipulability penalised_manipulability_gradient",
+    "constraint.manipulability": "log_manipulability_gradient manipulability manipulability_gradient",
     "constraint.manipulability_batch": "manipulability_batch",
     "learning": "ConstraintLearner",
     "learning.audit": "audit_episodes",
@@ -106,7 +100,7 @@ _NAMES = {
     "control.following": "Contact following_error_limit",
     "control.follow_motion": "FollowMotion",
     "control.policies": "JointAttractor JointLimitAvoidance ManipulabilityAscent NullSpacePolicy "
-    "PenalisedManipulabilityAscent SelfCollisionAvoidance WeightedPolicies ZeroPolicy",
+    "WeightedPolicies ZeroPolicy",
     "control.tasks": "FreeDirection Hold PointAttractor Task Track motion",
     "planning.grasp_cone": "GraspCone",
     "planning.plan": "Plan plan",
@@ -122,8 +116,14 @@ _NAMES = {
     "playback": "LiveViewer replay",
     "errors": "ManipLearnError NoPlanError",
 }
-# names of 0.1 that are gone, and what to use instead; until 0.3
+# names that are gone, and what to use instead: of 0.1 until 0.3, of 0.2 until 0.4
 _REMOVED = {
+    "SelfCollisionAvoidance": "Limits(robot, clear_of=SelfCollision(robot)) keeps the links apart",
+    "PenalisedManipulabilityAscent": "task.ascent() climbs the room that is left, of joint ranges too",
+    **dict.fromkeys(
+        ("penalised_manipulability", "penalised_manipulability_gradient", "log_penalised_manipulability_gradient"),
+        "manipulability(constraint, q) says how near a singularity is, robot.position_lower and _upper the limits",
+    ),
     "resample": "time stamps need not be even: leave the call out, or interpolate with numpy.interp",
     "trim_standstill": "cut a trajectory by time, demo[2.0:5.5]; the learner itself leaves out what rests",
     "CompiledController": "nothing is compiled any more: use the ResolvedRateController itself",
@@ -137,17 +137,14 @@ __all__ = ["Box", "CentreOfMass", "Command", "Constraint", "ConstraintLearner", 
 __all__ += ["CustomFeatures", "Cylinder", "Demonstrations", "Driver", "FeatureMap", "FollowMotion", "FrameJacobian"]
 __all__ += ["FreeDirection", "GraspCone", "Hold", "JointAttractor", "JointLimitAvoidance", "LeRobotDriver"]
 __all__ += ["LeRobotMotor", "Limits", "LiveViewer", "ManipLearnError", "ManipulabilityAscent", "Mechanism"]
-__all__ += ["MechanismFit", "MechanismRows", "Mesh", "MuJoCoDriver", "NoPlanError", "NullSpacePolicy"]
-__all__ += ["PenalisedManipulabilityAscent", "Plan", "PointAttractor", "RecordedFiles", "RecordingSource"]
-__all__ += ["RelativeFrameJacobian", "Repetition", "ResolvedRateController", "Robot", "Rollout", "RunRecord"]
-__all__ += ["Scene", "SelfCollision", "SelfCollisionAvoidance", "ServoLoop", "Shown", "Skill", "Sphere"]
-__all__ += ["Stacked", "Status", "Step", "Task", "TaskFrame", "Track", "Trajectory", "WeightedPolicies"]
-__all__ += ["ZeroPolicy", "audit_episodes", "derive_velocities", "find_mechanism", "following_error_limit"]
-__all__ += ["inspect_robot", "likely_tips", "load_demonstrations", "load_robot", "log_manipulability_gradient"]
-__all__ += ["log_penalised_manipulability_gradient", "manipulability", "manipulability_batch"]
-__all__ += ["manipulability_gradient", "motion", "penalised_manipulability"]
-__all__ += ["penalised_manipulability_gradient", "plan", "record", "repeat", "replay", "run", "simulate"]
-__all__ += ["subsample"]
+__all__ += ["MechanismFit", "MechanismRows", "Mesh", "MuJoCoDriver", "NoPlanError", "NullSpacePolicy", "Plan"]
+__all__ += ["PointAttractor", "RecordedFiles", "RecordingSource", "RelativeFrameJacobian", "Repetition"]
+__all__ += ["ResolvedRateController", "Robot", "Rollout", "RunRecord", "Scene", "SelfCollision", "ServoLoop", "Shown"]
+__all__ += ["Skill", "Sphere", "Stacked", "Status", "Step", "Task", "TaskFrame", "Track", "Trajectory"]
+__all__ += ["WeightedPolicies", "ZeroPolicy", "audit_episodes", "derive_velocities", "find_mechanism"]
+__all__ += ["following_error_limit", "inspect_robot", "likely_tips", "load_demonstrations", "load_robot"]
+__all__ += ["log_manipulability_gradient", "manipulability", "manipulability_batch", "manipulability_gradient"]
+__all__ += ["motion", "plan", "record", "repeat", "replay", "run", "simulate", "subsample"]
 
 
 def __getattr__(name: str) -> Any:

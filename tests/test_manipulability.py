@@ -9,23 +9,17 @@ import pytest
 from case import case
 from conftest import tip_of
 from rounding import rounding
-from test_limit_potential import near_limits
 
 from manip_learn.constraint.constraint import Constraint
 from manip_learn.constraint.features import CustomFeatures, FrameJacobian
 from manip_learn.constraint.manipulability import (
     log_manipulability_gradient,
-    log_penalised_manipulability_gradient,
     manipulability,
     manipulability_gradient,
-    penalised_manipulability,
-    penalised_manipulability_gradient,
 )
 from manip_learn.constraint.manipulability_batch import manipulability_batch
-from manip_learn.control.policies import PenalisedManipulabilityAscent
-from manip_learn.errors import ConfigurationError, ConstraintError
+from manip_learn.errors import ConfigurationError
 from manip_learn.linalg import EPS, manipulability_of
-from manip_learn.robot.limit_potential import limit_weights
 
 
 def test_singular_is_zero_never_nan(robot_of):
@@ -40,68 +34,6 @@ def test_singular_is_zero_never_nan(robot_of):
         assert manipulability(constraint, q) == constraint.manipulability(q) == manipulability_of(constraint(q))
         for gradient in (manipulability_gradient, log_manipulability_gradient):
             assert np.all(np.isfinite(gradient(constraint, q)))
-
-
-@pytest.mark.parametrize("name", ["planar3", "wrist", "mimic"])
-def test_at_and_beyond_limits_all_is_finite(robot_of, rng, name: str):
-    """At all limits, outside them, stretched out, and with one joint at its limit: no NaN, at most mu."""
-    robot = robot_of(name)
-    upper = np.where(np.isfinite(robot.position_upper), robot.position_upper, 0.3)
-    one_at_limit = 0.5 * near_limits(robot, rng, 0.5)
-    one_at_limit[0] = upper[0]
-    for axes, reference in (("xyz", "world"), ("pose", "local")):
-        features = FrameJacobian(robot, tip_of(name), axes, reference)
-        for s, q in product(range(1, features.n_rows + 1), (upper, upper + 0.5, np.zeros(robot.nv), one_at_limit)):
-            with case(axes, s, q):
-                constraint = Constraint(np.eye(features.n_rows)[:s], features)
-                A = constraint(q)
-                most = manipulability(constraint, q) * (1.0 + 1e-9) + rounding(4 * A.size, *[A] * s)
-                assert 0.0 <= penalised_manipulability(constraint, q) <= most
-                assert np.all(np.isfinite(penalised_manipulability_gradient(constraint, q)))
-                assert np.all(np.isfinite(log_penalised_manipulability_gradient(constraint, q)))
-                asked = PenalisedManipulabilityAscent(constraint)(q)
-                assert np.all(np.isfinite(asked)) and np.linalg.norm(asked) <= 4.0 * (1.0 + 1e-9)
-
-
-def test_a_joint_at_its_limit_does_not_count(robot_of):
-    """With one joint at its limit mu_w is that of the arm without it, each other joint weighted."""
-    robot = robot_of("planar3")
-    constraint = Constraint(np.eye(2), FrameJacobian(robot, "tip", "x y"))
-    q = np.array([0.4, robot.position_upper[1], -0.8])
-    w = limit_weights(robot, q)[0]
-    rest = (constraint(q) * w)[:, [0, 2]]
-    assert penalised_manipulability(constraint, q) == pytest.approx(abs(np.linalg.det(rest)))
-
-
-def test_without_limits_it_is_mu(robot_of, rng):
-    """A row that joints without limits move has mu_w = mu and its gradient; features without a robot are refused."""
-    robot = robot_of("wrist")
-    constraint = Constraint([[1.0]], FrameJacobian(robot, "link0", "rz"))
-    q = robot.random_configuration(rng)
-    assert penalised_manipulability(constraint, q) == manipulability(constraint, q) == pytest.approx(1.0)
-    np.testing.assert_allclose(penalised_manipulability_gradient(constraint, q), 0.0, atol=rounding(4 * 4))
-    flat = CustomFeatures(lambda q: np.array([[np.cos(q[0]), q[1]]]), "a", 2)
-    with pytest.raises(ConstraintError, match="no robot"):
-        penalised_manipulability(Constraint([[1.0]], flat), [0.1, 0.2])
-    with pytest.raises(ConstraintError, match="no robot"):
-        PenalisedManipulabilityAscent(Constraint([[1.0]], flat))
-
-
-def test_ascent_climbs_it_and_leaves_a_limit(robot_of, rng):
-    """Small steps along the policy raise mu_w; a joint whose motion leaves mu alone is led away from its limit."""
-    robot = robot_of("sawyer")
-    for _ in range(10):
-        constraint = Constraint(rng.normal(size=(2, 3)), FrameJacobian(robot, "right_hand"))
-        q = near_limits(robot, rng, 0.9)
-        direction = PenalisedManipulabilityAscent(constraint)(q)
-        step = 1e-5 * direction / np.linalg.norm(direction)
-        assert penalised_manipulability(constraint, q + step) > penalised_manipulability(constraint, q)
-    slides = Constraint([[1.0, 0.0]], FrameJacobian(robot_of("gantry"), "link1", "x y"))
-    q = np.array([1.8, -1.0, 0.2, 0.0, 0.0])
-    np.testing.assert_allclose(manipulability_gradient(slides, q), 0.0, atol=rounding(4 * 5))
-    policy = PenalisedManipulabilityAscent(slides, 2.0)
-    assert policy(q)[0] < 0.0 and policy(-q)[0] > 0.0
-    assert "gain=2" in repr(policy)
 
 
 def test_many_postures_at_and_near_singularities(robot_of):

@@ -27,7 +27,6 @@ from manip_learn.control.policies import (
     JointAttractor,
     JointLimitAvoidance,
     ManipulabilityAscent,
-    PenalisedManipulabilityAscent,
     RoomAscent,
     WeightedPolicies,
     ZeroPolicy,
@@ -117,7 +116,6 @@ def policy_of(rows: ml.Constraint, robot: ml.Robot, rng: np.random.Generator) ->
         lambda: middle,
         lambda: ZeroPolicy(robot.nv),
         lambda: WeightedPolicies([ascent, rest, middle], [1.0, 0.5, 2.0]),
-        lambda: PenalisedManipulabilityAscent(rows),
         lambda: lambda q, t: w,
     ]
     return choices[int(rng.integers(len(choices)))]()

@@ -180,8 +180,6 @@ def some_rows(name: str, folder: Path) -> dict[str, Any]:
             "mu": ml.manipulability(constraint, q),
             "gradient": ml.manipulability_gradient(constraint, q),
             "log gradient": ml.log_manipulability_gradient(constraint, q),
-            "penalised": ml.penalised_manipulability(constraint, q),
-            "its gradient": ml.penalised_manipulability_gradient(constraint, q),
             "many": ml.manipulability_batch(constraint, several).mu,
             "words": str(constraint),
             "file": {key: v for key, v in constraint.to_dict().items() if key != "selection"},

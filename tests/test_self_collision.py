@@ -11,8 +11,7 @@ import trimesh
 from conftest import chain_urdf
 from test_gradients import central_difference
 
-from manip_learn.control.policies import SelfCollisionAvoidance
-from manip_learn.errors import ConfigurationError, RobotError
+from manip_learn.errors import RobotError
 from manip_learn.robot.collision import SelfCollision
 from manip_learn.robot.loading import load_robot
 
@@ -141,7 +140,7 @@ def test_mimic_joints_and_threads(robot_of, collision_of):
 def test_robots_without_shapes(robot_of, tmp_path):
     """One error says what is missing and what can take its place; broken shapes are named with their link."""
     with pytest.raises(RobotError, match="shapes='visual'") as seen:
-        SelfCollisionAvoidance(robot_of("sawyer"))
+        SelfCollision(robot_of("sawyer"))
     assert seen.value.code == "no-collision-shapes"
     with pytest.raises(RobotError, match="no <collision> elements"):
         SelfCollision(robot_of("gantry"))
@@ -151,43 +150,3 @@ def test_robots_without_shapes(robot_of, tmp_path):
         path.write_text(text.replace('<link name="link2">', f'<link name="link2">{shape(kind)}'), encoding="utf-8")
         with pytest.raises(RobotError, match=message):
             SelfCollision(load_robot(path))
-
-
-def test_policy_pushes_apart(fold):
-    """0 beyond the distance; below it, at most the speed, growing from 0, along the gradient, continuous."""
-    policy, collision = SelfCollisionAvoidance(fold, 0.4, 2.0, max_speed=0.5), SelfCollision(fold)
-    bends = np.linspace(0.0, 2.0, 400)
-    speeds, seen = [], set()
-    for bend in bends:
-        q = np.array([bend, bend, bend])
-        pi, near = policy(q), collision.nearest(q)
-        speed = float(np.linalg.norm(pi))
-        speeds.append(speed)
-        assert speed <= 0.5
-        if near.distance >= 0.4:
-            assert speed == 0.0
-        elif speed > 0.0:
-            assert pi @ near.gradient > 0.0
-        seen.add(near.distance < 0.4)
-    assert seen == {True, False} and max(speeds) > 0.1
-    assert np.max(np.abs(np.diff(speeds))) < 0.05
-    assert "distance=0.4" in repr(policy)
-    with pytest.raises(ConfigurationError, match="distance"):
-        SelfCollisionAvoidance(fold, 0.0)
-
-
-def test_policy_separates_links(robot_of, collision_of):
-    """From postures with links in range, following the policy opens the distance; it is finite where links overlap."""
-    robot, collision, rng = robot_of("sawyer"), collision_of("sawyer"), np.random.default_rng(8)
-    policy, opened = SelfCollisionAvoidance(collision), 0
-    for _ in range(300):
-        q = robot.random_configuration(rng)
-        near = collision.nearest(q)
-        assert np.all(np.isfinite(policy(q))) and np.linalg.norm(policy(q)) <= 2.0
-        if not 0.0 < near.distance < 0.03:
-            continue
-        for _ in range(100):
-            q = robot.integrate(q, 0.01 * policy(q))
-        assert collision.nearest(q).distance > near.distance
-        opened += 1
-    assert opened >= 3

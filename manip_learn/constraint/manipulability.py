@@ -1,13 +1,7 @@
-"""Manipulability of a task and its gradient, finite at singularities; also one that falls towards the joint limits.
+"""Manipulability of a task and its gradient, finite at singularities.
 
 mu(q) = sqrt(det(A A^T)), equation (4) of Manavalan and Howard, computed as the product of the singular values of A;
-grad mu, equation (13), without a division. And with the weights w_j of `limit_weights`, from 1 in the middle of a
-joint's range to 0 at its limits,
-
-    mu_w(q) = sqrt(det(A_w A_w^T)),    A_w(q) = A(q) W(q),    W = diag(w_j(q_j)):
-
-a joint at a limit does not count as a joint. After Vahrenkamp, Asfour, Metta, Sandini and Dillmann, "Manipulability
-analysis" (2012).
+grad mu, equation (13), without a division.
 """
 
 from __future__ import annotations
@@ -22,9 +16,7 @@ from manip_learn.constraint.constraint import Constraint
 from manip_learn.constraint.features.feature_map import Vjp
 from manip_learn.constraint.small_matrices import svd
 from manip_learn.errors import ConstraintError, an
-from manip_learn.linalg import EPS, manipulability_of
-from manip_learn.robot.limit_potential import limit_weights
-from manip_learn.robot.robot import Robot
+from manip_learn.linalg import EPS
 
 # below this ratio to the largest singular value the left singular vectors of zero and non-zero are mixed by rounding
 SINGULAR_RATIO = 64.0 * EPS
@@ -167,66 +159,3 @@ def _steepest(
     _, rate, Wt = np.linalg.svd(M, full_matrices=False)
     direction = Wt[0]
     return float(rate[0]), -direction if direction[np.argmax(np.abs(direction))] < 0.0 else direction
-
-
-def penalised_manipulability(constraint: Constraint, q: ArrayLike) -> float:
-    """mu_w(q) = sqrt(det(A W^2 A^T)): at most mu, and 0 where the joints within their limits cannot do the task.
-
-    Unit: product of the units of the constraint's rows.
-
-    Raises:
-        ConfigurationError: q has the wrong size or is not finite.
-        ConstraintError: The constraint's features have no robot, or the arguments are in another order.
-    """
-    return manipulability_of(constraint(q) * limit_weights(limited_robot(constraint_first(constraint, q)), q)[0])
-
-
-def penalised_manipulability_gradient(constraint: Constraint, q: ArrayLike) -> Float[np.ndarray, " nv"]:
-    """Gradient of mu_w along the tangent coordinates, finite; at a singularity see `manipulability_gradient`.
-
-    Raises:
-        ConfigurationError: q has the wrong size or is not finite.
-        ConstraintError: The constraint's features have no robot, or the arguments are in another order.
-    """
-    A, vjp = penalised_value_and_vjp(constraint, q)
-    return gradient_from(A.shape, svd(A), vjp)[1]
-
-
-def log_penalised_manipulability_gradient(constraint: Constraint, q: ArrayLike) -> Float[np.ndarray, " nv"]:
-    """Gradient of log mu_w [1/rad or 1/m]; at a singularity see `log_manipulability_gradient`.
-
-    Raises:
-        ConfigurationError: q has the wrong size or is not finite.
-        ConstraintError: The constraint's features have no robot, or the arguments are in another order.
-    """
-    A, vjp = penalised_value_and_vjp(constraint, q)
-    mu, gradient, floor = gradient_from(A.shape, svd(A), vjp)
-    return gradient / max(mu, floor, np.finfo(np.float64).tiny)
-
-
-def penalised_value_and_vjp(constraint: Constraint, q: ArrayLike) -> tuple[Float[np.ndarray, "s nv"], Vjp]:
-    """A_w = A W and its vector-Jacobian product, dA_w_ij / dq_k = w_j dA_ij / dq_k + delta_jk A_ij dw_j / dq_j.
-
-    Raises:
-        ConfigurationError: q has the wrong size or is not finite.
-        ConstraintError: The constraint's features have no robot, or the arguments are in another order.
-    """
-    w, slope = limit_weights(limited_robot(constraint_first(constraint, q)), q)
-    A, vjp = constraint.value_and_vjp(q)
-    A_slope = A * slope
-
-    def penalised_vjp(weights: Float[np.ndarray, "s nv"]) -> Float[np.ndarray, " nv"]:
-        return vjp(weights * w) + np.einsum("ij,ij->j", weights, A_slope)
-
-    return A * w, penalised_vjp
-
-
-def limited_robot(constraint: Constraint) -> Robot:
-    """The robot whose joint limits count.
-
-    Raises:
-        ConstraintError: The constraint's features have no robot.
-    """
-    if constraint.robot is None:
-        raise ConstraintError(f"{constraint.features!r} belongs to no robot, whose joint limits could be penalised")
-    return constraint.robot

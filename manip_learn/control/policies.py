@@ -19,13 +19,10 @@ from manip_learn.constraint.manipulability import (
     SINGULAR_RATIO,
     escape_direction,
     gradient_from,
-    limited_robot,
-    penalised_value_and_vjp,
 )
 from manip_learn.constraint.small_matrices import row_inverse, svd
 from manip_learn.errors import ConfigurationError, ConstraintError, TargetError, an
 from manip_learn.linalg import unit
-from manip_learn.robot.collision import SelfCollision
 from manip_learn.robot.frame_kinematics import vjps
 from manip_learn.robot.limit_potential import has_range, ranges, room_of
 from manip_learn.robot.robot import Robot
@@ -182,53 +179,6 @@ class JointLimitAvoidance(NullSpacePolicy):
 
 
 @final
-class SelfCollisionAvoidance(NullSpacePolicy):
-    """pi pushes links apart that are nearer to each other than `distance`, with a bounded speed.
-
-        p = gain sum_i (1 - d_i / distance)^2 grad d_i    over the pairs of links with d_i < distance
-        pi = p / sqrt(1 + |p|^2 / max_speed^2)
-
-    Value and slope are 0 where a pair comes into range, so that pi is continuous however many pairs there are, but for
-    where the nearest points of two shapes jump (see `SelfCollision`). Shapes are convex, meshes their convex hulls.
-
-    Args:
-        robot: A robot with collision shapes, or a `SelfCollision` with other settings.
-        distance: Distance below which links are pushed apart [m].
-        gain: Largest rate, times a lever arm in m, at contact [1/(m s)].
-        max_speed: Largest norm of pi [rad/s].
-
-    Raises:
-        RobotError: The robot has no collision shapes, or one of them cannot be used.
-        ConfigurationError: The distance, the gain or the speed is not positive.
-    """
-
-    def __init__(
-        self, robot: Robot | SelfCollision, distance: float = 0.1, gain: float = 10.0, *, max_speed: float = 2.0
-    ):
-        self.distance = _positive("distance", distance)
-        self.gain = _positive("gain", gain)
-        self.max_speed = _positive("max_speed", max_speed)
-        self.collision = robot if isinstance(robot, SelfCollision) else SelfCollision(robot)
-
-    def __call__(self, q: ArrayLike, t: float = 0.0) -> Float[np.ndarray, " nv"]:
-        """Velocity that increases the distances of the pairs in range [rad/s or m/s].
-
-        Raises:
-            ConfigurationError: q has the wrong size or is not finite.
-        """
-        push = np.zeros(self.collision.robot.nv)
-        for near in self.collision.closer_than(q, self.distance):
-            push += self.gain * (1.0 - near.distance / self.distance) ** 2 * near.gradient
-        return push / math.sqrt(1.0 + push.dot(push) / self.max_speed**2)
-
-    def __repr__(self) -> str:
-        return (
-            f"SelfCollisionAvoidance({self.collision.robot.name!r}, distance={self.distance:g}, gain={self.gain:g}, "
-            f"max_speed={self.max_speed:g})"
-        )
-
-
-@final
 class ManipulabilityAscent(SampledPolicy):
     """pi = gain * grad log mu, at most `max_speed`; or gain * grad mu as in equation (13) of Manavalan and Howard.
 
@@ -350,38 +300,6 @@ class ManipulabilityAscent(SampledPolicy):
 
 
 @final
-class PenalisedManipulabilityAscent(SampledPolicy):
-    """pi = gain * grad log mu_w, at most `max_speed`: `ManipulabilityAscent` with A_w = A W in place of A.
-
-        d log mu_w = A_w^{+T} : dA_w,    dA_w_ij / dq_k = w_j dA_ij / dq_k + delta_jk A_ij dw_j / dq_j
-
-    with the weights w_j of `limit_weights`, 1 in the middle of a joint's range and 0 at its limits. It is bounded as
-    `ManipulabilityAscent` is.
-
-    Args:
-        constraint: Whose manipulability is climbed; true or learnt.
-        gain: Rate [rad^2/s].
-        max_speed: Largest norm of pi [rad/s]; None for no bound.
-
-    Raises:
-        ConstraintError: The constraint's features have no robot, or `max_speed` is not positive.
-    """
-
-    def __init__(self, constraint: Constraint, gain: float = ASCENT_GAIN, *, max_speed: float | None = 4.0):
-        limited_robot(constraint)
-        self.constraint = constraint
-        self._ascent = ManipulabilityAscent(constraint, gain, max_speed=max_speed)
-        self.gain, self.max_speed = self._ascent.gain, self._ascent.max_speed
-
-    def __call__(self, q: ArrayLike, t: float = 0.0, dt: float = 0.01) -> Float[np.ndarray, " nv"]:
-        """Ascent velocity, finite everywhere; arguments and errors as for `ManipulabilityAscent`."""
-        return self._ascent.from_rows(*penalised_value_and_vjp(self.constraint, q), dt)
-
-    def __repr__(self) -> str:
-        return f"PenalisedManipulabilityAscent(gain={self.gain:g})"
-
-
-@final
 class RoomAscent(SampledPolicy):
     """pi climbs the room that is left: of the rows' singular values, and of the joints' ranges.
 
@@ -405,7 +323,9 @@ class RoomAscent(SampledPolicy):
     def __init__(
         self, constraint: Constraint, speed: float, gain: float = ASCENT_GAIN, *, max_speed: float | None = 10.0
     ):
-        robot = limited_robot(constraint)
+        robot = constraint.robot
+        if robot is None:
+            raise ConstraintError(f"{constraint.features!r} belongs to no robot, whose joint limits count")
         self.constraint, self.speed = constraint, _positive("speed", speed)
         self._ascent = ManipulabilityAscent(constraint, gain, max_speed=max_speed)
         self.gain, self.max_speed = self._ascent.gain, self._ascent.max_speed
