@@ -240,7 +240,7 @@ class _Cycle:
             if self._doubts(q, ending):  # nothing is sent before a reading is believed
                 if self.reason:
                     break
-                start = due
+                start, began = due, ComputerClock.now()
                 continue
             command = loop.update(q, t)
             if not self.reason and (wrong := self._witness.refuses(q, command.status is Status.FOLLOWING_ERROR)):

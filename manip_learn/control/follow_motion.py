@@ -31,7 +31,7 @@ class FollowMotion:
     on as before, and then to where the motion is in the shortest time. No other joint waits for it. Where the motion
     itself is faster than the velocity limits or the limit of the tip's speed, its clock runs slower, so that the path
     stays the same. First the joints go to the first posture, at a quarter of their velocity limits, and the clock
-    starts there; at the end they stay at the last one.
+    starts there (`run` asks for an arm that is within 0.05 rad or m of it); at the end they stay at the last one.
 
     Args:
         robot: The robot.

@@ -21,6 +21,7 @@ from manip_learn.control.controller import ResolvedRateController
 from manip_learn.control.driver import run
 from manip_learn.control.follow_motion import FollowMotion
 from manip_learn.control.following import following_error_limit
+from manip_learn.control.limits import RETURN_SPEED
 from manip_learn.control.servo_loop import ServoLoop
 from manip_learn.control.tasks import FreeDirection
 from manip_learn.drivers.record import record
@@ -357,7 +358,9 @@ class TeachingSession:
         """The arm back to where it began, everything shut."""
         self._doing = "moving"
         self.arm.shut()
-        self._follow(np.array([0.0, 1.0]), np.array([self.arm.scene.start, self.arm.scene.start]))
+        start, away = self.arm.scene.start, np.abs(self.robot.difference(self.arm.q, self.arm.scene.start))
+        seconds = 1.0 + float(np.max(away / (RETURN_SPEED * self.robot.velocity_limit)))
+        self._follow(np.array([0.0, seconds]), np.array([self.arm.q, start]))
         self._outcome = None
         self._say("Everything is as it was at first.")
 
