@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from collections.abc import Mapping, Sequence
 from contextlib import AbstractContextManager, nullcontext
 from pathlib import Path
@@ -11,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from manip_learn.commands.options import RobotOptions
-from manip_learn.constraint.constraint import Constraint
+from manip_learn.constraint.constraint import Constraint, locks_in_words, read_constraint_file
 from manip_learn.control.limits import check_inside
 from manip_learn.errors import DAMAGE, ConstraintMismatchError, RecordingError, UnknownNameError, named
 from manip_learn.recordings.readers.read_request import unmoved_joint_names
@@ -52,6 +51,12 @@ def load_for_files(name: str, files: Sequence[str], loading: RobotOptions) -> Ro
     robot = loading.load(name, made_with.locked, made_with.objects)
     made_with.refuse_another(robot, file.name, file)
     return robot
+
+
+def locks_of_files(robot: Robot, loading: RobotOptions) -> list[str]:
+    """Return a note on the joints that are locked because the files say so, or nothing."""
+    locked = {name: position for name, position in robot.locked.items() if name not in (loading.lock or ())}
+    return [f"as when it was made: {locks_in_words(locked)}"] if locked else []
 
 
 def _first_header(files: Sequence[str]) -> tuple[FileHeader | None, Path]:
@@ -101,10 +106,10 @@ def robot_of_constraint(robot_name: str, constraint_file: str, loading: RobotOpt
             objects than the options name.
     """
     try:
-        described = json.loads(Path(constraint_file).read_bytes()).get("robot") or {}
+        described = read_constraint_file(Path(constraint_file)).get("robot") or {}
         joints, locked = list(described["joint_names"]), dict(described.get("locked", {}))
         saved = [str(name) for name in described.get("objects", [])]
-    except DAMAGE:
+    except (*DAMAGE, ConstraintMismatchError):
         # Constraint.load says what is wrong with the file
         return loading.load(robot_name)
     if loading.objects and sorted(loading.objects) != sorted(saved):

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import hashlib
 import json
+import warnings
 from collections.abc import Iterable, Mapping
 from pathlib import Path
 from typing import Any, Protocol, final
@@ -27,11 +28,13 @@ from manip_learn.errors import DAMAGE, ConstraintError, ConstraintMismatchError,
 from manip_learn.linalg import along_axes, finite, manipulability_of, orthonormal_rows
 from manip_learn.recordings.readers.recording import reason_of
 from manip_learn.robot import html_card
+from manip_learn.robot.description.text import parsed_json, read_regular_file, unreadable
 from manip_learn.robot.robot import Robot
 
 _FORMAT = "manip_learn.constraint"
 SCHEMA = 1
 SIGNATURE = "sha256"  # entry of a file: the SHA-256 of what says where an arm goes
+LARGEST_FILE = 100_000_000  # [bytes] of a constraint: one of a hundred thousand recordings has a tenth of it
 NOT_EXACT = 1e-9  # of an entry of Lambda: rows written with ten digits are taken
 
 
@@ -319,6 +322,9 @@ class Constraint:
             ConstraintMismatchError: Another robot, another schema, no constraint file at all, rows that contradict
                 what the file says of them (their number, names, units, or that they are orthonormal), or a file that
                 was changed after it was saved.
+
+        Warns:
+            UserWarning: The file states no SHA-256, by which a change would be noticed.
         """
         return Constraint.from_dict(read_constraint_file(Path(path)), robot, source=str(path), same_urdf=same_urdf)
 
@@ -336,26 +342,34 @@ class Constraint:
         if content.get("schema") != SCHEMA:
             seen = f"{source} has schema {content.get('schema')!r}, this version reads {SCHEMA}"
             raise ConstraintMismatchError(f"{seen}: learn the constraint again")
-        _check_robot(source, content, robot, same_urdf)
         try:
+            _check_robot(source, content, robot, same_urdf)
             features = described_features(content["features"], robot)
             constraint = Constraint(content["selection"], features, content.get("provenance"))
             _check_rows(content, constraint)
+            then, digest = content["robot"].get("locked", robot.locked), signed(content)[SIGNATURE]
         except DAMAGE as error:
             raise damaged(source, error) from error
+        except ConstraintMismatchError:
+            raise
         except ManipLearnError as error:
             raise ConstraintMismatchError(f"{source}: {error}") from error
-        if SIGNATURE in content and content[SIGNATURE] != signed(content)[SIGNATURE]:
+        if content.get(SIGNATURE, digest) != digest:
             raise ConstraintMismatchError(
                 f"{source} was changed after it was saved: its contents do not have the SHA-256 that it states. Learn "
                 f'it again or fetch the original; if the change is meant, delete the entry "{SIGNATURE}"'
             )
-        then = content["robot"].get("locked", robot.locked)
+        if SIGNATURE not in content:
+            unsigned = f"{source} states no SHA-256, as a file of version 0.1 or one that was changed by hand: whether "
+            unsigned += "it is what was learnt is for you to know; saved again, it states one"
+            constraint.notes = (unsigned,)
+            if spoken("in Python", ""):  # commands print the notes
+                warnings.warn(unsigned, UserWarning, stacklevel=2)
         if then != robot.locked:
-            said = f"the constraint was made with {_in_words(then)}, the robot has {_in_words(robot.locked)}"
-            constraint.notes = (said,)
+            said = f"the constraint was made with {locks_in_words(then)}, the robot has {locks_in_words(robot.locked)}"
+            constraint.notes += (said,)
         elif then:
-            constraint.notes = (f"as when the constraint was made: {_in_words(then)}",)
+            constraint.notes += (f"as when the constraint was made: {locks_in_words(then)}",)
         return constraint
 
     def __repr__(self) -> str:
@@ -442,19 +456,18 @@ def read_constraint_file(path: Path) -> dict[str, Any]:
     """The JSON document in a constraint file.
 
     Raises:
-        ConstraintMismatchError: There is no such file, or it is no JSON.
+        ConstraintMismatchError: There is no such file, it is none that may be read, or it is no JSON.
     """
-    if not path.is_file():
-        what = "is a folder" if path.is_dir() else "does not exist"
-        raise ConstraintMismatchError(f"constraint file {path} {what}; `manip-learn learn ... --out FILE` writes one")
     try:
-        return json.loads(path.read_bytes())
-    except (ValueError, RecursionError) as error:
-        raise ConstraintMismatchError(
-            f"{path} is not a constraint file, it is not JSON: name what `manip-learn learn --out FILE` or save() wrote"
-        ) from error
+        return parsed_json(read_regular_file(path, LARGEST_FILE))
     except OSError as error:
-        raise ConstraintMismatchError(f"cannot read {path}: {error.strerror}") from error
+        _, sentence = unreadable(path, error)
+        raise ConstraintMismatchError(f"{sentence}; `manip-learn learn ... --out FILE` writes a constraint") from error
+    except ValueError as error:
+        raise ConstraintMismatchError(
+            f"{path} is not a constraint file, it is not JSON ({reason_of(error)}): name what "
+            "`manip-learn learn --out FILE` or save() wrote"
+        ) from error
 
 
 def _check_robot(path: str, content: Mapping[str, Any], robot: Robot, same_urdf: bool) -> None:
@@ -476,8 +489,8 @@ def _check_robot(path: str, content: Mapping[str, Any], robot: Robot, same_urdf:
         )
     if same_urdf and saved.get("locked", robot.locked) != robot.locked:
         raise ConstraintMismatchError(
-            f"{path} was made with {_in_words(saved['locked'])}, {robot.name!r} has {_in_words(robot.locked)}: "
-            "load the robot with joints locked at the same positions"
+            f"{path} was made with {locks_in_words(saved['locked'])}, {robot.name!r} has "
+            f"{locks_in_words(robot.locked)}: load the robot with joints locked at the same positions"
         )
     if same_urdf and saved.get("fingerprint") != robot.fingerprint:
         raise ConstraintMismatchError(
@@ -490,7 +503,8 @@ def _check_robot(path: str, content: Mapping[str, Any], robot: Robot, same_urdf:
         )
 
 
-def _in_words(locked: Mapping[str, float]) -> str:
+def locks_in_words(locked: Mapping[str, float]) -> str:
+    """Return joints with the positions that they are locked at."""
     return ", ".join(f"{name} = {value:.4g}" for name, value in locked.items()) + " locked" if locked else "none locked"
 
 

@@ -15,7 +15,7 @@ from manip_learn.control.controller import ResolvedRateController
 from manip_learn.control.law_sequence import constraint_of, held_frame, law_of, task_of
 from manip_learn.control.rollout import Rollout, written_constraint
 from manip_learn.control.servo_loop import ServoLoop
-from manip_learn.errors import ConfigurationError, an
+from manip_learn.errors import ConfigurationError, advice, an
 from manip_learn.recordings.trajectory_source import Progress
 from manip_learn.robot.batch.postures import checked_postures
 from manip_learn.robot.identity import RobotIdentity
@@ -100,6 +100,7 @@ def simulate(
         )
     if not (np.isfinite(dt) and dt > 0.0 and np.isfinite(duration) and duration >= 0.0):
         raise ConfigurationError(f"duration and dt must be positive numbers of seconds, got {duration!r} and {dt!r}")
+    _refuse_too_many(duration / dt, np.size(q0))
     if method not in ("euler", "rk4"):
         raise ConfigurationError(f"method must be 'euler' or 'rk4', not {method!r}")
     steps = round(duration / dt)
@@ -143,6 +144,20 @@ def simulate(
         following_error=np.array([c.following_error for c in commands]) if isinstance(controller, ServoLoop) else None,
         **guided(controller),
     )
+
+
+def _refuse_too_many(steps: float, numbers: int) -> None:
+    """Refuse more samples than there is memory for, before the first one is made.
+
+    Raises:
+        ConfigurationError: Says how much memory they take, and what takes less.
+    """
+    size = 16.0 * steps * numbers  # [bytes] of postures and velocities
+    try:
+        np.empty(int(min(size, 2.0**62)), dtype=np.uint8)
+    except MemoryError as error:
+        fix = advice("take {}", "a shorter duration or a larger dt", "a shorter --duration or a larger --dt")
+        raise ConfigurationError(f"{steps:.3g} samples take {size / 1e9:.3g} GB of memory and more: {fix}") from error
 
 
 def _compiled(

@@ -5,7 +5,6 @@ What a data set says about itself is read first. LeRobot does not store units, s
 
 from __future__ import annotations
 
-import json
 import re
 from collections.abc import Iterable, Iterator, Sequence
 from contextlib import contextmanager
@@ -35,6 +34,7 @@ from manip_learn.recordings.readers.recording import (
     refuse_lost,
     refusing_damage,
 )
+from manip_learn.robot.description.text import parsed_json
 
 STATE, VELOCITY, EFFORT = "observation.state", "observation.velocity", "observation.effort"
 BATCH = 65_536  # rows in memory: some 10 MB
@@ -293,8 +293,8 @@ def open_dataset(path: Path) -> LeRobotDataset:
         if info_path is None:
             return LeRobotDataset(path, files)
     try:
-        info = json.loads(metadata_text(info_path))
-    except (ValueError, RecursionError) as error:
+        info = parsed_json(metadata_text(info_path))
+    except ValueError as error:
         raise refusal(info_path, "damaged", f"not valid JSON: {reason_of(error)}", in_full=True) from error
     if not isinstance(info, dict):
         raise refusal(info_path, "damaged", f"an object is needed, this is {type(info).__name__}", in_full=True)

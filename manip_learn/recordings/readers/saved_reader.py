@@ -9,12 +9,19 @@ from pathlib import Path
 
 import numpy as np
 
-from manip_learn.errors import RecordingError
 from manip_learn.recordings.format_words import DATASET_HEADER, MARK
 from manip_learn.recordings.readers.csv_reader import text_lines
 from manip_learn.recordings.readers.npz_reader import stored_arrays, texts_of
 from manip_learn.recordings.readers.read_request import ReadRequest
-from manip_learn.recordings.readers.recording import LONGEST_TEXT, Recording, float_array, refusal, refusing_damage
+from manip_learn.recordings.readers.recording import (
+    LONGEST_TEXT,
+    Recording,
+    check_regular,
+    float_array,
+    metadata_text,
+    refusal,
+    refusing_damage,
+)
 from manip_learn.recordings.saved_motion import (
     PREFIX,
     ROLLOUT_CURVES,
@@ -42,9 +49,8 @@ def file_header(path: Path) -> FileHeader | None:
     with refusing_damage(path):
         if path.is_dir():
             inner = path / DATASET_HEADER
-            return FileHeader.from_json(inner.read_bytes()) if inner.is_file() else None
-        if path.exists() and not path.is_file():
-            raise refusal(path, "not-a-file", "this is not a regular file; give a rollout or a recording")
+            return FileHeader.from_json(metadata_text(inner)) if inner.is_file() else None
+        check_regular(path)
         with path.open(encoding="utf-8-sig", errors="replace") as file:  # bytes that are no text: other characters
             start = file.read(len(JSON_LINES))
             if start.startswith("PK"):
@@ -71,8 +77,6 @@ def read_saved(path: Path) -> SavedMotion:
     Raises:
         RecordingError: No such file, a damaged one, or one of another kind.
     """
-    if not path.exists():
-        raise RecordingError(f"rollout file {path} does not exist", code="missing", path=path)
     with refusing_damage(path):
         header = file_header(path)
         if header is None:

@@ -1,4 +1,5 @@
-"""Text of a robot description: bytes read without trusting the path, XML without surprises.
+"""Text of a robot description, or of another file of somebody else: bytes read without trusting the path, XML and JSON
+without surprises.
 
 XML has no entities and no doctypes here; its nodes know their line and whose they are, and refusals name both.
 """
@@ -6,15 +7,17 @@ XML has no entities and no doctypes here; its nodes know their line and whose th
 from __future__ import annotations
 
 import errno
+import json
 import math
 import os
 import re
 import stat
 import xml.parsers.expat
+from collections import Counter
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import final, overload
+from typing import Any, BinaryIO, final, overload
 from xml.parsers.expat import ExpatError, errors
 
 from manip_learn.errors import RobotError, advice, closest_names, counted
@@ -24,6 +27,7 @@ MAX_WARNINGS = 100  # nobody reads more
 MAX_BYTES = 10_000_000  # of a description; the largest of example-robot-data has 0.2
 MAX_ELEMENTS = 200_000  # of one file, so that memory and time stay small
 MAX_NESTING = 60  # URDF needs 6, nested bodies of MJCF one a joint
+DEEPEST = 100  # brackets of JSON or YAML within each other; beyond, parsers take quadratic time or run out of stack
 MAX_ATTRIBUTE = 100_000  # [characters] no robot needs more than a few hundred
 # no two ways to read the same digits: else a long number with a typing error takes minutes
 NUMBER_TEXT = re.compile(r"[+-]?(\d+(\.\d*)?|\.\d+)([eE][+-]?\d+)?", re.ASCII)
@@ -85,52 +89,103 @@ def meant(name: str, known: Iterable[str], otherwise: str) -> str:
     return f"did you mean {quoted(near)}?" if near else otherwise
 
 
-def read_regular_file(path: Path, most: int) -> bytes:
-    """Content of a regular file of at most `most` bytes.
+def open_regular_file(path: str | os.PathLike[str]) -> BinaryIO:
+    """Open a regular file that somebody else wrote, without waiting for the writer of a pipe.
 
     Raises:
-        OSError: As from `open`; `ENXIO` if it is no regular file, `EFBIG` if it is larger.
-        ValueError: The path holds a zero byte.
+        OSError: As from `open`; `ENXIO` if it is no regular file, `EINVAL` if no file can have that path.
     """
 
     def without_waiting(name: str, flags: int) -> int:  # opening a pipe would wait for its writer
         return os.open(name, flags | getattr(os, "O_NONBLOCK", 0))
 
-    with open(path, "rb", opener=without_waiting) as file:
-        status = os.fstat(file.fileno())
-        if not stat.S_ISREG(status.st_mode):
-            raise OSError(errno.ENXIO, "not a regular file")
-        if status.st_size > most:
-            raise OSError(errno.EFBIG, f"{status.st_size} bytes")
-        content = file.read(most + 1)
-    if len(content) > most:
-        raise OSError(errno.EFBIG, f"more than {most} bytes")
+    try:
+        file = open(path, "rb", opener=without_waiting)
+    except ValueError as error:
+        raise OSError(errno.EINVAL, f"not a usable path, {error}") from error
+    if not stat.S_ISREG(os.fstat(file.fileno()).st_mode):
+        file.close()
+        raise OSError(errno.ENXIO, "not a regular file")
+    return file
+
+
+def read_regular_file(path: str | os.PathLike[str], most: int) -> bytes:
+    """Return the content of a regular file of at most `most` bytes.
+
+    Raises:
+        OSError: As from `open_regular_file`; `EFBIG` if it is larger.
+    """
+    with open_regular_file(path) as file:
+        size = os.fstat(file.fileno()).st_size
+        content = b"" if size > most else file.read(most + 1)
+    if max(size, len(content)) > most:
+        raise OSError(errno.EFBIG, f"{max(size, len(content)):,} bytes or more, at most {most:,} are read")
     return content
 
 
+def unreadable(path: str | os.PathLike[str], error: OSError) -> tuple[str, str]:
+    """Return the code and the sentence of a file that cannot be read: what is in its place, and what to do.
+
+    The codes are `missing`, `not-a-file`, `file-too-large` and `unreadable`.
+    """
+    match error.errno:
+        case errno.ENOENT | errno.ENOTDIR:
+            return "missing", f"{path}: there is no such file; check the path"
+        case errno.EISDIR:
+            return "not-a-file", f"{path}: not a regular file; it is a folder, name a file in it"
+        case errno.ENXIO:
+            seen = "not a regular file, but a pipe, such as <(command), or a device"
+            return "not-a-file", f"{path}: {seen}; write its content to a file first"
+        case errno.EFBIG:
+            return "file-too-large", f"{path}: the file has {error.strerror}; is it the right one?"
+        case errno.EACCES | errno.EPERM:
+            return "unreadable", f"{path}: it may not be read; change its permissions, or ask whose it is"
+    return "unreadable", f"{path}: cannot be opened ({error.strerror or error}); check the path"
+
+
+def parsed_json(content: bytes | str) -> Any:
+    """Return what a JSON document of somebody else holds.
+
+    Raises:
+        ValueError: It is no JSON, or no reader agrees with another on it: a key that stands twice, an integer that no
+            number of 64 bits holds, values too deep within each other.
+    """
+
+    def whole(digits: str) -> int:
+        if len(digits) > len(str(-(2**63))):
+            raise ValueError(f"the integer {digits[:8]}... has {len(digits)} digits")
+        return int(digits)
+
+    def once(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
+        twice = next((key for key, n in Counter(key for key, _ in pairs).items() if n > 1), None)
+        if twice is not None:
+            raise ValueError(f"the key {shortened(twice)!r} stands twice")
+        return dict(pairs)
+
+    try:
+        value = json.loads(content, parse_int=whole, object_pairs_hook=once)
+        level, depth = [value], 0
+        while level := [x for x in level if isinstance(x, dict | list)]:
+            level, depth = [y for x in level for y in (x.values() if isinstance(x, dict) else x)], depth + 1
+            if depth > DEEPEST:
+                raise RecursionError
+    except RecursionError:
+        raise ValueError(f"more than {DEEPEST} brackets are open within each other") from None
+    return value
+
+
 def read_description(path: Path) -> bytes:
-    """Content of a regular file of at most 10 MB.
+    """Return the content of a regular file of at most 10 MB.
 
     Raises:
         RobotError: Codes `missing`, `not-a-file`, `unreadable`, `file-too-large`.
     """
     try:
         return read_regular_file(path, MAX_BYTES)
-    except (OSError, ValueError) as error:
-        if isinstance(error, ValueError):
-            code, sentence = "unreadable", f"{str(path)!r}: not a usable path ({error})"
-        elif isinstance(error, FileNotFoundError | NotADirectoryError):
-            code, sentence = "missing", f"{path}: there is no such file; check the path"
-        elif error.errno == errno.EFBIG:
-            limit = f"at most {MAX_BYTES} are read; is it a robot description?"
-            code, sentence = "file-too-large", f"{path}: the file has {error.strerror}, {limit}"
-        elif error.errno not in (errno.ENXIO, errno.EISDIR):
-            fix = "check the path and its permissions"
-            code, sentence = "unreadable", f"{path}: cannot be read ({error.strerror}); {fix}"
-        else:
-            inside = ", ".join(sorted(p.name for p in path.glob("*.urdf"))[:NAMES_SHOWN]) if path.is_dir() else ""
-            hint = f"it is a folder; name a file in it, e.g. {inside}" if inside else "name a URDF file"
-            code, sentence = "not-a-file", f"{path}: not a regular file; {hint}"
+    except OSError as error:
+        code, sentence = unreadable(path, error)
+        if inside := sorted(p.name for p in path.glob("*.urdf"))[:NAMES_SHOWN] if error.errno == errno.EISDIR else []:
+            sentence += f", e.g. {', '.join(inside)}"
         raise RobotError(sentence, code=code, path=path) from error
 
 
