@@ -26,11 +26,8 @@ def main(argv: Sequence[str] | None = None) -> int:
     if argv is not None:
         return _run(list(argv))
     signal.signal(signal.SIGINT, _interrupt)
-    while (
-        nowhere := os.open(os.devnull, os.O_RDWR)
-    ) <= 2:  # a shell has closed what has this number: else files get it
+    while os.open(os.devnull, os.O_RDWR) < 2:  # what a shell has closed, or the next file would get its number
         continue
-    os.close(nowhere)
     sys.stdout, sys.stderr = sys.stdout or open(1, "w"), sys.stderr or open(2, "w")
     sys.unraisablehook = _unraisable
     sys.exit(_run(sys.argv[1:]))

@@ -38,9 +38,7 @@ def load_for_files(name: str, files: Sequence[str], loading: RobotOptions) -> Ro
     Rollouts and exported recordings do.
     """
     header, file = _first_header(files)
-    if header is None:
-        return loading.load(name)
-    made_with = header.robot
+    made_with = None if header is None else header.robot
     if made_with is None:
         return loading.load(name)
     plain = loading.load(name, objects=loading.objects or made_with.objects)
@@ -65,10 +63,9 @@ def _first_header(files: Sequence[str]) -> tuple[FileHeader | None, Path]:
         path = Path(file)
         if path.is_dir() and file_header(path) is None:
             try:
-                inner = recording_files(path)[0][0].path
+                path = recording_files(path)[0][0].path
             except RecordingError:  # reading says what is wrong with the folder
                 continue
-            path = inner
         header = file_header(path) if path.exists() else None
         if header is not None:
             return header, path
@@ -91,9 +88,8 @@ def load_for_joints(
     robot = loading.load(name, held, objects)
     if tuple(robot.joint_names) == tuple(joints):
         return robot
-    for joint in joints:
-        if joint not in robot.joint_names:
-            raise UnknownNameError("joint", joint, robot.joint_names, f"robot {robot.name!r}")
+    if lacking := [joint for joint in joints if joint not in robot.joint_names]:
+        raise UnknownNameError("joint", lacking[0], robot.joint_names, f"robot {robot.name!r}")
     others = [j for j in robot.joint_names if j not in joints]
     return loading.load(name, {**held, **dict.fromkeys(others)}, objects)
 

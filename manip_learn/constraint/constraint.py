@@ -29,6 +29,7 @@ from manip_learn.linalg import along_axes, finite, manipulability_of, orthonorma
 from manip_learn.recordings.readers.recording import reason_of
 from manip_learn.robot import html_card
 from manip_learn.robot.description.text import parsed_json, read_regular_file, unreadable
+from manip_learn.robot.identity import RobotIdentity
 from manip_learn.robot.robot import Robot
 
 _FORMAT = "manip_learn.constraint"
@@ -342,16 +343,14 @@ class Constraint:
         if content.get("schema") != SCHEMA:
             seen = f"{source} has schema {content.get('schema')!r}, this version reads {SCHEMA}"
             raise ConstraintMismatchError(f"{seen}: learn the constraint again")
+        _check_robot(source, content, robot, same_urdf)
         try:
-            _check_robot(source, content, robot, same_urdf)
             features = described_features(content["features"], robot)
             constraint = Constraint(content["selection"], features, content.get("provenance"))
             _check_rows(content, constraint)
             then, digest = content["robot"].get("locked", robot.locked), signed(content)[SIGNATURE]
         except DAMAGE as error:
             raise damaged(source, error) from error
-        except ConstraintMismatchError:
-            raise
         except ManipLearnError as error:
             raise ConstraintMismatchError(f"{source}: {error}") from error
         if content.get(SIGNATURE, digest) != digest:
@@ -461,8 +460,8 @@ def read_constraint_file(path: Path) -> dict[str, Any]:
     try:
         return parsed_json(read_regular_file(path, LARGEST_FILE))
     except OSError as error:
-        _, sentence = unreadable(path, error)
-        raise ConstraintMismatchError(f"{sentence}; `manip-learn learn ... --out FILE` writes a constraint") from error
+        said = f"{path}: {unreadable(error)[1]}; `manip-learn learn ... --out FILE` writes a constraint"
+        raise ConstraintMismatchError(said) from error
     except ValueError as error:
         raise ConstraintMismatchError(
             f"{path} is not a constraint file, it is not JSON ({reason_of(error)}): name what "
@@ -471,31 +470,24 @@ def read_constraint_file(path: Path) -> dict[str, Any]:
 
 
 def _check_robot(path: str, content: Mapping[str, Any], robot: Robot, same_urdf: bool) -> None:
-    saved = content.get("robot")
-    if not isinstance(saved, dict):
-        raise ConstraintMismatchError(f"{path} names no robot: the file is damaged; save it again")
-    joints = saved.get("joint_names")
-    if not isinstance(joints, list) or joints != list(robot.joint_names):
-        named = ", ".join(map(str, joints)) if isinstance(joints, list) else repr(joints)
+    try:
+        made = RobotIdentity.from_dict(content.get("robot"))
+    except DAMAGE as error:
+        raise damaged(path, error) from error
+    if made.joint_names != robot.joint_names:
         raise ConstraintMismatchError(
-            f"{path} was made for robot {saved.get('name')!r} with the joints {named}; "
-            f"{robot.name!r} has {', '.join(robot.joint_names)}: load that robot, with the same locked joints "
-            "and objects"
+            f"{path} was made for robot {made.name!r} with the joints {', '.join(made.joint_names)}; {robot.name!r} "
+            f"has {', '.join(robot.joint_names)}: load that robot, with the same locked joints and objects"
         )
-    locked = saved.get("locked", {})
-    if not isinstance(locked, dict) or not all(type(x) in (int, float) for x in locked.values()):
+    if same_urdf and content["robot"].get("locked", robot.locked) != robot.locked:
         raise ConstraintMismatchError(
-            f"{path} does not say where joints were locked: the file is damaged; save it again"
+            f"{path} was made with {locks_in_words(made.locked)}, {robot.name!r} has {locks_in_words(robot.locked)}: "
+            "load the robot with joints locked at the same positions"
         )
-    if same_urdf and saved.get("locked", robot.locked) != robot.locked:
+    if same_urdf and made.fingerprint != robot.fingerprint:
         raise ConstraintMismatchError(
-            f"{path} was made with {locks_in_words(saved['locked'])}, {robot.name!r} has "
-            f"{locks_in_words(robot.locked)}: load the robot with joints locked at the same positions"
-        )
-    if same_urdf and saved.get("fingerprint") != robot.fingerprint:
-        raise ConstraintMismatchError(
-            f"{path} was made for another version of robot {saved.get('name')!r} (hash "
-            f"{str(saved.get('fingerprint'))[:12]}, this one {robot.fingerprint[:12]}): "
+            f"{path} was made for another version of robot {made.name!r} (hash {made.fingerprint[:12]}, this one "
+            f"{robot.fingerprint[:12]}): "
             + spoken(
                 "learn it again, or load it with same_urdf=False if only looks have changed",
                 "learn it again, or name the description that it was learnt with",

@@ -15,7 +15,7 @@ from manip_learn.control.controller import ResolvedRateController
 from manip_learn.control.law_sequence import constraint_of, held_frame, law_of, task_of
 from manip_learn.control.rollout import Rollout, written_constraint
 from manip_learn.control.servo_loop import ServoLoop
-from manip_learn.errors import ConfigurationError, advice, an
+from manip_learn.errors import ConfigurationError, an
 from manip_learn.recordings.trajectory_source import Progress
 from manip_learn.robot.batch.postures import checked_postures
 from manip_learn.robot.identity import RobotIdentity
@@ -23,6 +23,7 @@ from manip_learn.robot.robot import Robot
 
 # rollouts of a table that are made together: more hold memory twice, fewer leave cores idle at the end of each block
 _STARTS = 256
+MOST_STEPS = 1e15  # of a rollout: no memory holds more, and NumPy says of fewer how much there would have to be
 
 
 @overload
@@ -98,9 +99,9 @@ def simulate(
         raise ConfigurationError(
             f"call simulate(robot, controller, q0): got {an(robot)}, {an(controller)} and {an(q0)}, in this order"
         )
-    if not (np.isfinite(dt) and dt > 0.0 and np.isfinite(duration) and duration >= 0.0):
-        raise ConfigurationError(f"duration and dt must be positive numbers of seconds, got {duration!r} and {dt!r}")
-    _refuse_too_many(duration / dt, np.size(q0))
+    if not (np.isfinite(dt) and dt > 0.0 and 0.0 <= duration < MOST_STEPS * dt):
+        wanted = f"positive numbers of seconds, for at most {MOST_STEPS:.0g} steps"
+        raise ConfigurationError(f"duration and dt must be {wanted}, got {duration!r} and {dt!r}")
     if method not in ("euler", "rk4"):
         raise ConfigurationError(f"method must be 'euler' or 'rk4', not {method!r}")
     steps = round(duration / dt)
@@ -144,20 +145,6 @@ def simulate(
         following_error=np.array([c.following_error for c in commands]) if isinstance(controller, ServoLoop) else None,
         **guided(controller),
     )
-
-
-def _refuse_too_many(steps: float, numbers: int) -> None:
-    """Refuse more samples than there is memory for, before the first one is made.
-
-    Raises:
-        ConfigurationError: Says how much memory they take, and what takes less.
-    """
-    size = 16.0 * steps * numbers  # [bytes] of postures and velocities
-    try:
-        np.empty(int(min(size, 2.0**62)), dtype=np.uint8)
-    except MemoryError as error:
-        fix = advice("take {}", "a shorter duration or a larger dt", "a shorter --duration or a larger --dt")
-        raise ConfigurationError(f"{steps:.3g} samples take {size / 1e9:.3g} GB of memory and more: {fix}") from error
 
 
 def _compiled(

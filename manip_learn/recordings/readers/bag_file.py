@@ -117,8 +117,7 @@ def _opened(path: Path, stack: contextlib.ExitStack) -> BagFile:
     if path.is_dir():
         metadata_text(path / "metadata.yaml")  # refuses one that is too large or too deep
     else:
-        with path.open("rb") as opened:
-            head = opened.read(8)
+        head = check_regular(path)
         is_ros1 = head.startswith(b"#ROSBAG")
         suffix = ".bag" if is_ros1 else ".mcap" if head.startswith(b"\x89MCAP") else ".db3"
         # the library goes by the suffix, and its SQLite address cannot hold every character of a path
@@ -183,7 +182,7 @@ def _check_before(file: Path) -> None:
 
     The newest messages are in the log and not in the database yet.
     """
-    if file.is_file():
+    if not file.is_dir():
         check_regular(file)
     if file.suffix == ".zstd":
         with file.open("rb") as opened:

@@ -29,7 +29,6 @@ from manip_learn.recordings.readers.recording import (
     metadata_text,
     most_bytes,
     natural_order,
-    reason_of,
     refusal,
     refuse_lost,
     refusing_damage,
@@ -292,10 +291,8 @@ def open_dataset(path: Path) -> LeRobotDataset:
         info_path = next((place for place in around if place.is_file()), None)
         if info_path is None:
             return LeRobotDataset(path, files)
-    try:
+    with refusing_damage(info_path):
         info = parsed_json(metadata_text(info_path))
-    except ValueError as error:
-        raise refusal(info_path, "damaged", f"not valid JSON: {reason_of(error)}", in_full=True) from error
     if not isinstance(info, dict):
         raise refusal(info_path, "damaged", f"an object is needed, this is {type(info).__name__}", in_full=True)
     version, features, fps = (info.get(name) for name in ("codebase_version", "features", "fps"))

@@ -16,7 +16,7 @@ import numpy as np
 from jaxtyping import Float
 
 from manip_learn.errors import DAMAGE, RecordingError
-from manip_learn.robot.description.text import DEEPEST, open_regular_file, read_regular_file, unreadable
+from manip_learn.robot.description.text import DEEPEST, UNREADABLE, open_regular_file, read_regular_file, unreadable
 
 _LONGEST = 160  # characters of a foreign text: two lines of a terminal
 POINTER = b"version https://git-lfs"  # how the text begins that Git LFS leaves in place of a file
@@ -52,6 +52,7 @@ class Recording:
         effort_names: One joint name per column of `efforts`.
         efforts: shape (T, e) [N m or N], or None.
         sha256: Of the file; empty for a folder.
+        lag: By how far the positions were at most from where they were commanded to be, if that is known [rad or m].
     """
 
     path: Path
@@ -69,6 +70,7 @@ class Recording:
     effort_names: tuple[str, ...] = ()
     efforts: Float[np.ndarray, "T e"] | None = None
     sha256: str = ""
+    lag: float = 0.0
 
     @staticmethod
     def of(
@@ -144,7 +146,10 @@ def refusing_damage(path: Path, *more: type[Exception]) -> Iterator[None]:
         code, said = "damaged", f"the file is damaged ({reason_of(error)}): download, copy or save it again"
         if isinstance(error, MemoryError):
             code, said = "too-large", f"there is too little memory for it ({reason_of(error)}): divide the recording"
-        raise refusal(path, code, said) from error
+        elif isinstance(error, OSError) and error.errno in UNREADABLE:
+            code, said = unreadable(error)
+        codes = {"missing": "missing-file", "file-too-large": "too-large"}
+        raise refusal(path, codes.get(code, code), said, in_full=code != "damaged") from error
 
 
 def reason_of(error: BaseException) -> str:
@@ -166,21 +171,17 @@ def natural_order(name: str) -> tuple[tuple[int, int, str], ...]:
     return tuple((0, int(p), "") if p.isdecimal() and len(p) < 400 else (1, 0, p) for p in parts)
 
 
-def check_regular(path: Path) -> None:
-    """Refuse what is neither a file nor there, and a file that only stands for one.
+def check_regular(path: Path) -> bytes:
+    """Return how a file begins, 4 kB at most; refuse what is neither a file nor there, and what only stands for one.
 
     Raises:
         RecordingError: Missing, not readable, a pipe, a device, a pointer of Git LFS.
     """
-    try:
-        with open_regular_file(path) as file:
-            is_pointer = file.read(len(POINTER)) == POINTER
-    except OSError as error:
-        code, sentence = unreadable(path, error)
-        raise RecordingError(sentence, code="missing-file" if code == "missing" else code, path=path) from error
-    if is_pointer:
-        text = "this is a Git LFS pointer, not the recording itself: run `git lfs pull`"
-        raise refusal(path, "git-lfs", text)
+    with refusing_damage(path), open_regular_file(path) as file:
+        head = file.read(4096)
+    if head.startswith(POINTER):
+        raise refusal(path, "git-lfs", "this is a Git LFS pointer, not the recording itself: run `git lfs pull`")
+    return head
 
 
 def most_bytes(packed: int) -> int:
@@ -222,13 +223,8 @@ def metadata_text(path: Path) -> str:
     Raises:
         RecordingError: Not a regular file, too large, brackets too deep within each other, or no UTF-8.
     """
-    check_regular(path)
-    try:
+    with refusing_damage(path):
         text = read_regular_file(path, LARGEST_METADATA).decode()
-    except OSError as error:
-        raise refusal(path, "too-large", f"it has {error.strerror}", in_full=True) from error
-    except ValueError as error:
-        raise refusal(path, "damaged", f"it cannot be read as text: {reason_of(error)}", in_full=True) from error
     depths = itertools.accumulate(1 if mark in "[{" else -1 for mark in re.findall(r"[][{}]", text))
     if any(depth > DEEPEST for depth in depths):
         raise refusal(path, "damaged", f"more than {DEEPEST} brackets are open within each other", in_full=True)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import io
 import itertools
 import zipfile
 from collections.abc import Iterator
@@ -13,15 +14,7 @@ from manip_learn.recordings.format_words import DATASET_HEADER, MARK
 from manip_learn.recordings.readers.csv_reader import text_lines
 from manip_learn.recordings.readers.npz_reader import stored_arrays, texts_of
 from manip_learn.recordings.readers.read_request import ReadRequest
-from manip_learn.recordings.readers.recording import (
-    LONGEST_TEXT,
-    Recording,
-    check_regular,
-    float_array,
-    metadata_text,
-    refusal,
-    refusing_damage,
-)
+from manip_learn.recordings.readers.recording import LONGEST_TEXT, Recording, float_array, refusal, refusing_damage
 from manip_learn.recordings.saved_motion import (
     PREFIX,
     ROLLOUT_CURVES,
@@ -34,6 +27,7 @@ from manip_learn.recordings.saved_motion import (
     joint_positions,
 )
 from manip_learn.recordings.trajectory import BESIDE_POSITIONS
+from manip_learn.robot.description.text import open_regular_file, read_regular_file
 
 _ARRAYS = ("time", "q", *ROLLOUT_CURVES)
 TEXTS = ("format", "header", "status", "joint_names")
@@ -49,9 +43,10 @@ def file_header(path: Path) -> FileHeader | None:
     with refusing_damage(path):
         if path.is_dir():
             inner = path / DATASET_HEADER
-            return FileHeader.from_json(metadata_text(inner)) if inner.is_file() else None
-        check_regular(path)
-        with path.open(encoding="utf-8-sig", errors="replace") as file:  # bytes that are no text: other characters
+            return FileHeader.from_json(read_regular_file(inner, LONGEST_TEXT)) if inner.is_file() else None
+        with io.TextIOWrapper(
+            open_regular_file(path), "utf-8-sig", "replace"
+        ) as file:  # bytes that are no text: other characters
             start = file.read(len(JSON_LINES))
             if start.startswith("PK"):
                 with zipfile.ZipFile(path) as zipped:
@@ -82,9 +77,7 @@ def read_saved(path: Path) -> SavedMotion:
         if header is None:
             said = "no rollout; `manip-learn control ... --out FILE.npz` writes one (.npz and .csv are read back)"
             raise refusal(path, "not-a-rollout", said)
-        with path.open("rb") as file:
-            is_archive = file.read(2) == b"PK"
-        arrays = _of_archive(path, header) if is_archive else _of_table(path, header)
+        arrays = _of_archive(path, header) if zipfile.is_zipfile(path) else _of_table(path, header)
         return checked_motion(path, SavedMotion(header, arrays, path.name))
 
 
@@ -96,7 +89,8 @@ def read(path: Path, request: ReadRequest) -> Iterator[Recording]:
     names = request.renamed(*motion.header.joint_names)
     q = joint_positions(path, motion.arrays["q"], names, request.robot)
     beside = (motion.arrays.get(name) for name in BESIDE_POSITIONS)
-    own = {"in_seconds": True, "trusted": True, "notes": notes}
+    lag = float(np.nanmax(motion.arrays.get("following_error", 0.0), initial=0.0))
+    own = {"in_seconds": True, "trusted": True, "notes": notes, "lag": lag}
     yield Recording.of(path, path.name, motion.arrays["time"], names, q, *beside, **own)
 
 

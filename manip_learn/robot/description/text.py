@@ -13,7 +13,6 @@ import os
 import re
 import stat
 import xml.parsers.expat
-from collections import Counter
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -32,6 +31,15 @@ MAX_ATTRIBUTE = 100_000  # [characters] no robot needs more than a few hundred
 # no two ways to read the same digits: else a long number with a typing error takes minutes
 NUMBER_TEXT = re.compile(r"[+-]?(\d+(\.\d*)?|\.\d+)([eE][+-]?\d+)?", re.ASCII)
 LARGEST_READ = 1e100  # squares and products of what is larger overflow
+# error of the operating system -> code and sentence of a file that cannot be read
+UNREADABLE: dict[int, tuple[str, str]] = {
+    **dict.fromkeys((errno.ENOENT, errno.ENOTDIR), ("missing", "there is no such file; check the path")),
+    errno.EISDIR: ("not-a-file", "not a regular file; it is a folder, name a file in it"),
+    errno.ENXIO: ("not-a-file", "not a regular file, but a device or a pipe as of <(); write it to a file first"),
+    errno.EFBIG: ("file-too-large", "the file has {}; is it the right one?"),
+    errno.ELOOP: ("unreadable", "cannot be opened, the link leads to itself; name the file"),
+    **dict.fromkeys((errno.EACCES, errno.EPERM), ("unreadable", "it may not be read; change its permissions")),
+}
 NAMED = ("link", "joint", "body", "site")  # elements that messages speak of by name
 
 
@@ -95,12 +103,8 @@ def open_regular_file(path: str | os.PathLike[str]) -> BinaryIO:
     Raises:
         OSError: As from `open`; `ENXIO` if it is no regular file, `EINVAL` if no file can have that path.
     """
-
-    def without_waiting(name: str, flags: int) -> int:  # opening a pipe would wait for its writer
-        return os.open(name, flags | getattr(os, "O_NONBLOCK", 0))
-
-    try:
-        file = open(path, "rb", opener=without_waiting)
+    try:  # opening a pipe would wait for its writer
+        file = open(path, "rb", opener=lambda name, flags: os.open(name, flags | os.O_NONBLOCK))
     except ValueError as error:
         raise OSError(errno.EINVAL, f"not a usable path, {error}") from error
     if not stat.S_ISREG(os.fstat(file.fileno()).st_mode):
@@ -116,62 +120,43 @@ def read_regular_file(path: str | os.PathLike[str], most: int) -> bytes:
         OSError: As from `open_regular_file`; `EFBIG` if it is larger.
     """
     with open_regular_file(path) as file:
-        size = os.fstat(file.fileno()).st_size
-        content = b"" if size > most else file.read(most + 1)
-    if max(size, len(content)) > most:
-        raise OSError(errno.EFBIG, f"{max(size, len(content)):,} bytes or more, at most {most:,} are read")
+        content = file.read(most + 1)
+    if len(content) > most:
+        raise OSError(errno.EFBIG, f"more than {most:,} bytes")
     return content
 
 
-def unreadable(path: str | os.PathLike[str], error: OSError) -> tuple[str, str]:
-    """Return the code and the sentence of a file that cannot be read: what is in its place, and what to do.
-
-    The codes are `missing`, `not-a-file`, `file-too-large` and `unreadable`.
-    """
-    match error.errno:
-        case errno.ENOENT | errno.ENOTDIR:
-            return "missing", f"{path}: there is no such file; check the path"
-        case errno.EISDIR:
-            return "not-a-file", f"{path}: not a regular file; it is a folder, name a file in it"
-        case errno.ENXIO:
-            seen = "not a regular file, but a pipe, such as <(command), or a device"
-            return "not-a-file", f"{path}: {seen}; write its content to a file first"
-        case errno.EFBIG:
-            return "file-too-large", f"{path}: the file has {error.strerror}; is it the right one?"
-        case errno.EACCES | errno.EPERM:
-            return "unreadable", f"{path}: it may not be read; change its permissions, or ask whose it is"
-    return "unreadable", f"{path}: cannot be opened ({error.strerror or error}); check the path"
+def unreadable(error: OSError) -> tuple[str, str]:
+    """Return the code and the words for a file that cannot be read: what is in its place, and what to do."""
+    code, said = UNREADABLE.get(error.errno or 0, ("unreadable", "cannot be opened ({}); check the path"))
+    return code, said.format(error.strerror or error)
 
 
 def parsed_json(content: bytes | str) -> Any:
     """Return what a JSON document of somebody else holds.
 
     Raises:
-        ValueError: It is no JSON, or no reader agrees with another on it: a key that stands twice, an integer that no
-            number of 64 bits holds, values too deep within each other.
+        ValueError: It is no JSON, a key stands twice, or values lie too deep within each other.
     """
 
-    def whole(digits: str) -> int:
-        if len(digits) > len(str(-(2**63))):
-            raise ValueError(f"the integer {digits[:8]}... has {len(digits)} digits")
-        return int(digits)
-
     def once(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
-        twice = next((key for key, n in Counter(key for key, _ in pairs).items() if n > 1), None)
-        if twice is not None:
-            raise ValueError(f"the key {shortened(twice)!r} stands twice")
-        return dict(pairs)
+        known = dict(pairs)
+        if len(known) < len(pairs):
+            raise ValueError(f"one of the keys {quoted(list(known))} stands twice")
+        return known
+
+    def depth(value: Any) -> int:
+        inner = value.values() if isinstance(value, dict) else value if isinstance(value, list) else ()
+        return 1 + max(map(depth, inner), default=0)
 
     try:
-        value = json.loads(content, parse_int=whole, object_pairs_hook=once)
-        level, depth = [value], 0
-        while level := [x for x in level if isinstance(x, dict | list)]:
-            level, depth = [y for x in level for y in (x.values() if isinstance(x, dict) else x)], depth + 1
-            if depth > DEEPEST:
-                raise RecursionError
+        # an integer beyond 64 bits is what it is elsewhere, a float, and infinite where that has no such number
+        value = json.loads(content, object_pairs_hook=once, parse_int=lambda n: int(n) if len(n) < 20 else float(n))
+        if depth(value) <= DEEPEST:
+            return value
     except RecursionError:
-        raise ValueError(f"more than {DEEPEST} brackets are open within each other") from None
-    return value
+        pass
+    raise ValueError(f"more than {DEEPEST} brackets are open within each other")
 
 
 def read_description(path: Path) -> bytes:
@@ -183,10 +168,9 @@ def read_description(path: Path) -> bytes:
     try:
         return read_regular_file(path, MAX_BYTES)
     except OSError as error:
-        code, sentence = unreadable(path, error)
-        if inside := sorted(p.name for p in path.glob("*.urdf"))[:NAMES_SHOWN] if error.errno == errno.EISDIR else []:
-            sentence += f", e.g. {', '.join(inside)}"
-        raise RobotError(sentence, code=code, path=path) from error
+        (code, said), inside = unreadable(error), sorted(p.name for p in path.glob("*.urdf")) if path.is_dir() else []
+        more = f", e.g. {', '.join(inside[:NAMES_SHOWN])}" if inside else ""
+        raise RobotError(f"{path}: {said}{more}", code=code, path=path) from error
 
 
 @final
