@@ -357,10 +357,10 @@ def _by_place(parts: Sequence[Part], settings: LearnerSettings) -> tuple[list[_L
     with as many rows, are of the same thing.
     """
     out, alone, waiting = list[_Located](), list[Stretch](), list(parts)
-    joined, settled = set[Stretch](), set[Stretch]()
-    # What falls: what is divided after it was joined is settled, and is divided once more at most, never joined. So
-    # there are fewer stretches to settle with each such division, fewer parts with each join, and of what never was
-    # joined, fewer stretches in a part with each division.
+    joined, divided = set[Stretch](), list[Stretch]()
+    # What falls: what is divided once more after it was joined counts, and is joined no more from the second time on (two
+    # tests may disagree for ever). So with each such division stretches come nearer to staying apart, with each join
+    # there are fewer parts, and with each division of what never was joined fewer stretches in a part.
     while waiting:
         part = waiting.pop(0)
         found = _mechanism(part, settings)
@@ -369,7 +369,7 @@ def _by_place(parts: Sequence[Part], settings: LearnerSettings) -> tuple[list[_L
         several = len(set(recordings)) > 1  # else the stretches of the only one count as such
         shared = [group for group in places if len({recordings[i] for i in group} if several else group) > 1]
         if 2 * sum(map(len, shared)) > sum(map(len, places)):
-            settled |= joined.intersection(part.stretches)
+            divided += joined.intersection(part.stretches)
             waiting[:0] = [_with_own_rows(part.of([part.stretches[i] for i in group])) for group in shared]
             alone += [part.stretches[i] for group in places if group not in shared for i in group]
         elif found is not None and places:
@@ -388,7 +388,8 @@ def _by_place(parts: Sequence[Part], settings: LearnerSettings) -> tuple[list[_L
         else:
             for one in [x for x in out if x.example is None and _same_rows(x.part, part)]:
                 both = (*one.part.stretches, *part.stretches)
-                if settled.isdisjoint(both) and at_one_place(one.mechanism and one.mechanism.fit, found and found.fit):
+                fits = one.mechanism and one.mechanism.fit, found and found.fit
+                if max(map(divided.count, both)) < 2 and at_one_place(*fits):
                     # apart for an arm that is not quite its description
                     joined.update(both)
                     out.remove(one)

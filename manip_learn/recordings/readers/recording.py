@@ -111,9 +111,7 @@ class Recording:
     def refusal(self, code: str, text: str, *, sample: int | None = None, column: str | None = None) -> RecordingError:
         """The error that refuses this recording, with its place."""
         line = None if sample is None else self.line(sample)
-        where = self.name if line is None else f"{self.name}:{line}"
-        if sample is not None and line is None:
-            where += f" sample {int(sample)}"
+        where = self.name + ("" if sample is None else f" sample {int(sample)}" if line is None else f":{line}")
         if column is not None:
             where += f", column {column!r}"
         return RecordingError(f"{where}: {text}", code=code, path=self.path, line=line, column=column)
