@@ -169,8 +169,9 @@ def test_contradicting_files_are_refused(robot_of, features, tmp_path):
 
 
 def test_a_file_changed_by_hand_is_told(robot_of, features, tmp_path):
-    """A turned row, another place and other postures are refused, and taken with a warning once the signature is deleted
-    as the sentence says, in Python and, as a note, by commands, until they are saved again; a file that another program wrote again, in another order and with 1 for 1.0, is the same.
+    """A turned row, another place and other postures are refused. They are taken once the signature is deleted as the
+    sentence says, with a warning, or a note of the command, until they are saved again. A file that another program
+    wrote again, in another order and with 1 for 1.0, is the same.
     """
     robot, path = robot_of("sawyer"), tmp_path / "c.json"
     constraint = Constraint([[0, 0, 1.0, 0, 0, 0]], features, {"postures": [[0.1] * 7], "shown": {"extent": 0.3}})

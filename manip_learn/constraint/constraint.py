@@ -359,8 +359,7 @@ class Constraint:
                 f'it again or fetch the original; if the change is meant, delete the entry "{SIGNATURE}"'
             )
         if SIGNATURE not in content:
-            unsigned = f"{source} states no SHA-256, as a file of version 0.1 or one that was changed by hand: whether "
-            unsigned += "it is what was learnt is for you to know; saved again, it states one"
+            unsigned = f"{source} states no SHA-256, as a file of 0.1 or one changed by hand; saved again, it does"
             constraint.notes = (unsigned,)
             if spoken("in Python", ""):  # commands print the notes
                 warnings.warn(unsigned, UserWarning, stacklevel=2)

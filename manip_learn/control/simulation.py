@@ -15,7 +15,7 @@ from manip_learn.control.controller import ResolvedRateController
 from manip_learn.control.law_sequence import constraint_of, held_frame, law_of, task_of
 from manip_learn.control.rollout import Rollout, written_constraint
 from manip_learn.control.servo_loop import ServoLoop
-from manip_learn.errors import ConfigurationError, an
+from manip_learn.errors import ConfigurationError, advice, an
 from manip_learn.recordings.trajectory_source import Progress
 from manip_learn.robot.batch.postures import checked_postures
 from manip_learn.robot.identity import RobotIdentity
@@ -23,7 +23,6 @@ from manip_learn.robot.robot import Robot
 
 # rollouts of a table that are made together: more hold memory twice, fewer leave cores idle at the end of each block
 _STARTS = 256
-MOST_STEPS = 1e15  # of a rollout: no memory holds more, and NumPy says of fewer how much there would have to be
 
 
 @overload
@@ -99,9 +98,15 @@ def simulate(
         raise ConfigurationError(
             f"call simulate(robot, controller, q0): got {an(robot)}, {an(controller)} and {an(q0)}, in this order"
         )
-    if not (np.isfinite(dt) and dt > 0.0 and 0.0 <= duration < MOST_STEPS * dt):
-        wanted = f"positive numbers of seconds, for at most {MOST_STEPS:.0g} steps"
-        raise ConfigurationError(f"duration and dt must be {wanted}, got {duration!r} and {dt!r}")
+    if not (np.isfinite(dt) and dt > 0.0 and np.isfinite(duration) and duration >= 0.0):
+        raise ConfigurationError(f"duration and dt must be positive numbers of seconds, got {duration!r} and {dt!r}")
+    size = 16.0 * np.size(q0) * (duration / dt)  # [bytes] of postures and velocities
+    try:
+        np.empty(int(min(size, 2.0**62)), dtype=np.uint8)
+    except MemoryError as error:
+        fix = advice("{}", "a shorter duration or a larger dt", "a shorter --duration or a larger --dt")
+        said = f"{duration / dt:.3g} steps take {size / 1e9:.3g} GB of memory and more: take {fix}"
+        raise ConfigurationError(said) from error
     if method not in ("euler", "rk4"):
         raise ConfigurationError(f"method must be 'euler' or 'rk4', not {method!r}")
     steps = round(duration / dt)

@@ -182,11 +182,9 @@ def _check_before(file: Path) -> None:
 
     The newest messages are in the log and not in the database yet.
     """
-    if not file.is_dir():
-        check_regular(file)
+    head = b"" if file.is_dir() else check_regular(file)
     if file.suffix == ".zstd":
-        with file.open("rb") as opened:
-            _refuse_claim(file, opened.read(18), file.stat().st_size)  # the longest head of a frame
+        _refuse_claim(file, head[:18], file.stat().st_size)  # the longest head of a frame
     for side in (file.with_name(file.name + end) for end in ("-wal", "-journal")):
         if side.is_file() and (size := side.stat().st_size):
             text = f"in a copy of the folder, put the last messages into the database: sqlite3 {file.name} 'PRAGMA "

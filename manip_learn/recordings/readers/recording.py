@@ -52,7 +52,7 @@ class Recording:
         effort_names: One joint name per column of `efforts`.
         efforts: shape (T, e) [N m or N], or None.
         sha256: Of the file; empty for a folder.
-        lag: By how far the positions were at most from where they were commanded to be, if that is known [rad or m].
+        lag: By how far the positions were at most from where they were commanded to be [rad or m]; of trusted ones.
     """
 
     path: Path

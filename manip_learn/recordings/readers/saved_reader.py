@@ -31,6 +31,8 @@ from manip_learn.robot.description.text import open_regular_file, read_regular_f
 
 _ARRAYS = ("time", "q", *ROLLOUT_CURVES)
 TEXTS = ("format", "header", "status", "joint_names")
+# [rad or m] by which positions may always be off their velocities: by the integration of a simulation, by encoders
+LAGS = {"rollout": 1e-3, "recording": 1e-2}
 JSON_LINES = '{"format": "manip_learn.'  # how they began
 
 
@@ -83,13 +85,12 @@ def read_saved(path: Path) -> SavedMotion:
 
 def read(path: Path, request: ReadRequest) -> Iterator[Recording]:
     """The one recording of a file."""
-    header = file_header(path)
-    notes = () if header is None else check_robot(path, header, request.robot)
     motion = read_saved(path)
+    notes = check_robot(path, motion.header, request.robot)
     names = request.renamed(*motion.header.joint_names)
     q = joint_positions(path, motion.arrays["q"], names, request.robot)
     beside = (motion.arrays.get(name) for name in BESIDE_POSITIONS)
-    lag = float(np.nanmax(motion.arrays.get("following_error", 0.0), initial=0.0))
+    lag = float(np.nanmax(np.append(motion.arrays.get("following_error", 0.0), LAGS[motion.header.kind])))
     own = {"in_seconds": True, "trusted": True, "notes": notes, "lag": lag}
     yield Recording.of(path, path.name, motion.arrays["time"], names, q, *beside, **own)
 

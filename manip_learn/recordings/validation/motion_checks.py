@@ -28,8 +28,7 @@ UNIT_OFF, _ALIKE = 0.2, 0.8
 # of two motions in turn: samples within which each is heard again, the fewest jumps between them, and the least size of
 # a jump [rad or m], which quanta of a coarse encoder on all joints together do not reach
 LAGS, FEWEST_JUMPS, SMALLEST = 20, 10, 0.1
-# [rad or m] by which positions and the integral of velocities may always differ; parts of a motion that are compared
-_APART, _PARTS = 0.02, 32
+_PARTS = 32  # of a motion, in which positions and the integral of velocities are compared
 SELDOM = 0.05  # of the samples, at most, are failed reads; a second publisher's are more
 
 
@@ -164,7 +163,7 @@ def _refuse_contradiction(motion: MotionInFile, u: Float[np.ndarray, "T nv"]) ->
     off, most = np.sum((parts[0] - parts[1]) ** 2, axis=0), np.max(np.sum(parts**2, axis=1), axis=0)
     # of what has several coordinates a velocity is no derivative of them
     single = np.array([len(b.coordinate_names) == 1 for b in robot.blocks for _ in b.coordinate_names])
-    wrong = single & (off > 0.5 * most) & (apart.max(axis=0) > _APART + 2.0 * motion.recording.lag)
+    wrong = single & (off > 0.5 * most) & (apart.max(axis=0) > 2.0 * motion.recording.lag)
     if np.any(wrong):
         i = int(np.argmax(np.where(wrong, apart.max(axis=0), 0.0)))
         k, unit = int(np.argmax(apart[:, i])), robot.joint_units[i]
