@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import contextlib
 import errno
+import fcntl
+import glob
 import os
 import secrets
 import stat
@@ -16,7 +18,8 @@ def write_atomically(path: str | os.PathLike[str], content: bytes | str) -> Path
     """Write `content` to `path`; whoever reads the path sees the old content or the new one, never a part of it.
 
     The bytes go to a temporary file in the same folder, are flushed to the disk, and take the place of the old file in
-    one step. Missing folders are made. Text is written as UTF-8, line ends as they are.
+    one step. Missing folders are made. Text is written as UTF-8, line ends as they are. Temporary files for this name
+    whose writers were killed are removed.
 
     Returns:
         The absolute path that was written.
@@ -26,17 +29,17 @@ def write_atomically(path: str | os.PathLike[str], content: bytes | str) -> Path
     """
     target = _checked_target(path)
     data = content.encode("utf-8") if isinstance(content, str) else bytes(content)
-    temporary = target.with_name(f".{target.name[:20]}.{secrets.token_hex(6)}.tmp")
+    temporary = None
     try:
         target.parent.mkdir(parents=True, exist_ok=True)
-        descriptor = os.open(temporary, os.O_WRONLY | os.O_CREAT | os.O_EXCL | getattr(os, "O_BINARY", 0), 0o666)
+        descriptor, temporary = _locked_beside(target)
         with os.fdopen(descriptor, "wb") as file:
             file.write(data)
             file.flush()
             os.fsync(file.fileno())
-        if target.exists():
-            temporary.chmod(stat.S_IMODE(target.stat().st_mode))
-        os.replace(temporary, target)
+            if target.exists():
+                temporary.chmod(stat.S_IMODE(target.stat().st_mode))
+            os.replace(temporary, target)  # while it is locked
         with contextlib.suppress(OSError):
             descriptor = os.open(target.parent, os.O_RDONLY)
             try:
@@ -51,9 +54,27 @@ def write_atomically(path: str | os.PathLike[str], content: bytes | str) -> Path
         )
         raise OutputError(f"cannot write {target}: {error.strerror or error}; {remedy}") from error
     finally:
-        with contextlib.suppress(OSError):
-            temporary.unlink(missing_ok=True)
+        if temporary is not None:
+            with contextlib.suppress(OSError):
+                temporary.unlink(missing_ok=True)
     return target
+
+
+def _locked_beside(target: Path) -> tuple[int, Path]:
+    """Open a new file beside the target, locked as long as it is open, and remove those that nobody has locked."""
+    start, random = f".{target.name[:20]}.", 6  # bytes of the name that are drawn
+    for left in target.parent.glob(f"{glob.escape(start)}{2 * random * '[0-9a-f]'}.tmp"):
+        with contextlib.suppress(OSError), left.open("rb") as file:
+            fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
+            left.unlink()
+    while True:
+        temporary = target.with_name(f"{start}{secrets.token_hex(random)}.tmp")
+        descriptor = os.open(temporary, os.O_WRONLY | os.O_CREAT | os.O_EXCL, 0o666)
+        with contextlib.suppress(OSError):  # some disks of other machines have no locks, and nothing is removed there
+            fcntl.flock(descriptor, fcntl.LOCK_EX)
+        if os.fstat(descriptor).st_nlink:
+            return descriptor, temporary
+        os.close(descriptor)  # another writer took it for one that was left before it was locked
 
 
 def has_no_room(error: OSError) -> bool:

@@ -26,7 +26,9 @@ def main(argv: Sequence[str] | None = None) -> int:
     if argv is not None:
         return _run(list(argv))
     signal.signal(signal.SIGINT, _interrupt)
-    sys.stdout = sys.stdout or open(os.devnull, "w")  # None where a shell has closed it: nobody wants the answer
+    while os.open(os.devnull, os.O_RDWR) < 2:  # what a shell has closed, or the next file would get its number
+        continue
+    sys.stdout, sys.stderr = sys.stdout or open(1, "w"), sys.stderr or open(2, "w")
     sys.unraisablehook = _unraisable
     sys.exit(_run(sys.argv[1:]))
 
@@ -101,6 +103,9 @@ def _exit_code(command: Callable[[], Any], as_json: bool) -> int:
     except SystemExit as end:  # of a signal; of a completion; of rich and typer, for a pipe that nobody reads
         code = end.code if isinstance(end.code, int) else 1
         return code if code > 128 or COMPLETION in os.environ else nobody_reads()
+    except MemoryError as error:
+        fix = "take fewer or shorter recordings, a shorter --duration or a larger --dt"
+        return refuse(f"there is too little memory ({error or 'for small things, too'}): {fix}", as_json, "system")
     except OSError as error:
         if isinstance(error.__context__, SystemExit):  # SIGHUP: the terminal is gone that was to be tidied up
             return int(error.__context__.code or 1)

@@ -163,7 +163,21 @@ def _rebuilt(kind: type[ManipLearnError], args: tuple[Any, ...], facts: dict[str
     return error
 
 
-class RobotError(ManipLearnError):
+class _InFileError(ManipLearnError):
+    def __init__(
+        self,
+        message: str,
+        *,
+        code: str | None = None,
+        path: Path | None = None,
+        line: int | None = None,
+        column: str | None = None,
+    ):
+        super().__init__(message, code=code)
+        self.path, self.line, self.column = path, line, column
+
+
+class RobotError(_InFileError):
     """A robot description cannot be used.
 
     Attributes:
@@ -172,11 +186,7 @@ class RobotError(ManipLearnError):
         line: Line in the file, counted from 1, or None.
     """
 
-    def __init__(self, message: str, *, code: str = "robot", path: Path | None = None, line: int | None = None):
-        super().__init__(message)
-        self.code = code
-        self.path = path
-        self.line = line
+    code = "robot"
 
 
 class UnknownNameError(ManipLearnError):
@@ -265,7 +275,7 @@ class ConstraintMismatchError(ConstraintError):
     code = "constraint-file"
 
 
-class RecordingError(ManipLearnError):
+class RecordingError(_InFileError):
     """A recording cannot be used.
 
     Attributes:
@@ -275,20 +285,7 @@ class RecordingError(ManipLearnError):
         column: Column name, or None.
     """
 
-    def __init__(
-        self,
-        message: str,
-        *,
-        code: str = "recording",
-        path: Path | None = None,
-        line: int | None = None,
-        column: str | None = None,
-    ):
-        super().__init__(message)
-        self.code = code
-        self.path = path
-        self.line = line
-        self.column = column
+    code = "recording"
 
 
 class NotIdentifiableError(ManipLearnError):

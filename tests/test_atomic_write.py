@@ -43,6 +43,45 @@ def test_leaves_nothing_behind(tmp_path, monkeypatch):
     assert path.read_text() == "old"
 
 
+WRITER = """
+import os, sys
+from manip_learn.atomic_write import write_atomically
+
+def at_the_disk(descriptor):
+    print("writing", flush=True)
+    sys.stdin.readline() or os.kill(os.getpid(), 9)
+
+os.fsync = at_the_disk
+write_atomically(sys.argv[1], "theirs")
+"""
+
+
+def test_what_a_killed_writer_left_is_swept_and_no_living_ones_file(tmp_path):
+    """By the next writing of the same name; a file that only looks alike stays, and a writer at work ends its work."""
+    path = tmp_path / "run[1].npz"
+
+    def writer():
+        pipes = {"stdin": subprocess.PIPE, "stdout": subprocess.PIPE, "text": True}
+        started = subprocess.Popen([sys.executable, "-c", WRITER, str(path)], **pipes)
+        assert started.stdout.readline() == "writing\n"
+        return started
+
+    def temporary():
+        return sorted(p.name for p in tmp_path.iterdir() if p.name.endswith(".tmp"))
+
+    alike = tmp_path / ".run[1].npz.notes.tmp"
+    alike.write_text("mine")
+    killed, living = writer(), writer()
+    assert len(temporary()) == 3
+    killed.communicate("", timeout=60)
+    assert killed.returncode == -9 and len(temporary()) == 3
+    write_atomically(path, "ours")
+    assert len(temporary()) == 2 and path.read_text() == "ours"
+    living.communicate("go on\n" * 3, timeout=60)
+    assert living.returncode == 0 and temporary() == [alike.name]
+    assert path.read_text() == "theirs" and alike.read_text() == "mine"
+
+
 def test_refuses_folders_and_devices(tmp_path):
     """A folder, a device, an empty path and a folder that is a file are each refused in one sentence."""
     (tmp_path / "file").write_text("")

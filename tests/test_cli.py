@@ -534,3 +534,17 @@ def test_ctrl_c_leaves_no_traceback_from_the_first_moment_on():
         command = [sys.executable, "-c", INTERRUPTED_AT, str(moment), "inspect", "planar3"]
         done = subprocess.run(command, capture_output=True, text=True, timeout=60)
         assert done.returncode == 130 and done.stderr.strip() in ("", "interrupted"), (moment, done.stderr)
+
+
+@pytest.mark.parametrize("closed", ["2>&-", ">&-", ">&- 2>&-", "<&- >&- 2>&-"])
+def test_closed_streams_are_as_no_terminal(closed: str, tmp_path: Path) -> None:
+    """The work is done and its files are whole, none of them in a stream's place; an error still has its exit code."""
+    line = f'"$0" -m manip_learn export planar3 "{DATA / "planar3_reach"}" --to csv --out out {closed}'
+    environment = os.environ | {"PYTHONPATH": os.pathsep.join(sys.path)}
+    said = {}
+    for words in (line, line.replace("planar3_reach", "nothing")):
+        command = ["sh", "-c", words, sys.executable]
+        done = subprocess.run(command, cwd=tmp_path, env=environment, capture_output=True, text=True, timeout=100)
+        said[done.returncode] = done.stdout + done.stderr
+    assert said.keys() == {0, 2} and "Error" not in said[0] + said[2]
+    assert len(list((tmp_path / "out").iterdir())) == 20

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import os
+import socket
 import subprocess
 import sys
 from pathlib import Path
@@ -15,8 +16,11 @@ from case import case
 from manip_learn.cli import main
 from manip_learn.constraint.constraint import Constraint
 from manip_learn.constraint.features import FrameJacobian
+from manip_learn.constraint.skill import Skill
 from manip_learn.control.rollout import Rollout
-from manip_learn.errors import ManipLearnError, RecordingError
+from manip_learn.errors import ConstraintMismatchError, ManipLearnError, RecordingError, SceneError
+from manip_learn.planning.scene import Scene
+from manip_learn.recordings import load_demonstrations
 from manip_learn.robot import Robot, load_robot
 from manip_learn.robot.identity import RobotIdentity
 
@@ -140,3 +144,135 @@ def test_an_answer_that_cannot_be_printed(rollout: Rollout, tmp_path: Path) -> N
     assert done.returncode == 2 and done.stderr.count("\n") == 1
     assert "cannot be printed" in done.stderr
     assert main(["replay", "planar3", str(rollout.save(tmp_path / "r.npz")), "--html", "/dev/full"]) == 2
+
+
+def _socket(path: Path) -> None:
+    with socket.socket(socket.AF_UNIX) as end:
+        end.bind(str(path))
+
+
+# what can lie where a file is expected -> what the sentence says
+IN_PLACE = {
+    "a pipe": (lambda path: os.mkfifo(path), "write it to a file first"),
+    "an endless device": (lambda path: path.symlink_to("/dev/zero"), "write it to a file first"),
+    "a socket": (_socket, "write it to a file first"),
+    "a link to itself": (lambda path: path.symlink_to(path), "link leads to itself"),
+    "nothing": (lambda path: None, "no such file"),
+}
+DOORS = {
+    "constraint.json": Constraint.load,
+    "skill.json": Skill.load,
+    "scene.json": Scene.load,
+    "scene.urdf": Scene.load,
+    "run.npz": Rollout.load,
+    "run.csv": Rollout.load,
+    "demo.csv": load_demonstrations,
+    "demo.npz": load_demonstrations,
+    "arm.urdf": lambda path, robot: load_robot(path),
+    "arm.xml": lambda path, robot: load_robot(path),
+    "arm.xacro": lambda path, robot: load_robot(path, xacro=True),
+}
+
+
+@pytest.mark.parametrize("what", IN_PLACE)
+def test_what_is_no_file_is_refused_at_each_door(what: str, robot: Robot, tmp_path: Path, monkeypatch) -> None:
+    """At once, by the same words, without a byte of it being read; so is what may not be read."""
+    monkeypatch.chdir(tmp_path)  # the address of a socket is short
+    make, words = IN_PLACE[what]
+    for name, load in DOORS.items():
+        make(Path(name))
+        with case(name), pytest.raises(ManipLearnError, match=words) as refused:
+            load(Path(name), robot)
+        assert name in str(refused.value) and "\n" not in str(refused.value) and "damaged" not in str(refused.value)
+
+
+def test_what_may_not_be_read_is_not_called_damaged(robot: Robot, tmp_path: Path, monkeypatch) -> None:
+    """At each door; a folder is called one."""
+    opened = os.open
+
+    def protected(path, *flags, **more):
+        if Path(path).parent == tmp_path:
+            raise PermissionError(13, "Permission denied")
+        return opened(path, *flags, **more)
+
+    for name, load in DOORS.items():
+        (tmp_path / name).write_text("{}")
+        with case(name), monkeypatch.context() as patch, pytest.raises(ManipLearnError, match="may not be read"):
+            patch.setattr(os, "open", protected)
+            load(tmp_path / name, robot)
+    (tmp_path / "folder").mkdir()
+    for load in (Constraint.load, Skill.load, Scene.load):
+        with pytest.raises(ManipLearnError, match="is a folder"):
+            load(tmp_path / "folder", robot)
+
+
+# JSON that parsers take badly -> what is said of a constraint and of a scene
+BAD_JSON = {
+    "an integer of 400 digits": ('{"floor": %s}' % ("1" + "0" * 400), "format", "floor is inf"),
+    "an integer of 5000 digits": ('{"floor": %s}' % ("1" + "0" * 5000), "format", "floor is inf"),
+    "a float beyond all": ('{"floor": 1e999}', "format", "floor is inf"),
+    "not a number": ('{"floor": NaN}', "format", "floor is nan"),
+    "lists 10,000 deep": ("[" * 10_000 + "]" * 10_000, "100 brackets", "100 brackets"),
+    "lists 200 deep": ('{"boxes": ' + "[" * 200 + "]" * 200 + "}", "100 brackets", "100 brackets"),
+    "objects 10,000 deep": ('{"floor": ' * 10_000 + "0" + "}" * 10_000, "100 brackets", "100 brackets"),
+    "a key that stands twice": ('{"boxes": [], "boxes": []}', "'boxes' stands twice", "'boxes' stands twice"),
+    "no UTF-8": (b'{"floor": "\xff\xfe\x80"}', "utf-8", "utf-8"),
+    "nothing": ("", "not JSON", "empty"),
+}
+
+
+@pytest.mark.parametrize("what", BAD_JSON)
+def test_json_that_parsers_take_badly(what: str, robot: Robot, tmp_path: Path, capsys) -> None:
+    """One sentence with the reason, from Python and with exit code 2 from commands; never an internal error."""
+    content, of_constraint, of_scene = BAD_JSON[what]
+    path = tmp_path / "file.json"
+    path.write_bytes(content if isinstance(content, bytes) else content.encode())
+    for load in (Constraint.load, Skill.load):
+        with pytest.raises(ConstraintMismatchError, match=of_constraint):
+            load(path, robot)
+    with pytest.raises(SceneError, match=of_scene):
+        Scene.load(path, robot)
+    for command in ("control", "repeat"):
+        assert main([command, "planar3", str(path)]) == 2
+        said = capsys.readouterr().err
+        assert "internal error" not in said and of_constraint in said and said.count("\n") == 1 and len(said) < 500
+
+
+def test_huge_numbers_in_a_constraint_are_refused(robot: Robot, tmp_path: Path) -> None:
+    """In each entry that decides anything; a byte-order mark, which some editors write, is not."""
+    path = Constraint([[1.0, 0.0, 0.0]], FrameJacobian(robot, robot.frame_names[-1], "planar")).save(
+        tmp_path / "c.json"
+    )
+    text, huge = path.read_text(), "1" + "0" * 400
+    path.write_bytes(b"\xef\xbb\xbf" + text.encode())
+    assert Constraint.load(path, robot).n_constraints == 1
+    for old, new in (
+        ('"n_constraints": 1', f'"n_constraints": {huge}'),
+        ("1.0,", f"{huge},"),
+        ('"schema": 1', f'"schema": {huge}'),
+    ):
+        path.write_text(text.replace(old, new, 1))
+        with case(old), pytest.raises(ConstraintMismatchError, match="c.json"):
+            Constraint.load(path, robot)
+
+
+def test_too_little_memory_is_said(robot: Robot, rollout: Rollout, tmp_path: Path, monkeypatch, capsys) -> None:
+    """How much was asked for and what asks for less: of a rollout, and of a file, which is not called damaged."""
+    path = Constraint([[0.0, 1.0]], FrameJacobian(robot, "tip", "x y")).save(tmp_path / "c.json")
+    command = ["control", "planar3", str(path), "--target", "1,1.5"]
+    for duration, dt, words in (
+        ("1e8", "1e-6", "1e+14 steps take 4.8e+06 GB"),
+        ("1e300", "1e-300", "inf steps take inf GB"),
+    ):
+        assert main([*command, "--duration", duration, "--dt", dt]) == 2
+        said = capsys.readouterr().err
+        assert words in said and "shorter --duration or a larger --dt" in said
+    run = rollout.save(tmp_path / "run.npz")
+
+    def full(*_: object) -> None:
+        raise MemoryError("Unable to allocate 3.2 GiB")
+
+    monkeypatch.setattr(np.lib.format, "read_magic", full)
+    with pytest.raises(RecordingError, match="too little memory .*3.2 GiB.*divide the recording") as refused:
+        Rollout.load(run)
+    assert refused.value.code == "too-large"

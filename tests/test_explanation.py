@@ -16,6 +16,7 @@ from task_sets import moving as recordings
 
 import manip_learn as ml
 from manip_learn.constraint.features import FrameJacobian
+from manip_learn.learning.explanation import explain
 from manip_learn.learning.explanation.evidence import (
     HeldScale,
     Stretch,
@@ -25,10 +26,12 @@ from manip_learn.learning.explanation.evidence import (
     sharpened,
     states_of,
 )
+from manip_learn.learning.explanation.explain import distinct
 from manip_learn.learning.explanation.findings import Findings, Part, agreeing, find
 from manip_learn.learning.explanation.row_motion import (
     RowMotion,
     broken_energy,
+    views_of,
 )
 from manip_learn.linalg import complement_rows, row_space_angle
 from manip_learn.recordings.demonstrations import Demonstrations
@@ -251,3 +254,26 @@ def test_no_sequence_of_states_is_better(rng: np.random.Generator) -> None:
     two = np.concatenate([rng.normal(size=(5, 1)), rng.normal(size=(7, 1))])  # of two lengths: each as if alone
     apart = [held_by(part, np.array([0, len(part)]), switch) for part in (two[:5], two[5:])]
     np.testing.assert_array_equal(held_by(two, np.array([0, 5, 12]), switch), np.concatenate(apart))
+
+
+def test_alike_rows_are_told_apart_in_as_many_steps_as_there_are_rows():
+    """Rows of no length, which are apart from themselves, as well."""
+    assert distinct(np.zeros((4, 1, 3))) == [0, 1, 2, 3]
+    assert distinct(np.eye(3)[[0, 1, 0, 2, 1]][:, None, :]) == [0, 1, 3]
+
+
+def test_hypotheses_that_replace_each_other_come_to_an_end(monkeypatch):
+    """Where each new one leaves the old ones idle and none counts as refused, the search gives up in the end."""
+    turns = []
+    monkeypatch.setattr(explain, "_similar", lambda *_: False)
+    monkeypatch.setattr(explain.Explanation, "supports", property(lambda now: np.full(len(now.hypotheses), 1e3)))
+
+    def replaced(now, hypothesis):
+        turns.append(hypothesis)
+        return explain.Explanation(now.views, (hypothesis,), now.switch)
+
+    monkeypatch.setattr(explain.Explanation, "with_one_more", replaced)
+    features, trajectories, _ = recordings("drawer", "panda", 2021, 3, whole=False)
+    views = views_of([features], trajectories)
+    now = explain.explain(views, lambda *_: True)
+    assert len(now.hypotheses) == 1 and len(turns) <= explain.MOST_CONSTRAINTS * explain.MOST_TESTED

@@ -3,20 +3,31 @@
 from __future__ import annotations
 
 import json
+import re
+from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
 from case import case
 from recording_corpus import refusal
+from task_sets import DATA as EXAMPLES
+from task_sets import LOCKED
 from test_saved_files import arm, rollout_of
 
 from manip_learn.cli import main
+from manip_learn.constraint.constraint import Constraint
+from manip_learn.constraint.features import FrameJacobian
+from manip_learn.control.controller import ResolvedRateController
+from manip_learn.control.rollout import Rollout
+from manip_learn.control.simulation import simulate
+from manip_learn.control.tasks import PointAttractor
 from manip_learn.errors import OutputError
 from manip_learn.recordings import load_demonstrations
 from manip_learn.recordings.saved_motion import motion_of_trajectory
 from manip_learn.recordings.trajectory import Trajectory
-from manip_learn.recordings.writers.write_motion import joint_trajectory_bytes, nanoseconds
+from manip_learn.recordings.writers.write_motion import joint_trajectory_bytes, nanoseconds, write_motion
 from manip_learn.robot import Robot, load_robot
 
 RECORDING = "time,j1,j2,j3,j1_velocity,j2_velocity,j3_velocity\n"
@@ -81,6 +92,89 @@ def test_a_rollout_with_a_locked_joint(folder: Path, tmp_path: Path, capsys) -> 
     demonstration = load_demonstrations(out, robot)[0]
     assert demonstration.q.tobytes() == rollout.q.tobytes()
     refusal(out, load_robot(folder / "arm.urdf"), match="'j2' is locked at 1.2, not free to move")
+
+
+@pytest.fixture(scope="module")
+def sawyer_run(robot_of) -> Rollout:
+    """A rollout of an arm with limits."""
+    robot = robot_of("sawyer")
+    constraint = Constraint([[0.0, 0.0, 1.0]], FrameJacobian(robot, "right_hand", "xyz"))
+    law = ResolvedRateController(constraint, PointAttractor([0.5, 0.3, 0.3]))
+    return simulate(robot, law, [0.1, -0.8, 0.2, 1.4, 0.1, 0.9, 0.3], 3.0, 0.01)
+
+
+def changed(run: Rollout, sample: int, joint: int, by: float) -> Rollout:
+    q = run.q.copy()
+    q[sample, joint] += by
+    return replace(run, q=q)
+
+
+# what happens to a rollout -> what the command says: joint, moment, and both figures
+NO_ARM_DID: dict[str, tuple[Callable[[Rollout], Rollout], str]] = {
+    "a posture of 1e9 rad": (
+        lambda r: changed(r, 10, 2, 1e9),
+        r"sample 10, column 'right_j2': 1e\+09 .*limits \[-3.04",
+    ),
+    "so at first": (lambda r: changed(r, 0, 2, 1e9), "column 'right_j2': the joint jumps from 1e"),
+    "so at last": (lambda r: changed(r, -1, 2, 1e9), r"sample 300, column 'right_j2': 1e\+09 is outside the limits"),
+    "all postures": (lambda r: replace(r, q=r.q + 1e9), "is outside the limits"),
+    "a jump": (lambda r: changed(r, 20, 1, 0.5), "sample 20, column 'right_j1': the joint jumps .* its limit is 1.33"),
+    "two joints exchanged": (lambda r: replace(r, q=r.q[:, [2, 1, 0, 3, 4, 5, 6]]), "has moved by .* velocities say"),
+    "velocities negated": (lambda r: replace(r, u=-r.u), "has moved by .* rad, its velocities say -?0"),
+    "velocities in degrees": (lambda r: replace(r, u=np.degrees(r.u)), "has moved by .* its velocities say"),
+    "velocities of a tenth": (lambda r: replace(r, u=0.1 * r.u), "has moved by .* its velocities say"),
+}
+
+
+@pytest.mark.parametrize("what", NO_ARM_DID)
+def test_what_no_arm_can_have_done_is_not_written(what: str, sawyer_run: Rollout, tmp_path: Path, capsys) -> None:
+    """A damaged rollout is refused with joint, moment and both figures, and nothing is written for the arm."""
+    change, words = NO_ARM_DID[what]
+    run, out = change(sawyer_run).save(tmp_path / "run.npz"), tmp_path / "out.yaml"
+    assert main(["export", "sawyer", str(run), "--out", str(out)]) == 2
+    assert re.search(words, capsys.readouterr().err) and not out.exists()
+
+
+def test_what_an_arm_did_is_written(sawyer_run: Rollout, robot_of, tmp_path: Path) -> None:
+    """From outside the limits, along them, in long steps, by another method; measured far behind its commands, stopped
+    by a jam, and led by hand while nothing was commanded.
+    """
+    robot, run = robot_of("sawyer"), sawyer_run
+    constraint = Constraint([[0.0, 0.0, 1.0]], FrameJacobian(robot, "right_hand", "xyz"))
+    law, top = ResolvedRateController(constraint), robot.position_upper[0]
+    outside, at = ([x, *run.q[0, 1:]] for x in (top + 0.6, top))
+    late, stuck = (np.minimum(np.arange(301), n) for n in (301, 150))
+    behind = run.q[np.maximum(late - 30, 0)]
+    lag = np.abs(run.q - behind).max(axis=1)
+    jammed = run.q[stuck]
+    by_hand = np.vstack([run.q, run.q[-1] + np.linspace(0.0, 0.5, 301)[:, None] * np.eye(7)[1]])
+    still = {name: np.concatenate([getattr(run, name)] * 2) for name in ("manipulability", "task_error")}
+    still |= {"time": np.arange(602) * 0.01, "u": np.vstack([run.u, 0.0 * run.u]), "status": run.status * 2}
+    for name, done in {
+        "outside": simulate(robot, law, outside, 1.0, 0.01),
+        "shortly outside": simulate(robot, law, outside, 0.05, 0.01),
+        "at a limit": simulate(robot, law, at, 1.0, 0.01),
+        "long steps": simulate(robot, law, run.q[0], 3.0, 0.25),
+        "another method": simulate(robot, law, run.q[0], 3.0, 0.25, "rk4"),
+        "behind": replace(run, q=behind, following_error=lag),
+        "jammed": replace(run, q=jammed, following_error=np.abs(run.q - jammed).max(axis=1)),
+        "by hand": replace(run, q=by_hand, **still),
+    }.items():
+        with case(name):
+            path = done.save(tmp_path / "run.npz")
+            assert main(["export", "sawyer", str(path), "--out", str(tmp_path / "out.csv")]) == 0
+
+
+def test_each_shipped_recording_is_written_and_read_again(tmp_path: Path) -> None:
+    """What the library wrote of a true recording is no damage when it is read again."""
+    for folder in sorted(path for path in EXAMPLES.iterdir() if path.is_dir()):
+        truth = folder / "truth.json"
+        name = json.loads(truth.read_text())["robot"] if truth.exists() else folder.name.split("_")[0]
+        robot = load_robot(name, locked=LOCKED.get(name, ()))
+        for i, trajectory in enumerate(load_demonstrations(folder, robot)[:3]):
+            with case(f"{folder.name} {i}"):
+                path = write_motion(tmp_path / "demo.csv", motion_of_trajectory(trajectory, robot))
+                assert load_demonstrations(path, robot)[0].q.tobytes() == trajectory.q.tobytes()
 
 
 def test_a_trajectory_is_yaml_for_ros(robot: Robot) -> None:

@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import sys
+from pathlib import Path
+
 import numpy as np
 import pytest
 from mechanism_motions import along, demonstrate, stroke, wave
@@ -9,6 +12,9 @@ from scipy.spatial.transform import Rotation
 from task_sets import arm
 
 import manip_learn as ml
+from manip_learn.learning import answer
+
+sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "benchmarks"))
 
 MIDDLE = {
     "panda": ("panda_hand_tcp", (0.0, -0.3, 0.0, -1.9, 0.0, 1.7, 0.6)),
@@ -111,3 +117,26 @@ def test_a_wide_cylinder_is_no_plane(name: str) -> None:
     assert mechanism is not None and mechanism.name == "cylinder"
     assert mechanism.radius == pytest.approx(1.0, rel=0.05)
     assert abs(mechanism.axis[1]) > 0.999
+
+
+# of benchmarks/fits_end.py: three for which a part was divided by its places, joined and divided again for ever (6, 79,
+# 84), and others of each kind, whole and cut
+SETS = (84, 2, 3, 4, 8, 9, 10, 12, 14, 16, 18, 22, 24, 26, 28, 30, 32, 34)
+
+
+@pytest.mark.parametrize("number", [*SETS, *(pytest.param(n, marks=pytest.mark.slow) for n in (6, 79, 1, 5, 7, 11))])
+def test_a_fit_ends(number: int, monkeypatch: pytest.MonkeyPatch) -> None:
+    """With an answer or a refusal, after no more searches for a mechanism than there are recordings, and some more."""
+    from fits_end import drawn, fitted
+
+    given, searched = drawn(number), []
+    search = answer.find_mechanism
+
+    def counted(*arguments, **more):
+        searched.append(number)
+        assert len(searched) <= 2 * len(given[2]) + 10, "the parts are divided and joined again and again"
+        return search(*arguments, **more)
+
+    if given is not None:  # the arm can do what was drawn
+        monkeypatch.setattr(answer, "find_mechanism", counted)
+        assert fitted(*given[1:])

@@ -132,7 +132,7 @@ TO_DO: dict[str, tuple[str, Build, tuple[str, ...], str]] = {
     "no joint states": ("no-joint-states", chatter, (), "record /joint_states"),
     "radians called degrees": ("degrees", one("a.csv", text(GOOD)), ("--degrees",), "leave --degrees out"),
     "a link to itself": ("unreadable", one("a.csv", lambda path: path.symlink_to(path)), (), "cannot be opened"),
-    "a pipe": ("not-a-file", one("a.csv", lambda path: os.mkfifo(path)), (), "give a rollout or a recording"),
+    "a pipe": ("not-a-file", one("a.csv", lambda path: os.mkfifo(path)), (), "write it to a file first"),
 }  # fmt: skip
 
 

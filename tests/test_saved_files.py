@@ -140,11 +140,15 @@ def test_no_file_is_used_with_another_robot_in_silence(
     for command in commands:
         code, said = main(command), capsys.readouterr()
         assert "internal error" not in said.err
+        if code == 0 and command[0] == "replay":  # what the file alone has locked is said, with its position
+            silent = {name: at for name, at in locked.items() if name not in used_locked}
+            notes = ["as when it was made: " + ", ".join(f"{n} = {x:.4g}" for n, x in silent.items()) + " locked"]
+            assert all(" ".join(note.split()) in " ".join(said.out.split()) for note in notes if silent)
         if not same_description:
             assert code == 2 and repr(own.name) in said.err and "was made with robot" in said.err
             assert not page.exists() and not learnt.exists()
     if same_description:
-        replay(own, {"run": rollout}, tmp_path / "direct.html", open_browser=False)
+        replay(own, {"run": rollout}, tmp_path / "direct.html", open_browser=False, notes=notes if silent else ())
         assert page.read_bytes() == (tmp_path / "direct.html").read_bytes()  # of the joints as they were locked
         if learnt.exists():  # there may be too little motion to learn from
             assert json.loads(learnt.read_text())["robot"]["locked"] == locked

@@ -12,7 +12,7 @@ from numpy.typing import ArrayLike
 
 from manip_learn.atomic_write import write_atomically
 from manip_learn.commands.command_line import refuse_to_replace
-from manip_learn.commands.loading import load_for_files, robot_of_constraint
+from manip_learn.commands.loading import load_for_files, locks_of_files, robot_of_constraint
 from manip_learn.commands.options import ExportOptions, vector
 from manip_learn.constraint.constraint import Constraint, read_constraint_file
 from manip_learn.control.interop.force_control import WRITERS as TASK_WRITERS
@@ -81,13 +81,16 @@ def export(options: ExportOptions, progress: Progress | None = None) -> Exported
             "LeRobot data and several files are written to a folder (a name without ending)"
         )
     robot = load_for_files(options.robot, options.files, options.loading)
+    locks = locks_of_files(robot, options.loading)
     if kind == RERUN:  # all of them in one file, rollouts with their curves
         from manip_learn.commands.replay import named_motions
         from manip_learn.playback.rerun_recording import write_rerun
 
         read = named_motions(options.files, robot, keywords)
         samples = sum(len(motion.time) for motion in read.motions.values())
-        return Exported(RERUN, (write_rerun(robot, read.motions, out),), len(read.motions), samples, tuple(read.notes))
+        return Exported(
+            RERUN, (write_rerun(robot, read.motions, out),), len(read.motions), samples, (*locks, *read.notes)
+        )
     demonstrations = load_demonstrations(options.files, robot, **keywords)
     motions = [motion_of_trajectory(t, robot) for t in demonstrations]
     if kind == _LEROBOT:
@@ -109,7 +112,7 @@ def export(options: ExportOptions, progress: Progress | None = None) -> Exported
         refuse_to_replace([("--out", name) for name in names], options.files)
         written = [content_of(m) for m in motions]  # nothing is written unless all can be
         files = tuple(map(write_atomically, names, written))
-    return Exported(kind, files, len(motions), sum(map(len, motions)), demonstrations.notes)
+    return Exported(kind, files, len(motions), sum(map(len, motions)), (*locks, *demonstrations.notes))
 
 
 def _export_task(options: ExportOptions, text_of: Callable[[Constraint, ArrayLike], str]) -> Exported:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from collections.abc import Mapping, Sequence
 from contextlib import AbstractContextManager, nullcontext
 from pathlib import Path
@@ -11,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from manip_learn.commands.options import RobotOptions
-from manip_learn.constraint.constraint import Constraint
+from manip_learn.constraint.constraint import Constraint, locks_in_words, read_constraint_file
 from manip_learn.control.limits import check_inside
 from manip_learn.errors import DAMAGE, ConstraintMismatchError, RecordingError, UnknownNameError, named
 from manip_learn.recordings.readers.read_request import unmoved_joint_names
@@ -39,9 +38,7 @@ def load_for_files(name: str, files: Sequence[str], loading: RobotOptions) -> Ro
     Rollouts and exported recordings do.
     """
     header, file = _first_header(files)
-    if header is None:
-        return loading.load(name)
-    made_with = header.robot
+    made_with = None if header is None else header.robot
     if made_with is None:
         return loading.load(name)
     plain = loading.load(name, objects=loading.objects or made_with.objects)
@@ -54,16 +51,21 @@ def load_for_files(name: str, files: Sequence[str], loading: RobotOptions) -> Ro
     return robot
 
 
+def locks_of_files(robot: Robot, loading: RobotOptions) -> list[str]:
+    """Return a note on the joints that are locked because the files say so, or nothing."""
+    locked = {name: position for name, position in robot.locked.items() if name not in (loading.lock or ())}
+    return [f"as when it was made: {locks_in_words(locked)}"] if locked else []
+
+
 def _first_header(files: Sequence[str]) -> tuple[FileHeader | None, Path]:
     """The first header that a file of the library has, of the paths given or the first file in each folder."""
     for file in files:
         path = Path(file)
         if path.is_dir() and file_header(path) is None:
             try:
-                inner = recording_files(path)[0][0].path
+                path = recording_files(path)[0][0].path
             except RecordingError:  # reading says what is wrong with the folder
                 continue
-            path = inner
         header = file_header(path) if path.exists() else None
         if header is not None:
             return header, path
@@ -86,9 +88,8 @@ def load_for_joints(
     robot = loading.load(name, held, objects)
     if tuple(robot.joint_names) == tuple(joints):
         return robot
-    for joint in joints:
-        if joint not in robot.joint_names:
-            raise UnknownNameError("joint", joint, robot.joint_names, f"robot {robot.name!r}")
+    if lacking := [joint for joint in joints if joint not in robot.joint_names]:
+        raise UnknownNameError("joint", lacking[0], robot.joint_names, f"robot {robot.name!r}")
     others = [j for j in robot.joint_names if j not in joints]
     return loading.load(name, {**held, **dict.fromkeys(others)}, objects)
 
@@ -101,10 +102,10 @@ def robot_of_constraint(robot_name: str, constraint_file: str, loading: RobotOpt
             objects than the options name.
     """
     try:
-        described = json.loads(Path(constraint_file).read_bytes()).get("robot") or {}
+        described = read_constraint_file(Path(constraint_file)).get("robot") or {}
         joints, locked = list(described["joint_names"]), dict(described.get("locked", {}))
         saved = [str(name) for name in described.get("objects", [])]
-    except DAMAGE:
+    except (*DAMAGE, ConstraintMismatchError):
         # Constraint.load says what is wrong with the file
         return loading.load(robot_name)
     if loading.objects and sorted(loading.objects) != sorted(saved):

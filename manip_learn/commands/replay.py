@@ -8,7 +8,7 @@ from itertools import chain, count
 from pathlib import Path
 from typing import Any, final
 
-from manip_learn.commands.loading import load_for_files, robot_of_constraint
+from manip_learn.commands.loading import load_for_files, locks_of_files, robot_of_constraint
 from manip_learn.commands.options import ReplayOptions
 from manip_learn.constraint.constraint import Constraint
 from manip_learn.control.rollout import Rollout
@@ -54,8 +54,10 @@ def replay_files(options: ReplayOptions, progress: Progress | None = None) -> Re
                 "save it again"
             )
         tip = tip or getattr(constraint.features, "frame", None)
+        notes = list(constraint.notes)
     else:
         robot = load_for_files(name, files, options.loading)
+        notes = locks_of_files(robot, options.loading)
     read = named_motions(files, robot, options.reading.keywords())
     return write_replay(
         robot,
@@ -65,7 +67,7 @@ def replay_files(options: ReplayOptions, progress: Progress | None = None) -> Re
         open_browser=options.open_browser,
         phases=phases_from_json((learnt.get("phases") if read.recordings else None) or []),
         mechanism=learnt.get("mechanism") or None,
-        notes=read.notes,
+        notes=[*notes, *read.notes],
         constraint=constraint,
         report=learnt or None,
     )
@@ -144,9 +146,5 @@ def named_motions(files: list[str], robot: Robot, keywords: Mapping[str, Any]) -
 
 
 def _is_rollout(path: Path) -> bool:
-    if not path.exists():
-        raise RecordingError(f"{path}: there is no such file: check the path", code="missing", path=path)
-    if not path.is_file():
-        return False
-    header = file_header(path)
+    header = file_header(path) if path.is_file() else None
     return header is not None and header.kind == "rollout"

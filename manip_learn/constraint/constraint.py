@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import hashlib
 import json
+import warnings
 from collections.abc import Iterable, Mapping
 from pathlib import Path
 from typing import Any, Protocol, final
@@ -27,11 +28,14 @@ from manip_learn.errors import DAMAGE, ConstraintError, ConstraintMismatchError,
 from manip_learn.linalg import along_axes, finite, manipulability_of, orthonormal_rows
 from manip_learn.recordings.readers.recording import reason_of
 from manip_learn.robot import html_card
+from manip_learn.robot.description.text import parsed_json, read_regular_file, unreadable
+from manip_learn.robot.identity import RobotIdentity
 from manip_learn.robot.robot import Robot
 
 _FORMAT = "manip_learn.constraint"
 SCHEMA = 1
 SIGNATURE = "sha256"  # entry of a file: the SHA-256 of what says where an arm goes
+LARGEST_FILE = 100_000_000  # [bytes] of a constraint: one of a hundred thousand recordings has a tenth of it
 NOT_EXACT = 1e-9  # of an entry of Lambda: rows written with ten digits are taken
 
 
@@ -319,6 +323,9 @@ class Constraint:
             ConstraintMismatchError: Another robot, another schema, no constraint file at all, rows that contradict
                 what the file says of them (their number, names, units, or that they are orthonormal), or a file that
                 was changed after it was saved.
+
+        Warns:
+            UserWarning: The file states no SHA-256, by which a change would be noticed.
         """
         return Constraint.from_dict(read_constraint_file(Path(path)), robot, source=str(path), same_urdf=same_urdf)
 
@@ -341,21 +348,26 @@ class Constraint:
             features = described_features(content["features"], robot)
             constraint = Constraint(content["selection"], features, content.get("provenance"))
             _check_rows(content, constraint)
+            then, digest = content["robot"].get("locked", robot.locked), signed(content)[SIGNATURE]
         except DAMAGE as error:
             raise damaged(source, error) from error
         except ManipLearnError as error:
             raise ConstraintMismatchError(f"{source}: {error}") from error
-        if SIGNATURE in content and content[SIGNATURE] != signed(content)[SIGNATURE]:
+        if content.get(SIGNATURE, digest) != digest:
             raise ConstraintMismatchError(
                 f"{source} was changed after it was saved: its contents do not have the SHA-256 that it states. Learn "
                 f'it again or fetch the original; if the change is meant, delete the entry "{SIGNATURE}"'
             )
-        then = content["robot"].get("locked", robot.locked)
+        if SIGNATURE not in content:
+            unsigned = f"{source} states no SHA-256, as a file of 0.1 or one changed by hand; saved again, it does"
+            constraint.notes = (unsigned,)
+            if spoken("in Python", ""):  # commands print the notes
+                warnings.warn(unsigned, UserWarning, stacklevel=2)
         if then != robot.locked:
-            said = f"the constraint was made with {_in_words(then)}, the robot has {_in_words(robot.locked)}"
-            constraint.notes = (said,)
+            said = f"the constraint was made with {locks_in_words(then)}, the robot has {locks_in_words(robot.locked)}"
+            constraint.notes += (said,)
         elif then:
-            constraint.notes = (f"as when the constraint was made: {_in_words(then)}",)
+            constraint.notes += (f"as when the constraint was made: {locks_in_words(then)}",)
         return constraint
 
     def __repr__(self) -> str:
@@ -442,47 +454,39 @@ def read_constraint_file(path: Path) -> dict[str, Any]:
     """The JSON document in a constraint file.
 
     Raises:
-        ConstraintMismatchError: There is no such file, or it is no JSON.
+        ConstraintMismatchError: There is no such file, it is none that may be read, or it is no JSON.
     """
-    if not path.is_file():
-        what = "is a folder" if path.is_dir() else "does not exist"
-        raise ConstraintMismatchError(f"constraint file {path} {what}; `manip-learn learn ... --out FILE` writes one")
     try:
-        return json.loads(path.read_bytes())
-    except (ValueError, RecursionError) as error:
-        raise ConstraintMismatchError(
-            f"{path} is not a constraint file, it is not JSON: name what `manip-learn learn --out FILE` or save() wrote"
-        ) from error
+        return parsed_json(read_regular_file(path, LARGEST_FILE))
     except OSError as error:
-        raise ConstraintMismatchError(f"cannot read {path}: {error.strerror}") from error
+        said = f"{path}: {unreadable(error)[1]}; `manip-learn learn ... --out FILE` writes a constraint"
+        raise ConstraintMismatchError(said) from error
+    except ValueError as error:
+        raise ConstraintMismatchError(
+            f"{path} is not a constraint file, it is not JSON ({reason_of(error)}): name what "
+            "`manip-learn learn --out FILE` or save() wrote"
+        ) from error
 
 
 def _check_robot(path: str, content: Mapping[str, Any], robot: Robot, same_urdf: bool) -> None:
-    saved = content.get("robot")
-    if not isinstance(saved, dict):
-        raise ConstraintMismatchError(f"{path} names no robot: the file is damaged; save it again")
-    joints = saved.get("joint_names")
-    if not isinstance(joints, list) or joints != list(robot.joint_names):
-        named = ", ".join(map(str, joints)) if isinstance(joints, list) else repr(joints)
+    try:
+        made = RobotIdentity.from_dict(content.get("robot"))
+    except DAMAGE as error:
+        raise damaged(path, error) from error
+    if made.joint_names != robot.joint_names:
         raise ConstraintMismatchError(
-            f"{path} was made for robot {saved.get('name')!r} with the joints {named}; "
-            f"{robot.name!r} has {', '.join(robot.joint_names)}: load that robot, with the same locked joints "
-            "and objects"
+            f"{path} was made for robot {made.name!r} with the joints {', '.join(made.joint_names)}; {robot.name!r} "
+            f"has {', '.join(robot.joint_names)}: load that robot, with the same locked joints and objects"
         )
-    locked = saved.get("locked", {})
-    if not isinstance(locked, dict) or not all(type(x) in (int, float) for x in locked.values()):
+    if same_urdf and content["robot"].get("locked", robot.locked) != robot.locked:
         raise ConstraintMismatchError(
-            f"{path} does not say where joints were locked: the file is damaged; save it again"
-        )
-    if same_urdf and saved.get("locked", robot.locked) != robot.locked:
-        raise ConstraintMismatchError(
-            f"{path} was made with {_in_words(saved['locked'])}, {robot.name!r} has {_in_words(robot.locked)}: "
+            f"{path} was made with {locks_in_words(made.locked)}, {robot.name!r} has {locks_in_words(robot.locked)}: "
             "load the robot with joints locked at the same positions"
         )
-    if same_urdf and saved.get("fingerprint") != robot.fingerprint:
+    if same_urdf and made.fingerprint != robot.fingerprint:
         raise ConstraintMismatchError(
-            f"{path} was made for another version of robot {saved.get('name')!r} (hash "
-            f"{str(saved.get('fingerprint'))[:12]}, this one {robot.fingerprint[:12]}): "
+            f"{path} was made for another version of robot {made.name!r} (hash {made.fingerprint[:12]}, this one "
+            f"{robot.fingerprint[:12]}): "
             + spoken(
                 "learn it again, or load it with same_urdf=False if only looks have changed",
                 "learn it again, or name the description that it was learnt with",
@@ -490,7 +494,8 @@ def _check_robot(path: str, content: Mapping[str, Any], robot: Robot, same_urdf:
         )
 
 
-def _in_words(locked: Mapping[str, float]) -> str:
+def locks_in_words(locked: Mapping[str, float]) -> str:
+    """Return joints with the positions that they are locked at."""
     return ", ".join(f"{name} = {value:.4g}" for name, value in locked.items()) + " locked" if locked else "none locked"
 
 

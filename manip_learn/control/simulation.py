@@ -15,7 +15,7 @@ from manip_learn.control.controller import ResolvedRateController
 from manip_learn.control.law_sequence import constraint_of, held_frame, law_of, task_of
 from manip_learn.control.rollout import Rollout, written_constraint
 from manip_learn.control.servo_loop import ServoLoop
-from manip_learn.errors import ConfigurationError, an
+from manip_learn.errors import ConfigurationError, advice, an
 from manip_learn.recordings.trajectory_source import Progress
 from manip_learn.robot.batch.postures import checked_postures
 from manip_learn.robot.identity import RobotIdentity
@@ -96,6 +96,13 @@ def simulate(
         raise ConfigurationError(f"duration and dt must be positive numbers of seconds, got {duration!r} and {dt!r}")
     if removed and removed != {"method": "euler"}:
         raise TypeError(f"simulate has no {removed}: each command is held for its step, give a smaller dt")
+    size = 16.0 * np.size(q0) * (duration / dt)  # [bytes] of postures and velocities
+    try:
+        np.empty(int(min(size, 2.0**62)), dtype=np.uint8)
+    except MemoryError as error:
+        fix = advice("{}", "a shorter duration or a larger dt", "a shorter --duration or a larger --dt")
+        said = f"{duration / dt:.3g} steps take {size / 1e9:.3g} GB of memory and more: take {fix}"
+        raise ConfigurationError(said) from error
     steps = round(duration / dt)
     report, table = progress or (lambda title, fraction: None), np.ndim(q0) == 2
     if table:

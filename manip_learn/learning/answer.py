@@ -357,6 +357,10 @@ def _by_place(parts: Sequence[Part], settings: LearnerSettings) -> tuple[list[_L
     with as many rows, are of the same thing.
     """
     out, alone, waiting = list[_Located](), list[Stretch](), list(parts)
+    divided = list[Stretch]()
+    # What falls: stretches that were divided from others three times, as two tests may disagree for ever, are joined no
+    # more. So each division leaves fewer divisions for stretches that can be joined, or fewer stretches in a part, and
+    # each join leaves fewer parts.
     while waiting:
         part = waiting.pop(0)
         found = _mechanism(part, settings)
@@ -365,6 +369,7 @@ def _by_place(parts: Sequence[Part], settings: LearnerSettings) -> tuple[list[_L
         several = len(set(recordings)) > 1  # else the stretches of the only one count as such
         shared = [group for group in places if len({recordings[i] for i in group} if several else group) > 1]
         if 2 * sum(map(len, shared)) > sum(map(len, places)):
+            divided += part.stretches
             waiting[:0] = [_with_own_rows(part.of([part.stretches[i] for i in group])) for group in shared]
             alone += [part.stretches[i] for group in places if group not in shared for i in group]
         elif found is not None and places:
@@ -382,10 +387,12 @@ def _by_place(parts: Sequence[Part], settings: LearnerSettings) -> tuple[list[_L
             out.append(_Located(part, there and dataclasses.replace(there, warnings=(moved,)), example))
         else:
             for one in [x for x in out if x.example is None and _same_rows(x.part, part)]:
-                if at_one_place(one.mechanism and one.mechanism.fit, found and found.fit):
+                both = (*one.part.stretches, *part.stretches)
+                fits = one.mechanism and one.mechanism.fit, found and found.fit
+                if max(map(divided.count, both)) < 3 and at_one_place(*fits):
                     # apart for an arm that is not quite its description
                     out.remove(one)
-                    waiting.insert(0, _with_own_rows(part.of((*one.part.stretches, *part.stretches))))
+                    waiting.insert(0, _with_own_rows(part.of(both)))
                     break
             else:
                 out.append(_Located(part, found))

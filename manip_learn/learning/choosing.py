@@ -100,7 +100,7 @@ class Choice:
             choice.settle()
             choice._take()
         self._recorded = None
-        while self.every != later.every:
+        while self.every != later.every:  # what falls: the doublings from the finer to the coarser, both powers of two
             coarse = self if self.every < later.every else later
             coarse._kept, coarse.every = coarse._kept[::2], 2 * coarse.every
         for choice in (self, later):
@@ -137,6 +137,7 @@ class Choice:
 
     def _thin(self) -> None:
         """Leave out half of what is kept until the rest is few enough."""
+        # what falls: the samples, of which fewer than ten recordings have more than one each where they are too many
         while sum(map(len, self._kept)) > self._most:
             seconds = sum(t.duration for t in self._kept)
             rate = sum(len(t) - 1 for t in self._kept) / max(seconds, 1e-9)
@@ -187,12 +188,12 @@ def choose_from(
     # in pairs, pairs of pairs and so on: as many recordings are left out of each, and only a few choices are in memory
     for choice in each_part(choice_of_part, source, client, progress, "reading", empty=empty, settled=settled):
         level = 0
-        while waiting and waiting[-1][0] == level:
+        while waiting and waiting[-1][0] == level:  # what falls: the choices that wait
             choice = waiting.pop()[1].merge(choice)
             level += 1
         waiting.append((level, choice))
     whole = empty if not waiting else waiting.pop()[1]
-    while waiting:
+    while waiting:  # what falls: the choices that wait
         whole = waiting.pop()[1].merge(whole)
     whole.notes = refuse_unmatched(whole.notes, source.n_parts)
     return whole

@@ -193,7 +193,8 @@ class Search:
                     rng.standard_normal((s, samples.n_rows)) for _ in range(MANY_STARTS if own else RANDOM_STARTS)
                 )
                 self.found[s] = self._look(random, before)
-        # one row less, within the rows of the best: they hold the true ones where these are fewer
+        # one row less, within the rows of the best: they hold the true ones where these are fewer. What falls: the
+        # number of rows of the best, for nothing but what has one row less is found anew
         while (s := len(self.best.Lambda)) > 1:
             rows, before = self.best.Lambda, self.found[s - 1]
             self.found[s - 1] = self._look((rng.standard_normal((s - 1, s)) @ rows for _ in range(SUBSPACES)), before)

@@ -365,6 +365,7 @@ def recombination_test(
         others = np.linalg.eigh((recorded.sum(axis=0) - recorded) / (n - 1))[1]
         squares = np.mean(np.einsum("dis,dij,djs->ds", others, recorded, others), axis=0)
         held_out = np.sqrt(np.maximum(squares, 0.0) / energy)
+    # what falls: the recombinations that are left of MOST_RECOMBINATIONS; each turn makes four times as many
     while True:
         n = max(RECOMBINATIONS, 4 * (len(moments) - 1))
         size = (n - len(moments) + 1, features.nv, len(paths))  # the donor of each joint of each trajectory

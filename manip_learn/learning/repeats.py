@@ -254,7 +254,7 @@ def _repeats(paths: Sequence[_Path]) -> dict[int, tuple[int, float]]:
     lies = {(i, j): d for i, j in pairs if (d := paths[i].distance_from(paths[j])) is not None}
     found: dict[int, tuple[int, float]] = {}
 
-    def stays(j: int) -> int:
+    def stays(j: int) -> int:  # what falls: the pairs behind j, which lead to no recording twice
         while j in found:
             j = found[j][0]
         return j
@@ -263,7 +263,7 @@ def _repeats(paths: Sequence[_Path]) -> dict[int, tuple[int, float]]:
         # of two that repeat each other the first stays, and one of several that do so in a circle
         if i not in found and (j < i or (j, i) not in lies) and stays(j) != i:
             found[i] = j, distance
-    for i in found:
+    for i in found:  # what falls: the pairs behind the one that i lies on
         while found[i][0] in found:
             j, further = found[found[i][0]]
             found[i] = j, max(found[i][1], further)
@@ -279,14 +279,14 @@ def _chains(paths: Sequence[_Path]) -> tuple[tuple[tuple[int, float], ...], ...]
     cut = {i for before, after, is_cut in seams if is_cut for i in (before, after)}
     # what was cut in motion at one end was cut at the other, too, be it at rest
     for before, after, _ in (s for s in seams if not cut.isdisjoint(s[:2])):
-        end = after
+        end = after  # what falls: the recordings that follow, which are no circle
         while end in follows:
             end = follows[end]
         if before not in follows and after not in follows.values() and end != before:
             follows[before] = after
     chains = []
     for i in sorted(set(range(len(paths))) - set(follows.values())):
-        chain = [(i, 0.0)]
+        chain = [(i, 0.0)]  # what falls: the recordings that follow
         while (number := chain[-1][0]) in follows:
             a, b = paths[number].trajectory, paths[follows[number]].trajectory
             step, added, first = float(np.median(np.diff(a.time))), chain[-1][1], float(b.time[_shared(a, b)])

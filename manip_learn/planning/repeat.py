@@ -174,6 +174,7 @@ def repeat(
     robot = skill.robot
     if robot is None or not skill.steps:
         raise TargetError("there is nothing to do again: the recordings show no step with a robot")
+    notes, around = [*skill.constraints[0].notes, *skill.notes], Surroundings()
     if moved is not None:
         skill = skill.moved(_rigid(moved))
     q, said = robot.checked_posture(start), progress or (lambda _title, _share: None)
@@ -182,7 +183,6 @@ def repeat(
     laws: list[ResolvedRateController] = []
     done: list[StepDone] = []
     whole: Rollout | None = None
-    notes, around = list(skill.notes), Surroundings()
     for number, step in enumerate(skill.steps):
         name = _name(number, step, skill)
         said(name, number / len(skill.steps))

@@ -20,7 +20,7 @@ from manip_learn.errors import RobotError, SceneError, UnknownNameError, counted
 from manip_learn.linalg import finite
 from manip_learn.robot.collision import Obstacle, obstacles_of
 from manip_learn.robot.description.mjcf import validate_mjcf
-from manip_learn.robot.description.text import parse_xml, read_description
+from manip_learn.robot.description.text import parse_xml, parsed_json, read_description
 from manip_learn.robot.description.urdf import Pose, as_matrix
 from manip_learn.robot.description.validation import validate_urdf
 from manip_learn.robot.loading import robot_from_text
@@ -61,7 +61,7 @@ class Thing:
                 numbers = finite(np.atleast_1d(given), n)
                 if numbers is None or np.any(numbers <= 0.0):
                     wanted = "three positive numbers are" if n == 3 else "a positive number is"
-                    raise SceneError(f"{where}: its {field} is {given!r}; {wanted} expected [m]; correct it")
+                    raise SceneError(f"{where}: its {field} is {given!r:.80}; {wanted} expected [m]; correct it")
                 sizes += numbers.tolist()
         pose = _pose(getattr(self, "centre" if kind == "sphere" else "pose"), where)
         shape = _mesh(self, where) if isinstance(self, Mesh) else Solid(kind, tuple(sizes))
@@ -242,7 +242,7 @@ class Scene:
             if not content.strip():
                 raise SceneError('the file is empty; a scene is expected, e.g. {"floor": 0.0}; write one')
             is_xml = content.lstrip(b"\xef\xbb\xbf \t\r\n").startswith(b"<")
-            scene = _described(content, file) if is_xml else _made(Scene, json.loads(content), "the scene", file)
+            scene = _described(content, file) if is_xml else _made(Scene, parsed_json(content), "the scene", file)
         except (SceneError, TypeError, ValueError) as error:
             seen = error if isinstance(error, SceneError) else f"it is no scene ({error}); repair it"
             raise SceneError(f"{file}: {seen}") from error
@@ -297,7 +297,7 @@ def _plain(thing: Any) -> dict[str, Any]:
 def _made(kind: Any, given: Any, where: str, file: Path) -> Any:
     """A scene or one of its things from what a file says of it."""
     if not isinstance(given, Mapping):
-        raise SceneError(f"{where} is {given!r}; an object of JSON, in braces, is expected; correct it")
+        raise SceneError(f"{where} is {given!r:.80}; an object of JSON, in braces, is expected; correct it")
     known, values = {field.name: field.default is MISSING for field in fields(kind)}, dict(given)
     values.pop("format", None)
     for key in values:

@@ -19,6 +19,7 @@ from manip_learn.recordings.format_words import EFFORT_SUFFIX, VELOCITY_SUFFIX
 from manip_learn.recordings.readers.recording import refusal
 from manip_learn.recordings.trajectory import Trajectory
 from manip_learn.robot import Robot
+from manip_learn.robot.description.text import parsed_json
 from manip_learn.robot.identity import RobotIdentity, names_from
 
 _Kind = Literal["rollout", "recording"]
@@ -116,7 +117,7 @@ class FileHeader:
         Raises:
             ValueError: Something else, or a newer version.
         """
-        content = json.loads(text)
+        content = parsed_json(text)
         named = content.get("format") if isinstance(content, Mapping) else None
         if named not in (PREFIX + "rollout", PREFIX + "recording"):
             raise ValueError(f"the header must have the format {PREFIX}rollout or {PREFIX}recording, not {named!r:.40}")

@@ -124,7 +124,7 @@ def groups_of(paths: TipPaths, kind: MechanismKind, place: Place) -> list[Group]
         return [whole]
     groups = [Group(g.members, fit_place(g.fit.paths, kind, whole.fit.place)) for g in groups]
     scale, joined = Scale.of(groups), dict[tuple[int, ...], Group]()
-    while len(groups) > 1:
+    while len(groups) > 1:  # what falls: the number of groups
         losses = list[tuple[float, list[Group]]]()
         for one, other in combinations(groups, 2):
             members = tuple(sorted(one.members + other.members))

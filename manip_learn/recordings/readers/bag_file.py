@@ -117,8 +117,7 @@ def _opened(path: Path, stack: contextlib.ExitStack) -> BagFile:
     if path.is_dir():
         metadata_text(path / "metadata.yaml")  # refuses one that is too large or too deep
     else:
-        with path.open("rb") as opened:
-            head = opened.read(8)
+        head = check_regular(path)
         is_ros1 = head.startswith(b"#ROSBAG")
         suffix = ".bag" if is_ros1 else ".mcap" if head.startswith(b"\x89MCAP") else ".db3"
         # the library goes by the suffix, and its SQLite address cannot hold every character of a path
@@ -183,11 +182,9 @@ def _check_before(file: Path) -> None:
 
     The newest messages are in the log and not in the database yet.
     """
-    if file.is_file():
-        check_regular(file)
+    head = b"" if file.is_dir() else check_regular(file)
     if file.suffix == ".zstd":
-        with file.open("rb") as opened:
-            _refuse_claim(file, opened.read(18), file.stat().st_size)  # the longest head of a frame
+        _refuse_claim(file, head[:18], file.stat().st_size)  # the longest head of a frame
     for side in (file.with_name(file.name + end) for end in ("-wal", "-journal")):
         if side.is_file() and (size := side.stat().st_size):
             text = f"in a copy of the folder, put the last messages into the database: sqlite3 {file.name} 'PRAGMA "

@@ -5,7 +5,6 @@ Links and data outside of the file are not followed.
 
 from __future__ import annotations
 
-import json
 import math
 import re
 from collections.abc import Iterator, Mapping
@@ -31,6 +30,7 @@ from manip_learn.recordings.readers.recording import (
     refuse_lost,
     refusing_damage,
 )
+from manip_learn.robot.description.text import parsed_json
 
 try:
     import h5py
@@ -105,9 +105,9 @@ def _demonstrations(
 def _control_rate(text: Any) -> float:
     """`control_freq` in `env_args` [Hz]; 0 if it is not there."""
     try:
-        env = json.loads(text) if isinstance(text, str | bytes) else {}
+        env = parsed_json(text) if isinstance(text, str | bytes) else {}
         rate = float(env["env_kwargs"]["control_freq"])
-    except (ValueError, KeyError, TypeError, RecursionError):
+    except (ValueError, KeyError, TypeError):
         return 0.0
     return rate if math.isfinite(rate) and rate > 0 else 0.0
 

@@ -5,7 +5,6 @@ What a data set says about itself is read first. LeRobot does not store units, s
 
 from __future__ import annotations
 
-import json
 import re
 from collections.abc import Iterable, Iterator, Sequence
 from contextlib import contextmanager
@@ -30,11 +29,11 @@ from manip_learn.recordings.readers.recording import (
     metadata_text,
     most_bytes,
     natural_order,
-    reason_of,
     refusal,
     refuse_lost,
     refusing_damage,
 )
+from manip_learn.robot.description.text import parsed_json
 
 STATE, VELOCITY, EFFORT = "observation.state", "observation.velocity", "observation.effort"
 BATCH = 65_536  # rows in memory: some 10 MB
@@ -292,10 +291,8 @@ def open_dataset(path: Path) -> LeRobotDataset:
         info_path = next((place for place in around if place.is_file()), None)
         if info_path is None:
             return LeRobotDataset(path, files)
-    try:
-        info = json.loads(metadata_text(info_path))
-    except (ValueError, RecursionError) as error:
-        raise refusal(info_path, "damaged", f"not valid JSON: {reason_of(error)}", in_full=True) from error
+    with refusing_damage(info_path):
+        info = parsed_json(metadata_text(info_path))
     if not isinstance(info, dict):
         raise refusal(info_path, "damaged", f"an object is needed, this is {type(info).__name__}", in_full=True)
     version, features, fps = (info.get(name) for name in ("codebase_version", "features", "fps"))

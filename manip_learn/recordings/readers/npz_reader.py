@@ -20,6 +20,7 @@ from manip_learn.recordings.readers.recording import (
     Recording,
     bomb,
     check_columns,
+    check_regular,
     most_bytes,
     refusal,
     refusing_damage,
@@ -30,8 +31,7 @@ BARE = b"\x93NUMPY"  # how a single array begins, without an archive around
 
 def read(path: Path, request: ReadRequest) -> Iterator[Recording]:
     """The recording of an archive, or of one bare array of positions."""
-    with path.open("rb") as file:
-        is_bare = file.read(len(BARE)) == BARE
+    is_bare = check_regular(path).startswith(BARE)
 
     def load(roles: Mapping[str, str]) -> dict[str, Any]:
         if is_bare:

@@ -6,7 +6,6 @@ from __future__ import annotations
 
 import itertools
 import re
-import stat
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
@@ -17,6 +16,7 @@ import numpy as np
 from jaxtyping import Float
 
 from manip_learn.errors import DAMAGE, RecordingError
+from manip_learn.robot.description.text import DEEPEST, UNREADABLE, open_regular_file, read_regular_file, unreadable
 
 _LONGEST = 160  # characters of a foreign text: two lines of a terminal
 POINTER = b"version https://git-lfs"  # how the text begins that Git LFS leaves in place of a file
@@ -27,7 +27,6 @@ FEWEST_SAMPLE_BYTES = 16  # of a sample: a stamp and a few joints
 _MOST_COLUMNS = 10_000  # of a table, an array or a message: a hundred robots
 LONGEST_TEXT = 1_000_000  # characters of a line of a table, or of one text in an archive
 LARGEST_METADATA = 10_000_000  # bytes of a JSON or YAML file, which lists features or topics but no samples
-DEEPEST = 100  # brackets within each other in such a file; beyond, parsers take quadratic time or run out of stack
 MOST_NAME_LISTS = 200  # lists of joints in one topic of a bag; drivers that alternate have two or three
 
 
@@ -53,6 +52,7 @@ class Recording:
         effort_names: One joint name per column of `efforts`.
         efforts: shape (T, e) [N m or N], or None.
         sha256: Of the file; empty for a folder.
+        lag: By how far the positions were at most from where they were commanded to be [rad or m]; of trusted ones.
     """
 
     path: Path
@@ -70,6 +70,7 @@ class Recording:
     effort_names: tuple[str, ...] = ()
     efforts: Float[np.ndarray, "T e"] | None = None
     sha256: str = ""
+    lag: float = 0.0
 
     @staticmethod
     def of(
@@ -110,9 +111,7 @@ class Recording:
     def refusal(self, code: str, text: str, *, sample: int | None = None, column: str | None = None) -> RecordingError:
         """The error that refuses this recording, with its place."""
         line = None if sample is None else self.line(sample)
-        where = self.name if line is None else f"{self.name}:{line}"
-        if sample is not None and line is None:
-            where += f" sample {int(sample)}"
+        where = self.name + ("" if sample is None else f" sample {int(sample)}" if line is None else f":{line}")
         if column is not None:
             where += f", column {column!r}"
         return RecordingError(f"{where}: {text}", code=code, path=self.path, line=line, column=column)
@@ -142,8 +141,13 @@ def refusing_damage(path: Path, *more: type[Exception]) -> Iterator[None]:
     try:
         yield
     except (*more, *DAMAGE) as error:
-        said = f"the file is damaged ({reason_of(error)}): download, copy or save it again"
-        raise refusal(path, "damaged", said) from error
+        code, said = "damaged", f"the file is damaged ({reason_of(error)}): download, copy or save it again"
+        if isinstance(error, MemoryError):
+            code, said = "too-large", f"there is too little memory for it ({reason_of(error)}): divide the recording"
+        elif isinstance(error, OSError) and error.errno in UNREADABLE:
+            code, said = unreadable(error)
+        codes = {"missing": "missing-file", "file-too-large": "too-large"}
+        raise refusal(path, codes.get(code, code), said, in_full=code != "damaged") from error
 
 
 def reason_of(error: BaseException) -> str:
@@ -165,25 +169,17 @@ def natural_order(name: str) -> tuple[tuple[int, int, str], ...]:
     return tuple((0, int(p), "") if p.isdecimal() and len(p) < 400 else (1, 0, p) for p in parts)
 
 
-def check_regular(path: Path) -> None:
-    """Refuse what is neither a file nor there, and a file that only stands for one.
+def check_regular(path: Path) -> bytes:
+    """Return how a file begins, 4 kB at most; refuse what is neither a file nor there, and what only stands for one.
 
     Raises:
         RecordingError: Missing, not readable, a pipe, a device, a pointer of Git LFS.
     """
-    try:
-        mode = path.stat().st_mode
-        if not stat.S_ISREG(mode):
-            text = "this is not a regular file; give a recording or a folder of recordings"
-            raise refusal(path, "not-a-file", text, in_full=True)
-        with path.open("rb") as file:
-            if file.read(len(POINTER)) == POINTER:
-                text = "this is a Git LFS pointer, not the recording itself: run `git lfs pull`"
-                raise refusal(path, "git-lfs", text)
-    except FileNotFoundError as error:
-        raise refusal(path, "missing-file", "there is no such file: check the path", in_full=True) from error
-    except (OSError, ValueError) as error:
-        raise refusal(path, "unreadable", f"cannot be opened: {reason_of(error)}", in_full=True) from error
+    with refusing_damage(path), open_regular_file(path) as file:
+        head = file.read(4096)
+    if head.startswith(POINTER):
+        raise refusal(path, "git-lfs", "this is a Git LFS pointer, not the recording itself: run `git lfs pull`")
+    return head
 
 
 def most_bytes(packed: int) -> int:
@@ -225,14 +221,8 @@ def metadata_text(path: Path) -> str:
     Raises:
         RecordingError: Not a regular file, too large, brackets too deep within each other, or no UTF-8.
     """
-    check_regular(path)
-    if path.stat().st_size > LARGEST_METADATA:
-        text = f"larger than {LARGEST_METADATA:,} bytes, which no such file should be"
-        raise refusal(path, "too-large", text, in_full=True)
-    try:
-        text = path.read_text(encoding="utf-8")
-    except (ValueError, OSError) as error:
-        raise refusal(path, "damaged", f"it cannot be read as text: {reason_of(error)}", in_full=True) from error
+    with refusing_damage(path):
+        text = read_regular_file(path, LARGEST_METADATA).decode()
     depths = itertools.accumulate(1 if mark in "[{" else -1 for mark in re.findall(r"[][{}]", text))
     if any(depth > DEEPEST for depth in depths):
         raise refusal(path, "damaged", f"more than {DEEPEST} brackets are open within each other", in_full=True)

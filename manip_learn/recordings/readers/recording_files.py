@@ -21,7 +21,6 @@ from manip_learn.recordings.readers.recording import (
     Recording,
     check_regular,
     natural_order,
-    reason_of,
     refusal,
     refusing_damage,
 )
@@ -91,9 +90,7 @@ def recognise(path: Path) -> FileFormat:
     Raises:
         RecordingError: Not a regular file, empty, or none of the known formats; says which it seems to be.
     """
-    check_regular(path)
-    with path.open("rb") as file:
-        head = file.read(4096)
+    head = check_regular(path)
     if not head.strip():
         raise refusal(path, "empty", "the file is empty: copy it again, or record again")
     if head.startswith(b"PK\x03\x04"):
@@ -213,10 +210,8 @@ def _in_folder(folder: Path, notes: list[str]) -> list[RecordingFile]:
     found: list[RecordingFile] = []
     ignored: list[str] = []
     why = ""
-    try:
+    with refusing_damage(folder):
         names = sorted((p.name for p in folder.iterdir() if not p.name.startswith(".")), key=natural_order)
-    except OSError as error:
-        raise refusal(folder, "unreadable", f"cannot be listed: {reason_of(error)}", in_full=True) from error
     for path in (folder / name for name in names):
         try:
             known = folder_format(path) if path.is_dir() else recognise(path)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import io
 import itertools
 import zipfile
 from collections.abc import Iterator
@@ -9,7 +10,6 @@ from pathlib import Path
 
 import numpy as np
 
-from manip_learn.errors import RecordingError
 from manip_learn.recordings.format_words import DATASET_HEADER, MARK
 from manip_learn.recordings.readers.csv_reader import text_lines
 from manip_learn.recordings.readers.npz_reader import stored_arrays, texts_of
@@ -27,9 +27,12 @@ from manip_learn.recordings.saved_motion import (
     joint_positions,
 )
 from manip_learn.recordings.trajectory import BESIDE_POSITIONS
+from manip_learn.robot.description.text import open_regular_file, read_regular_file
 
 _ARRAYS = ("time", "q", *ROLLOUT_CURVES)
 TEXTS = ("format", "header", "status", "joint_names")
+# [rad or m] by which positions may always be off their velocities: by the integration of a simulation, by encoders
+LAGS = {"rollout": 1e-3, "recording": 1e-2}
 JSON_LINES = '{"format": "manip_learn.'  # how they began
 
 
@@ -42,10 +45,10 @@ def file_header(path: Path) -> FileHeader | None:
     with refusing_damage(path):
         if path.is_dir():
             inner = path / DATASET_HEADER
-            return FileHeader.from_json(inner.read_bytes()) if inner.is_file() else None
-        if path.exists() and not path.is_file():
-            raise refusal(path, "not-a-file", "this is not a regular file; give a rollout or a recording")
-        with path.open(encoding="utf-8-sig", errors="replace") as file:  # bytes that are no text: other characters
+            return FileHeader.from_json(read_regular_file(inner, LONGEST_TEXT)) if inner.is_file() else None
+        with io.TextIOWrapper(
+            open_regular_file(path), "utf-8-sig", "replace"
+        ) as file:  # bytes that are no text: other characters
             start = file.read(len(JSON_LINES))
             if start.startswith("PK"):
                 with zipfile.ZipFile(path) as zipped:
@@ -71,28 +74,24 @@ def read_saved(path: Path) -> SavedMotion:
     Raises:
         RecordingError: No such file, a damaged one, or one of another kind.
     """
-    if not path.exists():
-        raise RecordingError(f"rollout file {path} does not exist", code="missing", path=path)
     with refusing_damage(path):
         header = file_header(path)
         if header is None:
             said = "no rollout; `manip-learn control ... --out FILE.npz` writes one (.npz and .csv are read back)"
             raise refusal(path, "not-a-rollout", said)
-        with path.open("rb") as file:
-            is_archive = file.read(2) == b"PK"
-        arrays = _of_archive(path, header) if is_archive else _of_table(path, header)
+        arrays = _of_archive(path, header) if zipfile.is_zipfile(path) else _of_table(path, header)
         return checked_motion(path, SavedMotion(header, arrays, path.name))
 
 
 def read(path: Path, request: ReadRequest) -> Iterator[Recording]:
     """The one recording of a file."""
-    header = file_header(path)
-    notes = () if header is None else check_robot(path, header, request.robot)
     motion = read_saved(path)
+    notes = check_robot(path, motion.header, request.robot)
     names = request.renamed(*motion.header.joint_names)
     q = joint_positions(path, motion.arrays["q"], names, request.robot)
     beside = (motion.arrays.get(name) for name in BESIDE_POSITIONS)
-    own = {"in_seconds": True, "trusted": True, "notes": notes}
+    lag = float(np.nanmax(np.append(motion.arrays.get("following_error", 0.0), LAGS[motion.header.kind])))
+    own = {"in_seconds": True, "trusted": True, "notes": notes, "lag": lag}
     yield Recording.of(path, path.name, motion.arrays["time"], names, q, *beside, **own)
 
 

@@ -9,9 +9,10 @@ import numpy as np
 from jaxtyping import Bool, Float, Int
 
 from manip_learn.errors import advice, counted
-from manip_learn.recordings.clock import usual_step
+from manip_learn.recordings.clock import GAP_FACTOR, usual_step
 from manip_learn.recordings.readers.read_request import SECONDS_OF, UNIT_WORDS, ReadRequest
 from manip_learn.recordings.readers.recording import Recording
+from manip_learn.recordings.trajectory import evenly
 from manip_learn.recordings.validation.joint_matching import angular_coordinates, object_coordinates
 from manip_learn.robot import Robot
 
@@ -27,6 +28,7 @@ UNIT_OFF, _ALIKE = 0.2, 0.8
 # of two motions in turn: samples within which each is heard again, the fewest jumps between them, and the least size of
 # a jump [rad or m], which quanta of a coarse encoder on all joints together do not reach
 LAGS, FEWEST_JUMPS, SMALLEST = 20, 10, 0.1
+_PARTS = 32  # of a motion, in which positions and the integral of velocities are compared
 SELDOM = 0.05  # of the samples, at most, are failed reads; a second publisher's are more
 
 
@@ -93,18 +95,28 @@ def time_in_seconds(
     return time * SECONDS_OF[unit], [f"the time stamps were read as {UNIT_WORDS[unit]}, for {evidence}{how}"]
 
 
-def check_motion(motion: MotionInFile) -> list[str]:
-    """Notes on a motion."""
+def check_motion(motion: MotionInFile, u: Float[np.ndarray, "T nv"] | None) -> list[str]:
+    """Return notes on a motion; one that no arm can have made is refused, be it in a file of the library's own.
+
+    Args:
+        motion: The motion.
+        u: Its recorded velocities [rad/s or m/s]; None where there are none, or none are used.
+    """
     _refuse_two_publishers(motion)
-    robot, recording, angular = motion.robot, motion.recording, motion.angular
-    beyond = _excess(robot, motion.q)
+    robot, recording, angular, q = motion.robot, motion.recording, motion.angular, motion.q
+    beyond = _excess(robot, q)
     far = beyond > np.where(angular, FAR_ANGLE, FAR_LENGTH)
-    notes = _fast_notes(robot, motion.time, motion.q)
+    notes = _fast_notes(robot, motion.time, q)
     if motion.request.units is None and not recording.trusted:
         _refuse_degrees(motion, far, bool(notes))
-    refuses = motion.request.outside_limits == "refuse" and not recording.trusted
-    if np.any(far) and refuses:
-        _refuse_far(motion, int(np.argmax(np.where(far, beyond, 0.0))))
+    if motion.request.outside_limits == "refuse":
+        if recording.trusted:  # what was simulated from outside the limits only comes back
+            far &= (beyond > _excess(robot, q[:1]) + _NOTABLE) | (_excess(robot, q[-1:]) >= beyond)
+        if np.any(far):
+            _refuse_far(motion, int(np.argmax(np.where(far, beyond, 0.0))))
+        _refuse_jump(motion)
+    if recording.trusted and u is not None:
+        _refuse_contradiction(motion, u)
     slight = np.flatnonzero(beyond > _NOTABLE)
     if slight.size:
         worst = int(np.argmax(beyond))
@@ -112,23 +124,53 @@ def check_motion(motion: MotionInFile) -> list[str]:
             f"beyond their limits: {counted(slight.size, 'joint')}, {robot.joint_names[worst]!r} the farthest: by "
             f"{beyond[worst]:.3g} {'rad' if angular[worst] else 'm'}"
         )
-    if refuses:
-        robot, q = motion.robot, motion.q
-        change, steps = np.abs(np.diff(q, axis=0)), np.diff(motion.time)
-        limit = np.where(np.isfinite(robot.velocity_limit), 10 * robot.velocity_limit, 50.0)
-        # a rotation vector may jump where its rotation does not, close to a full turn
-        jump = motion.angular & ~object_coordinates(robot) & (change > np.pi / 2) & (change > limit * steps[:, None])
-        if np.any(jump):
-            sample, i = (int(k) for k in np.argwhere(jump)[0])
-            turn = abs(change[sample, i] - 2 * np.pi) < 0.5
-            cause = "it wraps around a full turn, which this limited joint cannot" if turn else "a faulty sample?"
-            text = (
-                f"the joint jumps from {q[sample, i]:.4g} to {q[sample + 1, i]:.4g} rad within {steps[sample]:.3g} s: "
-                f"{cause} "
-                "Correct the file (a real break in the recording: put the parts into files of their own)"
-            )
-            raise motion.recording.refusal("jump", text, sample=sample + 1, column=robot.joint_names[i])
     return notes
+
+
+def _refuse_jump(motion: MotionInFile) -> None:
+    """Refuse a joint that goes faster from one sample to the next than ten times its limit, and far."""
+    robot, q, trusted = motion.robot, motion.q, motion.recording.trusted
+    change, steps = np.abs(np.diff(q, axis=0)), np.diff(motion.time)
+    limit = np.where(np.isfinite(robot.velocity_limit), 10 * robot.velocity_limit, 50.0)
+    # other recordings have gaps, and lengths in other units
+    least = np.where(motion.angular, FAR_ANGLE if trusted else np.pi / 2, FAR_LENGTH if trusted else np.inf)
+    # a rotation vector may jump where its rotation does not, close to a full turn
+    jump = ~object_coordinates(robot) & (change > least) & (change > limit * steps[:, None])
+    if np.any(jump):
+        sample, i = (int(k) for k in np.argwhere(jump)[0])
+        turn = abs(change[sample, i] - 2 * np.pi) < 0.5
+        cause = "it wraps around a full turn, which this limited joint cannot" if turn else "a faulty sample?"
+        text = (
+            f"the joint jumps from {q[sample, i]:.4g} to {q[sample + 1, i]:.4g} {robot.joint_units[i]} within "
+            f"{steps[sample]:.3g} s, its limit is {robot.velocity_limit[i]:.3g} {robot.joint_units[i]}/s: {cause} "
+            "Correct the file (a real break in the recording: put the parts into files of their own)"
+        )
+        raise motion.recording.refusal("jump", text, sample=sample + 1, column=robot.joint_names[i])
+
+
+def _refuse_contradiction(motion: MotionInFile, u: Float[np.ndarray, "T nv"]) -> None:
+    """Refuse velocities that say another motion than the positions: what they say is farther off than half of it.
+
+    A measured arm lags behind the velocities that are commanded, which is allowed for, and goes by itself where none
+    are, which is left out.
+    """
+    robot, steps = motion.robot, np.diff(motion.time)[:, None]
+    went, said = np.diff(motion.q, axis=0), 0.5 * (u[1:] + u[:-1]) * steps
+    told = (steps <= GAP_FACTOR * usual_step(steps[:, 0])) & np.any(said != 0.0, axis=1, keepdims=True)
+    ways = np.cumsum(np.where(told, [went, said], 0.0), axis=1)
+    apart = np.abs(ways[0] - ways[1])
+    parts = np.diff(ways[:, evenly(len(said), _PARTS)], axis=1, prepend=0.0)
+    off, most = np.sum((parts[0] - parts[1]) ** 2, axis=0), np.max(np.sum(parts**2, axis=1), axis=0)
+    # of what has several coordinates a velocity is no derivative of them
+    single = np.array([len(b.coordinate_names) == 1 for b in robot.blocks for _ in b.coordinate_names])
+    wrong = single & (off > 0.5 * most) & (apart.max(axis=0) > 2.0 * motion.recording.lag)
+    if np.any(wrong):
+        i = int(np.argmax(np.where(wrong, apart.max(axis=0), 0.0)))
+        k, unit = int(np.argmax(apart[:, i])), robot.joint_units[i]
+        text = f"after {motion.time[k + 1] - motion.time[0]:.3g} s the joint has moved by {ways[0, k, i]:.3g} {unit}, "
+        text += f"its velocities say {ways[1, k, i]:.3g} {unit}: the file was damaged or changed; make it again"
+        text += advice(", or pass {} if the positions are right", "velocities='derive'", "--velocities derive")
+        raise motion.recording.refusal("contradiction", text, sample=k + 1, column=robot.joint_names[i])
 
 
 def refuse_degrees_beside(motion: MotionInFile, u: Float[np.ndarray, "T nv"]) -> None:
@@ -209,10 +251,9 @@ def _refuse_far(motion: MotionInFile, i: int) -> None:
     lower, upper = robot.position_lower[i], robot.position_upper[i]
     outside = np.maximum(lower - q[:, i], q[:, i] - upper)
     sample = int(np.argmax(outside))
-    guess = _other_guess(robot, q[:, i], i)
-    if guess is None and motion.request.joint_names:
-        guess = "the wrong order in joint_names?"
-    guess = guess or "wrong units, columns with the wrong names, or another robot?"
+    ordered = "the wrong order in joint_names?" if motion.request.joint_names else None
+    otherwise = ordered or "wrong units, columns with the wrong names, or another robot?"
+    guess = _other_guess(robot, q[:, i], i) or otherwise
     if np.all(outside > 0) and "another robot" not in guess:
         guess += " Or another robot?"
     raise motion.recording.refusal(
@@ -230,8 +271,6 @@ def _fast_notes(robot: Robot, time: Float[np.ndarray, " T"], q: Float[np.ndarray
     width = int(np.clip(time.shape[0] // 20, 1, 10))
     with np.errstate(over="ignore"):  # stamps may differ by next to nothing
         speed = np.abs(q[width:] - q[:-width]) / (time[width:] - time[:-width])[:, None]
-    if np.all(speed.max(axis=0) <= _FAST * robot.velocity_limit):
-        return []
     typical = np.percentile(speed, 95, axis=0)
     fast = typical > _FAST * robot.velocity_limit
     if not np.any(fast):

@@ -98,7 +98,7 @@ def _of_one_sender(
         time = spread_repeats(time)
         notes.append(f"{counted(n, 'stamp')} repeated with other positions: spread up to the next stamp")
     motion = MotionInFile(recording, request, time, q)
-    notes += check_motion(motion)
+    notes += check_motion(motion, None if request.velocities == "derive" else u)
     if u is not None and not recording.trusted:
         refuse_degrees_beside(motion, u)
     whole = Trajectory(
@@ -116,22 +116,15 @@ def _of_one_sender(
 
 
 def _refuse_not_finite(recording: Recording) -> None:
-    parts = [(recording.time[:, None], ("time",)), (recording.positions, recording.position_names)]
-    bad = np.any([~np.all(np.abs(values) < NO_MEASUREMENT, axis=1) for values, _ in parts], axis=0)
-    rows = np.flatnonzero(bad)
-    if not rows.size:
-        return
-    places = ", ".join(recording.place(int(r)) for r in rows[:_SHOWN]) + (", ..." if rows.size > _SHOWN else "")
-    row = int(rows[0])
-    for values, columns in parts:
-        wrong = np.flatnonzero(~(np.abs(values[row]) < NO_MEASUREMENT))
-        if wrong.size:
-            text = (
-                f"{values[row, wrong[0]]} where a finite number is needed, in {counted(rows.size, 'sample')}: "
-                f"{places}; "
-                "remove them (a gap of more than ten steps then splits the demonstration)"
-            )
-            raise recording.refusal("not-finite", text, sample=row, column=columns[wrong[0]])
+    values, columns = np.column_stack([recording.time, recording.positions]), ("time", *recording.position_names)
+    bad = ~(np.abs(values) < NO_MEASUREMENT)
+    rows = np.flatnonzero(np.any(bad, axis=1))
+    if rows.size:
+        places = ", ".join(recording.place(int(r)) for r in rows[:_SHOWN]) + (", ..." if rows.size > _SHOWN else "")
+        row, column = int(rows[0]), int(np.argmax(bad[rows[0]]))
+        text = f"{values[row, column]} where a finite number is needed, in {counted(rows.size, 'sample')}: {places}; "
+        text += "remove them (a gap of more than ten steps then splits the demonstration)"
+        raise recording.refusal("not-finite", text, sample=row, column=columns[column])
 
 
 def _refuse_radians(recording: Recording, request: ReadRequest, angles: Float[np.ndarray, "T k"]) -> None:

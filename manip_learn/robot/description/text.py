@@ -1,4 +1,5 @@
-"""Text of a robot description: bytes read without trusting the path, XML without surprises.
+"""Text of a robot description, or of another file of somebody else: bytes read without trusting the path, XML and JSON
+without surprises.
 
 XML has no entities and no doctypes here; its nodes know their line and whose they are, and refusals name both.
 """
@@ -6,6 +7,7 @@ XML has no entities and no doctypes here; its nodes know their line and whose th
 from __future__ import annotations
 
 import errno
+import json
 import math
 import os
 import re
@@ -14,7 +16,7 @@ import xml.parsers.expat
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import final, overload
+from typing import Any, BinaryIO, final, overload
 from xml.parsers.expat import ExpatError, errors
 
 from manip_learn.errors import RobotError, advice, closest_names, counted
@@ -24,10 +26,20 @@ MAX_WARNINGS = 100  # nobody reads more
 MAX_BYTES = 10_000_000  # of a description; the largest of example-robot-data has 0.2
 MAX_ELEMENTS = 200_000  # of one file, so that memory and time stay small
 MAX_NESTING = 60  # URDF needs 6, nested bodies of MJCF one a joint
+DEEPEST = 100  # brackets of JSON or YAML within each other; beyond, parsers take quadratic time or run out of stack
 MAX_ATTRIBUTE = 100_000  # [characters] no robot needs more than a few hundred
 # no two ways to read the same digits: else a long number with a typing error takes minutes
 NUMBER_TEXT = re.compile(r"[+-]?(\d+(\.\d*)?|\.\d+)([eE][+-]?\d+)?", re.ASCII)
 LARGEST_READ = 1e100  # squares and products of what is larger overflow
+# error of the operating system -> code and sentence of a file that cannot be read
+UNREADABLE: dict[int, tuple[str, str]] = {
+    **dict.fromkeys((errno.ENOENT, errno.ENOTDIR), ("missing", "there is no such file; check the path")),
+    errno.EISDIR: ("not-a-file", "not a regular file; it is a folder, name a file in it"),
+    errno.ENXIO: ("not-a-file", "not a regular file, but a device or a pipe as of <(); write it to a file first"),
+    errno.EFBIG: ("file-too-large", "the file has {}; is it the right one?"),
+    errno.ELOOP: ("unreadable", "cannot be opened, the link leads to itself; name the file"),
+    **dict.fromkeys((errno.EACCES, errno.EPERM), ("unreadable", "it may not be read; change its permissions")),
+}
 NAMED = ("link", "joint", "body", "site")  # elements that messages speak of by name
 
 
@@ -85,53 +97,80 @@ def meant(name: str, known: Iterable[str], otherwise: str) -> str:
     return f"did you mean {quoted(near)}?" if near else otherwise
 
 
-def read_regular_file(path: Path, most: int) -> bytes:
-    """Content of a regular file of at most `most` bytes.
+def open_regular_file(path: str | os.PathLike[str]) -> BinaryIO:
+    """Open a regular file that somebody else wrote, without waiting for the writer of a pipe.
 
     Raises:
-        OSError: As from `open`; `ENXIO` if it is no regular file, `EFBIG` if it is larger.
-        ValueError: The path holds a zero byte.
+        OSError: As from `open`; `ENXIO` if it is no regular file, `EINVAL` if no file can have that path.
     """
+    try:  # opening a pipe would wait for its writer
+        file = open(path, "rb", opener=lambda name, flags: os.open(name, flags | os.O_NONBLOCK))
+    except ValueError as error:
+        raise OSError(errno.EINVAL, f"not a usable path, {error}") from error
+    if not stat.S_ISREG(os.fstat(file.fileno()).st_mode):
+        file.close()
+        raise OSError(errno.ENXIO, "not a regular file")
+    return file
 
-    def without_waiting(name: str, flags: int) -> int:  # opening a pipe would wait for its writer
-        return os.open(name, flags | getattr(os, "O_NONBLOCK", 0))
 
-    with open(path, "rb", opener=without_waiting) as file:
-        status = os.fstat(file.fileno())
-        if not stat.S_ISREG(status.st_mode):
-            raise OSError(errno.ENXIO, "not a regular file")
-        if status.st_size > most:
-            raise OSError(errno.EFBIG, f"{status.st_size} bytes")
+def read_regular_file(path: str | os.PathLike[str], most: int) -> bytes:
+    """Return the content of a regular file of at most `most` bytes.
+
+    Raises:
+        OSError: As from `open_regular_file`; `EFBIG` if it is larger.
+    """
+    with open_regular_file(path) as file:
         content = file.read(most + 1)
     if len(content) > most:
-        raise OSError(errno.EFBIG, f"more than {most} bytes")
+        raise OSError(errno.EFBIG, f"more than {most:,} bytes")
     return content
 
 
+def unreadable(error: OSError) -> tuple[str, str]:
+    """Return the code and the words for a file that cannot be read: what is in its place, and what to do."""
+    code, said = UNREADABLE.get(error.errno or 0, ("unreadable", "cannot be opened ({}); check the path"))
+    return code, said.format(error.strerror or error)
+
+
+def parsed_json(content: bytes | str) -> Any:
+    """Return what a JSON document of somebody else holds.
+
+    Raises:
+        ValueError: It is no JSON, a key stands twice, or values lie too deep within each other.
+    """
+
+    def once(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
+        known = dict(pairs)
+        if len(known) < len(pairs):
+            raise ValueError(f"one of the keys {quoted(list(known))} stands twice")
+        return known
+
+    def depth(value: Any) -> int:
+        inner = value.values() if isinstance(value, dict) else value if isinstance(value, list) else ()
+        return 1 + max(map(depth, inner), default=0)
+
+    try:
+        # an integer beyond 64 bits is what it is elsewhere, a float, and infinite where that has no such number
+        value = json.loads(content, object_pairs_hook=once, parse_int=lambda n: int(n) if len(n) < 20 else float(n))
+        if depth(value) <= DEEPEST:
+            return value
+    except RecursionError:
+        pass
+    raise ValueError(f"more than {DEEPEST} brackets are open within each other")
+
+
 def read_description(path: Path) -> bytes:
-    """Content of a regular file of at most 10 MB.
+    """Return the content of a regular file of at most 10 MB.
 
     Raises:
         RobotError: Codes `missing`, `not-a-file`, `unreadable`, `file-too-large`.
     """
     try:
         return read_regular_file(path, MAX_BYTES)
-    except (OSError, ValueError) as error:
-        if isinstance(error, ValueError):
-            code, sentence = "unreadable", f"{str(path)!r}: not a usable path ({error})"
-        elif isinstance(error, FileNotFoundError | NotADirectoryError):
-            code, sentence = "missing", f"{path}: there is no such file; check the path"
-        elif error.errno == errno.EFBIG:
-            limit = f"at most {MAX_BYTES} are read; is it a robot description?"
-            code, sentence = "file-too-large", f"{path}: the file has {error.strerror}, {limit}"
-        elif error.errno not in (errno.ENXIO, errno.EISDIR):
-            fix = "check the path and its permissions"
-            code, sentence = "unreadable", f"{path}: cannot be read ({error.strerror}); {fix}"
-        else:
-            inside = ", ".join(sorted(p.name for p in path.glob("*.urdf"))[:NAMES_SHOWN]) if path.is_dir() else ""
-            hint = f"it is a folder; name a file in it, e.g. {inside}" if inside else "name a URDF file"
-            code, sentence = "not-a-file", f"{path}: not a regular file; {hint}"
-        raise RobotError(sentence, code=code, path=path) from error
+    except OSError as error:
+        (code, said), inside = unreadable(error), sorted(p.name for p in path.glob("*.urdf")) if path.is_dir() else []
+        more = f", e.g. {', '.join(inside[:NAMES_SHOWN])}" if inside else ""
+        raise RobotError(f"{path}: {said}{more}", code=code, path=path) from error
 
 
 @final
