@@ -1,4 +1,4 @@
-"""Arms, tasks and starts of `when_it_helps.py`: the hand at a handle, anywhere or near a singularity of the rows.
+"""Arms, tasks and starts of `near_singular_ways.py`: the hand at a handle, anywhere or near a singularity of the rows.
 
 Lengths are those of arms of a metre or so; for the SO-101 all of them are multiplied by `Arm.size`. Mechanisms stand in
 front of the arm, their ways centred at MIDDLE of its reach. A start is kept if the hand also finds postures at the end

@@ -1,4 +1,4 @@
-"""Ways, reaching, plans and peers of `when_it_helps.py`, all judged from the joint path by one rule."""
+"""Ways, reaching, plans and peers on the starts of `when_cases.py`, all judged from the joint path by one rule."""
 
 from __future__ import annotations
 

@@ -35,7 +35,6 @@ ROOMS = {
     "pinocchio": {"robot", "planning", "playback"},
     "coal": {"robot", "planning", "playback"},
     "meshcat": {"playback"},
-    "rerun": {"playback"},
     "trimesh": {"robot", "playback"},
     "yourdfpy": {"robot", "playback"},
     "xacrodoc": {"robot"},

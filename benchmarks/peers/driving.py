@@ -5,7 +5,7 @@ script says what to do:
 
 - `step`: microseconds of a step at given postures of the Sawyer-like arm (`bench_control_step.py`)
 - `control CASES ANSWER`: its controller on the tasks of `peer_controllers.py`
-- `way CASES ANSWER`: its controller along the ways of `when_it_helps.py`: poses in time, the same for all peers
+- `way CASES ANSWER`: its controller along the ways of `when_cases.py`: poses in time, the same for all peers
 - `timings`: processor time of its controller at the starts of tasks, whenever `beside_peers.py` asks for it
 
 The arm takes commands as a real one would: joint by joint within its velocity limits, and no further than its position

@@ -23,7 +23,7 @@ from manip_learn.recordings.saved_motion import SavedMotion, motion_of_trajector
 from manip_learn.recordings.trajectory_source import Progress
 from manip_learn.recordings.writers.write_motion import csv_bytes, joint_trajectory_bytes, mcap_bytes
 
-_LEROBOT, RERUN = "lerobot", "rrd"
+_LEROBOT = "lerobot"
 # name on the command line -> endings, and the writer of one motion
 _FORMATS: dict[str, tuple[tuple[str, ...], Callable[[SavedMotion], bytes]]] = {
     "mcap": ((".mcap",), mcap_bytes),
@@ -38,7 +38,7 @@ class Exported:
     """What was written.
 
     Attributes:
-        format: mcap, csv, lerobot, rrd, trajectory, urscript, stiffness, moveit or json.
+        format: mcap, csv, lerobot, trajectory, urscript, stiffness, moveit or json.
         files: Files, or the folder of a LeRobot data set.
         trajectories: Number of trajectories; 0 for a task.
         samples: Number of samples of all of them; 0 for a task.
@@ -68,29 +68,18 @@ def export(options: ExportOptions, progress: Progress | None = None) -> Exported
     out, keywords = options.out, options.reading.keywords()
     if options.to is not None and options.to in TASK_WRITERS:
         return _export_task(options, TASK_WRITERS[options.to])
-    suffixes = {name: endings for name, (endings, _) in _FORMATS.items()} | {RERUN: (".rrd",)}
+    suffixes = {name: endings for name, (endings, _) in _FORMATS.items()}
     by_ending = next((name for name, endings in suffixes.items() if out.suffix.lower() in endings), None)
     kind = options.to or by_ending or _LEROBOT
     if kind not in (*suffixes, _LEROBOT):
         raise OutputError(f"--to must be one of {', '.join([*suffixes, _LEROBOT, *TASK_WRITERS])}, not {options.to!r}")
-    if kind == RERUN and by_ending is None:
-        raise OutputError(f"cannot write a Rerun recording to {str(out)!r}: name one file for all, --out NAME.rrd")
     if (options.to is None and by_ending is None and out.suffix) or (by_ending is not None and kind != by_ending):
         raise OutputError(
-            f"cannot write {str(out)!r} as {kind}: the ending says the format, .mcap, .csv, .rrd, .yaml or .json; "
+            f"cannot write {str(out)!r} as {kind}: the ending says the format, .mcap, .csv, .yaml or .json; "
             "LeRobot data and several files are written to a folder (a name without ending)"
         )
     robot = load_for_files(options.robot, options.files, options.loading)
     locks = locks_of_files(robot, options.loading)
-    if kind == RERUN:  # all of them in one file, rollouts with their curves
-        from manip_learn.commands.replay import named_motions
-        from manip_learn.playback.rerun_recording import write_rerun
-
-        read = named_motions(options.files, robot, keywords)
-        samples = sum(len(motion.time) for motion in read.motions.values())
-        return Exported(
-            RERUN, (write_rerun(robot, read.motions, out),), len(read.motions), samples, (*locks, *read.notes)
-        )
     demonstrations = load_demonstrations(options.files, robot, **keywords)
     motions = [motion_of_trajectory(t, robot) for t in demonstrations]
     if kind == _LEROBOT:

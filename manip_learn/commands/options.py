@@ -415,12 +415,12 @@ class ExportOptions:
     ]
     out: Annotated[
         Path,
-        Option(help="A file (.mcap, .csv, .rrd, .yaml: a JointTrajectory), or a folder: LeRobot, or what --to says."),
+        Option(help="A file (.mcap, .csv, .yaml: a JointTrajectory), or a folder: LeRobot, or what --to says."),
     ]
     to: Annotated[
         str | None,
         Option(
-            help="mcap, csv, lerobot, rrd or trajectory: format of the files in a folder; urscript, stiffness, moveit "
+            help="mcap, csv, lerobot or trajectory: format of the files in a folder; urscript, stiffness, moveit "
             "or json: a constraint for force mode, for impedance control, as path constraints, or its task frame."
         ),
     ] = None

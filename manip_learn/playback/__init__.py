@@ -8,16 +8,14 @@ from typing import TYPE_CHECKING, Any
 if TYPE_CHECKING:
     from manip_learn.playback.live_viewer import LiveViewer
     from manip_learn.playback.replay_page import ReplayResult, replay
-    from manip_learn.playback.rerun_recording import write_rerun
 
-__all__ = ["LiveViewer", "ReplayResult", "replay", "write_rerun"]
+__all__ = ["LiveViewer", "ReplayResult", "replay"]
 
 # the file is not called replay.py: importing it would put the module where the function belongs
 _HOMES = {
     "LiveViewer": "live_viewer",
     "ReplayResult": "replay_page",
     "replay": "replay_page",
-    "write_rerun": "rerun_recording",
 }
 
 

@@ -135,8 +135,7 @@ def joint_trajectory_bytes(motion: SavedMotion) -> bytes:
 
 _WRITERS: Mapping[str, Callable[[SavedMotion], bytes]] = {".npz": npz_bytes, ".csv": csv_bytes, ".mcap": mcap_bytes}
 ELSEWHERE = {  # endings that are refused with what to do
-    ".rrd": "a Rerun recording shows the robot too; use manip_learn.playback.write_rerun(robot, rollouts, path), or "
-    "`manip-learn export ROBOT FILE... --out x.rrd`",
+    ".rrd": "a Rerun recording is not written any more; docs/interop.md logs a rollout with Rerun's own package",
     ".jsonl": "JSON lines are not written any more; .npz and .csv are read back bit for bit",
 }
 
