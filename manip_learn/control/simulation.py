@@ -100,9 +100,8 @@ def simulate(
     try:
         np.empty(int(min(size, 2.0**62)), dtype=np.uint8)
     except MemoryError as error:
-        fix = advice("{}", "a shorter duration or a larger dt", "a shorter --duration or a larger --dt")
-        said = f"{duration / dt:.3g} steps take {size / 1e9:.3g} GB of memory and more: take {fix}"
-        raise ConfigurationError(said) from error
+        fix = advice("take {}", "a shorter duration or a larger dt", "a shorter --duration or a larger --dt")
+        raise ConfigurationError(f"{duration / dt:.3g} steps take {size / 1e9:.3g} GB of memory: {fix}") from error
     steps = round(duration / dt)
     report, table = progress or (lambda title, fraction: None), np.ndim(q0) == 2
     if table:

@@ -353,7 +353,7 @@ def explain(views: Sequence[View], believed: Test, switch: float = SWITCH_NATS) 
     now, refused = Explanation(views, (), switch), list[Hypothesis]()
     seconds = float(views[0].thin.weight.sum())
     # What falls: the turns that are left, for a better hypothesis may replace others, and be replaced by one alike. Of
-    # 300 sets of benchmarks/fits_end.py none takes more than nine.
+    # 378 sets of benchmarks/fits_end.py none takes more than seven.
     for _ in range(MOST_CONSTRAINTS * MOST_TESTED):
         is_full = len(now.hypotheses) >= MOST_CONSTRAINTS
         gaining = [] if is_full else [h for h in candidates(now) if h.worth(seconds) > LEAST_GAIN_NATS]

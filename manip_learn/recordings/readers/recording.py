@@ -221,6 +221,7 @@ def metadata_text(path: Path) -> str:
     Raises:
         RecordingError: Not a regular file, too large, brackets too deep within each other, or no UTF-8.
     """
+    check_regular(path)
     with refusing_damage(path):
         text = read_regular_file(path, LARGEST_METADATA).decode()
     depths = itertools.accumulate(1 if mark in "[{" else -1 for mark in re.findall(r"[][{}]", text))
