@@ -47,7 +47,7 @@ _NOISY = 1.0 / 3.0  # share of `held` that noise may be; more readings are avera
 # share of a force along the way that may seem to be across it: joints differ, directions are known to 10 degrees
 LEAKS = 0.2
 _KNOWN = 0.7  # share by which friction is known: it depends on load and speed, and presses the hand itself
-_POSTURES = 200  # for the levers of a robot whose posture is not known
+_POSTURES = 200  # for the longest lever of a joint
 
 
 @final
@@ -98,79 +98,6 @@ class Contact:
                 raise ConfigurationError(f"{name} must be a positive number of {unit}{auto}, got {value!r}")
 
 
-def following_error_limit(
-    robot: Robot,
-    force: float = 15.0,
-    stiffness: ArrayLike = STIFFNESS,
-    *,
-    frame: str | None = None,
-    q: ArrayLike | None = None,
-    constraint: Constraint | None = None,
-) -> Float[np.ndarray, " nv"]:
-    """How far position servos give way to a force at the tip: limits for `ServoLoop`.
-
-    A force f loads the joints with J(q)^T f, and joint j gives way by that over its stiffness. Some joint is beyond the
-    limit before the force is reached, whatever its direction:
-
-        limit_j = force / stiffness_j * min over unit f of max over j |J_j(q)^T f|
-
-    with a lever of 1 for prismatic joints. A joint's friction shows as friction / stiffness: allow no less.
-
-    Args:
-        robot: The robot.
-        force: At the tip [N].
-        stiffness: shape (nv,) or a number [N m/rad or N/m], of the servos.
-        frame: Name of the tip's frame; by default the robot's likeliest tip.
-        q: Posture; None takes the median over postures within the limits, so that in half of them the arm yields to
-            a larger force than that.
-        constraint: Whose rows are the directions of force that count, e.g. those across a drawer's way; by default all
-            at the tip.
-
-    Returns:
-        shape (nv,) [rad or m].
-
-    Raises:
-        ConfigurationError: A force or a stiffness that is not positive, or a posture that does not fit.
-        UnknownNameError: No such frame.
-    """
-    if not 0.0 < force < math.inf:
-        raise ConfigurationError(f"force must be a positive number of newtons, got {force!r}")
-    k = _per_joint("stiffness", stiffness, robot)
-    tip = robot.frame(frame or default_tip(robot))
-    postures = _postures(robot) if q is None else [robot.checked_posture(q)]
-    rows = (lambda x: robot.jacobian(x, tip)[:3]) if constraint is None else constraint
-    levers = []
-    for x in postures:  # the longest lever of a joint, for the direction in which that is shortest of those that move
-        J = rows(np.asarray(x))
-        U, sigma, _ = np.linalg.svd(J, full_matrices=False)
-        moving = U[:, sigma > 1e-6 * sigma[0]]  # no joint yields across a plane that the arm never leaves
-        levers.append(float(np.abs(_directions(moving.shape[1]) @ moving.T @ J).max(axis=1).min()))
-    return force * float(np.median(levers)) / k
-
-
-def _postures(robot: Robot) -> list[Float[np.ndarray, " nq"]]:
-    rng = np.random.default_rng(0)
-    return [robot.random_configuration(rng) for _ in range(_POSTURES)]
-
-
-def _directions(size: int) -> Float[np.ndarray, "n size"]:
-    """Unit vectors all over a half sphere, 5 degrees apart at most in up to three dimensions."""
-    if size == 1:
-        return np.ones((1, 1))
-    if size == 2:
-        around = np.linspace(0.0, np.pi, 180, endpoint=False)
-        return np.column_stack([np.cos(around), np.sin(around)])
-    directions = np.random.default_rng(0).normal(size=(1000 * 4 ** (size - 3), size))
-    return directions / np.linalg.norm(directions, axis=1, keepdims=True)
-
-
-def _per_joint(what: str, values: ArrayLike, robot: Robot) -> Float[np.ndarray, " nv"]:
-    array = np.asarray(values, dtype=np.float64)
-    if array.shape not in ((), (robot.nv,)) or not np.all(array > 0.0):
-        raise ConfigurationError(f"{what} must be one positive number or {robot.nv}, got {array.tolist()}")
-    return np.array(np.broadcast_to(array, (robot.nv,)))
-
-
 # shares of the commanded speed above which an arm is not slow, below which the first motion says so, and below which it
 # may stand
 _SLOW, _SURELY, _CREEPS = 0.95, 0.75, 0.15
@@ -192,29 +119,27 @@ class FollowingError:
     Args:
         robot: The robot.
         contact: What counts as a force, and which force is too large.
-        limit: shape (nv,) or a number [rad or m], distances of joints that count in place of forces; None for forces.
         dt: Period [s].
         acceleration: shape (nv,), with which the arm brakes [rad/s2 or m/s2].
         frame: Name of the tip's frame.
 
     Attributes:
-        limit: shape (nv,) [rad or m].
+        limit: shape (nv,), to which `held` at the longest lever would load a joint [rad or m].
         distance: shape (nv,), measured less commanded.
-        force: shape (3,), on the hand, in the base frame [N]; 0 where the user has given limits.
+        force: shape (3,), on the hand, in the base frame [N].
         tripped: Why the arm is to be stopped, in words; empty where it is not.
         load: shape (nv,), distance at which a weight keeps the arm, with nothing in its way [rad or m].
         sinks: True if the force that stopped the arm points down, as a weight does.
         servos: What is known of them.
 
     Raises:
-        ConfigurationError: A limit or a stiffness that is not positive or has the wrong size.
+        ConfigurationError: A stiffness that is not positive or has the wrong size.
     """
 
     def __init__(
         self,
         robot: Robot,
         contact: Contact,
-        limit: ArrayLike | None,
         dt: float,
         acceleration: Float[np.ndarray, " nv"],
         frame: str | None = None,
@@ -222,19 +147,18 @@ class FollowingError:
         self.contact, self._robot, self._dt, self._acceleration = contact, robot, dt, acceleration
         self._driven = _DRIVEN if isinstance(contact.driven, str) else float(contact.driven)
         told = STIFFNESS if contact.stiffness is None else contact.stiffness
-        self._stiffness = _per_joint("stiffness", told, robot)
+        stiffness = np.asarray(told, dtype=np.float64)
+        if stiffness.shape not in ((), (robot.nv,)) or not np.all(stiffness > 0.0):
+            raise ConfigurationError(f"stiffness must be one positive number or {robot.nv}, got {stiffness.tolist()}")
+        self._stiffness = np.array(np.broadcast_to(stiffness, (robot.nv,)))
         # links that are slower on servos softer than they are taken for give way by more: ten times at 200 N m/rad
         self._inertial = self._stiffness if contact.stiffness is not None else 0.1 * self._stiffness
-        self._by_force, self._frame = limit is None, robot.frame(frame or default_tip(robot))
-        if limit is None:
-            tip = self._frame
-            # the longest lever of the tip on any joint [m]; at least 1 where a joint is prismatic
-            reach = max(float(np.linalg.norm(robot.jacobian(q, tip)[:3], axis=0).max()) for q in _postures(robot))
-            limit = contact.held * reach / self._stiffness
-        self.limit = _per_joint("following_error_limit", limit, robot)
+        self._frame, rng = robot.frame(frame or default_tip(robot)), np.random.default_rng(0)
+        # the longest lever of the tip on any joint [m]; at least 1 where a joint is prismatic
+        rows = [robot.jacobian(robot.random_configuration(rng), self._frame)[:3] for _ in range(_POSTURES)]
+        self.limit = contact.held * float(np.linalg.norm(rows, axis=1).max()) / self._stiffness
         latency = None if isinstance(contact.latency, str) else float(contact.latency)
-        hidden = 0.0 if not self._by_force else HIDDEN
-        self.servos = Servos(robot.nv, dt, latency, hidden / self._stiffness)
+        self.servos = Servos(robot.nv, dt, latency, HIDDEN / self._stiffness)
         self._damping = (RESOLUTION / contact.held) ** 2 * np.eye(3)
         self.forget()
 
@@ -245,7 +169,7 @@ class FollowingError:
         self.force, self.tripped = np.zeros(3), ""
         self.distance, self.load, self.sinks = np.zeros(nv), np.zeros(nv), False
         self.resolution = 0.0 if isinstance(self.contact.resolution, str) else float(self.contact.resolution)
-        self._said, self._untold = False, int(self.contact.stiffness is None and self._by_force)
+        self._said, self._untold = False, int(self.contact.stiffness is None)
         self.notes: list[str] = []
         if self._untold:
             joint = int(np.argmax(self.limit))
@@ -272,7 +196,7 @@ class FollowingError:
         if over:
             self._row, self._rows = (self._row + 1) % self._found.shape[1], self._rows + 1
         self._velocity = velocity
-        if not self._by_force or time <= 0.0:
+        if time <= 0.0:
             return
         # a servo gives way to M a as a spring and a damper do: by no more than lately, and for a while after
         self._change, self._lasted = self._change + step, self._lasted + time
@@ -310,8 +234,6 @@ class FollowingError:
 
     def left(self, q: Float[np.ndarray, " n"]) -> float:
         """Force on the hand that is left in a measured posture, beyond what friction holds [N]."""
-        if not self._by_force:
-            return 0.0
         off = self.distance - self.load
         away = np.sign(off) * np.maximum(np.abs(off) - self.servos.friction, 0.0)
         C = self._robot.jacobian(q, self._frame)[:3] / self._stiffness
@@ -359,7 +281,7 @@ class FollowingError:
             parts = sum_in_words(row, constraint.features.row_names, "+.2g", 0.05)
             words = f"row {i + 1} of the constraint ({parts}) is {1e3 * off[i]:+.2g} {unit} off, {words}"
         share, stands = self.servos.pace()
-        if self._by_force and _CREEPS < share < _SLOW:
+        if _CREEPS < share < _SLOW:
             return f"{words}; {_slow(share)}"
         if stands:
             words += "; no joint moves any more: look at brakes, control mode and emergency stop"
@@ -379,10 +301,6 @@ class FollowingError:
         excess = self.servos.excess(self.distance)
         excess = excess - np.minimum(np.maximum(excess, self._inertia[0]), self._inertia[1])
         self._found[:, self._row] = excess, self.distance
-        if not self._by_force:
-            if np.any(np.abs(excess) > self.limit):
-                self.tripped = self.tripped or "a joint is farther away than following_error_limit"
-            return
         if self.servos.is_known and not self._said:
             self._tell(measured)
         self.force = NONE

@@ -48,6 +48,12 @@ LONGEST_TIME = 1e15  # [s] a larger number is no time: its steps are longer than
 TWICE, _JUMP, _TURN = 2.0, 0.05, 0.1
 BEYOND_TAUGHT = 1.5  # times the force that a way took when it was taught: it may stick more another time
 MILLI = 0.1  # within which a time is a thousand times another, decades
+# arguments that are gone, and what to give instead
+_REMOVED = {
+    **dict.fromkeys(("latency", "stiffness"), ": give contact=Contact({}={!r})"),
+    "following_error_limit": ": give contact=Contact(held=..., stiffness=...), forces on the hand stop the arm",
+    "correction_time": ": load the robot with its payload, robot.with_payload(...)",
+}
 STANDING = (Status.INVALID_INPUT, Status.STALE, Status.FOLLOWING_ERROR, Status.STOPPED)
 
 
@@ -225,8 +231,6 @@ class ServoLoop:
             The commands are averaged over 2 max_j(a_j / jerk_j), which delays them by half of that time.
         stale_after: Time without a new state after which the arm brakes [s].
         contact: Which forces on the hand stop the arm, and what is known of its servos (`Contact`).
-        following_error_limit: shape (nv,) or a number [rad or m]: how far a joint may be from where it was commanded,
-            e.g. what `manip_learn.following_error_limit` gives, in place of the forces of `contact`.
         robot: Whose limits count; the controller's own by default.
 
     Attributes:
@@ -239,7 +243,7 @@ class ServoLoop:
 
     Raises:
         ConfigurationError: A setting that is not positive, or a controller that has no robot where none is given.
-        TypeError: An argument that there is not; of `latency` and `stiffness` it says where they are given now.
+        TypeError: An argument that there is not; of one that is gone it says what to give instead.
 
     Example:
         >>> import manip_learn as ml
@@ -263,14 +267,11 @@ class ServoLoop:
         stale_after: float = 0.1,
         *,
         contact: Contact | None = None,
-        following_error_limit: ArrayLike | None = None,
         robot: Robot | None = None,
         **removed: Any,
     ):
         for name, value in removed.items():
-            told = f": give contact=Contact({name}={value!r})" if name in ("latency", "stiffness") else ""
-            told = ": load the robot with its payload, robot.with_payload(...)" if name == "correction_time" else told
-            raise TypeError(f"ServoLoop has no argument {name!r}{told}")
+            raise TypeError(f"ServoLoop has no argument {name!r}{_REMOVED.get(name, '').format(name, value)}")
         for name, value in (("dt", dt), ("stale_after", stale_after)):
             if not (_is_number(value) and 0.0 < value < math.inf):
                 raise ConfigurationError(f"{name} must be a positive number of seconds, got {value!r}")
@@ -303,7 +304,7 @@ class ServoLoop:
         # an arm that presses brakes and lets go as hard as it can, however gently it was to move
         self._hard = self.limits.with_rates(np.maximum(self.limits.acceleration, Limits(own).acceleration), None)
         acceleration, frame = self._hard.acceleration, held_frame(controller)
-        self._following = FollowingError(own, self.contact, following_error_limit, self.dt, acceleration, frame)
+        self._following = FollowingError(own, self.contact, self.dt, acceleration, frame)
         self._impossible = farthest_positions(self.robot)
         self._period = Period(self.dt)
         self._slowed = 1.0, self.limits  # a share of the acceleration, and the limits with it

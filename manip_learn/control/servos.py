@@ -49,7 +49,7 @@ class Servos:
         nv: Number of joints.
         dt: Period [s].
         latency: By how much the arm may follow late at the most [s]; None for `LATEST`.
-        hidden: shape (nv,), largest widths [rad or m]; 0 where friction counts as a distance like any other.
+        hidden: shape (nv,), largest widths [rad or m].
 
     Attributes:
         late: Delay that was measured [s], or None.
@@ -73,12 +73,12 @@ class Servos:
         self._longest = math.ceil(((LATEST if latency is None else latency) + max(PACE, OFTEN)) / dt - 1e-9) + 1
         self._longest -= max(self._pace, self._often)
         self._size = self._longest + 2 + max(self._pace, self._often, round(2.0 * LATEST / dt))
-        self._own = PACE / dt if hidden.any() else 0.0  # periods
+        self._own = PACE / dt  # periods
         self._stride = max(1, round(_APART / dt))
         lags = np.arange(0.0, LATEST + 0.5 * _APART, max(_APART, dt))
         self._lags = np.unique(np.minimum(np.round(lags / dt).astype(np.int64), self._longest))
         # until the noise is known, the mean of some periods at 1 kHz
-        self._smoothing = dt / (dt + 0.004) if hidden.any() else 1.0
+        self._smoothing = dt / (dt + 0.004)
         self._nv = nv
         self.forget()
 
