@@ -14,6 +14,7 @@ from numpy.typing import ArrayLike
 
 from manip_learn.constraint.constraint import Constraint
 from manip_learn.constraint.features.feature_map import sum_in_words
+from manip_learn.control.limits import per_joint
 from manip_learn.control.servos import HIDDEN, Servos
 from manip_learn.errors import ConfigurationError, counted
 from manip_learn.robot.robot import Robot
@@ -47,7 +48,14 @@ _NOISY = 1.0 / 3.0  # share of `held` that noise may be; more readings are avera
 # share of a force along the way that may seem to be across it: joints differ, directions are known to 10 degrees
 LEAKS = 0.2
 _KNOWN = 0.7  # share by which friction is known: it depends on load and speed, and presses the hand itself
+_TURN = 0.1  # [rad] by which a full turn may seem to be less or more
 _POSTURES = 200  # for the longest lever of a joint
+
+
+def is_number(value: Any) -> bool:
+    """Return whether a value is a real number; True, text, arrays and durations are none."""
+    kinds = (int, float, np.integer, np.floating)
+    return isinstance(value, kinds) and not isinstance(value, bool | np.timedelta64)
 
 
 @final
@@ -92,8 +100,7 @@ class Contact:
             measured = name in ("latency", "resolution")
             if name != "held" and isinstance(value, str) and value == "auto":
                 continue
-            good = isinstance(value, int | float | np.number) and not isinstance(value, bool)
-            if not (good and 0.0 <= float(value) < math.inf and (value or measured)):
+            if not (is_number(value) and 0.0 <= float(value) < math.inf and (value or measured)):
                 unit, auto = "seconds" if name == "latency" else "newtons", "" if name == "held" else ' or "auto"'
                 raise ConfigurationError(f"{name} must be a positive number of {unit}{auto}, got {value!r}")
 
@@ -147,10 +154,7 @@ class FollowingError:
         self.contact, self._robot, self._dt, self._acceleration = contact, robot, dt, acceleration
         self._driven = _DRIVEN if isinstance(contact.driven, str) else float(contact.driven)
         told = STIFFNESS if contact.stiffness is None else contact.stiffness
-        stiffness = np.asarray(told, dtype=np.float64)
-        if stiffness.shape not in ((), (robot.nv,)) or not np.all(stiffness > 0.0):
-            raise ConfigurationError(f"stiffness must be one positive number or {robot.nv}, got {stiffness.tolist()}")
-        self._stiffness = np.array(np.broadcast_to(stiffness, (robot.nv,)))
+        self._stiffness = per_joint("stiffness", told, robot.joint_names)
         # links that are slower on servos softer than they are taken for give way by more: ten times at 200 N m/rad
         self._inertial = self._stiffness if contact.stiffness is not None else 0.1 * self._stiffness
         self._frame, rng = robot.frame(frame or default_tip(robot)), np.random.default_rng(0)
@@ -158,7 +162,7 @@ class FollowingError:
         rows = [robot.jacobian(robot.random_configuration(rng), self._frame)[:3] for _ in range(_POSTURES)]
         self.limit = contact.held * float(np.linalg.norm(rows, axis=1).max()) / self._stiffness
         latency = None if isinstance(contact.latency, str) else float(contact.latency)
-        self.servos = Servos(robot.nv, dt, latency, HIDDEN / self._stiffness)
+        self.servos = Servos(dt, latency, HIDDEN / self._stiffness)
         self._damping = (RESOLUTION / contact.held) ** 2 * np.eye(3)
         self.forget()
 
@@ -169,9 +173,8 @@ class FollowingError:
         self.force, self.tripped = np.zeros(3), ""
         self.distance, self.load, self.sinks = np.zeros(nv), np.zeros(nv), False
         self.resolution = 0.0 if isinstance(self.contact.resolution, str) else float(self.contact.resolution)
-        self._said, self._untold = False, int(self.contact.stiffness is None)
         self.notes: list[str] = []
-        if self._untold:
+        if self.contact.stiffness is None:
             joint = int(np.argmax(self.limit))
             self.notes.append(
                 f"the stiffness of the servos is not told: the arm is stopped by distances, at the latest where joint "
@@ -202,9 +205,7 @@ class FollowingError:
         self._change, self._lasted = self._change + step, self._lasted + time
         if not (over and self.servos.has_looked):
             return
-        now = 0.0
-        if self._change.dot(self._change) > 0.0:
-            now = self._robot.inertial_effort(q, self._change / self._lasted) / self._inertial
+        now = self._robot.inertial_effort(q, self._change / self._lasted) / self._inertial
         lately = math.exp(-self._lasted / RINGING)
         self._least, self._most = np.minimum(lately * self._least, now), np.maximum(lately * self._most, now)
         self._inertia = -self._most - _ROUNDING, _ROUNDING - self._least
@@ -229,8 +230,8 @@ class FollowingError:
 
         What the largest force makes of the limits, friction, and what was commanded within the delay.
         """
-        forces = max(1.0, self._driven / self.contact.held)
-        return forces * self.limit + self.servos.moved_lately + self.servos.width
+        largest = max(1.0, self._driven / self.contact.held) * self.limit
+        return largest + self.servos.moved_lately + self.servos.width
 
     def left(self, q: Float[np.ndarray, " n"]) -> float:
         """Force on the hand that is left in a measured posture, beyond what friction holds [N]."""
@@ -265,14 +266,10 @@ class FollowingError:
     def sentence(self, constraint: Constraint | None, q: Float[np.ndarray, " n"]) -> str:
         """What was blocked and by how much: the row of the constraint, if it is known, the joint, and what to do."""
         j = int(np.abs(self.distance).argmax())
-        kind = next(block.kind for block in self._robot.blocks if block.v.start <= j < block.v.stop)
-        unit = "mm" if kind == "prismatic" else "mrad"
-        words = f"joint {self._robot.joint_names[j]} is {1e3 * self.distance[j]:+.2g} {unit} from where it was sent"
-        turns = round(float(self.distance[j]) / (2.0 * math.pi))
-        if turns and kind != "prismatic" and abs(self.distance[j] - 2.0 * math.pi * turns) < math.radians(5.0):
-            words += (
-                f", which is {counted(abs(turns), 'full turn')}: the driver counts that joint's angle in other turns"
-            )
+        unit = self._robot.joint_units[j]
+        words = f"joint {self._robot.joint_names[j]} is {1e3 * self.distance[j]:+.2g} m{unit} from where it was sent"
+        if turned := other_turns(float(self.distance[j]), unit):
+            words += turned
         elif constraint is not None:
             off = constraint(q) @ self.distance
             i = int(np.abs(off).argmax())
@@ -298,10 +295,10 @@ class FollowingError:
         `driven` gives the motions of the joints that the task drives, at a posture.
         """
         self.distance = self._robot.difference(commanded, measured)
-        excess = self.servos.excess(self.distance)
+        was_known, excess = self.servos.is_known, self.servos.excess(self.distance)
         excess = excess - np.minimum(np.maximum(excess, self._inertia[0]), self._inertia[1])
         self._found[:, self._row] = excess, self.distance
-        if self.servos.is_known and not self._said:
+        if self.servos.is_known and not was_known:
             self._tell(measured)
         self.force = NONE
         if self.tripped or self.servos.repeats:
@@ -400,7 +397,7 @@ class FollowingError:
 
     def _tell(self, q: np.ndarray) -> None:
         """Say what the first motion has shown of the servos, and how small a force can still be seen."""
-        servos, contact, self._said = self.servos, self.contact, True
+        servos, contact, before = self.servos, self.contact, len(self.notes)
         C = self._robot.jacobian(q, self._frame)[:3] / self._stiffness
         G = np.linalg.solve(C.dot(C.T) + self._damping, C)  # of the force by the distances
         # what was sent from one new reading to the next is no friction
@@ -430,8 +427,16 @@ class FollowingError:
                 f"held={contact.held:g} N cannot be kept: from {cause}, {self.resolution:.0f} N can be told, and at "
                 "that the arm is stopped"
             )
-        for note in self.notes[self._untold :]:
+        for note in self.notes[before:]:
             _LOGGER.warning(note)
+
+
+def other_turns(step: float, unit: str) -> str:
+    """Return words on a step of a joint [rad or m] that is a number of full turns; empty where it is none."""
+    turns = round(step / (2.0 * math.pi))
+    if not turns or unit != "rad" or abs(step - 2.0 * math.pi * turns) > _TURN:
+        return ""
+    return f", which is {counted(abs(turns), 'full turn')}: the driver counts that joint's angle in other turns"
 
 
 def _slow(share: float) -> str:

@@ -148,9 +148,7 @@ class LawSequence:
     @property
     def gripper(self) -> Gripping | None:
         """What a gripper was last told, `"close"` or `"open"`; None before that."""
-        told: list[Gripping | None] = [
-            law.task.gripper for law in self.laws[: self.number + 1] if isinstance(law.task, JointMotion)
-        ]
+        told = [law.task.gripper for law in self.laws[: self.number + 1] if isinstance(law.task, JointMotion)]
         return next((word for word in reversed(told) if word is not None), None)
 
     @property
