@@ -134,8 +134,7 @@ def _compiled(
     robot: Robot | None, controller: Controller | ServoLoop, starts: np.ndarray, *run: Any
 ) -> Sequence[Rollout | None]:
     """Whole rollouts by the compiled law; None where single steps are needed."""
-    own = isinstance(controller, ResolvedRateController) and controller.robot is robot
-    native = controller.native if own else None
+    native = controller.native if isinstance(controller, ResolvedRateController) and controller.robot is robot else None
     return (None,) * len(starts) if native is None else native.rollouts(controller, starts, *run)
 
 

@@ -163,11 +163,8 @@ class FreeDirection(Task):
         self.unit: Unit = self._motion.unit
         self._n_held = constraint.n_constraints
         self.pause = _number("pause", pause, positive=True) if pause else 0.0
-        self._profile: MotionProfile | PathProfile = MotionProfile(
-            numbers["distance"], numbers["speed"], numbers["ramp"]
-        )
-        if path is not None:
-            self._profile = path.profile(numbers["ramp"])
+        profile = MotionProfile(numbers["distance"], numbers["speed"], numbers["ramp"])
+        self._profile: MotionProfile | PathProfile = profile if path is None else path.profile(profile.ramp)
         self.gain = numbers["gain"]
         self._shown = ShownPlaces.of(constraint, self._motion, as_shown) if take_hold or as_shown else None
         self._given = None if start is None else self._motion.origin(start)
