@@ -287,6 +287,9 @@ def test_wrong_settings_are_refused(robot_of: RobotOf) -> None:
         with pytest.raises(ConfigurationError, match="stiffness"):
             ml.ServoLoop(law, contact=ml.Contact(stiffness=value))
     ml.ServoLoop(law, contact=ml.Contact(latency=0.0))
+    for name in ("following_error_limit", "latency", "stiffness"):
+        with pytest.raises(TypeError, match=f"no argument '{name}': give contact=Contact"):
+            ml.ServoLoop(law, **{name: 0.1})
 
 
 def test_step_raises_what_update_hides(robot_of: RobotOf) -> None:

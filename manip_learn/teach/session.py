@@ -484,7 +484,10 @@ class TeachingSession:
         return ended
 
     def _loop_of(self, controller: Controller) -> ServoLoop:
-        """A loop that yields to a person, not to friction or to its own acceleration."""
+        """Return a loop that yields to a person, not to friction or to its own acceleration.
+
+        The servos are those of `MuJoCoDriver`.
+        """
         contact = Contact(held=YIELDS, driven=YIELDS, stiffness=STIFFNESS)
         return ServoLoop(controller, dt=PERIOD, acceleration_limit=GENTLY, contact=contact)
 
