@@ -189,10 +189,8 @@ def in_physics(starts: int, seed: int) -> str:
             physics = ArmPhysics(
                 name, plan.hold, rail, STIFFNESS, np.random.default_rng(number), start=one.robot.positions(one.start)
             )
-            allowed = ml.following_error_limit(one.robot, force=FORCE, stiffness=STIFFNESS)
-            loop = ml.ServoLoop(
-                plan.controller, PERIOD, contact=ml.Contact(latency=0.003), following_error_limit=allowed
-            )
+            contact = ml.Contact(held=FORCE, driven=FORCE, latency=0.003, stiffness=STIFFNESS)
+            loop = ml.ServoLoop(plan.controller, PERIOD, contact=contact)
             loop.reset(one.start)
             force, sequence = [], loop.controller
             for _ in range(round((plan.rollout.time[-1] + 1.0) / PERIOD)):

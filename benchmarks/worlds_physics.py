@@ -183,8 +183,8 @@ def executed(one: World, plan: ml.Plan, with_boxes: bool, with_leaf: bool) -> di
     """How far from its end what is held stays [mm], and what touched how deep [mm]."""
     physics = WorldPhysics(one, with_boxes, with_leaf, np.random.default_rng(0))
     stiffness, force = SERVOS.get(one.arm, SERVO)
-    allowed = ml.following_error_limit(one.robot, force=force, stiffness=stiffness)
-    loop = ml.ServoLoop(plan.controller, PERIOD, contact=ml.Contact(latency=0.003), following_error_limit=allowed)
+    contact = ml.Contact(held=force, driven=force, latency=0.003, stiffness=stiffness)
+    loop = ml.ServoLoop(plan.controller, PERIOD, contact=contact)
     loop.reset(one.start)
     held, sequence, status = False, loop.controller, ""
     for k in range(round((plan.rollout.time[-1] + 1.0) / PERIOD)):

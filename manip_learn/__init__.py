@@ -35,7 +35,7 @@ if TYPE_CHECKING:
     from manip_learn.control.controller import ResolvedRateController
     from manip_learn.control.driver import Driver, RunRecord, run
     from manip_learn.control.follow_motion import FollowMotion
-    from manip_learn.control.following import Contact, following_error_limit
+    from manip_learn.control.following import Contact
     from manip_learn.control.limits import Limits
     from manip_learn.control.policies import (
         JointAttractor,
@@ -97,7 +97,7 @@ _NAMES = {
     "control.command": "Command Controller Status",
     "control.controller": "ResolvedRateController",
     "control.limits": "Limits",
-    "control.following": "Contact following_error_limit",
+    "control.following": "Contact",
     "control.follow_motion": "FollowMotion",
     "control.policies": "JointAttractor JointLimitAvoidance ManipulabilityAscent NullSpacePolicy "
     "WeightedPolicies ZeroPolicy",
@@ -118,6 +118,7 @@ _NAMES = {
 }
 # names that are gone, and what to use instead: of 0.1 until 0.3, of 0.2 until 0.4
 _REMOVED = {
+    "following_error_limit": "give ServoLoop contact=Contact(held=..., stiffness=...): forces on the hand stop the arm",
     "SelfCollisionAvoidance": "Limits(robot, clear_of=SelfCollision(robot)) keeps the links apart",
     "PenalisedManipulabilityAscent": "task.ascent() climbs the room that is left, of joint ranges too",
     **dict.fromkeys(
@@ -142,7 +143,7 @@ __all__ += ["PointAttractor", "RecordedFiles", "RecordingSource", "RelativeFrame
 __all__ += ["ResolvedRateController", "Robot", "Rollout", "RunRecord", "Scene", "SelfCollision", "ServoLoop", "Shown"]
 __all__ += ["Skill", "Sphere", "Stacked", "Status", "Step", "Task", "TaskFrame", "Track", "Trajectory"]
 __all__ += ["WeightedPolicies", "ZeroPolicy", "audit_episodes", "derive_velocities", "find_mechanism"]
-__all__ += ["following_error_limit", "inspect_robot", "likely_tips", "load_demonstrations", "load_robot"]
+__all__ += ["inspect_robot", "likely_tips", "load_demonstrations", "load_robot"]
 __all__ += ["log_manipulability_gradient", "manipulability", "manipulability_batch", "manipulability_gradient"]
 __all__ += ["motion", "plan", "record", "repeat", "replay", "run", "simulate", "subsample"]
 

@@ -403,7 +403,7 @@ def played(robot: ml.Robot, start: np.ndarray = START) -> ml.ServoLoop:
 def planned(robot: ml.Robot, start: np.ndarray = START) -> ml.ServoLoop:
     """A motion of the joints and then one along the constraint, as of a plan."""
     rows = ml.Constraint([[0, 1]], ml.FrameJacobian(robot, "tip", axes="x y"))
-    there = ml.ResolvedRateController(every_joint(robot), JointMotion(robot, [start, start + 0.1], 1.0))
+    there = ml.ResolvedRateController(every_joint(robot), JointMotion(ml.Limits(robot), [start, start + 0.1]))
     on = ml.ResolvedRateController(rows, ml.motion(rows, along=0.1))
     return ml.ServoLoop(LawSequence(there, on), DT)
 

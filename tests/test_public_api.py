@@ -56,7 +56,12 @@ def test_unknown_names_are_attribute_errors():
 
 @pytest.mark.parametrize(
     ("name", "instead"),
-    [("optimise_path", "ml.plan"), ("CompiledController", "the ResolvedRateController itself"), ("warm_up", "leave")],
+    [
+        ("optimise_path", "ml.plan"),
+        ("CompiledController", "the ResolvedRateController itself"),
+        ("warm_up", "leave"),
+        ("following_error_limit", "Contact"),
+    ],
 )
 def test_a_removed_name_says_what_replaces_it(name, instead):
     """Until 0.3, in one sentence that names the name."""

@@ -16,7 +16,7 @@ from servo_cases import (
 )  # fmt: skip
 
 import manip_learn as ml
-from manip_learn.control.following import STIFFNESS, Contact, FollowingError, following_error_limit
+from manip_learn.control.following import STIFFNESS, Contact, FollowingError
 from manip_learn.errors import ConfigurationError, ManipLearnError
 from manip_learn.robot.tips import default_tip
 
@@ -112,23 +112,6 @@ def test_a_posture_that_no_arm_can_have_is_none(robot_of: RobotOf) -> None:
     assert ml.ServoLoop(law_of(robot, "sawyer")).update(0.999 * farthest, 0.0).status is ml.Status.OUTSIDE_LIMITS
 
 
-def test_a_limit_of_ones_own_counts_joint_by_joint(robot_of: RobotOf) -> None:
-    """A given limit is what trips, for the joint that it belongs to, and nothing else does."""
-    robot = robot_of("sawyer")
-    limit = np.linspace(0.01, 0.07, 7)
-    for j in range(7):
-        loop, q = (
-            ml.ServoLoop(law_of(robot, "sawyer"), following_error_limit=limit, contact=ml.Contact(latency=0.0)),
-            start_of(robot),
-        )
-        loop.reset(q)
-        loop.stop()
-        off = np.eye(7)[j] * limit[j]
-        assert loop.update(q + 0.999 * off, 0.0).status is ml.Status.STOPPED
-        assert loop.update(q - 1.001 * off, 0.1).status is ml.Status.FOLLOWING_ERROR
-        assert loop.stopped_by is not None and robot.joint_names[j] in loop.stopped_by
-
-
 def test_distances_mean_forces(robot_of: RobotOf) -> None:
     """Across what is driven, a push of 14 N at the hand is no reason to stop, 16 N is; along it 58 N and 62 N.
     Beside 50 N along it, 16.5 N across are no reason, 27 N are.
@@ -146,7 +129,7 @@ def test_distances_mean_forces(robot_of: RobotOf) -> None:
         ([0.0, 0.0, -19.6 - 17.0], True), ([14.0, 0.0, -19.6], False),
         ([50.0, 16.5, 0.0], False), ([50.0, 27.0, 0.0], True),
     ):  # fmt: skip
-        following = FollowingError(robot, Contact(stiffness=STIFFNESS), None, DT, np.full(7, 10.0), tip)
+        following = FollowingError(robot, Contact(stiffness=STIFFNESS), DT, np.full(7, 10.0), tip)
         away = J.T @ np.array(force) / STIFFNESS
         for _ in range(40):
             following.compare(q, q + away, lambda _q: along_x)
@@ -179,37 +162,13 @@ def test_a_payload_that_is_told_is_no_push(robot_of: RobotOf) -> None:
     assert loaded.with_payload(1.0, tip).mass == pytest.approx(robot.mass + 1.0) and robot.payload == 0.0
     away = robot.jacobian(q, tip)[:3].T @ [0.0, 0.0, -5.0 * 9.81] / STIFFNESS
     for arm, trips in ((robot, True), (loaded, False)):
-        following = FollowingError(arm, Contact(stiffness=STIFFNESS), None, DT, np.full(7, 10.0), tip)
+        following = FollowingError(arm, Contact(stiffness=STIFFNESS), DT, np.full(7, 10.0), tip)
         for _ in range(40):
             following.compare(q, q + away)
         assert bool(following.tripped) == trips
     for mass, place in ((-1.0, centre), (np.nan, centre), (1.0, [0.0, np.inf, 0.0]), (1.0, 0.05)):
         with pytest.raises(ConfigurationError, match="a payload has a mass"):
             robot.with_payload(mass, tip, place)
-
-
-def test_limits_of_the_following_error(robot_of: RobotOf) -> None:
-    """force / stiffness times the least lever, over directions a degree apart; bad numbers are refused."""
-    robot, q = robot_of("planar3"), np.array([0.3, 0.8, 0.4])
-    J = robot.jacobian(q, "tip")[:2]
-    angles = np.linspace(0.0, np.pi, 20_000)
-    lever = np.abs(np.column_stack([np.cos(angles), np.sin(angles)]) @ J).max(axis=1).min()
-    got = following_error_limit(robot, 20.0, [1000.0, 2000.0, 4000.0], q=q)
-    np.testing.assert_allclose(got, 20.0 * lever / np.array([1000.0, 2000.0, 4000.0]), rtol=0.04)
-    row = ml.Constraint([[0.6, 0.8]], ml.FrameJacobian(robot, "tip", "x y"))
-    np.testing.assert_allclose(following_error_limit(robot, q=q, constraint=row), 15.0 * np.abs(row(q)).max() / 2000.0)
-    draw = np.random.default_rng(1)
-    some = [following_error_limit(robot, q=robot.random_configuration(draw))[0] for _ in range(400)]
-    assert 0.45 < np.mean(some < following_error_limit(robot)[0]) < 0.55  # the median over postures
-    for wrong in (
-        {"force": 0.0},
-        {"force": np.inf},
-        {"stiffness": -1.0},
-        {"stiffness": [1.0, 1.0]},
-        {"q": [np.nan] * 3},
-    ):
-        with pytest.raises(ConfigurationError):
-            following_error_limit(robot, **wrong)
 
 
 STOPPED, STALE, INVALID = ml.Status.STOPPED, ml.Status.STALE, ml.Status.INVALID_INPUT
@@ -306,7 +265,6 @@ def test_wrong_settings_are_refused(robot_of: RobotOf) -> None:
     wrong: dict[str, list] = {
         "dt": [0.0, np.nan, "fast", True], "stale_after": [-1.0, 0.0],
         "acceleration_limit": [0.0, [1.0]], "jerk_limit": [-1.0, 1e-9],
-        "following_error_limit": [[0.1, 0.1], np.nan, 0.0],
     }  # fmt: skip
     for name, values in wrong.items():
         for value in values:
@@ -329,6 +287,9 @@ def test_wrong_settings_are_refused(robot_of: RobotOf) -> None:
         with pytest.raises(ConfigurationError, match="stiffness"):
             ml.ServoLoop(law, contact=ml.Contact(stiffness=value))
     ml.ServoLoop(law, contact=ml.Contact(latency=0.0))
+    for name in ("following_error_limit", "latency", "stiffness"):
+        with pytest.raises(TypeError, match=f"no argument '{name}': give contact=Contact"):
+            ml.ServoLoop(law, **{name: 0.1})
 
 
 def test_step_raises_what_update_hides(robot_of: RobotOf) -> None:

@@ -17,11 +17,10 @@ from manip_learn.control.cycle import Clock, ComputerClock, GivenUp, OrderlyEnd,
 from manip_learn.control.law_sequence import start_of
 from manip_learn.control.rollout import Rollout
 from manip_learn.control.servo_loop import ServoLoop, in_milliseconds
-from manip_learn.control.simulation import guided
+from manip_learn.control.simulation import rollout_of
 from manip_learn.errors import ConfigurationError
 from manip_learn.linalg import finite
 from manip_learn.recordings.validation.motion_checks import far_outside
-from manip_learn.robot.identity import RobotIdentity
 from manip_learn.robot.robot import Robot
 
 _LATE = 0.5  # share of a period by which a cycle begins late to be counted
@@ -321,10 +320,9 @@ class _Cycle:
         if command.velocity.any() or self._loop.lets_go:
             return False
         if not self.reason and command.status in (Status.INVALID_INPUT, Status.STALE):
-            if self.cycles * self._driver.period < self._loop.stale_after:
-                return False  # a driver that is not ready yet
-            if 0.0 < self._loop.silent < self._loop.stale_after:
-                return False  # one wrong reading
+            ran, patience = self.cycles * self._driver.period, self._loop.stale_after
+            if ran < patience or 0.0 < self._loop.silent < patience:
+                return False  # a driver that is not ready yet, or one wrong reading
             self._stopped(self._loop.stopped_by or f"the loop stands: {command.status}")
         return bool(self.reason)
 
@@ -334,10 +332,7 @@ class _Cycle:
         self.stop(f"{mixed_up}; {why}" if mixed_up else why)
 
     def _note(self, t: float, command: Command) -> None:
-        if self.cycles % self._stride:
-            return
-        q = self._loop.measured
-        if q is not None:
+        if self.cycles % self._stride == 0 and (q := self._loop.measured) is not None:
             self._samples.append((t, q, command))
         if len(self._samples) > SAMPLES:
             self._samples, self._stride = self._samples[::2], 2 * self._stride
@@ -345,19 +340,10 @@ class _Cycle:
     def record(self) -> RunRecord:
         """What was done."""
         loop, rows = self._loop, self._samples
-        commands, n = [command for _, _, command in rows], loop.robot.nv
-        rollout = Rollout(
-            np.array([t for t, _, _ in rows]),
-            np.array([q for _, q, _ in rows]).reshape(len(rows), -1 if rows else n),
-            np.array([c.velocity for c in commands]).reshape(-1, n),
-            np.array([c.manipulability for c in commands]),
-            tuple(c.status for c in commands),
-            loop.robot.joint_names,
-            np.array([loop.task_error(q, t) for t, q, _ in rows]),
-            robot=RobotIdentity.of(loop.robot),
-            following_error=np.array([c.following_error for c in commands]),
-            **guided(loop),
-        )
+        q = np.array([q for _, q, _ in rows]).reshape(len(rows), -1 if rows else loop.robot.nv)
+        time, commands = np.array([t for t, _, _ in rows]), [command for _, _, command in rows]
+        errors = np.array([loop.task_error(q, t) for t, q, _ in rows])
+        rollout = rollout_of(loop.robot, loop, time, q, commands, errors)
         return RunRecord(rollout, self.cycles, self.overruns, self.longest_delay, self.reason, self.ordered)
 
 
@@ -376,9 +362,8 @@ class _FirstReadings:
 
     def __init__(self, loop: ServoLoop):
         own, self._robot = start_of(loop.controller), loop.robot
-        self._start, self.place = loop.position if own is None else own, np.zeros(loop.robot.nv)
-        self._within = np.maximum(_AWAY, loop.yields) if own is None else np.full(loop.robot.nv, _AWAY)
-        self.agree, self.number = False, 0
+        self._start, self._within = (loop.position, np.maximum(_AWAY, loop.yields)) if own is None else (own, _AWAY)
+        self.agree, self.number, self.place = False, 0, np.zeros(0)
 
     def doubt(self, q: Any) -> str:
         """Return why a reading is not believed yet, in words; empty if it is, or if it is not a posture."""
@@ -389,11 +374,10 @@ class _FirstReadings:
         self.place, self.number = robot.positions(x), self.number + 1
         for place, within, words in (
             (self._start, self._within, "where the motion starts: bring the arm there, or start from where it stands"),
-            (before, _AWAY * np.ones(robot.nv), "a period before: the arm moves"),
+            (before, _AWAY, "a period before: the arm moves"),
         ):
-            away = np.zeros(robot.nv) if place is None else np.abs(robot.difference(place, x)) / within
-            j = int(away.argmax())
-            if place is not None and away[j] > 1.0:
+            away = np.zeros(1) if place is None else np.abs(robot.difference(place, x)) / within
+            if place is not None and away[j := int(away.argmax())] > 1.0:
                 was, now, unit = robot.positions(place)[j], self.place[j], robot.joint_units[j]
                 return (
                     f"nothing was sent: joint {robot.joint_names[j]} reads {now:.3g} {unit}, and {was:.3g} {unit} "

@@ -14,6 +14,7 @@ from numpy.typing import ArrayLike
 
 from manip_learn.constraint.constraint import Constraint
 from manip_learn.constraint.features.feature_map import sum_in_words
+from manip_learn.control.limits import per_joint
 from manip_learn.control.servos import HIDDEN, Servos
 from manip_learn.errors import ConfigurationError, counted
 from manip_learn.robot.robot import Robot
@@ -47,7 +48,14 @@ _NOISY = 1.0 / 3.0  # share of `held` that noise may be; more readings are avera
 # share of a force along the way that may seem to be across it: joints differ, directions are known to 10 degrees
 LEAKS = 0.2
 _KNOWN = 0.7  # share by which friction is known: it depends on load and speed, and presses the hand itself
-_POSTURES = 200  # for the levers of a robot whose posture is not known
+_TURN = 0.1  # [rad] by which a full turn may seem to be less or more
+_POSTURES = 200  # for the longest lever of a joint
+
+
+def is_number(value: Any) -> bool:
+    """Return whether a value is a real number; True, text, arrays and durations are none."""
+    kinds = (int, float, np.integer, np.floating)
+    return isinstance(value, kinds) and not isinstance(value, bool | np.timedelta64)
 
 
 @final
@@ -92,83 +100,9 @@ class Contact:
             measured = name in ("latency", "resolution")
             if name != "held" and isinstance(value, str) and value == "auto":
                 continue
-            good = isinstance(value, int | float | np.number) and not isinstance(value, bool)
-            if not (good and 0.0 <= float(value) < math.inf and (value or measured)):
+            if not (is_number(value) and 0.0 <= float(value) < math.inf and (value or measured)):
                 unit, auto = "seconds" if name == "latency" else "newtons", "" if name == "held" else ' or "auto"'
                 raise ConfigurationError(f"{name} must be a positive number of {unit}{auto}, got {value!r}")
-
-
-def following_error_limit(
-    robot: Robot,
-    force: float = 15.0,
-    stiffness: ArrayLike = STIFFNESS,
-    *,
-    frame: str | None = None,
-    q: ArrayLike | None = None,
-    constraint: Constraint | None = None,
-) -> Float[np.ndarray, " nv"]:
-    """How far position servos give way to a force at the tip: limits for `ServoLoop`.
-
-    A force f loads the joints with J(q)^T f, and joint j gives way by that over its stiffness. Some joint is beyond the
-    limit before the force is reached, whatever its direction:
-
-        limit_j = force / stiffness_j * min over unit f of max over j |J_j(q)^T f|
-
-    with a lever of 1 for prismatic joints. A joint's friction shows as friction / stiffness: allow no less.
-
-    Args:
-        robot: The robot.
-        force: At the tip [N].
-        stiffness: shape (nv,) or a number [N m/rad or N/m], of the servos.
-        frame: Name of the tip's frame; by default the robot's likeliest tip.
-        q: Posture; None takes the median over postures within the limits, so that in half of them the arm yields to
-            a larger force than that.
-        constraint: Whose rows are the directions of force that count, e.g. those across a drawer's way; by default all
-            at the tip.
-
-    Returns:
-        shape (nv,) [rad or m].
-
-    Raises:
-        ConfigurationError: A force or a stiffness that is not positive, or a posture that does not fit.
-        UnknownNameError: No such frame.
-    """
-    if not 0.0 < force < math.inf:
-        raise ConfigurationError(f"force must be a positive number of newtons, got {force!r}")
-    k = _per_joint("stiffness", stiffness, robot)
-    tip = robot.frame(frame or default_tip(robot))
-    postures = _postures(robot) if q is None else [robot.checked_posture(q)]
-    rows = (lambda x: robot.jacobian(x, tip)[:3]) if constraint is None else constraint
-    levers = []
-    for x in postures:  # the longest lever of a joint, for the direction in which that is shortest of those that move
-        J = rows(np.asarray(x))
-        U, sigma, _ = np.linalg.svd(J, full_matrices=False)
-        moving = U[:, sigma > 1e-6 * sigma[0]]  # no joint yields across a plane that the arm never leaves
-        levers.append(float(np.abs(_directions(moving.shape[1]) @ moving.T @ J).max(axis=1).min()))
-    return force * float(np.median(levers)) / k
-
-
-def _postures(robot: Robot) -> list[Float[np.ndarray, " nq"]]:
-    rng = np.random.default_rng(0)
-    return [robot.random_configuration(rng) for _ in range(_POSTURES)]
-
-
-def _directions(size: int) -> Float[np.ndarray, "n size"]:
-    """Unit vectors all over a half sphere, 5 degrees apart at most in up to three dimensions."""
-    if size == 1:
-        return np.ones((1, 1))
-    if size == 2:
-        around = np.linspace(0.0, np.pi, 180, endpoint=False)
-        return np.column_stack([np.cos(around), np.sin(around)])
-    directions = np.random.default_rng(0).normal(size=(1000 * 4 ** (size - 3), size))
-    return directions / np.linalg.norm(directions, axis=1, keepdims=True)
-
-
-def _per_joint(what: str, values: ArrayLike, robot: Robot) -> Float[np.ndarray, " nv"]:
-    array = np.asarray(values, dtype=np.float64)
-    if array.shape not in ((), (robot.nv,)) or not np.all(array > 0.0):
-        raise ConfigurationError(f"{what} must be one positive number or {robot.nv}, got {array.tolist()}")
-    return np.array(np.broadcast_to(array, (robot.nv,)))
 
 
 # shares of the commanded speed above which an arm is not slow, below which the first motion says so, and below which it
@@ -192,29 +126,27 @@ class FollowingError:
     Args:
         robot: The robot.
         contact: What counts as a force, and which force is too large.
-        limit: shape (nv,) or a number [rad or m], distances of joints that count in place of forces; None for forces.
         dt: Period [s].
         acceleration: shape (nv,), with which the arm brakes [rad/s2 or m/s2].
         frame: Name of the tip's frame.
 
     Attributes:
-        limit: shape (nv,) [rad or m].
+        limit: shape (nv,), to which `held` at the longest lever would load a joint [rad or m].
         distance: shape (nv,), measured less commanded.
-        force: shape (3,), on the hand, in the base frame [N]; 0 where the user has given limits.
+        force: shape (3,), on the hand, in the base frame [N].
         tripped: Why the arm is to be stopped, in words; empty where it is not.
         load: shape (nv,), distance at which a weight keeps the arm, with nothing in its way [rad or m].
         sinks: True if the force that stopped the arm points down, as a weight does.
         servos: What is known of them.
 
     Raises:
-        ConfigurationError: A limit or a stiffness that is not positive or has the wrong size.
+        ConfigurationError: A stiffness that is not positive or has the wrong size.
     """
 
     def __init__(
         self,
         robot: Robot,
         contact: Contact,
-        limit: ArrayLike | None,
         dt: float,
         acceleration: Float[np.ndarray, " nv"],
         frame: str | None = None,
@@ -222,19 +154,15 @@ class FollowingError:
         self.contact, self._robot, self._dt, self._acceleration = contact, robot, dt, acceleration
         self._driven = _DRIVEN if isinstance(contact.driven, str) else float(contact.driven)
         told = STIFFNESS if contact.stiffness is None else contact.stiffness
-        self._stiffness = _per_joint("stiffness", told, robot)
+        self._stiffness = per_joint("stiffness", told, robot.joint_names)
         # links that are slower on servos softer than they are taken for give way by more: ten times at 200 N m/rad
         self._inertial = self._stiffness if contact.stiffness is not None else 0.1 * self._stiffness
-        self._by_force, self._frame = limit is None, robot.frame(frame or default_tip(robot))
-        if limit is None:
-            tip = self._frame
-            # the longest lever of the tip on any joint [m]; at least 1 where a joint is prismatic
-            reach = max(float(np.linalg.norm(robot.jacobian(q, tip)[:3], axis=0).max()) for q in _postures(robot))
-            limit = contact.held * reach / self._stiffness
-        self.limit = _per_joint("following_error_limit", limit, robot)
+        self._frame, rng = robot.frame(frame or default_tip(robot)), np.random.default_rng(0)
+        # the longest lever of the tip on any joint [m]; at least 1 where a joint is prismatic
+        rows = [robot.jacobian(robot.random_configuration(rng), self._frame)[:3] for _ in range(_POSTURES)]
+        self.limit = contact.held * float(np.linalg.norm(rows, axis=1).max()) / self._stiffness
         latency = None if isinstance(contact.latency, str) else float(contact.latency)
-        hidden = 0.0 if not self._by_force else HIDDEN
-        self.servos = Servos(robot.nv, dt, latency, hidden / self._stiffness)
+        self.servos = Servos(dt, latency, HIDDEN / self._stiffness)
         self._damping = (RESOLUTION / contact.held) ** 2 * np.eye(3)
         self.forget()
 
@@ -245,9 +173,8 @@ class FollowingError:
         self.force, self.tripped = np.zeros(3), ""
         self.distance, self.load, self.sinks = np.zeros(nv), np.zeros(nv), False
         self.resolution = 0.0 if isinstance(self.contact.resolution, str) else float(self.contact.resolution)
-        self._said, self._untold = False, int(self.contact.stiffness is None and self._by_force)
         self.notes: list[str] = []
-        if self._untold:
+        if self.contact.stiffness is None:
             joint = int(np.argmax(self.limit))
             self.notes.append(
                 f"the stiffness of the servos is not told: the arm is stopped by distances, at the latest where joint "
@@ -272,15 +199,13 @@ class FollowingError:
         if over:
             self._row, self._rows = (self._row + 1) % self._found.shape[1], self._rows + 1
         self._velocity = velocity
-        if not self._by_force or time <= 0.0:
+        if time <= 0.0:
             return
         # a servo gives way to M a as a spring and a damper do: by no more than lately, and for a while after
         self._change, self._lasted = self._change + step, self._lasted + time
         if not (over and self.servos.has_looked):
             return
-        now = 0.0
-        if self._change.dot(self._change) > 0.0:
-            now = self._robot.inertial_effort(q, self._change / self._lasted) / self._inertial
+        now = self._robot.inertial_effort(q, self._change / self._lasted) / self._inertial
         lately = math.exp(-self._lasted / RINGING)
         self._least, self._most = np.minimum(lately * self._least, now), np.maximum(lately * self._most, now)
         self._inertia = -self._most - _ROUNDING, _ROUNDING - self._least
@@ -305,13 +230,11 @@ class FollowingError:
 
         What the largest force makes of the limits, friction, and what was commanded within the delay.
         """
-        forces = max(1.0, self._driven / self.contact.held)
-        return forces * self.limit + self.servos.moved_lately + self.servos.width
+        largest = max(1.0, self._driven / self.contact.held) * self.limit
+        return largest + self.servos.moved_lately + self.servos.width
 
     def left(self, q: Float[np.ndarray, " n"]) -> float:
         """Force on the hand that is left in a measured posture, beyond what friction holds [N]."""
-        if not self._by_force:
-            return 0.0
         off = self.distance - self.load
         away = np.sign(off) * np.maximum(np.abs(off) - self.servos.friction, 0.0)
         C = self._robot.jacobian(q, self._frame)[:3] / self._stiffness
@@ -343,14 +266,10 @@ class FollowingError:
     def sentence(self, constraint: Constraint | None, q: Float[np.ndarray, " n"]) -> str:
         """What was blocked and by how much: the row of the constraint, if it is known, the joint, and what to do."""
         j = int(np.abs(self.distance).argmax())
-        kind = next(block.kind for block in self._robot.blocks if block.v.start <= j < block.v.stop)
-        unit = "mm" if kind == "prismatic" else "mrad"
-        words = f"joint {self._robot.joint_names[j]} is {1e3 * self.distance[j]:+.2g} {unit} from where it was sent"
-        turns = round(float(self.distance[j]) / (2.0 * math.pi))
-        if turns and kind != "prismatic" and abs(self.distance[j] - 2.0 * math.pi * turns) < math.radians(5.0):
-            words += (
-                f", which is {counted(abs(turns), 'full turn')}: the driver counts that joint's angle in other turns"
-            )
+        unit = self._robot.joint_units[j]
+        words = f"joint {self._robot.joint_names[j]} is {1e3 * self.distance[j]:+.2g} m{unit} from where it was sent"
+        if turned := other_turns(float(self.distance[j]), unit):
+            words += turned
         elif constraint is not None:
             off = constraint(q) @ self.distance
             i = int(np.abs(off).argmax())
@@ -359,7 +278,7 @@ class FollowingError:
             parts = sum_in_words(row, constraint.features.row_names, "+.2g", 0.05)
             words = f"row {i + 1} of the constraint ({parts}) is {1e3 * off[i]:+.2g} {unit} off, {words}"
         share, stands = self.servos.pace()
-        if self._by_force and _CREEPS < share < _SLOW:
+        if _CREEPS < share < _SLOW:
             return f"{words}; {_slow(share)}"
         if stands:
             words += "; no joint moves any more: look at brakes, control mode and emergency stop"
@@ -376,14 +295,10 @@ class FollowingError:
         `driven` gives the motions of the joints that the task drives, at a posture.
         """
         self.distance = self._robot.difference(commanded, measured)
-        excess = self.servos.excess(self.distance)
+        was_known, excess = self.servos.is_known, self.servos.excess(self.distance)
         excess = excess - np.minimum(np.maximum(excess, self._inertia[0]), self._inertia[1])
         self._found[:, self._row] = excess, self.distance
-        if not self._by_force:
-            if np.any(np.abs(excess) > self.limit):
-                self.tripped = self.tripped or "a joint is farther away than following_error_limit"
-            return
-        if self.servos.is_known and not self._said:
+        if self.servos.is_known and not was_known:
             self._tell(measured)
         self.force = NONE
         if self.tripped or self.servos.repeats:
@@ -482,7 +397,7 @@ class FollowingError:
 
     def _tell(self, q: np.ndarray) -> None:
         """Say what the first motion has shown of the servos, and how small a force can still be seen."""
-        servos, contact, self._said = self.servos, self.contact, True
+        servos, contact, before = self.servos, self.contact, len(self.notes)
         C = self._robot.jacobian(q, self._frame)[:3] / self._stiffness
         G = np.linalg.solve(C.dot(C.T) + self._damping, C)  # of the force by the distances
         # what was sent from one new reading to the next is no friction
@@ -512,8 +427,16 @@ class FollowingError:
                 f"held={contact.held:g} N cannot be kept: from {cause}, {self.resolution:.0f} N can be told, and at "
                 "that the arm is stopped"
             )
-        for note in self.notes[self._untold :]:
+        for note in self.notes[before:]:
             _LOGGER.warning(note)
+
+
+def other_turns(step: float, unit: str) -> str:
+    """Return words on a step of a joint [rad or m] that is a number of full turns; empty where it is none."""
+    turns = round(step / (2.0 * math.pi))
+    if not turns or unit != "rad" or abs(step - 2.0 * math.pi * turns) > _TURN:
+        return ""
+    return f", which is {counted(abs(turns), 'full turn')}: the driver counts that joint's angle in other turns"
 
 
 def _slow(share: float) -> str:

@@ -148,10 +148,8 @@ class LawSequence:
     @property
     def gripper(self) -> Gripping | None:
         """What a gripper was last told, `"close"` or `"open"`; None before that."""
-        told: list[Gripping | None] = [
-            law.task.gripper for law in self.laws[: self.number + 1] if isinstance(law.task, JointMotion)
-        ]
-        return next((word for word in reversed(told) if word is not None), None)
+        tasks = (law.task for law in reversed(self.laws[: self.number + 1]))
+        return next((task.gripper for task in tasks if isinstance(task, JointMotion) and task.gripper), None)
 
     @property
     def limits(self) -> Limits | None:

@@ -127,8 +127,9 @@ class TipLimits:
         if speed is not None and not (isinstance(speed, int | float) and 0.0 < speed < math.inf):
             raise ConfigurationError(f"tip_speed must be a positive number of metres per second, got {speed!r}")
         rows = np.empty((0, 4)) if walls is None else np.array(walls, dtype=np.float64)
-        if rows.ndim != 2 or rows.shape[1] != 4:
-            raise ConfigurationError(f"walls must be rows (nx, ny, nz, d) with n^T p <= d, got shape {rows.shape}")
+        are_rows = rows.ndim == 2 and rows.shape[1] == 4
+        if not (are_rows and np.all(np.isfinite(rows)) and np.all(rows[:, :3].any(axis=1))):
+            raise ConfigurationError(f"walls must be rows (nx, ny, nz, d) with n^T p <= d, got {rows.tolist()}")
         if box is not None:
             sides, unit = np.array(box, dtype=np.float64), np.eye(3)
             if sides.shape != (2, 3) or not np.all(sides[0] < sides[1]):
@@ -138,15 +139,12 @@ class TipLimits:
                 )
             faces = np.vstack((np.column_stack((-unit, -sides[0])), np.column_stack((unit, sides[1]))))
             rows = np.vstack((faces[np.isfinite(faces[:, 3])], rows))
-        lengths = np.linalg.norm(rows[:, :3], axis=1)
-        if not (np.all(np.isfinite(rows)) and np.all(lengths > 0.0)):
-            raise ConfigurationError(f"walls must be rows (nx, ny, nz, d) with n^T p <= d, got {rows.tolist()}")
         if frames is None:
             frames = () if speed is None and not len(rows) else default_tip(robot)
         names = (frames,) if isinstance(frames, str) else tuple(frames)
         self.speed = math.inf if speed is None else float(speed)
         self.frames = tuple(robot.frame(name) for name in names)
-        self.walls = rows / lengths[:, None]
+        self.walls = rows / np.linalg.norm(rows[:, :3], axis=1, keepdims=True)
         self.clear, self._robot = clear, robot
 
     def at(
@@ -469,12 +467,12 @@ class Limits:
     ):
         self.robot = robot
         names = robot.joint_names
-        self.velocity = _positive("velocity", robot.velocity_limit if velocity is None else velocity, names)
+        self.velocity = per_joint("velocity limit", robot.velocity_limit if velocity is None else velocity, names)
         if acceleration is None:
             bounded = np.isfinite(self.velocity)
             acceleration = np.where(bounded, ACCELERATION_RATE * self.velocity, DEFAULT_ACCELERATION)
-        self.acceleration = _positive("acceleration", acceleration, names)
-        self.jerk = None if jerk is None else _positive("jerk", jerk, names)
+        self.acceleration = per_joint("acceleration limit", acceleration, names)
+        self.jerk = None if jerk is None else per_joint("jerk limit", jerk, names)
         if not (math.isfinite(margin) and margin >= 0.0):
             raise ConfigurationError(f"margin must be a distance of at least 0, got {margin!r}")
         self.tip = None
@@ -575,9 +573,9 @@ class Limits:
             return self
         other = copy.copy(self)
         if acceleration is not None:
-            other.acceleration = _positive("acceleration", acceleration, self.robot.joint_names)
+            other.acceleration = per_joint("acceleration limit", acceleration, self.robot.joint_names)
         if jerk is not None:
-            other.jerk = _positive("jerk", jerk, self.robot.joint_names)
+            other.jerk = per_joint("jerk limit", jerk, self.robot.joint_names)
         other._prepare()
         return other
 
@@ -638,14 +636,27 @@ def bound_changes(bounds: Bounds, previous: Float[np.ndarray, " nv"], accelerati
     return bounds
 
 
-def _positive(what: str, values: ArrayLike, names: tuple[str, ...]) -> Float[np.ndarray, " nv"]:
+def per_joint(what: str, values: ArrayLike, names: tuple[str, ...]) -> Float[np.ndarray, " nv"]:
+    """Return one positive number for each joint.
+
+    Args:
+        what: They are, in words.
+        values: shape (nv,) or a number.
+        names: Of the joints.
+
+    Returns:
+        shape (nv,), not writable.
+
+    Raises:
+        ConfigurationError: A number that is not positive, or another number of them.
+    """
     array = np.asarray(values, dtype=np.float64)
     if array.shape not in ((), (len(names),)):
-        raise ConfigurationError(f"{what} limits: {len(names)} numbers or one are needed, got shape {array.shape}")
+        raise ConfigurationError(f"{what}: {len(names)} numbers or one are needed, got shape {array.shape}")
     array = np.array(np.broadcast_to(array, (len(names),)))
     wrong = np.flatnonzero(~(array > 0.0))
     if wrong.size:
         j = int(wrong[0])
-        raise ConfigurationError(f"the {what} limit of joint {names[j]!r} must be positive, got {array[j]:g}")
+        raise ConfigurationError(f"the {what} of joint {names[j]!r} must be positive, got {array[j]:g}")
     array.setflags(write=False)
     return array

@@ -6,6 +6,7 @@ import inspect
 import math
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Sequence
+from contextlib import suppress
 from typing import final
 
 import numpy as np
@@ -15,11 +16,7 @@ from scipy.linalg.lapack import dsyev  # pyright: ignore[reportAttributeAccessIs
 
 from manip_learn.constraint.constraint import Constraint
 from manip_learn.constraint.features.feature_map import Vjp
-from manip_learn.constraint.manipulability import (
-    SINGULAR_RATIO,
-    escape_direction,
-    gradient_from,
-)
+from manip_learn.constraint.manipulability import SINGULAR_RATIO, escape_direction, gradient_from
 from manip_learn.constraint.small_matrices import row_inverse, svd
 from manip_learn.errors import ConfigurationError, ConstraintError, TargetError, an
 from manip_learn.linalg import unit
@@ -438,20 +435,17 @@ class PolicyFunction(NullSpacePolicy):
 
     def __init__(self, function: Callable[..., ArrayLike]):
         self.function = function
-        takes, fits = inspect.signature(function), []
+        takes, fits = inspect.signature(function), set[int]()
         for number in (1, 2):
-            try:
+            with suppress(TypeError):
                 takes.bind(*range(number))
-                fits.append(True)
-            except TypeError:
-                fits.append(False)
-        one, two = fits
-        if not (one or two):
+                fits.add(number)
+        if not fits:
             raise ConfigurationError(
                 f"a null-space policy is a function of q, or of q and t; this one takes {takes}: write lambda q: ... "
                 "or lambda q, t: ..."
             )
-        self._timed = two and (not one or "t" in takes.parameters)
+        self._timed = 2 in fits and (1 not in fits or "t" in takes.parameters)
 
     def __call__(self, q: ArrayLike, t: float = 0.0) -> Float[np.ndarray, " nv"]:
         """The function's answer as an array [rad/s or m/s]."""

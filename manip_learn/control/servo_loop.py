@@ -13,16 +13,15 @@ from jaxtyping import Float
 from numpy.typing import ArrayLike
 
 from manip_learn.constraint.constraint import Constraint
-from manip_learn.constraint.small_matrices import row_inverse
 from manip_learn.control.command import Command, Controller, Status
 from manip_learn.control.controller import ResolvedRateController
 from manip_learn.control.follow_motion import FollowMotion
-from manip_learn.control.following import LEFT, Contact, FollowingError
+from manip_learn.control.following import LEFT, Contact, FollowingError, is_number, other_turns
 from manip_learn.control.law import next_slide
 from manip_learn.control.law_sequence import LawSequence, constraint_of, held_frame, law_of, task_of, taught_force
 from manip_learn.control.limits import Bounds, Limits, bound_changes, farthest_positions, stopping_speed
 from manip_learn.control.tasks import PointAttractor, Task
-from manip_learn.errors import ConfigurationError, counted
+from manip_learn.errors import ConfigurationError
 from manip_learn.linalg import finite
 from manip_learn.recordings.validation.motion_checks import far_outside
 from manip_learn.robot.robot import Robot
@@ -44,17 +43,17 @@ _SHOWS, _FOLLOWS = 2e-3, 0.9
 # [rad/s or m/s] speed below which it does not fall on the way, and [rad or m] distance at which it has arrived
 _SLOWEST, _ARRIVED = 1e-3, 1e-9
 LONGEST_TIME = 1e15  # [s] a larger number is no time: its steps are longer than a period
-# [rad or m] that a reading may be off beside twice what a joint can move meanwhile; [rad] by which a turn is one
-TWICE, _JUMP, _TURN = 2.0, 0.05, 0.1
+# [rad or m] that a reading may be off beside twice what a joint can move meanwhile
+TWICE, _JUMP = 2.0, 0.05
 BEYOND_TAUGHT = 1.5  # times the force that a way took when it was taught: it may stick more another time
 MILLI = 0.1  # within which a time is a thousand times another, decades
+# arguments that are gone, and what to give instead
+_REMOVED = {
+    **dict.fromkeys(("latency", "stiffness"), ": give contact=Contact({}={!r})"),
+    "following_error_limit": ": give contact=Contact(held=..., stiffness=...), forces on the hand stop the arm",
+    "correction_time": ": load the robot with its payload, robot.with_payload(...)",
+}
 STANDING = (Status.INVALID_INPUT, Status.STALE, Status.FOLLOWING_ERROR, Status.STOPPED)
-
-
-def _is_number(value: Any) -> bool:
-    """Whether a value is a real number; True, text, arrays and durations are none."""
-    kinds = (int, float, np.integer, np.floating)
-    return isinstance(value, kinds) and not isinstance(value, bool | np.timedelta64)
 
 
 def in_milliseconds(time: float, seconds: float) -> bool:
@@ -170,14 +169,12 @@ class MovingAverage:
         length = max(1, math.ceil(needed / dt - 1e-9))
         self.time, self.averages = length * dt, length > 1
         self._rest = np.zeros(limits.robot.nv)
-        # velocities at the start and the end of straight stretches, and how long these are, oldest first
-        self._newest: deque[tuple[Float[np.ndarray, " nv"], Float[np.ndarray, " nv"], float]] = deque()
         self.forget()
 
     def forget(self) -> None:
         """Begin anew, from rest."""
-        self._newest.clear()
-        self._newest.append((self._rest, self._rest, self.time))
+        # velocities at the start and the end of straight stretches, and how long these are, oldest first
+        self._newest = deque([(self._rest, self._rest, self.time)])
 
     def of(self, velocity: Float[np.ndarray, " nv"], dt: float) -> Float[np.ndarray, " nv"]:
         """The mean, with this velocity as the newest, reached in dt [s]; always an array of its own."""
@@ -225,8 +222,6 @@ class ServoLoop:
             The commands are averaged over 2 max_j(a_j / jerk_j), which delays them by half of that time.
         stale_after: Time without a new state after which the arm brakes [s].
         contact: Which forces on the hand stop the arm, and what is known of its servos (`Contact`).
-        following_error_limit: shape (nv,) or a number [rad or m]: how far a joint may be from where it was commanded,
-            e.g. what `manip_learn.following_error_limit` gives, in place of the forces of `contact`.
         robot: Whose limits count; the controller's own by default.
 
     Attributes:
@@ -234,12 +229,13 @@ class ServoLoop:
         jerk_limit: shape (nv,) [rad/s3 or m/s3], in force, or None.
         dt: [s].
         measured: shape (n,), the newest measured posture that was one; None before the first.
+        silent: Time in which no state has come that was one and new [s].
         lets_go: Whether the arm is letting go of what blocked it.
         stopped_by: What last stopped the arm, in words; None where nothing has.
 
     Raises:
         ConfigurationError: A setting that is not positive, or a controller that has no robot where none is given.
-        TypeError: An argument that there is not; of `latency` and `stiffness` it says where they are given now.
+        TypeError: An argument that there is not; of one that is gone it says what to give instead.
 
     Example:
         >>> import manip_learn as ml
@@ -263,16 +259,13 @@ class ServoLoop:
         stale_after: float = 0.1,
         *,
         contact: Contact | None = None,
-        following_error_limit: ArrayLike | None = None,
         robot: Robot | None = None,
         **removed: Any,
     ):
         for name, value in removed.items():
-            told = f": give contact=Contact({name}={value!r})" if name in ("latency", "stiffness") else ""
-            told = ": load the robot with its payload, robot.with_payload(...)" if name == "correction_time" else told
-            raise TypeError(f"ServoLoop has no argument {name!r}{told}")
+            raise TypeError(f"ServoLoop has no argument {name!r}{_REMOVED.get(name, '').format(name, value)}")
         for name, value in (("dt", dt), ("stale_after", stale_after)):
-            if not (_is_number(value) and 0.0 < value < math.inf):
+            if not (is_number(value) and 0.0 < value < math.inf):
                 raise ConfigurationError(f"{name} must be a positive number of seconds, got {value!r}")
         if not dt < stale_after:
             raise ConfigurationError(
@@ -289,8 +282,6 @@ class ServoLoop:
             self.limits = law.limits.with_rates(acceleration_limit, jerk_limit)
         self.acceleration_limit, self.jerk_limit = self.limits.acceleration, self.limits.jerk
         self._average = MovingAverage(self.limits, self.dt)
-        # commands of the library's own controllers are within the limits that they were given
-        self._keeps_limits = isinstance(controller, ResolvedRateController | LawSequence | FollowMotion)
         self.controller = controller
         if isinstance(controller, FollowMotion):  # a motion that is known ahead makes up for the lag of the average
             lag = 0.5 * self._average.time if self._average.averages else 0.0
@@ -302,8 +293,7 @@ class ServoLoop:
             self.contact = replace(contact, driven=max(contact.held, BEYOND_TAUGHT * force))
         # an arm that presses brakes and lets go as hard as it can, however gently it was to move
         self._hard = self.limits.with_rates(np.maximum(self.limits.acceleration, Limits(own).acceleration), None)
-        acceleration, frame = self._hard.acceleration, held_frame(controller)
-        self._following = FollowingError(own, self.contact, following_error_limit, self.dt, acceleration, frame)
+        self._following = FollowingError(own, self.contact, self.dt, self._hard.acceleration, held_frame(controller))
         self._impossible = farthest_positions(self.robot)
         self._period = Period(self.dt)
         self._slowed = 1.0, self.limits  # a share of the acceleration, and the limits with it
@@ -343,7 +333,7 @@ class ServoLoop:
         self._since = 0.0  # from the state before to the newest [s]
         self._ahead = 0.0  # time by which the commanded posture has moved on since the newest state
         self._behind = 0.0  # time by which the clock of a task that waits for the arm is behind
-        self._waited = 0.0  # periods since the newest state
+        self.silent = 0.0
         self._runs_on = False  # whether the arm goes on between late calls, as a velocity servo does
         self._alone = self._output is None  # a posture starts from the first reading, and no other has been near it
         self._stopping = self.lets_go = self._hangs = False
@@ -407,12 +397,7 @@ class ServoLoop:
             law(self._reference, 0.0, self.dt)  # what does not fit is refused while the old law is still there
             law.task.reset()
         self.controller = law.with_limits(self.limits)
-        self._keeps_limits, self._slide, self._behind = True, 0.0, 0.0
-
-    @property
-    def silent(self) -> float:
-        """Time in which no state has come that was one and new [s]."""
-        return self._waited
+        self._slide = self._behind = 0.0
 
     @property
     def yields(self) -> Float[np.ndarray, " nv"]:
@@ -432,9 +417,8 @@ class ServoLoop:
         From one call to the next it moves by no more than the velocity limits allow in `dt`, or in the time between
         the calls where that is shorter: after a gap, a position servo goes on from where it stands.
         """
-        if self._return is not None:
-            return self._return.posture.copy()
-        return None if self._output is None else self._output.copy()
+        sent = self._output if self._return is None else self._return.posture
+        return None if sent is None else sent.copy()
 
     def update(self, q: Any, t: Any) -> Command:
         """The command of the next period. Never raises.
@@ -458,12 +442,12 @@ class ServoLoop:
             ManipLearnError: What the controller raises.
         """
         measured = self._posture(q)
-        time = float(t) if _is_number(t) and abs(t) < LONGEST_TIME else math.nan
+        time = float(t) if is_number(t) and abs(t) < LONGEST_TIME else math.nan
         if measured is not None and time < self._time and self._earlier < time <= self._earlier + self.stale_after:
             self._time = -math.inf  # two states in order: the clock was set back, or one stamp was wrong
         if measured is None or not time >= self._time:
             self._earlier = time if measured is not None and time < self._time else math.nan
-            self._waited += self.dt
+            self.silent += self.dt
             self.stopped_by = f"no time: {t!r:.40}" if measured is not None else f"no posture: {q!r:.200}"
             if measured is None and (x := finite(q, self.robot.nv)) is not None and (far := far_outside(self.robot, x)):
                 self.stopped_by += f"; {far}"
@@ -475,7 +459,7 @@ class ServoLoop:
                 self._stopping, self._time = stopping, time
                 self.measured = self._reference = self._output = measured
             self._refused += self.dt
-            self._waited += self.dt
+            self.silent += self.dt
             self.stopped_by, self._jumped = jump, (jump, time)
             return self._braked(Status.INVALID_INPUT)
         self._refused, self._alone = 0.0, self._alone and self.measured is None
@@ -488,20 +472,20 @@ class ServoLoop:
             sent, self._return = self._return.posture, self._return.step(measured, period)
             self._reference = self._output = sent
             return self._braked(Status.FOLLOWING_ERROR, period)
-        if self._waited == 0.0:  # a state that is not new says nothing of the commands since
+        if self.silent == 0.0:  # a state that is not new says nothing of the commands since
             self._following.compare(self._output, measured, self._driven)
         if self._following.tripped:
             # the average would go on pressing for its own length
             self._reference, self._velocity = self._output, self._sent
             return self._unloading(self._output, measured, period)
-        if held is None or self._waited > self.stale_after:
+        if held is None or self.silent > self.stale_after:
             self.stopped_by = f"no new state for more than {1e3 * self.stale_after:g} ms"
             if in_milliseconds(self._since, self.dt):
                 self.stopped_by += f"; the time went on by {self._since:g}, in milliseconds? It is to be in seconds"
             return self._braked(Status.STALE, period)
         if self._stopping:
             return self._braked(Status.STOPPED, period)
-        if self._waited > 0.0 and self._last is not None:
+        if self.silent > 0.0 and self._last is not None:
             last = self._last  # goes on, as long as that stays within the limits
             if last.status in STANDING:
                 return self._braked(last.status)
@@ -528,10 +512,7 @@ class ServoLoop:
         words = f"joint {name} was read {step[j]:+.3g} {unit} from where it was {1e3 * since:.3g} ms before"
         if np.all(np.abs(np.sort(self.measured) - np.sort(measured)) <= np.sort(fastest)):
             return f"{words}: the joints come in another order"
-        turns = round(float(step[j]) / (2.0 * math.pi))
-        if turns and abs(step[j] - 2.0 * math.pi * turns) < _TURN:
-            words += f", {counted(abs(turns), 'full turn')}: the driver counts its angle in other turns"
-        return words
+        return words + other_turns(float(step[j]), unit)
 
     def _posture(self, q: Any) -> Float[np.ndarray, " n"] | None:
         """The posture as an array of its own; None if it is none."""
@@ -562,9 +543,9 @@ class ServoLoop:
         since, ahead = time - self._time, self._ahead
         self._since = since if math.isfinite(since) else 0.0
         if since <= 0.0:
-            self._waited += self.dt
+            self.silent += self.dt
             return self.dt
-        self._time, self._waited, self._ahead = time, 0.0, 0.0
+        self._time, self.silent, self._ahead = time, 0.0, 0.0
         if math.isinf(since):
             return self.dt
         stood = self._last is None or self._last.status in STANDING
@@ -631,8 +612,8 @@ class ServoLoop:
 
     def _within_limits(self, q: np.ndarray, time: float, held: float) -> Command:
         """The controller's command, within the limits."""
-        if self._keeps_limits:
-            command = self.controller(q, time, held, self._velocity, self._slide)  # type: ignore[call-arg]
+        if isinstance(self.controller, ResolvedRateController | LawSequence | FollowMotion):
+            command = self.controller(q, time, held, self._velocity, self._slide)
             self._slide = next_slide(self._slide, command, held)
             if self._period.longest == self._period.usual or (bounds := self._bounds(q, held)).admit(command.velocity):
                 return command
@@ -691,27 +672,24 @@ class ServoLoop:
         left = self.robot.difference(commanded, self._relief)
         farthest = float(np.abs(left).max(initial=0.0))
         self._rested += held
-        arrived = farthest < _ARRIVED and not self._velocity.any()
-        if arrived:
-            if self._rested > following.servos.delay + _SETTLED:
-                self.lets_go = self._renewed < RENEWALS and following.left(measured) > LEFT
-                if self._hangs:  # the weight has come to rest
-                    self.stopped_by = f"{self.stopped_by}{following.carry(following.distance, measured)}"
-                    self._hangs = False
-            if not self.lets_go or self._rested <= following.servos.delay + _SETTLED:
-                return self._braked(Status.FOLLOWING_ERROR, held)
-            self._renewed += 1
+        since, arrived = self._rested - following.servos.delay, farthest < _ARRIVED and not self._velocity.any()
+        if arrived and since > _SETTLED:
+            self.lets_go = self._renewed < RENEWALS and following.left(measured) > LEFT
+            if self._hangs:  # the weight has come to rest
+                self.stopped_by = f"{self.stopped_by}{following.carry(following.distance, measured)}"
+                self._hangs = False
+        if arrived and not (self.lets_go and since > _SETTLED):
+            return self._braked(Status.FOLLOWING_ERROR, held)
+        self._renewed += arrived
         # the first measurements were those of an arm in motion; what is near is noise
-        again = farthest > _NEAR and not self._renewed and self._rested > following.servos.delay + RELOOK
-        if arrived or again:
+        if arrived or (farthest > _NEAR and not self._renewed and since > RELOOK):
             self._relief, self._rested = self._let_go(commanded), 0.0
             left = self.robot.difference(commanded, self._relief)
             farthest = float(np.abs(left).max(initial=0.0))
         wish = left * min(1.0 / held, max(UNLOADING_RATE, _SLOWEST / max(farthest, _ARRIVED)))
         bounds = self._hard.bounds(commanded, held, self._velocity)
-        return self._beside_the_law(
-            self._hard.towards(wish, self._velocity, bounds, held), Status.FOLLOWING_ERROR, held
-        )
+        velocity = self._hard.towards(wish, self._velocity, bounds, held)
+        return self._beside_the_law(velocity, Status.FOLLOWING_ERROR, held)
 
     def _name_cause(self, measured: np.ndarray) -> None:
         """Say what stopped the arm."""
@@ -742,9 +720,7 @@ class ServoLoop:
             return np.eye(nv)
         if law is None or self._last is None:
             return np.zeros((0, nv))
-        A = law.constraint(q)
-        inverse = row_inverse(A)
-        return law.task.driven_rows(law.constraint).dot(np.linalg.pinv(A).T if inverse is None else inverse[0])
+        return law.task.driven_rows(law.constraint).dot(np.linalg.pinv(law.constraint(q)).T)
 
     def _beside_the_law(self, u: np.ndarray, status: Status, held: float) -> Command:
         last, zero = self._last, np.zeros(self.robot.nv)

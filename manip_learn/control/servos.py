@@ -46,10 +46,9 @@ class Servos:
     joint is how far it was sent before it was first seen to move, and half as much again, `hidden` at most.
 
     Args:
-        nv: Number of joints.
         dt: Period [s].
         latency: By how much the arm may follow late at the most [s]; None for `LATEST`.
-        hidden: shape (nv,), largest widths [rad or m]; 0 where friction counts as a distance like any other.
+        hidden: shape (nv,), largest widths [rad or m].
 
     Attributes:
         late: Delay that was measured [s], or None.
@@ -66,25 +65,24 @@ class Servos:
         every: Periods from one new reading to the next, as the first motion showed; 1 if each is new.
     """
 
-    def __init__(self, nv: int, dt: float, latency: float | None, hidden: Float[np.ndarray, " nv"]):
+    def __init__(self, dt: float, latency: float | None, hidden: Float[np.ndarray, " nv"]):
         self._dt, self._hidden = dt, hidden
         self._pace, self._often = max(1, round(PACE / dt)), max(1, round(OFTEN / dt))
         # periods back that are tried, and that there are rows for
         self._longest = math.ceil(((LATEST if latency is None else latency) + max(PACE, OFTEN)) / dt - 1e-9) + 1
         self._longest -= max(self._pace, self._often)
         self._size = self._longest + 2 + max(self._pace, self._often, round(2.0 * LATEST / dt))
-        self._own = PACE / dt if hidden.any() else 0.0  # periods
+        self._own = PACE / dt  # periods
         self._stride = max(1, round(_APART / dt))
         lags = np.arange(0.0, LATEST + 0.5 * _APART, max(_APART, dt))
         self._lags = np.unique(np.minimum(np.round(lags / dt).astype(np.int64), self._longest))
         # until the noise is known, the mean of some periods at 1 kHz
-        self._smoothing = dt / (dt + 0.004) if hidden.any() else 1.0
-        self._nv = nv
+        self._smoothing = dt / (dt + 0.004)
         self.forget()
 
     def forget(self) -> None:
         """Begin anew, from a posture at rest."""
-        nv = self._nv
+        nv = len(self._hidden)
         self.late, self.noise, self.is_known = None, np.full(nv, ENCODER), False
         self.width = self._hidden.copy()
         # ways of the commanded posture since the beginning, one row a period, twice so that the newest are in one piece
@@ -291,7 +289,7 @@ class Servos:
         nearer = self.width + self._least
         self._nearer = np.where(self._sense < 0.0, nearer, 0.0), np.where(self._sense > 0.0, nearer, 0.0)
         self._place = self._ways[self._row + self._size - self._at].copy()
-        self._bounds = -self.width, self.width, np.zeros(self._nv), 0.0
+        self._bounds = -self.width, self.width, np.zeros_like(self.width), 0.0
 
     def smooth(self, periods: float) -> None:
         """Take the mean of about so many readings."""

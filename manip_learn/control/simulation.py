@@ -26,6 +26,7 @@ _STARTS = 256
 
 
 Start = Sequence[float] | Float[np.ndarray, " n"]
+Starts = Sequence[Sequence[float]]
 
 
 @overload
@@ -36,12 +37,7 @@ def simulate(
 
 @overload
 def simulate(
-    robot: Robot | None,
-    controller: Controller,
-    q0: Sequence[Sequence[float]],
-    duration: float = ...,
-    dt: float = ...,
-    **options: Any,
+    robot: Robot | None, controller: Controller, q0: Starts, duration: float = ..., dt: float = ..., **options: Any
 ) -> tuple[Rollout, ...]: ...
 
 
@@ -130,28 +126,14 @@ def simulate(
         if i < steps:
             q = q + dt * command.velocity if robot is None else robot.integrate(q, dt * command.velocity)
         report("simulating", (i + 1) / (steps + 1))
-    u = np.array([c.velocity for c in commands])
-    return Rollout(
-        time=np.arange(steps + 1) * dt,
-        q=postures,
-        u=u,
-        manipulability=np.array([c.manipulability for c in commands]),
-        status=tuple(c.status for c in commands),
-        joint_names=robot.joint_names if robot is not None else tuple(f"q{i}" for i in range(u.shape[1])),
-        task_error=errors,
-        robot=None if robot is None else RobotIdentity.of(robot),
-        following_error=np.array([c.following_error for c in commands]) if isinstance(controller, ServoLoop) else None,
-        **guided(controller),
-    )
+    return rollout_of(robot, controller, np.arange(steps + 1) * dt, postures, commands, errors)
 
 
 def _compiled(
     robot: Robot | None, controller: Controller | ServoLoop, starts: np.ndarray, *run: Any
 ) -> Sequence[Rollout | None]:
     """Whole rollouts by the compiled law; None where single steps are needed."""
-    if not (isinstance(controller, ResolvedRateController) and controller.robot is robot):
-        return (None,) * len(starts)
-    native = controller.native
+    native = controller.native if isinstance(controller, ResolvedRateController) and controller.robot is robot else None
     return (None,) * len(starts) if native is None else native.rollouts(controller, starts, *run)
 
 
@@ -168,8 +150,41 @@ def _loop_of(
     return lambda q, t: controller(q, t, dt)
 
 
+def rollout_of(
+    robot: Robot | None,
+    controller: Controller | ServoLoop,
+    time: Float[np.ndarray, " T"],
+    q: Float[np.ndarray, "T n"],
+    commands: Sequence[Command],
+    errors: Float[np.ndarray, " T"],
+) -> Rollout:
+    """Return what was done, sample by sample, with what guided it.
+
+    Args:
+        robot: The robot, or None.
+        controller: What gave the commands.
+        time: shape (T,) [s].
+        q: shape (T, n), postures.
+        commands: T of them.
+        errors: shape (T,), of the task [m or rad].
+    """
+    names = tuple(f"q{i}" for i in range(len(commands[0].velocity))) if robot is None else robot.joint_names
+    return Rollout(
+        time,
+        q,
+        np.array([c.velocity for c in commands]).reshape(len(commands), len(names)),
+        np.array([c.manipulability for c in commands]),
+        tuple(c.status for c in commands),
+        names,
+        errors,
+        robot=None if robot is None else RobotIdentity.of(robot),
+        following_error=np.array([c.following_error for c in commands]) if isinstance(controller, ServoLoop) else None,
+        **guided(controller),
+    )
+
+
 def guided(controller: Controller | ServoLoop) -> dict[str, Any]:
-    """What guided a rollout: the frame, the target and the constraint, as far as they are known."""
+    """Return what guided a rollout: the frame, the target and the constraint, as far as they are known."""
     law = controller.controller if isinstance(controller, ServoLoop) else controller
     task, constraint = task_of(law), constraint_of(law)
     if task is None or constraint is None:

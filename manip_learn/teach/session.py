@@ -20,7 +20,7 @@ from manip_learn.control.command import Controller
 from manip_learn.control.controller import ResolvedRateController
 from manip_learn.control.driver import run
 from manip_learn.control.follow_motion import FollowMotion
-from manip_learn.control.following import following_error_limit
+from manip_learn.control.following import STIFFNESS, Contact
 from manip_learn.control.limits import RETURN_SPEED
 from manip_learn.control.servo_loop import ServoLoop
 from manip_learn.control.tasks import FreeDirection
@@ -484,9 +484,12 @@ class TeachingSession:
         return ended
 
     def _loop_of(self, controller: Controller) -> ServoLoop:
-        """A loop that yields to a person, not to friction or to its own acceleration."""
-        trips = following_error_limit(self.robot, force=YIELDS)
-        return ServoLoop(controller, dt=PERIOD, acceleration_limit=GENTLY, following_error_limit=trips)
+        """Return a loop that yields to a person, not to friction or to its own acceleration.
+
+        The servos are those of `MuJoCoDriver`.
+        """
+        contact = Contact(held=YIELDS, driven=YIELDS, stiffness=STIFFNESS)
+        return ServoLoop(controller, dt=PERIOD, acceleration_limit=GENTLY, contact=contact)
 
     @property
     def _way(self) -> TaughtWay | None:

@@ -4,11 +4,12 @@ from __future__ import annotations
 
 import math
 from abc import ABC, abstractmethod
-from typing import final
+from typing import Any, final
 
 import numpy as np
 from jaxtyping import Float
 from numpy.typing import ArrayLike
+from scipy.linalg import block_diag
 
 from manip_learn.constraint.constraint import Constraint
 from manip_learn.constraint.features.curve_rows import CurveRows
@@ -51,34 +52,40 @@ class DrivenMotion(ABC):
     Attributes of every child:
         constraint: The constrained rows and the driven one.
         unit: `"m"` or `"rad"`, of distances along the motion.
+        held: shape (k, p), the constrained rows, and
+        driven: shape (p,), what a unit of distance adds to the features' coordinates; of a motion for which these are
+            the same all along.
     """
 
     constraint: Constraint
     unit: Unit
+    held: Float[np.ndarray, "k p"]
+    driven: Float[np.ndarray, " p"]
 
-    @abstractmethod
     def held_at(self, distance: float) -> Float[np.ndarray, "k p"]:
-        """The constrained rows, at a distance."""
+        """Return the constrained rows, at a distance."""
+        return self.held
 
-    @abstractmethod
     def driven_at(self, distance: float) -> Float[np.ndarray, " p"]:
-        """What a unit of distance adds to the features' coordinates, at a distance."""
+        """Return what a unit of distance adds to the features' coordinates, at a distance."""
+        return self.driven
 
     @abstractmethod
     def axis_at(self, origin: Origin) -> Float[np.ndarray, " 3"]:
         """Direction in which the hand goes, or axis about which it turns, at the beginning: in the base frame."""
 
-    @abstractmethod
     def origin(self, q: ArrayLike) -> Origin:
-        """What has to be known of the start posture: the pose of the frame, or the features' coordinates."""
+        """Return what has to be known of the start posture: the pose of the frame, or the features' coordinates."""
+        features: Any = self.constraint.features
+        return features.robot.pose(q, features.frame)
 
     @abstractmethod
     def goal(self, origin: Origin, distance: float) -> Origin:
         """Where the frame is after a distance: a pose (4, 4), or numbers for the features' rows (p,)."""
 
-    @abstractmethod
     def error(self, origin: Origin, q: ArrayLike, distance: float) -> Float[np.ndarray, " p"]:
-        """How far the coordinates of posture q are from where they should be after a distance [m or rad]."""
+        """Return how far the coordinates of posture q are from where they should be after a distance [m or rad]."""
+        return self.moving_error(origin, q, distance)[0]
 
     @abstractmethod
     def moving_error(self, origin: Origin, q: ArrayLike, distance: float) -> MovingError:
@@ -186,27 +193,19 @@ class StraightMotion(DrivenMotion):
         self.constraint = Constraint(driven, features, constraint.provenance)
         linear_size, angular_size = (float(np.linalg.norm(f[part])) for part in (~angular, angular))
         self.unit = "rad" if angular_size > linear_size else "m"
-        self._driven = f / max(linear_size, angular_size)  # a distance counts along the larger part
-        self._held = constraint.selection
+        self.driven = f / max(linear_size, angular_size)  # a distance counts along the larger part
+        self.held = constraint.selection
         self._twist = np.zeros(6)
         self._features: FrameJacobian | RelativeFrameJacobian | None = None
         if isinstance(features, FrameJacobian | RelativeFrameJacobian) and not features.only_linear:
             self._features = features
             self._rows = [AXES.index(name) for name in features.row_names]
-            self._twist[self._rows] = self._driven
+            self._twist[self._rows] = self.driven
             self._own_axes = isinstance(features, FrameJacobian) and features.reference == "local"
-
-    def held_at(self, distance: float) -> Float[np.ndarray, "k p"]:
-        """The same rows all along."""
-        return self._held
-
-    def driven_at(self, distance: float) -> Float[np.ndarray, " p"]:
-        """The same direction all along."""
-        return self._driven
 
     def axis_at(self, origin: Origin) -> Float[np.ndarray, " 3"]:
         """The part of f that counts, in the base frame; zero of features that are no rows of a frame."""
-        twist = dict(zip(self.constraint.features.row_names, self._driven, strict=True))
+        twist = dict(zip(self.constraint.features.row_names, self.driven, strict=True))
         axis = np.array([twist.get(name, 0.0) for name in (AXES[:3] if self.unit == "m" else AXES[3:])])
         return origin[:3, :3] @ axis if self._features is not None and self._own_axes else axis
 
@@ -217,7 +216,7 @@ class StraightMotion(DrivenMotion):
     def goal(self, origin: Origin, distance: float) -> Origin:
         """The pose, or the coordinates, after a distance along f."""
         if self._features is None:
-            return origin + distance * self._driven
+            return origin + distance * self.driven
         v, turn = self._twist[:3] * distance, self._twist[3:] * distance
         goal, turned = np.eye(4), rotation_matrix(turn)
         if self._own_axes:
@@ -238,7 +237,7 @@ class StraightMotion(DrivenMotion):
         """As for `DrivenMotion`, from one look at the pose."""
         if self._features is None:
             E = self.constraint.features.coordinates_jacobian(q)
-            error, along = self.error(origin, q, distance), self._driven
+            error, along = self.error(origin, q, distance), self.driven
         else:
             goal, pose, along = self.goal(origin, distance), self._features.pose(q), np.empty(6)
             error, E = self._features.error_and_jacobian(goal, q)
@@ -333,7 +332,7 @@ class MechanismMotion(DrivenMotion):
             )
         held = tuple(name for name, weight in zip(rows.row_names, np.diag(weights), strict=True) if weight > 0.5)
         firm = any(name.startswith("slide") or name == "screw" for name in held)
-        axis, driven = g.axis, ""
+        axis = g.axis
         if "spherical" in held or {"slide", "slide-1", "slide-2"} == set(held):
             if direction is None:
                 raise ConstraintError(
@@ -350,9 +349,8 @@ class MechanismMotion(DrivenMotion):
         else:
             driven = _chosen(held, firm, direction, unit)
         beside: list[str] = []
-        if (
-            straight and not firm
-        ):  # a ball and a screw hold a combination of two: with it and the driven one, one is left
+        if straight and not firm:
+            # a ball and a screw hold a combination of two: with it and the driven one, one is left
             combined = {"spherical": "radial", "helical": "axial"}
             taken = {driven, *held, *(combined[name] for name in held if name in combined)}
             beside = [name for name in ("radial", "axial", "tangential") if name not in taken]
@@ -361,58 +359,41 @@ class MechanismMotion(DrivenMotion):
         )
         self.constraint = Constraint(np.eye(self._rows.n_rows), self._rows, constraint.provenance)
         self.unit = "rad" if driven in ("turn", "tangential") else "m"
-        self._driven = driven
-        self._last_row, self._held = np.eye(self._rows.n_rows)[-1], np.eye(len(held), self._rows.n_rows)
+        self._name = driven
+        self.driven, self.held = np.eye(self._rows.n_rows)[-1], np.eye(len(held), self._rows.n_rows)
         self._turns = any(name.startswith(("turn", "slide", "screw")) for name in (*held, driven))
-
-    def held_at(self, distance: float) -> Float[np.ndarray, "k p"]:
-        """The same rows all along."""
-        return self._held
-
-    def driven_at(self, distance: float) -> Float[np.ndarray, " p"]:
-        """The last row."""
-        return self._last_row
 
     def axis_at(self, origin: Origin) -> Float[np.ndarray, " 3"]:
         """The axis of the mechanism, or the direction away from it of a hand that is driven there."""
         g = self._rows.geometry
-        if self._driven != "radial":
+        if self._name != "radial":
             return g.axis
         out = origin[:3, 3] - g.point
         return out - float(g.axis @ out) * g.axis
 
-    def origin(self, q: ArrayLike) -> Origin:
-        """Pose of the frame."""
-        return self._rows.robot.pose(q, self._rows.frame)
-
     def goal(self, origin: Origin, distance: float) -> Origin:
         """Pose of the frame after a distance of the driven row, as on a hand that turns with the mechanism."""
         g, goal = self._rows.geometry, np.eye(4)
-        turn = rotation_matrix((distance if self.unit == "rad" else 0.0) * g.axis)
-        shift = {"slide": distance, "axial": distance}.get(self._driven, 0.0) * g.axis
-        if {"screw", "helical"} & set(self._rows.row_names):
-            shift = g.pitch * distance * g.axis
-        if self._driven == "radial":
-            out = origin[:3, 3] - g.point
-            out = out - float(g.axis @ out) * g.axis
-            shift = distance * out / np.linalg.norm(out)
+        turned, moved = (distance, 0.0) if self.unit == "rad" else (0.0, distance)
+        if self.unit == "rad" and {"screw", "helical"} & set(self._rows.row_names):
+            moved = g.pitch * distance
+        turn, way = rotation_matrix(turned * g.axis), self.axis_at(origin)
         goal[:3, :3] = turn @ origin[:3, :3]
-        goal[:3, 3] = g.point + turn @ (origin[:3, 3] - g.point) + shift
+        goal[:3, 3] = g.point + turn @ (origin[:3, 3] - g.point) + moved * way / np.linalg.norm(way)
         return goal
 
-    def error(self, origin: Origin, q: ArrayLike, distance: float) -> Float[np.ndarray, " p"]:
-        """What each row's coordinate is away from its value at the start, the driven one from the distance."""
-        return self.moving_error(origin, q, distance)[0]
-
     def moving_error(self, origin: Origin, q: ArrayLike, distance: float) -> MovingError:
-        """As for `DrivenMotion`; `tangential` is a speed, its coordinate an angle."""
+        """As for `DrivenMotion`: each row's coordinate is to be as at the start, the driven one at the distance.
+
+        `tangential` is a speed, its coordinate an angle.
+        """
         pose, g, names = self.origin(q), self._rows.geometry, self._rows.row_names
         # only what is driven goes beyond half a turn: angles are next to the distance
-        turned, around = (distance if self._driven == name else 0.0 for name in ("turn", "tangential"))
+        turned, around = (distance if self._name == name else 0.0 for name in ("turn", "tangential"))
         now = place_about(origin[:3, 3] - g.point, pose[:3, 3] - g.point, g, around)
         now |= _hand(origin, pose, g, turned) if self._turns else {}
         scale = np.array([now["distance from the axis"] if name == "tangential" else 1.0 for name in names])
-        return distance * self._last_row - np.array([now[name] for name in names]), self._last_row, scale, None
+        return distance * self.driven - np.array([now[name] for name in names]), self.driven, scale, None
 
 
 def place_about(d0: np.ndarray, d: np.ndarray, g: Place, near: float) -> dict[str, float]:
@@ -490,24 +471,13 @@ class CurveMotion(DrivenMotion):
         if direction is not None:
             raise TargetError(f"on a curve the hand goes forth, or back by a negative way: leave {direction!r} out")
         held = tuple(name for name in rows.row_names if name != "along")
-        self._rows, self.unit = rows.with_rows((*held, "along")), "m"
-        self.constraint = Constraint(np.eye(len(held) + 1), self._rows, constraint.provenance)
-
-    def held_at(self, distance: float) -> Float[np.ndarray, "k p"]:
-        """All rows but the last."""
-        return np.eye(self._rows.n_rows)[:-1]
-
-    def driven_at(self, distance: float) -> Float[np.ndarray, " p"]:
-        """The last row."""
-        return np.eye(self._rows.n_rows)[-1]
+        self._rows, self.unit, selection = rows.with_rows((*held, "along")), "m", np.eye(len(held) + 1)
+        self.constraint = Constraint(selection, self._rows, constraint.provenance)
+        self.held, self.driven = selection[:-1], selection[-1]
 
     def axis_at(self, origin: Origin) -> Float[np.ndarray, " 3"]:
         """The curve's direction next to the hand."""
         return self._rows.curve.tangents(origin[None, :3, 3])[0]
-
-    def origin(self, q: ArrayLike) -> Origin:
-        """Pose of the frame."""
-        return self._rows.robot.pose(q, self._rows.frame)
 
     def goal(self, origin: Origin, distance: float) -> Origin:
         """The pose so far along the curve."""
@@ -527,7 +497,7 @@ class CurveMotion(DrivenMotion):
 
     def moving_error(self, origin: Origin, q: ArrayLike, distance: float) -> MovingError:
         """As for `DrivenMotion`."""
-        return self.error(origin, q, distance), self.driven_at(distance), 1.0, None
+        return self.error(origin, q, distance), self.driven, 1.0, None
 
 
 @final
@@ -551,10 +521,7 @@ class PathMotion(DrivenMotion):
             turning = across(mechanism.axis)
         self._features = FrameJacobian(robot, frame.name, AXES if len(turning) else AXES[:3])
         self._p = self._features.n_rows
-        selection = np.zeros((3 + len(turning), self._p))
-        selection[:3, :3] = np.eye(3)
-        if len(turning):
-            selection[3:, 3:] = turning
+        selection = block_diag(np.eye(3), turning[:, : self._p - 3])
         self.constraint = Constraint(selection, self._features, constraint.provenance)
         self.unit = "m"
         ways = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(shown.points, axis=0), axis=1))])
@@ -585,18 +552,11 @@ class PathMotion(DrivenMotion):
     def held_at(self, distance: float) -> Float[np.ndarray, "k p"]:
         """The normals of the surface, and the rotations that are held."""
         normals = self._normals[min(int(np.searchsorted(self._ways, distance)), len(self._ways) - 1)]
-        out = np.zeros((len(normals) + len(self.constraint.selection) - 3, self._p))
-        out[: len(normals), :3] = normals
-        out[len(normals) :] = self.constraint.selection[3:]
-        return out
+        return block_diag(normals, self.constraint.selection[3:, 3:])
 
     def axis_at(self, origin: Origin) -> Float[np.ndarray, " 3"]:
         """The path's first direction."""
         return self._tangents[0]
-
-    def origin(self, q: ArrayLike) -> Origin:
-        """Pose of the frame."""
-        return self._features.robot.pose(q, self._features.frame)
 
     def goal(self, origin: Origin, distance: float) -> Origin:
         """The pose after a distance along the path, wherever the hand began; straight on before and after it."""

@@ -163,11 +163,8 @@ class FreeDirection(Task):
         self.unit: Unit = self._motion.unit
         self._n_held = constraint.n_constraints
         self.pause = _number("pause", pause, positive=True) if pause else 0.0
-        self._profile: MotionProfile | PathProfile = MotionProfile(
-            numbers["distance"], numbers["speed"], numbers["ramp"]
-        )
-        if path is not None:
-            self._profile = path.profile(numbers["ramp"])
+        profile = MotionProfile(numbers["distance"], numbers["speed"], numbers["ramp"])
+        self._profile: MotionProfile | PathProfile = profile if path is None else path.profile(profile.ramp)
         self.gain = numbers["gain"]
         self._shown = ShownPlaces.of(constraint, self._motion, as_shown) if take_hold or as_shown else None
         self._given = None if start is None else self._motion.origin(start)
@@ -304,14 +301,14 @@ class FreeDirection(Task):
         origin, wanted, rate = self._now(q, t)
         place = self._place = self._motion.progress(origin, q, self._place)
         rate += self.gain * (wanted - place)
-        if not self._approaches:
+        if self.way_begins is not None:
             rate = min(max(rate, -self._profile.speed), self._profile.speed)
         rates, E = self._motion.rates_and_jacobian(origin, q, place, rate, self.gain)
         return self.constraint.selection.dot(rates), E
 
     def driven_rows(self, constraint: Constraint) -> Float[np.ndarray, "d s"]:
         """The row along the motion; all rows on the way to the mechanism."""
-        return super().driven_rows(constraint) if self._approaches else self._motion.driven_row(self._place)
+        return super().driven_rows(constraint) if self.way_begins is None else self._motion.driven_row(self._place)
 
     def goal(self) -> Origin | None:
         """Where the motion ends; None before the first call, unless `start` was given."""
@@ -327,10 +324,14 @@ class FreeDirection(Task):
         """From where the way counts, how far along it the hand should be, and how fast."""
         if self._begun is not None and t <= self._begun < self._latest:
             self.reset()
-        begun, origin = self._begun, self._origin
-        if begun is None or origin is None:
-            begun, origin = self._begin(q, t)
-        self._latest = t
+        if self._begun is None or self._origin is None:
+            self._begun, (self._start, self._origin) = t, self._origins(q)
+            far = self._apart(self._start, self._origin)
+            if far > TAKEN:
+                self._approach = MotionProfile(far, APPROACH_SPEED, self._profile.ramp)
+            else:
+                self.way_begins = t + self.pause
+        self._latest, begun, origin = t, self._begun, self._origin
         if self.way_begins is None and self._start is not None and self._approach is not None:
             gone, _ = self._approach.at(t - begun)
             late = t - begun - self._approach.duration  # [s]
@@ -342,25 +343,10 @@ class FreeDirection(Task):
         after = t - (begun if self.way_begins is None else self.way_begins)
         return origin, *self._profile.at(after)
 
-    @property
-    def _approaches(self) -> bool:
-        return self.way_begins is None
-
     def _origins(self, q: ArrayLike) -> tuple[np.ndarray, np.ndarray]:
         """Origins of the motion where the hand is, or was said to be, and where it takes hold."""
         start = self._motion.origin(q) if self._given is None else self._given
         return start, start if self._shown is None else self._shown.nearest(start, self.wanted)
-
-    def _begin(self, q: ArrayLike, t: float) -> tuple[float, np.ndarray]:
-        """The start, and where the way begins: at the mechanism if that is elsewhere."""
-        start, origin = self._origins(q)
-        far = self._apart(start, origin)
-        if far > TAKEN:
-            self._approach = MotionProfile(far, APPROACH_SPEED, self._profile.ramp)
-        else:
-            self.way_begins = t + self.pause
-        self._begun, self._start, self._origin = t, start, origin
-        return t, origin
 
     def __repr__(self) -> str:
         p = self._profile
