@@ -84,7 +84,7 @@ def test_every_benchmark_has_cases_beside_the_release(monkeypatch):
 ROOMS = runpy.run_path(str(ROOT / ".ci" / "rooms"))
 SOURCES = {
     "a.py": (
-        '"""What it\nholds."""\n\n# why\nX = """\nno docstring"""\n\n\ndef f():\n    """Is."""\n    return X  # it\n',
+        '"""What it\nholds."""\n# X\nX = """\nno docstring"""\n\n\ndef f():\n    """Is."""\n    return X  # it\n',
         4,
     ),
     "b.js": ("/* what\nit is */\nlet a = 1; // one\n\n// why\na += 1;\n", 2),

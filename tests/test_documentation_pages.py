@@ -140,17 +140,7 @@ def test_each_figure_says_where_it_comes_from(tmp_path, capsys):
     assert f"{page}: A: a.csv: 0123abcd 2026-01-02 make a" in capsys.readouterr().out
 
 
-ARM_PAGES = (
-    "franka",
-    "lerobot",
-    "mujoco",
-    "ros2_control",
-    "ur",
-    "ur5e_in_ten_minutes",
-    "xarm",
-    "your_own_arm",
-    "control",
-)
+ARM_PAGES = "franka lerobot mujoco ros2_control ur ur5e_in_ten_minutes xarm your_own_arm control".split()
 
 
 @pytest.mark.parametrize("page", [*(DOCS / f"{name}.md" for name in ARM_PAGES), DOCS.parent / "SECURITY.md"], ids=str)

@@ -182,8 +182,7 @@ def test_a_step_goes_where_the_task_asks(name: str, robot_of: RobotOf, rng: np.r
 
     By explicit steps alone it would be off by dt^2/2 dA[u] u. Of that about dt |u| is left: a twentieth in the median.
     """
-    robot, left, dt = robot_of(name), [], 0.02
-    frame = rows_of(robot, name, "xyz", 3, rng).features.frame  # type: ignore[attr-defined]
+    robot, left, dt, frame = robot_of(name), [], 0.02, tip_of(name)
     rows = ml.Constraint(np.eye(3), ml.FrameJacobian(robot, frame, "xyz"))
     while len(left) < 60:
         q, b, w = inside(robot, rng, 0.8), 0.2 * rng.normal(size=3), rng.normal(size=robot.nv)

@@ -291,10 +291,7 @@ def motions(kind: str, folder: Path) -> dict[str, Any]:
     moved = ml.derive_velocities(raw, robot)
     if kind == "velocities":
         assert moved.u is not None
-        pieces = {
-            "derived": moved,
-            "subsampled": ml.subsample(moved, 3),
-        }
+        pieces = {"derived": moved, "subsampled": ml.subsample(moved, 3)}
         return {name: {"time": t.time, "q": t.q, "u": t.u} for name, t in pieces.items()}
     file = folder / "one.csv"
     file.write_text(csv(FULL, HEADER + VELOCITIES), encoding="utf-8")

@@ -200,12 +200,8 @@ def test_reset_ends_whatever_the_noise(dt: float, noise: float) -> None:
     """After a following error the arm moves again within 2 s, at every period and with every encoder."""
     rows = ml.Constraint(np.eye(3), ml.FrameJacobian(ROBOT, FRAME, "xyz"))
     law = ml.ResolvedRateController(rows, ml.PointAttractor(ROBOT.position(START, FRAME) + 0.2))
-    loop, q, rng, status = (
-        ml.ServoLoop(law, dt, contact=ml.Contact(stiffness=STIFFNESS)),
-        START,
-        np.random.default_rng(5),
-        "",
-    )
+    loop = ml.ServoLoop(law, dt, contact=ml.Contact(stiffness=STIFFNESS))
+    q, rng, status = START, np.random.default_rng(5), ""
     for k in range(round(3.0 / dt)):
         if k == round(1.0 / dt):
             assert status == "following-error"
@@ -242,9 +238,8 @@ def test_a_path_that_is_followed_slowly_is_said(share: float, since: float, ramp
     loop, words = slowed(share, since, ramp)
     assert "following-error" in words
     said = " ".join([str(loop.stopped_by), *loop.notes])
-    assert "% of its speed" in said and not any(
-        word in said for word in (" N along", " N across", "locked", "friction")
-    )
+    assert "% of its speed" in said
+    assert not any(word in said for word in (" N along", " N across", "locked", "friction"))
     told = float(str(loop.stopped_by).split("at about ")[1].split("%")[0]) / 100.0
     assert told == pytest.approx(share, abs=0.08) or ramp
 
