@@ -155,7 +155,6 @@ def test_what_an_arm_did_is_written(sawyer_run: Rollout, robot_of, tmp_path: Pat
         "shortly outside": simulate(robot, law, outside, 0.05, 0.01),
         "at a limit": simulate(robot, law, at, 1.0, 0.01),
         "long steps": simulate(robot, law, run.q[0], 3.0, 0.25),
-        "another method": simulate(robot, law, run.q[0], 3.0, 0.25, "rk4"),
         "behind": replace(run, q=behind, following_error=lag),
         "jammed": replace(run, q=jammed, following_error=np.abs(run.q - jammed).max(axis=1)),
         "by hand": replace(run, q=by_hand, **still),

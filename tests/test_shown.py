@@ -62,7 +62,7 @@ def test_the_arm_does_what_was_shown(kind, arm):
     robot, tip, learner, thing, ways = shown_set(kind, arm)
     constraint = learner.constraint_
     begin, places, way = done(constraint, ml.motion(constraint), np.array(HOME[arm]), tip)
-    assert np.linalg.norm(begin - thing.hold) < 2e-3 and way.is_done and way.deviation < 1e-3
+    assert np.linalg.norm(begin - constraint.shown.hold) < 2e-3 and way.is_done and way.deviation < 1e-3
     if kind == "table":
         points = constraint.shown.points
         for one, other in ((places, points), (points, places)):

@@ -68,7 +68,7 @@ class Command(NamedTuple):
         smallest_singular_value: Of A(q).
         escape_part: Velocity out of a singularity, shape (nv,); None away from singularities. `velocity` is the sum of
             the three parts.
-        progress: Velocity along b over the velocity asked for, b^T A u / |b|^2; 1 where b = 0.
+        progress: Velocity along b over the velocity asked for, b^T (A u + c) / |b|^2, mean of the step; 1 where b = 0.
         outside: Largest distance of a joint beyond its position limits [rad or m].
         limiting_joint: Number of the joint whose limit changes the command most, -1 if none does.
         following_error: Largest distance between commanded and measured joint positions [rad or m] (`ServoLoop`).

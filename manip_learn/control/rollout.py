@@ -162,8 +162,13 @@ class Rollout:
         return replace(other, **joined, time=time, status=status, following_error=None, **parts)
 
     def violation(self, constraint: Constraint) -> Float[np.ndarray, " T"]:
-        """|A(q) u| along the motion: how far it breaks a constraint with b = 0, in the rows' units per second."""
-        return np.array([np.linalg.norm(constraint(q) @ u) for q, u in zip(self.q, self.u, strict=True)])
+        """Return the speed at which each step breaks a constraint with b = 0, in the rows' units per second.
+
+        |A u| with the mean of A(q) at both ends of the step for which u is held; at the last sample A(q).
+        """
+        A = np.array([constraint(q) for q in self.q])
+        A[:-1] = 0.5 * (A[:-1] + A[1:])
+        return np.linalg.norm(np.einsum("tij,tj->ti", A, self.u), axis=1)
 
     def manipulability_of(self, constraint: Constraint) -> Float[np.ndarray, " T"]:
         """mu of another constraint along the same motion."""

@@ -21,7 +21,7 @@ from manip_learn.control.simulation import simulate
 from manip_learn.control.tasks.driven_motion import way_in_words
 from manip_learn.control.tasks.motion import APPROACH_SPEED, FreeDirection, motion
 from manip_learn.control.way import simulate_way
-from manip_learn.errors import ConfigurationError, NoPlanError, TargetError, an, spoken
+from manip_learn.errors import ConfigurationError, NoPlanError, TargetError, advice, an, spoken
 from manip_learn.linalg import complement_rows, finite
 from manip_learn.planning.clearance import Clearance
 from manip_learn.planning.plan import Around, moved_to, plan
@@ -226,7 +226,8 @@ def _limited(limits: Limits, tip_speed: TipSpeed, skill: Skill, q: Float[np.ndar
     if not (isinstance(speed, int | float) and 0.0 < speed < np.inf):
         wanted = f"a positive number of metres per second such as {APPROACH_SPEED}"
         words = spoken("'shown', or None for no limit", "shown, or none for no limit")
-        raise ConfigurationError(f"{spoken('tip_speed', '--tip-speed')} is {tip_speed!r}: it must be {wanted}, {words}")
+        name = advice("{}", "tip_speed", "--tip-speed")
+        raise ConfigurationError(f"{name} is {tip_speed!r}: it must be {wanted}, {words}")
     if tip_speed == "shown":
         ways = (motion(way) for step in skill.steps if step.kind == "way" and (way := step.as_shown) is not None)
         stations = (Stations.of(way, q, limits) for way in ways if isinstance(way, FreeDirection))

@@ -157,8 +157,8 @@ class FreeDirection(Task):
             b = self.constraint.selection.dot(self._motion.driven_at(0.0))
             if np.linalg.norm(A.dot(np.linalg.lstsq(A, b)[0]) - b) > 1e-6 * np.linalg.norm(b):
                 raise ConstraintError(
-                    f"{robot.nv} joints cannot move along this and keep the orientation of the hand, {len(A)} rows: "
-                    "leave out --keep-orientation (keep_orientation=True)"
+                    f"{robot.nv} joints cannot move along this and keep the orientation of the hand, {len(A)} rows"
+                    + advice(": leave out {}", "keep_orientation=True", "--keep-orientation")
                 )
         self.unit: Unit = self._motion.unit
         self._n_held = constraint.n_constraints
